@@ -4,8 +4,9 @@
     scripts/fit_posterior.py FOLDER ... [--judge]
 
 Each FOLDER is a rendered site with its truth (`wbflow demo`, `scripts/render_scene.py`) that was run: depths of its newest good
-run, refined and of pairs alone, are compared with `truth/depth/`.  With --judge nothing is fitted: for each folder the share of
-right depths in ten bins of their probability is shown, and the area under the ROC curve.
+run are compared with `truth/depth/`: refined ones and those of pairs to fit what a view knows of itself, then the likelier ones.
+With --judge nothing is fitted: for each folder the share of right depths in ten bins of their probability is shown, and the area
+under the ROC curve.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ from wbflow_stages.fusion.surface_support import surface_support
 from wbflow_stages.fusion.visibility import TrustedDepth, cross_check, probability
 from wbflow_stages.types import Bools, Camera, DepthMap, Float32s, Float64s
 
-RIGHT_PX = 3.0
+RIGHT_PX = 2.0
 """A depth is right if its point lies within so many pixels' widths of the truth."""
 
 MOST = 12_000
@@ -52,40 +53,52 @@ class View:
 
 
 class Scene:
-    """The views of a run."""
+    """The views of a run, each with its refined depth and that of its pairs."""
 
-    def __init__(self, folder: Path, refined: bool) -> None:
+    def __init__(self, folder: Path) -> None:
         run = wbflow.open_run(folder, "latest-good")
         found: dict[str, dict[str, Any]] = {"frames": {}, "depth": {}, "refine": {}}
         for task in run.tasks:
             if task.stage in found:
                 found[task.stage][task.subject[0]] = run.artifact(task)
-        depths = {**found["depth"], **(found["refine"] if refined else {})}
-        self.cameras = {name: camera for name, camera in run.artifact("poses").cameras.items() if name in depths}
+        posed = run.artifact("poses").cameras
+        self.cameras = {name: camera for name, camera in posed.items() if name in {**found["depth"], **found["refine"]}}
         frames = straight_frames(found["frames"], self.cameras)
-        small = {name: subsample(frames[name], depths[name]) for name in self.cameras}
+        self.masks = {name: frames[name].mask for name in self.cameras}
+        self.truth = folder / "truth"
+        sources = [source for source in (found["refine"], found["depth"]) if source]
+        self.kinds = [{name: self._view(name, source[name]) for name in self.cameras if name in source} for source in sources]
+        small = {name: subsample(frames[name], next(k[name] for k in self.kinds if name in k).depth) for name in self.cameras}
         self.near = {name: nearest_views(name, self.cameras, small, 16) for name in self.cameras}
-        self.views = {}
-        for name, camera in self.cameras.items():
-            depth, known = depths[name], frames[name].mask & np.isfinite(depths[name].depth)
-            off = off_truth(folder / "truth", name, camera, depth)
-            right = off <= RIGHT_PX * depth.depth / camera.K[0, 0]
-            evidence = P.evidence_of_itself(depth, frames[name].mask)
-            self.views[name] = View(depth, known, right, known & np.isfinite(off), evidence, np.zeros(0, np.float32))
+
+    def _view(self, name: str, depth: DepthMap) -> View:
+        camera, mask = self.cameras[name], self.masks[name]
+        known, off = mask & np.isfinite(depth.depth), off_truth(self.truth, name, camera, depth)
+        right = off <= RIGHT_PX * depth.depth / camera.K[0, 0]
+        evidence = P.evidence_of_itself(depth, mask)
+        return View(depth, known, right, known & np.isfinite(off), evidence, np.zeros(0, np.float32))
+
+    def views(self) -> Iterator[View]:
+        return (view for kind in self.kinds for view in kind.values())
 
     def apply(self, coefficients: Float64s) -> None:
         """Log-odds of the evidence that is at hand."""
-        for view in self.views.values():
+        for view in self.views():
             view.logit = P._logit(coefficients, view.evidence, view.known)
 
-    def hear_others(self) -> None:
-        trusted = {name: TrustedDepth(view.depth, view.logit) for name, view in self.views.items()}
-        for name, view in self.views.items():
+    def compare_views(self) -> None:
+        """Keeps the likelier depth of each pixel, as fusion does, and gathers what the other views say of it."""
+        found = {name: [kind[name] for kind in self.kinds if name in kind] for name in self.cameras}
+        trusted = {name: P.likelier([TrustedDepth(v.depth, v.logit) for v in views]) for name, views in found.items()}
+        kept = {name: self._view(name, view.depth) for name, view in trusted.items()}
+        for name, view in kept.items():
+            view.logit = trusted[name].own
             check = cross_check(name, self.near[name], self.cameras, trusted.__getitem__)
             view.evidence = [view.logit, *P.evidence_of_others(check)]
+        self.kinds = [kept]
 
     def look_around(self) -> None:
-        for view in self.views.values():
+        for view in self.views():
             view.evidence = [view.logit, surface_support(view.depth, view.known, probability(view.logit))]
 
 
@@ -125,12 +138,13 @@ def samples(scenes: list[Scene]) -> tuple[Float64s, Float64s, Float64s, Float64s
 
 
 def _parts(scene: Scene, rng: np.random.Generator) -> Iterator[tuple[Any, ...]]:
-    for view in scene.views.values():
+    views = list(scene.views())
+    for view in views:
         at = np.flatnonzero(view.judged)
         at = rng.choice(at, min(len(at), MOST), replace=False)
         rows = np.column_stack([np.ones(len(at)), *(values.ravel()[at] for values in view.evidence)])
         logit = view.logit.ravel()[at] if len(view.logit) else np.zeros(len(at))
-        yield rows, view.right.ravel()[at].astype(float), np.full(len(at), 1 / max(len(at), 1) / len(scene.views)), logit
+        yield rows, view.right.ravel()[at].astype(float), np.full(len(at), 1 / max(len(at), 1) / len(views)), logit
 
 
 def fitted(scenes: list[Scene]) -> Float64s:
@@ -163,8 +177,8 @@ def main() -> None:
     parser.add_argument("folders", type=Path, nargs="+")
     parser.add_argument("--judge", action="store_true")
     given = parser.parse_args()
-    scenes = [Scene(folder, refined) for folder in given.folders for refined in (True, False)]
-    steps = {"_OWN": lambda scene: None, "_OTHERS": Scene.hear_others, "_AROUND": Scene.look_around}
+    scenes = [Scene(folder) for folder in given.folders]
+    steps = {"_OWN": lambda scene: None, "_OTHERS": Scene.compare_views, "_AROUND": Scene.look_around}
     for name, step in steps.items():
         for scene in scenes:
             step(scene)
@@ -172,9 +186,8 @@ def main() -> None:
         for scene in scenes:
             scene.apply(coefficients)
         print(f"{name} = np.array({coefficients.tolist()})")
-    for k, folder in enumerate(given.folders):
-        for refined, scene in zip(("refined", "of pairs"), scenes[2 * k : 2 * k + 2], strict=True):
-            print(f"{folder.name}, {refined}: {reliability([scene])}")
+    for folder, scene in zip(given.folders, scenes, strict=True):
+        print(f"{folder.name}: {reliability([scene])}")
 
 
 if __name__ == "__main__":

@@ -21,17 +21,12 @@ from .core.parallel import parallel_map
 from .core.residual_distortion import straight_frames
 from .fusion.pair_depth import world_normals
 from .fusion.planning import exposure_gains, natural_voxel, nearest_views, subsample
-from .fusion.posterior import own_logit, posterior
-from .fusion.surface_support import surface_support
+from .fusion.posterior import likelier, own_logit, posterior
 from .fusion.uncertainty import along_nearest_rays, depth_variance
 from .fusion.visibility import CrossCheck, TrustedDepth, cross_check
 from .fusion.voxels import Samples, VoxelGrid
 from .reasons import Reason, Rejected
 from .types import Camera, Cloud, DepthMap, Float64s, Frame
-
-_CONTINUED, _ALONE = 0.1, 0.4
-"""What a single pair shows must have this share of its surroundings on its surface: of the believed ones where refinement is not
-sure of it, of the accepted ones everywhere."""
 
 _GRAZING = 0.05
 """Cosine of the lowest angle at which the way to the next pixel is still reckoned with."""
@@ -59,7 +54,7 @@ def fuse(
     ----------
     frames, cameras : of each view; frames are looked at one at a time.
     depths : of each view that has any, from its pairs; loaded when they are needed.
-    refined : depth of views refined over all views around them: taken for these instead.
+    refined : depth of views refined over all views around them: taken for these instead, but where it is improbable.
     component : only cameras of this component: those that share a world.
     min_consistent_pairs : a point needs so many pairs that agree on it and, from 2 on, so many other views whose depth is the
         same: 2 trades completeness for accuracy.
@@ -77,8 +72,8 @@ def fuse(
 
     @lru_cache(kept)
     def loaded(name: str) -> TrustedDepth:
-        depth = better[name] if name in better else depths[name]
-        return TrustedDepth(depth, own_logit(depth, frames[name].mask))
+        found = [source[name] for source in (better, depths) if name in source]
+        return likelier([TrustedDepth(depth, own_logit(depth, frames[name].mask)) for depth in found])
 
     loading = Lock()  # or two threads that want the same one would both load it
 
@@ -131,17 +126,10 @@ def _samples(
     frame: Frame, camera: Camera, view: TrustedDepth, check: CrossCheck, others: Float64s, gains: Float64s,
     limits: tuple[int, float], grid: VoxelGrid,
 ) -> Samples:  # fmt: skip
-    """The points of one view that are probable enough.  limits: `min_consistent_pairs` and `confidence` of `fuse`.
-
-    Where one pattern repeats, both views of a pair agree on a wrong depth: what one pair shows, and refinement is not sure of,
-    counts only where it continues a surface that more evidence supports.
-    """
+    """The points of one view that are probable enough.  limits: `min_consistent_pairs` and `confidence` of `fuse`."""
     depth, (min_pairs, confidence) = view.depth, limits
     right = posterior(depth, frame.mask, view.own, check)
-    believed = frame.mask & (depth.sure | ((check.agreeing > 0) & (check.pairs > 1)))
-    continued = surface_support(depth, frame.mask, believed.astype(np.float32))
-    accepted = (right >= confidence) & (check.pairs >= min_pairs) & (believed | (continued >= _CONTINUED))
-    accepted &= (right > 0) & ((check.pairs > 1) | (surface_support(depth, accepted) >= _ALONE))
+    accepted = (right > 0) & (right >= confidence) & (check.pairs >= min_pairs)
     if min_pairs > 1:
         accepted &= check.agreeing >= min_pairs
     y, x = np.nonzero(accepted)

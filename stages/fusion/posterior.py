@@ -1,30 +1,33 @@
 """How probable it is that a depth is right: one number from all that speaks for and against it.
 
-A depth is right if its point lies within three pixels' widths of a surface.  Three logistic regressions, each on what the one
+A depth is right if its point lies within two pixels' widths of a surface.  Three logistic regressions, each on what the one
 before it says: what a view knows of its own depths; what the other views say of them, each as far as it is right itself; and how
 right the depths are that lie around on the same plane.
 
-The coefficients are those of `scripts/fit_posterior.py` on rendered scenes with exact truth, depths of pairs and refined ones
-alike: a small yard and a small hall, both by night.
+The coefficients are those of `scripts/fit_posterior.py` on scenes with exact truth: a small yard and a small hall by night, small
+houses by day, and four photographs of the fountain.
 """
 
 from __future__ import annotations
+
+from collections.abc import Sequence
 
 import numpy as np
 
 from ..core.jit import kernel
 from ..types import Bools, DepthMap, Float32s, Float64s, Uint32s
+from .overlay import overlaid
 from .surface_support import surface_support
-from .visibility import CrossCheck, probability
+from .visibility import CrossCheck, TrustedDepth, probability
 
-_OWN = np.array([-1.29, 0.68, 3.16, 4.8, 0.11])
+_OWN = np.array([-5.45, 0.56, 2.16, 2.5, -0.66])
 """Of one, a depth that is sure, the logarithm of one more than its pairs, the share of its surroundings that is sure and on its
 plane, and the logarithm of its relative standard deviation."""
 
-_OTHERS = np.array([-0.11, 0.64, 0.38, 0.28, 1.3, -0.25, -0.66])
+_OTHERS = np.array([-0.03, 0.52, 0.42, 1.91, -0.39, -1.39])
 """Of one, the logit of the above, and what `evidence_of_others` returns."""
 
-_AROUND = np.array([-0.12, 0.93, 0.81])
+_AROUND = np.array([-0.75, 0.7, 2.94])
 """Of one, the logit of the above, and the mean of its probability over the surroundings."""
 
 _LEAST_RELATIVE, _MOST_RELATIVE = 1e-4, 0.1
@@ -37,6 +40,18 @@ _MOST_AGAINST = 8.0
 def own_logit(depth: DepthMap, usable: Bools) -> Float32s:
     """(h, w) log-odds that a view's depths are right, as far as it knows itself; -inf where it has none."""
     return _logit(_OWN, evidence_of_itself(depth, usable), usable & np.isfinite(depth.depth))
+
+
+def likelier(found: Sequence[TrustedDepth]) -> TrustedDepth:
+    """The first of one or two depths of a view, with the second where the first is not sure and the second is likelier.
+
+    Refined depths are finer than those of pairs, which a probability of being right to two pixels does not show: sure ones stay.
+    """
+    first, *others = found
+    for other in others:
+        taken = ~first.depth.sure & (other.own > first.own)
+        first = TrustedDepth(overlaid(first.depth, other.depth, taken), np.where(taken, other.own, first.own))
+    return first
 
 
 def posterior(depth: DepthMap, usable: Bools, own: Float32s, check: CrossCheck) -> Float32s:
@@ -64,12 +79,12 @@ def evidence_of_itself(depth: DepthMap, usable: Bools) -> list[Float32s]:
 
 
 def evidence_of_others(check: CrossCheck) -> list[Float32s]:
-    """(h, w) each: what speaks for a depth and against it; its pairs; of the views that could see it, the share that has nothing
-    there, and that which has something in front of it."""
+    """(h, w) each: what speaks against a depth; its pairs; of the views that could see it, the share that has nothing there, and
+    that which has something in front of it.  Views that agree add nothing to their pairs, which are independent evidence."""
     visible = check.visible.astype(np.float32)
     missing = (visible - check.agreeing) / (visible + np.float32(1.0))
     hiding = check.hiding / (visible + check.hiding + np.float32(1.0))
-    return [np.log1p(check.supporting), np.maximum(check.opposing, -_MOST_AGAINST), np.log1p(check.pairs), missing, hiding]
+    return [np.maximum(check.opposing, -_MOST_AGAINST), np.log1p(check.pairs), missing, hiding]
 
 
 def _logit(coefficients: Float64s, evidence: list[Float32s], known: Bools) -> Float32s:

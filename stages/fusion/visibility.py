@@ -27,10 +27,9 @@ class CrossCheck:
     """Other views that have the point in their image and nothing in front of it."""
     agreeing: Uint8s
     """Those among them whose own depth agrees."""
-    supporting: Float32s
-    """Log-likelihood ratio of a right depth to a wrong one, summed over the views that make it more likely..."""
     opposing: Float32s
-    """...and over those that make it less likely: they look through the point, as surely as their own depth is right."""
+    """Log-likelihood ratio of a right depth to a wrong one, summed over the views that make it less likely: they look through the
+    point, as surely as their own depth is right."""
     hiding: Uint8s
     """Views that have something in front of the point."""
     apart: Float32s
@@ -95,7 +94,7 @@ def cross_check(
     numbers = _PairNumbers()
     pairs = _own_pairs(own.support, numbers.of(name, own))
     visible, agreeing, hiding = (np.zeros((h, w), np.uint8) for _ in range(3))
-    apart, reach, supporting, opposing = (np.zeros((h, w), np.float32) for _ in range(4))
+    apart, reach, opposing = (np.zeros((h, w), np.float32) for _ in range(3))
     nearest = np.full((h, w), ITSELF, np.uint8)
     for place, other in enumerate(others):
         M, b = transfer(cameras[name], cameras[other])
@@ -106,11 +105,11 @@ def cross_check(
             pairs = np.concatenate([pairs, np.zeros((numbers.words - len(pairs), h, w), np.uint64)])
         pair, farther, rank = numbers.of_pair(name, other), _farther_by(cameras[name], cameras[other]), min(place, ITSELF)
         surface = own.depth, own.sigma, M, b, seen.depth, seen.slope_x, seen.slope_y, seen.sigma, seen.support
-        found = visible, agreeing, hiding, supporting, opposing, pairs
+        found = visible, agreeing, hiding, opposing, pairs
         _compare(*surface, probability(view.own), theirs, pair, *found, rank, farther, apart, nearest, reach)
     count, seen_by = np.zeros((h, w), np.uint8), np.zeros((h, w), np.uint16)
     _count(pairs, numbers.cameras_of_pairs[: numbers.met], count, seen_by)
-    return CrossCheck(count, seen_by, visible, agreeing, supporting, opposing, hiding, apart, nearest)
+    return CrossCheck(count, seen_by, visible, agreeing, opposing, hiding, apart, nearest)
 
 
 def _farther_by(camera: Camera, other: Camera) -> Float64s:
@@ -173,7 +172,7 @@ def _own_pairs(support: Uint32s, bits: Uint8s) -> Uint64s:
 def _compare(
     depth: Float32s, sigma: Float32s, M: Float64s, b: Float64s, other_depth: Float32s, slope_x: Float32s, slope_y: Float32s,
     other_sigma: Float32s, other_support: Uint32s, trust: Float32s, bits: Uint8s, number: int, visible: Uint8s, agreeing: Uint8s,
-    hiding: Uint8s, supporting: Float32s, opposing: Float32s, pairs: Uint64s, place: int, farther_by: Float64s, apart: Float32s,
+    hiding: Uint8s, opposing: Float32s, pairs: Uint64s, place: int, farther_by: Float64s, apart: Float32s,
     nearest: Uint8s, reach: Float32s,
 ) -> None:  # fmt: skip
     h, w = depth.shape
@@ -209,10 +208,7 @@ def _compare(
             visible[y, x] += 1
             t, off = min(trust[j, i], _MOST_TRUST), (there - z) / spread
             ratio = np.float32(np.log(1.0 - t + t * z / (_NORMAL * spread) * np.exp(-0.5 * off * off)))
-            if ratio > 0:
-                supporting[y, x] += ratio
-            else:
-                opposing[y, x] += ratio
+            opposing[y, x] += min(ratio, np.float32(0.0))
             if there <= z + tolerance:
                 n0, n1 = slope_x[j, i], slope_y[j, i]  # its plane, linear in places as that camera sees them, on this pixel's ray
                 n2 = 1.0 / other_depth[j, i] - n0 * i - n1 * j

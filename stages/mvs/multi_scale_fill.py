@@ -6,17 +6,14 @@ fine views have not given is taken from a second, small picture of the view, whi
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import replace
 
 import cv2
 import numpy as np
 
 from ..core.cameras import scaled_intrinsics
-from ..types import Camera, DepthMap, Frame, Int64s, Uint8s, Uint32s
-
-_PARTNERS = 32
-"""Bits of `DepthMap.support`."""
+from ..fusion.overlay import overlaid
+from ..types import Camera, DepthMap, Frame, Int64s, Uint8s
 
 
 def reduced(image: Uint8s, camera: Camera, times: float) -> tuple[Uint8s, Camera]:
@@ -60,31 +57,20 @@ def filled(depth: DepthMap, coarse: DepthMap) -> DepthMap:
     down = ((np.arange(h, dtype=np.float32) + np.float32(0.5)) / step_y - np.float32(0.5) - rows)[:, None].astype(np.float32)
     q = 1.0 / coarse.depth[at] + coarse.slope_x[at] * right + coarse.slope_y[at] * down
     taken = (q > 0) & ~depth.sure & (coarse.sure[at] | np.isnan(depth.depth))
-    partners = tuple(dict.fromkeys((*depth.partners, *coarse.partners)))[:_PARTNERS]
     with np.errstate(divide="ignore"):
-        z = np.where(taken, 1.0 / q, depth.depth)
-    return replace(
-        depth,
+        z = (1.0 / q).astype(np.float32)
+    fine = replace(
+        coarse,
         depth=z,
-        sigma=np.where(taken, coarse.sigma[at], depth.sigma),
-        slope_x=np.where(taken, coarse.slope_x[at] / step_x, depth.slope_x),
-        slope_y=np.where(taken, coarse.slope_y[at] / step_y, depth.slope_y),
-        support=np.where(taken, _renumbered(coarse, partners)[at], depth.support),
-        partners=partners,
-        sure=np.where(taken, coarse.sure[at], depth.sure),
+        sigma=coarse.sigma[at],
+        slope_x=coarse.slope_x[at] / step_x,
+        slope_y=coarse.slope_y[at] / step_y,
+        support=coarse.support[at],
+        sure=coarse.sure[at],
     )
+    return overlaid(depth, fine, taken)
 
 
 def _middles(count: int, of: int) -> Int64s:
     """(count,) which of so many pixels lie nearest to the middles of `count` others that cover the same."""
     return np.clip(np.round((np.arange(count) + 0.5) * of / count - 0.5), 0, of - 1).astype(np.int64)
-
-
-def _renumbered(depth: DepthMap, partners: tuple[str, ...]) -> Uint32s:
-    """(h, w) `support` with the bits of other partners; one that is not among them is left out."""
-    support = np.zeros(depth.support.shape, np.uint32)
-    place: Mapping[str, int] = {name: k for k, name in enumerate(partners)}
-    for k, name in enumerate(depth.partners):
-        if name in place:
-            support |= (depth.support >> np.uint32(k) & np.uint32(1)) << np.uint32(place[name])
-    return support

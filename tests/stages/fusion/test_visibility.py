@@ -52,7 +52,7 @@ def check_of(found: dict[str, Camera], maps: dict[str, DepthMap], own: float) ->
 def test_views_of_the_same_wall_speak_for_it(lean: float) -> None:
     check = check_of(*views(4, lean, off=0.0), own=3.0)
     middle = slice(20, 60), slice(40, 60)
-    assert (check.agreeing[middle] == 3).all() and (check.supporting[middle] > 9).all() and (check.opposing[middle] == 0).all()
+    assert (check.agreeing[middle] == 3).all() and (check.pairs[middle] >= 6).all() and (check.opposing[middle] == 0).all()
 
 
 @pytest.mark.parametrize(("own", "against"), [(5.0, 10.0), (-2.0, 0.5)])
@@ -61,11 +61,3 @@ def test_views_look_through_a_depth_as_surely_as_their_own_is_right(own: float, 
     check = check_of(*views(4, 0.0, off=-0.5), own=own)
     seen = -check.opposing[PATCH]
     assert (seen > against).all() if own > 0 else (seen < against).all()
-
-
-def test_a_rough_depth_says_less_than_a_sharp_one() -> None:
-    found, maps = views(4, 0.0, off=0.0)
-    sharp = check_of(found, maps, own=3.0).supporting[40, 50]
-    for depth in maps.values():
-        depth.sigma[...] = 0.5
-    assert 0 < check_of(found, maps, own=3.0).supporting[40, 50] < sharp - 3
