@@ -4,12 +4,9 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
-
-import numpy as np
-from numpy.typing import NDArray
 
 from ..pipeline.stages import STAGES
 from ..records.record import CameraRecord, PairRecord
@@ -19,7 +16,7 @@ from .data import ReportData, objects_of, since_last_good, state_of
 from .pictures import data_url, split
 
 Vector = tuple[float, float, float]
-Array = NDArray[np.float64]
+Matrix = Sequence[Sequence[float]]
 
 _UPRIGHT = 0.5
 """The world's z is up where it agrees so well with every camera's."""
@@ -61,9 +58,9 @@ class SceneObject:
 class Scene:
     """The frame of the page, and what stands in it."""
 
-    rows: Array
+    rows: tuple[Vector, Vector, Vector]
     """Right, away and up, in the world."""
-    origin: Array
+    origin: Vector
     cameras: tuple[SceneCamera, ...]
     objects: tuple[SceneObject, ...]
     low: Vector
@@ -81,12 +78,12 @@ class Scene:
 
     def to(self, point: Sequence[float]) -> Vector:
         """Return a point of the world in the frame of the page."""
-        return _vector(self.rows @ (np.array(point) - self.origin))
+        return _times(self.rows, _minus(point, self.origin))
 
     def to_json(self) -> dict[str, Any]:
         """Return the input of the 3-D view."""
         cameras, marks = [vars(camera) for camera in self.cameras], [vars(thing) for thing in self.objects]
-        axes = {"rows": self.rows.tolist(), "origin": self.origin.tolist(), "unit": self.unit, "place": self.place}
+        axes = {"rows": self.rows, "origin": self.origin, "unit": self.unit, "place": self.place}
         box = {"low": self.low, "high": self.high, "middle": self.middle, "radius": self.radius, "heading": -math.pi / 2}
         return {"axes": axes, **box, "north": self.north, "cameras": cameras, "marks": marks}
 
@@ -101,21 +98,21 @@ def scene_of(data: ReportData, sample: list[Vector]) -> Scene | None:
     placed = {camera.id: place for camera in record.cameras if (place := data.placement(camera.id))}
     if not (sample or placed):
         return None
-    centres = np.array([entry["C"] for entry, _ in placed.values()]).reshape(-1, 3)
-    rotations = np.array([entry["R"] for entry, _ in placed.values() if entry.get("R")]).reshape(-1, 3, 3)
-    points = np.array(sample or _last_cloud(data)).reshape(-1, 3)
-    around = points if sample else centres
-    origin = points.mean(axis=0) if len(points) and not sample else np.sort(around, axis=0)[len(around) // 2]
+    centres: list[Vector] = [tuple(entry["C"]) for entry, _ in placed.values()]
+    rotations: list[Matrix] = [entry["R"] for entry, _ in placed.values() if entry.get("R")]
+    points = sample or _last_cloud(data)
+    around = points or centres
+    origin = _sum(points, 1 / len(points)) if points and not sample else _median(sample or centres)
     crs = record.poses.crs if record.poses else ""
-    rows = _axes(_up(rotations), centres, origin, rotations[:, 2], on_map=bool(crs))
+    rows = _axes(_up(rotations), centres, origin, [R[2] for R in rotations], on_map=bool(crs))
     cameras = tuple(_camera(data, camera, placed[camera.id], rows, origin) for camera in record.cameras if camera.id in placed)
     objects = tuple(_objects(data, rows, origin))
-    low, high = _box(((points if len(points) else centres) - origin) @ rows.T, _TRIMMED if sample else 0.0)
-    middle, radius = (low + high) / 2, max(float(np.linalg.norm(high - low)) / 2, 1e-6)
-    everything = np.array([low, high, *(c.C for c in cameras), *(o.at for o in objects)])
+    low, high = _box([_times(rows, _minus(point, origin)) for point in around], _TRIMMED if sample else 0.0)
+    middle, radius = _sum((low, high), 0.5), max(math.dist(low, high) / 2, 1e-6)
+    everything = list(zip(low, high, *(c.C for c in cameras), *(o.at for o in objects), strict=True))
     unit = "m" if not record.poses or record.poses.metric else ""
-    extent = _vector(everything.min(axis=0)), _vector(everything.max(axis=0))
-    return Scene(rows, origin, cameras, objects, *extent, _vector(middle), radius, unit, "N" if crs else "y", origin_of(crs))
+    extent = _vector(map(min, everything)), _vector(map(max, everything))
+    return Scene(rows, origin, cameras, objects, *extent, middle, radius, unit, "N" if crs else "y", origin_of(crs))
 
 
 def _last_cloud(data: ReportData) -> list[Vector]:
@@ -126,68 +123,92 @@ def _last_cloud(data: ReportData) -> list[Vector]:
     return []
 
 
-def _up(rotations: Array) -> Array:
-    if np.all(-rotations[:, 1, 2] > _UPRIGHT):
-        return np.array([0.0, 0.0, 1.0])
-    total = -rotations[:, 1].sum(axis=0)
-    return _unit(total if np.linalg.norm(total) > 1e-6 else -rotations[0, 1])
+def _up(rotations: Sequence[Matrix]) -> Vector:
+    if all(-R[1][2] > _UPRIGHT for R in rotations):
+        return 0.0, 0.0, 1.0
+    total = _sum([R[1] for R in rotations], -1.0)
+    return _unit(total if math.hypot(*total) > 1e-6 else _sum([rotations[0][1]], -1.0))
 
 
-def _axes(up: Array, centres: Array, middle: Array, looks: Array, on_map: bool) -> Array:
+def _axes(
+    up: Vector, centres: Sequence[Vector], middle: Vector, looks: Sequence[Sequence[float]], on_map: bool
+) -> tuple[Vector, Vector, Vector]:
     """Return right, away and up: away from where most cameras stand, else where they look."""
-    spread = np.linalg.norm(middle - centres, axis=1).sum()
-    ways = ((middle - centres).sum(axis=0), 0.25 * spread), (looks.sum(axis=0), 0.1 * len(looks)), (np.eye(3)[1], 0.0)
-    away = np.eye(3)[0]
-    for way, enough in ways:
-        level = way - (way @ up) * up
-        if np.linalg.norm(level) > max(enough, 1e-6):
+    ways = [_minus(middle, C) for C in centres]
+    spread = sum(math.hypot(*way) for way in ways)
+    away: Vector = (1.0, 0.0, 0.0)
+    for way, enough in ((_sum(ways), 0.25 * spread), (_sum(looks), 0.1 * len(looks)), ((0.0, 1.0, 0.0), 0.0)):
+        level = _minus(way, _sum([up], _dot(way, up)))
+        if math.hypot(*level) > max(enough, 1e-6):
             away = _unit(level)
             break
     if on_map:
-        k = 0 if abs(away[0]) > abs(away[1]) else 1
-        away = math.copysign(1, away[k]) * np.eye(3)[k]
-    return np.array([np.cross(away, up), away, up])
+        x, y, _ = away
+        away = (math.copysign(1, x), 0.0, 0.0) if abs(x) > abs(y) else (0.0, math.copysign(1, y), 0.0)
+    right = (away[1] * up[2] - away[2] * up[1], away[2] * up[0] - away[0] * up[2], away[0] * up[1] - away[1] * up[0])
+    return right, away, up
 
 
 def _camera(
-    data: ReportData, camera: CameraRecord, place: tuple[Mapping[str, Any], str], rows: Array, origin: Array
+    data: ReportData, camera: CameraRecord, place: tuple[Mapping[str, Any], str], rows: Matrix, origin: Vector
 ) -> SceneCamera:
     entry, note = place
-    C, state = _vector(rows @ (np.array(entry["C"]) - origin)), state_of(camera, data.record)
+    C, state = _times(rows, _minus(entry["C"], origin)), state_of(camera, data.record)
     words = "; ".join(filter(None, (camera.reason or (camera.health.text if camera.health else ""), note)))
     if not entry.get("R"):
         return SceneCamera(camera.id, C, (), (0.0, 1.0, 0.0), 0.0, state, note, words)
-    R, K = np.array(entry["R"]), entry.get("K")
+    R, K = entry["R"], entry.get("K")
     width, height = entry.get("width") or 4, entry.get("height") or 3
     fx, fy, cx, cy = (K[0][0], K[1][1], K[0][2], K[1][2]) if K else (width, width, width / 2, height / 2)
     corners = ((0, 0), (width, 0), (width, height), (0, height))
-    rays = tuple(_vector(rows @ R.T @ ((x - cx) / fx, (y - cy) / fy, 1.0)) for x, y in corners)
-    return SceneCamera(camera.id, C, rays, _vector(rows @ R[2]), 2 * math.atan(height / 2 / fy), state, note, words)
+    columns = list(zip(*R, strict=True))
+    rays = tuple(_times(rows, _times(columns, ((x - cx) / fx, (y - cy) / fy, 1.0))) for x, y in corners)
+    return SceneCamera(camera.id, C, rays, _times(rows, R[2]), 2 * math.atan(height / 2 / fy), state, note, words)
 
 
-def _objects(data: ReportData, rows: Array, origin: Array) -> Iterator[SceneObject]:
+def _objects(data: ReportData, rows: Matrix, origin: Vector) -> Iterator[SceneObject]:
     for stage in data.record.results:
         since = since_last_good(data, stage)
         for name, thing in objects_of(data.record, stage).items():
-            at = _vector(rows @ (np.array([thing.x, thing.y, thing.z]) - origin))
+            at = _times(rows, _minus((thing.x, thing.y, thing.z), origin))
             size = math.hypot(thing.length or 0.0, thing.width or 0.0)
             yield SceneObject(name, thing.kind, at, size, since is not None and name in since.known)
 
 
-def _box(points: Array, trimmed: float) -> tuple[Array, Array]:
+def _box(points: Sequence[Vector], trimmed: float) -> tuple[Vector, Vector]:
     """Return the corners of the box around points, without a share of them at each end, but grown again."""
-    ordered, skipped = np.sort(points, axis=0), int(trimmed * (len(points) - 1))
-    low, high = ordered[skipped], ordered[len(points) - 1 - skipped]
-    margin = (_GROWN if trimmed else 0.0) * (high - low)
-    return low - margin, high + margin
+    ordered, skipped = [sorted(values) for values in zip(*points, strict=True)], int(trimmed * (len(points) - 1))
+    low, high = (_vector(values[k] for values in ordered) for k in (skipped, len(points) - 1 - skipped))
+    margin = _sum([_minus(high, low)], _GROWN if trimmed else 0.0)
+    return _minus(low, margin), _sum((high, margin))
 
 
-def _unit(a: Array) -> Array:
-    return a / (np.linalg.norm(a) or 1.0)
+def _dot(a: Sequence[float], b: Sequence[float]) -> float:
+    return sum(x * y for x, y in zip(a, b, strict=True))
 
 
-def _vector(a: Array) -> Vector:
-    x, y, z = a.tolist()
+def _times(rows: Matrix, point: Sequence[float]) -> Vector:
+    return _vector(_dot(row, point) for row in rows)
+
+
+def _minus(a: Sequence[float], b: Sequence[float]) -> Vector:
+    return _vector(x - y for x, y in zip(a, b, strict=True))
+
+
+def _sum(vectors: Sequence[Sequence[float]], times: float = 1.0) -> Vector:
+    return _vector(times * sum(vector[k] for vector in vectors) for k in range(3))
+
+
+def _median(points: Sequence[Vector]) -> Vector:
+    return _vector(sorted(values)[len(values) // 2] for values in zip(*points, strict=True))
+
+
+def _unit(a: Vector) -> Vector:
+    return _sum([a], 1 / (math.hypot(*a) or 1.0))
+
+
+def _vector(values: Iterable[float]) -> Vector:
+    x, y, z = map(float, values)
     return x, y, z
 
 
@@ -260,7 +281,7 @@ class Map:
     @property
     def north_deg(self) -> float:
         """Where the world's y points, clockwise from the top."""
-        return math.degrees(math.atan2(self.scene.rows[0, 1], self.scene.rows[1, 1]))
+        return math.degrees(math.atan2(self.scene.rows[0][1], self.scene.rows[1][1]))
 
 
 def _outside(cameras: Sequence[SceneCamera], at: Mapping[str, tuple[float, float]]) -> dict[str, tuple[float, float, str]]:
