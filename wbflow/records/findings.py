@@ -308,12 +308,16 @@ class Verdict(Plain):
     findings: tuple[Finding, ...] = ()
     """What is to be looked at, the most important first; none of a good night."""
     acknowledged: tuple[Finding, ...] = ()
-    """What somebody knows of: it does not count; its remedy says who, and until when."""
+    """What somebody knows of: it does not count; its remedy says who, and until when.  run.json has it where there is any."""
 
     @property
     def good(self) -> bool:
         """Is there nothing to look at?"""
         return self.level == "good"
+
+    @model_serializer(mode="wrap")
+    def _without_nothing(self, write: Any) -> dict[str, Any]:
+        return {name: value for name, value in write(self).items() if value or name != "acknowledged"}
 
 
 @dataclass(frozen=True)
