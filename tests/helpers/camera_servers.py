@@ -10,7 +10,7 @@ import struct
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from email.utils import formatdate
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import Any
@@ -94,16 +94,20 @@ class _Http(ThreadingHTTPServer):
 
 
 @contextmanager
-def http_camera(ahead: float = 0.0) -> Iterator[str]:
-    """A server; its address."""
-    server = _Http(("127.0.0.1", 0), HttpCamera)
+def serving(server: Any, address: str, ahead: float) -> Iterator[str]:
+    """Run a server whose clock is ahead by some seconds; its address, with the port filled in."""
     server.ahead = ahead
     threading.Thread(target=server.serve_forever, daemon=True).start()
     try:
-        yield f"http://127.0.0.1:{server.server_address[1]}"
+        yield address.format(port=server.server_address[1])
     finally:
         server.shutdown()
         server.server_close()
+
+
+def http_camera(ahead: float = 0.0) -> AbstractContextManager[str]:
+    """A server; its address."""
+    return serving(_Http(("127.0.0.1", 0), HttpCamera), "http://127.0.0.1:{port}", ahead)
 
 
 class RtspCamera(socketserver.StreamRequestHandler):
@@ -180,17 +184,9 @@ class _Rtsp(socketserver.ThreadingTCPServer):
     ahead = 0.0
 
 
-@contextmanager
-def rtsp_camera(ahead: float = 0.0) -> Iterator[str]:
+def rtsp_camera(ahead: float = 0.0) -> AbstractContextManager[str]:
     """A server; its address."""
-    server = _Rtsp(("127.0.0.1", 0), RtspCamera)
-    server.ahead = ahead
-    threading.Thread(target=server.serve_forever, daemon=True).start()
-    try:
-        yield f"rtsp://127.0.0.1:{server.server_address[1]}/stream"
-    finally:
-        server.shutdown()
-        server.server_close()
+    return serving(_Rtsp(("127.0.0.1", 0), RtspCamera), "rtsp://127.0.0.1:{port}/stream", ahead)
 
 
 @contextmanager
