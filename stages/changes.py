@@ -14,8 +14,8 @@ from typing import Any
 
 import cv2
 import numpy as np
-from scipy.spatial import cKDTree
 
+from .change.cloud_distance import spacing_of
 from .change.clusters import ChangeCluster, Over, find_clusters, over_ground, paired
 from .change.evidence import Epoch, Evidence, gather, judged, noise_of, seen_by
 from .core.cameras import camera_id, project
@@ -113,7 +113,7 @@ def find_changes(
     then = Epoch(
         reference_cloud, old, straight_frames(reference_frames or {}, old), reference_depths or {}, reference_refined or {}
     )
-    spacing = max(_spacing(tonight.points), _spacing(then.points))
+    spacing = max(spacing_of(tonight.points), spacing_of(then.points))
     grid = grid_over(np.vstack([n.points[::_SOME] for n in (tonight, then)]), axes, cell_m or preferred_above(_CELL * spacing))
     sides = gather(tonight, then, spacing, registration_m)
     noise = noise_of(*sides)
@@ -136,13 +136,6 @@ def _same_world(cameras: Mapping[str, Camera], old: Mapping[str, Camera], cloud:
     off = [float(np.linalg.norm(cameras[name].C - old[name].C)) for name in cameras if name in old]
     size = float(np.linalg.norm(np.ptp(np.quantile(cloud.points.astype(np.float64), [0.05, 0.95], axis=0), axis=0)))
     return bool(off) and float(np.median(off)) <= _SAME_PLACE * size
-
-
-def _spacing(points: Float64s, sample: int = 5000) -> float:
-    """Median distance of a point from its nearest neighbour."""
-    tree = cKDTree(points, balanced_tree=False, compact_nodes=False)
-    distances, _ = tree.query(points[:: max(1, len(points) // sample)], k=2, workers=1)
-    return max(float(np.median(distances[:, 1])) if len(points) > 1 else 1.0, 1e-9)
 
 
 def _is_certain(cluster: ChangeCluster) -> bool:

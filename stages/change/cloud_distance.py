@@ -14,6 +14,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from ..core.jit import kernel
 from ..core.ordering import by_cell
@@ -208,6 +209,13 @@ def one_of_each_cell(points: Float64s, edge: float) -> Int64s:
     span = at.max(axis=0) + 1
     _, first = np.unique((at[:, 0] * span[1] + at[:, 1]) * span[2] + at[:, 2], return_index=True)
     return np.sort(first)
+
+
+def spacing_of(points: Float64s, sample: int = 5000) -> float:
+    """Median distance of a point (n, 3) from its nearest neighbour, of every so manieth point."""
+    tree = cKDTree(points, balanced_tree=False, compact_nodes=False)
+    distances, _ = tree.query(points[:: max(1, len(points) // sample)], k=2, workers=1)
+    return max(float(np.median(distances[:, 1])) if len(points) > 1 else 1.0, 1e-9)
 
 
 def mean_normals(queries: Float64s, index: PointIndex, normals: Float32s, radius: float) -> Float64s:

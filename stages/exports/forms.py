@@ -30,6 +30,14 @@ def laz(cloud: Cloud, poses: Poses, day: datetime.date) -> Files:
     yield "cloud.laz", laz_bytes(cloud, day, _georeference(poses))
 
 
+def copc(cloud: Cloud, poses: Poses, day: datetime.date) -> Files:
+    """cloud.copc.laz: what `laz` gives, in an octree.  day: for the file's header."""
+    from .copc import copc_bytes
+    from .las import laz_bytes
+
+    yield "cloud.copc.laz", copc_bytes(laz_bytes(cloud, day, _georeference(poses)))
+
+
 def e57(cloud: Cloud, poses: Poses) -> Files:
     """cloud.e57, on the map where the site is georeferenced."""
     from .e57 import e57_bytes
@@ -129,24 +137,28 @@ def _main_cameras(poses: Poses) -> dict[str, Camera]:
 
 def geojson(poses: Poses, changes: Changes | None) -> Files:
     """cameras.geojson, and where nights were compared changes.geojson: longitude, latitude, height above the ellipsoid."""
+    from .map_features import camera_features, change_features, geojson_bytes
+
+    place = _on_the_map(poses)
+    yield "cameras.geojson", geojson_bytes(camera_features(_main_cameras(poses)), place)
+    if changes is not None and changes.compared:
+        yield "changes.geojson", geojson_bytes(change_features(changes.changes), place)
+
+
+def geopackage(poses: Poses, changes: Changes | None, day: datetime.date) -> Files:
+    """site.gpkg with the layers "cameras" and, where anything has changed, "changes", in UTM.  day: the night's."""
+    from .map_features import camera_features, change_features, geopackage_bytes
+
+    layers = {"cameras": camera_features(_main_cameras(poses)), "changes": change_features(changes.changes if changes else {})}
+    yield "site.gpkg", geopackage_bytes(layers, _on_the_map(poses), day)
+
+
+def _on_the_map(poses: Poses) -> Georeference:
+    """Where the site lies on the map.  Raises ValueError for a site that is not on one."""
     place = _georeference(poses)
     if place is None:
         raise ValueError("the site is not on the map: state positions by latitude, longitude and height")
-    features = []
-    for name, camera in _main_cameras(poses).items():
-        east, north, _ = camera.R[2]
-        heading = round(float(np.degrees(np.arctan2(east, north))) % 360, 2)
-        features.append(_feature(place, camera.C, {"camera": name, "heading_deg": heading}))
-    yield "cameras.geojson", _json({"type": "FeatureCollection", "features": features})
-    if changes is not None and changes.compared:
-        found = [_feature(place, (c.x, c.y, c.z), {"change": name, **vars(c)}) for name, c in changes.changes.items()]
-        yield "changes.geojson", _json({"type": "FeatureCollection", "features": found})
-
-
-def _feature(place: Georeference, at: Any, properties: dict[str, Any]) -> dict[str, Any]:
-    """A point of the world as a feature (RFC 7946)."""
-    coordinates = [round(float(value), digits) for value, digits in zip(place.degrees(at), (8, 8, 3), strict=True)]
-    return {"type": "Feature", "geometry": {"type": "Point", "coordinates": coordinates}, "properties": properties}
+    return place
 
 
 def _georeference(poses: Poses) -> Georeference | None:

@@ -33,6 +33,7 @@ def laz_bytes(cloud: Cloud, day: datetime.date, georeference: Georeference | Non
     points, normals = cloud.points.astype(np.float64), cloud.normals.astype(np.float64)
     header = laspy.LasHeader(point_format=7, version="1.4")
     header.creation_date, header.generating_software, header.system_identifier = day, "wbflow", "stereo"
+    header.global_encoding.wkt = True  # of point formats above 5 the specification asks for it
     header.scales = np.full(3, coordinate_step(points))
     if georeference is not None:
         points, normals = georeference.points(points), georeference.directions(points, normals)

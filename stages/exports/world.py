@@ -38,6 +38,22 @@ class Georeference:
         moved = pyproj.Transformer.from_pipeline(self.steps).transform(*np.asarray(X, np.float64).T)
         return np.column_stack(moved).astype(np.float64)
 
+    def local(self, X: Float64s, epsg: int | None = None) -> Float64s:
+        """(n, 3) float64 world points of easting, northing and height; epsg: of another system of the map, heights are the same.
+
+        A system's own order of axes does not count: easting, or longitude, comes first.
+        """
+        x, y, z = np.asarray(X, np.float64).T
+        if epsg and epsg != self.epsg:
+            x, y = pyproj.Transformer.from_crs(epsg, self.epsg, always_xy=True).transform(x, y)
+        back = pyproj.enums.TransformDirection.INVERSE
+        return np.column_stack(pyproj.Transformer.from_pipeline(self.steps).transform(x, y, z, direction=back)).astype(np.float64)
+
+    def is_on_map(self, X: Float64s) -> bool:
+        """Do points (n, 3) lie nearer to the site in the map's coordinates than in the site's own?"""
+        middle, origin = np.median(X[:, :2], axis=0), self.points(np.zeros((1, 3)))[0, :2]
+        return bool(np.linalg.norm(middle - origin) < np.linalg.norm(middle))
+
     def directions(self, X: Float64s, directions: Float64s) -> Float64s:
         """(n, 3) unit vectors at world points X: the map's north is not the local frame's."""
         moved = self.points(X + directions) - self.points(X)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import click
 
 from ..errors import ExitCode, UsageError, counted
-from ..pipeline.exports import EXPORTS
+from ..pipeline.exports import EXPORTS, SCANS
 from .common import (
     PATH,
     date_option,
@@ -105,20 +105,25 @@ def runs(sites: tuple[Path, ...], as_json: bool) -> None:
 
 @click.command()
 @click.argument("nights", metavar="[SITE.yaml] [RUN_A RUN_B]", type=PATH, nargs=-1, required=True)
+@click.option("--out", type=PATH, default=Path("deviation"), metavar="DIR", help="Folder for the deviation from a scan.")
 @json_option
 @work_option
-def compare(nights: tuple[Path, ...], as_json: bool, work: str | None) -> None:
-    """Two nights side by side: what differs by more than noise.
+def compare(nights: tuple[Path, ...], out: Path, as_json: bool, work: str | None) -> None:
+    """Two nights side by side: what differs by more than noise; or a night and a scan.
 
     \b
     wbflow compare SITE.yaml                           the newest run, and the newest good one before it
     wbflow compare SITE.yaml 2026-11-18 2026-11-19     runs by night, by id, or latest, latest-good
     wbflow compare RUN_A RUN_B                         folders of two runs, of whatever sites
+    wbflow compare SITE.yaml [RUN] scan.laz            the cloud's deviation from a scan or model
     """
     from ..outcome.compare import compare as rows_of
     from ..outcome.compare import differing, last_two, run_named
     from ..records.run_folder import RunFolder
 
+    if len(nights) in (2, 3) and nights[-1].suffix.lower() in SCANS:
+        _compare_with_scan(load(nights[0], work), str(nights[1]) if len(nights) == 3 else None, nights[-1], out, as_json)
+        return
     if len(nights) == 2:
         a, b = (RunFolder.at(folder) for folder in nights)
     elif len(nights) == 1:
@@ -136,6 +141,25 @@ def compare(nights: tuple[Path, ...], as_json: bool, work: str | None) -> None:
         echo(row)
     if len(differing(rows)) == 3:
         echo("nothing else differs by more than noise")
+
+
+def _compare_with_scan(site: Site, night: str | None, scan: Path, out: Path, as_json: bool) -> None:
+    from ..outcome.artifacts import FinishedRun
+    from ..outcome.compare import compare_with_scan, run_named
+
+    folder = site.work_folder
+    run = FinishedRun.open(folder, run_named(folder, night or folder.latest_good.name))
+    found = compare_with_scan(run, scan, out)
+    if as_json:
+        echo_json(found)
+        return
+    echo(f"night of {found['night']} against {found['scan']}: the scan covers {found['overlap']:.0%} of the cloud")
+    echo(f"they agree on {found['agreeing']:.0%} of that, to {1000 * found['residual']:.0f} mm (median)")
+    beyond = f"{found['beyond_detection']:.0%} deviate by more than can be noise"
+    median, most = 1000 * found["median_deviation"], 1000 * found["p90_unsigned"]
+    echo(f"deviation: median {median:+.0f} mm, nine in ten within {most:.0f} mm; {beyond}")
+    for name in ("deviation.ply", "deviation.json"):
+        echo(out / name)
 
 
 @click.command()

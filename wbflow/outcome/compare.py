@@ -1,17 +1,25 @@
-"""Runs beside each other: the history of a site, and two nights compared, from their run.json."""
+"""Runs beside each other: the history of a site, two nights compared, from their run.json, and a night against a scan."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass
+from pathlib import Path
 from typing import Any
 
+from ..cache.atomic import write_atomic
 from ..cache.layout import WorkFolder
+from ..cache.plugins import load
+from ..cache.ply import ply_bytes
+from ..errors import UsageError
+from ..pipeline.exports import SCAN_FILES
+from ..pipeline.names import POSES
 from ..pipeline.summaries import titled
 from ..records.ledger import Ledger, LedgerRun
 from ..records.record import CameraRecord, PairRecord, RunRecord, Verdict
 from ..records.run_folder import NoSuchRun, RunFolder, newest_runs
+from .artifacts import FinishedRun, MissingExtra
 
 NOISE = 0.05
 """Figures that differ by less than this share say nothing: keypoints, inliers and points change so much from night to night."""
@@ -158,6 +166,32 @@ def _words(value: Value) -> str:
     if isinstance(value, float):
         return f"{value:,.2f}"
     return f"{value:,}" if isinstance(value, int) else str(value)
+
+
+def compare_with_scan(run: FinishedRun, scan: Path, out: Path) -> dict[str, Any]:
+    """Write into `out` what a run's cloud deviates by from a scan; return the figures.
+
+    Raises
+    ------
+    UsageError
+        The scan cannot be read, or lies elsewhere, or covers less than half of the cloud.
+    MissingExtra
+        The packages that read this kind of file are not installed.
+    Gone
+        The run has no cloud.
+    """
+    if not scan.is_file():
+        raise UsageError(f"{scan}: there is no such file", remedy="wbflow compare SITE.yaml SCAN.laz --out DIR")
+    try:
+        files, figures = load(SCAN_FILES)(run.cloud(), run.made(POSES), scan)
+    except ImportError as error:
+        extra = "e57" if scan.suffix.lower() == ".e57" else "las"
+        raise MissingExtra(f"{scan.suffix} needs {error.name}: pip install 'wbflow[{extra}]'") from None
+    except ValueError as error:
+        raise UsageError(f"{scan}: {error}", remedy="nothing was written") from None
+    for name, content in files.items():
+        write_atomic(out / name, content if isinstance(content, bytes) else ply_bytes(content))
+    return {**figures, "run": run.folder.id, "night": run.record.date}
 
 
 MOST_WORDS = 80

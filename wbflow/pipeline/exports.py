@@ -31,7 +31,11 @@ class Export:
     """The extra that it needs where the site is georeferenced."""
 
 
-EXTRAS: Mapping[str, tuple[str, ...]] = {"las": ("laspy", "lazrs", "pyproj"), "e57": ("pye57",), "geo": ("rasterio", "pyproj")}
+EXTRAS: Mapping[str, tuple[str, ...]] = {
+    "las": ("laspy", "lazrs", "pyproj", "copclib"),
+    "e57": ("pye57",),
+    "geo": ("rasterio", "pyproj", "pyogrio"),
+}
 """Packages of the extras that exports may need."""
 
 _CLOUD, _POSES = (FUSE,), (POSES,)
@@ -41,6 +45,14 @@ EXPORTS: tuple[Export, ...] = (
         "laz",
         "The cloud as LAZ, on the map where positions are known by latitude and longitude.",
         "wbflow_stages.exports.forms:laz",
+        {"cloud": _CLOUD, "poses": _POSES},
+        dated=True,
+        extra="las",
+    ),
+    Export(
+        "copc",
+        "The cloud as COPC: LAZ that viewers and QGIS read in parts.",
+        "wbflow_stages.exports.forms:copc",
         {"cloud": _CLOUD, "poses": _POSES},
         dated=True,
         extra="las",
@@ -86,6 +98,14 @@ EXPORTS: tuple[Export, ...] = (
         extra="geo",
     ),
     Export(
+        "gpkg",
+        "Cameras and changes as a GeoPackage, of a site on the map.",
+        "wbflow_stages.exports.forms:geopackage",
+        {"poses": _POSES, "changes": ("changes",)},
+        dated=True,
+        extra="geo",
+    ),
+    Export(
         "colmap",
         "Cameras, images and points as a COLMAP model.",
         "wbflow_stages.exports.forms:colmap",
@@ -95,6 +115,12 @@ EXPORTS: tuple[Export, ...] = (
 
 PAIR_FILES = "wbflow_stages.exports.pairfiles:pair_files"
 """Makes the files of `wbflow pair` of two frames and what `PAIR_RESULTS` names, and figures for its summary."""
+
+SCAN_FILES = "wbflow_stages.exports.deviation:scan_files"
+"""Makes the files of `wbflow compare` with a scan of the cloud, the poses and the scan's path, and figures for its summary."""
+
+SCANS = (".las", ".laz", ".e57", ".ply", ".pcd", ".xyz", ".obj", ".stl", ".off")
+"""How names of scans and models end."""
 
 PAIR_RESULTS: Mapping[str, str] = {
     "matches": MATCHES,

@@ -141,6 +141,60 @@ def test_laspy_reads_the_cloud_back(crs: str) -> None:
 
 
 @pytest.mark.parametrize("crs", ["", LOCAL])
+def test_laspy_reads_all_of_a_copc_or_a_coarse_and_even_part(crs: str, tmp_path: Path) -> None:
+    laspy = pytest.importorskip("laspy")
+    pytest.importorskip("copclib")
+    from wbflow_stages.exports.copc import MOST_IN_LEAF, copc_bytes
+    from wbflow_stages.exports.las import laz_bytes
+    from wbflow_stages.exports.world import georeference
+
+    cloud = cloud_of(hill(count=4 * MOST_IN_LEAF))
+    laz = laz_bytes(cloud, DAY, georeference(crs) if crs else None)
+    data, plain = copc_bytes(laz), laspy.read(io.BytesIO(laz))
+    (tmp_path / "cloud.copc.laz").write_bytes(data)
+    with laspy.CopcReader.open(str(tmp_path / "cloud.copc.laz")) as reader:
+        found, coarse = reader.query(), reader.query(level=0)
+        middle = (reader.header.mins + reader.header.maxs) / 2
+        half = reader.query(bounds=laspy.Bounds(reader.header.mins, np.append(middle[:2], reader.header.maxs[2])))
+    order, expected = np.lexsort((found.x, found.y, found.z)), np.lexsort((plain.x, plain.y, plain.z))
+    for name in ("x", "y", "z", "red", "views", "nz", "confidence", "sigma_mm"):
+        assert np.array_equal(np.asarray(found[name])[order], np.asarray(plain[name])[expected]), name
+    assert 0.02 < len(coarse) / len(found) < 0.5
+    assert np.histogram(coarse.x, 10)[0].min() > 0.5 * len(coarse) / 10, "the coarse part covers all of the ramp alike"
+    assert len(half) == pytest.approx(len(found) / 4, rel=0.05)
+    everything = laspy.read(io.BytesIO(data))
+    assert len(everything.points) == len(plain.points), "any reader of LAZ reads it"
+    parsed = everything.header.parse_crs()
+    assert (parsed.to_epsg() if parsed else None) == (32632 if crs else None)
+    assert everything.header.creation_date == DAY
+    assert copc_bytes(laz) == data
+
+
+def test_pyogrio_reads_cameras_and_changes_of_a_geopackage_back(tmp_path: Path) -> None:
+    pyogrio = pytest.importorskip("pyogrio")
+    from wbflow_stages.exports.map_features import Feature, geopackage_bytes
+    from wbflow_stages.exports.world import georeference
+
+    place = georeference(LOCAL)
+    cameras = [Feature(np.array([k, 2.0 * k, 3.0]), {"camera": f"mast-{k}", "heading_deg": 90.5}) for k in range(3)]
+    changes = [Feature(np.array([5.0, 6.0, 7.0]), {"change": "1", "kind": "new", "volume": 2.5, "points": 40})]
+    data = geopackage_bytes({"cameras": cameras, "changes": changes, "none": []}, place, DAY)
+    path = tmp_path / "site.gpkg"
+    path.write_bytes(data)
+    layers = [name for name, _ in pyogrio.list_layers(path)]
+    assert layers == ["cameras", "changes"]
+    about, _, shapes, (names, headings) = pyogrio.raw.read(path, layer="cameras")
+    assert about["crs"] == "EPSG:32632"
+    assert list(names) == ["mast-0", "mast-1", "mast-2"]
+    assert list(headings) == [90.5] * 3
+    read = np.array([np.frombuffer(shape[5:], "<f8") for shape in shapes])
+    assert np.abs(read - place.points(np.array([c.at for c in cameras]))).max() < 1e-6
+    about, _, _, columns = pyogrio.raw.read(path, layer="changes")
+    assert [column[0] for column in columns] == ["1", "new", 2.5, 40]
+    assert geopackage_bytes({"cameras": cameras, "changes": changes, "none": []}, place, DAY) == data
+
+
+@pytest.mark.parametrize("crs", ["", LOCAL])
 def test_libe57_reads_the_cloud_back(crs: str, tmp_path: Path) -> None:
     pye57 = pytest.importorskip("pye57")
     from wbflow_stages.exports.e57 import e57_bytes

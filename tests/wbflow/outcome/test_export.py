@@ -123,8 +123,9 @@ def test_the_same_run_gives_the_same_bytes(site: Path, exported: Path, tmp_path:
 def test_a_site_on_the_map_gives_a_laz_and_a_geotiff_with_their_place(site: Path, tmp_path: Path) -> None:
     laspy, rasterio = pytest.importorskip("laspy"), pytest.importorskip("rasterio")
     on_map = placed_on_the_map(site, tmp_path / "site")
-    result = wbflow_export(on_map, tmp_path / "out", "--laz", "--heights", "--orthophoto")
+    result = wbflow_export(on_map, tmp_path / "out", "--laz", "--copc", "--heights", "--orthophoto")
     assert result.exit_code == 0, result.output
+    assert laspy.read(tmp_path / "out" / "cloud.copc.laz").header.parse_crs().to_epsg() == 32632
     las = laspy.read(tmp_path / "out" / "cloud.laz")
     assert las.header.parse_crs().to_epsg() == 32632
     with rasterio.open(tmp_path / "out" / "heights.tif") as file:
@@ -145,9 +146,11 @@ def test_a_site_on_the_map_gives_a_laz_and_a_geotiff_with_their_place(site: Path
 
 def test_cameras_of_a_site_on_the_map_are_geojson_and_of_others_are_refused(site: Path, tmp_path: Path) -> None:
     pytest.importorskip("pyproj")
+    pyogrio = pytest.importorskip("pyogrio")
     assert "not on the map" in wbflow_export(site, tmp_path / "no", "--geojson").output
+    assert "not on the map" in wbflow_export(site, tmp_path / "no", "--gpkg").output
     on_map = placed_on_the_map(site, tmp_path / "site")
-    assert wbflow_export(on_map, tmp_path / "out", "--geojson").exit_code == 0
+    assert wbflow_export(on_map, tmp_path / "out", "--geojson", "--gpkg").exit_code == 0
     data = json.loads((tmp_path / "out" / "cameras.geojson").read_text())
     solved = json.loads((site / ".wbflow" / "yard" / "runs" / "latest" / "cameras.json").read_text())
     found = {f["properties"]["camera"]: f["geometry"]["coordinates"] for f in data["features"]}
@@ -157,6 +160,7 @@ def test_cameras_of_a_site_on_the_map_are_geojson_and_of_others_are_refused(site
         assert (latitude - ORIGIN[0]) * 111_200 == pytest.approx(north, rel=0.01, abs=0.05)
         assert (longitude - ORIGIN[1]) * 111_320 * np.cos(np.radians(ORIGIN[0])) == pytest.approx(east, rel=0.01, abs=0.05)
         assert height == pytest.approx(ORIGIN[2] + up, abs=0.01)
+    assert pyogrio.read_info(tmp_path / "out" / "site.gpkg", layer="cameras")["features"] == len(solved)
 
 
 def placed_on_the_map(site: Path, copy: Path) -> Path:
@@ -212,6 +216,42 @@ def test_a_missing_package_is_named_with_what_to_install(site: Path, tmp_path: P
     result = wbflow_export(site, tmp_path / "out", "--laz", "--depth")
     assert result.exit_code == 2
     assert "--laz needs lazrs: pip install 'wbflow[las]'" in result.output
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_night_is_compared_with_a_scan_of_its_site(site: Path, tmp_path: Path) -> None:
+    truth, shifted = read_ply(site / "truth" / "reference.ply"), tmp_path / "scan.ply"
+    at = np.column_stack([truth[axis] for axis in "xyz"]) + np.array([0.4, -0.3, 0.2])
+    open3d.io.write_point_cloud(shifted, open3d.geometry.PointCloud(open3d.utility.Vector3dVector(at)))
+    result = CliRunner().invoke(main, ["compare", str(site), str(shifted), "--out", str(tmp_path), "--json"])
+    assert result.exit_code == 0, result.output
+    found = json.loads(result.stdout)
+    assert found["overlap"] > 0.8
+    assert np.array(found["transform_of_scan"])[:3, 3] == pytest.approx([-0.4, 0.3, -0.2], abs=0.05)
+    assert found["median_unsigned"] < 0.05
+    written = read_ply(tmp_path / "deviation.ply")
+    assert np.median(np.abs(written["deviation"][np.isfinite(written["deviation"])])) == pytest.approx(
+        found["median_unsigned"], 1e-3
+    )
+    words = CliRunner().invoke(main, ["compare", str(site), str(shifted), "--out", str(tmp_path)]).stdout
+    assert "the scan covers" in words
+    assert str(tmp_path / "deviation.ply") in words
+
+
+@pytest.mark.parametrize("what", ["elsewhere", "a corner", "damaged", "missing"])
+def test_a_scan_that_cannot_be_compared_is_refused_and_nothing_is_written(site: Path, tmp_path: Path, what: str) -> None:
+    truth, file = read_ply(site / "truth" / "reference.ply"), tmp_path / "scan.ply"
+    at = np.column_stack([truth[axis] for axis in "xyz"]).astype(float)
+    at = at + 5000.0 if what == "elsewhere" else at[at[:, 0] < np.quantile(at[:, 0], 0.2)]
+    open3d.io.write_point_cloud(file, open3d.geometry.PointCloud(open3d.utility.Vector3dVector(at)))
+    if what == "damaged":
+        file.write_bytes(file.read_bytes()[:300])
+    if what == "missing":
+        file.unlink()
+    result = CliRunner().invoke(main, ["compare", str(site), str(file), "--out", str(tmp_path / "out")])
+    expected = {"elsewhere": "no point near", "a corner": "50% are needed", "damaged": "cut short", "missing": "no such file"}
+    assert result.exit_code == 2
+    assert expected[what] in result.output
     assert not (tmp_path / "out").exists()
 
 

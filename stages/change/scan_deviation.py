@@ -1,0 +1,115 @@
+"""A cloud against a scan or model of the same place: registered on what agrees, then measured along the cloud's normals.
+
+References
+----------
+Chen, Medioni, Object modelling by registration of multiple range images, Image and Vision Computing 10, 1992 (point to plane);
+for distances and their level of detection see `cloud_distance`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import open3d
+
+from ..types import Cloud, Float64s
+from .cloud_distance import MeasuredCloud, cloud_distances, index_points, one_of_each_cell, spacing_of
+
+LEAST_OVERLAP = 0.5
+"""Two clouds that share less of the site say little of each other."""
+
+_FAR = 0.05
+"""A scan may lie off by so much of the site's size before it is registered."""
+_STEPS = (1.0, 0.25, 0.06)
+"""Of that distance: how far apart two points may lie that are taken for one, from step to step."""
+_REACH = 0.02
+"""Deviations up to so much of the site's size are measured."""
+_DENSE = 5.0
+"""Radius of a cylinder, in spacings of the coarser of the two clouds."""
+_MOST = 200_000
+"""Points that registration takes of each."""
+
+
+@dataclass(frozen=True)
+class ScanDeviation:
+    """How a cloud lies against a scan."""
+
+    distance: Float64s
+    """(n,) metres from the scan to the cloud along the cloud's normal; nan where the scan has no points."""
+    sigma: Float64s
+    """(n,) its standard deviation."""
+    transform: Float64s
+    """(4, 4) what brought the scan onto the cloud."""
+    overlap: float
+    """Share of the cloud's points where the scan has points, 0 to 1."""
+    residual_m: float
+    """Median deviation, without its sign, where the two agree: within their level of detection."""
+    agreeing: float
+    """Share of the points with a scan where the two agree."""
+    registration_m: float
+    """Standard deviation of the registration: what is left of it between parts of the site."""
+
+
+def deviation_from_scan(cloud: Cloud, scan: Float64s) -> ScanDeviation:
+    """Register a scan (m, 3), in the cloud's world, on the cloud, and measure what it deviates by.
+
+    The scan is taken as exact.
+
+    Raises
+    ------
+    ValueError
+        Less than `LEAST_OVERLAP` of the cloud has a scan beside it.
+    """
+    points = cloud.points.astype(np.float64)
+    low, high = np.quantile(points, [0.01, 0.99], axis=0)
+    size = float(np.linalg.norm(high - low))
+    far = _FAR * size
+    near = np.all((scan > low - 2 * far) & (scan < high + 2 * far), axis=1)
+    if not near.any():
+        lies = " ".join(f"{value:,.0f}" for value in np.median(scan, axis=0))
+        raise ValueError(f"the scan has no point near the site: its middle is at {lies} in the site's world")
+    scan = scan[near]
+    transform = _registered(cloud, scan, far)
+    scan = scan @ transform[:3, :3].T + transform[:3, 3]
+    radius = _DENSE * max(spacing_of(points), spacing_of(scan))
+    first = MeasuredCloud(scan, np.zeros(len(scan)), index_points(scan, 2 * radius))
+    second = MeasuredCloud(points, cloud.sigma_mm.astype(np.float64) / 1000)
+    normals = cloud.normals.astype(np.float64)
+    found = cloud_distances(points, normals, first, second, radius=radius, reach=_REACH * size)
+    there = np.isfinite(found.distance)
+    overlap = float(there.mean())
+    if overlap < LEAST_OVERLAP:
+        raise ValueError(f"the scan covers {overlap:.0%} of the cloud, {LEAST_OVERLAP:.0%} are needed: {_REMEDY}")
+    registration = _unevenness(points[there], found.distance[there], found.detectable[there])
+    sigma = np.sqrt(found.sigma**2 + registration**2)
+    agrees = there & (np.abs(found.distance) <= 2 * sigma)
+    residual = float(np.median(np.abs(found.distance[agrees]))) if agrees.any() else float("nan")
+    return ScanDeviation(found.distance, sigma, transform, overlap, residual, float(agrees.sum() / there.sum()), registration)
+
+
+_REMEDY = "bring it into the site's world first, to some metres (CloudCompare: Align)"
+
+
+def _registered(cloud: Cloud, scan: Float64s, far: float) -> Float64s:
+    """Return the rigid transform (4, 4) that lays a scan on the cloud: point to plane, deviations weigh less and less."""
+    target = open3d.geometry.PointCloud(open3d.utility.Vector3dVector(cloud.points.astype(np.float64)))
+    target.normals = open3d.utility.Vector3dVector(cloud.normals.astype(np.float64))
+    target = target.uniform_down_sample(max(1, len(target.points) // _MOST))
+    kept = one_of_each_cell(scan, max(spacing_of(scan), far / 200))
+    source = open3d.geometry.PointCloud(open3d.utility.Vector3dVector(scan[kept[:: max(1, len(kept) // _MOST)]]))
+    ways, transform = open3d.pipelines.registration, np.eye(4)
+    for step in _STEPS:
+        distance = far * step
+        plane = ways.TransformationEstimationPointToPlane(ways.TukeyLoss(k=distance / 2))
+        done = ways.registration_icp(source, target, distance, transform, plane, ways.ICPConvergenceCriteria(max_iteration=60))
+        transform = np.asarray(done.transformation, np.float64)
+    return np.round(transform, 9)  # sums of several threads differ in the last digits
+
+
+def _unevenness(points: Float64s, distance: Float64s, detectable: Float64s) -> float:
+    """Return the standard deviation, between the eight octants of the site, of the median deviation of what has not changed."""
+    octant = (points > np.median(points, axis=0)) @ np.array([1, 2, 4])
+    same = np.abs(distance - np.median(distance)) <= np.maximum(detectable, np.median(np.abs(distance)))
+    medians = [float(np.median(distance[same & (octant == k)])) for k in range(8) if np.any(same & (octant == k))]
+    return float(np.sqrt(np.mean(np.square(medians))))

@@ -1,0 +1,88 @@
+"""Cameras and changes as features of a map: GeoJSON in degrees, and GeoPackage in UTM as the other exports are.
+
+References
+----------
+RFC 7946, The GeoJSON Format, 2016; OGC 12-128r18, GeoPackage Encoding Standard 1.3.1, 2021.
+"""
+
+from __future__ import annotations
+
+import datetime
+import json
+import struct
+import tempfile
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..types import Camera, Change, Float64s
+from .world import Georeference
+
+
+@dataclass(frozen=True)
+class Feature:
+    """A point of the world with what is known of it."""
+
+    at: Float64s
+    """(3,) in the world."""
+    properties: dict[str, str | float | int]
+    """By name; all features of a layer have the same names."""
+
+
+def camera_features(cameras: Mapping[str, Camera]) -> list[Feature]:
+    """Return each camera where it stands, with its name and the compass heading that it looks in, degrees."""
+    features = []
+    for name, camera in cameras.items():
+        east, north, _ = camera.R[2]
+        heading = round(float(np.degrees(np.arctan2(east, north))) % 360, 2)
+        features.append(Feature(camera.C, {"camera": name, "heading_deg": heading}))
+    return features
+
+
+def change_features(changes: Mapping[str, Change]) -> list[Feature]:
+    """Return each change at its middle."""
+    return [Feature(np.array([c.x, c.y, c.z]), {"change": name, **vars(c)}) for name, c in changes.items()]
+
+
+def geojson_bytes(features: list[Feature], place: Georeference) -> bytes:
+    """Return a FeatureCollection: longitude, latitude in degrees, height in metres above the ellipsoid."""
+    rows = []
+    for feature in features:
+        at = [round(value, digits) for value, digits in zip(place.degrees(feature.at), (8, 8, 3), strict=True)]
+        point = {"type": "Point", "coordinates": at}
+        rows.append({"type": "Feature", "geometry": point, "properties": feature.properties})
+    return (json.dumps({"type": "FeatureCollection", "features": rows}, indent=1) + "\n").encode()
+
+
+def geopackage_bytes(layers: dict[str, list[Feature]], place: Georeference, day: datetime.date) -> bytes:
+    """Return a GeoPackage with a layer of points for each list of features that is not empty.
+
+    day: what the file gives as the time of its last change.
+    """
+    import pyogrio  # an extra of this form alone
+    import pyogrio.raw
+
+    pyogrio.set_gdal_config_options({"OGR_CURRENT_DATE": f"{day}T00:00:00.000Z"})  # the same features give the same bytes
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "site.gpkg"
+        for layer, features in layers.items():
+            if not features:
+                continue
+            points = place.points(np.array([feature.at for feature in features]))
+            names = list(features[0].properties)
+            columns: list[Any] = [np.array([feature.properties[name] for feature in features]) for name in names]
+            columns = [column.astype(object) if column.dtype.kind == "U" else column for column in columns]
+            shapes = np.array([_wkb(point) for point in points], dtype=object)
+            pyogrio.raw.write(
+                *(path, shapes, columns, names),
+                layer=layer, driver="GPKG", geometry_type="Point Z", crs=f"EPSG:{place.epsg}", append=path.exists(),
+            )  # fmt: skip
+        return path.read_bytes()
+
+
+def _wkb(point: Float64s) -> bytes:
+    """Return a point with height as well-known binary."""
+    return struct.pack("<BI3d", 1, 1001, *point)

@@ -1,0 +1,104 @@
+"""Clouds and surfaces of other programs: LAS and LAZ, E57, PLY, PCD and XYZ; meshes as points spread over them."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..types import Float64s
+
+CLOUDS = (".las", ".laz", ".e57", ".ply", ".pcd", ".xyz")
+MESHES = (".obj", ".stl", ".off")
+_SEED = 0
+
+
+@dataclass(frozen=True)
+class Scan:
+    """Points of a surface."""
+
+    points: Float64s
+    """(n, 3), metres."""
+    epsg: int | None = None
+    """The coordinate system, where the file states it."""
+
+
+def read_scan(path: Path, spacing: float) -> Scan:
+    """Return a file's points.
+
+    Parameters
+    ----------
+    path : of a kind in `CLOUDS` or `MESHES`.
+    spacing : metres between points that are spread over a mesh.
+
+    Raises
+    ------
+    ValueError
+        The file is of another kind, or damaged, or holds no points.
+    ImportError
+        LAS needs laspy, lazrs and pyproj; E57 needs pye57.
+    """
+    kind = path.suffix.lower()
+    try:
+        if kind in (".las", ".laz"):
+            scan = _las(path)
+        elif kind == ".e57":
+            scan = _e57(path)
+        elif kind in CLOUDS or kind in MESHES:
+            scan = Scan(_open3d(path, kind, spacing))
+        else:
+            raise ValueError(f"its name ends in none of {' '.join(CLOUDS + MESHES)}")
+    except ImportError:
+        raise
+    except Exception as error:  # each library has errors of its own for damaged files
+        raise ValueError(f"{path} cannot be read: {error}") from None
+    points = scan.points[np.isfinite(scan.points).all(axis=1)]
+    if not len(points):
+        raise ValueError(f"{path} holds no points")
+    return Scan(points, scan.epsg)
+
+
+def _las(path: Path) -> Scan:
+    import laspy
+
+    las = laspy.read(path)
+    crs = las.header.parse_crs()
+    return Scan(np.asarray(las.xyz, np.float64), crs.to_epsg() if crs else None)
+
+
+def _e57(path: Path) -> Scan:
+    import pye57
+
+    file = pye57.E57(str(path))
+    parts = []
+    for k in range(file.scan_count):
+        scan = file.read_scan(k, ignore_missing_fields=True)
+        parts.append(np.column_stack([scan[f"cartesian{axis}"] for axis in "XYZ"]).astype(np.float64))
+    words = str(file.root["coordinateMetadata"].value()) if file.root.isDefined("coordinateMetadata") else ""
+    return Scan(np.vstack(parts), int(words[5:]) if words.startswith("EPSG:") and words[5:].isdigit() else None)
+
+
+def _open3d(path: Path, kind: str, spacing: float) -> Float64s:
+    import open3d
+
+    mesh = _read(open3d.io.read_triangle_mesh, path) if kind in (".ply", *MESHES) else None
+    if mesh is None or not len(mesh.triangles):
+        return np.asarray(_read(open3d.io.read_point_cloud, path).points, np.float64) if kind in CLOUDS else np.zeros((0, 3))
+    open3d.utility.random.seed(_SEED)
+    count = int(np.clip(mesh.get_surface_area() / spacing**2, 1000, 20_000_000))
+    return np.asarray(mesh.sample_points_uniformly(count).points, np.float64)
+
+
+def _read(function: Callable[[Path], Any], path: Path) -> Any:
+    """Return what a function of open3d reads; what it only prints of files that are cut short is an error."""
+    printed = io.StringIO()
+    with contextlib.redirect_stdout(printed):
+        found = function(path)
+    if "failed" in printed.getvalue() or "Unable" in printed.getvalue():
+        raise ValueError("it is damaged or cut short")
+    return found
