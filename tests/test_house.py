@@ -34,7 +34,7 @@ LAYERS = (
     {"cache", "records", "pipeline", "remote"},
     {"site"},
     {"runner", "reference", "capture"},
-    {"outcome", "report"},
+    {"edit", "outcome", "report"},
     {"api"},
     {"cli"},
 )

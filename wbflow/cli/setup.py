@@ -8,7 +8,7 @@ from typing import Any
 import click
 
 from ..errors import ExitCode, UsageError
-from .common import PATH, echo, echo_json, jobs_option, load, stop, verbose_option
+from .common import PATH, echo, echo_json, jobs_option, load, site_argument, stop, verbose_option, work_option
 
 _PLAIN = ("yard", "day", "standard", "standard")
 """Scene, light, lenses and surfaces of a demo of several nights."""
@@ -78,6 +78,31 @@ def init(folder: Path, systemd: bool) -> None:
     if note:
         echo(note)
     echo(f"now try  wbflow check {file}  and  wbflow run {file}")
+
+
+@click.command()
+@site_argument
+@work_option
+def edit(site: Path, work: str | None) -> None:
+    """Draw masks, privacy polygons and zones, and click control points, in a page on this machine.
+
+    Open the address that is printed: only who knows it gets the page.  The page writes the site file, with its comments, when you
+    save.  It shows captures as they are, private areas too.
+
+    \b
+    wbflow edit site.yaml
+    ssh -L PORT:127.0.0.1:PORT station     from afar, with the port of the address
+    """
+    import contextlib
+
+    from ..edit.server import EditServer
+    from ..edit.session import Session
+
+    with EditServer(Session(load(site, work))) as server:
+        # not opened from here: other users of this machine can read what programs are started with
+        echo(f"{server.address}\nopen this in a browser on this machine; Ctrl-C, or Done in the page, ends it")
+        with contextlib.suppress(KeyboardInterrupt):
+            server.serve_forever()
 
 
 @click.command()

@@ -145,6 +145,18 @@ VIEWS_OF_LENS = "wbflow_stages.capture.wide:views_of_lens"
 DECODE = "wbflow_stages.capture.video:one_picture"
 """Makes pixels of a capture; a ValueError says what is wrong with it."""
 
+PICTURE_TO_DRAW_ON = "wbflow_stages.marking:shown"
+"""Width, height and a JPEG of a capture; a ValueError says what is wrong with it."""
+
+MASK_SHADE = "wbflow_stages.marking:shade"
+"""A picture of what a mask leaves out."""
+
+PAINTED_MASK = "wbflow_stages.marking:painted"
+"""Paints areas over a mask."""
+
+SIGHTS = "wbflow_stages.sighting:Sights"
+"""What posed cameras see where: epipolar lines, places of clicks, outlines on the ground."""
+
 PLAIN_FILES = "wbflow_stages.exports.plain:write"
 """Writes any input of a stage as ordinary files, and says where its parts are."""
 

@@ -43,7 +43,11 @@ def load_site(path: Path, work: str | Path | None = None) -> Site:
     SiteError
         With every problem that was found.
     """
-    document = load_yaml(_file_of(path))
+    return site_of(load_yaml(_file_of(path)), work)
+
+
+def site_of(document: Document, work: str | Path | None = None) -> Site:
+    """Validate what a site file says, as `load_site` does.  Raises SiteError."""
     problems = Problems(document)
     file = _validated(document, problems)
     frame = local_frame(file, problems)

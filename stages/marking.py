@@ -1,0 +1,89 @@
+"""Captures and masks for a page in which somebody draws on them: pictures to draw on, and masks made of what was drawn."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import cv2
+import numpy as np
+
+from .capture.files import BadCapture, NotAnImage, decoded, wrong_size
+from .capture.video import one_picture
+from .types import Capture, Lens, Uint8s
+
+LARGE = 2560
+"""Long side of a picture to draw on, pixels."""
+_QUALITY = 88
+_SHADE = (60, 60, 230, 130)
+"""Over what a mask leaves out: blue, green, red, opacity."""
+
+Area = tuple[bool, list[list[float]]]
+"""May its pixels be used, and its corners: pixels of a capture, whose centres are whole numbers."""
+
+
+def shown(name: str, data: bytes) -> tuple[int, int, bytes]:
+    """Width and height of a capture (upright, as masks and polygons count), and a JPEG of it that a browser shows.
+
+    Raises
+    ------
+    BadCapture
+        It is no picture that can be used; the message names it.
+    """
+    image = one_picture(Capture(name, np.frombuffer(data, np.uint8)))
+    height, width = image.shape[:2]
+    small = _reduced(image)
+    _, jpeg = cv2.imencode(".jpg", cv2.cvtColor(small, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])
+    return width, height, jpeg.tobytes()
+
+
+def shade(name: str, mask: bytes) -> bytes:
+    """A PNG that is red where a mask leaves pixels out, and clear elsewhere.  Raises BadCapture."""
+    small = _reduced(_read(name, mask))
+    picture = np.zeros((*small.shape[:2], 4), np.uint8)
+    picture[small == 0] = _SHADE
+    return _png(picture)
+
+
+def painted(name: str, mask: bytes | None, size: tuple[int, int], areas: Sequence[Area]) -> bytes:
+    """A mask, as a PNG, with areas painted over it, one after the other.
+
+    Parameters
+    ----------
+    name : of the mask, for messages.
+    mask : an image file of the captures' size; None: all pixels may be used.
+    size : (width, height) of captures.
+    areas : what is painted.
+
+    Raises
+    ------
+    BadCapture
+        The mask cannot be read, or has another size.
+    """
+    width, height = size
+    image = np.full((height, width), 255, np.uint8) if mask is None else _read(name, mask).copy()
+    if image.shape != (height, width):
+        raise wrong_size(name, image.shape[1], image.shape[0], Lens(width=width, height=height))
+    for use, corners in areas:
+        cv2.fillPoly(image, [np.rint(np.array(corners)).astype(np.int32)], 255 if use else 0)
+    if not image.any():
+        raise BadCapture(f"{name} would leave no pixel to use")
+    return _png(image)
+
+
+def _read(name: str, mask: bytes) -> Uint8s:
+    image = decoded(np.frombuffer(mask, np.uint8), cv2.IMREAD_GRAYSCALE) if mask else None
+    if image is None:
+        raise NotAnImage(f"mask {name} is no image that can be read ({len(mask):,} bytes)")
+    return image
+
+
+def _reduced(image: Uint8s) -> Uint8s:
+    height, width = image.shape[:2]
+    if (scale := LARGE / max(height, width)) >= 1:
+        return image
+    size = max(1, round(width * scale)), max(1, round(height * scale))
+    return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA if image.ndim == 3 else cv2.INTER_NEAREST), np.uint8)
+
+
+def _png(image: Uint8s) -> bytes:
+    return bytes(cv2.imencode(".png", image)[1].tobytes())

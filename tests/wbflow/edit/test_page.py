@@ -1,0 +1,259 @@
+"""The page of `wbflow edit` in Chromium: clicks and keys, as somebody who sets up a site makes them."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+from tests.helpers import edit_site
+
+webdriver = pytest.importorskip("selenium.webdriver")
+Keys = pytest.importorskip("selenium.webdriver.common.keys").Keys
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+DRIVER = shutil.which("chromedriver")
+PATIENCE_S = 60.0
+"""Of a machine that does other things, too."""
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    if not (CHROMIUM and DRIVER):
+        pytest.skip("there is no chromium with its chromedriver here: scripts/setup.sh installs them for the tests")
+    options = webdriver.ChromeOptions()
+    options.binary_location = CHROMIUM
+    for argument in (
+        "--headless=new",
+        "--no-sandbox",
+        "--disable-gpu",
+        "--window-size=1200,800",
+        "--disable-background-networking",
+    ):
+        options.add_argument(argument)
+    options.set_capability("goog:loggingPrefs", {"browser": "ALL", "performance": "ALL"})
+    driver = webdriver.Chrome(options=options, service=webdriver.ChromeService(DRIVER))
+    try:
+        yield driver
+    finally:
+        driver.quit()
+
+
+@dataclass
+class Page:
+    """The page of a site, with a browser on it."""
+
+    browser: Any
+    file: Path
+    address: str
+
+    @property
+    def canvas(self) -> Any:
+        return self.browser.find_element("css selector", "#picture")
+
+    def run(self, script: str, *given: Any) -> Any:
+        return self.browser.execute_script(script, *given)
+
+    def until(self, script: str, *given: Any) -> Any:
+        end = time.monotonic() + PATIENCE_S
+        while not (found := self.run(script, *given)):
+            assert time.monotonic() < end, (script, self.message)
+            time.sleep(0.05)
+        return found
+
+    def at(self, x: float, y: float) -> Any:
+        """Moves the pointer to a pixel of the capture."""
+        u, v, wide, high = self.run("return [...toScreen(...arguments), canvas.clientWidth, canvas.clientHeight]", x, y)
+        return webdriver.ActionChains(self.browser, duration=0).move_to_element_with_offset(
+            self.canvas, round(u - wide / 2), round(v - high / 2)
+        )
+
+    def click(self, *pixels: tuple[float, float]) -> None:
+        for x, y in pixels:
+            before = self.run("return JSON.stringify([edit.marks, edit.draft, edit.chosen])")
+            self.at(x, y).click().perform()
+            self.until("return JSON.stringify([edit.marks, edit.draft, edit.chosen]) !== arguments[0]", before)
+
+    def keys(self, *keys: str) -> None:
+        self.canvas.send_keys(*keys)
+
+    def tool(self, name: str) -> None:
+        self.browser.find_element("css selector", f"[data-tool={name}]").click()
+
+    def to(self, camera: str) -> None:
+        """Tab leads from one camera to the next."""
+        while self.run("return edit.camera") != camera:
+            self.keys(Keys.TAB)
+        self.ready(camera)
+
+    def ready(self, camera: str) -> None:
+        self.until("return canvas.dataset.camera === arguments[0] && !looking && edit.seen?.camera === arguments[0]", camera)
+
+    def save(self) -> str:
+        self.run("say('')")
+        self.browser.find_element("css selector", "[data-do=save]").click()
+        self.until("return !document.querySelector('#message').hidden")
+        return self.message
+
+    @property
+    def message(self) -> str:
+        return str(self.run("return document.querySelector('#message').textContent"))
+
+    @property
+    def data(self) -> Any:
+        return yaml.safe_load(self.file.read_text())
+
+
+@pytest.fixture
+def page(browser: Any, tmp_path: Path) -> Iterator[Page]:
+    file = edit_site.write(tmp_path / "harbour")
+    with edit_site.served(file) as server:
+        browser.get(server.address)
+        page = Page(browser, file, server.address)
+        page.ready("gate")
+        yield page
+        browser.execute_script("edit.saved = packed()")  # nothing holds the page back
+        browser.get("about:blank")
+
+
+def test_it_loads_nothing_from_elsewhere_and_complains_of_nothing(page: Page) -> None:
+    page.to("shed")
+    messages = [json.loads(entry["message"])["message"] for entry in page.browser.get_log("performance")]
+    asked = {m["params"]["request"]["url"] for m in messages if m["method"] == "Network.requestWillBeSent"}
+    ours = {url for url in asked if not url.startswith(("data:", "about:"))}
+    assert all(url.startswith("http://127.0.0.1:") for url in ours)
+    assert page.browser.get_log("browser") == []
+
+
+def test_a_privacy_polygon_is_drawn_undone_drawn_again_and_saved(page: Page) -> None:
+    corners = [(100.0, 60.0), (160.0, 60.0), (160.0, 110.0), (100.0, 110.0)]
+    page.tool("privacy")
+    page.click(*corners)
+    page.keys(Keys.ENTER)
+    page.until("return mine().privacy.length === 2")
+    page.keys(Keys.CONTROL + "z" + Keys.NULL)
+    page.until("return mine().privacy.length === 1")
+    page.click(*corners, (210.0, 90.0))
+    page.keys(Keys.BACKSPACE)
+    page.until("return edit.draft.corners.length === 4")
+    page.click(corners[0])
+    page.until("return mine().privacy.length === 2")
+    assert page.save().startswith("Saved ")
+    drawn = page.data["cameras"][0]["privacy"]
+    assert drawn[0] == [[0.0, 0.7], [0.3, 0.65], [0.3, 1.0], [0.0, 1.0]], "the one in shares of the picture stays as it was"
+    assert [v for corner in drawn[1] for v in corner] == pytest.approx([v for corner in corners for v in corner], abs=0.6)
+    assert "# the neighbour's garden" in page.file.read_text()
+    page.tool("select")
+    page.click((130.0, 85.0))
+    page.keys(Keys.DELETE)
+    page.until("return mine().privacy.length === 1")
+
+
+def test_escape_drops_what_was_begun(page: Page) -> None:
+    page.tool("mask")
+    page.click((100, 60), (160, 60))
+    page.keys(Keys.ESCAPE)
+    assert page.run("return edit.draft === null && mine().mask.length === 0")
+    assert not page.browser.find_element("css selector", "[data-do=save]").is_enabled()
+
+
+def test_a_mask_is_painted_and_its_corner_dragged(page: Page) -> None:
+    page.to("shed")
+    page.tool("mask")
+    page.click((200, 40), (300, 40), (300, 100))
+    page.keys(Keys.ENTER)
+    page.until("return mine().mask.length === 1")
+    page.at(300, 100).click_and_hold().perform()
+    page.at(280, 150).release().perform()
+    corner = page.until("return mine().mask[0].corners[2]")
+    assert corner == pytest.approx([280, 150], abs=0.6)
+    assert page.save().startswith("Saved ")
+    assert page.data["cameras"][3] == {"id": "shed", "mask": "masks/shed.png"}
+
+
+def test_a_control_point_is_clicked_in_three_pictures_by_its_guides_with_residuals(page: Page) -> None:
+    X = [-1.5, 0.5, 0.8]
+    page.tool("point")
+    x, y = edit_site.seen("gate", X)
+    page.click((x, y))
+    page.to("roof")
+    line = page.until("return edit.seen.guide.lines?.[0]")
+    x, y = edit_site.seen("roof", X)
+    assert min((a - x) ** 2 + (b - y) ** 2 for a, b in line) < 5**2, "the epipolar line leads past it"
+    page.click((x, y))
+    page.to("mast")
+    at = page.until("return edit.seen.guide.at")
+    assert at == pytest.approx(edit_site.seen("mast", X), abs=4)
+    page.click(tuple(at))
+    page.until("return Object.keys(edit.seen.residuals[1].pixels).length === 3")
+    chosen = page.browser.find_element("css selector", "#points li.chosen")
+    assert "px" in chosen.text
+    for name, value in zip("xyz", X, strict=True):
+        chosen = page.browser.find_element("css selector", "#points li.chosen")
+        field = chosen.find_element("css selector", f"input[placeholder={name}]")
+        field.send_keys(str(value))
+    field.send_keys(Keys.ENTER)
+    page.until("return edit.seen.residuals[1].metres !== null")
+    off = page.run("return edit.seen.residuals[1].metres")
+    assert off < 0.15
+    page.until("return document.querySelector('#points li.chosen').textContent.includes('mm')")
+    assert page.save().startswith("Saved ")
+    written = page.data["control_points"][1]
+    assert written["position"] == X
+    assert sorted(written["pixels"]) == ["gate", "mast", "roof"]
+
+
+def test_a_point_without_coordinates_is_refused_and_the_page_says_where(page: Page) -> None:
+    page.tool("point")
+    page.click((100, 90))
+    said = page.save()
+    assert "site.yaml:25:5: control_points[1]: 'position' is missing" in said
+    assert page.file.read_text() == edit_site.SITE
+    page.keys(Keys.DELETE)
+    page.until("return edit.marks.points.length === 1")
+
+
+def test_a_zone_is_drawn_on_the_ground_and_seen_in_the_other_pictures(page: Page) -> None:
+    page.to("roof")
+    corners = [[-2.0, -2.0], [2.0, -2.0], [2.0, 1.0]]
+    page.tool("zone")
+    page.click(*[(x, y) for x, y in (edit_site.seen("roof", [*corner, 0.0]) for corner in corners)])
+    page.keys(Keys.ENTER)
+    page.until("return edit.marks.zones.length === 2")
+    page.to("mast")
+    page.until("return edit.seen.zones.length === 2")
+    seen = page.run("return edit.seen.zones[1].corners")
+    for at, corner in zip(seen, corners, strict=True):
+        assert at == pytest.approx(edit_site.seen("mast", [*corner, 0.0]), abs=3)
+    page.to("shed")
+    page.at(160, 90).click().perform()
+    page.until("return document.querySelector('#message').textContent.includes('poses')")
+    assert page.save().startswith("Saved ")
+    assert page.data["zones"][1]["name"] == "zone-2"
+
+
+def test_the_picture_is_zoomed_and_moved_without_drawing(page: Page) -> None:
+    page.tool("privacy")
+    before = page.run("return edit.at.scale")
+    page.keys("+")
+    assert page.run("return edit.at.scale") == pytest.approx(1.25 * before)
+    origin = webdriver.common.actions.wheel_input.ScrollOrigin.from_element(page.canvas)
+    webdriver.ActionChains(page.browser).scroll_from_origin(origin, 0, -300).perform()
+    page.until("return edit.at.scale > 1.5 * arguments[0]", before)
+    x = page.run("return edit.at.x")
+    page.at(160, 90).click_and_hold().move_by_offset(60, 10).release().perform()
+    page.until("return Math.abs(edit.at.x - arguments[0] - 60) < 2", x)
+    assert page.run("return edit.draft === null")
+    page.keys("0")
+    assert page.run("return edit.at.scale") == pytest.approx(before)
+
+
+def test_done_ends_it(page: Page) -> None:
+    page.browser.find_element("css selector", "[data-do=done]").click()
+    page.until("return document.body.textContent.includes('has ended')")

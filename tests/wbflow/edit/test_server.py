@@ -1,0 +1,273 @@
+"""`wbflow edit` over HTTP: who gets an answer, and what is written."""
+
+from __future__ import annotations
+
+import difflib
+import http.client
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from tests.helpers import edit_site
+from wbflow.api import load_site
+from wbflow.edit.server import EditServer
+
+
+@pytest.fixture
+def file(tmp_path: Path) -> Path:
+    return edit_site.write(tmp_path / "harbour")
+
+
+@pytest.fixture
+def server(file: Path) -> Iterator[EditServer]:
+    with edit_site.served(file) as server:
+        yield server
+
+
+def ask(
+    server: EditServer, path: str, body: Any = None, host: str = "", token: str | None = None, kind: str = "application/json"
+) -> tuple[int, bytes, http.client.HTTPMessage]:
+    connection = http.client.HTTPConnection("127.0.0.1", server.server_port, timeout=30)
+    headers = {"Host": host or f"127.0.0.1:{server.server_port}"} | ({"Content-Type": kind} if body is not None else {})
+    content = None if body is None else json.dumps(body)
+    connection.request("GET" if body is None else "POST", f"/{server.token if token is None else token}/{path}", content, headers)
+    with connection.getresponse() as reply:
+        return reply.status, reply.read(), reply.headers
+
+
+def state(server: EditServer) -> dict[str, Any]:
+    found: dict[str, Any] = json.loads(ask(server, "state")[1])
+    return found
+
+
+def marks(state: dict[str, Any]) -> dict[str, Any]:
+    """What the page sends when nothing was drawn."""
+    cameras = {c["id"]: {"privacy": [{"was": k, "corners": p} for k, p in enumerate(c["privacy"])]} for c in state["cameras"]}
+    return {"cameras": cameras, "zones": state["zones"], "points": state["points"]}
+
+
+def save(server: EditServer, drawn: dict[str, Any], version: str) -> tuple[int, str]:
+    status, body, _ = ask(server, "save", {"marks": drawn, "version": version})
+    return status, body.decode()
+
+
+def changed(file: Path) -> list[str]:
+    """Lines of the site file that went, and that came."""
+    return [line for line in difflib.ndiff(edit_site.SITE.splitlines(), file.read_text().splitlines()) if line[0] in "-+"]
+
+
+@pytest.mark.parametrize("path", ["", "edit.js", "state", "picture/gate", "shade/gate"])
+def test_only_who_knows_the_token_and_calls_this_machine_by_its_name_is_answered(server: EditServer, path: str) -> None:
+    assert ask(server, path)[0] == 200
+    assert ask(server, path, host=f"localhost:{server.server_port}")[0] == 200
+    for token in ("", "wrong", server.token[:-1], server.token + "x", "%00", "%C3%BC"):
+        status, body, _ = ask(server, path, token=token)
+        assert (status, body) == (403, b"forbidden\n")
+    for host in ("evil.example", f"evil.example:{server.server_port}", "127.0.0.1", f"127.0.0.1:{server.server_port + 1}"):
+        assert ask(server, path, host=host)[0] == 403
+
+
+def test_writing_needs_the_token_and_the_host_too(server: EditServer, file: Path) -> None:
+    there = state(server)
+    body = {"marks": {"cameras": {}, "zones": [], "points": []}, "version": there["version"]}
+    assert ask(server, "save", body, token="wrong")[0] == 403
+    assert ask(server, "done", {}, token="wrong")[0] == 403
+    assert ask(server, "save", body, host="evil.example")[0] == 403
+    assert ask(server, "save", body, kind="text/plain")[0] == 409, "what a form of another page could send"
+    assert changed(file) == []
+
+
+def test_it_listens_on_this_machine_alone_and_the_page_may_load_nothing_from_elsewhere(server: EditServer) -> None:
+    assert server.server_address[0] == "127.0.0.1"
+    assert len(server.token) >= 32
+    _, page, headers = ask(server, "")
+    assert "default-src 'none'" in headers["Content-Security-Policy"]
+    assert (headers["Cache-Control"], headers["Referrer-Policy"]) == ("no-store", "no-referrer")
+    assets = b"".join(ask(server, name)[1] for name in ("", "edit.js", "edit.css"))
+    assert not re.search(rb"https?://|//[a-z]+\.", assets)
+    assert b"harbour" not in page
+
+
+@pytest.mark.parametrize("path", ["../../etc/passwd", "picture/../site.yaml", "state/x", "save", "edit.html", "picture/none"])
+def test_other_paths_lead_nowhere(server: EditServer, path: str) -> None:
+    assert ask(server, path)[0] in {404, 409}
+
+
+def test_what_was_not_drawn_changes_nothing(server: EditServer, file: Path) -> None:
+    there = state(server)
+    assert save(server, marks(there), there["version"])[0] == 200
+    assert file.read_text() == edit_site.SITE
+
+
+def test_what_is_drawn_is_written_and_every_other_line_stays(server: EditServer, file: Path) -> None:
+    there = state(server)
+    drawn = marks(there)
+    drawn["cameras"]["gate"]["privacy"].append({"was": None, "corners": [[10, 20], [60, 20], [60, 50.5]]})
+    drawn["cameras"]["shed"]["privacy"].append({"was": None, "corners": [[1, 2], [30, 2], [30, 40]]})
+    drawn["cameras"]["roof"]["privacy"].append({"was": None, "corners": [[1, 2], [30, 2], [30, 40]]})
+    drawn["zones"][0]["corners"][2] = [4.25, 3]
+    drawn["zones"].append({"was": None, "name": "yes", "corners": [[0, 0], [5, 0], [5, 5]], "least_m": 0})
+    drawn["points"][0]["pixels"]["mast"] = [150.2, 80]
+    drawn["points"].append({"was": None, "id": "door", "position": [1, 2, 0.5], "pixels": {"gate": [5, 6], "mast": [7, 8.5]}})
+    status, body = save(server, drawn, there["version"])
+    assert status == 200, body
+    garden = "[[0.0, 0.7], [0.3, 0.65], [0.3, 1.0], [0.0, 1.0]]"
+    roof = "id: roof, intrinsics: *lens, pose: {position: [0, -14, 7], look_at: [0, 0, 0]}"
+    assert changed(file) == [
+        f"-     privacy: [{garden}]   # the neighbour's garden",
+        f"+     privacy: [{garden}, [[10, 20], [60, 20], [60, 50.5]]]   # the neighbour's garden",
+        f"-   - {{{roof}}}",
+        f"+   - {{{roof}, privacy: [[[1, 2], [30, 2], [30, 40]]]}}",
+        "-   - shed          # nobody knows where it is",
+        "+   - {id: shed, privacy: [[[1, 2], [30, 2], [30, 40]]]}          # nobody knows where it is",
+        "-   - {name: quay,   polygon: [[-3, -3], [3, -3], [3, 3], [-3, 3]], least_m: 0.5}   # where ships moor",
+        "+   - {name: quay,   polygon: [[-3, -3], [3, -3], [4.25, 3], [-3, 3]], least_m: 0.5}   # where ships moor",
+        "+   - {name: 'yes', polygon: [[0, 0], [5, 0], [5, 5]]}",
+        "-     pixels: {gate: [176.4, 78.4], roof: [159.9, 88.9]}",
+        "+     pixels: {gate: [176.4, 78.4], roof: [159.9, 88.9], mast: [150.2, 80]}",
+        "+   - {id: door, position: [1, 2, 0.5], pixels: {gate: [5, 6], mast: [7, 8.5]}}",
+    ]
+    site = load_site(file)
+    assert [len(camera.privacy) for camera in site.cameras] == [2, 1, 0, 1]
+    again = json.loads(body)
+    assert save(server, marks(again), again["version"])[0] == 200
+    assert len(changed(file)) == 12
+
+
+def test_what_is_taken_away_goes_with_its_line(server: EditServer, file: Path) -> None:
+    there = state(server)
+    drawn = marks(there)
+    drawn["cameras"]["gate"]["privacy"] = []
+    drawn["zones"], drawn["points"] = [], []
+    assert save(server, drawn, there["version"])[0] == 200
+    text = file.read_text()
+    assert "privacy: []   # the neighbour's garden" in text
+    assert "zones: []" in text
+    assert "# What Ben measured in May:\ncontrol_points: []" in text
+    assert "# Long side that stages work at." in text
+
+
+def test_masks_are_painted_and_named(server: EditServer, file: Path) -> None:
+    there = state(server)
+    drawn = marks(there)
+    square = [[100, 100], [139, 100], [139, 139], [100, 139]]
+    drawn["cameras"]["gate"]["mask"] = [
+        {"use": False, "corners": square},
+        {"use": True, "corners": [[0, 0], [9, 0], [9, 9], [0, 9]]},
+    ]
+    drawn["cameras"]["shed"]["mask"] = [{"use": False, "corners": square}]
+    assert save(server, drawn, there["version"])[0] == 200
+    assert [line for line in changed(file) if line[0] == "+"] == [
+        "+   - {id: shed, mask: masks/shed.png}          # nobody knows where it is"
+    ]
+    gate, shed = (cv2.imread(str(file.parent / "masks" / f"{name}.png"), cv2.IMREAD_GRAYSCALE) for name in ("gate", "shed"))
+    assert np.count_nonzero(shed == 0) == 40 * 40
+    assert np.count_nonzero(gate == 0) == 40 * 40 + 20 * 60 - 10 * 10, "the mask that was there, and both areas"
+    again = state(server)
+    drawn["cameras"]["gate"]["mask"] = []
+    assert save(server, drawn, again["version"])[0] == 200
+    gate = cv2.imread(str(file.parent / "masks" / "gate.png"), cv2.IMREAD_GRAYSCALE)
+    assert np.count_nonzero(gate == 0) == 20 * 60, "areas that were taken back are gone"
+
+
+def test_what_would_be_invalid_is_refused_with_its_line(server: EditServer, file: Path) -> None:
+    there = state(server)
+    drawn = marks(there)
+    drawn["points"].append({"was": None, "id": "door", "position": None, "pixels": {"gate": [5, 6], "mast": [7, 8]}})
+    drawn["cameras"]["shed"]["mask"] = [{"use": False, "corners": [[0, 0], [9, 0], [9, 9]]}]
+    status, body = save(server, drawn, there["version"])
+    assert status == 409
+    assert re.search(r"site\.yaml:25:5: control_points\[1\]: 'position' is missing\n  write \{position", body)
+    assert file.read_text() == edit_site.SITE
+    assert not (file.parent / "masks" / "shed.png").exists()
+
+
+def test_a_file_that_somebody_else_has_changed_is_not_written_over(server: EditServer, file: Path) -> None:
+    there = state(server)
+    file.write_text(edit_site.SITE + "# and so on\n")
+    status, body = save(server, marks(there), there["version"])
+    assert (status, "was changed on disk meanwhile" in body) == (409, True)
+    assert file.read_text() == edit_site.SITE + "# and so on\n"
+
+
+@pytest.mark.parametrize("body", [{}, {"marks": {"zones": 3}, "version": "x"}, {"marks": {}, "version": "x", "path": "/etc"}])
+def test_what_is_not_understood_is_refused(server: EditServer, body: dict[str, Any]) -> None:
+    assert ask(server, "save", body)[0] == 400
+
+
+def test_line_ends_and_the_mark_of_windows_stay(tmp_path: Path) -> None:
+    file = edit_site.write(tmp_path / "harbour")
+    file.write_bytes(b"\xef\xbb\xbf" + edit_site.SITE.replace("\n", "\r\n").encode())
+    with edit_site.served(file) as server:
+        there = state(server)
+        drawn = marks(there)
+        drawn["zones"][0]["name"] = "pier"
+        assert save(server, drawn, there["version"])[0] == 200
+    wanted = edit_site.SITE.replace("name: quay", "name: pier").replace("\n", "\r\n")
+    assert file.read_bytes() == b"\xef\xbb\xbf" + wanted.encode()
+
+
+def test_one_click_gives_a_line_two_give_a_place_and_residuals_follow(server: EditServer) -> None:
+    X = [0.5, 1.0, 0.0]
+    exact = {camera: edit_site.seen(camera, X) for camera in edit_site.PLACES}
+
+    def look(camera: str, pixels: dict[str, list[float]], position: list[float] | None) -> dict[str, Any]:
+        points = [{"was": None, "id": "bolt", "position": position, "pixels": pixels}]
+        body = {"camera": camera, "marks": {"points": points}, "chosen": 0, "ground": 0.0}
+        found: dict[str, Any] = json.loads(ask(server, "look", body)[1])
+        return found
+
+    one = look("mast", {"gate": exact["gate"]}, None)["guide"]
+    line = np.array(one["lines"][0])
+    assert np.linalg.norm(line - exact["mast"], axis=1).min() < 5
+    along, there = (line[-1] - line[0]) / np.linalg.norm(line[-1] - line[0]), np.array(exact["mast"]) - line[0]
+    assert abs(along[0] * there[1] - along[1] * there[0]) < 0.02, "the place lies on the line"
+    two = look("mast", {name: exact[name] for name in ("gate", "roof")}, [0.5, 1.0, 0.1])
+    assert two["guide"]["at"] == pytest.approx(exact["mast"], abs=0.02)
+    assert two["guide"]["stated"] == pytest.approx(edit_site.seen("mast", [0.5, 1.0, 0.1]), abs=0.02)
+    assert two["residuals"][0]["metres"] == pytest.approx(0.1, abs=1e-4)
+    missed = {**exact, "mast": [exact["mast"][0], exact["mast"][1] + 6]}
+    off_px = look("shed", missed, None)["residuals"][0]["pixels"]
+    assert max(off_px, key=lambda name: float(off_px[name])) == "mast"
+    assert 2 < off_px["mast"] < 6
+
+
+def test_zones_are_drawn_where_the_ground_is_seen(server: EditServer) -> None:
+    corner = [3.0, -3.0]
+    pixel = edit_site.seen("roof", [*corner, 0.0])
+    found = json.loads(ask(server, "ground", {"camera": "roof", "pixel": pixel, "ground": 0.0})[1])
+    assert found == pytest.approx(corner, abs=1e-3)
+    assert json.loads(ask(server, "ground", {"camera": "roof", "pixel": [160, -400], "ground": 0.0})[1]) is None
+    assert json.loads(ask(server, "ground", {"camera": "shed", "pixel": [160, 90], "ground": 0.0})[1]) is None
+    body = {"camera": "roof", "marks": {"zones": state(server)["zones"]}, "ground": 0.0}
+    zone = json.loads(ask(server, "look", body)[1])["zones"][0]
+    assert zone["corners"][1] == pytest.approx(pixel, abs=0.02)
+    assert len(zone["lines"]) == 4
+
+
+@pytest.mark.parametrize("ends", ["done", "interrupt"])
+def test_the_command_prints_the_address_and_ends_when_somebody_is_done(file: Path, ends: str) -> None:
+    command = [sys.executable, "-m", "wbflow", "edit", str(file)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env={**os.environ, "PYTHONUNBUFFERED": "1"}) as process:
+        assert process.stdout
+        found = re.match(r"http://127\.0\.0\.1:(\d+)/([\w-]{32,})/$", process.stdout.readline().strip())
+        assert found
+        if ends == "interrupt":
+            process.stdout.readline()
+            process.send_signal(signal.SIGINT)
+        else:
+            connection = http.client.HTTPConnection("127.0.0.1", int(found[1]), timeout=30)
+            connection.request("POST", f"/{found[2]}/done", "{}", {"Content-Type": "application/json"})
+            with connection.getresponse() as reply:
+                assert reply.status == 200
+        assert process.wait(30) == 0

@@ -1,0 +1,160 @@
+"""The page of `wbflow edit`: served to a browser on this machine, and to nobody who does not know its address.
+
+The address has a token that is made for this one session; another host name in a request (a page elsewhere whose name leads here)
+is refused, too.  The page loads nothing from anywhere else.
+"""
+
+from __future__ import annotations
+
+import json
+import secrets
+from collections.abc import Callable, Mapping
+from http import HTTPStatus
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from importlib.resources import files
+from typing import Any
+from urllib.parse import unquote
+
+from pydantic import Field, ValidationError
+
+from ..errors import printable
+from ..site.models import Section, Vector2
+from .marks import Marks
+from .session import Refused, Session
+
+_MOST_BYTES = 10_000_000
+"""Of what the page sends."""
+_SECONDS = 30
+"""For which a connection may stand still."""
+_ASSETS = {"": ("edit.html", "text/html"), "edit.js": ("edit.js", "text/javascript"), "edit.css": ("edit.css", "text/css")}
+_HEADERS = {
+    "Cache-Control": "no-store",
+    "Content-Security-Policy": "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data:; "
+    "connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'",
+    "Cross-Origin-Resource-Policy": "same-origin",
+    "Referrer-Policy": "no-referrer",
+    "X-Content-Type-Options": "nosniff",
+}
+
+Answer = tuple[str, bytes, Mapping[str, str]]
+"""Its type, the bytes, and further headers."""
+
+
+class Look(Section):
+    """What the page wants to know of one picture."""
+
+    camera: str
+    marks: Marks
+    chosen: int | None = None
+    ground: float = 0.0
+
+
+class OnGround(Section):
+    """A pixel whose place on the ground is wanted."""
+
+    camera: str
+    pixel: Vector2
+    ground: float = 0.0
+
+
+class Save(Section):
+    """What is to be written."""
+
+    marks: Marks
+    version: str = Field(min_length=1)
+
+
+class EditServer(ThreadingHTTPServer):
+    """Serves one session at `address`, until somebody is done."""
+
+    daemon_threads = True
+
+    def __init__(self, session: Session) -> None:
+        self.session = session
+        self.token = secrets.token_urlsafe(24)
+        self.done = False
+        """Somebody has said in the page that it is no longer needed."""
+        super().__init__(("127.0.0.1", 0), _Handler)
+        self.hosts = {f"{name}:{self.server_port}" for name in ("127.0.0.1", "localhost")}
+
+    @property
+    def address(self) -> str:
+        """Where the page is."""
+        return f"http://127.0.0.1:{self.server_port}/{self.token}/"
+
+
+class _Handler(BaseHTTPRequestHandler):
+    server: EditServer
+    timeout = _SECONDS
+    server_version, sys_version = "wbflow", ""
+
+    def do_GET(self) -> None:
+        self._answer(self._get)
+
+    def do_POST(self) -> None:
+        self._answer(self._post)
+        if self.server.done:
+            self.server.shutdown()
+
+    def _answer(self, make: Callable[[str], Answer]) -> None:
+        """Answer a request whose host and token are right; 403 to all others."""
+        token, _, path = self.path.removeprefix("/").partition("/")
+        host_is_right = self.headers.get("Host", "") in self.server.hosts
+        if not host_is_right or not secrets.compare_digest(token.encode(), self.server.token.encode()):
+            return self._send(HTTPStatus.FORBIDDEN, "text/plain", b"forbidden\n", {})
+        try:
+            return self._send(HTTPStatus.OK, *make(path))
+        except KeyError:
+            return self._send(HTTPStatus.NOT_FOUND, "text/plain", b"not found\n", {})
+        except ValidationError as error:
+            return self._send(HTTPStatus.BAD_REQUEST, "text/plain", printable(str(error)).encode(), {})
+        except (Refused, OSError) as error:
+            return self._send(HTTPStatus.CONFLICT, "text/plain", str(error).encode(), {})
+
+    def _get(self, path: str) -> Answer:
+        session, (what, _, name) = self.server.session, unquote(path).partition("/")
+        if not name and what in _ASSETS:
+            file, kind = _ASSETS[what]
+            return f"{kind}; charset=utf-8", (files(__package__) / "assets" / file).read_bytes(), {}
+        if what == "picture":
+            head, jpeg = session.picture(name)
+            return "image/jpeg", jpeg, {"X-Picture": json.dumps(head)}
+        if what == "shade":
+            return "image/png", session.shade(name), {}
+        return _json({"state": session.state}[path]())
+
+    def _post(self, path: str) -> Answer:
+        session, body = self.server.session, self._body()
+        if path == "look":
+            look = Look.model_validate_json(body)
+            return _json(session.scene.look(look.camera, look.marks, look.chosen, look.ground))
+        if path == "ground":
+            at = OnGround.model_validate_json(body)
+            return _json(session.scene.on_ground(at.camera, at.pixel, at.ground))
+        if path == "save":
+            save = Save.model_validate_json(body)
+            return _json(session.save(save.marks, save.version))
+        if path == "done":
+            self.server.done = True
+            return _json({})
+        raise KeyError(path)
+
+    def _body(self) -> bytes:
+        length = self.headers.get("Content-Length", "")
+        if self.headers.get_content_type() != "application/json" or not length.isdigit() or int(length) > _MOST_BYTES:
+            raise Refused(f"a request is JSON of at most {_MOST_BYTES:,} bytes")
+        return self.rfile.read(int(length))
+
+    def _send(self, status: HTTPStatus, kind: str, content: bytes, headers: Mapping[str, str]) -> None:
+        self.send_response(status)
+        for name, value in {**_HEADERS, **headers, "Content-Type": kind, "Content-Length": str(len(content))}.items():
+            self.send_header(name, value)
+        self.end_headers()
+        self.wfile.write(content)
+
+    def log_message(self, format: str, *args: Any) -> None:
+        """Nothing is logged: addresses hold the token."""
+
+
+def _json(data: Any) -> Answer:
+    return "application/json", json.dumps(data).encode(), {}

@@ -1,0 +1,170 @@
+"""Changes of single values in the text of a YAML file: every other byte, with comments and layout, stays as it is.
+
+A library that writes the whole file again moves comments that stand between sections, and joins lists that are written over
+several lines; here only the text of what changes is replaced.
+"""
+
+from __future__ import annotations
+
+import copy
+import re
+from collections.abc import Sequence
+from typing import Any
+
+import yaml
+
+from ..site.locations import Location
+
+Splice = tuple[int, int, str]
+"""From where to where, and what stands there instead."""
+
+
+class NotEditable(ValueError):
+    """A value cannot be changed in the text: it is shared by an alias, or written in a form that is not known here."""
+
+
+def put(text: str, location: Location, value: Any) -> str:
+    """Return the text with another value at a location; the last step may be a new key of a mapping.  Raises NotEditable."""
+    parent = _node_at(text, location[:-1])
+    if isinstance(parent, yaml.MappingNode) and not any(key.value == str(location[-1]) for key, _ in parent.value):
+        splice = _new_key(text, parent, str(location[-1]), value)
+    else:
+        splice = _replaced(text, _node_at(text, location), value)
+    return _checked(text, splice, location, lambda there: _set(there, location, value))
+
+
+def append(text: str, location: Location, value: Any) -> str:
+    """Return the text with a further item in the list at a location.  Raises NotEditable."""
+    node = _node_at(text, location)
+    if not isinstance(node, yaml.SequenceNode) or not node.value:
+        return put(text, location, [value])
+    end = _end(node.value[-1])
+    if node.flow_style:
+        splice = end, end, f", {flow(value)}"
+    else:
+        line_end = _line_end(text, end)
+        splice = line_end, line_end, f"\n{' ' * node.start_mark.column}- {flow(value)}"
+    return _checked(text, splice, location, lambda there: _at(there, location).append(value))
+
+
+def remove(text: str, location: Location) -> str:
+    """Return the text without an item of a list.  Raises NotEditable."""
+    *above, index = location
+    assert isinstance(index, int)
+    node = _node_at(text, tuple(above))
+    if len(node.value) == 1:
+        return put(text, tuple(above), [])
+    item = node.value[index]
+    if not node.flow_style:
+        splice = text.rfind("\n", 0, item.start_mark.index) + 1, _line_end(text, _end(item)) + 1, ""
+    elif index + 1 < len(node.value):
+        splice = item.start_mark.index, node.value[index + 1].start_mark.index, ""
+    else:
+        splice = _end(node.value[index - 1]), _end(item), ""
+    return _checked(text, splice, location, lambda there: _at(there, tuple(above)).pop(index))
+
+
+def flow(value: Any) -> str:
+    """Return a value as YAML on one line."""
+    written = yaml.safe_dump(value, default_flow_style=True, width=float("inf"), sort_keys=False, allow_unicode=True)
+    return str(written).removesuffix("...\n").strip()
+
+
+def _replaced(text: str, node: Any, value: Any) -> Splice:
+    start, end = node.start_mark.index, _end(node)
+    if isinstance(node, yaml.CollectionNode) and not node.flow_style:
+        # the block stands below its key, and may have comments above it: the new value stands on the key's line
+        key_end = _key_end(text, start)
+        return key_end, end, f" {flow(value)}{text[key_end:start].rstrip()}"
+    return start, end, f" {flow(value)}" if start == end and text[start - 1 : start] == ":" else flow(value)
+
+
+def _key_end(text: str, start: int) -> int:
+    """Where the colon before a block ends: only comments and white space stand between."""
+    before = text[:start]
+    while True:
+        stripped = before.rstrip()
+        line = stripped[stripped.rfind("\n") + 1 :]
+        comment = re.search(r"(^|\s)#", line)
+        if comment is None:
+            if not stripped.endswith(":"):
+                raise NotEditable("it has an anchor, or a tag")
+            return len(stripped)
+        before = stripped[: len(stripped) - len(line) + comment.start()]
+
+
+def _new_key(text: str, mapping: Any, key: str, value: Any) -> Splice:
+    if not mapping.value:
+        return mapping.start_mark.index, mapping.end_mark.index, flow({key: value})
+    end = _end(mapping)
+    written = flow({key: value})[1:-1]
+    if mapping.flow_style:
+        end = _end(mapping.value[-1][1])
+        return end, end, f", {written}"
+    end = _line_end(text, end)
+    return end, end, f"\n{' ' * mapping.value[0][0].start_mark.column}{written}"
+
+
+def _end(node: Any) -> int:
+    """Where a value's own text ends: that of a block collection is followed by white space and comments."""
+    if isinstance(node, yaml.CollectionNode) and not node.flow_style and node.value:
+        last = node.value[-1]
+        return _end(last[1] if isinstance(last, tuple) else last)
+    if isinstance(node, yaml.ScalarNode) and node.style in {"|", ">"}:
+        raise NotEditable("a text over several lines stands there")
+    return int(node.end_mark.index)
+
+
+def _line_end(text: str, index: int) -> int:
+    end = text.find("\n", index)
+    return len(text) if end < 0 else end
+
+
+def _node_at(text: str, location: Location) -> Any:
+    node: Any = yaml.compose(text, yaml.SafeLoader)
+    for step in location:
+        if isinstance(step, int) and isinstance(node, yaml.SequenceNode):
+            node = node.value[step]
+        elif isinstance(node, yaml.MappingNode) and (found := [v for key, v in node.value if key.value == str(step)]):
+            node = found[0]
+        else:
+            raise NotEditable("it is written in a way that cannot be changed here")
+    return node
+
+
+def _checked(text: str, splice: Splice, location: Location, change: Any) -> str:
+    """The text with a splice, which must do to the data what `change` does, and nothing else."""
+    start, end, instead = splice
+    edited = f"{text[:start]}{instead}{text[end:]}"
+    expected = copy.deepcopy(_unshared(yaml.safe_load(text)))
+    change(expected)
+    try:
+        same = yaml.safe_load(edited) == expected
+    except yaml.YAMLError:
+        same = False
+    if not same:
+        raise NotEditable("it shares its text with others (an alias), or is written in a way that cannot be changed here")
+    return edited
+
+
+def _unshared(data: Any) -> Any:
+    """The data with each alias a value of its own."""
+    if isinstance(data, dict):
+        return {key: _unshared(value) for key, value in data.items()}
+    return [_unshared(value) for value in data] if isinstance(data, list) else data
+
+
+def _at(data: Any, location: Sequence[str | int]) -> Any:
+    for step in location:
+        data = data[_key(data, step)]
+    return data
+
+
+def _set(data: Any, location: Location, value: Any) -> None:
+    above = _at(data, location[:-1])
+    above[_key(above, location[-1])] = value
+
+
+def _key(data: Any, step: str | int) -> Any:
+    """A key as the file has it: an id that looks like a number is one."""
+    return next((key for key in data if str(key) == step), step) if isinstance(data, dict) else step
