@@ -12,6 +12,9 @@ _ROWS = {
     "containers": SceneRow("wbflow_demo.depot:containers", "stacks of one and the same container", (4, 70)),
     "apron": SceneRow("scenes.apron:apron", "an airport apron with three aircraft of one type", (4, 80), 8, 3),
     "stadium": SceneRow("scenes.stadium:stadium", "a stadium with stands of identical seats", (4, 80), 10, 3),
+    "quarry": SceneRow("scenes.quarry:quarry", "a quarry with three steps of broken rock", (4, 80), 8, 3),
+    "platform": SceneRow("scenes.platform:platform", "a railway station with sleepers and windows that repeat", (4, 80), 8, 3),
+    "warehouse": SceneRow("scenes.warehouse:warehouse", "rows of shelves of one pattern, filled with boxes", (4, 80), 8, 3),
     "mast": SceneRow("scenes.mast:mast", "a valley seen by cameras that hang on one mast", (0, 60), captures=3),
 }
 SCENES.update(_ROWS)
