@@ -95,6 +95,8 @@ class Scene:
             view.logit = trusted[name].own
             check = cross_check(name, self.near[name], self.cameras, trusted.__getitem__)
             view.evidence = [view.logit, *P.evidence_of_others(check)]
+            view.known &= check.pairs > 0  # nothing else comes into a cloud
+            view.judged &= view.known
         self.kinds = [kept]
 
     def look_around(self) -> None:

@@ -32,6 +32,9 @@ class CrossCheck:
     point, as surely as their own depth is right."""
     hiding: Uint8s
     """Views that have something in front of the point."""
+    doubted: Float32s
+    """Expected number of these pairs that are wrong: the other view of a pair looks through the point, and its own depth is right
+    with some probability."""
     apart: Float32s
     """Over those that agree, the sum of logarithms of how far off they put the surface on this view's ray, each over the standard
     deviation that the sigmas of both depths let expect."""
@@ -75,7 +78,7 @@ def cross_check(
     """Project every pixel of a view into the other views, one at a time, and compare with the depth found there.
 
     A view agrees within three sigmas of both and 0.2 % of the depth.  A pair whose other view has something in front of the point
-    does not support it.
+    does not support it; one whose other view looks through the point does as far as that view's depth is wrong.
 
     How much a view's depth says follows from its standard deviation and from the probability t that it is right: beside a right
     depth it is normally distributed, beside a wrong one, as when it is wrong itself, it may be anything up to twice as far.  One
@@ -94,7 +97,7 @@ def cross_check(
     numbers = _PairNumbers()
     pairs = _own_pairs(own.support, numbers.of(name, own))
     visible, agreeing, hiding = (np.zeros((h, w), np.uint8) for _ in range(3))
-    apart, reach, opposing = (np.zeros((h, w), np.float32) for _ in range(3))
+    apart, reach, opposing, doubted = (np.zeros((h, w), np.float32) for _ in range(4))
     nearest = np.full((h, w), ITSELF, np.uint8)
     for place, other in enumerate(others):
         M, b = transfer(cameras[name], cameras[other])
@@ -105,11 +108,11 @@ def cross_check(
             pairs = np.concatenate([pairs, np.zeros((numbers.words - len(pairs), h, w), np.uint64)])
         pair, farther, rank = numbers.of_pair(name, other), _farther_by(cameras[name], cameras[other]), min(place, ITSELF)
         surface = own.depth, own.sigma, M, b, seen.depth, seen.slope_x, seen.slope_y, seen.sigma, seen.support
-        found = visible, agreeing, hiding, opposing, pairs
+        found = visible, agreeing, hiding, opposing, doubted, pairs
         _compare(*surface, probability(view.own), theirs, pair, *found, rank, farther, apart, nearest, reach)
     count, seen_by = np.zeros((h, w), np.uint8), np.zeros((h, w), np.uint16)
     _count(pairs, numbers.cameras_of_pairs[: numbers.met], count, seen_by)
-    return CrossCheck(count, seen_by, visible, agreeing, opposing, hiding, apart, nearest)
+    return CrossCheck(count, seen_by, visible, agreeing, opposing, hiding, doubted, apart, nearest)
 
 
 def _farther_by(camera: Camera, other: Camera) -> Float64s:
@@ -172,7 +175,7 @@ def _own_pairs(support: Uint32s, bits: Uint8s) -> Uint64s:
 def _compare(
     depth: Float32s, sigma: Float32s, M: Float64s, b: Float64s, other_depth: Float32s, slope_x: Float32s, slope_y: Float32s,
     other_sigma: Float32s, other_support: Uint32s, trust: Float32s, bits: Uint8s, number: int, visible: Uint8s, agreeing: Uint8s,
-    hiding: Uint8s, opposing: Float32s, pairs: Uint64s, place: int, farther_by: Float64s, apart: Float32s,
+    hiding: Uint8s, opposing: Float32s, doubted: Float32s, pairs: Uint64s, place: int, farther_by: Float64s, apart: Float32s,
     nearest: Uint8s, reach: Float32s,
 ) -> None:  # fmt: skip
     h, w = depth.shape
@@ -209,7 +212,10 @@ def _compare(
             t, off = min(trust[j, i], _MOST_TRUST), (there - z) / spread
             ratio = np.float32(np.log(1.0 - t + t * z / (_NORMAL * spread) * np.exp(-0.5 * off * off)))
             opposing[y, x] += min(ratio, np.float32(0.0))
-            if there <= z + tolerance:
+            if there > z + tolerance:
+                if pairs[common_word, y, x] & common:
+                    doubted[y, x] += t
+            else:
                 n0, n1 = slope_x[j, i], slope_y[j, i]  # its plane, linear in places as that camera sees them, on this pixel's ray
                 n2 = 1.0 / other_depth[j, i] - n0 * i - n1 * j
                 along = own * (n0 * (m00 * x + m01 * y + m02) + n1 * (m10 * x + m11 * y + m12) + n2 * (m20 * x + m21 * y + m22))

@@ -21,7 +21,7 @@ def message(own: Float64s, others: Float64s, believed: float, of_others: float) 
     known = np.ones((ROWS, COLUMNS), bool)
     z = (DEPTH * (1.0 + own)).astype(np.float32)
     depth = DepthMap(z, (believed * z).astype(np.float32), flat, flat, known.astype(np.uint32), ("other",), known)
-    check = CrossCheck(count, count.astype(np.uint16), count, count, apart, count, apart, count)
+    check = CrossCheck(count, count.astype(np.uint16), count, count, apart, count, apart, apart, count)
     return float(np.sqrt(np.median(depth_variance(depth, check, *EVERYWHERE)))) / DEPTH
 
 

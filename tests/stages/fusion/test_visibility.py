@@ -61,3 +61,10 @@ def test_views_look_through_a_depth_as_surely_as_their_own_is_right(own: float, 
     check = check_of(*views(4, 0.0, off=-0.5), own=own)
     seen = -check.opposing[PATCH]
     assert (seen > against).all() if own > 0 else (seen < against).all()
+
+
+@pytest.mark.parametrize(("own", "wrong"), [(5.0, 3.0), (-2.0, 0.4)])
+def test_pairs_whose_other_view_looks_through_a_depth_are_as_wrong_as_that_view_is_right(own: float, wrong: float) -> None:
+    check = check_of(*views(4, 0.0, off=-0.5), own=own)
+    assert np.allclose(check.doubted[PATCH], wrong, atol=0.05)
+    assert (check.doubted[:20] == 0).all()
