@@ -33,7 +33,8 @@ CAMERAS = {
 def seen(name: str, X: list[float]) -> Float64s:
     entry = CAMERAS[name]
     lens = Lens(np.array(entry["K"]), np.array(entry["distortion"]), None, 640, 360, entry["model"])
-    return lens_pixels(lens, (np.array([X]) - entry["C"]) @ np.array(entry["R"]).T)[0]
+    pixels: Float64s = lens_pixels(lens, (np.array([X]) - entry["C"]) @ np.array(entry["R"]).T)
+    return np.asarray(pixels[0], dtype=np.float64)
 
 
 PLACE = [1.2, 2.5, 0.7]

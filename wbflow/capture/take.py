@@ -26,6 +26,7 @@ CREDENTIALS = "WBFLOW_CREDENTIALS"
 TRIES = 3
 _BETWEEN_TRIES, _LEAD = 2.0, 2.0
 """Seconds: before a camera is asked again; before the first picture, for connections to be made."""
+_SECONDS_OF_AN_HOUR = 3600
 _MOST_OFF = 60.0
 """Seconds by which a camera's clock may differ from this machine's and is still believed."""
 
@@ -115,17 +116,28 @@ def _write(site: Site, taken: Taken, shot: Shot) -> None:
     taken.own_clock = taken.own_clock and believed
     taken.off = taken.off if believed else off
     moment = shot.taken if believed and shot.taken is not None else now
-    path = site.captures.name(taken.camera, datetime.datetime.fromtimestamp(moment))
+    path = _free_name(site, taken.camera, site.local(moment))
     path.parent.mkdir(parents=True, exist_ok=True)
     write_atomic(path, shot.data)
     os.utime(path, (moment, moment))
     taken.files.append(path)
 
 
+def _free_name(site: Site, camera: str, local: datetime.datetime) -> Path:
+    """The name of a capture.  In the hour that comes twice, when clocks are set back, one that the first hour has taken is not
+    written over: the next second's is used."""
+    path = site.captures.name(camera, local)
+    for seconds in range(1, _SECONDS_OF_AN_HOUR if local.fold else 0):
+        if not path.exists():
+            break
+        path = site.captures.name(camera, local + datetime.timedelta(seconds=seconds))
+    return path
+
+
 def _check_names(site: Site, camera: str, moments: list[float]) -> None:
     remedy = "captures: {pattern: '{camera}/{date}_{time}.jpg'}, or fewer frames over more seconds"
     try:
-        names = {site.captures.name(camera, datetime.datetime.fromtimestamp(moment)) for moment in moments}
+        names = {site.captures.name(camera, site.local(moment)) for moment in moments}
     except ValueError as error:
         raise UsageError(str(error), remedy=remedy) from None
     if len(names) < len(moments):

@@ -20,15 +20,24 @@ LONGEST_TEXT = 100_000_000
 """Characters that are printed at once: run.json is, as a whole."""
 
 
-def day(text: str) -> datetime.date:
+Day = datetime.date | int
+"""A day, or how many after today: what day it is at a site depends on its time zone."""
+
+
+def day(text: str) -> Day:
     """Return a day: 2026-11-19, today, yesterday, or -1 (yesterday), -2, ..."""
     named = {"today": 0, "yesterday": -1}
     if text in named or re.fullmatch(r"-\d{1,5}", text):
-        return datetime.date.today() + datetime.timedelta(days=named[text] if text in named else int(text))
+        return named[text] if text in named else int(text)
     try:
         return datetime.date.fromisoformat(text)
     except ValueError:
         raise click.BadParameter(f"{text!r} is no day; write 2026-11-19, yesterday, or -1") from None
+
+
+def date_at(site: Site, given: Day | None) -> datetime.date | None:
+    """Return the date of a day at a site; None where none is given."""
+    return site.today() + datetime.timedelta(days=given) if isinstance(given, int) else given
 
 
 def next_time(text: str) -> datetime.datetime:

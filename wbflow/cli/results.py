@@ -11,6 +11,8 @@ from ..errors import ExitCode, UsageError, counted
 from ..pipeline.exports import EXPORTS, SCANS
 from .common import (
     PATH,
+    Day,
+    date_at,
     date_option,
     day,
     echo,
@@ -26,7 +28,6 @@ from .common import (
 )
 
 if TYPE_CHECKING:
-    import datetime
     from collections.abc import Callable
 
     from ..site.models import Site
@@ -168,7 +169,7 @@ def _compare_with_scan(site: Site, night: str | None, scan: Path, out: Path, as_
 @click.option("--until", type=day, metavar="DAY", help="The last night that it holds for (default: until it is dropped).")
 @click.option("--note", default="", metavar="TEXT", help="Why.")
 @click.option("--drop", is_flag=True, help="Take it back.")
-def acknowledge(site: Path, words: tuple[str, ...], until: datetime.date | None, note: str, drop: bool) -> None:
+def acknowledge(site: Path, words: tuple[str, ...], until: Day | None, note: str, drop: bool) -> None:
     """A finding that somebody knows of no longer degrades a night, nor notifies; it stays in the report.
 
     \b
@@ -184,7 +185,7 @@ def acknowledge(site: Path, words: tuple[str, ...], until: datetime.date | None,
         known.drop(loaded, finding)
         echo(f"{finding} counts again")
     elif finding:
-        echo(f"{finding}: {known.add(loaded, finding, until, note).words}; from the next run on")
+        echo(f"{finding}: {known.add(loaded, finding, date_at(loaded, until), note).words}; from the next run on")
     else:
         newest = next((record for _, record in newest_runs(loaded.work_folder)), None)
         for found in newest.verdict.findings if newest and newest.verdict else ():
@@ -294,7 +295,7 @@ def export(site: Path, run_id: str | None, out: Path, work: str | None, **wanted
 @out_option
 @date_option
 @work_option
-def debug(words: tuple[str, ...], out: Path, date: datetime.date | None, work: str | None) -> None:
+def debug(words: tuple[str, ...], out: Path, date: Day | None, work: str | None) -> None:
     """One task's inputs as ordinary files, its parameters, and a short script that runs it alone.
 
     A task is a stage and its subject. Images are PNG, tables CSV, clouds PLY, other arrays npy; task.json says where each is.
@@ -315,7 +316,8 @@ def debug(words: tuple[str, ...], out: Path, date: datetime.date | None, work: s
     task = " ".join(named if site_is_here else words[1:])
     if not task:
         raise UsageError("name a task", remedy=f"for example: wbflow debug {site} 'frames CAMERA' --out {out}")
-    files = write_task(load(site, work), task_named(task), out, date)
+    loaded = load(site, work)
+    files = write_task(loaded, task_named(task), out, date_at(loaded, date))
     for file in files:
         echo(file)
     echo(f"now try  python {files[0]}")

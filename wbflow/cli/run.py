@@ -16,7 +16,20 @@ import click
 
 from ..errors import ExitCode, UsageError, WbflowError, counted, worst
 from . import common
-from .common import date_option, day, echo, echo_json, json_option, load, next_time, site_argument, verbose_option, work_option
+from .common import (
+    Day,
+    date_at,
+    date_option,
+    day,
+    echo,
+    echo_json,
+    json_option,
+    load,
+    next_time,
+    site_argument,
+    verbose_option,
+    work_option,
+)
 from .display import display
 
 if TYPE_CHECKING:
@@ -64,8 +77,8 @@ DEBUGGABLE = {"fault", "too-slow", "worker-lost", "out-of-memory"}
 @click.option("-q", "--quiet", is_flag=True, help="Print only what went wrong.")
 def run(
     sites: tuple[Path, ...],
-    date: datetime.date | None,
-    since: datetime.date | None,
+    date: Day | None,
+    since: Day | None,
     capture_first: bool,
     work: str | None,
     dry_run: bool,
@@ -86,9 +99,9 @@ def run(
     wbflow run site.yaml --force 'matches gate--roof' --until poses
     wbflow run site.yaml --since -7 --stop-at 06:00
     """
-    if date and since:
+    if date is not None and since is not None:
         raise UsageError("--date and --since exclude each other", remedy="give one of them: wbflow run SITE.yaml --since DAY")
-    if capture_first and (date or since or dry_run):
+    if capture_first and (date is not None or since is not None or dry_run):
         what = "--capture takes pictures now: it excludes --date, --since and --dry-run"
         raise UsageError(what, remedy="wbflow run SITE.yaml --capture")
     if work and len(sites) > 1:
@@ -96,13 +109,13 @@ def run(
         raise UsageError(what, remedy="name it as `work:` in each site file")
     from ..api import run as run_night
 
-    quiet, several, records = quiet or as_json, bool(since) or len(sites) > 1, list[Any]()
+    quiet, several, records = quiet or as_json, since is not None or len(sites) > 1, list[Any]()
 
     def run_site(path: Path) -> int:
         site = load(path, work, for_run=not dry_run)
         if capture_first:
             _capture(site, quiet)
-        nights, codes = _nights(site, date, since), list[int]()
+        nights, codes = _nights(site, date_at(site, date), date_at(site, since)), list[int]()
         if dry_run:
             for night in nights:
                 _print_status(_status(site, night, options["until"], options["force"]))
@@ -253,14 +266,15 @@ def _capture(site: Site, quiet: bool) -> int:
 @work_option
 @common.until_option
 @json_option
-def status(site: Path, date: datetime.date | None, work: str | None, until: str | None, as_json: bool) -> None:
+def status(site: Path, date: Day | None, work: str | None, until: str | None, as_json: bool) -> None:
     """What is cached, what would run, and why.
 
     \b
     wbflow status site.yaml
     wbflow status site.yaml --date -1 --json
     """
-    status_of = _status(load(site, work), date, until)
+    loaded = load(site, work)
+    status_of = _status(loaded, date_at(loaded, date), until)
     if as_json:
         echo_json(asdict(status_of))
     else:
@@ -293,7 +307,7 @@ def _print_status(status: Status) -> None:
 @site_argument
 @date_option
 @work_option
-def check(site: Path, date: datetime.date | None, work: str | None) -> None:
+def check(site: Path, date: Day | None, work: str | None) -> None:
     """Site, captures and machine examined without running; every finding, with its remedy.
 
     \b
@@ -303,7 +317,7 @@ def check(site: Path, date: datetime.date | None, work: str | None) -> None:
     from ..outcome import check as checks
 
     loaded = load(site, work)
-    findings = checks.check(loaded, date)
+    findings = checks.check(loaded, date_at(loaded, date))
     for finding in findings:
         echo(f"{finding.severity}: {finding.what}\n  {finding.remedy}")
     if not findings:

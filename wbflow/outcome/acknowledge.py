@@ -105,7 +105,7 @@ def add(site: Site, finding: str, until: datetime.date | None, note: str) -> Ack
     cameras = {camera.id for camera in site.cameras}
     if unknown := sorted(set(subject) - cameras):
         raise UsageError(f"the site has no camera {unknown[0]!r}", remedy=f"its cameras are {', '.join(sorted(cameras))}")
-    today = datetime.date.today().isoformat()
+    today = site.today().isoformat()
     made = Acknowledgement(" ".join((code, *subject)), getpass.getuser(), today, until.isoformat() if until else "", note)
     _write(site, [*(one for one in read(site) if one.finding != made.finding), made])
     return made

@@ -11,7 +11,7 @@ from ..cache.layout import WorkFolder
 from ..cache.store import Cache
 from ..pipeline.summaries import meaning, spoken
 from ..records.events import Event, WarningEvent
-from ..records.record import RunRecord
+from ..records.record import RunRecord, moment
 from ..records.run_folder import RunFolder
 from ..site.models import Site
 from .charts import camera_bars, tasks_of_stages, timetable, trends
@@ -107,6 +107,7 @@ def _content(data: ReportData) -> dict[str, Any]:
         "notes": list(_pose_notes(record)),
         "other_nights": list(_other_nights(data)),
         "last_cloud": next(((night.date, data.report_of(night.run)) for night in data.earlier if night.cloud), None),
+        "when": _when(data),
         "files": list(_files(data)),
     }
     rows = _ROW_BYTES * (len(record.cameras) + len(record.pairs))
@@ -124,6 +125,13 @@ def _other_nights(data: ReportData) -> Iterator[tuple[str, str]]:
     later = [run for run in data.work.run_ids() if run > data.record.run]
     if later:
         yield "newest run →", data.report_of(later[-1])
+
+
+def _when(data: ReportData) -> str:
+    """Return when the run began and ended, by the site's clocks."""
+    began, ended = (data.site.local(moment(at).timestamp()) for at in (data.record.started, data.record.finished))
+    day = "" if began.date() == ended.date() else f"{ended:%Y-%m-%d} "
+    return f"{began:%Y-%m-%d %H:%M %Z} to {day}{ended:%H:%M %Z}"
 
 
 def _pose_notes(record: RunRecord) -> Iterator[str]:

@@ -93,7 +93,7 @@ def night(site: Site, date: datetime.date | None) -> datetime.date:
 
     A name that tells of days to come (a camera whose clock is wrong) says nothing, unless all names do.
     """
-    today = datetime.date.today()
+    today = site.today()
     if date is not None:
         return date
     found = nights(site)

@@ -24,6 +24,7 @@ _REMEDIES = {
     "distortion": "give [k1, k2, p1, p2, k3] as OpenCV defines them, or those of the model that you name",
     "model": f"name one of {', '.join(LENS_MODELS)}; without it a lens is brown (OpenCV's k1 k2 p1 p2 k3)",
     "site": "give the site a name: site: harbour",
+    "timezone": "give the name of a time zone, e.g. timezone: Europe/Berlin",
     "resolution": "give the long side in pixels that stages work at, e.g. resolution: 1600, or null for as captured",
     "bounds": "give two corners of the box that matters, in metres: bounds: [[-20, -30, 0], [20, 30, 12]]",
     "zones": "give name, three corners or more and, if you like, a least size in metres: zones: [{name: quay, polygon: [[0, 0], "

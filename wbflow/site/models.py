@@ -5,6 +5,8 @@ from __future__ import annotations
 import dataclasses
 import datetime
 import re
+import time
+import zoneinfo
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from enum import StrEnum
@@ -22,7 +24,7 @@ from ..cache.layout import WorkFolder
 from ..pipeline.stages import STAGES
 from ..task import camera_of
 from .calibration.calibrated import Lens, Placement, lens_fault
-from .locations import Document, Location, SiteProblem
+from .locations import Document, Location, SiteProblem, did_you_mean
 from .pattern import Pattern
 from .rotations import Matrix, look_at, rotation_fault, yaw_pitch_roll
 
@@ -358,10 +360,21 @@ class Zone(Section):
     least_m: float = Field(default=0.0, ge=0)
 
 
+def _zone(name: Any) -> Any:
+    try:
+        if isinstance(name, str) and zoneinfo.ZoneInfo(name):
+            return name
+    except (zoneinfo.ZoneInfoNotFoundError, ValueError, OSError):  # OSError: a folder of zones, such as "Europe"
+        pass
+    near = did_you_mean(str(name), zoneinfo.available_timezones(), "write one such as Europe/Berlin")
+    raise _error(f"{name!r} is no time zone; {near}")
+
+
 class SiteFile(Section):
     """The whole file."""
 
     site: str
+    timezone: Annotated[str | None, BeforeValidator(lambda name: name and _zone(name))] = None
     captures: Captures
     cameras: Annotated[list[CameraEntry], Field(min_length=1)]
     calibration: str | None = None
@@ -487,6 +500,18 @@ class Site:
     def setting(self, key: str) -> Any:
         """The value of a key outside of `stages` that sets a parameter of a stage: "resolution", "pairs.degree"."""
         return reduce(getitem, key.split("."), self._plain)
+
+    @cached_property
+    def _zone(self) -> zoneinfo.ZoneInfo | None:
+        return zoneinfo.ZoneInfo(self.settings.timezone) if self.settings.timezone else None
+
+    def local(self, seconds: float) -> datetime.datetime:
+        """What the site's clocks show at a moment (seconds since 1970): by `timezone`, else by this machine's."""
+        return datetime.datetime.fromtimestamp(seconds, datetime.UTC).astimezone(self._zone)
+
+    def today(self) -> datetime.date:
+        """The day at the site."""
+        return self.local(time.time()).date()
 
     @property
     def file(self) -> Path:
