@@ -319,12 +319,87 @@ def levels(gain: float, offset: float = 0.0, gamma: float = 1.0) -> Callable[[Ui
     return lambda image: np.asarray(np.clip(255 * (image / 255.0) ** gamma * gain + offset, 0, 255), np.uint8)
 
 
+def snowy(image: Uint8s) -> Uint8s:
+    """Bright ground, little contrast, bluish."""
+    return np.asarray(np.clip((0.55 * image + 110) * np.array([1.04, 1.0, 0.97]), 0, 255), np.uint8)
+
+
+def rainy(image: Uint8s) -> Uint8s:
+    """Streaks, in other places of each picture, through a haze."""
+    h, w = image.shape[:2]
+    rng = np.random.default_rng(int(image.astype(np.int64).sum()) % 2**31)
+    streaks = np.zeros((h, w), np.uint8)
+    for x, y in rng.uniform(0, [w, h], (h * w // 400, 2)).astype(int).tolist():
+        cv2.line(streaks, (x, y), (x + 1, y + 7), 60, 1)
+    return np.asarray(np.clip(0.8 * image + 30 + streaks[..., None], 0, 255), np.uint8)
+
+
+def sensed(image: Uint8s) -> Uint8s:
+    """Noise that grows with light, as that of photons does, besides that of reading."""
+    rng = np.random.default_rng(int(image.astype(np.int64).sum()) % 2**31)
+    return np.asarray(np.clip(image + rng.normal(size=image.shape) * np.sqrt(2.0 + 0.06 * image), 0, 255), np.uint8)
+
+
 def tinted(image: Uint8s) -> Uint8s:
     return np.asarray(np.clip(image * np.array([0.8, 1.0, 1.15]), 0, 255), np.uint8)
 
 
 def grey(image: Uint8s) -> Uint8s:
     return np.asarray(cv2.cvtColor(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), cv2.COLOR_GRAY2BGR), np.uint8)
+
+
+def cropped(share: float) -> Callable[[Uint8s], Uint8s]:
+    """The middle of the picture, in fewer pixels: a recorder that cuts where it should scale."""
+
+    def change(image: Uint8s) -> Uint8s:
+        h, w = image.shape[:2]
+        y, x = (round(side * (1 - share) / 2) for side in (h, w))
+        return np.ascontiguousarray(image[y : h - y, x : w - x])
+
+    return change
+
+
+def torn(pixels: int) -> Callable[[Uint8s], Uint8s]:
+    """The lower part is from when the camera shook."""
+
+    def change(image: Uint8s) -> Uint8s:
+        at = image.shape[0] * 55 // 100
+        return np.concatenate([image[:at], np.roll(image[at:], pixels, axis=1)])
+
+    return change
+
+
+def interlaced(pixels: int) -> Callable[[Uint8s], Uint8s]:
+    def change(image: Uint8s) -> Uint8s:
+        image[1::2] = np.roll(image[1::2], pixels, axis=1)
+        return image
+
+    return change
+
+
+def vignetted(least: float) -> Callable[[Uint8s], Uint8s]:
+    """Darker toward the corners."""
+
+    def change(image: Uint8s) -> Uint8s:
+        h, w = image.shape[:2]
+        y, x = np.mgrid[-1 : 1 : h * 1j, -1 : 1 : w * 1j]
+        return np.asarray(image * (1 - (1 - least) * (x**2 + y**2)[..., None] / 2), np.uint8)
+
+    return change
+
+
+def with_drops(share: float) -> Callable[[Uint8s], Uint8s]:
+    """Water drops on the glass: discs in which the picture is blurred and turned over."""
+
+    def change(image: Uint8s) -> Uint8s:
+        h, w = image.shape[:2]
+        rng, wet = np.random.default_rng(4), np.zeros((h, w), np.uint8)
+        while wet.mean() < share:
+            cv2.circle(wet, (int(rng.uniform(0, w)), int(rng.uniform(0, h))), int(rng.uniform(0.03, 0.1) * w), 1, -1)
+        seen = cv2.GaussianBlur(image[::-1, ::-1], (0, 0), 0.02 * w)
+        return np.asarray(np.where(wet[..., None] > 0, seen, image), np.uint8)
+
+    return change
 
 
 def foggy(image: Uint8s) -> Uint8s:
@@ -403,6 +478,28 @@ def turned_world(site: Site) -> None:
     rotations(lambda R: R @ Q.T)(site)
 
 
+def of_other_size(factor: float, which: Sequence[int]) -> Change:
+    """K belongs to pictures of another size than the one that is stated."""
+
+    def change(site: Site) -> None:
+        for camera in site.cameras(which):
+            camera["K"] = [[k * factor for k in row] for row in camera["K"][:2]] + [camera["K"][2]]
+
+    return change
+
+
+def other_night(which: Sequence[int]) -> Change:
+    """Cameras deliver what they saw in the other night."""
+
+    def change(site: Site) -> None:
+        other = NIGHTS[site.night == NIGHTS[0]]
+        for k in which:
+            for file in site.files(site.names[k]):
+                file.write_bytes((file.parent / file.name.replace(site.night, other)).read_bytes())
+
+    return change
+
+
 def nothing(site: Site) -> None:
     pass
 
@@ -442,6 +539,11 @@ VARIATIONS = (
     _fault("principal points 4 px down", principal(0, 4), "principal-points"),
     _fault("principal point of one 6 px", principal(6, 2, (2,)), "principal-point", *ONE),
     _fault("lenses of two exchanged", exchange(("K", "distortion")), "lenses-exchanged", "focal-length"),
+    _fault("principal points of two 10 px", principal(10, 0, (0, 1)), "principal-point", "principal-points", "poses", *ONE),
+    _fault("focal of one +5 %", focal(1.05, (2,)), "focal-length"),
+    _fault("k1 of one left out", distortion(0, (2,), only=(0,)), "distortion-of-one"),
+    _fault("fy alone +4 %", focal(1.04, axes=(1,)), "pixel-height"),
+    _fault("two calibrated at another size", of_other_size(1.5, (0, 1)), "focal-length", "focal-lengths", "poses"),
     # poses
     _fault("one turned by .5 degrees", turn((0, 0.5, 0), (1,)), *ONE, on=ALL),
     _fault("one tilted by .5 degrees", turn((0.5, 0, 0), (0,)), *ONE),
@@ -468,7 +570,15 @@ VARIATIONS = (
     _fault("two stated wrongly, others free", without_poses((2, 3), turn_at_random(2.0, (0, 1))), "poses"),
     _fault("two stated, one moved, others free", without_poses((2, 3), move((1.0, 1.0, 0), (0,))), "poses"),
     _fault("one stated wrongly, one free", without_poses((3,), turn((0, 2, 0), (0,))), *ONE),
+    _fault("two rolled by 1 degree", turn((0, 0, 1), (0, 2)), "poses", *ONE),
+    _fault("all rolled by 1 degree", turn((0, 0, 1)), "poses"),
+    _fault("all turned by 1 degree, each about itself", turn((0, 1, 0)), "poses", "principal-points"),
+    _fault("poses of two others exchanged", exchange(("R", "C"), 1, 3), "exchanged"),
+    _fault("positions stretched by 1.05 to the east", centres(lambda C: C * (1.05, 1, 1)), "poses"),
+    _fault("one raised by .4 m", move((0, 0, 0.4), (1,)), *ONE),
+    _fault("one moved by 1 m", move((-0.8, 0.6, 0), (2,)), *ONE),
     # units
+    _fault("one position in feet", centres(lambda C: C * 3.28, (1,)), *ONE),
     _fault("positions in millimetres", centres(lambda C: C * 1000), "units-implausible", on=ALL),
     _fault("positions in kilometres", centres(lambda C: C / 1000), "units-implausible"),
     _fault("one position in millimetres", centres(lambda C: C * 1000, (1,)), *ONE, "units-implausible"),
@@ -488,7 +598,19 @@ VARIATIONS = (
     _fault("noise of 50 levels", pictures(noisy(50)), "pictures-soft"),
     _fault("enlarged three times", pictures(smaller(3)), "pictures-soft"),
     _fault("overexposed", pictures(levels(3.0)), "pictures-soft"),
+    _fault("vignetting", pictures(vignetted(0.15)), "pictures-soft"),
+    _fault("drops on a third of one picture", pictures(with_drops(0.33), (1,)), "camera-obscured", "pictures-soft"),
+    _fault("drops on a third of all pictures", pictures(with_drops(0.33)), "camera-obscured", "pictures-soft"),
+    _fault("interlaced by 3 px", pictures(interlaced(3)), "pictures-soft"),
+    _fault("half the size and back", pictures(smaller(2)), "pictures-soft"),
+    _fault("noise of 12 levels", pictures(noisy(12)), "pictures-soft"),
+    _fault("JPEG quality 20", pictures(lambda p: p, quality=20), "pictures-soft"),
     # captures
+    _fault("frames of all cropped to .8", pictures(cropped(0.8)), *FOCAL, "pixel-shape"),
+    _fault("frames of one cropped to .8", pictures(cropped(0.8), (1,)), "focal-length"),
+    _fault("frames of one torn by 12 px", pictures(torn(12), (0,)), *ONE, "poses", "pairs-disagree"),
+    _fault("frames of one sheared by 6 px", pictures(sheared(6), (1,)), *ONE, "poses"),
+    _fault("frames of two mirrored", pictures(lambda p: p[:, ::-1], (0, 1)), "mirrored-frames"),
     _fault("frames of all zoomed by 1.2", pictures(zoomed(1.2)), *FOCAL, on=ALL),
     _fault("frames of all zoomed by .95", pictures(zoomed(0.95)), *FOCAL),
     _fault("frames of one zoomed by 1.1", pictures(zoomed(1.1), (1,)), "focal-length"),
@@ -517,6 +639,8 @@ VARIATIONS = (
     # what no picture shows
     Variation("positions x 1.1", "invisible", centres(lambda C: C * 1.1), on=TWO,
               why="x ~ K R (sX - sC) = K R (X - C): every picture of a world times s is the same"),
+    Variation("positions in feet", "invisible", centres(lambda C: C * 3.28), on=TWO,
+              why="as before: a world in another unit shows in no picture; a stated distance tells (distances-contradicted)"),
     Variation("positions 100 m farther east", "invisible", farther((100.0, 0.0, 0.0)), on=TWO,
               why="x ~ K R ((X + d) - (C + d)): every picture of a moved world is the same"),
     Variation("world turned by 10 degrees", "invisible", turned_world, on=TWO,
@@ -544,6 +668,20 @@ VARIATIONS = (
     _harmless("UTM coordinates", farther((389000.0, 5820000.0, 40.0))),
     _harmless("true distances", distances(1.0, 1.0), ("yard",)),
     _harmless("one pose withheld", without_poses((1,))),
+    _harmless("snow light", pictures(snowy)),
+    _harmless("rain", pictures(rainy)),
+    _harmless("noise of a sensor", pictures(sensed)),
+    _harmless("one overexposed by a half", pictures(levels(1.5), (2,))),
+    _harmless("two of the other night", other_night((0, 1))),
+    _harmless("at 400 pixels", resolution(400)),
+    _harmless("some vignetting", pictures(vignetted(0.6))),
+    _harmless("two cameras grey", pictures(grey, (0, 1))),
+    _harmless("a drop on one picture", pictures(with_drops(0.04), (1,))),
+    _harmless("lenses given, poses solved", without_poses((0, 1, 2, 3))),
+    _harmless("second night: snow light", pictures(snowy), night=2),
+    _harmless("second night: rain", pictures(rainy), night=2),
+    _harmless("second night: one camera less", one_camera_less, night=2),
+    _harmless("second night: noise of a sensor", pictures(sensed), night=2),
     _harmless("second night: grey", pictures(grey), night=2),
     _harmless("second night: darker", pictures(levels(0.6)), night=2),
     _harmless("second night: fog", pictures(foggy), night=2),

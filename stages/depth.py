@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from .fusion.pair_depth import MOST_PAIRS, NoiseModel, fuse_pairs, pair_depth, usable_pixels
+from .fusion.pair_depth import MOST_PAIRS, NoiseModel, apart_px, fuse_pairs, pair_depth, usable_pixels
 from .reasons import Reason, Rejected
 from .rectification.warping import Side
 from .types import Camera, DepthMap, Disparity, Float32s, Pair, Rectification
@@ -59,5 +59,7 @@ def view_depth(
     if found:
         fused = fuse_pairs(camera, [p.depth for p in found], [p.gain for p in found], [p.partner for p in found], noise)
         if np.isfinite(fused.depth).any():
-            return replace(fused, left_out=tuple(left_out)) if left_out else fused
+            apart = apart_px([p.depth for p in found], [p.gain for p in found], noise)
+            named = {f"{found[a].partner}--{found[b].partner}": px for (a, b), px in apart.items()}
+            return replace(fused, left_out=tuple(left_out), apart_px=named)
     return Rejected(Reason.NO_PAIR_DEPTH, {"pairs": len(disparities)})

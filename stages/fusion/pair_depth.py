@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 
@@ -28,6 +29,13 @@ _UNLIKE = 2.0
 
 _SAME_STEP = 0.3
 """Steps from row to row are those of one slope if they differ by no more than this share."""
+
+_TILES = 5
+"""Two pairs are compared in so many columns and rows of the view..."""
+_TILE_PIXELS, _FEWEST_TILES = 40, 3
+"""...where both know so many pixels at least, in so many of them..."""
+_COMPARED = 40_000
+"""...at about so many pixels in all."""
 
 
 @dataclass(frozen=True)
@@ -187,6 +195,32 @@ def fuse_pairs(
     _agree(Z, G, noise.noise_px, noise.floor, noise.limit, depth, sigma, support)
     slope_x, slope_y = inverse_depth_slopes(depth, camera.K[0, 0])
     return DepthMap(depth, sigma, slope_x, slope_y, support, tuple(partners), np.isfinite(depth))
+
+
+def apart_px(depths: Sequence[Float32s], gains: Sequence[Float32s], noise: NoiseModel) -> dict[tuple[int, int], float]:
+    """By how many pixels the depths of each two pairs of a view differ as a whole: median over its tiles of the median in each.
+
+    Noise differs from pixel to pixel, and leaves next to nothing of such medians.  A wrong pose or lens of one partner differs
+    alike over large parts of the view; along the epipolar lines nothing but the depth that another pair gives tells of it.
+
+    Parameters
+    ----------
+    depths, gains : (h, w) float32 of each pair, as `pair_depth` gives them.
+    noise : pixels are compared that are exact enough to be fused.
+    """
+    h, w = depths[0].shape
+    step = max(1, int(np.sqrt(h * w / _COMPARED)))
+    Z, G = (np.stack([each[::step, ::step] for each in maps]) for maps in (depths, gains))
+    with np.errstate(invalid="ignore"):
+        Z[~((noise.noise_px * G) ** 2 + (noise.floor * Z) ** 2 <= (noise.limit * Z) ** 2)] = np.nan
+    found = {}
+    for a, b in combinations(range(len(Z)), 2):
+        off = (Z[a] - Z[b]) / np.hypot(G[a], G[b])
+        tiles = [tile[np.isfinite(tile)] for rows in np.array_split(off, _TILES) for tile in np.array_split(rows, _TILES, axis=1)]
+        medians = [abs(float(np.median(tile))) for tile in tiles if len(tile) >= _TILE_PIXELS]
+        if len(medians) >= _FEWEST_TILES:
+            found[a, b] = float(np.median(medians))
+    return found
 
 
 def usable_pixels(depth: Float32s, gain: Float32s, noise: NoiseModel) -> int:

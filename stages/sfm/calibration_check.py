@@ -315,7 +315,8 @@ def _causes(stated: _World, evidence: list[_Matches], alone: bool) -> Iterator[_
         yield of_all("distortion-factor", 1, _bent_more)
     if alone:
         return
-    yield of_all("pixel-shape", 1, _stretched)
+    yield of_all("pixel-shape", 1, lambda one, a: _scaled(one, np.append(np.exp(_log(a)), 1.0)))
+    yield of_all("pixel-height", 1, lambda one, a: _scaled(one, np.append(1.0, np.exp(_log(a)))))
     yield of_all("principal-points", 2, _shifted)
     yield of_all("focal-lengths-and-distortion", 2, lambda one, a: _bent(_zoomed(one, a[:1]), a[1:]))
     for name, change in CONVENTIONS.items():
@@ -367,15 +368,15 @@ def _posed(one: _Seen, amount: Float64s, size: float) -> _Seen:
 
 
 def _zoomed(one: _Seen, log_scale: Float64s) -> _Seen:
-    return _scaled(one, np.exp(np.clip(log_scale[0], -LARGEST_ZOOM, LARGEST_ZOOM)) * np.ones(2))
+    return _scaled(one, np.repeat(np.exp(_log(log_scale)), 2))
 
 
-def _stretched(one: _Seen, log_scale: Float64s) -> _Seen:
-    """Wider pixels, of the same height."""
-    return _scaled(one, np.exp(np.clip(log_scale[0], -LARGEST_ZOOM, LARGEST_ZOOM) * np.array([1.0, 0.0])))
+def _log(scale: Float64s) -> Float64s:
+    return np.asarray(np.clip(scale, -LARGEST_ZOOM, LARGEST_ZOOM), dtype=np.float64)
 
 
 def _scaled(one: _Seen, factors: Float64s) -> _Seen:
+    """factors: of the horizontal and the vertical focal length."""
     K = one.camera.K.copy()
     K[[0, 1], [0, 1]] *= factors
     return replace(one, camera=replace(one.camera, K=K))

@@ -145,6 +145,8 @@ class DepthMap:
     """(h, w) False where the depth must not be believed unless another view's depth agrees."""
     left_out: tuple[str, ...] = ()
     """The other cameras of pairs that would have been too many."""
+    apart_px: Mapping[str, float] = field(default_factory=dict)
+    """For each two partners, as `left--right`: by how many pixels the depths that they give differ as a whole."""
 
 
 @short_repr

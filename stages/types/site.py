@@ -47,9 +47,10 @@ class CalibrationCheck:
     fundamental matrices: about one where the calibration is right."""
     contradicted: bool = False
     cause: str = ""
-    """What would explain it, "" for nothing: of all cameras "focal-lengths", "pixel-shape", "distortion", "distortion-factor",
-    "focal-lengths-and-distortion", "principal-points", "captures-exchanged", "poses" or a name of `CONVENTIONS`; of one
-    "focal-length", "distortion-of-one", "turned", "moved", "mirrored-frames", "upside-down"; of two a name of `EXCHANGED`."""
+    """What would explain it, "" for nothing: of all cameras "focal-lengths", "pixel-shape", "pixel-height", "distortion",
+    "distortion-factor", "focal-lengths-and-distortion", "principal-points", "captures-exchanged", "poses" or a name of
+    `CONVENTIONS`; of one "focal-length", "distortion-of-one", "turned", "moved", "mirrored-frames", "upside-down"; of two a name
+    of `EXCHANGED`."""
     cameras: tuple[str, ...] = ()
     """Those that it is about; () for all."""
     amount: tuple[float, ...] = ()

@@ -13,10 +13,11 @@ from .. import __version__
 from ..cache.fingerprint import installed_versions
 from ..cache.layout import cloud_name
 from ..errors import ExitCode
-from ..pipeline.names import DENSE_PAIRS, DISPARITY, FRAMES, FUSE, GEOMETRY, PAIRS, POSES
+from ..pipeline.names import DENSE_PAIRS, DEPTH, DISPARITY, FRAMES, FUSE, GEOMETRY, PAIRS, POSES
 from ..pipeline.stages import STAGES, Stage
 from ..pipeline.summaries import (
     CameraFigures,
+    DepthSummary,
     FuseSummary,
     Notes,
     PairFigures,
@@ -130,6 +131,8 @@ class _Whole:
     """By camera: what it has given to its cloud..."""
     misfits: Mapping[str, float]
     """...and the error of these points over the expected one."""
+    apart_px: Mapping[str, Mapping[str, float]]
+    """By camera: by how much the depths from its pairs differ as a whole."""
     crowded: Mapping[str, str]
     """By camera: what the pair graph left out."""
     dense: frozenset[tuple[str, str]]
@@ -139,14 +142,17 @@ class _Whole:
     def from_plan(plan: Plan) -> _Whole:
         points: dict[str, int] = {}
         misfits: dict[str, float] = {}
+        apart_px: dict[str, Mapping[str, float]] = {}
         for task, state in plan.states.items():
             if task.stage == FUSE:
                 summary = summary_of(state, FuseSummary)
                 points |= summary.given
                 misfits |= summary.misfits
+            elif task.stage == DEPTH and (found := summary_of(state, DepthSummary).apart_px):
+                apart_px[task.subject[0]] = found
         pairs, dense = (summary_of(plan.states.get(Task(stage)), PairsSummary) for stage in (PAIRS, DENSE_PAIRS))
         poses = summary_of(plan.states.get(Task(POSES)), PosesSummary)
-        return _Whole(poses, points, misfits, {**pairs.crowded, **dense.crowded}, frozenset(_listed(plan, DENSE_PAIRS)))
+        return _Whole(poses, points, misfits, apart_px, {**pairs.crowded, **dense.crowded}, frozenset(_listed(plan, DENSE_PAIRS)))
 
 
 def _camera(plan: Plan, camera: str, whole: _Whole) -> CameraRecord:
@@ -165,6 +171,7 @@ def _camera(plan: Plan, camera: str, whole: _Whole) -> CameraRecord:
     verified, source = check.get("verified") if check else None, poses.sources.get(camera)
     points, misfit = whole.points.get(camera), whole.misfits.get(camera)
     figures = replace(record.figures, pose=check, verified=verified, pose_from=source, points=points, misfit=misfit)
+    figures = replace(figures, apart_px=whole.apart_px.get(camera))
     crowded, moved = whole.crowded.get(camera), poses.issues_of("moved").get(camera)
     notes = (*record.notes, *([crowded] if crowded else []), *([moved.text] if moved else []))
     record = replace(record, figures=figures, notes=notes)

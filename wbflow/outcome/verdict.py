@@ -46,6 +46,9 @@ LEAST_MISFIT, UNRESOLVED = 1.1, 2.2
 the pixels between details.  Fitted on a yard and a stadium: smeared by 5 px 2.0 (92 % of the points right), enlarged twice 2.2
 (90 %), smeared by 7 px 3.9 (86 %), enlarged three times 4.0 (78 %).  Judged on another yard (as it is 1.1, enlarged twice 2.7,
 smeared by 9 px 7), an apron (as it is 1.4, smeared 17), fountain, entry and belvedere (0.5 to 1.4)."""
+APART_PX = 0.25
+"""Depths that two pairs give to one view may differ by so much as a whole.  Under right cameras 0.02 to 0.16 (yard, apron,
+stadium, fountain, entry), with one moved by half a metre or turned by half a degree 0.38 to 2.1."""
 SOFT_SHARE = 1 / 3
 """Of the cameras in use: fewer soft ones are a matter of these cameras."""
 MOST_LETTERS = 200
@@ -377,6 +380,7 @@ def check_calibration(night: Night) -> Iterator[Finding]:
 _CAUSES: Mapping[str, str] = {
     "focal-lengths": "all focal lengths {longer}",
     "pixel-shape": "all horizontal focal lengths {longer}",
+    "pixel-height": "all vertical focal lengths {longer}",
     "distortion": "a radial distortion that is left in all pictures (k1 off by {first:+.3f})",
     "distortion-factor": "{factor:.2g} times the stated distortion in all pictures",
     "distortion-of-one": "a radial distortion that is left in the pictures of {cameras} (k1 off by {first:+.3f})",
@@ -446,6 +450,27 @@ def check_poses(night: Night) -> Iterator[Finding]:
         focal, border = (max(getattr(issue, name) or 0.0 for issue in found.values()) for name in ("focal", "border_px"))
         words = {"cameras": _names(found), "focal_percent": 100 * focal, "border_px": border}
         yield finding("lens-undetermined", tuple(found), {"focal": focal, "border_px": border}, None, None, **words)
+
+
+def check_depths(night: Night) -> Iterator[Finding]:
+    """Do pairs agree on depths?  Along epipolar lines a wrong pose or lens changes depths, and no match of two pictures tells."""
+    poses = night.record.poses
+    if poses and poses.calibration and poses.calibration.contradicted:
+        return  # that finding explains it
+    apart = [
+        ({camera.id, *map(camera_of, pair.split("--"))}, px)
+        for camera in night.record.cameras
+        for pair, px in (camera.figures.apart_px or {}).items()
+    ]
+    most = max((px for _, px in apart), default=0.0)
+    if most <= APART_PX:
+        return
+    against: Counter[str] = Counter()
+    for cameras, px in apart:
+        against.update(dict.fromkeys(cameras, 1 if px > APART_PX else -1))
+    suspects = tuple(camera for camera, votes in against.items() if votes == max(against.values()))
+    figures, words = {"apart_px": most}, {"px": most, "limit": APART_PX, "cameras": " or ".join(suspects)}
+    yield finding("pairs-disagree", suspects, figures, {"apart_px": APART_PX}, None, **words)
 
 
 def check_survey(night: Night) -> Iterator[Finding]:
@@ -548,6 +573,7 @@ CHECKS: tuple[Check, ...] = (
     check_pictures,
     check_calibration,
     check_poses,
+    check_depths,
     check_survey,
     check_tasks,
     check_amounts,

@@ -15,6 +15,7 @@ from .names import DENSE_PAIRS, FUSE, HEALTH, PAIRS
 from .summaries import (
     ChangesSummary,
     CoverageSummary,
+    DepthSummary,
     DisparitySummary,
     FeaturesSummary,
     FrameSummary,
@@ -451,6 +452,7 @@ STAGES: tuple[Stage, ...] = (
         },
         offers={"frame": own("frames"), "frames": around("frames")},
         reuse=Reuse(aggregate="wbflow_stages.pooled:pool_depths"),
+        summary=DepthSummary,
     ),
     Stage(
         "refine",

@@ -86,6 +86,8 @@ class CameraFigures(FeaturesSummary, FrameSummary):
     """stated, refined, corrected or solved."""
     points: int | None = None
     misfit: float | None = None
+    apart_px: Mapping[str, float] | None = None
+    """For each two partners whose pairs make it dense: by how many pixels their depths differ as a whole."""
 
 
 @dataclass(frozen=True)
@@ -247,6 +249,13 @@ class PosesSummary(Summary):
         lenses = self.issues_of("lens-undetermined").items()
         former["unsure_lenses"] = {camera: {"focal": lens.focal, "border_px": lens.border_px} for camera, lens in lenses}
         return {**write(self), **former}
+
+
+@dataclass(frozen=True)
+class DepthSummary(Summary):
+    """Depth of one view (`stages.types.DepthMap`)."""
+
+    apart_px: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

@@ -223,6 +223,13 @@ FINDINGS: Mapping[str, FindingType] = {
             "measure these poses again, or name the calibration that belongs to these captures; a camera without pose is solved",
         ),
         FindingType(
+            "pairs-disagree",
+            "Pairs of one view give other depths to the same pixels, alike over much of the view: a pose or a lens is wrong.",
+            "measure pose and lens of that camera again, or leave them out, to have them solved",
+            "depths of one and the same view differ by up to {px:.1f} px as a whole between the pairs that give them, {limit:g} "
+            "px are tolerated: the pose or lens of {cameras} is not as it is used",
+        ),
+        FindingType(
             "distances-contradicted",
             "A stated distance contradicts the other distances, or the positions of the cameras.",
             "measure it again; check its unit (metres), and between which cameras it is",

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from wbflow_stages.fusion.pair_depth import sample_disparity
+from wbflow_stages.fusion.pair_depth import NoiseModel, apart_px, sample_disparity
 
 
 @settings(deadline=None)  # the first example waits for the compiler
@@ -32,3 +32,15 @@ def test_nothing_is_read_outside_and_beside_holes_only_what_is_known() -> None:
     flat[4, 4] = np.nan
     read = sample_disparity(flat, np.array([[-0.1, 3.0], [3.0, 7.5], [4.2, 4.2], [4.7, 4.2]]))
     np.testing.assert_array_equal(np.isnan(read), [True, True, True, False])
+
+
+def test_pairs_differ_as_a_whole_by_what_one_of_them_has_everywhere_and_noise_is_none() -> None:
+    rng = np.random.default_rng(0)
+    gain = np.full((120, 160), 0.1, np.float32)
+    gain[40:60] = np.nan  # one row of tiles is not seen
+    depths = [(50 + 0.1 * (off + rng.normal(0, 0.35, gain.shape))).astype(np.float32) for off in (0.0, 0.0, 1.0)]
+    depths[1][rng.random(gain.shape) < 0.2] = 30  # look-alikes
+    apart = apart_px(depths, [gain, gain, gain], NoiseModel())
+    assert apart[0, 1] < 0.15
+    assert apart[0, 2] == pytest.approx(1 / np.sqrt(2), abs=0.1)
+    assert apart_px(depths, [gain, np.full_like(gain, 10), gain], NoiseModel()).keys() == {(0, 2)}, "too inexact to be fused"

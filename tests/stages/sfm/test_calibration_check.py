@@ -19,10 +19,12 @@ from wbflow_stages.types import Camera, Geometry, Placement, Poses
 Change = Callable[[str, Camera], Camera]
 
 
-def zoomed(factor: float) -> Change:
+def zoomed(factor: float, vertical: float | None = None) -> Change:
+    """vertical: factor of the vertical focal length, where it is another one."""
+
     def change(name: str, camera: Camera) -> Camera:
         K = camera.K.copy()
-        K[:2, :2] *= factor
+        K[[0, 1], [0, 1]] *= factor, factor if vertical is None else vertical
         return replace(camera, K=K)
 
     return change
@@ -73,6 +75,8 @@ def test_a_right_calibration_is_not_contradicted(cameras: int, noise_px: float) 
     [
         (zoomed(1.10), "focal-lengths", -np.log(1.10)),
         (zoomed(0.97), "focal-lengths", -np.log(0.97)),
+        (zoomed(1.06, 1.0), "pixel-shape", -np.log(1.06)),
+        (zoomed(1.0, 1.04), "pixel-height", -np.log(1.04)),
         (shifted(8.0), "principal-points", None),
         (only("c2", turned), "turned", None),
         (mirrored, "mirrored-x", None),

@@ -412,6 +412,17 @@ def test_pictures_without_detail_are_soft_where_their_points_show_it(detail_px: 
     assert [finding.kind for finding in found] == (["pictures-soft"] if soft else [])
 
 
+def test_depths_that_differ_with_the_pair_name_the_camera_that_all_of_them_have_in_common() -> None:
+    def dense(name: str, **apart_px: float) -> CameraRecord:
+        return CameraRecord(name, "ok", figures=CameraFigures(apart_px={p.replace("_", "--"): px for p, px in apart_px.items()}))
+
+    cameras = [dense("gate", crane_mast=1.5, mast_roof=0.1), dense("mast", crane_gate=0.9), dense("roof", crane_mast=0.6)]
+    finding = only(night(cameras=[*cameras, dense("crane")]))
+    assert (finding.kind, finding.subject) == ("pairs-disagree", ("crane",))
+    assert "1.5 px" in finding.text
+    assert verdict_of(night(cameras=[dense("gate", crane_mast=0.2), *map(dense, ("crane", "mast", "roof"))])).good
+
+
 def test_a_stated_camera_without_matches_has_no_usable_pair_only_where_dense_matching_was_tried() -> None:
     cameras = [replace(one, figures=replace(one.figures, pose_from="stated")) for one in map(camera, NAMES)]
     tried = [pair(*names, outcome="rejected" if "mast" in names else "ok", matched="mast" not in names) for names in PAIRS]
