@@ -18,8 +18,9 @@ import numpy as np
 from .change.cloud_distance import spacing_of
 from .change.clusters import ChangeCluster, Over, find_clusters, over_ground, paired
 from .change.evidence import Epoch, Evidence, gather, judged, noise_of, seen_by
+from .change.volumes import counts, detection_of, volumes
 from .core.cameras import camera_id, project
-from .core.ground_grid import grid_over, ground_axes, preferred_above, quantile_by_cell
+from .core.ground_grid import grid_over, ground_axes, inside_polygon, preferred_above, quantile_by_cell
 from .core.residual_distortion import straight_frames
 from .types import (
     NEW,
@@ -127,8 +128,11 @@ def find_changes(
         clusters += find_clusters(side, colors, grid, other, of_then=own is then, spacing=spacing, least_area=least, alike=alike)
     kept = sorted(paired([b for b in clusters if _is_certain(b)]), key=lambda pair: -pair[0].change.volume)
     placed = [(_in_zone(a, zones, axes), b) for a, b in kept]
-    found = _put_together(grid, _difference(grid, *ground), now, before, (tonight, then), [(a, b) for a, b in placed if a])
-    return replace(found, noise=noise, metric=poses.metric, crs=poses.crs)
+    tops = [_tops(grid, of) for of in ground]
+    found = _put_together(grid, tops[0] - tops[1], now, before, (tonight, then), [(a, b) for a, b in placed if a])
+    detection = detection_of(now, before, sigmas=sigmas, registration=registration_m, least_area=least)
+    whole, by_zone = volumes(grid, tops, [part for pair in kept for part in pair if part], zones or [], detection)
+    return replace(found, cut_fill=whole, zones=by_zone, noise=noise, metric=poses.metric, crs=poses.crs)
 
 
 def _same_world(cameras: Mapping[str, Camera], old: Mapping[str, Camera], cloud: Cloud) -> bool:
@@ -150,9 +154,7 @@ def _in_zone(cluster: ChangeCluster, zones: list[dict[str, Any]] | None, axes: F
     change = cluster.change
     x, y = axes[:2] @ (change.x, change.y, change.z)
     for zone in zones:
-        corners = np.array(zone["polygon"], dtype=np.float32)
-        inside = cv2.pointPolygonTest(corners, (float(x), float(y)), False) >= 0
-        if inside and max(change.length, change.height) >= float(zone.get("least_m", 0.0)):
+        if inside_polygon(zone["polygon"], x, y) and counts(cluster, zone):
             return replace(cluster, change=replace(change, zone=str(zone.get("name", ""))))
     return None
 
@@ -232,10 +234,10 @@ def _crop(X: Float64s, name: str, nights: tuple[Epoch, Epoch]) -> Uint8s:
     return np.asarray(np.hstack(parts[:-1]), dtype=np.uint8) if parts else np.zeros((1, 1, 3), np.uint8)
 
 
-def _difference(grid: GroundGrid, tonight: Over, then: Over) -> Float32s:
-    """(rows, columns) tonight's height less that of then."""
-    tops = [quantile_by_cell(n.cells, n.levels, grid.rows * grid.columns, _TOP) for n in (tonight, then)]
-    return (tops[0] - tops[1]).reshape(grid.rows, grid.columns).astype(np.float32)
+def _tops(grid: GroundGrid, night: Over) -> Float32s:
+    """(rows, columns) heights of a night's surface; nan where none is known."""
+    heights = quantile_by_cell(night.cells, night.levels, grid.rows * grid.columns, _TOP)
+    return heights.reshape(grid.rows, grid.columns).astype(np.float32)
 
 
 def _nothing(axes: Float64s, poses: Poses) -> Changes:

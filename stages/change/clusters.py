@@ -15,6 +15,7 @@ from scipy import ndimage
 from ..core.ground_grid import cells_of, quantile_by_cell
 from ..types import Bools, Change, Float64s, GroundGrid, Int64s
 from .evidence import CORE, Evidence
+from .footprint import Footprint, covered
 
 _TOP = 0.9
 """Quantile of heights over a cell that counts as its surface: one wrong point must not raise a roof."""
@@ -27,13 +28,12 @@ _SAME_COLOUR = 0.05
 """...and its colour, as shares of red and green, within this."""
 
 
-_SOLID = 0.5
-"""What covers more than this share of its convex hull fills it, but for places that are as they were: of most things only the
-sides that face the cameras are seen."""
-
 _FOOT = 0.25
 """Cells where a thing has less than this share of its height lie at its foot, and don't count for its sides."""
 
+
+_UPPER = 0.1
+"""What lies lower than the highest nearby by more than this share of the change's height are its sides, which cover nothing."""
 
 _LEAST_MEASURED = 0.5
 """What has distances for more than this share of its points is judged by them."""
@@ -42,7 +42,8 @@ _CLEAR = 3.0
 """Most of a change is higher than so many standard deviations of its points."""
 
 _CLEARED = 0.75
-"""Of the cameras that saw it, this share must see through its place, in the mean over its points."""
+"""Of the cameras that saw it, this share must see through its place, in the mean over its points; single points for which it is
+less do not count for its area."""
 
 
 @dataclass(frozen=True)
@@ -50,6 +51,7 @@ class ChangeCluster:
     """A change, and which core points of a night's evidence it consists of."""
 
     change: Change
+    footprint: Footprint
     rows: Int64s
     """Of the evidence."""
     of_then: bool
@@ -100,12 +102,13 @@ def find_clusters(
         likeness = _median_ncc(side, rows)
         if likeness >= alike or not np.nanmean(side.cleared[rows]) >= _CLEARED:
             continue
-        change = _measured(side, rows, labels == number, same, grid, other, spacing)
-        if change is not None:
+        footprint = _footprint(side, rows, labels == number, same, grid, other, spacing)
+        if footprint is not None:
             shares = colors[rows].mean(axis=0)
             kind = "vanished" if of_then else "new"
             colour, swept_volume = shares[:2] / max(float(shares.sum()), 1.0), _swept_volume(side, rows, surface)
-            found.append(ChangeCluster(replace(change, kind=kind, likeness=likeness), rows, of_then, colour, swept_volume))
+            change = replace(_described(side, rows, footprint, grid, spacing), kind=kind, likeness=likeness)
+            found.append(ChangeCluster(change, footprint, rows, of_then, colour, swept_volume))
     return found
 
 
@@ -172,37 +175,45 @@ def _unchanged(side: Evidence, grid: GroundGrid) -> Bools:
     return np.bincount(cells[cells >= 0], minlength=grid.rows * grid.columns).reshape(grid.rows, grid.columns) > 0
 
 
-def _measured(
-    side: Evidence, rows: Int64s, footprint: Bools, same: Bools, grid: GroundGrid, other: Over, spacing: float
-) -> Change | None:
-    """Place, size and volume of what changed points make; None where nothing is known of what was below."""
-    footprint = ndimage.binary_fill_holes(footprint)
-    points, up = side.core[rows], grid.axes[2]
-    levels = points @ up
-    count = grid.rows * grid.columns
-    top = quantile_by_cell(cells_of(grid, points), levels, count, _TOP).reshape(footprint.shape)
-    near = ndimage.binary_dilation(footprint, iterations=4)
+def _footprint(
+    side: Evidence, rows: Int64s, around: Bools, same: Bools, grid: GroundGrid, other: Over, spacing: float
+) -> Footprint | None:
+    """The ground that changed points cover; None where nothing is known of what was below, or they hardly stand above it."""
+    points, count = side.core[rows], grid.rows * grid.columns
+    levels, cells = points @ grid.axes[2], cells_of(grid, points)
+    near = ndimage.binary_dilation(around, iterations=4)
     below = np.flatnonzero(near.ravel()[other.cells])
     below = below[other.levels[below] <= levels.max() + 2 * spacing]
     if not len(below):
         return None
-    base = quantile_by_cell(other.cells[below], other.levels[below], count, _TOP).reshape(footprint.shape)
-    top, base = _filled(top, footprint), _filled(base, near)
-    noise = float(np.median(side.sigma[rows]))
-    typical = float(np.quantile((top - base)[footprint], 0.9))
+    base = _filled(quantile_by_cell(other.cells[below], other.levels[below], count, _TOP).reshape(near.shape), near)
+    top = quantile_by_cell(cells, levels, count, _TOP).reshape(near.shape)
+    noise, typical = float(np.median(side.sigma[rows])), float(np.nanquantile(top - base, 0.9))
     if typical <= _CLEAR * noise:  # a wall whose upper edge wavers
         return None
-    footprint = _filled_out(footprint & (top - base > _FOOT * typical), same)
-    weight = np.where(ndimage.binary_erosion(footprint), 1.0, 0.5) * footprint
-    height = np.where(footprint, np.maximum(top - base, 0.0), 0.0)
-    volume = float((weight * height).sum() * grid.cell**2)
-    edge = float((footprint & ~ndimage.binary_erosion(footprint)).sum() * grid.cell)
-    tall = float(np.quantile(height[footprint], 0.9))
-    area = float(weight.sum() * grid.cell**2)
+    highest = ndimage.maximum_filter(np.nan_to_num(top, nan=-np.inf), 3).ravel()[cells]
+    upper = (levels >= highest - max(_UPPER * typical, _CLEAR * noise)) & ~(side.cleared[rows] < _CLEARED)
+    if not upper.any():
+        return None
+    share = covered(grid, points[upper], same, CORE * spacing)
+    top = _filled(quantile_by_cell(cells[upper], levels[upper], count, _TOP).reshape(near.shape), near)
+    found = np.flatnonzero((share > 0) & (top - base > _FOOT * typical))
+    return Footprint(found, share.ravel()[found], base.ravel()[found], (top - base).ravel()[found]) if len(found) else None
+
+
+def _described(side: Evidence, rows: Int64s, footprint: Footprint, grid: GroundGrid, spacing: float) -> Change:
+    """Place, size and volume of what changed points make."""
+    covers = np.zeros((grid.rows, grid.columns), bool)
+    covers.ravel()[footprint.cells] = True
+    noise = float(np.median(side.sigma[rows]))
+    volume = float((footprint.share * footprint.height).sum() * grid.cell**2)
+    edge = float((covers & ~ndimage.binary_erosion(covers)).sum() * grid.cell)
+    tall = float(np.quantile(footprint.height, 0.9))
+    area = float(footprint.share.sum() * grid.cell**2)
     sigma = float(np.hypot(0.5 * spacing * edge * tall, area * noise))
-    row, column = np.nonzero(footprint)
+    row, column = np.divmod(footprint.cells, grid.columns)
     middle, sides, _ = cv2.minAreaRect(np.column_stack([column, row]).astype(np.float32))
-    level = float(np.median(base[footprint])) + 0.5 * tall
+    level = float(np.median(footprint.base)) + 0.5 * tall
     place = np.array([grid.left + (middle[0] + 0.5) * grid.cell, grid.top - (middle[1] + 0.5) * grid.cell, level]) @ grid.axes
     sides = sorted(float(max(v, 1) * grid.cell) for v in sides)  # cells at the rim are covered by half
     return Change(
@@ -221,16 +232,6 @@ def _measured(
         points=len(rows),
         cameras="",
     )
-
-
-def _filled_out(footprint: Bools, same: Bools) -> Bools:
-    """The cells, and those of their convex hull that are not known to be as they were, where they cover much of it."""
-    if not footprint.any():
-        return footprint
-    row, column = np.nonzero(footprint)
-    hull = np.zeros(footprint.shape, np.uint8)
-    cv2.fillConvexPoly(hull, cv2.convexHull(np.column_stack([column, row]).astype(np.int32)), 1)
-    return footprint | ((hull > 0) & ~same) if footprint.sum() > _SOLID * hull.sum() else footprint
 
 
 def _filled(values: Float64s, within: Bools) -> Float64s:

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
+from itertools import pairwise
 
 import numpy as np
 
-from ..types import Camera, Float64s, GroundGrid, Int64s
+from ..types import Bools, Camera, Float64s, GroundGrid, Int64s
 from .jit import kernel
 from .ordering import by_cell
 
@@ -63,6 +64,22 @@ def _number(points: Float64s, axes: Float64s, left: float, top: float, cell: flo
         row = np.floor((top - (x * axes[1, 0] + y * axes[1, 1] + z * axes[1, 2])) / cell)
         inside = column >= 0 and row >= 0 and column < columns and row < rows
         out[k] = int(row) * columns + int(column) if inside else -1
+
+
+def inside_polygon(corners: Sequence[Sequence[float]], x: Float64s, y: Float64s) -> Bools:
+    """Which of the places x, y (any shape, both alike) lie inside of a polygon of corners (x, y)?"""
+    inside = np.zeros(np.shape(x), bool)
+    for (x1, y1), (x2, y2) in pairwise([*corners, corners[0]]):
+        with np.errstate(divide="ignore", invalid="ignore"):  # level edges cross nothing
+            inside ^= ((y1 > y) != (y2 > y)) & (x < (x2 - x1) * (y - y1) / np.float64(y2 - y1) + x1)
+    return inside
+
+
+def cells_inside(grid: GroundGrid, corners: Sequence[Sequence[float]]) -> Bools:
+    """(rows, columns) cells whose middle lies inside of a polygon."""
+    east = grid.left + (np.arange(grid.columns) + 0.5) * grid.cell
+    north = grid.top - (np.arange(grid.rows) + 0.5) * grid.cell
+    return inside_polygon(corners, *np.meshgrid(east, north))
 
 
 def cell_centres(grid: GroundGrid, heights: Float64s) -> Float64s:

@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from ..core.ground_grid import cell_centres
 from ..io.rasters import png
-from ..types import Camera, Changes, Coverage, Float32s, Float64s, GroundGrid, Poses, Uint8s
+from ..types import Camera, Changes, Coverage, CutFill, Float32s, Float64s, GroundGrid, Poses, Uint8s
 
 _WIDTH = 960
 _QUALITY = 85
@@ -195,7 +195,7 @@ def changes_columns(changes: Changes) -> Columns:
 
 
 def changes_data(changes: Changes) -> dict[str, Any]:
-    """changes.json: each change with its number, and what the comparison as a whole could see."""
+    """changes.json: each change with its number, volumes of the site and its zones, and what the comparison could see."""
     rows = []
     for number, change in changes.changes.items():
         numbers = ("length", "width", "height", "area", "volume", "volume_sigma", "significance", "points")
@@ -209,8 +209,14 @@ def changes_data(changes: Changes) -> dict[str, Any]:
         row |= {"picture": f"change-{number}.jpg"} if number in changes.crops else {}
         rows.append(row)
     whole = {"changed_share": changes.changed_share, "unknown_share": changes.unknown_share, "noise": changes.noise}
-    unit = "m" if changes.metric else "arbitrary"
-    return {"unit": unit, **{name: round(value, 5) for name, value in whole.items()}, "changes": rows}
+    data: dict[str, Any] = {"unit": "m" if changes.metric else "arbitrary"}
+    data |= {name: round(value, 5) for name, value in whole.items()}
+    data |= {"cut_fill": _volumes(changes.cut_fill)} if changes.cut_fill else {}
+    return data | {"zones": {name: _volumes(zone) for name, zone in changes.zones.items()}, "changes": rows}
+
+
+def _volumes(part: CutFill) -> dict[str, float]:
+    return {name: round(value, 4) for name, value in vars(part).items()}
 
 
 def changes_preview(changes: Changes) -> Uint8s:

@@ -4,7 +4,7 @@ from ..reasons import Reason, Rejected
 from .arrays import Bools, Float32s, Float64s, Int16s, Int32s, Int64s, Pair, Uint8s, Uint16s, Uint32s, Uint64s
 from .captured import Capture, Lens, Placement, Privacy, Survey
 from .dense import INVALID, Cloud, DepthMap, Disparity, GroundOfPair, PolarRows, Rectification
-from .ground import NEW, SAME, UNKNOWN, VANISHED, Change, Changes, Coverage, GroundGrid
+from .ground import NEW, SAME, UNKNOWN, VANISHED, Change, Changes, Coverage, CutFill, GroundGrid
 from .health import CameraHealth, Usual
 from .pairs import Geometry, Matches, Overlap, PairCheck
 from .site import CalibrationCheck, LensSigma, PoseCheck, PoseIssue, Poses, Scene
@@ -27,6 +27,7 @@ __all__ = [
     "Changes",
     "Cloud",
     "Coverage",
+    "CutFill",
     "DepthMap",
     "Disparity",
     "Features",

@@ -101,6 +101,28 @@ class Change:
 
 @short_repr
 @dataclass(frozen=True)
+class CutFill:
+    """What was gained and lost on a part of the ground since the reference, world lengths."""
+
+    gained: float
+    """Volume by which changes stand higher..."""
+    gained_sigma: float
+    lost: float
+    """...and that by which they stand lower."""
+    lost_sigma: float
+    level: float
+    """Level of detection: surfaces that lie less apart do not count, median."""
+    common_sigma: float
+    """Standard deviation of one night's heights against the other's that all places share; `gained_sigma` and `lost_sigma` hold
+    it, too."""
+    area: float
+    """Of the ground that both nights saw..."""
+    unseen: float
+    """...and that one of them, or of a zone neither, did not see: nothing of it counts."""
+
+
+@short_repr
+@dataclass(frozen=True)
 class Changes:
     """What is not as it was when the reference was pinned."""
 
@@ -134,6 +156,10 @@ class Changes:
     """Of the surface that could be compared, how much belongs to changes."""
     unknown_share: float = 0.0
     """Share of the surface of then of which tonight nothing is known."""
+    cut_fill: CutFill | None = None
+    """Of the whole site, or of all zones together where there are any; None where nothing was compared."""
+    zones: Mapping[str, CutFill] = field(default_factory=dict)
+    """The same of each zone, by name."""
     noise: float = 1.0
     """By how much distances where nothing has changed exceed what the points' own standard deviations say."""
     metric: bool = True

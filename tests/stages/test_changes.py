@@ -54,6 +54,35 @@ def test_a_box_that_appeared_is_new() -> None:
     assert np.median(found.distance[inside & np.isfinite(found.distance)]) > 0.2
 
 
+def test_volumes_are_those_of_the_boxes_and_of_each_zone_its_part() -> None:
+    zones = [
+        {"name": "east", "polygon": [[2.9, -5], [6, -5], [6, 0], [2.9, 0]]},
+        {"name": "far", "polygon": [[50, 0], [54, 0], [54, 4], [50, 4]]},
+        {"name": "all", "polygon": [[-8, -5], [8, -5], [8, 4.8], [-8, 4.8]]},
+    ]
+    found = compared(night(NEW_BOX, seed=1), night(CRATE), zones=zones)
+    whole, east, far = found.cut_fill, found.zones["east"], found.zones["far"]
+    assert whole
+    new, crate = 1.4 * 1.2 * 0.9, 2.0 * 1.6 * 1.2
+    assert (whole.gained, whole.lost) == pytest.approx((new, crate), rel=0.1)
+    assert abs(whole.gained - new) < 2 * whole.gained_sigma
+    assert abs(whole.lost - crate) < 2 * whole.lost_sigma
+    assert east.gained == pytest.approx(new / 2, rel=0.1)
+    assert east.lost == 0.0
+    assert 0 < east.lost_sigma < 0.1, "less than the least change may be there"
+    assert (far.gained, far.area, far.unseen) == (0.0, 0.0, pytest.approx(16.0))
+    assert found.zones["all"].gained == pytest.approx(whole.gained)
+
+
+def test_a_night_without_changes_has_gained_and_lost_nothing() -> None:
+    found = compared(night(CRATE, seed=1), night(CRATE)).cut_fill
+    assert found
+    assert (found.gained, found.lost) == (0.0, 0.0)
+    assert found.area > 20 * found.unseen
+    assert 0.01 < found.level < 0.1
+    assert found.common_sigma < 0.002
+
+
 def test_a_box_that_was_taken_away_has_vanished() -> None:
     found = compared(night(NEW_BOX, seed=1), night(CRATE, NEW_BOX))
     change = the_only(found)

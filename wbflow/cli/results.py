@@ -55,15 +55,23 @@ def report(site: Path, run_id: str | None, work: str | None) -> None:
 @click.command()
 @site_argument
 @json_option
+@click.option("--changes", is_flag=True, help="Volumes of each zone, and every change from its first night to its last.")
+@click.option("--csv", is_flag=True, help="The same as a table for spreadsheets.")
 @work_option
-def history(site: Path, as_json: bool, work: str | None) -> None:
+def history(site: Path, as_json: bool, changes: bool, csv: bool, work: str | None) -> None:
     """Runs: when, how long, cached/ran/failed, cloud size, exit code, verdict and first finding.
 
     \b
     wbflow history site.yaml
     wbflow history site.yaml --json
+    wbflow history site.yaml --changes --csv      cut and fill since the reference, night after night
     """
     loaded = load(site, work)
+    if csv and not changes:
+        raise UsageError("--csv is for --changes", remedy=f"wbflow history {site} --changes --csv")
+    if changes:
+        _print_growth(loaded, as_json=as_json, as_table=csv)
+        return
     from ..outcome.compare import history as entries
 
     found = entries(loaded.work_folder) if loaded.work_folder.run_ids() else []
@@ -79,6 +87,18 @@ def history(site: Path, as_json: bool, work: str | None) -> None:
         points = f"{r.points:,}" if r.points else "-"
         figures = f"{r.wall:8.1f} {r.cpu:8.1f} {r.cached:6} {r.ran:5} {r.rejected:8} {r.failed:6}"
         echo(f"{r.run:17} {r.date:10} {figures} {points:>11} {r.exit_code:4}  {entry.words}".rstrip())
+
+
+def _print_growth(site: Site, *, as_json: bool, as_table: bool) -> None:
+    from ..outcome import growth
+
+    rows = growth.growth(site.work_folder) if site.work_folder.run_ids() else []
+    if as_json:
+        echo_json([growth.as_json(row) for row in rows])
+    elif as_table:
+        echo(growth.as_csv(rows).rstrip("\n"))
+    else:
+        echo("\n".join([growth.HEAD, *map(str, rows)]))
 
 
 @click.command()

@@ -158,6 +158,7 @@ def metrics(record: RunRecord) -> str:
     findings = Counter(finding.kind for finding in verdict.findings) if verdict else Counter[str]()
     levels: Rows = [({"level": level}, _is(verdict and verdict.level == level)) for level in ("good", "degraded", "failed")]
     compared: Rows = [({"of": of}, value) for of, value in usual.figures.items()] if usual else []
+    volumes, sigmas, areas = _volumes(record)
     rows: list[tuple[str, str, Rows]] = [
         ("verdict", "1 for the level that the night came to.", levels),
         ("findings", "What is to be looked at, by kind.", [({"kind": kind}, count) for kind, count in findings.items()]),
@@ -169,6 +170,9 @@ def metrics(record: RunRecord) -> str:
         ("camera_ok", "1 for a camera that did its part and is as it should be.", _cameras(record)),
         ("camera_nights_down", "For how many nights it has not been.", _nights_down(record)),
         ("camera_pairs", "Pairs of cameras by outcome.", _counted("outcome", (pair.outcome for pair in record.pairs))),
+        ("volume_cubic_metres", "Of changes since the reference, by zone (none: the whole site).", volumes),
+        ("volume_sigma_cubic_metres", "Standard deviation of that.", sigmas),
+        ("compared_square_metres", "Ground that was seen on both nights, and that was not.", areas),
         ("tasks", "Tasks by outcome.", [({"outcome": name}, count) for name, count in record.tasks.to_json().items()]),
         ("wall_seconds", "How long the run took.", [({}, round(record.seconds.wall, 2))]),
         ("cpu_seconds", "CPU time that it took.", [({}, round(record.seconds.cpu, 2))]),
@@ -188,6 +192,18 @@ def _cameras(record: RunRecord) -> Rows:
 
 def _nights_down(record: RunRecord) -> Rows:
     return [({"camera": camera.id}, camera.down.nights if camera.down else 0) for camera in record.cameras]
+
+
+def _volumes(record: RunRecord) -> tuple[Rows, Rows, Rows]:
+    """Return volumes, their standard deviations, and areas; of a site without a scale none."""
+    volumes, sigmas, areas = Rows(), Rows(), Rows()
+    known = record.results.values() if record.poses and record.poses.metric else ()
+    for zone, part in ((zone, part) for result in known for zone, part in result.volumes.items()):
+        labels = {"zone": zone} if zone else {}
+        volumes += [({**labels, "change": "gained"}, part.gained), ({**labels, "change": "lost"}, part.lost)]
+        sigmas += [({**labels, "change": "gained"}, part.gained_sigma), ({**labels, "change": "lost"}, part.lost_sigma)]
+        areas += [({**labels, "seen": "yes"}, part.area), ({**labels, "seen": "no"}, part.unseen)]
+    return volumes, sigmas, areas
 
 
 def _counted(label: str, values: Iterable[str]) -> Rows:

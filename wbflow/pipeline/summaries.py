@@ -6,6 +6,7 @@ of another version, is None or empty.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Annotated, Any, ClassVar, Self
@@ -293,6 +294,11 @@ class SiteSummary(Summary):
         """Things with a place, by name."""
         return {}
 
+    @property
+    def volumes(self) -> Mapping[str, CutFill]:
+        """Volumes gained and lost, by zone."""
+        return {}
+
 
 @dataclass(frozen=True)
 class CoverageSummary(SiteSummary):
@@ -310,6 +316,10 @@ class CoverageSummary(SiteSummary):
     @property
     def amount(self) -> float | None:
         return None if self.area_m2 is None or self.seen_by_two is None else self.area_m2 * self.seen_by_two
+
+
+_SAME_PLACE = 0.5
+"""Two things of one kind are the same where their middles are nearer than this share of the larger one's length."""
 
 
 @dataclass(frozen=True)
@@ -335,6 +345,25 @@ class Change(Summary):
     from_y: float | None = None
     from_z: float | None = None
 
+    def is_same(self, other: Change) -> bool:
+        """Is it the same thing on another night, compared with the same reference?"""
+        apart = math.dist((self.x, self.y, self.z), (other.x, other.y, other.z))
+        return self.kind == other.kind and apart <= _SAME_PLACE * max(self.length or 0.0, other.length or 0.0)
+
+
+@dataclass(frozen=True)
+class CutFill(Summary):
+    """Volumes that changes have gained and lost on a part of the ground (`stages.types.CutFill`)."""
+
+    gained: float = 0.0
+    gained_sigma: float = 0.0
+    lost: float = 0.0
+    lost_sigma: float = 0.0
+    level: float = 0.0
+    common_sigma: float = 0.0
+    area: float = 0.0
+    unseen: float = 0.0
+
 
 @dataclass(frozen=True)
 class ChangesSummary(SiteSummary):
@@ -345,11 +374,18 @@ class ChangesSummary(SiteSummary):
     changed_share: float | None = None
     unknown_share: float | None = None
     noise: float | None = None
+    cut_fill: CutFill | None = None
+    zones: Mapping[str, CutFill] = field(default_factory=dict)
     changes: Mapping[str, Change] | None = None
 
     @property
     def objects(self) -> Mapping[str, Change]:
         return self.changes or {}
+
+    @property
+    def volumes(self) -> Mapping[str, CutFill]:
+        """By zone; "" is the whole site, or all zones together."""
+        return {"": self.cut_fill, **self.zones} if self.cut_fill else {}
 
 
 _MOST_NAMED = 8
@@ -442,7 +478,7 @@ def shown(figures: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
             ordered = sorted(value.items(), key=lambda entry: -entry[1])
             less = f"; {len(ordered) - _MOST_NAMED} others less" if len(ordered) > _MOST_NAMED else ""
             yield title, ", ".join(f"{key} {written(number)}" for key, number in ordered[:_MOST_NAMED]) + less
-        elif value is not None and not isinstance(value, Mapping | list | tuple | str):
+        elif isinstance(value, int | float):
             yield title, written(value)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import datetime
+import itertools
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -45,6 +46,11 @@ def trends(data: ReportData) -> list[Chart]:
         values = [_number(getattr(night.results.get(stage), name, None)) for night in nights]
         scale, unit = (100, "%") if meaning(name).share else (1, "")
         found.append(_chart(data, titled(name), [None if value is None else scale * value for value in values], unit))
+    zones = {(stage, zone): None for night in nights for stage, result in night.results.items() for zone in result.volumes}
+    for (stage, zone), what in itertools.product(zones, ("gained", "lost")):
+        parts = [result.volumes.get(zone) if (result := night.results.get(stage)) else None for night in nights]
+        values = [None if part is None else float(getattr(part, what)) for part in parts]
+        found.append(_chart(data, f"volume {what}{f', {zone}' if zone else ''}", values, "m³"))
     found.append(_chart(data, "time", [night.seconds.wall for night in nights], "s"))
     found.append(_chart(data, "CPU", [night.seconds.cpu for night in nights], "s"))
     found.append(_chart(data, "size of the night's files", [_megabytes(data, night) for night in nights], "MB"))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -23,8 +22,6 @@ from ..task import Task, view_name
 
 NIGHTS = 30
 """Nights in the report's charts."""
-_SAME_PLACE = 0.5
-"""Two objects of one kind are the same where their middles are nearer than this share of the larger one's length."""
 
 
 @dataclass(frozen=True)
@@ -162,7 +159,7 @@ def since_last_good(data: ReportData, stage: str) -> Comparison | None:
     then = objects_of(good, stage) if good.run != record.reference else {}
     known: dict[str, str] = {}
     for name, thing in objects_of(record, stage).items():
-        same = next((n for n, other in then.items() if n not in known.values() and _same(thing, other)), None)
+        same = next((n for n, other in then.items() if n not in known.values() and thing.is_same(other)), None)
         if same is not None:
             known[name] = same
     return Comparison(good.date, known, {name: thing for name, thing in then.items() if name not in known.values()})
@@ -172,8 +169,3 @@ def objects_of(record: RunRecord, stage: str) -> Mapping[str, Change]:
     """Return all objects with a place that a stage reports, by name."""
     result = record.results.get(stage)
     return result.objects if result else {}
-
-
-def _same(a: Change, b: Change) -> bool:
-    apart = math.dist((a.x, a.y, a.z), (b.x, b.y, b.z))
-    return a.kind == b.kind and apart <= _SAME_PLACE * max(a.length or 0.0, b.length or 0.0)

@@ -262,6 +262,8 @@ class Part:
     """Objects of the last good night that are gone."""
     picture: Picture | None = None
     rows: tuple[tuple[str, str], ...] = ()
+    volumes: tuple[tuple[str, ...], ...] = ()
+    """Of each part of the ground: its name, gained, lost, area compared, area not seen."""
     things: tuple[Thing, ...] = ()
 
 
@@ -278,7 +280,8 @@ def parts(data: ReportData, album: Pictures) -> list[Part]:
             since = since_last_good(data, stage.name)
             things, gone = tuple(_things(result, album, since, unit)), _gone(since, unit) if since else ""
             picture = album.of_task(Task(stage.name), title)
-            found.append(Part(title, reason, result.files, gone, picture, tuple(shown(vars(result))), things))
+            rows, volumes = tuple(shown(vars(result))), tuple(_volumes(result, unit))
+            found.append(Part(title, reason, result.files, gone, picture, rows, volumes, things))
     return found
 
 
@@ -296,6 +299,16 @@ def _things(result: SiteSummary, album: Pictures, since: Comparison | None, unit
         known = since.known.get(name) if since else None
         when = "" if since is None else f"already so on {since.date}" if known else f"since {since.date}, the last good night"
         yield Thing(name, title, _dimensions(entry, unit), when, picture, figures)
+
+
+def _volumes(result: SiteSummary, unit: str) -> Iterator[tuple[str, ...]]:
+    def words(value: float, sigma: float | None, power: str) -> str:
+        uncertain = f" ± {sigma:.1f}" if sigma is not None else ""
+        return f"{value:,.1f}{uncertain} {f'{unit}{power}' if unit else ''}".strip()
+
+    for zone, part in result.volumes.items():
+        volumes = words(part.gained, part.gained_sigma, "³"), words(part.lost, part.lost_sigma, "³")
+        yield zone or "whole site", *volumes, words(part.area, None, "²"), words(part.unseen, None, "²")
 
 
 def _dimensions(entry: Change, unit: str) -> str:

@@ -1,0 +1,143 @@
+"""Changes through the nights: the volumes of the site and its zones, and each change from its first night to its last."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Iterable, Iterator
+from dataclasses import asdict, dataclass, field, fields
+from typing import Any
+
+from ..cache.layout import WorkFolder
+from ..pipeline.summaries import Change
+from ..plain import rounded
+from ..records.record import RunRecord
+from ..records.run_folder import newest_runs
+
+
+@dataclass(frozen=True)
+class GrowthRow:
+    """A part of the ground, or a change, on one night; volumes and areas in the site's unit."""
+
+    night: str
+    run: str
+    what: str
+    """site, zone or change."""
+    name: str
+    """Of the zone; of a change its number, which it keeps through the nights."""
+    kind: str = ""
+    zone: str = ""
+    gained: float | None = None
+    gained_sigma: float | None = None
+    lost: float | None = None
+    lost_sigma: float | None = None
+    growth: float | None = None
+    """Of a change: by how much its volume has grown since the night on which it was last seen."""
+    area: float | None = None
+    unseen: float | None = None
+    begin: str = ""
+    """The first night of a change."""
+    end: str = ""
+    """The first night after its last one; "" while it is there."""
+    x: float | None = None
+    y: float | None = None
+    z: float | None = None
+
+    def __str__(self) -> str:
+        """As a line of a table."""
+        gained, lost = (
+            f"{value:.1f} ± {sigma or 0.0:.1f}" if value is not None else ""
+            for value, sigma in ((self.gained, self.gained_sigma), (self.lost, self.lost_sigma))
+        )
+        grown = f"{self.growth:+.1f}" if self.growth is not None else ""
+        rest = f"{self.begin} to {self.end or 'now'}" if self.begin else f"{self.area:.0f} m² seen, {self.unseen:.0f} m² not"
+        return f"{self.night} {self.what:6} {self.name:16} {self.kind:9} {gained:>14} {lost:>14} {grown:>7}  {rest}"
+
+
+HEAD = f"{'night':10} {'what':6} {'name':16} {'kind':9} {'gained':>14} {'lost':>14} {'growth':>7}  nights, or ground"
+"""Above such lines."""
+
+
+@dataclass
+class _Followed:
+    """A change through the nights of one reference."""
+
+    number: int
+    reference: str | None
+    seen: list[tuple[RunRecord, Change]] = field(default_factory=list)
+    end: str = ""
+
+    def rows(self) -> Iterator[GrowthRow]:
+        before: float | None = None
+        for record, change in self.seen:
+            volume, sigma = change.volume or 0.0, change.volume_sigma
+            gained = None if change.kind == "vanished" else volume
+            lost = None if change.kind == "new" else volume
+            yield GrowthRow(
+                night=record.date,
+                run=record.run,
+                what="change",
+                name=str(self.number),
+                kind=change.kind,
+                zone=change.zone,
+                gained=gained,
+                gained_sigma=None if gained is None else sigma,
+                lost=lost,
+                lost_sigma=None if lost is None else sigma,
+                growth=None if before is None else volume - before,
+                area=change.area,
+                begin=self.seen[0][0].date,
+                end=self.end,
+                x=change.x,
+                y=change.y,
+                z=change.z,
+            )
+            before = volume
+
+
+def growth(work: WorkFolder) -> list[GrowthRow]:
+    """Return the volumes of each part of the ground, night after night, then each change from its first night to its last."""
+    newest: dict[str, RunRecord] = {}
+    for _, record in newest_runs(work):
+        newest.setdefault(record.date, record)
+    nights = [record for _, record in sorted(newest.items())]
+    return [*_parts(nights), *(row for change in _follow(nights) for row in change.rows())]
+
+
+def _parts(nights: Iterable[RunRecord]) -> Iterator[GrowthRow]:
+    for record in nights:
+        for zone, part in ((zone, part) for result in record.results.values() for zone, part in result.volumes.items()):
+            volumes = part.gained, part.gained_sigma, part.lost, part.lost_sigma
+            what = "zone" if zone else "site"
+            yield GrowthRow(record.date, record.run, what, zone or record.site, "", zone, *volumes, None, part.area, part.unseen)
+
+
+def _follow(nights: Iterable[RunRecord]) -> list[_Followed]:
+    """Return every change with the nights on which it was seen; one that is hidden for a night is still the same."""
+    found: list[_Followed] = []
+    for record in (night for night in nights if any(result.volumes for result in night.results.values())):
+        open_ones = [one for one in found if one.reference == record.reference]
+        for change in (change for result in record.results.values() for change in result.objects.values()):
+            one = next((one for one in open_ones if one.seen[-1][0] is not record and change.is_same(one.seen[-1][1])), None)
+            if one is None:
+                one = _Followed(len(found) + 1, record.reference)
+                found.append(one)
+            one.seen.append((record, change))
+        for one in found:
+            one.end = "" if one.seen[-1][0] is record else one.end or record.date
+    return found
+
+
+def as_csv(rows: Iterable[GrowthRow]) -> str:
+    """Return a table with a head, for spreadsheets."""
+    text = io.StringIO()
+    writer = csv.DictWriter(text, [column.name for column in fields(GrowthRow)], lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(as_json(row) for row in rows)
+    return text.getvalue()
+
+
+def as_json(row: GrowthRow) -> dict[str, Any]:
+    """Return a row by the names of its columns."""
+    data: dict[str, Any] = rounded(asdict(row))
+    return data
