@@ -1,8 +1,8 @@
 """Notification by the command that the site file names, when the state of the site has changed; and metrics of a run.
 
-The command is called once for each state of degraded and failed nights (the level, and what the findings are about) and once for
-the first good night after them; with `heartbeat`, after every other night too.  One that fails or hangs costs the night nothing,
-and is called again after the next.
+The command is called once for each state of degraded and failed nights (the level, and what the findings are about), again when
+one has lasted as long as `remind` says, and once for the first good night after them; with `heartbeat`, after every other night
+too.  One that fails or hangs costs the night nothing, and is called again after the next.
 """
 
 from __future__ import annotations
@@ -14,16 +14,18 @@ import subprocess
 import tempfile
 from collections import Counter
 from collections.abc import Iterable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
 from ..cache.layout import RunPaths, WorkFolder
 from ..cache.signed import Damaged, read_signed, write_signed
 from ..errors import WbflowError
+from ..plain import Plain
 from ..records.record import RunRecord, Verdict, moment
 from ..site.models import Notify
 
-Occasion = Literal["degraded", "failed", "recovered", "heartbeat"]
+Occasion = Literal["degraded", "failed", "reminder", "recovered", "heartbeat"]
 
 MOST_WORDS = 300
 """A summary has at most so many characters."""
@@ -37,9 +39,22 @@ class NotifyFailed(WbflowError):
     """The command could not be started, failed, or took too long."""
 
 
-def _state(verdict: Verdict) -> list[str]:
-    """Return the level of a night, and kind and subject of each finding; nothing of a good night."""
-    return [] if verdict.good else [verdict.level, *sorted({" ".join((f.kind, *f.subject)) for f in verdict.findings})]
+@dataclass(frozen=True)
+class _Reported(Plain):
+    """The state of a site that was last reported."""
+
+    state: tuple[str, ...] = ()
+    """Its level, and kind and subject of each finding; nothing of a good night."""
+    since: str = ""
+    """When the run ended that found it (UTC)."""
+    bad_since: str = ""
+    """When that ended which found the first state since the last good night."""
+    reminders: int = 0
+    """How many of it have been sent."""
+
+
+def _state(verdict: Verdict) -> tuple[str, ...]:
+    return () if verdict.good else (verdict.level, *sorted({" ".join((f.kind, *f.subject)) for f in verdict.findings}))
 
 
 def notify(how: Notify, folder: Path, work: WorkFolder, run: RunPaths, record: RunRecord) -> Occasion | None:
@@ -64,43 +79,72 @@ def notify(how: Notify, folder: Path, work: WorkFolder, run: RunPaths, record: R
         With the last line of its output.
     """
     assert record.verdict
-    state = _state(record.verdict)
+    last, now = _last(work), record.finished
+    state = _next(last, _state(record.verdict), now, how)
     occasion: Occasion | None = "heartbeat" if how.heartbeat else None
-    if state != _last(work):
-        occasion = "recovered" if not state else "failed" if record.verdict.level == "failed" else "degraded"
+    if state.state != last.state:
+        occasion = "recovered" if not state.state else "failed" if record.verdict.level == "failed" else "degraded"
+    elif state.reminders > last.reminders:
+        occasion = "reminder"
     if occasion:
-        _call(how, folder, occasion, run, record)
-        write_signed(work.notified, _OF, {"state": state})
+        lasted = lasting(_seconds(state.bad_since, now)) if occasion in {"recovered", "reminder"} else ""
+        _call(how, folder, _message(occasion, lasted, run, record))
+    if state != last:
+        write_signed(work.notified, _OF, state.to_json())
     return occasion
 
 
-def _last(work: WorkFolder) -> list[str]:
+def _next(last: _Reported, state: tuple[str, ...], now: str, how: Notify) -> _Reported:
+    """Return what a night makes of the last reported state."""
+    bad_since = (last.bad_since if last.state else "") or now
+    if state != last.state:
+        return _Reported(state, now, bad_since)
+    if not state:
+        return last
+    since = last.since or now
+    due = sum(_seconds(since, now) >= seconds for seconds in how.remind)
+    return _Reported(state, since, bad_since, max(due, last.reminders))
+
+
+def _last(work: WorkFolder) -> _Reported:
     try:
-        data = read_signed(work.notified, _OF) or {}
-    except Damaged:  # nobody knows what was reported: what is wrong is reported once more
-        data = {}
-    return list(map(str, data.get("state", ())))
+        return _Reported.from_json(read_signed(work.notified, _OF) or {})
+    except (Damaged, ValueError):  # nobody knows what was reported: what is wrong is reported once more
+        return _Reported()
 
 
-def summary(record: RunRecord) -> str:
-    """A run in one line, for the subject of a message."""
+def _seconds(begin: str, end: str) -> float:
+    return (moment(end) - moment(begin)).total_seconds()
+
+
+def lasting(seconds: float) -> str:
+    """A length of time for people: 40 min, 3 h, 5 days; "" below a minute."""
+    for unit, size, least in (("days", 86400, 48 * 3600), ("h", 3600, 3600), ("min", 60, 60)):
+        if seconds >= least:
+            return f"{seconds / size:.0f} {unit}"
+    return ""
+
+
+def summary(record: RunRecord, lasted: str = "") -> str:
+    """A run in one line, for the subject of a message.  lasted: how long the site has been, or was, degraded or failed."""
     verdict = record.verdict or Verdict("good")
-    head = f"{record.site} {record.date}: {verdict.level}"
+    time = f", {'back after' if verdict.good else 'for'} {lasted}" if lasted else ""
+    head = f"{record.site} {record.date}: {verdict.level}{time}"
     more = f" (and {len(verdict.findings) - 1} more)" if len(verdict.findings) > 1 else ""
     words = f"{head}: {verdict.findings[0]}{more}" if verdict.findings else head
     return "".join(letter if letter.isprintable() else " " for letter in words)[:MOST_WORDS]
 
 
-def _message(occasion: Occasion, run: RunPaths, record: RunRecord) -> dict[str, Any]:
-    head = {"event": occasion, "site": record.site, "date": record.date, "run": record.run, "summary": summary(record)}
+def _message(occasion: Occasion, lasted: str, run: RunPaths, record: RunRecord) -> dict[str, Any]:
+    head = {"event": occasion, "site": record.site, "date": record.date, "run": record.run}
+    head |= {"summary": summary(record, lasted), "lasted": lasted}
     came_to = {**(record.verdict.to_json() if record.verdict else {}), "exit_code": int(record.exit_code)}
     cloud = str(run.folder / record.cloud.path) if record.cloud else None
     points = record.cloud.points if record.cloud else 0
     return {**head, **came_to, "points": points, "report": str(run.report), "record": str(run.record), "cloud": cloud}
 
 
-def _call(how: Notify, folder: Path, occasion: Occasion, run: RunPaths, record: RunRecord) -> None:
-    message = _message(occasion, run, record)
+def _call(how: Notify, folder: Path, message: dict[str, Any]) -> None:
     plain = {name: value for name, value in message.items() if isinstance(value, str | int)}
     environment = os.environ | {f"WBFLOW_{name.upper()}": str(value) for name, value in plain.items()}
     with tempfile.TemporaryFile() as stdin, tempfile.TemporaryFile() as output:  # pipes could be held open by what outlives it

@@ -324,6 +324,18 @@ class Expected(Section):
         return value
 
 
+def _seconds(value: Any) -> float:
+    units = {"min": 60.0, "h": 3600.0, "d": 86400.0}
+    found = re.fullmatch(r"(\d+(?:\.\d+)?) ?(min|h|d)", value) if isinstance(value, str) else None
+    if not found or not float(found[1]):
+        raise _error(f"{value!r} is no length of time; write for example 30min, 1h or 1d")
+    return float(found[1]) * units[found[2]]
+
+
+Duration = Annotated[float, BeforeValidator(_seconds, json_schema_input_type=str)]
+"""Seconds; in the file 30min, 1h, 1d."""
+
+
 class Notify(Section):
     """The command that is called after a night."""
 
@@ -331,6 +343,8 @@ class Notify(Section):
     """For the shell, or program and arguments."""
     heartbeat: bool = False
     """It is called after every night."""
+    remind: list[Duration] = Field(default_factory=list)
+    """It is called again by the first run after a state has lasted so long."""
     seconds: float = Field(default=60.0, gt=0, le=3600)
     """How long it may take."""
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import datetime
 import json
 import sys
 from dataclasses import replace
@@ -13,8 +14,9 @@ import pytest
 from tests.helpers.toy_site import ToySite
 from tests.wbflow.outcome.test_verdict import NAMES, PAIRS, camera, lost, night, pair, without
 from wbflow.cache.layout import WorkFolder
+from wbflow.cache.signed import read_signed, write_signed
 from wbflow.outcome.notify import MOST_WORDS, NotifyFailed, metrics, notify, summary
-from wbflow.records.record import Health, RunRecord
+from wbflow.records.record import Health, RunRecord, moment, stamp
 from wbflow.site.load import load_site
 from wbflow.site.locations import SiteError
 from wbflow.site.models import Notify
@@ -103,6 +105,64 @@ def test_a_heartbeat_is_heard_every_night(tmp_path: Path) -> None:
     site = Site(tmp_path, heartbeat=True)
     nights = [night(), night(), down("roof"), down("roof"), night()]
     assert [site.tell(record) for record in nights] == ["heartbeat", "heartbeat", "degraded", "heartbeat", "recovered"]
+
+
+def later(record: RunRecord, hours: float) -> RunRecord:
+    """The same from a run that ended so many hours after that of the 20th."""
+    ended = moment("2026-11-20T03:16:00Z") + datetime.timedelta(hours=hours)
+    return replace(record, finished=stamp(ended))
+
+
+def test_a_state_that_lasts_is_brought_to_mind_and_recovery_says_for_how_long_it_was_bad(tmp_path: Path) -> None:
+    site = Site(tmp_path, remind=["1h", "1d"])
+    after = {
+        0: down("roof"),
+        0.5: down("roof"),
+        1: down("roof"),
+        2: down("roof"),
+        25: down("roof"),
+        48: down("roof"),
+        51: night(),
+    }
+    occasions = [site.tell(later(record, hours)) for hours, record in after.items()]
+    assert occasions == ["degraded", None, "reminder", None, "reminder", None, "recovered"]
+    summaries = [entry["env"]["WBFLOW_SUMMARY"] for entry in site.reported]
+    assert summaries[1].startswith("yard 2026-11-20: degraded, for 1 h: roof: ")
+    assert summaries[2].startswith("yard 2026-11-20: degraded, for 25 h: roof: ")
+    assert summaries[3] == "yard 2026-11-20: good, back after 2 days"
+    assert [entry["stdin"]["lasted"] for entry in site.reported] == ["", "1 h", "25 h", "2 days"]
+
+
+def test_a_reminder_is_of_the_present_state_but_recovery_of_all_of_them(tmp_path: Path) -> None:
+    site = Site(tmp_path, remind=["1h"])
+    after = {
+        0: down("roof"),
+        1.5: down("roof", "mast"),
+        2: down("roof", "mast"),
+        2.5: down("roof", "mast"),
+        3: night(),
+        9: night(),
+    }
+    occasions = [site.tell(later(record, hours)) for hours, record in after.items()]
+    assert occasions == ["degraded", "degraded", None, "reminder", "recovered", None]
+    assert site.reported[-1]["env"]["WBFLOW_SUMMARY"] == "yard 2026-11-20: good, back after 3 h"
+
+
+def test_a_state_that_an_older_version_has_reported_lasts_from_now_on(tmp_path: Path) -> None:
+    site = Site(tmp_path, remind=["1h"])
+    site.tell(down("roof"))
+    known = read_signed(site.work.notified, "notified") or {}
+    write_signed(site.work.notified, "notified", {"state": known["state"]})
+    assert [site.tell(later(down("roof"), hours)) for hours in (30, 30.5, 31)] == [None, None, "reminder"]
+
+
+@pytest.mark.parametrize("length", ["1 hour", "0h", "60", "-1d"])
+def test_what_is_no_length_of_time_is_refused(tmp_path: Path, length: str) -> None:
+    (tmp_path / "site.yaml").write_text(
+        f"site: s\ncaptures: {{pattern: '{{camera}}'}}\ncameras: [a]\nnotify: {{command: x, remind: [{length}]}}\n"
+    )
+    with pytest.raises(SiteError, match=r"site.yaml:4:31: notify.remind\[0\]: .* write for example 30min"):
+        load_site(tmp_path)
 
 
 @pytest.mark.parametrize(
