@@ -18,7 +18,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from .cache.atomic import bytes_of, disk_fault
-from .cache.layout import WorkFolder
 from .cache.owner import claim
 from .cache.plugins import load
 from .errors import UsageError
@@ -238,7 +237,7 @@ def open_run(where: Site | str | Path, run_id: str | None = None) -> Run:
     """
     if not isinstance(where, Site) and run_id is None and RunFolder.is_one(Path(where)):
         folder = RunFolder.at(Path(where))
-        return Run(FinishedRun.open(WorkFolder.of_run(folder.paths), folder))
+        return Run(FinishedRun.at(folder))
     place = (where if isinstance(where, Site) else load_site(where)).work_folder
     refresh(place)
     return Run(FinishedRun.open(place, RunFolder.of(place, run_id)))

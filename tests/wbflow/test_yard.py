@@ -76,6 +76,15 @@ def test_neither_the_number_of_workers_nor_what_is_compiled_already_changes_a_by
     assert cloud(yard).read_bytes() == cloud(yard, "alone").read_bytes()
 
 
+def test_between_two_runs_of_one_night_nothing_was_gained_or_lost(yard: Path) -> None:
+    folder = str(wbflow.open_run(yard).folder)
+    result = CliRunner().invoke(main, ["compare", folder, folder, "--changes", "--json"])
+    assert result.exit_code == 0, result.output
+    found = json.loads(result.output)["changes"]
+    assert (found["cut_fill"]["gained"], found["cut_fill"]["lost"], found["changes"]) == (0.0, 0.0, [])
+    assert found["cut_fill"]["area"] > 200
+
+
 def test_the_cloud_has_the_columns_that_others_rely_on(yard: Path) -> None:
     table = read_ply(cloud(yard))
     wanted = ["x", "y", "z", "nx", "ny", "nz", "red", "green", "blue", "confidence", "views"]

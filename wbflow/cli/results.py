@@ -30,6 +30,7 @@ from .common import (
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from ..records.run_folder import RunFolder
     from ..site.models import Site
 
 
@@ -127,41 +128,54 @@ def runs(sites: tuple[Path, ...], as_json: bool) -> None:
 @click.command()
 @click.argument("nights", metavar="[SITE.yaml] [RUN_A RUN_B]", type=PATH, nargs=-1, required=True)
 @click.option("--out", type=PATH, default=Path("deviation"), metavar="DIR", help="Folder for the deviation from a scan.")
+@click.option("--changes", is_flag=True, help="Also find what changed between them: volumes gained and lost, of each zone, too.")
 @json_option
 @work_option
-def compare(nights: tuple[Path, ...], out: Path, as_json: bool, work: str | None) -> None:
+def compare(nights: tuple[Path, ...], out: Path, changes: bool, as_json: bool, work: str | None) -> None:
     """Two nights side by side: what differs by more than noise; or a night and a scan.
 
     \b
     wbflow compare SITE.yaml                           the newest run, and the newest good one before it
     wbflow compare SITE.yaml 2026-11-18 2026-11-19     runs by night, by id, or latest, latest-good
     wbflow compare RUN_A RUN_B                         folders of two runs, of whatever sites
+    wbflow compare SITE.yaml --changes                 also cut and fill between them
     wbflow compare SITE.yaml [RUN] scan.laz            the cloud's deviation from a scan or model
     """
+    from ..outcome.artifacts import FinishedRun
+    from ..outcome.between import changes_between, data_of, lines_of
     from ..outcome.compare import compare as rows_of
-    from ..outcome.compare import differing, last_two, run_named
-    from ..records.run_folder import RunFolder
+    from ..outcome.compare import differing
 
     if len(nights) in (2, 3) and nights[-1].suffix.lower() in SCANS:
         _compare_with_scan(load(nights[0], work), str(nights[1]) if len(nights) == 3 else None, nights[-1], out, as_json)
         return
-    if len(nights) == 2:
-        a, b = (RunFolder.at(folder) for folder in nights)
-    elif len(nights) == 1:
-        a, b = last_two(load(nights[0], work).work_folder)
-    elif len(nights) == 3:
-        folder = load(nights[0], work).work_folder
-        a, b = (run_named(folder, str(name)) for name in nights[1:])
-    else:
-        raise UsageError("name two runs", remedy="wbflow compare SITE.yaml RUN_A RUN_B; wbflow history SITE.yaml  lists them")
+    a, b = _two_runs(nights, work)
     rows = rows_of(a.record(), b.record())
+    found = data_of(changes_between(*map(FinishedRun.at, (a, b)))) if changes else None
     if as_json:
-        echo_json({"a": a.id, "b": b.id, "rows": [row.to_json() for row in rows]})
+        data = {"a": a.id, "b": b.id, "rows": [row.to_json() for row in rows]}
+        echo_json(data | {"changes": found} if found else data)
         return
     for row in differing(rows):
         echo(row)
     if len(differing(rows)) == 3:
         echo("nothing else differs by more than noise")
+    if found:
+        echo("\n".join(lines_of(found)))
+
+
+def _two_runs(nights: tuple[Path, ...], work: str | None) -> tuple[RunFolder, RunFolder]:
+    from ..outcome.compare import last_two, run_named
+    from ..records.run_folder import RunFolder
+
+    if len(nights) == 1:
+        return last_two(load(nights[0], work).work_folder)
+    if len(nights) == 2:
+        return RunFolder.at(nights[0]), RunFolder.at(nights[1])
+    if len(nights) == 3:
+        folder = load(nights[0], work).work_folder
+        return run_named(folder, str(nights[1])), run_named(folder, str(nights[2]))
+    raise UsageError("name two runs", remedy="wbflow compare SITE.yaml RUN_A RUN_B; wbflow history SITE.yaml  lists them")
 
 
 def _compare_with_scan(site: Site, night: str | None, scan: Path, out: Path, as_json: bool) -> None:

@@ -44,6 +44,11 @@ class FinishedRun:
         """Raises NoSuchRun for a folder that cannot be read."""
         return FinishedRun(work, folder, folder.record(), folder.tasks(), Cache(work))
 
+    @staticmethod
+    def at(folder: RunFolder) -> FinishedRun:
+        """The run in a folder, with the work folder around it.  Raises NoSuchRun."""
+        return FinishedRun.open(WorkFolder.of_run(folder.paths), folder)
+
     def receipt(self, task: Task) -> Receipt | None:
         """The receipt of a task that gave a result in this run, or None.
 

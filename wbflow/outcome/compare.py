@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass
@@ -134,6 +135,9 @@ def _of_site(a: RunRecord, b: RunRecord) -> Iterator[Row]:
     for stage in (stage for stage in a.results if stage in b.results):
         ours, theirs = vars(a.results[stage]), vars(b.results[stage])
         yield from (Row(f"{stage}: {titled(name)}", ours[name], theirs[name]) for name in _shared(ours, theirs))
+        parts = a.results[stage].volumes, b.results[stage].volumes
+        for zone, what in itertools.product((zone for zone in parts[0] if zone in parts[1]), ("gained", "lost")):
+            yield Row(f"{stage}: {what}{f' in {zone}' if zone else ''}", *(getattr(each[zone], what) for each in parts))
 
 
 def _of_subject(name: str, a: CameraRecord | PairRecord | None, b: CameraRecord | PairRecord | None) -> list[Row]:

@@ -136,6 +136,9 @@ DEMO_FILES = "wbflow_demo.files:demo_files"
 DEMO_NIGHTS = "wbflow_demo.files:demo_nights"
 """The same, of several nights of the demo yard."""
 
+CHANGES_DATA = "wbflow_stages.exports.ground:changes_data"
+"""Makes of changes what changes.json has of them."""
+
 CLOUD_OBJECT = "wbflow_stages.exports.forms:point_cloud"
 """Makes of a cloud the object that people work with in Python."""
 

@@ -2,4 +2,4 @@
 
 FRAMES, HEALTH, PAIRS, MATCHES, GEOMETRY = "frames", "health", "pairs", "matches", "geometry"
 POSES, DENSE_PAIRS, RECTIFY, DISPARITY = "poses", "dense_pairs", "rectify", "disparity"
-DEPTH, REFINE, FUSE = "depth", "refine", "fuse"
+DEPTH, REFINE, FUSE, CHANGES = "depth", "refine", "fuse", "changes"
