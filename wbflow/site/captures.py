@@ -91,13 +91,34 @@ def look_again(site: Site) -> None:
 def night(site: Site, date: datetime.date | None) -> datetime.date:
     """The night to work on: `date`, else the newest for which any camera has a capture, else today.
 
-    A name that tells of days to come (a camera whose clock is wrong) says nothing, unless all names do.
+    A name that tells of days to come (a camera whose clock is wrong) says nothing, unless all names do.  Where names tell no
+    date, files do: photographs of another year are of a night in that year.
     """
     today = site.today()
     if date is not None:
         return date
-    found = nights(site)
+    found = nights(site) if site.captures.dated else sorted(_days_written(site, today))
     return max((d for d in found if d <= today + datetime.timedelta(days=1)), default=max(found, default=today))
+
+
+def _days_written(site: Site, today: datetime.date) -> set[datetime.date]:
+    """The days on which the newest capture of each camera was written."""
+
+    def read(camera: Camera) -> set[datetime.date]:
+        times = [path.stat().st_mtime for path in _paths(site, camera, today) if path.exists()]
+        return {site.local(max(times)).date()} if times else set()
+
+    if site.captures.store:  # files are of when they were fetched
+        return set()
+    answers = _answers((camera.id, functools.partial(read, camera)) for camera in site.cameras)
+    return {date for _, dates in answers if not isinstance(dates, TimeoutError) for date in dates}
+
+
+def _paths(site: Site, camera: Camera, date: datetime.date) -> list[Path]:
+    """The files of a camera: those that the site file names, else those that the pattern finds."""
+    if camera.images is not None:
+        return [site.captures.root / name for name in camera.images]
+    return site.captures.files(camera.id, date)
 
 
 def backlog(site: Site, since: datetime.date) -> list[datetime.date]:
@@ -145,8 +166,7 @@ def captures_of(site: Site, camera: Camera, date: datetime.date, digests: Digest
     digests : Digests
         Of their bytes.
     """
-    named = camera.images
-    paths = site.captures.files(camera.id, date) if named is None else [site.captures.root / name for name in named]
+    paths = _paths(site, camera, date)
     if site.captures.store:
         from ..remote import fetch_captures
 

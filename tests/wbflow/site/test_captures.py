@@ -51,6 +51,15 @@ def test_the_newest_night_is_tonight_and_another_can_be_asked_for(tmp_path: Path
     assert names(s, datetime.date(2026, 11, 18))["gate"] == [old]
 
 
+def test_photographs_whose_names_tell_no_date_are_of_the_night_when_they_were_written(tmp_path: Path) -> None:
+    s = site(tmp_path, "{camera}.jpg", ["gate.jpg", "roof.jpg"])
+    assert night(s, None) == s.today()
+    for name, day in (("gate", 11), ("roof", 12)):
+        os.utime(tmp_path / "in" / f"{name}.jpg", (moment := datetime.datetime(2010, 10, day, 12).timestamp(), moment))
+    assert night(s, None) == datetime.date(2010, 10, 12)
+    assert night(s, datetime.date(2010, 10, 11)) == datetime.date(2010, 10, 11)
+
+
 def test_several_frames_of_a_night_in_the_order_of_their_names(tmp_path: Path) -> None:
     files = [f"gate/2026-11-19_{i}.jpg" for i in (3, 1, 2)]
     assert names(site(tmp_path, "{camera}/{date}_*.jpg", files))["gate"] == sorted(files)
