@@ -204,14 +204,16 @@ def _compare_with_scan(site: Site, night: str | None, scan: Path, out: Path, as_
 @click.option("--note", default="", metavar="TEXT", help="Why.")
 @click.option("--drop", is_flag=True, help="Take it back.")
 def acknowledge(site: Path, words: tuple[str, ...], until: Day | None, note: str, drop: bool) -> None:
-    """A finding that somebody knows of no longer degrades a night, nor notifies; it stays in the report.
+    """A finding that somebody knows of no longer degrades a night, nor notifies; it stays in the report, as a known change does.
 
     \b
     wbflow acknowledge site.yaml                  lists what is found, and what is acknowledged
     wbflow acknowledge site.yaml camera-lost crane-2 --until 2026-12-04 --note "new cable on Friday"
     wbflow acknowledge site.yaml camera-lost crane-2 --drop
+    wbflow acknowledge site.yaml change 2 --note "the crane is here for good"    a change of the newest run, by its number
     """
     from ..outcome import acknowledge as known
+    from ..outcome.known_changes import CHANGE, changes_of
     from ..records.run_folder import newest_runs
 
     loaded, finding = load(site, None), " ".join(words)
@@ -224,6 +226,9 @@ def acknowledge(site: Path, words: tuple[str, ...], until: Day | None, note: str
         newest = next((record for _, record in newest_runs(loaded.work_folder)), None)
         for found in newest.verdict.findings if newest and newest.verdict else ():
             echo(f"{known.name_of(found)}: {found.text}")
+        for number, change in changes_of(newest).items() if newest else ():
+            if not change.acknowledged:
+                echo(f"{CHANGE} {number}: {change.kind} at {change.x:.1f}, {change.y:.1f}, {change.z:.1f}")
         for one in known.read(loaded):
             echo(f"{one.finding}: {one.words}")
 

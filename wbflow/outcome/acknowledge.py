@@ -1,4 +1,4 @@
-"""Findings that somebody knows of: they stay in the report, and neither degrade a night nor notify anybody.
+"""Findings and changes that somebody knows of: they stay in the report, and neither degrade a night nor notify anybody.
 
 They lie beside the site file, and enter the verdict of a night but no key of the cache.
 """
@@ -20,6 +20,7 @@ from ..errors import UsageError
 from ..plain import Plain
 from ..records.findings import FINDINGS, Finding
 from ..site.models import Site
+from .known_changes import CHANGE, named_change
 
 _HEAD = "# What `wbflow acknowledge` says of this site's findings.\n"
 
@@ -29,7 +30,7 @@ class Acknowledgement(Plain):
     """That somebody knows of a finding."""
 
     finding: str
-    """Code and subject: "camera-lost crane-2", "fewer-points"."""
+    """Code and subject, "camera-lost crane-2", "fewer-points"; of a change its kind and place, "change new at 9.2,15.3,1.3"."""
     by: str
     on: str
     """ISO 8601 date."""
@@ -80,14 +81,14 @@ def read(site: Site) -> tuple[Acknowledgement, ...]:
 
 
 def add(site: Site, finding: str, until: datetime.date | None, note: str) -> Acknowledgement:
-    """Acknowledge a finding.  An earlier acknowledgement of it gives way.
+    """Acknowledge a finding, or a change.  An earlier acknowledgement of it gives way.
 
     Parameters
     ----------
     site
         Whose.
     finding
-        Code and subject.
+        Code and subject; "change" and its number in the newest run.
     until
         The last night that it holds for; None: all.
     note
@@ -96,17 +97,20 @@ def add(site: Site, finding: str, until: datetime.date | None, note: str) -> Ack
     Raises
     ------
     UsageError
-        There is no such finding, or it is one of nights that have failed.
+        There is no such finding or change, or it is one of nights that have failed.
     """
-    code, *subject = finding.split()
-    if code not in FINDINGS or FINDINGS[code].level == "failed":
+    name = _named(site, finding)
+    code, *subject = name.split()
+    if code == CHANGE:
+        subject = []
+    elif code not in FINDINGS or FINDINGS[code].level == "failed":
         known = ", ".join(name for name, row in FINDINGS.items() if row.level != "failed")
         raise UsageError(f"{code!r} is no finding that can be acknowledged", remedy=f"there are {known}")
     cameras = {camera.id for camera in site.cameras}
     if unknown := sorted(set(subject) - cameras):
         raise UsageError(f"the site has no camera {unknown[0]!r}", remedy=f"its cameras are {', '.join(sorted(cameras))}")
     today = site.today().isoformat()
-    made = Acknowledgement(" ".join((code, *subject)), getpass.getuser(), today, until.isoformat() if until else "", note)
+    made = Acknowledgement(name, getpass.getuser(), today, until.isoformat() if until else "", note)
     _write(site, [*(one for one in read(site) if one.finding != made.finding), made])
     return made
 
@@ -114,11 +118,18 @@ def add(site: Site, finding: str, until: datetime.date | None, note: str) -> Ack
 def drop(site: Site, finding: str) -> None:
     """Take an acknowledgement back.  Raises UsageError where there is none."""
     there = read(site)
-    name = " ".join(finding.split())
+    name = _named(site, finding)
     if all(one.finding != name for one in there):
         known = ", ".join(one.finding for one in there) or "none"
         raise UsageError(f"{name!r} is not acknowledged", remedy=f"acknowledged: {known}")
     _write(site, (one for one in there if one.finding != name))
+
+
+def _named(site: Site, finding: str) -> str:
+    name = " ".join(finding.split())
+    if name.split(" ")[0] != CHANGE:
+        return name
+    return named_change(site.work_folder, name, (one.finding for one in read(site)))
 
 
 def split(

@@ -38,6 +38,7 @@ from . import acknowledge
 from .acknowledge import Acknowledgement
 from .artifacts import FinishedRun
 from .baseline import Baseline
+from .known_changes import with_known
 from .notify import metrics
 from .run_record import run_record
 from .verdict import judge_run
@@ -113,14 +114,16 @@ def publish(run: str, context: RunContext, worked: Worked, journal: Journal, own
     record = run_record(run, plan, journal.started, journal.seconds(own_process), journal.peak_rss_mb, files)
     harmful, harmless = context.captures_in_motion()
     record = replace(record, cameras=tuple(_with_motion(camera, harmful, harmless) for camera in record.cameras))
+    known = _acknowledged(plan.site, journal)
     record = judge_run(
         record,
         plan,
         Baseline.before(place, run, record.date),
         worked.interrupted,
         journal.behind(),
-        _acknowledged(plan.site, journal),
+        known,
     )
+    record = with_known(record, [(one.finding, one.words) for one in known if one.holds(record.date)])
     record = replace(record, repaired=tuple(journal.repairs), files=unfinished.files)
     page = _report(plan, record, journal, cameras, unfinished)
     folder = unfinished.publish(record, journal.events, page, metrics(record))

@@ -344,6 +344,8 @@ class Change(Summary):
     from_x: float | None = None
     from_y: float | None = None
     from_z: float | None = None
+    acknowledged: str = ""
+    """Who knows of it, until when, and why; "" where nobody does."""
 
     def is_same(self, other: Change) -> bool:
         """Is it the same thing on another night, compared with the same reference?"""

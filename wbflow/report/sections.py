@@ -92,7 +92,12 @@ def facts(data: ReportData) -> Iterator[Fact]:
             yield measured(stage, *result.AMOUNT)
         if (count := _change_count(result)) is not None:
             since, words = since_last_good(data, stage), f"change{'s' * (count != 1)} since the reference"
-            yield str(count), words, f"{count - len(since.known)} since {since.date}" if since and count else "", ""
+            known = _acknowledged(result)
+            notes = [
+                f"{_newer(count, result, since)} since {since.date}" if since else "",
+                f"{known} acknowledged" if known else "",
+            ]
+            yield str(count), words, ", ".join(filter(None, notes)) if count else "", ""
     seconds = record.seconds.wall
     took = f"{seconds / 60:.0f} min" if seconds >= 100 else f"{seconds:.0f} s"
     yield took, "from captures to cloud" if record.cloud else "until it was clear", "", ""
@@ -103,6 +108,16 @@ def _change_count(result: SiteSummary) -> int | None:
     return result.count if isinstance(result, ChangesSummary) and result.compared else None
 
 
+def _acknowledged(result: SiteSummary) -> int:
+    """Return how many of a stage's objects somebody knows of."""
+    return sum(bool(thing.acknowledged) for thing in result.objects.values())
+
+
+def _newer(count: int, result: SiteSummary, since: Comparison) -> int:
+    """Return how many objects were not there on the last good night, and nobody knows of."""
+    return count - len(since.known) - sum(bool(o.acknowledged) and n not in since.known for n, o in result.objects.items())
+
+
 def _changes(data: ReportData) -> str:
     """Return a sentence with the number and kinds of changes since the reference; "" without any."""
     for stage, result in data.record.results.items():
@@ -110,8 +125,9 @@ def _changes(data: ReportData) -> str:
             kinds = Counter(thing.kind or "other" for thing in result.objects.values())
             named = ", ".join(f"{number} {kind}" for kind, number in kinds.most_common())
             since = since_last_good(data, stage)
-            newer = f"; {count - len(since.known) or 'none'} of them since {since.date}" if since else ""
-            return f"{counted(count, 'change')} since the reference{f' ({named})' if named else ''}{newer}."
+            newer = f"; {_newer(count, result, since) or 'none'} of them since {since.date}" if since else ""
+            known = f"; {_acknowledged(result)} acknowledged" if _acknowledged(result) else ""
+            return f"{counted(count, 'change')} since the reference{f' ({named})' if named else ''}{newer}{known}."
     return ""
 
 
@@ -249,6 +265,8 @@ class Thing:
     """Whether it was there on the last good night."""
     picture: Picture | None
     figures: Mapping[str, Any]
+    known: str = ""
+    """Who has acknowledged it, until when, and why."""
 
 
 @dataclass(frozen=True)
@@ -278,10 +296,11 @@ def parts(data: ReportData, album: Pictures) -> list[Part]:
                 found.append(Part(title, reason, result.files, "There was nothing to compare this night with."))
                 continue
             since = since_last_good(data, stage.name)
-            things, gone = tuple(_things(result, album, since, unit)), _gone(since, unit) if since else ""
+            things = sorted(_things(result, album, since, unit), key=lambda thing: bool(thing.known))
+            gone = _gone(since, unit) if since else ""
             picture = album.of_task(Task(stage.name), title)
             rows, volumes = tuple(shown(vars(result))), tuple(_volumes(result, unit))
-            found.append(Part(title, reason, result.files, gone, picture, rows, volumes, things))
+            found.append(Part(title, reason, result.files, gone, picture, rows, volumes, tuple(things)))
     return found
 
 
@@ -294,11 +313,11 @@ def _things(result: SiteSummary, album: Pictures, since: Comparison | None, unit
     for name, entry in result.objects.items():
         file = next((f for f in result.files if f.rpartition(".")[0].endswith(f"-{name}") and _is_picture(f)), None)
         title = f"{name}: {entry.kind}".rstrip(": ")
-        figures = {key.replace("_", " "): value for key, value in vars(entry).items() if key != "kind"}
+        figures = {key.replace("_", " "): value for key, value in vars(entry).items() if key not in {"kind", "acknowledged"}}
         picture = album.of_product(file, f"{title}: then and this night") if file else None
         known = since.known.get(name) if since else None
         when = "" if since is None else f"already so on {since.date}" if known else f"since {since.date}, the last good night"
-        yield Thing(name, title, _dimensions(entry, unit), when, picture, figures)
+        yield Thing(name, title, _dimensions(entry, unit), when, picture, figures, entry.acknowledged)
 
 
 def _volumes(result: SiteSummary, unit: str) -> Iterator[tuple[str, ...]]:
