@@ -17,7 +17,7 @@ from ..records.run_folder import newest_runs
 
 CHANGE = "change"
 """The word with which acknowledgements of changes begin."""
-_NAME = re.compile(rf"{CHANGE} (\w+) at (-?[\d.]+),(-?[\d.]+),(-?[\d.]+)")
+_NAME = re.compile(rf"{CHANGE} (\w+) at (-?\d+\.\d+),(-?\d+\.\d+),(-?\d+\.\d+)")
 
 
 def name_of_change(change: Change) -> str:
@@ -71,5 +71,6 @@ def with_known(record: RunRecord, known: Iterable[tuple[str, str]]) -> RunRecord
 
 
 def _change_named(name: str) -> Change | None:
-    found = _NAME.fullmatch(name)
-    return Change(found[1], *(float(value) for value in found.groups()[1:])) if found else None
+    if not (found := _NAME.fullmatch(name)):
+        return None
+    return Change(found[1], float(found[2]), float(found[3]), float(found[4]))
