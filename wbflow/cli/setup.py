@@ -98,11 +98,10 @@ def edit(site: Path, work: str | None) -> None:
     from ..edit.server import EditServer
     from ..edit.session import Session
 
-    with EditServer(Session(load(site, work))) as server:
+    with EditServer(Session(load(site, work))) as server, contextlib.suppress(KeyboardInterrupt):
         # not opened from here: other users of this machine can read what programs are started with
         echo(f"{server.address}\nopen this in a browser on this machine; Ctrl-C, or Done in the page, ends it")
-        with contextlib.suppress(KeyboardInterrupt):
-            server.serve_forever()
+        server.serve_forever()
 
 
 @click.command()

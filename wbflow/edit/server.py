@@ -88,6 +88,17 @@ class _Handler(BaseHTTPRequestHandler):
     timeout = _SECONDS
     server_version, sys_version = "wbflow", ""
 
+    def parse_request(self) -> bool:
+        """Read a request, of whatever method, and refuse it where host or token are wrong."""
+        if not super().parse_request():
+            return False
+        token = self.path.removeprefix("/").partition("/")[0]
+        host_is_right = self.headers.get("Host", "") in self.server.hosts
+        if host_is_right and secrets.compare_digest(token.encode(), self.server.token.encode()):
+            return True
+        self._send(HTTPStatus.FORBIDDEN, "text/plain", b"forbidden\n", {})
+        return False
+
     def do_GET(self) -> None:
         self._answer(self._get)
 
@@ -97,11 +108,8 @@ class _Handler(BaseHTTPRequestHandler):
             self.server.shutdown()
 
     def _answer(self, make: Callable[[str], Answer]) -> None:
-        """Answer a request whose host and token are right; 403 to all others."""
-        token, _, path = self.path.removeprefix("/").partition("/")
-        host_is_right = self.headers.get("Host", "") in self.server.hosts
-        if not host_is_right or not secrets.compare_digest(token.encode(), self.server.token.encode()):
-            return self._send(HTTPStatus.FORBIDDEN, "text/plain", b"forbidden\n", {})
+        """Answer with what is made of the path behind the token."""
+        path = self.path.removeprefix("/").partition("/")[2]
         try:
             return self._send(HTTPStatus.OK, *make(path))
         except KeyError:

@@ -19,8 +19,12 @@ import numpy as np
 import pytest
 
 from tests.helpers import edit_site
+from tests.wbflow.outcome.test_verdict import night
 from wbflow.api import load_site
+from wbflow.cache.ply import ply_bytes
 from wbflow.edit.server import EditServer
+from wbflow.records.run_folder import UnfinishedRun
+from wbflow.site.rotations import look_at
 
 
 @pytest.fixture
@@ -85,6 +89,14 @@ def test_writing_needs_the_token_and_the_host_too(server: EditServer, file: Path
     assert ask(server, "save", body, host="evil.example")[0] == 403
     assert ask(server, "save", body, kind="text/plain")[0] == 409, "what a form of another page could send"
     assert changed(file) == []
+
+
+@pytest.mark.parametrize("method", ["HEAD", "OPTIONS", "PUT", "DELETE", "CONNECT", "TRACE", "PATCH"])
+def test_other_methods_learn_nothing_either(server: EditServer, method: str) -> None:
+    connection = http.client.HTTPConnection("127.0.0.1", server.server_port, timeout=30)
+    connection.request(method, "/wrong/state")
+    with connection.getresponse() as reply:
+        assert reply.status == 403
 
 
 def test_it_listens_on_this_machine_alone_and_the_page_may_load_nothing_from_elsewhere(server: EditServer) -> None:
@@ -271,3 +283,28 @@ def test_the_command_prints_the_address_and_ends_when_somebody_is_done(file: Pat
             with connection.getresponse() as reply:
                 assert reply.status == 200
         assert process.wait(30) == 0
+
+
+def test_without_stated_poses_those_of_the_last_run_are_used_and_its_ground(tmp_path: Path) -> None:
+    plain = "site: harbour\ncaptures: {root: captures, pattern: '{camera}.png'}\ncameras: [gate, roof, mast, shed]\n"
+    file = edit_site.write(tmp_path / "harbour", plain)
+    with edit_site.served(file) as server:
+        assert not any(camera["posed"] for camera in state(server)["cameras"])
+    K = [[edit_site.FOCAL, 0, 159.5], [0, edit_site.FOCAL, 89.5], [0, 0, 1]]
+    solved = {
+        name: {"K": K, "R": look_at(C, [0, 0, 0]), "C": C, "width": 320, "height": 180} for name, C in edit_site.PLACES.items()
+    }
+    heights = np.concatenate([np.full(3000, 0.4, np.float32), np.linspace(0.5, 9, 3000, dtype=np.float32)])
+    record = night()
+    run = UnfinishedRun(load_site(file).work_folder, record.run)
+    run.write_cameras(solved)
+    run.write("cloud.ply", bytes(ply_bytes({"x": heights, "y": heights, "z": heights})))
+    run.publish(record, [], "")
+    with edit_site.served(file) as server:
+        there = state(server)
+        assert [camera["posed"] for camera in there["cameras"]] == [True, True, True, False]
+        assert there["ground"] == pytest.approx(0.4, abs=0.01)
+        points = [{"was": None, "id": "bolt", "position": [0, 0, 0], "pixels": {"gate": edit_site.seen("gate", [0, 0, 0])}}]
+        found = json.loads(ask(server, "look", {"camera": "roof", "marks": {"points": points}, "chosen": 0})[1])
+        assert found["guide"]["lines"]
+        assert "stated" not in found["guide"], "nothing ties the solved world to coordinates that are stated"
