@@ -4,16 +4,18 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 from click.testing import CliRunner, Result
 
 from tests.helpers import made_up_run
+from tests.helpers.toy_site import ToySite
 from tests.wbflow.outcome.test_verdict import night
 from wbflow.api import load_site
 from wbflow.cache.layout import WorkFolder
 from wbflow.cli.main import main
-from wbflow.outcome import acknowledge
+from wbflow.outcome import acknowledge, publish, verdict
 from wbflow.outcome.known_changes import changes_of, with_known
 from wbflow.pipeline.summaries import Change, ChangesSummary
 from wbflow.records.record import RunRecord, Verdict
@@ -101,3 +103,23 @@ def test_on_the_page_known_changes_come_last_grey_and_are_counted_apart(tmp_path
     assert first.index('data-mark="2"') < first.index('class="finding change known"') < first.index('data-mark="1"')
     assert "acknowledged by Ben on 2026-12-01: for the winter" in first
     assert page.count('class="card thing known"') == 1
+
+
+def test_a_run_writes_what_is_known_and_another_number_the_next_night_is_known_too(
+    toy: ToySite, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The toy site compares nothing: its nights are given changes where they are judged."""
+    toy.backend = "threading"
+    nights = iter([(VAN, CONTAINER), (replace(CONTAINER, x=9.5), VAN)])
+    judged = verdict.judge_run
+
+    def judge_run(record: RunRecord, *rest: Any) -> RunRecord:
+        return replace(judged(record, *rest), results=of_night(record.date, *next(nights)).results)
+
+    monkeypatch.setattr(publish, "judge_run", judge_run)
+    assert toy.run()["changes"]["changes"]["2"]["acknowledged"] == ""
+    assert wbflow(toy.folder, "change", "2", "--note", "for the winter").exit_code == 0
+    changes = toy.run()["changes"]["changes"]
+    assert "for the winter" in changes["1"]["acknowledged"]
+    assert changes["2"]["acknowledged"] == ""
+    assert "for the winter" in (toy.work / "runs" / "latest" / "report.html").read_text()
