@@ -347,6 +347,10 @@ class Change(Summary):
     acknowledged: str = ""
     """Who knows of it, until when, and why; "" where nobody does."""
 
+    @model_serializer(mode="wrap")
+    def _named_where_known(self, write: Any) -> dict[str, Any]:
+        return {name: value for name, value in write(self).items() if value or name != "acknowledged"}
+
     def is_same(self, other: Change) -> bool:
         """Is it the same thing on another night, compared with the same reference?"""
         apart = math.dist((self.x, self.y, self.z), (other.x, other.y, other.z))
