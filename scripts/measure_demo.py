@@ -1,7 +1,7 @@
 """How far the demo's newest cloud is from the rendered truth.    measure_demo.py DEMO_FOLDER [--json FILE]
 
 The demo's captures carry a burned-in clock, which masks leave out, and people and vehicles that stand elsewhere each time;
-the truth is the empty yard: what is left of either counts against the cloud.
+the truth is the empty site: what is left of either counts against the cloud.
 """
 
 from __future__ import annotations
@@ -21,7 +21,9 @@ def main() -> None:
     parser.add_argument("folder", type=Path)
     parser.add_argument("--json", type=Path)
     arguments = parser.parse_args()
-    cloud = arguments.folder / ".wbflow" / "yard" / "runs" / "latest-good" / "cloud.ply"
+    cloud = next(arguments.folder.glob(".wbflow/*/runs/latest-good/cloud.ply"), None)
+    if cloud is None:
+        parser.error(f"no run of {arguments.folder} has a cloud: wbflow run {arguments.folder}")
     truth = arguments.folder / "truth" / "reference.ply"
     points, reference = (np.stack([table[axis] for axis in "xyz"], axis=1) for table in (read_ply(cloud), read_ply(truth)))
     score = compare_clouds(points, reference, taus=(0.02, 0.05, 0.10, 0.20))
