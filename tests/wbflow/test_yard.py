@@ -15,8 +15,10 @@ import cv2
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from scipy.spatial import cKDTree
 
 import wbflow
+from tests.helpers.browser import chromium, until
 from tests.helpers.images import read_image
 from wbflow.cache.ply import read_ply
 from wbflow.cli.main import main
@@ -69,6 +71,34 @@ def test_the_report_shows_the_inliers_of_every_pair_on_its_frames(yard: Path) ->
         frames = (found.artifact(f"frames {camera}") for camera in (pair.left, pair.right))
         picture = matches_preview(found.artifact(f"geometry {pair.name}"), *frames)
         assert base64.b64encode(picture.tobytes()).decode() in page
+
+
+def test_what_is_measured_in_the_page_is_within_its_standard_deviation_of_the_truth(yard: Path) -> None:
+    """Clicks all over the 3-D view; each point's true place is where the true surface lies nearest to it."""
+    webdriver = pytest.importorskip("selenium.webdriver")
+    with chromium(1000, 800) as browser:
+        browser.get(wbflow.open_run(yard).finished.folder.paths.report.as_uri())
+        until(browser, "return document.querySelector('#view').dataset.state === 'ready'")
+        browser.execute_script("document.querySelector('[data-do=measure]').click()")
+        canvas = browser.find_element("css selector", "#view canvas.over")
+        for across in range(-240, 241, 30):
+            for down in range(-80, 161, 20):
+                webdriver.ActionChains(browser, duration=0).move_to_element_with_offset(canvas, across, down).click().perform()
+        found = browser.execute_script("return measure.points.map(q => [...measure.world(q.p), q.sigma])")
+    points, sigma = np.array(found)[:, :3], np.array(found)[:, 3]
+    assert len(points) > 100
+    truth = read_ply(yard / "truth" / "reference.ply")
+    at, normals = (
+        np.stack([truth[name].astype(float) for name in names], axis=1) for names in (("x", "y", "z"), ("nx", "ny", "nz"))
+    )
+    nearest = cKDTree(at).query(points)[1]
+    off = np.sum((points - at[nearest]) * normals[nearest], axis=1, keepdims=True)
+    true = points - off * normals[nearest]
+    one, other = np.triu_indices(len(points), 1)
+    error = np.abs(np.linalg.norm(points[one] - points[other], axis=1) - np.linalg.norm(true[one] - true[other], axis=1))
+    error /= np.hypot(sigma[one], sigma[other])
+    assert np.mean(error < 1) > 0.68
+    assert np.mean(error < 2) > 0.95
 
 
 def test_neither_the_number_of_workers_nor_what_is_compiled_already_changes_a_byte(yard: Path) -> None:

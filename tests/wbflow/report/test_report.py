@@ -5,8 +5,6 @@ from __future__ import annotations
 import html
 import json
 import re
-import shutil
-import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import partial
@@ -17,17 +15,14 @@ import numpy as np
 import pytest
 
 from tests.helpers import made_up_run
+from tests.helpers.browser import chromium, until
 from wbflow.pipeline.summaries import Change, ChangesSummary
 from wbflow.records.record import Finding, RunRecord, Verdict
 from wbflow.runner.spec import Cause
 
 webdriver = pytest.importorskip("selenium.webdriver")
 Keys = pytest.importorskip("selenium.webdriver.common.keys").Keys
-CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
-DRIVER = shutil.which("chromedriver")
 HOSTILE = ["gate", "\"><script>document.title='taken'</script>", "o'clock\n&amp; {{ 7 * 7 }}", "</script><b>", "yard-2", "yard-3"]
-PATIENCE_S = 120.0
-"""Of a machine that does other things, too."""
 
 
 @pytest.fixture(scope="module")
@@ -43,34 +38,10 @@ def page(night: RunRecord, tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def browser(page: Path) -> Iterator[Any]:
     """A browser that has the page open, from the disk."""
-    if not (CHROMIUM and DRIVER):
-        pytest.skip("there is no chromium with its chromedriver here: scripts/setup.sh installs them for the tests")
-    options = webdriver.ChromeOptions()
-    options.binary_location = CHROMIUM
-    for argument in (
-        "--headless=new",
-        "--no-sandbox",
-        "--disable-gpu",
-        "--window-size=900,700",
-        "--disable-background-networking",
-    ):
-        options.add_argument(argument)
-    options.set_capability("goog:loggingPrefs", {"browser": "ALL", "performance": "ALL"})
-    driver = webdriver.Chrome(options=options, service=webdriver.ChromeService(DRIVER))
-    try:
+    with chromium(900, 700) as driver:
         driver.get(page.as_uri())
         until(driver, "return document.querySelector('#view').dataset.state === 'ready'")
         yield driver
-    finally:
-        driver.quit()
-
-
-def until(browser: Any, script: str) -> Any:
-    end = time.monotonic() + PATIENCE_S
-    while not (found := browser.execute_script(script)):
-        assert time.monotonic() < end, script
-        time.sleep(0.05)
-    return found
 
 
 PIXELS = """

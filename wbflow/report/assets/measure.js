@@ -13,21 +13,22 @@ class Measure {
     if (!on) this.points = [];
     this.show();
   }
-  add(p) { this.points.push({p, sigma: this.sigmaAt(p)}); this.show(); }
+  add(p) { this.points.push(this.nearest(p)); this.show(); }
   addMiddle() { const box = this.view.over.getBoundingClientRect(), p = this.view.under({clientX: box.left + box.width / 2, clientY: box.top + box.height / 2}); if (p) this.add(p); }
   undo() { this.points.pop(); this.show(); }
   world(p) { const {origin, rows} = this.axes; return [0, 1, 2].map(k => origin[k] + rows[0][k] * p[0] + rows[1][k] * p[1] + rows[2][k] * p[2]); }
   page(w) { const {origin, rows} = this.axes, d = w.map((v, k) => v - origin[k]); return rows.map(row => dot(row, d)); }
   get cloud() { return this.view.sets.find(set => set.name === "product")?.points; }
-  sigmaAt(p) { // of the nearest point of the cloud; null where none is near
+  nearest(p) { // the point of the cloud nearest to p, with its standard deviation in metres; p itself where none is near
     const cloud = this.cloud, layer = cloud?.layers.sigma;
-    if (!layer) return null;
     let best = Infinity, found = -1;
-    for (let i = 0, j = 0; i < cloud.n; i++, j += 3) {
+    for (let i = 0, j = 0; i < (cloud?.n ?? 0); i++, j += 3) {
       const x = cloud.at[j] - p[0], y = cloud.at[j + 1] - p[1], z = cloud.at[j + 2] - p[2], d = x * x + y * y + z * z;
       if (d < best) { best = d; found = i; }
     }
-    return Math.sqrt(best) < 5 * cloud.voxel ? (layer.low + (layer.high - layer.low) * layer.of[found] / 255) / 1000 : null;
+    if (found < 0 || Math.sqrt(best) > 5 * cloud.voxel) return {p, sigma: null};
+    const sigma = layer ? (layer.low + (layer.high - layer.low) * layer.of[found] / 255) / 1000 : null;
+    return {p: [0, 1, 2].map(k => cloud.at[3 * found + k]), sigma};
   }
   // ---- figures
   figures() {

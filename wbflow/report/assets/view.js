@@ -186,8 +186,11 @@ class CloudView {
   under(e) { // the point of the cloud below the pointer
     const [x, y] = this.spot(e), {frame} = this, camera = this.eye();
     const u = Math.round(x / this.size[0] * frame.width), v = Math.round(y / this.size[1] * frame.height);
-    let depth = Infinity;
-    for (let a = -3; a <= 3; a++) for (let b = -3; b <= 3; b++) depth = Math.min(depth, frame.depth[(v + a) * frame.width + u + b] ?? Infinity);
+    let depth = Infinity, nearest = Infinity; // of the pixel nearest to the pointer that shows anything
+    for (let a = -3; a <= 3; a++) for (let b = -3; b <= 3; b++) {
+      const here = frame.depth[(v + a) * frame.width + u + b] ?? Infinity;
+      if (here !== Infinity && a * a + b * b < nearest) { depth = here; nearest = a * a + b * b; }
+    }
     if (depth === Infinity) return null;
     const q = 2 * Math.tan(this.fov / 2) / this.size[1] * depth;
     return plus(plus(plus(camera.eye, camera.ahead, depth), camera.right, (x - this.size[0] / 2) * q), camera.up, (this.size[1] / 2 - y) * q);
