@@ -388,12 +388,22 @@ def vignetted(least: float) -> Callable[[Uint8s], Uint8s]:
     return change
 
 
-def with_drops(share: float) -> Callable[[Uint8s], Uint8s]:
-    """Water drops on the glass: discs in which the picture is blurred and turned over."""
+def drops(share: float, which: Sequence[int]) -> Change:
+    """Water drops on the glass of cameras."""
+
+    def change(site: Site) -> None:
+        for k in which:
+            site.pictures(_with_drops(share, k), (k,))
+
+    return change
+
+
+def _with_drops(share: float, seed: int) -> Callable[[Uint8s], Uint8s]:
+    """Discs in which the picture is blurred and turned over, at the same places of all pictures of a camera."""
 
     def change(image: Uint8s) -> Uint8s:
         h, w = image.shape[:2]
-        rng, wet = np.random.default_rng(4), np.zeros((h, w), np.uint8)
+        rng, wet = np.random.default_rng(seed), np.zeros((h, w), np.uint8)
         while wet.mean() < share:
             cv2.circle(wet, (int(rng.uniform(0, w)), int(rng.uniform(0, h))), int(rng.uniform(0.03, 0.1) * w), 1, -1)
         seen = cv2.GaussianBlur(image[::-1, ::-1], (0, 0), 0.02 * w)
@@ -599,8 +609,8 @@ VARIATIONS = (
     _fault("enlarged three times", pictures(smaller(3)), "pictures-soft"),
     _fault("overexposed", pictures(levels(3.0)), "pictures-soft"),
     _fault("vignetting", pictures(vignetted(0.15)), "pictures-soft"),
-    _fault("drops on a third of one picture", pictures(with_drops(0.33), (1,)), "camera-obscured", "pictures-soft"),
-    _fault("drops on a third of all pictures", pictures(with_drops(0.33)), "camera-obscured", "pictures-soft"),
+    _fault("drops on a third of one picture", drops(0.33, (1,)), "camera-obscured", "pictures-soft"),
+    _fault("drops on a third of three pictures", drops(0.33, (0, 1, 2)), "camera-obscured", "pictures-soft"),
     _fault("interlaced by 3 px", pictures(interlaced(3)), "pictures-soft"),
     _fault("half the size and back", pictures(smaller(2)), "pictures-soft"),
     _fault("noise of 12 levels", pictures(noisy(12)), "pictures-soft"),
@@ -676,7 +686,7 @@ VARIATIONS = (
     _harmless("at 400 pixels", resolution(400)),
     _harmless("some vignetting", pictures(vignetted(0.6))),
     _harmless("two cameras grey", pictures(grey, (0, 1))),
-    _harmless("a drop on one picture", pictures(with_drops(0.04), (1,))),
+    _harmless("a drop on one picture", drops(0.04, (1,))),
     _harmless("lenses given, poses solved", without_poses((0, 1, 2, 3))),
     _harmless("second night: snow light", pictures(snowy), night=2),
     _harmless("second night: rain", pictures(rainy), night=2),
