@@ -36,6 +36,8 @@ _TILE_PIXELS, _FEWEST_TILES = 40, 3
 """...where both know so many pixels at least, in so many of them..."""
 _COMPARED = 40_000
 """...at about so many pixels in all."""
+_LONG_SIDE = 768
+"""Of larger frames, whose pixels show less: what a calibration leaves is an angle (fountain: 0.10 px, of twice as many 0.21)."""
 
 
 @dataclass(frozen=True)
@@ -198,7 +200,8 @@ def fuse_pairs(
 
 
 def apart_px(depths: Sequence[Float32s], gains: Sequence[Float32s], noise: NoiseModel) -> dict[tuple[int, int], float]:
-    """By how many pixels the depths of each two pairs of a view differ as a whole: median over its tiles of the median in each.
+    """By how many pixels the depths of each two pairs of a view differ as a whole: median over its tiles of the median in each,
+    in pixels of a frame whose long side is 768 at most.
 
     Noise differs from pixel to pixel, and leaves next to nothing of such medians.  A wrong pose or lens of one partner differs
     alike over large parts of the view; along the epipolar lines nothing but the depth that another pair gives tells of it.
@@ -219,7 +222,7 @@ def apart_px(depths: Sequence[Float32s], gains: Sequence[Float32s], noise: Noise
         tiles = [tile[np.isfinite(tile)] for rows in np.array_split(off, _TILES) for tile in np.array_split(rows, _TILES, axis=1)]
         medians = [abs(float(np.median(tile))) for tile in tiles if len(tile) >= _TILE_PIXELS]
         if len(medians) >= _FEWEST_TILES:
-            found[a, b] = float(np.median(medians))
+            found[a, b] = float(np.median(medians)) * min(1.0, _LONG_SIDE / max(h, w))
     return found
 
 
