@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.optimize import least_squares
 
 from .core.lenses import lens_pixels, lens_rays
 from .types import Float64s, Lens
@@ -35,9 +34,15 @@ class Sight:
         """(n, 2) where places (n, 3) of the world are; nan where the camera does not see them."""
         return lens_pixels(self.lens, (X - self.C) @ self.R.T)
 
-    def ray(self, pixel: Pixel) -> Float64s:
-        """(3,) unit direction in the world."""
-        return np.asarray((lens_rays(self.lens, np.array([pixel], dtype=np.float64)) @ self.R)[0], dtype=np.float64)
+    def rays(self, pixels: Sequence[Pixel]) -> Float64s:
+        """(n, 3) unit directions in the world."""
+        return np.asarray(lens_rays(self.lens, np.array(pixels, dtype=np.float64)) @ self.R, dtype=np.float64)
+
+    @property
+    def focal(self) -> float:
+        """Pixels in a radian, in the middle of the picture."""
+        assert self.lens.K is not None
+        return float(self.lens.K[0, 0])
 
     def drawn(self, X: Float64s) -> list[list[Pixel]]:
         """A line through places (n, 3), as far as it is in the picture or near it: pieces."""
@@ -57,20 +62,31 @@ class Sights:
         """cameras: as `cameras.json` has them: K, R, C, width, height, and where they are there model and distortion."""
         self._sights = {name: _sight(entry) for name, entry in cameras.items()}
 
-    def residuals(self, pixels: Mapping[str, Pixel], stated: Sequence[float] | None) -> dict[str, Any]:
-        """How well clicks on one place fit together, and to its stated coordinates.
+    def residuals(self, points: Sequence[tuple[Mapping[str, Pixel], Sequence[float] | None]]) -> list[dict[str, Any]]:
+        """How well clicks on places fit together, and to stated coordinates.
+
+        points : clicks by camera, and what is stated.
 
         Returns
         -------
-        dict of "place": [x, y, z] that fits the clicks best, None of fewer than two; "pixels": by camera, how far the click is
-        from where that place (else the stated one) is seen; "metres": from the stated place, None where there is none.
+        For each: "place", [x, y, z] that fits the clicks best, None of fewer than two; "pixels" by camera, how far the click is
+        from where that place (else the stated one) is seen; "metres" from the stated place, None where there is none.
         """
-        seen = {name: pixel for name, pixel in pixels.items() if name in self._sights}
-        place = self._place(seen)
-        against = place if place is not None else None if stated is None else np.array(stated, dtype=np.float64)
-        off = {} if against is None else {name: self._off(name, against, pixel) for name, pixel in seen.items()}
-        apart = None if place is None or stated is None else float(np.linalg.norm(place - stated))
-        return {"place": None if place is None else place.tolist(), "pixels": off, "metres": apart}
+        places = self._places([pixels for pixels, _ in points])
+        found: list[dict[str, Any]] = []
+        for place, (_, stated) in zip(places, points, strict=True):
+            apart = None if place is None or stated is None else float(np.linalg.norm(place - stated))
+            found.append({"place": None if place is None else place.tolist(), "pixels": {}, "metres": apart})
+        against = [place if place is not None else stated for place, (_, stated) in zip(places, points, strict=True)]
+        for name, sight in self._sights.items():
+            seen = [k for k, (pixels, _) in enumerate(points) if name in pixels and against[k] is not None]
+            if not seen:
+                continue
+            at = sight.pixels(np.array([against[k] for k in seen], dtype=np.float64))
+            off = np.linalg.norm(at - np.array([points[k][0][name] for k in seen]), axis=1)
+            for k, pixels_off in zip(seen, off.tolist(), strict=True):
+                found[k]["pixels"][name] = pixels_off if np.isfinite(pixels_off) else None
+        return found
 
     def guide(self, camera: str, pixels: Mapping[str, Pixel], stated: Sequence[float] | None) -> dict[str, Any]:
         """Where a place should be in one camera's picture, by the clicks in others.
@@ -84,7 +100,8 @@ class Sights:
             return {}
         others = {name: pixel for name, pixel in pixels.items() if name in self._sights and name != camera}
         found: dict[str, Any] = {}
-        if (place := self._place(others)) is not None:
+        (place,) = self._places([others])
+        if place is not None:
             found["at"] = _plain(sight.pixels(place[None])[0])
         elif others:
             found["lines"] = self._epipolar(sight, *next(iter(others.items())))
@@ -95,7 +112,7 @@ class Sights:
     def on_ground(self, camera: str, pixel: Pixel, height: float) -> Pixel | None:
         """x, y of the place at a height that a pixel shows; None above the horizon."""
         sight = self._sights[camera]
-        ray = sight.ray(pixel)
+        (ray,) = sight.rays([pixel])
         along = (height - sight.C[2]) / ray[2] if abs(ray[2]) > 1e-9 else np.nan
         return np.round((sight.C + along * ray)[:2], 3).tolist() if along > 0 else None
 
@@ -109,32 +126,45 @@ class Sights:
         lines = [line for edge in edges for line in sight.drawn(edge)]
         return {"lines": lines, "corners": [_plain(pixel) for pixel in sight.pixels(at)]}
 
-    def _off(self, camera: str, X: Float64s, pixel: Pixel) -> float | None:
-        off = float(np.linalg.norm(self._sights[camera].pixels(X[None])[0] - pixel))
-        return off if np.isfinite(off) else None
-
     def _epipolar(self, sight: Sight, other: str, pixel: Pixel) -> list[list[Pixel]]:
         from_there = self._sights[other]
         apart = float(np.linalg.norm(sight.C - from_there.C))
         along = np.geomspace(_NEAR, _FAR, _STEPS)[:, None] * max(apart, 1e-6)
-        return sight.drawn(from_there.C + along * from_there.ray(pixel))
+        return sight.drawn(from_there.C + along * from_there.rays([pixel]))
 
-    def _place(self, pixels: Mapping[str, Pixel]) -> Float64s | None:
-        """(3,) the place that clicks in two cameras or more show: next to all rays, then least squares of pixels."""
-        if len(pixels) < 2:
+    def _places(self, points: Sequence[Mapping[str, Pixel]]) -> list[Float64s | None]:
+        """(3,) the place that clicks in two cameras or more show, of each point; None where no such place is known."""
+        rays: list[list[_Ray]] = [[] for _ in points]
+        for name, sight in self._sights.items():
+            clicked = [k for k, pixels in enumerate(points) if name in pixels]
+            directions = sight.rays([points[k][name] for k in clicked]) if clicked else ()
+            for k, direction in zip(clicked, directions, strict=True):
+                rays[k].append((sight.C, direction, sight.focal))
+        return [_meeting(mine) for mine in rays]
+
+
+_Ray = tuple[Float64s, Float64s, float]
+"""From where, unit direction, and pixels in a radian."""
+_ROUNDS = 5
+_PARALLEL = 1e10
+"""Of the condition of the equations: rays that meet at less have no place."""
+
+
+def _meeting(rays: Sequence[_Ray]) -> Float64s | None:
+    """(3,) the place next to all rays: their distances from it over its own from the cameras, in pixels, least squares."""
+    if len(rays) < 2:
+        return None
+    across = [np.eye(3) - np.outer(direction, direction) for _, direction, _ in rays]
+    weights = np.ones(len(rays))
+    place = np.zeros(3)
+    for _ in range(_ROUNDS):
+        A = np.sum([w * a for w, a in zip(weights, across, strict=True)], axis=0)
+        if not np.isfinite(A).all() or np.linalg.cond(A) > _PARALLEL:
             return None
-        sights = [self._sights[name] for name in pixels]
-        across = [np.eye(3) - np.outer(d, d) for d in (s.ray(p) for s, p in zip(sights, pixels.values(), strict=True))]
-        A = np.sum(across, axis=0)
-        if not np.isfinite(A).all() or np.linalg.cond(A) > 1e10:
-            return None
-        start = np.linalg.solve(A, np.sum([a @ s.C for a, s in zip(across, sights, strict=True)], axis=0))
-
-        def off(X: Float64s) -> Float64s:
-            found = [s.pixels(X[None])[0] - p for s, p in zip(sights, pixels.values(), strict=True)]
-            return np.asarray(np.nan_to_num(np.concatenate(found), nan=1e4), dtype=np.float64)
-
-        return np.asarray(least_squares(off, start, method="lm").x, dtype=np.float64)
+        place = np.linalg.solve(A, np.sum([w * a @ C for w, a, (C, _, _) in zip(weights, across, rays, strict=True)], axis=0))
+        distances = np.array([np.linalg.norm(place - C) for C, _, _ in rays])
+        weights = (np.array([focal for _, _, focal in rays]) / np.maximum(distances, 1e-9)) ** 2
+    return np.asarray(place, dtype=np.float64)
 
 
 def _sight(entry: Mapping[str, Any]) -> Sight:

@@ -54,15 +54,14 @@ def test_the_epipolar_line_bends_as_the_lens_does_and_leads_through_the_place(na
 def test_two_clicks_give_the_place_and_where_the_third_camera_sees_it() -> None:
     sights = Sights(CAMERAS)
     two = {name: CLICKS[name] for name in ("plain", "barrel")}
-    assert sights.residuals(two, None)["place"] == pytest.approx(PLACE, abs=1e-6)
+    assert sights.residuals([(two, None)])[0]["place"] == pytest.approx(PLACE, abs=1e-6)
     assert sights.guide("wide", two, None)["at"] == pytest.approx(CLICKS["wide"], abs=0.02)
 
 
 def test_residuals_are_of_pixels_and_of_metres() -> None:
-    found = Sights(CAMERAS).residuals(CLICKS, [1.2, 2.5, 1.0])
+    (found, one) = Sights(CAMERAS).residuals([(CLICKS, [1.2, 2.5, 1.0]), ({"plain": CLICKS["plain"]}, [1.2, 2.5, 1.0])])
     assert found["metres"] == pytest.approx(0.3, abs=1e-6)
     assert max(found["pixels"].values()) < 1e-6
-    one = Sights(CAMERAS).residuals({"plain": CLICKS["plain"]}, [1.2, 2.5, 1.0])
     assert one["place"] is None
     assert one["pixels"]["plain"] == pytest.approx(float(np.linalg.norm(seen("plain", [1.2, 2.5, 1.0]) - CLICKS["plain"])))
 
@@ -70,12 +69,12 @@ def test_residuals_are_of_pixels_and_of_metres() -> None:
 def test_a_camera_without_a_pose_has_no_guides_and_no_residuals() -> None:
     sights = Sights(CAMERAS)
     assert sights.guide("other", CLICKS, PLACE) == {}
-    assert sights.residuals({"other": [1.0, 2.0]}, None) == {"place": None, "pixels": {}, "metres": None}
+    assert sights.residuals([({"other": [1.0, 2.0]}, None)]) == [{"place": None, "pixels": {}, "metres": None}]
 
 
 def test_parallel_rays_have_no_place() -> None:
     twin = {"one": CAMERAS["plain"], "two": CAMERAS["plain"]}
-    assert Sights(twin).residuals({"one": [100.0, 100.0], "two": [100.0, 100.0]}, None)["place"] is None
+    assert Sights(twin).residuals([({"one": [100.0, 100.0], "two": [100.0, 100.0]}, None)])[0]["place"] is None
 
 
 @pytest.mark.parametrize("name", CAMERAS)

@@ -63,7 +63,7 @@ class Scene:
             The height at which zones lie.
         """
         stated = [self._world(point.position) for point in marks.points]
-        residuals = [self._sights.residuals(p.pixels, where) for p, where in zip(marks.points, stated, strict=True)]
+        residuals = self._sights.residuals([(p.pixels, where) for p, where in zip(marks.points, stated, strict=True)])
         guide = {}
         if chosen is not None and 0 <= chosen < len(stated):
             guide = self._sights.guide(camera, marks.points[chosen].pixels, stated[chosen])

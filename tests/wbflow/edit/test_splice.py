@@ -35,6 +35,7 @@ def test_a_new_item_stands_below_the_last_one_and_the_next_heading_stays_where_i
         ("a:  # why\n  # and how\n  - [1, 2]\n  - [3, 4]\nb: 1\n", ("a",), [[5, 6]], "a: [[5, 6]]  # why\n  # and how\nb: 1\n"),
         ("- gate   # x\n- roof", (0,), {"id": "gate"}, "- {id: gate}   # x\n- roof"),
         ("b: 1", ("a",), [], "b: 1\na: []"),
+        ("# Größe – ok 🚢\na: {b: 'ü'}  # ñ\n", ("a", "c"), "é", "# Größe – ok 🚢\na: {b: 'ü', c: é}  # ñ\n"),
         ("12: {x: 1}\n", ("12", "x"), 2, "12: {x: 2}\n"),
     ],
 )
