@@ -61,6 +61,17 @@ def changes_view(changes: Changes) -> bytes:
     return _stream(points, np.rint(values[:, :3]).astype(np.uint8), {"kind": (values[:, 3], "")}, voxel, int(chosen.sum()))
 
 
+def thinned_view(stream: bytes, most: int) -> bytes:
+    """The stream of every second, third, ... point of another one, at most so many; without layers."""
+    length = struct.unpack_from("<I", stream)[0]
+    head = json.loads(stream[4 : 4 + length])
+    count, every = head["n"], max(1, -(-head["n"] // most))
+    planes = np.frombuffer(zlib.decompress(stream[4 + length :]), np.uint8).reshape(9 + len(head["layers"]), count)
+    coded = np.cumsum(planes[:3] + (planes[3:6].astype(np.uint16) << 8), axis=1, dtype=np.uint16)
+    points = np.array(head["low"]) + coded.T[::every] * head["step"]
+    return _stream(points, planes[6:9].T[::every], {}, head["voxel"] * np.sqrt(every), head["total"])
+
+
 def _near(points: Float64s) -> npt.NDArray[np.bool_]:
     if len(points) < 100:
         return np.ones(len(points), bool)

@@ -15,7 +15,7 @@ from wbflow.api import load_site
 from wbflow.cache.artifact import digest
 from wbflow.cache.layout import WorkFolder
 from wbflow.cache.store import Cache, Preimage, Receipt
-from wbflow.pipeline.names import FUSE, GEOMETRY
+from wbflow.pipeline.names import FRAMES, FUSE, GEOMETRY
 from wbflow.pipeline.stages import STAGES
 from wbflow.pipeline.summaries import CameraFigures, PairFigures, PosesSummary
 from wbflow.records.events import Event, TaskEvent
@@ -142,6 +142,8 @@ def page(folder: Path, night: RunRecord, points: int = 900, pictures: tuple[int,
     for pair in (p for p in night.pairs if not p.ok):
         tried = Task(GEOMETRY, (pair.left, pair.right))
         events.append(TaskEvent(tried, "rejected", f"{night.date}T03:17:00+00:00", reason=pair.reason))
+    if night.reference:
+        _publish_reference(work, night, jpeg)
     for k in range(nights):
         before = replace(night, run=f"202611{k + 1:02}T031500Z", date=f"2026-11-{k + 1:02}", verdict=Verdict("good"))
         earlier = UnfinishedRun(work, before.run)
@@ -152,9 +154,26 @@ def page(folder: Path, night: RunRecord, points: int = 900, pictures: tuple[int,
     return unfinished.publish(night, events, reported).paths.report
 
 
-def _made(work: WorkFolder, task: Task, drawings: dict[str, bytes]) -> list[Event]:
+def _publish_reference(work: WorkFolder, night: RunRecord, jpeg: bytes) -> None:
+    """The run that a night was compared with: its cloud has a hill less, and its first camera looked elsewhere."""
+    ids = [camera.id for camera in night.cameras]
+    whole = bowl(20_000)
+    low = replace(whole, points=whole.points - [0, 0, 2] * (whole.points[:, :1] > 4))
+    events = _made(work, Task(FUSE), {"view": cloud_view(low)}, "1" * 32)
+    for k, name in enumerate(ids):
+        events += _made(work, Task(FRAMES, (name,)), {"picture": jpeg + bytes([k % 256, 255])}, "1" * 32)
+    placed = cameras(ids)
+    R, angle = np.array(placed[ids[0]]["R"]), math.radians(2.0)
+    turn = np.array([[math.cos(angle), 0, -math.sin(angle)], [0, 1, 0], [math.sin(angle), 0, math.cos(angle)]])
+    placed[ids[0]]["R"] = (turn @ R).tolist()
+    unfinished = UnfinishedRun(work, str(night.reference))
+    unfinished.write_cameras(placed)
+    unfinished.publish(replace(night, run=str(night.reference), date="2026-10-31", reference=None), events, "")
+
+
+def _made(work: WorkFolder, task: Task, drawings: dict[str, bytes], key: str = KEY) -> list[Event]:
     """Keep what is said to have been drawn of a result; the result itself is not there."""
     digests = {name: digest(data) for name, data in drawings.items()}
-    receipt = Receipt(str(task), KEY, "ran", Preimage(*task, "", "", {}, {}), "", drawings=digests)
+    receipt = Receipt(str(task), key, "ran", Preimage(*task, "", "", {}, {}), "", drawings=digests)
     Cache(work).write(receipt, None, drawings)
-    return [TaskEvent(task, "ran", f"{RUN[:8]}T03:20:00+00:00", key=KEY)]
+    return [TaskEvent(task, "ran", f"{RUN[:8]}T03:20:00+00:00", key=key)]

@@ -136,6 +136,9 @@ DEMO_FILES = "wbflow_demo.files:demo_files"
 DEMO_NIGHTS = "wbflow_demo.files:demo_nights"
 """The same, of several nights of the demo yard."""
 
+FEWER_POINTS = "wbflow_stages.exports.view:thinned_view"
+"""Makes of the points of a report's 3-D view some of them."""
+
 CHANGES_DATA = "wbflow_stages.exports.ground:changes_data"
 """Makes of changes what changes.json has of them."""
 

@@ -17,7 +17,7 @@ from ..site.models import Site
 from .charts import camera_bars, tasks_of_stages, timetable, trends
 from .data import ReportData
 from .map import Map, layers_of, scene_of
-from .pictures import Pictures, large_pictures, points_of
+from .pictures import Pictures, large_pictures, other_night, points_of, points_of_other, then_pictures
 from .sections import (
     BADGES,
     camera_figures,
@@ -71,6 +71,7 @@ def build_report(
 
 def _content(data: ReportData) -> dict[str, Any]:
     record, album = data.record, Pictures(data)
+    other = other_night(data, record.reference)
     points = points_of(data) if record.cloud else []
     scene = scene_of(data, [tuple(p) for p in points[0].head["sample"]] if points else [])
     drawn = Map(scene) if scene else None
@@ -106,13 +107,22 @@ def _content(data: ReportData) -> dict[str, Any]:
         "settings": settings(data),
         "notes": list(_pose_notes(record)),
         "other_nights": list(_other_nights(data)),
+        "other": other,
+        "then_pictures": then_pictures(data, album, other) if other else {},
         "last_cloud": next(((night.date, data.report_of(night.run)) for night in data.earlier if night.cloud), None),
         "when": _when(data),
         "files": list(_files(data)),
     }
     rows = _ROW_BYTES * (len(record.cameras) + len(record.pairs))
-    held = (album.held + sum(len(stream.data) for stream in points)) * 4 // 3  # as Base64
-    return {**content, "large_pictures": large_pictures(data, MOST_BYTES - rows - held)}
+    then = points_of_other(other) if other and points else []
+    room = MOST_BYTES - rows - _base64(album.held + sum(len(stream.data) for stream in points))
+    then = then if sum(_base64(len(stream.data)) for stream in then) <= room else []
+    room -= sum(_base64(len(stream.data)) for stream in then)
+    return {**content, "points": [*points, *then], "large_pictures": large_pictures(data, room)}
+
+
+def _base64(size: int) -> int:
+    return size * 4 // 3
 
 
 def _other_nights(data: ReportData) -> Iterator[tuple[str, str]]:

@@ -15,14 +15,19 @@ from pathlib import Path
 from typing import Any
 
 from ..cache.untrusted import read_outside
-from ..pipeline.names import FRAMES, FUSE
-from ..pipeline.stages import STAGES, stage_named
+from ..pipeline.names import FUSE
+from ..pipeline.stages import STAGES
 from ..records.run_folder import NoSuchRun, RunFolder
 from ..task import Task, camera_of
 from .data import ReportData
+from .other_night import OtherNight
 
 ROOM = 6_000_000
 """Bytes of small pictures in a page; the page links to the files of the others."""
+
+
+OTHER = "other"
+"""Stands for the stage of another night's points."""
 
 
 @dataclass(frozen=True)
@@ -35,6 +40,18 @@ class Picture:
     """A data URL; "" where the picture stands elsewhere in the page, or has no room."""
     link: str = ""
     """The file, seen from the report, where there is no room for it."""
+
+
+def other_night(data: ReportData, run: str | None) -> OtherNight | None:
+    """Return a run beside that of the page; None where there is none that can be read, or where it is the page's own."""
+    if run is None or run == data.record.run:
+        return None
+    try:
+        folder = RunFolder.of(data.work, run)
+        keys = {task: event.key for task, event in folder.tasks().items() if event.usable and event.key}
+        return OtherNight(folder.record().date, keys, folder.cameras(), data.keys, data.cameras, data.cache, data.site)
+    except NoSuchRun:
+        return None
 
 
 @dataclass
@@ -57,29 +74,15 @@ class Pictures:
 
     def of_last_good(self, camera: str) -> Picture | None:
         """Return what a camera saw when it was last as it should be."""
-        good, task = self.data.last_good_of(camera), self.data.frame(camera)
-        if good is None:
-            return None
-        try:
-            event = RunFolder.of(self.data.work, good.run).tasks().get(task)
-        except NoSuchRun:
-            return None
-        if event is None or not event.key or not self._has_same_privacy(task, event.key):
-            return None
-        return self._of_result(task, event.key, f"{camera} on {good.date}, when all was well")
+        good = self.data.last_good_of(camera)
+        other = other_night(self.data, good.run) if good else None
+        return self.of_other_night(other, camera, f"{camera} on {good.date}, when all was well") if good and other else None
 
-    def _has_same_privacy(self, task: Task, key: str) -> bool:
-        """Return whether an earlier picture left out what is private tonight."""
-        stated = next((view for view in self.data.site.views if (view.id,) == task.subject), None)
-        if stated is None or not stated.privacy:
-            return True
-        cache, tonight = self.data.cache, self.data.tasks.get(task)
-        then = cache.by_key(task, key)
-        now = cache.by_key(task, tonight.key) if tonight and tonight.key else None
-        private = [name for name, need in stage_named(FRAMES).inputs.items() if (need.kind, need.name) == ("site", "privacy")]
-        if then is None or now is None:
-            return False
-        return all(then.preimage.inputs.get(name) == now.preimage.inputs.get(name) for name in private)
+    def of_other_night(self, night: OtherNight, camera: str, alt: str) -> Picture | None:
+        """Return what a camera saw on another night."""
+        task = self.data.frame(camera)
+        key = night.keys.get(task)
+        return self._of_result(task, key, alt) if key and night.is_as_private(task) else None
 
     def of_product(self, name: str, alt: str) -> Picture | None:
         """Return a picture that the run publishes."""
@@ -108,6 +111,13 @@ class Pictures:
         return Picture(name, alt, data_url(content, mimetypes.guess_type(path.name)[0] or "image/jpeg"))
 
 
+def then_pictures(data: ReportData, album: Pictures, night: OtherNight) -> dict[str, tuple[Picture, str]]:
+    """Return, by camera, what it saw on another night, and how that is laid over what it saw on this one."""
+    ids = [camera.id for camera in data.record.cameras]
+    found = {name: album.of_other_night(night, name, f"{name} on {night.date}") for name in ids}
+    return {name: (picture, night.onto(name)) for name, picture in found.items() if picture and picture.data}
+
+
 def data_url(content: bytes, kind: str = "image/jpeg") -> str:
     """Return a file as a URL that holds it.  kind: its MIME type."""
     return f"data:{kind};base64,{base64.b64encode(content).decode()}"
@@ -123,11 +133,17 @@ class Points:
 
     @property
     def kind(self) -> str:
-        return "product" if self.stage == FUSE else "change"
+        return {FUSE: "product", OTHER: "then"}.get(self.stage, "change")
 
     @property
     def base64(self) -> str:
         return base64.b64encode(self.data).decode()
+
+
+def points_of_other(night: OtherNight) -> list[Points]:
+    """Return some points of another night's cloud; none where it is gone."""
+    stream = night.points()
+    return [Points(OTHER, split(stream)[0], stream)] if stream else []
 
 
 def points_of(data: ReportData) -> list[Points]:

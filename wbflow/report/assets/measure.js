@@ -113,6 +113,7 @@ class Measure {
     parts.set("view", [view.yaw, view.pitch, view.distance, view.fov, ...this.world(view.target)].map(few).join(","));
     if (view.mode !== "photograph") parts.set("colour", view.mode);
     if (view.chosen) parts.set("camera", view.chosen.id);
+    if (view.wipe) parts.set("wipe", few(view.wipe));
     if (clip) parts.set("clip", clip.map(few).join(","));
     if (this.points.length) parts.set("measure", this.points.map(q => this.world(q.p).map(few).join(",")).join(";"));
     return `#${parts}`;
@@ -125,6 +126,6 @@ class Measure {
     view.chosen = view.scene.cameras.find(cam => cam.id === parts.get("camera")) || null;
     const clip = numbers(parts.get("clip")), points = (parts.get("measure") || "").split(";").map(numbers).filter(p => p.length === 3 && p.every(Number.isFinite));
     view.clip = clip.length === 2 && clip.every(Number.isFinite) ? clip : null;
-    return {colour: parts.get("colour"), points: points.map(w => this.page(w))};
+    return {colour: parts.get("colour"), wipe: Math.max(0, Math.min(1, +parts.get("wipe") || 0)), points: points.map(w => this.page(w))};
   }
 }

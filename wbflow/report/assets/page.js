@@ -48,7 +48,7 @@
     legend.hidden = !layer;
     if (!layer) return;
     $(".low", legend).textContent = `${number(layer.low)} ${layer.unit}`; $(".high", legend).textContent = `${number(layer.high)} ${layer.unit}`;
-    $(".ramp", legend).style.background = RAMP_CSS;
+    $(".ramp", legend).style.background = rampCss(rampOf(mode));
   }
   for (const button of $$("[data-mode]")) button.addEventListener("click", () => colour(button.dataset.mode));
   const does = {
@@ -63,6 +63,7 @@
   Object.assign(does, {
     measure: () => { measure.active = !measure.on; $("[data-do=measure]").setAttribute("aria-pressed", String(measure.on)); $(".place", root).textContent = ""; },
     copy: b => copied(b, measure.text() || $(".place", root).textContent),
+    blink: () => window.nights?.blink(!window.nights.timer),
     link: b => { history.replaceState(null, "", measure.hash()); copied(b, location.href); },
   });
   function copied(button, text) {
@@ -77,6 +78,7 @@
     const found = measure.read(location.hash);
     if (!found) return;
     if (found.points.length) { if (!measure.on) does.measure(); measure.points = []; for (const p of found.points) measure.add(p); }
+    window.nights?.show(found.wipe);
     colour(found.colour || "photograph"); view.onCamera(view.chosen);
   }
   addEventListener("hashchange", openLink);
@@ -142,6 +144,7 @@
         if (stream.dataset.of === "product") { drawPlan(points); message.hidden = true; }
       } catch (error) { message.textContent = `the points cannot be shown here: ${error.message}`; root.dataset.state = "failed"; return; }
     }
+    window.nights = new Nights(view, $(".nights"));
     root.dataset.state = view.sets.length ? "ready" : "empty";
     const heights = view.sets[0]?.points.at.filter((_, k) => k % 3 === 2).sort() || [0, 1];
     view.span = [heights[Math.floor(0.001 * heights.length)], heights[Math.ceil(0.999 * (heights.length - 1))]];

@@ -44,12 +44,17 @@ const RAMP = (() => {
     return (255 << 24 | b << 16 | g << 8 | r) >>> 0;
   });
 })();
-const RAMP_CSS = `linear-gradient(90deg, ${[0, 64, 128, 192, 255].map(i => `rgb(${RAMP[i] & 255},${RAMP[i] >> 8 & 255},${RAMP[i] >> 16 & 255})`).join(", ")})`;
+const DIVERGING = Uint32Array.from({length: 256}, (_, i) => { // blue: lower than on the other night; red: higher
+  const t = Math.abs(i - 128) / 128, [r, g, b] = (i < 128 ? [50, 110, 255] : [255, 70, 40]).map(c => Math.round(150 * (1 - t) + c * t));
+  return (255 << 24 | b << 16 | g << 8 | r) >>> 0;
+});
+const rampOf = mode => mode === "difference" ? DIVERGING : RAMP;
+const rampCss = ramp => `linear-gradient(90deg, ${[0, 64, 128, 192, 255].map(i => `rgb(${ramp[i] & 255},${ramp[i] >> 8 & 255},${ramp[i] >> 16 & 255})`).join(", ")})`;
 
 function pixelsOf(points, mode) {
-  const {n, rgb} = points, pixels = new Uint32Array(n), layer = points.layers[mode];
+  const {n, rgb} = points, pixels = new Uint32Array(n), layer = points.layers[mode], ramp = rampOf(mode);
   for (let i = 0; i < n; i++) {
-    if (layer) pixels[i] = RAMP[layer.of[i]];
+    if (layer) pixels[i] = ramp[layer.of[i]];
     else if (mode === "change") { // grey, so that what has changed stands out
       const grey = 40 + 0.55 * (0.3 * rgb[3 * i] + 0.6 * rgb[3 * i + 1] + 0.1 * rgb[3 * i + 2]);
       pixels[i] = (255 << 24 | grey << 16 | grey << 8 | grey) >>> 0;
@@ -60,9 +65,9 @@ function pixelsOf(points, mode) {
 
 // Draws the first `count` points of a set as squares of their voxel's size, the nearest in front.
 // eye, right, up, ahead: where from, in the axes of the points; focal: pixels.
-// clip: lowest and highest height that is drawn; null: all.
+// clip: lowest and highest height that is drawn; null: all.  frame.from, frame.to: columns that are drawn into.
 function splat(frame, points, pixels, count, camera, clip, grow) {
-  const {width, height, depth, image} = frame, at = points.at;
+  const {width, height, depth, image, from, to} = frame, at = points.at;
   const [low, high] = clip || [-Infinity, Infinity], [ex, ey, ez] = camera.eye, [rx, ry, rz] = camera.right, [ux, uy, uz] = camera.up, [fx, fy, fz] = camera.ahead;
   const focal = camera.focal, cx = width / 2, cy = height / 2, near = camera.near, size = 0.62 * points.voxel * grow * focal;
   for (let i = 0, j = 0; i < count; i++, j += 3) {
@@ -70,7 +75,7 @@ function splat(frame, points, pixels, count, camera, clip, grow) {
     const w = x * fx + y * fy + z * fz;
     if (w < near || at[j + 2] < low || at[j + 2] > high) continue;
     const q = focal / w, u = cx + (x * rx + y * ry + z * rz) * q, v = cy - (x * ux + y * uy + z * uz) * q;
-    if (!(u >= 0 && v >= 0 && u < width && v < height)) continue;
+    if (!(u >= from && v >= 0 && u < to && v < height)) continue;
     const half = size / w, colour = pixels[i];
     if (half < 0.75) {
       const k = (v | 0) * width + (u | 0);
@@ -78,7 +83,7 @@ function splat(frame, points, pixels, count, camera, clip, grow) {
       continue;
     }
     const reach = half > 6 ? 6 : half;
-    const left = Math.max(0, u - reach + 0.5 | 0), right = Math.min(width - 1, u + reach - 0.5 | 0);
+    const left = Math.max(from, u - reach + 0.5 | 0), right = Math.min(to - 1, u + reach - 0.5 | 0);
     const bottom = Math.min(height - 1, v + reach - 0.5 | 0);
     for (let row = Math.max(0, v - reach + 0.5 | 0); row <= bottom; row++)
       for (let k = row * width + left, end = row * width + right; k <= end; k++)

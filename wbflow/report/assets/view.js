@@ -12,7 +12,7 @@ class CloudView {
     this.root = root; this.scene = scene; this.sets = []; this.mode = "photograph"; this.size = [root.clientWidth, root.clientHeight];
     this.canvas = root.querySelector("canvas.points"); this.over = root.querySelector("canvas.over");
     this.pen = this.canvas.getContext("2d"); this.ink = this.over.getContext("2d");
-    this.clip = null; this.showCameras = true; this.chosen = null; this.dirty = false; this.budget = 150000;
+    this.clip = null; this.wipe = 0; this.showCameras = true; this.chosen = null; this.dirty = false; this.budget = 150000;
     this.home = this.start(); Object.assign(this, this.home); this.frames = [];
     new ResizeObserver(() => this.resize()).observe(root);
     matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.draw());
@@ -62,8 +62,11 @@ class CloudView {
     camera.focal = frame.height / 2 / Math.tan(this.fov / 2);
     frame.image.fill(0); frame.depth.fill(Infinity);
     let drawn = 0;
+    const edge = Math.round(this.wipe * frame.width); // left of it the other night is drawn
     for (const set of this.sets) {
       if (set.name === "change" && this.mode !== "change") continue;
+      [frame.from, frame.to] = set.name === "then" ? [0, edge] : [edge, frame.width];
+      if (frame.from >= frame.to) continue;
       const pixels = set.pixels[this.mode] ||= set.name === "change" ? changeColours(set.points) : pixelsOf(set.points, this.mode);
       const count = quick && set.name !== "change" ? Math.min(set.points.n, Math.round(this.budget)) : set.points.n;
       splat(frame, set.points, pixels, count, camera, this.clip, Math.sqrt(set.points.n / Math.max(1, count)) * (set.name === "change" ? 1.3 : 1));
@@ -120,6 +123,7 @@ class CloudView {
       this.spots.push({x: spot[0], y: spot[1], w: spot[2], mark});
     }
     ink.globalAlpha = 1;
+    if (this.wipe > 0 && this.wipe < 1) { const x = this.wipe * this.size[0]; ink.strokeStyle = "#fffc"; ink.lineWidth = 2; ink.beginPath(); ink.moveTo(x, 0); ink.lineTo(x, this.size[1]); ink.stroke(); }
     this.onOverlay?.(ink, camera);
     this.compass(ink, camera);
   }
