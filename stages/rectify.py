@@ -41,13 +41,6 @@ METHODS = {
 _LEAST_PARALLAX = 0.01
 """Share of the width that the matches must leave their best homography by, where no camera tells the angle."""
 
-_LEAST_ROW_SHARE, _LEAST_ROW_RATIO = 0.01, 2.0
-"""Without matches so much of the common area must match densely, and so many times what matches with one image shifted by eight
-rows."""
-
-_LEAST_GROUND_SHARE, _LEAST_GROUND_RATIO = 0.01, 5.0
-"""The same, of what lies where other views know the ground: pavement that repeats matches on shifted rows, but not there."""
-
 _LEAST_GROUND_IN_REACH = 0.5
 """Where the search for disparities leaves out more than this of the ground that two known cameras see, the matches have not told
 where the scene lies."""
@@ -207,8 +200,7 @@ def _from_cameras(
     likely = replace(first[0], disparity_min_px=float(np.floor(low)), disparity_max_px=float(np.ceil(high)), ground=ground)
     verified = verify_rows(*frames, replace(likely, bend1=residual_distortion(cameras[0]), bend2=residual_distortion(cameras[1])))
     rows = verified.rows
-    right = rows.passed(_LEAST_ROW_SHARE, _LEAST_ROW_RATIO) or rows.shows_ground(_LEAST_GROUND_SHARE, _LEAST_GROUND_RATIO)
-    if not right or len(verified.x1) < _FEWEST_POINTS:
+    if not rows.confirmed or len(verified.x1) < _FEWEST_POINTS:
         return Rejected(Reason.ROWS_NOT_CONFIRMED, {"row_share": rows.share, "row_chance": rows.chance})
     pair = _known_pair(cameras, verified.x1, verified.x2, verified.confidence)
     pair = replace(pair, around=(expected.x1, expected.x2))

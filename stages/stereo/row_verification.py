@@ -1,12 +1,14 @@
 """Dense row verification: does a rectification bring corresponding points to one row?  No keypoints are needed.
 
-Both images are matched at half their size, on the rows as they are and on shifted ones.  If rows correspond, many pixels find a
-partner that finds them back; if one image is shifted by a few rows, hardly any do.  So the share of pixels that survive the check
-between the two views, against the same share with one image shifted, tells whether the geometry is right, and where it is a
-little wrong, by how many rows.  It says nothing of what repeats along the rows.  What matches on the right rows then replaces
-keypoints: it gives the net, the crop and the disparity range of the final rectification.
+Both images are matched at half their size, on the rows as they are and on rows shifted by eight.  If rows correspond, many pixels
+find a partner that finds them back; on shifted rows only chance does that.  Chance differs between scenes and within an image:
+noise, faint walls and repeated stones match anywhere.  So each cell of the image is compared with itself: on wrong rows the given
+ones match most often in a third of the cells, one of three, and on right rows in nearly all.  A likelihood ratio sums that up.
 
-Pavement that repeats matches on shifted rows, too.  But only on the right rows does it lie where other views know the ground."""
+Pavement that repeats matches on shifted rows, too.  But only on the right rows does it lie where other views know the ground:
+what lies there is counted in the same way.  What matches on the right rows then replaces keypoints: it gives the net, the crop
+and the disparity range of the final rectification.  Two rows up or down show a small error.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +17,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..rectification.warping import from_rectified
-from ..types import Float32s, Float64s, Frame, Rectification
+from ..types import Bools, Float32s, Float64s, Frame, Int64s, Rectification
 from .consistency import disagreement, within_reach, without_speckles
 from .matcher import RectifiedPair, halved
 from .patchmatch import match_patchmatch
@@ -27,14 +29,43 @@ _BESIDE, _AWAY = 1, 4
 _SPECKLE_SHARE = 5e-4
 """Smaller pieces than this share of the image match anywhere."""
 
-
 _SAME_PX = 0.75
 """Disparities of the halved images that differ by no more are those of one surface."""
+
+_CELL = 32
+"""Side of a cell, pixels of the halved images: several windows of the matcher, whose results hang together."""
+
+_IN_COMMON, _DIFFERENT = 0.3, 0.1
+"""Least share of a cell that both images show, and by how much of that the given rows and the shifted ones must differ if the
+cell is to say anything."""
+
+_BY_CHANCE, _IF_RIGHT = 1.0 / 3.0, 0.9
+"""In how many of the cells that say something the given rows match most, if they are wrong (one of three), and if they are right
+(a small yard, a hall and a pavilion by night)."""
+
+_ENOUGH = 5.0
+"""Logarithm of the likelihood ratio: six cells of six, eight of nine."""
+
+
+@dataclass(frozen=True)
+class Cells:
+    """What the cells of an image say of the rows."""
+
+    better: Bools
+    """(n, m) those in which clearly more matches on the given rows than on either of the shifted ones..."""
+    worse: Bools
+    """(n, m) ...and those in which clearly less does."""
+
+    @property
+    def confirm(self) -> bool:
+        """The rows are right."""
+        right, wrong = np.log(_IF_RIGHT / _BY_CHANCE), np.log((1.0 - _IF_RIGHT) / (1.0 - _BY_CHANCE))
+        return bool(right * self.better.sum() + wrong * self.worse.sum() >= _ENOUGH)
 
 
 @dataclass(frozen=True)
 class RowAgreement:
-    """How many pixels find their partners on the rows as they are, and on shifted ones."""
+    """What finds its partner on the rows as they are, and on shifted ones."""
 
     share: float
     """Share of the common area that survives the check between the views, at the best of no shift and two rows up or down."""
@@ -42,18 +73,15 @@ class RowAgreement:
     """The largest such share with one image shifted by eight rows."""
     row_error_px: float
     """By how many rows of the rectified images they seem to be shifted, with sign."""
-    ground: float = 0.0
-    """Share of the common area that matches where the ground is known to be, without being led there; 0 if nobody knows it."""
-    ground_chance: float = 0.0
-    """The largest such share with one image shifted by eight rows."""
+    cells: Cells
+    """Where more matches on the given rows than on shifted ones."""
+    on_ground: Cells | None = None
+    """The same of what matches where the ground is known to be, without being led there; None if nobody knows it."""
 
-    def passed(self, least_share: float, least_ratio: float) -> bool:
-        """The rows are right: enough matches on them, and much less on shifted ones."""
-        return self.share >= least_share and self.share >= least_ratio * self.chance
-
-    def shows_ground(self, least_share: float, least_ratio: float) -> bool:
-        """The same, of what lies on the ground."""
-        return self.ground >= least_share and self.ground >= least_ratio * self.ground_chance
+    @property
+    def confirmed(self) -> bool:
+        """The rows are right."""
+        return self.cells.confirm or (self.on_ground is not None and self.on_ground.confirm)
 
 
 def match_rows(pair: RectifiedPair) -> tuple[RowAgreement, Float32s, Float32s]:
@@ -67,21 +95,35 @@ def match_rows(pair: RectifiedPair) -> tuple[RowAgreement, Float32s, Float32s]:
     confidence : (h / 2, w / 2) float32
     """
     small = halved(pair)
-    here, disparity, confidence = _matched(small)
-    matched = {shift: _matched(_shifted(small, shift)) for shift in (_BESIDE, -_BESIDE, _AWAY, -_AWAY)}
-    above, below, *away = (matched[shift][0] for shift in (-_BESIDE, _BESIDE, _AWAY, -_AWAY))
+    common = within_reach(small.valid_left, small.valid_right, small.disparity_min, small.disparity_max, -1)
+    disparity, confidence = _matched(small)
+    shifted = {rows: _matched(_shifted(small, rows))[0] for rows in (_BESIDE, -_BESIDE, _AWAY, -_AWAY)}
+    shifted[0] = disparity if small.prior_left is None else _matched(_shifted(small, 0))[0]  # led nowhere, as the others
+    shares = {rows: float(np.isfinite(found).sum() / max(common.sum(), 1)) for rows, found in shifted.items()}
+    below, here, above = (shares[rows] for rows in (_BESIDE, 0, -_BESIDE))
     error = 2.0 * _BESIDE * (below - above) / max(above + here + below, 1e-9)
-    ground, chance = 0.0, 0.0
+    best = max((0, _BESIDE, -_BESIDE), key=shares.__getitem__)
+    cells = _compared(common, *(np.isfinite(shifted[rows]) for rows in (best, _AWAY, -_AWAY)))
+    ground = None
     if small.prior_left is not None:
-        ground = _on_ground(small, small.prior_left, _matched(_shifted(small, 0))[1])
-        chance = max(_on_ground(small, small.prior_left, matched[shift][1]) for shift in (_AWAY, -_AWAY))
-    return RowAgreement(max(above, here, below), max(away), error, ground, chance), disparity, confidence
+        lying = (np.abs(shifted[rows] - small.prior_left) <= _SAME_PX for rows in (0, _AWAY, -_AWAY))
+        ground = _compared(common, *lying)
+    return RowAgreement(shares[best], max(shares[_AWAY], shares[-_AWAY]), error, cells, ground), disparity, confidence
 
 
-def _on_ground(pair: RectifiedPair, ground: Float32s, disparity: Float32s) -> float:
-    """Share of the pixels with a possible partner that lie on the ground; ground, disparity: (h, w), nan where unknown."""
-    common = within_reach(pair.valid_left, pair.valid_right, pair.disparity_min, pair.disparity_max, -1)
-    return float(np.sum(np.abs(disparity - ground) <= _SAME_PX) / max(common.sum(), 1))
+def _compared(common: Bools, given: Bools, *shifted: Bools) -> Cells:
+    """Count what matches in each cell, each (h, w): on the given rows, and on shifted ones."""
+    shown, chance = _by_cell(common), np.max([_by_cell(found) for found in shifted], axis=0)
+    gain, clear = _by_cell(given) - chance, _DIFFERENT * shown
+    speaks = shown >= _IN_COMMON * _CELL**2
+    return Cells(speaks & (gain >= clear), speaks & (-gain >= clear))
+
+
+def _by_cell(counted: Bools) -> Int64s:
+    """(n, m) how many pixels of each cell are among those counted."""
+    height, width = counted.shape
+    whole = np.pad(counted, ((0, -height % _CELL), (0, -width % _CELL)))
+    return np.asarray(whole.reshape(-(-height // _CELL), _CELL, -1, _CELL).sum(axis=(1, 3)), dtype=np.int64)
 
 
 def _shifted(pair: RectifiedPair, rows: int) -> RectifiedPair:
@@ -95,14 +137,13 @@ def _shifted(pair: RectifiedPair, rows: int) -> RectifiedPair:
     return replace(blind, right=right, valid_right=valid)
 
 
-def _matched(pair: RectifiedPair) -> tuple[float, Float32s, Float32s]:
-    """Share of the pixels with a possible partner that keep a disparity on which both views agree; that; and its confidence."""
+def _matched(pair: RectifiedPair) -> tuple[Float32s, Float32s]:
+    """Disparity of the left image where both views agree on it, else nan; and its confidence."""
     matches = match_patchmatch(pair)
     common = within_reach(pair.valid_left, pair.valid_right, pair.disparity_min, pair.disparity_max, -1)
     agreed = common & (matches.confidence_left > 0) & (disagreement(matches.left, matches.right, -1) <= 1)
     disparity = np.where(agreed, matches.left, np.float32(np.nan)).astype(np.float32)
-    disparity = without_speckles(disparity, max(60, round(_SPECKLE_SHARE * disparity.size)))
-    return float(np.isfinite(disparity).sum() / max(common.sum(), 1)), disparity, matches.confidence_left
+    return without_speckles(disparity, max(60, round(_SPECKLE_SHARE * disparity.size))), matches.confidence_left
 
 
 _MOST_POINTS = 4000

@@ -21,7 +21,7 @@ def pair() -> RectifiedPair:
 
 def test_right_rows_are_confirmed(pair: RectifiedPair) -> None:
     rows, disparity, confidence = match_rows(pair)
-    assert rows.passed(0.3, 4.0)
+    assert rows.confirmed and rows.share >= max(0.3, 4.0 * rows.chance)
     assert abs(rows.row_error_px) < 0.5
     assert np.isfinite(disparity).mean() > 0.3
     assert disparity.shape == confidence.shape
@@ -36,7 +36,7 @@ def test_rows_off_by_two_are_said_to_be(pair: RectifiedPair, shift: int) -> None
 def test_rows_of_another_picture_are_not_confirmed(pair: RectifiedPair) -> None:
     other = np.random.default_rng(5).permuted(pair.right, axis=0)
     rows, *_ = match_rows(replace(pair, right=other))
-    assert not rows.passed(0.01, 2.0)
+    assert not rows.confirmed
 
 
 def pavement() -> RectifiedPair:
@@ -52,11 +52,30 @@ def pavement() -> RectifiedPair:
 
 def test_stones_that_repeat_confirm_rows_where_others_know_the_ground() -> None:
     rows, *_ = match_rows(pavement())
-    assert rows.share > 0.3 and not rows.passed(0.01, 2.0)
-    assert rows.shows_ground(0.1, 5.0)
+    assert rows.share > 0.3 and not rows.cells.confirm
+    assert rows.on_ground is not None and rows.on_ground.confirm
 
 
 def test_stones_that_repeat_do_not_confirm_wrong_rows() -> None:
     right = pavement()
     wrong, *_ = match_rows(replace(right, right=np.roll(right.right, 8, axis=0)))
-    assert wrong.share > 0.3 and not wrong.passed(0.01, 2.0) and not wrong.shows_ground(0.01, 5.0)
+    assert wrong.share > 0.3 and not wrong.confirmed
+
+
+@pytest.fixture(scope="module")
+def partly_striped(pair: RectifiedPair) -> RectifiedPair:
+    """The left part of the picture is striped, and matches on any rows."""
+    right = pair.right.copy()
+    left = pair.left.copy()
+    stripes = np.random.default_rng(3).uniform(30, 220, (1, left.shape[1])).astype(np.float32)
+    left[:, :300] = stripes[:, :300]
+    right[:, :270] = stripes[:, 30:300]
+    return replace(pair, left=left, right=right)
+
+
+def test_what_matches_on_any_rows_does_not_outvote_the_rest_of_the_picture(partly_striped: RectifiedPair) -> None:
+    rows, *_ = match_rows(partly_striped)
+    assert rows.chance > 0.3 and rows.share < 2.0 * rows.chance  # stripes match on all rows
+    assert rows.confirmed
+    wrong, *_ = match_rows(replace(partly_striped, right=np.roll(partly_striped.right, 31, axis=0)))
+    assert not wrong.confirmed
