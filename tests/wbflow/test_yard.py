@@ -106,6 +106,21 @@ def test_neither_the_number_of_workers_nor_what_is_compiled_already_changes_a_by
     assert cloud(yard).read_bytes() == cloud(yard, "alone").read_bytes()
 
 
+def test_a_page_shows_two_runs_in_one_view(yard: Path, tmp_path: Path) -> None:
+    first, second = (run(yard)["run"] for _ in range(2))
+    page = tmp_path / "both.html"
+    result = CliRunner().invoke(main, ["compare", str(yard), first, second, "--page", str(page)])
+    assert result.exit_code == 0, result.output
+    text = page.read_text()
+    assert [text.count(f'class="points" data-of="{kind}"') for kind in ("product", "change", "then")] == [1, 1, 1]
+    assert text.count('<div class="both"') == 4
+    assert "Nothing has changed" in text and '<section id="pairs">' not in text
+    assert page.stat().st_size < 15_000_000
+    folders = [str(yard / ".wbflow" / "yard" / "runs" / name) for name in (first, second)]
+    result = CliRunner().invoke(main, ["compare", *folders, "--page", str(page)])
+    assert result.exit_code == 2 and "needs the site" in result.output
+
+
 def test_between_two_runs_of_one_night_nothing_was_gained_or_lost(yard: Path) -> None:
     folder = str(wbflow.open_run(yard).folder)
     result = CliRunner().invoke(main, ["compare", folder, folder, "--changes", "--json"])

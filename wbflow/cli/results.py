@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -30,6 +30,7 @@ from .common import (
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from ..outcome.artifacts import FinishedRun
     from ..records.run_folder import RunFolder
     from ..site.models import Site
 
@@ -128,10 +129,11 @@ def runs(sites: tuple[Path, ...], as_json: bool) -> None:
 @click.command()
 @click.argument("nights", metavar="[SITE.yaml] [RUN_A RUN_B]", type=PATH, nargs=-1, required=True)
 @click.option("--out", type=PATH, default=Path("deviation"), metavar="DIR", help="Folder for the deviation from a scan.")
+@click.option("--page", type=PATH, metavar="FILE", help="Write a page with both nights in one view.")
 @click.option("--changes", is_flag=True, help="Also find what changed between them: volumes gained and lost, of each zone, too.")
 @json_option
 @work_option
-def compare(nights: tuple[Path, ...], out: Path, changes: bool, as_json: bool, work: str | None) -> None:
+def compare(nights: tuple[Path, ...], out: Path, page: Path | None, changes: bool, as_json: bool, work: str | None) -> None:
     """Two nights side by side: what differs by more than noise; or a night and a scan.
 
     \b
@@ -139,6 +141,7 @@ def compare(nights: tuple[Path, ...], out: Path, changes: bool, as_json: bool, w
     wbflow compare SITE.yaml 2026-11-18 2026-11-19     runs by night, by id, or latest, latest-good
     wbflow compare RUN_A RUN_B                         folders of two runs, of whatever sites
     wbflow compare SITE.yaml --changes                 also cut and fill between them
+    wbflow compare SITE.yaml latest-good latest --page both.html
     wbflow compare SITE.yaml [RUN] scan.laz            the cloud's deviation from a scan or model
     """
     from ..outcome.artifacts import FinishedRun
@@ -151,7 +154,11 @@ def compare(nights: tuple[Path, ...], out: Path, changes: bool, as_json: bool, w
         return
     a, b = _two_runs(nights, work)
     rows = rows_of(a.record(), b.record())
-    found = data_of(changes_between(*map(FinishedRun.at, (a, b)))) if changes else None
+    runs = [FinishedRun.at(run) for run in (a, b)]
+    between = changes_between(*runs) if changes or page else None
+    if page:
+        _write_comparison(nights, work, runs, between, page)
+    found = data_of(between) if between else None
     if as_json:
         data = {"a": a.id, "b": b.id, "rows": [row.to_json() for row in rows]}
         echo_json(data | {"changes": found} if found else data)
@@ -162,6 +169,18 @@ def compare(nights: tuple[Path, ...], out: Path, changes: bool, as_json: bool, w
         echo("nothing else differs by more than noise")
     if found:
         echo("\n".join(lines_of(found)))
+
+
+def _write_comparison(nights: tuple[Path, ...], work: str | None, runs: list[FinishedRun], changes: Any, page: Path) -> None:
+    if len(nights) == 2:
+        raise UsageError("a page needs the site of the runs", remedy=f"wbflow compare SITE.yaml RUN_A RUN_B --page {page}")
+    from ..cache.atomic import write_atomic
+    from ..report.page import build_comparison
+
+    then, tonight = runs
+    page.parent.mkdir(parents=True, exist_ok=True)
+    write_atomic(page, build_comparison(load(nights[0], work), tonight, then, changes).encode(errors="backslashreplace"))
+    echo(page, err=True)
 
 
 def _two_runs(nights: tuple[Path, ...], work: str | None) -> tuple[RunFolder, RunFolder]:

@@ -3,21 +3,29 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
+from ..cache.artifact import figures
 from ..cache.layout import WorkFolder
+from ..cache.plugins import load
 from ..cache.store import Cache
-from ..pipeline.summaries import meaning, spoken
-from ..records.events import Event, WarningEvent
+from ..errors import counted
+from ..outcome.artifacts import FinishedRun, Gone
+from ..pipeline.names import CHANGES
+from ..pipeline.stages import stage_named
+from ..pipeline.summaries import ChangesSummary, meaning, spoken
+from ..records.events import Event, TaskEvent, WarningEvent
 from ..records.record import RunRecord, moment
 from ..records.run_folder import RunFolder
 from ..site.models import Site
 from .charts import camera_bars, tasks_of_stages, timetable, trends
 from .data import ReportData
 from .map import Map, layers_of, scene_of
-from .pictures import Pictures, large_pictures, other_night, points_of, points_of_other, then_pictures
+from .pictures import Pictures, Points, large_pictures, other_night, points_of, points_of_other, split, then_pictures
 from .sections import (
     BADGES,
     camera_figures,
@@ -26,12 +34,14 @@ from .sections import (
     facts,
     findings,
     headline,
+    is_picture,
     keypoints,
     pair_columns,
     pair_pictures,
     parts,
     settings,
     tried,
+    volume_facts,
 )
 from .template import render
 
@@ -66,13 +76,50 @@ def build_report(
     products : Path
         The folder in which the run's products lie now.
     """
-    return render("page.html", **_content(ReportData(cache, record, tuple(events), placed, products, site)))
+    data = ReportData(cache, record, tuple(events), placed, products, site)
+    return render("page.html", **_content(data, points_of(data) if record.cloud else []), beside=False)
 
 
-def _content(data: ReportData) -> dict[str, Any]:
+def build_comparison(site: Site, tonight: FinishedRun, then: FinishedRun, changes: Any) -> str:
+    """Return the HTML of two runs of a site, one beside the other.
+
+    Parameters
+    ----------
+    site : Site
+        Whose runs.
+    tonight, then : FinishedRun
+        The later one, and the earlier one.
+    changes : wbflow_stages.types.Changes
+        What changed between them.
+
+    Raises
+    ------
+    Gone
+        The points of one of them are not there any more.
+    """
+    products = stage_named(CHANGES).products
+    summary = ChangesSummary.from_json(figures(changes))
+    with TemporaryDirectory() as folder:
+        pictures = {name: data for name, data in load(products.files)(changes) if is_picture(name)}
+        for name, data in pictures.items():
+            (Path(folder) / name).write_bytes(data)
+        record = replace(
+            tonight.record, reference=then.folder.id, verdict=None, results={CHANGES: replace(summary, files=tuple(pictures))}
+        )
+        events = [e for e in tonight.folder.events() if not (isinstance(e, TaskEvent) and e.task.stage == CHANGES)]
+        shown = ReportData(tonight.cache, record, tuple(events), tonight.folder.cameras(), Path(folder), site)
+        stream = load(products.view)(changes)
+        content = _content(shown, [*points_of(shown), Points(CHANGES, split(stream)[0], stream)])
+    if [stream.kind for stream in content["points"]] != ["product", "change", "then"]:
+        raise Gone("the points of one of the runs are not there any more", remedy="run the night again")
+    title = counted(len(summary.objects), "change") if summary.objects else "Nothing has changed"
+    first = {"headline": ("good", title, f"{then.record.date} beside {record.date}"), "facts": list(volume_facts(shown))}
+    return render("page.html", **{**content, **first, "files": [], "other_nights": [], "warnings": []}, beside=True)
+
+
+def _content(data: ReportData, points: list[Points]) -> dict[str, Any]:
     record, album = data.record, Pictures(data)
     other = other_night(data, record.reference)
-    points = points_of(data) if record.cloud else []
     scene = scene_of(data, [tuple(p) for p in points[0].head["sample"]] if points else [])
     drawn = Map(scene) if scene else None
     columns = pair_columns(data)

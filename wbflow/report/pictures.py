@@ -115,7 +115,7 @@ def then_pictures(data: ReportData, album: Pictures, night: OtherNight) -> dict[
     """Return, by camera, what it saw on another night, and how that is laid over what it saw on this one."""
     ids = [camera.id for camera in data.record.cameras]
     found = {name: album.of_other_night(night, name, f"{name} on {night.date}") for name in ids}
-    return {name: (picture, night.onto(name)) for name, picture in found.items() if picture and picture.data}
+    return {name: (picture, night.onto(name)) for name, picture in found.items() if picture and not picture.link}
 
 
 def data_url(content: bytes, kind: str = "image/jpeg") -> str:

@@ -103,6 +103,16 @@ def facts(data: ReportData) -> Iterator[Fact]:
     yield took, "from captures to cloud" if record.cloud else "until it was clear", "", ""
 
 
+def volume_facts(data: ReportData) -> Iterator[Fact]:
+    """Yield the volumes that changed, as main figures."""
+    unit = "m" if data.record.poses is None or data.record.poses.metric else ""
+    for result in data.record.results.values():
+        for ground, gained, lost, seen, unseen in _volumes(result, unit):
+            yield gained, f"gained, {ground}", "", ""
+            yield lost, f"lost, {ground}", "", ""
+            yield seen, "seen on both nights", f"not seen: {unseen}", ""
+
+
 def _change_count(result: SiteSummary) -> int | None:
     """Return how many objects a stage has found to differ from the reference; None where it compared nothing."""
     return result.count if isinstance(result, ChangesSummary) and result.compared else None
@@ -311,7 +321,7 @@ def _gone(since: Comparison, unit: str) -> str:
 
 def _things(result: SiteSummary, album: Pictures, since: Comparison | None, unit: str) -> Iterator[Thing]:
     for name, entry in result.objects.items():
-        file = next((f for f in result.files if f.rpartition(".")[0].endswith(f"-{name}") and _is_picture(f)), None)
+        file = next((f for f in result.files if f.rpartition(".")[0].endswith(f"-{name}") and is_picture(f)), None)
         title = f"{name}: {entry.kind}".rstrip(": ")
         figures = {key.replace("_", " "): value for key, value in vars(entry).items() if key not in {"kind", "acknowledged"}}
         picture = album.of_product(file, f"{title}: then and this night") if file else None
@@ -339,7 +349,8 @@ def _dimensions(entry: Change, unit: str) -> str:
     return "; ".join(filter(None, (f"{size} {unit}".strip(), room and f"volume {room}", where)))
 
 
-def _is_picture(file: str) -> bool:
+def is_picture(file: str) -> bool:
+    """Return whether a file's name is that of a picture."""
     return (mimetypes.guess_type(file)[0] or "").startswith("image/")
 
 
