@@ -44,3 +44,13 @@ def test_pairs_differ_as_a_whole_by_what_one_of_them_has_everywhere_and_noise_is
     assert apart[0, 1] < 0.15
     assert apart[0, 2] == pytest.approx(1 / np.sqrt(2), abs=0.1)
     assert apart_px(depths, [gain, np.full_like(gain, 10), gain], NoiseModel()).keys() == {(0, 2)}, "too inexact to be fused"
+
+
+def test_a_pattern_that_one_pair_mistook_is_no_difference_as_a_whole() -> None:
+    rng = np.random.default_rng(1)
+    gain = np.full((200, 300), 0.1, dtype=np.float32)
+    depths = [(50 + 0.1 * rng.normal(0, 0.35, gain.shape)).astype(np.float32) for _ in range(2)]
+    depths[1][:80] += 0.7  # two rows of tiles of five
+    assert apart_px(depths, [gain, gain], NoiseModel())[0, 1] < 0.15
+    gain[:, 12:] = np.nan  # 4 % of the view
+    assert apart_px(depths, [gain, gain], NoiseModel()) == {}
