@@ -43,10 +43,12 @@ NOISY = 10.0
 _SOFT: Mapping[str, float] = {"blur_px": SOFT_PX, "coarseness": COARSE, "noise_left": NOISY}
 LEAST_MISFIT, UNRESOLVED = 1.1, 2.2
 """So are those with points whose errors are larger than expected by more than the first factor, and by more than the second times
-the pixels between details, or times how much JPEG's blocks stand out.  Fitted on a yard and a stadium: smeared by 5 px 2.0 (92 %
-of the points right), enlarged twice 2.2 (90 %), smeared by 7 px 3.9 (86 %), enlarged three times 4.0 (78 %).  Judged on another
-yard (as it is 1.1, enlarged twice 2.7, JPEG quality 20 2.4 with 88 % right, smeared by 9 px 7), an apron (as it is 1.4, smeared
-17), fountain, entry and belvedere (0.5 to 1.4)."""
+the pixels between details.  Fitted on a yard and a stadium: smeared by 5 px 2.0 (92 % of the points right), enlarged twice 2.2
+(90 %), smeared by 7 px 3.9 (86 %), enlarged three times 4.0 (78 %).  Judged on another yard (as it is 1.1, enlarged twice 2.7,
+smeared by 9 px 7), an apron (as it is 1.4, smeared 17), fountain, entry and belvedere (0.5 to 1.4)."""
+BLURRED_BY_CODING = 2.4
+"""So are those whose points' errors, over the expected ones, times how much JPEG's blocks stand out are more: quality 50 has 1.3
+to 2.2 (yards, stadium, fountain; 91 to 96 % right), 20 on two yards 2.3 (91 %) and 2.6 (88 %), 15 on an apron 3.8."""
 APART_PX = 0.25
 """Depths that two pairs give to one view may differ by so much as a whole.  Under right cameras 0.02 to 0.16 (yard, apron,
 stadium, fountain, entry), with one moved by half a metre or turned by half a degree 0.38 to 2.1."""
@@ -363,7 +365,8 @@ def _soft_figures(camera: CameraRecord) -> dict[str, float]:
     """Return how soft a camera's pictures are; nothing where they are good."""
     figures = {name: float(getattr(camera.figures, name) or 0.0) for name in (*_SOFT, "detail_px")}
     misfit = camera.figures.misfit or 0.0
-    unresolved = misfit > LEAST_MISFIT and misfit * max(figures["detail_px"], figures["coarseness"]) > UNRESOLVED
+    unresolved = misfit > LEAST_MISFIT and misfit * figures["detail_px"] > UNRESOLVED
+    unresolved |= misfit * figures["coarseness"] > BLURRED_BY_CODING
     return figures if unresolved or any(figures[name] > limit for name, limit in _SOFT.items()) else {}
 
 

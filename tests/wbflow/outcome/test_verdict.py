@@ -412,6 +412,15 @@ def test_pictures_without_detail_are_soft_where_their_points_show_it(detail_px: 
     assert [finding.kind for finding in found] == (["pictures-soft"] if soft else [])
 
 
+@pytest.mark.parametrize(
+    ("coarseness", "misfit", "soft"), [(1.4, 0.9, False), (1.4, 1.5, False), (1.0, 1.8, False), (1.45, 1.8, True)]
+)
+def test_coarsely_coded_pictures_are_soft_where_their_points_show_it(coarseness: float, misfit: float, soft: bool) -> None:
+    figures = CameraFigures(coarseness=coarseness, misfit=misfit)
+    found = verdict_of(night(cameras=[CameraRecord(name, "ok", figures=figures) for name in NAMES])).findings
+    assert [finding.kind for finding in found] == (["pictures-soft"] if soft else [])
+
+
 def test_depths_that_differ_with_the_pair_name_the_camera_that_all_of_them_have_in_common() -> None:
     def dense(name: str, **apart_px: float) -> CameraRecord:
         return CameraRecord(name, "ok", figures=CameraFigures(apart_px={p.replace("_", "--"): px for p, px in apart_px.items()}))
