@@ -84,7 +84,7 @@ class FindingType:
 
 
 _BACK = "it is used again as soon as its captures are usable"
-_COMPARE = "wbflow compare SITE.yaml shows what differs; if it stays so, write expect: {since: DATE} in the site file"
+_COMPARE = "look at wbflow compare SITE.yaml; if it stays so, write expect: {since: DATE}"
 
 FINDINGS: Mapping[str, FindingType] = {
     row.code: row
@@ -105,14 +105,14 @@ FINDINGS: Mapping[str, FindingType] = {
         FindingType(
             "no-result",
             "The stage that --until names made nothing for the site.",
-            "see to the cameras and pairs that the report names, and run the night again",
+            "see to the cameras and pairs that the report names; run it again",
             "no {stage}: {reason}",
             level="failed",
         ),
         FindingType(
             "no-cloud",
             "The run made no cloud.",
-            "see to the cameras and pairs that the report names, and run the night again",
+            "see to the cameras and pairs that the report names; run it again",
             "no cloud: {reason}",
             level="failed",
         ),
