@@ -32,8 +32,9 @@ _SPECKLE_SHARE = 5e-4
 _SAME_PX = 0.75
 """Disparities of the halved images that differ by no more are those of one surface."""
 
-_CELL = 32
-"""Side of a cell, pixels of the halved images: several windows of the matcher, whose results hang together."""
+_ACROSS, _SMALLEST, _LARGEST = 12, 12, 32
+"""Cells in a row of the halved images, and the least and largest side of one, pixels: several windows of the matcher, whose
+results hang together, and in pictures of 320 pixels, too, enough cells to decide (an apron: 5 of 7 right pairs, 2 with 32)."""
 
 _IN_COMMON, _DIFFERENT = 0.3, 0.1
 """Least share of a cell that both images show, and by how much of that the given rows and the shifted ones must differ if the
@@ -113,17 +114,18 @@ def match_rows(pair: RectifiedPair) -> tuple[RowAgreement, Float32s, Float32s]:
 
 def _compared(common: Bools, given: Bools, *shifted: Bools) -> Cells:
     """Count what matches in each cell, each (h, w): on the given rows, and on shifted ones."""
-    shown, chance = _by_cell(common), np.max([_by_cell(found) for found in shifted], axis=0)
-    gain, clear = _by_cell(given) - chance, _DIFFERENT * shown
-    speaks = shown >= _IN_COMMON * _CELL**2
+    side = int(np.clip(common.shape[1] // _ACROSS, _SMALLEST, _LARGEST))
+    shown, chance = _by_cell(common, side), np.max([_by_cell(found, side) for found in shifted], axis=0)
+    gain, clear = _by_cell(given, side) - chance, _DIFFERENT * shown
+    speaks = shown >= _IN_COMMON * side**2
     return Cells(speaks & (gain >= clear), speaks & (-gain >= clear))
 
 
-def _by_cell(counted: Bools) -> Int64s:
+def _by_cell(counted: Bools, side: int) -> Int64s:
     """(n, m) how many pixels of each cell are among those counted."""
     height, width = counted.shape
-    whole = np.pad(counted, ((0, -height % _CELL), (0, -width % _CELL)))
-    return np.asarray(whole.reshape(-(-height // _CELL), _CELL, -1, _CELL).sum(axis=(1, 3)), dtype=np.int64)
+    whole = np.pad(counted, ((0, -height % side), (0, -width % side)))
+    return np.asarray(whole.reshape(-(-height // side), side, -1, side).sum(axis=(1, 3)), dtype=np.int64)
 
 
 def _shifted(pair: RectifiedPair, rows: int) -> RectifiedPair:

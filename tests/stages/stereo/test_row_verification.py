@@ -39,6 +39,14 @@ def test_rows_of_another_picture_are_not_confirmed(pair: RectifiedPair) -> None:
     assert not rows.confirmed
 
 
+def test_part_of_a_small_picture_is_enough() -> None:
+    left, right = stereo_pair(180, 320)
+    usable = np.zeros(left.shape, dtype=np.bool_)
+    usable[60:120, 140:] = True
+    rows, *_ = match_rows(RectifiedPair(left, right, usable, np.ones_like(usable), 10, 40))
+    assert rows.confirmed
+
+
 def pavement() -> RectifiedPair:
     """Eight rows further down, the same stones lie twenty pixels to the right: they match there, too, but not where they lie."""
     rng = np.random.default_rng(1)
