@@ -23,19 +23,12 @@ from .core.cameras import backproject, project, ray_angles, transfer
 from .core.luminance import luminance
 from .core.residual_distortion import straight_frame, straight_frames
 from .fusion.pair_depth import NoiseModel
-from .mvs.ground import ground_planes
 from .mvs.multi_scale_fill import filled, reduced, reduced_view
 from .mvs.plane_prior import PlanePriors, apply_plane_priors
 from .mvs.propagation import Propagation
 from .reasons import Reason, Rejected
 from .stereo.plane_filter import smoothed
-from .types import Bools, Camera, DepthMap, Float32s, Float64s, Frame, Int32s, Scene, Uint8s
-
-_LIKELY = 0.2
-"""The ground may cost so much more than what was found."""
-
-_ON_GROUND = 0.02
-"""Inverse depths that differ from the ground's by less than this share belong to it."""
+from .types import Bools, Camera, DepthMap, Float32s, Float64s, Frame, Int32s, Uint8s
 
 _SURE_COST = 0.3
 """Of the second best source: what two sources show this well must be believed even where no pair had a depth."""
@@ -65,7 +58,6 @@ def refine(
     depth: DepthMap,
     frames: Mapping[str, Frame],
     cameras: Mapping[str, Camera],
-    scene: Scene | None = None,
     reference_camera: Camera | None = None,
     reference_depth: DepthMap | None = None,
     *,
@@ -83,7 +75,6 @@ def refine(
     ----------
     frame, camera, depth : of the view itself; depth: where to start from.
     frames, cameras : of the views around it, by id; views without a camera of the same world are passed over.
-    scene : where the ground is, if that is known: it is taken where it shows the other views about as well as what was found.
     reference_camera, reference_depth : the reference's, if there is one: where to start from where tonight's pairs have nothing,
         if the camera stands as then.
     radius : the patch that is compared reaches so many pixels of an image 768 wide from its centre, and as far in larger ones.
@@ -98,11 +89,10 @@ def refine(
     finer = {name: _finer(camera, others[name], depth) for name in _sources(camera, others, depth, min_angle_deg, max_angle_deg)}
     if not finer:
         return Rejected(Reason.NO_USEFUL_ANGLE, {"views": len(frames)})
-    ground = scene.ground if scene is not None else None
     limits = _Limits(radius, sweeps, min(max_sources, _SOURCES), max_cost, noise_px)
     if not _stands(camera, reference_camera, depth, reference_depth):
         reference_depth = None
-    return _refined(frame, camera, depth, frames, others, finer, ground, reference_depth, limits)
+    return _refined(frame, camera, depth, frames, others, finer, reference_depth, limits)
 
 
 @dataclass(frozen=True)
@@ -118,7 +108,7 @@ class _Limits:
 
 def _refined(
     frame: Frame, camera: Camera, depth: DepthMap, frames: Mapping[str, Frame], cameras: Mapping[str, Camera],
-    finer: Mapping[str, float], ground: Float64s | None, reference_depth: DepthMap | None, limits: _Limits,
+    finer: Mapping[str, float], reference_depth: DepthMap | None, limits: _Limits,
 ) -> DepthMap:  # fmt: skip
     """Depth from the views that see as finely as this one, then as coarsely as the finest of the others do from these, too.
 
@@ -126,7 +116,7 @@ def _refined(
     fits at many depths: it is not asked beside others that see more.
     """
     fine = {name: times for name, times in finer.items() if times * _UNLIKE >= 1}
-    found = _compared(frame, camera, depth, frames, cameras, fine or finer, ground, reference_depth, limits)
+    found = _compared(frame, camera, depth, frames, cameras, fine or finer, reference_depth, limits)
     if not fine or len(fine) == len(finer):
         return found
     times = 1 / max(finer[name] for name in finer if name not in fine)
@@ -134,12 +124,12 @@ def _refined(
     small = reduced_view(frame, camera, depth, times)
     if not np.isfinite(small[2].depth).any():
         return found
-    return filled(found, _refined(*small, frames, cameras, again, ground, None, limits))
+    return filled(found, _refined(*small, frames, cameras, again, None, limits))
 
 
 def _compared(
     frame: Frame, camera: Camera, depth: DepthMap, frames: Mapping[str, Frame], cameras: Mapping[str, Camera],
-    finer: Mapping[str, float], ground: Float64s | None, reference_depth: DepthMap | None, limits: _Limits,
+    finer: Mapping[str, float], reference_depth: DepthMap | None, limits: _Limits,
 ) -> DepthMap:  # fmt: skip
     """Depth from all of these views at once; the finer ones are looked at as coarsely as this one sees."""
     around, max_cost = list(finer)[: limits.sources], limits.cost
@@ -152,9 +142,6 @@ def _compared(
     nearest, farthest = np.percentile(planes[0][np.isfinite(planes[0])], [99.8, 0.2])
     propagation = Propagation(image, frame.mask, sources, M, b, spacing * _taps(limits.radius))
     cost = propagation.improve(planes, limits.sweeps, far, 0.9 * farthest, 1.1 * nearest, again=reference_depth is not None)
-    level = ground_planes(camera, ground) if ground is not None else None
-    if level is not None:
-        _lean_on_ground(planes, cost, propagation, level, max_cost)
     scale = _pixels_per_inverse_depth(M, b, planes[0])
     planes = _settled(planes, cost, propagation, image, scale, max_cost, limits.radius, spacing, least)
     support = propagation.support(planes, max_cost)
@@ -163,8 +150,6 @@ def _compared(
         np.where(kept, planes[0], np.float32(np.nan)), support.parallax, NoiseModel(noise_px=limits.noise_px)
     )
     sure = _as_before(z, sigma, depth) | (support.second < _SURE_COST) | (support.first < _SURE_ALONE)
-    if level is not None:
-        sure |= _on_ground(planes, level)
     if reference_depth is not None:
         sure |= (support.second < max_cost) & reference_depth.sure & _as_before(z, sigma, reference_depth)
     rough = DepthMap(z, sigma, planes[1], planes[2], support.sources, tuple(around), kept & sure)
@@ -191,16 +176,6 @@ def _stands(camera: Camera, then: Camera | None, depth: DepthMap, reference_dept
     return all(np.array_equal(now, was) for now, was in ((camera.K, then.K), (camera.R, then.R), (camera.C, then.C)))
 
 
-def _lean_on_ground(planes: Float32s, cost: Float32s, propagation: Propagation, ground: Float32s, max_cost: float) -> None:
-    """Put the planes (3, h, w) of the ground in the place of those that fit hardly better: repeated tiles fit at many depths, and
-    bare asphalt at any."""
-    first = propagation.support(ground, max_cost).first
-    elsewhere = ~_on_ground(planes, ground)  # what lies on it has its own, finer relief
-    likely = elsewhere & np.isfinite(ground[0]) & (first < max_cost) & (first <= cost + _LIKELY)
-    planes[:, likely] = ground[:, likely]
-    cost[likely] = first[likely]
-
-
 def _settled(
     planes: Float32s, cost: Float32s, propagation: Propagation, image: Float32s, scale: np.float32, max_cost: float, radius: int,
     spacing: int, least: int,
@@ -215,11 +190,6 @@ def _settled(
     planes = smoothed(image, scale * planes, cost, max_cost, least, rounds=2) / scale
     propagation.refine_photometrically(planes, radius, least, _STEPS_AGAIN)
     return planes
-
-
-def _on_ground(planes: Float32s, ground: Float32s) -> Bools:
-    with np.errstate(invalid="ignore"):
-        return np.asarray(np.abs(planes[0] / ground[0] - 1) < _ON_GROUND)
 
 
 def _as_before(z: Float32s, sigma: Float32s, start: DepthMap) -> Bools:

@@ -265,16 +265,6 @@ def inverse_depth_line(camera: Camera, plane: Float64s) -> Float64s:
     return np.asarray(line, dtype=np.float64)
 
 
-def ground_planes(camera: Camera, plane: Float64s) -> Float32s:
-    """(3, h, w): inverse depth of the ground in each pixel of a camera, and how it changes per pixel in x and y; nan above the
-    horizon."""
-    across, down, at_origin = inverse_depth_line(camera, plane)
-    y, x = np.mgrid[0 : camera.height, 0 : camera.width]
-    inverse = across * x + down * y + at_origin
-    planes = np.stack([inverse, np.full_like(inverse, across), np.full_like(inverse, down)])
-    return np.where(inverse > 0, planes, np.nan).astype(np.float32)
-
-
 @kernel
 def _correlate(image1: Float32s, image2: Float32s, patches: Float64s, H: Float64s, radius: int, out: Float64s) -> None:
     for k in range(len(patches)):

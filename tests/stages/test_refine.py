@@ -170,7 +170,7 @@ def test_the_surface_of_the_reference_is_taken_up_where_tonights_pairs_know_noth
     hole = np.zeros(depth.depth.shape, bool)
     hole[40:100, 60:140] = True
     torn = replace(depth, depth=np.where(hole, np.nan, depth.depth).astype(np.float32))
-    found = refine(frame, camera, torn, frames, cameras, None, camera, then)
+    found = refine(frame, camera, torn, frames, cameras, camera, then)
     assert isinstance(found, DepthMap)
     known = hole & then.sure & np.isfinite(then.depth)
     assert (found.sure & np.isfinite(found.depth))[known].mean() > 0.9
@@ -182,7 +182,7 @@ def test_a_reference_that_the_photographs_contradict_is_not_believed(noisy: Yard
     frame, camera, depth, frames, cameras = inputs(noisy, name)
     then = refined(noisy, name)
     elsewhere = replace(then, depth=(0.9 * then.depth).astype(np.float32))
-    found = refine(frame, camera, depth, frames, cameras, None, camera, elsewhere)
+    found = refine(frame, camera, depth, frames, cameras, camera, elsewhere)
     assert isinstance(found, DepthMap)
     known = found.sure & np.isfinite(found.depth)
     assert known.mean() > 0.9 * (then.sure & np.isfinite(then.depth)).mean()
@@ -193,7 +193,7 @@ def test_the_reference_of_a_camera_that_has_turned_is_not_looked_at(noisy: Yard)
     name = list(noisy.cameras)[1]
     frame, camera, depth, frames, cameras = inputs(noisy, name)
     turned = replace(camera, C=camera.C + 0.01)
-    found = refine(frame, camera, depth, frames, cameras, None, turned, refined(noisy, name))
+    found = refine(frame, camera, depth, frames, cameras, turned, refined(noisy, name))
     assert isinstance(found, DepthMap)
     assert np.array_equal(found.depth, refined(noisy, name).depth, equal_nan=True)
 

@@ -464,7 +464,6 @@ STAGES: tuple[Stage, ...] = (
             "depth": own("depth"),
             "frames": near("frames"),
             "cameras": near("poses", part="cameras"),
-            "scene": own("scene", optional=True),
             "reference_camera": reference("poses", part="cameras"),
             "reference_depth": reference("refine"),
         },
