@@ -27,7 +27,8 @@ class Measure {
       if (d < best) { best = d; found = i; }
     }
     if (found < 0 || Math.sqrt(best) > 5 * cloud.voxel) return {p, sigma: null};
-    const sigma = layer ? (layer.low + (layer.high - layer.low) * layer.of[found] / 255) / 1000 : null;
+    // a place is met no closer than points lie apart
+    const sigma = layer ? Math.hypot((layer.low + (layer.high - layer.low) * layer.of[found] / 255) / 1000, cloud.voxel / Math.sqrt(12)) : null;
     return {p: [0, 1, 2].map(k => cloud.at[3 * found + k]), sigma};
   }
   // ---- figures
