@@ -2,22 +2,16 @@
 
 from __future__ import annotations
 
-import json
-import struct
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from ..cache.plugins import load
 from ..cache.store import Cache
-from ..pipeline.exports import FEWER_POINTS
 from ..pipeline.names import FRAMES, FUSE
 from ..pipeline.stages import stage_named
 from ..site.models import Site
 from ..task import Task
 
-MOST_POINTS = 300_000
-"""Of the other night: it is looked at in turns with this one."""
 _STILL = 5e-4
 """A picture that is off by less than this share of its size is not moved."""
 
@@ -40,16 +34,10 @@ class OtherNight:
     site: Site = field(repr=False)
 
     def points(self) -> bytes | None:
-        """Return the stream of some points of its cloud; None where it is gone, or would show what is private now."""
+        """Return the stream of its cloud; None where it is gone, or would show what is private now."""
         task = Task(FUSE)
         stream = self.cache.drawing(task, self.keys[task], "view") if task in self.keys else None
-        if stream is None or not all(self.is_as_private(frame) for frame in self.keys if frame.stage == FRAMES):
-            return None
-        (length,) = struct.unpack_from("<I", stream)
-        if json.loads(stream[4 : 4 + length])["n"] <= MOST_POINTS:
-            return stream  # without numpy, which a night with nothing to do imports nowhere
-        fewer: bytes = load(FEWER_POINTS)(stream, MOST_POINTS)
-        return fewer
+        return stream if all(self.is_as_private(frame) for frame in self.keys if frame.stage == FRAMES) else None
 
     def is_as_private(self, frame: Task) -> bool:
         """Return whether a camera's picture of that night left out what is private on the night of the page."""

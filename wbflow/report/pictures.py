@@ -14,7 +14,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from ..cache.plugins import load
 from ..cache.untrusted import read_outside
+from ..pipeline.exports import FEWER_POINTS
 from ..pipeline.names import FUSE
 from ..pipeline.stages import STAGES
 from ..records.run_folder import NoSuchRun, RunFolder
@@ -140,10 +142,18 @@ class Points:
         return base64.b64encode(self.data).decode()
 
 
+MOST_POINTS = 300_000
+"""Of another night: it is looked at in turns with that of the page."""
+
+
 def points_of_other(night: OtherNight) -> list[Points]:
     """Return some points of another night's cloud; none where it is gone."""
     stream = night.points()
-    return [Points(OTHER, split(stream)[0], stream)] if stream else []
+    if stream is None:
+        return []
+    if split(stream)[0]["n"] > MOST_POINTS:
+        stream = load(FEWER_POINTS)(stream, MOST_POINTS)
+    return [Points(OTHER, split(stream)[0], stream)]
 
 
 def points_of(data: ReportData) -> list[Points]:

@@ -9,6 +9,7 @@ import open3d
 import pytest
 from scipy.spatial.transform import Rotation
 
+from wbflow.pipeline.exports import SCANS
 from wbflow_stages.change.scan_deviation import deviation_from_scan
 from wbflow_stages.exports.deviation import scan_files
 from wbflow_stages.io.scans import CLOUDS, MESHES, read_scan
@@ -76,7 +77,6 @@ def test_less_than_half_is_refused_and_three_quarters_are_not() -> None:
 
 def test_a_scan_on_the_map_is_brought_to_the_site() -> None:
     pytest.importorskip("pyproj")
-    laspy = pytest.importorskip("laspy")
     from wbflow_stages.exports.world import georeference
 
     place = georeference(LOCAL)
@@ -86,7 +86,6 @@ def test_a_scan_on_the_map_is_brought_to_the_site() -> None:
     assert np.abs(place.local(degrees, 4326) - points[:5]).max() < 1e-3
     assert place.is_on_map(place.points(points))
     assert not place.is_on_map(points)
-    assert laspy
 
 
 def test_files_say_what_was_found(tmp_path: Path) -> None:
@@ -103,6 +102,10 @@ def test_files_say_what_was_found(tmp_path: Path) -> None:
     assert scan_files(cloud(), poses(metric=True, crs=LOCAL), path)[0]["deviation.json"] == files["deviation.json"]
     with pytest.raises(ValueError, match="no scale"):
         scan_files(cloud(), poses(metric=False), path)
+
+
+def test_the_command_takes_every_kind_for_a_scan() -> None:
+    assert SCANS == CLOUDS + MESHES
 
 
 @pytest.mark.parametrize("kind", CLOUDS)
