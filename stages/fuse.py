@@ -9,7 +9,7 @@ pixel's footprint and the depth's propagated error, so a desk and a quarry are t
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import fields
+from dataclasses import dataclass, fields
 from functools import lru_cache
 from threading import Lock
 from typing import Any
@@ -24,7 +24,7 @@ from .fusion.planning import exposure_gains, natural_voxel, nearest_views, subsa
 from .fusion.posterior import likelier, own_logit, posterior
 from .fusion.uncertainty import along_nearest_rays, depth_variance
 from .fusion.visibility import CrossCheck, TrustedDepth, cross_check
-from .fusion.voxels import Samples, VoxelGrid
+from .fusion.voxels import Samples, VoxelGrid, VoxelSums
 from .reasons import Reason, Rejected
 from .types import Camera, Cloud, DepthMap, Float64s, Frame
 
@@ -90,13 +90,16 @@ def fuse(
     centre = np.mean([camera.C for camera in cameras.values()], axis=0)
     grid = VoxelGrid(edge, edge * np.round(centre / edge))  # a multiple: the same cells whichever cameras took part
 
-    def accepted_of(name: str, grid: VoxelGrid) -> Samples:
+    def view_points(name: str, grid: VoxelGrid) -> _ViewPoints:
         check = cross_check(name, near[name], cameras, view_of)
         others = np.array([cameras[other].C for other in near[name]]).reshape(-1, 3)
         limits = (min_consistent_pairs, confidence)
-        return _samples(frames[name], cameras[name], view_of(name), check, others, gains[name], limits, grid)
+        samples = _samples(frames[name], cameras[name], view_of(name), check, others, gains[name], limits, grid)
+        count = len(samples.points)
+        misfit = float(np.sqrt(np.median(samples.variance * samples.weight))) if count else None
+        return _ViewPoints(count, misfit, grid.sums_of(samples))
 
-    given, misfits = _collected(grid, list(cameras), accepted_of)
+    given, misfits = _collected(grid, list(cameras), view_points)
     loaded.cache_clear()
     parts = [_cloud(samples) for samples in grid.merged(neighbours)]
     del grid
@@ -106,19 +109,26 @@ def fuse(
     return _joined(parts, given, misfits)
 
 
+@dataclass(frozen=True)
+class _ViewPoints:
+    """What one view gives to the cloud."""
+
+    count: int
+    misfit: float | None
+    """See `Cloud.misfits`; None without points."""
+    sums: VoxelSums
+
+
 def _collected(
-    grid: VoxelGrid, names: Sequence[str], accepted_of: Callable[[str, VoxelGrid], Samples]
+    grid: VoxelGrid, names: Sequence[str], points_of: Callable[[str, VoxelGrid], _ViewPoints]
 ) -> tuple[dict[str, int], dict[str, float]]:
-    """Merge in the accepted samples of each view, in order, which sums depend on; returns `Cloud.given` and `Cloud.misfits`."""
+    """Merge in the points of each view, in order, which sums depend on; returns `Cloud.given` and `Cloud.misfits`."""
     given, misfits = {}, {}
-    views = parallel_map(lambda name: accepted_of(name, grid), names)
-    for name in names:
-        samples = next(views)
-        given[name] = len(samples.points)
-        if given[name]:
-            misfits[name] = float(np.sqrt(np.median(samples.variance * samples.weight)))
-        grid.add(samples)
-        del samples
+    for name, view in zip(names, parallel_map(lambda name: points_of(name, grid), names), strict=True):
+        given[name] = view.count
+        if view.misfit is not None:
+            misfits[name] = view.misfit
+        grid.add(view.sums)
     return given, misfits
 
 

@@ -18,7 +18,7 @@ from ..types import Changes, Cloud, Float64s, Int64s, Uint8s
 
 MOST = 600_000
 """Points that a browser turns without a graphics card's help."""
-_EACH = 4
+_EACH = 2
 """Of larger clouds every second, third, ... point is looked at, so that about so many make one that is shown."""
 _STEPS = 65535
 """A coordinate takes 16 bits."""

@@ -55,6 +55,14 @@ class Samples:
     self_supported: Bools
 
 
+@dataclass(frozen=True)
+class VoxelSums:
+    """Samples of one view, summed in the voxels that hold any: sorted keys (n,), and columns (n, 17) as in `_COLUMNS`."""
+
+    keys: Int64s
+    columns: Float32s
+
+
 class VoxelGrid:
     """Collects samples view by view.  Memory follows the number of occupied voxels, not of samples: 76 bytes for each."""
 
@@ -72,23 +80,29 @@ class VoxelGrid:
         level = np.floor(np.log2(np.maximum(footprint / self.edge, 1.0)))
         return np.asarray(np.clip(level, 0, _LEVELS - 1), dtype=np.int64)
 
-    def add(self, samples: Samples) -> None:
-        """Merge in the samples of one view; what lies beyond half a million edges from the origin is left out."""
+    def sums_of(self, samples: Samples) -> VoxelSums:
+        """The samples of one view by voxel; what lies beyond half a million edges from the origin is left out."""
         level = self._levels(samples.footprint)
         keys, away = np.empty(len(level), np.int64), np.empty((len(level), 3), np.float32)
         _locate(samples.points, level, self.origin, self.edge, keys, away)
         order = np.flatnonzero(keys >= 0)
         order = order[np.argsort(keys[order], kind="stable")]
-        if not len(order):
-            return
         keys = keys[order]
-        starts = np.flatnonzero(np.concatenate([[True], keys[1:] != keys[:-1]]))
-        sums = np.empty((len(starts), _COLUMNS), np.float32)
+        starts = np.flatnonzero(np.diff(keys, prepend=-1))
+        columns = np.empty((len(starts), _COLUMNS), np.float32)
         _sum(
             order, np.append(starts, len(order)), away, samples.normals, samples.colors,
-            samples.weight, samples.confidence, samples.cameras, samples.variance, samples.self_supported, sums,
+            samples.weight, samples.confidence, samples.cameras, samples.variance, samples.self_supported, columns,
         )  # fmt: skip
-        self._merge(keys[starts], sums)
+        return VoxelSums(keys[starts], columns)
+
+    def add(self, sums: VoxelSums) -> None:
+        """Merge in the samples of one view, in place: the voxels known are never held twice."""
+        before = len(self._keys)
+        after = before + _count_new(self._keys, sums.keys)
+        self._keys.resize(after, refcheck=False)
+        self._sums.resize((after, _COLUMNS), refcheck=False)
+        _merge_from_the_end(self._keys, self._sums, before, sums.keys, sums.columns)
 
     def merged(self, neighbours: int) -> Iterator[Samples]:
         """One sample for each voxel that has at least so many occupied ones within three edges of it, or a sample that need not,
@@ -116,14 +130,6 @@ class VoxelGrid:
             _IN_COMMON * together + (1.0 - _IN_COMMON) * alone,
             sums[:, 16] > 0,
         )
-
-    def _merge(self, keys: Int64s, sums: Float32s) -> None:
-        """Put the voxels of one view among those known, in place: the known ones are never held twice."""
-        before = len(self._keys)
-        after = before + _count_new(self._keys, keys)
-        self._keys.resize(after, refcheck=False)
-        self._sums.resize((after, _COLUMNS), refcheck=False)
-        _merge_from_the_end(self._keys, self._sums, before, keys, sums)
 
     def _centres(self, keys: Int64s) -> Float64s:
         """(n, 3) middles of voxels; positions are summed relative to them, in single precision."""

@@ -20,7 +20,7 @@ def samples(points: np.ndarray, weight: float = 1.0, footprint: float = 0.01, ap
 def merged(*parts: Samples, neighbours: int = 0, edge: float = 0.1) -> Samples:
     grid = VoxelGrid(edge, np.zeros(3))
     for part in parts:
-        grid.add(part)
+        grid.add(grid.sums_of(part))
     found = list(grid.merged(neighbours))
     return Samples(*(np.concatenate([getattr(part, name) for part in found]) for name in vars(found[0])))
 
