@@ -26,7 +26,7 @@ from .fusion.uncertainty import along_nearest_rays, depth_variance
 from .fusion.visibility import CrossCheck, TrustedDepth, cross_check
 from .fusion.voxels import Samples, VoxelGrid, VoxelSums
 from .reasons import Reason, Rejected
-from .types import Camera, Cloud, DepthMap, Float64s, Frame
+from .types import Camera, Cloud, DepthMap, Float32s, Float64s, Frame
 
 _GRAZING = 0.05
 """Cosine of the lowest angle at which the way to the next pixel is still reckoned with."""
@@ -95,9 +95,7 @@ def fuse(
         others = np.array([cameras[other].C for other in near[name]]).reshape(-1, 3)
         limits = (min_consistent_pairs, confidence)
         samples = _samples(frames[name], cameras[name], view_of(name), check, others, gains[name], limits, grid)
-        count = len(samples.points)
-        misfit = float(np.sqrt(np.median(samples.variance * samples.weight))) if count else None
-        return _ViewPoints(count, misfit, grid.sums_of(samples))
+        return _ViewPoints(len(samples.points), samples.variance * samples.weight, grid.sums_of(samples))
 
     given, misfits = _collected(grid, list(cameras), view_points)
     loaded.cache_clear()
@@ -114,8 +112,8 @@ class _ViewPoints:
     """What one view gives to the cloud."""
 
     count: int
-    misfit: float | None
-    """See `Cloud.misfits`; None without points."""
+    misfits: Float32s
+    """(n,) squared, see `Cloud.misfits`."""
     sums: VoxelSums
 
 
@@ -126,8 +124,8 @@ def _collected(
     given, misfits = {}, {}
     for name, view in zip(names, parallel_map(lambda name: points_of(name, grid), names), strict=True):
         given[name] = view.count
-        if view.misfit is not None:
-            misfits[name] = view.misfit
+        if view.count:
+            misfits[name] = float(np.sqrt(np.median(view.misfits)))
         grid.add(view.sums)
     return given, misfits
 
