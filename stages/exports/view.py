@@ -2,7 +2,9 @@
 
 A stream is the length of a JSON head (uint32, little-endian), the head, and zlib-packed planes of `n` bytes: of each coordinate,
 low and high byte of its difference from the point before (points follow a space-filling curve, so that these are small: Morton,
-A computer oriented geodetic data base, 1966); red, green, blue; and one plane for each of `layers`.
+A computer oriented geodetic data base, 1966); red, green, blue; and one plane for each of `layers`.  A layer has the ends of its
+colour scale, `low` and `high`.  Its bytes go from one to the other, or from `least` to `most` in equal ratios where it has these:
+colours need no more than most values have, measuring needs all.
 """
 
 from __future__ import annotations
@@ -10,6 +12,7 @@ from __future__ import annotations
 import json
 import struct
 import zlib
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -31,8 +34,18 @@ _SAMPLE = 600
 """So many points stand in the head, for whoever wants to know where they are without unpacking any."""
 _NEW, _VANISHED = 1, 2
 
-Layers = dict[str, tuple[npt.NDArray[np.float32], str]]
-"""Values (n,) and their unit, by name."""
+
+class Layer(NamedTuple):
+    """What points have beside their colours."""
+
+    values: npt.NDArray[np.float32]
+    """(n,)"""
+    unit: str
+    in_ratios: bool = False
+    """Coded in equal ratios, from the least to the most."""
+
+
+Layers = dict[str, Layer]
 
 
 def cloud_view(cloud: Cloud, most: int = MOST) -> bytes:
@@ -44,9 +57,9 @@ def cloud_view(cloud: Cloud, most: int = MOST) -> bytes:
     near = _near(points)
     points, values, voxel = _thinned(points[near].astype(np.float64), values[near], most)
     layers: Layers = {
-        "confidence": (values[:, 3], ""),
-        "views": (values[:, 4], "cameras"),
-        "sigma": (values[:, 5], "mm"),
+        "confidence": Layer(values[:, 3], ""),
+        "views": Layer(values[:, 4], "cameras"),
+        "sigma": Layer(values[:, 5], "mm", in_ratios=True),
     }
     return _stream(points, np.rint(values[:, :3]).astype(np.uint8), layers, voxel, len(cloud.points))
 
@@ -58,7 +71,7 @@ def changes_view(changes: Changes) -> bytes:
     kind = (changes.label[chosen] == _VANISHED).astype(np.float32)
     values = np.column_stack([changes.colors[chosen], kind]).astype(np.float32)
     points, values, voxel = _thinned(points, values, MOST // 6)
-    return _stream(points, np.rint(values[:, :3]).astype(np.uint8), {"kind": (values[:, 3], "")}, voxel, int(chosen.sum()))
+    return _stream(points, np.rint(values[:, :3]).astype(np.uint8), {"kind": Layer(values[:, 3], "")}, voxel, int(chosen.sum()))
 
 
 def thinned_view(stream: bytes, most: int) -> bytes:
@@ -135,15 +148,10 @@ def _stream(points: Float64s, colors: Uint8s, layers: Layers, voxel: float, tota
     apart = np.diff(coded, axis=0, prepend=np.zeros((1, 3), np.uint16))  # modulo 65536
     planes = [apart & 255, apart >> 8, colors]
     legends = []
-    for name, (values, unit) in layers.items():
-        known = values[np.isfinite(values)]
-        low_value, high_value = (float(v) for v in np.percentile(known, [1, 98])) if len(known) else (0.0, 1.0)
-        if len(known) and high_value <= low_value:
-            low_value, high_value = float(known.min()), float(known.max())
-        spread = max(high_value - low_value, 1e-12)
-        share = np.nan_to_num((values - low_value) / spread, nan=1.0).clip(0, 1)
-        planes.append(np.rint(share * _RAMP)[:, None])
-        legends.append({"name": name, "unit": unit, "low": round(low_value, 4), "high": round(high_value, 4)})
+    for name, layer in layers.items():
+        coded_layer, legend = _coded(layer)
+        planes.append(coded_layer[:, None])
+        legends.append({"name": name, "unit": layer.unit, **legend})
     sample = np.round(points[:: 1 + len(points) // _SAMPLE], 3).tolist()
     head = {
         "n": len(points),
@@ -157,3 +165,19 @@ def _stream(points: Float64s, colors: Uint8s, layers: Layers, voxel: float, tota
     raw = b"".join(np.ascontiguousarray(plane.T.astype(np.uint8)).tobytes() for plane in planes)
     words = json.dumps(head).encode()
     return struct.pack("<I", len(words)) + words + zlib.compress(raw, _LEVEL)
+
+
+def _coded(layer: Layer) -> tuple[Uint8s, dict[str, float]]:
+    """(n,) bytes of values, and the ends of their scales."""
+    values = layer.values.astype(np.float64)
+    known = values[np.isfinite(values)]
+    low, high = (float(v) for v in np.percentile(known, [1, 98])) if len(known) else (0.0, 1.0)
+    if len(known) and high <= low:
+        low, high = float(known.min()), float(known.max())
+    legend = {"low": round(low, 4), "high": round(high, 4)}
+    if layer.in_ratios and len(known) and known.min() > 0:
+        least, most = round(float(known.min()), 4) or 1e-4, round(float(known.max()), 4)
+        legend |= {"least": least, "most": most}
+        values, low, high = np.log(np.maximum(values, least)), float(np.log(least)), float(np.log(max(most, least)))
+    share = np.nan_to_num((values - low) / max(high - low, 1e-12), nan=1.0).clip(0, 1)
+    return np.rint(share * _RAMP).astype(np.uint8), legend

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import struct
 import zlib
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -34,6 +35,19 @@ def unpacked(stream: bytes) -> tuple[dict[str, Any], np.ndarray, np.ndarray]:
     apart = planes[0:3].astype(np.uint16) | planes[3:6].astype(np.uint16) << 8
     places = np.cumsum(apart, axis=1, dtype=np.uint16).T * head["step"] + head["low"]
     return head, places, planes[6:9].T
+
+
+def test_every_uncertainty_is_known_whatever_the_colours_reach_to() -> None:
+    sigma = np.geomspace(2, 5000, 3000).astype(np.float32)  # millimetres; hardly any is beyond 500
+    sigma[sigma > 500] = 10
+    sigma[-3:] = 700, 2000, 5000
+    stream = cloud_view(replace(bowl(3000), sigma_mm=sigma))
+    head, places, _ = unpacked(stream)
+    (layer,) = (one for one in head["layers"] if one["name"] == "sigma")
+    coded = np.frombuffer(zlib.decompress(stream[4 + struct.unpack_from("<I", stream)[0] :]), np.uint8).reshape(-1, 3000)[-1]
+    known = layer["least"] * (layer["most"] / layer["least"]) ** (coded / 255)
+    _, nearest = cKDTree(bowl(3000).points).query(places)
+    assert layer["high"] < 500 and np.allclose(known, sigma[nearest], rtol=0.02)
 
 
 def test_few_points_are_shown_as_they_are() -> None:

@@ -151,6 +151,18 @@ def test_clicked_points_give_distance_height_and_area_and_a_link_brings_them_bac
     until(browser, "return measure.points.length === 3")
     settled(browser, lambda: None)
     assert [float(v) for v in browser.execute_script(POSE).split()] == pytest.approx([float(v) for v in pose.split()], abs=2e-3)
+    drawn = browser.execute_script("return document.querySelector('.measuring polygon').getAttribute('points')").split()
+    assert len(drawn) == 3
+    plan = browser.find_element("css selector", ".plan svg")
+    webdriver.ActionChains(browser, duration=0).move_to_element_with_offset(plan, 30, 20).click().perform()
+    off = browser.execute_script(
+        "const {left, top, scale} = document.querySelector('.plan canvas').dataset, svg = document.querySelector('.plan svg');"
+        "const {width, height} = svg.viewBox.baseVal, {p} = measure.points[3], zoom = width / svg.clientWidth;"
+        "const x = width / 2 + 30 * zoom, y = height / 2 + 20 * zoom;"
+        "return [p[0] - left - x / scale, p[1] - top + y / scale, measure.cloud.voxel]"
+    )
+    assert max(abs(off[0]), abs(off[1])) < 3.1 * off[2]
+    assert "±" in browser.find_element("css selector", "#map .measured").text
     press(browser, "measure")
     browser.execute_script("history.replaceState(null, '', location.pathname); Object.assign(view, view.home); view.draw()")
 

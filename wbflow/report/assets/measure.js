@@ -1,15 +1,16 @@
 "use strict";
-// Measuring in the 3-D view: points that are clicked give coordinates, distances, heights, areas and a profile, each with its
+// Measuring in the 3-D view and on the map: points that are clicked give coordinates, distances, heights, areas and a profile, each with its
 // standard deviation as far as the points have one; a link holds what is seen and measured.
 
 class Measure {
   constructor(view, scene, root) {
     this.view = view; this.axes = scene.axes; this.root = root; this.points = []; this.on = false;
-    this.words = root.querySelector(".measured"); this.svg = root.querySelector(".profile");
+    this.words = document.querySelectorAll(".measured"); this.plan = document.querySelector(".plan"); this.svg = root.querySelector(".profile");
     view.onOverlay = (ink, camera) => this.draw(ink, camera);
+    this.plan?.addEventListener("click", e => this.onPlan(e));
   }
   set active(on) {
-    this.on = on; this.view.picks = on ? p => p && this.add(p) : null; this.view.over.style.cursor = on ? "crosshair" : "grab";
+    this.on = on; this.plan?.classList.toggle("measured-in", on); this.view.picks = on ? p => p && this.add(p) : null; this.view.over.style.cursor = on ? "crosshair" : "grab";
     if (!on) this.points = [];
     this.show();
   }
@@ -28,8 +29,17 @@ class Measure {
     }
     if (found < 0 || Math.sqrt(best) > 5 * cloud.voxel) return {p, sigma: null};
     // a place is met no closer than points lie apart
-    const sigma = layer ? Math.hypot((layer.low + (layer.high - layer.low) * layer.of[found] / 255) / 1000, cloud.voxel / Math.sqrt(12)) : null;
-    return {p: [0, 1, 2].map(k => cloud.at[3 * found + k]), sigma};
+    return {p: [0, 1, 2].map(k => cloud.at[3 * found + k]), sigma: layer ? Math.hypot(valueOf(layer, layer.of[found]) / 1000, cloud.voxel / Math.sqrt(12)) : null};
+  }
+  below(x, y) { // the highest point of the cloud at a place of the map; null where none is near
+    const cloud = this.cloud;
+    for (const reach of cloud ? [0.75 * cloud.voxel, 3 * cloud.voxel] : []) {
+      let found = -1;
+      for (let i = 0, j = 0; i < cloud.n; i++, j += 3)
+        if (Math.abs(cloud.at[j] - x) < reach && Math.abs(cloud.at[j + 1] - y) < reach && (found < 0 || cloud.at[j + 2] > cloud.at[3 * found + 2])) found = i;
+      if (found >= 0) return [0, 1, 2].map(k => cloud.at[3 * found + k]);
+    }
+    return null;
   }
   // ---- figures
   figures() {
@@ -81,13 +91,14 @@ class Measure {
     for (let i = 0, j = 0; i < cloud.n; i++, j += 3) {
       const x = cloud.at[j] - a[0], y = cloud.at[j + 1] - a[1], t = (x * dx + y * dy) / length;
       if (t < 0 || t >= length || Math.abs(x * dy - y * dx) / length > half || cloud.at[j + 2] < low - room || cloud.at[j + 2] > high + room) continue;
-      bins[Math.floor(t / length * steps)].push([cloud.at[j + 2], sigma ? (sigma.low + (sigma.high - sigma.low) * sigma.of[i] / 255) / 1000 : 0]);
+      bins[Math.floor(t / length * steps)].push([cloud.at[j + 2], sigma ? valueOf(sigma, sigma.of[i]) / 1000 : 0]);
     }
     return bins.map((bin, k) => bin.length ? {t: (k + 0.5) / steps * length, z: bin.map(q => q[0]).sort((p, q) => p - q)[bin.length >> 1], s: bin.map(q => q[1]).sort((p, q) => p - q)[bin.length >> 1]} : null);
   }
   // ---- what is shown
   show() {
-    this.words.textContent = this.on ? this.text() || "click points of the cloud; Enter takes the middle of the view, Backspace takes one back" : "";
+    const words = this.on ? this.text() || "click points of the cloud; Enter takes the middle of the view, Backspace takes one back" : "";
+    for (const place of this.words) place.textContent = words;
     const known = this.on ? this.profile().filter(Boolean) : [];
     this.svg.toggleAttribute("hidden", known.length < 2);
     if (known.length >= 2) {
@@ -97,7 +108,7 @@ class Measure {
       this.svg.querySelector("polyline").setAttribute("points", list(known.map(q => [q.t, q.z])));
       this.svg.querySelector("text").textContent = `${(high - low).toFixed(2)} ${this.axes.unit}`;
     }
-    this.root.dataset.measured = this.points.length; this.view.draw();
+    this.root.dataset.measured = this.points.length; this.view.draw(); this.drawPlan();
   }
   draw(ink, camera) {
     if (!this.points.length) return;
@@ -107,6 +118,19 @@ class Measure {
     if (spots.length > 2 && spots.every(Boolean)) { ink.closePath(); ink.globalAlpha = 0.15; ink.fill(); ink.globalAlpha = 1; }
     ink.stroke();
     for (const s of spots) if (s) { ink.beginPath(); ink.arc(s[0], s[1], 4, 0, 7); ink.fill(); }
+  }
+  // ---- the map
+  onPlan(e) {
+    if (!this.on || e.target.closest("[data-fly]")) return;
+    const {left, top, scale} = this.plan.firstElementChild.dataset, svg = this.plan.querySelector("svg");
+    const at = new DOMPoint(e.clientX, e.clientY).matrixTransform(svg.getScreenCTM().inverse()), p = this.below(+left + at.x / scale, top - at.y / scale);
+    if (p) this.add(p);
+  }
+  drawPlan() {
+    if (!this.plan) return;
+    const {left, top, scale} = this.plan.firstElementChild.dataset, drawing = this.plan.querySelector(".measuring");
+    const spots = this.points.map(({p}) => [(p[0] - left) * scale, (top - p[1]) * scale].map(v => v.toFixed(1)));
+    drawing.querySelector("polygon").setAttribute("points", spots.join(" ")); drawing.querySelector("path").setAttribute("d", spots.map(s => `M${s}h0`).join(""));
   }
   // ---- the address
   hash() {

@@ -61,7 +61,7 @@
   const measure = window.measure = new Measure(view, scene, root.parentNode), [lowest, highest] = $$("[data-clip]");
   view.keys = key => key === "Enter" ? (measure.addMiddle(), true) : key === "Backspace" ? (measure.undo(), true) : key === "Escape" ? (does.measure(), true) : false;
   Object.assign(does, {
-    measure: () => { measure.active = !measure.on; $("[data-do=measure]").setAttribute("aria-pressed", String(measure.on)); $(".place", root).textContent = ""; },
+    measure: () => { measure.active = !measure.on; for (const button of $$("[data-do=measure]")) button.setAttribute("aria-pressed", String(measure.on)); $(".place", root).textContent = ""; },
     copy: b => copied(b, measure.text() || $(".place", root).textContent),
     blink: () => window.nights?.blink(!window.nights.timer),
     link: b => { history.replaceState(null, "", measure.hash()); copied(b, location.href); },

@@ -51,10 +51,14 @@ const DIVERGING = Uint32Array.from({length: 256}, (_, i) => { // blue: lower tha
 const rampOf = mode => mode === "difference" ? DIVERGING : RAMP;
 const rampCss = ramp => `linear-gradient(90deg, ${[0, 64, 128, 192, 255].map(i => `rgb(${ramp[i] & 255},${ramp[i] >> 8 & 255},${ramp[i] >> 16 & 255})`).join(", ")})`;
 
+// What a layer's byte stands for, in the layer's unit.
+const valueOf = (layer, byte) => layer.most ? layer.least * (layer.most / layer.least) ** (byte / 255) : layer.low + (layer.high - layer.low) * byte / 255;
+
 function pixelsOf(points, mode) {
   const {n, rgb} = points, pixels = new Uint32Array(n), layer = points.layers[mode], ramp = rampOf(mode);
+  const colours = layer && ramp.map((_, byte) => ramp[Math.round(255 * Math.max(0, Math.min(1, (valueOf(layer, byte) - layer.low) / (layer.high - layer.low || 1))))]);
   for (let i = 0; i < n; i++) {
-    if (layer) pixels[i] = ramp[layer.of[i]];
+    if (layer) pixels[i] = colours[layer.of[i]];
     else if (mode === "change") { // grey, so that what has changed stands out
       const grey = 40 + 0.55 * (0.3 * rgb[3 * i] + 0.6 * rgb[3 * i + 1] + 0.1 * rgb[3 * i + 2]);
       pixels[i] = (255 << 24 | grey << 16 | grey << 8 | grey) >>> 0;
