@@ -26,9 +26,10 @@ from .outcome.publish import mend_ledger, run_pipeline
 from .records.events import Event, Listener
 from .records.record import CameraRecord, PairRecord, RunRecord
 from .records.run_folder import RunFolder, hold_to_write, new_run, refresh
-from .runner.context import Options, plan_run
+from .runner.context import plan_run
 from .runner.journal import Journal
 from .runner.loop import terminate_as_interrupt
+from .runner.options import Options
 from .site.load import load_site as read_site
 from .site.models import Site
 from .task import Task

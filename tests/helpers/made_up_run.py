@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 
 from wbflow.api import load_site
-from wbflow.cache.artifact import digest
+from wbflow.cache.digests import content_digest
 from wbflow.cache.layout import WorkFolder
 from wbflow.cache.store import Cache, Preimage, Receipt
 from wbflow.pipeline.names import FRAMES, FUSE, GEOMETRY
@@ -173,7 +173,7 @@ def _publish_reference(work: WorkFolder, night: RunRecord, jpeg: bytes) -> None:
 
 def _made(work: WorkFolder, task: Task, drawings: dict[str, bytes], key: str = KEY) -> list[Event]:
     """Keep what is said to have been drawn of a result; the result itself is not there."""
-    digests = {name: digest(data) for name, data in drawings.items()}
+    digests = {name: content_digest(data) for name, data in drawings.items()}
     receipt = Receipt(str(task), key, "ran", Preimage(*task, "", "", {}, {}), "", drawings=digests)
     Cache(work).write(receipt, None, drawings)
     return [TaskEvent(task, "ran", f"{RUN[:8]}T03:20:00+00:00", key=key)]

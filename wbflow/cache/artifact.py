@@ -8,21 +8,18 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-import hashlib
 import importlib
 import json
 import math
-import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 from ..errors import WbflowError
 from ..pipeline.stages import PointTable
+from .digests import content_digest
 from .plugins import load
 from .ply import columns_of, ply_bytes
-from .untrusted import open_outside
 
 MAGIC = b"WBF1"
 _SCALARS = (bool, int, float, str)  # `bool | int` would be made anew at each look
@@ -75,17 +72,6 @@ def decode(data: bytes) -> Any:
     return _untree(tree, _Frames(memoryview(data), end))
 
 
-def digest(data: bytes | bytearray | memoryview) -> str:
-    """The content digest by which artifacts are compared: 32 hexadecimal digits of SHA-256."""
-    return hashlib.sha256(data).hexdigest()[:32]
-
-
-def file_digest(path: Path) -> str:
-    """`digest` of a file from outside, read in pieces.  Raises OSError."""
-    with os.fdopen(open_outside(path), "rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()[:32]
-
-
 def parts(value: Any) -> dict[str, str]:
     """Digests of what can be needed on its own: each dataclass field, and each dataclass entry of a mapping field.
 
@@ -95,10 +81,12 @@ def parts(value: Any) -> dict[str, str]:
     for name in _kept(value):
         field = getattr(value, name)
         if dataclasses.is_dataclass(field):
-            found[name] = digest(encode(field))
+            found[name] = content_digest(encode(field))
         elif isinstance(field, Mapping):
-            found |= {f"{name}[{key}]": digest(encode(entry)) for key, entry in field.items() if dataclasses.is_dataclass(entry)}
-            found[name] = digest(json.dumps([(_key(k), found.get(f"{name}[{k}]", "")) for k in field]).encode())
+            found |= {
+                f"{name}[{key}]": content_digest(encode(entry)) for key, entry in field.items() if dataclasses.is_dataclass(entry)
+            }
+            found[name] = content_digest(json.dumps([(_key(k), found.get(f"{name}[{k}]", "")) for k in field]).encode())
     return found
 
 

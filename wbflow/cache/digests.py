@@ -1,114 +1,20 @@
-"""Digests of files from outside, remembered from run to run as long as a file does not change."""
+"""The content digest by which files and artifacts are compared: 32 hexadecimal digits of SHA-256."""
 
 from __future__ import annotations
 
+import hashlib
 import os
-import time
-from collections.abc import Iterable
 from pathlib import Path
-from typing import Any
 
-from ..errors import WbflowError
-from .artifact import file_digest
-from .signed import Damaged, read_signed, write_signed
-
-_SETTLED_NS = 2_000_000_000
-"""A file younger than this may change again within its time stamp's resolution."""
-_FORMER = 2000
-"""So many files that were not looked up this time are remembered besides those that were."""
-NIGHTS = 60
-"""So many nights of captures are remembered."""
+from .untrusted import open_outside
 
 
-class ChangedFile(WbflowError):
-    """A file from outside does not hold any more what it held when its digest was taken."""
-
-    def __init__(self, path: Path) -> None:
-        super().__init__(f"{path} has changed while the night was being worked on")
-        self.path = path
-
-    def __reduce__(self) -> tuple[type[ChangedFile], tuple[Path]]:  # it comes back from worker processes
-        return type(self), (self.path,)
+def content_digest(data: bytes | bytearray | memoryview) -> str:
+    """Of bytes."""
+    return hashlib.sha256(data).hexdigest()[:32]
 
 
-class _Memo:
-    """A signed file of one mapping, kept between runs."""
-
-    def __init__(self, path: Path | None, of: str, entry: str, cost: str) -> None:
-        """path: None keeps nothing.  cost: what it means, in words, when the file is damaged."""
-        self._path, self._of, self._entry = path, of, entry
-        self.damage: str | None = None
-        """What was wrong with the file, if anything was."""
-        known = None
-        try:
-            known = read_signed(path, of) if path else None
-        except Damaged as damage:
-            self.damage = f"{damage.what}: {cost}"
-        self._content: dict[str, Any] = dict(known.get(entry, {})) if known else {}
-        self._changed = self.damage is not None
-
-    def save(self) -> None:
-        """Keep what was learnt.  Raises OSError."""
-        if self._path and self._changed:
-            write_signed(self._path, self._of, {self._entry: self._content})
-            self._changed = False
-
-
-class Digests(_Memo):
-    """Digests of files by path, size, time stamps and inode."""
-
-    def __init__(self, memo: Path | None) -> None:
-        super().__init__(memo, "digests of captures", "files", "captures are read again")
-        self._used: dict[str, None] = {}
-
-    def of(self, path: Path) -> str:
-        """The content digest of a file.  Raises OSError."""
-        name, status = str(path), path.stat()
-        self._used[name] = None
-        stamp, known = _stamp(status), self._content.get(name)
-        settled = time.time_ns() - max(status.st_mtime_ns, status.st_ctime_ns) > _SETTLED_NS
-        if known and known[:-1] == stamp and settled:
-            return str(known[-1])
-        digest = file_digest(path)
-        if settled and _stamp(path.stat()) == stamp:  # the file is the one that was looked at before it was read
-            self._content[name] = [*stamp, digest]
-            self._changed = True
-        return digest
-
-    def forget(self, path: Path) -> None:
-        """What is remembered of a file is wrong: it is read again."""
-        self._changed |= self._content.pop(str(path), None) is not None
-
-    def save(self) -> None:
-        """Keep what was learnt.  Raises OSError."""
-        former = [name for name in self._content if name not in self._used][-_FORMER:]
-        kept = [*former, *(name for name in self._used if name in self._content)]
-        self._content = {name: self._content[name] for name in kept}
-        super().save()
-
-
-def _stamp(status: os.stat_result) -> list[int]:
-    """What tells that a file has been touched: size, last change of its content and of anything, inode."""
-    return [status.st_size, status.st_mtime_ns, status.st_ctime_ns, status.st_ino]
-
-
-class Seen(_Memo):
-    """Digests of captures by camera and night (ISO 8601)."""
-
-    def __init__(self, memo: Path) -> None:
-        cost = "what cameras have delivered before tonight is forgotten"
-        super().__init__(memo, "captures of earlier nights", "cameras", cost)
-
-    def before(self, camera: str, night: str) -> dict[str, str]:
-        """The newest earlier night of each digest that a camera has delivered."""
-        earlier = sorted((date, found) for date, found in self._content.get(camera, {}).items() if date < night)
-        return {digest: date for date, found in earlier for digest in found}
-
-    def note(self, camera: str, night: str, digests: Iterable[str]) -> None:
-        """Remember what a camera delivers tonight.  A night that is run again is remembered as it is now."""
-        nights = self._content.setdefault(camera, {})
-        found = sorted({digest for digest in digests if digest})
-        if found and nights.get(night) != found:
-            nights[night] = found
-            self._content[camera] = {date: nights[date] for date in sorted(nights)[-NIGHTS:]}
-            self._changed = True
+def file_digest(path: Path) -> str:
+    """Of a file from outside, read in pieces.  Raises OSError."""
+    with os.fdopen(open_outside(path), "rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()[:32]

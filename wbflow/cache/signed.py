@@ -14,8 +14,8 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import WbflowError
-from .artifact import digest
 from .atomic import Fsync, write_atomic
+from .digests import content_digest
 from .untrusted import Unreadable, read_outside
 
 _HEAD, _TAIL = b'{"signed":"', b'",'
@@ -44,7 +44,7 @@ def signed(of: str, content: Mapping[str, Any], in_lines: bool = False) -> bytes
     """
     entries = {"of": of, **content}
     body = (lines_of(entries) if in_lines else json.dumps(entries, separators=(",", ":"))).encode()[1:]
-    return _HEAD + digest(body).encode() + _TAIL + body
+    return _HEAD + content_digest(body).encode() + _TAIL + body
 
 
 def lines_of(content: Mapping[str, Any]) -> str:
@@ -74,7 +74,7 @@ def unsigned(data: bytes, of: str) -> dict[str, Any]:
     body = data[_BODY:]
     if not data.startswith(_HEAD):
         raise Unsigned("carries no checksum")
-    if data[len(_HEAD) : _BODY] != digest(body).encode() + _TAIL:
+    if data[len(_HEAD) : _BODY] != content_digest(body).encode() + _TAIL:
         raise Damaged("is damaged")
     content: dict[str, Any] = json.loads(b"{" + body)
     if (whose := content.pop("of", None)) != of:

@@ -20,6 +20,7 @@ from ..pipeline.stages import stage_named
 from ..task import Task
 from . import artifact
 from .atomic import clear, write_atomic
+from .digests import content_digest
 from .layout import WorkFolder
 from .signed import Damaged, read_signed, write_signed
 from .untrusted import read_outside
@@ -74,7 +75,7 @@ class Preimage:
             "parameters": self.parameters,
             "inputs": self.inputs,
         }
-        return artifact.digest(json.dumps(determines, sort_keys=True, separators=(",", ":")).encode())
+        return content_digest(json.dumps(determines, sort_keys=True, separators=(",", ":")).encode())
 
 
 @dataclass(frozen=True)
@@ -87,7 +88,7 @@ class Receipt:
     """ran, or rejected: then there is a reason, and no file."""
     preimage: Preimage
     digest: str
-    """Of the artifact's bytes (see `artifact.digest`)."""
+    """Of the artifact's bytes (see `digests`)."""
     parts: dict[str, str] = field(default_factory=dict)
     """Digests of what can be needed on its own (see `artifact.parts`)."""
     file: str | None = None
@@ -174,7 +175,7 @@ class Cache:
                 data = read_outside(path, most=sys.maxsize)
             except OSError:
                 data = b""
-            if artifact.digest(data) == digest:
+            if content_digest(data) == digest:
                 return data
         gone = not path.exists()
         self._quarantine(path)
@@ -193,7 +194,7 @@ class Cache:
             data = read_outside(self.work.drawing(task, key, name))
         except OSError:
             return None
-        return data if artifact.digest(data) == receipt.drawings[name] else None
+        return data if content_digest(data) == receipt.drawings[name] else None
 
     def write(self, receipt: Receipt, data: bytes | bytearray | None, drawings: Mapping[str, bytes] | None = None) -> None:
         """Keep an artifact and what was drawn of it: the bytes first, the receipt last.  Raises OSError."""

@@ -283,7 +283,8 @@ def status(site: Path, date: Day | None, work: str | None, until: str | None, as
 
 def _status(site: Site, date: datetime.date | None, until: str | None, force: tuple[str, ...] = ()) -> Status:
     from ..outcome.status import explain
-    from ..runner.context import Options, plan_run
+    from ..runner.context import plan_run
+    from ..runner.options import Options
 
     Options(until=until, force=force).check(site)
     plan = plan_run(site, date, until, force).plan

@@ -8,9 +8,9 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-from ..cache.artifact import digest
 from ..cache.atomic import write_atomic
-from ..cache.digests import Digests
+from ..cache.digests import content_digest
+from ..cache.memo import Digests
 from ..cache.plugins import load
 from ..cache.untrusted import MOST_TEXT_BYTES, is_file, read_outside
 from ..errors import ExitCode, WbflowError
@@ -171,4 +171,4 @@ class Session:
     def _digests(self) -> dict[Path, str]:
         """What is in the site file and in the masks now."""
         files = [self.site.file, *(camera.mask for camera in self.site.cameras if camera.mask)]
-        return {file: digest(read_outside(file)) if is_file(file) else "" for file in files}
+        return {file: content_digest(read_outside(file)) if is_file(file) else "" for file in files}

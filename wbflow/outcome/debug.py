@@ -10,8 +10,8 @@ import shutil
 from pathlib import Path
 from typing import Any
 
-from ..cache import artifact
 from ..cache.artifact import result_bytes
+from ..cache.digests import content_digest
 from ..cache.plugins import load, offer
 from ..cache.ply import columns_of
 from ..cache.store import Cache
@@ -178,7 +178,7 @@ def keep(folder: Path, result: Any) -> str:
     file.write_bytes(data)
     if task["digest"] is None:
         return f"{file} (the cache has none: {before[0]}{f', {before[1]}' if before[1] else ''})"
-    same = artifact.digest(data) == task["digest"]
+    same = content_digest(data) == task["digest"]
     return f"{file}: {'the same bytes as the cache has' if same else 'other bytes than the cache has'}"
 
 

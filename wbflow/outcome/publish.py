@@ -26,9 +26,10 @@ from ..records.ledger import Ledger
 from ..records.record import CameraRecord, RunRecord
 from ..records.run_folder import UnfinishedRun
 from ..reference.create import fit_to_pin, pin, prepare
-from ..runner.context import Options, RunContext
+from ..runner.context import RunContext
 from ..runner.journal import Journal
 from ..runner.loop import Worked, work
+from ..runner.options import Options
 from ..runner.planner import Plan
 from ..runner.spec import summary_of
 from ..site.geodesy import origin_of

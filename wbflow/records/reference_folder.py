@@ -16,8 +16,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from ..cache.artifact import file_digest
 from ..cache.atomic import clear, copy_atomic, write_atomic
+from ..cache.digests import file_digest
 from ..cache.layout import WorkFolder
 from ..cache.signed import Damaged, read_signed, signed
 from ..cache.store import Cache, Receipt

@@ -12,6 +12,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from ..cache import artifact
+from ..cache.digests import content_digest
 from ..cache.layout import WorkFolder
 from ..cache.plugins import load
 from ..cache.store import Cache, DamagedArtifact, Preimage, Receipt
@@ -165,7 +166,7 @@ def _pooled(cache: Cache, stage: Stage, task: Task, receipts: Mapping[str, Recei
     data = artifact.encode(result)
     now = datetime.datetime.now(datetime.UTC).isoformat()
     facts: dict[str, Any] = {"parts": artifact.parts(result), "figures": artifact.figures(result), "finished": now}
-    file, digest = f"{key}{stage.suffix}", artifact.digest(data)
+    file, digest = f"{key}{stage.suffix}", content_digest(data)
     receipt = Receipt(str(task), key, "ran", preimage, digest, file=file, bytes=len(data), **facts)
     cache.write(receipt, data)
     return receipt

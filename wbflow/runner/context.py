@@ -1,91 +1,19 @@
-"""What a run starts from: its options, the captures of its night, and its plan.  `run`, `status` and `check` begin here."""
+"""What a run starts from: the captures of its night, and its plan.  `run`, `status` and `check` begin here."""
 
 from __future__ import annotations
 
 import datetime
-import difflib
-import importlib.util
-import itertools
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from ..cache.digests import Digests, Seen
 from ..cache.layout import WorkFolder
+from ..cache.memo import Digests, Seen
 from ..cache.store import Cache
-from ..errors import UsageError
-from ..pipeline.stages import STAGES, stage_named
 from ..records.reference_folder import BadReference, Reference, read_reference
 from ..site.captures import CaptureFile, as_now, expected, find_captures, find_named, in_motion, look_again, night, when_complete
 from ..site.models import Site
 from ..site.staleness import look_at
-from ..task import camera_of, component_name
-from .executors import worker_roots
 from .planner import Plan
-
-
-@dataclass(frozen=True)
-class Options:
-    """What a run is to do, besides its site."""
-
-    date: datetime.date | None = None
-    """The night; None: the newest that has captures."""
-    jobs: int = 1
-    """Workers."""
-    until: str | None = None
-    """Stop after this stage."""
-    force: tuple[str, ...] = ()
-    """Stages, or tasks such as "matches gate--roof", that are done again."""
-    wait: bool = False
-    """Wait for another run of the same work folder, instead of giving up."""
-    backend: str = "processes"
-    """Where tasks run: processes (also called loky), threading or dask."""
-    scheduler: str | None = None
-    """Address of the Dask scheduler."""
-    worker_roots: tuple[str, ...] = ()
-    """HERE=THERE: what the cluster's workers call folders of this machine."""
-    memory: int | None = None
-    """Bytes that all workers together may hold; None: four fifths of what the machine has."""
-    time_limit: float | None = None
-    """Seconds that a task may take; None: derived from what its stage took before."""
-    stop_at: datetime.datetime | None = None
-    """From then on (local time) only what is there already is put together and published."""
-
-    def check(self, site: Site) -> None:
-        """Raises UsageError for what is not possible."""
-        names = [stage.name for stage in STAGES]
-        if self.until and self.until not in names:
-            raise UsageError(f"--until {self.until}: there is no such stage", remedy=_stages(self.until, names))
-        for name in self.force:
-            if name.split(" ")[0] not in names:
-                what = f"--force {name!r}: name a stage, or a task such as 'matches gate--roof'"
-                raise UsageError(what, remedy=_stages(name, names))
-            self._check_subject(site, name)
-        if self.worker_roots and self.backend != "dask":
-            raise UsageError("--worker-root is of workers on other machines", remedy="with --backend dask")
-        worker_roots(self.worker_roots)
-        if self.backend == "dask" and not self.scheduler:
-            remedy = "for example: --scheduler tcp://host:8786, where `dask scheduler` runs"
-            raise UsageError("--backend dask needs --scheduler ADDRESS", remedy=remedy)
-        if self.backend == "dask" and importlib.util.find_spec("distributed") is None:
-            raise UsageError("--backend dask needs Dask", remedy="pip install 'wbflow[dask]'")
-
-    def _check_subject(self, site: Site, name: str) -> None:
-        """Raises UsageError for a task that is to be done again and that the site cannot have."""
-        stage, _, subject = name.partition(" ")
-        views = [name for view in site.views for name in dict.fromkeys((view.id, camera_of(view.id)))]
-        pairs = {"--".join(pair) for pair in itertools.combinations(dict.fromkeys(views), 2)} if subject else set()
-        subjects = {"camera": set(views), "pair": pairs, "site": {component_name(k) for k in range(1, len(views))}}
-        there = subjects[stage_named(stage).scope]
-        if subject and subject not in there:
-            turned = "--".join(reversed(subject.split("--")))
-            close = [turned] if turned in there else difflib.get_close_matches(subject, sorted(there)[:20_000], n=1)
-            remedy = f"did you mean '{stage} {close[0]}'?" if close else "wbflow status SITE.yaml  lists the night's tasks"
-            raise UsageError(f"--force {name!r}: the site has no such task", remedy=remedy)
-
-
-def _stages(named: str, names: list[str]) -> str:
-    close = difflib.get_close_matches(named.split(" ")[0], names, n=1)
-    return f"{f'did you mean {close[0]}? ' if close else ''}stages are {', '.join(names)}"
 
 
 @dataclass

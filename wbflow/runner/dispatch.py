@@ -20,9 +20,9 @@ from ..cache.store import Cache
 from ..errors import WbflowError, printable
 from ..records.ledger import TaskCosts, read_costs
 from ..task import Task
-from .context import Options
-from .executors import Cluster, OtherCode, Processes, WorkerLost, machine_memory, worker_roots
+from .executors import Cluster, OtherCode, Processes, WorkerLost, machine_memory
 from .journal import Journal
+from .options import Options, worker_roots
 from .spec import Cause, State, TaskSpec
 from .worker import Done, run_chain
 

@@ -20,7 +20,7 @@ from typing import Any
 from .. import __version__
 from ..cache.atomic import in_words
 from ..cache.fingerprint import FunctionError
-from ..errors import UsageError, WbflowError
+from ..errors import WbflowError
 from ..pipeline.binding import bind
 from ..pipeline.functions import FunctionReader
 from ..pipeline.stages import stage_named
@@ -287,18 +287,6 @@ class Cluster(Executor):
         """Take back what has not begun, and leave the cluster."""
         self._executor.shutdown(wait=False)
         self._client.close(timeout=PATIENCE_SECONDS)
-
-
-def worker_roots(texts: tuple[str, ...]) -> dict[Path, Path]:
-    """Return folders of this machine and what workers call them, each written as HERE=THERE.  Raises UsageError."""
-    roots = {}
-    for text in texts:
-        here, _, there = text.partition("=")
-        if not here or not there.startswith("/"):
-            what = f"--worker-root {text!r}: write HERE=THERE, a folder of this machine and its path on the workers"
-            raise UsageError(what, remedy="for example: --worker-root /srv=/mnt/srv")
-        roots[Path(here).resolve()] = Path(there)
-    return roots
 
 
 def _in_cluster(roots: Mapping[Path, Path], version: str, function: Callable[..., Any], *args: Any, **kwargs: Any) -> Any:

@@ -16,9 +16,10 @@ from ..cache.store import DamagedArtifact
 from ..pipeline.names import DEPTH, FUSE, POSES
 from ..pipeline.stages import stage_named
 from ..task import Task
-from .context import Options, RunContext
+from .context import RunContext
 from .dispatch import DiskFloor, Dispatcher
 from .journal import Journal
+from .options import Options
 from .spec import Cause, State
 
 MOST_ATTEMPTS = 3

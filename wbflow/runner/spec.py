@@ -8,7 +8,7 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Any, Literal, TypeVar
 
-from ..cache import artifact
+from ..cache.digests import content_digest
 from ..cache.store import Preimage, Receipt
 from ..pipeline.stages import SITE_TYPES, PointTable, Source, Stage
 from ..pipeline.summaries import Summary
@@ -27,7 +27,7 @@ class Value:
     """Its fields, as far as they are stated."""
 
     def digest(self) -> str:
-        return artifact.digest(json.dumps([self.kind, self.plain], sort_keys=True).encode())
+        return content_digest(json.dumps([self.kind, self.plain], sort_keys=True).encode())
 
 
 @dataclass(frozen=True)
@@ -40,7 +40,7 @@ class Files:
     """One file rather than a list."""
 
     def digest(self) -> str:
-        return artifact.digest(json.dumps([f.digest for f in self.files]).encode())
+        return content_digest(json.dumps([f.digest for f in self.files]).encode())
 
 
 @dataclass(frozen=True)

@@ -24,7 +24,8 @@ from typing import Any, TextIO
 from ..cache import artifact
 from ..cache.artifact import result_bytes, result_of
 from ..cache.atomic import FULL, REMEDY
-from ..cache.digests import ChangedFile
+from ..cache.digests import content_digest
+from ..cache.memo import ChangedFile
 from ..cache.plugins import load, offer
 from ..cache.store import Cache, Damage, DamagedArtifact, Preimage, Receipt
 from ..cache.untrusted import read_outside
@@ -210,7 +211,7 @@ def _do(spec: TaskSpec, preimage: Preimage, key: str, chain: _Chain) -> Done:
         data = result_bytes(result, spec.table)
         drawings, warnings = _draw(spec, result, chain)
         figures = artifact.figures(result) | (load(spec.table.figures)(result) if spec.table else {})
-        known = {"digest": artifact.digest(data), "parts": artifact.parts(result), "file": f"{key}{spec.suffix}"}
+        known = {"digest": content_digest(data), "parts": artifact.parts(result), "file": f"{key}{spec.suffix}"}
         known |= {"bytes": len(data), "figures": figures}
     receipt = Receipt(
         str(spec.task),
@@ -222,7 +223,7 @@ def _do(spec: TaskSpec, preimage: Preimage, key: str, chain: _Chain) -> Done:
         cpu=chain.clock() - cpu,
         peak_rss_mb=peak() / 2**20,
         finished=datetime.datetime.now(datetime.UTC).isoformat(),
-        drawings={name: artifact.digest(drawing) for name, drawing in drawings.items()},
+        drawings={name: content_digest(drawing) for name, drawing in drawings.items()},
     )
     chain.cache.write(receipt, data, drawings)
     chain.results[receipt.digest] = result
@@ -305,7 +306,7 @@ def _capture(kind: str, file: Any) -> Any:
     import numpy as np
 
     data = read_outside(file.path)
-    if artifact.digest(data) != file.digest:  # else what is made of it would be kept as made of something else
+    if content_digest(data) != file.digest:  # else what is made of it would be kept as made of something else
         raise ChangedFile(file.path)
     return load(kind)(name=file.name, data=np.frombuffer(data, dtype=np.uint8))
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TypeVar
 
-from ..cache.digests import Digests
+from ..cache.memo import Digests
 from ..errors import UsageError, WbflowError, printable
 from .models import Camera, Site
 

@@ -10,8 +10,8 @@ import datetime
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 
-from ..cache.artifact import digest
-from ..cache.digests import Digests, Seen
+from ..cache.digests import content_digest
+from ..cache.memo import Digests, Seen
 from ..pipeline.summaries import FrameSummary
 from ..records.record import Health
 from .captures import CaptureFile, captures_of
@@ -23,7 +23,7 @@ NIGHT_HOURS = 36.0
 """A capture that was taken further than this from noon of the night's date is of another night."""
 SAME_PIXELS = 0.98
 """Two pictures of a live sensor never agree in so many pixels to the last grey level."""
-_OF_NOTHING = digest(b"")
+_OF_NOTHING = content_digest(b"")
 """Of an empty file: that two cameras or nights have one does not say that a picture is frozen."""
 _REMEDY = "restart the camera or what fetches its pictures; it is used again by itself as soon as its captures are new"
 _CLOCK = "set the camera's clock, or look at what fetches and names its pictures"

@@ -15,7 +15,7 @@ import pytest
 
 from tests.helpers.images import read_image
 from tests.helpers.synthetic_site import small_yard
-from wbflow.cache.digests import Digests
+from wbflow.cache.memo import Digests
 from wbflow.cache.ply import read_ply
 from wbflow.outcome.demo import NotADemo, write_demo
 from wbflow.site.captures import find_captures, night

@@ -15,6 +15,7 @@ import pytest
 from click.testing import CliRunner, Result
 
 from tests.helpers.images import read_image
+from wbflow.cache.digests import content_digest
 from wbflow.cache.ply import read_ply
 from wbflow.cli.main import main
 from wbflow.outcome.demo import write_demo
@@ -179,7 +180,7 @@ def placed_on_the_map(site: Path, copy: Path) -> Path:
     assert receipt is not None
     poses = artifact.decode(cache.path(receipt).read_bytes())
     data = artifact.encode(replace(poses, crs=LocalFrame(*ORIGIN).crs))
-    cache.write(replace(receipt, digest=artifact.digest(data), bytes=len(data)), data)
+    cache.write(replace(receipt, digest=content_digest(data), bytes=len(data)), data)
     return copy
 
 
