@@ -28,9 +28,6 @@ from .fusion.voxels import Samples, VoxelGrid, VoxelSums
 from .reasons import Reason, Rejected
 from .types import Camera, Cloud, DepthMap, Float32s, Float64s, Frame
 
-_GRAZING = 0.05
-"""Cosine of the lowest angle at which the way to the next pixel is still reckoned with."""
-
 _IN_MEMORY, _IN_MEMORY_PX = 8, 12_000_000
 """Depth maps kept at hand, at least, and more while they are small: the next view is mostly compared with the same ones."""
 
@@ -45,7 +42,6 @@ def fuse(
     min_consistent_pairs: int = 1,
     voxel_m: float | None = None,
     confidence: float = 0.5,
-    neighbours: int = 5,
     check_views: int = 16,
 ) -> Cloud | Rejected:
     """Fuse the depths of all views into one cloud.
@@ -60,7 +56,6 @@ def fuse(
         same: 2 trades completeness for accuracy.
     voxel_m : edge of the voxels in which points are merged, in metres; None: what a pixel covers.
     confidence : a point is right with this probability at least: more trades completeness for accuracy.
-    neighbours : a point needs so many others within three voxels, or many in the picture where these lie further apart.
     check_views : each view is compared with so many others that see most of the same.
     """
     better, frames = refined or {}, straight_frames(frames, cameras)
@@ -94,16 +89,15 @@ def fuse(
         check = cross_check(name, near[name], cameras, view_of)
         others = np.array([cameras[other].C for other in near[name]]).reshape(-1, 3)
         limits = (min_consistent_pairs, confidence)
-        samples = _samples(frames[name], cameras[name], view_of(name), check, others, gains[name], limits, grid)
+        samples = _samples(frames[name], cameras[name], view_of(name), check, others, gains[name], limits)
         return _ViewPoints(len(samples.points), samples.variance * samples.weight, grid.sums_of(samples))
 
     given, misfits = _collected(grid, list(cameras), view_points)
     loaded.cache_clear()
-    parts = [_cloud(samples) for samples in grid.merged(neighbours)]
+    parts = [_cloud(samples) for samples in grid.merged()]
     del grid
     if not parts:
-        figures = {"cameras": len(cameras), "min_consistent_pairs": min_consistent_pairs, "neighbours": neighbours}
-        return Rejected(Reason.NO_SUPPORTED_POINT, figures)
+        return Rejected(Reason.NO_SUPPORTED_POINT, {"cameras": len(cameras), "min_consistent_pairs": min_consistent_pairs})
     return _joined(parts, given, misfits)
 
 
@@ -132,7 +126,7 @@ def _collected(
 
 def _samples(
     frame: Frame, camera: Camera, view: TrustedDepth, check: CrossCheck, others: Float64s, gains: Float64s,
-    limits: tuple[int, float], grid: VoxelGrid,
+    limits: tuple[int, float],
 ) -> Samples:  # fmt: skip
     """The points of one view that are probable enough.  limits: `min_consistent_pairs` and `confidence` of `fuse`."""
     depth, (min_pairs, confidence) = view.depth, limits
@@ -144,7 +138,6 @@ def _samples(
     z, sigma = depth.depth[y, x].astype(np.float64), depth.sigma[y, x].astype(np.float64)
     points, normals = backproject(camera, np.column_stack([x, y]).astype(np.float64), z), world_normals(camera, depth, y, x)
     pixel, variance = (z / camera.K[0, 0]).astype(np.float32), depth_variance(depth, check, y, x)
-    spacing = pixel / np.maximum(_cosines(camera, points, normals), _GRAZING)
     return Samples(
         points,
         normals.astype(np.float32),
@@ -154,14 +147,7 @@ def _samples(
         check.cameras[y, x].astype(np.float32),
         pixel,
         along_nearest_rays(variance, camera, others, check.nearest[y, x], points, normals).astype(np.float32),
-        spacing >= grid.reach(pixel),
     )
-
-
-def _cosines(camera: Camera, points: Float64s, normals: Float64s) -> Float64s:
-    """(n,) of the angles between surfaces' normals and the rays on which they are seen."""
-    rays = camera.C - points
-    return np.asarray(np.abs(np.sum(rays * normals, axis=1)) / np.linalg.norm(rays, axis=1), dtype=np.float64)
 
 
 def _joined(parts: Sequence[Cloud], given: dict[str, int], misfits: dict[str, float]) -> Cloud:

@@ -124,10 +124,7 @@ class Reason(StrEnum):
     NO_PAIR_DEPTH = "no-pair-depth", "no pair gave this view any depth"
     NO_USEFUL_ANGLE = "no-useful-angle", "no other view sees the scene from a useful angle"
     NO_DEPTH = "no-depth", "no view has any depth"
-    NO_SUPPORTED_POINT = (
-        "no-supported-point",
-        "no point is supported by {min_consistent_pairs:.0f} pairs and {neighbours:.0f} neighbours",
-    )
+    NO_SUPPORTED_POINT = "no-supported-point", "no point is probable enough and supported by {min_consistent_pairs:.0f} pairs"
 
 
 @dataclass(frozen=True)

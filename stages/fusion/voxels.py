@@ -1,38 +1,30 @@
-"""Points of many views merged on a grid that grows coarser where the cameras see coarser, and lonely ones dropped.
+"""Points of many views merged on a grid that grows coarser where the cameras see coarser.
 
 A voxel's level doubles its edge: level 0 has the basic edge, and a point whose pixel covers more than two, four, ... edges goes
 to level 1, 2, ...  Sites in which near and far things are seen at once keep both.  A rough depth weighs less, it does not
 coarsen.
-
-A lonely voxel is one with few others near it.  Pixels of a surface seen at a low angle lie further apart than that along one
-direction, however right they are: such samples are kept without neighbours.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 import numpy.typing as npt
 
 from ..core.jit import kernel
 from ..core.parallel import parallel_map
-from ..types import Bools, Float32s, Float64s, Int32s
+from ..types import Float32s, Float64s
 
 Int64s = npt.NDArray[np.int64]
 
 _HALF = 1 << 19  # cells to either side of the origin, per axis
 _LEVELS = 8
 _BLOCK = 1 << 18
-_NEAR = 3
-"""Others are looked for within so many edges..."""
-_AROUND = (_NEAR << 40) + 1
-"""...whose keys differ by less."""
-_COLUMNS, _BEST = 17, 14
+_COLUMNS, _BEST = 16, 14
 """Columns of a voxel's sums: position, normal (by weight), colour (by confidence), weight, confidence, count, standard deviation
-by weight, variance by squared weight; from `_BEST` on the largest values: confidence, cameras, self_supported."""
+by weight, variance by squared weight; from `_BEST` on the largest values: confidence, cameras."""
 _IN_COMMON = 0.25
 """Correlation of the errors of a voxel's samples: views share pairs, pixels their patches (fitted as in `fusion.uncertainty`)."""
 
@@ -40,9 +32,8 @@ _IN_COMMON = 0.25
 @dataclass(frozen=True)
 class Samples:
     """Points before or after merging, (n, ...): position, unit normal, colour 0 to 255, weight 1 / sigma^2, confidence 0 to 1,
-    number of cameras, edge in world lengths of what its pixel covers, squared standard deviation along the nearest camera's ray
-    as images show it (the weight is what it was expected to be), and whether a sample need not be near others (see
-    `VoxelGrid.reach`)."""
+    number of cameras, edge in world lengths of what its pixel covers, and squared standard deviation along the nearest camera's
+    ray as images show it (the weight is what it was expected to be)."""
 
     points: Float64s
     normals: Float32s
@@ -52,29 +43,24 @@ class Samples:
     cameras: Float32s
     footprint: Float32s
     variance: Float32s
-    self_supported: Bools
 
 
 @dataclass(frozen=True)
 class VoxelSums:
-    """Samples of one view, summed in the voxels that hold any: sorted keys (n,), and columns (n, 17) as in `_COLUMNS`."""
+    """Samples of one view, summed in the voxels that hold any: sorted keys (n,), and columns (n, 16) as in `_COLUMNS`."""
 
     keys: Int64s
     columns: Float32s
 
 
 class VoxelGrid:
-    """Collects samples view by view.  Memory follows the number of occupied voxels, not of samples: 76 bytes for each."""
+    """Collects samples view by view.  Memory follows the number of occupied voxels, not of samples: 72 bytes for each."""
 
     def __init__(self, edge: float, origin: Float64s) -> None:
         self.edge = edge
         self.origin = origin
         self._keys = np.zeros(0, np.int64)
         self._sums = np.zeros((0, _COLUMNS), np.float32)
-
-    def reach(self, footprint: Float32s) -> Float64s:
-        """(n,) how far away others may be that keep a sample from being lonely, by the edge (n,) of what it stands for."""
-        return np.asarray(_NEAR * self.edge * 2.0 ** self._levels(footprint), dtype=np.float64)
 
     def _levels(self, footprint: Float32s) -> Int64s:
         level = np.floor(np.log2(np.maximum(footprint / self.edge, 1.0)))
@@ -92,7 +78,7 @@ class VoxelGrid:
         columns = np.empty((len(starts), _COLUMNS), np.float32)
         _sum(
             order, np.append(starts, len(order)), away, samples.normals, samples.colors,
-            samples.weight, samples.confidence, samples.cameras, samples.variance, samples.self_supported, columns,
+            samples.weight, samples.confidence, samples.cameras, samples.variance, columns,
         )  # fmt: skip
         return VoxelSums(keys[starts], columns)
 
@@ -104,17 +90,17 @@ class VoxelGrid:
         self._sums.resize((after, _COLUMNS), refcheck=False)
         _merge_from_the_end(self._keys, self._sums, before, sums.keys, sums.columns)
 
-    def merged(self, neighbours: int) -> Iterator[Samples]:
-        """One sample for each voxel that has at least so many occupied ones within three edges of it, or a sample that need not,
-        some at a time.
+    def merged(self) -> Iterator[Samples]:
+        """One sample for each voxel, some at a time.
 
         Position and normal are means by weight, the colour by confidence; `weight` is the samples' mean, `variance` that of the
         position, as of samples whose errors correlate by `_IN_COMMON`; confidence and cameras are the best sample's.
         """
-        kept = np.flatnonzero(supported_voxels(self._keys, neighbours) | (self._sums[:, 16] > 0))
-        yield from parallel_map(lambda piece: self._means(kept[piece]), _pieces(len(kept)))
+        count = len(self._keys)
+        pieces = [slice(first, min(first + _BLOCK, count)) for first in range(0, count, _BLOCK)]
+        yield from parallel_map(self._means, pieces)
 
-    def _means(self, rows: Int64s) -> Samples:
+    def _means(self, rows: slice) -> Samples:
         keys, sums = self._keys[rows], self._sums[rows]
         w, c, n = (sums[:, k, None] for k in (9, 10, 11))
         together, alone = (sums[:, 12] / w[:, 0]) ** 2, sums[:, 13] / w[:, 0] ** 2
@@ -128,7 +114,6 @@ class VoxelGrid:
             sums[:, 15].copy(),
             (self.edge * 2.0 ** (keys >> 60)).astype(np.float32),
             _IN_COMMON * together + (1.0 - _IN_COMMON) * alone,
-            sums[:, 16] > 0,
         )
 
     def _centres(self, keys: Int64s) -> Float64s:
@@ -163,7 +148,6 @@ def _sum(
     confidence: Float32s,
     cameras: Float32s,
     variance: Float32s,
-    self_supported: Bools,
     sums: Float32s,
 ) -> None:
     """Sums of each voxel over its samples, which stand together in `order` from one of `starts` to the next."""
@@ -184,7 +168,6 @@ def _sum(
             row[13] += w * w * variance[s]
             row[14] = max(row[14], c)
             row[15] = max(row[15], cameras[s])
-            row[16] = max(row[16], np.float32(self_supported[s]))
 
 
 @kernel
@@ -224,72 +207,3 @@ def _merge_from_the_end(keys: Int64s, sums: Float32s, before: int, new_keys: Int
             for c in range(_COLUMNS):
                 sums[to, c] = new_sums[b, c]
             b -= 1
-
-
-def supported_voxels(keys: Int64s, neighbours: int) -> Bools:
-    """Which voxels (sorted keys) have at least `neighbours` others of their own or a finer level within three edges."""
-    kept = np.zeros(len(keys), np.bool_)
-    bounds = [*np.searchsorted(keys, np.arange(_LEVELS) << 60), len(keys)]
-    for level in range(_LEVELS):
-        members = slice(bounds[level], bounds[level + 1])
-        if members.start == members.stop:
-            continue
-        own = keys[members] & ((1 << 60) - 1)
-        finer = [_coarser(keys[bounds[fine] : bounds[fine + 1]], level - fine) for fine in range(level)]
-        present = _distinct(np.concatenate([own, *finer])) if sum(map(len, finer)) else own
-        counts = parallel_map(partial(_counts, own, present, neighbours + 1), _pieces(len(own)))
-        kept[members] = np.concatenate(list(counts)) > neighbours
-    return kept
-
-
-def _pieces(count: int) -> list[slice]:
-    """So many rows, some at a time."""
-    return [slice(first, min(first + _BLOCK, count)) for first in range(0, count, _BLOCK)]
-
-
-def _counts(keys: Int64s, present: Int64s, enough: int, piece: slice) -> Int32s:
-    """`_count_near` of a piece of the keys: what lies before its surroundings and behind is left out."""
-    some = keys[piece]
-    first, last = np.searchsorted(present, [some[0] - _AROUND, some[-1] + _AROUND])
-    return _count_near(some, present[first:last], enough)
-
-
-def _distinct(keys: Int64s) -> Int64s:
-    """Sorted, each once; numpy's `unique` takes five times as long for millions of integers."""
-    keys = np.sort(keys)
-    return np.asarray(keys[np.concatenate([[True], keys[1:] != keys[:-1]])])
-
-
-def _coarser(keys: Int64s, steps: int) -> Int64s:
-    """Keys without their level, as cells `steps` levels coarser."""
-    axes = [((keys >> shift & (2 * _HALF - 1)) - _HALF >> steps) + _HALF for shift in (40, 20, 0)]
-    return axes[0] << 40 | axes[1] << 20 | axes[2]
-
-
-@kernel
-def _count_near(keys: Int64s, present: Int64s, enough: int) -> Int32s:
-    """How many of `present` lie within three cells of each of `keys`, itself included; counting stops at `enough`.
-
-    Both are sorted, and cells along z have consecutive keys: the neighbours in one column of cells are a run of `present`, and
-    for each of the 29 columns the start of that run only ever moves forward.
-    """
-    column, reach, n = np.empty(49, np.int64), np.empty(49, np.int64), 0
-    for dx in range(-3, 4):
-        for dy in range(-3, 4):
-            if dx * dx + dy * dy <= 9:
-                column[n] = dx * (1 << 40) + dy * (1 << 20)
-                reach[n] = int(np.sqrt(9.0 - dx * dx - dy * dy))
-                n += 1
-    start = np.zeros(n, np.int64)
-    found = np.zeros(len(keys), np.int32)
-    for k in range(len(keys)):
-        for c in range(n):
-            first = keys[k] + column[c] - reach[c]
-            at = start[c]
-            while at < len(present) and present[at] < first:
-                at += 1
-            start[c] = at
-            while at < len(present) and present[at] <= first + 2 * reach[c] and found[k] < enough:
-                found[k] += 1
-                at += 1
-    return found

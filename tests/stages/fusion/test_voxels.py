@@ -1,4 +1,4 @@
-"""Samples of one cell become one, whatever the order of the views; lonely ones are dropped."""
+"""Samples of one cell become one, whatever the order of the views."""
 
 from __future__ import annotations
 
@@ -9,19 +9,19 @@ from wbflow_stages.fusion import voxels
 from wbflow_stages.fusion.voxels import Samples, VoxelGrid
 
 
-def samples(points: np.ndarray, weight: float = 1.0, footprint: float = 0.01, apart: bool = False) -> Samples:
+def samples(points: np.ndarray, weight: float = 1.0, footprint: float = 0.01) -> Samples:
     n = len(points)
     one = np.ones(n, np.float32)
     up = np.tile(np.array([0, 0, 1], np.float32), (n, 1))
     colors = np.full((n, 3), 100, np.float32)
-    return Samples(points, up, colors, weight * one, 0.5 * one, 2 * one, footprint * one, one / weight, apart * one > 0)
+    return Samples(points, up, colors, weight * one, 0.5 * one, 2 * one, footprint * one, one / weight)
 
 
-def merged(*parts: Samples, neighbours: int = 0, edge: float = 0.1) -> Samples:
+def merged(*parts: Samples, edge: float = 0.1) -> Samples:
     grid = VoxelGrid(edge, np.zeros(3))
     for part in parts:
         grid.add(grid.sums_of(part))
-    found = list(grid.merged(neighbours))
+    found = list(grid.merged())
     return Samples(*(np.concatenate([getattr(part, name) for part in found]) for name in vars(found[0])))
 
 
@@ -39,36 +39,15 @@ def test_the_order_of_the_views_does_not_matter_to_which_cells_are_kept() -> Non
     assert there.points == pytest.approx(back.points, abs=1e-5)
 
 
-def test_a_point_without_neighbours_is_dropped() -> None:
-    plane = np.stack(np.meshgrid(np.arange(0.05, 1, 0.1), np.arange(0.05, 1, 0.1), [0.05]), axis=-1).reshape(-1, 3)
-    lonely = np.array([[5.05, 5.05, 5.05]])
-    found = merged(samples(np.vstack([plane, lonely])), neighbours=3)
-    assert len(found.points) == len(plane) and found.points.max() < 2
-
-
-def test_whole_clouds_and_pieces_of_them_lose_the_same_points(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Pieces are only there to be worked on side by side: neighbours are looked for beyond their ends."""
+def test_whole_clouds_and_pieces_of_them_are_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
     rng = np.random.default_rng(0)
     scattered = samples(rng.uniform(-1, 1, (3000, 3)))
     coarse = samples(rng.uniform(-1, 1, (300, 3)), footprint=0.25)
-    whole = merged(scattered, coarse, neighbours=40)
+    whole = merged(scattered, coarse)
     monkeypatch.setattr(voxels, "_BLOCK", 7)
-    pieces = merged(scattered, coarse, neighbours=40)
-    assert 100 < len(whole.points) < 2700
+    pieces = merged(scattered, coarse)
     for name, values in vars(whole).items():
         assert np.array_equal(values, getattr(pieces, name)), name
-
-
-def test_the_coarsest_points_are_kept_where_they_have_company() -> None:
-    plane = np.stack(np.meshgrid(np.arange(0.0, 90, 12.8), np.arange(0.0, 90, 12.8), [1.0]), axis=-1).reshape(-1, 3)
-    assert len(merged(samples(plane, footprint=13.0), neighbours=3).points) == len(plane)
-
-
-def test_points_further_apart_than_voxels_reach_are_kept_where_the_picture_vouches_for_them() -> None:
-    plane = np.stack(np.meshgrid(np.arange(0.05, 1, 0.1), np.arange(0.05, 1, 0.1), [0.05]), axis=-1).reshape(-1, 3)
-    sparse = np.column_stack([np.arange(5.05, 9, 0.5), np.full((8, 2), 5.05)])
-    alone, apart = (merged(samples(plane), samples(sparse, apart=vouched), neighbours=3) for vouched in (False, True))
-    assert len(alone.points) == len(plane) and len(apart.points) == len(plane) + len(sparse)
 
 
 def test_what_is_seen_coarsely_is_merged_coarsely() -> None:
