@@ -11,6 +11,7 @@ import signal
 import subprocess
 import sys
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -270,19 +271,25 @@ def test_zones_are_drawn_where_the_ground_is_seen(server: EditServer) -> None:
 @pytest.mark.parametrize("ends", ["done", "interrupt"])
 def test_the_command_prints_the_address_and_ends_when_somebody_is_done(file: Path, ends: str) -> None:
     command = [sys.executable, "-m", "wbflow", "edit", str(file)]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env={**os.environ, "PYTHONUNBUFFERED": "1"}) as process:
-        assert process.stdout
-        found = re.match(r"http://127\.0\.0\.1:(\d+)/([\w-]{32,})/$", process.stdout.readline().strip())
-        assert found
-        if ends == "interrupt":
-            process.stdout.readline()
-            process.send_signal(signal.SIGINT)
-        else:
-            connection = http.client.HTTPConnection("127.0.0.1", int(found[1]), timeout=30)
-            connection.request("POST", f"/{found[2]}/done", "{}", {"Content-Type": "application/json"})
-            with connection.getresponse() as reply:
-                assert reply.status == 200
-        assert process.wait(30) == 0
+    # tests in the background of a shell ignore SIGINT, and so would what they start
+    heeds = partial(signal.signal, signal.SIGINT, signal.SIG_DFL)
+    environment = {**os.environ, "PYTHONUNBUFFERED": "1"}
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=environment, preexec_fn=heeds) as process:
+        try:
+            assert process.stdout
+            found = re.match(r"http://127\.0\.0\.1:(\d+)/([\w-]{32,})/$", process.stdout.readline().strip())
+            assert found
+            if ends == "interrupt":
+                process.stdout.readline()
+                process.send_signal(signal.SIGINT)
+            else:
+                connection = http.client.HTTPConnection("127.0.0.1", int(found[1]), timeout=30)
+                connection.request("POST", f"/{found[2]}/done", "{}", {"Content-Type": "application/json"})
+                with connection.getresponse() as reply:
+                    assert reply.status == 200
+            assert process.wait(30) == 0
+        finally:
+            process.kill()
 
 
 def test_without_stated_poses_those_of_the_last_run_are_used_and_its_ground(tmp_path: Path) -> None:
