@@ -39,6 +39,8 @@ RENAMED: Mapping[str, Mapping[str, Renamed]] = {
     "fuse": {"strict": Renamed("min_consistent_pairs")},
 }
 """By stage and by the parameter's old name."""
+GONE: Mapping[str, frozenset[str]] = {"fuse": frozenset({"neighbours"})}
+"""By stage: parameters of an earlier version that nothing has taken the place of; still accepted, with a note."""
 
 
 def read_stages(
@@ -135,11 +137,15 @@ class _Section:
 
     def _renamed(self, values: dict[str, Any], use: str | None) -> dict[str, str]:
         """Give parameters of earlier versions their present names and values, in place; present name by old name."""
-        renamed = RENAMED.get(self.stage.name, {})
-        if not renamed.keys() & values:
+        renamed, gone = RENAMED.get(self.stage.name, {}), GONE.get(self.stage.name, frozenset())
+        if not (renamed.keys() | gone) & values.keys():
             return {}
         known = set(self.reader.signature(use or self.stage.function).parameters)
         known |= {name for of_method in method_parameters(self.stage, self.reader).values() for name in of_method}
+        for old in gone & values.keys() - known:
+            del values[old]
+            what = f"{self.stage.name} has no {old!r} any more; it is passed over in this version"
+            self.notes.add(("stages", self.stage.name, old), what, "leave it out", key=True)
         found = {}
         for old, row in renamed.items():
             if old not in values or row.now not in known or (row.now != old and old in known):

@@ -86,6 +86,13 @@ def test_methods_keep_their_old_names_as_aliases(tmp_path: Path, section: str, s
     assert len(site.notes) == 1
 
 
+def test_a_parameter_that_is_gone_stops_no_night(tmp_path: Path) -> None:
+    site = loaded(tmp_path, "fuse: {neighbours: 5, confidence: 0.6}")
+    assert site.stages["fuse"].parameters == {"confidence": 0.6}
+    (note,) = map(str, site.notes)
+    assert "site.yaml:6:17: stages.fuse.neighbours: fuse has no 'neighbours' any more" in note
+
+
 def test_a_function_of_one_s_own_keeps_its_names(tmp_path: Path) -> None:
     (tmp_path / "mine.py").write_text("def detect(frame, *, keypoints: int = 3):\n    return None\n")
     site = loaded(tmp_path, "features: {use: 'mine:detect', keypoints: 5}")
