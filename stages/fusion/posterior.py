@@ -31,12 +31,6 @@ _OTHERS = np.array([-0.03, 0.52, 0.42, 1.91, -0.39, -1.39])
 _AROUND = np.array([-0.75, 0.7, 2.94])
 """Of one, the logit of the above, and the mean of its probability over the surroundings."""
 
-_LEAST_RELATIVE, _MOST_RELATIVE = 1e-4, 0.1
-"""Standard deviations beyond, as shares of the depth, say no more than these."""
-
-_MOST_AGAINST = 8.0
-"""Log-likelihood: more than this doesn't count against a depth."""
-
 
 def own_logit(depth: DepthMap, usable: Bools) -> Float32s:
     """(h, w) log-odds that a view's depths are right, as far as it knows itself; -inf where it has none."""
@@ -75,7 +69,7 @@ def evidence_of_itself(depth: DepthMap, usable: Bools) -> list[Float32s]:
     _count_bits(depth.support, pairs)
     sure = depth.sure.astype(np.float32)
     with np.errstate(invalid="ignore"):
-        relative = np.log(np.clip(depth.sigma / depth.depth, _LEAST_RELATIVE, _MOST_RELATIVE))
+        relative = np.log(depth.sigma / depth.depth)
     return [sure, np.log1p(pairs), surface_support(depth, usable, sure), relative]
 
 
@@ -87,7 +81,7 @@ def evidence_of_others(check: CrossCheck) -> list[Float32s]:
     missing = (visible - check.agreeing) / (visible + np.float32(1.0))
     hiding = check.hiding / (visible + check.hiding + np.float32(1.0))
     pairs = np.maximum(check.pairs - check.doubted, np.float32(0.0))
-    return [np.maximum(check.opposing, -_MOST_AGAINST), np.log1p(pairs), missing, hiding]
+    return [check.opposing, np.log1p(pairs), missing, hiding]
 
 
 def _logit(coefficients: Float64s, evidence: list[Float32s], known: Bools) -> Float32s:
