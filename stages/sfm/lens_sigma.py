@@ -1,21 +1,26 @@
 """How well the images of a site tell the lenses that were solved with its poses.
 
 From the normal equations of the adjustment, reduced to cameras and lenses (Triggs et al. 2000, section 6), with Cauchy's weights.
-A principal point is not solved, but is not known either: each enters with a standard deviation, and so widens what it trades
-against.  What a turn of the camera would undo is not counted.
+A principal point is not solved with the rest, since matches that are wrong together pull it far: it moves as far as pictures tell
+it better than that it is near the middle.  By how much what stays open of it puts all else off enters beside the noise (consider
+parameters: Tapley, Schutz, Born, Statistical Orbit Determination, 2004, chapter 6).  It is one for all views of a lens, as all
+else of the lens.  What a turn of the camera would undo is not counted.
 
 What is wrong in matches is wrong in many at once: what wet ground mirrors, a texture that repeats.  So besides what independent
-noise leaves open it is asked how far the parts of the scene pull the lenses apart (the covariance of clustered observations:
-Liang & Zeger, Longitudinal Data Analysis Using Generalized Linear Models, Biometrika 1986).  The larger of both counts.
+noise leaves open it is asked how far the lenses move when parts of the scene are left out, one at a time (the jackknife of
+clusters: Bell & McCaffrey, Bias reduction in standard errors for linear regression with multi-stage samples, Survey Methodology
+2002).  The larger of both counts.
 """
 
 from __future__ import annotations
+
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ..core.residual_distortion import without_distortion
 from ..types import Camera, Float64s, Int64s, LensSigma
-from .incremental import Model
+from .incremental import Model, refine
 
 MOST_SIGMA_PX = 1.0
 """A lens whose border is not known to a pixel is not known: as of rows of stated poses, dense matching does not look farther."""
@@ -27,18 +32,61 @@ LOSS = 2.385
 """Scale of the Cauchy loss in standard deviations of the noise: 95 % efficient (Holland & Welsch 1977)."""
 RAYLEIGH = 1.1774
 """Median distance over the standard deviation of one coordinate."""
-_POSE, _CENTRE, _LENS = 6, 2, 3
-_OWN = _POSE + _CENTRE
+_POSE, _LENS = 6, 5
+"""Numbers of a pose (turn, centre), and of a lens (cx, cy, f, k1, k2)."""
 _LOOSE = 1e-10
 """A share that holds the world where it is, whose place, turn and scale nothing tells."""
 _AT_ONCE = 256
 """Points: bounds memory."""
 _HALVINGS = 3
 """Of the scene, into parts with as many points: eight.  Fewer say little of a variance, and smaller ones are wrong together."""
-_AT_LEAST = 1 / (1 + 2 / np.sqrt(2 * (2**_HALVINGS - 1)))
-"""Of a standard deviation from so many parts, which has one of its own (27 % of it): what it is if it came out two too large."""
+_KEPT = 1e-3
+"""Of its weight, by a part that is left out: what no other part shows is solved still."""
 _LONG_SIDE = 768
-"""Of larger frames, whose pixels show less, as many more pixels may be open by what is wrong in matches; as of rows."""
+"""Of larger frames, whose pixels show less, as many more pixels may be open by wrong matches or a principal point."""
+
+
+@dataclass(frozen=True)
+class _Equations:
+    """The normal equations of an adjusted model."""
+
+    H: Float64s
+    """(parts, n, n) for turn and centre of each view, then cx, cy, f, k1, k2 of each lens, by part of the scene..."""
+    pulls: Float64s
+    """...(parts, n) and their right sides."""
+    at: dict[int, Int64s]
+    """Of each view, (11,) where in them its numbers are."""
+    solved: Int64s
+    """Where those are that are solved..."""
+    centres: dict[int, Int64s]
+    """...and (2,) the principal points of solved lenses, by the first view of each."""
+
+
+@dataclass(frozen=True)
+class _PrincipalPoint:
+    """Where a principal point is likelier than where it is, pixels, and how well that is known."""
+
+    step: Float64s
+    """(2,) by how much it moves there..."""
+    without: Float64s
+    """...(parts, 2) and farther where a part of the scene is left out; squares of all parts add up to variances."""
+    by_noise: Float64s
+    """(2, 2) covariance of what noise does to it..."""
+    left: Float64s
+    """...and of what is left of what was open beforehand."""
+
+
+def with_principal_points(model: Model) -> Model:
+    """An adjusted model whose principal points are in the middle, adjusted again with them where they are likelier."""
+    if not _may_ask(model):
+        return model
+    cameras = dict(model.cameras)
+    for first, found in _principal_points(model, _equations(model), CENTRE_SIGMA).items():
+        for view in [view for view in cameras if model.lenses.get(view) == model.lenses[first]]:
+            K = cameras[view].K.copy()
+            K[:2, 2] += found.step
+            cameras[view] = replace(cameras[view], K=K)
+    return refine(replace(model, cameras=cameras), rounds=3)
 
 
 def lens_sigmas(model: Model, centre_sigma: float = CENTRE_SIGMA) -> dict[int, LensSigma]:
@@ -47,27 +95,49 @@ def lens_sigmas(model: Model, centre_sigma: float = CENTRE_SIGMA) -> dict[int, L
     Parameters
     ----------
     model : adjusted: its residuals are the noise.
-    centre_sigma : of principal points, of the width.
+    centre_sigma : of principal points, of the width, before they were looked for.
     """
-    if not any(view in model.lenses for view in model.cameras) or not model.use.any() or len(model.cameras) > MOST_VIEWS:
+    if not _may_ask(model):
         return {}
-    by_noise, by_parts, place = _covariances(model, centre_sigma)
+    equations = _equations(model)
+    covariances = _covariances(equations, _principal_points(model, equations, centre_sigma))
     found = {}
-    for view in [view for view in place if view in model.lenses]:
-        where, camera = np.ix_(place[view], place[view]), model.cameras[view]
-        share = _AT_LEAST * min(1.0, _LONG_SIDE / max(camera.width, camera.height))
-        both = _lens_sigma(camera, by_noise[where]), _lens_sigma(camera, by_parts[where] * share**2)
-        found[view] = max(both, key=lambda sigma: sigma.border_px)
+    for view in [view for view in equations.at if view in model.lenses]:
+        lens, camera = equations.at[view][_POSE:], model.cameras[view]
+        share = min(1.0, _LONG_SIDE / max(camera.width, camera.height))
+        noise, parts, centre = (_border_px(camera, covariance[np.ix_(lens, lens)]) for covariance in covariances)
+        noise_f, parts_f, centre_f = (float(np.sqrt(covariance[lens[2], lens[2]])) for covariance in covariances)
+        focal = np.hypot(max(noise_f, parts_f), centre_f) / camera.K[0, 0]
+        found[view] = LensSigma(float(focal), float(np.hypot(max(noise, share * parts), share * centre)))
     return found
 
 
-def _lens_sigma(camera: Camera, covariance: Float64s) -> LensSigma:
-    """From the covariance (5, 5) of cx, cy, f, k1, k2."""
+def _may_ask(model: Model) -> bool:
+    return any(view in model.lenses for view in model.cameras) and bool(model.use.any()) and len(model.cameras) <= MOST_VIEWS
+
+
+def _principal_points(model: Model, equations: _Equations, centre_sigma: float) -> dict[int, _PrincipalPoint]:
+    """Of each solved lens, by its first view: its principal point by what is known beforehand and by what the pictures tell."""
+    columns = np.concatenate([equations.solved, *equations.centres.values()])
+    by_noise, without, step = _left_out(equations, columns)
+    found = {}
+    for view, at in equations.centres.items():
+        by_parts = without[:, at].T @ without[:, at]
+        told = max(by_noise[np.ix_(at, at)], by_parts, key=np.trace)
+        before = np.eye(2) * (centre_sigma * model.cameras[view].width) ** 2
+        gain = before @ np.linalg.inv(before + told)
+        ungained = np.eye(2) - gain
+        of_noise, left = gain @ by_noise[np.ix_(at, at)] @ gain.T, ungained @ before @ ungained.T
+        found[view] = _PrincipalPoint(gain @ step[at], without[:, at] @ gain.T, of_noise, left)
+    return found
+
+
+def _border_px(camera: Camera, covariance: Float64s) -> float:
+    """Standard deviation of pixels at the border, from the covariance (5, 5) of cx, cy, f, k1, k2."""
     border, everywhere = _pixels(camera, 0.02, True), _pixels(camera, 0.02, False)
     (turn, of), (turn_b, of_b) = _slopes_at(camera, everywhere), _slopes_at(camera, border)
     undone = of_b - turn_b @ np.linalg.lstsq(turn, of, rcond=None)[0]
-    variance = np.einsum("ni,ij,nj->", undone, covariance, undone) / len(border)
-    return LensSigma(float(np.sqrt(covariance[2, 2])) / float(camera.K[0, 0]), float(np.sqrt(max(variance, 0.0))))
+    return float(np.sqrt(max(np.einsum("ni,ij,nj->", undone, covariance, undone) / len(border), 0.0)))
 
 
 def _pixels(camera: Camera, margin: float, border: bool) -> Float64s:
@@ -103,16 +173,15 @@ def _slopes(Y: Float64s, lens: Float64s) -> tuple[Float64s, Float64s]:
     return by_x @ to_x, by_lens
 
 
-def _covariances(model: Model, centre_sigma: float) -> tuple[Float64s, Float64s, dict[int, list[int]]]:
-    """Covariances of all cameras and lenses, by the noise and by the parts of the scene, and where in them cx, cy, f, k1, k2 of
-    each view are."""
+def _equations(model: Model) -> _Equations:
+    """The normal equations of an adjusted model, its points moved where they like."""
     rows = np.flatnonzero(model.use)
     names = np.unique(model.tracks.view[rows]).tolist()
     owners = [model.lenses.get(name, -1 - name) for name in names]
     lenses = {lens: k for k, lens in enumerate(dict.fromkeys(owners))}
-    start, size = _OWN * len(names), _OWN * len(names) + _LENS * len(lenses)
-    own = _OWN * np.arange(len(names))[:, None] + np.arange(_OWN)
-    at = np.column_stack([own, start + _LENS * np.array([lenses[owner] for owner in owners])[:, None] + np.arange(_LENS)])
+    start, size = _POSE * len(names), _POSE * len(names) + _LENS * len(lenses)
+    lens = start + _LENS * np.array([lenses[owner] for owner in owners])[:, None] + np.arange(_LENS)
+    at = np.column_stack([_POSE * np.arange(len(names))[:, None] + np.arange(_POSE), lens])
     of = np.searchsorted(names, model.tracks.view[rows])
     points, point = np.unique(model.tracks.track[rows], return_inverse=True)
     noise = max(float(np.median(model.error_px()[rows])) / RAYLEIGH, 1e-6)
@@ -120,19 +189,50 @@ def _covariances(model: Model, centre_sigma: float) -> tuple[Float64s, Float64s,
     off = model.error_px()[rows] / noise
     weight = np.sqrt(1 / (1 + off**2 / LOSS**2)) / noise
     J, P, r = J * weight[:, None, None], P * weight[:, None, None], r * weight[:, None]
-    inverse = _inverses(P, point, len(points))
-    H = _reduced(J, P, inverse, at[of], point, size)
-    H[range(size), range(size)] *= 1 + _LOOSE
-    known = _known(model, names, at, size, centre_sigma)
-    free = np.flatnonzero(np.isfinite(known))
-    H[free, free] += known[free]
-    scale = 1 / np.sqrt(np.maximum(np.diag(H)[free], 1e-300))
-    by_noise = np.zeros((size, size))
-    by_noise[np.ix_(free, free)] = np.linalg.inv(H[np.ix_(free, free)] * scale[:, None] * scale) * scale[:, None] * scale
-    pulls = _pulls(J, P, r, inverse, at[of], point, _parts(model.X[points]), size)
-    between = pulls.T @ pulls * len(pulls) / (len(pulls) - 1)
-    between[free, free] += known[free]
-    return by_noise, by_noise @ between @ by_noise, {name: at[k, _POSE:].tolist() for k, name in enumerate(names)}
+    inverse, part = _inverses(P, point, len(points)), _parts(model.X[points])
+    H, pulls = np.zeros((1 << _HALVINGS, size, size)), _pulls(J, P, r, inverse, at[of], point, part, size)
+    for k in range(len(H)):
+        mine, own = part[point] == k, np.flatnonzero(part == k)
+        H[k] = _reduced(J[mine], P[mine], inverse[own], at[of[mine]], np.searchsorted(own, point[mine]), size)
+    poses = [at[k, :_POSE] for k, name in enumerate(names) if name not in model.held]
+    first = {owner: k for k, owner in reversed([*enumerate(owners)]) if names[k] in model.lenses}
+    solved = np.concatenate([*poses, *(at[k, _POSE + 2 :] for k in first.values())])
+    centres = {names[k]: at[k, _POSE : _POSE + 2] for k in first.values()}
+    return _Equations(H, pulls, {name: at[k] for k, name in enumerate(names)}, solved, centres)
+
+
+def _covariances(equations: _Equations, centres: dict[int, _PrincipalPoint]) -> tuple[Float64s, Float64s, Float64s]:
+    """Covariances (n, n) of all cameras and lenses: by the noise, by the parts of the scene, and by what is left open of where
+    principal points are."""
+    by_noise, without, _ = _left_out(equations, equations.solved)
+    by_centre, whole, without = np.zeros_like(by_noise), equations.H.sum(axis=0), without.copy()
+    solved = by_noise
+    for view, centre in centres.items():
+        moved = -solved @ whole[:, equations.centres[view]]
+        moved[equations.centres[view]] = np.eye(2)
+        by_noise = by_noise + moved @ centre.by_noise @ moved.T
+        without += centre.without @ moved.T
+        by_centre += moved @ centre.left @ moved.T
+    return by_noise, without.T @ without, by_centre
+
+
+def _left_out(equations: _Equations, columns: Int64s) -> tuple[Float64s, Float64s, Float64s]:
+    """Where only some of the numbers are solved, by their columns: their covariance (n, n) by the equations; how they move
+    (parts, n) without each part of these, as roots of variances that add up; by how much (n,) they would still move."""
+    H, pulls = equations.H[:, columns[:, None], columns], equations.pulls[:, columns]
+    whole = H.sum(axis=0)
+    whole[np.diag_indices_from(whole)] *= 1 + _LOOSE
+    scale = 1 / np.sqrt(np.maximum(np.diag(whole), 1e-300))
+    scale = scale[:, None] * scale
+    C = np.linalg.inv(whole * scale) * scale
+    step = C @ pulls.sum(axis=0)
+    without = np.linalg.inv((whole - (1 - _KEPT) * H) * scale) * scale
+    moved = (1 - _KEPT) * (without @ (pulls - H @ step)[:, :, None])[:, :, 0]
+    by_noise, moves, steps = (np.zeros_like(equations.H[0]), np.zeros_like(equations.pulls), np.zeros_like(equations.pulls[0]))
+    by_noise[np.ix_(columns, columns)] = C
+    moves[:, columns] = moved * np.sqrt((len(H) - 1) / len(H))
+    steps[columns] = step
+    return by_noise, moves, steps
 
 
 def _parts(X: Float64s) -> Int64s:
@@ -160,19 +260,6 @@ def _pulls(
     pulls = np.zeros((1 << _HALVINGS, size))
     np.add.at(pulls, (part[point][:, None], at), np.einsum("nki,nk->ni", J, left))
     return pulls
-
-
-def _known(model: Model, names: list[int], at: Int64s, size: int, centre_sigma: float) -> Float64s:
-    """(size,) how well each number is known beforehand, as the inverse of its variance: infinity where it isn't solved."""
-    known = np.zeros(size)
-    for k, name in enumerate(names):
-        if name in model.lenses:
-            known[at[k, _POSE:_OWN]] = (centre_sigma * model.cameras[name].width) ** -2.0
-        else:
-            known[at[k, _POSE:]] = np.inf
-        if name in model.held:
-            known[at[k, :_POSE]] = np.inf
-    return known
 
 
 def _linearised(model: Model, names: list[int], rows: Int64s, of: Int64s) -> tuple[Float64s, Float64s, Float64s]:

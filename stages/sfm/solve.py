@@ -14,7 +14,7 @@ from ..reasons import Reason, Rejected
 from ..twoview.epipolar import fundamental_from_cameras, symmetric_epipolar_distance
 from ..types import Camera, Geometry, LensSigma, Pair, PairCheck, Placement, PoseIssue, Poses, Survey, View
 from .incremental import Model, refine
-from .lens_sigma import MOST_SIGMA_PX, lens_sigmas
+from .lens_sigma import MOST_SIGMA_PX, lens_sigmas, with_principal_points
 from .loops import USUAL, Habits
 from .pose_check import BELIEVED, confirmed
 from .rigs import rigs_of
@@ -70,7 +70,8 @@ def solve_from_pairs(
 
 def _refined(grown: Sequence[Model], believed: Mapping[Edge, Geometry], max_epipolar_px: float) -> tuple[list[Model], list[int]]:
     """The models that are left once all is adjusted, and the views that have no support."""
-    supported = [without_unsupported(refine(model, rounds=3), believed, max_epipolar_px) for model in grown]
+    adjusted = [with_principal_points(refine(model, rounds=3)) for model in grown]
+    supported = [without_unsupported(model, believed, max_epipolar_px) for model in adjusted]
     return [model for model, _ in supported if model.use.any()], [view for _, out in supported for view in out]
 
 

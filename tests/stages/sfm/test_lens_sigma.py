@@ -10,7 +10,7 @@ import pytest
 from tests.helpers.exact_pairs import PairSite, make_pair_site
 from wbflow_stages.poses import solve_poses
 from wbflow_stages.sfm.incremental import Model, refine
-from wbflow_stages.sfm.lens_sigma import MOST_SIGMA_PX, MOST_VIEWS, lens_sigmas
+from wbflow_stages.sfm.lens_sigma import MOST_SIGMA_PX, MOST_VIEWS, lens_sigmas, with_principal_points
 from wbflow_stages.sfm.view_graph import ViewGraph
 from wbflow_stages.types import Poses
 
@@ -59,6 +59,14 @@ def test_focal_lengths_are_off_by_as_much_as_their_standard_deviations_say() -> 
     assert 0.5 < np.sqrt(np.mean(np.square(off))) < 2
 
 
+def test_a_principal_point_elsewhere_is_found_as_far_as_the_pictures_tell_it() -> None:
+    model = adjusted(make_pair_site(6, know="hfov", noise_px=0.05, points=120, focal=FOCAL))
+    shift = np.array([4.0, -3.0])  # of all pictures: as a principal point that lies there
+    seen = refine(replace(model, tracks=replace(model.tracks, xy=model.tracks.xy + shift)), rounds=3)
+    found = with_principal_points(seen).cameras[0].K[:2, 2] - model.cameras[0].K[:2, 2]
+    assert np.linalg.norm(found - shift) < 0.4 * np.linalg.norm(shift)
+
+
 def test_principal_points_that_may_lie_elsewhere_leave_more_open() -> None:
     model = adjusted(make_pair_site(5, know="hfov", noise_px=0.3, focal=FOCAL))
     exact, unsure = lens_sigmas(model, centre_sigma=CERTAIN), lens_sigmas(model)
@@ -92,5 +100,5 @@ def test_what_is_wrong_in_many_at_once_leaves_more_open_than_as_much_in_each_alo
         xy = tracks.xy.copy()
         xy[second[lower], 1] += 1.0
         wrong = refine(replace(model, tracks=replace(tracks, xy=xy)), rounds=3)
-        open_px.append(np.median([sigma.border_px for sigma in lens_sigmas(wrong).values()]))
+        open_px.append(np.median([sigma.border_px for sigma in lens_sigmas(wrong, CERTAIN).values()]))
     assert open_px[0] > 1.2 * open_px[1]
