@@ -18,8 +18,8 @@ from scipy.spatial import cKDTree
 from wbflow.cache.ply import read_ply
 from wbflow_demo.files import NIGHT_LARGE, NIGHT_SMALL
 from wbflow_demo.nights import moving
-from wbflow_demo.photograph import Shots
-from wbflow_demo.scene import Scene
+from wbflow_demo.render.photograph import Shots
+from wbflow_demo.render.scene import Scene
 from wbflow_stages.types import Float64s
 
 NEAR = 0.15

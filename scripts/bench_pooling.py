@@ -20,9 +20,9 @@ import numpy as np
 
 import wbflow
 from wbflow.pipeline.names import FRAMES
-from wbflow_demo.photograph import DemoCamera
+from wbflow_demo.render.photograph import DemoCamera
+from wbflow_demo.render.sensor import jpeg, png
 from wbflow_demo.scenes import render
-from wbflow_demo.sensor import jpeg, png
 from wbflow_stages.core.cameras import backproject, project, ray_angles
 from wbflow_stages.features import detect
 from wbflow_stages.frames import clean_frame

@@ -7,12 +7,12 @@ from pathlib import Path
 
 import numpy as np
 
-from wbflow_demo.cameras import CENTRE, Viewpoint
 from wbflow_demo.files import calibration_of
-from wbflow_demo.light import light_of
-from wbflow_demo.movers import movers
-from wbflow_demo.photograph import DemoSite, Night, Shots, photograph
-from wbflow_demo.sensor import jpeg, png
+from wbflow_demo.parts.movers import movers
+from wbflow_demo.render.cameras import CENTRE, Viewpoint
+from wbflow_demo.render.light import light_of
+from wbflow_demo.render.photograph import DemoSite, Night, Shots, photograph
+from wbflow_demo.render.sensor import jpeg, png
 from wbflow_demo.yard import LAMPS, static_yard
 
 

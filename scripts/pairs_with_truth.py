@@ -24,7 +24,7 @@ from wbflow_stages.twoview.epipolar import fundamental_from_cameras, symmetric_e
 from wbflow_stages.types import Camera, Capture, Features, Float64s, Frame, Uint8s, View
 
 if TYPE_CHECKING:
-    from wbflow_demo.photograph import Daytime
+    from wbflow_demo.render.photograph import Daytime
 
 DATA = Path(os.environ.get("WBFLOW_DATA") or Path(__file__).resolve().parents[2] / "shared" / "data")
 CORRECT_PX = 3.0
@@ -242,11 +242,11 @@ WALLS = (
 
 def walls(cache: Path, width: int = 960) -> dict[str, TrueView]:
     """Close views of the demo yard's walls, three of each section; sections look alike and share nothing."""
-    from wbflow_demo.cameras import look_at
-    from wbflow_demo.light import light_of
-    from wbflow_demo.photograph import render_view, true_depth
-    from wbflow_demo.renderer import PreparedScene, build_atlas
-    from wbflow_demo.sensor import develop, sensor_of
+    from wbflow_demo.render.cameras import look_at
+    from wbflow_demo.render.light import light_of
+    from wbflow_demo.render.photograph import render_view, true_depth
+    from wbflow_demo.render.renderer import PreparedScene, build_atlas
+    from wbflow_demo.render.sensor import develop, sensor_of
     from wbflow_demo.yard import LAMPS, static_yard
 
     cache.mkdir(parents=True, exist_ok=True)

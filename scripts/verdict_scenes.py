@@ -17,7 +17,7 @@ from wbflow_stages.matches import match
 from wbflow_stages.types import Float64s, Geometry, Matches
 
 if TYPE_CHECKING:
-    from wbflow_demo.photograph import Daytime
+    from wbflow_demo.render.photograph import Daytime
 
 SETS = (
     "fountain-768", "entry-768", "nothing", "yard-day", "yard-night", "square-day", "square-night",

@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import numpy as np
 
-from wbflow_demo import ground
-from wbflow_demo import textures as paint
-from wbflow_demo.cameras import Viewpoint, viewpoint_on_post
-from wbflow_demo.ground import lawn, with_lines
-from wbflow_demo.light import light_of
-from wbflow_demo.movers import traffic
-from wbflow_demo.paint import Rng
-from wbflow_demo.photograph import DemoSite, Night, Shots, photograph
-from wbflow_demo.scene import STATIC, Scene, SceneBuilder
-from wbflow_demo.street import car, car_textures, furniture_textures, street_lamp
-from wbflow_demo.structures import Opening, facade
+from wbflow_demo.parts import ground
+from wbflow_demo.parts.ground import lawn, with_lines
+from wbflow_demo.parts.movers import traffic
+from wbflow_demo.parts.street import car, car_textures, furniture_textures, street_lamp
+from wbflow_demo.parts.structures import Opening, facade
+from wbflow_demo.render import textures as paint
+from wbflow_demo.render.cameras import Viewpoint, viewpoint_on_post
+from wbflow_demo.render.light import light_of
+from wbflow_demo.render.paint import Rng
+from wbflow_demo.render.photograph import DemoSite, Night, Shots, photograph
+from wbflow_demo.render.scene import STATIC, Scene, SceneBuilder
 
 WIDE, DEEP = 90.0, 56.0
 STANDS = (-28.0, 0.0, 28.0)

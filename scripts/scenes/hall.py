@@ -8,18 +8,18 @@ from __future__ import annotations
 
 import numpy as np
 
-from wbflow_demo import ground
-from wbflow_demo import textures as paint
-from wbflow_demo.cameras import Viewpoint
-from wbflow_demo.ground import lawn
-from wbflow_demo.light import overcast_of
-from wbflow_demo.movers import traffic
-from wbflow_demo.paint import Rng
-from wbflow_demo.photograph import DemoSite, Night, Shots, photograph
-from wbflow_demo.renderer import OPEN_SKY, PreparedScene, SkyGrid, build_atlas, spiral
-from wbflow_demo.scene import STATIC, Scene, SceneBuilder
-from wbflow_demo.street import bench, car, car_textures, furniture_textures, street_lamp, tree
-from wbflow_demo.structures import Opening, facade
+from wbflow_demo.parts import ground
+from wbflow_demo.parts.ground import lawn
+from wbflow_demo.parts.movers import traffic
+from wbflow_demo.parts.street import bench, car, car_textures, furniture_textures, street_lamp, tree
+from wbflow_demo.parts.structures import Opening, facade
+from wbflow_demo.render import textures as paint
+from wbflow_demo.render.cameras import Viewpoint
+from wbflow_demo.render.light import overcast_of
+from wbflow_demo.render.paint import Rng
+from wbflow_demo.render.photograph import DemoSite, Night, Shots, photograph
+from wbflow_demo.render.renderer import OPEN_SKY, PreparedScene, SkyGrid, build_atlas, spiral
+from wbflow_demo.render.scene import STATIC, Scene, SceneBuilder
 
 HALF, HEIGHT, EDGE = 8.0, 8.4, 35.6
 """Of the hall, its walls, and the ground, metres."""

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import numpy as np
 
-from wbflow_demo import textures as paint
-from wbflow_demo.cameras import Viewpoint, principal_shift
-from wbflow_demo.ground import asphalt, lawn, repeating_tiles, with_lines
-from wbflow_demo.light import light_of
-from wbflow_demo.movers import traffic
-from wbflow_demo.paint import Rng
-from wbflow_demo.photograph import DemoSite, Night, Shots, photograph
-from wbflow_demo.scene import STATIC, Scene, SceneBuilder
-from wbflow_demo.street import Furniture, bench, car, car_textures, furniture_textures, street_lamp, tree
-from wbflow_demo.structures import Opening, facade
+from wbflow_demo.parts.ground import asphalt, lawn, repeating_tiles, with_lines
+from wbflow_demo.parts.movers import traffic
+from wbflow_demo.parts.street import Furniture, bench, car, car_textures, furniture_textures, street_lamp, tree
+from wbflow_demo.parts.structures import Opening, facade
+from wbflow_demo.render import textures as paint
+from wbflow_demo.render.cameras import Viewpoint, principal_shift
+from wbflow_demo.render.light import light_of
+from wbflow_demo.render.paint import Rng
+from wbflow_demo.render.photograph import DemoSite, Night, Shots, photograph
+from wbflow_demo.render.scene import STATIC, Scene, SceneBuilder
 
 PITCH_M, HOUSES = 8.0, 9
 """Width of a house, and how many stand in the row."""

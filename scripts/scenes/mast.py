@@ -6,14 +6,14 @@ import itertools
 
 import numpy as np
 
-from wbflow_demo import textures as paint
-from wbflow_demo.cameras import Viewpoint, principal_shift
-from wbflow_demo.light import light_of
-from wbflow_demo.movers import traffic
-from wbflow_demo.paint import Rng, Texture, encode, fractal_noise, mix, shape_of, smoothstep, weather
-from wbflow_demo.photograph import DemoSite, Night, Shots, photograph
-from wbflow_demo.renderer import OPEN_SKY
-from wbflow_demo.scene import STATIC, Scene, SceneBuilder
+from wbflow_demo.parts.movers import traffic
+from wbflow_demo.render import textures as paint
+from wbflow_demo.render.cameras import Viewpoint, principal_shift
+from wbflow_demo.render.light import light_of
+from wbflow_demo.render.paint import Rng, Texture, encode, fractal_noise, mix, shape_of, smoothstep, weather
+from wbflow_demo.render.photograph import DemoSite, Night, Shots, photograph
+from wbflow_demo.render.renderer import OPEN_SKY
+from wbflow_demo.render.scene import STATIC, Scene, SceneBuilder
 from wbflow_stages.types import Float64s
 
 CENTRES = ((0.0, 0.0, 32.0), (0.3, 0.05, 32.1), (-0.5, 0.1, 33.0), (0.4, -0.1, 34.2), (-0.3, 0.0, 35.1), (0.2, 0.1, 35.9))

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import numpy as np
 
-from wbflow_demo import ground
-from wbflow_demo import textures as paint
-from wbflow_demo.cameras import Viewpoint, viewpoint_on_post
-from wbflow_demo.light import light_of
-from wbflow_demo.movers import traffic
-from wbflow_demo.paint import Rng
-from wbflow_demo.photograph import DemoSite, Night, Shots, photograph
-from wbflow_demo.scene import STATIC, Scene, SceneBuilder
-from wbflow_demo.street import bench, furniture_textures
-from wbflow_demo.structures import Opening, facade
+from wbflow_demo.parts import ground
+from wbflow_demo.parts.movers import traffic
+from wbflow_demo.parts.street import bench, furniture_textures
+from wbflow_demo.parts.structures import Opening, facade
+from wbflow_demo.render import textures as paint
+from wbflow_demo.render.cameras import Viewpoint, viewpoint_on_post
+from wbflow_demo.render.light import light_of
+from wbflow_demo.render.paint import Rng
+from wbflow_demo.render.photograph import DemoSite, Night, Shots, photograph
+from wbflow_demo.render.scene import STATIC, Scene, SceneBuilder
 
 LONG, HIGH, EDGES = 60.0, 0.9, (-5.5, 5.5)
 """Length and height of the platforms, and where those in the south and north end, metres."""

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import numpy as np
 
-from wbflow_demo import ground
-from wbflow_demo import textures as paint
-from wbflow_demo.cameras import Viewpoint, viewpoint_on_post
-from wbflow_demo.light import light_of
-from wbflow_demo.movers import traffic
-from wbflow_demo.paint import Rng, Texture, cracks, encode, fractal_noise, mix, one_colour, shape_of, weather
-from wbflow_demo.photograph import DemoSite, Night, Shots, photograph
-from wbflow_demo.scene import STATIC, Scene, SceneBuilder
-from wbflow_demo.street import car, car_textures
-from wbflow_demo.structures import heap
+from wbflow_demo.parts import ground
+from wbflow_demo.parts.movers import traffic
+from wbflow_demo.parts.street import car, car_textures
+from wbflow_demo.parts.structures import heap
+from wbflow_demo.render import textures as paint
+from wbflow_demo.render.cameras import Viewpoint, viewpoint_on_post
+from wbflow_demo.render.light import light_of
+from wbflow_demo.render.paint import Rng, Texture, cracks, encode, fractal_noise, mix, one_colour, shape_of, weather
+from wbflow_demo.render.photograph import DemoSite, Night, Shots, photograph
+from wbflow_demo.render.scene import STATIC, Scene, SceneBuilder
 from wbflow_stages.types import Float64s
 
 LAMPS = ((-14.0, -6.0, 9.0), (14.0, -6.0, 9.0))

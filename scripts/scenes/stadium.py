@@ -6,16 +6,16 @@ from itertools import pairwise
 
 import numpy as np
 
-from wbflow_demo import textures as paint
-from wbflow_demo.cameras import Viewpoint, principal_shift
-from wbflow_demo.ground import lawn, with_lines
-from wbflow_demo.light import light_of
-from wbflow_demo.movers import traffic
-from wbflow_demo.paint import Colour, Rng, Texture, encode, shape_of
-from wbflow_demo.photograph import DemoSite, Night, Shots, photograph
-from wbflow_demo.scene import STATIC, Scene, SceneBuilder
-from wbflow_demo.street import furniture_textures
-from wbflow_demo.structures import lamp_post
+from wbflow_demo.parts.ground import lawn, with_lines
+from wbflow_demo.parts.movers import traffic
+from wbflow_demo.parts.street import furniture_textures
+from wbflow_demo.parts.structures import lamp_post
+from wbflow_demo.render import textures as paint
+from wbflow_demo.render.cameras import Viewpoint, principal_shift
+from wbflow_demo.render.light import light_of
+from wbflow_demo.render.paint import Colour, Rng, Texture, encode, shape_of
+from wbflow_demo.render.photograph import DemoSite, Night, Shots, photograph
+from wbflow_demo.render.scene import STATIC, Scene, SceneBuilder
 
 WIDE, DEEP = 60.0, 40.0
 CAMERAS = 10

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from wbflow_demo import ground
-from wbflow_demo import textures as paint
-from wbflow_demo.cameras import Viewpoint, viewpoint_on_post
-from wbflow_demo.light import overcast_of
-from wbflow_demo.movers import traffic
-from wbflow_demo.paint import Rng
-from wbflow_demo.photograph import DemoSite, Night, Shots, photograph
-from wbflow_demo.scene import STATIC, Scene, SceneBuilder
+from wbflow_demo.parts import ground
+from wbflow_demo.parts.movers import traffic
+from wbflow_demo.render import textures as paint
+from wbflow_demo.render.cameras import Viewpoint, viewpoint_on_post
+from wbflow_demo.render.light import overcast_of
+from wbflow_demo.render.paint import Rng
+from wbflow_demo.render.photograph import DemoSite, Night, Shots, photograph
+from wbflow_demo.render.scene import STATIC, Scene, SceneBuilder
 
 WIDE, DEEP, HIGH = 32.0, 24.0, 7.5
 ROWS, BAYS, LEVELS = (-6.0, 0.0, 6.0), 8, 3

@@ -5,13 +5,20 @@
 | file | holds |
 | --- | --- |
 | `yard` `square` `carpark` `depot` | one scene each: what stands where, its cameras, lamps and traffic |
-| `structures` `street` `movers` | parts of scenes: façades, containers, cranes; cars, trees, lamps; people and vehicles |
-| `textures` `ground` `weak` `paint` | what surfaces look like, and what they are painted with |
+| `script` `nights` | what happens night after night, and the yard rendered with it |
+| `scenes` `files` | the table of scenes; the files of a demo |
+
+| `parts/` | holds |
+| --- | --- |
+| `structures` `street` `movers` | façades, containers, cranes; cars, trees, lamps; people and vehicles |
+| `ground` `weak` | pavings, gravel, grass; surfaces on which little is to be seen |
+
+| `render/` | holds |
+| --- | --- |
+| `textures` `paint` | what surfaces look like, and what they are painted with |
 | `scene` | triangles with textures, and the builder that collects them |
 | `cameras` `light` `sensor` | lenses and places; sun, sky and lamps; exposure, noise, clock, rain |
 | `renderer` `photograph` `reference` | rays, texture filter and light; captures and true depth of a scene; its true cloud |
-| `script` `nights` | what happens night after night, and the yard rendered with it |
-| `scenes` `files` | the table of scenes; the files of a demo |
 
 All is in metres, z up; whatever is random comes from seeded generators, so that the same arguments give the same bytes.
 """

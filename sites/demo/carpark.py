@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import numpy as np
 
-from . import textures as paint
-from .cameras import Viewpoint, viewpoint_on_post
-from .ground import asphalt, lawn, with_lines
-from .light import light_of
-from .movers import traffic
-from .paint import Rng
-from .photograph import DemoSite, Night, Shots, photograph
-from .scene import STATIC, Scene, SceneBuilder
-from .street import Furniture, car, car_textures, furniture_textures, street_lamp, tree
-from .structures import Opening, facade
+from .parts.ground import asphalt, lawn, with_lines
+from .parts.movers import traffic
+from .parts.street import Furniture, car, car_textures, furniture_textures, street_lamp, tree
+from .parts.structures import Opening, facade
+from .render import textures as paint
+from .render.cameras import Viewpoint, viewpoint_on_post
+from .render.light import light_of
+from .render.paint import Rng
+from .render.photograph import DemoSite, Night, Shots, photograph
+from .render.scene import STATIC, Scene, SceneBuilder
 
 WIDE, DEEP = 50.0, 36.0
 BAY_M, BAYS = 2.5, 18

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from . import ground
-from . import textures as paint
-from .cameras import Viewpoint, viewpoint_on_post
-from .light import light_of
-from .movers import traffic
-from .paint import Rng
-from .photograph import DemoSite, Night, Shots, photograph
-from .scene import STATIC, Scene, SceneBuilder
-from .street import furniture_textures, street_lamp
-from .structures import Box, container
+from .parts import ground
+from .parts.movers import traffic
+from .parts.street import furniture_textures, street_lamp
+from .parts.structures import Box, container
+from .render import textures as paint
+from .render.cameras import Viewpoint, viewpoint_on_post
+from .render.light import light_of
+from .render.paint import Rng
+from .render.photograph import DemoSite, Night, Shots, photograph
+from .render.scene import STATIC, Scene, SceneBuilder
 
 COLUMNS, ROWS = (-19.5, -13.0, -6.5, 6.5, 13.0, 19.5), (-13.0, -10.4, -1.3, 1.3, 10.4, 13.0)
 """Middles of the stacks, metres east and north: three blocks of two rows, an aisle across."""

@@ -13,12 +13,12 @@ import numpy.typing as npt
 
 from wbflow_stages.types import Cloud
 
-from .cameras import VARIANTS
 from .nights import CameraNights, Extent, NightsSite, yard_nights
-from .photograph import DemoCamera, DemoSite, Shots
+from .render.cameras import VARIANTS
+from .render.photograph import DemoCamera, DemoSite, Shots
+from .render.sensor import jpeg, png
 from .scenes import SCENES, render
 from .script import FOREVER, Stay, date_of, event_of, hour_of, stays, weather_of
-from .sensor import jpeg, png
 
 
 @dataclass(frozen=True)

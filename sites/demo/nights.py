@@ -16,11 +16,12 @@ import open3d as o3d
 
 from wbflow_stages.types import Camera, Cloud, Float32s, Float64s, Lens, Placement, Uint8s
 
-from .cameras import MOUNTS, Viewpoint, camera_at, choose_mounts
 from .depot import containers
-from .movers import PAINTS, movers, van
-from .paint import Rng
-from .photograph import (
+from .parts.movers import PAINTS, movers, van
+from .parts.structures import Box, container
+from .render.cameras import MOUNTS, Viewpoint, camera_at, choose_mounts
+from .render.paint import Rng
+from .render.photograph import (
     DemoCamera,
     Shots,
     captures,
@@ -29,13 +30,12 @@ from .photograph import (
     true_depth,
     undistorted_colours,
 )
-from .reference import reference_cloud
-from .renderer import Hits, PreparedScene, build_atlas
-from .scene import STATIC, Scene, SceneBuilder, joined
+from .render.reference import reference_cloud
+from .render.renderer import Hits, PreparedScene, build_atlas
+from .render.scene import STATIC, Scene, SceneBuilder, joined
+from .render.sensor import burn_clock, clock_mask, develop, jpeg, sensor_of
+from .render.textures import cloth, painted_steel, planks, sign_board
 from .script import Hour, Stay, event_of, frame_time, hour_of, stays, turned_axes, weather_of
-from .sensor import burn_clock, clock_mask, develop, jpeg, sensor_of
-from .structures import Box, container
-from .textures import cloth, painted_steel, planks, sign_board
 from .yard import static_yard
 
 RASTER_M = 0.01

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 from importlib import import_module
 from typing import cast
 
-from .photograph import Daytime, DemoSite, Shots
-from .weak import check_surfaces
+from .parts.weak import check_surfaces
+from .render.photograph import Daytime, DemoSite, Shots
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ import numpy as np
 
 from wbflow_stages.types import Float64s
 
-from .light import Light, light_of, overcast_of
+from .render.light import Light, light_of, overcast_of
 from .yard import LAMPS
 
 FIRST_NIGHT = date(2026, 11, 10)

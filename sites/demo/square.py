@@ -9,16 +9,16 @@ import itertools
 
 import numpy as np
 
-from . import textures as paint
-from .cameras import Viewpoint, principal_shift
-from .ground import asphalt, repeating_tiles
-from .light import light_of
-from .movers import traffic
-from .paint import Colour, Rng
-from .photograph import DemoSite, Night, Shots, photograph
-from .scene import STATIC, WATER, Scene, SceneBuilder
-from .street import Furniture, bench, furniture_textures, street_lamp, tree
-from .structures import Opening, facade
+from .parts.ground import asphalt, repeating_tiles
+from .parts.movers import traffic
+from .parts.street import Furniture, bench, furniture_textures, street_lamp, tree
+from .parts.structures import Opening, facade
+from .render import textures as paint
+from .render.cameras import Viewpoint, principal_shift
+from .render.light import light_of
+from .render.paint import Colour, Rng
+from .render.photograph import DemoSite, Night, Shots, photograph
+from .render.scene import STATIC, WATER, Scene, SceneBuilder
 
 HALF = 20.0
 TILE_M = 0.8

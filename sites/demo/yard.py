@@ -6,15 +6,15 @@ from __future__ import annotations
 
 import numpy as np
 
-from . import ground, weak
-from . import textures as paint
-from .cameras import CENTRE, MOUNTS, choose_mounts
-from .light import light_of
-from .movers import movers
-from .paint import Rng
-from .photograph import DemoSite, Night, Shots, photograph
-from .scene import GLOWING, STATIC, WATER, Scene, SceneBuilder
-from .structures import UP, Box, Opening, barrels, container, crane, crates, facade, heap, lamp_post
+from .parts import ground, weak
+from .parts.movers import movers
+from .parts.structures import UP, Box, Opening, barrels, container, crane, crates, facade, heap, lamp_post
+from .render import textures as paint
+from .render.cameras import CENTRE, MOUNTS, choose_mounts
+from .render.light import light_of
+from .render.paint import Rng
+from .render.photograph import DemoSite, Night, Shots, photograph
+from .render.scene import GLOWING, STATIC, WATER, Scene, SceneBuilder
 
 WALL_TOP, SHED_TOP = 9.2, 8.0
 LAMPS = (

@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from wbflow_demo.cameras import MOUNTS, camera_at, look_at
-from wbflow_demo.light import Light, light_of
-from wbflow_demo.movers import movers
-from wbflow_demo.paint import Texture, encode
-from wbflow_demo.photograph import Daytime, changed_pixels, render_pixels, render_view, true_depth
-from wbflow_demo.renderer import PreparedScene, build_atlas
-from wbflow_demo.scene import SceneBuilder, joined
+from wbflow_demo.parts.movers import movers
+from wbflow_demo.render.cameras import MOUNTS, camera_at, look_at
+from wbflow_demo.render.light import Light, light_of
+from wbflow_demo.render.paint import Texture, encode
+from wbflow_demo.render.photograph import Daytime, changed_pixels, render_pixels, render_view, true_depth
+from wbflow_demo.render.renderer import PreparedScene, build_atlas
+from wbflow_demo.render.scene import SceneBuilder, joined
 from wbflow_demo.yard import LAMPS, static_yard
 from wbflow_stages.types import Camera
 

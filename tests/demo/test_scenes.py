@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 from wbflow_demo import square
-from wbflow_demo.cameras import Viewpoint, camera_at
-from wbflow_demo.ground import repeating_tiles
-from wbflow_demo.light import light_of, overcast_of
-from wbflow_demo.photograph import DemoSite, render_view
-from wbflow_demo.renderer import OPEN_SKY, PreparedScene, build_atlas
-from wbflow_demo.scene import SceneBuilder
+from wbflow_demo.parts.ground import repeating_tiles
+from wbflow_demo.render.cameras import Viewpoint, camera_at
+from wbflow_demo.render.light import light_of, overcast_of
+from wbflow_demo.render.photograph import DemoSite, render_view
+from wbflow_demo.render.renderer import OPEN_SKY, PreparedScene, build_atlas
+from wbflow_demo.render.scene import SceneBuilder
 from wbflow_demo.scenes import SCENES, render
 from wbflow_stages.core.cameras import backproject, project
 

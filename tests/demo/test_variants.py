@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from wbflow_demo.cameras import MOUNTS, camera_at, with_lenses
 from wbflow_demo.files import demo_files
-from wbflow_demo.photograph import DemoSite
+from wbflow_demo.render.cameras import MOUNTS, camera_at, with_lenses
+from wbflow_demo.render.photograph import DemoSite
 from wbflow_demo.scenes import render
 from wbflow_stages.core.cameras import project
 from wbflow_stages.core.lenses import lens_rays, off_axis

@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from wbflow_demo.ground import cobbles
-from wbflow_demo.light import light_of
-from wbflow_demo.renderer import PreparedScene, build_atlas, shade, trace
-from wbflow_demo.scene import SceneBuilder
+from wbflow_demo.parts.ground import cobbles
+from wbflow_demo.parts.weak import snow, wet_asphalt, white_plaster
+from wbflow_demo.render.light import light_of
+from wbflow_demo.render.renderer import PreparedScene, build_atlas, shade, trace
+from wbflow_demo.render.scene import SceneBuilder
 from wbflow_demo.scenes import render
-from wbflow_demo.weak import snow, wet_asphalt, white_plaster
 
 
 def test_weak_surfaces_stand_where_the_yards_do() -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 import cv2
 import pytest
 
-from wbflow_demo.photograph import Daytime, DemoCamera, DemoSite, Shots
+from wbflow_demo.render.photograph import Daytime, DemoCamera, DemoSite, Shots
 from wbflow_demo.yard import yard
 
 

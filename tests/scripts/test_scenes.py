@@ -9,10 +9,10 @@ import pytest
 import scenes
 from scenes import hall, mast
 
-from wbflow_demo.cameras import camera_at
-from wbflow_demo.light import overcast_of
-from wbflow_demo.photograph import render_view, true_depth
-from wbflow_demo.renderer import PreparedScene, build_atlas
+from wbflow_demo.render.cameras import camera_at
+from wbflow_demo.render.light import overcast_of
+from wbflow_demo.render.photograph import render_view, true_depth
+from wbflow_demo.render.renderer import PreparedScene, build_atlas
 from wbflow_demo.scenes import render
 
 SIZE = (160, 90)

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from wbflow_demo.cameras import look_at
+from wbflow_demo.render.cameras import look_at
 from wbflow_stages.evaluate import (
     compare_clouds,
     correct_matches,

@@ -20,7 +20,7 @@ from wbflow.cache.ply import read_ply
 from wbflow.outcome.demo import NotADemo, write_demo
 from wbflow.site.captures import find_captures, night
 from wbflow.site.load import load_site
-from wbflow_demo.photograph import DemoSite, Shots
+from wbflow_demo.render.photograph import DemoSite, Shots
 
 
 def rendered(shots: Shots) -> DemoSite:

@@ -9,9 +9,9 @@ import numpy as np
 
 from wbflow_stages.types import Float64s
 
-from .paint import Rng
-from .scene import SceneBuilder
-from .textures import container_roof, container_side, painted_steel
+from ..render.paint import Rng
+from ..render.scene import SceneBuilder
+from ..render.textures import container_roof, container_side, painted_steel
 
 UP = np.array([0.0, 0.0, 1.0])
 

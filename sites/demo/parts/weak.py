@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from .paint import Colour, Rng, Texture, cracks, encode, fractal_noise, mix, shape_of
+from ..render.paint import Colour, Rng, Texture, cracks, encode, fractal_noise, mix, shape_of
 
 SURFACES = {
     "standard": "as the scene has them",

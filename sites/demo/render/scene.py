@@ -15,8 +15,6 @@ from wbflow_stages.types import Float32s, Float64s, Int32s, Uint8s
 
 from .paint import Texture
 
-Place = tuple[float, float, float]
-"""x, y, z, metres."""
 Vector = tuple[float, float, float] | Float64s
 
 STATIC, MOVING, WATER, GLOWING = 0, 1, 2, 3

@@ -10,7 +10,7 @@ import numpy as np
 
 from wbflow_stages.types import Float32s
 
-from .paint import (
+from ..render.paint import (
     Colour,
     Rng,
     Texture,

@@ -11,7 +11,7 @@ from wbflow_stages.core.jit import kernel
 from wbflow_stages.core.lenses import lens_pixels
 from wbflow_stages.types import Camera, Float32s, Float64s, Lens
 
-from .scene import Place
+from . import Place
 
 CENTRE = (20.0, 18.0)
 """What the half ring of cameras surrounds, metres east and north."""

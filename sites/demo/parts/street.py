@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from . import textures as paint
-from .paint import Colour, Rng, Texture, encode, fractal_noise, shape_of
-from .scene import GLOWING, SceneBuilder
+from ..render import textures as paint
+from ..render.paint import Colour, Rng, Texture, encode, fractal_noise, shape_of
+from ..render.scene import GLOWING, SceneBuilder
 
 CAR_PAINTS: tuple[Colour, ...] = (
     (0.42, 0.43, 0.44),

@@ -8,10 +8,11 @@ import numpy as np
 
 from wbflow_stages.types import Float64s
 
-from .paint import Colour, Rng
-from .scene import MOVING, Place, Scene, SceneBuilder
+from ..render import Place
+from ..render.paint import Colour, Rng
+from ..render.scene import MOVING, Scene, SceneBuilder
+from ..render.textures import cloth, painted_steel, sign_board
 from .street import car, car_textures
-from .textures import cloth, painted_steel, sign_board
 
 Way = tuple[tuple[float, float], tuple[float, float]]
 """From and to, metres east and north."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from .scene import Place
+from . import Place
 
 
 @dataclass(frozen=True)
