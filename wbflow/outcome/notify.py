@@ -44,7 +44,7 @@ class _Reported(Plain):
     """The state of a site that was last reported."""
 
     state: tuple[str, ...] = ()
-    """Its level, and kind and subject of each finding; nothing of a good night."""
+    """Its level, and kind and subject of each finding; nothing of a good night, but for what somebody knows of."""
     since: str = ""
     """When the run ended that found it (UTC)."""
     bad_since: str = ""
@@ -53,8 +53,13 @@ class _Reported(Plain):
     """How many of it have been sent."""
 
 
+_KNOWN = "acknowledged"
+"""In place of the level of a good night that has acknowledged findings: it neither degrades a site nor is it back."""
+
+
 def _state(verdict: Verdict) -> tuple[str, ...]:
-    return () if verdict.good else (verdict.level, *sorted({" ".join((f.kind, *f.subject)) for f in verdict.findings}))
+    level, findings = (_KNOWN, verdict.acknowledged) if verdict.good else (verdict.level, verdict.findings)
+    return (level, *sorted({" ".join((f.kind, *f.subject)) for f in findings})) if findings else ()
 
 
 def notify(how: Notify, folder: Path, work: WorkFolder, run: RunPaths, record: RunRecord) -> Occasion | None:
@@ -82,8 +87,10 @@ def notify(how: Notify, folder: Path, work: WorkFolder, run: RunPaths, record: R
     last, now = _last(work), record.finished
     state = _next(last, _state(record.verdict), now, how)
     occasion: Occasion | None = "heartbeat" if how.heartbeat else None
-    if state.state != last.state:
-        occasion = "recovered" if not state.state else "failed" if record.verdict.level == "failed" else "degraded"
+    if state.state != last.state and not record.verdict.good:
+        occasion = "failed" if record.verdict.level == "failed" else "degraded"
+    elif last.state and not state.state and (last.state[0] != _KNOWN or last.bad_since):
+        occasion = "recovered"
     elif state.reminders > last.reminders:
         occasion = "reminder"
     if occasion:
@@ -96,10 +103,11 @@ def notify(how: Notify, folder: Path, work: WorkFolder, run: RunPaths, record: R
 
 def _next(last: _Reported, state: tuple[str, ...], now: str, how: Notify) -> _Reported:
     """Return what a night makes of the last reported state."""
-    bad_since = (last.bad_since if last.state else "") or now
+    known = state[:1] == (_KNOWN,)
+    bad_since = (last.bad_since if last.state else "") or ("" if known else now)
     if state != last.state:
         return _Reported(state, now, bad_since)
-    if not state:
+    if not state or known:
         return last
     since = last.since or now
     due = sum(_seconds(since, now) >= seconds for seconds in how.remind)
