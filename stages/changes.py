@@ -46,9 +46,6 @@ _TOP = 0.9
 _LEAST_AREA = 300.0
 """A change has at least so much surface, in squared spacings of the points."""
 
-_CERTAIN = 6.0
-"""The volume of a change is so many times its standard deviation, at least."""
-
 _SAME_PLACE = 0.01
 """Cameras stand where they stood within this share of the site's size."""
 
@@ -126,12 +123,13 @@ def find_changes(
     for side, own, other in ((now, tonight, ground[1]), (before, then, ground[0])):
         colors = own.cloud.colors[side.rows].astype(np.float64)
         clusters += find_clusters(side, colors, grid, other, of_then=own is then, spacing=spacing, least_area=least, alike=alike)
-    kept = sorted(paired([b for b in clusters if _is_certain(b)]), key=lambda pair: -pair[0].change.volume)
+    kept = sorted(paired([b for b in clusters if b.confirmed]), key=lambda pair: -pair[0].change.volume)
     placed = [(_in_zone(a, zones, axes), b) for a, b in kept]
     tops = [_tops(grid, of) for of in ground]
     found = _put_together(grid, tops[0] - tops[1], now, before, (tonight, then), [(a, b) for a, b in placed if a])
     detection = detection_of(now, before, sigmas=sigmas, registration=registration_m, least_area=least)
-    whole, by_zone = volumes(grid, tops, [part for pair in kept for part in pair if part], zones or [], detection)
+    counted = [part for pair in kept for part in pair if part] + [b for b in clusters if not b.confirmed]
+    whole, by_zone = volumes(grid, tops, counted, zones or [], detection)
     return replace(found, cut_fill=whole, zones=by_zone, noise=noise, metric=poses.metric, crs=poses.crs)
 
 
@@ -140,11 +138,6 @@ def _same_world(cameras: Mapping[str, Camera], old: Mapping[str, Camera], cloud:
     off = [float(np.linalg.norm(cameras[name].C - old[name].C)) for name in cameras if name in old]
     size = float(np.linalg.norm(np.ptp(np.quantile(cloud.points.astype(np.float64), [0.05, 0.95], axis=0), axis=0)))
     return bool(off) and float(np.median(off)) <= _SAME_PLACE * size
-
-
-def _is_certain(cluster: ChangeCluster) -> bool:
-    """Is the volume more than its error?"""
-    return min(cluster.change.volume, cluster.swept_volume) >= _CERTAIN * cluster.change.volume_sigma
 
 
 def _in_zone(cluster: ChangeCluster, zones: list[dict[str, Any]] | None, axes: Float64s) -> ChangeCluster | None:

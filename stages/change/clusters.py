@@ -15,7 +15,7 @@ from scipy import ndimage
 from ..core.ground_grid import cells_of, quantile_by_cell
 from ..types import Bools, Change, Float64s, GroundGrid, Int64s
 from .evidence import CORE, Evidence
-from .footprint import Footprint, covered
+from .footprint import OPEN, Footprint, covered
 
 _TOP = 0.9
 """Quantile of heights over a cell that counts as its surface: one wrong point must not raise a roof."""
@@ -41,9 +41,14 @@ _LEAST_MEASURED = 0.5
 _CLEAR = 3.0
 """Most of a change is higher than so many standard deviations of its points."""
 
-_CLEARED = 0.75
+_CLEARED, _LIKELY = 0.75, 0.5
 """Of the cameras that saw it, this share must see through its place, in the mean over its points; single points for which it is
-less do not count for its area."""
+less do not count for its area.  Where most do, and not so many, it may be a change: nights that lost half of their cameras."""
+
+
+_CERTAIN, _EDGE = 6.0, 0.5
+"""The volume of a change is so many times what noise of its surface, and such a share of a spacing along its edges, amount to.
+Its standard deviation holds a whole spacing: edges of matched surfaces are about a pixel off, alike all around."""
 
 
 @dataclass(frozen=True)
@@ -56,10 +61,10 @@ class ChangeCluster:
     """Of the evidence."""
     of_then: bool
     """The points are those of then: it has vanished."""
+    confirmed: bool
+    """By so many cameras that it is reported; else its volume is a doubt."""
     colour: Float64s
     """(2,) mean shares of red and green."""
-    swept_volume: float
-    """Volume between both nights' surfaces as the distances tell it; inf where most of it lies too far off for these."""
 
 
 def find_clusters(
@@ -74,6 +79,8 @@ def find_clusters(
     alike: float,
 ) -> list[ChangeCluster]:
     """The things that a night's changed points make, as far as most cameras say so that could and the photographs differ.
+
+    Not all are confirmed.
 
     Parameters
     ----------
@@ -99,16 +106,19 @@ def find_clusters(
         surface = len(rows) * (CORE * spacing) ** 2
         if surface < least_area:
             continue
-        likeness = _median_ncc(side, rows)
-        if likeness >= alike or not np.nanmean(side.cleared[rows]) >= _CLEARED:
+        likeness, cleared = _median_ncc(side, rows), float(np.nanmean(side.cleared[rows]))
+        if likeness >= alike or not cleared >= _LIKELY:
             continue
-        footprint = _footprint(side, rows, labels == number, same, grid, other, spacing)
-        if footprint is not None:
+        confirmed = cleared >= _CLEARED
+        footprint = _footprint(side, rows, labels == number, same, grid, other, spacing, trimmed=confirmed)
+        if footprint is None:
+            continue
+        change = _described(side, rows, footprint, grid, spacing, _swept_volume(side, rows, surface))
+        if change is not None:
             shares = colors[rows].mean(axis=0)
-            kind = "vanished" if of_then else "new"
-            colour, swept_volume = shares[:2] / max(float(shares.sum()), 1.0), _swept_volume(side, rows, surface)
-            change = replace(_described(side, rows, footprint, grid, spacing), kind=kind, likeness=likeness)
-            found.append(ChangeCluster(change, footprint, rows, of_then, colour, swept_volume))
+            colour = shares[:2] / max(float(shares.sum()), 1.0)
+            change = replace(change, kind="vanished" if of_then else "new", likeness=likeness)
+            found.append(ChangeCluster(change, footprint, rows, of_then, confirmed, colour))
     return found
 
 
@@ -120,7 +130,10 @@ def _median_ncc(side: Evidence, rows: Int64s) -> float:
 
 
 def _swept_volume(side: Evidence, rows: Int64s, surface: float) -> float:
-    """Volume that a surface has swept along its normals: for a strip of wall it is less than heights over the footprint give."""
+    """Volume that a surface has swept along its normals: for a strip of wall it is less than heights over the footprint give.
+
+    inf where most of it lies too far off for distances.
+    """
     measured = side.measured[rows]
     return surface * float(side.distance[rows][measured].mean()) if measured.mean() > _LEAST_MEASURED else float("inf")
 
@@ -176,9 +189,19 @@ def _unchanged(side: Evidence, grid: GroundGrid) -> Bools:
 
 
 def _footprint(
-    side: Evidence, rows: Int64s, around: Bools, same: Bools, grid: GroundGrid, other: Over, spacing: float
+    side: Evidence, rows: Int64s, around: Bools, same: Bools, grid: GroundGrid, other: Over, spacing: float, *, trimmed: bool
 ) -> Footprint | None:
-    """The ground that changed points cover; None where nothing is known of what was below, or they hardly stand above it."""
+    """The ground that changed points cover; None where nothing is known of what was below, or they hardly stand above it.
+
+    Parameters
+    ----------
+    side, rows : the points.
+    around : (rows, columns) the cells over which they are...
+    same : ...and those that are as they were.
+    grid, other : of the ground, and the other night's points over it.
+    spacing : of the points.
+    trimmed : without those that too few cameras see through.
+    """
     points, count = side.core[rows], grid.rows * grid.columns
     levels, cells = points @ grid.axes[2], cells_of(grid, points)
     near = ndimage.binary_dilation(around, iterations=4)
@@ -192,17 +215,42 @@ def _footprint(
     if typical <= _CLEAR * noise:  # a wall whose upper edge wavers
         return None
     highest = ndimage.maximum_filter(np.nan_to_num(top, nan=-np.inf), 3).ravel()[cells]
-    upper = (levels >= highest - max(_UPPER * typical, _CLEAR * noise)) & ~(side.cleared[rows] < _CLEARED)
-    if not upper.any():
+    upper = levels >= highest - max(_UPPER * typical, _CLEAR * noise)
+    cleared = upper & ~(side.cleared[rows] < _CLEARED) if trimmed else upper
+    if not cleared.any():
         return None
-    share = covered(grid, points[upper], same, CORE * spacing)
-    top = _filled(quantile_by_cell(cells[upper], levels[upper], count, _TOP).reshape(near.shape), near)
-    found = np.flatnonzero((share > 0) & (top - base > _FOOT * typical))
-    return Footprint(found, share.ravel()[found], base.ravel()[found], (top - base).ravel()[found]) if len(found) else None
+
+    def over(chosen: Bools) -> tuple[Int64s, Float64s, Float64s, Float64s]:
+        """Cells that these points cover, shares, heights, and the volume that none of them shows."""
+        share, unseen = (part.ravel() for part in covered(grid, points[chosen], same, CORE * spacing))
+        surface = _filled(quantile_by_cell(cells[chosen], levels[chosen], count, _TOP).reshape(near.shape), near)
+        height = (surface - base).ravel()
+        found = np.flatnonzero((share > 0) & (height > _FOOT * typical))
+        return found, share[found], height[found], unseen[found] * height[found] * grid.cell**2
+
+    found, share, height, unseen = over(cleared)
+    if not len(found):
+        return None
+    most_share, most_height = share, height
+    if np.any(upper & ~cleared):
+        _, most_share, most_height, unseen = over(upper)
+    left_out = abs(float(most_share @ most_height - share @ height)) * grid.cell**2
+    doubt = OPEN * float(np.hypot(unseen.sum(), left_out))
+    return Footprint(found, share, base.ravel()[found], height, doubt)
 
 
-def _described(side: Evidence, rows: Int64s, footprint: Footprint, grid: GroundGrid, spacing: float) -> Change:
-    """Place, size and volume of what changed points make."""
+def _described(
+    side: Evidence, rows: Int64s, footprint: Footprint, grid: GroundGrid, spacing: float, swept_volume: float
+) -> Change | None:
+    """Place, size and volume of what changed points make; None where the volume is hardly more than its error.
+
+    Parameters
+    ----------
+    side, rows : the points.
+    footprint : the ground that they cover.
+    grid, spacing : of the ground, and of the points.
+    swept_volume : between both nights' surfaces, as distances tell it.
+    """
     covers = np.zeros((grid.rows, grid.columns), bool)
     covers.ravel()[footprint.cells] = True
     noise = float(np.median(side.sigma[rows]))
@@ -210,7 +258,9 @@ def _described(side: Evidence, rows: Int64s, footprint: Footprint, grid: GroundG
     edge = float((covers & ~ndimage.binary_erosion(covers)).sum() * grid.cell)
     tall = float(np.quantile(footprint.height, 0.9))
     area = float(footprint.share.sum() * grid.cell**2)
-    sigma = float(np.hypot(0.5 * spacing * edge * tall, area * noise))
+    rim, surface = spacing * edge * tall, area * noise
+    if min(volume, swept_volume) < _CERTAIN * np.hypot(_EDGE * rim, surface):
+        return None
     row, column = np.divmod(footprint.cells, grid.columns)
     middle, sides, _ = cv2.minAreaRect(np.column_stack([column, row]).astype(np.float32))
     level = float(np.median(footprint.base)) + 0.5 * tall
@@ -226,7 +276,7 @@ def _described(side: Evidence, rows: Int64s, footprint: Footprint, grid: GroundG
         height=tall,
         area=area,
         volume=volume,
-        volume_sigma=sigma,
+        volume_sigma=float(np.linalg.norm([rim, surface, footprint.doubt])),
         significance=float(np.median(side.significance[rows])),
         likeness=-2.0,
         points=len(rows),

@@ -38,10 +38,16 @@ class Footprint:
     """Height of what is below it on the other night, world lengths..."""
     height: Float64s
     """...and its own above that."""
+    doubt: float
+    """Standard deviation of the volume for what it covers without having been seen, and what is left out though it was seen."""
 
 
-def covered(grid: GroundGrid, points: Float64s, same: Bools, apart: float) -> Float64s:
-    """(rows, columns) share of each cell that a surface covers.
+OPEN = 3.0**-0.5
+"""Standard deviation of a share of which nothing is known, from the end at which it is taken to be: 0 or 1."""
+
+
+def covered(grid: GroundGrid, points: Float64s, same: Bools, apart: float) -> tuple[Float64s, Float64s]:
+    """(rows, columns) share of each cell that a surface covers, and the part of it that no point shows.
 
     Parameters
     ----------
@@ -63,10 +69,11 @@ def covered(grid: GroundGrid, points: Float64s, same: Bools, apart: float) -> Fl
     outside = (opened if opened.any() else closed)[reach:-reach, reach:-reach] == 0
     solid = ndimage.distance_transform_edt(outside) <= _BEYOND * apart / fine.cell
     window = slice(first[0], last[0]), slice(first[1], last[1])
-    solid = _filled_out(solid, np.kron(same[window], np.ones((_PARTS, _PARTS), bool)))
-    share = np.zeros(same.shape)
-    share[window] = solid.reshape(last[0] - first[0], _PARTS, last[1] - first[1], _PARTS).mean(axis=(1, 3))
-    return share
+    whole = _filled_out(solid, np.kron(same[window], np.ones((_PARTS, _PARTS), bool)))
+    shares = np.zeros((2, *same.shape))
+    for share, part in zip(shares, (whole, whole & ~solid), strict=True):
+        share[window] = part.reshape(last[0] - first[0], _PARTS, last[1] - first[1], _PARTS).mean(axis=(1, 3))
+    return shares[0], shares[1]
 
 
 def _disk(radius: int) -> Uint8s:

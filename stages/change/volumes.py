@@ -20,6 +20,7 @@ from ..core.ground_grid import cells_inside
 from ..types import Bools, CutFill, Float32s, GroundGrid
 from .clusters import ChangeCluster
 from .evidence import Evidence
+from .footprint import OPEN
 
 _GAP = 2
 """So many cells between seen ones, to either side, are gaps between points and no place that was not seen."""
@@ -72,7 +73,7 @@ def volumes(
     ----------
     grid : of the ground.
     tops : (rows, columns) heights of tonight's surface, and of that of then; nan where none is known.
-    clusters : the changes, wherever they are.
+    clusters : the changes, wherever they are, and what may be one.
     zones : see `find_changes`.
     detection : what the comparison can tell.
     """
@@ -112,12 +113,18 @@ def _cut_and_fill(
 
 
 def _volume(clusters: Sequence[ChangeCluster], within: Bools, grid: GroundGrid, detection: Detection) -> tuple[float, float]:
-    """Volume of the parts of changes that lie inside, and its standard deviation: no less than the least change's volume."""
+    """Volume of the parts of changes that lie inside, and its standard deviation: no less than the least change's volume.
+
+    What is not confirmed may be there or not, or a part of it.
+    """
     volume, area, variance = 0.0, 0.0, (detection.least_area * detection.level) ** 2
     for cluster in clusters:
         footprint, change = cluster.footprint, cluster.change
         share = np.where(within.ravel()[footprint.cells], footprint.share, 0.0)
         part = float((share * footprint.height).sum() * grid.cell**2)
+        if not cluster.confirmed:
+            variance += (OPEN * part) ** 2
+            continue
         volume += part
         area += float(share.sum() * grid.cell**2)
         variance += (change.volume_sigma * part / max(change.volume, 1e-9)) ** 2

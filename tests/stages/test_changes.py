@@ -160,6 +160,14 @@ def test_what_half_of_the_cameras_see_through_and_the_others_do_not_know_has_not
         gone = seen.depth > then.depths[name].depth + 0.1
         depths[name] = replace(seen, depth=np.where(gone, np.nan, seen.depth).astype(np.float32))
     assert compared(replace(tonight, depths=depths), then).count == 0
+    # a night of few depths: three see through three quarters of its place
+    for name in ("c0", "c1", "c2"):
+        seen = tonight.depths[name]
+        gone = (seen.depth > then.depths[name].depth + 0.1) & (np.arange(seen.depth.shape[1]) % 8 < 3)
+        depths[name] = replace(seen, depth=np.where(gone, np.nan, seen.depth).astype(np.float32))
+    found = compared(replace(tonight, depths=depths), then)
+    assert found.cut_fill and found.cut_fill.lost == found.count == 0
+    assert 2 * found.cut_fill.lost_sigma > 1.4 * 1.2 * 0.9, "a doubt is said"
 
 
 def test_each_depth_map_is_read_once() -> None:
