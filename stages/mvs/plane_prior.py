@@ -37,10 +37,7 @@ _SHARED_PX = 0.2
 """What all depths of a plane err alike."""
 
 _STRONG = 4.0
-"""Grey levels of a patch's deviation from which its own match is heard..."""
-
-_YIELDS = 0.198
-"""...and a plane yields if its cost squared is so much more: where exp(-c^2 / .18) (1 + .5) falls below exp(-c^2 / .18) .5."""
+"""Grey levels of a patch's deviation from which its own match is heard."""
 
 _RELIEF = 0.045
 """Where planes cost so much more than the depths around that they replace, in the mean, the surface has relief: 95 % of the
@@ -111,10 +108,8 @@ def apply_plane_priors(
     if take.any():
         trial = np.where(take, laid.planes / scale, np.float32(np.nan))
         shown = propagation.support(trial, max_cost)
-        with np.errstate(invalid="ignore"):
-            dearer = shown.first**2 - support.first**2 > _YIELDS
         sources, seen = _sources_around(laid.anchors, support.sources, len(propagation.M), spacing)
-        take &= ~sure | (~_relief(shown, support, take & sure, spacing) & ~(dearer & strong))  # gaps are filled
+        take &= ~sure | ~_relief(shown, support, take & sure, spacing)  # gaps are filled
         take &= ~sure | (seen >= _SOURCES) | _noisy(laid, support, scale, spacing)
         planes[:, take] = trial[:, take]
         support.sources[take] = (sources | shown.sources | np.where(sure, support.sources, np.uint32(0)))[take]
