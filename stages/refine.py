@@ -153,9 +153,7 @@ def _compared(
     if reference_depth is not None:
         sure |= (support.second < max_cost) & reference_depth.sure & _as_before(z, sigma, reference_depth)
     rough = DepthMap(z, sigma, planes[1], planes[2], support.sources, tuple(around), kept & sure)
-    return _flattened(
-        rough, planes[0], apply_plane_priors(frame, image, propagation, planes, support, rough.sure, scale, max_cost)
-    )
+    return _flattened(rough, planes[0], apply_plane_priors(frame, propagation, planes, support, rough.sure, scale, max_cost))
 
 
 def _planes_of(depth: DepthMap) -> Float32s:

@@ -36,9 +36,6 @@ _OFF_SIGMAS, _OFF_PX, _OFF_AT_MOST = 1.5, 0.15, 0.8
 _SHARED_PX = 0.2
 """What all depths of a plane err alike."""
 
-_STRONG = 4.0
-"""Grey levels of a patch's deviation from which its own match is heard."""
-
 _RELIEF = 0.045
 """Where planes cost so much more than the depths around that they replace, in the mean, the surface has relief: 95 % of the
 textureless ones of the demo's weak yard cost less than .03 more, waves of one and a half pixels .06, the flank of a tank .2."""
@@ -83,27 +80,26 @@ class PlanePriors:
 
 
 def apply_plane_priors(
-    frame: Frame, grey: Float32s, propagation: Propagation, planes: Float32s, support: Support, sure: Bools,
+    frame: Frame, propagation: Propagation, planes: Float32s, support: Support, sure: Bools,
     scale: np.float32, max_cost: float,
 ) -> PlanePriors:  # fmt: skip
     """Put textureless surfaces on planes of many pixels: planes and the sources of `support` are changed in place.
 
     Parameters
     ----------
-    frame, grey : the view, and its (h, w) grey levels.
+    frame : the view.
     propagation, planes, support : of the view: (3, h, w) planes, and what the sources show of them.
     sure : (h, w): depths to be believed.
     scale : pixels in a source for a unit of inverse depth.
     max_cost : a source sees a plane that costs less.
     """
-    spacing = max(1, round(max(grey.shape) / 768))
+    spacing = max(1, round(max(sure.shape) / 768))
     regions = textureless_regions(frame.image, frame.mask, spacing)
     known = np.where(sure, scale * planes[0], np.float32(np.nan))
     found = planes_of_regions(regions, known, spacing)
     laid = _laid(regions, found, known, spacing)
     checked = checked_planes(regions, found, propagation, support, sure, scale, max_cost, spacing)
     _add(laid, checked.planes, checked.sigma)
-    strong = _strong(grey, 6 * spacing + 1)
     take = np.isfinite(laid.sigma) & (laid.planes[0] > 0)
     if take.any():
         trial = np.where(take, laid.planes / scale, np.float32(np.nan))
@@ -115,7 +111,7 @@ def apply_plane_priors(
         support.sources[take] = (sources | shown.sources | np.where(sure, support.sources, np.uint32(0)))[take]
     sigma = np.where(take, laid.sigma / scale, np.float32(np.nan)).astype(np.float32)
     steep = scale * np.hypot(planes[1], planes[2]) > _STEEP_PX  # the error leaves it on the surface, a pixel or less aside
-    return PlanePriors(sigma, checked.doubted & ~take & ~strong & ~steep)
+    return PlanePriors(sigma, checked.doubted & ~take & ~steep)
 
 
 def _laid(regions: TexturelessRegions, found: Sequence[RegionPlane], known: Float32s, spacing: int) -> _Laid:
@@ -187,12 +183,6 @@ def _around(values: Bools | Float32s, spacing: int) -> Float32s:
     side = 2 * _AROUND * spacing + 1
     sums = cv2.boxFilter(values.astype(np.float32), -1, (side, side), normalize=False, borderType=cv2.BORDER_CONSTANT)
     return np.asarray(sums, dtype=np.float32)
-
-
-def _strong(grey: Float32s, side: int) -> Bools:
-    """(h, w): is there something to be seen in the square patch of so many pixels a side?"""
-    mean, square = (cv2.boxFilter(levels, -1, (side, side)) for levels in (grey, grey * grey))
-    return np.asarray(square - mean * mean > _STRONG**2)
 
 
 def _sources_around(anchors: Bools, sources: Uint32s, count: int, spacing: int) -> tuple[Uint32s, Float32s]:
