@@ -58,6 +58,12 @@ SCENES = {
     "apron": Scene({"scene": "apron", "cameras": 5}, 0.5, fitted=False),
     "stadium": Scene({"scene": "stadium", "cameras": 5}, 0.5, fitted=False),
     "yard-5": Scene({"scene": "yard", "seed": 5, "cameras": 5}, 0.2, fitted=False),
+    "yard-5-lamps": Scene({"scene": "yard", "seed": 5, "cameras": 5, "light": "night"}, 0.2, fitted=False),
+    "yard-5-dusk": Scene({"scene": "yard", "seed": 5, "cameras": 5, "light": "dusk"}, 0.2, fitted=False),
+    "yard-5-wet": Scene({"scene": "yard", "seed": 5, "cameras": 5, "surfaces": "weak"}, 0.2, fitted=False),
+    "quarry": Scene({"scene": "quarry", "cameras": 5}, 0.3, fitted=False),
+    "platform": Scene({"scene": "platform", "cameras": 8}, 0.2, fitted=False),
+    "warehouse": Scene({"scene": "warehouse", "cameras": 5}, 0.2, fitted=False),
 }
 
 
@@ -515,7 +521,10 @@ def nothing(site: Site) -> None:
 
 
 ALL = ("yard", "carpark", "apron", "stadium", "yard-5")
+LIT = ("yard-5-lamps", "yard-5-dusk", "yard-5-wet")
+NEW = ("quarry", "platform", "warehouse")
 TWO = ("yard", "apron")
+THREE = (*TWO, "stadium")
 YZ = np.diag([1.0, -1.0, -1.0])
 FOCAL = ("focal-lengths", "focal-lengths-and-distortion")
 BENT = ("distortion", "distortion-factor", "focal-lengths-and-distortion")
@@ -532,7 +541,7 @@ def _harmless(name: str, change: Change, on: tuple[str, ...] = ("yard",), night:
 
 VARIATIONS = (
     # lenses
-    _fault("focal +3 %", focal(1.03), *FOCAL, on=ALL),
+    _fault("focal +3 %", focal(1.03), *FOCAL, on=ALL + NEW),
     _fault("focal +10 %", focal(1.1), *FOCAL, on=ALL),
     _fault("focal -5 %", focal(0.95), *FOCAL, on=ALL),
     _fault("focal x 2", focal(2.0), *FOCAL),
@@ -555,7 +564,7 @@ VARIATIONS = (
     _fault("fy alone +4 %", focal(1.04, axes=(1,)), "pixel-height"),
     _fault("two calibrated at another size", of_other_size(1.5, (0, 1)), "focal-length", "focal-lengths", "poses"),
     # poses
-    _fault("one turned by .5 degrees", turn((0, 0.5, 0), (1,)), *ONE, on=ALL),
+    _fault("one turned by .5 degrees", turn((0, 0.5, 0), (1,)), *ONE, on=ALL + NEW),
     _fault("one tilted by .5 degrees", turn((0.5, 0, 0), (0,)), *ONE),
     _fault("one turned by 2 degrees", turn((1, 1.73, 0), (1,)), *ONE, on=ALL),
     _fault("one turned by 10 degrees", turn((2, 10, 0), (2,)), *ONE),
@@ -597,7 +606,7 @@ VARIATIONS = (
     _fault("three distances, one 30 % too long", distances(1.0, 1.3, 1.0), "distances-contradicted"),
     # pictures
     _fault("all blurred by 1.5 px", pictures(blurred(1.5)), "pictures-soft"),
-    _fault("all blurred by 2 px", pictures(blurred(2.0)), "pictures-soft", on=ALL),
+    _fault("all blurred by 2 px", pictures(blurred(2.0)), "pictures-soft", on=ALL + NEW),
     _fault("all blurred by 4 px", pictures(blurred(4.0)), "pictures-soft"),
     _fault("one blurred by 4 px", pictures(blurred(4.0), (0,)), "pictures-soft"),
     _fault("all smeared by 9 px", pictures(smeared(9)), "pictures-soft"),
@@ -610,7 +619,7 @@ VARIATIONS = (
     _fault("overexposed", pictures(levels(3.0)), "pictures-soft"),
     _fault("vignetting", pictures(vignetted(0.15)), "pictures-soft"),
     _fault("drops on a third of one picture", drops(0.33, (1,)), "camera-obscured", "pictures-soft"),
-    _fault("drops on a third of three pictures", drops(0.33, (0, 1, 2)), "camera-obscured", "pictures-soft"),
+    _fault("drops on a third of three pictures", drops(0.33, (0, 1, 2)), "camera-obscured", "pictures-soft", on=THREE),
     _fault("interlaced by 3 px", pictures(interlaced(3)), "pictures-soft"),
     _fault("half the size and back", pictures(smaller(2)), "pictures-soft"),
     _fault("noise of 12 levels", pictures(noisy(12)), "pictures-soft"),
@@ -618,7 +627,7 @@ VARIATIONS = (
     # captures
     _fault("frames of all cropped to .8", pictures(cropped(0.8)), *FOCAL, "pixel-shape"),
     _fault("frames of one cropped to .8", pictures(cropped(0.8), (1,)), "focal-length"),
-    _fault("frames of one torn by 12 px", pictures(torn(12), (0,)), *ONE, "poses", "pairs-disagree"),
+    _fault("frames of one torn by 12 px", pictures(torn(12), (0,)), *ONE, "poses", "pairs-disagree", on=THREE),
     _fault("frames of one sheared by 6 px", pictures(sheared(6), (1,)), *ONE, "poses"),
     _fault("frames of two mirrored", pictures(lambda p: p[:, ::-1], (0, 1)), "mirrored-frames"),
     _fault("frames of all zoomed by 1.2", pictures(zoomed(1.2)), *FOCAL, on=ALL),
@@ -656,7 +665,7 @@ VARIATIONS = (
     Variation("world turned by 10 degrees", "invisible", turned_world, on=TWO,
               why="x ~ K (R Q') (Q X - Q C): every picture of a turned world is the same"),
     # unharmed
-    _harmless("as it is", nothing, ALL),
+    _harmless("as it is", nothing, ALL + LIT + NEW),
     _harmless("second night as it is", nothing, ALL, night=2),
     _harmless("grey", pictures(grey)),
     _harmless("one grey", pictures(grey, (1,))),
