@@ -137,7 +137,8 @@ def test_old_photographs_are_no_fault_and_name_their_night(tmp_path: Path) -> No
     record = json.loads(result.stdout)
     assert record["date"] == "2010-10-12"
     assert (record["verdict"]["level"], record["verdict"]["findings"]) == ("good", [])
-    file.write_bytes(with_exif(cv2.imencode(".jpg", np.full((48, 64, 3), 90, np.uint8))[1].tobytes(), "2026:11:24 14:00:00"))
+    photograph(file)
+    file.write_bytes(with_exif(file.read_bytes(), "2024:03:05 14:00:00"))
     result = CliRunner().invoke(main, command)
-    assert result.exit_code == 3 and "castle-9" in result.output and "2026-11-24" in result.output
+    assert result.exit_code == 3 and "castle-9" in result.output and "taken on 2024-03-05" in result.output
     assert "cloud" not in result.output, "none was asked for"
