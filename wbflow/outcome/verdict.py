@@ -472,9 +472,13 @@ def check_depths(night: Night) -> Iterator[Finding]:
     against: Counter[str] = Counter()
     for cameras, px in apart:
         against.update(dict.fromkeys(cameras, 1 if px > APART_PX else -1))
-    suspects = tuple(camera for camera, votes in against.items() if votes == max(against.values()))
-    figures, words = {"apart_px": most}, {"px": most, "limit": APART_PX, "cameras": " or ".join(suspects)}
-    yield finding("pairs-disagree", suspects, figures, {"apart_px": APART_PX}, None, **words)
+    worst = max(against.values())
+    suspects = tuple(camera for camera, votes in against.items() if votes == worst >= 0)
+    cause = "no single camera explains it: all may be a little off"
+    if suspects:
+        cause = f"the pose or lens of {' or '.join(suspects)} is not as it is used"
+    words = {"px": most, "limit": APART_PX, "cause": cause}
+    yield finding("pairs-disagree", suspects, {"apart_px": most}, {"apart_px": APART_PX}, None, **words)
 
 
 def check_survey(night: Night) -> Iterator[Finding]:

@@ -225,9 +225,10 @@ FINDINGS: Mapping[str, FindingType] = {
         FindingType(
             "pairs-disagree",
             "Pairs of one view give other depths to the same pixels, alike over much of the view: a pose or a lens is wrong.",
-            "measure pose and lens of that camera again, or leave them out, to have them solved",
+            "measure pose and lens of that camera again, or leave them out, to have them solved; of all: are principal points "
+            "counted from the corner of the first pixel, not from its centre? Then subtract half a pixel",
             "depths of one and the same view differ by up to {px:.1f} px as a whole between the pairs that give them, {limit:g} "
-            "px are tolerated: the pose or lens of {cameras} is not as it is used",
+            "px are tolerated: {cause}",
         ),
         FindingType(
             "distances-contradicted",

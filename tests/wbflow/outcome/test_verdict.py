@@ -430,6 +430,13 @@ def test_depths_that_differ_with_the_pair_name_the_camera_that_all_of_them_have_
     assert (finding.kind, finding.subject) == ("pairs-disagree", ("crane",))
     assert "1.5 px" in finding.text
     assert verdict_of(night(cameras=[dense("gate", crane_mast=0.2), *map(dense, ("crane", "mast", "roof"))])).good
+    once = [
+        dense("gate", crane_mast=0.6, mast_roof=0.1, crane_roof=0.1),
+        dense("mast", crane_gate=0.1),
+        dense("roof", crane_mast=0.1),
+    ]
+    finding = only(night(cameras=[*once, dense("crane")]))
+    assert finding.subject == () and "no single camera explains it" in finding.text
 
 
 def test_a_stated_camera_without_matches_has_no_usable_pair_only_where_dense_matching_was_tried() -> None:
