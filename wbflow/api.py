@@ -155,6 +155,7 @@ def run(
     memory: str | None = None,
     time_limit: float | None = None,
     stop_at: datetime.datetime | None = None,
+    not_captured: Mapping[str, str] | None = None,
     listen: Listener | None = None,
 ) -> Run:
     """Do a night's work: from captures to cloud and report.  What has not changed is taken from the cache.
@@ -183,6 +184,8 @@ def run(
         Seconds that a task may take; derived from what its stage took earlier, if not given.
     stop_at : datetime, optional
         Local time from which on only what is there already is put together and published.
+    not_captured : mapping of str to str, optional
+        Why no picture of a camera could be taken tonight, by camera: its finding says so.
     listen : callable, optional
         Called with every event as it happens, also with what is planned, and each task that begins.
 
@@ -204,12 +207,10 @@ def run(
     """
     site = site if isinstance(site, Site) else load_site(site)
     workers, roots = jobs or os.cpu_count() or 1, tuple(worker_roots)
-    options = Options(date, workers, until, tuple(force), wait, backend, scheduler, roots, _bytes(memory), time_limit, stop_at)
+    limits = _bytes(memory), time_limit, stop_at
+    options = Options(date, workers, until, tuple(force), wait, backend, scheduler, roots, *limits, not_captured or {})
     options.check(site)
-    try:
-        return _run(site, options, listen or (lambda event: None))
-    except OSError as error:
-        raise disk_fault(error, site.work) from error
+    return _run(site, options, listen or (lambda event: None))
 
 
 def _bytes(memory: str | None) -> int | None:
@@ -245,6 +246,13 @@ def open_run(where: Site | str | Path, run_id: str | None = None) -> Run:
 
 
 def _run(site: Site, options: Options, listen: Listener) -> Run:
+    try:
+        return _run_night(site, options, listen)
+    except OSError as error:
+        raise disk_fault(error, site.work) from error
+
+
+def _run_night(site: Site, options: Options, listen: Listener) -> Run:
     place = site.work_folder
     with hold_to_write(place, options.wait) as mirror, terminate_as_interrupt():
         warning = claim(place, site.name, site.file)
@@ -257,7 +265,7 @@ def _run(site: Site, options: Options, listen: Listener) -> Run:
         for note in site.notes:
             journal.warn(str(dataclasses.replace(note, remedy="")), remedy=note.remedy)
         mend_ledger(place, journal)
-        context = plan_run(site, options.date, options.until, options.force)
+        context = plan_run(site, options.date, options.until, options.force, options.not_captured)
         for damage in filter(None, (context.digests.damage, context.seen.damage, site.reader.damage)):
             journal.repaired(damage)
         finished = run_pipeline(name, context, options, journal, lambda run: _notify(site, run, journal))

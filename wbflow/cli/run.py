@@ -34,6 +34,7 @@ from .display import display
 
 if TYPE_CHECKING:
     from ..api import Run
+    from ..capture.take import Taken
     from ..outcome.status import Status
     from ..records.record import Finding, RunRecord
     from ..site.models import Site
@@ -113,8 +114,8 @@ def run(
 
     def run_site(path: Path) -> int:
         site = load(path, work, for_run=not dry_run)
-        if capture_first:
-            _capture(site, quiet)
+        taken = _capture(site, quiet) if capture_first else []
+        faults = {each.camera: each.fault for each in taken if each.fault}
         nights, codes = _nights(site, date_at(site, date), date_at(site, since)), list[int]()
         if dry_run:
             for night in nights:
@@ -127,7 +128,7 @@ def run(
                 codes.append(ExitCode.DEGRADED)
                 break
             with display(site.name, verbose, quiet) as shown:
-                finished = run_night(site, date=night, listen=shown.receive, **options)
+                finished = run_night(site, date=night, listen=shown.receive, not_captured=faults, **options)
             codes.append(finished.record.exit_code)
             if as_json:
                 records.append(json.loads(finished.finished.folder.paths.record.read_bytes()))
@@ -243,21 +244,21 @@ def capture(site: Path, quiet: bool) -> None:
     wbflow capture site.yaml
     wbflow run site.yaml --capture -q             both, for cron
     """
-    sys.exit(_capture(load(site, None), quiet))
+    found = _capture(load(site, None), quiet)
+    if not any(taken.files for taken in found):
+        sys.exit(ExitCode.FAILED)
+    sys.exit(ExitCode.DEGRADED if any(taken.fault for taken in found) else ExitCode.GOOD)
 
 
-def _capture(site: Site, quiet: bool) -> int:
-    """Take pictures; returns 0, 3 where some are missing, 1 where all are."""
-    from ..capture.take import Taken, capture
+def _capture(site: Site, quiet: bool) -> list[Taken]:
+    """Take pictures, and say of each camera how many there are."""
+    from ..capture.take import capture
 
     def print_taken(taken: Taken) -> None:
         if taken.fault or not quiet:
             echo(f"{taken.camera:10} {taken}", err=bool(taken.fault))
 
-    found = capture(site, print_taken)
-    if not any(taken.files for taken in found):
-        return ExitCode.FAILED
-    return ExitCode.DEGRADED if any(taken.fault for taken in found) else ExitCode.GOOD
+    return capture(site, print_taken)
 
 
 @click.command()

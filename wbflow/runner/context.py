@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import datetime
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from types import MappingProxyType
 
 from ..cache.layout import WorkFolder
 from ..cache.memo import Digests, Seen
 from ..cache.store import Cache
 from ..records.reference_folder import BadReference, Reference, read_reference
 from ..site.captures import CaptureFile, as_now, expected, find_captures, find_named, in_motion, look_again, night, when_complete
-from ..site.models import Site
+from ..site.models import Camera, Site
 from ..site.staleness import look_at
 from .planner import Plan
 
@@ -74,6 +76,7 @@ def plan_run(
     date: datetime.date | None = None,
     until: str | None = None,
     force: tuple[str, ...] = (),
+    not_captured: Mapping[str, str] = MappingProxyType({}),
 ) -> RunContext:
     """Find a night's captures and plan its work; nothing is written.
 
@@ -87,6 +90,8 @@ def plan_run(
         Stop after this stage.
     force : tuple of str
         Stages or tasks to be done again.
+    not_captured : mapping of str to str
+        Why no picture of a camera could be taken, by camera.
     """
     work = site.work_folder
     digests, seen = Digests(work.captures_memo), Seen(work.seen_memo)
@@ -102,7 +107,7 @@ def plan_run(
         str(found_date),
         Cache(work),
         find_named(site, digests),
-        {camera.id: expected(site, camera, found_date).replace(f"{site.captures.root}/", "") for camera in lost},
+        {camera.id: not_captured.get(camera.id) or _expected(site, camera, found_date) for camera in lost},
         until,
         frozenset(force),
         reference=reference,
@@ -111,6 +116,10 @@ def plan_run(
         night_given=date is not None,
     )
     return RunContext(site, found_date, delivered.captures, digests, seen, delivered.notes, plan, growing=growing)
+
+
+def _expected(site: Site, camera: Camera, night: datetime.date) -> str:
+    return f"there is no file {expected(site, camera, night).replace(f'{site.captures.root}/', '')}"
 
 
 def _reference(site: Site, work: WorkFolder) -> tuple[Reference | None, str]:

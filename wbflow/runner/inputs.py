@@ -145,7 +145,8 @@ class Inputs:
     site: Site
     captures: dict[str, list[CaptureFile]]
     named: dict[str, CaptureFile]
-    expectations: dict[str, str]
+    missing: dict[str, str]
+    """Why cameras without captures have none, by camera."""
     subjects: Subjects
     stages: Collection[str]
     """Names of those that take part tonight."""
@@ -322,7 +323,7 @@ class Inputs:
         """A camera's files that can be read."""
         files = self.captures[camera.camera]
         if not files:
-            raise Impossible(f"no capture: there is no file {self.expectations.get(camera.camera, 'for it')}", Cause.NO_CAPTURE)
+            raise Impossible(f"no capture: {self.missing.get(camera.camera, 'there is no file for it')}", Cause.NO_CAPTURE)
         readable = tuple(file for file in files if file.digest)
         if not readable:
             raise Impossible(f"no capture: {files[0].name} {files[0].fault}", Cause.NO_CAPTURE)

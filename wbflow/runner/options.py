@@ -6,7 +6,8 @@ import datetime
 import difflib
 import importlib.util
 import itertools
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from ..errors import UsageError
@@ -41,6 +42,8 @@ class Options:
     """Seconds that a task may take; None: derived from what its stage took before."""
     stop_at: datetime.datetime | None = None
     """From then on (local time) only what is there already is put together and published."""
+    not_captured: Mapping[str, str] = field(default_factory=dict)
+    """Why no picture of a camera could be taken tonight, by camera."""
 
     def check(self, site: Site) -> None:
         """Raises UsageError for what is not possible."""

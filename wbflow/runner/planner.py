@@ -41,7 +41,8 @@ class Plan:
     night: str
     cache: Cache
     named: dict[str, CaptureFile] = field(default_factory=dict)
-    expectations: dict[str, str] = field(default_factory=dict)
+    missing: dict[str, str] = field(default_factory=dict)
+    """Why cameras without captures have none, by camera."""
     until: str | None = None
     force: frozenset[str] = frozenset()
     states: dict[Task, State] = field(default_factory=dict)
@@ -93,7 +94,7 @@ class Plan:
         cameras = [view.id for view in self.site.views]
         forced = frozenset(name.split(" ")[0] for name in self.force)
         self._pinned = Pinned(self.cache, cameras, self._stages, self.states, self.reference, past, forced, self.stale)
-        known = self.site, self.captures, self.named, self.expectations
+        known = self.site, self.captures, self.named, self.missing
         self._inputs = Inputs(*known, self._subjects, names, self.states, self._pinned)
 
     def refresh(self) -> None:

@@ -2,21 +2,25 @@
 
 from __future__ import annotations
 
+import base64
 import datetime
 import re
 import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
+from urllib.parse import quote
 
 import cv2
 import pytest
 import yaml
 from click.testing import CliRunner, Result
 
+import wbflow
 from tests.helpers.camera_servers import PASSWORD, USER, http_camera, picture, rtsp_camera, writing_into
 from wbflow.capture import sources, take
 from wbflow.cli.main import main
+from wbflow.errors import ExitCode
 from wbflow.site.pattern import Pattern
 
 
@@ -40,13 +44,17 @@ def rtsp() -> Iterator[str]:
         yield url
 
 
-def capture(folder: Path, urls: dict[str, str], pattern: str = "{camera}/{date}_*.jpg", **keys: object) -> Result:
+def site_file(folder: Path, urls: dict[str, str], pattern: str = "{camera}/{date}_*.jpg", **keys: object) -> Path:
     settings = {"root": "captures", "pattern": pattern, "frames": 2, "seconds": 1.2, "credentials": "secret.yaml", **keys}
     cameras = [{"id": name, "url": url} for name, url in urls.items()]
     (folder / "captures").mkdir(exist_ok=True)
     (folder / "site.yaml").write_text(yaml.safe_dump({"site": "yard", "captures": settings, "cameras": cameras}))
     (folder / "secret.yaml").write_text(yaml.safe_dump({"*": {"user": USER, "password": PASSWORD}}))
-    return CliRunner().invoke(main, ["capture", str(folder / "site.yaml")])
+    return folder / "site.yaml"
+
+
+def capture(folder: Path, urls: dict[str, str], pattern: str = "{camera}/{date}_*.jpg", **keys: object) -> Result:
+    return CliRunner().invoke(main, ["capture", str(site_file(folder, urls, pattern, **keys))])
 
 
 def taken(folder: Path, camera: str) -> list[Path]:
@@ -88,6 +96,26 @@ def test_a_broken_camera_is_named_and_costs_itself(tmp_path: Path, http: str, wa
     assert len(taken(tmp_path, "gate")) == 2
     assert not taken(tmp_path, "roof")
     assert words in next(line for line in result.output.splitlines() if line.startswith("roof"))
+
+
+def test_the_night_in_one_line_names_a_broken_camera_and_keeps_passwords(tmp_path: Path, http: str, rtsp: str) -> None:
+    site, outside = tmp_path / "yard", tmp_path / "secret.yaml"
+    site.mkdir()
+    urls = {"gate": rtsp, "roof": f"{http}/digest", "mast": f"{http}/mjpeg", "crane": f"{http}/half"}
+    file = site_file(site, urls, credentials=str(outside))
+    (site / "secret.yaml").rename(outside)
+    result = CliRunner().invoke(main, ["run", str(file), "--capture", "-q", "--until", "frames", "--backend", "threading"])
+    assert result.exit_code == ExitCode.DEGRADED, result.output
+    record = wbflow.open_run(site).record
+    assert record.verdict
+    lost = [finding for finding in record.verdict.findings if finding.kind == "camera-lost"]
+    assert [finding.subject for finding in lost] == [("crane",)]
+    assert "sends half a picture" in lost[0].text
+    assert sum(bool(camera.captures) for camera in record.cameras) == 3
+    secrets = [PASSWORD.encode(), quote(PASSWORD).encode(), base64.b64encode(f"{USER}:{PASSWORD}".encode())]
+    files = [path for path in site.rglob("*") if path.is_file()]
+    assert len(files) > 10
+    assert not [path for path in files if any(secret in path.read_bytes() for secret in secrets)]
 
 
 def test_a_stream_without_its_password_is_named_without_any(tmp_path: Path, rtsp: str) -> None:
