@@ -38,6 +38,15 @@ def copc(cloud: Cloud, poses: Poses, day: datetime.date) -> Files:
     yield "cloud.copc.laz", copc_bytes(laz_bytes(cloud, day, _georeference(poses)))
 
 
+def tiles(cloud: Cloud, poses: Poses) -> Files:
+    """tiles/tileset.json and what it names, on the globe where the site is georeferenced."""
+    from .tiles import tile_files
+
+    place = _georeference(poses)
+    for name, data in tile_files(cloud, place.to_earth() if place else None):
+        yield f"tiles/{name}", data
+
+
 def e57(cloud: Cloud, poses: Poses) -> Files:
     """cloud.e57, on the map where the site is georeferenced."""
     from .e57 import e57_bytes

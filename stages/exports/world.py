@@ -26,12 +26,20 @@ class Georeference:
     steps: str
     geographic: str
     """Steps to longitude, latitude (degrees) and height above the ellipsoid."""
+    geocentric: str
+    """Steps to EPSG 4978."""
 
     def degrees(self, x: Any) -> tuple[float, float, float]:
         """A world point as longitude, latitude (degrees, WGS 84) and height above the ellipsoid."""
         east, north, up = (float(value) for value in x)
         longitude, latitude, height = pyproj.Transformer.from_pipeline(self.geographic).transform(east, north, up)
         return longitude, latitude, height
+
+    def to_earth(self) -> Float64s:
+        """(4, 4) from world points to geocentric coordinates (EPSG 4978), metres."""
+        ends = pyproj.Transformer.from_pipeline(self.geocentric).transform(*np.vstack([np.eye(3), np.zeros(3)]).T)
+        *axes, origin = np.column_stack(ends)
+        return np.column_stack([*(np.append(axis - origin, 0.0) for axis in axes), np.append(origin, 1.0)])
 
     def points(self, X: Float64s) -> Float64s:
         """(n, 3) float64 world points as easting, northing and height above the ellipsoid, metres."""
@@ -78,4 +86,5 @@ def georeference(crs: str) -> Georeference:
     zone = int((longitude + 180) // 6) % 60 + 1
     south = " +south" if latitude < 0 else ""
     steps = f"{upward} +step +proj=utm +zone={zone}{south} +ellps=WGS84"
-    return Georeference((32700 if south else 32600) + zone, steps, f"{upward} {unit}")
+    epsg = (32700 if south else 32600) + zone
+    return Georeference(epsg, steps, f"{upward} {unit}", f"+proj=pipeline +step +inv {crs}")

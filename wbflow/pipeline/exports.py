@@ -58,6 +58,13 @@ EXPORTS: tuple[Export, ...] = (
         extra="las",
     ),
     Export(
+        "tiles",
+        "The cloud as 3D Tiles, which Cesium and iTowns stream, on the globe where the site is on the map.",
+        "wbflow_stages.exports.forms:tiles",
+        {"cloud": _CLOUD, "poses": _POSES},
+        extra_on_the_map="geo",
+    ),
+    Export(
         "e57",
         "The cloud as E57, on the map like LAZ; intensity is the confidence.",
         "wbflow_stages.exports.forms:e57",

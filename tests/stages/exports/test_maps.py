@@ -144,8 +144,9 @@ def test_laspy_reads_the_cloud_back(crs: str) -> None:
 def test_laspy_reads_all_of_a_copc_or_a_coarse_and_even_part(crs: str, tmp_path: Path) -> None:
     laspy = pytest.importorskip("laspy")
     pytest.importorskip("copclib")
-    from wbflow_stages.exports.copc import MOST_IN_LEAF, copc_bytes
+    from wbflow_stages.exports.copc import copc_bytes
     from wbflow_stages.exports.las import laz_bytes
+    from wbflow_stages.exports.octree import MOST_IN_LEAF
     from wbflow_stages.exports.world import georeference
 
     cloud = cloud_of(hill(count=4 * MOST_IN_LEAF))

@@ -1,0 +1,75 @@
+"""A cloud as 3D Tiles: an octree of point clouds that Cesium and iTowns stream.
+
+References
+----------
+OGC 18-053r2, 3D Tiles Specification 1.0, 2019.
+"""
+
+from __future__ import annotations
+
+import json
+import struct
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import numpy as np
+
+from ..types import Cloud, Float64s, Int64s
+from .octree import CELLS, Key, octree
+
+_HEADER = struct.Struct("<4s6I")
+_ALIGNED = 8
+"""Tables begin at multiples of so many bytes."""
+
+
+def tile_files(cloud: Cloud, to_earth: Float64s | None = None) -> Iterator[tuple[str, bytes]]:
+    """Yield the tiles of a cloud that is not empty, and tileset.json, which names them.
+
+    to_earth: (4, 4) from world points to geocentric coordinates (EPSG 4978); None: the site is not on the map.
+    """
+    points = cloud.points.astype(np.float64)
+    low, side = points.min(axis=0), max(float(np.ptp(points, axis=0).max()), 1e-3)
+    tiles: dict[Key, dict[str, Any]] = {}
+    for key, rows in octree(points, low, side):
+        level, *place = key
+        edge, name = side / 2**level, f"{'-'.join(map(str, key))}.pnts"
+        box = [*(low + edge * (np.array(place) + 0.5)), *(np.eye(3) * edge / 2).ravel()]
+        tiles[key] = {"boundingVolume": {"box": box}, "geometricError": 0.0, "content": {"uri": name}}
+        if level:
+            parent = tiles[level - 1, place[0] // 2, place[1] // 2, place[2] // 2]
+            parent.setdefault("children", []).append(tiles[key])
+            parent["geometricError"] = 2 * edge / CELLS  # the spacing of its points: a viewer goes on where that is too coarse
+        yield name, _tile(cloud, rows)
+    root = tiles[0, 0, 0, 0] | {"refine": "ADD"}
+    if to_earth is not None:
+        root["transform"] = to_earth.T.ravel().tolist()  # by columns
+    tileset = {"asset": {"version": "1.0"}, "geometricError": side, "root": root}
+    yield "tileset.json", (json.dumps(tileset, indent=1) + "\n").encode()
+
+
+def _tile(cloud: Cloud, rows: Int64s) -> bytes:
+    """Some points as a tile ("pnts"), with confidence and sigma_mm."""
+    shown = {"POSITION": cloud.points[rows].astype("<f4"), "RGB": cloud.colors[rows].astype(np.uint8)}
+    told = {"confidence": cloud.confidence[rows].astype("<f4"), "sigma_mm": cloud.sigma_mm[rows].astype("<f4")}
+    features = _table({"POINTS_LENGTH": len(rows)}, shown, {}, _HEADER.size)
+    tables = [*features, *_table({}, told, {"componentType": "FLOAT", "type": "SCALAR"}, 0)]
+    lengths = [len(table) for table in tables]
+    return b"".join([_HEADER.pack(b"pnts", 1, _HEADER.size + sum(lengths), *lengths), *tables])
+
+
+def _table(words: dict[str, Any], columns: Mapping[str, Any], form: Mapping[str, str], begin: int) -> tuple[bytes, bytes]:
+    """The two parts of a table of columns: JSON, and the bytes that it refers to.
+
+    Parameters
+    ----------
+    words : further entries of the JSON.
+    columns : by name.
+    form : what each column's entry says of its numbers.
+    begin : how many bytes stand before it since the last multiple of `_ALIGNED`.
+    """
+    data = b""
+    for name, values in columns.items():
+        words[name] = {"byteOffset": len(data), **form}
+        data += values.tobytes()
+    text = json.dumps(words).encode()
+    return text + b" " * (-(begin + len(text)) % _ALIGNED), data + bytes(-len(data) % _ALIGNED)
