@@ -184,7 +184,13 @@ DEEPER = {"stages.mvs": 5, "stages.sfm": 6, "stages.twoview": 5, "stages.types":
 """Rooms that are deeper still: none may become so, and none of these deeper."""
 
 
-ON_THEIR_OWN = {"stages.exports.copc", "stages.exports.las", "stages.fusion.surface_support", "wbflow.outcome.systemd", "wbflow.cache.owner"}
+ON_THEIR_OWN = {
+    "stages.exports.copc",
+    "stages.exports.las",
+    "stages.fusion.surface_support",
+    "wbflow.outcome.systemd",
+    "wbflow.cache.owner",
+}
 """Modules under 60 lines with one importer that are an idea of their own."""
 
 
