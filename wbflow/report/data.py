@@ -62,14 +62,14 @@ class ReportData:
 
     @cached_property
     def earlier(self) -> list[RunRecord]:
-        """The last run of each earlier night, newest first."""
+        """The last run of each earlier night, the latest night first."""
         found: dict[str, RunRecord] = {}
         for _, record in newest_runs(self.work, before=self.record.run):
-            if record.date != self.record.date:
+            if record.date < self.record.date:
                 found.setdefault(record.date, record)
             if len(found) >= NIGHTS - 1:
                 break
-        return list(found.values())
+        return [found[date] for date in sorted(found, reverse=True)]
 
     @property
     def nights(self) -> list[RunRecord]:
