@@ -60,5 +60,6 @@ def test_nothing_is_said_where_another_reference_was_compared_with_or_there_was_
 def test_a_night_that_is_run_again_knows_nothing_of_later_ones(monkeypatch: pytest.MonkeyPatch) -> None:
     made = [night(date) for date in ("2026-11-22", "2026-11-18", "2026-11-20", "2026-11-19")]
     monkeypatch.setattr("wbflow.report.data.newest_runs", lambda work, before: ((None, record) for record in made))
-    data = ReportData(cast(Any, None), night("2026-11-20"), (), {}, Path(), cast(Any, SimpleNamespace(work=None)))
+    cache = cast(Any, SimpleNamespace(work=None))
+    data = ReportData(cache, night("2026-11-20"), (), {}, Path(), cast(Any, None))
     assert [record.date for record in data.earlier] == ["2026-11-19", "2026-11-18"]
