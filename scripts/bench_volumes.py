@@ -78,16 +78,22 @@ def main() -> None:
     site = wbflow.load_site(arguments.nights)
     runs = {run.record.date: run for run in (wbflow.open_run(site, name) for name in site.work_folder.run_ids())}
     truth = truth_of(arguments.nights)
-    same: list[tuple[Volume, Volume]] = []
-    changed: list[tuple[Volume, Volume]] = []
+    first, lost = min(runs), {date for date, run in runs.items() if not all(camera.ok for camera in run.record.cameras)}
+    groups: dict[str, list[tuple[Volume, Volume]]] = {}
     for then, tonight in itertools.combinations(sorted(runs), 2):
         found = changes_between(runs[then].finished, runs[tonight].finished).cut_fill
-        gained, lost = between(truth[then], truth[tonight])
-        pair = Volume(found.gained, found.gained_sigma, gained), Volume(found.lost, found.lost_sigma, lost)
-        (changed if gained or lost else same).append(pair)
+        gained, gone = between(truth[then], truth[tonight])
+        pair = Volume(found.gained, found.gained_sigma, gained), Volume(found.lost, found.lost_sigma, gone)
+        if not gained and not gone:
+            what = "nothing changed"
+        elif {then, tonight} & lost:
+            what = "things came and went, against a night that lost cameras"
+        else:
+            what = f"things came and went, against {'the first' if then == first else 'any other'} night"
+        groups.setdefault(what, []).append(pair)
         words = " ".join(f"{v.found:7.2f} ± {v.sigma:.2f} ({v.truth:.2f})" for v in pair)
         print(f"{then} {tonight}  {words}", flush=True)
-    rows = [row_of("nothing changed", same), row_of("a container and a van came, a stack went", changed)]
+    rows = [row_of(what, pairs) for what, pairs in sorted(groups.items())]
     for row in rows:
         shares = f"{row.within_two_sigma:.0%} in 2 sigma, {row.within_tenth:.0%} in 10 %"
         print(f"{row.what}: {row.nights} pairs; {shares}; worst {row.worst:.3f}")
