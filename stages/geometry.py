@@ -268,10 +268,8 @@ def _guided_round(
     """
     again = with_night(matches, night) if night is not None else match_guided(_inliers(matches, found), left, right, found.F)
     again = replace(again, view1=matches.view1, view2=matches.view2, matcher=matches.matcher)
-    better = _solve(again, _sizes(again, left, right), how)
-    if better is None or better.inliers.sum() < found.inliers.sum():
-        return matches, found
-    return again, better
+    inliers = supporters(found.F, again.x1, again.x2, how.threshold_px)
+    return (again, replace(found, inliers=inliers)) if inliers.sum() >= found.inliers.sum() else (matches, found)
 
 
 def _weighted(

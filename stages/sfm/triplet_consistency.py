@@ -56,7 +56,7 @@ def inconsistency(model: Model, geometries: Mapping[Edge, Geometry]) -> float:
     if len(asked) < 3:
         return float("nan")
     nowhere, unused = np.full((tracks.count, 3), np.nan), np.zeros(len(tracks.track), bool)
-    own = refine(replace(model, cameras=asked, tracks=tracks, X=nowhere, use=unused), rounds=3)
+    own = refine(replace(model, cameras=asked, tracks=tracks, X=nowhere, use=unused), rounds=3, rough=True)
     if not own.use.any():
         return float("nan")
     apart, together = (_errors(own, cameras) for cameras in (own.cameras, asked))

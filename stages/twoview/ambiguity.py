@@ -89,7 +89,9 @@ def find_ambiguity(
     x1, x2 = left.xy[found.i1], right.xy[found.i2]
     every = _one_pose(x1, x2, left.view, right.view, accepted.R, accepted.t, seed)
     off = symmetric_epipolar_distance(accepted.F, x1, x2) > OFF_LINES_PX
-    elsewhere = _one_pose(x1[off], x2[off], left.view, right.view, accepted.R, accepted.t, seed)
+    elsewhere = _Pose()
+    if off.sum() >= MUCH_TURNED * len(i1):  # fewer decide nothing
+        elsewhere = _one_pose(x1[off], x2[off], left.view, right.view, accepted.R, accepted.t, seed)
     if every.turned_deg < SAME_ROTATION_DEG and every.step_deg > ANOTHER_STEP_DEG and every.inliers > elsewhere.inliers:
         elsewhere = every
     return Ambiguity(every.inliers, elsewhere.inliers, elsewhere.turned_deg)

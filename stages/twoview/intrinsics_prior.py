@@ -31,8 +31,6 @@ TOGETHER = 2.5
 true errors exceed those of independent matches, on photographs)."""
 MOST_IMPLAUSIBLE = 4.0
 """Lenses two standard deviations off: then F is more likely bent by wrong matches."""
-MOST_POSED = 500
-"""Matches that are asked which of four poses a focal length means."""
 STARTS = (0.5, 0.7, 1.0, 1.4, 2.0)
 """Focal lengths, in long sides (or in guesses), at which the search starts."""
 FIRST_STEPS, LAST_STEPS = 5, 30
@@ -94,12 +92,11 @@ def refine_with_plausible_intrinsics(
     T1, T2 = (_frame_of(view, unit) for view in (view1, view2))
     mean, sigma = _expected_of_both(view1, view2, unit)
     matches = _Matches((x1 - T1[:2, 2]) / unit, (x2 - T2[:2, 2]) / unit, unit / (noise * CAUCHY), mean, sigma)
-    every = -(-len(x1) // MOST_POSED)
     best: tuple[float, _State] | None = None
     for F, factor in product(candidates, STARTS):
         lens = mean + np.array([np.log(factor), np.log(factor), 0, 0, 0, 0])
         K1, K2 = _intrinsics(lens)
-        pose = pose_of_fundamental(F, x1[::every], x2[::every], _with(view1, T1 @ K1), _with(view2, T2 @ K2))
+        pose = pose_of_fundamental(F, x1, x2, _with(view1, T1 @ K1), _with(view2, T2 @ K2))
         if pose is not None:
             found = _descend(_State(pose[0], pose[1] / np.linalg.norm(pose[1]), lens), matches, FIRST_STEPS)
             best = found if best is None or found[0] < best[0] else best

@@ -24,6 +24,8 @@ MIN_ITERATIONS, MAX_ITERATIONS = 50, 20000
 """Of random samples; between the two, as many as the share of inliers asks for."""
 INLIER_FACTOR = 1.5
 """An inlier of the refined model lies within this times the threshold, in Sampson distance."""
+MOST_POSED = 500
+"""Of so many matches at most is asked on which side of the cameras they lie."""
 
 
 @dataclass(frozen=True)
@@ -154,8 +156,9 @@ def pose_of_fundamental(F: Float64s, x1: Float64s, x2: Float64s, view1: View, vi
     """
     if view1.K is None or view2.K is None:
         return None
-    n1 = (homogeneous(x1) @ np.linalg.inv(view1.K).T)[:, :2]
-    n2 = (homogeneous(x2) @ np.linalg.inv(view2.K).T)[:, :2]
+    some = slice(None, None, max(-(-len(x1) // MOST_POSED), 1))
+    n1 = (homogeneous(x1[some]) @ np.linalg.inv(view1.K).T)[:, :2]
+    n2 = (homogeneous(x2[some]) @ np.linalg.inv(view2.K).T)[:, :2]
     front, R, t, _ = cv2.recoverPose(view2.K.T @ F @ view1.K, n1, n2, np.eye(3))
     return (np.asarray(R, dtype=np.float64), np.asarray(t, dtype=np.float64).ravel()) if front >= 8 else None
 
