@@ -554,6 +554,7 @@ VARIATIONS = (
     _fault("distortion twice", distortion(2), *BENT),
     _fault("distortion of one left out", distortion(0, (1,)), "distortion-of-one"),
     _fault("k1 alone", distortion(0, only=(1, 2, 3, 4)), *BENT),
+    _fault("principal points from the corner", principal(0.5, 0.5), "principal-points-corner", "pairs-disagree"),
     _fault("principal points 6 px", principal(6, 0), "principal-points", on=ALL),
     _fault("principal points 4 px down", principal(0, 4), "principal-points"),
     _fault("principal point of one 6 px", principal(6, 2, (2,)), "principal-point", *ONE),
@@ -753,7 +754,7 @@ def work_through(variation: Variation, name: str, folder: Path, quick: bool) -> 
     verdict = record.get("verdict", {})
     findings = [finding["kind"] for finding in verdict.get("findings", ())]
     check = (record.get("poses") or {}).get("calibration") or {}
-    cause = check.get("cause", "") if check.get("contradicted") else ""
+    cause = check.get("cause", "")
     text = " | ".join(finding["text"] for finding in verdict.get("findings", ())) or record.get("said", "")[-300:]
     result = Result(name, variation.name, variation.kind, record["exit_code"], None, 0, None, None, findings, cause, text=text)
     result.cpu = record.get("seconds", {}).get("cpu", 0.0)

@@ -49,8 +49,8 @@ class CalibrationCheck:
     cause: str = ""
     """What would explain it, "" for nothing: of all cameras "focal-lengths", "pixel-shape", "pixel-height", "distortion",
     "distortion-factor", "focal-lengths-and-distortion", "principal-points", "captures-exchanged", "poses" or a name of
-    `CONVENTIONS`; of one "focal-length", "distortion-of-one", "turned", "moved", "mirrored-frames", "upside-down"; of two a name
-    of `EXCHANGED`."""
+    `CONVENTIONS`, and "principal-points-corner", also where nothing is contradicted; of one "focal-length", "distortion-of-one",
+    "turned", "moved", "mirrored-frames", "upside-down"; of two a name of `EXCHANGED`."""
     cameras: tuple[str, ...] = ()
     """Those that it is about; () for all."""
     amount: tuple[float, ...] = ()
@@ -60,6 +60,8 @@ class CalibrationCheck:
     """So many times smaller the misfit would be."""
     off_px: float = 0.0
     """How far points move along the epipolar line then (median, pixels)."""
+    sigmas: float = 0.0
+    """Where the misfit is too small to tell, and all pairs want the amount alike: so many times its standard deviation."""
 
 
 @short_repr

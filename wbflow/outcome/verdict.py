@@ -377,8 +377,7 @@ def check_calibration(night: Night) -> Iterator[Finding]:
     check = night.record.poses.calibration if night.record.poses else None
     if check and check.contradicted:
         figures = {"misfit": check.misfit, "better": check.better, "off_px": check.off_px}
-        words = {"misfit": math.sqrt(check.misfit), "explanation": _explanation(check)}
-        yield finding("calibration-contradicted", check.cameras, figures, None, None, **words)
+        yield finding("calibration-contradicted", check.cameras, figures, None, None, explanation=_explanation(check))
 
 
 _CAUSES: Mapping[str, str] = {
@@ -389,6 +388,7 @@ _CAUSES: Mapping[str, str] = {
     "distortion-factor": "{factor:.2g} times the stated distortion in all pictures",
     "distortion-of-one": "a radial distortion that is left in the pictures of {cameras} (k1 off by {first:+.3f})",
     "focal-lengths-and-distortion": "all focal lengths {longer} and k1 off by {last:+.3f}",
+    "principal-points-corner": "principal points half a pixel less (counted from the first pixel's centre, not its corner)",
     "principal-points": "all principal points shifted by {percent:.1f} % of the width",
     "focal-length": "the focal length of {cameras} {longer}",
     "turned": "{cameras} turned by {degrees:.2f} degrees",
@@ -420,8 +420,9 @@ _EVERYBODY = {
 
 def _explanation(check: CalibrationCheck) -> str:
     """Return in words what would explain the matches best."""
+    misfit = f"they lie {math.sqrt(check.misfit):.1f} times as far from where it has them as noise explains"
     if not check.cause:
-        return "no single cause explains that"
+        return f"{misfit}; no single cause explains that"
     amount = check.amount or (0.0,)
     size, scale = math.hypot(*amount), math.expm1(amount[0])
     words = _CAUSES[check.cause].format(
@@ -433,7 +434,9 @@ def _explanation(check: CalibrationCheck) -> str:
         percent=100 * size,
         degrees=math.degrees(size),
     )
-    return f"{words} would fit {check.better:.1f} times better"
+    if check.sigmas:
+        return f"those of all pairs alike want {words}, by {check.sigmas:.0f} standard deviations"
+    return f"{misfit}; {words} would fit {check.better:.1f} times better"
 
 
 def check_poses(night: Night) -> Iterator[Finding]:
@@ -475,7 +478,9 @@ def check_depths(night: Night) -> Iterator[Finding]:
     worst = max(against.values())
     suspects = tuple(camera for camera, votes in against.items() if votes == worst >= 0)
     cause = "no single camera explains it: all may be a little off"
-    if suspects:
+    if poses and poses.calibration and poses.calibration.cause == "principal-points-corner":
+        suspects, cause = (), f"matches of all pairs want {_CAUSES[poses.calibration.cause]}: subtract 0.5 from cx and cy of all"
+    elif suspects:
         cause = f"the pose or lens of {' or '.join(suspects)} is not as it is used"
     words = {"px": most, "limit": APART_PX, "cause": cause}
     yield finding("pairs-disagree", suspects, {"apart_px": most}, {"apart_px": APART_PX}, None, **words)

@@ -176,6 +176,7 @@ class CalibrationCheck(Summary):
     amount: tuple[float, ...] = ()
     better: float = 1.0
     off_px: float = 0.0
+    sigmas: float = 0.0
 
 
 @dataclass(frozen=True)

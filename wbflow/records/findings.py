@@ -214,8 +214,7 @@ FINDINGS: Mapping[str, FindingType] = {
             "Tonight's matches contradict the stated lenses or poses as a whole.",
             "calibrate the lenses again (wbflow calibrate), measure the poses again, or name the calibration that belongs to "
             "these captures; without `calibration:` lenses and poses are solved",
-            "the matches contradict the stated calibration: they lie {misfit:.1f} times as far from where it has them as "
-            "noise explains; {explanation}",
+            "the matches contradict the stated calibration: {explanation}",
         ),
         FindingType(
             "poses-contradicted",
@@ -225,8 +224,8 @@ FINDINGS: Mapping[str, FindingType] = {
         FindingType(
             "pairs-disagree",
             "Pairs of one view give other depths to the same pixels, alike over much of the view: a pose or a lens is wrong.",
-            "measure pose and lens of that camera again, or leave them out, to have them solved; of all: are principal points "
-            "counted from the corner of the first pixel, not from its centre? Then subtract half a pixel",
+            "measure pose and lens of that camera again, or leave them out, to have them solved; where principal points are "
+            "counted from the corner of the first pixel, not from its centre, subtract 0.5 from all",
             "depths of one and the same view differ by up to {px:.1f} px as a whole between the pairs that give them, {limit:g} "
             "px are tolerated: {cause}",
         ),

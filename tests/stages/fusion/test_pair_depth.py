@@ -46,6 +46,17 @@ def test_pairs_differ_as_a_whole_by_what_one_of_them_has_everywhere_and_noise_is
     assert apart_px(depths, [gain, np.full_like(gain, 10), gain], NoiseModel()).keys() == {(0, 2)}, "too inexact to be fused"
 
 
+def test_noise_that_is_alike_over_patches_is_no_difference_as_a_whole() -> None:
+    """At night errors are as large as patches."""
+    rng = np.random.default_rng(2)
+    gain = np.full((200, 200), 0.1, dtype=np.float32)
+    patches = [np.kron(rng.normal(0, 0.5, (10, 10)), np.ones((20, 20))) for _ in range(2)]
+    depths = [(50 + 0.1 * (patch + rng.normal(0, 0.2, gain.shape))).astype(np.float32) for patch in patches]
+    assert apart_px(depths, [gain, gain], NoiseModel())[0, 1] < 0.1
+    depths[1] += 0.1
+    assert apart_px(depths, [gain, gain], NoiseModel())[0, 1] == pytest.approx(1 / np.sqrt(2), abs=0.15)
+
+
 def test_a_pattern_that_one_pair_mistook_is_no_difference_as_a_whole() -> None:
     rng = np.random.default_rng(1)
     gain = np.full((200, 300), 0.1, dtype=np.float32)

@@ -13,7 +13,7 @@ from tests.helpers.exact_pairs import PairSite, make_pair_site, pair_geometry
 from wbflow_stages.core.cameras import project
 from wbflow_stages.core.rotations import rotation_matrix
 from wbflow_stages.poses import solve_poses
-from wbflow_stages.sfm.calibration_check import check_calibration
+from wbflow_stages.sfm.calibration_check import CORNER, check_calibration
 from wbflow_stages.types import Camera, Geometry, Placement, Poses
 
 Change = Callable[[str, Camera], Camera]
@@ -37,6 +37,12 @@ def shifted(pixels: float) -> Change:
         return replace(camera, K=K)
 
     return change
+
+
+def from_corner(name: str, camera: Camera) -> Camera:
+    K = camera.K.copy()
+    K[:2, 2] += 0.5
+    return replace(camera, K=K)
 
 
 def only(one: str, change: Change) -> Change:
@@ -92,6 +98,18 @@ def test_a_wrong_one_is_and_the_cause_is_named(site: PairSite, change: Change, c
     assert check.cause == cause
     if amount is not None:
         assert check.amount[0] == pytest.approx(amount, abs=0.005)
+
+
+@pytest.mark.parametrize(
+    ("change", "cause", "contradicted"),
+    [(zoomed(1.0), "", False), (from_corner, CORNER, False), (zoomed(1.02), "focal-lengths", True)],
+)
+def test_what_all_pairs_want_alike_is_named_where_noise_hides_it(change: Change, cause: str, contradicted: bool) -> None:
+    """So much noise that matches lie hardly farther from the epipolar lines of the wrong cameras."""
+    site = make_pair_site(6, noise_px=0.7)
+    check = check_calibration(stated(site, change), site.geometries, tuple(site.cameras))
+    assert check is not None and check.misfit < 1.12
+    assert (check.cause, check.contradicted, check.sigmas > 3) == (cause, contradicted, contradicted)
 
 
 def test_two_poses_that_were_exchanged_are_named(site: PairSite) -> None:

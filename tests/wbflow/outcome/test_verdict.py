@@ -437,6 +437,10 @@ def test_depths_that_differ_with_the_pair_name_the_camera_that_all_of_them_have_
     ]
     finding = only(night(cameras=[*once, dense("crane")]))
     assert finding.subject == () and "no single camera explains it" in finding.text
+    corner = CalibrationCheck(3000, 12, True, 1.0, cause="principal-points-corner")
+    record = replace(night(cameras=[*cameras, dense("crane")]), poses=PosesSummary(calibration=corner))
+    finding = only(judge(record, Facts(), Baseline(), Expected()))
+    assert finding.subject == () and "subtract 0.5 from cx and cy" in finding.text
 
 
 def test_a_stated_camera_without_matches_has_no_usable_pair_only_where_dense_matching_was_tried() -> None:
