@@ -175,7 +175,7 @@ class WorkFolder:
 
     def pinned(self, path: Path) -> Path:
         """Where the reference keeps a file of the cache."""
-        return self.reference / path.relative_to(self.cache)
+        return Path(f"{self.reference}{str(path).removeprefix(str(self.cache))}")  # one step: a path is slow to join
 
     def run(self, name: str) -> RunPaths:
         """The folder of a run."""

@@ -134,7 +134,7 @@ class Cache:
         path = self.work.receipt(task, key)
         found = _stamp(path)
         if (receipt := self._receipt(task, path)) and found:
-            self._known[task, key] = str(path), str(path.with_name(receipt.file)) if receipt.file else "", found, receipt
+            self._known[task, key] = str(path), str(self.path(receipt)) if receipt.file else "", found, receipt
         return receipt
 
     def newest(self, task: Task) -> Receipt | None:
@@ -160,7 +160,7 @@ class Cache:
         """The artifact's file.  Raises ValueError for a rejected task, which has none."""
         if receipt.file is None:
             raise ValueError(f"{receipt.task} left no artifact")
-        return self.work.task(receipt.preimage.task) / receipt.file
+        return self.work.artifact(receipt.preimage.task, "", receipt.file)
 
     def read(self, task: Task, path: Path, digest: str) -> bytes:
         """The bytes of an artifact.
@@ -227,7 +227,7 @@ class Cache:
         except Damaged as damage:
             self.note(damage.what, task)
             return None
-        if receipt and receipt.file and (wrong := _wrong_size(path.with_name(receipt.file), receipt.bytes)):
+        if receipt and receipt.file and (wrong := _wrong_size(f"{path.parent}/{receipt.file}", receipt.bytes)):
             self.note(wrong, task)
             return None
         return receipt

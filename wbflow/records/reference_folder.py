@@ -273,8 +273,10 @@ def _digest(path: Path) -> str | None:
 
 def _differs(cache: Cache, receipt: Receipt) -> bool:
     """At first sight: is the reference's copy of a receipt or an artifact gone, or of another size?"""
+    *artifact, record = _files(cache, receipt)
     try:
-        return any(path.stat().st_size != cache.work.pinned(path).stat().st_size for path in _files(cache, receipt))
+        sizes = [(record, record.stat().st_size), *((path, receipt.bytes) for path in artifact)]
+        return any(cache.work.pinned(path).stat().st_size != size for path, size in sizes)
     except OSError:
         return True
 

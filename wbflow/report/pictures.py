@@ -89,20 +89,20 @@ class Pictures:
     def of_product(self, name: str, alt: str) -> Picture | None:
         """Return a picture that the run publishes."""
         path = self.data.files / name
-        return self._of(path, alt, name, lambda: read_outside(path))
+        return self._of(path, alt, lambda: read_outside(path), link=name)
 
     def _of_result(self, task: Task, key: str, alt: str) -> Picture | None:
         path, cache = self.data.work.drawing(task, key, "picture"), self.data.cache
-        return self._of(path, alt, f"../../{path.relative_to(self.data.work.root)}", lambda: cache.drawing(task, key, "picture"))
+        return self._of(path, alt, lambda: cache.drawing(task, key, "picture"))
 
-    def _of(self, path: Path, alt: str, link: str, read: Callable[[], bytes | None]) -> Picture | None:
-        """Return the picture in a file; None where there is none.  link: to it, from the report."""
+    def _of(self, path: Path, alt: str, read: Callable[[], bytes | None], link: str = "") -> Picture | None:
+        """Return the picture in a file; None where there is none.  link: to a product, from the report."""
         if path in self._ids:
             return Picture(self._ids[path], alt)
         name = f"picture-{len(self._ids) + 1}"
         try:
             if self.held + path.stat().st_size > ROOM:
-                return Picture(name, alt, link=link)
+                return Picture(name, alt, link=link or f"../../{path.relative_to(self.data.work.root)}")
             content = read()
         except OSError:
             return None

@@ -10,7 +10,8 @@ from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from concurrent.futures import Future
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TypeVar
+from queue import Empty, SimpleQueue
+from typing import Generic, TypeVar
 
 from ..cache.memo import Digests
 from ..errors import UsageError, WbflowError, printable
@@ -39,34 +40,57 @@ LATER_SECONDS = 5.0
 T = TypeVar("T")
 
 
+class _Reader(Generic[T]):
+    """Reads from disks that may hang, one thing after the other, in a thread of its own."""
+
+    def __init__(self, reads: Iterable[Callable[[], T]]) -> None:
+        self._reads = reads
+        self._answers: SimpleQueue[Future[T]] = SimpleQueue()
+        self.stopped = False
+        # not a pool: its threads would be waited for when the program ends
+        threading.Thread(target=self._read_all, daemon=True).start()
+
+    def _read_all(self) -> None:
+        for read in self._reads:
+            if self.stopped:
+                return
+            answer: Future[T] = Future()
+            try:
+                answer.set_result(read())
+            except (OSError, ValueError, WbflowError) as error:
+                answer.set_exception(error)
+            self._answers.put(answer)
+
+    def next(self, seconds: float) -> T:
+        """Return what was read next.  Raises TimeoutError, and is stopped, if the disk hangs; else what reading raises."""
+        try:
+            answer = self._answers.get(timeout=seconds)
+        except Empty:
+            self.stopped = True
+            raise TimeoutError(f"does not answer within {seconds:.0f} s: is its disk, or the network, there?") from None
+        return answer.result()
+
+
 def answered(read: Callable[[], T], seconds: float) -> T:
     """Return what a function reads from a disk that may hang.  Raises TimeoutError if it does, and what the function raises."""
-    result: Future[T] = Future()
-
-    def run() -> None:
-        try:
-            result.set_result(read())
-        except (OSError, ValueError, WbflowError) as error:
-            result.set_exception(error)
-
-    threading.Thread(target=run, daemon=True).start()  # not a pool: its threads would be waited for when the program ends
-    try:
-        return result.result(seconds)
-    except TimeoutError:
-        if result.done():
-            raise
-        raise TimeoutError(f"does not answer within {seconds:.0f} s: is its disk, or the network, there?") from None
+    return _Reader([read]).next(seconds)
 
 
 def _answers(reads: Iterable[tuple[str, Callable[[], T]]]) -> Iterator[tuple[str, T | TimeoutError]]:
-    """What is read of each camera, or that its disk does not answer."""
-    seconds = ANSWER_SECONDS
-    for camera, read in reads:
-        try:
-            yield camera, answered(read, seconds)
-        except TimeoutError as error:
-            seconds = LATER_SECONDS
-            yield camera, error
+    """What is read of each camera, or that its disk does not answer; the others are read all the same."""
+    cameras, seconds = list(reads), ANSWER_SECONDS
+    reader = _Reader(read for _, read in cameras)
+    try:
+        for number, (camera, _) in enumerate(cameras, 1):
+            answer: T | TimeoutError
+            try:
+                answer = reader.next(seconds)
+            except TimeoutError as error:
+                answer, seconds = error, LATER_SECONDS
+                reader = _Reader(read for _, read in cameras[number:]) if reader.stopped else reader
+            yield camera, answer
+    finally:
+        reader.stopped = True
 
 
 def nights(site: Site, since: datetime.date | None = None) -> list[datetime.date]:
