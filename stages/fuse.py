@@ -151,9 +151,9 @@ def _samples(
 
 
 def _joined(parts: Sequence[Cloud], given: dict[str, int], misfits: dict[str, float]) -> Cloud:
-    names = [field.name for field in fields(Cloud) if field.name not in ("given", "misfits")]
+    names = [field.name for field in fields(Cloud) if field.name not in ("given", "misfits", "right")]
     arrays: dict[str, Any] = {name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
-    return Cloud(**arrays, given=given, misfits=misfits)
+    return Cloud(**arrays, given=given, misfits=misfits, right=float(arrays["confidence"].mean(dtype=np.float64)))
 
 
 def _cloud(merged: Samples) -> Cloud:

@@ -236,22 +236,24 @@ def _excess(world: _World, evidence: list[_Matches]) -> float:
 
 
 def _with_slight_cause(found: CalibrationCheck, stated: _World, evidence: list[_Matches], own: float) -> CalibrationCheck:
-    """Name what all pairs want alike where the loss is too small to tell, and what leaves nothing to explain.
-
-    That is half a pixel less in all principal points, which spoils little by itself, or other focal lengths.
-    """
+    """Name what all pairs want alike where the loss is too small to tell, if it leaves nothing to explain: half a pixel less in
+    all principal points, or other focal lengths."""
     shift, covariance = _wanted(stated, evidence, _shifted_px, 0.5 * np.eye(2))
     covariance += LEAST_SHIFT_SIGMA_PX**2 * np.eye(2)
     none, half = (float(off @ np.linalg.solve(covariance, off)) for off in (shift, shift - CORNER_PX))
-    if half <= FITS**2 and none - half >= SURE and _excess(_of_all(_shifted_px, stated, CORNER_PX), evidence) <= EXPLAINED * own:
-        return replace(found, cause=CORNER)
     zoom, variance = _wanted(stated, evidence, _zoomed, 0.01 * np.eye(1))
-    sigma, right = float(np.sqrt(variance[0, 0])), _of_all(_zoomed, stated, zoom)
-    if abs(zoom[0]) <= MOST_ZOOM + FITS * sigma or _excess(right, evidence) > EXPLAINED * own:
+    sigma = max(float(np.sqrt(variance[0, 0])), 1e-9)
+    if half <= FITS**2 and none - half >= SURE:
+        named, right = replace(found, cause=CORNER, sigmas=float(np.sqrt(none - half))), _of_all(_shifted_px, stated, CORNER_PX)
+    elif abs(zoom[0]) > MOST_ZOOM + FITS * sigma:
+        right = _of_all(_zoomed, stated, zoom)
+        named = replace(found, cause="focal-lengths", amount=(float(zoom[0]),), sigmas=float(abs(zoom[0])) / sigma)
+    else:
+        return found
+    if _excess(right, evidence) > EXPLAINED * own:
         return found
     better, off_px = _loss(stated, evidence) / _loss(right, evidence), _off_px(stated, right, evidence)
-    amount, sure = (float(zoom[0]),), float(abs(zoom[0])) / max(sigma, 1e-9)
-    return replace(found, contradicted=True, cause="focal-lengths", amount=amount, better=better, off_px=off_px, sigmas=sure)
+    return replace(named, contradicted=True, better=better, off_px=off_px)
 
 
 def _wanted(world: _World, evidence: list[_Matches], change: _Change, steps: Float64s) -> tuple[Float64s, Float64s]:

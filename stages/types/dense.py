@@ -171,3 +171,5 @@ class Cloud:
     misfits: Mapping[str, float] = field(default_factory=dict)
     """Of the samples of each camera's view, the median of their standard deviation as views and surroundings show it over the
     one that `noise_px` lets expect."""
+    right: float | None = None
+    """Share of the points that is expected to be right: mean confidence; None of a cloud that was read from its file."""

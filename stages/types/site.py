@@ -49,8 +49,8 @@ class CalibrationCheck:
     cause: str = ""
     """What would explain it, "" for nothing: of all cameras "focal-lengths", "pixel-shape", "pixel-height", "distortion",
     "distortion-factor", "focal-lengths-and-distortion", "principal-points", "captures-exchanged", "poses" or a name of
-    `CONVENTIONS`, and "principal-points-corner", also where nothing is contradicted; of one "focal-length", "distortion-of-one",
-    "turned", "moved", "mirrored-frames", "upside-down"; of two a name of `EXCHANGED`."""
+    `CONVENTIONS`, or "principal-points-corner"; of one "focal-length", "distortion-of-one", "turned", "moved", "mirrored-frames",
+    "upside-down"; of two a name of `EXCHANGED`."""
     cameras: tuple[str, ...] = ()
     """Those that it is about; () for all."""
     amount: tuple[float, ...] = ()

@@ -233,7 +233,7 @@ def _is_usable(plan: Plan, stage: str) -> bool:
 
 def _cloud(task: Task, state: State) -> CloudRecord | None:
     cloud = summary_of(state, FuseSummary)
-    return CloudRecord(cloud_name(task.subject), cloud.points, cloud.bounds) if state.usable else None
+    return CloudRecord(cloud_name(task.subject), cloud.points, cloud.bounds, cloud.right) if state.usable else None
 
 
 def _results(plan: Plan, files: Mapping[str, Collection[str]]) -> Iterator[tuple[str, SiteSummary]]:

@@ -30,6 +30,8 @@ from .run_record import root_cause
 
 PLANNED_PAIRS = 0.5
 """Fewer of the planned pairs than this share are too few on a night without an earlier one to compare with."""
+RIGHT = 0.9
+"""Such a share of a cloud's points is to be right, as it is expected from each one's confidence."""
 LEAST_CONTRAST = 2.0
 """Grey levels: pictures with less show nothing, and two of them may be alike."""
 SOFT_PX = 1.3
@@ -377,7 +379,8 @@ def check_calibration(night: Night) -> Iterator[Finding]:
     check = night.record.poses.calibration if night.record.poses else None
     if check and check.contradicted:
         figures = {"misfit": check.misfit, "better": check.better, "off_px": check.off_px}
-        yield finding("calibration-contradicted", check.cameras, figures, None, None, explanation=_explanation(check))
+        remedy = "subtract 0.5 from cx and cy of all cameras" if check.cause == "principal-points-corner" else None
+        yield finding("calibration-contradicted", check.cameras, figures, None, remedy, explanation=_explanation(check))
 
 
 _CAUSES: Mapping[str, str] = {
@@ -478,9 +481,7 @@ def check_depths(night: Night) -> Iterator[Finding]:
     worst = max(against.values())
     suspects = tuple(camera for camera, votes in against.items() if votes == worst >= 0)
     cause = "no single camera explains it: all may be a little off"
-    if poses and poses.calibration and poses.calibration.cause == "principal-points-corner":
-        suspects, cause = (), f"matches of all pairs want {_CAUSES[poses.calibration.cause]}: subtract 0.5 from cx and cy of all"
-    elif suspects:
+    if suspects:
         cause = f"the pose or lens of {' or '.join(suspects)} is not as it is used"
     words = {"px": most, "limit": APART_PX, "cause": cause}
     yield finding("pairs-disagree", suspects, {"apart_px": most}, {"apart_px": APART_PX}, None, **words)
@@ -523,6 +524,14 @@ def check_tasks(night: Night) -> Iterator[Finding]:
         more = f" (and {len(tasks) - 1} more like it)" if len(tasks) > 1 else ""
         reason, remedy = shortened(state.reason or ""), None if code == Cause.FAULT else ""
         yield finding("task-failed", task.subject, {"tasks": len(tasks)}, remedy=remedy, task=task, reason=reason, more=more)
+
+
+def check_cloud(night: Night) -> Iterator[Finding]:
+    """Is the cloud right, as far as its own cameras can tell?"""
+    cloud = night.record.cloud
+    if cloud and cloud.right is not None and cloud.right < RIGHT:
+        figures, expected = {"right": cloud.right}, {"right": RIGHT}
+        yield finding("cloud-doubtful", (), figures, expected, percent=100 * cloud.right, limit=100 * RIGHT)
 
 
 def check_amounts(night: Night) -> Iterator[Finding]:
@@ -589,6 +598,7 @@ CHECKS: tuple[Check, ...] = (
     check_depths,
     check_survey,
     check_tasks,
+    check_cloud,
     check_amounts,
 )
 """What is looked at, in the order in which it is reported."""

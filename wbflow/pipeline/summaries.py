@@ -271,6 +271,8 @@ class FuseSummary(Summary):
     """Samples by camera."""
     misfits: Mapping[str, float] = field(default_factory=dict)
     """Of each camera's samples: their standard deviation over the expected one, median."""
+    right: float | None = None
+    """Share of the points that is expected to be right."""
 
 
 @dataclass(frozen=True)

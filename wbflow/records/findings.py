@@ -224,8 +224,7 @@ FINDINGS: Mapping[str, FindingType] = {
         FindingType(
             "pairs-disagree",
             "Pairs of one view give other depths to the same pixels, alike over much of the view: a pose or a lens is wrong.",
-            "measure pose and lens of that camera again, or leave them out, to have them solved; where principal points are "
-            "counted from the corner of the first pixel, not from its centre, subtract 0.5 from all",
+            "measure pose and lens of that camera again, or leave them out, to have them solved",
             "depths of one and the same view differ by up to {px:.1f} px as a whole between the pairs that give them, {limit:g} "
             "px are tolerated: {cause}",
         ),
@@ -269,6 +268,13 @@ FINDINGS: Mapping[str, FindingType] = {
             "A task failed; what needs its result was skipped.",
             "wbflow run -v SITE.yaml shows where",
             "{task} failed: {reason}{more}",
+        ),
+        FindingType(
+            "cloud-doubtful",
+            "By what its own cameras say of each point, too many points of the cloud are wrong.",
+            "look at the cloud where confidence is low: surfaces that repeat, shine or show nothing need more cameras, or "
+            "cameras closer together; a higher `confidence` of `fuse` keeps fewer points",
+            "{percent:.1f} % of its points are expected to be right, {limit:.0f} % are asked for",
         ),
         FindingType("fewer-points", "The cloud has far fewer points than usual.", _COMPARE),
         FindingType("fewer-pairs", "Far fewer pairs could be used than usual or planned.", _COMPARE),

@@ -146,6 +146,8 @@ class CloudRecord(Plain):
     points: int
     bounds: tuple[tuple[float, ...], tuple[float, ...]]
     """Two opposite corners of the box around it."""
+    right: float | None = None
+    """Share of its points that is expected to be right."""
 
 
 @dataclass(frozen=True)

@@ -100,16 +100,13 @@ def test_a_wrong_one_is_and_the_cause_is_named(site: PairSite, change: Change, c
         assert check.amount[0] == pytest.approx(amount, abs=0.005)
 
 
-@pytest.mark.parametrize(
-    ("change", "cause", "contradicted"),
-    [(zoomed(1.0), "", False), (from_corner, CORNER, False), (zoomed(1.02), "focal-lengths", True)],
-)
-def test_what_all_pairs_want_alike_is_named_where_noise_hides_it(change: Change, cause: str, contradicted: bool) -> None:
+@pytest.mark.parametrize(("change", "cause"), [(zoomed(1.0), ""), (from_corner, CORNER), (zoomed(1.02), "focal-lengths")])
+def test_what_all_pairs_want_alike_is_named_where_noise_hides_it(change: Change, cause: str) -> None:
     """So much noise that matches lie hardly farther from the epipolar lines of the wrong cameras."""
     site = make_pair_site(6, noise_px=0.7)
     check = check_calibration(stated(site, change), site.geometries, tuple(site.cameras))
     assert check is not None and check.misfit < 1.12
-    assert (check.cause, check.contradicted, check.sigmas > 3) == (cause, contradicted, contradicted)
+    assert (check.cause, check.contradicted, check.sigmas > 3) == (cause, bool(cause), bool(cause))
 
 
 def test_two_poses_that_were_exchanged_are_named(site: PairSite) -> None:

@@ -437,10 +437,21 @@ def test_depths_that_differ_with_the_pair_name_the_camera_that_all_of_them_have_
     ]
     finding = only(night(cameras=[*once, dense("crane")]))
     assert finding.subject == () and "no single camera explains it" in finding.text
-    corner = CalibrationCheck(3000, 12, True, 1.0, cause="principal-points-corner")
+    corner = CalibrationCheck(3000, 12, True, 1.0, True, cause="principal-points-corner", sigmas=5.0)
     record = replace(night(cameras=[*cameras, dense("crane")]), poses=PosesSummary(calibration=corner))
     finding = only(judge(record, Facts(), Baseline(), Expected()))
-    assert finding.subject == () and "subtract 0.5 from cx and cy" in finding.text
+    assert (finding.kind, finding.subject) == ("calibration-contradicted", ())
+    assert "half a pixel less" in finding.text and "subtract 0.5 from cx and cy" in finding.remedy
+
+
+@pytest.mark.parametrize(("right", "good"), [(None, True), (0.93, True), (0.85, False)])
+def test_a_cloud_of_whose_points_too_few_are_expected_to_be_right_degrades_the_night(right: float | None, good: bool) -> None:
+    record = night()
+    assert record.cloud
+    record = judge(replace(record, cloud=replace(record.cloud, right=right)), Facts(), Baseline(), Expected())
+    assert verdict_of(record).good == good
+    if not good:
+        assert only(record).kind == "cloud-doubtful" and "85.0 % of its points" in only(record).text
 
 
 def test_a_stated_camera_without_matches_has_no_usable_pair_only_where_dense_matching_was_tried() -> None:
