@@ -178,6 +178,9 @@ _SURROUNDINGS_PX = 16
 _MIXED = 0.67
 """What bilinear interpolation leaves of white noise: 2/3 of its standard deviation, mean over all fractions."""
 _PATCH_PX, _SEARCH_PX = 7, 21
+_KEPT = 0.35
+"""This share of the noise stays.  Even surfaces would else show nothing but what denoising has made of it, alike in all views by
+chance: of a study without light 61 % of the points were within 5 cm, 77 % now, and more of them; .2 gives 71 %, .5 76 %."""
 _COLOUR_PX = 2.0
 """Colours are smoothed by a Gaussian of so many pixels: they tell little of shape, and their noise is coarse."""
 
@@ -209,6 +212,7 @@ def denoised(image: Uint8s, noise: float) -> Uint8s:
     F at 2 cm is 35.5 with it, 34.7 with a Gaussian of 1 px, 32.8 with neither.
     """
     luma, red, blue = cv2.split(cv2.cvtColor(image, cv2.COLOR_RGB2YCrCb))
-    luma = cv2.fastNlMeansDenoising(luma, None, h=noise, templateWindowSize=_PATCH_PX, searchWindowSize=_SEARCH_PX)
+    quiet = cv2.fastNlMeansDenoising(luma, None, h=noise, templateWindowSize=_PATCH_PX, searchWindowSize=_SEARCH_PX)
+    luma = cv2.addWeighted(quiet, 1 - _KEPT, luma, _KEPT, 0)
     red, blue = (cv2.GaussianBlur(colour, (0, 0), _COLOUR_PX) for colour in (red, blue))
     return np.asarray(cv2.cvtColor(cv2.merge([luma, red, blue]), cv2.COLOR_YCrCb2RGB), np.uint8)
