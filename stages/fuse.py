@@ -21,7 +21,7 @@ from .core.parallel import parallel_map
 from .core.residual_distortion import straight_frames
 from .fusion.pair_depth import world_normals
 from .fusion.planning import exposure_gains, natural_voxel, nearest_views, subsample
-from .fusion.posterior import likelier, own_logit, posterior
+from .fusion.posterior import likelier, own_logit, posterior, surest
 from .fusion.uncertainty import along_nearest_rays, depth_variance
 from .fusion.visibility import CrossCheck, TrustedDepth, cross_check
 from .fusion.voxels import Samples, VoxelGrid, VoxelSums
@@ -42,6 +42,7 @@ def fuse(
     min_consistent_pairs: int = 1,
     voxel_m: float | None = None,
     confidence: float = 0.5,
+    right: float = 0.9,
     check_views: int = 16,
 ) -> Cloud | Rejected:
     """Fuse the depths of all views into one cloud.
@@ -56,6 +57,8 @@ def fuse(
         same: 2 trades completeness for accuracy.
     voxel_m : edge of the voxels in which points are merged, in metres; None: what a pixel covers.
     confidence : a point is right with this probability at least: more trades completeness for accuracy.
+    right : this share of the points is expected to be right, by their probabilities: the least probable are left out until it is,
+        but never more than half.
     check_views : each view is compared with so many others that see most of the same.
     """
     better, frames = refined or {}, straight_frames(frames, cameras)
@@ -98,7 +101,7 @@ def fuse(
     del grid
     if not parts:
         return Rejected(Reason.NO_SUPPORTED_POINT, {"cameras": len(cameras), "min_consistent_pairs": min_consistent_pairs})
-    return _joined(parts, given, misfits)
+    return _joined(parts, given, misfits, right)
 
 
 @dataclass(frozen=True)
@@ -150,10 +153,13 @@ def _samples(
     )
 
 
-def _joined(parts: Sequence[Cloud], given: dict[str, int], misfits: dict[str, float]) -> Cloud:
+def _joined(parts: Sequence[Cloud], given: dict[str, int], misfits: dict[str, float], right: float) -> Cloud:
+    """The surest points of a cloud in parts; given, misfits, right: see `Cloud` and `fuse`."""
     names = [field.name for field in fields(Cloud) if field.name not in ("given", "misfits", "right")]
     arrays: dict[str, Any] = {name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
-    return Cloud(**arrays, given=given, misfits=misfits, right=float(arrays["confidence"].mean(dtype=np.float64)))
+    kept = surest(arrays["confidence"], right)
+    expected = float(arrays["confidence"][kept].mean(dtype=np.float64))
+    return Cloud(**{name: values[kept] for name, values in arrays.items()}, given=given, misfits=misfits, right=expected)
 
 
 def _cloud(merged: Samples) -> Cloud:

@@ -32,6 +32,21 @@ _AROUND = np.array([-0.75, 0.7, 2.94])
 """Of one, the logit of the above, and the mean of its probability over the surroundings."""
 
 
+_MOST_LEFT_OUT = 0.5
+"""Of a cloud: where more would have to go, too little is sure for a choice."""
+
+
+def surest(right: Float32s, share: float) -> Bools:
+    """(n,) which points stay when the least probable go until a share of the rest is expected to be right.
+
+    right: (n,) their probabilities of being right.
+    """
+    ranked = np.sort(right)[::-1]
+    expected = np.cumsum(ranked, dtype=np.float64) / np.arange(1, len(ranked) + 1)
+    count = max(int((expected >= share).sum()), int(np.ceil(_MOST_LEFT_OUT * len(ranked))))
+    return np.asarray(right >= ranked[count - 1])
+
+
 def own_logit(depth: DepthMap, usable: Bools) -> Float32s:
     """(h, w) log-odds that a view's depths are right, as far as it knows itself; -inf where it has none."""
     return _logit(_OWN, evidence_of_itself(depth, usable), usable & np.isfinite(depth.depth))
