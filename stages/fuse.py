@@ -158,7 +158,7 @@ def _joined(parts: Sequence[Cloud], given: dict[str, int], misfits: dict[str, fl
     names = [field.name for field in fields(Cloud) if field.name not in ("given", "misfits", "right")]
     arrays: dict[str, Any] = {name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
     kept = surest(arrays["confidence"], right)
-    expected = float(arrays["confidence"][kept].mean(dtype=np.float64))
+    expected = round(float(arrays["confidence"][kept].mean(dtype=np.float64)), 4)
     return Cloud(**{name: values[kept] for name, values in arrays.items()}, given=given, misfits=misfits, right=expected)
 
 

@@ -43,8 +43,10 @@ def surest(right: Float32s, share: float) -> Bools:
     """
     ranked = np.sort(right)[::-1]
     expected = np.cumsum(ranked, dtype=np.float64) / np.arange(1, len(ranked) + 1)
-    count = max(int((expected >= share).sum()), int(np.ceil(_MOST_LEFT_OUT * len(ranked))))
-    return np.asarray(right >= ranked[count - 1])
+    count, least = int((expected >= share).sum()), int(np.ceil((1 - _MOST_LEFT_OUT) * len(ranked)))
+    if count == len(ranked):
+        return np.ones(len(right), np.bool_)
+    return np.asarray(right > ranked[count] if count >= least else right >= ranked[least - 1])
 
 
 def own_logit(depth: DepthMap, usable: Bools) -> Float32s:
