@@ -37,9 +37,9 @@ import numpy as np
 from bench_files import exit_status
 from pairs_with_truth import TrueView, axes_angle_deg, correct, on_one_thread, photographed, pose_error_deg, true_correspondences
 
+from wbflow_stages.core.epipolar import symmetric_epipolar_distance
 from wbflow_stages.geometry import estimate_geometry
 from wbflow_stages.matches import match
-from wbflow_stages.twoview.epipolar import symmetric_epipolar_distance
 from wbflow_stages.types import Capture, Features, Geometry, Matches, Rejected
 
 PLAIN_SIFT = "kdtree"

@@ -24,12 +24,12 @@ from wbflow_demo.render.photograph import DemoCamera
 from wbflow_demo.render.sensor import jpeg, png
 from wbflow_demo.scenes import render
 from wbflow_stages.core.cameras import backproject, project, ray_angles
+from wbflow_stages.core.epipolar import symmetric_epipolar_distance
 from wbflow_stages.features import detect
 from wbflow_stages.frames import clean_frame
 from wbflow_stages.geometry import estimate_geometry
 from wbflow_stages.matches import match
 from wbflow_stages.pooled import pool_matches
-from wbflow_stages.twoview.epipolar import symmetric_epipolar_distance
 from wbflow_stages.types import Camera, Capture, Float32s, Float64s, Frame, Geometry, Matches, Rejected
 
 _STEP_PX = 4

@@ -18,9 +18,9 @@ import numpy as np
 import numpy.typing as npt
 
 from wbflow_stages.core.cameras import backproject, project, relative_pose, scaled_intrinsics
+from wbflow_stages.core.epipolar import fundamental_from_cameras, symmetric_epipolar_distance
 from wbflow_stages.features import detect
 from wbflow_stages.frames import clean_frame
-from wbflow_stages.twoview.epipolar import fundamental_from_cameras, symmetric_epipolar_distance
 from wbflow_stages.types import Camera, Capture, Features, Float64s, Frame, Uint8s, View
 
 if TYPE_CHECKING:

@@ -15,10 +15,10 @@ import numpy as np
 import numpy.typing as npt
 
 from .core.cameras import backproject, project
+from .core.epipolar import symmetric_epipolar_distance
 from .core.jit import kernel
 from .core.rotations import angle_between_deg, nearest_rotation
 from .core.similarity import Similarity, similarity_between
-from .twoview.epipolar import symmetric_epipolar_distance
 from .types import Bools, Camera, Float32s, Float64s, Uint8s
 
 Points = npt.NDArray[np.floating]

@@ -13,6 +13,7 @@ from functools import partial
 import numpy as np
 
 from .core.cameras import rays
+from .core.epipolar import fundamental_from_cameras, symmetric_epipolar_distance, triangulate_depth
 from .core.methods import bind
 from .core.ordering import median, percentiles
 from .core.residual_distortion import residual_distortion, straight_points
@@ -24,7 +25,6 @@ from .rectification.predicted import ground_in_both, predict
 from .rectification.quality import parallax_px
 from .rectification.warping import to_rectified
 from .stereo.row_verification import verify_rows
-from .twoview.epipolar import fundamental_from_cameras, symmetric_epipolar_distance, triangulate_depth
 from .twoview.intrinsics_prior import MOST_IMPLAUSIBLE
 from .twoview.pair_score import hardly_converging
 from .types import Bools, Camera, Float32s, Float64s, Frame, Geometry, GroundOfPair, PairCheck, Rectification, Scene

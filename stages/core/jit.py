@@ -22,6 +22,7 @@ from pathlib import Path
 from typing import Any, TypeVar, cast
 
 import numba
+import numpy as np
 from numba.core.compiler_lock import global_compiler_lock
 
 try:
@@ -30,6 +31,8 @@ except ImportError:  # Windows: every process compiles for itself
     fcntl = None  # type: ignore[assignment]
 
 Function = TypeVar("Function", bound=Callable[..., Any])
+Scalar = np.float32
+"""What kernels reckon with: numba takes a number of Python for a float64."""
 
 
 def kernel(function: Function) -> Function:

@@ -17,13 +17,9 @@ q, A, B and `cost` (h, w), improved in place.
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
-from ..core.jit import helper, kernel
-from ..types import Float32s, Int32s, Int64s, Uint32s
-
-Uint64s = npt.NDArray[np.uint64]
-Scalar = np.float32
+from ..core.jit import Scalar, helper, kernel
+from ..types import Float32s, Int32s, Int64s, Uint32s, Uint64s
 
 UNSEEN = 2.0
 """The cost where no source sees a plane; costs of planes that are seen lie between 0 and 1."""

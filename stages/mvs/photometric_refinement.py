@@ -19,9 +19,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..core.jit import helper, kernel
-from ..types import Float32s, Int32s
-from .kernels import Scalar, Uint64s
+from ..core.jit import Scalar, helper, kernel
+from ..types import Float32s, Int32s, Uint64s
 
 _SOFTNESS = 12.0
 """Grey levels at which a patch's pixel counts half."""

@@ -10,8 +10,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..core.jit import Scalar
 from ..types import Bools, Float32s, Float64s, Int32s, Uint32s
-from .kernels import BLOCK, NOISE, UNSEEN, Scalar, judge, propagate
+from .kernels import BLOCK, NOISE, UNSEEN, judge, propagate
 from .photometric_refinement import refine_photometrically
 
 

@@ -14,9 +14,9 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial import Delaunay, QhullError
 
+from ..core.epipolar import apply_homography, epipoles, homogeneous
 from ..core.jit import kernel
 from ..core.ordering import extremes, median
-from ..twoview.epipolar import apply_homography, epipoles, homogeneous
 from ..types import Camera, Float32s, Float64s, Int32s, Int64s
 from .method import Homographies, MatchedPair
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..twoview.epipolar import epipoles, homogeneous
+from ..core.epipolar import epipoles, homogeneous
 from ..types import Float64s, PolarRows
 from .method import MatchedPair, PolarImages
 from .placement import MARGIN_OF_WIDTH, MARGIN_SHARE, Size, frame_grid

@@ -7,9 +7,9 @@ from itertools import pairwise
 import cv2
 import numpy as np
 
+from ..core.epipolar import apply_homography
 from ..core.jit import kernel
 from ..core.ordering import median, percentiles
-from ..twoview.epipolar import apply_homography
 from ..twoview.refinement import tangent
 from ..types import Float64s, Int64s
 

@@ -12,9 +12,9 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from ..core.epipolar import apply_homography
 from ..core.jit import kernel
 from ..core.residual_distortion import distorted_pixels
-from ..twoview.epipolar import apply_homography
 from ..types import INVALID, Bools, Disparity, Float32s, Float64s, PolarRows, Rectification
 
 Side = Literal[1, 2]

@@ -23,8 +23,8 @@ from itertools import combinations
 import cv2
 import numpy as np
 
+from ..core.epipolar import fundamental_from_cameras, sampson_distance, triangulate_depth
 from ..core.rotations import rotation_matrix
-from ..twoview.epipolar import fundamental_from_cameras, sampson_distance, triangulate_depth
 from ..types import CalibrationCheck, Camera, Float64s, Geometry, Pair
 from .pose_check import BELIEVED, MIN_SHARED
 from .triplet_consistency import consistent_matches

@@ -14,9 +14,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..core.cameras import backproject
+from ..core.epipolar import triangulate_depth
 from ..mvs.ground import halved, likely_planes, settled_on, very_alike
 from ..mvs.ground_prior import ground_matches
-from ..twoview.epipolar import triangulate_depth
 from ..types import Camera, Float32s, Float64s, Geometry, Int64s, Pair
 from .pose_check import Sigma
 from .pose_prior_adjustment import MIN_MATCHES, AdjustedPoses, adjust_within_priors

@@ -12,8 +12,8 @@ import numpy as np
 import poselib
 
 from ..core.cameras import backproject, project, ray_angles
+from ..core.epipolar import triangulate_depth
 from ..core.residual_distortion import without_distortion
-from ..twoview.epipolar import triangulate_depth
 from ..types import Bools, Camera, Float64s, Geometry
 from .bundle import adjust
 from .rigs import beside

@@ -9,8 +9,8 @@ from itertools import combinations
 import numpy as np
 
 from ..core.cameras import project
+from ..core.epipolar import fundamental_from_cameras, sampson_distance
 from ..core.rotations import angle_between_deg, rotation_matrix
-from ..twoview.epipolar import fundamental_from_cameras, sampson_distance
 from ..types import Camera, Float64s, Geometry, Pair
 from .pose_check import PAIR_PX, TRIPLET_PX, Evidence, PoseConstraints, Triplet, seen_points
 

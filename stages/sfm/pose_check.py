@@ -15,9 +15,9 @@ from itertools import combinations
 import numpy as np
 
 from ..core.cameras import backproject, camera_id, project, ray_angles, rays, relative_pose
+from ..core.epipolar import fundamental_from_cameras, symmetric_epipolar_distance, triangulate_depth
 from ..core.rotations import angle_between_deg
 from ..reasons import Reason, Rejected
-from ..twoview.epipolar import fundamental_from_cameras, symmetric_epipolar_distance, triangulate_depth
 from ..twoview.pair_score import hardly_converging, probability
 from ..types import Camera, Float64s, Geometry, Int32s, Int64s, Pair, PoseCheck
 from .tracks import same_places

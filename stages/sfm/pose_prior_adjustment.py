@@ -11,9 +11,9 @@ from itertools import combinations
 import numpy as np
 
 from ..core.cameras import same_camera
+from ..core.epipolar import fundamental_from_cameras, homogeneous, symmetric_epipolar_distance
 from ..core.least_squares import Equations, levenberg_marquardt
 from ..core.rotations import rotation_matrix, rotation_vector, skew
-from ..twoview.epipolar import fundamental_from_cameras, homogeneous, symmetric_epipolar_distance
 from ..types import Bools, Camera, Float64s, Geometry, Pair
 from .pose_check import BELIEVED, DEVIATIONS, PAIR_PX, PoseConstraints, Sigma, slack_px
 from .rigs import between, rigs_of

@@ -8,10 +8,10 @@ from dataclasses import replace
 import numpy as np
 
 from ..core.cameras import relative_pose
+from ..core.epipolar import fundamental_from_cameras, symmetric_epipolar_distance
 from ..core.residual_distortion import STRAIGHT_PX, residual_px, without_distortion
 from ..core.rotations import angle_between_deg
 from ..reasons import Reason, Rejected
-from ..twoview.epipolar import fundamental_from_cameras, symmetric_epipolar_distance
 from ..types import Camera, Geometry, LensSigma, Pair, PairCheck, Placement, PoseIssue, Poses, Survey, View
 from .incremental import Model, refine
 from .lens_sigma import MOST_SIGMA_PX, lens_sigmas, with_principal_points

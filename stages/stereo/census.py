@@ -9,13 +9,10 @@ nature, so larger pairs are matched at the power of two of their size that fits.
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
 from ..core.jit import kernel
-from ..types import Bools, Float32s, Uint8s, Uint16s
+from ..types import Bools, Float32s, Uint8s, Uint16s, Uint64s
 from .matcher import DenseMatches, RectifiedPair, halved, mirrored
-
-Uint64s = npt.NDArray[np.uint64]
 
 _SMALL_STEP = 12
 _LARGE_STEP, _LARGE_STEP_AT_LEAST = 100.0, 20.0

@@ -9,14 +9,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
-from ..core.jit import helper, kernel
-from ..types import Bools, Float32s
-
-Scalar = np.float32
-Int64s = npt.NDArray[np.int64]
-Uint64s = npt.NDArray[np.uint64]
+from ..core.jit import Scalar, helper, kernel
+from ..types import Bools, Float32s, Int64s, Uint64s
 
 _LIKENESS = 8.0
 """Grey levels at which a pixel of a window counts half."""

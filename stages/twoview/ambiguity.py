@@ -12,13 +12,13 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ..core.epipolar import symmetric_epipolar_distance
 from ..core.rotations import angle_between_deg
 from ..matching.affine_field import fit_affine_field
 from ..matching.assignment import without_repeats
 from ..matching.candidates import ViewPair, inverses
 from ..matching.structural import Correspondences, confirmations, solve_rounds
 from ..types import Bools, Features, Float64s, Int32s, View
-from .epipolar import symmetric_epipolar_distance
 from .image_grid import places
 from .robust import TwoView, estimate_essential
 

@@ -16,13 +16,13 @@ from math import exp, isfinite, log
 import numpy as np
 
 from ..core.cameras import field_ratio
+from ..core.epipolar import homogeneous, symmetric_epipolar_distance
 from ..core.rotations import angle_between_deg
 from ..matching.affine_field import fit_affine_field
 from ..matching.candidates import ViewPair, mutual_neighbours, rival_distances
 from ..matching.neighbours import nearest_elsewhere
 from ..types import Bools, Features, Float32s, Float64s, Int32s, Matches, View
 from .ambiguity import Ambiguity, find_ambiguity
-from .epipolar import homogeneous, symmetric_epipolar_distance
 from .image_grid import places
 from .robust import TwoView, estimate_essential
 

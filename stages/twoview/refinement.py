@@ -9,11 +9,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from ..core.epipolar import epipoles, sampson_distance
 from ..core.jit import kernel
 from ..core.least_squares import Equations, levenberg_marquardt
 from ..core.rotations import skew
 from ..types import Float64s
-from .epipolar import epipoles, sampson_distance
 
 Intrinsics = tuple[Float64s, Float64s]
 

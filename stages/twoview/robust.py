@@ -15,9 +15,9 @@ import numpy as np
 import numpy.typing as npt
 import poselib
 
+from ..core.epipolar import apply_homography, essential_to_fundamental, homogeneous, sampson_distance
 from ..core.rotations import nearest_rotation
 from ..types import Bools, Float64s, View
-from .epipolar import apply_homography, essential_to_fundamental, homogeneous, sampson_distance
 
 CONFIDENCE = 0.9999
 MIN_ITERATIONS, MAX_ITERATIONS = 50, 20000

@@ -115,26 +115,3 @@ class Overlap:
     """(m,) 0 to 1: share of one view that the other sees (poses), or similarity of appearance."""
     source: str
     """"poses" or "appearance"."""
-
-
-@short_repr
-@dataclass(frozen=True)
-class PairCheck:
-    """What the cameras of a whole site say of one pair.  Figures are nan where there is nothing to compare."""
-
-    kept: bool
-    """The pair agrees with the cameras, or they say nothing of it."""
-    reason: str = ""
-    """Why it is not kept, or what is to be known of it."""
-    code: str = ""
-    """Of a pair that is not kept: which `Reason`."""
-    estimated_px: float = float("nan")
-    """Median epipolar distance of its inliers to its own F..."""
-    adjusted_px: float = float("nan")
-    """...and to the F of the adjusted cameras."""
-    rotation_off_deg: float = float("nan")
-    """Between its own relative rotation and that of the cameras."""
-    flagged: bool = False
-    """The adjusted F is noticeably worse than the pair's own."""
-    known: str = ""
-    """How the relative pose is known that counts: "stated" or "solved", "" where it is not."""

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from wbflow_stages.core.cameras import project, relative_pose
-from wbflow_stages.twoview.epipolar import fundamental_from_cameras, homogeneous, symmetric_epipolar_distance
+from wbflow_stages.core.epipolar import fundamental_from_cameras, homogeneous, symmetric_epipolar_distance
 from wbflow_stages.twoview.robust import estimate_essential, estimate_fundamental, pose_of_fundamental
 from wbflow_stages.types import Camera, Float64s, Geometry, Pair, Poses, View
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from wbflow_stages.core.cameras import project
-from wbflow_stages.twoview.epipolar import fundamental_from_cameras
+from wbflow_stages.core.epipolar import fundamental_from_cameras
 from wbflow_stages.types import Camera, Geometry, View
 
 WIDTH, HEIGHT, FOCAL = 640, 480, 560.0

@@ -11,11 +11,11 @@ import pytest
 from tests.helpers.dots import as_they_are, frame_of, stereo_pair, texture, true_disparity
 from tests.helpers.laser import FOUNTAIN, laser_matches, photograph
 from tests.helpers.two_views import geometry_of, looking
+from wbflow_stages.core.epipolar import apply_homography, fundamental_from_cameras
 from wbflow_stages.disparity import match_dense
 from wbflow_stages.fusion.pair_depth import sample_disparity
 from wbflow_stages.rectification.warping import disparity_px, from_rectified, to_rectified
 from wbflow_stages.rectify import rectify
-from wbflow_stages.twoview.epipolar import apply_homography, fundamental_from_cameras
 from wbflow_stages.types import INVALID, Camera, Disparity, Frame, Rectification, Rejected
 
 NAMES = ("sgbm", "patchmatch")

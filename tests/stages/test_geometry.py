@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from wbflow_stages.core.cameras import project, relative_pose
+from wbflow_stages.core.epipolar import fundamental_from_cameras, symmetric_epipolar_distance
 from wbflow_stages.geometry import estimate_geometry
-from wbflow_stages.twoview.epipolar import fundamental_from_cameras, symmetric_epipolar_distance
 from wbflow_stages.types import Camera, Features, Geometry, Matches, Rejected, View
 
 K = np.array([[800.0, 0, 500], [0, 800, 333], [0, 0, 1]])

@@ -9,9 +9,9 @@ import pytest
 
 from tests.helpers.two_views import HEIGHT, WIDTH, K, geometry_of, looking, scene, seen_by_both, two_views
 from wbflow_stages.core.cameras import project
+from wbflow_stages.core.epipolar import apply_homography, epipoles, fundamental_from_cameras, homogeneous
 from wbflow_stages.rectification.warping import from_rectified, resampling, to_rectified
 from wbflow_stages.rectify import rectify
-from wbflow_stages.twoview.epipolar import apply_homography, epipoles, fundamental_from_cameras, homogeneous
 from wbflow_stages.twoview.robust import estimate_fundamental
 from wbflow_stages.types import Camera, Geometry, Rectification, Rejected, View
 

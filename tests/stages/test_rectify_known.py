@@ -11,11 +11,11 @@ import pytest
 from tests.helpers.flat_ground import cameras, frame_of, texture
 from tests.helpers.two_views import geometry_of
 from wbflow_stages.core.cameras import project
+from wbflow_stages.core.epipolar import fundamental_from_cameras
 from wbflow_stages.core.residual_distortion import distorted_pixels, without_distortion
 from wbflow_stages.rectification.warping import from_rectified, to_rectified
 from wbflow_stages.rectify import rectify
 from wbflow_stages.stereo.rectified import rectified_pair
-from wbflow_stages.twoview.epipolar import fundamental_from_cameras
 from wbflow_stages.types import Geometry, Rectification, Rejected, Scene
 
 ONE, TWO = list(cameras().values())[:2]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import dataclasses
 import functools
 import importlib
@@ -24,7 +25,6 @@ from ..errors import WbflowError
 from ..pipeline.binding import bind
 from ..pipeline.functions import FunctionReader
 from ..pipeline.stages import stage_named
-from . import worker
 from .spec import Cause, TaskSpec
 
 THREADS = ("OPENCV_FOR_THREADS_NUM", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
@@ -93,7 +93,7 @@ class Processes(Executor):
         before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
         try:
             pool = ProcessPoolExecutor(
-                1, context=get_context("loky"), initializer=worker.start, initargs=(os.getpid(),), env=environment
+                1, context=get_context("loky"), initializer=_start_worker, initargs=(os.getpid(),), env=environment
             )
             started = pool.submit(os.getpid)
         except (OSError, ImportError, NotImplementedError) as error:
@@ -193,6 +193,25 @@ class _Worker:
         if self.started.done() and not self.started.exception():
             with suppress(ProcessLookupError, PermissionError):
                 os.killpg(self.started.result(), signal.SIGKILL)
+
+
+def _start_worker(parent: int) -> None:
+    """Make a new process a worker of the run `parent`: it ends with it, however that ends, and writes nothing to stdout."""
+    from joblib.externals.loky import process_executor
+
+    if sys.platform == "linux":
+        ctypes.CDLL(None, use_errno=True).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)
+    if os.getppid() != parent:
+        os._exit(1)
+    os.setpgid(0, 0)  # what a stage starts ends with its worker
+    with suppress(OSError):
+        os.dup2(2, 1)
+    process_executor._MAX_MEMORY_LEAK_SIZE = sys.maxsize  # loky would renew a worker that has loaded 300 MB of libraries
+    with suppress(OSError):  # where the kernel has to end something, let it be a worker
+        Path("/proc/self/oom_score_adj").write_text("500")
+
+
+_PR_SET_PDEATHSIG = 1  # prctl(2)
 
 
 def machine_memory() -> int:

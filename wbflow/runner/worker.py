@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 import copy
-import ctypes
 import dataclasses
 import datetime
 import faulthandler
 import functools
 import os
 import resource
-import signal
-import sys
 import time
 import traceback
 from collections import UserDict
@@ -98,25 +95,6 @@ class _Chain:
     receipts: dict[Task, Receipt] = field(default_factory=dict)
     results: dict[str, Any] = field(default_factory=dict)
     """By the digest of the artifact: a task's result of tonight and the reference's may both be needed."""
-
-
-def start(parent: int) -> None:
-    """Make a new process a worker of the run `parent`: it ends with it, however that ends, and writes nothing to stdout."""
-    from joblib.externals.loky import process_executor
-
-    if sys.platform == "linux":
-        ctypes.CDLL(None, use_errno=True).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)
-    if os.getppid() != parent:
-        os._exit(1)
-    os.setpgid(0, 0)  # what a stage starts ends with its worker
-    with suppress(OSError):
-        os.dup2(2, 1)
-    process_executor._MAX_MEMORY_LEAK_SIZE = sys.maxsize  # loky would renew a worker that has loaded 300 MB of libraries
-    with suppress(OSError):  # where the kernel has to end something, let it be a worker
-        Path("/proc/self/oom_score_adj").write_text("500")
-
-
-_PR_SET_PDEATHSIG = 1  # prctl(2)
 
 
 def run_chain(

@@ -11,11 +11,11 @@ import pytest
 
 from tests.helpers.images import read_image
 from wbflow_stages.core.cameras import relative_pose, scaled_intrinsics
+from wbflow_stages.core.epipolar import fundamental_from_cameras, symmetric_epipolar_distance
 from wbflow_stages.core.rotations import angle_between_deg
 from wbflow_stages.features import detect
 from wbflow_stages.geometry import estimate_geometry
 from wbflow_stages.matches import match
-from wbflow_stages.twoview.epipolar import fundamental_from_cameras, symmetric_epipolar_distance
 from wbflow_stages.types import Camera, Features, Frame, Geometry, Matches, Rejected, View
 
 DATA = Path(os.environ.get("WBFLOW_DATA") or Path(__file__).resolve().parents[4] / "shared" / "data")

@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 
 from tests.helpers.flat_ground import cameras, frame_of, texture
+from wbflow_stages.core.epipolar import apply_homography
 from wbflow_stages.core.rotations import rotation_matrix
 from wbflow_stages.mvs.ground import ground_homography
 from wbflow_stages.mvs.ground_prior import ground_matches
-from wbflow_stages.twoview.epipolar import apply_homography
 from wbflow_stages.types import Camera, Float32s
 
 PLANE = np.array([0.0, 0.0, 1.0, 0.0])

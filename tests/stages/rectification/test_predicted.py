@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 
 from tests.helpers.flat_ground import cameras
+from wbflow_stages.core.epipolar import fundamental_from_cameras, symmetric_epipolar_distance, triangulate_depth
 from wbflow_stages.rectification.predicted import axes_meet_at, predict
-from wbflow_stages.twoview.epipolar import fundamental_from_cameras, symmetric_epipolar_distance, triangulate_depth
 from wbflow_stages.types import Scene
 
 ONE, TWO = list(cameras().values())[:2]

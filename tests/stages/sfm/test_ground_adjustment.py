@@ -10,9 +10,9 @@ import numpy as np
 from tests.helpers.exact_pairs import geometry_of
 from tests.helpers.flat_ground import cameras, frame_of, texture
 from wbflow_stages.core.cameras import project, relative_pose
+from wbflow_stages.core.epipolar import fundamental_from_cameras, symmetric_epipolar_distance
 from wbflow_stages.core.rotations import rotation_matrix
 from wbflow_stages.poses import solve_poses
-from wbflow_stages.twoview.epipolar import fundamental_from_cameras, symmetric_epipolar_distance
 from wbflow_stages.types import Camera, Float32s, Frame, Geometry, Pair, Placement, Poses, View
 
 STONE = 25

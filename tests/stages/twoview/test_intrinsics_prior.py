@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from tests.helpers.two_views import HEIGHT, WIDTH, K, geometry_of, looking, scene, seen_by_both
+from wbflow_stages.core.epipolar import fundamental_from_cameras, sampson_distance
 from wbflow_stages.rectify import rectify
-from wbflow_stages.twoview.epipolar import fundamental_from_cameras, sampson_distance
 from wbflow_stages.twoview.intrinsics_prior import MOST_IMPLAUSIBLE, refine_with_plausible_intrinsics
 from wbflow_stages.twoview.refinement import refine_two_view
 from wbflow_stages.twoview.robust import estimate_fundamental, estimate_with_one_lens

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tests.helpers.two_views import K, looking, scene, seen_by_both
-from wbflow_stages.twoview.epipolar import fundamental_from_cameras, sampson_distance
+from wbflow_stages.core.epipolar import fundamental_from_cameras, sampson_distance
 from wbflow_stages.twoview.refinement import refine_two_view
 from wbflow_stages.twoview.robust import estimate_fundamental
 from wbflow_stages.types import Float64s

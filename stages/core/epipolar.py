@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..core.cameras import rays, relative_pose
-from ..core.rotations import skew
 from ..types import Camera, Float64s
+from .cameras import rays, relative_pose
+from .rotations import skew
 
 
 def homogeneous(x: Float64s) -> Float64s:
