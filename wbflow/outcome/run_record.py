@@ -7,7 +7,7 @@ import datetime
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, TypeVar
+from typing import Any
 
 from .. import __version__
 from ..cache.fingerprint import installed_versions
@@ -32,7 +32,6 @@ from ..runner.spec import Cause, State, summary_of
 from ..site.staleness import by_picture, night_by_pictures
 from ..task import Task, camera_of
 
-_F = TypeVar("_F", CameraFigures, PairFigures)
 _ADD_UP = {"keypoints", "points"}
 """Figures of a camera's views that add up; of others the camera has the mean."""
 
@@ -157,27 +156,28 @@ class _Whole:
 
 def _camera(plan: Plan, camera: str, whole: _Whole) -> CameraRecord:
     captures = {file.name: file.digest for file in plan.captures[camera_of(camera)]}
-    record = CameraRecord(camera, "ok", health=plan.health(camera), captures=captures)
+    figures: dict[str, Any] = {}
+    notes: list[str] = []
+    ended: dict[str, Any] = {"outcome": "ok"}
     for stage, kind in _parts_of(CameraFigures):
         state = plan.states.get(Task(stage.name, (camera,)))
-        if state is None:
-            continue
-        if not state.usable:
-            return replace(record, outcome=state.outcome, reason=state.reason, code=state.code)
-        notes = (*record.notes, *summary_of(state, Notes).notes)
-        record = replace(record, notes=notes, figures=_merged(record.figures, summary_of(state, kind)))
-    poses = whole.poses
-    check = poses.pose_checks.get(camera)
-    verified, source = check.get("verified") if check else None, poses.sources.get(camera)
-    points, misfit = whole.points.get(camera), whole.misfits.get(camera)
-    figures = replace(record.figures, pose=check, verified=verified, pose_from=source, points=points, misfit=misfit)
-    figures = replace(figures, apart_px=whole.apart_px.get(camera))
-    crowded, moved = whole.crowded.get(camera), poses.issues_of("moved").get(camera)
-    notes = (*record.notes, *([crowded] if crowded else []), *([moved.text] if moved else []))
-    record = replace(record, figures=figures, notes=notes)
-    if camera in poses.unsolved:
-        record = replace(record, outcome="unsolved", reason=poses.unsolved[camera], code=Cause.UNSOLVED)
-    return record
+        if state and not state.usable:
+            ended = {"outcome": state.outcome, "reason": state.reason, "code": state.code}
+            break
+        if state:
+            notes += summary_of(state, Notes).notes
+            figures |= _known(summary_of(state, kind))
+    else:
+        poses = whole.poses
+        check, points, misfit = poses.pose_checks.get(camera), whole.points.get(camera), whole.misfits.get(camera)
+        figures |= {"pose": check, "verified": check.get("verified") if check else None, "pose_from": poses.sources.get(camera)}
+        figures |= {"points": points, "misfit": misfit, "apart_px": whole.apart_px.get(camera)}
+        crowded, moved = whole.crowded.get(camera), poses.issues_of("moved").get(camera)
+        notes += [*([crowded] if crowded else []), *([moved.text] if moved else [])]
+        if camera in poses.unsolved:
+            ended = {"outcome": "unsolved", "reason": poses.unsolved[camera], "code": Cause.UNSOLVED}
+    shown, health = CameraFigures(**figures), plan.health(camera)
+    return CameraRecord(camera, **ended, health=health, captures=captures, notes=tuple(notes), figures=shown)
 
 
 def _with_staleness(record: CameraRecord, night: str, dated: bool) -> CameraRecord:
@@ -188,21 +188,23 @@ def _with_staleness(record: CameraRecord, night: str, dated: bool) -> CameraReco
 
 
 def _pair(plan: Plan, pair: tuple[str, str], whole: _Whole) -> PairRecord:
-    record = PairRecord(*pair, "ok")
+    figures: dict[str, Any] = {}
+    well: dict[str, Any] = {"outcome": "ok"}
+    ended = well
     for stage, kind in _parts_of(PairFigures):
         state = plan.states.get(Task(stage.name, pair))
         if state is None:
             continue
-        record = replace(record, figures=_merged(record.figures, summary_of(state, kind)))
+        figures |= _known(summary_of(state, kind))
         if state.usable and stage.name == DISPARITY:
-            record = replace(record, outcome="ok", reason=None, code=None, stage=None)
-        elif not state.usable and (record.ok or state.outcome != "skipped"):
-            record = replace(record, outcome=state.outcome, reason=state.reason, code=state.code, stage=stage.name)
+            ended = well
+        elif not state.usable and (ended is well or state.outcome != "skipped"):
+            ended = {"outcome": state.outcome, "reason": state.reason, "code": state.code, "stage": stage.name}
     found = plan.states.get(Task(GEOMETRY, pair))
-    record = replace(record, matched=found.usable if found else None, dense=pair in whole.dense if whole.dense else None)
-    if check := whole.poses.pair_checks.get(record.name):
-        record = replace(record, figures=replace(record.figures, poses_px=check.adjusted_px, known=check.known))
-    return record
+    if check := whole.poses.pair_checks.get("--".join(pair)):
+        figures |= {"poses_px": check.adjusted_px, "known": check.known}
+    matched, dense = found.usable if found else None, pair in whole.dense if whole.dense else None
+    return PairRecord(*pair, **ended, matched=matched, dense=dense, figures=PairFigures(**figures))
 
 
 def _parts_of(figures: type[Summary]) -> list[tuple[Stage, type[Summary]]]:
@@ -210,9 +212,9 @@ def _parts_of(figures: type[Summary]) -> list[tuple[Stage, type[Summary]]]:
     return [(stage, stage.summary) for stage in STAGES if stage.summary and issubclass(figures, stage.summary)]
 
 
-def _merged(figures: _F, summary: Summary) -> _F:
-    """Return figures with what another stage knows."""
-    return replace(figures, **{name: value for name, value in vars(summary).items() if value is not None})
+def _known(summary: Summary) -> dict[str, Any]:
+    """Return what a stage knows of a camera or pair."""
+    return {name: value for name, value in vars(summary).items() if value is not None}
 
 
 def _pairs(plan: Plan) -> list[tuple[str, str]]:
