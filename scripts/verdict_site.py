@@ -12,9 +12,9 @@ from verdict_scenes import REPEATING, scene_of
 
 from wbflow_stages.core.cameras import relative_pose
 from wbflow_stages.core.rotations import angle_between_deg
+from wbflow_stages.orientation.solve import solve_from_pairs
 from wbflow_stages.sfm.loops import USUAL, AmbiguityKind, Habits, Shares, ambiguity_kind, check_loops, closes, triangles_of
 from wbflow_stages.sfm.rotation_averaging import average_rotations, components
-from wbflow_stages.sfm.solve import solve_from_pairs
 from wbflow_stages.twoview.pair_score import probability, tells_the_site
 from wbflow_stages.types import Bools, Camera, Float64s, Geometry, Pair, Placement, Poses, Survey
 

@@ -2,8 +2,8 @@
 
 Solved: rotations of all pairs are compared and contradictions dropped; what is left is grown into models view by view, with
 bundle adjustment; each model is put into the world by whatever is known of it.  A known pose is evidence with a standard
-deviation: it stays, or is adjusted within that.  Only where several partners agree on another pose (`sfm.moved_cameras`) it is
-wrong: named, with how far it seems off, and solved like an unknown one.  What one pair says against it leaves it in use,
+deviation: it stays, or is adjusted within that.  Only where several partners agree on another pose (`orientation.moved_cameras`)
+it is wrong: named, with how far it seems off, and solved like an unknown one.  What one pair says against it leaves it in use,
 unverified.
 """
 
@@ -17,11 +17,9 @@ import numpy as np
 from .core.cameras import camera_of
 from .core.luminance import grey_levels
 from .core.rotations import angle_between_deg
-from .reasons import Reason, Rejected
-from .rectification.predicted import predict
-from .sfm.calibration_check import check_calibration
-from .sfm.moved_cameras import NewPose, find_moved_cameras
-from .sfm.pose_check import (
+from .orientation.calibration_check import check_calibration
+from .orientation.moved_cameras import NewPose, find_moved_cameras
+from .orientation.pose_check import (
     PAIR_PX,
     TURNED_DEG,
     Evidence,
@@ -33,9 +31,11 @@ from .sfm.pose_check import (
     turned_deg,
     without_baseline,
 )
-from .sfm.pose_prior_adjustment import AdjustedPoses, adjust_within_priors
+from .orientation.pose_prior_adjustment import AdjustedPoses, adjust_within_priors
+from .orientation.survey_check import check_survey
+from .reasons import Reason, Rejected
+from .rectification.predicted import predict
 from .sfm.rigs import beside
-from .sfm.survey_check import check_survey
 from .types import (
     CalibrationCheck,
     Camera,
@@ -185,7 +185,7 @@ def _believed(
     """Known cameras as the images have them within their standard deviations, and those that have moved."""
     adjusted = adjust_within_priors(known, sigmas, geometries)
     if frames and _uncertain(adjusted, geometries):
-        from .sfm.ground_adjustment import adjust_to_ground  # here: other nights don't wait for its kernels
+        from .orientation.ground_adjustment import adjust_to_ground  # here: other nights don't wait for its kernels
 
         grey = {name: grey_levels(frame.image).astype(np.float32) for name, frame in frames.items()}
         adjusted = adjust_to_ground(grey, known, sigmas, geometries) or adjusted
@@ -234,7 +234,7 @@ def _solved(
     if len(trusted) == len(views) and all(placements[name].sigma_m == 0 for name in trusted):
         return _as_stated(views, placements, trusted, survey)
     # here, so that a night whose poses are all known and right does not wait for what solves poses
-    from .sfm.solve import solve_from_pairs
+    from .orientation.solve import solve_from_pairs
 
     found = solve_from_pairs(views, placements, geometries, survey, trusted, max_rotation_error_deg, max_epipolar_px)
     if isinstance(found, Rejected) and len(trusted) >= 2:

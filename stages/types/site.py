@@ -57,7 +57,7 @@ class PairCheck:
 @short_repr
 @dataclass(frozen=True)
 class CalibrationCheck:
-    """How the stated calibration as a whole agrees with the matches (`sfm.calibration_check`)."""
+    """How the stated calibration as a whole agrees with the matches (`orientation.calibration_check`)."""
 
     matches: int
     """How many were compared, sampled evenly from the pairs."""
@@ -108,7 +108,7 @@ class PoseIssue:
     "contradicted": known poses contradict each other, or the model of the others; which is wrong is open, and they stay in use.
     "uncertain": the images tell the known pose no better than it is stated, which is too little to match along rows.
     "inconsistent": all matches would place the camera otherwise than those that a third camera confirms, from which alone it is
-    solved (`sfm.triplet_consistency`).
+    solved (`orientation.triplet_consistency`).
     "lens-undetermined": the lens was solved, and the images do not determine it."""
     camera: str
     """Its id, or the control point that is in doubt."""

@@ -14,7 +14,7 @@ from wbflow_stages.core.cameras import camera_of, project
 from wbflow_stages.core.lenses import WIDEST_DEG, lens_pixels
 from wbflow_stages.frames import clean_frame
 from wbflow_stages.io.cameras import calibration
-from wbflow_stages.sfm.world import _in_frame
+from wbflow_stages.orientation.world import _in_frame
 from wbflow_stages.types import Capture, Float64s, Lens, Poses, Uint8s
 
 WIDTH, HEIGHT = 480, 360

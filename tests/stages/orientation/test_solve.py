@@ -12,9 +12,9 @@ from hypothesis import strategies as st
 from tests.helpers.exact_pairs import PairSite, aligned_errors, make_pair_site, only, pair_geometry, turned_wrong
 from wbflow_stages.core.cameras import project
 from wbflow_stages.core.rotations import rotation_matrix
+from wbflow_stages.orientation.solve import straight_error_px, without_unsupported
 from wbflow_stages.poses import solve_poses
 from wbflow_stages.sfm.incremental import Model, grow
-from wbflow_stages.sfm.solve import straight_error_px, without_unsupported
 from wbflow_stages.sfm.tracks import Edge, build_tracks
 from wbflow_stages.types import Geometry, Placement, Poses, Rejected, Survey
 

@@ -10,10 +10,10 @@ import pytest
 from tests.helpers.exact_pairs import PairSite, make_pair_site
 from wbflow_stages.core.cameras import project
 from wbflow_stages.evaluate import turn_errors_deg
+from wbflow_stages.orientation.triplet_consistency import MOST_INCONSISTENCY, consistent_matches, inconsistency
 from wbflow_stages.poses import solve_poses
 from wbflow_stages.sfm.incremental import Model, refine, replace_cameras
 from wbflow_stages.sfm.tracks import Edge
-from wbflow_stages.sfm.triplet_consistency import MOST_INCONSISTENCY, consistent_matches, inconsistency
 from wbflow_stages.sfm.view_graph import ViewGraph
 from wbflow_stages.twoview.robust import estimate_essential
 from wbflow_stages.types import Camera, Geometry, Pair, Poses

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from tests.helpers.exact_pairs import PairSite, make_pair_site
+from wbflow_stages.orientation.lens_sigma import MOST_SIGMA_PX, MOST_VIEWS, lens_sigmas, with_principal_points
 from wbflow_stages.poses import solve_poses
 from wbflow_stages.sfm.incremental import Model, refine
-from wbflow_stages.sfm.lens_sigma import MOST_SIGMA_PX, MOST_VIEWS, lens_sigmas, with_principal_points
 from wbflow_stages.sfm.view_graph import ViewGraph
 from wbflow_stages.types import Poses
 

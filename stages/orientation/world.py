@@ -17,12 +17,12 @@ from ..core.lenses import lens_rays
 from ..core.residual_distortion import without_distortion
 from ..core.rotations import angle_between_deg, nearest_rotation
 from ..core.similarity import Similarity, with_rotation
+from ..sfm.incremental import Model, refine, replace_cameras
+from ..sfm.rigs import rigs_of, whole_R
+from ..sfm.tracks import Tracks
+from ..sfm.triangulation import triangulate
+from ..sfm.view_graph import ViewGraph
 from ..types import Camera, Float64s, Placement, Survey, View
-from .incremental import Model, refine, replace_cameras
-from .rigs import rigs_of, whole_R
-from .tracks import Tracks
-from .triangulation import triangulate
-from .view_graph import ViewGraph
 
 EXACT_SHARE = 1e-4
 """An exact position without a rotation counts as known to this share of the scene's distance..."""

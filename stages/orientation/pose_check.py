@@ -18,9 +18,9 @@ from ..core.cameras import backproject, camera_id, project, ray_angles, rays, re
 from ..core.epipolar import fundamental_from_cameras, symmetric_epipolar_distance, triangulate_depth
 from ..core.rotations import angle_between_deg
 from ..reasons import Reason, Rejected
+from ..sfm.tracks import same_places
 from ..twoview.pair_score import hardly_converging, probability
 from ..types import Camera, Float64s, Geometry, Int32s, Int64s, Pair, PoseCheck
-from .tracks import same_places
 
 MIN_SHARED = 20
 """Matches or points that a piece of evidence needs at least."""

@@ -19,8 +19,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..core.residual_distortion import without_distortion
+from ..sfm.incremental import Model, refine
 from ..types import Camera, Float64s, Int64s, LensSigma
-from .incremental import Model, refine
 
 MOST_SIGMA_PX = 1.0
 """A lens whose border is not known to a pixel is not known: as of rows of stated poses, dense matching does not look farther."""

@@ -14,11 +14,11 @@ from ..core.cameras import same_camera
 from ..core.epipolar import fundamental_from_cameras, homogeneous, symmetric_epipolar_distance
 from ..core.least_squares import Equations, levenberg_marquardt
 from ..core.rotations import rotation_matrix, rotation_vector, skew
+from ..sfm.rigs import between, rigs_of
+from ..sfm.tracks import Edge, Tracks, build_tracks
+from ..sfm.triangulation import angles, residuals, triangulate
 from ..types import Bools, Camera, Float64s, Geometry, Pair
 from .pose_check import BELIEVED, DEVIATIONS, PAIR_PX, PoseConstraints, Sigma, slack_px
-from .rigs import between, rigs_of
-from .tracks import Edge, Tracks, build_tracks
-from .triangulation import angles, residuals, triangulate
 
 MIN_MATCHES = 20
 """A pair adjusts its cameras if so many of its matches lie within what the standard deviations allow..."""

@@ -12,15 +12,15 @@ from ..core.epipolar import fundamental_from_cameras, symmetric_epipolar_distanc
 from ..core.residual_distortion import STRAIGHT_PX, residual_px, without_distortion
 from ..core.rotations import angle_between_deg
 from ..reasons import Reason, Rejected
+from ..sfm.incremental import Model, refine
+from ..sfm.loops import USUAL, Habits
+from ..sfm.rigs import rigs_of
+from ..sfm.tracks import Edge
+from ..sfm.view_graph import ViewGraph
 from ..types import Camera, Geometry, LensSigma, Pair, PairCheck, Placement, PoseIssue, Poses, Survey, View
-from .incremental import Model, refine
 from .lens_sigma import MOST_SIGMA_PX, lens_sigmas, with_principal_points
-from .loops import USUAL, Habits
 from .pose_check import BELIEVED, confirmed
-from .rigs import rigs_of
-from .tracks import Edge
 from .triplet_consistency import FEWEST, MOST_INCONSISTENCY, consistent_matches, inconsistency
-from .view_graph import ViewGraph
 from .world import World, to_world
 
 WORSE = 1.25

@@ -12,8 +12,8 @@ import pytest
 from tests.helpers.exact_pairs import PairSite, make_pair_site, pair_geometry
 from wbflow_stages.core.cameras import project
 from wbflow_stages.core.rotations import rotation_matrix
+from wbflow_stages.orientation.calibration_check import CORNER, check_calibration
 from wbflow_stages.poses import solve_poses
-from wbflow_stages.sfm.calibration_check import CORNER, check_calibration
 from wbflow_stages.types import Camera, Geometry, Placement, Poses
 
 Change = Callable[[str, Camera], Camera]

@@ -21,12 +21,12 @@ from functools import cache
 import numpy as np
 from scipy.spatial import cKDTree
 
+from ..sfm.incremental import Model, refine
+from ..sfm.loops import triangles_of
+from ..sfm.tracks import Edge, build_tracks
+from ..sfm.triangulation import triangulate
 from ..types import Bools, Camera, Float64s, Geometry
-from .incremental import Model, refine
 from .lens_sigma import RAYLEIGH
-from .loops import triangles_of
-from .tracks import Edge, build_tracks
-from .triangulation import triangulate
 
 MOST_INCONSISTENCY = 16.0
 """More is not noise: cameras with stated lenses that were right had .9 to 4.3, with solved ones 1.7 to 5.4 (photographs) and 12.6
