@@ -48,8 +48,8 @@ _UNLIKE = 2.0
 _SOURCES = 32
 """At most: `DepthMap.support` has a bit for each."""
 
-_SAME_SIGMAS, _SAME_SHARE, _SAME_AT_MOST = 3.0, 0.002, 0.016
-"""A depth is that of the pairs if it is so many sigmas and this share of itself from it, and never more than the last share."""
+_SAME_SIGMAS, _SAME_SHARE = 3.0, 0.002
+"""A depth is that of the pairs if it is so many sigmas and this share of itself from it."""
 
 
 def refine(
@@ -192,8 +192,7 @@ def _settled(
 
 def _as_before(z: Float32s, sigma: Float32s, start: DepthMap) -> Bools:
     """(h, w) bool: the depth is the one that pairs gave, whose two views were compared with each other."""
-    tolerance = np.minimum(_SAME_SIGMAS * sigma + _SAME_SHARE * z, _SAME_AT_MOST * z)
-    return np.asarray(np.abs(start.depth - z) <= tolerance)
+    return np.asarray(np.abs(start.depth - z) <= _SAME_SIGMAS * sigma + _SAME_SHARE * z)
 
 
 def _depth_and_sigma(q: Float32s, parallax: Float32s, noise: NoiseModel) -> tuple[Float32s, Float32s]:

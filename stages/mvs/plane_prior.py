@@ -27,11 +27,11 @@ from .textureless import CORRELATED, NEAR_PX, RegionPlane, TexturelessRegions, f
 _AROUND = 25
 """Half the side of the window, pixels of an image 768 wide, in which depths must lie about a plane."""
 
-_HELD, _FEWEST, _AGREED = 0.05, 20, 0.6
-"""Of the region's pixels in the window so many have a depth, as a share and in number, and so many of these are near."""
+_FEWEST, _AGREED = 20, 0.6
+"""So many of the region's pixels in the window have a depth, and this share of these are near."""
 
-_OFF_SIGMAS, _OFF_PX, _OFF_AT_MOST = 1.5, 0.15, 0.8
-"""Their mean may be off by what noise explains, and between these pixels of a source: more is relief."""
+_OFF_SIGMAS = 1.5
+"""Their mean may be off by so many standard deviations of it: more is relief."""
 
 _SHARED_PX = 0.2
 """What all depths of a plane err alike."""
@@ -163,13 +163,13 @@ def _lay(laid: _Laid, plane: RegionPlane, where: tuple[slice, slice], lies: Bool
     off = np.where(lies, known - value, np.nan).astype(np.float32)
     with np.errstate(invalid="ignore"):
         near = np.abs(off) <= NEAR_PX
-    all_around, known_around, near_around = (_around(some, spacing) for some in (lies, np.isfinite(off), near))
+    known_around, near_around = (_around(some, spacing) for some in (np.isfinite(off), near))
     mean = _around(np.where(near, off, np.float32(0)), spacing) / np.maximum(near_around, 1)
     alike = CORRELATED * spacing**2
     allowed = _OFF_SIGMAS * plane.spread * np.sqrt(alike / np.maximum(near_around, 1))
     sigma = np.sqrt(plane.variance(at).reshape(lies.shape) + _SHARED_PX**2)
-    take = lies & (known_around >= np.maximum(_HELD * all_around, _FEWEST * spacing**2)) & (near_around >= _AGREED * known_around)
-    take &= (np.abs(mean) <= np.clip(allowed, _OFF_PX, _OFF_AT_MOST)) & (sigma <= np.hypot(SURE_PX, _SHARED_PX))
+    take = lies & (known_around >= _FEWEST * spacing**2) & (near_around >= _AGREED * known_around)
+    take &= (np.abs(mean) <= allowed) & (sigma <= np.hypot(SURE_PX, _SHARED_PX))
     take &= ~(laid.sigma[where] <= sigma)
     for layer, values in zip(laid.planes, (value, plane.plane[1], plane.plane[2]), strict=True):
         layer[where] = np.where(take, values, layer[where])

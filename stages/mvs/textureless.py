@@ -42,8 +42,8 @@ _ROUNDS = 4
 _AGAIN = 0.2
 """This share of a region's depths off a plane may tell another one: a box stands before a wall of its colour."""
 
-_JOIN_PX, _FURTHEST_PX = 0.1, 1.0
-"""What the middle of a region may lie off a plane beyond what noise explains, and the plane's own error there, pixels."""
+_JOIN_PX = 0.1
+"""What the middle of a region may lie off a plane beyond what noise explains, pixels."""
 
 NEAR_PX = 2.0
 """In a source: a depth that is no farther from a plane speaks for it."""
@@ -208,7 +208,5 @@ def _joins(at: Float64s, d: Float64s, plane: RegionPlane, alike: float) -> bool:
     """Do depths (n,) at places (n, 3) lie on a plane as noise does?"""
     off = d - at @ plane.plane
     variance = float(plane.variance(at.mean(axis=0)[None])[0])
-    if variance > _FURTHEST_PX**2:
-        return False
     noise = np.sqrt(variance + plane.spread**2 * min(1.0, alike / len(d)))
     return bool(abs(np.median(off)) <= noise + _JOIN_PX and np.median(np.abs(off)) <= 1.2 * plane.spread + _JOIN_PX)
