@@ -15,6 +15,7 @@ _ROWS = {
     "quarry": SceneRow("scenes.quarry:quarry", "a quarry with three steps of broken rock", (4, 80), 8, 3),
     "platform": SceneRow("scenes.platform:platform", "a railway station with sleepers and windows that repeat", (4, 80), 8, 3),
     "warehouse": SceneRow("scenes.warehouse:warehouse", "rows of shelves of one pattern, filled with boxes", (4, 80), 8, 3),
+    "building": SceneRow("scenes.building:building", "a building site: walls behind scaffolding, piers, timber", (4, 80), 8, 3),
     "study": SceneRow("scenes.study:study", "a study with even walls, seen by webcams", (4, 60), 4, 3),
     "mast": SceneRow("scenes.mast:mast", "a valley seen by cameras that hang on one mast", (0, 60), captures=3),
 }

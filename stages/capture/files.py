@@ -16,6 +16,8 @@ MOST_JPEG_PIXELS_A_BYTE = 1000
 """Each block of 64 pixels takes a bit at least (ITU-T T.81, F.1.2); a black PNG may hold thousands of pixels in a byte."""
 FEW_PIXELS = 10_000_000
 """Of these, no byte is counted."""
+MOST_MISSING = 0.1
+"""Share of a picture's rows that may be of one colour at its lower end; a caption's bar is lower."""
 
 
 class BadCapture(ValueError):
@@ -31,7 +33,7 @@ class NotAnImage(BadCapture):
 
 
 class TruncatedImage(BadCapture):
-    """The file ends before the image does."""
+    """The file ends before the image does, or its pixels do."""
 
 
 class FeaturelessImage(BadCapture):
@@ -65,6 +67,7 @@ def decode(capture: Capture, lens: Lens | None = None) -> Uint8s:
     image = decoded(data, cv2.IMREAD_COLOR)
     if image is None:
         raise NotAnImage(f"{capture.name} is no image that can be read ({data.size:,} bytes)")
+    refuse_unfinished(capture.name, image)
     refuse_featureless(capture.name, image)
     return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2RGB), dtype=np.uint8)
 
@@ -115,6 +118,20 @@ def refuse_truncated(name: str, data: bytes) -> None:
         return
     if not whole:
         raise TruncatedImage(f"{name} ends after {len(data):,} bytes: the image is truncated")
+
+
+def refuse_unfinished(name: str, image: Uint8s) -> None:
+    """A recorder that lost a part of a picture pads it with one colour and writes a file that is whole.
+
+    Black and white are left alone (a letter box, a night, a sky), and so is the colour of the upper end, too: a drawing's ground.
+    """
+    last = image[-1, -1]
+    if last.max() < 24 or last.min() > 231 or (image[0] == last).all():
+        return
+    whole = np.flatnonzero((image != last).any(axis=(1, 2)))
+    missing = 1.0 - (whole[-1] + 1) / len(image) if len(whole) else 0.0  # one colour everywhere is featureless
+    if missing > MOST_MISSING:
+        raise TruncatedImage(f"{name} is unfinished: the lower {100 * missing:.0f} % of it are of one colour")
 
 
 def decoded(data: Uint8s, flags: int) -> Uint8s | None:

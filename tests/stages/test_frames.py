@@ -100,6 +100,25 @@ def test_damaged_files_are_named_with_their_fault(
     assert isinstance(caught.value, ValueError)
 
 
+@pytest.mark.parametrize("extension", [".jpg", ".png"])
+@pytest.mark.parametrize("colour", [(128, 128, 128), (60, 140, 50)])
+def test_a_whole_file_of_a_picture_that_was_lost_in_part_is_left_out(extension: str, colour: tuple[int, int, int]) -> None:
+    broken = scene()
+    broken[HEIGHT // 2 :] = colour
+    lost = capture(broken, "gate/1" + extension)
+    with pytest.raises(TruncatedImage, match="gate/1.* is unfinished: the lower (4|5).* are of one colour"):
+        clean_frame([lost], Lens(), None)
+    whole = [capture(scene(), f"gate/{k}" + extension) for k in (2, 3)]
+    assert any("unfinished" in note for note in clean_frame([lost, *whole], Lens(), None).notes)
+
+
+@pytest.mark.parametrize("colour", [(0, 0, 0), (255, 255, 255)])
+def test_a_letter_box_is_no_picture_that_was_lost_in_part(colour: tuple[int, int, int]) -> None:
+    boxed = scene()
+    boxed[-HEIGHT // 4 :] = colour
+    assert clean_frame([capture(boxed)], Lens(), None).image.shape == boxed.shape
+
+
 @pytest.mark.parametrize(
     ("size", "padding", "lens", "words"),
     [
