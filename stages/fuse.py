@@ -19,6 +19,7 @@ import numpy as np
 from .core.cameras import backproject
 from .core.parallel import parallel_map
 from .core.residual_distortion import straight_frames
+from .fusion.even_regions import believed
 from .fusion.pair_depth import world_normals
 from .fusion.planning import exposure_gains, natural_voxel, nearest_views, subsample
 from .fusion.posterior import likelier, own_logit, posterior, surest
@@ -71,7 +72,7 @@ def fuse(
     @lru_cache(kept)
     def loaded(name: str) -> TrustedDepth:
         found = [source[name] for source in (better, depths) if name in source]
-        return likelier([TrustedDepth(depth, own_logit(depth, frames[name].mask)) for depth in found])
+        return likelier([TrustedDepth(depth, own_logit(depth, believed(frames[name], depth))) for depth in found])
 
     loading = Lock()  # or two threads that want the same one would both load it
 

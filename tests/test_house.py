@@ -187,6 +187,7 @@ DEEPER = {"wbflow.runner": 5}
 ON_THEIR_OWN = {
     "stages.exports.copc",
     "stages.exports.las",
+    "stages.fusion.even_regions",
     "stages.fusion.surface_support",
     "wbflow.outcome.systemd",
     "wbflow.cache.owner",

@@ -17,13 +17,22 @@ def surface_support(depth: DepthMap, usable: Bools, weight: Float32s | None = No
 
     On it is what differs by no more than three sigmas and 0.2 % of the depth: as when views are compared.
     """
-    spacing = max(1, round(max(usable.shape) / 768))
+    spacing = _spacing(usable.shape)
     inverse = np.where(usable, 1.0 / depth.depth, np.float32(np.nan)).astype(np.float32)
     relative = (depth.sigma / depth.depth).astype(np.float32)
     share = np.zeros(usable.shape, np.float32)
     counted = usable.astype(np.float32) if weight is None else weight
     _count(inverse, counted, depth.slope_x, depth.slope_y, relative, spacing * _REACH, spacing * _STRIDE, share)
     return share
+
+
+def surroundings_px(shape: tuple[int, ...]) -> int:
+    """How many pixels of an image of this shape the surroundings of one cover."""
+    return (2 * _spacing(shape) * _REACH + 1) ** 2
+
+
+def _spacing(shape: tuple[int, ...]) -> int:
+    return max(1, round(max(shape) / 768))
 
 
 @kernel
