@@ -1,4 +1,4 @@
-"""A building site: brick walls that stand half up behind scaffolding, piers on a slab, timber, containers; cameras on masts around."""
+"""A building site: brick walls half up behind scaffolding, piers on a slab, timber, containers; cameras on masts around it."""
 
 from __future__ import annotations
 
@@ -81,7 +81,7 @@ def _walls(build: SceneBuilder, rng: Rng, texel_m: float) -> None:
         high = float(rng.uniform(0.15, 0.9))
         build.box((-8.75 + 2.5 * k, 9.2, 4.9), (2.5, 0.3, high), wall, at=2.5 * k)
     side = build.add_texture(paint.brick_wall(rng, 9.0, 3.5, texel_m))
-    facade(build, np.array([9.5, -2.0, 3.4]) + (0, 11.0, 0), np.array([0.0, -1.0, 0.0]), (9.0, 3.0), side,
+    facade(build, np.array([9.5, 9.0, 3.4]), np.array([0.0, -1.0, 0.0]), (9.0, 3.0), side,
            [Opening(3.0, 0.6, 1.2, 1.6, hole)], sill)  # fmt: skip
 
 

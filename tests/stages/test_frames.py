@@ -106,7 +106,7 @@ def test_a_whole_file_of_a_picture_that_was_lost_in_part_is_left_out(extension: 
     broken = scene()
     broken[HEIGHT // 2 :] = colour
     lost = capture(broken, "gate/1" + extension)
-    with pytest.raises(TruncatedImage, match="gate/1.* is unfinished: the lower (4|5).* are of one colour"):
+    with pytest.raises(TruncatedImage, match=r"gate/1.* is unfinished: the lower (4|5).* are of one colour"):
         clean_frame([lost], Lens(), None)
     whole = [capture(scene(), f"gate/{k}" + extension) for k in (2, 3)]
     assert any("unfinished" in note for note in clean_frame([lost, *whole], Lens(), None).notes)
