@@ -64,6 +64,7 @@ SCENES = {
     "quarry": Scene({"scene": "quarry", "cameras": 5}, 0.3, fitted=False),
     "platform": Scene({"scene": "platform", "cameras": 8}, 0.2, fitted=False),
     "warehouse": Scene({"scene": "warehouse", "cameras": 5}, 0.2, fitted=False),
+    "building": Scene({"scene": "building", "cameras": 5}, 0.3, fitted=False),
 }
 
 
@@ -418,6 +419,87 @@ def _with_drops(share: float, seed: int) -> Callable[[Uint8s], Uint8s]:
     return change
 
 
+def webbed(image: Uint8s) -> Uint8s:
+    """A spider's web before the glass, out of focus."""
+    h, w = image.shape[:2]
+    web, middle = np.zeros((h, w), np.uint8), (w // 2, h // 3)
+    for angle in np.linspace(0, 2 * np.pi, 14, endpoint=False):
+        cv2.line(web, middle, (int(middle[0] + w * np.cos(angle)), int(middle[1] + w * np.sin(angle))), 255, max(w // 107, 1))
+    for radius in range(w // 16, w * 5 // 8, w // 15):
+        cv2.circle(web, middle, radius, 255, max(w // 160, 1))
+    cover = 0.8 * cv2.GaussianBlur(web, (0, 0), w / 160).astype(np.float64)[..., None] / 255
+    return np.asarray(np.clip(image * (1 - cover) + 200 * cover, 0, 255), np.uint8)
+
+
+def hidden(image: Uint8s) -> Uint8s:
+    """A lorry stands before the camera."""
+    h, w = image.shape[:2]
+    image = image.copy()
+    image[int(0.35 * h) :, : int(0.45 * w)] = (60, 40, 35)
+    return image
+
+
+def unfinished(image: Uint8s) -> Uint8s:
+    """The lower half did not arrive, and is grey."""
+    image = image.copy()
+    image[len(image) // 2 :] = 128
+    return image
+
+
+def infrared(image: Uint8s) -> Uint8s:
+    """By the camera's own lamps: grey, dark toward the corners, noisy."""
+    return noisy(8)(vignetted(0.3)(grey(image)))
+
+
+def boxed(image: Uint8s) -> Uint8s:
+    """Scaled to three quarters, black around it."""
+    h, w = image.shape[:2]
+    small = cv2.resize(image, None, fx=0.75, fy=0.75, interpolation=cv2.INTER_AREA)
+    y, x = (h - len(small)) // 2, (w - small.shape[1]) // 2
+    black = np.zeros_like(image)
+    black[y : y + len(small), x : x + small.shape[1]] = small
+    return black
+
+
+def rolled(degrees: float) -> Callable[[Uint8s], Uint8s]:
+    """Turned about its middle by the recorder."""
+
+    def change(image: Uint8s) -> Uint8s:
+        h, w = image.shape[:2]
+        warp = cv2.getRotationMatrix2D(((w - 1) / 2, (h - 1) / 2), degrees, 1)
+        return np.asarray(cv2.warpAffine(image, warp, (w, h), flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REFLECT), np.uint8)
+
+    return change
+
+
+def doubled(image: Uint8s) -> Uint8s:
+    """The mast shook during the exposure."""
+    return np.asarray(0.5 * image + 0.5 * np.roll(image, (2, 4), (0, 1)), np.uint8)
+
+
+def wavy(pixels: float) -> Callable[[Uint8s], Uint8s]:
+    """A rolling shutter on a mast that sways."""
+
+    def change(image: Uint8s) -> Uint8s:
+        h, w = image.shape[:2]
+        y, x = np.mgrid[:h, :w].astype(np.float32)
+        x += np.float32(pixels) * np.sin(y * np.float32(4 * np.pi / h))
+        return np.asarray(cv2.remap(image, x, y, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REFLECT), np.uint8)
+
+    return change
+
+
+def half_soft(image: Uint8s) -> Uint8s:
+    """The lens is tilted: the right half is out of focus."""
+    middle = image.shape[1] // 2
+    return np.concatenate([image[:, :middle], cv2.GaussianBlur(image, (0, 0), 4)[:, middle:]], axis=1).astype(np.uint8)
+
+
+def higher(image: Uint8s) -> Uint8s:
+    """A third more rows of the same picture: pixels that are not square."""
+    return np.asarray(cv2.resize(image, (image.shape[1], image.shape[0] * 4 // 3), interpolation=cv2.INTER_AREA), np.uint8)
+
+
 def foggy(image: Uint8s) -> Uint8s:
     return np.asarray(np.clip(0.6 * image + 0.4 * 190, 0, 255), np.uint8)
 
@@ -522,8 +604,9 @@ def nothing(site: Site) -> None:
 
 ALL = ("yard", "carpark", "apron", "stadium", "yard-5")
 LIT = ("yard-5-lamps", "yard-5-dusk", "yard-5-wet")
-NEW = ("quarry", "platform", "warehouse")
-TWO = ("yard", "apron")
+NEW = ("quarry", "platform", "warehouse", "building")
+MADE = ("yard", "building")
+TWO = ("yard", "building")
 THREE = (*TWO, "stadium")
 YZ = np.diag([1.0, -1.0, -1.0])
 FOCAL = ("focal-lengths", "focal-lengths-and-distortion")
@@ -625,7 +708,24 @@ VARIATIONS = (
     _fault("half the size and back", pictures(smaller(2)), "pictures-soft"),
     _fault("noise of 12 levels", pictures(noisy(12)), "pictures-soft"),
     _fault("JPEG quality 20", pictures(lambda p: p, quality=20), "pictures-soft"),
+    _fault("infrared with noise", pictures(infrared), "pictures-soft", on=MADE),
+    _fault("a web on one picture", pictures(webbed, (1,)), "camera-obscured", on=MADE),
+    _fault("webs on all pictures", pictures(webbed), "camera-obscured", "pictures-soft", on=MADE),
+    _fault("a lorry before one camera", pictures(hidden, (2,)), "camera-obscured", on=MADE),
+    _fault("lorries before all cameras", pictures(hidden), "camera-obscured", on=MADE),
+    _fault("all doubled", pictures(doubled), "pictures-soft", on=MADE),
+    _fault("one doubled", pictures(doubled, (1,)), "pictures-soft", on=MADE),
+    _fault("right halves out of focus", pictures(half_soft), "pictures-soft", on=MADE),
     # captures
+    _fault("lower half of one lost", pictures(unfinished, (0,)), "camera-lost", on=MADE),
+    _fault("lower half of all lost", pictures(unfinished), "camera-lost", on=MADE),
+    _fault("frames of all boxed", pictures(boxed), *FOCAL, on=MADE),
+    _fault("frames of one boxed", pictures(boxed, (2,)), "focal-length", on=MADE),
+    _fault("frames of one rolled by 5 degrees", pictures(rolled(5), (1,)), *ONE, on=MADE),
+    _fault("frames of all rolled by 3 degrees", pictures(rolled(3)), "poses", on=MADE),
+    _fault("frames of all higher by a third", pictures(higher), "pixel-height", "pixel-shape", on=MADE),
+    _fault("frames of all wavy by 3 px", pictures(wavy(3)), "pairs-disagree", on=MADE),
+    _fault("frames of one wavy by 2 px", pictures(wavy(2), (1,)), "pairs-disagree", on=MADE),
     _fault("frames of all cropped to .8", pictures(cropped(0.8)), *FOCAL, "pixel-shape"),
     _fault("frames of one cropped to .8", pictures(cropped(0.8), (1,)), "focal-length"),
     _fault("frames of one torn by 12 px", pictures(torn(12), (0,)), *ONE, "poses", "pairs-disagree", on=THREE),
