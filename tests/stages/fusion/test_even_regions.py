@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -21,31 +23,31 @@ def frame(noise: float = 0.0) -> Frame:
     return Frame(image.clip(0, 255).astype(np.uint8), np.ones((HEIGHT, WIDTH), np.bool_), View(WIDTH, HEIGHT))
 
 
-def depth_map(sure: Bools) -> DepthMap:
-    depth = np.full((HEIGHT, WIDTH), 10.0, np.float32)
+def depth_map(known: Bools) -> DepthMap:
+    depth = np.where(known, 10.0, np.nan).astype(np.float32)
     none = np.zeros_like(depth)
-    return DepthMap(depth, 0.01 * depth, none, none, np.ones(depth.shape, np.uint32), ("roof",), sure)
+    return DepthMap(depth, 0.01 * depth, none, none, np.ones(depth.shape, np.uint32), ("roof",), known)
 
 
-def sure_down_from(row: int) -> Bools:
+def known_down_from(row: int) -> Bools:
     """The ground, and a band above it."""
     return np.repeat(np.arange(HEIGHT)[:, None] >= row, WIDTH, axis=1)
 
 
 def test_a_band_of_sky_above_the_horizon_is_not_believed() -> None:
-    kept = believed(frame(), depth_map(sure_down_from(TOP - 8)))
+    kept = believed(frame(), depth_map(known_down_from(TOP - 8)))
     assert not kept[: TOP - 2].any()
     assert kept[TOP + 1 :].all()
 
 
 def test_a_wall_that_is_filled_is_believed() -> None:
-    assert believed(frame(), depth_map(sure_down_from(5))).all()
+    assert believed(frame(), depth_map(known_down_from(5))).all()
 
 
 def test_what_is_masked_stays_masked() -> None:
     masked = frame()
     masked.mask[:, :30] = False
-    kept = believed(masked, depth_map(sure_down_from(0)))
+    kept = believed(masked, depth_map(known_down_from(0)))
     assert not kept[:, :30].any() and kept[:, 30:].all()
 
 
@@ -53,10 +55,13 @@ def test_what_is_masked_stays_masked() -> None:
 def test_a_small_even_patch_is_judged_by_what_is_around_it(side: int) -> None:
     patched = frame()
     patched.image[TOP + 10 : TOP + 10 + side, 60 : 60 + side] = 90
-    sure = sure_down_from(0)
-    sure[TOP + 10 : TOP + 10 + side, 60 : 60 + side] = False
-    assert believed(patched, depth_map(sure)).all() == (side == 6)
+    known = known_down_from(0)
+    known[TOP + 10 : TOP + 10 + side, 60 : 60 + side] = False
+    assert believed(patched, depth_map(known)).all() == (side == 6)
 
 
-def test_noise_is_something_to_be_seen() -> None:
-    assert believed(frame(noise=6.0), depth_map(sure_down_from(TOP - 8))).mean() > 0.95
+@pytest.mark.parametrize("noise_left", [0.0, 6.0])
+def test_noise_is_something_to_be_seen_unless_it_is_known(noise_left: float) -> None:
+    noisy = replace(frame(noise=2.0), noise_left=noise_left)
+    sky = believed(noisy, depth_map(known_down_from(TOP - 8)))[: TOP - 8]
+    assert sky.all() if noise_left == 0 else sky.mean() < 0.1
