@@ -159,11 +159,16 @@ def check_cameras(
 
 
 def verified(views: Set[str], evidence: list[Evidence]) -> bool:
-    """Do more of a camera's pairs, and of its triplets, agree with the poses than contradict them?  All its views have a say:
-    they move as one."""
+    """Do as many of a camera's pairs, and of its triplets, agree with the poses as contradict them?  All its views have a say:
+    they move as one.
+
+    Look-alikes contradict poses that are right; two pairs don't agree with one that is wrong, while a single one may, along whose
+    epipolar lines the camera was moved.
+    """
     mine = [e for e in evidence if not views.isdisjoint(e.cameras)]
-    votes = [sum(-1 if e.contradicts else 1 for e in mine if len(e.cameras) == size) for size in (2, 3)]
-    return votes[0] > 0 and votes[1] >= 0
+    agree, contradict = (sum(e.contradicts == no for e in mine if len(e.cameras) == 2) for no in (False, True))
+    votes = sum(-1 if e.contradicts else 1 for e in mine if len(e.cameras) == 3)
+    return (agree > contradict or agree == contradict >= 2) and votes >= 0
 
 
 def confirmed(geometry: Geometry) -> Geometry:

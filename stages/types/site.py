@@ -28,7 +28,7 @@ class PoseCheck:
     off_deg: float = float("nan")
     """The same in degrees."""
     verified: bool = False
-    """More of its pairs and triplets agree with the pose in use than contradict it."""
+    """Enough of its pairs and triplets agree with the pose in use; see `orientation.pose_check.verified`."""
 
 
 @short_repr

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from tests.helpers.exact_pairs import PairSite, aligned_errors, make_pair_site, only, turned_wrong
 from wbflow_stages.core.rotations import rotation_matrix
+from wbflow_stages.orientation.pose_check import Evidence, verified
 from wbflow_stages.poses import solve_poses, stated_cameras
 from wbflow_stages.types import Placement, Poses
 
@@ -226,3 +227,13 @@ def test_a_calibration_that_fits_nowhere_accuses_no_single_camera() -> None:
     known = {name: moved(site, name, tuple(rng.uniform(-5, 5, 3)), (0, 0, 0)) for name in site.cameras}
     poses = solve(site, known)
     assert not poses.issues_of("moved") and "contradict each other" in poses.issues_of("contradicted")["c0"].text
+
+
+@pytest.mark.parametrize(
+    ("agreeing", "contradicting", "sure"), [(1, 0, True), (2, 1, True), (1, 1, False), (2, 2, True), (2, 3, False), (0, 2, False)]
+)
+def test_two_pairs_that_agree_outweigh_as_many_look_alikes_and_a_single_one_does_not(
+    agreeing: int, contradicting: int, sure: bool
+) -> None:
+    pairs = [Evidence(("gate", f"c{k}"), 0.3 if k < agreeing else 1.7, 1.0) for k in range(agreeing + contradicting)]
+    assert verified({"gate"}, pairs) == sure
