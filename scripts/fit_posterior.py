@@ -64,7 +64,7 @@ class Scene:
         posed = run.artifact("poses").cameras
         self.cameras = {name: camera for name, camera in posed.items() if name in {**found["depth"], **found["refine"]}}
         frames = straight_frames(found["frames"], self.cameras)
-        self.masks = {name: frames[name].mask for name in self.cameras}
+        self.frames = {name: frames[name] for name in self.cameras}
         self.truth = folder / "truth"
         sources = [source for source in (found["refine"], found["depth"]) if source]
         self.kinds = [{name: self._view(name, source[name]) for name in self.cameras if name in source} for source in sources]
@@ -72,7 +72,7 @@ class Scene:
         self.near = {name: nearest_views(name, self.cameras, small, 16) for name in self.cameras}
 
     def _view(self, name: str, depth: DepthMap) -> View:
-        camera, mask = self.cameras[name], self.masks[name]
+        camera, mask = self.cameras[name], self.frames[name].mask
         known, off = mask & np.isfinite(depth.depth), off_truth(self.truth, name, camera, depth)
         right = off <= RIGHT_PX * depth.depth / camera.K[0, 0]
         evidence = P.evidence_of_itself(depth, mask)
@@ -100,8 +100,9 @@ class Scene:
         self.kinds = [kept]
 
     def look_around(self) -> None:
-        for view in self.views():
-            view.evidence = [view.logit, surface_support(view.depth, view.known, probability(view.logit))]
+        for name, view in self.kinds[0].items():
+            around = surface_support(view.depth, view.known, probability(view.logit))
+            view.evidence = [view.logit, around, P.noisiness(self.frames[name])]
 
 
 def off_truth(truth: Path, name: str, camera: Camera, depth: DepthMap) -> Float64s:

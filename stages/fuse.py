@@ -134,7 +134,7 @@ def _samples(
 ) -> Samples:  # fmt: skip
     """The points of one view that are probable enough.  limits: `min_consistent_pairs` and `confidence` of `fuse`."""
     depth, (min_pairs, confidence) = view.depth, limits
-    right = posterior(depth, frame.mask, view.own, check)
+    right = posterior(depth, frame, view.own, check)
     accepted = (right > 0) & (right >= confidence) & (check.pairs >= min_pairs)
     if min_pairs > 1:
         accepted &= check.agreeing >= min_pairs

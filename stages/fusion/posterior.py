@@ -2,21 +2,24 @@
 
 A depth is right if its point lies within two pixels' widths of a surface.  Three logistic regressions, each on what the one
 before it says: what a view knows of its own depths; what the other views say of them, each as far as it is right itself; and how
-right the depths are that lie around on the same plane.
+right the depths are that lie around on the same plane, and how much of what is seen there is noise.
 
 The coefficients are those of `scripts/fit_posterior.py` on scenes with exact truth: a small yard and a small hall by night, small
 houses by day, and four photographs of the fountain.  They were fitted before a pair could be doubted: fitted anew, they trust
-single pairs more, which costs photographs 0.3 points of F at 2 cm and gains nothing elsewhere.
+single pairs more, which costs photographs 0.3 points of F at 2 cm and gains nothing elsewhere.  That of noise is fitted on a yard
+and a hall without lamps, the others held.  It speaks last, so that it takes points away and never adds any.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
+import cv2
 import numpy as np
 
 from ..core.jit import kernel
-from ..types import Bools, DepthMap, Float32s, Float64s, Uint32s
+from ..core.luminance import luminance
+from ..types import Bools, DepthMap, Float32s, Float64s, Frame, Uint32s
 from .overlay import overlaid
 from .surface_support import surface_support
 from .visibility import CrossCheck, TrustedDepth, probability
@@ -28,9 +31,14 @@ plane, and the logarithm of its relative standard deviation."""
 _OTHERS = np.array([-0.03, 0.52, 0.42, 1.91, -0.39, -1.39])
 """Of one, the logit of the above, and what `evidence_of_others` returns."""
 
-_AROUND = np.array([-0.75, 0.7, 2.94])
-"""Of one, the logit of the above, and the mean of its probability over the surroundings."""
+_AROUND = np.array([-0.75, 0.7, 2.94, -0.98])
+"""Of one, the logit of the above, the mean of its probability over the surroundings, and `noisiness`."""
 
+_PATCH_PX = 3
+"""How far a patch reaches from its middle in an image 768 wide, and as far in larger ones: as those that `refine` compares."""
+
+_QUANTIZED = 1 / 12
+"""Variance of grey levels that rounding alone leaves."""
 
 _MOST_LEFT_OUT = 0.5
 """Of a cloud: where more would have to go, too little is sure for a choice."""
@@ -66,18 +74,19 @@ def likelier(found: Sequence[TrustedDepth]) -> TrustedDepth:
     return first
 
 
-def posterior(depth: DepthMap, usable: Bools, own: Float32s, check: CrossCheck) -> Float32s:
+def posterior(depth: DepthMap, frame: Frame, own: Float32s, check: CrossCheck) -> Float32s:
     """(h, w) probability that depths are right; 0 where there are none, or none that a pair shows.
 
     Parameters
     ----------
-    depth, usable : of a view, and which of its pixels may be used.
+    depth, frame : of a view.
     own : (h, w) of `own_logit`.
     check : what the other views say.
     """
-    known = usable & np.isfinite(depth.depth) & (check.pairs > 0)
+    known = frame.mask & np.isfinite(depth.depth) & (check.pairs > 0)
     logit = _logit(_OTHERS, [own, *evidence_of_others(check)], known)
-    return probability(_logit(_AROUND, [logit, surface_support(depth, known, probability(logit))], known))
+    around = surface_support(depth, known, probability(logit))
+    return probability(_logit(_AROUND, [logit, around, noisiness(frame)], known))
 
 
 def evidence_of_itself(depth: DepthMap, usable: Bools) -> list[Float32s]:
@@ -99,6 +108,18 @@ def evidence_of_others(check: CrossCheck) -> list[Float32s]:
     hiding = check.hiding / (visible + check.hiding + np.float32(1.0))
     pairs = np.maximum(check.pairs - check.doubted, np.float32(0.0))
     return [check.opposing, np.log1p(pairs), missing, hiding]
+
+
+def noisiness(frame: Frame) -> Float32s:
+    """(h, w) logarithm of one more than the variance of the frame's noise over that of the grey levels of the patch around.
+
+    Where it is high a patch shows little but noise, and matches somewhere by chance.
+    """
+    grey = luminance(frame.image)
+    side = 2 * _PATCH_PX * max(1, round(max(grey.shape) / 768)) + 1
+    mean = cv2.blur(grey, (side, side))
+    variance = np.maximum(cv2.blur(grey * grey, (side, side)) - mean * mean, np.float32(_QUANTIZED))
+    return np.asarray(np.log1p(np.float32(frame.noise_left**2) / variance), np.float32)
 
 
 def _logit(coefficients: Float64s, evidence: list[Float32s], known: Bools) -> Float32s:

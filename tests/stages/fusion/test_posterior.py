@@ -1,4 +1,4 @@
-"""Which points of a cloud stay."""
+"""How probable points are, and which of a cloud stay."""
 
 from __future__ import annotations
 
@@ -7,7 +7,43 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from wbflow_stages.fusion.posterior import surest
+from wbflow_stages.fusion.posterior import noisiness, posterior, surest
+from wbflow_stages.fusion.visibility import CrossCheck
+from wbflow_stages.types import DepthMap, Float32s, Frame, View
+
+HEIGHT, WIDTH, WALL = 40, 60, 30
+"""From column `WALL` on a wall shows nothing but noise."""
+
+
+def noisy_frame(noise: float) -> Frame:
+    rng = np.random.default_rng(0)
+    image = rng.normal(120, noise, (HEIGHT, WIDTH, 1)) + np.zeros(3)
+    image[:, :WALL] += rng.normal(0, 40, (HEIGHT, WALL, 1))
+    mask = np.ones((HEIGHT, WIDTH), np.bool_)
+    return Frame(image.clip(0, 255).round().astype(np.uint8), mask, View(WIDTH, HEIGHT), noise_left=noise)
+
+
+def found_by_two(noise: float) -> Float32s:
+    """Probabilities of a plane that one pair shows and nothing contradicts."""
+    flat, none = np.full((HEIGHT, WIDTH), 10.0, np.float32), np.zeros((HEIGHT, WIDTH), np.float32)
+    depth = DepthMap(flat, 0.01 * flat, none, none, np.ones(flat.shape, np.uint32), ("roof",), np.ones(flat.shape, np.bool_))
+    one = np.ones(flat.shape, np.uint8)
+    check = CrossCheck(one, one.astype(np.uint16), one, one, none, 0 * one, none, none, one)
+    return posterior(depth, noisy_frame(noise), none, check)
+
+
+def test_where_a_picture_shows_little_but_noise_depths_are_less_probable() -> None:
+    shown = noisiness(noisy_frame(8.0))
+    assert shown[:, : WALL - 4].max() < 0.1
+    assert abs(np.median(shown[:, WALL + 4 :]) - np.log(2)) < 0.05  # all that the patch shows is noise
+    quiet, noisy = found_by_two(0.2), found_by_two(8.0)
+    inside = (slice(12, -12), slice(12, WALL - 12)), (slice(12, -12), slice(WALL + 12, -12))
+    assert np.abs(quiet[inside[0]] - noisy[inside[0]]).max() < 0.02
+    assert (noisy[inside[1]] < quiet[inside[1]] - 0.05).all()
+
+
+def test_noise_makes_nothing_more_probable() -> None:
+    assert (found_by_two(8.0) <= found_by_two(0.0)).all()
 
 
 @given(arrays(np.float32, st.integers(1, 200), elements=st.floats(0.5, 1.0, width=32)), st.floats(0.5, 1.0))
