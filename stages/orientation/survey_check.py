@@ -19,8 +19,9 @@ DISTANCE_SHARE = 0.03
 """A stated distance may differ from that of the cameras by this share, and three standard deviations of their positions."""
 POINT_SHARE = 0.02
 """A control point may lie off by this share of its distance from the cameras, and as many standard deviations."""
-NEAREST_M = (0.005, 1000.0)
-"""Metres from a camera to the nearest other one, median over a site: less or more than any site of local coordinates has."""
+NEAREST_M = (0.05, 1000.0)
+"""Metres from a camera to the nearest other one, median over a site: less than two housings take, more than any site of local
+coordinates has."""
 
 
 def check_survey(poses: Poses, views: Mapping[str, View], placements: Mapping[str, Placement], survey: Survey) -> Poses:
