@@ -55,7 +55,7 @@ APART_PX = 0.25
 """Depths that two pairs give to one view may differ by so much as a whole.  Under right cameras 0.02 to 0.16 (yard, apron,
 stadium, fountain, entry), with one moved by half a metre or turned by half a degree 0.38 to 2.1."""
 SOFT_SHARE = 1 / 3
-"""Of the cameras in use: fewer soft ones are a matter of these cameras."""
+"""Of the cameras in use: points of fewer show nothing, since one camera may see what is hard to measure."""
 MOST_LETTERS = 200
 """A reason has at most so many letters in a finding."""
 _EXIT_CODES: Mapping[Level, ExitCode] = {
@@ -355,21 +355,30 @@ def _same_pictures(cameras: Iterable[CameraRecord]) -> Iterator[tuple[str, ...]]
 
 
 def check_pictures(night: Night) -> Iterator[Finding]:
-    """Are many pictures too blurred, noisy or coarsely coded to be measured in?"""
+    """Are pictures too blurred, noisy or coarsely coded to be measured in?"""
     used = [camera for camera in night.record.cameras if camera.ok]
-    soft = {camera.id: figures for camera in used if (figures := _soft_figures(camera))}
-    if soft and len(soft) >= SOFT_SHARE * len(used):
+    soft = {camera.id: _soft_figures(camera) for camera in used if _is_soft(camera) or _is_unresolved(camera)}
+    if any(map(_is_soft, used)) or (soft and len(soft) >= SOFT_SHARE * len(used)):
         worst = {name: max(figures[name] for figures in soft.values()) for name in (*_SOFT, "detail_px")}
         yield finding("pictures-soft", tuple(soft), worst, None, None, cameras=_names(soft), **worst)
 
 
 def _soft_figures(camera: CameraRecord) -> dict[str, float]:
-    """Return how soft a camera's pictures are; nothing where they are good."""
-    figures = {name: float(getattr(camera.figures, name) or 0.0) for name in (*_SOFT, "detail_px")}
-    misfit = camera.figures.misfit or 0.0
+    """Return how soft a camera's pictures are."""
+    return {name: float(getattr(camera.figures, name) or 0.0) for name in (*_SOFT, "detail_px")}
+
+
+def _is_soft(camera: CameraRecord) -> bool:
+    """Is a camera out of focus, noisy or coarsely coded by its pictures alone?"""
+    figures = _soft_figures(camera)
+    return any(figures[name] > limit for name, limit in _SOFT.items())
+
+
+def _is_unresolved(camera: CameraRecord) -> bool:
+    """Do a camera's points show that its pictures hold less than their pixels promise?"""
+    figures, misfit = _soft_figures(camera), camera.figures.misfit or 0.0
     unresolved = misfit > LEAST_MISFIT and misfit * figures["detail_px"] > UNRESOLVED
-    unresolved |= misfit * figures["coarseness"] > BLURRED_BY_CODING
-    return figures if unresolved or any(figures[name] > limit for name, limit in _SOFT.items()) else {}
+    return unresolved or misfit * figures["coarseness"] > BLURRED_BY_CODING
 
 
 def check_calibration(night: Night) -> Iterator[Finding]:

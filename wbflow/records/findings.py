@@ -196,7 +196,7 @@ FINDINGS: Mapping[str, FindingType] = {
         ),
         FindingType(
             "pictures-soft",
-            "Many pictures are too blurred, smeared, enlarged, noisy or coarsely coded to be measured in; `sigma_mm` may be too "
+            "Pictures are too blurred, smeared, enlarged, noisy or coarsely coded to be measured in; `sigma_mm` may be too "
             "small.",
             "look at focus, glass, exposure time, gain and the quality at which captures are coded; or lower `resolution`",
             "pictures are too soft to be measured in: {cameras}; details are up to {detail_px:.1f} px apart, edges "

@@ -421,6 +421,20 @@ def test_coarsely_coded_pictures_are_soft_where_their_points_show_it(coarseness:
     assert [finding.kind for finding in found] == (["pictures-soft"] if soft else [])
 
 
+@pytest.mark.parametrize("figures", [CameraFigures(blur_px=4.0), CameraFigures(noise_left=14.0), CameraFigures(coarseness=1.8)])
+def test_one_camera_out_of_focus_is_named_however_many_there_are(figures: CameraFigures) -> None:
+    cameras = [camera(name) for name in NAMES]
+    cameras[1] = replace(cameras[1], figures=figures)
+    finding = only(night(cameras=cameras))
+    assert (finding.kind, finding.subject) == ("pictures-soft", (NAMES[1],))
+
+
+def test_points_of_one_camera_say_nothing_of_its_pictures() -> None:
+    cameras = [camera(name) for name in NAMES]
+    cameras[1] = replace(cameras[1], figures=CameraFigures(detail_px=2.0, misfit=3.0))
+    assert night(cameras=cameras).exit_code == ExitCode.GOOD
+
+
 def test_depths_that_differ_with_the_pair_name_the_camera_that_all_of_them_have_in_common() -> None:
     def dense(name: str, **apart_px: float) -> CameraRecord:
         return CameraRecord(name, "ok", figures=CameraFigures(apart_px={p.replace("_", "--"): px for p, px in apart_px.items()}))
