@@ -1,4 +1,4 @@
-"""Regions that show nothing (sky, an even wall): their depths come from their borders alone, and reach into them from there.
+"""Regions that show nothing but shading (sky, an even wall): depths come from their borders, and reach into them from there.
 
 Of a wall or a lawn nearly all gets a depth; of the sky a band beside whatever stands before it, which is wrong.
 """
@@ -13,7 +13,8 @@ from ..types import Bools, DepthMap, Frame
 from .surface_support import surroundings_px
 
 _EVEN = 1.0
-"""Grey levels of standard deviation in 3 x 3 pixels, besides half of what noise leaves in a picture: less shows nothing."""
+"""Grey levels that pixels differ by from the mean of 3 x 3 (root mean square), besides a quarter of the noise that is left in a
+picture: less shows nothing, or shading."""
 _FILLED = 0.5
 """Of a region: so much of a surface gets a depth.  Of the sky above a building site, a car park and a stadium 0 to 0.34 did, of
 walls and lawns there and in a study 0.57 to 1."""
@@ -25,8 +26,8 @@ def believed(frame: Frame, depth: DepthMap) -> Bools:
     Small ones lie within what `surface_support` asks anyway.
     """
     grey = grey_levels(frame.image).astype(np.float32)
-    mean, square = cv2.blur(grey, (3, 3)), cv2.blur(grey * grey, (3, 3))
-    even = (square - mean * mean < (_EVEN + 0.5 * frame.noise_left) ** 2) & frame.mask
+    detail = cv2.blur(np.square(grey - cv2.blur(grey, (3, 3))), (3, 3))
+    even = (detail < (_EVEN + 0.25 * frame.noise_left) ** 2) & frame.mask
     count, region = cv2.connectedComponents(even.astype(np.uint8), connectivity=4)
     pixels = np.bincount(region.ravel())
     filled = np.bincount(region.ravel(), np.isfinite(depth.depth).ravel(), count)

@@ -40,6 +40,12 @@ def test_a_band_of_sky_above_the_horizon_is_not_believed() -> None:
     assert kept[TOP + 1 :].all()
 
 
+def test_a_sky_that_darkens_toward_a_side_is_no_less_a_sky() -> None:
+    shaded = frame()
+    shaded.image[:TOP] = (210 - np.arange(WIDTH))[:, None].clip(60, 210)
+    assert not believed(shaded, depth_map(known_down_from(TOP - 8)))[: TOP - 2].any()
+
+
 def test_a_wall_that_is_filled_is_believed() -> None:
     assert believed(frame(), depth_map(known_down_from(5))).all()
 
