@@ -57,11 +57,12 @@ def image_statistics(image: Uint8s, usable: Bools) -> ImageStatistics:
 
 
 def blur_px(image: Uint8s, usable: Bools) -> float:
-    """Standard deviation in pixels of the blur of a picture's (h, w, 3) sharper edges; nan where it has no edges.
+    """Standard deviation in pixels of the blur of the sharper edges in the softest quarter of a picture (h, w, 3); nan where it
+    has no edges.  Quarters that have few are passed over.
 
     An edge that is blurred once more, by one pixel, loses the more of its slope the sharper it was; neither contrast nor the
-    scene changes the ratio.  Of the strongest twentieth of all slopes the sharpest quarter counts, since depth of field and
-    motion blur a part of nearly every picture.
+    scene changes the ratio.  Of the strongest twentieth of a quarter's slopes the sharpest quarter counts, since depth of field
+    and motion blur a part of nearly every picture; a lens that is tilted or wet blurs one side.
 
     References
     ----------
@@ -70,6 +71,15 @@ def blur_px(image: Uint8s, usable: Bools) -> float:
     grey = cv2.GaussianBlur(grey_levels(image).astype(np.float32), (0, 0), _PREPARED_PX)
     slope, again = (_slope(grey), _slope(cv2.GaussianBlur(grey, (0, 0), 1.0)))
     inside = cv2.erode(usable.astype(np.uint8), np.ones((9, 9), np.uint8)).astype(bool)
+    h, w = (side // 2 for side in usable.shape)
+    whole = (slice(None), slice(None))
+    quarters = [(y, x) for y in (slice(h), slice(h, None)) for x in (slice(w), slice(w, None))]
+    found = [_blur_px(slope[part], again[part], inside[part]) for part in (*quarters, whole)]
+    return max((blur for blur in found if np.isfinite(blur)), default=float("nan"))
+
+
+def _blur_px(slope: Float32s, again: Float32s, inside: Bools) -> float:
+    """Of a part of a picture: slopes (h, w) of its grey levels, and of the same once more blurred."""
     if not inside.any():
         return float("nan")
     strong = inside & (slope > max(float(np.percentile(slope[inside], 95)), _FAINT))

@@ -85,7 +85,7 @@ class Frame:
     blocking: float = 1.0
     """How many times stronger edges are at the borders of the captures' coded blocks than within them."""
     blur_px: float = float("nan")
-    """Standard deviation of the blur of the frame's sharper edges, pixels; nan where it has no edges."""
+    """Standard deviation of the blur of the sharper edges in the frame's softest quarter, pixels; nan where it has no edges."""
     detail_px: float = 1.0
     """So many pixels lie between details that the frame resolves, in the coarser direction."""
     coarseness: float = 1.0

@@ -33,6 +33,14 @@ def test_blur_is_reported_to_a_third(picture: np.ndarray, sigma: float, contrast
     assert measured(100 * (1 - contrast) + contrast * blurred) == pytest.approx(sigma, rel=0.34)
 
 
+def test_a_lens_that_is_tilted_is_as_soft_as_its_softest_quarter() -> None:
+    picture = np.random.default_rng(0).uniform(0, 255, (48, 80, 1)).repeat(16, axis=0).repeat(16, axis=1).repeat(3, axis=2)
+    soft = cv2.GaussianBlur(picture, (0, 0), 3.0)
+    soft[:, :640] = picture[:, :640]
+    assert measured(picture) < 1.0
+    assert measured(soft) > 2.0
+
+
 def test_a_picture_without_edges_has_no_blur() -> None:
     assert np.isnan(measured(np.full((90, 160, 3), 120.0)))
 
