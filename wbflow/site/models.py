@@ -201,7 +201,7 @@ class CameraEntry(Section):
     calibration: str | None = None
     pose: Pose | None = None
     mask: str | None = None
-    privacy: list[list[Vector2]] = Field(default_factory=list)
+    privacy: list[list[Vector2]] = []
     images: list[str] | None = None
     url: str | None = None
 
@@ -244,8 +244,8 @@ class Pairs(Section):
     degree: int = Field(default=6, ge=1, le=100)
     min_angle: float = Field(default=4.0, ge=0, lt=180)
     max_angle: float = Field(default=60.0, gt=0, le=180)
-    include: list[CameraPair] = Field(default_factory=list)
-    exclude: list[CameraPair] = Field(default_factory=list)
+    include: list[CameraPair] = []
+    exclude: list[CameraPair] = []
 
 
 def _nights(value: Any) -> int | None:
@@ -343,7 +343,7 @@ class Notify(Section):
     """For the shell, or program and arguments."""
     heartbeat: bool = False
     """It is called after every night."""
-    remind: list[Duration] = Field(default_factory=list)
+    remind: list[Duration] = []
     """It is called again by the first run after a state has lasted so long."""
     seconds: float = Field(default=60.0, gt=0, le=3600)
     """How long it may take."""
@@ -392,18 +392,18 @@ class SiteFile(Section):
     captures: Captures
     cameras: Annotated[list[CameraEntry], Field(min_length=1)]
     calibration: str | None = None
-    distances: list[Annotated[list[Any], Field(min_length=3, max_length=3)]] = Field(default_factory=list)
-    control_points: list[ControlPoint] = Field(default_factory=list)
+    distances: list[Annotated[list[Any], Field(min_length=3, max_length=3)]] = []
+    control_points: list[ControlPoint] = []
     resolution: int | None = Field(default=1600, ge=64)
     bounds: Annotated[list[Vector3], Field(min_length=2, max_length=2)] | None = None
-    pairs: Pairs = Field(default_factory=Pairs)
+    pairs: Pairs = Pairs()
     pin: Literal["auto", "none"] = "auto"
-    health: Health = Field(default_factory=Health)
+    health: Health = Health()
     zones: Annotated[list[Zone] | None, AfterValidator(lambda zones: zones or None)] = None
-    stages: dict[str, Any] = Field(default_factory=dict)
-    expect: Expected = Field(default_factory=Expected)
+    stages: dict[str, Any] = {}
+    expect: Expected = Expected()
     notify: Notify | None = None
-    keep: KeepEntry = Field(default_factory=KeepEntry)
+    keep: KeepEntry = KeepEntry()
     work: str | None = None
 
     def positions(self) -> Iterator[tuple[Location, Position]]:
