@@ -33,7 +33,7 @@ class NotAnImage(BadCapture):
 
 
 class TruncatedImage(BadCapture):
-    """The file ends before the image does, or its pixels do."""
+    """The file ends before the image does, or the picture before its lower edge."""
 
 
 class FeaturelessImage(BadCapture):
@@ -123,7 +123,8 @@ def refuse_truncated(name: str, data: bytes) -> None:
 def refuse_unfinished(name: str, image: Uint8s) -> None:
     """A recorder that lost a part of a picture pads it with one colour and writes a file that is whole.
 
-    Black and white are left alone (a letter box, a night, a sky), and so is the colour of the upper end, too: a drawing's ground.
+    Black and white are left alone (a letter box, a night, a sky), and so is a colour that the upper edge has, too: the ground of
+    a drawing.
     """
     last = image[-1, -1]
     if last.max() < 24 or last.min() > 231 or (image[0] == last).all():

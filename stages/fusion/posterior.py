@@ -21,7 +21,7 @@ from ..core.jit import kernel
 from ..core.luminance import luminance
 from ..types import Bools, DepthMap, Float32s, Float64s, Frame, Uint32s
 from .overlay import overlaid
-from .surface_support import surface_support
+from .surface_support import spacing_px, surface_support
 from .visibility import CrossCheck, TrustedDepth, probability
 
 _OWN = np.array([-5.45, 0.56, 2.16, 2.5, -0.66])
@@ -116,7 +116,7 @@ def noisiness(frame: Frame) -> Float32s:
     Where it is high a patch shows little but noise, and matches somewhere by chance.
     """
     grey = luminance(frame.image)
-    side = 2 * _PATCH_PX * max(1, round(max(grey.shape) / 768)) + 1
+    side = 2 * _PATCH_PX * spacing_px(grey.shape) + 1
     mean = cv2.blur(grey, (side, side))
     variance = np.maximum(cv2.blur(grey * grey, (side, side)) - mean * mean, np.float32(_QUANTIZED))
     return np.asarray(np.log1p(np.float32(frame.noise_left**2) / variance), np.float32)

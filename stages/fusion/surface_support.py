@@ -17,7 +17,7 @@ def surface_support(depth: DepthMap, usable: Bools, weight: Float32s | None = No
 
     On it is what differs by no more than three sigmas and 0.2 % of the depth: as when views are compared.
     """
-    spacing = _spacing(usable.shape)
+    spacing = spacing_px(usable.shape)
     inverse = np.where(usable, 1.0 / depth.depth, np.float32(np.nan)).astype(np.float32)
     relative = (depth.sigma / depth.depth).astype(np.float32)
     share = np.zeros(usable.shape, np.float32)
@@ -28,10 +28,11 @@ def surface_support(depth: DepthMap, usable: Bools, weight: Float32s | None = No
 
 def surroundings_px(shape: tuple[int, ...]) -> int:
     """How many pixels of an image of this shape the surroundings of one cover."""
-    return (2 * _spacing(shape) * _REACH + 1) ** 2
+    return (2 * spacing_px(shape) * _REACH + 1) ** 2
 
 
-def _spacing(shape: tuple[int, ...]) -> int:
+def spacing_px(shape: tuple[int, ...]) -> int:
+    """Pixels of an image of this shape that one pixel of an image 768 wide covers."""
     return max(1, round(max(shape) / 768))
 
 

@@ -162,7 +162,7 @@ def verified(views: Set[str], evidence: list[Evidence]) -> bool:
     """Do as many of a camera's pairs, and of its triplets, agree with the poses as contradict them?  All its views have a say:
     they move as one.
 
-    Look-alikes contradict poses that are right; two pairs don't agree with one that is wrong, while a single one may, along whose
+    Look-alikes contradict poses that are right.  Two pairs do not agree with a wrong pose; a single pair may, along whose
     epipolar lines the camera was moved.
     """
     mine = [e for e in evidence if not views.isdisjoint(e.cameras)]
