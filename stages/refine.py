@@ -1,8 +1,8 @@
 """Depth of one view refined against all views around it at once: the second pass, after the pairs.
 
 Starting from the depth that pairs gave, planes are improved by what several photographs together show (`mvs.propagation`):
-matches that no single pair could keep are found, holes are filled from their rims, and depth follows the view that shows a
-surface best.
+matches that no single pair could keep are found, holes are filled from their rims and by what other views have there, and depth
+follows the view that shows a surface best.
 In the end planes vote on each other, as those of a pair do: what is cheapest of many trials by chance is outvoted.  Even
 surfaces are laid on planes of many pixels (`mvs.plane_prior`).
 
@@ -23,6 +23,7 @@ from .core.cameras import backproject, project, ray_angles, transfer
 from .core.luminance import luminance
 from .core.residual_distortion import straight_frame, straight_frames
 from .fusion.pair_depth import NoiseModel
+from .mvs.carried import carried_planes, with_carried
 from .mvs.multi_scale_fill import filled, reduced, reduced_view
 from .mvs.plane_prior import PlanePriors, apply_plane_priors
 from .mvs.propagation import Propagation
@@ -60,6 +61,7 @@ def refine(
     cameras: Mapping[str, Camera],
     reference_camera: Camera | None = None,
     reference_depth: DepthMap | None = None,
+    depths: Mapping[str, DepthMap] | None = None,
     *,
     radius: int = 3,
     sweeps: int = 3,
@@ -77,6 +79,7 @@ def refine(
     frames, cameras : of the views around it, by id; views without a camera of the same world are passed over.
     reference_camera, reference_depth : the reference's, if there is one: where to start from where tonight's pairs have nothing,
         if the camera stands as then.
+    depths : of the views around it, from their pairs: where to start from where this view has nothing and its photographs agree.
     radius : the patch that is compared reaches so many pixels of an image 768 wide from its centre, and as far in larger ones.
     sweeps : passes over the image, alternately down and up.
     max_sources, min_angle_deg, max_angle_deg : compare with at most so many views, the nearest in angle, that see the scene from
@@ -92,7 +95,27 @@ def refine(
     limits = _Limits(radius, sweeps, min(max_sources, _SOURCES), max_cost, noise_px)
     if not _stands(camera, reference_camera, depth, reference_depth):
         reference_depth = None
-    return _refined(frame, camera, depth, frames, others, finer, reference_depth, limits)
+    start = _Start(depth, reference_depth, carried_planes(camera, others, depths or {}))
+    return _refined(frame, camera, start, frames, others, finer, limits)
+
+
+@dataclass(frozen=True, eq=False)
+class _Start:
+    """Where to start from."""
+
+    depth: DepthMap
+    """Of the view, from its pairs."""
+    reference_depth: DepthMap | None = None
+    """The reference's, if the camera stands as then."""
+    carried: Float32s | None = None
+    """(3, h, w) planes that other views have."""
+
+    def planes(self, propagation: Propagation, max_cost: float) -> Float32s:
+        """(3, h, w): tonight's, the reference's where tonight has none, and those of other views where this one sees them."""
+        planes = _planes_of(self.depth)
+        if self.reference_depth is not None:
+            planes = np.where(np.isfinite(planes[0]), planes, _planes_of(self.reference_depth))
+        return planes if self.carried is None else with_carried(planes, self.carried, propagation, max_cost)
 
 
 @dataclass(frozen=True)
@@ -107,8 +130,8 @@ class _Limits:
 
 
 def _refined(
-    frame: Frame, camera: Camera, depth: DepthMap, frames: Mapping[str, Frame], cameras: Mapping[str, Camera],
-    finer: Mapping[str, float], reference_depth: DepthMap | None, limits: _Limits,
+    frame: Frame, camera: Camera, start: _Start, frames: Mapping[str, Frame], cameras: Mapping[str, Camera],
+    finer: Mapping[str, float], limits: _Limits,
 ) -> DepthMap:  # fmt: skip
     """Depth from the views that see as finely as this one, then as coarsely as the finest of the others do from these, too.
 
@@ -116,32 +139,32 @@ def _refined(
     fits at many depths: it is not asked beside others that see more.
     """
     fine = {name: times for name, times in finer.items() if times * _UNLIKE >= 1}
-    found = _compared(frame, camera, depth, frames, cameras, fine or finer, reference_depth, limits)
+    found = _compared(frame, camera, start, frames, cameras, fine or finer, limits)
     if not fine or len(fine) == len(finer):
         return found
     times = 1 / max(finer[name] for name in finer if name not in fine)
     again = {name: share * times for name, share in finer.items()}
-    small = reduced_view(frame, camera, depth, times)
-    if not np.isfinite(small[2].depth).any():
+    picture, small, coarse = reduced_view(frame, camera, start.depth, times)
+    if not np.isfinite(coarse.depth).any():
         return found
-    return filled(found, _refined(*small, frames, cameras, again, None, limits))
+    return filled(found, _refined(picture, small, _Start(coarse), frames, cameras, again, limits))
 
 
 def _compared(
-    frame: Frame, camera: Camera, depth: DepthMap, frames: Mapping[str, Frame], cameras: Mapping[str, Camera],
-    finer: Mapping[str, float], reference_depth: DepthMap | None, limits: _Limits,
+    frame: Frame, camera: Camera, start: _Start, frames: Mapping[str, Frame], cameras: Mapping[str, Camera],
+    finer: Mapping[str, float], limits: _Limits,
 ) -> DepthMap:  # fmt: skip
     """Depth from all of these views at once; the finer ones are looked at as coarsely as this one sees."""
-    around, max_cost = list(finer)[: limits.sources], limits.cost
+    around, max_cost, then = list(finer)[: limits.sources], limits.cost, start.reference_depth
     small = [_as_coarse(frames[other].image, cameras[other], finer[other]) for other in around]
     image, sources = luminance(frame.image), _stack([luminance(picture) for picture, _ in small])
     M, b = (np.stack(part) for part in zip(*(transfer(camera, other) for _, other in small), strict=True))
     spacing, least = _spacings_px(max(image.shape), [finer[other] for other in around])
     far = max(2, round(5 * max(image.shape) / 768))
-    planes = _first_planes(depth, reference_depth)
-    nearest, farthest = np.percentile(planes[0][np.isfinite(planes[0])], [99.8, 0.2])
     propagation = Propagation(image, frame.mask, sources, M, b, spacing * _taps(limits.radius))
-    cost = propagation.improve(planes, limits.sweeps, far, 0.9 * farthest, 1.1 * nearest, again=reference_depth is not None)
+    planes = start.planes(propagation, max_cost)
+    nearest, farthest = np.percentile(planes[0][np.isfinite(planes[0])], [99.8, 0.2])
+    cost = propagation.improve(planes, limits.sweeps, far, 0.9 * farthest, 1.1 * nearest, again=then is not None)
     scale = _pixels_per_inverse_depth(M, b, planes[0])
     planes = _settled(planes, cost, propagation, image, scale, max_cost, limits.radius, spacing, least)
     support = propagation.support(planes, max_cost)
@@ -149,9 +172,9 @@ def _compared(
     z, sigma = _depth_and_sigma(
         np.where(kept, planes[0], np.float32(np.nan)), support.parallax, NoiseModel(noise_px=limits.noise_px)
     )
-    sure = _as_before(z, sigma, depth) | (support.second < _SURE_COST) | (support.first < _SURE_ALONE)
-    if reference_depth is not None:
-        sure |= (support.second < max_cost) & reference_depth.sure & _as_before(z, sigma, reference_depth)
+    sure = _as_before(z, sigma, start.depth) | (support.second < _SURE_COST) | (support.first < _SURE_ALONE)
+    if then is not None:
+        sure |= (support.second < max_cost) & then.sure & _as_before(z, sigma, then)
     rough = DepthMap(z, sigma, planes[1], planes[2], support.sources, tuple(around), kept & sure)
     return _flattened(rough, planes[0], apply_plane_priors(frame, propagation, planes, support, rough.sure, scale, max_cost))
 
@@ -159,12 +182,6 @@ def _compared(
 def _planes_of(depth: DepthMap) -> Float32s:
     """(3, h, w): inverse depth, and how it changes per pixel in x and y; nan where unknown."""
     return np.stack([1.0 / depth.depth, depth.slope_x, depth.slope_y])
-
-
-def _first_planes(depth: DepthMap, reference_depth: DepthMap | None) -> Float32s:
-    """Tonight's, and the reference's where tonight has none."""
-    planes = _planes_of(depth)
-    return planes if reference_depth is None else np.where(np.isfinite(planes[0]), planes, _planes_of(reference_depth))
 
 
 def _stands(camera: Camera, then: Camera | None, depth: DepthMap, reference_depth: DepthMap | None) -> bool:

@@ -464,6 +464,7 @@ STAGES: tuple[Stage, ...] = (
             "depth": own("depth"),
             "frames": near("frames"),
             "cameras": near("poses", part="cameras"),
+            "depths": near("depth"),
             "reference_camera": reference("poses", part="cameras"),
             "reference_depth": reference("refine"),
         },

@@ -1,0 +1,69 @@
+"""Depths of other views as planes to be tried, on a yard whose depth is known exactly."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.helpers.exact_scene import Yard, make_yard, true_depth
+from wbflow_stages.fusion.pair_depth import inverse_depth_slopes
+from wbflow_stages.mvs.carried import carried_planes
+from wbflow_stages.refine import refine
+from wbflow_stages.types import DepthMap
+
+
+@pytest.fixture(scope="module")
+def yard() -> Yard:
+    return make_yard((-24, -8, 8, 24))
+
+
+def exact(yard: Yard, name: str) -> DepthMap:
+    """The true depth, as pairs might have given it."""
+    z = true_depth(yard.cameras[name]).astype(np.float32)
+    return replace(yard.depths()[name], depth=z, **dict(zip(("slope_x", "slope_y"), inverse_depth_slopes(z, 500.0), strict=True)))
+
+
+def test_a_surface_is_carried_to_where_it_is_seen(yard: Yard) -> None:
+    name, other = list(yard.cameras)[:2]
+    planes = carried_planes(yard.cameras[name], yard.cameras, {other: exact(yard, other)})
+    error = np.abs(1 / planes[0] / true_depth(yard.cameras[name]) - 1)
+    known = np.isfinite(planes[0])
+    assert known.mean() > 0.5
+    assert np.median(error[known]) < 1e-3
+    assert (error[known] < 0.01).mean() > 0.95
+
+
+def test_a_view_of_another_world_has_no_say(yard: Yard) -> None:
+    name, other = list(yard.cameras)[:2]
+    elsewhere = replace(yard.cameras[other], component=1)
+    assert np.isnan(carried_planes(yard.cameras[name], {other: elsewhere}, {other: exact(yard, other)})).all()
+
+
+def test_what_no_pair_of_the_view_has_is_found_where_others_have_it(yard: Yard) -> None:
+    """All that the view has itself is a stripe far from the middle: planes would have to spread from there."""
+    name, depths = list(yard.cameras)[1], yard.depths()
+    others = {n: camera for n, camera in yard.cameras.items() if n != name}
+    known = depths[name].depth.copy()
+    known[:, 12:] = np.nan
+    stripe = replace(depths[name], depth=known, sure=np.isfinite(known))
+    given = yard.frames[name], yard.cameras[name], stripe, yard.frames, others
+    right = []
+    for helped in (None, {n: depths[n] for n in others}):
+        found = refine(*given, depths=helped, sweeps=1)
+        assert isinstance(found, DepthMap)
+        right.append(np.mean(np.abs(found.depth / true_depth(yard.cameras[name]) - 1) < 0.01))
+    assert right[1] > right[0] + 0.1
+
+
+def test_wrong_depths_of_others_do_no_harm(yard: Yard) -> None:
+    name, depths = list(yard.cameras)[1], yard.depths()
+    others = {n: camera for n, camera in yard.cameras.items() if n != name}
+    given = yard.frames[name], yard.cameras[name], depths[name], yard.frames, others
+    wrong = {n: replace(depths[n], depth=np.float32(1.2) * depths[n].depth) for n in others}
+    with_them, without = refine(*given, depths=wrong), refine(*given)
+    assert isinstance(with_them, DepthMap) and isinstance(without, DepthMap)
+    truth = true_depth(yard.cameras[name])
+    good = [np.mean(np.abs(found.depth / truth - 1) < 0.01) for found in (with_them, without)]
+    assert good[0] > good[1] - 0.005
