@@ -22,7 +22,8 @@ def yard() -> Yard:
 def exact(yard: Yard, name: str) -> DepthMap:
     """The true depth, as pairs might have given it."""
     z = true_depth(yard.cameras[name]).astype(np.float32)
-    return replace(yard.depths()[name], depth=z, **dict(zip(("slope_x", "slope_y"), inverse_depth_slopes(z, 500.0), strict=True)))
+    slope_x, slope_y = inverse_depth_slopes(z, 500.0)
+    return replace(yard.depths()[name], depth=z, slope_x=slope_x, slope_y=slope_y)
 
 
 def test_a_surface_is_carried_to_where_it_is_seen(yard: Yard) -> None:
