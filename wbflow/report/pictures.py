@@ -9,6 +9,7 @@ import base64
 import json
 import mimetypes
 import struct
+from collections import defaultdict
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -20,7 +21,7 @@ from ..pipeline.exports import FEWER_POINTS
 from ..pipeline.names import FUSE
 from ..pipeline.stages import STAGES
 from ..records.run_folder import NoSuchRun, RunFolder
-from ..task import Task, camera_of
+from ..task import Task
 from .data import ReportData
 from .other_night import OtherNight
 
@@ -177,11 +178,13 @@ def large_pictures(data: ReportData, room: int) -> list[tuple[int, str, str]]:
     record = data.record
     in_findings = {name for finding in record.verdict.findings for name in finding.subject} if record.verdict else set()
     numbers = {camera.id: k for k, camera in enumerate(record.cameras, 1)}
+    inliers = _inliers(data)
     found: list[tuple[int, str, str]] = []
     for camera in sorted(numbers, key=lambda name: (name not in in_findings, numbers[name])):
         frame = data.frame(camera)
         if picture := data.drawing(frame, "large"):
-            marks = _marks(data, frame.subject[0])
+            view = frame.subject[0]
+            marks = _keypoints(data, view), inliers.get(view, b"")
             words = " ".join(base64.b64encode(part).decode() or "-" for part in (picture, *marks))
             if len(words) > room:
                 break
@@ -190,17 +193,22 @@ def large_pictures(data: ReportData, room: int) -> list[tuple[int, str, str]]:
     return sorted(found)
 
 
-def _marks(data: ReportData, view: str) -> tuple[bytes, bytes]:
-    """Return keypoints and inliers of a view; those of a pair are the left picture's, then as many of the right one."""
-    points = inliers = b""
-    for stage in (stage for stage in STAGES if stage.products.marks):
-        if stage.scope == "camera":
-            points += data.drawing(Task(stage.name, (view,)), "marks") or b""
-        for pair in data.record.pairs_of(camera_of(view)) if stage.scope == "pair" else ():
-            if view in {pair.left, pair.right}:
-                both = data.drawing(Task(stage.name, (pair.left, pair.right)), "marks") or b""
-                inliers += both[: len(both) // 2] if pair.left == view else both[len(both) // 2 :]
-    return points, inliers
+def _keypoints(data: ReportData, view: str) -> bytes:
+    found = (
+        data.drawing(Task(stage.name, (view,)), "marks") for stage in STAGES if stage.products.marks and stage.scope == "camera"
+    )
+    return b"".join(filter(None, found))
+
+
+def _inliers(data: ReportData) -> Mapping[str, bytes]:
+    """Return the inliers of each view; those of a pair are the left picture's, then as many of the right one."""
+    found: dict[str, bytes] = defaultdict(bytes)
+    for stage in (stage for stage in STAGES if stage.products.marks and stage.scope == "pair"):
+        for pair in data.record.pairs:
+            both = data.drawing(Task(stage.name, (pair.left, pair.right)), "marks") or b""
+            found[pair.left] += both[: len(both) // 2]
+            found[pair.right] += both[len(both) // 2 :]
+    return found
 
 
 def _keypoint_note(data: ReportData, frame: Task) -> str:
