@@ -211,6 +211,7 @@ def main() -> None:
     parser.add_argument("--most", type=int, default=300, help="cameras up to which Snakemake takes part")
     parser.add_argument("--json", type=Path)
     asked = parser.parse_args()
+    os.environ.pop("PYTHONDONTWRITEBYTECODE", None)  # both systems would compile their own modules at each start
     rows: list[Row] = []
     # Nothing is removed before the end: ext4 leaves inodes alone that were in use in the last five minutes, and whoever makes a
     # file meanwhile looks at each of them.
