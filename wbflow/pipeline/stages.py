@@ -464,7 +464,7 @@ STAGES: tuple[Stage, ...] = (
             "depth": own("depth"),
             "frames": near("frames"),
             "cameras": near("poses", part="cameras"),
-            "depths": near("depth"),
+            "depths": near("depth", optional=True),
             "reference_camera": reference("poses", part="cameras"),
             "reference_depth": reference("refine"),
         },
