@@ -18,9 +18,9 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
+from scipy import ndimage
 
 from ..types import Bools, Float32s, Frame, Uint32s
-from .photometric_check import SURE_PX, checked_planes
 from .propagation import Propagation, Support
 from .textureless import CORRELATED, NEAR_PX, RegionPlane, TexturelessRegions, from_middle, planes_of_regions, textureless_regions
 
@@ -32,6 +32,9 @@ _FEWEST, _AGREED = 20, 0.6
 
 _OFF_SIGMAS = 1.5
 """Their mean may be off by so many standard deviations of it: more is relief."""
+
+_SURE_PX = 0.5
+"""Standard deviation of a plane where it is taken, at most."""
 
 _SHARED_PX = 0.2
 """What all depths of a plane err alike."""
@@ -66,7 +69,7 @@ class _Laid:
     anchors: Bools
     """Depths that speak for the plane of their region."""
     spread: Float32s
-    """Of single depths about the plane; infinite where they tell none."""
+    """Of single depths about the plane."""
 
 
 @dataclass(frozen=True)
@@ -98,8 +101,6 @@ def apply_plane_priors(
     known = np.where(sure, scale * planes[0], np.float32(np.nan))
     found = planes_of_regions(regions, known, spacing)
     laid = _laid(regions, found, known, spacing)
-    checked = checked_planes(regions, found, propagation, support, sure, scale, max_cost, spacing)
-    _add(laid, checked.planes, checked.sigma)
     take = np.isfinite(laid.sigma) & (laid.planes[0] > 0)
     if take.any():
         trial = np.where(take, laid.planes / scale, np.float32(np.nan))
@@ -111,7 +112,7 @@ def apply_plane_priors(
         support.sources[take] = (sources | shown.sources | np.where(sure, support.sources, np.uint32(0)))[take]
     sigma = np.where(take, laid.sigma / scale, np.float32(np.nan)).astype(np.float32)
     steep = scale * np.hypot(planes[1], planes[2]) > _STEEP_PX  # the error leaves it on the surface, a pixel or less aside
-    return PlanePriors(sigma, checked.doubted & ~take & ~steep)
+    return PlanePriors(sigma, _doubted(regions, found) & ~take & ~steep)
 
 
 def _laid(regions: TexturelessRegions, found: Sequence[RegionPlane], known: Float32s, spacing: int) -> _Laid:
@@ -126,12 +127,17 @@ def _laid(regions: TexturelessRegions, found: Sequence[RegionPlane], known: Floa
     return laid
 
 
-def _add(laid: _Laid, planes: Float32s, sigma: Float32s) -> None:
-    """Planes (3, h, w) that regions have by sight, with their sigma (h, w), where no depths give one."""
-    take = np.isfinite(sigma) & np.isnan(laid.sigma)
-    laid.planes[:, take] = planes[:, take]
-    laid.sigma[take] = np.hypot(sigma[take], np.float32(_SHARED_PX))
-    laid.spread[take] = np.inf
+def _doubted(regions: TexturelessRegions, found: Sequence[RegionPlane]) -> Bools:
+    """(h, w): textureless regions whose depths tell no plane that is sure in their middle."""
+    doubtful = np.ones(len(regions.thick), bool)
+    doubtful[0] = False
+    boxes = ndimage.find_objects(regions.number)
+    for plane in found:
+        for k in plane.regions:
+            y, x = (np.array([(along.start + along.stop) // 2]) for along in boxes[k - 1])
+            if plane.variance(from_middle(x, y, regions.number.shape))[0] <= _SURE_PX**2:
+                doubtful[k] = False
+    return doubtful[regions.number]
 
 
 def _noisy(laid: _Laid, support: Support, scale: np.float32, spacing: int) -> Bools:
@@ -139,7 +145,7 @@ def _noisy(laid: _Laid, support: Support, scale: np.float32, spacing: int) -> Bo
     moves = _around(np.where(laid.anchors, np.sqrt(support.parallax), np.float32(0)), spacing)
     moves /= scale * np.maximum(_around(laid.anchors, spacing), 1)
     with np.errstate(invalid="ignore"):  # where no depth gives the plane, and none is near
-        return np.isinf(laid.spread) | (laid.spread * moves > _CHANCE_PX)
+        return laid.spread * moves > _CHANCE_PX
 
 
 def _relief(shown: Support, support: Support, both: Bools, spacing: int) -> Bools:
@@ -169,7 +175,7 @@ def _lay(laid: _Laid, plane: RegionPlane, where: tuple[slice, slice], lies: Bool
     allowed = _OFF_SIGMAS * plane.spread * np.sqrt(alike / np.maximum(near_around, 1))
     sigma = np.sqrt(plane.variance(at).reshape(lies.shape) + _SHARED_PX**2)
     take = lies & (known_around >= _FEWEST * spacing**2) & (near_around >= _AGREED * known_around)
-    take &= (np.abs(mean) <= allowed) & (sigma <= np.hypot(SURE_PX, _SHARED_PX))
+    take &= (np.abs(mean) <= allowed) & (sigma <= np.hypot(_SURE_PX, _SHARED_PX))
     take &= ~(laid.sigma[where] <= sigma)
     for layer, values in zip(laid.planes, (value, plane.plane[1], plane.plane[2]), strict=True):
         layer[where] = np.where(take, values, layer[where])

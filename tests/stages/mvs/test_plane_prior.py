@@ -125,11 +125,17 @@ def test_scatter_counts_in_pixels_of_the_source_that_sees_it(moves: float, noisy
     assert (flats._noisy(laid, support, scale, 1) == noisy).all()
 
 
-def test_a_wall_whose_depths_tell_no_plane_is_noisy_whatever_sees_it() -> None:
-    ones = np.ones(SHAPE, np.float32)
-    laid = flats._Laid(plane(*WALL)[None].repeat(3, 0), ones, np.zeros(SHAPE, bool), np.float32(np.inf) * ones)
-    support = Support(ones, ones, np.zeros(SHAPE, np.uint32), 0 * ones)
-    assert flats._noisy(laid, support, np.float32(5000), 1).all()
+def test_a_piece_of_plaster_whose_depths_are_chance_is_doubted_and_the_wall_around_is_not() -> None:
+    rng = np.random.default_rng(0)
+    usable = np.ones(SHAPE, bool)
+    usable[:, [69, 70, 71, 110, 111, 112]] = False
+    depths = noisy(plane(*WALL))
+    depths[:, 72:110] += rng.uniform(-12, 12, (SHAPE[0], 38)).astype(np.float32)
+    regions = textureless_regions(np.full((*SHAPE, 3), 200, np.uint8), usable, 1)
+    doubted = flats._doubted(regions, planes_of_regions(regions, depths, 1))
+    assert doubted[:, 73:109].all()
+    assert not doubted[:, :69].any()
+    assert not doubted[:, 113:].any()
 
 
 def faint(image: Uint8s, rng: np.random.Generator) -> Uint8s:
