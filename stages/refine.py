@@ -37,8 +37,8 @@ _SURE_COST = 0.3
 _SURE_ALONE = 0.05
 """What a single source shows so well must be believed, too."""
 
-_STEPS, _STEPS_AGAIN = 3, 2
-"""Of planes toward where all sources fit best: with slopes as they were found, then with those of the neighbours' depths."""
+_STEPS = 3
+"""Of planes toward where all sources fit best."""
 
 _FEW, _WIDE_DEG = 2, 80.0
 """Where fewer views see the scene from within the limits, those up to so many degrees aside make up for it."""
@@ -196,14 +196,10 @@ def _settled(
     spacing: int, least: int,
 ) -> Float32s:  # fmt: skip
     """Planes (3, h, w) on which their neighbours agree; and where patches have skipped pixels, moved to where all sources
-    together fit best on each of them.  Twice, since a patch that leans wrongly is moved wrongly, and neighbours whose depth is
-    right show how it leans."""
+    together fit best on each of them."""
     planes[0] = smoothed(image, scale * planes, cost, max_cost, spacing)[0] / scale
-    if least == spacing:
-        return planes
-    propagation.refine_photometrically(planes, radius, least, _STEPS)
-    planes = smoothed(image, scale * planes, cost, max_cost, least, rounds=2) / scale
-    propagation.refine_photometrically(planes, radius, least, _STEPS_AGAIN)
+    if least < spacing:
+        propagation.refine_photometrically(planes, radius, least, _STEPS)
     return planes
 
 

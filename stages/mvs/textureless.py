@@ -27,9 +27,6 @@ _BESIDE, _ALIKE = 3, 10
 _SMALLEST, _THICK = 40, 5
 """Pixels of a region; the way from its middle to its rim that it takes to tell a plane alone: narrow ones tilt."""
 
-_EVERY = 2
-"""Of so many pixels one is asked: the others say the same."""
-
 _LEAST, _FEWEST = 200, 15
 """Depths that tell a plane, and those with which a region may join one."""
 
@@ -120,12 +117,9 @@ def planes_of_regions(regions: TexturelessRegions, known: Float32s, spacing: int
     known : (h, w) inverse depths in pixels of a source, nan where there is none to be believed.
     spacing : pixels for each of an image 768 wide.
     """
-    alike = CORRELATED / _EVERY
     rng = np.random.default_rng(1)
     known_there = (regions.number > 0) & np.isfinite(known)
     y, x = (spacing * among for among in np.nonzero(known_there[::spacing, ::spacing]))
-    asked = (x + y) // spacing % _EVERY == 0
-    y, x = y[asked], x[asked]
     of = regions.number[y, x]
     order = np.argsort(of, kind="stable")
     y, x, of = y[order], x[order], of[order]
@@ -139,7 +133,7 @@ def planes_of_regions(regions: TexturelessRegions, known: Float32s, spacing: int
     for seed in (k for k in seeds for _ in range(2)):
         if len(free.get(seed, ())) < enough[seed]:
             continue
-        plane = _grown(at, d, free, seed, rng, alike)
+        plane = _grown(at, d, free, seed, rng)
         if plane is None:
             continue
         found.append(plane)
@@ -156,21 +150,19 @@ def from_middle(x: Int64s, y: Int64s, shape: tuple[int, ...]) -> Float64s:
     return np.column_stack([np.ones(len(x)), x - shape[1] / 2, y - shape[0] / 2])
 
 
-def _grown(
-    at: Float64s, d: Float64s, free: dict[int, Int64s], seed: int, rng: np.random.Generator, alike: float
-) -> RegionPlane | None:
+def _grown(at: Float64s, d: Float64s, free: dict[int, Int64s], seed: int, rng: np.random.Generator) -> RegionPlane | None:
     """The plane of a region, and of all others that lie on it."""
     mine = free[seed]
     start = _tried(at[mine], d[mine], rng)
-    plane = None if start is None else _fitted(at[mine], d[mine], start, (seed,), alike)
+    plane = None if start is None else _fitted(at[mine], d[mine], start, (seed,))
     for _ in range(_ROUNDS):
         if plane is None:
             return None
-        members = {seed} | {k for k, i in free.items() if _joins(at[i], d[i], plane, alike)}
+        members = {seed} | {k for k, i in free.items() if _joins(at[i], d[i], plane)}
         if members == set(plane.regions):
             break
         i = np.concatenate([free[k] for k in sorted(members)])
-        plane = _fitted(at[i], d[i], plane.plane, tuple(sorted(members)), alike)
+        plane = _fitted(at[i], d[i], plane.plane, tuple(sorted(members)))
     return plane
 
 
@@ -185,7 +177,7 @@ def _tried(at: Float64s, d: Float64s, rng: np.random.Generator) -> Float64s | No
     return np.asarray(planes[np.minimum(off, NEAR_PX).sum(axis=0).argmin()], dtype=np.float64)
 
 
-def _fitted(at: Float64s, d: Float64s, plane: Float64s, regions: tuple[int, ...], alike: float) -> RegionPlane | None:
+def _fitted(at: Float64s, d: Float64s, plane: Float64s, regions: tuple[int, ...]) -> RegionPlane | None:
     """Least squares with Tukey's weights, from a first plane; None where too few depths lie near it."""
     inverse, spread = np.eye(3), 0.0
     for _ in range(5):
@@ -201,12 +193,12 @@ def _fitted(at: Float64s, d: Float64s, plane: Float64s, regions: tuple[int, ...]
             return None
         inverse = np.linalg.inv(normal)
         plane = inverse @ np.einsum("ni,n->i", weighted, d)
-    return RegionPlane(plane, spread**2 * alike * inverse, spread, regions)
+    return RegionPlane(plane, spread**2 * CORRELATED * inverse, spread, regions)
 
 
-def _joins(at: Float64s, d: Float64s, plane: RegionPlane, alike: float) -> bool:
+def _joins(at: Float64s, d: Float64s, plane: RegionPlane) -> bool:
     """Do depths (n,) at places (n, 3) lie on a plane as noise does?"""
     off = d - at @ plane.plane
     variance = float(plane.variance(at.mean(axis=0)[None])[0])
-    noise = np.sqrt(variance + plane.spread**2 * min(1.0, alike / len(d)))
+    noise = np.sqrt(variance + plane.spread**2 * min(1.0, CORRELATED / len(d)))
     return bool(abs(np.median(off)) <= noise + _JOIN_PX and np.median(np.abs(off)) <= 1.2 * plane.spread + _JOIN_PX)
