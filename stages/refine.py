@@ -3,8 +3,9 @@
 Starting from the depth that pairs gave, planes are improved by what several photographs together show (`mvs.propagation`):
 matches that no single pair could keep are found, holes are filled from their rims and by what other views have there, and depth
 follows the view that shows a surface best.
-In the end planes vote on each other, as those of a pair do: what is cheapest of many trials by chance is outvoted.  Even
-surfaces are laid on planes of many pixels (`mvs.plane_prior`).
+Planes are then moved to where all sources together fit best (`mvs.photometric_refinement`), and vote on each other, as those of a
+pair do: what is cheapest of many trials by chance is outvoted.  Even surfaces are laid on planes of many pixels
+(`mvs.plane_prior`).
 
 References
 ----------
@@ -166,7 +167,8 @@ def _compared(
     nearest, farthest = np.percentile(planes[0][np.isfinite(planes[0])], [99.8, 0.2])
     cost = propagation.improve(planes, limits.sweeps, far, 0.9 * farthest, 1.1 * nearest, again=then is not None)
     scale = _pixels_per_inverse_depth(M, b, planes[0])
-    planes = _settled(planes, cost, propagation, image, scale, max_cost, limits.radius, spacing, least)
+    propagation.refine_photometrically(planes, limits.radius, least, _STEPS)
+    planes[0] = smoothed(image, scale * planes, cost, max_cost, spacing)[0] / scale
     support = propagation.support(planes, max_cost)
     kept = frame.mask & (support.first < max_cost)
     z, sigma = _depth_and_sigma(
@@ -189,18 +191,6 @@ def _stands(camera: Camera, then: Camera | None, depth: DepthMap, reference_dept
     if then is None or reference_depth is None or depth.depth.shape != reference_depth.depth.shape:
         return False
     return all(np.array_equal(now, was) for now, was in ((camera.K, then.K), (camera.R, then.R), (camera.C, then.C)))
-
-
-def _settled(
-    planes: Float32s, cost: Float32s, propagation: Propagation, image: Float32s, scale: np.float32, max_cost: float, radius: int,
-    spacing: int, least: int,
-) -> Float32s:  # fmt: skip
-    """Planes (3, h, w) on which their neighbours agree; and where patches have skipped pixels, moved to where all sources
-    together fit best on each of them."""
-    planes[0] = smoothed(image, scale * planes, cost, max_cost, spacing)[0] / scale
-    if least < spacing:
-        propagation.refine_photometrically(planes, radius, least, _STEPS)
-    return planes
 
 
 def _as_before(z: Float32s, sigma: Float32s, start: DepthMap) -> Bools:
