@@ -38,9 +38,6 @@ _SURE_COST = 0.3
 _SURE_ALONE = 0.05
 """What a single source shows so well must be believed, too."""
 
-_STEPS = 3
-"""Of planes toward where all sources fit best."""
-
 _FEW, _WIDE_DEG = 2, 80.0
 """Where fewer views see the scene from within the limits, those up to so many degrees aside make up for it."""
 
@@ -167,7 +164,7 @@ def _compared(
     nearest, farthest = np.percentile(planes[0][np.isfinite(planes[0])], [99.8, 0.2])
     cost = propagation.improve(planes, limits.sweeps, far, 0.9 * farthest, 1.1 * nearest, again=then is not None)
     scale = _pixels_per_inverse_depth(M, b, planes[0])
-    propagation.refine_photometrically(planes, limits.radius, least, _STEPS)
+    propagation.refine_photometrically(planes, limits.radius, least)
     planes[0] = smoothed(image, scale * planes, cost, max_cost, spacing)[0] / scale
     support = propagation.support(planes, max_cost)
     kept = frame.mask & (support.first < max_cost)

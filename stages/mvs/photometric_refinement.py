@@ -1,9 +1,9 @@
 """Depth on fractions of a pixel: each plane moved to where all sources together fit best.
 
 `mvs.kernels` looks for planes by the one source that shows them best, on every second pixel of a patch: right to within a pixel,
-but the cheapest of many trials by chance.  From there Gauss-Newton steps follow the slopes of all correlations at once, on every
-pixel of a patch whose centre weighs most.  With a the patch here and b its image in a source, both without their mean and of unit
-length, 1 - ab is half of |a - b|^2: a least-squares problem in the inverse depth q, in which
+but the cheapest of many trials by chance.  From there a Gauss-Newton step follows the slopes of all correlations at once, on
+every pixel of a patch whose centre weighs most; a second one gains nothing.  With a the patch here and b its image in a source,
+both without their mean and of unit length, 1 - ab is half of |a - b|^2: a least-squares problem in the inverse depth q, in which
 
     gradient = -a db/dq,    curvature = |db/dq|^2,    db/dq = (r - mean - b (b r)) / |patch|,    r = dI/dq,
 
@@ -32,16 +32,14 @@ _FLOOR = 0.02
 """Added to the cost of a source: no source is better than the grey levels' noise."""
 _HELD = 0.1
 """What speaks for the plane as it was, in squared share of a patch's contrast that one pixel of movement changes."""
-_STEP_PX, _FARTHEST_PX = 0.5, 2.0
-"""One step moves a plane by no more, in sources' pixels; who goes farther goes nowhere: a wrong plane is not put right so."""
+_STEP_PX = 0.5
+"""A plane moves by no more, in sources' pixels: a wrong one is not put right so."""
 _NEAREST = 1e-6
 _BLOCK = 128
 """Pixels of a row that are worked on together."""
 
 # Scratch is flat, in rows of _BLOCK at places known to the compiler.
-_Q, _FIRST, _A, _B, _U, _V, _UX, _UY, _VX, _VY, _DU, _DV, _SEEN, _PLACE, _FX, _FY, _CENTRE, _ROWS = (
-    i * _BLOCK for i in range(18)
-)
+_Q, _A, _B, _U, _V, _UX, _UY, _VX, _VY, _DU, _DV, _SEEN, _PLACE, _FX, _FY, _CENTRE, _ROWS = (i * _BLOCK for i in range(17))
 _R, _RR, _DR, _E, _EE, _RE, _DE, _SUMS = (i * _BLOCK for i in range(8))
 _W, _D, _DD, _WEIGHTS = (i * _BLOCK for i in range(4))
 _PUSH, _STIFF, _MOVED, _WEIGHT, _VOTES = (i * _BLOCK for i in range(5))
@@ -168,25 +166,21 @@ def _vote(window: Float32s, s: Float32s, sums: Float32s, votes: Float32s) -> Non
 
 @helper
 def _move(s: Float32s, votes: Float32s) -> None:
-    """One step of q, held by where it was first: `_HELD` for each vote, where q moves a source by so many pixels."""
+    """Move q, held by where it is: `_HELD` for each vote, where q moves a source by so many pixels."""
     zero, tiny = np.float32(0.0), np.float32(1e-12)
     for x in range(_BLOCK):
         per_pixel = np.float32(1.0) / np.sqrt(max(votes[_MOVED + x] / max(votes[_WEIGHT + x], tiny), tiny))
-        held = np.float32(_HELD) * votes[_MOVED + x]
-        away = s[_Q + x] - s[_FIRST + x]
-        step = (votes[_PUSH + x] - held * away) / max(votes[_STIFF + x] + held, tiny)
-        most = np.float32(_STEP_PX) * per_pixel
-        away += min(max(step, -most), most)
-        near = abs(away) <= np.float32(_FARTHEST_PX) * per_pixel
-        s[_Q + x] = s[_FIRST + x] + away if near & (votes[_WEIGHT + x] > zero) else s[_FIRST + x]
+        held, most = np.float32(_HELD) * votes[_MOVED + x], np.float32(_STEP_PX) * per_pixel
+        step = min(max(votes[_PUSH + x] / max(votes[_STIFF + x] + held, tiny), -most), most)
+        s[_Q + x] += step if votes[_WEIGHT + x] > zero else zero
 
 
 @kernel
 def refine_photometrically(
     image: Float32s, usable: Float32s, pairs: Uint64s, height: int, width: int, M: Float32s, b: Float32s, taps: Int32s,
-    fall: Float32s, reach: int, steps: int, planes: Float32s,
+    fall: Float32s, reach: int, planes: Float32s,
 ) -> None:  # fmt: skip
-    """Move planes in place, in so many steps.  `fall` (n,): what a patch's pixels weigh by their distance from its centre; all
+    """Move planes in place.  `fall` (n,): what a patch's pixels weigh by their distance from its centre; all
     else as in `mvs.kernels`."""
     h, w = planes.shape[1:]
     zero, far = np.float32(0.0), np.float32(np.abs(taps).max())
@@ -203,16 +197,14 @@ def refine_photometrically(
                 good = q[x] > zero
                 known += good
                 s[_Q + x], s[_A + x], s[_B + x] = (q[x], a[x], c[x]) if good else (zero, zero, zero)
-                s[_FIRST + x] = s[_Q + x]
             if known == 0:
                 continue
             _window(image, usable, taps, fall, reach, y, x0, n, window)
-            for _ in range(steps):
-                votes[:] = zero
-                for k in range(len(M)):
-                    _project(height, width, M, b, k, far, y, x0, s)
-                    _compare(pairs, height, width, k, taps, window, s, taken, sums)
-                    _vote(window, s, sums, votes)
-                _move(s, votes)
+            votes[:] = zero
+            for k in range(len(M)):
+                _project(height, width, M, b, k, far, y, x0, s)
+                _compare(pairs, height, width, k, taps, window, s, taken, sums)
+                _vote(window, s, sums, votes)
+            _move(s, votes)
             for x in range(n):
                 q[x] = s[_Q + x] if q[x] > zero else q[x]

@@ -82,7 +82,7 @@ class Propagation:
             )  # fmt: skip
         return cost
 
-    def refine_photometrically(self, planes: Float32s, radius: int, spacing: int, steps: int) -> None:
+    def refine_photometrically(self, planes: Float32s, radius: int, spacing: int) -> None:
         """Move planes (3, h, w) in place, by fractions of a pixel, to where all sources together fit best
         (`mvs.photometric_refinement`).
 
@@ -90,14 +90,13 @@ class Propagation:
         ----------
         planes : as `improve` leaves them.
         radius, spacing : of the patch, in steps of `spacing` pixels; both together no more than `taps` reach.
-        steps : of Gauss and Newton's.
         """
         near = range(-radius, radius + 1)
         offsets = np.array(sorted(((i, j) for j in near for i in near), key=lambda at: at != (0, 0)), np.int32)
         fall = np.exp(-2 * (offsets**2).sum(axis=1) / radius**2).astype(np.float32)
         refine_photometrically(
             self.image, self.usable, self.pairs, self.height, self.width, self.M, self.b, spacing * offsets, fall, self.reach,
-            steps, planes,
+            planes,
         )  # fmt: skip
 
     def support(self, planes: Float32s, limit: float) -> Support:
