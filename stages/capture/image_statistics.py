@@ -23,8 +23,9 @@ _SCALES, _SMOOTH = (1.0, 0.5, 0.25, 0.125), 1.5
 """At which a picture's differences are looked at; and the factor between two of them that no detail makes.  Fitted on a yard,
 fountain and entry at 768 pixels (0.9 to 1.44; enlarged or smeared: 1.6 to 1.9).  Judged on stadium, apron, hall, houses, yard by
 night, belvedere, square, pavilion: 1 pixel each as they are, 1.6 and more where enlarged three times or smeared by 9 px."""
-_FAINT, _FEWEST_EDGES = 24.0, 50
-"""Slopes (Sobel) below the first are noise; fewer edges than the second tell nothing."""
+_FAINT, _FEWEST_EDGES = 24.0, 15
+"""Slopes (Sobel) below the first are noise; fewer edges than the second tell nothing.  A quarter of 160 x 90 pixels has 50 to
+120, and 15 to 30 where it is out of focus."""
 
 
 @dataclass(frozen=True)
