@@ -37,7 +37,7 @@ class ImageStatistics:
     contrast: float
     """Standard deviation of their grey levels."""
     saturated: float
-    """Share of them that is black or white, beyond what the sensor can tell."""
+    """Share of them that is white, beyond what the sensor can tell."""
     sharpness: float
     """Standard deviation of their Laplacian as a share of the contrast: defocus, drops and dirt lower it, darkness doesn't."""
 
@@ -52,7 +52,7 @@ def image_statistics(image: Uint8s, usable: Bools) -> ImageStatistics:
     return ImageStatistics(
         brightness=float(levels.mean()),
         contrast=contrast,
-        saturated=float(np.mean((levels <= 2) | (levels >= 253))),
+        saturated=float(np.mean(levels >= 253)),
         sharpness=float(edges.std() / max(contrast, 1.0)),
     )
 

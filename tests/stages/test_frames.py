@@ -308,3 +308,9 @@ def test_what_the_mask_hides_is_not_looked_at() -> None:
     plain, masked = (clean_frame([capture(image)], Lens(), m) for m in (None, capture(mask, "mask.png")))
     assert plain.saturated > 0.49
     assert masked.saturated < 0.1
+
+
+def test_the_night_is_not_overexposed() -> None:
+    image = scene()
+    image[:, : WIDTH // 2] = 0
+    assert clean_frame([capture(image)], Lens(), None).saturated < 0.1

@@ -43,6 +43,7 @@ a yard 1.6 (88 % of its points right)."""
 NOISY = 10.0
 """So are those in which more grey levels of noise are left: with 13 a yard was right in 86 % of its points, with 6 in 95 %."""
 _SOFT: Mapping[str, float] = {"blur_px": SOFT_PX, "coarseness": COARSE, "noise_left": NOISY}
+_SHOWN = ("detail_px", "saturated")
 LEAST_MISFIT, UNRESOLVED = 1.1, 2.2
 """So are those with points whose errors are larger than expected by more than the first factor, and by more than the second times
 the pixels between details.  Fitted on a yard and a stadium: smeared by 5 px 2.0 (92 % of the points right), enlarged twice 2.2
@@ -52,6 +53,9 @@ BLURRED_BY_CODING = 2.1
 """So are those whose points' errors, over the expected ones, times how much JPEG's blocks stand out are more: quality 20 on two
 yards has 2.3 (86 % of the points right), on a stadium, platform and apron 2.8 to 3; as they are, thirteen scenes have 0.9 to 1.8,
 with quality 50 two yards and a platform 1.4 to 1.9 (91 to 92 % right)."""
+OVEREXPOSED = 0.5
+"""So are those of which more is pure white: photographs and rendered scenes have up to 0.03, with grey levels three times as high
+0.4 to 0.9 (a yard 0.66, 87 % of its points right); half is left to the sky."""
 APART_PX = 0.25
 """Depths that two pairs give to one view may differ by so much as a whole.  Under right cameras 0.02 to 0.16 (yard, apron,
 stadium, fountain, entry), with one moved by half a metre or turned by half a degree 0.38 to 2.1."""
@@ -360,13 +364,13 @@ def check_pictures(night: Night) -> Iterator[Finding]:
     used = [camera for camera in night.record.cameras if camera.ok]
     soft = {camera.id: _soft_figures(camera) for camera in used if _is_soft(camera) or _is_unresolved(camera)}
     if any(map(_is_soft, used)) or (soft and len(soft) >= SOFT_SHARE * len(used)):
-        worst = {name: max(figures[name] for figures in soft.values()) for name in (*_SOFT, "detail_px")}
+        worst = {name: max(figures[name] for figures in soft.values()) for name in (*_SOFT, *_SHOWN)}
         yield finding("pictures-soft", tuple(soft), worst, None, None, cameras=_names(soft), **worst)
 
 
 def _soft_figures(camera: CameraRecord) -> dict[str, float]:
     """Return how soft a camera's pictures are."""
-    return {name: float(getattr(camera.figures, name) or 0.0) for name in (*_SOFT, "detail_px")}
+    return {name: float(getattr(camera.figures, name) or 0.0) for name in (*_SOFT, *_SHOWN)}
 
 
 def _is_soft(camera: CameraRecord) -> bool:
@@ -376,10 +380,10 @@ def _is_soft(camera: CameraRecord) -> bool:
 
 
 def _is_unresolved(camera: CameraRecord) -> bool:
-    """Do a camera's points show that its pictures hold less than their pixels promise?"""
+    """Is much of a camera's pictures white, or do its points show that they hold less than their pixels promise?"""
     figures, misfit = _soft_figures(camera), camera.figures.misfit or 0.0
     unresolved = misfit > LEAST_MISFIT and misfit * figures["detail_px"] > UNRESOLVED
-    return unresolved or misfit * figures["coarseness"] > BLURRED_BY_CODING
+    return unresolved or misfit * figures["coarseness"] > BLURRED_BY_CODING or figures["saturated"] > OVEREXPOSED
 
 
 def check_calibration(night: Night) -> Iterator[Finding]:

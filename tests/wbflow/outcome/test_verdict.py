@@ -421,6 +421,14 @@ def test_coarsely_coded_pictures_are_soft_where_their_points_show_it(coarseness:
     assert [finding.kind for finding in found] == (["pictures-soft"] if soft else [])
 
 
+@pytest.mark.parametrize(("saturated", "blinded", "degraded"), [(0.45, 4, False), (0.6, 1, False), (0.6, 4, True)])
+def test_pictures_that_are_white_for_the_most_part_are_no_measure(saturated: float, blinded: int, degraded: bool) -> None:
+    cameras = [camera(name) for name in NAMES]
+    cameras[:blinded] = [replace(one, figures=CameraFigures(saturated=saturated)) for one in cameras[:blinded]]
+    found = verdict_of(night(cameras=cameras)).findings
+    assert [finding.kind for finding in found] == (["pictures-soft"] if degraded else [])
+
+
 @pytest.mark.parametrize("figures", [CameraFigures(blur_px=4.0), CameraFigures(noise_left=14.0), CameraFigures(coarseness=1.8)])
 def test_one_camera_out_of_focus_is_named_however_many_there_are(figures: CameraFigures) -> None:
     cameras = [camera(name) for name in NAMES]
