@@ -50,12 +50,12 @@ the pixels between details.  Fitted on a yard and a stadium: smeared by 5 px 2.0
 (90 %), smeared by 7 px 3.9 (86 %), enlarged three times 4.0 (78 %).  Judged on another yard (as it is 1.1, enlarged twice 2.7,
 smeared by 9 px 7), an apron (as it is 1.4, smeared 17), fountain, entry and belvedere (0.5 to 1.4)."""
 BLURRED_BY_CODING = 2.1
-"""So are those whose points' errors, over the expected ones, times how much JPEG's blocks stand out are more: quality 20 on two
-yards has 2.3 (86 % of the points right), on a stadium, platform and apron 2.8 to 3; as they are, thirteen scenes have 0.9 to 1.8,
-with quality 50 two yards and a platform 1.4 to 1.9 (91 to 92 % right)."""
+"""So are those whose points' errors, over the expected ones, times how much JPEG's blocks stand out are more.  Fitted on two
+yards: quality 20 has 2.3 (86 % of the points right), 50 1.4 (92 %).  Judged on a stadium, a platform and an apron (quality 20:
+2.8 to 3), a platform and houses (50: 1.9 and 91 %, 2.4 and 90 %), and fourteen scenes as they are (0.9 to 1.8)."""
 OVEREXPOSED = 0.5
-"""So are those of which more is pure white: photographs and rendered scenes have up to 0.03, with grey levels three times as high
-0.4 to 0.9 (a yard 0.66, 87 % of its points right); half is left to the sky."""
+"""So are those of which more is pure white: photographs and rendered scenes have up to 0.03; by day, with grey levels three times
+as high, 0.4 to 0.9 (a yard 0.66, 87 % of its points right).  The sky of a grey day may be white, too."""
 APART_PX = 0.25
 """Depths that two pairs give to one view may differ by so much as a whole.  Under right cameras 0.02 to 0.16 (yard, apron,
 stadium, fountain, entry), with one moved by half a metre or turned by half a degree 0.38 to 2.1."""
