@@ -58,8 +58,8 @@ def image_statistics(image: Uint8s, usable: Bools) -> ImageStatistics:
 
 
 def blur_px(image: Uint8s, usable: Bools) -> float:
-    """Standard deviation in pixels of the blur of the sharper edges in the softest quarter of a picture (h, w, 3); nan where it
-    has no edges.  Quarters that have few are passed over.
+    """Standard deviation in pixels of the blur of the sharper edges in the softest part of a picture (h, w, 3): a quarter, or an
+    outer third; nan where it has no edges.  Parts that have few are passed over.
 
     An edge that is blurred once more, by one pixel, loses the more of its slope the sharper it was; neither contrast nor the
     scene changes the ratio.  Of the strongest twentieth of a quarter's slopes the sharpest quarter counts, since depth of field
@@ -72,10 +72,10 @@ def blur_px(image: Uint8s, usable: Bools) -> float:
     grey = cv2.GaussianBlur(grey_levels(image).astype(np.float32), (0, 0), _PREPARED_PX)
     slope, again = (_slope(grey), _slope(cv2.GaussianBlur(grey, (0, 0), 1.0)))
     inside = cv2.erode(usable.astype(np.uint8), np.ones((9, 9), np.uint8)).astype(bool)
-    h, w = (side // 2 for side in usable.shape)
-    whole = (slice(None), slice(None))
-    quarters = [(y, x) for y in (slice(h), slice(h, None)) for x in (slice(w), slice(w, None))]
-    found = [_blur_px(slope[part], again[part], inside[part]) for part in (*quarters, whole)]
+    (h, w), whole = usable.shape, slice(None)
+    quarters = [(y, x) for y in (slice(h // 2), slice(h // 2, None)) for x in (slice(w // 2), slice(w // 2, None))]
+    thirds = [(slice(h // 3), whole), (slice(-(h // 3), None), whole), (whole, slice(w // 3)), (whole, slice(-(w // 3), None))]
+    found = [_blur_px(slope[part], again[part], inside[part]) for part in (*quarters, *thirds, (whole, whole))]
     return max((blur for blur in found if np.isfinite(blur)), default=float("nan"))
 
 

@@ -42,6 +42,14 @@ def test_a_lens_that_is_tilted_is_as_soft_as_its_softest_quarter(rows: int, colu
     assert measured(soft) > 2.0
 
 
+@pytest.mark.parametrize("side", range(4))
+def test_of_a_small_photograph_too_whichever_side_is_soft(picture: np.ndarray, side: int) -> None:
+    turned = np.rot90(picture, side)
+    soft = cv2.GaussianBlur(turned, (0, 0), 4.0)
+    soft[:, : turned.shape[1] // 2] = turned[:, : turned.shape[1] // 2]
+    assert measured(np.rot90(soft, -side)) > 1.3
+
+
 def test_a_picture_without_edges_has_no_blur() -> None:
     assert np.isnan(measured(np.full((90, 160, 3), 120.0)))
 
