@@ -42,7 +42,7 @@ def fuse(
     component: int = 0,
     min_consistent_pairs: int = 1,
     voxel_m: float | None = None,
-    confidence: float = 0.5,
+    confidence: float = 0.6,
     right: float = 0.9,
     check_views: int = 16,
 ) -> Cloud | Rejected:
