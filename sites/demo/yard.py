@@ -8,13 +8,13 @@ import numpy as np
 
 from .parts import ground, weak
 from .parts.movers import movers
-from .parts.structures import UP, Box, Opening, barrels, container, crane, crates, facade, heap, lamp_post
+from .parts.structures import Box, Opening, barrels, container, crane, crates, facade, heap, lamp_post
 from .render import textures as paint
 from .render.cameras import CENTRE, MOUNTS, choose_mounts
 from .render.light import light_of
 from .render.paint import Rng
 from .render.photograph import DemoSite, Night, Shots, photograph
-from .render.scene import GLOWING, STATIC, WATER, Scene, SceneBuilder
+from .render.scene import GLOWING, STATIC, UP, WATER, Scene, SceneBuilder
 
 WALL_TOP, SHED_TOP = 9.2, 8.0
 LAMPS = (

@@ -10,7 +10,7 @@ from wbflow_stages.types import Float64s
 
 from ..render import Place
 from ..render.paint import Colour, Rng
-from ..render.scene import MOVING, Scene, SceneBuilder
+from ..render.scene import MOVING, Scene, SceneBuilder, axes_of
 from ..render.textures import cloth, painted_steel, sign_board
 from .street import car, car_textures
 
@@ -19,6 +19,7 @@ Way = tuple[tuple[float, float], tuple[float, float]]
 
 CLOTHES = ((0.75, 0.32, 0.02), (0.10, 0.16, 0.35), (0.45, 0.05, 0.04), (0.55, 0.55, 0.08), (0.06, 0.06, 0.07), (0.25, 0.35, 0.22))
 
+SKIN: Colour = (0.45, 0.27, 0.19)
 PAINTS = ((0.62, 0.62, 0.60), (0.60, 0.40, 0.03), (0.08, 0.18, 0.42))
 
 ROUTES: tuple[Way, ...] = (
@@ -35,9 +36,7 @@ def movers(rng: Rng, texel_m: float, captures: int, *, people: int = 9, vehicles
     """Return the same people and vehicles at other places of the routes for each capture; all scenes share their textures."""
     build = SceneBuilder()
     build.kind = MOVING
-    skin, dark, glass = (
-        build.add_texture(cloth(rng, texel_m, c)) for c in ((0.45, 0.27, 0.19), (0.035, 0.035, 0.04), (0.05, 0.07, 0.08))
-    )
+    skin, dark, glass = (build.add_texture(cloth(rng, texel_m, c)) for c in (SKIN, (0.035, 0.035, 0.04), (0.05, 0.07, 0.08)))
     clothes = [build.add_texture(cloth(rng, texel_m, c)) for c in CLOTHES]
     helmets = [build.add_texture(cloth(rng, texel_m, c)) for c in ((0.75, 0.65, 0.05), (0.7, 0.7, 0.68), (0.1, 0.25, 0.5))]
     worn = rng.integers(len(clothes), size=(people, 2))
@@ -63,13 +62,11 @@ def person(build: SceneBuilder, rng: Rng, place: Place, yaw: float, look: tuple[
     """Add a walker of about 1.75 m, one leg forward; `look`: textures of jacket, trousers, skin, helmet."""
     jacket, trousers, skin, helmet = look
     x, y, _ = place
-    ahead, side = np.array([np.cos(yaw), np.sin(yaw), 0]), np.array([-np.sin(yaw), np.cos(yaw), 0])
+    ahead, side = axes_of(yaw)
     step = 0.18 * float(rng.uniform(0.3, 1.2))
-    hip = np.array([x, y, 0.88])
     for sign in (-1, 1):
-        build.beam(
-            hip + 0.09 * sign * side, hip + 0.09 * sign * side + sign * step * ahead - np.array([0, 0, 0.88]), 0.15, trousers
-        )
+        hip = np.array([x, y, 0.88]) + 0.09 * sign * side
+        build.beam(hip, hip + sign * step * ahead - np.array([0, 0, 0.88]), 0.15, trousers)
         shoulder = np.array([x, y, 1.42]) + 0.22 * sign * side
         build.beam(shoulder, shoulder - sign * step * ahead - np.array([0, 0, 0.6]), 0.10, jacket)
     build.ball((x, y, 1.18), (0.21, 0.21, 0.36), jacket, steps=6)
@@ -80,7 +77,7 @@ def person(build: SceneBuilder, rng: Rng, place: Place, yaw: float, look: tuple[
 def van(build: SceneBuilder, place: Place, yaw: float, look: tuple[int, int, int, int]) -> None:
     """Add a delivery van of 4.8 m."""
     paint, board, dark, glass = look
-    ahead = np.array([np.cos(yaw), np.sin(yaw), 0])
+    ahead, _ = axes_of(yaw)
     p = np.array(place)
     build.box(p - 0.6 * ahead + (0, 0, 0.45), (3.4, 1.95, 1.95), paint, yaw=yaw, sides=board)
     build.box(p + 1.75 * ahead + (0, 0, 0.45), (1.3, 1.9, 0.95), paint, yaw=yaw)
@@ -90,7 +87,7 @@ def van(build: SceneBuilder, place: Place, yaw: float, look: tuple[int, int, int
 
 def _forklift(build: SceneBuilder, place: Place, yaw: float, paint: int, dark: int) -> None:
     """Add a forklift of 2.4 m with its mast."""
-    ahead, side = np.array([np.cos(yaw), np.sin(yaw), 0]), np.array([-np.sin(yaw), np.cos(yaw), 0])
+    ahead, side = axes_of(yaw)
     p = np.array(place)
     build.box(p - 0.2 * ahead + (0, 0, 0.3), (1.9, 1.15, 0.9), paint, yaw=yaw)
     for a in (-0.7, 0.5):
@@ -105,7 +102,7 @@ def _forklift(build: SceneBuilder, place: Place, yaw: float, paint: int, dark: i
 
 def _wheels(build: SceneBuilder, p: Float64s, yaw: float, a: float, s: float, radius: float, dark: int) -> None:
     """Add four wheels."""
-    ahead, side = np.array([np.cos(yaw), np.sin(yaw), 0]), np.array([-np.sin(yaw), np.cos(yaw), 0])
+    ahead, side = axes_of(yaw)
     for i in (-a, a):
         for j in (-s, s):
             build.ball(p + i * ahead + j * side + (0, 0, radius), (radius, radius, radius), dark, steps=5)
@@ -124,7 +121,7 @@ def traffic(
     """Return the same people and cars at other places of their ways for each capture; all scenes share their textures."""
     build = SceneBuilder()
     build.kind = MOVING
-    skin = build.add_texture(cloth(rng, texel_m, (0.45, 0.27, 0.19)))
+    skin = build.add_texture(cloth(rng, texel_m, SKIN))
     coats = [build.add_texture(cloth(rng, texel_m, c)) for c in COATS]
     hair = [build.add_texture(cloth(rng, texel_m, c)) for c in HAIR]
     worn = rng.integers(len(coats), size=(people, 2))

@@ -55,25 +55,22 @@ def car(build: SceneBuilder, look: CarTextures, colour: int, *, length: float = 
     part.box((0.0, 0.0, 0.26), (length, wide, 0.28), look.dark, sides=body)
     part.box((0.0, 0.0, 0.54), (length - 0.12, wide, 0.34), body)
     # the cabin: glass all round, under a painted roof
-    low = np.array([(0.95, 0.80), (-1.75, 0.80), (-1.75, -0.80), (0.95, -0.80)]) * (length / 4.3, 1)
-    top = np.array([(0.25, 0.62), (-1.20, 0.62), (-1.20, -0.62), (0.25, -0.62)]) * (length / 4.3, 1)
-    for k in range(4):
-        a, b = low[k], low[(k + 1) % 4]
-        c, d = top[k], top[(k + 1) % 4]
-        corners = np.array([[*a, 0.88], [*b, 0.88], [*d, 1.44], [*c, 1.44]])
-        along = (corners[1] - corners[0]) / np.linalg.norm(corners[1] - corners[0])
-        for triangle in (corners[[0, 1, 2]], corners[[0, 2, 3]]):
-            part.triangle(triangle, along, np.array([0, 0, -1.0]), look.glass)
-        part.beam((*a, 0.88), (*c, 1.44), 0.07, body)
+    low = [np.array([x * (length / 4.3), y, 0.88]) for x, y in ((0.95, 0.80), (-1.75, 0.80), (-1.75, -0.80), (0.95, -0.80))]
+    top = [np.array([x * (length / 4.3), y, 1.44]) for x, y in ((0.25, 0.62), (-1.20, 0.62), (-1.20, -0.62), (0.25, -0.62))]
+    for k, (a, c) in enumerate(zip(low, top, strict=True)):
+        b, d = low[(k + 1) % 4], top[(k + 1) % 4]
+        for corners in (np.array([a, b, d]), np.array([a, d, c])):
+            part.triangle(corners, (b - a) / np.linalg.norm(b - a), (0, 0, -1), look.glass)
+        part.beam(a, c, 0.07, body)
     part.box((-0.475 * length / 4.3, 0.0, 1.43), (1.5 * length / 4.3, 1.28, 0.05), body)
     for along in (-0.30 * length, 0.31 * length):
         for side in (-0.74, 0.74):
             part.ball((along, side, 0.31), (0.31, 0.17, 0.31), look.dark, steps=5)
     for side in (-0.62, 0.62):
         part.box((half - 0.03, side, 0.58), (0.08, 0.34, 0.16), look.light)
-        part.box((-half + 0.03, side, 0.60), (0.08, 0.30, 0.16), look.paints[4 % len(look.paints)])
-    part.box((half, 0.0, 0.40), (0.52, 0.03, 0.12), look.plate, yaw=np.pi / 2)
-    part.box((-half, 0.0, 0.42), (0.52, 0.03, 0.12), look.plate, yaw=np.pi / 2)
+        part.box((-half + 0.03, side, 0.60), (0.08, 0.30, 0.16), look.paints[4])
+    for end, height in ((half, 0.40), (-half, 0.42)):
+        part.box((end, 0.0, height), (0.52, 0.03, 0.12), look.plate, yaw=np.pi / 2)
     return part
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,10 +11,8 @@ import numpy as np
 from wbflow_stages.types import Float64s
 
 from ..render.paint import Rng
-from ..render.scene import SceneBuilder
+from ..render.scene import UP, SceneBuilder, axes_of
 from ..render.textures import container_roof, container_side, painted_steel
-
-UP = np.array([0.0, 0.0, 1.0])
 
 
 @dataclass(frozen=True)
@@ -47,7 +46,7 @@ def facade(
     right: Float64s,
     size: tuple[float, float],
     wall: int,
-    openings: list[Opening],
+    openings: Sequence[Opening],
     sill: int,
 ) -> None:
     """Add a wall with openings: `corner` top left and `right` unit direction as seen from outside, `size` = (width, height).
@@ -83,62 +82,53 @@ def _recess(build: SceneBuilder, corner: Float64s, right: Float64s, inward: Floa
 
 def container(build: SceneBuilder, rng: Rng, texel_m: float, box: Box) -> None:
     """Add a shipping container: ribbed walls painted one by one, corner posts, door end with bars."""
-    yaw, length, colour, name = box.yaw, box.length, box.colour, box.name
-    width, height, post = 2.44, 2.59, 0.16
-    ahead, side = np.array([np.cos(yaw), np.sin(yaw), 0]), np.array([-np.sin(yaw), np.cos(yaw), 0])
+    length, width, height = box.length, 2.44, 2.59
+    ahead, side = axes_of(box.yaw)
     foot = np.array([box.x, box.y, 2.6 * box.level])
-    serial = f"{name[:3]}U {rng.integers(100000, 999999)} {rng.integers(10)}"
+    serial = f"{box.name[:3]}U {rng.integers(100000, 999999)} {rng.integers(10)}"
     for sign in (-1, 1):
         right, outward = -sign * ahead, sign * side
-        long_side = build.add_texture(container_side(rng, length, height, texel_m, colour, name, serial))
-        corner = foot - right * length / 2 + outward * width / 2 + height * UP
-        _ribs(build, corner, right, outward, length, height, post, long_side)
-        end = build.add_texture(container_side(rng, width, height, texel_m, colour, name if sign > 0 else "", serial))
-        across, away = (side if sign > 0 else -side), sign * ahead
-        corner = foot - across * width / 2 + away * length / 2 + height * UP
+        paint = build.add_texture(container_side(rng, length, height, texel_m, box.colour, box.name, serial))
+        _ribs(build, foot - right * length / 2 + outward * width / 2 + height * UP, right, outward, (length, height), paint)
+        right, outward = sign * side, sign * ahead
+        name = box.name if sign > 0 else ""
+        paint = build.add_texture(container_side(rng, width, height, texel_m, box.colour, name, serial))
+        corner = foot - right * width / 2 + outward * length / 2 + height * UP
         if sign > 0:
-            _ribs(build, corner, across, away, width, height, post, end)
+            _ribs(build, corner, right, outward, (width, height), paint)
         else:
-            build.quad(corner, across * width, -height * UP, end)
-            for bar in (0.45, 0.95, 1.5, 2.0):
-                build.beam(
-                    corner + bar * across + 0.04 * away - 0.05 * UP,
-                    corner + bar * across + 0.04 * away - (height - 0.05) * UP,
-                    0.05,
-                    end,
-                )
-    roof = build.add_texture(container_roof(rng, length, width, texel_m, colour))
+            build.quad(corner, right * width, -height * UP, paint)
+            for at in (0.45, 0.95, 1.5, 2.0):
+                bar = corner + at * right + 0.04 * outward
+                build.beam(bar - 0.05 * UP, bar - (height - 0.05) * UP, 0.05, paint)
+    roof = build.add_texture(container_roof(rng, length, width, texel_m, box.colour))
     build.quad(foot - ahead * length / 2 + side * width / 2 + height * UP, ahead * length, -side * width, roof)
 
 
+_POST, _DEEP = 0.16, 0.036
+_PROFILE = ((0.0, 0.0), (0.25, 0.0), (0.5, -_DEEP), (0.75, -_DEEP), (1.0, 0.0))
+"""Of a rib: how far along it, and how far out, metres."""
+
+
 def _ribs(
-    build: SceneBuilder,
-    corner: Float64s,
-    right: Float64s,
-    outward: Float64s,
-    length: float,
-    height: float,
-    post: float,
-    texture: int,
+    build: SceneBuilder, corner: Float64s, right: Float64s, outward: Float64s, size: tuple[float, float], texture: int
 ) -> None:
-    """Add a corrugated wall between posts and rails: trapezoids of 0.28 m, 36 mm deep; its texture runs straight across."""
-    pitch, deep = 0.28, 0.036
-    down = -(height - 2 * post) * UP
-    build.quad(corner, length * right, -post * UP, texture)
-    build.quad(corner - (height - post) * UP, length * right, -post * UP, texture, (0.0, height - post))
-    for at in (0.0, length - post):
-        build.quad(corner + at * right - post * UP, post * right, down, texture, (at, post))
-    inner = length - 2 * post
-    count = max(int(inner / pitch), 1)
+    """Add a corrugated wall between posts and rails: trapezoids of about 0.28 m; its texture runs straight across."""
+    length, height = size
+    down = -(height - 2 * _POST) * UP
+    build.quad(corner, length * right, -_POST * UP, texture)
+    build.quad(corner - (height - _POST) * UP, length * right, -_POST * UP, texture, (0.0, height - _POST))
+    for at in (0.0, length - _POST):
+        build.quad(corner + at * right - _POST * UP, _POST * right, down, texture, (at, _POST))
+    inner = length - 2 * _POST
+    count = max(int(inner / 0.28), 1)
     pitch = inner / count
-    top = corner + post * right - post * UP
+    top = corner + _POST * right - _POST * UP
     for k in range(count):
-        x = k * pitch
-        profile = ((0.0, 0.0), (0.25, 0.0), (0.5, -deep), (0.75, -deep), (1.0, 0.0))
-        for (a, za), (b, zb) in itertools.pairwise(profile):
-            start = top + (x + a * pitch) * right + za * outward
-            step = (b - a) * pitch * right + (zb - za) * outward
-            build.quad(start, step, down, texture, (post + x + a * pitch, post), run=right)
+        for (a, out_a), (b, out_b) in itertools.pairwise(_PROFILE):
+            x = k * pitch + a * pitch
+            step = (b - a) * pitch * right + (out_b - out_a) * outward
+            build.quad(top + x * right + out_a * outward, step, down, texture, (_POST + k * pitch + a * pitch, _POST), run=right)
 
 
 def crane(
@@ -149,9 +139,8 @@ def crane(
     striped = build.add_texture(painted_steel(rng, 3.0, 2.0, texel_m, (0.62, 0.42, 0.03), stripes=True))
     base = np.array([*foot, 0.0])
     build.box(base, (3.0, 3.0, 1.0), striped)
-    _lattice(build, base + 1.0 * UP, np.array([1.0, 0, 0]), np.array([0, 1.0, 0]), UP, 1.5, height - 1.0, yellow)
-    ahead = np.array([np.cos(bearing), np.sin(bearing), 0])
-    aside = np.array([-ahead[1], ahead[0], 0])
+    _lattice(build, base + 1.0 * UP, *axes_of(0.0), UP, 1.5, height - 1.0, yellow)
+    ahead, aside = axes_of(bearing)
     build.box(base + height * UP, (2.4, 2.2, 2.1), yellow, yaw=bearing)
     build.box(base - 3.2 * ahead + height * UP, (2.2, 1.8, 1.2), striped, yaw=bearing)
     build.beam(base - 3.0 * ahead + (height + 0.2) * UP, base + (height + 0.2) * UP, 0.5, yellow)
@@ -207,18 +196,11 @@ def heap(
     x, y = np.meshgrid(side, side)
     z = height * (1 - (np.hypot(x, y) / radius) ** 1.3) + 0.04 * rng.standard_normal(x.shape)
     grid = np.stack([x + place[0], y + place[1], z], axis=-1)
-    for i in range(steps):
-        for j in range(steps):
-            a, b, c, d = grid[i, j], grid[i, j + 1], grid[i + 1, j + 1], grid[i + 1, j]
-            for corners in ((a, b, c), (a, c, d)):
-                if max(p[2] for p in corners) > 0:
-                    build.triangle(
-                        np.array(corners),
-                        np.array([1.0, 0, 0]),
-                        np.array([0, 1.0, 0]),
-                        texture,
-                        (x[i, j] + radius, y[i, j] + radius),
-                    )
+    for i, j in np.ndindex(steps, steps):
+        (a, b), (d, c) = grid[i : i + 2, j : j + 2]
+        for corners in (np.array([a, b, c]), np.array([a, c, d])):
+            if corners[:, 2].max() > 0:
+                build.triangle(corners, (1, 0, 0), (0, 1, 0), texture, (float(x[i, j]) + radius, float(y[i, j]) + radius))
 
 
 def lamp_post(build: SceneBuilder, place: tuple[float, float], height: float, steel: int) -> None:

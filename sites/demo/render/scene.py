@@ -6,16 +6,18 @@ texture position by two dot products and facets may share one texture (walls bet
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from wbflow_stages.types import Float32s, Float64s, Int32s, Uint8s
 
 from .paint import Texture
 
 Vector = tuple[float, float, float] | Float64s
+UP = np.array([0.0, 0.0, 1.0])
 
 STATIC, MOVING, WATER, GLOWING = 0, 1, 2, 3
 """Kinds of facets: what stands still, what moves between captures, water (drawn, but no truth for a reconstruction), lamps."""
@@ -42,14 +44,20 @@ class Scene:
     textures: tuple[Texture, ...]
 
 
+_Facet = tuple[Float64s, Float64s, Float64s, Float64s, tuple[float, float], int, int]
+"""A triangle before it is frozen: corners (3, 3), and origin, u, v, offsets, texture and kind as `Scene` has them."""
+
+
+VECTORS = ("vertices", "normals", "origins", "along_u", "along_v", "offsets")
+"""What a `Scene` holds as float32."""
+
+
 class SceneBuilder:
     """Collects facets; `build` freezes them.  Textures are referred to by the number `add_texture` returns."""
 
     def __init__(self) -> None:
         self._textures: list[Texture] = []
-        self._corners: list[Float64s] = []
-        self._axes: list[tuple[Float64s, Float64s, Float64s, tuple[float, float]]] = []
-        self._paint: list[tuple[int, int]] = []
+        self._facets: list[_Facet] = []
         self.kind = STATIC
 
     def with_same_textures(self) -> SceneBuilder:
@@ -72,21 +80,23 @@ class SceneBuilder:
         at: tuple[float, float] = (0.0, 0.0),
         run: Vector | None = None,
     ) -> None:
-        """Add a parallelogram seen from its front: top-left `corner`, edges `right` and `down`."""
-        c, r, d = (np.asarray(v, np.float64) for v in (corner, right, down))
-        u = np.asarray(run, np.float64) if run is not None else r / np.linalg.norm(r)
-        v = d / np.linalg.norm(d)
-        v = v - (v @ u) * u if run is None else v
-        for triangle in ((c, c + d, c + r), (c + r, c + d, c + r + d)):
-            self._corners.append(np.array(triangle))
-            self._axes.append((c, u, v, at))
-            self._paint.append((texture, self.kind))
+        """Add a parallelogram seen from its front: top-left `corner`, edges `right` and `down`.
 
-    def triangle(self, corners: Float64s, u: Float64s, v: Float64s, texture: int, at: tuple[float, float] = (0.0, 0.0)) -> None:
+        run: along which the texture lies, where that is not `right`."""
+        c, r, d = (np.asarray(v, np.float64) for v in (corner, right, down))
+        v = d / np.linalg.norm(d)
+        if run is None:
+            u = r / np.linalg.norm(r)
+            v = v - (v @ u) * u
+        else:
+            u = np.asarray(run, np.float64)
+        for triangle in ((c, c + d, c + r), (c + r, c + d, c + r + d)):
+            self._facets.append((np.array(triangle), c, u, v, at, texture, self.kind))
+
+    def triangle(self, corners: Float64s, u: Vector, v: Vector, texture: int, at: tuple[float, float] = (0.0, 0.0)) -> None:
         """Add one triangle, corners (3, 3) counter-clockwise from its front; texture axes u, v from its first corner."""
-        self._corners.append(np.asarray(corners, np.float64))
-        self._axes.append((np.asarray(corners[0], np.float64), np.asarray(u, np.float64), np.asarray(v, np.float64), at))
-        self._paint.append((texture, self.kind))
+        c, u, v = (np.asarray(a, np.float64) for a in (corners, u, v))
+        self._facets.append((c, c[0], u, v, at, texture, self.kind))
 
     def box(
         self,
@@ -100,107 +110,91 @@ class SceneBuilder:
         at: float = 0.0,
     ) -> None:
         """Add a box, given the centre of its foot; `sides` replaces `texture` on upright faces, `front` on the one facing -y."""
-        x, y, z = (float(s) for s in size)
-        ex, ey, ez = np.array([np.cos(yaw), np.sin(yaw), 0]), np.array([-np.sin(yaw), np.cos(yaw), 0]), np.array([0, 0, 1.0])
-        foot = np.asarray(base, np.float64)
+        width, depth, height = (float(s) for s in size)
+        foot, across, back = np.asarray(base, np.float64), *axes_of(yaw)
+        x, y, z = across * width, back * depth, np.array([0, 0, height])
 
         def corner(a: float, b: float, c: float) -> Float64s:
-            return np.asarray(foot + a * x / 2 * ex + b * y / 2 * ey + c * z * ez, np.float64)
+            return np.asarray(foot + a * width / 2 * across + b * depth / 2 * back + c * z, np.float64)
 
         wall = texture if sides is None else sides
-        self.quad(corner(-1, -1, 1), ex * x, -ez * z, wall if front is None else front, (at, 0.0))
-        self.quad(corner(1, -1, 1), ey * y, -ez * z, wall, (at + x, 0.0))
-        self.quad(corner(1, 1, 1), -ex * x, -ez * z, wall, (at, 0.0))
-        self.quad(corner(-1, 1, 1), -ey * y, -ez * z, wall, (at + x, 0.0))
-        self.quad(corner(-1, 1, 1), ex * x, -ey * y, texture, (at, z))
-        self.quad(corner(-1, -1, 0), ex * x, ey * y, texture, (at, z))
+        self.quad(corner(-1, -1, 1), x, -z, wall if front is None else front, (at, 0.0))
+        self.quad(corner(1, -1, 1), y, -z, wall, (at + width, 0.0))
+        self.quad(corner(1, 1, 1), -x, -z, wall, (at, 0.0))
+        self.quad(corner(-1, 1, 1), -y, -z, wall, (at + width, 0.0))
+        self.quad(corner(-1, 1, 1), x, -y, texture, (at, height))
+        self.quad(corner(-1, -1, 0), x, y, texture, (at, height))
 
     def beam(self, start: Vector, end: Vector, thick: float, texture: int, *, at: float = 0.0) -> None:
         """Add a square bar between two points."""
-        a, b = np.asarray(start, np.float64), np.asarray(end, np.float64)
-        along = b - a
-        length = float(np.linalg.norm(along))
-        axis = along / length
+        a = np.asarray(start, np.float64)
+        along = np.asarray(end, np.float64) - a
+        axis = along / float(np.linalg.norm(along))
         side = np.cross(axis, (0, 0, 1.0) if abs(axis[2]) < 0.95 else (0, 1.0, 0))
         side /= np.linalg.norm(side)
         other = np.cross(axis, side)
-        half = thick / 2
         for p, q in ((other, side), (-side, other), (-other, -side), (side, -other)):
             # seen from outside along -p, with the beam's axis pointing down the picture
-            self.quad(a + half * p - half * q, thick * q, along, texture, (at, at))
+            self.quad(a + thick / 2 * p - thick / 2 * q, thick * q, along, texture, (at, at))
 
     def tube(self, base: Vector, radius: float, height: float, texture: int, *, sides: int = 14, top: bool = True) -> None:
         """Add an upright cylinder; the texture runs around it."""
-        foot = np.asarray(base, np.float64)
         turn = np.linspace(0, 2 * np.pi, sides + 1)
-        ring = foot + np.column_stack([radius * np.cos(turn), radius * np.sin(turn), np.zeros(sides + 1)])
-        lift = np.array([0, 0, height])
-        for k in range(sides):
-            step = ring[k + 1] - ring[k]
-            self.quad(ring[k] + lift, step, -lift, texture, (float(k * np.linalg.norm(step)), 0.0))
+        circle = np.column_stack([radius * np.cos(turn), radius * np.sin(turn), np.zeros(sides + 1)])
+        foot, lift = np.asarray(base, np.float64), np.array([0, 0, height])
+        rim = foot + circle + lift
+        for k, (start, end) in enumerate(itertools.pairwise(foot + circle)):
+            step = end - start
+            self.quad(start + lift, step, -lift, texture, (float(k * np.linalg.norm(step)), 0.0))
             if top:
-                cap = np.array([foot + lift, ring[k] + lift, ring[k + 1] + lift])
-                self.triangle(cap, np.array([1.0, 0, 0]), np.array([0, 1.0, 0]), texture, (radius, radius))
+                self.triangle(np.array([foot + lift, *rim[k : k + 2]]), (1, 0, 0), (0, 1, 0), texture, (radius, radius))
 
     def ball(self, centre: Vector, radii: Vector, texture: int, *, steps: int = 8) -> None:
         """Add an ellipsoid of `steps` x 2 `steps` facets: heads, shoulders, wheels seen from afar."""
-        c, r = np.asarray(centre, np.float64), np.asarray(radii, np.float64)
-        theta = np.linspace(0, np.pi, steps + 1)
-        phi = np.linspace(0, 2 * np.pi, 2 * steps + 1)
-
-        def point(i: int, j: int) -> Float64s:
-            direction = np.array([np.sin(theta[i]) * np.cos(phi[j]), np.sin(theta[i]) * np.sin(phi[j]), np.cos(theta[i])])
-            return np.asarray(c + r * direction, np.float64)
-
-        for i in range(steps):
-            for j in range(2 * steps):
-                a, b, d, e = point(i, j), point(i + 1, j), point(i, j + 1), point(i + 1, j + 1)
-                u = np.array([-np.sin(phi[j]), np.cos(phi[j]), 0])
-                v = np.array([0, 0, -1.0])
-                if i < steps - 1:
-                    self.triangle(np.array([a, b, e]), u, v, texture, (0.3 * j, 0.3 * i))
-                if i > 0:
-                    self.triangle(np.array([a, e, d]), u, v, texture, (0.3 * j, 0.3 * i))
+        down, around = np.linspace(0, np.pi, steps + 1)[:, None], np.linspace(0, 2 * np.pi, 2 * steps + 1)
+        height = np.broadcast_to(np.cos(down), (steps + 1, 2 * steps + 1))
+        unit = np.stack([np.sin(down) * np.cos(around), np.sin(down) * np.sin(around), height], axis=-1)
+        surface = np.asarray(centre, np.float64) + np.asarray(radii, np.float64) * unit
+        for i, j in np.ndindex(steps, 2 * steps):
+            (a, d), (b, e) = surface[i : i + 2, j : j + 2]
+            u, at = np.array([-np.sin(around[j]), np.cos(around[j]), 0.0]), (0.3 * j, 0.3 * i)
+            # at the poles one of the two has no area
+            if i < steps - 1:
+                self.triangle(np.array([a, b, e]), u, (0, 0, -1), texture, at)
+            if i > 0:
+                self.triangle(np.array([a, e, d]), u, (0, 0, -1), texture, at)
 
     def stamp(self, part: SceneBuilder, at: Vector = (0.0, 0.0, 0.0), *, yaw: float = 0.0, quarters: int = 0) -> None:
         """Add a copy of a part that shares this builder's textures.
 
         It is turned by `yaw` radians and by exactly `quarters` right angles about its origin, then moved to `at`, metres."""
-        c, s = np.cos(yaw), np.sin(yaw)
         quarter = np.linalg.matrix_power(np.array([[0, -1.0, 0], [1.0, 0, 0], [0, 0, 1.0]]), quarters % 4)
-        turn = quarter @ np.array([[c, -s, 0], [s, c, 0], [0, 0, 1.0]])
+        turn = quarter @ np.column_stack([*axes_of(yaw), UP])
+        corners, origins, u, v = (np.array(column) @ turn.T for column in list(zip(*part._facets, strict=True))[:4])
         move = np.asarray(at, np.float64)
-        self._corners.extend(np.array(part._corners) @ turn.T + move)
-        origins, u, v = (np.array([axis[k] for axis in part._axes]) for k in range(3))
-        moved = zip(origins @ turn.T + move, u @ turn.T, v @ turn.T, part._axes, strict=True)
-        self._axes.extend((o, a, b, axis[3]) for o, a, b, axis in moved)
-        self._paint.extend(part._paint)
+        for facet, *moved in zip(part._facets, corners + move, origins + move, u, v, strict=True):
+            self._facets.append((*moved, *facet[4:]))
 
     def build(self) -> Scene:
         """Return the scene as arrays."""
-        corners = np.array(self._corners)
+        corners, origins, u, v, offsets, textures, kinds = (np.array(column) for column in zip(*self._facets, strict=True))
         normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-        columns = [np.array([axis[k] for axis in self._axes], np.float32) for k in range(4)]
-        paint: npt.NDArray[np.int64] = np.array(self._paint, np.int64)
+        floats = zip(VECTORS, (corners.reshape(-1, 3), normals, origins, u, v, offsets), strict=True)
+        vectors: dict[str, Any] = {name: column.astype(np.float32) for name, column in floats}
         return Scene(
-            vertices=corners.reshape(-1, 3).astype(np.float32),
-            normals=normals.astype(np.float32),
-            origins=columns[0],
-            along_u=columns[1],
-            along_v=columns[2],
-            offsets=columns[3],
-            texture_of=paint[:, 0].astype(np.int32),
-            kinds=paint[:, 1].astype(np.uint8),
-            textures=tuple(self._textures),
+            **vectors, texture_of=textures.astype(np.int32), kinds=kinds.astype(np.uint8), textures=tuple(self._textures)
         )
+
+
+def axes_of(yaw: float) -> tuple[Float64s, Float64s]:
+    """Return (3,) unit vectors ahead and to the left of what heads `yaw` radians north of east."""
+    c, s = np.cos(yaw), np.sin(yaw)
+    return np.array([c, s, 0]), np.array([-s, c, 0])
 
 
 def joined(scene: Scene, movers: Scene) -> Scene:
     """Return both scenes as one; facets of `scene` come first."""
-    pairs = {
-        name: np.concatenate([getattr(scene, name), getattr(movers, name)])
-        for name in ("vertices", "normals", "origins", "along_u", "along_v", "offsets", "kinds")
-    }
+    both = {name: np.concatenate([getattr(scene, name), getattr(movers, name)]) for name in (*VECTORS, "kinds")}
     texture_of = np.concatenate([scene.texture_of, movers.texture_of + len(scene.textures)]).astype(np.int32)
-    return Scene(**pairs, texture_of=texture_of, textures=scene.textures + movers.textures)
+    return Scene(**both, texture_of=texture_of, textures=scene.textures + movers.textures)
