@@ -5,37 +5,38 @@ What each ray meets is worked out once for each camera and state of the yard, an
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from datetime import datetime
 
 import cv2
 import numpy as np
-import open3d as o3d
 
-from wbflow_stages.types import Camera, Cloud, Float32s, Float64s, Lens, Placement, Uint8s
+from wbflow_stages.types import Camera, Cloud, Float32s, Float64s, Lens, Uint8s
 
 from .depot import containers
 from .parts.movers import PAINTS, movers, van
 from .parts.structures import Box, container
+from .render import textures as paint
 from .render.cameras import MOUNTS, Viewpoint, camera_at, choose_mounts
 from .render.paint import Rng
 from .render.photograph import (
     DemoCamera,
+    Frame,
     Shots,
     captures,
+    frames_of,
     shade_pixels,
     trace_pixels,
     true_depth,
     undistorted_colours,
 )
-from .render.reference import reference_cloud
-from .render.renderer import Hits, PreparedScene, build_atlas
+from .render.reference import TrueView, reference_cloud
+from .render.renderer import Hits, PreparedScene, build_atlas, ray_scene, tensor
 from .render.scene import STATIC, Scene, SceneBuilder, joined
 from .render.sensor import burn_clock, clock_mask, develop, jpeg, sensor_of
-from .render.textures import cloth, painted_steel, planks, sign_board
-from .script import Hour, Stay, event_of, frame_time, hour_of, stays, turned_axes, weather_of
+from .script import CameraEvent, Hour, Stay, event_of, frame_time, hour_of, stays, turned_axes, weather_of
 from .yard import static_yard
 
 RASTER_M = 0.01
@@ -57,12 +58,20 @@ class Things:
     def __init__(self, rng: Rng, texel_m: float) -> None:
         self._all = SceneBuilder()
         self._all.kind = STATIC
-        self._parts = {
-            "container": self._container(rng, texel_m),
-            "vehicle": self._vehicle(rng, texel_m),
-            "stack": self._stack(rng, texel_m),
-            "crate": self._crate(rng, texel_m),
-        }
+        self._parts = {name: self._all.with_same_textures() for name in ("container", "vehicle", "stack", "crate")}
+        add = self._all.add_texture
+        container(self._parts["container"], rng, texel_m, Box(0.0, 0.0, 0, 0.0, 6.06, (0.44, 0.20, 0.04), "WESER"))
+        blue = add(paint.painted_steel(rng, 2.5, 2.5, texel_m, PAINTS[2]))
+        board = add(paint.sign_board(rng, 3.0, 1.5, texel_m, ("ELEKTRO", "KRUSE"), (0.50, 0.48, 0.42), (0.3, 0.05, 0.04)))
+        dark, glass = (add(paint.cloth(rng, texel_m, tone)) for tone in ((0.035, 0.035, 0.04), (0.05, 0.07, 0.08)))
+        van(self._parts["vehicle"], (0.0, 0.0, 0.0), 0.0, (blue, board, dark, glass))
+        for level, tone in enumerate(((0.36, 0.25, 0.14), (0.42, 0.33, 0.2), (0.30, 0.22, 0.15))):
+            wood = add(paint.planks(rng, 5.0, 1.5, texel_m, tone))
+            self._parts["stack"].box((0.0, 0.0, 0.65 * level), (2.4, 1.6, 0.65), wood)
+        words = ("PUMPE 3", "OBEN  450 KG")
+        sides = add(paint.sign_board(rng, 4.0, 1.3, texel_m, words, (0.38, 0.28, 0.16), (0.05, 0.04, 0.04)))
+        lid = add(paint.planks(rng, 5.0, 1.5, texel_m))
+        self._parts["crate"].box((0.0, 0.0, 0.0), (1.6, 1.2, 1.3), lid, sides=sides)
 
     def scene(self, there: Mapping[str, Stay]) -> Scene:
         """Return the things of a night as a scene; `there`: at least one."""
@@ -75,44 +84,13 @@ class Things:
         """Return the size of a thing, and its volume by rays from above, one for each cell of RASTER_M."""
         corners = self._parts[name].build().vertices
         low, high = corners.min(axis=0), corners.max(axis=0)
-        rays = o3d.t.geometry.RaycastingScene()
-        index = np.arange(len(corners), dtype=np.uint32).reshape(-1, 3)
-        rays.add_triangles(o3d.core.Tensor.from_numpy(corners), o3d.core.Tensor.from_numpy(index))
-        x, y = (np.arange(low[k] + RASTER_M / 2, high[k], RASTER_M) for k in range(2))
-        down = np.zeros((len(x) * len(y), 6), np.float32)
-        down[:, :2] = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
-        down[:, 2], down[:, 5] = high[2] + 1, -1
-        distance = rays.cast_rays(o3d.core.Tensor.from_numpy(down))["t_hit"].numpy()
+        x, y = np.meshgrid(*(np.arange(low[k] + RASTER_M / 2, high[k], RASTER_M) for k in range(2)))
+        origins = np.column_stack([x.ravel(), y.ravel(), np.full(x.size, high[2] + 1)])
+        down = np.broadcast_to([0.0, 0.0, -1.0], origins.shape)
+        distance = ray_scene(corners).cast_rays(tensor(np.hstack([origins, down]).astype(np.float32)))["t_hit"].numpy()
         height = np.where(np.isfinite(distance), high[2] + 1 - distance, 0).astype(np.float64)
         length, width, top = (float(v) for v in (high[0] - low[0], high[1] - low[1], high[2]))
         return Extent((length, width, top), float(height.sum() * RASTER_M**2))
-
-    def _container(self, rng: Rng, texel_m: float) -> SceneBuilder:
-        part = self._all.with_same_textures()
-        container(part, rng, texel_m, Box(0.0, 0.0, 0, 0.0, 6.06, (0.44, 0.20, 0.04), "WESER"))
-        return part
-
-    def _vehicle(self, rng: Rng, texel_m: float) -> SceneBuilder:
-        part = self._all.with_same_textures()
-        paint = part.add_texture(painted_steel(rng, 2.5, 2.5, texel_m, PAINTS[2]))
-        board = part.add_texture(sign_board(rng, 3.0, 1.5, texel_m, ("ELEKTRO", "KRUSE"), (0.50, 0.48, 0.42), (0.3, 0.05, 0.04)))
-        dark, glass = (part.add_texture(cloth(rng, texel_m, c)) for c in ((0.035, 0.035, 0.04), (0.05, 0.07, 0.08)))
-        van(part, (0.0, 0.0, 0.0), 0.0, (paint, board, dark, glass))
-        return part
-
-    def _stack(self, rng: Rng, texel_m: float) -> SceneBuilder:
-        part = self._all.with_same_textures()
-        for level, tone in enumerate(((0.36, 0.25, 0.14), (0.42, 0.33, 0.2), (0.30, 0.22, 0.15))):
-            part.box((0.0, 0.0, 0.65 * level), (2.4, 1.6, 0.65), part.add_texture(planks(rng, 5.0, 1.5, texel_m, tone)))
-        return part
-
-    def _crate(self, rng: Rng, texel_m: float) -> SceneBuilder:
-        part = self._all.with_same_textures()
-        sides = sign_board(rng, 4.0, 1.3, texel_m, ("PUMPE 3", "OBEN  450 KG"), (0.38, 0.28, 0.16), (0.05, 0.04, 0.04))
-        part.box(
-            (0.0, 0.0, 0.0), (1.6, 1.2, 1.3), part.add_texture(planks(rng, 5.0, 1.5, texel_m)), sides=part.add_texture(sides)
-        )
-        return part
 
 
 PEOPLE, VEHICLES = 6, 2
@@ -163,14 +141,7 @@ class _NightScene:
     """The first night with the same things at the same places."""
     hour: Hour
     still: PreparedScene
-    busy: tuple[PreparedScene, ...]
-    moving: tuple[Scene, ...]
-
-
-@dataclass(frozen=True)
-class _Shoot:
-    nights: tuple[_NightScene, ...]
-    shots: Shots
+    frames: tuple[Frame, ...]
 
 
 def yard_nights(nights: int, shots: Shots) -> NightsSite:
@@ -182,15 +153,13 @@ def yard_nights(nights: int, shots: Shots) -> NightsSite:
     if nights < 1:
         raise ValueError(f"at least one night can be rendered, not {nights}")
     things = Things(shots.random(4), _texel_m(shots))
-    shoot = _Shoot(tuple(_scenes(things, nights, shots)), shots)
+    scenes = list(_scenes(things, nights, shots))
     with ThreadPoolExecutor(shots.threads) as pool:
-        done = list(pool.map(lambda mount: _camera_nights(shoot, mount), choose_mounts(shots.cameras)))
-    rows = [each.camera for each in done]
-    pinholes, depths, colors = [c.camera for c in rows], [c.depth for c in rows], [undistorted_colours(c) for c in rows]
+        done = list(pool.map(lambda mount: _camera_nights(scenes, shots, mount), choose_mounts(shots.cameras)))
     voxel_m = shots.voxel_m(51.2)
-    reference = reference_cloud(pinholes, depths, [each.normals for each in done], colors, voxel_m)
+    views = [TrueView(c.camera.camera, c.camera.depth, c.normals, undistorted_colours(c.camera)) for c in done]
     names = dict.fromkeys(name for night in range(1, nights + 1) for name in stays(night))
-    return NightsSite(tuple(done), reference, voxel_m, {name: things.extent(name) for name in names})
+    return NightsSite(tuple(done), reference_cloud(views, voxel_m), voxel_m, {name: things.extent(name) for name in names})
 
 
 def moving(nights: int, shots: Shots) -> list[Scene]:
@@ -204,11 +173,9 @@ def _texel_m(shots: Shots) -> float:
 
 def _scenes(things: Things, nights: int, shots: Shots) -> Iterator[_NightScene]:
     """Yield the yard of each night, empty and at each frame; all share textures and sky."""
-    frames = shots.captures
     yard = static_yard(shots.random(1), _texel_m(shots))
     traffic = moving(nights, shots)
-    whole = joined(joined(yard, things.scene(stays(1))), traffic[0])
-    atlas = build_atlas(whole.textures)
+    atlas = build_atlas(yard.textures + things.scene(stays(1)).textures + traffic[0].textures)
     sky = PreparedScene(yard, hour_of("noon").light, atlas).sky
     there: dict[str, Stay] = {}
     epoch = 1
@@ -216,74 +183,64 @@ def _scenes(things: Things, nights: int, shots: Shots) -> Iterator[_NightScene]:
         if stays(night) != there:
             there, epoch = stays(night), night
         hour = hour_of(weather_of(night))
-        empty = joined(yard, things.scene(there))
-        tonight = tuple(traffic[(night - 1) * frames : night * frames])
-        busy = tuple(PreparedScene(joined(empty, each), hour.light, atlas, sky) for each in tonight)
-        yield _NightScene(night, epoch, hour, PreparedScene(empty, hour.light, atlas, sky), busy, tonight)
+        empty = PreparedScene(joined(yard, things.scene(there)), hour.light, atlas, sky)
+        tonight = traffic[(night - 1) * shots.captures : night * shots.captures]
+        yield _NightScene(night, epoch, hour, empty, frames_of(empty, tonight))
 
 
-def _camera_nights(shoot: _Shoot, viewpoint: Viewpoint) -> CameraNights:
+def _camera_nights(nights: Sequence[_NightScene], shots: Shots, viewpoint: Viewpoint) -> CameraNights:
     """Return all nights of one camera, and its truth."""
-    camera, lens = camera_at(viewpoint, shoot.shots.size)
-    done: list[NightOfCamera] = []
-    depths: dict[int, Float32s] = {}
+    name = viewpoint.name
+    camera, lens = camera_at(viewpoint, shots.size)
+    depth, normals = true_depth(nights[0].still, camera)
+    depths = {1: depth}
     first: tuple[Uint8s, ...] = ()
-    normals = np.zeros(0, np.float32)
-    seen: Hits | None = None
-    for night in shoot.nights:
+    done: list[NightOfCamera] = []
+    seen: dict[int, Hits] = {}
+    for night in nights:
         if night.epoch not in depths:
-            depths[night.epoch], its_normals = true_depth(night.still, camera)
-            normals = its_normals if night.number == 1 else normals
-            seen = None
-        event = event_of(night.number, viewpoint.name)
-        turn = turned_axes(event, float(camera.K[0, 0])) if event.what in ("turned", "nudged") else np.eye(3)
-        times = [frame_time(night.number, k, sum(viewpoint.name.encode()) % 11) for k in range(len(night.busy))]
+            depths[night.epoch], _ = true_depth(night.still, camera)
+        if night.epoch not in seen:
+            seen = {night.epoch: trace_pixels(night.still, camera, lens, np.arange(camera.width * camera.height))}
+        event = event_of(night.number, name)
+        turn = turned_axes(event, float(camera.K[0, 0]))
+        times = [frame_time(night.number, k, sum(name.encode()) % 11) for k in range(shots.captures)]
         if event.what == "frozen" and done:
-            stuck = done[-1].frames[-1][1]
-            done.append(NightOfCamera(tuple((time, stuck) for time in times), turn))
-            continue
-        if event.what in ("turned", "nudged"):
-            images = list(_photographed(shoot, night, replace(camera, R=turn @ camera.R), lens, viewpoint.name, None))
-        elif event.what == "foreign":
-            images = list(containers(replace(shoot.shots, cameras=1, threads=1)).cameras[0].captures)
-        elif event.what == "covered":
-            images = [_covered(shoot, night, viewpoint.name, k) for k in range(len(times))]
+            files = [done[-1].frames[-1][1]] * len(times)
         else:
-            seen = seen or trace_pixels(night.still, camera, lens, np.arange(camera.width * camera.height))
-            images = list(_photographed(shoot, night, camera, lens, viewpoint.name, seen))
-        clocks = [f"{viewpoint.name.upper()}  {time:%Y-%m-%d  %H:%M:%S}" for time in times]
-        pictures = [burn_clock(image, clock) for image, clock in zip(images, clocks, strict=True)]
-        first = first or tuple(pictures)
-        done.append(NightOfCamera(tuple((time, jpeg(p)) for time, p in zip(times, pictures, strict=True)), turn))
-    placement = Placement(R=camera.R, C=camera.C)
+            images = _images(night, shots, event, replace(camera, R=turn @ camera.R), lens, seen[night.epoch])
+            pictures = tuple(burn_clock(image, name, time) for image, time in zip(images, times, strict=True))
+            first = first or pictures
+            files = [jpeg(picture) for picture in pictures]
+        done.append(NightOfCamera(tuple(zip(times, files, strict=True)), turn))
     taken = tuple(time for time, _ in done[0].frames)
-    demo = DemoCamera(viewpoint.name, first, taken, clock_mask(shoot.shots.size), depths[1], camera, lens, placement)
+    demo = DemoCamera(name, first, taken, clock_mask(shots.size), depth, camera, lens)
     return CameraNights(demo, normals, tuple(done), depths)
 
 
-def _photographed(
-    shoot: _Shoot, night: _NightScene, camera: Camera, lens: Lens, name: str, seen: Hits | None
-) -> Iterator[Uint8s]:
-    """Return the frames of a camera that sees the yard; `seen`: what its rays hit in the empty yard, where known."""
-    if seen is None:
+def _images(night: _NightScene, shots: Shots, event: CameraEvent, camera: Camera, lens: Lens, seen: Hits) -> Iterable[Uint8s]:
+    """Return the frames of a camera as it stands in a night; `seen`: what its rays would hit, had nobody turned it."""
+    rngs = [np.random.default_rng([*_seed(shots, event.camera), night.number, k]) for k in range(shots.captures)]
+    if event.what == "foreign":
+        return containers(replace(shots, cameras=1, threads=1)).cameras[0].captures
+    if event.what == "covered":
+        folds = np.random.default_rng([shots.seed, 5, night.number]).uniform(0.035, 0.14, (4, 6, 1))
+        return [_tarpaulin(folds, shots.size, rng) for rng in rngs]
+    if event.what != "none":
         seen = trace_pixels(night.still, camera, lens, np.arange(camera.width * camera.height))
-    sensor = sensor_of(np.random.default_rng([shoot.shots.seed, 3, sum(name.encode())]), night.hour.sensor)
+    sensor = sensor_of(np.random.default_rng(_seed(shots, event.camera)), night.hour.sensor)
     if night.hour.rain:
         sensor = replace(sensor, gain=1.4 * sensor.gain, full_well=sensor.full_well / 4)
     still = shade_pixels(night.still, seen).reshape(camera.height, camera.width, 3)
-    rngs = [_rng(shoot, night, name, k) for k in range(len(night.busy))]
-    return captures(still, list(zip(night.busy, night.moving, rngs, strict=True)), camera, lens, sensor, night.hour.rain)
+    return captures(still, night.frames, rngs, camera, lens, sensor, night.hour.rain)
 
 
-def _covered(shoot: _Shoot, night: _NightScene, name: str, frame: int) -> Uint8s:
-    """Return a frame of a tarpaulin before the lens: light from one side, no detail; it flaps a little."""
-    width, height = shoot.shots.size
-    folds = np.random.default_rng([shoot.shots.seed, 5, night.number]).uniform(0.035, 0.14, (4, 6, 1))
-    rng = _rng(shoot, night, name, frame)
-    folds = (folds + rng.normal(0, 0.004, folds.shape)) * np.array([0.8, 0.95, 1.0])
-    radiance = np.asarray(cv2.resize(folds.astype(np.float32), (width, height), interpolation=cv2.INTER_CUBIC))
+def _tarpaulin(folds: Float64s, size: tuple[int, int], rng: Rng) -> Uint8s:
+    """Return a frame of a tarpaulin before the lens: light from one side, no detail; its `folds` (4, 6, 1) flap a little."""
+    tinted = (folds + rng.normal(0, 0.004, folds.shape)) * np.array([0.8, 0.95, 1.0])
+    radiance = np.asarray(cv2.resize(tinted.astype(np.float32), size, interpolation=cv2.INTER_CUBIC))
     return develop(radiance, sensor_of(rng, "day"), 1.0, rng)
 
 
-def _rng(shoot: _Shoot, night: _NightScene, name: str, frame: int) -> np.random.Generator:
-    return np.random.default_rng([shoot.shots.seed, 3, sum(name.encode()), night.number, frame])
+def _seed(shots: Shots, camera: str) -> list[int]:
+    return [shots.seed, 3, sum(camera.encode())]

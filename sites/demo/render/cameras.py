@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -22,10 +22,9 @@ class Viewpoint:
     """A fixed camera."""
 
     name: str
-    centre: tuple[float, float, float]
-    """Metres."""
-    target: tuple[float, float, float]
-    """What it looks at, metres."""
+    centre: Place
+    target: Place
+    """What it looks at."""
     hfov_deg: float
     distortion: tuple[float, ...]
     """Coefficients of the lens: of a brown one k1 k2 p1 p2 k3."""
@@ -104,22 +103,18 @@ def camera_at(viewpoint: Viewpoint, size: tuple[int, int]) -> tuple[Camera, Lens
     Of a fisheye the first has its pose, size and K, but is no pinhole.
     """
     width, height = size
-    focal = 0.5 * width / _relative_half_width(viewpoint)
+    angle = np.deg2rad(viewpoint.hfov_deg) / 2
+    half_width = float(np.tan(angle))
+    if viewpoint.model == "fisheye" or viewpoint.whole_picture:
+        lens = Lens(K=np.eye(3), distortion=np.array(viewpoint.distortion), model=viewpoint.model)
+        half_width = float(lens_pixels(lens, np.array([[np.sin(angle), 0.0, np.cos(angle)]]))[0, 0])
+    focal = 0.5 * width / half_width
     shift = 0.006 * width * np.array(viewpoint.shift)
     K = np.array([[focal, 0, (width - 1) / 2 + shift[0]], [0, focal, (height - 1) / 2 + shift[1]], [0, 0, 1.0]])
     centre = np.array(viewpoint.centre)
     R = look_at(centre, np.array(viewpoint.target), roll_deg=viewpoint.roll_deg)
     lens = Lens(K=K, distortion=np.array(viewpoint.distortion), width=width, height=height, model=viewpoint.model)
     return Camera(K, R, centre, width, height), lens
-
-
-def _relative_half_width(viewpoint: Viewpoint) -> float:
-    """Return half the width of the picture over the focal length."""
-    angle = np.deg2rad(viewpoint.hfov_deg) / 2
-    if viewpoint.model == "fisheye" or viewpoint.whole_picture:
-        lens = Lens(K=np.eye(3), distortion=np.array(viewpoint.distortion), model=viewpoint.model)
-        return float(lens_pixels(lens, np.array([[np.sin(angle), 0.0, np.cos(angle)]]))[0, 0])
-    return float(np.tan(angle))
 
 
 @kernel
@@ -191,20 +186,20 @@ VARIANTS = {
 }
 """What each is."""
 
-_FISHEYE = (-0.012, 0.004, -0.0011, 0.0001)
-"""k1..k4 of a lens that is nearly equidistant."""
-_BARREL = (-0.15, 0.02, 0.0004, -0.0003, 0.0)
+_FISHEYE = {"model": "fisheye", "distortion": (-0.012, 0.004, -0.0011, 0.0001), "hfov_deg": 180.0, "scale": 2.0}
+"""Nearly equidistant."""
+_BARREL = {"distortion": (-0.15, 0.02, 0.0004, -0.0003, 0.0), "hfov_deg": 100.0, "whole_picture": True, "scale": 1.5}
+_CHANGES: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {
+    "standard": ({}, {}),
+    "fisheye": ({}, _FISHEYE),
+    "brown": (_BARREL, _BARREL),
+    "mixed": ({"scale": 0.5}, {"scale": 2.0}),
+}
+"""To a scene's first, third, ... camera, and to its second, fourth, ..."""
 
 
 def with_lenses(viewpoint: Viewpoint, k: int, lenses: str) -> Viewpoint:
     """Return a scene's k-th camera with the lens of a row of `VARIANTS`.  Raises ValueError for another row."""
     if lenses not in VARIANTS:
         raise ValueError(f"lenses are {', '.join(VARIANTS)}, not {lenses!r}")
-    every_second = k % 2 == 1
-    if lenses == "fisheye" and every_second:
-        return replace(viewpoint, model="fisheye", distortion=_FISHEYE, hfov_deg=180.0, scale=2.0)
-    if lenses == "brown":
-        return replace(viewpoint, distortion=_BARREL, hfov_deg=100.0, whole_picture=True, scale=1.5)
-    if lenses == "mixed":
-        return replace(viewpoint, scale=2.0 if every_second else 0.5)
-    return viewpoint
+    return replace(viewpoint, **_CHANGES[lenses][k % 2])

@@ -10,7 +10,7 @@ from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from datetime import datetime, timedelta
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -18,11 +18,12 @@ import numpy.typing as npt
 from wbflow_stages.capture.wide import views_of_lens
 from wbflow_stages.core.cameras import project
 from wbflow_stages.core.lenses import lens_pixels
-from wbflow_stages.types import Bools, Camera, Cloud, Float32s, Float64s, Lens, Placement, Uint8s
+from wbflow_stages.types import Bools, Camera, Cloud, Float32s, Float64s, Lens, Uint8s
 
 from .cameras import Viewpoint, camera_at, distort, pixel_rays, with_lenses
 from .light import Light
-from .reference import reference_cloud
+from .paint import Rng
+from .reference import TrueView, reference_cloud
 from .renderer import Hits, PreparedScene, SkyGrid, build_atlas, shade, trace
 from .scene import WATER, Scene, joined
 from .sensor import Sensor, add_rain, burn_clock, clock_mask, develop, sensor_of
@@ -67,7 +68,7 @@ class Shots:
         """Return the same for a cell of the reference cloud, in whole centimetres and at least two."""
         return float(np.clip(round(width_m / self.size[0], 2), 0.02, coarsest_m))
 
-    def random(self, part: int) -> np.random.Generator:
+    def random(self, part: int) -> Rng:
         """Return the random numbers of one part of the scene."""
         return np.random.default_rng([self.seed, part])
 
@@ -81,6 +82,11 @@ FIRST_CAPTURE = {
 
 SAMPLES = 2
 """Samples along each side of a pixel."""
+ROW, COLUMN = np.divmod(np.arange(SAMPLES * SAMPLES), SAMPLES)
+"""Of each sample within its pixel."""
+BATCH = 65536
+"""Pixels that are rendered at a time."""
+Indices = npt.NDArray[np.int64]
 
 
 @dataclass(frozen=True)
@@ -100,8 +106,6 @@ class DemoCamera:
     camera: Camera
     """That undistorted view."""
     lens: Lens
-    placement: Placement
-    """The same as a site file would state them."""
 
 
 @dataclass(frozen=True)
@@ -131,74 +135,65 @@ class Night:
     """Sky visibility of the empty scene; None: computed."""
 
 
-@dataclass(frozen=True)
-class _Shoot:
-    """A scene ready to be rendered: empty, and with its movers at each capture."""
+class Frame(NamedTuple):
+    """What a capture shows."""
 
-    empty: PreparedScene
-    busy: tuple[PreparedScene, ...]
-    movers: tuple[Scene, ...]
-    light: Daytime
-    seed: int
+    scene: PreparedScene
+    moving: Scene
+    """The part of it that is elsewhere in other captures."""
+
+
+def frames_of(empty: PreparedScene, traffic: Sequence[Scene]) -> tuple[Frame, ...]:
+    """Return a prepared scene with its traffic at each capture, in the same light."""
+    return tuple(Frame(PreparedScene(joined(empty.scene, each), empty.light, empty.atlas, empty.sky), each) for each in traffic)
 
 
 def photograph(night: Night, shots: Shots, voxel_m: float) -> DemoSite:
     """Take the pictures of all cameras, several at a time; `voxel_m`: cell of the reference cloud, metres."""
-    scenes = [joined(night.still, each) for each in night.traffic]
-    atlas = build_atlas(scenes[0].textures)
+    atlas = build_atlas(night.still.textures + night.traffic[0].textures)
     empty = PreparedScene(night.still, night.lighting, atlas, night.sky)
-    busy = tuple(PreparedScene(scene, empty.light, atlas, empty.sky) for scene in scenes)
-    shoot = _Shoot(empty, busy, night.traffic, shots.light, shots.seed)
+    frames = frames_of(empty, night.traffic)
+    viewpoints = [with_lenses(viewpoint, k, shots.lenses) for k, viewpoint in enumerate(night.viewpoints)]
     with ThreadPoolExecutor(shots.threads) as pool:
-        viewpoints = [with_lenses(viewpoint, k, shots.lenses) for k, viewpoint in enumerate(night.viewpoints)]
-        done = list(pool.map(lambda viewpoint: _photograph(shoot, viewpoint, viewpoint.size(shots.size)), viewpoints))
-    views = [view for _, seen in done for view in seen]
-    pinholes, depths, normals, colors = zip(*views, strict=True)
-    return DemoSite(tuple(camera for camera, _ in done), reference_cloud(pinholes, depths, normals, colors, voxel_m), voxel_m)
+        done = list(pool.map(lambda viewpoint: _photograph(empty, frames, viewpoint, shots), viewpoints))
+    reference = reference_cloud([view for _, seen in done for view in seen], voxel_m)
+    return DemoSite(tuple(camera for camera, _ in done), reference, voxel_m)
 
 
-TrueView = tuple[Camera, Float32s, Float32s, Uint8s]
-"""A pinhole view, depth (h, w) and normals (h, w, 3) of the empty scene in it, and its colours (h, w, 3)."""
-
-
-def _photograph(shoot: _Shoot, viewpoint: Viewpoint, size: tuple[int, int]) -> tuple[DemoCamera, list[TrueView]]:
+def _photograph(
+    empty: PreparedScene, frames: Sequence[Frame], viewpoint: Viewpoint, shots: Shots
+) -> tuple[DemoCamera, list[TrueView]]:
     """Return all captures of one camera with its truth, and its pinhole view (of a fisheye: several)."""
+    name, size = viewpoint.name, viewpoint.size(shots.size)
     camera, lens = camera_at(viewpoint, size)
-    depth, normals = true_depth(shoot.empty, camera, lens if lens.model == "fisheye" else None)
-    seed = [shoot.seed, 3, sum(viewpoint.name.encode())]
-    sensor = sensor_of(np.random.default_rng(seed), shoot.light)
-    still = render_view(shoot.empty, camera, lens)
-    rngs = [np.random.default_rng([*seed, k]) for k in range(len(shoot.busy))]
-    times = [FIRST_CAPTURE[shoot.light] + timedelta(seconds=97 * k + seed[2] % 11) for k in range(len(rngs))]
-    clocks = [f"{viewpoint.name.upper()}  {time:%Y-%m-%d  %H:%M:%S}" for time in times]
-    frames = captures(still, list(zip(shoot.busy, shoot.movers, rngs, strict=True)), camera, lens, sensor)
-    images = [burn_clock(image, clock) for image, clock in zip(frames, clocks, strict=True)]
-    placement = Placement(R=camera.R, C=camera.C)
-    demo = DemoCamera(viewpoint.name, tuple(images), tuple(times), clock_mask(size), depth, camera, lens, placement)
-    if lens.model != "fisheye":
-        return demo, [(camera, depth, normals, undistorted_colours(demo))]
-    pinholes = pinholes_of(camera, lens, viewpoint.name)
-    return demo, [(pinhole, *true_depth(shoot.empty, pinhole), undistorted_colours(demo, pinhole)) for pinhole in pinholes]
+    wide = lens if lens.model == "fisheye" else None
+    depth, normals = true_depth(empty, camera, wide)
+    seed = [shots.seed, 3, sum(name.encode())]
+    sensor = sensor_of(np.random.default_rng(seed), shots.light)
+    rngs = [np.random.default_rng([*seed, k]) for k in range(len(frames))]
+    times = [FIRST_CAPTURE[shots.light] + timedelta(seconds=97 * k + seed[2] % 11) for k in range(len(frames))]
+    images = captures(render_view(empty, camera, lens), frames, rngs, camera, lens, sensor)
+    dated = tuple(burn_clock(image, name, time) for image, time in zip(images, times, strict=True))
+    demo = DemoCamera(name, dated, tuple(times), clock_mask(size), depth, camera, lens)
+    if wide is None:
+        return demo, [TrueView(camera, depth, normals, undistorted_colours(demo))]
+    pinholes = pinholes_of(camera, wide, name)
+    return demo, [TrueView(each, *true_depth(empty, each), undistorted_colours(demo, each)) for each in pinholes]
 
 
 def captures(
-    still: Float32s,
-    frames: Sequence[tuple[PreparedScene, Scene, np.random.Generator]],
-    camera: Camera,
-    lens: Lens,
-    sensor: Sensor,
-    rain: bool = False,
+    still: Float32s, frames: Sequence[Frame], rngs: Sequence[Rng], camera: Camera, lens: Lens, sensor: Sensor, rain: bool = False
 ) -> Iterator[Uint8s]:
-    """Yield what a camera captures: of each frame the whole scene, what moves in it, and its random numbers.
+    """Yield what a camera captures of each frame, with random numbers for each.
 
     still: radiance (h, w, 3) of the empty scene; only pixels that movers may change are rendered again.
     """
-    for prepared, moving, rng in frames:
+    for (scene, moving), rng in zip(frames, rngs, strict=True):
         radiance = still.copy()
-        pixels = np.flatnonzero(changed_pixels(moving, prepared.light, camera, lens))
-        radiance.reshape(-1, 3)[pixels] = render_pixels(prepared, camera, lens, pixels)
+        pixels = np.flatnonzero(changed_pixels(moving, scene.light, camera, lens))
+        radiance.reshape(-1, 3)[pixels] = render_pixels(scene, camera, lens, pixels)
         if rain:
-            radiance = add_rain(radiance, prepared.light, rng)
+            radiance = add_rain(radiance, scene.light, rng)
         yield develop(radiance, sensor, float(2 ** rng.uniform(-0.12, 0.12)), rng)
 
 
@@ -208,38 +203,28 @@ def render_view(prepared: PreparedScene, camera: Camera, lens: Lens | None) -> F
     return render_pixels(prepared, camera, lens, every).reshape(camera.height, camera.width, 3)
 
 
-def render_pixels(
-    prepared: PreparedScene, camera: Camera, lens: Lens | None, pixels: npt.NDArray[np.int64], batch: int = 65536
-) -> Float32s:
+def render_pixels(prepared: PreparedScene, camera: Camera, lens: Lens | None, pixels: Indices) -> Float32s:
     """Return linear radiance (n, 3) float32 of pixels, given by their index, each the mean of SAMPLES x SAMPLES samples."""
     out = np.empty((len(pixels), 3), np.float32)
-    for start in range(0, len(pixels), batch):
-        out[start : start + batch] = shade_pixels(prepared, trace_pixels(prepared, camera, lens, pixels[start : start + batch]))
+    for start in range(0, len(pixels), BATCH):
+        out[start : start + BATCH] = shade_pixels(prepared, trace_pixels(prepared, camera, lens, pixels[start : start + BATCH]))
     return out
 
 
-def trace_pixels(prepared: PreparedScene, camera: Camera, lens: Lens | None, pixels: npt.NDArray[np.int64]) -> Hits:
+def trace_pixels(prepared: PreparedScene, camera: Camera, lens: Lens | None, pixels: Indices) -> Hits:
     """Return the hits of SAMPLES x SAMPLES rays through each of some pixels, given by their index in the image."""
     y, x = np.divmod(pixels[:, None], camera.width)
-    sub_y, sub_x = _in_pixel()
-    column, row = (SAMPLES * x + sub_x).ravel().astype(np.float64), (SAMPLES * y + sub_y).ravel().astype(np.float64)
+    column, row = (SAMPLES * x + COLUMN).ravel().astype(np.float64), (SAMPLES * y + ROW).ravel().astype(np.float64)
     rays = pixel_rays(camera, lens, (column + 0.5) / SAMPLES - 0.5, (row + 0.5) / SAMPLES - 0.5)
     return trace(prepared, camera.C, rays, 1.0 / (SAMPLES * camera.K[0, 0]))
 
 
 def shade_pixels(prepared: PreparedScene, seen: Hits) -> Float32s:
     """Return linear radiance (n, 3) float32 of n pixels from `trace_pixels`, in the light of `prepared`."""
-    sub_y, sub_x = _in_pixel()
     pixels = len(seen.directions) // (SAMPLES * SAMPLES)
     # each sample of a pixel takes another point of the sun's disc, the same in all pixels: soft edges without noise
-    disc = np.tile(np.column_stack([sub_x + 0.4 * sub_y, sub_y - 0.4 * sub_x]) * 1.4 - (0.98, 0.42), (pixels, 1))
+    disc = np.tile(np.column_stack([COLUMN + 0.4 * ROW, ROW - 0.4 * COLUMN]) * 1.4 - (0.98, 0.42), (pixels, 1))
     return np.asarray(shade(prepared, seen, disc.astype(np.float32)).reshape(pixels, SAMPLES * SAMPLES, 3).mean(axis=1))
-
-
-def _in_pixel() -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
-    """Return row and column of each sample within its pixel."""
-    rows, columns = np.divmod(np.arange(SAMPLES * SAMPLES), SAMPLES)
-    return rows, columns
 
 
 def true_depth(prepared: PreparedScene, camera: Camera, wide: Lens | None = None) -> tuple[Float32s, Float32s]:

@@ -8,8 +8,9 @@ own ray and on nothing else, so that the same scene gives the same picture on an
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
+import cv2
 import numpy as np
 import open3d as o3d
 
@@ -21,8 +22,7 @@ from .paint import Texture
 from .scene import GLOWING, STATIC, Scene
 
 
-@dataclass(frozen=True)
-class Atlas:
+class Atlas(NamedTuple):
     """All textures and their halvings in one array of bytes."""
 
     texels: Uint8s
@@ -30,7 +30,7 @@ class Atlas:
     starts: Int32s
     heights: Int32s
     widths: Int32s
-    """(textures, levels) int32."""
+    """(textures, LEVELS) int32."""
     texel_m: Float32s
     """(textures,) float32."""
 
@@ -38,42 +38,33 @@ class Atlas:
 LEVELS = 9
 
 
-@kernel
-def _halve(fine: Uint8s, coarse: Uint8s) -> None:
-    """Mean of 2 x 2 texels in linear light (texels hold square roots)."""
-    h, w = fine.shape[:2]
-    for i in range(coarse.shape[0]):
-        for j in range(coarse.shape[1]):
-            i2, j2 = min(2 * i + 1, h - 1), min(2 * j + 1, w - 1)
-            for c in range(3):
-                total = float(fine[2 * i, 2 * j, c]) ** 2 + float(fine[2 * i, j2, c]) ** 2
-                total += float(fine[i2, 2 * j, c]) ** 2 + float(fine[i2, j2, c]) ** 2
-                coarse[i, j, c] = np.uint8(np.sqrt(0.25 * total) + 0.5)
-
-
 def build_atlas(textures: tuple[Texture, ...]) -> Atlas:
     """Return textures with their pyramids."""
-    parts: list[Uint8s] = []
-    starts, heights, widths = (np.zeros((len(textures), LEVELS), np.int32) for _ in range(3))
-    position = 0
-    for t, texture in enumerate(textures):
-        pixels = texture.pixels
-        for level in range(LEVELS):
-            starts[t, level], heights[t, level], widths[t, level] = position, pixels.shape[0], pixels.shape[1]
-            parts.append(pixels.reshape(-1, 3))
-            position += len(parts[-1])
-            coarse = np.empty(((pixels.shape[0] + 1) // 2, (pixels.shape[1] + 1) // 2, 3), np.uint8)
-            _halve(pixels, coarse)
-            pixels = coarse
-    texel_m = np.array([t.texel_m for t in textures], np.float32)
-    return Atlas(np.concatenate(parts), starts, heights, widths, texel_m)
+    levels: list[Uint8s] = []
+    for texture in textures:
+        levels.append(texture.pixels)
+        for _ in range(LEVELS - 1):
+            levels.append(_halved(levels[-1]))
+    heights, widths = np.array([level.shape[:2] for level in levels], np.int32).reshape(-1, LEVELS, 2).transpose(2, 0, 1)
+    areas = heights.ravel() * widths.ravel()
+    starts = (np.cumsum(areas) - areas).astype(np.int32).reshape(-1, LEVELS)
+    texels = np.concatenate([level.reshape(-1, 3) for level in levels])
+    return Atlas(texels, starts, heights.copy(), widths.copy(), np.array([t.texel_m for t in textures], np.float32))
+
+
+def _halved(fine: Uint8s) -> Uint8s:
+    """Return the mean of 2 x 2 texels in linear light (texels hold square roots); of an odd row or column with itself."""
+    height, width = fine.shape[:2]
+    linear = np.square(cv2.copyMakeBorder(fine, 0, height % 2, 0, width % 2, cv2.BORDER_REPLICATE), dtype=np.float32)
+    size = ((width + 1) // 2, (height + 1) // 2)
+    mean = cv2.resize(linear, size, interpolation=cv2.INTER_AREA)
+    return np.asarray(np.sqrt(mean) + np.float32(0.5), np.float32).astype(np.uint8)
 
 
 AXES = np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]], np.float32)
 
 
-@dataclass(frozen=True)
-class SkyGrid:
+class SkyGrid(NamedTuple):
     """How much of the sky is visible from points in space."""
 
     open: Float32s
@@ -88,8 +79,15 @@ OPEN_SKY = SkyGrid(np.ones((2, 2, 2, 6), np.float32), np.zeros(3, np.float32), 1
 """All points see all of the sky: for landscapes."""
 
 
-def _tensor(array: Any) -> Any:
+def tensor(array: Any) -> Any:
     return o3d.core.Tensor.from_numpy(np.ascontiguousarray(array))
+
+
+def ray_scene(vertices: Float32s) -> Any:
+    """Return what rays can be cast at: triangles, three vertices (3 t, 3) for each."""
+    scene = o3d.t.geometry.RaycastingScene()
+    scene.add_triangles(tensor(vertices), tensor(np.arange(len(vertices), dtype=np.uint32).reshape(-1, 3)))
+    return scene
 
 
 class PreparedScene:
@@ -98,21 +96,19 @@ class PreparedScene:
     def __init__(self, scene: Scene, light: Light, atlas: Atlas, sky: SkyGrid | None = None) -> None:
         self.scene = scene
         self.light = light
-        self._rays = o3d.t.geometry.RaycastingScene()
-        index = np.arange(len(scene.vertices), dtype=np.uint32).reshape(-1, 3)
-        self._rays.add_triangles(_tensor(scene.vertices), _tensor(index))
+        self._rays = ray_scene(scene.vertices)
         self.atlas = atlas
         self.sky = self.sky_grid(spiral(48)) if sky is None else sky
 
     def cast(self, origins: Float32s, directions: Float32s) -> tuple[Float32s, Int32s]:
         """Return the distance (inf for nothing) and facet (-1 for nothing) of the first hit of each of n rays."""
-        answer = self._rays.cast_rays(_tensor(np.hstack([origins, directions])))
+        answer = self._rays.cast_rays(tensor(np.hstack([origins, directions])))
         facet = answer["primitive_ids"].numpy().astype(np.int64)
         return answer["t_hit"].numpy(), np.where(facet < len(self.scene.kinds), facet, -1).astype(np.int32)
 
     def reaches(self, origins: Float32s, directions: Float32s, far: float = np.inf) -> Float32s:
         """Return 1 for each ray of length `far` (in units of its direction) that meets nothing, else 0."""
-        rays = _tensor(np.hstack([origins, directions]))
+        rays = tensor(np.hstack([origins, directions]))
         hit = self._rays.test_occlusions(rays, tnear=0.0, tfar=float(far)).numpy()
         return np.asarray(~hit, dtype=np.float32)
 
@@ -203,17 +199,14 @@ def trace(prepared: PreparedScene, centre: Float64s, directions: Float32s, sprea
     """Return what n rays from one point hit."""
     origins = np.broadcast_to(np.asarray(centre, np.float32), directions.shape)
     distance, facet = prepared.cast(origins, directions)
-    scene, atlas = prepared.scene, prepared.atlas
+    scene = prepared.scene
     hit = facet >= 0
     rays, far, on = directions[hit], distance[hit], facet[hit]
     points = np.asarray(centre, np.float32) + rays * far[:, None]
     facing = np.where((np.einsum("ni,ni->n", scene.normals[on], rays) > 0)[:, None], -scene.normals[on], scene.normals[on])
     albedo = np.empty_like(points)
-    _filter(
-        albedo, points, rays, facing, far, on, spread,
-        scene.origins, scene.along_u, scene.along_v, scene.offsets, scene.texture_of,
-        atlas.texels, atlas.starts, atlas.heights, atlas.widths, atlas.texel_m,
-    )  # fmt: skip
+    painted = (scene.origins, scene.along_u, scene.along_v, scene.offsets, scene.texture_of)
+    _filter(albedo, (points, rays, facing, far, on), spread, painted, prepared.atlas)
     return Hits(directions, distance, facet, points, facing, albedo)
 
 
@@ -230,10 +223,7 @@ def shade(prepared: PreparedScene, seen: Hits, jitter: Float32s) -> Float32s:
         return radiance
     points, facing = seen.points, seen.facing
     received = np.empty_like(points)
-    _sky_light(
-        received, points, facing, prepared.sky.open, prepared.sky.corner, prepared.sky.cell_m,
-        np.array(light.sky, np.float32), np.array(light.ground, np.float32),
-    )  # fmt: skip
+    _sky_light(received, points, facing, prepared.sky, np.array(light.sky, np.float32), np.array(light.ground, np.float32))
     lifted = points + facing * np.float32(0.004) * np.maximum(seen.distance[hit] * np.float32(0.05), 1)[:, None]
     _add_sun(prepared, received, lifted, facing, jitter[hit])
     for lamp in light.lamps:
@@ -289,26 +279,13 @@ def _mirror(i: int, n: int) -> int:
 
 
 @kernel
-def _filter(
-    albedo: Float32s,
-    points: Float32s,
-    rays: Float32s,
-    normals: Float32s,
-    distance: Float32s,
-    facet: Int32s,
-    spread: float,
-    origins: Float32s,
-    along_u: Float32s,
-    along_v: Float32s,
-    offsets: Float32s,
-    texture_of: Int32s,
-    texels: Uint8s,
-    starts: Int32s,
-    heights: Int32s,
-    widths: Int32s,
-    texel_m: Float32s,
-) -> None:
-    """Texture colour under each sample's footprint: the level of the short axis, several taps along the long one."""
+def _filter(albedo: Float32s, seen: tuple[Any, ...], spread: float, painted: tuple[Any, ...], atlas: Atlas) -> None:
+    """Fill in texture colours under each sample's footprint: the level of the short axis, several taps along the long one.
+
+    seen: points, rays, normals (n, 3), distance and facet (n,) of the samples.  painted: of all facets, as a `Scene` has them."""
+    points, rays, normals, distance, facet = seen
+    origins, along_u, along_v, offsets, texture_of = painted
+    texels, starts, heights, widths, texel_m = atlas
     for k in range(points.shape[0]):
         f = facet[k]
         t = texture_of[f]
@@ -357,17 +334,9 @@ def _filter(
 
 
 @kernel
-def _sky_light(
-    received: Float32s,
-    points: Float32s,
-    normals: Float32s,
-    grid: Float32s,
-    corner: Float32s,
-    cell: float,
-    sky: Float32s,
-    ground: Float32s,
-) -> None:
+def _sky_light(received: Float32s, points: Float32s, normals: Float32s, around: SkyGrid, sky: Float32s, ground: Float32s) -> None:
     """Light from sky and surroundings: visibilities of the grid around a point just off the surface, weighed by its normal."""
+    grid, corner, cell = around
     nz, ny, nx = grid.shape[:3]
     for k in range(points.shape[0]):
         x = min(max((points[k, 0] + 0.6 * cell * normals[k, 0] - corner[0]) / cell, 0.0), nx - 1.001)

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from datetime import datetime
 
 import cv2
 import numpy as np
 
+from wbflow_stages.io import rasters
 from wbflow_stages.types import Bools, Float32s, Uint8s
 
 from .light import Light
+from .paint import Rng
 
 
 @dataclass(frozen=True)
@@ -28,16 +31,20 @@ class Sensor:
     """Loss of light in the corners."""
 
 
-def sensor_of(rng: np.random.Generator, light: str) -> Sensor:
+_SETTINGS = {"day": (1.0, 9000.0), "dusk": (1.9, 2600.0), "night": (3.4, 900.0), "dark": (13.0, 235.0)}
+"""Exposure and electrons at white, by the light."""
+
+
+def sensor_of(rng: Rng, light: str) -> Sensor:
     """Return a camera's own sensor: up to a quarter stop of exposure and a few per cent of colour off its neighbours'."""
-    gain = {"day": 1.0, "dusk": 1.9, "night": 3.4, "dark": 13.0}[light] * float(2 ** rng.uniform(-0.28, 0.28))
+    exposure, full_well = _SETTINGS[light]
+    gain = exposure * float(2 ** rng.uniform(-0.28, 0.28))
     warm = float(rng.uniform(-0.06, 0.06))
     balance = (1 + warm, 1.0, 1 - warm + float(rng.uniform(-0.02, 0.02)))
-    full_well = {"day": 9000.0, "dusk": 2600.0, "night": 900.0, "dark": 235.0}[light]
     return Sensor(gain, balance, full_well, 6.0, float(rng.uniform(0.12, 0.25)))
 
 
-def develop(radiance: Float32s, sensor: Sensor, exposure: float, rng: np.random.Generator) -> Uint8s:
+def develop(radiance: Float32s, sensor: Sensor, exposure: float, rng: Rng) -> Uint8s:
     """Return one capture, (h, w, 3) uint8 sRGB, of linear radiance (h, w, 3); `exposure`: this capture's own factor."""
     h, w = radiance.shape[:2]
     x, y = np.linspace(-1, 1, w, dtype=np.float32), np.linspace(-1, 1, h, dtype=np.float32)[:, None]
@@ -59,29 +66,29 @@ def _encode(linear: Float32s) -> Uint8s:
     return (curve * 255 + 0.5).astype(np.uint8)[(x * 4095 + 0.5).astype(np.intp)]
 
 
-def clock_area(size: tuple[int, int]) -> tuple[int, int, int, int]:
-    """Return x, y, width, height in pixels of the strip that the clock covers, for an image of `size` = (width, height)."""
-    w, h = size
-    return 0, 0, round(0.40 * w), max(round(0.046 * h), 9)
+def clock_size(size: tuple[int, int]) -> tuple[int, int]:
+    """Return width and height, pixels, of the clock in the top left corner of an image of `size` = (width, height)."""
+    return round(0.40 * size[0]), max(round(0.046 * size[1]), 9)
 
 
-def burn_clock(image: Uint8s, text: str) -> Uint8s:
-    """Return a copy of the picture with white text on a dark strip in the top left corner."""
-    x, y, w, h = clock_area((image.shape[1], image.shape[0]))
+def burn_clock(image: Uint8s, name: str, time: datetime) -> Uint8s:
+    """Return a copy of the picture with the camera's name and the time in white on a dark strip."""
+    w, h = clock_size((image.shape[1], image.shape[0]))
     out = image.copy()
-    out[y : y + h, x : x + w] //= 4
-    unit_w, unit_h = cv2.getTextSize("0" * len(text), cv2.FONT_HERSHEY_SIMPLEX, 1.0, 1)[0]
+    out[:h, :w] //= 4
+    text, font = f"{name.upper()}  {time:%Y-%m-%d  %H:%M:%S}", cv2.FONT_HERSHEY_SIMPLEX
+    unit_w, unit_h = cv2.getTextSize("0" * len(text), font, 1.0, 1)[0]
     scale = min(0.94 * w / unit_w, 0.62 * h / unit_h)
-    origin = (x + int(0.02 * w), y + round(0.5 * (h + scale * unit_h)))
-    cv2.putText(out, text, origin, cv2.FONT_HERSHEY_SIMPLEX, scale, (245, 245, 240), max(round(h / 22), 1), cv2.LINE_AA)
+    origin = (int(0.02 * w), round(0.5 * (h + scale * unit_h)))
+    cv2.putText(out, text, origin, font, scale, (245, 245, 240), max(round(h / 22), 1), cv2.LINE_AA)
     return out
 
 
 def clock_mask(size: tuple[int, int]) -> Bools:
     """Return (h, w) bool, True where a pixel may be used: everywhere but under the clock."""
-    x, y, w, h = clock_area(size)
-    mask = np.ones((size[1], size[0]), np.bool_)
-    mask[y : y + h, x : x + w] = False
+    w, h = clock_size(size)
+    mask = np.ones(size[::-1], np.bool_)
+    mask[:h, :w] = False
     return mask
 
 
@@ -91,7 +98,7 @@ STREAKS = 0.0016
 """For each pixel."""
 
 
-def add_rain(radiance: Float32s, light: Light, rng: np.random.Generator) -> Float32s:
+def add_rain(radiance: Float32s, light: Light, rng: Rng) -> Float32s:
     """Return a picture (h, w, 3) of linear radiance through rain: a veil, and streaks that are elsewhere in every frame."""
     height, width = radiance.shape[:2]
     scale = width / 640
@@ -107,18 +114,12 @@ def add_rain(radiance: Float32s, light: Light, rng: np.random.Generator) -> Floa
     return np.asarray(radiance * (1 - cover) + grey * cover, np.float32)
 
 
-def jpeg(image: Uint8s, quality: int = 92) -> bytes:
+def jpeg(image: Uint8s) -> bytes:
     """Return JPEG of (h, w, 3) uint8 RGB."""
-    return _encoded(".jpg", np.ascontiguousarray(image[..., ::-1]), [cv2.IMWRITE_JPEG_QUALITY, quality])
+    _, data = cv2.imencode(".jpg", np.ascontiguousarray(image[..., ::-1]), [cv2.IMWRITE_JPEG_QUALITY, 92])
+    return bytes(data.tobytes())
 
 
 def png(mask: Bools) -> bytes:
     """Return PNG of (h, w) bool: white is True."""
-    return _encoded(".png", mask.astype(np.uint8) * np.uint8(255), [])
-
-
-def _encoded(kind: str, image: Uint8s, options: list[int]) -> bytes:
-    done, data = cv2.imencode(kind, image, options)
-    if not done:
-        raise ValueError(f"this picture cannot be written as {kind}: {image.shape}, {image.dtype}")
-    return bytes(data.tobytes())
+    return rasters.png(mask.astype(np.uint8) * np.uint8(255))
