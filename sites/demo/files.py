@@ -6,6 +6,7 @@ import io
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from importlib import resources
 from typing import Any
 
 import numpy as np
@@ -18,7 +19,7 @@ from .render.cameras import VARIANTS
 from .render.photograph import DemoCamera, DemoSite, Shots
 from .render.sensor import jpeg, png
 from .scenes import SCENES, render
-from .script import FOREVER, Stay, date_of, event_of, hour_of, stays, weather_of
+from .script import FOREVER, HOURS, Stay, date_of, event_of, stays, weather_of
 
 
 @dataclass(frozen=True)
@@ -59,14 +60,10 @@ def _files(site: DemoSite, scene: str, light: str, lenses: str) -> Iterator[tupl
         truth = {"range" if camera.lens.model == "fisheye" else "depth": camera.depth}
         yield f"truth/depth/{camera.name}.npz", npz_bytes(**truth)
     yield from _cameras_and_reference(site.cameras, site.reference, site.voxel_m, {"light": light})
-    row = SCENES[scene]
-    words = {"about": row.about, "scene": "yard" if scene == "yard" else "scene", "lenses": VARIANTS[lenses]}
-    readme = _README.format(**words, also=_LENSES.format(**words) if lenses != "standard" else "")
-    yield "README.txt", readme.encode()
-    about = _CAPTURES.format(night=f"{site.cameras[0].times[0]:%Y-%m-%d}")
-    cameras = [camera.name for camera in site.cameras]
-    file = site_file(scene, cameras, "{camera}/{date:%Y-%m-%d}_*.jpg", about, row.angles_deg)
-    yield "site.yaml", (file + (_WHOLE_FIELD if lenses == "brown" else "")).encode()
+    also = _LENSES.format(lenses=VARIANTS[lenses]) if lenses != "standard" else ""
+    yield "README.txt", _text("readme", about=SCENES[scene].about, scene="yard" if scene == "yard" else "scene", also=also)
+    file = _site_file(scene, site.cameras, f"{site.cameras[0].times[0]:%Y-%m-%d}_1.jpg")
+    yield "site.yaml", file + (_WHOLE_FIELD if lenses == "brown" else b"")
 
 
 def _cameras_and_reference(
@@ -118,40 +115,19 @@ def json_bytes(data: dict[str, Any]) -> bytes:
     return (json.dumps(data, indent=1) + "\n").encode()
 
 
-def site_file(scene: str, cameras: Sequence[str], pattern: str, about: str, angles_deg: tuple[float, float]) -> str:
-    """Return the site file of a demo."""
-    rows = "\n".join(f"  - {{id: {camera}, mask: masks/{camera}.png}}" for camera in cameras)
-    low, high = angles_deg
-    return _SITE.format(scene=scene, cameras=rows, about=about, pattern=pattern, low=low, high=high)
+def _site_file(scene: str, cameras: Sequence[DemoCamera], example: str) -> bytes:
+    """Return the site file of a demo; `example`: the name of a capture."""
+    rows = "\n".join(f"  - {{id: {camera.name}, mask: masks/{camera.name}.png}}" for camera in cameras)
+    low, high = SCENES[scene].angles_deg
+    return _text("site", scene=scene, cameras=rows, example=example, low=low, high=high)
 
 
-_CAPTURES = """\
-# One folder for each camera, several captures a night ({night}_1.jpg, ...): what moves between them is removed."""
+def _text(name: str, **words: Any) -> bytes:
+    """Return one of `texts/` with words filled in."""
+    return (resources.files(__package__) / "texts" / f"{name}.txt").read_text(encoding="utf-8").format(**words).encode()
 
-_SITE = """\
-# The demo {scene}.  Try:  wbflow check site.yaml   wbflow run site.yaml   wbflow status site.yaml
-site: {scene}
 
-{about}
-captures:
-  root: captures
-  pattern: "{pattern}"
-
-# Every camera burns a clock into its picture; the masks (black: ignore) keep it out.
-cameras:
-{cameras}
-
-# Intrinsics, lens distortion and poses in metres.  Without R and C in it, poses are solved.
-calibration: cameras.json
-
-# Long side in pixels that stages work at; null: as captured.
-resolution: null
-
-# Which pairs are worth matching: angles in degrees between the views.
-pairs: {{degree: 4, min_angle: {low:g}, max_angle: {high:g}}}
-"""
-
-_WHOLE_FIELD = """
+_WHOLE_FIELD = b"""
 # Frames as wide as the lenses see, rather than what has place with their own K.
 stages: {frames: {whole_field: true}}
 """
@@ -161,23 +137,6 @@ Its cameras: {lenses}.
 Of a fisheye (k1 k2 k3 k4), truth/depth has the key 'range': metres along the ray of each pixel of a capture.
 
 """
-
-_README = """\
-The demo site of wbflow: {about}, rendered with exact truth.
-
-site.yaml           the site description: wbflow run site.yaml
-captures/           what the cameras wrote: lens distortion, sensor noise, a burned-in clock, people and vehicles
-masks/              black where the clock is
-cameras.json        intrinsics, distortion (k1 k2 p1 p2 k3) and poses: x ~ K R (X - C), metres, z up
-truth/depth/        key 'depth': float32, metres along the optical axis, of the empty {scene} in the undistorted view with
-                    the same K; 0: sky or water
-truth/cameras.json  the same as cameras.json, for when you change that one
-truth/reference.ply surfaces that at least two cameras see; truth/reference.json says how finely
-demo.json           what was rendered, and the digest of every file
-
-{also}Delete R and C in cameras.json to see the poses solved; compare with truth/cameras.json.
-"""
-
 
 NIGHT_SMALL, NIGHT_LARGE = (320, 180), (640, 360)
 
@@ -208,10 +167,8 @@ def _night_files(site: NightsSite, nights: int) -> Iterator[tuple[str, bytes | P
     width, height = site.cameras[0].camera.lens.width, site.cameras[0].camera.lens.height
     truth = [_night(site, number) for number in range(1, nights + 1)]
     yield "truth/nights.json", json_bytes({"unit": "m", "width": width, "height": height, "nights": truth})
-    yield "README.txt", _NIGHTS_README.encode()
-    cameras = [each.camera.name for each in site.cameras]
-    pattern = "{camera}/{date:%Y-%m-%d}_*.jpg"
-    yield "site.yaml", site_file("yard", cameras, pattern, _NIGHTS_CAPTURES, SCENES["yard"].angles_deg).encode()
+    yield "README.txt", _text("nights")
+    yield "site.yaml", _site_file("yard", [each.camera for each in site.cameras], "2026-11-10_140211.jpg")
 
 
 def _depth_folder(epoch: int) -> str:
@@ -225,7 +182,7 @@ def _night(site: NightsSite, number: int) -> dict[str, Any]:
         "night": number,
         "date": date_of(number).isoformat(),
         "light": weather_of(number),
-        "rain": hour_of(weather_of(number)).rain,
+        "rain": HOURS[weather_of(number)].rain,
         "depth": _depth_folder(epoch),
         "cameras": {each.camera.name: _camera(each, number) for each in site.cameras},
         "changes": list(_changes(number, site.extents)),
@@ -245,19 +202,19 @@ STATES = {
 
 def _camera(each: CameraNights, number: int) -> dict[str, Any]:
     """Return the truth of a camera's night."""
-    event, turn = event_of(number, each.camera.name), each.nights[number - 1].turn
-    angle = np.degrees(np.arccos(np.clip((np.trace(turn) - 1) / 2, -1, 1))) if event.what in ("turned", "nudged") else 0.0
+    event, turn, K = event_of(number, each.camera.name), each.nights[number - 1].turn, each.camera.camera.K
     # where the point that the axis met is seen now
-    ahead = turn @ np.array([0, 0, 1.0])
-    K = each.camera.camera.K
-    shift = [round(float(K[k, k] * ahead[k] / ahead[2]), 4) for k in range(2)]
+    x, y, z = turn[:, 2].tolist()
+    angles = {
+        "angle_deg": np.arccos(np.clip((np.trace(turn) - 1) / 2, -1, 1)),
+        "pan_deg": np.arctan2(-x, z),
+        "tilt_deg": np.arctan2(y, np.hypot(x, z)),
+    }
     return {
         "event": event.what,
         "state": STATES[event.what],
-        "angle_deg": round(float(angle), 6),
-        "pan_deg": round(float(np.degrees(np.arctan2(-ahead[0], ahead[2]))), 6) + 0.0,
-        "tilt_deg": round(float(np.degrees(np.arctan2(ahead[1], np.hypot(ahead[0], ahead[2])))), 6) + 0.0,
-        "shift_px": [value + 0.0 for value in shift],
+        **{name: round(float(np.degrees(angle)), 6) + 0.0 for name, angle in angles.items()},
+        "shift_px": [round(float(K[0, 0] * x / z), 4) + 0.0, round(float(K[1, 1] * y / z), 4) + 0.0],
         "R": (turn @ each.camera.camera.R).tolist(),
     }
 
@@ -288,24 +245,3 @@ def _place(stay: Stay, extent: Extent) -> dict[str, Any]:
         "yaw_deg": round(float(np.degrees(stay.yaw)), 3),
         "nights": [stay.first, None if stay.last == FOREVER else stay.last],
     }
-
-
-_NIGHTS_CAPTURES = """\
-# One folder for each camera, several captures a night (2026-11-10_140211.jpg, ...): what moves between them is removed."""
-
-_NIGHTS_README = """\
-The demo nights of wbflow: a harbour yard, rendered with exact truth, night after night.
-
-site.yaml           the site description: wbflow run site.yaml --since 2026-11-10
-captures/           what the cameras wrote: other light every night, people and vehicles, lens distortion, noise, a clock
-masks/              black where the clock is
-cameras.json        intrinsics, distortion (k1 k2 p1 p2 k3) and poses as they should be: x ~ K R (X - C), metres, z up
-truth/nights.json   for every night: light; of every camera its event, the state that it ought to be found in, and its true R;
-                    `changes` against the first night: boxes that appeared, vanished or moved. position: the middle of the
-                    box; size: length, width, height at yaw_deg; volume_m3: under what is seen from above, to the ground.
-                    pan_deg: to the right, tilt_deg: upward; shift_px: by which the picture moved at the principal point
-truth/depth*/       key 'depth': float32, metres along the optical axis, of the empty yard in the undistorted view with the
-                    same K and the pose of cameras.json; 0: sky or water. depth-from-7: from the seventh night on
-truth/reference.ply surfaces that at least two cameras see in the first night
-demo.json           what was rendered, and the digest of every file
-"""

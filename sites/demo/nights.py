@@ -36,7 +36,7 @@ from .render.reference import TrueView, reference_cloud
 from .render.renderer import Hits, PreparedScene, build_atlas, ray_scene, tensor
 from .render.scene import STATIC, Scene, SceneBuilder, joined
 from .render.sensor import burn_clock, clock_mask, develop, jpeg, sensor_of
-from .script import CameraEvent, Hour, Stay, event_of, frame_time, hour_of, stays, turned_axes, weather_of
+from .script import HOURS, CameraEvent, Hour, Stay, event_of, frame_time, stays, turned_axes, weather_of
 from .yard import static_yard
 
 RASTER_M = 0.01
@@ -176,13 +176,13 @@ def _scenes(things: Things, nights: int, shots: Shots) -> Iterator[_NightScene]:
     yard = static_yard(shots.random(1), _texel_m(shots))
     traffic = moving(nights, shots)
     atlas = build_atlas(yard.textures + things.scene(stays(1)).textures + traffic[0].textures)
-    sky = PreparedScene(yard, hour_of("noon").light, atlas).sky
+    sky = PreparedScene(yard, HOURS["noon"].light, atlas).sky
     there: dict[str, Stay] = {}
     epoch = 1
     for night in range(1, nights + 1):
         if stays(night) != there:
             there, epoch = stays(night), night
-        hour = hour_of(weather_of(night))
+        hour = HOURS[weather_of(night)]
         empty = PreparedScene(joined(yard, things.scene(there)), hour.light, atlas, sky)
         tonight = traffic[(night - 1) * shots.captures : night * shots.captures]
         yield _NightScene(night, epoch, hour, empty, frames_of(empty, tonight))

@@ -53,29 +53,11 @@ def render(
 ) -> DemoSite:
     """Render a scene in memory; the same arguments give the same bytes.
 
-    Parameters
-    ----------
-    name : str
-        Of `SCENES`.
-    small : bool
-        320 x 180 pixels: rendered in seconds.
-    cameras, captures : int, optional
-        How many cameras, and captures of each; the scene's own where not given.
-    size : tuple of int, optional
-        Width and height in pixels.
-    seed : int
-        Of everything that is drawn at random.
-    light : str
-        "day", "dusk", "night", or "dark": night without lamps.
-    lenses : str
-        A name of `cameras.VARIANTS`.
-    surfaces : str
-        A name of `weak.SURFACES`.
+    small: 320 x 180 pixels, rendered in seconds.  cameras, captures: how many, and of each; the scene's own where not given.
+    size: width and height in pixels.  seed: of everything that is drawn at random.  light: "day", "dusk", "night", or "dark",
+    which is night without lamps.  lenses: a name of `cameras.VARIANTS`.  surfaces: a name of `weak.SURFACES`.
 
-    Raises
-    ------
-    ValueError
-        An unknown scene, light, kind of lenses or surfaces, or impossible numbers.
+    Raises ValueError for an unknown scene, light, kind of lenses or surfaces, and for impossible numbers.
     """
     if name not in SCENES:
         raise ValueError(f"there is no scene {name!r}; there are {', '.join(SCENES)}")

@@ -80,21 +80,15 @@ class Hour:
     rain: bool = False
 
 
-def hour_of(weather: Weather) -> Hour:
-    """Return the light of a night, and the time of its first frame."""
-    day = light_of("day", LAMPS)
-    if weather == "afternoon":
-        return Hour("day", time(14, 2, 11), day)
-    if weather == "noon":
-        return Hour("day", time(12, 7, 40), replace(day, sun_direction=(0.105, -0.640, 0.761), sun=(1.62, 1.56, 1.44)))
-    if weather == "overcast":
-        return Hour("day", time(11, 15, 2), overcast_of("day", LAMPS))
-    if weather == "rain":
-        grey = overcast_of("day", LAMPS)
-        return Hour("day", time(10, 31, 55), replace(grey, sky=(0.75, 0.77, 0.80), ground=(0.33, 0.32, 0.31)), rain=True)
-    if weather == "dusk":
-        return Hour("dusk", time(16, 41, 5), light_of("dusk", LAMPS))
-    return Hour("night", time(22, 14, 37), light_of("night", LAMPS))
+_DAY, _GREY = light_of("day", LAMPS), overcast_of("day", LAMPS)
+HOURS: Mapping[Weather, Hour] = {
+    "afternoon": Hour("day", time(14, 2, 11), _DAY),
+    "noon": Hour("day", time(12, 7, 40), replace(_DAY, sun_direction=(0.105, -0.640, 0.761), sun=(1.62, 1.56, 1.44))),
+    "overcast": Hour("day", time(11, 15, 2), _GREY),
+    "rain": Hour("day", time(10, 31, 55), replace(_GREY, sky=(0.75, 0.77, 0.80), ground=(0.33, 0.32, 0.31)), rain=True),
+    "dusk": Hour("dusk", time(16, 41, 5), light_of("dusk", LAMPS)),
+    "lamps": Hour("night", time(22, 14, 37), light_of("night", LAMPS)),
+}
 
 
 def weather_of(night: int) -> Weather:
@@ -109,9 +103,8 @@ def date_of(night: int) -> date:
 
 def frame_time(night: int, frame: int, late_s: int) -> datetime:
     """Return the time of a frame (from 0) of a camera that is `late_s` seconds behind the others."""
-    return (
-        datetime.combine(date_of(night), hour_of(weather_of(night)).begins) + frame * BETWEEN_FRAMES + timedelta(seconds=late_s)
-    )
+    begins = datetime.combine(date_of(night), HOURS[weather_of(night)].begins)
+    return begins + frame * BETWEEN_FRAMES + timedelta(seconds=late_s)
 
 
 def event_of(night: int, camera: str) -> CameraEvent:
