@@ -16,6 +16,7 @@ from ..render.paint import (
     Texture,
     blobs,
     cracks,
+    draw,
     encode,
     fractal_noise,
     lettering,
@@ -27,13 +28,8 @@ from ..render.paint import (
     weather,
 )
 
-COBBLE_TONES: tuple[Colour, ...] = (
-    (0.21, 0.20, 0.19),
-    (0.28, 0.26, 0.24),
-    (0.15, 0.15, 0.155),
-    (0.24, 0.21, 0.18),
-    (0.33, 0.31, 0.29),
-)
+COBBLE_TONES = ((0.21, 0.20, 0.19), (0.28, 0.26, 0.24), (0.15, 0.15, 0.155), (0.24, 0.21, 0.18), (0.33, 0.31, 0.29))
+LITTER_TONES = ((0.5, 0.36, 0.12), (0.62, 0.6, 0.55), (0.08, 0.07, 0.06), (0.33, 0.2, 0.1))
 
 
 def cobbles(rng: Rng, width_m: float, height_m: float, texel_m: float) -> Texture:
@@ -65,11 +61,8 @@ def concrete(rng: Rng, width_m: float, height_m: float, texel_m: float, *, slab_
     image = base[..., None] * np.asarray((1.0, 0.965, 0.90), np.float32)
     worn = smoothstep(-0.7, 0.5, fractal_noise(rng, shape, texel_m, 0.5))
     if text:
-        mix(
-            image,
-            (0.75, 0.72, 0.6),
-            0.85 * worn * lettering(shape, texel_m, text, 0.1 * width_m, 0.3 * height_m, min(1.2, 0.4 * height_m)),
-        )
+        letters = lettering(shape, texel_m, text, 0.1 * width_m, 0.3 * height_m, min(1.2, 0.4 * height_m))
+        mix(image, (0.75, 0.72, 0.6), 0.85 * worn * letters)
         stripe = (np.indices(shape, dtype=np.float32).sum(axis=0) * texel_m % 0.8 < 0.4).astype(np.float32)
         stripe[int(0.45 / texel_m) :] = 0
         mix(image, (0.62, 0.42, 0.03), 0.8 * worn * stripe)
@@ -110,16 +103,7 @@ def _tracks(rng: Rng, shape: tuple[int, int], texel_m: float, *, count: int) -> 
         along = np.gradient(path, axis=0)
         side = np.column_stack([-along[:, 1], along[:, 0]]) / np.linalg.norm(along, axis=1, keepdims=True)
         for offset in (-0.85, 0.85):
-            line = path + side * offset / texel_m
-            cv2.polylines(
-                cover,
-                [np.round(line * 16).astype(np.int32)],
-                False,
-                int(rng.integers(90, 220)),
-                max(int(0.24 / texel_m), 1),
-                cv2.LINE_AA,
-                4,
-            )
+            draw(cover, path + side * offset / texel_m, int(0.24 / texel_m), int(rng.integers(90, 220)))
     return cover.astype(np.float32) / np.float32(255) * smoothstep(-1.2, 0.8, fractal_noise(rng, shape, texel_m, 0.5))
 
 
@@ -127,12 +111,10 @@ def _markings(rng: Rng, image: Float32s, texel_m: float) -> None:
     """Add worn paint: bays with numbers, a driveway's broken line, arrows."""
     shape = (image.shape[0], image.shape[1])
     paint = np.zeros(shape, np.uint8)
-    wide = max(round(0.12 / texel_m), 1)
     width_m, height_m = shape[1] * texel_m, shape[0] * texel_m
 
     def line(*points_m: tuple[float, float]) -> None:
-        path = np.round(np.array(points_m) / texel_m * 16).astype(np.int32)
-        cv2.polylines(paint, [path], False, 255, wide, cv2.LINE_AA, 4)
+        draw(paint, np.array(points_m) / texel_m, 0.12 / texel_m)
 
     for k in range(int(width_m / 3.2)):
         line((3.2 * k + 0.8, 0.3), (3.2 * k + 0.8, 0.17 * height_m))
@@ -172,19 +154,11 @@ def _litter(rng: Rng, image: Float32s, texel_m: float, *, count: int) -> None:
         size = rng.uniform(0.03, 0.10) / texel_m
         corners = centre + rng.normal(0, 0.6, (5, 2)) * size
         hull = cv2.convexHull(np.round(corners * 16).astype(np.int32))
-        tone = rng.choice(np.array([[0.5, 0.36, 0.12], [0.62, 0.6, 0.55], [0.08, 0.07, 0.06], [0.33, 0.2, 0.1]])) * rng.uniform(
-            0.6, 1.2
-        )
+        tone = rng.choice(np.array(LITTER_TONES)) * rng.uniform(0.6, 1.2)
         cv2.fillConvexPoly(image, hull, tone.tolist(), cv2.LINE_AA, 4)
 
 
-SLAB_TONES: tuple[Colour, ...] = (
-    (0.36, 0.34, 0.31),
-    (0.30, 0.285, 0.27),
-    (0.42, 0.39, 0.35),
-    (0.25, 0.24, 0.235),
-    (0.38, 0.31, 0.26),
-)
+SLAB_TONES = ((0.36, 0.34, 0.31), (0.30, 0.285, 0.27), (0.42, 0.39, 0.35), (0.25, 0.24, 0.235), (0.38, 0.31, 0.26))
 
 
 def repeating_tiles(rng: Rng, tile_m: float, tiles: int, texel_m: float) -> Texture:
@@ -231,9 +205,8 @@ def with_lines(texture: Texture, lines_m: Float32s, width_m: float, rng: Rng, co
     """Return a copy with worn lines painted on it; lines_m: (n, 2, 2), from and to, metres from the top left corner."""
     shape = (texture.pixels.shape[0], texture.pixels.shape[1])
     paint = np.zeros(shape, np.uint8)
-    wide = max(round(width_m / texture.texel_m), 1)
     for line in lines_m:
-        cv2.polylines(paint, [np.round(line / texture.texel_m * 16).astype(np.int32)], False, 255, wide, cv2.LINE_AA, 4)
+        draw(paint, line / texture.texel_m, width_m / texture.texel_m)
     worn = smoothstep(-1.1, 0.4, fractal_noise(rng, shape, texture.texel_m, 0.4))
     image = np.asarray(np.square(texture.pixels.astype(np.float32) / np.float32(255)), np.float32)
     mix(image, colour, 0.85 * worn * paint.astype(np.float32) / np.float32(255))

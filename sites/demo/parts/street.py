@@ -10,13 +10,7 @@ from ..render import textures as paint
 from ..render.paint import Colour, Rng, Texture, encode, fractal_noise, shape_of
 from ..render.scene import GLOWING, SceneBuilder
 
-CAR_PAINTS: tuple[Colour, ...] = (
-    (0.42, 0.43, 0.44),
-    (0.045, 0.047, 0.052),
-    (0.62, 0.62, 0.61),
-    (0.05, 0.10, 0.24),
-    (0.36, 0.035, 0.03),
-)
+CAR_PAINTS = ((0.42, 0.43, 0.44), (0.045, 0.047, 0.052), (0.62, 0.62, 0.61), (0.05, 0.10, 0.24), (0.36, 0.035, 0.03))
 
 
 @dataclass(frozen=True)
@@ -34,9 +28,8 @@ def car_textures(build: SceneBuilder, rng: Rng, texel_m: float) -> CarTextures:
     """Add the textures of cars to a scene."""
     fine = min(texel_m, 0.03)
     paints = tuple(build.add_texture(_lacquer(rng, fine, colour)) for colour in CAR_PAINTS)
-    glass, dark, light = (
-        build.add_texture(paint.cloth(rng, fine, c)) for c in ((0.045, 0.055, 0.062), (0.03, 0.03, 0.033), (0.70, 0.68, 0.62))
-    )
+    greys = ((0.045, 0.055, 0.062), (0.03, 0.03, 0.033), (0.70, 0.68, 0.62))
+    glass, dark, light = (build.add_texture(paint.cloth(rng, fine, grey)) for grey in greys)
     plate = build.add_texture(paint.sign_board(rng, 0.52, 0.12, 0.01, ("HH WB 417",), (0.75, 0.75, 0.72), (0.03, 0.03, 0.05)))
     return CarTextures(paints, glass, dark, light, plate)
 

@@ -13,12 +13,14 @@ import cv2
 import numpy as np
 
 from wbflow_stages.core.jit import kernel
-from wbflow_stages.types import Float32s, Uint8s
+from wbflow_stages.types import Float32s, Float64s, Uint8s
 
 Rng = np.random.Generator
+Shape = tuple[int, int]
+"""Height and width, texels."""
 
 
-def smooth_noise(rng: Rng, shape: tuple[int, int], wave_px: tuple[float, float]) -> Float32s:
+def smooth_noise(rng: Rng, shape: Shape, wave_px: tuple[float, float]) -> Float32s:
     """Return value noise: (h, w) float32 of about unit variance, correlated over `wave_px` = (along y, along x) pixels."""
     rows, cols = (int(np.ceil(n / max(w, 1.0))) + 2 for n, w in zip(shape, wave_px, strict=True))
     coarse = rng.standard_normal((rows, cols), dtype=np.float32)
@@ -30,14 +32,7 @@ def smooth_noise(rng: Rng, shape: tuple[int, int], wave_px: tuple[float, float])
 
 
 def fractal_noise(
-    rng: Rng,
-    shape: tuple[int, int],
-    texel_m: float,
-    longest_m: float,
-    *,
-    octaves: int = 6,
-    gain: float = 0.6,
-    stretch: float = 1.0,
+    rng: Rng, shape: Shape, texel_m: float, longest_m: float, *, octaves: int = 6, gain: float = 0.6, stretch: float = 1.0
 ) -> Float32s:
     """Return sum of octaves of `smooth_noise`, (h, w) float32 of about unit variance; `stretch` > 1 draws it out along y."""
     total = np.zeros(shape, np.float32)
@@ -59,7 +54,7 @@ def smoothstep(low: float, high: float, x: Float32s) -> Float32s:
 
 
 def lettering(
-    shape: tuple[int, int], texel_m: float, text: str, x_m: float, y_m: float, height_m: float, *, bold: float = 0.16
+    shape: Shape, texel_m: float, text: str, x_m: float, y_m: float, height_m: float, *, bold: float = 0.16
 ) -> Float32s:
     """Return coverage (h, w) float32, 0 to 1, of a line of text: top-left corner at (x_m, y_m), capitals `height_m` high."""
     cover = np.zeros(shape, np.uint8)
@@ -71,7 +66,12 @@ def lettering(
     return cover.astype(np.float32) / np.float32(255)
 
 
-def cracks(rng: Rng, shape: tuple[int, int], texel_m: float, *, count: int, length_m: float) -> Float32s:
+def draw(cover: Uint8s, path: Float64s, width: float, tone: int = 255) -> None:
+    """Draw a line through points `path` (n, 2), x and y in texels, into `cover` (h, w); at least one texel wide."""
+    cv2.polylines(cover, [np.round(path * 16).astype(np.int32)], False, tone, max(round(width), 1), cv2.LINE_AA, 4)
+
+
+def cracks(rng: Rng, shape: Shape, texel_m: float, *, count: int, length_m: float) -> Float32s:
     """Return coverage (h, w) float32 of `count` wandering hairlines of about `length_m`."""
     cover = np.zeros(shape, np.uint8)
     step = 0.12 / texel_m
@@ -80,11 +80,11 @@ def cracks(rng: Rng, shape: tuple[int, int], texel_m: float, *, count: int, leng
         heading = rng.uniform(0, 2 * np.pi) + np.cumsum(rng.normal(0, 0.35, steps))
         start = rng.uniform((0, 0), (shape[1], shape[0]))
         path = start + step * np.cumsum(np.column_stack([np.cos(heading), np.sin(heading)]), axis=0)
-        cv2.polylines(cover, [np.round(path * 16).astype(np.int32)], False, 255, max(round(0.012 / texel_m), 1), cv2.LINE_AA, 4)
+        draw(cover, path, 0.012 / texel_m)
     return cover.astype(np.float32) / np.float32(255)
 
 
-def blobs(rng: Rng, shape: tuple[int, int], texel_m: float, *, count: int, radius_m: float) -> Float32s:
+def blobs(rng: Rng, shape: Shape, texel_m: float, *, count: int, radius_m: float) -> Float32s:
     """Return coverage (h, w) float32 of `count` soft-edged irregular spots (oil, lichen, repairs) of about `radius_m`."""
     cover = np.zeros(shape, np.uint8)
     angle = np.linspace(0, 2 * np.pi, 24, endpoint=False)
@@ -121,7 +121,7 @@ def shape_of(width_m: float, height_m: float, texel_m: float) -> tuple[int, int]
     return max(round(height_m / texel_m), 2), max(round(width_m / texel_m), 2)
 
 
-def one_colour(shape: tuple[int, int], colour: Colour) -> Float32s:
+def one_colour(shape: Shape, colour: Colour) -> Float32s:
     """Return (h, w, 3) float32 of one linear colour."""
     return np.ones((*shape, 3), np.float32) * np.asarray(colour, np.float32)
 
@@ -133,18 +133,16 @@ def mix(image: Float32s, colour: Colour | Float32s, cover: Float32s) -> None:
 
 @kernel
 def _lay_stones(
-    cover: Float32s,
-    tone: Float32s,
-    relief: Float32s,
-    table: Float32s,
-    edges: Float32s,
-    shift: Float32s,
+    laid: tuple[Float32s, Float32s, Float32s],
+    rows_of_stones: tuple[Float32s, Float32s, Float32s],
     warp: Float32s,
     texel: float,
     unit: tuple[float, float],
     joint: float,
 ) -> None:
     """Rows of stones with jittered joints: coverage (0 in a joint), a stone's own number, and dome shading lit from top left."""
+    cover, tone, relief = laid
+    table, edges, shift = rows_of_stones
     rows, cols = table.shape
     unit_w, unit_h = unit
     for i in range(cover.shape[0]):
@@ -169,15 +167,7 @@ def _lay_stones(
 
 
 def stones(
-    rng: Rng,
-    shape: tuple[int, int],
-    texel_m: float,
-    unit: tuple[float, float],
-    joint: float,
-    *,
-    bond: float,
-    jitter: float,
-    warp: float,
+    rng: Rng, shape: Shape, texel_m: float, unit: tuple[float, float], joint: float, *, bond: float, jitter: float, warp: float
 ) -> tuple[Float32s, Float32s, Float32s]:
     """Return coverage, tone (unit variance, one number a stone) and relief of rows of stones `unit` = (width, height) metres."""
     rows, cols = int(shape[0] * texel_m / unit[1]) + 2, int(shape[1] * texel_m / unit[0]) + 4
@@ -185,9 +175,9 @@ def stones(
     edges = (unit[0] * jitter * rng.uniform(-1, 1, (rows, cols))).astype(np.float32)
     shift = (unit[0] * (1 + bond * (np.arange(rows) % 2) + 0.5 * jitter * rng.uniform(-1, 1, rows))).astype(np.float32)
     bend = np.float32(warp) * fractal_noise(rng, shape, texel_m, 2.0, octaves=4)
-    cover, tone, relief = (np.empty(shape, np.float32) for _ in range(3))
-    _lay_stones(cover, tone, relief, table, edges, shift, bend, texel_m, unit, joint)
-    return cover, tone, relief
+    laid = (np.empty(shape, np.float32), np.empty(shape, np.float32), np.empty(shape, np.float32))
+    _lay_stones(laid, (table, edges, shift), bend, texel_m, unit, joint)
+    return laid
 
 
 def palette(tones: tuple[Colour, ...], tone: Float32s) -> Float32s:
@@ -200,9 +190,8 @@ def palette(tones: tuple[Colour, ...], tone: Float32s) -> Float32s:
 def weather(rng: Rng, image: Float32s, texel_m: float, *, strength: float, streaks: float = 0.0) -> None:
     """Add large stains, fine grain, and rain streaks down the wall, as factors on `image` in place."""
     shape = image.shape[:2]
-    factor = 1 + strength * (
-        0.55 * fractal_noise(rng, shape, texel_m, 5.0, octaves=5) + 0.45 * fractal_noise(rng, shape, texel_m, 0.4, octaves=5)
-    )
+    stains, grain = (fractal_noise(rng, shape, texel_m, longest_m, octaves=5) for longest_m in (5.0, 0.4))
+    factor = 1 + strength * (0.55 * stains + 0.45 * grain)
     if streaks:
         runs = fractal_noise(rng, shape, texel_m, 0.5, octaves=4, stretch=9.0)
         factor -= streaks * smoothstep(0.2, 2.0, runs)

@@ -166,9 +166,8 @@ def sky_radiance(light: Light, directions: Float32s) -> Float32s:
     up = np.clip(directions[:, 2], 0, 1)[:, None]
     blend = np.sqrt(up)
     x, y = directions[:, 0] / (up[:, 0] + 0.12), directions[:, 1] / (up[:, 0] + 0.12)
-    band = np.sin(1.7 * x + 0.6 * y) * np.sin(0.8 * x - 1.9 * y + 1.0) + 0.5 * np.sin(4.1 * x + 2.3 * y) * np.sin(
-        3.3 * y - 1.2 * x
-    )
+    band = np.sin(1.7 * x + 0.6 * y) * np.sin(0.8 * x - 1.9 * y + 1.0)
+    band = band + 0.5 * np.sin(4.1 * x + 2.3 * y) * np.sin(3.3 * y - 1.2 * x)
     cloud = light.clouds * np.clip(band, 0, 1)[:, None]
     colour = np.asarray(light.haze, np.float32) * (1 - blend) + np.asarray(light.sky, np.float32) * blend
     return np.asarray(colour + cloud * (np.asarray(light.haze, np.float32) - colour * 0.5), dtype=np.float32)

@@ -29,20 +29,14 @@ from .paint import (
     weather,
 )
 
-BRICK_TONES: tuple[Colour, ...] = (
-    (0.30, 0.12, 0.075),
-    (0.36, 0.155, 0.09),
-    (0.23, 0.09, 0.06),
-    (0.40, 0.20, 0.12),
-    (0.27, 0.14, 0.11),
-)
-TILE_TONES: tuple[Colour, ...] = ((0.30, 0.12, 0.07), (0.24, 0.10, 0.07), (0.35, 0.16, 0.10), (0.17, 0.09, 0.07))
-ASHLAR_TONES: tuple[Colour, ...] = ((0.46, 0.41, 0.33), (0.52, 0.47, 0.38), (0.41, 0.37, 0.31), (0.49, 0.42, 0.32))
+BRICK_TONES = ((0.30, 0.12, 0.075), (0.36, 0.155, 0.09), (0.23, 0.09, 0.06), (0.40, 0.20, 0.12), (0.27, 0.14, 0.11))
+TILE_TONES = ((0.30, 0.12, 0.07), (0.24, 0.10, 0.07), (0.35, 0.16, 0.10), (0.17, 0.09, 0.07))
+ASHLAR_TONES = ((0.46, 0.41, 0.33), (0.52, 0.47, 0.38), (0.41, 0.37, 0.31), (0.49, 0.42, 0.32))
 RUST: Colour = (0.19, 0.075, 0.03)
 
 
 def brick_wall(
-    rng: Rng, width_m: float, height_m: float, texel_m: float, *, sign: str = "", tint: Colour = (1.0, 1.0, 1.0)
+    rng: Rng, width_m: float, height_m: float, texel_m: float, tint: Colour = (1.0, 1.0, 1.0), *, sign: str = ""
 ) -> Texture:
     """Paint old brickwork: tone by brick, pale joints, repairs, soot from the eaves, damp at the foot, a faded painted sign."""
     shape = shape_of(width_m, height_m, texel_m)
@@ -61,9 +55,8 @@ def brick_wall(
     height = np.linspace(0, height_m, shape[0], dtype=np.float32)[:, None]
     damp = smoothstep(0.9, 0.0, height_m - height + 0.35 * fractal_noise(rng, shape, texel_m, 1.5))
     image *= (1 - 0.45 * damp)[..., None]
-    salt = blobs(rng, shape, texel_m, count=int(width_m), radius_m=0.35) * smoothstep(
-        -0.3, 1.2, fractal_noise(rng, shape, texel_m, 0.3)
-    )
+    salt = blobs(rng, shape, texel_m, count=int(width_m), radius_m=0.35)
+    salt *= smoothstep(-0.3, 1.2, fractal_noise(rng, shape, texel_m, 0.3))
     mix(image, (0.60, 0.57, 0.52), 0.55 * salt * smoothstep(2.5, 0.6, height_m - height))
     return encode(image, texel_m)
 
@@ -83,9 +76,8 @@ def plaster(rng: Rng, width_m: float, height_m: float, texel_m: float, colour: C
     """Paint nearly even render, hard to match on purpose: a few cracks, faint stains, flakes at the foot."""
     shape = shape_of(width_m, height_m, texel_m)
     image = one_colour(shape, colour)
-    image *= (1 + 0.025 * fractal_noise(rng, shape, texel_m, 3.0) + 0.012 * fractal_noise(rng, shape, texel_m, 0.05, octaves=2))[
-        ..., None
-    ]
+    tone = 1 + 0.025 * fractal_noise(rng, shape, texel_m, 3.0) + 0.012 * fractal_noise(rng, shape, texel_m, 0.05, octaves=2)
+    image *= tone[..., None]
     mix(image, (0.25, 0.22, 0.19), 0.5 * cracks(rng, shape, texel_m, count=int(width_m / 3), length_m=2.0))
     flakes = blobs(rng, shape, texel_m, count=int(width_m / 2), radius_m=0.3)
     flakes[: int(0.8 * shape[0])] = 0
@@ -133,9 +125,7 @@ def _rust(rng: Rng, image: Float32s, texel_m: float, *, amount: float) -> None:
     """Add rust where noise and nearness to the top and bottom edges agree, running down in streaks."""
     shape = image.shape[:2]
     y = np.linspace(-1, 1, shape[0], dtype=np.float32)[:, None] ** 4
-    field = (
-        fractal_noise(rng, shape, texel_m, 1.5, octaves=6) + 0.7 * fractal_noise(rng, shape, texel_m, 0.25, stretch=6.0) + 1.2 * y
-    )
+    field = fractal_noise(rng, shape, texel_m, 1.5) + 0.7 * fractal_noise(rng, shape, texel_m, 0.25, stretch=6.0) + 1.2 * y
     cover = smoothstep(2.9 - 1.6 * amount, 4.0 - 1.6 * amount, field)
     tone = 1 + 0.35 * fractal_noise(rng, shape, texel_m, 0.1, octaves=3)
     mix(image, tone[..., None] * np.asarray(RUST, np.float32), 0.9 * cover)
@@ -170,11 +160,8 @@ def roller_door(rng: Rng, width_m: float, height_m: float, texel_m: float, colou
     y = (np.arange(shape[0], dtype=np.float32) * texel_m % 0.12) / 0.12
     light = np.asarray(0.75 + 0.4 * np.sin(np.pi * y), dtype=np.float32)
     image = one_colour(shape, colour) * light[:, None, None]
-    mix(
-        image,
-        (0.75, 0.73, 0.66),
-        0.9 * lettering(shape, texel_m, number, 0.3 * width_m, 0.22 * height_m, 0.3 * height_m, bold=0.2),
-    )
+    digits = lettering(shape, texel_m, number, 0.3 * width_m, 0.22 * height_m, 0.3 * height_m, bold=0.2)
+    mix(image, (0.75, 0.73, 0.66), 0.9 * digits)
     weather(rng, image, texel_m, strength=0.10, streaks=0.16)
     _rust(rng, image, texel_m, amount=0.4)
     return encode(image, texel_m)
@@ -188,12 +175,8 @@ def window(width_m: float, height_m: float, texel_m: float) -> Texture:
     image = np.asarray((0.03, 0.035, 0.04), np.float32) + sheen[..., None] * np.asarray((0.10, 0.13, 0.16), np.float32)
     blind = ((y < 0.38 * height_m) & (x > 0.5 * width_m)).astype(np.float32)
     mix(image, (0.48, 0.44, 0.34), blind * (0.8 + 0.2 * (y % 0.06 > 0.015)))
-    bar = np.zeros(shape, np.float32)
-    for position in np.linspace(0, width_m, 3):
-        bar = np.maximum(bar, np.clip((0.035 - np.abs(x - position)) / texel_m + 0.5, 0, 1))
-    for position in np.linspace(0, height_m, 4):
-        bar = np.maximum(bar, np.clip((0.035 - np.abs(y - position)) / texel_m + 0.5, 0, 1))
-    mix(image, (0.66, 0.65, 0.60), bar)
+    off = [np.abs(x - bar) for bar in np.linspace(0, width_m, 3)] + [np.abs(y - bar) for bar in np.linspace(0, height_m, 4)]
+    mix(image, (0.66, 0.65, 0.60), (0.035 - np.min(off, axis=0)) / texel_m + 0.5)
     return encode(image, texel_m)
 
 
@@ -221,7 +204,7 @@ def cloth(rng: Rng, texel_m: float, colour: Colour) -> Texture:
     return encode(factor[..., None] * np.asarray(colour, np.float32), texel_m)
 
 
-def ashlar(rng: Rng, width_m: float, height_m: float, texel_m: float, *, tint: Colour = (1.0, 1.0, 1.0)) -> Texture:
+def ashlar(rng: Rng, width_m: float, height_m: float, texel_m: float, tint: Colour = (1.0, 1.0, 1.0)) -> Texture:
     """Paint dressed stone in courses, sooty from the top, with streaks."""
     shape = shape_of(width_m, height_m, texel_m)
     cover, tone, relief = stones(rng, shape, texel_m, (0.95, 0.42), 0.014, bond=0.5, jitter=0.10, warp=0.003)
