@@ -31,20 +31,10 @@ def carpark(shots: Shots) -> DemoSite:
     shots.check(len(MASTS))
     texel_m = shots.texel_m(14.0, 0.0145, 0.06)
     lanes = (((-23.0, -9.3), (23.0, -9.3)), ((-23.0, 7.3), (23.0, 7.3)))
-    night = Night(
-        viewpoints=tuple(viewpoints()[: shots.cameras]),
-        still=static_carpark(shots.random(1), texel_m),
-        traffic=traffic(
-            shots.random(2),
-            max(texel_m, 0.02),
-            shots.captures,
-            people=9,
-            walks=(*lanes, ((-20.0, 16.6), (20.0, 16.6))),
-            cars=3,
-            roads=lanes,
-        ),
-        lighting=light_of(shots.light, LAMPS),
-    )
+    still = static_carpark(shots.random(1), texel_m)
+    walks = (*lanes, ((-20.0, 16.6), (20.0, 16.6)))
+    moving = traffic(shots.random(2), max(texel_m, 0.02), shots.captures, people=9, walks=walks, cars=3, roads=lanes)
+    night = Night(tuple(viewpoints()[: shots.cameras]), still, moving, light_of(shots.light, LAMPS))
     return photograph(night, shots, shots.voxel_m(48.0))
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 from .parts import ground
 from .parts.movers import traffic
 from .parts.street import furniture_textures, street_lamp
@@ -28,20 +30,10 @@ def containers(shots: Shots) -> DemoSite:
     texel_m = shots.texel_m(16.0, 0.0166, 0.06)
     aisles = (((-24.0, -5.8), (24.0, -5.8)), ((-24.0, 5.8), (24.0, 5.8)), ((0.0, -18.0), (0.0, 16.0)))
     outside = ((-24.0, -18.0), (24.0, -18.0))
-    night = Night(
-        viewpoints=tuple(viewpoints()[: shots.cameras]),
-        still=static_depot(shots.random(1), texel_m),
-        traffic=traffic(
-            shots.random(2),
-            max(texel_m, 0.02),
-            shots.captures,
-            people=8,
-            walks=(outside, *aisles),
-            cars=3,
-            roads=(outside, *aisles[:2]),
-        ),
-        lighting=light_of(shots.light, LAMPS),
-    )
+    still = static_depot(shots.random(1), texel_m)
+    walks, roads = (outside, *aisles), (outside, *aisles[:2])
+    moving = traffic(shots.random(2), max(texel_m, 0.02), shots.captures, people=8, walks=walks, cars=3, roads=roads)
+    night = Night(tuple(viewpoints()[: shots.cameras]), still, moving, light_of(shots.light, LAMPS))
     return photograph(night, shots, shots.voxel_m(57.6, 0.15))
 
 
@@ -63,17 +55,15 @@ def static_depot(rng: Rng, texel_m: float) -> Scene:
             build.quad((x, y, 0.0), (40.0, 0, 0), (0, -30.0, 0), slabs)
     far = build.add_texture(ground.concrete(rng, 30.0, 30.0, 3 * texel_m))
     build.quad((-90.0, 90.0, -0.03), (180.0, 0, 0), (0, -180.0, 0), far)
-    parts = []
-    for colour, name in (((0.42, 0.10, 0.05), "KOGGE"), ((0.05, 0.16, 0.34), "NORDSEE")):
-        parts.append(build.with_same_textures())
-        container(parts[-1], rng, texel_m, Box(0.0, 0.0, 0, 0.0, 6.06, colour, name))
-    heights = rng.choice([2, 2, 3], size=(len(COLUMNS), len(ROWS)))
-    odd = rng.permutation(len(COLUMNS) * len(ROWS))[:2]
-    for i, x in enumerate(COLUMNS):
-        for j, y in enumerate(ROWS):
-            for level in range(int(heights[i, j])):
-                other = i * len(ROWS) + j in odd and level == int(heights[i, j]) - 1
-                build.stamp(parts[int(other)], (x, y, 2.6 * level))
+    usual, other = build.with_same_textures(), build.with_same_textures()
+    container(usual, rng, texel_m, Box(0.0, 0.0, 0, 0.0, 6.06, (0.42, 0.10, 0.05), "KOGGE"))
+    container(other, rng, texel_m, Box(0.0, 0.0, 0, 0.0, 6.06, (0.05, 0.16, 0.34), "NORDSEE"))
+    stacks = list(itertools.product(COLUMNS, ROWS))
+    heights = rng.choice([2, 2, 3], size=len(stacks))
+    odd = rng.permutation(len(stacks))[:2]
+    for k, (x, y) in enumerate(stacks):
+        for level in range(heights[k]):
+            build.stamp(other if k in odd and level == heights[k] - 1 else usual, (x, y, 2.6 * level))
     look = furniture_textures(build, rng, texel_m)
     for x, y, z in LAMPS:
         if x:

@@ -6,6 +6,7 @@ Tile matches wrong tile wherever nothing but the ground decides; façades, a fou
 from __future__ import annotations
 
 import itertools
+from collections.abc import Callable
 
 import numpy as np
 
@@ -16,7 +17,7 @@ from .parts.structures import Opening, facade
 from .render import textures as paint
 from .render.cameras import Viewpoint, principal_shift
 from .render.light import light_of
-from .render.paint import Colour, Rng
+from .render.paint import Colour, Rng, Texture
 from .render.photograph import DemoSite, Night, Shots, photograph
 from .render.scene import STATIC, WATER, Scene, SceneBuilder
 
@@ -50,6 +51,11 @@ HOUSES: tuple[tuple[int, float, float, float, str, Colour, str], ...] = (
     (3, -5.5, 7.0, 13.0, "brick", (1.0, 0.95, 0.8), "MUSEUM"),
     (3, 7.0, 20.0, 11.0, "plaster", (0.44, 0.47, 0.52), "POST"),
 )
+WALLS: dict[str, Callable[[Rng, float, float, float, Colour], Texture]] = {
+    "brick": paint.brick_wall,
+    "ashlar": paint.ashlar,
+    "plaster": paint.plaster,
+}
 
 
 def square(shots: Shots) -> DemoSite:
@@ -59,12 +65,9 @@ def square(shots: Shots) -> DemoSite:
     """
     shots.check(len(BEARINGS_DEG))
     texel_m = shots.texel_m(12.0, 0.0125, 0.05)
-    night = Night(
-        viewpoints=tuple(viewpoints()[: shots.cameras]),
-        still=static_square(shots.random(1), texel_m),
-        traffic=traffic(shots.random(2), max(texel_m, 0.02), shots.captures, people=18, walks=WALKS),
-        lighting=light_of(shots.light, LAMPS),
-    )
+    still = static_square(shots.random(1), texel_m)
+    people = traffic(shots.random(2), max(texel_m, 0.02), shots.captures, people=18, walks=WALKS)
+    night = Night(tuple(viewpoints()[: shots.cameras]), still, people, light_of(shots.light, LAMPS))
     return photograph(night, shots, shots.voxel_m(38.4))
 
 
@@ -75,13 +78,8 @@ def viewpoints() -> list[Viewpoint]:
         distance = 15.5 + 0.8 * float(np.sin(2.3 * k))
         centre = (distance * float(np.sin(bearing)), -distance * float(np.cos(bearing)), 2.5)
         target = (0.6 * float(np.sin(5.1 * k)), 0.6 * float(np.cos(4.3 * k)), -1.6)
-        bend = -0.14 - 0.02 * (k % 3)
-        shift = principal_shift(k)
-        found.append(
-            Viewpoint(
-                f"pole-{k + 1}", centre, target, 74.0 + 2.0 * (k % 2), (bend, 0.03, 0.0003, -0.0002, 0.0), 0.8 * shift[1], shift
-            )
-        )
+        bend, shift = (-0.14 - 0.02 * (k % 3), 0.03, 0.0003, -0.0002, 0.0), principal_shift(k)
+        found.append(Viewpoint(f"pole-{k + 1}", centre, target, 74.0 + 2.0 * (k % 2), bend, 0.8 * shift[1], shift))
     return found
 
 
@@ -119,12 +117,7 @@ def _houses(build: SceneBuilder, rng: Rng, texel_m: float) -> None:
     tiles = build.add_texture(paint.roof_tiles(rng, 14.0, 5.0, 1.5 * texel_m))
     for k, (side, start, end, height, kind, tint, shop) in enumerate(HOUSES):
         width = end - start
-        if kind == "brick":
-            wall = paint.brick_wall(rng, width, height, texel_m, tint=tint)
-        elif kind == "ashlar":
-            wall = paint.ashlar(rng, width, height, texel_m, tint=tint)
-        else:
-            wall = paint.plaster(rng, width, height, texel_m, tint)
+        wall = WALLS[kind](rng, width, height, texel_m, tint)
         house = build.with_same_textures()
         corner, right = np.array([start, HALF, height]), np.array([1.0, 0, 0])
         door = build.add_texture(paint.planks(rng, 1.3, 2.4, texel_m, ((0.20, 0.11, 0.06), (0.07, 0.14, 0.10))[k % 2]))
@@ -164,10 +157,8 @@ def _fountain(build: SceneBuilder, rng: Rng, texel_m: float, look: Furniture) ->
     for a, b in itertools.pairwise(ring):
         build.beam((2.25 * np.cos(a), 2.25 * np.sin(a), 0.66), (2.25 * np.cos(b), 2.25 * np.sin(b), 0.66), 0.22, stone)
     build.box((0.0, 0.0, 0.2), (1.1, 1.1, 1.7), stone, yaw=0.2)
-    plaque = build.add_texture(
-        paint.sign_board(rng, 0.9, 0.6, 0.5 * texel_m, ("ANNO", "1887"), (0.20, 0.15, 0.07), (0.02, 0.02, 0.02))
-    )
-    build.box((0.11, -0.56, 1.0), (0.9, 0.05, 0.6), plaque, yaw=0.2, front=plaque)
+    words = paint.sign_board(rng, 0.9, 0.6, 0.5 * texel_m, ("ANNO", "1887"), (0.20, 0.15, 0.07), (0.02, 0.02, 0.02))
+    build.box((0.11, -0.56, 1.0), (0.9, 0.05, 0.6), build.add_texture(words), yaw=0.2)
     build.box((0.0, 0.0, 1.9), (1.3, 1.3, 0.14), look.stone, yaw=0.2)
     for side in (-0.16, 0.16):
         build.tube((side, 0.05 * side, 2.0), 0.13, 0.95, bronze, sides=9)
@@ -190,17 +181,14 @@ def _standing(build: SceneBuilder, rng: Rng, texel_m: float, look: Furniture) ->
     green = build.add_texture(paint.planks(rng, 3.0, 2.6, texel_m, (0.06, 0.13, 0.09)))
     build.box((-12.0, -14.6, 0.0), (3.0, 2.2, 2.6), green, yaw=0.5)
     build.box((-12.0, -14.6, 2.6), (3.6, 2.8, 0.15), look.steel, yaw=0.5)
-    posters = build.add_texture(
-        paint.sign_board(
-            rng, 4.0, 2.3, texel_m, ("ZIRKUS 3.12.", "OPER: AIDA", "FLOHMARKT SO"), (0.6, 0.5, 0.2), (0.3, 0.04, 0.05)
-        )
-    )
-    build.tube((12.2, -13.4, 0.0), 0.64, 2.7, posters, sides=18)
+    posters = ("ZIRKUS 3.12.", "OPER: AIDA", "FLOHMARKT SO")
+    column = paint.sign_board(rng, 4.0, 2.3, texel_m, posters, (0.6, 0.5, 0.2), (0.3, 0.04, 0.05))
+    build.tube((12.2, -13.4, 0.0), 0.64, 2.7, build.add_texture(column), sides=18)
     build.tube((12.2, -13.4, 2.7), 0.75, 0.2, look.steel, sides=18)
-    for k in range(7):
-        build.beam((14.4, 9.0 + 0.7 * k, 0.0), (14.4, 9.0 + 0.7 * k, 0.8), 0.06, look.steel)
-        build.beam((15.2, 9.0 + 0.7 * k, 0.0), (15.2, 9.0 + 0.7 * k, 0.8), 0.06, look.steel)
-        build.beam((14.4, 9.0 + 0.7 * k, 0.8), (15.2, 9.0 + 0.7 * k, 0.8), 0.06, look.steel)
+    for y in (9.0 + 0.7 * k for k in range(7)):
+        stand = ((14.4, y, 0.0), (14.4, y, 0.8), (15.2, y, 0.8), (15.2, y, 0.0))
+        for i, j in ((0, 1), (3, 2), (1, 2)):
+            build.beam(stand[i], stand[j], 0.06, look.steel)
     for k in range(9):
         build.tube((-17.5, -14.0 + 3.4 * k, 0.0), 0.13, 0.85, look.steel, sides=9)
     for viewpoint in viewpoints():

@@ -14,7 +14,7 @@ from .render.cameras import CENTRE, MOUNTS, choose_mounts
 from .render.light import light_of
 from .render.paint import Rng
 from .render.photograph import DemoSite, Night, Shots, photograph
-from .render.scene import GLOWING, STATIC, UP, WATER, Scene, SceneBuilder
+from .render.scene import GLOWING, STATIC, UP, WATER, Scene, SceneBuilder, axes_of
 
 WALL_TOP, SHED_TOP = 9.2, 8.0
 LAMPS = (
@@ -142,7 +142,7 @@ def _signs(build: SceneBuilder, rng: Rng, texel_m: float) -> None:
     )
     for place, size, lines, colour, ink in boards:
         front = build.add_texture(paint.sign_board(rng, size[0], size[2], texel_m, lines, colour, ink))
-        build.box(place, size, front, front=front)
+        build.box(place, size, front)
 
 
 def _clutter(build: SceneBuilder, rng: Rng, texel_m: float) -> None:
@@ -164,9 +164,8 @@ def _clutter(build: SceneBuilder, rng: Rng, texel_m: float) -> None:
     steel = build.add_texture(paint.painted_steel(rng, 3.0, 9.0, texel_m, (0.30, 0.31, 0.31)))
     _lamp_holders(build, rng, steel)
     for x, y, z in (mount.centre for mount in MOUNTS):
-        east, north = x - CENTRE[0], y - CENTRE[1]
-        back = 0.45 / np.hypot(east, north)
-        build.tube((x + back * east, y + back * north, 0.0), 0.1, z + 0.3, steel, sides=8)
+        outward = np.array([x - CENTRE[0], y - CENTRE[1], 0.0])
+        build.tube(np.array([x, y, 0.0]) + 0.45 / np.linalg.norm(outward) * outward, 0.1, z + 0.3, steel, sides=8)
 
 
 def _lamp_holders(build: SceneBuilder, rng: Rng, steel: int) -> None:
@@ -188,29 +187,23 @@ def _lorry(build: SceneBuilder, rng: Rng, texel_m: float) -> None:
     red = build.add_texture(paint.painted_steel(rng, 3.0, 3.0, texel_m, (0.42, 0.06, 0.05)))
     bed = build.add_texture(paint.planks(rng, 5.0, 2.5, texel_m))
     dark = build.add_texture(paint.cloth(rng, texel_m, (0.03, 0.03, 0.035)))
-    crate = build.add_texture(
-        paint.sign_board(rng, 4.4, 1.4, texel_m, ("MASCHINENTEILE", "HAMBURG  7/12"), (0.40, 0.30, 0.17), (0.06, 0.05, 0.05))
-    )
+    words = ("MASCHINENTEILE", "HAMBURG  7/12")
+    crate = build.add_texture(paint.sign_board(rng, 4.4, 1.4, texel_m, words, (0.40, 0.30, 0.17), (0.06, 0.05, 0.05)))
     build.box((4.6, 10.2, 0.6), (2.3, 1.9, 2.1), red, yaw=1.35)
     build.box((3.75, 6.6, 0.9), (4.9, 2.3, 0.2), bed, yaw=1.35)
     build.box((3.75, 6.4, 1.1), (2.6, 1.8, 1.4), crate, yaw=1.35)
+    ahead, left = axes_of(1.35)
     for along in (3.7, 0.4, -1.1):
         for side in (-0.95, 0.95):
-            x = 3.75 + along * np.cos(1.35) - side * np.sin(1.35)
-            y = 6.6 + along * np.sin(1.35) + side * np.cos(1.35)
-            build.ball((x, y, 0.45), (0.46, 0.46, 0.46), dark, steps=7)
+            build.ball(np.array([3.75, 6.6, 0.45]) + along * ahead + side * left, (0.46, 0.46, 0.46), dark, steps=7)
 
 
 def yard(shots: Shots) -> DemoSite:
     """Render the yard: up to 8 neighbours of a half ring.  Raises ValueError for impossible shots."""
     shots.check(len(MOUNTS))
     texel_m = shots.texel_m(0.0098 * 1280, 0.0098, 0.1)
-    night = Night(
-        viewpoints=choose_mounts(shots.cameras),
-        still=static_yard(shots.random(1), texel_m, shots.surfaces),
-        traffic=tuple(movers(shots.random(2), max(texel_m, 0.02), shots.captures)),
-        lighting=light_of(shots.light, LAMPS),
-    )
+    still = static_yard(shots.random(1), texel_m, shots.surfaces)
+    moving = tuple(movers(shots.random(2), max(texel_m, 0.02), shots.captures))
+    night = Night(choose_mounts(shots.cameras), still, moving, light_of(shots.light, LAMPS))
     # about two pixels in the middle of the yard
-    voxel_m = shots.voxel_m(51.2)
-    return photograph(night, shots, voxel_m)
+    return photograph(night, shots, shots.voxel_m(51.2))
