@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 
 from .parts.ground import asphalt, lawn, with_lines
-from .parts.movers import traffic
+from .parts.movers import Way, traffic
 from .parts.street import Furniture, car, car_textures, furniture_textures, street_lamp, tree
 from .parts.structures import Opening, facade
 from .render import textures as paint
@@ -53,14 +55,13 @@ def static_carpark(rng: Rng, texel_m: float) -> Scene:
     _ground(build, rng, texel_m, look)
     cars = car_textures(build, rng, texel_m)
     models = [car(build, cars, colour) for colour in range(3)]
-    for y, nose in ROWS:
-        for k in range(BAYS):
-            # most are of one colour, as in a fleet's or a dealer's yard; one bay in six is free
-            chance, aside, turn = rng.uniform(), rng.normal(0, 0.06), rng.normal(0, 0.012)
-            if chance < 5 / 6:
-                model = models[0 if chance < 0.55 else 1 if chance < 0.72 else 2]
-                x = BAY_M * (k + 0.5 - BAYS / 2)
-                build.stamp(model, (x + float(aside), y + float(2 * aside), 0.0), yaw=nose * np.pi / 2 + float(turn))
+    for (y, nose), k in itertools.product(ROWS, range(BAYS)):
+        # most are of one colour, as in a fleet's or a dealer's yard; one bay in six is free
+        chance, aside, turn = rng.uniform(), rng.normal(0, 0.06), rng.normal(0, 0.012)
+        if chance < 5 / 6:
+            model = models[0 if chance < 0.55 else 1 if chance < 0.72 else 2]
+            x = BAY_M * (k + 0.5 - BAYS / 2)
+            build.stamp(model, (x + float(aside), y + float(2 * aside), 0.0), yaw=nose * np.pi / 2 + float(turn))
     _shop(build, rng, texel_m)
     _edge(build, rng, look)
     return build.build()
@@ -68,16 +69,13 @@ def static_carpark(rng: Rng, texel_m: float) -> Scene:
 
 def _ground(build: SceneBuilder, rng: Rng, texel_m: float, look: Furniture) -> None:
     """Add asphalt with painted bays and arrows, kerbed islands, and grass around."""
-    lines: list[tuple[tuple[float, float], tuple[float, float]]] = []
-    for y, _ in ROWS:
-        top = DEEP / 2 - y
-        for k in range(BAYS + 1):
-            x = WIDE / 2 + BAY_M * (k - BAYS / 2)
-            lines.append(((x, top - 2.5), (x, top + 2.5)))
-    for y in (-9.3, 7.3):
-        for x in (8.0, 20.0, 32.0, 44.0):
-            top = DEEP / 2 - y
-            lines += [((x, top), (x + 2.0, top)), ((x + 1.3, top - 0.5), (x + 2.0, top)), ((x + 1.3, top + 0.5), (x + 2.0, top))]
+    lines: list[Way] = []
+    for (y, _), k in itertools.product(ROWS, range(BAYS + 1)):
+        x, top = WIDE / 2 + BAY_M * (k - BAYS / 2), DEEP / 2 - y
+        lines.append(((x, top - 2.5), (x, top + 2.5)))
+    for y, x in itertools.product((-9.3, 7.3), (8.0, 20.0, 32.0, 44.0)):
+        tip = (x + 2.0, DEEP / 2 - y)
+        lines += [((x + back, DEEP / 2 - y + aside), tip) for back, aside in ((0.0, 0.0), (1.3, -0.5), (1.3, 0.5))]
     surface = with_lines(asphalt(rng, WIDE, DEEP, texel_m), np.array(lines, np.float32), 0.11, rng)
     build.quad((-WIDE / 2, DEEP / 2, 0.0), (WIDE, 0, 0), (0, -DEEP, 0), build.add_texture(surface))
     grass = build.add_texture(lawn(rng, 20.0, 20.0, 2 * texel_m))
@@ -86,9 +84,8 @@ def _ground(build: SceneBuilder, rng: Rng, texel_m: float, look: Furniture) -> N
         build.box((0.0, y, -0.1), (WIDE + 0.4, 0.2, 0.2), look.stone)
     for x in (-WIDE / 2, WIDE / 2):
         build.box((x, 0.0, -0.1), (0.2, DEEP, 0.2), look.stone)
-    for x in (-23.6, 23.6):
-        for y, _ in ROWS:
-            build.box((x, y, -0.1), (1.6, 4.8, 0.22), look.stone)
+    for x, (y, _) in itertools.product((-23.6, 23.6), ROWS):
+        build.box((x, y, -0.1), (1.6, 4.8, 0.22), look.stone)
 
 
 def _shop(build: SceneBuilder, rng: Rng, texel_m: float) -> None:
@@ -99,12 +96,12 @@ def _shop(build: SceneBuilder, rng: Rng, texel_m: float) -> None:
     glass, doors = (build.add_texture(paint.window(w, 2.6, texel_m)) for w in (3.0, 4.0))
     openings = [Opening(2.0 + 4.2 * k, top - 2.8, 3.0, 2.6, glass) for k in (0, 1, 2, 6, 7, 8)]
     openings.append(Opening(18.5, top - 2.9, 4.0, 2.9, doors, depth=0.4))
-    facade(build, np.array([-width / 2, 21.0, top]), np.array([1.0, 0, 0]), (width, top), wall, openings, sill)
+    facade(build, (-width / 2, 21.0, top), (1, 0, 0), (width, top), wall, openings, sill)
     build.quad((-width / 2, 40.0, top), (width, 0, 0), (0, -19.4, 0), sill)
     build.box((0.0, 20.8, top - 0.5), (width, 0.6, 0.7), sill)
     for x, text, tone in ((-13.0, "FRISCHMARKT", (0.45, 0.04, 0.04)), (11.0, "GETRAENKE", (0.05, 0.15, 0.35))):
         front = build.add_texture(paint.sign_board(rng, 8.0, 1.2, texel_m, (text,), tone, (0.75, 0.74, 0.70)))
-        build.box((x, 20.75, 3.6), (8.0, 0.3, 1.2), front, front=front)
+        build.box((x, 20.75, 3.6), (8.0, 0.3, 1.2), front)
 
 
 def _edge(build: SceneBuilder, rng: Rng, look: Furniture) -> None:
@@ -112,14 +109,12 @@ def _edge(build: SceneBuilder, rng: Rng, look: Furniture) -> None:
     for x, y, z in LAMPS:
         build.stamp(street_lamp(build, look, height=z), (x, y - 2.6 if y < 0 else y + 2.6, 0.0))
     for x in (-3.75, 11.25):
-        for side in (-1.1, 1.1):
-            for y in (11.2, 14.8):
-                build.beam((x + side, y, 0.0), (x + side, y, 2.2), 0.07, look.steel)
+        for side, y in itertools.product((-1.1, 1.1), (11.2, 14.8)):
+            build.beam((x + side, y, 0.0), (x + side, y, 2.2), 0.07, look.steel)
         build.box((x, 13.0, 2.2), (2.4, 4.0, 0.08), look.steel)
-    for k in range(9):
-        for side in (-1, 1):
-            height = float(rng.uniform(5.5, 8.0))
-            build.stamp(tree(build, rng, look, height=height), (side * 31.0 + float(rng.normal()), -22.0 + 6.5 * k, 0.0))
+    for k, side in itertools.product(range(9), (-31.0, 31.0)):
+        height = float(rng.uniform(5.5, 8.0))
+        build.stamp(tree(build, rng, look, height=height), (side + float(rng.normal()), -22.0 + 6.5 * k, 0.0))
     for x in np.arange(-26.0, 27.0, 7.5):
         build.stamp(tree(build, rng, look, height=float(rng.uniform(4.5, 6.5))), (float(x), -27.0 + float(rng.normal()), 0.0))
     for x, y, z in MASTS:

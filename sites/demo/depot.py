@@ -50,9 +50,8 @@ def static_depot(rng: Rng, texel_m: float) -> Scene:
     build = SceneBuilder()
     build.kind = STATIC
     slabs = build.add_texture(ground.concrete(rng, 40.0, 30.0, texel_m))
-    for x in (-40.0, 0.0):
-        for y in (30.0, 0.0):
-            build.quad((x, y, 0.0), (40.0, 0, 0), (0, -30.0, 0), slabs)
+    for x, y in itertools.product((-40.0, 0.0), (30.0, 0.0)):
+        build.quad((x, y, 0.0), (40.0, 0, 0), (0, -30.0, 0), slabs)
     far = build.add_texture(ground.concrete(rng, 30.0, 30.0, 3 * texel_m))
     build.quad((-90.0, 90.0, -0.03), (180.0, 0, 0), (0, -180.0, 0), far)
     usual, other = build.with_same_textures(), build.with_same_textures()

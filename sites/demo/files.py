@@ -32,14 +32,17 @@ class Points:
     """Lines for its header."""
 
 
+File = tuple[str, bytes | Points]
+"""Name and content."""
+
+
 @dataclass(frozen=True)
 class DemoFiles:
     """A demo, before it is written."""
 
     manifest: Mapping[str, Any]
     """What was rendered (JSON data): demo.json holds it."""
-    files: Iterator[tuple[str, bytes | Points]]
-    """Name and content of every file."""
+    files: Iterator[File]
 
 
 def demo_files(scene: str, *, small: bool = False, light: str = "day", seed: int = 0, **options: Any) -> DemoFiles:
@@ -51,7 +54,7 @@ def demo_files(scene: str, *, small: bool = False, light: str = "day", seed: int
     return DemoFiles(manifest, _files(site, scene, light, kinds.get("lenses", "standard")))
 
 
-def _files(site: DemoSite, scene: str, light: str, lenses: str) -> Iterator[tuple[str, bytes | Points]]:
+def _files(site: DemoSite, scene: str, light: str, lenses: str) -> Iterator[File]:
     """Yield name and content of every file of the demo."""
     for camera in site.cameras:
         for k, image in enumerate(camera.captures):
@@ -59,22 +62,21 @@ def _files(site: DemoSite, scene: str, light: str, lenses: str) -> Iterator[tupl
         yield f"masks/{camera.name}.png", png(camera.mask)
         truth = {"range" if camera.lens.model == "fisheye" else "depth": camera.depth}
         yield f"truth/depth/{camera.name}.npz", npz_bytes(**truth)
-    yield from _cameras_and_reference(site.cameras, site.reference, site.voxel_m, {"light": light})
-    also = _LENSES.format(lenses=VARIANTS[lenses]) if lenses != "standard" else ""
-    yield "README.txt", _text("readme", about=SCENES[scene].about, scene="yard" if scene == "yard" else "scene", also=also)
+    yield from _cameras_and_reference(site.cameras, site, {"light": light})
+    also = _text("lenses", lenses=VARIANTS[lenses]) if lenses != "standard" else ""
+    words = {"about": SCENES[scene].about, "scene": "yard" if scene == "yard" else "scene", "also": also}
+    yield "README.txt", _text("readme", **words).encode()
     file = _site_file(scene, site.cameras, f"{site.cameras[0].times[0]:%Y-%m-%d}_1.jpg")
-    yield "site.yaml", file + (_WHOLE_FIELD if lenses == "brown" else b"")
+    yield "site.yaml", (file + (_text("whole_field") if lenses == "brown" else "")).encode()
 
 
-def _cameras_and_reference(
-    cameras: Sequence[DemoCamera], reference: Cloud, voxel_m: float, taken: dict[str, Any]
-) -> Iterator[tuple[str, bytes | Points]]:
+def _cameras_and_reference(cameras: Sequence[DemoCamera], site: DemoSite | NightsSite, taken: dict[str, Any]) -> Iterator[File]:
     """Yield the calibration, twice, and the reference cloud with its summary."""
     calibration = json_bytes({camera.name: calibration_of(camera) for camera in cameras})
     yield "cameras.json", calibration
     yield "truth/cameras.json", calibration
-    yield "truth/reference.ply", reference_points(reference, voxel_m)
-    summary = {"points": len(reference.points), "voxel_m": voxel_m, "seen_by_at_least": 2, "unit": "m"}
+    yield "truth/reference.ply", reference_points(site.reference, site.voxel_m)
+    summary = {"points": len(site.reference.points), "voxel_m": site.voxel_m, "seen_by_at_least": 2, "unit": "m"}
     yield "truth/reference.json", json_bytes(summary | taken)
 
 
@@ -94,12 +96,8 @@ def calibration_of(camera: DemoCamera) -> dict[str, Any]:
 
 def reference_points(cloud: Cloud, voxel_m: float) -> Points:
     """Return the content of truth/reference.ply."""
-    columns = {
-        **dict(zip(("x", "y", "z"), cloud.points.T, strict=True)),
-        **dict(zip(("nx", "ny", "nz"), cloud.normals.T, strict=True)),
-        **dict(zip(("red", "green", "blue"), cloud.colors.T, strict=True)),
-        "views": cloud.views,
-    }
+    names = ("x", "y", "z", "nx", "ny", "nz", "red", "green", "blue", "views")
+    columns = dict(zip(names, (*cloud.points.T, *cloud.normals.T, *cloud.colors.T, cloud.views), strict=True))
     return Points(columns, (f"surfaces that at least two cameras see, one point per {voxel_m:g} m",))
 
 
@@ -115,28 +113,17 @@ def json_bytes(data: dict[str, Any]) -> bytes:
     return (json.dumps(data, indent=1) + "\n").encode()
 
 
-def _site_file(scene: str, cameras: Sequence[DemoCamera], example: str) -> bytes:
+def _site_file(scene: str, cameras: Sequence[DemoCamera], example: str) -> str:
     """Return the site file of a demo; `example`: the name of a capture."""
     rows = "\n".join(f"  - {{id: {camera.name}, mask: masks/{camera.name}.png}}" for camera in cameras)
     low, high = SCENES[scene].angles_deg
     return _text("site", scene=scene, cameras=rows, example=example, low=low, high=high)
 
 
-def _text(name: str, **words: Any) -> bytes:
+def _text(name: str, **words: Any) -> str:
     """Return one of `texts/` with words filled in."""
-    return (resources.files(__package__) / "texts" / f"{name}.txt").read_text(encoding="utf-8").format(**words).encode()
+    return (resources.files(__package__) / "texts" / f"{name}.txt").read_text(encoding="utf-8").format(**words)
 
-
-_WHOLE_FIELD = b"""
-# Frames as wide as the lenses see, rather than what has place with their own K.
-stages: {frames: {whole_field: true}}
-"""
-
-_LENSES = """\
-Its cameras: {lenses}.
-Of a fisheye (k1 k2 k3 k4), truth/depth has the key 'range': metres along the ray of each pixel of a capture.
-
-"""
 
 NIGHT_SMALL, NIGHT_LARGE = (320, 180), (640, 360)
 
@@ -153,7 +140,7 @@ def demo_nights(nights: int, *, frames: int = 3, small: bool = False, cameras: i
     return DemoFiles(manifest, _night_files(site, nights))
 
 
-def _night_files(site: NightsSite, nights: int) -> Iterator[tuple[str, bytes | Points]]:
+def _night_files(site: NightsSite, nights: int) -> Iterator[File]:
     """Yield name and content of every file of demo nights."""
     for each in site.cameras:
         name = each.camera.name
@@ -163,12 +150,13 @@ def _night_files(site: NightsSite, nights: int) -> Iterator[tuple[str, bytes | P
         yield f"masks/{name}.png", png(each.camera.mask)
         for epoch, depth in each.depths.items():
             yield f"{_depth_folder(epoch)}/{name}.npz", npz_bytes(depth=depth)
-    yield from _cameras_and_reference([each.camera for each in site.cameras], site.reference, site.voxel_m, {"night": 1})
-    width, height = site.cameras[0].camera.lens.width, site.cameras[0].camera.lens.height
+    cameras = [each.camera for each in site.cameras]
+    yield from _cameras_and_reference(cameras, site, {"night": 1})
     truth = [_night(site, number) for number in range(1, nights + 1)]
-    yield "truth/nights.json", json_bytes({"unit": "m", "width": width, "height": height, "nights": truth})
-    yield "README.txt", _text("nights")
-    yield "site.yaml", _site_file("yard", [each.camera for each in site.cameras], "2026-11-10_140211.jpg")
+    size = {"width": cameras[0].lens.width, "height": cameras[0].lens.height}
+    yield "truth/nights.json", json_bytes({"unit": "m", **size, "nights": truth})
+    yield "README.txt", _text("nights").encode()
+    yield "site.yaml", _site_file("yard", cameras, "2026-11-10_140211.jpg").encode()
 
 
 def _depth_folder(epoch: int) -> str:

@@ -99,9 +99,8 @@ def _ground(build: SceneBuilder, rng: Rng, texel_m: float) -> None:
     """Add 8 x 8 fields of 8 x 8 tiles, edge to edge; a street behind; four iron covers."""
     tiles = build.add_texture(repeating_tiles(rng, TILE_M, 8, 0.5 * texel_m))
     field = 8 * TILE_M
-    for i in range(-4, 4):
-        for j in range(-4, 4):
-            build.quad((i * field, (j + 1) * field, 0.0), (field, 0, 0), (0, -field, 0), tiles)
+    for i, j in itertools.product(range(-4, 4), range(-4, 4)):
+        build.quad((i * field, (j + 1) * field, 0.0), (field, 0, 0), (0, -field, 0), tiles)
     street = build.add_texture(asphalt(rng, 20.0, 20.0, 2 * texel_m))
     build.quad((-60.0, 60.0, -0.02), (120.0, 0, 0), (0, -120.0, 0), street)
     iron = build.add_texture(paint.painted_steel(rng, 1.0, 1.0, texel_m, (0.09, 0.08, 0.07)))
@@ -119,12 +118,11 @@ def _houses(build: SceneBuilder, rng: Rng, texel_m: float) -> None:
         width = end - start
         wall = WALLS[kind](rng, width, height, texel_m, tint)
         house = build.with_same_textures()
-        corner, right = np.array([start, HALF, height]), np.array([1.0, 0, 0])
         door = build.add_texture(paint.planks(rng, 1.3, 2.4, texel_m, ((0.20, 0.11, 0.06), (0.07, 0.14, 0.10))[k % 2]))
         openings = _openings(width, height, panes[k % 2], glass, door)
-        facade(house, corner, right, (width, height), build.add_texture(wall), openings, sill)
+        facade(house, (start, HALF, height), (1, 0, 0), (width, height), build.add_texture(wall), openings, sill)
         front = build.add_texture(paint.sign_board(rng, 4.5, 0.7, texel_m, (shop,), tint, (0.05, 0.05, 0.06)))
-        house.box((start + 0.5 * width, HALF - 0.08, 3.15), (4.5, 0.12, 0.7), front, front=front)
+        house.box((start + 0.5 * width, HALF - 0.08, 3.15), (4.5, 0.12, 0.7), front)
         house.box((start + 0.5 * width, HALF - 0.1, height - 0.35), (width, 0.5, 0.35), sill)
         house.quad((start, HALF + 6.0, height + 4.0), (width, 0, 0), (0, -6.3, -4.0), tiles)
         house.quad((end, HALF, height), (0, 8.0, 0), (0, 0, -height), sill)

@@ -4,6 +4,8 @@ It is about 40 x 30 m, x east, y north, z up; the quay and the water lie south."
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 
 from .parts import ground, weak
@@ -116,7 +118,7 @@ def _facades(build: SceneBuilder, rng: Rng, texel_m: float, pane: int, sill: int
         (west, (0.0, 13.0, SHED_TOP), (0.0, 1.0, 0.0), 17.0, [doors[3]]),
     ):
         size = (width, corner[2])
-        facade(build, np.array(corner), np.array(right), size, build.add_texture(texture), _bays(size, pane, leaves), sill)
+        facade(build, corner, right, size, build.add_texture(texture), _bays(size, pane, leaves), sill)
 
 
 def _bays(size: tuple[float, float], pane: int, doors: list[int]) -> list[Opening]:
@@ -193,9 +195,8 @@ def _lorry(build: SceneBuilder, rng: Rng, texel_m: float) -> None:
     build.box((3.75, 6.6, 0.9), (4.9, 2.3, 0.2), bed, yaw=1.35)
     build.box((3.75, 6.4, 1.1), (2.6, 1.8, 1.4), crate, yaw=1.35)
     ahead, left = axes_of(1.35)
-    for along in (3.7, 0.4, -1.1):
-        for side in (-0.95, 0.95):
-            build.ball(np.array([3.75, 6.6, 0.45]) + along * ahead + side * left, (0.46, 0.46, 0.46), dark, steps=7)
+    for along, side in itertools.product((3.7, 0.4, -1.1), (-0.95, 0.95)):
+        build.ball(np.array([3.75, 6.6, 0.45]) + along * ahead + side * left, (0.46, 0.46, 0.46), dark, steps=7)
 
 
 def yard(shots: Shots) -> DemoSite:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 
 import numpy as np
@@ -90,9 +91,8 @@ def _forklift(build: SceneBuilder, place: Place, yaw: float, paint: int, dark: i
     ahead, side = axes_of(yaw)
     p = np.array(place)
     build.box(p - 0.2 * ahead + (0, 0, 0.3), (1.9, 1.15, 0.9), paint, yaw=yaw)
-    for a in (-0.7, 0.5):
-        for s in (-0.5, 0.5):
-            build.beam(p + a * ahead + s * side + (0, 0, 1.2), p + a * ahead + s * side + (0, 0, 2.1), 0.08, dark)
+    for a, s in itertools.product((-0.7, 0.5), (-0.5, 0.5)):
+        build.beam(p + a * ahead + s * side + (0, 0, 1.2), p + a * ahead + s * side + (0, 0, 2.1), 0.08, dark)
     build.box(p - 0.1 * ahead + (0, 0, 2.1), (1.5, 1.15, 0.08), paint, yaw=yaw)
     for s in (-0.35, 0.35):
         build.beam(p + 0.95 * ahead + s * side, p + 0.95 * ahead + s * side + (0, 0, 2.5), 0.12, dark)
@@ -103,9 +103,8 @@ def _forklift(build: SceneBuilder, place: Place, yaw: float, paint: int, dark: i
 def _wheels(build: SceneBuilder, p: Float64s, yaw: float, a: float, s: float, radius: float, dark: int) -> None:
     """Add four wheels."""
     ahead, side = axes_of(yaw)
-    for i in (-a, a):
-        for j in (-s, s):
-            build.ball(p + i * ahead + j * side + (0, 0, radius), (radius, radius, radius), dark, steps=5)
+    for i, j in itertools.product((-a, a), (-s, s)):
+        build.ball(p + i * ahead + j * side + (0, 0, radius), (radius, radius, radius), dark, steps=5)
 
 
 COATS: tuple[Colour, ...] = (

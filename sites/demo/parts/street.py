@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 
 import numpy as np
@@ -56,9 +57,8 @@ def car(build: SceneBuilder, look: CarTextures, colour: int, *, length: float = 
             part.triangle(corners, (b - a) / np.linalg.norm(b - a), (0, 0, -1), look.glass)
         part.beam(a, c, 0.07, body)
     part.box((-0.475 * length / 4.3, 0.0, 1.43), (1.5 * length / 4.3, 1.28, 0.05), body)
-    for along in (-0.30 * length, 0.31 * length):
-        for side in (-0.74, 0.74):
-            part.ball((along, side, 0.31), (0.31, 0.17, 0.31), look.dark, steps=5)
+    for along, side in itertools.product((-0.30 * length, 0.31 * length), (-0.74, 0.74)):
+        part.ball((along, side, 0.31), (0.31, 0.17, 0.31), look.dark, steps=5)
     for side in (-0.62, 0.62):
         part.box((half - 0.03, side, 0.58), (0.08, 0.34, 0.16), look.light)
         part.box((-half + 0.03, side, 0.60), (0.08, 0.30, 0.16), look.paints[4])

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,7 +10,7 @@ import numpy as np
 from wbflow_stages.types import Float64s
 
 from ..render.paint import Rng
-from ..render.scene import UP, SceneBuilder, axes_of
+from ..render.scene import UP, SceneBuilder, Vector, axes_of
 from ..render.textures import container_roof, container_side, painted_steel
 
 
@@ -41,17 +40,12 @@ class Box:
 
 
 def facade(
-    build: SceneBuilder,
-    corner: Float64s,
-    right: Float64s,
-    size: tuple[float, float],
-    wall: int,
-    openings: Sequence[Opening],
-    sill: int,
+    build: SceneBuilder, corner: Vector, right: Vector, size: tuple[float, float], wall: int, openings: list[Opening], sill: int
 ) -> None:
     """Add a wall with openings: `corner` top left and `right` unit direction as seen from outside, `size` = (width, height).
 
     The wall is cut along the edges of its openings; all its pieces continue one texture."""
+    corner, right = np.asarray(corner, np.float64), np.asarray(right, np.float64)
     inward = np.cross(right, -UP)
     xs = sorted({0.0, size[0], *(o.left for o in openings), *(o.left + o.width for o in openings)})
     ys = sorted({0.0, size[1], *(o.top for o in openings), *(o.top + o.height for o in openings)})

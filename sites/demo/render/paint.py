@@ -131,18 +131,14 @@ def mix(image: Float32s, colour: Colour | Float32s, cover: Float32s) -> None:
     image += (np.asarray(colour, np.float32) - image) * np.clip(cover, 0, 1)[..., None]
 
 
+Maps = tuple[Float32s, Float32s, Float32s]
+
+
 @kernel
-def _lay_stones(
-    laid: tuple[Float32s, Float32s, Float32s],
-    rows_of_stones: tuple[Float32s, Float32s, Float32s],
-    warp: Float32s,
-    texel: float,
-    unit: tuple[float, float],
-    joint: float,
-) -> None:
+def _lay_stones(laid: Maps, stones: Maps, warp: Float32s, texel: float, unit: tuple[float, float], joint: float) -> None:
     """Rows of stones with jittered joints: coverage (0 in a joint), a stone's own number, and dome shading lit from top left."""
     cover, tone, relief = laid
-    table, edges, shift = rows_of_stones
+    table, edges, shift = stones
     rows, cols = table.shape
     unit_w, unit_h = unit
     for i in range(cover.shape[0]):
@@ -168,7 +164,7 @@ def _lay_stones(
 
 def stones(
     rng: Rng, shape: Shape, texel_m: float, unit: tuple[float, float], joint: float, *, bond: float, jitter: float, warp: float
-) -> tuple[Float32s, Float32s, Float32s]:
+) -> Maps:
     """Return coverage, tone (unit variance, one number a stone) and relief of rows of stones `unit` = (width, height) metres."""
     rows, cols = int(shape[0] * texel_m / unit[1]) + 2, int(shape[1] * texel_m / unit[0]) + 4
     table = rng.standard_normal((rows, cols), dtype=np.float32)

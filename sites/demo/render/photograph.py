@@ -248,14 +248,13 @@ def pinholes_of(camera: Camera, lens: Lens, name: str) -> list[Camera]:
     """Return the pinhole views that together cover a wide lens."""
     assert lens.K is not None
     found = []
-    for turn, (left, right, up, down) in views_of_lens(
-        lens.K.tolist(), lens.distortion.tolist(), lens.width, lens.height, lens.model
-    ):
+    views = views_of_lens(lens.K.tolist(), lens.distortion.tolist(), lens.width, lens.height, lens.model)
+    for turn, (left, right, up, down) in views:
         f = lens.K[0, 0]
         K = np.array([[f, 0.0, -f * left - 0.5], [0.0, f, -f * up - 0.5], [0.0, 0.0, 1.0]])
         size = round(f * (right - left)), round(f * (down - up))
-        R = np.array(turn) @ camera.R
-        found.append(Camera(K, R, camera.C, *size, lens=replace(lens, camera=name, turn=np.array(turn))))
+        turned = replace(lens, camera=name, turn=np.array(turn))
+        found.append(Camera(K, np.array(turn) @ camera.R, camera.C, *size, lens=turned))
     return found
 
 

@@ -116,12 +116,10 @@ class PreparedScene:
         """Return the share of the sky that cells of a grid around the static scene see in the half space along each axis.
 
         It is counted by rays along `directions` (n, 3)."""
-        still = np.repeat(self.scene.kinds == STATIC, 3)
-        low = self.scene.vertices[still].min(axis=0) - cell_m
-        count = np.ceil((self.scene.vertices[still].max(axis=0) + cell_m - low) / cell_m).astype(int) + 1
-        axes = [low[k] + cell_m * np.arange(count[k], dtype=np.float32) for k in range(3)]
-        z, y, x = np.meshgrid(axes[2], axes[1], axes[0], indexing="ij")
-        points = np.column_stack([x.ravel(), y.ravel(), z.ravel()]).astype(np.float32)
+        still = self.scene.vertices[np.repeat(self.scene.kinds == STATIC, 3)]
+        low = still.min(axis=0) - cell_m
+        shape = (np.ceil((still.max(axis=0) + cell_m - low) / cell_m).astype(int) + 1)[::-1]
+        points = low + cell_m * np.indices(shape, np.float32).reshape(3, -1)[::-1].T
         seen = np.zeros((len(points), 6), np.float32)
         total = np.zeros(6, np.float32)
         for d in directions:
@@ -130,7 +128,7 @@ class PreparedScene:
             clear = self.reaches(points, np.broadcast_to(d, points.shape).astype(np.float32), far=25.0)
             seen += (clear if d[2] > 0 else 0.5 + 0.5 * clear)[:, None] * facing
             total += facing
-        return SkyGrid((seen / total).reshape(*z.shape, 6), low.astype(np.float32), cell_m)
+        return SkyGrid((seen / total).reshape(*shape, 6), low.astype(np.float32), cell_m)
 
 
 def spiral(n: int) -> Float32s:
