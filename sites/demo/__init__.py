@@ -6,7 +6,7 @@
 | --- | --- |
 | `yard` `square` `carpark` `depot` | one scene each: what stands where, its cameras, lamps and traffic |
 | `script` `nights` | what happens night after night, and the yard rendered with it |
-| `scenes` `files` | the table of scenes; the files of a demo |
+| `scenes` `files` `texts/` | the table of scenes; the files of a demo; its site file and README |
 
 | `parts/` | holds |
 | --- | --- |

@@ -19,7 +19,7 @@ from .render.cameras import VARIANTS
 from .render.photograph import DemoCamera, DemoSite, Shots
 from .render.sensor import jpeg, png
 from .scenes import SCENES, render
-from .script import FOREVER, HOURS, Stay, date_of, event_of, stays, weather_of
+from .script import FOREVER, HOURS, Stay, date_of, event_of, stays, turned_axes, weather_of
 
 
 @dataclass(frozen=True)
@@ -144,8 +144,8 @@ def _night_files(site: NightsSite, nights: int) -> Iterator[File]:
     """Yield name and content of every file of demo nights."""
     for each in site.cameras:
         name = each.camera.name
-        for night in each.nights:
-            for time, data in night.frames:
+        for frames in each.frames:
+            for time, data in frames:
                 yield f"captures/{name}/{time:%Y-%m-%d_%H%M%S}.jpg", data
         yield f"masks/{name}.png", png(each.camera.mask)
         for epoch, depth in each.depths.items():
@@ -190,7 +190,8 @@ STATES = {
 
 def _camera(each: CameraNights, number: int) -> dict[str, Any]:
     """Return the truth of a camera's night."""
-    event, turn, K = event_of(number, each.camera.name), each.nights[number - 1].turn, each.camera.camera.K
+    event, K = event_of(number, each.camera.name), each.camera.camera.K
+    turn = turned_axes(event, float(K[0, 0]))
     # where the point that the axis met is seen now
     x, y, z = turn[:, 2].tolist()
     angles = {

@@ -98,24 +98,15 @@ PEOPLE, VEHICLES = 6, 2
 
 
 @dataclass(frozen=True)
-class NightOfCamera:
-    """The frames of a camera in a night."""
-
-    frames: tuple[tuple[datetime, bytes], ...]
-    """JPEG files, and the times that they are named after."""
-    turn: Float64s
-    """(3, 3) camera axes as the site file says to camera axes as they are."""
-
-
-@dataclass(frozen=True)
 class CameraNights:
     """A camera and all its nights."""
 
     camera: DemoCamera
     """As the site file says; its captures are those of the first night."""
-    normals: Float32s
-    """(h, w, 3), of its depth map."""
-    nights: tuple[NightOfCamera, ...]
+    view: TrueView
+    """Of the first night."""
+    frames: tuple[tuple[tuple[datetime, bytes], ...], ...]
+    """Of each night the JPEG files, and the times that they are named after."""
     depths: dict[int, Float32s]
     """(h, w) float32 by the first night from which it holds; the first is the camera's own."""
 
@@ -157,9 +148,9 @@ def yard_nights(nights: int, shots: Shots) -> NightsSite:
     with ThreadPoolExecutor(shots.threads) as pool:
         done = list(pool.map(lambda mount: _camera_nights(scenes, shots, mount), choose_mounts(shots.cameras)))
     voxel_m = shots.voxel_m(51.2)
-    views = [TrueView(c.camera.camera, c.camera.depth, c.normals, undistorted_colours(c.camera)) for c in done]
     names = dict.fromkeys(name for night in range(1, nights + 1) for name in stays(night))
-    return NightsSite(tuple(done), reference_cloud(views, voxel_m), voxel_m, {name: things.extent(name) for name in names})
+    extents = {name: things.extent(name) for name in names}
+    return NightsSite(tuple(done), reference_cloud([each.view for each in done], voxel_m), voxel_m, extents)
 
 
 def moving(nights: int, shots: Shots) -> list[Scene]:
@@ -195,7 +186,7 @@ def _camera_nights(nights: Sequence[_NightScene], shots: Shots, viewpoint: Viewp
     depth, normals = true_depth(nights[0].still, camera)
     depths = {1: depth}
     first: tuple[Uint8s, ...] = ()
-    done: list[NightOfCamera] = []
+    done: list[tuple[tuple[datetime, bytes], ...]] = []
     seen: dict[int, Hits] = {}
     for night in nights:
         if night.epoch not in depths:
@@ -206,16 +197,16 @@ def _camera_nights(nights: Sequence[_NightScene], shots: Shots, viewpoint: Viewp
         turn = turned_axes(event, float(camera.K[0, 0]))
         times = [frame_time(night.number, k, sum(name.encode()) % 11) for k in range(shots.captures)]
         if event.what == "frozen" and done:
-            files = [done[-1].frames[-1][1]] * len(times)
+            files = [done[-1][-1][1]] * len(times)
         else:
             images = _images(night, shots, event, replace(camera, R=turn @ camera.R), lens, seen[night.epoch])
             pictures = tuple(burn_clock(image, name, time) for image, time in zip(images, times, strict=True))
             first = first or pictures
             files = [jpeg(picture) for picture in pictures]
-        done.append(NightOfCamera(tuple(zip(times, files, strict=True)), turn))
-    taken = tuple(time for time, _ in done[0].frames)
+        done.append(tuple(zip(times, files, strict=True)))
+    taken = tuple(time for time, _ in done[0])
     demo = DemoCamera(name, first, taken, clock_mask(shots.size), depth, camera, lens)
-    return CameraNights(demo, normals, tuple(done), depths)
+    return CameraNights(demo, TrueView(camera, depth, normals, undistorted_colours(demo)), tuple(done), depths)
 
 
 def _images(night: _NightScene, shots: Shots, event: CameraEvent, camera: Camera, lens: Lens, seen: Hits) -> Iterable[Uint8s]:
