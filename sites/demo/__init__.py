@@ -15,7 +15,7 @@
 
 | `render/` | holds |
 | --- | --- |
-| `textures` `paint` | what surfaces look like, and what they are painted with |
+| `textures` `paint` `covers` | what surfaces look like, and what they are painted with |
 | `scene` | triangles with textures, and the builder that collects them |
 | `cameras` `light` `sensor` | lenses and places; sun, sky and lamps; exposure, noise, clock, rain |
 | `renderer` `photograph` `reference` | rays, texture filter and light; captures and true depth of a scene; its true cloud |

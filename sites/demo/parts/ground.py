@@ -10,23 +10,8 @@ import numpy as np
 
 from wbflow_stages.types import Float32s
 
-from ..render.paint import (
-    Colour,
-    Rng,
-    Texture,
-    blobs,
-    cracks,
-    draw,
-    encode,
-    fractal_noise,
-    lettering,
-    mix,
-    palette,
-    shape_of,
-    smoothstep,
-    stones,
-    weather,
-)
+from ..render.covers import blobs, lettering, stones
+from ..render.paint import Colour, Rng, Texture, cracks, draw, encode, fractal_noise, mix, palette, shape_of, smoothstep, weather
 
 COBBLE_TONES = ((0.21, 0.20, 0.19), (0.28, 0.26, 0.24), (0.15, 0.15, 0.155), (0.24, 0.21, 0.18), (0.33, 0.31, 0.29))
 LITTER_TONES = ((0.5, 0.36, 0.12), (0.62, 0.6, 0.55), (0.08, 0.07, 0.06), (0.33, 0.2, 0.1))

@@ -11,23 +11,8 @@ import numpy as np
 
 from wbflow_stages.types import Float32s
 
-from .paint import (
-    Colour,
-    Rng,
-    Texture,
-    blobs,
-    cracks,
-    encode,
-    fractal_noise,
-    lettering,
-    mix,
-    one_colour,
-    palette,
-    shape_of,
-    smoothstep,
-    stones,
-    weather,
-)
+from .covers import blobs, lettering, stones
+from .paint import Colour, Rng, Texture, cracks, encode, fractal_noise, mix, one_colour, palette, shape_of, smoothstep, weather
 
 BRICK_TONES = ((0.30, 0.12, 0.075), (0.36, 0.155, 0.09), (0.23, 0.09, 0.06), (0.40, 0.20, 0.12), (0.27, 0.14, 0.11))
 TILE_TONES = ((0.30, 0.12, 0.07), (0.24, 0.10, 0.07), (0.35, 0.16, 0.10), (0.17, 0.09, 0.07))

@@ -1,0 +1,82 @@
+"""How far something covers a surface: lettering, spots, rows of stones; with `rng`, `shape` and `texel_m` as in `paint`."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from wbflow_stages.core.jit import kernel
+from wbflow_stages.types import Float32s
+
+from .paint import Rng, Shape, fractal_noise
+
+
+def lettering(
+    shape: Shape, texel_m: float, text: str, x_m: float, y_m: float, height_m: float, *, bold: float = 0.16
+) -> Float32s:
+    """Return coverage (h, w) float32, 0 to 1, of a line of text: top-left corner at (x_m, y_m), capitals `height_m` high."""
+    cover = np.zeros(shape, np.uint8)
+    height = max(height_m / texel_m, 3.0)
+    unit = cv2.getTextSize("H", cv2.FONT_HERSHEY_DUPLEX, 4.0, 1)[0][1] / 4.0
+    thickness = max(round(height * bold), 1)
+    origin = (round(x_m / texel_m), round(y_m / texel_m + height))
+    cv2.putText(cover, text, origin, cv2.FONT_HERSHEY_DUPLEX, height / unit, 255, thickness, cv2.LINE_AA)
+    return cover.astype(np.float32) / np.float32(255)
+
+
+def blobs(rng: Rng, shape: Shape, texel_m: float, *, count: int, radius_m: float) -> Float32s:
+    """Return coverage (h, w) float32 of `count` soft-edged irregular spots (oil, lichen, repairs) of about `radius_m`."""
+    cover = np.zeros(shape, np.uint8)
+    angle = np.linspace(0, 2 * np.pi, 24, endpoint=False)
+    for _ in range(count):
+        radius = radius_m / texel_m * rng.lognormal(0, 0.5)
+        outline = radius * (1 + 0.25 * np.convolve(np.tile(rng.standard_normal(24), 3), np.ones(3) / 3, "same")[24:48])
+        centre = rng.uniform((0, 0), (shape[1], shape[0]))
+        path = centre + np.column_stack([np.cos(angle), np.sin(angle)]) * outline[:, None]
+        cv2.fillPoly(cover, [np.round(path * 16).astype(np.int32)], int(rng.integers(90, 255)), cv2.LINE_AA, 4)
+    return cover.astype(np.float32) / np.float32(255)
+
+
+Maps = tuple[Float32s, Float32s, Float32s]
+
+
+@kernel
+def _lay_stones(laid: Maps, stones: Maps, warp: Float32s, texel: float, unit: tuple[float, float], joint: float) -> None:
+    """Rows of stones with jittered joints: coverage (0 in a joint), a stone's own number, and dome shading lit from top left."""
+    cover, tone, relief = laid
+    table, edges, shift = stones
+    rows, cols = table.shape
+    unit_w, unit_h = unit
+    for i in range(cover.shape[0]):
+        for j in range(cover.shape[1]):
+            y = (i + 0.5) * texel + warp[i, j]
+            row = min(max(int(y / unit_h), 0), rows - 1)
+            x = (j + 0.5) * texel + warp[i, j] + shift[row]
+            col = min(max(int(x / unit_w), 1), cols - 2)
+            if x < col * unit_w + edges[row, col]:
+                col -= 1
+            elif x > (col + 1) * unit_w + edges[row, col + 1]:
+                col += 1
+            left = col * unit_w + edges[row, col]
+            right = (col + 1) * unit_w + edges[row, min(col + 1, cols - 1)]
+            top = row * unit_h
+            inside = min(min(x - left, right - x), min(y - top, top + unit_h - y))
+            cover[i, j] = min(max((inside - 0.5 * joint) / texel + 0.5, 0.0), 1.0)
+            tone[i, j] = table[row, col]
+            fx = 2 * (x - left) / (right - left) - 1
+            fy = 2 * (y - top) / unit_h - 1
+            relief[i, j] = -(0.45 * fx * fx * fx + 0.9 * fy * fy * fy)
+
+
+def stones(
+    rng: Rng, shape: Shape, texel_m: float, unit: tuple[float, float], joint: float, *, bond: float, jitter: float, warp: float
+) -> Maps:
+    """Return coverage, tone (unit variance, one number a stone) and relief of rows of stones `unit` = (width, height) metres."""
+    rows, cols = int(shape[0] * texel_m / unit[1]) + 2, int(shape[1] * texel_m / unit[0]) + 4
+    table = rng.standard_normal((rows, cols), dtype=np.float32)
+    edges = (unit[0] * jitter * rng.uniform(-1, 1, (rows, cols))).astype(np.float32)
+    shift = (unit[0] * (1 + bond * (np.arange(rows) % 2) + 0.5 * jitter * rng.uniform(-1, 1, rows))).astype(np.float32)
+    bend = np.float32(warp) * fractal_noise(rng, shape, texel_m, 2.0, octaves=4)
+    laid = (np.empty(shape, np.float32), np.empty(shape, np.float32), np.empty(shape, np.float32))
+    _lay_stones(laid, (table, edges, shift), bend, texel_m, unit, joint)
+    return laid
