@@ -6,11 +6,13 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from wbflow_stages.core.cameras import backproject, same_camera
 from wbflow_stages.evaluate import count_views
-from wbflow_stages.types import Camera, Cloud, Float32s, Float64s, Uint8s
+from wbflow_stages.types import Camera, Cloud, Float32s, Uint8s
+
+CELL_NUMBER = np.array([1, 1 << 21, 1 << 42])
+"""Makes one number of steps along x, y and z on a grid anchored at 0, up to a million cells away from it."""
 
 
 class TrueView(NamedTuple):
@@ -38,7 +40,8 @@ def reference_cloud(views: Sequence[TrueView], voxel_m: float) -> Cloud:
         shared = seen_by >= 2
         v, u, points = v[shared], u[shared], points[shared]
         new = np.column_stack([np.ones(len(points)), points, view.normals[v, u], view.colors[v, u]])
-        keys, cell = np.unique(np.concatenate([keys, _cell_keys(points, voxel_m)]), return_inverse=True)
+        steps = np.floor(points / voxel_m).astype(np.int64) + (1 << 20)
+        keys, cell = np.unique(np.concatenate([keys, steps @ CELL_NUMBER]), return_inverse=True)
         sums = np.column_stack([np.bincount(cell, column, len(keys)) for column in np.concatenate([sums, new]).T])
         before, most = most, np.zeros(len(keys), np.uint16)
         np.maximum.at(most, cell, np.concatenate([before, seen_by[shared]]))
@@ -52,9 +55,3 @@ def reference_cloud(views: Sequence[TrueView], voxel_m: float) -> Cloud:
         views=most,
         sigma_mm=np.zeros(len(mean), np.float32),
     )
-
-
-def _cell_keys(points: Float64s, voxel_m: float) -> npt.NDArray[np.int64]:
-    """Return one number for each cell of a grid anchored at 0, up to a million cells away from it."""
-    cell = np.floor(points / voxel_m).astype(np.int64) + (1 << 20)
-    return np.asarray((cell[:, 2] << 42) | (cell[:, 1] << 21) | cell[:, 0], np.int64)
