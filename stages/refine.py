@@ -4,8 +4,8 @@ Starting from the depth that pairs gave, planes are improved by what several pho
 matches that no single pair could keep are found, holes are filled from their rims and by what other views have there, and depth
 follows the view that shows a surface best.
 Planes are then moved to where all sources together fit best (`mvs.photometric_refinement`), and vote on each other, as those of a
-pair do: what is cheapest of many trials by chance is outvoted.  Even surfaces are laid on planes of many pixels
-(`mvs.plane_prior`).
+pair do: what is cheapest of many trials by chance is outvoted.  Where texture tells more than the vote they are moved once more.
+Even surfaces are laid on planes of many pixels (`mvs.plane_prior`).
 
 References
 ----------
@@ -166,6 +166,7 @@ def _compared(
     scale = _pixels_per_inverse_depth(M, b, planes[0])
     propagation.refine_photometrically(planes, limits.radius, least)
     planes[0] = smoothed(image, scale * planes, cost, max_cost, spacing)[0] / scale
+    propagation.refine_photometrically(planes, limits.radius, least)
     support = propagation.support(planes, max_cost)
     kept = frame.mask & (support.first < max_cost)
     z, sigma = _depth_and_sigma(

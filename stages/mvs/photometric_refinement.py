@@ -2,8 +2,8 @@
 
 `mvs.kernels` looks for planes by the one source that shows them best, on every second pixel of a patch: right to within a pixel,
 but the cheapest of many trials by chance.  From there a Gauss-Newton step follows the slopes of all correlations at once, on
-every pixel of a patch whose centre weighs most; a second one gains nothing.  With a the patch here and b its image in a source,
-both without their mean and of unit length, 1 - ab is half of |a - b|^2: a least-squares problem in the inverse depth q, in which
+every pixel of a patch whose centre weighs most.  With a the patch here and b its image in a source, both without their mean and
+of unit length, 1 - ab is half of |a - b|^2: a least-squares problem in the inverse depth q, in which
 
     gradient = -a db/dq,    curvature = |db/dq|^2,    db/dq = (r - mean - b (b r)) / |patch|,    r = dI/dq,
 
@@ -30,7 +30,7 @@ _UNLIKE = 0.6
 """...nor do sources in which a patch costs more."""
 _FLOOR = 0.02
 """Added to the cost of a source: no source is better than the grey levels' noise."""
-_HELD = 0.1
+_HELD = 0.3
 """What speaks for the plane as it was, in squared share of a patch's contrast that one pixel of movement changes."""
 _STEP_PX = 0.5
 """A plane moves by no more, in sources' pixels: a wrong one is not put right so."""
