@@ -129,8 +129,8 @@ def refuse_unfinished(name: str, image: Uint8s) -> None:
     last = image[-1, -1]
     if last.max() < 24 or last.min() > 231 or (image[0] == last).all():
         return
-    whole = np.flatnonzero((image != last).any(axis=(1, 2)))
-    missing = 1.0 - (whole[-1] + 1) / len(image) if len(whole) else 0.0  # one colour everywhere is featureless
+    whole = next((row for row in range(len(image) - 1, -1, -1) if (image[row] != last).any()), None)
+    missing = 0.0 if whole is None else 1.0 - (whole + 1) / len(image)  # one colour everywhere is featureless
     if missing > MOST_MISSING:
         raise TruncatedImage(f"{name} is unfinished: the lower {100 * missing:.0f} % of it are of one colour")
 
