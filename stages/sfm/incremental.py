@@ -41,7 +41,7 @@ SAME_LENGTH = 0.1
 """...to this share of the distance; and at least half of those that could."""
 SETTLED = 1e-3
 """Rounds end when no more than this share of the observations comes or goes."""
-ROUGH, EXACT = 1e-5, 1e-7
+ROUGH, EXACT = 1e-5, 1e-6
 """An adjustment ends when a step lowers its cost by no more than this share: until all views are there, and then.  Exact is what
 a long row of cameras needs, whose bending costs next to nothing: with 1e-5, one of 100 cameras ended four times as far off."""
 GROWN = 1.25
@@ -208,18 +208,18 @@ def refine(
     """
     free = _lenses(model) if len(model.cameras) >= FOCALS_FROM or known or model.held else {}
     held = [view for view in model.cameras if view in known or view in model.held]
+    adjusted = np.zeros_like(model.use)
     for _ in range(rounds):
-        before, model = model.use, _retriangulated(model)
-        if not model.use.any():
-            return model
+        model = _retriangulated(model)
+        if (model.use != adjusted).sum() <= SETTLED * model.use.sum():
+            break
+        adjusted = model.use
         noise = max(_noise(model.error_px()[model.use]), 4e-4)
         weighed = {view: (C, sigma / noise) for view, (C, sigma) in (positions or {}).items()}
         loss, tolerance = (COARSE_PX, ROUGH) if rough else (FINE * noise, EXACT)
         args = model.cameras, model.tracks, model.X, model.use
         cameras, X = adjust(*args, held=held, focals=free, positions=weighed, loss_px=loss, tolerance=tolerance)
         model = _filtered(replace(model, cameras=cameras, X=X))
-        if (model.use != before).sum() <= SETTLED * model.use.sum():
-            break
     return model
 
 
