@@ -30,7 +30,7 @@ _UNLIKE = 0.6
 """...nor do sources in which a patch costs more."""
 _FLOOR = 0.02
 """Added to the cost of a source: no source is better than the grey levels' noise."""
-_HELD = 0.3
+_HELD = 0.1
 """What speaks for the plane as it was, in squared share of a patch's contrast that one pixel of movement changes."""
 _STEP_PX = 0.5
 """A plane moves by no more, in sources' pixels: a wrong one is not put right so."""

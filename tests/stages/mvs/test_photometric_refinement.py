@@ -25,13 +25,12 @@ def seen_from(base: Float64s, contrast: float = 20.0) -> Float32s:
 
 
 def polished(planes: Float32s, contrast: float = 20.0) -> Float32s:
-    """The planes after the two steps that `refine` takes, from a picture and two sources."""
+    """The planes after a step, from a picture and two sources."""
     sources = np.stack([seen_from(base, contrast) for base in BASES])
     usable = np.ones((ROWS, COLUMNS), np.bool_)
     view = Propagation(seen_from(np.zeros(3), contrast), usable, sources, np.stack([np.eye(3)] * 2), BASES, TAPS)
     after = planes.copy()
-    for _ in range(2):
-        view.refine_photometrically(after, 3, 1)
+    view.refine_photometrically(after, 3, 1)
     return after
 
 
