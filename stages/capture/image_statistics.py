@@ -26,8 +26,6 @@ night, belvedere, square, pavilion: 1 pixel each as they are, 1.6 and more where
 _FAINT, _FEWEST_EDGES = 24.0, 15
 """Slopes (Sobel) below the first are noise; fewer edges than the second tell nothing.  A quarter of 160 x 90 pixels has 50 to
 120, and 15 to 30 where it is out of focus."""
-
-
 _EVERY = 3
 """Such a pixel of a row, and of a column, tells how strong the slopes of a picture are."""
 
@@ -66,7 +64,7 @@ def blur_px(image: Uint8s, usable: Bools) -> float:
     outer third; nan where it has no edges.  Parts that have few are passed over.
 
     An edge that is blurred once more, by one pixel, loses the more of its slope the sharper it was; neither contrast nor the
-    scene changes the ratio.  Of the strongest twentieth of a quarter's slopes the sharpest quarter counts, since depth of field
+    scene changes the ratio.  Of the strongest twentieth of a part's slopes the sharpest quarter counts, since depth of field
     and motion blur a part of nearly every picture; a lens that is tilted or wet blurs one side.
 
     References
