@@ -4,7 +4,7 @@ Starting from the depth that pairs gave, planes are improved by what several pho
 matches that no single pair could keep are found, holes are filled from their rims and by what other views have there, and depth
 follows the view that shows a surface best.
 Planes are then moved to where all sources together fit best (`mvs.photometric_refinement`), and vote on each other, as those of a
-pair do: what is cheapest of many trials by chance is outvoted.  Where texture tells more than the vote they are moved once more.
+pair do: what is cheapest of many trials by chance is outvoted.  A second move gives back the detail that the vote has smoothed.
 Even surfaces are laid on planes of many pixels (`mvs.plane_prior`).
 
 References

@@ -26,8 +26,6 @@ night, belvedere, square, pavilion: 1 pixel each as they are, 1.6 and more where
 _FAINT, _FEWEST_EDGES = 24.0, 15
 """Slopes (Sobel) below the first are noise; fewer edges than the second tell nothing.  A quarter of 160 x 90 pixels has 50 to
 120, and 15 to 30 where it is out of focus."""
-_EVERY = 3
-"""Such a pixel of a row, and of a column, tells how strong the slopes of a picture are."""
 
 
 @dataclass(frozen=True)
@@ -83,10 +81,9 @@ def blur_px(image: Uint8s, usable: Bools) -> float:
 
 def _blur_px(slope: Float32s, again: Float32s, inside: Bools) -> float:
     """Of a part of a picture: slopes (h, w) of its grey levels, and of the same once more blurred."""
-    some = slope[::_EVERY, ::_EVERY][inside[::_EVERY, ::_EVERY]]
-    if not len(some):
+    if not inside.any():
         return float("nan")
-    strong = inside & (slope > max(float(np.percentile(some, 95)), _FAINT))
+    strong = inside & (slope > max(float(np.percentile(slope[inside], 95)), _FAINT))
     edge = strong & (cv2.dilate(slope, np.ones((5, 5), np.uint8)) == slope)
     if int(edge.sum()) < _FEWEST_EDGES:
         return float("nan")

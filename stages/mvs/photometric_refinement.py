@@ -180,8 +180,8 @@ def refine_photometrically(
     image: Float32s, usable: Float32s, pairs: Uint64s, height: int, width: int, M: Float32s, b: Float32s, taps: Int32s,
     fall: Float32s, reach: int, planes: Float32s,
 ) -> None:  # fmt: skip
-    """Move planes in place.  `fall` (n,): what a patch's pixels weigh by their distance from its centre; all
-    else as in `mvs.kernels`."""
+    """Move planes in place.  `fall` (n,): what a patch's pixels weigh by their distance from its centre; all else as in
+    `mvs.kernels`."""
     h, w = planes.shape[1:]
     zero, far = np.float32(0.0), np.float32(np.abs(taps).max())
     window = np.zeros(_WEIGHTS + 2 * len(taps) * _BLOCK, dtype=np.float32)

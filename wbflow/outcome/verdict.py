@@ -36,7 +36,7 @@ LEAST_CONTRAST = 2.0
 """Grey levels: pictures with less show nothing, and two of them may be alike."""
 SOFT_PX = 1.3
 """Pictures whose sharper edges are blurred by more (standard deviation, pixels) are soft: the softest parts of photographs at 320
-to 1600 pixels, and of rendered scenes by day and night, have 0.2 to 0.8, a sensor's own pixels 1.0."""
+to 1600 pixels, and of rendered scenes by day and night, have 0.8 at most, a sensor's own pixels 1.0."""
 COARSE = 1.5
 """So are pictures on whose steps JPEG's blocks stand out more than this at working resolution: quality 50 has 1.1 to 1.4, 15 on
 a yard 1.6 (88 % of its points right)."""
