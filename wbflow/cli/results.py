@@ -74,7 +74,7 @@ def history(site: Path, as_json: bool, changes: bool, csv: bool, work: str | Non
     if changes:
         _print_growth(loaded, as_json=as_json, as_table=csv)
         return
-    from ..outcome.compare import history as entries
+    from ..outcome.history import history as entries
 
     found = entries(loaded.work_folder) if loaded.work_folder.run_ids() else []
     if as_json:
@@ -92,15 +92,15 @@ def history(site: Path, as_json: bool, changes: bool, csv: bool, work: str | Non
 
 
 def _print_growth(site: Site, *, as_json: bool, as_table: bool) -> None:
-    from ..outcome import growth
+    from ..outcome.history import HEAD, as_csv, growth
 
-    rows = growth.growth(site.work_folder) if site.work_folder.run_ids() else []
+    rows = growth(site.work_folder) if site.work_folder.run_ids() else []
     if as_json:
-        echo_json([growth.as_json(row) for row in rows])
+        echo_json([row.to_json() for row in rows])
     elif as_table:
-        echo(growth.as_csv(rows).rstrip("\n"))
+        echo(as_csv(rows).rstrip("\n"))
     else:
-        echo("\n".join([growth.HEAD, *map(str, rows)]))
+        echo("\n".join([HEAD, *map(str, rows)]))
 
 
 @click.command()
@@ -113,7 +113,7 @@ def runs(sites: tuple[Path, ...], as_json: bool) -> None:
     wbflow runs site.yaml --json
     wbflow runs sites/*.yaml
     """
-    from ..outcome.compare import places
+    from ..outcome.history import places
 
     found = [(site, entry) for path in sites for site in [load(path, None)] for entry in places(site.work_folder)]
     if as_json:
@@ -145,9 +145,8 @@ def compare(nights: tuple[Path, ...], out: Path, page: Path | None, changes: boo
     wbflow compare SITE.yaml [RUN] scan.laz            the cloud's deviation from a scan or model
     """
     from ..outcome.artifacts import FinishedRun
-    from ..outcome.between import changes_between, data_of, lines_of
+    from ..outcome.compare import changes_between, data_of, differing, lines_of
     from ..outcome.compare import compare as rows_of
-    from ..outcome.compare import differing
 
     if len(nights) in (2, 3) and nights[-1].suffix.lower() in SCANS:
         _compare_with_scan(load(nights[0], work), str(nights[1]) if len(nights) == 3 else None, nights[-1], out, as_json)

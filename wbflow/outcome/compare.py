@@ -1,11 +1,11 @@
-"""Runs beside each other: the history of a site, two nights compared, from their run.json, and a night against a scan."""
+"""Runs beside each other: two nights compared, from their run.json; what changed between them; a night against a scan."""
 
 from __future__ import annotations
 
 import itertools
 import re
 from collections.abc import Iterator, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -13,14 +13,14 @@ from ..cache.atomic import write_atomic
 from ..cache.layout import WorkFolder
 from ..cache.plugins import load
 from ..cache.ply import ply_bytes
-from ..errors import UsageError
-from ..pipeline.exports import SCAN_FILES
-from ..pipeline.names import POSES
-from ..pipeline.summaries import titled
-from ..records.ledger import Ledger, LedgerRun
-from ..records.record import CameraRecord, PairRecord, RunRecord, Verdict
+from ..errors import UsageError, WbflowError
+from ..pipeline.exports import CHANGES_DATA, SCAN_FILES
+from ..pipeline.names import CHANGES, DEPTH, FRAMES, POSES, REFINE
+from ..pipeline.summaries import CutFill, titled
+from ..records.record import CameraRecord, PairRecord, RunRecord
 from ..records.run_folder import NoSuchRun, RunFolder, newest_runs
-from .artifacts import FinishedRun, MissingExtra
+from ..task import Task
+from .artifacts import FinishedRun, Gone, MissingExtra
 
 NOISE = 0.05
 """Figures that differ by less than this share say nothing: keypoints, inliers and points change so much from night to night."""
@@ -198,55 +198,52 @@ def compare_with_scan(run: FinishedRun, scan: Path, out: Path) -> dict[str, Any]
     return {**figures, "run": run.folder.id, "night": run.record.date}
 
 
-MOST_WORDS = 80
-"""A line has at most so many characters of a finding."""
+def changes_between(then: FinishedRun, tonight: FinishedRun) -> Any:
+    """Return what changed (`wbflow_stages.types.Changes`), by the function and the parameters of the later run.
 
-
-@dataclass(frozen=True)
-class Entry:
-    """A run in the history of its site."""
-
-    run: LedgerRun
-    verdict: Verdict | None
-    """None where its record is gone, or of an earlier version."""
-    cleaned: bool
-    """Is its folder gone?"""
-
-    @property
-    def words(self) -> str:
-        """What it came to: the level, and the first finding."""
-        if self.cleaned:
-            return "cleaned"
-        if self.verdict is None:
-            return ""
-        words = f"{self.verdict.level}: {self.verdict.findings[0]}" if self.verdict.findings else self.verdict.level
-        return words if len(words) <= MOST_WORDS else f"{words[: MOST_WORDS - 3]}..."
-
-    def to_json(self) -> dict[str, Any]:
-        verdict = self.verdict.to_json() if self.verdict else None
-        return {**asdict(self.run), "verdict": verdict, "cleaned": self.cleaned}
-
-
-def history(work: WorkFolder) -> list[Entry]:
-    """Return every run, oldest first."""
-    with Ledger(work) as ledger:
-        known = [(run, RunFolder(work.run(run.run))) for run in ledger.runs()]
-    return [Entry(run, _verdict_of(folder), cleaned=not folder.paths.record.exists()) for run, folder in known]
-
-
-def _verdict_of(folder: RunFolder) -> Verdict | None:
-    try:
-        return folder.record().verdict
-    except NoSuchRun:
-        return None
-
-
-def places(work: WorkFolder) -> list[dict[str, Any]]:
-    """Return where every run lies, oldest first, for programs: paths are None where there is nothing any more."""
-    found = []
-    for entry in history(work) if work.root.exists() else ():
-        run, paths, level = entry.run, work.run(entry.run.run), entry.verdict.level if entry.verdict else None
-        known = {"run": run.run, "night": run.date, "exit_code": run.exit_code, "level": level, "points": run.points}
-        files = {"folder": paths.folder, "cloud": paths.cloud, "report": paths.report}
-        found.append(known | {name: str(path) if path.exists() else None for name, path in files.items()})
+    Raises
+    ------
+    Gone
+        The cache does not hold what one of them made any more.
+    WbflowError
+        One of them looked for no changes, or they lie in different worlds.
+    """
+    receipt = tonight.receipt(Task(CHANGES))
+    if receipt is None:
+        raise WbflowError(f"run {tonight.folder.id} did not look for changes", remedy="its log.jsonl says why")
+    used = receipt.preimage
+    found = load(used.function)(**_surface(tonight), **_surface(then, "reference_"), **used.parameters)
+    if not found.compared:
+        raise WbflowError(
+            f"runs {then.folder.id} and {tonight.folder.id} have nothing in common", remedy="their cameras stand at other places"
+        )
     return found
+
+
+def _surface(run: FinishedRun, prefix: str = "") -> Mapping[str, Any]:
+    """Return what the search for changes takes of a run, by argument name."""
+    poses = run.made(POSES)
+    if poses is None:
+        raise Gone(f"run {run.folder.id} placed no cameras: {run.record.reason or 'it was not asked to'}")
+    of_cameras = {"frames": FRAMES, "depths": DEPTH, "refined": REFINE}
+    values = {"poses": poses, "cloud": run.cloud(), **{name: run.of_cameras(stage) for name, stage in of_cameras.items()}}
+    return {prefix + name: value for name, value in values.items()}
+
+
+def data_of(changes: Any) -> dict[str, Any]:
+    """Return the same as changes.json has it."""
+    data: dict[str, Any] = load(CHANGES_DATA)(changes)
+    return data
+
+
+def lines_of(data: Mapping[str, Any]) -> Iterator[str]:
+    """Yield volumes and changes for people."""
+    unit = "m" if data["unit"] == "m" else "units"
+    parts = {"": data.get("cut_fill"), **data["zones"]}
+    for zone, part in ((zone, CutFill.from_json(part)) for zone, part in parts.items() if part):
+        volumes = f"gained {part.gained:.2f} ± {part.gained_sigma:.2f}, lost {part.lost:.2f} ± {part.lost_sigma:.2f} {unit}³"
+        ground = f"{part.area:,.0f} {unit}² seen on both, {part.unseen:,.0f} not; level of detection {part.level:.3f} {unit}"
+        yield f"{zone or 'whole site'}: {volumes}; {ground}"
+    for change in data["changes"]:
+        place = ", ".join(f"{value:.1f}" for value in change["position"])
+        yield f"{change['kind']} at {place}: {change['volume']:.2f} ± {change['volume_sigma']:.2f} {unit}³"

@@ -12,7 +12,7 @@ from ..cache.layout import WorkFolder
 from ..cache.store import Cache
 from ..cache.untrusted import MOST_TEXT_BYTES, read_outside
 from ..errors import WbflowError
-from ..outcome.compare import Entry, history
+from ..outcome.history import Entry, history
 from ..pipeline.names import FUSE
 from ..records.findings import Finding
 from ..records.run_folder import NoSuchRun, RunFolder

@@ -1,4 +1,5 @@
-"""Changes through the nights: the volumes of the site and its zones, and each change from its first night to its last."""
+"""The history of a site: its runs, and changes through the nights: volumes of its zones, and each change from its first night to
+its last."""
 
 from __future__ import annotations
 
@@ -10,13 +11,67 @@ from typing import Any
 
 from ..cache.layout import WorkFolder
 from ..pipeline.summaries import Change
-from ..plain import rounded
-from ..records.record import RunRecord
-from ..records.run_folder import newest_runs
+from ..plain import Plain
+from ..records.ledger import Ledger, LedgerRun
+from ..records.record import RunRecord, Verdict
+from ..records.run_folder import NoSuchRun, RunFolder, newest_runs
+
+MOST_WORDS = 80
+"""A line has at most so many characters of a finding."""
 
 
 @dataclass(frozen=True)
-class GrowthRow:
+class Entry:
+    """A run in the history of its site."""
+
+    run: LedgerRun
+    verdict: Verdict | None
+    """None where its record is gone, or of an earlier version."""
+    cleaned: bool
+    """Is its folder gone?"""
+
+    @property
+    def words(self) -> str:
+        """What it came to: the level, and the first finding."""
+        if self.cleaned:
+            return "cleaned"
+        if self.verdict is None:
+            return ""
+        words = f"{self.verdict.level}: {self.verdict.findings[0]}" if self.verdict.findings else self.verdict.level
+        return words if len(words) <= MOST_WORDS else f"{words[: MOST_WORDS - 3]}..."
+
+    def to_json(self) -> dict[str, Any]:
+        verdict = self.verdict.to_json() if self.verdict else None
+        return {**asdict(self.run), "verdict": verdict, "cleaned": self.cleaned}
+
+
+def history(work: WorkFolder) -> list[Entry]:
+    """Return every run, oldest first."""
+    with Ledger(work) as ledger:
+        known = [(run, RunFolder(work.run(run.run))) for run in ledger.runs()]
+    return [Entry(run, _verdict_of(folder), cleaned=not folder.paths.record.exists()) for run, folder in known]
+
+
+def _verdict_of(folder: RunFolder) -> Verdict | None:
+    try:
+        return folder.record().verdict
+    except NoSuchRun:
+        return None
+
+
+def places(work: WorkFolder) -> list[dict[str, Any]]:
+    """Return where every run lies, oldest first, for programs: paths are None where there is nothing any more."""
+    found = []
+    for entry in history(work) if work.root.exists() else ():
+        run, paths, level = entry.run, work.run(entry.run.run), entry.verdict.level if entry.verdict else None
+        known = {"run": run.run, "night": run.date, "exit_code": run.exit_code, "level": level, "points": run.points}
+        files = {"folder": paths.folder, "cloud": paths.cloud, "report": paths.report}
+        found.append(known | {name: str(path) if path.exists() else None for name, path in files.items()})
+    return found
+
+
+@dataclass(frozen=True)
+class GrowthRow(Plain):
     """A part of the ground, or a change, on one night; volumes and areas in the site's unit."""
 
     night: str
@@ -133,11 +188,5 @@ def as_csv(rows: Iterable[GrowthRow]) -> str:
     text = io.StringIO()
     writer = csv.DictWriter(text, [column.name for column in fields(GrowthRow)], lineterminator="\n")
     writer.writeheader()
-    writer.writerows(as_json(row) for row in rows)
+    writer.writerows(row.to_json() for row in rows)
     return text.getvalue()
-
-
-def as_json(row: GrowthRow) -> dict[str, Any]:
-    """Return a row by the names of its columns."""
-    data: dict[str, Any] = rounded(asdict(row))
-    return data
