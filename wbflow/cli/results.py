@@ -231,7 +231,6 @@ def acknowledge(site: Path, words: tuple[str, ...], until: Day | None, note: str
     wbflow acknowledge site.yaml change 2 --note "the crane is here for good"    a change of the newest run, by its number
     """
     from ..outcome import acknowledge as known
-    from ..outcome.known_changes import CHANGE, changes_of
     from ..records.run_folder import newest_runs
 
     loaded, finding = load(site, None), " ".join(words)
@@ -244,9 +243,9 @@ def acknowledge(site: Path, words: tuple[str, ...], until: Day | None, note: str
         newest = next((record for _, record in newest_runs(loaded.work_folder)), None)
         for found in newest.verdict.findings if newest and newest.verdict else ():
             echo(f"{known.name_of(found)}: {found.text}")
-        for number, change in changes_of(newest).items() if newest else ():
+        for number, change in known.changes_of(newest).items() if newest else ():
             if not change.acknowledged:
-                echo(f"{CHANGE} {number}: {change.kind} at {change.x:.1f}, {change.y:.1f}, {change.z:.1f}")
+                echo(f"{known.CHANGE} {number}: {change.kind} at {change.x:.1f}, {change.y:.1f}, {change.z:.1f}")
         for one in known.read(loaded):
             echo(f"{one.finding}: {one.words}")
 

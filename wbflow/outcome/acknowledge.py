@@ -1,14 +1,16 @@
 """Findings and changes that somebody knows of: they stay in the report, and neither degrade a night nor notify anybody.
 
-They lie beside the site file, and enter the verdict of a night but no key of the cache.
+They lie beside the site file, and enter the verdict of a night but no key of the cache.  A change has another number each night:
+what is remembered of it is its kind and its place, as `Change.is_same` compares them.
 """
 
 from __future__ import annotations
 
 import datetime
 import getpass
-from collections.abc import Iterable
-from dataclasses import dataclass
+import re
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -17,11 +19,16 @@ import yaml
 from ..cache.atomic import write_atomic
 from ..cache.untrusted import MOST_TEXT_BYTES, read_outside
 from ..errors import UsageError
+from ..pipeline.summaries import Change, ChangesSummary
 from ..plain import Plain
 from ..records.findings import FINDINGS, Finding
+from ..records.record import RunRecord
+from ..records.run_folder import newest_runs
 from ..site.models import Site
-from .known_changes import CHANGE, named_change
 
+CHANGE = "change"
+"""The word with which acknowledgements of changes begin."""
+_NAME = re.compile(rf"{CHANGE} (\w+) at (-?\d+\.\d+),(-?\d+\.\d+),(-?\d+\.\d+)")
 _HEAD = "# What `wbflow acknowledge` says of this site's findings.\n"
 
 
@@ -126,10 +133,46 @@ def drop(site: Site, finding: str) -> None:
 
 
 def _named(site: Site, finding: str) -> str:
+    """Return the name of a finding, or of a change that is given by its number in the newest run ("change 2"), or by its name."""
     name = " ".join(finding.split())
-    if name.split(" ")[0] != CHANGE:
+    if name.split(" ")[0] != CHANGE or _place(name):
         return name
-    return named_change(site.work_folder, name, (one.finding for one in read(site)))
+    newest = next((record for _, record in newest_runs(site.work_folder)), None)
+    there = changes_of(newest) if newest else {}
+    if (number := name.removeprefix(CHANGE).strip()) not in there:
+        known = "; ".join(f"{CHANGE} {name}: {change.kind}" for name, change in there.items()) or "none"
+        raise UsageError(f"the newest run has no change {number!r}", remedy=f"its changes: {known}")
+    change = there[number]
+    same = (one.finding for one in read(site) if (place := _place(one.finding)) and change.is_same(place))
+    return next(same, f"{CHANGE} {change.kind} at {change.x:.1f},{change.y:.1f},{change.z:.1f}")
+
+
+def _place(name: str) -> Change | None:
+    """Return kind and place of a change by its name; None for what is no such name."""
+    found = _NAME.fullmatch(name)
+    return Change(found[1], float(found[2]), float(found[3]), float(found[4])) if found else None
+
+
+def changes_of(record: RunRecord) -> Mapping[str, Change]:
+    """Return the changes of a night by number."""
+    return next((result.objects for result in record.results.values() if isinstance(result, ChangesSummary)), {})
+
+
+def with_known(record: RunRecord, known: Iterable[Acknowledgement]) -> RunRecord:
+    """Return the record with what is known of its changes."""
+    places = [(place, one.words) for one in known if one.holds(record.date) and (place := _place(one.finding))]
+
+    def marked(changes: Mapping[str, Change]) -> Iterator[tuple[str, Change]]:
+        for number, change in changes.items():
+            words = next((words for place, words in places if change.is_same(place)), "")
+            yield number, replace(change, acknowledged=words)
+
+    results = {
+        stage: replace(result, changes=dict(marked(result.changes)))
+        for stage, result in record.results.items()
+        if isinstance(result, ChangesSummary) and result.changes
+    }
+    return replace(record, results={**record.results, **results}) if places else record
 
 
 def split(
@@ -143,9 +186,7 @@ def split(
         if one is None or FINDINGS[finding.kind].level == "failed":
             counts.append(finding)
         else:
-            acknowledged.append(
-                Finding(finding.kind, finding.subject, finding.text, finding.figures, finding.expected, one.words)
-            )
+            acknowledged.append(replace(finding, remedy=one.words))
     return tuple(counts), tuple(acknowledged)
 
 

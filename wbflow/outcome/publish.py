@@ -36,10 +36,9 @@ from ..site.geodesy import origin_of
 from ..site.models import Site
 from ..task import Task
 from . import acknowledge
-from .acknowledge import Acknowledgement
+from .acknowledge import Acknowledgement, with_known
 from .artifacts import FinishedRun
 from .baseline import Baseline
-from .known_changes import with_known
 from .notify import metrics
 from .run_record import run_record
 from .verdict import judge_run
@@ -116,15 +115,8 @@ def publish(run: str, context: RunContext, worked: Worked, journal: Journal, own
     harmful, harmless = context.captures_in_motion()
     record = replace(record, cameras=tuple(_with_motion(camera, harmful, harmless) for camera in record.cameras))
     known = _acknowledged(plan.site, journal)
-    record = judge_run(
-        record,
-        plan,
-        Baseline.before(place, run, record.date),
-        worked.interrupted,
-        journal.behind(),
-        known,
-    )
-    record = with_known(record, [(one.finding, one.words) for one in known if one.holds(record.date)])
+    before = Baseline.before(place, run, record.date)
+    record = with_known(judge_run(record, plan, before, worked.interrupted, journal.behind(), known), known)
     record = replace(record, repaired=tuple(journal.repairs), files=unfinished.files)
     page = _report(plan, record, journal, cameras, unfinished)
     folder = unfinished.publish(record, journal.events, page, metrics(record))

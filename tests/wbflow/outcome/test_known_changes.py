@@ -16,7 +16,7 @@ from wbflow.api import load_site
 from wbflow.cache.layout import WorkFolder
 from wbflow.cli.main import main
 from wbflow.outcome import acknowledge, publish, verdict
-from wbflow.outcome.known_changes import changes_of, with_known
+from wbflow.outcome.acknowledge import Acknowledgement, changes_of, with_known
 from wbflow.pipeline.summaries import Change, ChangesSummary
 from wbflow.records.record import RunRecord, Verdict
 from wbflow.records.run_folder import UnfinishedRun
@@ -24,6 +24,8 @@ from wbflow.records.run_folder import UnfinishedRun
 CONTAINER = Change("new", 9.24, 15.31, 1.3, length=6.3, width=2.7, volume=39.2)
 VAN = Change("new", 28.3, 16.3, 1.2, length=4.7, width=2.3, volume=17.4)
 STACK = Change("vanished", 9.2, 15.3, 1.3, length=1.8, width=0.7, volume=3.8)
+
+CONTAINERS_NAME = "change new at 9.2,15.3,1.3"
 
 
 def of_night(date: str, *changes: Change) -> RunRecord:
@@ -47,7 +49,7 @@ def wbflow(folder: Path, *words: str) -> Result:
 
 def known_of(folder: Path, record: RunRecord) -> dict[str, str]:
     """What is known of the changes of a night, by number."""
-    there = [(one.finding, one.words) for one in acknowledge.read(load_site(folder)) if one.holds(record.date)]
+    there = acknowledge.read(load_site(folder))
     return {number: change.acknowledged for number, change in changes_of(with_known(record, there)).items()}
 
 
@@ -88,15 +90,15 @@ def test_a_change_that_is_not_there_is_refused_with_those_that_are(folder: Path,
 
 
 def test_run_json_keeps_what_is_known(folder: Path) -> None:
-    record = with_known(of_night("2026-11-20", CONTAINER), [("change new at 9.2,15.3,1.3", "acknowledged by Ben")])
+    record = with_known(of_night("2026-11-20", CONTAINER), [Acknowledgement(CONTAINERS_NAME, "Ben", "2026-11-19")])
     again = RunRecord.from_json(record.to_json())
-    assert changes_of(again)["1"].acknowledged == "acknowledged by Ben"
+    assert changes_of(again)["1"].acknowledged == "acknowledged by Ben on 2026-11-19"
 
 
 def test_on_the_page_known_changes_come_last_grey_and_are_counted_apart(tmp_path: Path) -> None:
     record = made_up_run.record(made_up_run.names(3), verdict=Verdict("good"), exit_code=0)
     changes = ChangesSummary(compared=True, count=2, changes={"1": CONTAINER, "2": VAN})
-    known = [("change new at 9.2,15.3,1.3", "acknowledged by Ben on 2026-12-01: for the winter")]
+    known = [Acknowledgement(CONTAINERS_NAME, "Ben", "2026-12-01", note="for the winter")]
     page = made_up_run.page(tmp_path, with_known(replace(record, results={"changes": changes}), known), nights=0).read_text()
     first, _, _ = page.partition('class="stage"')
     assert "2 changes since the reference (2 new); 1 acknowledged." in first
