@@ -39,7 +39,7 @@ import cv2
 import numpy as np
 from pairs_with_truth import DATA, read_rgb
 
-from wbflow.outcome.demo import write_demo
+from wbflow.outcome.init import write_demo
 from wbflow.pipeline.pairs import select_pairs
 from wbflow_stages.evaluate import pose_errors, turn_errors_deg
 from wbflow_stages.features import detect

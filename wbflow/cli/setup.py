@@ -38,7 +38,7 @@ def demo(folder: Path, nights: int | None, frames: int, **options: Any) -> None:
     wbflow demo winter --surfaces weak            white walls, wet asphalt, snow
     wbflow demo harbour --nights 7 --small
     """
-    from ..outcome.demo import write_demo, write_nights
+    from ..outcome.init import write_demo, write_nights
 
     if nights is None:
         write_demo(folder, **options)
@@ -65,7 +65,7 @@ def init(folder: Path, systemd: bool) -> None:
     wbflow init /srv/harbour --systemd
     """
     if systemd:
-        from ..outcome.systemd import write_units
+        from ..outcome.init import write_units
 
         units = write_units(load(folder, None))
         echo("\n".join(map(str, units)))

@@ -1,17 +1,25 @@
-"""What a new site begins with: a site file from a folder of photographs, a calibration from pictures of a board."""
+"""What a new site begins with: a site file from a folder of photographs, a calibration from pictures of a board, a demo, and
+units that have systemd run it every night."""
 
 from __future__ import annotations
 
+import getpass
+import hashlib
 import json
 import re
-from collections.abc import Iterable
+import sys
+from collections.abc import Callable, Iterable
 from pathlib import Path
+from typing import Any
 
 from ..cache.atomic import write_atomic
 from ..cache.plugins import load
+from ..cache.ply import ply_bytes
 from ..cache.untrusted import Unreadable, read_outside
 from ..errors import UsageError
+from ..pipeline.exports import DEMO_FILES, DEMO_NIGHTS
 from ..site.locations import is_name
+from ..site.models import Site
 
 PHOTOGRAPHS = {".jpg", ".jpeg", ".png", ".tif", ".tiff"}
 """Suffixes of files that are taken for photographs, whatever their case."""
@@ -152,3 +160,127 @@ def write_calibration(
     for name, content in made.items():
         write_atomic(out / name, content)
     return [out / name for name in made], words
+
+
+MANIFEST = "demo.json"
+EDITABLE = ("site.yaml", "cameras.json")
+_ELSEWHERE = "name a new or an empty folder"
+
+
+def write_demo(folder: Path, *, scene: str = "yard", **options: Any) -> None:
+    """Render a demo scene into a folder that is new, empty, or holds an earlier demo; the same arguments write the same bytes.
+
+    Parameters
+    ----------
+    folder : Path
+        Where the files go.
+    scene : str
+        "yard", "square" or "carpark".
+    **options
+        Those of `wbflow_demo.scenes.render`: small, light, cameras, captures, seed, lenses, surfaces.
+
+    Raises
+    ------
+    UsageError
+        The folder holds something else than a demo, or a demo whose site file or calibration was edited; an unknown scene or
+        light; no captures.
+    """
+    _write(folder, lambda: load(DEMO_FILES)(scene, **options))
+
+
+def write_nights(folder: Path, nights: int, **options: Any) -> None:
+    """Render so many nights of the demo yard into a folder, with what happens in them; otherwise as `write_demo`.
+
+    options: those of `wbflow_demo.files.demo_nights`: frames, small, cameras, seed.
+    """
+    _write(folder, lambda: load(DEMO_NIGHTS)(nights, **options))
+
+
+def _write(folder: Path, render: Callable[[], Any]) -> None:
+    known = _claim(folder)
+    try:
+        demo = render()
+    except ValueError as error:
+        raise UsageError(str(error), remedy="wbflow demo --help  says what there is") from error
+    # an interrupted demo can be written again: the manifest comes first, its digests last
+    write_atomic(folder / MANIFEST, _json({"files": known}))
+    digests = {}
+    for name, content in demo.files:
+        data = content if isinstance(content, bytes) else bytes(ply_bytes(content.columns, content.comments))
+        write_atomic(folder / name, data)
+        digests[name] = hashlib.sha256(data).hexdigest()
+    for name in known.keys() - digests.keys():
+        (folder / name).unlink(missing_ok=True)
+    write_atomic(folder / MANIFEST, _json({**demo.manifest, "files": digests}))
+
+
+def _claim(folder: Path) -> dict[str, str]:
+    """The files, with digests, of the demo that `folder` holds already."""
+    if not folder.exists():
+        return {}
+    if not folder.is_dir():
+        raise UsageError(f"{folder} is a file", remedy=_ELSEWHERE)
+    manifest = folder / MANIFEST
+    if not manifest.is_file():
+        if any(folder.iterdir()):
+            raise UsageError(f"{folder} holds other files", remedy=_ELSEWHERE)
+        return {}
+    try:
+        known = {str(name): str(digest) for name, digest in json.loads(manifest.read_bytes())["files"].items()}
+    except (ValueError, KeyError, TypeError, AttributeError):
+        raise UsageError(f"{manifest} isn't what a demo leaves there", remedy=_ELSEWHERE) from None
+    for name in EDITABLE:
+        file = folder / name
+        if file.is_file() and name in known and hashlib.sha256(file.read_bytes()).hexdigest() != known[name]:
+            raise UsageError(f"{file} was edited since the demo was written", remedy="move it away, or name another folder")
+    return known
+
+
+def _json(data: dict[str, Any]) -> bytes:
+    return (json.dumps(data, indent=1) + "\n").encode()
+
+
+_SERVICE = """\
+[Unit]
+Description=wbflow: the night's work of {name}
+Wants=network-online.target
+After=network-online.target
+# OnFailure=mail@%n.service     is also started after a degraded night (exit code 3); SuccessExitStatus=3 below prevents that
+
+[Service]
+Type=oneshot
+User={user}
+ExecStart={python} -m wbflow run {file} -q{capture} --stop-at 06:00
+TimeoutStartSec=6h
+# the run ends its workers itself, and keeps what is finished
+KillMode=mixed
+Nice=10
+NoNewPrivileges=yes
+PrivateTmp=yes
+ProtectSystem=full
+"""
+
+_TIMER = """\
+[Unit]
+Description=wbflow: {name} every night
+
+[Timer]
+OnCalendar=*-*-* 03:30:00
+# a machine that slept works through the night when it wakes
+Persistent=true
+
+[Install]
+WantedBy=timers.target
+"""
+
+
+def write_units(site: Site) -> list[Path]:
+    """Write a service and a timer beside the site file; returns them.  Raises OSError."""
+    captures = any(entry.url for entry in site.settings.cameras)
+    file = '"' + str(site.file.resolve()).replace("%", "%%").replace('"', '\\"') + '"'
+    filled = {"name": site.name, "user": getpass.getuser(), "python": sys.executable, "file": file}
+    units = {"service": _SERVICE.format(**filled, capture=" --capture" if captures else ""), "timer": _TIMER.format(**filled)}
+    paths = [site.folder / f"wbflow-{site.name}.{kind}" for kind in units]
+    for path, text in zip(paths, units.values(), strict=True):
+        write_atomic(path, text.encode())
+    return paths

@@ -17,7 +17,8 @@ from tests.helpers.images import read_image
 from tests.helpers.synthetic_site import small_yard
 from wbflow.cache.memo import Digests
 from wbflow.cache.ply import read_ply
-from wbflow.outcome.demo import NotADemo, write_demo
+from wbflow.errors import UsageError
+from wbflow.outcome.init import write_demo
 from wbflow.site.captures import find_captures, night
 from wbflow.site.load import load_site
 from wbflow_demo.render.photograph import DemoSite, Shots
@@ -119,10 +120,10 @@ def test_a_demo_that_was_interrupted_can_be_written_again(tmp_path: Path, monkey
 
 def test_other_peoples_folders_are_left_alone(tmp_path: Path) -> None:
     (tmp_path / "thesis.txt").write_text("years of work")
-    with pytest.raises(NotADemo, match="holds other files"):
+    with pytest.raises(UsageError, match="holds other files"):
         write_demo(tmp_path, small=True)
     assert [p.name for p in tmp_path.iterdir()] == ["thesis.txt"]
-    with pytest.raises(NotADemo, match="is a file"):
+    with pytest.raises(UsageError, match="is a file"):
         write_demo(tmp_path / "thesis.txt", small=True)
 
 
@@ -132,7 +133,7 @@ def test_what_was_edited_is_not_overwritten(tmp_path: Path, name: str) -> None:
     file = tmp_path / "demo" / name
     edited = file.read_text() + "\n"
     file.write_text(edited)
-    with pytest.raises(NotADemo, match="edited"):
+    with pytest.raises(UsageError, match="edited"):
         write_demo(tmp_path / "demo", small=True)
     assert file.read_text() == edited
 
