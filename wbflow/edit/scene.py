@@ -15,7 +15,7 @@ from ..site.locations import Problems
 from ..site.models import Site
 
 if TYPE_CHECKING:
-    from .marks import Marks
+    from .session import Marks
 
 GROUND_SHARE = 0.1
 """Of the last cloud's points, so many lie lower than the ground that zones are drawn on at first."""

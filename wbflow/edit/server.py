@@ -19,8 +19,7 @@ from pydantic import Field, ValidationError
 
 from ..errors import printable
 from ..site.models import Section, Vector2
-from .marks import Marks
-from .session import Refused, Session
+from .session import Marks, Refused, Session
 
 _MOST_BYTES = 10_000_000
 """Of what the page sends."""
