@@ -12,7 +12,7 @@ from ..cache.plugins import load
 from ..errors import UsageError
 from ..pipeline.exports import PAIR_FILES, PAIR_RESULTS
 from ..pipeline.names import DISPARITY, FRAMES, POSES
-from ..report.template import render
+from ..report import render
 from ..site.load import load_site
 from ..site.models import Site
 from .artifacts import FinishedRun

@@ -1,0 +1,26 @@
+"""The pages: HTML from the templates in `assets`."""
+
+from __future__ import annotations
+
+import contextlib
+from importlib.resources import files
+from typing import Any
+
+
+def render(template: str, **content: Any) -> str:
+    """Return the page of a template in `assets`; all that is put in is escaped, but for the assets."""
+    from jinja2 import Environment, FileSystemBytecodeCache, FunctionLoader, StrictUndefined  # here: only pages need it
+    from markupsafe import Markup
+
+    compiled = None
+    with contextlib.suppress(RuntimeError, OSError):  # a machine without a folder for it compiles the template each time
+        compiled = FileSystemBytecodeCache()
+    environment = Environment(
+        loader=FunctionLoader(_asset), autoescape=True, bytecode_cache=compiled, undefined=StrictUndefined, trim_blocks=True
+    )
+    environment.globals["asset"] = lambda name: Markup(_asset(name))
+    return environment.get_template(template).render(content)
+
+
+def _asset(name: str) -> str:
+    return (files(__package__) / "assets" / name).read_text(encoding="utf-8")

@@ -22,6 +22,7 @@ from ..records.events import Event, TaskEvent, WarningEvent
 from ..records.record import RunRecord, moment
 from ..records.run_folder import RunFolder
 from ..site.models import Site
+from . import render
 from .charts import camera_bars, tasks_of_stages, timetable, trends
 from .data import ReportData
 from .map import Map, layers_of, scene_of
@@ -43,7 +44,6 @@ from .sections import (
     tried,
     volume_facts,
 )
-from .template import render
 
 MOST_BYTES = 14_000_000
 """Of a page, about: large pictures get the room that nothing else needs."""

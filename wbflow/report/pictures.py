@@ -10,7 +10,7 @@ import json
 import mimetypes
 import struct
 from collections import defaultdict
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -18,13 +18,16 @@ from typing import Any
 from ..cache.plugins import load
 from ..cache.untrusted import read_outside
 from ..pipeline.exports import FEWER_POINTS
-from ..pipeline.names import FUSE
-from ..pipeline.stages import STAGES
+from ..pipeline.names import FRAMES, FUSE
+from ..pipeline.stages import STAGES, stage_named
 from ..records.run_folder import NoSuchRun, RunFolder
 from ..task import Task
 from .data import ReportData
-from .other_night import OtherNight
 
+Matrix = Sequence[Sequence[float]]
+
+_STILL = 5e-4
+"""A picture that is off by less than this share of its size is not moved."""
 ROOM = 6_000_000
 """Bytes of small pictures in a page; the page links to the files of the others."""
 
@@ -45,6 +48,52 @@ class Picture:
     """The file, seen from the report, where there is no room for it."""
 
 
+@dataclass(frozen=True)
+class OtherNight:
+    """A run of another night, shown beside that of the page: its points, and its pictures laid over those of this night."""
+
+    date: str
+    keys: Mapping[Task, str] = field(repr=False)
+    """The cache key of each result..."""
+    cameras: Mapping[str, Any] = field(repr=False)
+    """...and the cameras as cameras.json has them."""
+    page: ReportData = field(repr=False)
+    """The night of the page."""
+
+    def points(self) -> bytes | None:
+        """Return the stream of its cloud; None where it is gone, or would show what is private now."""
+        task = Task(FUSE)
+        stream = self.page.cache.drawing(task, self.keys[task], "view") if task in self.keys else None
+        return stream if all(self.is_as_private(frame) for frame in self.keys if frame.stage == FRAMES) else None
+
+    def is_as_private(self, frame: Task) -> bool:
+        """Return whether a camera's picture of that night left out what is private on the night of the page."""
+        stated = next((view for view in self.page.site.views if (view.id,) == frame.subject), None)
+        if stated is None or not stated.privacy:
+            return True
+        both = self.keys.get(frame), self.page.keys.get(frame)
+        then, now = (self.page.cache.by_key(frame, key) if key else None for key in both)
+        private = [name for name, need in stage_named(FRAMES).inputs.items() if (need.kind, need.name) == ("site", "privacy")]
+        if then is None or now is None:
+            return False
+        return all(then.preimage.inputs.get(name) == now.preimage.inputs.get(name) for name in private)
+
+    def onto(self, camera: str) -> str:
+        """Return what lays a camera's picture of that night over this night's: a homography of the unit square, row by row.
+
+        "" where it has not turned, or where that is not known.
+        """
+        then, now = self.cameras.get(camera), self.page.cameras.get(camera)
+        if not then or not now or not all(one.get("R") and one.get("K") for one in (then, now)):
+            return ""
+        turn = _product(now["R"], list(zip(*then["R"], strict=True)))
+        matrix = _product(_product(_to_unit(now), turn), _from_unit(then))
+        rows = [[value / matrix[2][2] for value in row] for row in matrix]
+        corners = [_seen(rows, x, y) for x, y in ((0.0, 0.0), (1.0, 0.0), (0.0, 1.0), (1.0, 1.0))]
+        still = all(abs(x - k % 2) < _STILL and abs(y - k // 2) < _STILL for k, (x, y) in enumerate(corners))
+        return "" if still else " ".join(f"{value:.7g}" for row in rows for value in row)
+
+
 def other_night(data: ReportData, run: str | None) -> OtherNight | None:
     """Return a run beside that of the page; None where there is none that can be read, or where it is the page's own."""
     if run is None or run == data.record.run:
@@ -52,7 +101,7 @@ def other_night(data: ReportData, run: str | None) -> OtherNight | None:
     try:
         folder = RunFolder.of(data.work, run)
         keys = {task: event.key for task, event in folder.tasks().items() if event.usable and event.key}
-        return OtherNight(folder.record().date, keys, folder.cameras(), data.keys, data.cameras, data.cache, data.site)
+        return OtherNight(folder.record().date, keys, folder.cameras(), data)
     except NoSuchRun:
         return None
 
@@ -222,3 +271,22 @@ def _keypoint_note(data: ReportData, frame: Task) -> str:
             when = f" of {data.reference_date}" if data.reference_date else ""
             return f"found in the reference's picture{when}: the camera has not moved"
     return ""
+
+
+def _to_unit(camera: Mapping[str, Any]) -> Matrix:
+    K, wide, high = camera["K"], camera["width"], camera["height"]
+    return [[value / wide for value in K[0]], [value / high for value in K[1]], [0.0, 0.0, 1.0]]
+
+
+def _from_unit(camera: Mapping[str, Any]) -> Matrix:
+    K, wide, high = camera["K"], camera["width"], camera["height"]
+    return [[wide / K[0][0], 0.0, -K[0][2] / K[0][0]], [0.0, high / K[1][1], -K[1][2] / K[1][1]], [0.0, 0.0, 1.0]]
+
+
+def _product(a: Matrix, b: Matrix) -> Matrix:
+    return [[sum(x * y for x, y in zip(row, column, strict=True)) for column in zip(*b, strict=True)] for row in a]
+
+
+def _seen(rows: Matrix, x: float, y: float) -> tuple[float, float]:
+    u, v, w = (row[0] * x + row[1] * y + row[2] for row in rows)
+    return u / w, v / w

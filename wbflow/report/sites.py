@@ -18,9 +18,9 @@ from ..records.findings import Finding
 from ..records.run_folder import NoSuchRun, RunFolder
 from ..site.load import load_site
 from ..task import Task
+from . import render
 from .data import NIGHTS
 from .pictures import data_url
-from .template import render
 
 
 @dataclass(frozen=True)
