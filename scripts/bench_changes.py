@@ -61,9 +61,9 @@ class Row:
 
 def night_of(folder: Path) -> Night:
     """A night from the folder of its run and the cache.  Raises Gone."""
-    run = wbflow.open_run(folder).finished
+    run = wbflow.open_run(folder)
     of = {role: dict(run.of_cameras(role)) for role in (FRAMES, DEPTH, REFINE)}
-    return Night(run.made(POSES), run.cloud(), of[FRAMES], of[DEPTH], of[REFINE])
+    return Night(run.made(POSES), run.cloud_table(), of[FRAMES], of[DEPTH], of[REFINE])
 
 
 def flat_places(night: Night, size: float, count: int) -> Float64s:

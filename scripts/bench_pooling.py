@@ -94,7 +94,7 @@ def truth_of(one: Camera, depth: Float32s, two: Camera, other: Float32s) -> Trut
 def of_runs(demo: Path, runs: list[Path], pairs: list[str]) -> None:
     """Nights of a demo."""
     cameras = cameras_of(demo)
-    nights = [wbflow.open_run(folder).finished.of_cameras(FRAMES) for folder in runs]
+    nights = [wbflow.open_run(folder).of_cameras(FRAMES) for folder in runs]
     for pair in pairs:
         left, right = pair.split("--")
         truth = truth_of(cameras[left], _depth(demo, left), cameras[right], _depth(demo, right))

@@ -81,7 +81,7 @@ def main() -> None:
     first, lost = min(runs), {date for date, run in runs.items() if not all(camera.ok for camera in run.record.cameras)}
     groups: dict[str, list[tuple[Volume, Volume]]] = {}
     for then, tonight in itertools.combinations(sorted(runs), 2):
-        found = changes_between(runs[then].finished, runs[tonight].finished).cut_fill
+        found = changes_between(runs[then], runs[tonight]).cut_fill
         gained, gone = between(truth[then], truth[tonight])
         pair = Volume(found.gained, found.gained_sigma, gained), Volume(found.lost, found.lost_sigma, gone)
         if not gained and not gone:

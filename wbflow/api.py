@@ -13,18 +13,14 @@ import dataclasses
 import datetime
 import os
 from collections.abc import Iterable, Mapping
-from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
 
 from .cache.atomic import bytes_of, disk_fault
 from .cache.owner import claim
-from .cache.plugins import load
 from .errors import UsageError
-from .outcome.artifacts import FinishedRun, task_named
+from .outcome.artifacts import Run as Run
 from .outcome.publish import mend_ledger, run_pipeline
-from .records.events import Event, Listener
-from .records.record import CameraRecord, PairRecord, RunRecord
+from .records.events import Listener
 from .records.run_folder import RunFolder, hold_to_write, new_run, refresh
 from .runner.context import plan_run
 from .runner.journal import Journal
@@ -32,102 +28,6 @@ from .runner.loop import terminate_as_interrupt
 from .runner.options import Options
 from .site.load import load_site as read_site
 from .site.models import Site
-from .task import Task
-
-if TYPE_CHECKING:
-    import open3d
-
-
-class Run:
-    """A finished run, and all that it left."""
-
-    def __init__(self, finished: FinishedRun) -> None:
-        self.finished = finished
-        """The same, for functions of wbflow."""
-
-    def __repr__(self) -> str:
-        cloud = self.record.cloud
-        what = f"{cloud.points:,} points" if cloud else f"no cloud ({self.record.reason or 'not asked for'})"
-        return f"Run({self.id!r}, site {self.record.site!r}, exit {self.record.exit_code}, {what})"
-
-    @property
-    def id(self) -> str:
-        """Its start, UTC: 20261120T031500Z."""
-        return self.finished.folder.id
-
-    @property
-    def folder(self) -> Path:
-        """Where its files are: run.json, cloud.ply, cameras.json, report.html, log.jsonl."""
-        return self.finished.folder.paths.folder
-
-    @property
-    def record(self) -> RunRecord:
-        """The run in figures."""
-        return self.finished.record
-
-    @property
-    def events(self) -> list[Event]:
-        """What happened, in order."""
-        return self.finished.folder.events()
-
-    @cached_property
-    def cameras(self) -> Mapping[str, CameraRecord]:
-        """What became of each camera, by id."""
-        return {camera.id: camera for camera in self.record.cameras}
-
-    @cached_property
-    def pairs(self) -> Mapping[str, PairRecord]:
-        """What became of each pair, by "left--right"."""
-        return {pair.name: pair for pair in self.record.pairs}
-
-    @cached_property
-    def calibration(self) -> Mapping[str, Any]:
-        """The cameras that the cloud rests on, by id: K, R, C, width, height, as a site file's `calibration` takes them."""
-        return self.finished.folder.cameras()
-
-    @cached_property
-    def cloud(self) -> open3d.geometry.PointCloud:
-        """The cloud with normals and colours.
-
-        Raises
-        ------
-        WbflowError
-            The run made none.
-        """
-        from .pipeline.exports import CLOUD_OBJECT
-
-        made: open3d.geometry.PointCloud = load(CLOUD_OBJECT)(self.finished.cloud())
-        return made
-
-    @property
-    def tasks(self) -> list[Task]:
-        """The tasks that left an artifact."""
-        return [task for task, event in self.finished.tasks.items() if event.usable]
-
-    def artifact(self, task: Task | str) -> Any:
-        """Return what a task made: a dataclass of `wbflow_stages.types`.
-
-        Parameters
-        ----------
-        task : Task or str
-            Such as "geometry gate--roof", "frames gate" or "poses".
-
-        Raises
-        ------
-        UsageError
-            The run had no such task, or it made nothing; the message says why.
-        WbflowError
-            The cache does not hold it any more.
-        """
-        task = task_named(task) if isinstance(task, str) else task
-        event = self.finished.tasks.get(task)
-        if event is None:
-            known = ", ".join(dict.fromkeys(str(t) for t in self.finished.tasks if t.stage == task.stage)) or "none of this stage"
-            raise UsageError(f"run {self.id} had no task '{task}'", remedy=f"it had {known}")
-        if not event.usable:
-            what = f"'{task}' made nothing: {event.outcome}{f': {event.reason}' if event.reason else ''}"
-            raise UsageError(what, remedy="wbflow report SITE.yaml  shows what was tried")
-        return self.finished.load(task)
 
 
 def load_site(path: str | Path, work: str | Path | None = None) -> Site:
@@ -238,11 +138,10 @@ def open_run(where: Site | str | Path, run_id: str | None = None) -> Run:
         The site file cannot be used.
     """
     if not isinstance(where, Site) and run_id is None and RunFolder.is_one(Path(where)):
-        folder = RunFolder.at(Path(where))
-        return Run(FinishedRun.at(folder))
+        return Run.at(RunFolder.at(Path(where)))
     place = (where if isinstance(where, Site) else load_site(where)).work_folder
     refresh(place)
-    return Run(FinishedRun.open(place, RunFolder.of(place, run_id)))
+    return Run.open(place, RunFolder.of(place, run_id))
 
 
 def _run(site: Site, options: Options, listen: Listener) -> Run:
@@ -271,21 +170,18 @@ def _run_night(site: Site, options: Options, listen: Listener) -> Run:
         finished = run_pipeline(name, context, options, journal, lambda run: _notify(site, run, journal))
         if mirror and (fault := mirror.finish()):
             journal.warn(fault)
-            finished.folder.add(journal.events[-1])
-        return Run(finished)
+            finished.place.add(journal.events[-1])
+        return finished
 
 
-def _notify(site: Site, run: FinishedRun, journal: Journal) -> None:
+def _notify(site: Site, run: Run, journal: Journal) -> None:
     """Call the command that the site file names.  A fault there costs nothing, and becomes a warning."""
     if site.settings.notify is None:
         return
-    from .outcome.notify import (  # here: few sites have a command, and it takes modules that nothing else needs
-        NotifyFailed,
-        notify,
-    )
+    from .outcome.notify import NotifyFailed, notify  # here: few sites have a command
 
     try:
-        notify(site.settings.notify, site.folder, run.work, run.folder.paths, run.record)
+        notify(site.settings.notify, site.folder, run.cache.work, run.place.paths, run.record)
     except (NotifyFailed, OSError) as error:
         journal.warn(str(error), remedy="the command is called again after the next run")
-        run.folder.add(journal.events[-1])
+        run.place.add(journal.events[-1])

@@ -20,7 +20,7 @@ def test_cameras_on_one_mast_make_no_cloud_and_the_reason_says_why(tmp_path: Pat
     (folder / "cameras.json").write_text(json.dumps(lenses))
     result = CliRunner().invoke(main, ["run", str(folder), "--jobs", "1", "--backend", "threading"])
     assert result.exit_code == 1, result.output
-    record = wbflow.open_run(folder).finished.record
+    record = wbflow.open_run(folder).record
     assert record.cloud is None and {pair.outcome for pair in record.pairs} == {"rejected"}
     assert record.reason is not None
     assert "no usable baseline: the rays of the matches meet at 0." in record.reason and "baselines away" in record.reason

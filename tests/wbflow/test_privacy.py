@@ -100,12 +100,10 @@ def test_nothing_that_a_night_leaves_depends_on_what_is_private(tmp_path: Path) 
     and so the whole night, has the same bytes."""
     first = wbflow.run(site_with_a_secret(tmp_path, True, SECRET), jobs=1, backend="threading")
     assert first.record.cloud is not None, first.record.reason
-    pictures = PICTURE.findall(
-        first.finished.folder.paths.report.read_text()
-    )  # a later report that has them, too, takes them over
+    pictures = PICTURE.findall(first.place.paths.report.read_text())  # a later report that has them, too, takes them over
     second = wbflow.run(site_with_a_secret(tmp_path, True, ANOTHER), jobs=1, backend="threading")
-    assert {task.stage for task, event in second.finished.tasks.items() if event.outcome == "ran"} == {"frames"}
-    one, two = first.finished.folder.paths, second.finished.folder.paths
+    assert {task.stage for task, event in second.ended.items() if event.outcome == "ran"} == {"frames"}
+    one, two = first.place.paths, second.place.paths
     with_times = {one.record.name, one.log.name, one.report.name, one.metrics.name}
     folders = [paths.cloud.parent for paths in (one, two)]
     published = [{p.name: p.read_bytes() for p in folder.iterdir() if p.name not in with_times} for folder in folders]

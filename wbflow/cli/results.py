@@ -30,7 +30,7 @@ from .common import (
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from ..outcome.artifacts import FinishedRun
+    from ..outcome.artifacts import Run
     from ..records.run_folder import RunFolder
     from ..site.models import Site
 
@@ -144,7 +144,7 @@ def compare(nights: tuple[Path, ...], out: Path, page: Path | None, changes: boo
     wbflow compare SITE.yaml latest-good latest --page both.html
     wbflow compare SITE.yaml [RUN] scan.laz            the cloud's deviation from a scan or model
     """
-    from ..outcome.artifacts import FinishedRun
+    from ..outcome.artifacts import Run
     from ..outcome.compare import changes_between, data_of, differing, lines_of
     from ..outcome.compare import compare as rows_of
 
@@ -153,7 +153,7 @@ def compare(nights: tuple[Path, ...], out: Path, page: Path | None, changes: boo
         return
     a, b = _two_runs(nights, work)
     rows = rows_of(a.record(), b.record())
-    runs = [FinishedRun.at(run) for run in (a, b)]
+    runs = [Run.at(run) for run in (a, b)]
     between = changes_between(*runs) if changes or page else None
     if page:
         _write_comparison(nights, work, runs, between, page)
@@ -170,7 +170,7 @@ def compare(nights: tuple[Path, ...], out: Path, page: Path | None, changes: boo
         echo("\n".join(lines_of(found)))
 
 
-def _write_comparison(nights: tuple[Path, ...], work: str | None, runs: list[FinishedRun], changes: Any, page: Path) -> None:
+def _write_comparison(nights: tuple[Path, ...], work: str | None, runs: list[Run], changes: Any, page: Path) -> None:
     if len(nights) == 2:
         raise UsageError("a page needs the site of the runs", remedy=f"wbflow compare SITE.yaml RUN_A RUN_B --page {page}")
     from ..cache.atomic import write_atomic
@@ -197,11 +197,11 @@ def _two_runs(nights: tuple[Path, ...], work: str | None) -> tuple[RunFolder, Ru
 
 
 def _compare_with_scan(site: Site, night: str | None, scan: Path, out: Path, as_json: bool) -> None:
-    from ..outcome.artifacts import FinishedRun
+    from ..outcome.artifacts import Run
     from ..outcome.compare import compare_with_scan, run_named
 
     folder = site.work_folder
-    run = FinishedRun.open(folder, run_named(folder, night or folder.latest_good.name))
+    run = Run.open(folder, run_named(folder, night or folder.latest_good.name))
     found = compare_with_scan(run, scan, out)
     if as_json:
         echo_json(found)
@@ -337,12 +337,12 @@ def export(site: Path, run_id: str | None, out: Path, work: str | None, **wanted
         example = f"for example: wbflow export {site} --{EXPORTS[0].name} --out {out}"
         raise UsageError(f"name what to export: {', '.join(f'--{row.name}' for row in EXPORTS)}", remedy=example)
     folder = load(site, work).work_folder
-    from ..outcome.artifacts import FinishedRun
+    from ..outcome.artifacts import Run
     from ..outcome.artifacts import export as write
     from ..records.run_folder import RunFolder
 
     run = RunFolder.of(folder, run_id or folder.latest_good.name)
-    for file in write(FinishedRun.open(folder, run), out, names):
+    for file in write(Run.open(folder, run), out, names):
         echo(file)
 
 

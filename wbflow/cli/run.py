@@ -131,7 +131,7 @@ def run(
                 finished = run_night(site, date=night, listen=shown.receive, not_captured=faults, **options)
             codes.append(finished.record.exit_code)
             if as_json:
-                records.append(json.loads(finished.finished.folder.paths.record.read_bytes()))
+                records.append(json.loads(finished.place.paths.record.read_bytes()))
             _print_run(finished, several, quiet)
             if codes[-1] == ExitCode.INTERRUPTED:
                 break
@@ -179,7 +179,7 @@ def for_each(sites: Sequence[Path], work: Callable[[Path], int]) -> int:
 
 def _print_run(finished: Run, several: bool, quiet: bool) -> None:
     """Print verdict, figures and findings of a run, and where its files are."""
-    record, paths = finished.record, finished.finished.folder.paths
+    record, paths = finished.record, finished.place.paths
     if not quiet:
         if several:
             echo(f"{record.site}, night {record.date}, run {record.run}:")
@@ -226,12 +226,12 @@ def next_command(finished: Run, site: Path) -> str:
     record, file = finished.record, shlex.quote(str(site))
     if record.exit_code == ExitCode.INTERRUPTED:
         return f"wbflow run {file}"
-    faults = [event.task for event in finished.finished.tasks.values() if event.outcome == "failed" and event.code in DEBUGGABLE]
+    faults = [event.task for event in finished.ended.values() if event.outcome == "failed" and event.code in DEBUGGABLE]
     if faults:
         return f"wbflow debug {file} {shlex.quote(str(faults[0]))} --out debug"
     if record.exit_code:
         return f"wbflow check {file}"
-    return f"wbflow compare {file}" if len(finished.finished.work.run_ids()) > 1 else f"wbflow export {file} --mesh --out mesh"
+    return f"wbflow compare {file}" if len(finished.cache.work.run_ids()) > 1 else f"wbflow export {file} --mesh --out mesh"
 
 
 @click.command()

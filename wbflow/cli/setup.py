@@ -124,7 +124,7 @@ def pair(left: Path, right: Path, out: Path, resolution: int, jobs: int, verbose
 
     site = pair_site(left, right, out, resolution)
     with display(site.name, verbose) as shown:
-        finished = run(site, jobs=jobs, until=LAST_STAGE, listen=shown.receive).finished
+        finished = run(site, jobs=jobs, until=LAST_STAGE, listen=shown.receive)
     for file in write_pair(finished, out):
         echo(file)
     if why := failure(finished):

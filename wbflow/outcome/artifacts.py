@@ -5,9 +5,10 @@ from __future__ import annotations
 import datetime
 import importlib.util
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from ..cache.atomic import write_atomic
 from ..cache.layout import WorkFolder
@@ -15,39 +16,119 @@ from ..cache.plugins import load
 from ..cache.ply import read_ply
 from ..cache.store import Cache, Receipt
 from ..errors import ExitCode, UsageError, WbflowError
-from ..pipeline.exports import EXPORTS, EXTRAS, Export
+from ..pipeline.exports import CLOUD_OBJECT, EXPORTS, EXTRAS, Export
 from ..pipeline.names import FRAMES, FUSE
 from ..pipeline.stages import CLOUD_TABLE, STAGES, stage_named
-from ..records.events import TaskEvent
-from ..records.record import CloudRecord, RunRecord
+from ..records.events import Event, TaskEvent
+from ..records.record import CameraRecord, CloudRecord, PairRecord, RunRecord
 from ..records.run_folder import RunFolder
 from ..task import Subject, Task, camera_of
+
+if TYPE_CHECKING:
+    import open3d
 
 
 class Gone(WbflowError):
     """The run made it, but it is not there any more."""
 
 
-@dataclass(frozen=True)
-class FinishedRun:
-    """A run with all that it made."""
+@dataclass(frozen=True, eq=False, repr=False)
+class Run:
+    """A finished run, and all that it left."""
 
-    work: WorkFolder
-    folder: RunFolder
+    place: RunFolder
     record: RunRecord
-    tasks: Mapping[Task, TaskEvent] = field(repr=False)
+    """The run in figures."""
+    ended: Mapping[Task, TaskEvent]
     """How each of its tasks ended."""
-    cache: Cache = field(repr=False)
+    cache: Cache
 
     @staticmethod
-    def open(work: WorkFolder, folder: RunFolder) -> FinishedRun:
+    def open(work: WorkFolder, folder: RunFolder) -> Run:
         """Raises NoSuchRun for a folder that cannot be read."""
-        return FinishedRun(work, folder, folder.record(), folder.tasks(), Cache(work))
+        return Run(folder, folder.record(), folder.tasks(), Cache(work))
 
     @staticmethod
-    def at(folder: RunFolder) -> FinishedRun:
+    def at(folder: RunFolder) -> Run:
         """The run in a folder, with the work folder around it.  Raises NoSuchRun."""
-        return FinishedRun.open(WorkFolder.of_run(folder.paths), folder)
+        return Run.open(WorkFolder.of_run(folder.paths), folder)
+
+    def __repr__(self) -> str:
+        cloud = self.record.cloud
+        what = f"{cloud.points:,} points" if cloud else f"no cloud ({self.record.reason or 'not asked for'})"
+        return f"Run({self.id!r}, site {self.record.site!r}, exit {self.record.exit_code}, {what})"
+
+    @property
+    def id(self) -> str:
+        """Its start, UTC: 20261120T031500Z."""
+        return self.place.id
+
+    @property
+    def folder(self) -> Path:
+        """Where its files are: run.json, cloud.ply, cameras.json, report.html, log.jsonl."""
+        return self.place.paths.folder
+
+    @property
+    def events(self) -> list[Event]:
+        """What happened, in order."""
+        return self.place.events()
+
+    @cached_property
+    def cameras(self) -> Mapping[str, CameraRecord]:
+        """What became of each camera, by id."""
+        return {camera.id: camera for camera in self.record.cameras}
+
+    @cached_property
+    def pairs(self) -> Mapping[str, PairRecord]:
+        """What became of each pair, by "left--right"."""
+        return {pair.name: pair for pair in self.record.pairs}
+
+    @cached_property
+    def calibration(self) -> Mapping[str, Any]:
+        """The cameras that the cloud rests on, by id: K, R, C, width, height, as a site file's `calibration` takes them."""
+        return self.place.cameras()
+
+    @cached_property
+    def cloud(self) -> open3d.geometry.PointCloud:
+        """The cloud with normals and colours.
+
+        Raises
+        ------
+        WbflowError
+            The run made none.
+        """
+        made: open3d.geometry.PointCloud = load(CLOUD_OBJECT)(self.cloud_table())
+        return made
+
+    @property
+    def tasks(self) -> list[Task]:
+        """The tasks that left an artifact."""
+        return [task for task, event in self.ended.items() if event.usable]
+
+    def artifact(self, task: Task | str) -> Any:
+        """Return what a task made: a dataclass of `wbflow_stages.types`.
+
+        Parameters
+        ----------
+        task : Task or str
+            Such as "geometry gate--roof", "frames gate" or "poses".
+
+        Raises
+        ------
+        UsageError
+            The run had no such task, or it made nothing; the message says why.
+        WbflowError
+            The cache does not hold it any more.
+        """
+        task = task_named(task) if isinstance(task, str) else task
+        event = self.ended.get(task)
+        if event is None:
+            known = ", ".join(dict.fromkeys(str(t) for t in self.ended if t.stage == task.stage)) or "none of this stage"
+            raise UsageError(f"run {self.id} had no task '{task}'", remedy=f"it had {known}")
+        if not event.usable:
+            what = f"'{task}' made nothing: {event.outcome}{f': {event.reason}' if event.reason else ''}"
+            raise UsageError(what, remedy="wbflow report SITE.yaml  shows what was tried")
+        return self.load(task)
 
     def receipt(self, task: Task) -> Receipt | None:
         """The receipt of a task that gave a result in this run, or None.
@@ -57,12 +138,12 @@ class FinishedRun:
         Gone
             The cache does not hold it any more.
         """
-        event = self.tasks.get(task)
+        event = self.ended.get(task)
         if event is None or not event.usable or event.key is None:
             return None
         receipt = self.cache.by_key(task, event.key)
         if receipt is None:
-            raise Gone(f"the cache no longer holds '{task}' of run {self.folder.id}", remedy="run the night again")
+            raise Gone(f"the cache no longer holds '{task}' of run {self.id}", remedy="run the night again")
         return receipt
 
     def load(self, task: Task) -> Any:
@@ -84,7 +165,7 @@ class FinishedRun:
         """What the first of these stages that gave something made of each camera, or of each of its views; each is
         read when it is needed."""
         views: dict[str, list[str]] = {camera.id: [] for camera in self.record.cameras}
-        for view in (task.subject[0] for task in self.tasks if task.stage == FRAMES):
+        for view in (task.subject[0] for task in self.ended if task.stage == FRAMES):
             views.setdefault(camera_of(view), []).append(view)
         names = [
             view for camera, found in views.items() for view in sorted(found, key=lambda name: (len(name), name)) or [camera]
@@ -95,7 +176,7 @@ class FinishedRun:
         """The same of each pair, as "left--right"."""
         return _OfSubjects(self, {pair.name: (pair.left, pair.right) for pair in self.record.pairs}, stages)
 
-    def cloud(self, cloud: CloudRecord | None = None) -> Any:
+    def cloud_table(self, cloud: CloudRecord | None = None) -> Any:
         """A cloud as it was published; the main one if none is named.
 
         Raises
@@ -104,9 +185,9 @@ class FinishedRun:
             The run made none, or its file cannot be read.
         """
         cloud = cloud or self.record.cloud
-        path = self.folder.cloud(cloud) if cloud else None
+        path = self.place.cloud(cloud) if cloud else None
         if path is None or not path.is_file():
-            raise Gone(f"run {self.folder.id} made no cloud: {self.record.reason or 'it was not asked to'}")
+            raise Gone(f"run {self.id} made no cloud: {self.record.reason or 'it was not asked to'}")
         try:
             return load(CLOUD_TABLE.restore)(read_ply(path))
         except ValueError as error:
@@ -114,10 +195,10 @@ class FinishedRun:
 
 
 class _OfSubjects(Mapping[str, Any]):
-    def __init__(self, run: FinishedRun, subjects: Mapping[str, Subject], stages: tuple[str, ...]) -> None:
+    def __init__(self, run: Run, subjects: Mapping[str, Subject], stages: tuple[str, ...]) -> None:
         self._run = run
         tasks = {name: [Task(stage, subject) for stage in stages] for name, subject in subjects.items()}
-        made = {name: [t for t in group if (event := run.tasks.get(t)) and event.usable] for name, group in tasks.items()}
+        made = {name: [t for t in group if (event := run.ended.get(t)) and event.usable] for name, group in tasks.items()}
         self._tasks = {name: group[0] for name, group in made.items() if group}
 
     def __getitem__(self, name: str) -> Any:
@@ -152,7 +233,7 @@ class NothingToExport(WbflowError):
     """The run does not hold what an export needs; the message says what is missing."""
 
 
-def export(run: FinishedRun, out: Path, forms: frozenset[str]) -> Iterator[Path]:
+def export(run: Run, out: Path, forms: frozenset[str]) -> Iterator[Path]:
     """Write a run's results into `out` in some forms (names of `EXPORTS`); yields each file when it is there.
 
     Raises
@@ -163,7 +244,7 @@ def export(run: FinishedRun, out: Path, forms: frozenset[str]) -> Iterator[Path]
         The cache's disk has lost something; the next run makes it again.
     """
     if run.record.poses is None:
-        raise NothingToExport(f"run {run.folder.id} solved no cameras: {run.record.reason or 'it ended before'}")
+        raise NothingToExport(f"run {run.id} solved no cameras: {run.record.reason or 'it ended before'}")
     rows = [row for row in EXPORTS if row.name in forms]
     for row in rows:
         require(row, georeferenced=bool(run.record.poses.crs))
@@ -175,7 +256,7 @@ def export(run: FinishedRun, out: Path, forms: frozenset[str]) -> Iterator[Path]
                 write_atomic(out / name, data)
                 yield out / name
         except ValueError as error:
-            raise NothingToExport(f"run {run.folder.id}: {error}") from error
+            raise NothingToExport(f"run {run.id}: {error}") from error
 
 
 def require(row: Export, *, georeferenced: bool) -> None:
@@ -187,8 +268,8 @@ def require(row: Export, *, georeferenced: bool) -> None:
         raise MissingExtra(f"{what} needs {' and '.join(missing)}: pip install 'wbflow[{extra}]'")
 
 
-def _result(run: FinishedRun, stages: tuple[str, ...]) -> Any:
+def _result(run: Run, stages: tuple[str, ...]) -> Any:
     if stages == (FUSE,):
-        return run.cloud()
+        return run.cloud_table()
     scope = stage_named(stages[0]).scope
     return run.made(stages[0]) if scope == "site" else run.of_pairs(*stages) if scope == "pair" else run.of_cameras(*stages)

@@ -20,7 +20,7 @@ from ..pipeline.summaries import CutFill, titled
 from ..records.record import CameraRecord, PairRecord, RunRecord
 from ..records.run_folder import NoSuchRun, RunFolder, newest_runs
 from ..task import Task
-from .artifacts import FinishedRun, Gone, MissingExtra
+from .artifacts import Gone, MissingExtra, Run
 
 NOISE = 0.05
 """Figures that differ by less than this share say nothing: keypoints, inliers and points change so much from night to night."""
@@ -172,7 +172,7 @@ def _words(value: Value) -> str:
     return f"{value:,}" if isinstance(value, int) else str(value)
 
 
-def compare_with_scan(run: FinishedRun, scan: Path, out: Path) -> dict[str, Any]:
+def compare_with_scan(run: Run, scan: Path, out: Path) -> dict[str, Any]:
     """Write into `out` what a run's cloud deviates by from a scan; return the figures.
 
     Raises
@@ -187,7 +187,7 @@ def compare_with_scan(run: FinishedRun, scan: Path, out: Path) -> dict[str, Any]
     if not scan.is_file():
         raise UsageError(f"{scan}: there is no such file", remedy="wbflow compare SITE.yaml SCAN.laz --out DIR")
     try:
-        files, figures = load(SCAN_FILES)(run.cloud(), run.made(POSES), scan)
+        files, figures = load(SCAN_FILES)(run.cloud_table(), run.made(POSES), scan)
     except ImportError as error:
         extra = "e57" if scan.suffix.lower() == ".e57" else "las"
         raise MissingExtra(f"{scan.suffix} needs {error.name}: pip install 'wbflow[{extra}]'") from None
@@ -195,10 +195,10 @@ def compare_with_scan(run: FinishedRun, scan: Path, out: Path) -> dict[str, Any]
         raise UsageError(f"{scan}: {error}", remedy="nothing was written") from None
     for name, content in files.items():
         write_atomic(out / name, content if isinstance(content, bytes) else ply_bytes(content))
-    return {**figures, "run": run.folder.id, "night": run.record.date}
+    return {**figures, "run": run.id, "night": run.record.date}
 
 
-def changes_between(then: FinishedRun, tonight: FinishedRun) -> Any:
+def changes_between(then: Run, tonight: Run) -> Any:
     """Return what changed (`wbflow_stages.types.Changes`), by the function and the parameters of the later run.
 
     Raises
@@ -210,23 +210,21 @@ def changes_between(then: FinishedRun, tonight: FinishedRun) -> Any:
     """
     receipt = tonight.receipt(Task(CHANGES))
     if receipt is None:
-        raise WbflowError(f"run {tonight.folder.id} did not look for changes", remedy="its log.jsonl says why")
+        raise WbflowError(f"run {tonight.id} did not look for changes", remedy="its log.jsonl says why")
     used = receipt.preimage
     found = load(used.function)(**_surface(tonight), **_surface(then, "reference_"), **used.parameters)
     if not found.compared:
-        raise WbflowError(
-            f"runs {then.folder.id} and {tonight.folder.id} have nothing in common", remedy="their cameras stand at other places"
-        )
+        raise WbflowError(f"runs {then.id} and {tonight.id} have nothing in common", remedy="their cameras stand at other places")
     return found
 
 
-def _surface(run: FinishedRun, prefix: str = "") -> Mapping[str, Any]:
+def _surface(run: Run, prefix: str = "") -> Mapping[str, Any]:
     """Return what the search for changes takes of a run, by argument name."""
     poses = run.made(POSES)
     if poses is None:
-        raise Gone(f"run {run.folder.id} placed no cameras: {run.record.reason or 'it was not asked to'}")
+        raise Gone(f"run {run.id} placed no cameras: {run.record.reason or 'it was not asked to'}")
     of_cameras = {"frames": FRAMES, "depths": DEPTH, "refined": REFINE}
-    values = {"poses": poses, "cloud": run.cloud(), **{name: run.of_cameras(stage) for name, stage in of_cameras.items()}}
+    values = {"poses": poses, "cloud": run.cloud_table(), **{name: run.of_cameras(stage) for name, stage in of_cameras.items()}}
     return {prefix + name: value for name, value in values.items()}
 
 

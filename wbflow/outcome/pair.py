@@ -15,7 +15,7 @@ from ..pipeline.names import DISPARITY, FRAMES, POSES
 from ..report import render
 from ..site.load import load_site
 from ..site.models import Site
-from .artifacts import FinishedRun
+from .artifacts import Run
 
 PAIR = ("left", "right")
 
@@ -58,7 +58,7 @@ def pair_site(left: Path, right: Path, out: Path, resolution: int | None) -> Sit
     return load_site(out)
 
 
-def write_pair(run: FinishedRun, out: Path) -> tuple[Path, ...]:
+def write_pair(run: Run, out: Path) -> tuple[Path, ...]:
     """Write what a run of a pair's site made into `out`.  Raises Gone, DamagedArtifact."""
     left, right = (run.made(FRAMES, (name,)) for name in PAIR)
     results = {name: run.made(stage, PAIR) for name, stage in PAIR_RESULTS.items()}
@@ -80,7 +80,7 @@ def _page(names: list[str], figures: dict[str, Any]) -> str:
     return render("pair.html", pictures=pictures, rows=rows, others=sorted({*names} - {name for name, _ in pictures}))
 
 
-def failure(run: FinishedRun) -> str | None:
+def failure(run: Run) -> str | None:
     """Why there is no disparity, if there is none."""
-    ended = (event for event in run.tasks.values() if event.outcome in {"failed", "rejected"})
+    ended = (event for event in run.ended.values() if event.outcome in {"failed", "rejected"})
     return next((f"{event.task} {event.outcome}: {event.reason}" for event in ended), None)

@@ -37,16 +37,14 @@ from ..site.models import Site
 from ..task import Task
 from . import acknowledge
 from .acknowledge import Acknowledgement, with_known
-from .artifacts import FinishedRun
+from .artifacts import Run
 from .baseline import Baseline
 from .notify import metrics
 from .run_record import run_record
 from .verdict import judge_run
 
 
-def run_pipeline(
-    run: str, context: RunContext, options: Options, journal: Journal, notify: Callable[[FinishedRun], None]
-) -> FinishedRun:
+def run_pipeline(run: str, context: RunContext, options: Options, journal: Journal, notify: Callable[[Run], None]) -> Run:
     """Do the work of a run, and publish it.
 
     Parameters
@@ -78,7 +76,7 @@ def run_pipeline(
     return finished
 
 
-def publish(run: str, context: RunContext, worked: Worked, journal: Journal, own_process: bool) -> FinishedRun:
+def publish(run: str, context: RunContext, worked: Worked, journal: Journal, own_process: bool) -> Run:
     """Write the folder of a run; `latest` leads there.
 
     Parameters
@@ -123,7 +121,7 @@ def publish(run: str, context: RunContext, worked: Worked, journal: Journal, own
     with contextlib.suppress(OSError):  # it costs reading functions again
         context.site.reader.save()
     tasks = {event.task: event for event in journal.events if isinstance(event, TaskEvent)}
-    return FinishedRun(place, folder, record, tasks, plan.cache)
+    return Run(folder, record, tasks, plan.cache)
 
 
 def _with_motion(camera: CameraRecord, harmful: Mapping[str, list[str]], harmless: Mapping[str, list[str]]) -> CameraRecord:
@@ -203,19 +201,19 @@ def mend_ledger(place: WorkFolder, journal: Journal) -> None:
         journal.warn(f"the ledger cannot be used: {error}", remedy="the night does without; the next run tries again")
 
 
-def finish(run: FinishedRun, site: Site, journal: Journal) -> None:
+def finish(run: Run, site: Site, journal: Journal) -> None:
     """Index the run, pin the first good one, and remove what need not stay.  The night is published: a fault is a warning."""
     before = len(journal.events)
     try:
-        with Ledger(run.work, writes=True) as ledger:
-            fresh = (task for task, event in run.tasks.items() if event.outcome in {"ran", "rejected"})
+        with Ledger(run.cache.work, writes=True) as ledger:
+            fresh = (task for task, event in run.ended.items() if event.outcome in {"ran", "rejected"})
             ledger.record_artifacts(receipt for task in fresh if (receipt := run.receipt(task)))
             ledger.record_run(run.record)
-        if site.settings.pin == "auto" and not run.work.reference_record.exists() and fit_to_pin(run.record):
-            pin(run.cache, run.folder, automatic=True)
+        if site.settings.pin == "auto" and not run.cache.work.reference_record.exists() and fit_to_pin(run.record):
+            pin(run.cache, run.place, automatic=True)
         keep = site.settings.keep.limits()
         if not keep.everything:
-            over = clean(run.work, keep, asked=False).over
+            over = clean(run.cache.work, keep, asked=False).over
             if over:
                 what = f"the cache holds {in_words(over)} more than keep.bytes allows"
                 journal.warn(what, remedy="the newest night alone needs it: allow more, or lower `resolution`")
@@ -225,4 +223,4 @@ def finish(run: FinishedRun, site: Site, journal: Journal) -> None:
         journal.warn(f"after the run: {error}", remedy="nothing of the night is lost; the next run tries again")
     with contextlib.suppress(OSError):  # a full disk: the warning has been given
         for event in journal.events[before:]:
-            run.folder.add(event)
+            run.place.add(event)

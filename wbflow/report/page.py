@@ -14,7 +14,7 @@ from ..cache.layout import WorkFolder
 from ..cache.plugins import load
 from ..cache.store import Cache
 from ..errors import counted
-from ..outcome.artifacts import FinishedRun, Gone
+from ..outcome.artifacts import Gone, Run
 from ..pipeline.names import CHANGES
 from ..pipeline.stages import stage_named
 from ..pipeline.summaries import ChangesSummary, meaning, spoken
@@ -80,14 +80,14 @@ def build_report(
     return render("page.html", **_content(data, points_of(data) if record.cloud else []), beside=False)
 
 
-def build_comparison(site: Site, tonight: FinishedRun, then: FinishedRun, changes: Any) -> str:
+def build_comparison(site: Site, tonight: Run, then: Run, changes: Any) -> str:
     """Return the HTML of two runs of a site, one beside the other.
 
     Parameters
     ----------
     site : Site
         Whose runs.
-    tonight, then : FinishedRun
+    tonight, then : Run
         The later one, and the earlier one.
     changes : wbflow_stages.types.Changes
         What changed between them.
@@ -104,10 +104,10 @@ def build_comparison(site: Site, tonight: FinishedRun, then: FinishedRun, change
         for name, data in pictures.items():
             (Path(folder) / name).write_bytes(data)
         record = replace(
-            tonight.record, reference=then.folder.id, verdict=None, results={CHANGES: replace(summary, files=tuple(pictures))}
+            tonight.record, reference=then.id, verdict=None, results={CHANGES: replace(summary, files=tuple(pictures))}
         )
-        events = [e for e in tonight.folder.events() if not (isinstance(e, TaskEvent) and e.task.stage == CHANGES)]
-        shown = ReportData(tonight.cache, record, tuple(events), tonight.folder.cameras(), Path(folder), site)
+        events = [e for e in tonight.events if not (isinstance(e, TaskEvent) and e.task.stage == CHANGES)]
+        shown = ReportData(tonight.cache, record, tuple(events), tonight.calibration, Path(folder), site)
         stream = load(products.view)(changes)
         content = _content(shown, [*points_of(shown), Points(CHANGES, split(stream)[0], stream)])
     if [stream.kind for stream in content["points"]] != ["product", "change", "then"]:
