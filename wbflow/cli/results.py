@@ -183,7 +183,7 @@ def _write_comparison(nights: tuple[Path, ...], work: str | None, runs: list[Run
 
 
 def _two_runs(nights: tuple[Path, ...], work: str | None) -> tuple[RunFolder, RunFolder]:
-    from ..outcome.compare import last_two, run_named
+    from ..outcome.compare import last_two
     from ..records.run_folder import RunFolder
 
     if len(nights) == 1:
@@ -192,16 +192,17 @@ def _two_runs(nights: tuple[Path, ...], work: str | None) -> tuple[RunFolder, Ru
         return RunFolder.at(nights[0]), RunFolder.at(nights[1])
     if len(nights) == 3:
         folder = load(nights[0], work).work_folder
-        return run_named(folder, str(nights[1])), run_named(folder, str(nights[2]))
+        return RunFolder.of(folder, str(nights[1])), RunFolder.of(folder, str(nights[2]))
     raise UsageError("name two runs", remedy="wbflow compare SITE.yaml RUN_A RUN_B; wbflow history SITE.yaml  lists them")
 
 
 def _compare_with_scan(site: Site, night: str | None, scan: Path, out: Path, as_json: bool) -> None:
     from ..outcome.artifacts import Run
-    from ..outcome.compare import compare_with_scan, run_named
+    from ..outcome.compare import compare_with_scan
+    from ..records.run_folder import RunFolder
 
     folder = site.work_folder
-    run = Run.open(folder, run_named(folder, night or folder.latest_good.name))
+    run = Run.open(folder, RunFolder.of(folder, night or folder.latest_good.name))
     found = compare_with_scan(run, scan, out)
     if as_json:
         echo_json(found)

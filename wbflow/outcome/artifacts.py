@@ -185,7 +185,7 @@ class Run:
             The run made none, or its file cannot be read.
         """
         cloud = cloud or self.record.cloud
-        path = self.place.cloud(cloud) if cloud else None
+        path = self.folder / cloud.path if cloud else None
         if path is None or not path.is_file():
             raise Gone(f"run {self.id} made no cloud: {self.record.reason or 'it was not asked to'}")
         try:

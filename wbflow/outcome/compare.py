@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -89,22 +88,6 @@ def compare(a: RunRecord, b: RunRecord) -> list[Row]:
 def differing(rows: list[Row]) -> list[Row]:
     """Return which runs they are, and what differs."""
     return rows[:3] + [row for row in rows[3:] if row.differs]
-
-
-def run_named(work: WorkFolder, name: str) -> RunFolder:
-    """A run by its id, "latest", "latest-good", or the night of its captures: the newest run of that night.
-
-    Raises
-    ------
-    NoSuchRun
-        There is none.
-    """
-    if not re.fullmatch(r"\d{4}-\d{2}-\d{2}", name):
-        return RunFolder.of(work, name)
-    for folder, record in newest_runs(work):
-        if record.date == name:
-            return folder
-    raise NoSuchRun(f"no run has worked on the night of {name}", remedy="wbflow history SITE.yaml  lists all runs")
 
 
 def last_two(work: WorkFolder) -> tuple[RunFolder, RunFolder]:

@@ -8,6 +8,7 @@ import functools
 import hashlib
 import json
 import os
+import re
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
@@ -22,12 +23,13 @@ from ..cache.untrusted import open_outside, read_outside
 from ..errors import ExitCode, WbflowError
 from ..task import Task
 from .events import Event, TaskEvent, event_from_json
-from .record import CloudRecord, RunRecord
+from .record import RunRecord
 
 if TYPE_CHECKING:
     from ..remote import Mirror
 
 _OF = "run"
+_NIGHT = re.compile(r"\d{4}-\d{2}-\d{2}")
 
 
 def _link(path: Path, earlier: Path | None, data: bytes) -> bool:
@@ -75,7 +77,9 @@ class RunFolder:
 
     @staticmethod
     def of(work: WorkFolder, name: str | None = None) -> RunFolder:
-        """A run by id; "latest-good" is the newest with a cloud whose verdict is good or degraded, "latest" (or None) the newest.
+        """A run by id, or by the night of its captures: the newest run of that night.
+
+        "latest-good" is the newest with a cloud whose verdict is good or degraded, "latest" (or None) the newest.
 
         Raises
         ------
@@ -92,6 +96,10 @@ class RunFolder:
                 raise NoSuchRun("no run has made a cloud yet", remedy=f"the last run is {known[-1]}: its report says why")
             return RunFolder(work.run(shown))
         name = None if name == work.latest.name else name
+        if name is not None and _NIGHT.fullmatch(name):
+            if found := next((folder for folder, record in newest_runs(work) if record.date == name), None):
+                return found
+            raise NoSuchRun(f"no run has worked on the night of {name}", remedy="wbflow history SITE.yaml  lists all runs")
         if name is not None and name not in known:
             raise NoSuchRun(f"there is no run {name!r}; the last ones are {', '.join(known[-3:])}")
         return RunFolder(work.run(name or known[-1]))
@@ -150,10 +158,6 @@ class RunFolder:
         """
         files = ((self.paths.folder / name, digest) for name, digest in self.record().files.items())
         return [path for path, digest in files if (path.is_file() or missing) and _sha256(path) != digest]
-
-    def cloud(self, cloud: CloudRecord) -> Path:
-        """The file of one of the record's clouds."""
-        return self.paths.folder / cloud.path
 
     def is_good(self) -> bool:
         """Is there a cloud, and a verdict that is good or degraded?  (Runs of earlier versions have a cloud, and no verdict.)"""
