@@ -167,21 +167,8 @@ def _run_night(site: Site, options: Options, listen: Listener) -> Run:
         context = plan_run(site, options.date, options.until, options.force, options.not_captured)
         for damage in filter(None, (context.digests.damage, context.seen.damage, site.reader.damage)):
             journal.repaired(damage)
-        finished = run_pipeline(name, context, options, journal, lambda run: _notify(site, run, journal))
+        finished = run_pipeline(name, context, options, journal)
         if mirror and (fault := mirror.finish()):
             journal.warn(fault)
             finished.place.add(journal.events[-1])
         return finished
-
-
-def _notify(site: Site, run: Run, journal: Journal) -> None:
-    """Call the command that the site file names.  A fault there costs nothing, and becomes a warning."""
-    if site.settings.notify is None:
-        return
-    from .outcome.notify import NotifyFailed, notify  # here: few sites have a command
-
-    try:
-        notify(site.settings.notify, site.folder, run.cache.work, run.place.paths, run.record)
-    except (NotifyFailed, OSError) as error:
-        journal.warn(str(error), remedy="the command is called again after the next run")
-        run.place.add(journal.events[-1])

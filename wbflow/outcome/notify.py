@@ -13,7 +13,6 @@ import signal
 import subprocess
 import tempfile
 from collections import Counter
-from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -22,7 +21,8 @@ from ..cache.layout import RunPaths, WorkFolder
 from ..cache.signed import Damaged, read_signed, write_signed
 from ..errors import WbflowError
 from ..plain import Plain
-from ..records.record import RunRecord, Verdict, moment
+from ..records.findings import Verdict
+from ..records.record import RunRecord, moment
 from ..site.models import Notify
 
 Occasion = Literal["degraded", "failed", "reminder", "recovered", "heartbeat"]
@@ -208,8 +208,12 @@ def metrics(record: RunRecord) -> str:
     """Gauges of a run, one line each (https://prometheus.io/docs/instrumenting/exposition_formats)."""
     verdict, usual = record.verdict, record.usual
     findings = Counter(finding.kind for finding in verdict.findings) if verdict else Counter[str]()
-    levels: Rows = [({"level": level}, _is(verdict and verdict.level == level)) for level in ("good", "degraded", "failed")]
+    levels: Rows = [
+        ({"level": level}, int(verdict is not None and verdict.level == level)) for level in ("good", "degraded", "failed")
+    ]
     compared: Rows = [({"of": of}, value) for of, value in usual.figures.items()] if usual else []
+    cameras = [({"camera": c.id}, int(c.ok and c.down is None), c.down.nights if c.down else 0) for c in record.cameras]
+    pairs: Rows = [({"outcome": outcome}, count) for outcome, count in Counter(pair.outcome for pair in record.pairs).items()]
     volumes, sigmas, areas = _volumes(record)
     rows: list[tuple[str, str, Rows]] = [
         ("verdict", "1 for the level that the night came to.", levels),
@@ -219,9 +223,9 @@ def metrics(record: RunRecord) -> str:
         ("night_timestamp_seconds", "The night of the captures.", [({}, moment(f"{record.date}T00:00:00Z").timestamp())]),
         ("points", "Points of the main cloud.", [({}, record.cloud.points if record.cloud else 0)]),
         ("usual", "What the last good nights gave.", compared),
-        ("camera_ok", "1 for a camera that did its part and is as it should be.", _cameras(record)),
-        ("camera_nights_down", "For how many nights it has not been.", _nights_down(record)),
-        ("camera_pairs", "Pairs of cameras by outcome.", _counted("outcome", (pair.outcome for pair in record.pairs))),
+        ("camera_ok", "1 for a camera that did its part and is as it should be.", [(of, ok) for of, ok, _ in cameras]),
+        ("camera_nights_down", "For how many nights it has not been.", [(of, nights) for of, _, nights in cameras]),
+        ("camera_pairs", "Pairs of cameras by outcome.", pairs),
         ("volume_cubic_metres", "Of changes since the reference, by zone (none: the whole site).", volumes),
         ("volume_sigma_cubic_metres", "Standard deviation of that.", sigmas),
         ("compared_square_metres", "Ground that was seen on both nights, and that was not.", areas),
@@ -238,14 +242,6 @@ def metrics(record: RunRecord) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _cameras(record: RunRecord) -> Rows:
-    return [({"camera": camera.id}, _is(camera.ok and camera.down is None)) for camera in record.cameras]
-
-
-def _nights_down(record: RunRecord) -> Rows:
-    return [({"camera": camera.id}, camera.down.nights if camera.down else 0) for camera in record.cameras]
-
-
 def _volumes(record: RunRecord) -> tuple[Rows, Rows, Rows]:
     """Return volumes, their standard deviations, and areas; of a site without a scale none."""
     volumes, sigmas, areas = Rows(), Rows(), Rows()
@@ -258,17 +254,9 @@ def _volumes(record: RunRecord) -> tuple[Rows, Rows, Rows]:
     return volumes, sigmas, areas
 
 
-def _counted(label: str, values: Iterable[str]) -> Rows:
-    return [({label: value}, count) for value, count in Counter(values).items()]
-
-
 def _labels(labels: Labels) -> str:
     return ",".join(f'{name}="{_escaped(value)}"' for name, value in labels.items())
 
 
 def _escaped(value: str) -> str:
     return value.replace("\\", "\\\\").replace('"', '\\"').replace("\n", "\\n")
-
-
-def _is(value: object) -> int:
-    return int(bool(value))

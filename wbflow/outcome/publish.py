@@ -6,7 +6,7 @@ import contextlib
 import json
 import sqlite3
 import traceback
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from html import escape
 from typing import Any
@@ -39,12 +39,12 @@ from . import acknowledge
 from .acknowledge import Acknowledgement, with_known
 from .artifacts import Run
 from .baseline import Baseline
-from .notify import metrics
+from .notify import NotifyFailed, metrics, notify
 from .run_record import run_record
 from .verdict import judge_run
 
 
-def run_pipeline(run: str, context: RunContext, options: Options, journal: Journal, notify: Callable[[Run], None]) -> Run:
+def run_pipeline(run: str, context: RunContext, options: Options, journal: Journal) -> Run:
     """Do the work of a run, and publish it.
 
     Parameters
@@ -57,8 +57,6 @@ def run_pipeline(run: str, context: RunContext, options: Options, journal: Journ
         How it is done.
     journal : Journal
         Receives everything that happens.
-    notify : callable
-        Called with the finished run, unless it was a part of a night.
 
     Raises
     ------
@@ -72,7 +70,7 @@ def run_pipeline(run: str, context: RunContext, options: Options, journal: Journ
     finished = publish(run, context, worked, journal, own_process=options.backend == "threading")
     finish(finished, context.site, journal)
     if not options.until and not worked.interrupted:
-        notify(finished)
+        _notify(context.site, finished, journal)
     return finished
 
 
@@ -224,3 +222,14 @@ def finish(run: Run, site: Site, journal: Journal) -> None:
     with contextlib.suppress(OSError):  # a full disk: the warning has been given
         for event in journal.events[before:]:
             run.place.add(event)
+
+
+def _notify(site: Site, run: Run, journal: Journal) -> None:
+    """Call the command that the site file names.  A fault there costs nothing, and becomes a warning."""
+    if site.settings.notify is None:
+        return
+    try:
+        notify(site.settings.notify, site.folder, run.cache.work, run.place.paths, run.record)
+    except (NotifyFailed, OSError) as error:
+        journal.warn(str(error), remedy="the command is called again after the next run")
+        run.place.add(journal.events[-1])
