@@ -19,17 +19,8 @@ from wbflow.pipeline.names import FRAMES, FUSE, GEOMETRY
 from wbflow.pipeline.stages import STAGES
 from wbflow.pipeline.summaries import CameraFigures, PairFigures, PosesSummary
 from wbflow.records.events import Event, TaskEvent
-from wbflow.records.record import (
-    CameraRecord,
-    CloudRecord,
-    Finding,
-    Health,
-    PairRecord,
-    RunRecord,
-    Seconds,
-    TaskCounts,
-    Verdict,
-)
+from wbflow.records.findings import Finding, Health, Verdict
+from wbflow.records.record import CameraRecord, CloudRecord, PairRecord, RunRecord, Seconds, TaskCounts
 from wbflow.records.run_folder import UnfinishedRun
 from wbflow.report.page import build_report
 from wbflow.site.models import Site

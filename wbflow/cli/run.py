@@ -36,7 +36,8 @@ if TYPE_CHECKING:
     from ..api import Run
     from ..capture.take import Taken
     from ..outcome.status import Status
-    from ..records.record import Finding, RunRecord
+    from ..records.findings import Finding
+    from ..records.record import RunRecord
     from ..site.models import Site
 
 BACKENDS = ("processes", "loky", "threading", "dask")
@@ -109,22 +110,25 @@ def run(
         what = "--work is the folder of one site, and several are named"
         raise UsageError(what, remedy="name it as `work:` in each site file")
     from ..api import run as run_night
+    from ..site.captures import backlog
 
     quiet, several, records = quiet or as_json, since is not None or len(sites) > 1, list[Any]()
+    stop_at = options["stop_at"]
 
     def run_site(path: Path) -> int:
         site = load(path, work, for_run=not dry_run)
         taken = _capture(site, quiet) if capture_first else []
         faults = {each.camera: each.fault for each in taken if each.fault}
-        nights, codes = _nights(site, date_at(site, date), date_at(site, since)), list[int]()
+        first, codes = date_at(site, since), list[int]()
+        nights = [*backlog(site, first)] if first else [date_at(site, date)]
         if dry_run:
             for night in nights:
                 _print_status(_status(site, night, options["until"], options["force"]))
             return ExitCode.GOOD
         for night in nights:
-            if codes and _is_over(options["stop_at"]):
+            if codes and stop_at and stop_at <= datetime.datetime.now():
                 left = counted(len(nights) - len(codes), "night")
-                echo(f"{left} not begun: --stop-at {options['stop_at']:%H:%M}", err=True)
+                echo(f"{left} not begun: --stop-at {stop_at:%H:%M}", err=True)
                 codes.append(ExitCode.DEGRADED)
                 break
             with display(site.name, verbose, quiet) as shown:
@@ -143,16 +147,6 @@ def run(
     if as_json and not dry_run:
         echo_json(records if several else records[0])
     sys.exit(code)
-
-
-def _nights(site: Site, date: datetime.date | None, since: datetime.date | None) -> list[datetime.date | None]:
-    from ..site.captures import backlog
-
-    return [date] if since is None else [*backlog(site, since)]
-
-
-def _is_over(stop_at: datetime.datetime | None) -> bool:
-    return stop_at is not None and stop_at <= datetime.datetime.now()
 
 
 def for_each(sites: Sequence[Path], work: Callable[[Path], int]) -> int:

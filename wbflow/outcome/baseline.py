@@ -14,8 +14,8 @@ from ..cache.layout import WorkFolder
 from ..pipeline.binding import bind
 from ..pipeline.stages import STAGES
 from ..pipeline.summaries import FrameSummary
-from ..records.findings import Health
-from ..records.record import CameraRecord, RunRecord, Usual
+from ..records.findings import Health, Usual
+from ..records.record import CameraRecord, RunRecord
 from ..records.run_folder import NoSuchRun, RunFolder, newest_runs
 from ..site.models import Expected, Measure, Site
 

@@ -12,8 +12,9 @@ from typing import Any
 from ..cache.layout import WorkFolder
 from ..pipeline.summaries import Change
 from ..plain import Plain
+from ..records.findings import Verdict
 from ..records.ledger import Ledger, LedgerRun
-from ..records.record import RunRecord, Verdict
+from ..records.record import RunRecord
 from ..records.run_folder import NoSuchRun, RunFolder, newest_runs
 
 MOST_WORDS = 80

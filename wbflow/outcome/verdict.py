@@ -18,8 +18,8 @@ from ..errors import ExitCode, counted
 from ..pipeline.names import FUSE
 from ..pipeline.stages import STAGES, stage_named
 from ..pipeline.summaries import CalibrationCheck, PosesSummary, SiteSummary
-from ..records.findings import FINDINGS, Finding, Level, Verdict, finding
-from ..records.record import CameraRecord, Down, PairRecord, RunRecord, Usual
+from ..records.findings import FINDINGS, Down, Finding, Level, Usual, Verdict, finding
+from ..records.record import CameraRecord, PairRecord, RunRecord
 from ..runner.planner import Plan
 from ..runner.spec import Cause, State
 from ..site.models import Expected, Measure

@@ -14,11 +14,7 @@ from ..pipeline.stages import STAGES
 from ..pipeline.summaries import CameraFigures, PairFigures, PosesSummary, SiteSummary
 from ..plain import Flat, Plain
 from ..task import camera_of
-from .findings import Down as Down
-from .findings import Finding as Finding
-from .findings import Health as Health
-from .findings import Usual as Usual
-from .findings import Verdict as Verdict
+from .findings import Down, Health, Usual, Verdict
 
 _STAMP = "%Y-%m-%dT%H:%M:%SZ"
 

@@ -7,7 +7,7 @@ from functools import cached_property
 from itertools import islice
 
 from ..cache.layout import WorkFolder
-from ..records.record import Health
+from ..records.findings import Health
 from ..records.run_folder import newest_runs
 
 SHIFTS_TYPE = "wbflow_stages.types:Usual"

@@ -16,7 +16,7 @@ from ..cache.store import Cache, Receipt
 from ..pipeline.names import FRAMES, HEALTH
 from ..pipeline.stages import STAGES, Adapt, Reuse, Source, Stage, ancestors, stage_named
 from ..pipeline.summaries import HealthSummary
-from ..records.record import Health
+from ..records.findings import Health
 from ..records.reference_folder import Reference, put_back
 from ..runner.spec import (
     Absent,

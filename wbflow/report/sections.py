@@ -13,7 +13,8 @@ from ..errors import counted
 from ..outcome.baseline import figures_of
 from ..pipeline.stages import STAGES, Stage
 from ..pipeline.summaries import Change, ChangesSummary, PairFigures, SiteSummary, meaning, shown, spoken
-from ..records.record import CameraRecord, Finding, PairRecord, RunRecord
+from ..records.findings import Finding
+from ..records.record import CameraRecord, PairRecord, RunRecord
 from ..runner.spec import Cause
 from ..site.models import Measure
 from ..task import Task

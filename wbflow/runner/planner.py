@@ -16,7 +16,7 @@ from ..cache.store import Cache, Receipt
 from ..pipeline.binding import Binding, bind
 from ..pipeline.names import DENSE_PAIRS, FRAMES, FUSE, PAIRS, POSES
 from ..pipeline.stages import COMPONENT, STAGES, Adapt, Stage, ancestors, stage_named
-from ..records.record import Health
+from ..records.findings import Health
 from ..records.reference_folder import Reference
 from ..reference.calibration_change import calibration_change
 from ..reference.compatibility import misfit

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from ..cache.digests import content_digest
 from ..cache.memo import Digests, Seen
 from ..pipeline.summaries import FrameSummary
-from ..records.record import Health
+from ..records.findings import Health
 from .captures import CaptureFile, captures_of
 from .models import Camera, Site
 

@@ -6,7 +6,7 @@ import pytest
 
 from tests.helpers import made_up_run
 from wbflow.cli.run import print_findings
-from wbflow.records.record import Finding, Verdict
+from wbflow.records.findings import Finding, Verdict
 
 
 def test_what_many_cameras_have_in_common_is_said_in_a_few_lines(capsys: pytest.CaptureFixture[str]) -> None:

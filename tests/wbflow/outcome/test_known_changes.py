@@ -18,7 +18,8 @@ from wbflow.cli.main import main
 from wbflow.outcome import acknowledge, publish, verdict
 from wbflow.outcome.acknowledge import Acknowledgement, changes_of, with_known
 from wbflow.pipeline.summaries import Change, ChangesSummary
-from wbflow.records.record import RunRecord, Verdict
+from wbflow.records.findings import Verdict
+from wbflow.records.record import RunRecord
 from wbflow.records.run_folder import UnfinishedRun
 
 CONTAINER = Change("new", 9.24, 15.31, 1.3, length=6.3, width=2.7, volume=39.2)

@@ -16,7 +16,8 @@ from tests.wbflow.outcome.test_verdict import NAMES, PAIRS, camera, lost, night,
 from wbflow.cache.layout import WorkFolder
 from wbflow.cache.signed import read_signed, write_signed
 from wbflow.outcome.notify import MOST_WORDS, NotifyFailed, metrics, notify, summary
-from wbflow.records.record import Health, RunRecord, moment, stamp
+from wbflow.records.findings import Health
+from wbflow.records.record import RunRecord, moment, stamp
 from wbflow.site.load import load_site
 from wbflow.site.locations import SiteError
 from wbflow.site.models import Notify

@@ -13,18 +13,8 @@ from wbflow.errors import ExitCode
 from wbflow.outcome.baseline import Baseline, appearance_of, usual_of
 from wbflow.outcome.verdict import Facts, judge
 from wbflow.pipeline.summaries import CalibrationCheck, CameraFigures, CoverageSummary, PairFigures, PoseIssue, PosesSummary
-from wbflow.records.findings import FINDINGS
-from wbflow.records.record import (
-    CameraRecord,
-    CloudRecord,
-    Finding,
-    Health,
-    PairRecord,
-    RunRecord,
-    Seconds,
-    TaskCounts,
-    Verdict,
-)
+from wbflow.records.findings import FINDINGS, Finding, Health, Verdict
+from wbflow.records.record import CameraRecord, CloudRecord, PairRecord, RunRecord, Seconds, TaskCounts
 from wbflow.runner.spec import Cause, State
 from wbflow.site.models import Expected
 from wbflow.task import Task

@@ -10,20 +10,8 @@ import pytest
 
 from wbflow.errors import ExitCode
 from wbflow.pipeline.summaries import CameraFigures, PairFigures, PosesSummary
-from wbflow.records.record import (
-    CameraRecord,
-    CloudRecord,
-    Down,
-    Finding,
-    Health,
-    PairRecord,
-    RunRecord,
-    Seconds,
-    StageSeconds,
-    TaskCounts,
-    Usual,
-    Verdict,
-)
+from wbflow.records.findings import Down, Finding, Health, Usual, Verdict
+from wbflow.records.record import CameraRecord, CloudRecord, PairRecord, RunRecord, Seconds, StageSeconds, TaskCounts
 
 
 def some_record() -> RunRecord:

@@ -12,8 +12,7 @@ import pytest
 from tests.wbflow.records.test_record import some_record
 from wbflow.cache.layout import WorkFolder, run_id
 from wbflow.records.events import Event, TaskEvent, WarningEvent, event_from_json
-from wbflow.records.findings import Level
-from wbflow.records.record import Verdict
+from wbflow.records.findings import Level, Verdict
 from wbflow.records.run_folder import NoSuchRun, RunFolder, UnfinishedRun, new_run, turn_links
 from wbflow.task import Task
 

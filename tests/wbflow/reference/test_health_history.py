@@ -11,7 +11,8 @@ import pytest
 from tests.wbflow.records.test_record import some_record
 from wbflow.cache.layout import RunPaths, WorkFolder
 from wbflow.records import run_folder
-from wbflow.records.record import CameraRecord, Health, RunRecord
+from wbflow.records.findings import Health
+from wbflow.records.record import CameraRecord, RunRecord
 from wbflow.records.run_folder import RunFolder, UnfinishedRun
 from wbflow.reference.health_history import MOST_NIGHTS, ShiftHistory
 

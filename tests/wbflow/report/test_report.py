@@ -17,7 +17,8 @@ import pytest
 from tests.helpers import made_up_run
 from tests.helpers.browser import chromium, until
 from wbflow.pipeline.summaries import Change, ChangesSummary
-from wbflow.records.record import Finding, RunRecord, Verdict
+from wbflow.records.findings import Finding, Verdict
+from wbflow.records.record import RunRecord
 from wbflow.runner.spec import Cause
 
 webdriver = pytest.importorskip("selenium.webdriver")

@@ -11,7 +11,8 @@ import pytest
 
 from tests.wbflow.outcome.test_verdict import night
 from wbflow.pipeline.summaries import Change, ChangesSummary
-from wbflow.records.record import RunRecord, Verdict
+from wbflow.records.findings import Verdict
+from wbflow.records.record import RunRecord
 from wbflow.report.data import Comparison, ReportData, since_last_good
 
 CONTAINER = Change("new", 9.2, 15.3, 1.3, length=6.3, width=2.7, volume=39.2)
