@@ -15,7 +15,7 @@ from ..site.locations import Problems
 from ..site.models import Site
 
 if TYPE_CHECKING:
-    from .session import Marks
+    from .session import Look, OnGround
 
 GROUND_SHARE = 0.1
 """Of the last cloud's points, so many lie lower than the ground that zones are drawn on at first."""
@@ -48,33 +48,22 @@ class Scene:
     def _sights(self) -> Any:
         return load(SIGHTS)(self.poses)
 
-    def look(self, camera: str, marks: Marks, chosen: int | None, ground: float) -> dict[str, Any]:
-        """What is to be shown of points and zones in one camera's picture.
-
-        Parameters
-        ----------
-        camera : str
-            Whose picture.
-        marks : Marks
-            What is drawn.
-        chosen : int, optional
-            The point that guides are shown of.
-        ground : float
-            The height at which zones lie.
-        """
+    def look(self, asked: Look) -> dict[str, Any]:
+        """What is to be shown of points and zones in one camera's picture."""
+        camera, marks, chosen = asked.camera, asked.marks, asked.chosen
         stated = [self._world(point.position) for point in marks.points]
         residuals = self._sights.residuals([(p.pixels, where) for p, where in zip(marks.points, stated, strict=True)])
         guide = {}
         if chosen is not None and 0 <= chosen < len(stated):
             guide = self._sights.guide(camera, marks.points[chosen].pixels, stated[chosen])
-        zones = [self._sights.outline(camera, zone.corners, ground) for zone in marks.zones] if self.upright else []
+        zones = [self._sights.outline(camera, zone.corners, asked.ground) for zone in marks.zones] if self.upright else []
         return {"residuals": residuals, "guide": guide, "zones": zones}
 
-    def on_ground(self, camera: str, pixel: Sequence[float], ground: float) -> list[float] | None:
+    def on_ground(self, asked: OnGround) -> list[float] | None:
         """x, y of what a pixel shows of the ground; None above the horizon, and where poses are unknown."""
-        if camera not in self.poses or not self.upright:
+        if asked.camera not in self.poses or not self.upright:
             return None
-        found: list[float] | None = self._sights.on_ground(camera, list(pixel), ground)
+        found: list[float] | None = self._sights.on_ground(asked.camera, list(asked.pixel), asked.ground)
         return found
 
     def _world(self, position: Sequence[float] | None) -> list[float] | None:

@@ -15,11 +15,10 @@ from importlib.resources import files
 from typing import Any
 from urllib.parse import unquote
 
-from pydantic import Field, ValidationError
+from pydantic import ValidationError
 
 from ..errors import printable
-from ..site.models import Section, Vector2
-from .session import Marks, Refused, Session
+from .session import Look, OnGround, Refused, Save, Session
 
 _MOST_BYTES = 10_000_000
 """Of what the page sends."""
@@ -37,30 +36,6 @@ _HEADERS = {
 
 Answer = tuple[str, bytes, Mapping[str, str]]
 """Its type, the bytes, and further headers."""
-
-
-class Look(Section):
-    """What the page wants to know of one picture."""
-
-    camera: str
-    marks: Marks
-    chosen: int | None = None
-    ground: float = 0.0
-
-
-class OnGround(Section):
-    """A pixel whose place on the ground is wanted."""
-
-    camera: str
-    pixel: Vector2
-    ground: float = 0.0
-
-
-class Save(Section):
-    """What is to be written."""
-
-    marks: Marks
-    version: str = Field(min_length=1)
 
 
 class EditServer(ThreadingHTTPServer):
@@ -133,11 +108,9 @@ class _Handler(BaseHTTPRequestHandler):
     def _post(self, path: str) -> Answer:
         session, body = self.server.session, self._body()
         if path == "look":
-            look = Look.model_validate_json(body)
-            return _json(session.scene.look(look.camera, look.marks, look.chosen, look.ground))
+            return _json(session.scene.look(Look.model_validate_json(body)))
         if path == "ground":
-            at = OnGround.model_validate_json(body)
-            return _json(session.scene.on_ground(at.camera, at.pixel, at.ground))
+            return _json(session.scene.on_ground(OnGround.model_validate_json(body)))
         if path == "save":
             save = Save.model_validate_json(body)
             return _json(session.save(save.marks, save.version))

@@ -81,6 +81,32 @@ class Marks(Section):
     points: list[PointMark] = Field(default_factory=list)
 
 
+class Look(Section):
+    """What the page wants to know of one picture."""
+
+    camera: str
+    marks: Marks
+    chosen: int | None = None
+    """The point that guides are shown of."""
+    ground: float = 0.0
+    """The height at which zones lie."""
+
+
+class OnGround(Section):
+    """A pixel whose place on the ground is wanted."""
+
+    camera: str
+    pixel: Vector2
+    ground: float = 0.0
+
+
+class Save(Section):
+    """What is to be written."""
+
+    marks: Marks
+    version: str = Field(min_length=1)
+
+
 class Refused(WbflowError):
     """What was asked for cannot be done; the site file is as it was."""
 
@@ -201,7 +227,7 @@ class Session:
         before, mark = raw.decode("utf-8-sig"), BOM_UTF8 if raw.startswith(BOM_UTF8) else b""
         ends = "\r\n" if "\r\n" in before else "\n"
         try:
-            text = edited(before.replace("\r\n", "\n"), self.site, marks, masks)
+            text = _with_marks(before.replace("\r\n", "\n"), self.site, marks, masks)
             site = site_of(parse_yaml(text, self.site.file), self.site.work_folder.root)
         except NotEditable as error:
             raise Refused(str(error), where=str(self.site.file), remedy="change this by hand") from None
@@ -231,25 +257,8 @@ class Session:
         return {file: content_digest(read_outside(file)) if is_file(file) else "" for file in files}
 
 
-def edited(text: str, site: Site, marks: Marks, masks: Mapping[str, str]) -> str:
-    """Return the text of a site file with what is drawn.
-
-    Parameters
-    ----------
-    text : str
-        As it is.
-    site : Site
-        What it says.
-    marks : Marks
-        What it should say.
-    masks : mapping
-        Paths of masks that are new, by camera.
-
-    Raises
-    ------
-    NotEditable
-        A value is written in a form that cannot be changed.
-    """
+def _with_marks(text: str, site: Site, marks: Marks, masks: Mapping[str, str]) -> str:
+    """The text of a site file with what is drawn.  masks: paths of those that are new, by camera.  Raises NotEditable."""
     file, geodetic = site.settings, bool(site.survey.crs)
     for k, camera in enumerate(file.cameras):
         if (drawn := marks.cameras.get(camera.id)) is None:
