@@ -22,6 +22,7 @@ from wbflow.records.events import Event, TaskEvent
 from wbflow.records.findings import Finding, Health, Verdict
 from wbflow.records.record import CameraRecord, CloudRecord, PairRecord, RunRecord, Seconds, TaskCounts
 from wbflow.records.run_folder import UnfinishedRun
+from wbflow.report.data import ReportData
 from wbflow.report.page import build_report
 from wbflow.site.models import Site
 from wbflow.task import Task
@@ -141,7 +142,8 @@ def page(folder: Path, night: RunRecord, points: int = 900, pictures: tuple[int,
         earlier.write_cameras(cameras(ids))
         earlier.publish(before, [], "")
     unfinished = UnfinishedRun(work, night.run)
-    reported = build_report(described, Cache(work), night, events, cameras(ids) if night.cloud else {}, unfinished.paths.folder)
+    placed = cameras(ids) if night.cloud else {}
+    reported = build_report(ReportData(Cache(work), night, tuple(events), placed, unfinished.paths.folder, described))
     return unfinished.publish(night, events, reported).paths.report
 
 

@@ -47,11 +47,12 @@ def report(site: Path, run_id: str | None, work: str | None) -> None:
     wbflow report site.yaml 20261120T031500Z
     """
     loaded = load(site, work)
+    from ..outcome.artifacts import Run
     from ..records.run_folder import RunFolder
     from ..report.page import rebuild_report
 
-    folder = RunFolder.of(loaded.work_folder, run_id)
-    echo(folder.write_report(rebuild_report(loaded, loaded.work_folder, folder)))
+    run = Run.open(loaded.work_folder, RunFolder.of(loaded.work_folder, run_id))
+    echo(run.place.write_report(rebuild_report(loaded, run)))
 
 
 @click.command()

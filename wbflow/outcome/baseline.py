@@ -16,7 +16,7 @@ from ..pipeline.stages import STAGES
 from ..pipeline.summaries import FrameSummary
 from ..records.findings import Health, Usual
 from ..records.record import CameraRecord, RunRecord
-from ..records.run_folder import NoSuchRun, RunFolder, newest_runs
+from ..records.run_folder import newest_runs
 from ..site.models import Expected, Measure, Site
 
 FOUND_SHARE = 0.25
@@ -45,12 +45,7 @@ class Baseline:
     def usual(self, settings: str, since: str = "") -> Usual | None:
         """What good nights with the same settings gave; where these runs hold none, what the newest of them was compared with.
 
-        Parameters
-        ----------
-        settings : str
-            Digest of tonight's settings.
-        since : str
-            Nights before this one (ISO 8601) don't count.
+        settings: digest of tonight's.  since: nights before this one (ISO 8601) don't count.
         """
         alike = [record for record in self.runs if record.settings == settings and record.date >= since]
         good = [record for record in alike if record.verdict and record.verdict.good and record.cloud]
@@ -78,30 +73,6 @@ def usual_of(records: Sequence[RunRecord]) -> Usual:
         _medians([figures_of(record) for record in records]),
         {name: medians for name in cameras if (medians := _medians(looks[name]))},
     )
-
-
-def reference_usual(work: WorkFolder, run: str, settings: str, usual: Usual | None) -> Usual | None:
-    """What is usual, with the figures of the whole site from a run that somebody has pinned.
-
-    Parameters
-    ----------
-    work : WorkFolder
-        Where the run is.
-    run : str
-        Its id.
-    settings : str
-        Digest of tonight's settings; a run with others is not compared with.
-    usual : Usual, optional
-        What the last good nights gave.
-    """
-    try:
-        record = RunFolder.of(work, run).record()
-    except NoSuchRun:  # removed since
-        return usual
-    if record.settings != settings or not record.cloud:
-        return usual
-    pinned = usual_of([record])
-    return Usual(1, pinned.figures, usual.cameras if usual else pinned.cameras, run)
 
 
 def figures_of(record: RunRecord) -> dict[str, float]:

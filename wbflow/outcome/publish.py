@@ -38,10 +38,9 @@ from ..task import Task
 from . import acknowledge
 from .acknowledge import Acknowledgement, with_known
 from .artifacts import Run
-from .baseline import Baseline
 from .notify import NotifyFailed, metrics, notify
 from .run_record import run_record
-from .verdict import judge_run
+from .verdict import Facts, judge_run
 
 
 def run_pipeline(run: str, context: RunContext, options: Options, journal: Journal) -> Run:
@@ -67,31 +66,17 @@ def run_pipeline(run: str, context: RunContext, options: Options, journal: Journ
         journal.warn(note, task=Task(FRAMES, (camera,)))
     prepare(context, journal)
     worked = work(context, options, journal)
-    finished = publish(run, context, worked, journal, own_process=options.backend == "threading")
+    finished = _publish(run, context, worked, journal, own_process=options.backend == "threading")
     finish(finished, context.site, journal)
     if not options.until and not worked.interrupted:
         _notify(context.site, finished, journal)
     return finished
 
 
-def publish(run: str, context: RunContext, worked: Worked, journal: Journal, own_process: bool) -> Run:
-    """Write the folder of a run; `latest` leads there.
+def _publish(run: str, context: RunContext, worked: Worked, journal: Journal, own_process: bool) -> Run:
+    """Write the folder of a run; `latest` leads there.  What cannot be drawn or written as a file becomes a warning.
 
-    Parameters
-    ----------
-    run : str
-        The run's id.
-    context, worked : RunContext, Worked
-        The plan with the states of its tasks, and the products.
-    journal : Journal
-        What happened and what it cost; what cannot be drawn or written as a file becomes a warning.
-    own_process : bool
-        Did the tasks run in this process?
-
-    Raises
-    ------
-    OSError
-        The disk is full, or there is no right to write.
+    own_process: did the tasks run in this process?
     """
     plan, place = context.plan, context.plan.cache.work
     unfinished = UnfinishedRun(place, run)
@@ -111,8 +96,8 @@ def publish(run: str, context: RunContext, worked: Worked, journal: Journal, own
     harmful, harmless = context.captures_in_motion()
     record = replace(record, cameras=tuple(_with_motion(camera, harmful, harmless) for camera in record.cameras))
     known = _acknowledged(plan.site, journal)
-    before = Baseline.before(place, run, record.date)
-    record = with_known(judge_run(record, plan, before, worked.interrupted, journal.behind(), known), known)
+    facts = replace(Facts.from_plan(plan, worked.interrupted), behind=journal.behind(), acknowledged=known)
+    record = with_known(judge_run(record, plan, facts), known)
     record = replace(record, repaired=tuple(journal.repairs), files=unfinished.files)
     page = _report(plan, record, journal, cameras, unfinished)
     folder = unfinished.publish(record, journal.events, page, metrics(record))
@@ -179,9 +164,10 @@ def _acknowledged(site: Site, journal: Journal) -> tuple[Acknowledgement, ...]:
 def _report(plan: Plan, record: RunRecord, journal: Journal, cameras: Mapping[str, Any], unfinished: UnfinishedRun) -> str:
     """Return the report.  The night's work is done: a report that cannot be drawn is a warning, and loses nothing."""
     try:
+        from ..report.data import ReportData
         from ..report.page import build_report
 
-        return build_report(plan.site, plan.cache, record, journal.events, cameras, unfinished.paths.folder)
+        return build_report(ReportData(plan.cache, record, tuple(journal.events), cameras, unfinished.paths.folder, plan.site))
     except Exception as error:  # whatever is wrong in it
         what = f"the report could not be built: {type(error).__name__}: {error}"
         journal.warn(what, remedy="wbflow report SITE.yaml  builds it again", trace=traceback.format_exc())

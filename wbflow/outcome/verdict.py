@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 from ..errors import ExitCode, counted
@@ -20,12 +21,13 @@ from ..pipeline.stages import STAGES, stage_named
 from ..pipeline.summaries import CalibrationCheck, PosesSummary, SiteSummary
 from ..records.findings import FINDINGS, Down, Finding, Level, Usual, Verdict, finding
 from ..records.record import CameraRecord, PairRecord, RunRecord
+from ..records.run_folder import NoSuchRun, RunFolder
 from ..runner.planner import Plan
 from ..runner.spec import Cause, State
 from ..site.models import Expected, Measure
 from ..task import Task, camera_of
 from .acknowledge import Acknowledgement, split
-from .baseline import Baseline, figures_of, reference_usual, settings_of, with_appearance
+from .baseline import Baseline, figures_of, settings_of, usual_of, with_appearance
 from .run_record import root_cause
 
 PLANNED_PAIRS = 0.5
@@ -91,7 +93,7 @@ class Facts:
     """What somebody knows of."""
 
     @staticmethod
-    def from_plan(plan: Plan, interrupted: bool, behind: Finding | None = None) -> Facts:
+    def from_plan(plan: Plan, interrupted: bool) -> Facts:
         """Return those of a plan whose tasks have all ended."""
         failed = tuple((task, state) for task, state in plan.states.items() if state.outcome == "failed")
         stopped = tuple(state for state in plan.states.values() if state.code == Cause.STOPPED)
@@ -101,41 +103,21 @@ class Facts:
             state = plan.states.get(Task(plan.until))
             if state and not state.usable:
                 missing = plan.until, root_cause(plan, Task(plan.until)) or ""
-        return Facts(failed, product, missing, interrupted, stopped, behind, plan.calibration_change)
+        return Facts(failed, product, missing, interrupted, stopped, calibration_change=plan.calibration_change)
 
 
-def judge_run(
-    record: RunRecord,
-    plan: Plan,
-    baseline: Baseline,
-    interrupted: bool,
-    behind: Finding | None = None,
-    acknowledged: tuple[Acknowledgement, ...] = (),
-) -> RunRecord:
-    """Return the record with what it is compared with, how its cameras are, its verdict and its exit code.
-
-    Parameters
-    ----------
-    record
-        Of a run that ends now.
-    plan
-        With the states of all its tasks.
-    baseline
-        The runs before it.
-    interrupted
-        Was it stopped from outside?
-    behind
-        What the object store does not have yet.
-    acknowledged
-        What somebody knows of.
-    """
-    expected, settings = plan.site.settings.expect, settings_of(plan.site)
+def judge_run(record: RunRecord, plan: Plan, facts: Facts) -> RunRecord:
+    """Return the record with what it is compared with, how its cameras are, its verdict and its exit code."""
+    expected, settings, work = plan.site.settings.expect, settings_of(plan.site), plan.cache.work
+    baseline = Baseline.before(work, record.run, record.date)
     usual = baseline.usual(settings, expected.since)
-    if plan.reference and not plan.reference.automatic:
-        usual = reference_usual(plan.cache.work, plan.reference.run, settings, usual)
-    record = replace(record, settings=settings, usual=usual)
-    facts = replace(Facts.from_plan(plan, interrupted, behind), acknowledged=acknowledged)
-    return judge(record, facts, baseline, expected)
+    if plan.reference and not plan.reference.automatic:  # pinned by somebody: what it gave is usual
+        with suppress(NoSuchRun):  # removed since
+            pinned = RunFolder.of(work, plan.reference.run).record()
+            if pinned.settings == settings and pinned.cloud:
+                found = usual_of([pinned])
+                usual = Usual(1, found.figures, usual.cameras if usual else found.cameras, pinned.run)
+    return judge(replace(record, settings=settings, usual=usual), facts, baseline, expected)
 
 
 def judge(record: RunRecord, facts: Facts, baseline: Baseline, expected: Expected) -> RunRecord:

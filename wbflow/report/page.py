@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -10,17 +10,14 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 from ..cache.artifact import figures
-from ..cache.layout import WorkFolder
 from ..cache.plugins import load
-from ..cache.store import Cache
 from ..errors import counted
 from ..outcome.artifacts import Gone, Run
 from ..pipeline.names import CHANGES
 from ..pipeline.stages import stage_named
 from ..pipeline.summaries import ChangesSummary, meaning, spoken
-from ..records.events import Event, TaskEvent, WarningEvent
+from ..records.events import TaskEvent, WarningEvent
 from ..records.record import RunRecord, moment
-from ..records.run_folder import RunFolder
 from ..site.models import Site
 from . import render
 from .charts import camera_bars, tasks_of_stages, timetable, trends
@@ -51,33 +48,14 @@ _ROW_BYTES = 4000
 """Of the text of a camera or a pair, about."""
 
 
-def rebuild_report(site: Site, work: WorkFolder, folder: RunFolder) -> str:
+def rebuild_report(site: Site, run: Run) -> str:
     """Return the report of a finished run.  Raises NoSuchRun for a folder that cannot be read."""
-    return build_report(site, Cache(work), folder.record(), folder.events(), folder.cameras(), folder.paths.folder)
+    return build_report(ReportData(run.cache, run.record, tuple(run.events), run.calibration, run.folder, site))
 
 
-def build_report(
-    site: Site, cache: Cache, record: RunRecord, events: Iterable[Event], placed: Mapping[str, Any], products: Path
-) -> str:
-    """Return the HTML of a run.
-
-    Parameters
-    ----------
-    site : Site
-        Whose run.
-    cache : Cache
-        It holds the pictures.
-    record : RunRecord
-        The run in figures.
-    events : iterable of Event
-        What happened.
-    placed : mapping
-        The cameras of the cloud by id, as cameras.json has them.
-    products : Path
-        The folder in which the run's products lie now.
-    """
-    data = ReportData(cache, record, tuple(events), placed, products, site)
-    return render("page.html", **_content(data, points_of(data) if record.cloud else []), beside=False)
+def build_report(data: ReportData) -> str:
+    """Return the HTML of a run."""
+    return render("page.html", **_content(data, points_of(data) if data.record.cloud else []), beside=False)
 
 
 def build_comparison(site: Site, tonight: Run, then: Run, changes: Any) -> str:
