@@ -20,7 +20,7 @@ from ..pipeline.exports import MASK_SHADE, PAINTED_MASK, PICTURE_TO_DRAW_ON
 from ..site.captures import captures_of, expected, night
 from ..site.load import site_of
 from ..site.locations import Location, SiteError, parse_yaml
-from ..site.models import Camera, ControlPoint, Section, Site, Vector2, Vector3, Zone
+from ..site.models import Camera, Section, Site, Vector2, Vector3
 from .scene import Scene
 from .splice import NotEditable, append, put, remove
 
@@ -131,13 +131,8 @@ class Session:
 
     def state(self) -> dict[str, Any]:
         """What the site file says, and which cameras have a pose."""
-        file = self.site.settings
         cameras = [{"id": c.id, "posed": c.id in self.scene.poses, "privacy": c.privacy} for c in self.site.cameras]
-        zones = [ZoneMark(was=k, name=z.name, corners=z.polygon, least_m=z.least_m) for k, z in enumerate(file.zones or ())]
-        points = [
-            PointMark(was=k, id=p.id or "", position=list(p.geodetic or p.position or ()), pixels=p.pixels)
-            for k, p in enumerate(file.control_points)
-        ]
+        zones, points = _marks_of(self.site)
         return {
             "site": self.site.name,
             "file": str(self.site.file),
@@ -273,10 +268,19 @@ def _with_marks(text: str, site: Site, marks: Marks, masks: Mapping[str, str]) -
         for key, value in changes.items():
             text = put(text, (*at, key), value)
         text = _listed(text, (*at, "privacy"), camera.privacy, polygons)
-    zones = [(mark.was, _zone(mark)) for mark in marks.zones]
-    text = _listed(text, ("zones",), [_zone_of(zone) for zone in file.zones or ()], zones)
-    points = [(mark.was, _point(mark, geodetic)) for mark in marks.points]
-    return _listed(text, ("control_points",), [_point_of(point) for point in file.control_points], points)
+    zones, points = _marks_of(site)
+    text = _listed(text, ("zones",), [*map(_zone, zones)], [(mark.was, _zone(mark)) for mark in marks.zones])
+    before = [_point(mark, point.geodetic is not None) for mark, point in zip(points, file.control_points, strict=True)]
+    return _listed(text, ("control_points",), before, [(mark.was, _point(mark, geodetic)) for mark in marks.points])
+
+
+def _marks_of(site: Site) -> tuple[list[ZoneMark], list[PointMark]]:
+    """The zones and control points that a site file has."""
+    file = site.settings
+    zones = [ZoneMark(was=k, name=z.name, corners=z.polygon, least_m=z.least_m) for k, z in enumerate(file.zones or ())]
+    places = [point.position if point.geodetic is None else list(point.geodetic) for point in file.control_points]
+    points = enumerate(zip(file.control_points, places, strict=True))
+    return zones, [PointMark(was=k, id=p.id or "", position=place, pixels=p.pixels) for k, (p, place) in points]
 
 
 def _listed(text: str, location: Location, there: Sequence[Any], wanted: Sequence[tuple[int | None, Any]]) -> str:
@@ -311,22 +315,12 @@ def _zone(mark: ZoneMark) -> dict[str, Any]:
     return {"name": mark.name, "polygon": mark.corners, **least}
 
 
-def _zone_of(zone: Zone) -> dict[str, Any]:
-    return _zone(ZoneMark(name=zone.name, corners=zone.polygon, least_m=zone.least_m))
-
-
 def _point(mark: PointMark, geodetic: bool) -> dict[str, Any]:
     names = ("latitude", "longitude", "height")
     where: dict[str, Any] = {}
     if mark.position is not None:
         where = dict(zip(names, mark.position, strict=True)) if geodetic else {"position": mark.position}
     return {**({"id": mark.id} if mark.id else {}), **where, "pixels": mark.pixels}
-
-
-def _point_of(point: ControlPoint) -> dict[str, Any]:
-    where = point.position if point.geodetic is None else list(point.geodetic)
-    mark = PointMark(id=point.id or "", position=where, pixels=point.pixels)
-    return _point(mark, point.geodetic is not None)
 
 
 def _numbers(value: Any) -> Any:
