@@ -26,19 +26,8 @@ from .runner.context import plan_run
 from .runner.journal import Journal
 from .runner.loop import terminate_as_interrupt
 from .runner.options import Options
-from .site.load import load_site as read_site
+from .site.load import load_site as load_site
 from .site.models import Site
-
-
-def load_site(path: str | Path, work: str | Path | None = None) -> Site:
-    """Read and validate a site file (or the `site.yaml` in a folder).  work: another work folder, or object store, than it names.
-
-    Raises
-    ------
-    SiteError
-        With every problem that was found.
-    """
-    return read_site(Path(path), work)
 
 
 def run(

@@ -35,15 +35,15 @@ from .pattern import Pattern
 from .stage_settings import read_stages
 
 
-def load_site(path: Path, work: str | Path | None = None) -> Site:
-    """Read and validate a site file (or the `site.yaml` in a folder).  work: overrides the file's own key.
+def load_site(path: str | Path, work: str | Path | None = None) -> Site:
+    """Read and validate a site file (or the `site.yaml` in a folder).  work: another work folder, or object store, than it names.
 
     Raises
     ------
     SiteError
         With every problem that was found.
     """
-    return site_of(load_yaml(_file_of(path)), work)
+    return site_of(load_yaml(_file_of(Path(path))), work)
 
 
 def site_of(document: Document, work: str | Path | None = None) -> Site:
