@@ -67,13 +67,7 @@ def file_of(site: Site) -> Path:
 
 
 def read(site: Site) -> tuple[Acknowledgement, ...]:
-    """Return the acknowledgements of a site.
-
-    Raises
-    ------
-    UsageError
-        The file is not as `wbflow acknowledge` writes it.
-    """
+    """Return the acknowledgements of a site.  Raises UsageError for a file that is not as `wbflow acknowledge` writes it."""
     path = file_of(site)
     if not path.exists():
         return ()

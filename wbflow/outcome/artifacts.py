@@ -131,13 +131,7 @@ class Run:
         return self.load(task)
 
     def receipt(self, task: Task) -> Receipt | None:
-        """The receipt of a task that gave a result in this run, or None.
-
-        Raises
-        ------
-        Gone
-            The cache does not hold it any more.
-        """
+        """The receipt of a task that gave a result in this run, or None.  Raises Gone where the cache has lost it."""
         event = self.ended.get(task)
         if event is None or not event.usable or event.key is None:
             return None
@@ -177,13 +171,7 @@ class Run:
         return _OfSubjects(self, {pair.name: (pair.left, pair.right) for pair in self.record.pairs}, stages)
 
     def cloud_table(self, cloud: CloudRecord | None = None) -> Any:
-        """A cloud as it was published; the main one if none is named.
-
-        Raises
-        ------
-        Gone
-            The run made none, or its file cannot be read.
-        """
+        """A cloud as it was published; the main one if none is named.  Raises Gone where there is none, or it cannot be read."""
         cloud = cloud or self.record.cloud
         path = self.folder / cloud.path if cloud else None
         if path is None or not path.is_file():
@@ -229,22 +217,18 @@ class MissingExtra(WbflowError):
     exit_code = ExitCode.USAGE
 
 
-class NothingToExport(WbflowError):
-    """The run does not hold what an export needs; the message says what is missing."""
-
-
 def export(run: Run, out: Path, forms: frozenset[str]) -> Iterator[Path]:
     """Write a run's results into `out` in some forms (names of `EXPORTS`); yields each file when it is there.
 
     Raises
     ------
-    MissingExtra, NothingToExport, Gone
-        Before a file of that form is written.
+    MissingExtra, WbflowError
+        Before a file of that form is written: a package is missing, or the run does not hold what the form needs.
     DamagedArtifact
         The cache's disk has lost something; the next run makes it again.
     """
     if run.record.poses is None:
-        raise NothingToExport(f"run {run.id} solved no cameras: {run.record.reason or 'it ended before'}")
+        raise WbflowError(f"run {run.id} solved no cameras: {run.record.reason or 'it ended before'}")
     rows = [row for row in EXPORTS if row.name in forms]
     for row in rows:
         require(row, georeferenced=bool(run.record.poses.crs))
@@ -256,7 +240,7 @@ def export(run: Run, out: Path, forms: frozenset[str]) -> Iterator[Path]:
                 write_atomic(out / name, data)
                 yield out / name
         except ValueError as error:
-            raise NothingToExport(f"run {run.id}: {error}") from error
+            raise WbflowError(f"run {run.id}: {error}") from error
 
 
 def require(row: Export, *, georeferenced: bool) -> None:

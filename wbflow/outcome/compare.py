@@ -91,13 +91,7 @@ def differing(rows: list[Row]) -> list[Row]:
 
 
 def last_two(work: WorkFolder) -> tuple[RunFolder, RunFolder]:
-    """The newest run, after the newest good one before it.
-
-    Raises
-    ------
-    NoSuchRun
-        There is none.
-    """
+    """The newest run, after the newest good one before it.  Raises NoSuchRun where there is none."""
     newest = RunFolder.of(work)
     for folder, record in newest_runs(work, before=newest.id):
         if folder.is_good() and (record.verdict is None or record.verdict.good):

@@ -61,12 +61,7 @@ create table if not exists artifacts (artifact primary key, stage, task, bytes, 
 class Ledger:
     """The ledger of one work folder; a context manager.  Whoever opens it can meet sqlite3.Error and OSError.
 
-    Parameters
-    ----------
-    work : WorkFolder
-        Whose.
-    writes : bool
-        The caller holds the lock: what is damaged or missing is made again on disk.  A reader gets an index in memory instead.
+    writes: the caller holds the lock, and what is damaged or missing is made again on disk; a reader gets an index in memory.
     """
 
     def __init__(self, work: WorkFolder, writes: bool = False) -> None:

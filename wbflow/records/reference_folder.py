@@ -96,13 +96,7 @@ class Reference:
 
 
 def read_reference(work: WorkFolder) -> Reference | None:
-    """The reference of a work folder, or None.
-
-    Raises
-    ------
-    BadReference
-        Its record is damaged, and so is the record's twin.
-    """
+    """The reference of a work folder, or None.  Raises BadReference where its record and the record's twin are damaged."""
     try:
         return _read(work.reference_record) or _read(work.reference_twin)
     except BadReference:
@@ -125,11 +119,7 @@ def mend_record(work: WorkFolder) -> str | None:
     """Make the record and its twin the same again, from the one that is whole; returns what was wrong, in words.
 
     Where neither is, both are taken out of use, so that the next good night is pinned.  The caller holds the lock.
-
-    Raises
-    ------
-    OSError
-        The disk is full, or there is no right to write.
+    Raises OSError.
     """
     record, twin = work.reference_record, work.reference_twin
     whole, fault = None, None
@@ -153,21 +143,9 @@ def mend_record(work: WorkFolder) -> str | None:
 
 
 def write_reference(cache: Cache, reference: Reference, receipts: Iterable[Receipt]) -> None:
-    """Put a reference in the place of the one that is there.  The caller holds the lock.
+    """Put a reference in the place of the one that is there.  The caller holds the lock.  Raises OSError.
 
-    Parameters
-    ----------
-    cache : Cache
-        Of the work folder whose reference it is.
-    reference : Reference
-        What it is.
-    receipts : iterable of Receipt
-        Of its artifacts, which the cache holds.
-
-    Raises
-    ------
-    OSError
-        The disk is full, or there is no right to write.
+    receipts: of its artifacts, which the cache holds.
     """
     work = cache.work
     kept, anew = {work.reference_record, work.reference_twin}, work.reference.exists()
@@ -218,10 +196,7 @@ class Restored:
 def restore(cache: Cache, reference: Reference) -> Restored:
     """Put back what the cache or the reference has lost, as far as the other still has it.  The caller holds the lock.
 
-    Raises
-    ------
-    OSError
-        The disk is full, or there is no right to write.
+    Raises OSError.
     """
     work = cache.work
     to_cache: list[Task] = []

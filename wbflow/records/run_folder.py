@@ -58,13 +58,7 @@ class RunFolder:
 
     @staticmethod
     def at(path: Path) -> RunFolder:
-        """The run in a folder (or of the run.json in it).
-
-        Raises
-        ------
-        NoSuchRun
-            It is not the folder of a run.
-        """
+        """The run in a folder (or of the run.json in it).  Raises NoSuchRun where it is not the folder of a run."""
         folder = RunFolder(RunPaths((path if path.is_dir() else path.parent).resolve()))
         if not RunFolder.is_one(path):
             raise NoSuchRun(f"{path} is not the folder of a run: it holds no {folder.paths.record.name}")
@@ -80,11 +74,7 @@ class RunFolder:
         """A run by id, or by the night of its captures: the newest run of that night.
 
         "latest-good" is the newest with a cloud whose verdict is good or degraded, "latest" (or None) the newest.
-
-        Raises
-        ------
-        NoSuchRun
-            There is none.
+        Raises NoSuchRun.
         """
         known = work.run_ids()
         if not known:
@@ -147,14 +137,9 @@ class RunFolder:
         return found
 
     def damaged(self, missing: bool) -> list[Path]:
-        """Products of the run that are not as they were published.
+        """Products of the run that are not as they were published.  Raises NoSuchRun where run.json itself is damaged.
 
         missing: count those, too, that are not there any more.
-
-        Raises
-        ------
-        NoSuchRun
-            run.json itself is damaged.
         """
         files = ((self.paths.folder / name, digest) for name, digest in self.record().files.items())
         return [path for path, digest in files if (path.is_file() or missing) and _sha256(path) != digest]
@@ -259,13 +244,7 @@ def newest_runs(work: WorkFolder, before: str = "", after: str = "") -> Iterator
     """Yield runs and their records, newest first, without those that cannot be read.
 
     Each record is read when it is needed: whoever looks at the past stops as soon as enough is known.
-
-    Parameters
-    ----------
-    work : WorkFolder
-        Whose runs.
-    before, after : str
-        Ids of runs: only those between, if given.
+    before, after: ids of runs; only those between, if given.
     """
     for name in reversed(work.run_ids()):
         if name > after and (not before or name < before):
