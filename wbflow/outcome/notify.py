@@ -24,6 +24,7 @@ from ..plain import Plain
 from ..records.findings import Verdict
 from ..records.record import RunRecord, moment
 from ..site.models import Notify
+from .artifacts import Run
 
 Occasion = Literal["degraded", "failed", "reminder", "recovered", "heartbeat"]
 
@@ -62,27 +63,12 @@ def _state(verdict: Verdict) -> tuple[str, ...]:
     return (level, *sorted({" ".join((f.kind, *f.subject)) for f in findings})) if findings else ()
 
 
-def notify(how: Notify, folder: Path, work: WorkFolder, run: RunPaths, record: RunRecord) -> Occasion | None:
+def notify(how: Notify, folder: Path, run: Run) -> Occasion | None:
     """Call the command for a published run; returns the occasion, or None where there is none.
 
-    Parameters
-    ----------
-    how : Notify
-        As the site file says.
-    folder : Path
-        Where the command runs: the site file's.
-    work : WorkFolder
-        Which keeps the state that was last reported.
-    run : RunPaths
-        The run's files.
-    record : RunRecord
-        The run.
-
-    Raises
-    ------
-    NotifyFailed
-        With the last line of its output.
+    folder: where the command runs, the site file's.  Raises NotifyFailed, with the last line of the command's output.
     """
+    work, record = run.cache.work, run.record
     assert record.verdict
     last, now = _last(work), record.finished
     state = _next(last, _state(record.verdict), now, how)
@@ -95,7 +81,7 @@ def notify(how: Notify, folder: Path, work: WorkFolder, run: RunPaths, record: R
         occasion = "reminder"
     if occasion:
         lasted = lasting(_seconds(state.bad_since, now)) if occasion in {"recovered", "reminder"} else ""
-        _call(how, folder, _message(occasion, lasted, run, record))
+        _call(how, folder, _message(occasion, lasted, run.place.paths, record))
     if state != last:
         write_signed(work.notified, _OF, state.to_json())
     return occasion

@@ -215,7 +215,7 @@ def _notify(site: Site, run: Run, journal: Journal) -> None:
     if site.settings.notify is None:
         return
     try:
-        notify(site.settings.notify, site.folder, run.cache.work, run.place.paths, run.record)
+        notify(site.settings.notify, site.folder, run)
     except (NotifyFailed, OSError) as error:
         journal.warn(str(error), remedy="the command is called again after the next run")
         run.place.add(journal.events[-1])

@@ -15,9 +15,12 @@ from tests.helpers.toy_site import ToySite
 from tests.wbflow.outcome.test_verdict import NAMES, PAIRS, camera, lost, night, pair, without
 from wbflow.cache.layout import WorkFolder
 from wbflow.cache.signed import read_signed, write_signed
+from wbflow.cache.store import Cache
+from wbflow.outcome.artifacts import Run
 from wbflow.outcome.notify import MOST_WORDS, NotifyFailed, metrics, notify, summary
 from wbflow.records.findings import Health
 from wbflow.records.record import RunRecord, moment, stamp
+from wbflow.records.run_folder import RunFolder
 from wbflow.site.load import load_site
 from wbflow.site.locations import SiteError
 from wbflow.site.models import Notify
@@ -41,7 +44,7 @@ class Site:
         self.folder = folder
 
     def tell(self, record: RunRecord) -> str | None:
-        return notify(self.how, self.folder, self.work, self.work.run(record.run), record)
+        return notify(self.how, self.folder, Run(RunFolder(self.work.run(record.run)), record, {}, Cache(self.work)))
 
     @property
     def reported(self) -> list[dict[str, Any]]:
