@@ -46,7 +46,7 @@ print(debug.keep(here, result))
 
 
 def write_task(site: Site, task: Task, out: Path, date: datetime.date | None = None) -> list[Path]:
-    """Write what a task is handed tonight, and the script that does it.
+    """Write what a task is handed tonight, and the script that does it; returns the files, the script first.
 
     Parameters
     ----------
@@ -58,11 +58,6 @@ def write_task(site: Site, task: Task, out: Path, date: datetime.date | None = N
         The folder for the files; it is made.
     date : date, optional
         The night; the newest that has captures, if not given.
-
-    Returns
-    -------
-    list of Path
-        The files, the script first.
 
     Raises
     ------

@@ -170,14 +170,8 @@ _ELSEWHERE = "name a new or an empty folder"
 def write_demo(folder: Path, *, scene: str = "yard", **options: Any) -> None:
     """Render a demo scene into a folder that is new, empty, or holds an earlier demo; the same arguments write the same bytes.
 
-    Parameters
-    ----------
-    folder : Path
-        Where the files go.
-    scene : str
-        "yard", "square" or "carpark".
-    **options
-        Those of `wbflow_demo.scenes.render`: small, light, cameras, captures, seed, lenses, surfaces.
+    scene: "yard", "square" or "carpark".  options: those of `wbflow_demo.scenes.render`: small, light, cameras, captures, seed,
+    lenses, surfaces.
 
     Raises
     ------

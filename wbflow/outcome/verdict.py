@@ -13,7 +13,7 @@ import math
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 from ..errors import ExitCode, counted
 from ..pipeline.names import FUSE
@@ -91,6 +91,10 @@ class Facts:
     """How lenses and poses differ from those of the reference, which is out of use for that."""
     acknowledged: tuple[Acknowledgement, ...] = ()
     """What somebody knows of."""
+    expected: Expected = field(default_factory=Expected)
+    """What the site file says of good nights."""
+    baseline: Baseline = field(default_factory=Baseline)
+    """The runs before it."""
 
     @staticmethod
     def from_plan(plan: Plan, interrupted: bool) -> Facts:
@@ -117,26 +121,15 @@ def judge_run(record: RunRecord, plan: Plan, facts: Facts) -> RunRecord:
             if pinned.settings == settings and pinned.cloud:
                 found = usual_of([pinned])
                 usual = Usual(1, found.figures, usual.cameras if usual else found.cameras, pinned.run)
-    return judge(replace(record, settings=settings, usual=usual), facts, baseline, expected)
+    facts = replace(facts, expected=expected, baseline=baseline)
+    return judge(replace(record, settings=settings, usual=usual), facts)
 
 
-def judge(record: RunRecord, facts: Facts, baseline: Baseline, expected: Expected) -> RunRecord:
-    """Return the same from the record alone, which says what is usual.
-
-    Parameters
-    ----------
-    record
-        With what it is compared with.
-    facts
-        What the record does not say.
-    baseline
-        The runs before it.
-    expected
-        What the site file says of good nights.
-    """
-    record = with_appearance(record, expected)
-    record = replace(record, cameras=tuple(_with_down(camera, record, baseline) for camera in record.cameras))
-    night = Night(record, facts, expected)
+def judge(record: RunRecord, facts: Facts) -> RunRecord:
+    """Return the same of a record that says what is usual."""
+    record = with_appearance(record, facts.expected)
+    record = replace(record, cameras=tuple(_with_down(camera, record, facts.baseline) for camera in record.cameras))
+    night = Night(record, facts)
     every = (finding for check in CHECKS for finding in check(night))
     found, acknowledged = split(every, facts.acknowledged, record.date)
     level = _level(night, found)
@@ -150,7 +143,6 @@ class Night:
 
     record: RunRecord
     facts: Facts
-    expected: Expected
 
 
 def _level(night: Night, found: Iterable[Finding]) -> Level:
@@ -160,7 +152,7 @@ def _level(night: Night, found: Iterable[Finding]) -> Level:
 
 def _is_tolerated(found: Finding, night: Night) -> bool:
     """Is it about a camera of a site that may do without some?"""
-    limit = night.expected.limit(Measure.CAMERAS)
+    limit = night.facts.expected.limit(Measure.CAMERAS)
     if not found.kind.startswith("camera-") or limit >= 1:
         return False
     cameras = night.record.cameras
@@ -538,7 +530,7 @@ def check_amounts(night: Night) -> Iterator[Finding]:
     usual = record.usual or Usual(0, {})
     figures = figures_of(record) | {Measure.CAMERAS: float(sum(camera.ok for camera in record.cameras))}
     for name, value in figures.items():
-        limit, amount, base = night.expected.limit(name), _amount(name, value), usual.figures.get(name)
+        limit, amount, base = night.facts.expected.limit(name), _amount(name, value), usual.figures.get(name)
         if limit > 1:
             if value < limit:
                 yield _fewer(name, value, limit, f"{amount}, at least {limit:,.0f} are expected")

@@ -68,7 +68,9 @@ def night(
         settings=settings,
     )
     earlier = Baseline(tuple(past))
-    return judge(replace(record, usual=earlier.usual(settings, expected.since)), facts, earlier, expected)
+    return judge(
+        replace(record, usual=earlier.usual(settings, expected.since)), replace(facts, baseline=earlier, expected=expected)
+    )
 
 
 def verdict_of(record: RunRecord) -> Verdict:
@@ -244,7 +246,7 @@ def test_a_reason_that_names_every_file_is_cut() -> None:
 
 def test_a_camera_whose_stated_pose_the_pictures_contradict_has_been_moved() -> None:
     world = PosesSummary(issues=(PoseIssue("moved", "mast", text="seems to be turned by 3.1 degrees. Has it been moved?"),))
-    record = judge(replace(night(), poses=world), Facts(), Baseline(), Expected())
+    record = judge(replace(night(), poses=world), Facts())
     assert (only(record).kind, only(record).subject) == ("camera-moved", ("mast",))
 
 
@@ -252,7 +254,7 @@ def test_a_camera_that_all_contradictions_have_in_common_is_named_though_it_stay
     world = PosesSummary(
         issues=(PoseIssue("unverified", "mast", text="2 of its 2 pairs contradict its known pose by up to 33.8 px"),)
     )
-    record = judge(replace(night(), poses=world), Facts(), Baseline(), Expected())
+    record = judge(replace(night(), poses=world), Facts())
     assert (only(record).kind, only(record).subject) == ("camera-unverified", ("mast",))
 
 
@@ -263,7 +265,7 @@ def test_poses_that_are_not_known_well_enough_are_one_finding_though_there_is_a_
             PoseIssue("uncertain", "gate", row_px=2.9),
         )
     )
-    record = judge(replace(night(), poses=world), Facts(), Baseline(), Expected())
+    record = judge(replace(night(), poses=world), Facts())
     assert (only(record).kind, only(record).subject, record.exit_code) == ("poses-uncertain", ("mast", "gate"), ExitCode.DEGRADED)
     assert "up to 4.1 px beside the row" in only(record).text
 
@@ -272,7 +274,7 @@ def test_lenses_that_the_pictures_do_not_tell_are_one_finding_that_says_how_to_k
     world = PosesSummary(
         issues=tuple(PoseIssue("lens-undetermined", name, focal=0.031, border_px=2.24) for name in ("mast", "gate"))
     )
-    record = judge(replace(night(), poses=world), Facts(), Baseline(), Expected())
+    record = judge(replace(night(), poses=world), Facts())
     found = only(record)
     assert (found.kind, found.subject, record.exit_code) == ("lens-undetermined", ("mast", "gate"), ExitCode.DEGRADED)
     assert "3.1 % of its focal length" in found.text and "2.2 px at the border" in found.text
@@ -286,7 +288,7 @@ def test_solved_poses_that_look_alikes_have_a_say_in_are_a_finding() -> None:
             PoseIssue("inconsistent", "mast", strain=21.7),
         )
     )
-    record = judge(replace(night(), poses=world), Facts(), Baseline(), Expected())
+    record = judge(replace(night(), poses=world), Facts())
     found = only(record)
     assert (found.kind, found.subject, record.exit_code) == ("poses-inconsistent", ("gate", "mast"), ExitCode.DEGRADED)
     assert "22 times better" in found.text and found.figures == {"strain": 21.7}
@@ -365,7 +367,7 @@ def test_less_of_the_ground_than_usual() -> None:
         replace(night(date), poses=PosesSummary(), results={"coverage": CoverageSummary(area_m2=400.0, seen_by_two=share)})
         for date, share in (("2026-11-19", 0.8), ("2026-11-20", 0.3))
     ]
-    record = judge(replace(seen[1], usual=Baseline((seen[0],)).usual("as ever")), Facts(), Baseline(), Expected())
+    record = judge(replace(seen[1], usual=Baseline((seen[0],)).usual("as ever")), Facts())
     assert only(record).text == "120 m² seen by two cameras, 38 % of the usual 320"
 
 
@@ -451,7 +453,7 @@ def test_depths_that_differ_with_the_pair_name_the_camera_that_all_of_them_have_
     assert finding.subject == () and "no single camera explains it" in finding.text
     corner = CalibrationCheck(3000, 12, True, 1.0, True, cause="principal-points-corner", sigmas=5.0)
     record = replace(night(cameras=[*cameras, dense("crane")]), poses=PosesSummary(calibration=corner))
-    finding = only(judge(record, Facts(), Baseline(), Expected()))
+    finding = only(judge(record, Facts()))
     assert (finding.kind, finding.subject) == ("calibration-contradicted", ())
     assert "half a pixel less" in finding.text and "subtract 0.5 from cx and cy" in finding.remedy
 
@@ -460,7 +462,7 @@ def test_depths_that_differ_with_the_pair_name_the_camera_that_all_of_them_have_
 def test_a_cloud_of_whose_points_too_few_are_expected_to_be_right_degrades_the_night(right: float | None, good: bool) -> None:
     record = night()
     assert record.cloud
-    record = judge(replace(record, cloud=replace(record.cloud, right=right)), Facts(), Baseline(), Expected())
+    record = judge(replace(record, cloud=replace(record.cloud, right=right)), Facts())
     assert verdict_of(record).good == good
     if not good:
         assert only(record).kind == "cloud-doubtful" and "85.0 % of its points" in only(record).text
@@ -496,7 +498,7 @@ CONTRADICTED = tuple(PoseIssue("contradicted", name, "by 5.0 degrees") for name 
 def test_what_is_stated_and_contradicted_degrades_the_night(
     figures: dict[str, Any], kind: str, subject: tuple[str, ...], words: str
 ) -> None:
-    record = judge(replace(night(), poses=PosesSummary(**figures)), Facts(), Baseline(), Expected())
+    record = judge(replace(night(), poses=PosesSummary(**figures)), Facts())
     found = only(record)
     assert (found.kind, found.subject, record.exit_code) == (kind, subject, ExitCode.DEGRADED)
     assert words in found.text
@@ -504,6 +506,6 @@ def test_what_is_stated_and_contradicted_degrades_the_night(
 
 def test_a_calibration_that_nothing_could_check_is_unverified_and_no_fault() -> None:
     world = PosesSummary(source="calibration")
-    assert world.unverified and judge(replace(night(), poses=world), Facts(), Baseline(), Expected()).exit_code == ExitCode.GOOD
+    assert world.unverified and judge(replace(night(), poses=world), Facts()).exit_code == ExitCode.GOOD
     assert not PosesSummary(source="solved").unverified
     assert not PosesSummary(source="calibration", calibration=CalibrationCheck(misfit=1.0)).unverified
