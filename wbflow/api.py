@@ -130,7 +130,7 @@ def open_run(where: Site | str | Path, run_id: str | None = None) -> Run:
         return Run.at(RunFolder.at(Path(where)))
     place = (where if isinstance(where, Site) else load_site(where)).work_folder
     refresh(place)
-    return Run.open(place, RunFolder.of(place, run_id))
+    return Run.open(place, run_id)
 
 
 def _run(site: Site, options: Options, listen: Listener) -> Run:

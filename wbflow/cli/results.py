@@ -48,10 +48,9 @@ def report(site: Path, run_id: str | None, work: str | None) -> None:
     """
     loaded = load(site, work)
     from ..outcome.artifacts import Run
-    from ..records.run_folder import RunFolder
     from ..report.page import rebuild_report
 
-    run = Run.open(loaded.work_folder, RunFolder.of(loaded.work_folder, run_id))
+    run = Run.open(loaded.work_folder, run_id)
     echo(run.place.write_report(rebuild_report(loaded, run)))
 
 
@@ -200,10 +199,9 @@ def _two_runs(nights: tuple[Path, ...], work: str | None) -> tuple[RunFolder, Ru
 def _compare_with_scan(site: Site, night: str | None, scan: Path, out: Path, as_json: bool) -> None:
     from ..outcome.artifacts import Run
     from ..outcome.compare import compare_with_scan
-    from ..records.run_folder import RunFolder
 
     folder = site.work_folder
-    run = Run.open(folder, RunFolder.of(folder, night or folder.latest_good.name))
+    run = Run.open(folder, night or folder.latest_good.name)
     found = compare_with_scan(run, scan, out)
     if as_json:
         echo_json(found)
@@ -341,10 +339,9 @@ def export(site: Path, run_id: str | None, out: Path, work: str | None, **wanted
     folder = load(site, work).work_folder
     from ..outcome.artifacts import Run
     from ..outcome.artifacts import export as write
-    from ..records.run_folder import RunFolder
 
-    run = RunFolder.of(folder, run_id or folder.latest_good.name)
-    for file in write(Run.open(folder, run), out, names):
+    run = Run.open(folder, run_id or folder.latest_good.name)
+    for file in write(run, out, names):
         echo(file)
 
 

@@ -44,14 +44,15 @@ class Run:
     cache: Cache
 
     @staticmethod
-    def open(work: WorkFolder, folder: RunFolder) -> Run:
-        """Raises NoSuchRun for a folder that cannot be read."""
+    def open(work: WorkFolder, name: str | None = None) -> Run:
+        """A run by what `RunFolder.of` knows it by.  Raises NoSuchRun where there is none, or it cannot be read."""
+        folder = RunFolder.of(work, name)
         return Run(folder, folder.record(), folder.tasks(), Cache(work))
 
     @staticmethod
     def at(folder: RunFolder) -> Run:
         """The run in a folder, with the work folder around it.  Raises NoSuchRun."""
-        return Run.open(WorkFolder.of_run(folder.paths), folder)
+        return Run(folder, folder.record(), folder.tasks(), Cache(WorkFolder.of_run(folder.paths)))
 
     def __repr__(self) -> str:
         cloud = self.record.cloud
