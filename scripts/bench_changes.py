@@ -17,7 +17,7 @@ import numpy as np
 from bench_files import Panel, draw, write_rows
 
 import wbflow
-from wbflow.pipeline.names import DEPTH, FRAMES, POSES, REFINE
+from wbflow.pipeline.stages import DEPTH, FRAMES, POSES, REFINE
 from wbflow_stages.changes import find_changes
 from wbflow_stages.core.cameras import backproject
 from wbflow_stages.types import Camera, Changes, Cloud, DepthMap, Float64s, Frame, Poses

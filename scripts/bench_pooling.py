@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 
 import wbflow
-from wbflow.pipeline.names import FRAMES
+from wbflow.pipeline.stages import FRAMES
 from wbflow_demo.render.photograph import DemoCamera
 from wbflow_demo.render.sensor import jpeg, png
 from wbflow_demo.scenes import render

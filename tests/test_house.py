@@ -188,7 +188,6 @@ ON_THEIR_OWN = {
     "stages.exports.las",
     "stages.fusion.even_regions",
     "stages.fusion.surface_support",
-    "wbflow.cache.owner",
 }
 """Modules under 60 lines with one importer that are an idea of their own."""
 

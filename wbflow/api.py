@@ -16,7 +16,7 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 from .cache.atomic import bytes_of, disk_fault
-from .cache.owner import claim
+from .cache.lock import claim
 from .errors import UsageError
 from .outcome.artifacts import Run as Run
 from .outcome.publish import mend_ledger, run_pipeline

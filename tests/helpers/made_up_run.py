@@ -12,11 +12,10 @@ import cv2
 import numpy as np
 
 from wbflow.api import load_site
-from wbflow.cache.digests import content_digest
 from wbflow.cache.layout import WorkFolder
+from wbflow.cache.signed import content_digest
 from wbflow.cache.store import Cache, Preimage, Receipt
-from wbflow.pipeline.names import FRAMES, FUSE, GEOMETRY
-from wbflow.pipeline.stages import STAGES
+from wbflow.pipeline.stages import FRAMES, FUSE, GEOMETRY, STAGES
 from wbflow.pipeline.summaries import CameraFigures, PairFigures, PosesSummary
 from wbflow.records.events import Event, TaskEvent
 from wbflow.records.findings import Finding, Health, Verdict

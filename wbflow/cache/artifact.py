@@ -17,9 +17,9 @@ from typing import Any
 
 from ..errors import WbflowError
 from ..pipeline.stages import PointTable
-from .digests import content_digest
-from .plugins import load
+from .fingerprint import load
 from .ply import columns_of, ply_bytes
+from .signed import content_digest
 
 MAGIC = b"WBF1"
 _SCALARS = (bool, int, float, str)  # `bool | int` would be made anew at each look

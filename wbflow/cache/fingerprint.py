@@ -1,4 +1,4 @@
-"""A fingerprint of all code that a function runs, from source files alone.
+"""Functions by dotted name, and a fingerprint of all code that each runs, from source files alone.
 
 It covers the syntax trees (without comments and docstrings) of the function's module and of the modules that this one imports,
 directly or not, as far as they belong to the same package, to the stages or to the site's own folder; and the major.minor
@@ -11,16 +11,17 @@ from __future__ import annotations
 import ast
 import functools
 import hashlib
+import importlib
 import importlib.util
 import platform
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from importlib.machinery import ModuleSpec
 from pathlib import Path
+from typing import Any
 
 from ..errors import ExitCode, WbflowError
-from .plugins import was_offered
 
 FOLLOWED = ("wbflow_stages",)
 """Packages whose modules are followed whoever imports them."""
@@ -298,3 +299,33 @@ def _provided() -> dict[str, list[str]]:
 
 def _minor(version: str) -> str:
     return ".".join(version.split(".")[:2])
+
+
+class _Beside(str):
+    """An entry of the module path that was added for a site."""
+
+    def __reduce__(self) -> tuple[type[str], tuple[str]]:  # worker processes get the path before they can import this
+        return str, (str(self),)
+
+
+def offer(folder: Path | None) -> None:
+    """Let modules in a folder be imported, after all that Python finds elsewhere; those of another site are forgotten."""
+    for other in [entry for entry in sys.path if isinstance(entry, _Beside) and entry != str(folder)]:
+        sys.path.remove(other)
+        for name, module in list(sys.modules.items()):
+            if Path(getattr(module, "__file__", None) or "/").is_relative_to(other):
+                del sys.modules[name]
+    if folder and str(folder) not in sys.path:
+        sys.path.append(_Beside(folder))
+
+
+def was_offered(file: str) -> bool:
+    """Was a source file made importable by `offer`, rather than installed?"""
+    return any(Path(file).is_relative_to(entry) for entry in sys.path if isinstance(entry, _Beside))
+
+
+def load(dotted: str) -> Callable[..., Any]:
+    """The function, or class, "package.module:name"."""
+    module, _, name = dotted.partition(":")
+    function: Callable[..., Any] = getattr(importlib.import_module(module), name)  # waits for another thread that imports it
+    return function

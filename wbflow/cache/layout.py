@@ -98,7 +98,7 @@ class WorkFolder:
         self.notified = self.root / "notified.json"
         """The state of the site that somebody was told of last."""
         self.owner = self.root / "site.json"
-        """Which site the folder belongs to (see `cache.owner`)."""
+        """Which site the folder belongs to (see `cache.lock`)."""
         self.mirror_memo = self.root / "mirror.json"
         """What was agreed with the object store that this folder mirrors (see `remote`); an ordinary one has none."""
         self.lock = self.root / "lock"

@@ -9,8 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import WbflowError
-from .digests import file_digest
-from .signed import Damaged, read_signed, write_signed
+from .signed import Damaged, file_digest, read_signed, write_signed
 
 _SETTLED_NS = 2_000_000_000
 """A file younger than this may change again within its time stamp's resolution."""

@@ -7,6 +7,7 @@ two files exchanged), not malice: whoever may write to the work folder is truste
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 from collections.abc import Mapping
@@ -15,11 +16,21 @@ from typing import Any
 
 from ..errors import WbflowError
 from .atomic import Fsync, write_atomic
-from .digests import content_digest
-from .untrusted import Unreadable, read_outside
+from .untrusted import Unreadable, open_outside, read_outside
 
 _HEAD, _TAIL = b'{"signed":"', b'",'
 _BODY = len(_HEAD) + 32 + len(_TAIL)
+
+
+def content_digest(data: bytes | bytearray | memoryview) -> str:
+    """By this files and artifacts are compared: 32 hexadecimal digits of SHA-256."""
+    return hashlib.sha256(data).hexdigest()[:32]
+
+
+def file_digest(path: Path) -> str:
+    """The same of a file from outside, read in pieces.  Raises OSError."""
+    with os.fdopen(open_outside(path), "rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()[:32]
 
 
 class Damaged(WbflowError, ValueError):

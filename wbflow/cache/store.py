@@ -20,9 +20,8 @@ from ..pipeline.stages import stage_named
 from ..task import Task
 from . import artifact
 from .atomic import clear, write_atomic
-from .digests import content_digest
 from .layout import WorkFolder
-from .signed import Damaged, read_signed, write_signed
+from .signed import Damaged, content_digest, read_signed, write_signed
 from .untrusted import read_outside
 
 
@@ -88,7 +87,7 @@ class Receipt:
     """ran, or rejected: then there is a reason, and no file."""
     preimage: Preimage
     digest: str
-    """Of the artifact's bytes (see `digests`)."""
+    """Of the artifact's bytes (see `signed`)."""
     parts: dict[str, str] = field(default_factory=dict)
     """Digests of what can be needed on its own (see `artifact.parts`)."""
     file: str | None = None

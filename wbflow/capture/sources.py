@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import IO
 
-from ..cache.plugins import load
+from ..cache.fingerprint import load
 from ..cache.untrusted import read_outside
 from ..errors import WbflowError
 

@@ -12,10 +12,10 @@ from typing import Annotated, Any
 from pydantic import Field
 
 from ..cache.atomic import write_atomic
-from ..cache.digests import content_digest
+from ..cache.fingerprint import load
 from ..cache.memo import Digests
-from ..cache.plugins import load
 from ..cache.ply import read_ply
+from ..cache.signed import content_digest
 from ..cache.untrusted import MOST_TEXT_BYTES, is_file, read_outside
 from ..errors import ExitCode, WbflowError
 from ..pipeline.exports import MASK_SHADE, PAINTED_MASK, PICTURE_TO_DRAW_ON, SIGHTS

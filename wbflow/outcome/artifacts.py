@@ -11,14 +11,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..cache.atomic import write_atomic
+from ..cache.fingerprint import load
 from ..cache.layout import WorkFolder
-from ..cache.plugins import load
 from ..cache.ply import read_ply
 from ..cache.store import Cache, Receipt
 from ..errors import ExitCode, UsageError, WbflowError
 from ..pipeline.exports import CLOUD_OBJECT, EXPORTS, EXTRAS, Export
-from ..pipeline.names import FRAMES, FUSE
-from ..pipeline.stages import CLOUD_TABLE, STAGES, stage_named
+from ..pipeline.stages import CLOUD_TABLE, FRAMES, FUSE, STAGES, stage_named
 from ..records.events import Event, TaskEvent
 from ..records.record import CameraRecord, CloudRecord, PairRecord, RunRecord
 from ..records.run_folder import RunFolder

@@ -12,14 +12,13 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Literal
 
+from ..cache.fingerprint import load
 from ..cache.layout import WorkFolder
-from ..cache.plugins import load
 from ..cache.store import Preimage, Receipt
 from ..cache.untrusted import read_outside
 from ..errors import ExitCode, printable
 from ..pipeline.exports import DECODE
-from ..pipeline.names import PAIRS
-from ..pipeline.stages import SITE_TYPES, stage_named
+from ..pipeline.stages import PAIRS, SITE_TYPES, stage_named
 from ..records.run_folder import NoSuchRun, RunFolder
 from ..runner.context import RunContext, plan_run
 from ..runner.planner import Plan

@@ -9,12 +9,12 @@ from pathlib import Path
 from typing import Any
 
 from ..cache.atomic import write_atomic
+from ..cache.fingerprint import load
 from ..cache.layout import WorkFolder
-from ..cache.plugins import load
 from ..cache.ply import ply_bytes
 from ..errors import UsageError, WbflowError
 from ..pipeline.exports import CHANGES_DATA, SCAN_FILES
-from ..pipeline.names import CHANGES, DEPTH, FRAMES, POSES, REFINE
+from ..pipeline.stages import CHANGES, DEPTH, FRAMES, POSES, REFINE
 from ..pipeline.summaries import CutFill, titled
 from ..records.record import CameraRecord, PairRecord, RunRecord
 from ..records.run_folder import NoSuchRun, RunFolder, newest_runs

@@ -11,14 +11,13 @@ from pathlib import Path
 from typing import Any
 
 from ..cache.artifact import result_bytes
-from ..cache.digests import content_digest
-from ..cache.plugins import load, offer
+from ..cache.fingerprint import load, offer
 from ..cache.ply import columns_of
+from ..cache.signed import content_digest
 from ..cache.store import Cache
 from ..errors import UsageError
 from ..pipeline.exports import FROM_PLAIN_FILES, PLAIN_FILES
-from ..pipeline.names import DENSE_PAIRS, PAIRS
-from ..pipeline.stages import REJECTED, stage_named
+from ..pipeline.stages import DENSE_PAIRS, PAIRS, REJECTED, stage_named
 from ..runner.context import plan_run
 from ..runner.executors import THREADS
 from ..runner.planner import Plan

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from ..cache.atomic import write_atomic
-from ..cache.plugins import load
+from ..cache.fingerprint import load
 from ..cache.ply import ply_bytes
 from ..cache.untrusted import Unreadable, read_outside
 from ..errors import UsageError

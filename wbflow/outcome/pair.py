@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import Any
 
 from ..cache.atomic import write_atomic
-from ..cache.plugins import load
+from ..cache.fingerprint import load
 from ..errors import UsageError
 from ..pipeline.exports import PAIR_FILES, PAIR_RESULTS
-from ..pipeline.names import DISPARITY, FRAMES, POSES
+from ..pipeline.stages import DISPARITY, FRAMES, POSES
 from ..report import render
 from ..site.load import load_site
 from ..site.models import Site

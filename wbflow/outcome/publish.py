@@ -14,12 +14,11 @@ from typing import Any
 from ..cache import artifact
 from ..cache.atomic import in_words
 from ..cache.cleanup import clean
+from ..cache.fingerprint import load
 from ..cache.layout import WorkFolder, cloud_name
-from ..cache.plugins import load
 from ..cache.ply import ply_bytes, with_comments
 from ..errors import UsageError, WbflowError
-from ..pipeline.names import FRAMES, FUSE, POSES
-from ..pipeline.stages import stage_named
+from ..pipeline.stages import FRAMES, FUSE, POSES, stage_named
 from ..pipeline.summaries import PosesSummary
 from ..records.events import TaskEvent
 from ..records.ledger import Ledger

@@ -13,8 +13,7 @@ from .. import __version__
 from ..cache.fingerprint import installed_versions
 from ..cache.layout import cloud_name
 from ..errors import ExitCode
-from ..pipeline.names import DENSE_PAIRS, DEPTH, DISPARITY, FRAMES, FUSE, GEOMETRY, PAIRS, POSES
-from ..pipeline.stages import STAGES, Stage
+from ..pipeline.stages import DENSE_PAIRS, DEPTH, DISPARITY, FRAMES, FUSE, GEOMETRY, PAIRS, POSES, STAGES, Stage
 from ..pipeline.summaries import (
     CameraFigures,
     DepthSummary,

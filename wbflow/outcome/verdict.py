@@ -16,8 +16,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field, replace
 
 from ..errors import ExitCode, counted
-from ..pipeline.names import FUSE
-from ..pipeline.stages import STAGES, stage_named
+from ..pipeline.stages import FUSE, STAGES, stage_named
 from ..pipeline.summaries import CalibrationCheck, PosesSummary, SiteSummary
 from ..records.findings import FINDINGS, Down, Finding, Level, Usual, Verdict, finding
 from ..records.record import CameraRecord, PairRecord, RunRecord

@@ -10,9 +10,8 @@ from dataclasses import dataclass
 
 from .binding import method_parameters
 from .functions import FunctionReader
-from .names import FUSE
 from .signature import Parameter
-from .stages import COMPONENT, Stage
+from .stages import COMPONENT, FUSE, Stage
 
 _TYPES = re.compile(r"(?:int|float|bool|str|list|tuple|dict|None|optional|\{[^}]*\}|\"[^\"]*\"| |or|of|\||,|\[[^\]]*\])+")
 _UNITS = {

@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from .names import DEPTH, DISPARITY, FRAMES, FUSE, GEOMETRY, MATCHES, POSES, RECTIFY, REFINE
-
 
 @dataclass(frozen=True)
 class Export:
@@ -38,7 +36,7 @@ EXTRAS: Mapping[str, tuple[str, ...]] = {
 }
 """Packages of the extras that exports may need."""
 
-_CLOUD, _POSES = (FUSE,), (POSES,)
+_CLOUD, _POSES, _FRAMES = ("fuse",), ("poses",), ("frames",)
 
 EXPORTS: tuple[Export, ...] = (
     Export(
@@ -82,19 +80,19 @@ EXPORTS: tuple[Export, ...] = (
         "depth",
         "Depth map of each camera: 16-bit PNG and PFM.",
         "wbflow_stages.exports.forms:depth",
-        {"poses": _POSES, "depths": (REFINE, DEPTH)},
+        {"poses": _POSES, "depths": ("refine", "depth")},
     ),
     Export(
         "mesh",
         "The surface through the cloud (Poisson): PLY, and OBJ with the photographs on it.",
         "wbflow_stages.exports.forms:mesh",
-        {"cloud": _CLOUD, "poses": _POSES, "frames": (FRAMES,)},
+        {"cloud": _CLOUD, "poses": _POSES, "frames": _FRAMES},
     ),
     Export(
         "orthophoto",
         "The site from straight above: GeoTIFF, or PNG with its world file.",
         "wbflow_stages.exports.forms:orthophoto",
-        {"cloud": _CLOUD, "poses": _POSES, "frames": (FRAMES,)},
+        {"cloud": _CLOUD, "poses": _POSES, "frames": _FRAMES},
         extra_on_the_map="geo",
     ),
     Export(
@@ -116,7 +114,7 @@ EXPORTS: tuple[Export, ...] = (
         "colmap",
         "Cameras, images and points as a COLMAP model.",
         "wbflow_stages.exports.forms:colmap",
-        {"cloud": _CLOUD, "poses": _POSES, "frames": (FRAMES,), "geometries": (GEOMETRY,)},
+        {"cloud": _CLOUD, "poses": _POSES, "frames": _FRAMES, "geometries": ("geometry",)},
     ),
 )
 
@@ -130,10 +128,10 @@ SCANS = (".las", ".laz", ".e57", ".ply", ".pcd", ".xyz", ".obj", ".stl", ".off")
 """How names of scans and models end."""
 
 PAIR_RESULTS: Mapping[str, str] = {
-    "matches": MATCHES,
-    "geometry": GEOMETRY,
-    "rectification": RECTIFY,
-    "disparity": DISPARITY,
+    "matches": "matches",
+    "geometry": "geometry",
+    "rectification": "rectify",
+    "disparity": "disparity",
 }
 """By argument name; what a pair did not come to is None."""
 

@@ -11,7 +11,6 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import Any, Literal
 
-from .names import DENSE_PAIRS, FUSE, HEALTH, PAIRS
 from .summaries import (
     ChangesSummary,
     CoverageSummary,
@@ -28,6 +27,11 @@ from .summaries import (
     RectifySummary,
     Summary,
 )
+
+FRAMES, HEALTH, PAIRS, MATCHES, GEOMETRY = "frames", "health", "pairs", "matches", "geometry"
+POSES, DENSE_PAIRS, RECTIFY, DISPARITY = "poses", "dense_pairs", "rectify", "disparity"
+DEPTH, REFINE, FUSE, CHANGES = "depth", "refine", "fuse", "changes"
+"""Names of the stages that the engine knows for more than handing on their results."""
 
 REJECTED = "wbflow_stages.types:Rejected"
 """The type of a result that says "nothing usable here": it has `reason` and `figures`."""

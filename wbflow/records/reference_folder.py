@@ -17,9 +17,8 @@ from pathlib import Path
 from typing import Any
 
 from ..cache.atomic import clear, copy_atomic, write_atomic
-from ..cache.digests import file_digest
 from ..cache.layout import WorkFolder
-from ..cache.signed import Damaged, read_signed, signed
+from ..cache.signed import Damaged, file_digest, read_signed, signed
 from ..cache.store import Cache, Receipt
 from ..cache.untrusted import Unreadable, read_outside
 from ..errors import WbflowError

@@ -12,13 +12,12 @@ from collections.abc import Mapping
 from typing import Any
 
 from ..cache import artifact
-from ..cache.digests import content_digest
+from ..cache.fingerprint import load
 from ..cache.layout import WorkFolder
-from ..cache.plugins import load
+from ..cache.signed import content_digest
 from ..cache.store import Cache, DamagedArtifact, Preimage, Receipt
 from ..pipeline.functions import FunctionReader
-from ..pipeline.names import POSES
-from ..pipeline.stages import STAGES, Stage
+from ..pipeline.stages import POSES, STAGES, Stage
 from ..records.reference_folder import PinnedArtifact, Reference, write_reference
 from ..records.run_folder import NoSuchRun, newest_runs
 from ..runner.planner import Plan

@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from ..cache.store import Receipt
 from ..pipeline.binding import Binding
-from ..pipeline.names import FRAMES
-from ..pipeline.stages import Adapt, Stage
+from ..pipeline.stages import FRAMES, Adapt, Stage
 from ..records.reference_folder import Reference
 from ..runner.spec import Files, Joined, Value, input_digests, stated, stated_of_site
 from ..site.captures import file_of_stage

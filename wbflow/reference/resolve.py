@@ -13,8 +13,7 @@ from functools import cached_property
 from typing import Any
 
 from ..cache.store import Cache, Receipt
-from ..pipeline.names import FRAMES, HEALTH
-from ..pipeline.stages import STAGES, Adapt, Reuse, Source, Stage, ancestors, stage_named
+from ..pipeline.stages import FRAMES, HEALTH, STAGES, Adapt, Reuse, Source, Stage, ancestors, stage_named
 from ..pipeline.summaries import HealthSummary
 from ..records.findings import Health
 from ..records.reference_folder import Reference, put_back

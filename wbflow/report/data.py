@@ -11,7 +11,7 @@ from typing import Any
 
 from ..cache.layout import WorkFolder
 from ..cache.store import Cache
-from ..pipeline.names import FRAMES
+from ..pipeline.stages import FRAMES
 from ..pipeline.summaries import Change
 from ..records.events import Event, TaskEvent
 from ..records.record import CameraRecord, RunRecord

@@ -10,11 +10,10 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 from ..cache.artifact import figures
-from ..cache.plugins import load
+from ..cache.fingerprint import load
 from ..errors import counted
 from ..outcome.artifacts import Gone, Run
-from ..pipeline.names import CHANGES
-from ..pipeline.stages import stage_named
+from ..pipeline.stages import CHANGES, stage_named
 from ..pipeline.summaries import ChangesSummary, meaning, spoken
 from ..records.events import TaskEvent, WarningEvent
 from ..records.record import RunRecord, moment

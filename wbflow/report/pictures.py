@@ -15,11 +15,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from ..cache.plugins import load
+from ..cache.fingerprint import load
 from ..cache.untrusted import read_outside
 from ..pipeline.exports import FEWER_POINTS
-from ..pipeline.names import FRAMES, FUSE
-from ..pipeline.stages import STAGES, stage_named
+from ..pipeline.stages import FRAMES, FUSE, STAGES, stage_named
 from ..records.run_folder import NoSuchRun, RunFolder
 from ..task import Task
 from .data import ReportData

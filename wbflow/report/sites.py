@@ -13,7 +13,7 @@ from ..cache.store import Cache
 from ..cache.untrusted import MOST_TEXT_BYTES, read_outside
 from ..errors import WbflowError
 from ..outcome.history import Entry, history
-from ..pipeline.names import FUSE
+from ..pipeline.stages import FUSE
 from ..records.findings import Finding
 from ..records.run_folder import NoSuchRun, RunFolder
 from ..site.load import load_site

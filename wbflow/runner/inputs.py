@@ -7,8 +7,7 @@ from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
-from ..pipeline.names import DENSE_PAIRS, FRAMES, FUSE, HEALTH, PAIRS, POSES
-from ..pipeline.stages import SITE_TYPES, Source, Stage, stage_named
+from ..pipeline.stages import DENSE_PAIRS, FRAMES, FUSE, HEALTH, PAIRS, POSES, SITE_TYPES, Source, Stage, stage_named
 from ..pipeline.summaries import PairsSummary, PosesSummary
 from ..reference.resolve import Pinned
 from ..site.captures import CaptureFile, file_of_stage

@@ -13,8 +13,7 @@ from pathlib import Path
 
 from ..cache.atomic import REMEDY
 from ..cache.store import DamagedArtifact
-from ..pipeline.names import DEPTH, FUSE, POSES
-from ..pipeline.stages import stage_named
+from ..pipeline.stages import DEPTH, FUSE, POSES, stage_named
 from ..task import Task
 from .context import RunContext
 from .dispatch import DiskFloor, Dispatcher

@@ -14,8 +14,7 @@ from typing import Any
 
 from ..cache.store import Cache, Receipt
 from ..pipeline.binding import Binding, bind
-from ..pipeline.names import DENSE_PAIRS, FRAMES, FUSE, PAIRS, POSES
-from ..pipeline.stages import COMPONENT, STAGES, Adapt, Stage, ancestors, stage_named
+from ..pipeline.stages import COMPONENT, DENSE_PAIRS, FRAMES, FUSE, PAIRS, POSES, STAGES, Adapt, Stage, ancestors, stage_named
 from ..records.findings import Health
 from ..records.reference_folder import Reference
 from ..reference.calibration_change import calibration_change

@@ -21,9 +21,9 @@ from typing import Any, TextIO
 from ..cache import artifact
 from ..cache.artifact import result_bytes, result_of
 from ..cache.atomic import FULL, REMEDY
-from ..cache.digests import content_digest
+from ..cache.fingerprint import load, offer
 from ..cache.memo import ChangedFile
-from ..cache.plugins import load, offer
+from ..cache.signed import content_digest
 from ..cache.store import Cache, Damage, DamagedArtifact, Preimage, Receipt
 from ..cache.untrusted import read_outside
 from ..errors import LONGEST_TRACE, printable

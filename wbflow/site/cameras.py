@@ -6,7 +6,7 @@ import dataclasses
 import itertools
 from typing import TYPE_CHECKING, Any
 
-from ..cache.plugins import load
+from ..cache.fingerprint import load
 from ..cache.untrusted import is_file
 from ..errors import printable
 from ..pipeline.exports import VIEWS_OF_LENS

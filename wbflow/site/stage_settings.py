@@ -13,8 +13,7 @@ from ..cache.untrusted import is_file
 from ..errors import printable
 from ..pipeline.binding import Binding, bind, method_parameters, methods_with_file
 from ..pipeline.functions import FunctionReader
-from ..pipeline.names import FUSE
-from ..pipeline.stages import COMPONENT, STAGES, Stage
+from ..pipeline.stages import COMPONENT, FUSE, STAGES, Stage
 from .locations import Location, Problems, beside, did_you_mean, similar
 from .models import StageSettings
 

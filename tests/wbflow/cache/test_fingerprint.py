@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from importlib import metadata
 from pathlib import Path
 
 import pytest
 
-from wbflow.cache.fingerprint import Modules, installed_version, read_code
+from wbflow.cache.fingerprint import Modules, installed_version, load, read_code
 from wbflow.pipeline.functions import FunctionReader
 
 STAGE = """\
@@ -146,3 +147,10 @@ def test_any_library_that_the_code_imports_counts_by_its_minor_version(
 def test_the_standard_library_does_not_count(package: Package) -> None:
     package.write(stage="import json\nfrom os import path\n\ndef work(left):\n    return json, path\n")
     assert read_code(Modules(), f"{package.root.name}.stage:work").libraries == ()
+
+
+def test_threads_that_load_from_one_module_wait_until_it_is_imported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "slow_to_import.py").write_text("import time\n\ntime.sleep(0.2)\n\n\ndef stage():\n    return 1\n")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    with ThreadPoolExecutor(4) as threads:
+        assert [f() for f in threads.map(load, ["slow_to_import:stage"] * 4)] == [1] * 4

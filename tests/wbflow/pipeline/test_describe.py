@@ -13,8 +13,7 @@ from wbflow.cli.main import main
 from wbflow.pipeline.binding import method_parameters
 from wbflow.pipeline.describe import describe, document
 from wbflow.pipeline.functions import FunctionReader
-from wbflow.pipeline.names import DISPARITY, MATCHES
-from wbflow.pipeline.stages import STAGES, Stage, stage_named
+from wbflow.pipeline.stages import DISPARITY, MATCHES, STAGES, Stage, stage_named
 
 
 @pytest.mark.parametrize("stage", STAGES, ids=lambda s: s.name)

@@ -5,8 +5,7 @@ from __future__ import annotations
 from types import SimpleNamespace
 from typing import Any, cast
 
-from wbflow.pipeline.names import PAIRS
-from wbflow.pipeline.stages import stage_named
+from wbflow.pipeline.stages import PAIRS, stage_named
 from wbflow.runner.inputs import Subjects
 from wbflow.runner.spec import State
 from wbflow.task import Task
