@@ -34,7 +34,7 @@ from .display import display
 
 if TYPE_CHECKING:
     from ..api import Run
-    from ..capture.take import Taken
+    from ..capture import Taken
     from ..outcome.check import Status
     from ..records.findings import Finding
     from ..records.record import RunRecord
@@ -246,7 +246,7 @@ def capture(site: Path, quiet: bool) -> None:
 
 def _capture(site: Site, quiet: bool) -> list[Taken]:
     """Take pictures, and say of each camera how many there are."""
-    from ..capture.take import capture
+    from ..capture import capture
 
     def print_taken(taken: Taken) -> None:
         if taken.fault or not quiet:

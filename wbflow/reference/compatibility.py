@@ -1,9 +1,11 @@
-"""Is the reference one of the site as its file describes it now?"""
+"""Is the reference one of the site as its file describes it now, and by how much have lenses and poses changed if not?"""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+import math
+from collections.abc import Mapping, Sequence
+from itertools import combinations
 from typing import TYPE_CHECKING, Any
 
 from ..cache.store import Receipt
@@ -11,6 +13,7 @@ from ..pipeline.binding import Binding
 from ..pipeline.stages import FRAMES, Adapt, Stage
 from ..records.reference_folder import Reference
 from ..runner.spec import Files, Joined, Value, input_digests, stated, stated_of_site
+from ..site.calibration.calibrated import Lens
 from ..site.captures import file_of_stage
 from ..site.models import Site
 from ..task import camera_of
@@ -73,3 +76,97 @@ def _changed(receipt: Receipt, stage: Stage, site: Site, bound: Binding, setting
                 if then.inputs.get(entry) != digest:
                     return f"what the site file says of {entry}"
     return ""
+
+
+LEAST_FOCAL = 0.005
+"""Focal lengths that differ by a smaller share have not changed."""
+LEAST_BORDER = 0.001
+"""So has distortion that moves the border of the picture by a smaller share of its width."""
+LEAST_DEG, LEAST_DISTANCE = 0.5, 0.02
+"""So have poses: degrees between two cameras, and the share of the cameras' mean distance by which one of them differs."""
+Pinned = Mapping[str, Mapping[str, Any]]
+
+
+def calibration_change(pinned: Pinned, site: Site) -> str:
+    """Return in words what is different, "" where nothing is.
+
+    Poses are compared with each other, so that the frame and the scale of the pinned world do not matter; those with standard
+    deviations were refined by the run that was pinned, and are not compared.
+
+    Parameters
+    ----------
+    pinned
+        The cameras of the reference as cameras.json has them, by id.
+    site
+        As its file states it now.
+    """
+    lenses = {c.id: (c.lens, pinned[c.id]) for c in site.cameras if c.lens.K is not None and pinned.get(c.id, {}).get("K")}
+    focals = {name: share for name, (lens, then) in lenses.items() if abs(share := _longer(lens, then)) > LEAST_FOCAL}
+    borders = {name: share for name, (lens, then) in lenses.items() if (share := _bent(lens, then)) > LEAST_BORDER}
+    found = []
+    if focals:
+        least, most = 100 * min(focals.values()), 100 * max(focals.values())
+        by = f"{most:+.1f} %" if most - least < 0.1 else f"{least:+.1f} to {most:+.1f} %"
+        found.append(f"focal lengths of {_named(focals, site)} by {by}")
+    if borders:
+        out = " (there is none any more)" if not any(any(lenses[name][0].distortion) for name in borders) else ""
+        found.append(f"distortion of {_named(borders, site)} by up to {100 * max(borders.values()):.1f} % of the width{out}")
+    exact = {c.id: c.placement for c in site.cameras if max(c.placement.sigma_m, c.placement.sigma_deg) == 0}
+    posed = {name: place for name, place in exact.items() if place.R and place.C and pinned.get(name, {}).get("R")}
+    before = {name: (pinned[name]["R"], pinned[name]["C"]) for name in posed}
+    turned, moved = _poses_apart(before, {name: (place.R, place.C) for name, place in posed.items()})
+    if turned > LEAST_DEG or moved > LEAST_DISTANCE:
+        found.append(f"poses by up to {turned:.1f} degrees and {100 * moved:.1f} % of the distance between cameras")
+    return "; ".join(found)
+
+
+def _named(cameras: Mapping[str, float], site: Site) -> str:
+    return "all cameras" if len(cameras) == len(site.cameras) else ", ".join(cameras)
+
+
+def _longer(lens: Lens, then: Mapping[str, Any]) -> float:
+    """Return by which share the focal length is longer than it was."""
+    assert lens.K is not None
+    width, before = lens.width or then["width"], then["width"]
+    return float(lens.K[0][0]) / width / (float(then["K"][0][0]) / float(before)) - 1
+
+
+def _bent(lens: Lens, then: Mapping[str, Any]) -> float:
+    """Return how far the corner of the picture moves, as a share of its width."""
+    K, width, height = then["K"], float(then["width"]), float(then["height"])
+    if lens.model != str(then.get("model") or "brown"):
+        return 1.0
+    if lens.model != "brown":
+        return float(list(lens.distortion) != list(then.get("distortion") or lens.distortion))
+    radius = math.hypot(width, height) / 2 / float(K[0][0])
+    off = _radial(lens.distortion, radius) - _radial(then.get("distortion") or (), radius)
+    return abs(off) * float(K[0][0]) / width
+
+
+def _radial(distortion: Sequence[float], radius: float) -> float:
+    """Return how far k1 k2 p1 p2 k3 move a ray (radial terms)."""
+    k1, k2, _, _, k3 = [*distortion, 0.0, 0.0, 0.0, 0.0, 0.0][:5]
+    return radius**3 * (k1 + radius**2 * (k2 + radius**2 * k3))
+
+
+def _poses_apart(before: Mapping[str, Any], now: Mapping[str, Any]) -> tuple[float, float]:
+    """Return the most degrees, and share of the mean distance, by which two cameras stand otherwise to each other."""
+    pairs = list(combinations(now, 2))
+    if not pairs:
+        return 0.0, 0.0
+    turned = max(_degrees(_between(before, *pair), _between(now, *pair)) for pair in pairs)
+    lengths = [[math.dist(poses[a][1], poses[b][1]) for a, b in pairs] for poses in (before, now)]
+    means = [sum(each) / len(each) or 1.0 for each in lengths]
+    moved = max(abs(new / means[1] - old / means[0]) for old, new in zip(*lengths, strict=True)) if len(pairs) > 1 else 0.0
+    return turned, moved
+
+
+def _between(poses: Mapping[str, Any], a: str, b: str) -> list[list[float]]:
+    """Return the rotation from one camera to another: R_b R_a^T."""
+    return [[sum(x * y for x, y in zip(row, other, strict=True)) for other in poses[a][0]] for row in poses[b][0]]
+
+
+def _degrees(one: list[list[float]], other: list[list[float]]) -> float:
+    """Return the angle between two rotations."""
+    trace = sum(x * y for row, line in zip(one, other, strict=True) for x, y in zip(row, line, strict=True))
+    return math.degrees(math.acos(max(-1.0, min(1.0, (trace - 1) / 2))))

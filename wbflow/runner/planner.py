@@ -17,10 +17,8 @@ from ..pipeline.binding import Binding, bind
 from ..pipeline.stages import COMPONENT, DENSE_PAIRS, FRAMES, FUSE, PAIRS, POSES, STAGES, Adapt, Stage, ancestors, stage_named
 from ..records.findings import Health
 from ..records.reference_folder import Reference
-from ..reference.calibration_change import calibration_change
-from ..reference.compatibility import misfit
-from ..reference.health_history import ShiftHistory
-from ..reference.resolve import Pinned
+from ..reference.compatibility import calibration_change, misfit
+from ..reference.resolve import Pinned, ShiftHistory
 from ..site.captures import CaptureFile
 from ..site.models import Site
 from ..task import Task, component_name, names_of

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from tests.helpers.toy_site import ToySite
-from wbflow.reference.calibration_change import calibration_change
+from wbflow.reference.compatibility import calibration_change
 from wbflow.site.load import load_site
 
 NAMES = ("gate", "roof", "mast")

@@ -14,7 +14,7 @@ from wbflow.records import run_folder
 from wbflow.records.findings import Health
 from wbflow.records.record import CameraRecord, RunRecord
 from wbflow.records.run_folder import RunFolder, UnfinishedRun
-from wbflow.reference.health_history import MOST_NIGHTS, ShiftHistory
+from wbflow.reference.resolve import MOST_NIGHTS, ShiftHistory
 
 REFERENCE = "20260101T031500Z"
 FIRST = datetime.date(2026, 1, 2)

@@ -18,7 +18,7 @@ from click.testing import CliRunner, Result
 
 import wbflow
 from tests.helpers.camera_servers import PASSWORD, USER, http_camera, picture, rtsp_camera, writing_into
-from wbflow.capture import sources, take
+from wbflow import capture as taking
 from wbflow.cli.main import main
 from wbflow.errors import ExitCode
 from wbflow.site.pattern import Pattern
@@ -26,10 +26,9 @@ from wbflow.site.pattern import Pattern
 
 @pytest.fixture(autouse=True)
 def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sources, "PATIENCE", 1.5)
-    monkeypatch.setattr(take, "PATIENCE", 1.5)
-    monkeypatch.setattr(take, "_BETWEEN_TRIES", 0.1)
-    monkeypatch.delenv(take.CREDENTIALS, raising=False)
+    monkeypatch.setattr(taking, "PATIENCE", 1.5)
+    monkeypatch.setattr(taking, "_BETWEEN_TRIES", 0.1)
+    monkeypatch.delenv(taking.CREDENTIALS, raising=False)
 
 
 @pytest.fixture

@@ -1,0 +1,345 @@
+"""`wbflow capture`: pictures of all cameras at once, under the names that a run looks for.
+
+They come from a snapshot or Motion JPEG over HTTP, a video stream, or a folder that a camera writes to.
+"""
+
+from __future__ import annotations
+
+import datetime
+import email.utils
+import functools
+import http.client
+import os
+import re
+import time
+import urllib.error
+import urllib.parse
+import urllib.request
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import IO, Any
+
+import yaml
+
+from .cache.atomic import write_atomic
+from .cache.fingerprint import load
+from .cache.untrusted import MOST_TEXT_BYTES, read_outside
+from .errors import UsageError, WbflowError, counted, printable
+from .site.captures import answered
+from .site.models import Site
+
+CREDENTIALS = "WBFLOW_CREDENTIALS"
+"""Environment variable: the file of credentials, where the site file names none."""
+TRIES = 3
+_BETWEEN_TRIES, _LEAD = 2.0, 2.0
+"""Seconds: before a camera is asked again; before the first picture, for connections to be made."""
+_SECONDS_OF_AN_HOUR = 3600
+_MOST_OFF = 60.0
+"""Seconds by which a camera's clock may differ from this machine's and is still believed."""
+PATIENCE = 15.0
+"""Seconds that a camera may take to answer."""
+LARGEST = 100_000_000
+"""Bytes of one picture."""
+_STREAM = "wbflow_stages.capture.stream:stream_pictures"
+_LOOK_SECONDS = 0.5
+_COMPLETE = {b"\xff\xd8": b"\xff\xd9", b"\x89P": b"IEND\xaeB`\x82"}
+"""How a picture ends, by how it begins."""
+
+
+class CaptureFailed(WbflowError):
+    """A camera gives no picture; the message holds neither user nor password."""
+
+
+@dataclass(frozen=True)
+class Login:
+    """Of a camera."""
+
+    user: str
+    password: str
+
+
+@dataclass(frozen=True)
+class Shot:
+    """A picture."""
+
+    data: bytes
+    """A file's content."""
+    taken: float | None
+    """Unix time, by the camera's own clock; None: it does not say."""
+
+
+@dataclass
+class Taken:
+    """What a camera has given."""
+
+    camera: str
+    wanted: int
+    files: list[Path] = field(default_factory=list)
+    fault: str = ""
+    """Why some are missing."""
+    own_clock: bool = True
+    """Are all times the camera's own?"""
+    off: float = 0.0
+    """Seconds by which its clock is ahead of this machine's, where that is too much to believe it."""
+
+    def __str__(self) -> str:
+        off = datetime.timedelta(seconds=round(abs(self.off)))
+        clock = f", its clock is {off} {'ahead' if self.off > 0 else 'behind'}" if self.off else ""
+        times = f"; times by {'the camera' if self.own_clock else 'this machine'}{clock}" if self.files else ""
+        return f"{len(self.files)} of {counted(self.wanted, 'picture')}{times}{': ' if self.fault else ''}{self.fault}"
+
+
+def capture(site: Site, listen: Callable[[Taken], None] = lambda taken: None) -> list[Taken]:
+    """Take pictures of every camera that has a `url`, all at the same moments.
+
+    Parameters
+    ----------
+    site : Site
+        Its `captures` say how many, over how long, and how files are called.
+    listen : callable, optional
+        Receives what a camera has given, as soon as it has ended.
+
+    Raises
+    ------
+    UsageError
+        No camera has a `url`; the file of credentials cannot be read; names do not tell pictures apart; captures lie in a store.
+    """
+    settings = site.settings.captures
+    urls = {entry.id: entry.url for entry in site.settings.cameras if entry.url}
+    if not urls:
+        raise UsageError("no camera has a url", remedy="for example: cameras: [{id: gate, url: 'rtsp://10.0.0.5/stream'}]")
+    if site.captures.store:
+        raise UsageError("captures lie in an object store", remedy="capture into a folder, and copy from there")
+    logins = _logins(site)
+    start = time.time() + _LEAD
+    moments = [start + k * settings.seconds / max(settings.frames - 1, 1) for k in range(settings.frames)]
+    _check_names(site, next(iter(urls)), moments)
+
+    def take(camera: str) -> Taken:
+        taken = Taken(camera, len(moments))
+        login = logins.get(camera) or logins.get("*")
+        work = functools.partial(_take, site, taken, urls[camera], login, moments)
+        try:
+            answered(work, moments[-1] - time.time() + TRIES * (PATIENCE + _BETWEEN_TRIES))
+        except TimeoutError:
+            taken.fault = "does not end its answer"
+        except (OSError, ValueError) as error:
+            taken.fault = printable(error)
+        listen(taken)
+        return taken
+
+    with ThreadPoolExecutor(len(urls)) as pool:
+        return list(pool.map(take, urls))
+
+
+def _take(site: Site, taken: Taken, url: str, login: Login | None, moments: list[float]) -> None:
+    """Write a camera's pictures; ask again where it fails."""
+    for attempt in range(TRIES):
+        if attempt:
+            time.sleep(_BETWEEN_TRIES)
+        try:
+            for shot in shots(url, login, moments[len(taken.files) :]):
+                _write(site, taken, shot)
+            taken.fault = ""
+            return
+        except CaptureFailed as error:
+            taken.fault = printable(error.what)
+
+
+def _write(site: Site, taken: Taken, shot: Shot) -> None:
+    now = time.time()
+    off = 0.0 if shot.taken is None else shot.taken - now
+    believed = shot.taken is not None and abs(off) <= _MOST_OFF
+    taken.own_clock = taken.own_clock and believed
+    taken.off = taken.off if believed else off
+    moment = shot.taken if believed and shot.taken is not None else now
+    path = _free_name(site, taken.camera, site.local(moment))
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_atomic(path, shot.data)
+    os.utime(path, (moment, moment))
+    taken.files.append(path)
+
+
+def _free_name(site: Site, camera: str, local: datetime.datetime) -> Path:
+    """The name of a capture.  In the hour that comes twice, when clocks are set back, one that the first hour has taken is not
+    written over: the next second's is used."""
+    path = site.captures.name(camera, local)
+    for seconds in range(1, _SECONDS_OF_AN_HOUR if local.fold else 0):
+        if not path.exists():
+            break
+        path = site.captures.name(camera, local + datetime.timedelta(seconds=seconds))
+    return path
+
+
+def _check_names(site: Site, camera: str, moments: list[float]) -> None:
+    remedy = "captures: {pattern: '{camera}/{date}_{time}.jpg'}, or fewer frames over more seconds"
+    try:
+        names = {site.captures.name(camera, site.local(moment)) for moment in moments}
+    except ValueError as error:
+        raise UsageError(str(error), remedy=remedy) from None
+    if len(names) < len(moments):
+        what = f"{counted(len(moments), 'picture')} would have {counted(len(names), 'name')}: {names.pop().name}"
+        raise UsageError(what, remedy=remedy)
+
+
+def _logins(site: Site) -> dict[str, Login]:
+    """Read user and password by camera; "*" stands for all others."""
+    named = site.settings.captures.credentials or os.environ.get(CREDENTIALS)
+    if not named:
+        return {}
+    path = site.file.parent / named
+    remedy = "a line for each camera, or '*' for all:  gate: {user: viewer, password: secret}"
+    try:
+        data = yaml.safe_load(read_outside(path, MOST_TEXT_BYTES))
+        return dict(_entries(data))
+    except OSError as error:
+        raise UsageError(f"the file of credentials cannot be read: {error}", where=str(path), remedy=remedy) from None
+    except (yaml.YAMLError, ValueError, TypeError, KeyError, AttributeError):  # without a word of what it holds
+        raise UsageError("the file of credentials is not as it should be", where=str(path), remedy=remedy) from None
+
+
+def _entries(data: Any) -> Iterator[tuple[str, Login]]:
+    for camera, entry in data.items():
+        yield str(camera), Login(str(entry["user"]), str(entry["password"]))
+
+
+def shots(url: str, login: Login | None, moments: Sequence[float]) -> Iterator[Shot]:
+    """Yield a camera's picture at each moment (Unix times, in order).
+
+    Raises
+    ------
+    CaptureFailed
+        It gives none, or no more.
+    """
+    try:
+        if url.startswith("rtsp"):
+            pictures = load(_STREAM)(_with_login(url, login), moments, PATIENCE)
+            yield from (Shot(data, taken) for data, taken in pictures)
+        elif url.startswith("file:"):
+            yield from _of_folder(Path(urllib.parse.unquote(url.partition("://")[2])), moments)
+        else:
+            yield from _of_server(url, login, moments)
+    except urllib.error.HTTPError as error:
+        why = f"{error.code} {error.reason}"
+        raise CaptureFailed(f"{why}: see to its user and password" if error.code in {401, 403} else why) from None
+    except TimeoutError:
+        raise CaptureFailed(f"does not answer within {PATIENCE:.0f} s") from None
+    except urllib.error.URLError as error:
+        late = isinstance(error.reason, TimeoutError)
+        raise CaptureFailed(
+            f"does not answer within {PATIENCE:.0f} s" if late else f"cannot be reached: {error.reason}"
+        ) from None
+    except http.client.IncompleteRead as error:
+        raise CaptureFailed(f"sends half a picture ({len(error.partial):,} bytes)") from None
+    except (OSError, ValueError, http.client.HTTPException) as error:  # ValueError: a way of authentication that urllib lacks
+        raise CaptureFailed(str(error) or type(error).__name__) from None
+
+
+def _of_server(url: str, login: Login | None, moments: Sequence[float]) -> Iterator[Shot]:
+    """Ask for each picture, or read them all from one answer that goes on and on."""
+    opener = urllib.request.build_opener()
+    if login:
+        known = urllib.request.HTTPPasswordMgrWithDefaultRealm()
+        known.add_password(None, url, login.user, login.password)
+        opener.add_handler(urllib.request.HTTPBasicAuthHandler(known))
+        opener.add_handler(urllib.request.HTTPDigestAuthHandler(known))
+    for k, moment in enumerate(moments):
+        _wait_until(moment)
+        with opener.open(url, timeout=PATIENCE) as answer:
+            if answer.headers.get_content_maintype() == "multipart":
+                yield from _of_parts(answer, moments[k:])
+                return
+            data = answer.read(LARGEST)
+            yield Shot(_whole(data), _date(answer.headers.get("Date")))
+
+
+def _of_parts(answer: IO[bytes], moments: Sequence[float]) -> Iterator[Shot]:
+    """Read Motion JPEG: parts with a head each, of which those at the moments count."""
+    due = iter(moments)
+    moment = next(due, None)
+    while moment is not None:
+        head = http.client.parse_headers(_SkipToHead(answer))
+        length = head.get("Content-Length", "")
+        data = answer.read(min(int(length), LARGEST)) if length.isdecimal() else _until_end(answer)
+        if not data:
+            raise OSError("the camera has ended its answer")
+        if time.time() < moment:
+            continue
+        stamp = head.get("X-Timestamp", "")
+        yield Shot(_whole(data), float(stamp) if re.fullmatch(r"\d+(\.\d+)?", stamp) else _date(head.get("Date")))
+        moment = next(due, None)
+
+
+class _SkipToHead:
+    """The lines of a part's head, without what stands before it."""
+
+    def __init__(self, answer: IO[bytes]) -> None:
+        self._answer = answer
+        self._within = False
+
+    def readline(self, most: int = -1) -> bytes:
+        line = self._answer.readline(most)
+        while line and not self._within:
+            self._within = line.startswith(b"--")
+            line = self._answer.readline(most)
+        return line
+
+
+def _until_end(answer: IO[bytes]) -> bytes:
+    """Read a JPEG file of unknown length."""
+    data = bytearray()
+    while len(data) < LARGEST and (line := answer.readline()):
+        data += line
+        end = data.rfind(b"\xff\xd9")
+        if end >= 0 and data[end + 2 :].strip(b"\r\n") == b"":
+            break
+    return bytes(data)
+
+
+def _of_folder(folder: Path, moments: Sequence[float]) -> Iterator[Shot]:
+    """Take what a camera writes into a folder from now on, the newest at each moment; `moments` end the wait, too."""
+    begun, used = time.time(), set[Path]()
+    for moment in moments:
+        while True:
+            _wait_until(moment)
+            new = [path for path in folder.iterdir() if path.is_file() and path not in used and path.stat().st_mtime >= begun - 1]
+            latest = max(new, key=lambda path: path.stat().st_mtime, default=None)
+            if latest and time.time() - latest.stat().st_mtime > _LOOK_SECONDS:  # it is no longer written to
+                used.add(latest)
+                yield Shot(_whole(read_outside(latest)), latest.stat().st_mtime)
+                break
+            if time.time() > moments[-1] + PATIENCE:
+                raise OSError(f"nothing new arrives in {folder}")
+            time.sleep(_LOOK_SECONDS)
+
+
+def _whole(data: bytes) -> bytes:
+    """Return a picture's bytes.  Raises OSError where their end is missing, or where they are no picture."""
+    ends = _COMPLETE.get(data[:2])
+    if ends is None:
+        raise OSError(f"sends something else than a picture ({len(data):,} bytes)" if data else "sends an empty picture")
+    if ends not in data[-4096:]:
+        raise OSError(f"sends half a picture ({len(data):,} bytes)")
+    return data
+
+
+def _date(text: str | None) -> float | None:
+    """Return the Unix time of an HTTP date."""
+    try:
+        return email.utils.parsedate_to_datetime(text).timestamp() if text else None
+    except ValueError:
+        return None
+
+
+def _with_login(url: str, login: Login | None) -> str:
+    if login is None:
+        return url
+    scheme, _, rest = url.partition("://")
+    user, password = (urllib.parse.quote(word, safe="") for word in (login.user, login.password))
+    return f"{scheme}://{user}:{password}@{rest}"
+
+
+def _wait_until(moment: float) -> None:
+    time.sleep(max(0.0, moment - time.time()))

@@ -1,1 +1,0 @@
-"""From the cameras of a site to tonight's captures."""
