@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from ..errors import WbflowError
-from ..pipeline.stages import PointTable
+from ..pipeline.stages import CLOUD_COLUMNS, CLOUD_FIGURES, FUSE, RESTORE_CLOUD
 from .fingerprint import load
 from .ply import columns_of, ply_bytes
 from .signed import content_digest
@@ -29,14 +29,27 @@ class ArtifactError(WbflowError, ValueError):
     """The bytes are not an intact artifact."""
 
 
-def result_bytes(result: Any, table: PointTable | None) -> bytes | bytearray:
-    """A result of a stage as the cache keeps it: a PLY file where there is a table for it, else an artifact."""
-    return ply_bytes(load(table.columns)(result), comments=("made by wbflow",)) if table else encode(result)
+def kept(result: Any, stage: str, key: str) -> tuple[bytes | bytearray, dict[str, Any]]:
+    """The bytes of a result, and what its receipt says of these."""
+    data = result_bytes(result, stage)
+    more = load(CLOUD_FIGURES)(result) if stage == FUSE else {}
+    said = {"digest": content_digest(data), "parts": parts(result), "file": f"{key}{suffix_of(stage)}", "bytes": len(data)}
+    return data, {**said, "figures": figures(result) | more}
 
 
-def result_of(data: bytes, table: PointTable | None) -> Any:
+def suffix_of(stage: str) -> str:
+    """How the names of a stage's artifacts end: of a cloud, which is a PLY file, and of all else."""
+    return ".ply" if stage == FUSE else ".wbf"
+
+
+def result_bytes(result: Any, stage: str) -> bytes | bytearray:
+    """A result of a stage as the cache keeps it."""
+    return ply_bytes(load(CLOUD_COLUMNS)(result), comments=("made by wbflow",)) if stage == FUSE else encode(result)
+
+
+def result_of(data: bytes, stage: str) -> Any:
     """The result that bytes of the cache hold.  Raises ArtifactError, ValueError."""
-    return load(table.restore)(columns_of(data)) if table else decode(data)
+    return load(RESTORE_CLOUD)(columns_of(data)) if stage == FUSE else decode(data)
 
 
 def encode(value: Any) -> bytes:

@@ -16,7 +16,6 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import WbflowError
-from ..pipeline.stages import stage_named
 from ..task import Task
 from . import artifact
 from .atomic import clear, write_atomic
@@ -182,7 +181,7 @@ class Cache:
 
     def load(self, task: Task, receipt: Receipt) -> Any:
         """The result that an artifact holds.  Raises DamagedArtifact, ArtifactError."""
-        return artifact.result_of(self.read(task, self.path(receipt), receipt.digest), stage_named(task.stage).table)
+        return artifact.result_of(self.read(task, self.path(receipt), receipt.digest), task.stage)
 
     def drawing(self, task: Task, key: str, name: str) -> bytes | None:
         """What was drawn of a result; None where that is not there, or not as it was drawn."""

@@ -17,7 +17,7 @@ from ..cache.ply import read_ply
 from ..cache.store import Cache, Receipt
 from ..errors import ExitCode, UsageError, WbflowError
 from ..pipeline.exports import CLOUD_OBJECT, EXPORTS, EXTRAS, Export
-from ..pipeline.stages import CLOUD_TABLE, FRAMES, FUSE, STAGES, stage_named
+from ..pipeline.stages import FRAMES, FUSE, RESTORE_CLOUD, STAGES, stage_named
 from ..records.events import Event, TaskEvent
 from ..records.record import CameraRecord, CloudRecord, PairRecord, RunRecord
 from ..records.run_folder import RunFolder
@@ -177,7 +177,7 @@ class Run:
         if path is None or not path.is_file():
             raise Gone(f"run {self.id} made no cloud: {self.record.reason or 'it was not asked to'}")
         try:
-            return load(CLOUD_TABLE.restore)(read_ply(path))
+            return load(RESTORE_CLOUD)(read_ply(path))
         except ValueError as error:
             raise Gone(str(error), remedy="run the night again") from None
 

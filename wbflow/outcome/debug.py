@@ -10,14 +10,13 @@ import shutil
 from pathlib import Path
 from typing import Any
 
-from ..cache.artifact import result_bytes
+from ..cache.artifact import result_bytes, result_of, suffix_of
 from ..cache.fingerprint import load, offer
-from ..cache.ply import columns_of
 from ..cache.signed import content_digest
 from ..cache.store import Cache
 from ..errors import UsageError
 from ..pipeline.exports import FROM_PLAIN_FILES, PLAIN_FILES
-from ..pipeline.stages import DENSE_PAIRS, PAIRS, REJECTED, stage_named
+from ..pipeline.stages import DENSE_PAIRS, FUSE, PAIRS, REJECTED, stage_named
 from ..runner.context import plan_run
 from ..runner.executors import THREADS
 from ..runner.planner import Plan
@@ -127,10 +126,10 @@ def _waits(plan: Plan, task: Task, first: Task) -> UsageError:
 
 def _write(how: Input, value: Any, folder: Path, name: str, cache: Cache) -> Any:
     """Write an input; one that the cache keeps as a file that people can open is copied."""
-    if isinstance(how, Stored) and not how.part and how.file and (table := stage_named(how.task.stage).table):
-        file = f"{name}{table.suffix}"
+    if isinstance(how, Stored) and not how.part and how.file and how.task.stage == FUSE:
+        file = f"{name}{suffix_of(FUSE)}"
         shutil.copyfile(cache.work.task(how.task) / how.file, folder / file)
-        return {"table": file, "restore": table.restore}
+        return {"cloud": file}
     return load(PLAIN_FILES)(value, folder, name)
 
 
@@ -166,9 +165,8 @@ def keep(folder: Path, result: Any) -> str:
     if isinstance(result, nothing):
         same = before == ("rejected", str(result.reason))
         return f"rejected, {'as in the cache' if same else f'in the cache: {before[0]}'}"
-    table = stage_named(task["stage"]).table
-    data = result_bytes(result, table)
-    file = folder / f"result{table.suffix if table else '.wbf'}"
+    data = result_bytes(result, task["stage"])
+    file = folder / f"result{suffix_of(task['stage'])}"
     file.write_bytes(data)
     if task["digest"] is None:
         return f"{file} (the cache has none: {before[0]}{f', {before[1]}' if before[1] else ''})"
@@ -177,8 +175,8 @@ def keep(folder: Path, result: Any) -> str:
 
 
 def _input(node: Any, folder: Path) -> Any:
-    if isinstance(node, dict) and "table" in node:
-        return load(node["restore"])(columns_of((folder / node["table"]).read_bytes()))
+    if isinstance(node, dict) and "cloud" in node:
+        return result_of((folder / node["cloud"]).read_bytes(), FUSE)
     return load(FROM_PLAIN_FILES)(node, folder)
 
 

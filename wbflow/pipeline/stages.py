@@ -130,20 +130,6 @@ class Reuse:
 
 
 @dataclass(frozen=True)
-class PointTable:
-    """A result that is kept as a PLY file, rather than as an artifact of arrays."""
-
-    columns: str
-    """Dotted function: the result -> its columns by name."""
-    restore: str
-    """Dotted function: columns by name -> the result."""
-    figures: str
-    """Dotted function: the result -> figures beside its fields."""
-
-    suffix = ".ply"
-
-
-@dataclass(frozen=True)
 class Products:
     """What is made of a stage's result for people; of each, the dotted function that makes it of the result."""
 
@@ -210,22 +196,13 @@ class Stage:
         """Return the key of the site file that sets each parameter which is not set in `stages`."""
         return {key.rpartition(".")[2]: key for key in self.site_keys}
 
-    @property
-    def table(self) -> PointTable | None:
-        """How its results are kept, where not as artifacts of arrays."""
-        return CLOUD_TABLE if self.name == FUSE else None
 
-    @property
-    def suffix(self) -> str:
-        """Of its artifacts' files."""
-        return self.table.suffix if self.table else ".wbf"
-
-
-CLOUD_TABLE = PointTable(
-    columns="wbflow_stages.io.clouds:cloud_columns",
-    restore="wbflow_stages.io.clouds:cloud_of",
-    figures="wbflow_stages.io.clouds:cloud_figures",
-)
+CLOUD_COLUMNS = "wbflow_stages.io.clouds:cloud_columns"
+"""A cloud is kept as a PLY file: its columns by name, ..."""
+RESTORE_CLOUD = "wbflow_stages.io.clouds:cloud_of"
+"""... the cloud of such columns, ..."""
+CLOUD_FIGURES = "wbflow_stages.io.clouds:cloud_figures"
+"""... and figures beside its fields."""
 COMPONENT = "component"
 """The parameter of `fuse` that says which component of cameras it works on; each has a task."""
 

@@ -9,12 +9,10 @@ from __future__ import annotations
 import dataclasses
 import datetime
 from collections.abc import Mapping
-from typing import Any
 
-from ..cache import artifact
+from ..cache.artifact import kept
 from ..cache.fingerprint import load
 from ..cache.layout import WorkFolder
-from ..cache.signed import content_digest
 from ..cache.store import Cache, DamagedArtifact, Preimage, Receipt
 from ..pipeline.functions import FunctionReader
 from ..pipeline.stages import POSES, STAGES, Stage
@@ -162,10 +160,7 @@ def _pooled(cache: Cache, stage: Stage, task: Task, receipts: Mapping[str, Recei
         result = load(function.dotted)({date: cache.load(task, receipt) for date, receipt in receipts.items()})
     except DamagedArtifact:
         return None
-    data = artifact.encode(result)
-    now = datetime.datetime.now(datetime.UTC).isoformat()
-    facts: dict[str, Any] = {"parts": artifact.parts(result), "figures": artifact.figures(result), "finished": now}
-    file, digest = f"{key}{stage.suffix}", content_digest(data)
-    receipt = Receipt(str(task), key, "ran", preimage, digest, file=file, bytes=len(data), **facts)
+    data, facts = kept(result, stage.name, key)
+    receipt = Receipt(str(task), key, "ran", preimage, **facts, finished=datetime.datetime.now(datetime.UTC).isoformat())
     cache.write(receipt, data)
     return receipt

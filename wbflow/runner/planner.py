@@ -240,7 +240,6 @@ class Plan:
             bound.code,
             parameters,
             inputs,
-            stage.table,
             force=bool(self.force & names_of(task)),
             left_to_function={name: text for name, text in bound.left_to_function().items() if name not in parameters},
             folder=self._folder,

@@ -10,7 +10,7 @@ from typing import Any, Literal, TypeVar
 
 from ..cache.signed import content_digest
 from ..cache.store import Preimage, Receipt
-from ..pipeline.stages import SITE_TYPES, PointTable, Source, Stage
+from ..pipeline.stages import SITE_TYPES, Source, Stage
 from ..pipeline.summaries import Summary
 from ..site.captures import CaptureFile
 from ..site.models import Camera, Site, plain
@@ -117,19 +117,12 @@ class TaskSpec:
     code: str
     parameters: dict[str, Any]
     inputs: dict[str, Input]
-    table: PointTable | None = None
-    """How the result is kept, where not as an artifact of arrays."""
     drawings: tuple[Drawing, ...] = ()
     force: bool = False
     left_to_function: dict[str, str] = field(default_factory=dict)
     """Parameters whose defaults the function works out itself: source text by name.  Not passed, but part of the key."""
     folder: Path | None = None
     """Where modules that are not installed may lie: beside the site file."""
-
-    @property
-    def suffix(self) -> str:
-        """Of the artifact's file."""
-        return self.table.suffix if self.table else ".wbf"
 
     def preimage(self) -> Preimage:
         """All that determines the artifact; every input must be resolved."""

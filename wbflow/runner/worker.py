@@ -18,8 +18,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TextIO
 
-from ..cache import artifact
-from ..cache.artifact import result_bytes, result_of
+from ..cache.artifact import kept, result_of
 from ..cache.atomic import FULL, REMEDY
 from ..cache.fingerprint import load, offer
 from ..cache.memo import ChangedFile
@@ -27,7 +26,7 @@ from ..cache.signed import content_digest
 from ..cache.store import Cache, Damage, DamagedArtifact, Preimage, Receipt
 from ..cache.untrusted import read_outside
 from ..errors import LONGEST_TRACE, printable
-from ..pipeline.stages import REJECTED, stage_named
+from ..pipeline.stages import REJECTED
 from ..task import Task
 from .spec import Absent, Cause, Files, Input, Joined, State, Stored, TaskSpec, Value, cached_state
 
@@ -186,11 +185,8 @@ def _do(spec: TaskSpec, preimage: Preimage, key: str, chain: _Chain) -> Done:
         known: dict[str, Any] = {"reason": printable(result.reason), "code": None if code is None else str(code)}
         known["figures"] = dict(result.figures)
     else:
-        data = result_bytes(result, spec.table)
+        data, known = kept(result, spec.task.stage, key)
         drawings, warnings = _draw(spec, result, chain)
-        figures = artifact.figures(result) | (load(spec.table.figures)(result) if spec.table else {})
-        known = {"digest": content_digest(data), "parts": artifact.parts(result), "file": f"{key}{spec.suffix}"}
-        known |= {"bytes": len(data), "figures": figures}
     receipt = Receipt(
         str(spec.task),
         key,
@@ -267,7 +263,7 @@ def _load(value: Input, chain: _Chain, keep: bool = True) -> Any:
 
 def _read(cache: Cache, task: Task, file: str, digest: str) -> Any:
     data = cache.read(task, cache.work.task(task) / file, digest)
-    return result_of(data, stage_named(task.stage).table)
+    return result_of(data, task.stage)
 
 
 _decoded = functools.lru_cache(4)(_read)
