@@ -94,17 +94,10 @@ class Taken:
 def capture(site: Site, listen: Callable[[Taken], None] = lambda taken: None) -> list[Taken]:
     """Take pictures of every camera that has a `url`, all at the same moments.
 
-    Parameters
-    ----------
-    site : Site
-        Its `captures` say how many, over how long, and how files are called.
-    listen : callable, optional
-        Receives what a camera has given, as soon as it has ended.
+    The site's `captures` say how many, over how long, and how files are called.  listen: receives what a camera has given.
 
-    Raises
-    ------
-    UsageError
-        No camera has a `url`; the file of credentials cannot be read; names do not tell pictures apart; captures lie in a store.
+    Raises UsageError where no camera has a `url`, the file of credentials cannot be read, names do not tell pictures apart, or
+    captures lie in a store.
     """
     settings = site.settings.captures
     urls = {entry.id: entry.url for entry in site.settings.cameras if entry.url}
@@ -206,13 +199,7 @@ def _entries(data: Any) -> Iterator[tuple[str, Login]]:
 
 
 def shots(url: str, login: Login | None, moments: Sequence[float]) -> Iterator[Shot]:
-    """Yield a camera's picture at each moment (Unix times, in order).
-
-    Raises
-    ------
-    CaptureFailed
-        It gives none, or no more.
-    """
+    """Yield a camera's picture at each moment (Unix times, in order).  Raises CaptureFailed where it gives none, or no more."""
     try:
         if url.startswith("rtsp"):
             pictures = load(_STREAM)(_with_login(url, login), moments, PATIENCE)

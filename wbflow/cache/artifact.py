@@ -55,10 +55,7 @@ def result_of(data: bytes, stage: str) -> Any:
 def encode(value: Any) -> bytes:
     """Bytes of a dataclass whose fields are arrays, scalars, strings, tuples, mappings or further dataclasses.
 
-    Raises
-    ------
-    TypeError
-        A field holds something else, and is not marked `transient` (such fields are left out).
+    Raises TypeError for a field that holds something else, and is not marked `transient` (such fields are left out).
     """
     import zstandard
 
@@ -70,10 +67,7 @@ def encode(value: Any) -> bytes:
 def decode(data: bytes) -> Any:
     """The object that `encode` was given (arrays are writable copies).
 
-    Raises
-    ------
-    ArtifactError
-        The bytes are cut short or not an artifact.
+    Raises ArtifactError where the bytes are cut short or not an artifact.
     """
     if data[:4] != MAGIC or len(data) < 8:
         raise ArtifactError("not a wbflow artifact")

@@ -36,10 +36,7 @@ def write_atomic(path: Path, data: bytes | bytearray, *, fsync: Fsync = "folder"
     ours : bool
         The place is one of the work folder's own: a folder that somebody has put there gives way.
 
-    Raises
-    ------
-    OSError
-        One of a full disk says how much was needed, and how much is free.
+    Raises OSError; one of a full disk says how much was needed, and how much is free.
     """
     _replace(path, lambda file: file.write(data), len(data), fsync, ours)
 

@@ -94,10 +94,7 @@ class Modules:
     def function(self, dotted: str) -> tuple[str, Path, ast.FunctionDef]:
         """Return module, source file and definition of "package.module:function".
 
-        Raises
-        ------
-        FunctionError
-            No such module or function, with what is missing.
+        Raises FunctionError, with what is missing.
         """
         module, _, name = dotted.partition(":")
         path = self.file(module)
@@ -151,21 +148,10 @@ class Code:
 
 
 def read_code(modules: Modules, dotted: str, table: str = "") -> Code:
-    """Read the code of a function.
+    """Read the code of a function.  Raises FunctionError.
 
-    Parameters
-    ----------
-    modules : Modules
-        Where modules are found.
-    dotted : str
-        "package.module:function".
-    table : str
-        Name of a dictionary of methods in the same module, which is left out: the chosen method has its own fingerprint.
-
-    Raises
-    ------
-    FunctionError
-        No such module or function; a module that is not Python.
+    dotted: "package.module:function".  table: name of a dictionary of methods in the same module, which is left out: the chosen
+    method has its own fingerprint.
     """
     first, path, function = modules.function(dotted)
     found = {first: path}

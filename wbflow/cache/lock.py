@@ -32,13 +32,7 @@ class Locked(WbflowError):
 
 @contextlib.contextmanager
 def hold(path: Path, wait: bool) -> Iterator[None]:
-    """Hold the lock file while the block runs.
-
-    Raises
-    ------
-    Locked
-        Another process holds it and `wait` is False.
-    """
+    """Hold the lock file while the block runs.  Raises Locked where another process holds it and `wait` is False."""
     path.parent.mkdir(parents=True, exist_ok=True)
     with _held(path, wait) as file:
         since = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
@@ -92,21 +86,9 @@ _OF = "work folder"
 def claim(work: WorkFolder, site: str, file: Path) -> str | None:
     """Record which site a work folder belongs to; returns a warning where another file of this site has used it before.
 
-    The caller holds the lock.
-
-    Parameters
-    ----------
-    work : WorkFolder
-        The folder.  One that nobody has claimed belongs to the first site that does.
-    site, file : str, Path
-        Name of the site, which decides, and its file, which may be moved or renamed.
-
-    Raises
-    ------
-    UsageError
-        The folder belongs to another site, or a newer version of wbflow has written it.
-    OSError
-        The disk is full, or there is no right to write.
+    The caller holds the lock.  A folder that nobody has claimed belongs to the first site that does; the site's name decides, its
+    file may be moved or renamed.  Raises UsageError where the folder belongs to another site, or a newer version of wbflow has
+    written it; OSError.
     """
     mine = {"site": site, "file": str(file.resolve()), "format": FORMAT, "version": __version__}
     try:

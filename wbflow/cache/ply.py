@@ -38,10 +38,7 @@ def ply_bytes(columns: Columns, comments: tuple[str, ...] = ()) -> bytes | bytea
 def read_ply(path: Path) -> dict[str, npt.NDArray[Any]]:
     """Vertex columns of a binary little-endian PLY by name.
 
-    Raises
-    ------
-    ValueError
-        Another PLY format, list properties, or fewer bytes than the header promises.
+    Raises ValueError for another PLY format, list properties, or fewer bytes than the header promises.
     """
     try:
         return columns_of(read_outside(path, most=sys.maxsize))

@@ -44,14 +44,8 @@ class Unsigned(Damaged):
 def signed(of: str, content: Mapping[str, Any], in_lines: bool = False) -> bytes:
     """A JSON object with its checksum and what it is of.
 
-    Parameters
-    ----------
-    of : str
-        What it belongs to: a task and its key, the name of a memo.
-    content : mapping
-        Its entries; none may be called "signed" or "of".
-    in_lines : bool
-        For files that people read.
+    of: a task and its key, the name of a memo.  content: none of its entries may be called "signed" or "of".  in_lines: for files
+    that people read.
     """
     entries = {"of": of, **content}
     body = (lines_of(entries) if in_lines else json.dumps(entries, separators=(",", ":"))).encode()[1:]
@@ -75,12 +69,7 @@ def _items(entry: Any) -> str:
 def unsigned(data: bytes, of: str) -> dict[str, Any]:
     """The entries of what `signed` gave.
 
-    Raises
-    ------
-    Unsigned
-        It carries no checksum.
-    Damaged
-        The checksum is wrong, or it belongs to something else.
+    Raises Unsigned where it carries no checksum, Damaged where that is wrong, or it belongs to something else.
     """
     body = data[_BODY:]
     if not data.startswith(_HEAD):
@@ -94,7 +83,7 @@ def unsigned(data: bytes, of: str) -> dict[str, Any]:
 
 
 def write_signed(path: Path, of: str, content: Mapping[str, Any], *, fsync: Fsync = "folder") -> None:
-    """Put a signed file of the work folder into its place (see `signed`).
+    """Put a signed file of the work folder into its place (see `signed`).  Raises OSError.
 
     Parameters
     ----------
@@ -106,11 +95,6 @@ def write_signed(path: Path, of: str, content: Mapping[str, Any], *, fsync: Fsyn
         Its entries.
     fsync : str
         How it lasts: see `write_atomic`.
-
-    Raises
-    ------
-    OSError
-        The disk is full, or there is no right to write.
     """
     write_atomic(path, signed(of, content), fsync=fsync, ours=True)
 
@@ -118,10 +102,7 @@ def write_signed(path: Path, of: str, content: Mapping[str, Any], *, fsync: Fsyn
 def read_signed(path: Path, of: str) -> dict[str, Any] | None:
     """The entries of a signed file; None where there is none, or one of an earlier version.
 
-    Raises
-    ------
-    Damaged
-        Its checksum is wrong, it belongs to something else, or it cannot be read; the message names the file.
+    Raises Damaged, naming the file, where its checksum is wrong, it belongs to something else, or it cannot be read.
     """
     try:
         return unsigned(read_outside(path), of)

@@ -163,10 +163,7 @@ class Cache:
     def read(self, task: Task, path: Path, digest: str) -> bytes:
         """The bytes of an artifact.
 
-        Raises
-        ------
-        DamagedArtifact
-            They are missing, or not what the receipt promised; the file is in quarantine and its receipt is gone.
+        Raises DamagedArtifact where they are missing, or not what the receipt promised; the file is in quarantine then.
         """
         for _ in range(2):  # a second look, since somebody else may just have made it again
             try:

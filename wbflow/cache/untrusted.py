@@ -37,13 +37,7 @@ class Unreadable(WbflowError, OSError):
 
 
 def read_outside(path: Path | str, most: int = MOST_CAPTURE_BYTES) -> bytes:
-    """All bytes of a file.
-
-    Raises
-    ------
-    Unreadable
-        It is not there, no regular file, too large, or the disk fails.
-    """
+    """All bytes of a file.  Raises Unreadable where it is not there, no regular file, too large, or the disk fails."""
     with os.fdopen(open_outside(path, most), "rb") as file:
         try:
             size = os.fstat(file.fileno()).st_size
@@ -84,13 +78,7 @@ def is_folder(path: Path) -> bool:
 
 def find_outside(pattern: str) -> Iterator[str]:
     """Names of what a pattern finds, as `glob` does (`*`, `?`, `[...]`, and `**` for folders in folders; nothing hidden), but
-    through each folder once only, however many links lead to it.
-
-    Raises
-    ------
-    Unreadable
-        It would have to look at more than `MOST_ENTRIES` names.
-    """
+    through each folder once only, however many links lead to it.  Raises Unreadable beyond `MOST_ENTRIES` names."""
     parts = Path(pattern).parts
     yield from _Search().below(parts[0], parts[1:]) if Path(pattern).is_absolute() else _Search().below("", parts)
 

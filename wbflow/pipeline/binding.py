@@ -57,7 +57,7 @@ class Binding:
 
 
 def bind(stage: Stage, use: str | None, values: Mapping[str, Any], reader: FunctionReader) -> Binding:
-    """Bind a stage.
+    """Bind a stage.  Raises FunctionError where there is no such function, or no such method.
 
     Parameters
     ----------
@@ -69,11 +69,6 @@ def bind(stage: Stage, use: str | None, values: Mapping[str, Any], reader: Funct
         Parameters that the site file sets, by name.
     reader : FunctionReader
         Knows the functions.
-
-    Raises
-    ------
-    FunctionError
-        There is no such function, or no such method.
     """
     chooser = stage.method if use is None else None
     function = reader.read(use or stage.function, chooser.table if chooser else "")

@@ -55,19 +55,9 @@ class FunctionReader:
             self._known, self._files = memo["known"], memo["files"]
 
     def read(self, dotted: str, table: str = "") -> FunctionInfo:
-        """Return what is known of a function.
+        """Return what is known of a function, "package.module:function".  Raises FunctionError, with what is missing.
 
-        Parameters
-        ----------
-        dotted : str
-            "package.module:function".
-        table : str
-            Dotted name of the table of methods that it chooses from: what is in it does not enter the fingerprint.
-
-        Raises
-        ------
-        FunctionError
-            No such module or function, with what is missing.
+        table: dotted name of the table of methods that it chooses from: what is in it does not enter the fingerprint.
         """
         home, _, own_table = table.partition(":")
         left_out = own_table if home == dotted.partition(":")[0] else ""

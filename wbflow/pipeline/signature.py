@@ -104,13 +104,7 @@ class Signature:
 
 
 def read_signature(modules: Modules, dotted: str) -> tuple[Signature, set[Path]]:
-    """Return what "package.module:function" asks for, and the source files that say so.
-
-    Raises
-    ------
-    FunctionError
-        No such module or function.
-    """
+    """Return what "package.module:function" asks for, and the source files that say so.  Raises FunctionError."""
     module, path, node = modules.function(dotted)
     scope = _Scope(modules, module, path)
     args = node.args
@@ -132,10 +126,7 @@ def read_signature(modules: Modules, dotted: str) -> tuple[Signature, set[Path]]
 def read_table(modules: Modules, dotted: str) -> tuple[dict[str, str], set[Path]]:
     """Return a table of methods, name -> "package.module:function", and the files it is from.
 
-    Raises
-    ------
-    FunctionError
-        There is no such dictionary literal.
+    Raises FunctionError where there is no such dictionary literal.
     """
     module, _, name = dotted.partition(":")
     path = modules.file(module)

@@ -33,23 +33,7 @@ FEWEST_NIGHTS = 3
 def pool(work: WorkFolder, reference: Reference, site: Site) -> dict[Task, int]:
     """Put what all its nights have measured in the place of what the reference's own night has; returns how many, by task.
 
-    The caller holds the lock.
-
-    Parameters
-    ----------
-    work : WorkFolder
-        Whose reference.
-    reference : Reference
-        To be improved.
-    site : Site
-        Whose it is.
-
-    Raises
-    ------
-    CannotPin
-        Too few nights were compared with the reference.
-    OSError
-        The disk is full, or there is no right to write.
+    The caller holds the lock.  Raises CannotPin where too few nights were compared with the reference; OSError.
     """
     cache = Cache(work)
     nights = _nights(work, reference)

@@ -88,17 +88,10 @@ Pinned = Mapping[str, Mapping[str, Any]]
 
 
 def calibration_change(pinned: Pinned, site: Site) -> str:
-    """Return in words what is different, "" where nothing is.
+    """Return in words what is different, "" where nothing is.  pinned: cameras as cameras.json has them, by id.
 
     Poses are compared with each other, so that the frame and the scale of the pinned world do not matter; those with standard
     deviations were refined by the run that was pinned, and are not compared.
-
-    Parameters
-    ----------
-    pinned
-        The cameras of the reference as cameras.json has them, by id.
-    site
-        As its file states it now.
     """
     lenses = {c.id: (c.lens, pinned[c.id]) for c in site.cameras if c.lens.K is not None and pinned.get(c.id, {}).get("K")}
     focals = {name: share for name, (lens, then) in lenses.items() if abs(share := _longer(lens, then)) > LEAST_FOCAL}

@@ -22,23 +22,9 @@ class CannotPin(WbflowError, ValueError):
 
 
 def pin(cache: Cache, run: RunFolder, automatic: bool = False) -> Reference:
-    """Make a run the reference.  The caller holds the lock.
+    """Make a run the reference of its work folder.  The caller holds the lock.  automatic: nobody has asked for it.
 
-    Parameters
-    ----------
-    cache : Cache
-        Of the work folder whose reference it becomes.
-    run : RunFolder
-        Which of its runs.
-    automatic : bool
-        Nobody has asked for it.
-
-    Raises
-    ------
-    CannotPin
-        The run has made no cloud, or the cache no longer holds what it made.
-    OSError
-        The disk is full, or there is no right to write.
+    Raises CannotPin where the run has made no cloud, or the cache no longer holds what it made; OSError.
     """
     record = run.record()
     if record.cloud is None:
@@ -55,13 +41,7 @@ def pin(cache: Cache, run: RunFolder, automatic: bool = False) -> Reference:
 
 
 def good_run(work: WorkFolder, name: str | None = None) -> RunFolder:
-    """The run that is to be pinned: the named one, else the newest good one.
-
-    Raises
-    ------
-    CannotPin, NoSuchRun
-        There is none.
-    """
+    """The run that is to be pinned: the named one, else the newest good one.  Raises CannotPin, NoSuchRun."""
     if name is not None:
         return RunFolder.of(work, name)
     for folder, record in newest_runs(work):

@@ -134,12 +134,7 @@ class Pinned:
     def instead(self, stage: Stage, task: Task) -> Receipt | Adapt | None:
         """What takes the place of working a task out: the reference's result, or another function.
 
-        Raises
-        ------
-        Waiting
-            The health of a camera is not known yet.
-        Impossible
-            A camera shows nothing of the site.
+        Raises Waiting while the health of a camera is not known, Impossible where one shows nothing of the site.
         """
         if stage.reuse.shifted is None or self.reference is None or not any(s.name == HEALTH for s in self.stages):
             return None

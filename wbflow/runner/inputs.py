@@ -154,7 +154,7 @@ class Inputs:
     pinned: Pinned
 
     def of(self, stage: Stage, task: Task, needs: Mapping[str, Source], made: set[Task]) -> dict[str, Input]:
-        """All inputs of a task by argument name.
+        """All inputs of a task by argument name.  Raises Waiting or Impossible where one has not ended, or will not come.
 
         Parameters
         ----------
@@ -164,11 +164,6 @@ class Inputs:
             What it needs, by argument name.
         made : set of Task
             Made earlier in the same chain: inputs from these are not resolved yet.
-
-        Raises
-        ------
-        Waiting, Impossible
-            One depends on a task that has not ended, or will not come.
         """
         found: dict[str, Input] = {}
         impossible: dict[str, Impossible] = {}

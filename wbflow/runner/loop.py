@@ -37,14 +37,7 @@ class Worked:
 def work(context: RunContext, options: Options, journal: Journal) -> Worked:
     """Do all that is to be done.  The caller holds the lock.
 
-    Parameters
-    ----------
-    context : RunContext
-        With its plan, not yet refreshed.
-    options : Options
-        Where tasks run, and how many at once.
-    journal : Journal
-        Receives everything that happens.
+    context: with its plan, not yet refreshed.  journal: receives everything that happens.
     """
     dispatcher = Dispatcher(options, context.plan.cache, journal)
     try:

@@ -158,10 +158,7 @@ class Plan:
     def spec_of(self, task: Task) -> TaskSpec:
         """How a task would be done, whether it has been or not.
 
-        Raises
-        ------
-        Waiting, Impossible
-            Its inputs are not there yet, or will not come.
+        Raises Waiting or Impossible where its inputs are not there yet, or will not come.
         """
         stage = stage_named(task.stage)
         instead = self._pinned.instead(stage, task)

@@ -148,10 +148,7 @@ def _paths(site: Site, camera: Camera, date: datetime.date) -> list[Path]:
 def backlog(site: Site, since: datetime.date) -> list[datetime.date]:
     """The nights that have captures from a day on, in order.
 
-    Raises
-    ------
-    UsageError
-        The captures' names don't say which night they are of, or there are none.
+    Raises UsageError where the captures' names don't say which night they are of, or there are none.
     """
     if not site.captures.dated:
         what = "--since needs {date} in captures.pattern: the names of captures don't say which night they are of"

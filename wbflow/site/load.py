@@ -40,10 +40,7 @@ from .stage_settings import read_stages
 def load_site(path: str | Path, work: str | Path | None = None) -> Site:
     """Read and validate a site file (or the `site.yaml` in a folder).  work: another work folder, or object store, than it names.
 
-    Raises
-    ------
-    SiteError
-        With every problem that was found.
+    Raises SiteError, with every problem that was found.
     """
     return site_of(load_yaml(_file_of(Path(path))), work)
 
@@ -93,10 +90,7 @@ def _file_of(path: Path) -> Path:
 def _validated(document: Document, problems: Problems) -> SiteFile:
     """The file's sections; what is wrong is added to `problems`, and left out so that the rest is examined too.
 
-    Raises
-    ------
-    SiteError
-        Too little is right for that.
+    Raises SiteError where too little is right for that.
     """
     if not isinstance(document.data, dict):
         remedy = "start with 'site: NAME'; see sites/template.yaml"

@@ -173,13 +173,7 @@ def similar(path: Path) -> str:
 
 
 def read_text(path: Path) -> str:
-    """The text of a file from outside.
-
-    Raises
-    ------
-    SiteError
-        It cannot be read, or is not UTF-8.
-    """
+    """The text of a file from outside.  Raises SiteError where it cannot be read, or is not UTF-8."""
     try:
         return read_outside(path, MOST_TEXT_BYTES).decode("utf-8-sig")
     except Unreadable as error:
@@ -193,10 +187,7 @@ def read_text(path: Path) -> str:
 def load_yaml(path: Path) -> Document:
     """Read a YAML file.
 
-    Raises
-    ------
-    SiteError
-        It cannot be read, is not YAML, holds a key twice, uses tags beyond plain data, or would exhaust the machine.
+    Raises SiteError where it cannot be read, is not YAML, holds a key twice, has tags beyond plain data, or would exhaust memory.
     """
     return parse_yaml(read_text(path), path)
 

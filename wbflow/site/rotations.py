@@ -11,10 +11,7 @@ Matrix = list[Vector]
 def look_at(position: Vector, target: Vector) -> Matrix:
     """R of an upright camera that looks from `position` at `target`.
 
-    Raises
-    ------
-    ValueError
-        The two points coincide, or the camera would look straight up or down (its roll would be undefined).
+    Raises ValueError where the two points coincide, or the camera would look straight up or down (its roll would be undefined).
     """
     forward = _unit([t - p for t, p in zip(target, position, strict=True)])
     right = _cross(forward, [0.0, 0.0, 1.0])

@@ -185,14 +185,9 @@ class Faulty(ValueError):
 
 
 def calibrated(fields: Mapping[str, Any], shown: Mapping[str, str] | None = None, location: Location = ()) -> Calibrated:
-    """Check the fields of a camera.
+    """Check the fields of a camera.  Raises Faulty where one is missing, or cannot be used.
 
     shown: what its file calls them, where it has other names.  location: of the camera in its file.
-
-    Raises
-    ------
-    Faulty
-        One is missing, or cannot be used.
     """
     try:
         return Calibrated.model_validate(fields)

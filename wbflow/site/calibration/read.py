@@ -30,10 +30,7 @@ OWN_REMEDY = "give K (3x3), width, height and, where known, R (3x3) and C (3 num
 def read_calibration(path: Path) -> dict[str, Calibrated]:
     """Cameras by name, from a file, from a COLMAP model (a folder), or from a folder with a file for each camera.
 
-    Raises
-    ------
-    CalibrationError
-        Missing, unreadable, or an entry without what it needs.
+    Raises CalibrationError for what is missing or unreadable, and for an entry without what it needs.
     """
     if is_folder(path):
         return _read_folder(path)
