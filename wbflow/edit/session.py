@@ -18,7 +18,6 @@ from ..cache.ply import read_ply
 from ..cache.signed import content_digest
 from ..cache.untrusted import MOST_TEXT_BYTES, is_file, read_outside
 from ..errors import ExitCode, WbflowError
-from ..pipeline.exports import MASK_SHADE, PAINTED_MASK, PICTURE_TO_DRAW_ON, SIGHTS
 from ..records.run_folder import NoSuchRun, RunFolder
 from ..site.captures import captures_of, expected, night
 from ..site.geodesy import local_frame
@@ -144,7 +143,7 @@ class Scene:
 
     @cached_property
     def _sights(self) -> Any:
-        return load(SIGHTS)(self.poses)
+        return load("wbflow_stages.sighting:Sights")(self.poses)
 
     def look(self, asked: Look) -> dict[str, Any]:
         """What is to be shown of points and zones in one camera's picture."""
@@ -238,7 +237,7 @@ class Session:
             raise Refused(words)
         file = usable[len(usable) // 2]
         try:
-            width, height, jpeg = load(PICTURE_TO_DRAW_ON)(file.name, read_outside(file.path))
+            width, height, jpeg = load("wbflow_stages.marking:shown")(file.name, read_outside(file.path))
         except (ValueError, OSError) as error:
             raise Refused(str(error)) from None
         self._sizes[name] = width, height
@@ -249,7 +248,7 @@ class Session:
         if (mask := self._masks.get(self._camera(name).id)) is None:
             raise Refused(f"{name} has no mask")
         try:
-            return bytes(load(MASK_SHADE)(name, mask))
+            return bytes(load("wbflow_stages.marking:shade")(name, mask))
         except ValueError as error:
             raise Refused(str(error)) from None
 
@@ -294,7 +293,7 @@ class Session:
                 self.picture(name)
             areas = [(area.use, area.corners) for area in drawn.mask]
             try:
-                yield name, load(PAINTED_MASK)(name, self._masks.get(name), self._sizes[name], areas)
+                yield name, load("wbflow_stages.marking:painted")(name, self._masks.get(name), self._sizes[name], areas)
             except ValueError as error:
                 raise Refused(str(error)) from None
 

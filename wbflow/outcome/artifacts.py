@@ -16,7 +16,7 @@ from ..cache.layout import WorkFolder
 from ..cache.ply import read_ply
 from ..cache.store import Cache, Receipt
 from ..errors import ExitCode, UsageError, WbflowError
-from ..pipeline.exports import CLOUD_OBJECT, EXPORTS, EXTRAS, Export
+from ..pipeline.exports import EXPORTS, EXTRAS, Export
 from ..pipeline.stages import FRAMES, FUSE, RESTORE_CLOUD, STAGES, stage_named
 from ..records.events import Event, TaskEvent
 from ..records.record import CameraRecord, CloudRecord, PairRecord, RunRecord
@@ -97,7 +97,7 @@ class Run:
         WbflowError
             The run made none.
         """
-        made: open3d.geometry.PointCloud = load(CLOUD_OBJECT)(self.cloud_table())
+        made: open3d.geometry.PointCloud = load("wbflow_stages.exports.forms:point_cloud")(self.cloud_table())
         return made
 
     @property

@@ -17,7 +17,6 @@ from ..cache.layout import WorkFolder
 from ..cache.store import Preimage, Receipt
 from ..cache.untrusted import read_outside
 from ..errors import ExitCode, printable
-from ..pipeline.exports import DECODE
 from ..pipeline.stages import PAIRS, SITE_TYPES, stage_named
 from ..records.run_folder import NoSuchRun, RunFolder
 from ..runner.context import RunContext, plan_run
@@ -110,7 +109,7 @@ def _look_at(file: CaptureFile) -> tuple[tuple[int, int], str | None]:
         return (0, 0), f"{file.name} {file.fault}"
     try:
         capture = load(SITE_TYPES["captures"])(file.name, np.frombuffer(read_outside(file.path), dtype=np.uint8))
-        image = load(DECODE)(capture)
+        image = load("wbflow_stages.capture.video:one_picture")(capture)
     except (ValueError, OSError) as error:
         return (0, 0), str(error)
     return (image.shape[1], image.shape[0]), None

@@ -13,7 +13,6 @@ from ..cache.fingerprint import load
 from ..cache.layout import WorkFolder
 from ..cache.ply import ply_bytes
 from ..errors import UsageError, WbflowError
-from ..pipeline.exports import CHANGES_DATA, SCAN_FILES
 from ..pipeline.stages import CHANGES, DEPTH, FRAMES, POSES, REFINE
 from ..pipeline.summaries import CutFill, titled
 from ..records.record import CameraRecord, PairRecord, RunRecord
@@ -164,7 +163,7 @@ def compare_with_scan(run: Run, scan: Path, out: Path) -> dict[str, Any]:
     if not scan.is_file():
         raise UsageError(f"{scan}: there is no such file", remedy="wbflow compare SITE.yaml SCAN.laz --out DIR")
     try:
-        files, figures = load(SCAN_FILES)(run.cloud_table(), run.made(POSES), scan)
+        files, figures = load("wbflow_stages.exports.deviation:scan_files")(run.cloud_table(), run.made(POSES), scan)
     except ImportError as error:
         extra = "e57" if scan.suffix.lower() == ".e57" else "las"
         raise MissingExtra(f"{scan.suffix} needs {error.name}: pip install 'wbflow[{extra}]'") from None
@@ -207,7 +206,7 @@ def _surface(run: Run, prefix: str = "") -> Mapping[str, Any]:
 
 def data_of(changes: Any) -> dict[str, Any]:
     """Return the same as changes.json has it."""
-    data: dict[str, Any] = load(CHANGES_DATA)(changes)
+    data: dict[str, Any] = load("wbflow_stages.exports.ground:changes_data")(changes)
     return data
 
 

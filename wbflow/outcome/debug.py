@@ -15,7 +15,6 @@ from ..cache.fingerprint import load, offer
 from ..cache.signed import content_digest
 from ..cache.store import Cache
 from ..errors import UsageError
-from ..pipeline.exports import FROM_PLAIN_FILES, PLAIN_FILES
 from ..pipeline.stages import DENSE_PAIRS, FUSE, PAIRS, REJECTED, stage_named
 from ..runner.context import plan_run
 from ..runner.executors import THREADS
@@ -130,7 +129,7 @@ def _write(how: Input, value: Any, folder: Path, name: str, cache: Cache) -> Any
         file = f"{name}{suffix_of(FUSE)}"
         shutil.copyfile(cache.work.task(how.task) / how.file, folder / file)
         return {"cloud": file}
-    return load(PLAIN_FILES)(value, folder, name)
+    return load("wbflow_stages.exports.plain:write")(value, folder, name)
 
 
 TASK_FILE = "task.json"
@@ -177,7 +176,7 @@ def keep(folder: Path, result: Any) -> str:
 def _input(node: Any, folder: Path) -> Any:
     if isinstance(node, dict) and "cloud" in node:
         return result_of((folder / node["cloud"]).read_bytes(), FUSE)
-    return load(FROM_PLAIN_FILES)(node, folder)
+    return load("wbflow_stages.exports.plain:read")(node, folder)
 
 
 def _task(folder: Path) -> dict[str, Any]:

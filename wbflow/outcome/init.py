@@ -17,7 +17,6 @@ from ..cache.fingerprint import load
 from ..cache.ply import ply_bytes
 from ..cache.untrusted import Unreadable, read_outside
 from ..errors import UsageError
-from ..pipeline.exports import DEMO_FILES, DEMO_NIGHTS
 from ..site.locations import is_name
 from ..site.models import Site
 
@@ -179,7 +178,7 @@ def write_demo(folder: Path, *, scene: str = "yard", **options: Any) -> None:
         The folder holds something else than a demo, or a demo whose site file or calibration was edited; an unknown scene or
         light; no captures.
     """
-    _write(folder, lambda: load(DEMO_FILES)(scene, **options))
+    _write(folder, lambda: load("wbflow_demo.files:demo_files")(scene, **options))
 
 
 def write_nights(folder: Path, nights: int, **options: Any) -> None:
@@ -187,7 +186,7 @@ def write_nights(folder: Path, nights: int, **options: Any) -> None:
 
     options: those of `wbflow_demo.files.demo_nights`: frames, small, cameras, seed.
     """
-    _write(folder, lambda: load(DEMO_NIGHTS)(nights, **options))
+    _write(folder, lambda: load("wbflow_demo.files:demo_nights")(nights, **options))
 
 
 def _write(folder: Path, render: Callable[[], Any]) -> None:

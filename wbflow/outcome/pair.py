@@ -10,8 +10,7 @@ from typing import Any
 from ..cache.atomic import write_atomic
 from ..cache.fingerprint import load
 from ..errors import UsageError
-from ..pipeline.exports import PAIR_FILES, PAIR_RESULTS
-from ..pipeline.stages import DISPARITY, FRAMES, POSES
+from ..pipeline.stages import DISPARITY, FRAMES, GEOMETRY, MATCHES, POSES, RECTIFY
 from ..report import render
 from ..site.load import load_site
 from ..site.models import Site
@@ -61,10 +60,11 @@ def pair_site(left: Path, right: Path, out: Path, resolution: int | None) -> Sit
 def write_pair(run: Run, out: Path) -> tuple[Path, ...]:
     """Write what a run of a pair's site made into `out`.  Raises Gone, DamagedArtifact."""
     left, right = (run.made(FRAMES, (name,)) for name in PAIR)
-    results = {name: run.made(stage, PAIR) for name, stage in PAIR_RESULTS.items()}
+    stages = {"matches": MATCHES, "geometry": GEOMETRY, "rectification": RECTIFY, "disparity": DISPARITY}
+    results = {name: run.made(stage, PAIR) for name, stage in stages.items()}
     if left is None or right is None or next(iter(results.values())) is None:
         return ()
-    made, summary = load(PAIR_FILES)(left, right, **results)
+    made, summary = load("wbflow_stages.exports.pairfiles:pair_files")(left, right, **results)
     figures = run.record.pairs[0].to_json() | summary
     made["index.html"] = _page(list(made), figures).encode()
     made["pair.json"] = json.dumps(figures, indent=1).encode()

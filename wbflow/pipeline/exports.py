@@ -118,58 +118,5 @@ EXPORTS: tuple[Export, ...] = (
     ),
 )
 
-PAIR_FILES = "wbflow_stages.exports.pairfiles:pair_files"
-"""Makes the files of `wbflow pair` of two frames and what `PAIR_RESULTS` names, and figures for its summary."""
-
-SCAN_FILES = "wbflow_stages.exports.deviation:scan_files"
-"""Makes the files of `wbflow compare` with a scan of the cloud, the poses and the scan's path, and figures for its summary."""
-
 SCANS = (".las", ".laz", ".e57", ".ply", ".pcd", ".xyz", ".obj", ".stl", ".off")
 """How names of scans and models end."""
-
-PAIR_RESULTS: Mapping[str, str] = {
-    "matches": "matches",
-    "geometry": "geometry",
-    "rectification": "rectify",
-    "disparity": "disparity",
-}
-"""By argument name; what a pair did not come to is None."""
-
-DEMO_FILES = "wbflow_demo.files:demo_files"
-"""Renders a demo: its description and its files; a ValueError says what cannot be rendered."""
-
-DEMO_NIGHTS = "wbflow_demo.files:demo_nights"
-"""The same, of several nights of the demo yard."""
-
-FEWER_POINTS = "wbflow_stages.exports.view:thinned_view"
-"""Makes of the points of a report's 3-D view some of them."""
-
-CHANGES_DATA = "wbflow_stages.exports.ground:changes_data"
-"""Makes of changes what changes.json has of them."""
-
-CLOUD_OBJECT = "wbflow_stages.exports.forms:point_cloud"
-"""Makes of a cloud the object that people work with in Python."""
-
-VIEWS_OF_LENS = "wbflow_stages.capture.wide:views_of_lens"
-"""Of a lens that is too wide for one pinhole: what each of several views of it is."""
-
-DECODE = "wbflow_stages.capture.video:one_picture"
-"""Makes pixels of a capture; a ValueError says what is wrong with it."""
-
-PICTURE_TO_DRAW_ON = "wbflow_stages.marking:shown"
-"""Width, height and a JPEG of a capture; a ValueError says what is wrong with it."""
-
-MASK_SHADE = "wbflow_stages.marking:shade"
-"""A picture of what a mask leaves out."""
-
-PAINTED_MASK = "wbflow_stages.marking:painted"
-"""Paints areas over a mask."""
-
-SIGHTS = "wbflow_stages.sighting:Sights"
-"""What posed cameras see where: epipolar lines, places of clicks, outlines on the ground."""
-
-PLAIN_FILES = "wbflow_stages.exports.plain:write"
-"""Writes any input of a stage as ordinary files, and says where its parts are."""
-
-FROM_PLAIN_FILES = "wbflow_stages.exports.plain:read"
-"""Makes it again from these files, to the bit."""

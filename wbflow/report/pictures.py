@@ -17,7 +17,6 @@ from typing import Any
 
 from ..cache.fingerprint import load
 from ..cache.untrusted import read_outside
-from ..pipeline.exports import FEWER_POINTS
 from ..pipeline.stages import FRAMES, FUSE, STAGES, stage_named
 from ..records.run_folder import NoSuchRun, RunFolder
 from ..task import Task
@@ -201,7 +200,7 @@ def points_of_other(night: OtherNight) -> list[Points]:
     if stream is None:
         return []
     if split(stream)[0]["n"] > MOST_POINTS:
-        stream = load(FEWER_POINTS)(stream, MOST_POINTS)
+        stream = load("wbflow_stages.exports.view:thinned_view")(stream, MOST_POINTS)
     return [Points(OTHER, split(stream)[0], stream)]
 
 

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 from ..cache.fingerprint import load
 from ..cache.untrusted import is_file
 from ..errors import printable
-from ..pipeline.exports import VIEWS_OF_LENS
 from ..task import view_name
 from .calibration.calibrated import Calibrated, Lens, Placement
 from .calibration.read import find_camera, read_calibration
@@ -57,7 +56,7 @@ def views_of(camera: Camera) -> tuple[Camera, ...]:
     if lens.K is None or lens.model in _OWN_PINHOLE or not (lens.width and lens.height):
         return (camera,)
     try:
-        found = load(VIEWS_OF_LENS)(lens.K, lens.distortion, lens.width, lens.height, lens.model)
+        found = load("wbflow_stages.capture.wide:views_of_lens")(lens.K, lens.distortion, lens.width, lens.height, lens.model)
     except (ValueError, ArithmeticError):  # no lens has such numbers: the camera's frame says what is wrong
         found = []
     R = camera.placement.R
