@@ -31,6 +31,7 @@ from hostile_files import Case, calibration_cases, fuzzed, site_cases, write_bas
 
 from wbflow.errors import ExitCode, WbflowError
 from wbflow.runner.context import plan_run
+from wbflow.runner.options import Options
 from wbflow.site.load import load_site
 
 SECONDS = 60.0
@@ -83,7 +84,7 @@ def load(file: Path) -> str:
         with within(patience()):
             own_work = b'"work"' in file.read_bytes()
             site = load_site(file, None if own_work else file.parent / "work")  # one memo of functions for all
-            plan_run(site).plan.refresh()
+            plan_run(site, Options()).plan.refresh()
             site.reader.save()
     except WbflowError as error:
         if error.exit_code is not ExitCode.USAGE:

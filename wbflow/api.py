@@ -153,7 +153,7 @@ def _run_night(site: Site, options: Options, listen: Listener) -> Run:
         for note in site.notes:
             journal.warn(str(dataclasses.replace(note, remedy="")), remedy=note.remedy)
         mend_ledger(place, journal)
-        context = plan_run(site, options.date, options.until, options.force, options.not_captured)
+        context = plan_run(site, options)
         for damage in filter(None, (context.digests.damage, context.seen.damage, site.reader.damage)):
             journal.repaired(damage)
         finished = run_pipeline(name, context, options, journal)

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import WbflowError
-from .atomic import Fsync, write_atomic
+from .atomic import write_atomic
 from .untrusted import Unreadable, open_outside, read_outside
 
 _HEAD, _TAIL = b'{"signed":"', b'",'
@@ -82,21 +82,9 @@ def unsigned(data: bytes, of: str) -> dict[str, Any]:
     return content
 
 
-def write_signed(path: Path, of: str, content: Mapping[str, Any], *, fsync: Fsync = "folder") -> None:
-    """Put a signed file of the work folder into its place (see `signed`).  Raises OSError.
-
-    Parameters
-    ----------
-    path : Path
-        Where.
-    of : str
-        What it is of.
-    content : mapping
-        Its entries.
-    fsync : str
-        How it lasts: see `write_atomic`.
-    """
-    write_atomic(path, signed(of, content), fsync=fsync, ours=True)
+def write_signed(path: Path, of: str, content: Mapping[str, Any]) -> None:
+    """Put a signed file of the work folder into its place (see `signed`).  Raises OSError."""
+    write_atomic(path, signed(of, content), ours=True)
 
 
 def read_signed(path: Path, of: str) -> dict[str, Any] | None:

@@ -281,8 +281,9 @@ def _status(site: Site, date: datetime.date | None, until: str | None, force: tu
     from ..runner.context import plan_run
     from ..runner.options import Options
 
-    Options(until=until, force=force).check(site)
-    plan = plan_run(site, date, until, force).plan
+    options = Options(date, until=until, force=force)
+    options.check(site)
+    plan = plan_run(site, options).plan
     plan.refresh()
     if plan.misfit:
         echo(f"the reference is not used: {plan.misfit}", err=True)

@@ -20,6 +20,7 @@ from ..errors import ExitCode, printable
 from ..pipeline.stages import PAIRS, SITE_TYPES, stage_named
 from ..records.run_folder import NoSuchRun, RunFolder
 from ..runner.context import RunContext, plan_run
+from ..runner.options import Options
 from ..runner.planner import Plan
 from ..runner.spec import TaskSpec
 from ..site.captures import CaptureFile, expected
@@ -60,7 +61,7 @@ def check(site: Site, date: datetime.date | None) -> list[Finding]:
     machine = check_machine()
     if any(finding.severity == "error" for finding in machine):
         return machine + _disk(site)
-    return [*check_captures(site, plan_run(site, date)), *machine, *_disk(site), *check_published(site.work_folder)]
+    return [*check_captures(site, plan_run(site, Options(date))), *machine, *_disk(site), *check_published(site.work_folder)]
 
 
 def exit_code(findings: Iterable[Finding]) -> ExitCode:

@@ -18,6 +18,7 @@ from ..errors import UsageError
 from ..pipeline.stages import DENSE_PAIRS, FUSE, PAIRS, REJECTED, stage_named
 from ..runner.context import plan_run
 from ..runner.executors import THREADS
+from ..runner.options import Options
 from ..runner.planner import Plan
 from ..runner.spec import Impossible, Input, State, Stored, TaskSpec, Waiting
 from ..runner.worker import arguments_of
@@ -63,7 +64,7 @@ def write_task(site: Site, task: Task, out: Path, date: datetime.date | None = N
     DamagedArtifact
         One of them has been damaged on disk.
     """
-    context = plan_run(site, date)
+    context = plan_run(site, Options(date))
     plan = context.plan
     plan.refresh()
     spec = _spec(plan, task)

@@ -111,7 +111,7 @@ class Pinned:
     def __post_init__(self) -> None:
         self._useless |= {view for view in self.cameras if (h := self.known.get(camera_of(view))) and h.state in USELESS}
 
-    def input(self, need: Source, stage: Stage, task: Task) -> Input:
+    def input(self, need: Source, task: Task) -> Input:
         """An input that the reference holds.  Raises Waiting."""
         everywhere = need.of == "every"
         if self.reference is None or self._own_frames.issuperset(task.subject or self.cameras):
@@ -121,7 +121,7 @@ class Pinned:
             tasks = [t for t in self.reference.artifacts if t.stage == origin.name]
             found = {t.subject: self._stored(need, t, False) for t in tasks}
             return Joined({subject: item for subject, item in found.items() if isinstance(item, Stored)})
-        whole = origin.scope != "site" or stage.scope == "site"
+        whole = origin.scope != "site" or stage_named(task.stage).scope == "site"
         subject = subject_of(origin, need, task)
         return self._stored(need, Task(origin.name, subject), not whole, task.subject)
 

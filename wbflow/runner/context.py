@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import datetime
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from types import MappingProxyType
 
 from ..cache.layout import WorkFolder
 from ..cache.memo import Digests, Seen
@@ -15,6 +13,7 @@ from ..records.reference_folder import BadReference, Reference, read_reference
 from ..site.captures import CaptureFile, as_now, expected, find_captures, find_named, in_motion, look_again, night, when_complete
 from ..site.models import Camera, Site
 from ..site.staleness import look_at
+from .options import Options
 from .planner import Plan
 
 
@@ -71,32 +70,12 @@ class RunContext:
         return harmful, harmless
 
 
-def plan_run(
-    site: Site,
-    date: datetime.date | None = None,
-    until: str | None = None,
-    force: tuple[str, ...] = (),
-    not_captured: Mapping[str, str] = MappingProxyType({}),
-) -> RunContext:
-    """Find a night's captures and plan its work; nothing is written.
-
-    Parameters
-    ----------
-    site : Site
-        Whose captures.
-    date : date, optional
-        The night; the newest that has captures, if not given.
-    until : str, optional
-        Stop after this stage.
-    force : tuple of str
-        Stages or tasks to be done again.
-    not_captured : mapping of str to str
-        Why no picture of a camera could be taken, by camera.
-    """
+def plan_run(site: Site, options: Options) -> RunContext:
+    """Find a night's captures and plan its work; nothing is written."""
     work = site.work_folder
     digests, seen = Digests(work.captures_memo), Seen(work.seen_memo)
     look_again(site)
-    found_date = night(site, date)
+    found_date = night(site, options.date)
     found, growing = when_complete(find_captures(site, found_date, digests), digests)
     delivered = look_at(site, found_date, found, digests, seen)
     lost = [camera for camera in site.cameras if not delivered.captures[camera.id]]
@@ -107,13 +86,13 @@ def plan_run(
         str(found_date),
         Cache(work),
         find_named(site, digests),
-        {camera.id: not_captured.get(camera.id) or _expected(site, camera, found_date) for camera in lost},
-        until,
-        frozenset(force),
+        {camera.id: options.not_captured.get(camera.id) or _expected(site, camera, found_date) for camera in lost},
+        options.until,
+        frozenset(options.force),
         reference=reference,
         misfit=misfit,
         stale=delivered.stale,
-        night_given=date is not None,
+        night_given=options.date is not None,
     )
     return RunContext(site, found_date, delivered.captures, digests, seen, delivered.notes, plan, growing=growing)
 

@@ -153,23 +153,16 @@ class Inputs:
     """Tasks that have ended: the plan's own, which it changes."""
     pinned: Pinned
 
-    def of(self, stage: Stage, task: Task, needs: Mapping[str, Source], made: set[Task]) -> dict[str, Input]:
+    def of(self, task: Task, needs: Mapping[str, Source], made: set[Task]) -> dict[str, Input]:
         """All inputs of a task by argument name.  Raises Waiting or Impossible where one has not ended, or will not come.
 
-        Parameters
-        ----------
-        stage, task : Stage, Task
-            Which.
-        needs : mapping
-            What it needs, by argument name.
-        made : set of Task
-            Made earlier in the same chain: inputs from these are not resolved yet.
+        made: earlier in the same chain: inputs from these are not resolved yet.
         """
         found: dict[str, Input] = {}
         impossible: dict[str, Impossible] = {}
         for name, need in needs.items():
             try:
-                found[name] = self.one(stage, task, need, made)
+                found[name] = self.one(task, need, made)
             except Impossible as error:
                 if not need.unless:
                     raise
@@ -179,20 +172,14 @@ class Inputs:
                 raise why
         return found
 
-    def one(self, stage: Stage, task: Task, need: Source, made: set[Task]) -> Input:
-        """An input of a task; parameters and exceptions are those of `of`.
-
-        Parameters
-        ----------
-        stage, task, need, made
-            As for `of`.
-        """
+    def one(self, task: Task, need: Source, made: set[Task]) -> Input:
+        """An input of a task, as `of` finds it."""
         if need.kind == "site":
             return self._from_site(need, task)
         if need.kind == "file":
             return self._named(need.name, file_of_stage(task.stage, need.name))
         if need.kind == "reference":
-            return self.pinned.input(need, stage, task)
+            return self.pinned.input(need, task)
         if need.kind == "history":
             return self.pinned.observed(need, task)
         if need.needed_if and not need.needed_if(self.site):
@@ -200,7 +187,8 @@ class Inputs:
         origin = stage_named(need.name)
         if need.joins:
             return self._join(origin, need, task)
-        entry = "--".join(own_subject(need, task)) if origin.scope == "site" and stage.scope != "site" else None
+        of_site = stage_named(task.stage).scope == "site"
+        entry = "--".join(own_subject(need, task)) if origin.scope == "site" and not of_site else None
         part = Part(need.part, entry) if need.part else None
         return self._stored(Task(origin.name, subject_of(origin, need, task)), need, part, made)
 

@@ -229,7 +229,7 @@ class Plan:
         made: made earlier in the same chain; inputs from these are not resolved yet.
         """
         bound = self.bound(stage, adapt)
-        inputs = self._inputs.of(stage, task, bound.inputs, set(made))
+        inputs = self._inputs.of(task, bound.inputs, set(made))
         parameters = self._parameters(stage, task, adapt)
         return TaskSpec(
             task,
@@ -250,7 +250,7 @@ class Plan:
             inputs: dict[str, Input] = {}
             for argument, need in stage.products.picture_inputs.items() if name == "picture" else ():
                 try:
-                    inputs[argument] = self._inputs.one(stage, spec.task, need, made)
+                    inputs[argument] = self._inputs.one(spec.task, need, made)
                 except (Waiting, Impossible):
                     inputs[argument] = Absent()
             drawings.append(Drawing(name, function, inputs))

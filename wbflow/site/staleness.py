@@ -90,19 +90,7 @@ def _earlier(site: Site, camera: Camera, date: datetime.date, digests: Digests, 
 
 
 def _repeats(camera: str, files: list[CaptureFile], earlier: Mapping[str, str], delivered: Delivered) -> Health | None:
-    """A camera that repeats itself; single captures that come again are left out.
-
-    Parameters
-    ----------
-    camera : str
-        Its id.
-    files : list of CaptureFile
-        Its captures.
-    earlier : mapping
-        Night by digest.
-    delivered : Delivered
-        Where captures are left out, and notes are added.
-    """
+    """A camera that repeats itself; single captures that come again are left out of `delivered`.  earlier: night by digest."""
     readable = [file for file in files if file.digest not in {"", _OF_NOTHING}]
     if not readable:
         return None
