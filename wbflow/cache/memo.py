@@ -30,59 +30,59 @@ class ChangedFile(WbflowError):
         return type(self), (self.path,)
 
 
-class _Memo:
-    """A signed file of one mapping, kept between runs."""
+class Memo:
+    """A signed file of what was learnt, kept between runs."""
 
-    def __init__(self, path: Path | None, of: str, entry: str, cost: str) -> None:
+    def __init__(self, path: Path | None, of: str, cost: str) -> None:
         """path: None keeps nothing.  cost: what it means, in words, when the file is damaged."""
-        self._path, self._of, self._entry = path, of, entry
+        self._path, self._of = path, of
         self.damage: str | None = None
         """What was wrong with the file, if anything was."""
-        known = None
+        self.entries: dict[str, Any] = {}
         try:
-            known = read_signed(path, of) if path else None
+            self.entries = (read_signed(path, of) if path else None) or {}
         except Damaged as damage:
             self.damage = f"{damage.what}: {cost}"
-        self._content: dict[str, Any] = dict(known.get(entry, {})) if known else {}
         self._changed = self.damage is not None
 
     def save(self) -> None:
         """Keep what was learnt.  Raises OSError."""
         if self._path and self._changed:
-            write_signed(self._path, self._of, {self._entry: self._content})
+            write_signed(self._path, self._of, self.entries)
             self._changed = False
 
 
-class Digests(_Memo):
+class Digests(Memo):
     """Digests of files by path, size, time stamps and inode."""
 
     def __init__(self, memo: Path | None) -> None:
-        super().__init__(memo, "digests of captures", "files", "captures are read again")
+        super().__init__(memo, "digests of captures", "captures are read again")
+        self._files: dict[str, list[Any]] = self.entries.setdefault("files", {})
         self._used: dict[str, None] = {}
 
     def of(self, path: Path) -> str:
         """The content digest of a file.  Raises OSError."""
         name, status = str(path), path.stat()
         self._used[name] = None
-        stamp, known = _stamp(status), self._content.get(name)
+        stamp, known = _stamp(status), self._files.get(name)
         settled = time.time_ns() - max(status.st_mtime_ns, status.st_ctime_ns) > _SETTLED_NS
         if known and known[:-1] == stamp and settled:
             return str(known[-1])
         digest = file_digest(path)
         if settled and _stamp(path.stat()) == stamp:  # the file is the one that was looked at before it was read
-            self._content[name] = [*stamp, digest]
+            self._files[name] = [*stamp, digest]
             self._changed = True
         return digest
 
     def forget(self, path: Path) -> None:
         """What is remembered of a file is wrong: it is read again."""
-        self._changed |= self._content.pop(str(path), None) is not None
+        self._changed |= self._files.pop(str(path), None) is not None
 
     def save(self) -> None:
         """Keep what was learnt.  Raises OSError."""
-        former = [name for name in self._content if name not in self._used][-_FORMER:]
-        kept = [*former, *(name for name in self._used if name in self._content)]
-        self._content = {name: self._content[name] for name in kept}
+        former = [name for name in self._files if name not in self._used][-_FORMER:]
+        kept = [*former, *(name for name in self._used if name in self._files)]
+        self._files = self.entries["files"] = {name: self._files[name] for name in kept}
         super().save()
 
 
@@ -91,23 +91,24 @@ def _stamp(status: os.stat_result) -> list[int]:
     return [status.st_size, status.st_mtime_ns, status.st_ctime_ns, status.st_ino]
 
 
-class Seen(_Memo):
+class Seen(Memo):
     """Digests of captures by camera and night (ISO 8601)."""
 
     def __init__(self, memo: Path) -> None:
         cost = "what cameras have delivered before tonight is forgotten"
-        super().__init__(memo, "captures of earlier nights", "cameras", cost)
+        super().__init__(memo, "captures of earlier nights", cost)
+        self._cameras: dict[str, dict[str, list[str]]] = self.entries.setdefault("cameras", {})
 
     def before(self, camera: str, night: str) -> dict[str, str]:
         """The newest earlier night of each digest that a camera has delivered."""
-        earlier = sorted((date, found) for date, found in self._content.get(camera, {}).items() if date < night)
+        earlier = sorted((date, found) for date, found in self._cameras.get(camera, {}).items() if date < night)
         return {digest: date for date, found in earlier for digest in found}
 
     def note(self, camera: str, night: str, digests: Iterable[str]) -> None:
         """Remember what a camera delivers tonight.  A night that is run again is remembered as it is now."""
-        nights = self._content.setdefault(camera, {})
+        nights = self._cameras.setdefault(camera, {})
         found = sorted({digest for digest in digests if digest})
         if found and nights.get(night) != found:
             nights[night] = found
-            self._content[camera] = {date: nights[date] for date in sorted(nights)[-NIGHTS:]}
+            self._cameras[camera] = {date: nights[date] for date in sorted(nights)[-NIGHTS:]}
             self._changed = True

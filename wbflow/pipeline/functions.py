@@ -4,17 +4,16 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 from ..cache.fingerprint import Code, Modules, read_code
-from ..cache.signed import Damaged, read_signed, write_signed
+from ..cache.memo import Memo
 from .signature import Argument, Parameter, Signature, read_signature, read_table
 
 _FORM = f"3, Python {sys.version_info.major}.{sys.version_info.minor}"
 """Of the memo; another one is not read."""
-_OF = "what was read of functions"
 
 
 @dataclass(frozen=True)
@@ -26,33 +25,19 @@ class FunctionInfo:
     code: str
 
 
-@dataclass
-class FunctionReader:
+class FunctionReader(Memo):
     """Reads functions, and remembers in a file what it read, for as long as none of their source files changes.
 
     Nothing is imported: all stages with their libraries take 1.6 CPU seconds and 250 MB to import, and 0.8 seconds to read.
     """
 
-    memo: Path | None = None
-    folder: Path | None = None
-    """Where modules may lie that are not installed: beside the site file."""
-    modules: Modules = field(init=False)
-    damage: str | None = None
-    """What was wrong with the memo, if anything was: then every function is read again."""
-    _known: dict[str, Any] = field(default_factory=dict)
-    _files: dict[str, list[int] | None] = field(default_factory=dict)
-    """Time and size of the source files behind what is known."""
-    _fresh: bool = False
-
-    def __post_init__(self) -> None:
-        self.modules = Modules(self.folder)
-        try:
-            memo = read_signed(self.memo, _OF) if self.memo else None
-        except Damaged as damage:
-            self.damage, self._fresh = f"{damage.what}: functions are read again", True
-            return
-        if memo and memo.get("form") == _FORM and all(_stamp(file) == stamp for file, stamp in memo["files"].items()):
-            self._known, self._files = memo["known"], memo["files"]
+    def __init__(self, memo: Path | None = None, folder: Path | None = None) -> None:
+        """folder: where modules may lie that are not installed: beside the site file."""
+        super().__init__(memo, "what was read of functions", "functions are read again")
+        self.modules = Modules(folder)
+        files = self.entries.get("files", {})
+        if self.entries.get("form") != _FORM or any(_stamp(file) != stamp for file, stamp in files.items()):
+            self.entries = {"form": _FORM, "files": {}, "known": {}}
 
     def read(self, dotted: str, table: str = "") -> FunctionInfo:
         """Return what is known of a function, "package.module:function".  Raises FunctionError, with what is missing.
@@ -84,20 +69,15 @@ class FunctionReader:
         found: dict[str, str] = self._remembered("table", dotted, lambda: read_table(self.modules, dotted))
         return found
 
-    def save(self) -> None:
-        """Write what was read, for the next run."""
-        if self.memo and self._fresh:
-            write_signed(self.memo, _OF, {"form": _FORM, "files": self._files, "known": self._known})
-            self._fresh = False
-
     def _remembered(self, what: str, dotted: str, read: Callable[[], tuple[Any, Iterable[Path]]]) -> Any:
         """Return what is known of a dotted name, or read it now, with the files that it is from."""
         entry = f"{what} {dotted} {self.modules.file(dotted.partition(':')[0])}"  # found elsewhere, it is another one
-        if entry not in self._known:
-            self._known[entry], files = read()
-            self._files |= {str(file): _stamp(str(file)) for file in files}
-            self._fresh = True
-        return self._known[entry]
+        known = self.entries["known"]
+        if entry not in known:
+            known[entry], files = read()
+            self.entries["files"] |= {str(file): _stamp(str(file)) for file in files}
+            self._changed = True
+        return known[entry]
 
 
 def _stamp(file: str) -> list[int] | None:
