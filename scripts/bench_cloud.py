@@ -30,7 +30,7 @@ import cv2
 import numpy as np
 from pairs_with_truth import read_rgb
 
-from wbflow.cache.ply import read_ply
+from wbflow.cache.artifact import read_ply
 from wbflow_stages.core.cameras import backproject, project, relative_pose, scaled_intrinsics
 from wbflow_stages.core.similarity import similarity_between
 from wbflow_stages.evaluate import compare_clouds, voxel_means

@@ -20,7 +20,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 import wbflow
-from wbflow.cache.ply import read_ply
+from wbflow.cache.artifact import read_ply
 from wbflow_stages.core.similarity import similarity_between
 from wbflow_stages.evaluate import compare_clouds
 from wbflow_stages.types import Float64s

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from wbflow.cache.ply import read_ply
+from wbflow.cache.artifact import read_ply
 from wbflow_stages.evaluate import compare_clouds
 
 

@@ -8,8 +8,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from wbflow.cache.ply import read_ply
-from wbflow.site.rotations import look_at
+from wbflow.cache.artifact import read_ply
+from wbflow.site.calibration.calibrated import look_at
 
 
 def main() -> None:

@@ -13,7 +13,7 @@ import numpy as np
 from wbflow.api import load_site
 from wbflow.edit.server import EditServer
 from wbflow.edit.session import Session
-from wbflow.site.rotations import look_at
+from wbflow.site.calibration.calibrated import look_at
 
 WIDTH, HEIGHT, FOCAL = 320, 180, 300.0
 PLACES = {"gate": [-6.0, -12.0, 5.0], "roof": [0.0, -14.0, 7.0], "mast": [6.0, -12.0, 4.0]}

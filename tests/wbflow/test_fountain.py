@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from wbflow.cache.ply import read_ply
+from wbflow.cache.artifact import read_ply
 from wbflow_stages.core.cameras import backproject
 from wbflow_stages.evaluate import compare_clouds
 from wbflow_stages.types import Camera

@@ -20,7 +20,7 @@ from scipy.spatial import cKDTree
 import wbflow
 from tests.helpers.browser import chromium, until
 from tests.helpers.images import read_image
-from wbflow.cache.ply import read_ply
+from wbflow.cache.artifact import read_ply
 from wbflow.cli.main import main
 from wbflow.outcome.init import write_demo
 from wbflow_stages.evaluate import compare_clouds

@@ -2,6 +2,7 @@
 
 Layout: b"WBF1", length of the header (uint32, little-endian), header (JSON), array frames.  Equal objects give equal bytes.
 The header alone rebuilds an object that holds no arrays, so small artifacts are read without importing numpy.
+A cloud is a PLY file instead: binary, little-endian, with named columns.
 """
 
 from __future__ import annotations
@@ -11,15 +12,23 @@ import functools
 import importlib
 import json
 import math
+import sys
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from ..errors import WbflowError
 from ..pipeline.stages import CLOUD_COLUMNS, CLOUD_FIGURES, FUSE, RESTORE_CLOUD
 from .fingerprint import load
-from .ply import columns_of, ply_bytes
 from .signed import content_digest
+from .untrusted import read_outside
+
+if TYPE_CHECKING:
+    import numpy as np
+    import numpy.typing as npt
+
+    Columns = Mapping[str, npt.NDArray[Any]]
 
 MAGIC = b"WBF1"
 _SCALARS = (bool, int, float, str)  # `bool | int` would be made anew at each look
@@ -229,3 +238,61 @@ def _dataclass(name: str) -> Any:
     if not (isinstance(kind, type) and dataclasses.is_dataclass(kind)):
         raise ArtifactError(f"{name} is not a dataclass")
     return kind
+
+
+_TYPES = {"f4": "float", "f8": "double", "u1": "uchar", "i1": "char", "u2": "ushort", "i2": "short", "u4": "uint", "i4": "int"}
+
+
+def ply_bytes(columns: Columns, comments: tuple[str, ...] = ()) -> bytes | bytearray:
+    """A PLY file with one vertex property for each column (1-D arrays of equal length)."""
+    import numpy as np
+
+    count = len(next(iter(columns.values())))
+    dtype = np.dtype([(name, "<" + column.dtype.str[1:]) for name, column in columns.items()])
+    properties = [f"property {_TYPES[column.dtype.str[1:]]} {name}" for name, column in columns.items()]
+    head = ["ply", "format binary_little_endian 1.0", *(f"comment {c}" for c in comments), f"element vertex {count}"]
+    start = "\n".join([*head, *properties, "end_header", ""]).encode()
+    data = bytearray(len(start) + count * dtype.itemsize)  # filled in place: a cloud can be as large as all else in memory
+    data[: len(start)] = start
+    table = np.frombuffer(data, dtype, count, len(start))
+    for name, column in columns.items():
+        table[name] = column
+    return data
+
+
+def read_ply(path: Path) -> dict[str, npt.NDArray[Any]]:
+    """Vertex columns of a binary little-endian PLY by name.
+
+    Raises ValueError for another PLY format, list properties, or fewer bytes than the header promises.
+    """
+    try:
+        return columns_of(read_outside(path, most=sys.maxsize))
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from None
+
+
+def columns_of(data: bytes) -> dict[str, npt.NDArray[Any]]:
+    """Vertex columns of the bytes of a binary little-endian PLY by name.  Raises ValueError."""
+    import numpy as np
+
+    end = data.find(b"end_header\n")
+    lines = data[:end].decode("ascii", "replace").split("\n") if end >= 0 else []
+    if lines[:2] != ["ply", "format binary_little_endian 1.0"]:
+        raise ValueError("not a binary little-endian PLY file")
+    sizes = {kind: code for code, kind in _TYPES.items()}
+    words = [line.split() for line in lines]
+    count = next(int(w[2]) for w in words if w[:2] == ["element", "vertex"])
+    dtype: np.dtype[Any] = np.dtype([(w[2], "<" + sizes[w[1]]) for w in words if w and w[0] == "property"])
+    start = end + len(b"end_header\n")
+    if len(data) - start < count * dtype.itemsize:
+        raise ValueError(f"ends after {len(data):,} bytes, {count:,} points were promised")
+    table = np.frombuffer(data, dtype=dtype, count=count, offset=start)
+    return {name: table[name].copy() for name in dtype.names or ()}
+
+
+def with_comments(ply: bytes, comments: tuple[str, ...]) -> bytes:
+    """The same PLY with further comments in its header, after the first."""
+    if not comments:
+        return ply
+    at = ply.index(b"element vertex")
+    return b"".join([ply[:at], *(f"comment {comment}\n".encode() for comment in comments), memoryview(ply)[at:]])

@@ -11,11 +11,10 @@ from typing import Annotated, Any
 
 from pydantic import Field
 
+from ..cache.artifact import read_ply
 from ..cache.atomic import write_atomic
 from ..cache.fingerprint import load
-from ..cache.memo import Digests
-from ..cache.ply import read_ply
-from ..cache.signed import content_digest
+from ..cache.signed import Digests, content_digest
 from ..cache.untrusted import MOST_TEXT_BYTES, is_file, read_outside
 from ..errors import ExitCode, WbflowError
 from ..records.run_folder import NoSuchRun, RunFolder

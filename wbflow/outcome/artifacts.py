@@ -10,10 +10,10 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from ..cache.artifact import read_ply
 from ..cache.atomic import write_atomic
 from ..cache.fingerprint import load
 from ..cache.layout import WorkFolder
-from ..cache.ply import read_ply
 from ..cache.store import Cache, Receipt
 from ..errors import ExitCode, UsageError, WbflowError
 from ..pipeline.exports import EXPORTS, EXTRAS, Export

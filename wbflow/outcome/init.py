@@ -12,9 +12,9 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
+from ..cache.artifact import ply_bytes
 from ..cache.atomic import write_atomic
 from ..cache.fingerprint import load
-from ..cache.ply import ply_bytes
 from ..cache.untrusted import Unreadable, read_outside
 from ..errors import UsageError
 from ..site.locations import is_name

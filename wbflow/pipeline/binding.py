@@ -13,8 +13,7 @@ from functools import cached_property
 from typing import Any
 
 from ..cache.fingerprint import FunctionError
-from .functions import FunctionInfo, FunctionReader
-from .signature import Parameter, Signature
+from .functions import FunctionInfo, FunctionReader, Parameter, Signature
 from .stages import Source, Stage
 
 

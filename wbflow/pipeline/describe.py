@@ -9,8 +9,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 from .binding import method_parameters
-from .functions import FunctionReader
-from .signature import Parameter
+from .functions import FunctionReader, Parameter
 from .stages import COMPONENT, FUSE, Stage
 
 _TYPES = re.compile(r"(?:int|float|bool|str|list|tuple|dict|None|optional|\{[^}]*\}|\"[^\"]*\"| |or|of|\||,|\[[^\]]*\])+")

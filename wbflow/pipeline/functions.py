@@ -1,19 +1,36 @@
-"""What a site's functions ask for and which code they run, read from source and remembered until a source file changes."""
+"""What a site's functions ask for and which code they run, read from source and remembered until a source file changes.
+
+A function takes inputs by name, and parameters with defaults and types.  A default that is no literal is left to the function;
+its text stands for its value.  Of a type only what `typing` and the built-ins say counts: a class of one's own accepts anything,
+and the function will speak for itself.
+"""
 
 from __future__ import annotations
 
+import ast
+import builtins
+import json
 import sys
+import types
+import typing
+from collections import Counter
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from ..cache.fingerprint import Code, Modules, read_code
-from ..cache.memo import Memo
-from .signature import Argument, Parameter, Signature, read_signature, read_table
+from pydantic import ConfigDict, TypeAdapter, ValidationError
+
+from ..cache.fingerprint import Code, FunctionError, Modules, assigned, origin_of, read_code
+from ..cache.signed import Memo
 
 _FORM = f"3, Python {sys.version_info.major}.{sys.version_info.minor}"
 """Of the memo; another one is not read."""
+
+
+_TYPING = {"typing", "typing_extensions", "collections.abc"}
+_DEEPEST = 10  # modules that import a name from each other
 
 
 @dataclass(frozen=True)
@@ -92,3 +109,236 @@ def _stamp(file: str) -> list[int] | None:
 def _signature(entry: Mapping[str, Any]) -> Signature:
     arguments = tuple(Argument(**argument) for argument in entry["arguments"])
     return Signature(arguments, {name: Parameter(**row) for name, row in entry["parameters"].items()}, entry["takes_any"])
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """A keyword-only parameter."""
+
+    name: str
+    default: Any = None
+    source: str = ""
+    """Text of a default that is no literal: what it is worth only the function knows."""
+    required: bool = False
+    """There is no default."""
+    annotation: str = "Any"
+    """Its type, in names of `typing` and built-ins alone."""
+
+    @property
+    def shown(self) -> str:
+        """The default in words."""
+        return self.source or ("none: it must be given" if self.required else repr(self.default))
+
+    @property
+    def choices(self) -> tuple[Any, ...]:
+        """Literal values that are accepted."""
+        return tuple(value for kind in _alternatives(self._type) if isinstance(kind, _LITERAL) for value in typing.get_args(kind))
+
+    def problem(self, value: Any) -> str | None:
+        """Return what is wrong with a value from the site file, in words; None when it fits."""
+        try:
+            # as JSON, which is what YAML gives: a list fits a tuple, a whole number a float, and nothing else is converted
+            TypeAdapter(self._type, config=_AS_IT_IS).validate_json(json.dumps(value))
+        except (ValidationError, TypeError):
+            kinds = [_words(kind) for kind in _alternatives(self._type) if not isinstance(kind, _LITERAL)]
+            choices = ", ".join(map(str, self.choices))
+            if not set(kinds) - {"None"} and choices:
+                return f"{value!r} is not one of {choices}"
+            return f"{value!r} is not of type {' or '.join(kinds)}{f' or one of {choices}' if choices else ''}"
+        return None
+
+    @cached_property
+    def _type(self) -> Any:
+        try:
+            return eval(self.annotation, {"__builtins__": builtins, **vars(typing)})
+        except (TypeError, NameError):  # such as list[int, int, int]: no type to Python either
+            return Any
+
+
+_AS_IT_IS = ConfigDict(strict=True, arbitrary_types_allowed=True)
+_LITERAL = type(typing.Literal[0])
+
+
+def _alternatives(kind: Any) -> tuple[Any, ...]:
+    return typing.get_args(kind) if typing.get_origin(kind) in {typing.Union, types.UnionType} else (kind,)
+
+
+def _words(kind: Any) -> str:
+    if kind is type(None):
+        return "None"
+    return kind.__name__ if isinstance(kind, type) and not typing.get_args(kind) else str(kind).replace("typing.", "")
+
+
+@dataclass(frozen=True)
+class Argument:
+    """An argument that can be handed over by position or by name."""
+
+    name: str
+    required: bool
+    by_name: bool = True
+    """False where only a position will do."""
+
+
+@dataclass(frozen=True)
+class Signature:
+    """What a function asks for."""
+
+    arguments: tuple[Argument, ...]
+    parameters: dict[str, Parameter]
+    takes_any: bool
+    """It has **something that swallows whatever else is handed over."""
+
+
+def read_signature(modules: Modules, dotted: str) -> tuple[Signature, set[Path]]:
+    """Return what "package.module:function" asks for, and the source files that say so.  Raises FunctionError."""
+    module, path, node = modules.function(dotted)
+    scope = _Scope(modules, module, path)
+    args = node.args
+    first = len(args.posonlyargs) + len(args.args) - len(args.defaults)
+    arguments = tuple(
+        Argument(a.arg, k < first, k >= len(args.posonlyargs)) for k, a in enumerate([*args.posonlyargs, *args.args])
+    )
+    parameters = {}
+    for argument, default in zip(args.kwonlyargs, args.kw_defaults, strict=True):
+        annotation = ast.unparse(_Inlined(scope).visit(argument.annotation)) if argument.annotation else "Any"
+        try:
+            value, source = (None, "") if default is None else (scope.literal(default), "")
+        except ValueError:
+            value, source = None, ast.unparse(default) if default else ""
+        parameters[argument.arg] = Parameter(argument.arg, value, source, default is None, annotation)
+    return Signature(arguments, parameters, args.kwarg is not None), scope.read
+
+
+def read_table(modules: Modules, dotted: str) -> tuple[dict[str, str], set[Path]]:
+    """Return a table of methods, name -> "package.module:function", and the files it is from.
+
+    Raises FunctionError where there is no such dictionary literal.
+    """
+    module, _, name = dotted.partition(":")
+    path = modules.file(module)
+    if path is None:
+        raise FunctionError(f"there is no module {module!r} to take the table {name} from")
+    scope = _Scope(modules, module, path)
+    try:
+        table = scope.literal(ast.Name(name))
+    except ValueError:
+        table = None
+    if not isinstance(table, dict) or not all(isinstance(v, str) for pair in table.items() for v in pair):
+        raise FunctionError(f"{path} has no dictionary literal {name} of method names and dotted functions")
+    return table, scope.read
+
+
+@dataclass(frozen=True)
+class _Scope:
+    """The names at the top of a module."""
+
+    modules: Modules
+    module: str
+    path: Path
+    read: set[Path] = field(default_factory=set)
+    """The files that were looked at."""
+    depth: int = 0
+
+    @cached_property
+    def tree(self) -> ast.Module:
+        """The syntax tree of the module."""
+        self.read.add(self.path)
+        return self.modules.tree(self.path)
+
+    @cached_property
+    def defined(self) -> dict[str, ast.expr]:
+        """Value of each name that is set once, at the top."""
+        stored = Counter(n.id for n in ast.walk(self.tree) if isinstance(n, ast.Name) and not isinstance(n.ctx, ast.Load))
+        values = [(node, getattr(node, "value", None)) for node in self.tree.body]
+        found = {name: value for node, value in values if value for name in assigned(node) if stored[name] == 1}
+        # Python 3.12: type Mode = ...
+        return found | {node.name.id: node.value for node in self.tree.body if type(node).__name__ == "TypeAlias"}  # type: ignore[attr-defined]
+
+    @cached_property
+    def imported(self) -> dict[str, tuple[str, str]]:
+        """Module and name there, "" for the module itself, of each imported name; "*" for what follows a star."""
+        found: dict[str, tuple[str, str]] = {}
+        for node in ast.walk(self.tree):
+            if isinstance(node, ast.ImportFrom):
+                origin = origin_of(node, self.module, self.path)
+                found |= {alias.asname or alias.name: (origin, alias.name) for alias in node.names}
+            elif isinstance(node, ast.Import):
+                found |= {alias.asname or alias.name: (alias.name, "") for alias in node.names}
+        return found
+
+    def literal(self, node: ast.expr) -> Any:
+        """Return the value of a literal or of a name for one, plain as JSON is.  Raises ValueError."""
+        if isinstance(node, ast.Name):
+            found = self.find(node.id)
+            if isinstance(found, str):
+                raise ValueError(node.id)
+            value, scope = found
+            return scope.literal(value)
+        try:
+            value = ast.literal_eval(node)
+        except (TypeError, SyntaxError) as error:
+            raise ValueError(str(error)) from None
+        if json.loads(json.dumps(value, default=str)) != value:  # tuples, sets, not a number: memos would change them
+            raise ValueError(str(value))
+        return value
+
+    def find(self, name: str) -> tuple[ast.expr, _Scope] | str:
+        """Return the definition of a name and its module; of something of `typing` its name there; "" where neither is known."""
+        if name in self.defined:
+            return self.defined[name], self
+        origin, there = self.imported.get(name) or self.imported.get("*", ("", ""))
+        return self.within(origin, name if there == "*" else there) if there else ""
+
+    def within(self, origin: str, name: str) -> tuple[ast.expr, _Scope] | str:
+        """Return the same of a name in another module."""
+        if origin in _TYPING:
+            return name
+        path = self.modules.file(origin) if origin and self.modules.follows(origin, self.module) else None
+        if path is None or self.depth > _DEEPEST:
+            return ""
+        return _Scope(self.modules, origin, path, self.read, self.depth + 1).find(name)
+
+
+class _Inlined(ast.NodeTransformer):
+    """Writes an annotation in names of `typing` and built-ins alone: names for types are replaced by what they stand for, and
+    what is neither by Any."""
+
+    def __init__(self, scope: _Scope) -> None:
+        self.scope = scope
+
+    def visit_Constant(self, node: ast.Constant) -> Any:
+        try:
+            return self.visit(ast.parse(node.value, mode="eval").body) if isinstance(node.value, str) else node
+        except SyntaxError:
+            return _ANY
+
+    def visit_Name(self, node: ast.Name) -> Any:
+        found = self.scope.find(node.id)
+        if not found and hasattr(builtins, node.id):
+            return node
+        return self._written(found)
+
+    def visit_Attribute(self, node: ast.Attribute) -> Any:
+        origin, name = self.scope.imported.get(node.value.id, ("", "")) if isinstance(node.value, ast.Name) else ("", "")
+        return self._written(self.scope.within(f"{origin}.{name}" if name else origin, node.attr))
+
+    def visit_Subscript(self, node: ast.Subscript) -> Any:
+        head: Any = self.visit(node.value)
+        name = head.id if isinstance(head, ast.Name) else "Any"
+        if name == "Literal":
+            return ast.Subscript(head, node.slice, ast.Load())
+        if name in {"Annotated", "Final"}:
+            return self.visit(node.slice.elts[0] if isinstance(node.slice, ast.Tuple) else node.slice)
+        return _ANY if name == "Any" else ast.Subscript(head, self.visit(node.slice), ast.Load())
+
+    def visit_Call(self, node: ast.Call) -> ast.AST:
+        return _ANY
+
+    def _written(self, found: tuple[ast.expr, _Scope] | str) -> Any:
+        if isinstance(found, str):
+            return ast.Name(found, ast.Load()) if hasattr(typing, found) else _ANY
+        definition, scope = found
+        return _Inlined(scope).visit(definition)
+
+
+_ANY = ast.Name("Any", ast.Load())

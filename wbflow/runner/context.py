@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from ..cache.layout import WorkFolder
-from ..cache.memo import Digests, Seen
+from ..cache.signed import Digests, Seen
 from ..cache.store import Cache
 from ..records.reference_folder import BadReference, Reference, read_reference
 from ..site.captures import CaptureFile, as_now, expected, find_captures, find_named, in_motion, look_again, night, when_complete

@@ -21,8 +21,7 @@ from typing import Any, TextIO
 from ..cache.artifact import kept, result_of
 from ..cache.atomic import FULL, REMEDY
 from ..cache.fingerprint import load, offer
-from ..cache.memo import ChangedFile
-from ..cache.signed import content_digest
+from ..cache.signed import ChangedFile, content_digest
 from ..cache.store import Cache, Damage, DamagedArtifact, Preimage, Receipt
 from ..cache.untrusted import read_outside
 from ..errors import LONGEST_TRACE, printable

@@ -10,11 +10,10 @@ from ..cache.fingerprint import load
 from ..cache.untrusted import is_file
 from ..errors import printable
 from ..task import view_name
-from .calibration.calibrated import Calibrated, Lens, Placement
+from .calibration.calibrated import Calibrated, Lens, Placement, turned
 from .calibration.read import find_camera, read_calibration
 from .locations import CalibrationError, Location, Problems, beside, is_name
 from .models import Camera, CameraEntry, SiteFile
-from .rotations import turned
 
 if TYPE_CHECKING:
     from .geodesy import LocalFrame

@@ -13,7 +13,7 @@ from pathlib import Path
 from queue import Empty, SimpleQueue
 from typing import Generic, TypeVar
 
-from ..cache.memo import Digests
+from ..cache.signed import Digests
 from ..errors import UsageError, WbflowError, printable
 from .models import Camera, Site
 

@@ -23,10 +23,9 @@ from ..cache.cleanup import Keep
 from ..cache.layout import WorkFolder
 from ..pipeline.stages import STAGES
 from ..task import camera_of
-from .calibration.calibrated import Lens, Placement, lens_fault
+from .calibration.calibrated import Lens, Matrix, Placement, lens_fault, look_at, rotation_fault, yaw_pitch_roll
 from .locations import Document, Location, SiteProblem, did_you_mean
 from .pattern import Pattern
-from .rotations import Matrix, look_at, rotation_fault, yaw_pitch_roll
 
 if TYPE_CHECKING:
     from ..pipeline.functions import FunctionReader

@@ -10,8 +10,7 @@ import datetime
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 
-from ..cache.memo import Digests, Seen
-from ..cache.signed import content_digest
+from ..cache.signed import Digests, Seen, content_digest
 from ..pipeline.summaries import FrameSummary
 from ..records.findings import Health
 from .captures import CaptureFile, captures_of

@@ -22,10 +22,10 @@ import pytest
 from tests.helpers import edit_site
 from tests.wbflow.outcome.test_verdict import night
 from wbflow.api import load_site
-from wbflow.cache.ply import ply_bytes
+from wbflow.cache.artifact import ply_bytes
 from wbflow.edit.server import EditServer
 from wbflow.records.run_folder import UnfinishedRun
-from wbflow.site.rotations import look_at
+from wbflow.site.calibration.calibrated import look_at
 
 
 @pytest.fixture

@@ -15,7 +15,7 @@ import pytest
 from click.testing import CliRunner, Result
 
 from tests.helpers.images import read_image
-from wbflow.cache.ply import read_ply
+from wbflow.cache.artifact import read_ply
 from wbflow.cache.signed import content_digest
 from wbflow.cli.main import main
 from wbflow.outcome.init import write_demo

@@ -8,8 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from wbflow.pipeline.functions import FunctionReader
-from wbflow.pipeline.signature import Parameter, Signature
+from wbflow.pipeline.functions import FunctionReader, Parameter, Signature
 
 
 def signature(folder: Path, text: str, **others: str) -> Signature:

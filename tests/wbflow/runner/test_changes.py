@@ -9,8 +9,7 @@ from typing import Any
 import pytest
 
 from tests.helpers.toy_site import HELPERS, ToySite
-from wbflow.cache.memo import Digests
-from wbflow.cache.signed import file_digest
+from wbflow.cache.signed import Digests, file_digest
 from wbflow.runner import loop
 from wbflow.site import captures
 

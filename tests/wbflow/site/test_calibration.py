@@ -10,9 +10,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from wbflow.site.calibration.calibrated import look_at, yaw_pitch_roll
 from wbflow.site.calibration.read import read_calibration
 from wbflow.site.locations import CalibrationError
-from wbflow.site.rotations import look_at, yaw_pitch_roll
 
 
 def colmap(folder: Path, camera: str, image: str) -> Path:

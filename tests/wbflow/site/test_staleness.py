@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from tests.helpers.toy_site import HELPERS, ToySite
-from wbflow.cache.memo import Digests, Seen
+from wbflow.cache.signed import Digests, Seen
 from wbflow.pipeline.summaries import FrameSummary
 from wbflow.site.captures import find_captures
 from wbflow.site.load import load_site

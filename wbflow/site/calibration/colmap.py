@@ -15,8 +15,7 @@ from typing import Any
 
 from ...cache.untrusted import Unreadable, is_file, read_outside
 from ..locations import CalibrationError, SiteError, read_text
-from ..rotations import Matrix, centre
-from .calibrated import Calibrated, calibrated
+from .calibrated import Calibrated, Matrix, calibrated, centre
 
 _LAYOUTS: dict[str, tuple[str, int, int]] = {
     "SIMPLE_PINHOLE": ("pinhole", 1, 0),

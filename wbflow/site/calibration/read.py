@@ -18,8 +18,7 @@ from typing import Any
 
 from ...cache.untrusted import is_file, is_folder
 from ..locations import CalibrationError, Document, Location, SiteError, parse_yaml, read_text
-from ..rotations import Matrix, centre, rotation_fault, turned
-from .calibrated import REMEDY, Calibrated, Faulty, calibrated
+from .calibrated import REMEDY, Calibrated, Faulty, Matrix, calibrated, centre, rotation_fault, turned
 from .colmap import is_colmap, read_colmap
 
 SUFFIXES = {".yaml", ".yml", ".json"}
