@@ -209,10 +209,10 @@ def explain(plan: Plan) -> Status:
         last, others = plan.cache.newest(task), costs.get(task.stage)
         seconds = last.cpu if last else sum(others) / len(others) if others else None
         lines[task] = Line(str(task), "would run", why, seconds)
-    order = {stage.name: i for i, stage in enumerate(plan.stages())}
+    order = {stage.name: i for i, stage in enumerate(plan.stages)}
     ordered = tuple(lines[task] for task in sorted(lines, key=lambda t: order[t.stage]))
     known = [line.seconds for line in ordered if line.seconds is not None]
-    pairs_to_come = not plan.pairs_known() and stage_named(PAIRS) in plan.stages()
+    pairs_to_come = not plan.pairs_known() and stage_named(PAIRS) in plan.stages
     totals = dict(Counter(line.state for line in ordered))
     return Status(plan.site.name, plan.night, ordered, totals, sum(known) if known else None, pairs_to_come)
 

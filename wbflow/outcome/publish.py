@@ -139,7 +139,7 @@ def _files(plan: Plan, journal: Journal) -> Iterator[tuple[str, str, bytes]]:
 
     What cannot be made (a library is not installed, no map has the place) becomes a warning.
     """
-    for stage in plan.stages():
+    for stage in plan.stages:
         state = plan.states.get(Task(stage.name))
         if not (stage.products.files and state and state.usable and state.receipt):
             continue

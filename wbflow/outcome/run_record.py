@@ -175,7 +175,7 @@ def _camera(plan: Plan, camera: str, whole: _Whole) -> CameraRecord:
         notes += [*([crowded] if crowded else []), *([moved.text] if moved else [])]
         if camera in poses.unsolved:
             ended = {"outcome": "unsolved", "reason": poses.unsolved[camera], "code": Cause.UNSOLVED}
-    shown, health = CameraFigures(**figures), plan.health(camera)
+    shown, health = CameraFigures(**figures), plan.pinned.health(camera)
     return CameraRecord(camera, **ended, health=health, captures=captures, notes=tuple(notes), figures=shown)
 
 
@@ -239,7 +239,7 @@ def _cloud(task: Task, state: State) -> CloudRecord | None:
 
 def _results(plan: Plan, files: Mapping[str, Collection[str]]) -> Iterator[tuple[str, SiteSummary]]:
     """Yield the results of site-wide stages that have a part of run.json."""
-    for stage in plan.stages():
+    for stage in plan.stages:
         if stage.summary and issubclass(stage.summary, SiteSummary):
             state = plan.states.get(Task(stage.name))
             found = summary_of(state, stage.summary) if state and state.usable else stage.summary()

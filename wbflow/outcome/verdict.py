@@ -100,7 +100,7 @@ class Facts:
         """Return those of a plan whose tasks have all ended."""
         failed = tuple((task, state) for task, state in plan.states.items() if state.outcome == "failed")
         stopped = tuple(state for state in plan.states.values() if state.code == Cause.STOPPED)
-        product = stage_named(FUSE) in plan.stages()
+        product = stage_named(FUSE) in plan.stages
         missing = None
         if plan.until and not product:
             state = plan.states.get(Task(plan.until))

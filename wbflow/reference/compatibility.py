@@ -34,7 +34,7 @@ def misfit(reference: Reference, plan: Plan) -> str:
     ids = {camera.id for camera in site.cameras}
     if other := sorted(ids ^ set(reference.cameras)):
         return f"cameras have come or gone since it was pinned: {', '.join(other)}"
-    for stage in plan.stages():
+    for stage in plan.stages:
         if not (stage.reuse.shifted or stage.name == FRAMES):
             continue
         bound = plan.bound(stage)

@@ -18,6 +18,7 @@ from ..cache.atomic import free_bytes, in_words
 from ..cache.layout import WorkFolder
 from ..cache.store import Cache
 from ..errors import WbflowError, printable
+from ..records.events import StartedEvent
 from ..records.ledger import TaskCosts, read_costs
 from ..task import Task
 from .executors import Cluster, OtherCode, Processes, WorkerLost, machine_memory
@@ -128,7 +129,7 @@ class Dispatcher:
         over, _ = wait(self._at_work, timeout=LOOK_SECONDS, return_when=FIRST_COMPLETED)
         for chain in self._at_work.values():
             if chain.look()[0]:
-                self._journal.begun(chain.tasks[chain.at_work])
+                self._journal.listen(StartedEvent(chain.tasks[chain.at_work]))
         ended = [(self._at_work.pop(future), future) for future in over]
         return [done for chain, future in ended for done in self._ended(chain, future)], [chain.specs for chain, _ in ended]
 

@@ -6,10 +6,10 @@ from collections import Counter
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 from ..pipeline.stages import DENSE_PAIRS, FRAMES, FUSE, HEALTH, PAIRS, POSES, SITE_TYPES, Source, Stage, stage_named
 from ..pipeline.summaries import PairsSummary, PosesSummary
-from ..reference.resolve import Pinned
 from ..site.captures import CaptureFile, file_of_stage
 from ..site.models import Camera, Site
 from ..task import Subject, Task, component_name
@@ -32,6 +32,9 @@ from .spec import (
     subject_of,
     summary_of,
 )
+
+if TYPE_CHECKING:
+    from .planner import Plan
 
 _NEAR = 8
 """Cameras that show more of what one sees than its partners alone; each is one more picture that a task reads."""
@@ -141,17 +144,10 @@ class _PairGraph:
 class Inputs:
     """Finds the inputs of a night's tasks."""
 
-    site: Site
-    captures: dict[str, list[CaptureFile]]
-    named: dict[str, CaptureFile]
-    missing: dict[str, str]
-    """Why cameras without captures have none, by camera."""
-    subjects: Subjects
+    plan: Plan
+    """Whose states, subjects and reference they are found by, as it changes."""
     stages: Collection[str]
     """Names of those that take part tonight."""
-    states: dict[Task, State]
-    """Tasks that have ended: the plan's own, which it changes."""
-    pinned: Pinned
 
     def of(self, task: Task, needs: Mapping[str, Source], made: set[Task]) -> dict[str, Input]:
         """All inputs of a task by argument name.  Raises Waiting or Impossible where one has not ended, or will not come.
@@ -179,10 +175,10 @@ class Inputs:
         if need.kind == "file":
             return self._named(need.name, file_of_stage(task.stage, need.name))
         if need.kind == "reference":
-            return self.pinned.input(need, task)
+            return self.plan.pinned.input(need, task)
         if need.kind == "history":
-            return self.pinned.observed(need, task)
-        if need.needed_if and not need.needed_if(self.site):
+            return self.plan.pinned.observed(need, task)
+        if need.needed_if and not need.needed_if(self.plan.site):
             return Joined({})
         origin = stage_named(need.name)
         if need.joins:
@@ -196,12 +192,12 @@ class Inputs:
         """The tasks that a task takes its inputs from, as far as they are listed yet."""
         found: list[Task] = []
         for need in needs.values():
-            needless = need.kind != "stage" or (need.needed_if and not need.needed_if(self.site))
-            if needless or (need.may_lack(self.site) and need.name not in self.stages):
+            needless = need.kind != "stage" or (need.needed_if and not need.needed_if(self.plan.site))
+            if needless or (need.may_lack(self.plan.site) and need.name not in self.stages):
                 continue
             origin = stage_named(need.name)
             if need.joins and origin.scope != "site":
-                found += self.subjects.joined(origin, need, task)
+                found += self.plan.subjects.joined(origin, need, task)
             else:
                 found.append(Task(origin.name, subject_of(origin, need, task)))
         return list(dict.fromkeys(found))
@@ -211,12 +207,12 @@ class Inputs:
             return Stored(upstream, part)
         if need.optional and upstream.stage not in self.stages:
             return Absent()
-        state = self.states.get(upstream)
-        if state is None and not self.subjects.is_unmatched(upstream):
+        state = self.plan.states.get(upstream)
+        if state is None and not self.plan.subjects.is_unmatched(upstream):
             raise Waiting(upstream)
         if state and state.usable and state.receipt and (part is None or str(part) in state.receipt.parts):
             return Stored(upstream, part).resolved(state.receipt)
-        if need.may_lack(self.site):
+        if need.may_lack(self.plan.site):
             return Absent()
         if state is None:
             raise Impossible(f"{'--'.join(upstream.subject)} was not matched", Cause.NO_PAIRS)
@@ -226,30 +222,30 @@ class Inputs:
 
     def _join(self, origin: Stage, need: Source, task: Task) -> Input:
         """The results of many tasks, or many entries of a site-wide result, by subject."""
-        if need.may_lack(self.site) and need.name not in self.stages:
+        if need.may_lack(self.plan.site) and need.name not in self.stages:
             return Joined({})
         of_pairs = origin.scope == "pair" or need.of in {"around", "near"}
-        if of_pairs and self.subjects.pairs(origin.dense or origin.scope != "pair") is None:
+        if of_pairs and self.plan.subjects.pairs(origin.dense or origin.scope != "pair") is None:
             raise Waiting(None)
-        joined = self.subjects.joined(origin, need, task)
+        joined = self.plan.subjects.joined(origin, need, task)
         if origin.scope == "site":
             return self._entries(origin, need, joined)
         for upstream in reversed(joined):  # the last to be listed is mostly the last to end
-            if upstream not in self.states:
+            if upstream not in self.plan.states:
                 raise Waiting(upstream)
         items: dict[Subject, Value | Stored] = {}
         faults: list[Impossible] = []
         part = Part(need.part) if need.part else None
-        useless = self.pinned.useless() if task.stage != HEALTH else frozenset()
+        useless = self.plan.pinned.useless() if task.stage != HEALTH else frozenset()
         for upstream in joined:
-            state = self.states[upstream]
+            state = self.plan.states[upstream]
             if useless & set(upstream.subject):
-                faults.append(self.pinned.unfit(upstream.subject))
+                faults.append(self.plan.pinned.unfit(upstream.subject))
             elif state.usable and state.receipt and (part is None or str(part) in state.receipt.parts):
                 items[upstream.subject] = Stored(upstream, part).resolved(state.receipt)
             else:
                 faults.append(because(upstream, state))
-        if not items and not need.may_lack(self.site):
+        if not items and not need.may_lack(self.plan.site):
             raise self._nothing(origin, faults)
         return Joined(items)
 
@@ -259,22 +255,22 @@ class Inputs:
         found = {task.subject: self._stored(whole, optional, Part(need.part, task.subject[0])) for task in joined}
         items: dict[Subject, Value | Stored] = {subject: item for subject, item in found.items() if isinstance(item, Stored)}
         if not items:
-            raise because(whole, self.states[whole])
+            raise because(whole, self.plan.states[whole])
         return Joined(items)
 
     def _nothing(self, origin: Stage, faults: list[Impossible]) -> Impossible:
         """Why a stage that joins many has none to join."""
         first = f": {faults[0]}" if faults else ""
-        frames = {view.id: self.states.get(Task(FRAMES, (view.id,))) for view in self.site.views}
-        usable = list(dict.fromkeys(view.camera for view in self.site.views if (state := frames[view.id]) and state.usable))
+        frames = {view.id: self.plan.states.get(Task(FRAMES, (view.id,))) for view in self.plan.site.views}
+        usable = list(dict.fromkeys(view.camera for view in self.plan.site.views if (state := frames[view.id]) and state.usable))
         if len(usable) < 2:
             why = f"no camera has a usable capture{first}"
             if usable:
                 why = f"only camera {usable[0]} has a usable capture, a cloud needs two that see the same things{first}"
             elif all(state and state.code == Cause.NO_CAPTURE for state in frames.values()):
-                why = f"no camera has a usable capture: there is none of this night in {self.site.captures.root}"
+                why = f"no camera has a usable capture: there is none of this night in {self.plan.site.captures.root}"
             return Impossible(why, Cause.TOO_FEW_CAMERAS)
-        pairs = self.states.get(Task(PAIRS))
+        pairs = self.plan.states.get(Task(PAIRS))
         if origin.scope == "pair" and not faults:
             if pairs and not pairs.usable:
                 return because(Task(PAIRS), pairs)
@@ -284,8 +280,8 @@ class Inputs:
     def _from_site(self, need: Source, task: Task) -> Input:
         what = need.name
         if what == "survey" or need.of == "every":
-            return stated_of_site(self.site, what)
-        camera = self.subjects.camera(task.subject[0])
+            return stated_of_site(self.plan.site, what)
+        camera = self.plan.subjects.camera(task.subject[0])
         if what == "mask":
             return self._named("mask", camera.camera)
         if what == "privacy" and not camera.privacy:
@@ -296,16 +292,16 @@ class Inputs:
 
     def _named(self, words: str, key: str) -> Input:
         """A file that the site file names.  words: what it is."""
-        file = self.named.get(key)
+        file = self.plan.named.get(key)
         if file and not file.digest:
             raise Impossible(f"{words} {file.name} {file.fault}", Cause.BAD_INPUT)
         return Files(SITE_TYPES["captures"], (file,), single=True) if file else Absent()
 
     def _captured(self, camera: Camera) -> tuple[CaptureFile, ...]:
         """A camera's files that can be read."""
-        files = self.captures[camera.camera]
+        files = self.plan.captures[camera.camera]
         if not files:
-            raise Impossible(f"no capture: {self.missing.get(camera.camera, 'there is no file for it')}", Cause.NO_CAPTURE)
+            raise Impossible(f"no capture: {self.plan.missing.get(camera.camera, 'there is no file for it')}", Cause.NO_CAPTURE)
         readable = tuple(file for file in files if file.digest)
         if not readable:
             raise Impossible(f"no capture: {files[0].name} {files[0].fault}", Cause.NO_CAPTURE)

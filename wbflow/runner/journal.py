@@ -8,7 +8,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
-from ..records.events import Event, Listener, PlannedEvent, StartedEvent, TaskEvent, WarningEvent, now
+from ..records.events import Event, Listener, TaskEvent, WarningEvent, now
 from ..records.findings import Finding
 from ..records.record import Seconds, StageSeconds
 from ..task import Task
@@ -46,14 +46,6 @@ class Journal:
                 wall, cpu = before.wall + receipt.wall, before.cpu + receipt.cpu
                 self._stages[task.stage] = StageSeconds(wall, cpu, before.tasks + 1)
                 self.peak_rss_mb = max(self.peak_rss_mb, receipt.peak_rss_mb)
-
-    def planned(self, plan: Plan) -> None:
-        """Tell the listener how much there is to do."""
-        self.listen(PlannedEvent(plan.counts()))
-
-    def begun(self, task: Task) -> None:
-        """Tell the listener that a worker has begun a task."""
-        self.listen(StartedEvent(task))
 
     def warn(self, what: str, *, task: Task | None = None, remedy: str = "", trace: str | None = None) -> None:
         """Add a warning of something that went wrong and that the run has survived.

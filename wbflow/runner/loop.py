@@ -14,6 +14,7 @@ from pathlib import Path
 from ..cache.atomic import REMEDY
 from ..cache.store import DamagedArtifact
 from ..pipeline.stages import DEPTH, FUSE, POSES, stage_named
+from ..records.events import PlannedEvent
 from ..task import Task
 from .context import RunContext
 from .dispatch import DiskFloor, Dispatcher
@@ -68,13 +69,13 @@ class _Loop:
     def run(self) -> dict[Task, bytes]:
         """Run them; returns what is published."""
         plan, floor = self.context.plan, DiskFloor(self.context.plan.cache.work)
-        self.journal.planned(plan)
+        self.journal.listen(PlannedEvent(plan.counts()))
         while True:
             plan.refresh()
             if self.stop_at and datetime.datetime.now() >= self.stop_at:
                 self._stop(self.stop_at)
             self.journal.report(plan)
-            self.journal.planned(plan)
+            self.journal.listen(PlannedEvent(plan.counts()))
             chains = [chain[:1] if self.stopped else chain for chain in plan.chains()]
             if chains and (lacks := floor.lacks(spec.task for chain in chains for spec in chain)):
                 for first, *_ in chains:

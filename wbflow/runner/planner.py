@@ -80,9 +80,10 @@ class Plan:
         for stage in STAGES:  # in their order: what needs one that is off is off, and so is what needs that
             off |= {stage.name} if stage.optional and off & stage.needed() else set()
         self._folder = self.site.folder
-        self._stages = [stage for stage in STAGES if stage.name in wanted - off]
-        names = frozenset(stage.name for stage in self._stages)
-        self._subjects = Subjects(self.site, self.states, DENSE_PAIRS in names)
+        self.stages = [stage for stage in STAGES if stage.name in wanted - off]
+        """Those that take part tonight."""
+        names = frozenset(stage.name for stage in self.stages)
+        self.subjects = Subjects(self.site, self.states, DENSE_PAIRS in names)
         if self.reference:
             self.misfit = misfit(self.reference, self)
             self.calibration_change = calibration_change(self.reference.cameras, self.site) if self.misfit else ""
@@ -90,9 +91,8 @@ class Plan:
         past = ShiftHistory(self.cache.work, self.night, self.reference.run) if self.reference else ShiftHistory()
         cameras = [view.id for view in self.site.views]
         forced = frozenset(name.split(" ")[0] for name in self.force)
-        self._pinned = Pinned(self.cache, cameras, self._stages, self.states, self.reference, past, forced, self.stale)
-        known = self.site, self.captures, self.named, self.missing
-        self._inputs = Inputs(*known, self._subjects, names, self.states, self._pinned)
+        self.pinned = Pinned(self.cache, cameras, self.stages, self.states, self.reference, past, forced, self.stale)
+        self._inputs = Inputs(self, names)
 
     def refresh(self) -> None:
         """Find what the cache has, what is ready, and what waits; only what may have changed is looked at."""
@@ -108,7 +108,7 @@ class Plan:
         self.ready.pop(task, None)
         self.waiting.pop(task, None)
         self.force -= {str(task)}
-        self._pinned.ended(task)
+        self.pinned.ended(task)
         self._news[task] = None
         self._due.extend(self._dependents.pop(task, ()))
         self._anew = self._anew or task in _DECIDE
@@ -116,7 +116,7 @@ class Plan:
     def forget(self, task: Task) -> None:
         """Take back that a task has ended (its artifact turned out damaged)."""
         self.states.pop(task, None)
-        self._pinned.lose(task)
+        self.pinned.lose(task)
         self._anew = True
 
     def look_again(self) -> None:
@@ -149,11 +149,11 @@ class Plan:
         """How many tasks of each stage are listed so far."""
         if self._anew:
             self._list()
-        return {stage.name: self._listed[stage.name] for stage in self.stages()}
+        return {stage.name: self._listed[stage.name] for stage in self.stages}
 
     def pairs_known(self, stage: Stage | None = None) -> bool:
         """Is it known which pairs a stage works on (so that its tasks are listed), or each stage?"""
-        return all(self._subjects.pairs(dense) is not None for dense in ([stage.dense] if stage else (False, True)))
+        return all(self.subjects.pairs(dense) is not None for dense in ([stage.dense] if stage else (False, True)))
 
     def spec_of(self, task: Task) -> TaskSpec:
         """How a task would be done, whether it has been or not.
@@ -161,32 +161,24 @@ class Plan:
         Raises Waiting or Impossible where its inputs are not there yet, or will not come.
         """
         stage = stage_named(task.stage)
-        instead = self._pinned.instead(stage, task)
+        instead = self.pinned.instead(stage, task)
         return self._with_drawings(self._spec(stage, task, adapt=None if isinstance(instead, Receipt) else instead), set())
 
     def upstreams(self, task: Task) -> list[Task]:
         """The tasks that a task takes its inputs from, as far as they are listed yet."""
         return self._inputs.upstreams(task, self.bound(stage_named(task.stage)).inputs)
 
-    def health(self, camera: str) -> Health | None:
-        """The health of a camera; None where it is not known."""
-        return self._pinned.health(camera)
-
-    def stages(self) -> list[Stage]:
-        """The stages that take part tonight."""
-        return list(self._stages)
-
     def _list(self) -> None:
         """List every task that is known of, to be looked at in the order of the pipeline."""
         self._anew = False
         self.ready, self.waiting, self._dependents = {}, {}, {}
-        self._due = deque(task for stage in self._stages for task in self._subjects.tasks(stage))
+        self._due = deque(task for stage in self.stages for task in self.subjects.tasks(stage))
         self._listed = Counter(task.stage for task in self._due)
 
     def _look_at(self, stage: Stage, task: Task) -> None:
         """Find the state of a task that has not ended."""
         try:
-            instead = self._pinned.instead(stage, task)
+            instead = self.pinned.instead(stage, task)
             if isinstance(instead, Receipt):
                 self.commit(task, cached_state(instead))
                 return
@@ -202,7 +194,7 @@ class Plan:
         preimage = spec.preimage()
         key = preimage.key()
         if stage.name == FRAMES:
-            self._pinned.note_frame(task.subject, key)
+            self.pinned.note_frame(task.subject, key)
         if not spec.force and (receipt := self.cache.by_key(task, key)):
             self.commit(task, cached_state(receipt))
         else:
@@ -211,11 +203,11 @@ class Plan:
     def _chain(self, first: TaskSpec) -> list[TaskSpec]:
         """A ready task and those that can follow it."""
         chain, made = [first], {first.task}
-        for stage in self._stages if first.task.subject else ():
+        for stage in self.stages if first.task.subject else ():
             follower = Task(stage.name, first.task.subject)
             if follower in self.waiting:
                 try:
-                    instead = self._pinned.instead(stage, follower)
+                    instead = self.pinned.instead(stage, follower)
                     if not isinstance(instead, Receipt):
                         chain.append(self._spec(stage, follower, made, instead))
                         made.add(follower)
@@ -279,7 +271,7 @@ class Plan:
         """Parameters that the site file sets, in the stage's section or elsewhere."""
         values: dict[str, Any] = {name: self.site.setting(key) for name, key in stage.set_by_site().items()}
         if stage.name == FUSE:
-            numbers = range(1, self._subjects.components())
+            numbers = range(1, self.subjects.components())
             values[COMPONENT] = next((k for k in numbers if task.subject == (component_name(k),)), 0)
         known, settings = self.bound(stage).parameters, self.site.stages.get(stage.name)
         return {name: v for name, v in values.items() if name in known} | (settings.parameters if settings else {})
