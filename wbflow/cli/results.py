@@ -302,7 +302,7 @@ def _create(site: Site, run_id: str | None) -> None:
 def _refine(site: Site) -> None:
     from ..cache.store import Cache
     from ..records.reference_folder import read_reference, restore
-    from ..reference.aggregate import pool
+    from ..reference.create import pool
 
     folder = site.work_folder
     reference = read_reference(folder)

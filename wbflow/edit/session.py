@@ -18,8 +18,8 @@ from ..cache.signed import Digests, content_digest
 from ..cache.untrusted import MOST_TEXT_BYTES, is_file, read_outside
 from ..errors import ExitCode, WbflowError
 from ..records.run_folder import NoSuchRun, RunFolder
+from ..site.cameras import local_frame
 from ..site.captures import captures_of, expected, night
-from ..site.geodesy import local_frame
 from ..site.load import site_of
 from ..site.locations import Location, Problems, SiteError, parse_yaml
 from ..site.models import Camera, Section, Site, Vector2, Vector3

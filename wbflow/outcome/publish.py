@@ -31,7 +31,7 @@ from ..runner.loop import Worked, work
 from ..runner.options import Options
 from ..runner.planner import Plan
 from ..runner.spec import summary_of
-from ..site.geodesy import origin_of
+from ..site.cameras import origin_of
 from ..site.models import Site
 from ..task import Task
 from . import acknowledge

@@ -10,7 +10,7 @@ from typing import Any
 
 from ..pipeline.stages import STAGES
 from ..records.record import CameraRecord, PairRecord
-from ..site.geodesy import origin_of
+from ..site.cameras import origin_of
 from ..task import Task
 from .data import ReportData, objects_of, since_last_good, state_of
 from .pictures import data_url, split

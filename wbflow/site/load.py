@@ -18,8 +18,8 @@ from ..pipeline.functions import FunctionReader
 from ..pipeline.pairs import MOST_AT_A_CAMERA
 from ..remote import is_url
 from .calibration.calibrated import LENS_MODELS
-from .cameras import read_cameras, views_of
-from .geodesy import local_frame, read_survey
+from .cameras import local_frame, read_cameras, read_survey, views_of
+from .captures import Pattern
 from .locations import (
     Document,
     Location,
@@ -33,7 +33,6 @@ from .locations import (
     similar,
 )
 from .models import CUSTOM, POSITION_REMEDY, Captures, Site, SiteFile
-from .pattern import Pattern
 from .stage_settings import read_stages
 
 

@@ -25,10 +25,10 @@ from ..pipeline.stages import STAGES
 from ..task import camera_of
 from .calibration.calibrated import Lens, Matrix, Placement, lens_fault, look_at, rotation_fault, yaw_pitch_roll
 from .locations import Document, Location, SiteProblem, did_you_mean
-from .pattern import Pattern
 
 if TYPE_CHECKING:
     from ..pipeline.functions import FunctionReader
+    from .captures import Pattern
 
 Vector2 = Annotated[list[float], Field(min_length=2, max_length=2)]
 Vector3 = Annotated[list[float], Field(min_length=3, max_length=3)]

@@ -254,7 +254,7 @@ def test_nights_are_pooled_into_the_surface_of_the_reference(toy: ToySite) -> No
 def test_pooling_in_any_order_of_nights_twice_or_after_a_kill_makes_the_same_reference(
     toy: ToySite, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from wbflow.reference.aggregate import pool
+    from wbflow.reference.create import pool
 
     work, site = WorkFolder(toy.work), load_site(toy.file)
     for date in (SECOND, THIRD):
