@@ -32,11 +32,6 @@ class Keep:
     """Reports and logs of so many of the newest nights."""
 
     @property
-    def everything(self) -> bool:
-        """Is nothing ever removed?"""
-        return self == Keep()
-
-    @property
     def keeps_artifacts(self) -> bool:
         """Is no artifact ever removed?"""
         return self.runs is self.nights is self.bytes is None

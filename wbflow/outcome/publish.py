@@ -14,7 +14,7 @@ from typing import Any
 from ..cache import artifact
 from ..cache.artifact import ply_bytes, with_comments
 from ..cache.atomic import in_words
-from ..cache.cleanup import clean
+from ..cache.cleanup import Keep, clean
 from ..cache.fingerprint import load
 from ..cache.layout import WorkFolder, cloud_name
 from ..errors import UsageError, WbflowError
@@ -195,7 +195,7 @@ def finish(run: Run, site: Site, journal: Journal) -> None:
         if site.settings.pin == "auto" and not run.cache.work.reference_record.exists() and fit_to_pin(run.record):
             pin(run.cache, run.place, automatic=True)
         keep = site.settings.keep.limits()
-        if not keep.everything:
+        if keep != Keep():
             over = clean(run.cache.work, keep, asked=False).over
             if over:
                 what = f"the cache holds {in_words(over)} more than keep.bytes allows"

@@ -15,7 +15,6 @@ from functools import cached_property
 from pathlib import Path
 
 from ..cache.atomic import free_bytes, in_words
-from ..cache.layout import WorkFolder
 from ..cache.store import Cache
 from ..errors import WbflowError, printable
 from ..records.events import StartedEvent
@@ -111,15 +110,28 @@ class Dispatcher:
         self._losses: Counter[Task] = Counter()
         self._numbers = itertools.count()
 
+    @cached_property
+    def _past(self) -> TaskCosts:
+        """What such tasks took before."""
+        return read_costs(self._cache.work)
+
+    def lacks(self, tasks: Iterable[Task]) -> str:
+        """What is missing on disk for some tasks, in words; "" where there is room."""
+        need = round(MARGIN * sum(self._past.stages_bytes.get(task.stage, 0.0) for task in tasks)) + FLOOR
+        root = self._cache.work.root
+        if (free := free_bytes(root)) >= need:
+            return ""
+        return f"the disk is nearly full: about {in_words(need)} needed to go on, {in_words(free)} free in {root}"
+
     def submit(self, chains: list[list[TaskSpec]]) -> None:
         """Queue chains."""
         if self._executor is None:  # not before: a run with nothing to do starts no worker
             memory = self._options.memory or machine_memory()
-            self._limits = Limits(memory, self._options.time_limit, read_costs(self._cache.work))
+            self._limits = Limits(memory, self._options.time_limit, self._past)
             self._executor = _executor(self._options, memory)
             self._cache.work.progress.mkdir(parents=True, exist_ok=True)
         for chain in chains:
-            expected = sum(self._limits.past.expected(spec.task.stage, str(spec.task)) for spec in chain)
+            expected = sum(self._past.expected(spec.task.stage, str(spec.task)) for spec in chain)
             suspect = self._losses[chain[0].task] > 0
             heapq.heappush(self._queue, (suspect, -expected, next(self._numbers), chain))
 
@@ -221,23 +233,3 @@ def _time(seconds: float) -> str:
     if seconds < 120:
         return f"{seconds:.3g} s"
     return f"{seconds / 60:.0f} minutes" if seconds < 7200 else f"{seconds / 3600:.3g} hours"
-
-
-@dataclass
-class DiskFloor:
-    """Is there room on disk for what comes next?"""
-
-    work: WorkFolder
-
-    @cached_property
-    def _usual(self) -> dict[str, float]:
-        """Bytes that tasks have left before, by stage."""
-        return read_costs(self.work).stages_bytes
-
-    def lacks(self, tasks: Iterable[Task]) -> str:
-        """What is missing for some tasks, in words; "" where there is room."""
-        need = round(MARGIN * sum(self._usual.get(task.stage, 0.0) for task in tasks)) + FLOOR
-        free = free_bytes(self.work.root)
-        if free >= need:
-            return ""
-        return f"the disk is nearly full: about {in_words(need)} needed to go on, {in_words(free)} free in {self.work.root}"

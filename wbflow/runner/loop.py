@@ -17,7 +17,7 @@ from ..pipeline.stages import DEPTH, FUSE, POSES, stage_named
 from ..records.events import PlannedEvent
 from ..task import Task
 from .context import RunContext
-from .dispatch import DiskFloor, Dispatcher
+from .dispatch import Dispatcher
 from .journal import Journal
 from .options import Options
 from .spec import Cause, State
@@ -68,7 +68,7 @@ class _Loop:
 
     def run(self) -> dict[Task, bytes]:
         """Run them; returns what is published."""
-        plan, floor = self.context.plan, DiskFloor(self.context.plan.cache.work)
+        plan = self.context.plan
         self.journal.listen(PlannedEvent(plan.counts()))
         while True:
             plan.refresh()
@@ -77,7 +77,7 @@ class _Loop:
             self.journal.report(plan)
             self.journal.listen(PlannedEvent(plan.counts()))
             chains = [chain[:1] if self.stopped else chain for chain in plan.chains()]
-            if chains and (lacks := floor.lacks(spec.task for chain in chains for spec in chain)):
+            if chains and (lacks := self.dispatcher.lacks(spec.task for chain in chains for spec in chain)):
                 for first, *_ in chains:
                     plan.commit(first.task, State("failed", f"{lacks}; {REMEDY}", Cause.DISK_FULL))
                 continue
