@@ -19,7 +19,7 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import IO, Any
+from typing import IO
 
 import yaml
 
@@ -186,16 +186,11 @@ def _logins(site: Site) -> dict[str, Login]:
     remedy = "a line for each camera, or '*' for all:  gate: {user: viewer, password: secret}"
     try:
         data = yaml.safe_load(read_outside(path, MOST_TEXT_BYTES))
-        return dict(_entries(data))
+        return {str(camera): Login(str(entry["user"]), str(entry["password"])) for camera, entry in data.items()}
     except OSError as error:
         raise UsageError(f"the file of credentials cannot be read: {error}", where=str(path), remedy=remedy) from None
     except (yaml.YAMLError, ValueError, TypeError, KeyError, AttributeError):  # without a word of what it holds
         raise UsageError("the file of credentials is not as it should be", where=str(path), remedy=remedy) from None
-
-
-def _entries(data: Any) -> Iterator[tuple[str, Login]]:
-    for camera, entry in data.items():
-        yield str(camera), Login(str(entry["user"]), str(entry["password"]))
 
 
 def shots(url: str, login: Login | None, moments: Sequence[float]) -> Iterator[Shot]:

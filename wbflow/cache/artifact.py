@@ -8,15 +8,14 @@ A cloud is a PLY file instead: binary, little-endian, with named columns.
 from __future__ import annotations
 
 import dataclasses
-import functools
 import importlib
+import io
 import json
 import math
 import sys
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import IO, TYPE_CHECKING, Any
 
 from ..errors import WbflowError
 from ..pipeline.stages import CLOUD_COLUMNS, CLOUD_FIGURES, FUSE, RESTORE_CLOUD
@@ -85,7 +84,9 @@ def decode(data: bytes) -> Any:
         tree = json.loads(data[8:end])
     except ValueError as error:
         raise ArtifactError(f"unreadable header: {error}") from error
-    return _untree(tree, _Frames(memoryview(data), end))
+    frames = io.BytesIO(data)
+    frames.seek(end)
+    return _untree(tree, frames)
 
 
 def parts(value: Any) -> dict[str, str]:
@@ -130,13 +131,7 @@ def figures(value: Any) -> dict[str, Any]:
 
 def _kept(value: Any) -> tuple[str, ...]:
     """Names of a dataclass's fields, without those marked `transient`: they are found again where they are missing."""
-    kind: Any = type(value)
-    return _kept_of(kind)
-
-
-@functools.lru_cache
-def _kept_of(kind: Any) -> tuple[str, ...]:
-    return tuple(f.name for f in dataclasses.fields(kind) if not f.metadata.get("transient"))
+    return tuple(f.name for f in dataclasses.fields(value) if not f.metadata.get("transient"))
 
 
 def _is_small(value: Any) -> bool:
@@ -186,39 +181,24 @@ def _array_tree(array: Any, frames: list[bytes], compress: Callable[[bytes], byt
     return {"array": array.dtype.str, "shape": shape, "bytes": len(frames[-1])}
 
 
-@dataclass
-class _Frames:
-    """The array frames of an artifact, which lie in the order in which the header names them."""
+def _array(node: Mapping[str, Any], frames: IO[bytes]) -> Any:
+    """The array that a node of the header describes; frames lie in the order in which the header names them."""
+    import numpy as np
+    import zstandard  # here: an object without arrays needs neither
 
-    data: memoryview
-    position: int
-
-    @functools.cached_property
-    def _decompressor(self) -> Any:
-        import zstandard  # here: an object without arrays needs neither this nor numpy
-
-        return zstandard.ZstdDecompressor()
-
-    def next(self, node: Mapping[str, Any]) -> Any:
-        """The array that a node of the header describes."""
-        import numpy as np
-        import zstandard
-
-        frame = self.data[self.position : self.position + node["bytes"]]
-        self.position += node["bytes"]
-        try:
-            raw = bytearray(self._decompressor.decompress(frame))
-            return np.frombuffer(raw, dtype=np.dtype(node["array"])).reshape(node["shape"])
-        except (zstandard.ZstdError, ValueError) as error:
-            raise ArtifactError(f"damaged array: {error}") from error
+    try:
+        raw = bytearray(zstandard.ZstdDecompressor().decompress(frames.read(node["bytes"])))
+        return np.frombuffer(raw, dtype=np.dtype(node["array"])).reshape(node["shape"])
+    except (zstandard.ZstdError, ValueError) as error:
+        raise ArtifactError(f"damaged array: {error}") from error
 
 
-def _untree(node: Any, frames: _Frames) -> Any:
+def _untree(node: Any, frames: IO[bytes]) -> Any:
     """Rebuild depth first."""
     if not isinstance(node, dict):
         return node
     if "array" in node:
-        return frames.next(node)
+        return _array(node, frames)
     if "tuple" in node:
         return tuple(_untree(item, frames) for item in node["tuple"])
     if "map" in node:
