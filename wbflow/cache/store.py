@@ -66,13 +66,7 @@ class Preimage:
 
     def key(self) -> str:
         """32 hexadecimal digits.  The function counts by its code, not by its name."""
-        determines = {
-            "stage": self.stage,
-            "subject": self.subject,
-            "code": self.code,
-            "parameters": self.parameters,
-            "inputs": self.inputs,
-        }
+        determines = {name: value for name, value in vars(self).items() if name != "function"}
         return content_digest(json.dumps(determines, sort_keys=True, separators=(",", ":")).encode())
 
 

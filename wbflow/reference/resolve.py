@@ -7,18 +7,18 @@ stage `health` says of each camera whether it does.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Collection, Mapping, Sequence, Set
+from collections.abc import Sequence, Set
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import islice
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from ..cache.layout import WorkFolder
-from ..cache.store import Cache, Receipt
+from ..cache.store import Receipt
 from ..pipeline.stages import FRAMES, HEALTH, STAGES, Adapt, Reuse, Source, Stage, ancestors, stage_named
 from ..pipeline.summaries import HealthSummary
 from ..records.findings import Health
-from ..records.reference_folder import Reference, put_back
+from ..records.reference_folder import put_back
 from ..records.run_folder import newest_runs
 from ..runner.spec import (
     Absent,
@@ -27,7 +27,6 @@ from ..runner.spec import (
     Input,
     Joined,
     Part,
-    State,
     Stored,
     Value,
     Waiting,
@@ -36,6 +35,9 @@ from ..runner.spec import (
     summary_of,
 )
 from ..task import Subject, Task, camera_of
+
+if TYPE_CHECKING:
+    from ..runner.planner import Plan
 
 _STILL, _TURNED, _LOST = "still", "turned", "lost"
 """A camera's pose is that of the reference, is known from it, or is not known."""
@@ -86,19 +88,9 @@ class ShiftHistory:
 class Pinned:
     """The reference as tonight's plan sees it."""
 
-    cache: Cache
-    cameras: Collection[str]
-    """Of the site, and views of those that have several."""
-    stages: Collection[Stage]
-    """Those that take part tonight."""
-    states: dict[Task, State]
-    """Tasks that have ended: the plan's own, which it changes."""
-    reference: Reference | None = None
-    past: ShiftHistory = field(default_factory=ShiftHistory)
-    forced: frozenset[str] = frozenset()
-    """Stages that are to be done again."""
-    known: Mapping[str, Health] = field(default_factory=dict)
-    """What is wrong with cameras by what is known of their captures."""
+    plan: Plan
+    """Whose states and reference it goes by, as these change."""
+    past: ShiftHistory
     _healths: dict[str, HealthSummary] = field(default_factory=dict, repr=False)
     """By view, of those that have been looked at tonight."""
     _useless: set[str] = field(default_factory=set, repr=False)
@@ -109,16 +101,19 @@ class Pinned:
     """Do enough cameras stand where they did, once the health of all is known?"""
 
     def __post_init__(self) -> None:
-        self._useless |= {view for view in self.cameras if (h := self.known.get(camera_of(view))) and h.state in USELESS}
+        self.cameras = [view.id for view in self.plan.site.views]  # of a camera that has several, all
+        self._forced = {name.split(" ")[0] for name in self.plan.force}
+        """Stages that are to be done again."""
+        self._useless |= {view for view in self.cameras if (h := self.plan.stale.get(camera_of(view))) and h.state in USELESS}
 
     def input(self, need: Source, task: Task) -> Input:
         """An input that the reference holds.  Raises Waiting."""
         everywhere = need.of == "every"
-        if self.reference is None or self._own_frames.issuperset(task.subject or self.cameras):
+        if self.plan.reference is None or self._own_frames.issuperset(task.subject or self.cameras):
             return Joined({}) if everywhere else Absent()
         origin = stage_named(need.name)
         if everywhere and origin.scope != "site":
-            tasks = [t for t in self.reference.artifacts if t.stage == origin.name]
+            tasks = [t for t in self.plan.reference.artifacts if t.stage == origin.name]
             found = {t.subject: self._stored(need, t, False) for t in tasks}
             return Joined({subject: item for subject, item in found.items() if isinstance(item, Stored)})
         whole = origin.scope != "site" or stage_named(task.stage).scope == "site"
@@ -127,7 +122,7 @@ class Pinned:
 
     def observed(self, need: Source, task: Task) -> Input:
         """What earlier nights found of a camera.  Raises Waiting."""
-        if self.reference is None or self._own_frames.issuperset(task.subject):
+        if self.plan.reference is None or self._own_frames.issuperset(task.subject):
             return Absent()
         return Value(SHIFTS_TYPE, self.past.of_camera(camera_of(task.subject[0])))
 
@@ -136,12 +131,12 @@ class Pinned:
 
         Raises Waiting while the health of a camera is not known, Impossible where one shows nothing of the site.
         """
-        if stage.reuse.shifted is None or self.reference is None or not any(s.name == HEALTH for s in self.stages):
+        if stage.reuse.shifted is None or self.plan.reference is None or not any(s.name == HEALTH for s in self.plan.stages):
             return None
         for camera in task.subject:
             if self.state_of(camera) in USELESS:
                 raise self.unfit((camera,))
-        if not self._in_force() or self.forced & _held_before(stage):
+        if not self._in_force() or self._forced & _held_before(stage):
             return None
         place = self._place(stage.reuse, task)
         if place == "reuse":
@@ -150,7 +145,7 @@ class Pinned:
 
     def state_of(self, camera: str) -> str:
         """How a camera is; a view that shows nothing is of no use, else it is as its camera is.  Raises Waiting."""
-        if health := self.known.get(camera_of(camera)):
+        if health := self.plan.stale.get(camera_of(camera)):
             return health.state
         own = self._own_state(camera)
         others = [self._own_state(view) for view in self._views_of(camera) if view != camera] if own not in USELESS else []
@@ -159,12 +154,12 @@ class Pinned:
     def _own_state(self, view: str) -> str:
         """How a view is, by itself.  Raises Waiting."""
         task = Task(HEALTH, (view,))
-        state = self.states.get(task)
+        state = self.plan.states.get(task)
         if state is None:
             raise Waiting(task)
         if health := self._healths.get(view):
             return health.state
-        frame = self.states.get(Task(FRAMES, (view,)))
+        frame = self.plan.states.get(Task(FRAMES, (view,)))
         return "ok" if frame and frame.usable else "obscured"
 
     def health(self, camera: str) -> Health | None:
@@ -172,7 +167,7 @@ class Pinned:
 
         Of several views, that of the first that has turned; the camera shows nothing of the site where none of them does.
         """
-        if known := self.known.get(camera_of(camera)):
+        if known := self.plan.stale.get(camera_of(camera)):
             return known
         found = [self._healths[view] for view in self._views_of(camera) if view in self._healths]
         of_use = [health for health in found if health.state not in USELESS]
@@ -191,26 +186,26 @@ class Pinned:
 
     def useless(self) -> Set[str]:
         """The cameras of which it is known that they show nothing of the site tonight."""
-        return self._useless if self.reference else frozenset()
+        return self._useless if self.plan.reference else frozenset()
 
     def unfit(self, subject: Subject) -> Impossible:
         """Why what one of these cameras shows is not used."""
         camera = next((c for c in subject if c in self.useless()), subject[0])
-        if health := self.known.get(camera_of(camera)) or self._healths.get(camera):
+        if health := self.plan.stale.get(camera_of(camera)) or self._healths.get(camera):
             return Impossible(f"camera {camera} is {health.state}: {health.text}", Cause.UNFIT)
         frame = Task(FRAMES, (camera,))
-        return because(frame, self.states[frame])
+        return because(frame, self.plan.states[frame])
 
     def ended(self, task: Task) -> None:
         """A task has ended: that may have been the health of a camera."""
-        state = self.states[task]
+        state = self.plan.states[task]
         if task.stage == HEALTH and state.usable:
             self._healths[task.subject[0]] = health = summary_of(state, HealthSummary)
             self._useless |= set(task.subject) if health.state in USELESS else set()
 
     def note_frame(self, subject: Subject, key: str) -> None:
         """The key of tonight's frame of a camera."""
-        pinned = self.reference.artifacts.get(Task(FRAMES, subject)) if self.reference else None
+        pinned = self.plan.reference.artifacts.get(Task(FRAMES, subject)) if self.plan.reference else None
         (self._own_frames.update if pinned and pinned.key == key else self._own_frames.difference_update)(subject)
 
     def lose(self, task: Task) -> None:
@@ -218,13 +213,14 @@ class Pinned:
         self._force = None
         if task.stage == HEALTH:
             self._healths.pop(task.subject[0], None)
-            if camera_of(task.subject[0]) not in self.known:
+            if camera_of(task.subject[0]) not in self.plan.stale:
                 self._useless.discard(task.subject[0])
-        if self.reference and (pinned := self.reference.artifacts.get(task)) and not self.cache.by_key(task, pinned.key):
-            if put_back(self.cache.work, pinned):
+        reference, cache = self.plan.reference, self.plan.cache
+        if reference and (pinned := reference.artifacts.get(task)) and not cache.by_key(task, pinned.key):
+            if put_back(cache.work, pinned):
                 return
-            left = {t: p for t, p in self.reference.artifacts.items() if t != task}
-            self.reference = dataclasses.replace(self.reference, artifacts=left)
+            left = {t: p for t, p in reference.artifacts.items() if t != task}
+            self.plan.reference = dataclasses.replace(reference, artifacts=left)
             self._own_frames -= set(task.subject) if task.stage == FRAMES else set()
 
     def _place(self, reuse: Reuse, task: Task) -> Any:
@@ -250,7 +246,7 @@ class Pinned:
 
     def _standing(self, camera: str) -> str:
         """Is a camera's pose that of the reference, or known from it?  Raises Waiting."""
-        if self.reference is None or camera_of(camera) not in self.reference.placed:
+        if self.plan.reference is None or camera_of(camera) not in self.plan.reference.placed:
             return _LOST
         state = self.state_of(camera)
         if any(health.corrected for view in self._views_of(camera) if (health := self._healths.get(view))):
@@ -264,8 +260,8 @@ class Pinned:
         return self._force
 
     def _receipt(self, task: Task) -> Receipt | None:
-        pinned = self.reference.artifacts.get(task) if self.reference else None
-        return self.cache.by_key(task, pinned.key) if pinned else None
+        pinned = self.plan.reference.artifacts.get(task) if self.plan.reference else None
+        return self.plan.cache.by_key(task, pinned.key) if pinned else None
 
     def _stored(self, need: Source, upstream: Task, entry: bool, subject: Subject = ()) -> Input:
         receipt = self._receipt(upstream)

@@ -89,9 +89,7 @@ class Plan:
             self.calibration_change = calibration_change(self.reference.cameras, self.site) if self.misfit else ""
         self.reference = None if self.misfit else self.reference
         past = ShiftHistory(self.cache.work, self.night, self.reference.run) if self.reference else ShiftHistory()
-        cameras = [view.id for view in self.site.views]
-        forced = frozenset(name.split(" ")[0] for name in self.force)
-        self.pinned = Pinned(self.cache, cameras, self.stages, self.states, self.reference, past, forced, self.stale)
+        self.pinned = Pinned(self, past)
         self._inputs = Inputs(self, names)
 
     def refresh(self) -> None:
