@@ -160,13 +160,13 @@ class Digests(Memo):
         """The content digest of a file.  Raises OSError."""
         name, status = str(path), path.stat()
         self._used[name] = None
-        stamp, known = _stamp(status), self._files.get(name)
+        before, known = _stamp(status), self._files.get(name)
         settled = time.time_ns() - max(status.st_mtime_ns, status.st_ctime_ns) > _SETTLED_NS
-        if known and known[:-1] == stamp and settled:
+        if known and known[:-1] == before and settled:
             return str(known[-1])
         digest = file_digest(path)
-        if settled and _stamp(path.stat()) == stamp:  # the file is the one that was looked at before it was read
-            self._files[name] = [*stamp, digest]
+        if settled and _stamp(path.stat()) == before:  # the file is the one that was looked at before it was read
+            self._files[name] = [*before, digest]
             self._changed = True
         return digest
 
@@ -182,8 +182,16 @@ class Digests(Memo):
         super().save()
 
 
+def stamp(path: Path | str) -> list[int] | None:
+    """What tells that a file has been touched, or replaced; None where there is none."""
+    try:
+        return _stamp(os.stat(path))  # noqa: PTH116 (a string where many are looked at)
+    except OSError:
+        return None
+
+
 def _stamp(status: os.stat_result) -> list[int]:
-    """What tells that a file has been touched: size, last change of its content and of anything, inode."""
+    """Size, last change of its content and of anything, inode."""
     return [status.st_size, status.st_mtime_ns, status.st_ctime_ns, status.st_ino]
 
 

@@ -20,7 +20,7 @@ from ..task import Task
 from . import artifact
 from .atomic import clear, write_atomic
 from .layout import WorkFolder
-from .signed import Damaged, content_digest, read_signed, write_signed
+from .signed import Damaged, content_digest, read_signed, stamp, write_signed
 from .untrusted import read_outside
 
 
@@ -109,9 +109,7 @@ class Cache:
 
     work: WorkFolder
     _damages: list[Damage] = field(default_factory=list, compare=False, repr=False)
-    _known: dict[tuple[Task, str], tuple[str, str, tuple[int, ...], Receipt]] = field(
-        default_factory=dict, compare=False, repr=False
-    )
+    _known: dict[tuple[Task, str], tuple[str, str, list[int], Receipt]] = field(default_factory=dict, compare=False, repr=False)
     """By task and key: the receipt's file, the artifact's ("": none), the former's stamp when it was read, and the receipt.  A
     night looks up each receipt three times."""
 
@@ -120,11 +118,11 @@ class Cache:
 
     def by_key(self, task: Task, key: str) -> Receipt | None:
         """The receipt of a finished task, or None.  Checks the artifact's presence and size; who reads it checks its digest."""
-        receipt_file, artifact_file, stamp, receipt = self._known.get((task, key), ("", "", (), None))
-        if receipt and _stamp(receipt_file) == stamp and not (artifact_file and _wrong_size(artifact_file, receipt.bytes)):
+        receipt_file, artifact_file, then, receipt = self._known.get((task, key), ("", "", [], None))
+        if receipt and stamp(receipt_file) == then and not (artifact_file and _wrong_size(artifact_file, receipt.bytes)):
             return receipt
         path = self.work.receipt(task, key)
-        found = _stamp(path)
+        found = stamp(path)
         if (receipt := self._receipt(task, path)) and found:
             self._known[task, key] = str(path), str(self.path(receipt)) if receipt.file else "", found, receipt
         return receipt
@@ -232,15 +230,6 @@ class Cache:
             return Receipt(**fields | {"preimage": Preimage(**preimage)})
         except (TypeError, KeyError):
             return None
-
-
-def _stamp(path: Path | str) -> tuple[int, ...] | None:
-    """What tells that a file has been replaced; None where there is none."""
-    try:
-        status = os.stat(path)  # noqa: PTH116 (a string where many are looked at)
-    except OSError:
-        return None
-    return status.st_size, status.st_mtime_ns, status.st_ctime_ns, status.st_ino
 
 
 def _wrong_size(path: Path | str, expected: int) -> str | None:

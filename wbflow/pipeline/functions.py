@@ -23,7 +23,7 @@ from typing import Any
 from pydantic import ConfigDict, TypeAdapter, ValidationError
 
 from ..cache.fingerprint import Code, FunctionError, Modules, assigned, origin_of, read_code
-from ..cache.signed import Memo
+from ..cache.signed import Memo, stamp
 
 _FORM = f"3, Python {sys.version_info.major}.{sys.version_info.minor}"
 """Of the memo; another one is not read."""
@@ -53,7 +53,7 @@ class FunctionReader(Memo):
         super().__init__(memo, "what was read of functions", "functions are read again")
         self.modules = Modules(folder)
         files = self.entries.get("files", {})
-        if self.entries.get("form") != _FORM or any(_stamp(file) != stamp for file, stamp in files.items()):
+        if self.entries.get("form") != _FORM or any(stamp(file) != then for file, then in files.items()):
             self.entries = {"form": _FORM, "files": {}, "known": {}}
 
     def read(self, dotted: str, table: str = "") -> FunctionInfo:
@@ -92,18 +92,9 @@ class FunctionReader(Memo):
         known = self.entries["known"]
         if entry not in known:
             known[entry], files = read()
-            self.entries["files"] |= {str(file): _stamp(str(file)) for file in files}
+            self.entries["files"] |= {str(file): stamp(str(file)) for file in files}
             self._changed = True
         return known[entry]
-
-
-def _stamp(file: str) -> list[int] | None:
-    """Time and size of a file; None where there is none."""
-    try:
-        status = Path(file).stat()
-    except OSError:
-        return None
-    return [status.st_mtime_ns, status.st_size]
 
 
 def _signature(entry: Mapping[str, Any]) -> Signature:
