@@ -78,7 +78,7 @@ def check_captures(site: Site, context: RunContext) -> list[Finding]:
     for camera in site.cameras:
         place = site.document.problem(camera.location, "")
         where = f"{site.file}:{place.line}:{place.column}: camera {camera.id}"
-        files = context.captures[camera.id]
+        files = context.plan.captures[camera.id]
         if not files:
             what = f"{where}: there is no capture {expected(site, camera, context.date)}"
             found.append(Finding("error", what, _remedy_of_missing(site, camera), ExitCode.DEGRADED))

@@ -66,9 +66,9 @@ def run_pipeline(run: str, context: RunContext, options: Options, journal: Journ
     prepare(context, journal)
     worked = work(context, options, journal)
     finished = _publish(run, context, worked, journal, own_process=options.backend == "threading")
-    finish(finished, context.site, journal)
+    finish(finished, context.plan.site, journal)
     if not options.until and not worked.interrupted:
-        _notify(context.site, finished, journal)
+        _notify(context.plan.site, finished, journal)
     return finished
 
 
@@ -101,7 +101,7 @@ def _publish(run: str, context: RunContext, worked: Worked, journal: Journal, ow
     page = _report(plan, record, journal, cameras, unfinished)
     folder = unfinished.publish(record, journal.events, page, metrics(record))
     with contextlib.suppress(OSError):  # it costs reading functions again
-        context.site.reader.save()
+        context.plan.site.reader.save()
     tasks = {event.task: event for event in journal.events if isinstance(event, TaskEvent)}
     return Run(folder, record, tasks, plan.cache)
 

@@ -76,7 +76,7 @@ def fit_to_pin(record: RunRecord) -> bool:
 def prepare(context: RunContext, journal: Journal) -> None:
     """Restore what the reference holds, and warn where it cannot be used.  The caller holds the lock."""
     plan, work = context.plan, context.plan.cache.work
-    fault = mend_record(work) if context.site.settings.pin != "none" else None
+    fault = mend_record(work) if plan.site.settings.pin != "none" else None
     if fault:
         journal.repaired(fault)
     if plan.misfit and not fault:

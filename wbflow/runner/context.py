@@ -10,7 +10,7 @@ from ..cache.layout import WorkFolder
 from ..cache.signed import Digests, Seen
 from ..cache.store import Cache
 from ..records.reference_folder import BadReference, Reference, read_reference
-from ..site.captures import CaptureFile, as_now, expected, find_captures, find_named, in_motion, look_again, night, when_complete
+from ..site.captures import as_now, expected, find_captures, find_named, in_motion, look_again, night, when_complete
 from ..site.models import Camera, Site
 from ..site.staleness import look_at
 from .options import Options
@@ -19,13 +19,10 @@ from .planner import Plan
 
 @dataclass
 class RunContext:
-    """A site on one night: its captures, and the plan of what is made of them."""
+    """A site on one night: the plan of what is made of its captures, and what is remembered of these."""
 
-    site: Site
     date: datetime.date
     """The captures' date."""
-    captures: dict[str, list[CaptureFile]]
-    """By camera."""
     digests: Digests
     """To be saved by a run."""
     seen: Seen
@@ -33,6 +30,7 @@ class RunContext:
     notes: dict[str, str]
     """Remarks about the captures of a camera."""
     plan: Plan
+    """Of the site, with its captures."""
     replaced: set[Path] = field(default_factory=set)
     """Files that were found changed after their digests had been taken."""
     growing: frozenset[Path] = frozenset()
@@ -42,14 +40,14 @@ class RunContext:
         """Keep what was learnt of files, for the next run.  Raises OSError."""
         self.digests.save()
         self.seen.save()
-        self.site.reader.save()
+        self.plan.site.reader.save()
 
     def look_again(self, path: Path) -> None:
         """A file has changed since its digest was taken: the plan goes on with what it holds now."""
         self.replaced.add(path)
         self.digests.forget(path)
         self.plan.look_again()
-        for files in self.captures.values():
+        for files in self.plan.captures.values():
             files[:] = [as_now(file, self.digests) if file.path == path else file for file in files]
         for name, file in self.plan.named.items():
             if file.path == path:
@@ -61,10 +59,10 @@ class RunContext:
         A camera whose captures' names say no date overwrites one and the same file: each is read as a whole, and once it is
         complete the next one harms nothing.
         """
-        changed = in_motion(self.captures, self.replaced, self.digests)
-        if self.site.captures.dated:
+        changed = in_motion(self.plan.captures, self.replaced, self.digests)
+        if self.plan.site.captures.dated:
             return changed, {}
-        unfinished = {file.name for files in self.captures.values() for file in files if file.path in self.growing}
+        unfinished = {file.name for files in self.plan.captures.values() for file in files if file.path in self.growing}
         harmful = {camera: [name for name in names if name in unfinished] for camera, names in changed.items()}
         harmless = {camera: [name for name in names if name not in unfinished] for camera, names in changed.items()}
         return harmful, harmless
@@ -94,7 +92,7 @@ def plan_run(site: Site, options: Options) -> RunContext:
         stale=delivered.stale,
         night_given=options.date is not None,
     )
-    return RunContext(site, found_date, delivered.captures, digests, seen, delivered.notes, plan, growing=growing)
+    return RunContext(found_date, digests, seen, delivered.notes, plan, growing=growing)
 
 
 def _expected(site: Site, camera: Camera, night: datetime.date) -> str:
