@@ -119,7 +119,7 @@ def _cameras(plan: Plan, poses: bytes) -> dict[str, Any]:
     """Return the solved cameras in the form of a calibration, by id.  poses: the artifact, where nobody has kept that form."""
     receipt = plan.states[Task(POSES)].receipt
     kept = plan.cache.drawing(Task(POSES), receipt.key, "cameras") if receipt else None
-    cameras: dict[str, Any] = json.loads(kept or load(stage_named(POSES).products.cameras)(artifact.decode(poses)))
+    cameras: dict[str, Any] = json.loads(kept or load(stage_named(POSES).products.drawings["cameras"])(artifact.decode(poses)))
     return cameras
 
 

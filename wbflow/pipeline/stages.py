@@ -133,31 +133,17 @@ class Reuse:
 class Products:
     """What is made of a stage's result for people; of each, the dotted function that makes it of the result."""
 
-    picture: str = ""
-    """A JPEG file's bytes, from the result and `picture_inputs`."""
+    drawings: Mapping[str, str] = field(default_factory=dict)
+    """Bytes that are kept beside the artifact, by name.  `picture`: a JPEG file, of the result and `picture_inputs`; `large`: one
+    of a camera's picture as large as it is; `marks`: places in these pictures, of a camera or a pair; `view`: points for the
+    report's 3-D view; `layer`: a picture that lies on its map (see `report.pictures`); `cameras`: those that a run publishes, as
+    JSON in the form of a calibration."""
     picture_inputs: Mapping[str, Source] = field(default_factory=dict)
     """By argument name; None is passed for one that is not there."""
-    large: str = ""
-    """A JPEG file's bytes, of a camera's picture as large as it is, for the report."""
-    marks: str = ""
-    """Bytes: places in these pictures, of a camera or a pair (see `report.pictures`)."""
-    view: str = ""
-    """Points for the report's 3-D view, as a stream of bytes."""
-    layer: str = ""
-    """A picture that lies on the report's map, as bytes (see `report.pictures`)."""
-    cameras: str = ""
-    """The cameras that a run publishes, as bytes: JSON in the form of a calibration."""
     files: str = ""
     """Names and bytes of files that a run publishes beside its cloud."""
     title: str = ""
     """Of its part of the report, where its summary is a `SiteSummary`."""
-
-    @property
-    def drawings(self) -> dict[str, str]:
-        """The functions whose bytes are kept beside the artifact, by the name of the product."""
-        named = {"picture": self.picture, "large": self.large, "marks": self.marks, "view": self.view, "layer": self.layer}
-        named["cameras"] = self.cameras
-        return {name: function for name, function in named.items() if function}
 
 
 @dataclass(frozen=True)
@@ -261,7 +247,7 @@ STAGES: tuple[Stage, ...] = (
         },
         site_keys=("resolution",),
         products=Products(
-            picture="wbflow_stages.exports.previews:frame_preview", large="wbflow_stages.exports.previews:frame_large"
+            {"picture": "wbflow_stages.exports.previews:frame_preview", "large": "wbflow_stages.exports.previews:frame_large"}
         ),
         summary=FrameSummary,
     ),
@@ -287,7 +273,7 @@ STAGES: tuple[Stage, ...] = (
         function="wbflow_stages.features:detect",
         inputs={"frame": own("frames")},
         reuse=_FEATURES,
-        products=Products(marks="wbflow_stages.exports.previews:keypoint_marks"),
+        products=Products({"marks": "wbflow_stages.exports.previews:keypoint_marks"}),
         summary=FeaturesSummary,
     ),
     Stage(
@@ -334,9 +320,8 @@ STAGES: tuple[Stage, ...] = (
         offers=_PAIR_FRAMES,
         reuse=Reuse(shifted=_TURNED_GEOMETRY, moved="recompute"),
         products=Products(
-            picture="wbflow_stages.exports.previews:matches_preview",
+            {"picture": "wbflow_stages.exports.previews:matches_preview", "marks": "wbflow_stages.exports.previews:inlier_marks"},
             picture_inputs=_FRAMES,
-            marks="wbflow_stages.exports.previews:inlier_marks",
         ),
         summary=GeometrySummary,
     ),
@@ -354,7 +339,7 @@ STAGES: tuple[Stage, ...] = (
         offers={"frames": every("frames"), "features": every("features")},
         optional=True,
         reuse=Reuse(shifted=_HELD_POSES, moved=_HELD_POSES),
-        products=Products(cameras="wbflow_stages.io.cameras:calibration_file"),
+        products=Products({"cameras": "wbflow_stages.io.cameras:calibration_file"}),
         summary=PosesSummary,
     ),
     Stage(
@@ -416,7 +401,7 @@ STAGES: tuple[Stage, ...] = (
         offers={"geometry": own("geometry"), **_PAIR_FEATURES},
         method=Method("matcher", "wbflow_stages.disparity:MATCHERS", given=("pair",)),
         products=Products(
-            picture="wbflow_stages.exports.previews:disparity_preview",
+            {"picture": "wbflow_stages.exports.previews:disparity_preview"},
             picture_inputs={**_FRAMES, "rectification": own("rectify")},
         ),
         summary=DisparitySummary,
@@ -451,7 +436,7 @@ STAGES: tuple[Stage, ...] = (
         },
         optional=True,
         reuse=Reuse(aggregate="wbflow_stages.pooled:pool_depths"),
-        products=Products(picture="wbflow_stages.exports.previews:depth_preview"),
+        products=Products({"picture": "wbflow_stages.exports.previews:depth_preview"}),
     ),
     Stage(
         "fuse",
@@ -464,9 +449,8 @@ STAGES: tuple[Stage, ...] = (
             "refined": every("refine", optional=True),
         },
         products=Products(
-            picture="wbflow_stages.exports.previews:cloud_preview",
+            {"picture": "wbflow_stages.exports.previews:cloud_preview", "view": "wbflow_stages.exports.view:cloud_view"},
             picture_inputs={"cameras": own("poses", part="cameras")},
-            view="wbflow_stages.exports.view:cloud_view",
         ),
         summary=FuseSummary,
     ),
@@ -478,10 +462,9 @@ STAGES: tuple[Stage, ...] = (
         optional=True,
         reuse=Reuse(stored=False),
         products=Products(
-            picture="wbflow_stages.exports.ground:coverage_preview",
+            {"picture": "wbflow_stages.exports.ground:coverage_preview", "layer": "wbflow_stages.exports.ground:coverage_layer"},
             picture_inputs={"poses": own("poses")},
             files="wbflow_stages.exports.ground:coverage_files",
-            layer="wbflow_stages.exports.ground:coverage_layer",
             title="What the cameras see of the ground",
         ),
         summary=CoverageSummary,
@@ -495,9 +478,8 @@ STAGES: tuple[Stage, ...] = (
         site_keys=("zones",),
         reuse=Reuse(stored=False),
         products=Products(
-            picture="wbflow_stages.exports.ground:changes_preview",
+            {"picture": "wbflow_stages.exports.ground:changes_preview", "view": "wbflow_stages.exports.view:changes_view"},
             files="wbflow_stages.exports.ground:changes_files",
-            view="wbflow_stages.exports.view:changes_view",
             title="What has changed",
         ),
         summary=ChangesSummary,

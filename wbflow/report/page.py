@@ -85,7 +85,7 @@ def build_comparison(site: Site, tonight: Run, then: Run, changes: Any) -> str:
         )
         events = [e for e in tonight.events if not (isinstance(e, TaskEvent) and e.task.stage == CHANGES)]
         shown = ReportData(tonight.cache, record, tuple(events), tonight.calibration, Path(folder), site)
-        stream = load(products.view)(changes)
+        stream = load(products.drawings["view"])(changes)
         content = _content(shown, [*points_of(shown), Points(CHANGES, split(stream)[0], stream)])
     if [stream.kind for stream in content["points"]] != ["product", "change", "then"]:
         raise Gone("the points of one of the runs are not there any more", remedy="run the night again")

@@ -242,7 +242,9 @@ def large_pictures(data: ReportData, room: int) -> list[tuple[int, str, str]]:
 
 def _keypoints(data: ReportData, view: str) -> bytes:
     found = (
-        data.drawing(Task(stage.name, (view,)), "marks") for stage in STAGES if stage.products.marks and stage.scope == "camera"
+        data.drawing(Task(stage.name, (view,)), "marks")
+        for stage in STAGES
+        if "marks" in stage.products.drawings and stage.scope == "camera"
     )
     return b"".join(filter(None, found))
 
@@ -250,7 +252,7 @@ def _keypoints(data: ReportData, view: str) -> bytes:
 def _inliers(data: ReportData) -> Mapping[str, bytes]:
     """Return the inliers of each view; those of a pair are the left picture's, then as many of the right one."""
     found: dict[str, bytes] = defaultdict(bytes)
-    for stage in (stage for stage in STAGES if stage.products.marks and stage.scope == "pair"):
+    for stage in (stage for stage in STAGES if "marks" in stage.products.drawings and stage.scope == "pair"):
         for pair in data.record.pairs:
             both = data.drawing(Task(stage.name, (pair.left, pair.right)), "marks") or b""
             found[pair.left] += both[: len(both) // 2]
@@ -264,7 +266,7 @@ def _keypoint_note(data: ReportData, frame: Task) -> str:
     shown = cache.by_key(frame, data.keys[frame])
     for stage in STAGES:
         task = Task(stage.name, frame.subject)
-        made = cache.by_key(task, data.keys[task]) if stage.products.marks and task in data.keys else None
+        made = cache.by_key(task, data.keys[task]) if "marks" in stage.products.drawings and task in data.keys else None
         if made and shown and shown.digest not in made.preimage.inputs.values():
             when = f" of {data.reference_date}" if data.reference_date else ""
             return f"found in the reference's picture{when}: the camera has not moved"

@@ -259,7 +259,7 @@ def _step_figures(stage: Stage, receipt: Receipt) -> Iterator[str]:
 
 def pair_pictures(data: ReportData, album: Pictures) -> list[tuple[str, list[Picture]]]:
     """Return the pictures of each pair that has any."""
-    drawn = [stage.name for stage in STAGES if stage.scope == "pair" and stage.products.picture]
+    drawn = [stage.name for stage in STAGES if stage.scope == "pair" and "picture" in stage.products.drawings]
     tasks = {pair.name: [Task(name, (pair.left, pair.right)) for name in drawn] for pair in data.record.pairs}
     found = [(name, [p for task in each if (p := album.of_task(task, str(task)))]) for name, each in tasks.items()]
     return [(name, pictures) for name, pictures in found if pictures]

@@ -34,7 +34,8 @@ def painter(toy: ToySite, monkeypatch: pytest.MonkeyPatch) -> Path:
     module = toy.folder / "painter.py"
     module.write_text(ORIGINAL)
     stage = pipeline.stage_named("geometry")
-    mine = dataclasses.replace(stage, products=dataclasses.replace(stage.products, picture="painter:show"))
+    drawings = {**stage.products.drawings, "picture": "painter:show"}
+    mine = dataclasses.replace(stage, products=dataclasses.replace(stage.products, drawings=drawings))
     monkeypatch.setattr(
         "wbflow.runner.planner.stage_named", lambda name: mine if name == stage.name else pipeline.stage_named(name)
     )
