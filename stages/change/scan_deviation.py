@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 import open3d
 
+from ..io.clouds import point_cloud
 from ..types import Cloud, Float64s
 from .cloud_distance import MeasuredCloud, cloud_distances, index_points, one_of_each_cell, spacing_of
 
@@ -93,8 +94,7 @@ _REMEDY = "bring it into the site's world first, to some metres (CloudCompare: A
 
 def _registered(cloud: Cloud, scan: Float64s, far: float) -> Float64s:
     """Return the rigid transform (4, 4) that lays a scan on the cloud: point to plane, deviations weigh less and less."""
-    target = open3d.geometry.PointCloud(open3d.utility.Vector3dVector(cloud.points.astype(np.float64)))
-    target.normals = open3d.utility.Vector3dVector(cloud.normals.astype(np.float64))
+    target = point_cloud(cloud)
     target = target.uniform_down_sample(max(1, len(target.points) // _MOST))
     kept = one_of_each_cell(scan, max(spacing_of(scan), far / 200))
     source = open3d.geometry.PointCloud(open3d.utility.Vector3dVector(scan[kept[:: max(1, len(kept) // _MOST)]]))

@@ -12,12 +12,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..io.rasters import pfm, png, stepped
+from ..io.rasters import geotiff, pfm, png, stepped
 from ..types import Camera, Changes, Cloud, DepthMap, Frame, Geometry, Poses
 
 if TYPE_CHECKING:
-    import open3d
-
     from .world import Georeference
 
 Files = Iterator[tuple[str, bytes]]
@@ -56,12 +54,13 @@ def e57(cloud: Cloud, poses: Poses) -> Files:
 
 def heights(cloud: Cloud, poses: Poses) -> Files:
     """heights.tif where the site is georeferenced, else heights.png with its world file, heights.pfm and heights.json."""
-    from .heights import geotiff, height_map, plain_files
+    from .heights import height_map, plain_files
 
     points = cloud.points.astype(np.float64)
     georeference = _georeference(poses)
     if georeference is not None:
-        yield "heights.tif", geotiff(height_map(georeference.points(points)), georeference.epsg)
+        found, words = height_map(georeference.points(points)), ["height above the ellipsoid, metres"]
+        yield "heights.tif", geotiff(found.heights[None], found.left, found.top, found.cell, georeference.epsg, words)
         return
     files, metadata = plain_files(height_map(points))
     yield from files.items()
@@ -96,13 +95,14 @@ def mesh(cloud: Cloud, poses: Poses, frames: Mapping[str, Frame]) -> Files:
 def orthophoto(cloud: Cloud, poses: Poses, frames: Mapping[str, Frame]) -> Files:
     """orthophoto.tif where the site is georeferenced, else orthophoto.png with its world file."""
     from .mesh import poisson_mesh, textured
-    from .orthophoto import geotiff, plain_files
     from .orthophoto import orthophoto as seen_from_above
+    from .orthophoto import plain_files
 
     georeference = _georeference(poses)
     photo = seen_from_above(textured(poisson_mesh(cloud, coarser=1), _main_cameras(poses), frames), georeference)
     if georeference is not None:
-        yield "orthophoto.tif", geotiff(photo, georeference.epsg)
+        bands = np.moveaxis(photo.image, 2, 0)
+        yield "orthophoto.tif", geotiff(bands, photo.left, photo.top, photo.cell, georeference.epsg)
     else:
         yield from plain_files(photo).items()
 
@@ -117,7 +117,6 @@ def colmap(cloud: Cloud, poses: Poses, frames: Mapping[str, Frame], geometries: 
     frames : of each camera.
     geometries : by "left--right": matches that become tracks.
     """
-    from ..io.rasters import png
     from .colmap import colmap_files
 
     cameras = _main_cameras(poses)
@@ -128,16 +127,6 @@ def colmap(cloud: Cloud, poses: Poses, frames: Mapping[str, Frame], geometries: 
         if name not in frames:
             raise ValueError(f"there is no frame of {name}")
         yield f"colmap/images/{name}.png", png(frames[name].image)
-
-
-def point_cloud(cloud: Cloud) -> open3d.geometry.PointCloud:
-    """The cloud for open3d: points in metres, normals, and colours from 0 to 1."""
-    import open3d
-
-    made = open3d.geometry.PointCloud(open3d.utility.Vector3dVector(cloud.points.astype(np.float64)))
-    made.normals = open3d.utility.Vector3dVector(cloud.normals.astype(np.float64))
-    made.colors = open3d.utility.Vector3dVector(cloud.colors.astype(np.float64) / 255.0)
-    return made
 
 
 def _main_cameras(poses: Poses) -> dict[str, Camera]:

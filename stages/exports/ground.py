@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ..core.ground_grid import cell_centres
-from ..io.rasters import png
+from ..io.rasters import geotiff, jpeg, png
 from ..types import Camera, Changes, Coverage, CutFill, Float32s, Float64s, GroundGrid, Poses, Uint8s
 
 _WIDTH = 960
@@ -42,24 +42,18 @@ def coverage_layer(coverage: Coverage) -> bytes:
     wide, high = grid.columns * grid.cell, grid.rows * grid.cell
     ends = [(grid.left, grid.top, level), (grid.left + wide, grid.top, level), (grid.left, grid.top - high, level)]
     colours = np.array(_STEPS, np.uint8)[np.minimum(coverage.views, len(_STEPS) - 1)]
-    image = np.dstack([colours[..., ::-1], np.where(known, 255, 0).astype(np.uint8)])
+    image = np.dstack([colours, np.where(known, 255, 0).astype(np.uint8)])
     names = [f"{k}{' or more' if k == len(_STEPS) - 1 else ''}" for k in range(len(_STEPS))]
     legend = [[name, f"#{r:02x}{g:02x}{b:02x}"] for name, (r, g, b) in zip(names, _STEPS, strict=True)]
     metadata = {"corners": (np.array(ends) @ grid.axes).tolist(), "legend": legend, "words": "cameras that see the ground"}
     head = json.dumps(metadata).encode()
-    return struct.pack("<I", len(head)) + head + cv2.imencode(".png", image)[1].tobytes()
+    return struct.pack("<I", len(head)) + head + png(image)
 
 
 def coverage_preview(coverage: Coverage, poses: Poses | None = None) -> Uint8s:
     """How many cameras see each place, from above, as a JPEG file's bytes; poses: where the cameras are drawn in."""
     cameras = {name: camera for name, camera in poses.cameras.items() if camera.component == 0} if poses else {}
-    return jpeg(_map(coverage, cameras))
-
-
-def jpeg(image: Uint8s) -> Uint8s:
-    """A JPEG file's bytes, (n,) uint8, of (h, w, 3) RGB."""
-    _, data = cv2.imencode(".jpg", cv2.cvtColor(image, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])
-    return np.asarray(data, dtype=np.uint8).ravel()
+    return jpeg(_map(coverage, cameras), _QUALITY)
 
 
 def on_the_map(grid: GroundGrid, heights: Float32s, layers: Mapping[str, Float32s], crs: str) -> bytes:
@@ -77,12 +71,9 @@ def on_the_map(grid: GroundGrid, heights: Float32s, layers: Mapping[str, Float32
     ValueError
         No map has the place.
     """
-    from rasterio.crs import CRS  # here: only georeferenced sites need it
-    from rasterio.io import MemoryFile
-    from rasterio.transform import Affine
     from scipy.spatial import cKDTree
 
-    from .world import georeference
+    from .world import georeference  # here: only georeferenced sites need it
 
     reference = georeference(crs)
     level = float(np.nanmedian(heights)) if np.isfinite(heights).any() else 0.0
@@ -92,22 +83,9 @@ def on_the_map(grid: GroundGrid, heights: Float32s, layers: Mapping[str, Float32
     x, y = np.meshgrid((low[0] + np.arange(columns) + 0.5) * grid.cell, (high[1] - np.arange(rows) - 0.5) * grid.cell)
     distance, nearest = cKDTree(centres).query(np.column_stack([x.ravel(), y.ravel()]), workers=1)
     inside = distance < 0.75 * grid.cell
-    transform = Affine(grid.cell, 0.0, low[0] * grid.cell, 0.0, -grid.cell, high[1] * grid.cell)
-    layout = {
-        "driver": "GTiff",
-        "width": columns,
-        "height": rows,
-        "count": len(layers),
-        "dtype": "float32",
-        "nodata": float("nan"),
-    }
-    packing = {"compress": "deflate", "predictor": 3, "num_threads": 1}
-    with MemoryFile() as memory:
-        with memory.open(**layout, **packing, crs=CRS.from_epsg(reference.epsg), transform=transform) as file:
-            for k, (words, values) in enumerate(layers.items(), 1):
-                file.write(np.where(inside, values.ravel()[nearest], np.nan).reshape(rows, columns).astype(np.float32), k)
-                file.set_band_description(k, words)
-        return bytes(memory.read())
+    bands = [np.where(inside, v.ravel()[nearest], np.nan).reshape(rows, columns).astype(np.float32) for v in layers.values()]
+    left, top = low[0] * grid.cell, high[1] * grid.cell
+    return geotiff(np.stack(bands), left, top, grid.cell, reference.epsg, [*layers])
 
 
 def _map(coverage: Coverage, cameras: Mapping[str, Camera] | None = None) -> Uint8s:
@@ -175,7 +153,7 @@ def changes_files(changes: Changes) -> Iterator[tuple[str, bytes | Columns]]:
     yield "changes.ply", changes_columns(changes)
     yield "changes.json", (json.dumps(changes_data(changes), indent=1) + "\n").encode()
     for number, image in changes.crops.items():
-        yield f"change-{number}.jpg", jpeg(image).tobytes()
+        yield f"change-{number}.jpg", jpeg(image, _QUALITY).tobytes()
     if changes.crs:
         layers = {"tonight's height less that of the reference, metres": changes.difference}
         yield "changes.tif", on_the_map(changes.grid, changes.difference, layers, changes.crs)
@@ -222,7 +200,7 @@ def _volumes(part: CutFill) -> dict[str, float]:
 def changes_preview(changes: Changes) -> Uint8s:
     """Differences of height from above, changes framed and numbered, and pictures before and after, as a JPEG file's bytes."""
     if not changes.compared or not changes.grid.rows:
-        return jpeg(np.full((40, 480, 3), 24, np.uint8))
+        return jpeg(np.full((40, 480, 3), 24, np.uint8), _QUALITY)
     known = np.isfinite(changes.difference)
     most = max(0.01 * _HIGHEST * changes.grid.cell * changes.grid.columns, 1e-9)
     share = np.clip(np.nan_to_num(changes.difference) / most, -1, 1)[..., None]
@@ -233,7 +211,7 @@ def changes_preview(changes: Changes) -> Uint8s:
     shown = [_with_number(crop, number) for number, crop in list(changes.crops.items())[:_SHOWN]]
     width = max(image.shape[1], *(crop.shape[1] for crop in shown)) if shown else image.shape[1]
     rows = [np.pad(each, ((0, 6), (0, width - each.shape[1]), (0, 0)), constant_values=24) for each in (image, *shown)]
-    return jpeg(np.vstack(rows))
+    return jpeg(np.vstack(rows), _QUALITY)
 
 
 def _mark(image: Uint8s, changes: Changes) -> None:

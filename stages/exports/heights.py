@@ -83,23 +83,6 @@ def plain_files(heights: HeightMap) -> tuple[dict[str, bytes], dict[str, float |
     return {"heights.pfm": pfm(heights.heights), "heights.png": png(values), "heights.pgw": world}, metadata
 
 
-def geotiff(heights: HeightMap, epsg: int) -> bytes:
-    """GeoTIFF, float32, nan where unknown."""
-    from rasterio.crs import CRS  # here: only georeferenced sites need it
-    from rasterio.io import MemoryFile
-    from rasterio.transform import Affine
-
-    rows, columns = heights.heights.shape
-    transform = Affine(heights.cell, 0.0, heights.left, 0.0, -heights.cell, heights.top)
-    layout = {"driver": "GTiff", "width": columns, "height": rows, "count": 1, "dtype": "float32", "nodata": float("nan")}
-    packing = {"compress": "deflate", "predictor": 3, "num_threads": 1}
-    with MemoryFile() as memory:
-        with memory.open(**layout, **packing, crs=CRS.from_epsg(epsg), transform=transform) as file:
-            file.write(heights.heights, 1)
-            file.set_band_description(1, "height above the ellipsoid, metres")
-        return bytes(memory.read())
-
-
 def _box(xy: Float64s) -> tuple[Float64s, Float64s]:
     """Corners around all points but those far outside: few wrong points on the horizon would make the map huge."""
     low, high = np.percentile(xy, [0.1, 99.9], axis=0)

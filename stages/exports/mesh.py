@@ -11,7 +11,7 @@ Waechter, Moehrle, Goesele, Let There Be Color!, ECCV 2014: projected area tells
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import cv2
@@ -20,6 +20,8 @@ import open3d
 
 from ..core.cameras import project, rays
 from ..core.luminance import with_gain
+from ..io.clouds import point_cloud
+from ..io.rasters import jpeg, png
 from ..types import Bools, Camera, Cloud, Float32s, Float64s, Frame, Int32s, Int64s, Uint8s
 from .heights import spacing
 
@@ -55,9 +57,7 @@ def poisson_mesh(cloud: Cloud, depth: int | None = None, coarser: int = 0) -> Me
     if depth is None:
         span = float(np.ptp(points, axis=0).max()) * 1.1
         depth = int(np.clip(np.ceil(np.log2(span / spacing(points))), 5, DEEPEST)) - coarser
-    source = open3d.geometry.PointCloud(open3d.utility.Vector3dVector(points - middle))
-    source.normals = open3d.utility.Vector3dVector(cloud.normals.astype(np.float64))
-    source.colors = open3d.utility.Vector3dVector(cloud.colors / 255.0)
+    source = point_cloud(replace(cloud, points=points - middle))
     # one thread: sums in the same order, the same bytes
     surface, levels = open3d.geometry.TriangleMesh.create_from_point_cloud_poisson(source, depth=depth, n_threads=1)
     carried = np.asarray(levels)
@@ -270,8 +270,7 @@ def object_files(found: Textured, name: str) -> Iterator[tuple[str, bytes]]:
     shown = [number for number in range(len(found.views)) if (found.chosen == number).any()]
     for number in shown:
         view = found.views[number]
-        picture = cv2.cvtColor(view.image, cv2.COLOR_RGB2BGR)
-        yield f"{name}_{view.name}.jpg", cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, 92])[1].tobytes()
+        yield f"{name}_{view.name}.jpg", jpeg(view.image, 92).tobytes()
     unseen = np.flatnonzero(found.chosen == NONE)
     materials = [found.views[number].name for number in shown] + (["unseen"] if len(unseen) else [])
     if len(unseen):
@@ -320,4 +319,4 @@ def _palette(mesh: Mesh, unseen: Int64s) -> bytes:
     side = _side(len(unseen))
     pixels = np.zeros((side * side, 3), np.uint8)
     pixels[: len(unseen)] = mesh.colors[mesh.triangles[unseen]].mean(axis=1)
-    return cv2.imencode(".png", pixels.reshape(side, side, 3)[..., ::-1])[1].tobytes()
+    return png(pixels.reshape(side, side, 3))

@@ -78,21 +78,3 @@ def _colours(found: Textured, triangles: Int64s, uv: Float64s) -> Uint8s:
 def plain_files(photo: Orthophoto) -> dict[str, bytes]:
     """orthophoto.png, and its world file."""
     return {"orthophoto.png": png(photo.image), "orthophoto.pgw": world_file(photo.left, photo.top, photo.cell)}
-
-
-def geotiff(photo: Orthophoto, epsg: int) -> bytes:
-    """GeoTIFF, red, green, blue and alpha."""
-    from rasterio.crs import CRS  # here: only georeferenced sites need it
-    from rasterio.enums import ColorInterp
-    from rasterio.io import MemoryFile
-    from rasterio.transform import Affine
-
-    rows, columns, bands = photo.image.shape
-    transform = Affine(photo.cell, 0.0, photo.left, 0.0, -photo.cell, photo.top)
-    layout = {"driver": "GTiff", "width": columns, "height": rows, "count": bands, "dtype": "uint8", "photometric": "RGB"}
-    packing = {"compress": "deflate", "predictor": 2, "num_threads": 1, "tiled": True}
-    with MemoryFile() as memory:
-        with memory.open(**layout, **packing, crs=CRS.from_epsg(epsg), transform=transform) as file:
-            file.colorinterp = (ColorInterp.red, ColorInterp.green, ColorInterp.blue, ColorInterp.alpha)
-            file.write(np.moveaxis(photo.image, 2, 0))
-        return bytes(memory.read())

@@ -11,6 +11,7 @@ from collections.abc import Mapping
 import cv2
 import numpy as np
 
+from ..io.rasters import jpeg
 from ..types import (
     Camera,
     Cloud,
@@ -37,12 +38,12 @@ _DOTS = 500_000
 
 def frame_preview(frame: Frame) -> Uint8s:
     """The frame; what its mask leaves out is dimmed."""
-    return _jpeg(_fit(_dimmed(frame), WIDTH))
+    return jpeg(_fit(_dimmed(frame), WIDTH), QUALITY)
 
 
 def frame_large(frame: Frame) -> Uint8s:
     """The same as large as it is, as far as screens go."""
-    return _jpeg(_fit(_dimmed(frame), LARGE))
+    return jpeg(_fit(_dimmed(frame), LARGE), QUALITY)
 
 
 def _dimmed(frame: Frame) -> Uint8s:
@@ -70,7 +71,7 @@ def matches_preview(matches: Matches | Geometry, left: object = None, right: obj
         cv2.line(canvas, start, end, colour, 1, cv2.LINE_AA)
         cv2.circle(canvas, start, 2, colour, -1, cv2.LINE_AA)
         cv2.circle(canvas, end, 2, colour, -1, cv2.LINE_AA)
-    return _jpeg(canvas)
+    return jpeg(canvas, QUALITY)
 
 
 def rectified_preview(rectification: Rectification, left: Frame, right: Frame, *, width: int = WIDTH) -> Uint8s:
@@ -82,7 +83,7 @@ def rectified_preview(rectification: Rectification, left: Frame, right: Frame, *
     left, right : the frames of the pair.
     width : of the picture, at most.
     """
-    return _jpeg(_rectified(rectification, left, right, width))
+    return jpeg(_rectified(rectification, left, right, width), QUALITY)
 
 
 def disparity_preview(
@@ -105,19 +106,19 @@ def disparity_preview(
     """
     shown = _disparities(disparity, width)
     if left is None or right is None or rectification is None:
-        return _jpeg(shown)
+        return jpeg(shown, QUALITY)
     above = _rectified(rectification, left, right, width)
     canvas = np.full((above.shape[0] + 4 + shown.shape[0], max(above.shape[1], shown.shape[1]), 3), 24, np.uint8)
     canvas[: above.shape[0], : above.shape[1]] = above
     canvas[above.shape[0] + 4 :, : shown.shape[1]] = shown
-    return _jpeg(canvas)
+    return jpeg(canvas, QUALITY)
 
 
 def depth_preview(depth: DepthMap) -> Uint8s:
     """Depth of one view, near in warm colours; black where unknown; below it what the colours mean."""
     coloured, low, high = _coloured((1.0 / depth.depth).astype(np.float32))
     shown = _fit(coloured[0], WIDTH)
-    return _jpeg(_with_scale(shown, f"{1 / low:.3g} away", f"{1 / high:.3g} away") if high > low > 0 else shown)
+    return jpeg(_with_scale(shown, f"{1 / low:.3g} away", f"{1 / high:.3g} away") if high > low > 0 else shown, QUALITY)
 
 
 def cloud_preview(cloud: Cloud, cameras: Mapping[str, Camera]) -> Uint8s:
@@ -146,12 +147,7 @@ def cloud_preview(cloud: Cloud, cameras: Mapping[str, Camera]) -> Uint8s:
         aside = np.array([-ahead[1], ahead[0]])
         corners = centre + np.array([np.zeros(2), 14 * ahead + 7 * aside, 14 * ahead - 7 * aside]) / scale
         cv2.polylines(canvas, [np.round(pixel(corners)).astype(np.int32)], True, (255, 70, 50), 1, cv2.LINE_AA)
-    return _jpeg(canvas)
-
-
-def _jpeg(image: Uint8s) -> Uint8s:
-    _, data = cv2.imencode(".jpg", cv2.cvtColor(image, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, QUALITY])
-    return np.asarray(data, dtype=np.uint8).ravel()
+    return jpeg(canvas, QUALITY)
 
 
 def _fit(image: Uint8s, width: int) -> Uint8s:

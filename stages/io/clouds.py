@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 
 from ..types import Cloud, Float64s
+
+if TYPE_CHECKING:
+    import open3d
 
 
 def cloud_columns(cloud: Cloud) -> dict[str, npt.NDArray[Any]]:
@@ -34,6 +37,16 @@ def cloud_of(columns: Mapping[str, npt.NDArray[Any]]) -> Cloud:
         np.column_stack([columns[name] for name in names]) for names in (("x", "y", "z"), ("nx", "ny", "nz"), _COLORS)
     )
     return Cloud(points, normals, colors, columns["confidence"], columns["views"], columns["sigma_mm"])
+
+
+def point_cloud(cloud: Cloud) -> open3d.geometry.PointCloud:
+    """The cloud for open3d: points in metres, normals, and colours from 0 to 1."""
+    import open3d
+
+    made = open3d.geometry.PointCloud(open3d.utility.Vector3dVector(cloud.points.astype(np.float64)))
+    made.normals = open3d.utility.Vector3dVector(cloud.normals.astype(np.float64))
+    made.colors = open3d.utility.Vector3dVector(cloud.colors.astype(np.float64) / 255.0)
+    return made
 
 
 _COLORS = ("red", "green", "blue")

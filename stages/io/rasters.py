@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import cv2
@@ -24,6 +25,12 @@ def png(image: Uint8s | Uint16s) -> bytes:
     return bytes(data.tobytes())
 
 
+def jpeg(image: Uint8s, quality: int) -> Uint8s:
+    """A JPEG file's bytes, (n,) uint8, of (h, w, 3) RGB."""
+    _, data = cv2.imencode(".jpg", cv2.cvtColor(image, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, quality])
+    return np.asarray(data, dtype=np.uint8).ravel()
+
+
 def pfm(values: Float32s) -> bytes:
     """PFM of (h, w) float32: bottom row first, infinite where `values` is nan."""
     header = f"Pf\n{values.shape[1]} {values.shape[0]}\n-1.0\n".encode()
@@ -37,6 +44,38 @@ def world_file(left: float, top: float, cell: float) -> bytes:
     """
     lines = (cell, 0.0, 0.0, -cell, left + cell / 2, top - cell / 2)
     return "".join(f"{value!r}\n" for value in map(float, lines)).encode()
+
+
+def geotiff(bands: npt.NDArray[Any], left: float, top: float, cell: float, epsg: int, words: Sequence[str] = ()) -> bytes:
+    """GeoTIFF of a map.
+
+    Parameters
+    ----------
+    bands : (bands, rows, columns) float32, nan where unknown, or (4, rows, columns) uint8 RGBA.
+    left, top : x and y of the outer corner of the first cell.
+    cell : edge of a cell.
+    epsg : the coordinate system.
+    words : what each band of float32 holds.
+    """
+    from rasterio.crs import CRS  # here: only georeferenced sites need it
+    from rasterio.enums import ColorInterp
+    from rasterio.io import MemoryFile
+    from rasterio.transform import Affine
+
+    count, rows, columns = bands.shape
+    layout = {"driver": "GTiff", "width": columns, "height": rows, "count": count, "dtype": bands.dtype.name}
+    layout |= {"crs": CRS.from_epsg(epsg), "transform": Affine(cell, 0.0, left, 0.0, -cell, top)}
+    picture = bands.dtype == np.uint8
+    form = {"photometric": "RGB", "predictor": 2, "tiled": True} if picture else {"nodata": float("nan"), "predictor": 3}
+    with MemoryFile() as memory:
+        with memory.open(**layout, **form, compress="deflate", num_threads=1) as file:
+            if picture:
+                file.colorinterp = (ColorInterp.red, ColorInterp.green, ColorInterp.blue, ColorInterp.alpha)
+                file.write(bands)
+            for k, word in enumerate(words, 1):
+                file.write(bands[k - 1], k)
+                file.set_band_description(k, word)
+        return bytes(memory.read())
 
 
 def stepped(values: npt.NDArray[Any], lowest: float) -> tuple[Uint16s, float]:

@@ -97,7 +97,7 @@ class Run:
         WbflowError
             The run made none.
         """
-        made: open3d.geometry.PointCloud = load("wbflow_stages.exports.forms:point_cloud")(self.cloud_table())
+        made: open3d.geometry.PointCloud = load("wbflow_stages.io.clouds:point_cloud")(self.cloud_table())
         return made
 
     @property

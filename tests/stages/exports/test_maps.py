@@ -13,8 +13,8 @@ import pytest
 
 from tests.stages.exports.test_colmap import cloud_of
 from wbflow_stages.exports.forms import depth_files
-from wbflow_stages.exports.heights import geotiff, height_map, plain_files
-from wbflow_stages.io.rasters import stepped
+from wbflow_stages.exports.heights import height_map, plain_files
+from wbflow_stages.io.rasters import geotiff, stepped
 from wbflow_stages.types import DepthMap
 
 LOCAL = "+proj=topocentric +ellps=WGS84 +lat_0=53.541 +lon_0=9.966 +h_0=52.0"
@@ -219,10 +219,11 @@ def test_libe57_reads_the_cloud_back(crs: str, tmp_path: Path) -> None:
 def test_rasterio_reads_the_geotiff_back() -> None:
     rasterio = pytest.importorskip("rasterio")
     found = height_map(hill(count=3000) + np.array([565_000.0, 5_933_000.0, 0.0]), cell=0.5)
-    data = geotiff(found, 32632)
+    of = found.heights[None], found.left, found.top, found.cell, 32632, ["heights"]
+    data = geotiff(*of)
     with rasterio.MemoryFile(data) as memory, memory.open() as file:
         assert file.crs.to_epsg() == 32632
         assert np.array_equal(file.read(1), found.heights, equal_nan=True)
         assert file.xy(0, 0) == pytest.approx((found.left + 0.25, found.top - 0.25))
         assert math.isnan(file.nodata)
-    assert geotiff(found, 32632) == data
+    assert geotiff(*of) == data
