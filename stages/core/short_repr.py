@@ -4,20 +4,19 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping
-from typing import Any, TypeVar
-
-Kind = TypeVar("Kind", bound=type)
+from typing import Any
 
 _MOST_CHARACTERS, _MOST_ENTRIES = 80, 6
 
 
-def short_repr(kind: Kind) -> Kind:
-    """Class decorator, above `@dataclass`: a repr of one line, such as `Matches(x1=float64 (812, 2), ..., matcher='mutual')`.
+class Record:
+    """Base of dataclasses whose repr is one line, such as `Matches(x1=float64 (812, 2), ..., matcher='mutual')`.
 
     Fields that hold their default, or are kept out of the repr, are not shown.
     """
-    kind.__repr__ = _shown  # type: ignore[method-assign,assignment]
-    return kind
+
+    def __init_subclass__(cls) -> None:
+        cls.__repr__ = _shown  # type: ignore[method-assign]
 
 
 def _shown(self: Any) -> str:

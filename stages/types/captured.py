@@ -6,13 +6,12 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ..core.short_repr import short_repr
+from ..core.short_repr import Record
 from .arrays import Float64s, Uint8s
 
 
-@short_repr
 @dataclass(frozen=True)
-class Capture:
+class Capture(Record):
     """One image file as it lies on disk."""
 
     name: str
@@ -20,9 +19,8 @@ class Capture:
     """(n,) uint8, the encoded bytes."""
 
 
-@short_repr
 @dataclass(frozen=True)
-class Lens:
+class Lens(Record):
     """Intrinsics as the site states them, for an image of `width` x `height` pixels (both 0: any size)."""
 
     K: Float64s | None = None
@@ -44,9 +42,8 @@ class Lens:
     """(4,) how far this view reaches to the left, right, up and down: x / z and y / z in its axes."""
 
 
-@short_repr
 @dataclass(frozen=True)
-class Privacy:
+class Privacy(Record):
     """Polygons of a capture that nobody may see."""
 
     corners: Float64s = field(default_factory=lambda: np.zeros((0, 2)))
@@ -56,9 +53,8 @@ class Privacy:
     """(polygons,) how many corners each has."""
 
 
-@short_repr
 @dataclass(frozen=True)
-class Placement:
+class Placement(Record):
     """Where the site says that a camera is."""
 
     R: Float64s | None = None
@@ -73,9 +69,8 @@ class Placement:
     """C is in metres."""
 
 
-@short_repr
 @dataclass(frozen=True)
-class Survey:
+class Survey(Record):
     """What is known of a site besides its cameras' poses.  Cameras count by their position in the site file."""
 
     cameras: tuple[str, ...] = ()

@@ -5,13 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from ..core.short_repr import short_repr
+from ..core.short_repr import Record
 from .arrays import Bools, Float32s, Float64s, Int16s, Uint8s, Uint16s, Uint32s
 
 
-@short_repr
 @dataclass(frozen=True)
-class PolarRows:
+class PolarRows(Record):
     """Half epipolar lines of one image as the rows of a rectified image: row k is the ray at `angles[k]` from the epipole."""
 
     epipole: Float64s
@@ -24,9 +23,8 @@ class PolarRows:
     """A point at distance r from the epipole has rectified x = direction * r - start_px."""
 
 
-@short_repr
 @dataclass(frozen=True)
-class GroundOfPair:
+class GroundOfPair(Record):
     """The ground as both frames of a pair see it.  Homographies lead from frame 1 to frame 2; their third coordinate, and that of
     their inverse, is positive before both cameras."""
 
@@ -40,9 +38,8 @@ class GroundOfPair:
     """(3,) the same in frame 2."""
 
 
-@short_repr
 @dataclass(frozen=True)
-class Rectification:
+class Rectification(Record):
     """How the two images of a pair are resampled so that a point lies on the same row in both.
 
     Use `rectification.warping` to move points and images; nothing else asks which method it was.
@@ -101,9 +98,8 @@ class Rectification:
     """(6,), as `bend1`."""
 
 
-@short_repr
 @dataclass(frozen=True)
-class Disparity:
+class Disparity(Record):
     """Dense matches of a rectified pair, left-right checked; x2 = x1 - d on the same row."""
 
     left: Int16s
@@ -124,9 +120,8 @@ INVALID = -32768
 """The value of `Disparity.left` and `.right` where nothing is known."""
 
 
-@short_repr
 @dataclass(frozen=True)
-class DepthMap:
+class DepthMap(Record):
     """Depth of one view, from all its pairs or refined over all views around it."""
 
     depth: Float32s
@@ -149,9 +144,8 @@ class DepthMap:
     """For each two partners, as `left--right`: by how many pixels the depths that they give differ as a whole."""
 
 
-@short_repr
 @dataclass(frozen=True)
-class Cloud:
+class Cloud(Record):
     """Points of a scene with what is known of each."""
 
     points: Float64s

@@ -5,13 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from ..core.short_repr import short_repr
+from ..core.short_repr import Record
 from .arrays import Float32s, Float64s, Uint8s, Uint16s
 
 
-@short_repr
 @dataclass(frozen=True)
-class GroundGrid:
+class GroundGrid(Record):
     """Square cells as seen from above; the first row has the largest second coordinate (north, where the world has one)."""
 
     axes: Float64s
@@ -26,9 +25,8 @@ class GroundGrid:
     columns: int
 
 
-@short_repr
 @dataclass(frozen=True)
-class Coverage:
+class Coverage(Record):
     """How well cameras see the ground, and what stands on it, seen from above.
 
     Cells outside of the area that the night's surface covers have 0 views and nan elsewhere.
@@ -61,9 +59,8 @@ class Coverage:
     """Coordinate system of the world, "" for a local one."""
 
 
-@short_repr
 @dataclass(frozen=True)
-class Change:
+class Change(Record):
     """One thing that has appeared, vanished or moved."""
 
     kind: str
@@ -99,9 +96,8 @@ class Change:
     from_z: float = 0.0
 
 
-@short_repr
 @dataclass(frozen=True)
-class CutFill:
+class CutFill(Record):
     """What was gained and lost on a part of the ground since the reference, world lengths."""
 
     gained: float
@@ -121,9 +117,8 @@ class CutFill:
     """...and that one of them, or of a zone neither, did not see: nothing of it counts."""
 
 
-@short_repr
 @dataclass(frozen=True)
-class Changes:
+class Changes(Record):
     """What is not as it was when the reference was pinned."""
 
     compared: bool

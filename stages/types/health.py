@@ -7,13 +7,12 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ..core.short_repr import short_repr
+from ..core.short_repr import Record
 from .arrays import Float64s
 
 
-@short_repr
 @dataclass(frozen=True)
-class CameraHealth:
+class CameraHealth(Record):
     """What became of a camera."""
 
     state: str
@@ -35,9 +34,8 @@ class CameraHealth:
     """(3, 3) pixels of the reference's frame to those of tonight's; None where it was not measured."""
 
 
-@short_repr
 @dataclass(frozen=True)
-class Usual:
+class Usual(Record):
     """What earlier nights measured of a camera against the same reference, oldest first."""
 
     shift_x_px: Float64s = field(default_factory=lambda: np.zeros(0))

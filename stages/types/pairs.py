@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from ..core.short_repr import short_repr
+from ..core.short_repr import Record
 from .arrays import Float32s, Float64s, Int32s
 from .views import View
 
 
-@short_repr
 @dataclass(frozen=True)
-class Matches:
+class Matches(Record):
     """Point correspondences of a pair, before any geometry."""
 
     x1: Float64s
@@ -38,9 +37,8 @@ class Matches:
     """What the matcher searched and geometry may use again; no part of the artifact, and found again where it is missing."""
 
 
-@short_repr
 @dataclass(frozen=True)
-class Geometry:
+class Geometry(Record):
     """Two-view geometry of a pair and what supports it."""
 
     F: Float64s
@@ -101,9 +99,8 @@ class Geometry:
     """Named degenerate cases that did not reject the pair."""
 
 
-@short_repr
 @dataclass(frozen=True)
-class Overlap:
+class Overlap(Record):
     """Evidence that two views share ground: one row for each pair of cameras, left before right."""
 
     cameras: tuple[str, ...]

@@ -5,14 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from ..core.short_repr import short_repr
+from ..core.short_repr import Record
 from .arrays import Float64s
 from .views import Camera
 
 
-@short_repr
 @dataclass(frozen=True)
-class PoseCheck:
+class PoseCheck(Record):
     """How the images agree with a camera's known pose."""
 
     pairs: int
@@ -31,9 +30,8 @@ class PoseCheck:
     """Enough of its pairs and triplets agree with the pose in use; see `orientation.pose_check.verified`."""
 
 
-@short_repr
 @dataclass(frozen=True)
-class PairCheck:
+class PairCheck(Record):
     """What the cameras of a whole site say of one pair.  Figures are nan where there is nothing to compare."""
 
     kept: bool
@@ -54,9 +52,8 @@ class PairCheck:
     """How the relative pose is known that counts: "stated" or "solved", "" where it is not."""
 
 
-@short_repr
 @dataclass(frozen=True)
-class CalibrationCheck:
+class CalibrationCheck(Record):
     """How the stated calibration as a whole agrees with the matches (`orientation.calibration_check`)."""
 
     matches: int
@@ -86,9 +83,8 @@ class CalibrationCheck:
     """Where the misfit is too small to tell, and all pairs want the amount alike: so many times its standard deviation."""
 
 
-@short_repr
 @dataclass(frozen=True)
-class LensSigma:
+class LensSigma(Record):
     """Standard deviations of what was solved of a lens."""
 
     focal: float
@@ -97,9 +93,8 @@ class LensSigma:
     """Of pixels at the border of the frame, but for what a turn of the camera undoes."""
 
 
-@short_repr
 @dataclass(frozen=True)
-class PoseIssue:
+class PoseIssue(Record):
     """A doubt about the pose or the lens of a camera."""
 
     kind: str
@@ -124,9 +119,8 @@ class PoseIssue:
     """...and of pixels at the border of the frame."""
 
 
-@short_repr
 @dataclass(frozen=True)
-class Scene:
+class Scene(Record):
     """Where the things that the cameras look at are expected, in the world of the cameras."""
 
     box: Float64s | None = None
@@ -135,9 +129,8 @@ class Scene:
     """(4,) plane n, d with n X + d = 0, n of unit length and pointing up: where most of it stands."""
 
 
-@short_repr
 @dataclass(frozen=True)
-class Poses:
+class Poses(Record):
     """Cameras in one frame."""
 
     cameras: Mapping[str, Camera]

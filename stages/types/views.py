@@ -6,14 +6,13 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ..core.short_repr import short_repr
+from ..core.short_repr import Record
 from .arrays import Bools, Float32s, Float64s, Uint8s
 from .captured import Lens
 
 
-@short_repr
 @dataclass(frozen=True)
-class View:
+class View(Record):
     """The pinhole of a frame, without its pixels."""
 
     width: int
@@ -32,9 +31,8 @@ class View:
     """The capture's lens, where the frame has another pinhole than its own (then `distortion` says nothing)."""
 
 
-@short_repr
 @dataclass(frozen=True)
-class Camera:
+class Camera(Record):
     """A pinhole camera at working resolution."""
 
     K: Float64s
@@ -60,9 +58,8 @@ class Camera:
     """Of the capture, see `View`."""
 
 
-@short_repr
 @dataclass(frozen=True)
-class Frame:
+class Frame(Record):
     """The night's clean view of one camera at working resolution: upright, undistorted, moving things removed."""
 
     image: Uint8s
@@ -114,9 +111,8 @@ class Frame:
     """Of the last capture's pixels: no two cameras show the same."""
 
 
-@short_repr
 @dataclass(frozen=True)
-class Features:
+class Features(Record):
     """Keypoints of one frame.  Rows of the plain view come first, each view's strongest keypoint first."""
 
     xy: Float64s
