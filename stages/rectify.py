@@ -15,7 +15,7 @@ import numpy as np
 from .core.cameras import rays
 from .core.epipolar import fundamental_from_cameras, symmetric_epipolar_distance, triangulate_depth
 from .core.methods import bind
-from .core.ordering import median, percentiles
+from .core.ordering import percentiles
 from .core.residual_distortion import residual_distortion, straight_points
 from .mvs.ground import ground_homography, inverse_depth_line
 from .reasons import Reason, Rejected
@@ -335,4 +335,4 @@ def _angle_deg(camera1: Camera, camera2: Camera, x1: Float64s, x2: Float64s) -> 
         return float("nan")
     rays1, rays2 = rays(camera1, x1), rays(camera2, x2)
     cosine = np.sum(rays1 * rays2, axis=0) / np.sqrt(np.sum(rays1**2, axis=0) * np.sum(rays2**2, axis=0))
-    return float(np.degrees(median(np.arccos(np.clip(cosine, -1, 1)))))
+    return float(np.degrees(np.median(np.arccos(np.clip(cosine, -1, 1)))))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from typing import NamedTuple
 
@@ -10,7 +11,7 @@ import numpy as np
 
 from ..core.epipolar import triangulate_depth
 from ..core.nearest_points import nearest_points
-from ..core.ordering import median, percentiles
+from ..core.ordering import percentiles
 from ..reasons import Reason, Rejected
 from ..twoview.intrinsics_prior import freedoms
 from ..types import Float64s, Geometry, Rectification
@@ -144,32 +145,25 @@ def finished(
     agreement = order_agreement(y1, y2)
     if agreement < 0.7 and geometry is not None:
         return Rejected(Reason.ROW_ORDER, {"rank_correlation": agreement})
-    areas = [median(footprint.area) for footprint in footprints]
+    areas = [np.median(footprint.area) for footprint in footprints]
     if min(areas) <= 0:
         return Rejected(Reason.MIRRORED, {"area1": areas[0], "area2": areas[1]})
     disparity = y1[:, 0] - y2[:, 0]
     low, high = percentiles(disparity, 0.5, 99.5)
     margin = range_margin * (high - low) + 0.01 * pair.size1[0]
-    scale = float(np.sqrt(median(np.concatenate([footprint.area for footprint in footprints]))))
+    scale = float(np.sqrt(np.median(np.concatenate([footprint.area for footprint in footprints]))))
     uncertainty = _row_uncertainty_px(found, footprints[0].points, pair, geometry, y1, y2)
     allowed = max_row_error_px * max(1.0, max(pair.size1) / _NOMINAL_SIDE)
     if uncertainty > allowed:
         figures = {"row_error_px": uncertainty, "allowed_px": allowed}
         return Rejected(Reason.UNCERTAIN_ROWS, figures)
-    return Rectification(
-        method=found.method,
-        reason=found.reason,
-        H1=found.H1,
-        H2=found.H2,
-        size1=found.size1,
-        size2=found.size2,
+    return replace(
+        found,
         disparity_min_px=float(np.floor(low - margin)),
         disparity_max_px=float(np.ceil(high + margin)),
         vertical_px=float(vertical.mean()),
         vertical_p95_px=percentiles(vertical, 95)[0],
         angle_deg=pair.angle_deg,
-        polar1=found.polar1,
-        polar2=found.polar2,
         scale=scale,
         anisotropy=percentiles(np.concatenate([f.longer / f.shorter for f in footprints]), 95)[0],
         kept1=footprints[0].share,
@@ -230,4 +224,4 @@ def _depth_resolution(pair: MatchedPair, scale: float) -> float:
         return float("nan")
     depth, per_pixel = triangulate_depth(pair.camera1, pair.camera2, pair.x1, pair.x2)
     known = np.isfinite(depth)
-    return median(per_pixel[known] / depth[known]) / scale if known.any() else float("nan")
+    return np.median(per_pixel[known] / depth[known]) / scale if known.any() else float("nan")

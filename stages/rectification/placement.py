@@ -7,7 +7,6 @@ from functools import lru_cache
 import numpy as np
 
 from ..core.jit import kernel
-from ..core.ordering import median
 from ..types import Float64s
 
 MARGIN_SHARE, MARGIN_OF_WIDTH = 0.35, 0.05
@@ -37,7 +36,7 @@ def place(
     """
     (box1, lengths1), (box2, lengths2) = _sent(H1, x1), _sent(H2, x2)
     wide, high = np.concatenate([lengths1, lengths2], axis=1)
-    scale = 1 / np.array([median(wide), median(high)])
+    scale = 1 / np.array([np.median(wide), np.median(high)])
     S = np.diag([*scale, 1.0])
     H1, H2 = S @ H1, S @ H2
     margin = MARGIN_OF_WIDTH * max(size1[0], size2[0])
@@ -84,7 +83,7 @@ def _reach(H: Float64s, size: Size) -> Float64s:
     """The box (2, 2) of the visible part of a frame: of points well on the near side of the line sent to infinity."""
     grid = frame_grid(size)
     z = grid @ H[2, :2] + H[2, 2]
-    typical = median(z)
+    typical = np.median(z)
     return _sent(H, np.compress(z * typical > 0.05 * typical * typical, grid, axis=0))[0]
 
 

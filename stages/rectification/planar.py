@@ -16,7 +16,6 @@ from scipy.spatial import Delaunay, QhullError
 
 from ..core.epipolar import apply_homography, epipoles, homogeneous
 from ..core.jit import kernel
-from ..core.ordering import extremes, median
 from ..types import Camera, Float32s, Float64s, Int32s, Int64s
 from .method import Homographies, MatchedPair
 
@@ -42,7 +41,7 @@ def hao2011(pair: MatchedPair) -> Homographies:
 def control_points(x1: Float64s, probability: Float32s, size: tuple[int, int]) -> Int32s:
     """Rows of the most probable match of each square cell, `COLUMNS` cells across an image of `size`; the first of equals."""
     side = size[0] / COLUMNS
-    first, last = np.floor(np.array(extremes(x1)) / side).astype(np.int64)
+    first, last = np.floor(np.array([x1.min(axis=0), x1.max(axis=0)]) / side).astype(np.int64)
     best = np.full(last - first + 1, -1, dtype=np.int32)
     _best_of_each_cell(x1, probability, side, first, best)
     return np.sort(best[best >= 0])
@@ -95,7 +94,7 @@ def _reweighted(design: Float64s, target: Float64s, edges: Int32s, iterations: i
             if max(abs(x - before[0]), abs(y - before[1])) <= _SETTLED * max(abs(x), abs(y)):
                 break
             residuals = abs(D1 * x + D2 * y - d)
-            s = 1.4826 * median(residuals) + 1e-6
+            s = 1.4826 * np.median(residuals) + 1e-6
             weights = 1 / (1 + (residuals / (2 * s)) ** 2)
     return np.array([x, y])
 
@@ -111,7 +110,7 @@ def _fit(F: Float64s, x1: Float64s, x2: Float64s, size: tuple[int, int], robust:
     # row1 = B ab + c row3: row3 maps every point to 1, so edges say nothing about c, and B spans the rest
     B = np.linalg.svd(row3_n[None])[2][1:].T
     ab = fit_edges(points @ B, target[:, 0], net_edges(target), robust)
-    c = median(target[:, 0] - points @ (B @ ab))
+    c = np.median(target[:, 0] - points @ (B @ ab))
     return Homographies(np.stack([(B @ ab + c * row3_n) @ N, row2, row3]), H2)
 
 
@@ -144,7 +143,7 @@ def rows_fixed_by(F: Float64s, H2: Float64s, x1: Float64s) -> tuple[Float64s, Fl
     """Second and third row (3,) of H1, with the common sign that gives most points x1 a positive third coordinate."""
     M = np.linalg.inv(H2).T @ F  # ~ [i]x H1: its rows are 0, -row3, row2
     row2, row3 = M[2], -M[1]
-    sign = 1.0 if median(x1 @ row3[:2] + row3[2]) >= 0 else -1.0
+    sign = 1.0 if np.median(x1 @ row3[:2] + row3[2]) >= 0 else -1.0
     return sign * row2, sign * row3
 
 

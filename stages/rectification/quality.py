@@ -9,7 +9,7 @@ import numpy as np
 
 from ..core.epipolar import apply_homography
 from ..core.jit import kernel
-from ..core.ordering import median, percentiles
+from ..core.ordering import percentiles
 from ..twoview.refinement import tangent
 from ..types import Float64s, Int64s
 
@@ -91,7 +91,7 @@ def line_uncertainty(
     residual, rows = rows[:, 0], np.ascontiguousarray(rows[:, 1:])
     elsewhere = _derivatives(Fn, at1 / half - 1, at2 / half - 1, half) @ directions
     if noise is None:
-        noise = np.full(len(x1), max(1.4826 * median(np.abs(residual)), 0.1))
+        noise = np.full(len(x1), max(1.4826 * np.median(np.abs(residual)), 0.1))
     residual, rows = residual / noise, rows / noise[:, None]
     each = 1 / np.sqrt(np.sum(rows * rows, axis=0) + np.diag(known))  # turns and lenses in units of what is known of them
     rows, elsewhere, known = rows * each, elsewhere * each, known * np.outer(each, each)

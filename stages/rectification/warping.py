@@ -54,15 +54,10 @@ def warp(rectification: Rectification, side: Side, image: npt.NDArray[Pixels]) -
     return _looked_up(image, _source_of_pixels(rectification, side))
 
 
-def warp_mask(rectification: Rectification, side: Side, mask: Bools) -> Bools:
-    """(h, w) bool of the rectified image: True where all the pixels that `warp` reads lie inside the frame and its mask."""
-    return _resampled_mask(mask, _source_of_pixels(rectification, side))
-
-
 def warp_with_mask(
     rectification: Rectification, side: Side, image: npt.NDArray[Pixels], mask: Bools
 ) -> tuple[npt.NDArray[Pixels], Bools]:
-    """`warp` and `warp_mask` at once.
+    """`warp`, and (h, w) bool: True where all the pixels that it reads lie inside the frame and its mask.
 
     Parameters
     ----------

@@ -15,7 +15,7 @@ from wbflow_stages.core.residual_distortion import (
     straight_frames,
     without_distortion,
 )
-from wbflow_stages.rectification.warping import warp, warp_mask
+from wbflow_stages.rectification.warping import warp, warp_with_mask
 from wbflow_stages.types import Bools, Camera, Float64s, Frame, Rectification, Uint8s, View
 
 WIDTH, HEIGHT = 240, 160
@@ -75,7 +75,8 @@ def test_a_rectified_image_is_looked_up_where_the_bent_frame_has_it() -> None:
     H = np.array([[0.9, 0.05, 4.0], [-0.04, 0.95, 6.0], [1e-4, -1e-4, 1.0]])
     known = Rectification("hartley", "", H, H, (230, 150), (230, 150), 0.0, 10.0, 0.0, 0.0, 10.0)
     bent = replace(known, bend1=residual_distortion(BENT))
-    inside = warp_mask(bent, 1, bent_frame().mask) & warp_mask(known, 1, bent_frame().mask)
+    frame = bent_frame()
+    inside = np.all([warp_with_mask(each, 1, frame.image, frame.mask)[1] for each in (bent, known)], axis=0)
     assert inside.mean() > 0.6
     assert worst(warp(bent, 1, bent_frame().image), warp(known, 1, painted(x, y)), inside) <= 3
     assert worst(warp(bent, 2, painted(x, y)), warp(known, 2, painted(x, y)), inside) == 0

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from wbflow_stages.rectification.warping import disparity_px, from_rectified, resampling, to_rectified, warp, warp_mask
+from wbflow_stages.rectification.warping import disparity_px, from_rectified, resampling, to_rectified, warp, warp_with_mask
 from wbflow_stages.types import INVALID, Disparity, PolarRows, Rectification
 
 SIDES: tuple[Literal[1, 2], ...] = (1, 2)
@@ -63,8 +63,8 @@ def test_a_warped_image_shows_at_each_pixel_what_lies_at_its_source(rectificatio
     y, x = np.mgrid[0:150, 0:200].astype(np.float32)
     image = np.dstack([2 * x + y, x - 3 * y, 0 * x + 7]).astype(np.float32)  # linear in x and y: interpolation is exact
     for side in SIDES:
-        warped = warp(rectification, side, image)
-        valid = warp_mask(rectification, side, np.ones((150, 200), dtype=bool))
+        warped, valid = warp_with_mask(rectification, side, image, np.ones((150, 200), dtype=bool))
+        assert np.array_equal(warped, warp(rectification, side, image))
         assert valid.mean() > 0.2
         rows, columns = np.nonzero(valid)
         source = from_rectified(rectification, side, np.column_stack([columns, rows]).astype(np.float64))
@@ -78,7 +78,7 @@ def test_a_masked_pixel_spoils_the_rectified_pixels_it_touches() -> None:
     mask[70, 90] = False
     rectification = planar()
     x, y = to_rectified(rectification, 1, np.array([[90.0, 70.0]]))[0]
-    valid = warp_mask(rectification, 1, mask)
+    _, valid = warp_with_mask(rectification, 1, mask.astype(np.uint8), mask)
     assert not valid[round(y), round(x)]
     assert valid[round(y) - 4, round(x)]
 
