@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..types import Float64s, Int32s
+from ..types import Float64s, Int32s, Int64s
 from .jit import helper, kernel
+from .ordering import by_cell
 
 _POINTS_PER_CELL = 2.0
 _ENOUGH = 1.5
@@ -27,7 +28,8 @@ def nearest_points(points: Float64s, queries: Float64s, k: int) -> tuple[Float64
     extent = np.maximum(high - low, 1e-9)
     size = max(float(np.sqrt(extent[0] * extent[1] * _POINTS_PER_CELL / len(points))), float(extent.max()) / len(points))
     columns, rows = np.floor((high - low) / size).astype(np.int64) + 1
-    order, starts = by_cell(points, low, size, columns, rows)
+    column, row = ((points - low) / size).astype(np.int64).T
+    order, starts = by_cell(row * columns + column, columns * rows)
     squared, index = np.empty((len(queries), k)), np.empty((len(queries), k), np.int32)
     room = np.empty((3, len(points))), np.empty((3, len(points)), np.int32)
     room[0][:2] = by_axis[:, order]
@@ -36,51 +38,13 @@ def nearest_points(points: Float64s, queries: Float64s, k: int) -> tuple[Float64
     return np.sqrt(squared), index
 
 
-def by_cell(points: Float64s, low: Float64s, size: float, columns: int, rows: int) -> tuple[Int32s, Int32s]:
-    """Rows (n,) of `points` in order of their cells, and where in it each cell starts (cells + 1,).
-
-    Parameters
-    ----------
-    points : (n, 2) pixels.
-    low : (2,) the corner where the cells begin.
-    size : side of a cell, pixels.
-    columns, rows : so many cells.
-    """
-    order, starts = np.empty(len(points), np.int32), np.zeros(columns * rows + 1, np.int32)
-    _put_in_cells(points, low, size, columns, rows, np.empty(len(points), np.int32), np.empty_like(starts), starts, order)
-    return order, starts
-
-
-@kernel
-def _put_in_cells(
-    points: Float64s,
-    low: Float64s,
-    size: float,
-    columns: int,
-    rows: int,
-    cell: Int32s,
-    free: Int32s,
-    starts: Int32s,
-    order: Int32s,
-) -> None:  # fmt: skip
-    for k in range(len(points)):
-        cell[k] = int((points[k, 1] - low[1]) / size) * columns + int((points[k, 0] - low[0]) / size)
-        starts[cell[k] + 1] += 1
-    for c in range(columns * rows):
-        starts[c + 1] += starts[c]
-        free[c] = starts[c]
-    for k in range(len(points)):
-        order[free[cell[k]]] = k
-        free[cell[k]] += 1
-
-
 @kernel
 def _search(
     queries: Float64s,
     points: Float64s,
     chosen: Int32s,
-    names: Int32s,
-    starts: Int32s,
+    names: Int64s,
+    starts: Int64s,
     low: Float64s,
     size: float,
     columns: int,
@@ -161,7 +125,7 @@ def _count(points: Float64s, found: int, limit: float) -> int:
 
 @helper
 def _take(
-    points: Float64s, chosen: Int32s, found: int, low: float, high: float, names: Int32s, squared: Float64s, index: Int32s
+    points: Float64s, chosen: Int32s, found: int, low: float, high: float, names: Int64s, squared: Float64s, index: Int32s
 ) -> None:
     """Write the points up to the low limit, then of those up to the high one as many as there is place for."""
     below = between = 0

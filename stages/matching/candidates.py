@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..core.jit import helper, kernel
-from ..core.nearest_points import by_cell
+from ..core.ordering import by_cell
 from ..types import PLAIN, TILTED, Features, Float32s, Float64s, Int32s, Int64s, Matches
 from .affine_field import AffineField
 from .neighbours import Neighbours, nearest_neighbours
@@ -165,10 +165,10 @@ def near_predictions(pair: ViewPair, field: AffineField, sigma: Float64s, trust:
     asking = np.flatnonzero((trust > TRUSTED) & (sigma < MAX_SIGMA_PX)).astype(np.int32)
     radius = np.minimum(3 * sigma[asking] + 2, MAX_RADIUS_PX)
     cell = SEARCH_CELL_PX
-    by_axis = np.ascontiguousarray(pair.x2.T)
-    origin = by_axis.min(axis=1)
-    columns, rows = np.floor((by_axis.max(axis=1) - origin) / cell).astype(np.int64) + 1
-    order, starts = by_cell(pair.x2, origin, cell, columns, rows)
+    origin = pair.x2.min(axis=0)
+    places = ((pair.x2 - origin) / cell).astype(np.int64)
+    columns, rows = places.max(axis=0) + 1
+    order, starts = by_cell(places[:, 1] * columns + places[:, 0], columns * rows)
     c = pair.candidates
     first = np.searchsorted(c.i, np.arange(len(pair.x1) + 1)).astype(np.int32)
     room = 4 * len(asking) + 16
@@ -215,8 +215,8 @@ def _search(
     cell: float,
     columns: int,
     rows: int,
-    order: Int32s,
-    starts: Int32s,
+    order: Int64s,
+    starts: Int64s,
     first: Int32s,
     known: Int32s,
     d1: Float32s,
