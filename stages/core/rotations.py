@@ -38,16 +38,11 @@ def rotation_vector(R: Float64s) -> Float64s:
     return np.asarray(np.where(cosine < -0.99, sign * column * angle, plain), dtype=np.float64)
 
 
-def angle_between(A: Float64s, B: Float64s) -> float:
-    """Radians between two rotations (3, 3); accurate for small angles and near half a turn."""
+def angle_between_deg(A: Float64s, B: Float64s) -> float:
+    """Degrees between two rotations (3, 3); accurate for small angles and near half a turn."""
     turn = A.T @ B
     sine = np.linalg.norm([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]])
-    return float(np.arctan2(sine, np.trace(turn) - 1))
-
-
-def angle_between_deg(A: Float64s, B: Float64s) -> float:
-    """Degrees between two rotations (3, 3)."""
-    return float(np.degrees(angle_between(A, B)))
+    return float(np.degrees(np.arctan2(sine, np.trace(turn) - 1)))
 
 
 def nearest_rotation(M: Float64s) -> Float64s:
