@@ -9,6 +9,11 @@ from .cameras import rays, relative_pose
 from .rotations import skew
 
 
+def unit_norm(F: Float64s) -> Float64s:
+    """A matrix over its Frobenius norm."""
+    return np.asarray(F / np.linalg.norm(F), dtype=np.float64)
+
+
 def homogeneous(x: Float64s) -> Float64s:
     """(n, 2) points as (n, 3) with a last column of ones."""
     return np.column_stack([x, np.ones(len(x))])
@@ -28,8 +33,7 @@ def essential_to_fundamental(R: Float64s, t: Float64s, K1: Float64s, K2: Float64
     R, t : (3, 3) `cam2_R_cam1` and (3,) `cam2_t_cam1`, of any length.
     K1, K2 : (3, 3) intrinsics in pixels.
     """
-    F = np.linalg.inv(K2).T @ skew(t) @ R @ np.linalg.inv(K1)
-    return np.asarray(F / np.linalg.norm(F), dtype=np.float64)
+    return unit_norm(np.linalg.inv(K2).T @ skew(t) @ R @ np.linalg.inv(K1))
 
 
 def fundamental_from_cameras(camera1: Camera, camera2: Camera) -> Float64s:

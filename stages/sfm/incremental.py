@@ -14,6 +14,7 @@ import poselib
 from ..core.cameras import backproject, project, ray_angles
 from ..core.epipolar import triangulate_depth
 from ..core.residual_distortion import without_distortion
+from ..twoview.robust import pinhole
 from ..types import Bools, Camera, Float64s, Geometry
 from .bundle import adjust
 from .rigs import beside
@@ -289,15 +290,8 @@ def _resect(camera: Camera, view: int, model: Model) -> Camera | None:
     tracks = model.tracks
     rows = np.flatnonzero((tracks.view == view) & np.isfinite(model.X[tracks.track, 0]))
     x, X = without_distortion(camera, tracks.xy[rows]), model.X[tracks.track[rows]]
-    K = camera.K
-    pinhole = {
-        "model": "PINHOLE",
-        "width": camera.width,
-        "height": camera.height,
-        "params": [K[0, 0], K[1, 1], K[0, 2], K[1, 2]],
-    }
     options = {"max_reproj_error": LOOSE_PX, "max_iterations": 10000, "min_iterations": 200, "seed": 0}
-    pose, found = poselib.estimate_absolute_pose(x, X, pinhole, options, {})
+    pose, found = poselib.estimate_absolute_pose(x, X, pinhole(camera), options, {})
     if found["num_inliers"] < max(MIN_POINTS, 0.25 * len(rows)):
         return None
     R, t = np.asarray(pose.R), np.asarray(pose.t)

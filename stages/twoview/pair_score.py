@@ -15,7 +15,7 @@ from math import exp, isfinite, log
 
 import numpy as np
 
-from ..core.cameras import field_ratio
+from ..core.cameras import field_ratio, ray_angles
 from ..core.epipolar import homogeneous, symmetric_epipolar_distance
 from ..core.rotations import angle_between_deg
 from ..matching.affine_field import fit_affine_field
@@ -277,5 +277,4 @@ def ray_angle_deg(x1: Float64s, x2: Float64s, view1: View, view2: View, R: Float
         return float("nan")
     ray1 = homogeneous(x1) @ np.linalg.inv(view1.K).T @ R.T
     ray2 = homogeneous(x2) @ np.linalg.inv(view2.K).T
-    cosine = np.einsum("ni,ni->n", ray1, ray2) / (np.linalg.norm(ray1, axis=1) * np.linalg.norm(ray2, axis=1))
-    return float(np.degrees(np.median(np.arccos(np.clip(cosine, -1, 1)))))
+    return float(np.degrees(np.median(ray_angles(ray1, ray2))))

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..core.epipolar import epipoles, sampson_distance
+from ..core.epipolar import epipoles, sampson_distance, unit_norm
 from ..core.jit import kernel
 from ..core.least_squares import Equations, levenberg_marquardt
 from ..core.rotations import skew
@@ -60,8 +60,8 @@ def refine_two_view(
     lenses = None if intrinsics is None else (N @ intrinsics[0], N @ intrinsics[1])
     for _ in range(2):
         scale = half / noise_px(F, x1, x2, size)
-        inside = _descend(_unit(Ni.T @ F @ Ni), x1 / half - 1, x2 / half - 1, scale / CAUCHY, lenses)
-        F = _unit(N.T @ inside @ N)
+        inside = _descend(unit_norm(Ni.T @ F @ Ni), x1 / half - 1, x2 / half - 1, scale / CAUCHY, lenses)
+        F = unit_norm(N.T @ inside @ N)
     return F, noise_px(F, x1, x2, size)
 
 
@@ -92,10 +92,10 @@ def _nearest(F: Float64s, lenses: Intrinsics | None) -> Float64s:
     """The matrix of rank 2, or with two equal singular values where the lenses are known, nearest to F; of unit norm."""
     if lenses is None:
         U, s, Vt = np.linalg.svd(F)
-        return _unit((U[:, :2] * s[:2]) @ Vt[:2])
+        return unit_norm((U[:, :2] * s[:2]) @ Vt[:2])
     K1, K2 = lenses
     U, _, Vt = np.linalg.svd(K2.T @ F @ K1)
-    return _unit(np.linalg.inv(K2).T @ U[:, :2] @ Vt[:2] @ np.linalg.inv(K1))
+    return unit_norm(np.linalg.inv(K2).T @ U[:, :2] @ Vt[:2] @ np.linalg.inv(K1))
 
 
 def tangent(F: Float64s, lenses: Intrinsics | None) -> Float64s:
@@ -151,7 +151,3 @@ def normal_equations(
             for j in range(k):
                 normal[i, j] += weight * change[i] * change[j]
     return cost, normal, right
-
-
-def _unit(F: Float64s) -> Float64s:
-    return np.asarray(F / np.linalg.norm(F), dtype=np.float64)

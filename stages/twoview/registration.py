@@ -42,8 +42,6 @@ class Found:
     """(n, 2) their old places, pixels."""
     x2: Float64s
     """(n, 2) their new ones."""
-    correlation: Float64s
-    """(n,) -1 to 1."""
     searched: int
     """How many were looked for."""
 
@@ -72,8 +70,6 @@ class Turn:
     """Median motion of the pixels of the picture."""
     inliers: Bools
     """(n,) of the patches, which agree."""
-    residual_px: float
-    """Their median distance from where the turn puts them."""
 
     @property
     def share(self) -> float:
@@ -110,23 +106,16 @@ def patch_radius(width: int) -> int:
     return int(np.clip(width // 100, 5, 12))
 
 
-def find_again(image1: Uint8s, image2: Uint8s, points: Float64s, reach_px: int = REACH_PX) -> Found:
-    """Search patches of one grey image in another: at half the size, then finely.
-
-    Parameters
-    ----------
-    image1, image2 : (h, w) uint8, of one size.
-    points : (n, 2) middles of the patches, pixels of the first.
-    reach_px : they are searched so far from there.
-    """
+def find_again(image1: Uint8s, image2: Uint8s, points: Float64s) -> Found:
+    """Search patches of one grey image (h, w) in another of its size, around points (n, 2): at half the size, then finely."""
     radius = patch_radius(image1.shape[1])
-    reach = reach_px // 2
+    reach = REACH_PX // 2
     half1, half2 = _padded(_halved(image1), radius), _padded(_halved(image2), radius + reach)
     coarse, _ = _search(half1, half2, points / 2, points / 2, radius, reach)
     found, score = _search(_padded(image1, radius), _padded(image2, radius + 3), points, coarse * 2, radius, 3)
     inside = (found >= 0).all(axis=1) & (found < [image1.shape[1], image1.shape[0]]).all(axis=1)
     keep = (score >= _LEAST_CORRELATION) & inside
-    return Found(points[keep], found[keep], score[keep], len(points))
+    return Found(points[keep], found[keep], len(points))
 
 
 def _halved(image: Uint8s) -> Uint8s:
@@ -173,7 +162,7 @@ def _peak(values: Float32s, at: np.intp) -> float:
     return k + (0.5 * (a - c) / curve if curve < 0 else 0.0)
 
 
-def fit_turn(found: Found, K: Float64s, width: int, height: int, agree_px: float = _AGREE_PX) -> Turn | None:
+def fit_turn(found: Found, K: Float64s, width: int, height: int) -> Turn | None:
     """The turn that most patches agree on, or None where too few do.
 
     Parameters
@@ -181,11 +170,10 @@ def fit_turn(found: Found, K: Float64s, width: int, height: int, agree_px: float
     found : patches and where they are now.
     K : (3, 3) intrinsics, pixels.
     width, height : size of the pictures.
-    agree_px : so far a patch may lie from where the turn puts it.
     """
     if len(found.x1) < _FEWEST:
         return None
-    inliers = _agreeing(found, agree_px)
+    inliers = _agreeing(found)
     parameters = np.zeros(4)
     rays = np.column_stack([found.x1, np.ones(len(found.x1))]) @ np.linalg.inv(K).T
     jacobian = np.zeros((0, 4))
@@ -196,13 +184,13 @@ def fit_turn(found: Found, K: Float64s, width: int, height: int, agree_px: float
         step = np.linalg.lstsq(jacobian, -residual.ravel(), rcond=None)[0]
         parameters = parameters + step
         residual = _residuals(parameters, rays, found.x2, K)[0]
-        inliers = np.linalg.norm(residual, axis=1) <= agree_px
+        inliers = np.linalg.norm(residual, axis=1) <= _AGREE_PX
     if inliers.sum() < max(_FEWEST, _SHARE * len(inliers)) or places(found.x1[inliers], (width, height)) < _FEWEST_CELLS:
         return None
     return _turn(parameters, _residuals(parameters, rays[inliers], found.x2[inliers], K), inliers, found, K, (width, height))
 
 
-def _agreeing(found: Found, agree_px: float) -> Bools:
+def _agreeing(found: Found) -> Bools:
     """The patches that agree with the best of many similarities through two of them."""
     n = len(found.x1)
     rng = np.random.default_rng(0)
@@ -217,7 +205,7 @@ def _agreeing(found: Found, agree_px: float) -> Bools:
         return np.zeros(n, dtype=bool)
     a, first = a[plausible], pairs[plausible, 0]
     off = np.abs(a[:, None] * (z1[None] - z1[first][:, None]) + z2[first][:, None] - z2[None])
-    return np.asarray(off[int((off <= agree_px).sum(axis=1).argmax())] <= agree_px)
+    return np.asarray(off[int((off <= _AGREE_PX).sum(axis=1).argmax())] <= _AGREE_PX)
 
 
 def _residuals(parameters: Float64s, rays: Float64s, x2: Float64s, K: Float64s) -> tuple[Float64s, Float64s]:
@@ -267,5 +255,4 @@ def _turn(
         float(np.degrees(np.linalg.norm(sigmas))),
         float(np.median(motion)),
         inliers,
-        float(np.median(np.linalg.norm(residual, axis=1))),
     )

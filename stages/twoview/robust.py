@@ -12,12 +12,11 @@ from typing import Any
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 import poselib
 
-from ..core.epipolar import apply_homography, essential_to_fundamental, homogeneous, sampson_distance
+from ..core.epipolar import apply_homography, essential_to_fundamental, homogeneous, sampson_distance, unit_norm
 from ..core.rotations import nearest_rotation
-from ..types import Bools, Float64s, View
+from ..types import Bools, Camera, Float64s, View
 
 CONFIDENCE = 0.9999
 MIN_ITERATIONS, MAX_ITERATIONS = 50, 20000
@@ -74,7 +73,7 @@ def refine_fundamental(F: Float64s, x1: Float64s, x2: Float64s, threshold_px: fl
     threshold_px : scale of the loss.
     """
     loss = {"loss_type": "CAUCHY", "loss_scale": 0.5 * threshold_px}
-    return _unit(poselib.refine_fundamental(x1, x2, F, loss)[0])
+    return unit_norm(poselib.refine_fundamental(x1, x2, F, loss)[0])
 
 
 def estimate_essential(
@@ -140,7 +139,7 @@ def estimate_with_one_lens(
     if not np.isfinite([f, *t]).all() or f <= 0 or np.linalg.norm(t) < 1e-12:
         return None
     K = np.diag([f, f, 1.0])
-    F = _unit(np.linalg.inv(T2).T @ essential_to_fundamental(R, t, K, K) @ np.linalg.inv(T1))
+    F = unit_norm(np.linalg.inv(T2).T @ essential_to_fundamental(R, t, K, K) @ np.linalg.inv(T1))
     inliers = supporters(F, x1, x2, threshold_px)
     return TwoView(F, inliers) if inliers.sum() >= 8 else None
 
@@ -217,7 +216,7 @@ def _magsac_fundamental(x1: Float64s, x2: Float64s, threshold_px: float, seed: i
         return None
     if F is None or F.shape != (3, 3) or not np.isfinite(F).all():
         return None
-    return _unit(F)
+    return unit_norm(np.asarray(F, dtype=np.float64))
 
 
 def _usac(threshold_px: float, seed: int, iterations: int) -> Any:
@@ -237,8 +236,8 @@ def _usac(threshold_px: float, seed: int, iterations: int) -> Any:
     return params
 
 
-def pinhole(view: View) -> dict[str, Any]:
-    """A view with known K as poselib wants it."""
+def pinhole(view: View | Camera) -> dict[str, Any]:
+    """A view or camera with known K as poselib wants it."""
     assert view.K is not None
     K = view.K
     params = [float(K[0, 0]), float(K[1, 1]), float(K[0, 2]), float(K[1, 2])]
@@ -264,8 +263,3 @@ def _transfer(H: Float64s, x1: Float64s, x2: Float64s) -> Float64s:
 
 def _unit_rows(v: Float64s) -> Float64s:
     return np.asarray(v / np.linalg.norm(v, axis=1, keepdims=True), dtype=np.float64)
-
-
-def _unit(F: npt.ArrayLike) -> Float64s:
-    F = np.asarray(F, dtype=np.float64)
-    return np.asarray(F / np.linalg.norm(F), dtype=np.float64)
