@@ -11,8 +11,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
-from scipy.spatial import cKDTree
 
+from .sfm.tracks import joined_places
 from .types import Bools, DepthMap, Float64s, Int64s, Matches, Uint32s, View
 
 _FLOOR = 0.75
@@ -42,7 +42,7 @@ def pool_matches(nights: Mapping[str, Matches], *, same_px: float = 1.5, most_pe
     probability = np.concatenate([night.probability for night in nights.values()])
     likeliest = np.argsort(-probability, kind="stable")
     ends, probability = ends[likeliest], probability[likeliest]
-    owner = _same(ends, same_px)
+    _, owner = joined_places(ends, same_px)
     count = np.bincount(owner)
     place = np.column_stack([np.bincount(owner, column) / count for column in ends.T]).reshape(-1, 4)
     likely = np.bincount(owner, probability) / count
@@ -60,18 +60,6 @@ def pool_matches(nights: Mapping[str, Matches], *, same_px: float = 1.5, most_pe
         any(night.tilted for night in nights.values()),
         len(nights),
     )
-
-
-def _same(ends: Float64s, same_px: float) -> Int64s:
-    """(n,) number of the group of each row (n, 4): all rows near one that comes first are a group."""
-    owner = np.full(len(ends), -1)
-    groups = 0
-    for row, near in enumerate(cKDTree(ends).query_ball_point(ends, same_px)):
-        if owner[row] < 0:
-            free = np.array([other for other in near if owner[other] < 0])
-            owner[free] = groups
-            groups += 1
-    return owner
 
 
 def _spread(x: Float64s, likely: Float64s, view: View, most: int) -> Int64s:

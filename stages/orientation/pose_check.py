@@ -18,6 +18,7 @@ from ..core.cameras import backproject, camera_id, project, ray_angles, rays, re
 from ..core.epipolar import fundamental_from_cameras, symmetric_epipolar_distance, triangulate_depth
 from ..core.rotations import angle_between_deg
 from ..reasons import Reason, Rejected
+from ..sfm.loops import triangles_of
 from ..sfm.tracks import same_places
 from ..twoview.pair_score import hardly_converging, probability
 from ..types import Camera, Float64s, Geometry, Int32s, Int64s, Pair, PoseCheck
@@ -95,7 +96,7 @@ class PoseConstraints:
         known = set(names)
         pairs = {p: g for p, g in geometries.items() if set(p) <= known and g.good_probability >= BELIEVED}
         pairs = {p: g for p, g in pairs.items() if len(g.x1) >= MIN_SHARED}
-        triplets = [triplet for three in _triangles(pairs) if (triplet := _triplet(three, pairs)) is not None]
+        triplets = [triplet for three in triangles_of(pairs) if (triplet := _triplet(three, pairs)) is not None]
         return cls(pairs, tuple(triplets))
 
     def without(self, names: set[str]) -> PoseConstraints:
@@ -127,7 +128,7 @@ def slack_px(cameras: Mapping[str, Camera], sigmas: Mapping[str, Sigma], pair: P
     """
     if all(sigmas.get(name, Sigma()).exact for name in pair):
         return 0.0
-    X = _points(cameras, pair, geometry)
+    X = _meet(cameras[pair[0]], cameras[pair[1]], geometry.x1, geometry.x2)
     X = X[np.isfinite(X[:, 0])]
     square = 0.0
     for name in pair:
@@ -216,13 +217,6 @@ def seen_points(cameras: Mapping[str, Camera], triplet: Triplet, name: str) -> t
     return triplet.x[k][good], X[good]
 
 
-def _triangles(pairs: Mapping[Pair, Geometry]) -> list[tuple[str, str, str]]:
-    after: dict[str, set[str]] = {}
-    for a, b in pairs:
-        after.setdefault(a, set()).add(b)
-    return [(a, b, c) for a, b in pairs for c in sorted(after.get(b, set()) & after[a])]
-
-
 def _triplet(three: tuple[str, str, str], pairs: Mapping[Pair, Geometry]) -> Triplet | None:
     """The points whose matches close: what a wrong pair says, the two others would have to say, too."""
     a, b, c = three
@@ -242,10 +236,6 @@ def _joined(i: Int32s | None, x: Float64s, j: Int32s | None, y: Float64s) -> tup
         return same_places(x, y)
     _, rows, others = np.intersect1d(i, j, return_indices=True)
     return rows, others
-
-
-def _points(cameras: Mapping[str, Camera], pair: Pair, geometry: Geometry) -> Float64s:
-    return _meet(cameras[pair[0]], cameras[pair[1]], geometry.x1, geometry.x2)
 
 
 def _meet(left: Camera, right: Camera, x1: Float64s, x2: Float64s) -> Float64s:

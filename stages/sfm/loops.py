@@ -55,13 +55,7 @@ class Shares:
         return log(self._of(kind) / other._of(kind))
 
     def _of(self, kind: AmbiguityKind) -> float:
-        none = 1 - self.turned - self.side - self.row
-        return {
-            AmbiguityKind.NONE: none,
-            AmbiguityKind.TURNED: self.turned,
-            AmbiguityKind.SIDE: self.side,
-            AmbiguityKind.ROW: self.row,
-        }[kind]
+        return 1 - self.turned - self.side - self.row if kind is AmbiguityKind.NONE else float(getattr(self, kind.value))
 
 
 FROM_OTHER_SIDES, IN_A_ROW = Shares(turned=0.3, side=0.2, row=0.01), Shares(turned=0.1, side=0.01, row=0.5)

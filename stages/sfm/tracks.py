@@ -101,7 +101,7 @@ def _nodes(geometries: Mapping[Edge, Geometry], views: int) -> tuple[dict[Edge, 
         points = np.concatenate([(geometries[edge].x1, geometries[edge].x2)[side] for edge, side in sides])
         _, first, number = np.unique(np.round(points, 3), axis=0, return_index=True, return_inverse=True)
         if any(geometries[edge].i1 is None for edge, _ in sides):
-            kept, nearest = _joined_places(points[first])
+            kept, nearest = joined_places(points[first], SAME_PX)
             first, number = first[kept], nearest[number.ravel()]
         number = number.ravel() + start
         for edge, side in sides:
@@ -113,11 +113,11 @@ def _nodes(geometries: Mapping[Edge, Geometry], views: int) -> tuple[dict[Edge, 
     return nodes, np.concatenate(places), np.concatenate(owners)
 
 
-def _joined_places(points: Float64s) -> tuple[Int64s, Int64s]:
-    """Points without keypoints are never found twice at the very same place: those within `SAME_PX` of one that came before are
-    one observation.  Rows (k,) of the points that stay, and which of these (n,) each point belongs to."""
+def joined_places(points: Float64s, reach: float) -> tuple[Int64s, Int64s]:
+    """Points (n, d) without keypoints are never found twice at the very same place: those within reach of one that came before
+    are one with it.  Rows (k,) of the points that stay, and which of these (n,) each point belongs to."""
     owner = np.full(len(points), -1)
-    near = cKDTree(points).query_ball_point(points, SAME_PX, return_sorted=True)
+    near = cKDTree(points).query_ball_point(points, reach, return_sorted=True)
     kept: list[int] = []
     for k, others in enumerate(near):
         if owner[k] < 0:
