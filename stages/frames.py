@@ -21,12 +21,10 @@ from .capture.files import BadCapture, EmptyCapture, NotAnImage, WrongSize, deco
 from .capture.image_statistics import blur_px, detail_px, image_statistics, weigh
 from .capture.privacy import around, blanked, private_area
 from .capture.signal import NOISY, Signal, denoised, put_right, remaining_noise, signal_of
-from .capture.straight import Straight, working_size
+from .capture.straight import Straight
 from .capture.video import is_video, pictures
 from .io.image_headers import focal_in_long_sides, picture_size, taken_at
 from .types import Bools, Capture, Frame, Lens, Privacy, Uint8s
-
-__all__ = ["clean_frame", "working_size"]
 
 _T = TypeVar("_T")
 
@@ -89,15 +87,7 @@ def clean_frame(
     notes = [f"{fault}; left out" for fault in faults]
     clean = _spread(_most_common_size(clean, notes), max_captures)
     used = [f"{max_captures} of {len(captures)} captures used"] if len(captures) > max_captures else []
-    return _one_frame(clean, mask, _Asked(overlays, denoise), chosen, [*notes, *clean[0].camera.lost(), *used])
-
-
-@dataclass(frozen=True)
-class _Asked:
-    """Parameters of `clean_frame`."""
-
-    overlays: bool
-    denoise: bool
+    return _one_frame(clean, mask, (overlays, denoise), chosen, [*notes, *clean[0].camera.lost(), *used])
 
 
 def _listed(faults: Sequence[BadCapture]) -> str:
@@ -109,7 +99,7 @@ def _listed(faults: Sequence[BadCapture]) -> str:
 
 
 def _one_frame(
-    clean: Sequence[_Clean], mask: Capture | None, asked: _Asked, captures: Sequence[Capture], notes: list[str]
+    clean: Sequence[_Clean], mask: Capture | None, asked: tuple[bool, bool], captures: Sequence[Capture], notes: list[str]
 ) -> Frame:
     """The frame of clean pictures of one size.
 
@@ -117,10 +107,11 @@ def _one_frame(
     ----------
     clean : one or more.
     mask : as of `clean_frame`.
-    asked : what is done about them.
+    asked : whether overlays are masked, and noise is taken off.
     captures : the files that they are from.
     notes : what is to be said so far.
     """
+    overlays, denoise = asked
     camera, images, names = clean[0].camera, [each.image for each in clean], [each.name for each in clean]
     height, width = images[0].shape[:2]
     usable = _usable(camera, mask, width, height)
@@ -133,10 +124,10 @@ def _one_frame(
     if len(images) == 2:
         notes.append(f"two captures have no majority: only {names[1]} is used")
     trusted = allowed & ~background.doubtful
-    if asked.overlays and (overlaid := int((background.overlaid & allowed).sum())):
+    if overlays and (overlaid := int((background.overlaid & allowed).sum())):
         notes.append(f"a clock or logo is masked: {overlaid:,} pixels")
         trusted &= ~background.overlaid
-    if asked.overlays and (clock := running_clock(images, trusted)):
+    if overlays and (clock := running_clock(images, trusted)):
         x, y, wide, high = clock
         notes.append(f"a clock runs in its picture ({wide} x {high} px at {x}, {y}): name a mask for it")
     if not trusted.any():
@@ -144,7 +135,7 @@ def _one_frame(
     taken = taken_at(captures)
     noise = remaining_noise(signal.noise, len(images), width / camera.width)
     image = background.image
-    if asked.denoise and noise >= NOISY:
+    if denoise and noise >= NOISY:
         image = denoised(image, noise)
         notes.append(f"noisy, {signal.noise:.0f} grey levels a capture: denoised")
     return Frame(

@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from ..types import Changes, Cloud, Float64s, Int64s, Uint8s
+from ..types import NEW, VANISHED, Changes, Cloud, Float64s, Int64s, Uint8s
 
 MOST = 600_000
 """Points that a browser turns without a graphics card's help."""
@@ -32,7 +32,6 @@ _LEVEL = 5
 """Of zlib: 6 takes half as long again for half a percent."""
 _SAMPLE = 600
 """So many points stand in the head, for whoever wants to know where they are without unpacking any."""
-_NEW, _VANISHED = 1, 2
 
 
 class Layer(NamedTuple):
@@ -66,9 +65,9 @@ def cloud_view(cloud: Cloud, most: int = MOST) -> bytes:
 
 def changes_view(changes: Changes) -> bytes:
     """The stream of the points that are new, or have vanished; the layer `kind` is 1 for those that are gone."""
-    chosen = np.isin(changes.label, (_NEW, _VANISHED)) & (changes.blob > 0)
+    chosen = np.isin(changes.label, (NEW, VANISHED)) & (changes.blob > 0)
     points = changes.points[chosen].astype(np.float64)
-    kind = (changes.label[chosen] == _VANISHED).astype(np.float32)
+    kind = (changes.label[chosen] == VANISHED).astype(np.float32)
     values = np.column_stack([changes.colors[chosen], kind]).astype(np.float32)
     points, values, voxel = _thinned(points, values, MOST // 6)
     return _stream(points, np.rint(values[:, :3]).astype(np.uint8), {"kind": Layer(values[:, 3], "")}, voxel, int(chosen.sum()))

@@ -69,7 +69,6 @@ class Procrustes:
     """(n, r) of orthonormal columns."""
     affine: Float64s
     """A (2, 2), the last."""
-    iterations: int
 
     def matrix(self) -> Float32s:
         """P (m, n) float32."""
@@ -103,7 +102,7 @@ def procrustes(X: Float64s, Y: Float64s, *, max_iterations: int = 20, tolerance:
         U, Vt = U[:, :rank], Vt[:rank]
         update = (Vt @ Ry[:, :2]).T @ (U.T @ Rx[:, :2])  # the corner of Y^T P^T X
         if iterations >= max_iterations or np.abs(update - A).max() < tolerance * np.abs(update).max():
-            return Procrustes(Qx @ U, Qy @ Vt.T, A, iterations)
+            return Procrustes(Qx @ U, Qy @ Vt.T, A)
         A = update
 
 

@@ -19,8 +19,9 @@ from wbflow_stages.capture.files import (
     WrongSize,
     decode,
 )
+from wbflow_stages.capture.straight import working_size
 from wbflow_stages.core.cameras import project
-from wbflow_stages.frames import clean_frame, working_size
+from wbflow_stages.frames import clean_frame
 from wbflow_stages.types import Camera, Capture, Lens, Uint8s
 
 WIDTH, HEIGHT = 320, 240
