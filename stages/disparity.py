@@ -20,7 +20,8 @@ MATCHERS = {
     "census-sgm": "wbflow_stages.stereo.census:match_census_sgm",
     "graphcut": "wbflow_stages.stereo.census:match_graphcut",
 }
-"""Dense matchers (see `DenseMatcher`) by name."""
+"""Dense matchers by name.  One asks by argument name for what it reads: `pair` (`RectifiedPair`: grey, quiet, of one exposure),
+`left`, `right` (`Frame`), `rectification`; its own parameters are keyword-only, with defaults.  It returns `DenseMatches`."""
 
 _SIDES: tuple[tuple[Side, int], ...] = ((1, -1), (2, 1))
 """Both views, and the sign with which a disparity leads to the other one."""

@@ -16,7 +16,9 @@ MATCHERS = {
     "kdtree": "wbflow_stages.matching.nearest_neighbour:match_kdtree",
     "onnx": "wbflow_stages.matching.learned:match_onnx",
 }
-"""Sparse matchers (see `SparseMatcher`) by name."""
+"""Sparse matchers by name.  One asks by argument name for what it reads: `left`, `right` (`Features`), `left_frame`,
+`right_frame` (`Frame`); its own parameters are keyword-only, with defaults.  What it returns has keypoints
+(`matching.matcher.keypoint_matches`), or is points of any other origin, with None for i1, i2 and affine."""
 
 
 def match(

@@ -12,7 +12,7 @@ from functools import partial
 
 import numpy as np
 
-from .core.cameras import rays
+from .core.cameras import convergence_deg
 from .core.epipolar import fundamental_from_cameras, symmetric_epipolar_distance, triangulate_depth
 from .core.methods import bind
 from .core.ordering import percentiles
@@ -36,7 +36,9 @@ METHODS = {
     "calibrated": "wbflow_stages.rectification.planar:calibrated",
     "polar": "wbflow_stages.rectification.polar:polar",
 }
-"""Methods of rectification (see `Rectifier`) by name."""
+"""Methods of rectification by name.  One asks by argument name for what it reads: `pair` (`MatchedPair`), `geometry`, `left`,
+`right` (`Camera`); its own parameters are keyword-only, with defaults.  It returns `Homographies` or `PolarImages`, and
+raises ValueError, with the reason, where it can do nothing for a pair."""
 
 _LEAST_PARALLAX = 0.01
 """Share of the width that the matches must leave their best homography by, where no camera tells the angle."""
@@ -258,7 +260,7 @@ def _known_pair(cameras: tuple[Camera, Camera], x1: Float64s, x2: Float64s, prob
     left, right = cameras
     sizes = (left.width, left.height), (right.width, right.height)
     F = fundamental_from_cameras(left, right)
-    return MatchedPair(F, x1, x2, probability, *sizes, left, right, _angle_deg(left, right, x1, x2))
+    return MatchedPair(F, x1, x2, probability, *sizes, left, right, convergence_deg(left, right, x1, x2))
 
 
 def _ground(cameras: tuple[Camera, Camera], scene: Scene | None) -> GroundOfPair | None:
@@ -299,7 +301,7 @@ def _obeying(geometry: Geometry, left: Camera | None, right: Camera | None) -> M
         distance = symmetric_epipolar_distance(F, geometry.x1, geometry.x2)
         keep = distance <= max(1.5, 0.002 * max(sizes[0]))
     x1, x2 = np.compress(keep, geometry.x1, axis=0), np.compress(keep, geometry.x2, axis=0)
-    return MatchedPair(F, x1, x2, geometry.probability[keep], *sizes, left, right, _angle_deg(left, right, x1, x2))
+    return MatchedPair(F, x1, x2, geometry.probability[keep], *sizes, left, right, convergence_deg(left, right, x1, x2))
 
 
 def _unbelievable(geometry: Geometry, pair: MatchedPair, min_angle_deg: float) -> Rejected | None:
@@ -328,11 +330,3 @@ def _unusable(given: int, pair: MatchedPair, min_matches: int, min_angle_deg: fl
         if parallax < _LEAST_PARALLAX * pair.size1[0]:
             return Rejected(Reason.NO_PARALLAX, {"parallax_px": parallax})
     return None
-
-
-def _angle_deg(camera1: Camera, camera2: Camera, x1: Float64s, x2: Float64s) -> float:
-    if len(x1) == 0:
-        return float("nan")
-    rays1, rays2 = rays(camera1, x1), rays(camera2, x2)
-    cosine = np.sum(rays1 * rays2, axis=0) / np.sqrt(np.sum(rays1**2, axis=0) * np.sum(rays2**2, axis=0))
-    return float(np.degrees(np.median(np.arccos(np.clip(cosine, -1, 1)))))

@@ -75,6 +75,21 @@ def backproject(camera: Camera, x: Float64s, depth: Float64s) -> Float64s:
     return np.asarray((directions * depth[:, None]) @ camera.R + camera.C, dtype=np.float64)
 
 
+def convergence_deg(camera1: Camera, camera2: Camera, x1: Float64s, x2: Float64s) -> float:
+    """Median angle in degrees at which the rays of pixels x1, x2 (n, 2) meet; nan where there are none.
+
+    Parameters
+    ----------
+    camera1, camera2 : in one world.
+    x1, x2 : (n, 2) pixels of the same places.
+    """
+    if len(x1) == 0:
+        return float("nan")
+    a, b = rays(camera1, x1), rays(camera2, x2)
+    cosine = np.sum(a * b, axis=0) / np.sqrt(np.sum(a * a, axis=0) * np.sum(b * b, axis=0))
+    return float(np.degrees(np.median(np.arccos(np.clip(cosine, -1, 1)))))
+
+
 def ray_angles(a: Float64s, b: Float64s) -> Float64s:
     """(n,) radians between directions a and b (n, 3) of any length; nan where one of them is nan or zero."""
     with np.errstate(divide="ignore", invalid="ignore"):

@@ -1,23 +1,10 @@
-"""What a sparse matcher is given, and what it gives: the border at which matchers plug in."""
+"""What sparse matchers share: the rows that they may use, and what they give."""
 
 from __future__ import annotations
 
-from typing import Any, Protocol
-
 import numpy as np
 
-from ..types import PLAIN, Features, Float64s, Int32s, Matches, Rejected
-
-
-class SparseMatcher(Protocol):
-    """Finds corresponding points of two frames.
-
-    Asks by argument name for what it reads: `left`, `right` (`Features`), `left_frame`, `right_frame` (`Frame`).  Its own
-    parameters are keyword-only, with defaults.  What it returns may have keypoints (`keypoint_matches`) or be points of any other
-    origin: `Matches(x1, x2, None, None, probability, None, left.view, right.view)`.
-    """
-
-    def __call__(self, *args: Any, **options: Any) -> Matches | Rejected: ...
+from ..types import PLAIN, Features, Float64s, Int32s, Matches
 
 
 def keypoint_matches(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 
@@ -56,13 +56,3 @@ class PolarImages(NamedTuple):
     size1: Size
     size2: Size
     agreement: float
-
-
-class Rectifier(Protocol):
-    """Brings corresponding points to the same row.
-
-    Asks by argument name for what it reads: `pair` (`MatchedPair`), `geometry` (`Geometry`), `left`, `right` (`Camera`).  Its own
-    parameters are keyword-only, with defaults.  Raises ValueError, with the reason, where it can do nothing for a pair.
-    """
-
-    def __call__(self, *args: Any, **options: Any) -> Homographies | PolarImages: ...

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..core.cameras import backproject, project, rays
+from ..core.cameras import backproject, convergence_deg, project, rays
 from ..types import Bools, Camera, Float64s, Int64s, Scene
 
 _GRID = 24
@@ -65,10 +65,7 @@ def predict(camera1: Camera, camera2: Camera, scene: Scene | None = None) -> Pre
         return None
     x1, x2 = np.concatenate([first[0], second[1]]), np.concatenate([first[1], second[0]])
     ends1, ends2 = np.concatenate([first[2], second[3]]), np.concatenate([first[3], second[2]])
-    a, b = rays(camera1, x1), rays(camera2, x2)
-    cosine = np.sum(a * b, axis=0) / np.sqrt(np.sum(a * a, axis=0) * np.sum(b * b, axis=0))
-    angle = float(np.degrees(np.median(np.arccos(np.clip(cosine, -1.0, 1.0)))))
-    return Prediction(x1, x2, ends1, ends2, angle)
+    return Prediction(x1, x2, ends1, ends2, convergence_deg(camera1, camera2, x1, x2))
 
 
 def ground_in_both(camera1: Camera, camera2: Camera, ground: Float64s) -> tuple[Float64s, Float64s]:

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import KW_ONLY, dataclass
-from typing import Any, Protocol, TypeVar
+from typing import TypeVar
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
-from ..types import Bools, Float32s, Rejected
+from ..types import Bools, Float32s
 
 Pixels = TypeVar("Pixels", np.float32, np.bool_)
 
@@ -50,16 +50,6 @@ class DenseMatches:
     confidence_left: Float32s
     confidence_right: Float32s
     """(h, w) float32, 0 to 1; where it is 0, the value may confirm the other view's but is not kept itself."""
-
-
-class DenseMatcher(Protocol):
-    """Finds the disparity of every pixel.
-
-    Asks by argument name for what it reads: `pair` (`RectifiedPair`: grey, quiet, of one exposure), `left`, `right` (`Frame`),
-    `rectification`.  Its own parameters are keyword-only, with defaults.
-    """
-
-    def __call__(self, *args: Any, **options: Any) -> DenseMatches | Rejected: ...
 
 
 def mirrored(pair: RectifiedPair) -> RectifiedPair:
