@@ -113,12 +113,8 @@ def _candidates(descriptors1: Float32s, descriptors2: Float32s, neighbours: int)
 
 def mutual_neighbours(pair: ViewPair) -> tuple[Int64s, Int32s, Float64s]:
     """i, j of mutual nearest neighbours of a view pair, and first over second distance, the worse of both ways."""
-    near = pair.candidates.near
-    i = np.flatnonzero(near.columns[near.rows[:, 0], 0] == np.arange(len(near.rows)))
-    j = near.rows[i, 0]
-    forward = near.row_distance[i, 0] / np.maximum(near.row_distance[i, 1], 1e-9)
-    backward = near.column_distance[j, 0] / np.maximum(near.column_distance[j, 1], 1e-9)
-    return i, j, np.maximum(forward, backward).astype(np.float64)
+    i, j, ratio = pair.candidates.near.mutual()
+    return i, j, ratio.astype(np.float64)
 
 
 def rival_distances(

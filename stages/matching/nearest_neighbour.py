@@ -28,13 +28,9 @@ def mutual_matches(descriptors1: Float32s, descriptors2: Float32s, ratio: float)
     near = nearest_neighbours(descriptors1, descriptors2, 2)
     if near.rows.shape[1] < 2:
         return np.zeros(0, np.int32), np.zeros(0, np.int32), np.zeros(0, np.float32)
-    i1 = np.flatnonzero(near.columns[near.rows[:, 0], 0] == np.arange(len(near.rows))).astype(np.int32)
-    i2 = near.rows[i1, 0]
-    forward = near.row_distance[i1, 0] / np.maximum(near.row_distance[i1, 1], 1e-9)
-    backward = near.column_distance[i2, 0] / np.maximum(near.column_distance[i2, 1], 1e-9)
-    worse = np.maximum(forward, backward)
+    i1, i2, worse = near.mutual()
     keep = worse < ratio
-    return i1[keep], i2[keep], worse[keep]
+    return i1[keep].astype(np.int32), i2[keep], worse[keep]
 
 
 _KDTREE = 1

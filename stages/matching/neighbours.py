@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..core.jit import helper, kernel
-from ..types import Float32s, Float64s, Int32s, Uint8s, Uint64s
+from ..types import Float32s, Float64s, Int32s, Int64s, Uint8s, Uint64s
 
 _BLOCK, _SPAN = 512, 32
 
@@ -21,6 +21,14 @@ class Neighbours:
     row_distance: Float32s
     columns: Int32s
     column_distance: Float32s
+
+    def mutual(self) -> tuple[Int64s, Int32s, Float32s]:
+        """i, j of those that are each other's nearest, and first over second distance, the worse of both ways."""
+        i = np.flatnonzero(self.columns[self.rows[:, 0], 0] == np.arange(len(self.rows)))
+        j = self.rows[i, 0]
+        forward = self.row_distance[i, 0] / np.maximum(self.row_distance[i, 1], 1e-9)
+        backward = self.column_distance[j, 0] / np.maximum(self.column_distance[j, 1], 1e-9)
+        return i, j, np.maximum(forward, backward)
 
 
 def nearest_neighbours(descriptors1: Float32s, descriptors2: Float32s, k: int) -> Neighbours:
