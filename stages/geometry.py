@@ -36,7 +36,7 @@ from .twoview.robust import (
     rotation_support,
     supporters,
 )
-from .types import Features, Float64s, Geometry, Matches, View
+from .types import Features, Float64s, Geometry, Matches, View, at_rows
 
 ESSENTIAL_SUPPORT = 0.7
 """E is kept when it has at least this share of the inliers of F.  F has two freedoms more: enough to take in, besides the truth,
@@ -107,7 +107,7 @@ def estimate_geometry(
     count = 0 if found is None else int(found.inliers.sum())
     if found is None or count < min_inliers:
         return Rejected(Reason.TOO_FEW_INLIERS, {"matches": len(before.x1), "inliers": count, "needed": min_inliers})
-    inliers = _inliers(matches, found)
+    inliers = at_rows(matches, found.inliers)
     support = _support(inliers, found, how)
     figures = {"matches": float(len(before.x1)), **support.figures()}
     degenerate = _degenerate(support, min_area, min_inliers)
@@ -161,25 +161,11 @@ def _accepted(inliers: Matches, found: TwoView, support: _Support, evidence: Pai
     )
 
 
-def _inliers(matches: Matches, found: TwoView) -> Matches:
-    """The matches that support the geometry."""
-    keep = found.inliers
-    return replace(
-        matches,
-        x1=matches.x1[keep],
-        x2=matches.x2[keep],
-        i1=None if matches.i1 is None else matches.i1[keep],
-        i2=None if matches.i2 is None else matches.i2[keep],
-        probability=matches.probability[keep],
-        affine=None if matches.affine is None else matches.affine[keep],
-    )
-
-
 def _of_one_night(matches: Matches, found: TwoView, left: Features, right: Features) -> Matches | None:
     """What the keypoints match around a geometry of many nights; None for one of a single night."""
     if matches.nights == 1 or matches.i1 is not None or not min(len(left.xy), len(right.xy)):
         return None
-    return matches_of_night(_inliers(matches, found), found.F, left, right)
+    return matches_of_night(at_rows(matches, found.inliers), found.F, left, right)
 
 
 def _evidence(
@@ -266,7 +252,8 @@ def _guided_round(
 
     night: what one night's keypoints match around the geometry, where the matches are of many.
     """
-    again = with_night(matches, night) if night is not None else match_guided(_inliers(matches, found), left, right, found.F)
+    inside = at_rows(matches, found.inliers)
+    again = with_night(matches, night) if night is not None else match_guided(inside, left, right, found.F)
     again = replace(again, view1=matches.view1, view2=matches.view2, matcher=matches.matcher)
     inliers = supporters(found.F, again.x1, again.x2, how.threshold_px)
     return (again, replace(found, inliers=inliers)) if inliers.sum() >= found.inliers.sum() else (matches, found)

@@ -10,7 +10,7 @@ import numpy as np
 from .core.cameras import same_camera
 from .poses import solve_poses, stated_calibration
 from .reasons import Reason, Rejected
-from .types import Bools, Camera, CameraHealth, Float64s, Geometry, Pair, Placement, Poses, Survey, View
+from .types import Bools, Camera, CameraHealth, Float64s, Geometry, Pair, Placement, Poses, Survey, View, at_rows
 
 _ITSELF: Float64s = np.eye(3)
 
@@ -36,14 +36,10 @@ def turn_geometry(pinned: Geometry | None, left: CameraHealth, right: CameraHeal
     F = np.linalg.inv(H2).T @ pinned.F @ np.linalg.inv(H1)
     R, t = pinned.cam2_R_cam1, pinned.cam2_t_cam1
     return replace(
-        pinned,
+        at_rows(replace(pinned, x1=x1, x2=x2), keep),
         F=F / np.linalg.norm(F),
-        x1=x1[keep],
-        x2=x2[keep],
         i1=None,
         i2=None,
-        probability=pinned.probability[keep],
-        noise_px=None if pinned.noise_px is None else pinned.noise_px[keep],
         cam2_R_cam1=None if R is None else R2 @ R @ R1.T,
         cam2_t_cam1=None if t is None else R2 @ t,
         inliers=int(keep.sum()),

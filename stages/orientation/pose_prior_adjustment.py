@@ -17,7 +17,7 @@ from ..core.rotations import rotation_matrix, rotation_vector, skew
 from ..sfm.rigs import between, rigs_of
 from ..sfm.tracks import Edge, Tracks, build_tracks
 from ..sfm.triangulation import angles, residuals, triangulate
-from ..types import Bools, Camera, Float64s, Geometry, Pair
+from ..types import Bools, Camera, Float64s, Geometry, Pair, at_rows
 from .pose_check import BELIEVED, DEVIATIONS, PAIR_PX, PoseConstraints, Sigma, slack_px
 
 MIN_MATCHES = 20
@@ -94,9 +94,7 @@ def _allowed(
     keep = distance <= 3 * PAIR_PX + slack_px(cameras, sigmas, pair, geometry)
     if keep.sum() < max(MIN_MATCHES, (MIN_SHARE_OF_TRUSTED if trusted else MIN_SHARE) * len(keep)):
         return None
-    rows = (None if i is None else i[keep] for i in (geometry.i1, geometry.i2))
-    i1, i2 = rows
-    return replace(geometry, x1=geometry.x1[keep], x2=geometry.x2[keep], i1=i1, i2=i2, probability=geometry.probability[keep])
+    return at_rows(geometry, keep)
 
 
 def _strays(found: Camera, stated: Camera, sigma: Sigma) -> float:

@@ -25,7 +25,7 @@ from ..sfm.incremental import Model, refine
 from ..sfm.loops import triangles_of
 from ..sfm.tracks import Edge, build_tracks
 from ..sfm.triangulation import triangulate
-from ..types import Bools, Camera, Float64s, Geometry
+from ..types import Camera, Float64s, Geometry, at_rows
 from .lens_sigma import RAYLEIGH
 
 MOST_INCONSISTENCY = 16.0
@@ -87,19 +87,7 @@ def consistent_matches(geometries: Mapping[Edge, Geometry], fewest: int = 0) -> 
             np.add.at(votes[bc], k[rows], vote)
             np.add.at(votes[ac], m[rows], vote)
     kept = {edge: vote > 0 if (vote > 0).sum() >= fewest else np.ones(len(vote), bool) for edge, vote in votes.items()}
-    return {edge: _some(geometry, kept[edge]) for edge, geometry in geometries.items()}
-
-
-def _some(geometry: Geometry, rows: Bools) -> Geometry:
-    return replace(
-        geometry,
-        x1=geometry.x1[rows],
-        x2=geometry.x2[rows],
-        i1=None if geometry.i1 is None else geometry.i1[rows],
-        i2=None if geometry.i2 is None else geometry.i2[rows],
-        probability=geometry.probability[rows],
-        noise_px=None if geometry.noise_px is None else geometry.noise_px[rows],
-    )
+    return {edge: at_rows(geometry, kept[edge]) for edge, geometry in geometries.items()}
 
 
 def _errors(model: Model, cameras: Mapping[int, Camera]) -> Float64s:

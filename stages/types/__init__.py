@@ -6,6 +6,6 @@ from .captured import Capture, Lens, Placement, Privacy, Survey
 from .dense import INVALID, Cloud, DepthMap, Disparity, GroundOfPair, PolarRows, Rectification
 from .ground import NEW, SAME, UNKNOWN, VANISHED, Change, Changes, Coverage, CutFill, GroundGrid
 from .health import CameraHealth, Usual
-from .pairs import Geometry, Matches, Overlap
+from .pairs import Geometry, Matches, Overlap, at_rows
 from .site import CalibrationCheck, LensSigma, PairCheck, PoseCheck, PoseIssue, Poses, Scene
 from .views import PLAIN, TILTED, Camera, Features, Frame, View

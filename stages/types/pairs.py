@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from typing import TypeVar
 
 from ..core.short_repr import Record
-from .arrays import Float32s, Float64s, Int32s
+from .arrays import Bools, Float32s, Float64s, Int32s, Int64s
 from .views import View
 
 
@@ -97,6 +98,15 @@ class Geometry(Record):
     """How far these are from what cameras have, in squared standard deviations; nan where they are known."""
     warnings: tuple[str, ...] = ()
     """Named degenerate cases that did not reject the pair."""
+
+
+Found = TypeVar("Found", Matches, Geometry)
+
+
+def at_rows(found: Found, rows: Bools | Int64s) -> Found:
+    """The same with some of its matches alone.  rows: (n,) bool, or their numbers."""
+    names = ("x1", "x2", "i1", "i2", "probability", "affine", "noise_px")
+    return replace(found, **{name: of[rows] for name in names if (of := getattr(found, name, None)) is not None})
 
 
 @dataclass(frozen=True)
