@@ -16,6 +16,7 @@ import cv2
 import numpy as np
 
 from .core.luminance import grey_levels
+from .core.ordering import rank_within
 from .matching.description import LENGTH, describe, main_directions
 from .matching.neighbours import nearest_elsewhere
 from .matching.scale_space import Blobs, Pyramid, find_blobs, pyramid
@@ -175,18 +176,8 @@ def _spread(blobs: Blobs, usable: Bools, shape: tuple[int, ...], wanted: int, gr
     cell = shape[1] / grid_columns
     cells = (blobs.y[order] // cell).astype(np.int64) * (grid_columns + 1) + (blobs.x[order] // cell).astype(np.int64)
     share = wanted * cell * cell / (shape[0] * shape[1])
-    crowded = _rank_within(cells) >= crowding * share
+    crowded = rank_within(cells, np.arange(len(cells))) >= crowding * share
     return np.asarray(order[np.sort(np.lexsort((np.arange(len(order)), crowded))[:wanted])])
-
-
-def _rank_within(groups: Int64s) -> Int64s:
-    """(n,) how many earlier entries have the same group."""
-    order = np.argsort(groups, kind="stable")
-    sorted_groups = groups[order]
-    starts = np.flatnonzero(np.r_[True, sorted_groups[1:] != sorted_groups[:-1]])[: len(groups)]
-    rank = np.empty(len(groups), dtype=np.int64)
-    rank[order] = np.arange(len(groups)) - np.repeat(starts, np.diff(np.r_[starts, len(groups)]))
-    return rank
 
 
 def _keypoint_frames(size: Float64s, angle: Float64s) -> Float64s:

@@ -12,6 +12,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from .core.ordering import rank_within
 from .sfm.tracks import joined_places
 from .types import Bools, DepthMap, Float64s, Int64s, Matches, Uint32s, View
 
@@ -67,11 +68,7 @@ def _spread(x: Float64s, likely: Float64s, view: View, most: int) -> Int64s:
     size, fields = np.array([view.width, view.height]), np.array(_FIELDS)
     column, row = np.clip(x * fields / size, 0, fields - 1).astype(np.int64).T
     field = row * _FIELDS[0] + column
-    order = np.lexsort((-likely, field))
-    starts = np.searchsorted(field[order], field[order])
-    rank = np.empty(len(x), np.int64)
-    rank[order] = np.arange(len(x)) - starts
-    return np.sort(np.lexsort((-likely, rank))[:most])
+    return np.sort(np.lexsort((-likely, rank_within(field, -likely)))[:most])
 
 
 def pool_depths(nights: Mapping[str, DepthMap], *, agree: float = 3.0, least_share: float = 0.5) -> DepthMap:

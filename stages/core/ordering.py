@@ -27,6 +27,14 @@ def _place(cells: Int64s, free: Int64s, order: Int64s) -> None:
         free[cells[k]] += 1
 
 
+def rank_within(groups: Int64s, worth: Float64s | Int64s) -> Int64s:
+    """(n,) how many of the same group come before each in the order of their worth, the least first."""
+    order = np.lexsort((worth, groups))
+    rank = np.empty(len(groups), np.int64)
+    rank[order] = np.arange(len(groups)) - np.searchsorted(groups[order], groups[order])
+    return rank
+
+
 def sorting_network(count: int) -> Int64s:
     """(m, 2) places to compare, and to exchange where the first is larger, that sort `count` values (Batcher's merge exchange,
     Knuth 5.2.2 M).  What is compared never depends on the values."""

@@ -6,13 +6,14 @@ straightened when the frame is looked at again; points of pairs are moved likewi
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import replace
 
 import cv2
 import numpy as np
 
 from ..types import Camera, Float32s, Float64s, Frame
+from .on_demand import OnDemand
 
 STRAIGHT_PX = 1.0
 """A frame whose corners a lens moves by no more than this is taken for straight."""
@@ -92,19 +93,4 @@ def straight_frames(frames: Mapping[str, Frame], cameras: Mapping[str, Camera]) 
     """Frames by camera as pinholes would show them, each made when it is asked for."""
     if not any(name in frames and residual_distortion(camera) is not None for name, camera in cameras.items()):
         return frames
-    return _Straight(frames, cameras)
-
-
-@dataclass(frozen=True)
-class _Straight(Mapping[str, Frame]):
-    frames: Mapping[str, Frame]
-    cameras: Mapping[str, Camera]
-
-    def __getitem__(self, name: str) -> Frame:
-        return straight_frame(self.frames[name], self.cameras.get(name))
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self.frames)
-
-    def __len__(self) -> int:
-        return len(self.frames)
+    return OnDemand(frames, lambda name: straight_frame(frames[name], cameras.get(name)))

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import dataclasses
 import importlib
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +13,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from ..core.on_demand import OnDemand
 from ..types import Capture
 
 MOST_INLINE = 64
@@ -70,7 +71,8 @@ def read(node: Any, folder: Path) -> Any:
     if "capture" in node:
         return Capture(node["capture"], np.fromfile(folder / node["file"], dtype=np.uint8))
     if "map" in node:
-        return _OnDemand({tuple(key) if isinstance(key, list) else key: entry for key, entry in node["map"]}, folder)
+        nodes = {tuple(key) if isinstance(key, list) else key: entry for key, entry in node["map"]}
+        return OnDemand(nodes, lambda key: read(nodes[key], folder))
     if "tuple" in node:
         return tuple(read(item, folder) for item in node["tuple"])
     if "list" in node:
@@ -78,26 +80,6 @@ def read(node: Any, folder: Path) -> Any:
     module, _, name = node["type"].partition(":")
     kind: Callable[..., Any] = getattr(importlib.import_module(module), name)
     return kind(**{field: read(entry, folder) for field, entry in node["fields"].items()})
-
-
-class _OnDemand(Mapping[Any, Any]):
-    """A mapping whose values are read when they are asked for: a night need not be in memory at once."""
-
-    def __init__(self, nodes: dict[Any, Any], folder: Path) -> None:
-        self._nodes = nodes
-        self._folder = folder
-
-    def __getitem__(self, key: Any) -> Any:
-        return read(self._nodes[key], self._folder)
-
-    def __contains__(self, key: object) -> bool:
-        return key in self._nodes  # without reading it
-
-    def __iter__(self) -> Iterator[Any]:
-        return iter(self._nodes)
-
-    def __len__(self) -> int:
-        return len(self._nodes)
 
 
 def _write_array(array: Array, folder: Path, stem: str) -> dict[str, Any]:
