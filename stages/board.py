@@ -19,8 +19,8 @@ from typing import Any
 import cv2
 import numpy as np
 
-from .capture.files import BadCapture, decode
-from .capture.video import is_video, pictures
+from .capture.files import BadCapture
+from .capture.video import all_pictures
 from .core.least_squares import levenberg_marquardt
 from .core.lenses import MODELS, lens_rays, reach
 from .types import Capture, Float32s, Float64s, Lens, Uint8s
@@ -81,7 +81,7 @@ def board_files(
     what, seen, size, notes = Board(**board), [], (0, 0), []  # type: ignore[arg-type]
     for name, data in pictures_of_it.items():
         try:
-            found = _pictures(Capture(name, np.frombuffer(data, np.uint8)))
+            found = list(all_pictures(Capture(name, np.frombuffer(data, np.uint8)), _VIDEO_STEP, _MOST_OF_A_VIDEO))
         except BadCapture as error:
             notes.append(str(error))
             continue
@@ -113,12 +113,6 @@ def board_files(
         words.append(f"{whole:.1f} px is much: another --model may fit this lens, or the board is not flat")
     plot = cv2.imencode(".png", _plot(seen, residuals, size))[1].tobytes()
     return {f"{camera}.json": json.dumps({camera: entry}, indent=1).encode(), f"{camera}-coverage.png": plot}, words
-
-
-def _pictures(capture: Capture) -> list[tuple[str, Uint8s]]:
-    if is_video(capture):
-        return list(pictures(capture, _VIDEO_STEP, _MOST_OF_A_VIDEO))
-    return [(capture.name, decode(capture))]
 
 
 def _corners(name: str, grey: Uint8s, board: Board) -> _Seen | None:

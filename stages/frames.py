@@ -17,12 +17,12 @@ import numpy as np
 
 from .capture.background import merge
 from .capture.clock import running_clock
-from .capture.files import BadCapture, EmptyCapture, NotAnImage, WrongSize, decode, decoded, refuse_truncated
+from .capture.files import BadCapture, EmptyCapture, NotAnImage, WrongSize, decoded, refuse_truncated
 from .capture.image_statistics import blur_px, detail_px, image_statistics, weigh
 from .capture.privacy import around, blanked, private_area
 from .capture.signal import NOISY, Signal, denoised, put_right, remaining_noise, signal_of
 from .capture.straight import Straight
-from .capture.video import is_video, pictures
+from .capture.video import all_pictures
 from .io.image_headers import focal_in_long_sides, picture_size, taken_at
 from .types import Bools, Capture, Frame, Lens, Privacy, Uint8s
 
@@ -74,7 +74,7 @@ def clean_frame(
     camera: Straight | None = None
     for capture in (chosen := _spread(captures, max_captures)):
         try:
-            for name, image in _pictures(capture, lens, video_step, max_captures):
+            for name, image in all_pictures(capture, video_step, max_captures, lens):
                 if camera is None or lens.K is None or image.shape[:2] != (camera.height, camera.width):
                     camera = Straight.of(image, _as_written(lens, capture, image), name, whole_field)
                 clean.append(_cleaned(image, camera, name, privacy, resolution))
@@ -191,14 +191,6 @@ def _cleaned(image: Uint8s, camera: Straight, name: str, privacy: Privacy | None
     signal, (image, repair) = signal_of(image), put_right(image)
     straight = _resized(camera.undistort(image), *camera.working_size(resolution))
     return _Clean(camera, name, straight, area, signal, repair, digest)
-
-
-def _pictures(capture: Capture, lens: Lens, video_step: int, most: int) -> Iterator[tuple[str, Uint8s]]:
-    """A capture's pictures with their names: one, or several of a video."""
-    if is_video(capture):
-        yield from pictures(capture, video_step, most)
-    else:
-        yield capture.name, decode(capture, lens)
 
 
 def _seen_privately(clean: _Clean, width: int, height: int) -> Bools:

@@ -9,13 +9,14 @@ import numpy as np
 
 from .capture.files import BadCapture, NotAnImage, decoded, wrong_size
 from .capture.video import one_picture
+from .io.rasters import jpeg, png
 from .types import Capture, Lens, Uint8s
 
 LARGE = 2560
 """Long side of a picture to draw on, pixels."""
 _QUALITY = 88
-_SHADE = (60, 60, 230, 130)
-"""Over what a mask leaves out: blue, green, red, opacity."""
+_SHADE = (230, 60, 60, 130)
+"""Over what a mask leaves out: red, green, blue, opacity."""
 
 Area = tuple[bool, list[list[float]]]
 """May its pixels be used, and its corners: pixels of a capture, whose centres are whole numbers."""
@@ -31,9 +32,7 @@ def shown(name: str, data: bytes) -> tuple[int, int, bytes]:
     """
     image = one_picture(Capture(name, np.frombuffer(data, np.uint8)))
     height, width = image.shape[:2]
-    small = _reduced(image)
-    _, jpeg = cv2.imencode(".jpg", cv2.cvtColor(small, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])
-    return width, height, jpeg.tobytes()
+    return width, height, jpeg(_reduced(image), _QUALITY).tobytes()
 
 
 def shade(name: str, mask: bytes) -> bytes:
@@ -41,7 +40,7 @@ def shade(name: str, mask: bytes) -> bytes:
     small = _reduced(_read(name, mask))
     picture = np.zeros((*small.shape[:2], 4), np.uint8)
     picture[small == 0] = _SHADE
-    return _png(picture)
+    return png(picture)
 
 
 def painted(name: str, mask: bytes | None, size: tuple[int, int], areas: Sequence[Area]) -> bytes:
@@ -67,7 +66,7 @@ def painted(name: str, mask: bytes | None, size: tuple[int, int], areas: Sequenc
         cv2.fillPoly(image, [np.rint(np.array(corners)).astype(np.int32)], 255 if use else 0)
     if not image.any():
         raise BadCapture(f"{name} would leave no pixel to use")
-    return _png(image)
+    return png(image)
 
 
 def _read(name: str, mask: bytes) -> Uint8s:
@@ -83,7 +82,3 @@ def _reduced(image: Uint8s) -> Uint8s:
         return image
     size = max(1, round(width * scale)), max(1, round(height * scale))
     return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA if image.ndim == 3 else cv2.INTER_NEAREST), np.uint8)
-
-
-def _png(image: Uint8s) -> bytes:
-    return bytes(cv2.imencode(".png", image)[1].tobytes())

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 
 from ..core.cameras import scaled_intrinsics
-from ..core.lenses import WIDEST_DEG, lens_pixels, lens_rays, off_axis, reach
+from ..core.lenses import WIDEST_DEG, lens_pixels, sides_deg
 from ..types import Bools, Float32s, Float64s, Lens, Uint8s, View
 from .files import BadCapture, wrong_size
 
@@ -93,10 +93,8 @@ class Straight:
         """What the lens sees and no pinhole shows, in words; () where that is nothing."""
         if self.own or self.K is None or self.lens.turn is not None:
             return ()
-        middle = self.lens.K[:2, 2] if self.lens.K is not None else np.zeros(2)
-        edges = np.array([[-0.5, middle[1]], [self.width - 0.5, middle[1]], [middle[0], -0.5], [middle[0], self.height - 0.5]])
-        seen = np.rad2deg(np.nan_to_num(off_axis(lens_rays(self.lens, edges)), nan=reach(self.lens)))
-        across, down = seen[0] + seen[1], seen[2] + seen[3]
+        left, right, up, low = sides_deg(self.lens, self.width, self.height)
+        across, down = left + right, up + low
         if max(across, down) < WIDEST_DEG + 2:
             return ()
         shown = f"{min(across, WIDEST_DEG):.0f} x {min(down, WIDEST_DEG):.0f}"

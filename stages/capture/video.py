@@ -12,7 +12,7 @@ from typing import IO
 import cv2
 import numpy as np
 
-from ..types import Capture, Uint8s
+from ..types import Capture, Lens, Uint8s
 from .files import BadCapture, EmptyCapture, NotAnImage, decode
 
 SUFFIXES = frozenset({".mp4", ".m4v", ".mov", ".avi", ".mkv", ".webm", ".mpg", ".mpeg", ".ts"})
@@ -55,9 +55,28 @@ def pictures(capture: Capture, step: int, most: int) -> Iterator[tuple[str, Uint
         raise NotAnImage(f"{capture.name} holds no picture that can be decoded ({capture.data.size:,} bytes)")
 
 
+def all_pictures(capture: Capture, step: int, most: int, lens: Lens | None = None) -> Iterator[tuple[str, Uint8s]]:
+    """A capture's pictures (h, w, 3) uint8 RGB with their names: one, or those of a video.
+
+    Parameters
+    ----------
+    capture : an image file or a video.
+    step, most : of a video, as of `pictures`.
+    lens : see `files.decode`.
+
+    Raises
+    ------
+    BadCapture
+    """
+    if is_video(capture):
+        yield from pictures(capture, step, most)
+    else:
+        yield capture.name, decode(capture, lens)
+
+
 def one_picture(capture: Capture) -> Uint8s:
     """A capture's picture (h, w, 3) uint8 RGB, of a video the first.  Raises BadCapture."""
-    return next(pictures(capture, 1, 1))[1] if is_video(capture) else decode(capture)
+    return next(all_pictures(capture, 1, 1))[1]
 
 
 @contextmanager

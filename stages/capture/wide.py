@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..core.lenses import WIDEST_DEG, lens_pixels, lens_rays, off_axis, reach
+from ..core.lenses import WIDEST_DEG, lens_pixels, sides_deg
 from ..types import Float64s, Lens
 
 _SPARED_DEG = 2.0
@@ -42,7 +42,7 @@ def views_of_lens(
     K, distortion, width, height, model : as of `Lens`.
     """
     lens = Lens(np.array(K, dtype=np.float64), np.array(distortion, dtype=np.float64), None, width, height, model)
-    left, right, up, down = _limits(lens)
+    left, right, up, down = np.minimum(sides_deg(lens, width, height), _FARTHEST_DEG).tolist()
     across, along = left + right, up + down
     if max(across, along) <= WIDEST_DEG + _SPARED_DEG:
         return []
@@ -53,16 +53,6 @@ def views_of_lens(
             found.append((turn.tolist(), window))
     found.sort(key=lambda view: -round(view[0][2][2], 6))
     return found if len(found) > 1 else []
-
-
-def _limits(lens: Lens) -> tuple[float, float, float, float]:
-    """How far the picture reaches from the axis to the left, right, up and down, degrees."""
-    assert lens.K is not None
-    x, y = lens.K[:2, 2]
-    edges = np.array([[-0.5, y], [lens.width - 0.5, y], [x, -0.5], [x, lens.height - 0.5]])
-    seen = np.rad2deg(np.nan_to_num(off_axis(lens_rays(lens, edges)), nan=reach(lens)))
-    left, right, up, down = (min(float(angle), _FARTHEST_DEG) for angle in seen)
-    return left, right, up, down
 
 
 def _layout(x: Span, y: Span) -> list[tuple[Span, Span]]:

@@ -87,6 +87,15 @@ def off_axis(rays: Float64s) -> Float64s:
     return np.asarray(np.arctan2(np.hypot(rays[:, 0], rays[:, 1]), rays[:, 2]), dtype=np.float64)
 
 
+def sides_deg(lens: Lens, width: int, height: int) -> Float64s:
+    """(4,) degrees from the axis to the middles of the left, right, upper and lower side of a picture, at most `reach`."""
+    if lens.K is None:
+        raise ValueError("a lens without intrinsics has no rays")
+    x, y = lens.K[:2, 2]
+    edges = np.array([[-0.5, y], [width - 0.5, y], [x, -0.5], [x, height - 0.5]])
+    return np.asarray(np.rad2deg(np.nan_to_num(off_axis(lens_rays(lens, edges)), nan=reach(lens))), dtype=np.float64)
+
+
 _SAMPLE = np.deg2rad(0.25)
 """Steps of the radial profile."""
 _MOST_STEPS, _STEP, _MISSED = 30, 1e-13, 1e-10
