@@ -38,10 +38,10 @@ from typing import Literal
 import cv2
 import numpy as np
 from pairs_with_truth import DATA, read_rgb
+from scores import pose_errors, turn_errors_deg
 
 from wbflow.outcome.init import write_demo
 from wbflow.pipeline.pairs import select_pairs
-from wbflow_stages.evaluate import pose_errors, turn_errors_deg
 from wbflow_stages.features import detect
 from wbflow_stages.frames import clean_frame
 from wbflow_stages.geometry import estimate_geometry

@@ -20,10 +20,10 @@ from pathlib import Path
 import cv2
 import numpy as np
 from pairs_with_truth import DATA, read_rgb
+from scores import pose_errors
 
 import wbflow
 from wbflow_stages.core.cameras import scaled_intrinsics
-from wbflow_stages.evaluate import pose_errors
 from wbflow_stages.types import Camera, Uint8s
 
 WIDTH = 1536

@@ -11,9 +11,9 @@ import json
 from pathlib import Path
 
 import numpy as np
+from scores import compare_clouds
 
 from wbflow.cache.artifact import read_ply
-from wbflow_stages.evaluate import compare_clouds
 
 
 def main() -> None:

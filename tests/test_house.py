@@ -25,7 +25,7 @@ FLOORS = [
     {"twoview", "matching", "io"},
     {"capture", "rectification", "stereo", "sfm", "orientation", "mvs", "fusion", "change"},
     {"stages"},
-    {"exports", "evaluate"},
+    {"exports"},
 ]
 """Rooms of the vision from the ground up: each imports from its own floor and from those below it.  "stages": the stage files."""
 

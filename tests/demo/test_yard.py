@@ -7,13 +7,13 @@ from typing import Any, cast
 import cv2
 import numpy as np
 import pytest
+from scores import correct_matches, true_correspondences
 
 from tests.helpers.synthetic_site import single_pair, small_yard
 from wbflow_demo.render.cameras import MOUNTS, Viewpoint, camera_at, distort, pixel_rays
 from wbflow_demo.render.photograph import DemoCamera, Shots
 from wbflow_demo.yard import yard
 from wbflow_stages.core.cameras import backproject, project
-from wbflow_stages.evaluate import correct_matches, true_correspondences
 
 
 def background(camera: DemoCamera) -> np.ndarray:

@@ -10,10 +10,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scores import compare_clouds
 
 from wbflow.cache.artifact import read_ply
 from wbflow_stages.core.cameras import backproject
-from wbflow_stages.evaluate import compare_clouds
 from wbflow_stages.types import Camera
 
 DATA = Path(os.environ.get("WBFLOW_DATA", Path(__file__).resolve().parents[3] / "shared" / "data")) / "fountain"

@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 from scipy.spatial import cKDTree
+from scores import compare_clouds
 
 import wbflow
 from tests.helpers.browser import chromium, until
@@ -23,7 +24,6 @@ from tests.helpers.images import read_image
 from wbflow.cache.artifact import read_ply
 from wbflow.cli.main import main
 from wbflow.outcome.init import write_demo
-from wbflow_stages.evaluate import compare_clouds
 from wbflow_stages.exports.previews import matches_preview
 
 

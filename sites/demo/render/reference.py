@@ -8,8 +8,8 @@ from typing import NamedTuple
 import numpy as np
 
 from wbflow_stages.core.cameras import backproject, same_camera
-from wbflow_stages.evaluate import count_views
-from wbflow_stages.types import Camera, Cloud, Float32s, Uint8s
+from wbflow_stages.core.jit import kernel
+from wbflow_stages.types import Camera, Cloud, Float32s, Float64s, Uint8s
 
 CELL_NUMBER = np.array([1, 1 << 21, 1 << 42])
 """Makes one number of steps along x, y and z on a grid anchored at 0, up to a million cells away from it."""
@@ -55,3 +55,34 @@ def reference_cloud(views: Sequence[TrueView], voxel_m: float) -> Cloud:
         views=most,
         sigma_mm=np.zeros(len(mean), np.float32),
     )
+
+
+def count_views(points: Float64s, cameras: Sequence[Camera], depths: Sequence[Float32s]) -> Uint8s:
+    """(n,) uint8: how many of the cameras see each point, judged by their true depth maps (h, w), 0 where unknown."""
+    views = np.zeros(len(points), np.uint8)
+    for camera, depth in zip(cameras, depths, strict=True):
+        _count(views, points.astype(np.float64), depth.astype(np.float32), camera.K, camera.R, camera.C)
+    return views
+
+
+@kernel
+def _count(views: Uint8s, points: Float64s, depth: Float32s, K: Float64s, R: Float64s, C: Float64s) -> None:
+    """Add 1 to `views` of each point that lies on the surface that one camera sees."""
+    h, w = depth.shape
+    for k in range(points.shape[0]):
+        dx, dy, dz = points[k, 0] - C[0], points[k, 1] - C[1], points[k, 2] - C[2]
+        z = R[2, 0] * dx + R[2, 1] * dy + R[2, 2] * dz
+        if z <= 0:
+            continue
+        x = (K[0, 0] * (R[0, 0] * dx + R[0, 1] * dy + R[0, 2] * dz) + K[0, 1] * (R[1, 0] * dx + R[1, 1] * dy + R[1, 2] * dz)) / z
+        y = K[1, 1] * (R[1, 0] * dx + R[1, 1] * dy + R[1, 2] * dz) / z + K[1, 2]
+        i, j = int(np.floor(y)), int(np.floor(x + K[0, 2]))
+        if i < 0 or j < 0 or i > h - 2 or j > w - 2:
+            continue
+        low, high = np.inf, 0.0
+        for a in range(2):
+            for b in range(2):
+                low, high = min(low, depth[i + a, j + b]), max(high, depth[i + a, j + b])
+        # between its four neighbours in the depth map, and not in the gap of a silhouette
+        if low > 0 and low * 0.999 <= z <= high * 1.001 and high < 1.05 * low:
+            views[k] += 1

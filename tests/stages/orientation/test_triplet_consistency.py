@@ -6,10 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scores import turn_errors_deg
 
 from tests.helpers.exact_pairs import PairSite, make_pair_site
 from wbflow_stages.core.cameras import project
-from wbflow_stages.evaluate import turn_errors_deg
 from wbflow_stages.orientation.triplet_consistency import MOST_INCONSISTENCY, consistent_matches, inconsistency
 from wbflow_stages.poses import solve_poses
 from wbflow_stages.sfm.incremental import Model, refine, replace_cameras

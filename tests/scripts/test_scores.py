@@ -7,19 +7,19 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
-
-from wbflow_demo.render.cameras import look_at
-from wbflow_stages.core.epipolar import fundamental_from_cameras
-from wbflow_stages.evaluate import (
+from scores import (
     compare_clouds,
     correct_matches,
-    count_views,
     epipolar_errors,
     pose_errors,
     true_correspondences,
     turn_errors_deg,
     voxel_means,
 )
+
+from wbflow_demo.render.cameras import look_at
+from wbflow_demo.render.reference import count_views
+from wbflow_stages.core.epipolar import fundamental_from_cameras
 from wbflow_stages.types import Camera
 
 PLANE = np.stack([*np.meshgrid(np.arange(0, 1, 0.02), np.arange(0, 1, 0.02)), np.zeros((50, 50))], axis=-1).reshape(-1, 3)
