@@ -18,11 +18,10 @@ from pathlib import Path
 
 import numpy as np
 from scipy.spatial import cKDTree
-from scores import compare_clouds
+from scores import compare_clouds, similarity_between
 
 import wbflow
 from wbflow.cache.artifact import read_ply
-from wbflow_stages.core.similarity import similarity_between
 from wbflow_stages.types import Float64s
 
 TAUS = (0.05, 0.10, 0.20)

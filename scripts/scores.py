@@ -17,8 +17,7 @@ import numpy.typing as npt
 from wbflow_demo.render.reference import count_views
 from wbflow_stages.core.cameras import backproject, project
 from wbflow_stages.core.epipolar import symmetric_epipolar_distance
-from wbflow_stages.core.rotations import angle_between_deg, nearest_rotation
-from wbflow_stages.core.similarity import Similarity, similarity_between
+from wbflow_stages.core.rotations import Similarity, angle_between_deg, nearest_rotation, with_rotation
 from wbflow_stages.types import Bools, Camera, Float32s, Float64s
 
 Points = npt.NDArray[np.floating]
@@ -107,6 +106,27 @@ class PoseErrors:
     """(n,) distance between centres, in the truth's unit."""
     alignment: Similarity | None
     """What was applied to the estimate first, None for nothing."""
+
+
+def similarity_between(source: Float64s, target: Float64s, *, with_scale: bool = True) -> Similarity:
+    """The least-squares similarity from (n, 3) points to their counterparts.
+
+    Raises ValueError for fewer than three points, and for points that coincide or lie on a line.
+
+    References
+    ----------
+    S. Umeyama, Least-squares estimation of transformation parameters between two point patterns, PAMI 1991.
+    """
+    count = max(len(source), 1)
+    weight = np.full(len(source), 1 / count)
+    a, b = source - weight @ source, target - weight @ target
+    M = b.T @ a / count
+    spread = np.linalg.svd(M, compute_uv=False)
+    open_turn = len(source) < 3 or spread[1] <= 1e-9 * spread[0]  # points that coincide have no spread at all
+    found = None if open_turn else with_rotation(nearest_rotation(M), source, target, weight, None if with_scale else 1.0)
+    if found is None:
+        raise ValueError("an alignment needs three points that are not on a line")
+    return found
 
 
 def pose_errors(estimated: Mapping[str, Camera], truth: Mapping[str, Camera], *, aligned: bool = False) -> PoseErrors:

@@ -15,8 +15,28 @@ import numpy as np
 from scipy.optimize import minimize
 
 from wbflow_stages.twoview.ambiguity import Ambiguity
-from wbflow_stages.twoview.pair_score import TERMS, PairEvidence, pair_score, terms
+from wbflow_stages.twoview.pair_score import PairEvidence, pair_score, terms
 from wbflow_stages.types import Bools, Camera, Float64s, Geometry
+
+
+@dataclass(frozen=True)
+class Term:
+    """A term of the score: its name, and whether more of it speaks for a pair (1) or against it (-1)."""
+
+    name: str
+    sign: int
+
+
+TERMS = (
+    Term("ln(1 + distinct_cells)", 1),
+    Term("distinct_share", 1),
+    Term("agreement", 1),
+    Term("ln(1 + inliers)", 1),
+    Term("ln(stretch + .01)", 1),
+    Term("ln(min(angle_deg, 15) + .3)", 1),
+    Term("ln(half_rotation_deg + .01)", -1),
+    Term("ln((rival inliers + 20) / (inliers + 20))", -1),
+)
 
 BEFORE = (0.54, 8.9, 4.8, 0.53, 2.7, 0.0, -0.84, 0.0)
 """Weights of the terms in an earlier fit, on 263 pairs of other scenes (look-alike walls, a courtyard): where the pairs here tell

@@ -9,12 +9,12 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from verdict_fit import LabelledPair, LabelledSet, Weights, fit, is_usable
+from verdict_fit import TERMS, LabelledPair, LabelledSet, Weights, fit, is_usable
 from verdict_scenes import SETS, labelled, scene_of, symmetry
 from verdict_site import LEAST_SCORE, averaged_turn_deg, believed, count_habits, in_use, solved, solved_turn_deg
 
 from wbflow_stages.sfm.loops import Habits
-from wbflow_stages.twoview.pair_score import TERMS, probability
+from wbflow_stages.twoview.pair_score import probability
 from wbflow_stages.types import Float64s
 
 MOST_WRONG, LEAST_KEPT = 0.01, 0.9

@@ -1,10 +1,13 @@
-"""Rotations: (3, 3) matrices, vectors (axis times angle), and the angle between two of them."""
+"""Rotations: (3, 3) matrices, vectors (axis times angle), and the angle between two of them; similarities, which scale and shift,
+too."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass, field, replace
+
 import numpy as np
 
-from ..types import Float64s
+from ..types import Camera, Float64s
 
 
 def skew(t: Float64s) -> Float64s:
@@ -49,3 +52,41 @@ def nearest_rotation(M: Float64s) -> Float64s:
     """(3, 3) the rotation R with the largest trace(R^T M): what turns vectors best where M sums target times source^T."""
     U, _, Vt = np.linalg.svd(M)
     return np.asarray(U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt, dtype=np.float64)
+
+
+@dataclass(frozen=True)
+class Similarity:
+    """X -> scale R X + t."""
+
+    scale: float = 1.0
+    R: Float64s = field(default_factory=lambda: np.eye(3))
+    t: Float64s = field(default_factory=lambda: np.zeros(3))
+
+    def points(self, X: Float64s) -> Float64s:
+        """(n, 3) points, moved."""
+        return np.asarray(self.scale * X @ self.R.T + self.t, dtype=np.float64)
+
+    def camera(self, camera: Camera) -> Camera:
+        """A camera, moved."""
+        return replace(camera, R=camera.R @ self.R.T, C=self.points(camera.C[None])[0])
+
+
+def with_rotation(
+    R: Float64s, source: Float64s, target: Float64s, weight: Float64s, scale: float | None = None
+) -> Similarity | None:
+    """The similarity with a given rotation that fits best; None where its scale would not be positive.
+
+    Parameters
+    ----------
+    R : (3, 3) float64, from the source's axes to the target's.
+    source, target : (n, 3) float64 points.
+    weight : (n,) float64, that sum to one.
+    scale : where it is known otherwise; else at least two points are needed that differ.
+    """
+    a_mean, b_mean = weight @ source, weight @ target
+    a, b = source - a_mean, target - b_mean
+    if scale is None:
+        scale = float(np.einsum("n,ni,ni->", weight, b, a @ R.T) / np.einsum("n,ni,ni->", weight, a, a))
+        if scale <= 0:
+            return None
+    return Similarity(scale, R, b_mean - scale * R @ a_mean)

@@ -15,8 +15,7 @@ import numpy as np
 from ..core.cameras import camera_id, same_camera
 from ..core.lenses import lens_rays
 from ..core.residual_distortion import without_distortion
-from ..core.rotations import angle_between_deg, nearest_rotation
-from ..core.similarity import Similarity, with_rotation
+from ..core.rotations import Similarity, angle_between_deg, nearest_rotation, with_rotation
 from ..sfm.incremental import Model, refine, replace_cameras
 from ..sfm.rigs import rigs_of, whole_R
 from ..sfm.tracks import Tracks

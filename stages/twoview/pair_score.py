@@ -53,35 +53,17 @@ class PairEvidence:
     """The best other hypothesis, None where nobody looked for one: no pose, or no keypoints."""
 
 
-@dataclass(frozen=True)
-class Term:
-    """A term of the score: its name, and whether more of it speaks for a pair (1) or against it (-1)."""
-
-    name: str
-    sign: int
-
-
 HARDLY_DEG, MOSTLY = 1.0, 0.8
 """Rays that meet at less, and clear matches of which so many agree: two cameras at one place."""
 
-TERMS = (
-    Term("ln(1 + distinct_cells)", 1),
-    Term("distinct_share", 1),
-    Term("agreement", 1),
-    Term("ln(1 + inliers)", 1),
-    Term("ln(stretch + .01)", 1),
-    Term("ln(min(angle_deg, 15) + .3)", 1),
-    Term("ln(half_rotation_deg + .01)", -1),
-    Term("ln((rival inliers + 20) / (inliers + 20))", -1),
-)
 WEIGHTS, OFFSET = (0.89, 0.90, 3.37, 1.20, 2.91, 3.68, -0.27, -1.15), -15.3
-"""Of the terms, fitted by `scripts/bench_verdict.py` on 299 pairs of 13 sets, photographed and rendered, look-alikes in most;
+"""Of the `terms`, fitted by `scripts/bench_verdict.py` on 299 pairs of 13 sets, photographed and rendered, look-alikes in most;
 each scene with the same weight, drawn to the weights of an earlier fit (walls and a courtyard).  Exact copies of a building
 count as right there: no pair tells them apart."""
 
 
 def terms(e: PairEvidence) -> tuple[float, ...]:
-    """The values of `TERMS` for a pair with a pose of which rivals were looked for."""
+    """What the score of a pair adds up that has a pose, and of which rivals were looked for; all but the last two are for it."""
     rivals = 0 if e.rival is None else e.rival.inliers
     return (
         log(1 + e.distinct_cells),

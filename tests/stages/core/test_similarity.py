@@ -7,10 +7,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
+from scores import similarity_between
 
 from wbflow_stages.core.cameras import project
-from wbflow_stages.core.rotations import angle_between_deg
-from wbflow_stages.core.similarity import Similarity, similarity_between, with_rotation
+from wbflow_stages.core.rotations import Similarity, angle_between_deg, with_rotation
 from wbflow_stages.types import Camera
 
 
