@@ -13,7 +13,7 @@ from ..core.jit import helper, kernel
 from ..core.ordering import by_cell
 from ..types import PLAIN, TILTED, Features, Float32s, Float64s, Int32s, Int64s, Matches
 from .affine_field import AffineField
-from .neighbours import Neighbours, nearest_neighbours
+from .neighbours import APART_PX, Neighbours, nearest_neighbours
 
 NEIGHBOURS = 7
 """Candidates that each keypoint proposes, unless asked otherwise."""
@@ -117,33 +117,30 @@ def mutual_neighbours(pair: ViewPair) -> tuple[Int64s, Int32s, Float64s]:
     return i, j, ratio.astype(np.float64)
 
 
-def rival_distances(
-    left: Features, right: Features, pairs: tuple[ViewPair, ...], i1: Int32s, i2: Int32s, apart_px: float = 6.0
-) -> Float64s:
+def rival_distances(left: Features, right: Features, pairs: tuple[ViewPair, ...], i1: Int32s, i2: Int32s) -> Float64s:
     """(n,) descriptor distance of each match's nearest rival: of those that its two keypoints have in the other image, at least
-    `apart_px` from the match.  Among the nearest few only: where all lie at the match itself, the last of them.
+    `APART_PX` from the match.  Among the nearest few only: where all lie at the match itself, the last of them.
 
     Parameters
     ----------
     left, right : keypoints of the pair, (n1,) and (n2,).
     pairs : each view of the left frame against each of the right.
     i1, i2 : (n,) int32 rows of the matches in `left` and `right`.
-    apart_px : what lies nearer to the match is no rival.
     """
     rivals = np.full(len(i1), 2.0)
     for pair in pairs:
         mine = np.flatnonzero(np.isin(i1, pair.rows1) & np.isin(i2, pair.rows2))
         at1, at2 = np.searchsorted(pair.rows1, i1[mine]), np.searchsorted(pair.rows2, i2[mine])
         near = pair.candidates.near
-        forward = _first_apart(pair.x2[near.rows[at1]], right.xy[i2[mine]], near.row_distance[at1], apart_px)
-        backward = _first_apart(pair.x1[near.columns[at2]], left.xy[i1[mine]], near.column_distance[at2], apart_px)
+        forward = _first_apart(pair.x2[near.rows[at1]], right.xy[i2[mine]], near.row_distance[at1])
+        backward = _first_apart(pair.x1[near.columns[at2]], left.xy[i1[mine]], near.column_distance[at2])
         rivals[mine] = np.minimum(forward, backward)
     return rivals
 
 
-def _first_apart(places: Float64s, match: Float64s, distance: Float32s, apart_px: float) -> Float64s:
+def _first_apart(places: Float64s, match: Float64s, distance: Float32s) -> Float64s:
     """Distance of the nearest neighbour (of (n, k), nearest first) that lies apart from the match."""
-    apart = np.linalg.norm(places - match[:, None], axis=2) >= apart_px
+    apart = np.linalg.norm(places - match[:, None], axis=2) >= APART_PX
     apart[:, -1] = True
     return np.asarray(distance[np.arange(len(distance)), apart.argmax(axis=1)], dtype=np.float64)
 

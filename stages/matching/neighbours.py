@@ -10,6 +10,8 @@ from ..core.jit import helper, kernel
 from ..types import Float32s, Float64s, Int32s, Int64s, Uint8s, Uint64s
 
 _BLOCK, _SPAN = 512, 32
+APART_PX = 6.0
+"""What lies nearer in an image is the same thing."""
 
 
 @dataclass(frozen=True)
@@ -45,8 +47,8 @@ def nearest_neighbours(descriptors1: Float32s, descriptors2: Float32s, k: int) -
     return Neighbours(rows, _distance(row_best), columns, _distance(column_best))
 
 
-def nearest_elsewhere(descriptors: Float32s, xy: Float64s, others: int, begin: int = 0, apart_px: float = 6.0) -> Float32s:
-    """(n - begin,) distance of each descriptor to the most similar of the first `others` that lies at least `apart_px` from it in
+def nearest_elsewhere(descriptors: Float32s, xy: Float64s, others: int, begin: int = 0) -> Float32s:
+    """(n - begin,) distance of each descriptor to the most similar of the first `others` that lies at least `APART_PX` from it in
     the image.
 
     Parameters
@@ -55,7 +57,6 @@ def nearest_elsewhere(descriptors: Float32s, xy: Float64s, others: int, begin: i
     xy : (n, 2) pixels.
     others : how many of them, from the first, are asked.
     begin : the first that asks: 0, or `others`.
-    apart_px : what lies nearer is the same thing.
     """
     best = np.full(len(descriptors), -2, np.float32)
     transposed = np.ascontiguousarray(descriptors[:others].T)
@@ -64,7 +65,7 @@ def nearest_elsewhere(descriptors: Float32s, xy: Float64s, others: int, begin: i
         among = start < others
         first = start if among else 0  # similarity has no direction: the others are compared with each other once
         rows = descriptors[start : min(start + _BLOCK, others) if among else start + _BLOCK]
-        _best_elsewhere(_products(rows, transposed[:, first:], room), start, first, xy, apart_px**2, among, best)
+        _best_elsewhere(_products(rows, transposed[:, first:], room), start, first, xy, APART_PX**2, among, best)
     return _distance(np.maximum(best[begin:], -1))
 
 

@@ -67,6 +67,8 @@ HOPELESS = -8.0
 MIN_SIGMA_PX = 2.0
 TRUST_HALF = 1.5
 """Support at which the field is trusted as much as the descriptors alone."""
+DOMINANCE, ROUNDS = 0.8, 3
+"""Of the matcher's rounds, where nothing else is asked for."""
 MIN_MATCHES = 6
 """Fewer confident matches make no field."""
 
@@ -109,9 +111,7 @@ def match_structural(
     return keypoint_matches(left, right, found.i1, found.i2, found.probability, tilted=True, searched=pairs)
 
 
-def match_guided(
-    matches: Matches, left: Features, right: Features, F: Float64s, *, dominance: float = 0.8, rounds: int = 3
-) -> Matches:
+def match_guided(matches: Matches, left: Features, right: Features, F: Float64s) -> Matches:
     """Match again around the inliers of F, with the distance to the epipolar lines as evidence.
 
     Parameters
@@ -119,7 +119,6 @@ def match_guided(
     matches : the inliers; they have keypoints.
     left, right : the keypoints that were matched.
     F : (3, 3), x2^T F x1 = 0.
-    dominance, rounds : as in `match_structural`.
 
     Returns
     -------
@@ -134,7 +133,7 @@ def match_guided(
         raise ValueError("matches without keypoints cannot be guided")
     pairs = searched_view_pairs(matches, left, right)
     known = Correspondences(matches.i1, matches.i2, matches.probability.astype(np.float64))
-    found = solve_rounds(left, right, pairs, known, dominance, rounds, F)
+    found = solve_rounds(left, right, pairs, known, DOMINANCE, ROUNDS, F)
     return keypoint_matches(left, right, found.i1, found.i2, found.probability, tilted=matches.tilted, searched=pairs)
 
 
@@ -154,7 +153,8 @@ def solve_rounds(
     left, right : keypoints of the two frames.
     pairs : their views with the candidates.
     first : matches to begin with.
-    dominance, rounds, F : as in `match_guided`; F None where none is known.
+    dominance, rounds : as in `match_structural`.
+    F : (3, 3), None where it is not known.
     """
     matches = first
     for step in range(rounds):

@@ -17,7 +17,7 @@ from ..core.rotations import angle_between_deg
 from ..matching.affine_field import fit_affine_field
 from ..matching.assignment import without_repeats
 from ..matching.candidates import ViewPair, inverses
-from ..matching.structural import Correspondences, confirmations, solve_rounds
+from ..matching.structural import DOMINANCE, ROUNDS, Correspondences, confirmations, solve_rounds
 from ..types import Bools, Features, Float64s, Int32s, View
 from .image_grid import places
 from .robust import TwoView, estimate_essential
@@ -26,8 +26,6 @@ EXPLAINED_PX = 12.0
 """A candidate this near to where the accepted matches put its keypoint is no rival."""
 CONFIRMED = 2
 """Neighbours that confirm a first match of the rival."""
-DOMINANCE, ROUNDS = 0.8, 3
-"""Of the matcher's rounds."""
 FEWEST = 8
 FREEDOMS = 5
 """Of E.  Matches of one place agree with many poses and tell one thing at most; in so few places any pattern fits some pose."""

@@ -58,20 +58,13 @@ def estimate_fundamental(x1: Float64s, x2: Float64s, threshold_px: float, seed: 
         inliers = supporters(F, x1, x2, threshold_px)
         if inliers.sum() < 8:
             return None
-        F = refine_fundamental(F, x1[inliers], x2[inliers], threshold_px)
+        F = _refined(F, x1[inliers], x2[inliers], threshold_px)
     inliers = supporters(F, x1, x2, threshold_px)
     return TwoView(F, inliers) if inliers.sum() >= 8 else None
 
 
-def refine_fundamental(F: Float64s, x1: Float64s, x2: Float64s, threshold_px: float) -> Float64s:
-    """The F of rank 2 near `F` with the least Cauchy-weighted Sampson distances.
-
-    Parameters
-    ----------
-    F : (3, 3), from which to start.
-    x1, x2 : (n, 2) pixels of the correspondences.
-    threshold_px : scale of the loss.
-    """
+def _refined(F: Float64s, x1: Float64s, x2: Float64s, threshold_px: float) -> Float64s:
+    """The F of rank 2 near `F` with the least Cauchy-weighted Sampson distances."""
     loss = {"loss_type": "CAUCHY", "loss_scale": 0.5 * threshold_px}
     return unit_norm(poselib.refine_fundamental(x1, x2, F, loss)[0])
 
