@@ -67,26 +67,16 @@ def net_edges(x: Float64s) -> Int32s:
     return np.vstack([triangles[:, [0, 1]], triangles[:, [2, 1]]]).astype(np.int32)
 
 
-def fit_edges(design: Float64s, target: Float64s, edges: Int32s, robust: bool) -> Float64s:
-    """Coefficients (2,) that best carry the differences of `design` (n, 2) over `edges` into those of `target` (n,).
+def _fit_edges(design: Float64s, target: Float64s, edges: Int32s, robust: bool) -> Float64s:
+    """Coefficients (2,) that best carry the differences of `design` (n, 2) over `edges` (m, 2) into those of `target` (n,).
 
-    Parameters
-    ----------
-    design : (n, 2) values at the points.
-    target : (n,) values that they are to follow.
-    edges : (m, 2) pairs of points whose differences count.
-    robust : weights 1 / (1 + (r / 2s)^2) on squared residuals r, s their median absolute deviation, found by iteration.
+    robust: weights 1 / (1 + (r / 2s)^2) on squared residuals r, s their median absolute deviation, found by iteration.
     """
-    return _reweighted(design, target, edges, _ITERATIONS if robust else 1)
-
-
-def _reweighted(design: Float64s, target: Float64s, edges: Int32s, iterations: int) -> Float64s:
-    """Coefficients (2,) by least squares, `iterations` times, with weights from the residuals before."""
     p, q = edges[:, 0], edges[:, 1]
     D1, D2, d = design[p, 0] - design[q, 0], design[p, 1] - design[q, 1], target[p] - target[q]
     weights, x, y = np.ones(len(d)), np.float64(0.0), np.float64(0.0)
     with np.errstate(divide="ignore", invalid="ignore"):  # edges that say nothing give nan
-        for _ in range(iterations):  # two well-scaled columns: normal equations lose nothing
+        for _ in range(_ITERATIONS if robust else 1):  # two well-scaled columns: normal equations lose nothing
             a, b = weights * D1, weights * D2
             aa, ab, bb, ad, bd = (np.cumsum(terms)[-1] for terms in (a * D1, a * D2, b * D2, a * d, b * d))
             before = x, y
@@ -109,7 +99,7 @@ def _fit(F: Float64s, x1: Float64s, x2: Float64s, size: tuple[int, int], robust:
     points = m / (m @ row3_n)[:, None]
     # row1 = B ab + c row3: row3 maps every point to 1, so edges say nothing about c, and B spans the rest
     B = np.linalg.svd(row3_n[None])[2][1:].T
-    ab = fit_edges(points @ B, target[:, 0], net_edges(target), robust)
+    ab = _fit_edges(points @ B, target[:, 0], net_edges(target), robust)
     c = np.median(target[:, 0] - points @ (B @ ab))
     return Homographies(np.stack([(B @ ab + c * row3_n) @ N, row2, row3]), H2)
 
@@ -182,6 +172,6 @@ def calibrated(pair: MatchedPair, left: Camera, right: Camera) -> Homographies:
     H1, H2 = fusiello(left, right)
     chosen = control_points(pair.x1, pair.probability, (left.width, left.height))
     y1, y2 = apply_homography(H1, pair.x1[chosen]), apply_homography(H2, pair.x2[chosen])
-    a, b = fit_edges(y1, y2[:, 0], net_edges(y2), robust=True)
+    a, b = _fit_edges(y1, y2[:, 0], net_edges(y2), robust=True)
     c = np.median(y2[:, 0] - y1 @ np.array([a, b]))
     return Homographies(np.array([[a, b, c], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]) @ H1, H2)

@@ -17,12 +17,16 @@ _ENOUGH = 1000
 """Matches that tell their order, or their best homography, as well as more do."""
 
 
-def order_agreement(y1: Float64s, y2: Float64s, bands: int = 12) -> float:
+_BANDS, _ACROSS, _DOWN = 12, 4, 3
+"""Bands of rows in which that order is told, and parts of an image, each left out in turn."""
+
+
+def order_agreement(y1: Float64s, y2: Float64s) -> float:
     """Spearman's rank correlation of x within bands of rows of rectified matches y1, y2 (n, 2): near 1 if right, any value if F
-    is wrong.  All bands hold equally many; up to `bands` - 1 matches of the last rows are left over."""
+    is wrong.  All bands hold equally many; up to 11 matches of the last rows are left over."""
     step = max(1, -(-len(y1) // _ENOUGH))
     y1, y2 = y1[::step], y2[::step]
-    count = max(1, min(bands, len(y1) // 8))
+    count = max(1, min(_BANDS, len(y1) // 8))
     n = len(y1) // count
     if n < 2:
         return 1.0
@@ -104,12 +108,12 @@ def line_uncertainty(
     return np.asarray(np.linalg.norm(parts, axis=1), dtype=np.float64)
 
 
-def _parts(x: Float64s, across: int = 4, down: int = 3) -> Int64s:
+def _parts(x: Float64s) -> Int64s:
     """(n,) which of 4 x 3 parts of the image, that hold equally many points, each point (n, 2) belongs to."""
     part = np.empty(len(x), dtype=np.int64)
-    for i, column in enumerate(_split(np.argsort(x[:, 0]), across)):
-        for j, rows in enumerate(_split(column[np.argsort(x[column, 1])], down)):
-            part[rows] = i * down + j
+    for i, column in enumerate(_split(np.argsort(x[:, 0]), _ACROSS)):
+        for j, rows in enumerate(_split(column[np.argsort(x[column, 1])], _DOWN)):
+            part[rows] = i * _DOWN + j
     return part
 
 
