@@ -8,6 +8,12 @@ import numpy as np
 from ..core.jit import kernel
 from ..types import Bools, Float32s
 
+_STEEP = 0.15
+"""How fast the tolerance falls where disparity is steep or torn."""
+_STEP_X, _STEP_Y = 1.5, 4.0
+"""Neighbours whose disparities differ by no more, in a row and between rows, are connected: ground seen at a low angle moves by
+several pixels from row to row, never along one."""
+
 
 @kernel
 def disagreement(one: Float32s, other: Float32s, sign: int) -> Float32s:
@@ -27,9 +33,9 @@ def disagreement(one: Float32s, other: Float32s, sign: int) -> Float32s:
     return difference
 
 
-def agreeing(one: Float32s, other: Float32s, sign: int, tolerance_px: float, steep: float = 0.15) -> Bools:
+def agreeing(one: Float32s, other: Float32s, sign: int, tolerance_px: float) -> Bools:
     """(h, w) bool: the other view agrees within `tolerance_px`, and more closely where disparity is steep or torn: the tolerance
-    is divided by 1 + `steep` times the range of disparities within 5x5 pixels.
+    is divided by 1 + `_STEEP` times the range of disparities within 5x5 pixels.
 
     There, errors are larger than the disagreement tells: both views stretch the same edge over what lies behind it.
 
@@ -39,14 +45,13 @@ def agreeing(one: Float32s, other: Float32s, sign: int, tolerance_px: float, ste
     other : (h, w) disparity of the other view.
     sign : -1 for the left view, 1 for the right one.
     tolerance_px : on flat surfaces, pixels.
-    steep : how fast the tolerance falls where disparity is steep or torn.
     """
     difference = disagreement(one, other, sign)
     known = difference <= tolerance_px
     window = np.ones((5, 5), dtype=np.uint8)
     highest = cv2.dilate(np.where(known, one, np.float32(-1e6)), window)
     lowest = cv2.erode(np.where(known, one, np.float32(1e6)), window)
-    return np.asarray(known & (difference * (1 + steep * (highest - lowest)) <= tolerance_px))
+    return np.asarray(known & (difference * (1 + _STEEP * (highest - lowest)) <= tolerance_px))
 
 
 def lands_on(valid_other: Bools, disparity: Float32s, sign: int) -> Bools:
@@ -58,21 +63,10 @@ def lands_on(valid_other: Bools, disparity: Float32s, sign: int) -> Bools:
     return np.asarray(inside & np.take_along_axis(valid_other, np.clip(column, 0, width - 1), axis=1), dtype=np.bool_)
 
 
-def without_speckles(disparity: Float32s, smallest_px: int, step_x: float = 1.5, step_y: float = 4.0) -> Float32s:
-    """Disparity without connected pieces of fewer than `smallest_px` pixels.
-
-    Neighbours are connected if they differ by at most `step_x` in a row, `step_y` between rows: ground seen at a low angle
-    moves by several pixels from row to row, never along one.
-
-    Parameters
-    ----------
-    disparity : (h, w), nan where unknown.
-    smallest_px : pixels of a piece that stays.
-    step_x : between neighbours in a row, pixels of disparity.
-    step_y : between neighbours in a column, pixels of disparity.
-    """
+def without_speckles(disparity: Float32s, smallest_px: int) -> Float32s:
+    """Disparity (h, w), nan where unknown, without connected pieces of fewer than `smallest_px` pixels."""
     kept = disparity.copy()
-    _drop_speckles(kept, smallest_px, step_x, step_y)
+    _drop_speckles(kept, smallest_px, _STEP_X, _STEP_Y)
     return kept
 
 
