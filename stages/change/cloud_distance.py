@@ -211,10 +211,10 @@ def one_of_each_cell(points: Float64s, edge: float) -> Int64s:
     return np.sort(first)
 
 
-def spacing_of(points: Float64s, sample: int = 5000) -> float:
+def spacing_of(points: Float64s) -> float:
     """Median distance of a point (n, 3) from its nearest neighbour, of every so manieth point."""
     tree = cKDTree(points, balanced_tree=False, compact_nodes=False)
-    distances, _ = tree.query(points[:: max(1, len(points) // sample)], k=2, workers=1)
+    distances, _ = tree.query(points[:: max(1, len(points) // 5000)], k=2, workers=1)
     return max(float(np.median(distances[:, 1])) if len(points) > 1 else 1.0, 1e-9)
 
 

@@ -31,7 +31,7 @@ def coverage_files(coverage: Coverage) -> Iterator[tuple[str, bytes]]:
             "best angle between rays, degrees": coverage.angle_deg,
             "expected error, metres": coverage.error,
         }
-        yield "coverage.tif", on_the_map(coverage.grid, coverage.heights, layers, coverage.crs)
+        yield "coverage.tif", _on_the_map(coverage.grid, coverage.heights, layers, coverage.crs)
 
 
 def coverage_layer(coverage: Coverage) -> bytes:
@@ -56,20 +56,11 @@ def coverage_preview(coverage: Coverage, poses: Poses | None = None) -> Uint8s:
     return jpeg(_map(coverage, cameras), _QUALITY)
 
 
-def on_the_map(grid: GroundGrid, heights: Float32s, layers: Mapping[str, Float32s], crs: str) -> bytes:
-    """GeoTIFF, float32, nan where unknown: layers (rows, columns) by what they hold, in the UTM zone of the site.
+def _on_the_map(grid: GroundGrid, heights: Float32s, layers: Mapping[str, Float32s], crs: str) -> bytes:
+    """GeoTIFF of layers (rows, columns) by what they hold, in the UTM zone of the site, whose local frame is `crs`.
 
-    Parameters
-    ----------
-    grid : of the layers, in the local frame.
-    heights : (rows, columns) of the surface along the grid's up: north on the map hardly depends on it.
-    layers : what the bands hold, and their description.
-    crs : the local frame's.
-
-    Raises
-    ------
-    ValueError
-        No map has the place.
+    heights: (rows, columns) of the surface along the grid's up; north on the map hardly depends on it.  Raises ValueError for a
+    place that no map has.
     """
     from scipy.spatial import cKDTree
 
@@ -156,7 +147,7 @@ def changes_files(changes: Changes) -> Iterator[tuple[str, bytes | Columns]]:
         yield f"change-{number}.jpg", jpeg(image, _QUALITY).tobytes()
     if changes.crs:
         layers = {"tonight's height less that of the reference, metres": changes.difference}
-        yield "changes.tif", on_the_map(changes.grid, changes.difference, layers, changes.crs)
+        yield "changes.tif", _on_the_map(changes.grid, changes.difference, layers, changes.crs)
 
 
 def changes_columns(changes: Changes) -> Columns:

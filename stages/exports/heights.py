@@ -60,10 +60,10 @@ def height_map(points: Float64s, cell: float | None = None) -> HeightMap:
     return HeightMap(heights.reshape(rows, columns), left, top, edge, int(np.sum(~inside)))
 
 
-def spacing(points: Float64s, sample: int = 20_000) -> float:
+def spacing(points: Float64s) -> float:
     """Median distance of a point from its nearest neighbour."""
     centred = points - points.mean(axis=0)
-    asked = centred[:: max(1, len(points) // sample)]
+    asked = centred[:: max(1, len(points) // 20_000)]
     distances, _ = cKDTree(centred).query(asked, k=2)
     return float(np.median(distances[:, 1])) if len(points) > 1 else 1.0
 

@@ -43,20 +43,15 @@ class Mesh:
     """(m, 3) int32, counterclockwise seen from outside."""
 
 
-def poisson_mesh(cloud: Cloud, depth: int | None = None, coarser: int = 0) -> Mesh:
-    """Mesh of a cloud.
+def poisson_mesh(cloud: Cloud, coarser: int = 0) -> Mesh:
+    """Mesh of a cloud with normals; cells of the octree are about as wide as points are apart.
 
-    Parameters
-    ----------
-    cloud : with normals.
-    depth : of the octree; None: so that its cells are about as wide as points are apart.
-    coarser : so many times its cells are twice as wide then: for a surface whose detail is in the photographs on it.
+    coarser: so many times they are twice as wide: for a surface whose detail is in the photographs on it.
     """
     points = cloud.points.astype(np.float64)
     middle = points.mean(axis=0)
-    if depth is None:
-        span = float(np.ptp(points, axis=0).max()) * 1.1
-        depth = int(np.clip(np.ceil(np.log2(span / spacing(points))), 5, DEEPEST)) - coarser
+    span = float(np.ptp(points, axis=0).max()) * 1.1
+    depth = int(np.clip(np.ceil(np.log2(span / spacing(points))), 5, DEEPEST)) - coarser
     source = point_cloud(replace(cloud, points=points - middle))
     # one thread: sums in the same order, the same bytes
     surface, levels = open3d.geometry.TriangleMesh.create_from_point_cloud_poisson(source, depth=depth, n_threads=1)

@@ -35,29 +35,21 @@ def pair_files(
     matches : what was matched.
     geometry, rectification, disparity : what came of it; None where it did not come so far.
     """
-    files = matching_files(matches, geometry, left, right)
+    files = _matching_files(matches, geometry, left, right)
     summary: dict[str, Any] = {}
     if rectification is not None:
-        files |= rectified_files(rectification, left, right)
+        files |= _rectified_files(rectification, left, right)
         names = ("method", "reason", "H1", "H2", "disparity_min_px", "disparity_max_px")
         summary |= {f"rectification_{name}": _plain(getattr(rectification, name)) for name in names}
         if disparity is not None:
-            made, offset = disparity_files(disparity, rectification, left, right)
+            made, offset = _disparity_files(disparity, rectification, left, right)
             files |= made
             summary |= {"png_offset_px": offset, "png_steps_per_px": PNG_STEPS}
     return files, summary
 
 
-def matching_files(matches: Matches, geometry: Geometry | None, left: Frame, right: Frame) -> dict[str, bytes]:
-    """matches.csv, and where there is a geometry inliers.csv and F.txt; a picture of each.
-
-    Parameters
-    ----------
-    matches : of the pair.
-    geometry : None where none was found.
-    left : the frame that x1 lies in.
-    right : the frame that x2 lies in.
-    """
+def _matching_files(matches: Matches, geometry: Geometry | None, left: Frame, right: Frame) -> dict[str, bytes]:
+    """matches.csv, and where there is a geometry inliers.csv and F.txt; a picture of each."""
     files = {"matches.csv": _table(matches), "1-matches.jpg": bytes(matches_preview(matches, left, right, width=FULL))}
     if geometry is not None:
         rows = "\n".join(" ".join(f"{v:.12e}" for v in row) for row in geometry.F)
@@ -66,7 +58,7 @@ def matching_files(matches: Matches, geometry: Geometry | None, left: Frame, rig
     return files
 
 
-def rectified_files(rectification: Rectification, left: Frame, right: Frame) -> dict[str, bytes]:
+def _rectified_files(rectification: Rectification, left: Frame, right: Frame) -> dict[str, bytes]:
     """left-rectified.png, right-rectified.png and a picture of both with common rows."""
     return {
         "left-rectified.png": png(warp(rectification, 1, left.image)),
@@ -75,19 +67,12 @@ def rectified_files(rectification: Rectification, left: Frame, right: Frame) -> 
     }
 
 
-def disparity_files(
+def _disparity_files(
     disparity: Disparity, rectification: Rectification, left: Frame, right: Frame
 ) -> tuple[dict[str, bytes], int]:
     """Disparity of both rectified views as 16-bit PNG and PFM, a picture, and the offset of the PNGs in pixels.
 
     PNG: 0 is unknown, else disparity = (value - 1) / 16 + offset.  PFM: float32, bottom row first, infinite where unknown.
-
-    Parameters
-    ----------
-    disparity : of both rectified views.
-    rectification : how the frames are resampled.
-    left : frame of the left camera.
-    right : frame of the right camera.
     """
     maps = {"left": disparity_px(disparity, 1), "right": disparity_px(disparity, 2)}
     known = np.concatenate([m[np.isfinite(m)] for m in maps.values()])
