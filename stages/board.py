@@ -322,13 +322,7 @@ def _cost(guess: _Guess, boards: Sequence[Float64s], corners: Sequence[Float64s]
 def _equations(
     guess: _Guess, boards: Sequence[Float64s], corners: Sequence[Float64s], model: str
 ) -> tuple[float, Float64s, Float64s]:
-    """Cost, normal matrix and right side.
-
-    Parameters
-    ----------
-    guess : where the boards are, and the lens.
-    boards, corners, model : as of `fit_lens`.
-    """
+    """Cost, normal matrix and right side; boards, corners, model: as of `fit_lens`."""
     count = len(guess.intrinsics)
     whole = count + 6 * len(boards)
     normal, right, cost = np.zeros((whole, whole)), np.zeros(whole), 0.0

@@ -101,16 +101,7 @@ def _listed(faults: Sequence[BadCapture]) -> str:
 def _one_frame(
     clean: Sequence[_Clean], mask: Capture | None, asked: tuple[bool, bool], captures: Sequence[Capture], notes: list[str]
 ) -> Frame:
-    """The frame of clean pictures of one size.
-
-    Parameters
-    ----------
-    clean : one or more.
-    mask : as of `clean_frame`.
-    asked : whether overlays are masked, and noise is taken off.
-    captures : the files that they are from.
-    notes : what is to be said so far.
-    """
+    """The frame of clean pictures of one size; asked: whether overlays are masked, and noise is taken off."""
     overlays, denoise = asked
     camera, images, names = clean[0].camera, [each.image for each in clean], [each.name for each in clean]
     height, width = images[0].shape[:2]

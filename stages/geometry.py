@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
 
 import cv2
 import numpy as np
@@ -122,9 +121,9 @@ def estimate_geometry(
         return Rejected(Reason.WRONG_MATCHES, figures | {"cells": GRID_COLUMNS * GRID_ROWS})
     warnings = _warnings(support, contradicted, few_inliers, small_area, min_inliers)
     accepted = _accepted(inliers, found, support, evidence, score)
-    return replace(
-        accepted, matches=len(before.x1), noise_px=noise[found.inliers].astype(np.float32), **_lens(lenses), warnings=warnings
-    )
+    if lenses is not None:
+        accepted = replace(accepted, lens1=lenses.K1, lens2=lenses.K2, implausibility=lenses.implausibility)
+    return replace(accepted, matches=len(before.x1), noise_px=noise[found.inliers].astype(np.float32), warnings=warnings)
 
 
 def _accepted(inliers: Matches, found: TwoView, support: _Support, evidence: PairEvidence, score: float) -> Geometry:
@@ -308,11 +307,6 @@ def _lenses_to_use(matches: Matches, use_intrinsics: bool) -> tuple[View, View]:
     if use_intrinsics:
         return view1, view2
     return View(view1.width, view1.height), View(view2.width, view2.height)
-
-
-def _lens(lenses: TwoCameras | None) -> dict[str, Any]:
-    """The fields of `Geometry` that say which lenses go with F."""
-    return {} if lenses is None else {"lens1": lenses.K1, "lens2": lenses.K2, "implausibility": lenses.implausibility}
 
 
 def _sizes(matches: Matches, left: Features, right: Features) -> Float64s:

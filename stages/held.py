@@ -112,17 +112,15 @@ def _shared(healths: Mapping[str, CameraHealth], views: Mapping[str, View]) -> d
     for name in usable:
         own = views[name].lens
         alike = [n for n in usable if same_camera(views[name], views[n])]
-        best = max(alike, key=lambda n: (usable[n].corrected or _lost(usable[n]), _patches(usable[n])), default=name)
+        best = max(
+            alike, key=lambda n: (usable[n].corrected or _lost(usable[n]), usable[n].figures.get("patches", 0.0)), default=name
+        )
         theirs, turn = views[best].lens, usable[best].turn
         if best != name and own and theirs and own.turn is not None and theirs.turn is not None:
             to_own = own.turn @ theirs.turn.T
             turned = None if turn is None else to_own @ turn @ to_own.T
             found[name] = replace(usable[best], turn=turned, homography=usable[name].homography)
     return found
-
-
-def _patches(health: CameraHealth) -> float:
-    return float(health.figures.get("patches", 0.0))
 
 
 def _with_solved(held: Poses, found: Poses | Rejected, lost: list[str]) -> Poses:

@@ -148,12 +148,8 @@ def _checked(
 ) -> Poses:
     """What the images say of known poses, with the cameras that were found.
 
-    Parameters
-    ----------
-    found : all cameras.
-    stages : known cameras as stated; those that have not moved, as adjusted; and these with those that nothing checks.
-    moved, seen, told : the moved cameras; the pairs of known cameras; and what they say of the adjusted ones.
-    max_epipolar_px : see `solve_poses`.
+    stages: known cameras as stated; those that have not moved, as adjusted; and these with those that nothing checks.
+    seen, evidence: the pairs of known cameras, and what they say of the adjusted ones.
     """
     known, cameras, trusted = stages
     checks = check_cameras(cameras, seen, evidence)

@@ -162,7 +162,8 @@ def _by_matches(
         return Rejected(Reason.NOTHING_KNOWN), 0
     min_matches, max_row_error_px, min_angle_deg, range_margin = limits
     pair = _obeying(geometry, left, right)
-    refusal = _contradicted(check) or _unbelievable(geometry, pair, min_angle_deg)
+    contradicted = None if check is None or check.kept else Rejected(Reason(check.code), words=check.reason)
+    refusal = contradicted or _unbelievable(geometry, pair, min_angle_deg)
     found = refusal or _unusable(len(geometry.x1), pair, min_matches, min_angle_deg) or fitted(pair)
     if isinstance(found, Rejected):
         return found, len(pair.x1)
@@ -284,10 +285,6 @@ def _not_beneath(plane: Float64s, cameras: tuple[Camera, Camera], x1: Float64s, 
     depth, _ = triangulate_depth(*cameras, x1, x2)
     line = inverse_depth_line(cameras[0], plane)
     return np.asarray(1 / depth >= x1 @ line[:2] + line[2])
-
-
-def _contradicted(check: PairCheck | None) -> Rejected | None:
-    return None if check is None or check.kept else Rejected(Reason(check.code), words=check.reason)
 
 
 def _obeying(geometry: Geometry, left: Camera | None, right: Camera | None) -> MatchedPair:

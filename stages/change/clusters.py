@@ -193,14 +193,8 @@ def _footprint(
 ) -> Footprint | None:
     """The ground that changed points cover; None where nothing is known of what was below, or they hardly stand above it.
 
-    Parameters
-    ----------
-    side, rows : the points.
-    around : (rows, columns) the cells over which they are...
-    same : ...and those that are as they were.
-    grid, other : of the ground, and the other night's points over it.
-    spacing : of the points.
-    trimmed : without those that too few cameras see through.
+    rows: of the side; around, same: (rows, columns) the cells over which they are, and those that are as they were; trimmed:
+    without points that too few cameras see through.
     """
     points, count = side.core[rows], grid.rows * grid.columns
     levels, cells = points @ grid.axes[2], cells_of(grid, points)
@@ -244,12 +238,7 @@ def _described(
 ) -> Change | None:
     """Place, size and volume of what changed points make; None where the volume is hardly more than its error.
 
-    Parameters
-    ----------
-    side, rows : the points.
-    footprint : the ground that they cover.
-    grid, spacing : of the ground, and of the points.
-    swept_volume : between both nights' surfaces, as distances tell it.
+    swept_volume: between both nights' surfaces, as distances tell it.
     """
     covers = np.zeros((grid.rows, grid.columns), bool)
     covers.ravel()[footprint.cells] = True

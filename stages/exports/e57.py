@@ -66,15 +66,9 @@ def _write(path: str, columns: dict[str, npt.NDArray[np.float64]], points: Float
 def _scan(
     file: libe57.ImageFile, columns: dict[str, npt.NDArray[np.float64]], points: Float64s, named: str, where: str
 ) -> libe57.CompressedVectorNode:
-    """The tree of the file, and the node that its points go into.
+    """The tree of the file, and the node that its points (n, 3) go into.
 
-    Parameters
-    ----------
-    file : open for writing.
-    columns : what each point has, by name.
-    points : (n, 3) where they are.
-    named : a name that no other cloud has.
-    where : the coordinate system; "" for a local one.
+    columns: what each point has; named: as no other cloud is; where: the coordinate system, "" for a local one.
     """
     file.extensionsAdd("", libe57.E57_V1_0_URI)
     file.extensionsAdd(*_NORMALS)

@@ -75,14 +75,10 @@ def geopackage_bytes(layers: dict[str, list[Feature]], place: Georeference, day:
             names = list(features[0].properties)
             columns: list[Any] = [np.array([feature.properties[name] for feature in features]) for name in names]
             columns = [column.astype(object) if column.dtype.kind == "U" else column for column in columns]
-            shapes = np.array([_wkb(point) for point in points], dtype=object)
+            wkb = struct.Struct("<BI3d")  # well-known binary of a point with height
+            shapes = np.array([wkb.pack(1, 1001, *point) for point in points], dtype=object)
             pyogrio.raw.write(
                 *(path, shapes, columns, names),
                 layer=layer, driver="GPKG", geometry_type="Point Z", crs=f"EPSG:{place.epsg}", append=path.exists(),
             )  # fmt: skip
         return path.read_bytes()
-
-
-def _wkb(point: Float64s) -> bytes:
-    """Return a point with height as well-known binary."""
-    return struct.pack("<BI3d", 1, 1001, *point)

@@ -58,14 +58,9 @@ def _tile(cloud: Cloud, rows: Int64s) -> bytes:
 
 
 def _table(words: dict[str, Any], columns: Mapping[str, Any], form: Mapping[str, str], begin: int) -> tuple[bytes, bytes]:
-    """The two parts of a table of columns: JSON, and the bytes that it refers to.
+    """The two parts of a table of columns: JSON with further `words`, and the bytes that it refers to.
 
-    Parameters
-    ----------
-    words : further entries of the JSON.
-    columns : by name.
-    form : what each column's entry says of its numbers.
-    begin : how many bytes stand before it since the last multiple of `_ALIGNED`.
+    form: what each column's entry says of its numbers; begin: bytes before the table since the last multiple of `_ALIGNED`.
     """
     data = b""
     for name, values in columns.items():

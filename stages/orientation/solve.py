@@ -46,7 +46,7 @@ def solve_from_pairs(
     stated : cameras whose intrinsics and poses are both known, by id.
     usual : what the check of the site's loops goes by.
     """
-    exact = {name: camera for name, camera in stated.items() if _exact(placements[name])}
+    exact = {n: camera for n, camera in stated.items() if placements[n].sigma_m == 0 and placements[n].sigma_deg == 0}
     graph = ViewGraph.of(views, _obeying(exact, geometries, max_epipolar_px))
     trusted, dropped = graph.consistent(max_rotation_error_deg, usual)
     number = {name: view for view, name in enumerate(graph.names)}
@@ -85,10 +85,6 @@ def _unsure_lenses(graph: ViewGraph, worlds: list[World]) -> dict[str, LensSigma
     """The solved lenses that the observations do not tell."""
     sigmas = {graph.names[view]: sigma for world in worlds for view, sigma in lens_sigmas(world.model).items()}
     return {name: sigmas[name] for name in graph.names if name in sigmas and not sigmas[name].border_px <= MOST_SIGMA_PX}
-
-
-def _exact(placement: Placement) -> bool:
-    return placement.sigma_m == 0 and placement.sigma_deg == 0
 
 
 def _obeying(exact: Mapping[str, Camera], geometries: Mapping[Pair, Geometry], max_epipolar_px: float) -> dict[Pair, Geometry]:

@@ -358,17 +358,12 @@ def _filtered(model: Model) -> Model:
     """Only observations that fit, and points that two of them see at an angle."""
     tracks, error = model.tracks, model.error_px()
     with np.errstate(invalid="ignore"):
-        use = model.use & (error < _limit(error[model.use]))
+        use = model.use & (error < min(LOOSE_PX, max(NOISES * _noise(error[model.use]), 1e-9)))
     wide = angles(model.cameras, tracks, model.X, use) >= MIN_ANGLE
     enough = np.bincount(tracks.track[use], minlength=tracks.count) >= 2
     use &= (wide & enough)[tracks.track]
     X = np.where((wide & enough)[:, None], model.X, np.nan)
     return replace(model, X=X, use=use)
-
-
-def _limit(error: Float64s) -> float:
-    """Largest error of a right observation: `NOISES` standard deviations of their core (Rayleigh), at most `LOOSE_PX`."""
-    return min(LOOSE_PX, max(NOISES * _noise(error), 1e-9))
 
 
 def _noise(error: Float64s) -> float:

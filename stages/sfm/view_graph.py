@@ -183,7 +183,8 @@ def _vote(
 
     A pair likes focal lengths that give its essential matrix two equal singular values.  Tried in turn until none changes.
     """
-    focal = {k: (start or {}).get(k) or _first_guess(views[k]) for k in lenses}
+    first = {k: FIRST * view.width if view.K is None else float(view.K[0, 0]) for k, view in enumerate(views)}
+    focal = {k: (start or {}).get(k) or first[k] for k in lenses}
     for _ in range(SWEEPS):
         before = dict(focal)
         for lens in sorted(set(lenses.values())):
@@ -215,10 +216,6 @@ def _candidates(view: View, grid: Float64s | None, known: Float64s | None, focal
     return _centred(view, focal)[None]
 
 
-def _first_guess(view: View) -> float:
-    return FIRST * view.width if view.K is None else float(view.K[0, 0])
-
-
 def _centred(view: View, focal: float) -> Float64s:
     K = view.K
     cx, cy = (0.5 * (view.width - 1), 0.5 * (view.height - 1)) if K is None else (K[0, 2], K[1, 2])
@@ -243,15 +240,12 @@ def relative_rotations(geometries: Mapping[Edge, Geometry], lenses: Lenses) -> d
 
 def unsure_deg(geometries: Mapping[Edge, Geometry], lenses: Lenses) -> dict[Edge, float]:
     """How far the rotation of each pair turns where the focal lengths that are only guessed are longer by `GUESS_SIGMA`."""
-    longer = replace(lenses, K={k: _longer(K) if k in lenses.solved else K for k, K in lenses.K.items()})
+    longer = np.diag([1 + GUESS_SIGMA, 1 + GUESS_SIGMA, 1.0])
+    longer_lenses = replace(lenses, K={k: K @ longer if k in lenses.solved else K for k, K in lenses.K.items()})
     guessed = {edge: g for edge, g in geometries.items() if (edge[0] in lenses.solved or edge[1] in lenses.solved)}
     found = {}
-    for edge, other in relative_rotations(guessed, longer).items():
+    for edge, other in relative_rotations(guessed, longer_lenses).items():
         R = geometries[edge].cam2_R_cam1
         if R is not None and other.cam2_R_cam1 is not None:
             found[edge] = angle_between_deg(other.cam2_R_cam1, R)
     return found
-
-
-def _longer(K: Float64s) -> Float64s:
-    return K @ np.diag([1 + GUESS_SIGMA, 1 + GUESS_SIGMA, 1.0])

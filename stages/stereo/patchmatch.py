@@ -137,7 +137,7 @@ def _planes_then(pair: RectifiedPair) -> Float32s:
 def _coarse_planes(pair: RectifiedPair, large: bool) -> list[Float32s]:
     """Planes (3, h, w) of both views, those of the right one in a mirror, found at half the size."""
     small = halved(pair)
-    views = _matched_views(small) if large else _propagated(small, _start(small), 1)
+    views = _matched_views(small) if large else _propagated(small, _as_planes(small, match_census_sgm(small)), 1)
     return [_doubled(view.settled(), pair.left.shape) for view in views]
 
 
@@ -152,13 +152,8 @@ def _propagated(pair: RectifiedPair, start: Sequence[Float32s], rounds: int) -> 
     return views
 
 
-def _start(pair: RectifiedPair) -> tuple[Float32s, Float32s]:
-    """Planes (3, h, w) of both views, those of the right one in a mirror, from semi-global matching; holes filled."""
-    return _as_planes(pair, match_census_sgm(pair))
-
-
 def _as_planes(pair: RectifiedPair, found: DenseMatches) -> tuple[Float32s, Float32s]:
-    """The same from what a matcher found."""
+    """Planes (3, h, w) of both views, those of the right one in a mirror, from what a matcher found; holes filled."""
     planes1 = _planes_of(found.left, found.right, pair.valid_left, -1)
     planes2 = _planes_of(found.right, found.left, pair.valid_right, 1)
     return planes1, planes2[:, :, ::-1] * np.array([[[1]], [[-1]], [[1]]], dtype=np.float32)

@@ -51,13 +51,7 @@ def _plane_disparity(
 ) -> Float32s:
     """(h, w) disparity of the ground, or of a plane beneath it, in one rectified image; nan where that looks above the horizon.
 
-    Parameters
-    ----------
-    rectification : of the pair.
-    ground : where the ground is.
-    plane : (3, 3) homography of the plane, frame 1 to frame 2.
-    side : 1 or 2: which image.
-    shape : of the rectified images.
+    plane: (3, 3) homography of the plane, frame 1 to frame 2.
     """
     y, x = np.mgrid[0 : shape[0], 0 : shape[1]].reshape(2, -1)
     at = np.column_stack([x, y]).astype(np.float64)

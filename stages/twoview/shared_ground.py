@@ -49,7 +49,8 @@ def shared_ground(cameras: list[Camera]) -> tuple[Int64s, Float64s, Float64s]:
             if i != j:
                 visible = _visible(other, points)
                 seen[i, j] = visible.mean()
-                angle[i, j] = _median_angle(points[visible] if visible.any() else points, camera.C, other.C)
+                some = points[visible] if visible.any() else points
+                angle[i, j] = np.median(ray_angles(some - camera.C, some - other.C))
     pairs = np.array(list(combinations(range(n), 2)), np.int64)
     i, j = pairs.T
     return pairs, 0.5 * (angle[i, j] + angle[j, i]), 0.5 * (seen[i, j] + seen[j, i])
@@ -84,14 +85,8 @@ def _frustum(camera: Camera) -> Float64s:
 
 
 def _median_angles(rays: Float32s, apart: Float32s, visible: Bools) -> Float32s:
-    """(m,) median angle in radians at which points are seen from the origin and from other places, of those that are visible.
-
-    Parameters
-    ----------
-    rays : (p, 3) points.
-    apart : (m, 3) the other places.
-    visible : (m, p) at least one in each row.
-    """
+    """(m,) median angle in radians at which points (p, 3) are seen from the origin and from other places `apart` (m, 3), of those
+    that are visible (m, p): at least one in each row."""
     along = apart @ rays.T
     square = np.einsum("pk,pk->p", rays, rays)
     there = np.einsum("mk,mk->m", apart, apart)[:, None] + square - 2 * along
@@ -145,8 +140,3 @@ def _visible(camera: Camera, points: Float64s) -> Bools:
     x, depth = project(camera, points)
     inside = (x[:, 0] >= -0.5) & (x[:, 1] >= -0.5) & (x[:, 0] < camera.width - 0.5) & (x[:, 1] < camera.height - 0.5)
     return np.asarray(inside & (depth > 0))
-
-
-def _median_angle(points: Float64s, C1: Float64s, C2: Float64s) -> float:
-    """Median angle in radians at which two centres see the points."""
-    return float(np.median(ray_angles(points - C1, points - C2)))
