@@ -91,22 +91,16 @@ def examine(
 
     Parameters
     ----------
-    frame
-        Tonight's.
-    pinned_frame, pinned_camera
-        The reference's, and the camera that took it; without them only what the frame itself shows is judged.
-    usual
-        What earlier nights measured: a camera that sways is not shifted whenever it does.
-    nudged_px
-        A camera whose picture has moved by more (median over the picture) is shifted, in pixels of the frame; and its pose is
-        corrected.  Where it usually sways by more, three standard deviations of that count.
-    moved_deg
-        One that has turned by more is moved, in degrees.  It is corrected, too, where a turn explains what is seen; else it is
-        solved anew from the others.
-    flat
-        A picture of which a larger share than this shows nothing (covered, fog, no light) is obscured.
-    dark
-        So is one whose contrast (5 to 95 %) is below this, in grey levels of 255.
+    frame : tonight's.
+    pinned_frame, pinned_camera : the reference's, and the camera that took it; without them only what the frame itself shows is
+        judged.
+    usual : what earlier nights measured: a camera that sways is not shifted whenever it does.
+    nudged_px : a camera whose picture has moved by more (median over the picture) is shifted, in pixels of the frame; and its
+        pose is corrected.  Where it usually sways by more, three standard deviations of that count.
+    moved_deg : one that has turned by more is moved, in degrees.  It is corrected, too, where a turn explains what is seen; else
+        it is solved anew from the others.
+    flat : a picture of which a larger share than this shows nothing (covered, fog, no light) is obscured.
+    dark : so is one whose contrast (5 to 95 %) is below this, in grey levels of 255.
     """
     now = _looks(frame)
     case = _Case(

@@ -144,9 +144,7 @@ def weigh(images: Sequence[Uint8s], names: Sequence[str], usable: Bools) -> tupl
 
     Returns
     -------
-    weights : ndarray
-        (n,) float64, 1 for a frame like the others, `POOR` for one that is blurred, dark or blinded compared with them.
-    words : list of str
+    weights (n,) float64, 1 for a frame like the others, `POOR` for one that is blurred, dark or blinded beside them; and words.
     """
     scale = min(_LONG_SIDE / max(usable.shape), 1.0)
     size = max(round(usable.shape[1] * scale), 1), max(round(usable.shape[0] * scale), 1)

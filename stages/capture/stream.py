@@ -18,12 +18,9 @@ def stream_pictures(url: str, moments: Sequence[float], patience: float) -> Iter
 
     Parameters
     ----------
-    url : str
-        With user and password, where they are needed.
-    moments : sequence of float
-        Unix times, in order.
-    patience : float
-        Seconds that opening the stream, or one picture, may take.
+    url : with user and password, where they are needed.
+    moments : Unix times, in order.
+    patience : seconds that opening the stream, or one picture, may take.
 
     Raises
     ------

@@ -29,9 +29,8 @@ def without_distortion(camera: Camera, x: Float64s) -> Float64s:
     straight = radius.copy()
     k1, k2 = camera.radial
     fold = _fold(k1, k2)
-    for _ in range(
-        20
-    ):  # Newton; the slope is bounded, since the model folds over outside the image, or in it if it is a wild guess
+    # Newton; the slope is bounded, since the model folds over outside the image, or in it if it is a wild guess
+    for _ in range(20):
         square = straight**2
         slope = np.maximum(1 + 3 * k1 * square + 5 * k2 * square**2, 0.2)
         straight = np.clip(straight - (straight * (1 + k1 * square + k2 * square**2) - radius) / slope, 0, fold)

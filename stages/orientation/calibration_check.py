@@ -147,12 +147,9 @@ def check_calibration(
 
     Parameters
     ----------
-    cameras
-        As the site states them, at working resolution, by id.
-    geometries
-        Matches of the pairs, without the stated distortion; those of other cameras confirm matches.
-    order
-        All cameras, in the order of the site.
+    cameras : as the site states them, at working resolution, by id.
+    geometries : matches of the pairs, without the stated distortion; those of other cameras confirm matches.
+    order : all cameras, in the order of the site.
     """
     if len(cameras) < 2:
         return None

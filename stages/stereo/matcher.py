@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import KW_ONLY, dataclass
-from typing import TypeVar
+from dataclasses import KW_ONLY, dataclass, replace
+from typing import Any
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
 from ..types import Bools, Float32s
-
-Pixels = TypeVar("Pixels", np.float32, np.bool_)
 
 
 @dataclass(frozen=True)
@@ -55,23 +52,12 @@ class DenseMatches:
 def mirrored(pair: RectifiedPair) -> RectifiedPair:
     """The pair in a mirror, views exchanged: its left disparity is the right disparity of `pair`, mirrored."""
 
-    def flip(a: npt.NDArray[Pixels]) -> npt.NDArray[Pixels]:
-        return np.ascontiguousarray(a[:, ::-1])
+    def flipped(name: str) -> Any:
+        image = getattr(pair, name)
+        return None if image is None else np.ascontiguousarray(image[:, ::-1])
 
-    return RectifiedPair(
-        left=flip(pair.right),
-        right=flip(pair.left),
-        valid_left=flip(pair.valid_right),
-        valid_right=flip(pair.valid_left),
-        disparity_min=pair.disparity_min,
-        disparity_max=pair.disparity_max,
-        prior_left=None if pair.prior_right is None else flip(pair.prior_right),
-        prior_right=None if pair.prior_left is None else flip(pair.prior_left),
-        floor_left=None if pair.floor_right is None else flip(pair.floor_right),
-        floor_right=None if pair.floor_left is None else flip(pair.floor_left),
-        reference_left=None if pair.reference_right is None else flip(pair.reference_right),
-        reference_right=None if pair.reference_left is None else flip(pair.reference_left),
-    )
+    sides = [(f"{what}left", f"{what}right") for what in ("", "valid_", "prior_", "floor_", "reference_")]
+    return replace(pair, **{one: flipped(other) for left, right in sides for one, other in ((left, right), (right, left))})
 
 
 def halved(pair: RectifiedPair) -> RectifiedPair:

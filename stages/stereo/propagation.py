@@ -69,16 +69,13 @@ class Propagation:
     def round(self, number: int, planes: Float32s, cost: Float32s, proposals: Float32s, trials: Trials = TRIALS) -> None:
         """Improve `planes` (3, h, w) and `cost` (h, w), which tell how dear they are (1 before the first round), in place.
 
-            Parameters
+        Parameters
         ----------
-        number : int
-            Even rounds go down, odd ones up.
-        planes : ndarray
-            (3, h, w) disparity and its slopes; improved in place.
-        cost : ndarray
-            (h, w) of the planes, 1 before the first round; improved in place.
-        proposals : ndarray
-            (3, h, w) planes that are tried first, nan where there are none.
+        number : even rounds go down, odd ones up.
+        planes : (3, h, w) disparity and its slopes; improved in place.
+        cost : (h, w) of the planes, 1 before the first round; improved in place.
+        proposals : (3, h, w) planes that are tried first, nan where there are none.
+        trials : which further planes a pixel tries.
         """
         _propagate(
             self.left, self.pairs, self.valid, planes, cost, proposals, number, *self.range,

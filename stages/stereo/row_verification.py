@@ -90,10 +90,8 @@ def match_rows(pair: RectifiedPair) -> tuple[RowAgreement, Float32s, Float32s]:
 
     Returns
     -------
-    RowAgreement
-    disparity : (h / 2, w / 2) float32
-        Of the halved left image on the rows as they are, nan where nothing matches.
-    confidence : (h / 2, w / 2) float32
+    RowAgreement; disparity and confidence, (h / 2, w / 2) float32, of the halved left image on the rows as they are, nan where
+    nothing matches.
     """
     small = halved(pair)
     common = within_reach(small.valid_left, small.valid_right, small.disparity_min, small.disparity_max, -1)

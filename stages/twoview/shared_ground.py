@@ -29,12 +29,9 @@ def shared_ground(cameras: list[Camera]) -> tuple[Int64s, Float64s, Float64s]:
 
     Returns
     -------
-    pairs : ndarray
-        (m, 2) positions in `cameras`, in their order.  Of many views, only pairs that share something.
-    angle : ndarray
-        (m,) radians at which the two see what they share; the mean of both views' medians.
-    shared : ndarray
-        (m,) share of one view that the other sees, 0 to 1; the mean of both.
+    pairs : (m, 2) positions in `cameras`, in their order.  Of many views, only pairs that share something.
+    angle : (m,) radians at which the two see what they share; the mean of both views' medians.
+    shared : (m,) share of one view that the other sees, 0 to 1; the mean of both.
     """
     if len(cameras) < 2:
         return np.zeros((0, 2), np.int64), np.zeros(0), np.zeros(0)
