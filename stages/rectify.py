@@ -120,12 +120,8 @@ def rectify(
     if enough or left is None or right is None or left_frame is None or right_frame is None:
         return _bent(_reaching_ground(by_matches, geometry, (left, right), scene, fitted), left, right)
     by_cameras = _from_cameras((left, right), (left_frame, right_frame), scene, fitted, min_angle_deg)
-    return _bent(_first_usable(by_cameras, by_matches), left, right)
-
-
-def _first_usable(*found: Rectification | Rejected) -> Rectification | Rejected:
-    """The first that is a rectification; else the first reason."""
-    return next((one for one in found if isinstance(one, Rectification)), found[0])
+    usable = by_matches if isinstance(by_cameras, Rejected) and isinstance(by_matches, Rectification) else by_cameras
+    return _bent(usable, left, right)
 
 
 def _straight(geometry: Geometry | None, left: Camera | None, right: Camera | None) -> Geometry | None:

@@ -284,7 +284,7 @@ class Epoch:
 
     def photograph(self, name: str) -> Photograph:
         """A camera with its frame."""
-        return Photograph(self.cameras[name], self.frames[name])
+        return self.cameras[name], self.frames[name]
 
     @cached_property
     def points(self) -> Float64s:

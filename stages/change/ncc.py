@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from ..core.cameras import project
@@ -24,12 +22,8 @@ _LIT = 40.0
 """...where both are so bright, at least: what is dark shows nothing of what is there."""
 
 
-@dataclass(frozen=True)
-class Photograph:
-    """What one camera saw on one night."""
-
-    camera: Camera
-    frame: Frame
+Photograph = tuple[Camera, Frame]
+"""What one camera saw on one night."""
 
 
 def ncc(X: Float64s, seen: Bools, tonight: Photograph, then: Photograph) -> Float32s:
@@ -44,16 +38,17 @@ def ncc(X: Float64s, seen: Bools, tonight: Photograph, then: Photograph) -> Floa
     tonight, then : the same camera on both nights; sizes must be equal.
     """
     found = np.full(len(X), np.nan, np.float32)
-    if tonight.frame.image.shape != then.frame.image.shape:
+    (camera, frame), (_, frame_then) = tonight, then
+    if frame.image.shape != frame_then.image.shape:
         return found
     rows = np.flatnonzero(seen)
-    (x1, z1), (x2, z2) = (project(p.camera, X[rows]) for p in (tonight, then))
+    (x1, z1), (x2, z2) = (project(p[0], X[rows]) for p in (tonight, then))
     ahead = (z1 > 0) & (z2 > 0) & np.isfinite(x1).all(axis=1) & np.isfinite(x2).all(axis=1)
     rows, x1, x2 = rows[ahead], x1[ahead], x2[ahead]
-    step = max(1, round(tonight.camera.width / 768))
+    step = max(1, round(camera.width / 768))
     out = np.full(len(rows), np.nan, np.float32)
-    image1, image2 = (grey_levels(side.frame.image).astype(np.float32) for side in (tonight, then))
-    _correlate(image1, image2, tonight.frame.mask, then.frame.mask, x1, x2, _RADIUS, step, out)
+    image1, image2 = (grey_levels(side.image).astype(np.float32) for side in (frame, frame_then))
+    _correlate(image1, image2, frame.mask, frame_then.mask, x1, x2, _RADIUS, step, out)
     found[rows] = out
     return found
 

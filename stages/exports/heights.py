@@ -41,13 +41,8 @@ def height_map(points: Float64s, cell: float | None = None) -> HeightMap:
         ten.
     """
     low, high = _box(points[:, :2])
-    edge = cell or preferred_above(2 * spacing(points))
-    while cell is None and np.prod((high - low) / edge + 1) > MOST_CELLS:
-        edge = preferred_above(1.5 * edge)
+    edge, first_column, last_row, columns, rows = map_cells(low, high, cell or preferred_above(2 * spacing(points)))
     inside = np.all((points[:, :2] >= low) & (points[:, :2] <= high), axis=1)
-    # corners at multiples of the edge: maps of different nights lie on each other
-    first_column, last_row = int(np.floor(low[0] / edge)), int(np.floor(high[1] / edge))
-    columns, rows = int(np.floor(high[0] / edge)) - first_column + 1, last_row - int(np.floor(low[1] / edge)) + 1
     x, y, z = points[inside].T
     column = np.clip(np.floor(x / edge).astype(np.int64) - first_column, 0, columns - 1)
     row = np.clip(last_row - np.floor(y / edge).astype(np.int64), 0, rows - 1)
@@ -58,6 +53,16 @@ def height_map(points: Float64s, cell: float | None = None) -> HeightMap:
     heights[cells] = z[order][start + np.rint(QUANTILE * (count - 1)).astype(np.int64)]
     left, top = first_column * edge, (last_row + 1) * edge
     return HeightMap(heights.reshape(rows, columns), left, top, edge, int(np.sum(~inside)))
+
+
+def map_cells(low: Float64s, high: Float64s, edge: float) -> tuple[float, int, int, int, int]:
+    """Edge of the cells of a map from `low` to `high`, (2,) each, larger where there would be too many; its first column and last
+    row; columns and rows.  Corners lie at multiples of the edge: maps of different nights lie on each other."""
+    while np.prod((high - low) / edge + 1) > MOST_CELLS:
+        edge = preferred_above(1.5 * edge)
+    first_column, last_row = int(np.floor(low[0] / edge)), int(np.floor(high[1] / edge))
+    columns, rows = int(np.floor(high[0] / edge)) - first_column + 1, last_row - int(np.floor(low[1] / edge)) + 1
+    return edge, first_column, last_row, columns, rows
 
 
 def spacing(points: Float64s) -> float:

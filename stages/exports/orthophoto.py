@@ -11,7 +11,7 @@ from ..core.cameras import project
 from ..core.ground_grid import preferred_above
 from ..io.rasters import png, world_file
 from ..types import Float64s, Int64s, Uint8s
-from .heights import MOST_CELLS, spacing
+from .heights import map_cells, spacing
 from .mesh import NONE, Textured, cast, sampled, scene_of
 
 if TYPE_CHECKING:
@@ -43,11 +43,8 @@ def orthophoto(found: Textured, georeference: Georeference | None = None) -> Ort
     mesh = found.mesh
     X = georeference.points(mesh.vertices) if georeference else mesh.vertices
     low, high = X.min(axis=0), X.max(axis=0)
-    cell = preferred_above(found.pixel or spacing(X))
-    while np.prod((high - low)[:2] / cell + 1) > MOST_CELLS:
-        cell = preferred_above(1.5 * cell)
-    first_column, last_row = int(np.floor(low[0] / cell)), int(np.floor(high[1] / cell))
-    columns, rows = int(np.floor(high[0] / cell)) - first_column + 1, last_row - int(np.floor(low[1] / cell)) + 1
+    wanted = preferred_above(found.pixel or spacing(X))
+    cell, first_column, last_row, columns, rows = map_cells(low[:2], high[:2], wanted)
     middle = 0.5 * (low + high)
     scene = scene_of(X - middle, mesh.triangles)
     image = np.zeros((rows * columns, 4), np.uint8)

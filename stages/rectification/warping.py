@@ -67,7 +67,7 @@ def warp_with_mask(
     mask : (h, w) pixels that may be used.
     """
     source = _source_of_pixels(rectification, side)
-    return _looked_up(image, source), _resampled_mask(mask, source)
+    return _looked_up(image, source), np.asarray(_resampled(mask.astype(np.float32), source) > 0.9999)
 
 
 def _looked_up(image: npt.NDArray[Pixels], source: tuple[Float32s, Float32s]) -> npt.NDArray[Pixels]:
@@ -92,10 +92,6 @@ def _step_px(source: tuple[Float32s, Float32s], width: int, height: int) -> floa
 
 def _resampled(image: npt.NDArray[Pixels], source: tuple[Float32s, Float32s]) -> npt.NDArray[Pixels]:
     return np.asarray(cv2.remap(image, *source, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT), dtype=image.dtype)
-
-
-def _resampled_mask(mask: Bools, source: tuple[Float32s, Float32s]) -> Bools:
-    return np.asarray(_resampled(mask.astype(np.float32), source) > 0.9999)
 
 
 def resampling(rectification: Rectification, side: Side, x: Float64s) -> tuple[Float64s, Float64s, Float64s]:
