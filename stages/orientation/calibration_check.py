@@ -41,6 +41,8 @@ AGREEING = 0.8
 """A pair of whose matches half lie nearer to the stated lines than this, in standard deviations, agrees with these: what lies
 elsewhere are look-alikes, even those that a third camera confirms (right cameras: 0.15 to 0.76, in a car park 0.69 with a quarter
 of the matches elsewhere; focal lengths 3 % too long: 0.8 to 7.6)."""
+MEDIAN_ERROR = 0.79
+"""Standard error of the median distance of normal deviates from 0, times the root of their number."""
 CONTRADICTED = 1.6
 """Confirmed matches whose loss under the stated cameras is so many times that under their own geometry contradict these."""
 EXPLAINED, EXPLAINED_ALONE = 1.12, 1.5
@@ -62,6 +64,7 @@ LARGEST_SITE = 12
 LARGEST_ZOOM = 3.0
 """Logarithm of the largest factor of focal lengths that is tried."""
 STEPS = 20
+POSES = "poses"
 CORNER = "principal-points-corner"
 CORNER_PX = np.array([-0.5, -0.5])
 """What principal points lack that are counted from the corner of the first pixel, not from its centre."""
@@ -171,6 +174,8 @@ def check_calibration(
         return _with_slight_cause(found, stated, evidence, own) if confirmed and len(evidence) >= FEWEST_PAIRS else found
     beyond_noise = bool(confirmed) and excess > CONTRADICTED * own
     best = _explanation(stated, evidence, own, alone=not confirmed)
+    if (best is None or best.cause.name == POSES) and _excess(stated, evidence, errors=FITS) <= EXPLAINED * own:
+        return found  # few matches, most of which agree: poses of all cameras have unknowns enough to bring look-alikes back
     if best is None:
         return replace(found, contradicted=beyond_noise)
     off_px = _off_px(stated, best.world, evidence)
@@ -214,8 +219,10 @@ def _residuals(world: _World, matches: _Matches) -> Float64s:
     return sampson_distance(F, left.straight(matches.x1), right.straight(matches.x2)) / matches.noise_px
 
 
-def _agrees(world: _World, matches: _Matches) -> bool:
-    return float(np.median(np.abs(_residuals(world, matches)))) <= AGREEING
+def _agrees(world: _World, matches: _Matches, errors: float) -> bool:
+    """errors: standard errors of the median that are granted."""
+    off = np.abs(_residuals(world, matches))
+    return bool(np.median(off) <= AGREEING + errors * MEDIAN_ERROR / np.sqrt(len(off)))
 
 
 def _mean(evidence: list[_Matches], values: list[float]) -> float:
@@ -227,9 +234,9 @@ def _loss(world: _World, evidence: list[_Matches]) -> float:
     return _mean(evidence, [float(_cauchy(_residuals(world, m)).mean()) for m in evidence])
 
 
-def _excess(world: _World, evidence: list[_Matches]) -> float:
+def _excess(world: _World, evidence: list[_Matches], errors: float = 0.0) -> float:
     """The loss, but for pairs that agree with the world: these have none beyond that under their own geometry."""
-    return _mean(evidence, [m.own_loss if _agrees(world, m) else _loss(world, [m]) for m in evidence])
+    return _mean(evidence, [m.own_loss if _agrees(world, m, errors) else _loss(world, [m]) for m in evidence])
 
 
 def _with_slight_cause(found: CalibrationCheck, stated: _World, evidence: list[_Matches], own: float) -> CalibrationCheck:
@@ -413,7 +420,7 @@ def _all_poses(stated: _World, evidence: list[_Matches]) -> _Cause:
     def change(world: _World, amount: Float64s) -> _World:
         return {**world, **{name: _posed(world[name], amount[rows[name]], size) for name in seen}}
 
-    return _Cause("poses", change, tuple(name for name in seen for _ in range(6)))
+    return _Cause(POSES, change, tuple(name for name in seen for _ in range(6)))
 
 
 def _size(stated: _World, evidence: list[_Matches]) -> float:

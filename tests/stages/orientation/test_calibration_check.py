@@ -11,6 +11,7 @@ import pytest
 
 from tests.helpers.exact_pairs import PairSite, make_pair_site, pair_geometry
 from wbflow_stages.core.cameras import project
+from wbflow_stages.core.epipolar import fundamental_from_cameras
 from wbflow_stages.core.rotations import rotation_matrix
 from wbflow_stages.orientation.calibration_check import CORNER, check_calibration
 from wbflow_stages.poses import solve_poses
@@ -182,6 +183,39 @@ def test_a_part_of_the_matches_elsewhere_contradicts_nothing(site: PairSite) -> 
             geometries[pair] = replace(geometry, x1=x1, x2=x2)
     check = check_calibration({name: site.cameras[name] for name in names}, geometries, tuple(names))
     assert check is not None and not check.contradicted
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_look_alikes_among_few_matches_do_not_contradict_all_poses(seed: int) -> None:
+    """Rows of equal seats: five of 24 matches that third cameras confirm are of another seat, with lines of their own, and all
+    are rougher than the rest, by which noise is known."""
+    site, rng = make_pair_site(3, points=3000), np.random.default_rng(seed)
+    rolled = {
+        name: replace(camera, R=rotation_matrix(np.radians([0, 0, degrees])) @ camera.R)
+        for (name, camera), degrees in zip(site.cameras.items(), (0, -1, 1), strict=True)
+    }
+    off_centre = np.linalg.norm(project(site.cameras["c2"], site.X)[0] - site.cameras["c2"].K[:2, 2], axis=1)
+    others, near = np.argsort(-off_centre)[100:105], np.argsort(off_centre)[:319]
+    shared = np.concatenate([others, near[:19]])
+    x = {name: project(camera, site.X)[0] for name, camera in site.cameras.items()}
+    for name in x:
+        x[name][others] = project(rolled[name], site.X[others])[0]
+    x = {name: pixels + rng.normal(0, 0.3, pixels.shape) for name, pixels in x.items()}
+    for pixels in x.values():
+        pixels[shared] += rng.normal(0, 0.5, (len(shared), 2))
+    geometries = {}
+    for k, (pair, geometry) in enumerate(site.geometries.items()):
+        rows = np.concatenate([shared, near[19 + k :: 3]])
+        F = fundamental_from_cameras(rolled[pair[0]], rolled[pair[1]])
+        x1, x2 = (x[name][rows] for name in pair)
+        geometries[pair] = replace(
+            geometry, F=F, x1=x1, x2=x2, i1=None, i2=None, probability=np.ones(len(rows), np.float32), noise_px=None
+        )
+    check = check_calibration(site.cameras, geometries, tuple(site.cameras))
+    assert check is not None and check.confirmed and not check.contradicted
+    turned_apart = {name: replace(c, R=rotation_matrix(rng.normal(0, 0.01, 3)) @ c.R) for name, c in site.cameras.items()}
+    check = check_calibration(turned_apart, geometries, tuple(site.cameras))
+    assert check is not None and check.contradicted
 
 
 def test_without_matches_nothing_is_said(site: PairSite) -> None:
