@@ -444,6 +444,10 @@ def test_depths_that_differ_with_the_pair_name_the_camera_that_all_of_them_have_
     assert (finding.kind, finding.subject) == ("pairs-disagree", ("crane",))
     assert "1.5 px" in finding.text
     assert verdict_of(night(cameras=[dense("gate", crane_mast=0.2), *map(dense, ("crane", "mast", "roof"))])).good
+    solved = replace(dense("gate", crane_mast=0.4), figures=CameraFigures(apart_px={"crane--mast": 0.4}, pose_from="solved"))
+    others = [*map(dense, ("crane", "mast", "roof"))]
+    assert verdict_of(night(cameras=[solved, *others])).good, "matches tell its pose no better"
+    assert not verdict_of(night(cameras=[dense("gate", crane_mast=0.4), *others])).good
     once = [
         dense("gate", crane_mast=0.6, mast_roof=0.1, crane_roof=0.1),
         dense("mast", crane_gate=0.1),
