@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """Does a night that is called good have a right cloud?  One thing wrong at a time with a small site whose truth is exact.
 
-    bench_site_faults.py FOLDER [--scenes yard carpark ...] [--only WORD ...] [--quick] [--json FILE]
+    bench_site_faults.py FOLDER [--scenes yard carpark ...] [--everywhere] [--only WORD ...] [--quick] [--json FILE]
 
 Renders the scenes into FOLDER, works through two nights of each, then makes a copy for each variation of `VARIATIONS`, changes it
 and runs it.  What came of a variation stays in FOLDER/results: a second call goes on where the first stopped, and prints all.
@@ -910,6 +910,7 @@ def main() -> None:
     parser.add_argument("--scenes", nargs="*", default=[*SCENES], choices=[*SCENES])
     parser.add_argument("--only", nargs="*", default=[], help="words of the names of variations")
     parser.add_argument("--quick", action="store_true")
+    parser.add_argument("--everywhere", action="store_true", help="each variation on all of these scenes, not just on its own")
     parser.add_argument("--table", action="store_true", help="only print what is there")
     parser.add_argument("--json", type=Path)
     given = parser.parse_args()
@@ -917,7 +918,7 @@ def main() -> None:
     kept.mkdir(parents=True, exist_ok=True)
     results: list[Result] = []
     for name in given.scenes:
-        for variation in (v for v in VARIATIONS if name in v.on):
+        for variation in (v for v in VARIATIONS if given.everywhere or name in v.on):
             if given.only and not any(word in variation.name for word in given.only):
                 continue
             file = kept / f"{name}--{variation.name.replace(' ', '_').replace('/', '')}.json"
