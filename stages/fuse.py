@@ -59,7 +59,7 @@ def fuse(
     voxel_m : edge of the voxels in which points are merged, in metres; None: what a pixel covers.
     confidence : a point is right with this probability at least: more trades completeness for accuracy.
     right : this share of the points is expected to be right, by their probabilities: the least probable are left out until it is,
-        but never more than half.  Beside noise, webs and lorries that nothing was fitted on 0.01 less are.
+        but never more than half.  Where pictures are poor, 0.01 to 0.02 fewer are.
     check_views : each view is compared with so many others that see most of the same.
     """
     better, frames = refined or {}, straight_frames(frames, cameras)
