@@ -42,22 +42,16 @@ from .types import (
 
 _TOP = 0.9
 """Quantile of the heights over a cell that counts as its surface."""
-
 _LEAST_AREA = 300.0
 """A change has at least so much surface, in squared spacings of the points."""
-
 _SAME_PLACE = 0.01
 """Cameras stand where they stood within this share of the site's size."""
-
 _CELL = 2.0
 """Edge of a cell, at least, in spacings."""
-
 _SOME = 8
 """Every so manieth point tells how far the ground reaches."""
-
 _SEEN = 0.2
 """A camera that sees this share of a change sees it."""
-
 _CROP = 240
 """Height of the pictures of a change, pixels."""
 

@@ -22,17 +22,12 @@ from .types import Bools, Camera, Coverage, DepthMap, Float64s, Frame, GroundGri
 
 _ACROSS = 320
 """So many pixels along the rows of a depth map, at least, make the surface."""
-
 _REACH = 1.5
 """A cell without a point has the height of one that is not farther than so many cells."""
-
 _CELLS = 250
 """Along the longer side of the ground, about."""
-
 _LOWEST = 0.1
 """Quantile of the heights over a cell that counts as the lowest: one wrong point is no pit."""
-
-
 _ON_GROUND = 0.2
 """Share of the heights that may lie below the ground."""
 

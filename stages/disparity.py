@@ -25,7 +25,6 @@ MATCHERS = {
 
 _SIDES: tuple[tuple[Side, int], ...] = ((1, -1), (2, 1))
 """Both views, and the sign with which a disparity leads to the other one."""
-
 _WIDEST_RANGE_PX = 4000
 """What int16 sixteenths can hold."""
 

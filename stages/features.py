@@ -30,8 +30,6 @@ DARK_GREY, FLAT_RANGE = 50.0, 25.0
 ANGLE_SEAM_DEG = 45.0
 """SIFT repeats a keypoint for each strong gradient direction; the first from this angle on stays.  Upright cameras then choose
 alike (edges are mostly level or plumb, so the seam lies between), and no place is spent on repeats."""
-
-
 LARGEST_PX, OVERLAP_PX = 6_500_000, 256
 """An image with more pixels is searched in bands: all scales of one pixel take 230 bytes.  Bands reach farther by the overlap,
 and begin at multiples of it, so that coarse scales are sampled at the same places."""

@@ -19,7 +19,6 @@ from .types import Bools, DepthMap, Float64s, Int64s, Matches, Uint32s, View
 _FLOOR = 0.75
 """The pooled standard deviation is at least this share of the best night's: errors of the same pixels with the same partners are
 alike.  Seven nights of the demo yard, each in its own light: median error .76 of one night's where all know the pixel."""
-
 _FIELDS = (12, 8)
 """A view is divided into so many columns and rows, to spread the points."""
 

@@ -42,18 +42,14 @@ raises ValueError, with the reason, where it can do nothing for a pair."""
 
 _LEAST_PARALLAX = 0.01
 """Share of the width that the matches must leave their best homography by, where no camera tells the angle."""
-
 _LEAST_GROUND_IN_REACH = 0.5
 """Where the search for disparities leaves out more than this of the ground that two known cameras see, the matches have not told
 where the scene lies."""
-
 _BENEATH = 0.05
 """Nothing is farther under the ground than this share of the lower camera's height above it: what matches there is a stone that
 repeats."""
-
 _FEWEST_POINTS = 50
 """So few points of a dense match show no scene."""
-
 _MARGIN_OF_POINTS = 0.1
 """The disparity range reaches beyond the points of a dense match by this share of their range."""
 

@@ -22,7 +22,6 @@ from ..types import Float32s, Float64s, Int64s
 
 CONFIDENCE = 1.96
 """Standard deviations that 95 % of all errors keep within."""
-
 _BLOCK = 64
 """So many points are looked at at once: the compiler can do several with one instruction."""
 

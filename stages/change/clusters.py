@@ -19,33 +19,22 @@ from .footprint import OPEN, Footprint, covered
 
 _TOP = 0.9
 """Quantile of heights over a cell that counts as its surface: one wrong point must not raise a roof."""
-
 _SAME_VOLUME, _SAME_HEIGHT, _SAME_LENGTH = 0.3, 0.25, 0.2
 """What has moved keeps its volume, height and length within these shares.  The yard by eight cameras, night after night: lengths
 of one thing differ by up to 7 %, of two things by 28 % and more; volumes alone took a vehicle for a stack by four cameras..."""
-
 _SAME_COLOUR = 0.05
 """...and its colour, as shares of red and green, within this."""
-
-
 _FOOT = 0.25
 """Cells where a thing has less than this share of its height lie at its foot, and don't count for its sides."""
-
-
 _UPPER = 0.1
 """What lies lower than the highest nearby by more than this share of the change's height are its sides, which cover nothing."""
-
 _LEAST_MEASURED = 0.5
 """What has distances for more than this share of its points is judged by them."""
-
 _CLEAR = 3.0
 """Most of a change is higher than so many standard deviations of its points."""
-
 _CLEARED, _LIKELY = 0.75, 0.5
 """Of the cameras that saw it, this share must see through its place, in the mean over its points; single points for which it is
 less do not count for its area.  Where most do, and not so many, it may be a change: nights that lost half of their cameras."""
-
-
 _CERTAIN, _EDGE = 6.0, 0.5
 """The volume of a change is so many times what noise of its surface, and such a share of a spacing along its edges, amount to.
 Its standard deviation holds a whole spacing: edges of matched surfaces are about a pixel off, alike all around."""

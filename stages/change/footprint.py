@@ -14,14 +14,10 @@ from ..types import Bools, Float64s, GroundGrid, Int64s, Uint8s
 _SOLID = 0.5
 """What covers more than this share of its convex hull fills it, but for places that are as they were: of most things only the
 sides that face the cameras are seen."""
-
 _PARTS = 8
 """Parts of a cell's edge: a container's sides at whole cells of 10 cm are 2 m³ of its 38."""
-
 _NARROW = 0.75
 """What is narrower than so many cells are errors of the cloud beyond the edges of a thing, unless it is all there is."""
-
-
 _BEYOND = 0.25
 """A surface ends beyond its outermost points by this share of their distance.  A half, were it not that matched surfaces reach
 over their edges: boxes of exact points lose 8 % of their volume by 0, things on the yard gain 8 % by 0.4."""

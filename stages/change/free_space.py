@@ -17,7 +17,6 @@ from ..types import Camera, DepthMap, Float32s, Float64s, Uint8s
 _SIGMAS = 3.0
 _RELATIVE = 0.002
 """A depth agrees within so many standard deviations of both, and this share of it..."""
-
 _CLEARLY = 2.0
 """...and lies clearly behind beyond so many times that."""
 

@@ -11,13 +11,10 @@ from ..types import Bools, Camera, Float32s, Float64s, Frame
 
 _RADIUS = 3
 """Of patches, pixels of an image 768 wide."""
-
 _CONTRAST = 2.5
 """Standard deviation of grey values (0 to 255) below which a patch shows nothing."""
-
 _CLEAR_CONTRAST = 9.0
 """One patch with so much, the other with nothing: they differ..."""
-
 _LIT = 40.0
 """...where both are so bright, at least: what is dark shows nothing of what is there."""
 

@@ -19,7 +19,6 @@ from .cloud_distance import MeasuredCloud, cloud_distances, index_points, one_of
 
 LEAST_OVERLAP = 0.5
 """Two clouds that share less of the site say little of each other."""
-
 _FAR = 0.05
 """A scan may lie off by so much of the site's size before it is registered."""
 _STEPS = (1.0, 0.25, 0.06)

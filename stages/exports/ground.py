@@ -129,7 +129,6 @@ def _legend(image: Uint8s) -> Uint8s:
 
 _HIGHEST = 2.0
 """Differences of height of so much, in hundredths of the map's width, have the full colour."""
-
 _SHOWN = 6
 """Pairs of pictures that the report shows."""
 

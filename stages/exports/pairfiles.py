@@ -13,8 +13,6 @@ from .previews import disparity_preview, matches_preview, rectified_preview
 
 PNG_STEPS = 16
 """Steps of the 16-bit disparity image in a pixel."""
-
-
 FULL = 10_000
 """Pictures are as large as the frames."""
 

@@ -30,33 +30,25 @@ from ..types import Camera, Float32s, Float64s
 _HEIGHTS = 200
 _LOWEST, _HIGHEST = 0.02, 1.5
 """Heights of the lowest camera above the planes that are tried, as shares of the longest baseline."""
-
 _PATCHES = 28
 """Patches across the wider side of a view."""
-
 _RADIUS = 4
 _LARGE_RADIUS, _VERY_ALIKE = 8, 0.9
 """Of large patches that must look the same, and how well these correlate."""
-
 _CANDIDATES = 4
 _MOST_PAIRS = 8
 _LEAST_SPREAD = 0.15
 """Correlations (of Fisher's kind) vary by so much from height to height at least: those of patches without texture hardly do."""
-
 _LEAST_CHANCE = 1e-6
 _SHARES = np.array([0.02, 0.05, 0.1, 0.2, 0.4, 0.7])
 """Shares of the patches that may lie on the ground."""
-
 _SIGNIFICANT = 2.0
 """Standard errors by which the ground must be more likely than chance, and than any other plane."""
-
 _MOST_TILT_DEG, _MOST_LIFT = 3.0, 0.05
 """A plane is tilted and lifted no farther to fit: degrees, and shares of its height below the cameras; below the outermost camera
 it moves by twice that share at most."""
-
 _SAME_HEIGHT = 0.06
 """Heights within this share of the best one are the same."""
-
 _LEVEL_DEG = 5.0
 """World axes whose z is no farther from the cameras' up are meant to have z up."""
 

@@ -15,21 +15,15 @@ from .ground import below_horizon, ground_homography
 
 _PATCHES = 64
 """Patches across the wider side of a view."""
-
 _RADIUS = 6
-
 _ALIKE = 0.75
 """Patches correlate so well at least..."""
-
 _CLEARER = 0.12
 """...and so much better than anywhere else in reach that is no neighbour."""
-
 _BESIDE_PX = 3
 """So near to the best place all places are one."""
-
 _LEAST_SPREAD = 16.0
 """Variance of grey levels: flatter patches look alike anywhere."""
-
 _MOST_STRETCH = 4.0
 """A patch that covers so many times more or fewer pixels in the other view is not compared."""
 

@@ -23,7 +23,6 @@ from ..types import Float32s, Int32s, Int64s, Uint32s, Uint64s
 
 UNSEEN = 2.0
 """The cost where no source sees a plane; costs of planes that are seen lie between 0 and 1."""
-
 _FLAT = 0.05  # grey levels squared: patches with less contrast show nothing
 _FLAT_COST = 0.95
 _HOPELESS = 0.9

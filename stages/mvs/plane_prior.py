@@ -26,34 +26,25 @@ from .textureless import CORRELATED, NEAR_PX, RegionPlane, TexturelessRegions, f
 
 _AROUND = 25
 """Half the side of the window, pixels of an image 768 wide, in which depths must lie about a plane."""
-
 _FEWEST, _AGREED = 20, 0.6
 """So many of the region's pixels in the window have a depth, and this share of these are near."""
-
 _OFF_SIGMAS = 1.5
 """Their mean may be off by so many standard deviations of it: more is relief."""
-
 _SURE_PX = 0.5
 """Standard deviation of a plane where it is taken, at most."""
-
 _SHARED_PX = 0.2
 """What all depths of a plane err alike."""
-
 _RELIEF = 0.045
 """Where planes cost so much more than the depths around that they replace, in the mean, the surface has relief: 95 % of the
 textureless ones of the demo's weak yard cost less than .03 more, waves of one and a half pixels .06, the flank of a tank .2."""
-
 _SOURCES = 2.0
 """So many sources must see the depths around, on average, for a plane to replace one: what a single one errs, calibration
 included, is common to all its depths."""
-
 _CHANCE_PX = 0.42
 """...but one does where depths scatter by more about theirs, pixels of the sources that see them: more than such a source errs as
 a whole.  One that stands near moves little with depth, and shows much scatter by little noise."""
-
 _STEEP_PX = 0.7
 """Inverse depths that change by more from a pixel to the next, pixels of a source: twice what is assumed of a match."""
-
 _SEES = 0.3
 """A source that sees this share of the depths around sees what lies between them."""
 

@@ -20,31 +20,22 @@ from ..types import Bools, Float32s, Float64s, Int32s, Int64s, Uint8s
 
 _EVEN = 6
 """Grey levels, in any colour: 3x3 pixels that differ by no more show no edge."""
-
 _BESIDE, _ALIKE = 3, 10
 """So near a region, pixels that differ from its nearest pixel by no more grey levels belong to it."""
-
 _SMALLEST, _THICK = 40, 5
 """Pixels of a region; the way from its middle to its rim that it takes to tell a plane alone: narrow ones tilt."""
-
 _LEAST, _FEWEST = 200, 15
 """Depths that tell a plane, and those with which a region may join one."""
-
 _TRIALS, _ASKED = 64, 1500
 """Of RANSAC, and depths on which each is tried."""
-
 _ROUNDS = 4
 """Of fitting and joining."""
-
 _AGAIN = 0.2
 """This share of a region's depths off a plane may tell another one: a box stands before a wall of its colour."""
-
 _JOIN_PX = 0.1
 """What the middle of a region may lie off a plane beyond what noise explains, pixels."""
-
 NEAR_PX = 2.0
 """In a source: a depth that is no farther from a plane speaks for it."""
-
 CORRELATED = 240.0
 """So many neighbouring pixels err alike: patches overlap, and planes spread (fitted to errors on the demo's weak yard)."""
 

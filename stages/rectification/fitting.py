@@ -23,10 +23,8 @@ from .quality import line_uncertainty, order_agreement
 from .warping import Side, from_rectified, rectified_size, resampling, to_rectified
 
 _SMALLEST_SIDE_PX = 16
-
 _NOMINAL_SIDE = 768
 """Long side of the frame, pixels, that `max_row_error_px` is said for."""
-
 _DEVIATIONS = 3.5
 """Standard deviations by which epipolar lines may be off: residuals don't tell all, matches err together and wrong ones agree.
 Chosen on fountain with known lenses as the least with which no pair of wrong rows passes; checked on entry and the demo."""

@@ -11,7 +11,6 @@ from ..types import Float64s
 
 MARGIN_SHARE, MARGIN_OF_WIDTH = 0.35, 0.05
 """The crop leaves this share of the matches' box around it, and this share of the frame's width more."""
-
 LARGEST = 2.5
 """A rectified image is at most this many frame widths wide and frame heights high."""
 

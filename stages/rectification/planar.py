@@ -21,7 +21,6 @@ from .method import Homographies, MatchedPair
 
 COLUMNS = 24
 """Columns of square cells that hold one control point each."""
-
 _ITERATIONS = 10
 _SETTLED = 1e-6
 """Share of the largest coefficient by which none changes any more."""

@@ -16,7 +16,6 @@ from .quality import order_agreement
 
 _FAR = 1e6
 """An epipole farther than this many image diagonals is put there: its lines then differ from parallels by less than 1e-4 px."""
-
 _SAMPLES_PER_PIXEL = 2
 """Directions looked at to lay out the rows, for each pixel of the frame's border: with more, no row but the first and the last
 of some pairs would be another."""

@@ -15,22 +15,16 @@ from ..types import Bools, Camera, Float64s, Int64s, Scene
 
 _GRID = 24
 """Points across the wider side of an image."""
-
 _STEPS = 32
 """Depths tried along each ray, evenly spaced in inverse depth."""
-
 _NEAREST, _FARTHEST = 0.5, 2.5
 """Where nothing else is known the scene reaches from half to two and a half times the distance at which the optical axes meet."""
-
 _PARALLEL = 8.0
 """Where the axes don't meet, so many baselines take the place of that distance."""
-
 _CLOSEST = 0.02
 """Nothing is nearer to a camera than this share of the box's diagonal."""
-
 _STANDING, _DEEPER = 0.3, 1.05
 """What stands on the ground has at least this share of the ground's depth; nothing is farther than this share of it."""
-
 _FEWEST = 12
 """Fewer points in common tell no net."""
 

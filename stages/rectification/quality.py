@@ -15,8 +15,6 @@ from ..types import Float64s, Int64s
 
 _ENOUGH = 1000
 """Matches that tell their order, or their best homography, as well as more do."""
-
-
 _BANDS, _ACROSS, _DOWN = 12, 4, 3
 """Bands of rows in which that order is told, and parts of an image, each left out in turn."""
 

@@ -17,7 +17,6 @@ from .matcher import DenseMatches, RectifiedPair, halved, mirrored
 _SMALL_STEP = 12
 _LARGE_STEP, _LARGE_STEP_AT_LEAST = 100.0, 20.0
 """Penalties for a disparity that changes by 1 and by more; the latter falls with the image gradient, down to its least."""
-
 _GRADIENT = 0.1
 _UNKNOWN_COST = 35
 """Cost of a partner that may not be matched: a little above that of unrelated texture."""
@@ -209,10 +208,8 @@ def _best(summed: Uint16s, low: int) -> tuple[Float32s, Float32s, Float32s, Floa
 
 LARGEST_PX = 384 * 256
 """Pairs with more pixels are halved."""
-
 _STEP, _LARGEST_JUMP = 4.0, 2
 """Penalty of neighbours whose disparities differ by 1, and the difference from which it grows no more."""
-
 _CYCLES = 4
 
 

@@ -24,22 +24,16 @@ from .sgbm import match_sgbm
 _ROUNDS = 2
 _DEAREST = 0.6
 """Planes that cost more are no matches."""
-
 _DOUBTFUL = 2.5
 """How much the surroundings of a pixel may disagree with its plane, see `doubt`."""
-
 _DIRECT_PX = 1.0e6
 """Larger pairs start from PatchMatch at half the size, others from SGM at half the size."""
-
 _LIKELY = 0.1
 """A surface that is likely to be there may cost so much more than what was found."""
-
 _BEYOND = 0.5
 """Planes may leave the range of disparities by this share of it: they spread to where the start did not look."""
-
 _AGAIN = Trials(np.array([(0, 1), (1, 0), (8, 0)]), changes=3, shift_px=0.8, turn=0.2)
 """Where another night shows where to start: that is nearly right, and lies on planes that have been voted on."""
-
 _BLOCK = 128
 _XX, _YY, _XY, _XD, _YD = (i * _BLOCK for i in range(5))
 """Places of sums in the scratch of `_slopes`."""

@@ -14,19 +14,14 @@ from ..types import Float32s
 
 _LIKENESS = 8.0
 """Grey levels at which a neighbour counts half."""
-
 _NEAR = 2
 """How far away, in pixels, neighbours correct a plane, and raise doubts."""
-
 _REACH, _STRIDE = 6, 3
 """How far away, in pixels, and how densely neighbours are asked what a pixel's disparity should be."""
-
 _CONFIRMED_PX = 2.0
 """Both views tell the same of a pixel if they differ by no more."""
-
 _UNCONFIRMED_PX = 3.0
 """What a neighbour that the other view does not confirm, or that lies farther from the plane, adds to the doubt."""
-
 _BORDER = _REACH
 _BLOCK = 128
 

@@ -15,11 +15,9 @@ from ..types import Bools, Float32s, Int64s, Uint64s
 
 _LIKENESS = 8.0
 """Grey levels at which a pixel of a window counts half."""
-
 _RADIUS, _STRIDE = 3, 2
 _ACROSS = 2 * _RADIUS // _STRIDE + 1
 _TAPS = _ACROSS**2
-
 _LEAST_VARIANCE = 0.05
 _FLAT_COST = 0.9
 _STEEPEST, _SHEAREST = -6.0, 6.0

@@ -90,19 +90,14 @@ def quietened(image: Float32s, valid: Bools) -> Float32s:
 
 
 _SHRINK = 4
-
 _WIDER = 1.0
 """The coarse match reaches beyond the matches by this share of their range on both sides."""
-
 _LEAST_SHARE = 0.002
 """Disparities count as found from this share of the agreeing pixels on."""
-
 _PAYS = 0.02
 """Share of the agreeing pixels that a search farther by the matches' range must find: small pieces of look-alikes agree, too."""
-
 _ENOUGH = 0.1
 """Share of the common area that must agree for the coarse match to be believed."""
-
 _COARSE_PX, _FINE_CONTRAST = 10.0, 8.0
 
 

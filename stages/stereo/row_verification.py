@@ -25,25 +25,19 @@ from .rectified import rectified_pair, with_coarse_range
 
 _BESIDE, _AWAY = 1, 4
 """Rows of the halved images: an error that can be lived with, and one with which nothing should match."""
-
 _SPECKLE_SHARE = 5e-4
 """Smaller pieces than this share of the image match anywhere."""
-
 _SAME_PX = 0.75
 """Disparities of the halved images that differ by no more are those of one surface."""
-
 _ACROSS, _SMALLEST, _LARGEST = 12, 12, 32
 """Cells in a row of the halved images, and the least and largest side of one, pixels: several windows of the matcher, whose
 results hang together, and in pictures of 320 pixels, too, enough cells to decide (an apron: 5 of 7 right pairs, 2 with 32)."""
-
 _IN_COMMON, _DIFFERENT = 0.3, 0.1
 """Least share of a cell that both images show, and by how much of that the given rows and the shifted ones must differ if the
 cell is to say anything."""
-
 _BY_CHANCE, _IF_RIGHT = 1.0 / 3.0, 0.9
 """In how many of the cells that say something the given rows match most, if they are wrong (one of three), and if they are right
 (a small yard, a hall and a pavilion by night)."""
-
 _ENOUGH = 5.0
 """Logarithm of the likelihood ratio: six cells of six, eight of nine."""
 

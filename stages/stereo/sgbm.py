@@ -19,7 +19,6 @@ from .matcher import DenseMatches, RectifiedPair, halved, mirrored
 _BLOCK = 3
 _SOBEL_CAP = 20
 _UNIQUENESS_PERCENT = 0
-
 _NARROW = 160
 """Ranges of up to this many disparities are searched in one piece: it costs no more than blocks do."""
 
@@ -119,19 +118,14 @@ _Piece = tuple[int, int, int, int, int, int, float]
 
 CELL_PX = 16
 """Blocks are made of whole cells, and reach one cell farther than what was seen."""
-
 CONTEXT_PX, BELOW_PX = 16, 3
 """What a block is matched with beyond its sides and its top, and below: semi-global paths come from there, none from below."""
-
 _LEAST_CELLS = 3
 """No block is cut off that is narrower or lower than this, in cells."""
-
 _MARGIN_PX = 8
 """What was seen at half the size may be wrong by this much."""
-
 _LEAST_RANGE = 96
 """Disparities that a block searches at least: among few of them, both views agree by chance."""
-
 _PIXEL_COST, _BLOCK_COST = 35, 2e5
 """What a pixel and what a block cost besides their disparities, in units of a pixel at one disparity (1.1 ns; OpenCV 5.0)."""
 
