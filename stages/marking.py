@@ -48,8 +48,7 @@ def painted(name: str, mask: bytes | None, size: tuple[int, int], areas: Sequenc
 
     Parameters
     ----------
-    name : of the mask, for messages.
-    mask : an image file of the captures' size; None: all pixels may be used.
+    name, mask : for messages; an image file of the captures' size, None: all pixels may be used.
     size : (width, height) of captures.
     areas : what is painted.
 

@@ -63,13 +63,9 @@ class Sights:
         self._sights = {name: _sight(entry) for name, entry in cameras.items()}
 
     def residuals(self, points: Sequence[tuple[Mapping[str, Pixel], Sequence[float] | None]]) -> list[dict[str, Any]]:
-        """How well clicks on places fit together, and to stated coordinates.
+        """How well clicks on places, by camera, fit together, and to stated coordinates.
 
-        points : clicks by camera, and what is stated.
-
-        Returns
-        -------
-        For each: "place", [x, y, z] that fits the clicks best, None of fewer than two; "pixels" by camera, how far the click is
+        Of each: "place", [x, y, z] that fits the clicks best, None of fewer than two; "pixels" by camera, how far the click is
         from where that place (else the stated one) is seen; "metres" from the stated place, None where there is none.
         """
         places = self._places([pixels for pixels, _ in points])
@@ -89,13 +85,8 @@ class Sights:
         return found
 
     def guide(self, camera: str, pixels: Mapping[str, Pixel], stated: Sequence[float] | None) -> dict[str, Any]:
-        """Where a place should be in one camera's picture, by the clicks in others.
-
-        Returns
-        -------
-        dict of "at": its pixel, of two clicks or more; "lines": pieces of the epipolar line, of one; "stated": the pixel of its
-        stated coordinates.
-        """
+        """Where a place should be in one camera's picture, by the clicks in others: "at": its pixel, of two clicks or more;
+        "lines": pieces of the epipolar line, of one; "stated": the pixel of its stated coordinates."""
         if (sight := self._sights.get(camera)) is None:
             return {}
         others = {name: pixel for name, pixel in pixels.items() if name in self._sights and name != camera}

@@ -40,13 +40,9 @@ class Background:
 
 
 def merge(images: Sequence[Uint8s], weights: Float64s | None = None) -> Background:
-    """The static scene of several images of one view.
+    """The static scene of several images (h, w, 3) of one view, in the order of time.
 
-    Parameters
-    ----------
-    images : (h, w, 3) uint8 each, in the order of time.  Two have no majority: the later one is used, and where they differ is
-        doubtful.
-    weights : (n,) float64, what each counts; all the same, if not given.
+    Two have no majority: the later one is used, and where they differ is doubtful.  weights: (n,) what each counts; None: alike.
     """
     nothing = np.zeros(images[0].shape[:2], np.bool_)
     if len(images) == 1:

@@ -100,12 +100,8 @@ def detail_px(image: Uint8s, usable: Bools, noise: float) -> float:
     """So many pixels lie between details that a picture (h, w, 3) resolves, in the coarser of rows and columns; 1 for its own.
 
     Where a picture is sharp, grey levels two pixels apart differ little more than those one pixel apart; where it was blurred,
-    smeared or enlarged, twice as much.  The distance is the one at which the factor falls below `_SMOOTH`.
-
-    Parameters
-    ----------
-    image, usable : where the picture may be used.
-    noise : grey levels that are no detail.
+    smeared or enlarged, twice as much.  The distance is the one at which the factor falls below `_SMOOTH`.  usable: (h, w);
+    noise: grey levels that are no detail.
     """
     grey = grey_levels(image).astype(np.float32)
     found = []
@@ -134,17 +130,9 @@ def _step(grey: cv2.typing.MatLike, usable: Bools, axis: int, noise: float) -> f
 
 
 def weigh(images: Sequence[Uint8s], names: Sequence[str], usable: Bools) -> tuple[Float64s, list[str]]:
-    """What each frame of a night counts, and what is wrong with those that count less.
+    """What each frame (h, w, 3) of a night counts, and what is wrong, by its name, with those that count less.
 
-    Parameters
-    ----------
-    images : (h, w, 3) uint8 each.
-    names : for the words.
-    usable : (h, w) bool, where they may be used.
-
-    Returns
-    -------
-    weights (n,) float64, 1 for a frame like the others, `POOR` for one that is blurred, dark or blinded beside them; and words.
+    (n,) 1 for a frame like the others, `POOR` for one that is blurred, dark or blinded beside them, where `usable` (h, w).
     """
     scale = min(_LONG_SIDE / max(usable.shape), 1.0)
     size = max(round(usable.shape[1] * scale), 1), max(round(usable.shape[0] * scale), 1)

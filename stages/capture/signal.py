@@ -192,14 +192,10 @@ def capture_noise(grey: Float32s) -> float:
 
 
 def remaining_noise(noise: float, captures: int, scale: float) -> float:
-    """What the frame has of its captures' noise.
+    """What the frame has of its captures' noise, grey levels.
 
-    Parameters
-    ----------
-    noise : of one capture, grey levels.
-    captures : so many are merged by their median, whose standard deviation is sqrt(pi / (2 n + pi - 2)) of one's (David and
-        Nagaraja, Order Statistics, 2003; within 1 % from three on).  Of two, one is used.
-    scale : side of the frame's pixels over the capture's, at most 1: reducing averages.
+    So many captures are merged by their median, whose standard deviation is sqrt(pi / (2 n + pi - 2)) of one's (David and
+    Nagaraja, Order Statistics, 2003; within 1 % from three on).  Of two, one is used.  scale: side of the frame over a capture's.
     """
     merged = 1.0 if captures < 3 else float(np.sqrt(np.pi / (2 * captures + np.pi - 2)))
     return noise * _MIXED * merged * min(scale, 1.0)

@@ -74,8 +74,7 @@ def cloud_distances(
     ----------
     core, normals : (n, 3) where to measure, and unit directions; nan directions give nan.
     first, second : the clouds.
-    radius : of the cylinder.
-    reach : the cylinder ends so far from the core point, both ways.
+    radius, reach : of the cylinder, which ends so far from the core point, both ways.
     registration : standard deviation of the position of one cloud against the other.
     least : points of each cloud that a cylinder needs.
     """
@@ -222,10 +221,8 @@ def mean_normals(queries: Float64s, index: PointIndex, normals: Float32s, radius
 
     Parameters
     ----------
-    queries : (m, 3) places.
-    index : of the cloud.
-    normals : (n, 3) of the cloud, as it was indexed.
-    radius : Metres.
+    queries, radius : (m, 3) places; metres around them.
+    index, normals : of the cloud, and (n, 3) its normals as it was indexed.
     """
     out = np.full((len(queries), 3), np.nan)
     ordered = normals[index.order].astype(np.float64)

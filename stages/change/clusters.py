@@ -73,10 +73,8 @@ def find_clusters(
 
     Parameters
     ----------
-    side : what is known of one night's surface.
-    colors : (n, 3) of its core points.
-    grid : cells of the ground.
-    other : the other night's cloud.
+    side, colors : what is known of one night's surface, and (n, 3) of its core points.
+    grid, other : cells of the ground, and the other night's cloud over it.
     of_then : is that night the earlier one: is what it alone has, gone?
     spacing : of the points.
     least_area : a change has at least so much surface.

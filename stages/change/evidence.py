@@ -176,10 +176,8 @@ def seen_by(X: Float64s, sigma: Float64s, epoch: Epoch, name: str) -> Bools:
 
     Parameters
     ----------
-    X : (n, 3) points, metres.
-    sigma : (n,) their standard deviations, metres.
-    epoch : cameras and depths of a night.
-    name : the camera.
+    X, sigma : (n, 3) points and (n,) their standard deviations, metres.
+    epoch, name : cameras and depths of a night, and the camera.
     """
     sight = look_at(X, sigma, epoch.cameras, [name], epoch.depth)
     return np.asarray(sight.agreeing > 0)

@@ -47,8 +47,7 @@ def covered(grid: GroundGrid, points: Float64s, same: Bools, apart: float) -> tu
 
     Parameters
     ----------
-    grid : the cells.
-    points : (n, 3) of the surface, over cells.
+    grid, points : the cells, and (n, 3) of the surface, over these.
     same : (rows, columns) cells that are known to be as they were.
     apart : distance of neighbouring points: gaps of twice that are closed.
     """

@@ -47,10 +47,8 @@ def look_at(
 
     Parameters
     ----------
-    X : (n, 3) points in the world.
-    sigma : (n,) their standard deviations.
-    cameras : by id.
-    names : of those that have a depth map.
+    X, sigma : (n, 3) points in the world and (n,) their standard deviations.
+    cameras, names : by id, and those that have a depth map.
     depth_of : loads it; asked once for each.
     """
     n = len(X)

@@ -44,9 +44,7 @@ def detection_of(now: Evidence, before: Evidence, *, sigmas: float, registration
     Parameters
     ----------
     now, before : the judged evidence of both nights.
-    sigmas : a surface has changed where it lies so many standard deviations off.
-    registration : standard deviation of the position of one night's world against the other's.
-    least_area : of a change.
+    sigmas, registration, least_area : as of `changes.find_changes`.
     """
     sigma = np.concatenate([side.sigma[side.measured] for side in (now, before)])
     apart = [sign * side.distance[side.measured & ~side.changed] for sign, side in ((1.0, now), (-1.0, before))]

@@ -32,13 +32,9 @@ def ground_axes(cameras: Iterable[Camera], plane: Float64s | None = None) -> Flo
 
 
 def grid_over(points: Float64s, axes: Float64s, cell: float) -> GroundGrid:
-    """The grid that covers points (n, 3), but for those far outside of the rest.
+    """The grid that covers points (n, 3) of the world, not empty, but for those far outside of the rest.
 
-    Parameters
-    ----------
-    points : (n, 3) in the world; not empty.
-    axes : see `ground_axes`.
-    cell : edge of a cell, world lengths; corners lie at its multiples.
+    axes: see `ground_axes`; cell: edge of a cell, world lengths; corners lie at its multiples.
     """
     flat = points @ axes[:2].T
     low, high = np.percentile(flat, [1, 99], axis=0)
@@ -91,13 +87,12 @@ def cell_centres(grid: GroundGrid, heights: Float64s) -> Float64s:
 
 
 def quantile_by_cell(cells: Int64s, values: Float64s, count: int, quantile: float) -> Float64s:
-    """(count,) a quantile of the values (n,) in each cell, nan where there are none; cells (n,): their numbers, or -1.
+    """(count,) a quantile of the values in each cell, nan where there are none.
 
     Parameters
     ----------
-    cells : (n,) number of each value's cell, or -1.
-    values : (n,)
-    count : Cells.
+    cells, values : (n,) number of each value's cell, or -1; and the value.
+    count : of cells.
     quantile : 0 to 1.
     """
     inside = cells >= 0

@@ -112,10 +112,8 @@ def colmap(cloud: Cloud, poses: Poses, frames: Mapping[str, Frame], geometries: 
 
     Parameters
     ----------
-    cloud : its points follow those that the cameras rest on.
-    poses : the cameras.
-    frames : of each camera.
-    geometries : by "left--right": matches that become tracks.
+    cloud, poses : its points follow those that the cameras rest on.
+    frames, geometries : by camera, and by "left--right": matches that become tracks.
     """
     from .colmap import colmap_files
 

@@ -32,13 +32,9 @@ class HeightMap:
 
 
 def height_map(points: Float64s, cell: float | None = None) -> HeightMap:
-    """Height map of a cloud.
+    """Height map of points (n, 3), z up.
 
-    Parameters
-    ----------
-    points : (n, 3) float64, z up.
-    cell : edge of a cell, in the points' unit; None: twice their median distance from each other, as 1, 2 or 5 times a power of
-        ten.
+    cell: its edge, in the points' unit; None: twice their median distance from each other, as 1, 2 or 5 times a power of ten.
     """
     low, high = _box(points[:, :2])
     edge, first_column, last_row, columns, rows = map_cells(low, high, cell or preferred_above(2 * spacing(points)))

@@ -111,13 +111,7 @@ class Textured:
 
 
 def textured(mesh: Mesh, cameras: Mapping[str, Camera], frames: Mapping[str, Frame]) -> Textured:
-    """Choose a view for each triangle, and bring the views to one exposure.
-
-    Parameters
-    ----------
-    mesh : in the cameras' world.
-    cameras : by name; those without a frame give nothing.
-    frames : their clean frames: what is masked is not shown.
+    """Choose a view for each triangle, and bring the views to one exposure; what is masked in a frame is not shown.
 
     Raises
     ------

@@ -28,18 +28,9 @@ Array = npt.NDArray[Any]
 
 
 def write(value: Any, folder: Path, stem: str) -> Any:
-    """Write a value.
+    """Write a dataclass, an array, a mapping or sequence of such, a number, a word, or None; returns JSON data for `read`.
 
-    Parameters
-    ----------
-    value : a dataclass, an array, a mapping or sequence of such, a number, a word, or None.
-    folder : where the files go; it is made.
-    stem : how their names begin: fields and entries are added with dots.
-
-    Returns
-    -------
-    JSON data
-        For `read`.
+    folder: where the files go; stem: how their names begin: fields and entries are added with dots.
     """
     if value is None or isinstance(value, bool | int | float | str):
         return value

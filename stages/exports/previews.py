@@ -79,8 +79,7 @@ def rectified_preview(rectification: Rectification, left: Frame, right: Frame, *
 
     Parameters
     ----------
-    rectification : how the frames are resampled.
-    left, right : the frames of the pair.
+    rectification, left, right : how the frames of the pair are resampled, and these.
     width : of the picture, at most.
     """
     return jpeg(_rectified(rectification, left, right, width), QUALITY)
@@ -100,8 +99,7 @@ def disparity_preview(
     Parameters
     ----------
     disparity : of both rectified views.
-    left, right : the frames of the pair.
-    rectification : how they are resampled.
+    left, right, rectification : the frames of the pair, and how they are resampled.
     width : of the picture, at most.
     """
     shown = _disparities(disparity, width)

@@ -19,10 +19,7 @@ from .propagation import Propagation
 def carried_planes(camera: Camera, cameras: Mapping[str, Camera], depths: Mapping[str, DepthMap]) -> Float32s:
     """(3, h, w) planes of the nearest surface that depths of other views show to a camera; nan where they show none.
 
-    Parameters
-    ----------
-    camera : of the view.
-    cameras, depths : of the other views; those of another world are passed over.
+    cameras, depths: of the other views; those of another world are passed over.
     """
     planes = np.full((3, camera.height, camera.width), np.nan, np.float32)
     for name, depth in depths.items():

@@ -56,10 +56,7 @@ _LEVEL_DEG = 5.0
 def find_ground(images: Mapping[str, Float32s], cameras: Mapping[str, Camera]) -> Float64s | None:
     """The ground plane (4,): n, d with n X + d = 0, n of unit length and pointing up; None where no plane stands out.
 
-    Parameters
-    ----------
-    images : (h, w) float32 grey frame of each camera.
-    cameras : the same cameras, in one world.
+    images: (h, w) float32 grey frame of each camera.
     """
     views = [halved(images[name], cameras[name]) for name in cameras if name in images]
     pairs, ups = _pairs([camera for _, camera in views]), _ups([camera for _, camera in views])

@@ -35,8 +35,7 @@ def ground_matches(
 
     Parameters
     ----------
-    images : (h, w) float32 grey of both views.
-    cameras : as well as they are known.
+    images, cameras : (h, w) float32 grey of both views, and these as well as they are known.
     plane : (4,) the ground.
     reach_px : how far patches may be from where cameras and ground put them.
     """

@@ -84,12 +84,7 @@ class Propagation:
 
     def refine_photometrically(self, planes: Float32s, radius: int, spacing: int) -> None:
         """Move planes (3, h, w) in place, by fractions of a pixel, to where all sources together fit best
-        (`mvs.photometric_refinement`).
-
-        Parameters
-        ----------
-        planes : as `improve` leaves them.
-        radius, spacing : of the patch, in steps of `spacing` pixels; both together no more than `taps` reach.
+        (`mvs.photometric_refinement`).  radius: of the patch, in steps of `spacing` pixels; it reaches no farther than `taps`.
         """
         near = range(-radius, radius + 1)
         offsets = np.array(sorted(((i, j) for j in near for i in near), key=lambda at: at != (0, 0)), np.int32)

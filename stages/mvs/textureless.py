@@ -69,13 +69,7 @@ class RegionPlane:
 
 
 def textureless_regions(image: Uint8s, usable: Bools, spacing: int) -> TexturelessRegions:
-    """The even regions of a picture.
-
-    Parameters
-    ----------
-    image, usable : (h, w, 3) uint8, and (h, w) bool, what may be matched.
-    spacing : pixels for each of an image 768 wide.
-    """
+    """The even regions of a picture (h, w, 3), where it may be matched (h, w); spacing: pixels for each of an image 768 wide."""
     square = np.ones((3, 3), np.uint8)
     differ = (cv2.dilate(image, square) - cv2.erode(image, square)).max(axis=2)
     even = ((differ <= _EVEN) & usable).astype(np.uint8)
@@ -102,11 +96,7 @@ def textureless_regions(image: Uint8s, usable: Bools, spacing: int) -> Texturele
 def planes_of_regions(regions: TexturelessRegions, known: Float32s, spacing: int) -> list[RegionPlane]:
     """Planes that depths in even regions tell, those of the best known regions first.
 
-    Parameters
-    ----------
-    regions : of the picture.
-    known : (h, w) inverse depths in pixels of a source, nan where there is none to be believed.
-    spacing : pixels for each of an image 768 wide.
+    known: (h, w) inverse depths in pixels of a source, nan where there is none to be believed; spacing: as above.
     """
     rng = np.random.default_rng(1)
     known_there = (regions.number > 0) & np.isfinite(known)

@@ -58,8 +58,7 @@ def adjust_to_ground(
     Parameters
     ----------
     images : (h, w) float32 grey frame of each camera.
-    known : the same cameras as they are stated.
-    sigmas : how well.
+    known, sigmas : the same cameras as they are stated, and how well.
     pairs : their pairs, with what keypoints say.
     """
     site = _Site({name: images[name] for name in known if name in images}, known, sigmas, pairs)

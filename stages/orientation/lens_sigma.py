@@ -90,12 +90,9 @@ def with_principal_points(model: Model) -> Model:
 
 
 def lens_sigmas(model: Model, centre_sigma: float = CENTRE_SIGMA) -> dict[int, LensSigma]:
-    """Of each view whose lens was solved, how well the observations of an adjusted model tell it.
+    """Of each view whose lens was solved, how well the observations of an adjusted model, whose residuals are the noise, tell it.
 
-    Parameters
-    ----------
-    model : adjusted: its residuals are the noise.
-    centre_sigma : of principal points, of the width, before they were looked for.
+    centre_sigma: of principal points, of the width, before they were looked for.
     """
     if not _may_ask(model):
         return {}

@@ -121,10 +121,8 @@ def slack_px(cameras: Mapping[str, Camera], sigmas: Mapping[str, Sigma], pair: P
 
     Parameters
     ----------
-    cameras : by id.
-    sigmas : standard deviations of stated poses, by id.
-    pair : ids of its two cameras.
-    geometry : its matches say where the slack is asked for.
+    cameras, sigmas : by id, and standard deviations of their stated poses.
+    pair, geometry : ids of its two cameras; its matches say where the slack is asked for.
     """
     if all(sigmas.get(name, Sigma()).exact for name in pair):
         return 0.0

@@ -46,8 +46,7 @@ def adjust_within_priors(
 
     Parameters
     ----------
-    cameras : as they are stated.
-    sigmas : how well these are known; a camera that is not named is exact, and stays.
+    cameras, sigmas : as they are stated, and how well they are known; one that is not named in `sigmas` is exact, and stays.
     geometries : matches of the pairs.  Those of pairs that are not believed don't count, nor those that are farther from the
         epipolar lines than the standard deviations allow.
     trusted : whether they show no look-alikes: then each pair has the weight of a confirmed one.

@@ -248,13 +248,8 @@ def without_unsupported(model: Model, geometries: Mapping[Edge, Geometry], max_e
     """The refined model without cameras whose believed pairs contradict it with more inliers than agree, and which these are.
 
     A few points of look-alikes that three views share place a camera as well as right ones do, and the adjustment then throws the
-    right ones out: what is left agrees, though the pair that sees most does not.  Known cameras stay.
-
-    Parameters
-    ----------
-    model : all its views adjusted.
-    geometries : the pairs that are believed.
-    max_epipolar_px : a pair agrees up to this median distance to the epipolar lines of its cameras.
+    right ones out: what is left agrees, though the pair that sees most does not.  Known cameras stay.  A pair agrees up to a
+    median distance of `max_epipolar_px` to the epipolar lines of its cameras.
     """
     out: list[int] = []
     first_of = {view: first for first, views in rigs_of(model.cameras).items() for view in views}  # these go together

@@ -29,10 +29,8 @@ def check_survey(poses: Poses, views: Mapping[str, View], placements: Mapping[st
 
     Parameters
     ----------
-    poses : with the cameras as they are in the end.
-    views : the pinhole of each camera's frame.
-    placements : what is stated of the poses, by id.
-    survey : distances and control points.
+    poses, views : the cameras as they are in the end, and the pinhole of each one's frame.
+    placements, survey : what is stated of the poses, by id, and of distances and control points.
     """
     cameras = {name: camera for name, camera in poses.cameras.items() if camera.component == 0}
     if not poses.metric or len(cameras) < 2:

@@ -45,10 +45,7 @@ def inconsistency(model: Model, geometries: Mapping[Edge, Geometry]) -> float:
     """By how much confirmed observations fit cameras of their own better: the loss in squared standard deviations of their noise,
     for each degree of freedom of the cameras.  About one where all matches tell the same; nan where too few are confirmed.
 
-    Parameters
-    ----------
-    model : as it was solved from all matches.
-    geometries : the pairs that were believed.
+    model: as it was solved from all matches; geometries: the pairs that were believed.
     """
     mine = {edge: geometry for edge, geometry in geometries.items() if edge[0] in model.cameras and edge[1] in model.cameras}
     tracks = build_tracks(consistent_matches(mine), 1 + max(model.cameras))

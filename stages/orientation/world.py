@@ -52,10 +52,8 @@ def to_world(graph: ViewGraph, model: Model, placements: Mapping[str, Placement]
 
     Parameters
     ----------
-    graph : views and their names.
-    model : cameras and points in a frame of their own.
-    placements : what is known of the poses, by id.
-    survey : distances and control points that are known.
+    graph, model : views and their names; cameras and points in a frame of their own.
+    placements, survey : what is known of the poses, by id, and of distances and control points.
     """
     cameras = model.cameras
     beside = {view for views in rigs_of(cameras).values() for view in views[1:]}  # where they are says nothing more
@@ -223,11 +221,7 @@ def align(landmarks: Sequence[Landmark], up: Float64s, depth: float, scale: floa
     landmarks : at least two; one is enough where `scale` is given.
     up : (3,) the direction in the model that is +z in the world as far as nothing else says so.
     depth : median distance of the scene from its cameras, in the model.
-    scale : where it is known otherwise.
-
-    Returns
-    -------
-    Alignment, or None where the landmarks leave the scale open (one only, or all at one place).
+    scale : where it is known otherwise; None is returned where neither this nor the landmarks tell it.
     """
     best: tuple[tuple[int, float], Similarity] | None = None
     for subset in _subsets(landmarks, scale):

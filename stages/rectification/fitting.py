@@ -51,9 +51,8 @@ def placed(
 
     Parameters
     ----------
-    pair : Frames' sizes, F, and matches.
-    method : its name, for the result.
-    rectifier : function The method, with all that it needs.
+    pair : frames' sizes, F, and matches.
+    method, rectifier : its name, for the result, and the method with all that it needs.
     fallback : may Hartley's homographies, or rows, stand in?
     """
     reason = "as asked"
@@ -130,9 +129,8 @@ def finished(
 
     Parameters
     ----------
-    found : as the method has it.
-    footprints : where the frames' pixels come to lie.
-    pair : Frames' sizes, F, and matches.
+    found, footprints : as the method has it, and where the frames' pixels come to lie.
+    pair : frames' sizes, F, and matches.
     geometry : of the pair; None where cameras give the rows and points at many depths stand for matches: their order along the
         rows is then no test.
     max_row_error_px : a larger error of the rows is refused.

@@ -26,12 +26,9 @@ def place(
 
     Parameters
     ----------
-    H1 : (3, 3) homography of image 1.
-    H2 : (3, 3) homography of image 2.
-    x1 : (n, 2) matches, pixels, on the near side of the line that H1 sends to infinity.
-    x2 : (n, 2) the same for H2.
-    size1 : width and height of image 1, pixels.
-    size2 : width and height of image 2, pixels.
+    H1, H2 : (3, 3) homographies of images 1 and 2.
+    x1, x2 : (n, 2) matches, pixels, on the near side of the line that H1, H2 send to infinity.
+    size1, size2 : width and height of the images, pixels.
     """
     (box1, lengths1), (box2, lengths2) = _sent(H1, x1), _sent(H2, x2)
     wide, high = np.concatenate([lengths1, lengths2], axis=1)

@@ -46,12 +46,9 @@ class Prediction:
 
 
 def predict(camera1: Camera, camera2: Camera, scene: Scene | None = None) -> Prediction | None:
-    """Points that both cameras see if the scene is where it is expected; None where their views have nothing in common.
+    """Points that two cameras of one world see if the scene is where it is expected; None where they have nothing in common.
 
-    Parameters
-    ----------
-    camera1, camera2 : the two cameras, in one world.
-    scene : what is known of where things are.  Without a box, the optical axes tell the distance.
+    Without a box of the scene, the optical axes tell the distance.
     """
     first = _seen_from(camera1, camera2, scene)
     second = _seen_from(camera2, camera1, scene)

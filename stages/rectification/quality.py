@@ -54,23 +54,19 @@ def line_uncertainty(
     noise: Float64s | None = None,
     freedoms: tuple[Float64s, Float64s] | None = None,
 ) -> Float64s:
-    """Standard deviation (m,) in pixels of the epipolar line of at1 (m, 2) beside at2 (m, 2), for F fitted to x1, x2 (n, 2).
+    """Standard deviation (m,) in pixels of epipolar lines of F.
 
-    Two parts.  The residuals, propagated through the seven degrees of freedom of F, or the five that are left when
-    F = K2^-T E K1^-1 and `essential` = (K1, K2): few or clustered matches fit well and say little elsewhere, which no residual
-    tells.  And how F changes, to first order, when the matches of one part of the image are left out: wrong matches that agree
-    with each other show there.
+    Two parts.  The residuals, propagated through the degrees of freedom of F: few or clustered matches fit well and say little
+    elsewhere, which no residual tells.  And how F changes, to first order, when the matches of one part of the image are left
+    out: wrong matches that agree with each other show there.
 
     References: Csurka et al., CVIU 1997; Efron, The jackknife, 1982.
 
     Parameters
     ----------
-    F : (3, 3) fundamental matrix.
-    x1 : (n, 2) matches that F was fitted to, pixels.
-    x2 : (n, 2) matches that F was fitted to, pixels.
-    at1 : (m, 2) points of image 1 whose lines are asked for.
-    at2 : (m, 2) points of image 2 beside which they are judged.
-    essential : (K1, K2) where F = K2^-T E K1^-1: five degrees of freedom are left.
+    F, x1, x2 : (3, 3) fundamental matrix, and (n, 2) the matches that it was fitted to, pixels.
+    at1, at2 : (m, 2) points of image 1 whose lines are asked for, and of image 2 beside which these are judged.
+    essential : (K1, K2) where F = K2^-T E K1^-1: five of the seven degrees of freedom are left.
     noise : (n,) standard deviation of each match, pixels; as measured and alike where None.
     freedoms : directions (9, k) in which F may change instead of those, and the information (k, k) there is on them besides the
         matches.

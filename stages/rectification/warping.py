@@ -61,10 +61,8 @@ def warp_with_mask(
 
     Parameters
     ----------
-    rectification : how the frames are resampled.
-    side : left or right.
-    image : (h, w) or (h, w, 3) of that side.
-    mask : (h, w) pixels that may be used.
+    rectification, side : how the frames are resampled, and which one.
+    image, mask : (h, w) or (h, w, 3) of that side, and (h, w) pixels of it that may be used.
     """
     source = _source_of_pixels(rectification, side)
     return _looked_up(image, source), np.asarray(_resampled(mask.astype(np.float32), source) > 0.9999)

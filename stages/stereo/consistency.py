@@ -41,8 +41,7 @@ def agreeing(one: Float32s, other: Float32s, sign: int, tolerance_px: float) -> 
 
     Parameters
     ----------
-    one : (h, w) disparity of the view, nan where unknown.
-    other : (h, w) disparity of the other view.
+    one, other : (h, w) disparity of the view and of the other one, nan where unknown.
     sign : -1 for the left view, 1 for the right one.
     tolerance_px : on flat surfaces, pixels.
     """

@@ -28,14 +28,12 @@ _BLOCK = 128
 
 def smoothed(image: Float32s, planes: Float32s, cost: Float32s, dearest: float, spacing: int = 1, rounds: int = 1) -> Float32s:
     """Planes (3, h, w) from planes whose `cost` is below `dearest`, nan elsewhere: disparities are first corrected by their
-    neighbours, then the median of what neighbours farther away say.  A further round starts from what the one before said,
-    with slopes fitted to those.
+    neighbours, then the median of what neighbours farther away say.
 
     Parameters
     ----------
     image : (h, w) grey levels of the view.
-    planes : (3, h, w) disparity and its slopes along x and y.
-    cost : (h, w) of the planes.
+    planes, cost : (3, h, w) disparity and its slopes along x and y, and what they cost.
     dearest : a plane that costs more has no say.
     spacing : of the pixels that were compared: so far apart are the neighbours that are asked.
     rounds : a further round starts from what the one before said, with slopes fitted to those.

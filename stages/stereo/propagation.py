@@ -65,13 +65,12 @@ class Propagation:
         self.range = Scalar(low), Scalar(high)
 
     def round(self, number: int, planes: Float32s, cost: Float32s, proposals: Float32s, trials: Trials = TRIALS) -> None:
-        """Improve `planes` (3, h, w) and `cost` (h, w), which tell how dear they are (1 before the first round), in place.
+        """Improve planes in place.
 
         Parameters
         ----------
         number : even rounds go down, odd ones up.
-        planes : (3, h, w) disparity and its slopes; improved in place.
-        cost : (h, w) of the planes, 1 before the first round; improved in place.
+        planes, cost : (3, h, w) disparity and its slopes, and (h, w) what they cost, 1 before the first round.
         proposals : (3, h, w) planes that are tried first, nan where there are none.
         trials : which further planes a pixel tries.
         """

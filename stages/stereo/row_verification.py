@@ -82,10 +82,7 @@ class RowAgreement:
 def match_rows(pair: RectifiedPair) -> tuple[RowAgreement, Float32s, Float32s]:
     """Match a pair at half its size on its rows and on shifted ones.
 
-    Returns
-    -------
-    RowAgreement; disparity and confidence, (h / 2, w / 2) float32, of the halved left image on the rows as they are, nan where
-    nothing matches.
+    Also disparity and confidence, (h / 2, w / 2), of the halved left image on the rows as they are, nan where nothing matches.
     """
     small = halved(pair)
     common = within_reach(small.valid_left, small.valid_right, small.disparity_min, small.disparity_max, -1)

@@ -47,8 +47,7 @@ def cross_checked(one: Float32s, other: Float32s, valid: Bools, sign: int) -> Fl
 
     Parameters
     ----------
-    one : (h, w) disparity of the view, nan where unknown.
-    other : (h, w) disparity of the other view.
+    one, other : (h, w) disparity of the view and of the other one, nan where unknown.
     valid : (h, w) pixels of the view that may be used.
     sign : -1 for the left view, 1 for the right one.
     """
