@@ -185,19 +185,9 @@ def index_points(points: Float64s, edge: float) -> PointIndex:
     while np.prod(np.floor((high - low) / edge) + 1) > _MOST_CELLS:
         edge *= 1.5
     shape = np.floor((high - low) / edge).astype(np.int64) + 1
-    cell = np.empty(len(points), np.int64)
-    _number(points, low, edge, shape, cell)
+    cell = np.ravel_multi_index(((points - low) / edge).astype(np.int64).T, shape, mode="clip")
     order, starts = by_cell(cell, int(np.prod(shape)))
     return PointIndex(points[order], order, starts, low, float(edge), shape)
-
-
-@kernel
-def _number(points: Float64s, low: Float64s, edge: float, shape: Int64s, out: Int64s) -> None:
-    for k in range(len(points)):
-        cell = 0
-        for a in range(3):
-            cell = cell * shape[a] + min(int(np.floor((points[k, a] - low[a]) / edge)), shape[a] - 1)
-        out[k] = cell
 
 
 def one_of_each_cell(points: Float64s, edge: float) -> Int64s:

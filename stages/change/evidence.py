@@ -12,10 +12,10 @@ from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from ..core.cameras import project
-from ..core.jit import kernel
-from ..types import Bools, Camera, Cloud, DepthMap, Float32s, Float64s, Frame, Int64s, Uint8s
+from ..types import Bools, Camera, Cloud, DepthMap, Float32s, Float64s, Frame, Int64s
 from .cloud_distance import CONFIDENCE, MeasuredCloud, cloud_distances, index_points, mean_normals, one_of_each_cell
 from .free_space import Sight, look_at
 from .ncc import Photograph, ncc
@@ -207,39 +207,11 @@ def _with_neighbours(core: Float64s, changed: Bools, spacing: float) -> Bools:
     """Changed points half of whose neighbours have changed, too."""
     if not changed.any():
         return changed
-    index = index_points(core, _NEAR * spacing)
-    out = np.zeros(len(core), np.uint8)
-    _vote(
-        *(index.points, changed[index.order].astype(np.uint8), index.starts, index.low, index.edge, index.shape),
-        *(_NEAR * spacing, out),
-    )
-    found = np.zeros(len(core), bool)
-    found[index.order] = out > 0
+    asked = core[changed]
+    around, like = (cKDTree(of).query_ball_point(asked, _NEAR * spacing, return_length=True) for of in (core, asked))
+    found = changed.copy()
+    found[changed] = (2 * like >= around) & (around > 3)
     return found
-
-
-@kernel
-def _vote(
-    points: Float64s, changed: Uint8s, starts: Int64s, low: Float64s, edge: float, shape: Int64s, radius: float, out: Uint8s
-) -> None:
-    first, last = np.empty(3, np.int64), np.empty(3, np.int64)
-    for q in range(len(points)):
-        if not changed[q]:
-            continue
-        for a in range(3):
-            first[a] = max(int(np.floor((points[q, a] - radius - low[a]) / edge)), 0)
-            last[a] = min(int(np.floor((points[q, a] + radius - low[a]) / edge)), shape[a] - 1)
-        all_, like = 0, 0
-        for i in range(first[0], last[0] + 1):
-            for j in range(first[1], last[1] + 1):
-                row = (i * shape[1] + j) * shape[2]
-                for k in range(starts[row + first[2]], starts[row + last[2] + 1]):
-                    dx, dy, dz = points[k, 0] - points[q, 0], points[k, 1] - points[q, 1], points[k, 2] - points[q, 2]
-                    if dx * dx + dy * dy + dz * dz <= radius * radius:
-                        all_ += 1
-                        like += changed[k]
-        if 2 * like >= all_ and all_ > 3:
-            out[q] = 1
 
 
 _IN_MEMORY, _IN_MEMORY_PX = 4, 6_000_000

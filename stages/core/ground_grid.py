@@ -8,7 +8,6 @@ from itertools import pairwise
 import numpy as np
 
 from ..types import Bools, Camera, Float64s, GroundGrid, Int64s
-from .jit import kernel
 from .ordering import by_cell
 
 _MARGIN = 0.1
@@ -47,19 +46,11 @@ def grid_over(points: Float64s, axes: Float64s, cell: float) -> GroundGrid:
 
 def cells_of(grid: GroundGrid, points: Float64s) -> Int64s:
     """(n,) number of the cell, row by row, that each of the points (n, 3) lies over; -1 outside of the grid."""
-    out = np.empty(len(points), np.int64)
-    _number(np.asarray(points, np.float64), grid.axes, grid.left, grid.top, grid.cell, grid.rows, grid.columns, out)
-    return out
-
-
-@kernel
-def _number(points: Float64s, axes: Float64s, left: float, top: float, cell: float, rows: int, columns: int, out: Int64s) -> None:
-    for k in range(len(points)):
-        x, y, z = points[k, 0], points[k, 1], points[k, 2]
-        column = np.floor((x * axes[0, 0] + y * axes[0, 1] + z * axes[0, 2] - left) / cell)
-        row = np.floor((top - (x * axes[1, 0] + y * axes[1, 1] + z * axes[1, 2])) / cell)
-        inside = column >= 0 and row >= 0 and column < columns and row < rows
-        out[k] = int(row) * columns + int(column) if inside else -1
+    x, y, z = np.asarray(points, np.float64).T
+    east, north = (x * a + y * b + z * c for a, b, c in grid.axes[:2])  # not by BLAS, whose sums differ from machine to machine
+    column, row = np.floor((east - grid.left) / grid.cell), np.floor((grid.top - north) / grid.cell)
+    inside = (column >= 0) & (row >= 0) & (column < grid.columns) & (row < grid.rows)
+    return np.where(inside, row * grid.columns + column, -1).astype(np.int64)
 
 
 def inside_polygon(corners: Sequence[Sequence[float]], x: Float64s, y: Float64s) -> Bools:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -14,9 +14,6 @@ from ..change.scan_deviation import deviation_from_scan
 from ..io.clouds import cloud_columns
 from ..io.scans import Scan, read_scan
 from ..types import Cloud, Float32s, Float64s, Poses, Uint8s
-
-if TYPE_CHECKING:
-    from .world import Georeference
 
 _SPACING = 0.02
 """Metres between points that are spread over a mesh."""
@@ -74,7 +71,7 @@ def _in_the_world(scan: Scan, poses: Poses) -> Float64s:
         return scan.points
     from .world import georeference
 
-    place: Georeference = georeference(poses.crs)
+    place = georeference(poses.crs)
     return place.local(scan.points, scan.epsg) if scan.epsg or place.is_on_map(scan.points) else scan.points
 
 

@@ -6,7 +6,6 @@ from functools import lru_cache
 
 import numpy as np
 
-from ..core.jit import kernel
 from ..types import Float64s
 
 MARGIN_SHARE, MARGIN_OF_WIDTH = 0.35, 0.05
@@ -45,19 +44,13 @@ def place(
     return _shift(low1[0], top) @ H1, _shift(low2[0], top) @ H2, (width1, height), (width2, height)
 
 
-@kernel
 def _sent(H: Float64s, x: Float64s) -> tuple[Float64s, Float64s]:
     """Smallest and largest coordinates (2, 2) of the images of points x (n, 2) under H, and how many rectified pixels wide and
     high (2, n) a pixel at each point becomes."""
-    box, lengths = np.empty((2, 2)), np.empty((2, len(x)))
-    box[0], box[1] = np.inf, -np.inf
-    for k in range(len(x)):
-        inverse = 1 / (H[2, 0] * x[k, 0] + H[2, 1] * x[k, 1] + H[2, 2])
-        for i in range(2):
-            at = (H[i, 0] * x[k, 0] + H[i, 1] * x[k, 1] + H[i, 2]) * inverse
-            box[0, i], box[1, i] = min(box[0, i], at), max(box[1, i], at)
-            lengths[i, k] = np.sqrt((H[i, 0] - at * H[2, 0]) ** 2 + (H[i, 1] - at * H[2, 1]) ** 2) * abs(inverse)
-    return box, lengths
+    u, v, w = (a * x[:, 0] + b * x[:, 1] + c for a, b, c in H)
+    at = np.stack([u, v]) * (1 / w)
+    lengths = np.sqrt((H[:2, :1] - at * H[2, 0]) ** 2 + (H[:2, 1:2] - at * H[2, 1]) ** 2) * np.abs(1 / w)
+    return np.stack([at.min(axis=1), at.max(axis=1)]), lengths
 
 
 def _crop(box: Float64s, reach: Float64s, margin: float) -> tuple[Float64s, Float64s]:

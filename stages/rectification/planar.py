@@ -15,8 +15,7 @@ import numpy as np
 from scipy.spatial import Delaunay, QhullError
 
 from ..core.epipolar import apply_homography, epipoles, homogeneous
-from ..core.jit import kernel
-from ..types import Camera, Float32s, Float64s, Int32s, Int64s
+from ..types import Camera, Float32s, Float64s, Int32s
 from .method import Homographies, MatchedPair
 
 COLUMNS = 24
@@ -39,19 +38,11 @@ def hao2011(pair: MatchedPair) -> Homographies:
 
 def control_points(x1: Float64s, probability: Float32s, size: tuple[int, int]) -> Int32s:
     """Rows of the most probable match of each square cell, `COLUMNS` cells across an image of `size`; the first of equals."""
-    side = size[0] / COLUMNS
-    first, last = np.floor(np.array([x1.min(axis=0), x1.max(axis=0)]) / side).astype(np.int64)
-    best = np.full(last - first + 1, -1, dtype=np.int32)
-    _best_of_each_cell(x1, probability, side, first, best)
-    return np.sort(best[best >= 0])
-
-
-@kernel
-def _best_of_each_cell(x: Float64s, probability: Float32s, side: float, first: Int64s, best: Int32s) -> None:
-    for k in range(len(x)):
-        i, j = int(np.floor(x[k, 0] / side)) - first[0], int(np.floor(x[k, 1] / side)) - first[1]
-        if best[i, j] < 0 or probability[k] > probability[best[i, j]]:
-            best[i, j] = k
+    column, row = np.floor(x1 / (size[0] / COLUMNS)).T
+    order = np.lexsort((-probability, row, column))
+    cells = np.column_stack([column, row])[order]
+    first = np.append(True, (cells[1:] != cells[:-1]).any(axis=1))
+    return np.sort(order[first]).astype(np.int32)
 
 
 def net_edges(x: Float64s) -> Int32s:

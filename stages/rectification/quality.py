@@ -8,7 +8,6 @@ import cv2
 import numpy as np
 
 from ..core.epipolar import apply_homography
-from ..core.jit import kernel
 from ..core.ordering import percentiles
 from ..twoview.refinement import tangent
 from ..types import Float64s, Int64s
@@ -121,36 +120,19 @@ def _moves_without_each_part(rows: Float64s, residual: Float64s, known: Float64s
     """(parts, k): the Gauss-Newton step of the robust fit when each part is left out; all in units of the noise."""
     k = rows.shape[1]
     normals, rights = np.zeros((part.max() + 1, k, k)), np.zeros((part.max() + 1, k))
-    _weighted_sums(rows, residual, part, normals, rights)
+    weighted = (1 / (1 + (residual / 2) ** 2))[:, None] * rows
+    np.add.at(rights, part, weighted * residual[:, None])
+    np.add.at(normals, part, weighted[:, :, None] * rows[:, None])
     normal = normals.sum(axis=0) + known
     without = normal + 1e-9 * np.trace(normal) * np.eye(k) - normals
     change = rights.sum(axis=0) - rights
     return np.asarray(-np.linalg.solve(without, change[..., None])[..., 0], dtype=np.float64)
 
 
-@kernel
-def _weighted_sums(rows: Float64s, residual: Float64s, part: Int64s, normals: Float64s, rights: Float64s) -> None:
-    """Add each part's robustly weighted rows^T rows (parts, k, k) and rows^T residual (parts, k)."""
-    k = rows.shape[1]
-    for n in range(len(rows)):
-        weight = 1 / (1 + (residual[n] / 2) ** 2)
-        for i in range(k):
-            weighted = weight * rows[n, i]
-            rights[part[n], i] += weighted * residual[n]
-            for j in range(k):
-                normals[part[n], i, j] += weighted * rows[n, j]
-
-
-@kernel
 def _derivatives(F: Float64s, x1: Float64s, x2: Float64s, px: float) -> Float64s:
     """(n, 9): how the Sampson distance, in pixels, of normalised points (n, 2) changes with F."""
-    rows = np.empty((len(x1), 9))
-    for n in range(len(x1)):
-        (u1, v1), (u2, v2) = x1[n], x2[n]
-        l1x, l1y = u2 * F[0, 0] + v2 * F[1, 0] + F[2, 0], u2 * F[0, 1] + v2 * F[1, 1] + F[2, 1]
-        l2x, l2y = F[0, 0] * u1 + F[0, 1] * v1 + F[0, 2], F[1, 0] * u1 + F[1, 1] * v1 + F[1, 2]
-        s = px / np.sqrt(l1x * l1x + l1y * l1y + l2x * l2x + l2y * l2y + 1e-30)
-        rows[n, 0], rows[n, 1], rows[n, 2] = s * u2 * u1, s * u2 * v1, s * u2
-        rows[n, 3], rows[n, 4], rows[n, 5] = s * v2 * u1, s * v2 * v1, s * v2
-        rows[n, 6], rows[n, 7], rows[n, 8] = s * u1, s * v1, s
-    return rows
+    (u1, v1), (u2, v2) = x1.T, x2.T
+    l1x, l1y = u2 * F[0, 0] + v2 * F[1, 0] + F[2, 0], u2 * F[0, 1] + v2 * F[1, 1] + F[2, 1]
+    l2x, l2y = F[0, 0] * u1 + F[0, 1] * v1 + F[0, 2], F[1, 0] * u1 + F[1, 1] * v1 + F[1, 2]
+    s = px / np.sqrt(l1x * l1x + l1y * l1y + l2x * l2x + l2y * l2y + 1e-30)
+    return np.column_stack([s * u2 * u1, s * u2 * v1, s * u2, s * v2 * u1, s * v2 * v1, s * v2, s * u1, s * v1, s])

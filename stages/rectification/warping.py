@@ -13,7 +13,6 @@ import numpy as np
 import numpy.typing as npt
 
 from ..core.epipolar import apply_homography
-from ..core.jit import kernel
 from ..core.residual_distortion import distorted_pixels
 from ..types import INVALID, Bools, Disparity, Float32s, Float64s, PolarRows, Rectification
 
@@ -107,18 +106,14 @@ def resampling(rectification: Rectification, side: Side, x: Float64s) -> tuple[F
     return rows_per_px, np.maximum(across, 1), np.minimum(across, 1)
 
 
-@kernel
 def _pixels_under(H: Float64s, x: Float64s) -> tuple[Float64s, Float64s, Float64s]:
-    area, longer, shorter = np.empty(len(x)), np.empty(len(x)), np.empty(len(x))
-    for k in range(len(x)):
-        inverse = 1 / (H[2, 0] * x[k, 0] + H[2, 1] * x[k, 1] + H[2, 2])
-        u = (H[0, 0] * x[k, 0] + H[0, 1] * x[k, 1] + H[0, 2]) * inverse
-        v = (H[1, 0] * x[k, 0] + H[1, 1] * x[k, 1] + H[1, 2]) * inverse
-        a, b = (H[0, 0] - u * H[2, 0]) * inverse, (H[0, 1] - u * H[2, 1]) * inverse
-        c, d = (H[1, 0] - v * H[2, 0]) * inverse, (H[1, 1] - v * H[2, 1]) * inverse
-        together, apart = np.sqrt((a + d) ** 2 + (c - b) ** 2), np.sqrt((a - d) ** 2 + (c + b) ** 2)
-        area[k], longer[k], shorter[k] = a * d - b * c, 0.5 * (together + apart), 0.5 * abs(together - apart)
-    return area, longer, shorter
+    u, v, w = (a * x[:, 0] + b * x[:, 1] + c for a, b, c in H)
+    inverse = 1 / w
+    u, v = u * inverse, v * inverse
+    a, b = (H[0, 0] - u * H[2, 0]) * inverse, (H[0, 1] - u * H[2, 1]) * inverse
+    c, d = (H[1, 0] - v * H[2, 0]) * inverse, (H[1, 1] - v * H[2, 1]) * inverse
+    together, apart = np.sqrt((a + d) ** 2 + (c - b) ** 2), np.sqrt((a - d) ** 2 + (c + b) ** 2)
+    return a * d - b * c, 0.5 * (together + apart), 0.5 * np.abs(together - apart)
 
 
 def disparity_px(disparity: Disparity, side: Side) -> Float32s:

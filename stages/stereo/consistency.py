@@ -126,27 +126,9 @@ def fill_along_rows(disparity: Float32s, nearer: int) -> Float32s:
 
     nearer: 1 where larger disparities are nearer, -1 where smaller ones are.  Rows without any value stay nan.
     """
-    filled = np.array(disparity, dtype=np.float32)
-    _fill_rows(filled, nearer)
-    return filled
-
-
-@kernel
-def _fill_rows(disparity: Float32s, nearer: int) -> None:
-    height, width = disparity.shape
-    for y in range(height):
-        row = disparity[y]
-        before, x = np.float32(np.nan), 0
-        while x < width:
-            if not np.isnan(row[x]):
-                before = row[x]
-                x += 1
-                continue
-            end = x
-            while end < width and np.isnan(row[end]):
-                end += 1
-            after = row[end] if end < width else before
-            if np.isnan(before):
-                before = after
-            row[x:end] = min(before, after) if nearer > 0 else max(before, after)
-            x = end
+    width, known = disparity.shape[1], ~np.isnan(disparity)
+    before = np.maximum.accumulate(np.where(known, np.arange(width), -1), axis=1)
+    after = np.minimum.accumulate(np.where(known, np.arange(width), width)[:, ::-1], axis=1)[:, ::-1]
+    bordered = np.pad(disparity, ((0, 0), (1, 1)), constant_values=np.nan)
+    ends = (np.take_along_axis(bordered, column + 1, axis=1) for column in (before, after))
+    return np.asarray((np.fmin if nearer > 0 else np.fmax)(*ends), dtype=np.float32)

@@ -208,18 +208,12 @@ def _slopes(disparity: Float32s) -> tuple[Float32s, Float32s]:
     return along_x, along_y
 
 
-@kernel
 def _doubled(coarse: Float32s, shape: tuple[int, int]) -> Float32s:
     """Planes (3, h, w) of an image of this shape from those of half its size."""
-    height, width = shape
-    planes = np.empty((3, height, width), dtype=np.float32)
-    for y in range(height):
-        for x in range(width):
-            d, a, b = coarse[:, y // 2, x // 2]
-            planes[0, y, x] = 2 * d + a * (x % 2 - 0.5) + b * (y % 2 - 0.5)
-            planes[1, y, x] = a
-            planes[2, y, x] = b
-    return planes
+    planes = np.repeat(np.repeat(coarse, 2, axis=1), 2, axis=2)[:, : shape[0], : shape[1]].astype(np.float64)
+    y, x = (np.arange(side) % 2 - 0.5 for side in shape)
+    planes[0] = 2 * planes[0] + planes[1] * x + planes[2] * y[:, None]
+    return planes.astype(np.float32)
 
 
 @kernel
