@@ -9,7 +9,7 @@ import numpy as np
 from .core.methods import bind
 from .reasons import Reason, Rejected
 from .rectification.warping import Side
-from .stereo.consistency import agreeing, disagreement, lands_on, within_reach, without_speckles
+from .stereo.consistency import agreeing, disagreement, lands_on, without_speckles
 from .stereo.matcher import DenseMatches, RectifiedPair
 from .stereo.rectified import rectified_pair, with_coarse_range
 from .types import INVALID, Disparity, Float32s, Frame, Int16s, Rectification, Uint8s
@@ -80,10 +80,10 @@ def match_dense(
     offset = round((pair.disparity_min + pair.disparity_max) / 2)
     speckle_px = round(speckle_share * pair.left.size)
     kept = [_kept(pair, matches, side, sign, tolerance_px, speckle_px, offset) for side, sign in _SIDES]
-    common = within_reach(pair.valid_left, pair.valid_right, pair.disparity_min, pair.disparity_max, -1)
-    density = float(np.sum(kept[0][0] != INVALID) / max(int(common.sum()), 1))
+    common_px = int(pair.within_reach().sum())
+    density = float(np.sum(kept[0][0] != INVALID) / max(common_px, 1))
     if density < min_density:
-        return Rejected(Reason.NO_DENSE_MATCHES, {"density": density, "common_px": float(common.sum())})
+        return Rejected(Reason.NO_DENSE_MATCHES, {"density": density, "common_px": float(common_px)})
     widths = rectification.size1[0], rectification.size2[0]
     (left_map, sure1), (right_map, sure2) = ((a[:, :w].copy(), b[:, :w].copy()) for w, (a, b) in zip(widths, kept, strict=True))
     return Disparity(left_map, right_map, sure1, sure2, offset, density)

@@ -101,26 +101,6 @@ def _drop_speckles(disparity: Float32s, smallest_px: int, step_x: float, step_y:
                     disparity[y, x] = np.nan
 
 
-def within_reach(valid: Bools, valid_other: Bools, disparity_min: int, disparity_max: int, sign: int) -> Bools:
-    """(h, w) bool: valid pixels that have at least one valid partner within the disparity range.
-
-    Parameters
-    ----------
-    valid : (h, w) of the view.
-    valid_other : (h, w) of the other view.
-    disparity_min : Pixels.
-    disparity_max : Pixels.
-    sign : -1 for the left view, 1 for the right one.
-    """
-    height, width = valid.shape
-    count = np.zeros((height, width + 1), dtype=np.int32)
-    np.cumsum(valid_other, axis=1, out=count[:, 1:])
-    ends = sign * disparity_min, sign * disparity_max
-    first = np.clip(np.arange(width) + min(ends), 0, width)
-    last = np.clip(np.arange(width) + max(ends) + 1, 0, width)
-    return valid & (count[:, last] > count[:, first])
-
-
 def fill_along_rows(disparity: Float32s, nearer: int) -> Float32s:
     """Holes filled with the farther one of the disparities at their two ends in the row: what a foreground hides is background.
 

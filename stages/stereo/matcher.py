@@ -35,6 +35,15 @@ class RectifiedPair:
     floor_right: Float32s | None = None
     """(h, w) disparity of a surface behind the likely one: nothing lies farther; None where something may."""
 
+    def within_reach(self) -> Bools:
+        """(h, w) bool: valid pixels of the left image that have at least one valid partner within the range."""
+        height, width = self.valid_left.shape
+        count = np.zeros((height, width + 1), dtype=np.int32)
+        np.cumsum(self.valid_right, axis=1, out=count[:, 1:])
+        first = np.clip(np.arange(width) - self.disparity_max, 0, width)
+        last = np.clip(np.arange(width) - self.disparity_min + 1, 0, width)
+        return self.valid_left & (count[:, last] > count[:, first])
+
 
 @dataclass(frozen=True)
 class DenseMatches:

@@ -13,7 +13,6 @@ import numpy as np
 from ..core.luminance import noise_level
 from ..rectification.warping import Side, from_rectified, to_rectified, warp_with_mask
 from ..types import Bools, Float32s, Float64s, Frame, GroundOfPair, Rectification, Uint8s
-from .consistency import within_reach
 from .matcher import RectifiedPair
 from .sgbm import cross_checked, match_in_one_piece
 
@@ -106,8 +105,7 @@ def with_coarse_range(pair: RectifiedPair) -> RectifiedPair:
     small = _shrunk(pair)
     found = match_in_one_piece(_flattened(small))
     agreed = ~np.isnan(cross_checked(found.left, found.right, small.valid_left, -1))
-    common = within_reach(small.valid_left, small.valid_right, small.disparity_min, small.disparity_max, -1)
-    if agreed.sum() < max(_ENOUGH * common.sum(), 50):
+    if agreed.sum() < max(_ENOUGH * small.within_reach().sum(), 50):
         return _flattened(pair)
     near = _reach(found.left[agreed], small.disparity_min, small.disparity_max)
     far = -_reach(-found.left[agreed], -small.disparity_max, -small.disparity_min)

@@ -18,7 +18,7 @@ import numpy as np
 
 from ..rectification.warping import from_rectified
 from ..types import Bools, Float32s, Float64s, Frame, Int64s, Rectification
-from .consistency import disagreement, within_reach, without_speckles
+from .consistency import disagreement, without_speckles
 from .matcher import RectifiedPair, halved
 from .patchmatch import match_patchmatch
 from .rectified import rectified_pair, with_coarse_range
@@ -85,7 +85,7 @@ def match_rows(pair: RectifiedPair) -> tuple[RowAgreement, Float32s, Float32s]:
     Also disparity and confidence, (h / 2, w / 2), of the halved left image on the rows as they are, nan where nothing matches.
     """
     small = halved(pair)
-    common = within_reach(small.valid_left, small.valid_right, small.disparity_min, small.disparity_max, -1)
+    common = small.within_reach()
     disparity, confidence = _matched(small)
     shifted = {rows: _matched(_shifted(small, rows))[0] for rows in (_BESIDE, -_BESIDE, _AWAY, -_AWAY)}
     shifted[0] = disparity if small.prior_left is None else _matched(_shifted(small, 0))[0]  # led nowhere, as the others
@@ -131,8 +131,7 @@ def _shifted(pair: RectifiedPair, rows: int) -> RectifiedPair:
 def _matched(pair: RectifiedPair) -> tuple[Float32s, Float32s]:
     """Disparity of the left image where both views agree on it, else nan; and its confidence."""
     matches = match_patchmatch(pair)
-    common = within_reach(pair.valid_left, pair.valid_right, pair.disparity_min, pair.disparity_max, -1)
-    agreed = common & (matches.confidence_left > 0) & (disagreement(matches.left, matches.right, -1) <= 1)
+    agreed = pair.within_reach() & (matches.confidence_left > 0) & (disagreement(matches.left, matches.right, -1) <= 1)
     disparity = np.where(agreed, matches.left, np.float32(np.nan)).astype(np.float32)
     return without_speckles(disparity, max(60, round(_SPECKLE_SHARE * disparity.size))), matches.confidence_left
 

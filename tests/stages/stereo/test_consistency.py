@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from wbflow_stages.stereo.consistency import agreeing, disagreement, fill_along_rows, lands_on, within_reach, without_speckles
+from wbflow_stages.stereo.consistency import agreeing, disagreement, fill_along_rows, lands_on, without_speckles
+from wbflow_stages.stereo.matcher import RectifiedPair, mirrored
 
 NAN = np.float32(np.nan)
 
@@ -74,7 +75,8 @@ def test_pixels_without_any_valid_partner_in_the_range_are_out_of_reach() -> Non
     valid = np.ones((1, 20), dtype=bool)
     other = np.zeros((1, 20), dtype=bool)
     other[0, 5] = True
-    reach = within_reach(valid, other, 2, 4, -1)
+    grey = np.zeros((1, 20), np.float32)
+    reach = RectifiedPair(grey, grey, valid, other, 2, 4).within_reach()
     np.testing.assert_array_equal(np.flatnonzero(reach[0]), [7, 8, 9])
-    reach = within_reach(valid, other, 2, 4, 1)
+    reach = mirrored(RectifiedPair(grey, grey, other, valid, 2, 4)).within_reach()[:, ::-1]
     np.testing.assert_array_equal(np.flatnonzero(reach[0]), [1, 2, 3])
