@@ -102,20 +102,9 @@ def _in_cylinders(
 
 @kernel
 def _measure(
-    core: Float64s,
-    normals: Float64s,
-    points: Float64s,
-    squared: Float64s,
-    starts: Int64s,
-    low: Float64s,
-    edge: float,
-    shape: Int64s,
-    radius: float,
-    reach: float,
-    mean: Float64s,
-    variance: Float64s,
-    count: Int64s,
-) -> None:
+    core: Float64s, normals: Float64s, points: Float64s, squared: Float64s, starts: Int64s, low: Float64s, edge: float,
+    shape: Int64s, radius: float, reach: float, mean: Float64s, variance: Float64s, count: Int64s,
+) -> None:  # fmt: skip
     """points: (3, n)."""
     near = (radius + 0.8661 * edge) ** 2  # half a cell's diagonal: what lies farther from the axis holds no point of the cylinder
     first, last, scratch = np.empty(3, np.int64), np.empty(3, np.int64), np.empty(2 * _BLOCK)
@@ -222,16 +211,9 @@ def mean_normals(queries: Float64s, index: PointIndex, normals: Float32s, radius
 
 @kernel
 def _mean_normals(
-    queries: Float64s,
-    points: Float64s,
-    normals: Float64s,
-    starts: Int64s,
-    low: Float64s,
-    edge: float,
-    shape: Int64s,
-    radius: float,
-    out: Float64s,
-) -> None:
+    queries: Float64s, points: Float64s, normals: Float64s, starts: Int64s, low: Float64s, edge: float, shape: Int64s,
+    radius: float, out: Float64s,
+) -> None:  # fmt: skip
     first, last = np.empty(3, np.int64), np.empty(3, np.int64)
     for q in range(len(queries)):
         for a in range(3):

@@ -62,16 +62,9 @@ def look_at(
 
 @kernel
 def _look(
-    X: Float64s,
-    sigma: Float64s,
-    A: Float64s,
-    b: Float64s,
-    depth: Float32s,
-    depth_sigma: Float32s,
-    counts: Uint8s,
-    gap: Float32s,
-    doubt: Float32s,
-) -> None:
+    X: Float64s, sigma: Float64s, A: Float64s, b: Float64s, depth: Float32s, depth_sigma: Float32s, counts: Uint8s,
+    gap: Float32s, doubt: Float32s,
+) -> None:  # fmt: skip
     h, w = depth.shape
     for k in range(len(X)):
         z = A[2, 0] * X[k, 0] + A[2, 1] * X[k, 1] + A[2, 2] * X[k, 2] - b[2]

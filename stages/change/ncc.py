@@ -45,24 +45,17 @@ def ncc(X: Float64s, seen: Bools, tonight: Photograph, then: Photograph) -> Floa
     step = max(1, round(camera.width / 768))
     out = np.full(len(rows), np.nan, np.float32)
     image1, image2 = (grey_levels(side.image).astype(np.float32) for side in (frame, frame_then))
-    _correlate(image1, image2, frame.mask, frame_then.mask, x1, x2, _RADIUS, step, out)
+    _correlate(image1, image2, frame.mask, frame_then.mask, x1, x2, step, out)
     found[rows] = out
     return found
 
 
 @kernel
 def _correlate(
-    image1: Float32s,
-    image2: Float32s,
-    mask1: Bools,
-    mask2: Bools,
-    x1: Float64s,
-    x2: Float64s,
-    radius: int,
-    step: int,
-    out: Float32s,
+    image1: Float32s, image2: Float32s, mask1: Bools, mask2: Bools, x1: Float64s, x2: Float64s, step: int, out: Float32s
 ) -> None:
     h, w = image1.shape
+    radius = _RADIUS
     reach = radius * step + 1
     n = float((2 * radius + 1) ** 2)
     for k in range(len(x1)):

@@ -15,7 +15,7 @@ import open3d
 
 from ..io.clouds import point_cloud
 from ..types import Cloud, Float64s
-from .cloud_distance import MeasuredCloud, cloud_distances, index_points, one_of_each_cell, spacing_of
+from .cloud_distance import MeasuredCloud, cloud_distances, one_of_each_cell, spacing_of
 
 LEAST_OVERLAP = 0.5
 """Two clouds that share less of the site say little of each other."""
@@ -73,7 +73,7 @@ def deviation_from_scan(cloud: Cloud, scan: Float64s) -> ScanDeviation:
     transform = _registered(cloud, scan, far)
     scan = scan @ transform[:3, :3].T + transform[:3, 3]
     radius = _DENSE * max(spacing_of(points), spacing_of(scan))
-    first = MeasuredCloud(scan, np.zeros(len(scan)), index_points(scan, 2 * radius))
+    first = MeasuredCloud(scan, np.zeros(len(scan)))
     second = MeasuredCloud(points, cloud.sigma_mm.astype(np.float64) / 1000)
     normals = cloud.normals.astype(np.float64)
     found = cloud_distances(points, normals, first, second, radius=radius, reach=_REACH * size)

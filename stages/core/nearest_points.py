@@ -40,19 +40,9 @@ def nearest_points(points: Float64s, queries: Float64s, k: int) -> tuple[Float64
 
 @kernel
 def _search(
-    queries: Float64s,
-    points: Float64s,
-    chosen: Int32s,
-    names: Int64s,
-    starts: Int64s,
-    low: Float64s,
-    size: float,
-    columns: int,
-    rows: int,
-    begin: int,
-    squared: Float64s,
-    index: Int32s,
-) -> None:
+    queries: Float64s, points: Float64s, chosen: Int32s, names: Int64s, starts: Int64s, low: Float64s, size: float,
+    columns: int, rows: int, begin: int, squared: Float64s, index: Int32s,
+) -> None:  # fmt: skip
     """Write squared distances and names of the nearest.
 
     points: (3, n) x and y in order of their cells, whose first ones are `starts`, and room for distances; chosen: room; begin:
