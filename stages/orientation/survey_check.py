@@ -5,15 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 from itertools import combinations
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ..core.cameras import camera_id
-from ..types import Camera, Float64s, Placement, Poses, Survey, View
-
-if TYPE_CHECKING:
-    from .world import Landmark
+from ..types import Float64s, Placement, Poses, Survey, View
 
 DISTANCE_SHARE = 0.03
 """A stated distance may differ from that of the cameras by this share, and three standard deviations of their positions."""
@@ -46,21 +42,19 @@ def check_survey(poses: Poses, views: Mapping[str, View], placements: Mapping[st
             found = float(np.linalg.norm(centres[a] - centres[b]))
             if abs(found - stated) > DISTANCE_SHARE * min(stated, found) + np.sqrt(2) * sigma:
                 distances[f"{a}--{b}"] = float(stated), found
-    for mark in _landmarks(cameras, views, survey) if len(survey.points) else ():
-        off = float(np.linalg.norm(mark.model_X - mark.world_X))
-        away = float(np.median([np.linalg.norm(C - mark.world_X) for C in centres.values()]))
-        if off > (tolerated := POINT_SHARE * away + sigma):
-            points[mark.name] = off, tolerated
+    if len(survey.points):
+        from .world import control_landmarks  # here: few sites have control points, and it takes what solves poses
+
+        names = list(views)
+        numbered = {names.index(name): camera for name, camera in cameras.items()}
+        for mark in control_landmarks(numbered, names, list(views.values()), survey):
+            off = float(np.linalg.norm(mark.model_X - mark.world_X))
+            away = float(np.median([np.linalg.norm(C - mark.world_X) for C in centres.values()]))
+            if off > (tolerated := POINT_SHARE * away + sigma):
+                points[mark.name] = off, tolerated
     if not survey.crs and len(centres) > 1 and not NEAREST_M[0] <= (nearest := _nearest(centres)) <= NEAREST_M[1]:
         units["nearest"] = nearest, NEAREST_M[nearest > 1]
     return replace(poses, distances_off=distances, points_off=points, units_off=units)
-
-
-def _landmarks(cameras: Mapping[str, Camera], views: Mapping[str, View], survey: Survey) -> list[Landmark]:
-    from .world import control_landmarks  # here: few sites have control points, and it takes what solves poses
-
-    names = list(views)
-    return control_landmarks({names.index(name): c for name, c in cameras.items()}, names, list(views.values()), survey)
 
 
 def _nearest(centres: Mapping[str, Float64s]) -> float:

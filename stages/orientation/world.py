@@ -69,13 +69,11 @@ def to_world(graph: ViewGraph, model: Model, placements: Mapping[str, Placement]
     up = upward([replace(cameras[view], R=whole_R(cameras[view])) for view in firsts])
     depth = _median_depth(model)
     scale = _scale_of_distances(graph, cameras, survey)
+    known_scale = scale is not None
+    why = "known distances" if known_scale else "none: the median baseline is 1, the cloud is not metric"
     alignment = align(landmarks, up, depth, scale if len(landmarks) < 2 else None) if landmarks else None
     if alignment is None:
-        known_scale = scale is not None
-        factor = scale if scale is not None else 1 / _median_baseline(graph, cameras)
-        similarity = _own_frame(cameras, landmarks, up, factor)
-        model = _moved(model, similarity)
-        why = "known distances" if known_scale else "none: the median baseline is 1, the cloud is not metric"
+        model = _moved(model, _own_frame(graph, cameras, landmarks, up, scale))
         again = {graph.names[view] for views in rigs_of(dict(enumerate(graph.views))).values() for view in views[1:]}
         count = sum(p.C is not None for name, p in placements.items() if name not in again)
         alone = count == 1  # without a scale it fits nothing else that is placed
@@ -88,9 +86,8 @@ def to_world(graph: ViewGraph, model: Model, placements: Mapping[str, Placement]
         names = " and ".join(graph.names[view] for view in exact)
         why_apart = f"the model of {len(cameras)} cameras contradicts the known poses of {names}: it stands apart, unverified"
         apart = {graph.names[view]: why_apart for view in exact}
-        similarity = _own_frame(unplaced.cameras, [], up, scale if scale is not None else 1 / _median_baseline(graph, cameras))
-        why = "known distances" if scale is not None else "none: the median baseline is 1, the cloud is not metric"
-        return World(_moved(unplaced, similarity), False, scale is not None, why, {}, contradicting=apart)
+        model = _moved(unplaced, _own_frame(graph, cameras, [], up, scale))
+        return World(model, False, known_scale, why, {}, contradicting=apart)
     if len(held) >= 2:
         held = [view for view in cameras if any(view == h or same_camera(cameras[view], cameras[h]) for h in held)]
         stated = {view: _at(model.cameras[view], placements[graph.names[view]]) for view in held}
@@ -109,7 +106,7 @@ def to_world(graph: ViewGraph, model: Model, placements: Mapping[str, Placement]
         if name in known
     }
     source = "known distances" if len(landmarks) < 2 else _source(alignment.trusted, len(landmarks))
-    return World(model, True, metric or scale is not None, source, suspects, doubtful)
+    return World(model, True, metric or known_scale, source, suspects, doubtful)
 
 
 def _source(trusted: tuple[str, ...], known: int) -> str:
@@ -132,8 +129,14 @@ def _scale_of_distances(graph: ViewGraph, cameras: Mapping[int, Camera], survey:
     return float(np.median(ratios)) if ratios else None
 
 
-def _own_frame(cameras: Mapping[int, Camera], landmarks: list[Landmark], up: Float64s, scale: float) -> Similarity:
-    """z up, x to the right of the first camera, which is at the origin (or at its known place)."""
+def _own_frame(
+    graph: ViewGraph, cameras: Mapping[int, Camera], landmarks: list[Landmark], up: Float64s, scale: float | None
+) -> Similarity:
+    """z up, x to the right of the first camera, which is at the origin (or at its known place).  Without a scale the baselines of
+    the pairs that were matched are 1 in the median."""
+    if scale is None:
+        lengths = [np.linalg.norm(cameras[i].C - cameras[j].C) for i, j in graph.geometries if i in cameras and j in cameras]
+        scale = 1 / float(np.median(lengths))
     first = cameras[min(cameras)]
     right = whole_R(first)[0] - (whole_R(first)[0] @ up) * up
     right /= np.linalg.norm(right)
@@ -163,12 +166,6 @@ def _median_depth(model: Model) -> float:
         rows = model.use & (model.tracks.view == view)
         depths.append((model.X[model.tracks.track[rows]] - camera.C) @ camera.R[2])
     return float(np.median(np.concatenate(depths)))
-
-
-def _median_baseline(graph: ViewGraph, cameras: Mapping[int, Camera]) -> float:
-    """Over the pairs that were matched."""
-    lengths = [np.linalg.norm(cameras[i].C - cameras[j].C) for i, j in graph.geometries if i in cameras and j in cameras]
-    return float(np.median(lengths))
 
 
 def _suspicion(name: str, length: float, degrees: float) -> str:
