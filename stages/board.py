@@ -13,7 +13,8 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import cv2
@@ -200,10 +201,8 @@ class _Guess:
 
     intrinsics: Float64s
     """fx fy cx cy, then the coefficients."""
-    turns: Float64s
-    """(m, 3) rotation vectors, from board to camera axes."""
-    shifts: Float64s
-    """(m, 3)."""
+    poses: Float64s
+    """(m, 6) rotation vectors, from board to camera axes, and shifts."""
 
 
 def fit_lens(
@@ -213,8 +212,7 @@ def fit_lens(
 
     Parameters
     ----------
-    boards : of each picture, (n, 3) corners on the board (z = 0).
-    corners : of each picture, (n, 2) where they are seen, pixels.
+    boards, corners : of each picture, (n, 3) corners on the board (z = 0), and (n, 2) where they are seen, pixels.
     size : (width, height) of the pictures.
     model : a key of `STARTS`.
 
@@ -228,14 +226,8 @@ def fit_lens(
         raise ValueError(f"these pictures do not tell a {model} lens: no field of view fits them")
     first = min(starts, key=lambda guess: _cost(guess, boards, corners, model))
     try:
-        _, found = levenberg_marquardt(
-            first,
-            lambda guess: _equations(guess, boards, corners, model),
-            _moved,
-            steps=_STEPS,
-            damping=1e-3,
-            relative_tolerance=1e-10,
-        )
+        equations = partial(_equations, boards=boards, corners=corners, model=model)
+        _, found = levenberg_marquardt(first, equations, _moved, steps=_STEPS, damping=1e-3, relative_tolerance=1e-10)
     except np.linalg.LinAlgError:
         raise ValueError(f"these pictures do not tell a {model} lens: its numbers depend on each other") from None
     fx, fy, cx, cy, *coefficients = found.intrinsics
@@ -264,9 +256,7 @@ def _start(
     known = [pose for pose in poses if pose is not None]
     if len(known) < len(poses):
         return None
-    return _Guess(
-        np.array([focal, focal, *middle, *coefficients]), np.array([p[0] for p in known]), np.array([p[1] for p in known])
-    )
+    return _Guess(np.array([focal, focal, *middle, *coefficients]), np.array([np.concatenate(pose) for pose in known]))
 
 
 def _placed(board: Float64s, rays: Float64s) -> tuple[Float64s, Float64s] | None:
@@ -290,15 +280,12 @@ def _placed(board: Float64s, rays: Float64s) -> tuple[Float64s, Float64s] | None
 
 def _moved(guess: _Guess, step: Float64s) -> _Guess:
     count = len(guess.intrinsics)
-    poses = step[count:].reshape(-1, 6)
-    return replace(
-        guess, intrinsics=guess.intrinsics + step[:count], turns=guess.turns + poses[:, :3], shifts=guess.shifts + poses[:, 3:]
-    )
+    return _Guess(guess.intrinsics + step[:count], guess.poses + step[count:].reshape(-1, 6))
 
 
 def _residuals(guess: _Guess, picture: int, board: Float64s, corners: Float64s, model: str) -> Float64s:
     """(n, 2) seen less reckoned, pixels."""
-    return corners - _pixels(guess.intrinsics, np.concatenate([guess.turns[picture], guess.shifts[picture]]), board, model)
+    return corners - _pixels(guess.intrinsics, guess.poses[picture], board, model)
 
 
 def _pixels(intrinsics: Float64s, pose: Float64s, board: Float64s, model: str) -> Float64s:
@@ -327,7 +314,7 @@ def _equations(
     whole = count + 6 * len(boards)
     normal, right, cost = np.zeros((whole, whole)), np.zeros(whole), 0.0
     for k, (X, x) in enumerate(zip(boards, corners, strict=True)):
-        state = np.concatenate([guess.intrinsics, guess.turns[k], guess.shifts[k]])
+        state = np.concatenate([guess.intrinsics, guess.poses[k]])
         columns = []
         for i in range(len(state)):
             step = np.zeros(len(state))
