@@ -40,14 +40,8 @@ def worst(codes: Iterable[int]) -> int:
 class WbflowError(Exception):
     """The base of all errors that wbflow raises on purpose.
 
-    Parameters
-    ----------
-    what : str
-        What is wrong, in one line.
-    where : str
-        The place: a file (with line and column), a task, a folder; "" where there is none.
-    remedy : str
-        What to do about it; "" where nothing can be.
+    what: is wrong, in one line.  where: a file (with line and column), a task, a folder; "" where there is no place.  remedy:
+    what to do about it; "" where nothing can be.
     """
 
     exit_code: ExitCode = ExitCode.FAILED

@@ -27,10 +27,8 @@ def write_atomic(path: Path, data: bytes | bytearray, *, fsync: Fsync = "folder"
 
     Parameters
     ----------
-    path : Path
-        Where.
-    data : bytes
-        What.
+    path, data : Path, bytes
+        Where, and what.
     fsync : str
         See `Fsync`.
     ours : bool

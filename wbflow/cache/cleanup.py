@@ -58,14 +58,10 @@ def clean(work: WorkFolder, keep: Keep, *, dry_run: bool = False, asked: bool = 
 
     Parameters
     ----------
-    work : WorkFolder
-        Where.
-    keep : Keep
-        What stays.  The runs that links show always do, with all that they use.
-    dry_run : bool
-        Only say what would go.
-    asked : bool
-        Somebody has asked for it: damaged files that were put aside go, too.
+    work, keep : WorkFolder, Keep
+        Where, and what stays; the runs that links show always do, with all that they use.
+    dry_run, asked : bool
+        Only say what would go; somebody has asked for it: damaged files that were put aside go, too.
     """
     with Ledger(work, writes=True) as ledger:
         nights = _Nights(work, ledger)

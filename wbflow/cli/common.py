@@ -19,7 +19,6 @@ if TYPE_CHECKING:
 LONGEST_TEXT = 100_000_000
 """Characters that are printed at once: run.json is, as a whole."""
 
-
 Day = datetime.date | int
 """A day, or how many after today: what day it is at a site depends on its time zone."""
 

@@ -254,12 +254,7 @@ class Session:
     def save(self, marks: Marks, version: str) -> dict[str, Any]:
         """Write what is drawn, and return the new state.
 
-        version: of the state that was drawn on.
-
-        Raises
-        ------
-        Refused
-            The file would be invalid, or was changed meanwhile.
+        version: of the state that was drawn on.  Raises Refused where the file would be invalid, or was changed meanwhile.
         """
         with self._lock:
             if version != self._known[self.site.file] or self._known != self._digests():

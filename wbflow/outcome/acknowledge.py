@@ -84,21 +84,14 @@ def read(site: Site) -> tuple[Acknowledgement, ...]:
 def add(site: Site, finding: str, until: datetime.date | None, note: str) -> Acknowledgement:
     """Acknowledge a finding, or a change.  An earlier acknowledgement of it gives way.
 
+    Raises UsageError where there is no such finding or change, or it is one of nights that have failed.
+
     Parameters
     ----------
-    site
-        Whose.
-    finding
-        Code and subject; "change" and its number in the newest run.
-    until
-        The last night that it holds for; None: all.
-    note
-        Why.
-
-    Raises
-    ------
-    UsageError
-        There is no such finding or change, or it is one of nights that have failed.
+    site, finding
+        Whose; code and subject, or "change" and its number in the newest run.
+    until, note
+        The last night that it holds for (None: all), and why.
     """
     name = _named(site, finding)
     code, *subject = name.split()

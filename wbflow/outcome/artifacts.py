@@ -90,13 +90,7 @@ class Run:
 
     @cached_property
     def cloud(self) -> open3d.geometry.PointCloud:
-        """The cloud with normals and colours.
-
-        Raises
-        ------
-        WbflowError
-            The run made none.
-        """
+        """The cloud with normals and colours.  Raises WbflowError where the run made none."""
         made: open3d.geometry.PointCloud = load("wbflow_stages.io.clouds:point_cloud")(self.cloud_table())
         return made
 
@@ -108,17 +102,8 @@ class Run:
     def artifact(self, task: Task | str) -> Any:
         """Return what a task made: a dataclass of `wbflow_stages.types`.
 
-        Parameters
-        ----------
-        task : Task or str
-            Such as "geometry gate--roof", "frames gate" or "poses".
-
-        Raises
-        ------
-        UsageError
-            The run had no such task, or it made nothing; the message says why.
-        WbflowError
-            The cache does not hold it any more.
+        task: such as "geometry gate--roof", "frames gate" or "poses".  Raises UsageError where the run had no such task, or it
+        made nothing; WbflowError where the cache does not hold it any more.
         """
         task = task_named(task) if isinstance(task, str) else task
         event = self.ended.get(task)
@@ -143,10 +128,7 @@ class Run:
     def load(self, task: Task) -> Any:
         """What a task made (a dataclass of `wbflow_stages.types`), or None where it gave nothing.
 
-        Raises
-        ------
-        Gone, DamagedArtifact
-            The cache does not hold it any more, or its disk has lost something.
+        Raises Gone or DamagedArtifact where the cache does not hold it any more, or its disk has lost something.
         """
         receipt = self.receipt(task)
         return self.cache.load(task, receipt) if receipt else None
@@ -220,12 +202,8 @@ class MissingExtra(WbflowError):
 def export(run: Run, out: Path, forms: frozenset[str]) -> Iterator[Path]:
     """Write a run's results into `out` in some forms (names of `EXPORTS`); yields each file when it is there.
 
-    Raises
-    ------
-    MissingExtra, WbflowError
-        Before a file of that form is written: a package is missing, or the run does not hold what the form needs.
-    DamagedArtifact
-        The cache's disk has lost something; the next run makes it again.
+    Raises MissingExtra or WbflowError before a file of a form is written for which a package is missing, or the run does not hold
+    what it needs; DamagedArtifact where the cache's disk has lost something, which the next run makes again.
     """
     if run.record.poses is None:
         raise WbflowError(f"run {run.id} solved no cameras: {run.record.reason or 'it ended before'}")

@@ -151,14 +151,8 @@ def _words(value: Value) -> str:
 def compare_with_scan(run: Run, scan: Path, out: Path) -> dict[str, Any]:
     """Write into `out` what a run's cloud deviates by from a scan; return the figures.
 
-    Raises
-    ------
-    UsageError
-        The scan cannot be read, or lies elsewhere, or covers less than half of the cloud.
-    MissingExtra
-        The packages that read this kind of file are not installed.
-    Gone
-        The run has no cloud.
+    Raises UsageError for a scan that cannot be read, or lies elsewhere, or covers less than half of the cloud; MissingExtra where
+    packages that read such files are not installed; Gone where the run has no cloud.
     """
     if not scan.is_file():
         raise UsageError(f"{scan}: there is no such file", remedy="wbflow compare SITE.yaml SCAN.laz --out DIR")
@@ -177,12 +171,8 @@ def compare_with_scan(run: Run, scan: Path, out: Path) -> dict[str, Any]:
 def changes_between(then: Run, tonight: Run) -> Any:
     """Return what changed (`wbflow_stages.types.Changes`), by the function and the parameters of the later run.
 
-    Raises
-    ------
-    Gone
-        The cache does not hold what one of them made any more.
-    WbflowError
-        One of them looked for no changes, or they lie in different worlds.
+    Raises Gone where the cache does not hold what one of them made any more; WbflowError where one of them looked for no changes,
+    or they lie in different worlds.
     """
     receipt = tonight.receipt(Task(CHANGES))
     if receipt is None:

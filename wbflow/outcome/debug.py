@@ -46,23 +46,16 @@ print(debug.keep(here, result))
 def write_task(site: Site, task: Task, out: Path, date: datetime.date | None = None) -> list[Path]:
     """Write what a task is handed tonight, and the script that does it; returns the files, the script first.
 
+    Raises UsageError where there is no such task, or its inputs are not there; DamagedArtifact.
+
     Parameters
     ----------
-    site : Site
-        Whose.
-    task : Task
-        Which.
+    site, task : Site, Task
+        Whose, and which.
     out : Path
         The folder for the files; it is made.
     date : date, optional
         The night; the newest that has captures, if not given.
-
-    Raises
-    ------
-    UsageError
-        There is no such task, or its inputs are not there.
-    DamagedArtifact
-        One of them has been damaged on disk.
     """
     context = plan_run(site, Options(date))
     plan = context.plan

@@ -29,12 +29,8 @@ SITE_FILE = "site.yaml"
 def write_site(folder: Path) -> tuple[Path, list[str], str]:
     """Write `site.yaml` into a folder of photographs; returns the file, ids of its cameras, and which were made from other names.
 
-    Photographs in the folder are one camera each; folders with photographs in it are one camera each, with several captures.
-
-    Raises
-    ------
-    UsageError
-        There is no such folder, a site file already, no two cameras, or both kinds of them.
+    Photographs in the folder are one camera each; folders with photographs in it are one camera each, with several
+    captures.  Raises UsageError where there is no such folder, a site file already, no two cameras, or both kinds of them.
     """
     file = folder / SITE_FILE
     if not folder.is_dir():
@@ -116,7 +112,6 @@ cameras:{cameras}
 resolution: 1600
 """
 
-
 FILES = "wbflow_stages.board:board_files"
 MOST_BYTES = 1_000_000_000
 
@@ -126,23 +121,18 @@ def write_calibration(
 ) -> tuple[list[Path], list[str]]:
     """Write the calibration of a camera and the plot of its coverage; which files, and what to say.
 
+    Raises UsageError where there are no pictures, or they do not show the board well enough.
+
     Parameters
     ----------
-    camera : str
-        Its id.
+    camera, model : str, str
+        Its id, and the model of its lens.
     pictures : Path
         A folder of photographs, or a video.
     board : dict
         The board's fields by name.
-    model : str
-        Of the lens.
     out : Path
         The folder for the files.
-
-    Raises
-    ------
-    UsageError
-        There are no pictures, or they do not show the board well enough.
     """
     if not is_name(camera):
         raise UsageError(f"{camera!r} is not a camera id", remedy="use letters, digits, '_', '.', '-'")
@@ -170,13 +160,8 @@ def write_demo(folder: Path, *, scene: str = "yard", **options: Any) -> None:
     """Render a demo scene into a folder that is new, empty, or holds an earlier demo; the same arguments write the same bytes.
 
     scene: "yard", "square" or "carpark".  options: those of `wbflow_demo.scenes.render`: small, light, cameras, captures, seed,
-    lenses, surfaces.
-
-    Raises
-    ------
-    UsageError
-        The folder holds something else than a demo, or a demo whose site file or calibration was edited; an unknown scene or
-        light; no captures.
+    lenses, surfaces.  Raises UsageError where the folder holds something else than a demo, or a demo whose site file or
+    calibration was edited; for an unknown scene or light, and for no captures.
     """
     _write(folder, lambda: load("wbflow_demo.files:demo_files")(scene, **options))
 

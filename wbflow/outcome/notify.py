@@ -31,7 +31,6 @@ Occasion = Literal["degraded", "failed", "reminder", "recovered", "heartbeat"]
 MOST_WORDS = 300
 """A summary has at most so many characters."""
 
-
 _OF = "notified"
 """What the file with the last reported state is of."""
 

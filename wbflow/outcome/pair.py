@@ -25,19 +25,14 @@ LAST_STAGE = DISPARITY
 def pair_site(left: Path, right: Path, out: Path, resolution: int | None) -> Site:
     """A site of the two photographs, written to out/site.yaml (from where it can be taken further).
 
+    Raises UsageError where a photograph is not there.
+
     Parameters
     ----------
-    left, right : Path
-        The photographs.
-    out : Path
-        The folder for the results.
+    left, right, out : Path
+        The photographs, and the folder for the results.
     resolution : int, optional
         Long side in pixels to work at.
-
-    Raises
-    ------
-    UsageError
-        A photograph is not there.
     """
     for path in (left, right):
         if not path.is_file():

@@ -43,23 +43,14 @@ from .verdict import Facts, judge_run
 
 
 def run_pipeline(run: str, context: RunContext, options: Options, journal: Journal) -> Run:
-    """Do the work of a run, and publish it.
+    """Do the work of a run, and publish it.  Raises OSError.
 
     Parameters
     ----------
-    run : str
-        The run's id.
-    context : RunContext
-        With its plan; the caller holds the lock.
-    options : Options
-        How it is done.
-    journal : Journal
-        Receives everything that happens.
-
-    Raises
-    ------
-    OSError
-        The disk is full, or there is no right to write.
+    run, context : str, RunContext
+        The run's id, and its plan; the caller holds the lock.
+    options, journal : Options, Journal
+        How it is done, and what receives everything that happens.
     """
     for camera, note in context.notes.items():
         journal.warn(note, task=Task(FRAMES, (camera,)))

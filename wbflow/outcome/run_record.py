@@ -47,16 +47,12 @@ def run_record(
 
     Parameters
     ----------
-    run : str
-        Its id.
+    run, started : str, datetime
+        Its id, and when it began (UTC).
     plan : Plan
         With the states of all its tasks.
-    started : datetime
-        UTC.
-    seconds : Seconds
-        What it has cost.
-    peak_rss_mb : float
-        Memory of its largest worker.
+    seconds, peak_rss_mb : Seconds, float
+        What it has cost, and the memory of its largest worker.
     files : mapping
         Names of the files that are published beside the cloud, by stage.
     """

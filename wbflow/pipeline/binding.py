@@ -60,14 +60,12 @@ def bind(stage: Stage, use: str | None, values: Mapping[str, Any], reader: Funct
 
     Parameters
     ----------
-    stage : Stage
-        Its row.
+    stage, reader : Stage, FunctionReader
+        Its row, and what knows the functions.
     use : str or None
         The function that the site file names for it; None for the row's own.
     values : mapping
         Parameters that the site file sets, by name.
-    reader : FunctionReader
-        Knows the functions.
     """
     chooser = stage.method if use is None else None
     function = reader.read(use or stage.function, chooser.table if chooser else "")

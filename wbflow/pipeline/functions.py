@@ -28,7 +28,6 @@ from ..cache.signed import Memo, stamp
 _FORM = f"3, Python {sys.version_info.major}.{sys.version_info.minor}"
 """Of the memo; another one is not read."""
 
-
 _TYPING = {"typing", "typing_extensions", "collections.abc"}
 _DEEPEST = 10  # modules that import a name from each other
 

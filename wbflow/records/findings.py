@@ -298,16 +298,14 @@ def finding(
 
     Parameters
     ----------
-    code
-        In `FINDINGS`.
+    code, words
+        In `FINDINGS`, and what fills in its text.
     subject
         The camera, pair or cameras; () for the site.
     figures, expected
         What was measured, and what it should have been.
     remedy
         Instead of the one in the table; "" where nothing can be done.
-    words
-        Fill in the text.
     """
     row = FINDINGS[code]
     text = row.text.format(**words)

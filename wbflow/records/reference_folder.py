@@ -26,7 +26,6 @@ from ..task import Task
 
 _OF = "reference"
 
-
 _ANEW = "wbflow pin SITE.yaml  makes it anew, from the last good run; so does the next good night"
 
 

@@ -191,23 +191,14 @@ class UnfinishedRun:
         self.files[name] = hashlib.sha256(data).hexdigest()
 
     def publish(self, record: RunRecord, events: Iterable[Event], report: str, metrics: str = "") -> RunFolder:
-        """Add record, log, report and metrics, and give the folder its name; the links lead there.
+        """Add record, log, report and metrics, and give the folder its name; the links lead there.  Raises OSError.
 
         Parameters
         ----------
-        record : RunRecord
-            The run in figures.
-        events : iterable of Event
-            What happened.
-        report : str
-            The run for people, HTML.
-        metrics : str
-            The run for Prometheus.
-
-        Raises
-        ------
-        OSError
-            The disk is full, or there is no right to write.
+        record, events : RunRecord, iterable of Event
+            The run in figures, and what happened.
+        report, metrics : str
+            The run for people (HTML), and for Prometheus.
         """
         write_atomic(self.paths.report, report.encode(errors="backslashreplace"))
         write_atomic(self.paths.log, log_of(events))
@@ -260,14 +251,7 @@ def newest_runs(work: WorkFolder, before: str = "", after: str = "") -> Iterator
 def hold_to_write(work: WorkFolder, wait: bool) -> Iterator[Mirror | None]:
     """Hold the work folder while the block runs, and begin with one that is whole; and so the object store that it mirrors.
 
-    Raises
-    ------
-    Locked
-        Another process holds it and `wait` is False.
-    StoreError
-        The store does not answer.
-    OSError
-        It cannot be written.
+    Raises Locked where another process holds it and `wait` is False; StoreError where the store does not answer; OSError.
     """
     with hold(work.lock, wait):
         if work.start_writing():

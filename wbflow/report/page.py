@@ -60,19 +60,14 @@ def build_report(data: ReportData) -> str:
 def build_comparison(site: Site, tonight: Run, then: Run, changes: Any) -> str:
     """Return the HTML of two runs of a site, one beside the other.
 
+    Raises Gone where the points of one of them are not there any more.
+
     Parameters
     ----------
-    site : Site
-        Whose runs.
-    tonight, then : Run
-        The later one, and the earlier one.
+    site, tonight, then : Site, Run, Run
+        Whose runs; the later one, and the earlier one.
     changes : wbflow_stages.types.Changes
         What changed between them.
-
-    Raises
-    ------
-    Gone
-        The points of one of them are not there any more.
     """
     products = stage_named(CHANGES).products
     summary = ChangesSummary.from_json(figures(changes))

@@ -29,7 +29,6 @@ _STILL = 5e-4
 ROOM = 6_000_000
 """Bytes of small pictures in a page; the page links to the files of the others."""
 
-
 OTHER = "other"
 """Stands for the stage of another night's points."""
 

@@ -28,7 +28,6 @@ _MOST_OF_A_KIND = 4
 _MOST_FIGURES = 8
 """Figures of a step that was tried."""
 
-
 Fact = tuple[str, str, str, str]
 """A main figure of the night: value, words, what is usual, and fair or bad where it is clearly below that, else ""."""
 

@@ -52,14 +52,10 @@ class Journal:
 
         Parameters
         ----------
-        what : str
-            What, in one line.
-        task : Task, optional
-            The task that it happened to.
-        remedy : str
-            What to do about it, where something can be done.
-        trace : str, optional
-            Traceback of an unforeseen fault.
+        what, remedy : str
+            What, in one line, and what to do about it, where something can be done.
+        task, trace : Task, str, optional
+            The task that it happened to, and the traceback of an unforeseen fault.
         """
         self._add(WarningEvent(what, now(), task, remedy, trace))
 

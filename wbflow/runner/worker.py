@@ -102,10 +102,8 @@ def run_chain(
 
     Parameters
     ----------
-    specs : list of TaskSpec
-        The chain.
-    cache : Cache
-        Where results go.
+    specs, cache : list of TaskSpec, Cache
+        The chain, and where its results go.
     progress : Path, optional
         See `Progress`.
     time_limits : mapping, optional

@@ -307,10 +307,8 @@ def captures_of(site: Site, camera: Camera, date: datetime.date, digests: Digest
 
     Parameters
     ----------
-    site, camera : Site, Camera
-        Whose.
-    date : date
-        The night.
+    site, camera, date : Site, Camera, date
+        Whose, and of which night.
     digests : Digests
         Of their bytes.
     """

@@ -99,12 +99,10 @@ class Document:
 
         Parameters
         ----------
-        location : Location
-            Keys and indices that lead there.
+        location, key : Location, bool
+            Keys and indices that lead there; point at the last key instead of its value.
         what, remedy : str
             What is wrong, and what to do.
-        key : bool
-            Point at the key instead of its value.
         """
         marks = self.key_marks if key else self.marks
         at = location

@@ -47,16 +47,12 @@ def look_at(
 
     Parameters
     ----------
-    site : Site
-        Whose captures.
-    date : date
-        The night.
+    site, date : Site, date
+        Whose captures, and of which night.
     captures : mapping
         All files of the night, by camera.
-    digests : Digests
-        To look at the files of the night before.
-    seen : Seen
-        What cameras have delivered before; tonight is noted there.
+    digests, seen : Digests, Seen
+        To look at the files of the night before; what cameras have delivered before: tonight is noted there.
     """
     delivered = Delivered({camera: list(files) for camera, files in captures.items()})
     repeated: dict[str, Health] = {}
