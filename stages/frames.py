@@ -17,7 +17,7 @@ import numpy as np
 
 from .capture.background import merge
 from .capture.clock import running_clock
-from .capture.files import BadCapture, EmptyCapture, NotAnImage, WrongSize, decoded, refuse_truncated
+from .capture.files import BadCapture, EmptyCapture, WrongSize, decoded, refuse_truncated
 from .capture.image_statistics import blur_px, detail_px, image_statistics, weigh
 from .capture.privacy import around, blanked, private_area
 from .capture.signal import NOISY, Signal, denoised, put_right, remaining_noise, signal_of
@@ -242,9 +242,7 @@ def _decode_mask(mask: Capture, camera: Straight) -> Uint8s:
     promised = picture_size(mask.data.tobytes())
     if promised and sorted(promised) != sorted((camera.width, camera.height)):
         raise _wrong_mask(mask.name, *promised, camera)
-    image = decoded(np.ascontiguousarray(mask.data), cv2.IMREAD_GRAYSCALE)
-    if image is None:
-        raise NotAnImage(f"mask {mask.name} is no image that can be read ({mask.data.size:,} bytes)")
+    image = decoded(f"mask {mask.name}", np.ascontiguousarray(mask.data), cv2.IMREAD_GRAYSCALE)
     height, width = image.shape
     if (width, height) != (camera.width, camera.height):
         raise _wrong_mask(mask.name, width, height, camera)

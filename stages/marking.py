@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import cv2
 import numpy as np
 
-from .capture.files import BadCapture, NotAnImage, decoded, wrong_size
+from .capture.files import BadCapture, decoded, wrong_size
 from .capture.video import one_picture
 from .io.rasters import jpeg, png
 from .types import Capture, Lens, Uint8s
@@ -69,10 +69,7 @@ def painted(name: str, mask: bytes | None, size: tuple[int, int], areas: Sequenc
 
 
 def _read(name: str, mask: bytes) -> Uint8s:
-    image = decoded(np.frombuffer(mask, np.uint8), cv2.IMREAD_GRAYSCALE) if mask else None
-    if image is None:
-        raise NotAnImage(f"mask {name} is no image that can be read ({len(mask):,} bytes)")
-    return image
+    return decoded(f"mask {name}", np.frombuffer(mask, np.uint8), cv2.IMREAD_GRAYSCALE)
 
 
 def _reduced(image: Uint8s) -> Uint8s:

@@ -64,9 +64,7 @@ def decode(capture: Capture, lens: Lens | None = None) -> Uint8s:
     written = data.tobytes()
     refuse_truncated(capture.name, written)
     _refuse_size(capture.name, written, lens)
-    image = decoded(data, cv2.IMREAD_COLOR)
-    if image is None:
-        raise NotAnImage(f"{capture.name} is no image that can be read ({data.size:,} bytes)")
+    image = decoded(capture.name, data, cv2.IMREAD_COLOR)
     refuse_unfinished(capture.name, image)
     refuse_featureless(capture.name, image)
     return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2RGB), dtype=np.uint8)
@@ -135,13 +133,15 @@ def refuse_unfinished(name: str, image: Uint8s) -> None:
         raise TruncatedImage(f"{name} is unfinished: the lower {100 * missing:.0f} % of it are of one colour")
 
 
-def decoded(data: Uint8s, flags: int) -> Uint8s | None:
-    """Pixels as OpenCV reads them (BGR); None for what is no image."""
+def decoded(name: str, data: Uint8s, flags: int) -> Uint8s:
+    """Pixels as OpenCV reads them (BGR).  Raises NotAnImage for what is none."""
     try:
-        image = cv2.imdecode(data, flags)
+        image = cv2.imdecode(data, flags) if data.size else None
     except cv2.error:
-        return None
-    return None if image is None else np.asarray(image, dtype=np.uint8)
+        image = None
+    if image is None:
+        raise NotAnImage(f"{name} is no image that can be read ({data.size:,} bytes)")
+    return np.asarray(image, dtype=np.uint8)
 
 
 def refuse_featureless(name: str, image: Uint8s) -> None:
