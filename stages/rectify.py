@@ -122,12 +122,7 @@ def rectify(
 
 def _straight(geometry: Geometry | None, left: Camera | None, right: Camera | None) -> Geometry | None:
     """With matches where straight frames have them, where both cameras are known."""
-    if (
-        geometry is None
-        or left is None
-        or right is None
-        or (residual_distortion(left) is None and residual_distortion(right) is None)
-    ):
+    if geometry is None or left is None or right is None:
         return geometry
     return replace(geometry, x1=straight_points(left, geometry.x1), x2=straight_points(right, geometry.x2))
 
@@ -136,8 +131,7 @@ def _bent(found: Rectification | Rejected, left: Camera | None, right: Camera | 
     """With what the lenses of two known cameras still bend in their frames."""
     if isinstance(found, Rejected) or left is None or right is None:
         return found
-    bend1, bend2 = residual_distortion(left), residual_distortion(right)
-    return found if bend1 is None and bend2 is None else replace(found, bend1=bend1, bend2=bend2)
+    return replace(found, bend1=residual_distortion(left), bend2=residual_distortion(right))
 
 
 def _by_matches(
@@ -193,12 +187,12 @@ def _from_cameras(
     reach = to_rectified(first[0], 1, expected.ends1)[:, 0] - to_rectified(first[0], 2, expected.ends2)[:, 0]
     low, high = percentiles(reach[np.isfinite(reach)], 2, 98)
     likely = replace(first[0], disparity_min_px=float(np.floor(low)), disparity_max_px=float(np.ceil(high)), ground=ground)
-    verified = verify_rows(*frames, replace(likely, bend1=residual_distortion(cameras[0]), bend2=residual_distortion(cameras[1])))
-    rows = verified.rows
-    if not rows.confirmed or len(verified.x1) < _FEWEST_POINTS:
+    rows, x1, x2, sure = verify_rows(
+        *frames, replace(likely, bend1=residual_distortion(cameras[0]), bend2=residual_distortion(cameras[1]))
+    )
+    if not rows.confirmed or len(x1) < _FEWEST_POINTS:
         return Rejected(Reason.ROWS_NOT_CONFIRMED, {"row_share": rows.share, "row_chance": rows.chance})
-    pair = _known_pair(cameras, verified.x1, verified.x2, verified.confidence)
-    pair = replace(pair, around=(expected.x1, expected.x2))
+    pair = replace(_known_pair(cameras, x1, x2, sure), around=(expected.x1, expected.x2))
     if pair.angle_deg < min_angle_deg:
         return Rejected(Reason.NO_BASELINE, {"angle_deg": pair.angle_deg, "needed_deg": min_angle_deg})
     second = fitted(pair)

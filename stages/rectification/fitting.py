@@ -108,13 +108,12 @@ def _by_rows(pair: MatchedPair, images: PolarImages, method: str, reason: str) -
     rows1, rows2, size1, size2, agreement = images
     if agreement < 0.98:
         return Rejected(Reason.EPIPOLE_AMONG_MATCHES, {"same_side": agreement})
+    too_few = Rejected(Reason.TOO_FEW_EPIPOLAR_LINES, {"rows": size1[1], "columns": size1[0]})
     if min(*size1, *size2) < _SMALLEST_SIDE_PX:
-        return Rejected(Reason.TOO_FEW_EPIPOLAR_LINES, {"rows": size1[1], "columns": size1[0]})
+        return too_few
     found = Rectification(method, reason, None, None, size1, size2, 0.0, 0.0, 0.0, 0.0, float("nan"), rows1, rows2)
     footprints = [_footprint(found, pair, side) for side in _SIDES]
-    if min(footprint.share for footprint in footprints) == 0:
-        return Rejected(Reason.TOO_FEW_EPIPOLAR_LINES, {"rows": size1[1], "columns": size1[0]})
-    return found, footprints
+    return too_few if min(footprint.share for footprint in footprints) == 0 else (found, footprints)
 
 
 def finished(
@@ -151,8 +150,7 @@ def finished(
     uncertainty = _row_uncertainty_px(found, footprints[0].points, pair, geometry, y1, y2)
     allowed = max_row_error_px * max(1.0, max(pair.size1) / _NOMINAL_SIDE)
     if uncertainty > allowed:
-        figures = {"row_error_px": uncertainty, "allowed_px": allowed}
-        return Rejected(Reason.UNCERTAIN_ROWS, figures)
+        return Rejected(Reason.UNCERTAIN_ROWS, {"row_error_px": uncertainty, "allowed_px": allowed})
     return replace(
         found,
         disparity_min_px=float(np.floor(low - margin)),

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..core.cameras import backproject, convergence_deg, project, rays
+from ..core.cameras import backproject, project, rays
 from ..types import Bools, Camera, Float64s, Int64s, Scene
 
 _GRID = 24
@@ -41,8 +41,6 @@ class Prediction:
     """(m, 2) pixels of image 1: the nearest and the farthest point on each ray that both images show."""
     ends2: Float64s
     """(m, 2) the same points in image 2."""
-    angle_deg: float
-    """Median angle between the two rays of the points of the likely surface."""
 
 
 def predict(camera1: Camera, camera2: Camera, scene: Scene | None = None) -> Prediction | None:
@@ -54,9 +52,7 @@ def predict(camera1: Camera, camera2: Camera, scene: Scene | None = None) -> Pre
     second = _seen_from(camera2, camera1, scene)
     if len(first[0]) + len(second[0]) < _FEWEST:
         return None
-    x1, x2 = np.concatenate([first[0], second[1]]), np.concatenate([first[1], second[0]])
-    ends1, ends2 = np.concatenate([first[2], second[3]]), np.concatenate([first[3], second[2]])
-    return Prediction(x1, x2, ends1, ends2, convergence_deg(camera1, camera2, x1, x2))
+    return Prediction(*(np.concatenate([first[here], second[there]]) for here, there in ((0, 1), (1, 0), (2, 3), (3, 2))))
 
 
 def ground_in_both(camera1: Camera, camera2: Camera, ground: Float64s) -> tuple[Float64s, Float64s]:

@@ -95,9 +95,6 @@ class _View:
         sure = doubt(self.planes, disagreement(self.planes[0], other, -1)) <= _DOUBTFUL
         return np.where(sure, 1 - self.cost, 0).astype(np.float32)
 
-    def seen_from_other(self) -> Float32s:
-        return _seen_from_other(self.planes, self.cost)
-
 
 def _matched_views(pair: RectifiedPair) -> tuple[_View, _View]:
     """The view of the left image, and that of the right one in a mirror."""
@@ -139,7 +136,7 @@ def _propagated(pair: RectifiedPair, start: Sequence[Float32s], rounds: int) -> 
     views = _View(pair, start[0]), _View(mirrored(pair), start[1])
     propagations = [view.propagation() for view in views]
     for number in range(rounds):
-        proposals = [view.seen_from_other() for view in views[::-1]] if number else [view.planes for view in views]
+        proposals = [_seen_from_other(v.planes, v.cost) for v in views[::-1]] if number else [view.planes for view in views]
         for view, propagation, proposed in zip(views, propagations, proposals, strict=True):
             propagation.round(number, view.planes, view.cost, proposed)
             view.lean_on_prior(propagation)

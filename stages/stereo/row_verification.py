@@ -139,22 +139,9 @@ def _matched(pair: RectifiedPair) -> tuple[Float32s, Float32s]:
 _MOST_POINTS = 4000
 
 
-@dataclass(frozen=True)
-class RowVerification:
-    """What dense matching says of a rectification."""
-
-    rows: RowAgreement
-    """Are its rows right?"""
-    x1: Float64s
-    """(n, 2) pixels of frame 1: some of what matched, evenly spread over it..."""
-    x2: Float64s
-    """(n, 2) ...and where in frame 2."""
-    confidence: Float32s
-    """(n,) 0 to 1."""
-
-
-def verify_rows(left: Frame, right: Frame, rectification: Rectification) -> RowVerification:
-    """Match both frames at half their size as `rectification` resamples them."""
+def verify_rows(left: Frame, right: Frame, rectification: Rectification) -> tuple[RowAgreement, Float64s, Float64s, Float32s]:
+    """Match both frames at half their size as `rectification` resamples them: are its rows right?  Also some of what matched,
+    evenly spread: pixels (n, 2) of either frame, and confidence (n,), 0 to 1."""
     rows, disparity, confidence = match_rows(with_coarse_range(rectified_pair(left, right, rectification)))
     y, x = np.nonzero(np.isfinite(disparity))
     some = slice(None, None, max(1, len(x) // _MOST_POINTS))
@@ -162,4 +149,4 @@ def verify_rows(left: Frame, right: Frame, rectification: Rectification) -> RowV
     at1 = np.column_stack([2 * x + 0.5, 2 * y + 0.5])
     at2 = at1 - np.column_stack([2 * disparity[y, x].astype(np.float64), np.zeros(len(x))])
     x1, x2 = from_rectified(rectification, 1, at1), from_rectified(rectification, 2, at2)
-    return RowVerification(rows, x1, x2, confidence[y, x])
+    return rows, x1, x2, confidence[y, x]
