@@ -239,7 +239,6 @@ def fit_lens(
 def _start(
     boards: Sequence[Float64s], corners: Sequence[Float64s], size: tuple[int, int], model: str, half_deg: float
 ) -> _Guess | None:
-    """The boards as a lens of half a field of view shows them."""
     coefficients = np.array(STARTS[model])
     ahead = np.array([[np.sin(np.deg2rad(half_deg)), 0.0, np.cos(np.deg2rad(half_deg))]])
     with np.errstate(all="ignore"):

@@ -129,7 +129,6 @@ def _coverage(
 
 
 def _surface(camera: Camera, depth: DepthMap) -> Float64s:
-    """World points (n, 3) of a part of a depth map."""
     step = max(1, camera.width // _ACROSS)
     z = depth.depth[step // 2 :: step, step // 2 :: step]
     y, x = np.nonzero(np.isfinite(z))

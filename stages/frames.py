@@ -151,7 +151,6 @@ def _one_frame(
 
 
 def _repairs(clean: Sequence[_Clean]) -> Iterator[str]:
-    """What was wrong with the rows of captures, and put right."""
     for repair in dict.fromkeys(each.repair for each in clean if each.repair):
         count = sum(each.repair == repair for each in clean)
         yield f"{count} of {len(clean)} captures are combed: {repair}"

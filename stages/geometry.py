@@ -127,7 +127,6 @@ def estimate_geometry(
 
 
 def _accepted(inliers: Matches, found: TwoView, support: _Support, evidence: PairEvidence, score: float) -> Geometry:
-    """The geometry with its figures."""
     R, t = _pose(found, inliers.x1, inliers.x2, inliers.view1, inliers.view2)
     rival = evidence.rival
     return Geometry(
@@ -208,7 +207,6 @@ def _support(inliers: Matches, found: TwoView, how: _How) -> _Support:
 
 
 def _degenerate(support: _Support, min_area: float, min_inliers: int) -> Reason | None:
-    """What makes F meaningless."""
     if support.area < min_area:
         return Reason.CLUSTERED
     if support.turned_share is not None:

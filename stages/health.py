@@ -130,7 +130,6 @@ def examine(
 
 
 def _turned(case: _Case, turn: Turn, usual: Usual | None, nudged_px: float, moved_deg: float) -> CameraHealth:
-    """The state of a camera whose turn is known."""
     limit = max(nudged_px, _sway(usual))
     case.figures |= _figures(turn)
     case.expected |= {"motion_px": limit}

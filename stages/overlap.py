@@ -94,7 +94,6 @@ def _to_compare(seen: Mapping[int, Float32s], posed: Mapping[int, Camera], candi
 
 
 def _camera(view: View, placement: Placement | None) -> Camera | None:
-    """The camera of a frame, or None where pose or intrinsics are missing."""
     if placement is None or placement.R is None or placement.C is None or view.K is None:
         return None
     return Camera(view.K, placement.R, placement.C, view.width, view.height)

@@ -245,7 +245,6 @@ def _pair_checks(found: Poses, fit: Mapping[str, PairCheck]) -> dict[str, PairCh
 
 
 def _source(name: str, known: Mapping[str, Camera], trusted: Mapping[str, Camera], found: Poses) -> str:
-    """How a camera's pose is known."""
     camera = found.cameras[name]
     if name not in trusted or not (np.array_equal(camera.R, trusted[name].R) and np.array_equal(camera.C, trusted[name].C)):
         return "solved"

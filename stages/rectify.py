@@ -251,7 +251,6 @@ def _known_pair(cameras: tuple[Camera, Camera], x1: Float64s, x2: Float64s, prob
 
 
 def _ground(cameras: tuple[Camera, Camera], scene: Scene | None) -> GroundOfPair | None:
-    """The ground between the frames of two cameras, where it is known."""
     if scene is None or scene.ground is None:
         return None
     lines = (inverse_depth_line(camera, scene.ground) for camera in cameras)
@@ -288,7 +287,6 @@ def _obeying(geometry: Geometry, left: Camera | None, right: Camera | None) -> M
 
 
 def _unbelievable(geometry: Geometry, pair: MatchedPair, min_angle_deg: float) -> Rejected | None:
-    """Why F is not to be believed where no cameras gave it."""
     if pair.camera1 is None and geometry.angle_deg < min_angle_deg and hardly_converging(geometry.angle_deg, geometry.agreement):
         return Rejected(Reason.NO_BASELINE, {"angle_deg": geometry.angle_deg, "needed_deg": min_angle_deg})
     if pair.camera1 is None and geometry.score <= 0:

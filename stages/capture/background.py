@@ -64,7 +64,6 @@ def merge(images: Sequence[Uint8s], weights: Float64s | None = None) -> Backgrou
 
 
 def _medians(stack: Sequence[Uint8s], weights: Float64s) -> Uint8s:
-    """(h, w, 3) weighted median of each pixel's levels."""
     merged = np.empty_like(stack[0])
     middle = len(stack) // 2
     equal = bool((weights == weights[0]).all())

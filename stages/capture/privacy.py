@@ -62,7 +62,6 @@ def around(area: Bools) -> Bools:
 
 
 def _polygons(privacy: Privacy, width: int, height: int) -> Iterator[Float64s]:
-    """The corners of each polygon, pixels."""
     start = 0
     for count in privacy.counts.astype(int):
         corners = privacy.corners[start : start + count]

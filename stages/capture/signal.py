@@ -101,7 +101,6 @@ def _combing(grey: Float32s) -> float:
 
 
 def _tiles(values: Float32s) -> Float32s:
-    """Means over tiles."""
     h, w = (side // _TILE_PX * _TILE_PX for side in values.shape)
     tiles = values[:h, :w].reshape(h // _TILE_PX, _TILE_PX, w // _TILE_PX, _TILE_PX)
     return np.asarray(tiles.mean(axis=(1, 3)), np.float32)
@@ -142,7 +141,6 @@ def put_right(image: Uint8s) -> tuple[Uint8s, str]:
 
 
 def _across_rows(grey: Float32s) -> float:
-    """How much neighbouring rows (h, w) differ, grey levels."""
     return float(np.abs(np.diff(grey, axis=0)).mean())
 
 

@@ -69,7 +69,6 @@ def _layout(x: Span, y: Span) -> list[tuple[Span, Span]]:
 
 
 def _parts(span: Span) -> list[Span]:
-    """What one direction is divided into."""
     low, high = span
     if high - low <= WIDEST_DEG:
         return [span]
@@ -97,7 +96,6 @@ def _slopes(span: Span, whole: Span) -> list[float]:
 
 
 def _share(lens: Lens, turn: Float64s, window: list[float]) -> float:
-    """Of a view, the part that falls on the picture."""
     x, y = np.meshgrid(np.linspace(window[0], window[1], 24), np.linspace(window[2], window[3], 24))
     found = lens_pixels(lens, np.column_stack([x.ravel(), y.ravel(), np.ones(x.size)]) @ turn)
     return float(((found > -0.5) & (found < (lens.width - 0.5, lens.height - 0.5))).all(axis=1).mean())

@@ -110,7 +110,6 @@ def find_clusters(
 
 
 def _median_ncc(side: Evidence, rows: Int64s) -> float:
-    """Median of what is known of these points; -2 where nothing is."""
     likeness = side.ncc[rows]
     known = likeness[np.isfinite(likeness)]
     return float(np.median(known)) if len(known) else -2.0

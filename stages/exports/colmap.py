@@ -82,7 +82,6 @@ def _tracks(cameras: Mapping[str, Camera], geometries: Mapping[str, Geometry]) -
 
 
 def _lens(camera: Camera, number: int) -> pycolmap.Camera:
-    """A pinhole; where distortion was found to be left in the frame, with that."""
     K = camera.K
     model, params = "PINHOLE", [K[0, 0], K[1, 1], K[0, 2] + 0.5, K[1, 2] + 0.5]
     if any(camera.radial):

@@ -41,7 +41,6 @@ def copc_bytes(laz: bytes) -> bytes:
 
 
 def _describe(config: copclib.CopcConfigWriter, like: copclib.LasHeader, low: Float64s, side: float) -> None:
-    """Fill in the header and the cube of the octree."""
     header, info = config.las_header, config.copc_info
     for name in ("min", "max", "creation_day", "creation_year", "generating_software", "system_identifier"):
         setattr(header, name, getattr(like, name))

@@ -205,7 +205,6 @@ def changes_preview(changes: Changes) -> Uint8s:
 
 
 def _mark(image: Uint8s, changes: Changes) -> None:
-    """Frame each change in a map of the grid."""
     grid, scale = changes.grid, image.shape[1] / changes.grid.columns
     for number, change in changes.changes.items():
         east, north, _ = grid.axes @ (change.x, change.y, change.z)

@@ -209,7 +209,6 @@ def _chosen(mesh: Mesh, seen: list[_Seen]) -> Int32s:
 
 
 def _pixel(mesh: Mesh, seen: list[_Seen], chosen: Int32s) -> float:
-    """`Textured.pixel`."""
     widths = [np.zeros(0)]
     for number, each in enumerate(seen):
         mine = chosen[each.triangles] == number
@@ -291,7 +290,6 @@ def _object(found: Textured, name: str, shown: list[int], unseen: Int64s) -> Ite
 
 
 def _lines(form: str, rows: Float64s) -> bytes:
-    """Each row of numbers as a line."""
     return "".join(map(f"{form}\n".__mod__, map(tuple, rows.tolist()))).encode()
 
 

@@ -149,7 +149,6 @@ def cloud_preview(cloud: Cloud, cameras: Mapping[str, Camera]) -> Uint8s:
 
 
 def _fit(image: Uint8s, width: int) -> Uint8s:
-    """Reduced to a width; never enlarged."""
     h, w = image.shape[:2]
     if w <= width:
         return image
@@ -176,7 +175,6 @@ def _spread(x: Float64s, size: tuple[int, int]) -> list[int]:
 
 
 def _rectified(rectification: Rectification, left: Frame, right: Frame, width: int) -> Uint8s:
-    """Both rectified images side by side, with common rows drawn in."""
     from ..rectification.warping import warp  # here: whoever shows frames has no use for compiled kernels
 
     none = np.zeros((0, 2))
@@ -188,7 +186,6 @@ def _rectified(rectification: Rectification, left: Frame, right: Frame, width: i
 
 
 def _disparities(disparity: Disparity, width: int) -> Uint8s:
-    """Disparity of both views side by side, on one scale of colours."""
     from ..rectification.warping import disparity_px  # here: as above
 
     coloured, low, high = _coloured(disparity_px(disparity, 1), disparity_px(disparity, 2))

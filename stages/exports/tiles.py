@@ -48,7 +48,6 @@ def tile_files(cloud: Cloud, to_earth: Float64s | None = None) -> Iterator[tuple
 
 
 def _tile(cloud: Cloud, rows: Int64s) -> bytes:
-    """Some points as a tile ("pnts"), with confidence and sigma_mm."""
     shown = {"POSITION": cloud.points[rows].astype("<f4"), "RGB": cloud.colors[rows].astype(np.uint8)}
     told = {"confidence": cloud.confidence[rows].astype("<f4"), "sigma_mm": cloud.sigma_mm[rows].astype("<f4")}
     features = _table({"POINTS_LENGTH": len(rows)}, shown, {}, _HEADER.size)

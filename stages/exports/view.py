@@ -167,7 +167,6 @@ def _stream(points: Float64s, colors: Uint8s, layers: Layers, voxel: float, tota
 
 
 def _coded(layer: Layer) -> tuple[Uint8s, dict[str, float]]:
-    """(n,) bytes of values, and the ends of their scales."""
     values = layer.values.astype(np.float64)
     known = values[np.isfinite(values)]
     low, high = (float(v) for v in np.percentile(known, [1, 98])) if len(known) else (0.0, 1.0)

@@ -75,7 +75,6 @@ class _Entry:
 
 
 def _exif(data: Uint8s, tag: int) -> _Entry | None:
-    """The entry of a tag; None where the file has none."""
     tiff = _tiff(bytes(data[:65536]))
     if tiff is None:
         return None
@@ -95,7 +94,6 @@ def _exif(data: Uint8s, tag: int) -> _Entry | None:
 
 
 def _tiff(data: bytes) -> bytes | None:
-    """The TIFF block of a JPEG's EXIF segment."""
     for marker, start, end in jpeg_segments(data):
         if marker == APP1 and data[start : start + 6] == b"Exif\0\0":
             return data[start + 6 : end]

@@ -192,7 +192,6 @@ def _ways(views: list[tuple[Float32s, Camera]], pairs: list[tuple[int, int]], up
 
 
 def _likenesses(ways: list[_Way], plane: Float64s) -> Float64s:
-    """(n,) of all patches if they lie on the plane."""
     return np.concatenate([_likeness(way, plane) for way in ways])
 
 

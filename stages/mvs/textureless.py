@@ -132,7 +132,6 @@ def from_middle(x: Int64s, y: Int64s, shape: tuple[int, ...]) -> Float64s:
 
 
 def _grown(at: Float64s, d: Float64s, free: dict[int, Int64s], seed: int, rng: np.random.Generator) -> RegionPlane | None:
-    """The plane of a region, and of all others that lie on it."""
     mine = free[seed]
     start = _tried(at[mine], d[mine], rng)
     plane = None if start is None else _fitted(at[mine], d[mine], start, (seed,))

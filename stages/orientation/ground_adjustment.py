@@ -179,6 +179,5 @@ def _some(count: int, most: int) -> Int64s:
 
 
 def _of(geometry: Geometry, x1: Float64s, x2: Float64s) -> Geometry:
-    """A pair with other matches, which are believed."""
     sure = np.ones(len(x1), dtype=np.float32)
     return replace(geometry, x1=x1, x2=x2, i1=None, i2=None, probability=sure, good_probability=1.0)

@@ -287,7 +287,6 @@ def without_baseline(
 
 
 def _angle_deg(left: Camera, right: Camera, geometry: Geometry) -> float:
-    """Median angle at which the rays of a pair's matches meet."""
     a, b = _unit(left, geometry.x1), _unit(right, geometry.x2)
     return float(np.degrees(np.median(np.arccos(np.clip((a * b).sum(axis=0), -1, 1)))))
 

@@ -82,7 +82,6 @@ def _inconsistent(models: Sequence[Model], believed: Mapping[Edge, Geometry]) ->
 
 
 def _unsure_lenses(graph: ViewGraph, worlds: list[World]) -> dict[str, LensSigma]:
-    """The solved lenses that the observations do not tell."""
     sigmas = {graph.names[view]: sigma for world in worlds for view, sigma in lens_sigmas(world.model).items()}
     return {name: sigmas[name] for name in graph.names if name in sigmas and not sigmas[name].border_px <= MOST_SIGMA_PX}
 
@@ -173,7 +172,6 @@ def _collect(
 def _check(
     graph: ViewGraph, edge: Edge, cameras: Mapping[str, Camera], why: Rejected | None, max_epipolar_px: float
 ) -> PairCheck:
-    """What the solved cameras say of a pair."""
     geometry = graph.geometries[edge]
     own = float(np.median(symmetric_epipolar_distance(geometry.F, geometry.x1, geometry.x2)))
     left, right = (cameras.get(graph.names[view]) for view in edge)

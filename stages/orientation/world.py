@@ -110,7 +110,6 @@ def to_world(graph: ViewGraph, model: Model, placements: Mapping[str, Placement]
 
 
 def _source(trusted: tuple[str, ...], known: int) -> str:
-    """What scale and frame come from, in words."""
     if not trusted:
         return f"{known} known positions, which the images contradict"
     points = sum(name.startswith("control point") for name in trusted)
@@ -150,7 +149,6 @@ def _own_frame(
 
 
 def _at(camera: Camera, placement: Placement) -> Camera:
-    """The camera where it is said to be."""
     assert placement.R is not None and placement.C is not None
     return replace(camera, R=placement.R, C=placement.C)
 

@@ -75,7 +75,6 @@ def placed(
 
 
 def _by_homographies(pair: MatchedPair, found: Homographies, method: str, reason: str, torn_too: bool) -> Placed | str:
-    """A rectification by two homographies, or why there can be none."""
     H1, H2 = found
     shown1, shown2 = pair.shown()
     near1, near2 = _third(H1, shown1) > 0, _third(H2, shown2) > 0
