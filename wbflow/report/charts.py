@@ -6,7 +6,7 @@ import datetime
 import itertools
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from typing import Any
 
 from ..outcome.baseline import appearance_of, figures_of
 from ..pipeline.stages import STAGES
@@ -22,21 +22,9 @@ TIMETABLE_WIDTH = 1000.0
 _MOST_ROWS = 64
 
 
-@dataclass(frozen=True)
-class Chart:
-    """A figure over nights."""
-
-    title: str
-    now: str
-    median: str
-    median_y: float
-    points: tuple[tuple[float, float, str, str, str], ...]
-    """Of each night: x, y, its verdict, its words, and the link to its report ("" for this night)."""
-
-
-def trends(data: ReportData) -> list[Chart]:
+def trends(data: ReportData) -> list[dict[str, Any]]:
     """Return a chart for each figure of the whole night."""
-    nights, found = data.nights, list[Chart | None]()
+    nights, found = data.nights, list[dict[str, Any] | None]()
     titles = {str(Measure.POINTS): "points in the cloud", str(Measure.PAIRS): "pairs that were used"}
     names = dict.fromkeys(name for night in nights for name in figures_of(night))
     for name in (name for name in names if name not in {stage.name for stage in STAGES}):  # those follow, by their own titles
@@ -57,8 +45,11 @@ def trends(data: ReportData) -> list[Chart]:
     return [chart for chart in found if chart]
 
 
-def _chart(data: ReportData, title: str, values: Sequence[float | None], unit: str = "") -> Chart | None:
-    """Return the chart of a figure, oldest night first; None where fewer than two nights have it, or all are 0."""
+def _chart(data: ReportData, title: str, values: Sequence[float | None], unit: str = "") -> dict[str, Any] | None:
+    """Return the chart of a figure, oldest night first; None where fewer than two nights have it, or all are 0.
+
+    Its points are, of each night: x, y, its verdict, its words, and the link to its report ("" for this night).
+    """
     known = [value for value in values if value is not None]
     if len(known) < 2 or not any(known):
         return None
@@ -79,7 +70,8 @@ def _chart(data: ReportData, title: str, values: Sequence[float | None], unit: s
             state = night.verdict.level if night.verdict else ""
             points.append((EDGE + k * step, y(value), state, f"{night.date}: {words(value)}", link))
     median, last = sorted(known)[len(known) // 2], values[-1]
-    return Chart(title, "–" if last is None else words(last), words(median), y(median), tuple(points))
+    now = "–" if last is None else words(last)
+    return {"title": title, "now": now, "median": words(median), "median_y": y(median), "points": points}
 
 
 def _number(value: object) -> float | None:
@@ -123,19 +115,11 @@ def tasks_of_stages(data: ReportData) -> Iterator[tuple[str, Counter[str]]]:
     yield from ((stage.name, counts[stage.name]) for stage in STAGES if stage.name in counts)
 
 
-@dataclass(frozen=True)
-class Timetable:
-    """When tasks ran; tasks that ran at the same time lie in different rows."""
+def timetable(data: ReportData) -> dict[str, Any] | None:
+    """Return when tasks ran this night; None where none did.  Tasks that ran at the same time lie in different rows.
 
-    bars: tuple[tuple[int, int, float, float, str], ...]
-    """Of each task: number of its stage, which is its colour, row, x, width, and words."""
-    seconds: float
-    rows: int
-    stages: tuple[tuple[int, str], ...]
-
-
-def timetable(data: ReportData) -> Timetable | None:
-    """Return when tasks ran this night; None where none did."""
+    Its bars are, of each task: number of its stage, which is its colour, row, x, width, and words.
+    """
     numbers = {stage.name: k for k, stage in enumerate(STAGES)}
     ran: list[tuple[float, float, Task]] = []
     for task, event in data.tasks.items():
@@ -159,4 +143,5 @@ def timetable(data: ReportData) -> Timetable | None:
         width = max(1.0, (end - begin) / span * TIMETABLE_WIDTH)
         bars.append((numbers[task.stage], row, (begin - first) / span * TIMETABLE_WIDTH, width, title))
     shown = {stage for stage, *_ in bars}
-    return Timetable(tuple(bars), span, len(free), tuple((k, stage.name) for k, stage in enumerate(STAGES) if k in shown))
+    stages = [(k, stage.name) for k, stage in enumerate(STAGES) if k in shown]
+    return {"bars": bars, "seconds": span, "rows": len(free), "stages": stages}

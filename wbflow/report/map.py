@@ -307,28 +307,17 @@ def _outside(cameras: Sequence[SceneCamera], at: Mapping[str, tuple[float, float
     return found
 
 
-@dataclass(frozen=True)
-class Layer:
-    """A picture on the map."""
+def layers_of(data: ReportData, drawn: Map) -> list[dict[str, Any]]:
+    """Return the pictures on the map; the head of each names its top left, top right and bottom left corner in the world.
 
-    name: str
-    """Of the stage."""
-    words: str
-    legend: Sequence[tuple[str, str]]
-    """Meaning of each colour."""
-    data: str
-    """A data URL."""
-    matrix: tuple[float, ...]
-    """From the unit square to the drawing, as CSS has it: a, b, c, d, e, f."""
-
-
-def layers_of(data: ReportData, drawn: Map) -> list[Layer]:
-    """Return the pictures on the map; the head of each names its top left, top right and bottom left corner in the world."""
+    Their matrices go from the unit square to the drawing, as CSS has it: a, b, c, d, e, f.
+    """
     found = []
     for stage in STAGES:
         if layer := data.drawing(Task(stage.name), "layer"):
             head, picture = split(layer)
             (x, y), right, down = (drawn.at(drawn.scene.to(corner)) for corner in head["corners"])
             matrix = (right[0] - x, right[1] - y, down[0] - x, down[1] - y, x, y)
-            found.append(Layer(stage.name, head["words"], head["legend"], data_url(picture, "image/png"), matrix))
+            words = {"name": stage.name, "words": head["words"], "legend": head["legend"]}
+            found.append({**words, "data": data_url(picture, "image/png"), "matrix": matrix})
     return found

@@ -5,7 +5,7 @@ from __future__ import annotations
 import mimetypes
 from collections import Counter
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, fields
+from dataclasses import fields
 from typing import Any
 
 from ..cache.store import Preimage, Receipt
@@ -148,26 +148,16 @@ def _grade(value: float, base: float | None) -> str:
     return "" if value >= 0.9 * base else "fair" if value >= 0.7 * base else "bad"
 
 
-@dataclass(frozen=True)
-class ShownFinding:
-    """A finding with its pictures."""
+def findings(data: ReportData, album: Pictures) -> list[dict[str, Any]]:
+    """Return the findings of a night with their pictures, the most important first.
 
-    finding: Finding
-    number: int
-    """Of the camera that it is about in the page, from 1; 0 if it is about none."""
-    pictures: tuple[tuple[Picture | None, str], ...]
-    """With their captions; None for a picture that is missing."""
-    missing: str
-    """Text instead of a missing picture."""
-    folded: bool
-
-
-def findings(data: ReportData, album: Pictures) -> list[ShownFinding]:
-    """Return the findings of a night with their pictures, the most important first."""
+    Each has the number of its camera in the page, from 1 (0 if it is about none), pictures with their captions (None for one that
+    is missing), and the text instead of a missing one.
+    """
     record = data.record
     numbers = {camera.id: k for k, camera in enumerate(record.cameras, 1)}
     absent = {camera.id for camera in record.cameras if camera.code == Cause.NO_CAPTURE}
-    found: list[ShownFinding] = []
+    found: list[dict[str, Any]] = []
     kinds, stated = Counter[str](), record.verdict.findings if record.verdict else ()
     most = 1 if _shared(record, [finding for finding in stated if finding.kind.startswith("camera-")]) else _MOST_OF_A_KIND
     for finding in stated:
@@ -175,7 +165,8 @@ def findings(data: ReportData, album: Pictures) -> list[ShownFinding]:
         folded, number = kinds[finding.kind] > most, numbers.get(finding.about, 0)
         pictures = () if folded else tuple(_pictures(data, album, finding, number))
         missing = "no picture arrived" if finding.about in absent else "no picture could be read"
-        found.append(ShownFinding(finding, number, pictures, missing, folded))
+        shown = {"finding": finding, "number": number, "pictures": pictures}
+        found.append({**shown, "missing": missing, "folded": folded})
     return found
 
 
@@ -264,53 +255,25 @@ def pair_pictures(data: ReportData, album: Pictures) -> list[tuple[str, list[Pic
     return [(name, pictures) for name, pictures in found if pictures]
 
 
-@dataclass(frozen=True)
-class Thing:
-    """An object that a stage reports, with its own figures."""
-
-    name: str
-    title: str
-    size: str
-    since: str
-    """Whether it was there on the last good night."""
-    picture: Picture | None
-    figures: Mapping[str, Any]
-    known: str = ""
-    """Who has acknowledged it, until when, and why."""
-
-
-@dataclass(frozen=True)
-class Part:
-    """The results of a site-wide stage."""
-
-    title: str
-    reason: str
-    files: tuple[str, ...]
-    since: str
-    """Objects of the last good night that are gone."""
-    picture: Picture | None = None
-    rows: tuple[tuple[str, str], ...] = ()
-    volumes: tuple[tuple[str, ...], ...] = ()
-    """Of each part of the ground: its name, gained, lost, area compared, area not seen."""
-    things: tuple[Thing, ...] = ()
-
-
-def parts(data: ReportData, album: Pictures) -> list[Part]:
-    """Return the results of each site-wide stage in run.json."""
+def parts(data: ReportData, album: Pictures) -> list[dict[str, Any]]:
+    """Return the results of each site-wide stage in run.json, its figures, volumes and things, those first that nobody knows of."""
     found = []
     unit = "m" if data.record.poses is None or data.record.poses.metric else ""
     for stage in STAGES:
         if result := data.record.results.get(stage.name):
-            title, reason = stage.products.title, result.reason or ""
+            part: dict[str, Any] = {"title": stage.products.title, "reason": result.reason or "", "files": result.files}
             if isinstance(result, ChangesSummary) and result.compared is False:
-                found.append(Part(title, reason, result.files, "There was nothing to compare this night with."))
+                nothing = {"since": "There was nothing to compare this night with.", "picture": None}
+                found.append({**part, **nothing, "rows": (), "volumes": (), "things": ()})
                 continue
             since = since_last_good(data, stage.name)
-            things = sorted(_things(result, album, since, unit), key=lambda thing: bool(thing.known))
-            gone = _gone(since, unit) if since else ""
-            picture = album.of_task(Task(stage.name), title)
-            rows, volumes = tuple(shown(vars(result))), tuple(_volumes(result, unit))
-            found.append(Part(title, reason, result.files, gone, picture, rows, volumes, tuple(things)))
+            things = sorted(_things(result, album, since, unit), key=lambda thing: bool(thing["known"]))
+            shows = {
+                "since": _gone(since, unit) if since else "",
+                "picture": album.of_task(Task(stage.name), stage.products.title),
+            }
+            tables = {"rows": list(shown(vars(result))), "volumes": list(_volumes(result, unit))}
+            found.append({**part, **shows, **tables, "things": tuple(things)})
     return found
 
 
@@ -319,7 +282,7 @@ def _gone(since: Comparison, unit: str) -> str:
     return f"Differed on {since.date}, the last good night, and are as in the reference again: {', '.join(gone)}." if gone else ""
 
 
-def _things(result: SiteSummary, album: Pictures, since: Comparison | None, unit: str) -> Iterator[Thing]:
+def _things(result: SiteSummary, album: Pictures, since: Comparison | None, unit: str) -> Iterator[dict[str, Any]]:
     for name, entry in result.objects.items():
         file = next((f for f in result.files if f.rpartition(".")[0].endswith(f"-{name}") and is_picture(f)), None)
         title = f"{name}: {entry.kind}".rstrip(": ")
@@ -327,7 +290,8 @@ def _things(result: SiteSummary, album: Pictures, since: Comparison | None, unit
         picture = album.of_product(file, f"{title}: then and this night") if file else None
         known = since.known.get(name) if since else None
         when = "" if since is None else f"already so on {since.date}" if known else f"since {since.date}, the last good night"
-        yield Thing(name, title, _dimensions(entry, unit), when, picture, figures, entry.acknowledged)
+        words = {"name": name, "title": title, "size": _dimensions(entry, unit), "since": when, "known": entry.acknowledged}
+        yield {**words, "picture": picture, "figures": figures}
 
 
 def _volumes(result: SiteSummary, unit: str) -> Iterator[tuple[str, ...]]:
