@@ -48,8 +48,14 @@ def nearest_neighbours(descriptors1: Float32s, descriptors2: Float32s, k: int) -
 
 
 def nearest_of_kind(descriptors1: Float32s, descriptors2: Float32s, kind1: Bools, kind2: Bools, k: int) -> Neighbours:
-    """The same among those of one kind, (n1,) and (n2,): a blob that is brighter than what is around it is so from everywhere.
-    Where a kind is too rare to have k neighbours, among all."""
+    """The same among those of one kind: a blob that is brighter than what is around it is so from everywhere.
+
+    Parameters
+    ----------
+    descriptors1, descriptors2 : (n1, d) and (n2, d) of unit length.
+    kind1, kind2 : (n1,) and (n2,).
+    k : neighbours of each; where a kind is too rare to have so many, they are looked for among all.
+    """
     both = [(np.flatnonzero(kind1 == kind), np.flatnonzero(kind2 == kind)) for kind in (False, True)]
     if min(len(rows) for pair in both for rows in pair) < k:
         return nearest_neighbours(descriptors1, descriptors2, k)
