@@ -11,7 +11,7 @@ import pytest
 from click.testing import CliRunner
 
 from wbflow.cli.main import main
-from wbflow.site.calibration.read import read_calibration
+from wbflow.site.calibration import read_calibration
 from wbflow_stages.board import fit_lens
 from wbflow_stages.core.lenses import lens_pixels, lens_rays
 from wbflow_stages.types import Float64s, Lens, Uint8s

@@ -416,7 +416,7 @@ def site_report(sites: tuple[Path, ...], out: Path) -> None:
     wbflow site-report harbour/site.yaml yard/site.yaml
     """
     from ..cache.atomic import write_atomic
-    from ..report.sites import page, site_files
+    from ..report.page import page, site_files
 
     if not site_files(sites):
         raise UsageError(f"there is no site file in {', '.join(map(str, sites))}", remedy="name site files, or a folder of them")

@@ -119,7 +119,7 @@ def pair(left: Path, right: Path, out: Path, resolution: int, jobs: int, verbose
     wbflow pair left.jpg right.jpg --out pair --resolution 2400
     """
     from ..api import run
-    from ..outcome.pair import LAST_STAGE, failure, pair_site, write_pair
+    from ..outcome.init import LAST_STAGE, failure, pair_site, write_pair
     from .display import display
 
     site = pair_site(left, right, out, resolution)
@@ -184,7 +184,7 @@ def stages(stage: str | None) -> None:
     wbflow stages
     wbflow stages disparity
     """
-    from ..pipeline.describe import describe
+    from ..pipeline.binding import describe
     from ..pipeline.functions import FunctionReader
     from ..pipeline.stages import STAGES
 

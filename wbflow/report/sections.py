@@ -256,7 +256,7 @@ def pair_pictures(data: ReportData, album: Pictures) -> list[tuple[str, list[Pic
 
 
 def parts(data: ReportData, album: Pictures) -> list[dict[str, Any]]:
-    """Return the results of each site-wide stage in run.json, its figures, volumes and things, those first that nobody knows of."""
+    """Return the results of each site-wide stage in run.json; of its things, those first that nobody knows of."""
     found = []
     unit = "m" if data.record.poses is None or data.record.poses.metric else ""
     for stage in STAGES:

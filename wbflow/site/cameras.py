@@ -15,8 +15,8 @@ from ..cache.fingerprint import load
 from ..cache.untrusted import is_file
 from ..errors import printable
 from ..task import view_name
+from .calibration import find_camera, read_calibration
 from .calibration.calibrated import Calibrated, Lens, Placement, turned
-from .calibration.read import find_camera, read_calibration
 from .locations import CalibrationError, Location, Problems, beside, is_name
 from .models import POSITION_REMEDY, Camera, CameraEntry, SiteFile, Survey
 

@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from wbflow.site.calibration import read_calibration
 from wbflow.site.calibration.calibrated import look_at, yaw_pitch_roll
-from wbflow.site.calibration.read import read_calibration
 from wbflow.site.locations import CalibrationError
 
 

@@ -12,8 +12,8 @@ import numpy as np
 import pycolmap
 import pytest
 
+from wbflow.site.calibration import read_calibration
 from wbflow.site.calibration.calibrated import Calibrated
-from wbflow.site.calibration.read import read_calibration
 from wbflow.site.load import load_site
 from wbflow.site.locations import CalibrationError
 from wbflow_stages.core.lenses import lens_pixels, lens_rays
