@@ -24,11 +24,7 @@ _LEARNT_FROM, _ROUNDS = 12_000, 8
 def most_alike(descriptors: Sequence[Float32s], count: int, seed: int = 0) -> list[tuple[int, int]]:
     """Pairs (i, j) of views, i < j, of which one is among the `count` that look most like the other; in order.
 
-    Parameters
-    ----------
-    descriptors : (n, d) float32 of unit length, of each view.
-    count : of each view.
-    seed : of what the words are made from.
+    descriptors: (n, d) float32 of unit length, of each view; seed: of what the words are made from.
     """
     whole = _whole_views(descriptors, seed)
     likeness = whole @ whole.T

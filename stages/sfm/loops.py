@@ -263,9 +263,7 @@ def closes(posed: Mapping[Pair, Geometry], a: str, b: str, c: str, usual: Habits
     Parameters
     ----------
     posed : geometries by pair.
-    a : Camera.
-    b : Camera.
-    c : Camera.
+    a, b, c : ids of the cameras.
     usual : how well triangles close where all is right.
     slack_deg : more than that, for what else is uncertain.
     """

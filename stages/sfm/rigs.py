@@ -32,13 +32,8 @@ def whole_R(camera: Camera) -> Float64s:
 
 
 def beside(bare: Camera, cameras: Mapping[int, Camera]) -> Camera | None:
-    """A view where another view of its camera says that it is; None where there is none.
-
-    Parameters
-    ----------
-    bare : its intrinsics.
-    cameras : placed views.
-    """
+    """A view, of which the intrinsics count, where another view of its camera, among placed ones, says that it is; None where
+    there is none."""
     for placed in cameras.values():
         if same_camera(bare, placed):
             return replace(bare, R=between(placed.lens, bare.lens) @ placed.R, C=placed.C, component=placed.component)

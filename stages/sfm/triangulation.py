@@ -50,8 +50,7 @@ def angles(cameras: Mapping[int, Camera], tracks: Tracks, X: Float64s, use: Bool
     Parameters
     ----------
     cameras : by number of the view.
-    tracks : n observations of `count` points.
-    X : (count, 3) points.
+    tracks, X : n observations of `count` points, and (count, 3) these.
     use : (n,) bool: which observations count.
     """
     rows = np.flatnonzero(use & posed(cameras, tracks))

@@ -10,13 +10,9 @@ GRID_COLUMNS, GRID_ROWS = 12, 8
 
 
 def places(x: Float64s, size: tuple[int, int], more: float = 1.0) -> int:
-    """How many cells hold a point.
+    """How many cells of an image of this width and height hold one of the points x (n, 2), pixels.
 
-    Parameters
-    ----------
-    x : (n, 2) pixels.
-    size : width and height of the image, pixels.
-    more : the grid has so many times the cells of `GRID_COLUMNS` x `GRID_ROWS`.
+    more: the grid has so many times the cells of `GRID_COLUMNS` x `GRID_ROWS`.
     """
     finer = np.sqrt(more)
     column = (x[:, 0] * GRID_COLUMNS * finer / size[0]).astype(np.int64)

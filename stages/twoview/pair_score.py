@@ -249,10 +249,8 @@ def ray_angle_deg(x1: Float64s, x2: Float64s, view1: View, view2: View, R: Float
 
     Parameters
     ----------
-    x1 : (n, 2) pixels.
-    x2 : (n, 2) pixels.
-    view1 : size and intrinsics of image 1.
-    view2 : size and intrinsics of image 2.
+    x1, x2 : (n, 2) pixels.
+    view1, view2 : size and intrinsics of the images.
     R : (3, 3) relative rotation; None where it is not known.
     """
     if R is None or view1.K is None or view2.K is None:
