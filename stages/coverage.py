@@ -75,21 +75,15 @@ def find_coverage(
     seen = np.zeros((len(cameras), len(known)), bool)
     for k, (name, camera) in enumerate(cameras.items()):
         seen[k] = _sees(camera, frames.get(name), source[name][name], X[known], grid.cell)
-    whole = _whole_cameras(cameras)
+    whole: dict[str, list[int]] = {}  # the views of each camera, of which most have one
+    for k, (name, camera) in enumerate(cameras.items()):
+        whole.setdefault(camera_id(name, camera), []).append(k)
     seen = np.stack([seen[rows].any(axis=0) for rows in whole.values()])
     firsts = [list(cameras.values())[rows[0]] for rows in whole.values()]
     limits = np.cos(np.radians([min_angle_deg, max_angle_deg]))
     focals = np.array([camera.K[0, 0] for camera in firsts]) / noise_px
     angle, error = _best_pairs(X[known], seen, np.stack([c.C for c in firsts]), focals, limits[0], limits[1])
     return _coverage(poses, list(whole), grid, heights, known, seen, angle, error)
-
-
-def _whole_cameras(cameras: Mapping[str, Camera]) -> dict[str, list[int]]:
-    """Positions of the views of each camera, which most have one of, by its id."""
-    found: dict[str, list[int]] = {}
-    for k, (name, camera) in enumerate(cameras.items()):
-        found.setdefault(camera_id(name, camera), []).append(k)
-    return found
 
 
 def _coverage(

@@ -72,7 +72,9 @@ def match_dense(
         return Rejected(Reason.RANGE_TOO_WIDE, {"disparity_max_px": rectification.disparity_max_px})
     pair = with_coarse_range(rectified_pair(left, right, rectification))
     if reference_disparity is not None and reference_rectification is not None and _alike(rectification, reference_rectification):
-        pair = _starting_from(pair, reference_disparity)
+        maps = reference_disparity.left, reference_disparity.right
+        before, before_right = (_known(stored, reference_disparity.offset_px, pair.left.shape[1]) for stored in maps)
+        pair = replace(pair, reference_left=before, reference_right=before_right)
     inputs = {"pair": pair, "left": left, "right": right, "rectification": rectification}
     matches: DenseMatches | Rejected = bind(MATCHERS, matcher, inputs, options)()
     if isinstance(matches, Rejected):
@@ -87,11 +89,6 @@ def match_dense(
     widths = rectification.size1[0], rectification.size2[0]
     (left_map, sure1), (right_map, sure2) = ((a[:, :w].copy(), b[:, :w].copy()) for w, (a, b) in zip(widths, kept, strict=True))
     return Disparity(left_map, right_map, sure1, sure2, offset, density)
-
-
-def _starting_from(pair: RectifiedPair, reference: Disparity) -> RectifiedPair:
-    left, right = (_known(stored, reference.offset_px, pair.left.shape[1]) for stored in (reference.left, reference.right))
-    return replace(pair, reference_left=left, reference_right=right)
 
 
 def _alike(one: Rectification, two: Rectification) -> bool:

@@ -128,8 +128,11 @@ def _detect_view(grey: Uint8s, contrast: float, mask: Bools, wanted: int, grid_c
         mine = blobs.at(band == number).lower_by(-start)
         angles[band == number] = angle = main_directions(octaves, mine, np.radians(ANGLE_SEAM_DEG))
         descriptors[band == number] = describe(octaves, mine, angle)
-    frames = _keypoint_frames(2 * blobs.sigma, angles)
-    return np.column_stack([blobs.x, blobs.y]), frames, _root(descriptors), blobs.response.astype(np.float32)
+    c, s = 2 * blobs.sigma * np.cos(angles), 2 * blobs.sigma * np.sin(angles)
+    frames = np.stack([np.stack([c, -s], axis=1), np.stack([s, c], axis=1)], axis=1)
+    # RootSIFT: unit length follows from the L1 normalisation
+    root = np.sqrt(descriptors / np.maximum(descriptors.sum(axis=1, keepdims=True), 1e-12)).astype(np.float32)
+    return np.column_stack([blobs.x, blobs.y]), frames, root, blobs.response.astype(np.float32)
 
 
 def _bands(height: int, width: int) -> list[tuple[int, int, int, int]]:
@@ -179,14 +182,3 @@ def _spread(blobs: Blobs, usable: Bools, shape: tuple[int, ...], wanted: int, gr
     share = wanted * cell * cell / (shape[0] * shape[1])
     crowded = rank_within(cells, np.arange(len(cells))) >= crowding * share
     return np.asarray(order[np.sort(np.lexsort((np.arange(len(order)), crowded))[:wanted])])
-
-
-def _keypoint_frames(size: Float64s, angle: Float64s) -> Float64s:
-    """(n, 2, 2) scale times rotation."""
-    c, s = size * np.cos(angle), size * np.sin(angle)
-    return np.stack([np.stack([c, -s], axis=1), np.stack([s, c], axis=1)], axis=1)
-
-
-def _root(raw: Float32s) -> Float32s:
-    """RootSIFT: unit length follows from the L1 normalisation."""
-    return np.asarray(np.sqrt(raw / np.maximum(raw.sum(axis=1, keepdims=True), 1e-12)), dtype=np.float32)

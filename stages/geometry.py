@@ -127,7 +127,9 @@ def estimate_geometry(
 
 
 def _accepted(inliers: Matches, found: TwoView, support: _Support, evidence: PairEvidence, score: float) -> Geometry:
-    R, t = _pose(found, inliers.x1, inliers.x2, inliers.view1, inliers.view2)
+    R, t = found.R, found.t
+    if R is None:  # the pose nearest to F, where there is some K to read it with
+        R, t = pose_of_fundamental(found.F, inliers.x1, inliers.x2, inliers.view1, inliers.view2) or (None, None)
     rival = evidence.rival
     return Geometry(
         F=found.F,
@@ -321,14 +323,6 @@ def _size(frames: Float64s) -> Float64s:
 
 def _known(view: View) -> bool:
     return view.K is not None and view.focal_known
-
-
-def _pose(found: TwoView, x1: Float64s, x2: Float64s, view1: View, view2: View) -> tuple[Float64s | None, Float64s | None]:
-    """The relative pose of E, else the one nearest to F where there is some K to read it with."""
-    if found.R is not None:
-        return found.R, found.t
-    nearest = pose_of_fundamental(found.F, x1, x2, view1, view2)
-    return (None, None) if nearest is None else nearest
 
 
 def _hull_share(x: Float64s, view: View) -> float:

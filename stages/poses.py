@@ -158,7 +158,9 @@ def _checked(
     contradiction = _doubt(unclear, cameras, seen, evidence) if unclear else ""
     off = {name: _moved(known[name], found.cameras.get(name), name, seen) for name in moved}
     suspects = {name: _suspicion(name, check, found.metric) for name, check in off.items()}
-    pair_checks = _pair_checks(found, _fit(cameras, seen, max_epipolar_px))
+    fit = _fit(cameras, seen, max_epipolar_px)  # counts, but for pairs that it keeps and all cameras have judged, too
+    kept = {pair: found.pair_checks[pair] for pair, check in fit.items() if check.kept and pair in found.pair_checks}
+    pair_checks = {**found.pair_checks, **fit, **{pair: replace(check, known="stated") for pair, check in kept.items()}}
     return replace(
         found,
         dropped={pair: check.reason for pair, check in pair_checks.items() if not check.kept},
@@ -236,12 +238,6 @@ def _solved(
     if isinstance(found, Rejected) and len(trusted) >= 2:
         return _as_stated(views, placements, trusted, survey)
     return found
-
-
-def _pair_checks(found: Poses, fit: Mapping[str, PairCheck]) -> dict[str, PairCheck]:
-    """What is said of each pair: by known cameras where both are known and don't agree with it, else by all cameras."""
-    kept = {pair: found.pair_checks[pair] for pair, check in fit.items() if check.kept and pair in found.pair_checks}
-    return {**found.pair_checks, **fit, **{pair: replace(check, known="stated") for pair, check in kept.items()}}
 
 
 def _source(name: str, known: Mapping[str, Camera], trusted: Mapping[str, Camera], found: Poses) -> str:

@@ -108,7 +108,8 @@ def rectify(
     ----------
     Hartley, IJCV 1999; Fusiello et al., MVA 2000; Pollefeys et al., ICCV 1999.
     """
-    geometry = _straight(geometry, left, right)
+    if geometry is not None and left is not None and right is not None:
+        geometry = replace(geometry, x1=straight_points(left, geometry.x1), x2=straight_points(right, geometry.x2))
     fitted = partial(_fitted, (geometry, left, right), method, fallback, options)
     limits = min_matches, max_row_error_px, min_angle_deg, range_margin
     by_matches, matches = _by_matches(geometry, left, right, check, fitted, limits)
@@ -118,13 +119,6 @@ def rectify(
     by_cameras = _from_cameras((left, right), (left_frame, right_frame), scene, fitted, min_angle_deg)
     usable = by_matches if isinstance(by_cameras, Rejected) and isinstance(by_matches, Rectification) else by_cameras
     return _bent(usable, left, right)
-
-
-def _straight(geometry: Geometry | None, left: Camera | None, right: Camera | None) -> Geometry | None:
-    """With matches where straight frames have them, where both cameras are known."""
-    if geometry is None or left is None or right is None:
-        return geometry
-    return replace(geometry, x1=straight_points(left, geometry.x1), x2=straight_points(right, geometry.x2))
 
 
 def _bent(found: Rectification | Rejected, left: Camera | None, right: Camera | None) -> Rectification | Rejected:

@@ -54,7 +54,8 @@ def merge(images: Sequence[Uint8s], weights: Float64s | None = None) -> Backgrou
     stack = [with_gain(image, gain) for image, gain in zip(images, gains, strict=True)]
     merged = _medians(stack, weights) if len(images) > 2 else images[-1]
     agreeing = _agreeing(stack, merged, weights)
-    doubtful = _solid(agreeing <= 0.5 + 1e-9)
+    moved = cv2.morphologyEx((agreeing <= 0.5 + 1e-9).astype(np.uint8), cv2.MORPH_OPEN, _disc(_SPECK_PX))
+    doubtful = np.asarray(cv2.dilate(moved, _disc(2 * _MARGIN_PX + 1)), np.bool_)
     if doubtful.mean() > _MOST_DOUBTFUL:
         doubtful = nothing
     same = np.ones(nothing.shape, np.bool_)
@@ -87,12 +88,6 @@ def _agreeing(stack: Sequence[Uint8s], merged: Uint8s, weights: Float64s) -> Flo
         sigma = 1.4826 * float(np.median(off[::4, ::4]))
         share += weight * (off <= max(_LEAST_TOLERANCE, _SIGMAS * sigma))
     return np.asarray(share / weights.sum(), np.float64)
-
-
-def _solid(doubtful: Bools) -> Bools:
-    """Without what is too thin to have moved, with a margin around the rest."""
-    opened = cv2.morphologyEx(doubtful.astype(np.uint8), cv2.MORPH_OPEN, _disc(_SPECK_PX))
-    return np.asarray(cv2.dilate(opened, _disc(2 * _MARGIN_PX + 1)), np.bool_)
 
 
 def _disc(size: int) -> npt.NDArray[np.uint8]:

@@ -11,7 +11,7 @@ import numpy as np
 
 from ..core.cameras import scaled_intrinsics
 from ..core.lenses import WIDEST_DEG, lens_pixels, sides_deg
-from ..types import Bools, Float32s, Float64s, Lens, Uint8s, View
+from ..types import Float32s, Float64s, Lens, Uint8s, View
 from .files import BadCapture, wrong_size
 
 
@@ -156,7 +156,8 @@ def _framed(lens: Lens, width: int, height: int, name: str) -> tuple[Float64s, b
     axes = [_slopes(lens, 0), _slopes(lens, 2)]
     x, y = np.meshgrid(*axes)
     rays = np.stack([x, y, np.ones_like(x)], axis=-1).reshape(-1, 3)
-    seen = _inside(lens, rays if lens.turn is None else rays @ lens.turn, width, height).reshape(x.shape)
+    at = lens_pixels(lens, rays if lens.turn is None else rays @ lens.turn)
+    seen = np.all((at > -0.5) & (at < (width - 0.5, height - 0.5)), axis=1).reshape(x.shape)
     if not seen.any():
         raise BadCapture(f"{name}: by its intrinsics the lens sees nothing before it")
     spans = []
@@ -174,12 +175,6 @@ def _slopes(lens: Lens, first: int) -> Float64s:
     half = 0.5 * WIDEST_DEG
     low, high = (-half, half) if lens.window is None else np.rad2deg(np.arctan(lens.window[first : first + 2]))
     return np.asarray(np.tan(np.deg2rad(np.arange(low, high + 1e-9, _GRID_DEG))), dtype=np.float64)
-
-
-def _inside(lens: Lens, rays: Float64s, width: int, height: int) -> Bools:
-    """(n,) do rays (n, 3) fall on the picture?"""
-    x = lens_pixels(lens, rays)
-    return np.asarray((x > -0.5).all(axis=1) & (x < (width - 0.5, height - 0.5)).all(axis=1), np.bool_)
 
 
 def _scale(lens: Lens) -> float:

@@ -86,7 +86,8 @@ def find_clusters(
     closed = ndimage.binary_closing(np.pad(covered.reshape(grid.rows, grid.columns), 3), iterations=2)[3:-3, 3:-3]
     labels, count = ndimage.label(closed | covered.reshape(closed.shape), np.ones((3, 3)))
     label_of = np.where(cells >= 0, labels.ravel()[cells], 0)
-    same = _unchanged(side, grid)
+    still = cells_of(grid, side.core[side.measured & ~side.changed])
+    same = np.bincount(still[still >= 0], minlength=covered.size).reshape(closed.shape) > 0
     found = []
     for number in range(1, count + 1):
         rows = np.flatnonzero(label_of == number)
@@ -166,12 +167,6 @@ def over_ground(grid: GroundGrid, points: Float64s) -> Over:
     cells = cells_of(grid, points)
     inside = cells >= 0
     return Over(cells[inside], points[inside] @ grid.axes[2])
-
-
-def _unchanged(side: Evidence, grid: GroundGrid) -> Bools:
-    """(rows, columns) cells where a surface is known that has not changed."""
-    cells = cells_of(grid, side.core[side.measured & ~side.changed])
-    return np.bincount(cells[cells >= 0], minlength=grid.rows * grid.columns).reshape(grid.rows, grid.columns) > 0
 
 
 def _footprint(

@@ -23,7 +23,8 @@ _MOST = 4
 
 def parallel_map(work: Callable[[Item], Result], items: Iterable[Item]) -> Iterator[Result]:
     """Yield `work` of each item, in order; no more results are ahead of the consumer than there are threads."""
-    threads = _threads()
+    stated = os.environ.get(THREADS, "")
+    threads = min(max(int(stated), 1), _MOST) if stated.isdecimal() else 1
     if threads == 1:
         yield from map(work, items)
         return
@@ -31,8 +32,3 @@ def parallel_map(work: Callable[[Item], Result], items: Iterable[Item]) -> Itera
     parallel = Parallel(n_jobs=threads, prefer="threads", return_as="generator")
     while chunk := list(islice(waiting, threads)):
         yield from parallel(delayed(work)(item) for item in chunk)
-
-
-def _threads() -> int:
-    stated = os.environ.get(THREADS, "")
-    return min(max(int(stated), 1), _MOST) if stated.isdecimal() else 1

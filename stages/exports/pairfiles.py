@@ -36,7 +36,11 @@ def pair_files(
     files = _matching_files(matches, geometry, left, right)
     summary: dict[str, Any] = {}
     if rectification is not None:
-        files |= _rectified_files(rectification, left, right)
+        files |= {
+            "left-rectified.png": png(warp(rectification, 1, left.image)),
+            "right-rectified.png": png(warp(rectification, 2, right.image)),
+            "3-rectified.jpg": bytes(rectified_preview(rectification, left, right, width=FULL)),
+        }
         names = ("method", "reason", "H1", "H2", "disparity_min_px", "disparity_max_px")
         summary |= {f"rectification_{name}": _plain(getattr(rectification, name)) for name in names}
         if disparity is not None:
@@ -54,15 +58,6 @@ def _matching_files(matches: Matches, geometry: Geometry | None, left: Frame, ri
         files |= {"inliers.csv": _table(geometry), "F.txt": f"{rows}\n".encode()}
         files["2-inliers.jpg"] = bytes(matches_preview(geometry, left, right, width=FULL))
     return files
-
-
-def _rectified_files(rectification: Rectification, left: Frame, right: Frame) -> dict[str, bytes]:
-    """left-rectified.png, right-rectified.png and a picture of both with common rows."""
-    return {
-        "left-rectified.png": png(warp(rectification, 1, left.image)),
-        "right-rectified.png": png(warp(rectification, 2, right.image)),
-        "3-rectified.jpg": bytes(rectified_preview(rectification, left, right, width=FULL)),
-    }
 
 
 def _disparity_files(

@@ -17,7 +17,7 @@ from ..sfm.loops import USUAL, Habits
 from ..sfm.rigs import rigs_of
 from ..sfm.tracks import Edge
 from ..sfm.view_graph import ViewGraph
-from ..types import Camera, Geometry, LensSigma, Pair, PairCheck, Placement, PoseIssue, Poses, Survey, View
+from ..types import Camera, Geometry, Pair, PairCheck, Placement, PoseIssue, Poses, Survey, View
 from .lens_sigma import MOST_SIGMA_PX, lens_sigmas, with_principal_points
 from .pose_check import BELIEVED, confirmed
 from .triplet_consistency import FEWEST, MOST_INCONSISTENCY, consistent_matches, inconsistency
@@ -53,7 +53,8 @@ def solve_from_pairs(
     held = {number[name]: camera for name, camera in exact.items()}
     believed = {edge: graph.geometries[edge] for edge in trusted}
     models, out = _refined(graph.models(trusted, held), believed, max_epipolar_px)
-    inconsistent = {graph.names[view]: strain for view, strain in _inconsistent(models, believed).items()}
+    strains = ((model, strain) for model in models if (strain := inconsistency(model, believed)) > MOST_INCONSISTENCY)
+    inconsistent = {graph.names[view]: strain for model, strain in strains for view in model.cameras}
     if inconsistent:
         confirmed = replace(graph, geometries={**graph.geometries, **consistent_matches(believed, FEWEST)})
         again, gone = _refined(confirmed.models(trusted, held), believed, max_epipolar_px)
@@ -63,7 +64,9 @@ def solve_from_pairs(
     worlds = [to_world(graph, model, placements, survey) for model in models]
     metric = all(placements[name].metric for name in exact)
     found = _collect(graph, worlds, stated, exact, metric, dropped, {graph.names[view] for view in out}, max_epipolar_px, survey)
-    issues = [PoseIssue("lens-undetermined", name, **vars(sigma)) for name, sigma in _unsure_lenses(graph, worlds).items()]
+    sigmas = {graph.names[view]: sigma for world in worlds for view, sigma in lens_sigmas(world.model).items()}
+    unsure = [name for name in graph.names if name in sigmas and not sigmas[name].border_px <= MOST_SIGMA_PX]
+    issues = [PoseIssue("lens-undetermined", name, **vars(sigmas[name])) for name in unsure]
     issues += [PoseIssue("inconsistent", name, strain=strain) for name, strain in inconsistent.items()]
     return replace(found, issues=(*found.issues, *issues))
 
@@ -73,17 +76,6 @@ def _refined(grown: Sequence[Model], believed: Mapping[Edge, Geometry], max_epip
     adjusted = [with_principal_points(refine(model, rounds=3)) for model in grown]
     supported = [without_unsupported(model, believed, max_epipolar_px) for model in adjusted]
     return [model for model, _ in supported if model.use.any()], [view for _, out in supported for view in out]
-
-
-def _inconsistent(models: Sequence[Model], believed: Mapping[Edge, Geometry]) -> dict[int, float]:
-    """The views of models that look-alikes have a say in, and how much of one."""
-    found = ((model, inconsistency(model, believed)) for model in models)
-    return {view: much for model, much in found if much > MOST_INCONSISTENCY for view in model.cameras}
-
-
-def _unsure_lenses(graph: ViewGraph, worlds: list[World]) -> dict[str, LensSigma]:
-    sigmas = {graph.names[view]: sigma for world in worlds for view, sigma in lens_sigmas(world.model).items()}
-    return {name: sigmas[name] for name in graph.names if name in sigmas and not sigmas[name].border_px <= MOST_SIGMA_PX}
 
 
 def _obeying(exact: Mapping[str, Camera], geometries: Mapping[Pair, Geometry], max_epipolar_px: float) -> dict[Pair, Geometry]:

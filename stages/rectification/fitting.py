@@ -195,7 +195,8 @@ def _row_uncertainty_px(
     inside = ((partner >= -0.5) & (partner <= np.array(pair.size2) - 0.5)).all(axis=1)
     if not inside.any():
         return 0.0
-    essential = _intrinsics_behind(geometry)
+    K1, K2 = geometry.view1.K, geometry.view2.K
+    essential = (K1, K2) if geometry.model == "E" and K1 is not None and K2 is not None else None  # five degrees of freedom only
     lenses = None
     if geometry.lens1 is not None and geometry.lens2 is not None:
         lenses = freedoms(pair.F, geometry.lens1, geometry.lens2, geometry.view1, geometry.view2)
@@ -203,12 +204,6 @@ def _row_uncertainty_px(
     shown, partner = np.compress(inside, shown, axis=0), np.compress(inside, partner, axis=0)
     sigma = line_uncertainty(pair.F, pair.x1, pair.x2, shown, partner, essential, noise, lenses)
     return _DEVIATIONS * percentiles(sigma, 95)[0]
-
-
-def _intrinsics_behind(geometry: Geometry) -> tuple[Float64s, Float64s] | None:
-    """K1, K2 where F comes from an essential matrix, and so has five degrees of freedom only."""
-    K1, K2 = geometry.view1.K, geometry.view2.K
-    return (K1, K2) if geometry.model == "E" and K1 is not None and K2 is not None else None
 
 
 def _depth_resolution(pair: MatchedPair, scale: float) -> float:

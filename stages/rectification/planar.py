@@ -83,7 +83,8 @@ def _fit(F: Float64s, x1: Float64s, x2: Float64s, size: tuple[int, int], robust:
     H2 = send_epipole_to_infinity(F, size)
     row2, row3 = rows_fixed_by(F, H2, x1)
     target = apply_homography(H2, x2)
-    N = _normaliser(size)
+    half = max(size) / 2  # pixels to about -1..1, so that the three coordinates weigh alike in the linear algebra
+    N = np.array([[1 / half, 0.0, -(size[0] - 1) / 2 / half], [0.0, 1 / half, -(size[1] - 1) / 2 / half], [0.0, 0.0, 1.0]])
     row3_n = row3 @ np.linalg.inv(N)
     m = homogeneous(x1) @ N.T
     points = m / (m @ row3_n)[:, None]
@@ -92,12 +93,6 @@ def _fit(F: Float64s, x1: Float64s, x2: Float64s, size: tuple[int, int], robust:
     ab = _fit_edges(points @ B, target[:, 0], net_edges(target), robust)
     c = np.median(target[:, 0] - points @ (B @ ab))
     return Homographies(np.stack([(B @ ab + c * row3_n) @ N, row2, row3]), H2)
-
-
-def _normaliser(size: tuple[int, int]) -> Float64s:
-    """(3, 3): pixels to about -1..1, so that the three coordinates weigh alike in the linear algebra."""
-    half = max(size) / 2
-    return np.array([[1 / half, 0.0, -(size[0] - 1) / 2 / half], [0.0, 1 / half, -(size[1] - 1) / 2 / half], [0.0, 0.0, 1.0]])
 
 
 def send_epipole_to_infinity(F: Float64s, size: tuple[int, int]) -> Float64s:

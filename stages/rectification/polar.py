@@ -31,7 +31,9 @@ def polar(pair: MatchedPair) -> PolarImages:
     x1, x2 = pair.shown()
     e1, e2 = (_finite(e, size) for e, size in zip(epipoles(F), (size1, size2), strict=True))
     away1, away2 = x1 - e1, x2 - e2
-    forward = np.sum(_line_direction(F, x1) * away2, axis=1) > 0
+    lines = homogeneous(x1) @ F.T  # their sign is that of F, the same for all points on the right side
+    along = np.column_stack([lines[:, 1], -lines[:, 0]]) / np.hypot(lines[:, 0], lines[:, 1])[:, None]
+    forward = np.sum(along * away2, axis=1) > 0
     side = 1.0 if forward.mean() >= 0.5 else -1.0
     agreement = float(np.mean(forward == (side > 0)))
     radius1, radius2 = np.hypot(*away1.T), np.hypot(*away2.T)
@@ -60,12 +62,6 @@ def _finite(epipole: Float64s, size: Size) -> Float64s:
     if np.hypot(*away) > limit * abs(epipole[2]):
         return np.asarray(centre + limit * away / np.hypot(*away), dtype=np.float64)
     return np.asarray(epipole[:2] / epipole[2], dtype=np.float64)
-
-
-def _line_direction(F: Float64s, x1: Float64s) -> Float64s:
-    """Unit direction (n, 2) of the epipolar line F x1; its sign is that of F, the same for all points on the right side."""
-    line = homogeneous(x1) @ F.T
-    return np.asarray(np.column_stack([line[:, 1], -line[:, 0]]) / np.hypot(line[:, 0], line[:, 1])[:, None])
 
 
 def _angle_in_image2(F: Float64s, e1: Float64s, e2: Float64s, side: float, theta: Float64s, size1: Size, size2: Size) -> Float64s:

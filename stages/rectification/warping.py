@@ -160,7 +160,8 @@ def _straight_source(rectification: Rectification, side: Side) -> tuple[Float32s
     columns, rows = np.arange(width, dtype=np.float64), np.arange(height, dtype=np.float64)
     if polar is None:
         inverse = np.linalg.inv(H)
-        inverse = inverse * np.sign(np.median(inverse[2] @ _corners(width, height)))
+        corners = np.array([[0.0, width - 1.0, width - 1.0, 0.0], [0.0, 0.0, height - 1.0, height - 1.0], [1.0, 1.0, 1.0, 1.0]])
+        inverse = inverse * np.sign(np.median(inverse[2] @ corners))
         x, y, z = (inverse[k, 0] * columns + (inverse[k, 1] * rows + inverse[k, 2])[:, None] for k in range(3))
         with np.errstate(divide="ignore", invalid="ignore"):
             visible = z > 0
@@ -170,10 +171,6 @@ def _straight_source(rectification: Rectification, side: Side) -> tuple[Float32s
     visible = np.broadcast_to(radius >= 0, (height, width))
     x, y = polar.epipole[0] + radius * np.cos(angle), polar.epipole[1] + radius * np.sin(angle)
     return _or_outside(x, visible), _or_outside(y, visible)
-
-
-def _corners(width: int, height: int) -> Float64s:
-    return np.array([[0.0, width - 1.0, width - 1.0, 0.0], [0.0, 0.0, height - 1.0, height - 1.0], [1.0, 1.0, 1.0, 1.0]])
 
 
 def _or_outside(x: Float64s, visible: Bools) -> Float32s:

@@ -100,8 +100,9 @@ def _matched_views(pair: RectifiedPair) -> tuple[_View, _View]:
     """The view of the left image, and that of the right one in a mirror."""
     if pair.reference_left is not None and pair.reference_right is not None:
         return _matched_again(pair)
-    large = pair.left.size > _DIRECT_PX
-    return _propagated(pair, _coarse_planes(pair, large), 1 if large else _ROUNDS)
+    large, small = pair.left.size > _DIRECT_PX, halved(pair)
+    views = _matched_views(small) if large else _propagated(small, _as_planes(small, match_census_sgm(small)), 1)
+    return _propagated(pair, [_doubled(view.settled(), pair.left.shape) for view in views], 1 if large else _ROUNDS)
 
 
 def _matched_again(pair: RectifiedPair) -> tuple[_View, _View]:
@@ -123,13 +124,6 @@ def _planes_then(pair: RectifiedPair) -> Float32s:
     then = pair.reference_left
     assert then is not None
     return np.stack([then, *_slopes(then)])
-
-
-def _coarse_planes(pair: RectifiedPair, large: bool) -> list[Float32s]:
-    """Planes (3, h, w) of both views, those of the right one in a mirror, found at half the size."""
-    small = halved(pair)
-    views = _matched_views(small) if large else _propagated(small, _as_planes(small, match_census_sgm(small)), 1)
-    return [_doubled(view.settled(), pair.left.shape) for view in views]
 
 
 def _propagated(pair: RectifiedPair, start: Sequence[Float32s], rounds: int) -> tuple[_View, _View]:

@@ -60,7 +60,9 @@ def doubt(planes: Float32s, difference: Float32s) -> Float32s:
     Neighbours that the other view does not confirm (`difference` in pixels) count as if far away: where one is wrong, those
     beside it are suspect.  Infinite where the pixel itself is not confirmed."""
     confirmed = np.where(difference <= np.float32(_CONFIRMED_PX), planes[0], np.float32(np.nan))
-    return _doubt(_bordered(_BORDER, confirmed)[0], planes, _neighbours_inside(difference.shape))
+    rows, columns = (np.convolve(np.ones(n), np.ones(2 * _NEAR + 1), mode="same")[:n] for n in difference.shape)
+    inside = (rows[:, None] * columns).astype(np.float32)  # how many pixels of the window around each lie in the image
+    return _doubt(_bordered(_BORDER, confirmed)[0], planes, inside)
 
 
 def _bordered(border: int, *layers: Float32s) -> Float32s:
@@ -70,12 +72,6 @@ def _bordered(border: int, *layers: Float32s) -> Float32s:
     for layer, values in zip(whole, layers, strict=True):
         layer[border:-border, border:-border] = values
     return whole
-
-
-def _neighbours_inside(shape: tuple[int, ...]) -> Float32s:
-    """(h, w) how many pixels of the window around each pixel lie in the image."""
-    rows, columns = (np.convolve(np.ones(n), np.ones(2 * _NEAR + 1), mode="same")[:n] for n in shape)
-    return (rows[:, None] * columns).astype(np.float32)
 
 
 @helper

@@ -98,18 +98,13 @@ def _searched(left: Uint8s, right: Uint8s, start: int, low: int, high: int) -> F
         speckleWindowSize=0,
         mode=cv2.STEREO_SGBM_MODE_SGBM_3WAY,
     )
-    found = matcher.compute(left, _shifted(right, count + low - start, left.shape[1]))[:, count:]
+    columns = np.clip(np.arange(left.shape[1]) - (count + low - start), 0, right.shape[1] - 1)  # the ends repeat the border
+    found = matcher.compute(left, np.ascontiguousarray(right[:, columns]))[:, count:]
     return np.where(found < 0, np.float32(np.nan), found.astype(np.float32) / 16 + low).astype(np.float32)
 
 
 def _eight_bit(image: Float32s) -> Uint8s:
     return np.clip(np.rint(image), 0, 255).astype(np.uint8)
-
-
-def _shifted(image: Uint8s, by: int, width: int) -> Uint8s:
-    """`image` with its column 0 at column `by` of a canvas of `width`; the ends repeat the border."""
-    columns = np.clip(np.arange(width) - by, 0, image.shape[1] - 1)
-    return np.ascontiguousarray(image[:, columns])
 
 
 _Piece = tuple[int, int, int, int, int, int, float]
