@@ -59,10 +59,6 @@ def detect(
     preprocessing : "clahe" smooths the noise and equalises the local contrast first, for night, lamps and fog; "auto" looks at
         the image to decide between that and "none", because by day this finds less.
     min_keypoints : fewer than this in the plain view reject the frame.
-
-    Returns
-    -------
-    Features, or Rejected when the frame shows too little.
     """
     grey = grey_levels(frame.image)
     equalise = preprocessing == "clahe" or (preprocessing == "auto" and _low_contrast(grey, frame.mask))

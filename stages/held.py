@@ -18,10 +18,7 @@ _ITSELF: Float64s = np.eye(3)
 def turn_geometry(pinned: Geometry | None, left: CameraHealth, right: CameraHealth) -> Geometry | Rejected:
     """The geometry of a pair whose cameras have turned since: a turn moves all pixels by a homography.
 
-    Parameters
-    ----------
-    pinned : the reference's.
-    left, right : how the cameras have turned; one that is not `corrected` counts as where it was.
+    A camera that is not `corrected` counts as where it was.
 
     References
     ----------
@@ -68,9 +65,7 @@ def hold_poses(
     views : the pinholes of tonight's frames.
     geometries : of the pairs; those of moved cameras are looked at.
     survey : known distances and control points.
-    max_rotation_error_deg : as of the stage `poses`, degrees.
-    max_epipolar_px : as of the stage `poses`, pixels.
-    min_angle_deg : as of the stage `poses`, degrees.
+    max_rotation_error_deg, max_epipolar_px, min_angle_deg : as of the stage `poses`.
     """
     if pinned is None:
         return Rejected(Reason.NOTHING_KNOWN)

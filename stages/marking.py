@@ -25,10 +25,7 @@ Area = tuple[bool, list[list[float]]]
 def shown(name: str, data: bytes) -> tuple[int, int, bytes]:
     """Width and height of a capture (upright, as masks and polygons count), and a JPEG of it that a browser shows.
 
-    Raises
-    ------
-    BadCapture
-        It is no picture that can be used; the message names it.
+    Raises BadCapture, which names it, where it is no picture that can be used.
     """
     image = one_picture(Capture(name, np.frombuffer(data, np.uint8)))
     height, width = image.shape[:2]

@@ -44,10 +44,6 @@ def match(
     min_matches : fewer than this reject the pair.
     options : parameters of the matcher, see its function.
 
-    Returns
-    -------
-    Matches, or Rejected when there are too few to say anything.
-
     Raises
     ------
     ValueError

@@ -20,7 +20,7 @@ def read_frame(
     mask: str | PathLike[str] | None = None,
     resolution: int | None = 1600,
 ) -> Frame:
-    """The clean frame of one photograph: upright, undistorted, at working resolution.
+    """The clean frame of one photograph: upright, undistorted, at working resolution, with intrinsics of its own size.
 
     Parameters
     ----------
@@ -30,10 +30,6 @@ def read_frame(
     hfov_deg : horizontal field of view in degrees, where only that is known.
     mask : an image file of the photograph's size; pixels that are not zero may be used.
     resolution : long side of the frame in pixels; None: as photographed.
-
-    Returns
-    -------
-    Frame, with the intrinsics of its own size.
 
     Raises
     ------

@@ -14,17 +14,9 @@ from .types import Overlap, Poses
 
 
 def find_shared(poses: Poses) -> Overlap:
-    """How much of one view another sees, of all pairs of views that are placed in one frame.
+    """How much of one view another sees, of all pairs of views that are placed in one frame, in the order of the views.
 
-    Parameters
-    ----------
-    poses : the cameras, in one frame or in several.
-
-    Returns
-    -------
-    Overlap
-        Of the placed views, in their order; no row for two views of one camera, for two that are placed in different frames,
-        nor for a pair that the cameras contradict.
+    No row for two views of one camera, for two that are placed in different frames, nor for a pair that the cameras contradict.
     """
     names = tuple(poses.cameras)
     cameras = list(poses.cameras.values())

@@ -56,17 +56,13 @@ def pictures(capture: Capture, step: int, most: int) -> Iterator[tuple[str, Uint
 
 
 def all_pictures(capture: Capture, step: int, most: int, lens: Lens | None = None) -> Iterator[tuple[str, Uint8s]]:
-    """A capture's pictures (h, w, 3) uint8 RGB with their names: one, or those of a video.
+    """A capture's pictures (h, w, 3) uint8 RGB with their names: one, or those of a video.  Raises BadCapture.
 
     Parameters
     ----------
     capture : an image file or a video.
     step, most : of a video, as of `pictures`.
     lens : see `files.decode`.
-
-    Raises
-    ------
-    BadCapture
     """
     if is_video(capture):
         yield from pictures(capture, step, most)

@@ -64,7 +64,8 @@ def matches_preview(matches: Matches | Geometry, left: object = None, right: obj
         for side, view in ((left, matches.view1), (right, matches.view2))
     ]
     canvas, at1, at2 = _side_by_side(ground[0], ground[1], matches.x1, matches.x2, width)
-    chosen = _spread(matches.x1, (matches.view1.width, matches.view1.height))
+    cells = np.floor(matches.x1 / (matches.view1.width, matches.view1.height) * [10, 6]).astype(int)
+    chosen = np.unique(cells[:, 1] * 1000 + cells[:, 0], return_index=True)[1][:_LINES]  # the first in each cell
     for k, n in enumerate(chosen):
         colour = _hue(k / max(1, len(chosen)))
         start, end = (tuple(int(v) for v in np.round(p[n])) for p in (at1, at2))
@@ -127,7 +128,9 @@ def cloud_preview(cloud: Cloud, cameras: Mapping[str, Camera]) -> Uint8s:
     scene, colors = cloud.points[some].astype(np.float64), cloud.colors[some]
     points = scene @ plan.T
     centres = np.array([camera.C for camera in cameras.values()]).reshape(-1, 3) @ plan.T
-    low, high = _extent(points, centres)
+    shown = [np.percentile(points, [1, 99], axis=0)] if len(points) else []  # but the farthest percent at each end
+    corners = np.vstack([*shown, centres]) if len(centres) or shown else np.zeros((1, 2))
+    low, high = corners.min(axis=0), corners.max(axis=0)
     size = np.maximum(high - low, 1e-9)
     scale = min((WIDTH - 20) / size[0], (WIDTH - 20) / size[1])
     width, height = (np.floor(size * scale).astype(int) + 20).tolist()
@@ -165,13 +168,6 @@ def _side_by_side(left: Uint8s, right: Uint8s, x1: Float64s, x2: Float64s, width
     canvas[: small[0].shape[0], : small[0].shape[1]] = small[0]
     canvas[: small[1].shape[0], offset:] = small[1]
     return canvas, (x1 + 0.5) * scale - 0.5, (x2 + 0.5) * scale - 0.5 + [offset, 0]
-
-
-def _spread(x: Float64s, size: tuple[int, int]) -> list[int]:
-    """Row numbers of at most 60 points, the first in each cell of a grid over the image."""
-    cells = np.floor(x / np.array(size) * [10, 6]).astype(int)
-    _, first = np.unique(cells[:, 1] * 1000 + cells[:, 0], return_index=True)
-    return [int(n) for n in first[:_LINES]]
 
 
 def _rectified(rectification: Rectification, left: Frame, right: Frame, width: int) -> Uint8s:
@@ -244,13 +240,6 @@ def _directions(cameras: Mapping[str, Camera]) -> tuple[Float64s, Float64s, Floa
         ahead = np.cross(up, first.R[0])
     ahead = ahead / np.linalg.norm(ahead)
     return up, np.cross(ahead, up), ahead
-
-
-def _extent(points: Float64s, centres: Float64s) -> tuple[Float64s, Float64s]:
-    """Corners of the picture: the cameras and all points but the farthest percent at each end."""
-    shown = [np.percentile(points, [1, 99], axis=0)] if len(points) else []
-    corners = np.vstack([*shown, centres]) if len(centres) or shown else np.zeros((1, 2))
-    return corners.min(axis=0), corners.max(axis=0)
 
 
 MOST = 3000

@@ -131,16 +131,15 @@ def _principal_points(model: Model, equations: _Equations, centre_sigma: float) 
 
 def _border_px(camera: Camera, covariance: Float64s) -> float:
     """Standard deviation of pixels at the border, from the covariance (5, 5) of cx, cy, f, k1, k2."""
-    border, everywhere = _pixels(camera, 0.02, True), _pixels(camera, 0.02, False)
+    border, everywhere = _pixels(camera, True), _pixels(camera, False)
     (turn, of), (turn_b, of_b) = _slopes_at(camera, everywhere), _slopes_at(camera, border)
     undone = of_b - turn_b @ np.linalg.lstsq(turn, of, rcond=None)[0]
     return float(np.sqrt(max(np.einsum("ni,ij,nj->", undone, covariance, undone) / len(border), 0.0)))
 
 
-def _pixels(camera: Camera, margin: float, border: bool) -> Float64s:
+def _pixels(camera: Camera, border: bool) -> Float64s:
     """(n, 2) pixels of a grid over the frame, or of its rim."""
-    x = np.linspace(margin, 1 - margin, 17) * (camera.width - 1)
-    y = np.linspace(margin, 1 - margin, 11) * (camera.height - 1)
+    x, y = np.linspace(0.02, 0.98, 17) * (camera.width - 1), np.linspace(0.02, 0.98, 11) * (camera.height - 1)
     grid = np.stack(np.meshgrid(x, y), axis=-1)
     if not border:
         return np.asarray(grid.reshape(-1, 2), dtype=np.float64)

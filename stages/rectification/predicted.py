@@ -34,13 +34,11 @@ class Prediction:
     """What both cameras would see."""
 
     x1: Float64s
-    """(n, 2) pixels of image 1: points of the likely surface."""
     x2: Float64s
-    """(n, 2) the same points in image 2."""
+    """(n, 2) pixels of images 1 and 2: points of the likely surface."""
     ends1: Float64s
-    """(m, 2) pixels of image 1: the nearest and the farthest point on each ray that both images show."""
     ends2: Float64s
-    """(m, 2) the same points in image 2."""
+    """(m, 2) pixels of images 1 and 2: the nearest and the farthest point on each ray that both show."""
 
 
 def predict(camera1: Camera, camera2: Camera, scene: Scene | None = None) -> Prediction | None:

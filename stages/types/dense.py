@@ -33,9 +33,8 @@ class GroundOfPair(Record):
     beneath: Float64s
     """(3, 3) of points on a plane under it: nothing is searched deeper."""
     inverse_depth1: Float64s
-    """(3,) times (x, y, 1): inverse depth of the ground in frame 1, negative above the horizon."""
     inverse_depth2: Float64s
-    """(3,) the same in frame 2."""
+    """(3,) times (x, y, 1): inverse depth of the ground in either frame, negative above the horizon."""
 
 
 @dataclass(frozen=True)
@@ -50,9 +49,8 @@ class Rectification(Record):
     reason: str
     """Why this method."""
     H1: Float64s | None
-    """(3, 3) frame pixels to rectified pixels; None for polar."""
     H2: Float64s | None
-    """(3, 3), as `H1`."""
+    """(3, 3) frame pixels to rectified pixels; None for polar."""
     size1: tuple[int, int]
     """(width, height) of the rectified images; heights are equal."""
     size2: tuple[int, int]
@@ -67,8 +65,8 @@ class Rectification(Record):
     angle_deg: float
     """Convergence angle, nan if unknown."""
     polar1: PolarRows | None = None
-    """The rows of a polar rectification, else None."""
     polar2: PolarRows | None = None
+    """The rows of a polar rectification, else None."""
     scale: float = 1.0
     """Rectified pixels for each pixel of the frames (median)."""
     anisotropy: float = 1.0
@@ -92,10 +90,9 @@ class Rectification(Record):
     ground: GroundOfPair | None = None
     """Where the ground lies in both frames, if that is known."""
     bend1: Float64s | None = None
-    """(6,) fx fy cx cy k1 k2 of what a lens still bends in frame 1 (`core.residual_distortion`), whose pixels count as
-    straightened; None where nothing is bent."""
     bend2: Float64s | None = None
-    """(6,), as `bend1`."""
+    """(6,) fx fy cx cy k1 k2 of what a lens still bends in its frame (`core.residual_distortion`), whose pixels count as
+    straightened; None where nothing is bent."""
 
 
 @dataclass(frozen=True)
@@ -107,9 +104,8 @@ class Disparity(Record):
     right: Int16s
     """(h, w2) the same on the rectified right image (x1 = x2 + d)."""
     confidence_left: Uint8s
-    """(h, w1) 0 to 255."""
     confidence_right: Uint8s
-    """(h, w2) 0 to 255."""
+    """(h, w1), (h, w2), 0 to 255."""
     offset_px: int
     """Added to both."""
     density: float
@@ -129,9 +125,8 @@ class DepthMap(Record):
     sigma: Float32s
     """(h, w) its standard deviation."""
     slope_x: Float32s
-    """(h, w) change of 1 / depth per pixel in x: the local plane."""
     slope_y: Float32s
-    """(h, w) the same in y."""
+    """(h, w) change of 1 / depth per pixel in x and in y: the local plane."""
     support: Uint32s
     """(h, w) bit k set where the pair with `partners[k]` supports the depth."""
     partners: tuple[str, ...]

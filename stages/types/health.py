@@ -39,8 +39,7 @@ class Usual(Record):
     """What earlier nights measured of a camera against the same reference, oldest first."""
 
     shift_x_px: Float64s = field(default_factory=lambda: np.zeros(0))
-    """(n,) shift of the picture in x, pixels."""
     shift_y_px: Float64s = field(default_factory=lambda: np.zeros(0))
-    """(n,) the same in y."""
+    """(n,) shift of the picture in x and in y, pixels."""
     roll_deg: Float64s = field(default_factory=lambda: np.zeros(0))
     """(n,) turn about the optical axis, degrees."""

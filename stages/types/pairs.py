@@ -15,13 +15,11 @@ class Matches(Record):
     """Point correspondences of a pair, before any geometry."""
 
     x1: Float64s
-    """(n, 2) pixels of the left frame."""
     x2: Float64s
-    """(n, 2) pixels of the right frame."""
+    """(n, 2) pixels of the left and of the right frame."""
     i1: Int32s | None
-    """(n,) rows in the left `Features`, None where the points are no keypoints of these."""
     i2: Int32s | None
-    """(n,) rows in the right `Features`, or None."""
+    """(n,) rows in the left and in the right `Features`, None where the points are no keypoints of these."""
     probability: Float32s
     """(n,)"""
     affine: Float64s | None
@@ -91,9 +89,8 @@ class Geometry(Record):
     noise_px: Float32s | None = None
     """(n,) standard deviation of the distance of each inlier to its epipolar line, None where nobody knows."""
     lens1: Float64s | None = None
-    """(3, 3) intrinsics that go with F where they had to be guessed, else None."""
     lens2: Float64s | None = None
-    """(3, 3), as `lens1`."""
+    """(3, 3) intrinsics that go with F where they had to be guessed, else None."""
     implausibility: float = float("nan")
     """How far these are from what cameras have, in squared standard deviations; nan where they are known."""
     warnings: tuple[str, ...] = ()

@@ -22,7 +22,6 @@ class View(Record):
     focal_known: bool = True
     """False when K is only a guess, from a field of view."""
     captured_width: int = 0
-    """Size of the capture; 0: as the frame."""
     captured_height: int = 0
     """Size of the capture; 0: as the frame."""
     distortion: Float64s = field(default_factory=lambda: np.zeros(5))
@@ -49,13 +48,10 @@ class Camera(Record):
     """k1 and k2 of the distortion that was found to be left in the frame where the lens was unknown (the frame is used as it
     is)."""
     captured_width: int = 0
-    """Of the capture, see `View`."""
     captured_height: int = 0
-    """Of the capture, see `View`."""
     distortion: Float64s = field(default_factory=lambda: np.zeros(5))
-    """Of the capture, see `View`."""
     lens: Lens | None = None
-    """Of the capture, see `View`."""
+    """These four as of `View`."""
 
 
 @dataclass(frozen=True)
@@ -102,9 +98,8 @@ class Frame(Record):
     unchanged: float = 0.0
     """Share of pixels that all captures show alike to the last grey level; 0 for a single one."""
     taken_first: str = ""
-    """When the first capture was taken, ISO 8601, by what the camera wrote into it; "" where it says nothing."""
     taken_last: str = ""
-    """The same of the last."""
+    """When the first and the last capture were taken, ISO 8601, by what the camera wrote into them; "" where it says nothing."""
     taken_in_order: bool = True
     """False where the cameras' times contradict the order of the captures."""
     picture_digest: str = ""
