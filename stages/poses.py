@@ -107,7 +107,14 @@ def solve_poses(
     trusted = {name: camera for name, camera in stated.items() if name not in moved} | cameras
     calibration = stated_calibration(known, cameras, set(moved), geometries, tuple(views))
     geometries = {**geometries, **{pair: confirmed(geometries[pair]) for new in moved.values() for pair in new.pairs}}
-    found = _solved(views, believed, geometries, survey, trusted, max_rotation_error_deg, max_epipolar_px)
+    if len(trusted) == len(views) and all(believed[name].sigma_m == 0 for name in trusted):
+        found = _as_stated(views, believed, trusted, survey)
+    else:  # imported here, so that a night whose poses are all known and right does not wait for what solves poses
+        from .orientation.solve import solve_from_pairs
+
+        found = solve_from_pairs(views, believed, geometries, survey, trusted, max_rotation_error_deg, max_epipolar_px)
+        if isinstance(found, Rejected) and len(trusted) >= 2:
+            found = _as_stated(views, believed, trusted, survey)
     if isinstance(found, Rejected):
         return found
     uncertain = (PoseIssue("uncertain", name, row_px=px) for name, px in _uncertain(adjusted, geometries).items())
@@ -216,27 +223,6 @@ def _with_views_beside(cameras: Mapping[str, Camera], moved: Mapping[str, NewPos
         for new in moved.values() if name not in moved else ():
             if (placed := beside(camera, {0: new.camera})) is not None:
                 found[name] = replace(new, camera=placed, pairs=())
-    return found
-
-
-def _solved(
-    views: Mapping[str, View],
-    placements: Mapping[str, Placement],
-    geometries: Mapping[Pair, Geometry],
-    survey: Survey,
-    trusted: dict[str, Camera],
-    max_rotation_error_deg: float,
-    max_epipolar_px: float,
-) -> Poses | Rejected:
-    """All cameras, the trusted ones where they are."""
-    if len(trusted) == len(views) and all(placements[name].sigma_m == 0 for name in trusted):
-        return _as_stated(views, placements, trusted, survey)
-    # here, so that a night whose poses are all known and right does not wait for what solves poses
-    from .orientation.solve import solve_from_pairs
-
-    found = solve_from_pairs(views, placements, geometries, survey, trusted, max_rotation_error_deg, max_epipolar_px)
-    if isinstance(found, Rejected) and len(trusted) >= 2:
-        return _as_stated(views, placements, trusted, survey)
     return found
 
 

@@ -6,9 +6,8 @@ The homographies of `congruent`, `hao2011`, `hartley` and `calibrated` cannot wo
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 
@@ -110,7 +109,11 @@ def rectify(
     """
     if geometry is not None and left is not None and right is not None:
         geometry = replace(geometry, x1=straight_points(left, geometry.x1), x2=straight_points(right, geometry.x2))
-    fitted = partial(_fitted, (geometry, left, right), method, fallback, options)
+
+    def fitted(pair: MatchedPair) -> Placed | Rejected:
+        inputs = {"pair": pair, "geometry": geometry, "left": left, "right": right}
+        return placed(pair, method, bind(METHODS, method, inputs, options), fallback)
+
     limits = min_matches, max_row_error_px, min_angle_deg, range_margin
     by_matches, matches = _by_matches(geometry, left, right, check, fitted, limits)
     enough = matches >= few_matches if isinstance(by_matches, Rectification) else by_matches.code == Reason.NO_BASELINE
@@ -148,18 +151,6 @@ def _by_matches(
     if isinstance(found, Rejected):
         return found, len(pair.x1)
     return finished(*found, pair, geometry, max_row_error_px, range_margin), len(pair.x1)
-
-
-def _fitted(
-    known: tuple[Geometry | None, Camera | None, Camera | None],
-    method: str,
-    fallback: bool,
-    options: Mapping[str, object],
-    pair: MatchedPair,
-) -> Placed | Rejected:
-    """A pair laid out by a method, which may ask for geometry and cameras, too."""
-    inputs = dict(zip(("geometry", "left", "right"), known, strict=True))
-    return placed(pair, method, bind(METHODS, method, {"pair": pair, **inputs}, options), fallback)
 
 
 def _from_cameras(

@@ -101,7 +101,9 @@ def find_clusters(
         footprint = _footprint(side, rows, labels == number, same, grid, other, spacing, trimmed=confirmed)
         if footprint is None:
             continue
-        change = _described(side, rows, footprint, grid, spacing, _swept_volume(side, rows, surface))
+        far = side.measured[rows].mean() <= _LEAST_MEASURED  # then distances do not tell what the surface has swept
+        swept = np.inf if far else surface * float(side.distance[rows][side.measured[rows]].mean())
+        change = _described(side, rows, footprint, grid, spacing, swept)
         if change is not None:
             shares = colors[rows].mean(axis=0)
             colour = shares[:2] / max(float(shares.sum()), 1.0)
@@ -114,15 +116,6 @@ def _median_ncc(side: Evidence, rows: Int64s) -> float:
     likeness = side.ncc[rows]
     known = likeness[np.isfinite(likeness)]
     return float(np.median(known)) if len(known) else -2.0
-
-
-def _swept_volume(side: Evidence, rows: Int64s, surface: float) -> float:
-    """Volume that a surface has swept along its normals: for a strip of wall it is less than heights over the footprint give.
-
-    inf where most of it lies too far off for distances.
-    """
-    measured = side.measured[rows]
-    return surface * float(side.distance[rows][measured].mean()) if measured.mean() > _LEAST_MEASURED else float("inf")
 
 
 def paired(clusters: list[ChangeCluster]) -> list[tuple[ChangeCluster, ChangeCluster | None]]:
@@ -219,7 +212,7 @@ def _described(
 ) -> Change | None:
     """Place, size and volume of what changed points make; None where the volume is hardly more than its error.
 
-    swept_volume: between both nights' surfaces, as distances tell it.
+    swept_volume: between both nights' surfaces, along the normals: for a strip of wall less than heights over the footprint give.
     """
     covers = np.zeros((grid.rows, grid.columns), bool)
     covers.ravel()[footprint.cells] = True

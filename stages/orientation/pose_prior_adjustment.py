@@ -55,10 +55,13 @@ def adjust_within_priors(
     number = {name: k for k, name in enumerate(names)}
     edges: dict[Edge, Geometry] = {}
     for pair, geometry in geometries.items():
-        if geometry.good_probability < BELIEVED:
+        if geometry.good_probability < BELIEVED or not set(pair) <= set(cameras):
             continue
-        if set(pair) <= set(cameras) and (near := _allowed(cameras, sigmas, pair, geometry, trusted)) is not None:
-            edges[number[pair[0]], number[pair[1]]] = near
+        F = fundamental_from_cameras(cameras[pair[0]], cameras[pair[1]])
+        slack = slack_px(cameras, sigmas, pair, geometry)
+        near = symmetric_epipolar_distance(F, geometry.x1, geometry.x2) <= 3 * PAIR_PX + slack
+        if near.sum() >= max(MIN_MATCHES, (MIN_SHARE_OF_TRUSTED if trusted else MIN_SHARE) * len(near)):
+            edges[number[pair[0]], number[pair[1]]] = at_rows(geometry, near)
     loose = [name for name in names if not sigmas.get(name, Sigma()).exact]
     stated_only = AdjustedPoses.as_stated(cameras, {name: sigmas[name] for name in loose})
     if not edges or not loose:
@@ -80,20 +83,6 @@ def adjust_within_priors(
         known = {view: sigma for view, sigma in known.items() if view not in gone}
         edges = {edge: geometry for edge, geometry in edges.items() if not gone & {*edge}}
         tracks = build_tracks(edges, len(names))
-
-
-def _allowed(
-    cameras: Mapping[str, Camera], sigmas: Mapping[str, Sigma], pair: Pair, geometry: Geometry, trusted: bool
-) -> Geometry | None:
-    """The pair with the matches that its cameras allow; None where these are few.
-
-    cameras, sigmas: as stated; geometry, trusted: its matches, and whether they show no look-alikes.
-    """
-    distance = symmetric_epipolar_distance(fundamental_from_cameras(cameras[pair[0]], cameras[pair[1]]), geometry.x1, geometry.x2)
-    keep = distance <= 3 * PAIR_PX + slack_px(cameras, sigmas, pair, geometry)
-    if keep.sum() < max(MIN_MATCHES, (MIN_SHARE_OF_TRUSTED if trusted else MIN_SHARE) * len(keep)):
-        return None
-    return at_rows(geometry, keep)
 
 
 def _strays(found: Camera, stated: Camera, sigma: Sigma) -> float:
