@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -11,17 +11,6 @@ from .fusion.pair_depth import MOST_PAIRS, NoiseModel, apart_px, fuse_pairs, pai
 from .reasons import Reason, Rejected
 from .rectification.warping import Side
 from .types import Camera, DepthMap, Disparity, Float32s, Pair, Rectification
-
-
-@dataclass(frozen=True, eq=False)
-class _PairDepth:
-    """What one pair says of the view."""
-
-    partner: str
-    depth: Float32s
-    gain: Float32s
-    pixels: int
-    """How many it knows well enough; 0 where nobody asks."""
 
 
 def view_depth(
@@ -43,23 +32,24 @@ def view_depth(
     noise_px : assumed error of a disparity in pixels, standard deviation.
     """
     noise = NoiseModel(noise_px=noise_px)
-    found: list[_PairDepth] = []
+    found: dict[str, tuple[Float32s, Float32s]] = {}
+    pixels: dict[str, int] = {}
     left_out: list[str] = []
     for pair in disparities:
         side: Side = 1 if pair[1] in cameras else 2
         other = pair[2 - side]
         if pair not in rectifications or other not in cameras or cameras[other].component != camera.component:
             continue
-        depth, gain = pair_depth(camera, cameras[other], rectifications[pair], disparities[pair], side)
-        found.append(_PairDepth(other, depth, gain, usable_pixels(depth, gain, noise) if len(disparities) > MOST_PAIRS else 0))
+        found[other] = pair_depth(camera, cameras[other], rectifications[pair], disparities[pair], side)
+        if len(disparities) > MOST_PAIRS:
+            pixels[other] = usable_pixels(*found[other], noise)
         if len(found) > MOST_PAIRS:
-            worst = min(found, key=lambda pair: pair.pixels)
-            found.remove(worst)
-            left_out.append(worst.partner)
+            left_out.append(min(found, key=pixels.__getitem__))
+            del found[left_out[-1]]
     if found:
-        fused = fuse_pairs(camera, [p.depth for p in found], [p.gain for p in found], [p.partner for p in found], noise)
+        partners, (depths, gains) = list(found), ([each[k] for each in found.values()] for k in (0, 1))
+        fused = fuse_pairs(camera, depths, gains, partners, noise)
         if np.isfinite(fused.depth).any():
-            apart = apart_px([p.depth for p in found], [p.gain for p in found], noise)
-            named = {f"{found[a].partner}--{found[b].partner}": px for (a, b), px in apart.items()}
-            return replace(fused, left_out=tuple(left_out), apart_px=named)
+            apart = {f"{partners[a]}--{partners[b]}": px for (a, b), px in apart_px(depths, gains, noise).items()}
+            return replace(fused, left_out=tuple(left_out), apart_px=apart)
     return Rejected(Reason.NO_PAIR_DEPTH, {"pairs": len(disparities)})

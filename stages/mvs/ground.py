@@ -65,9 +65,9 @@ def find_ground(images: Mapping[str, Float32s], cameras: Mapping[str, Camera]) -
     ways = _ways(views, pairs, ups[0])
     found: list[tuple[Float64s, Float64s]] = []
     for up in ups:
-        sweep = _sweep(views, pairs, ways, up)
-        for plane in parallel_map(lambda plane: _settled(views, ways, plane), sweep.planes):
-            found.append((_odds(_likenesses(ways, plane), *sweep.chance), plane))
+        planes, chance = _sweep(views, pairs, ways, up)
+        for plane in parallel_map(lambda plane: _settled(views, ways, plane), planes):
+            found.append((_odds(_likenesses(ways, plane), *chance), plane))
     odds, ground = max(found, key=lambda each: float(_gains(each[0]).max()))
     share = _SHARES[int(np.argmax(_gains(odds)))]
     centre = np.mean([camera.C for _, camera in views], axis=0)
@@ -80,7 +80,7 @@ def find_ground(images: Mapping[str, Float32s], cameras: Mapping[str, Camera]) -
 def likely_planes(views: list[tuple[Float32s, Camera]]) -> list[Float64s]:
     """(4,) the level planes on which most looks alike to views, image and camera, that may be some pixels off: some of them."""
     pairs, ups = _pairs([camera for _, camera in views]), _ups([camera for _, camera in views])
-    return _sweep(views, pairs, _ways(views, pairs, ups[0]), ups[0]).planes if pairs and ups else []
+    return _sweep(views, pairs, _ways(views, pairs, ups[0]), ups[0])[0] if pairs and ups else []
 
 
 def settled_on(views: list[tuple[Float32s, Camera]], plane: Float64s) -> tuple[float, Float64s]:
@@ -135,17 +135,11 @@ def _pairs(cameras: list[Camera]) -> list[tuple[int, int]]:
     return [(i, j) for baseline, i, j in sorted(found) if baseline > 0][:_MOST_PAIRS]
 
 
-@dataclass(frozen=True)
-class _Sweep:
-    """Level planes of many heights."""
-
-    planes: list[Float64s]
-    """(4,) those on which more patches look alike than a little higher and lower, the best ones first."""
-    chance: tuple[Float64s, Float64s]
-    """(n,) mean and standard deviation of each patch's correlation, of Fisher's kind; nan for one that is rarely in view."""
-
-
-def _sweep(views: list[tuple[Float32s, Camera]], pairs: list[tuple[int, int]], ways: list[_Way], up: Float64s) -> _Sweep:
+def _sweep(
+    views: list[tuple[Float32s, Camera]], pairs: list[tuple[int, int]], ways: list[_Way], up: Float64s
+) -> tuple[list[Float64s], tuple[Float64s, Float64s]]:
+    """Level planes (4,) on which more patches look alike than a little higher and lower, the best ones first; and by chance: mean
+    and standard deviation (n,) of each patch's correlation, of Fisher's kind; nan for one that is rarely in view."""
     lowest = min(float(camera.C @ up) for _, camera in views)
     longest = max(float(np.linalg.norm(views[i][1].C - views[j][1].C)) for i, j in pairs)
     below = longest * np.geomspace(_LOWEST, _HIGHEST, _HEIGHTS)
@@ -158,7 +152,7 @@ def _sweep(views: list[tuple[Float32s, Camera]], pairs: list[tuple[int, int]], w
     for height in below[np.argsort(-gain, kind="stable")]:
         if len(best) < _CANDIDATES and all(abs(height / other - 1) > _SAME_HEIGHT for other in best):
             best.append(float(height))
-    return _Sweep([np.append(up, height - lowest) for height in best], (mean, spread))
+    return [np.append(up, height - lowest) for height in best], (mean, spread)
 
 
 def _fisher(correlation: Float64s) -> Float64s:

@@ -78,10 +78,11 @@ def to_world(graph: ViewGraph, model: Model, placements: Mapping[str, Placement]
         count = sum(p.C is not None for name, p in placements.items() if name not in again)
         alone = count == 1  # without a scale it fits nothing else that is placed
         return World(model, bool(landmarks) and (known_scale or alone), known_scale, why, {})
-    unplaced, model = model, _moved(model, alignment.similarity)
+    similarity, trusted, doubted = alignment
+    unplaced, model = model, _moved(model, similarity)
     exact = [view for view, p in placed.items() if p.R is not None and p.C is not None and max(p.sigma_m, p.sigma_deg) == 0]
     number = {name: view for view, name in enumerate(graph.names)}
-    held = [number[name] for name in alignment.trusted if (p := placements.get(name)) and p.R is not None and p.sigma_m == 0]
+    held = [number[name] for name in trusted if (p := placements.get(name)) and p.R is not None and p.sigma_m == 0]
     if len(held) < 2 <= len(exact):  # the model contradicts the known poses, and no more than it can be right
         names = " and ".join(graph.names[view] for view in exact)
         why_apart = f"the model of {len(cameras)} cameras contradicts the known poses of {names}: it stands apart, unverified"
@@ -93,19 +94,19 @@ def to_world(graph: ViewGraph, model: Model, placements: Mapping[str, Placement]
         stated = {view: _at(model.cameras[view], placements[graph.names[view]]) for view in held}
         model = refine(replace_cameras(model, {**model.cameras, **stated}), held)
     else:
-        measured = {number[name]: placements[name] for name in alignment.trusted if name in number}
-        distance = depth * alignment.similarity.scale
+        measured = {number[name]: placements[name] for name in trusted if name in number}
+        distance = depth * similarity.scale
         positions = {view: (p.C, max(p.sigma_m, EXACT_SHARE * distance)) for view, p in measured.items() if p.C is not None}
         if len(positions) >= 3 and min(sigma for _, sigma in positions.values()) < LOOSE_SHARE * distance:
             model = refine(model, positions=positions)
     known = {graph.names[view] for view in exact}
-    suspects = {name: _suspicion(name, *off) for name, off in alignment.doubted.items() if name not in known}
+    suspects = {name: _suspicion(name, *off) for name, off in doubted.items() if name not in known}
     doubtful = {
         name: f"the model of the others has it {off[0]:.3g} m away from its known pose. It stays in use: has it been moved?"
-        for name, off in alignment.doubted.items()
+        for name, off in doubted.items()
         if name in known
     }
-    source = "known distances" if len(landmarks) < 2 else _source(alignment.trusted, len(landmarks))
+    source = "known distances" if len(landmarks) < 2 else _source(trusted, len(landmarks))
     return World(model, True, metric or known_scale, source, suspects, doubtful)
 
 
@@ -196,16 +197,8 @@ class Landmark:
     """Standard deviation of world_X, 0 where it is exact."""
 
 
-@dataclass(frozen=True)
-class Alignment:
-    """How a model is brought into the world."""
-
-    similarity: Similarity
-    """Model to world."""
-    trusted: tuple[str, ...]
-    """Names of the landmarks it rests on."""
-    doubted: Mapping[str, tuple[float, float]]
-    """How far off the others seem, by name: (length in the world, degrees or nan)."""
+Alignment = tuple[Similarity, tuple[str, ...], dict[str, tuple[float, float]]]
+"""Model to world; names of the landmarks that it rests on; how far off the others seem: length in the world, degrees or nan."""
 
 
 def align(landmarks: Sequence[Landmark], up: Float64s, depth: float, scale: float | None = None) -> Alignment | None:
@@ -238,7 +231,7 @@ def align(landmarks: Sequence[Landmark], up: Float64s, depth: float, scale: floa
         similarity = better
     trusted_names = tuple(landmark.name for landmark in landmarks if _error(similarity, landmark, depth) <= 1)
     doubted = {mark.name: _off(similarity, mark) for mark in landmarks if mark.name not in trusted_names}
-    return Alignment(similarity, trusted_names, doubted)
+    return similarity, trusted_names, doubted
 
 
 def fit_similarity(landmarks: Sequence[Landmark], up: Float64s, scale: float | None = None) -> Similarity | None:
