@@ -21,11 +21,6 @@ MOST_FRAMES = 100_000
 """So many are stepped over at most: a file that claims to be endless ends here."""
 
 
-def is_video(capture: Capture) -> bool:
-    """Is this, by its name, a video?"""
-    return PurePath(capture.name).suffix.lower() in SUFFIXES
-
-
 def pictures(capture: Capture, step: int, most: int) -> Iterator[tuple[str, Uint8s]]:
     """Every `step`-th picture (h, w, 3) uint8 RGB of a video, with a name; `most` at most, spread over its length where that is
     known.
@@ -64,7 +59,7 @@ def all_pictures(capture: Capture, step: int, most: int, lens: Lens | None = Non
     step, most : of a video, as of `pictures`.
     lens : see `files.decode`.
     """
-    if is_video(capture):
+    if PurePath(capture.name).suffix.lower() in SUFFIXES:
         yield from pictures(capture, step, most)
     else:
         yield capture.name, decode(capture, lens)

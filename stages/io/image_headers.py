@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 import struct
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
 from datetime import datetime
 from typing import Literal
 
@@ -40,8 +39,7 @@ FILM_WIDTH_MM = 36.0
 
 def focal_in_long_sides(data: Uint8s) -> float | None:
     """Focal length as a multiple of the image's long side; None where the file doesn't say.  data: the encoded bytes."""
-    found = _exif(data, FOCAL_LENGTH_35MM)
-    millimetres = found.number(found.at, 2) if found else 0
+    _, millimetres = _exif(data, FOCAL_LENGTH_35MM, 2)
     return millimetres / FILM_WIDTH_MM if millimetres else None
 
 
@@ -51,53 +49,35 @@ def taken_at(captures: Sequence[Capture]) -> list[datetime]:
 
 
 def _taken(data: Uint8s) -> datetime | None:
-    found = _exif(data, TAKEN)
-    if found is None:
+    tiff, start = _exif(data, TAKEN, 4)
+    if start is None:
         return None
-    start = found.number(found.at, 4)
     try:
-        return datetime.strptime(found.tiff[start : start + 19].decode("ascii"), "%Y:%m:%d %H:%M:%S")
+        return datetime.strptime(tiff[start : start + 19].decode("ascii"), "%Y:%m:%d %H:%M:%S")
     except ValueError:  # no date, or a clock that was never set
         return None
 
 
-@dataclass(frozen=True)
-class _Entry:
-    """An entry of the EXIF directory."""
+def _exif(data: Uint8s, tag: int, size: int) -> tuple[bytes, int | None]:
+    """The TIFF block of a JPEG's EXIF segment, and the number of so many bytes that it has for a tag; None where it has none."""
+    head = bytes(data[:65536])
+    segments = (head[start:end] for marker, start, end in jpeg_segments(head) if marker == APP1)
+    tiff = next((segment[6:] for segment in segments if segment[:6] == b"Exif\0\0"), b"")
+    order: Literal["little", "big"] = "little" if tiff[:2] == b"II" else "big"
 
-    tiff: bytes
-    at: int
-    """Where its value stands."""
-    order: Literal["little", "big"]
-
-    def number(self, at: int, size: int) -> int:
-        return int.from_bytes(self.tiff[at : at + size], self.order)
-
-
-def _exif(data: Uint8s, tag: int) -> _Entry | None:
-    tiff = _tiff(bytes(data[:65536]))
-    if tiff is None:
-        return None
-    here = _Entry(tiff, 0, "little" if tiff[:2] == b"II" else "big")
+    def number(at: int, size: int) -> int:
+        return int.from_bytes(tiff[at : at + size], order)
 
     def entry(directory: int, tag: int) -> int | None:
         """Where the value of a tag stands."""
-        for k in range(here.number(directory, 2)):
-            at = directory + 2 + 12 * k
-            if here.number(at, 2) == tag and at + 12 <= len(tiff):
+        for at in range(directory + 2, directory + 2 + 12 * number(directory, 2), 12):
+            if number(at, 2) == tag and at + 12 <= len(tiff):
                 return at + 8
         return None
 
-    pointer = entry(here.number(4, 4), EXIF_POINTER)
-    at = None if pointer is None else entry(here.number(pointer, 4), tag)
-    return None if at is None else replace(here, at=at)
-
-
-def _tiff(data: bytes) -> bytes | None:
-    for marker, start, end in jpeg_segments(data):
-        if marker == APP1 and data[start : start + 6] == b"Exif\0\0":
-            return data[start + 6 : end]
-    return None
+    pointer = entry(number(4, 4), EXIF_POINTER)
+    at = None if pointer is None else entry(number(pointer, 4), tag)
+    return tiff, None if at is None else number(at, size)
 
 
 _NO_FRAME = {0xC4, 0xC8, 0xCC}
