@@ -30,16 +30,12 @@ _FAINT, _FEWEST_EDGES = 24.0, 15
 
 @dataclass(frozen=True)
 class ImageStatistics:
-    """One picture in figures."""
+    """One picture in figures, those of `Frame`."""
 
     brightness: float
-    """Mean grey of the usable pixels, 0 to 255."""
     contrast: float
-    """Standard deviation of their grey levels."""
     saturated: float
-    """Share of them that is white, beyond what the sensor can tell."""
     sharpness: float
-    """Standard deviation of their Laplacian as a share of the contrast: defocus, drops and dirt lower it, darkness doesn't."""
 
 
 def image_statistics(image: Uint8s, usable: Bools) -> ImageStatistics:

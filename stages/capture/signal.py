@@ -41,18 +41,13 @@ _COLOURLESS = 0.05
 
 @dataclass(frozen=True)
 class Signal:
-    """Of one picture, or the median of several."""
+    """Figures of one picture, or the median of several: those of `Frame`."""
 
     combing: float = 0.0
-    """Share of its structured parts in which every second row is from another moment, or shifted."""
     blocking: float = 1.0
-    """How many times stronger edges are at the borders of coded blocks than within them."""
     cast: float = 1.0
-    """Mean of the strongest of red, green and blue over that of the weakest."""
     colour: float = 1.0
-    """Median saturation without the cast, 0 to 1."""
     noise: float = 0.0
-    """Standard deviation of its noise, grey levels."""
 
     @classmethod
     def median(cls, several: Sequence[Signal]) -> Signal:

@@ -1,8 +1,4 @@
-"""Planes of one view spread, improved and judged by all views around it: PatchMatch over many views.
-
-A pixel's surface is a plane in inverse depth, q + A dx + B dy for its neighbours at (dx, dy).  The loops, and how a plane is
-costed, are in `mvs.kernels`.
-"""
+"""Planes of one view spread, improved and judged by all views around it: PatchMatch over many views (loops: `mvs.kernels`)."""
 
 from __future__ import annotations
 

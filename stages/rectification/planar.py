@@ -6,8 +6,7 @@ From `F ~ H2^-T [i]x H1` follow the second and third row of H1 once H2 is chosen
   and minimises the differences of its edges (4-6).  To the letter (`hao2011`), edges across depth jumps are noise in the
   regressor and shrink x.  Two steps together cure it: one control point for each cell of a grid (that work's own future work),
   and weights that let edges across depth jumps go.
-- `hartley` brings *points* to the x of their partners.
-- `calibrated` turns two cameras of known K and pose to a common orientation, then makes the net congruent."""
+- `hartley` brings *points* to the x of their partners."""
 
 from __future__ import annotations
 

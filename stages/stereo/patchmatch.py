@@ -155,9 +155,7 @@ def _planes_of(one: Float32s, other: Float32s, valid: Bools, sign: int) -> Float
 
 @kernel
 def _slopes(disparity: Float32s) -> tuple[Float32s, Float32s]:
-    """Slopes (h, w), (h, w) of disparity along x and y: least squares over an 11x11 window at stride 2, without what jumps.
-
-    Pieces of a row are done at once, so that the compiler can do many columns with one instruction."""
+    """Slopes (h, w), (h, w) of disparity along x and y: least squares over an 11x11 window at stride 2, without what jumps."""
     height, width = disparity.shape
     along_x = np.zeros((height, width), dtype=np.float32)
     along_y = np.zeros((height, width), dtype=np.float32)

@@ -54,9 +54,8 @@ class Coverage(Record):
     lost_without: Mapping[str, float] = field(default_factory=dict)
     """By camera: share of the area that would fall below two cameras without it."""
     metric: bool = True
-    """Lengths are metres."""
     crs: str = ""
-    """Coordinate system of the world, "" for a local one."""
+    """As of `Poses`."""
 
 
 @dataclass(frozen=True)
@@ -158,9 +157,8 @@ class Changes(Record):
     noise: float = 1.0
     """By how much distances where nothing has changed exceed what the points' own standard deviations say."""
     metric: bool = True
-    """Lengths are metres."""
     crs: str = ""
-    """Coordinate system of the world, "" for a local one."""
+    """As of `Poses`."""
 
 
 SAME, NEW, VANISHED, UNKNOWN = 0, 1, 2, 3

@@ -70,7 +70,7 @@ class Frame(Record):
     contrast: float = float("nan")
     """Standard deviation of their grey levels."""
     saturated: float = float("nan")
-    """Share of them that is black or white, beyond what the sensor can tell."""
+    """Share of them that is white, beyond what the sensor can tell."""
     sharpness: float = float("nan")
     """Standard deviation of their Laplacian as a share of the contrast: defocus, drops and dirt lower it, darkness doesn't."""
     combing: float = 0.0
