@@ -99,7 +99,10 @@ def run(
     limits = _bytes(memory), time_limit, stop_at
     options = Options(date, workers, until, tuple(force), wait, backend, scheduler, roots, *limits, not_captured or {})
     options.check(site)
-    return _run(site, options, listen or (lambda event: None))
+    try:
+        return _run(site, options, listen or (lambda event: None))
+    except OSError as error:
+        raise disk_fault(error, site.work) from error
 
 
 def _bytes(memory: str | None) -> int | None:
@@ -134,13 +137,6 @@ def open_run(where: Site | str | Path, run_id: str | None = None) -> Run:
 
 
 def _run(site: Site, options: Options, listen: Listener) -> Run:
-    try:
-        return _run_night(site, options, listen)
-    except OSError as error:
-        raise disk_fault(error, site.work) from error
-
-
-def _run_night(site: Site, options: Options, listen: Listener) -> Run:
     place = site.work_folder
     with hold_to_write(place, options.wait) as mirror, terminate_as_interrupt():
         warning = claim(place, site.name, site.file)

@@ -308,7 +308,6 @@ def _whole(data: bytes) -> bytes:
 
 
 def _date(text: str | None) -> float | None:
-    """Return the Unix time of an HTTP date."""
     try:
         return email.utils.parsedate_to_datetime(text).timestamp() if text else None
     except ValueError:

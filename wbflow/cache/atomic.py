@@ -59,17 +59,13 @@ def _replace(path: Path, fill: Callable[[IO[bytes]], object], size: int, fsync: 
         temporary.replace(path)
         if fsync == "folder":
             sync_folder(path.parent)
-    except OSError as error:
-        _drop(temporary)
-        raise _with_space(error, path, size) from None
-    except BaseException:
-        _drop(temporary)
+    except BaseException as error:
+        with contextlib.suppress(OSError):
+            temporary.unlink()
+        if isinstance(error, OSError) and error.errno in FULL:
+            words = f"the disk is full: {in_words(size)} needed, {in_words(free_bytes(path.parent))} free"
+            raise OSError(error.errno, words, str(path)) from None
         raise
-
-
-def _drop(temporary: Path) -> None:
-    with contextlib.suppress(OSError):
-        temporary.unlink()
 
 
 def clear(path: Path) -> None:
@@ -100,14 +96,6 @@ def disk_fault(error: OSError, place: Path | str) -> WbflowError:
     """The error for people when a file or folder cannot be read or written."""
     remedy = REMEDY if error.errno in FULL else "check the rights on the work folder and its file system"
     return WbflowError(f"{error.filename or place}: {error.strerror or error}", remedy=remedy)
-
-
-def _with_space(error: OSError, path: Path, need: int) -> OSError:
-    """The same error with what was needed and what is free, where it says that a disk is full; else as it is."""
-    if error.errno not in FULL:
-        return error
-    words = f"the disk is full: {in_words(need)} needed, {in_words(free_bytes(path.parent))} free"
-    return OSError(error.errno, words, str(path))
 
 
 def bytes_of(text: str) -> int:

@@ -251,7 +251,6 @@ def origin_of(node: ast.ImportFrom, module: str, path: Path) -> str:
 
 
 def _digest(text: str) -> str:
-    """Return a digest of a text, in 32 letters."""
     return hashlib.sha256(text.encode()).hexdigest()[:32]
 
 

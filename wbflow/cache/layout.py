@@ -209,16 +209,12 @@ class WorkFolder:
         fresh = self.unfinished_run(link.name).folder
         clear(fresh)
         if link.is_dir() and not link.is_symlink():
-            self._set_aside(link)
+            self.quarantine.mkdir(parents=True, exist_ok=True)
+            places = (self.quarantine / f"{link.name}-{number}" for number in itertools.count(1))
+            link.rename(next(place for place in places if not place.exists()))
         fresh.symlink_to(run)
         fresh.replace(link)
         sync_folder(self.runs)
-
-    def _set_aside(self, folder: Path) -> None:
-        """Move a folder that stands where a link belongs to the quarantine: nothing of it is lost."""
-        self.quarantine.mkdir(parents=True, exist_ok=True)
-        places = (self.quarantine / f"{folder.name}-{number}" for number in itertools.count(1))
-        folder.rename(next(place for place in places if not place.exists()))
 
     def ledger_files(self) -> list[Path]:
         """The ledger and what SQLite keeps beside it."""

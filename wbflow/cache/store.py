@@ -124,7 +124,7 @@ class Cache:
         path = self.work.receipt(task, key)
         found = stamp(path)
         if (receipt := self._receipt(task, path)) and found:
-            self._known[task, key] = str(path), str(self.path(receipt)) if receipt.file else "", found, receipt
+            self._known[task, key] = str(path), f"{path.parent}/{receipt.file}" if receipt.file else "", found, receipt
         return receipt
 
     def newest(self, task: Task) -> Receipt | None:
@@ -210,26 +210,20 @@ class Cache:
     def _receipt(self, task: Task | None, path: Path) -> Receipt | None:
         """None for one that is not there, or cannot be believed: then the damage is noted, and the task done again."""
         try:
-            receipt = self._read(path)
+            if (fields := read_signed(path, self.work.place(path))) is None:
+                return None
+            preimage = fields["preimage"]
+            preimage["subject"] = tuple(preimage["subject"])
+            receipt = Receipt(**fields | {"preimage": Preimage(**preimage)})
         except Damaged as damage:
             self.note(damage.what, task)
             return None
-        if receipt and receipt.file and (wrong := _wrong_size(f"{path.parent}/{receipt.file}", receipt.bytes)):
+        except (TypeError, KeyError):  # of another version
+            return None
+        if receipt.file and (wrong := _wrong_size(f"{path.parent}/{receipt.file}", receipt.bytes)):
             self.note(wrong, task)
             return None
         return receipt
-
-    def _read(self, path: Path) -> Receipt | None:
-        """None for one that is not there, or of another version.  Raises Damaged."""
-        fields = read_signed(path, self.work.place(path))
-        if fields is None:
-            return None
-        try:
-            preimage = fields["preimage"]
-            preimage["subject"] = tuple(preimage["subject"])
-            return Receipt(**fields | {"preimage": Preimage(**preimage)})
-        except (TypeError, KeyError):
-            return None
 
 
 def _wrong_size(path: Path | str, expected: int) -> str | None:

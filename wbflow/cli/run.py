@@ -172,7 +172,6 @@ def for_each(sites: Sequence[Path], work: Callable[[Path], int]) -> int:
 
 
 def _print_run(finished: Run, several: bool, quiet: bool) -> None:
-    """Print verdict, figures and findings of a run, and where its files are."""
     record, paths = finished.record, finished.place.paths
     if not quiet:
         if several:
@@ -245,7 +244,6 @@ def capture(site: Path, quiet: bool) -> None:
 
 
 def _capture(site: Site, quiet: bool) -> list[Taken]:
-    """Take pictures, and say of each camera how many there are."""
     from ..capture import capture
 
     def print_taken(taken: Taken) -> None:
@@ -291,7 +289,6 @@ def _status(site: Site, date: datetime.date | None, until: str | None, force: tu
 
 
 def _print_status(status: Status) -> None:
-    """Print each task with what would become of it, and why."""
     for line in status.tasks:
         echo(f"{line.task:32} {line.state}{': ' + line.why if line.why else ''}")
     if status.pairs_to_come:

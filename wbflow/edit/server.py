@@ -82,7 +82,6 @@ class _Handler(BaseHTTPRequestHandler):
             self.server.shutdown()
 
     def _answer(self, make: Callable[[str], Answer]) -> None:
-        """Answer with what is made of the path behind the token."""
         path = self.path.removeprefix("/").partition("/")[2]
         try:
             return self._send(HTTPStatus.OK, *make(path))

@@ -279,7 +279,6 @@ class Session:
             return self.state()
 
     def _new_masks(self, marks: Marks) -> Iterable[tuple[str, bytes]]:
-        """The masks that areas are painted over, or were."""
         for name, drawn in marks.cameras.items():
             if not drawn.mask and name not in self._painted:
                 continue
@@ -322,7 +321,6 @@ class Session:
         return camera
 
     def _digests(self) -> dict[Path, str]:
-        """What is in the site file and in the masks now."""
         files = [self.site.file, *(camera.mask for camera in self.site.cameras if camera.mask)]
         return {file: content_digest(read_outside(file)) if is_file(file) else "" for file in files}
 
@@ -350,7 +348,6 @@ def _with_marks(text: str, site: Site, marks: Marks, masks: Mapping[str, str]) -
 
 
 def _marks_of(site: Site) -> tuple[list[ZoneMark], list[PointMark]]:
-    """The zones and control points that a site file has."""
     file = site.settings
     zones = [ZoneMark(was=k, name=z.name, corners=z.polygon, least_m=z.least_m) for k, z in enumerate(file.zones or ())]
     places = [point.position if point.geodetic is None else list(point.geodetic) for point in file.control_points]

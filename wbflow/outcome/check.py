@@ -6,12 +6,12 @@ import datetime
 import difflib
 import importlib
 import re
-import shutil
 from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Literal
 
+from ..cache.atomic import free_bytes
 from ..cache.fingerprint import load
 from ..cache.layout import WorkFolder
 from ..cache.store import Preimage, Receipt
@@ -151,15 +151,12 @@ def check_published(work: WorkFolder) -> list[Finding]:
 
 
 def _disk(site: Site) -> list[Finding]:
-    folder = site.work
-    while not folder.exists():
-        folder = folder.parent
-    free = shutil.disk_usage(folder).free
+    free = free_bytes(site.work)
     width = site.settings.resolution or 4000
     need = len(site.cameras) * width * width * 2 // 3 * BYTES_PER_PIXEL
     if free > need:
         return []
-    what = f"{folder} has {free / 1e9:.1f} GB free; a night of this site takes about {need / 1e9:.1f} GB"
+    what = f"{site.work} has {free / 1e9:.1f} GB free; a night of this site takes about {need / 1e9:.1f} GB"
     return [Finding("warning", what, "free some space: wbflow clean SITE.yaml --keep 3", ExitCode.FAILED)]
 
 

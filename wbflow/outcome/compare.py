@@ -107,7 +107,6 @@ def _by_name(records: tuple[CameraRecord, ...] | tuple[PairRecord, ...]) -> Mapp
 
 
 def _of_site(a: RunRecord, b: RunRecord) -> Iterator[Row]:
-    """Yield the results of site-wide stages that both nights have."""
     for stage in (stage for stage in a.results if stage in b.results):
         ours, theirs = vars(a.results[stage]), vars(b.results[stage])
         yield from (Row(f"{stage}: {titled(name)}", ours[name], theirs[name]) for name in _shared(ours, theirs))
@@ -185,7 +184,6 @@ def changes_between(then: Run, tonight: Run) -> Any:
 
 
 def _surface(run: Run, prefix: str = "") -> Mapping[str, Any]:
-    """Return what the search for changes takes of a run, by argument name."""
     poses = run.made(POSES)
     if poses is None:
         raise Gone(f"run {run.id} placed no cameras: {run.record.reason or 'it was not asked to'}")

@@ -77,7 +77,6 @@ def _id(name: str) -> str:
 
 
 def _ids(names: Iterable[str]) -> list[str]:
-    """An id for each name, all different."""
     found: list[str] = []
     for position, name in enumerate(names, 1):
         base = identity = _id(name) or f"camera-{position}"

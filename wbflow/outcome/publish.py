@@ -98,7 +98,6 @@ def _publish(run: str, context: RunContext, worked: Worked, journal: Journal, ow
 
 
 def _with_motion(camera: CameraRecord, harmful: Mapping[str, list[str]], harmless: Mapping[str, list[str]]) -> CameraRecord:
-    """Return a camera with its captures that have changed during the run."""
     replaced = [
         f"{name} was overwritten during the run; it was read as a whole, and `captures` has the digest of what was used"
         for name in harmless.get(camera.id, ())

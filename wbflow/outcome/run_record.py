@@ -208,7 +208,6 @@ def _parts_of(figures: type[Summary]) -> list[tuple[Stage, type[Summary]]]:
 
 
 def _known(summary: Summary) -> dict[str, Any]:
-    """Return what a stage knows of a camera or pair."""
     return {name: value for name, value in vars(summary).items() if value is not None}
 
 
@@ -234,7 +233,6 @@ def _cloud(task: Task, state: State) -> CloudRecord | None:
 
 
 def _results(plan: Plan, files: Mapping[str, Collection[str]]) -> Iterator[tuple[str, SiteSummary]]:
-    """Yield the results of site-wide stages that have a part of run.json."""
     for stage in plan.stages:
         if stage.summary and issubclass(stage.summary, SiteSummary):
             state = plan.states.get(Task(stage.name))

@@ -131,39 +131,25 @@ def judge(record: RunRecord, facts: Facts) -> RunRecord:
     """Return the same of a record that says what is usual."""
     record = with_appearance(record, facts.expected)
     record = replace(record, cameras=tuple(_with_down(camera, record, facts.baseline) for camera in record.cameras))
-    night = Night(record, facts)
-    every = (finding for check in CHECKS for finding in check(night))
+    every = (finding for check in CHECKS for finding in check(record, facts))
     found, acknowledged = split(every, facts.acknowledged, record.date)
-    level = _level(night, found)
+    levels = {FINDINGS[one.kind].level for one in found if not _is_tolerated(one, record, facts)}
+    level: Level = "failed" if "failed" in levels else "degraded" if "degraded" in levels else "good"
     code = ExitCode.INTERRUPTED if facts.interrupted else _EXIT_CODES[level]
     return replace(record, verdict=Verdict(level, found, acknowledged), exit_code=code)
 
 
-@dataclass(frozen=True)
-class Night:
-    """What a check looks at."""
-
-    record: RunRecord
-    facts: Facts
-
-
-def _level(night: Night, found: Iterable[Finding]) -> Level:
-    levels = {FINDINGS[one.kind].level for one in found if not _is_tolerated(one, night)}
-    return "failed" if "failed" in levels else "degraded" if "degraded" in levels else "good"
-
-
-def _is_tolerated(found: Finding, night: Night) -> bool:
+def _is_tolerated(found: Finding, record: RunRecord, facts: Facts) -> bool:
     """Is it about a camera of a site that may do without some?"""
-    limit = night.facts.expected.limit(Measure.CAMERAS)
+    limit = facts.expected.limit(Measure.CAMERAS)
     if not found.kind.startswith("camera-") or limit >= 1:
         return False
-    cameras = night.record.cameras
+    cameras = record.cameras
     return sum(camera.down is None for camera in cameras) >= limit * len(cameras)
 
 
-def check_end(night: Night) -> Iterator[Finding]:
-    """Did the run come to its end, and is there what was wanted?"""
-    facts, record = night.facts, night.record
+def check_end(record: RunRecord, facts: Facts) -> Iterator[Finding]:
+    """Did the run come to its end, is there what was wanted, and does the object store have it?"""
     if facts.stopped:
         count = len(facts.stopped)
         yield finding("stopped", (), {"tasks": count}, reason=facts.stopped[0].reason, tasks=counted(count, "task"))
@@ -173,22 +159,18 @@ def check_end(night: Night) -> Iterator[Finding]:
         yield finding("no-result", stage=facts.missing[0], reason=shortened(facts.missing[1]))
     elif facts.product and not record.cloud:
         yield finding("no-cloud", reason=shortened(record.reason or "nothing says why"))
+    if facts.behind:
+        yield facts.behind
 
 
-def check_store(night: Night) -> Iterator[Finding]:
-    """Does the object store have everything?"""
-    if night.facts.behind:
-        yield night.facts.behind
-
-
-def check_cameras(night: Night) -> Iterator[Finding]:
+def check_cameras(record: RunRecord, facts: Facts) -> Iterator[Finding]:
     """Is each camera in use, and as it should be?  One finding each, with the nights that it has lasted."""
-    blamed = blame(night.record)
+    blamed = blame(record)
     excused = {name for others in blamed.values() for name in others}
-    for camera in night.record.cameras:
-        trouble = _trouble(camera, night.record)
+    for camera in record.cameras:
+        trouble = _trouble(camera, record)
         if trouble and trouble.kind == "camera-no-usable-pair":
-            may_be_dense = not night.facts.product and camera.figures.pose_from == "stated"  # along rows that its pose predicts
+            may_be_dense = not facts.product and camera.figures.pose_from == "stated"  # along rows that its pose predicts
             trouble = None if camera.id in excused or may_be_dense else _blamed(trouble, blamed.get(camera.id))
         if trouble:
             down = camera.down
@@ -198,7 +180,6 @@ def check_cameras(night: Night) -> Iterator[Finding]:
 
 
 def _trouble(camera: CameraRecord, record: RunRecord) -> Finding | None:
-    """Return the first thing that is wrong with a camera tonight."""
     return next((found for check in _CAMERA_CHECKS if (found := check(camera, record))), None)
 
 
@@ -316,18 +297,17 @@ def _blamed(trouble: Finding, excused: tuple[str, ...] | None) -> Finding:
     return replace(trouble, text=text, remedy=remedy)
 
 
-def check_captures(night: Night) -> Iterator[Finding]:
+def check_captures(record: RunRecord, facts: Facts) -> Iterator[Finding]:
     """Did captures change while they were worked on, and does each camera deliver pictures of its own?"""
-    moved = {camera.id: names for camera in night.record.cameras if (names := camera.captures_in_motion)}
+    moved = {camera.id: names for camera in record.cameras if (names := camera.captures_in_motion)}
     if moved:
         files = [name for names in moved.values() for name in names]
         yield finding("captures-in-motion", tuple(moved), {"captures": len(files)}, captures=_names(files))
-    for names in _same_pictures(night.record.cameras):
+    for names in _same_pictures(record.cameras):
         yield finding("cameras-alike", names, cameras=_names(names))
 
 
 def _same_pictures(cameras: Iterable[CameraRecord]) -> Iterator[tuple[str, ...]]:
-    """Yield groups of cameras that deliver one and the same picture."""
     groups: dict[str, list[str]] = {}
     for camera in cameras:
         if (camera.figures.contrast or 0.0) > LEAST_CONTRAST and (found := camera.figures.picture_digest):
@@ -335,9 +315,9 @@ def _same_pictures(cameras: Iterable[CameraRecord]) -> Iterator[tuple[str, ...]]
     yield from (tuple(names) for names in groups.values() if len(names) > 1)
 
 
-def check_pictures(night: Night) -> Iterator[Finding]:
+def check_pictures(record: RunRecord, facts: Facts) -> Iterator[Finding]:
     """Are pictures too blurred, noisy or coarsely coded to be measured in?"""
-    used = [camera for camera in night.record.cameras if camera.ok]
+    used = [camera for camera in record.cameras if camera.ok]
     soft = {camera.id: _soft_figures(camera) for camera in used if _is_soft(camera) or _is_unresolved(camera)}
     if any(map(_is_soft, used)) or (soft and len(soft) >= SOFT_SHARE * len(used)):
         worst = {name: max(figures[name] for figures in soft.values()) for name in (*_SOFT, *_SHOWN)}
@@ -345,7 +325,6 @@ def check_pictures(night: Night) -> Iterator[Finding]:
 
 
 def _soft_figures(camera: CameraRecord) -> dict[str, float]:
-    """Return how soft a camera's pictures are."""
     return {name: float(getattr(camera.figures, name) or 0.0) for name in (*_SOFT, *_SHOWN)}
 
 
@@ -362,11 +341,11 @@ def _is_unresolved(camera: CameraRecord) -> bool:
     return unresolved or misfit * figures["coarseness"] > BLURRED_BY_CODING or figures["saturated"] > OVEREXPOSED
 
 
-def check_calibration(night: Night) -> Iterator[Finding]:
+def check_calibration(record: RunRecord, facts: Facts) -> Iterator[Finding]:
     """Do the reference, or the matches, contradict what the site states of lenses and poses?"""
-    if change := night.facts.calibration_change:
+    if change := facts.calibration_change:
         yield finding("calibration-changed", reason=change)
-    check = night.record.poses.calibration if night.record.poses else None
+    check = record.poses.calibration if record.poses else None
     if check and check.contradicted:
         figures = {"misfit": check.misfit, "better": check.better, "off_px": check.off_px}
         remedy = "subtract 0.5 from cx and cy of all cameras" if check.cause == "principal-points-corner" else None
@@ -412,7 +391,6 @@ _EVERYBODY = {
 
 
 def _explanation(check: CalibrationCheck) -> str:
-    """Return in words what would explain the matches best."""
     misfit = f"they lie {math.sqrt(check.misfit):.1f} times as far from where it has them as noise explains"
     if not check.cause:
         return f"{misfit}; no single cause explains that"
@@ -432,9 +410,9 @@ def _explanation(check: CalibrationCheck) -> str:
     return f"{misfit}; {words} would fit {check.better:.1f} times better"
 
 
-def check_poses(night: Night) -> Iterator[Finding]:
+def check_poses(record: RunRecord, facts: Facts) -> Iterator[Finding]:
     """Are poses and lenses known well enough?  They may fit the pictures, and be wrong."""
-    poses = night.record.poses or PosesSummary()
+    poses = record.poses or PosesSummary()
     contradicted = poses.issues_of("contradicted")
     if not (poses.calibration and poses.calibration.contradicted):  # that finding explains what these say
         for reason in dict.fromkeys(issue.text for issue in contradicted.values()):
@@ -452,15 +430,15 @@ def check_poses(night: Night) -> Iterator[Finding]:
         yield finding("lens-undetermined", tuple(found), {"focal": focal, "border_px": border}, None, None, **words)
 
 
-def check_depths(night: Night) -> Iterator[Finding]:
+def check_depths(record: RunRecord, facts: Facts) -> Iterator[Finding]:
     """Do pairs agree on depths?  Along epipolar lines a wrong pose or lens changes depths, and no match of two pictures tells."""
-    poses = night.record.poses
+    poses = record.poses
     if poses and poses.calibration and poses.calibration.contradicted:
         return  # that finding explains it
-    solved = {camera.id for camera in night.record.cameras if camera.figures.pose_from == "solved"}
+    solved = {camera.id for camera in record.cameras if camera.figures.pose_from == "solved"}
     found = [
         ({camera.id, *map(camera_of, pair.split("--"))}, px)
-        for camera in night.record.cameras
+        for camera in record.cameras
         for pair, px in (camera.figures.apart_px or {}).items()
     ]
     apart = [(cameras, px, SOLVED_APART_PX if cameras & solved else APART_PX) for cameras, px in found]
@@ -479,9 +457,9 @@ def check_depths(night: Night) -> Iterator[Finding]:
     yield finding("pairs-disagree", suspects, {"apart_px": most}, {"apart_px": limit}, None, **words)
 
 
-def check_survey(night: Night) -> Iterator[Finding]:
+def check_survey(record: RunRecord, facts: Facts) -> Iterator[Finding]:
     """Do stated distances, control points and units agree with where the cameras stand?"""
-    poses = night.record.poses
+    poses = record.poses
     if poses is None:
         return
     if poses.distances_off:
@@ -504,11 +482,11 @@ def _names(cameras: Iterable[str]) -> str:
     return shortened(", ".join(cameras))
 
 
-def check_tasks(night: Night) -> Iterator[Finding]:
+def check_tasks(record: RunRecord, facts: Facts) -> Iterator[Finding]:
     """Did tasks fail?  Those with the same cause are one finding; those of a camera that is left out are part of that finding."""
-    left_out = {camera.id for camera in night.record.cameras if not camera.ok}
+    left_out = {camera.id for camera in record.cameras if not camera.ok}
     groups: dict[tuple[str, str | None], list[tuple[Task, State]]] = {}
-    for task, state in night.facts.failed:
+    for task, state in facts.failed:
         if not (len(task.subject) == 1 and camera_of(task.subject[0]) in left_out):
             groups.setdefault((task.stage, state.code), []).append((task, state))
     for (_, code), tasks in groups.items():
@@ -518,23 +496,22 @@ def check_tasks(night: Night) -> Iterator[Finding]:
         yield finding("task-failed", task.subject, {"tasks": len(tasks)}, remedy=remedy, task=task, reason=reason, more=more)
 
 
-def check_cloud(night: Night) -> Iterator[Finding]:
+def check_cloud(record: RunRecord, facts: Facts) -> Iterator[Finding]:
     """Is the cloud right, as far as its own cameras can tell?"""
-    cloud = night.record.cloud
+    cloud = record.cloud
     if cloud and cloud.right is not None and cloud.right < RIGHT:
         figures, expected = {"right": cloud.right}, {"right": RIGHT}
         yield finding("cloud-doubtful", (), figures, expected, percent=100 * cloud.right, limit=100 * RIGHT)
 
 
-def check_amounts(night: Night) -> Iterator[Finding]:
+def check_amounts(record: RunRecord, facts: Facts) -> Iterator[Finding]:
     """Is there as much as the site file expects, the last good nights gave, or the night itself planned?"""
-    record = night.record
-    if night.facts.interrupted or not night.facts.product or not record.cloud:
+    if facts.interrupted or not facts.product or not record.cloud:
         return
     usual = record.usual or Usual(0, {})
     figures = figures_of(record) | {Measure.CAMERAS: float(sum(camera.ok for camera in record.cameras))}
     for name, value in figures.items():
-        limit, amount, base = night.facts.expected.limit(name), _amount(name, value), usual.figures.get(name)
+        limit, amount, base = facts.expected.limit(name), _amount(name, value), usual.figures.get(name)
         if limit > 1:
             if value < limit:
                 yield _fewer(name, value, limit, f"{amount}, at least {limit:,.0f} are expected")
@@ -564,7 +541,6 @@ def _most_common(pairs: Iterable[PairRecord]) -> str:
 
 
 def _why_few(record: RunRecord) -> str:
-    """Say why most of the pairs that were not used were not."""
     unused = [pair for pair in record.pairs if not pair.ok]
     gone = {camera.id for camera in record.cameras if not camera.ok}
     theirs = [pair for pair in unused if gone & {camera_of(pair.left), camera_of(pair.right)}]
@@ -578,10 +554,9 @@ def shortened(reason: str) -> str:
     return reason if len(reason) <= MOST_LETTERS else f"{reason[: MOST_LETTERS - 3]}..."
 
 
-Check = Callable[[Night], Iterator[Finding]]
+Check = Callable[[RunRecord, Facts], Iterator[Finding]]
 CHECKS: tuple[Check, ...] = (
     check_end,
-    check_store,
     check_cameras,
     check_captures,
     check_pictures,

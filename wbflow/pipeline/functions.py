@@ -14,7 +14,7 @@ import sys
 import types
 import typing
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -78,7 +78,9 @@ class FunctionReader(Memo):
             signature, files = read_signature(self.modules, dotted)
             return asdict(signature), files
 
-        return _signature(self._remembered("signature", dotted, read))
+        known = self._remembered("signature", dotted, read)
+        arguments = tuple(Argument(**argument) for argument in known["arguments"])
+        return Signature(arguments, {name: Parameter(**row) for name, row in known["parameters"].items()}, known["takes_any"])
 
     def table(self, dotted: str) -> dict[str, str]:
         """Return a table of methods: name -> dotted function.  Raises FunctionError."""
@@ -94,11 +96,6 @@ class FunctionReader(Memo):
             self.entries["files"] |= {str(file): stamp(str(file)) for file in files}
             self._changed = True
         return known[entry]
-
-
-def _signature(entry: Mapping[str, Any]) -> Signature:
-    arguments = tuple(Argument(**argument) for argument in entry["arguments"])
-    return Signature(arguments, {name: Parameter(**row) for name, row in entry["parameters"].items()}, entry["takes_any"])
 
 
 @dataclass(frozen=True)

@@ -312,7 +312,6 @@ def select_pairs(
 
 
 def _why_not(pair: Pair, little: Collection[Pair], counts: Mapping[str, int], degree: int) -> str:
-    """Why a pair that is fit is not matched."""
     if pair in little:
         return "other views of their cameras share more"
     if crowded := next((view for view in pair if counts[view] >= MOST_AT_A_CAMERA), None):

@@ -42,10 +42,6 @@ class TaskEvent:
         """Did it leave an artifact?"""
         return self.outcome in {"cached", "ran"} and self.key is not None
 
-    def to_json(self) -> dict[str, Any]:
-        """Return a line of the log."""
-        return {"event": "task", **vars(self), **_task(self.task)}
-
 
 @dataclass(frozen=True)
 class WarningEvent:
@@ -68,10 +64,6 @@ class WarningEvent:
     def __str__(self) -> str:
         head = f"{self.task}: {self.what}" if self.task else self.what
         return f"{head}; {self.remedy}" if self.remedy else head
-
-    def to_json(self) -> dict[str, Any]:
-        """Return a line of the log."""
-        return {"event": "warning", **vars(self), **_task(self.task)}
 
 
 @dataclass(frozen=True)
@@ -99,14 +91,19 @@ Listener = Callable[[Event | Signal], None]
 """Receives every event as it happens, and what is planned and begun."""
 
 
-def _task(task: Task | None) -> dict[str, Any]:
-    return {"task": str(task), "stage": task.stage, "subject": task.subject} if task else {}
+_KINDS: dict[str, type[Event]] = {"task": TaskEvent, "warning": WarningEvent}
+
+
+def event_to_json(event: Event) -> dict[str, Any]:
+    """Return a line of the log."""
+    task = event.task
+    whose = {"task": str(task), "stage": task.stage, "subject": task.subject} if task else {}
+    return {"event": next(name for name, kind in _KINDS.items() if isinstance(event, kind)), **vars(event), **whose}
 
 
 def event_from_json(line: Mapping[str, Any]) -> Event | None:
     """Return an event as the log has it; None for a kind of a later version.  Raises KeyError, TypeError."""
-    kinds: dict[str, type[Event]] = {"task": TaskEvent, "warning": WarningEvent}
-    if (kind := kinds.get(line["event"])) is None:
+    if (kind := _KINDS.get(line["event"])) is None:
         return None
     known = {field.name: line[field.name] for field in fields(kind) if field.name in line}
     return kind(**known | {"task": Task(line["stage"], tuple(line["subject"])) if "stage" in line else None})

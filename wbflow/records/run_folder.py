@@ -22,7 +22,7 @@ from ..cache.signed import Unsigned, signed, unsigned
 from ..cache.untrusted import open_outside, read_outside
 from ..errors import ExitCode, WbflowError
 from ..task import Task
-from .events import Event, TaskEvent, event_from_json
+from .events import Event, TaskEvent, event_from_json, event_to_json
 from .record import RunRecord
 
 if TYPE_CHECKING:
@@ -317,4 +317,4 @@ def _sha256(path: Path) -> str | None:
 
 def log_of(events: Iterable[Event]) -> bytes:
     """The lines of a log."""
-    return "".join(json.dumps(event.to_json()) + "\n" for event in events).encode()
+    return "".join(json.dumps(event_to_json(event)) + "\n" for event in events).encode()

@@ -118,7 +118,6 @@ def _named(cameras: Mapping[str, float], site: Site) -> str:
 
 
 def _longer(lens: Lens, then: Mapping[str, Any]) -> float:
-    """Return by which share the focal length is longer than it was."""
     assert lens.K is not None
     width, before = lens.width or then["width"], then["width"]
     return float(lens.K[0][0]) / width / (float(then["K"][0][0]) / float(before)) - 1

@@ -177,7 +177,6 @@ def _poor(cache: Cache, reference: Reference, stage: Stage) -> list[Subject]:
 
 
 def _resting_on(stage: Stage) -> list[Stage]:
-    """What is made of a pair from the result of a stage."""
     return [other for other in STAGES if other.scope == "pair" and stage.name in other.needed()]
 
 

@@ -158,7 +158,6 @@ def _base64(size: int) -> int:
 
 
 def _other_nights(data: ReportData) -> Iterator[tuple[str, str]]:
-    """Yield text and link of the reports before and after this one."""
     if data.earlier:
         before = data.earlier[0]
         yield f"← {before.date}", data.report_of(before.run)
@@ -170,7 +169,6 @@ def _other_nights(data: ReportData) -> Iterator[tuple[str, str]]:
 
 
 def _when(data: ReportData) -> str:
-    """Return when the run began and ended, by the site's clocks."""
     began, ended = (data.site.local(moment(at).timestamp()) for at in (data.record.started, data.record.finished))
     day = "" if began.date() == ended.date() else f"{ended:%Y-%m-%d} "
     return f"{began:%Y-%m-%d %H:%M %Z} to {day}{ended:%H:%M %Z}"
@@ -188,7 +186,6 @@ def _pose_notes(record: RunRecord) -> Iterator[str]:
 
 
 def _files(data: ReportData) -> Iterator[tuple[str, str]]:
-    """Yield text and name of the run's files."""
     record, paths = data.record, data.work.run(data.record.run)
     for cloud in (record.cloud, *record.other_clouds):
         if cloud:
@@ -270,7 +267,6 @@ def _night(work: WorkFolder, entry: Entry, folder: Path) -> tuple[Entry, str, st
 
 
 def _picture(work: WorkFolder) -> str:
-    """Return the picture of the last cloud."""
     task = Task(FUSE)
     try:
         event = RunFolder.of(work, work.latest_good.name).tasks().get(task)

@@ -11,7 +11,7 @@ from ..cache.signed import Digests, Seen
 from ..cache.store import Cache
 from ..records.reference_folder import BadReference, Reference, read_reference
 from ..site.captures import as_now, expected, find_captures, find_named, in_motion, look_again, night, when_complete
-from ..site.models import Camera, Site
+from ..site.models import Site
 from ..site.staleness import look_at
 from .options import Options
 from .planner import Plan
@@ -77,6 +77,7 @@ def plan_run(site: Site, options: Options) -> RunContext:
     found, growing = when_complete(find_captures(site, found_date, digests), digests)
     delivered = look_at(site, found_date, found, digests, seen)
     lost = [camera for camera in site.cameras if not delivered.captures[camera.id]]
+    named = {camera.id: expected(site, camera, found_date).replace(f"{site.captures.root}/", "") for camera in lost}
     reference, misfit = _reference(site, work)
     plan = Plan(
         site,
@@ -84,7 +85,7 @@ def plan_run(site: Site, options: Options) -> RunContext:
         str(found_date),
         Cache(work),
         find_named(site, digests),
-        {camera.id: options.not_captured.get(camera.id) or _expected(site, camera, found_date) for camera in lost},
+        {camera.id: options.not_captured.get(camera.id) or f"there is no file {named[camera.id]}" for camera in lost},
         options.until,
         frozenset(options.force),
         reference=reference,
@@ -93,10 +94,6 @@ def plan_run(site: Site, options: Options) -> RunContext:
         night_given=options.date is not None,
     )
     return RunContext(found_date, digests, seen, delivered.notes, plan, growing=growing)
-
-
-def _expected(site: Site, camera: Camera, night: datetime.date) -> str:
-    return f"there is no file {expected(site, camera, night).replace(f'{site.captures.root}/', '')}"
 
 
 def _reference(site: Site, work: WorkFolder) -> tuple[Reference | None, str]:

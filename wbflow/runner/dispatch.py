@@ -157,7 +157,6 @@ class Dispatcher:
             shutil.rmtree(self._cache.work.progress)
 
     def _begin(self) -> None:
-        """Start queued chains while there is room."""
         while self._queue and self._executor:
             suspect, *_, specs = self._queue[0]
             begun = [chain.tasks for chain in self._at_work.values()]
@@ -198,7 +197,6 @@ class Dispatcher:
         chain.progress.unlink(missing_ok=True)
 
     def _lost(self, chain: _Chain, error: WorkerLost) -> Iterator[Done]:
-        """A worker is gone: the task at work is tried again, or has failed."""
         self._tidy(chain)
         _, words = chain.look()
         task = chain.tasks[max(0, chain.at_work)]

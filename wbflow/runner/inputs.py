@@ -298,7 +298,6 @@ class Inputs:
         return Files(SITE_TYPES["captures"], (file,), single=True) if file else Absent()
 
     def _captured(self, camera: Camera) -> tuple[CaptureFile, ...]:
-        """A camera's files that can be read."""
         files = self.plan.captures[camera.camera]
         if not files:
             raise Impossible(f"no capture: {self.plan.missing.get(camera.camera, 'there is no file for it')}", Cause.NO_CAPTURE)

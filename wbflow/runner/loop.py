@@ -93,7 +93,6 @@ class _Loop:
                 self._make_again(damage.task, damage.what)
 
     def _collect(self) -> None:
-        """Wait for chains, and take in how their tasks have ended."""
         ended, chains = self.dispatcher.wait()
         for done in ended:
             if done.damaged is not None:

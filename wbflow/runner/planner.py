@@ -174,7 +174,6 @@ class Plan:
         self._listed = Counter(task.stage for task in self._due)
 
     def _look_at(self, stage: Stage, task: Task) -> None:
-        """Find the state of a task that has not ended."""
         try:
             instead = self.pinned.instead(stage, task)
             if isinstance(instead, Receipt):
@@ -199,7 +198,6 @@ class Plan:
             self.ready[task] = spec
 
     def _chain(self, first: TaskSpec) -> list[TaskSpec]:
-        """A ready task and those that can follow it."""
         chain, made = [first], {first.task}
         for stage in self.stages if first.task.subject else ():
             follower = Task(stage.name, first.task.subject)

@@ -259,7 +259,6 @@ def _close(key: str, location: Location) -> str:
 
 
 def _keys_at(location: Location) -> list[str]:
-    """The keys that a section may have."""
     model: type[BaseModel] = SiteFile
     for step in location:
         if isinstance(step, str) and step in model.model_fields:

@@ -11,7 +11,7 @@ import pytest
 
 from tests.wbflow.records.test_record import some_record
 from wbflow.cache.layout import WorkFolder, run_id
-from wbflow.records.events import Event, TaskEvent, WarningEvent, event_from_json
+from wbflow.records.events import Event, TaskEvent, WarningEvent, event_from_json, event_to_json
 from wbflow.records.findings import Level, Verdict
 from wbflow.records.run_folder import NoSuchRun, RunFolder, UnfinishedRun, new_run, turn_links
 from wbflow.task import Task
@@ -165,7 +165,7 @@ def test_runs_that_cannot_be_read_are_named(tmp_path: Path) -> None:
 
 def test_events_of_later_versions_are_passed_over() -> None:
     assert event_from_json({"event": "pinned", "at": "t", "who": "me"}) is None
-    line = json.loads(json.dumps(REJECTED.to_json()))
+    line = json.loads(json.dumps(event_to_json(REJECTED)))
     assert event_from_json(line | {"more": 1}) == REJECTED
 
 
