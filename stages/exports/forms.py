@@ -141,7 +141,7 @@ def geojson(poses: Poses, changes: Changes | None) -> Files:
         yield "changes.geojson", geojson_bytes(change_features(changes.changes), place)
 
 
-def geopackage(poses: Poses, changes: Changes | None, day: datetime.date) -> Files:
+def gpkg(poses: Poses, changes: Changes | None, day: datetime.date) -> Files:
     """site.gpkg with the layers "cameras" and, where anything has changed, "changes", in UTM.  day: the night's."""
     from .map_features import camera_features, change_features, geopackage_bytes
 

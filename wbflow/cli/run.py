@@ -41,11 +41,7 @@ if TYPE_CHECKING:
     from ..site.models import Site
 
 BACKENDS = ("processes", "loky", "threading", "dask")
-LEVELS = {
-    "good": "good: nothing to look at",
-    "degraded": "degraded: look at this",
-    "failed": "failed",
-}
+LEVELS = {"good": "good: nothing to look at", "degraded": "degraded: look at this", "failed": "failed"}
 """Text of the verdict's levels."""
 MOST_FINDINGS = 20
 """Findings that are printed; the report has all."""

@@ -36,12 +36,7 @@ _ADD_UP = {"keypoints", "points"}
 
 
 def run_record(
-    run: str,
-    plan: Plan,
-    started: datetime.datetime,
-    seconds: Seconds,
-    peak_rss_mb: float,
-    files: Mapping[str, Collection[str]],
+    run: str, plan: Plan, started: datetime.datetime, seconds: Seconds, peak_rss_mb: float, files: Mapping[str, Collection[str]]
 ) -> RunRecord:
     """Return the record of a run that ends now; nothing is judged yet.
 

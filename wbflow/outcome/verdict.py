@@ -67,11 +67,7 @@ SOFT_SHARE = 1 / 3
 """Of the cameras in use: points of fewer show nothing, since one camera may see what is hard to measure."""
 MOST_LETTERS = 200
 """A reason has at most so many letters in a finding."""
-_EXIT_CODES: Mapping[Level, ExitCode] = {
-    "good": ExitCode.GOOD,
-    "degraded": ExitCode.DEGRADED,
-    "failed": ExitCode.FAILED,
-}
+_EXIT_CODES: Mapping[Level, ExitCode] = {"good": ExitCode.GOOD, "degraded": ExitCode.DEGRADED, "failed": ExitCode.FAILED}
 
 
 @dataclass(frozen=True)

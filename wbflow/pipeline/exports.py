@@ -10,14 +10,13 @@ from dataclasses import dataclass
 class Export:
     """A form in which a run is exported: one option of `wbflow export`.
 
-    The function gets what it needs by name and yields names and bytes of files; a ValueError says why there is nothing to make.
+    The function that is called as it is gets what it needs by name and yields names and bytes of files; a ValueError says why
+    there is nothing to make.
     """
 
     name: str
     help: str
     """Text of the option in `wbflow export --help`."""
-    function: str
-    """Dotted: package.module:function."""
     inputs: Mapping[str, tuple[str, ...]]
     """By argument name: the cloud, what a stage of the site gave (None: nothing), or of every camera or pair (as a mapping) what
     the first of these stages gave."""
@@ -27,6 +26,11 @@ class Export:
     """The extra of this package that it needs."""
     extra_on_the_map: str = ""
     """The extra that it needs where the site is georeferenced."""
+
+    @property
+    def function(self) -> str:
+        """Dotted: package.module:function."""
+        return f"wbflow_stages.exports.forms:{self.name}"
 
 
 EXTRAS: Mapping[str, tuple[str, ...]] = {
@@ -42,7 +46,6 @@ EXPORTS: tuple[Export, ...] = (
     Export(
         "laz",
         "The cloud as LAZ, on the map where positions are known by latitude and longitude.",
-        "wbflow_stages.exports.forms:laz",
         {"cloud": _CLOUD, "poses": _POSES},
         dated=True,
         extra="las",
@@ -50,7 +53,6 @@ EXPORTS: tuple[Export, ...] = (
     Export(
         "copc",
         "The cloud as COPC: LAZ that viewers and QGIS read in parts.",
-        "wbflow_stages.exports.forms:copc",
         {"cloud": _CLOUD, "poses": _POSES},
         dated=True,
         extra="las",
@@ -58,54 +60,46 @@ EXPORTS: tuple[Export, ...] = (
     Export(
         "tiles",
         "The cloud as 3D Tiles, which Cesium and iTowns stream, on the globe where the site is on the map.",
-        "wbflow_stages.exports.forms:tiles",
         {"cloud": _CLOUD, "poses": _POSES},
         extra_on_the_map="geo",
     ),
     Export(
         "e57",
         "The cloud as E57, on the map like LAZ; intensity is the confidence.",
-        "wbflow_stages.exports.forms:e57",
         {"cloud": _CLOUD, "poses": _POSES},
         extra="e57",
     ),
     Export(
         "heights",
         "Heights seen from above: GeoTIFF where the site is on the map, else PNG and PFM.",
-        "wbflow_stages.exports.forms:heights",
         {"cloud": _CLOUD, "poses": _POSES},
         extra_on_the_map="geo",
     ),
     Export(
         "depth",
         "Depth map of each camera: 16-bit PNG and PFM.",
-        "wbflow_stages.exports.forms:depth",
         {"poses": _POSES, "depths": ("refine", "depth")},
     ),
     Export(
         "mesh",
         "The surface through the cloud (Poisson): PLY, and OBJ with the photographs on it.",
-        "wbflow_stages.exports.forms:mesh",
         {"cloud": _CLOUD, "poses": _POSES, "frames": _FRAMES},
     ),
     Export(
         "orthophoto",
         "The site from straight above: GeoTIFF, or PNG with its world file.",
-        "wbflow_stages.exports.forms:orthophoto",
         {"cloud": _CLOUD, "poses": _POSES, "frames": _FRAMES},
         extra_on_the_map="geo",
     ),
     Export(
         "geojson",
         "Cameras and changes as GeoJSON, of a site on the map.",
-        "wbflow_stages.exports.forms:geojson",
         {"poses": _POSES, "changes": ("changes",)},
         extra="geo",
     ),
     Export(
         "gpkg",
         "Cameras and changes as a GeoPackage, of a site on the map.",
-        "wbflow_stages.exports.forms:geopackage",
         {"poses": _POSES, "changes": ("changes",)},
         dated=True,
         extra="geo",
@@ -113,7 +107,6 @@ EXPORTS: tuple[Export, ...] = (
     Export(
         "colmap",
         "Cameras, images and points as a COLMAP model.",
-        "wbflow_stages.exports.forms:colmap",
         {"cloud": _CLOUD, "poses": _POSES, "frames": _FRAMES, "geometries": ("geometry",)},
     ),
 )

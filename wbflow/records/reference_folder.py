@@ -179,22 +179,10 @@ def drop_reference(work: WorkFolder) -> bool:
     return there
 
 
-@dataclass(frozen=True)
-class Restored:
-    """What was done for the results of a reference that somewhere were missing."""
-
-    to_cache: tuple[Task, ...] = ()
-    """Put back from the reference's copies."""
-    copied: tuple[Task, ...] = ()
-    """Copied anew from the cache."""
-    lost: tuple[Task, ...] = ()
-    """They are nowhere."""
-
-
-def restore(cache: Cache, reference: Reference) -> Restored:
+def restore(cache: Cache, reference: Reference) -> tuple[list[Task], list[Task], list[Task]]:
     """Put back what the cache or the reference has lost, as far as the other still has it.  The caller holds the lock.
 
-    Raises OSError.
+    Returns the tasks whose results were put back into the cache, copied anew from there, and are nowhere.  Raises OSError.
     """
     work = cache.work
     to_cache: list[Task] = []
@@ -204,12 +192,12 @@ def restore(cache: Cache, reference: Reference) -> Restored:
         receipt = cache.by_key(task, pinned.key)
         if receipt is None:
             (to_cache if put_back(work, pinned) else lost).append(task)
-        elif _differs(cache, receipt) and _is_whole(cache, receipt):
+        elif _differs(cache, receipt) and (receipt.file is None or _digest(cache.path(receipt)) == receipt.digest):
             for path in _files(cache, receipt):
                 clear(work.pinned(path))
                 copy_atomic(path, work.pinned(path))
             copied.append(task)
-    return Restored(tuple(to_cache), tuple(copied), tuple(lost))
+    return to_cache, copied, lost
 
 
 def put_back(work: WorkFolder, pinned: PinnedArtifact) -> bool:
@@ -229,11 +217,6 @@ def put_back(work: WorkFolder, pinned: PinnedArtifact) -> bool:
     for copy in copies:  # the receipt last
         copy_atomic(copy, receipt.with_suffix(copy.suffix))
     return True
-
-
-def _is_whole(cache: Cache, receipt: Receipt) -> bool:
-    """Are the bytes of a cached artifact those that its receipt promises?"""
-    return receipt.file is None or _digest(cache.path(receipt)) == receipt.digest
 
 
 def _digest(path: Path) -> str | None:

@@ -85,11 +85,11 @@ def prepare(context: RunContext, journal: Journal) -> None:
         journal.warn(what, remedy=remedy)
     if plan.reference is None:
         return
-    restored = restore(plan.cache, plan.reference)
-    for tasks, how in ((restored.to_cache, "put back from the reference"), (restored.copied, "copied to the reference again")):
+    to_cache, copied, lost = restore(plan.cache, plan.reference)
+    for tasks, how in ((to_cache, "put back from the reference"), (copied, "copied to the reference again")):
         if tasks:
             journal.repaired(f"{len(tasks)} results of the reference were missing ({tasks[0]}, ...): {how}")
-    for task in restored.lost:
+    for task in lost:
         what = f"'{task}' of the reference is damaged, or gone"
         journal.warn(what, remedy="it is done without; wbflow pin SITE.yaml  makes a whole one")
 

@@ -20,20 +20,7 @@ from ..pipeline.summaries import HealthSummary
 from ..records.findings import Health
 from ..records.reference_folder import put_back
 from ..records.run_folder import newest_runs
-from ..runner.spec import (
-    Absent,
-    Cause,
-    Impossible,
-    Input,
-    Joined,
-    Part,
-    Stored,
-    Value,
-    Waiting,
-    because,
-    subject_of,
-    summary_of,
-)
+from ..runner.spec import Absent, Cause, Impossible, Input, Joined, Part, Stored, Value, Waiting, because, subject_of, summary_of
 from ..task import Subject, Task, camera_of
 
 if TYPE_CHECKING:
@@ -136,7 +123,7 @@ class Pinned:
         for camera in task.subject:
             if self.state_of(camera) in USELESS:
                 raise self.unfit((camera,))
-        if not self._in_force() or self._forced & _held_before(stage):
+        if not self._in_force() or any(stage_named(name).reuse.shifted for name in self._forced & ancestors(stage.name)):
             return None
         place = self._place(stage.reuse, task)
         if place == "reuse":
@@ -271,8 +258,3 @@ class Pinned:
         if part and str(part) not in receipt.parts:
             return Absent()
         return Stored(upstream, part).resolved(receipt)
-
-
-def _held_before(stage: Stage) -> set[str]:
-    """Names of a stage and of those before it that the reference may answer for."""
-    return {name for name in ancestors(stage.name) if stage_named(name).reuse.shifted}

@@ -43,18 +43,6 @@ class SceneCamera:
 
 
 @dataclass(frozen=True)
-class SceneObject:
-    """An object that a stage reports, such as a change."""
-
-    name: str
-    kind: str
-    at: Vector
-    size: float
-    known: bool
-    """Whether it was there on the last good night."""
-
-
-@dataclass(frozen=True)
 class Scene:
     """The frame of the page, and what stands in it."""
 
@@ -62,7 +50,8 @@ class Scene:
     """Right, away and up, in the world."""
     origin: Vector
     cameras: tuple[SceneCamera, ...]
-    objects: tuple[SceneObject, ...]
+    objects: tuple[dict[str, Any], ...]
+    """Those that stages report, such as changes, and whether each is known: was there on the last good night."""
     low: Vector
     """Corners of the box around most points and all cameras, in the frame of the page."""
     high: Vector
@@ -82,10 +71,10 @@ class Scene:
 
     def to_json(self) -> dict[str, Any]:
         """Return the input of the 3-D view."""
-        cameras, marks = [vars(camera) for camera in self.cameras], [vars(thing) for thing in self.objects]
+        cameras = [vars(camera) for camera in self.cameras]
         axes = {"rows": self.rows, "origin": self.origin, "unit": self.unit, "place": self.place}
         box = {"low": self.low, "high": self.high, "middle": self.middle, "radius": self.radius, "heading": -math.pi / 2}
-        return {"axes": axes, **box, "north": self.north, "cameras": cameras, "marks": marks}
+        return {"axes": axes, **box, "north": self.north, "cameras": cameras, "marks": self.objects}
 
 
 def scene_of(data: ReportData, sample: list[Vector]) -> Scene | None:
@@ -109,7 +98,7 @@ def scene_of(data: ReportData, sample: list[Vector]) -> Scene | None:
     objects = tuple(_objects(data, rows, origin))
     low, high = _box([_times(rows, _minus(point, origin)) for point in around], _TRIMMED if sample else 0.0)
     middle, radius = _sum((low, high), 0.5), max(math.dist(low, high) / 2, 1e-6)
-    everything = list(zip(low, high, *(c.C for c in cameras), *(o.at for o in objects), strict=True))
+    everything = list(zip(low, high, *(c.C for c in cameras), *(thing["at"] for thing in objects), strict=True))
     unit = "m" if not record.poses or record.poses.metric else ""
     extent = _vector(map(min, everything)), _vector(map(max, everything))
     return Scene(rows, origin, cameras, objects, *extent, middle, radius, unit, "N" if crs else "y", origin_of(crs))
@@ -166,13 +155,14 @@ def _camera(
     return SceneCamera(camera.id, C, rays, _times(rows, R[2]), 2 * math.atan(height / 2 / fy), state, note, words)
 
 
-def _objects(data: ReportData, rows: Matrix, origin: Vector) -> Iterator[SceneObject]:
+def _objects(data: ReportData, rows: Matrix, origin: Vector) -> Iterator[dict[str, Any]]:
     for stage in data.record.results:
         since = since_last_good(data, stage)
         for name, thing in objects_of(data.record, stage).items():
             at = _times(rows, _minus((thing.x, thing.y, thing.z), origin))
             size = math.hypot(thing.length or 0.0, thing.width or 0.0)
-            yield SceneObject(name, thing.kind, at, size, since is not None and name in since.known)
+            known = since is not None and name in since.known
+            yield {"name": name, "kind": thing.kind, "at": at, "size": size, "known": known}
 
 
 def _box(points: Sequence[Vector], trimmed: float) -> tuple[Vector, Vector]:

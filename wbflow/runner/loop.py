@@ -112,7 +112,7 @@ class _Loop:
             self.dispatcher.stop()
             plan.release(list(plan.running))
             plan.refresh()
-        while given_up := [task for task in plan.ready if not _joins(task)]:
+        while given_up := [t for t in plan.ready if stage_named(t.stage).scope != "site" and t.stage != DEPTH]:
             for task in given_up:
                 plan.commit(task, State("skipped", f"the run was to stop at {at:%H:%M}", Cause.STOPPED))
             plan.refresh()
@@ -147,12 +147,6 @@ class _Loop:
             if task.stage in {POSES, FUSE} and state.usable and state.receipt:
                 found[task] = cache.read(task, cache.path(state.receipt), state.receipt.digest)
         return found
-
-
-def _joins(task: Task) -> bool:
-    """Does a task join what others have made into what is published?"""
-    stage = stage_named(task.stage)
-    return stage.scope == "site" or stage.name == DEPTH
 
 
 @contextmanager

@@ -28,10 +28,7 @@ class Renamed:
 
 
 RENAMED: Mapping[str, Mapping[str, Renamed]] = {
-    "features": {
-        "keypoints": Renamed("max_keypoints"),
-        "light": Renamed("preprocessing", {"plain": "none", "robust": "clahe"}),
-    },
+    "features": {"keypoints": Renamed("max_keypoints"), "light": Renamed("preprocessing", {"plain": "none", "robust": "clahe"})},
     "matches": {"matcher": Renamed("matcher", {"literal": "hao2011", "dominant": "hao2011-dominance"})},
     "rectify": {"method": Renamed("method", {"seed": "hao2011", "literal": "hao2011"})},
     "disparity": {"speck_share": Renamed("speckle_share")},
@@ -99,11 +96,7 @@ class _Section:
         key = self.chooser if bound.method else "use"
         for function in filter(None, (bound.function, bound.method)):
             if function.dotted.partition(":")[0].partition(".")[0] in sys.stdlib_module_names:
-                self._problem(
-                    key,
-                    f"{function.dotted} is of Python's standard library, and no stage",
-                    _USE,
-                )
+                self._problem(key, f"{function.dotted} is of Python's standard library, and no stage", _USE)
                 return StageSettings()
         for fault in bound.faults():
             self._problem("use" if use else self.chooser, fault, _SIGNATURE)
