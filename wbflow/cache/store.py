@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import os
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -159,7 +159,11 @@ class Cache:
             if content_digest(data) == digest:
                 return data
         gone = not path.exists()
-        self._quarantine(path)
+        clear(self.work.receipt_beside(path))  # the receipt goes first, the file is kept for whoever wants to know why
+        if path.exists():
+            target = self.work.quarantined(path)
+            target.parent.mkdir(parents=True, exist_ok=True)
+            path.replace(target)
         raise DamagedArtifact(task, path, gone)
 
     def load(self, task: Task, receipt: Receipt) -> Any:
@@ -187,19 +191,11 @@ class Cache:
         path = self.work.receipt(task, receipt.key)
         write_signed(path, self.work.place(path), {**vars(receipt), "preimage": vars(receipt.preimage)})
 
-    def tidy(self, task: Task) -> None:
-        """Clear away what a worker that is gone has left half-written of a task."""
-        for left in self.work.half_written(task):
+    def tidy(self, tasks: Iterable[Task]) -> None:
+        """Clear away what a worker that is gone has left half-written of some tasks."""
+        for left in (path for task in tasks for path in self.work.half_written(task)):
             with suppress(OSError):
                 left.unlink()
-
-    def _quarantine(self, path: Path) -> None:
-        """Take an artifact out of use: the receipt goes first, the file is kept for whoever wants to know why."""
-        clear(self.work.receipt_beside(path))
-        if path.exists():
-            target = self.work.quarantined(path)
-            target.parent.mkdir(parents=True, exist_ok=True)
-            path.replace(target)
 
     def _receipt(self, task: Task | None, path: Path) -> Receipt | None:
         """None for one that is not there, or cannot be believed: then the damage is noted, and the task done again."""

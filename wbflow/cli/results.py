@@ -177,7 +177,6 @@ def _write_comparison(nights: tuple[Path, ...], work: str | None, runs: list[Run
     from ..report.page import build_comparison
 
     then, tonight = runs
-    page.parent.mkdir(parents=True, exist_ok=True)
     write_atomic(page, build_comparison(load(nights[0], work), tonight, then, changes).encode(errors="backslashreplace"))
     echo(page, err=True)
 
@@ -420,6 +419,5 @@ def site_report(sites: tuple[Path, ...], out: Path) -> None:
 
     if not site_files(sites):
         raise UsageError(f"there is no site file in {', '.join(map(str, sites))}", remedy="name site files, or a folder of them")
-    out.parent.mkdir(parents=True, exist_ok=True)
     write_atomic(out, page(sites, out).encode(errors="backslashreplace"))
     echo(out)

@@ -13,12 +13,7 @@ from typing import Any
 
 import yaml
 
-from ..site.locations import Location
-
-try:
-    from yaml import CSafeLoader as _Loader
-except ImportError:  # pragma: no cover  (PyYAML built without libyaml)
-    from yaml import SafeLoader as _Loader  # type: ignore[assignment]
+from ..site.locations import Loader, Location
 
 Splice = tuple[int, int, str]
 """From where to where, and what stands there instead."""
@@ -126,7 +121,7 @@ def _line_end(text: str, index: int) -> int:
 
 
 def _node_at(text: str, location: Location) -> Any:
-    node: Any = yaml.compose(text, _Loader)
+    node: Any = yaml.compose(text, Loader)
     for step in location:
         if isinstance(step, int) and isinstance(node, yaml.SequenceNode):
             node = node.value[step]
@@ -141,10 +136,10 @@ def _checked(text: str, splice: Splice, location: Location, change: Any) -> str:
     """The text with a splice, which must do to the data what `change` does, and nothing else."""
     start, end, instead = splice
     edited = f"{text[:start]}{instead}{text[end:]}"
-    expected = copy.deepcopy(_unshared(yaml.load(text, _Loader)))
+    expected = copy.deepcopy(_unshared(yaml.load(text, Loader)))
     change(expected)
     try:
-        same = yaml.load(edited, _Loader) == expected
+        same = yaml.load(edited, Loader) == expected
     except yaml.YAMLError:
         same = False
     if not same:

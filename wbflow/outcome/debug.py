@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import datetime
-import difflib
 import json
 import os
 import shutil
@@ -22,6 +21,7 @@ from ..runner.options import Options
 from ..runner.planner import Plan
 from ..runner.spec import Impossible, Input, State, Stored, TaskSpec, Waiting
 from ..runner.worker import arguments_of
+from ..site.locations import did_you_mean
 from ..site.models import Site
 from ..task import Task
 
@@ -99,9 +99,8 @@ def _spec(plan: Plan, task: Task) -> TaskSpec:
         raise _waits(plan, task, Task(first))
     if task not in known:
         of_stage = [str(t) for t in known if t.stage == task.stage]
-        close = difflib.get_close_matches(str(task), of_stage, 1)
         there = ", ".join(of_stage[:20]) or f"none of the stage {task.stage}"
-        remedy = f"did you mean '{close[0]}'?" if close else f"there are: {there}"
+        remedy = did_you_mean(str(task), of_stage, f"there are: {there}")
         raise UsageError(f"the night of {plan.night} has no task '{task}'", remedy=remedy)
     try:
         return plan.spec_of(task)

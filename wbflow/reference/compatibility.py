@@ -13,7 +13,7 @@ from ..pipeline.binding import Binding
 from ..pipeline.stages import FRAMES, Adapt, Stage
 from ..records.reference_folder import Reference
 from ..runner.spec import Files, Joined, Value, input_digests, stated, stated_of_site
-from ..site.calibration.calibrated import Lens
+from ..site.calibration.calibrated import Lens, product
 from ..site.captures import file_of_stage
 from ..site.models import Site
 from ..task import camera_of
@@ -146,16 +146,12 @@ def _poses_apart(before: Mapping[str, Any], now: Mapping[str, Any]) -> tuple[flo
     pairs = list(combinations(now, 2))
     if not pairs:
         return 0.0, 0.0
-    turned = max(_degrees(_between(before, *pair), _between(now, *pair)) for pair in pairs)
+    between = [[product(poses[b][0], [*zip(*poses[a][0], strict=True)]) for a, b in pairs] for poses in (before, now)]
+    turned = max(map(_degrees, *between))
     lengths = [[math.dist(poses[a][1], poses[b][1]) for a, b in pairs] for poses in (before, now)]
     means = [sum(each) / len(each) or 1.0 for each in lengths]
     moved = max(abs(new / means[1] - old / means[0]) for old, new in zip(*lengths, strict=True)) if len(pairs) > 1 else 0.0
     return turned, moved
-
-
-def _between(poses: Mapping[str, Any], a: str, b: str) -> list[list[float]]:
-    """Return the rotation from one camera to another: R_b R_a^T."""
-    return [[sum(x * y for x, y in zip(row, other, strict=True)) for other in poses[a][0]] for row in poses[b][0]]
 
 
 def _degrees(one: list[list[float]], other: list[list[float]]) -> float:

@@ -19,6 +19,7 @@ from ..cache.fingerprint import load
 from ..cache.untrusted import read_outside
 from ..pipeline.stages import FRAMES, FUSE, STAGES, stage_named
 from ..records.run_folder import NoSuchRun, RunFolder
+from ..site.calibration.calibrated import product
 from ..task import Task
 from .data import ReportData
 
@@ -83,8 +84,8 @@ class OtherNight:
         then, now = self.cameras.get(camera), self.page.cameras.get(camera)
         if not then or not now or not all(one.get("R") and one.get("K") for one in (then, now)):
             return ""
-        turn = _product(now["R"], list(zip(*then["R"], strict=True)))
-        matrix = _product(_product(_to_unit(now), turn), _from_unit(then))
+        turn = product(now["R"], list(zip(*then["R"], strict=True)))
+        matrix = product(product(_to_unit(now), turn), _from_unit(then))
         rows = [[value / matrix[2][2] for value in row] for row in matrix]
         corners = [_seen(rows, x, y) for x, y in ((0.0, 0.0), (1.0, 0.0), (0.0, 1.0), (1.0, 1.0))]
         still = all(abs(x - k % 2) < _STILL and abs(y - k // 2) < _STILL for k, (x, y) in enumerate(corners))
@@ -280,10 +281,6 @@ def _to_unit(camera: Mapping[str, Any]) -> Matrix:
 def _from_unit(camera: Mapping[str, Any]) -> Matrix:
     K, wide, high = camera["K"], camera["width"], camera["height"]
     return [[wide / K[0][0], 0.0, -K[0][2] / K[0][0]], [0.0, high / K[1][1], -K[1][2] / K[1][1]], [0.0, 0.0, 1.0]]
-
-
-def _product(a: Matrix, b: Matrix) -> Matrix:
-    return [[sum(x * y for x, y in zip(row, column, strict=True)) for column in zip(*b, strict=True)] for row in a]
 
 
 def _seen(rows: Matrix, x: float, y: float) -> tuple[float, float]:

@@ -36,12 +36,6 @@ class RunContext:
     growing: frozenset[Path] = frozenset()
     """Captures that were still being written when the run began."""
 
-    def remember(self) -> None:
-        """Keep what was learnt of files, for the next run.  Raises OSError."""
-        self.digests.save()
-        self.seen.save()
-        self.plan.site.reader.save()
-
     def look_again(self, path: Path) -> None:
         """A file has changed since its digest was taken: the plan goes on with what it holds now."""
         self.replaced.add(path)

@@ -150,8 +150,7 @@ class Dispatcher:
         if self._executor:
             self._executor.shutdown(wait=True, cancel_futures=True)
         self._executor = None
-        for chain in self._at_work.values():
-            self._tidy(chain)
+        self._cache.tidy(task for chain in self._at_work.values() for task in chain.tasks)
         self._at_work, self._queue = {}, []
         with suppress(OSError):
             shutil.rmtree(self._cache.work.progress)
@@ -197,7 +196,7 @@ class Dispatcher:
         chain.progress.unlink(missing_ok=True)
 
     def _lost(self, chain: _Chain, error: WorkerLost) -> Iterator[Done]:
-        self._tidy(chain)
+        self._cache.tidy(chain.tasks)
         _, words = chain.look()
         task = chain.tasks[max(0, chain.at_work)]
         if "Timeout (" in words:
@@ -213,10 +212,6 @@ class Dispatcher:
         memory = error.cause is Cause.OUT_OF_MEMORY
         remedy = "lower `resolution`, or give it more with --memory" if memory else "look at its function"
         yield Done(task, State("failed", f"{error}, twice; {remedy}", error.cause, trace=words or None, fresh=True))
-
-    def _tidy(self, chain: _Chain) -> None:
-        for task in chain.tasks:
-            self._cache.tidy(task)
 
 
 def _executor(options: Options, memory: int) -> Executor:

@@ -49,7 +49,8 @@ def work(context: RunContext, options: Options, journal: Journal) -> Worked:
         dispatcher.stop()
         journal.report(context.plan)
         try:
-            context.remember()
+            for memo in (context.digests, context.seen, context.plan.site.reader):
+                memo.save()
         except OSError as error:  # costs time only
             journal.warn(f"what was learnt of captures and functions could not be kept: {error}")
 

@@ -16,7 +16,7 @@ from ..cache.untrusted import is_file
 from ..errors import printable
 from ..task import view_name
 from .calibration import find_camera, read_calibration
-from .calibration.calibrated import Calibrated, Lens, Placement, turned
+from .calibration.calibrated import Calibrated, Lens, Placement, product
 from .locations import CalibrationError, Location, Problems, beside, is_name
 from .models import POSITION_REMEDY, Camera, CameraEntry, SiteFile, Survey
 
@@ -66,7 +66,7 @@ def views_of(camera: Camera) -> tuple[Camera, ...]:
             camera,
             id=view_name(camera.id, number),
             lens=dataclasses.replace(lens, camera=camera.id, turn=turn, window=window),
-            placement=dataclasses.replace(camera.placement, R=R and turned(R, turn)),
+            placement=dataclasses.replace(camera.placement, R=R and product(turn, R)),
         )
         for number, (turn, window) in enumerate(found, 1)
     ) or (camera,)

@@ -21,6 +21,7 @@ try:
     from yaml import CSafeLoader as _Loader
 except ImportError:  # pragma: no cover  (PyYAML built without libyaml)
     from yaml import SafeLoader as _Loader  # type: ignore[assignment]
+Loader = _Loader
 
 Location = tuple[str | int, ...]
 """Where a value is: keys and list positions from the top."""
@@ -230,7 +231,7 @@ def _remedy_at(text: str, line: int) -> str:
     return "check indentation, colons and quotes around this place"
 
 
-class _Careful(_Loader):
+class _Careful(Loader):
     """Reports the location of values that are malformed (`!!int x`, `2026-99-99`) or too large to compute with."""
 
     def construct_object(self, node: Any, deep: bool = False) -> Any:
@@ -253,7 +254,7 @@ def _refuse_depth(text: str) -> None:
     if text.count("[") + text.count("{") + len(_INLINE.findall(text)) < _DEEPEST and " " * _DEEPEST not in text:
         return
     try:
-        _count_depth(_Loader(text))
+        _count_depth(Loader(text))
     except yaml.MarkedYAMLError as error:
         if "nesting depth" not in str(error.problem):
             raise

@@ -18,7 +18,7 @@ from typing import Any
 
 from ...cache.untrusted import is_file, is_folder
 from ..locations import CalibrationError, Document, Location, SiteError, parse_yaml, read_text
-from .calibrated import REMEDY, Calibrated, Faulty, Matrix, calibrated, centre, rotation_fault, turned
+from .calibrated import REMEDY, Calibrated, Faulty, Matrix, calibrated, centre, product, rotation_fault
 from .colmap import is_colmap, read_colmap
 
 SUFFIXES = {".yaml", ".yml", ".json"}
@@ -225,7 +225,7 @@ def _chained(name: str, entry: dict[str, Any], R: Matrix, t: list[float]) -> tup
     turn = [row[:3] for row in T[:3]]
     if [*map(len, T)] != [4] * 4 or rotation_fault(turn):
         raise Faulty(f"{name}.T_cn_cnm1 must be 4x4: a rotation and a translation", (name, "T_cn_cnm1"))
-    return turned(R, turn), [sum(row[k] * t[k] for k in range(3)) + row[3] for row in T[:3]]
+    return product(turn, R), [sum(row[k] * t[k] for k in range(3)) + row[3] for row in T[:3]]
 
 
 def _kalibr_camera(name: str, entry: dict[str, Any], pose: dict[str, Any]) -> Calibrated:

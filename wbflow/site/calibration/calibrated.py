@@ -6,7 +6,7 @@ Rotations, however people write them, are R: world axes (z up) to camera axes (x
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Annotated, Any
 
@@ -246,10 +246,10 @@ def centre(R: Matrix, t: Vector) -> Vector:
     return [-sum(R[j][i] * t[j] for j in range(3)) for i in range(3)]
 
 
-def turned(R: Matrix, turn: Matrix) -> Matrix:
-    """The product turn R."""
-    columns = list(zip(*R, strict=True))
-    return [[sum(a * b for a, b in zip(row, column, strict=True)) for column in columns] for row in turn]
+def product(A: Sequence[Sequence[float]], B: Sequence[Sequence[float]]) -> Matrix:
+    """The product of two matrices."""
+    columns = list(zip(*B, strict=True))
+    return [[sum(a * b for a, b in zip(row, column, strict=True)) for column in columns] for row in A]
 
 
 def _cross(a: Vector, b: Vector) -> Vector:
