@@ -8,7 +8,6 @@ A cloud is a PLY file instead: binary, little-endian, with named columns.
 from __future__ import annotations
 
 import dataclasses
-import importlib
 import io
 import json
 import math
@@ -203,21 +202,12 @@ def _untree(node: Any, frames: IO[bytes]) -> Any:
         return tuple(_untree(item, frames) for item in node["tuple"])
     if "map" in node:
         return {tuple(key) if isinstance(key, list) else key: _untree(entry, frames) for key, entry in node["map"]}
-    kind = _dataclass(node["type"])
+    kind: Any = load(node["type"])
+    if not (isinstance(kind, type) and dataclasses.is_dataclass(kind)):
+        raise ArtifactError(f"{node['type']} is not a dataclass")
     fields = {name: _untree(tree, frames) for name, tree in node["fields"].items()}
     known = {field.name for field in dataclasses.fields(kind)}
     return kind(**{name: value for name, value in fields.items() if name in known})
-
-
-def _dataclass(name: str) -> Any:
-    """By its name in an artifact: each time anew, since modules beside a site file are forgotten with it."""
-    module, _, qualified = name.partition(":")
-    kind: Any = importlib.import_module(module)
-    for attribute in qualified.split("."):
-        kind = getattr(kind, attribute)
-    if not (isinstance(kind, type) and dataclasses.is_dataclass(kind)):
-        raise ArtifactError(f"{name} is not a dataclass")
-    return kind
 
 
 _TYPES = {"f4": "float", "f8": "double", "u1": "uchar", "i1": "char", "u2": "ushort", "i2": "short", "u4": "uint", "i4": "int"}

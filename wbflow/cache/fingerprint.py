@@ -10,9 +10,8 @@ from __future__ import annotations
 
 import ast
 import functools
-import hashlib
-import importlib
 import importlib.util
+import pkgutil
 import platform
 import sys
 from collections.abc import Callable, Iterator
@@ -22,6 +21,7 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import ExitCode, WbflowError
+from .signed import content_digest
 
 FOLLOWED = ("wbflow_stages",)
 """Packages whose modules are followed whoever imports them."""
@@ -144,7 +144,9 @@ class Code:
     @property
     def fingerprint(self) -> str:
         """The digest with the versions of the libraries that are installed now."""
-        return _digest("\n".join([self.digest, *(f"{name} {installed_version(name)}" for name in self.libraries)]))
+        return content_digest(
+            "\n".join([self.digest, *(f"{name} {installed_version(name)}" for name in self.libraries)]).encode()
+        )
 
 
 def read_code(modules: Modules, dotted: str, table: str = "") -> Code:
@@ -168,7 +170,7 @@ def read_code(modules: Modules, dotted: str, table: str = "") -> Code:
                 numbers[name], found[name] = len(numbers), file
                 waiting.append(name)
         texts.append(f"{code.digest} {[numbers.get(name) for name in code.imports]}")
-    return Code(_digest("\n".join(texts)), tuple(sorted(libraries)), tuple(found.values()))
+    return Code(content_digest("\n".join(texts).encode()), tuple(sorted(libraries)), tuple(found.values()))
 
 
 @dataclass(frozen=True)
@@ -194,7 +196,7 @@ def _module_code(modules: Modules, module: str, path: Path, function: str = "", 
     for inner in ast.walk(tree) if function else ():
         if isinstance(inner, ast.Name) and inner.id == function:
             inner.id = "<this function>"
-    return _ModuleCode(_digest(ast.dump(tree)), tuple(bare.imports), frozenset(bare.libraries))
+    return _ModuleCode(content_digest(ast.dump(tree).encode()), tuple(bare.imports), frozenset(bare.libraries))
 
 
 class _Bare(ast.NodeTransformer):
@@ -248,10 +250,6 @@ def origin_of(node: ast.ImportFrom, module: str, path: Path) -> str:
     package = module.split(".") if path.name == "__init__.py" else module.split(".")[:-1]
     base = package[: len(package) - node.level + 1]
     return ".".join([*base, node.module] if node.module else base)
-
-
-def _digest(text: str) -> str:
-    return hashlib.sha256(text.encode()).hexdigest()[:32]
 
 
 def installed_versions() -> dict[str, str]:
@@ -310,7 +308,6 @@ def was_offered(file: str) -> bool:
 
 
 def load(dotted: str) -> Callable[..., Any]:
-    """The function, or class, "package.module:name"."""
-    module, _, name = dotted.partition(":")
-    function: Callable[..., Any] = getattr(importlib.import_module(module), name)  # waits for another thread that imports it
+    """The function, or class, "package.module:name", looked up anew: modules beside a site file are forgotten with it."""
+    function: Callable[..., Any] = pkgutil.resolve_name(dotted)
     return function

@@ -171,20 +171,8 @@ class Scene:
 
 def _stated(site: Site) -> dict[str, dict[str, Any]]:
     """Cameras of which the site file, or a calibration, gives lens and pose."""
-    return {
-        camera.id: {
-            "K": camera.lens.K,
-            "distortion": camera.lens.distortion,
-            "model": camera.lens.model,
-            "width": camera.lens.width,
-            "height": camera.lens.height,
-            "R": camera.placement.R,
-            "C": camera.placement.C,
-            "metric": camera.placement.metric,
-        }
-        for camera in site.cameras
-        if camera.given and camera.lens.width and camera.lens.height
-    }
+    given = (camera for camera in site.cameras if camera.given and camera.lens.width and camera.lens.height)
+    return {camera.id: {**vars(camera.lens), **vars(camera.placement)} for camera in given}
 
 
 def _is_tied(site: Site) -> bool:

@@ -127,27 +127,11 @@ class _Followed:
         before: float | None = None
         for record, change in self.seen:
             volume, sigma = change.volume or 0.0, change.volume_sigma
-            gained = None if change.kind == "vanished" else volume
-            lost = None if change.kind == "new" else volume
-            yield GrowthRow(
-                night=record.date,
-                run=record.run,
-                what="change",
-                name=str(self.number),
-                kind=change.kind,
-                zone=change.zone,
-                gained=gained,
-                gained_sigma=None if gained is None else sigma,
-                lost=lost,
-                lost_sigma=None if lost is None else sigma,
-                growth=None if before is None else volume - before,
-                area=change.area,
-                begin=self.seen[0][0].date,
-                end=self.end,
-                x=change.x,
-                y=change.y,
-                z=change.z,
-            )
+            row = {name: getattr(change, name) for name in ("kind", "zone", "area", "x", "y", "z")}
+            row |= {"gained": volume, "gained_sigma": sigma} if change.kind != "vanished" else {}
+            row |= {"lost": volume, "lost_sigma": sigma} if change.kind != "new" else {}
+            row |= {"growth": None if before is None else volume - before, "begin": self.seen[0][0].date, "end": self.end}
+            yield GrowthRow(record.date, record.run, "change", str(self.number), **row)
             before = volume
 
 

@@ -8,7 +8,6 @@ else that it takes is a parameter, and stands after a bare `*`.
 from __future__ import annotations
 
 import ast
-import hashlib
 import re
 import textwrap
 from collections.abc import Iterable, Mapping
@@ -17,6 +16,7 @@ from functools import cached_property
 from typing import Any
 
 from ..cache.fingerprint import FunctionError
+from ..cache.signed import content_digest
 from .functions import FunctionInfo, FunctionReader, Parameter, Signature
 from .stages import COMPONENT, FUSE, Source, Stage
 
@@ -39,7 +39,7 @@ class Binding:
         """Fingerprint of all code that runs."""
         if self.method is None:
             return self.function.code
-        return hashlib.sha256(f"{self.function.code} {self.method.code}".encode()).hexdigest()[:32]
+        return content_digest(f"{self.function.code} {self.method.code}".encode())
 
     def defaults(self) -> dict[str, Any]:
         """Values of the parameters that have a literal default."""

@@ -199,8 +199,7 @@ def _start_worker(parent: int) -> None:
     """Make a new process a worker of the run `parent`: it ends with it, however that ends, and writes nothing to stdout."""
     from joblib.externals.loky import process_executor
 
-    if sys.platform == "linux":
-        ctypes.CDLL(None, use_errno=True).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)
+    ctypes.CDLL(None, use_errno=True).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)
     if os.getppid() != parent:
         os._exit(1)
     os.setpgid(0, 0)  # what a stage starts ends with its worker
@@ -232,13 +231,11 @@ def machine_memory() -> int:
 
 def _not_started(why: str) -> WbflowError:
     """The fault of a worker process that does not start; a pipe that breaks says nothing of an interpreter without rights."""
+    remedy = "its output says why; is wbflow installed for this Python?"
     if not os.access(sys.executable, os.X_OK):
-        what = f"no worker process can be started: this user may not execute {sys.executable}"
-        return WbflowError(
-            what, remedy="give it the right to (chmod, or another installation of Python); or try --backend threading"
-        )
-    what = f"no worker process can be started: {why}"
-    return WbflowError(what, remedy="its output says why; is wbflow installed for this Python? or try --backend threading")
+        why = f"this user may not execute {sys.executable}"
+        remedy = "give it the right to (chmod, or another installation of Python);"
+    return WbflowError(f"no worker process can be started: {why}", remedy=f"{remedy} or try --backend threading")
 
 
 def _ending(error: BaseException) -> str:

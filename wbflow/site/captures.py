@@ -48,7 +48,11 @@ class Pattern:
     @property
     def dated(self) -> bool:
         """Do the names say which night they are of?"""
-        return any(match.group(1) == "date" for match in _FIELD.finditer(self.text))
+        return "date" in self._fields
+
+    @property
+    def _fields(self) -> set[str]:
+        return {match.group(1) for match in _FIELD.finditer(self.text)}
 
     def files(self, camera: str, date: datetime.date) -> list[Path]:
         """A camera's captures of a night, in the order of their times, where their names say them, else of their names."""
@@ -58,9 +62,7 @@ class Pattern:
 
     def moment(self, camera: str, path: Path) -> datetime.datetime | None:
         """When a capture was taken, by its name; None where that does not say a time of day."""
-        if not any(match.group(1) == "time" for match in _FIELD.finditer(self.text)):
-            return None
-        return self._reader(camera)(str(path))
+        return self._reader(camera)(str(path)) if "time" in self._fields else None
 
     def dates(self, camera: str) -> Iterator[datetime.date]:
         """Every night for which a camera has a file, as often as it has one."""
@@ -90,10 +92,9 @@ class Pattern:
         """
         if re.search(r"[?\[]", self.text):
             raise ValueError(f"{self.text} has ? or [ in it: no new capture can be called so")
-        timed = any(match.group(1) == "time" for match in _FIELD.finditer(self.text))
         text = _FIELD.sub(lambda match: moment.strftime(match.group(2) or _FORMATS[match.group(1)]), self.text)
         text = re.sub(r"\*\*/?", "", text)
-        text = text.replace("*", "" if timed else f"{moment:%H%M%S}", 1).replace("*", "")
+        text = text.replace("*", "" if "time" in self._fields else f"{moment:%H%M%S}", 1).replace("*", "")
         return self.root / text.replace("{camera}", camera)
 
     def _wild(self, camera: str, date: datetime.date | None = None) -> str:
