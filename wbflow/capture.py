@@ -52,12 +52,8 @@ class CaptureFailed(WbflowError):
     """A camera gives no picture; the message holds neither user nor password."""
 
 
-@dataclass(frozen=True)
-class Login:
-    """Of a camera."""
-
-    user: str
-    password: str
+Login = tuple[str, str]
+"""User and password of a camera."""
 
 
 @dataclass(frozen=True)
@@ -186,7 +182,7 @@ def _logins(site: Site) -> dict[str, Login]:
     remedy = "a line for each camera, or '*' for all:  gate: {user: viewer, password: secret}"
     try:
         data = yaml.safe_load(read_outside(path, MOST_TEXT_BYTES))
-        return {str(camera): Login(str(entry["user"]), str(entry["password"])) for camera, entry in data.items()}
+        return {str(camera): (str(entry["user"]), str(entry["password"])) for camera, entry in data.items()}
     except OSError as error:
         raise UsageError(f"the file of credentials cannot be read: {error}", where=str(path), remedy=remedy) from None
     except (yaml.YAMLError, ValueError, TypeError, KeyError, AttributeError):  # without a word of what it holds
@@ -224,7 +220,7 @@ def _of_server(url: str, login: Login | None, moments: Sequence[float]) -> Itera
     opener = urllib.request.build_opener()
     if login:
         known = urllib.request.HTTPPasswordMgrWithDefaultRealm()
-        known.add_password(None, url, login.user, login.password)
+        known.add_password(None, url, *login)
         opener.add_handler(urllib.request.HTTPBasicAuthHandler(known))
         opener.add_handler(urllib.request.HTTPDigestAuthHandler(known))
     for k, moment in enumerate(moments):
@@ -318,7 +314,7 @@ def _with_login(url: str, login: Login | None) -> str:
     if login is None:
         return url
     scheme, _, rest = url.partition("://")
-    user, password = (urllib.parse.quote(word, safe="") for word in (login.user, login.password))
+    user, password = (urllib.parse.quote(word, safe="") for word in login)
     return f"{scheme}://{user}:{password}@{rest}"
 
 

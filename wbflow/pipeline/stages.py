@@ -174,10 +174,6 @@ class Stage:
         """The stages without which it can do nothing."""
         return {source.name for source in self.inputs.values() if source.kind == "stage" and not source.optional}
 
-    def worth_doing(self, site: Any) -> bool:
-        """Has it anything to do on this site?"""
-        return not callable(self.optional) or self.optional(site)
-
     def set_by_site(self) -> dict[str, str]:
         """Return the key of the site file that sets each parameter which is not set in `stages`."""
         return {key.rpartition(".")[2]: key for key in self.site_keys}

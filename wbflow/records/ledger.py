@@ -43,13 +43,6 @@ class LedgerRun:
     """Of the cloud; None where there is none."""
     exit_code: int
 
-    @staticmethod
-    def from_record(record: RunRecord) -> LedgerRun:
-        """Return the row of a run."""
-        seconds, points = record.seconds, record.cloud.points if record.cloud else None
-        times = (record.started, record.finished, round(seconds.wall, 2), round(seconds.cpu, 2))
-        return LedgerRun(record.run, record.date, *times, **vars(record.tasks), points=points, exit_code=int(record.exit_code))
-
 
 _COLUMNS = ", ".join(column.name for column in fields(LedgerRun))
 _SCHEMA = f"""
@@ -93,7 +86,10 @@ class Ledger:
 
     def record_run(self, record: RunRecord) -> None:
         """Index a run."""
-        row = astuple(LedgerRun.from_record(record))
+        seconds, points = record.seconds, record.cloud.points if record.cloud else None
+        times = (record.started, record.finished, round(seconds.wall, 2), round(seconds.cpu, 2))
+        ended = (*astuple(record.tasks), points, int(record.exit_code))
+        row = astuple(LedgerRun(record.run, record.date, *times, *ended))
         with self._db:
             self._db.execute(f"insert or replace into runs values ({','.join('?' * len(row))})", row)
 

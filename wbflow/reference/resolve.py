@@ -18,6 +18,7 @@ from ..cache.store import Receipt
 from ..pipeline.stages import FRAMES, HEALTH, STAGES, Adapt, Reuse, Source, Stage, ancestors, stage_named
 from ..pipeline.summaries import HealthSummary
 from ..records.findings import Health
+from ..records.record import RunRecord
 from ..records.reference_folder import put_back
 from ..records.run_folder import newest_runs
 from ..runner.spec import Absent, Cause, Impossible, Input, Joined, Part, Stored, Value, Waiting, because, subject_of, summary_of
@@ -42,33 +43,23 @@ MOST_RUNS = 3 * MOST_NIGHTS
 """So many records are read at most: nights may be run several times."""
 
 
-@dataclass
-class ShiftHistory:
-    """The nights before tonight that were compared with the same reference."""
+def shift_history(work: WorkFolder, night: str, reference: str) -> dict[str, dict[str, list[float]]]:
+    """By camera, its shifts by name, one for each night that was compared with the same reference and has them, oldest first.
 
-    work: WorkFolder | None = None
-    """Where their runs are; None: there are none."""
-    night: str = ""
-    """Tonight's date: only what is older counts, so that a night that is run again finds the same past."""
-    reference: str = ""
-    """Id of the reference's run."""
-
-    def of_camera(self, camera: str) -> dict[str, list[float]]:
-        """Return a camera's shifts by name, one for each night that has them, oldest first."""
-        healths = [by_camera[camera] for _, by_camera in sorted(self._healths.items()) if camera in by_camera]
-        found = [health.figures for health in healths if all(name in health.figures for name in SHIFTS)]
-        return {name: [float(figures[name]) for figures in found] for name in SHIFTS} if found else {}
-
-    @cached_property
-    def _healths(self) -> dict[str, dict[str, Health]]:
-        """Of each night's newest run, by date and camera."""
-        found: dict[str, dict[str, Health]] = {}
-        for _, record in islice(newest_runs(self.work, after=self.reference), MOST_RUNS) if self.work else ():
-            if record.date < self.night and record.reference == self.reference and record.date not in found:
-                found[record.date] = {camera.id: camera.health for camera in record.cameras if camera.health}
-            if len(found) == MOST_NIGHTS:
-                break
-        return found
+    night: only what is older counts, so that a night that is run again finds the same past.  reference: id of its run.
+    """
+    nights: dict[str, RunRecord] = {}
+    for _, record in islice(newest_runs(work, after=reference), MOST_RUNS):
+        if record.date < night and record.reference == reference:
+            nights.setdefault(record.date, record)
+        if len(nights) == MOST_NIGHTS:
+            break
+    found: dict[str, dict[str, list[float]]] = {}
+    for camera in (camera for _, record in sorted(nights.items()) for camera in record.cameras):
+        figures = camera.health.figures if camera.health else {}
+        for name in SHIFTS if all(name in figures for name in SHIFTS) else ():
+            found.setdefault(camera.id, {}).setdefault(name, []).append(float(figures[name]))
+    return found
 
 
 @dataclass
@@ -77,7 +68,6 @@ class Pinned:
 
     plan: Plan
     """Whose states and reference it goes by, as these change."""
-    past: ShiftHistory
     _healths: dict[str, HealthSummary] = field(default_factory=dict, repr=False)
     """By view, of those that have been looked at tonight."""
     _useless: set[str] = field(default_factory=set, repr=False)
@@ -111,7 +101,12 @@ class Pinned:
         """What earlier nights found of a camera.  Raises Waiting."""
         if self.plan.reference is None or self._own_frames.issuperset(task.subject):
             return Absent()
-        return Value(SHIFTS_TYPE, self.past.of_camera(camera_of(task.subject[0])))
+        return Value(SHIFTS_TYPE, self._past.get(camera_of(task.subject[0]), {}))
+
+    @cached_property
+    def _past(self) -> dict[str, dict[str, list[float]]]:
+        reference = self.plan.reference
+        return shift_history(self.plan.cache.work, self.plan.night, reference.run) if reference else {}
 
     def instead(self, stage: Stage, task: Task) -> Receipt | Adapt | None:
         """What takes the place of working a task out: the reference's result, or another function.

@@ -18,7 +18,7 @@ from ..pipeline.stages import COMPONENT, DENSE_PAIRS, FRAMES, FUSE, PAIRS, POSES
 from ..records.findings import Health
 from ..records.reference_folder import Reference
 from ..reference.compatibility import calibration_change, misfit
-from ..reference.resolve import Pinned, ShiftHistory
+from ..reference.resolve import Pinned
 from ..site.captures import CaptureFile
 from ..site.models import Site
 from ..task import Task, component_name, names_of
@@ -76,7 +76,7 @@ class Plan:
     def __post_init__(self) -> None:
         wanted = ancestors(self.until) if self.until else {stage.name for stage in STAGES}
         off = {name for name, stage in self.site.stages.items() if not stage.enabled}
-        off |= {stage.name for stage in STAGES if not stage.worth_doing(self.site)}
+        off |= {stage.name for stage in STAGES if callable(stage.optional) and not stage.optional(self.site)}
         for stage in STAGES:  # in their order: what needs one that is off is off, and so is what needs that
             off |= {stage.name} if stage.optional and off & stage.needed() else set()
         self._folder = self.site.folder
@@ -88,8 +88,7 @@ class Plan:
             self.misfit = misfit(self.reference, self)
             self.calibration_change = calibration_change(self.reference.cameras, self.site) if self.misfit else ""
         self.reference = None if self.misfit else self.reference
-        past = ShiftHistory(self.cache.work, self.night, self.reference.run) if self.reference else ShiftHistory()
-        self.pinned = Pinned(self, past)
+        self.pinned = Pinned(self)
         self._inputs = Inputs(self, names)
 
     def refresh(self) -> None:

@@ -14,7 +14,7 @@ from wbflow.records import run_folder
 from wbflow.records.findings import Health
 from wbflow.records.record import CameraRecord, RunRecord
 from wbflow.records.run_folder import RunFolder, UnfinishedRun
-from wbflow.reference.resolve import MOST_NIGHTS, ShiftHistory
+from wbflow.reference.resolve import MOST_NIGHTS, shift_history
 
 REFERENCE = "20260101T031500Z"
 FIRST = datetime.date(2026, 1, 2)
@@ -46,13 +46,13 @@ def test_shifts_are_those_of_the_last_nights_and_few_records_are_read(tmp_path: 
         return record(run)
 
     monkeypatch.setattr(run_folder.RunFolder, "record", counted)
-    past = ShiftHistory(work, night=night(20, 0.0).date, reference=REFERENCE)
-    shifts = past.of_camera("gate")["shift_x_px"]
+    past = shift_history(work, night=night(20, 0.0).date, reference=REFERENCE)
+    shifts = past["gate"]["shift_x_px"]
     assert shifts == [float(k) for k in range(19 - MOST_NIGHTS, 19)], "oldest first; neither tonight's nor another reference's"
-    assert past.of_camera("roof") == {}
+    assert "roof" not in past
     assert len(read) == MOST_NIGHTS + 2
 
 
 def test_no_run_from_before_the_reference_is_read(tmp_path: Path) -> None:
     work = work_with(tmp_path, [night(k, float(k)) for k in range(3)])
-    assert ShiftHistory(work, night="2026-02-01", reference=night(1, 0.0).run).of_camera("gate") == {}
+    assert shift_history(work, night="2026-02-01", reference=night(1, 0.0).run) == {}
