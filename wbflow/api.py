@@ -99,10 +99,7 @@ def run(
     limits = _bytes(memory), time_limit, stop_at
     options = Options(date, workers, until, tuple(force), wait, backend, scheduler, roots, *limits, not_captured or {})
     options.check(site)
-    try:
-        return _run(site, options, listen or (lambda event: None))
-    except OSError as error:
-        raise disk_fault(error, site.work) from error
+    return _run(site, options, listen or (lambda event: None))
 
 
 def _bytes(memory: str | None) -> int | None:
@@ -138,22 +135,25 @@ def open_run(where: Site | str | Path, run_id: str | None = None) -> Run:
 
 def _run(site: Site, options: Options, listen: Listener) -> Run:
     place = site.work_folder
-    with hold_to_write(place, options.wait) as mirror, terminate_as_interrupt():
-        warning = claim(place, site.name, site.file)
-        name, started = new_run(place)
-        journal = Journal(mirror.listening(listen) if mirror else listen, started)
-        if mirror:
-            journal.behind = mirror.behind
-        if warning:
-            journal.warn(warning, remedy="give each site file a work folder of its own (work: FOLDER)")
-        for note in site.notes:
-            journal.warn(str(dataclasses.replace(note, remedy="")), remedy=note.remedy)
-        mend_ledger(place, journal)
-        context = plan_run(site, options)
-        for damage in filter(None, (context.digests.damage, context.seen.damage, site.reader.damage)):
-            journal.repaired(damage)
-        finished = run_pipeline(name, context, options, journal)
-        if mirror and (fault := mirror.finish()):
-            journal.warn(fault)
-            finished.place.add(journal.events[-1])
-        return finished
+    try:
+        with hold_to_write(place, options.wait) as mirror, terminate_as_interrupt():
+            warning = claim(place, site.name, site.file)
+            name, started = new_run(place)
+            journal = Journal(mirror.listening(listen) if mirror else listen, started)
+            if mirror:
+                journal.behind = mirror.behind
+            if warning:
+                journal.warn(warning, remedy="give each site file a work folder of its own (work: FOLDER)")
+            for note in site.notes:
+                journal.warn(str(dataclasses.replace(note, remedy="")), remedy=note.remedy)
+            mend_ledger(place, journal)
+            context = plan_run(site, options)
+            for damage in filter(None, (context.digests.damage, context.seen.damage, site.reader.damage)):
+                journal.repaired(damage)
+            finished = run_pipeline(name, context, options, journal)
+            if mirror and (fault := mirror.finish()):
+                journal.warn(fault)
+                finished.place.add(journal.events[-1])
+            return finished
+    except OSError as error:
+        raise disk_fault(error, site.work) from error

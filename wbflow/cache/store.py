@@ -86,7 +86,6 @@ class Receipt:
     figures: dict[str, Any] = field(default_factory=dict)
     """The artifact's scalars, or the numbers behind the reason."""
     wall: float = 0.0
-    """Seconds."""
     cpu: float = 0.0
     """Seconds."""
     peak_rss_mb: float = 0.0

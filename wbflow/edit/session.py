@@ -50,7 +50,6 @@ class MaskArea(Section):
     """A polygon that is painted over a camera's mask."""
 
     use: bool
-    """Its pixels may be used."""
     corners: Annotated[Corners, Field(min_length=3)]
 
 

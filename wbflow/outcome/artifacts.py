@@ -37,9 +37,7 @@ class Run:
 
     place: RunFolder
     record: RunRecord
-    """The run in figures."""
     ended: Mapping[Task, TaskEvent]
-    """How each of its tasks ended."""
     cache: Cache
 
     @staticmethod

@@ -51,7 +51,6 @@ class Finding:
     what: str
     """Where, and what."""
     remedy: str
-    """What to do about it."""
     code: ExitCode
     """What a run would end with for it."""
 
@@ -169,11 +168,9 @@ class Line:
     """A task in the status of a site."""
 
     task: str
-    """Its name."""
     state: str
     """Cached, rejected, failed, skipped, would run, or waits."""
     why: str
-    """In words."""
     seconds: float | None = None
     """CPU time that it will take, by its last run or by the others of its stage; None where it won't run, or nobody knows."""
 

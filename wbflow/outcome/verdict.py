@@ -75,7 +75,6 @@ class Facts:
     """What the verdict rests on, besides the record."""
 
     failed: tuple[tuple[Task, State], ...] = ()
-    """Tasks that failed."""
     product: bool = True
     """Was a cloud wanted?"""
     missing: tuple[str, str] | None = None
@@ -88,7 +87,6 @@ class Facts:
     calibration_change: str = ""
     """How lenses and poses differ from those of the reference, which is out of use for that."""
     acknowledged: tuple[Acknowledgement, ...] = ()
-    """What somebody knows of."""
     expected: Expected = field(default_factory=Expected)
     """What the site file says of good nights."""
     baseline: Baseline = field(default_factory=Baseline)

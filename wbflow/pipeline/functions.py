@@ -223,7 +223,6 @@ class _Scope:
     module: str
     path: Path
     read: set[Path] = field(default_factory=set)
-    """The files that were looked at."""
     depth: int = 0
 
     @cached_property

@@ -334,19 +334,15 @@ class Verdict(Plain):
 
 @dataclass(frozen=True)
 class Health(Plain):
-    """How a camera is, compared with what it has been."""
+    """How a camera is, compared with what it has been; what its fields have in common with a `Finding` is meant alike."""
 
     state: Annotated[HealthState, _current(STATE_ALIASES)]
     """shifted: turned by little, still in use; moved; obscured: too dark, dirty or out of focus; stale: not of tonight;
     wrong-scene: another place."""
     text: str = ""
-    """In one line."""
     figures: Figures = field(default_factory=dict)
-    """What was measured, by name."""
     expected: Figures = field(default_factory=dict)
-    """What it should have been, under the same names."""
     remedy: str = ""
-    """What to do about it."""
 
     @property
     def ok(self) -> bool:
@@ -373,7 +369,6 @@ class Usual(Plain):
     """What the last good nights gave, each figure by its median, or the reference: what tonight is compared with."""
 
     nights: int
-    """How many there were."""
     figures: Mapping[str, float]
     """Of the whole site: points, pairs, ..."""
     cameras: Mapping[str, Mapping[str, float]] = field(default_factory=dict)

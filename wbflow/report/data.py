@@ -144,7 +144,6 @@ class Comparison:
     """Objects that differ from the reference: tonight's against those of the last good night."""
 
     date: str
-    """The last good night."""
     known: Mapping[str, str]
     """Tonight's objects that were there then, and their names of then."""
     gone: Mapping[str, Change]

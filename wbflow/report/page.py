@@ -207,7 +207,6 @@ class Row:
     nights: tuple[tuple[Entry, str, str], ...] = ()
     """Of each night, oldest first: its last run, the level of its verdict, and the link to its report; "" where there is none."""
     picture: str = ""
-    """The last cloud, as a data URL."""
 
     @property
     def findings(self) -> tuple[Finding, ...]:

@@ -56,7 +56,6 @@ class OtherNight:
     cameras: Mapping[str, Any] = field(repr=False)
     """...and the cameras as cameras.json has them."""
     page: ReportData = field(repr=False)
-    """The night of the page."""
 
     def points(self) -> bytes | None:
         """Return the stream of its cloud; None where it is gone, or would show what is private now."""
@@ -110,7 +109,6 @@ class Pictures:
 
     data: ReportData
     held: int = 0
-    """Bytes handed out."""
     _ids: dict[Path, str] = field(default_factory=dict)
 
     def of_task(self, task: Task, alt: str) -> Picture | None:

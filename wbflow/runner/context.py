@@ -22,7 +22,6 @@ class RunContext:
     """A site on one night: the plan of what is made of its captures, and what is remembered of these."""
 
     date: datetime.date
-    """The captures' date."""
     digests: Digests
     """To be saved by a run."""
     seen: Seen
@@ -30,7 +29,6 @@ class RunContext:
     notes: dict[str, str]
     """Remarks about the captures of a camera."""
     plan: Plan
-    """Of the site, with its captures."""
     replaced: set[Path] = field(default_factory=set)
     """Files that were found changed after their digests had been taken."""
     growing: frozenset[Path] = frozenset()

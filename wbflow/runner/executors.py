@@ -164,7 +164,6 @@ class _Worker:
     pool: Any
     """loky's, of this process alone."""
     started: Future[int]
-    """Its process id."""
     most: int = 0
     """The most bytes that it was measured to hold during its present call."""
     over: bool = False

@@ -134,7 +134,6 @@ class _PairGraph:
     """The pairs of a night, those that are matched or those that are made dense."""
 
     state: State
-    """Of its task."""
     pairs: list[tuple[str, str]]
     of: dict[str, list[tuple[str, str]]] = field(default_factory=dict)
     """The pairs of each camera."""

@@ -18,32 +18,21 @@ from ..task import camera_of, component_name
 
 @dataclass(frozen=True)
 class Options:
-    """What a run is to do, besides its site."""
+    """What a run is to do, besides its site: `api.run` explains each."""
 
     date: datetime.date | None = None
-    """The night; None: the newest that has captures."""
     jobs: int = 1
-    """Workers."""
     until: str | None = None
-    """Stop after this stage."""
     force: tuple[str, ...] = ()
-    """Stages, or tasks such as "matches gate--roof", that are done again."""
     wait: bool = False
-    """Wait for another run of the same work folder, instead of giving up."""
     backend: str = "processes"
-    """Where tasks run: processes (also called loky), threading or dask."""
     scheduler: str | None = None
-    """Address of the Dask scheduler."""
     worker_roots: tuple[str, ...] = ()
-    """HERE=THERE: what the cluster's workers call folders of this machine."""
     memory: int | None = None
     """Bytes that all workers together may hold; None: four fifths of what the machine has."""
     time_limit: float | None = None
-    """Seconds that a task may take; None: derived from what its stage took before."""
     stop_at: datetime.datetime | None = None
-    """From then on (local time) only what is there already is put together and published."""
     not_captured: Mapping[str, str] = field(default_factory=dict)
-    """Why no picture of a camera could be taken tonight, by camera."""
 
     def check(self, site: Site) -> None:
         """Raises UsageError for what is not possible."""

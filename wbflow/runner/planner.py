@@ -45,9 +45,7 @@ class Plan:
     states: dict[Task, State] = field(default_factory=dict)
     """Tasks that have ended."""
     running: set[Task] = field(default_factory=set)
-    """Tasks that have been given to workers."""
     ready: dict[Task, TaskSpec] = field(default_factory=dict)
-    """Tasks whose inputs are all there."""
     waiting: dict[Task, Task | None] = field(default_factory=dict)
     """The rest, with the first task found that each waits for (None: for the pair graph)."""
     reference: Reference | None = None
