@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import ast
 import functools
+import hashlib
 import importlib.util
 import pkgutil
 import platform
@@ -21,7 +22,6 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import ExitCode, WbflowError
-from .signed import content_digest
 
 FOLLOWED = ("wbflow_stages",)
 """Packages whose modules are followed whoever imports them."""
@@ -144,9 +144,7 @@ class Code:
     @property
     def fingerprint(self) -> str:
         """The digest with the versions of the libraries that are installed now."""
-        return content_digest(
-            "\n".join([self.digest, *(f"{name} {installed_version(name)}" for name in self.libraries)]).encode()
-        )
+        return _digest("\n".join([self.digest, *(f"{name} {installed_version(name)}" for name in self.libraries)]))
 
 
 def read_code(modules: Modules, dotted: str, table: str = "") -> Code:
@@ -170,7 +168,7 @@ def read_code(modules: Modules, dotted: str, table: str = "") -> Code:
                 numbers[name], found[name] = len(numbers), file
                 waiting.append(name)
         texts.append(f"{code.digest} {[numbers.get(name) for name in code.imports]}")
-    return Code(content_digest("\n".join(texts).encode()), tuple(sorted(libraries)), tuple(found.values()))
+    return Code(_digest("\n".join(texts)), tuple(sorted(libraries)), tuple(found.values()))
 
 
 @dataclass(frozen=True)
@@ -196,7 +194,7 @@ def _module_code(modules: Modules, module: str, path: Path, function: str = "", 
     for inner in ast.walk(tree) if function else ():
         if isinstance(inner, ast.Name) and inner.id == function:
             inner.id = "<this function>"
-    return _ModuleCode(content_digest(ast.dump(tree).encode()), tuple(bare.imports), frozenset(bare.libraries))
+    return _ModuleCode(_digest(ast.dump(tree)), tuple(bare.imports), frozenset(bare.libraries))
 
 
 class _Bare(ast.NodeTransformer):
@@ -250,6 +248,10 @@ def origin_of(node: ast.ImportFrom, module: str, path: Path) -> str:
     package = module.split(".") if path.name == "__init__.py" else module.split(".")[:-1]
     base = package[: len(package) - node.level + 1]
     return ".".join([*base, node.module] if node.module else base)
+
+
+def _digest(text: str) -> str:
+    return hashlib.sha256(text.encode()).hexdigest()[:32]
 
 
 def installed_versions() -> dict[str, str]:
