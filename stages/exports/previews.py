@@ -50,17 +50,19 @@ def _dimmed(frame: Frame) -> Uint8s:
     return np.where(frame.mask[..., None], frame.image, frame.image // 4 + 32).astype(np.uint8)
 
 
-def matches_preview(matches: Matches | Geometry, left: object = None, right: object = None, *, width: int = WIDTH) -> Uint8s:
+def matches_preview(
+    matches: Matches | Geometry, left: Frame | None = None, right: Frame | None = None, *, width: int = WIDTH
+) -> Uint8s:
     """Both views side by side, and lines between corresponding points: evenly spread, each in a colour of its own.
 
     Parameters
     ----------
     matches : of the pair.
-    left, right : the views' `Frame`s; anything else, and the points stand on empty ground.
+    left, right : of both views; None: the points stand on empty ground.
     width : of the picture, at most.
     """
     ground = [
-        side.image if isinstance(side, Frame) else np.full((view.height, view.width, 3), 48, np.uint8)
+        np.full((view.height, view.width, 3), 48, np.uint8) if side is None else side.image
         for side, view in ((left, matches.view1), (right, matches.view2))
     ]
     canvas, at1, at2 = _side_by_side(ground[0], ground[1], matches.x1, matches.x2, width)
