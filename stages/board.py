@@ -67,17 +67,14 @@ def board_files(
 ) -> tuple[dict[str, bytes], list[str]]:
     """A calibration file and a plot of its coverage, by name, and what to say of them.
 
+    Raises ValueError where the board is seen in too few pictures, or they do not tell the lens.
+
     Parameters
     ----------
     camera : its id.
     pictures_of_it : photographs or videos, as they lie on disk, by name.
     board : fields of `Board` by name.
     model : "brown", "rational" (as OpenCV fits them), or a key of `STARTS`.
-
-    Raises
-    ------
-    ValueError
-        The board is seen in too few pictures, or they do not tell the lens.
     """
     what, seen, size, notes = Board(**board), [], (0, 0), []  # type: ignore[arg-type]
     for name, data in pictures_of_it.items():
@@ -210,16 +207,13 @@ def fit_lens(
 ) -> tuple[Float64s, Float64s, list[Float64s]]:
     """K (3, 3), coefficients, and residuals (n, 2) of each picture in pixels.
 
+    Raises ValueError where no lens of that model shows boards so.
+
     Parameters
     ----------
     boards, corners : of each picture, (n, 3) corners on the board (z = 0), and (n, 2) where they are seen, pixels.
     size : (width, height) of the pictures.
     model : a key of `STARTS`.
-
-    Raises
-    ------
-    ValueError
-        No lens of that model shows boards so.
     """
     starts = [start for half in _HALF_FIELDS_DEG if (start := _start(boards, corners, size, model, half))]
     if not starts:

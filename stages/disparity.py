@@ -44,6 +44,8 @@ def match_dense(
 ) -> Disparity | Rejected:
     """Match every pixel of the two rectified images.
 
+    Raises ValueError where there is no such matcher, TypeError for a parameter that it does not read.
+
     Parameters
     ----------
     left, right : the frames of the pair; masked and saturated pixels are never matched.
@@ -58,13 +60,6 @@ def match_dense(
     speckle_share : connected pieces of disparity smaller than this share of the rectified image are dropped.
     min_density : reject if less than this share of the common area gets a value.
     options : parameters of the matcher, see its function.
-
-    Raises
-    ------
-    ValueError
-        No such matcher.
-    TypeError
-        A parameter that the matcher does not read.
 
     References: Hirschmueller, PAMI 2008; Bleyer et al., BMVC 2011.
     """

@@ -46,7 +46,8 @@ def clean_frame(
 
     Three and more usable captures are brought to one exposure and merged by the median of each pixel, which removes what moves;
     those that are blurred, dark or blinded compared with the others count less.  Two have no majority: the later one is used.
-    Where no majority agrees, the frame is masked.  Damaged captures are left out and noted.
+    Where no majority agrees, the frame is masked.  Damaged captures are left out and noted.  Raises ValueError (`BadCapture` and
+    its kinds) when no capture can be used, or the mask can't; the message names file and fault.
 
     Parameters
     ----------
@@ -61,11 +62,6 @@ def clean_frame(
     denoise : noise is taken off where much of it is left in the frame (a night without lamps).
     whole_field : of a brown lens all that it sees (up to 110 degrees) becomes the frame; else what has place in a frame with the
         lens's own K and size, which cuts off the corners of wide lenses.  Of other lenses all that they see always does.
-
-    Raises
-    ------
-    ValueError
-        (`BadCapture` and its kinds) when no capture can be used, or the mask can't; the message names the file and the fault.
     """
     if not captures:
         raise EmptyCapture("no capture was found for this night")

@@ -91,9 +91,7 @@ def estimate_geometry(
     -------
     Geometry, or Rejected: too few, too clustered, planar scene, pure rotation; with the figures.
 
-    References
-    ----------
-    Hartley & Zisserman, Multiple View Geometry, 2nd ed., chapters 9 to 11.
+    References: Hartley & Zisserman, Multiple View Geometry, 2nd ed., chapters 9 to 11.
     """
     how = _How(threshold_px, use_intrinsics, seed)
     if matches.i1 is not None:

@@ -20,9 +20,7 @@ def turn_geometry(pinned: Geometry | None, left: CameraHealth, right: CameraHeal
 
     A camera that is not `corrected` counts as where it was.
 
-    References
-    ----------
-    Hartley & Zisserman (2004), section 8.4: a camera that turns about its centre; F' = H2^-T F H1^-1.
+    References: Hartley & Zisserman (2004), section 8.4: a camera that turns about its centre; F' = H2^-T F H1^-1.
     """
     if pinned is None:
         return Rejected(Reason.NOTHING_KNOWN)

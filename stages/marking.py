@@ -43,16 +43,13 @@ def shade(name: str, mask: bytes) -> bytes:
 def painted(name: str, mask: bytes | None, size: tuple[int, int], areas: Sequence[Area]) -> bytes:
     """A mask, as a PNG, with areas painted over it, one after the other.
 
+    Raises BadCapture where the mask cannot be read, or has another size.
+
     Parameters
     ----------
     name, mask : for messages; an image file of the captures' size, None: all pixels may be used.
     size : (width, height) of captures.
     areas : what is painted.
-
-    Raises
-    ------
-    BadCapture
-        The mask cannot be read, or has another size.
     """
     width, height = size
     image = np.full((height, width), 255, np.uint8) if mask is None else _read(name, mask).copy()

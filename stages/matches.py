@@ -33,6 +33,8 @@ def match(
 ) -> Matches | Rejected:
     """Find corresponding points of two frames, before any geometry.
 
+    Raises ValueError where there is no such matcher, or it needs the frames, and TypeError for a parameter that it does not read.
+
     Parameters
     ----------
     left, right : keypoints of the two frames.
@@ -44,16 +46,7 @@ def match(
     min_matches : fewer than this reject the pair.
     options : parameters of the matcher, see its function.
 
-    Raises
-    ------
-    ValueError
-        No such matcher, or it needs the frames.
-    TypeError
-        A parameter that the matcher does not read.
-
-    References
-    ----------
-    W. Hao, wide-baseline stereo, 2011, chapter 3.
+    References: W. Hao, wide-baseline stereo, 2011, chapter 3.
     """
     inputs = {"left": left, "right": right, "left_frame": left_frame, "right_frame": right_frame}
     found: Matches | Rejected = bind(MATCHERS, matcher, inputs, options)()

@@ -22,6 +22,9 @@ def read_frame(
 ) -> Frame:
     """The clean frame of one photograph: upright, undistorted, at working resolution, with intrinsics of its own size.
 
+    Raises OSError where the file cannot be read, ValueError where it holds no usable image; the message says what is wrong with
+    it.
+
     Parameters
     ----------
     path : the image file.
@@ -30,13 +33,6 @@ def read_frame(
     hfov_deg : horizontal field of view in degrees, where only that is known.
     mask : an image file of the photograph's size; pixels that are not zero may be used.
     resolution : long side of the frame in pixels; None: as photographed.
-
-    Raises
-    ------
-    OSError
-        The file cannot be read.
-    ValueError
-        It holds no usable image; the message says what is wrong with it.
     """
     lens = Lens(K, np.zeros(5) if distortion is None else np.asarray(distortion, dtype=np.float64), hfov_deg)
     return clean_frame([_capture(path)], lens, None if mask is None else _capture(mask), resolution=resolution)

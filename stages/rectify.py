@@ -74,7 +74,8 @@ def rectify(
     """Find how the two frames of a pair are resampled so that a point lies on the same row in both.
 
     Known cameras give the rows.  Matches that agree with them choose scale, crop and range, with the ground where that is known;
-    where these are too few, points of the likely scene do, and dense matching is asked whether the rows are right.
+    where these are too few, points of the likely scene do, and dense matching is asked whether the rows are right.  Raises
+    ValueError where there is no such method, or it needs the cameras, and TypeError for a parameter that it does not read.
 
     Parameters
     ----------
@@ -98,14 +99,7 @@ def rectify(
     range_margin : the disparity range reaches beyond the matches by this share of their range, and 1 % of the width more.
     options : parameters of the method, see its function.
 
-    Raises
-    ------
-    ValueError, TypeError
-        No such method, or it needs the cameras; a parameter that the method does not read.
-
-    References
-    ----------
-    Hartley, IJCV 1999; Fusiello et al., MVA 2000; Pollefeys et al., ICCV 1999.
+    References: Hartley, IJCV 1999; Fusiello et al., MVA 2000; Pollefeys et al., ICCV 1999.
     """
     if geometry is not None and left is not None and right is not None:
         geometry = replace(geometry, x1=straight_points(left, geometry.x1), x2=straight_points(right, geometry.x2))

@@ -51,12 +51,8 @@ class WrongSize(BadCapture):
 def decode(capture: Capture, lens: Lens | None = None) -> Uint8s:
     """Decode an image file into (h, w, 3) uint8 RGB, turned upright as its EXIF data say.
 
-    lens: where it states the size of captures, one whose header promises another is not decoded at all.
-
-    Raises
-    ------
-    BadCapture
-        Empty, no image, truncated, too large, of another size, or without any content (black, white, uniform).
+    lens: where it states the size of captures, one whose header promises another is not decoded at all.  Raises BadCapture for
+    what is empty, no image, truncated, too large, of another size, or without any content (black, white, uniform).
     """
     data = np.ascontiguousarray(capture.data)
     if data.size == 0:

@@ -61,9 +61,7 @@ def blur_px(image: Uint8s, usable: Bools) -> float:
     scene changes the ratio.  Of the strongest twentieth of a part's slopes the sharpest quarter counts, since depth of field
     and motion blur a part of nearly every picture; a lens that is tilted or wet blurs one side.
 
-    References
-    ----------
-    Zhuo, Sim, Defocus map estimation from a single image, Pattern Recognition 44, 2011.
+    References: Zhuo, Sim, Defocus map estimation from a single image, Pattern Recognition 44, 2011.
     """
     grey = cv2.GaussianBlur(grey_levels(image).astype(np.float32), (0, 0), _PREPARED_PX)
     slope, again = (_slope(grey), _slope(cv2.GaussianBlur(grey, (0, 0), 1.0)))

@@ -19,16 +19,13 @@ _MARGIN = 3
 def private_area(privacy: Privacy | None, width: int, height: int, name: str) -> Bools | None:
     """(height, width) bool, True where nobody may see anything; None where everything may be seen.
 
+    Raises BadCapture where a polygon does not fit a picture of this size: rather none of it is used than what should not be seen.
+
     Parameters
     ----------
     privacy : the polygons.
     width, height : of a capture, pixels.
     name : of the capture, for messages.
-
-    Raises
-    ------
-    BadCapture
-        A polygon does not fit a picture of this size: rather none of it is used than what should not be seen.
     """
     if privacy is None or not len(privacy.counts):
         return None

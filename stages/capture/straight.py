@@ -38,6 +38,8 @@ class Straight:
     def of(cls, image: Uint8s, lens: Lens, name: str, whole_field: bool = False) -> Straight:
         """The pinhole for a picture.
 
+        Raises BadCapture for another size than the lens is for, and where the lens sees nothing in the direction of the view.
+
         Parameters
         ----------
         image : (h, w, 3) uint8, as captured.
@@ -45,11 +47,6 @@ class Straight:
         name : of the capture, for messages.
         whole_field : all that the lens sees (up to `WIDEST_DEG`), rather than what has place with its own K, where it is a brown
             lens.
-
-        Raises
-        ------
-        BadCapture
-            Of another size than the lens is for, or the lens sees nothing in the direction of the view.
         """
         height, width = image.shape[:2]
         if lens.width and lens.height and (width, height) != (lens.width, lens.height):

@@ -16,16 +16,13 @@ _YEAR_2000_US = 946_684_800e6
 def stream_pictures(url: str, moments: Sequence[float], patience: float) -> Iterator[tuple[bytes, float | None]]:
     """Yield a JPEG file's bytes for each moment, and when its sender says that it was taken (Unix time); None: it does not.
 
+    Raises OSError where the stream cannot be opened, or ends; the message is without its URL.
+
     Parameters
     ----------
     url : with user and password, where they are needed.
     moments : Unix times, in order.
     patience : seconds that opening the stream, or one picture, may take.
-
-    Raises
-    ------
-    OSError
-        The stream cannot be opened, or ends; the message is without its URL.
     """
     os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # FFmpeg's own messages hold the password
     limit = int(1000 * patience)

@@ -25,10 +25,7 @@ def pictures(capture: Capture, step: int, most: int) -> Iterator[tuple[str, Uint
     """Every `step`-th picture (h, w, 3) uint8 RGB of a video, with a name; `most` at most, spread over its length where that is
     known.
 
-    Raises
-    ------
-    BadCapture
-        It is empty, or nothing in it can be decoded.
+    Raises BadCapture where it is empty, or nothing in it can be decoded.
     """
     if capture.data.size == 0:
         raise EmptyCapture(f"{capture.name} is empty (0 bytes)")

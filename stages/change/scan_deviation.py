@@ -54,12 +54,7 @@ class ScanDeviation:
 def deviation_from_scan(cloud: Cloud, scan: Float64s) -> ScanDeviation:
     """Register a scan (m, 3), in the cloud's world, on the cloud, and measure what it deviates by.
 
-    The scan is taken as exact.
-
-    Raises
-    ------
-    ValueError
-        Less than `LEAST_OVERLAP` of the cloud has a scan beside it.
+    The scan is taken as exact.  Raises ValueError where less than `LEAST_OVERLAP` of the cloud has a scan beside it.
     """
     points = cloud.points.astype(np.float64)
     low, high = np.quantile(points, [0.01, 0.99], axis=0)

@@ -39,9 +39,7 @@ def levenberg_marquardt(
     floor : added to the diagonal that is damped, as a share of its sum: for directions of which the equations say nothing.
     tolerance, relative_tolerance : ends when a step lowers the cost by less than this, or than this share of it.
 
-    References
-    ----------
-    Marquardt, SIAM Journal on Applied Mathematics, 1963.
+    References: Marquardt, SIAM Journal on Applied Mathematics, 1963.
     """
     cost, normal, right = equations(state)
     for _ in range(steps):

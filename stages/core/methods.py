@@ -35,19 +35,15 @@ def method(table: Mapping[str, str], name: str) -> Callable[..., Any]:
 def bind(table: Mapping[str, str], name: str, inputs: Mapping[str, object], options: Mapping[str, object]) -> Callable[[], Any]:
     """Return a method with its inputs and parameters bound, ready to be called.
 
+    Raises ValueError where the name is unknown, or the method needs an input that is not available; TypeError where it has no
+    such parameter.
+
     Parameters
     ----------
     table : the methods that have a name.
     name : one of them, or `package.module:function`.
     inputs : by argument name; None: not available.
     options : the parameters of the method.
-
-    Raises
-    ------
-    ValueError
-        The name is unknown, or the method needs an input that is not available.
-    TypeError
-        The method has no such parameter.
     """
     function = method(table, name)
     arguments = inspect.signature(function).parameters

@@ -113,10 +113,7 @@ class Textured:
 def textured(mesh: Mesh, cameras: Mapping[str, Camera], frames: Mapping[str, Frame]) -> Textured:
     """Choose a view for each triangle, and bring the views to one exposure; what is masked in a frame is not shown.
 
-    Raises
-    ------
-    ValueError
-        No camera has a frame.
+    Raises ValueError where no camera has a frame.
     """
     names = [name for name in sorted(cameras) if name in frames]
     if not names:

@@ -71,10 +71,7 @@ class Georeference:
 def georeference(crs: str) -> Georeference:
     """The UTM zone around the origin of a local frame (`Poses.crs`).
 
-    Raises
-    ------
-    ValueError
-        Another kind of coordinate system, or an origin beyond the zones of UTM.
+    Raises ValueError for another kind of coordinate system, and for an origin beyond the zones of UTM.
     """
     if not crs.startswith(LOCAL):
         raise ValueError(f"{crs!r} is not the coordinate system of a local frame")

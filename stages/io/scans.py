@@ -29,19 +29,10 @@ class Scan:
 
 
 def read_scan(path: Path, spacing: float) -> Scan:
-    """Return a file's points.
+    """Return the points of a file of a kind in `CLOUDS` or `MESHES`; spacing: metres between points that are spread over a mesh.
 
-    Parameters
-    ----------
-    path : of a kind in `CLOUDS` or `MESHES`.
-    spacing : metres between points that are spread over a mesh.
-
-    Raises
-    ------
-    ValueError
-        The file is of another kind, or damaged, or holds no points.
-    ImportError
-        LAS needs laspy, lazrs and pyproj; E57 needs pye57.
+    Raises ValueError where it is of another kind, or damaged, or holds no points; ImportError where LAS lacks laspy, lazrs or
+    pyproj, E57 pye57.
     """
     kind = path.suffix.lower()
     try:
