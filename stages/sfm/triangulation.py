@@ -11,8 +11,9 @@ from ..core.jit import helper, kernel
 from ..types import Bools, Camera, Float64s, Int32s, Int64s
 from .tracks import Tracks
 
-POLISH = 4
-"""Gauss-Newton steps on the reprojection error after the linear solution."""
+POLISH, SETTLED = 4, 1e-6
+"""Gauss-Newton steps on the reprojection error after the linear solution, at most; none follows one that gains less than the
+second, squared pixels."""
 PARALLEL = 1e-9
 """Rays that meet at less than about the root of this (radians) have no point."""
 
@@ -122,8 +123,12 @@ def _points(
             trace = H[0, 0] + H[1, 1] + H[2, 2]
             for i in range(3):
                 H[i, i] += 1e-9 * trace
+            gain = 0.0
             if _solve(H, g, step) > 0 and np.isfinite(step.sum()):
                 X[t] += step
+                gain = g[0] * step[0] + g[1] * step[1] + g[2] * step[2]
+            if gain < SETTLED:
+                break
     return X
 
 

@@ -20,7 +20,7 @@ from ..matching.candidates import ViewPair, inverses
 from ..matching.structural import DOMINANCE, ROUNDS, Correspondences, confirmations, solve_rounds
 from ..types import Bools, Features, Float64s, Int32s, View
 from .image_grid import places
-from .robust import TwoView, estimate_essential
+from .robust import MOST_POSED, TwoView, estimate_essential, supporters
 
 EXPLAINED_PX = 12.0
 """A candidate this near to where the accepted matches put its keypoint is no rival."""
@@ -107,14 +107,16 @@ def _one_pose(x1: Float64s, x2: Float64s, view1: View, view2: View, R: Float64s,
     """The pose that most of the matches agree with, against R and the unit vector t."""
     if len(x1) < FEWEST:
         return _Pose()
-    pose = estimate_essential(x1, x2, view1, view2, 1.0, seed, max_iterations=1000)
+    some = slice(None, None, -(-len(x1) // MOST_POSED))
+    pose = estimate_essential(x1[some], x2[some], view1, view2, 1.0, seed, max_iterations=1000)
     if pose is None or pose.R is None or pose.t is None:
         return _Pose()
+    inliers = supporters(pose.F, x1, x2, 1.0)
     sides = ((x1, view1), (x2, view2))
-    if min(places(x[pose.inliers], (view.width, view.height)) for x, view in sides) <= FREEDOMS:
+    if min(places(x[inliers], (view.width, view.height)) for x, view in sides) <= FREEDOMS:
         return _Pose()
     step = np.degrees(np.arccos(np.clip(np.ravel(pose.t) @ np.ravel(t), -1, 1)))
-    return _Pose(int(pose.inliers.sum()), angle_between_deg(pose.R, R), float(step))
+    return _Pose(int(inliers.sum()), angle_between_deg(pose.R, R), float(step))
 
 
 def _without(pair: ViewPair, left: Features, right: Features, i1: Int32s, i2: Int32s) -> ViewPair:

@@ -24,7 +24,7 @@ MIN_ITERATIONS, MAX_ITERATIONS = 50, 20000
 INLIER_FACTOR = 1.5
 """An inlier of the refined model lies within this times the threshold, in Sampson distance."""
 MOST_POSED = 500
-"""Of so many matches at most is asked on which side of the cameras they lie."""
+"""So many matches at most are asked on which side of the cameras they lie, and which pose a rival has."""
 
 
 @dataclass(frozen=True)
