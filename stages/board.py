@@ -4,10 +4,9 @@ OpenCV fits perspective lenses from homographies of the picture.  What a fisheye
 90 degrees a ray has no place on any plane: for these lenses boards are placed by homographies to *rays*, then least squares
 follow.
 
-References
-----------
-Zhang, A flexible new technique for camera calibration, PAMI 2000; Garrido-Jurado et al., ArUco, Pattern Recognition 2014 (both as
-OpenCV has them); Kannala & Brandt, PAMI 2006, section 4 (boards and a generic lens)."""
+References: Zhang, A flexible new technique for camera calibration, PAMI 2000; Garrido-Jurado et al., ArUco, Pattern Recognition
+2014 (both as OpenCV has them); Kannala & Brandt, PAMI 2006, section 4 (boards and a generic lens).
+"""
 
 from __future__ import annotations
 

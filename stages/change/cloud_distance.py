@@ -3,10 +3,8 @@
 At each core point a cylinder is laid along the normal; the distance is that of the mean positions of both clouds in it.  The
 points' own standard deviations take the place of the spread in the cylinder, as both clouds come with them.
 
-References
-----------
-Lague, Brodu, Leroux, Accurate 3D comparison of complex topography with terrestrial laser scanner, ISPRS J. 82, 2013; Winiwarter,
-Anders, Höfle, M3C2-EP, ISPRS J. 178, 2021 (known uncertainties instead of the spread).
+References: Lague, Brodu, Leroux, Accurate 3D comparison of complex topography with terrestrial laser scanner, ISPRS J. 82, 2013;
+Winiwarter, Anders, Höfle, M3C2-EP, ISPRS J. 178, 2021 (known uncertainties instead of the spread).
 """
 
 from __future__ import annotations

@@ -1,9 +1,7 @@
 """A cloud against a scan or model of the same place: registered on what agrees, then measured along the cloud's normals.
 
-References
-----------
-Chen, Medioni, Object modelling by registration of multiple range images, Image and Vision Computing 10, 1992 (point to plane);
-for distances and their level of detection see `cloud_distance`.
+References: Chen, Medioni, Object modelling by registration of multiple range images, Image and Vision Computing 10, 1992 (point
+to plane); for distances and their level of detection see `cloud_distance`.
 """
 
 from __future__ import annotations

@@ -3,9 +3,7 @@
 COLMAP's pixels have their origin in the corner of the image, ours in the centre of the first pixel: principal points and
 keypoints move by half a pixel.
 
-References
-----------
-https://colmap.github.io/format.html
+References: https://colmap.github.io/format.html
 """
 
 from __future__ import annotations

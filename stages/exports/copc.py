@@ -1,8 +1,6 @@
 """A cloud as Cloud Optimized Point Cloud: LAZ 1.4 whose points lie in an octree, so that viewers fetch only what they show.
 
-References
-----------
-Hobu, COPC Specification 1.0, 2021.
+References: Hobu, COPC Specification 1.0, 2021.
 """
 
 from __future__ import annotations

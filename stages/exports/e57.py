@@ -1,8 +1,7 @@
 """A cloud as E57 (ASTM E2807), by libE57Format: a scan of scaled integers, colours, normals, and the confidence as intensity.
 
-References
-----------
-ASTM E2807-11, Standard Specification for 3D Imaging Data Exchange, 2011; surface normals: the extension E57_NOR of libe57.org.
+References: ASTM E2807-11, Standard Specification for 3D Imaging Data Exchange, 2011; surface normals: the extension E57_NOR of
+libe57.org.
 """
 
 from __future__ import annotations

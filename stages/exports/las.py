@@ -1,8 +1,6 @@
 """A cloud as LAZ 1.4: point format 7 (RGB), with normals, confidence, views and sigma as extra dimensions.
 
-References
-----------
-ASPRS, LAS Specification 1.4 R15, 2019.
+References: ASPRS, LAS Specification 1.4 R15, 2019.
 """
 
 from __future__ import annotations

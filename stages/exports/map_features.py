@@ -1,8 +1,6 @@
 """Cameras and changes as features of a map: GeoJSON in degrees, and GeoPackage in UTM as the other exports are.
 
-References
-----------
-RFC 7946, The GeoJSON Format, 2016; OGC 12-128r18, GeoPackage Encoding Standard 1.3.1, 2021.
+References: RFC 7946, The GeoJSON Format, 2016; OGC 12-128r18, GeoPackage Encoding Standard 1.3.1, 2021.
 """
 
 from __future__ import annotations

@@ -1,8 +1,6 @@
 """A cloud as 3D Tiles: an octree of point clouds that Cesium and iTowns stream.
 
-References
-----------
-OGC 18-053r2, 3D Tiles Specification 1.0, 2019.
+References: OGC 18-053r2, 3D Tiles Specification 1.0, 2019.
 """
 
 from __future__ import annotations

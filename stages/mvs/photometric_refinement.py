@@ -9,10 +9,8 @@ of unit length, 1 - ab is half of |a - b|^2: a least-squares problem in the inve
 
 is what one source adds.  It weighs as much as it fits: the variance of its differences is twice its cost.
 
-References
-----------
-Lucas, Kanade, An iterative image registration technique, IJCAI 1981; Furukawa, Ponce, Accurate, Dense, and Robust Multiview
-Stereopsis, PAMI 2010 (a patch's depth improved on all views' correlations).
+References: Lucas, Kanade, An iterative image registration technique, IJCAI 1981; Furukawa, Ponce, Accurate, Dense, and Robust
+Multiview Stereopsis, PAMI 2010 (a patch's depth improved on all views' correlations).
 """
 
 from __future__ import annotations

@@ -4,9 +4,8 @@ A region is what hangs together without an edge; pixels of its colour beside it 
 largest regions (RANSAC), fitted by weights that fall with the error, and shared with the other regions that lie on them: the
 plaster between the windows of a façade is many regions and one plane.
 
-References
-----------
-Fischler, Bolles, Random Sample Consensus, CACM 1981; Beaton, Tukey, The Fitting of Power Series, Technometrics 1974 (weights).
+References: Fischler, Bolles, Random Sample Consensus, CACM 1981; Beaton, Tukey, The Fitting of Power Series, Technometrics 1974
+(weights).
 """
 
 from __future__ import annotations

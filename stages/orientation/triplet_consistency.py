@@ -6,10 +6,8 @@ Three cameras that are all matched with each other tell more: a match is confirm
 the same place.  In a car park that was solved .6 degrees off, 68 to 81 % of the matches of the worst pairs were right, and 96 to
 99 % of their confirmed ones.  Cameras that all matches place where these alone would not have them rest on others.
 
-References
-----------
-Loops of matches against ambiguous structure: Zach, Klopschitz, Pollefeys, Disambiguating Visual Relations Using Loop Constraints,
-CVPR 2010.
+References: Loops of matches against ambiguous structure: Zach, Klopschitz, Pollefeys, Disambiguating Visual Relations Using Loop
+Constraints, CVPR 2010.
 """
 
 from __future__ import annotations
