@@ -71,6 +71,8 @@ def estimate_geometry(
 ) -> Geometry | Rejected:
     """Estimate the epipolar geometry of a pair and say whether it can be used.
 
+    Rejected, with the figures: too few, too clustered, planar scene, pure rotation, wrong.
+
     Parameters
     ----------
     matches : correspondences before geometry.  Points that are no keypoints stay as they are, and their matcher's probability
@@ -86,10 +88,6 @@ def estimate_geometry(
     min_score : log odds of being right under which a pair is rejected here; between this and 0 the site decides, and on pairs
         whose matches agree but whose rays hardly meet.
     seed : of the random samples.
-
-    Returns
-    -------
-    Geometry, or Rejected: too few, too clustered, planar scene, pure rotation; with the figures.
 
     References: Hartley & Zisserman, Multiple View Geometry, 2nd ed., chapters 9 to 11.
     """

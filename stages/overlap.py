@@ -43,6 +43,9 @@ def estimate_overlap(
 ) -> Overlap:
     """Estimate for every pair of cameras how much of one view the other sees.
 
+    A row for each pair about which something is known; none for two views of one camera, and of more than 32 views none for those
+    that share nothing.  `source` is "poses", "appearance" or "mixed".
+
     Parameters
     ----------
     views : the pinhole of every camera that has a frame, in the order of the site.
@@ -52,12 +55,6 @@ def estimate_overlap(
     ratio : a resemblance counts when its distance is below this share of the second nearest's, both ways.
     candidates : of more than 32 views without a pose, each is compared with so many that look most like it, and those like which
         it looks.
-
-    Returns
-    -------
-    Overlap
-        A row for each pair of cameras about which something is known; none for two views of one camera, and of more than 32 views
-        none for those that share nothing.  `source` is "poses", "appearance" or "mixed".
     """
     names = tuple(views)
     cameras = {i: camera for i, name in enumerate(names) if (camera := _camera(views[name], placements.get(name))) is not None}

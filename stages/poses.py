@@ -70,6 +70,8 @@ def solve_poses(
 ) -> Poses | Rejected:
     """Put the cameras into one world.
 
+    Rejected where not even two cameras can be placed.
+
     Parameters
     ----------
     views : the pinhole of each camera's frame, at working resolution.
@@ -83,10 +85,6 @@ def solve_poses(
         pixels.
     min_angle_deg : reject where the rays of the matches converge by less than this (median) in all pairs, in degrees: cameras at
         one place, seen from the scene, tell no depth.
-
-    Returns
-    -------
-    Poses, or Rejected where not even two cameras can be placed.
     """
     if len(views) < 2:
         return Rejected(Reason.ONE_CAMERA, {"cameras": len(views)})

@@ -14,15 +14,10 @@ _YEAR_2000_US = 946_684_800e6
 
 
 def stream_pictures(url: str, moments: Sequence[float], patience: float) -> Iterator[tuple[bytes, float | None]]:
-    """Yield a JPEG file's bytes for each moment, and when its sender says that it was taken (Unix time); None: it does not.
+    """Yield a JPEG file's bytes for each moment (Unix times, in order), and when its sender says that it was taken; None: it does
+    not.  url: with user and password, where they are needed; patience: seconds that opening the stream, or one picture, may take.
 
     Raises OSError where the stream cannot be opened, or ends; the message is without its URL.
-
-    Parameters
-    ----------
-    url : with user and password, where they are needed.
-    moments : Unix times, in order.
-    patience : seconds that opening the stream, or one picture, may take.
     """
     os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # FFmpeg's own messages hold the password
     limit = int(1000 * patience)

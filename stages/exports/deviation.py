@@ -24,14 +24,10 @@ Columns = Mapping[str, npt.NDArray[Any]]
 
 
 def scan_files(cloud: Cloud, poses: Poses, path: Path) -> tuple[dict[str, bytes | Columns], dict[str, Any]]:
-    """Compare a cloud with the scan in a file.
+    """Compare a cloud with the scan in a file: deviation.ply (as columns; red: in front of the scan, blue: behind it, grey: no
+    scan) and deviation.json by name, and the figures that this holds.
 
     Raises ValueError where the file cannot be read, the scan is elsewhere, or it covers too little of the site.
-
-    Returns
-    -------
-    files : by name: deviation.ply (as columns; red: in front of the scan, blue: behind it, grey: no scan), deviation.json.
-    figures : what deviation.json holds.
     """
     if not poses.metric:
         raise ValueError("the site has no scale: state one distance, or positions of cameras")

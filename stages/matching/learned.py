@@ -52,6 +52,9 @@ def match_onnx(
 ) -> Matches:
     """Match by a model in ONNX form that takes the two pictures (features and LightGlue exported as one).
 
+    Points are no keypoints of the site: geometry takes them as they are, without its guided round.  Raises ValueError, with the
+    file's name, where it is no ONNX model, has other inputs or outputs, or OpenCV cannot run it.
+
     Parameters
     ----------
     left_frame, right_frame : the pair.
@@ -59,16 +62,6 @@ def match_onnx(
         lies.
     min_score : matches that the model thinks less of are dropped, 0 to 1.
     long_side_px : long side that the pictures are brought to where the model takes any size, pixels.
-
-    Returns
-    -------
-    Matches
-        Points that are no keypoints of the site: geometry takes them as they are, without its guided round.
-
-    Raises
-    ------
-    ValueError
-        The file is no ONNX model, has other inputs or outputs, or OpenCV cannot run it; with the file's name.
     """
     data = model.data.tobytes()
     try:

@@ -94,10 +94,6 @@ def match_structural(
     rounds : rounds of expectation and maximisation.
     tilt : bring in the views compressed in x: "auto" where the plain views give fewer than `weak_matches`.
     weak_matches : plain matches under which "auto" brings in the compressed views.
-
-    Returns
-    -------
-    Matches with keypoints, and what was searched for them.
     """
     possible = tilt != "never" and bool((left.tilts == TILTED).any() or (right.tilts == TILTED).any())
     pairs: tuple[ViewPair, ...] = ()
@@ -112,22 +108,14 @@ def match_structural(
 
 
 def match_guided(matches: Matches, left: Features, right: Features, F: Float64s) -> Matches:
-    """Match again around the inliers of F, with the distance to the epipolar lines as evidence.
+    """Match again around the inliers of F, with the distance to the epipolar lines as evidence: those that are found again, and
+    new ones.  Raises ValueError for matches without keypoints.
 
     Parameters
     ----------
-    matches : the inliers; they have keypoints.
+    matches : the inliers.
     left, right : the keypoints that were matched.
     F : (3, 3), x2^T F x1 = 0.
-
-    Returns
-    -------
-    Matches with keypoints: inliers that are found again, and new ones.
-
-    Raises
-    ------
-    ValueError
-        The matches have no keypoints.
     """
     if matches.i1 is None or matches.i2 is None:
         raise ValueError("matches without keypoints cannot be guided")

@@ -53,7 +53,8 @@ class Propagation:
         self.pairs = np.stack([sources, beside], axis=-1).view(np.uint64).ravel()  # one access fetches what is interpolated
 
     def improve(self, planes: Float32s, sweeps: int, far: int, low: float, high: float, *, again: bool = False) -> Float32s:
-        """Improve planes in place by propagation from neighbours, holes (nan) included, and shrinking random changes.
+        """Improve planes in place by propagation from neighbours, holes (nan) included, and shrinking random changes; returns
+        (h, w) float32, what they cost.
 
         Parameters
         ----------
@@ -62,10 +63,6 @@ class Propagation:
         far : distance of the second ring of neighbours, pixels.
         low, high : limits of q.
         again : the planes are nearly right, and little is left to be found: in one pass, fewer are tried.
-
-        Returns
-        -------
-        (h, w) float32, what the planes cost.
         """
         cost = np.full(planes.shape[1:], UNSEEN, np.float32)
         best = np.zeros(planes.shape[1:], np.int32)

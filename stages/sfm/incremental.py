@@ -93,7 +93,7 @@ def grow(
     lenses: Mapping[int, int] | None = None,
     known: Mapping[int, Camera] | None = None,
 ) -> Model | None:
-    """Solve as many views as hang together with the known cameras, or with the best pair.
+    """Solve as many views as hang together with the known cameras, or with the best pair; None where not even two can be placed.
 
     Parameters
     ----------
@@ -103,10 +103,6 @@ def grow(
     lenses : see `Model`.
     known : cameras whose poses are known: where two of them or more see the same points, the model begins with them, in their
         world.
-
-    Returns
-    -------
-    Model, or None when not even two views can be placed.
     """
     model = _from_known(known or {}, tracks, lenses or {}) or _from_best_pair(cameras, tracks, geometries, lenses or {})
     if model is None:
