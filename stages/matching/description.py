@@ -18,7 +18,6 @@ WINDOW, REACH = 1.5, 3.0
 """It weighs by a Gaussian of so many sigmas of the keypoint, over so many times that."""
 STRONG = 0.8
 """Directions with this share of the strongest are main directions, too."""
-
 CELLS, TURNS = 4, 8
 """Histograms along each side of the patch, and directions of each."""
 CELL_SIGMAS = 3.0
@@ -28,8 +27,6 @@ SAMPLES = 20
 LENGTH = CELLS * CELLS * TURNS
 CLIP = 0.2
 """No direction counts more, of unit length."""
-
-
 _GRADIENTS = 4, 64
 """x, y, direction and size of the gradients of one row; so long is none."""
 

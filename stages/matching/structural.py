@@ -63,7 +63,6 @@ EVIDENCE = Evidence()
 EPIPOLAR = EVIDENCE.epipolar
 HOPELESS = -8.0
 """A candidate with log odds below this takes nothing away from its rivals that would show: it is left out."""
-
 MIN_SIGMA_PX = 2.0
 TRUST_HALF = 1.5
 """Support at which the field is trusted as much as the descriptors alone."""

@@ -51,7 +51,6 @@ SKETCH, SKETCH_STEPS = 5, 10
 """...with so many observations in each field of a view, in so many steps."""
 FOCALS_FROM = 3
 """Focal lengths are solved once there are so many views: two leave them nearly free."""
-
 LENSES_DIFFER = 0.02
 """Views don't share a lens if their own focal lengths spread by more than this share..."""
 OWN_LENS_GAIN = 0.85

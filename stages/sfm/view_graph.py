@@ -23,8 +23,6 @@ from .rotation_averaging import average_rotations, components
 from .tracks import Edge, build_tracks
 
 _AMBIGUOUS = (Reason.AMBIGUOUS, Reason.SAME_FROM_OTHER_SIDES, Reason.SAME_ALONG_A_ROW)
-
-
 _CERTAIN = 2.0
 """What is tied goes before all that is only probable."""
 

@@ -55,7 +55,6 @@ class PairEvidence:
 
 HARDLY_DEG, MOSTLY = 1.0, 0.8
 """Rays that meet at less, and clear matches of which so many agree: two cameras at one place."""
-
 WEIGHTS, OFFSET = (0.89, 0.90, 3.37, 1.20, 2.91, 3.68, -0.27, -1.15), -15.3
 """Of the `terms`, fitted by `scripts/bench_verdict.py` on 299 pairs of 13 sets, photographed and rendered, look-alikes in most;
 each scene with the same weight, drawn to the weights of an earlier fit (walls and a courtyard).  Exact copies of a building

@@ -21,7 +21,6 @@ CAUCHY = 1.5
 """Matches that lie off by this many standard deviations count half."""
 LEAST_NOISE_PX = 0.02
 ITERATIONS = 12
-
 _TURNS = np.stack([skew(axis) for axis in np.eye(3)])
 """(3, 3, 3): what a small turn about each axis adds to a vector."""
 

@@ -18,7 +18,6 @@ from .image_grid import GRID_COLUMNS, GRID_ROWS, places
 
 REACH_PX = 40
 """Patches are searched so far from their old places."""
-
 _PER_CELL = 4
 """So many patches in each cell of the grid over which they are spread."""
 _LEAST_CORRELATION = 0.6
