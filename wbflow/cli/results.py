@@ -9,23 +9,8 @@ import click
 
 from ..errors import ExitCode, UsageError, counted
 from ..pipeline.exports import EXPORTS, SCANS
-from .common import (
-    PATH,
-    Day,
-    date_at,
-    date_option,
-    day,
-    echo,
-    echo_json,
-    json_option,
-    load,
-    out_option,
-    run_argument,
-    site_argument,
-    sites_argument,
-    stop,
-    work_option,
-)
+from . import common
+from .common import Day, date_at, day, echo, echo_json, load, stop
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -36,9 +21,9 @@ if TYPE_CHECKING:
 
 
 @click.command()
-@site_argument
-@run_argument
-@work_option
+@common.site_argument
+@common.run_argument
+@common.work_option
 def report(site: Path, run_id: str | None, work: str | None) -> None:
     """(Re)build a run's report.
 
@@ -55,11 +40,11 @@ def report(site: Path, run_id: str | None, work: str | None) -> None:
 
 
 @click.command()
-@site_argument
-@json_option
+@common.site_argument
+@common.json_option
 @click.option("--changes", is_flag=True, help="Volumes of each zone, and every change from its first night to its last.")
 @click.option("--csv", is_flag=True, help="The same as a table for spreadsheets.")
-@work_option
+@common.work_option
 def history(site: Path, as_json: bool, changes: bool, csv: bool, work: str | None) -> None:
     """Runs: when, how long, cached/ran/failed, cloud size, exit code, verdict and first finding.
 
@@ -104,8 +89,8 @@ def _print_growth(site: Site, *, as_json: bool, as_table: bool) -> None:
 
 
 @click.command()
-@sites_argument
-@json_option
+@common.sites_argument
+@common.json_option
 def runs(sites: tuple[Path, ...], as_json: bool) -> None:
     """Where the runs of one or several sites lie, for programs: folder, night, verdict, cloud, report.
 
@@ -127,12 +112,12 @@ def runs(sites: tuple[Path, ...], as_json: bool) -> None:
 
 
 @click.command()
-@click.argument("nights", metavar="[SITE.yaml] [RUN_A RUN_B]", type=PATH, nargs=-1, required=True)
-@click.option("--out", type=PATH, default=Path("deviation"), metavar="DIR", help="Folder for the deviation from a scan.")
-@click.option("--page", type=PATH, metavar="FILE", help="Write a page with both nights in one view.")
+@click.argument("nights", metavar="[SITE.yaml] [RUN_A RUN_B]", type=common.PATH, nargs=-1, required=True)
+@click.option("--out", type=common.PATH, default=Path("deviation"), metavar="DIR", help="Folder for the deviation from a scan.")
+@click.option("--page", type=common.PATH, metavar="FILE", help="Write a page with both nights in one view.")
 @click.option("--changes", is_flag=True, help="Also find what changed between them: volumes gained and lost, of each zone, too.")
-@json_option
-@work_option
+@common.json_option
+@common.work_option
 def compare(nights: tuple[Path, ...], out: Path, page: Path | None, changes: bool, as_json: bool, work: str | None) -> None:
     """Two nights side by side: what differs by more than noise; or a night and a scan.
 
@@ -215,7 +200,7 @@ def _compare_with_scan(site: Site, night: str | None, scan: Path, out: Path, as_
 
 
 @click.command()
-@site_argument
+@common.site_argument
 @click.argument("words", metavar="[FINDING]", nargs=-1)
 @click.option("--until", type=day, metavar="DAY", help="The last night that it holds for (default: until it is dropped).")
 @click.option("--note", default="", metavar="TEXT", help="Why.")
@@ -250,12 +235,12 @@ def acknowledge(site: Path, words: tuple[str, ...], until: Day | None, note: str
 
 
 @click.command()
-@site_argument
-@run_argument
+@common.site_argument
+@common.run_argument
 @click.option("--list", "listed", is_flag=True, help="Print the reference.")
 @click.option("--drop", is_flag=True, help="Forget the reference.")
 @click.option("--refine", is_flag=True, help="Pool what the nights since have measured into the reference.")
-@work_option
+@common.work_option
 def pin(site: Path, run_id: str | None, listed: bool, drop: bool, refine: bool, work: str | None) -> None:
     """Make a run the reference that later nights are compared with; the newest good one, if no RUN is named.
 
@@ -319,11 +304,11 @@ def _export_options(command: Callable[..., None]) -> Callable[..., None]:
 
 
 @click.command()
-@site_argument
-@run_argument
-@out_option
+@common.site_argument
+@common.run_argument
+@common.out_option
 @_export_options
-@work_option
+@common.work_option
 def export(site: Path, run_id: str | None, out: Path, work: str | None, **wanted: bool) -> None:
     """A run's results for other programs; of the newest run with a cloud, if no RUN is named.
 
@@ -346,9 +331,9 @@ def export(site: Path, run_id: str | None, out: Path, work: str | None, **wanted
 
 @click.command()
 @click.argument("words", metavar="[SITE.yaml] TASK", nargs=-1, required=True)
-@out_option
-@date_option
-@work_option
+@common.out_option
+@common.date_option
+@common.work_option
 def debug(words: tuple[str, ...], out: Path, date: Day | None, work: str | None) -> None:
     """One task's inputs as ordinary files, its parameters, and a short script that runs it alone.
 
@@ -378,12 +363,12 @@ def debug(words: tuple[str, ...], out: Path, date: Day | None, work: str | None)
 
 
 @click.command()
-@site_argument
+@common.site_argument
 @click.option("--keep", type=click.IntRange(min=1), required=True, metavar="N", help="Runs whose artifacts stay.")
 @click.option("--clouds", type=click.IntRange(min=1), metavar="N", help="Also remove clouds, except those of N nights.")
 @click.option("--reports", type=click.IntRange(min=1), metavar="N", help="Also remove reports and logs except those of N nights.")
 @click.option("--dry-run", is_flag=True, help="Only print how much would go.")
-@work_option
+@common.work_option
 def clean(site: Path, keep: int, clouds: int | None, reports: int | None, dry_run: bool, work: str | None) -> None:
     """Remove artifacts that the last N runs don't use.  What has been published stays, unless it is named.
 
@@ -403,8 +388,8 @@ def clean(site: Path, keep: int, clouds: int | None, reports: int | None, dry_ru
 
 
 @click.command("site-report")
-@sites_argument
-@click.option("--out", type=PATH, default=Path("sites.html"), metavar="FILE", help="The page.")
+@common.sites_argument
+@click.option("--out", type=common.PATH, default=Path("sites.html"), metavar="FILE", help="The page.")
 def site_report(sites: tuple[Path, ...], out: Path) -> None:
     """One page over several sites and their last nights, with links to the reports.
 

@@ -16,20 +16,7 @@ import click
 
 from ..errors import ExitCode, UsageError, WbflowError, counted, worst
 from . import common
-from .common import (
-    Day,
-    date_at,
-    date_option,
-    day,
-    echo,
-    echo_json,
-    json_option,
-    load,
-    next_time,
-    site_argument,
-    verbose_option,
-    work_option,
-)
+from .common import Day, date_at, day, echo, echo_json, load
 from .display import display
 
 if TYPE_CHECKING:
@@ -53,16 +40,16 @@ DEBUGGABLE = {"fault", "too-slow", "worker-lost", "out-of-memory"}
 
 @click.command()
 @common.sites_argument
-@date_option
+@common.date_option
 @click.option("--since", type=day, metavar="DAY", help="All nights from this day on that have captures, one after the other.")
 @click.option("--capture", "capture_first", is_flag=True, help="Take tonight's pictures first (see `wbflow capture`).")
-@work_option
+@common.work_option
 @common.jobs_option
 @common.until_option
 @click.option("--force", multiple=True, metavar="STAGE_OR_TASK", help="Do this again: `fuse`, or `'matches gate--roof'`.")
 @click.option("--dry-run", is_flag=True, help="Print what would run, and why; write nothing.")
 @click.option("--wait", is_flag=True, help="Wait for another run of this work folder instead of giving up.")
-@click.option("--stop-at", type=next_time, metavar="HH:MM", help="Stop then, and publish what there is.")
+@click.option("--stop-at", type=common.next_time, metavar="HH:MM", help="Stop then, and publish what there is.")
 @click.option("--json", "as_json", is_flag=True, help="Print run.json, and nothing else.")
 @click.option("--backend", type=click.Choice(BACKENDS), default=BACKENDS[0], help="Where tasks run (loky: processes).")
 @click.option("--scheduler", metavar="ADDRESS", help="Dask scheduler, for --backend dask: tcp://host:8786.")
@@ -71,7 +58,7 @@ DEBUGGABLE = {"fault", "too-slow", "worker-lost", "out-of-memory"}
 )
 @click.option("--memory", metavar="SIZE", help="Limit for all workers together: 4GB (default: 80 % of the machine's memory).")
 @click.option("--time-limit", type=click.FloatRange(min=0, min_open=True), metavar="S", help="Seconds a task may take.")
-@verbose_option
+@common.verbose_option
 @click.option("-q", "--quiet", is_flag=True, help="Print only what went wrong.")
 def run(
     sites: tuple[Path, ...],
@@ -224,7 +211,7 @@ def next_command(finished: Run, site: Path) -> str:
 
 
 @click.command()
-@site_argument
+@common.site_argument
 @click.option("-q", "--quiet", is_flag=True, help="Print only what went wrong.")
 def capture(site: Path, quiet: bool) -> None:
     """Pictures of all cameras that have a `url`, at once, under the names that `run` looks for.
@@ -250,11 +237,11 @@ def _capture(site: Site, quiet: bool) -> list[Taken]:
 
 
 @click.command()
-@site_argument
-@date_option
-@work_option
+@common.site_argument
+@common.date_option
+@common.work_option
 @common.until_option
-@json_option
+@common.json_option
 def status(site: Path, date: Day | None, work: str | None, until: str | None, as_json: bool) -> None:
     """What is cached, what would run, and why.
 
@@ -294,9 +281,9 @@ def _print_status(status: Status) -> None:
 
 
 @click.command()
-@site_argument
-@date_option
-@work_option
+@common.site_argument
+@common.date_option
+@common.work_option
 def check(site: Path, date: Day | None, work: str | None) -> None:
     """Site, captures and machine examined without running; every finding, with its remedy.
 

@@ -11,22 +11,7 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import Any, Literal
 
-from .summaries import (
-    ChangesSummary,
-    CoverageSummary,
-    DepthSummary,
-    DisparitySummary,
-    FeaturesSummary,
-    FrameSummary,
-    FuseSummary,
-    GeometrySummary,
-    HealthSummary,
-    MatchesSummary,
-    PairsSummary,
-    PosesSummary,
-    RectifySummary,
-    Summary,
-)
+from . import summaries
 
 FRAMES, HEALTH, PAIRS, MATCHES, GEOMETRY = "frames", "health", "pairs", "matches", "geometry"
 POSES, DENSE_PAIRS, RECTIFY, DISPARITY = "poses", "dense_pairs", "rectify", "disparity"
@@ -167,7 +152,7 @@ class Stage:
     """Where the site file sets parameters of it outside of `stages`: "resolution", "pairs.degree"."""
     reuse: Reuse = Reuse()
     products: Products = Products()
-    summary: type[Summary] | None = None
+    summary: type[summaries.Summary] | None = None
     """What the engine and run.json read of its results."""
 
     def needed(self) -> set[str]:
@@ -245,7 +230,7 @@ STAGES: tuple[Stage, ...] = (
         products=Products(
             {"picture": "wbflow_stages.exports.previews:frame_preview", "large": "wbflow_stages.exports.previews:frame_large"}
         ),
-        summary=FrameSummary,
+        summary=summaries.FrameSummary,
     ),
     Stage(
         "health",
@@ -261,7 +246,7 @@ STAGES: tuple[Stage, ...] = (
         optional=True,
         site_keys=("health.nudged_px", "health.moved_deg", "health.flat", "health.dark"),
         reuse=Reuse(stored=False),
-        summary=HealthSummary,
+        summary=summaries.HealthSummary,
     ),
     Stage(
         "features",
@@ -270,7 +255,7 @@ STAGES: tuple[Stage, ...] = (
         inputs={"frame": own("frames")},
         reuse=_FEATURES,
         products=Products({"marks": "wbflow_stages.exports.previews:keypoint_marks"}),
-        summary=FeaturesSummary,
+        summary=summaries.FeaturesSummary,
     ),
     Stage(
         "overlap",
@@ -291,7 +276,7 @@ STAGES: tuple[Stage, ...] = (
         inputs={"overlap": own("overlap")},
         site_keys=_PAIR_KEYS,
         reuse=_ALWAYS,
-        summary=PairsSummary,
+        summary=summaries.PairsSummary,
     ),
     Stage(
         "matches",
@@ -306,7 +291,7 @@ STAGES: tuple[Stage, ...] = (
             aggregate="wbflow_stages.pooled:pool_matches",
             too_little=("too-few-matches", "too-few-inliers", "clustered"),
         ),
-        summary=MatchesSummary,
+        summary=summaries.MatchesSummary,
     ),
     Stage(
         "geometry",
@@ -319,7 +304,7 @@ STAGES: tuple[Stage, ...] = (
             {"picture": "wbflow_stages.exports.previews:matches_preview", "marks": "wbflow_stages.exports.previews:inlier_marks"},
             picture_inputs=_FRAMES,
         ),
-        summary=GeometrySummary,
+        summary=summaries.GeometrySummary,
     ),
     Stage(
         "poses",
@@ -336,7 +321,7 @@ STAGES: tuple[Stage, ...] = (
         optional=True,
         reuse=Reuse(shifted=_HELD_POSES, moved=_HELD_POSES),
         products=Products({"cameras": "wbflow_stages.io.cameras:calibration_file"}),
-        summary=PosesSummary,
+        summary=summaries.PosesSummary,
     ),
     Stage(
         "scene",
@@ -363,7 +348,7 @@ STAGES: tuple[Stage, ...] = (
         optional=_some_unposed,
         site_keys=_PAIR_KEYS,
         reuse=_ALWAYS,
-        summary=PairsSummary,
+        summary=summaries.PairsSummary,
     ),
     Stage(
         "rectify",
@@ -381,7 +366,7 @@ STAGES: tuple[Stage, ...] = (
         offers=_PAIR_FEATURES,
         method=Method("method", "wbflow_stages.rectify:METHODS", given=("pair",)),
         reuse=Reuse(shifted="recompute", moved="recompute"),
-        summary=RectifySummary,
+        summary=summaries.RectifySummary,
     ),
     Stage(
         "disparity",
@@ -400,7 +385,7 @@ STAGES: tuple[Stage, ...] = (
             {"picture": "wbflow_stages.exports.previews:disparity_preview"},
             picture_inputs={**_FRAMES, "rectification": own("rectify")},
         ),
-        summary=DisparitySummary,
+        summary=summaries.DisparitySummary,
     ),
     Stage(
         "depth",
@@ -414,7 +399,7 @@ STAGES: tuple[Stage, ...] = (
         },
         offers={"frame": own("frames"), "frames": around("frames")},
         reuse=Reuse(aggregate="wbflow_stages.pooled:pool_depths"),
-        summary=DepthSummary,
+        summary=summaries.DepthSummary,
     ),
     Stage(
         "refine",
@@ -448,7 +433,7 @@ STAGES: tuple[Stage, ...] = (
             {"picture": "wbflow_stages.exports.previews:cloud_preview", "view": "wbflow_stages.exports.view:cloud_view"},
             picture_inputs={"cameras": own("poses", part="cameras")},
         ),
-        summary=FuseSummary,
+        summary=summaries.FuseSummary,
     ),
     Stage(
         "coverage",
@@ -463,7 +448,7 @@ STAGES: tuple[Stage, ...] = (
             files="wbflow_stages.exports.ground:coverage_files",
             title="What the cameras see of the ground",
         ),
-        summary=CoverageSummary,
+        summary=summaries.CoverageSummary,
     ),
     Stage(
         "changes",
@@ -478,7 +463,7 @@ STAGES: tuple[Stage, ...] = (
             files="wbflow_stages.exports.ground:changes_files",
             title="What has changed",
         ),
-        summary=ChangesSummary,
+        summary=summaries.ChangesSummary,
     ),
 )
 

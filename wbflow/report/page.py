@@ -31,28 +31,11 @@ from ..records.run_folder import NoSuchRun, RunFolder
 from ..site.load import load_site
 from ..site.models import Site
 from ..task import Task
-from . import render
+from . import render, sections
 from .charts import camera_bars, tasks_of_stages, timetable, trends
 from .data import NIGHTS, ReportData
 from .map import Map, layers_of, scene_of
 from .pictures import Pictures, Points, data_url, large_pictures, other_night, points_of, points_of_other, split, then_pictures
-from .sections import (
-    BADGES,
-    camera_figures,
-    camera_words,
-    cameras,
-    facts,
-    findings,
-    headline,
-    is_picture,
-    keypoints,
-    pair_columns,
-    pair_pictures,
-    parts,
-    settings,
-    tried,
-    volume_facts,
-)
 
 MOST_BYTES = 14_000_000
 """Of a page, about: large pictures get the room that nothing else needs."""
@@ -85,7 +68,7 @@ def build_comparison(site: Site, tonight: Run, then: Run, changes: Any) -> str:
     products = stage_named(CHANGES).products
     summary = ChangesSummary.from_json(figures(changes))
     with TemporaryDirectory() as folder:
-        pictures = {name: data for name, data in load(products.files)(changes) if is_picture(name)}
+        pictures = {name: data for name, data in load(products.files)(changes) if sections.is_picture(name)}
         for name, data in pictures.items():
             (Path(folder) / name).write_bytes(data)
         record = replace(
@@ -98,7 +81,7 @@ def build_comparison(site: Site, tonight: Run, then: Run, changes: Any) -> str:
     if [stream.kind for stream in content["points"]] != ["product", "change", "then"]:
         raise Gone("the points of one of the runs are not there any more", remedy="run the night again")
     title = counted(len(summary.objects), "change") if summary.objects else "Nothing has changed"
-    first = {"headline": ("good", title, f"{then.record.date} beside {record.date}"), "facts": list(volume_facts(shown))}
+    first = {"headline": ("good", title, f"{then.record.date} beside {record.date}"), "facts": list(sections.volume_facts(shown))}
     return render("page.html", **{**content, **first, "files": [], "other_nights": [], "warnings": []}, beside=True)
 
 
@@ -107,36 +90,36 @@ def _content(data: ReportData, points: list[Points]) -> dict[str, Any]:
     other = other_night(data, record.reference)
     scene = scene_of(data, [tuple(p) for p in points[0].head["sample"]] if points else [])
     drawn = Map(scene) if scene else None
-    columns = pair_columns(data)
+    columns = sections.pair_columns(data)
     content = {
         "record": record,
         "nights": data.nights,
         "meaning": meaning,
         "spoken": spoken,
-        "headline": headline(data),
-        "facts": list(facts(data)),
-        "findings": findings(data, album),
-        "parts": parts(data, album),
+        "headline": sections.headline(data),
+        "facts": list(sections.facts(data)),
+        "findings": sections.findings(data, album),
+        "parts": sections.parts(data, album),
         "points": points,
         "scene": scene,
         "map": drawn,
         "layers": layers_of(data, drawn) if drawn else [],
         "warnings": [event for event in data.events if isinstance(event, WarningEvent)],
-        "cameras": cameras(data),
+        "cameras": sections.cameras(data),
         "camera_pictures": {camera.id: album.of_frame(camera.id, camera.id) for camera in record.cameras},
-        "badges": BADGES,
-        "camera_words": partial(camera_words, data),
-        "camera_figures": partial(camera_figures, data),
-        "keypoints": partial(keypoints, data),
+        "badges": sections.BADGES,
+        "camera_words": partial(sections.camera_words, data),
+        "camera_figures": partial(sections.camera_figures, data),
+        "keypoints": partial(sections.keypoints, data),
         "bars": camera_bars(data),
         "columns": [meaning(name) for name in columns],
         "pairs": [(pair, [getattr(pair.figures, name) for name in columns]) for pair in record.pairs],
-        "tried": partial(tried, data),
-        "pair_pictures": pair_pictures(data, album),
+        "tried": partial(sections.tried, data),
+        "pair_pictures": sections.pair_pictures(data, album),
         "charts": trends(data),
         "tasks_of_stages": list(tasks_of_stages(data)),
         "timetable": timetable(data),
-        "settings": settings(data),
+        "settings": sections.settings(data),
         "notes": list(_pose_notes(record)),
         "other_nights": list(_other_nights(data)),
         "other": other,
