@@ -13,18 +13,8 @@ from .. import __version__
 from ..cache.fingerprint import installed_versions
 from ..cache.layout import cloud_name
 from ..errors import ExitCode
+from ..pipeline import summaries
 from ..pipeline.stages import DENSE_PAIRS, DEPTH, DISPARITY, FRAMES, FUSE, GEOMETRY, PAIRS, POSES, STAGES, Stage
-from ..pipeline.summaries import (
-    CameraFigures,
-    DepthSummary,
-    FuseSummary,
-    Notes,
-    PairFigures,
-    PairsSummary,
-    PosesSummary,
-    SiteSummary,
-    Summary,
-)
 from ..records.record import CameraRecord, CloudRecord, PairRecord, RunRecord, Seconds, TaskCounts, stamp
 from ..runner.planner import Plan
 from ..runner.spec import Cause, State, summary_of
@@ -115,7 +105,7 @@ def root_cause(plan: Plan, task: Task) -> str | None:
 class _Whole:
     """What site-wide results report of single cameras and pairs."""
 
-    poses: PosesSummary
+    poses: summaries.PosesSummary
     points: Mapping[str, int]
     """By camera: what it has given to its cloud..."""
     misfits: Mapping[str, float]
@@ -134,13 +124,13 @@ class _Whole:
         apart_px: dict[str, Mapping[str, float]] = {}
         for task, state in plan.states.items():
             if task.stage == FUSE:
-                summary = summary_of(state, FuseSummary)
+                summary = summary_of(state, summaries.FuseSummary)
                 points |= summary.given
                 misfits |= summary.misfits
-            elif task.stage == DEPTH and (found := summary_of(state, DepthSummary).apart_px):
+            elif task.stage == DEPTH and (found := summary_of(state, summaries.DepthSummary).apart_px):
                 apart_px[task.subject[0]] = found
-        pairs, dense = (summary_of(plan.states.get(Task(stage)), PairsSummary) for stage in (PAIRS, DENSE_PAIRS))
-        poses = summary_of(plan.states.get(Task(POSES)), PosesSummary)
+        pairs, dense = (summary_of(plan.states.get(Task(stage)), summaries.PairsSummary) for stage in (PAIRS, DENSE_PAIRS))
+        poses = summary_of(plan.states.get(Task(POSES)), summaries.PosesSummary)
         return _Whole(poses, points, misfits, apart_px, {**pairs.crowded, **dense.crowded}, frozenset(_listed(plan, DENSE_PAIRS)))
 
 
@@ -149,13 +139,13 @@ def _camera(plan: Plan, camera: str, whole: _Whole) -> CameraRecord:
     figures: dict[str, Any] = {}
     notes: list[str] = []
     ended: dict[str, Any] = {"outcome": "ok"}
-    for stage, kind in _parts_of(CameraFigures):
+    for stage, kind in _parts_of(summaries.CameraFigures):
         state = plan.states.get(Task(stage.name, (camera,)))
         if state and not state.usable:
             ended = {"outcome": state.outcome, "reason": state.reason, "code": state.code}
             break
         if state:
-            notes += summary_of(state, Notes).notes
+            notes += summary_of(state, summaries.Notes).notes
             figures |= _known(summary_of(state, kind))
     else:
         poses = whole.poses
@@ -166,7 +156,7 @@ def _camera(plan: Plan, camera: str, whole: _Whole) -> CameraRecord:
         notes += [*([crowded] if crowded else []), *([moved.text] if moved else [])]
         if camera in poses.unsolved:
             ended = {"outcome": "unsolved", "reason": poses.unsolved[camera], "code": Cause.UNSOLVED}
-    shown, health = CameraFigures(**figures), plan.pinned.health(camera)
+    shown, health = summaries.CameraFigures(**figures), plan.pinned.health(camera)
     return CameraRecord(camera, **ended, health=health, captures=captures, notes=tuple(notes), figures=shown)
 
 
@@ -181,7 +171,7 @@ def _pair(plan: Plan, pair: tuple[str, str], whole: _Whole) -> PairRecord:
     figures: dict[str, Any] = {}
     well: dict[str, Any] = {"outcome": "ok"}
     ended = well
-    for stage, kind in _parts_of(PairFigures):
+    for stage, kind in _parts_of(summaries.PairFigures):
         state = plan.states.get(Task(stage.name, pair))
         if state is None:
             continue
@@ -194,15 +184,15 @@ def _pair(plan: Plan, pair: tuple[str, str], whole: _Whole) -> PairRecord:
     if check := whole.poses.pair_checks.get("--".join(pair)):
         figures |= {"poses_px": check.adjusted_px, "known": check.known}
     matched, dense = found.usable if found else None, pair in whole.dense if whole.dense else None
-    return PairRecord(*pair, **ended, matched=matched, dense=dense, figures=PairFigures(**figures))
+    return PairRecord(*pair, **ended, matched=matched, dense=dense, figures=summaries.PairFigures(**figures))
 
 
-def _parts_of(figures: type[Summary]) -> list[tuple[Stage, type[Summary]]]:
+def _parts_of(figures: type[summaries.Summary]) -> list[tuple[Stage, type[summaries.Summary]]]:
     """Return the stages whose summaries are part of the figures of a camera or pair, in the order of the pipeline."""
     return [(stage, stage.summary) for stage in STAGES if stage.summary and issubclass(figures, stage.summary)]
 
 
-def _known(summary: Summary) -> dict[str, Any]:
+def _known(summary: summaries.Summary) -> dict[str, Any]:
     return {name: value for name, value in vars(summary).items() if value is not None}
 
 
@@ -214,7 +204,7 @@ def _pairs(plan: Plan) -> list[tuple[str, str]]:
 
 
 def _listed(plan: Plan, stage: str) -> list[tuple[str, str]]:
-    return list(summary_of(plan.states[Task(stage)], PairsSummary).pairs) if _is_usable(plan, stage) else []
+    return list(summary_of(plan.states[Task(stage)], summaries.PairsSummary).pairs) if _is_usable(plan, stage) else []
 
 
 def _is_usable(plan: Plan, stage: str) -> bool:
@@ -223,13 +213,13 @@ def _is_usable(plan: Plan, stage: str) -> bool:
 
 
 def _cloud(task: Task, state: State) -> CloudRecord | None:
-    cloud = summary_of(state, FuseSummary)
+    cloud = summary_of(state, summaries.FuseSummary)
     return CloudRecord(cloud_name(task.subject), cloud.points, cloud.bounds, cloud.right) if state.usable else None
 
 
-def _results(plan: Plan, files: Mapping[str, Collection[str]]) -> Iterator[tuple[str, SiteSummary]]:
+def _results(plan: Plan, files: Mapping[str, Collection[str]]) -> Iterator[tuple[str, summaries.SiteSummary]]:
     for stage in plan.stages:
-        if stage.summary and issubclass(stage.summary, SiteSummary):
+        if stage.summary and issubclass(stage.summary, summaries.SiteSummary):
             state = plan.states.get(Task(stage.name))
             found = summary_of(state, stage.summary) if state and state.usable else stage.summary()
             reason = state.reason if state and not state.usable else None
@@ -244,8 +234,9 @@ def _of_views(views: Sequence[CameraRecord]) -> CameraRecord:
     used = well or list(views)
     lost = tuple(f"{view.id}: {view.reason or view.outcome}" for view in views if well and not view.ok)
     notes = tuple(dict.fromkeys(note for view in views for note in view.notes))
-    names = [field.name for field in dataclasses.fields(CameraFigures)]
-    figures = CameraFigures(**{name: _figure([getattr(view.figures, name) for view in used], name in _ADD_UP) for name in names})
+    names = [field.name for field in dataclasses.fields(summaries.CameraFigures)]
+    joined = {name: _figure([getattr(view.figures, name) for view in used], name in _ADD_UP) for name in names}
+    figures = summaries.CameraFigures(**joined)
     return replace(used[0], id=camera_of(views[0].id), notes=(*notes, *lost), figures=figures)
 
 
@@ -263,7 +254,7 @@ def _figure(values: Sequence[Any], adds: bool) -> Any:
     return known[0]
 
 
-def _by_camera(poses: PosesSummary) -> PosesSummary:
+def _by_camera(poses: summaries.PosesSummary) -> summaries.PosesSummary:
     """Return the summary with cameras named where the poses name their views."""
     issues = {(issue.kind, _name(issue.camera)): issue for issue in reversed(poses.issues)}
     named = [replace(issue, camera=camera) for (_, camera), issue in reversed(issues.items())]

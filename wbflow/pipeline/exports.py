@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+
+_CLOUD, _POSES, _FRAMES = ("fuse",), ("poses",), ("frames",)
 
 
 @dataclass(frozen=True)
@@ -17,7 +19,7 @@ class Export:
     name: str
     help: str
     """Text of the option in `wbflow export --help`."""
-    inputs: Mapping[str, tuple[str, ...]]
+    inputs: Mapping[str, tuple[str, ...]] = field(default_factory=lambda: {"cloud": _CLOUD, "poses": _POSES})
     """By argument name: the cloud, what a stage of the site gave (None: nothing), or of every camera or pair (as a mapping) what
     the first of these stages gave."""
     dated: bool = False
@@ -40,46 +42,17 @@ EXTRAS: Mapping[str, tuple[str, ...]] = {
 }
 """Packages of the extras that exports may need."""
 
-_CLOUD, _POSES, _FRAMES = ("fuse",), ("poses",), ("frames",)
-
 EXPORTS: tuple[Export, ...] = (
-    Export(
-        "laz",
-        "The cloud as LAZ, on the map where positions are known by latitude and longitude.",
-        {"cloud": _CLOUD, "poses": _POSES},
-        dated=True,
-        extra="las",
-    ),
-    Export(
-        "copc",
-        "The cloud as COPC: LAZ that viewers and QGIS read in parts.",
-        {"cloud": _CLOUD, "poses": _POSES},
-        dated=True,
-        extra="las",
-    ),
+    Export("laz", "The cloud as LAZ, on the map where positions are known by latitude and longitude.", dated=True, extra="las"),
+    Export("copc", "The cloud as COPC: LAZ that viewers and QGIS read in parts.", dated=True, extra="las"),
     Export(
         "tiles",
         "The cloud as 3D Tiles, which Cesium and iTowns stream, on the globe where the site is on the map.",
-        {"cloud": _CLOUD, "poses": _POSES},
         extra_on_the_map="geo",
     ),
-    Export(
-        "e57",
-        "The cloud as E57, on the map like LAZ; intensity is the confidence.",
-        {"cloud": _CLOUD, "poses": _POSES},
-        extra="e57",
-    ),
-    Export(
-        "heights",
-        "Heights seen from above: GeoTIFF where the site is on the map, else PNG and PFM.",
-        {"cloud": _CLOUD, "poses": _POSES},
-        extra_on_the_map="geo",
-    ),
-    Export(
-        "depth",
-        "Depth map of each camera: 16-bit PNG and PFM.",
-        {"poses": _POSES, "depths": ("refine", "depth")},
-    ),
+    Export("e57", "The cloud as E57, on the map like LAZ; intensity is the confidence.", extra="e57"),
+    Export("heights", "Heights seen from above: GeoTIFF where the site is on the map, else PNG and PFM.", extra_on_the_map="geo"),
+    Export("depth", "Depth map of each camera: 16-bit PNG and PFM.", {"poses": _POSES, "depths": ("refine", "depth")}),
     Export(
         "mesh",
         "The surface through the cloud (Poisson): PLY, and OBJ with the photographs on it.",
