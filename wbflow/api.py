@@ -156,4 +156,4 @@ def _run(site: Site, options: Options, listen: Listener) -> Run:
                 finished.place.add(journal.events[-1])
             return finished
     except OSError as error:
-        raise disk_fault(error, site.work) from error
+        raise disk_fault(error, place.root) from error

@@ -114,7 +114,7 @@ def page(folder: Path, night: RunRecord, points: int = 900, pictures: tuple[int,
     """The file of a night's page, and a few nights before it in the work folder."""
     ids = [camera.id for camera in night.cameras]
     described = site(folder, ids)
-    work = WorkFolder(described.work)
+    work = described.work_folder
     events: list[Event] = []
     rng = np.random.default_rng(3)
     small = rng.integers(0, 255, (9, 16, 3), dtype=np.uint8)

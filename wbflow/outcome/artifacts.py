@@ -52,9 +52,7 @@ class Run:
         return Run(folder, folder.record(), folder.tasks(), Cache(WorkFolder.of_run(folder.paths)))
 
     def __repr__(self) -> str:
-        cloud = self.record.cloud
-        what = f"{cloud.points:,} points" if cloud else f"no cloud ({self.record.reason or 'not asked for'})"
-        return f"Run({self.id!r}, site {self.record.site!r}, exit {self.record.exit_code}, {what})"
+        return repr(self.record).replace("RunRecord", "Run", 1)
 
     @property
     def id(self) -> str:

@@ -150,12 +150,12 @@ def check_published(work: WorkFolder) -> list[Finding]:
 
 
 def _disk(site: Site) -> list[Finding]:
-    free = free_bytes(site.work)
+    free = free_bytes(site.work_folder.root)
     width = site.settings.resolution or 4000
     need = len(site.cameras) * width * width * 2 // 3 * BYTES_PER_PIXEL
     if free > need:
         return []
-    what = f"{site.work} has {free / 1e9:.1f} GB free; a night of this site takes about {need / 1e9:.1f} GB"
+    what = f"{site.work_folder.root} has {free / 1e9:.1f} GB free; a night of this site takes about {need / 1e9:.1f} GB"
     return [Finding("warning", what, "free some space: wbflow clean SITE.yaml --keep 3", ExitCode.FAILED)]
 
 

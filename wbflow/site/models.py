@@ -537,11 +537,6 @@ class Site:
         return self.file.resolve().parent
 
     @property
-    def work(self) -> Path:
-        """The work folder."""
-        return self.work_folder.root
-
-    @property
     def posed(self) -> bool:
         """Are the intrinsics and poses of all cameras given?"""
         return all(camera.posed for camera in self.cameras)

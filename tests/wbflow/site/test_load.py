@@ -36,7 +36,7 @@ def problems(folder: Path, text: str) -> list[str]:
 def test_a_good_site_file(tmp_path: Path) -> None:
     site = load_site(site_at(tmp_path))
     assert [camera.id for camera in site.cameras] == ["gate", "roof"]
-    assert site.work == tmp_path / ".wbflow" / "yard"
+    assert site.work_folder.root == tmp_path / ".wbflow" / "yard"
     assert site.settings.resolution == 1600
     assert site.cameras[1].placement.R is not None
     assert site.cameras[1].placement.R[2] == pytest.approx([10 / 125**0.5, 0, -5 / 125**0.5])
