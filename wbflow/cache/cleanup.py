@@ -65,9 +65,11 @@ def clean(work: WorkFolder, keep: Keep, *, dry_run: bool = False, asked: bool = 
     """
     with Ledger(work, writes=True) as ledger:
         nights = _Nights(work, ledger)
-        unused = nights.without_artifacts(keep)
+        older = nights.runs[: len(nights.runs) - keep.runs] if keep.runs is not None else []
+        unused = nights.beyond(keep.nights) | set(older) - nights.shown  # runs whose artifacts go
         doomed, keys, over = _artifacts(work, keep, nights, unused)
-        doomed += _quarantined(work, 0 if asked else _QUARANTINED)
+        damaged = [path for path in work.quarantine.glob("*") if path.is_file()]
+        doomed += sorted(damaged, key=lambda path: path.stat().st_ctime_ns, reverse=True)[0 if asked else _QUARANTINED :]
         clouds, reports = nights.beyond(keep.clouds), nights.beyond(keep.reports)
         folders = clouds & reports
         doomed += [path for run in sorted(clouds - folders) for path in work.run(run).clouds()]
@@ -106,11 +108,6 @@ class _Nights:
             return set()
         newest = list(dict.fromkeys(self._dates[run] for run in reversed(self.runs)))[:count]
         return {run for run in self.runs if self._dates[run] not in newest} - self.shown
-
-    def without_artifacts(self, keep: Keep) -> set[str]:
-        """Runs whose artifacts go."""
-        older = self.runs[: len(self.runs) - keep.runs] if keep.runs is not None else []
-        return self.beyond(keep.nights) | set(older) - self.shown
 
 
 def _artifacts(work: WorkFolder, keep: Keep, nights: _Nights, unused: set[str]) -> tuple[list[Path], set[str], int]:
@@ -152,12 +149,6 @@ def _keys(work: WorkFolder, run: str) -> set[str]:
         return {event.key for event in RunFolder.of(work, run).events() if isinstance(event, TaskEvent) and event.key}
     except NoSuchRun:  # nobody knows what it used: that is made again if it is asked for
         return set()
-
-
-def _quarantined(work: WorkFolder, count: int) -> list[Path]:
-    """All but the newest so many damaged files."""
-    found = [path for path in work.quarantine.glob("*") if path.is_file()]
-    return sorted(found, key=lambda path: path.stat().st_ctime_ns, reverse=True)[count:]
 
 
 def _remove_empty(work: WorkFolder, removed: Iterable[Path]) -> None:

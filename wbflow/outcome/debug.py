@@ -19,7 +19,7 @@ from ..runner.context import plan_run
 from ..runner.executors import THREADS
 from ..runner.options import Options
 from ..runner.planner import Plan
-from ..runner.spec import Impossible, Input, State, Stored, TaskSpec, Waiting
+from ..runner.spec import Impossible, Input, Stored, TaskSpec, Waiting
 from ..runner.worker import arguments_of
 from ..site.locations import did_you_mean
 from ..site.models import Site
@@ -66,6 +66,8 @@ def write_task(site: Site, task: Task, out: Path, date: datetime.date | None = N
     values = arguments_of(spec, plan.cache)
     nodes = {name: _write(spec.inputs[name], value, out / INPUTS, name, plan.cache) for name, value in values.items()}
     state = plan.states.get(task)
+    ended = state and ("the night uses the reference's" if state.receipt else state.outcome)
+    otherwise = ended or "not run"  # what became of a task whose inputs have left nothing in the cache
     receipt = Cache(plan.cache.work).by_key(task, spec.preimage().key())
     description: dict[str, Any] = {
         "stage": task.stage,
@@ -74,7 +76,7 @@ def write_task(site: Site, task: Task, out: Path, date: datetime.date | None = N
         "function": spec.function,
         "parameters": spec.parameters,
         "inputs": nodes,
-        "outcome": receipt.outcome if receipt else _otherwise(state),
+        "outcome": receipt.outcome if receipt else otherwise,
         "reason": receipt.reason if receipt else state.reason if state else None,
         "digest": receipt.digest if receipt and receipt.file else None,
         "folder": str(spec.folder) if spec.folder else None,
@@ -83,13 +85,6 @@ def write_task(site: Site, task: Task, out: Path, date: datetime.date | None = N
     (out / SCRIPT).write_text(_SCRIPT.format(task=task, night=context.date, module=module, name=name))
     (out / TASK_FILE).write_text(json.dumps(description, indent=1))
     return [out / SCRIPT, out / TASK_FILE, *sorted((out / INPUTS).iterdir())]
-
-
-def _otherwise(state: State | None) -> str:
-    """What became of a task whose inputs have left nothing in the cache."""
-    if state is None:
-        return "not run"
-    return "the night uses the reference's" if state.receipt else state.outcome
 
 
 def _spec(plan: Plan, task: Task) -> TaskSpec:

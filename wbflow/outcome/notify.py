@@ -125,7 +125,7 @@ def summary(record: RunRecord, lasted: str = "") -> str:
     head = f"{record.site} {record.date}: {verdict.level}{time}"
     more = f" (and {len(verdict.findings) - 1} more)" if len(verdict.findings) > 1 else ""
     words = f"{head}: {verdict.findings[0]}{more}" if verdict.findings else head
-    return "".join(letter if letter.isprintable() else " " for letter in words)[:MOST_WORDS]
+    return _on_a_line(words)
 
 
 def _message(occasion: Occasion, lasted: str, run: RunPaths, record: RunRecord) -> dict[str, Any]:
@@ -164,7 +164,8 @@ def _call(how: Notify, folder: Path, message: dict[str, Any]) -> None:
             _end(process)
         if code:
             output.seek(0)
-            raise NotifyFailed(f"notify: {_shown(how)} ended with {code}: {_last_line(output.read(100_000))}")
+            lines = output.read(100_000).decode(errors="replace").strip().splitlines() or ["no output"]
+            raise NotifyFailed(f"notify: {_shown(how)} ended with {code}: {_on_a_line(lines[-1])}")
 
 
 def _end(process: subprocess.Popen[bytes]) -> None:
@@ -179,9 +180,7 @@ def _shown(how: Notify) -> str:
     return repr(command if len(command) < 60 else f"{command[:57]}...")
 
 
-def _last_line(output: bytes) -> str:
-    lines = output.decode(errors="replace").strip().splitlines()
-    words = lines[-1] if lines else "no output"
+def _on_a_line(words: str) -> str:
     return "".join(letter if letter.isprintable() else " " for letter in words)[:MOST_WORDS]
 
 

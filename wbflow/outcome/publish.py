@@ -52,14 +52,19 @@ def run_pipeline(run: str, context: RunContext, options: Options, journal: Journ
     options, journal : Options, Journal
         How it is done, and what receives everything that happens.
     """
+    site = context.plan.site
     for camera, note in context.notes.items():
         journal.warn(note, task=Task(FRAMES, (camera,)))
     prepare(context, journal)
     worked = work(context, options, journal)
     finished = _publish(run, context, worked, journal, own_process=options.backend == "threading")
-    finish(finished, context.plan.site, journal)
-    if not options.until and not worked.interrupted:
-        _notify(context.plan.site, finished, journal)
+    finish(finished, site, journal)
+    if site.settings.notify and not options.until and not worked.interrupted:
+        try:
+            notify(site.settings.notify, site.folder, finished)
+        except (NotifyFailed, OSError) as error:  # costs the night nothing
+            journal.warn(str(error), remedy="the command is called again after the next run")
+            finished.place.add(journal.events[-1])
     return finished
 
 
@@ -197,14 +202,3 @@ def finish(run: Run, site: Site, journal: Journal) -> None:
     with contextlib.suppress(OSError):  # a full disk: the warning has been given
         for event in journal.events[before:]:
             run.place.add(event)
-
-
-def _notify(site: Site, run: Run, journal: Journal) -> None:
-    """Call the command that the site file names.  A fault there costs nothing, and becomes a warning."""
-    if site.settings.notify is None:
-        return
-    try:
-        notify(site.settings.notify, site.folder, run)
-    except (NotifyFailed, OSError) as error:
-        journal.warn(str(error), remedy="the command is called again after the next run")
-        run.place.add(journal.events[-1])

@@ -268,18 +268,13 @@ def parts(data: ReportData, album: Pictures) -> list[dict[str, Any]]:
                 continue
             since = since_last_good(data, stage.name)
             things = sorted(_things(result, album, since, unit), key=lambda thing: bool(thing["known"]))
-            shows = {
-                "since": _gone(since, unit) if since else "",
-                "picture": album.of_task(Task(stage.name), stage.products.title),
-            }
+            gone = [f"{thing.kind or 'something'} ({_dimensions(thing, unit)})" for thing in since.gone.values()] if since else []
+            differed = f"Differed on {since.date}, the last good night, and are as in the reference again:" if since else ""
+            picture = album.of_task(Task(stage.name), stage.products.title)
+            shows = {"since": f"{differed} {', '.join(gone)}." if gone else "", "picture": picture}
             tables = {"rows": list(shown(vars(result))), "volumes": list(_volumes(result, unit))}
             found.append({**part, **shows, **tables, "things": tuple(things)})
     return found
-
-
-def _gone(since: Comparison, unit: str) -> str:
-    gone = [f"{thing.kind or 'something'} ({_dimensions(thing, unit)})" for thing in since.gone.values()]
-    return f"Differed on {since.date}, the last good night, and are as in the reference again: {', '.join(gone)}." if gone else ""
 
 
 def _things(result: SiteSummary, album: Pictures, since: Comparison | None, unit: str) -> Iterator[dict[str, Any]]:
