@@ -38,7 +38,7 @@ def demo(folder: Path, nights: int | None, frames: int, **options: Any) -> None:
     wbflow demo winter --surfaces weak            white walls, wet asphalt, snow
     wbflow demo harbour --nights 7 --small
     """
-    from ..outcome.init import write_demo, write_nights
+    from ..outcome.init import write_demo
 
     if nights is None:
         write_demo(folder, **options)
@@ -46,7 +46,7 @@ def demo(folder: Path, nights: int | None, frames: int, **options: Any) -> None:
         remedy = "leave out --scene, --light, --lenses and --surfaces"
         raise UsageError("--nights renders the yard, each night in its own light", remedy=remedy)
     else:
-        write_nights(folder, nights, frames=frames, **options)
+        write_demo(folder, nights=nights, frames=frames, **options)
     echo(f"{folder / 'site.yaml'}: now try  wbflow run {folder / 'site.yaml'}")
 
 

@@ -8,7 +8,7 @@ import hashlib
 import json
 import re
 import sys
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from mimetypes import guess_type
 from pathlib import Path
 from typing import Any
@@ -160,28 +160,18 @@ EDITABLE = ("site.yaml", "cameras.json")
 _ELSEWHERE = "name a new or an empty folder"
 
 
-def write_demo(folder: Path, *, scene: str = "yard", **options: Any) -> None:
-    """Render a demo scene into a folder that is new, empty, or holds an earlier demo; the same arguments write the same bytes.
+def write_demo(folder: Path, *, scene: str = "yard", nights: int | None = None, **options: Any) -> None:
+    """Render a demo scene, or so many nights of the demo yard with what happens in them; the same arguments write the same bytes.
 
-    scene: "yard", "square" or "carpark".  options: those of `wbflow_demo.scenes.render`: small, light, cameras, captures, seed,
-    lenses, surfaces.  Raises UsageError where the folder holds something else than a demo, or a demo whose site file or
-    calibration was edited; for an unknown scene or light, and for no captures.
+    scene: "yard", "square" or "carpark".  options: those of `wbflow_demo.scenes.render` (small, light, cameras, captures, seed,
+    lenses, surfaces), or of `wbflow_demo.files.demo_nights` (frames, small, cameras, seed).  Raises UsageError where the folder
+    holds something else than a demo, or a demo whose site file or calibration was edited; for an unknown scene or light, and for
+    no captures.
     """
-    _write(folder, lambda: load("wbflow_demo.files:demo_files")(scene, **options))
-
-
-def write_nights(folder: Path, nights: int, **options: Any) -> None:
-    """Render so many nights of the demo yard into a folder, with what happens in them; otherwise as `write_demo`.
-
-    options: those of `wbflow_demo.files.demo_nights`: frames, small, cameras, seed.
-    """
-    _write(folder, lambda: load("wbflow_demo.files:demo_nights")(nights, **options))
-
-
-def _write(folder: Path, render: Callable[[], Any]) -> None:
     known = _claim(folder)
     try:
-        demo = render()
+        files = "wbflow_demo.files:demo_files" if nights is None else "wbflow_demo.files:demo_nights"
+        demo = load(files)(scene if nights is None else nights, **options)
     except ValueError as error:
         raise UsageError(str(error), remedy="wbflow demo --help  says what there is") from error
     # an interrupted demo can be written again: the manifest comes first, its digests last
