@@ -130,11 +130,11 @@ class WorkFolder:
 
     def task(self, task: Task) -> Path:
         """Where the artifacts of a task lie, whatever their key."""
-        return Path(f"{self.cache}/{task.stage}/{'--'.join(task.subject) or 'site'}")  # one step: a path is slow to join
+        return self.cache / f"{task.stage}/{'--'.join(task.subject) or 'site'}"  # one step: a path is slow to join
 
     def artifact(self, task: Task, key: str, suffix: str) -> Path:
         """The artifact of a task; `suffix` says what it is: .wbf, .ply."""
-        return Path(f"{self.cache}/{task.stage}/{'--'.join(task.subject) or 'site'}/{key}{suffix}")
+        return self.cache / f"{task.stage}/{'--'.join(task.subject) or 'site'}/{key}{suffix}"
 
     def receipt(self, task: Task, key: str) -> Path:
         """What is known of an artifact; without it there is none."""
@@ -175,7 +175,7 @@ class WorkFolder:
 
     def pinned(self, path: Path) -> Path:
         """Where the reference keeps a file of the cache."""
-        return Path(f"{self.reference}{str(path).removeprefix(str(self.cache))}")  # one step: a path is slow to join
+        return self.reference / str(path).removeprefix(f"{self.cache}/")  # one step: a path is slow to join
 
     def run(self, name: str) -> RunPaths:
         """The folder of a run."""

@@ -175,7 +175,6 @@ class Digests(Memo):
         self._changed |= self._files.pop(str(path), None) is not None
 
     def save(self) -> None:
-        """Keep what was learnt.  Raises OSError."""
         former = [name for name in self._files if name not in self._used][-_FORMER:]
         kept = [*former, *(name for name in self._used if name in self._files)]
         self._files = self.entries["files"] = {name: self._files[name] for name in kept}

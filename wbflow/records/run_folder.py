@@ -96,7 +96,6 @@ class RunFolder:
 
     @property
     def id(self) -> str:
-        """The run's id."""
         return self.paths.folder.name
 
     def __repr__(self) -> str:

@@ -503,7 +503,6 @@ class Site:
 
     @property
     def name(self) -> str:
-        """What the site is called."""
         return self.settings.site
 
     @cached_property
@@ -528,7 +527,6 @@ class Site:
 
     @property
     def file(self) -> Path:
-        """The site file."""
         return self.document.path
 
     @property

@@ -174,7 +174,6 @@ class Calibrated(BaseModel):
 
     @property
     def placement(self) -> Placement:
-        """Where it is."""
         sigmas = float(self.position_sigma_m or 0), float(self.rotation_sigma_deg or 0)
         return Placement(self.R, self.C, *sigmas, metric=self.metric is not False)
 
