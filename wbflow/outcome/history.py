@@ -15,7 +15,7 @@ from ..plain import Plain
 from ..records.findings import Verdict
 from ..records.ledger import Ledger, LedgerRun
 from ..records.record import RunRecord
-from ..records.run_folder import NoSuchRun, RunFolder, newest_runs
+from ..records.run_folder import NoSuchRun, RunFolder, last_of_nights, newest_runs
 
 MOST_WORDS = 80
 """A line has at most so many characters of a finding."""
@@ -137,10 +137,7 @@ class _Followed:
 
 def growth(work: WorkFolder) -> list[GrowthRow]:
     """Return the volumes of each part of the ground, night after night, then each change from its first night to its last."""
-    newest: dict[str, RunRecord] = {}
-    for _, record in newest_runs(work):
-        newest.setdefault(record.date, record)
-    nights = [record for _, record in sorted(newest.items())]
+    nights = last_of_nights(newest_runs(work))
     return [*_parts(nights), *(row for change in _follow(nights) for row in change.rows())]
 
 

@@ -246,6 +246,16 @@ def newest_runs(work: WorkFolder, before: str = "", after: str = "") -> Iterator
             yield folder, record
 
 
+def last_of_nights(runs: Iterable[tuple[RunFolder, RunRecord]], most: int = sys.maxsize) -> list[RunRecord]:
+    """The last run of each night, the latest nights but in their order, of runs that come newest first; no more than so many."""
+    found: dict[str, RunRecord] = {}
+    for _, record in runs:
+        found.setdefault(record.date, record)
+        if len(found) == most:
+            break
+    return [record for _, record in sorted(found.items())]
+
+
 @contextlib.contextmanager
 def hold_to_write(work: WorkFolder, wait: bool) -> Iterator[Mirror | None]:
     """Hold the work folder while the block runs, and begin with one that is whole; and so the object store that it mirrors.

@@ -18,9 +18,8 @@ from ..cache.store import Receipt
 from ..pipeline.stages import FRAMES, HEALTH, STAGES, Adapt, Reuse, Source, Stage, ancestors, stage_named
 from ..pipeline.summaries import HealthSummary
 from ..records.findings import Health
-from ..records.record import RunRecord
 from ..records.reference_folder import put_back
-from ..records.run_folder import newest_runs
+from ..records.run_folder import last_of_nights, newest_runs
 from ..runner.spec import Absent, Cause, Impossible, Input, Joined, Part, Stored, Value, Waiting, because, subject_of, summary_of
 from ..task import Subject, Task, camera_of
 
@@ -48,14 +47,10 @@ def shift_history(work: WorkFolder, night: str, reference: str) -> dict[str, dic
 
     night: only what is older counts, so that a night that is run again finds the same past.  reference: id of its run.
     """
-    nights: dict[str, RunRecord] = {}
-    for _, record in islice(newest_runs(work, after=reference), MOST_RUNS):
-        if record.date < night and record.reference == reference:
-            nights.setdefault(record.date, record)
-        if len(nights) == MOST_NIGHTS:
-            break
+    runs = islice(newest_runs(work, after=reference), MOST_RUNS)
+    nights = last_of_nights((run for run in runs if run[1].date < night and run[1].reference == reference), MOST_NIGHTS)
     found: dict[str, dict[str, list[float]]] = {}
-    for camera in (camera for _, record in sorted(nights.items()) for camera in record.cameras):
+    for camera in (camera for record in nights for camera in record.cameras):
         figures = camera.health.figures if camera.health else {}
         for name in SHIFTS if all(name in figures for name in SHIFTS) else ():
             found.setdefault(camera.id, {}).setdefault(name, []).append(float(figures[name]))

@@ -16,7 +16,7 @@ from ..pipeline.summaries import Change
 from ..records.events import Event, TaskEvent
 from ..records.record import CameraRecord, RunRecord
 from ..records.reference_folder import BadReference, Reference, read_reference
-from ..records.run_folder import NoSuchRun, RunFolder, newest_runs
+from ..records.run_folder import NoSuchRun, RunFolder, last_of_nights, newest_runs
 from ..site.models import Site
 from ..task import Task, view_name
 
@@ -63,13 +63,8 @@ class ReportData:
     @cached_property
     def earlier(self) -> list[RunRecord]:
         """The last run of each earlier night, the latest night first."""
-        found: dict[str, RunRecord] = {}
-        for _, record in newest_runs(self.work, before=self.record.run):
-            if record.date < self.record.date:
-                found.setdefault(record.date, record)
-            if len(found) >= NIGHTS - 1:
-                break
-        return [found[date] for date in sorted(found, reverse=True)]
+        runs = newest_runs(self.work, before=self.record.run)
+        return last_of_nights((run for run in runs if run[1].date < self.record.date), NIGHTS - 1)[::-1]
 
     @property
     def nights(self) -> list[RunRecord]:
