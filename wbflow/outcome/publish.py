@@ -27,7 +27,7 @@ from ..records.run_folder import UnfinishedRun
 from ..reference.create import fit_to_pin, pin, prepare
 from ..runner.context import RunContext
 from ..runner.journal import Journal
-from ..runner.loop import Worked, work
+from ..runner.loop import work
 from ..runner.options import Options
 from ..runner.planner import Plan
 from ..runner.spec import summary_of
@@ -56,10 +56,10 @@ def run_pipeline(run: str, context: RunContext, options: Options, journal: Journ
     for camera, note in context.notes.items():
         journal.warn(note, task=Task(FRAMES, (camera,)))
     prepare(context, journal)
-    worked = work(context, options, journal)
-    finished = _publish(run, context, worked, journal, own_process=options.backend == "threading")
+    products = work(context, options, journal)
+    finished = _publish(run, context, products, journal, own_process=options.backend == "threading")
     finish(finished, site, journal)
-    if site.settings.notify and not options.until and not worked.interrupted:
+    if site.settings.notify and not options.until and products is not None:
         try:
             notify(site.settings.notify, site.folder, finished)
         except (NotifyFailed, OSError) as error:  # costs the night nothing
@@ -68,17 +68,18 @@ def run_pipeline(run: str, context: RunContext, options: Options, journal: Journ
     return finished
 
 
-def _publish(run: str, context: RunContext, worked: Worked, journal: Journal, own_process: bool) -> Run:
+def _publish(run: str, context: RunContext, products: dict[Task, bytes] | None, journal: Journal, own_process: bool) -> Run:
     """Write the folder of a run; `latest` leads there.  What cannot be drawn or written as a file becomes a warning.
 
-    own_process: did the tasks run in this process?
+    products: None where the run was interrupted.  own_process: did the tasks run in this process?
     """
+    made = products or {}
     plan, place = context.plan, context.plan.cache.work
     unfinished = UnfinishedRun(place, run)
-    posed = Task(POSES) in worked.products
-    cameras = _cameras(plan, worked.products[Task(POSES)]) if posed else {}
+    posed = Task(POSES) in made
+    cameras = _cameras(plan, made[Task(POSES)]) if posed else {}
     comments = _place_comments(summary_of(plan.states[Task(POSES)], PosesSummary).crs) if posed else ()
-    for task, product in worked.products.items():
+    for task, product in made.items():
         if task.stage == FUSE:
             unfinished.write(cloud_name(task.subject), with_comments(product, () if task.subject else comments))
     if posed:
@@ -91,7 +92,7 @@ def _publish(run: str, context: RunContext, worked: Worked, journal: Journal, ow
     harmful, harmless = context.captures_in_motion()
     record = replace(record, cameras=tuple(_with_motion(camera, harmful, harmless) for camera in record.cameras))
     known = _acknowledged(plan.site, journal)
-    facts = replace(Facts.from_plan(plan, worked.interrupted), behind=journal.behind(), acknowledged=known)
+    facts = replace(Facts.from_plan(plan, products is None), behind=journal.behind(), acknowledged=known)
     record = with_known(judge_run(record, plan, facts), known)
     record = replace(record, repaired=tuple(journal.repairs), files=unfinished.files)
     page = _report(plan, record, journal, cameras, unfinished)

@@ -6,7 +6,7 @@ import datetime
 import signal
 import threading
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -26,25 +26,16 @@ MOST_ATTEMPTS = 3
 """How often a damaged artifact is made again, and a file that changes is read again, in one run."""
 
 
-@dataclass(frozen=True)
-class Worked:
-    """What the work of a run has left (its tasks are in the plan)."""
+def work(context: RunContext, options: Options, journal: Journal) -> dict[Task, bytes] | None:
+    """Do all that is to be done; return the artifacts that are published, found intact; None where the run was interrupted.
 
-    products: Mapping[Task, bytes] = field(default_factory=dict)
-    """The artifacts that are published, found intact."""
-    interrupted: bool = False
-
-
-def work(context: RunContext, options: Options, journal: Journal) -> Worked:
-    """Do all that is to be done.  The caller holds the lock.
-
-    context: with its plan, not yet refreshed.  journal: receives everything that happens.
+    The caller holds the lock.  context: with its plan, not yet refreshed.  journal: receives everything that happens.
     """
     dispatcher = Dispatcher(options, context.plan.cache, journal)
     try:
-        return Worked(_Loop(context, dispatcher, journal, options.stop_at).run())
+        return _Loop(context, dispatcher, journal, options.stop_at).run()
     except KeyboardInterrupt:
-        return Worked(interrupted=True)
+        return None
     finally:
         dispatcher.stop()
         journal.report(context.plan)
