@@ -93,13 +93,13 @@ def find_changes(
         cover.
     cell_m : edge of the ground's cells in metres; None: twice the points' spacing, as 1, 2 or 5 times a power of ten.
     """
-    cameras = {name: camera for name, camera in poses.cameras.items() if camera.component == 0}
+    cameras = poses.main_cameras()
     tonight = Epoch(cloud, cameras, straight_frames(frames, cameras), depths, refined or {})
     plane = scene.ground if scene is not None else None
     axes = ground_axes(cameras.values(), plane)
     if reference_poses is None or reference_cloud is None or not len(reference_cloud.points) or not len(cloud.points):
         return _nothing(axes, poses)
-    old = {name: camera for name, camera in reference_poses.cameras.items() if camera.component == 0}
+    old = reference_poses.main_cameras()
     if not _same_world(cameras, old, cloud):
         return _nothing(axes, poses)
     then = Epoch(

@@ -57,7 +57,7 @@ def find_coverage(
     min_angle_deg, max_angle_deg : pairs of cameras tell depth where their rays meet at angles between these.
     """
     better = refined or {}
-    placed = {name: camera for name, camera in poses.cameras.items() if camera.component == 0}
+    placed = poses.main_cameras()
     source = {name: better if name in better else depths for name in placed if name in better or name in depths}
     cameras = {name: placed[name] for name in source}
     frames = straight_frames(frames, cameras)

@@ -95,7 +95,10 @@ class Sights:
         if place is not None:
             found["at"] = _plain(sight.pixels(place[None])[0])
         elif others:
-            found["lines"] = self._epipolar(sight, *next(iter(others.items())))
+            other, pixel = next(iter(others.items()))
+            there = self._sights[other]
+            along = np.geomspace(_NEAR, _FAR, _STEPS)[:, None] * max(float(np.linalg.norm(sight.C - there.C)), 1e-6)
+            found["lines"] = sight.drawn(there.C + along * there.rays([pixel]))
         if stated is not None:
             found["stated"] = _plain(sight.pixels(np.array([stated], dtype=np.float64))[0])
         return found
@@ -116,12 +119,6 @@ class Sights:
         edges = [a + share * (b - a) for a, b in zip(at, np.roll(at, -1, axis=0), strict=True)]
         lines = [line for edge in edges for line in sight.drawn(edge)]
         return {"lines": lines, "corners": [_plain(pixel) for pixel in sight.pixels(at)]}
-
-    def _epipolar(self, sight: Sight, other: str, pixel: Pixel) -> list[list[Pixel]]:
-        from_there = self._sights[other]
-        apart = float(np.linalg.norm(sight.C - from_there.C))
-        along = np.geomspace(_NEAR, _FAR, _STEPS)[:, None] * max(apart, 1e-6)
-        return sight.drawn(from_there.C + along * from_there.rays([pixel]))
 
     def _places(self, points: Sequence[Mapping[str, Pixel]]) -> list[Float64s | None]:
         """(3,) the place that clicks in two cameras or more show, of each point; None where no such place is known."""

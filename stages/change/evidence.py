@@ -27,8 +27,8 @@ _THROUGH = 2.0
 _UNCHANGED, _NORMAL = 0.9, 1.645
 """Share of the surface that is as it was, and how many standard deviations this share of normal errors keeps within."""
 _MOST_NOISE = 3.0
-"""Distances exceed their standard deviations by no more than this factor; where they seem to, the site has changed as a whole.
-Nights of the demo yard: 1.4 to 1.7, and 2.9 at most before their standard deviations were right."""
+"""Distances exceed their standard deviations by no more than this factor; where they seem to, the site has changed as a whole
+(nights of the demo yard: 1.4 to 1.7)."""
 _APART_PX = 2.0
 """A surface that has moved by so many pixels no longer looks the same at its old place."""
 _NEAR = 4.0

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..io.rasters import geotiff, pfm, png, stepped
-from ..types import Camera, Changes, Cloud, DepthMap, Frame, Geometry, Poses
+from ..types import Changes, Cloud, DepthMap, Frame, Geometry, Poses
 
 if TYPE_CHECKING:
     from .world import Georeference
@@ -70,7 +70,7 @@ def heights(cloud: Cloud, poses: Poses) -> Files:
 def depth(poses: Poses, depths: Mapping[str, DepthMap]) -> Files:
     """depth/<camera>.png and .pfm of every camera of the main component that has a depth map; depth/depth.json."""
     entries = {}
-    for name, camera in _main_cameras(poses).items():
+    for name, camera in poses.main_cameras().items():
         if name in depths:
             files, steps = depth_files(depths[name])
             for suffix, data in files.items():
@@ -87,7 +87,7 @@ def mesh(cloud: Cloud, poses: Poses, frames: Mapping[str, Frame]) -> Files:
     from .mesh import mesh_bytes, object_files, poisson_mesh, textured
 
     yield "mesh.ply", mesh_bytes(poisson_mesh(cloud))
-    shown = textured(poisson_mesh(cloud, coarser=1), _main_cameras(poses), frames)
+    shown = textured(poisson_mesh(cloud, coarser=1), poses.main_cameras(), frames)
     for name, data in object_files(shown, "mesh"):
         yield f"mesh/{name}", data
 
@@ -99,7 +99,7 @@ def orthophoto(cloud: Cloud, poses: Poses, frames: Mapping[str, Frame]) -> Files
     from .orthophoto import plain_files
 
     georeference = _georeference(poses)
-    photo = seen_from_above(textured(poisson_mesh(cloud, coarser=1), _main_cameras(poses), frames), georeference)
+    photo = seen_from_above(textured(poisson_mesh(cloud, coarser=1), poses.main_cameras(), frames), georeference)
     if georeference is not None:
         bands = np.moveaxis(photo.image, 2, 0)
         yield "orthophoto.tif", geotiff(bands, photo.left, photo.top, photo.cell, georeference.epsg)
@@ -117,7 +117,7 @@ def colmap(cloud: Cloud, poses: Poses, frames: Mapping[str, Frame], geometries: 
     """
     from .colmap import colmap_files
 
-    cameras = _main_cameras(poses)
+    cameras = poses.main_cameras()
     believed = {name: geometry for name, geometry in geometries.items() if name not in poses.dropped}
     for name, data in colmap_files(cameras, believed, cloud).items():
         yield f"colmap/sparse/{name}", data
@@ -127,16 +127,12 @@ def colmap(cloud: Cloud, poses: Poses, frames: Mapping[str, Frame], geometries: 
         yield f"colmap/images/{name}.png", png(frames[name].image)
 
 
-def _main_cameras(poses: Poses) -> dict[str, Camera]:
-    return {name: camera for name, camera in poses.cameras.items() if camera.component == 0}
-
-
 def geojson(poses: Poses, changes: Changes | None) -> Files:
     """cameras.geojson, and where nights were compared changes.geojson: longitude, latitude, height above the ellipsoid."""
     from .map_features import camera_features, change_features, geojson_bytes
 
     place = _on_the_map(poses)
-    yield "cameras.geojson", geojson_bytes(camera_features(_main_cameras(poses)), place)
+    yield "cameras.geojson", geojson_bytes(camera_features(poses.main_cameras()), place)
     if changes is not None and changes.compared:
         yield "changes.geojson", geojson_bytes(change_features(changes.changes), place)
 
@@ -145,7 +141,7 @@ def gpkg(poses: Poses, changes: Changes | None, day: datetime.date) -> Files:
     """site.gpkg with the layers "cameras" and, where anything has changed, "changes", in UTM.  day: the night's."""
     from .map_features import camera_features, change_features, geopackage_bytes
 
-    layers = {"cameras": camera_features(_main_cameras(poses)), "changes": change_features(changes.changes if changes else {})}
+    layers = {"cameras": camera_features(poses.main_cameras()), "changes": change_features(changes.changes if changes else {})}
     yield "site.gpkg", geopackage_bytes(layers, _on_the_map(poses), day)
 
 

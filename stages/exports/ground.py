@@ -52,8 +52,7 @@ def coverage_layer(coverage: Coverage) -> bytes:
 
 def coverage_preview(coverage: Coverage, poses: Poses | None = None) -> Uint8s:
     """How many cameras see each place, from above, as a JPEG file's bytes; poses: where the cameras are drawn in."""
-    cameras = {name: camera for name, camera in poses.cameras.items() if camera.component == 0} if poses else {}
-    return jpeg(_map(coverage, cameras), _QUALITY)
+    return jpeg(_map(coverage, poses.main_cameras() if poses else None), _QUALITY)
 
 
 def _on_the_map(grid: GroundGrid, heights: Float32s, layers: Mapping[str, Float32s], crs: str) -> bytes:

@@ -12,9 +12,8 @@ from ..types import Camera, Poses
 def calibration(poses: Poses) -> dict[str, Any]:
     """Cameras of the main component by id, as JSON data, for captures as they are."""
     found: dict[str, Any] = {}
-    for name, camera in poses.cameras.items():
-        if camera.component == 0:
-            found.setdefault(camera_id(name, camera), _entry(camera, poses.metric))
+    for name, camera in poses.main_cameras().items():
+        found.setdefault(camera_id(name, camera), _entry(camera, poses.metric))
     return found
 
 

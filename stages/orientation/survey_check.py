@@ -28,7 +28,7 @@ def check_survey(poses: Poses, views: Mapping[str, View], placements: Mapping[st
     poses, views : the cameras as they are in the end, and the pinhole of each one's frame.
     placements, survey : what is stated of the poses, by id, and of distances and control points.
     """
-    cameras = {name: camera for name, camera in poses.cameras.items() if camera.component == 0}
+    cameras = poses.main_cameras()
     if not poses.metric or len(cameras) < 2:
         return poses
     sigma = 3 * max((placements[name].sigma_m for name in cameras if name in placements), default=0.0)

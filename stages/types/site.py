@@ -176,6 +176,10 @@ class Poses(Record):
     sources: Mapping[str, str] = field(default_factory=dict)
     """By id, how the pose in use is known: "stated", "refined" (within what is stated of it) or "solved"."""
 
+    def main_cameras(self) -> dict[str, Camera]:
+        """Those of the main component, by id."""
+        return {name: camera for name, camera in self.cameras.items() if camera.component == 0}
+
     def issues_of(self, kind: str) -> dict[str, PoseIssue]:
         """Return the issues of one kind by camera."""
         return {issue.camera: issue for issue in self.issues if issue.kind == kind}
