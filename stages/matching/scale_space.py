@@ -103,7 +103,7 @@ def find_blobs(octaves: Pyramid, contrast: float) -> Blobs:
     divided by LEVELS)."""
     found, least = [], contrast * WHITE / LEVELS
     for octave, levels in enumerate(octaves):
-        x, y, scale, value = _refined(_rough(levels, 0.5 * least), levels, least).T
+        x, y, scale, value = _refined(_rough(levels, 0.75 * least), levels, least).T
         zoom = 2.0 ** (octave - 1)
         sigma = zoom * FINEST_SIGMA * 2 ** (scale / LEVELS)
         level = np.clip(np.rint(scale), 1, LEVELS).astype(np.int32)
