@@ -56,14 +56,8 @@ Login = tuple[str, str]
 """User and password of a camera."""
 
 
-@dataclass(frozen=True)
-class Shot:
-    """A picture."""
-
-    data: bytes
-    """A file's content."""
-    taken: float | None
-    """Unix time, by the camera's own clock; None: it does not say."""
+Shot = tuple[bytes, float | None]
+"""A picture's file, and when it was taken: Unix time by the camera's own clock; None: it does not say."""
 
 
 @dataclass
@@ -138,15 +132,14 @@ def _take(site: Site, taken: Taken, url: str, login: Login | None, moments: list
 
 
 def _write(site: Site, taken: Taken, shot: Shot) -> None:
-    now = time.time()
-    off = 0.0 if shot.taken is None else shot.taken - now
-    believed = shot.taken is not None and abs(off) <= _MOST_OFF
+    (data, at), now = shot, time.time()
+    off = 0.0 if at is None else at - now
+    believed = at is not None and abs(off) <= _MOST_OFF
     taken.own_clock = taken.own_clock and believed
     taken.off = taken.off if believed else off
-    moment = shot.taken if believed and shot.taken is not None else now
+    moment = at if believed and at is not None else now
     path = _free_name(site, taken.camera, site.local(moment))
-    path.parent.mkdir(parents=True, exist_ok=True)
-    write_atomic(path, shot.data)
+    write_atomic(path, data)
     os.utime(path, (moment, moment))
     taken.files.append(path)
 
@@ -193,8 +186,7 @@ def shots(url: str, login: Login | None, moments: Sequence[float]) -> Iterator[S
     """Yield a camera's picture at each moment (Unix times, in order).  Raises CaptureFailed where it gives none, or no more."""
     try:
         if url.startswith("rtsp"):
-            pictures = load(_STREAM)(_with_login(url, login), moments, PATIENCE)
-            yield from (Shot(data, taken) for data, taken in pictures)
+            yield from load(_STREAM)(_with_login(url, login), moments, PATIENCE)
         elif url.startswith("file:"):
             yield from _of_folder(Path(urllib.parse.unquote(url.partition("://")[2])), moments)
         else:
@@ -230,7 +222,7 @@ def _of_server(url: str, login: Login | None, moments: Sequence[float]) -> Itera
                 yield from _of_parts(answer, moments[k:])
                 return
             data = answer.read(LARGEST)
-            yield Shot(_whole(data), _date(answer.headers.get("Date")))
+            yield _whole(data), _date(answer.headers.get("Date"))
 
 
 def _of_parts(answer: IO[bytes], moments: Sequence[float]) -> Iterator[Shot]:
@@ -246,7 +238,7 @@ def _of_parts(answer: IO[bytes], moments: Sequence[float]) -> Iterator[Shot]:
         if time.time() < moment:
             continue
         stamp = head.get("X-Timestamp", "")
-        yield Shot(_whole(data), float(stamp) if re.fullmatch(r"\d+(\.\d+)?", stamp) else _date(head.get("Date")))
+        yield _whole(data), float(stamp) if re.fullmatch(r"\d+(\.\d+)?", stamp) else _date(head.get("Date"))
         moment = next(due, None)
 
 
@@ -286,7 +278,7 @@ def _of_folder(folder: Path, moments: Sequence[float]) -> Iterator[Shot]:
             latest = max(new, key=lambda path: path.stat().st_mtime, default=None)
             if latest and time.time() - latest.stat().st_mtime > _LOOK_SECONDS:  # it is no longer written to
                 used.add(latest)
-                yield Shot(_whole(read_outside(latest)), latest.stat().st_mtime)
+                yield _whole(read_outside(latest)), latest.stat().st_mtime
                 break
             if time.time() > moments[-1] + PATIENCE:
                 raise OSError(f"nothing new arrives in {folder}")

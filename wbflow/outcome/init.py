@@ -279,7 +279,6 @@ def pair_site(left: Path, right: Path, out: Path, resolution: int | None) -> Sit
     for path in (left, right):
         if not path.is_file():
             raise UsageError(f"{path}: there is no such file", remedy="wbflow pair LEFT.jpg RIGHT.jpg --out DIR")
-    out.mkdir(parents=True, exist_ok=True)
     cameras = [{"id": name, "images": [str(path.resolve())]} for name, path in zip(PAIR, (left, right), strict=True)]
     description = {
         "site": "pair",
