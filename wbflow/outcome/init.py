@@ -302,18 +302,14 @@ def write_pair(run: Run, out: Path) -> tuple[Path, ...]:
         return ()
     made, summary = load("wbflow_stages.exports.pairfiles:pair_files")(left, right, **results)
     figures = run.record.pairs[0].to_json() | summary
-    made["index.html"] = _page(list(made), figures).encode()
+    pictures = [(name, name[2:].rpartition(".")[0]) for name in made if guess_type(name)[0] == "image/jpeg"]
+    rows = [(name.replace("_", " "), value) for name, value in figures.items() if isinstance(value, str | int | float)]
+    others = sorted({*made} - {name for name, _ in pictures})
+    made["index.html"] = render("pair.html", pictures=pictures, rows=rows, others=others).encode()
     made["pair.json"] = json.dumps(figures, indent=1).encode()
     for name, data in made.items():
         write_atomic(out / name, data)
     return tuple(out / name for name in made)
-
-
-def _page(names: list[str], figures: dict[str, Any]) -> str:
-    """A page of the pictures, as large as they are, with the figures behind them and links to the files."""
-    pictures = [(name, name[2:].rpartition(".")[0]) for name in names if guess_type(name)[0] == "image/jpeg"]
-    rows = [(name.replace("_", " "), value) for name, value in figures.items() if isinstance(value, str | int | float)]
-    return render("pair.html", pictures=pictures, rows=rows, others=sorted({*names} - {name for name, _ in pictures}))
 
 
 def failure(run: Run) -> str | None:

@@ -161,18 +161,13 @@ def _call(how: Notify, folder: Path, message: dict[str, Any]) -> None:
         except subprocess.TimeoutExpired:
             raise NotifyFailed(f"notify: {_shown(how)} had not ended after {how.seconds:g} s, and was killed") from None
         finally:
-            _end(process)
+            if process.poll() is None:  # of a command that has not ended by itself, nothing is left
+                os.killpg(process.pid, signal.SIGKILL)
+                process.wait()
         if code:
             output.seek(0)
             lines = output.read(100_000).decode(errors="replace").strip().splitlines() or ["no output"]
             raise NotifyFailed(f"notify: {_shown(how)} ended with {code}: {_on_a_line(lines[-1])}")
-
-
-def _end(process: subprocess.Popen[bytes]) -> None:
-    """Of a command that has not ended by itself, nothing is left."""
-    if process.poll() is None:
-        os.killpg(process.pid, signal.SIGKILL)
-        process.wait()
 
 
 def _shown(how: Notify) -> str:

@@ -10,7 +10,6 @@ from __future__ import annotations
 import dataclasses
 import datetime
 from collections.abc import Mapping
-from typing import Any
 
 from ..cache.artifact import kept
 from ..cache.fingerprint import load
@@ -51,7 +50,9 @@ def pin(cache: Cache, run: RunFolder, automatic: bool = False) -> Reference:
         receipt.preimage.task: PinnedArtifact(receipt.preimage.task, receipt.key, receipt.outcome, receipt.digest)
         for receipt in receipts
     }
-    reference = Reference(run.id, record.date, _cameras(record, run), artifacts, automatic)
+    solved = run.cameras()
+    cameras = {camera.id: dict(solved.get(camera.id, {})) for camera in record.cameras}
+    reference = Reference(run.id, record.date, cameras, artifacts, automatic)
     write_reference(cache, reference, receipts)
     return reference
 
@@ -107,13 +108,6 @@ def _receipts(cache: Cache, run: RunFolder) -> list[Receipt]:
             raise CannotPin(f"the cache no longer holds '{task}' of run {run.id}", remedy=remedy)
         found.append(receipt)
     return found
-
-
-def _cameras(record: RunRecord, run: RunFolder) -> dict[str, dict[str, Any]]:
-    """All cameras of the site, each as the run has solved it."""
-    solved = run.cameras()
-    solved = solved.get("cameras", solved)
-    return {camera.id: dict(solved.get(camera.id, {})) for camera in record.cameras}
 
 
 MOST_NIGHTS = 30
