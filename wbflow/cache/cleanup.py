@@ -21,15 +21,13 @@ class Keep:
     """What stays; None: all of it."""
 
     runs: int | None = None
-    """Artifacts that so many of the newest runs use."""
     nights: int | None = None
-    """Artifacts that runs of so many of the newest nights use."""
+    """Artifacts that so many of the newest runs, or the runs of so many of the newest nights, use."""
     bytes: int | None = None
     """So much of the cache: the artifacts of older runs go first, those of the newest and of the last good one never."""
     clouds: int | None = None
-    """Published clouds of so many of the newest nights."""
     reports: int | None = None
-    """Reports and logs of so many of the newest nights."""
+    """Published clouds, and reports with their logs, of so many of the newest nights."""
 
     @property
     def keeps_artifacts(self) -> bool:

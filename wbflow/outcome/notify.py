@@ -46,9 +46,8 @@ class _Reported(Plain):
     state: tuple[str, ...] = ()
     """Its level, and kind and subject of each finding; nothing of a good night, but for what somebody knows of."""
     since: str = ""
-    """When the run ended that found it (UTC)."""
     bad_since: str = ""
-    """When that ended which found the first state since the last good night."""
+    """When the run ended that found it, and that which found the first state since the last good night (UTC)."""
     reminders: int = 0
     """How many of it have been sent."""
 

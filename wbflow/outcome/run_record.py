@@ -107,9 +107,8 @@ class _Whole:
 
     poses: summaries.PosesSummary
     points: Mapping[str, int]
-    """By camera: what it has given to its cloud..."""
     misfits: Mapping[str, float]
-    """...and the error of these points over the expected one."""
+    """By camera: what it has given to its cloud, and the error of these points over the expected one."""
     apart_px: Mapping[str, Mapping[str, float]]
     """By camera: by how much the depths from its pairs differ as a whole."""
     crowded: Mapping[str, str]

@@ -88,9 +88,8 @@ class Facts:
     """How lenses and poses differ from those of the reference, which is out of use for that."""
     acknowledged: tuple[Acknowledgement, ...] = ()
     expected: Expected = field(default_factory=Expected)
-    """What the site file says of good nights."""
     baseline: Baseline = field(default_factory=Baseline)
-    """The runs before it."""
+    """What the site file says of good nights, and the runs before this one."""
 
     @staticmethod
     def from_plan(plan: Plan, interrupted: bool) -> Facts:

@@ -25,9 +25,8 @@ class Export:
     dated: bool = False
     """Takes the night's date, too, as `day`."""
     extra: str = ""
-    """The extra of this package that it needs."""
     extra_on_the_map: str = ""
-    """The extra that it needs where the site is georeferenced."""
+    """The extra of this package that it needs, always or where the site is georeferenced."""
 
     @property
     def function(self) -> str:

@@ -165,11 +165,9 @@ class Stage:
 
 
 CLOUD_COLUMNS = "wbflow_stages.io.clouds:cloud_columns"
-"""A cloud is kept as a PLY file: its columns by name, ..."""
 RESTORE_CLOUD = "wbflow_stages.io.clouds:cloud_of"
-"""... the cloud of such columns, ..."""
 CLOUD_FIGURES = "wbflow_stages.io.clouds:cloud_figures"
-"""... and figures beside its fields."""
+"""A cloud is kept as a PLY file: its columns by name, the cloud of such columns, and figures beside its fields."""
 COMPONENT = "component"
 """The parameter of `fuse` that says which component of cameras it works on; each has a task."""
 

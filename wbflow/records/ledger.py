@@ -161,12 +161,11 @@ class TaskCosts:
 
     stages: dict[str, float] = field(default_factory=dict)
     """Seconds by the clock: median of a stage's tasks."""
-    tasks: dict[str, float] = field(default_factory=dict)
-    """Of a task, the last time."""
     stages_mb: dict[str, float] = field(default_factory=dict)
     """MB (2^20 bytes) that a stage's tasks held at most."""
+    tasks: dict[str, float] = field(default_factory=dict)
     tasks_mb: dict[str, float] = field(default_factory=dict)
-    """Of a task, the last time."""
+    """The same of a task, the last time."""
     stages_bytes: dict[str, float] = field(default_factory=dict)
     """Bytes that an artifact of a stage takes on disk, on average."""
 

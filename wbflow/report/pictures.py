@@ -52,9 +52,8 @@ class OtherNight:
 
     date: str
     keys: Mapping[Task, str] = field(repr=False)
-    """The cache key of each result..."""
     cameras: Mapping[str, Any] = field(repr=False)
-    """...and the cameras as cameras.json has them."""
+    """The cache key of each result, and the cameras as cameras.json has them."""
     page: ReportData = field(repr=False)
 
     def points(self) -> bytes | None:

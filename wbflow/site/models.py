@@ -63,9 +63,8 @@ class Captures(Section):
     root: str = "."
     pattern: str
     frames: int = Field(default=7, ge=1, le=500)
-    """So many pictures `wbflow capture` takes of each camera, ..."""
     seconds: float = Field(default=60.0, ge=0, le=3600)
-    """... over so long."""
+    """So many pictures `wbflow capture` takes of each camera, over so long."""
     credentials: str | None = None
     """File with user and password of each camera, for `wbflow capture`."""
 

@@ -83,9 +83,8 @@ class Placement:
     C: list[float] | None = None
     """Metres."""
     sigma_m: float = 0.0
-    """Standard deviation of C; 0 where it is exact."""
     sigma_deg: float = 0.0
-    """Standard deviation of R, degrees; 0 where it is exact."""
+    """Standard deviations of C and R; 0 where they are exact."""
     metric: bool = True
     """C is in metres."""
 
