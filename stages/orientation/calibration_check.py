@@ -25,9 +25,9 @@ import numpy as np
 
 from ..core.epipolar import fundamental_from_cameras, sampson_distance, triangulate_depth
 from ..core.rotations import rotation_matrix
+from ..sfm.consistent_matches import consistent_matches
 from ..types import CalibrationCheck, Camera, Float64s, Geometry, Pair
 from .pose_check import BELIEVED, MIN_SHARED
-from .triplet_consistency import consistent_matches
 
 FEWEST_CONFIRMED = 15
 """A pair with fewer confirmed matches says nothing."""

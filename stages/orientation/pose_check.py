@@ -1,9 +1,10 @@
 """Known poses compared with the images: has a camera been knocked, turned or moved since it was measured?
 
-A stated pose is evidence with a standard deviation.  Two kinds of evidence speak about it.  A pair: how far its inliers lie from
-the epipolar lines of the stated poses.  Three cameras: keypoints that all three pairs among them chain to the same point; this
-also tells what moves along the epipolar lines.  Either may be a look-alike, which no count of inliers tells from the truth: so a
-pose is replaced only where several partners agree on one new pose (`moved_cameras`), and is unverified otherwise.
+A stated pose is evidence with a standard deviation.  Two kinds of evidence speak about it.  A pair: how far its inliers, or those
+that third cameras confirm where these are enough, lie from the epipolar lines of the stated poses.  Three cameras: keypoints that
+all three pairs among them chain to the same point; this also tells what moves along the epipolar lines.  Either may be a
+look-alike, which no count of inliers tells from the truth: so a pose is replaced only where several partners agree on one new
+pose (`moved_cameras`), and is unverified otherwise.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ from ..core.cameras import backproject, camera_id, project, ray_angles, rays, re
 from ..core.epipolar import fundamental_from_cameras, symmetric_epipolar_distance, triangulate_depth
 from ..core.rotations import angle_between_deg
 from ..reasons import Reason, Rejected
+from ..sfm.consistent_matches import consistent_matches
 from ..sfm.loops import triangles_of
 from ..sfm.tracks import same_places
 from ..twoview.pair_score import hardly_converging, probability
@@ -92,12 +94,12 @@ class PoseConstraints:
 
     @classmethod
     def of(cls, names: tuple[str, ...], geometries: Mapping[Pair, Geometry]) -> PoseConstraints:
-        """Those among the cameras of these names."""
+        """Those among the cameras of these names, each pair with the matches that third cameras confirm, if these are enough."""
         known = set(names)
         pairs = {p: g for p, g in geometries.items() if set(p) <= known and g.good_probability >= BELIEVED}
         pairs = {p: g for p, g in pairs.items() if len(g.x1) >= MIN_SHARED}
         triplets = [triplet for three in triangles_of(pairs) if (triplet := _triplet(three, pairs)) is not None]
-        return cls(pairs, tuple(triplets))
+        return cls(consistent_matches(pairs, MIN_SHARED), tuple(triplets))
 
     def without(self, names: set[str]) -> PoseConstraints:
         """Those that say nothing of some cameras."""

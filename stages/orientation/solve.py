@@ -12,6 +12,7 @@ from ..core.epipolar import fundamental_from_cameras, symmetric_epipolar_distanc
 from ..core.residual_distortion import STRAIGHT_PX, residual_px, without_distortion
 from ..core.rotations import angle_between_deg
 from ..reasons import Reason, Rejected
+from ..sfm.consistent_matches import consistent_matches
 from ..sfm.incremental import Model, refine
 from ..sfm.loops import USUAL, Habits
 from ..sfm.rigs import rigs_of
@@ -20,7 +21,7 @@ from ..sfm.view_graph import ViewGraph
 from ..types import Camera, Geometry, Pair, PairCheck, Placement, PoseIssue, Poses, Survey, View
 from .lens_sigma import MOST_SIGMA_PX, lens_sigmas, with_principal_points
 from .pose_check import BELIEVED, confirmed
-from .triplet_consistency import FEWEST, MOST_INCONSISTENCY, consistent_matches, inconsistency
+from .triplet_consistency import FEWEST, MOST_INCONSISTENCY, inconsistency
 from .world import World, to_world
 
 WORSE = 1.25

@@ -5,32 +5,25 @@ own, and far surfaces that are matched rightly bend to it by fractions of a pixe
 Three cameras that are all matched with each other tell more: a match is confirmed where the way over the third camera ends at
 the same place.  In a car park that was solved .6 degrees off, 68 to 81 % of the matches of the worst pairs were right, and 96 to
 99 % of their confirmed ones.  Cameras that all matches place where these alone would not have them rest on others.
-
-References: Loops of matches against ambiguous structure: Zach, Klopschitz, Pollefeys, Disambiguating Visual Relations Using Loop
-Constraints, CVPR 2010.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
-from functools import cache
 
 import numpy as np
-from scipy.spatial import cKDTree
 
+from ..sfm.consistent_matches import consistent_matches
 from ..sfm.incremental import Model, refine
-from ..sfm.loops import triangles_of
 from ..sfm.tracks import Edge, build_tracks
 from ..sfm.triangulation import triangulate
-from ..types import Camera, Float64s, Geometry, at_rows
+from ..types import Camera, Float64s, Geometry
 from .lens_sigma import RAYLEIGH
 
 MOST_INCONSISTENCY = 16.0
 """More is not noise: cameras with stated lenses that were right had .9 to 4.3, with solved ones 1.7 to 5.4 (photographs) and 12.6
 to 14.0 (yards, .45 % of their size off, whose lenses k1 and k2 do not describe); wrong ones 22 to 57 (car parks, houses)."""
-SAME_PX, ELSEWHERE_PX = 3.0, 12.0
-"""Two ways around three cameras end at the same place within the first, elsewhere beyond the second."""
 FEWEST = 15
 """A camera with fewer confirmed observations is not asked, and of a pair with fewer confirmed matches all are taken."""
 LEAST_PX = 0.05
@@ -61,28 +54,6 @@ def inconsistency(model: Model, geometries: Mapping[Edge, Geometry]) -> float:
     scale = OUTLIER * max(float(np.median(apart[finite])) / RAYLEIGH, LEAST_PX)
     loss = 2 * OUTLIER**2 * (np.hypot(1, together[finite] / scale) - np.hypot(1, apart[finite] / scale))
     return float(max(loss.sum(), 0.0)) / _freedoms(own)
-
-
-def consistent_matches(geometries: Mapping[Edge, Geometry], fewest: int = 0) -> dict[Edge, Geometry]:
-    """Of each pair the matches that more third cameras confirm than contradict; all where these are fewer than `fewest`."""
-    votes = {edge: np.zeros(len(geometry.x1), np.int64) for edge, geometry in geometries.items()}
-
-    @cache
-    def first(edge: Edge) -> cKDTree:
-        return cKDTree(geometries[edge].x1)
-
-    for a, b, c in triangles_of([edge for edge, geometry in geometries.items() if len(geometry.x1)]):
-        ab, bc, ac = (a, b), (b, c), (a, c)
-        from_b, k = first(bc).query(geometries[ab].x2)
-        from_a, m = first(ac).query(geometries[ab].x1)
-        met = (from_b < SAME_PX) & (from_a < SAME_PX)
-        off = np.linalg.norm(geometries[bc].x2[k] - geometries[ac].x2[m], axis=1)
-        for rows, vote in ((met & (off < SAME_PX), 1), (met & (off > ELSEWHERE_PX), -1)):
-            np.add.at(votes[ab], np.flatnonzero(rows), vote)
-            np.add.at(votes[bc], k[rows], vote)
-            np.add.at(votes[ac], m[rows], vote)
-    kept = {edge: vote > 0 if (vote > 0).sum() >= fewest else np.ones(len(vote), bool) for edge, vote in votes.items()}
-    return {edge: at_rows(geometry, kept[edge]) for edge, geometry in geometries.items()}
 
 
 def _errors(model: Model, cameras: Mapping[int, Camera]) -> Float64s:

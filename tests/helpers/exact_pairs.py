@@ -174,3 +174,26 @@ def only(site: PairSite, *names: str) -> PairSite:
     kept = {pair: geometry for pair, geometry in site.geometries.items() if set(pair) <= set(names)}
     views = {name: view for name, view in site.views.items() if name in names}
     return replace(site, views=views, geometries=kept)
+
+
+def about_vertical(camera: Camera, degrees: float) -> Camera:
+    c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
+    return replace(camera, R=camera.R @ np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]))
+
+
+def with_look_alikes(site: PairSite, pair: Pair, degrees: float, seed: int) -> Geometry:
+    """A pair's geometry from matches of which seven of ten lie where its second camera would see them if it were turned."""
+    geometry, rng = site.geometries[pair], np.random.default_rng(seed)
+    assert geometry.i1 is not None and geometry.i2 is not None
+    rows = rng.permutation(len(geometry.x1))[: int(0.7 * len(geometry.x1))]
+    x2, i2 = geometry.x2.copy(), geometry.i2.copy()
+    x2[rows] = project(about_vertical(site.cameras[pair[1]], degrees), site.X[geometry.i1[rows]])[0]
+    x2[rows] += 0.2 * rng.normal(size=(len(rows), 2))
+    i2[rows] += len(site.X)  # other keypoints
+    left, right = (site.views[name] for name in pair)
+    found = estimate_essential(geometry.x1, x2, left, right, 1.0, 0, 1000)
+    assert found is not None and found.R is not None and found.t is not None
+    keep = found.inliers
+    posed = replace(geometry, F=found.F, cam2_R_cam1=found.R, cam2_t_cam1=found.t / np.linalg.norm(found.t))
+    i1, probability = geometry.i1[keep], geometry.probability[keep]
+    return replace(posed, x1=geometry.x1[keep], x2=x2[keep], i1=i1, i2=i2[keep], probability=probability)

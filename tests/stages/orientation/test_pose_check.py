@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tests.helpers.exact_pairs import PairSite, aligned_errors, make_pair_site, only, turned_wrong
+from tests.helpers.exact_pairs import PairSite, aligned_errors, make_pair_site, only, turned_wrong, with_look_alikes
 from wbflow_stages.core.rotations import rotation_matrix
-from wbflow_stages.orientation.pose_check import Evidence, verified
+from wbflow_stages.orientation.pose_check import PAIR_PX, Evidence, epipolar_error_px, verified
 from wbflow_stages.poses import solve_poses, stated_cameras
 from wbflow_stages.types import Placement, Poses
 
@@ -237,3 +237,13 @@ def test_two_pairs_that_agree_outweigh_as_many_look_alikes_and_a_single_one_does
 ) -> None:
     pairs = [Evidence(("gate", f"c{k}"), 0.3 if k < agreeing else 1.7, 1.0) for k in range(agreeing + contradicting)]
     assert verified({"gate"}, pairs) == sure
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_look_alikes_that_no_third_camera_confirms_do_not_contradict_right_poses(seed: int) -> None:
+    """Seven of ten matches of two pairs of c1 say that the second camera is turned by 0.7 degrees."""
+    site = make_pair_site(4, seed=seed, noise_px=0.2)
+    misled = {pair: with_look_alikes(site, pair, 0.7, seed) for pair in (("c0", "c1"), ("c1", "c2"))}
+    assert all(epipolar_error_px(site.cameras, pair, geometry) > PAIR_PX for pair, geometry in misled.items())
+    poses = solve(replace(site, geometries=site.geometries | misled), placements(site))
+    assert not poses.issues and all(check.verified for check in poses.pose_checks.values())

@@ -8,26 +8,20 @@ import numpy as np
 import pytest
 from scores import turn_errors_deg
 
-from tests.helpers.exact_pairs import PairSite, make_pair_site
-from wbflow_stages.core.cameras import project
-from wbflow_stages.orientation.triplet_consistency import MOST_INCONSISTENCY, consistent_matches, inconsistency
+from tests.helpers.exact_pairs import PairSite, about_vertical, make_pair_site, with_look_alikes
+from wbflow_stages.orientation.triplet_consistency import MOST_INCONSISTENCY, inconsistency
 from wbflow_stages.poses import solve_poses
+from wbflow_stages.sfm.consistent_matches import consistent_matches
 from wbflow_stages.sfm.incremental import Model, refine, replace_cameras
 from wbflow_stages.sfm.tracks import Edge
 from wbflow_stages.sfm.view_graph import ViewGraph
-from wbflow_stages.twoview.robust import estimate_essential
-from wbflow_stages.types import Camera, Geometry, Pair, Poses
+from wbflow_stages.types import Geometry, Poses
 
 
 def solved(site: PairSite) -> tuple[Model, dict[Edge, Geometry]]:
     graph = ViewGraph.of(site.views, site.geometries)
     (model,) = graph.models(list(graph.geometries), {})
     return refine(model, rounds=3), dict(graph.geometries)
-
-
-def about_vertical(camera: Camera, degrees: float) -> Camera:
-    c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
-    return replace(camera, R=camera.R @ np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]))
 
 
 def turned(model: Model, view: int, degrees: float) -> Model:
@@ -94,21 +88,3 @@ def test_cameras_do_not_follow_look_alikes_that_most_matches_of_neighbours_are(s
     poses = solve_poses(site.views, {}, {**site.geometries, **misled})
     assert isinstance(poses, Poses) and set(poses.issues_of("inconsistent")) == set(site.cameras)
     assert turn_errors_deg(poses.cameras, site.cameras).max() < 0.05
-
-
-def with_look_alikes(site: PairSite, pair: Pair, degrees: float, seed: int) -> Geometry:
-    """A pair's geometry from matches of which seven of ten lie where its second camera would see them if it were turned."""
-    geometry, rng = site.geometries[pair], np.random.default_rng(seed)
-    assert geometry.i1 is not None and geometry.i2 is not None
-    rows = rng.permutation(len(geometry.x1))[: int(0.7 * len(geometry.x1))]
-    x2, i2 = geometry.x2.copy(), geometry.i2.copy()
-    x2[rows] = project(about_vertical(site.cameras[pair[1]], degrees), site.X[geometry.i1[rows]])[0]
-    x2[rows] += 0.2 * rng.normal(size=(len(rows), 2))
-    i2[rows] += len(site.X)  # other keypoints
-    left, right = (site.views[name] for name in pair)
-    found = estimate_essential(geometry.x1, x2, left, right, 1.0, 0, 1000)
-    assert found is not None and found.R is not None and found.t is not None
-    keep = found.inliers
-    posed = replace(geometry, F=found.F, cam2_R_cam1=found.R, cam2_t_cam1=found.t / np.linalg.norm(found.t))
-    i1, probability = geometry.i1[keep], geometry.probability[keep]
-    return replace(posed, x1=geometry.x1[keep], x2=x2[keep], i1=i1, i2=i2[keep], probability=probability)

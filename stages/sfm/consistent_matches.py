@@ -1,0 +1,45 @@
+"""Matches that a third camera confirms.
+
+Three cameras that are all matched with each other tell more than three pairs: a match is confirmed where the way over the third
+camera ends at the same place.  Where things repeat along a row, a pair's look-alikes obey a geometry of their own, but few of
+them close such loops.
+
+References: Zach, Klopschitz, Pollefeys, Disambiguating Visual Relations Using Loop Constraints, CVPR 2010.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import cache
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from ..types import Geometry, at_rows
+from .loops import triangles_of
+from .rotation_averaging import View
+
+SAME_PX, ELSEWHERE_PX = 3.0, 12.0
+"""Two ways around three cameras end at the same place within the first, elsewhere beyond the second."""
+
+
+def consistent_matches(geometries: Mapping[tuple[View, View], Geometry], fewest: int = 0) -> dict[tuple[View, View], Geometry]:
+    """Of each pair the matches that more third cameras confirm than contradict; all where these are fewer than `fewest`."""
+    votes = {edge: np.zeros(len(geometry.x1), np.int64) for edge, geometry in geometries.items()}
+
+    @cache
+    def first(edge: tuple[View, View]) -> cKDTree:
+        return cKDTree(geometries[edge].x1)
+
+    for a, b, c in triangles_of([edge for edge, geometry in geometries.items() if len(geometry.x1)]):
+        ab, bc, ac = (a, b), (b, c), (a, c)
+        from_b, k = first(bc).query(geometries[ab].x2)
+        from_a, m = first(ac).query(geometries[ab].x1)
+        met = (from_b < SAME_PX) & (from_a < SAME_PX)
+        off = np.linalg.norm(geometries[bc].x2[k] - geometries[ac].x2[m], axis=1)
+        for rows, vote in ((met & (off < SAME_PX), 1), (met & (off > ELSEWHERE_PX), -1)):
+            np.add.at(votes[ab], np.flatnonzero(rows), vote)
+            np.add.at(votes[bc], k[rows], vote)
+            np.add.at(votes[ac], m[rows], vote)
+    kept = {edge: vote > 0 if (vote > 0).sum() >= fewest else np.ones(len(vote), bool) for edge, vote in votes.items()}
+    return {edge: at_rows(geometry, kept[edge]) for edge, geometry in geometries.items()}
