@@ -19,6 +19,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
+from math import sqrt
 
 import cv2
 import numpy as np
@@ -50,6 +51,10 @@ EXPLAINED, EXPLAINED_ALONE = 1.12, 1.5
 of others..."""
 SHARE, SHARE_ALONE = 0.6, 0.8
 """...and where it takes away this share of what the stated cameras lose over the matches' own geometry..."""
+STRAYED, LED_BACK = 1.6, 2
+"""Of pairs whose matches nobody confirms some are look-alikes, which no cause leads back to the lines.  Pairs whose median
+distance is more than so many standard deviations have strayed: a cause is named that leads so many, and half of them, back to
+half of that distance or less, and no other pair away."""
 HALF = 0.5
 """...or, unless it is another pose of one camera, this share of what other poses of all take away, which explain nearly all.
 Set by design, judged on two yards: exchanged captures, distortion's sign, and heights left out get their own names."""
@@ -162,28 +167,64 @@ def check_calibration(
         if geometry.good_probability >= BELIEVED and len(geometry.x1) >= MIN_SHARED
     }
     confirmed = [m for m in _confirmed(tuple(order), believed) if set(m.pair) <= set(cameras)]
-    evidence = confirmed or [_matches(pair, g, g) for pair, g in believed.items() if set(pair) <= set(cameras)]
-    if not evidence:
+    known = {m.pair for m in confirmed}
+    others = [_matches(pair, g, g) for pair, g in believed.items() if set(pair) <= set(cameras) and pair not in known]
+    if not confirmed and not others:
         return None
     stated = {name: _Seen(camera) for name, camera in cameras.items()}
+    found = _checked(stated, confirmed or others, bool(confirmed))
+    return found if found.contradicted or not others else _with_cause_of_most(found, stated, [*confirmed, *others])
+
+
+def _checked(stated: _World, evidence: list[_Matches], confirmed: bool) -> CalibrationCheck:
+    """What matches say that third cameras confirm, or not."""
     loss, own = _loss(stated, evidence), _mean(evidence, [m.own_loss for m in evidence])
     count = sum(len(m.x1) for m in evidence)
-    found = CalibrationCheck(matches=count, pairs=len(evidence), confirmed=bool(confirmed), misfit=loss / max(own, 1e-9))
+    found = CalibrationCheck(matches=count, pairs=len(evidence), confirmed=confirmed, misfit=loss / max(own, 1e-9))
     excess = _excess(stated, evidence)
     if excess <= EXPLAINED * own:
         return _with_slight_cause(found, stated, evidence, own) if confirmed and len(evidence) >= FEWEST_PAIRS else found
-    beyond_noise = bool(confirmed) and excess > CONTRADICTED * own
+    beyond_noise = confirmed and excess > CONTRADICTED * own
     best = _explanation(stated, evidence, own, alone=not confirmed)
     if (best is None or best.cause.name == POSES) and _excess(stated, evidence, errors=FITS) <= EXPLAINED * own:
         return found  # few matches, most of which agree: poses of all cameras have unknowns enough to bring look-alikes back
     if best is None:
         return replace(found, contradicted=beyond_noise)
+    named = _named(found, best, stated, evidence)
+    return found if named.off_px < HARMFUL_PX and not beyond_noise else named
+
+
+def _named(found: CalibrationCheck, best: _Explanation, stated: _World, evidence: list[_Matches]) -> CalibrationCheck:
+    """With the cause of the contradiction."""
+    cause, amount, better = best.cause, tuple(float(a) for a in best.amount), _loss(stated, evidence) / best.loss
     off_px = _off_px(stated, best.world, evidence)
-    if off_px < HARMFUL_PX and not beyond_noise:
+    return replace(found, contradicted=True, cause=cause.name, cameras=cause.cameras, amount=amount, better=better, off_px=off_px)
+
+
+def _with_cause_of_most(found: CalibrationCheck, stated: _World, evidence: list[_Matches]) -> CalibrationCheck:
+    """Name the cause that leads most pairs back to the lines of the stated cameras, if it is more than chance."""
+    before = np.array([_median(stated, m) for m in evidence])
+    strayed = before > STRAYED
+    if strayed.sum() < LED_BACK:
         return found
-    cause, amount = best.cause, tuple(float(a) for a in best.amount)
-    found = replace(found, cause=cause.name, cameras=cause.cameras, amount=amount, better=loss / best.loss, off_px=off_px)
-    return replace(found, contradicted=True)
+    causes = [_fit(cause, stated, evidence) for cause in _causes(stated, evidence, alone=False)]
+    after = np.array([[_median(explanation.world, m) for m in evidence] for explanation in causes])
+    good = after <= STRAYED
+    back = (strayed & good & (2 * after <= before)).sum(axis=1)
+    able = (back >= LED_BACK) & (2 * back >= strayed.sum()) & (good | strayed).all(axis=1)
+    if not able.any():
+        return found
+    most = good[able].sum(axis=1).max()
+    equal = [k for k in np.flatnonzero(able) if good[k].sum() == most]
+    pairs = good[min(equal, key=lambda k: causes[k].loss)]
+    mine = [m for m, one in zip(evidence, pairs, strict=True) if one]
+    causes = [replace(causes[k], loss=_loss(causes[k].world, mine)) for k in equal]
+    best = _simplest(causes, _loss(stated, mine))
+    own = _mean(mine, [m.own_loss for m in mine])
+    if not _explains(best, _loss(stated, mine), own, mine, alone=False):
+        return found
+    named = _named(found, best, stated, mine)
+    return found if named.off_px < HARMFUL_PX else replace(named, misfit=_loss(stated, mine) / max(own, 1e-9))
 
 
 def _confirmed(names: tuple[str, ...], believed: Mapping[Pair, Geometry]) -> list[_Matches]:
@@ -221,8 +262,12 @@ def _residuals(world: _World, matches: _Matches) -> Float64s:
 
 def _agrees(world: _World, matches: _Matches, errors: float) -> bool:
     """errors: standard errors of the median that are granted."""
-    off = np.abs(_residuals(world, matches))
-    return bool(np.median(off) <= AGREEING + errors * MEDIAN_ERROR / np.sqrt(len(off)))
+    return _median(world, matches) <= AGREEING + errors * MEDIAN_ERROR / sqrt(len(matches.x1))
+
+
+def _median(world: _World, matches: _Matches) -> float:
+    """Distance to the lines, in standard deviations."""
+    return float(np.median(np.abs(_residuals(world, matches))))
 
 
 def _mean(evidence: list[_Matches], values: list[float]) -> float:
@@ -316,9 +361,8 @@ def _explanation(stated: _World, evidence: list[_Matches], own: float, alone: bo
     where nothing but the pose of one camera explains half of what they do.
     """
     found = [_fit(cause, stated, evidence) for cause in _causes(stated, evidence, alone)]
-    loss, least = _loss(stated, evidence), min(explanation.loss for explanation in found)
-    enough = least + max(0.1 * least, 0.05 * (loss - least))
-    best = min(found, key=lambda e: (e.loss > enough, len(e.cause.about), e.loss))
+    loss = _loss(stated, evidence)
+    best = _simplest(found, loss)
     if best.loss > CONTRADICTED * own and not alone and len(stated) <= LARGEST_SITE:
         poses = _fit(_all_poses(stated, evidence), stated, evidence)
         simple = best.cause.name not in ("turned", "moved")
@@ -326,6 +370,13 @@ def _explanation(stated: _World, evidence: list[_Matches], own: float, alone: bo
             return best
         best = min(best, poses, key=lambda e: e.loss)
     return best if _explains(best, loss, own, evidence, alone) else None
+
+
+def _simplest(found: list[_Explanation], loss: float) -> _Explanation:
+    """The simplest of the causes that explain about as much of a loss as any."""
+    least = min(explanation.loss for explanation in found)
+    enough = least + max(0.1 * least, 0.05 * (loss - least))
+    return min(found, key=lambda e: (e.loss > enough, len(e.cause.about), e.loss))
 
 
 def _fit(cause: _Cause, stated: _World, evidence: list[_Matches]) -> _Explanation:

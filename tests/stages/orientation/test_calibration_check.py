@@ -4,18 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from itertools import pairwise
 
 import cv2
 import numpy as np
 import pytest
 
-from tests.helpers.exact_pairs import PairSite, make_pair_site, pair_geometry
+from tests.helpers.exact_pairs import PairSite, make_pair_site, pair_geometry, turned_wrong
 from wbflow_stages.core.cameras import project
 from wbflow_stages.core.epipolar import fundamental_from_cameras
 from wbflow_stages.core.rotations import rotation_matrix
 from wbflow_stages.orientation.calibration_check import CORNER, check_calibration
 from wbflow_stages.poses import solve_poses
-from wbflow_stages.types import Camera, Geometry, Placement, Poses
+from wbflow_stages.types import Camera, Geometry, Pair, Placement, Poses
 
 Change = Callable[[str, Camera], Camera]
 
@@ -161,6 +162,38 @@ def test_cameras_without_poses_confirm_matches_of_the_others(site: PairSite) -> 
     two = {names[0]: site.cameras[names[0]], names[1]: turned(names[1], site.cameras[names[1]])}
     check = check_calibration(two, site.geometries, tuple(names))
     assert check is not None and (check.confirmed, check.contradicted) == (True, True)
+
+
+def in_a_row(site: PairSite, wrong: int) -> dict[Pair, Geometry]:
+    """Pairs of neighbours alone, so that no third camera confirms a match, the last of them look-alikes."""
+    pairs = list(pairwise(site.cameras))
+    right = len(pairs) - wrong
+    return {pair: site.geometries[pair] if k < right else turned_wrong(site, pair, k) for k, pair in enumerate(pairs)}
+
+
+@pytest.mark.parametrize(
+    ("change", "cause"),
+    [
+        (zoomed(1.05), "focal-lengths"),
+        (zoomed(1.2, 1.0), "pixel-shape"),
+        (shifted(40.0), "principal-points"),
+        (mirrored, "mirrored-x"),
+        (lambda name, camera: replace(camera, R=camera.R.T), "rotations-transposed"),
+    ],
+)
+def test_a_cause_that_leads_back_most_pairs_is_named_though_nobody_confirms_matches(change: Change, cause: str) -> None:
+    site = make_pair_site(6, seed=1, noise_px=0.3)
+    check = check_calibration(stated(site, change), in_a_row(site, 2), tuple(site.cameras))
+    assert check is not None and not check.confirmed
+    assert (check.contradicted, check.cause) == (True, cause)
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("wrong", [1, 2, 3, 5])
+def test_look_alikes_of_some_pairs_blame_no_calibration(seed: int, wrong: int) -> None:
+    site = make_pair_site(6, seed=seed, noise_px=0.3)
+    check = check_calibration(site.cameras, in_a_row(site, wrong), tuple(site.cameras))
+    assert check is not None and not check.contradicted
 
 
 def test_look_alikes_of_one_pair_contradict_nothing(site: PairSite) -> None:
