@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from wbflow_stages.features import detect
+from wbflow_stages.matching.neighbours import APART_PX
 from wbflow_stages.types import PLAIN, TILTED, Features, Frame, Rejected, View
 
 
@@ -104,6 +105,18 @@ def test_turning_the_image_turns_the_frames() -> None:
     assert same.mean() > 0.6
     relative = turned.frames[nearest[same]] @ np.linalg.inv(upright.frames[same])
     assert np.median(np.abs(relative - rotation).max(axis=(1, 2))) < 0.05
+
+
+def test_a_lookalike_is_of_the_same_kind_and_elsewhere() -> None:
+    found = features(blobs(), tilted_keypoints=0)
+    elsewhere = np.linalg.norm(found.xy[:, None] - found.xy, axis=2) >= APART_PX
+    distance = np.sqrt(np.maximum(2 - 2 * found.descriptors @ found.descriptors.T, 0))
+    bright = found.responses > 0
+    of_any, of_kind = (
+        np.where(which, distance, np.inf).min(axis=1) for which in (elsewhere, elsewhere & (bright[:, None] == bright))
+    )
+    assert (of_any < of_kind - 0.01).any()
+    np.testing.assert_allclose(found.lookalikes, of_kind, atol=1e-3)
 
 
 def test_an_empty_frame_is_rejected_with_its_count() -> None:
