@@ -89,7 +89,8 @@ def _blur_px(slope: Float32s, again: Float32s, inside: Bools) -> float:
 
 
 def _slope(grey: cv2.typing.MatLike) -> Float32s:
-    return np.asarray(cv2.magnitude(cv2.Sobel(grey, cv2.CV_32F, 1, 0), cv2.Sobel(grey, cv2.CV_32F, 0, 1)), np.float32)
+    # not by cv2.magnitude, whose last bits depend on where in memory the arrays lie
+    return np.asarray(np.hypot(cv2.Sobel(grey, cv2.CV_32F, 1, 0), cv2.Sobel(grey, cv2.CV_32F, 0, 1)), np.float32)
 
 
 def detail_px(image: Uint8s, usable: Bools, noise: float) -> float:

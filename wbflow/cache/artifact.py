@@ -202,7 +202,10 @@ def _untree(node: Any, frames: IO[bytes]) -> Any:
         return tuple(_untree(item, frames) for item in node["tuple"])
     if "map" in node:
         return {tuple(key) if isinstance(key, list) else key: _untree(entry, frames) for key, entry in node["map"]}
-    kind: Any = load(node["type"])
+    try:
+        kind: Any = load(node["type"])
+    except ValueError:
+        raise ArtifactError(f"{node['type']} is no name of a class") from None
     if not (isinstance(kind, type) and dataclasses.is_dataclass(kind)):
         raise ArtifactError(f"{node['type']} is not a dataclass")
     fields = {name: _untree(tree, frames) for name, tree in node["fields"].items()}
