@@ -82,10 +82,7 @@ def _features(views: list[_View], view: View, preprocessing: str) -> Features:
     xy, frames, descriptors, responses = (np.concatenate(parts) for parts in zip(*views, strict=True))
     tilts = np.repeat(np.arange(len(views), dtype=np.uint8), [len(v[0]) for v in views])
     plain = len(views[0][0])
-    lookalikes = np.empty(plain, np.float32)
-    for kind in (responses[:plain] < 0, responses[:plain] >= 0):
-        rows = np.flatnonzero(kind)
-        lookalikes[rows] = nearest_elsewhere(descriptors[rows], xy[rows], len(rows))
+    lookalikes = nearest_elsewhere(descriptors[:plain], xy[:plain], plain)
     return Features(xy, frames, descriptors, responses, tilts, view, lookalikes, plain, preprocessing)
 
 
@@ -169,7 +166,7 @@ def _spread(blobs: Blobs, usable: Bools, shape: tuple[int, ...], wanted: int, gr
 
     Spreading more evenly finds more at 50 to 60 degrees but loses a tenth everywhere else: weak keypoints aren't found again.
     """
-    order = np.lexsort((blobs.sigma, blobs.y, blobs.x, -np.abs(blobs.response)))
+    order = np.lexsort((blobs.sigma, blobs.y, blobs.x, -blobs.response))
     order = order[usable[order]]
     if len(order) <= wanted:
         return np.asarray(order)

@@ -11,9 +11,9 @@ import numpy as np
 
 from ..core.jit import helper, kernel
 from ..core.ordering import by_cell
-from ..types import PLAIN, TILTED, Bools, Features, Float32s, Float64s, Int32s, Int64s, Matches
+from ..types import PLAIN, TILTED, Features, Float32s, Float64s, Int32s, Int64s, Matches
 from .affine_field import AffineField
-from .neighbours import APART_PX, Neighbours, nearest_of_kind
+from .neighbours import APART_PX, Neighbours, nearest_neighbours
 
 NEIGHBOURS = 7
 """Candidates that each keypoint proposes, unless asked otherwise."""
@@ -32,9 +32,6 @@ class Candidates:
 
     descriptors1: Float32s
     descriptors2: Float32s
-    bright1: Bools
-    bright2: Bools
-    """Blobs brighter than what is around them: no other is the same thing."""
     neighbours: int
     near: Neighbours
     """The nearest both ways, `NOISE_RANK` more than the `neighbours` that are candidates."""
@@ -95,14 +92,13 @@ def _view_pair(left: Features, right: Features, view1: int, view2: int, neighbou
     rows2 = np.flatnonzero(right.tilts == view2).astype(np.int32)
     if min(len(rows1), len(rows2)) <= neighbours + NOISE_RANK:
         return None
-    bright = left.responses[rows1] < 0, right.responses[rows2] < 0
-    found = _candidates(left.descriptors[rows1], right.descriptors[rows2], *bright, neighbours)
+    found = _candidates(left.descriptors[rows1], right.descriptors[rows2], neighbours)
     return ViewPair(rows1, rows2, left.xy[rows1], right.xy[rows2], left.frames[rows1], inverses(right.frames[rows2]), found)
 
 
-def _candidates(descriptors1: Float32s, descriptors2: Float32s, bright1: Bools, bright2: Bools, neighbours: int) -> Candidates:
+def _candidates(descriptors1: Float32s, descriptors2: Float32s, neighbours: int) -> Candidates:
     """Candidates of two sets of descriptors: each proposes its `neighbours` nearest."""
-    near = nearest_of_kind(descriptors1, descriptors2, bright1, bright2, neighbours + NOISE_RANK)
+    near = nearest_neighbours(descriptors1, descriptors2, neighbours + NOISE_RANK)
     noise1, noise2 = near.row_distance[:, -1].copy(), near.column_distance[:, -1].copy()
     n1, n2 = len(descriptors1), len(descriptors2)
     from_rows = np.arange(n1)[:, None] * n2 + near.rows[:, :neighbours]
@@ -112,7 +108,7 @@ def _candidates(descriptors1: Float32s, descriptors2: Float32s, bright1: Bools, 
     i, j = (edges // n2).astype(np.int32), (edges % n2).astype(np.int32)
     q = np.empty(len(i))
     _relative_distances(descriptors1, descriptors2, noise1, noise2, i, j, q)
-    return Candidates(descriptors1, descriptors2, bright1, bright2, neighbours, near, noise1, noise2, i, j, q)
+    return Candidates(descriptors1, descriptors2, neighbours, near, noise1, noise2, i, j, q)
 
 
 def mutual_neighbours(pair: ViewPair) -> tuple[Int64s, Int32s, Float64s]:
@@ -173,7 +169,7 @@ def near_predictions(pair: ViewPair, field: AffineField, sigma: Float64s, trust:
         i, j, q = np.empty(room, np.int32), np.empty(room, np.int32), np.empty(room)
         count = _search(
             asking, radius, field.prediction, pair.x2, origin, cell, columns, rows, order, starts, first, c.j,
-            c.descriptors1, c.descriptors2, c.bright1, c.bright2, c.noise1, c.noise2, i, j, q,
+            c.descriptors1, c.descriptors2, c.noise1, c.noise2, i, j, q,
         )  # fmt: skip
         if count <= room:
             return i[:count], j[:count], q[:count]
@@ -218,8 +214,6 @@ def _search(
     known: Int32s,
     d1: Float32s,
     d2: Float32s,
-    bright1: Bools,
-    bright2: Bools,
     noise1: Float32s,
     noise2: Float32s,
     out_i: Int32s,
@@ -241,7 +235,7 @@ def _search(
             for column in range(int(max(left, 0.0)), int(min(right, columns - 1.0)) + 1):
                 for at in range(starts[row * columns + column], starts[row * columns + column + 1]):
                     b = order[at]
-                    if bright1[a] != bright2[b] or (x2[b, 0] - px) ** 2 + (x2[b, 1] - py) ** 2 >= limit:
+                    if (x2[b, 0] - px) ** 2 + (x2[b, 1] - py) ** 2 >= limit:
                         continue
                     new = True
                     for k in range(first[a], first[a + 1]):

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..core.jit import helper, kernel
-from ..types import Bools, Float32s, Float64s, Int32s, Int64s, Uint8s, Uint64s
+from ..types import Float32s, Float64s, Int32s, Int64s, Uint8s, Uint64s
 
 _BLOCK, _SPAN = 512, 32
 APART_PX = 6.0
@@ -45,27 +45,6 @@ def nearest_neighbours(descriptors1: Float32s, descriptors2: Float32s, k: int) -
         similarity = _products(descriptors1[start : start + _BLOCK], other, room)
         _keep_best(similarity, start, rows, row_best, columns, column_best, enough, marks, marks.view(np.uint8))
     return Neighbours(rows, _distance(row_best), columns, _distance(column_best))
-
-
-def nearest_of_kind(descriptors1: Float32s, descriptors2: Float32s, kind1: Bools, kind2: Bools, k: int) -> Neighbours:
-    """The same among those of one kind: a blob that is brighter than what is around it is so from everywhere.
-
-    Parameters
-    ----------
-    descriptors1, descriptors2 : (n1, d) and (n2, d) of unit length.
-    kind1, kind2 : (n1,) and (n2,).
-    k : neighbours of each; where a kind is too rare to have so many, they are looked for among all.
-    """
-    both = [(np.flatnonzero(kind1 == kind), np.flatnonzero(kind2 == kind)) for kind in (False, True)]
-    if min(len(rows) for pair in both for rows in pair) < k:
-        return nearest_neighbours(descriptors1, descriptors2, k)
-    one, two = (len(kind1), k), (len(kind2), k)
-    found = Neighbours(np.empty(one, np.int32), np.empty(one, np.float32), np.empty(two, np.int32), np.empty(two, np.float32))
-    for a, b in both:
-        near = nearest_neighbours(descriptors1[a], descriptors2[b], k)
-        found.rows[a], found.row_distance[a] = b[near.rows], near.row_distance
-        found.columns[b], found.column_distance[b] = a[near.columns], near.column_distance
-    return found
 
 
 def nearest_elsewhere(descriptors: Float32s, xy: Float64s, others: int, begin: int = 0) -> Float32s:

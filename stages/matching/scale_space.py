@@ -46,7 +46,7 @@ class Blobs:
     sigma: Float64s
     """Standard deviation of the Gaussian at which it is strongest, pixels."""
     response: Float64s
-    """Difference there, as share of the grey range: above 0 for a dark blob, below for a bright one."""
+    """Absolute difference there, as share of the grey range."""
     octave: Int32s
     level: Int32s
     """Where in the pyramid that is, nearly."""
@@ -241,7 +241,7 @@ def _newton(c: Float64s, step: Float64s) -> bool:
 
 
 def _refined(start: Int64s, levels: Float32s, least: float) -> Float64s:
-    """(n, 4) x, y, scale in levels, and value of those that Newton's steps lead to an extremum nearby."""
+    """(n, 4) x, y, scale in levels, and absolute value of those that Newton's steps lead to an extremum nearby."""
     out = np.empty((len(start), 4))
     n = _refine(start, levels, least, np.empty((2, 4)), np.empty((3, 6)), np.empty((3, 3, 3)), np.empty(4), out)
     return out[:n]
@@ -266,7 +266,7 @@ def _refine(
             if moved <= NEAR and abs(step[2]) <= NEAR:
                 if good and abs(step[3]) >= least:
                     out[n, 0], out[n, 1], out[n, 2] = x + step[0], y + step[1], s + step[2]
-                    out[n, 3] = step[3]
+                    out[n, 3] = abs(step[3])
                     n += 1
                 break
             x += min(max(step[0], -1.0), 1.0)

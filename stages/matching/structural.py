@@ -4,7 +4,7 @@ The intent is that of Hao (2011), chapter 3: the structure of the whole set deci
 compensates the change of viewpoint, and a match must dominate its rivals.  Here the affine is local, one at every keypoint
 (what that work names as its future), because one global map cannot follow a scene with depth:
 
-1. candidates: the nearest few by descriptor, both ways, among blobs as bright or dark;
+1. candidates: the nearest few by descriptor, both ways;
 2. first matches: mutual nearest neighbours that their own neighbours confirm, each through its local affine frame;
 3. rounds of expectation and maximisation: confident matches give the local affine field; the field and the descriptors give the
    log odds of each candidate; Sinkhorn's balancing with a dustbin turns these into probabilities;

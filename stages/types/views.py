@@ -117,13 +117,13 @@ class Features(Record):
     descriptors: Float32s
     """(n, d) of unit length (RootSIFT)."""
     responses: Float32s
-    """(n,) contrast, as share of the grey range: below 0 for a blob brighter than what is around it."""
+    """(n,)"""
     tilts: Uint8s
     """(n,) `PLAIN`, or `TILTED` for the view compressed by 2 in x."""
     view: View
     lookalikes: Float32s = field(default_factory=lambda: np.zeros(0, np.float32))
-    """(p,) of the plain view's keypoints, the distance to the most similar descriptor of that view at least 6 px away, of a blob
-    as bright or dark: how distinctive a keypoint is in its own image (empty: unknown).  Of a tilted view few are ever asked."""
+    """(p,) of the plain view's keypoints, the distance to the most similar descriptor of that view at least 6 px away: how
+    distinctive a keypoint is in its own image (empty: unknown).  Of a tilted view few are ever asked."""
     plain_keypoints: int = 0
     """Rows of the plain view."""
     preprocessing: str = "none"

@@ -11,7 +11,7 @@ from wbflow_stages.core.nearest_points import nearest_points
 from wbflow_stages.matching.affine_field import fit_affine_field
 from wbflow_stages.matching.assignment import assign, without_repeats
 from wbflow_stages.matching.hao2011 import nearest_dominance, procrustes, published_dominance
-from wbflow_stages.matching.neighbours import nearest_neighbours, nearest_of_kind
+from wbflow_stages.matching.neighbours import nearest_neighbours
 from wbflow_stages.types import Float64s
 
 
@@ -31,18 +31,6 @@ def test_neighbours_are_those_of_brute_force(n1: int, n2: int, k: int, seed: int
     np.testing.assert_allclose(near.row_distance, np.sort(distance, axis=1)[:, :k], atol=2e-3)
     np.testing.assert_allclose(near.column_distance, np.sort(distance, axis=0)[:k].T, atol=2e-3)
     np.testing.assert_allclose(np.take_along_axis(distance, near.rows.astype(int), 1), near.row_distance, atol=2e-3)
-
-
-def test_neighbours_are_of_one_kind_unless_one_is_too_rare() -> None:
-    rng = np.random.default_rng(0)
-    a, b, bright1, bright2 = unit_rows(rng, 90), unit_rows(rng, 70), rng.random(90) < 0.4, rng.random(70) < 0.4
-    near = nearest_of_kind(a, b, bright1, bright2, 4)
-    distance = np.where(bright1[:, None] == bright2, np.linalg.norm(a[:, None].astype(float) - b[None], axis=2), np.inf)
-    np.testing.assert_allclose(near.row_distance, np.sort(distance, axis=1)[:, :4], atol=2e-3)
-    np.testing.assert_allclose(near.column_distance, np.sort(distance, axis=0)[:4].T, atol=2e-3)
-    np.testing.assert_allclose(np.take_along_axis(distance, near.rows.astype(int), 1), near.row_distance, atol=2e-3)
-    one = nearest_of_kind(a, b, bright1, np.arange(70) < 3, 4)
-    assert one.rows.tobytes() == nearest_neighbours(a, b, 4).rows.tobytes()
 
 
 def test_of_equal_neighbours_the_first_stays() -> None:
