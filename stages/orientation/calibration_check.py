@@ -218,13 +218,14 @@ def _with_cause_of_most(found: CalibrationCheck, stated: _World, evidence: list[
     equal = [k for k in np.flatnonzero(able) if good[k].sum() == most]
     pairs = good[min(equal, key=lambda k: causes[k].loss)]
     mine = [m for m, one in zip(evidence, pairs, strict=True) if one]
-    causes = [replace(causes[k], loss=_loss(causes[k].world, mine)) for k in equal]
-    best = _simplest(causes, _loss(stated, mine))
-    own = _mean(mine, [m.own_loss for m in mine])
-    if not _explains(best, _loss(stated, mine), own, mine, alone=False):
+    loss, own = _loss(stated, mine), _mean(mine, [m.own_loss for m in mine])
+    best = _simplest([replace(causes[k], loss=_loss(causes[k].world, mine)) for k in equal], loss)
+    if not _explains(best, loss, own, mine, alone=False):
         return found
-    named = _named(found, best, stated, mine)
-    return found if named.off_px < HARMFUL_PX else replace(named, misfit=_loss(stated, mine) / max(own, 1e-9))
+    count = sum(len(m.x1) for m in mine)
+    asked = replace(found, matches=count, pairs=len(mine), misfit=loss / max(own, 1e-9))
+    named = _named(asked, best, stated, mine)
+    return found if named.off_px < HARMFUL_PX else named
 
 
 def _confirmed(names: tuple[str, ...], believed: Mapping[Pair, Geometry]) -> list[_Matches]:

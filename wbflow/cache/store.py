@@ -38,8 +38,14 @@ class DamagedArtifact(WbflowError):
         return type(self), (self.task, self.path, self.gone)
 
 
-Damage = tuple[str, Task | None]
-"""Something in the work folder that was not as it had been written, and is not used: what is wrong with which file, and whose."""
+@dataclass(frozen=True)
+class Damage:
+    """Something in the work folder that was not as it had been written, and is not used."""
+
+    what: str
+    """Which file, and what is wrong with it."""
+    task: Task | None = None
+    """Whose it was."""
 
 
 @dataclass(frozen=True)
@@ -131,7 +137,7 @@ class Cache:
 
     def note(self, what: str, task: Task | None = None) -> None:
         """Note damage that was found, to be reported (see `damages`)."""
-        self._damages.append((what, task))
+        self._damages.append(Damage(what, task))
 
     def damages(self) -> list[Damage]:
         """What was found damaged since the last call."""

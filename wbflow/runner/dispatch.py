@@ -178,8 +178,8 @@ class Dispatcher:
             for done in future.result():
                 for what in done.warnings:
                     self._journal.warn(what, task=done.task)
-                for what, task in done.damages:
-                    self._journal.repaired(f"{what}: made again", task=task)
+                for damage in done.damages:
+                    self._journal.repaired(f"{damage.what}: made again", task=damage.task)
                 if done.state.receipt:
                     self._limits.learn(done.task.stage, done.state.receipt.peak_rss_mb)
                 yield done

@@ -37,8 +37,8 @@ class Journal:
 
     def report(self, plan: Plan) -> None:
         """Add an event for each task that has ended since the last time, and for damage that was found in the cache."""
-        for what, whose in plan.cache.damages():
-            self.repaired(f"{what}: made again", task=whose)
+        for damage in plan.cache.damages():
+            self.repaired(f"{damage.what}: made again", task=damage.task)
         for task, state in plan.news():
             self._add(_event(task, state))
             if state.fresh and state.receipt:
