@@ -79,7 +79,7 @@ def hold_poses(
     around = {pair: g for pair, g in geometries.items() if set(pair) & set(lost) and set(pair) <= {*cameras, *lost}}
     stated = {n: camera for n, camera in pinned.cameras.items() if n in views and pinned.sources.get(n) in {"stated", "refined"}}
     still = {n: cameras[n] for n in stated if n in cameras}
-    held = replace(held, calibration=stated_calibration(stated, still, {*stated} - {*still}, geometries, tuple(views)))
+    held = replace(held, calibration=stated_calibration(stated, still, {*stated} - {*still}, geometries))
     known = {n: replace(view, K=pinned.cameras[n].K, focal_known=True) for n, view in views.items() if n in pinned.cameras}
     main = {n: camera for n, camera in cameras.items() if camera.component == 0 and n in views}
     placements = {n: Placement(camera.R, camera.C, metric=pinned.metric) for n, camera in main.items()}

@@ -103,7 +103,7 @@ def solve_poses(
     held = {name: replace(placements[name], R=c.R, C=c.C, sigma_m=0.0, sigma_deg=0.0) for name, c in cameras.items()}
     believed = {name: placement for name, placement in placements.items() if name not in moved} | held
     trusted = {name: camera for name, camera in stated.items() if name not in moved} | cameras
-    calibration = stated_calibration(known, cameras, set(moved), geometries, tuple(views))
+    calibration = stated_calibration(known, cameras, set(moved), geometries)
     geometries = {**geometries, **{pair: confirmed(geometries[pair]) for new in moved.values() for pair in new.pairs}}
     if len(trusted) == len(views) and all(believed[name].sigma_m == 0 for name in trusted):
         found = _as_stated(views, believed, trusted, survey)
@@ -126,7 +126,6 @@ def stated_calibration(
     cameras: Mapping[str, Camera],
     moved: set[str],
     geometries: Mapping[Pair, Geometry],
-    order: tuple[str, ...],
 ) -> CalibrationCheck | None:
     """The stated calibration as a whole; what the pose of a single camera that was moved explains is no fault of the others.
 
@@ -135,11 +134,10 @@ def stated_calibration(
     known, cameras : as stated, and as they are within their standard deviations, without those that were moved.
     moved : the cameras that were.
     geometries : of all pairs.
-    order : all cameras, in the order of the site.
     """
-    found = check_calibration({**known, **cameras}, geometries, order)
+    found = check_calibration({**known, **cameras}, geometries)
     if moved and found is not None and found.contradicted and found.cause in ("", "turned", "moved", "poses"):
-        return check_calibration(cameras, geometries, order)
+        return check_calibration(cameras, geometries)
     return found
 
 
@@ -238,15 +236,13 @@ def _fit(cameras: Mapping[str, Camera], geometries: Mapping[Pair, Geometry], max
     for pair, geometry in geometries.items():
         if not set(pair) <= set(cameras):
             continue
-        error = epipolar_error_px(cameras, pair, geometry)
-        turned = turned_deg(cameras, pair, geometry)
-        figures = geometry.epipolar_px, error, turned, not error <= PAIR_PX, "stated"
-        if not error <= max_epipolar_px:
+        error, turned = epipolar_error_px(cameras, pair, geometry), turned_deg(cameras, pair, geometry)
+        reason, code = f"the known poses leave an epipolar error of {error:.2f} px" if error > PAIR_PX else "", ""
+        if not (kept := error <= max_epipolar_px):
             why = Rejected(Reason.MATCHES_CONTRADICT_CAMERAS, {"epipolar_px": error})
-            found["--".join(pair)] = PairCheck(False, why.reason, why.code, *figures)
-        else:
-            reason = f"the known poses leave an epipolar error of {error:.2f} px" if error > PAIR_PX else ""
-            found["--".join(pair)] = PairCheck(True, reason, "", *figures)
+            reason, code = why.reason, why.code
+        figures = geometry.epipolar_px, error, turned, not error <= PAIR_PX, "stated"
+        found["--".join(pair)] = PairCheck(kept, reason, code, *figures)
     return found
 
 

@@ -16,7 +16,7 @@ Loss: Cauchy, see Black & Anandan, The Robust Estimation of Multiple Motions, 19
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from itertools import combinations
 from math import sqrt
@@ -148,16 +148,11 @@ class _Explanation:
     """Mean over all matches."""
 
 
-def check_calibration(
-    cameras: Mapping[str, Camera], geometries: Mapping[Pair, Geometry], order: Sequence[str]
-) -> CalibrationCheck | None:
+def check_calibration(cameras: Mapping[str, Camera], geometries: Mapping[Pair, Geometry]) -> CalibrationCheck | None:
     """Compare stated cameras with the matches of the night; None where too few matches can tell.
 
-    Parameters
-    ----------
-    cameras : as the site states them, at working resolution, by id.
-    geometries : matches of the pairs, without the stated distortion; those of other cameras confirm matches.
-    order : all cameras, in the order of the site.
+    cameras: as the site states them, at working resolution, by id.  geometries: matches of the pairs, without the stated
+    distortion; those of other cameras confirm matches.
     """
     if len(cameras) < 2:
         return None
@@ -166,9 +161,10 @@ def check_calibration(
         for pair, geometry in geometries.items()
         if geometry.good_probability >= BELIEVED and len(geometry.x1) >= MIN_SHARED
     }
-    confirmed = [m for m in _confirmed(tuple(order), believed) if set(m.pair) <= set(cameras)]
-    known = {m.pair for m in confirmed}
-    others = [_matches(pair, g, g) for pair, g in believed.items() if set(pair) <= set(cameras) and pair not in known]
+    mine = {pair: some for pair, some in consistent_matches(believed).items() if set(pair) <= set(cameras)}
+    known = {pair: some for pair, some in mine.items() if len(some.x1) >= FEWEST_CONFIRMED}
+    confirmed = [_matches(pair, some, believed[pair]) for pair, some in known.items()]
+    others = [_matches(pair, believed[pair], believed[pair]) for pair in mine if pair not in known]
     if not confirmed and not others:
         return None
     stated = {name: _Seen(camera) for name, camera in cameras.items()}
@@ -228,17 +224,6 @@ def _with_cause_of_most(found: CalibrationCheck, stated: _World, evidence: list[
     return found if named.off_px < HARMFUL_PX else named
 
 
-def _confirmed(names: tuple[str, ...], believed: Mapping[Pair, Geometry]) -> list[_Matches]:
-    """The pairs of which third cameras confirm enough matches, with these alone.  names: in the order of the pairs' sides."""
-    number = {name: k for k, name in enumerate(names)}
-    edges = {(number[a], number[b]): geometry for (a, b), geometry in believed.items()}
-    found = []
-    for (i, j), some in consistent_matches(edges).items():
-        if len(some.x1) >= FEWEST_CONFIRMED:
-            found.append(_matches((names[i], names[j]), some, edges[i, j]))
-    return found
-
-
 def _matches(pair: Pair, some: Geometry, whole: Geometry) -> _Matches:
     """Some matches of a pair; all of them tell the noise."""
     off = np.abs(sampson_distance(whole.F, whole.x1, whole.x2))
@@ -261,11 +246,6 @@ def _residuals(world: _World, matches: _Matches) -> Float64s:
     return sampson_distance(F, left.straight(matches.x1), right.straight(matches.x2)) / matches.noise_px
 
 
-def _agrees(world: _World, matches: _Matches, errors: float) -> bool:
-    """errors: standard errors of the median that are granted."""
-    return _median(world, matches) <= AGREEING + errors * MEDIAN_ERROR / sqrt(len(matches.x1))
-
-
 def _median(world: _World, matches: _Matches) -> float:
     """Distance to the lines, in standard deviations."""
     return float(np.median(np.abs(_residuals(world, matches))))
@@ -281,8 +261,13 @@ def _loss(world: _World, evidence: list[_Matches]) -> float:
 
 
 def _excess(world: _World, evidence: list[_Matches], errors: float = 0.0) -> float:
-    """The loss, but for pairs that agree with the world: these have none beyond that under their own geometry."""
-    return _mean(evidence, [m.own_loss if _agrees(world, m, errors) else _loss(world, [m]) for m in evidence])
+    """The loss, but for pairs that agree with the world: these have none beyond that under their own geometry.
+
+    errors: standard errors of the median that are granted.
+    """
+    most = [AGREEING + errors * MEDIAN_ERROR / sqrt(len(m.x1)) for m in evidence]
+    agrees = [_median(world, m) <= limit for m, limit in zip(evidence, most, strict=True)]
+    return _mean(evidence, [m.own_loss if same else _loss(world, [m]) for m, same in zip(evidence, agrees, strict=True)])
 
 
 def _with_slight_cause(found: CalibrationCheck, stated: _World, evidence: list[_Matches], own: float) -> CalibrationCheck:

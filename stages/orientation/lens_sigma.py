@@ -131,19 +131,12 @@ def _principal_points(model: Model, equations: _Equations, centre_sigma: float) 
 
 def _border_px(camera: Camera, covariance: Float64s) -> float:
     """Standard deviation of pixels at the border, from the covariance (5, 5) of cx, cy, f, k1, k2."""
-    border, everywhere = _pixels(camera, True), _pixels(camera, False)
-    (turn, of), (turn_b, of_b) = _slopes_at(camera, everywhere), _slopes_at(camera, border)
-    undone = of_b - turn_b @ np.linalg.lstsq(turn, of, rcond=None)[0]
-    return float(np.sqrt(max(np.einsum("ni,ij,nj->", undone, covariance, undone) / len(border), 0.0)))
-
-
-def _pixels(camera: Camera, border: bool) -> Float64s:
-    """(n, 2) pixels of a grid over the frame, or of its rim."""
     x, y = np.linspace(0.02, 0.98, 17) * (camera.width - 1), np.linspace(0.02, 0.98, 11) * (camera.height - 1)
     grid = np.stack(np.meshgrid(x, y), axis=-1)
-    if not border:
-        return np.asarray(grid.reshape(-1, 2), dtype=np.float64)
-    return np.concatenate([grid[0], grid[-1], grid[1:-1, 0], grid[1:-1, -1]])
+    border = np.concatenate([grid[0], grid[-1], grid[1:-1, 0], grid[1:-1, -1]])
+    (turn, of), (turn_b, of_b) = (_slopes_at(camera, pixels) for pixels in (grid.reshape(-1, 2), border))
+    undone = of_b - turn_b @ np.linalg.lstsq(turn, of, rcond=None)[0]
+    return float(np.sqrt(max(np.einsum("ni,ij,nj->", undone, covariance, undone) / len(border), 0.0)))
 
 
 def _slopes_at(camera: Camera, x: Float64s) -> tuple[Float64s, Float64s]:
@@ -185,7 +178,10 @@ def _equations(model: Model) -> _Equations:
     off = model.error_px()[rows] / noise
     weight = np.sqrt(1 / (1 + off**2 / LOSS**2)) / noise
     J, P, r = J * weight[:, None, None], P * weight[:, None, None], r * weight[:, None]
-    inverse, part = _inverses(P, point, len(points)), _parts(model.X[points])
+    V = np.zeros((len(points), 3, 3))  # of each point alone
+    np.add.at(V, point, np.einsum("nki,nkj->nij", P, P))
+    inverse = np.linalg.inv(V + _LOOSE * np.trace(V, axis1=1, axis2=2)[:, None, None] * np.eye(3))
+    part = _parts(model.X[points])
     H, pulls = np.zeros((1 << _HALVINGS, size, size)), _pulls(J, P, r, inverse, at[of], point, part, size)
     for k in range(len(H)):
         mine, own = part[point] == k, np.flatnonzero(part == k)
@@ -275,13 +271,6 @@ def _linearised(model: Model, names: list[int], rows: Int64s, of: Int64s) -> tup
     bent = (lens[:, 0] * (1 + r2 * (lens[:, 1] + r2 * lens[:, 2])))[:, None] * aspect * x
     off = model.tracks.xy[rows] - np.array([camera.K[:2, 2] for camera in cameras])[of] - bent
     return np.concatenate([turn, -P, np.tile(np.eye(2), (len(rows), 1, 1)), L], axis=2), P, off
-
-
-def _inverses(P: Float64s, point: Int64s, count: int) -> Float64s:
-    """(count, 3, 3) of the normal equations of each point alone."""
-    V = np.zeros((count, 3, 3))
-    np.add.at(V, point, np.einsum("nki,nkj->nij", P, P))
-    return np.linalg.inv(V + _LOOSE * np.trace(V, axis1=1, axis2=2)[:, None, None] * np.eye(3))
 
 
 def _reduced(J: Float64s, P: Float64s, inverse: Float64s, at: Int64s, point: Int64s, size: int) -> Float64s:

@@ -42,7 +42,7 @@ class NewPose:
 def find_moved_cameras(cameras: Mapping[str, Camera], constraints: PoseConstraints) -> dict[str, NewPose]:
     """The cameras whose stated poses are wrong, with where they are instead.
 
-    A camera is find_moved_cameras if at least two pairs with different partners, or three cameras whose matches close, contradict
+    A camera has moved if at least two pairs with different partners, or three cameras whose matches close, contradict
     its pose and agree on another one; if their distinctive matches are spread over the image; and if they are more than the
     constraints against it.  Where it could be one camera as well as another, neither counts as moved; nor does any if it were
     half of all cameras.

@@ -198,7 +198,8 @@ def _why_unsolved(graph: ViewGraph, name: str, dropped: Mapping[Edge, Rejected],
     if not mine:
         return "no pair with it has a geometry"
     if all(edge in dropped for edge in mine):
-        if all(_unbacked(dropped[edge]) for edge in mine):
+        unbacked = (Reason.UNCONFIRMED, Reason.NOT_BELIEVED)  # for want of evidence: in no triangle nothing can contradict a pair
+        if all(dropped[edge].why in unbacked and not dropped[edge].figures["triangles"] for edge in mine):
             which = f"none of its {len(mine)} pairs" if len(mine) > 1 else "its only pair"
             believed = "is" if len(mine) > 1 else "is not"
             return f"{which} {believed} believed: too little that is distinct, and no third camera to confirm it"
@@ -207,11 +208,6 @@ def _why_unsolved(graph: ViewGraph, name: str, dropped: Mapping[Edge, Rejected],
     if name in unsupported:
         return "where the points that it shares would put it, the pairs that see most with it do not fit"
     return "too few points in common with the solved cameras"
-
-
-def _unbacked(why: Rejected) -> bool:
-    """Was a pair left out for want of evidence, by itself?  Where it is in no triangle nothing can contradict it."""
-    return why.why in (Reason.UNCONFIRMED, Reason.NOT_BELIEVED) and not why.figures["triangles"]
 
 
 def _joins(graph: ViewGraph, groups: list[list[str]]) -> tuple[str, ...]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
-from itertools import combinations
 
 import numpy as np
 
@@ -59,8 +58,5 @@ def check_survey(poses: Poses, views: Mapping[str, View], placements: Mapping[st
 
 def _nearest(centres: Mapping[str, Float64s]) -> float:
     """Median distance from a camera to the nearest other one."""
-    nearest = dict.fromkeys(centres, np.inf)
-    for a, b in combinations(centres, 2):
-        length = float(np.linalg.norm(centres[a] - centres[b]))
-        nearest[a], nearest[b] = min(nearest[a], length), min(nearest[b], length)
-    return float(np.median(list(nearest.values())))
+    apart = ([np.linalg.norm(C - other) for b, other in centres.items() if b != a] for a, C in centres.items())
+    return float(np.median([min(lengths) for lengths in apart]))

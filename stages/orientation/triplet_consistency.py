@@ -53,7 +53,10 @@ def inconsistency(model: Model, geometries: Mapping[Edge, Geometry]) -> float:
         return float("nan")
     scale = OUTLIER * max(float(np.median(apart[finite])) / RAYLEIGH, LEAST_PX)
     loss = 2 * OUTLIER**2 * (np.hypot(1, together[finite] / scale) - np.hypot(1, apart[finite] / scale))
-    return float(max(loss.sum(), 0.0)) / _freedoms(own)
+    free = [view for view in own.cameras if view not in own.held]
+    frame = 7 if len(own.held) == 0 else 1 if len(own.held) == 1 else 0  # that the poses share
+    freedoms = 6 * len(free) - frame + 3 * len({own.lenses[view] for view in free if view in own.lenses})
+    return float(max(loss.sum(), 0.0)) / max(1, freedoms)
 
 
 def _errors(model: Model, cameras: Mapping[int, Camera]) -> Float64s:
@@ -61,10 +64,3 @@ def _errors(model: Model, cameras: Mapping[int, Camera]) -> Float64s:
     other = replace(model, cameras=dict(cameras))
     X = triangulate(other.cameras, other.straight, model.use, 1.0)
     return replace(other, X=X).error_px()[model.use]
-
-
-def _freedoms(model: Model) -> int:
-    """Of the cameras: poses less the frame that they share, and three for each lens that is solved."""
-    free = [view for view in model.cameras if view not in model.held]
-    frame = 7 if len(model.held) == 0 else 1 if len(model.held) == 1 else 0
-    return max(1, 6 * len(free) - frame + 3 * len({model.lenses[view] for view in free if view in model.lenses}))

@@ -78,8 +78,8 @@ def to_world(graph: ViewGraph, model: Model, placements: Mapping[str, Placement]
         count = sum(p.C is not None for name, p in placements.items() if name not in again)
         alone = count == 1  # without a scale it fits nothing else that is placed
         return World(model, bool(landmarks) and (known_scale or alone), known_scale, why, {})
-    similarity, trusted, doubted = alignment
-    unplaced, model = model, _moved(model, similarity)
+    trusted, doubted = alignment.trusted, alignment.doubted
+    unplaced, model = model, _moved(model, alignment.similarity)
     exact = [view for view, p in placed.items() if p.R is not None and p.C is not None and max(p.sigma_m, p.sigma_deg) == 0]
     number = {name: view for view, name in enumerate(graph.names)}
     held = [number[name] for name in trusted if (p := placements.get(name)) and p.R is not None and p.sigma_m == 0]
@@ -95,7 +95,7 @@ def to_world(graph: ViewGraph, model: Model, placements: Mapping[str, Placement]
         model = refine(replace_cameras(model, {**model.cameras, **stated}), held)
     else:
         measured = {number[name]: placements[name] for name in trusted if name in number}
-        distance = depth * similarity.scale
+        distance = depth * alignment.similarity.scale
         positions = {view: (p.C, max(p.sigma_m, EXACT_SHARE * distance)) for view, p in measured.items() if p.C is not None}
         if len(positions) >= 3 and min(sigma for _, sigma in positions.values()) < LOOSE_SHARE * distance:
             model = refine(model, positions=positions)
@@ -197,8 +197,16 @@ class Landmark:
     """Standard deviation of world_X, 0 where it is exact."""
 
 
-Alignment = tuple[Similarity, tuple[str, ...], dict[str, tuple[float, float]]]
-"""Model to world; names of the landmarks that it rests on; how far off the others seem: length in the world, degrees or nan."""
+@dataclass(frozen=True)
+class Alignment:
+    """How a model comes into the world."""
+
+    similarity: Similarity
+    """Model to world."""
+    trusted: tuple[str, ...]
+    """Names of the landmarks that it rests on."""
+    doubted: dict[str, tuple[float, float]]
+    """How far off the others seem, by name: length in the world, degrees (nan where no rotation is known)."""
 
 
 def align(landmarks: Sequence[Landmark], up: Float64s, depth: float, scale: float | None = None) -> Alignment | None:
@@ -229,9 +237,8 @@ def align(landmarks: Sequence[Landmark], up: Float64s, depth: float, scale: floa
         if better is None:
             break
         similarity = better
-    trusted_names = tuple(landmark.name for landmark in landmarks if _error(similarity, landmark, depth) <= 1)
-    doubted = {mark.name: _off(similarity, mark) for mark in landmarks if mark.name not in trusted_names}
-    return similarity, trusted_names, doubted
+    names = tuple(landmark.name for landmark in landmarks if _error(similarity, landmark, depth) <= 1)
+    return Alignment(similarity, names, {mark.name: _off(similarity, mark) for mark in landmarks if mark.name not in names})
 
 
 def fit_similarity(landmarks: Sequence[Landmark], up: Float64s, scale: float | None = None) -> Similarity | None:
