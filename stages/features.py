@@ -21,7 +21,7 @@ from .matching.description import LENGTH, describe, main_directions
 from .matching.neighbours import nearest_elsewhere
 from .matching.scale_space import Blobs, Pyramid, find_blobs, pyramid
 from .reasons import Reason, Rejected
-from .types import Bools, Features, Float32s, Float64s, Frame, Int64s, Uint8s, View
+from .types import Bools, Features, Float32s, Float64s, Frame, Int64s, Uint8s
 
 Preprocessing = Literal["auto", "none", "clahe"]
 
@@ -71,19 +71,15 @@ def detect(
     views = [plain]
     if tilted_keypoints > 0:
         views.append(_detect_tilted(grey, contrast_threshold, frame.mask, tilted_keypoints, grid_columns, crowding))
-    return _features(views, frame.view, "clahe" if equalise else "none")
+    xy, frames, descriptors, responses = (np.concatenate(parts) for parts in zip(*views, strict=True))
+    tilts = np.repeat(np.arange(len(views), dtype=np.uint8), [len(v[0]) for v in views])
+    count, made = len(plain[0]), "clahe" if equalise else "none"
+    lookalikes = nearest_elsewhere(plain[2], plain[0], count)
+    return Features(xy, frames, descriptors, responses, tilts, frame.view, lookalikes, count, made)
 
 
 _View = tuple[Float64s, Float64s, Float32s, Float32s]
 """xy, frames, descriptors and responses of one view's keypoints."""
-
-
-def _features(views: list[_View], view: View, preprocessing: str) -> Features:
-    xy, frames, descriptors, responses = (np.concatenate(parts) for parts in zip(*views, strict=True))
-    tilts = np.repeat(np.arange(len(views), dtype=np.uint8), [len(v[0]) for v in views])
-    plain = len(views[0][0])
-    lookalikes = nearest_elsewhere(descriptors[:plain], xy[:plain], plain)
-    return Features(xy, frames, descriptors, responses, tilts, view, lookalikes, plain, preprocessing)
 
 
 def _low_contrast(grey: Uint8s, mask: Bools) -> bool:

@@ -21,12 +21,12 @@ _LEARNT_FROM, _ROUNDS = 12_000, 8
 """Descriptors from which words are made, and rounds of making them."""
 
 
-def most_alike(descriptors: Sequence[Float32s], count: int, seed: int = 0) -> list[tuple[int, int]]:
+def most_alike(descriptors: Sequence[Float32s], count: int) -> list[tuple[int, int]]:
     """Pairs (i, j) of views, i < j, of which one is among the `count` that look most like the other; in order.
 
-    descriptors: (n, d) float32 of unit length, of each view; seed: of what the words are made from.
+    descriptors: (n, d) float32 of unit length, of each view.
     """
-    whole = _whole_views(descriptors, seed)
+    whole = _whole_views(descriptors)
     likeness = whole @ whole.T
     np.fill_diagonal(likeness, -np.inf)
     count = min(count, len(descriptors) - 1)
@@ -36,10 +36,10 @@ def most_alike(descriptors: Sequence[Float32s], count: int, seed: int = 0) -> li
     return [(int(i), int(j)) for i, j in np.unique(pairs, axis=0)]
 
 
-def _whole_views(descriptors: Sequence[Float32s], seed: int) -> Float32s:
+def _whole_views(descriptors: Sequence[Float32s]) -> Float32s:
     """(views, words d) of unit length, or 0 where a view has no descriptors."""
     every = np.concatenate(descriptors)
-    words = _words(every, np.random.default_rng(seed))
+    words = _words(every, np.random.default_rng(0))
     found = np.zeros((len(descriptors), *words.shape), np.float32)
     for row, own in zip(found, descriptors, strict=True):
         word = (own @ words.T).argmax(axis=1)

@@ -111,12 +111,6 @@ def _candidates(descriptors1: Float32s, descriptors2: Float32s, neighbours: int)
     return Candidates(descriptors1, descriptors2, neighbours, near, noise1, noise2, i, j, q)
 
 
-def mutual_neighbours(pair: ViewPair) -> tuple[Int64s, Int32s, Float64s]:
-    """i, j of mutual nearest neighbours of a view pair, and first over second distance, the worse of both ways."""
-    i, j, ratio = pair.candidates.near.mutual()
-    return i, j, ratio.astype(np.float64)
-
-
 def rival_distances(left: Features, right: Features, pairs: tuple[ViewPair, ...], i1: Int32s, i2: Int32s) -> Float64s:
     """(n,) descriptor distance of each match's nearest rival: of those that its two keypoints have in the other image, at least
     `APART_PX` from the match.  Among the nearest few only: where all lie at the match itself, the last of them.

@@ -114,14 +114,12 @@ def _orthonormal(X: Float64s) -> tuple[Float64s, Float64s]:
         try:
             step = np.linalg.cholesky(Q.T @ Q).T
         except np.linalg.LinAlgError:
-            return _by_reflections(X)
+            break
         if np.diag(step).min() < _DEPENDENT * np.diag(step).max():
-            return _by_reflections(X)
+            break
         Q, R = Q @ np.linalg.inv(step), step @ R
-    return Q, R
-
-
-def _by_reflections(X: Float64s) -> tuple[Float64s, Float64s]:
+    else:
+        return Q, R
     Q, R = np.linalg.qr(X)
     return Q, R
 

@@ -24,7 +24,7 @@ def match_mutual(left: Features, right: Features, *, ratio: float = 0.8) -> Matc
         return keypoint_matches(left, right, rows1[:0], rows2[:0], np.zeros(0))
     i1, i2, worse = near.mutual()
     keep = worse < ratio
-    return keypoint_matches(left, right, rows1[i1[keep]], rows2[i2[keep]], 1 - worse[keep].astype(np.float64))
+    return keypoint_matches(left, right, rows1[i1[keep]], rows2[i2[keep]], 1 - worse[keep])
 
 
 _KDTREE, _TREES, _CHECKS = 1, 4, 200

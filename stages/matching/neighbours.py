@@ -24,13 +24,13 @@ class Neighbours:
     columns: Int32s
     column_distance: Float32s
 
-    def mutual(self) -> tuple[Int64s, Int32s, Float32s]:
+    def mutual(self) -> tuple[Int64s, Int32s, Float64s]:
         """i, j of those that are each other's nearest, and first over second distance, the worse of both ways."""
         i = np.flatnonzero(self.columns[self.rows[:, 0], 0] == np.arange(len(self.rows)))
         j = self.rows[i, 0]
         forward = self.row_distance[i, 0] / np.maximum(self.row_distance[i, 1], 1e-9)
         backward = self.column_distance[j, 0] / np.maximum(self.column_distance[j, 1], 1e-9)
-        return i, j, np.maximum(forward, backward)
+        return i, j, np.maximum(forward, backward).astype(np.float64)
 
 
 def nearest_neighbours(descriptors1: Float32s, descriptors2: Float32s, k: int) -> Neighbours:

@@ -27,7 +27,7 @@ from ..core.nearest_points import nearest_points
 from ..types import TILTED, Features, Float64s, Int32s, Matches
 from .affine_field import AffineField, fit_affine_field
 from .assignment import assign, without_repeats
-from .candidates import NEIGHBOURS, ViewPair, inverses, mutual_neighbours, near_predictions, searched_view_pairs, view_pairs
+from .candidates import NEIGHBOURS, ViewPair, inverses, near_predictions, searched_view_pairs, view_pairs
 from .matcher import keypoint_matches
 
 Tilt = Literal["auto", "never", "always"]
@@ -290,7 +290,7 @@ def initial_matches(pairs: tuple[ViewPair, ...]) -> Correspondences:
 
 def _clear(pair: ViewPair) -> tuple[Int32s, Int32s, Float64s, Float64s, Float64s, Float64s]:
     """Rows of the `Features`, places, frame affines and ratios of the mutual nearest neighbours that may be first matches."""
-    i, j, ratio = mutual_neighbours(pair)
+    i, j, ratio = pair.candidates.near.mutual()
     keep = ratio < MAX_RATIO
     i, j = i[keep], j[keep]
     affine = np.linalg.inv(pair.unframes2[j]) @ inverses(pair.frames1[i])

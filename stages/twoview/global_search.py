@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 
 from ..types import Bools, Float32s, Float64s, Uint8s
+from .image_grid import places
 
 _LONG_SIDE = 1000
 _KEYPOINTS = 2500
@@ -115,5 +116,4 @@ def _fit(fit: object, x1: Float64s, x2: Float64s) -> tuple[Float64s | None, Bool
 
 def _spread(points: Float64s, shape: tuple[int, ...]) -> bool:
     """Do they lie in several parts of the picture?"""
-    columns, rows = (points[:, 0] * 6 / shape[1]).astype(int), (points[:, 1] * 4 / shape[0]).astype(int)
-    return len(np.unique(rows * 6 + columns)) >= _CELLS
+    return places(points, (shape[1], shape[0]), 0.25) >= _CELLS

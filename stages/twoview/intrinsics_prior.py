@@ -10,11 +10,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from itertools import product
 
 import numpy as np
 
-from ..core.least_squares import Equations, levenberg_marquardt
+from ..core.least_squares import levenberg_marquardt
 from ..core.rotations import rotation_matrix, skew
 from ..types import Float64s, View
 from .refinement import CAUCHY, normal_equations
@@ -96,7 +97,8 @@ def refine_with_plausible_intrinsics(
     for F, factor in product(candidates, STARTS):
         lens = mean + np.array([np.log(factor), np.log(factor), 0, 0, 0, 0])
         K1, K2 = _intrinsics(lens)
-        pose = pose_of_fundamental(F, x1, x2, _with(view1, T1 @ K1), _with(view2, T2 @ K2))
+        seen = (View(view.width, view.height, T @ K) for view, T, K in ((view1, T1, K1), (view2, T2, K2)))
+        pose = pose_of_fundamental(F, x1, x2, *seen)
         if pose is not None:
             found = _descend(_State(pose[0], pose[1] / np.linalg.norm(pose[1]), lens), matches, FIRST_STEPS)
             best = found if best is None or found[0] < best[0] else best
@@ -140,17 +142,10 @@ def _frame_of(view: View, unit: float) -> Float64s:
     return np.array([[unit, 0.0, (view.width - 1) / 2], [0.0, unit, (view.height - 1) / 2], [0.0, 0.0, 1.0]])
 
 
-def _with(view: View, K: Float64s) -> View:
-    return View(view.width, view.height, K)
-
-
 def _expected_of_both(view1: View, view2: View, unit: float) -> tuple[Float64s, Float64s]:
     """Mean and standard deviation (6,) of the lens of a `_State`."""
-    mean1, sigma1 = _expected(view1, unit)
-    mean2, sigma2 = _expected(view2, unit)
-    return np.concatenate([[mean1[0], mean2[0]], mean1[1:], mean2[1:]]), np.concatenate(
-        [[sigma1[0], sigma2[0]], sigma1[1:], sigma2[1:]]
-    )
+    means, sigmas = (np.array(both) for both in zip(_expected(view1, unit), _expected(view2, unit), strict=True))
+    return np.append(means[:, 0], means[:, 1:]), np.append(sigmas[:, 0], sigmas[:, 1:])
 
 
 def _expected(view: View, unit: float) -> tuple[Float64s, Float64s]:
@@ -226,9 +221,7 @@ def _equations(state: _State, matches: _Matches) -> tuple[float, Float64s, Float
 
 
 def _descend(state: _State, matches: _Matches, steps: int) -> tuple[float, _State]:
-    def equations(state: _State) -> Equations:
-        return _equations(state, matches)
-
+    equations = partial(_equations, matches=matches)
     return levenberg_marquardt(state, equations, _moved, steps=steps, damping=1e-3, least_damping=1e-9, tolerance=1e-5)
 
 

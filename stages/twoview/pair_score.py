@@ -19,9 +19,9 @@ from ..core.cameras import field_ratio, ray_angles
 from ..core.epipolar import homogeneous, symmetric_epipolar_distance
 from ..core.rotations import angle_between_deg
 from ..matching.affine_field import fit_affine_field
-from ..matching.candidates import ViewPair, mutual_neighbours, rival_distances
+from ..matching.candidates import ViewPair, rival_distances
 from ..matching.neighbours import nearest_elsewhere
-from ..types import Bools, Features, Float32s, Float64s, Int32s, Matches, View
+from ..types import Features, Float32s, Float64s, Int32s, Matches, View
 from .ambiguity import Ambiguity, find_ambiguity
 from .image_grid import places
 from .robust import TwoView, estimate_essential
@@ -201,7 +201,7 @@ def _agreement(pairs: tuple[ViewPair, ...], F: Float64s) -> float:
     """Share of the clear matches of the plain views that lie on their epipolar lines; shrunk toward 0 where they are few."""
     if not pairs:
         return 0.0
-    i, j, ratio = mutual_neighbours(pairs[0])
+    i, j, ratio = pairs[0].candidates.near.mutual()
     clear = ratio < CLEAR_RATIO
     distance = symmetric_epipolar_distance(F, pairs[0].x1[i[clear]], pairs[0].x2[j[clear]])
     return _share_near(distance)
@@ -225,18 +225,13 @@ def _stretch(x1: Float64s, x2: Float64s, affine: Float64s | None) -> float:
     return float(np.median(np.log(axes[:, 0] / np.maximum(axes[:, 1], 1e-3))))
 
 
-def _first_half(x1: Float64s) -> Bools:
-    """The half of the points on one side of their longest spread."""
-    centred = x1 - x1.mean(axis=0)
-    along = centred @ np.linalg.svd(centred, full_matrices=False)[2][0]
-    return np.asarray(along < np.median(along))
-
-
 def _half_rotation_deg(x1: Float64s, x2: Float64s, view1: View, view2: View, seed: int) -> float:
     """Angle between the rotations that the two halves of the inliers tell; nan without K."""
     if view1.K is None or view2.K is None or not (view1.focal_known and view2.focal_known):
         return float("nan")
-    first = _first_half(x1)
+    centred = x1 - x1.mean(axis=0)
+    along = centred @ np.linalg.svd(centred, full_matrices=False)[2][0]  # their longest spread
+    first = along < np.median(along)
     poses = [estimate_essential(x1[h], x2[h], view1, view2, 1.0, seed, max_iterations=300) for h in (first, ~first)]
     if poses[0] is None or poses[1] is None or poses[0].R is None or poses[1].R is None:
         return 180.0

@@ -84,12 +84,7 @@ def estimate_essential(
     """
     if len(x1) < 8 or view1.K is None or view2.K is None:
         return None
-    options = {
-        "max_epipolar_error": INLIER_FACTOR * threshold_px,
-        "max_iterations": max_iterations,
-        "min_iterations": min(MIN_ITERATIONS, max_iterations),
-        "seed": seed,
-    }
+    options = _lo_ransac(threshold_px, seed, max_iterations)
     pose, _ = poselib.estimate_relative_pose(x1, x2, pinhole(view1), pinhole(view2), options, {})
     t = np.asarray(pose.t, dtype=np.float64)
     if not np.isfinite(t).all() or np.linalg.norm(t) < 1e-12:
@@ -98,6 +93,11 @@ def estimate_essential(
     F = essential_to_fundamental(R, t, view1.K, view2.K)
     inliers = supporters(F, x1, x2, threshold_px)
     return TwoView(F, inliers, R, t) if inliers.sum() >= 8 else None
+
+
+def _lo_ransac(threshold_px: float, seed: int, most: int) -> dict[str, Any]:
+    times = {"max_iterations": most, "min_iterations": min(MIN_ITERATIONS, most)}
+    return {"max_epipolar_error": INLIER_FACTOR * threshold_px, "seed": seed, **times}
 
 
 def estimate_with_one_lens(
@@ -121,12 +121,7 @@ def estimate_with_one_lens(
         for view, side in ((view1, unit1), (view2, unit2))
     )
     centred1, centred2 = ((x - T[:2, 2]) / T[0, 0] for x, T in ((x1, T1), (x2, T2)))
-    options = {
-        "max_epipolar_error": INLIER_FACTOR * threshold_px,
-        "max_iterations": MAX_ITERATIONS,
-        "min_iterations": MIN_ITERATIONS,
-        "seed": seed,
-    }
+    options = _lo_ransac(threshold_px, seed, MAX_ITERATIONS)
     found, _ = poselib.estimate_shared_focal_relative_pose(centred1, centred2, np.zeros(2), options, {})
     f, R, t = float(found.camera1.focal()), np.asarray(found.pose.R), np.asarray(found.pose.t)
     if not np.isfinite([f, *t]).all() or f <= 0 or np.linalg.norm(t) < 1e-12:

@@ -44,7 +44,9 @@ def shared_ground(cameras: list[Camera]) -> tuple[Int64s, Float64s, Float64s]:
         points = _probes(camera, distances[i], _FINE)
         for j, other in enumerate(cameras):
             if i != j:
-                visible = _visible(other, points)
+                x, depth = project(other, points)
+                inside = (x >= -0.5).all(axis=1) & (x < (other.width - 0.5, other.height - 0.5)).all(axis=1)
+                visible = inside & (depth > 0)
                 seen[i, j] = visible.mean()
                 some = points[visible] if visible.any() else points
                 angle[i, j] = np.median(ray_angles(some - camera.C, some - other.C))
@@ -131,9 +133,3 @@ def _probes(camera: Camera, distance: float, grid: _Grid) -> Float64s:
     depths = distance * 2.0 ** np.linspace(-1, 1, steps)
     u, v, z = (axis.ravel() for axis in np.meshgrid(x, y, depths, indexing="ij"))
     return backproject(camera, np.column_stack([u, v]), z)
-
-
-def _visible(camera: Camera, points: Float64s) -> Bools:
-    x, depth = project(camera, points)
-    inside = (x[:, 0] >= -0.5) & (x[:, 1] >= -0.5) & (x[:, 0] < camera.width - 0.5) & (x[:, 1] < camera.height - 0.5)
-    return np.asarray(inside & (depth > 0))
