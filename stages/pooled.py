@@ -13,6 +13,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from .core.ordering import rank_within
+from .fusion.overlay import renumbered
 from .sfm.tracks import joined_places
 from .types import Bools, DepthMap, Float64s, Int64s, Matches, Uint32s, View
 
@@ -131,8 +132,5 @@ def _support(maps: list[DepthMap], agreeing: Bools) -> tuple[Uint32s, tuple[str,
     partners = tuple(dict.fromkeys(partner for depth in maps for partner in depth.partners))[:32]
     support = np.zeros(agreeing.shape[1:], dtype=np.uint32)
     for depth, agree in zip(maps, agreeing, strict=True):
-        for bit, partner in enumerate(depth.partners):
-            if partner in partners:
-                seen = agree & ((depth.support >> np.uint32(bit)) & np.uint32(1) > 0)
-                support |= seen.astype(np.uint32) << np.uint32(partners.index(partner))
+        support |= np.where(agree, renumbered(depth, partners), np.uint32(0))
     return support, partners

@@ -87,7 +87,11 @@ def refine(
     """
     frame, frames = straight_frame(frame, camera), straight_frames(frames, cameras)
     others = {name: cameras[name] for name in frames if name in cameras}
-    finer = {name: _finer(camera, others[name], depth) for name in _sources(camera, others, depth, min_angle_deg, max_angle_deg)}
+    y, x = np.nonzero(np.isfinite(depth.depth[::8, ::8]))
+    z = depth.depth[::8, ::8][y, x].astype(np.float64)
+    surface = backproject(camera, np.column_stack([8.0 * x, 8.0 * y]), z)
+    useful = _sources(camera, others, surface, min_angle_deg, max_angle_deg)
+    finer = {name: _finer(camera, others[name], surface, z) for name in useful}
     if not finer:
         return Rejected(Reason.NO_USEFUL_ANGLE, {"views": len(frames)})
     limits = _Limits(radius, sweeps, min(max_sources, _SOURCES), max_cost, noise_px)
@@ -214,13 +218,9 @@ def _flattened(rough: DepthMap, q: Float32s, flats: PlanePriors) -> DepthMap:
 
 
 def _sources(
-    camera: Camera, others: Mapping[str, Camera], start: DepthMap, min_angle_deg: float, max_angle_deg: float
+    camera: Camera, others: Mapping[str, Camera], points: Float64s, min_angle_deg: float, max_angle_deg: float
 ) -> list[str]:
-    """Views that see this view's surface from an angle within the limits, the smallest first."""
-    y, x = np.nonzero(np.isfinite(start.depth[::8, ::8]))
-    z = start.depth[::8, ::8][y, x].astype(np.float64)
-    rays = np.column_stack([8.0 * x, 8.0 * y, np.ones(len(x))]) @ np.linalg.inv(camera.K).T
-    points = (rays * z[:, None]) @ camera.R + camera.C
+    """Views that see points (n, 3) of this view's surface from an angle within the limits, the smallest first."""
     angles = []
     for name, other in others.items():
         if other.component == camera.component:
@@ -238,11 +238,9 @@ def _spacings_px(side: int, finer: list[float]) -> tuple[int, int]:
     return max(least, round(side / 768)), least
 
 
-def _finer(camera: Camera, other: Camera, start: DepthMap) -> float:
-    """How many times finer another camera sees the surface than this one does."""
-    y, x = np.nonzero(np.isfinite(start.depth[::8, ::8]))
-    z = start.depth[::8, ::8][y, x].astype(np.float64)
-    there = project(other, backproject(camera, np.column_stack([8.0 * x, 8.0 * y]), z))[1]
+def _finer(camera: Camera, other: Camera, points: Float64s, z: Float64s) -> float:
+    """How many times finer another camera sees points (n, 3) of the surface than this one does, at depths z (n,)."""
+    there = project(other, points)[1]
     seen = there > 0
     return float(np.median(z[seen] / there[seen]) * other.K[0, 0] / camera.K[0, 0]) if seen.any() else 1.0
 

@@ -11,7 +11,6 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
 from ..core.luminance import grey_levels, with_gain
 from ..types import Bools, Float64s, Uint8s
@@ -90,7 +89,7 @@ def _agreeing(stack: Sequence[Uint8s], merged: Uint8s, weights: Float64s) -> Flo
     return np.asarray(share / weights.sum(), np.float64)
 
 
-def _disc(size: int) -> npt.NDArray[np.uint8]:
+def _disc(size: int) -> Uint8s:
     return np.asarray(cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size)), np.uint8)
 
 

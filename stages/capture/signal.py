@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from ..core.luminance import grey_levels, noise_level
+from ..core.luminance import block_means, grey_levels, noise_level
 from ..types import Float32s, Uint8s
 
 _TILE_PX = 16
@@ -88,17 +88,11 @@ def _middle(image: Uint8s) -> Uint8s:
 def _combing(grey: Float32s) -> float:
     """Share of the tiles that have structure along their rows in which neighbouring rows (h, w) differ more than every second."""
     near, far, along = (np.abs(grey[2:] - grey[1:-1]), np.abs(grey[2:] - grey[:-2]), np.abs(np.diff(grey, axis=1))[2:])
-    near_tiles, far_tiles, along_tiles = (_tiles(each) for each in (near[:, 1:], far[:, 1:], along))
+    near_tiles, far_tiles, along_tiles = (block_means(each, _TILE_PX) for each in (near[:, 1:], far[:, 1:], along))
     structured = along_tiles > _STRUCTURED
     if structured.sum() < 8:
         return 0.0
     return float((near_tiles > _COMBED * far_tiles)[structured].mean())
-
-
-def _tiles(values: Float32s) -> Float32s:
-    h, w = (side // _TILE_PX * _TILE_PX for side in values.shape)
-    tiles = values[:h, :w].reshape(h // _TILE_PX, _TILE_PX, w // _TILE_PX, _TILE_PX)
-    return np.asarray(tiles.mean(axis=(1, 3)), np.float32)
 
 
 def _blocking(grey: Float32s) -> float:

@@ -94,7 +94,8 @@ def find_clusters(
         surface = len(rows) * (CORE * spacing) ** 2
         if surface < least_area:
             continue
-        likeness, cleared = _median_ncc(side, rows), float(np.nanmean(side.cleared[rows]))
+        known = side.ncc[rows][np.isfinite(side.ncc[rows])]
+        likeness, cleared = float(np.median(known)) if len(known) else -2.0, float(np.nanmean(side.cleared[rows]))
         if likeness >= alike or not cleared >= _LIKELY:
             continue
         confirmed = cleared >= _CLEARED
@@ -110,12 +111,6 @@ def find_clusters(
             change = replace(change, kind="vanished" if of_then else "new", likeness=likeness)
             found.append(ChangeCluster(change, footprint, rows, of_then, confirmed, colour))
     return found
-
-
-def _median_ncc(side: Evidence, rows: Int64s) -> float:
-    likeness = side.ncc[rows]
-    known = likeness[np.isfinite(likeness)]
-    return float(np.median(known)) if len(known) else -2.0
 
 
 def paired(clusters: list[ChangeCluster]) -> list[tuple[ChangeCluster, ChangeCluster | None]]:

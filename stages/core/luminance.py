@@ -24,6 +24,13 @@ def with_gain(image: Uint8s, gains: Float64s) -> Uint8s:
     return np.asarray(cv2.LUT(image, table.reshape(256, 1, 3)), dtype=np.uint8)
 
 
+def block_means(values: Float32s, side: int) -> Float32s:
+    """(h // side, w // side) means of the whole square blocks of values (h, w)."""
+    rows, columns = values.shape[0] // side, values.shape[1] // side
+    blocks = values[: rows * side, : columns * side].reshape(rows, side, columns, side)
+    return np.asarray(blocks.mean(axis=(1, 3)), dtype=np.float32)
+
+
 _BLOCK = 16
 _QUIETEST_PERCENT = 10
 
@@ -35,14 +42,8 @@ def noise_level(image: Float32s, valid: Bools) -> float:
     """
     mask = np.array([[1, -2, 1], [-2, 4, -2], [1, -2, 1]], dtype=np.float32)
     response = np.abs(cv2.filter2D(image, -1, mask))
-    rows, columns = image.shape[0] // _BLOCK, image.shape[1] // _BLOCK
-
-    def blocks(a: Float32s) -> Float32s:
-        whole = a[: rows * _BLOCK, : columns * _BLOCK]
-        return np.asarray(whole.reshape(rows, _BLOCK, columns, _BLOCK).mean(axis=(1, 3)), dtype=np.float32)
-
-    whole = blocks(valid.astype(np.float32)) > 0.999
+    whole = block_means(valid.astype(np.float32), _BLOCK) > 0.999
     if not whole.any():
         return 0.0
-    mean = blocks(np.asarray(response, dtype=np.float32))[whole]
+    mean = block_means(np.asarray(response, dtype=np.float32), _BLOCK)[whole]
     return float(np.sqrt(np.pi / 2) / 6 * np.percentile(mean, _QUIETEST_PERCENT))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -15,19 +16,12 @@ _PARTNERS = 32
 def overlaid(depth: DepthMap, other: DepthMap, taken: Bools) -> DepthMap:
     """Depth of a view with that of another map of the same view where that is `taken` (h, w)."""
     partners = tuple(dict.fromkeys((*depth.partners, *other.partners)))[:_PARTNERS]
-    return replace(
-        depth,
-        depth=np.where(taken, other.depth, depth.depth),
-        sigma=np.where(taken, other.sigma, depth.sigma),
-        slope_x=np.where(taken, other.slope_x, depth.slope_x),
-        slope_y=np.where(taken, other.slope_y, depth.slope_y),
-        support=np.where(taken, _renumbered(other, partners), depth.support),
-        partners=partners,
-        sure=np.where(taken, other.sure, depth.sure),
-    )
+    names = ("depth", "sigma", "slope_x", "slope_y", "sure")
+    mixed: dict[str, Any] = {name: np.where(taken, getattr(other, name), getattr(depth, name)) for name in names}
+    return replace(depth, **mixed, support=np.where(taken, renumbered(other, partners), depth.support), partners=partners)
 
 
-def _renumbered(depth: DepthMap, partners: tuple[str, ...]) -> Uint32s:
+def renumbered(depth: DepthMap, partners: tuple[str, ...]) -> Uint32s:
     """(h, w) `support` with the bits of other partners; one that is not among them is left out."""
     support = np.zeros(depth.support.shape, np.uint32)
     place = {name: k for k, name in enumerate(partners)}

@@ -17,9 +17,8 @@ from collections.abc import Sequence
 import cv2
 import numpy as np
 
-from ..core.jit import kernel
 from ..core.luminance import luminance
-from ..types import Bools, DepthMap, Float32s, Float64s, Frame, Uint32s
+from ..types import Bools, DepthMap, Float32s, Float64s, Frame
 from .overlay import overlaid
 from .surface_support import spacing_px, surface_support
 from .visibility import CrossCheck, TrustedDepth, probability
@@ -92,7 +91,8 @@ def posterior(depth: DepthMap, frame: Frame, own: Float32s, check: CrossCheck) -
 def evidence_of_itself(depth: DepthMap, usable: Bools) -> list[Float32s]:
     """(h, w) each: what a view knows of its depths; see `_OWN`."""
     pairs = np.zeros(depth.depth.shape, np.float32)
-    _count_bits(depth.support, pairs)
+    for k in range(len(depth.partners)):
+        pairs += depth.support & np.uint32(1 << k) > 0
     sure = depth.sure.astype(np.float32)
     with np.errstate(invalid="ignore"):
         relative = np.log(depth.sigma / depth.depth)
@@ -127,14 +127,3 @@ def _logit(coefficients: Float64s, evidence: list[Float32s], known: Bools) -> Fl
     for coefficient, values in zip(coefficients[1:], evidence, strict=True):
         total += np.float32(coefficient) * values
     return np.where(known, total, np.float32(-np.inf))
-
-
-@kernel
-def _count_bits(words: Uint32s, count: Float32s) -> None:
-    h, w = words.shape
-    for y in range(h):
-        for x in range(w):
-            bits = words[y, x]
-            while bits:
-                bits &= bits - np.uint32(1)
-                count[y, x] += np.float32(1.0)

@@ -6,13 +6,10 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from ..core.cameras import transfer
 from ..core.jit import kernel
-from ..types import Camera, DepthMap, Float32s, Float64s, Uint8s, Uint16s, Uint32s
-
-Uint64s = npt.NDArray[np.uint64]
+from ..types import Camera, DepthMap, Float32s, Float64s, Uint8s, Uint16s, Uint32s, Uint64s
 
 
 @dataclass(frozen=True)
@@ -106,19 +103,16 @@ def cross_check(
         theirs = numbers.of(other, seen)
         if numbers.words > len(pairs):
             pairs = np.concatenate([pairs, np.zeros((numbers.words - len(pairs), h, w), np.uint64)])
-        pair, farther, rank = numbers.of_pair(name, other), _farther_by(cameras[name], cameras[other]), min(place, ITSELF)
+        # (4,) g and s: the square of a point's distance from the other camera, less that from its own, is s - depth g (x, y, 1)
+        c = cameras[name].R @ (cameras[other].C - cameras[name].C)
+        farther = np.append(2.0 * np.linalg.solve(cameras[name].K.T, c), c @ c)
+        pair, rank = numbers.of_pair(name, other), min(place, ITSELF)
         surface = own.depth, own.sigma, M, b, seen.depth, seen.slope_x, seen.slope_y, seen.sigma, seen.support
         found = visible, agreeing, hiding, opposing, doubted, pairs
         _compare(*surface, probability(view.own), theirs, pair, *found, rank, farther, apart, nearest, reach)
     count, seen_by = np.zeros((h, w), np.uint8), np.zeros((h, w), np.uint16)
     _count(pairs, numbers.cameras_of_pairs[: numbers.met], count, seen_by)
     return CrossCheck(count, seen_by, visible, agreeing, opposing, hiding, doubted, apart, nearest)
-
-
-def _farther_by(camera: Camera, other: Camera) -> Float64s:
-    """(4,) g and s: the square of a point's distance from another camera, less that from its own, is s - depth g (x, y, 1)."""
-    c = camera.R @ (other.C - camera.C)
-    return np.append(2.0 * np.linalg.solve(camera.K.T, c), c @ c)
 
 
 class _PairNumbers:

@@ -11,13 +11,10 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from ..core.jit import kernel
 from ..core.parallel import parallel_map
-from ..types import Float32s, Float64s
-
-Int64s = npt.NDArray[np.int64]
+from ..types import Float32s, Float64s, Int64s
 
 _HALF = 1 << 19  # cells to either side of the origin, per axis
 _LEVELS = 8
@@ -62,13 +59,10 @@ class VoxelGrid:
         self._keys = np.zeros(0, np.int64)
         self._sums = np.zeros((0, _COLUMNS), np.float32)
 
-    def _levels(self, footprint: Float32s) -> Int64s:
-        level = np.floor(np.log2(np.maximum(footprint / self.edge, 1.0)))
-        return np.asarray(np.clip(level, 0, _LEVELS - 1), dtype=np.int64)
-
     def sums_of(self, samples: Samples) -> VoxelSums:
         """The samples of one view by voxel; what lies beyond half a million edges from the origin is left out."""
-        level = self._levels(samples.footprint)
+        doublings = np.floor(np.log2(np.maximum(samples.footprint / self.edge, 1.0)))
+        level = np.clip(doublings, 0, _LEVELS - 1).astype(np.int64)
         keys, away = np.empty(len(level), np.int64), np.empty((len(level), 3), np.float32)
         _locate(samples.points, level, self.origin, self.edge, keys, away)
         order = np.flatnonzero(keys >= 0)
@@ -105,8 +99,10 @@ class VoxelGrid:
         w, c, n = (sums[:, k, None] for k in (9, 10, 11))
         together, alone = (sums[:, 12] / w[:, 0]) ** 2, sums[:, 13] / w[:, 0] ** 2
         length = np.linalg.norm(sums[:, 3:6], axis=1, keepdims=True)
+        cells = np.column_stack([keys >> shift & (2 * _HALF - 1) for shift in (40, 20, 0)]) - _HALF
+        middles = self.origin + (cells + 0.5) * (self.edge * 2.0 ** (keys >> 60))[:, None]
         return Samples(
-            self._centres(keys) + sums[:, 0:3] / w,
+            middles + sums[:, 0:3] / w,  # positions are summed relative to these, in single precision
             np.asarray(sums[:, 3:6] / np.maximum(length, 1e-30), dtype=np.float32),
             sums[:, 6:9] / c,
             (w / n)[:, 0],
@@ -115,11 +111,6 @@ class VoxelGrid:
             (self.edge * 2.0 ** (keys >> 60)).astype(np.float32),
             _IN_COMMON * together + (1.0 - _IN_COMMON) * alone,
         )
-
-    def _centres(self, keys: Int64s) -> Float64s:
-        """(n, 3) middles of voxels; positions are summed relative to them, in single precision."""
-        cells = np.column_stack([keys >> shift & (2 * _HALF - 1) for shift in (40, 20, 0)]) - _HALF
-        return np.asarray(self.origin + (cells + 0.5) * (self.edge * 2.0 ** (keys >> 60))[:, None], dtype=np.float64)
 
 
 @kernel

@@ -24,6 +24,7 @@ import numpy as np
 
 from ..core.cameras import rays, relative_pose, scaled_intrinsics
 from ..core.jit import helper, kernel
+from ..core.luminance import block_means
 from ..core.parallel import parallel_map
 from ..types import Camera, Float32s, Float64s
 
@@ -109,9 +110,8 @@ class _Way:
 
 def halved(image: Float32s, camera: Camera) -> tuple[Float32s, Camera]:
     """A view at half its size: planes a little off still fit there, so that fewer have to be tried."""
-    height, width = image.shape[0] // 2, image.shape[1] // 2
-    small = image[: 2 * height, : 2 * width].reshape(height, 2, width, 2).mean(axis=(1, 3), dtype=np.float32)
-    return small, replace(camera, K=scaled_intrinsics(camera.K, 0.5, 0.5), width=width, height=height)
+    small = block_means(image, 2)
+    return small, replace(camera, K=scaled_intrinsics(camera.K, 0.5, 0.5), width=small.shape[1], height=small.shape[0])
 
 
 def _ups(cameras: list[Camera]) -> list[Float64s]:

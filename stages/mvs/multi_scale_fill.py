@@ -34,16 +34,9 @@ def reduced_view(frame: Frame, camera: Camera, depth: DepthMap, times: float) ->
     """
     image, small = reduced(frame.image, camera, times)
     usable = reduced(np.where(frame.mask, np.uint8(255), np.uint8(0)), camera, times)[0] == 255
-    at = np.ix_(_middles(small.height, camera.height), _middles(small.width, camera.width))
-    coarse = replace(
-        depth,
-        depth=depth.depth[at],
-        sigma=depth.sigma[at],
-        slope_x=depth.slope_x[at] * np.float32(camera.width / small.width),
-        slope_y=depth.slope_y[at] * np.float32(camera.height / small.height),
-        support=depth.support[at],
-        sure=depth.sure[at],
-    )
+    coarse = depth.at(np.ix_(_middles(small.height, camera.height), _middles(small.width, camera.width)))
+    step_x, step_y = np.float32(camera.width / small.width), np.float32(camera.height / small.height)
+    coarse = replace(coarse, slope_x=coarse.slope_x * step_x, slope_y=coarse.slope_y * step_y)
     return replace(frame, image=image, mask=usable), small, coarse
 
 
@@ -51,23 +44,15 @@ def filled(depth: DepthMap, coarse: DepthMap) -> DepthMap:
     """Depth of a view with what its reduced picture has shown where it lacks, or where only the reduced one's can be believed."""
     h, w = depth.depth.shape
     rows, columns = _middles(h, coarse.depth.shape[0]), _middles(w, coarse.depth.shape[1])
-    at = np.ix_(rows, columns)
+    there = coarse.at(np.ix_(rows, columns))
     step_x, step_y = np.float32(w / coarse.depth.shape[1]), np.float32(h / coarse.depth.shape[0])
     right = ((np.arange(w, dtype=np.float32) + np.float32(0.5)) / step_x - np.float32(0.5) - columns)[None].astype(np.float32)
     down = ((np.arange(h, dtype=np.float32) + np.float32(0.5)) / step_y - np.float32(0.5) - rows)[:, None].astype(np.float32)
-    q = 1.0 / coarse.depth[at] + coarse.slope_x[at] * right + coarse.slope_y[at] * down
-    taken = (q > 0) & ~depth.sure & (coarse.sure[at] | np.isnan(depth.depth))
+    q = 1.0 / there.depth + there.slope_x * right + there.slope_y * down
+    taken = (q > 0) & ~depth.sure & (there.sure | np.isnan(depth.depth))
     with np.errstate(divide="ignore"):
         z = (1.0 / q).astype(np.float32)
-    fine = replace(
-        coarse,
-        depth=z,
-        sigma=coarse.sigma[at],
-        slope_x=coarse.slope_x[at] / step_x,
-        slope_y=coarse.slope_y[at] / step_y,
-        support=coarse.support[at],
-        sure=coarse.sure[at],
-    )
+    fine = replace(there, depth=z, slope_x=there.slope_x / step_x, slope_y=there.slope_y / step_y)
     return overlaid(depth, fine, taken)
 
 

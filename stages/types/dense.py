@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from ..core.short_repr import Record
-from .arrays import Bools, Float32s, Float64s, Int16s, Uint8s, Uint16s, Uint32s
+from .arrays import Bools, Float32s, Float64s, Int16s, Int64s, Uint8s, Uint16s, Uint32s
 
 
 @dataclass(frozen=True)
@@ -137,6 +137,11 @@ class DepthMap(Record):
     """The other cameras of pairs that would have been too many."""
     apart_px: Mapping[str, float] = field(default_factory=dict)
     """For each two partners, as `left--right`: by how many pixels the depths that they give differ as a whole."""
+
+    def at(self, pixels: tuple[Int64s, ...]) -> DepthMap:
+        """What is known of some pixels, whose rows and columns `numpy.ix_` has put together."""
+        names = ("depth", "sigma", "slope_x", "slope_y", "support", "sure")
+        return replace(self, **{name: getattr(self, name)[pixels] for name in names})
 
 
 @dataclass(frozen=True)
