@@ -177,22 +177,21 @@ def _evidence(
 
 @dataclass(frozen=True)
 class _Support:
-    """The inliers x1, x2 (n, 2) and what they span; shares of them that a model without depth explains, turned_share None where
-    no E is known."""
+    """How many inliers there are, and what they span; shares of them that a model without depth explains, turned_share None
+    where no E is known."""
 
-    x1: Float64s
-    x2: Float64s
+    inliers: int
     area: float
     plane_share: float
     turned_share: float | None
 
     def figures(self) -> dict[str, float]:
         turned = {} if self.turned_share is None else {"rotation_share": self.turned_share}
-        return {"inliers": float(len(self.x1)), "area_share": self.area, "homography_share": self.plane_share, **turned}
+        return {"inliers": float(self.inliers), "area_share": self.area, "homography_share": self.plane_share, **turned}
 
     def explained(self, share: float, min_inliers: int) -> bool:
         """What the model leaves over could be chance."""
-        return len(self.x1) * (1 - share) < max(min_inliers, (1 - PLANAR_SHARE) * len(self.x1))
+        return self.inliers * (1 - share) < max(min_inliers, (1 - PLANAR_SHARE) * self.inliers)
 
 
 def _support(inliers: Matches, found: TwoView, how: _How) -> _Support:
@@ -201,7 +200,7 @@ def _support(inliers: Matches, found: TwoView, how: _How) -> _Support:
     if found.R is not None:
         turned = rotation_support(x1, x2, view1, view2, found.R, INLIER_FACTOR * how.threshold_px)
     plane = float(homography_support(x1, x2, how.threshold_px, how.seed).mean())
-    return _Support(x1, x2, min(_hull_share(x1, view1), _hull_share(x2, view2)), plane, turned)
+    return _Support(len(x1), min(_hull_share(x1, view1), _hull_share(x2, view2)), plane, turned)
 
 
 def _degenerate(support: _Support, min_area: float, min_inliers: int) -> Reason | None:
@@ -214,8 +213,8 @@ def _degenerate(support: _Support, min_area: float, min_inliers: int) -> Reason 
 
 def _warnings(support: _Support, contradicted: bool, few_inliers: int, small_area: float, min_inliers: int) -> tuple[str, ...]:
     found = []
-    if len(support.x1) < few_inliers:
-        found.append(f"few inliers: {len(support.x1)}")
+    if support.inliers < few_inliers:
+        found.append(f"few inliers: {support.inliers}")
     if support.area < small_area:
         found.append(f"clustered: inliers on {100 * support.area:.1f} % of the image")
     if support.explained(support.plane_share, min_inliers):

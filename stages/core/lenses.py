@@ -74,8 +74,7 @@ def reach(lens: Lens) -> float:
     angles = np.arange(_SAMPLE, model.farthest, _SAMPLE)
     limit = float(angles[-1])
     with np.errstate(all="ignore"):
-        for azimuth in np.arange(8) * (np.pi / 4):
-            radius = np.linalg.norm(model.project(coefficients, _ray(angles[:, None] * _towards(azimuth))), axis=1)
+        for radius in _radii(coefficients, model.project, angles):
             ends = ~(np.diff(radius, prepend=0.0) > _SAMPLE * 1e-3)
             if ends.any():
                 limit = min(limit, float(angles[max(int(ends.argmax()) - 1, 0)]))
@@ -115,8 +114,10 @@ def _coefficients(lens: Lens) -> Float64s:
     return np.concatenate([np.asarray(lens.distortion, dtype=np.float64), np.zeros(14)])
 
 
-def _towards(azimuth: float) -> Float64s:
-    return np.array([np.cos(azimuth), np.sin(azimuth)])
+def _radii(coefficients: Float64s, project: Callable[[Float64s, Float64s], Float64s], angles: Float64s) -> list[Float64s]:
+    """How far from the middle of the image rays at angles (n,) off the axis fall, (n,) in each of eight directions."""
+    towards = (np.array([np.cos(azimuth), np.sin(azimuth)]) for azimuth in np.arange(8) * (np.pi / 4))
+    return [np.linalg.norm(project(coefficients, _ray(angles[:, None] * toward)), axis=1) for toward in towards]
 
 
 def _ray(bent: Float64s) -> Float64s:
@@ -129,9 +130,7 @@ def _ray(bent: Float64s) -> Float64s:
 def _start(coefficients: Float64s, project: Callable[[Float64s, Float64s], Float64s], limit: float, target: Float64s) -> Float64s:
     """(n, 2) angles times directions, by the mean radial profile."""
     angles = np.linspace(0, limit, 400)
-    azimuths = np.arange(8) * (np.pi / 4)
-    radii = [np.linalg.norm(project(coefficients, _ray(angles[:, None] * _towards(a))), axis=1) for a in azimuths]
-    profile = np.mean(radii, axis=0)
+    profile = np.mean(_radii(coefficients, project, angles), axis=0)
     radius = np.linalg.norm(target, axis=1)
     return np.asarray(target * (np.interp(radius, profile, angles) / np.maximum(radius, 1e-300))[:, None], dtype=np.float64)
 

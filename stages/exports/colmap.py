@@ -18,7 +18,7 @@ from scipy.spatial import cKDTree
 
 from ..sfm.tracks import Tracks, build_tracks, straightened
 from ..sfm.triangulation import residuals, triangulate
-from ..types import Camera, Cloud, Float64s, Geometry, Uint8s
+from ..types import Camera, Cloud, Float64s, Geometry
 
 MAX_ERROR_PX = 4.0
 """An observation farther from its point is left out, as COLMAP does (`filter_max_reproj_error`)."""
@@ -48,7 +48,8 @@ def colmap_files(
         pose = np.column_stack([cameras[name].R, -cameras[name].R @ cameras[name].C])
         model.add_image_with_trivial_frame(image, pycolmap.Rigid3d(pose))
     starts = np.searchsorted(tracks.track, np.arange(tracks.count + 1)).tolist()
-    for X_track, color, start, end in zip(X, _colors(cloud, X), starts, starts[1:], strict=False):
+    colors = cloud.colors[cKDTree(cloud.points).query(X)[1]] if len(cloud.points) else np.zeros((len(X), 3), np.uint8)
+    for X_track, color, start, end in zip(X, colors, starts, starts[1:], strict=False):
         seen = pycolmap.Track()
         for row in range(start, end):
             seen.add_element(int(tracks.view[row]) + 1, int(place[row]))
@@ -85,10 +86,3 @@ def _lens(camera: Camera, number: int) -> pycolmap.Camera:
     if any(camera.radial):
         model, params = "OPENCV", [*params, *camera.radial, 0.0, 0.0]
     return pycolmap.Camera(camera_id=number, model=model, width=camera.width, height=camera.height, params=params)
-
-
-def _colors(cloud: Cloud, X: Float64s) -> Uint8s:
-    """(n, 3) colour of the point of the cloud that is nearest to each point; black where there is no cloud."""
-    if not len(cloud.points):
-        return np.zeros((len(X), 3), np.uint8)
-    return np.asarray(cloud.colors[cKDTree(cloud.points).query(X)[1]], dtype=np.uint8)

@@ -13,7 +13,6 @@ import copclib
 import laspy
 import numpy as np
 
-from ..types import Float64s
 from .octree import CELLS, octree
 
 
@@ -31,16 +30,12 @@ def copc_bytes(laz: bytes) -> bytes:
         form = (like.las_header.point_format_id, like.las_header.scale, like.las_header.offset, wkt, like.extra_bytes_vlr)
         writer = copclib.FileWriter(str(target), copclib.CopcConfigWriter(*form))
         low, side = points.min(axis=0), max(float(np.ptp(points, axis=0).max()), 1e-3)
-        _describe(writer.copc_config, like.las_header, low, side)
+        header, info = writer.copc_config.las_header, writer.copc_config.copc_info
+        for name in ("min", "max", "creation_day", "creation_year", "generating_software", "system_identifier"):
+            setattr(header, name, getattr(like.las_header, name))
+        info.center_x, info.center_y, info.center_z = (low + side / 2).tolist()
+        info.halfsize, info.spacing = side / 2, side / CELLS
         for key, rows in octree(points, low, side):
             writer.AddNode(copclib.VoxelKey(*key), copclib.VectorChar(np.ascontiguousarray(records[rows]).ravel()))
         writer.Close()
         return target.read_bytes()
-
-
-def _describe(config: copclib.CopcConfigWriter, like: copclib.LasHeader, low: Float64s, side: float) -> None:
-    header, info = config.las_header, config.copc_info
-    for name in ("min", "max", "creation_day", "creation_year", "generating_software", "system_identifier"):
-        setattr(header, name, getattr(like, name))
-    info.center_x, info.center_y, info.center_z = (low + side / 2).tolist()
-    info.halfsize, info.spacing = side / 2, side / CELLS

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from ..change.scan_deviation import deviation_from_scan
-from ..io.clouds import cloud_columns
+from ..io.clouds import Columns, cloud_columns
 from ..io.scans import Scan, read_scan
 from ..types import Cloud, Float32s, Float64s, Poses, Uint8s
 
@@ -19,8 +17,6 @@ _SPACING = 0.02
 """Metres between points that are spread over a mesh."""
 _FULL = 0.9
 """Quantile of the deviations from which on the colour is full."""
-
-Columns = Mapping[str, npt.NDArray[Any]]
 
 
 def scan_files(cloud: Cloud, poses: Poses, path: Path) -> tuple[dict[str, bytes | Columns], dict[str, Any]]:

@@ -12,7 +12,6 @@ import uuid
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 from pye57 import libe57
 
 from ..io.clouds import coordinate_step
@@ -31,7 +30,7 @@ def e57_bytes(cloud: Cloud, georeference: Georeference | None = None) -> bytes:
     if georeference is not None:
         points, normals = georeference.points(points), georeference.directions(points, normals)
         where = f"EPSG:{georeference.epsg}"
-    columns: dict[str, npt.NDArray[np.float64]] = {
+    columns: dict[str, Float64s] = {
         **{f"cartesian{axis}": points[:, k] for k, axis in enumerate("XYZ")},
         **{f"color{name}": cloud.colors[:, k].astype(np.float64) for k, name in enumerate(("Red", "Green", "Blue"))},
         "intensity": cloud.confidence.astype(np.float64),
@@ -43,7 +42,7 @@ def e57_bytes(cloud: Cloud, georeference: Georeference | None = None) -> bytes:
         return path.read_bytes()
 
 
-def _write(path: str, columns: dict[str, npt.NDArray[np.float64]], points: Float64s, where: str) -> None:
+def _write(path: str, columns: dict[str, Float64s], points: Float64s, where: str) -> None:
     file = libe57.ImageFile(path, "w")
     try:
         named = uuid.UUID(bytes=hashlib.sha256(b"".join(c.tobytes() for c in columns.values())).digest()[:16])
@@ -63,7 +62,7 @@ def _write(path: str, columns: dict[str, npt.NDArray[np.float64]], points: Float
 
 
 def _scan(
-    file: libe57.ImageFile, columns: dict[str, npt.NDArray[np.float64]], points: Float64s, named: str, where: str
+    file: libe57.ImageFile, columns: dict[str, Float64s], points: Float64s, named: str, where: str
 ) -> libe57.CompressedVectorNode:
     """The tree of the file, and the node that its points (n, 3) go into.
 

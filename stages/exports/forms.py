@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..io.rasters import geotiff, pfm, png, stepped
+from ..io.rasters import geotiff, pfm, png, stepped, world_file
 from ..types import Changes, Cloud, DepthMap, Frame, Geometry, Poses
 
 if TYPE_CHECKING:
@@ -96,7 +96,6 @@ def orthophoto(cloud: Cloud, poses: Poses, frames: Mapping[str, Frame]) -> Files
     """orthophoto.tif where the site is georeferenced, else orthophoto.png with its world file."""
     from .mesh import poisson_mesh, textured
     from .orthophoto import orthophoto as seen_from_above
-    from .orthophoto import plain_files
 
     georeference = _georeference(poses)
     photo = seen_from_above(textured(poisson_mesh(cloud, coarser=1), poses.main_cameras(), frames), georeference)
@@ -104,7 +103,8 @@ def orthophoto(cloud: Cloud, poses: Poses, frames: Mapping[str, Frame]) -> Files
         bands = np.moveaxis(photo.image, 2, 0)
         yield "orthophoto.tif", geotiff(bands, photo.left, photo.top, photo.cell, georeference.epsg)
     else:
-        yield from plain_files(photo).items()
+        yield "orthophoto.png", png(photo.image)
+        yield "orthophoto.pgw", world_file(photo.left, photo.top, photo.cell)
 
 
 def colmap(cloud: Cloud, poses: Poses, frames: Mapping[str, Frame], geometries: Mapping[str, Geometry]) -> Files:

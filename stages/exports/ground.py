@@ -9,9 +9,9 @@ from typing import Any
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
 from ..core.ground_grid import cell_centres
+from ..io.clouds import Columns
 from ..io.rasters import geotiff, jpeg, png
 from ..types import Camera, Changes, Coverage, CutFill, Float32s, Float64s, GroundGrid, Poses, Uint8s
 
@@ -130,8 +130,6 @@ _HIGHEST = 2.0
 """Differences of height of so much, in hundredths of the map's width, have the full colour."""
 _SHOWN = 6
 """Pairs of pictures that the report shows."""
-
-Columns = Mapping[str, npt.NDArray[Any]]
 
 
 def changes_files(changes: Changes) -> Iterator[tuple[str, bytes | Columns]]:

@@ -9,7 +9,6 @@ import numpy as np
 
 from ..core.cameras import project
 from ..core.ground_grid import preferred_above
-from ..io.rasters import png, world_file
 from ..types import Float64s, Int64s, Uint8s
 from .heights import map_cells, spacing
 from .mesh import NONE, Textured, cast, sampled, scene_of
@@ -70,8 +69,3 @@ def _colours(found: Textured, triangles: Int64s, uv: Float64s) -> Uint8s:
         view, here = found.views[number], chosen == number
         colours[here] = sampled(view.image, project(view.camera, points[here])[0])
     return np.asarray((colours + 0.5).clip(0, 255), np.uint8)
-
-
-def plain_files(photo: Orthophoto) -> dict[str, bytes]:
-    """orthophoto.png, and its world file."""
-    return {"orthophoto.png": png(photo.image), "orthophoto.pgw": world_file(photo.left, photo.top, photo.cell)}

@@ -33,7 +33,11 @@ def pair_files(
     matches : what was matched.
     geometry, rectification, disparity : what came of it; None where it did not come so far.
     """
-    files = _matching_files(matches, geometry, left, right)
+    files = {"matches.csv": _table(matches), "1-matches.jpg": bytes(matches_preview(matches, left, right, width=FULL))}
+    if geometry is not None:
+        rows = "\n".join(" ".join(f"{v:.12e}" for v in row) for row in geometry.F)
+        files |= {"inliers.csv": _table(geometry), "F.txt": f"{rows}\n".encode()}
+        files["2-inliers.jpg"] = bytes(matches_preview(geometry, left, right, width=FULL))
     summary: dict[str, Any] = {}
     if rectification is not None:
         files |= {
@@ -48,16 +52,6 @@ def pair_files(
             files |= made
             summary |= {"png_offset_px": offset, "png_steps_per_px": PNG_STEPS}
     return files, summary
-
-
-def _matching_files(matches: Matches, geometry: Geometry | None, left: Frame, right: Frame) -> dict[str, bytes]:
-    """matches.csv, and where there is a geometry inliers.csv and F.txt; a picture of each."""
-    files = {"matches.csv": _table(matches), "1-matches.jpg": bytes(matches_preview(matches, left, right, width=FULL))}
-    if geometry is not None:
-        rows = "\n".join(" ".join(f"{v:.12e}" for v in row) for row in geometry.F)
-        files |= {"inliers.csv": _table(geometry), "F.txt": f"{rows}\n".encode()}
-        files["2-inliers.jpg"] = bytes(matches_preview(geometry, left, right, width=FULL))
-    return files
 
 
 def _disparity_files(

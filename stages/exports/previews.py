@@ -65,7 +65,8 @@ def matches_preview(
         np.full((view.height, view.width, 3), 48, np.uint8) if side is None else side.image
         for side, view in ((left, matches.view1), (right, matches.view2))
     ]
-    canvas, at1, at2 = _side_by_side(ground[0], ground[1], matches.x1, matches.x2, width)
+    canvas, scale, offset = _side_by_side(ground[0], ground[1], width)
+    at1, at2 = (matches.x1 + 0.5) * scale - 0.5, (matches.x2 + 0.5) * scale - 0.5 + [offset, 0]
     cells = np.floor(matches.x1 / (matches.view1.width, matches.view1.height) * [10, 6]).astype(int)
     chosen = np.unique(cells[:, 1] * 1000 + cells[:, 0], return_index=True)[1][:_LINES]  # the first in each cell
     for k, n in enumerate(chosen):
@@ -160,8 +161,8 @@ def _fit(image: Uint8s, width: int) -> Uint8s:
     return np.asarray(cv2.resize(image, (width, max(1, round(h * width / w))), interpolation=cv2.INTER_AREA), dtype=np.uint8)
 
 
-def _side_by_side(left: Uint8s, right: Uint8s, x1: Float64s, x2: Float64s, width: int) -> tuple[Uint8s, Float64s, Float64s]:
-    """Two pictures on one canvas at one scale, and where their points come to lie on it."""
+def _side_by_side(left: Uint8s, right: Uint8s, width: int) -> tuple[Uint8s, float, int]:
+    """Two pictures on one canvas at one scale, that scale, and the column at which the right one begins."""
     gap, widest = 4, max(left.shape[1], right.shape[1])
     scale = min(1.0, (width - gap) / 2 / widest)
     small = [_fit(image, max(1, round(image.shape[1] * scale))) for image in (left, right)]
@@ -169,15 +170,13 @@ def _side_by_side(left: Uint8s, right: Uint8s, x1: Float64s, x2: Float64s, width
     offset = small[0].shape[1] + gap
     canvas[: small[0].shape[0], : small[0].shape[1]] = small[0]
     canvas[: small[1].shape[0], offset:] = small[1]
-    return canvas, (x1 + 0.5) * scale - 0.5, (x2 + 0.5) * scale - 0.5 + [offset, 0]
+    return canvas, scale, offset
 
 
 def _rectified(rectification: Rectification, left: Frame, right: Frame, width: int) -> Uint8s:
     from ..rectification.warping import warp  # here: whoever shows frames has no use for compiled kernels
 
-    none = np.zeros((0, 2))
-    one, two = warp(rectification, 1, left.image), warp(rectification, 2, right.image)
-    canvas, _, _ = _side_by_side(one, two, none, none, width)
+    canvas, _, _ = _side_by_side(warp(rectification, 1, left.image), warp(rectification, 2, right.image), width)
     for row in np.linspace(0, canvas.shape[0] - 1, 9)[1:-1]:
         cv2.line(canvas, (0, round(row)), (canvas.shape[1] - 1, round(row)), (255, 210, 60), 1)
     return canvas
@@ -187,8 +186,7 @@ def _disparities(disparity: Disparity, width: int) -> Uint8s:
     from ..rectification.warping import disparity_px  # here: as above
 
     coloured, low, high = _coloured(disparity_px(disparity, 1), disparity_px(disparity, 2))
-    none = np.zeros((0, 2))
-    shown = _side_by_side(coloured[0], coloured[1], none, none, width)[0]
+    shown = _side_by_side(coloured[0], coloured[1], width)[0]
     return _with_scale(shown, f"{low:.1f} px", f"{high:.1f} px") if high > low else shown
 
 

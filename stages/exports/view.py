@@ -15,9 +15,8 @@ import zlib
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
-from ..types import NEW, VANISHED, Changes, Cloud, Float64s, Int64s, Uint8s
+from ..types import NEW, VANISHED, Bools, Changes, Cloud, Float32s, Float64s, Int64s, Uint8s
 
 MOST = 600_000
 """Points that a browser turns without a graphics card's help."""
@@ -37,7 +36,7 @@ _SAMPLE = 600
 class Layer(NamedTuple):
     """What points have beside their colours."""
 
-    values: npt.NDArray[np.float32]
+    values: Float32s
     """(n,)"""
     unit: str
     in_ratios: bool = False
@@ -84,7 +83,7 @@ def thinned_view(stream: bytes, most: int) -> bytes:
     return _stream(points, planes[6:9].T[::every], {}, head["voxel"] * np.sqrt(every), head["total"])
 
 
-def _near(points: Float64s) -> npt.NDArray[np.bool_]:
+def _near(points: Float64s) -> Bools:
     if len(points) < 100:
         return np.ones(len(points), bool)
     low, high = np.percentile(points[:: 1 + len(points) // 200_000], [0.05, 99.95], axis=0)
@@ -92,7 +91,7 @@ def _near(points: Float64s) -> npt.NDArray[np.bool_]:
     return np.asarray(np.all((points >= low - margin) & (points <= high + margin), axis=1))
 
 
-def _thinned(points: Float64s, values: npt.NDArray[np.float32], most: int) -> tuple[Float64s, npt.NDArray[np.float32], float]:
+def _thinned(points: Float64s, values: Float32s, most: int) -> tuple[Float64s, Float32s, float]:
     """Mean point and values of each voxel, along the curve, and the voxel's edge; the points as they are where they are few."""
     if not len(points):
         return points, values, 1.0

@@ -14,6 +14,9 @@ if TYPE_CHECKING:
     import open3d
 
 
+Columns = Mapping[str, npt.NDArray[Any]]
+
+
 def cloud_columns(cloud: Cloud) -> dict[str, npt.NDArray[Any]]:
     """Columns by name: x y z (metres), nx ny nz, red green blue, confidence, views, sigma_mm.
 
@@ -31,11 +34,10 @@ def cloud_columns(cloud: Cloud) -> dict[str, npt.NDArray[Any]]:
     }
 
 
-def cloud_of(columns: Mapping[str, npt.NDArray[Any]]) -> Cloud:
+def cloud_of(columns: Columns) -> Cloud:
     """The cloud that `cloud_columns` was given, its positions as they were kept."""
-    points, normals, colors = (
-        np.column_stack([columns[name] for name in names]) for names in (("x", "y", "z"), ("nx", "ny", "nz"), _COLORS)
-    )
+    groups = (("x", "y", "z"), ("nx", "ny", "nz"), ("red", "green", "blue"))
+    points, normals, colors = (np.column_stack([columns[name] for name in names]) for names in groups)
     return Cloud(points, normals, colors, columns["confidence"], columns["views"], columns["sigma_mm"])
 
 
@@ -47,9 +49,6 @@ def point_cloud(cloud: Cloud) -> open3d.geometry.PointCloud:
     made.normals = open3d.utility.Vector3dVector(cloud.normals.astype(np.float64))
     made.colors = open3d.utility.Vector3dVector(cloud.colors.astype(np.float64) / 255.0)
     return made
-
-
-_COLORS = ("red", "green", "blue")
 
 
 def cloud_figures(cloud: Cloud) -> dict[str, Any]:

@@ -144,9 +144,7 @@ def _roughly(site: _Site, plane: Float64s) -> _Fit | None:
     matches = site.matches(site.known, plane, 1, _ROUGH)
     if not matches:
         return None
-    adjusted = adjust_within_priors(site.known, site.sigmas, matches, trusted=True)
-    share, settled = settled_on(site.views(adjusted.cameras, 1), plane)
-    return _Fit(adjusted, settled, share)
+    return _fitted(site, matches, plane)
 
 
 def _finely(site: _Site, fit: _Fit) -> _Fit:
@@ -160,8 +158,12 @@ def _finely(site: _Site, fit: _Fit) -> _Fit:
             x1, x2 = np.concatenate([x1, found[pair].x1]), np.concatenate([x2, found[pair].x2])
         if len(x1):
             both[pair] = _of(geometry, x1, x2)
-    adjusted = adjust_within_priors(site.known, site.sigmas, both, trusted=True)
-    share, settled = settled_on(site.views(adjusted.cameras, 1), fit.plane)
+    return _fitted(site, both, fit.plane)
+
+
+def _fitted(site: _Site, matches: Mapping[Pair, Geometry], plane: Float64s) -> _Fit:
+    adjusted = adjust_within_priors(site.known, site.sigmas, matches, trusted=True)
+    share, settled = settled_on(site.views(adjusted.cameras, 1), plane)
     return _Fit(adjusted, settled, share)
 
 

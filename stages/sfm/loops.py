@@ -172,7 +172,8 @@ def check_loops(
     posed = {pair: g for pair, g in geometries.items() if g.cam2_R_cam1 is not None and g.cam2_t_cam1 is not None}
     triangles = triangles_of(posed)
     unsure = unsure_deg or {}
-    closed = np.array([closes(posed, *triangle, usual, _slack(unsure, *triangle)) for triangle in triangles], dtype=bool)
+    slack = [max(unsure.get(side, 0.0) for side in ((a, b), (b, c), (a, c))) for a, b, c in triangles]
+    closed = np.array([closes(posed, *three, usual, most) for three, most in zip(triangles, slack, strict=True)], dtype=bool)
     pairs = list(geometries)
     index = {pair: k for k, pair in enumerate(pairs)}
     members = np.array([[index[a, b], index[b, c], index[a, c]] for a, b, c in triangles], dtype=np.int64).reshape(-1, 3)
@@ -250,11 +251,6 @@ def triangles_of(pairs: Collection[tuple[View, View]]) -> list[tuple[View, View,
     for a, b in pairs:
         after.setdefault(a, set()).add(b)
     return [(a, b, c) for a, b in pairs for c in sorted(after.get(b, set()) & after[a])]
-
-
-def _slack(unsure_deg: Mapping[Pair, float], a: str, b: str, c: str) -> float:
-    """What the least certain side of a triangle may be off by."""
-    return max(unsure_deg.get(pair, 0.0) for pair in ((a, b), (b, c), (a, c)))
 
 
 def closes(posed: Mapping[Pair, Geometry], a: str, b: str, c: str, usual: Habits = USUAL, slack_deg: float = 0.0) -> bool:
