@@ -7,7 +7,6 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import PurePath
 from tempfile import NamedTemporaryFile
-from typing import IO
 
 import cv2
 import numpy as np
@@ -70,7 +69,8 @@ def one_picture(capture: Capture) -> Uint8s:
 @contextmanager
 def _opened(capture: Capture) -> Iterator[cv2.VideoCapture]:
     """FFmpeg reads files only: one in memory where the system can, else one that is gone when it is closed."""
-    with _file(PurePath(capture.name).suffix) as file:
+    suffix = PurePath(capture.name).suffix
+    with os.fdopen(os.memfd_create("video"), "wb") if IN_MEMORY else NamedTemporaryFile(suffix=suffix) as file:
         file.write(capture.data.tobytes())
         file.flush()
         path = f"/proc/self/fd/{file.fileno()}" if IN_MEMORY else str(file.name)
@@ -81,7 +81,3 @@ def _opened(capture: Capture) -> Iterator[cv2.VideoCapture]:
             yield video
         finally:
             video.release()
-
-
-def _file(suffix: str) -> IO[bytes]:
-    return os.fdopen(os.memfd_create("video"), "wb") if IN_MEMORY else NamedTemporaryFile(suffix=suffix)

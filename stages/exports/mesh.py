@@ -253,20 +253,19 @@ def object_files(found: Textured, name: str) -> Iterator[tuple[str, bytes]]:
     What no camera sees has the colours of the cloud, a pixel a triangle in a picture of its own.
     """
     shown = [number for number in range(len(found.views)) if (found.chosen == number).any()]
+    pictures = {found.views[number].name: f"{name}_{found.views[number].name}.jpg" for number in shown}  # of each material
     for number in shown:
-        view = found.views[number]
-        yield f"{name}_{view.name}.jpg", jpeg(view.image, 92).tobytes()
+        yield pictures[found.views[number].name], jpeg(found.views[number].image, 92).tobytes()
     unseen = np.flatnonzero(found.chosen == NONE)
-    materials = [found.views[number].name for number in shown] + (["unseen"] if len(unseen) else [])
     if len(unseen):
-        yield f"{name}_unseen.png", _palette(found.mesh, unseen)
-    yield f"{name}.mtl", "".join(_material(name, material) for material in materials).encode()
+        side = _side(len(unseen))
+        pixels = np.zeros((side * side, 3), np.uint8)
+        pixels[: len(unseen)] = found.mesh.colors[found.mesh.triangles[unseen]].mean(axis=1)
+        pictures["unseen"] = f"{name}_unseen.png"
+        yield pictures["unseen"], png(pixels.reshape(side, side, 3))
+    look = "Ka 0 0 0\nKd 1 1 1\nKs 0 0 0\nillum 1"
+    yield f"{name}.mtl", "".join(f"newmtl {each}\n{look}\nmap_Kd {file}\n" for each, file in pictures.items()).encode()
     yield f"{name}.obj", b"".join(_object(found, name, shown, unseen))
-
-
-def _material(name: str, material: str) -> str:
-    ending = "png" if material == "unseen" else "jpg"
-    return f"newmtl {material}\nKa 0 0 0\nKd 1 1 1\nKs 0 0 0\nillum 1\nmap_Kd {name}_{material}.{ending}\n"
 
 
 def _object(found: Textured, name: str, shown: list[int], unseen: Int64s) -> Iterator[bytes]:
@@ -297,10 +296,3 @@ def _faces(triangles: Int32s, place: Int64s) -> bytes:
 
 def _side(count: int) -> int:
     return int(np.ceil(np.sqrt(count)))
-
-
-def _palette(mesh: Mesh, unseen: Int64s) -> bytes:
-    side = _side(len(unseen))
-    pixels = np.zeros((side * side, 3), np.uint8)
-    pixels[: len(unseen)] = mesh.colors[mesh.triangles[unseen]].mean(axis=1)
-    return png(pixels.reshape(side, side, 3))

@@ -46,8 +46,9 @@ def write(value: Any, folder: Path, stem: str) -> Any:
         fields = {name: write(getattr(value, name), folder, f"{stem}.{name}") for name in kept}
         return {"type": f"{kind.__module__}:{kind.__qualname__}", "fields": fields}
     if isinstance(value, Mapping):
-        items = [[_key(key), write(value[key], folder, f"{stem}.{_words(key)}")] for key in value]
-        return {"map": items}
+        parts = {key: key if isinstance(key, tuple) else (key,) for key in value}
+        files = {key: f"{stem}.{'--'.join(map(str, part))}" for key, part in parts.items()}
+        return {"map": [[list(key) if isinstance(key, tuple) else key, write(value[key], folder, files[key])] for key in value]}
     if isinstance(value, tuple | list):
         return {type(value).__name__: [write(item, folder, f"{stem}.{i}") for i, item in enumerate(value)]}
     raise TypeError(f"{type(value).__name__} cannot be written as files")
@@ -115,11 +116,3 @@ def _picture(array: Array) -> Any:
         if array.dtype in {np.dtype(np.uint8), np.dtype(np.uint16)}:
             return array
     return None
-
-
-def _key(key: Any) -> Any:
-    return list(key) if isinstance(key, tuple) else key
-
-
-def _words(key: Any) -> str:
-    return "--".join(map(str, key)) if isinstance(key, tuple) else str(key)

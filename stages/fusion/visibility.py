@@ -91,8 +91,8 @@ def cross_check(
     """
     own = view_of(name).depth
     h, w = own.depth.shape
-    numbers = _PairNumbers()
-    pairs = _own_pairs(own.support, numbers.of(name, own))
+    numbers: dict[frozenset[str], int] = {}
+    pairs = _own_pairs(own.support, _numbers_of(name, own, numbers))
     visible, agreeing, hiding = (np.zeros((h, w), np.uint8) for _ in range(3))
     apart, reach, opposing, doubted = (np.zeros((h, w), np.float32) for _ in range(4))
     nearest = np.full((h, w), ITSELF, np.uint8)
@@ -100,56 +100,31 @@ def cross_check(
         M, b = transfer(cameras[name], cameras[other])
         view = view_of(other)
         seen = view.depth
-        theirs = numbers.of(other, seen)
-        if numbers.words > len(pairs):
-            pairs = np.concatenate([pairs, np.zeros((numbers.words - len(pairs), h, w), np.uint64)])
+        theirs = _numbers_of(other, seen, numbers)
+        words = max(1, -(-min(len(numbers), _UNCOUNTED) // 64))  # of 64 bits each
+        if words > len(pairs):
+            pairs = np.concatenate([pairs, np.zeros((words - len(pairs), h, w), np.uint64)])
         # (4,) g and s: the square of a point's distance from the other camera, less that from its own, is s - depth g (x, y, 1)
         c = cameras[name].R @ (cameras[other].C - cameras[name].C)
         farther = np.append(2.0 * np.linalg.solve(cameras[name].K.T, c), c @ c)
-        pair, rank = numbers.of_pair(name, other), min(place, ITSELF)
+        pair, rank = min(numbers.get(frozenset((name, other)), _UNCOUNTED), _UNCOUNTED), min(place, ITSELF)
         surface = own.depth, own.sigma, M, b, seen.depth, seen.slope_x, seen.slope_y, seen.sigma, seen.support
         found = visible, agreeing, hiding, opposing, doubted, pairs
         _compare(*surface, probability(view.own), theirs, pair, *found, rank, farther, apart, nearest, reach)
+    number: dict[str, int] = {}
+    ends = [[number.setdefault(end, len(number)) for end in sorted(two)] for two in [*numbers][:_UNCOUNTED]]
     count, seen_by = np.zeros((h, w), np.uint8), np.zeros((h, w), np.uint16)
-    _count(pairs, numbers.cameras_of_pairs[: numbers.met], count, seen_by)
+    _count(pairs, np.array(ends, np.uint16).reshape(-1, 2), count, seen_by)
     return CrossCheck(count, seen_by, visible, agreeing, opposing, hiding, doubted, apart, nearest)
 
 
-class _PairNumbers:
-    """Numbers of the pairs that can support a point, as they are met.  At most 255: seventeen views that all have 32 pairs could
-    meet twice as many, but a point that has more than a hundred needs no further ones.
+def _numbers_of(view: str, depth: DepthMap, numbers: dict[frozenset[str], int]) -> Uint8s:
+    """(n,) the number of the pair with each of a view's n partners, as pairs are met; 255: not counted.
 
-    cameras_of_pairs: (255, 2) uint16, the two cameras of each pair as small numbers.
+    Seventeen views that all have 32 pairs could meet twice as many, but a point that has more than a hundred needs no further.
     """
-
-    def __init__(self) -> None:
-        self.cameras_of_pairs = np.zeros((_UNCOUNTED, 2), np.uint16)
-        self._numbers: dict[frozenset[str], int] = {}
-        self._cameras: dict[str, int] = {}
-
-    @property
-    def met(self) -> int:
-        return min(len(self._numbers), _UNCOUNTED)
-
-    @property
-    def words(self) -> int:
-        """Of 64 bits each, that have a bit for each of these pairs."""
-        return max(1, -(-self.met // 64))
-
-    def of_pair(self, one: str, other: str) -> int:
-        """The number of a pair; 255: it supports nothing that is counted."""
-        return min(self._numbers.get(frozenset((one, other)), _UNCOUNTED), _UNCOUNTED)
-
-    def of(self, view: str, depth: DepthMap) -> Uint8s:
-        """(n,) uint8: the number of the pair with each of a view's n partners (255: not counted)."""
-        table = np.full(len(depth.partners), _UNCOUNTED, np.uint8)
-        for k, partner in enumerate(depth.partners):
-            number = self._numbers.setdefault(frozenset((view, partner)), len(self._numbers))
-            if number < _UNCOUNTED:
-                table[k] = number
-                ends = [self._cameras.setdefault(end, len(self._cameras)) for end in (view, partner)]
-                self.cameras_of_pairs[number] = ends
-        return table
+    pairs = (frozenset((view, partner)) for partner in depth.partners)
+    return np.array([min(numbers.setdefault(pair, len(numbers)), _UNCOUNTED) for pair in pairs], np.uint8)
 
 
 @kernel

@@ -36,17 +36,6 @@ _WANTED = (
 )
 
 
-@dataclass(frozen=True)
-class _Found:
-    """What a model found in two pictures: points (n, 2) in pixels of the pictures that it was given, rows of matches, scores."""
-
-    points1: Float64s
-    points2: Float64s
-    i1: Any
-    i2: Any
-    scores: Float32s
-
-
 def match_onnx(
     left_frame: Frame, right_frame: Frame, model: Capture, *, min_score: float = 0.0, long_side_px: int = 1024
 ) -> Matches:
@@ -76,16 +65,10 @@ def match_onnx(
     if len(interface.inputs) == 1:  # both in one array
         sizes[1] = sizes[0]
     frames = zip((left_frame, right_frame), sizes, asked, strict=True)
-    found = _run(model, interface, [_picture(frame.image, size, shape[1]) for frame, size, shape in frames])
-    x1, x2 = (
-        _in_frame(points[rows], size, frame)
-        for points, rows, size, frame in (
-            (found.points1, found.i1, sizes[0], left_frame),
-            (found.points2, found.i2, sizes[1], right_frame),
-        )
-    )
-    keep = (found.scores >= min_score) & _usable(x1, left_frame) & _usable(x2, right_frame)
-    p = np.clip(found.scores[keep], 0, 1).astype(np.float32)
+    x1, x2, scores = _run(model, interface, [_picture(frame.image, size, shape[1]) for frame, size, shape in frames])
+    x1, x2 = _in_frame(x1, sizes[0], left_frame), _in_frame(x2, sizes[1], right_frame)
+    keep = (scores >= min_score) & _usable(x1, left_frame) & _usable(x2, right_frame)
+    p = np.clip(scores[keep], 0, 1).astype(np.float32)
     return Matches(x1[keep], x2[keep], None, None, p, None, left_frame.view, right_frame.view)
 
 
@@ -114,8 +97,9 @@ def _picture(image: Uint8s, size: tuple[int, int], channels: int) -> Float32s:
     return np.ascontiguousarray(planes[None], dtype=np.float32) / np.float32(255)
 
 
-def _run(model: Capture, interface: ModelInterface, pictures: list[Float32s]) -> _Found:
-    """One thread, so that any machine finds the same."""
+def _run(model: Capture, interface: ModelInterface, pictures: list[Float32s]) -> tuple[Float64s, Float64s, Float32s]:
+    """What a model finds in two pictures: matches (n, 2), (n, 2) in pixels of these, and scores (n,).  One thread, so that any
+    machine finds the same."""
     together = len(interface.inputs) == 1
     names = _ONE_OUTPUTS if together else _TWO_OUTPUTS
     given = {"images": np.concatenate(pictures)} if together else dict(zip(_TWO_INPUTS, pictures, strict=True))
@@ -134,8 +118,8 @@ def _run(model: Capture, interface: ModelInterface, pictures: list[Float32s]) ->
     return _sorted_out(model.name, outputs)
 
 
-def _sorted_out(name: str, outputs: list[Any]) -> _Found:
-    """Points, matches and scores of what a model gave."""
+def _sorted_out(name: str, outputs: list[Any]) -> tuple[Float64s, Float64s, Float32s]:
+    """The same from what it gave."""
     *points, matches, scores = outputs
     points1, points2 = (np.asarray(p, dtype=np.float64).reshape(-1, 2) for p in (points if len(points) == 2 else points[0]))
     rows = np.asarray(matches).astype(np.int64)
@@ -148,7 +132,7 @@ def _sorted_out(name: str, outputs: list[Any]) -> _Found:
     if scores.size != len(i1):
         raise ValueError(f"{name} gives {scores.size} scores for {len(i1)} matches: {_WANTED}")
     there = (i1 >= 0) & (i1 < len(points1)) & (i2 >= 0) & (i2 < len(points2))
-    return _Found(points1, points2, i1[there], i2[there], np.asarray(scores, dtype=np.float32).ravel()[there])
+    return points1[i1[there]], points2[i2[there]], np.asarray(scores, dtype=np.float32).ravel()[there]
 
 
 def _in_frame(points: Float64s, size: tuple[int, int], frame: Frame) -> Float64s:

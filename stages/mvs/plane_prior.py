@@ -96,7 +96,7 @@ def apply_plane_priors(
     if take.any():
         trial = np.where(take, laid.planes / scale, np.float32(np.nan))
         shown = propagation.support(trial, max_cost)
-        sources, seen = _sources_around(laid.anchors, support.sources, len(propagation.M), spacing)
+        sources, seen = _sources_around(laid.anchors, support.sources, propagation.sources, spacing)
         take &= ~sure | ~_relief(shown, support, take & sure, spacing)  # gaps are filled
         take &= ~sure | (seen >= _SOURCES) | _noisy(laid, support, scale, spacing)
         planes[:, take] = trial[:, take]

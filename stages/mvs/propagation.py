@@ -43,14 +43,12 @@ class Propagation:
     """
 
     def __init__(self, image: Float32s, usable: Bools, sources: Float32s, M: Float64s, b: Float64s, taps: Int32s) -> None:
-        self.reach = int(np.abs(taps).max())
-        self.taps = taps
-        self.image = np.pad(image, self.reach, mode="edge")
-        self.usable = np.pad(usable.astype(np.float32), self.reach)
-        self.M, self.b = M.astype(np.float32), b.astype(np.float32)
-        self.height, self.width = sources.shape[1:]
+        self.taps, self.reach, self.sources = taps, int(np.abs(taps).max()), len(sources)
+        own = np.pad(image, self.reach, mode="edge"), np.pad(usable.astype(np.float32), self.reach)
         beside = np.concatenate([sources[..., 1:], sources[..., -1:]], axis=-1)
-        self.pairs = np.stack([sources, beside], axis=-1).view(np.uint64).ravel()  # one access fetches what is interpolated
+        pairs = np.stack([sources, beside], axis=-1).view(np.uint64).ravel()  # one access fetches what is interpolated
+        height, width = sources.shape[1:]
+        self.views = *own, pairs, height, width, M.astype(np.float32), b.astype(np.float32)  # as all kernels take them
 
     def improve(self, planes: Float32s, sweeps: int, far: int, low: float, high: float, *, again: bool = False) -> Float32s:
         """Improve planes in place by propagation from neighbours, holes (nan) included, and shrinking random changes; returns
@@ -68,11 +66,9 @@ class Propagation:
         best = np.zeros(planes.shape[1:], np.int32)
         noise = np.random.default_rng(1).uniform(-1, 1, NOISE + BLOCK).astype(np.float32)
         rings = np.array([(0, 1), (1, 0), (far, 0)] if again else [(0, 1), (1, 0), (0, far), (far, 0), (2, 3), (-2, 3)])
+        limits, changes = (Scalar(low), Scalar(high)), _CHANGES_AGAIN if again else _CHANGES
         for sweep in range(min(sweeps, 1) if again else sweeps):
-            propagate(
-                self.image, self.usable, self.pairs, self.height, self.width, self.M, self.b, self.taps, self.reach,
-                noise, sweep, rings, _CHANGES_AGAIN if again else _CHANGES, Scalar(low), Scalar(high), planes, cost, best,
-            )  # fmt: skip
+            propagate(*self.views, self.taps, self.reach, noise, sweep, rings, changes, *limits, planes, cost, best)
         return cost
 
     def refine_photometrically(self, planes: Float32s, radius: int, spacing: int) -> None:
@@ -82,18 +78,13 @@ class Propagation:
         near = range(-radius, radius + 1)
         offsets = np.array(sorted(((i, j) for j in near for i in near), key=lambda at: at != (0, 0)), np.int32)
         fall = np.exp(-2 * (offsets**2).sum(axis=1) / radius**2).astype(np.float32)
-        refine_photometrically(
-            self.image, self.usable, self.pairs, self.height, self.width, self.M, self.b, spacing * offsets, fall, self.reach,
-            planes,
-        )  # fmt: skip
+        refine_photometrically(*self.views, spacing * offsets, fall, self.reach, planes)
 
     def support(self, planes: Float32s, limit: float) -> Support:
         """What the sources show of planes (3, h, w), and which of them cost less than the limit."""
         shape = planes.shape[1:]
         first, second = np.full(shape, UNSEEN, np.float32), np.full(shape, UNSEEN, np.float32)
         found = Support(first, second, np.zeros(shape, np.uint32), np.zeros(shape, np.float32))
-        judge(
-            self.image, self.usable, self.pairs, self.height, self.width, self.M, self.b, self.taps, self.reach,
-            Scalar(limit), planes, found.first, found.second, found.sources, found.parallax,
-        )  # fmt: skip
+        written = found.first, found.second, found.sources, found.parallax
+        judge(*self.views, self.taps, self.reach, Scalar(limit), planes, *written)
         return found

@@ -217,10 +217,8 @@ def _stretch(x1: Float64s, x2: Float64s, affine: Float64s | None) -> float:
 
     affine: (n, 2, 2) what the keypoints' frames say of the maps, None where there are no keypoints.
     """
-    if affine is None:
-        field = fit_affine_field(x1, x2, np.zeros((len(x1), 2, 2)), np.ones(len(x1)), x1, neighbours=16, ridge=0.0)
-    else:
-        field = fit_affine_field(x1, x2, affine, np.ones(len(x1)), x1, neighbours=16)
+    maps, ridge = (np.zeros((len(x1), 2, 2)), 0.0) if affine is None else (affine, 2.0)
+    field = fit_affine_field(x1, x2, maps, np.ones(len(x1)), x1, neighbours=16, ridge=ridge)
     axes = np.linalg.svd(field.affine, compute_uv=False)
     return float(np.median(np.log(axes[:, 0] / np.maximum(axes[:, 1], 1e-3))))
 

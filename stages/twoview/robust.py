@@ -51,9 +51,13 @@ def estimate_fundamental(x1: Float64s, x2: Float64s, threshold_px: float, seed: 
     """
     if len(x1) < 8:
         return None
-    F = _magsac_fundamental(x1, x2, threshold_px, seed)
-    if F is None:
+    try:
+        found, _ = cv2.findFundamentalMat(x1, x2, _usac(threshold_px, seed, MAX_ITERATIONS))
+    except cv2.error:  # degenerate input: repeated or collinear points
         return None
+    if found is None or found.shape != (3, 3) or not np.isfinite(found).all():
+        return None
+    F = unit_norm(np.asarray(found, dtype=np.float64))
     for _ in range(2):
         inliers = supporters(F, x1, x2, threshold_px)
         if inliers.sum() < 8:
@@ -195,16 +199,6 @@ def homography_support(x1: Float64s, x2: Float64s, threshold_px: float, seed: in
         return none
     residual = np.maximum(_transfer(H, x1, x2), _transfer(np.linalg.inv(H).astype(np.float64), x2, x1))
     return np.asarray(residual < INLIER_FACTOR * threshold_px)
-
-
-def _magsac_fundamental(x1: Float64s, x2: Float64s, threshold_px: float, seed: int) -> Float64s | None:
-    try:
-        F, _ = cv2.findFundamentalMat(x1, x2, _usac(threshold_px, seed, MAX_ITERATIONS))
-    except cv2.error:  # degenerate input: repeated or collinear points
-        return None
-    if F is None or F.shape != (3, 3) or not np.isfinite(F).all():
-        return None
-    return unit_norm(np.asarray(F, dtype=np.float64))
 
 
 def _usac(threshold_px: float, seed: int, iterations: int) -> Any:
