@@ -91,7 +91,7 @@ def cross_check(
     """
     own = view_of(name).depth
     h, w = own.depth.shape
-    numbers: dict[frozenset[str], int] = {}
+    numbers: dict[tuple[str, ...], int] = {}
     pairs = _own_pairs(own.support, _numbers_of(name, own, numbers))
     visible, agreeing, hiding = (np.zeros((h, w), np.uint8) for _ in range(3))
     apart, reach, opposing, doubted = (np.zeros((h, w), np.float32) for _ in range(4))
@@ -107,23 +107,23 @@ def cross_check(
         # (4,) g and s: the square of a point's distance from the other camera, less that from its own, is s - depth g (x, y, 1)
         c = cameras[name].R @ (cameras[other].C - cameras[name].C)
         farther = np.append(2.0 * np.linalg.solve(cameras[name].K.T, c), c @ c)
-        pair, rank = min(numbers.get(frozenset((name, other)), _UNCOUNTED), _UNCOUNTED), min(place, ITSELF)
+        pair, rank = min(numbers.get(tuple(sorted((name, other))), _UNCOUNTED), _UNCOUNTED), min(place, ITSELF)
         surface = own.depth, own.sigma, M, b, seen.depth, seen.slope_x, seen.slope_y, seen.sigma, seen.support
         found = visible, agreeing, hiding, opposing, doubted, pairs
         _compare(*surface, probability(view.own), theirs, pair, *found, rank, farther, apart, nearest, reach)
     number: dict[str, int] = {}
-    ends = [[number.setdefault(end, len(number)) for end in sorted(two)] for two in [*numbers][:_UNCOUNTED]]
+    ends = [[number.setdefault(end, len(number)) for end in two] for two in [*numbers][:_UNCOUNTED]]
     count, seen_by = np.zeros((h, w), np.uint8), np.zeros((h, w), np.uint16)
     _count(pairs, np.array(ends, np.uint16).reshape(-1, 2), count, seen_by)
     return CrossCheck(count, seen_by, visible, agreeing, opposing, hiding, doubted, apart, nearest)
 
 
-def _numbers_of(view: str, depth: DepthMap, numbers: dict[frozenset[str], int]) -> Uint8s:
+def _numbers_of(view: str, depth: DepthMap, numbers: dict[tuple[str, ...], int]) -> Uint8s:
     """(n,) the number of the pair with each of a view's n partners, as pairs are met; 255: not counted.
 
     Seventeen views that all have 32 pairs could meet twice as many, but a point that has more than a hundred needs no further.
     """
-    pairs = (frozenset((view, partner)) for partner in depth.partners)
+    pairs = (tuple(sorted((view, partner))) for partner in depth.partners)
     return np.array([min(numbers.setdefault(pair, len(numbers)), _UNCOUNTED) for pair in pairs], np.uint8)
 
 
