@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from .fusion.pair_depth import MOST_PAIRS, NoiseModel, apart_px, fuse_pairs, pair_depth, usable_pixels
+from .fusion.pair_depth import MOST_PAIRS, NoiseModel, apart_px, fuse_pairs, pair_depth
 from .reasons import Reason, Rejected
 from .rectification.warping import Side
 from .types import Camera, DepthMap, Disparity, Float32s, Pair, Rectification
@@ -42,7 +42,7 @@ def view_depth(
             continue
         found[other] = pair_depth(camera, cameras[other], rectifications[pair], disparities[pair], side)
         if len(disparities) > MOST_PAIRS:
-            pixels[other] = usable_pixels(*found[other], noise)
+            pixels[other] = int(np.count_nonzero(noise.usable(*found[other])))
         if len(found) > MOST_PAIRS:
             left_out.append(min(found, key=pixels.__getitem__))
             del found[left_out[-1]]

@@ -7,7 +7,7 @@ because what the operator has to do about it differs.
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from math import atan, degrees
 from typing import TypeVar
@@ -107,7 +107,9 @@ def _one_frame(
     weights, words = weigh(images, names, allowed)
     background = merge(images, weights)
     signal = Signal.median([each.signal for each in clean])
-    notes.extend([*_repairs(clean), *signal.words()])
+    for repair in dict.fromkeys(each.repair for each in clean if each.repair):
+        notes.append(f"{sum(each.repair == repair for each in clean)} of {len(clean)} captures are combed: {repair}")
+    notes.extend(signal.words())
     if len(images) == 2:
         notes.append(f"two captures have no majority: only {names[1]} is used")
     trusted = allowed & ~background.doubtful
@@ -144,12 +146,6 @@ def _one_frame(
         taken_in_order=list(taken) == sorted(taken),
         picture_digest=clean[-1].digest,
     )
-
-
-def _repairs(clean: Sequence[_Clean]) -> Iterator[str]:
-    for repair in dict.fromkeys(each.repair for each in clean if each.repair):
-        count = sum(each.repair == repair for each in clean)
-        yield f"{count} of {len(clean)} captures are combed: {repair}"
 
 
 @dataclass(frozen=True)

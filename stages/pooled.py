@@ -15,7 +15,7 @@ import numpy as np
 from .core.ordering import rank_within
 from .fusion.overlay import renumbered
 from .sfm.tracks import joined_places
-from .types import Bools, DepthMap, Float64s, Int64s, Matches, Uint32s, View
+from .types import Bools, DepthMap, Float64s, Int64s, Matches, View
 
 _FLOOR = 0.75
 """The pooled standard deviation is at least this share of the best night's: errors of the same pixels with the same partners are
@@ -101,7 +101,9 @@ def pool_depths(nights: Mapping[str, DepthMap], *, agree: float = 3.0, least_sha
         _mean(np.nan_to_num(np.stack(fields)).astype(np.float64), weights, total, usable)
         for fields in ([depth.slope_x for depth in maps], [depth.slope_y for depth in maps])
     )
-    support, partners = _support(maps, agreeing)
+    partners = tuple(dict.fromkeys(partner for depth in maps for partner in depth.partners))[:32]
+    supports = [np.where(agree_k, renumbered(depth, partners), 0) for depth, agree_k in zip(maps, agreeing, strict=True)]
+    support = np.bitwise_or.reduce(supports)
     sure = np.any([depth.sure & agree_k for depth, agree_k in zip(maps, agreeing, strict=True)], axis=0)
     return DepthMap(
         (1.0 / pooled).astype(np.float32),
@@ -125,12 +127,3 @@ def _median(values: Float64s, known: Bools) -> Float64s:
 def _mean(values: Float64s, weights: Float64s, total: Float64s, usable: Bools) -> Float64s:
     mean = (np.where(weights > 0, values, 0.0) * weights).sum(axis=0) / np.where(usable, total, 1.0)
     return np.where(usable, mean, np.nan)
-
-
-def _support(maps: list[DepthMap], agreeing: Bools) -> tuple[Uint32s, tuple[str, ...]]:
-    """Bits of all partners that support a depth in any of the agreeing nights."""
-    partners = tuple(dict.fromkeys(partner for depth in maps for partner in depth.partners))[:32]
-    support = np.zeros(agreeing.shape[1:], dtype=np.uint32)
-    for depth, agree in zip(maps, agreeing, strict=True):
-        support |= np.where(agree, renumbered(depth, partners), np.uint32(0))
-    return support, partners

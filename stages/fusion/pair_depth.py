@@ -17,7 +17,7 @@ from ..core.cameras import transfer
 from ..core.jit import helper, kernel
 from ..rectification.placement import frame_grid
 from ..rectification.warping import Side, disparity_px, from_rectified, resampling, to_rectified
-from ..types import Camera, DepthMap, Disparity, Float32s, Float64s, Rectification, Uint32s
+from ..types import Bools, Camera, DepthMap, Disparity, Float32s, Float64s, Rectification, Uint32s
 
 MOST_PAIRS = 32
 """So many pairs of one view are fused: each has a bit of what supports a pixel."""
@@ -55,6 +55,11 @@ class NoiseModel:
     """Relative error of depth that more pixels don't reduce."""
     limit: float = 0.006
     """Largest relative sigma at which a hypothesis is still used."""
+
+    def usable(self, depth: Float32s, gain: Float32s) -> Bools:
+        """Which depths of a pair, any shape, are exact enough to be fused; gain: |dz/dpixel|.  Never one that is nan."""
+        with np.errstate(invalid="ignore"):
+            return (self.noise_px * gain) ** 2 + (self.floor * depth) ** 2 <= (self.limit * depth) ** 2
 
 
 def pair_depth(
@@ -219,8 +224,7 @@ def apart_px(depths: Sequence[Float32s], gains: Sequence[Float32s], noise: Noise
     h, w = depths[0].shape
     step = max(1, int(np.sqrt(h * w / _COMPARED)))
     Z, G = (np.stack([each[::step, ::step] for each in maps]) for maps in (depths, gains))
-    with np.errstate(invalid="ignore"):
-        Z[~((noise.noise_px * G) ** 2 + (noise.floor * Z) ** 2 <= (noise.limit * Z) ** 2)] = np.nan
+    Z[~noise.usable(Z, G)] = np.nan
     found = {}
     for a, b in combinations(range(len(Z)), 2):
         off = (Z[a] - Z[b]) / np.hypot(G[a], G[b])
@@ -232,12 +236,6 @@ def apart_px(depths: Sequence[Float32s], gains: Sequence[Float32s], noise: Noise
             px, noise_px = (float(np.median(np.repeat(np.abs(each), count))) for each in (median, scatter))
             found[a, b] = math.sqrt(max(0.0, px**2 - (_SCATTER * noise_px) ** 2)) * min(1.0, _LONG_SIDE / max(h, w))
     return found
-
-
-def usable_pixels(depth: Float32s, gain: Float32s, noise: NoiseModel) -> int:
-    """How many pixels of a pair's depth are exact enough to be fused."""
-    square = (noise.noise_px * gain) ** 2 + (noise.floor * depth) ** 2
-    return int(np.count_nonzero(square <= (noise.limit * depth) ** 2))  # never where one is nan
 
 
 @kernel

@@ -103,8 +103,7 @@ def _candidates(descriptors1: Float32s, descriptors2: Float32s, neighbours: int)
     n1, n2 = len(descriptors1), len(descriptors2)
     from_rows = np.arange(n1)[:, None] * n2 + near.rows[:, :neighbours]
     from_columns = near.columns[:, :neighbours].astype(np.int64) * n2 + np.arange(n2)[:, None]
-    edges = np.sort(np.concatenate([from_rows.ravel(), from_columns.ravel()]))
-    edges = edges[np.concatenate([[True], edges[1:] != edges[:-1]])]
+    edges = np.unique(np.concatenate([from_rows.ravel(), from_columns.ravel()]))
     i, j = (edges // n2).astype(np.int32), (edges % n2).astype(np.int32)
     q = np.empty(len(i))
     _relative_distances(descriptors1, descriptors2, noise1, noise2, i, j, q)

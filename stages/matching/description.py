@@ -37,7 +37,7 @@ def main_directions(octaves: Pyramid, blobs: Blobs, seam: float) -> Float64s:
     for octave, levels in enumerate(octaves):
         rows = np.flatnonzero(blobs.octave == octave)
         found = np.empty(len(rows))
-        _directions(levels, blobs.level[rows], *in_octave(octave, blobs.at(rows)), seam, found)
+        _directions(levels, blobs.level[rows], in_octave(octave, blobs.at(rows)), seam, found)
         angle[rows] = found
     return angle
 
@@ -49,8 +49,8 @@ def describe(octaves: Pyramid, blobs: Blobs, angle: Float64s) -> Float32s:
     for octave, levels in enumerate(octaves):
         rows = np.flatnonzero(blobs.octave == octave)
         found = np.empty((len(rows), out.shape[1]), np.float32)
-        where = in_octave(octave, blobs.at(rows))
-        _histograms(levels, blobs.level[rows], *where, angle[rows], weight, first, share, found)
+        where = np.column_stack([in_octave(octave, blobs.at(rows)), angle[rows]])
+        _histograms(levels, blobs.level[rows], where, weight, first, share, found)
         out[rows] = found
     return out
 
@@ -83,16 +83,14 @@ def _angles(gx: Float32s, gy: Float32s, turn: Float32s, size: Float32s, per: flo
 
 
 @kernel
-def _directions(
-    levels: Float32s, level: Int32s, xs: Float64s, ys: Float64s, sigmas: Float64s, seam: float, out: Float64s
-) -> None:
-    """Write the first main direction of each: xs, ys, sigmas in pixels of the octave."""
+def _directions(levels: Float32s, level: Int32s, where: Float64s, seam: float, out: Float64s) -> None:
+    """Write the first main direction of each; where: (n, 3) x, y and sigma in pixels of the octave."""
     _, h, w = levels.shape
     gradients, along = np.empty(_GRADIENTS, np.float32), np.empty(_GRADIENTS[1], np.float32)
     histogram, smooth = np.empty(BINS), np.empty(BINS)
-    for n in range(len(xs)):
+    for n in range(len(where)):
         image = levels[level[n]]
-        x, y, window = xs[n], ys[n], WINDOW * sigmas[n]
+        x, y, window = where[n, 0], where[n, 1], WINDOW * where[n, 2]
         left, right = max(int(np.ceil(x - REACH * window)), 1), min(int(np.floor(x + REACH * window)), w - 2)
         top, bottom = max(int(np.ceil(y - REACH * window)), 1), min(int(np.floor(y + REACH * window)), h - 2)
         count = max(min(right - left + 1, _GRADIENTS[1]), 0)
@@ -134,25 +132,16 @@ def _first_peak(smooth: Float64s, seam: float) -> float:
 
 @kernel
 def _histograms(
-    levels: Float32s,
-    level: Int32s,
-    xs: Float64s,
-    ys: Float64s,
-    sigmas: Float64s,
-    angles: Float64s,
-    weight: Float32s,
-    first: Int64s,
-    share: Float32s,
-    out: Float32s,
+    levels: Float32s, level: Int32s, where: Float64s, weight: Float32s, first: Int64s, share: Float32s, out: Float32s
 ) -> None:
-    """Write the descriptors; weight, first, share: of `_grid`."""
+    """Write the descriptors; where: (n, 4) x, y and sigma in pixels of the octave, and direction; others: of `_grid`."""
     patch = np.empty((SAMPLES + 2, SAMPLES + 2), np.float32)
     gx, gy, turn, size = np.empty((4, SAMPLES), np.float32)
     line = np.empty((CELLS + 2, TURNS + 1), np.float32)
     total = np.empty((CELLS + 2, CELLS + 2, TURNS + 1), np.float32)
-    for n in range(len(xs)):
-        spacing = sigmas[n] * CELL_SIGMAS * (CELLS + 1) / SAMPLES
-        _sample(levels[level[n]], xs[n], ys[n], spacing * np.cos(angles[n]), spacing * np.sin(angles[n]), patch)
+    for n in range(len(where)):
+        x, y, spacing, angle = where[n, 0], where[n, 1], where[n, 2] * CELL_SIGMAS * (CELLS + 1) / SAMPLES, where[n, 3]
+        _sample(levels[level[n]], x, y, spacing * np.cos(angle), spacing * np.sin(angle), patch)
         total[:] = 0
         for r in range(SAMPLES):
             for k in range(SAMPLES):

@@ -92,10 +92,10 @@ def _smoothed(image: Float32s, sigma: float, out: Float32s | None = None) -> Flo
     return np.asarray(cv2.GaussianBlur(image, (size, size), sigma, dst=out), np.float32)
 
 
-def in_octave(octave: int, blobs: Blobs) -> tuple[Float64s, Float64s, Float64s]:
-    """x, y and sigma in pixels of an octave."""
+def in_octave(octave: int, blobs: Blobs) -> Float64s:
+    """(n, 3) x, y and sigma in pixels of an octave."""
     zoom = 2.0 ** (octave - 1)
-    return (blobs.x + 0.25) / zoom, (blobs.y + 0.25) / zoom, blobs.sigma / zoom
+    return np.column_stack([(blobs.x + 0.25) / zoom, (blobs.y + 0.25) / zoom, blobs.sigma / zoom])
 
 
 def find_blobs(octaves: Pyramid, contrast: float) -> Blobs:
@@ -243,15 +243,13 @@ def _newton(c: Float64s, step: Float64s) -> bool:
 def _refined(start: Int64s, levels: Float32s, least: float) -> Float64s:
     """(n, 4) x, y, scale in levels, and absolute value of those that Newton's steps lead to an extremum nearby."""
     out = np.empty((len(start), 4))
-    n = _refine(start, levels, least, np.empty((2, 4)), np.empty((3, 6)), np.empty((3, 3, 3)), np.empty(4), out)
-    return out[:n]
+    return out[: _refine(start, levels, least, out)]
 
 
 @kernel
-def _refine(
-    start: Int64s, levels: Float32s, least: float, taps: Float64s, rows: Float64s, cube: Float64s, step: Float64s, out: Float64s
-) -> int:
-    """Write these, and return how many; taps, rows, cube, step: room."""
+def _refine(start: Int64s, levels: Float32s, least: float, out: Float64s) -> int:
+    """Write these, and return how many."""
+    taps, rows, cube, step = np.empty((2, 4)), np.empty((3, 6)), np.empty((3, 3, 3)), np.empty(4)
     count = len(levels) - 1
     n = 0
     for k in range(len(start)):

@@ -12,7 +12,7 @@ from ..core.cameras import project
 from ..core.epipolar import fundamental_from_cameras, sampson_distance
 from ..core.rotations import angle_between_deg, rotation_matrix
 from ..types import Camera, Float64s, Geometry, Pair
-from .pose_check import PAIR_PX, TRIPLET_PX, Evidence, PoseConstraints, Triplet, seen_points
+from .pose_check import PAIR_PX, TRIPLET_PX, PoseConstraints, Triplet, seen_points
 
 AGREE_DEG = 1.5
 """Two pairs agree on a camera's rotation within this; then one pose must satisfy both."""
@@ -76,7 +76,10 @@ def _agreed(name: str, cameras: Mapping[str, Camera], constraints: PoseConstrain
     others = sum(e.contradicts for e in constraints.evidence(cameras)) - sum(e.contradicts for e in stated.values())
     for start, those, three in _starts(name, cameras, pairs, triplets):
         camera = _fitted(name, start, cameras, those, three)
-        supporters, left = _votes(stated, constraints.evidence({**cameras, name: camera}, name))
+        moved = {e.cameras: e for e in constraints.evidence({**cameras, name: camera}, name)}
+        left = sum(e.contradicts for e in moved.values())
+        agreeing = [key for key, old in stated.items() if old.contradicts and key in moved and not moved[key].contradicts]
+        supporters = [key for key in agreeing if CLEARER * moved[key].excess <= stated[key].excess]
         partners = {other for key in supporters if len(key) == 2 for other in key if other != name}
         if (len(partners) < 2 and not any(len(key) == 3 for key in supporters)) or len(supporters) <= left:
             continue
@@ -86,17 +89,6 @@ def _agreed(name: str, cameras: Mapping[str, Camera], constraints: PoseConstrain
             if left == 0:
                 break
     return best
-
-
-def _votes(stated: Mapping[tuple[str, ...], Evidence], moved: list[Evidence]) -> tuple[list[tuple[str, ...]], int]:
-    """Those for the new pose that were against the stated one, and how many contradict it."""
-    supporters, left = [], 0
-    for new in moved:
-        old = stated.get(new.cameras)
-        left += new.contradicts
-        if old is not None and old.contradicts and not new.contradicts and CLEARER * new.excess <= old.excess:
-            supporters.append(new.cameras)
-    return supporters, left
 
 
 def _distinctive(key: tuple[str, ...], pairs: Mapping[Pair, Geometry]) -> bool:

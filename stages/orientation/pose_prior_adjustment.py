@@ -17,7 +17,7 @@ from ..core.rotations import rotation_matrix, rotation_vector, skew
 from ..sfm.rigs import between, rigs_of
 from ..sfm.tracks import Edge, Tracks, build_tracks
 from ..sfm.triangulation import angles, residuals, triangulate
-from ..types import Bools, Camera, Float64s, Geometry, Pair, at_rows
+from ..types import Camera, Float64s, Geometry, Pair, at_rows
 from .pose_check import BELIEVED, DEVIATIONS, PAIR_PX, PoseConstraints, Sigma, slack_px
 
 MIN_MATCHES = 20
@@ -115,11 +115,12 @@ def _most_probable(
         if not use.any():
             return cameras, problem
         points = len(np.unique(tracks.track[use]))
-        problem = _Problem(stated, known, tracks, use, noise, min(1.0, weight * noise**2 / points))
+        mine = Tracks(tracks.track[use], tracks.view[use], tracks.xy[use], tracks.count)
+        problem = _Problem(stated, known, mine, noise, min(1.0, weight * noise**2 / points))
         _, cameras = levenberg_marquardt(
             cameras, problem.equations, problem.moved, steps=20, damping=1e-3, least_damping=1e-9, relative_tolerance=1e-6
         )
-        left = np.linalg.norm(residuals(cameras, tracks, problem.points(cameras))[use], axis=1)
+        left = np.linalg.norm(residuals(cameras, mine, problem.points(cameras)), axis=1)
         noise = max(LEAST_NOISE_PX, float(np.nanmedian(left)) / 1.1774)
     return cameras, problem
 
@@ -128,15 +129,10 @@ class _Problem:
     """Least squares over the loose cameras; each point is where the cameras see it best, so that steps count cameras only."""
 
     def __init__(
-        self, stated: Mapping[int, Camera], known: Mapping[int, Sigma], tracks: Tracks, use: Bools, noise: float, share: float
+        self, stated: Mapping[int, Camera], known: Mapping[int, Sigma], tracks: Tracks, noise: float, share: float
     ) -> None:
-        """share: weight of the images against what is stated."""
-        self.share = share
-        self.stated, self.known, self.noise = stated, known, noise
-        rows = np.flatnonzero(use)
-        self.tracks = Tracks(tracks.track[rows], tracks.view[rows], tracks.xy[rows], tracks.count)
-        self.all = tracks
-        self.use = use
+        """tracks: the observations in use; share: weight of the images against what is stated."""
+        self.stated, self.known, self.tracks, self.noise, self.share = stated, known, tracks, noise, share
         rigs = {view: views[0] for views in rigs_of({v: stated[v] for v in known}).values() for view in views}
         self.first = {view: rigs.get(view, view) for view in known}
         """Views of one camera move as its first."""
@@ -146,8 +142,8 @@ class _Problem:
         self.turns = {v: between(stated[first].lens, stated[v].lens) for v, first in self.first.items() if first != v}
 
     def points(self, cameras: Mapping[int, Camera]) -> Float64s:
-        """(count, 3) where the observations in use meet."""
-        return triangulate(cameras, self.all, self.use, NOISES * self.noise)
+        """(count, 3) where the observations meet."""
+        return triangulate(cameras, self.tracks, np.ones(len(self.tracks.track), bool), NOISES * self.noise)
 
     def moved(self, cameras: Mapping[int, Camera], step: Float64s) -> dict[int, Camera]:
         """The cameras after a step: for each loose one a turn in its own axes, and a shift."""
@@ -172,7 +168,7 @@ class _Problem:
     def equations(self, cameras: Mapping[int, Camera]) -> Equations:
         """Cauchy loss of the pixels in standard deviations, plus the priors; normal equations with the points eliminated."""
         tracks, size = self.tracks, self.size
-        X = triangulate(cameras, tracks, np.ones(len(tracks.track), bool), NOISES * self.noise)
+        X = self.points(cameras)
         off = residuals(cameras, tracks, X) / self.noise
         seen = np.isfinite(off).all(axis=1)
         off[~seen] = 4 * NOISES

@@ -243,7 +243,10 @@ def align(landmarks: Sequence[Landmark], up: Float64s, depth: float, scale: floa
 
 def fit_similarity(landmarks: Sequence[Landmark], up: Float64s, scale: float | None = None) -> Similarity | None:
     """Least squares over landmarks (Wahba's problem over baselines and known rotations, solved by SVD); None without a scale."""
-    weight = _weights(landmarks)
+    sigmas = np.array([landmark.sigma for landmark in landmarks])
+    known = sigmas[sigmas > 0]  # exact landmarks count as a tenth of the smallest
+    weight = 1 / np.where(sigmas > 0, sigmas, 0.1 * known.min() if len(known) else 1.0) ** 2
+    weight /= weight.sum()
     source = np.array([landmark.model_X for landmark in landmarks])
     target = np.array([landmark.world_X for landmark in landmarks])
     a_mean, b_mean = weight @ source, weight @ target
@@ -272,15 +275,6 @@ def upward(cameras: Sequence[Camera]) -> Float64s:
     _, vectors = np.linalg.eigh(x.T @ x / len(x) - 0.1 * np.outer(down, down))
     up = vectors[:, 0]
     return np.asarray(-up if up @ down > 0 else up, dtype=np.float64)
-
-
-def _weights(landmarks: Sequence[Landmark]) -> Float64s:
-    """(n,) inverse variances that sum to one; exact landmarks count as a tenth of the smallest standard deviation."""
-    sigmas = np.array([landmark.sigma for landmark in landmarks])
-    stated = sigmas[sigmas > 0]
-    sigmas = np.where(sigmas > 0, sigmas, 0.1 * stated.min() if len(stated) else 1.0)
-    weight = 1 / sigmas**2
-    return np.asarray(weight / weight.sum(), dtype=np.float64)
 
 
 def _subsets(landmarks: Sequence[Landmark], scale: float | None) -> list[Sequence[Landmark]]:

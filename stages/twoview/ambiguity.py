@@ -137,7 +137,7 @@ def _without(pair: ViewPair, left: Features, right: Features, i1: Int32s, i2: In
 def _first(pair: ViewPair) -> Correspondences:
     """Candidates that are the best of both their keypoints among what is left, and that their neighbours confirm."""
     c = pair.candidates
-    mutual = np.flatnonzero(_best(c.i, c.q, len(pair.x1)) & _best(c.j, c.q, len(pair.x2)))
+    mutual = np.flatnonzero(_best(c.i, c.q) & _best(c.j, c.q))
     i, j, q = c.i[mutual], c.j[mutual], c.q[mutual]
     x1, x2 = pair.x1[i], pair.x2[j]
     affine = np.linalg.inv(pair.unframes2[j]) @ inverses(pair.frames1[i])
@@ -147,11 +147,9 @@ def _first(pair: ViewPair) -> Correspondences:
     return Correspondences(rows1[keep], rows2[keep], np.ones(int(keep.sum())))
 
 
-def _best(keypoint: Int32s, distance: Float64s, count: int) -> Bools:
+def _best(keypoint: Int32s, distance: Float64s) -> Bools:
     """(n,) which candidates are the nearest of their keypoint."""
-    least = np.full(count, np.inf)
-    np.minimum.at(least, keypoint, distance)
-    rows = np.flatnonzero(distance == least[keypoint])[::-1]
-    nearest = np.full(count, -1, np.int64)
-    nearest[keypoint[rows]] = rows  # of several, the last one written stays: the first of all
-    return np.asarray(nearest[keypoint] == np.arange(len(keypoint)))
+    order = np.lexsort((distance, keypoint))  # of several that are as near, the first
+    best = np.zeros(len(keypoint), bool)
+    best[order[np.unique(keypoint[order], return_index=True)[1]]] = True
+    return best

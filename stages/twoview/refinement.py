@@ -68,8 +68,7 @@ def _descend(F: Float64s, x1: Float64s, x2: Float64s, scale: Float64s, lenses: I
     """The least distances in normalised coordinates; scale: (n,) what makes a distance one unit of the loss."""
 
     def equations(state: tuple[Float64s, Float64s]) -> Equations:
-        found: Equations = normal_equations(state[0], x1, x2, scale, state[1])
-        return found
+        return normal_equations(state[0], x1, x2, scale, state[1])
 
     def moved(state: tuple[Float64s, Float64s], step: Float64s) -> tuple[Float64s, Float64s]:
         F = _nearest(state[0] + (state[1] @ step).reshape(3, 3), lenses)
