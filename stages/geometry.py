@@ -196,9 +196,8 @@ class _Support:
 
 def _support(inliers: Matches, found: TwoView, how: _How) -> _Support:
     x1, x2, view1, view2 = inliers.x1, inliers.x2, inliers.view1, inliers.view2
-    turned = None
-    if found.R is not None:
-        turned = rotation_support(x1, x2, view1, view2, found.R, INLIER_FACTOR * how.threshold_px)
+    limit = INLIER_FACTOR * how.threshold_px
+    turned = None if found.R is None else rotation_support(x1, x2, view1, view2, found.R, limit)
     plane = float(homography_support(x1, x2, how.threshold_px, how.seed).mean())
     return _Support(len(x1), min(_hull_share(x1, view1), _hull_share(x2, view2)), plane, turned)
 

@@ -120,8 +120,9 @@ def examine(
     case.figures["covered"] = _covered(then, now)
     K = _intrinsics(frame, pinned_camera)
     grey1, grey2 = grey_levels(pinned_frame.image), grey_levels(frame.image)
-    found = find_again(grey1, grey2, corners(grey1, pinned_frame.mask & frame.mask))
-    case.figures["found_again"] = len(found.x1) / max(found.searched, 1)
+    searched = corners(grey1, pinned_frame.mask & frame.mask)
+    found = find_again(grey1, grey2, searched)
+    case.figures["found_again"] = len(found.x1) / max(len(searched), 1)
     case.turn = fit_turn(found, K, grey1.shape[1], grey1.shape[0])
     if case.turn is None:
         return _far(case, grey1, grey2, pinned_frame, frame, K)
@@ -131,7 +132,18 @@ def examine(
 
 def _turned(case: _Case, turn: Turn, usual: Usual | None, nudged_px: float, moved_deg: float) -> CameraHealth:
     limit = max(nudged_px, _sway(usual))
-    case.figures |= _figures(turn)
+    case.figures |= {
+        "motion_px": turn.motion_px,
+        "shift_x_px": float(turn.shift[0]),
+        "shift_y_px": float(turn.shift[1]),
+        "shift_sigma_px": float(np.linalg.norm(turn.shift_sigma) / np.sqrt(2)),
+        "turn_deg": turn.angle_deg,
+        "turn_sigma_deg": turn.angle_sigma_deg,
+        "roll_deg": turn.roll_deg,
+        "roll_sigma_deg": turn.roll_sigma_deg,
+        "zoom": turn.zoom,
+        "patches": float(turn.inliers.sum()),
+    }
     case.expected |= {"motion_px": limit}
     zoomed = abs(turn.zoom - 1) > _ZOOMED
     sigma = float(np.linalg.norm(turn.shift_sigma))
@@ -142,7 +154,9 @@ def _turned(case: _Case, turn: Turn, usual: Usual | None, nudged_px: float, move
     if zoomed or turn.angle_deg > moved_deg:
         also = f", zoomed by {100 * (turn.zoom - 1):+.1f} %" if zoomed else ""
         case.expected["turn_deg"] = moved_deg
-        turned = not zoomed and turn.share >= _TURNED_SHARE  # else things near and far disagree: it has been carried, too
+        turned = (
+            not zoomed and turn.inliers.mean() >= _TURNED_SHARE
+        )  # else things near and far disagree: it has been carried, too
         how += also + (": corrected" if turned else "")
         return case.closed("moved", how, "turn it back, or pin a new reference", turned)
     return case.closed("shifted", f"{how}: corrected", "fasten it; if it stays so, pin a new reference", True)
@@ -164,21 +178,6 @@ def _far(case: _Case, grey1: Uint8s, grey2: Uint8s, pinned: Frame, frame: Frame,
             "wrong-scene", text, "is it the right camera on this input? If it was moved for good, pin a new reference"
         )
     return case.closed("ok", f"unverified: too little of the reference is seen again ({now.mode})")
-
-
-def _figures(turn: Turn) -> dict[str, float | str]:
-    return {
-        "motion_px": turn.motion_px,
-        "shift_x_px": float(turn.shift[0]),
-        "shift_y_px": float(turn.shift[1]),
-        "shift_sigma_px": float(np.linalg.norm(turn.shift_sigma) / np.sqrt(2)),
-        "turn_deg": turn.angle_deg,
-        "turn_sigma_deg": turn.angle_sigma_deg,
-        "roll_deg": turn.roll_deg,
-        "roll_sigma_deg": turn.roll_sigma_deg,
-        "zoom": turn.zoom,
-        "patches": float(turn.inliers.sum()),
-    }
 
 
 def _sway(usual: Usual | None) -> float:

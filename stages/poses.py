@@ -156,8 +156,11 @@ def _checked(
     """
     known, cameras, trusted = stages
     checks = check_cameras(cameras, seen, evidence)
-    unclear = [n for n in cameras if any(n in e.cameras and e.contradicts for e in evidence) and not checks[n].verified]
-    common = _common(unclear, evidence)
+    against = [e.cameras for e in evidence if e.contradicts]
+    unclear = [name for name in cameras if any(name in those for those in against) and not checks[name].verified]
+    common = [name for name in unclear if all(name in those for those in against)]
+    if min(len(unclear), len(against)) < 2 or len(common) > 1:  # nothing that all contradictions have in common
+        common = []
     contradiction = _doubt(unclear, cameras, seen, evidence) if unclear else ""
     off = {name: _moved(known[name], found.cameras.get(name), name, seen) for name in moved}
     suspects = {name: _suspicion(name, check, found.metric) for name, check in off.items()}
@@ -262,13 +265,6 @@ def _suspicion(name: str, check: PoseCheck, metric: bool) -> str:
         return f"{what}; by how much is open: it is left out. Has it been moved?"
     length = f"{check.off_m:.3f} {'m' if metric else 'units'}"
     return f"{what}: it seems off by {length} and {check.off_deg:.2f} degrees; solved anew from the others. Has it been moved?"
-
-
-def _common(names: list[str], evidence: list[Evidence]) -> list[str]:
-    """The camera that all of several contradictions have in common, if it is one."""
-    against = [e.cameras for e in evidence if e.contradicts]
-    common = [name for name in names if all(name in constraint for constraint in against)]
-    return common if len(names) > 1 and len(against) > 1 and len(common) == 1 else []
 
 
 def _doubtful(name: str, cameras: Mapping[str, Camera], geometries: Mapping[Pair, Geometry], evidence: list[Evidence]) -> str:

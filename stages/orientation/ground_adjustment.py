@@ -62,7 +62,10 @@ def adjust_to_ground(
     pairs : their pairs, with what keypoints say.
     """
     site = _Site({name: images[name] for name in known if name in images}, known, sigmas, pairs)
-    rough = [fit for plane in _planes(site) if (fit := _roughly(site, plane)) is not None]
+    rough = []
+    for plane in _planes(site):
+        if matches := site.matches(known, plane, 1, _ROUGH):
+            rough.append(_fitted(site, matches, plane))
     fits = [_finely(site, fit) for fit in _different(sorted(rough, key=lambda fit: -fit.share), known)[:_MOST_PLANES]]
     if not fits:
         return None
@@ -137,14 +140,6 @@ def _different(fits: Iterable[_Fit], cameras: Mapping[str, Camera]) -> list[_Fit
         if all(_apart(fit.plane, other.plane, cameras) > _SAME_HEIGHT for other in found):
             found.append(fit)
     return found
-
-
-def _roughly(site: _Site, plane: Float64s) -> _Fit | None:
-    """The cameras adjusted to what is found on a plane anywhere that their standard deviations allow."""
-    matches = site.matches(site.known, plane, 1, _ROUGH)
-    if not matches:
-        return None
-    return _fitted(site, matches, plane)
 
 
 def _finely(site: _Site, fit: _Fit) -> _Fit:

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Set
 from dataclasses import dataclass, replace
-from itertools import combinations
 
 import numpy as np
 
@@ -108,10 +107,8 @@ class PoseConstraints:
 
     def evidence(self, cameras: Mapping[str, Camera], about: str = "") -> list[Evidence]:
         """What all say; or those that know the camera `about`."""
-        found = []
-        for pair, geometry in self.pairs.items():
-            if not about or about in pair:
-                found.append(Evidence(pair, epipolar_error_px(cameras, pair, geometry), PAIR_PX))
+        pairs = {pair: geometry for pair, geometry in self.pairs.items() if not about or about in pair}
+        found = [Evidence(pair, epipolar_error_px(cameras, pair, geometry), PAIR_PX) for pair, geometry in pairs.items()]
         for triplet in self.triplets:
             if (not about or about in triplet.cameras) and (error := triplet_error_px(cameras, triplet)) is not None:
                 found.append(Evidence(triplet.cameras, error, TRIPLET_PX))
@@ -145,16 +142,14 @@ def check_cameras(
 ) -> dict[str, PoseCheck]:
     """The figures of each camera that some pair with another of them can check."""
     found: dict[str, PoseCheck] = {}
-    views: dict[str, set[str]] = {}
-    for name, camera in cameras.items():
-        views.setdefault(camera_id(name, camera), set()).add(name)
-    for name, camera in cameras.items():
+    ids = {name: camera_id(name, camera) for name, camera in cameras.items()}
+    for name in cameras:
         mine = {pair: g for pair, g in geometries.items() if name in pair and set(pair) <= set(cameras)}
         mine = {pair: g for pair, g in mine.items() if g.good_probability >= BELIEVED}
         if mine:
             errors = [epipolar_error_px(cameras, pair, g) for pair, g in mine.items()]
             inliers = sum(g.inliers for g in mine.values())
-            sure = verified(views[camera_id(name, camera)], evidence)
+            sure = verified({view for view in cameras if ids[view] == ids[name]}, evidence)
             found[name] = PoseCheck(len(mine), inliers, float(np.median(errors)), verified=sure)
     return found
 
@@ -194,17 +189,14 @@ def turned_deg(cameras: Mapping[str, Camera], pair: Pair, geometry: Geometry) ->
 def triplet_error_px(cameras: Mapping[str, Camera], triplet: Triplet) -> float | None:
     """Median distance of the points that the two widest views give to their pixels in the third; None where these are few."""
     best: tuple[float, float] | None = None
-    for i, j in combinations(range(3), 2):
-        X = _meet(cameras[triplet.cameras[i]], cameras[triplet.cameras[j]], triplet.x[i], triplet.x[j])
-        good = np.isfinite(X[:, 0])
-        if good.sum() < MIN_SHARED:
+    for third in reversed(triplet.cameras):
+        x, X = seen_points(cameras, triplet, third)
+        if len(x) < MIN_SHARED:
             continue
-        angle = ray_angles(X - cameras[triplet.cameras[i]].C, X - cameras[triplet.cameras[j]].C)
-        width = float(np.median(angle[good]))
+        one, two = (X - cameras[name].C for name in triplet.cameras if name != third)
+        width = float(np.median(ray_angles(one, two)))
         if best is None or width > best[0]:
-            k = 3 - i - j
-            off = np.linalg.norm(project(cameras[triplet.cameras[k]], X[good])[0] - triplet.x[k][good], axis=1)
-            best = width, float(np.median(off))
+            best = width, float(np.median(np.linalg.norm(project(cameras[third], X)[0] - x, axis=1)))
     return best and best[1]
 
 

@@ -20,7 +20,7 @@ from ..sfm.tracks import Edge
 from ..sfm.view_graph import ViewGraph
 from ..types import Camera, Geometry, Pair, PairCheck, Placement, PoseIssue, Poses, Survey, View
 from .lens_sigma import MOST_SIGMA_PX, lens_sigmas, with_principal_points
-from .pose_check import BELIEVED, confirmed
+from .pose_check import BELIEVED, confirmed, epipolar_error_px
 from .triplet_consistency import FEWEST, MOST_INCONSISTENCY, inconsistency
 from .world import World, to_world
 
@@ -84,13 +84,10 @@ def _obeying(exact: Mapping[str, Camera], geometries: Mapping[Pair, Geometry], m
     found = {}
     for pair, geometry in geometries.items():
         if set(pair) <= set(exact):
-            left, right = (exact[name] for name in pair)
-            F = fundamental_from_cameras(left, right)
-            distance = symmetric_epipolar_distance(F, geometry.x1, geometry.x2)
-            if not np.median(distance) <= max_epipolar_px:
+            if not epipolar_error_px(exact, pair, geometry) <= max_epipolar_px:
                 continue
             if geometry.good_probability >= BELIEVED:  # others may match look-alikes along the epipolar lines
-                R, t = relative_pose(left, right)
+                R, t = relative_pose(*(exact[name] for name in pair))
                 t /= np.linalg.norm(t)
                 geometry = replace(confirmed(geometry), cam2_R_cam1=R, cam2_t_cam1=t)
         found[pair] = geometry

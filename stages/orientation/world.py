@@ -219,18 +219,15 @@ def align(landmarks: Sequence[Landmark], up: Float64s, depth: float, scale: floa
     depth : median distance of the scene from its cameras, in the model.
     scale : where it is known otherwise; None is returned where neither this nor the landmarks tell it.
     """
-    best: tuple[tuple[int, float], Similarity] | None = None
-    for subset in _subsets(landmarks, scale):
-        similarity = fit_similarity(subset, up, scale)
-        if similarity is None:
-            continue
+
+    def agreement(similarity: Similarity) -> tuple[int, float]:
         errors = [_error(similarity, landmark, depth) for landmark in landmarks]
-        rank = (sum(e <= 1 for e in errors), -float(np.sum(np.minimum(errors, 1))))
-        if best is None or rank > best[0]:
-            best = rank, similarity
-    if best is None:
+        return sum(e <= 1 for e in errors), -float(np.sum(np.minimum(errors, 1)))
+
+    possible = (fit_similarity(subset, up, scale) for subset in _subsets(landmarks, scale))
+    similarity = max(filter(None, possible), key=agreement, default=None)
+    if similarity is None:
         return None
-    similarity = best[1]
     for _ in range(3):
         trusted = [landmark for landmark in landmarks if _error(similarity, landmark, depth) <= 1]
         better = fit_similarity(trusted, up, scale) if trusted else None
@@ -314,13 +311,10 @@ def control_landmarks(
     names, views : of all cameras, by number.
     survey : positions of the points, and the pixels at which cameras see them.
     """
-    numbers: dict[str, list[int]] = {}
-    for view, name in enumerate(names):
-        if view in cameras:
-            numbers.setdefault(camera_id(name, views[view]), []).append(view)
+    ids = {view: camera_id(names[view], views[view]) for view in sorted(cameras)}
     rows = []
     for point, camera, x, y in survey.observations:
-        mine = numbers.get(survey.cameras[int(camera)], [])
+        mine = [view for view, name in ids.items() if name == survey.cameras[int(camera)]]
         for view in mine:
             u, v = _in_frame(np.array([[x, y]]), views[view], cameras[view])[0]
             if (len(mine) == 1 and np.isfinite(u)) or (0 <= u < views[view].width and 0 <= v < views[view].height):

@@ -89,9 +89,7 @@ def _model(
     place = np.zeros(len(tracks.track), np.int64)
     lenses: dict[int, int] = {}
     for view, camera in cameras.items():
-        lens = view + 1
-        if view in focals:
-            lens = lenses.setdefault(focals[view], view + 1)
+        lens = lenses.setdefault(focals[view], view + 1) if view in focals else view + 1
         if lens == view + 1 and view not in first_of:
             model.add_camera_with_trivial_rig(_lens(camera, lens, view in focals))
         mine = rows[tracks.view[rows] == view]

@@ -325,16 +325,14 @@ def _attached(camera: Camera, view: int, model: Model, geometries: Mapping[Edge,
 
 def _with_own_lenses(model: Model) -> Model:
     """The model with a lens for each view instead of shared ones, where these turn out to differ and that explains the images."""
-    members: dict[int, list[int]] = {}
-    for view in model.cameras:
-        if view in model.lenses:
-            members.setdefault(model.lenses[view], []).append(view)
-    if all(len(views) == 1 for views in members.values()):
+    lens_of = _lenses(model)
+    members = [[view for view, lens in lens_of.items() if lens == each] for each in set(lens_of.values())]
+    if all(len(views) == 1 for views in members):
         return model
     model = refine(model, rounds=4, rough=True)
     own = refine(replace(model, lenses={view: view for view in model.lenses}), rounds=4, rough=True)
     focal = {view: np.log(camera.K[0, 0]) for view, camera in own.cameras.items()}
-    spread = max(np.ptp([focal[view] for view in views]) for views in members.values())
+    spread = max(np.ptp([focal[view] for view in views]) for views in members)
     gain = np.median(own.error_px()[own.use]) / np.median(model.error_px()[model.use])
     return own if spread > LENSES_DIFFER and gain < OWN_LENS_GAIN else model
 

@@ -181,18 +181,20 @@ def check_loops(
     belief = (_exact_beliefs if len(pairs) <= FEW_PAIRS else _beliefs)(prior, members, closed, usual)
     count = np.bincount(members.ravel(), minlength=len(pairs))
     closing = np.bincount(members[closed].ravel(), minlength=len(pairs))
-    why = {pair: _refusal(geometries[pair], float(belief[k]), int(count[k]), int(closing[k])) for k, pair in enumerate(pairs)}
+    figures: dict[Pair, dict[str, float]] = {}
+    for k, (pair, g) in enumerate(geometries.items()):
+        loops = {"closed": int(closing[k]), "triangles": int(count[k])}
+        figures[pair] = {"score": g.score, "distinct_cells": g.distinct_cells, **loops}
+    why = {pair: _refusal(geometries[pair], float(belief[k]), figures[pair]) for k, pair in enumerate(pairs)}
     for pair, code in _unsupported({p for p in posed if why[p] is None}, geometries, triangles, closed).items():
-        k = index[pair]
-        why[pair] = Rejected(code, _figures(geometries[pair], int(count[k]), int(closing[k])))
+        why[pair] = Rejected(code, figures[pair])
     believed = {pair: float(belief[index[pair]]) for pair in posed if why[pair] is None}
     for pair, degrees in _against_tree(posed, believed, unsure, usual.rotation_deg).items():
         why[pair] = Rejected(Reason.TURNED, {"turned_deg": degrees})
     copies = Reason.SAME_FROM_OTHER_SIDES if distinct_copies(posed, triangles) else None
     if repeats := copies or why_ambiguous(posed.values(), usual.rivals):
         for pair in posed:
-            k = index[pair]
-            why[pair] = why[pair] or Rejected(repeats, _figures(geometries[pair], int(count[k]), int(closing[k])))
+            why[pair] = why[pair] or Rejected(repeats, figures[pair])
     checks = {}
     for k, pair in enumerate(pairs):
         p = probability(float(belief[k]))
@@ -200,10 +202,9 @@ def check_loops(
     return checks
 
 
-def _refusal(geometry: Geometry, belief: float, triangles: int, closed: int) -> Rejected | None:
+def _refusal(geometry: Geometry, belief: float, figures: dict[str, float]) -> Rejected | None:
     """None for a pair to be believed."""
-    figures = _figures(geometry, triangles, closed)
-    if triangles == 0 and 0 < geometry.score <= _alone(geometry):
+    if figures["triangles"] == 0 and 0 < geometry.score <= _alone(geometry):
         return Rejected(Reason.UNCONFIRMED, figures)
     if belief > 0:
         return None
@@ -215,10 +216,6 @@ def _refusal(geometry: Geometry, belief: float, triangles: int, closed: int) -> 
 def _alone(geometry: Geometry) -> float:
     """The score that this pair needs where no other confirms it."""
     return STANDS_ALONE if isfinite(geometry.rival_turned_deg) else STANDS_ALONE_BARE
-
-
-def _figures(geometry: Geometry, triangles: int, closed: int) -> dict[str, float]:
-    return {"score": geometry.score, "distinct_cells": geometry.distinct_cells, "closed": closed, "triangles": triangles}
 
 
 def _unsupported(

@@ -41,8 +41,6 @@ class Found:
     """(n, 2) their old places, pixels."""
     x2: Float64s
     """(n, 2) their new ones."""
-    searched: int
-    """How many were looked for."""
 
 
 @dataclass(frozen=True)
@@ -69,11 +67,6 @@ class Turn:
     """Median motion of the pixels of the picture."""
     inliers: Bools
     """(n,) of the patches, which agree."""
-
-    @property
-    def share(self) -> float:
-        """Of the patches that were found: how many agree."""
-        return float(self.inliers.mean())
 
 
 def corners(image: Uint8s, mask: Bools) -> Float64s:
@@ -114,7 +107,7 @@ def find_again(image1: Uint8s, image2: Uint8s, points: Float64s) -> Found:
     found, score = _search(_padded(image1, radius), _padded(image2, radius + 3), points, coarse * 2, radius, 3)
     inside = (found >= 0).all(axis=1) & (found < [image1.shape[1], image1.shape[0]]).all(axis=1)
     keep = (score >= _LEAST_CORRELATION) & inside
-    return Found(points[keep], found[keep], len(points))
+    return Found(points[keep], found[keep])
 
 
 def _halved(image: Uint8s) -> Uint8s:
@@ -175,7 +168,6 @@ def fit_turn(found: Found, K: Float64s, width: int, height: int) -> Turn | None:
     inliers = _agreeing(found)
     parameters = np.zeros(4)
     rays = np.column_stack([found.x1, np.ones(len(found.x1))]) @ np.linalg.inv(K).T
-    jacobian = np.zeros((0, 4))
     for _ in range(_ROUNDS):
         if inliers.sum() < _FEWEST:
             return None
@@ -184,9 +176,38 @@ def fit_turn(found: Found, K: Float64s, width: int, height: int) -> Turn | None:
         parameters = parameters + step
         residual = _residuals(parameters, rays, found.x2, K)[0]
         inliers = np.linalg.norm(residual, axis=1) <= _AGREE_PX
-    if inliers.sum() < max(_FEWEST, _SHARE * len(inliers)) or places(found.x1[inliers], (width, height)) < _FEWEST_CELLS:
+    cells = places(found.x1[inliers], (width, height))
+    if inliers.sum() < max(_FEWEST, _SHARE * len(inliers)) or cells < _FEWEST_CELLS:
         return None
-    return _turn(parameters, _residuals(parameters, rays[inliers], found.x2[inliers], K), inliers, found, K, (width, height))
+    residual, jacobian = _residuals(parameters, rays[inliers], found.x2[inliers], K)
+    # patches of one cell err alike (a shadow, one thing that moved): they count as one
+    variance = float(np.mean(residual**2)) * max(len(residual) / cells, 1.0)
+    covariance = variance * np.linalg.pinv(jacobian.T @ jacobian)
+    R, zoom = np.asarray(cv2.Rodrigues(parameters[:3])[0], dtype=np.float64), float(np.exp(parameters[3]))
+    H = np.diag([zoom, zoom, 1.0]) @ K
+    H[:2, 2] = K[:2, 2]
+    H = H @ R @ np.linalg.inv(K)
+    middle = np.array([(width - 1) / 2, (height - 1) / 2, 1.0])
+    _, at_middle = _residuals(parameters, (np.linalg.inv(K) @ middle)[None], middle[None, :2], K)
+    shift_covariance = at_middle @ covariance @ at_middle.T
+    grid = np.stack(np.meshgrid(np.linspace(0, width - 1, 9), np.linspace(0, height - 1, 7), [1.0]), axis=-1).reshape(-1, 3)
+    moved = grid @ H.T
+    motion = np.linalg.norm(moved[:, :2] / moved[:, 2:] - grid[:, :2], axis=1)
+    shifted = H @ middle
+    sigmas = np.sqrt(np.diag(covariance)[:3])
+    return Turn(
+        R,
+        zoom,
+        H / H[2, 2],
+        shifted[:2] / shifted[2] - middle[:2],
+        np.sqrt(np.diag(shift_covariance)),
+        float(np.degrees(parameters[2])),
+        float(np.degrees(sigmas[2])),
+        float(np.degrees(np.linalg.norm(parameters[:3]))),
+        float(np.degrees(np.linalg.norm(sigmas))),
+        float(np.median(motion)),
+        inliers,
+    )
 
 
 def _agreeing(found: Found) -> Bools:
@@ -219,39 +240,3 @@ def _residuals(parameters: Float64s, rays: Float64s, x2: Float64s, K: Float64s) 
     du = f[0] * np.stack([-u * v, one + u * u, -v, u], axis=1)
     dv = f[1] * np.stack([-(one + v * v), u * v, u, v], axis=1)
     return at - x2, np.stack([du, dv], axis=1).reshape(-1, 4)
-
-
-def _turn(
-    parameters: Float64s, fit: tuple[Float64s, Float64s], inliers: Bools, found: Found, K: Float64s, size: tuple[int, int]
-) -> Turn:
-    residual, jacobian = fit
-    width, height = size
-    cells = places(found.x1[inliers], size)
-    # patches of one cell err alike (a shadow, one thing that moved): they count as one
-    variance = float(np.mean(residual**2)) * max(len(residual) / cells, 1.0)
-    covariance = variance * np.linalg.pinv(jacobian.T @ jacobian)
-    R, zoom = np.asarray(cv2.Rodrigues(parameters[:3])[0], dtype=np.float64), float(np.exp(parameters[3]))
-    H = np.diag([zoom, zoom, 1.0]) @ K
-    H[:2, 2] = K[:2, 2]
-    H = H @ R @ np.linalg.inv(K)
-    middle = np.array([(width - 1) / 2, (height - 1) / 2, 1.0])
-    _, at_middle = _residuals(parameters, (np.linalg.inv(K) @ middle)[None], middle[None, :2], K)
-    shift_covariance = at_middle @ covariance @ at_middle.T
-    grid = np.stack(np.meshgrid(np.linspace(0, width - 1, 9), np.linspace(0, height - 1, 7), [1.0]), axis=-1).reshape(-1, 3)
-    moved = grid @ H.T
-    motion = np.linalg.norm(moved[:, :2] / moved[:, 2:] - grid[:, :2], axis=1)
-    shifted = H @ middle
-    sigmas = np.sqrt(np.diag(covariance)[:3])
-    return Turn(
-        R,
-        zoom,
-        H / H[2, 2],
-        shifted[:2] / shifted[2] - middle[:2],
-        np.sqrt(np.diag(shift_covariance)),
-        float(np.degrees(parameters[2])),
-        float(np.degrees(sigmas[2])),
-        float(np.degrees(np.linalg.norm(parameters[:3]))),
-        float(np.degrees(np.linalg.norm(sigmas))),
-        float(np.median(motion)),
-        inliers,
-    )
