@@ -257,10 +257,7 @@ def _obeying(geometry: Geometry, left: Camera | None, right: Camera | None) -> M
     if left is None or right is None:
         return MatchedPair(geometry.F, geometry.x1, geometry.x2, geometry.probability, *sizes, None, None, geometry.angle_deg)
     F = fundamental_from_cameras(left, right)
-    keep = np.zeros(len(geometry.x1), dtype=bool)
-    if len(keep):
-        distance = symmetric_epipolar_distance(F, geometry.x1, geometry.x2)
-        keep = distance <= max(1.5, 0.002 * max(sizes[0]))
+    keep = symmetric_epipolar_distance(F, geometry.x1, geometry.x2) <= max(1.5, 0.002 * max(sizes[0]))
     x1, x2 = np.compress(keep, geometry.x1, axis=0), np.compress(keep, geometry.x2, axis=0)
     return MatchedPair(F, x1, x2, geometry.probability[keep], *sizes, left, right, convergence_deg(left, right, x1, x2))
 

@@ -30,7 +30,7 @@ from .mvs.plane_prior import PlanePriors, apply_plane_priors
 from .mvs.propagation import Propagation
 from .reasons import Reason, Rejected
 from .stereo.plane_filter import smoothed
-from .types import Bools, Camera, DepthMap, Float32s, Float64s, Frame, Int32s, Uint8s
+from .types import Bools, Camera, DepthMap, Float32s, Float64s, Frame, Int32s
 
 _SURE_COST = 0.3
 """Of the second best source: what two sources show this well must be believed even where no pair had a depth."""
@@ -158,10 +158,13 @@ def _compared(
 ) -> DepthMap:  # fmt: skip
     """Depth from all of these views at once; the finer ones are looked at as coarsely as this one sees."""
     around, max_cost, then = list(finer)[: limits.sources], limits.cost, start.reference_depth
-    small = [_as_coarse(frames[other].image, cameras[other], finer[other]) for other in around]
+    small = [(frames[other].image, cameras[other]) for other in around]
+    small = [reduced(*view, finer[other]) if finer[other] > _UNLIKE else view for view, other in zip(small, around, strict=True)]
     image, sources = luminance(frame.image), _stack([luminance(picture) for picture, _ in small])
     M, b = (np.stack(part) for part in zip(*(transfer(camera, other) for _, other in small), strict=True))
-    spacing, least = _spacings_px(max(image.shape), [finer[other] for other in around])
+    coarser = 1 / float(np.median([finer[other] for other in around]))
+    least = max(1, round(coarser)) if coarser > _UNLIKE else 1  # as far apart as the pixels of views that see much less
+    spacing = max(least, round(max(image.shape) / 768))
     far = max(2, round(5 * max(image.shape) / 768))
     propagation = Propagation(image, frame.mask, sources, M, b, spacing * _taps(limits.radius))
     planes = start.planes(propagation, max_cost)
@@ -173,9 +176,10 @@ def _compared(
     propagation.refine_photometrically(planes, limits.radius, least)
     support = propagation.support(planes, max_cost)
     kept = frame.mask & (support.first < max_cost)
-    z, sigma = _depth_and_sigma(
-        np.where(kept, planes[0], np.float32(np.nan)), support.parallax, NoiseModel(noise_px=limits.noise_px)
-    )
+    exact = 1.0 / np.where(kept, planes[0], np.float32(np.nan)).astype(np.float64)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        error = exact * np.sqrt((limits.noise_px * exact) ** 2 / support.parallax + NoiseModel.floor**2)
+    z, sigma = exact.astype(np.float32), error.astype(np.float32)
     sure = _as_before(z, sigma, start.depth) | (support.second < _SURE_COST) | (support.first < _SURE_ALONE)
     if then is not None:
         sure |= (support.second < max_cost) & then.sure & _as_before(z, sigma, then)
@@ -200,14 +204,6 @@ def _as_before(z: Float32s, sigma: Float32s, start: DepthMap) -> Bools:
     return np.asarray(np.abs(start.depth - z) <= _SAME_SIGMAS * sigma + _SAME_SHARE * z)
 
 
-def _depth_and_sigma(q: Float32s, parallax: Float32s, noise: NoiseModel) -> tuple[Float32s, Float32s]:
-    """Depth (h, w) of inverse depths and its standard deviation; parallax: see `mvs.propagation.Support`."""
-    z = 1.0 / q.astype(np.float64)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        sigma = z * np.sqrt((noise.noise_px * z) ** 2 / parallax + noise.floor**2)
-    return z.astype(np.float32), sigma.astype(np.float32)
-
-
 def _flattened(rough: DepthMap, q: Float32s, flats: PlanePriors) -> DepthMap:
     """Depth with even surfaces on their planes, and without what was found by chance.  q: (h, w) inverse depths."""
     flat, nan = np.isfinite(flats.sigma), np.float32(np.nan)
@@ -230,24 +226,11 @@ def _sources(
     return near + wide[: max(0, _FEW - len(near))]
 
 
-def _spacings_px(side: int, finer: list[float]) -> tuple[int, int]:
-    """Of the pixels of a patch, in an image so long: as far apart as those of views that see much less; and how near they may be
-    to each other, however long it is."""
-    coarser = 1 / float(np.median(finer))
-    least = max(1, round(coarser)) if coarser > _UNLIKE else 1
-    return max(least, round(side / 768)), least
-
-
 def _finer(camera: Camera, other: Camera, points: Float64s, z: Float64s) -> float:
     """How many times finer another camera sees points (n, 3) of the surface than this one does, at depths z (n,)."""
     there = project(other, points)[1]
     seen = there > 0
     return float(np.median(z[seen] / there[seen]) * other.K[0, 0] / camera.K[0, 0]) if seen.any() else 1.0
-
-
-def _as_coarse(image: Uint8s, camera: Camera, finer: float) -> tuple[Uint8s, Camera]:
-    """The picture (h, w, 3) of a camera that sees much finer than another one, as coarse as the other's."""
-    return (image, camera) if finer <= _UNLIKE else reduced(image, camera, finer)
 
 
 def _pixels_per_inverse_depth(M: Float64s, b: Float64s, q: Float32s) -> np.float32:

@@ -128,11 +128,9 @@ def _ups(cameras: list[Camera]) -> list[Float64s]:
 
 def _pairs(cameras: list[Camera]) -> list[tuple[int, int]]:
     """Pairs of views that look in about the same direction, the nearest ones first."""
-    found = []
-    for i, j in combinations(range(len(cameras)), 2):
-        if cameras[i].R[2] @ cameras[j].R[2] > -0.2:
-            found.append((float(np.linalg.norm(cameras[i].C - cameras[j].C)), i, j))
-    return [(i, j) for baseline, i, j in sorted(found) if baseline > 0][:_MOST_PAIRS]
+    alike = ((i, j) for i, j in combinations(range(len(cameras)), 2) if cameras[i].R[2] @ cameras[j].R[2] > -0.2)
+    found = sorted((float(np.linalg.norm(cameras[i].C - cameras[j].C)), i, j) for i, j in alike)
+    return [(i, j) for baseline, i, j in found if baseline > 0][:_MOST_PAIRS]
 
 
 def _sweep(

@@ -85,6 +85,5 @@ class Propagation:
         shape = planes.shape[1:]
         first, second = np.full(shape, UNSEEN, np.float32), np.full(shape, UNSEEN, np.float32)
         found = Support(first, second, np.zeros(shape, np.uint32), np.zeros(shape, np.float32))
-        written = found.first, found.second, found.sources, found.parallax
-        judge(*self.views, self.taps, self.reach, Scalar(limit), planes, *written)
+        judge(*self.views, self.taps, self.reach, Scalar(limit), planes, *vars(found).values())
         return found

@@ -96,7 +96,13 @@ def resampling(rectification: Rectification, side: Side, x: Float64s) -> tuple[F
     it is mirrored there, and the longer and the shorter side (n,): determinant and singular values of the Jacobian."""
     polar, H = _maps(rectification, side)
     if polar is None:
-        return _pixels_under(H, x)
+        u, v, w = (a * x[:, 0] + b * x[:, 1] + c for a, b, c in H)
+        inverse = 1 / w
+        u, v = u * inverse, v * inverse
+        a, b = (H[0, 0] - u * H[2, 0]) * inverse, (H[0, 1] - u * H[2, 1]) * inverse
+        c, d = (H[1, 0] - v * H[2, 0]) * inverse, (H[1, 1] - v * H[2, 1]) * inverse
+        together, apart = np.sqrt((a + d) ** 2 + (c - b) ** 2), np.sqrt((a - d) ** 2 + (c + b) ** 2)
+        return a * d - b * c, 0.5 * (together + apart), 0.5 * np.abs(together - apart)
     away_x, away_y = (x - polar.epipole).T
     k = np.floor(_row_of_angle(polar, np.arctan2(away_y, away_x))).astype(np.int64)
     k = np.clip(k, 0, len(polar.angles) - 2)
@@ -104,16 +110,6 @@ def resampling(rectification: Rectification, side: Side, x: Float64s) -> tuple[F
     rows_per_px = polar.direction / (np.hypot(away_x, away_y) * (polar.angles[k + 1] - polar.angles[k]))
     across = np.abs(rows_per_px)
     return rows_per_px, np.maximum(across, 1), np.minimum(across, 1)
-
-
-def _pixels_under(H: Float64s, x: Float64s) -> tuple[Float64s, Float64s, Float64s]:
-    u, v, w = (a * x[:, 0] + b * x[:, 1] + c for a, b, c in H)
-    inverse = 1 / w
-    u, v = u * inverse, v * inverse
-    a, b = (H[0, 0] - u * H[2, 0]) * inverse, (H[0, 1] - u * H[2, 1]) * inverse
-    c, d = (H[1, 0] - v * H[2, 0]) * inverse, (H[1, 1] - v * H[2, 1]) * inverse
-    together, apart = np.sqrt((a + d) ** 2 + (c - b) ** 2), np.sqrt((a - d) ** 2 + (c + b) ** 2)
-    return a * d - b * c, 0.5 * (together + apart), 0.5 * np.abs(together - apart)
 
 
 def disparity_px(disparity: Disparity, side: Side) -> Float32s:

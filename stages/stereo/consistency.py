@@ -62,6 +62,20 @@ def lands_on(valid_other: Bools, disparity: Float32s, sign: int) -> Bools:
     return np.asarray(inside & np.take_along_axis(valid_other, np.clip(column, 0, width - 1), axis=1), dtype=np.bool_)
 
 
+def cross_checked(one: Float32s, other: Float32s, valid: Bools, sign: int, smallest_px: int) -> Float32s:
+    """Disparity of one view where the other one's differs by at most a pixel, without speckles; nan elsewhere.
+
+    Parameters
+    ----------
+    one, other : (h, w) disparity of the view and of the other one, nan where unknown.
+    valid : (h, w) pixels of the view that may be used.
+    sign : -1 for the left view, 1 for the right one.
+    smallest_px : connected pieces of fewer pixels go.
+    """
+    agreed = valid & (disagreement(one, other, sign) <= 1)
+    return without_speckles(np.where(agreed, one, np.float32(np.nan)), smallest_px)
+
+
 def without_speckles(disparity: Float32s, smallest_px: int) -> Float32s:
     """Disparity (h, w), nan where unknown, without connected pieces of fewer than `smallest_px` pixels."""
     kept = disparity.copy()

@@ -15,7 +15,7 @@ import numpy as np
 from ..core.jit import kernel
 from ..types import Bools, Float32s
 from .census import match_census_sgm
-from .consistency import disagreement, fill_along_rows, without_speckles
+from .consistency import cross_checked, disagreement, fill_along_rows
 from .matcher import DenseMatches, RectifiedPair, halved, mirrored
 from .plane_filter import doubt, smoothed
 from .propagation import Propagation, Trials
@@ -145,8 +145,7 @@ def _as_planes(pair: RectifiedPair, found: DenseMatches) -> tuple[Float32s, Floa
 
 
 def _planes_of(one: Float32s, other: Float32s, valid: Bools, sign: int) -> Float32s:
-    agreed = np.where(valid & (disagreement(one, other, sign) <= 1), one, np.float32(np.nan)).astype(np.float32)
-    agreed = without_speckles(agreed, 60)
+    agreed = cross_checked(one, other, valid, sign, 60)
     filled = fill_along_rows(agreed, -sign)
     median = np.nanmedian(agreed) if np.isfinite(agreed).any() else 0.0
     whole = cv2.medianBlur(np.where(np.isnan(filled), median, filled).astype(np.float32), 5)

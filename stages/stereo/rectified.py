@@ -13,8 +13,9 @@ import numpy as np
 from ..core.luminance import noise_level
 from ..rectification.warping import Side, from_rectified, to_rectified, warp_with_mask
 from ..types import Bools, Float32s, Float64s, Frame, GroundOfPair, Rectification, Uint8s
+from .consistency import cross_checked
 from .matcher import RectifiedPair
-from .sgbm import cross_checked, match_in_one_piece
+from .sgbm import match_in_one_piece
 
 _SIDES: tuple[Side, ...] = (1, 2)
 _WHOLE_PX = 32
@@ -104,7 +105,7 @@ def with_coarse_range(pair: RectifiedPair) -> RectifiedPair:
     """The pair with the disparity range that a coarse match finds, and both images of one brightness and contrast."""
     small = _shrunk(pair)
     found = match_in_one_piece(_flattened(small))
-    agreed = ~np.isnan(cross_checked(found.left, found.right, small.valid_left, -1))
+    agreed = ~np.isnan(cross_checked(found.left, found.right, small.valid_left, -1, max(small.left.size // 2000, 4)))
     if agreed.sum() < max(_ENOUGH * small.within_reach().sum(), 50):
         return _flattened(pair)
     near = _reach(found.left[agreed], small.disparity_min, small.disparity_max)

@@ -18,7 +18,7 @@ import numpy as np
 
 from ..rectification.warping import from_rectified
 from ..types import Bools, Float32s, Float64s, Frame, Int64s, Rectification
-from .consistency import disagreement, without_speckles
+from .consistency import cross_checked
 from .matcher import RectifiedPair, halved
 from .patchmatch import match_patchmatch
 from .rectified import rectified_pair, with_coarse_range
@@ -131,9 +131,9 @@ def _shifted(pair: RectifiedPair, rows: int) -> RectifiedPair:
 def _matched(pair: RectifiedPair) -> tuple[Float32s, Float32s]:
     """Disparity of the left image where both views agree on it, else nan; and its confidence."""
     matches = match_patchmatch(pair)
-    agreed = pair.within_reach() & (matches.confidence_left > 0) & (disagreement(matches.left, matches.right, -1) <= 1)
-    disparity = np.where(agreed, matches.left, np.float32(np.nan)).astype(np.float32)
-    return without_speckles(disparity, max(60, round(_SPECKLE_SHARE * disparity.size))), matches.confidence_left
+    usable = pair.within_reach() & (matches.confidence_left > 0)
+    smallest = max(60, round(_SPECKLE_SHARE * usable.size))
+    return cross_checked(matches.left, matches.right, usable, -1, smallest), matches.confidence_left
 
 
 _MOST_POINTS = 4000

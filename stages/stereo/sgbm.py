@@ -13,12 +13,10 @@ import numpy as np
 
 from ..core.jit import kernel
 from ..types import Bools, Float32s, Uint8s
-from .consistency import disagreement, without_speckles
+from .consistency import cross_checked
 from .matcher import DenseMatches, RectifiedPair, halved, mirrored
 
 _BLOCK = 3
-_SOBEL_CAP = 20
-_UNIQUENESS_PERCENT = 0
 _NARROW = 160
 """Ranges of up to this many disparities are searched in one piece: it costs no more than blocks do."""
 
@@ -28,9 +26,9 @@ def match_sgbm(pair: RectifiedPair) -> DenseMatches:
     if pair.disparity_max - pair.disparity_min < _NARROW:
         return match_in_one_piece(pair)
     small = halved(pair)
-    seen = match_sgbm(small)
-    left = _in_blocks(pair, cross_checked(seen.left, seen.right, small.valid_left, -1))
-    seen_right = cross_checked(seen.right, seen.left, small.valid_right, 1)
+    seen, smallest = match_sgbm(small), max(small.left.size // 2000, 4)
+    left = _in_blocks(pair, cross_checked(seen.left, seen.right, small.valid_left, -1, smallest))
+    seen_right = cross_checked(seen.right, seen.left, small.valid_right, 1, smallest)
     right = np.ascontiguousarray(_in_blocks(mirrored(pair), seen_right[:, ::-1])[:, ::-1])
     return DenseMatches(left, right, np.ones_like(left), np.ones_like(right))
 
@@ -40,19 +38,6 @@ def match_in_one_piece(pair: RectifiedPair) -> DenseMatches:
     left = _whole(pair)
     right = np.ascontiguousarray(_whole(mirrored(pair))[:, ::-1])
     return DenseMatches(left, right, np.ones_like(left), np.ones_like(right))
-
-
-def cross_checked(one: Float32s, other: Float32s, valid: Bools, sign: int) -> Float32s:
-    """Disparity of one view where the other one's differs by at most a pixel, without speckles; nan elsewhere.
-
-    Parameters
-    ----------
-    one, other : (h, w) disparity of the view and of the other one, nan where unknown.
-    valid : (h, w) pixels of the view that may be used.
-    sign : -1 for the left view, 1 for the right one.
-    """
-    agreed = valid & (disagreement(one, other, sign) <= 1)
-    return without_speckles(np.where(agreed, one, np.float32(np.nan)), max(agreed.size // 2000, 4))
 
 
 def _in_blocks(pair: RectifiedPair, seen: Float32s) -> Float32s:
@@ -87,15 +72,12 @@ def _searched(left: Uint8s, right: Uint8s, start: int, low: int, high: int) -> F
     count = 16 * -(-(high - low + 1) // 16)
     left = np.asarray(cv2.copyMakeBorder(left, 0, 0, count, 0, cv2.BORDER_REPLICATE), dtype=np.uint8)
     matcher = cv2.StereoSGBM.create(
-        minDisparity=0,
         numDisparities=count,
         blockSize=_BLOCK,
         P1=7 * _BLOCK**2,
         P2=38 * _BLOCK**2,
         disp12MaxDiff=-1,
-        preFilterCap=_SOBEL_CAP,
-        uniquenessRatio=_UNIQUENESS_PERCENT,
-        speckleWindowSize=0,
+        preFilterCap=20,
         mode=cv2.STEREO_SGBM_MODE_SGBM_3WAY,
     )
     columns = np.clip(np.arange(left.shape[1]) - (count + low - start), 0, right.shape[1] - 1)  # the ends repeat the border
