@@ -163,10 +163,8 @@ def _plot(seen: Sequence[_Seen], residuals: Sequence[Float64s], size: tuple[int,
     """(h, w, 3) BGR: every corner where it was seen, green where the lens fits it, red where not."""
     scale = min(1.0, 1280 / max(size))
     plot = np.full((round(size[1] * scale), round(size[0] * scale), 3), 255, np.uint8)
-    for k in range(1, _CELLS[0]):
-        cv2.line(plot, (plot.shape[1] * k // _CELLS[0], 0), (plot.shape[1] * k // _CELLS[0], plot.shape[0]), (225, 225, 225))
-    for k in range(1, _CELLS[1]):
-        cv2.line(plot, (0, plot.shape[0] * k // _CELLS[1]), (plot.shape[1], plot.shape[0] * k // _CELLS[1]), (225, 225, 225))
+    plot[:, [plot.shape[1] * k // _CELLS[0] for k in range(1, _CELLS[0])]] = 225
+    plot[[plot.shape[0] * k // _CELLS[1] for k in range(1, _CELLS[1])]] = 225
     for each, off in zip(seen, residuals, strict=True):
         badness = np.clip((np.linalg.norm(off, axis=1) - _GOOD_PX) / (_BAD_PX - _GOOD_PX), 0, 1)
         for (x, y), bad in zip(each.image * scale, badness, strict=True):

@@ -75,9 +75,8 @@ def find_coverage(
     seen = np.zeros((len(cameras), len(known)), bool)
     for k, (name, camera) in enumerate(cameras.items()):
         seen[k] = _sees(camera, frames.get(name), source[name][name], X[known], grid.cell)
-    whole: dict[str, list[int]] = {}  # the views of each camera, of which most have one
-    for k, (name, camera) in enumerate(cameras.items()):
-        whole.setdefault(camera_id(name, camera), []).append(k)
+    ids = [camera_id(name, camera) for name, camera in cameras.items()]
+    whole = {name: np.flatnonzero(np.array(ids) == name) for name in ids}  # the views of each camera, of which most have one
     seen = np.stack([seen[rows].any(axis=0) for rows in whole.values()])
     firsts = [list(cameras.values())[rows[0]] for rows in whole.values()]
     limits = np.cos(np.radians([min_angle_deg, max_angle_deg]))

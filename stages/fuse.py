@@ -9,7 +9,7 @@ pixel's footprint and the depth's propagated error, so a desk and a quarry are t
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import fields
 from functools import lru_cache
 from threading import Lock
 from typing import Any
@@ -89,12 +89,12 @@ def fuse(
     centre = np.mean([camera.C for camera in cameras.values()], axis=0)
     grid = VoxelGrid(edge, edge * np.round(centre / edge))  # a multiple: the same cells whichever cameras took part
 
-    def view_points(name: str, grid: VoxelGrid) -> _ViewPoints:
+    def view_points(name: str, grid: VoxelGrid) -> tuple[Float32s, VoxelSums]:
         check = cross_check(name, near[name], cameras, view_of)
         others = np.array([cameras[other].C for other in near[name]]).reshape(-1, 3)
         limits = (min_consistent_pairs, confidence)
         samples = _samples(frames[name], cameras[name], view_of(name), check, others, gains[name], limits)
-        return _ViewPoints(len(samples.points), samples.variance * samples.weight, grid.sums_of(samples))
+        return samples.variance * samples.weight, grid.sums_of(samples)
 
     given, misfits = _collected(grid, list(cameras), view_points)
     loaded.cache_clear()
@@ -105,26 +105,19 @@ def fuse(
     return _joined(parts, given, misfits, right)
 
 
-@dataclass(frozen=True)
-class _ViewPoints:
-    """What one view gives to the cloud."""
-
-    count: int
-    misfits: Float32s
-    """(n,) squared, see `Cloud.misfits`."""
-    sums: VoxelSums
-
-
 def _collected(
-    grid: VoxelGrid, names: Sequence[str], points_of: Callable[[str, VoxelGrid], _ViewPoints]
+    grid: VoxelGrid, names: Sequence[str], points_of: Callable[[str, VoxelGrid], tuple[Float32s, VoxelSums]]
 ) -> tuple[dict[str, int], dict[str, float]]:
-    """Merge in the points of each view, in order, which sums depend on; returns `Cloud.given` and `Cloud.misfits`."""
+    """Merge in the points of each view, in order, which sums depend on; returns `Cloud.given` and `Cloud.misfits`.
+
+    points_of: squared misfits (n,) of a view's points, and their sums.
+    """
     given, misfits = {}, {}
-    for name, view in zip(names, parallel_map(lambda name: points_of(name, grid), names), strict=True):
-        given[name] = view.count
-        if view.count:
-            misfits[name] = float(np.sqrt(np.median(view.misfits)))
-        grid.add(view.sums)
+    for name, (squared, sums) in zip(names, parallel_map(lambda name: points_of(name, grid), names), strict=True):
+        given[name] = len(squared)
+        if len(squared):
+            misfits[name] = float(np.sqrt(np.median(squared)))
+        grid.add(sums)
     return given, misfits
 
 

@@ -75,8 +75,7 @@ def estimate_overlap(
 
 def _different(views: Mapping[str, View], pairs: Int64s) -> Bools:
     """(m,) which pairs (m, 2) of positions are of two cameras: two views of one tell no depth."""
-    number: dict[str, int] = {}
-    camera = np.array([number.setdefault(camera_id(name, view), len(number)) for name, view in views.items()], np.int64)
+    camera = np.array([camera_id(name, view) for name, view in views.items()])
     return np.asarray(camera[pairs[:, 0]] != camera[pairs[:, 1]])
 
 

@@ -57,9 +57,7 @@ def merge(images: Sequence[Uint8s], weights: Float64s | None = None) -> Backgrou
     doubtful = np.asarray(cv2.dilate(moved, _disc(2 * _MARGIN_PX + 1)), np.bool_)
     if doubtful.mean() > _MOST_DOUBTFUL:
         doubtful = nothing
-    same = np.ones(nothing.shape, np.bool_)
-    for image in images[1:]:
-        same &= (image == images[0]).all(axis=2)
+    same = np.logical_and.reduce([(image == images[0]).all(axis=2) for image in images[1:]])
     return Background(merged, doubtful, _overlaid(images, np.array(gains), merged), float(same.mean()))
 
 

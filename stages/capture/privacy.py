@@ -59,9 +59,7 @@ def around(area: Bools) -> Bools:
 
 
 def _polygons(privacy: Privacy, width: int, height: int) -> Iterator[Float64s]:
-    start = 0
-    for count in privacy.counts.astype(int):
-        corners = privacy.corners[start : start + count]
-        start += count
+    """The corners (n, 2) of each, pixels; they may be stated as shares of width and height."""
+    for corners in np.split(privacy.corners, np.cumsum(privacy.counts.astype(int)))[:-1]:
         shares = bool((corners >= 0).all() and (corners <= 1).all())
         yield corners * (width, height) - 0.5 if shares else corners

@@ -140,11 +140,9 @@ def _field_shift(grey: Float32s) -> float:
         return 0.0
     rows = min(len(first) - 1, len(second))
     between, there = 0.5 * (first[:rows] + first[1 : rows + 1]), second[:rows]
-    best, least = 0.0, np.inf
-    for start in np.arange(-_FARTHEST_PX, _FARTHEST_PX + 1):  # steps of a pixel; what lies between is found from there
-        off = float(np.abs(np.roll(between, int(start), axis=1) - there)[:, 8:-8].mean())
-        if off < least:
-            best, least = float(start), off
+    starts = np.arange(-_FARTHEST_PX, _FARTHEST_PX + 1)  # steps of a pixel; what lies between is found from there
+    off = [np.abs(np.roll(between, int(start), axis=1) - there)[:, 8:-8].mean() for start in starts]
+    best = float(starts[np.argmin(off)])
     moved = np.roll(between, int(best), axis=1)
     slope = 0.5 * (np.roll(moved, -1, axis=1) - np.roll(moved, 1, axis=1))
     inner = (slice(None), slice(8, -8))

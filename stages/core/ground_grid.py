@@ -11,7 +11,7 @@ from ..types import Bools, Camera, Float64s, GroundGrid, Int64s
 from .ordering import by_cell
 
 _MARGIN = 0.1
-"""How far a grid reaches beyond the middle 98 % of its points, as a share of their extent."""
+"""How far a grid reaches beyond all points but those that lie far outside, as a share of their extent."""
 
 
 def ground_axes(cameras: Iterable[Camera], plane: Float64s | None = None) -> Float64s:
@@ -36,12 +36,17 @@ def grid_over(points: Float64s, axes: Float64s, cell: float) -> GroundGrid:
     axes: see `ground_axes`; cell: edge of a cell, world lengths; corners lie at its multiples.
     """
     flat = points @ axes[:2].T
-    low, high = np.percentile(flat, [1, 99], axis=0)
-    margin = _MARGIN * (high - low)
-    low, high = np.maximum(low - margin, flat.min(axis=0)), np.minimum(high + margin, flat.max(axis=0))
+    low, high = extent(flat, 1)
     (first_column, first_row), (last_column, last_row) = np.floor(low / cell), np.floor(high / cell)
     columns, rows = int(last_column - first_column) + 1, int(last_row - first_row) + 1
     return GroundGrid(axes, float(first_column * cell), float((last_row + 1) * cell), float(cell), rows, columns)
+
+
+def extent(xy: Float64s, percent: float) -> tuple[Float64s, Float64s]:
+    """Corners (2,) around places (n, 2), but for such a part of them at each end: few wrong ones would make it huge."""
+    low, high = np.percentile(xy, [percent, 100 - percent], axis=0)
+    margin = _MARGIN * (high - low)
+    return np.maximum(low - margin, xy.min(axis=0)), np.minimum(high + margin, xy.max(axis=0))
 
 
 def cells_of(grid: GroundGrid, points: Float64s) -> Int64s:

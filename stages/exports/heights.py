@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
-from ..core.ground_grid import preferred_above
+from ..core.ground_grid import extent, preferred_above
 from ..io.rasters import pfm, png, stepped, world_file
 from ..types import Float32s, Float64s
 
@@ -36,7 +36,7 @@ def height_map(points: Float64s, cell: float | None = None) -> HeightMap:
 
     cell: its edge, in the points' unit; None: twice their median distance from each other, as 1, 2 or 5 times a power of ten.
     """
-    low, high = _box(points[:, :2])
+    low, high = extent(points[:, :2], 0.1)
     edge, first_column, last_row, columns, rows = map_cells(low, high, cell or preferred_above(2 * spacing(points)))
     inside = np.all((points[:, :2] >= low) & (points[:, :2] <= high), axis=1)
     x, y, z = points[inside].T
@@ -82,10 +82,3 @@ def plain_files(heights: HeightMap) -> tuple[dict[str, bytes], dict[str, float |
     metadata |= {"png_lowest": lowest, "png_steps_per_unit": steps, "points_left_out": heights.left_out}
     world = world_file(heights.left, heights.top, heights.cell)
     return {"heights.pfm": pfm(heights.heights), "heights.png": png(values), "heights.pgw": world}, metadata
-
-
-def _box(xy: Float64s) -> tuple[Float64s, Float64s]:
-    """Corners around all points but those far outside: few wrong points on the horizon would make the map huge."""
-    low, high = np.percentile(xy, [0.1, 99.9], axis=0)
-    margin = 0.1 * (high - low)
-    return np.maximum(low - margin, xy.min(axis=0)), np.minimum(high + margin, xy.max(axis=0))

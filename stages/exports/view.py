@@ -150,11 +150,10 @@ def _stream(points: Float64s, colors: Uint8s, layers: Layers, voxel: float, tota
         coded_layer, legend = _coded(layer)
         planes.append(coded_layer[:, None])
         legends.append({"name": name, "unit": layer.unit, **legend})
-    sample = np.round(points[:: 1 + len(points) // _SAMPLE], 3).tolist()
     head = {
         "n": len(points),
         "total": total,
-        "sample": sample,
+        "sample": np.round(points[:: 1 + len(points) // _SAMPLE], 3).tolist(),
         "low": low.tolist(),
         "step": step,
         "voxel": float(voxel),

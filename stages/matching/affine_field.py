@@ -54,9 +54,8 @@ def fit_affine_field(
     m, k = distance.shape
     width = np.partition(distance, min(k - 1, _WIDTH_RANK), axis=1)[:, min(k - 1, _WIDTH_RANK)] + 1.0
     field = AffineField(np.empty((m, 2)), np.empty((m, 2, 2)), np.empty(m), np.empty(m))
-    by_neighbour, by_query = np.zeros((7, k, _BATCH), np.float32), np.zeros((27, _BATCH), np.float32)
     _fit(
-        queries, distance, width, index, x1, x2, affine, weight, ridge, by_neighbour, by_query, np.ones((2, _BATCH)),
+        queries, distance, width, index, x1, x2, affine, weight, ridge,
         field.prediction, field.affine, field.sigma_px, field.support,
     )  # fmt: skip
     return field
@@ -73,21 +72,20 @@ def _fit(
     affine: Float64s,
     weight: Float64s,
     ridge: float,
-    by_neighbour: Float32s,
-    by_query: Float32s,
-    middle: Float64s,
     prediction: Float64s,
     out: Float64s,
     sigma: Float64s,
     support: Float64s,
 ) -> None:
     """A batch of queries at a time: arrays hold a row for each neighbour and a column for each query, and every loop over columns
-    is one that the compiler does for several at once.  by_neighbour, by_query, middle: room for them."""
+    is one that the compiler does for several at once."""
+    k = distance.shape[1]
+    by_neighbour, by_query = np.zeros((7, k, _BATCH), np.float32), np.zeros((27, _BATCH), np.float32)
+    middle = np.ones((2, _BATCH))
     w0, w, e, u, v = by_neighbour[0], by_neighbour[1], by_neighbour[2], by_neighbour[3], by_neighbour[4]
     s, t = by_neighbour[5], by_neighbour[6]
     scale, pull, spread, agree, total = by_query[0], by_query[1], by_query[2], by_query[3], by_query[4]
     drawn, found, sums = by_query[5:9], by_query[9:15], by_query[15:27]
-    k = distance.shape[1]
     for first in range(0, len(queries), _BATCH):
         count = min(_BATCH, len(queries) - first)
         for c in range(count):

@@ -28,27 +28,26 @@ def assign(i: Int32s, j: Int32s, log_odds: Float64s, n1: int, n2: int, iteration
     return probability
 
 
-def without_repeats(x1: Float64s, x2: Float64s, probability: Float64s, radius_px: float = 1.5) -> Bools:
-    """(n,) True for matches that no more probable match shadows: one that lies within `radius_px` in image 1 or in image 2.
+_TOO_NEAR_PX = 1.5
 
-    Parameters
-    ----------
-    x1, x2 : (n, 2) pixels of the matches in either image.
-    probability : (n,) of each match.
-    radius_px : how near is too near.
+
+def without_repeats(x1: Float64s, x2: Float64s, probability: Float64s) -> Bools:
+    """(n,) True for matches that no more probable match shadows: one that lies within `_TOO_NEAR_PX` in image 1 or in image 2.
+
+    x1, x2: (n, 2) pixels of the matches in either image; probability: (n,) of each match.
     """
     keep = np.zeros(len(x1), dtype=bool)
     if len(x1):
         order = np.argsort(-probability, kind="stable").astype(np.int32)
-        cells1, cells2 = _cells(x1, radius_px), _cells(x2, radius_px)
+        cells1, cells2 = _cells(x1), _cells(x2)
         following = np.full((2, len(x1)), -1, np.int32)
-        _suppress(order, cells1, cells2, x1, x2, radius_px**2, _heads(cells1), _heads(cells2), following, keep)
+        _suppress(order, cells1, cells2, x1, x2, _TOO_NEAR_PX**2, _heads(cells1), _heads(cells2), following, keep)
     return keep
 
 
-def _cells(x: Float64s, size: float) -> Int32s:
+def _cells(x: Float64s) -> Int32s:
     """(n, 2) grid cell of each point, counted from 1, so that each has neighbours on all sides."""
-    return np.asarray(np.floor((x - x.min(axis=0)) / size) + 1, dtype=np.int32)
+    return np.asarray(np.floor((x - x.min(axis=0)) / _TOO_NEAR_PX) + 1, dtype=np.int32)
 
 
 def _heads(cells: Int32s) -> Int32s:

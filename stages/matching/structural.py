@@ -17,7 +17,7 @@ one field.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -175,11 +175,7 @@ def _expect(
         more_i, more_j, more_q = near_predictions(pair, field, sigma, trust)
         i, j, q = np.concatenate([i, more_i]), np.concatenate([j, more_j]), np.concatenate([q, more_q])
     log_odds = np.empty(len(i))
-    e = EVIDENCE
-    coefficients = np.array([
-        e.alone, e.alone_slope, e.final if last else e.growing, e.slope,
-        e.distance_weight, e.sigma_weight, e.scale_weight, e.angle_weight, e.epipolar, e.epipolar_weight,
-    ])  # fmt: skip
+    coefficients = np.array(astuple(replace(EVIDENCE, growing=EVIDENCE.final) if last else EVIDENCE))
     forward = field.affine @ pair.frames1
     _score(
         i, j, q, pair.x2, forward, _log_scale(forward), pair.unframes2, _log_scale(pair.unframes2),
@@ -216,7 +212,7 @@ def _score(
     forward: keypoint frames of image 1 as the field maps them into image 2; log_scale: of these and of the inverse frames of 2;
     log_sigma: of sigma over the least.
     """
-    alone, alone_slope, base, slope, by_distance, by_sigma, by_scale, by_angle = coefficients[:8]
+    alone, alone_slope, base, _, slope, by_distance, by_sigma, by_scale, by_angle = coefficients[:9]
     for c in range(len(i)):
         a, b = i[c], j[c]
         r2 = (x2[b, 0] - prediction[a, 0]) ** 2 + (x2[b, 1] - prediction[a, 1]) ** 2
@@ -244,7 +240,7 @@ def _score_epipolar(
     i: Int32s, j: Int32s, x1: Float64s, x2: Float64s, F: Float64s, coefficients: Float64s, log_odds: Float64s
 ) -> None:
     """Add what the symmetric distance to the epipolar lines tells."""
-    base, weight = coefficients[8], coefficients[9]
+    base, weight = coefficients[9], coefficients[10]
     for c in range(len(i)):
         x, y, u, v = x1[i[c], 0], x1[i[c], 1], x2[j[c], 0], x2[j[c], 1]
         a2, b2, c2 = F[0, 0] * x + F[0, 1] * y + F[0, 2], F[1, 0] * x + F[1, 1] * y + F[1, 2], F[2, 0] * x + F[2, 1] * y + F[2, 2]

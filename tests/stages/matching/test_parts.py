@@ -109,7 +109,7 @@ def test_a_lone_candidate_has_the_probability_that_balances_its_odds() -> None:
 def test_repeats_keep_the_most_probable_and_nothing_near_it(n: int, seed: int) -> None:
     rng = np.random.default_rng(seed)
     x1, x2, p = rng.uniform(-4, 9, (n, 2)), rng.uniform(0, 12, (n, 2)), rng.random(n)
-    keep = without_repeats(x1, x2, p, 1.5)
+    keep = without_repeats(x1, x2, p)
     assert keep[p.argmax()]
     for x in (x1[keep], x2[keep]):
         gaps = np.linalg.norm(x[:, None] - x[None], axis=2) + 9 * np.eye(len(x))
