@@ -24,7 +24,7 @@ def assign(i: Int32s, j: Int32s, log_odds: Float64s, n1: int, n2: int, iteration
     """
     probability = np.empty(len(i))
     if len(i):
-        _sinkhorn(i, j, np.exp(np.clip(log_odds, -30, 30)), np.ones((2, n1)), np.ones((2, n2)), iterations, probability)
+        _sinkhorn(i, j, np.exp(np.clip(log_odds, -30, 30)), n1, n2, iterations, probability)
     return probability
 
 
@@ -40,8 +40,7 @@ def without_repeats(x1: Float64s, x2: Float64s, probability: Float64s) -> Bools:
     if len(x1):
         order = np.argsort(-probability, kind="stable").astype(np.int32)
         cells1, cells2 = _cells(x1), _cells(x2)
-        following = np.full((2, len(x1)), -1, np.int32)
-        _suppress(order, cells1, cells2, x1, x2, _TOO_NEAR_PX**2, _heads(cells1), _heads(cells2), following, keep)
+        _suppress(order, cells1, cells2, x1, x2, _heads(cells1), _heads(cells2), keep)
     return keep
 
 
@@ -57,11 +56,8 @@ def _heads(cells: Int32s) -> Int32s:
 
 
 @kernel
-def _sinkhorn(
-    i: Int32s, j: Int32s, mass: Float64s, rows: Float64s, columns: Float64s, iterations: int, probability: Float64s
-) -> None:
-    """rows, columns: (2, n) their factors, ones at first, and room."""
-    u, row, v, column = rows[0], rows[1], columns[0], columns[1]
+def _sinkhorn(i: Int32s, j: Int32s, mass: Float64s, rows: int, columns: int, iterations: int, probability: Float64s) -> None:
+    u, row, v, column = np.ones(rows), np.ones(rows), np.ones(columns), np.ones(columns)  # factors, and sums
     for _ in range(iterations):
         for c in range(len(row)):
             row[c] = 1.0
@@ -81,13 +77,12 @@ def _sinkhorn(
 
 @kernel
 def _suppress(
-    order: Int32s, cells1: Int32s, cells2: Int32s, x1: Float64s, x2: Float64s, limit: float, head1: Int32s, head2: Int32s,
-    following: Int32s, keep: Bools,
-) -> None:  # fmt: skip
+    order: Int32s, cells1: Int32s, cells2: Int32s, x1: Float64s, x2: Float64s, head1: Int32s, head2: Int32s, keep: Bools
+) -> None:
     """Take matches in order, unless one already taken is near in either image; each grid cell heads a list of those taken."""
-    next1, next2 = following[0], following[1]
+    next1, next2 = np.full(len(x1), -1, np.int32), np.full(len(x1), -1, np.int32)
     for n in order:
-        if _taken(head1, next1, cells1, x1, n, limit) or _taken(head2, next2, cells2, x2, n, limit):
+        if _taken(head1, next1, cells1, x1, n) or _taken(head2, next2, cells2, x2, n):
             continue
         keep[n] = True
         next1[n] = head1[cells1[n, 1], cells1[n, 0]]
@@ -97,12 +92,12 @@ def _suppress(
 
 
 @helper
-def _taken(head: Int32s, following: Int32s, cells: Int32s, x: Float64s, n: int, limit: float) -> bool:
+def _taken(head: Int32s, following: Int32s, cells: Int32s, x: Float64s, n: int) -> bool:
     for row in range(cells[n, 1] - 1, cells[n, 1] + 2):
         for column in range(cells[n, 0] - 1, cells[n, 0] + 2):
             other = head[row, column]
             while other >= 0:
-                if (x[other, 0] - x[n, 0]) ** 2 + (x[other, 1] - x[n, 1]) ** 2 < limit:
+                if (x[other, 0] - x[n, 0]) ** 2 + (x[other, 1] - x[n, 1]) ** 2 < _TOO_NEAR_PX**2:
                     return True
                 other = following[other]
     return False

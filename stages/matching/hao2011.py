@@ -82,14 +82,10 @@ def feature_matrix(features: Features, rows: Int32s) -> Float64s:
     return np.column_stack([xy, features.descriptors[rows].astype(np.float64)])
 
 
-def procrustes(X: Float64s, Y: Float64s, *, max_iterations: int = 20, tolerance: float = 1e-6) -> Procrustes:
-    """Alternate P and T in the thin form, from A = I, until A moves by less than `tolerance` of itself.
+def procrustes(X: Float64s, Y: Float64s, *, max_iterations: int = 20) -> Procrustes:
+    """Alternate P and T in the thin form, from A = I, until A moves by less than a millionth of itself.
 
-    Parameters
-    ----------
-    X, Y : (m, d), (n, d) from `feature_matrix`; the first two columns are coordinates.
-    max_iterations : at most.
-    tolerance : change of A, as a share of A, at which it stands.
+    X, Y: (m, d), (n, d) from `feature_matrix`; the first two columns are coordinates.
     """
     Qx, Rx = _orthonormal(X)
     Qy, Ry = _orthonormal(Y)
@@ -101,7 +97,7 @@ def procrustes(X: Float64s, Y: Float64s, *, max_iterations: int = 20, tolerance:
         rank = int((_TINY * D[0] < D).sum())  # beyond it U and V are arbitrary
         U, Vt = U[:, :rank], Vt[:rank]
         update = (Vt @ Ry[:, :2]).T @ (U.T @ Rx[:, :2])  # the corner of Y^T P^T X
-        if iterations >= max_iterations or np.abs(update - A).max() < tolerance * np.abs(update).max():
+        if iterations >= max_iterations or np.abs(update - A).max() < 1e-6 * np.abs(update).max():
             return Procrustes(Qx @ U, Qy @ Vt.T, A)
         A = update
 
