@@ -63,8 +63,7 @@ def fuse(
     check_views : each view is compared with so many others that see most of the same.
     """
     better, frames = refined or {}, straight_frames(frames, cameras)
-    known = {*depths, *better}
-    cameras = {name: camera for name, camera in cameras.items() if camera.component == component and name in known}
+    cameras = {k: camera for k, camera in cameras.items() if camera.component == component and (k in depths or k in better)}
 
     largest = max((camera.width * camera.height for camera in cameras.values()), default=1)
     kept = max(_IN_MEMORY, _IN_MEMORY_PX // largest)
@@ -72,7 +71,8 @@ def fuse(
     @lru_cache(kept)
     def loaded(name: str) -> TrustedDepth:
         found = [source[name] for source in (better, depths) if name in source]
-        return likelier([TrustedDepth(depth, own_logit(depth, believed(frames[name], depth))) for depth in found])
+        usable = believed(frames[name], found[-1])  # by its pairs: refinement lays planes over a sky, too
+        return likelier([TrustedDepth(depth, own_logit(depth, usable)) for depth in found])
 
     loading = Lock()  # or two threads that want the same one would both load it
 

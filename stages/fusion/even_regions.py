@@ -16,14 +16,14 @@ _EVEN = 1.0
 """Grey levels that pixels differ by from the mean of 3 x 3 (root mean square), besides a quarter of the noise that is left in a
 picture: less shows nothing, or shading."""
 _FILLED = 0.5
-"""Of a region: so much of a surface gets a depth.  Of the sky above a building site, a car park and a stadium 0 to 0.34 did, of
-walls and lawns there and in a study 0.57 to 1."""
+"""Of a region: so much of a surface gets a depth from pairs.  Of skies above houses, a car park and a stadium 0 to 0.25 do, of
+nearly all walls and lawns there 0.54 to 1, of cars and roads that show nothing 0 to 0.02."""
 
 
 def believed(frame: Frame, depth: DepthMap) -> Bools:
     """(h, w) pixels of a frame's mask whose depths may be used: all but large even regions of which too little has one.
 
-    Small ones lie within what `surface_support` asks anyway.
+    Small ones lie within what `surface_support` asks anyway.  depth: of the view, from its pairs, where there is one.
     """
     grey = grey_levels(frame.image).astype(np.float32)
     detail = cv2.blur(np.square(grey - cv2.blur(grey, (3, 3))), (3, 3))

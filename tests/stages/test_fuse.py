@@ -237,6 +237,22 @@ def test_where_refinement_is_not_sure_and_less_likely_the_depth_of_the_pairs_sta
     assert len(cloud.points) > 0.9 * len(pairs.points)
 
 
+def test_a_refined_depth_that_fills_what_shows_nothing_is_believed_where_the_pairs_fill_it() -> None:
+    """Refinement lays a plane over a sky as it does over a wall; of the sky the pairs have nothing."""
+    yard, points = make_yard(), []
+    for filled in (True, False):
+        frames, depths = dict(yard.frames), dict(yard.depths())
+        for name, frame in frames.items():
+            image, depth = frame.image.copy(), depths[name].depth.copy()
+            image[: len(image) // 3] = 210
+            depth[: len(image) // 3] = true_depth(yard.cameras[name])[: len(image) // 3] if filled else np.nan
+            frames[name], depths[name] = replace(frame, image=image), replace(depths[name], depth=depth)
+        cloud = fuse(frames, yard.cameras, depths, exactly_refined(yard, 0b11, sure=True))
+        assert isinstance(cloud, Cloud)
+        points.append((cloud.colors > 200).all(axis=1).sum())
+    assert points[0] > 1000 and points[1] < 0.1 * points[0]
+
+
 def test_what_is_known_roughly_stays_as_dense_as_pixels_lie() -> None:
     yard, points = make_yard(), []
     for sigma in (0.001, 0.008):
