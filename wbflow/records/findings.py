@@ -196,13 +196,13 @@ FINDINGS: Mapping[str, FindingType] = {
         ),
         FindingType(
             "pictures-soft",
-            "Pictures are too blurred, smeared, enlarged, noisy, overexposed or coarsely coded to be measured in; `sigma_mm` "
-            "may be too small.",
+            "Pictures are too blurred, smeared, enlarged, noisy, faint, overexposed or coarsely coded to be measured in; "
+            "`sigma_mm` may be too small.",
             "look at focus, glass, exposure time, gain and the quality at which captures are coded; or lower `resolution`",
             "pictures are too soft to be measured in: {cameras}; details are up to {detail_px:.1f} px apart, edges "
             "blurred by {blur_px:.1f} px, blocks of their coding stand out by a factor of {coarseness:.1f}, "
-            "{noise_left:.0f} grey levels of noise are left, {saturated:.0%} is pure white: points may be off by more than they "
-            "say",
+            "{noise_left:.0f} grey levels of noise are left, {saturated:.0%} is pure white, grey levels scatter by "
+            "{contrast:.0f}: points may be off by more than they say",
         ),
         FindingType(
             "calibration-changed",

@@ -391,7 +391,8 @@ def test_cameras_that_deliver_one_picture_are_named_unless_it_shows_nothing() ->
 
     finding = only(night(cameras=[showing(name, 40.0) for name in NAMES]))
     assert (finding.kind, finding.subject) == ("cameras-alike", ("crane", "gate", "mast"))
-    assert verdict_of(night(cameras=[showing(name, 0.5) for name in NAMES])).good
+    nothing = verdict_of(night(cameras=[showing(name, 0.5) for name in NAMES])).findings
+    assert [finding.kind for finding in nothing] == ["pictures-soft"]
 
 
 @pytest.mark.parametrize(
@@ -417,6 +418,14 @@ def test_coarsely_coded_pictures_are_soft_where_their_points_show_it(coarseness:
 def test_pictures_that_are_white_for_the_most_part_are_no_measure(saturated: float, blinded: int, degraded: bool) -> None:
     cameras = [camera(name) for name in NAMES]
     cameras[:blinded] = [replace(one, figures=CameraFigures(saturated=saturated)) for one in cameras[:blinded]]
+    found = verdict_of(night(cameras=cameras)).findings
+    assert [finding.kind for finding in found] == (["pictures-soft"] if degraded else [])
+
+
+@pytest.mark.parametrize(("contrast", "faint", "degraded"), [(17.0, 4, False), (5.0, 1, False), (5.0, 4, True)])
+def test_pictures_of_a_fog_that_leaves_a_few_grey_levels_are_no_measure(contrast: float, faint: int, degraded: bool) -> None:
+    cameras = [camera(name) for name in NAMES]
+    cameras[:faint] = [replace(one, figures=CameraFigures(contrast=contrast)) for one in cameras[:faint]]
     found = verdict_of(night(cameras=cameras)).findings
     assert [finding.kind for finding in found] == (["pictures-soft"] if degraded else [])
 
