@@ -47,6 +47,10 @@ def from_corner(name: str, camera: Camera) -> Camera:
     return replace(camera, K=K)
 
 
+def tilted(name: str, camera: Camera) -> Camera:
+    return replace(camera, R=rotation_matrix(np.radians([0.2, 0.0, 0.0])) @ camera.R)
+
+
 def only(one: str, change: Change) -> Change:
     return lambda name, camera: change(name, camera) if name == one else camera
 
@@ -102,7 +106,17 @@ def test_a_wrong_one_is_and_the_cause_is_named(site: PairSite, change: Change, c
         assert check.amount[0] == pytest.approx(amount, abs=0.005)
 
 
-@pytest.mark.parametrize(("change", "cause"), [(zoomed(1.0), ""), (from_corner, CORNER), (zoomed(1.02), "focal-lengths")])
+@pytest.mark.parametrize(
+    ("change", "cause"),
+    [
+        (zoomed(1.0), ""),
+        (from_corner, CORNER),
+        (zoomed(1.02), "focal-lengths"),
+        (zoomed(1.012), "focal-lengths"),
+        (zoomed(1.001), ""),
+        (tilted, "principal-points"),
+    ],
+)
 def test_what_all_pairs_want_alike_is_named_where_noise_hides_it(change: Change, cause: str) -> None:
     """So much noise that matches lie hardly farther from the epipolar lines of the wrong cameras."""
     site = make_pair_site(6, noise_px=0.7)
