@@ -500,6 +500,57 @@ def higher(image: Uint8s) -> Uint8s:
     return np.asarray(cv2.resize(image, (image.shape[1], image.shape[0] * 4 // 3), interpolation=cv2.INTER_AREA), np.uint8)
 
 
+def barred(image: Uint8s) -> Uint8s:
+    """A railing stands close before the camera."""
+    image, w = image.copy(), image.shape[1]
+    for x in range(w // 10, w, w // 6):
+        image[:, x : x + w // 60] = 30
+    return image
+
+
+def shimmering(pixels: float) -> Callable[[Uint8s], Uint8s]:
+    """Hot air: each place moves on its own, otherwise in each picture."""
+
+    def change(image: Uint8s) -> Uint8s:
+        h, w = image.shape[:2]
+        rng = np.random.default_rng(int(image.astype(np.int64).sum()) % 2**31)
+        off = cv2.GaussianBlur(rng.normal(size=(h, w, 2)), (0, 0), 8)
+        off *= pixels / off.std()
+        y, x = np.mgrid[:h, :w]
+        x, y = (x + off[..., 0]).astype(np.float32), (y + off[..., 1]).astype(np.float32)
+        return np.asarray(cv2.remap(image, x, y, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REFLECT), np.uint8)
+
+    return change
+
+
+def reflections(share: float) -> Change:
+    """Each camera's window mirrors what another one sees."""
+
+    def change(site: Site) -> None:
+        seen = [cv2.imread(str(site.files(name)[0])) for name in site.names]
+        for k in range(len(seen)):
+            other = seen[(k + 1) % len(seen)]
+            assert other is not None
+            site.pictures(_with_reflection(np.asarray(other[:, ::-1], np.uint8), share), (k,))
+
+    return change
+
+
+def _with_reflection(other: Uint8s, share: float) -> Callable[[Uint8s], Uint8s]:
+    return lambda image: np.asarray((1 - share) * image + share * cv2.resize(other, image.shape[1::-1]), np.uint8)
+
+
+def sharpened(image: Uint8s) -> Uint8s:
+    return np.asarray(np.clip(1.5 * image - 0.5 * cv2.GaussianBlur(image, (0, 0), 1.5), 0, 255), np.uint8)
+
+
+def equalized(image: Uint8s) -> Uint8s:
+    """Contrast as recorders raise it: by parts of the picture."""
+    lab = cv2.cvtColor(image, cv2.COLOR_BGR2LAB)
+    lab[..., 0] = cv2.createCLAHE(3.0, (8, 8)).apply(lab[..., 0])
+    return np.asarray(cv2.cvtColor(lab, cv2.COLOR_LAB2BGR), np.uint8)
+
+
 def foggy(image: Uint8s) -> Uint8s:
     return np.asarray(np.clip(0.6 * image + 0.4 * 190, 0, 255), np.uint8)
 
@@ -756,6 +807,19 @@ VARIATIONS = (
     _fault("second night: frames shifted by 6 px", pictures(shifted(6, 0)), "camera-shifted", night=2),
     _fault("second night: captures of two exchanged", exchanged_captures(two_exchanged), "captures-exchanged", night=2),
     _fault("second night: all blurred by 2 px", pictures(blurred(2.0)), "pictures-soft", night=2),
+    # thought of last: limits for tilted cameras, focal lengths, distortion and fog were fitted on another yard and a quarry
+    _fault("all tilted by .5 degrees", turn((0.5, 0, 0)), "poses", "principal-points"),
+    _fault("focal +1.5 %", focal(1.015), *FOCAL),
+    _fault("half the distortion", distortion(0.5), *BENT),
+    _fault("heights times 1.2", centres(lambda C: C * (1, 1, 1.2)), "poses"),
+    _fault("thick fog", pictures(levels(0.15, 170)), "pictures-soft"),
+    _fault("underexposed", pictures(levels(0.15)), "pictures-soft"),
+    _fault("hot air, 1 px", pictures(shimmering(1.0)), "pictures-soft"),
+    _fault("hot air, 2 px", pictures(shimmering(2.0)), "pictures-soft"),
+    _fault("reflections on all windows", reflections(0.3), "camera-obscured", "pictures-soft"),
+    _fault("railings before all cameras", pictures(barred), "camera-obscured", "pictures-soft"),
+    _harmless("sharpened", pictures(sharpened), TWO),
+    _harmless("contrast raised by parts", pictures(equalized), TWO),
     # what no picture shows
     Variation("positions x 1.1", "invisible", centres(lambda C: C * 1.1), on=TWO,
               why="x ~ K R (sX - sC) = K R (X - C): every picture of a world times s is the same"),

@@ -154,9 +154,8 @@ def _turned(case: _Case, turn: Turn, usual: Usual | None, nudged_px: float, move
     if zoomed or turn.angle_deg > moved_deg:
         also = f", zoomed by {100 * (turn.zoom - 1):+.1f} %" if zoomed else ""
         case.expected["turn_deg"] = moved_deg
-        turned = (
-            not zoomed and turn.inliers.mean() >= _TURNED_SHARE
-        )  # else things near and far disagree: it has been carried, too
+        agreeing = bool(turn.inliers.mean() >= _TURNED_SHARE)  # else things near and far disagree: it has been carried, too
+        turned = agreeing and not zoomed
         how += also + (": corrected" if turned else "")
         return case.closed("moved", how, "turn it back, or pin a new reference", turned)
     return case.closed("shifted", f"{how}: corrected", "fasten it; if it stays so, pin a new reference", True)
