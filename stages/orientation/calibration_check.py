@@ -86,7 +86,7 @@ ALIKE_SIGMAS, LEAST_GAIN = 6.0, 10.0
 ALONG, ASIDE = 6e-4, 2e-3
 """...and moves points along the lines, or turns rays, by these shares of the width.  Fitted on a quarry and a yard: unharmed ones
 want 0.2 to 6.4 deviations that take away 0 to 2.8 squares; focal lengths 1.5 % too long, cameras tilted by half a degree, half
-the distortion 9.9 to 33 deviations that take away more than 25."""
+the distortion 9.9 to 33 deviations."""
 DIFFERENCE = 1e-3
 """Of unknowns, between which residuals are about straight."""
 

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from ..core.cameras import camera_id
 from ..types import Float64s, Placement, Poses, Survey, View
@@ -58,5 +59,5 @@ def check_survey(poses: Poses, views: Mapping[str, View], placements: Mapping[st
 
 def _nearest(centres: Mapping[str, Float64s]) -> float:
     """Median distance from a camera to the nearest other one."""
-    apart = ([np.linalg.norm(C - other) for b, other in centres.items() if b != a] for a, C in centres.items())
-    return float(np.median([min(lengths) for lengths in apart]))
+    C = np.array([*centres.values()])
+    return float(np.median(cKDTree(C).query(C, 2)[0][:, 1]))  # the nearest of all is itself
