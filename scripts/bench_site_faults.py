@@ -65,6 +65,8 @@ SCENES = {
     "platform": Scene({"scene": "platform", "cameras": 8}, 0.2, fitted=False),
     "warehouse": Scene({"scene": "warehouse", "cameras": 5}, 0.2, fitted=False),
     "building": Scene({"scene": "building", "cameras": 5}, 0.3, fitted=False),
+    "harbour": Scene({"scene": "harbour", "cameras": 5}, 0.3, fitted=False),
+    "solar": Scene({"scene": "solar", "cameras": 5}, 0.3, fitted=False),
 }
 
 

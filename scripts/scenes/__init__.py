@@ -16,6 +16,8 @@ _ROWS = {
     "platform": SceneRow("scenes.platform:platform", "a railway station with sleepers and windows that repeat", (4, 80), 8, 3),
     "warehouse": SceneRow("scenes.warehouse:warehouse", "rows of shelves of one pattern, filled with boxes", (4, 80), 8, 3),
     "building": SceneRow("scenes.building:building", "a building site: walls behind scaffolding, piers, timber", (4, 80), 8, 3),
+    "harbour": SceneRow("scenes.harbour:harbour", "a quay with a barge, a portal crane and a basin of water", (4, 80), 8, 3),
+    "solar": SceneRow("scenes.solar:solar", "a solar farm: rows of one and the same dark panel on a meadow", (4, 80), 8, 3),
     "study": SceneRow("scenes.study:study", "a study with even walls, seen by webcams", (4, 60), 4, 3),
     "mast": SceneRow("scenes.mast:mast", "a valley seen by cameras that hang on one mast", (0, 60), captures=3),
 }
