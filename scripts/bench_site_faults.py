@@ -67,6 +67,8 @@ SCENES = {
     "building": Scene({"scene": "building", "cameras": 5}, 0.3, fitted=False),
     "harbour": Scene({"scene": "harbour", "cameras": 5}, 0.3, fitted=False),
     "solar": Scene({"scene": "solar", "cameras": 5}, 0.3, fitted=False),
+    "tankfarm": Scene({"scene": "tankfarm", "cameras": 5}, 0.2, fitted=False),
+    "park": Scene({"scene": "park", "cameras": 5}, 0.2, fitted=False),
 }
 
 
