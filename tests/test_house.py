@@ -47,7 +47,8 @@ PATHS = r"""(?x)^(
     | cloud.*\.ply | .*\.tmp | \.?jpg)$"""
 LAYOUT = ENGINE / "cache" / "layout.py"
 OTHERS = {
-    ENGINE / "outcome" / "init.py": {".jpg", "cameras.json"},  # photographs, and the demo's own folder
+    ENGINE / "outcome" / "init.py": {".jpg"},  # photographs
+    ENGINE / "outcome" / "demo.py": {"cameras.json"},  # in the demo's own folder
     ENGINE / "cache" / "atomic.py": {".tmp"},
 }
 """What looks like a path of the work folder elsewhere, and is none."""

@@ -18,7 +18,7 @@ from pathlib import Path
 from .cache.atomic import bytes_of, disk_fault
 from .cache.lock import claim
 from .errors import UsageError
-from .outcome.artifacts import Run as Run
+from .outcome.finished_run import Run as Run
 from .outcome.publish import mend_ledger, run_pipeline
 from .records.events import Listener
 from .records.run_folder import RunFolder, hold_to_write, new_run, refresh

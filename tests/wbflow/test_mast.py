@@ -9,7 +9,7 @@ from click.testing import CliRunner
 
 import wbflow
 from wbflow.cli.main import main
-from wbflow.outcome.init import write_demo
+from wbflow.outcome.demo import write_demo
 
 
 def test_cameras_on_one_mast_make_no_cloud_and_the_reason_says_why(tmp_path: Path) -> None:

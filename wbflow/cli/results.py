@@ -15,7 +15,7 @@ from .common import Day, date_at, day, echo, echo_json, load, stop
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from ..outcome.artifacts import Run
+    from ..outcome.finished_run import Run
     from ..records.run_folder import RunFolder
     from ..site.models import Site
 
@@ -32,7 +32,7 @@ def report(site: Path, run_id: str | None, work: str | None) -> None:
     wbflow report site.yaml 20261120T031500Z
     """
     loaded = load(site, work)
-    from ..outcome.artifacts import Run
+    from ..outcome.finished_run import Run
     from ..report.page import rebuild_report
 
     run = Run.open(loaded.work_folder, run_id)
@@ -129,9 +129,9 @@ def compare(nights: tuple[Path, ...], out: Path, page: Path | None, changes: boo
     wbflow compare SITE.yaml latest-good latest --page both.html
     wbflow compare SITE.yaml [RUN] scan.laz            the cloud's deviation from a scan or model
     """
-    from ..outcome.artifacts import Run
     from ..outcome.compare import changes_between, data_of, differing, lines_of
     from ..outcome.compare import compare as rows_of
+    from ..outcome.finished_run import Run
 
     if len(nights) in (2, 3) and nights[-1].suffix.lower() in SCANS:
         _compare_with_scan(load(nights[0], work), str(nights[1]) if len(nights) == 3 else None, nights[-1], out, as_json)
@@ -181,8 +181,8 @@ def _two_runs(nights: tuple[Path, ...], work: str | None) -> tuple[RunFolder, Ru
 
 
 def _compare_with_scan(site: Site, night: str | None, scan: Path, out: Path, as_json: bool) -> None:
-    from ..outcome.artifacts import Run
     from ..outcome.compare import compare_with_scan
+    from ..outcome.finished_run import Run
 
     folder = site.work_folder
     run = Run.open(folder, night or folder.latest_good.name)
@@ -321,8 +321,8 @@ def export(site: Path, run_id: str | None, out: Path, work: str | None, **wanted
         example = f"for example: wbflow export {site} --{EXPORTS[0].name} --out {out}"
         raise UsageError(f"name what to export: {', '.join(f'--{row.name}' for row in EXPORTS)}", remedy=example)
     folder = load(site, work).work_folder
-    from ..outcome.artifacts import Run
-    from ..outcome.artifacts import export as write
+    from ..outcome.export import export as write
+    from ..outcome.finished_run import Run
 
     run = Run.open(folder, run_id or folder.latest_good.name)
     for file in write(run, out, names):
@@ -345,8 +345,8 @@ def debug(words: tuple[str, ...], out: Path, date: Day | None, work: str | None)
     wbflow debug site.yaml frames gate --date yesterday --out look
     python look/run.py          what it makes, and whether the cache has the same bytes
     """
-    from ..outcome.artifacts import task_named
     from ..outcome.debug import write_task
+    from ..outcome.finished_run import task_named
     from ..pipeline.stages import STAGES
 
     named = " ".join(words).split(" ")
@@ -400,9 +400,9 @@ def site_report(sites: tuple[Path, ...], out: Path) -> None:
     wbflow site-report harbour/site.yaml yard/site.yaml
     """
     from ..cache.atomic import write_atomic
-    from ..report.page import page, site_files
+    from ..report.sites import site_files, sites_page
 
     if not site_files(sites):
         raise UsageError(f"there is no site file in {', '.join(map(str, sites))}", remedy="name site files, or a folder of them")
-    write_atomic(out, page(sites, out).encode(errors="backslashreplace"))
+    write_atomic(out, sites_page(sites, out).encode(errors="backslashreplace"))
     echo(out)

@@ -22,7 +22,7 @@ from .display import display
 if TYPE_CHECKING:
     from ..api import Run
     from ..capture import Taken
-    from ..outcome.check import Status
+    from ..outcome.status import Status
     from ..records.findings import Finding
     from ..records.record import RunRecord
     from ..site.models import Site
@@ -258,7 +258,7 @@ def status(site: Path, date: Day | None, work: str | None, until: str | None, as
 
 
 def _status(site: Site, date: datetime.date | None, until: str | None, force: tuple[str, ...] = ()) -> Status:
-    from ..outcome.check import explain
+    from ..outcome.status import explain
     from ..runner.context import plan_run
     from ..runner.options import Options
 

@@ -38,7 +38,7 @@ def demo(folder: Path, nights: int | None, frames: int, **options: Any) -> None:
     wbflow demo winter --surfaces weak            white walls, wet asphalt, snow
     wbflow demo harbour --nights 7 --small
     """
-    from ..outcome.init import write_demo
+    from ..outcome.demo import write_demo
 
     if nights is None:
         write_demo(folder, **options)
@@ -119,7 +119,7 @@ def pair(left: Path, right: Path, out: Path, resolution: int, jobs: int, verbose
     wbflow pair left.jpg right.jpg --out pair --resolution 2400
     """
     from ..api import run
-    from ..outcome.init import LAST_STAGE, failure, pair_site, write_pair
+    from ..outcome.pair import LAST_STAGE, failure, pair_site, write_pair
     from .display import display
 
     site = pair_site(left, right, out, resolution)

@@ -18,7 +18,8 @@ from ..pipeline.summaries import CutFill, titled
 from ..records.record import CameraRecord, PairRecord, RunRecord
 from ..records.run_folder import NoSuchRun, RunFolder, newest_runs
 from ..task import Task
-from .artifacts import Gone, MissingExtra, Run
+from .export import MissingExtra
+from .finished_run import Gone, Run
 
 NOISE = 0.05
 """Figures that differ by less than this share say nothing: keypoints, inliers and points change so much from night to night."""

@@ -1,29 +1,21 @@
-"""What a new site begins with: a site file from a folder of photographs, a calibration from pictures of a board, a demo, units
-that have systemd run it every night; and two photographs and nothing else, whose results are files that other programs read."""
+"""What a new site begins with: a site file from a folder of photographs (`wbflow init`), units that have systemd run it every
+night, and the calibration of a lens from pictures of a board (`wbflow calibrate`)."""
 
 from __future__ import annotations
 
 import getpass
-import hashlib
 import json
 import re
 import sys
 from collections.abc import Iterable
-from mimetypes import guess_type
 from pathlib import Path
-from typing import Any
 
-from ..cache.artifact import ply_bytes
 from ..cache.atomic import write_atomic
 from ..cache.fingerprint import load
 from ..cache.untrusted import Unreadable, read_outside
 from ..errors import UsageError
-from ..pipeline.stages import DISPARITY, FRAMES, GEOMETRY, MATCHES, POSES, RECTIFY
-from ..report import render
-from ..site.load import load_site
 from ..site.locations import is_name
 from ..site.models import Site
-from .artifacts import Run
 
 PHOTOGRAPHS = {".jpg", ".jpeg", ".png", ".tif", ".tiff"}
 """Suffixes of files that are taken for photographs, whatever their case."""
@@ -155,63 +147,6 @@ def write_calibration(
     return [out / name for name in made], words
 
 
-MANIFEST = "demo.json"
-EDITABLE = ("site.yaml", "cameras.json")
-_ELSEWHERE = "name a new or an empty folder"
-
-
-def write_demo(folder: Path, *, scene: str = "yard", nights: int | None = None, **options: Any) -> None:
-    """Render a demo scene, or so many nights of the demo yard with what happens in them; the same arguments write the same bytes.
-
-    scene: "yard", "square" or "carpark".  options: those of `wbflow_demo.scenes.render` (small, light, cameras, captures, seed,
-    lenses, surfaces), or of `wbflow_demo.files.demo_nights` (frames, small, cameras, seed).  Raises UsageError where the folder
-    holds something else than a demo, or a demo whose site file or calibration was edited; for an unknown scene or light, and for
-    no captures.
-    """
-    known = _claim(folder)
-    try:
-        files = "wbflow_demo.files:demo_files" if nights is None else "wbflow_demo.files:demo_nights"
-        demo = load(files)(scene if nights is None else nights, **options)
-    except ValueError as error:
-        raise UsageError(str(error), remedy="wbflow demo --help  says what there is") from error
-    # an interrupted demo can be written again: the manifest comes first, its digests last
-    write_atomic(folder / MANIFEST, _json({"files": known}))
-    digests = {}
-    for name, content in demo.files:
-        data = content if isinstance(content, bytes) else bytes(ply_bytes(content.columns, content.comments))
-        write_atomic(folder / name, data)
-        digests[name] = hashlib.sha256(data).hexdigest()
-    for name in known.keys() - digests.keys():
-        (folder / name).unlink(missing_ok=True)
-    write_atomic(folder / MANIFEST, _json({**demo.manifest, "files": digests}))
-
-
-def _claim(folder: Path) -> dict[str, str]:
-    """The files, with digests, of the demo that `folder` holds already."""
-    if not folder.exists():
-        return {}
-    if not folder.is_dir():
-        raise UsageError(f"{folder} is a file", remedy=_ELSEWHERE)
-    manifest = folder / MANIFEST
-    if not manifest.is_file():
-        if any(folder.iterdir()):
-            raise UsageError(f"{folder} holds other files", remedy=_ELSEWHERE)
-        return {}
-    try:
-        known = {str(name): str(digest) for name, digest in json.loads(manifest.read_bytes())["files"].items()}
-    except (ValueError, KeyError, TypeError, AttributeError):
-        raise UsageError(f"{manifest} isn't what a demo leaves there", remedy=_ELSEWHERE) from None
-    for name in EDITABLE:
-        file = folder / name
-        if file.is_file() and name in known and hashlib.sha256(file.read_bytes()).hexdigest() != known[name]:
-            raise UsageError(f"{file} was edited since the demo was written", remedy="move it away, or name another folder")
-    return known
-
-
-def _json(data: dict[str, Any]) -> bytes:
-    return (json.dumps(data, indent=1) + "\n").encode()
-
-
 _SERVICE = """\
 [Unit]
 Description=wbflow: the night's work of {name}
@@ -256,63 +191,3 @@ def write_units(site: Site) -> list[Path]:
     for path, text in zip(paths, units.values(), strict=True):
         write_atomic(path, text.encode())
     return paths
-
-
-PAIR = ("left", "right")
-
-LAST_STAGE = DISPARITY
-"""Where a run of a pair ends."""
-
-
-def pair_site(left: Path, right: Path, out: Path, resolution: int | None) -> Site:
-    """A site of the two photographs, written to out/site.yaml (from where it can be taken further).
-
-    Raises UsageError where a photograph is not there.
-
-    Parameters
-    ----------
-    left, right, out : Path
-        The photographs, and the folder for the results.
-    resolution : int, optional
-        Long side in pixels to work at.
-    """
-    for path in (left, right):
-        if not path.is_file():
-            raise UsageError(f"{path}: there is no such file", remedy="wbflow pair LEFT.jpg RIGHT.jpg --out DIR")
-    cameras = [{"id": name, "images": [str(path.resolve())]} for name, path in zip(PAIR, (left, right), strict=True)]
-    description = {
-        "site": "pair",
-        "captures": {"root": ".", "pattern": "{camera}"},
-        "cameras": cameras,
-        "resolution": resolution,
-        "pairs": {"min_angle": 0.0, "max_angle": 180.0, "include": [list(PAIR)]},
-        "stages": {POSES: False},
-        "work": "work",
-    }
-    write_atomic(out / "site.yaml", json.dumps(description, indent=1).encode())
-    return load_site(out)
-
-
-def write_pair(run: Run, out: Path) -> tuple[Path, ...]:
-    """Write what a run of a pair's site made into `out`.  Raises Gone, DamagedArtifact."""
-    left, right = (run.made(FRAMES, (name,)) for name in PAIR)
-    stages = {"matches": MATCHES, "geometry": GEOMETRY, "rectification": RECTIFY, "disparity": DISPARITY}
-    results = {name: run.made(stage, PAIR) for name, stage in stages.items()}
-    if left is None or right is None or next(iter(results.values())) is None:
-        return ()
-    made, summary = load("wbflow_stages.exports.pairfiles:pair_files")(left, right, **results)
-    figures = run.record.pairs[0].to_json() | summary
-    pictures = [(name, name[2:].rpartition(".")[0]) for name in made if guess_type(name)[0] == "image/jpeg"]
-    rows = [(name.replace("_", " "), value) for name, value in figures.items() if isinstance(value, str | int | float)]
-    others = sorted({*made} - {name for name, _ in pictures})
-    made["index.html"] = render("pair.html", pictures=pictures, rows=rows, others=others).encode()
-    made["pair.json"] = json.dumps(figures, indent=1).encode()
-    for name, data in made.items():
-        write_atomic(out / name, data)
-    return tuple(out / name for name in made)
-
-
-def failure(run: Run) -> str | None:
-    """Why there is no disparity, if there is none."""
-    ended = (event for event in run.ended.values() if event.outcome in {"failed", "rejected"})
-    return next((f"{event.task} {event.outcome}: {event.reason}" for event in ended), None)

@@ -36,8 +36,9 @@ from ..site.models import Site
 from ..task import Task
 from . import acknowledge
 from .acknowledge import Acknowledgement, with_known
-from .artifacts import Run
-from .notify import NotifyFailed, metrics, notify
+from .finished_run import Run
+from .metrics import metrics
+from .notify import NotifyFailed, notify
 from .run_record import run_record
 from .verdict import Facts, judge_run
 

@@ -1,14 +1,12 @@
-"""The pages: the report of a run, two runs beside each other, and several sites with their last nights.
+"""The report of a run, and the page with two runs beside each other.
 
 Each is one HTML file with its pictures and points inside, readable anywhere without a network.
 """
 
 from __future__ import annotations
 
-import os
-import re
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -16,26 +14,18 @@ from typing import Any
 
 from ..cache.artifact import figures
 from ..cache.fingerprint import load
-from ..cache.layout import WorkFolder
-from ..cache.store import Cache
-from ..cache.untrusted import MOST_TEXT_BYTES, read_outside
-from ..errors import WbflowError, counted
-from ..outcome.artifacts import Gone, Run
-from ..outcome.history import Entry, history
-from ..pipeline.stages import CHANGES, FUSE, stage_named
+from ..errors import counted
+from ..outcome.finished_run import Gone, Run
+from ..pipeline.stages import CHANGES, stage_named
 from ..pipeline.summaries import ChangesSummary, meaning, spoken
 from ..records.events import TaskEvent, WarningEvent
-from ..records.findings import Finding
 from ..records.record import RunRecord, moment
-from ..records.run_folder import NoSuchRun, RunFolder
-from ..site.load import load_site
 from ..site.models import Site
-from ..task import Task
 from . import render, sections
 from .charts import camera_bars, tasks_of_stages, timetable, trends
-from .data import NIGHTS, ReportData
+from .data import ReportData
 from .map import Map, layers_of, scene_of
-from .pictures import Pictures, Points, data_url, large_pictures, other_night, points_of, points_of_other, split, then_pictures
+from .pictures import Pictures, Points, large_pictures, other_night, points_of, points_of_other, split, then_pictures
 
 MOST_BYTES = 14_000_000
 """Of a page, about: large pictures get the room that nothing else needs."""
@@ -177,82 +167,3 @@ def _files(data: ReportData) -> Iterator[tuple[str, str]]:
     places = [paths.cameras.name] if data.cameras else []
     for name in (*places, *sorted(named), paths.record.name, paths.log.name):
         yield name, name
-
-
-@dataclass(frozen=True)
-class Row:
-    """A site on the page."""
-
-    name: str
-    file: Path
-    fault: str = ""
-    """Why the site cannot be shown."""
-    nights: tuple[tuple[Entry, str, str], ...] = ()
-    """Of each night, oldest first: its last run, the level of its verdict, and the link to its report; "" where there is none."""
-    picture: str = ""
-
-    @property
-    def findings(self) -> tuple[Finding, ...]:
-        """Those of the last night."""
-        verdict = self.nights[-1][0].verdict if self.nights else None
-        return verdict.findings if verdict else ()
-
-    @property
-    def order(self) -> tuple[int, str]:
-        """Sites that need attention come first."""
-        level = "failed" if self.fault else self.nights[-1][1] if self.nights else ""
-        return ({"failed": 0, "degraded": 1}.get(level, 2), self.name)
-
-
-def site_files(places: Sequence[Path]) -> list[Path]:
-    """Return the named site files; of a folder its site.yaml, else all site files in it and one level below."""
-    found: list[Path] = []
-    for place in places:
-        own = place / "site.yaml"
-        if not place.is_dir() or own.is_file():
-            found.append(own if place.is_dir() else place)
-        else:
-            found += [path for path in sorted([*place.glob("*.yaml"), *place.glob("*/site.yaml")]) if _describes_site(path)]
-    return list(dict.fromkeys(found))
-
-
-def page(places: Sequence[Path], out: Path) -> str:
-    """Return the HTML of all sites.  out: its file, for the links in it."""
-    rows = sorted((_row(file, out.resolve().parent) for file in site_files(places)), key=lambda row: row.order)
-    return render("sites.html", rows=rows)
-
-
-def _describes_site(file: Path) -> bool:
-    """Return whether a YAML file describes a site, valid or not."""
-    try:
-        text = read_outside(file, MOST_TEXT_BYTES).decode(errors="replace")
-    except OSError:
-        return False
-    return re.search(r"""^[{\s]*["']?site["']?\s*:""", text, re.MULTILINE) is not None
-
-
-def _row(file: Path, folder: Path) -> Row:
-    try:
-        site = load_site(file)
-        work = site.work_folder
-        by_night = {entry.run.date: entry for entry in (history(work) if work.run_ids() else [])}
-    except WbflowError as error:
-        return Row(file.parent.name, file, fault=str(error))
-    nights = [_night(work, by_night[date], folder) for date in sorted(by_night)[-NIGHTS:]]
-    return Row(site.name, site.file, "", tuple(nights), _picture(work))
-
-
-def _night(work: WorkFolder, entry: Entry, folder: Path) -> tuple[Entry, str, str]:
-    report = work.run(entry.run.run).report
-    href = Path(os.path.relpath(report, folder)).as_posix() if report.is_file() else ""
-    return entry, entry.verdict.level if entry.verdict else "", href
-
-
-def _picture(work: WorkFolder) -> str:
-    task = Task(FUSE)
-    try:
-        event = RunFolder.of(work, work.latest_good.name).tasks().get(task)
-    except NoSuchRun:
-        return ""
-    picture = Cache(work).drawing(task, event.key, "picture") if event and event.key else None
-    return data_url(picture) if picture else ""

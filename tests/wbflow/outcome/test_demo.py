@@ -18,7 +18,7 @@ from tests.helpers.synthetic_site import small_yard
 from wbflow.cache.artifact import read_ply
 from wbflow.cache.signed import Digests
 from wbflow.errors import UsageError
-from wbflow.outcome.init import write_demo
+from wbflow.outcome.demo import write_demo
 from wbflow.site.captures import find_captures, night
 from wbflow.site.load import load_site
 from wbflow_demo.render.photograph import DemoSite, Shots

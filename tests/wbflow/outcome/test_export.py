@@ -18,7 +18,7 @@ from tests.helpers.images import read_image
 from wbflow.cache.artifact import read_ply
 from wbflow.cache.signed import content_digest
 from wbflow.cli.main import main
-from wbflow.outcome.init import write_demo
+from wbflow.outcome.demo import write_demo
 
 ALL = ("--laz", "--heights", "--depth", "--mesh", "--orthophoto", "--colmap")
 ORIGIN = (53.541, 9.966, 52.0)

@@ -12,7 +12,7 @@ from click.testing import CliRunner
 from tests.wbflow.outcome.test_verdict import night
 from wbflow.cache.layout import WorkFolder
 from wbflow.cli.main import main
-from wbflow.outcome.notify import metrics
+from wbflow.outcome.metrics import metrics
 from wbflow.pipeline.summaries import Change, ChangesSummary, CutFill, PosesSummary
 from wbflow.records.record import RunRecord
 from wbflow.records.run_folder import UnfinishedRun

@@ -16,8 +16,9 @@ from tests.wbflow.outcome.test_verdict import NAMES, PAIRS, camera, lost, night,
 from wbflow.cache.layout import WorkFolder
 from wbflow.cache.signed import read_signed, write_signed
 from wbflow.cache.store import Cache
-from wbflow.outcome.artifacts import Run
-from wbflow.outcome.notify import MOST_WORDS, NotifyFailed, metrics, notify, summary
+from wbflow.outcome.finished_run import Run
+from wbflow.outcome.metrics import metrics
+from wbflow.outcome.notify import MOST_WORDS, NotifyFailed, notify, summary
 from wbflow.records.findings import Health
 from wbflow.records.record import RunRecord, moment, stamp
 from wbflow.records.run_folder import RunFolder

@@ -1,0 +1,73 @@
+"""`wbflow demo`: a rendered site, written to a folder so that it can be written again, but not over what somebody has changed."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from pathlib import Path
+from typing import Any
+
+from ..cache.artifact import ply_bytes
+from ..cache.atomic import write_atomic
+from ..cache.fingerprint import load
+from ..errors import UsageError
+
+MANIFEST = "demo.json"
+
+
+EDITABLE = ("site.yaml", "cameras.json")
+
+
+_ELSEWHERE = "name a new or an empty folder"
+
+
+def write_demo(folder: Path, *, scene: str = "yard", nights: int | None = None, **options: Any) -> None:
+    """Render a demo scene, or so many nights of the demo yard with what happens in them; the same arguments write the same bytes.
+
+    scene: "yard", "square" or "carpark".  options: those of `wbflow_demo.scenes.render` (small, light, cameras, captures, seed,
+    lenses, surfaces), or of `wbflow_demo.files.demo_nights` (frames, small, cameras, seed).  Raises UsageError where the folder
+    holds something else than a demo, or a demo whose site file or calibration was edited; for an unknown scene or light, and for
+    no captures.
+    """
+    known = _claim(folder)
+    try:
+        files = "wbflow_demo.files:demo_files" if nights is None else "wbflow_demo.files:demo_nights"
+        demo = load(files)(scene if nights is None else nights, **options)
+    except ValueError as error:
+        raise UsageError(str(error), remedy="wbflow demo --help  says what there is") from error
+    # an interrupted demo can be written again: the manifest comes first, its digests last
+    write_atomic(folder / MANIFEST, _json({"files": known}))
+    digests = {}
+    for name, content in demo.files:
+        data = content if isinstance(content, bytes) else bytes(ply_bytes(content.columns, content.comments))
+        write_atomic(folder / name, data)
+        digests[name] = hashlib.sha256(data).hexdigest()
+    for name in known.keys() - digests.keys():
+        (folder / name).unlink(missing_ok=True)
+    write_atomic(folder / MANIFEST, _json({**demo.manifest, "files": digests}))
+
+
+def _claim(folder: Path) -> dict[str, str]:
+    """The files, with digests, of the demo that `folder` holds already."""
+    if not folder.exists():
+        return {}
+    if not folder.is_dir():
+        raise UsageError(f"{folder} is a file", remedy=_ELSEWHERE)
+    manifest = folder / MANIFEST
+    if not manifest.is_file():
+        if any(folder.iterdir()):
+            raise UsageError(f"{folder} holds other files", remedy=_ELSEWHERE)
+        return {}
+    try:
+        known = {str(name): str(digest) for name, digest in json.loads(manifest.read_bytes())["files"].items()}
+    except (ValueError, KeyError, TypeError, AttributeError):
+        raise UsageError(f"{manifest} isn't what a demo leaves there", remedy=_ELSEWHERE) from None
+    for name in EDITABLE:
+        file = folder / name
+        if file.is_file() and name in known and hashlib.sha256(file.read_bytes()).hexdigest() != known[name]:
+            raise UsageError(f"{file} was edited since the demo was written", remedy="move it away, or name another folder")
+    return known
+
+
+def _json(data: dict[str, Any]) -> bytes:
+    return (json.dumps(data, indent=1) + "\n").encode()

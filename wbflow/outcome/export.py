@@ -1,0 +1,60 @@
+"""A run's results in the forms that other programs read: the rows of `pipeline.exports`, written to a folder."""
+
+from __future__ import annotations
+
+import datetime
+import importlib.util
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from ..cache.atomic import write_atomic
+from ..cache.fingerprint import load
+from ..errors import ExitCode, WbflowError
+from ..pipeline.exports import EXPORTS, EXTRAS, Export
+from ..pipeline.stages import FUSE, stage_named
+from .finished_run import Run
+
+
+class MissingExtra(WbflowError):
+    """Packages that an export needs are not installed; the message says how to get them."""
+
+    exit_code = ExitCode.USAGE
+
+
+def export(run: Run, out: Path, forms: frozenset[str]) -> Iterator[Path]:
+    """Write a run's results into `out` in some forms (names of `EXPORTS`); yields each file when it is there.
+
+    Raises MissingExtra or WbflowError before a file of a form is written for which a package is missing, or the run does not hold
+    what it needs; DamagedArtifact where the cache's disk has lost something, which the next run makes again.
+    """
+    if run.record.poses is None:
+        raise WbflowError(f"run {run.id} solved no cameras: {run.record.reason or 'it ended before'}")
+    rows = [row for row in EXPORTS if row.name in forms]
+    for row in rows:
+        require(row, georeferenced=bool(run.record.poses.crs))
+    for row in rows:
+        results = {name: _result(run, stages) for name, stages in row.inputs.items()}
+        day = datetime.date.fromisoformat(run.record.date)
+        try:
+            for name, data in load(row.function)(**results, **({"day": day} if row.dated else {})):
+                write_atomic(out / name, data)
+                yield out / name
+        except ValueError as error:
+            raise WbflowError(f"run {run.id}: {error}") from error
+
+
+def require(row: Export, *, georeferenced: bool) -> None:
+    """See that the packages that a form needs are installed.  Raises MissingExtra."""
+    extra = row.extra or (row.extra_on_the_map if georeferenced else "")
+    missing = [package for package in EXTRAS.get(extra, ()) if importlib.util.find_spec(package) is None]
+    if missing:
+        what = f"--{row.name}{'' if row.extra else ' of a georeferenced site'}"
+        raise MissingExtra(f"{what} needs {' and '.join(missing)}: pip install 'wbflow[{extra}]'")
+
+
+def _result(run: Run, stages: tuple[str, ...]) -> Any:
+    if stages == (FUSE,):
+        return run.cloud_table()
+    scope = stage_named(stages[0]).scope
+    return run.made(stages[0]) if scope == "site" else run.of_pairs(*stages) if scope == "pair" else run.of_cameras(*stages)

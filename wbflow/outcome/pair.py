@@ -1,0 +1,76 @@
+"""`wbflow pair`: two photographs and nothing else become a site, whose results are files that other programs read."""
+
+from __future__ import annotations
+
+import json
+from mimetypes import guess_type
+from pathlib import Path
+
+from ..cache.atomic import write_atomic
+from ..cache.fingerprint import load
+from ..errors import UsageError
+from ..pipeline.stages import DISPARITY, FRAMES, GEOMETRY, MATCHES, POSES, RECTIFY
+from ..report import render
+from ..site.load import load_site
+from ..site.models import Site
+from .finished_run import Run
+
+PAIR = ("left", "right")
+
+
+LAST_STAGE = DISPARITY
+"""Where a run of a pair ends."""
+
+
+def pair_site(left: Path, right: Path, out: Path, resolution: int | None) -> Site:
+    """A site of the two photographs, written to out/site.yaml (from where it can be taken further).
+
+    Raises UsageError where a photograph is not there.
+
+    Parameters
+    ----------
+    left, right, out : Path
+        The photographs, and the folder for the results.
+    resolution : int, optional
+        Long side in pixels to work at.
+    """
+    for path in (left, right):
+        if not path.is_file():
+            raise UsageError(f"{path}: there is no such file", remedy="wbflow pair LEFT.jpg RIGHT.jpg --out DIR")
+    cameras = [{"id": name, "images": [str(path.resolve())]} for name, path in zip(PAIR, (left, right), strict=True)]
+    description = {
+        "site": "pair",
+        "captures": {"root": ".", "pattern": "{camera}"},
+        "cameras": cameras,
+        "resolution": resolution,
+        "pairs": {"min_angle": 0.0, "max_angle": 180.0, "include": [list(PAIR)]},
+        "stages": {POSES: False},
+        "work": "work",
+    }
+    write_atomic(out / "site.yaml", json.dumps(description, indent=1).encode())
+    return load_site(out)
+
+
+def write_pair(run: Run, out: Path) -> tuple[Path, ...]:
+    """Write what a run of a pair's site made into `out`.  Raises Gone, DamagedArtifact."""
+    left, right = (run.made(FRAMES, (name,)) for name in PAIR)
+    stages = {"matches": MATCHES, "geometry": GEOMETRY, "rectification": RECTIFY, "disparity": DISPARITY}
+    results = {name: run.made(stage, PAIR) for name, stage in stages.items()}
+    if left is None or right is None or next(iter(results.values())) is None:
+        return ()
+    made, summary = load("wbflow_stages.exports.pairfiles:pair_files")(left, right, **results)
+    figures = run.record.pairs[0].to_json() | summary
+    pictures = [(name, name[2:].rpartition(".")[0]) for name in made if guess_type(name)[0] == "image/jpeg"]
+    rows = [(name.replace("_", " "), value) for name, value in figures.items() if isinstance(value, str | int | float)]
+    others = sorted({*made} - {name for name, _ in pictures})
+    made["index.html"] = render("pair.html", pictures=pictures, rows=rows, others=others).encode()
+    made["pair.json"] = json.dumps(figures, indent=1).encode()
+    for name, data in made.items():
+        write_atomic(out / name, data)
+    return tuple(out / name for name in made)
+
+
+def failure(run: Run) -> str | None:
+    """Why there is no disparity, if there is none."""
+    ended = (event for event in run.ended.values() if event.outcome in {"failed", "rejected"})
+    return next((f"{event.task} {event.outcome}: {event.reason}" for event in ended), None)

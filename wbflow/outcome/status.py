@@ -1,0 +1,106 @@
+"""What would run tonight, and why: the plan of a night explained task by task, for `wbflow status`."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass
+
+from ..cache.store import Preimage, Receipt
+from ..pipeline.stages import PAIRS, stage_named
+from ..runner.planner import Plan
+from ..runner.spec import TaskSpec
+from ..task import Task
+
+_MOST_NAMED = 3
+"""So many of the inputs that have changed are named."""
+
+
+@dataclass(frozen=True)
+class Line:
+    """A task in the status of a site."""
+
+    task: str
+    state: str
+    """Cached, rejected, failed, skipped, would run, or waits."""
+    why: str
+    seconds: float | None = None
+    """CPU time that it will take, by its last run or by the others of its stage; None where it won't run, or nobody knows."""
+
+
+@dataclass(frozen=True)
+class Status:
+    """What is cached and what would run."""
+
+    site: str
+    night: str
+    tasks: tuple[Line, ...]
+    """A line for every task that is known of, in the order of the pipeline."""
+    totals: dict[str, int]
+    """How many tasks are in each state."""
+    cpu_seconds: float | None
+    """CPU time of all that would run, as far as is known; None where nothing is."""
+    pairs_to_come: bool
+    """Pairs will be matched that are not listed yet, because the pair graph is not there."""
+
+
+def explain(plan: Plan) -> Status:
+    """Return what would become of each task of a plan, and why."""
+    lines = {task: Line(str(task), state.outcome, state.reason or "") for task, state in plan.states.items()}
+    costs: dict[str, list[float]] = {}
+    for task, state in plan.states.items():
+        if state.receipt:
+            costs.setdefault(task.stage, []).append(state.receipt.cpu)
+    whys = {task: _why(plan, spec) for task, spec in plan.ready.items()} | {task: _pending(plan, task) for task in plan.waiting}
+    for task, why in whys.items():
+        last, others = plan.cache.newest(task), costs.get(task.stage)
+        seconds = last.cpu if last else sum(others) / len(others) if others else None
+        lines[task] = Line(str(task), "would run", why, seconds)
+    order = {stage.name: i for i, stage in enumerate(plan.stages)}
+    ordered = tuple(lines[task] for task in sorted(lines, key=lambda t: order[t.stage]))
+    known = [line.seconds for line in ordered if line.seconds is not None]
+    pairs_to_come = not plan.pairs_known() and stage_named(PAIRS) in plan.stages
+    totals = dict(Counter(line.state for line in ordered))
+    return Status(plan.site.name, plan.night, ordered, totals, sum(known) if known else None, pairs_to_come)
+
+
+def _why(plan: Plan, spec: TaskSpec) -> str:
+    if spec.force:
+        return "forced"
+    last = plan.cache.newest(spec.task)
+    if last is None:
+        return "never run"
+    return difference(last, spec.preimage()) or "its artifact is gone"
+
+
+def _pending(plan: Plan, task: Task) -> str:
+    """How much of a waiting task's input is to be made anew (the same bytes may come out of it: then the task is not run)."""
+    if plan.cache.newest(task) is None:
+        return "never run"
+    upstreams = plan.upstreams(task)
+    pending = sum(upstream not in plan.states for upstream in upstreams)
+    if not pending:
+        return "once the pair graph is known"
+    return f"{pending} of {len(upstreams)} inputs will change" if pending > 1 else "an input may change"
+
+
+def difference(last: Receipt, now: Preimage) -> str:
+    """What changed since a receipt, in words."""
+    before = last.preimage
+    found = []
+    if before.code != now.code:
+        renamed = before.function != now.function
+        found.append(f"function {before.function} → {now.function}" if renamed else "its code, or a library's version, changed")
+    for name in sorted(before.parameters.keys() | now.parameters.keys()):
+        old, new = before.parameters.get(name), now.parameters.get(name)
+        if old != new:
+            found.append(f"parameter {now.stage}.{name} {old} → {new}")
+    changed = [
+        name for name in sorted(before.inputs.keys() | now.inputs.keys()) if before.inputs.get(name) != now.inputs.get(name)
+    ]
+    if len(changed) == 1:
+        found.append(f"input {changed[0]} changed")
+    elif changed:
+        named = ", ".join(changed[:_MOST_NAMED])
+        more = ", ..." if len(changed) > _MOST_NAMED else ""
+        found.append(f"{len(changed)} of {len(now.inputs)} inputs changed: {named}{more}")
+    return "; ".join(found)

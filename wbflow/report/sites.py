@@ -1,0 +1,102 @@
+"""The page about several sites: each with its last nights and a picture, those that need attention first."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from ..cache.layout import WorkFolder
+from ..cache.store import Cache
+from ..cache.untrusted import MOST_TEXT_BYTES, read_outside
+from ..errors import WbflowError
+from ..outcome.history import Entry, history
+from ..pipeline.stages import FUSE
+from ..records.findings import Finding
+from ..records.run_folder import NoSuchRun, RunFolder
+from ..site.load import load_site
+from ..task import Task
+from . import render
+from .data import NIGHTS
+from .pictures import data_url
+
+
+@dataclass(frozen=True)
+class SiteRow:
+    """A site on the page."""
+
+    name: str
+    file: Path
+    fault: str = ""
+    """Why the site cannot be shown."""
+    nights: tuple[tuple[Entry, str, str], ...] = ()
+    """Of each night, oldest first: its last run, the level of its verdict, and the link to its report; "" where there is none."""
+    picture: str = ""
+
+    @property
+    def findings(self) -> tuple[Finding, ...]:
+        """Those of the last night."""
+        verdict = self.nights[-1][0].verdict if self.nights else None
+        return verdict.findings if verdict else ()
+
+    @property
+    def order(self) -> tuple[int, str]:
+        """Sites that need attention come first."""
+        level = "failed" if self.fault else self.nights[-1][1] if self.nights else ""
+        return ({"failed": 0, "degraded": 1}.get(level, 2), self.name)
+
+
+def site_files(places: Sequence[Path]) -> list[Path]:
+    """Return the named site files; of a folder its site.yaml, else all site files in it and one level below."""
+    found: list[Path] = []
+    for place in places:
+        own = place / "site.yaml"
+        if not place.is_dir() or own.is_file():
+            found.append(own if place.is_dir() else place)
+        else:
+            found += [path for path in sorted([*place.glob("*.yaml"), *place.glob("*/site.yaml")]) if _describes_site(path)]
+    return list(dict.fromkeys(found))
+
+
+def sites_page(places: Sequence[Path], out: Path) -> str:
+    """Return the HTML of all sites.  out: its file, for the links in it."""
+    rows = sorted((_row(file, out.resolve().parent) for file in site_files(places)), key=lambda row: row.order)
+    return render("sites.html", rows=rows)
+
+
+def _describes_site(file: Path) -> bool:
+    """Return whether a YAML file describes a site, valid or not."""
+    try:
+        text = read_outside(file, MOST_TEXT_BYTES).decode(errors="replace")
+    except OSError:
+        return False
+    return re.search(r"""^[{\s]*["']?site["']?\s*:""", text, re.MULTILINE) is not None
+
+
+def _row(file: Path, folder: Path) -> SiteRow:
+    try:
+        site = load_site(file)
+        work = site.work_folder
+        by_night = {entry.run.date: entry for entry in (history(work) if work.run_ids() else [])}
+    except WbflowError as error:
+        return SiteRow(file.parent.name, file, fault=str(error))
+    nights = [_night(work, by_night[date], folder) for date in sorted(by_night)[-NIGHTS:]]
+    return SiteRow(site.name, site.file, "", tuple(nights), _picture(work))
+
+
+def _night(work: WorkFolder, entry: Entry, folder: Path) -> tuple[Entry, str, str]:
+    report = work.run(entry.run.run).report
+    href = Path(os.path.relpath(report, folder)).as_posix() if report.is_file() else ""
+    return entry, entry.verdict.level if entry.verdict else "", href
+
+
+def _picture(work: WorkFolder) -> str:
+    task = Task(FUSE)
+    try:
+        event = RunFolder.of(work, work.latest_good.name).tasks().get(task)
+    except NoSuchRun:
+        return ""
+    picture = Cache(work).drawing(task, event.key, "picture") if event and event.key else None
+    return data_url(picture) if picture else ""
