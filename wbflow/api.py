@@ -148,7 +148,7 @@ def _run(site: Site, options: Options, listen: Listener) -> Run:
                 journal.warn(str(dataclasses.replace(note, remedy="")), remedy=note.remedy)
             mend_ledger(place, journal)
             context = plan_run(site, options)
-            for damage in filter(None, (context.digests.damage, context.seen.damage, site.reader.damage)):
+            for damage in filter(None, (context.digests.damage, context.earlier_captures.damage, site.reader.damage)):
                 journal.repaired(damage)
             finished = run_pipeline(name, context, options, journal)
             if mirror and (fault := mirror.finish()):

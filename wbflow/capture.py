@@ -25,7 +25,7 @@ import yaml
 
 from .cache.atomic import write_atomic
 from .cache.fingerprint import load
-from .cache.untrusted import MOST_TEXT_BYTES, read_outside
+from .cache.untrusted import MOST_TEXT_BYTES, read_untrusted
 from .errors import UsageError, WbflowError, counted, printable
 from .site.captures import answered
 from .site.models import Site
@@ -174,7 +174,7 @@ def _logins(site: Site) -> dict[str, Login]:
     path = site.file.parent / named
     remedy = "a line for each camera, or '*' for all:  gate: {user: viewer, password: secret}"
     try:
-        data = yaml.safe_load(read_outside(path, MOST_TEXT_BYTES))
+        data = yaml.safe_load(read_untrusted(path, MOST_TEXT_BYTES))
         return {str(camera): (str(entry["user"]), str(entry["password"])) for camera, entry in data.items()}
     except OSError as error:
         raise UsageError(f"the file of credentials cannot be read: {error}", where=str(path), remedy=remedy) from None
@@ -278,7 +278,7 @@ def _of_folder(folder: Path, moments: Sequence[float]) -> Iterator[Shot]:
             latest = max(new, key=lambda path: path.stat().st_mtime, default=None)
             if latest and time.time() - latest.stat().st_mtime > _LOOK_SECONDS:  # it is no longer written to
                 used.add(latest)
-                yield _whole(read_outside(latest)), latest.stat().st_mtime
+                yield _whole(read_untrusted(latest)), latest.stat().st_mtime
                 break
             if time.time() > moments[-1] + PATIENCE:
                 raise OSError(f"nothing new arrives in {folder}")

@@ -29,9 +29,9 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 
 from .cache.atomic import FULL
+from .cache.checksum import Damaged, read_checksummed, write_checksummed
 from .cache.layout import RunPaths, WorkFolder
 from .cache.lock import Locked, hold
-from .cache.signed import Damaged, read_signed, write_signed
 from .errors import ExitCode, WbflowError, counted, printable
 from .records.events import Event, Listener, Signal, TaskEvent
 from .records.findings import Finding, finding
@@ -181,7 +181,7 @@ class Mirror:
         self.holds = False
         self._sent = time.monotonic()
         with contextlib.suppress(Damaged, KeyError, TypeError, ValueError):  # then files are fetched again
-            memo = read_signed(work.mirror_memo, "mirror") or {}
+            memo = read_checksummed(work.mirror_memo, "mirror") or {}
             if memo["url"] == self.store.url:
                 self._token = str(memo["token"])
                 self._agreed = {name: (mark, (size, mtime)) for name, (mark, size, mtime) in memo["files"].items()}
@@ -298,7 +298,7 @@ class Mirror:
 
     def _save(self) -> None:
         files = {name: [mark, *stamp] for name, (mark, stamp) in self._agreed.items()}
-        write_signed(self.work.mirror_memo, "mirror", {"url": self.store.url, "token": self._token, "files": files})
+        write_checksummed(self.work.mirror_memo, "mirror", {"url": self.store.url, "token": self._token, "files": files})
 
     def _files(self) -> Iterator[Path]:
         """Every file here that belongs into the store."""
@@ -309,7 +309,7 @@ class Mirror:
         """Return whether a file belongs into the store: not what is of this machine alone, or can be made again from the rest."""
         work, parts = self.work, PurePosixPath(name).parts
         fewest = {work.cache.name: 4, work.reference.name: 2, work.runs.name: 3}
-        fewest |= {path.name: 1 for path in (work.seen_memo, work.notified, work.owner)}
+        fewest |= {path.name: 1 for path in (work.delivered_memo, work.notified, work.owner)}
         return len(parts) >= fewest.get(parts[0], len(parts) + 1) and not any(part.startswith(".") for part in parts)
 
     def _in_order(self, names: Iterable[str]) -> Iterator[list[str]]:
@@ -357,7 +357,7 @@ def list_captures(root: Path, url: str) -> None:
     memo = WorkFolder(root).mirror_memo
     known: dict[str, list[Any]] = {}
     with contextlib.suppress(Damaged):
-        known = (read_signed(memo, "captures") or {}).get("files", {})
+        known = (read_checksummed(memo, "captures") or {}).get("files", {})
     files = {
         name: [*entry] for name, entry in ObjectStore(url).listing().items() if not {"..", "/"} & {*PurePosixPath(name).parts}
     }
@@ -375,7 +375,7 @@ def list_captures(root: Path, url: str) -> None:
     for name in known.keys() - files.keys():
         (root / name).unlink(missing_ok=True)
     if files != known:
-        write_signed(memo, "captures", {"files": files})
+        write_checksummed(memo, "captures", {"files": files})
 
 
 def fetch_captures(root: Path, url: str, paths: Iterable[Path]) -> None:

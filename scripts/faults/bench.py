@@ -213,10 +213,10 @@ def set_parameters(toy: ToySite, **parameters: Any) -> None:
 def _run(toy: ToySite, arguments: list[str], strike: Strike | None, counter: Path) -> None:
     """In the child: the command line, struck where it is to be."""
     os.environ.update(toy.env())
-    from wbflow.cache import signed
+    from wbflow.cache import memo
     from wbflow.cli.main import main
 
-    signed._SETTLED_NS = -(10**18)  # captures that are new are remembered, too
+    memo._SETTLED_NS = -(10**18)  # captures that are new are remembered, too
     if strike:
         arm(counter, strike.at, strike.kind)
     main.main(args=arguments, prog_name="wbflow", standalone_mode=True)

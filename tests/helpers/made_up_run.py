@@ -12,8 +12,8 @@ import cv2
 import numpy as np
 
 from wbflow.api import load_site
+from wbflow.cache.checksum import content_digest
 from wbflow.cache.layout import WorkFolder
-from wbflow.cache.signed import content_digest
 from wbflow.cache.store import Cache, Preimage, Receipt
 from wbflow.pipeline.stages import FRAMES, FUSE, GEOMETRY, STAGES
 from wbflow.pipeline.summaries import CameraFigures, PairFigures, PosesSummary

@@ -18,9 +18,9 @@ from typing import IO, TYPE_CHECKING, Any
 
 from ..errors import WbflowError
 from ..pipeline.stages import CLOUD_COLUMNS, CLOUD_FIGURES, FUSE, RESTORE_CLOUD
+from .checksum import content_digest
 from .fingerprint import load
-from .signed import content_digest
-from .untrusted import read_outside
+from .untrusted import read_untrusted
 
 if TYPE_CHECKING:
     import numpy as np
@@ -239,7 +239,7 @@ def read_ply(path: Path) -> dict[str, npt.NDArray[Any]]:
     Raises ValueError for another PLY format, list properties, or fewer bytes than the header promises.
     """
     try:
-        return columns_of(read_outside(path, most=sys.maxsize))
+        return columns_of(read_untrusted(path, most=sys.maxsize))
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from None
 

@@ -93,7 +93,7 @@ class WorkFolder:
         """Artifacts whose bytes were not what their receipts promised."""
         self.ledger = self.root / "ledger.sqlite"
         """An index of runs and artifacts; can be deleted."""
-        self.seen_memo = self.root / "delivered.json"
+        self.delivered_memo = self.root / "delivered.json"
         """Digests of what cameras have delivered in earlier nights."""
         self.notified = self.root / "notified.json"
         """The state of the site that somebody was told of last."""

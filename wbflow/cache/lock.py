@@ -19,9 +19,9 @@ from typing import IO
 from .. import __version__
 from ..errors import ExitCode, UsageError, WbflowError
 from .atomic import clear
+from .checksum import Damaged, read_checksummed, write_checksummed
 from .layout import WorkFolder
-from .signed import Damaged, read_signed, write_signed
-from .untrusted import read_outside
+from .untrusted import read_untrusted
 
 
 class Locked(WbflowError):
@@ -72,7 +72,7 @@ def _held(path: Path, wait: bool) -> IO[str]:
 
 def _holder(path: Path) -> str:
     try:
-        who = json.loads(read_outside(path))
+        who = json.loads(read_untrusted(path))
         return f"process {who['pid']} on {who['host']} since {who['since']}"
     except (OSError, ValueError, KeyError):
         return "its process has not said who it is"
@@ -92,7 +92,7 @@ def claim(work: WorkFolder, site: str, file: Path) -> str | None:
     """
     mine = {"site": site, "file": str(file.resolve()), "format": FORMAT, "version": __version__}
     try:
-        owner = read_signed(work.owner, _OF) or {}
+        owner = read_checksummed(work.owner, _OF) or {}
     except Damaged:
         owner = {}
     if owner.get("format", FORMAT) > FORMAT:
@@ -103,7 +103,7 @@ def claim(work: WorkFolder, site: str, file: Path) -> str | None:
         remedy = f"name another work folder in the site file (work: FOLDER); after renaming a site, remove {work.owner}"
         raise UsageError(what, where=str(file), remedy=remedy)
     if owner != mine:
-        write_signed(work.owner, _OF, mine)
+        write_checksummed(work.owner, _OF, mine)
     other = owner.get("file", mine["file"])
     if other == mine["file"] or not Path(other).is_file():
         return None

@@ -19,9 +19,10 @@ from ..errors import WbflowError
 from ..task import Task
 from . import artifact
 from .atomic import clear, write_atomic
+from .checksum import Damaged, content_digest, read_checksummed, write_checksummed
 from .layout import WorkFolder
-from .signed import Damaged, content_digest, read_signed, stamp, write_signed
-from .untrusted import read_outside
+from .memo import stamp
+from .untrusted import read_untrusted
 
 
 class DamagedArtifact(WbflowError):
@@ -80,7 +81,7 @@ class Receipt:
     """ran, or rejected: then there is a reason, and no file."""
     preimage: Preimage
     digest: str
-    """Of the artifact's bytes (see `signed`)."""
+    """Of the artifact's bytes (see `checksum.content_digest`)."""
     parts: dict[str, str] = field(default_factory=dict)
     """Digests of what can be needed on its own (see `artifact.parts`)."""
     file: str | None = None
@@ -158,7 +159,7 @@ class Cache:
         """
         for _ in range(2):  # a second look, since somebody else may just have made it again
             try:
-                data = read_outside(path, most=sys.maxsize)
+                data = read_untrusted(path, most=sys.maxsize)
             except OSError:
                 data = b""
             if content_digest(data) == digest:
@@ -181,7 +182,7 @@ class Cache:
         if receipt is None or name not in receipt.drawings:
             return None
         try:
-            data = read_outside(self.work.drawing(task, key, name))
+            data = read_untrusted(self.work.drawing(task, key, name))
         except OSError:
             return None
         return data if content_digest(data) == receipt.drawings[name] else None
@@ -194,7 +195,7 @@ class Cache:
         if data is not None:
             write_atomic(self.path(receipt), data, fsync="file", ours=True)
         path = self.work.receipt(task, receipt.key)
-        write_signed(path, self.work.place(path), {**vars(receipt), "preimage": vars(receipt.preimage)})
+        write_checksummed(path, self.work.place(path), {**vars(receipt), "preimage": vars(receipt.preimage)})
 
     def tidy(self, tasks: Iterable[Task]) -> None:
         """Clear away what a worker that is gone has left half-written of some tasks."""
@@ -205,7 +206,7 @@ class Cache:
     def _receipt(self, task: Task | None, path: Path) -> Receipt | None:
         """None for one that is not there, or cannot be believed: then the damage is noted, and the task done again."""
         try:
-            if (fields := read_signed(path, self.work.place(path))) is None:
+            if (fields := read_checksummed(path, self.work.place(path))) is None:
                 return None
             preimage = fields["preimage"]
             preimage["subject"] = tuple(preimage["subject"])

@@ -36,9 +36,9 @@ class Unreadable(WbflowError, OSError):
     """What lies under a name cannot be read, or will not be; `what` says why, without the name."""
 
 
-def read_outside(path: Path | str, most: int = MOST_CAPTURE_BYTES) -> bytes:
+def read_untrusted(path: Path | str, most: int = MOST_CAPTURE_BYTES) -> bytes:
     """All bytes of a file.  Raises Unreadable where it is not there, no regular file, too large, or the disk fails."""
-    with os.fdopen(open_outside(path, most), "rb") as file:
+    with os.fdopen(open_untrusted(path, most), "rb") as file:
         try:
             size = os.fstat(file.fileno()).st_size
             data = file.read(size + 1)
@@ -49,8 +49,8 @@ def read_outside(path: Path | str, most: int = MOST_CAPTURE_BYTES) -> bytes:
     return data
 
 
-def open_outside(path: Path | str, most: int = MOST_CAPTURE_BYTES) -> int:
-    """A descriptor of a file, to be closed by the caller.  Raises Unreadable, as `read_outside` does."""
+def open_untrusted(path: Path | str, most: int = MOST_CAPTURE_BYTES) -> int:
+    """A descriptor of a file, to be closed by the caller.  Raises Unreadable, as `read_untrusted` does."""
     try:
         _check(os.stat(path), most)  # noqa: PTH116  (before it is opened: opening some devices does something)
         descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC | os.O_NOCTTY)
@@ -76,7 +76,7 @@ def is_folder(path: Path) -> bool:
     return os.path.isdir(path)  # noqa: PTH112
 
 
-def find_outside(pattern: str) -> Iterator[str]:
+def find_untrusted(pattern: str) -> Iterator[str]:
     """Names of what a pattern finds, as `glob` does (`*`, `?`, `[...]`, and `**` for folders in folders; nothing hidden), but
     through each folder once only, however many links lead to it.  Raises Unreadable beyond `MOST_ENTRIES` names."""
     parts = Path(pattern).parts

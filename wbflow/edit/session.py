@@ -13,9 +13,10 @@ from pydantic import Field
 
 from ..cache.artifact import read_ply
 from ..cache.atomic import write_atomic
+from ..cache.checksum import content_digest
 from ..cache.fingerprint import load
-from ..cache.signed import Digests, content_digest
-from ..cache.untrusted import MOST_TEXT_BYTES, is_file, read_outside
+from ..cache.memo import Digests
+from ..cache.untrusted import MOST_TEXT_BYTES, is_file, read_untrusted
 from ..errors import ExitCode, WbflowError
 from ..records.run_folder import NoSuchRun, RunFolder
 from ..site.cameras import local_frame
@@ -190,7 +191,7 @@ class Session:
         self._lock = threading.Lock()
         self._sizes: dict[str, tuple[int, int]] = {}
         """Width and height of the captures of cameras that were shown."""
-        self._masks = {camera.id: read_outside(camera.mask) for camera in site.cameras if camera.mask}
+        self._masks = {camera.id: read_untrusted(camera.mask) for camera in site.cameras if camera.mask}
         """As they were at first: areas are painted over these, however often they are saved."""
         self._painted: set[str] = set()
         """Cameras whose masks were written."""
@@ -223,7 +224,7 @@ class Session:
             raise Refused(words)
         file = usable[len(usable) // 2]
         try:
-            width, height, jpeg = load("wbflow_stages.marking:shown")(file.name, read_outside(file.path))
+            width, height, jpeg = load("wbflow_stages.marking:shown")(file.name, read_untrusted(file.path))
         except (ValueError, OSError) as error:
             raise Refused(str(error)) from None
         self._sizes[name] = width, height
@@ -279,7 +280,7 @@ class Session:
 
     def _edited(self, marks: Marks, masks: dict[str, str]) -> tuple[bytes, Site]:
         """The bytes of the site file with what is drawn, and what it says.  Raises Refused."""
-        raw = read_outside(self.site.file, MOST_TEXT_BYTES)
+        raw = read_untrusted(self.site.file, MOST_TEXT_BYTES)
         before, mark = raw.decode("utf-8-sig"), BOM_UTF8 if raw.startswith(BOM_UTF8) else b""
         ends = "\r\n" if "\r\n" in before else "\n"
         try:
@@ -309,7 +310,7 @@ class Session:
 
     def _digests(self) -> dict[Path, str]:
         files = [self.site.file, *(camera.mask for camera in self.site.cameras if camera.mask)]
-        return {file: content_digest(read_outside(file)) if is_file(file) else "" for file in files}
+        return {file: content_digest(read_untrusted(file)) if is_file(file) else "" for file in files}
 
 
 def _with_marks(text: str, site: Site, marks: Marks, masks: Mapping[str, str]) -> str:

@@ -17,7 +17,7 @@ from typing import Any
 import yaml
 
 from ..cache.atomic import write_atomic
-from ..cache.untrusted import MOST_TEXT_BYTES, read_outside
+from ..cache.untrusted import MOST_TEXT_BYTES, read_untrusted
 from ..errors import UsageError
 from ..pipeline.summaries import Change, ChangesSummary
 from ..plain import Plain
@@ -72,7 +72,7 @@ def read(site: Site) -> tuple[Acknowledgement, ...]:
     if not path.exists():
         return ()
     try:
-        data: Any = yaml.safe_load(read_outside(path, MOST_TEXT_BYTES))
+        data: Any = yaml.safe_load(read_untrusted(path, MOST_TEXT_BYTES))
         return tuple(Acknowledgement.from_json(entry) for entry in data or ())
     except (OSError, ValueError, TypeError, yaml.YAMLError):
         remedy = "correct it, or remove it and acknowledge again: wbflow acknowledge SITE.yaml FINDING"

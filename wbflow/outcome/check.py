@@ -13,7 +13,7 @@ from typing import Literal
 from ..cache.atomic import free_bytes
 from ..cache.fingerprint import load
 from ..cache.layout import WorkFolder
-from ..cache.untrusted import read_outside
+from ..cache.untrusted import read_untrusted
 from ..errors import ExitCode, printable
 from ..pipeline.stages import SITE_TYPES
 from ..records.run_folder import NoSuchRun, RunFolder
@@ -103,7 +103,7 @@ def _look_at(file: CaptureFile) -> tuple[tuple[int, int], str | None]:
     if not file.digest:
         return (0, 0), f"{file.name} {file.fault}"
     try:
-        capture = load(SITE_TYPES["captures"])(file.name, np.frombuffer(read_outside(file.path), dtype=np.uint8))
+        capture = load(SITE_TYPES["captures"])(file.name, np.frombuffer(read_untrusted(file.path), dtype=np.uint8))
         image = load("wbflow_stages.capture.video:one_picture")(capture)
     except (ValueError, OSError) as error:
         return (0, 0), str(error)

@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from ..cache.artifact import result_bytes, result_of, suffix_of
+from ..cache.checksum import content_digest
 from ..cache.fingerprint import load, offer
-from ..cache.signed import content_digest
 from ..cache.store import Cache
 from ..errors import UsageError
 from ..pipeline.stages import DENSE_PAIRS, FUSE, PAIRS, REJECTED, stage_named

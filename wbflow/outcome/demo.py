@@ -14,9 +14,7 @@ from ..errors import UsageError
 
 MANIFEST = "demo.json"
 
-
 EDITABLE = ("site.yaml", "cameras.json")
-
 
 _ELSEWHERE = "name a new or an empty folder"
 

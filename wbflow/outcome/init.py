@@ -12,7 +12,7 @@ from pathlib import Path
 
 from ..cache.atomic import write_atomic
 from ..cache.fingerprint import load
-from ..cache.untrusted import Unreadable, read_outside
+from ..cache.untrusted import Unreadable, read_untrusted
 from ..errors import UsageError
 from ..site.locations import is_name
 from ..site.models import Site
@@ -134,7 +134,7 @@ def write_calibration(
         raise UsageError(f"{camera!r} is not a camera id", remedy="use letters, digits, '_', '.', '-'")
     files = sorted(file for file in pictures.iterdir() if file.is_file()) if pictures.is_dir() else [pictures]
     try:
-        data = {file.name: read_outside(file, MOST_BYTES) for file in files}
+        data = {file.name: read_untrusted(file, MOST_BYTES) for file in files}
     except Unreadable as error:
         raise UsageError(f"{pictures}: {error.what}", remedy="name a folder of photographs, or a video") from None
     try:

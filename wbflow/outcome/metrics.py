@@ -8,7 +8,6 @@ from ..records.record import RunRecord, moment
 
 Labels = dict[str, str]
 
-
 Rows = list[tuple[Labels, float]]
 
 

@@ -16,8 +16,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
+from ..cache.checksum import Damaged, read_checksummed, write_checksummed
 from ..cache.layout import RunPaths, WorkFolder
-from ..cache.signed import Damaged, read_signed, write_signed
 from ..errors import WbflowError
 from ..plain import Plain
 from ..records.findings import Verdict
@@ -80,7 +80,7 @@ def notify(how: Notify, folder: Path, run: Run) -> Occasion | None:
         lasted = lasting(_seconds(state.bad_since, now)) if occasion in {"recovered", "reminder"} else ""
         _call(how, folder, _message(occasion, lasted, run.place.paths, record))
     if state != last:
-        write_signed(work.notified, _OF, state.to_json())
+        write_checksummed(work.notified, _OF, state.to_json())
     return occasion
 
 
@@ -99,7 +99,7 @@ def _next(last: _Reported, state: tuple[str, ...], now: str, how: Notify) -> _Re
 
 def _last(work: WorkFolder) -> _Reported:
     try:
-        return _Reported.from_json(read_signed(work.notified, _OF) or {})
+        return _Reported.from_json(read_checksummed(work.notified, _OF) or {})
     except (Damaged, ValueError):  # nobody knows what was reported: what is wrong is reported once more
         return _Reported()
 

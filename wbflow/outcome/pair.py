@@ -17,7 +17,6 @@ from .finished_run import Run
 
 PAIR = ("left", "right")
 
-
 LAST_STAGE = DISPARITY
 """Where a run of a pair ends."""
 

@@ -15,8 +15,8 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
+from ..cache.checksum import content_digest
 from ..cache.fingerprint import FunctionError
-from ..cache.signed import content_digest
 from .functions import FunctionInfo, FunctionReader, Parameter, Signature
 from .stages import COMPONENT, FUSE, Source, Stage
 

@@ -23,7 +23,7 @@ from typing import Any
 from pydantic import ConfigDict, TypeAdapter, ValidationError
 
 from ..cache.fingerprint import Code, FunctionError, Modules, assigned, origin_of, read_code
-from ..cache.signed import Memo, stamp
+from ..cache.memo import Memo, stamp
 
 _FORM = f"3, Python {sys.version_info.major}.{sys.version_info.minor}"
 """Of the memo; another one is not read."""

@@ -17,10 +17,10 @@ from pathlib import Path
 from typing import Any
 
 from ..cache.atomic import clear, copy_atomic, write_atomic
+from ..cache.checksum import Damaged, file_digest, read_checksummed, with_checksum
 from ..cache.layout import WorkFolder
-from ..cache.signed import Damaged, file_digest, read_signed, signed
 from ..cache.store import Cache, Receipt
-from ..cache.untrusted import Unreadable, read_outside
+from ..cache.untrusted import Unreadable, read_untrusted
 from ..errors import WbflowError
 from ..task import Task
 
@@ -105,7 +105,7 @@ def read_reference(work: WorkFolder) -> Reference | None:
 
 def _read(path: Path) -> Reference | None:
     try:
-        data = read_signed(path, _OF)
+        data = read_checksummed(path, _OF)
         return Reference.from_json(data) if data else None
     except Damaged as damage:
         raise BadReference(damage.what, remedy=_ANEW) from None
@@ -130,9 +130,9 @@ def mend_record(work: WorkFolder) -> str | None:
         for path in (record, twin):
             clear(path)
         return f"{fault}, and so is its twin: the next good night becomes the reference" if fault else None
-    other, data = (twin if whole is record else record), read_outside(whole)
+    other, data = (twin if whole is record else record), read_untrusted(whole)
     with contextlib.suppress(Unreadable):
-        if read_outside(other) == data:
+        if read_untrusted(other) == data:
             return None
     fault = fault or f"{other} is {'not as it was' if os.path.lexists(other) else 'gone'}"
     clear(other)
@@ -152,7 +152,7 @@ def write_reference(cache: Cache, reference: Reference, receipts: Iterable[Recei
             copy_atomic(path, work.pinned(path), fsync="none")
             kept.add(work.pinned(path))
     os.sync()  # all of them at once: the record is the last to be there
-    data = signed(_OF, reference.to_json(), in_lines=True)
+    data = with_checksum(_OF, reference.to_json(), in_lines=True)
     for path in (work.reference_twin, work.reference_record):
         write_atomic(path, data, ours=True)
     if anew:
@@ -209,7 +209,7 @@ def put_back(work: WorkFolder, pinned: PinnedArtifact) -> bool:
     copies = sorted(work.pinned(receipt).parent.glob(f"{pinned.key}.*"), key=lambda p: p.suffix == receipt.suffix)
     artifacts = [copy for copy in copies if copy.suffix != receipt.suffix]
     try:
-        whole = read_signed(work.pinned(receipt), work.place(receipt)) is not None
+        whole = read_checksummed(work.pinned(receipt), work.place(receipt)) is not None
     except Damaged:
         whole = False
     if not whole or (pinned.digest and [_digest(copy) for copy in artifacts if copy.is_file()] != [pinned.digest]):

@@ -16,10 +16,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..cache.atomic import sync_folder, write_atomic
+from ..cache.checksum import NoChecksum, checked, with_checksum
 from ..cache.layout import RunPaths, WorkFolder, run_id, started_by
 from ..cache.lock import hold
-from ..cache.signed import Unsigned, signed, unsigned
-from ..cache.untrusted import open_outside, read_outside
+from ..cache.untrusted import open_untrusted, read_untrusted
 from ..errors import ExitCode, WbflowError
 from ..task import Task
 from .events import Event, TaskEvent, event_from_json, event_to_json
@@ -35,7 +35,7 @@ _NIGHT = re.compile(r"\d{4}-\d{2}-\d{2}")
 def _link(path: Path, earlier: Path | None, data: bytes) -> bool:
     """Give a file a second name where it holds these bytes, and the file system can."""
     try:
-        if earlier is None or earlier.stat().st_size != len(data) or read_outside(earlier, most=sys.maxsize) != data:
+        if earlier is None or earlier.stat().st_size != len(data) or read_untrusted(earlier, most=sys.maxsize) != data:
             return False
         path.parent.mkdir(parents=True, exist_ok=True)
         path.hardlink_to(earlier)
@@ -113,7 +113,7 @@ class RunFolder:
     def events(self) -> list[Event]:
         """What happened, in order.  Raises NoSuchRun for a log that cannot be read."""
         try:
-            lines = [json.loads(line) for line in read_outside(self.paths.log).splitlines()]
+            lines = [json.loads(line) for line in read_untrusted(self.paths.log).splitlines()]
             return [event for event in map(event_from_json, lines) if event]
         except (OSError, ValueError, KeyError, TypeError) as error:
             raise NoSuchRun(f"{self.paths.log} cannot be read: {type(error).__name__}: {error}") from None
@@ -130,7 +130,7 @@ class RunFolder:
         try:
             if not os.path.lexists(self.paths.cameras):
                 return {}
-            found: dict[str, Any] = json.loads(read_outside(self.paths.cameras))
+            found: dict[str, Any] = json.loads(read_untrusted(self.paths.cameras))
         except (OSError, ValueError) as error:
             raise NoSuchRun(f"{self.paths.cameras} cannot be read: {error}") from None
         return found
@@ -155,7 +155,7 @@ class RunFolder:
 
     def add(self, event: Event) -> None:
         """Add to the log of a finished run what has happened after it."""
-        write_atomic(self.paths.log, read_outside(self.paths.log) + log_of([event]))
+        write_atomic(self.paths.log, read_untrusted(self.paths.log) + log_of([event]))
 
     def write_report(self, page: str) -> Path:
         """Put a report in the place of the one that is there."""
@@ -201,7 +201,7 @@ class UnfinishedRun:
         """
         write_atomic(self.paths.report, report.encode(errors="backslashreplace"))
         write_atomic(self.paths.log, log_of(events))
-        write_atomic(self.paths.record, signed(_OF, record.to_json(), in_lines=True))
+        write_atomic(self.paths.record, with_checksum(_OF, record.to_json(), in_lines=True))
         write_atomic(self.paths.metrics, metrics.encode(errors="backslashreplace"))
         final = self.work.run(self.name)
         self.paths.folder.rename(final.folder)
@@ -302,14 +302,14 @@ def new_run(work: WorkFolder) -> tuple[str, datetime.datetime]:
 @functools.lru_cache(maxsize=32)
 def _read(path: Path, stamp: tuple[int, int, int]) -> RunRecord:
     """Return a record; verdict, health and report look at the same earlier nights, and read each once."""
-    return RunRecord.from_json(_entries(read_outside(path)))
+    return RunRecord.from_json(_entries(read_untrusted(path)))
 
 
 def _entries(data: bytes) -> dict[str, Any]:
     """Return what run.json holds; that of an earlier version carries no checksum.  Raises ValueError, AttributeError."""
     try:
-        return unsigned(data, _OF)
-    except Unsigned:
+        return checked(data, _OF)
+    except NoChecksum:
         found: dict[str, Any] = json.loads(data)
         if found.get("of") == _OF:
             raise
@@ -318,7 +318,7 @@ def _entries(data: bytes) -> dict[str, Any]:
 
 def _sha256(path: Path) -> str | None:
     try:
-        with os.fdopen(open_outside(path, most=sys.maxsize), "rb") as file:
+        with os.fdopen(open_untrusted(path, most=sys.maxsize), "rb") as file:
             return hashlib.file_digest(file, "sha256").hexdigest()
     except OSError:
         return None

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from ..cache.fingerprint import load
-from ..cache.untrusted import read_outside
+from ..cache.untrusted import read_untrusted
 from ..pipeline.stages import FRAMES, FUSE, STAGES, stage_named
 from ..records.run_folder import NoSuchRun, RunFolder
 from ..site.calibration.calibrated import product
@@ -134,7 +134,7 @@ class Pictures:
     def of_product(self, name: str, alt: str) -> Picture | None:
         """Return a picture that the run publishes."""
         path = self.data.files / name
-        return self._of(path, alt, lambda: read_outside(path), link=name)
+        return self._of(path, alt, lambda: read_untrusted(path), link=name)
 
     def _of_result(self, task: Task, key: str, alt: str) -> Picture | None:
         path, cache = self.data.work.drawing(task, key, "picture"), self.data.cache

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from ..cache.layout import WorkFolder
 from ..cache.store import Cache
-from ..cache.untrusted import MOST_TEXT_BYTES, read_outside
+from ..cache.untrusted import MOST_TEXT_BYTES, read_untrusted
 from ..errors import WbflowError
 from ..outcome.history import Entry, history
 from ..pipeline.stages import FUSE
@@ -69,7 +69,7 @@ def sites_page(places: Sequence[Path], out: Path) -> str:
 def _describes_site(file: Path) -> bool:
     """Return whether a YAML file describes a site, valid or not."""
     try:
-        text = read_outside(file, MOST_TEXT_BYTES).decode(errors="replace")
+        text = read_untrusted(file, MOST_TEXT_BYTES).decode(errors="replace")
     except OSError:
         return False
     return re.search(r"""^[{\s]*["']?site["']?\s*:""", text, re.MULTILINE) is not None

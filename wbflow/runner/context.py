@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from ..cache.layout import WorkFolder
-from ..cache.signed import Digests, Seen
+from ..cache.memo import Digests, EarlierCaptures
 from ..cache.store import Cache
 from ..records.reference_folder import BadReference, Reference, read_reference
 from ..site.captures import as_now, expected, find_captures, find_named, in_motion, look_again, night, when_complete
@@ -24,7 +24,7 @@ class RunContext:
     date: datetime.date
     digests: Digests
     """To be saved by a run."""
-    seen: Seen
+    earlier_captures: EarlierCaptures
     """To be saved by a run that comes to its end."""
     notes: dict[str, str]
     """Remarks about the captures of a camera."""
@@ -63,11 +63,11 @@ class RunContext:
 def plan_run(site: Site, options: Options) -> RunContext:
     """Find a night's captures and plan its work; nothing is written."""
     work = site.work_folder
-    digests, seen = Digests(work.captures_memo), Seen(work.seen_memo)
+    digests, earlier_captures = Digests(work.captures_memo), EarlierCaptures(work.delivered_memo)
     look_again(site)
     found_date = night(site, options.date)
     found, growing = when_complete(find_captures(site, found_date, digests), digests)
-    delivered = look_at(site, found_date, found, digests, seen)
+    delivered = look_at(site, found_date, found, digests, earlier_captures)
     lost = [camera for camera in site.cameras if not delivered.captures[camera.id]]
     named = {camera.id: expected(site, camera, found_date).replace(f"{site.captures.root}/", "") for camera in lost}
     reference, misfit = _reference(site, work)
@@ -85,7 +85,7 @@ def plan_run(site: Site, options: Options) -> RunContext:
         stale=delivered.stale,
         night_given=options.date is not None,
     )
-    return RunContext(found_date, digests, seen, delivered.notes, plan, growing=growing)
+    return RunContext(found_date, digests, earlier_captures, delivered.notes, plan, growing=growing)
 
 
 def _reference(site: Site, work: WorkFolder) -> tuple[Reference | None, str]:

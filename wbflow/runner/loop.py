@@ -40,7 +40,7 @@ def work(context: RunContext, options: Options, journal: Journal) -> dict[Task, 
         dispatcher.stop()
         journal.report(context.plan)
         try:
-            for memo in (context.digests, context.seen, context.plan.site.reader):
+            for memo in (context.digests, context.earlier_captures, context.plan.site.reader):
                 memo.save()
         except OSError as error:  # costs time only
             journal.warn(f"what was learnt of captures and functions could not be kept: {error}")

@@ -8,7 +8,7 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Any, Literal, TypeVar
 
-from ..cache.signed import content_digest
+from ..cache.checksum import content_digest
 from ..cache.store import Preimage, Receipt
 from ..pipeline.stages import SITE_TYPES, Source, Stage
 from ..pipeline.summaries import Summary

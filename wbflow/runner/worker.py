@@ -20,10 +20,11 @@ from typing import Any, TextIO
 
 from ..cache.artifact import kept, result_of
 from ..cache.atomic import FULL, REMEDY
+from ..cache.checksum import content_digest
 from ..cache.fingerprint import load, offer
-from ..cache.signed import ChangedFile, content_digest
+from ..cache.memo import ChangedFile
 from ..cache.store import Cache, Damage, DamagedArtifact, Preimage, Receipt
-from ..cache.untrusted import read_outside
+from ..cache.untrusted import read_untrusted
 from ..errors import LONGEST_TRACE, printable
 from ..pipeline.stages import REJECTED
 from ..task import Task
@@ -276,7 +277,7 @@ def _from_plain(value: Value) -> Any:
 def _capture(kind: str, file: Any) -> Any:
     import numpy as np
 
-    data = read_outside(file.path)
+    data = read_untrusted(file.path)
     if content_digest(data) != file.digest:  # else what is made of it would be kept as made of something else
         raise ChangedFile(file.path)
     return load(kind)(name=file.name, data=np.frombuffer(data, dtype=np.uint8))

@@ -15,8 +15,8 @@ from pathlib import Path
 from queue import Empty, SimpleQueue
 from typing import Generic, TypeVar
 
-from ..cache.signed import Digests
-from ..cache.untrusted import find_outside
+from ..cache.memo import Digests
+from ..cache.untrusted import find_untrusted
 from ..errors import UsageError, WbflowError, printable
 from .models import Camera, Site
 
@@ -57,7 +57,7 @@ class Pattern:
     def files(self, camera: str, date: datetime.date) -> list[Path]:
         """A camera's captures of a night, in the order of their times, where their names say them, else of their names."""
         moment = self._reader(camera)
-        found = [path for path in map(Path, find_outside(self._wild(camera, date))) if not path.is_dir()]
+        found = [path for path in map(Path, find_untrusted(self._wild(camera, date))) if not path.is_dir()]
         return sorted(found, key=lambda path: (moment(str(path)) or datetime.datetime.min, path))
 
     def moment(self, camera: str, path: Path) -> datetime.datetime | None:
@@ -67,7 +67,7 @@ class Pattern:
     def dates(self, camera: str) -> Iterator[datetime.date]:
         """Every night for which a camera has a file, as often as it has one."""
         moment = self._reader(camera)
-        for name in find_outside(self._wild(camera)):
+        for name in find_untrusted(self._wild(camera)):
             if found := moment(name):
                 yield found.date()
 
@@ -78,7 +78,7 @@ class Pattern:
         wild = self._in_root(self._filled(None).replace("{camera}", "*"))
         first, *rest = self._expression("\0").split("\0")
         expression = re.compile(first + "(?P<camera>[^/]+?)" + "(?P=camera)".join(rest))
-        found = (expression.fullmatch(name) for name in find_outside(wild))
+        found = (expression.fullmatch(name) for name in find_untrusted(wild))
         return {match["camera"] for match in found if match}
 
     def expected(self, camera: str, date: datetime.date) -> str:

@@ -14,7 +14,7 @@ import yaml
 from yaml.constructor import ConstructorError
 from yaml.events import CollectionEndEvent, CollectionStartEvent
 
-from ..cache.untrusted import MOST_TEXT_BYTES, Unreadable, read_outside
+from ..cache.untrusted import MOST_TEXT_BYTES, Unreadable, read_untrusted
 from ..errors import LONGEST, ExitCode, WbflowError, printable
 
 try:
@@ -174,7 +174,7 @@ def similar(path: Path) -> str:
 def read_text(path: Path) -> str:
     """The text of a file from outside.  Raises SiteError where it cannot be read, or is not UTF-8."""
     try:
-        return read_outside(path, MOST_TEXT_BYTES).decode("utf-8-sig")
+        return read_untrusted(path, MOST_TEXT_BYTES).decode("utf-8-sig")
     except Unreadable as error:
         raise SiteError([SiteProblem(path, 0, 0, "", error.what, "give the path of a site file")]) from None
     except UnicodeDecodeError as error:

@@ -10,7 +10,8 @@ import datetime
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 
-from ..cache.signed import Digests, Seen, content_digest
+from ..cache.checksum import content_digest
+from ..cache.memo import Digests, EarlierCaptures
 from ..pipeline.summaries import FrameSummary
 from ..records.findings import Health
 from .captures import CaptureFile, captures_of
@@ -41,7 +42,7 @@ class Delivered:
 
 
 def look_at(
-    site: Site, date: datetime.date, captures: Mapping[str, list[CaptureFile]], digests: Digests, seen: Seen
+    site: Site, date: datetime.date, captures: Mapping[str, list[CaptureFile]], digests: Digests, seen: EarlierCaptures
 ) -> Delivered:
     """Leave out captures that come again, and name cameras that deliver nothing else.
 
@@ -51,7 +52,7 @@ def look_at(
         Whose captures, and of which night.
     captures : mapping
         All files of the night, by camera.
-    digests, seen : Digests, Seen
+    digests, seen : Digests, EarlierCaptures
         To look at the files of the night before; what cameras have delivered before: tonight is noted there.
     """
     delivered = Delivered({camera: list(files) for camera, files in captures.items()})
@@ -71,7 +72,7 @@ def look_at(
     return delivered
 
 
-def _earlier(site: Site, camera: Camera, date: datetime.date, digests: Digests, seen: Seen) -> dict[str, str]:
+def _earlier(site: Site, camera: Camera, date: datetime.date, digests: Digests, seen: EarlierCaptures) -> dict[str, str]:
     """Digests of what a camera delivered in earlier nights, with the night: as remembered, and as far as it lies there still."""
     if camera.images is not None:  # the site file names them: they are what is meant
         return {}

@@ -9,14 +9,14 @@ from pathlib import Path
 import pytest
 
 from tests.helpers.toy_site import ToySite
-from wbflow.cache.untrusted import Unreadable, find_outside, read_outside
+from wbflow.cache.untrusted import Unreadable, find_untrusted, read_untrusted
 from wbflow.errors import printable
 
 
 def test_a_file_is_read_whole(tmp_path: Path) -> None:
     (tmp_path / "a").write_bytes(b"abc")
     (tmp_path / "link").symlink_to("a")
-    assert read_outside(tmp_path / "a") == read_outside(tmp_path / "link") == b"abc"
+    assert read_untrusted(tmp_path / "a") == read_untrusted(tmp_path / "link") == b"abc"
 
 
 def test_what_is_no_file_is_named_and_nobody_waits_for_it(tmp_path: Path) -> None:
@@ -31,14 +31,14 @@ def test_what_is_no_file_is_named_and_nobody_waits_for_it(tmp_path: Path) -> Non
         ("gone", "No such"),
     ):
         with pytest.raises(Unreadable, match=message):
-            read_outside(tmp_path / name)
+            read_untrusted(tmp_path / name)
 
 
 def test_a_file_that_is_too_large_is_not_read(tmp_path: Path) -> None:
     (tmp_path / "sparse").touch()
     os.truncate(tmp_path / "sparse", 20_000_000_000)
     with pytest.raises(Unreadable, match="20,000,000,000 bytes, 1,000,000,000 are the most"):
-        read_outside(tmp_path / "sparse")
+        read_untrusted(tmp_path / "sparse")
 
 
 @pytest.mark.parametrize(
@@ -49,7 +49,7 @@ def test_a_search_finds_what_glob_finds(tmp_path: Path, pattern: str) -> None:
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / name).touch()
     known = {Path(name) for name in glob.glob(str(tmp_path / pattern), recursive=True)}
-    assert set(map(Path, find_outside(str(tmp_path / pattern)))) == known
+    assert set(map(Path, find_untrusted(str(tmp_path / pattern)))) == known
 
 
 def test_links_that_lead_back_are_followed_once(tmp_path: Path) -> None:
@@ -57,7 +57,7 @@ def test_links_that_lead_back_are_followed_once(tmp_path: Path) -> None:
     (tmp_path / "a" / "x.jpg").touch()
     for name in ("here", "again", "a/up"):
         (tmp_path / name).symlink_to(tmp_path)
-    assert list(find_outside(f"{tmp_path}/**/*.jpg")) == [f"{tmp_path}/a/x.jpg"]
+    assert list(find_untrusted(f"{tmp_path}/**/*.jpg")) == [f"{tmp_path}/a/x.jpg"]
 
 
 def test_words_from_outside_are_fit_for_a_screen() -> None:

@@ -16,7 +16,7 @@ import pytest
 from tests.helpers.images import read_image
 from tests.helpers.synthetic_site import small_yard
 from wbflow.cache.artifact import read_ply
-from wbflow.cache.signed import Digests
+from wbflow.cache.memo import Digests
 from wbflow.errors import UsageError
 from wbflow.outcome.demo import write_demo
 from wbflow.site.captures import find_captures, night

@@ -11,7 +11,7 @@ import pytest
 from click.testing import CliRunner, Result
 
 from tests.helpers.images import with_exif
-from wbflow.cache.signed import Digests
+from wbflow.cache.memo import Digests
 from wbflow.cli.main import main
 from wbflow.site.captures import find_captures, night
 from wbflow.site.load import load_site

@@ -13,8 +13,8 @@ import pytest
 
 from tests.helpers.toy_site import ToySite
 from tests.wbflow.outcome.test_verdict import NAMES, PAIRS, camera, lost, night, pair, without
+from wbflow.cache.checksum import read_checksummed, write_checksummed
 from wbflow.cache.layout import WorkFolder
-from wbflow.cache.signed import read_signed, write_signed
 from wbflow.cache.store import Cache
 from wbflow.outcome.finished_run import Run
 from wbflow.outcome.metrics import metrics
@@ -156,8 +156,8 @@ def test_a_reminder_is_of_the_present_state_but_recovery_of_all_of_them(tmp_path
 def test_a_state_that_an_older_version_has_reported_lasts_from_now_on(tmp_path: Path) -> None:
     site = Site(tmp_path, remind=["1h"])
     site.tell(down("roof"))
-    known = read_signed(site.work.notified, "notified") or {}
-    write_signed(site.work.notified, "notified", {"state": known["state"]})
+    known = read_checksummed(site.work.notified, "notified") or {}
+    write_checksummed(site.work.notified, "notified", {"state": known["state"]})
     assert [site.tell(later(down("roof"), hours)) for hours in (30, 30.5, 31)] == [None, None, "reminder"]
 
 

@@ -16,7 +16,7 @@ from typing import Any
 import pytest
 
 from tests.helpers.toy_site import HELPERS, ToySite
-from wbflow.cache import atomic, signed
+from wbflow.cache import atomic, checksum
 from wbflow.cache import store as cache
 from wbflow.cache.layout import WorkFolder
 from wbflow.cache.store import Cache
@@ -274,7 +274,7 @@ def test_pooling_in_any_order_of_nights_twice_or_after_a_kill_makes_the_same_ref
         shutil.rmtree(Path(work.receipt(task, new.artifacts[task].key)).parent)
     for date in (THIRD, SECOND, THIRD, FIRST):
         toy.run("--date", date)
-    functions = {(cache, "write_atomic"): atomic.write_atomic, (cache, "write_signed"): signed.write_signed}
+    functions = {(cache, "write_atomic"): atomic.write_atomic, (cache, "write_checksummed"): checksum.write_checksummed}
     functions |= {(reference, "copy_atomic"): atomic.copy_atomic, (reference, "write_atomic"): atomic.write_atomic}
     for last in (1, 2, 4, 6, 7, 30, 1000):  # the last is never reached
         steps = iter(range(1000))

@@ -13,7 +13,7 @@ import pytest
 
 from tests.helpers.toy_site import ToySite
 from wbflow import api
-from wbflow.cache.signed import Digests
+from wbflow.cache.memo import Digests
 from wbflow.errors import WbflowError
 from wbflow.runner.spec import Cause
 from wbflow.site import captures

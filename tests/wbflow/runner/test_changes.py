@@ -9,7 +9,8 @@ from typing import Any
 import pytest
 
 from tests.helpers.toy_site import HELPERS, ToySite
-from wbflow.cache.signed import Digests, file_digest
+from wbflow.cache.checksum import file_digest
+from wbflow.cache.memo import Digests
 from wbflow.runner import loop
 from wbflow.site import captures
 

@@ -166,7 +166,7 @@ def test_an_artifact_that_is_gone_is_made_again_and_named(toy: ToySite) -> None:
 @pytest.fixture
 def settled(monkeypatch: pytest.MonkeyPatch) -> None:
     """Files count as settled from the moment that they are written."""
-    monkeypatch.setattr("wbflow.cache.signed._SETTLED_NS", -(10**18))
+    monkeypatch.setattr("wbflow.cache.memo._SETTLED_NS", -(10**18))
 
 
 def test_published_files_carry_digests_that_check_compares(toy: ToySite) -> None:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from wbflow.cache.signed import Digests
+from wbflow.cache.memo import Digests
 from wbflow.errors import UsageError
 from wbflow.site.captures import backlog, find_captures, in_motion, night
 from wbflow.site.load import load_site
@@ -125,8 +125,8 @@ def test_what_was_remembered_of_a_replaced_file_is_not_believed(tmp_path: Path) 
 
 
 def test_the_memo_does_not_grow_for_ever(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("wbflow.cache.signed._SETTLED_NS", -(10**18))
-    monkeypatch.setattr("wbflow.cache.signed._FORMER", 5)
+    monkeypatch.setattr("wbflow.cache.memo._SETTLED_NS", -(10**18))
+    monkeypatch.setattr("wbflow.cache.memo._FORMER", 5)
     for day in range(20):
         file = tmp_path / f"{day}.jpg"
         file.write_text(str(day))

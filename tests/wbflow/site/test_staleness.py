@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from tests.helpers.toy_site import HELPERS, ToySite
-from wbflow.cache.signed import Digests, Seen
+from wbflow.cache.memo import Digests, EarlierCaptures
 from wbflow.pipeline.summaries import FrameSummary
 from wbflow.site.captures import find_captures
 from wbflow.site.load import load_site
@@ -35,7 +35,7 @@ def a_site(folder: Path, pattern: str = PATTERN) -> Site:
     return load_site(folder)
 
 
-def looked_at(site: Site, night: datetime.date, seen: Seen) -> Delivered:
+def looked_at(site: Site, night: datetime.date, seen: EarlierCaptures) -> Delivered:
     digests = Digests(None)
     return look_at(site, night, find_captures(site, night, digests), digests, seen)
 
@@ -44,14 +44,14 @@ def test_what_comes_again_the_next_night_is_frozen_even_where_nothing_was_rememb
     site, folder = a_site(tmp_path), tmp_path / "in"
     deliver(folder, NIGHT - DAY, gate=["140000", "140100=last"], roof=["140000"], mast=["140000"])
     deliver(folder, NIGHT, gate=["140000=last", "140100=last"], roof=["140000"], mast=["140000"])
-    found = looked_at(site, NIGHT, Seen(tmp_path / "memo"))
+    found = looked_at(site, NIGHT, EarlierCaptures(tmp_path / "memo"))
     assert found.stale.keys() == {"gate"}
     assert "2026-11-18" in found.stale["gate"].text
     assert len(found.captures["gate"]) == 1, "the same picture counts once"
 
 
 def test_what_is_remembered_is_enough_and_later_nights_do_not_count(tmp_path: Path) -> None:
-    site, folder, seen = a_site(tmp_path), tmp_path / "in", Seen(tmp_path / "memo")
+    site, folder, seen = a_site(tmp_path), tmp_path / "in", EarlierCaptures(tmp_path / "memo")
     everyone = {"roof": ["140000"], "mast": ["140000"]}
     deliver(folder, NIGHT - 2 * DAY, gate=["140000=frozen"], **everyone)
     looked_at(site, NIGHT - 2 * DAY, seen)
@@ -59,7 +59,7 @@ def test_what_is_remembered_is_enough_and_later_nights_do_not_count(tmp_path: Pa
     deliver(folder, NIGHT, gate=["140000=frozen"], **everyone)
     assert looked_at(site, NIGHT, seen).stale.keys() == {"gate"}
     seen.save()
-    assert looked_at(site, NIGHT, Seen(tmp_path / "memo")).stale.keys() == {"gate"}
+    assert looked_at(site, NIGHT, EarlierCaptures(tmp_path / "memo")).stale.keys() == {"gate"}
     deliver(folder, NIGHT - 3 * DAY, gate=["140000=frozen"], **everyone)
     assert not looked_at(site, NIGHT - 3 * DAY, seen).stale
 
@@ -67,7 +67,7 @@ def test_what_is_remembered_is_enough_and_later_nights_do_not_count(tmp_path: Pa
 def test_repeated_captures_count_once_and_only_nothing_else_is_stale(tmp_path: Path) -> None:
     site, folder = a_site(tmp_path), tmp_path / "in"
     deliver(folder, NIGHT, gate=["140000=a", "140100=a", "140200=b"], roof=["140000=r", "140100=r"], mast=["140000"])
-    found = looked_at(site, NIGHT, Seen(tmp_path / "memo"))
+    found = looked_at(site, NIGHT, EarlierCaptures(tmp_path / "memo"))
     assert [file.path.name[-10:] for file in found.captures["gate"]] == ["140000.jpg", "140200.jpg"]
     assert "1 of 3" in found.notes["gate"]
     assert found.stale.keys() == {"roof"}
@@ -80,7 +80,7 @@ def test_empty_files_are_no_frozen_picture(tmp_path: Path) -> None:
         deliver(folder, date, gate=["140000", "140100"], roof=["140000"], mast=["140000"])
         for file in folder.rglob(f"gate/{date}_*"):
             file.write_bytes(b"")
-    found = looked_at(site, NIGHT, Seen(tmp_path / "memo"))
+    found = looked_at(site, NIGHT, EarlierCaptures(tmp_path / "memo"))
     assert not found.stale
     assert len(found.captures["gate"]) == 2, "whoever reads them says that they are empty"
 
@@ -88,15 +88,15 @@ def test_empty_files_are_no_frozen_picture(tmp_path: Path) -> None:
 def test_a_clock_that_is_hours_off_is_named_whatever_midnight_does(tmp_path: Path) -> None:
     site, folder = a_site(tmp_path), tmp_path / "in"
     deliver(folder, NIGHT, gate=["235800"], roof=["000300"], mast=["235900"])
-    assert not looked_at(site, NIGHT, Seen(tmp_path / "memo")).stale
+    assert not looked_at(site, NIGHT, EarlierCaptures(tmp_path / "memo")).stale
     deliver(folder, NIGHT + DAY, gate=["040000"], roof=["235000"], mast=["235900"])
-    found = looked_at(site, NIGHT + DAY, Seen(tmp_path / "memo"))
+    found = looked_at(site, NIGHT + DAY, EarlierCaptures(tmp_path / "memo"))
     assert found.stale.keys() == {"gate"}
     assert found.stale["gate"].figures["hours_off"] == pytest.approx(4.1, abs=0.1)
 
 
 def test_names_without_a_date_are_stale_only_where_others_are_new(tmp_path: Path) -> None:
-    site, folder, seen = a_site(tmp_path, "{camera}.jpg"), tmp_path / "in", Seen(tmp_path / "memo")
+    site, folder, seen = a_site(tmp_path, "{camera}.jpg"), tmp_path / "in", EarlierCaptures(tmp_path / "memo")
     for camera in ("gate", "roof", "mast"):
         (folder / f"{camera}.jpg").write_text(camera)
     looked_at(site, NIGHT, seen)

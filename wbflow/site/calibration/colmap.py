@@ -13,7 +13,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from ...cache.untrusted import Unreadable, is_file, read_outside
+from ...cache.untrusted import Unreadable, is_file, read_untrusted
 from ..locations import CalibrationError, SiteError, read_text
 from .calibrated import Calibrated, Matrix, calibrated, centre
 
@@ -144,7 +144,7 @@ class _Binary:
     def __init__(self, path: Path) -> None:
         self.path, self.at = path, 0
         try:
-            self.data = read_outside(path)
+            self.data = read_untrusted(path)
         except Unreadable as error:
             raise CalibrationError(error.what, where=str(path)) from None
 

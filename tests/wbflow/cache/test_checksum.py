@@ -7,42 +7,42 @@ from pathlib import Path
 
 import pytest
 
-from wbflow.cache.signed import Damaged, Unsigned, read_signed, signed, unsigned, write_signed
+from wbflow.cache.checksum import Damaged, NoChecksum, checked, read_checksummed, with_checksum, write_checksummed
 
 CONTENT = {"points": 12, "names": ["gate", "roof"]}
 
 
 def test_it_is_read_as_it_was_written_by_anybody(tmp_path: Path) -> None:
-    write_signed(tmp_path / "memo.json", "memo", CONTENT)
-    assert read_signed(tmp_path / "memo.json", "memo") == CONTENT
+    write_checksummed(tmp_path / "memo.json", "memo", CONTENT)
+    assert read_checksummed(tmp_path / "memo.json", "memo") == CONTENT
     assert json.loads((tmp_path / "memo.json").read_bytes())["points"] == 12
-    assert unsigned(signed("memo", CONTENT, in_lines=True), "memo") == CONTENT
-    assert signed("memo", CONTENT) == signed("memo", CONTENT)
+    assert checked(with_checksum("memo", CONTENT, in_lines=True), "memo") == CONTENT
+    assert with_checksum("memo", CONTENT) == with_checksum("memo", CONTENT)
 
 
 def test_no_single_changed_byte_is_believed() -> None:
-    data = signed("memo", CONTENT)
+    data = with_checksum("memo", CONTENT)
     for place in range(len(data)):
         changed = bytearray(data)
         changed[place] ^= 1
         with pytest.raises(Damaged):
-            unsigned(bytes(changed), "memo")
+            checked(bytes(changed), "memo")
 
 
 @pytest.mark.parametrize("length", [0, 1, 30, 60])
 def test_a_file_that_was_cut_short_is_not_believed(length: int) -> None:
     with pytest.raises(Damaged):
-        unsigned(signed("memo", CONTENT)[:length], "memo")
+        checked(with_checksum("memo", CONTENT)[:length], "memo")
 
 
 def test_what_belongs_to_something_else_is_not_believed() -> None:
     with pytest.raises(Damaged, match="belongs to frames/gate"):
-        unsigned(signed("frames/gate", CONTENT), "frames/roof")
+        checked(with_checksum("frames/gate", CONTENT), "frames/roof")
 
 
 def test_what_is_not_there_or_of_an_earlier_version_is_no_damage(tmp_path: Path) -> None:
-    assert read_signed(tmp_path / "none.json", "memo") is None
+    assert read_checksummed(tmp_path / "none.json", "memo") is None
     (tmp_path / "old.json").write_text(json.dumps(CONTENT))
-    assert read_signed(tmp_path / "old.json", "memo") is None
-    with pytest.raises(Unsigned):
-        unsigned(b"{}", "memo")
+    assert read_checksummed(tmp_path / "old.json", "memo") is None
+    with pytest.raises(NoChecksum):
+        checked(b"{}", "memo")

@@ -1,116 +1,25 @@
-"""JSON files with a checksum of their own content, which also say what they are of.
+"""What was learnt of files, remembered from run to run: digests, for as long as a file does not change, and earlier captures.
 
-A receipt or memo is one JSON object whose first entry is the checksum of all bytes that follow it: it is checked without being
-written anew, and people and programs read it as what it is.  The checksum finds chance and mistakes (a failing disk, an editor,
-two files exchanged), not malice: whoever may write to the work folder is trusted with it.
-
-Memos keep what was learnt from run to run: digests of files from outside, as long as these do not change.
+A file younger than two seconds is always read again: it may change once more within the resolution of its time stamp.
 """
 
 from __future__ import annotations
 
-import hashlib
-import json
 import os
 import time
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
 from ..errors import WbflowError
-from .atomic import write_atomic
-from .untrusted import Unreadable, open_outside, read_outside
-
-_HEAD, _TAIL = b'{"signed":"', b'",'
-_BODY = len(_HEAD) + 32 + len(_TAIL)
-
-
-def content_digest(data: bytes | bytearray | memoryview) -> str:
-    """By this files and artifacts are compared: 32 hexadecimal digits of SHA-256."""
-    return hashlib.sha256(data).hexdigest()[:32]
-
-
-def file_digest(path: Path) -> str:
-    """The same of a file from outside, read in pieces.  Raises OSError."""
-    with os.fdopen(open_outside(path), "rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()[:32]
-
-
-class Damaged(WbflowError, ValueError):
-    """Bytes that are not as they were written, or that belong to something else."""
-
-
-class Unsigned(Damaged):
-    """Bytes without a checksum, as earlier versions wrote them: they are not believed."""
-
-
-def signed(of: str, content: Mapping[str, Any], in_lines: bool = False) -> bytes:
-    """A JSON object with its checksum and what it is of.
-
-    of: a task and its key, the name of a memo.  content: none of its entries may be called "signed" or "of".  in_lines: for files
-    that people read.
-    """
-    entries = {"of": of, **content}
-    body = (lines_of(entries) if in_lines else json.dumps(entries, separators=(",", ":"))).encode()[1:]
-    return _HEAD + content_digest(body).encode() + _TAIL + body
-
-
-def lines_of(content: Mapping[str, Any]) -> str:
-    """A JSON object for people: one entry in a line, and of an entry that holds many one item.  (`json` indents twenty times as
-    slowly as it writes.)"""
-    return "{\n " + ",\n ".join(f"{json.dumps(name)}: {_items(entry)}" for name, entry in content.items()) + "\n}"
-
-
-def _items(entry: Any) -> str:
-    if isinstance(entry, Mapping) and entry:
-        return "{\n  " + ",\n  ".join(f"{json.dumps(name)}: {json.dumps(item)}" for name, item in entry.items()) + "\n }"
-    if isinstance(entry, list | tuple) and entry:
-        return "[\n  " + ",\n  ".join(map(json.dumps, entry)) + "\n ]"
-    return json.dumps(entry)
-
-
-def unsigned(data: bytes, of: str) -> dict[str, Any]:
-    """The entries of what `signed` gave.
-
-    Raises Unsigned where it carries no checksum, Damaged where that is wrong, or it belongs to something else.
-    """
-    body = data[_BODY:]
-    if not data.startswith(_HEAD):
-        raise Unsigned("carries no checksum")
-    if data[len(_HEAD) : _BODY] != content_digest(body).encode() + _TAIL:
-        raise Damaged("is damaged")
-    content: dict[str, Any] = json.loads(b"{" + body)
-    if (whose := content.pop("of", None)) != of:
-        raise Damaged(f"belongs to {whose}")
-    return content
-
-
-def write_signed(path: Path, of: str, content: Mapping[str, Any]) -> None:
-    """Put a signed file of the work folder into its place (see `signed`).  Raises OSError."""
-    write_atomic(path, signed(of, content), ours=True)
-
-
-def read_signed(path: Path, of: str) -> dict[str, Any] | None:
-    """The entries of a signed file; None where there is none, or one of an earlier version.
-
-    Raises Damaged, naming the file, where its checksum is wrong, it belongs to something else, or it cannot be read.
-    """
-    try:
-        return unsigned(read_outside(path), of)
-    except Unsigned:
-        return None
-    except Unreadable as error:
-        if not os.path.lexists(path):
-            return None
-        raise Damaged(f"{path} {error.what}") from None
-    except Damaged as error:
-        raise Damaged(f"{path} {error}") from None
-
+from .checksum import Damaged, file_digest, read_checksummed, write_checksummed
 
 _SETTLED_NS = 2_000_000_000
 """A file younger than this may change again within its time stamp's resolution."""
+
 _FORMER = 2000
 """So many files that were not looked up this time are remembered besides those that were."""
+
 NIGHTS = 60
 """So many nights of captures are remembered."""
 
@@ -127,7 +36,7 @@ class ChangedFile(WbflowError):
 
 
 class Memo:
-    """A signed file of what was learnt, kept between runs."""
+    """A file with a checksum of what was learnt, kept between runs."""
 
     def __init__(self, path: Path | None, of: str, cost: str) -> None:
         """path: None keeps nothing.  cost: what it means, in words, when the file is damaged."""
@@ -136,7 +45,7 @@ class Memo:
         """What was wrong with the file, if anything was."""
         self.entries: dict[str, Any] = {}
         try:
-            self.entries = (read_signed(path, of) if path else None) or {}
+            self.entries = (read_checksummed(path, of) if path else None) or {}
         except Damaged as damage:
             self.damage = f"{damage.what}: {cost}"
         self._changed = self.damage is not None
@@ -144,7 +53,7 @@ class Memo:
     def save(self) -> None:
         """Keep what was learnt.  Raises OSError."""
         if self._path and self._changed:
-            write_signed(self._path, self._of, self.entries)
+            write_checksummed(self._path, self._of, self.entries)
             self._changed = False
 
 
@@ -194,7 +103,7 @@ def _stamp(status: os.stat_result) -> list[int]:
     return [status.st_size, status.st_mtime_ns, status.st_ctime_ns, status.st_ino]
 
 
-class Seen(Memo):
+class EarlierCaptures(Memo):
     """Digests of captures by camera and night (ISO 8601)."""
 
     def __init__(self, memo: Path) -> None:
