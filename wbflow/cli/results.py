@@ -285,15 +285,16 @@ def _create(site: Site, run_id: str | None) -> None:
 
 def _refine(site: Site) -> None:
     from ..cache.store import Cache
-    from ..records.reference_folder import read_reference, restore
-    from ..reference.create import pool
+    from ..records.reference_folder import read_reference
+    from ..reference.aggregate import aggregate_nights
+    from ..reference.restore import restore
 
     folder = site.work_folder
     reference = read_reference(folder)
     if reference is None:
         raise UsageError(f"{site.name} has no reference to refine", remedy=f"first: wbflow pin {site.file}")
     restore(Cache(folder), reference)
-    pooled = pool(folder, reference, site)
+    pooled = aggregate_nights(folder, reference, site)
     echo("\n".join(f"{task}: pooled from {nights} nights" for task, nights in pooled.items()) or "nothing to pool yet")
 
 

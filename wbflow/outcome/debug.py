@@ -19,7 +19,8 @@ from ..runner.context import plan_run
 from ..runner.executors import THREADS
 from ..runner.options import Options
 from ..runner.planner import Plan
-from ..runner.spec import Impossible, Input, Stored, TaskSpec, Waiting
+from ..runner.spec import Input, Stored, TaskSpec
+from ..runner.state import Impossible, Waiting
 from ..runner.worker import arguments_of
 from ..site.locations import did_you_mean
 from ..site.models import Site

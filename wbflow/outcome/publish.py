@@ -24,13 +24,14 @@ from ..records.events import TaskEvent
 from ..records.ledger import Ledger
 from ..records.record import CameraRecord, RunRecord
 from ..records.run_folder import UnfinishedRun
-from ..reference.create import fit_to_pin, pin, prepare
+from ..reference.create import fit_to_pin, pin
+from ..reference.restore import prepare
 from ..runner.context import RunContext
 from ..runner.journal import Journal
 from ..runner.loop import work
 from ..runner.options import Options
 from ..runner.planner import Plan
-from ..runner.spec import summary_of
+from ..runner.state import summary_of
 from ..site.cameras import origin_of
 from ..site.models import Site
 from ..task import Task

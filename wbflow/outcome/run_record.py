@@ -17,7 +17,7 @@ from ..pipeline import summaries
 from ..pipeline.stages import DENSE_PAIRS, DEPTH, DISPARITY, FRAMES, FUSE, GEOMETRY, PAIRS, POSES, STAGES, Stage
 from ..records.record import CameraRecord, CloudRecord, PairRecord, RunRecord, Seconds, TaskCounts, stamp
 from ..runner.planner import Plan
-from ..runner.spec import Cause, State, summary_of
+from ..runner.state import Cause, State, summary_of
 from ..site.staleness import by_picture, night_by_pictures
 from ..task import Task, camera_of
 
@@ -155,7 +155,7 @@ def _camera(plan: Plan, camera: str, whole: _Whole) -> CameraRecord:
         notes += [*([crowded] if crowded else []), *([moved.text] if moved else [])]
         if camera in poses.unsolved:
             ended = {"outcome": "unsolved", "reason": poses.unsolved[camera], "code": Cause.UNSOLVED}
-    shown, health = summaries.CameraFigures(**figures), plan.pinned.health(camera)
+    shown, health = summaries.CameraFigures(**figures), plan.resolver.health(camera)
     return CameraRecord(camera, **ended, health=health, captures=captures, notes=tuple(notes), figures=shown)
 
 

@@ -22,7 +22,7 @@ from ..records.findings import FINDINGS, Down, Finding, Level, Usual, Verdict, f
 from ..records.record import CameraRecord, PairRecord, RunRecord
 from ..records.run_folder import NoSuchRun, RunFolder
 from ..runner.planner import Plan
-from ..runner.spec import Cause, State
+from ..runner.state import Cause, State
 from ..site.models import Expected, Measure
 from ..task import Task, camera_of
 from .acknowledge import Acknowledgement, split

@@ -16,11 +16,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from ..cache.atomic import clear, copy_atomic, write_atomic
-from ..cache.checksum import Damaged, file_digest, read_checksummed, with_checksum
+from ..cache.atomic import copy_atomic, write_atomic
+from ..cache.checksum import Damaged, read_checksummed, with_checksum
 from ..cache.layout import WorkFolder
 from ..cache.store import Cache, Receipt
-from ..cache.untrusted import Unreadable, read_untrusted
 from ..errors import WbflowError
 from ..task import Task
 
@@ -96,14 +95,14 @@ class Reference:
 def read_reference(work: WorkFolder) -> Reference | None:
     """The reference of a work folder, or None.  Raises BadReference where its record and the record's twin are damaged."""
     try:
-        return _read(work.reference_record) or _read(work.reference_twin)
+        return read_record(work.reference_record) or read_record(work.reference_twin)
     except BadReference:
-        if twin := _read(work.reference_twin):
+        if twin := read_record(work.reference_twin):
             return twin
         raise
 
 
-def _read(path: Path) -> Reference | None:
+def read_record(path: Path) -> Reference | None:
     try:
         data = read_checksummed(path, _OF)
         return Reference.from_json(data) if data else None
@@ -111,33 +110,6 @@ def _read(path: Path) -> Reference | None:
         raise BadReference(damage.what, remedy=_ANEW) from None
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise BadReference(f"{path} cannot be read: {type(error).__name__}: {error}", remedy=_ANEW) from None
-
-
-def mend_record(work: WorkFolder) -> str | None:
-    """Make the record and its twin the same again, from the one that is whole; returns what was wrong, in words.
-
-    Where neither is, both are taken out of use, so that the next good night is pinned.  The caller holds the lock.
-    Raises OSError.
-    """
-    record, twin = work.reference_record, work.reference_twin
-    whole, fault = None, None
-    for path in (record, twin):
-        try:
-            whole = whole or (path if _read(path) else None)
-        except BadReference as bad:
-            fault = bad.what
-    if whole is None:
-        for path in (record, twin):
-            clear(path)
-        return f"{fault}, and so is its twin: the next good night becomes the reference" if fault else None
-    other, data = (twin if whole is record else record), read_untrusted(whole)
-    with contextlib.suppress(Unreadable):
-        if read_untrusted(other) == data:
-            return None
-    fault = fault or f"{other} is {'not as it was' if os.path.lexists(other) else 'gone'}"
-    clear(other)
-    write_atomic(other, data)
-    return f"{fault}: taken from {whole.name}"
 
 
 def write_reference(cache: Cache, reference: Reference, receipts: Iterable[Receipt]) -> None:
@@ -148,7 +120,7 @@ def write_reference(cache: Cache, reference: Reference, receipts: Iterable[Recei
     work = cache.work
     kept, anew = {work.reference_record, work.reference_twin}, work.reference.exists()
     for receipt in receipts:
-        for path in _files(cache, receipt):
+        for path in files_of(cache, receipt):
             copy_atomic(path, work.pinned(path), fsync="none")
             kept.add(work.pinned(path))
     os.sync()  # all of them at once: the record is the last to be there
@@ -179,66 +151,7 @@ def drop_reference(work: WorkFolder) -> bool:
     return there
 
 
-def restore(cache: Cache, reference: Reference) -> tuple[list[Task], list[Task], list[Task]]:
-    """Put back what the cache or the reference has lost, as far as the other still has it.  The caller holds the lock.
-
-    Returns the tasks whose results were put back into the cache, copied anew from there, and are nowhere.  Raises OSError.
-    """
-    work = cache.work
-    to_cache: list[Task] = []
-    copied: list[Task] = []
-    lost: list[Task] = []
-    for task, pinned in reference.artifacts.items():
-        receipt = cache.by_key(task, pinned.key)
-        if receipt is None:
-            (to_cache if put_back(work, pinned) else lost).append(task)
-        elif _differs(cache, receipt) and (receipt.file is None or _digest(cache.path(receipt)) == receipt.digest):
-            for path in _files(cache, receipt):
-                clear(work.pinned(path))
-                copy_atomic(path, work.pinned(path))
-            copied.append(task)
-    return to_cache, copied, lost
-
-
-def put_back(work: WorkFolder, pinned: PinnedArtifact) -> bool:
-    """Put a result of the reference back into the cache; False where the reference's own copy is damaged or gone.
-
-    The caller holds the lock.  Raises OSError.
-    """
-    receipt = work.receipt(pinned.task, pinned.key)
-    copies = sorted(work.pinned(receipt).parent.glob(f"{pinned.key}.*"), key=lambda p: p.suffix == receipt.suffix)
-    artifacts = [copy for copy in copies if copy.suffix != receipt.suffix]
-    try:
-        whole = read_checksummed(work.pinned(receipt), work.place(receipt)) is not None
-    except Damaged:
-        whole = False
-    if not whole or (pinned.digest and [_digest(copy) for copy in artifacts if copy.is_file()] != [pinned.digest]):
-        return False
-    for copy in copies:  # the receipt last
-        copy_atomic(copy, receipt.with_suffix(copy.suffix))
-    return True
-
-
-def _digest(path: Path) -> str | None:
-    """Of a file's bytes; None where they cannot be had."""
-    try:
-        return file_digest(path)
-    except Unreadable:
-        return None
-
-
-def _differs(cache: Cache, receipt: Receipt) -> bool:
-    """At first sight: is the reference's copy of a receipt or an artifact gone, or of another size?"""
-    record = cache.work.receipt(receipt.preimage.task, receipt.key)
-    copies = str(cache.work.pinned(record.parent))  # joined as text: every night looks at all of them
-    try:
-        sizes = {record.name: record.stat().st_size} | ({receipt.file: receipt.bytes} if receipt.file else {})
-        return any(os.stat(f"{copies}/{name}").st_size != size for name, size in sizes.items())  # noqa: PTH116
-    except OSError:
-        return True
-
-
-def _files(cache: Cache, receipt: Receipt) -> list[Path]:
+def files_of(cache: Cache, receipt: Receipt) -> list[Path]:
     """An artifact, if there is one, and its receipt."""
     artifact = [cache.path(receipt)] if receipt.file else []
     return [*artifact, cache.work.receipt(receipt.preimage.task, receipt.key)]

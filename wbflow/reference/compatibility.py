@@ -84,10 +84,9 @@ LEAST_BORDER = 0.001
 """So has distortion that moves the border of the picture by a smaller share of its width."""
 LEAST_DEG, LEAST_DISTANCE = 0.5, 0.02
 """So have poses: degrees between two cameras, and the share of the cameras' mean distance by which one of them differs."""
-Pinned = Mapping[str, Mapping[str, Any]]
 
 
-def calibration_change(pinned: Pinned, site: Site) -> str:
+def calibration_change(pinned: Mapping[str, Mapping[str, Any]], site: Site) -> str:
     """Return in words what is different, "" where nothing is.  pinned: cameras as cameras.json has them, by id.
 
     Poses are compared with each other, so that the frame and the scale of the pinned world do not matter; those with standard

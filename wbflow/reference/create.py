@@ -1,33 +1,14 @@
-"""Pinning: a run becomes the reference that later nights are compared with.
-
-Pooling: what many nights have measured from the same poses becomes the reference's.  Of cameras that is the surface they see; of
-pairs that the reference's own night had too little of, the points they share.  Such a pair's cameras stand where they stood then,
-or its own night counts alone (see `reference.resolve`).
-"""
+"""Pinning: a run becomes the reference that later nights are compared with."""
 
 from __future__ import annotations
 
-import dataclasses
-import datetime
-from collections.abc import Mapping
-
-from ..cache.artifact import kept
-from ..cache.fingerprint import load
 from ..cache.layout import WorkFolder
-from ..cache.store import Cache, DamagedArtifact, Preimage, Receipt
+from ..cache.store import Cache, Receipt
 from ..errors import ExitCode, WbflowError
-from ..pipeline.functions import FunctionReader
-from ..pipeline.stages import POSES, STAGES, Stage
+from ..pipeline.stages import STAGES
 from ..records.record import RunRecord
-from ..records.reference_folder import PinnedArtifact, Reference, mend_record, restore, write_reference
-from ..records.run_folder import NoSuchRun, RunFolder, newest_runs
-from ..runner.context import RunContext
-from ..runner.journal import Journal
-from ..runner.planner import Plan
-from ..runner.spec import Impossible, Waiting, cached_state
-from ..runner.worker import run_chain
-from ..site.models import Site
-from ..task import Subject, Task, camera_of
+from ..records.reference_folder import PinnedArtifact, Reference, write_reference
+from ..records.run_folder import RunFolder, newest_runs
 
 
 class CannotPin(WbflowError, ValueError):
@@ -74,27 +55,6 @@ def fit_to_pin(record: RunRecord) -> bool:
     return record.exit_code == ExitCode.GOOD and record.cloud is not None and not known
 
 
-def prepare(context: RunContext, journal: Journal) -> None:
-    """Restore what the reference holds, and warn where it cannot be used.  The caller holds the lock."""
-    plan, work = context.plan, context.plan.cache.work
-    fault = mend_record(work) if plan.site.settings.pin != "none" else None
-    if fault:
-        journal.repaired(fault)
-    if plan.misfit and not fault:
-        what = f"the reference is not used: {plan.misfit}"
-        remedy = "this night makes everything anew; wbflow pin SITE.yaml  makes a good night the reference"
-        journal.warn(what, remedy=remedy)
-    if plan.reference is None:
-        return
-    to_cache, copied, lost = restore(plan.cache, plan.reference)
-    for tasks, how in ((to_cache, "put back from the reference"), (copied, "copied to the reference again")):
-        if tasks:
-            journal.repaired(f"{len(tasks)} results of the reference were missing ({tasks[0]}, ...): {how}")
-    for task in lost:
-        what = f"'{task}' of the reference is damaged, or gone"
-        journal.warn(what, remedy="it is done without; wbflow pin SITE.yaml  makes a whole one")
-
-
 def _receipts(cache: Cache, run: RunFolder) -> list[Receipt]:
     """Of all that a run made or rejected and the reference keeps."""
     kept = {stage.name for stage in STAGES if stage.reuse.stored}
@@ -108,127 +68,3 @@ def _receipts(cache: Cache, run: RunFolder) -> list[Receipt]:
             raise CannotPin(f"the cache no longer holds '{task}' of run {run.id}", remedy=remedy)
         found.append(receipt)
     return found
-
-
-MOST_NIGHTS = 30
-"""So many nights are pooled at most, the newest."""
-FEWEST_NIGHTS = 3
-
-
-def pool(work: WorkFolder, reference: Reference, site: Site) -> dict[Task, int]:
-    """Put what all its nights have measured in the place of what the reference's own night has; returns how many, by task.
-
-    The caller holds the lock.  Raises CannotPin where too few nights were compared with the reference; OSError.
-    """
-    cache = Cache(work)
-    nights = _nights(work, reference)
-    made: dict[Task, tuple[Receipt, int]] = {}
-    then = _reference_s_night(cache, reference, site)
-    for stage in (stage for stage in STAGES if stage.reuse.aggregate):
-        for subject in _poor(cache, reference, stage) if stage.scope == "pair" else [(camera,) for camera in reference.placed]:
-            task = Task(stage.name, subject)
-            receipts = _alike(cache, reference, stage, task, nights)
-            if len(receipts) < FEWEST_NIGHTS or not (receipt := _pooled(cache, stage, task, receipts, site.reader)):
-                continue
-            more = _made_of(receipt, stage, then) if stage.scope == "pair" else []
-            if more is not None:
-                made |= {one.preimage.task: (one, len(receipts)) for one in (receipt, *more)}
-    if not made:
-        remedy = "a few more nights, and again: wbflow history SITE.yaml lists them"
-        raise CannotPin(f"fewer than {FEWEST_NIGHTS} nights have measured the same from where the cameras stand", remedy=remedy)
-    new = {task: PinnedArtifact(task, receipt.key, receipt.outcome, receipt.digest) for task, (receipt, _) in made.items()}
-    better = dataclasses.replace(reference, artifacts={**reference.artifacts, **new})
-    kept = [cache.by_key(task, pinned.key) for task, pinned in better.artifacts.items()]
-    write_reference(cache, better, [receipt for receipt in kept if receipt])
-    site.reader.save()
-    return {task: count for task, (_, count) in made.items()}
-
-
-def _nights(work: WorkFolder, reference: Reference) -> dict[str, dict[Task, str]]:
-    """Keys of what the newest run of each night made of cameras that stood where they did, by date and task."""
-    found: dict[str, dict[Task, str]] = {}
-    for folder, record in newest_runs(work):
-        if reference.run not in {folder.id, record.reference} or record.date in found:
-            continue
-        still = {camera.id for camera in record.cameras if camera.health is None or camera.health.ok}
-        try:
-            tasks = folder.tasks()
-        except NoSuchRun:  # one night less
-            continue
-        used = {task: event.key for task, event in tasks.items() if event.usable and event.key and task.subject}
-        found[record.date] = {task: key for task, key in used.items() if set(map(camera_of, task.subject)) <= still}
-        if folder.id == reference.run or len(found) == MOST_NIGHTS:
-            break
-    return dict(sorted(found.items()))
-
-
-def _poor(cache: Cache, reference: Reference, stage: Stage) -> list[Subject]:
-    """The pairs of which the reference's own night had too little to tell anything."""
-    of_pairs = {stage.name, *(other.name for other in _resting_on(stage))}
-    rejected = [pinned for task, pinned in reference.artifacts.items() if pinned.outcome == "rejected" and task.stage in of_pairs]
-    codes = {pinned.task.subject: receipt.code for pinned in rejected if (receipt := cache.by_key(pinned.task, pinned.key))}
-    return [subject for subject, code in codes.items() if code in stage.reuse.too_little]
-
-
-def _resting_on(stage: Stage) -> list[Stage]:
-    return [other for other in STAGES if other.scope == "pair" and stage.name in other.needed()]
-
-
-def _reference_s_night(cache: Cache, reference: Reference, site: Site) -> Plan:
-    """The night of the reference, all done."""
-    plan = Plan(site, {}, reference.date, cache)
-    for task, pinned in reference.artifacts.items():
-        if receipt := cache.by_key(task, pinned.key):
-            plan.commit(task, cached_state(receipt))
-    return plan
-
-
-def _made_of(pooled: Receipt, stage: Stage, then: Plan) -> list[Receipt] | None:
-    """What is made from the pooled result of a pair as in the reference's night; None where it is too little even so."""
-    pair = pooled.preimage.task.subject
-    then.commit(pooled.preimage.task, cached_state(pooled))
-    try:
-        done = [done for other in _resting_on(stage) for done in run_chain([then.spec_of(Task(other.name, pair))], then.cache)]
-    except (Waiting, Impossible):
-        return None
-    made = [one.state.receipt for one in done if one.state.receipt and one.state.receipt.outcome == "ran"]
-    return made if len(made) == len(done) else None
-
-
-def _alike(
-    cache: Cache, reference: Reference, stage: Stage, task: Task, nights: Mapping[str, Mapping[Task, str]]
-) -> dict[str, Receipt]:
-    """A task's receipts by night, as far as they go back to the pose of the reference; what nights share counts once."""
-    same = [n for n, source in stage.inputs.items() if (source.kind, source.name, source.of) == ("stage", POSES, "own")]
-    pinned = reference.artifacts.get(task)
-    base = cache.by_key(task, pinned.key) if pinned else None
-    own = {keys[task]: date for date, keys in nights.items() if task in keys}
-    found = {date: cache.by_key(task, key) for key, date in own.items()}
-    return {
-        date: receipt
-        for date, receipt in found.items()
-        if receipt
-        and base
-        and receipt.preimage.function != stage.reuse.aggregate
-        and all(receipt.preimage.inputs.get(n) == base.preimage.inputs.get(n) for n in same)
-    }
-
-
-def _pooled(cache: Cache, stage: Stage, task: Task, receipts: Mapping[str, Receipt], reader: FunctionReader) -> Receipt | None:
-    """The pooled result, kept in the cache; None where a night's is damaged."""
-    function = reader.read(stage.reuse.aggregate)
-    any_one = next(iter(receipts.values()))
-    own = {name: digest for name, digest in any_one.preimage.inputs.items() if name in stage.inputs}
-    inputs = {**own, **{f"night {date}": receipt.digest for date, receipt in receipts.items()}}
-    preimage = Preimage(task.stage, task.subject, function.dotted, function.code, any_one.preimage.parameters, inputs)
-    key = preimage.key()
-    if known := cache.by_key(task, key):
-        return known
-    try:
-        result = load(function.dotted)({date: cache.load(task, receipt) for date, receipt in receipts.items()})
-    except DamagedArtifact:
-        return None
-    data, facts = kept(result, stage.name, key)
-    receipt = Receipt(str(task), key, "ran", preimage, **facts, finished=datetime.datetime.now(datetime.UTC).isoformat())
-    cache.write(receipt, data)
-    return receipt

@@ -18,10 +18,11 @@ from ..cache.store import Receipt
 from ..pipeline.stages import FRAMES, HEALTH, STAGES, Adapt, Reuse, Source, Stage, ancestors, stage_named
 from ..pipeline.summaries import HealthSummary
 from ..records.findings import Health
-from ..records.reference_folder import put_back
 from ..records.run_folder import last_of_nights, newest_runs
-from ..runner.spec import Absent, Cause, Impossible, Input, Joined, Part, Stored, Value, Waiting, because, subject_of, summary_of
+from ..runner.spec import Absent, Input, Joined, Part, Stored, Value, subject_of
+from ..runner.state import Cause, Impossible, Waiting, because, summary_of
 from ..task import Subject, Task, camera_of
+from .restore import put_back
 
 if TYPE_CHECKING:
     from ..runner.planner import Plan
@@ -58,7 +59,7 @@ def shift_history(work: WorkFolder, night: str, reference: str) -> dict[str, dic
 
 
 @dataclass
-class Pinned:
+class Resolver:
     """The reference as tonight's plan sees it."""
 
     plan: Plan

@@ -15,7 +15,7 @@ from ..pipeline.stages import STAGES, Stage
 from ..pipeline.summaries import Change, ChangesSummary, PairFigures, SiteSummary, meaning, shown, spoken
 from ..records.findings import Finding
 from ..records.record import CameraRecord, PairRecord, RunRecord
-from ..runner.spec import Cause
+from ..runner.state import Cause
 from ..site.models import Measure
 from ..task import Task
 from .data import Comparison, ReportData, since_last_good, state_of

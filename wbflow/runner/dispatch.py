@@ -23,7 +23,8 @@ from ..task import Task
 from .executors import Cluster, OtherCode, Processes, WorkerLost, machine_memory
 from .journal import Journal
 from .options import Options, worker_roots
-from .spec import Cause, State, TaskSpec
+from .spec import TaskSpec
+from .state import Cause, State
 from .worker import Done, run_chain
 
 LOOK_SECONDS = 0.5

@@ -25,7 +25,8 @@ from ..errors import WbflowError
 from ..pipeline.binding import bind
 from ..pipeline.functions import FunctionReader
 from ..pipeline.stages import stage_named
-from .spec import Cause, TaskSpec
+from .spec import TaskSpec
+from .state import Cause
 
 THREADS = ("OPENCV_FOR_THREADS_NUM", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 """One thread for each worker: OpenCV and the numeric libraries read these when they are first imported."""

@@ -13,25 +13,8 @@ from ..pipeline.summaries import PairsSummary, PosesSummary
 from ..site.captures import CaptureFile, file_of_stage
 from ..site.models import Camera, Site
 from ..task import Subject, Task, component_name
-from .spec import (
-    Absent,
-    Cause,
-    Files,
-    Impossible,
-    Input,
-    Joined,
-    Part,
-    State,
-    Stored,
-    Value,
-    Waiting,
-    because,
-    own_subject,
-    stated,
-    stated_of_site,
-    subject_of,
-    summary_of,
-)
+from .spec import Absent, Files, Input, Joined, Part, Stored, Value, own_subject, stated, stated_of_site, subject_of
+from .state import Cause, Impossible, State, Waiting, because, summary_of
 
 if TYPE_CHECKING:
     from .planner import Plan
@@ -174,9 +157,9 @@ class Inputs:
         if need.kind == "file":
             return self._named(need.name, file_of_stage(task.stage, need.name))
         if need.kind == "reference":
-            return self.plan.pinned.input(need, task)
+            return self.plan.resolver.input(need, task)
         if need.kind == "history":
-            return self.plan.pinned.observed(need, task)
+            return self.plan.resolver.observed(need, task)
         if need.needed_if and not need.needed_if(self.plan.site):
             return Joined({})
         origin = stage_named(need.name)
@@ -235,11 +218,11 @@ class Inputs:
         items: dict[Subject, Value | Stored] = {}
         faults: list[Impossible] = []
         part = Part(need.part) if need.part else None
-        useless = self.plan.pinned.useless() if task.stage != HEALTH else frozenset()
+        useless = self.plan.resolver.useless() if task.stage != HEALTH else frozenset()
         for upstream in joined:
             state = self.plan.states[upstream]
             if useless & set(upstream.subject):
-                faults.append(self.plan.pinned.unfit(upstream.subject))
+                faults.append(self.plan.resolver.unfit(upstream.subject))
             elif state.usable and state.receipt and (part is None or str(part) in state.receipt.parts):
                 items[upstream.subject] = Stored(upstream, part).resolved(state.receipt)
             else:

@@ -12,7 +12,7 @@ from ..records.events import Event, Listener, TaskEvent, WarningEvent, now
 from ..records.findings import Finding
 from ..records.record import Seconds, StageSeconds
 from ..task import Task
-from .spec import State
+from .state import State
 
 if TYPE_CHECKING:
     from .planner import Plan

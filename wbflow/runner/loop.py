@@ -20,7 +20,7 @@ from .context import RunContext
 from .dispatch import Dispatcher
 from .journal import Journal
 from .options import Options
-from .spec import Cause, State
+from .state import Cause, State
 
 MOST_ATTEMPTS = 3
 """How often a damaged artifact is made again, and a file that changes is read again, in one run."""

@@ -18,12 +18,13 @@ from ..pipeline.stages import COMPONENT, DENSE_PAIRS, FRAMES, FUSE, PAIRS, POSES
 from ..records.findings import Health
 from ..records.reference_folder import Reference
 from ..reference.compatibility import calibration_change, misfit
-from ..reference.resolve import Pinned
+from ..reference.resolve import Resolver
 from ..site.captures import CaptureFile
 from ..site.models import Site
 from ..task import Task, component_name, names_of
 from .inputs import Inputs, Subjects
-from .spec import Absent, Drawing, Impossible, Input, State, TaskSpec, Waiting, cached_state
+from .spec import Absent, Drawing, Input, TaskSpec
+from .state import Impossible, State, Waiting, cached_state
 
 _DECIDE = frozenset(Task(name) for name in (PAIRS, POSES, DENSE_PAIRS))
 """Their results decide which tasks there are."""
@@ -86,7 +87,7 @@ class Plan:
             self.misfit = misfit(self.reference, self)
             self.calibration_change = calibration_change(self.reference.cameras, self.site) if self.misfit else ""
         self.reference = None if self.misfit else self.reference
-        self.pinned = Pinned(self)
+        self.resolver = Resolver(self)
         self._inputs = Inputs(self, names)
 
     def refresh(self) -> None:
@@ -103,7 +104,7 @@ class Plan:
         self.ready.pop(task, None)
         self.waiting.pop(task, None)
         self.force -= {str(task)}
-        self.pinned.ended(task)
+        self.resolver.ended(task)
         self._news[task] = None
         self._due.extend(self._dependents.pop(task, ()))
         self._anew = self._anew or task in _DECIDE
@@ -111,7 +112,7 @@ class Plan:
     def forget(self, task: Task) -> None:
         """Take back that a task has ended (its artifact turned out damaged)."""
         self.states.pop(task, None)
-        self.pinned.lose(task)
+        self.resolver.lose(task)
         self._anew = True
 
     def look_again(self) -> None:
@@ -156,7 +157,7 @@ class Plan:
         Raises Waiting or Impossible where its inputs are not there yet, or will not come.
         """
         stage = stage_named(task.stage)
-        instead = self.pinned.instead(stage, task)
+        instead = self.resolver.instead(stage, task)
         return self._with_drawings(self._spec(stage, task, adapt=None if isinstance(instead, Receipt) else instead), set())
 
     def upstreams(self, task: Task) -> list[Task]:
@@ -172,7 +173,7 @@ class Plan:
 
     def _look_at(self, stage: Stage, task: Task) -> None:
         try:
-            instead = self.pinned.instead(stage, task)
+            instead = self.resolver.instead(stage, task)
             if isinstance(instead, Receipt):
                 self.commit(task, cached_state(instead))
                 return
@@ -188,7 +189,7 @@ class Plan:
         preimage = spec.preimage()
         key = preimage.key()
         if stage.name == FRAMES:
-            self.pinned.note_frame(task.subject, key)
+            self.resolver.note_frame(task.subject, key)
         if not spec.force and (receipt := self.cache.by_key(task, key)):
             self.commit(task, cached_state(receipt))
         else:
@@ -200,7 +201,7 @@ class Plan:
             follower = Task(stage.name, first.task.subject)
             if follower in self.waiting:
                 try:
-                    instead = self.pinned.instead(stage, follower)
+                    instead = self.resolver.instead(stage, follower)
                     if not isinstance(instead, Receipt):
                         chain.append(self._spec(stage, follower, made, instead))
                         made.add(follower)

@@ -28,7 +28,8 @@ from ..cache.untrusted import read_untrusted
 from ..errors import LONGEST_TRACE, printable
 from ..pipeline.stages import REJECTED
 from ..task import Task
-from .spec import Absent, Cause, Files, Input, Joined, State, Stored, TaskSpec, Value, cached_state
+from .spec import Absent, Files, Input, Joined, Stored, TaskSpec, Value
+from .state import Cause, State, cached_state
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ from wbflow.outcome.verdict import Facts, judge
 from wbflow.pipeline.summaries import CalibrationCheck, CameraFigures, CoverageSummary, PairFigures, PoseIssue, PosesSummary
 from wbflow.records.findings import FINDINGS, Finding, Health, Verdict
 from wbflow.records.record import CameraRecord, CloudRecord, PairRecord, RunRecord, Seconds, TaskCounts
-from wbflow.runner.spec import Cause, State
+from wbflow.runner.state import Cause, State
 from wbflow.site.models import Expected
 from wbflow.task import Task
 

@@ -254,7 +254,7 @@ def test_nights_are_pooled_into_the_surface_of_the_reference(toy: ToySite) -> No
 def test_pooling_in_any_order_of_nights_twice_or_after_a_kill_makes_the_same_reference(
     toy: ToySite, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from wbflow.reference.create import pool
+    from wbflow.reference.aggregate import aggregate_nights
 
     work, site = WorkFolder(toy.work), load_site(toy.file)
     for date in (SECOND, THIRD):
@@ -263,10 +263,10 @@ def test_pooling_in_any_order_of_nights_twice_or_after_a_kill_makes_the_same_ref
     old = reference.read_reference(work)
     assert old is not None
     shutil.copytree(work.reference, toy.folder / "before")
-    done = pool(work, old, site)
+    done = aggregate_nights(work, old, site)
     new, once = reference.read_reference(work), {path.name: path.read_bytes() for path in work.reference.rglob("*.json")}
     assert {str(task) for task in done} == {"depth a", "depth b", "depth c"}
-    assert new is not None and pool(work, new, site) == done
+    assert new is not None and aggregate_nights(work, new, site) == done
     assert {path.name: path.read_bytes() for path in work.reference.rglob("*.json")} == once
     shutil.rmtree(work.reference)
     shutil.copytree(toy.folder / "before", work.reference)
@@ -281,7 +281,7 @@ def test_pooling_in_any_order_of_nights_twice_or_after_a_kill_makes_the_same_ref
         for (module, name), function in functions.items():
             monkeypatch.setattr(module, name, _dying(function, steps, last))
         with contextlib.nullcontext() if last == 1000 else pytest.raises(KeyboardInterrupt):
-            pool(work, old, site)
+            aggregate_nights(work, old, site)
         assert reference.read_reference(work) == (new if last == 1000 else old)
 
 

@@ -7,7 +7,7 @@ from typing import Any, cast
 
 from wbflow.pipeline.stages import PAIRS, stage_named
 from wbflow.runner.inputs import Subjects
-from wbflow.runner.spec import State
+from wbflow.runner.state import State
 from wbflow.task import Task
 
 

@@ -1,0 +1,127 @@
+"""What the reference or the cache has lost is put back from the other, before a run and whenever a reader finds damage."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from ..cache.atomic import clear, copy_atomic, write_atomic
+from ..cache.checksum import Damaged, file_digest, read_checksummed
+from ..cache.layout import WorkFolder
+from ..cache.store import Cache, Receipt
+from ..cache.untrusted import Unreadable, read_untrusted
+from ..records.reference_folder import BadReference, PinnedArtifact, Reference, files_of, read_record
+from ..task import Task
+
+if TYPE_CHECKING:
+    from ..runner.context import RunContext
+    from ..runner.journal import Journal
+
+
+def prepare(context: RunContext, journal: Journal) -> None:
+    """Restore what the reference holds, and warn where it cannot be used.  The caller holds the lock."""
+    plan, work = context.plan, context.plan.cache.work
+    fault = mend_record(work) if plan.site.settings.pin != "none" else None
+    if fault:
+        journal.repaired(fault)
+    if plan.misfit and not fault:
+        what = f"the reference is not used: {plan.misfit}"
+        remedy = "this night makes everything anew; wbflow pin SITE.yaml  makes a good night the reference"
+        journal.warn(what, remedy=remedy)
+    if plan.reference is None:
+        return
+    to_cache, copied, lost = restore(plan.cache, plan.reference)
+    for tasks, how in ((to_cache, "put back from the reference"), (copied, "copied to the reference again")):
+        if tasks:
+            journal.repaired(f"{len(tasks)} results of the reference were missing ({tasks[0]}, ...): {how}")
+    for task in lost:
+        what = f"'{task}' of the reference is damaged, or gone"
+        journal.warn(what, remedy="it is done without; wbflow pin SITE.yaml  makes a whole one")
+
+
+def mend_record(work: WorkFolder) -> str | None:
+    """Make the record and its twin the same again, from the one that is whole; returns what was wrong, in words.
+
+    Where neither is, both are taken out of use, so that the next good night is pinned.  The caller holds the lock.
+    Raises OSError.
+    """
+    record, twin = work.reference_record, work.reference_twin
+    whole, fault = None, None
+    for path in (record, twin):
+        try:
+            whole = whole or (path if read_record(path) else None)
+        except BadReference as bad:
+            fault = bad.what
+    if whole is None:
+        for path in (record, twin):
+            clear(path)
+        return f"{fault}, and so is its twin: the next good night becomes the reference" if fault else None
+    other, data = (twin if whole is record else record), read_untrusted(whole)
+    with contextlib.suppress(Unreadable):
+        if read_untrusted(other) == data:
+            return None
+    fault = fault or f"{other} is {'not as it was' if os.path.lexists(other) else 'gone'}"
+    clear(other)
+    write_atomic(other, data)
+    return f"{fault}: taken from {whole.name}"
+
+
+def restore(cache: Cache, reference: Reference) -> tuple[list[Task], list[Task], list[Task]]:
+    """Put back what the cache or the reference has lost, as far as the other still has it.  The caller holds the lock.
+
+    Returns the tasks whose results were put back into the cache, copied anew from there, and are nowhere.  Raises OSError.
+    """
+    work = cache.work
+    to_cache: list[Task] = []
+    copied: list[Task] = []
+    lost: list[Task] = []
+    for task, pinned in reference.artifacts.items():
+        receipt = cache.by_key(task, pinned.key)
+        if receipt is None:
+            (to_cache if put_back(work, pinned) else lost).append(task)
+        elif _differs(cache, receipt) and (receipt.file is None or _digest(cache.path(receipt)) == receipt.digest):
+            for path in files_of(cache, receipt):
+                clear(work.pinned(path))
+                copy_atomic(path, work.pinned(path))
+            copied.append(task)
+    return to_cache, copied, lost
+
+
+def put_back(work: WorkFolder, pinned: PinnedArtifact) -> bool:
+    """Put a result of the reference back into the cache; False where the reference's own copy is damaged or gone.
+
+    The caller holds the lock.  Raises OSError.
+    """
+    receipt = work.receipt(pinned.task, pinned.key)
+    copies = sorted(work.pinned(receipt).parent.glob(f"{pinned.key}.*"), key=lambda p: p.suffix == receipt.suffix)
+    artifacts = [copy for copy in copies if copy.suffix != receipt.suffix]
+    try:
+        whole = read_checksummed(work.pinned(receipt), work.place(receipt)) is not None
+    except Damaged:
+        whole = False
+    if not whole or (pinned.digest and [_digest(copy) for copy in artifacts if copy.is_file()] != [pinned.digest]):
+        return False
+    for copy in copies:  # the receipt last
+        copy_atomic(copy, receipt.with_suffix(copy.suffix))
+    return True
+
+
+def _digest(path: Path) -> str | None:
+    """Of a file's bytes; None where they cannot be had."""
+    try:
+        return file_digest(path)
+    except Unreadable:
+        return None
+
+
+def _differs(cache: Cache, receipt: Receipt) -> bool:
+    """At first sight: is the reference's copy of a receipt or an artifact gone, or of another size?"""
+    record = cache.work.receipt(receipt.preimage.task, receipt.key)
+    copies = str(cache.work.pinned(record.parent))  # joined as text: every night looks at all of them
+    try:
+        sizes = {record.name: record.stat().st_size} | ({receipt.file: receipt.bytes} if receipt.file else {})
+        return any(os.stat(f"{copies}/{name}").st_size != size for name, size in sizes.items())  # noqa: PTH116
+    except OSError:
+        return True
