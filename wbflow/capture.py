@@ -43,7 +43,7 @@ PATIENCE = 15.0
 LARGEST = 100_000_000
 """Bytes of one picture."""
 _STREAM = "wbflow_stages.capture.stream:stream_pictures"
-_LOOK_SECONDS = 0.5
+_STILL_SECONDS = 0.5
 _COMPLETE = {b"\xff\xd8": b"\xff\xd9", b"\x89P": b"IEND\xaeB`\x82"}
 """How a picture ends, by how it begins."""
 
@@ -276,13 +276,13 @@ def _of_folder(folder: Path, moments: Sequence[float]) -> Iterator[Shot]:
             _wait_until(moment)
             new = [path for path in folder.iterdir() if path.is_file() and path not in used and path.stat().st_mtime >= begun - 1]
             latest = max(new, key=lambda path: path.stat().st_mtime, default=None)
-            if latest and time.time() - latest.stat().st_mtime > _LOOK_SECONDS:  # it is no longer written to
+            if latest and time.time() - latest.stat().st_mtime > _STILL_SECONDS:  # it is no longer written to
                 used.add(latest)
                 yield _whole(read_untrusted(latest)), latest.stat().st_mtime
                 break
             if time.time() > moments[-1] + PATIENCE:
                 raise OSError(f"nothing new arrives in {folder}")
-            time.sleep(_LOOK_SECONDS)
+            time.sleep(_STILL_SECONDS)
 
 
 def _whole(data: bytes) -> bytes:

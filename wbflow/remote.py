@@ -345,7 +345,7 @@ def writing(work: WorkFolder, wait: bool) -> Iterator[Mirror]:
         mirror.release()
 
 
-def look(work: WorkFolder) -> None:
+def pull_to_read(work: WorkFolder) -> None:
     """Bring what others have done, only to read it; a folder that a run writes to is up to date.  Raises StoreError, OSError."""
     with contextlib.suppress(Locked), hold(work.lock, wait=False):
         Mirror(work).pull()

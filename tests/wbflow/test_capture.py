@@ -21,7 +21,7 @@ from tests.helpers.camera_servers import PASSWORD, USER, http_camera, picture, r
 from wbflow import capture as taking
 from wbflow.cli.main import main
 from wbflow.errors import ExitCode
-from wbflow.site.captures import Pattern
+from wbflow.site.pattern import Pattern
 
 
 @pytest.fixture(autouse=True)

@@ -126,7 +126,7 @@ def on_disk(site: Mirrored, tmp_path: Path) -> bytes:
 def receipts(url: str, scratch: Path) -> set[str]:
     """Tasks that a store knows the results of."""
     work = WorkFolder(scratch, url)
-    remote.look(work)
+    remote.pull_to_read(work)
     return {json.loads(path.read_bytes())["task"] for path in work.receipts()}
 
 

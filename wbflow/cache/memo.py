@@ -16,10 +16,8 @@ from .checksum import Damaged, file_digest, read_checksummed, write_checksummed
 
 _SETTLED_NS = 2_000_000_000
 """A file younger than this may change again within its time stamp's resolution."""
-
 _FORMER = 2000
 """So many files that were not looked up this time are remembered besides those that were."""
-
 NIGHTS = 60
 """So many nights of captures are remembered."""
 

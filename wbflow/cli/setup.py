@@ -184,8 +184,8 @@ def stages(stage: str | None) -> None:
     wbflow stages
     wbflow stages disparity
     """
-    from ..pipeline.binding import describe
     from ..pipeline.functions import FunctionReader
+    from ..pipeline.parameter_docs import describe
     from ..pipeline.stages import STAGES
 
     chosen = [row for row in STAGES if row.name == stage]

@@ -77,7 +77,7 @@ def check_captures(site: Site, context: RunContext) -> list[Fault]:
             what = f"{where}: there is no capture {expected(site, camera, context.date)}"
             found.append(Fault("error", what, _remedy_of_missing(site, camera), ExitCode.DEGRADED))
         for file in files:
-            size, problem = _look_at(file)
+            size, problem = _size_of(file)
             stated = (camera.lens.width, camera.lens.height)
             if problem:
                 found.append(Fault("error", f"{where}: {problem}", "the other cameras go on without it", ExitCode.DEGRADED))
@@ -96,7 +96,7 @@ def _remedy_of_missing(site: Site, camera: Camera) -> str:
     return "check captures.root and pattern, or the camera itself"
 
 
-def _look_at(file: CaptureFile) -> tuple[tuple[int, int], str | None]:
+def _size_of(file: CaptureFile) -> tuple[tuple[int, int], str | None]:
     """(width, height) of a capture as it would be used, or what is wrong with it."""
     import numpy as np
 

@@ -18,7 +18,7 @@ from ..pipeline.stages import DENSE_PAIRS, DEPTH, DISPARITY, FRAMES, FUSE, GEOME
 from ..records.record import CameraRecord, CloudRecord, PairRecord, RunRecord, Seconds, TaskCounts, stamp
 from ..runner.planner import Plan
 from ..runner.state import Cause, State, summary_of
-from ..site.staleness import by_picture, night_by_pictures
+from ..site.stale_cameras import by_picture, night_by_pictures
 from ..task import Task, camera_of
 
 _ADD_UP = {"keypoints", "points"}

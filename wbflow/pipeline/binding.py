@@ -1,5 +1,4 @@
-"""A stage bound to the function, and the method, that a site has it done by: what these are handed, and their parameters, with
-default, unit and meaning from signatures and docstrings alone.
+"""A stage bound to the function, and the method, that a site has it done by: what these are handed, and their parameters.
 
 What a function receives is decided by the names of its arguments: any input that the stage's row needs or offers.  Everything
 else that it takes is a parameter, and stands after a bare `*`.
@@ -7,10 +6,7 @@ else that it takes is a parameter, and stands after a bare `*`.
 
 from __future__ import annotations
 
-import ast
-import re
-import textwrap
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -18,7 +14,7 @@ from typing import Any
 from ..cache.checksum import content_digest
 from ..cache.fingerprint import FunctionError
 from .functions import FunctionInfo, FunctionReader, Parameter, Signature
-from .stages import COMPONENT, FUSE, Source, Stage
+from .stages import Source, Stage
 
 
 @dataclass(frozen=True)
@@ -151,101 +147,3 @@ def _faults(info: FunctionInfo, stage: Stage, offered: set[str]) -> list[str]:
         elif argument.name not in offered:
             found.append(f"{info.dotted} has {argument.name!r} among its inputs; {inputs}; a parameter stands after a bare *")
     return found
-
-
-_TYPES = re.compile(r"(?:int|float|bool|str|list|tuple|dict|None|optional|\{[^}]*\}|\"[^\"]*\"| |or|of|\||,|\[[^\]]*\])+")
-_UNITS = {
-    "_px": "pixels",
-    "_deg": "degrees",
-    "_mm": "millimetres",
-    "_m": "metres",
-    "_s": "seconds",
-    "_share": "share, 0 to 1",
-    "_probability": "0 to 1",
-}
-"""By the end of a parameter's name; what the docstring says goes first."""
-_WIDTH = 110
-"""Of the lines that are printed."""
-
-
-@dataclass(frozen=True)
-class ParameterDoc:
-    """A parameter, and what the docstring of its function has of it."""
-
-    parameter: Parameter
-    unit: str
-    meaning: str
-
-
-def document(dotted: str, parameters: Iterable[Parameter], reader: FunctionReader) -> tuple[str, list[ParameterDoc]]:
-    """What the docstring of a function says: its first paragraph in one line, and unit and meaning of parameters."""
-    _, _, node = reader.modules.function(dotted)
-    text = ast.get_docstring(node) or ""
-    known = _parameter_texts(text)
-    docs = []
-    for parameter in parameters:
-        unit, meaning = known.get(parameter.name, ("", ""))
-        by_name = next((words for ending, words in _UNITS.items() if parameter.name.endswith(ending)), "")
-        docs.append(ParameterDoc(parameter, unit or by_name, meaning))
-    return " ".join(text.split("\n\n")[0].split()), docs
-
-
-def describe(stage: Stage, reader: FunctionReader) -> list[str]:
-    """A stage and its methods as a person reads them at a terminal."""
-    own = reader.signature(stage.function).parameters
-    inputs = {*stage.inputs, *stage.offers}
-    meaning, docs = document(stage.function, [p for name, p in own.items() if name not in inputs], reader)
-    offers = f"; a function of one's own may also ask for {', '.join(stage.offers)}" if stage.offers else ""
-    found = [f"{stage.name}  (each {stage.scope})  {meaning}", f"  {stage.function}, from {', '.join(stage.inputs)}{offers}"]
-    found += [line for doc in docs for line in _lines(doc, "  ", _elsewhere(stage, doc.parameter.name))]
-    for name, dotted in reader.table(stage.method.table).items() if stage.method else ():
-        meaning, docs = document(dotted, method_parameters(stage, reader)[name].values(), reader)
-        default = stage.method and own[stage.method.parameter].default
-        found.append(f"  {name}{' (default)' if name == default else ''}: {meaning}")
-        found += [line for doc in docs for line in _lines(doc, "    ")]
-    return found
-
-
-def _parameter_texts(docstring: str) -> dict[str, tuple[str, str]]:
-    """Unit and meaning of what the section Parameters of a docstring lists, by name."""
-    found: dict[str, tuple[str, str]] = {}
-    for head, body in _entries(docstring):
-        names, _, text = head.partition(" : ") if " : " in head else head.partition(": ")
-        text = text.strip()
-        typed = _TYPES.match(text)
-        ends_there = typed and (typed.end() == len(text) or text[: typed.end()].rstrip().endswith(","))
-        unit = text[typed.end() :].strip() if typed and ends_there else ""
-        meaning = " ".join([*([] if ends_there else [text]), *body]).strip()
-        found |= {name.strip(): (unit, meaning) for name in names.replace("*", "").split(",")}
-    return found
-
-
-def _entries(docstring: str) -> list[tuple[str, list[str]]]:
-    """Head line and further lines of each entry of the section Parameters."""
-    lines = docstring.splitlines()
-    entries: list[tuple[str, list[str]]] = []
-    inside = False
-    for line, below in zip(lines, [*lines[1:], ""], strict=True):
-        if below and not below.strip("-") and not line.startswith(" "):
-            inside = line.strip() in {"Parameters", "Other Parameters"}
-        elif inside and line.strip("-") and line.startswith(" ") and entries:
-            entries[-1][1].append(line.strip())
-        elif inside and line.strip("-"):
-            entries.append((line.strip(), []))
-    return entries
-
-
-def _elsewhere(stage: Stage, name: str) -> str:
-    """Where in a site file a parameter is set that is not set in the stage's section."""
-    section, _, key = stage.set_by_site().get(name, "").rpartition(".")
-    if key:
-        return f", set by {f'{key} in the section {section}' if section else f'{key} at the top'} of the site file"
-    return ", each component in turn" if (stage.name, name) == (FUSE, COMPONENT) else ""
-
-
-def _lines(doc: ParameterDoc, indent: str, elsewhere: str = "") -> list[str]:
-    head = f"{indent}{doc.parameter.name} = {doc.parameter.shown}{elsewhere}{f' [{doc.unit}]' if doc.unit else ''}"
-    choices = [str(choice) for choice in doc.parameter.choices]
-    unnamed = [choice for choice in choices if choice not in doc.meaning]
-    words = f"{doc.meaning} One of {', '.join(choices)}.".strip() if unnamed else doc.meaning
-    return [head, *textwrap.wrap(words, _WIDTH, initial_indent=f"{indent}    ", subsequent_indent=f"{indent}    ")]

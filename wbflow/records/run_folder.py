@@ -279,9 +279,9 @@ def hold_to_write(work: WorkFolder, wait: bool) -> Iterator[Mirror | None]:
 def refresh(work: WorkFolder) -> None:
     """Bring what other machines have done, where the work folder mirrors an object store.  Raises StoreError, OSError."""
     if work.store:
-        from ..remote import look
+        from ..remote import pull_to_read
 
-        look(work)
+        pull_to_read(work)
         turn_links(work)
 
 

@@ -10,9 +10,9 @@ from ..cache.layout import WorkFolder
 from ..cache.memo import Digests, EarlierCaptures
 from ..cache.store import Cache
 from ..records.reference_folder import BadReference, Reference, read_reference
-from ..site.captures import as_now, expected, find_captures, find_named, in_motion, look_again, night, when_complete
+from ..site.captures import as_now, expected, find_captures, find_named, in_motion, list_store, night, when_complete
 from ..site.models import Site
-from ..site.staleness import look_at
+from ..site.stale_cameras import find_stale
 from .options import Options
 from .planner import Plan
 
@@ -34,11 +34,11 @@ class RunContext:
     growing: frozenset[Path] = frozenset()
     """Captures that were still being written when the run began."""
 
-    def look_again(self, path: Path) -> None:
+    def reread(self, path: Path) -> None:
         """A file has changed since its digest was taken: the plan goes on with what it holds now."""
         self.replaced.add(path)
         self.digests.forget(path)
-        self.plan.look_again()
+        self.plan.relist()
         for files in self.plan.captures.values():
             files[:] = [as_now(file, self.digests) if file.path == path else file for file in files]
         for name, file in self.plan.named.items():
@@ -64,10 +64,10 @@ def plan_run(site: Site, options: Options) -> RunContext:
     """Find a night's captures and plan its work; nothing is written."""
     work = site.work_folder
     digests, earlier_captures = Digests(work.captures_memo), EarlierCaptures(work.delivered_memo)
-    look_again(site)
+    list_store(site)
     found_date = night(site, options.date)
     found, growing = when_complete(find_captures(site, found_date, digests), digests)
-    delivered = look_at(site, found_date, found, digests, earlier_captures)
+    delivered = find_stale(site, found_date, found, digests, earlier_captures)
     lost = [camera for camera in site.cameras if not delivered.captures[camera.id]]
     named = {camera.id: expected(site, camera, found_date).replace(f"{site.captures.root}/", "") for camera in lost}
     reference, misfit = _reference(site, work)

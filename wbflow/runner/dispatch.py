@@ -27,7 +27,7 @@ from .spec import TaskSpec
 from .state import Cause, State
 from .worker import Done, run_chain
 
-LOOK_SECONDS = 0.5
+PROGRESS_SECONDS = 0.5
 """How often it is read which tasks are at work."""
 SHORTEST, LONGEST, TIMES = 600.0, 6 * 3600.0, 20.0
 """Seconds that a task may take: so many times the median of its stage, within limits; LONGEST where that is not known."""
@@ -80,7 +80,7 @@ class _Chain:
     def tasks(self) -> list[Task]:
         return [spec.task for spec in self.specs]
 
-    def look(self) -> tuple[bool, str]:
+    def read_progress(self) -> tuple[bool, str]:
         """Read the progress file: has another task begun, and what has `faulthandler` written of it?"""
         try:
             text = self.progress.read_text(errors="replace")
@@ -139,9 +139,9 @@ class Dispatcher:
     def wait(self) -> tuple[list[Done], list[list[TaskSpec]]]:
         """Wait until a chain ends, or a moment; return the tasks that have ended, and the chains that have."""
         self._begin()
-        over, _ = wait(self._at_work, timeout=LOOK_SECONDS, return_when=FIRST_COMPLETED)
+        over, _ = wait(self._at_work, timeout=PROGRESS_SECONDS, return_when=FIRST_COMPLETED)
         for chain in self._at_work.values():
-            if chain.look()[0]:
+            if chain.read_progress()[0]:
                 self._journal.listen(StartedEvent(chain.tasks[chain.at_work]))
         ended = [(self._at_work.pop(future), future) for future in over]
         return [done for chain, future in ended for done in self._ended(chain, future)], [chain.specs for chain, _ in ended]
@@ -198,7 +198,7 @@ class Dispatcher:
 
     def _lost(self, chain: _Chain, error: WorkerLost) -> Iterator[Done]:
         self._cache.tidy(chain.tasks)
-        _, words = chain.look()
+        _, words = chain.read_progress()
         task = chain.tasks[max(0, chain.at_work)]
         if "Timeout (" in words:
             before = self._limits.past.stages.get(task.stage)

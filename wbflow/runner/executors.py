@@ -34,7 +34,7 @@ ALL_CORES = "STAGE_THREADS"
 """Read by stages that all others wait for: they may take as many threads as there are workers."""
 PIXELS = {"OPENCV_IO_MAX_IMAGE_PIXELS": "200000000"}
 """Of an image whose header nobody has read before OpenCV does."""
-LOOK_SECONDS = 0.25
+MEASURE_SECONDS = 0.25
 """How often the memory of workers is measured."""
 SHARE = 0.8
 """Of the memory of this machine, or of the control group that the run is in, that its workers may hold together."""
@@ -142,7 +142,7 @@ class Processes(Executor):
 
     def _watch(self) -> None:
         """In a thread: measure the memory of all workers, and end the largest while they hold too much."""
-        while not self._closed.wait(LOOK_SECONDS):
+        while not self._closed.wait(MEASURE_SECONDS):
             held = {each: each.holds() for each in list(self._workers)}
             if not self._memory or sum(held.values()) <= self._memory:
                 continue

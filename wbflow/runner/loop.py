@@ -90,7 +90,7 @@ class _Loop:
             if done.damaged is not None:
                 self._make_again(done.damaged, done.state.reason or "")
             elif done.changed is not None:
-                self._look_again(done.task, done.changed, done.state.reason or "")
+                self._reread(done.task, done.changed, done.state.reason or "")
             else:
                 self.context.plan.commit(done.task, done.state)
         for chain in chains:
@@ -122,7 +122,7 @@ class _Loop:
             self.journal.repaired(f"{reason}; made again", task=task)
             plan.forget(task)
 
-    def _look_again(self, task: Task, file: Path, reason: str) -> None:
+    def _reread(self, task: Task, file: Path, reason: str) -> None:
         """A capture, mask or model has been replaced since it was read: the plan goes on with what it holds now."""
         self._attempts[file] += 1
         if self._attempts[file] > MOST_ATTEMPTS:
@@ -130,7 +130,7 @@ class _Loop:
             self.context.plan.commit(task, State("failed", why, Cause.BAD_INPUT))
             return
         self.journal.warn(f"{reason}; what it holds now is used", task=task)
-        self.context.look_again(file)
+        self.context.reread(file)
 
     def _products(self) -> dict[Task, bytes]:
         """What is published.  Raises DamagedArtifact."""

@@ -96,7 +96,7 @@ class Plan:
             if self._anew:
                 self._list()
             elif (task := self._due.popleft()) not in self.states and task not in self.running and task not in self.ready:
-                self._look_at(stage_named(task.stage), task)
+                self._derive(stage_named(task.stage), task)
 
     def commit(self, task: Task, state: State) -> None:
         """Record how a task has ended; those that wait for it are looked at again."""
@@ -115,7 +115,7 @@ class Plan:
         self.resolver.lose(task)
         self._anew = True
 
-    def look_again(self) -> None:
+    def relist(self) -> None:
         """A capture has changed: derive anew whatever has not ended."""
         self._anew = True
 
@@ -171,7 +171,7 @@ class Plan:
         self._due = deque(task for stage in self.stages for task in self.subjects.tasks(stage))
         self._listed = Counter(task.stage for task in self._due)
 
-    def _look_at(self, stage: Stage, task: Task) -> None:
+    def _derive(self, stage: Stage, task: Task) -> None:
         try:
             instead = self.resolver.instead(stage, task)
             if isinstance(instead, Receipt):

@@ -28,7 +28,7 @@ from .locations import Document, Location, SiteProblem, did_you_mean
 
 if TYPE_CHECKING:
     from ..pipeline.functions import FunctionReader
-    from .captures import Pattern
+    from .pattern import Pattern
 
 Vector2 = Annotated[list[float], Field(min_length=2, max_length=2)]
 Vector3 = Annotated[list[float], Field(min_length=3, max_length=3)]

@@ -10,8 +10,9 @@ import pytest
 from click.testing import CliRunner
 
 from wbflow.cli.main import main
-from wbflow.pipeline.binding import describe, document, method_parameters
+from wbflow.pipeline.binding import method_parameters
 from wbflow.pipeline.functions import FunctionReader
+from wbflow.pipeline.parameter_docs import describe, document
 from wbflow.pipeline.stages import DISPARITY, MATCHES, STAGES, Stage, stage_named
 
 

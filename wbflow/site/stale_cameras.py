@@ -41,8 +41,12 @@ class Delivered:
     """What else is to be said, by camera."""
 
 
-def look_at(
-    site: Site, date: datetime.date, captures: Mapping[str, list[CaptureFile]], digests: Digests, seen: EarlierCaptures
+def find_stale(
+    site: Site,
+    date: datetime.date,
+    captures: Mapping[str, list[CaptureFile]],
+    digests: Digests,
+    remembered: EarlierCaptures,
 ) -> Delivered:
     """Leave out captures that come again, and name cameras that deliver nothing else.
 
@@ -52,15 +56,15 @@ def look_at(
         Whose captures, and of which night.
     captures : mapping
         All files of the night, by camera.
-    digests, seen : Digests, EarlierCaptures
+    digests, remembered : Digests, EarlierCaptures
         To look at the files of the night before; what cameras have delivered before: tonight is noted there.
     """
     delivered = Delivered({camera: list(files) for camera, files in captures.items()})
     repeated: dict[str, Health] = {}
     for camera in site.cameras:
         files = delivered.captures[camera.id]
-        earlier = _earlier(site, camera, date, digests, seen) if any(file.digest for file in files) else {}
-        seen.note(camera.id, str(date), [file.digest for file in files])
+        earlier = _earlier(site, camera, date, digests, remembered) if any(file.digest for file in files) else {}
+        remembered.note(camera.id, str(date), [file.digest for file in files])
         health = _repeats(camera.id, files, earlier, delivered)
         if health:
             repeated[camera.id] = health
@@ -72,11 +76,11 @@ def look_at(
     return delivered
 
 
-def _earlier(site: Site, camera: Camera, date: datetime.date, digests: Digests, seen: EarlierCaptures) -> dict[str, str]:
+def _earlier(site: Site, camera: Camera, date: datetime.date, digests: Digests, remembered: EarlierCaptures) -> dict[str, str]:
     """Digests of what a camera delivered in earlier nights, with the night: as remembered, and as far as it lies there still."""
     if camera.images is not None:  # the site file names them: they are what is meant
         return {}
-    known = seen.before(camera.id, str(date))
+    known = remembered.before(camera.id, str(date))
     pattern = site.captures
     if pattern.dated:
         before = max((night for night in pattern.dates(camera.id) if night < date), default=None)

@@ -13,7 +13,7 @@ from wbflow.pipeline.summaries import FrameSummary
 from wbflow.site.captures import find_captures
 from wbflow.site.load import load_site
 from wbflow.site.models import Site
-from wbflow.site.staleness import Delivered, by_picture, look_at, night_by_pictures
+from wbflow.site.stale_cameras import Delivered, by_picture, find_stale, night_by_pictures
 
 NIGHT = datetime.date(2026, 11, 19)
 DAY = datetime.timedelta(days=1)
@@ -37,7 +37,7 @@ def a_site(folder: Path, pattern: str = PATTERN) -> Site:
 
 def looked_at(site: Site, night: datetime.date, seen: EarlierCaptures) -> Delivered:
     digests = Digests(None)
-    return look_at(site, night, find_captures(site, night, digests), digests, seen)
+    return find_stale(site, night, find_captures(site, night, digests), digests, seen)
 
 
 def test_what_comes_again_the_next_night_is_frozen_even_where_nothing_was_remembered(tmp_path: Path) -> None:
