@@ -31,7 +31,7 @@ import numpy as np
 from pairs_with_truth import read_rgb
 from scores import compare_clouds, similarity_between, voxel_means
 
-from wbflow.cache.artifact import read_ply
+from wbflow.cache.ply import read_ply
 from wbflow_stages.core.cameras import backproject, project, relative_pose, scaled_intrinsics
 from wbflow_stages.types import Camera, Float32s, Float64s, Uint8s
 

@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial import cKDTree
 
-from wbflow.cache.artifact import read_ply
+from wbflow.cache.ply import read_ply
 from wbflow_stages.core.cameras import backproject, project
 from wbflow_stages.types import Bools, Camera, Float32s, Float64s
 

@@ -21,7 +21,7 @@ from scipy.spatial import cKDTree
 from scores import compare_clouds, similarity_between
 
 import wbflow
-from wbflow.cache.artifact import read_ply
+from wbflow.cache.ply import read_ply
 from wbflow_stages.types import Float64s
 
 TAUS = (0.05, 0.10, 0.20)

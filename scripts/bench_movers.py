@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial import cKDTree
 
-from wbflow.cache.artifact import read_ply
+from wbflow.cache.ply import read_ply
 from wbflow_demo.files import NIGHT_LARGE, NIGHT_SMALL
 from wbflow_demo.nights import moving
 from wbflow_demo.render.photograph import Shots

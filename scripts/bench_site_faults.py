@@ -34,7 +34,7 @@ import yaml
 from bench_certainty import errors_along_rays
 from scipy.spatial import cKDTree
 
-from wbflow.cache.artifact import read_ply
+from wbflow.cache.ply import read_ply
 from wbflow.outcome.demo import write_demo
 from wbflow_stages.core.rotations import rotation_matrix
 from wbflow_stages.types import Float64s, Uint8s

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial import cKDTree
 
-from wbflow.cache.artifact import read_ply
+from wbflow.cache.ply import read_ply
 from wbflow_stages.types import Float64s
 
 TAUS = (0.05, 0.10)

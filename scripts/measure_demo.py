@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 from scores import compare_clouds
 
-from wbflow.cache.artifact import read_ply
+from wbflow.cache.ply import read_ply
 
 
 def main() -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from wbflow.cache.artifact import read_ply
+from wbflow.cache.ply import read_ply
 from wbflow.site.calibration.calibrated import look_at
 
 

@@ -30,7 +30,7 @@ FLOORS = [
 """Rooms of the vision from the ground up: each imports from its own floor and from those below it.  "stages": the stage files."""
 
 LAYERS = (
-    {"errors", "task", "plain"},
+    {"errors", "task", "json_dataclass"},
     {"cache", "records", "pipeline", "remote"},
     {"site"},
     {"runner", "reference", "capture"},

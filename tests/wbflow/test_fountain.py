@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from scores import compare_clouds
 
-from wbflow.cache.artifact import read_ply
+from wbflow.cache.ply import read_ply
 from wbflow_stages.core.cameras import backproject
 from wbflow_stages.types import Camera
 

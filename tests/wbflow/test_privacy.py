@@ -17,7 +17,7 @@ import wbflow
 from tests.helpers.images import decoded
 from tests.helpers.synthetic_site import small_yard
 from wbflow.cache import artifact
-from wbflow.cache.artifact import read_ply
+from wbflow.cache.ply import read_ply
 
 CORNERS = ((20, 60), (150, 50), (140, 175), (10, 170))
 """Of the polygon, in captures of 320 x 180 pixels: a piece of the ground that both cameras see."""

@@ -21,7 +21,7 @@ from scores import compare_clouds
 import wbflow
 from tests.helpers.browser import chromium, until
 from tests.helpers.images import read_image
-from wbflow.cache.artifact import read_ply
+from wbflow.cache.ply import read_ply
 from wbflow.cli.main import main
 from wbflow.outcome.demo import write_demo
 from wbflow_stages.exports.previews import matches_preview

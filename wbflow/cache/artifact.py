@@ -2,7 +2,7 @@
 
 Layout: b"WBF1", length of the header (uint32, little-endian), header (JSON), array frames.  Equal objects give equal bytes.
 The header alone rebuilds an object that holds no arrays, so small artifacts are read without importing numpy.
-A cloud is a PLY file instead: binary, little-endian, with named columns.
+A cloud is a PLY file instead (see `ply`).
 """
 
 from __future__ import annotations
@@ -11,22 +11,14 @@ import dataclasses
 import io
 import json
 import math
-import sys
 from collections.abc import Callable, Mapping
-from pathlib import Path
-from typing import IO, TYPE_CHECKING, Any
+from typing import IO, Any
 
 from ..errors import WbflowError
 from ..pipeline.stages import CLOUD_COLUMNS, CLOUD_FIGURES, FUSE, RESTORE_CLOUD
 from .checksum import content_digest
 from .fingerprint import load
-from .untrusted import read_untrusted
-
-if TYPE_CHECKING:
-    import numpy as np
-    import numpy.typing as npt
-
-    Columns = Mapping[str, npt.NDArray[Any]]
+from .ply import columns_of, ply_bytes
 
 MAGIC = b"WBF1"
 _SCALARS = (bool, int, float, str)  # `bool | int` would be made anew at each look
@@ -36,12 +28,12 @@ class ArtifactError(WbflowError, ValueError):
     """The bytes are not an intact artifact."""
 
 
-def kept(result: Any, stage: str, key: str) -> tuple[bytes | bytearray, dict[str, Any]]:
+def bytes_and_facts(result: Any, stage: str, key: str) -> tuple[bytes | bytearray, dict[str, Any]]:
     """The bytes of a result, and what its receipt says of these."""
     data = result_bytes(result, stage)
     more = load(CLOUD_FIGURES)(result) if stage == FUSE else {}
-    said = {"digest": content_digest(data), "parts": parts(result), "file": f"{key}{suffix_of(stage)}", "bytes": len(data)}
-    return data, {**said, "figures": figures(result) | more}
+    facts = {"digest": content_digest(data), "parts": parts(result), "file": f"{key}{suffix_of(stage)}", "bytes": len(data)}
+    return data, {**facts, "figures": figures(result) | more}
 
 
 def suffix_of(stage: str) -> str:
@@ -94,7 +86,7 @@ def parts(value: Any) -> dict[str, str]:
     A task that needs only `frames.view` or `poses.cameras[gate]` is not run again when something else in there changes.
     """
     found: dict[str, str] = {}
-    for name in _kept(value):
+    for name in _fields_of(value):
         field = getattr(value, name)
         if dataclasses.is_dataclass(field):
             found[name] = content_digest(encode(field))
@@ -111,7 +103,7 @@ def figures(value: Any) -> dict[str, Any]:
     `<field>_count`.  A field whose metadata say `figure=False` is left out."""
     found: dict[str, Any] = {}
     left_out = {field.name for field in dataclasses.fields(value) if not field.metadata.get("figure", True)}
-    for name in _kept(value):
+    for name in _fields_of(value):
         field = getattr(value, name)
         if name in left_out:
             continue
@@ -128,7 +120,7 @@ def figures(value: Any) -> dict[str, Any]:
     return found
 
 
-def _kept(value: Any) -> tuple[str, ...]:
+def _fields_of(value: Any) -> tuple[str, ...]:
     """Names of a dataclass's fields, without those marked `transient`: they are found again where they are missing."""
     return tuple(f.name for f in dataclasses.fields(value) if not f.metadata.get("transient"))
 
@@ -154,7 +146,7 @@ def _tree(value: Any, frames: list[bytes], compress: Callable[[bytes], bytes]) -
         return _array_tree(value, frames, compress)
     if dataclasses.is_dataclass(value):
         kind = type(value)
-        fields = {name: _tree(getattr(value, name), frames, compress) for name in _kept(value)}
+        fields = {name: _tree(getattr(value, name), frames, compress) for name in _fields_of(value)}
         return {"type": f"{kind.__module__}:{kind.__qualname__}", "fields": fields}
     if isinstance(value, Mapping):
         return {"map": [[_key(key), _tree(entry, frames, compress)] for key, entry in value.items()]}
@@ -211,61 +203,3 @@ def _untree(node: Any, frames: IO[bytes]) -> Any:
     fields = {name: _untree(tree, frames) for name, tree in node["fields"].items()}
     known = {field.name for field in dataclasses.fields(kind)}
     return kind(**{name: value for name, value in fields.items() if name in known})
-
-
-_TYPES = {"f4": "float", "f8": "double", "u1": "uchar", "i1": "char", "u2": "ushort", "i2": "short", "u4": "uint", "i4": "int"}
-
-
-def ply_bytes(columns: Columns, comments: tuple[str, ...] = ()) -> bytes | bytearray:
-    """A PLY file with one vertex property for each column (1-D arrays of equal length)."""
-    import numpy as np
-
-    count = len(next(iter(columns.values())))
-    dtype = np.dtype([(name, "<" + column.dtype.str[1:]) for name, column in columns.items()])
-    properties = [f"property {_TYPES[column.dtype.str[1:]]} {name}" for name, column in columns.items()]
-    head = ["ply", "format binary_little_endian 1.0", *(f"comment {c}" for c in comments), f"element vertex {count}"]
-    start = "\n".join([*head, *properties, "end_header", ""]).encode()
-    data = bytearray(len(start) + count * dtype.itemsize)  # filled in place: a cloud can be as large as all else in memory
-    data[: len(start)] = start
-    table = np.frombuffer(data, dtype, count, len(start))
-    for name, column in columns.items():
-        table[name] = column
-    return data
-
-
-def read_ply(path: Path) -> dict[str, npt.NDArray[Any]]:
-    """Vertex columns of a binary little-endian PLY by name.
-
-    Raises ValueError for another PLY format, list properties, or fewer bytes than the header promises.
-    """
-    try:
-        return columns_of(read_untrusted(path, most=sys.maxsize))
-    except ValueError as error:
-        raise ValueError(f"{path}: {error}") from None
-
-
-def columns_of(data: bytes) -> dict[str, npt.NDArray[Any]]:
-    """Vertex columns of the bytes of a binary little-endian PLY by name.  Raises ValueError."""
-    import numpy as np
-
-    end = data.find(b"end_header\n")
-    lines = data[:end].decode("ascii", "replace").split("\n") if end >= 0 else []
-    if lines[:2] != ["ply", "format binary_little_endian 1.0"]:
-        raise ValueError("not a binary little-endian PLY file")
-    sizes = {kind: code for code, kind in _TYPES.items()}
-    words = [line.split() for line in lines]
-    count = next(int(w[2]) for w in words if w[:2] == ["element", "vertex"])
-    dtype: np.dtype[Any] = np.dtype([(w[2], "<" + sizes[w[1]]) for w in words if w and w[0] == "property"])
-    start = end + len(b"end_header\n")
-    if len(data) - start < count * dtype.itemsize:
-        raise ValueError(f"ends after {len(data):,} bytes, {count:,} points were promised")
-    table = np.frombuffer(data, dtype=dtype, count=count, offset=start)
-    return {name: table[name].copy() for name in dtype.names or ()}
-
-
-def with_comments(ply: bytes, comments: tuple[str, ...]) -> bytes:
-    """The same PLY with further comments in its header, after the first."""
-    if not comments:
-        return ply
-    at = ply.index(b"element vertex")
-    return b"".join([ply[:at], *(f"comment {comment}\n".encode() for comment in comments), memoryview(ply)[at:]])

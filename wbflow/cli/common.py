@@ -78,7 +78,7 @@ def load(path: Path, work: str | None, for_run: bool = False) -> Site:
     from ..records.run_folder import refresh
     from ..remote import StoreError
     from ..site.load import load_site
-    from ..site.locations import SiteError
+    from ..site.yaml_document import SiteError
 
     try:
         site = load_site(path, work)

@@ -11,19 +11,19 @@ from typing import Annotated, Any
 
 from pydantic import Field
 
-from ..cache.artifact import read_ply
 from ..cache.atomic import write_atomic
 from ..cache.checksum import content_digest
 from ..cache.fingerprint import load
 from ..cache.memo import Digests
+from ..cache.ply import read_ply
 from ..cache.untrusted import MOST_TEXT_BYTES, is_file, read_untrusted
 from ..errors import ExitCode, WbflowError
 from ..records.run_folder import NoSuchRun, RunFolder
 from ..site.cameras import local_frame
 from ..site.captures import captures_of, expected, night
 from ..site.load import site_of
-from ..site.locations import Location, Problems, SiteError, parse_yaml
 from ..site.models import Camera, Section, Site, Vector2, Vector3
+from ..site.yaml_document import Location, Problems, SiteError, parse_yaml
 from .splice import NotEditable, append, put, remove
 
 GROUND_SHARE = 0.1

@@ -13,7 +13,7 @@ from typing import Any
 
 import yaml
 
-from ..site.locations import Loader, Location
+from ..site.yaml_document import Loader, Location
 
 Splice = tuple[int, int, str]
 """From where to where, and what stands there instead."""

@@ -19,8 +19,8 @@ import yaml
 from ..cache.atomic import write_atomic
 from ..cache.untrusted import MOST_TEXT_BYTES, read_untrusted
 from ..errors import UsageError
+from ..json_dataclass import JsonDataclass
 from ..pipeline.summaries import Change, ChangesSummary
-from ..plain import Plain
 from ..records.findings import FINDINGS, Finding
 from ..records.record import RunRecord
 from ..records.run_folder import newest_runs
@@ -33,7 +33,7 @@ _HEAD = "# What `wbflow acknowledge` says of this site's findings.\n"
 
 
 @dataclass(frozen=True)
-class Acknowledgement(Plain):
+class Acknowledgement(JsonDataclass):
     """That somebody knows of a finding."""
 
     finding: str

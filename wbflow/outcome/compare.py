@@ -8,10 +8,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from ..cache.artifact import ply_bytes
 from ..cache.atomic import write_atomic
 from ..cache.fingerprint import load
 from ..cache.layout import WorkFolder
+from ..cache.ply import ply_bytes
 from ..errors import UsageError, WbflowError
 from ..pipeline.stages import CHANGES, DEPTH, FRAMES, POSES, REFINE
 from ..pipeline.summaries import CutFill, titled

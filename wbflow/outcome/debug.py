@@ -22,8 +22,8 @@ from ..runner.planner import Plan
 from ..runner.spec import Input, Stored, TaskSpec
 from ..runner.state import Impossible, Waiting
 from ..runner.worker import arguments_of
-from ..site.locations import did_you_mean
 from ..site.models import Site
+from ..site.yaml_document import did_you_mean
 from ..task import Task
 
 SCRIPT = "run.py"

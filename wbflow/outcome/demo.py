@@ -7,9 +7,9 @@ import json
 from pathlib import Path
 from typing import Any
 
-from ..cache.artifact import ply_bytes
 from ..cache.atomic import write_atomic
 from ..cache.fingerprint import load
+from ..cache.ply import ply_bytes
 from ..errors import UsageError
 
 MANIFEST = "demo.json"

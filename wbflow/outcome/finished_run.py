@@ -8,9 +8,9 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ..cache.artifact import read_ply
 from ..cache.fingerprint import load
 from ..cache.layout import WorkFolder
+from ..cache.ply import read_ply
 from ..cache.store import Cache, Receipt
 from ..errors import UsageError, WbflowError
 from ..pipeline.stages import FRAMES, RESTORE_CLOUD, STAGES

@@ -10,8 +10,8 @@ from dataclasses import asdict, dataclass, field, fields
 from typing import Any
 
 from ..cache.layout import WorkFolder
+from ..json_dataclass import JsonDataclass
 from ..pipeline.summaries import Change
-from ..plain import Plain
 from ..records.findings import Verdict
 from ..records.ledger import Ledger, LedgerRun
 from ..records.record import RunRecord
@@ -72,7 +72,7 @@ def places(work: WorkFolder) -> list[dict[str, Any]]:
 
 
 @dataclass(frozen=True)
-class GrowthRow(Plain):
+class GrowthRow(JsonDataclass):
     """A part of the ground, or a change, on one night; volumes and areas in the site's unit."""
 
     night: str

@@ -14,8 +14,8 @@ from ..cache.atomic import write_atomic
 from ..cache.fingerprint import load
 from ..cache.untrusted import Unreadable, read_untrusted
 from ..errors import UsageError
-from ..site.locations import is_name
 from ..site.models import Site
+from ..site.yaml_document import is_name
 
 PHOTOGRAPHS = {".jpg", ".jpeg", ".png", ".tif", ".tiff"}
 """Suffixes of files that are taken for photographs, whatever their case."""

@@ -19,7 +19,7 @@ from typing import Any, Literal
 from ..cache.checksum import Damaged, read_checksummed, write_checksummed
 from ..cache.layout import RunPaths, WorkFolder
 from ..errors import WbflowError
-from ..plain import Plain
+from ..json_dataclass import JsonDataclass
 from ..records.findings import Verdict
 from ..records.record import RunRecord, moment
 from ..site.models import Notify
@@ -39,7 +39,7 @@ class NotifyFailed(WbflowError):
 
 
 @dataclass(frozen=True)
-class _Reported(Plain):
+class _Reported(JsonDataclass):
     """The state of a site that was last reported."""
 
     state: tuple[str, ...] = ()

@@ -12,11 +12,11 @@ from html import escape
 from typing import Any
 
 from ..cache import artifact
-from ..cache.artifact import ply_bytes, with_comments
 from ..cache.atomic import in_words
 from ..cache.cleanup import Keep, clean
 from ..cache.fingerprint import load
 from ..cache.layout import WorkFolder, cloud_name
+from ..cache.ply import ply_bytes, with_comments
 from ..errors import UsageError, WbflowError
 from ..pipeline.stages import FRAMES, FUSE, POSES, stage_named
 from ..pipeline.summaries import PosesSummary

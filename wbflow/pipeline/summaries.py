@@ -13,11 +13,11 @@ from typing import Annotated, Any, ClassVar, Self
 
 from pydantic import AliasChoices, Field, ValidationError, model_serializer, model_validator
 
-from ..plain import Plain
+from ..json_dataclass import JsonDataclass
 from ..records.findings import Health, HealthState
 
 
-class Summary(Plain):
+class Summary(JsonDataclass):
     """Fields of a result that somebody reads; each has a default."""
 
     @model_validator(mode="wrap")

@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, model_serializer
 
-from ..plain import Plain
+from ..json_dataclass import JsonDataclass
 
 Figures = Mapping[str, Any]
 """What is reported of a camera, a pair, a night or the world, by name: numbers, words, and mappings of these."""
@@ -39,7 +39,7 @@ def _current(aliases: Mapping[str, str]) -> BeforeValidator:
 
 
 @dataclass(frozen=True)
-class Finding(Plain):
+class Finding(JsonDataclass):
     """Something that a person should look at."""
 
     kind: Annotated[str, _current(FINDING_ALIASES)]
@@ -313,7 +313,7 @@ def finding(
 
 
 @dataclass(frozen=True)
-class Verdict(Plain):
+class Verdict(JsonDataclass):
     """What a night came to."""
 
     level: Level
@@ -333,7 +333,7 @@ class Verdict(Plain):
 
 
 @dataclass(frozen=True)
-class Health(Plain):
+class Health(JsonDataclass):
     """How a camera is, compared with what it has been; what its fields have in common with a `Finding` is meant alike."""
 
     state: Annotated[HealthState, _current(STATE_ALIASES)]
@@ -351,7 +351,7 @@ class Health(Plain):
 
 
 @dataclass(frozen=True)
-class Down(Plain):
+class Down(JsonDataclass):
     """Since when a camera gives nothing, or is not as it should be."""
 
     since: str
@@ -365,7 +365,7 @@ class Down(Plain):
 
 
 @dataclass(frozen=True)
-class Usual(Plain):
+class Usual(JsonDataclass):
     """What the last good nights gave, each figure by its median, or the reference: what tonight is compared with."""
 
     nights: int

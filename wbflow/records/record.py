@@ -10,9 +10,9 @@ from typing import Annotated, Any, Self
 
 from pydantic import Field, PlainSerializer
 
+from ..json_dataclass import FlatJsonDataclass, JsonDataclass
 from ..pipeline.stages import STAGES
 from ..pipeline.summaries import CameraFigures, PairFigures, PosesSummary, SiteSummary
-from ..plain import Flat, Plain
 from ..task import camera_of
 from .findings import Down, Health, Usual, Verdict
 
@@ -34,7 +34,7 @@ Time = Annotated[float, PlainSerializer(lambda seconds: round(seconds, 2))]
 
 
 @dataclass(frozen=True)
-class TaskCounts(Plain):
+class TaskCounts(JsonDataclass):
     """How many tasks ended how."""
 
     cached: int = 0
@@ -45,7 +45,7 @@ class TaskCounts(Plain):
 
 
 @dataclass(frozen=True)
-class StageSeconds(Plain):
+class StageSeconds(JsonDataclass):
     """What the tasks of one stage that ran have cost together."""
 
     wall: Time
@@ -54,7 +54,7 @@ class StageSeconds(Plain):
 
 
 @dataclass(frozen=True)
-class Seconds(Plain):
+class Seconds(JsonDataclass):
     """What a run has cost."""
 
     wall: Time
@@ -63,7 +63,7 @@ class Seconds(Plain):
 
 
 @dataclass(frozen=True)
-class CameraRecord(Flat):
+class CameraRecord(FlatJsonDataclass):
     """What became of one camera."""
 
     id: str
@@ -94,7 +94,7 @@ class CameraRecord(Flat):
 
 
 @dataclass(frozen=True)
-class PairRecord(Flat):
+class PairRecord(FlatJsonDataclass):
     """What became of one pair of cameras, or of their views."""
 
     left: str
@@ -132,7 +132,7 @@ class PairRecord(Flat):
 
 
 @dataclass(frozen=True)
-class CloudRecord(Plain):
+class CloudRecord(JsonDataclass):
     """A cloud of a run."""
 
     path: str
@@ -145,7 +145,7 @@ class CloudRecord(Plain):
 
 
 @dataclass(frozen=True)
-class RunRecord(Plain):
+class RunRecord(JsonDataclass):
     """A run: run.json."""
 
     run: str

@@ -10,7 +10,7 @@ import dataclasses
 import datetime
 from collections.abc import Mapping
 
-from ..cache.artifact import kept
+from ..cache.artifact import bytes_and_facts
 from ..cache.fingerprint import load
 from ..cache.layout import WorkFolder
 from ..cache.store import Cache, DamagedArtifact, Preimage, Receipt
@@ -144,7 +144,7 @@ def _aggregate(cache: Cache, stage: Stage, task: Task, receipts: Mapping[str, Re
         result = load(function.dotted)({date: cache.load(task, receipt) for date, receipt in receipts.items()})
     except DamagedArtifact:
         return None
-    data, facts = kept(result, stage.name, key)
+    data, facts = bytes_and_facts(result, stage.name, key)
     receipt = Receipt(str(task), key, "ran", preimage, **facts, finished=datetime.datetime.now(datetime.UTC).isoformat())
     cache.write(receipt, data)
     return receipt

@@ -18,7 +18,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TextIO
 
-from ..cache.artifact import kept, result_of
+from ..cache.artifact import bytes_and_facts, result_of
 from ..cache.atomic import FULL, REMEDY
 from ..cache.checksum import content_digest
 from ..cache.fingerprint import load, offer
@@ -184,7 +184,7 @@ def _do(spec: TaskSpec, preimage: Preimage, key: str, chain: _Chain) -> Done:
         known: dict[str, Any] = {"reason": printable(result.reason), "code": None if code is None else str(code)}
         known["figures"] = dict(result.figures)
     else:
-        data, known = kept(result, spec.task.stage, key)
+        data, known = bytes_and_facts(result, spec.task.stage, key)
         drawings, warnings = _draw(spec, result, chain)
     receipt = Receipt(
         str(spec.task),

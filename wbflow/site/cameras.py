@@ -17,8 +17,8 @@ from ..errors import printable
 from ..task import view_name
 from .calibration import find_camera, read_calibration
 from .calibration.calibrated import Calibrated, Lens, Placement, product
-from .locations import CalibrationError, Location, Problems, beside, is_name
 from .models import POSITION_REMEDY, Camera, CameraEntry, SiteFile, Survey
+from .yaml_document import CalibrationError, Location, Problems, beside, is_name
 
 _OWN_PINHOLE = frozenset({"pinhole", "brown"})
 """Frames of these keep the K of their lens, however wide it is: the vision has no say."""

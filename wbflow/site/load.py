@@ -19,10 +19,10 @@ from ..pipeline.pairs import MOST_AT_A_CAMERA
 from ..remote import is_url
 from .calibration.calibrated import LENS_MODELS
 from .cameras import local_frame, read_cameras, read_survey, views_of
-from .locations import Document, Location, Problems, SiteError, SiteProblem, beside, did_you_mean, is_name, load_yaml, similar
 from .models import CUSTOM, POSITION_REMEDY, Captures, Site, SiteFile
 from .pattern import Pattern
 from .stage_settings import read_stages
+from .yaml_document import Document, Location, Problems, SiteError, SiteProblem, beside, did_you_mean, is_name, load_yaml, similar
 
 
 def load_site(path: str | Path, work: str | Path | None = None) -> Site:

@@ -24,7 +24,7 @@ from ..cache.layout import WorkFolder
 from ..pipeline.stages import STAGES
 from ..task import camera_of
 from .calibration.calibrated import Lens, Matrix, Placement, lens_fault, look_at, rotation_fault, yaw_pitch_roll
-from .locations import Document, Location, SiteProblem, did_you_mean
+from .yaml_document import Document, Location, SiteProblem, did_you_mean
 
 if TYPE_CHECKING:
     from ..pipeline.functions import FunctionReader

@@ -14,8 +14,8 @@ from ..errors import printable
 from ..pipeline.binding import Binding, bind, method_parameters, methods_with_file
 from ..pipeline.functions import FunctionReader
 from ..pipeline.stages import COMPONENT, FUSE, STAGES, Stage
-from .locations import Location, Problems, beside, did_you_mean, similar
 from .models import StageSettings
+from .yaml_document import Location, Problems, beside, did_you_mean, similar
 
 
 @dataclass(frozen=True)

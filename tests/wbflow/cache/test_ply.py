@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from wbflow.cache.artifact import ply_bytes, read_ply
+from wbflow.cache.ply import ply_bytes, read_ply
 from wbflow_stages.io.clouds import cloud_columns
 from wbflow_stages.types import Cloud
 

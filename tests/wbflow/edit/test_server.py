@@ -22,7 +22,7 @@ import pytest
 from tests.helpers import edit_site
 from tests.wbflow.outcome.test_verdict import night
 from wbflow.api import load_site
-from wbflow.cache.artifact import ply_bytes
+from wbflow.cache.ply import ply_bytes
 from wbflow.edit.server import EditServer
 from wbflow.records.run_folder import UnfinishedRun
 from wbflow.site.calibration.calibrated import look_at

@@ -15,8 +15,8 @@ import pytest
 
 from tests.helpers.images import read_image
 from tests.helpers.synthetic_site import small_yard
-from wbflow.cache.artifact import read_ply
 from wbflow.cache.memo import Digests
+from wbflow.cache.ply import read_ply
 from wbflow.errors import UsageError
 from wbflow.outcome.demo import write_demo
 from wbflow.site.captures import find_captures, night

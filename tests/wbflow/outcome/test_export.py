@@ -15,8 +15,8 @@ import pytest
 from click.testing import CliRunner, Result
 
 from tests.helpers.images import read_image
-from wbflow.cache.artifact import read_ply
 from wbflow.cache.checksum import content_digest
+from wbflow.cache.ply import read_ply
 from wbflow.cli.main import main
 from wbflow.outcome.demo import write_demo
 

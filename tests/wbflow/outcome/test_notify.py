@@ -23,8 +23,8 @@ from wbflow.records.findings import Health
 from wbflow.records.record import RunRecord, moment, stamp
 from wbflow.records.run_folder import RunFolder
 from wbflow.site.load import load_site
-from wbflow.site.locations import SiteError
 from wbflow.site.models import Notify
+from wbflow.site.yaml_document import SiteError
 
 LISTENER = """\
 import json, os, sys

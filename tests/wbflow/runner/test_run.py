@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from tests.helpers.toy_site import ToySite
-from wbflow.cache.artifact import read_ply
+from wbflow.cache.ply import read_ply
 
 PAIRS = 6
 

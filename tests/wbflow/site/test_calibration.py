@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from wbflow.site.calibration import read_calibration
 from wbflow.site.calibration.calibrated import look_at, yaw_pitch_roll
-from wbflow.site.locations import CalibrationError
+from wbflow.site.yaml_document import CalibrationError
 
 
 def colmap(folder: Path, camera: str, image: str) -> Path:

@@ -15,7 +15,7 @@ import pytest
 from wbflow.site.calibration import read_calibration
 from wbflow.site.calibration.calibrated import Calibrated
 from wbflow.site.load import load_site
-from wbflow.site.locations import CalibrationError
+from wbflow.site.yaml_document import CalibrationError
 from wbflow_stages.core.lenses import lens_pixels, lens_rays
 from wbflow_stages.types import Float64s, Lens
 

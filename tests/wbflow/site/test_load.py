@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 from wbflow.site.load import load_site
-from wbflow.site.locations import SiteError
 from wbflow.site.models import Site
+from wbflow.site.yaml_document import SiteError
 
 GOOD = """\
 site: yard
@@ -316,7 +316,7 @@ def test_the_template_names_every_key_and_is_valid_yaml(tmp_path: Path) -> None:
     from pydantic import BaseModel
 
     from wbflow.site import models
-    from wbflow.site.locations import load_yaml
+    from wbflow.site.yaml_document import load_yaml
 
     template = Path(__file__).parents[3] / "sites" / "template.yaml"
     text = template.read_text()

@@ -8,9 +8,9 @@ import pytest
 
 from wbflow.pipeline.stages import STAGES
 from wbflow.site.load import load_site
-from wbflow.site.locations import SiteError
 from wbflow.site.models import Site
 from wbflow.site.stage_settings import RENAMED, Renamed
+from wbflow.site.yaml_document import SiteError
 
 SITE = """\
 site: yard

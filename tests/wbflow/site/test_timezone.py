@@ -17,8 +17,8 @@ from wbflow.report.data import ReportData
 from wbflow.report.page import _when
 from wbflow.site.captures import night
 from wbflow.site.load import load_site
-from wbflow.site.locations import SiteError
 from wbflow.site.models import Site
+from wbflow.site.yaml_document import SiteError
 
 
 def site(folder: Path, timezone: str, pattern: str = "{camera}/{date}_{time}.jpg") -> Site:

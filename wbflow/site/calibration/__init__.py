@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from ...cache.untrusted import is_file, is_folder
-from ..locations import CalibrationError, Document, Location, SiteError, parse_yaml, read_text
+from ..yaml_document import CalibrationError, Document, Location, SiteError, parse_yaml, read_text
 from .calibrated import REMEDY, Calibrated, Faulty, Matrix, calibrated, centre, product, rotation_fault
 from .colmap import is_colmap, read_colmap
 

@@ -12,7 +12,7 @@ from typing import Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, Field, PlainValidator, ValidationError, ValidationInfo, field_validator
 
-from ..locations import Location
+from ..yaml_document import Location
 
 Vector = list[float]
 Matrix = list[Vector]

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from ...cache.untrusted import Unreadable, is_file, read_untrusted
-from ..locations import CalibrationError, SiteError, read_text
+from ..yaml_document import CalibrationError, SiteError, read_text
 from .calibrated import Calibrated, Matrix, calibrated, centre
 
 _LAYOUTS: dict[str, tuple[str, int, int]] = {

@@ -12,7 +12,7 @@ DIGITS = 4
 """More are read by nobody."""
 
 
-class Plain:
+class JsonDataclass:
     """A dataclass with a form in JSON."""
 
     def to_json(self) -> dict[str, Any]:
@@ -29,7 +29,7 @@ class Plain:
         return made
 
 
-class Flat(Plain):
+class FlatJsonDataclass(JsonDataclass):
     """One whose `figures` stand among its own fields in JSON."""
 
     @model_validator(mode="before")

@@ -1,0 +1,73 @@
+"""PLY files, binary and little-endian: named columns of a cloud as bytes, and back."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from .untrusted import read_untrusted
+
+if TYPE_CHECKING:
+    import numpy as np
+    import numpy.typing as npt
+
+    Columns = Mapping[str, npt.NDArray[Any]]
+
+_TYPES = {"f4": "float", "f8": "double", "u1": "uchar", "i1": "char", "u2": "ushort", "i2": "short", "u4": "uint", "i4": "int"}
+
+
+def ply_bytes(columns: Columns, comments: tuple[str, ...] = ()) -> bytes | bytearray:
+    """A PLY file with one vertex property for each column (1-D arrays of equal length)."""
+    import numpy as np
+
+    count = len(next(iter(columns.values())))
+    dtype = np.dtype([(name, "<" + column.dtype.str[1:]) for name, column in columns.items()])
+    properties = [f"property {_TYPES[column.dtype.str[1:]]} {name}" for name, column in columns.items()]
+    head = ["ply", "format binary_little_endian 1.0", *(f"comment {c}" for c in comments), f"element vertex {count}"]
+    start = "\n".join([*head, *properties, "end_header", ""]).encode()
+    data = bytearray(len(start) + count * dtype.itemsize)  # filled in place: a cloud can be as large as all else in memory
+    data[: len(start)] = start
+    table = np.frombuffer(data, dtype, count, len(start))
+    for name, column in columns.items():
+        table[name] = column
+    return data
+
+
+def read_ply(path: Path) -> dict[str, npt.NDArray[Any]]:
+    """Vertex columns of a binary little-endian PLY by name.
+
+    Raises ValueError for another PLY format, list properties, or fewer bytes than the header promises.
+    """
+    try:
+        return columns_of(read_untrusted(path, most=sys.maxsize))
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from None
+
+
+def columns_of(data: bytes) -> dict[str, npt.NDArray[Any]]:
+    """Vertex columns of the bytes of a binary little-endian PLY by name.  Raises ValueError."""
+    import numpy as np
+
+    end = data.find(b"end_header\n")
+    lines = data[:end].decode("ascii", "replace").split("\n") if end >= 0 else []
+    if lines[:2] != ["ply", "format binary_little_endian 1.0"]:
+        raise ValueError("not a binary little-endian PLY file")
+    sizes = {kind: code for code, kind in _TYPES.items()}
+    words = [line.split() for line in lines]
+    count = next(int(w[2]) for w in words if w[:2] == ["element", "vertex"])
+    dtype: np.dtype[Any] = np.dtype([(w[2], "<" + sizes[w[1]]) for w in words if w and w[0] == "property"])
+    start = end + len(b"end_header\n")
+    if len(data) - start < count * dtype.itemsize:
+        raise ValueError(f"ends after {len(data):,} bytes, {count:,} points were promised")
+    table = np.frombuffer(data, dtype=dtype, count=count, offset=start)
+    return {name: table[name].copy() for name in dtype.names or ()}
+
+
+def with_comments(ply: bytes, comments: tuple[str, ...]) -> bytes:
+    """The same PLY with further comments in its header, after the first."""
+    if not comments:
+        return ply
+    at = ply.index(b"element vertex")
+    return b"".join([ply[:at], *(f"comment {comment}\n".encode() for comment in comments), memoryview(ply)[at:]])
