@@ -15,7 +15,7 @@ import os
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 
-from .cache.atomic import bytes_of, disk_fault
+from .cache.atomic import disk_fault
 from .cache.lock import claim
 from .errors import UsageError
 from .outcome.finished_run import Run as Run
@@ -28,6 +28,7 @@ from .runner.loop import terminate_as_interrupt
 from .runner.options import Options
 from .site.load import load_site as load_site
 from .site.models import Site
+from .words import bytes_of
 
 
 def run(

@@ -26,9 +26,10 @@ import yaml
 from .cache.atomic import write_atomic
 from .cache.fingerprint import load
 from .cache.untrusted import MOST_TEXT_BYTES, read_untrusted
-from .errors import UsageError, WbflowError, counted, printable
+from .errors import UsageError, WbflowError
 from .site.captures import answered
 from .site.models import Site
+from .words import counted, printable
 
 CREDENTIALS = "WBFLOW_CREDENTIALS"
 """Environment variable: the file of credentials, where the site file names none."""

@@ -2,16 +2,8 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterable
 from enum import IntEnum
-
-LONGEST = 500
-"""Characters of a reason or a name from outside that are kept."""
-LONGEST_TRACE = 8000
-"""Of a traceback."""
-_UNFIT = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u200e\u200f\u2028-\u202e\u2066-\u2069\ud800-\udfff]")
-"""Control characters but for the end of a line and the tabulator, what turns the direction of writing, halves of characters."""
 
 
 class ExitCode(IntEnum):
@@ -62,28 +54,3 @@ class UsageError(WbflowError, ValueError):
     """What was asked for cannot be meant."""
 
     exit_code = ExitCode.USAGE
-
-
-def printable(text: object, most: int = LONGEST) -> str:
-    """Words from outside (a file's name, an id, what a stage raised) as they may be shown, logged and published.
-
-    Control characters, which a terminal would obey, and bytes that are no text are written as escapes; of what is longer than
-    `most` characters the middle is left out.
-    """
-    words = str(text)
-    if len(words) > most:
-        half = most // 2
-        words = f"{words[:half]} ... ({len(words):,} characters) ... {words[-half:]}"
-    return words if words.isprintable() else _UNFIT.sub(_escaped, words)
-
-
-def counted(number: float, thing: str) -> str:
-    """So many of a thing: 1 pair, 1,204 points."""
-    return f"{number:,.0f} {thing}{'s' * (round(number) != 1)}"
-
-
-def _escaped(found: re.Match[str]) -> str:
-    code = ord(found.group())
-    if 0xDC80 <= code <= 0xDCFF:  # a byte of a file's name that is no text (PEP 383)
-        return f"\\x{code - 0xDC00:02x}"
-    return f"\\x{code:02x}" if code < 0x100 else f"\\u{code:04x}"

@@ -32,10 +32,11 @@ from .cache.atomic import FULL
 from .cache.checksum import Damaged, read_checksummed, write_checksummed
 from .cache.layout import RunPaths, WorkFolder
 from .cache.lock import Locked, hold
-from .errors import ExitCode, WbflowError, counted, printable
+from .errors import ExitCode, WbflowError
 from .records.events import Event, Listener, Signal, TaskEvent
 from .records.findings import Finding, finding
 from .task import Task
+from .words import counted, printable
 
 HELD = "held.json"
 ABANDONED_SECONDS = 3600.0

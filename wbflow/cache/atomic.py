@@ -5,13 +5,13 @@ from __future__ import annotations
 import contextlib
 import errno
 import os
-import re
 import shutil
 from collections.abc import Callable
 from pathlib import Path
 from typing import IO, Literal
 
 from ..errors import WbflowError
+from ..words import in_words
 
 FULL = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG})
 """Errors of a full disk: of all of it, of the user's share, of the longest file that a process may write."""
@@ -96,19 +96,3 @@ def disk_fault(error: OSError, place: Path | str) -> WbflowError:
     """The error for people when a file or folder cannot be read or written."""
     remedy = REMEDY if error.errno in FULL else "check the rights on the work folder and its file system"
     return WbflowError(f"{error.filename or place}: {error.strerror or error}", remedy=remedy)
-
-
-def bytes_of(text: str) -> int:
-    """A size in bytes: 4GB, 1.5G, 800 MB, 2GiB.  Raises ValueError."""
-    found = re.fullmatch(r"\s*(\d+(?:\.\d+)?)\s*([KMGT]?)(i?)B?\s*", text, re.IGNORECASE)
-    if not found or not float(found[1]):
-        raise ValueError(f"{text!r} is no size; write for example 50GB or 800MB")
-    return int(float(found[1]) * (1024 if found[3] else 1000) ** " KMGT".index(found[2].upper() or " "))
-
-
-def in_words(size: float) -> str:
-    """A size for people: 1.2 GB, 3.4 MB, 12 kB."""
-    for power, unit in ((1e9, "GB"), (1e6, "MB")):
-        if size >= power:
-            return f"{size / power:,.1f} {unit}"
-    return f"{size / 1e3:,.0f} kB"

@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Any, NoReturn
 
 import click
 
-from ..errors import ExitCode, UsageError, counted, printable
+from ..errors import ExitCode, UsageError
+from ..words import counted, printable
 
 if TYPE_CHECKING:
     from ..site.models import Site

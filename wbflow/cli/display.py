@@ -12,9 +12,9 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
-from ..errors import printable
 from ..records.events import Event, PlannedEvent, Signal, StartedEvent, TaskEvent, WarningEvent
 from ..task import Task
+from ..words import printable
 from .common import LONGEST_TEXT, echo
 
 if TYPE_CHECKING:

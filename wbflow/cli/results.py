@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from ..errors import ExitCode, UsageError, counted
+from ..errors import ExitCode, UsageError
 from ..pipeline.exports import EXPORTS, SCANS
+from ..words import counted
 from . import common
 from .common import Day, date_at, day, echo, echo_json, load, stop
 

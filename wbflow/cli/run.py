@@ -14,7 +14,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from ..errors import ExitCode, UsageError, WbflowError, counted, worst
+from ..errors import ExitCode, UsageError, WbflowError, worst
+from ..words import counted
 from . import common
 from .common import Day, date_at, day, echo, echo_json, load
 from .display import display

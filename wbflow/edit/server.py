@@ -17,7 +17,7 @@ from urllib.parse import unquote
 
 from pydantic import ValidationError
 
-from ..errors import printable
+from ..words import printable
 from .session import Look, OnGround, Refused, Save, Session
 
 _MOST_BYTES = 10_000_000

@@ -14,13 +14,14 @@ from ..cache.atomic import free_bytes
 from ..cache.fingerprint import load
 from ..cache.layout import WorkFolder
 from ..cache.untrusted import read_untrusted
-from ..errors import ExitCode, printable
+from ..errors import ExitCode
 from ..pipeline.stages import SITE_TYPES
 from ..records.run_folder import NoSuchRun, RunFolder
 from ..runner.context import RunContext, plan_run
 from ..runner.options import Options
 from ..site.captures import CaptureFile, expected
 from ..site.models import Camera, Site
+from ..words import printable
 
 Severity = Literal["error", "warning"]
 

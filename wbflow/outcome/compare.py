@@ -13,8 +13,9 @@ from ..cache.fingerprint import load
 from ..cache.layout import WorkFolder
 from ..cache.ply import ply_bytes
 from ..errors import UsageError, WbflowError
+from ..pipeline.meanings import titled
 from ..pipeline.stages import CHANGES, DEPTH, FRAMES, POSES, REFINE
-from ..pipeline.summaries import CutFill, titled
+from ..pipeline.summaries import CutFill
 from ..records.record import CameraRecord, PairRecord, RunRecord
 from ..records.run_folder import NoSuchRun, RunFolder, newest_runs
 from ..task import Task

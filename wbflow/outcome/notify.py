@@ -23,6 +23,7 @@ from ..json_dataclass import JsonDataclass
 from ..records.findings import Verdict
 from ..records.record import RunRecord, moment
 from ..site.models import Notify
+from ..words import lasting
 from .finished_run import Run
 
 Occasion = Literal["degraded", "failed", "reminder", "recovered", "heartbeat"]
@@ -106,14 +107,6 @@ def _last(work: WorkFolder) -> _Reported:
 
 def _seconds(begin: str, end: str) -> float:
     return (moment(end) - moment(begin)).total_seconds()
-
-
-def lasting(seconds: float) -> str:
-    """A length of time for people: 40 min, 3 h, 5 days; "" below a minute."""
-    for unit, size, least in (("days", 86400, 48 * 3600), ("h", 3600, 3600), ("min", 60, 60)):
-        if seconds >= least:
-            return f"{seconds / size:.0f} {unit}"
-    return ""
 
 
 def summary(record: RunRecord, lasted: str = "") -> str:

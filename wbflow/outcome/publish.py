@@ -12,7 +12,6 @@ from html import escape
 from typing import Any
 
 from ..cache import artifact
-from ..cache.atomic import in_words
 from ..cache.cleanup import Keep, clean
 from ..cache.fingerprint import load
 from ..cache.layout import WorkFolder, cloud_name
@@ -35,6 +34,7 @@ from ..runner.state import summary_of
 from ..site.cameras import origin_of
 from ..site.models import Site
 from ..task import Task
+from ..words import in_words
 from . import acknowledge
 from .acknowledge import Acknowledgement, with_known
 from .finished_run import Run

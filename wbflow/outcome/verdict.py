@@ -15,7 +15,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 
-from ..errors import ExitCode, counted
+from ..errors import ExitCode
 from ..pipeline.stages import FUSE, STAGES, stage_named
 from ..pipeline.summaries import CalibrationCheck, PosesSummary, SiteSummary
 from ..records.findings import FINDINGS, Down, Finding, Level, Usual, Verdict, finding
@@ -25,6 +25,7 @@ from ..runner.planner import Plan
 from ..runner.state import Cause, State
 from ..site.models import Expected, Measure
 from ..task import Task, camera_of
+from ..words import counted
 from .acknowledge import Acknowledgement, split
 from .baseline import Baseline, figures_of, settings_of, usual_of, with_appearance
 from .run_record import root_cause

@@ -1,4 +1,4 @@
-"""What the engine reads of results: a typed summary beside each stage, what run.json has of it, and what its figures mean.
+"""What the engine reads of results: a typed summary beside each stage, and what run.json has of it.
 
 A receipt keeps the plain fields of a result; a summary is built from those that somebody reads.  What is missing, as in a receipt
 of another version, is None or empty.
@@ -7,7 +7,7 @@ of another version, is None or empty.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Annotated, Any, ClassVar, Self
 
@@ -395,125 +395,3 @@ class ChangesSummary(SiteSummary):
     def volumes(self) -> Mapping[str, CutFill]:
         """By zone; "" is the whole site, or all zones together."""
         return {"": self.cut_fill, **self.zones} if self.cut_fill else {}
-
-
-_MOST_NAMED = 8
-"""So many of a figure's parts are named, the largest first."""
-
-
-@dataclass(frozen=True)
-class Meaning:
-    """Of one figure."""
-
-    title: str
-    words: str
-    good: float | None = None
-    """From here on it is good."""
-    bad: float | None = None
-    """From here on it is bad; below `good` where less is worse, above it where more is."""
-    share: bool = False
-    """Is it a share, which people read in percent?"""
-
-    def grade(self, value: Any) -> str:
-        """good, fair or bad; "" where there is nothing to grade."""
-        if self.good is None or self.bad is None or isinstance(value, bool | str) or value is None:
-            return ""
-        sign = 1.0 if self.good > self.bad else -1.0
-        if sign * value >= sign * self.good:
-            return "good"
-        return "bad" if sign * value <= sign * self.bad else "fair"
-
-
-MEANINGS: Mapping[str, Meaning] = {
-    "matches": Meaning("matches", "points that look alike in both pictures, and whose neighbours do so too", 100, 30),
-    "inliers": Meaning(
-        "inliers",
-        "points that one position of the two cameras explains; more than matches where a second search, led by the first, "
-        "found further ones; fewer than 30 are not enough",
-        100,
-        30,
-    ),
-    "angle_deg": Meaning(
-        "angle °", "between the two views of the scene: below 4° depth is not told, above 60° little looks alike"
-    ),
-    "epipolar_px": Meaning("epipolar px", "how far inliers lie from the line where they should be, median", 0.6, 1.5),
-    "probability": Meaning("probability", "that this pair's geometry is right, from how matches are spread and agree", 0.9, 0.5),
-    "poses_px": Meaning("placed px", "the same distance, once all cameras are placed together", 0.8, 2.0),
-    "known": Meaning("known", "where the relative position is from: stated by the site file, or solved"),
-    "dense": Meaning("dense", "whether it is among the pairs that are made dense, which are chosen once the cameras are placed"),
-    "vertical_px": Meaning(
-        "vertical px", "how far matches lie from their common row in the rectified pictures, median", 0.6, 1.5
-    ),
-    "method": Meaning("method", "how the pair was resampled to common rows"),
-    "verified": Meaning("verified", "by what the pose was confirmed"),
-    "row_share": Meaning("row share", "share of the common view that matches on the rows that the cameras give"),
-    "row_chance": Meaning("row chance", "the same with one picture eight rows off: what matches by chance"),
-    "row_error_px": Meaning("row error px", "offset between corresponding rows, measured from the pictures", 0.5, 1.5),
-    "density": Meaning("density", "share of the common view whose depth was found and confirmed from both sides", 0.3, 0.1),
-    "brightness": Meaning("brightness", "mean of the picture, 0 to 255"),
-    "contrast": Meaning("contrast", "standard deviation of the picture's brightness"),
-    "saturated": Meaning("saturated", "share of the picture that is pure white", 0.02, 0.15),
-    "sharpness": Meaning("sharpness", "of fine detail, compared with the contrast; compare it with other nights only"),
-    "frames_used": Meaning("captures", "captures of the night that the clean picture was made of"),
-    "seen_by_one": Meaning("seen by one", "share of the ground that at least one camera sees", share=True),
-    "seen_by_two": Meaning("seen by two", "share of the ground that at least two cameras see", share=True),
-    "lost_without": Meaning("lost without", "share of the ground that fewer than two would see without this camera", share=True),
-    "area_m2": Meaning("ground, m²", "the area of the ground that is looked at"),
-    "error_m": Meaning("expected error, m", "of a point on the ground, from how far away and at which angle it is seen; median"),
-    "count": Meaning("things changed", "things that are new, have vanished or were moved"),
-    "changed_share": Meaning("changed", "share of the surface that could be compared which belongs to changes", share=True),
-    "unknown_share": Meaning("unknown", "share of the reference's surface of which this night tells nothing", share=True),
-    "noise": Meaning(
-        "noise", "how much more unchanged surfaces differ than the points' own uncertainty says; 1: as it should be"
-    ),
-    "points": Meaning("points", "samples that its view has given to the cloud, before those of one place were merged"),
-    "misfit": Meaning("error of points", "as views and surroundings show it, over the one that matching lets expect; median"),
-    "detail_px": Meaning("detail, px", "so many pixels lie between details that the picture resolves, in the coarser direction"),
-    "keypoints": Meaning("keypoints", "distinct points that were found; their number is capped by `max_keypoints`"),
-}
-"""By the name of the figure in run.json."""
-
-
-def meaning(figure: str) -> Meaning:
-    """Of a figure, known or not."""
-    return MEANINGS.get(figure) or Meaning(figure.replace("_", " "), "")
-
-
-def shown(figures: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
-    """Figures of a stage for people: name and value."""
-    for name, value in figures.items():
-        title, written = titled(name), _percent if meaning(name).share else spoken
-        if isinstance(value, Mapping) and value and all(isinstance(entry, int | float) for entry in value.values()):
-            ordered = sorted(value.items(), key=lambda entry: -entry[1])
-            less = f"; {len(ordered) - _MOST_NAMED} others less" if len(ordered) > _MOST_NAMED else ""
-            yield title, ", ".join(f"{key} {written(number)}" for key, number in ordered[:_MOST_NAMED]) + less
-        elif isinstance(value, int | float):
-            yield title, written(value)
-
-
-def titled(name: str) -> str:
-    """What a figure is called."""
-    if name in MEANINGS:
-        return MEANINGS[name].title
-    words, _, unit = name.rpartition("_")
-    return (f"{words} ({'degrees' if unit == 'deg' else unit})" if unit in {"m", "m2", "deg"} else name).replace("_", " ")
-
-
-def _percent(share: float) -> str:
-    return f"{100 * share:.1f} %" if 0 < share < 0.1 else f"{100 * share:.0f} %"
-
-
-def spoken(value: Any) -> str:
-    """A number, yes or no, or a word, as people read it."""
-    if isinstance(value, str):
-        return value
-    if isinstance(value, bool):
-        return "yes" if value else "no"
-    return number(value) if isinstance(value, float) else f"{value:,}"
-
-
-def number(value: float) -> str:
-    """As people read it: three digits that count, thousands apart."""
-    if value == 0 or abs(value) >= 100:
-        return f"{value:,.0f}"
-    return f"{value:.3g}"

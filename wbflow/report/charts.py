@@ -9,11 +9,12 @@ from collections.abc import Iterator, Sequence
 from typing import Any
 
 from ..outcome.baseline import appearance_of, figures_of
+from ..pipeline.meanings import meaning, titled
 from ..pipeline.stages import STAGES
-from ..pipeline.summaries import meaning, number, titled
 from ..records.record import CameraRecord, RunRecord
 from ..site.models import Measure
 from ..task import Task
+from ..words import number
 from .data import ReportData, state_of
 
 WIDTH, HEIGHT, EDGE = 260.0, 76.0, 8.0

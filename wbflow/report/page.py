@@ -14,13 +14,14 @@ from typing import Any
 
 from ..cache.artifact import figures
 from ..cache.fingerprint import load
-from ..errors import counted
 from ..outcome.finished_run import Gone, Run
+from ..pipeline.meanings import meaning
 from ..pipeline.stages import CHANGES, stage_named
-from ..pipeline.summaries import ChangesSummary, meaning, spoken
+from ..pipeline.summaries import ChangesSummary
 from ..records.events import TaskEvent, WarningEvent
 from ..records.record import RunRecord, moment
 from ..site.models import Site
+from ..words import counted, spoken
 from . import render, sections
 from .charts import camera_bars, tasks_of_stages, timetable, trends
 from .data import ReportData

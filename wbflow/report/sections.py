@@ -9,15 +9,16 @@ from dataclasses import fields
 from typing import Any
 
 from ..cache.store import Preimage, Receipt
-from ..errors import counted
 from ..outcome.baseline import figures_of
+from ..pipeline.meanings import meaning, shown
 from ..pipeline.stages import STAGES, Stage
-from ..pipeline.summaries import Change, ChangesSummary, PairFigures, SiteSummary, meaning, shown, spoken
+from ..pipeline.summaries import Change, ChangesSummary, PairFigures, SiteSummary
 from ..records.findings import Finding
 from ..records.record import CameraRecord, PairRecord, RunRecord
 from ..runner.state import Cause
 from ..site.models import Measure
 from ..task import Task
+from ..words import counted, spoken
 from .data import Comparison, ReportData, since_last_good, state_of
 from .pictures import Picture, Pictures
 

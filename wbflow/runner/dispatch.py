@@ -14,12 +14,13 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 
-from ..cache.atomic import free_bytes, in_words
+from ..cache.atomic import free_bytes
 from ..cache.store import Cache
-from ..errors import WbflowError, printable
+from ..errors import WbflowError
 from ..records.events import StartedEvent
 from ..records.ledger import TaskCosts, read_costs
 from ..task import Task
+from ..words import in_words, printable
 from .executors import Cluster, OtherCode, Processes, WorkerLost, machine_memory
 from .journal import Journal
 from .options import Options, worker_roots

@@ -19,12 +19,12 @@ from pathlib import Path
 from typing import Any
 
 from .. import __version__
-from ..cache.atomic import in_words
 from ..cache.fingerprint import FunctionError
 from ..errors import WbflowError
 from ..pipeline.binding import bind
 from ..pipeline.functions import FunctionReader
 from ..pipeline.stages import stage_named
+from ..words import in_words
 from .spec import TaskSpec
 from .state import Cause
 

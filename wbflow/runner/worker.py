@@ -25,9 +25,9 @@ from ..cache.fingerprint import load, offer
 from ..cache.memo import ChangedFile
 from ..cache.store import Cache, Damage, DamagedArtifact, Preimage, Receipt
 from ..cache.untrusted import read_untrusted
-from ..errors import LONGEST_TRACE, printable
 from ..pipeline.stages import REJECTED
 from ..task import Task
+from ..words import LONGEST_TRACE, printable
 from .spec import Absent, Files, Input, Joined, Stored, TaskSpec, Value
 from .state import Cause, State, cached_state
 

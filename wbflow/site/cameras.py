@@ -13,8 +13,8 @@ from typing import Any
 
 from ..cache.fingerprint import load
 from ..cache.untrusted import is_file
-from ..errors import printable
 from ..task import view_name
+from ..words import printable
 from .calibration import find_camera, read_calibration
 from .calibration.calibrated import Calibrated, Lens, Placement, product
 from .models import POSITION_REMEDY, Camera, CameraEntry, SiteFile, Survey

@@ -14,7 +14,8 @@ from queue import Empty, SimpleQueue
 from typing import Generic, TypeVar
 
 from ..cache.memo import Digests
-from ..errors import UsageError, WbflowError, printable
+from ..errors import UsageError, WbflowError
+from ..words import printable
 from .models import Camera, Site
 
 

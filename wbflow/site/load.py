@@ -13,10 +13,10 @@ from pydantic import BaseModel, ValidationError
 
 from ..cache.layout import WorkFolder
 from ..cache.untrusted import is_folder
-from ..errors import printable
 from ..pipeline.functions import FunctionReader
 from ..pipeline.pairs import MOST_AT_A_CAMERA
 from ..remote import is_url
+from ..words import printable
 from .calibration.calibrated import LENS_MODELS
 from .cameras import local_frame, read_cameras, read_survey, views_of
 from .models import CUSTOM, POSITION_REMEDY, Captures, Site, SiteFile

@@ -18,11 +18,11 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, field_validator, model_validator
 from pydantic_core import PydanticCustomError
 
-from ..cache.atomic import bytes_of
 from ..cache.cleanup import Keep
 from ..cache.layout import WorkFolder
 from ..pipeline.stages import STAGES
 from ..task import camera_of
+from ..words import bytes_of
 from .calibration.calibrated import Lens, Matrix, Placement, lens_fault, look_at, rotation_fault, yaw_pitch_roll
 from .yaml_document import Document, Location, SiteProblem, did_you_mean
 

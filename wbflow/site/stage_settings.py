@@ -10,10 +10,10 @@ from typing import Any
 
 from ..cache.fingerprint import FunctionError
 from ..cache.untrusted import is_file
-from ..errors import printable
 from ..pipeline.binding import Binding, bind, method_parameters, methods_with_file
 from ..pipeline.functions import FunctionReader
 from ..pipeline.stages import COMPONENT, FUSE, STAGES, Stage
+from ..words import printable
 from .models import StageSettings
 from .yaml_document import Location, Problems, beside, did_you_mean, similar
 

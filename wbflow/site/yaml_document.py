@@ -15,7 +15,8 @@ from yaml.constructor import ConstructorError
 from yaml.events import CollectionEndEvent, CollectionStartEvent
 
 from ..cache.untrusted import MOST_TEXT_BYTES, Unreadable, read_untrusted
-from ..errors import LONGEST, ExitCode, WbflowError, printable
+from ..errors import ExitCode, WbflowError
+from ..words import LONGEST, printable
 
 try:
     from yaml import CSafeLoader as _Loader

@@ -10,7 +10,7 @@ import pytest
 
 from tests.helpers.toy_site import ToySite
 from wbflow.cache.untrusted import Unreadable, find_untrusted, read_untrusted
-from wbflow.errors import printable
+from wbflow.words import printable
 
 
 def test_a_file_is_read_whole(tmp_path: Path) -> None:

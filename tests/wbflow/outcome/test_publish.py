@@ -10,8 +10,9 @@ import pytest
 
 from tests.helpers.toy_site import ToySite
 from wbflow.pipeline import stages as pipeline
+from wbflow.pipeline.meanings import shown
 from wbflow.pipeline.stages import Products
-from wbflow.pipeline.summaries import SiteSummary, shown
+from wbflow.pipeline.summaries import SiteSummary
 
 STAGE = """
 from wbflow_stages.types import Poses, Scene
