@@ -10,13 +10,14 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import sys
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from ..errors import WbflowError
 from .atomic import write_atomic
-from .untrusted import Unreadable, open_untrusted, read_untrusted
+from .untrusted import MOST_CAPTURE_BYTES, Unreadable, open_untrusted, read_untrusted
 
 _HEAD, _TAIL = b'{"signed":"', b'",'  # as the first version has called it
 _BODY = len(_HEAD) + 32 + len(_TAIL)
@@ -29,8 +30,20 @@ def content_digest(data: bytes | bytearray | memoryview) -> str:
 
 def file_digest(path: Path) -> str:
     """The same of a file from outside, read in pieces.  Raises OSError."""
-    with os.fdopen(open_untrusted(path), "rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()[:32]
+    return _sha256(path, MOST_CAPTURE_BYTES)[:32]
+
+
+def sha256_of(path: Path) -> str:
+    """All 64 digits of a file of the work folder, however large; "" where it cannot be read."""
+    try:
+        return _sha256(path, sys.maxsize)
+    except OSError:
+        return ""
+
+
+def _sha256(path: Path, most: int) -> str:
+    with os.fdopen(open_untrusted(path, most), "rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 class Damaged(WbflowError, ValueError):

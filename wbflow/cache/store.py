@@ -9,7 +9,8 @@ from __future__ import annotations
 import json
 import os
 import sys
-from collections.abc import Iterable, Iterator, Mapping
+from collections import UserDict
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -220,6 +221,17 @@ class Cache:
             self.note(wrong, task)
             return None
         return receipt
+
+
+class OnDemand(UserDict[Any, Any]):
+    """A mapping whose values are read when they are asked for, so that a night is never in memory at once."""
+
+    def __init__(self, items: dict[Any, Any], load: Callable[[Any], Any]) -> None:
+        super().__init__(items)
+        self._load = load
+
+    def __getitem__(self, key: Any) -> Any:
+        return self._load(self.data[key])
 
 
 def _wrong_size(path: Path | str, expected: int) -> str | None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING, Any
 from ..cache.fingerprint import load
 from ..cache.layout import WorkFolder
 from ..cache.ply import read_ply
-from ..cache.store import Cache, Receipt
+from ..cache.store import Cache, OnDemand, Receipt
 from ..errors import UsageError, WbflowError
 from ..pipeline.stages import FRAMES, RESTORE_CLOUD, STAGES
 from ..records.events import Event, TaskEvent
-from ..records.record import CameraRecord, CloudRecord, PairRecord, RunRecord
+from ..records.record import CameraRecord, PairRecord, RunRecord
 from ..records.run_folder import RunFolder
 from ..task import Subject, Task, camera_of
 
@@ -138,15 +138,20 @@ class Run:
         names = [
             view for camera, found in views.items() for view in sorted(found, key=lambda name: (len(name), name)) or [camera]
         ]
-        return _OfSubjects(self, {name: (name,) for name in names}, stages)
+        return self._on_demand({name: (name,) for name in names}, stages)
 
     def of_pairs(self, *stages: str) -> Mapping[str, Any]:
         """The same of each pair, as "left--right"."""
-        return _OfSubjects(self, {pair.name: (pair.left, pair.right) for pair in self.record.pairs}, stages)
+        return self._on_demand({pair.name: (pair.left, pair.right) for pair in self.record.pairs}, stages)
 
-    def cloud_table(self, cloud: CloudRecord | None = None) -> Any:
-        """A cloud as it was published; the main one if none is named.  Raises Gone where there is none, or it cannot be read."""
-        cloud = cloud or self.record.cloud
+    def _on_demand(self, subjects: Mapping[str, Subject], stages: tuple[str, ...]) -> Mapping[str, Any]:
+        usable = {task for task, event in self.ended.items() if event.usable}
+        made = {name: [t for stage in stages if (t := Task(stage, subject)) in usable] for name, subject in subjects.items()}
+        return OnDemand({name: tasks[0] for name, tasks in made.items() if tasks}, self.load)
+
+    def cloud_table(self) -> Any:
+        """The main cloud as it was published.  Raises Gone where there is none, or it cannot be read."""
+        cloud = self.record.cloud
         path = self.folder / cloud.path if cloud else None
         if path is None or not path.is_file():
             raise Gone(f"run {self.id} made no cloud: {self.record.reason or 'it was not asked to'}")
@@ -154,26 +159,6 @@ class Run:
             return load(RESTORE_CLOUD)(read_ply(path))
         except ValueError as error:
             raise Gone(str(error), remedy="run the night again") from None
-
-
-class _OfSubjects(Mapping[str, Any]):
-    def __init__(self, run: Run, subjects: Mapping[str, Subject], stages: tuple[str, ...]) -> None:
-        self._run = run
-        tasks = {name: [Task(stage, subject) for stage in stages] for name, subject in subjects.items()}
-        made = {name: [t for t in group if (event := run.ended.get(t)) and event.usable] for name, group in tasks.items()}
-        self._tasks = {name: group[0] for name, group in made.items() if group}
-
-    def __getitem__(self, name: str) -> Any:
-        return self._run.load(self._tasks[name])
-
-    def __contains__(self, name: object) -> bool:
-        return name in self._tasks  # without reading it
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._tasks)
-
-    def __len__(self) -> int:
-        return len(self._tasks)
 
 
 def task_named(name: str) -> Task:

@@ -16,10 +16,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..cache.atomic import sync_folder, write_atomic
-from ..cache.checksum import NoChecksum, checked, with_checksum
+from ..cache.checksum import NoChecksum, checked, sha256_of, with_checksum
 from ..cache.layout import RunPaths, WorkFolder, run_id, started_by
 from ..cache.lock import hold
-from ..cache.untrusted import open_untrusted, read_untrusted
+from ..cache.untrusted import read_untrusted
 from ..errors import ExitCode, WbflowError
 from ..task import Task
 from .events import Event, TaskEvent, event_from_json, event_to_json
@@ -141,7 +141,7 @@ class RunFolder:
         missing: count those, too, that are not there any more.
         """
         files = ((self.paths.folder / name, digest) for name, digest in self.record().files.items())
-        return [path for path, digest in files if (path.is_file() or missing) and _sha256(path) != digest]
+        return [path for path, digest in files if (path.is_file() or missing) and sha256_of(path) != digest]
 
     def is_good(self) -> bool:
         """Is there a cloud, and a verdict that is good or degraded?  (Runs of earlier versions have a cloud, and no verdict.)"""
@@ -314,14 +314,6 @@ def _entries(data: bytes) -> dict[str, Any]:
         if found.get("of") == _OF:
             raise
         return found
-
-
-def _sha256(path: Path) -> str | None:
-    try:
-        with os.fdopen(open_untrusted(path, most=sys.maxsize), "rb") as file:
-            return hashlib.file_digest(file, "sha256").hexdigest()
-    except OSError:
-        return None
 
 
 def log_of(events: Iterable[Event]) -> bytes:

@@ -47,7 +47,7 @@ def misfit(reference: Reference, plan: Plan) -> str:
             if receipt and (why := _changed(receipt, stage, site, bound, plan.settings(stage, task))):
                 return f"it was pinned with other settings: {why}"
             for name, file in files.items():
-                if receipt and file and receipt.preimage.inputs.get(name) != Files("", (file,)).digest():
+                if receipt and file and receipt.preimage.inputs.get(name) != Files((file,)).digest():
                     return f"it was pinned with another {name} in {stage.name}"
     return ""
 

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import contextlib
 import os
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ..cache.atomic import clear, copy_atomic, write_atomic
-from ..cache.checksum import Damaged, file_digest, read_checksummed
+from ..cache.checksum import Damaged, read_checksummed, sha256_of
 from ..cache.layout import WorkFolder
 from ..cache.store import Cache, Receipt
 from ..cache.untrusted import Unreadable, read_untrusted
@@ -81,7 +80,7 @@ def restore(cache: Cache, reference: Reference) -> tuple[list[Task], list[Task],
         receipt = cache.by_key(task, pinned.key)
         if receipt is None:
             (to_cache if put_back(work, pinned) else lost).append(task)
-        elif _differs(cache, receipt) and (receipt.file is None or _digest(cache.path(receipt)) == receipt.digest):
+        elif _differs(cache, receipt) and (receipt.file is None or sha256_of(cache.path(receipt))[:32] == receipt.digest):
             for path in files_of(cache, receipt):
                 clear(work.pinned(path))
                 copy_atomic(path, work.pinned(path))
@@ -101,19 +100,11 @@ def put_back(work: WorkFolder, pinned: PinnedArtifact) -> bool:
         whole = read_checksummed(work.pinned(receipt), work.place(receipt)) is not None
     except Damaged:
         whole = False
-    if not whole or (pinned.digest and [_digest(copy) for copy in artifacts if copy.is_file()] != [pinned.digest]):
+    if not whole or (pinned.digest and [sha256_of(copy)[:32] for copy in artifacts if copy.is_file()] != [pinned.digest]):
         return False
     for copy in copies:  # the receipt last
         copy_atomic(copy, receipt.with_suffix(copy.suffix))
     return True
-
-
-def _digest(path: Path) -> str | None:
-    """Of a file's bytes; None where they cannot be had."""
-    try:
-        return file_digest(path)
-    except Unreadable:
-        return None
 
 
 def _differs(cache: Cache, receipt: Receipt) -> bool:

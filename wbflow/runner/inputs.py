@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
 
-from ..pipeline.stages import DENSE_PAIRS, FRAMES, FUSE, HEALTH, PAIRS, POSES, SITE_TYPES, Source, Stage, stage_named
+from ..pipeline.stages import DENSE_PAIRS, FRAMES, FUSE, HEALTH, PAIRS, POSES, Source, Stage, stage_named
 from ..pipeline.summaries import PairsSummary, PosesSummary
 from ..site.captures import CaptureFile, file_of_stage
 from ..site.models import Camera, Site
@@ -269,7 +269,7 @@ class Inputs:
         if what == "privacy" and not camera.privacy:
             return Absent()
         if what == "captures":
-            return Files(SITE_TYPES[what], self._captured(camera))
+            return Files(self._captured(camera))
         return stated(camera, what)
 
     def _named(self, words: str, key: str) -> Input:
@@ -277,7 +277,7 @@ class Inputs:
         file = self.plan.named.get(key)
         if file and not file.digest:
             raise Impossible(f"{words} {file.name} {file.fault}", Cause.BAD_INPUT)
-        return Files(SITE_TYPES["captures"], (file,), single=True) if file else Absent()
+        return Files((file,), single=True) if file else Absent()
 
     def _captured(self, camera: Camera) -> tuple[CaptureFile, ...]:
         files = self.plan.captures[camera.camera]

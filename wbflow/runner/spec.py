@@ -32,7 +32,6 @@ class Value:
 class Files:
     """An input read from files as they are."""
 
-    kind: str
     files: tuple[CaptureFile, ...]
     single: bool = False
     """One file rather than a list."""

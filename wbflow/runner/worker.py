@@ -11,7 +11,6 @@ import os
 import resource
 import time
 import traceback
-from collections import UserDict
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -23,9 +22,10 @@ from ..cache.atomic import FULL, REMEDY
 from ..cache.checksum import content_digest
 from ..cache.fingerprint import load, offer
 from ..cache.memo import ChangedFile
-from ..cache.store import Cache, Damage, DamagedArtifact, Preimage, Receipt
+from ..cache.store import Cache, Damage, DamagedArtifact, OnDemand, Preimage, Receipt
 from ..cache.untrusted import read_untrusted
-from ..pipeline.stages import REJECTED
+from ..pipeline.stages import REJECTED, SITE_TYPES
+from ..site.captures import CaptureFile
 from ..task import Task
 from ..words import LONGEST_TRACE, printable
 from .spec import Absent, Files, Input, Joined, Stored, TaskSpec, Value
@@ -228,27 +228,16 @@ def _resolve(value: Input, chain: _Chain) -> Input:
     return value
 
 
-class _OnDemand(UserDict[Any, Any]):
-    """A mapping whose values are read when they are asked for, so that a night is never in memory at once."""
-
-    def __init__(self, items: dict[Any, Any], load: Callable[[Any], Any]) -> None:
-        super().__init__(items)
-        self._load = load
-
-    def __getitem__(self, key: Any) -> Any:
-        return self._load(self.data[key])
-
-
 def _load(value: Input, chain: _Chain, keep: bool = True) -> Any:
     if isinstance(value, Absent):
         return None
     if isinstance(value, Joined):
         items = {subject[0] if len(subject) == 1 else subject: item for subject, item in value.items.items()}
-        return _OnDemand(items, lambda item: _load(item, chain, keep=False))
+        return OnDemand(items, lambda item: _load(item, chain, keep=False))
     if isinstance(value, Value):
         return _from_plain(value)
     if isinstance(value, Files):
-        captures = [_capture(value.kind, file) for file in value.files]
+        captures = [_capture(file) for file in value.files]
         return captures[0] if value.single else captures
     result = chain.results.get(value.file_digest)
     if result is None and value.part and not value.task.subject:  # the tasks of many chains need a part each
@@ -275,13 +264,13 @@ def _from_plain(value: Value) -> Any:
     return load(value.kind)(**fields)
 
 
-def _capture(kind: str, file: Any) -> Any:
+def _capture(file: CaptureFile) -> Any:
     import numpy as np
 
     data = read_untrusted(file.path)
     if content_digest(data) != file.digest:  # else what is made of it would be kept as made of something else
         raise ChangedFile(file.path)
-    return load(kind)(name=file.name, data=np.frombuffer(data, dtype=np.uint8))
+    return load(SITE_TYPES["captures"])(name=file.name, data=np.frombuffer(data, dtype=np.uint8))
 
 
 def reset_peak() -> None:

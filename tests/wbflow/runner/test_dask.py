@@ -85,7 +85,7 @@ class _Client:
 
 def test_paths_are_those_of_the_workers_and_back(tmp_path: Path) -> None:
     captures = (CaptureFile("gate.png", tmp_path / "gate.png", "d1g35t"), CaptureFile("roof.png", Path("/other/roof.png"), ""))
-    files = Files("Capture", captures)
+    files = Files(captures)
     here = Stored(Task("frames", ("gate",)), file="frame.wbf")
     inputs: dict[str, Input] = {"files": files, "frames": Joined({("gate",): here})}
     spec = TaskSpec(Task("poses", ()), "toy_stages:solve", "code", {"folder": "as it is"}, inputs)

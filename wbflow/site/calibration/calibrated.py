@@ -229,10 +229,10 @@ def yaw_pitch_roll(yaw_deg: float, pitch_deg: float, roll_deg: float) -> Matrix:
     return [right, _cross(forward, right), forward]
 
 
-def rotation_fault(R: Matrix, tolerance: float = 1e-3) -> str:
+def rotation_fault(R: Matrix) -> str:
     """What is wrong with a rotation matrix; "" where nothing is."""
     dots = [sum(a * b for a, b in zip(R[i], R[j], strict=True)) - (i == j) for i in range(3) for j in range(3)]
-    if not max(map(abs, dots)) < tolerance:
+    if not max(map(abs, dots)) < 1e-3:
         return "is not a rotation matrix (rows of unit length, at right angles)"
     if sum(a * b for a, b in zip(_cross(R[0], R[1]), R[2], strict=True)) < 0:
         return "is a mirror, not a rotation (its determinant is -1)"
