@@ -267,8 +267,8 @@ def _status(site: Site, date: datetime.date | None, until: str | None, force: tu
     options.check(site)
     plan = plan_run(site, options).plan
     plan.refresh()
-    if plan.misfit:
-        echo(f"the reference is not used: {plan.misfit}", err=True)
+    if plan.incompatible:
+        echo(f"the reference is not used: {plan.incompatible}", err=True)
     return explain(plan)
 
 

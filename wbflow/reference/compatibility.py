@@ -12,7 +12,7 @@ from ..cache.store import Receipt
 from ..pipeline.binding import Binding
 from ..pipeline.stages import FRAMES, Adapt, Stage
 from ..records.reference_folder import Reference
-from ..runner.spec import Files, Joined, Value, input_digests, stated, stated_of_site
+from ..runner.spec import Files, Joined, Value, input_digests, site_input, site_inputs
 from ..site.calibration.calibrated import Lens, product
 from ..site.captures import file_of_stage
 from ..site.models import Site
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 _COMPARED = {"lens", "placement", "survey"}
 
 
-def misfit(reference: Reference, plan: Plan) -> str:
+def incompatibility(reference: Reference, plan: Plan) -> str:
     """What has changed since the reference was pinned that takes it out of use, in words; "" where nothing has.
 
     Code may change: a reference outlives a new version.  What the site file says of cameras, and of the stages whose results the
@@ -65,14 +65,14 @@ def _changed(receipt: Receipt, stage: Stage, site: Site, bound: Binding, setting
             return f"parameter {stage.name}.{name} {then.parameters.get(name)} → {value}"
     for name, need in bound.inputs.items():
         if need.kind == "site" and need.name in _COMPARED:
-            said: Value | Joined
+            now_given: Value | Joined
             if need.of == "every" or need.name == "survey":
-                said = stated_of_site(site, need.name)
+                now_given = site_inputs(site, need.name)
             elif view := next((view for view in site.views if view.id == task.subject[0]), None):
-                said = stated(view, need.name)
+                now_given = site_input(view, need.name)
             else:
                 return f"the views of camera {camera_of(task.subject[0])}"
-            for entry, digest in input_digests({name: said}).items():
+            for entry, digest in input_digests({name: now_given}).items():
                 if then.inputs.get(entry) != digest:
                     return f"what the site file says of {entry}"
     return ""

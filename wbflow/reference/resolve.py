@@ -70,7 +70,7 @@ class Resolver:
     """Views that show nothing of the site, as far as is known."""
     _own_frames: set[str] = field(default_factory=set, repr=False)
     """Views whose frame is that of the reference itself."""
-    _force: bool | None = field(default=None, repr=False)
+    _enough: bool | None = field(default=None, repr=False)
     """Do enough cameras stand where they did, once the health of all is known?"""
 
     def __post_init__(self) -> None:
@@ -93,7 +93,7 @@ class Resolver:
         subject = subject_of(origin, need, task)
         return self._stored(need, Task(origin.name, subject), not whole, task.subject)
 
-    def observed(self, need: Source, task: Task) -> Input:
+    def history_input(self, need: Source, task: Task) -> Input:
         """What earlier nights found of a camera.  Raises Waiting."""
         if self.plan.reference is None or self._own_frames.issuperset(task.subject):
             return Absent()
@@ -104,7 +104,7 @@ class Resolver:
         reference = self.plan.reference
         return shift_history(self.plan.cache.work, self.plan.night, reference.run) if reference else {}
 
-    def instead(self, stage: Stage, task: Task) -> Receipt | Adapt | None:
+    def replacement(self, stage: Stage, task: Task) -> Receipt | Adapt | None:
         """What takes the place of working a task out: the reference's result, or another function.
 
         Raises Waiting while the health of a camera is not known, Impossible where one shows nothing of the site.
@@ -114,12 +114,12 @@ class Resolver:
         for camera in task.subject:
             if self.state_of(camera) in USELESS:
                 raise self.unfit((camera,))
-        if not self._in_force() or any(stage_named(name).reuse.shifted for name in self._forced & ancestors(stage.name)):
+        if not self._enough_stand() or any(stage_named(name).reuse.shifted for name in self._forced & ancestors(stage.name)):
             return None
-        place = self._place(stage.reuse, task)
-        if place == "reuse":
+        decision = self._decision(stage.reuse, task)
+        if decision == "reuse":
             return self._receipt(task)
-        return place if isinstance(place, Adapt) else None
+        return decision if isinstance(decision, Adapt) else None
 
     def state_of(self, camera: str) -> str:
         """How a camera is; a view that shows nothing is of no use, else it is as its camera is.  Raises Waiting."""
@@ -174,7 +174,7 @@ class Resolver:
         frame = Task(FRAMES, (camera,))
         return because(frame, self.plan.states[frame])
 
-    def ended(self, task: Task) -> None:
+    def task_ended(self, task: Task) -> None:
         """A task has ended: that may have been the health of a camera."""
         state = self.plan.states[task]
         if task.stage == HEALTH and state.usable:
@@ -186,9 +186,9 @@ class Resolver:
         pinned = self.plan.reference.artifacts.get(Task(FRAMES, subject)) if self.plan.reference else None
         (self._own_frames.update if pinned and pinned.key == key else self._own_frames.difference_update)(subject)
 
-    def lose(self, task: Task) -> None:
+    def artifact_lost(self, task: Task) -> None:
         """An artifact was found damaged: where it was the reference's, its copy is put back, or that has it no longer."""
-        self._force = None
+        self._enough = None
         if task.stage == HEALTH:
             self._healths.pop(task.subject[0], None)
             if camera_of(task.subject[0]) not in self.plan.stale:
@@ -201,7 +201,7 @@ class Resolver:
             self.plan.reference = dataclasses.replace(reference, artifacts=left)
             self._own_frames -= set(task.subject) if task.stage == FRAMES else set()
 
-    def _place(self, reuse: Reuse, task: Task) -> Any:
+    def _decision(self, reuse: Reuse, task: Task) -> Any:
         if len(self._own_frames) == len(self.cameras):
             return "reuse"
         cameras = task.subject or [c for c in self.cameras if self.state_of(c) not in USELESS]
@@ -231,11 +231,11 @@ class Resolver:
             return _TURNED
         return _STILL if state == "ok" else _LOST
 
-    def _in_force(self) -> bool:
+    def _enough_stand(self) -> bool:
         """Do enough cameras stand where they did?  Raises Waiting."""
-        if self._force is None:
-            self._force = len({camera_of(c) for c in self.cameras if self._standing(c) != _LOST}) >= FEWEST
-        return self._force
+        if self._enough is None:
+            self._enough = len({camera_of(c) for c in self.cameras if self._standing(c) != _LOST}) >= FEWEST
+        return self._enough
 
     def _receipt(self, task: Task) -> Receipt | None:
         pinned = self.plan.reference.artifacts.get(task) if self.plan.reference else None

@@ -25,8 +25,8 @@ def prepare(context: RunContext, journal: Journal) -> None:
     fault = mend_record(work) if plan.site.settings.pin != "none" else None
     if fault:
         journal.repaired(fault)
-    if plan.misfit and not fault:
-        what = f"the reference is not used: {plan.misfit}"
+    if plan.incompatible and not fault:
+        what = f"the reference is not used: {plan.incompatible}"
         remedy = "this night makes everything anew; wbflow pin SITE.yaml  makes a good night the reference"
         journal.warn(what, remedy=remedy)
     if plan.reference is None:

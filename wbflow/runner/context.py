@@ -70,7 +70,7 @@ def plan_run(site: Site, options: Options) -> RunContext:
     delivered = find_stale(site, found_date, found, digests, earlier_captures)
     lost = [camera for camera in site.cameras if not delivered.captures[camera.id]]
     named = {camera.id: expected(site, camera, found_date).replace(f"{site.captures.root}/", "") for camera in lost}
-    reference, misfit = _reference(site, work)
+    reference, incompatible = _reference(site, work)
     plan = Plan(
         site,
         delivered.captures,
@@ -81,7 +81,7 @@ def plan_run(site: Site, options: Options) -> RunContext:
         options.until,
         frozenset(options.force),
         reference=reference,
-        misfit=misfit,
+        incompatible=incompatible,
         stale=delivered.stale,
         night_given=options.date is not None,
     )

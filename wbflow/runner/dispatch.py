@@ -44,7 +44,7 @@ class Limits:
     """Bytes that all workers together may hold; 0: no limit."""
     seconds: float | None = None
     """For every task; None: by what its stage took before."""
-    past: TaskCosts = field(default_factory=TaskCosts)
+    costs: TaskCosts = field(default_factory=TaskCosts)
     measured_mb: dict[str, float] = field(default_factory=dict)
     """MB that tasks of a stage held at most in this run."""
 
@@ -52,7 +52,7 @@ class Limits:
         """Return after how long a task of a stage is ended."""
         if self.seconds is not None:
             return self.seconds
-        before = self.past.stages.get(stage)
+        before = self.costs.stages.get(stage)
         return LONGEST if before is None else min(max(SHORTEST, TIMES * before), LONGEST)
 
     def learn(self, stage: str, mb: float) -> None:
@@ -64,7 +64,7 @@ class Limits:
         return not self.memory or sum(map(self._most_mb, [*begun, chain])) * 2**20 <= self.memory
 
     def _most_mb(self, chain: Iterable[Task]) -> float:
-        return max((self.past.held(task.stage, str(task), self.measured_mb.get(task.stage, 0.0)) for task in chain), default=0.0)
+        return max((self.costs.held(task.stage, str(task), self.measured_mb.get(task.stage, 0.0)) for task in chain), default=0.0)
 
 
 @dataclass
@@ -113,13 +113,13 @@ class Dispatcher:
         self._numbers = itertools.count()
 
     @cached_property
-    def _past(self) -> TaskCosts:
+    def _costs(self) -> TaskCosts:
         """What such tasks took before."""
         return read_costs(self._cache.work)
 
-    def lacks(self, tasks: Iterable[Task]) -> str:
+    def disk_shortage(self, tasks: Iterable[Task]) -> str:
         """What is missing on disk for some tasks, in words; "" where there is room."""
-        need = round(MARGIN * sum(self._past.stages_bytes.get(task.stage, 0.0) for task in tasks)) + FLOOR
+        need = round(MARGIN * sum(self._costs.stages_bytes.get(task.stage, 0.0) for task in tasks)) + FLOOR
         root = self._cache.work.root
         if (free := free_bytes(root)) >= need:
             return ""
@@ -129,11 +129,11 @@ class Dispatcher:
         """Queue chains."""
         if self._executor is None:  # not before: a run with nothing to do starts no worker
             memory = self._options.memory or machine_memory()
-            self._limits = Limits(memory, self._options.time_limit, self._past)
+            self._limits = Limits(memory, self._options.time_limit, self._costs)
             self._executor = _executor(self._options, memory)
             self._cache.work.progress.mkdir(parents=True, exist_ok=True)
         for chain in chains:
-            expected = sum(self._past.expected(spec.task.stage, str(spec.task)) for spec in chain)
+            expected = sum(self._costs.expected(spec.task.stage, str(spec.task)) for spec in chain)
             suspect = self._losses[chain[0].task] > 0
             heapq.heappush(self._queue, (suspect, -expected, next(self._numbers), chain))
 
@@ -202,7 +202,7 @@ class Dispatcher:
         _, words = chain.read_progress()
         task = chain.tasks[max(0, chain.at_work)]
         if "Timeout (" in words:
-            before = self._limits.past.stages.get(task.stage)
+            before = self._limits.costs.stages.get(task.stage)
             usual = f" ({task.stage} takes {_time(before)} as a rule)" if before is not None else ""
             why = f"took longer than {_time(self._limits.seconds_for(task.stage))}{usual} and was ended; --time-limit gives more"
             yield Done(task, State("failed", why, Cause.TOO_SLOW, trace=words, fresh=True))

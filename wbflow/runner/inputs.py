@@ -13,7 +13,7 @@ from ..pipeline.summaries import PairsSummary, PosesSummary
 from ..site.captures import CaptureFile, file_of_stage
 from ..site.models import Camera, Site
 from ..task import Subject, Task, component_name
-from .spec import Absent, Files, Input, Joined, Part, Stored, Value, own_subject, stated, stated_of_site, subject_of
+from .spec import Absent, Files, Input, Joined, Part, Stored, Value, own_subject, site_input, site_inputs, subject_of
 from .state import Cause, Impossible, State, Waiting, because, summary_of
 
 if TYPE_CHECKING:
@@ -159,7 +159,7 @@ class Inputs:
         if need.kind == "reference":
             return self.plan.resolver.input(need, task)
         if need.kind == "history":
-            return self.plan.resolver.observed(need, task)
+            return self.plan.resolver.history_input(need, task)
         if need.needed_if and not need.needed_if(self.plan.site):
             return Joined({})
         origin = stage_named(need.name)
@@ -262,7 +262,7 @@ class Inputs:
     def _from_site(self, need: Source, task: Task) -> Input:
         what = need.name
         if what == "survey" or need.of == "every":
-            return stated_of_site(self.plan.site, what)
+            return site_inputs(self.plan.site, what)
         camera = self.plan.subjects.camera(task.subject[0])
         if what == "mask":
             return self._named("mask", camera.camera)
@@ -270,7 +270,7 @@ class Inputs:
             return Absent()
         if what == "captures":
             return Files(self._captured(camera))
-        return stated(camera, what)
+        return site_input(camera, what)
 
     def _named(self, words: str, key: str) -> Input:
         """A file that the site file names.  words: what it is."""

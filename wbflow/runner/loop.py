@@ -69,9 +69,9 @@ class _Loop:
             self.journal.report(plan)
             self.journal.listen(PlannedEvent(plan.counts()))
             chains = [chain[:1] if self.stopped else chain for chain in plan.chains()]
-            if chains and (lacks := self.dispatcher.lacks(spec.task for chain in chains for spec in chain)):
+            if chains and (shortage := self.dispatcher.disk_shortage(spec.task for chain in chains for spec in chain)):
                 for first, *_ in chains:
-                    plan.commit(first.task, State("failed", f"{lacks}; {REMEDY}", Cause.DISK_FULL))
+                    plan.commit(first.task, State("failed", f"{shortage}; {REMEDY}", Cause.DISK_FULL))
                 continue
             if chains:
                 plan.begin(chains)

@@ -17,7 +17,7 @@ from ..pipeline.binding import Binding, bind
 from ..pipeline.stages import COMPONENT, DENSE_PAIRS, FRAMES, FUSE, PAIRS, POSES, STAGES, Adapt, Stage, ancestors, stage_named
 from ..records.findings import Health
 from ..records.reference_folder import Reference
-from ..reference.compatibility import calibration_change, misfit
+from ..reference.compatibility import calibration_change, incompatibility
 from ..reference.resolve import Resolver
 from ..site.captures import CaptureFile
 from ..site.models import Site
@@ -51,7 +51,7 @@ class Plan:
     """The rest, with the first task found that each waits for (None: for the pair graph)."""
     reference: Reference | None = None
     """What tonight is compared with."""
-    misfit: str = ""
+    incompatible: str = ""
     """Why it is not, where a reference is there that is one of the site as it was before its file changed."""
     calibration_change: str = ""
     """What lenses and poses have become then, compared with those of the reference."""
@@ -84,9 +84,9 @@ class Plan:
         names = frozenset(stage.name for stage in self.stages)
         self.subjects = Subjects(self.site, self.states, DENSE_PAIRS in names)
         if self.reference:
-            self.misfit = misfit(self.reference, self)
-            self.calibration_change = calibration_change(self.reference.cameras, self.site) if self.misfit else ""
-        self.reference = None if self.misfit else self.reference
+            self.incompatible = incompatibility(self.reference, self)
+            self.calibration_change = calibration_change(self.reference.cameras, self.site) if self.incompatible else ""
+        self.reference = None if self.incompatible else self.reference
         self.resolver = Resolver(self)
         self._inputs = Inputs(self, names)
 
@@ -104,7 +104,7 @@ class Plan:
         self.ready.pop(task, None)
         self.waiting.pop(task, None)
         self.force -= {str(task)}
-        self.resolver.ended(task)
+        self.resolver.task_ended(task)
         self._news[task] = None
         self._due.extend(self._dependents.pop(task, ()))
         self._anew = self._anew or task in _DECIDE
@@ -112,7 +112,7 @@ class Plan:
     def forget(self, task: Task) -> None:
         """Take back that a task has ended (its artifact turned out damaged)."""
         self.states.pop(task, None)
-        self.resolver.lose(task)
+        self.resolver.artifact_lost(task)
         self._anew = True
 
     def relist(self) -> None:
@@ -157,8 +157,10 @@ class Plan:
         Raises Waiting or Impossible where its inputs are not there yet, or will not come.
         """
         stage = stage_named(task.stage)
-        instead = self.resolver.instead(stage, task)
-        return self._with_drawings(self._spec(stage, task, adapt=None if isinstance(instead, Receipt) else instead), set())
+        replacement = self.resolver.replacement(stage, task)
+        return self._with_drawings(
+            self._spec(stage, task, adapt=None if isinstance(replacement, Receipt) else replacement), set()
+        )
 
     def upstreams(self, task: Task) -> list[Task]:
         """The tasks that a task takes its inputs from, as far as they are listed yet."""
@@ -173,11 +175,11 @@ class Plan:
 
     def _derive(self, stage: Stage, task: Task) -> None:
         try:
-            instead = self.resolver.instead(stage, task)
-            if isinstance(instead, Receipt):
-                self.commit(task, cached_state(instead))
+            replacement = self.resolver.replacement(stage, task)
+            if isinstance(replacement, Receipt):
+                self.commit(task, cached_state(replacement))
                 return
-            spec = self._spec(stage, task, adapt=instead)
+            spec = self._spec(stage, task, adapt=replacement)
         except Waiting as waiting:
             self.waiting[task] = waiting.task
             self._dependents.setdefault(waiting.task, []).append(task)
@@ -201,9 +203,9 @@ class Plan:
             follower = Task(stage.name, first.task.subject)
             if follower in self.waiting:
                 try:
-                    instead = self.resolver.instead(stage, follower)
-                    if not isinstance(instead, Receipt):
-                        chain.append(self._spec(stage, follower, made, instead))
+                    replacement = self.resolver.replacement(stage, follower)
+                    if not isinstance(replacement, Receipt):
+                        chain.append(self._spec(stage, follower, made, replacement))
                         made.add(follower)
                 except (Waiting, Impossible):
                     continue

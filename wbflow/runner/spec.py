@@ -139,7 +139,7 @@ def input_digests(inputs: dict[str, Input]) -> dict[str, str]:
     return digests
 
 
-def stated(camera: Camera, what: str) -> Value:
+def site_input(camera: Camera, what: str) -> Value:
     """What the site file says of a camera: `LENS`, `PRIVACY` or `PLACEMENT`."""
     if what == "privacy":
         corners = [corner for polygon in camera.privacy for corner in polygon]
@@ -147,11 +147,11 @@ def stated(camera: Camera, what: str) -> Value:
     return Value(SITE_TYPES[what], plain(camera.lens if what == "lens" else camera.placement))
 
 
-def stated_of_site(site: Site, what: str) -> Value | Joined:
+def site_inputs(site: Site, what: str) -> Value | Joined:
     """The same of all cameras, by id; or the `SURVEY`."""
     if what == "survey":
         return Value(SITE_TYPES[what], plain(site.survey))
-    return Joined({(camera.id,): stated(camera, what) for camera in site.views})
+    return Joined({(camera.id,): site_input(camera, what) for camera in site.views})
 
 
 def subject_of(origin: Stage, need: Source, task: Task) -> Subject:

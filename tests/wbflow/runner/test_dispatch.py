@@ -181,11 +181,11 @@ def test_a_night_with_nothing_to_do_starts_no_worker(toy: ToySite, monkeypatch: 
 
 def test_a_tasks_time_is_reported_by_what_its_stage_took_before() -> None:
     past = TaskCosts({"quick": 0.1, "slow": 300.0, "endless": 1e5})
-    known = Limits(past=past)
+    known = Limits(costs=past)
     assert known.seconds_for("quick") == dispatch.SHORTEST
     assert known.seconds_for("slow") == dispatch.TIMES * 300
     assert known.seconds_for("endless") == known.seconds_for("new") == dispatch.LONGEST
-    assert Limits(seconds=5.0, past=past).seconds_for("slow") == 5
+    assert Limits(seconds=5.0, costs=past).seconds_for("slow") == 5
 
 
 def test_tasks_that_do_not_fit_side_by_side_are_done_one_after_the_other(wicked: ToySite) -> None:
@@ -202,7 +202,7 @@ def test_tasks_that_do_not_fit_side_by_side_are_done_one_after_the_other(wicked:
 def test_what_tasks_held_before_and_tonight_tells_what_fits() -> None:
     fuse, gate, roof = Task("fuse"), Task("depth", ("gate",)), Task("depth", ("roof",))
     past = TaskCosts(stages_mb={"fuse": 900.0, "depth": 100.0}, tasks_mb={str(gate): 300.0})
-    holding = Limits(memory=1000 * 2**20, past=past)
+    holding = Limits(memory=1000 * 2**20, costs=past)
     assert holding.fits([], [fuse]) and holding.fits([[fuse]], [roof])
     assert not holding.fits([[fuse]], [gate]), "it held 300 MB the last time"
     assert holding.fits([[fuse]], [Task("new", ("roof",))]), "nobody knows"
