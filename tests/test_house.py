@@ -30,7 +30,7 @@ FLOORS = [
 """Rooms of the vision from the ground up: each imports from its own floor and from those below it.  "stages": the stage files."""
 
 LAYERS = (
-    {"errors", "task", "words", "json_dataclass"},
+    {"errors", "task", "words", "json_dataclass", "plugins"},
     {"cache", "records", "pipeline", "remote"},
     {"site"},
     {"runner", "reference", "capture"},

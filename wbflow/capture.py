@@ -24,9 +24,9 @@ from typing import IO
 import yaml
 
 from .cache.atomic import write_atomic
-from .cache.fingerprint import load
 from .cache.untrusted import MOST_TEXT_BYTES, read_untrusted
 from .errors import UsageError, WbflowError
+from .plugins import load
 from .site.captures import answered
 from .site.models import Site
 from .words import counted, printable

@@ -16,8 +16,8 @@ from typing import IO, Any
 
 from ..errors import WbflowError
 from ..pipeline.stages import CLOUD_COLUMNS, CLOUD_FIGURES, FUSE, RESTORE_CLOUD
+from ..plugins import load
 from .checksum import content_digest
-from .fingerprint import load
 from .ply import columns_of, ply_bytes
 
 MAGIC = b"WBF1"

@@ -1,4 +1,4 @@
-"""Functions by dotted name, and a fingerprint of all code that each runs, from source files alone.
+"""A fingerprint of all code that a function runs, from source files alone.
 
 It covers the syntax trees (without comments and docstrings) of the function's module and of the modules that this one imports,
 directly or not, as far as they belong to the same package, to the stages or to the site's own folder; and the major.minor
@@ -9,32 +9,20 @@ is renamed, or whose file is moved, keeps its fingerprint as long as its code is
 from __future__ import annotations
 
 import ast
-import functools
 import hashlib
 import importlib.util
-import pkgutil
-import platform
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from importlib.machinery import ModuleSpec
 from pathlib import Path
-from typing import Any
 
 from ..errors import ExitCode, WbflowError
+from ..plugins import is_site_module
+from .versions import installed_version
 
 FOLLOWED = ("wbflow_stages",)
 """Packages whose modules are followed whoever imports them."""
-
-LIBRARIES = ("cv2", "joblib", "maxflow", "networkx", "numba", "numpy", "open3d", "poselib", "pycolmap", "scipy")
-"""What the stages import, by import name: run.json has their versions, and the workers of a cluster must have the same."""
-
-_DISTRIBUTIONS = {
-    "cv2": ("opencv-python-headless", "opencv-python", "opencv-contrib-python-headless", "opencv-contrib-python"),
-    "open3d": ("open3d-cpu", "open3d"),
-    "maxflow": ("PyMaxflow",),
-}
-"""Import name -> distributions that may provide it; of other names this is looked up."""
 
 
 class FunctionError(WbflowError, ValueError):
@@ -115,7 +103,7 @@ class Modules:
             except (ImportError, ValueError):
                 self._tops[top] = None
         spec = self._tops[top]
-        if spec is None or was_offered(spec.origin or "/"):
+        if spec is None or is_site_module(spec.origin or "/"):
             return self._below([str(self.folder)], [top, *rest]) if self.folder else None
         if not rest:
             return Path(spec.origin) if spec.origin and spec.origin.endswith(".py") else None
@@ -252,64 +240,3 @@ def origin_of(node: ast.ImportFrom, module: str, path: Path) -> str:
 
 def _digest(text: str) -> str:
     return hashlib.sha256(text.encode()).hexdigest()[:32]
-
-
-def installed_versions() -> dict[str, str]:
-    """Return Python's version, and those of the libraries of `LIBRARIES` that are installed, by name."""
-    found = {name: installed_version(name) for name in LIBRARIES}
-    return {"python": platform.python_version(), **{name: version for name, version in found.items() if version != "absent"}}
-
-
-@functools.cache
-def installed_version(library: str) -> str:
-    """Return major and minor version of a library by its import name; "absent" where no distribution provides it."""
-    from importlib import metadata  # here: `wbflow --help` needs no version
-
-    for distribution in _DISTRIBUTIONS.get(library, (library,)):
-        try:
-            return _minor(metadata.version(distribution))
-        except metadata.PackageNotFoundError:
-            continue
-    found = sorted(set(_provided().get(library, ())))
-    return " ".join(f"{name} {_minor(metadata.version(name))}" for name in found) or "absent"
-
-
-@functools.cache
-def _provided() -> dict[str, list[str]]:
-    """Distributions by the import names that they provide (0.1 CPU s: only where the name does not say it)."""
-    from importlib import metadata
-
-    return dict(metadata.packages_distributions())
-
-
-def _minor(version: str) -> str:
-    return ".".join(version.split(".")[:2])
-
-
-class _Beside(str):
-    """An entry of the module path that was added for a site."""
-
-    def __reduce__(self) -> tuple[type[str], tuple[str]]:  # worker processes get the path before they can import this
-        return str, (str(self),)
-
-
-def offer(folder: Path | None) -> None:
-    """Let modules in a folder be imported, after all that Python finds elsewhere; those of another site are forgotten."""
-    for other in [entry for entry in sys.path if isinstance(entry, _Beside) and entry != str(folder)]:
-        sys.path.remove(other)
-        for name, module in list(sys.modules.items()):
-            if Path(getattr(module, "__file__", None) or "/").is_relative_to(other):
-                del sys.modules[name]
-    if folder and str(folder) not in sys.path:
-        sys.path.append(_Beside(folder))
-
-
-def was_offered(file: str) -> bool:
-    """Was a source file made importable by `offer`, rather than installed?"""
-    return any(Path(file).is_relative_to(entry) for entry in sys.path if isinstance(entry, _Beside))
-
-
-def load(dotted: str) -> Callable[..., Any]:
-    """The function, or class, "package.module:name", looked up anew: modules beside a site file are forgotten with it."""
-    function: Callable[..., Any] = pkgutil.resolve_name(dotted)
-    return function

@@ -107,9 +107,9 @@ class _Handler(BaseHTTPRequestHandler):
     def _post(self, path: str) -> Answer:
         session, body = self.server.session, self._body()
         if path == "look":
-            return _json(session.scene.look(Look.model_validate_json(body)))
+            return _json(session.posed.look(Look.model_validate_json(body)))
         if path == "ground":
-            return _json(session.scene.on_ground(OnGround.model_validate_json(body)))
+            return _json(session.posed.on_ground(OnGround.model_validate_json(body)))
         if path == "save":
             save = Save.model_validate_json(body)
             return _json(session.save(save.marks, save.version))

@@ -13,14 +13,14 @@ from pydantic import Field
 
 from ..cache.atomic import write_atomic
 from ..cache.checksum import content_digest
-from ..cache.fingerprint import load
 from ..cache.memo import Digests
 from ..cache.ply import read_ply
 from ..cache.untrusted import MOST_TEXT_BYTES, is_file, read_untrusted
 from ..errors import ExitCode, WbflowError
+from ..plugins import load
 from ..records.run_folder import NoSuchRun, RunFolder
-from ..site.cameras import local_frame
 from ..site.captures import captures_of, expected, night
+from ..site.geodesy import local_frame
 from ..site.load import site_of
 from ..site.models import Camera, Section, Site, Vector2, Vector3
 from ..site.yaml_document import Location, Problems, SiteError, parse_yaml
@@ -119,7 +119,7 @@ class Refused(WbflowError):
     exit_code = ExitCode.USAGE
 
 
-class Scene:
+class PosedCameras:
     """The posed cameras of a site: those of its last run, else as the site file states them."""
 
     def __init__(self, site: Site) -> None:
@@ -186,7 +186,7 @@ class Session:
 
     def __init__(self, site: Site) -> None:
         self.site = site
-        self.scene = Scene(site)
+        self.posed = PosedCameras(site)
         self._night = night(site, None)
         self._lock = threading.Lock()
         self._sizes: dict[str, tuple[int, int]] = {}
@@ -199,7 +199,7 @@ class Session:
 
     def state(self) -> dict[str, Any]:
         """What the site file says, and which cameras have a pose."""
-        cameras = [{"id": c.id, "posed": c.id in self.scene.poses, "privacy": c.privacy} for c in self.site.cameras]
+        cameras = [{"id": c.id, "posed": c.id in self.posed.poses, "privacy": c.privacy} for c in self.site.cameras]
         zones, points = _marks_of(self.site)
         return {
             "site": self.site.name,
@@ -207,8 +207,8 @@ class Session:
             "version": self._known[self.site.file],
             "night": str(self._night),
             "geodetic": bool(self.site.survey.crs),
-            "ground": self.scene.ground,
-            "upright": self.scene.upright,
+            "ground": self.posed.ground,
+            "upright": self.posed.upright,
             "cameras": cameras,
             "zones": [zone.model_dump() for zone in zones],
             "points": [point.model_dump() for point in points],

@@ -11,11 +11,11 @@ from dataclasses import dataclass
 from typing import Literal
 
 from ..cache.atomic import free_bytes
-from ..cache.fingerprint import load
 from ..cache.layout import WorkFolder
 from ..cache.untrusted import read_untrusted
 from ..errors import ExitCode
 from ..pipeline.stages import SITE_TYPES
+from ..plugins import load
 from ..records.run_folder import NoSuchRun, RunFolder
 from ..runner.context import RunContext, plan_run
 from ..runner.options import Options

@@ -9,13 +9,13 @@ from pathlib import Path
 from typing import Any
 
 from ..cache.atomic import write_atomic
-from ..cache.fingerprint import load
 from ..cache.layout import WorkFolder
 from ..cache.ply import ply_bytes
 from ..errors import UsageError, WbflowError
 from ..pipeline.meanings import titled
 from ..pipeline.stages import CHANGES, DEPTH, FRAMES, POSES, REFINE
 from ..pipeline.summaries import CutFill
+from ..plugins import load
 from ..records.record import CameraRecord, PairRecord, RunRecord
 from ..records.run_folder import NoSuchRun, RunFolder, newest_runs
 from ..task import Task

@@ -11,10 +11,10 @@ from typing import Any
 
 from ..cache.artifact import result_bytes, result_of, suffix_of
 from ..cache.checksum import content_digest
-from ..cache.fingerprint import load, offer
 from ..cache.store import Cache
 from ..errors import UsageError
 from ..pipeline.stages import DENSE_PAIRS, FUSE, PAIRS, REJECTED, stage_named
+from ..plugins import load, make_importable
 from ..runner.context import plan_run
 from ..runner.executors import THREADS
 from ..runner.options import Options
@@ -63,7 +63,7 @@ def write_task(site: Site, task: Task, out: Path, date: datetime.date | None = N
     plan.refresh()
     spec = _spec(plan, task)
     (out / INPUTS).mkdir(parents=True, exist_ok=True)
-    offer(spec.folder)
+    make_importable(spec.folder)
     values = arguments_of(spec, plan.cache)
     nodes = {name: _write(spec.inputs[name], value, out / INPUTS, name, plan.cache) for name, value in values.items()}
     state = plan.states.get(task)
@@ -131,7 +131,7 @@ def as_a_worker(folder: Path) -> None:
     """Before anything else is imported: one thread, and modules beside the site file, as in a run."""
     os.environ.update(dict.fromkeys(THREADS, "1"))
     beside = _task(folder)["folder"]
-    offer(Path(beside) if beside else None)
+    make_importable(Path(beside) if beside else None)
 
 
 def inputs(folder: Path) -> dict[str, Any]:

@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import Any
 
 from ..cache.atomic import write_atomic
-from ..cache.fingerprint import load
 from ..cache.ply import ply_bytes
 from ..errors import UsageError
+from ..plugins import load
 
 MANIFEST = "demo.json"
 

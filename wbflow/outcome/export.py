@@ -9,10 +9,10 @@ from pathlib import Path
 from typing import Any
 
 from ..cache.atomic import write_atomic
-from ..cache.fingerprint import load
 from ..errors import ExitCode, WbflowError
 from ..pipeline.exports import EXPORTS, EXTRAS, Export
 from ..pipeline.stages import FUSE, stage_named
+from ..plugins import load
 from .finished_run import Run
 
 

@@ -8,12 +8,12 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ..cache.fingerprint import load
 from ..cache.layout import WorkFolder
 from ..cache.ply import read_ply
 from ..cache.store import Cache, OnDemand, Receipt
 from ..errors import UsageError, WbflowError
 from ..pipeline.stages import FRAMES, RESTORE_CLOUD, STAGES
+from ..plugins import load
 from ..records.events import Event, TaskEvent
 from ..records.record import CameraRecord, PairRecord, RunRecord
 from ..records.run_folder import RunFolder

@@ -11,9 +11,9 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from ..cache.atomic import write_atomic
-from ..cache.fingerprint import load
 from ..cache.untrusted import Unreadable, read_untrusted
 from ..errors import UsageError
+from ..plugins import load
 from ..site.models import Site
 from ..site.yaml_document import is_name
 

@@ -7,9 +7,9 @@ from mimetypes import guess_type
 from pathlib import Path
 
 from ..cache.atomic import write_atomic
-from ..cache.fingerprint import load
 from ..errors import UsageError
 from ..pipeline.stages import DISPARITY, FRAMES, GEOMETRY, MATCHES, POSES, RECTIFY
+from ..plugins import load
 from ..report import render
 from ..site.load import load_site
 from ..site.models import Site

@@ -13,12 +13,12 @@ from typing import Any
 
 from ..cache import artifact
 from ..cache.cleanup import Keep, clean
-from ..cache.fingerprint import load
 from ..cache.layout import WorkFolder, cloud_name
 from ..cache.ply import ply_bytes, with_comments
 from ..errors import UsageError, WbflowError
 from ..pipeline.stages import FRAMES, FUSE, POSES, stage_named
 from ..pipeline.summaries import PosesSummary
+from ..plugins import load
 from ..records.events import TaskEvent
 from ..records.ledger import Ledger
 from ..records.record import CameraRecord, RunRecord
@@ -31,7 +31,7 @@ from ..runner.loop import work
 from ..runner.options import Options
 from ..runner.planner import Plan
 from ..runner.state import summary_of
-from ..site.cameras import origin_of
+from ..site.geodesy import origin_of
 from ..site.models import Site
 from ..task import Task
 from ..words import in_words

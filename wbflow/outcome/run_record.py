@@ -10,8 +10,8 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from .. import __version__
-from ..cache.fingerprint import installed_versions
 from ..cache.layout import cloud_name
+from ..cache.versions import installed_versions
 from ..errors import ExitCode
 from ..pipeline import summaries
 from ..pipeline.stages import DENSE_PAIRS, DEPTH, DISPARITY, FRAMES, FUSE, GEOMETRY, PAIRS, POSES, STAGES, Stage

@@ -11,11 +11,11 @@ import datetime
 from collections.abc import Mapping
 
 from ..cache.artifact import bytes_and_facts
-from ..cache.fingerprint import load
 from ..cache.layout import WorkFolder
 from ..cache.store import Cache, DamagedArtifact, Preimage, Receipt
 from ..pipeline.functions import FunctionReader
 from ..pipeline.stages import POSES, STAGES, Stage
+from ..plugins import load
 from ..records.reference_folder import PinnedArtifact, Reference, write_reference
 from ..records.run_folder import NoSuchRun, newest_runs
 from ..runner.planner import Plan

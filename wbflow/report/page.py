@@ -13,11 +13,11 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 from ..cache.artifact import figures
-from ..cache.fingerprint import load
 from ..outcome.finished_run import Gone, Run
 from ..pipeline.meanings import meaning
 from ..pipeline.stages import CHANGES, stage_named
 from ..pipeline.summaries import ChangesSummary
+from ..plugins import load
 from ..records.events import TaskEvent, WarningEvent
 from ..records.record import RunRecord, moment
 from ..site.models import Site
@@ -25,8 +25,9 @@ from ..words import counted, spoken
 from . import render, sections
 from .charts import camera_bars, tasks_of_stages, timetable, trends
 from .data import ReportData
-from .map import Map, layers_of, scene_of
+from .map import Map, layers_of
 from .pictures import Pictures, Points, large_pictures, other_night, points_of, points_of_other, split, then_pictures
+from .scene import scene_of
 
 MOST_BYTES = 14_000_000
 """Of a page, about: large pictures get the room that nothing else needs."""

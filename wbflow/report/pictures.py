@@ -15,9 +15,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from ..cache.fingerprint import load
 from ..cache.untrusted import read_untrusted
 from ..pipeline.stages import FRAMES, FUSE, STAGES, stage_named
+from ..plugins import load
 from ..records.run_folder import NoSuchRun, RunFolder
 from ..site.calibration.calibrated import product
 from ..task import Task

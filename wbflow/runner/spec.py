@@ -11,7 +11,7 @@ from ..cache.checksum import content_digest
 from ..cache.store import Preimage, Receipt
 from ..pipeline.stages import SITE_TYPES, Source, Stage
 from ..site.captures import CaptureFile
-from ..site.models import Camera, Site, plain
+from ..site.models import Camera, Site, stated_fields
 from ..task import Subject, Task
 
 
@@ -144,13 +144,13 @@ def site_input(camera: Camera, what: str) -> Value:
     if what == "privacy":
         corners = [corner for polygon in camera.privacy for corner in polygon]
         return Value(SITE_TYPES[what], {"corners": corners, "counts": [float(len(polygon)) for polygon in camera.privacy]})
-    return Value(SITE_TYPES[what], plain(camera.lens if what == "lens" else camera.placement))
+    return Value(SITE_TYPES[what], stated_fields(camera.lens if what == "lens" else camera.placement))
 
 
 def site_inputs(site: Site, what: str) -> Value | Joined:
     """The same of all cameras, by id; or the `SURVEY`."""
     if what == "survey":
-        return Value(SITE_TYPES[what], plain(site.survey))
+        return Value(SITE_TYPES[what], stated_fields(site.survey))
     return Joined({(camera.id,): site_input(camera, what) for camera in site.views})
 
 

@@ -20,11 +20,11 @@ from typing import Any, TextIO
 from ..cache.artifact import bytes_and_facts, result_of
 from ..cache.atomic import FULL, REMEDY
 from ..cache.checksum import content_digest
-from ..cache.fingerprint import load, offer
 from ..cache.memo import ChangedFile
 from ..cache.store import Cache, Damage, DamagedArtifact, OnDemand, Preimage, Receipt
 from ..cache.untrusted import read_untrusted
 from ..pipeline.stages import REJECTED, SITE_TYPES
+from ..plugins import load, make_importable
 from ..site.captures import CaptureFile
 from ..task import Task
 from ..words import LONGEST_TRACE, printable
@@ -111,7 +111,7 @@ def run_chain(
     time_limits : mapping, optional
         Seconds by stage; None where this process is shared with others.
     """
-    offer(specs[0].folder)
+    make_importable(specs[0].folder)
     chain = _Chain(cache, time.process_time if time_limits is not None else time.thread_time)
     ended: list[Done] = []
     with Progress(progress, time_limits) as notes:

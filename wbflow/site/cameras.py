@@ -1,7 +1,6 @@
 """The cameras of a site file, merged with what calibrations give for them; and the views of those too wide for one pinhole.
 
-Also positions by latitude and longitude, which become metres east, north and up of the first one in the file (z up, as in every
-world), and what a site file gives besides the cameras: known distances and control points.
+Also what a site file gives besides the cameras: known distances and control points.
 """
 
 from __future__ import annotations
@@ -11,13 +10,14 @@ import itertools
 import math
 from typing import Any
 
-from ..cache.fingerprint import load
 from ..cache.untrusted import is_file
+from ..plugins import load
 from ..task import view_name
 from ..words import printable
 from .calibration import find_camera, read_calibration
 from .calibration.calibrated import Calibrated, Lens, Placement, product
-from .models import POSITION_REMEDY, Camera, CameraEntry, SiteFile, Survey
+from .geodesy import LocalFrame
+from .models import Camera, CameraEntry, SiteFile, Survey
 from .yaml_document import CalibrationError, Location, Problems, beside, is_name
 
 _OWN_PINHOLE = frozenset({"pinhole", "brown"})
@@ -146,45 +146,6 @@ def _placement(camera: CameraEntry, entry: Calibrated | None, frame: LocalFrame 
         return solved
     C = frame.metres(*pose.geodetic) if frame and pose.geodetic else pose.position
     return Placement(pose.R, C, pose.sigma_m, pose.sigma_deg)
-
-
-class LocalFrame:
-    """East, north, up around an origin on the WGS 84 ellipsoid."""
-
-    def __init__(self, latitude: float, longitude: float, height: float) -> None:
-        from pyproj import Transformer  # here: only sites with geodetic positions need it
-
-        self.crs = f"+proj=topocentric +ellps=WGS84 +lat_0={latitude!r} +lon_0={longitude!r} +h_0={height!r}"
-        steps = "+proj=pipeline +step +proj=unitconvert +xy_in=deg +xy_out=rad +step +proj=cart +ellps=WGS84 +step "
-        self._transformer = Transformer.from_pipeline(steps + self.crs)
-
-    def metres(self, latitude: float, longitude: float, height: float) -> list[float]:
-        """[east, north, up]."""
-        return [float(v) for v in self._transformer.transform(longitude, latitude, height)]
-
-
-def origin_of(crs: str) -> list[float] | None:
-    """Latitude, longitude and height that a world's coordinates begin at; None for a local one."""
-    named = dict(word.lstrip("+").split("=", 1) for word in crs.split() if "=" in word)
-    return [float(named[key]) for key in ("lat_0", "lon_0", "h_0")] if {"lat_0", "lon_0", "h_0"} <= set(named) else None
-
-
-def local_frame(file: SiteFile, problems: Problems) -> LocalFrame | None:
-    """The frame of all geodetic positions of a site; None where there are none."""
-    positions = list(file.positions())
-    geodetic = [(location, p.geodetic) for location, p in positions if p.geodetic is not None]
-    if not geodetic:
-        return None
-    mixed = next((location for location, p in positions if p.geodetic is None), None)
-    if mixed is not None:
-        what = "x, y, z here, but latitude and longitude elsewhere: how they lie to each other is unknown"
-        problems.add(mixed, what, POSITION_REMEDY)
-    location, origin = geodetic[0]
-    try:
-        return LocalFrame(*origin)
-    except ImportError:
-        problems.add(location, "latitude and longitude need the package pyproj", "pip install pyproj")
-        return None
 
 
 def read_survey(file: SiteFile, frame: LocalFrame | None, problems: Problems) -> Survey:

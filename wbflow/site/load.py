@@ -18,8 +18,9 @@ from ..pipeline.pairs import MOST_AT_A_CAMERA
 from ..remote import is_url
 from ..words import printable
 from .calibration.calibrated import LENS_MODELS
-from .cameras import local_frame, read_cameras, read_survey, views_of
-from .models import CUSTOM, POSITION_REMEDY, Captures, Site, SiteFile
+from .cameras import read_cameras, read_survey, views_of
+from .geodesy import POSITION_REMEDY, local_frame
+from .models import CUSTOM, Captures, Site, SiteFile
 from .pattern import Pattern
 from .stage_settings import read_stages
 from .yaml_document import Document, Location, Problems, SiteError, SiteProblem, beside, did_you_mean, is_name, load_yaml, similar

@@ -39,10 +39,6 @@ GEODETIC_SIGMA_M = 3.0
 """Standard deviation of a position by latitude and longitude that comes without one: a plain satellite receiver's, metres."""
 _GEODETIC = ("latitude", "longitude", "height")
 
-POSITION_REMEDY = (
-    "give position: [x, y, z] in metres, or latitude, longitude (degrees, WGS 84) and height (metres above the ellipsoid)"
-)
-
 CUSTOM = "site"
 """The type of validation errors whose message is complete."""
 
@@ -434,7 +430,7 @@ class Survey:
     """Coordinate system of the world; "" where it is local."""
 
 
-def plain(value: Lens | Placement | Survey) -> dict[str, Any]:
+def stated_fields(value: Lens | Placement | Survey) -> dict[str, Any]:
     """The fields that differ from their defaults, by name."""
     default = type(value)()
     values = {f.name: getattr(value, f.name) for f in dataclasses.fields(value)}

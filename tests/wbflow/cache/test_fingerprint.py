@@ -8,8 +8,10 @@ from pathlib import Path
 
 import pytest
 
-from wbflow.cache.fingerprint import Modules, installed_version, load, read_code
+from wbflow.cache.fingerprint import Modules, read_code
+from wbflow.cache.versions import installed_version
 from wbflow.pipeline.functions import FunctionReader
+from wbflow.plugins import load
 
 STAGE = """\
 from .helper import HALF
@@ -131,7 +133,7 @@ def test_any_library_that_the_code_imports_counts_by_its_minor_version(
         (folder / "METADATA").write_text(f"Metadata-Version: 2.1\nName: Deep-Nets\nVersion: {version}\n")
         (folder / "top_level.txt").write_text("deepnets\n")
         installed_version.cache_clear()
-        monkeypatch.setattr("wbflow.cache.fingerprint._provided", metadata.packages_distributions)
+        monkeypatch.setattr("wbflow.cache.versions._provided", metadata.packages_distributions)
 
     package.write(helper="HALF = 0.5\ndef run():\n    import deepnets.functional as F\n    return F\n")
     code = read_code(Modules(), f"{package.root.name}.stage:work")

@@ -171,7 +171,7 @@ def placed_on_the_map(site: Path, copy: Path) -> Path:
     from wbflow.cache import artifact
     from wbflow.cache.layout import WorkFolder
     from wbflow.cache.store import Cache
-    from wbflow.site.cameras import LocalFrame
+    from wbflow.site.geodesy import LocalFrame
     from wbflow.task import Task
 
     shutil.copytree(site, copy, symlinks=True)

@@ -1,0 +1,38 @@
+"""Functions by dotted name, also those of modules that lie beside a site file (`use: my_module:my_function`)."""
+
+from __future__ import annotations
+
+import pkgutil
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+
+class _Beside(str):
+    """An entry of the module path that was added for a site."""
+
+    def __reduce__(self) -> tuple[type[str], tuple[str]]:  # worker processes get the path before they can import this
+        return str, (str(self),)
+
+
+def make_importable(folder: Path | None) -> None:
+    """Let modules in a folder be imported, after all that Python finds elsewhere; those of another site are forgotten."""
+    for other in [entry for entry in sys.path if isinstance(entry, _Beside) and entry != str(folder)]:
+        sys.path.remove(other)
+        for name, module in list(sys.modules.items()):
+            if Path(getattr(module, "__file__", None) or "/").is_relative_to(other):
+                del sys.modules[name]
+    if folder and str(folder) not in sys.path:
+        sys.path.append(_Beside(folder))
+
+
+def is_site_module(file: str) -> bool:
+    """Was a source file made importable by `make_importable`, rather than installed?"""
+    return any(Path(file).is_relative_to(entry) for entry in sys.path if isinstance(entry, _Beside))
+
+
+def load(dotted: str) -> Callable[..., Any]:
+    """The function, or class, "package.module:name", looked up anew: modules beside a site file are forgotten with it."""
+    function: Callable[..., Any] = pkgutil.resolve_name(dotted)
+    return function

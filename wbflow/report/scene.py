@@ -1,0 +1,199 @@
+"""Cameras and objects in one frame for the 3-D view and the map: right, away from the first view, and up."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from ..records.record import CameraRecord
+from ..site.geodesy import origin_of
+from .data import ReportData, objects_of, since_last_good, state_of
+
+Vector = tuple[float, float, float]
+Matrix = Sequence[Sequence[float]]
+
+_UPRIGHT = 0.5
+"""The world's z is up where it agrees so well with every camera's."""
+_TRIMMED, _GROWN = 0.1, 0.13
+"""Share of the points that the extent leaves out at each end, and by which it grows again: far points don't shrink the site."""
+
+
+@dataclass(frozen=True)
+class SceneCamera:
+    """A camera in the frame of the page."""
+
+    id: str
+    C: Vector
+    rays: tuple[Vector, ...]
+    """Through the four corners of its picture, of depth 1; () where its direction is not known."""
+    ahead: Vector
+    fov: float
+    """Vertical, radians."""
+    state: str
+    note: str
+    """Where its place is from, if not from tonight."""
+    words: str
+    """How it is, and that."""
+
+
+@dataclass(frozen=True)
+class Scene:
+    """The frame of the page, and what stands in it."""
+
+    rows: tuple[Vector, Vector, Vector]
+    """Right, away and up, in the world."""
+    origin: Vector
+    cameras: tuple[SceneCamera, ...]
+    objects: tuple[dict[str, Any], ...]
+    """Those that stages report, such as changes, and whether each is known: was there on the last good night."""
+    low: Vector
+    """Corners of the box around most points and all cameras, in the frame of the page."""
+    high: Vector
+    middle: Vector
+    """Of the points."""
+    radius: float
+    unit: str
+    """m, or "" where the scale is not known."""
+    north: str
+    """Name of the direction of the world's y."""
+    place: list[float] | None
+    """Latitude, longitude and height of the world's origin, where the site is on the map."""
+
+    def to(self, point: Sequence[float]) -> Vector:
+        """Return a point of the world in the frame of the page."""
+        return _times(self.rows, _minus(point, self.origin))
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the input of the 3-D view."""
+        cameras = [vars(camera) for camera in self.cameras]
+        axes = {"rows": self.rows, "origin": self.origin, "unit": self.unit, "place": self.place}
+        box = {"low": self.low, "high": self.high, "middle": self.middle, "radius": self.radius, "heading": -math.pi / 2}
+        return {"axes": axes, **box, "north": self.north, "cameras": cameras, "marks": self.objects}
+
+
+def scene_of(data: ReportData, sample: list[Vector]) -> Scene | None:
+    """Return the frame of a run's page; None where no place is known.  sample: some points of the cloud.
+
+    Up is the world's z where every camera agrees, else against the mean of the cameras' y axes; the first view goes from the
+    cameras to the points, along an axis of the map where the site is on one.
+    """
+    record = data.record
+    placed = {camera.id: place for camera in record.cameras if (place := data.placement(camera.id))}
+    if not (sample or placed):
+        return None
+    centres: list[Vector] = [tuple(entry["C"]) for entry, _ in placed.values()]
+    rotations: list[Matrix] = [entry["R"] for entry, _ in placed.values() if entry.get("R")]
+    points = sample or _last_cloud(data)
+    around = points or centres
+    origin = _sum(points, 1 / len(points)) if points and not sample else _median(sample or centres)
+    crs = record.poses.crs if record.poses else ""
+    rows = _axes(_up(rotations), centres, origin, [R[2] for R in rotations], on_map=bool(crs))
+    cameras = tuple(_camera(data, camera, placed[camera.id], rows, origin) for camera in record.cameras if camera.id in placed)
+    objects = tuple(_objects(data, rows, origin))
+    low, high = _box([_times(rows, _minus(point, origin)) for point in around], _TRIMMED if sample else 0.0)
+    middle, radius = _sum((low, high), 0.5), max(math.dist(low, high) / 2, 1e-6)
+    everything = list(zip(low, high, *(c.C for c in cameras), *(thing["at"] for thing in objects), strict=True))
+    unit = "m" if not record.poses or record.poses.metric else ""
+    extent = _vector(map(min, everything)), _vector(map(max, everything))
+    return Scene(rows, origin, cameras, objects, *extent, middle, radius, unit, "N" if crs else "y", origin_of(crs))
+
+
+def _last_cloud(data: ReportData) -> list[Vector]:
+    """Return the corners of the last cloud: a night without one shows the same place from the same side."""
+    for record in data.earlier:
+        if record.cloud and record.poses and record.poses.metric:
+            return [(x, y, z) for x, y, z in itertools.product(*zip(*record.cloud.bounds, strict=True))]
+    return []
+
+
+def _up(rotations: Sequence[Matrix]) -> Vector:
+    if all(-R[1][2] > _UPRIGHT for R in rotations):
+        return 0.0, 0.0, 1.0
+    total = _sum([R[1] for R in rotations], -1.0)
+    return _unit(total if math.hypot(*total) > 1e-6 else _sum([rotations[0][1]], -1.0))
+
+
+def _axes(
+    up: Vector, centres: Sequence[Vector], middle: Vector, looks: Sequence[Sequence[float]], on_map: bool
+) -> tuple[Vector, Vector, Vector]:
+    """Return right, away and up: away from where most cameras stand, else where they look."""
+    ways = [_minus(middle, C) for C in centres]
+    spread = sum(math.hypot(*way) for way in ways)
+    away: Vector = (1.0, 0.0, 0.0)
+    for way, enough in ((_sum(ways), 0.25 * spread), (_sum(looks), 0.1 * len(looks)), ((0.0, 1.0, 0.0), 0.0)):
+        level = _minus(way, _sum([up], _dot(way, up)))
+        if math.hypot(*level) > max(enough, 1e-6):
+            away = _unit(level)
+            break
+    if on_map:
+        x, y, _ = away
+        away = (math.copysign(1, x), 0.0, 0.0) if abs(x) > abs(y) else (0.0, math.copysign(1, y), 0.0)
+    right = (away[1] * up[2] - away[2] * up[1], away[2] * up[0] - away[0] * up[2], away[0] * up[1] - away[1] * up[0])
+    return right, away, up
+
+
+def _camera(
+    data: ReportData, camera: CameraRecord, place: tuple[Mapping[str, Any], str], rows: Matrix, origin: Vector
+) -> SceneCamera:
+    entry, note = place
+    C, state = _times(rows, _minus(entry["C"], origin)), state_of(camera, data.record)
+    words = "; ".join(filter(None, (camera.reason or (camera.health.text if camera.health else ""), note)))
+    if not entry.get("R"):
+        return SceneCamera(camera.id, C, (), (0.0, 1.0, 0.0), 0.0, state, note, words)
+    R, K = entry["R"], entry.get("K")
+    width, height = entry.get("width") or 4, entry.get("height") or 3
+    fx, fy, cx, cy = (K[0][0], K[1][1], K[0][2], K[1][2]) if K else (width, width, width / 2, height / 2)
+    corners = ((0, 0), (width, 0), (width, height), (0, height))
+    columns = list(zip(*R, strict=True))
+    rays = tuple(_times(rows, _times(columns, ((x - cx) / fx, (y - cy) / fy, 1.0))) for x, y in corners)
+    return SceneCamera(camera.id, C, rays, _times(rows, R[2]), 2 * math.atan(height / 2 / fy), state, note, words)
+
+
+def _objects(data: ReportData, rows: Matrix, origin: Vector) -> Iterator[dict[str, Any]]:
+    for stage in data.record.results:
+        since = since_last_good(data, stage)
+        for name, thing in objects_of(data.record, stage).items():
+            at = _times(rows, _minus((thing.x, thing.y, thing.z), origin))
+            size = math.hypot(thing.length or 0.0, thing.width or 0.0)
+            known = since is not None and name in since.known
+            yield {"name": name, "kind": thing.kind, "at": at, "size": size, "known": known}
+
+
+def _box(points: Sequence[Vector], trimmed: float) -> tuple[Vector, Vector]:
+    """Return the corners of the box around points, without a share of them at each end, but grown again."""
+    ordered, skipped = [sorted(values) for values in zip(*points, strict=True)], int(trimmed * (len(points) - 1))
+    low, high = (_vector(values[k] for values in ordered) for k in (skipped, len(points) - 1 - skipped))
+    margin = _sum([_minus(high, low)], _GROWN if trimmed else 0.0)
+    return _minus(low, margin), _sum((high, margin))
+
+
+def _dot(a: Sequence[float], b: Sequence[float]) -> float:
+    return sum(x * y for x, y in zip(a, b, strict=True))
+
+
+def _times(rows: Matrix, point: Sequence[float]) -> Vector:
+    return _vector(_dot(row, point) for row in rows)
+
+
+def _minus(a: Sequence[float], b: Sequence[float]) -> Vector:
+    return _vector(x - y for x, y in zip(a, b, strict=True))
+
+
+def _sum(vectors: Sequence[Sequence[float]], times: float = 1.0) -> Vector:
+    return _vector(times * sum(vector[k] for vector in vectors) for k in range(3))
+
+
+def _median(points: Sequence[Vector]) -> Vector:
+    return _vector(sorted(values)[len(values) // 2] for values in zip(*points, strict=True))
+
+
+def _unit(a: Vector) -> Vector:
+    return _sum([a], 1 / (math.hypot(*a) or 1.0))
+
+
+def _vector(values: Iterable[float]) -> Vector:
+    x, y, z = map(float, values)
+    return x, y, z

@@ -1,0 +1,53 @@
+"""Latitude and longitude: such positions become metres east, north and up of the first one in the file (z up)."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from .yaml_document import Problems
+
+if TYPE_CHECKING:
+    from .models import SiteFile
+
+POSITION_REMEDY = (
+    "give position: [x, y, z] in metres, or latitude, longitude (degrees, WGS 84) and height (metres above the ellipsoid)"
+)
+
+
+class LocalFrame:
+    """East, north, up around an origin on the WGS 84 ellipsoid."""
+
+    def __init__(self, latitude: float, longitude: float, height: float) -> None:
+        from pyproj import Transformer  # here: only sites with geodetic positions need it
+
+        self.crs = f"+proj=topocentric +ellps=WGS84 +lat_0={latitude!r} +lon_0={longitude!r} +h_0={height!r}"
+        steps = "+proj=pipeline +step +proj=unitconvert +xy_in=deg +xy_out=rad +step +proj=cart +ellps=WGS84 +step "
+        self._transformer = Transformer.from_pipeline(steps + self.crs)
+
+    def metres(self, latitude: float, longitude: float, height: float) -> list[float]:
+        """[east, north, up]."""
+        return [float(v) for v in self._transformer.transform(longitude, latitude, height)]
+
+
+def origin_of(crs: str) -> list[float] | None:
+    """Latitude, longitude and height that a world's coordinates begin at; None for a local one."""
+    named = dict(word.lstrip("+").split("=", 1) for word in crs.split() if "=" in word)
+    return [float(named[key]) for key in ("lat_0", "lon_0", "h_0")] if {"lat_0", "lon_0", "h_0"} <= set(named) else None
+
+
+def local_frame(file: SiteFile, problems: Problems) -> LocalFrame | None:
+    """The frame of all geodetic positions of a site; None where there are none."""
+    positions = list(file.positions())
+    geodetic = [(location, p.geodetic) for location, p in positions if p.geodetic is not None]
+    if not geodetic:
+        return None
+    mixed = next((location for location, p in positions if p.geodetic is None), None)
+    if mixed is not None:
+        what = "x, y, z here, but latitude and longitude elsewhere: how they lie to each other is unknown"
+        problems.add(mixed, what, POSITION_REMEDY)
+    location, origin = geodetic[0]
+    try:
+        return LocalFrame(*origin)
+    except ImportError:
+        problems.add(location, "latitude and longitude need the package pyproj", "pip install pyproj")
+        return None
