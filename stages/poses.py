@@ -159,6 +159,7 @@ def _checked(
     against = [e.cameras for e in evidence if e.contradicts]
     unclear = [name for name in cameras if any(name in those for those in against) and not checks[name].verified]
     common = [name for name in unclear if all(name in those for those in against)]
+    three = {name for those in against if len(those) == 3 for name in those}
     if min(len(unclear), len(against)) < 2 or len(common) > 1:  # nothing that all contradictions have in common
         common = []
     contradiction = _doubt(unclear, cameras, seen, evidence) if unclear else ""
@@ -177,8 +178,8 @@ def _checked(
         issues=(
             *(PoseIssue("moved", name, text) for name, text in suspects.items()),
             *found.issues,
-            *(PoseIssue("unverified", name, _doubtful(name, cameras, seen, evidence)) for name in common),
-            *(PoseIssue("contradicted", name, contradiction) for name in (unclear if not common else ())),
+            *(PoseIssue("unverified", name, _doubtful(name, cameras, seen, evidence), name in three) for name in common),
+            *(PoseIssue("contradicted", name, contradiction, name in three) for name in (unclear if not common else ())),
         ),
     )
 

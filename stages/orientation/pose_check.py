@@ -273,7 +273,8 @@ def without_baseline(
     if not metric or not set(widest) <= set(known):
         return Rejected(Reason.NO_USABLE_BASELINE, figures)
     left, right = (known[name] for name in widest)
-    ahead = _unit(left, geometries[widest].x1).mean(axis=1)
+    seen = rays(left, geometries[widest].x1)
+    ahead = (seen / np.linalg.norm(seen, axis=0)).mean(axis=1)
     across = np.cross(right.C - left.C, ahead / np.linalg.norm(ahead))
     figures["baseline_m"] = float(np.linalg.norm(right.C - left.C))
     figures["distance_m"] = float(np.linalg.norm(across)) * figures["baselines"]
@@ -281,10 +282,4 @@ def without_baseline(
 
 
 def _angle_deg(left: Camera, right: Camera, geometry: Geometry) -> float:
-    a, b = _unit(left, geometry.x1), _unit(right, geometry.x2)
-    return float(np.degrees(np.median(np.arccos(np.clip((a * b).sum(axis=0), -1, 1)))))
-
-
-def _unit(camera: Camera, x: Float64s) -> Float64s:
-    direction = rays(camera, x)
-    return np.asarray(direction / np.linalg.norm(direction, axis=0), dtype=np.float64)
+    return float(np.degrees(np.median(ray_angles(rays(left, geometry.x1).T, rays(right, geometry.x2).T))))

@@ -109,6 +109,8 @@ class PoseIssue(Record):
     """Its id, or the control point that is in doubt."""
     text: str = ""
     """Of "moved", "unverified" and "contradicted": by how much, and by what."""
+    triplets: bool = False
+    """Of "unverified" and "contradicted": three cameras contradict it, too, which no pair answers."""
     row_px: float = float("nan")
     """Of "uncertain": standard deviation of the rows of the camera's best pair, pixels."""
     strain: float = float("nan")

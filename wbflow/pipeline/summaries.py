@@ -186,6 +186,7 @@ class PoseIssue(Summary):
     kind: str = ""
     camera: str = ""
     text: str = ""
+    triplets: bool = False
     row_px: float | None = None
     strain: float | None = None
     focal: float | None = None

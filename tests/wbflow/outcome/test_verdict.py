@@ -258,6 +258,23 @@ def test_a_camera_that_all_contradictions_have_in_common_is_named_though_it_stay
     assert (only(record).kind, only(record).subject) == ("camera-unverified", ("mast",))
 
 
+@pytest.mark.parametrize(
+    ("rows_px", "triplets", "kinds"),
+    [(0.4, False, []), (1.6, False, ["camera-unverified"]), (0.4, True, ["camera-unverified"])],
+    ids=["the rows are right", "the rows are off, too", "points of three cameras are off, too"],
+)
+def test_matches_of_look_alikes_blame_no_pose_on_whose_rows_surfaces_are_found(
+    rows_px: float, triplets: bool, kinds: list[str]
+) -> None:
+    far = {"poses_px": 19.4, "probability": 0.9}
+    of_mast = [PairFigures.from_json(far | {"verified": "dense", "row_error_px": rows_px})] * 2 + [PairFigures.from_json(far)]
+    figures = dict(zip([names for names in PAIRS if "mast" in names], of_mast, strict=True))
+    pairs = [replace(pair(*names), figures=figures.get(names, PairFigures())) for names in PAIRS]
+    issue = PoseIssue("unverified", "mast", "3 of its 3 pairs contradict its known pose by up to 19.4 px", triplets)
+    record = judge(replace(night(pairs=pairs), poses=PosesSummary(source="calibration", issues=(issue,))), Facts())
+    assert [found.kind for found in verdict_of(record).findings] == kinds
+
+
 def test_poses_that_are_not_known_well_enough_are_one_finding_though_there_is_a_cloud() -> None:
     world = PosesSummary(
         issues=(
@@ -457,6 +474,7 @@ def test_depths_that_differ_with_the_pair_name_the_camera_that_all_of_them_have_
     others = [*map(dense, ("crane", "mast", "roof"))]
     assert verdict_of(night(cameras=[solved, *others])).good, "matches tell its pose no better"
     assert not verdict_of(night(cameras=[dense("gate", crane_mast=0.4), *others])).good
+    assert verdict_of(night(cameras=[dense("gate", crane_mast=79.0), *others])).good, "a pair that sees look-alikes"
     once = [
         dense("gate", crane_mast=0.6, mast_roof=0.1, crane_roof=0.1),
         dense("mast", crane_gate=0.1),
