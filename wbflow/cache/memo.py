@@ -88,7 +88,7 @@ class Digests(Memo):
         super().save()
 
 
-def stamp(path: Path | str) -> list[int] | None:
+def file_stamp(path: Path | str) -> list[int] | None:
     """What tells that a file has been touched, or replaced; None where there is none."""
     try:
         return _stamp(os.stat(path))  # noqa: PTH116 (a string where many are looked at)

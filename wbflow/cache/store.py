@@ -22,7 +22,7 @@ from . import artifact
 from .atomic import clear, write_atomic
 from .checksum import Damaged, content_digest, read_checksummed, write_checksummed
 from .layout import WorkFolder
-from .memo import stamp
+from .memo import file_stamp
 from .untrusted import read_untrusted
 
 
@@ -120,10 +120,10 @@ class Cache:
     def by_key(self, task: Task, key: str) -> Receipt | None:
         """The receipt of a finished task, or None.  Checks the artifact's presence and size; who reads it checks its digest."""
         receipt_file, artifact_file, then, receipt = self._known.get((task, key), ("", "", [], None))
-        if receipt and stamp(receipt_file) == then and not (artifact_file and _wrong_size(artifact_file, receipt.bytes)):
+        if receipt and file_stamp(receipt_file) == then and not (artifact_file and _wrong_size(artifact_file, receipt.bytes)):
             return receipt
         path = self.work.receipt(task, key)
-        found = stamp(path)
+        found = file_stamp(path)
         if (receipt := self._receipt(task, path)) and found:
             self._known[task, key] = str(path), f"{path.parent}/{receipt.file}" if receipt.file else "", found, receipt
         return receipt

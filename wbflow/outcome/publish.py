@@ -27,7 +27,7 @@ from ..reference.create import fit_to_pin, pin
 from ..reference.restore import prepare
 from ..runner.context import RunContext
 from ..runner.journal import Journal
-from ..runner.loop import work
+from ..runner.loop import run_tasks
 from ..runner.options import Options
 from ..runner.planner import Plan
 from ..runner.state import summary_of
@@ -58,9 +58,9 @@ def run_pipeline(run: str, context: RunContext, options: Options, journal: Journ
     for camera, note in context.notes.items():
         journal.warn(note, task=Task(FRAMES, (camera,)))
     prepare(context, journal)
-    products = work(context, options, journal)
+    products = run_tasks(context, options, journal)
     finished = _publish(run, context, products, journal, own_process=options.backend == "threading")
-    finish(finished, site, journal)
+    post_run(finished, site, journal)
     if site.settings.notify and not options.until and products is not None:
         try:
             notify(site.settings.notify, site.folder, finished)
@@ -182,7 +182,7 @@ def mend_ledger(place: WorkFolder, journal: Journal) -> None:
         journal.warn(f"the ledger cannot be used: {error}", remedy="the night does without; the next run tries again")
 
 
-def finish(run: Run, site: Site, journal: Journal) -> None:
+def post_run(run: Run, site: Site, journal: Journal) -> None:
     """Index the run, pin the first good one, and remove what need not stay.  The night is published: a fault is a warning."""
     before = len(journal.events)
     try:

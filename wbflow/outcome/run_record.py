@@ -41,7 +41,7 @@ def run_record(
     files : mapping
         Names of the files that are published beside the cloud, by stage.
     """
-    whole = _Whole.from_plan(plan)
+    whole = _SiteWide.from_plan(plan)
     views: dict[str, list[CameraRecord]] = {}
     for view in plan.site.views:
         views.setdefault(view.camera, []).append(_camera(plan, view.id, whole))
@@ -102,7 +102,7 @@ def root_cause(plan: Plan, task: Task) -> str | None:
 
 
 @dataclass(frozen=True)
-class _Whole:
+class _SiteWide:
     """What site-wide results report of single cameras and pairs."""
 
     poses: summaries.PosesSummary
@@ -117,7 +117,7 @@ class _Whole:
     """Pairs that are made dense, where they are chosen apart."""
 
     @staticmethod
-    def from_plan(plan: Plan) -> _Whole:
+    def from_plan(plan: Plan) -> _SiteWide:
         points: dict[str, int] = {}
         misfits: dict[str, float] = {}
         apart_px: dict[str, Mapping[str, float]] = {}
@@ -130,10 +130,12 @@ class _Whole:
                 apart_px[task.subject[0]] = found
         pairs, dense = (summary_of(plan.states.get(Task(stage)), summaries.PairsSummary) for stage in (PAIRS, DENSE_PAIRS))
         poses = summary_of(plan.states.get(Task(POSES)), summaries.PosesSummary)
-        return _Whole(poses, points, misfits, apart_px, {**pairs.crowded, **dense.crowded}, frozenset(_listed(plan, DENSE_PAIRS)))
+        return _SiteWide(
+            poses, points, misfits, apart_px, {**pairs.crowded, **dense.crowded}, frozenset(_usable_pairs(plan, DENSE_PAIRS))
+        )
 
 
-def _camera(plan: Plan, camera: str, whole: _Whole) -> CameraRecord:
+def _camera(plan: Plan, camera: str, whole: _SiteWide) -> CameraRecord:
     captures = {file.name: file.digest for file in plan.captures[camera_of(camera)]}
     figures: dict[str, Any] = {}
     notes: list[str] = []
@@ -145,7 +147,7 @@ def _camera(plan: Plan, camera: str, whole: _Whole) -> CameraRecord:
             break
         if state:
             notes += summary_of(state, summaries.Notes).notes
-            figures |= _known(summary_of(state, kind))
+            figures |= _not_none(summary_of(state, kind))
     else:
         poses = whole.poses
         check, points, misfit = poses.pose_checks.get(camera), whole.points.get(camera), whole.misfits.get(camera)
@@ -166,7 +168,7 @@ def _with_staleness(record: CameraRecord, night: str, dated: bool) -> CameraReco
     return record
 
 
-def _pair(plan: Plan, pair: tuple[str, str], whole: _Whole) -> PairRecord:
+def _pair(plan: Plan, pair: tuple[str, str], whole: _SiteWide) -> PairRecord:
     figures: dict[str, Any] = {}
     well: dict[str, Any] = {"outcome": "ok"}
     ended = well
@@ -174,7 +176,7 @@ def _pair(plan: Plan, pair: tuple[str, str], whole: _Whole) -> PairRecord:
         state = plan.states.get(Task(stage.name, pair))
         if state is None:
             continue
-        figures |= _known(summary_of(state, kind))
+        figures |= _not_none(summary_of(state, kind))
         if state.usable and stage.name == DISPARITY:
             ended = well
         elif not state.usable and (ended is well or state.outcome != "skipped"):
@@ -191,18 +193,18 @@ def _parts_of(figures: type[summaries.Summary]) -> list[tuple[Stage, type[summar
     return [(stage, stage.summary) for stage in STAGES if stage.summary and issubclass(figures, stage.summary)]
 
 
-def _known(summary: summaries.Summary) -> dict[str, Any]:
+def _not_none(summary: summaries.Summary) -> dict[str, Any]:
     return {name: value for name, value in vars(summary).items() if value is not None}
 
 
 def _pairs(plan: Plan) -> list[tuple[str, str]]:
     """Those that are matched or made dense, in the order of the site file where the latter were chosen anew."""
-    matched, dense = _listed(plan, PAIRS), _listed(plan, DENSE_PAIRS)
+    matched, dense = _usable_pairs(plan, PAIRS), _usable_pairs(plan, DENSE_PAIRS)
     place = {view.id: k for k, view in enumerate(plan.site.views)}
     return sorted({*matched, *dense}, key=lambda pair: [place[view] for view in pair]) if dense else matched
 
 
-def _listed(plan: Plan, stage: str) -> list[tuple[str, str]]:
+def _usable_pairs(plan: Plan, stage: str) -> list[tuple[str, str]]:
     return list(summary_of(plan.states[Task(stage)], summaries.PairsSummary).pairs) if _is_usable(plan, stage) else []
 
 
@@ -255,24 +257,24 @@ def _figure(values: Sequence[Any], adds: bool) -> Any:
 
 def _by_camera(poses: summaries.PosesSummary) -> summaries.PosesSummary:
     """Return the summary with cameras named where the poses name their views."""
-    issues = {(issue.kind, _name(issue.camera)): issue for issue in reversed(poses.issues)}
+    issues = {(issue.kind, _camera_name(issue.camera)): issue for issue in reversed(poses.issues)}
     named = [replace(issue, camera=camera) for (_, camera), issue in reversed(issues.items())]
-    return replace(poses, **{name: _named(value) for name, value in vars(poses).items()} | {"issues": tuple(named)})
+    return replace(poses, **{name: _of_cameras(value) for name, value in vars(poses).items()} | {"issues": tuple(named)})
 
 
-def _named(value: Any) -> Any:
+def _of_cameras(value: Any) -> Any:
     """Return the first entry of each camera's views; pairs are of views, and keep their names."""
     if isinstance(value, Mapping):
         found: dict[str, Any] = {}
         for name, entry in value.items():
-            found.setdefault(_name(name), entry)
+            found.setdefault(_camera_name(name), entry)
         return found
     if isinstance(value, tuple):
         if all(isinstance(entry, str) for entry in value):
-            return tuple(dict.fromkeys(map(_name, value)))
-        return tuple(_named(entry) for entry in value)
+            return tuple(dict.fromkeys(map(_camera_name, value)))
+        return tuple(_of_cameras(entry) for entry in value)
     return value
 
 
-def _name(name: str) -> str:
+def _camera_name(name: str) -> str:
     return name if "--" in name or " " in name else camera_of(name)

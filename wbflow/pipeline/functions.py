@@ -23,7 +23,7 @@ from typing import Any
 from pydantic import ConfigDict, TypeAdapter, ValidationError
 
 from ..cache.fingerprint import Code, FunctionError, Modules, assigned, origin_of, read_code
-from ..cache.memo import Memo, stamp
+from ..cache.memo import Memo, file_stamp
 
 _FORM = f"3, Python {sys.version_info.major}.{sys.version_info.minor}"
 """Of the memo; another one is not read."""
@@ -52,7 +52,7 @@ class FunctionReader(Memo):
         super().__init__(memo, "what was read of functions", "functions are read again")
         self.modules = Modules(folder)
         files = self.entries.get("files", {})
-        if self.entries.get("form") != _FORM or any(stamp(file) != then for file, then in files.items()):
+        if self.entries.get("form") != _FORM or any(file_stamp(file) != then for file, then in files.items()):
             self.entries = {"form": _FORM, "files": {}, "known": {}}
 
     def read(self, dotted: str, table: str = "") -> FunctionInfo:
@@ -93,7 +93,7 @@ class FunctionReader(Memo):
         known = self.entries["known"]
         if entry not in known:
             known[entry], files = read()
-            self.entries["files"] |= {str(file): stamp(str(file)) for file in files}
+            self.entries["files"] |= {str(file): file_stamp(str(file)) for file in files}
             self._changed = True
         return known[entry]
 

@@ -62,7 +62,7 @@ class Ledger:
         """What was wrong with it and has been put right, or left out, in words."""
         self._work = work
         try:
-            self._db = self._open("rwc" if writes else "ro")
+            self._open("rwc" if writes else "ro")
         except sqlite3.DatabaseError as error:
             if _is_damage(error):
                 self.faults.append(f"{work.ledger} could not be used ({error}): made again from receipts and records")
@@ -70,7 +70,7 @@ class Ledger:
                 raise
             for path in work.ledger_files() if writes else ():
                 clear(path)
-            self._db = self._open("rwc" if writes else "memory")
+            self._open("rwc" if writes else "memory")
 
     def __enter__(self) -> Ledger:
         return self
@@ -127,8 +127,8 @@ class Ledger:
             self._db.executemany("delete from artifacts where artifact = ?", [(key,) for key in keys])
         self._db.execute("vacuum")
 
-    def _open(self, mode: str) -> sqlite3.Connection:
-        """Return the whole ledger on disk, or one in memory; raises sqlite3.DatabaseError for one that is not as it should be."""
+    def _open(self, mode: str) -> None:
+        """Open the whole ledger on disk, or one in memory; raises sqlite3.DatabaseError for one that is not as it should be."""
         if mode != "memory" and any(os.path.lexists(path) and not path.is_file() for path in self._work.ledger_files()):
             raise sqlite3.DatabaseError("it is no file")
         self._db = sqlite3.connect(f"{self._work.ledger.resolve().as_uri()}?mode={mode}", uri=True, timeout=_PATIENCE_S)
@@ -146,7 +146,6 @@ class Ledger:
         except (sqlite3.Error, OSError):
             self._db.close()
             raise
-        return self._db
 
 
 def _is_damage(error: sqlite3.DatabaseError) -> bool:

@@ -30,9 +30,9 @@ from .worker import Done, run_chain
 
 PROGRESS_SECONDS = 0.5
 """How often it is read which tasks are at work."""
-SHORTEST, LONGEST, TIMES = 600.0, 6 * 3600.0, 20.0
-"""Seconds that a task may take: so many times the median of its stage, within limits; LONGEST where that is not known."""
-FLOOR, MARGIN = 16_000_000, 1.2
+LEAST_SECONDS, MOST_SECONDS, TIMES_MEDIAN = 600.0, 6 * 3600.0, 20.0
+"""Seconds that a task may take: so many times the median of its stage, within limits; MOST_SECONDS where that is not known."""
+DISK_RESERVE, DISK_MARGIN = 16_000_000, 1.2
 """Bytes on disk that tasks leave free, since the run has to be published; how much more they may need than before."""
 
 
@@ -53,7 +53,7 @@ class Limits:
         if self.seconds is not None:
             return self.seconds
         before = self.costs.stages.get(stage)
-        return LONGEST if before is None else min(max(SHORTEST, TIMES * before), LONGEST)
+        return MOST_SECONDS if before is None else min(max(LEAST_SECONDS, TIMES_MEDIAN * before), MOST_SECONDS)
 
     def learn(self, stage: str, mb: float) -> None:
         """Note what a task of this run held."""
@@ -68,7 +68,7 @@ class Limits:
 
 
 @dataclass
-class _Chain:
+class _Submitted:
     """A chain in the hands of a worker."""
 
     specs: list[TaskSpec]
@@ -108,7 +108,7 @@ class Dispatcher:
         self._executor: Executor | None = None
         self._limits = Limits()
         self._queue: list[tuple[bool, float, int, list[TaskSpec]]] = []
-        self._at_work: dict[Future[list[Done]], _Chain] = {}
+        self._at_work: dict[Future[list[Done]], _Submitted] = {}
         self._losses: Counter[Task] = Counter()
         self._numbers = itertools.count()
 
@@ -119,7 +119,7 @@ class Dispatcher:
 
     def disk_shortage(self, tasks: Iterable[Task]) -> str:
         """What is missing on disk for some tasks, in words; "" where there is room."""
-        need = round(MARGIN * sum(self._costs.stages_bytes.get(task.stage, 0.0) for task in tasks)) + FLOOR
+        need = round(DISK_MARGIN * sum(self._costs.stages_bytes.get(task.stage, 0.0) for task in tasks)) + DISK_RESERVE
         root = self._cache.work.root
         if (free := free_bytes(root)) >= need:
             return ""
@@ -167,13 +167,13 @@ class Dispatcher:
             if begun and (alone or not fits):
                 return
             heapq.heappop(self._queue)
-            chain = _Chain(specs, self._cache.work.progress / str(next(self._numbers)))
+            chain = _Submitted(specs, self._cache.work.progress / str(next(self._numbers)))
             seconds = {spec.task.stage: self._limits.seconds_for(spec.task.stage) for spec in specs}
             own_process = isinstance(self._executor, Processes)
             future = self._executor.submit(run_chain, specs, self._cache, chain.progress, seconds if own_process else None)
             self._at_work[future] = chain
 
-    def _ended(self, chain: _Chain, future: Future[list[Done]]) -> Iterator[Done]:
+    def _ended(self, chain: _Submitted, future: Future[list[Done]]) -> Iterator[Done]:
         """How the tasks of a chain have ended; of a lost worker the one at work: the plan finds the others in the cache."""
         error = future.exception()
         if error is None:
@@ -197,7 +197,7 @@ class Dispatcher:
             yield Done(chain.tasks[0], State("failed", why, Cause.WORKER_LOST, fresh=True))
         chain.progress.unlink(missing_ok=True)
 
-    def _lost(self, chain: _Chain, error: WorkerLost) -> Iterator[Done]:
+    def _lost(self, chain: _Submitted, error: WorkerLost) -> Iterator[Done]:
         self._cache.tidy(chain.tasks)
         _, words = chain.read_progress()
         task = chain.tasks[max(0, chain.at_work)]

@@ -35,7 +35,7 @@ class Journal:
     _wall: float = field(default_factory=time.perf_counter)
     _cpu: float = field(default_factory=time.process_time)
 
-    def report(self, plan: Plan) -> None:
+    def add_ended(self, plan: Plan) -> None:
         """Add an event for each task that has ended since the last time, and for damage that was found in the cache."""
         for damage in plan.cache.damages():
             self.repaired(f"{damage.what}: made again", task=damage.task)

@@ -26,7 +26,7 @@ MOST_ATTEMPTS = 3
 """How often a damaged artifact is made again, and a file that changes is read again, in one run."""
 
 
-def work(context: RunContext, options: Options, journal: Journal) -> dict[Task, bytes] | None:
+def run_tasks(context: RunContext, options: Options, journal: Journal) -> dict[Task, bytes] | None:
     """Do all that is to be done; return the artifacts that are published, found intact; None where the run was interrupted.
 
     The caller holds the lock.  context: with its plan, not yet refreshed.  journal: receives everything that happens.
@@ -38,7 +38,7 @@ def work(context: RunContext, options: Options, journal: Journal) -> dict[Task, 
         return None
     finally:
         dispatcher.stop()
-        journal.report(context.plan)
+        journal.add_ended(context.plan)
         try:
             for memo in (context.digests, context.earlier_captures, context.plan.site.reader):
                 memo.save()
@@ -66,7 +66,7 @@ class _Loop:
             plan.refresh()
             if self.stop_at and datetime.datetime.now() >= self.stop_at:
                 self._stop(self.stop_at)
-            self.journal.report(plan)
+            self.journal.add_ended(plan)
             self.journal.listen(PlannedEvent(plan.counts()))
             chains = [chain[:1] if self.stopped else chain for chain in plan.chains()]
             if chains and (shortage := self.dispatcher.disk_shortage(spec.task for chain in chains for spec in chain)):

@@ -86,7 +86,7 @@ class Progress:
 
 
 @dataclass
-class _Chain:
+class _Results:
     """Results of a chain so far and what its tasks have read: nothing is read, or read back, twice."""
 
     cache: Cache
@@ -112,7 +112,7 @@ def run_chain(
         Seconds by stage; None where this process is shared with others.
     """
     make_importable(specs[0].folder)
-    chain = _Chain(cache, time.process_time if time_limits is not None else time.thread_time)
+    chain = _Results(cache, time.process_time if time_limits is not None else time.thread_time)
     ended: list[Done] = []
     with Progress(progress, time_limits) as notes:
         for number, spec in enumerate(specs):
@@ -127,11 +127,11 @@ def run_chain(
 
 def arguments_of(spec: TaskSpec, cache: Cache) -> dict[str, Any]:
     """What a task's function is handed, besides its parameters.  Raises DamagedArtifact, ChangedFile, OSError."""
-    chain = _Chain(cache)
+    chain = _Results(cache)
     return {name: _load(value, chain) for name, value in spec.inputs.items()}
 
 
-def _attempt(spec: TaskSpec, chain: _Chain) -> Done:
+def _attempt(spec: TaskSpec, chain: _Results) -> Done:
     """The one broad `except`: whatever a stage does wrong costs that task only."""
     try:
         inputs = {name: _resolve(value, chain) for name, value in spec.inputs.items()}
@@ -171,7 +171,7 @@ def _failure(spec: TaskSpec, error: BaseException) -> State:
     return State("failed", why, Cause.FAULT, trace=trace, fresh=True)
 
 
-def _do(spec: TaskSpec, preimage: Preimage, key: str, chain: _Chain) -> Done:
+def _do(spec: TaskSpec, preimage: Preimage, key: str, chain: _Results) -> Done:
     """Load the inputs, call the function, write the artifact, then the receipt."""
     reset_peak()
     wall, cpu = time.perf_counter(), chain.clock()
@@ -204,7 +204,7 @@ def _do(spec: TaskSpec, preimage: Preimage, key: str, chain: _Chain) -> Done:
     return Done(spec.task, state, warnings=warnings)
 
 
-def _draw(spec: TaskSpec, result: Any, chain: _Chain) -> tuple[dict[str, bytes], tuple[str, ...]]:
+def _draw(spec: TaskSpec, result: Any, chain: _Results) -> tuple[dict[str, bytes], tuple[str, ...]]:
     """What is drawn of a result for the report, by name, and what went wrong, in words: that costs the drawing only.
 
     Raises DamagedArtifact.
@@ -221,14 +221,14 @@ def _draw(spec: TaskSpec, result: Any, chain: _Chain) -> tuple[dict[str, bytes],
     return drawings, tuple(warnings)
 
 
-def _resolve(value: Input, chain: _Chain) -> Input:
+def _resolve(value: Input, chain: _Results) -> Input:
     """Give inputs made earlier in this chain their place in the cache."""
     if isinstance(value, Stored) and not value.file:
         return value.resolved(chain.receipts[value.task])
     return value
 
 
-def _load(value: Input, chain: _Chain, keep: bool = True) -> Any:
+def _load(value: Input, chain: _Results, keep: bool = True) -> Any:
     if isinstance(value, Absent):
         return None
     if isinstance(value, Joined):

@@ -67,14 +67,14 @@ def test_what_is_replaced_after_it_was_read_is_named_with_the_bytes_that_were_us
     monkeypatch.syspath_prepend(str(HELPERS))
     toy = ToySite(tmp_path / "site", ["gate", "roof", "mast-1", "crane"], dated=dated)
     used = file_digest(toy.capture("roof"))
-    work = loop.work
+    work = loop.run_tasks
 
     def work_then_replace(*arguments: Any) -> Any:
         worked = work(*arguments)
         toy.capture("roof").write_text("a view from roof, and more of it")
         return worked
 
-    monkeypatch.setattr("wbflow.outcome.publish.work", work_then_replace)
+    monkeypatch.setattr("wbflow.outcome.publish.run_tasks", work_then_replace)
     record = toy.run(code=3 if dated else 0)
     if dated:
         (finding,) = record["verdict"]["findings"]
@@ -104,14 +104,14 @@ def test_one_that_grows_for_ever_is_waited_for_no_longer_than_is_stated_and_degr
 ) -> None:
     monkeypatch.setattr(captures, "MOST_SECONDS", 0.3)
     monkeypatch.setattr(captures, "_is_written", lambda path: path == toy.capture("roof"))
-    work = loop.work
+    work = loop.run_tasks
 
     def work_while_it_grows(*arguments: Any) -> Any:
         worked = work(*arguments)
         toy.capture("roof").write_text("a view from roof, and more of it")
         return worked
 
-    monkeypatch.setattr("wbflow.outcome.publish.work", work_while_it_grows)
+    monkeypatch.setattr("wbflow.outcome.publish.run_tasks", work_while_it_grows)
     (finding,) = toy.run(code=3)["verdict"]["findings"]
     assert (finding["kind"], finding["subject"]) == ("captures-in-motion", ["roof"])
 

@@ -182,9 +182,9 @@ def test_a_night_with_nothing_to_do_starts_no_worker(toy: ToySite, monkeypatch: 
 def test_a_tasks_time_is_reported_by_what_its_stage_took_before() -> None:
     past = TaskCosts({"quick": 0.1, "slow": 300.0, "endless": 1e5})
     known = Limits(costs=past)
-    assert known.seconds_for("quick") == dispatch.SHORTEST
-    assert known.seconds_for("slow") == dispatch.TIMES * 300
-    assert known.seconds_for("endless") == known.seconds_for("new") == dispatch.LONGEST
+    assert known.seconds_for("quick") == dispatch.LEAST_SECONDS
+    assert known.seconds_for("slow") == dispatch.TIMES_MEDIAN * 300
+    assert known.seconds_for("endless") == known.seconds_for("new") == dispatch.MOST_SECONDS
     assert Limits(seconds=5.0, costs=past).seconds_for("slow") == 5
 
 
