@@ -8,7 +8,6 @@ import platform
 LIBRARIES = ("cv2", "joblib", "maxflow", "networkx", "numba", "numpy", "open3d", "poselib", "pycolmap", "scipy")
 """What the stages import, by import name: run.json has their versions, and the workers of a cluster must have the same."""
 
-
 _DISTRIBUTIONS = {
     "cv2": ("opencv-python-headless", "opencv-python", "opencv-contrib-python-headless", "opencv-contrib-python"),
     "open3d": ("open3d-cpu", "open3d"),

@@ -160,11 +160,10 @@ def settings_of(site: Site) -> str:
     """Digest of all that decides what a night gives, besides its captures: the site file's words and the code."""
     stages = []
     for stage in STAGES:
-        settings = site.stages.get(stage.name)
-        use, values = (settings.use, settings.parameters) if settings else (None, {})
-        if settings is None or settings.enabled:
-            bound = bind(stage, use, values, site.reader)
-            stages.append([stage.name, bound.function.dotted, bound.code, {**bound.defaults(), **values}])
+        settings = site.stage_settings(stage.name)
+        if settings.enabled:
+            bound = bind(stage, settings.use, settings.parameters, site.reader)
+            stages.append([stage.name, bound.function.dotted, bound.code, {**bound.defaults(), **settings.parameters}])
     cameras = [[camera.id, asdict(camera.lens), asdict(camera.placement)] for camera in site.cameras]
     words = [stages, cameras, dict(site.settings.pairs), site.settings.resolution, site.settings.bounds, asdict(site.survey)]
     return hashlib.sha256(json.dumps(words, sort_keys=True, default=str).encode()).hexdigest()[:16]

@@ -13,9 +13,7 @@ from ..errors import UsageError
 from ..plugins import load
 
 MANIFEST = "demo.json"
-
 EDITABLE = ("site.yaml", "cameras.json")
-
 _ELSEWHERE = "name a new or an empty folder"
 
 

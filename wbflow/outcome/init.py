@@ -108,9 +108,6 @@ cameras:{cameras}
 resolution: 1600
 """
 
-FILES = "wbflow_stages.board:board_files"
-MOST_BYTES = 1_000_000_000
-
 
 def write_calibration(
     camera: str, pictures: Path, board: dict[str, float | str], model: str, out: Path
@@ -134,11 +131,11 @@ def write_calibration(
         raise UsageError(f"{camera!r} is not a camera id", remedy="use letters, digits, '_', '.', '-'")
     files = sorted(file for file in pictures.iterdir() if file.is_file()) if pictures.is_dir() else [pictures]
     try:
-        data = {file.name: read_untrusted(file, MOST_BYTES) for file in files}
+        data = {file.name: read_untrusted(file) for file in files}
     except Unreadable as error:
         raise UsageError(f"{pictures}: {error.what}", remedy="name a folder of photographs, or a video") from None
     try:
-        made, words = load(FILES)(camera, data, board, model)
+        made, words = load("wbflow_stages.board:board_files")(camera, data, board, model)
     except ValueError as error:
         remedy = "5 sharp pictures and more, with the board near, far, turned, and in every corner of the picture"
         raise UsageError(f"{pictures}: {error}", remedy=remedy) from None

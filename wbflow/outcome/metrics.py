@@ -7,7 +7,6 @@ from collections import Counter
 from ..records.record import RunRecord, moment
 
 Labels = dict[str, str]
-
 Rows = list[tuple[Labels, float]]
 
 

@@ -20,7 +20,7 @@ from ..records.reference_folder import Reference
 from ..reference.compatibility import calibration_change, incompatibility
 from ..reference.resolve import Resolver
 from ..site.captures import CaptureFile
-from ..site.models import Site
+from ..site.models import Site, StageSettings
 from ..task import Task, component_name, names_of
 from .inputs import Inputs, Subjects
 from .spec import Absent, Drawing, Input, TaskSpec
@@ -248,12 +248,11 @@ class Plan:
         """A stage as the site has it done, or by the function in its place."""
         name = adapt.function if adapt else stage.name
         if name not in self._bindings:
-            settings = self.site.stages.get(stage.name)
-            use, values = (settings.use, settings.parameters) if settings else (None, {})
+            settings = self.site.stage_settings(stage.name)
             if adapt:
-                use, values = None, {}
+                settings = StageSettings()
                 stage = dataclasses.replace(stage, function=adapt.function, inputs=adapt.inputs, offers={}, method=None)
-            self._bindings[name] = bind(stage, use, values, self.site.reader)
+            self._bindings[name] = bind(stage, settings.use, settings.parameters, self.site.reader)
         return self._bindings[name]
 
     def _parameters(self, stage: Stage, task: Task, adapt: Adapt | None) -> dict[str, Any]:
@@ -269,5 +268,5 @@ class Plan:
         if stage.name == FUSE:
             numbers = range(1, self.subjects.components())
             values[COMPONENT] = next((k for k in numbers if task.subject == (component_name(k),)), 0)
-        known, settings = self.bound(stage).parameters, self.site.stages.get(stage.name)
-        return {name: v for name, v in values.items() if name in known} | (settings.parameters if settings else {})
+        known = self.bound(stage).parameters
+        return {name: v for name, v in values.items() if name in known} | self.site.stage_settings(stage.name).parameters

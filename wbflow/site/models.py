@@ -504,6 +504,10 @@ class Site:
     def _plain(self) -> dict[str, Any]:
         return self.settings.model_dump(include={"resolution", "bounds", "pairs", "health", "zones"})
 
+    def stage_settings(self, stage: str) -> StageSettings:
+        """What the file sets for a stage; where it says nothing, that nothing is set."""
+        return self.stages.get(stage, StageSettings())
+
     def setting(self, key: str) -> Any:
         """The value of a key outside of `stages` that sets a parameter of a stage: "resolution", "pairs.degree"."""
         return reduce(getitem, key.split("."), self._plain)
