@@ -18,7 +18,7 @@ from urllib.parse import unquote
 from pydantic import ValidationError
 
 from ..words import printable
-from .session import Look, OnGround, Refused, Save, Session
+from .session import GroundRequest, GuideRequest, Refused, SaveRequest, Session
 
 _MOST_BYTES = 10_000_000
 """Of what the page sends."""
@@ -107,11 +107,11 @@ class _Handler(BaseHTTPRequestHandler):
     def _post(self, path: str) -> Answer:
         session, body = self.server.session, self._body()
         if path == "look":
-            return _json(session.posed.look(Look.model_validate_json(body)))
+            return _json(session.posed.guides(GuideRequest.model_validate_json(body)))
         if path == "ground":
-            return _json(session.posed.on_ground(OnGround.model_validate_json(body)))
+            return _json(session.posed.on_ground(GroundRequest.model_validate_json(body)))
         if path == "save":
-            save = Save.model_validate_json(body)
+            save = SaveRequest.model_validate_json(body)
             return _json(session.save(save.marks, save.version))
         if path == "done":
             self.server.done = True

@@ -87,7 +87,7 @@ class Marks(Section):
     points: list[PointMark] = Field(default_factory=list)
 
 
-class Look(Section):
+class GuideRequest(Section):
     """What the page wants to know of one picture."""
 
     camera: str
@@ -98,7 +98,7 @@ class Look(Section):
     """The height at which zones lie."""
 
 
-class OnGround(Section):
+class GroundRequest(Section):
     """A pixel whose place on the ground is wanted."""
 
     camera: str
@@ -106,7 +106,7 @@ class OnGround(Section):
     ground: float = 0.0
 
 
-class Save(Section):
+class SaveRequest(Section):
     """What is to be written."""
 
     marks: Marks
@@ -144,7 +144,7 @@ class PosedCameras:
     def _sights(self) -> Any:
         return load("wbflow_stages.sighting:Sights")(self.poses)
 
-    def look(self, asked: Look) -> dict[str, Any]:
+    def guides(self, asked: GuideRequest) -> dict[str, Any]:
         """What is to be shown of points and zones in one camera's picture."""
         camera, marks, chosen = asked.camera, asked.marks, asked.chosen
         stated = [self._world(point.position) for point in marks.points]
@@ -155,7 +155,7 @@ class PosedCameras:
         zones = [self._sights.outline(camera, zone.corners, asked.ground) for zone in marks.zones] if self.upright else []
         return {"residuals": residuals, "guide": guide, "zones": zones}
 
-    def on_ground(self, asked: OnGround) -> list[float] | None:
+    def on_ground(self, asked: GroundRequest) -> list[float] | None:
         """x, y of what a pixel shows of the ground; None above the horizon, and where poses are unknown."""
         if asked.camera not in self.poses or not self.upright:
             return None
