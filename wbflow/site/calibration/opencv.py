@@ -1,0 +1,58 @@
+"""Files of OpenCV and ROS: one camera, its K and D by one of their names.
+
+References
+----------
+OpenCV: samples/cpp/tutorial_code/calib3d/camera_calibration; cv::FileStorage; opencv_contrib, ccalib/samples/omni_calibration
+ROS: sensor_msgs/CameraInfo, camera_calibration_parsers; REP 104 (regions of interest)
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from .calibrated import Calibrated, Faulty, Matrix, calibrated
+from .values import MODEL_NAMES, first_key, numbers_of, rows_of, size_of, text_of
+
+MATRIX_KEYS = ("camera_matrix", "cameraMatrix", "Camera_Matrix", "intrinsic_matrix", "mtx", "K", "k")
+_D = ("distortion_coefficients", "Distortion_Coefficients", "dist_coeffs", "distCoeffs", "dist", "distortion", "D", "d")
+_MODEL = ("distortion_model", "camera_model", "model")
+_XI = ("xi", "Xi")
+
+
+def read_camera(data: dict[str, Any]) -> Calibrated:
+    """The one camera of a file.  Raises Faulty where something in it cannot be used."""
+    key, bent, xi = first_key(data, MATRIX_KEYS), first_key(data, _D), first_key(data, _XI)
+    assert key
+    if bent is None:
+        raise Faulty(f"lacks the distortion ({', '.join(_D[:3])} or D)", (), "add it; zeros where there is none")
+    K, distortion = rows_of(numbers_of(data[key], key), 3), numbers_of(data[bent], bent)
+    model = _model(data, len(distortion))
+    if xi is not None:  # as cv2.omnidir's files have it, beside k1 k2 p1 p2
+        model, distortion = "omni", numbers_of(data[xi], xi) + distortion
+    size = _cut(data, K, size_of(data))
+    return calibrated({"K": K, **size, "distortion": distortion, "model": model}, {"K": key, "distortion": bent})
+
+
+def _cut(data: dict[str, Any], K: Matrix, size: dict[str, int]) -> dict[str, int]:
+    """The size of pictures that are a part of the sensor (ROS's region of interest), to whose corner K is moved."""
+    roi = data.get("roi")
+    names = ("x_offset", "y_offset", "width", "height")
+    if not isinstance(roi, dict) or not any(roi.get(name) for name in names):
+        return size  # all zero: the whole sensor
+    x, y, across, down = (roi.get(name, 0) for name in names)
+    if not all(isinstance(value, int) and value >= 0 for value in (x, y, across, down)):
+        raise Faulty("roi must be a part of the picture, in whole pixels", ("roi",))
+    if x + across > size["width"] or y + down > size["height"]:
+        raise Faulty(f"roi reaches beyond the {size['width']}x{size['height']} pixels of the camera", ("roi",))
+    K[0][2] -= x
+    K[1][2] -= y
+    return {"width": across, "height": down}
+
+
+def _model(data: dict[str, Any], count: int) -> str:
+    """Return the model that a file names, else the one that its flags and its number of coefficients imply."""
+    key = first_key(data, _MODEL)
+    named = text_of(data.get(key, "")).lower().replace("-", "_") if key else ""
+    fisheye = data.get("fisheye_model") or "fisheye" in text_of(data.get("flags")).lower()
+    model = MODEL_NAMES.get(named, named.replace("_", "-")) or ("fisheye" if fisheye else "brown")
+    return "rational" if model == "brown" and count >= 8 else model

@@ -1,0 +1,77 @@
+"""What the files of several programs have in common: numbers, however they are nested, sizes of pictures, names of models."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any
+
+from ..yaml_document import Location
+from .calibrated import Faulty, Matrix
+
+_WIDTH = ("image_width", "image_Width", "width")
+_HEIGHT = ("image_height", "image_Height", "height")
+_SIZE = ("image_size", "imageSize", "resolution")
+
+MODEL_NAMES = {
+    "plumb_bob": "brown",
+    "radtan": "brown",
+    "brown_conrady": "brown",
+    "opencv": "brown",
+    "rational_polynomial": "rational",
+    "equidistant": "fisheye",
+    "equi": "fisheye",
+    "kannala_brandt": "fisheye",
+    "opencv_fisheye": "fisheye",
+    "thin_prism": "rational",
+}
+"""What others call our models."""
+
+
+def size_of(data: dict[str, Any], location: Location = ()) -> dict[str, Any]:
+    """Width and height of the pictures that a calibration is for.  Raises Faulty where it does not say."""
+    keys = first_key(data, _WIDTH), first_key(data, _HEIGHT)
+    if keys[0] and keys[1]:
+        return {"width": data[keys[0]], "height": data[keys[1]]}
+    size = data[key] if (key := first_key(data, _SIZE)) else []
+    if not isinstance(size, list) or len(size) != 2:
+        what = " ".join([*map(str, location), "lacks the size of the pictures"])
+        raise Faulty(what, location, "add image_width and image_height, in pixels")
+    return {"width": size[0], "height": size[1]}
+
+
+def rows_of(flat: list[float], width: int) -> Matrix:
+    """The rows of a matrix from its numbers one after the other."""
+    return [flat[i : i + width] for i in range(0, len(flat), width)]
+
+
+def numbers_of(value: Any, key: str, location: Location = ()) -> list[float]:
+    """All numbers of a matrix: nested lists, or OpenCV's and ROS's rows, cols and data.  Raises Faulty."""
+    if isinstance(value, dict):
+        rows, columns = value.get("rows"), value.get("cols")
+        flat = list(_flat(value.get("data")))
+        if isinstance(rows, int) and isinstance(columns, int) and rows * columns != len(flat):
+            raise Faulty(f"{key} says {rows} x {columns}, and holds {len(flat)} numbers", (*location, key))
+    else:
+        flat = list(_flat(value))
+    try:
+        return [float(str(number)) for number in flat]  # also words: YAML 1.1 takes 1e-05 for one; but no truth
+    except (TypeError, ValueError, OverflowError):
+        raise Faulty(f"{key} must hold numbers", (*location, key)) from None
+
+
+def _flat(value: Any) -> Iterable[Any]:
+    if isinstance(value, list):
+        for item in value:
+            yield from _flat(item)
+    else:
+        yield value
+
+
+def first_key(data: dict[str, Any], names: tuple[str, ...]) -> str | None:
+    """The first of these names under which there is something."""
+    return next((name for name in names if data.get(name) is not None), None)
+
+
+def text_of(value: Any) -> str:
+    """A text; "" for anything else."""
+    return value if isinstance(value, str) else ""
