@@ -10,19 +10,19 @@ from collections import Counter
 from collections.abc import Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, ThreadPoolExecutor, wait
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
-from ..cache.atomic import free_bytes
 from ..cache.store import Cache
 from ..errors import WbflowError
 from ..records.events import StartedEvent
 from ..records.ledger import TaskCosts, read_costs
 from ..task import Task
-from ..words import in_words, printable
-from .executors import Cluster, OtherCode, Processes, WorkerLost, machine_memory
+from ..words import printable
+from .executors import Cluster, OtherCode, Processes, WorkerLost
 from .journal import Journal
+from .limits import Limits, disk_shortage, machine_memory
 from .options import Options, worker_roots
 from .spec import TaskSpec
 from .state import Cause, State
@@ -30,41 +30,6 @@ from .worker import Done, run_chain
 
 PROGRESS_SECONDS = 0.5
 """How often it is read which tasks are at work."""
-LEAST_SECONDS, MOST_SECONDS, TIMES_MEDIAN = 600.0, 6 * 3600.0, 20.0
-"""Seconds that a task may take: so many times the median of its stage, within limits; MOST_SECONDS where that is not known."""
-DISK_RESERVE, DISK_MARGIN = 16_000_000, 1.2
-"""Bytes on disk that tasks leave free, since the run has to be published; how much more they may need than before."""
-
-
-@dataclass(frozen=True)
-class Limits:
-    """What the tasks of a run may take, of time and memory, by what such tasks took before."""
-
-    memory: int = 0
-    """Bytes that all workers together may hold; 0: no limit."""
-    seconds: float | None = None
-    """For every task; None: by what its stage took before."""
-    costs: TaskCosts = field(default_factory=TaskCosts)
-    measured_mb: dict[str, float] = field(default_factory=dict)
-    """MB that tasks of a stage held at most in this run."""
-
-    def seconds_for(self, stage: str) -> float:
-        """Return after how long a task of a stage is ended."""
-        if self.seconds is not None:
-            return self.seconds
-        before = self.costs.stages.get(stage)
-        return MOST_SECONDS if before is None else min(max(LEAST_SECONDS, TIMES_MEDIAN * before), MOST_SECONDS)
-
-    def learn(self, stage: str, mb: float) -> None:
-        """Note what a task of this run held."""
-        self.measured_mb[stage] = max(mb, self.measured_mb.get(stage, 0.0))
-
-    def fits(self, begun: Iterable[Iterable[Task]], chain: Iterable[Task]) -> bool:
-        """Return whether a chain may begin beside others; an unknown one may: if need be it runs again, alone."""
-        return not self.memory or sum(map(self._most_mb, [*begun, chain])) * 2**20 <= self.memory
-
-    def _most_mb(self, chain: Iterable[Task]) -> float:
-        return max((self.costs.held(task.stage, str(task), self.measured_mb.get(task.stage, 0.0)) for task in chain), default=0.0)
 
 
 @dataclass
@@ -119,11 +84,7 @@ class Dispatcher:
 
     def disk_shortage(self, tasks: Iterable[Task]) -> str:
         """What is missing on disk for some tasks, in words; "" where there is room."""
-        need = round(DISK_MARGIN * sum(self._costs.stages_bytes.get(task.stage, 0.0) for task in tasks)) + DISK_RESERVE
-        root = self._cache.work.root
-        if (free := free_bytes(root)) >= need:
-            return ""
-        return f"the disk is nearly full: about {in_words(need)} needed to go on, {in_words(free)} free in {root}"
+        return disk_shortage(self._cache.work.root, self._costs, tasks)
 
     def submit(self, chains: list[list[TaskSpec]]) -> None:
         """Queue chains."""

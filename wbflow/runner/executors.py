@@ -36,8 +36,6 @@ PIXELS = {"OPENCV_IO_MAX_IMAGE_PIXELS": "200000000"}
 """Of an image whose header nobody has read before OpenCV does."""
 MEASURE_SECONDS = 0.25
 """How often the memory of workers is measured."""
-SHARE = 0.8
-"""Of the memory of this machine, or of the control group that the run is in, that its workers may hold together."""
 PATIENCE_SECONDS = 4
 """How long to wait for a Dask scheduler, and as long again for its first worker."""
 
@@ -211,22 +209,6 @@ def _start_worker(parent: int) -> None:
 
 
 _PR_SET_PDEATHSIG = 1  # prctl(2)
-
-
-def machine_memory() -> int:
-    """Return how many bytes workers may hold together, unless the user gives a limit; 0 where it is not known."""
-    groups, known = Path("/sys/fs/cgroup"), []
-    files = [groups / "memory" / "memory.limit_in_bytes"]
-    with suppress(OSError, StopIteration):
-        own = next(line for line in Path("/proc/self/cgroup").read_text().splitlines() if line.startswith("0::"))
-        group = groups / own.removeprefix("0::").lstrip("/")
-        files += [folder / "memory.max" for folder in (group, *group.parents) if folder.is_relative_to(groups)]
-    for file in files:
-        with suppress(OSError, ValueError):  # "max": there is no limit
-            known.append(int(file.read_text()))
-    with suppress(ValueError, OSError):
-        known.append(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES"))
-    return int(SHARE * min(known, default=0))
 
 
 def _not_started(why: str) -> WbflowError:

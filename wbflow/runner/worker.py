@@ -1,4 +1,7 @@
-"""What happens in a worker: the tasks of a chain run one after the other, each from its inputs to its receipt."""
+"""What happens in a worker: the tasks of a chain run one after the other, each from its inputs to its receipt.
+
+One that takes too long is ended from within (see `Progress`); how long that is `runner.limits` says.
+"""
 
 from __future__ import annotations
 

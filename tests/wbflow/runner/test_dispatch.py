@@ -18,9 +18,10 @@ from click.testing import CliRunner
 from tests.helpers.toy_site import ToySite
 from wbflow.cli.main import main
 from wbflow.records.ledger import TaskCosts
-from wbflow.runner import dispatch
-from wbflow.runner.dispatch import Dispatcher, Limits
+from wbflow.runner import limits
+from wbflow.runner.dispatch import Dispatcher
 from wbflow.runner.executors import Processes
+from wbflow.runner.limits import Limits
 from wbflow.task import Task
 
 WICKED = '''
@@ -182,9 +183,9 @@ def test_a_night_with_nothing_to_do_starts_no_worker(toy: ToySite, monkeypatch: 
 def test_a_tasks_time_is_reported_by_what_its_stage_took_before() -> None:
     past = TaskCosts({"quick": 0.1, "slow": 300.0, "endless": 1e5})
     known = Limits(costs=past)
-    assert known.seconds_for("quick") == dispatch.LEAST_SECONDS
-    assert known.seconds_for("slow") == dispatch.TIMES_MEDIAN * 300
-    assert known.seconds_for("endless") == known.seconds_for("new") == dispatch.MOST_SECONDS
+    assert known.seconds_for("quick") == limits.LEAST_SECONDS
+    assert known.seconds_for("slow") == limits.TIMES_MEDIAN * 300
+    assert known.seconds_for("endless") == known.seconds_for("new") == limits.MOST_SECONDS
     assert Limits(seconds=5.0, costs=past).seconds_for("slow") == 5
 
 
