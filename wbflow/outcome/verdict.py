@@ -68,9 +68,14 @@ stadium, fountain, entry), with one moved by half a metre or turned by half a de
 SOLVED_APART_PX = 0.5
 """The same where a pose is solved: tonight's matches tell it no better.  Judged on a quarry (one pose solved 0.25, all 0.3; 94
 and 93 % of the points right) and a stadium (all 0.8, 76 %)."""
+ALONE = 2.0
+"""A wrong pose shows in more than one view or pair: where two pairs of one view alone differ, they may by so many times as much.
+With exact poses 0.3 to 0.4 px beside a harbour's water, in 6 % of one view."""
 LOOK_ALIKES_PX = 12.0
 """Pairs that differ by more see other things of a pattern that repeats; they cost only themselves.  On a solar farm 19 to 96, and
 7 with a camera turned by 2 degrees."""
+LIKELY = 0.8
+"""A pair that is right with less than this probability, odds of four to one, contradicts no stated pose."""
 LINES_PX, ROWS_PX = 1.0, 0.7
 """A pair agrees with stated poses whose matches lie no farther from the epipolar lines (as in `orientation.pose_check`), or whose
 rows, found by dense matching, no farther off.  On a solar farm matches of look-alikes lie 1.5 to 20 px off, rows 0 to 0.65."""
@@ -222,7 +227,7 @@ def _is_answered(issue: PoseIssue, record: RunRecord) -> bool:
 
 
 def _agrees_with_poses(pair: PairRecord) -> bool | None:
-    """None where a pair says nothing: one that is as likely to be wrong contradicts nothing."""
+    """None where a pair says nothing."""
     figures = pair.figures
     if figures.verified == "dense" and abs(figures.row_error_px or 0.0) <= ROWS_PX:
         return True
@@ -230,7 +235,7 @@ def _agrees_with_poses(pair: PairRecord) -> bool | None:
         return None
     if figures.poses_px <= LINES_PX:
         return True
-    return False if figures.probability > 0.5 else None
+    return False if figures.probability >= LIKELY else None
 
 
 def _is_unpaired(camera: CameraRecord, record: RunRecord) -> Finding | None:
@@ -473,9 +478,10 @@ def check_depths(record: RunRecord, facts: Facts) -> Iterator[Finding]:
         if px <= LOOK_ALIKES_PX
     ]
     apart = [(cameras, px, SOLVED_APART_PX if cameras & solved else APART_PX) for cameras, px in found]
-    _, most, limit = max(apart, key=lambda each: each[1] / each[2], default=(set(), 0.0, APART_PX))
-    if most <= limit:
+    beyond = sorted((px / limit, px, limit) for _, px, limit in apart if px > limit)
+    if not beyond or (len(beyond) == 1 and beyond[0][0] <= ALONE):
         return
+    _, most, limit = beyond[-1]
     against: Counter[str] = Counter()
     for cameras, px, tolerated in apart:
         against.update(dict.fromkeys(cameras, 1 if px > tolerated else -1))

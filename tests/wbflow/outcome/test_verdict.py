@@ -259,15 +259,22 @@ def test_a_camera_that_all_contradictions_have_in_common_is_named_though_it_stay
 
 
 @pytest.mark.parametrize(
-    ("rows_px", "triplets", "kinds"),
-    [(0.4, False, []), (1.6, False, ["camera-unverified"]), (0.4, True, ["camera-unverified"])],
-    ids=["the rows are right", "the rows are off, too", "points of three cameras are off, too"],
+    ("dense", "rows_px", "probability", "triplets", "kinds"),
+    [
+        (2, 0.4, 0.9, False, []),
+        (2, 1.6, 0.9, False, ["camera-unverified"]),
+        (2, 0.4, 0.9, True, ["camera-unverified"]),
+        (1, 0.4, 0.9, False, ["camera-unverified"]),
+        (1, 0.4, 0.7, False, []),
+    ],
+    ids=["two rows are right", "the rows are off, too", "three cameras contradict it, too", "one is right", "unlikely pairs"],
 )
 def test_matches_of_look_alikes_blame_no_pose_on_whose_rows_surfaces_are_found(
-    rows_px: float, triplets: bool, kinds: list[str]
+    dense: int, rows_px: float, probability: float, triplets: bool, kinds: list[str]
 ) -> None:
-    far = {"poses_px": 19.4, "probability": 0.9}
-    of_mast = [PairFigures.from_json(far | {"verified": "dense", "row_error_px": rows_px})] * 2 + [PairFigures.from_json(far)]
+    far = {"poses_px": 19.4, "probability": probability}
+    rows = PairFigures.from_json(far | {"verified": "dense", "row_error_px": rows_px})
+    of_mast = [rows] * dense + [PairFigures.from_json(far)] * (3 - dense)
     figures = dict(zip([names for names in PAIRS if "mast" in names], of_mast, strict=True))
     pairs = [replace(pair(*names), figures=figures.get(names, PairFigures())) for names in PAIRS]
     issue = PoseIssue("unverified", "mast", "3 of its 3 pairs contradict its known pose by up to 19.4 px", triplets)
@@ -473,7 +480,9 @@ def test_depths_that_differ_with_the_pair_name_the_camera_that_all_of_them_have_
     solved = replace(dense("gate", crane_mast=0.4), figures=CameraFigures(apart_px={"crane--mast": 0.4}, pose_from="solved"))
     others = [*map(dense, ("crane", "mast", "roof"))]
     assert verdict_of(night(cameras=[solved, *others])).good, "matches tell its pose no better"
-    assert not verdict_of(night(cameras=[dense("gate", crane_mast=0.4), *others])).good
+    assert verdict_of(night(cameras=[dense("gate", crane_mast=0.4), *others])).good, "what one view alone has, no pose explains"
+    assert not verdict_of(night(cameras=[dense("gate", crane_mast=0.6), *others])).good
+    assert not verdict_of(night(cameras=[dense("gate", crane_mast=0.4), *others[:2], dense("roof", crane_mast=0.3)])).good
     assert verdict_of(night(cameras=[dense("gate", crane_mast=79.0), *others])).good, "a pair that sees look-alikes"
     once = [
         dense("gate", crane_mast=0.6, mast_roof=0.1, crane_roof=0.1),
