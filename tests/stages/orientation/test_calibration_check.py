@@ -125,6 +125,26 @@ def test_what_all_pairs_want_alike_is_named_where_noise_hides_it(change: Change,
     assert (check.cause, check.contradicted, check.sigmas > 3) == (cause, bool(cause), bool(cause))
 
 
+TRIANGLE, CHAIN = [("c0", "c1"), ("c1", "c2"), ("c0", "c2")], [("c2", "c3"), ("c3", "c4"), ("c4", "c5")]
+
+
+@pytest.mark.parametrize("wrong", [0, 1])
+@pytest.mark.parametrize(
+    ("pairs", "factor", "contradicted"),
+    [([*TRIANGLE, *CHAIN], 1.025, True), ([*TRIANGLE, *CHAIN], 1.0, False), (TRIANGLE, 1.025, False)],
+)
+def test_pairs_that_nobody_confirms_speak_where_few_are_confirmed(
+    pairs: list[Pair], factor: float, contradicted: bool, wrong: int
+) -> None:
+    """wrong: pairs at the end of the chain that show look-alikes."""
+    site = make_pair_site(6, noise_px=1.0)
+    geometries = {pair: site.geometries[pair] for pair in pairs}
+    geometries |= {pair: turned_wrong(site, pair, 1) for pair in pairs[len(pairs) - wrong :] if pair in CHAIN}
+    check = check_calibration(stated(site, zoomed(factor)), geometries)
+    assert check is not None and check.confirmed
+    assert (check.contradicted, check.cause.startswith("focal-lengths")) == (contradicted, contradicted)
+
+
 def test_two_poses_that_were_exchanged_are_named(site: PairSite) -> None:
     cameras = dict(site.cameras)
     one, other = list(cameras)[1], list(cameras)[4]
