@@ -112,7 +112,7 @@ def solve_poses(
 
         found = solve_from_pairs(views, believed, geometries, survey, trusted, max_rotation_error_deg, max_epipolar_px)
         if isinstance(found, Rejected) and len(trusted) >= 2:
-            found = _as_stated(views, believed, trusted, survey)
+            found = _as_stated(views, believed, trusted, survey, found.reason)
     if isinstance(found, Rejected):
         return found
     uncertain = (PoseIssue("uncertain", name, row_px=px) for name, px in _uncertain(adjusted, geometries).items())
@@ -316,14 +316,15 @@ def stated_cameras(views: Mapping[str, View], placements: Mapping[str, Placement
 
 
 def _as_stated(
-    views: Mapping[str, View], placements: Mapping[str, Placement], stated: dict[str, Camera], survey: Survey
-) -> Poses | Rejected:
-    """No image has a say."""
+    views: Mapping[str, View], placements: Mapping[str, Placement], stated: dict[str, Camera], survey: Survey,
+    why: str = "no pair to solve it from",
+) -> Poses | Rejected:  # fmt: skip
+    """No image has a say, and why not."""
     unsolved = {}
     for name, view in views.items():
         if name not in stated:
             lacks_lens = view.K is None or not view.focal_known
-            unsolved[name] = ("no intrinsics" if lacks_lens else "no pose") + " given, and no pair to solve it from"
+            unsolved[name] = f"{'no intrinsics' if lacks_lens else 'no pose'} given, and {why}"
     if not stated:
         return Rejected(Reason.NO_POSED_CAMERA, {"cameras": len(views)})
     metric = all(placements[name].metric for name in stated)

@@ -381,3 +381,13 @@ def test_known_cameras_stay() -> None:
     believed = {edge: turned_wrong(site, (f"c{edge[0]}", f"c{edge[1]}"), seed=k) for k, edge in enumerate(edges)}
     kept, out = without_unsupported(replace(model, held=(0, 1, 2)), believed, 2.0)
     assert out == [] and set(kept.cameras) == {0, 1, 2}
+
+
+def test_a_camera_that_no_pair_can_place_beside_known_ones_says_why() -> None:
+    site = make_pair_site(3)
+    unlikely = {pair: replace(g, score=-3.0, good_probability=0.05) for pair, g in site.geometries.items() if "c2" in pair}
+    known = {name: true_placement(site, name) for name in ("c0", "c1")}
+    poses = solve_poses(site.views, known, unlikely)
+    assert isinstance(poses, Poses)
+    assert list(poses.cameras) == ["c0", "c1"]
+    assert poses.unsolved["c2"].startswith("no pose given, and no two cameras could be placed: of 2 pairs none")
