@@ -40,6 +40,8 @@ from wbflow_stages.core.rotations import rotation_matrix
 from wbflow_stages.types import Float64s, Uint8s
 
 RIGHT = 0.9
+ANSWERED = {"camera-unverified", "poses-contradicted"}
+"""Doubts that dense matching may answer: a run that has no others goes on to its end."""
 NIGHTS = ("2026-11-19", "2026-11-20")
 
 
@@ -917,10 +919,10 @@ def work_through(variation: Variation, name: str, folder: Path, quick: bool) -> 
     variation.change(site)
     site.write()
     record: dict[str, Any] = wbflow_run(copy, site.night, "--until", "poses") if quick and variation.kind == "fault" else {}
-    if record.get("exit_code", 0) == 0:
+    if record.get("exit_code", 0) == 0 or {*_kinds(record)} <= ANSWERED:
         record = wbflow_run(copy, site.night)
     verdict = record.get("verdict", {})
-    findings = [finding["kind"] for finding in verdict.get("findings", ())]
+    findings = _kinds(record)
     check = (record.get("poses") or {}).get("calibration") or {}
     cause = check.get("cause", "")
     text = " | ".join(finding["text"] for finding in verdict.get("findings", ())) or record.get("said", "")[-300:]
@@ -933,6 +935,10 @@ def work_through(variation: Variation, name: str, folder: Path, quick: bool) -> 
         measure(result, cloud, base / "truth", SCENES[name].tolerance_m)
     shutil.rmtree(copy)
     return result
+
+
+def _kinds(record: dict[str, Any]) -> list[str]:
+    return [finding["kind"] for finding in record.get("verdict", {}).get("findings", ())]
 
 
 def measure(result: Result, cloud: Path, truth: Path, tolerance_m: float) -> None:

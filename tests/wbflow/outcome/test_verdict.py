@@ -446,7 +446,7 @@ def test_pictures_that_are_white_for_the_most_part_are_no_measure(saturated: flo
     assert [finding.kind for finding in found] == (["pictures-soft"] if degraded else [])
 
 
-@pytest.mark.parametrize(("contrast", "faint", "degraded"), [(17.0, 4, False), (5.0, 1, False), (5.0, 4, True)])
+@pytest.mark.parametrize(("contrast", "faint", "degraded"), [(17.0, 4, False), (8.8, 1, False), (8.8, 4, True)])
 def test_pictures_of_a_fog_that_leaves_a_few_grey_levels_are_no_measure(contrast: float, faint: int, degraded: bool) -> None:
     cameras = [camera(name) for name in NAMES]
     cameras[:faint] = [replace(one, figures=CameraFigures(contrast=contrast)) for one in cameras[:faint]]
