@@ -145,6 +145,18 @@ def test_pairs_that_nobody_confirms_speak_where_few_are_confirmed(
     assert (check.contradicted, check.cause.startswith("focal-lengths")) == (contradicted, contradicted)
 
 
+@pytest.mark.parametrize(
+    ("change", "cause"),
+    [(tilted, "principal-points"), (zoomed(1.02), "focal-lengths"), (zoomed(1.03, 1.0), "pixel-shape"), (zoomed(1.0), "")],
+)
+def test_a_chain_of_pairs_tells_what_all_of_them_want_alike(change: Change, cause: str) -> None:
+    """No third camera confirms a match."""
+    site = make_pair_site(6, noise_px=0.3, degrees=30.0)
+    check = check_calibration(stated(site, change), {pair: site.geometries[pair] for pair in pairwise(site.cameras)})
+    assert check is not None and not check.confirmed
+    assert (check.cause, check.contradicted) == (cause, bool(cause))
+
+
 def test_two_poses_that_were_exchanged_are_named(site: PairSite) -> None:
     cameras = dict(site.cameras)
     one, other = list(cameras)[1], list(cameras)[4]
