@@ -7,7 +7,7 @@ a few causes with one to three unknowns each are fitted to them, and the one tha
 
 Matches of two cameras alone may show look-alikes, which lie on lines of their own as well.  So what counts are the matches that
 the way over a third camera confirms; where there are none, only a cause that all cameras share is believed, and only where it
-explains nearly everything.
+explains nearly everything, or where all pairs want it alike.
 
 References
 ----------
