@@ -71,6 +71,7 @@ SCENES = {
     "solar": Scene({"scene": "solar", "cameras": 5}, 0.3, fitted=False),
     "tankfarm": Scene({"scene": "tankfarm", "cameras": 5}, 0.2, fitted=False),
     "park": Scene({"scene": "park", "cameras": 5}, 0.2, fitted=False),
+    "market": Scene({"scene": "market", "cameras": 5}, 0.2, fitted=False),
 }
 
 

@@ -20,6 +20,7 @@ _ROWS = {
     "solar": SceneRow("scenes.solar:solar", "a solar farm: rows of one and the same dark panel on a meadow", (4, 80), 8, 3),
     "tankfarm": SceneRow("scenes.tankfarm:tankfarm", "a refinery: nearly even tanks, racks of parallel pipes", (4, 80), 8, 3),
     "park": SceneRow("scenes.park:park", "a city park: lawn, trees and hedges of loose leaves, a fountain", (4, 80), 8, 3),
+    "market": SceneRow("scenes.market:market", "an old town's market: striped awnings, gabled houses", (4, 80), 8, 3),
     "study": SceneRow("scenes.study:study", "a study with even walls, seen by webcams", (4, 60), 4, 3),
     "mast": SceneRow("scenes.mast:mast", "a valley seen by cameras that hang on one mast", (0, 60), captures=3),
 }
