@@ -72,6 +72,7 @@ SCENES = {
     "tankfarm": Scene({"scene": "tankfarm", "cameras": 5}, 0.2, fitted=False),
     "park": Scene({"scene": "park", "cameras": 5}, 0.2, fitted=False),
     "market": Scene({"scene": "market", "cameras": 5}, 0.2, fitted=False),
+    "railyard": Scene({"scene": "railyard", "cameras": 5}, 0.2, fitted=False),
 }
 
 
