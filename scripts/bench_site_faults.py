@@ -73,6 +73,7 @@ SCENES = {
     "park": Scene({"scene": "park", "cameras": 5}, 0.2, fitted=False),
     "market": Scene({"scene": "market", "cameras": 5}, 0.2, fitted=False),
     "railyard": Scene({"scene": "railyard", "cameras": 5}, 0.2, fitted=False),
+    "workshop": Scene({"scene": "workshop", "cameras": 5}, 0.15, fitted=False),
 }
 
 
