@@ -76,7 +76,7 @@ def white_wall(rng: Rng, width_m: float, texel_m: float) -> Texture:
     return encode(image, texel_m)
 
 
-def daylight(rng: Rng, width_m: float, height_m: float, texel_m: float) -> Texture:
+def _outside(rng: Rng, width_m: float, height_m: float, texel_m: float) -> Texture:
     """Paint a window of small panes seen from inside: a bright sky, roofs outside, dust."""
     shape = shape_of(width_m, height_m, texel_m)
     y, x = np.indices(shape, dtype=np.float32) * np.float32(texel_m)
@@ -88,9 +88,9 @@ def daylight(rng: Rng, width_m: float, height_m: float, texel_m: float) -> Textu
     return encode(image, texel_m)
 
 
-def walls(build: SceneBuilder, rng: Rng, texel_m: float, steel: int) -> None:
-    """Four walls; windows in the north and west, a roller door in the east; piers between, with the rails of the crane."""
-    glass = build.add_texture(daylight(rng, 3.0, 1.9, texel_m))
+def walls(build: SceneBuilder, rng: Rng, texel_m: float, steel: int, *, daylight: bool) -> None:
+    """Four walls with piers: windows that shine by daylight in the north and west, a door in the east; the crane's rails."""
+    glass = build.add_texture(_outside(rng, 3.0, 1.9, texel_m))
     door = build.add_texture(paint.roller_door(rng, 4.0, 4.2, texel_m, (0.20, 0.26, 0.33), "2"))
     rows = {
         0: [Opening(1.5 + 6.0 * k, 1.9, 3.0, 1.9, glass, depth=0.18) for k in range(4)],
@@ -102,7 +102,7 @@ def walls(build: SceneBuilder, rng: Rng, texel_m: float, steel: int) -> None:
         half, away = ((WIDE, DEEP), (DEEP, WIDE))[side % 2]
         wall, part = build.add_texture(white_wall(rng, half, texel_m)), build.with_same_textures()
         facade(part, np.array([-half / 2, away / 2, HIGH]), np.array([1.0, 0, 0]), (half, HIGH), wall, openings, steel)
-        part.kind = GLOWING
+        part.kind = GLOWING if daylight else STATIC
         for o in openings:
             if o.texture == glass:
                 part.quad((o.left - half / 2, away / 2 + 0.17, HIGH - o.top), (o.width, 0, 0), (0, 0, -o.height), glass)

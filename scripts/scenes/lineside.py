@@ -37,8 +37,9 @@ def lever(build: SceneBuilder, at: tuple[float, float], look: Look) -> None:
     build.box((x + 0.7, y, 0.6), (0.34, 0.34, 0.34), look.dark, front=look.snow)
 
 
-def catenary(build: SceneBuilder, masts: Sequence[tuple[float, float]], tracks: Sequence[float], steel: int) -> None:
-    """Add masts (east, north) with an arm over the track on each side, and over all tracks wires that hang from others."""
+def catenary(build: SceneBuilder, masts: Sequence[tuple[float, float]], tracks: Sequence[float], look: tuple[int, int]) -> None:
+    """Add masts (east, north) with an arm to each side, over all tracks wires that hang from others; look: steel and wire."""
+    steel, wire = look
     for x, y in masts:
         build.box((x, y, 0.0), (0.6, 0.6, 0.3), steel)
         build.beam((x, y, 0.3), (x, y, 7.6), 0.2, steel)
@@ -49,12 +50,12 @@ def catenary(build: SceneBuilder, masts: Sequence[tuple[float, float]], tracks: 
     stops = sorted({-36.0, *(x for x, _ in masts), 36.0})
     for y in tracks:
         for start, end in pairwise(stops):
-            build.beam((start, y, 5.5), (end, y, 5.5), 0.03, steel)
+            build.beam((start, y, 5.5), (end, y, 5.5), 0.02, wire)
             t = np.linspace(0, 1, 9)
             sag = np.column_stack([start + (end - start) * t, np.full(9, y), 6.9 - 3.6 * t * (1 - t)])
             for a, b in pairwise(sag):
-                build.beam(a, b, 0.03, steel)
-                build.beam(b, (b[0], b[1], 5.5), 0.025, steel)
+                build.beam(a, b, 0.02, wire)
+                build.beam(b, (b[0], b[1], 5.5), 0.01, wire)
 
 
 def spruce(build: SceneBuilder, bark: int, needles: int) -> SceneBuilder:

@@ -98,7 +98,7 @@ def static_railyard(rng: Rng, texel_m: float) -> Scene:
         lever(build, (x + (2.0 if end > x else -2.0), y - 1.7), look)
     _wagons(build, rng, texel_m, look)
     grey = build.add_texture(paint.painted_steel(rng, 3.0, 9.0, texel_m, (0.30, 0.32, 0.31)))
-    catenary(build, POLES, TRACKS[:4], grey)
+    catenary(build, POLES, TRACKS[:4], (grey, look.dark))
     signal_box(build, rng, texel_m, (6.5, 18.4), white)
     hut(build, rng, texel_m, (-2.6, -13.6), white)
     hut(build, rng, texel_m, (-7.2, 14.8), white)

@@ -58,7 +58,7 @@ def workshop(shots: Shots) -> DemoSite:
     ways = (((-10.0, 0.2), (10.0, 0.4)), ((-10.0, -1.0), (9.0, -1.0)), ((-1.6, -6.4), (-1.9, -1.0)), ((4.3, 1.6), (4.0, 6.4)))
     night = Night(
         viewpoints=tuple(viewpoints()[: shots.cameras]),
-        still=static_workshop(shots.random(1), texel_m),
+        still=static_workshop(shots.random(1), texel_m, daylight=shots.light in ("day", "dusk")),
         traffic=traffic(shots.random(2), max(texel_m, 0.02), shots.captures, people=4, walks=ways),
         lighting=shop_light(shots.light),
     )
@@ -66,9 +66,10 @@ def workshop(shots: Shots) -> DemoSite:
 
 
 def shop_light(light: Daytime) -> Light:
-    """What falls in through skylights; by day the lamps are on, too."""
-    lit = overcast_of(light, LAMPS)
-    return replace(lit, lamps=tuple(Lamp(place, (11.0, 10.8, 10.1)) for place in LAMPS)) if light == "day" else lit
+    """What falls in through skylights, and lamps that are on but in the dark, as bright as cameras set for the hour expect."""
+    strength = {"day": 1.0, "dusk": 0.53, "night": 0.29, "dark": 0.0}[light]
+    power = (11.0 * strength, 10.8 * strength, 10.1 * strength)
+    return replace(overcast_of(light, LAMPS), lamps=tuple(Lamp(place, power) for place in LAMPS if strength))
 
 
 def viewpoints() -> list[Viewpoint]:
@@ -76,8 +77,8 @@ def viewpoints() -> list[Viewpoint]:
     return [viewpoint_on_post(k, "wall", (x, y, z), (0.1 * x, 0.6, 0.9), 74.0, -0.15) for k, (x, y, z) in enumerate(MOUNTS)]
 
 
-def static_workshop(rng: Rng, texel_m: float) -> Scene:
-    """Everything that stands still; textures at `texel_m` metres per texel."""
+def static_workshop(rng: Rng, texel_m: float, *, daylight: bool = True) -> Scene:
+    """Everything that stands still; textures at `texel_m` metres per texel; windows shine by daylight."""
     build = SceneBuilder()
     build.kind = STATIC
     floor = build.add_texture(sealed_floor(rng, texel_m))
@@ -86,7 +87,7 @@ def static_workshop(rng: Rng, texel_m: float) -> Scene:
     coats = [paint.painted_steel(rng, 6.0, 2.0, texel_m, tone) for tone in tones]
     coats[1], coats[2] = paint.cloth(rng, texel_m, tones[1]), paint.cloth(rng, texel_m, tones[2])
     look = Look(*(build.add_texture(coat) for coat in coats))
-    walls(build, rng, texel_m, look.steel)
+    walls(build, rng, texel_m, look.steel, daylight=daylight)
     roof(build, rng, texel_m, look.steel)
     parts = {kind: make(build, rng, texel_m, look, skin) for kind, (make, skin) in KINDS.items()}
     for kind, x, y, yaw in PLACES:
