@@ -57,6 +57,12 @@ def test_a_camera_a_tenth_of_a_degree_off_is(degrees: float) -> None:
     assert inconsistency(turned(model, 2, degrees), geometries) > MOST_INCONSISTENCY
 
 
+@pytest.mark.parametrize("points", [400, 3000])
+def test_what_lenses_leave_is_no_strain_however_many_matches_there_are(points: int) -> None:
+    model, geometries = solved(make_pair_site(3, noise_px=0.1, points=points))
+    assert inconsistency(turned(model, 2, 0.005), geometries) < 3
+
+
 def test_matches_that_end_elsewhere_over_a_third_camera_are_not_confirmed() -> None:
     _, geometries = solved(make_pair_site(4, noise_px=0.2))
     edge = next(iter(geometries))
