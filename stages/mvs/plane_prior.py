@@ -2,7 +2,7 @@
 
 Where next to nothing is to be seen a patch matches by its noise, and beside a window by the window: depths scatter about the
 surface by several times what is expected.  A plane through the depths of a whole textureless region (`mvs.textureless`) averages
-that.  It is taken where the depths around a pixel lie about it as noise does, and yields to what the photographs show.
+that.  It is taken where enough depths tell it, and yields to what the photographs show.
 
 References
 ----------
@@ -20,16 +20,12 @@ import cv2
 import numpy as np
 from scipy import ndimage
 
-from ..types import Bools, Float32s, Frame, Uint32s
+from ..types import Bools, Float32s, Frame, Int32s, Uint32s
 from .propagation import Propagation, Support
-from .textureless import CORRELATED, NEAR_PX, RegionPlane, TexturelessRegions, from_middle, planes_of_regions, textureless_regions
+from .textureless import NEAR_PX, RegionPlane, from_middle, planes_of_regions, textureless_regions
 
 _AROUND = 25
-"""Half the side of the window, pixels of an image 768 wide, in which depths must lie about a plane."""
-_FEWEST, _AGREED = 20, 0.6
-"""So many of the region's pixels in the window have a depth, and this share of these are near."""
-_OFF_SIGMAS = 1.5
-"""Their mean may be off by so many standard deviations of it: more is relief."""
+"""Half the side of the window, pixels of an image 768 wide, in which depths about a plane speak for it."""
 _SURE_PX = 0.5
 """Standard deviation of a plane where it is taken, at most."""
 _SHARED_PX = 0.2
@@ -45,8 +41,6 @@ _CHANCE_PX = 0.42
 a whole.  One that stands near moves little with depth, and shows much scatter by little noise."""
 _STEEP_PX = 0.7
 """Inverse depths that change by more from a pixel to the next, pixels of a source: twice what is assumed of a match."""
-_SEES = 0.3
-"""A source that sees this share of the depths around sees what lies between them."""
 
 
 @dataclass(frozen=True)
@@ -91,7 +85,7 @@ def apply_plane_priors(
     regions = textureless_regions(frame.image, frame.mask, spacing)
     known = np.where(sure, scale * planes[0], np.float32(np.nan))
     found = planes_of_regions(regions, known, spacing)
-    laid = _laid(regions, found, known, spacing)
+    laid = _laid(regions, found, known)
     take = np.isfinite(laid.sigma) & (laid.planes[0] > 0)
     if take.any():
         trial = np.where(take, laid.planes / scale, np.float32(np.nan))
@@ -106,29 +100,28 @@ def apply_plane_priors(
     return PlanePriors(sigma, _doubted(regions, found) & ~take & ~steep)
 
 
-def _laid(regions: TexturelessRegions, found: Sequence[RegionPlane], known: Float32s, spacing: int) -> _Laid:
+def _laid(regions: Int32s, found: Sequence[RegionPlane], known: Float32s) -> _Laid:
     """The planes of a view's textureless regions.  known: (h, w) inverse depths in pixels of a source, nan for none."""
     nan = np.full((4, *known.shape), np.nan, np.float32)
     laid = _Laid(nan[:3], nan[3], np.zeros(known.shape, bool), np.zeros(known.shape, np.float32))
     for plane in found:
-        lies = np.isin(regions.number, plane.regions)
+        lies = np.isin(regions, plane.regions)
         y, x = np.nonzero(lies)
         rows, columns = slice(y.min(), y.max() + 1), slice(x.min(), x.max() + 1)
-        _lay(laid, plane, (rows, columns), lies[rows, columns], known[rows, columns], spacing)
+        _lay(laid, plane, (rows, columns), lies[rows, columns], known[rows, columns])
     return laid
 
 
-def _doubted(regions: TexturelessRegions, found: Sequence[RegionPlane]) -> Bools:
+def _doubted(regions: Int32s, found: Sequence[RegionPlane]) -> Bools:
     """(h, w): textureless regions whose depths tell no plane that is sure in their middle."""
-    doubtful = np.ones(len(regions.thick), bool)
-    doubtful[0] = False
-    boxes = ndimage.find_objects(regions.number)
+    doubtful = np.arange(regions.max() + 1) > 0
+    boxes = ndimage.find_objects(regions)
     for plane in found:
         for k in plane.regions:
             y, x = (np.array([(along.start + along.stop) // 2]) for along in boxes[k - 1])
-            if plane.variance(from_middle(x, y, regions.number.shape))[0] <= _SURE_PX**2:
+            if plane.variance(from_middle(x, y, regions.shape))[0] <= _SURE_PX**2:
                 doubtful[k] = False
-    return doubtful[regions.number]
+    return doubtful[regions]
 
 
 def _noisy(laid: _Laid, support: Support, scale: np.float32, spacing: int) -> Bools:
@@ -152,27 +145,19 @@ def _relief(shown: Support, support: Support, both: Bools, spacing: int) -> Bool
     return np.asarray(np.minimum(*means) > least)
 
 
-def _lay(laid: _Laid, plane: RegionPlane, where: tuple[slice, slice], lies: Bools, known: Float32s, spacing: int) -> None:
-    """Take a plane at those pixels of its regions (`lies`) around which depths are about it, if it is surer than another."""
+def _lay(laid: _Laid, plane: RegionPlane, where: tuple[slice, slice], lies: Bools, known: Float32s) -> None:
+    """Take a plane at those pixels of its regions (`lies`) where it is sure, and surer than another."""
     y, x = np.mgrid[where]
     at = from_middle(x.ravel(), y.ravel(), laid.sigma.shape)
     value = (at @ plane.plane).reshape(lies.shape)
-    off = np.where(lies, known - value, np.nan).astype(np.float32)
-    with np.errstate(invalid="ignore"):
-        near = np.abs(off) <= NEAR_PX
-    known_around, near_around = (_around(some, spacing) for some in (np.isfinite(off), near))
-    mean = _around(np.where(near, off, np.float32(0)), spacing) / np.maximum(near_around, 1)
-    alike = CORRELATED * spacing**2
-    allowed = _OFF_SIGMAS * plane.spread * np.sqrt(alike / np.maximum(near_around, 1))
     sigma = np.sqrt(plane.variance(at).reshape(lies.shape) + _SHARED_PX**2)
-    take = lies & (known_around >= _FEWEST * spacing**2) & (near_around >= _AGREED * known_around)
-    take &= (np.abs(mean) <= allowed) & (sigma <= np.hypot(_SURE_PX, _SHARED_PX))
-    take &= ~(laid.sigma[where] <= sigma)
+    take = lies & (sigma <= np.hypot(_SURE_PX, _SHARED_PX)) & ~(laid.sigma[where] <= sigma)
     for layer, values in zip(laid.planes, (value, plane.plane[1], plane.plane[2]), strict=True):
         layer[where] = np.where(take, values, layer[where])
     laid.sigma[where] = np.where(take, sigma, laid.sigma[where])
     laid.spread[where] = np.where(take, plane.spread, laid.spread[where])
-    laid.anchors[where] |= take & near
+    with np.errstate(invalid="ignore"):
+        laid.anchors[where] |= take & (np.abs(known - value) <= NEAR_PX)
 
 
 def _around(values: Bools | Float32s, spacing: int) -> Float32s:
@@ -183,12 +168,12 @@ def _around(values: Bools | Float32s, spacing: int) -> Float32s:
 
 
 def _sources_around(anchors: Bools, sources: Uint32s, count: int, spacing: int) -> tuple[Uint32s, Float32s]:
-    """(h, w) bits of the sources that see a share of the anchors around, and by how many an anchor is seen on average."""
+    """(h, w) bits of the sources that see anchors around, and by how many an anchor is seen on average."""
     anchored = np.maximum(_around(anchors, spacing), 1)
     bits, seen = np.zeros(anchors.shape, np.uint32), np.zeros(anchors.shape, np.float32)
     for k in range(count):
         bit = np.uint32(1 << k)
         share = _around(anchors & ((sources & bit) > 0), spacing) / anchored
-        bits[share >= _SEES] |= bit
+        bits[share > 0] |= bit
         seen += share
     return bits, seen

@@ -21,12 +21,12 @@ _EVEN = 6
 """Grey levels, in any colour: 3x3 pixels that differ by no more show no edge."""
 _BESIDE, _ALIKE = 3, 10
 """So near a region, pixels that differ from its nearest pixel by no more grey levels belong to it."""
-_SMALLEST, _THICK = 40, 5
-"""Pixels of a region; the way from its middle to its rim that it takes to tell a plane alone: narrow ones tilt."""
-_LEAST, _FEWEST = 200, 15
+_SMALLEST = 40
+"""Pixels of a region."""
+_FEWEST = 15
 """Depths that tell a plane, and those with which a region may join one."""
-_TRIALS, _ASKED = 64, 1500
-"""Of RANSAC, and depths on which each is tried."""
+_TRIALS = 64
+"""Of RANSAC."""
 _ROUNDS = 4
 """Of fitting and joining."""
 _AGAIN = 0.2
@@ -37,16 +37,6 @@ NEAR_PX = 2.0
 """In a source: a depth that is no farther from a plane speaks for it."""
 CORRELATED = 240.0
 """So many neighbouring pixels err alike: patches overlap, and planes spread (fitted to errors on the demo's weak yard)."""
-
-
-@dataclass(frozen=True)
-class TexturelessRegions:
-    """Regions 1, 2, ... of a picture."""
-
-    number: Int32s
-    """(h, w), 0 for none."""
-    thick: Bools
-    """(regions + 1,): may tell a plane alone."""
 
 
 @dataclass(frozen=True)
@@ -67,20 +57,21 @@ class RegionPlane:
         return np.asarray(np.sum((at @ self.covariance) * at, axis=1), dtype=np.float64)
 
 
-def textureless_regions(image: Uint8s, usable: Bools, spacing: int) -> TexturelessRegions:
-    """The even regions of a picture (h, w, 3), where it may be matched (h, w); spacing: pixels for each of an image 768 wide."""
+def textureless_regions(image: Uint8s, usable: Bools, spacing: int) -> Int32s:
+    """(h, w) the even regions 1, 2, ... of a picture, 0 for none.
+
+    image, usable : (h, w, 3), and where it may be matched (h, w).
+    spacing : pixels for each of an image 768 wide.
+    """
     square = np.ones((3, 3), np.uint8)
     differ = (cv2.dilate(image, square) - cv2.erode(image, square)).max(axis=2)
     even = ((differ <= _EVEN) & usable).astype(np.uint8)
     _, found, stats, _ = cv2.connectedComponentsWithStats(even, connectivity=4)
     kept = stats[:, cv2.CC_STAT_AREA] >= _SMALLEST * spacing**2
     kept[0] = False
-    number = (np.cumsum(kept) * kept)[found].astype(np.int32)
-    thick = np.zeros(int(kept.sum()) + 1, bool)
-    if len(thick) == 1:
-        return TexturelessRegions(number, thick)
-    inner = cv2.distanceTransform((number > 0).astype(np.uint8), cv2.DIST_C, 3)
-    thick[number[inner >= (_THICK - 1) * spacing]] = True
+    number = np.asarray((np.cumsum(kept) * kept)[found], dtype=np.int32)
+    if not kept.any():
+        return number
     outside = (number == 0).astype(np.uint8)
     away, nearest = cv2.distanceTransformWithLabels(outside, cv2.DIST_C, 3, labelType=cv2.DIST_LABEL_PIXEL)
     places = np.flatnonzero(number)
@@ -89,26 +80,26 @@ def textureless_regions(image: Uint8s, usable: Bools, spacing: int) -> Texturele
     there = place[nearest]  # the nearest pixel of a region
     unlike = np.abs(image.astype(np.int16) - image.reshape(-1, 3)[there].astype(np.int16)).max(axis=2)
     belongs = usable & ((away <= 1) | ((away <= _BESIDE * spacing) & (unlike <= _ALIKE)))
-    return TexturelessRegions(np.where(belongs, number.ravel()[there], 0).astype(np.int32), thick)
+    return np.asarray(np.where(belongs, number.ravel()[there], 0), dtype=np.int32)
 
 
-def planes_of_regions(regions: TexturelessRegions, known: Float32s, spacing: int) -> list[RegionPlane]:
+def planes_of_regions(regions: Int32s, known: Float32s, spacing: int) -> list[RegionPlane]:
     """Planes that depths in even regions tell, those of the best known regions first.
 
     known: (h, w) inverse depths in pixels of a source, nan where there is none to be believed; spacing: as above.
     """
     rng = np.random.default_rng(1)
-    known_there = (regions.number > 0) & np.isfinite(known)
+    known_there = (regions > 0) & np.isfinite(known)
     y, x = (spacing * among for among in np.nonzero(known_there[::spacing, ::spacing]))
-    of = regions.number[y, x]
+    of = regions[y, x]
     order = np.argsort(of, kind="stable")
     y, x, of = y[order], x[order], of[order]
     at, d = from_middle(x, y, known.shape), known[y, x].astype(np.float64)
-    ends = np.searchsorted(of, np.arange(1, len(regions.thick) + 1))
-    free = {k: np.arange(ends[k - 1], ends[k]) for k in range(1, len(regions.thick))}
+    ends = np.searchsorted(of, np.arange(1, regions.max() + 2))
+    free = {k: np.arange(ends[k - 1], ends[k]) for k in range(1, len(ends))}
     free = {k: mine for k, mine in free.items() if len(mine) >= _FEWEST}
-    enough = {k: max(_LEAST, int(_AGAIN * len(mine))) for k, mine in free.items()}
-    seeds = sorted((k for k in free if regions.thick[k]), key=lambda k: (-len(free[k]), k))
+    enough = {k: max(_FEWEST, int(_AGAIN * len(mine))) for k, mine in free.items()}
+    seeds = sorted(free, key=lambda k: (-len(free[k]), k))
     found = []
     for seed in (k for k in seeds for _ in range(2)):
         if len(free.get(seed, ())) < enough[seed]:
@@ -147,12 +138,12 @@ def _grown(at: Float64s, d: Float64s, free: dict[int, Int64s], seed: int, rng: n
 
 def _tried(at: Float64s, d: Float64s, rng: np.random.Generator) -> Float64s | None:
     """(3,) the best of random planes through three depths each."""
-    asked, triples = rng.integers(0, len(d), min(_ASKED, len(d))), rng.integers(0, len(d), (_TRIALS, 3))
+    triples = rng.integers(0, len(d), (_TRIALS, 3))
     triples = triples[np.abs(np.linalg.det(at[triples])) > 0.02 * len(d)]  # triangles of some size
     if not len(triples):
         return None
     planes = np.linalg.solve(at[triples], d[triples][..., None])[..., 0]
-    off = np.abs(at[asked] @ planes.T - d[asked, None])
+    off = np.abs(at @ planes.T - d[:, None])
     return np.asarray(planes[np.minimum(off, NEAR_PX).sum(axis=0).argmin()], dtype=np.float64)
 
 
@@ -162,7 +153,7 @@ def _fitted(at: Float64s, d: Float64s, plane: Float64s, regions: tuple[int, ...]
     for _ in range(5):
         off = d - at @ plane
         near = np.abs(off) <= NEAR_PX
-        if near.sum() < min(_LEAST, len(d) / 3):
+        if near.sum() < min(_FEWEST, len(d) / 3):
             return None
         spread = float(1.4826 * np.median(np.abs(off[near])))
         u = np.clip(off / max(4.685 * spread, 1e-3), -1, 1)

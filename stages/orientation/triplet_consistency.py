@@ -30,7 +30,7 @@ LEAST_PX = 0.05
 """No picture tells places better."""
 LENS_SHARE = 1.2e-4
 """What lenses leave may tell them apart by so much, as a share of the long side, 0.09 px of 768: thousands of matches make any
-difference significant.  Three photographs of an entry, solved to 0.2 degrees, 0.7e-4; wrong cameras of car parks 2e-4 to 18e-4."""
+difference significant.  Three photographs of an entry, solved to 0.2 degrees, 0.7e-4; wrong cameras of car parks 2 to 18e-4."""
 OUTLIER = 2.0
 """Errors beyond so many standard deviations count as their length, not its square."""
 

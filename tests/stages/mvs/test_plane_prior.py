@@ -79,10 +79,10 @@ def test_windows_belong_to_no_region_of_the_plaster() -> None:
     image = plaster()
     inside = (image < 120).any(axis=2)
     regions = textureless_regions(image, np.ones(SHAPE, bool), 1)
-    wall = regions.number[60, 5]
+    wall = regions[60, 5]
     assert wall > 0
-    assert (regions.number[~inside] == wall).mean() > 0.95
-    assert (regions.number[inside] == wall).mean() < 0.2  # rims of a pixel
+    assert (regions[~inside] == wall).mean() > 0.95
+    assert (regions[inside] == wall).mean() < 0.2  # rims of a pixel
 
 
 def test_ground_of_which_single_patches_show_next_to_nothing_is_known_by_its_plane() -> None:
