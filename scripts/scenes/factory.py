@@ -39,12 +39,7 @@ def sealed_floor(rng: Rng, texel_m: float) -> Texture:
     worn = smoothstep(-1.3, 0.3, fractal_noise(rng, shape, texel_m, 0.5))
     hatched = ((x > 18.6) & (x < 22.6) & (y > 10.2) & (y < 11.4) & ((x + y) % 0.6 < 0.3)).astype(np.float32)
     mix(image, (0.50, 0.36, 0.04), 0.8 * worn * hatched)
-    for text, left, top, size in (
-        ("3", 10.0, 2.2, 0.8),
-        ("LAGER", 3.5, 11.2, 0.5),
-        ("<<", 12.6, 7.4, 0.7),
-        ("7", 16.2, 12.0, 0.8),
-    ):
+    for text, left, top, size in WORDS:
         mix(image, (0.60, 0.58, 0.50), 0.8 * worn * lettering(shape, texel_m, text, left, top, size, bold=0.18))
     scuffs = np.zeros(shape, np.uint8)
     for _ in range(46):

@@ -64,7 +64,8 @@ def winter_light(light: Daytime) -> Light:
     lit = light_of(light, LAMPS)
     if light != "day":
         return lit
-    sun = tuple((np.array([-0.62, -0.60, 0.50]) / np.linalg.norm([-0.62, -0.60, 0.50])).tolist())
+    towards = np.array([-0.62, -0.60, 0.50])
+    sun = tuple((towards / np.linalg.norm(towards)).tolist())
     return replace(
         lit, sun_direction=sun, sun=(0.68, 0.62, 0.53), sky=(0.40, 0.43, 0.48), ground=(0.36, 0.37, 0.39), haze=(0.60, 0.63, 0.67)
     )

@@ -33,7 +33,8 @@ def box_side(rng: Rng, texel_m: float, colour: Colour, number: str) -> Texture:
     high = 2.6
     boards = paint.planks(rng, LONG, high, texel_m, colour)
     image = np.asarray(np.square(boards.pixels.astype(np.float32) / np.float32(255)), np.float32)
-    shape, posts = shape_of(LONG, high, texel_m), np.zeros(shape_of(LONG, high, texel_m), np.uint8)
+    shape = shape_of(LONG, high, texel_m)
+    posts = np.zeros(shape, np.uint8)
     for x in (0.05, 1.5, 3.0, 4.6, 7.4, 9.0, 10.5, LONG - 0.05):
         draw(posts, np.array([(x, 0.0), (x, high)]) / texel_m, 0.12 / texel_m)
     for start, end in (((4.6, 0.2), (7.4, 0.2)), ((4.6, 2.4), (7.4, 2.4)), ((4.6, 2.4), (7.4, 0.2)), ((0, 2.55), (LONG, 2.55))):

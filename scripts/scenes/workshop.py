@@ -83,10 +83,12 @@ def static_workshop(rng: Rng, texel_m: float, *, daylight: bool = True) -> Scene
     build.kind = STATIC
     floor = build.add_texture(sealed_floor(rng, texel_m))
     build.quad((-WIDE / 2, DEEP / 2, 0.0), (WIDE, 0, 0), (0, -DEEP, 0), floor)
-    tones = ((0.36, 0.38, 0.38), (0.045, 0.045, 0.05), (0.40, 0.40, 0.39), (0.55, 0.38, 0.04), (0.42, 0.05, 0.04))
-    coats = [paint.painted_steel(rng, 6.0, 2.0, texel_m, tone) for tone in tones]
-    coats[1], coats[2] = paint.cloth(rng, texel_m, tones[1]), paint.cloth(rng, texel_m, tones[2])
-    look = Look(*(build.add_texture(coat) for coat in coats))
+    steel, yellow, red = (
+        build.add_texture(paint.painted_steel(rng, 6.0, 2.0, texel_m, tone))
+        for tone in ((0.36, 0.38, 0.38), (0.55, 0.38, 0.04), (0.42, 0.05, 0.04))
+    )
+    dark, bare = (build.add_texture(paint.cloth(rng, texel_m, tone)) for tone in ((0.045, 0.045, 0.05), (0.40, 0.40, 0.39)))
+    look = Look(steel, dark, bare, yellow, red)
     walls(build, rng, texel_m, look.steel, daylight=daylight)
     roof(build, rng, texel_m, look.steel)
     parts = {kind: make(build, rng, texel_m, look, skin) for kind, (make, skin) in KINDS.items()}

@@ -1,7 +1,7 @@
 """Even regions of a picture, and the planes that the depths in each of them tell.
 
-A region is what hangs together without an edge; pixels of its colour beside it belong to it, too.  Planes are found in the
-largest regions (RANSAC), fitted by weights that fall with the error, and shared with the other regions that lie on them: the
+A region is what hangs together without an edge; pixels of its colour beside it belong to it, too.  Planes are found from the
+largest region on (RANSAC), fitted by weights that fall with the error, and shared with the other regions that lie on them: the
 plaster between the windows of a façade is many regions and one plane.
 
 References: Fischler, Bolles, Random Sample Consensus, CACM 1981; Beaton, Tukey, The Fitting of Power Series, Technometrics 1974
@@ -22,11 +22,11 @@ _EVEN = 6
 _BESIDE, _ALIKE = 3, 10
 """So near a region, pixels that differ from its nearest pixel by no more grey levels belong to it."""
 _SMALLEST = 40
-"""Pixels of a region."""
+"""Pixels of a region, at least."""
 _FEWEST = 15
-"""Depths that tell a plane, and those with which a region may join one."""
+"""A region with fewer depths tells no plane, and joins none."""
 _TRIALS = 64
-"""Of RANSAC."""
+"""Planes that RANSAC tries."""
 _ROUNDS = 4
 """Of fitting and joining."""
 _AGAIN = 0.2
