@@ -31,7 +31,7 @@ LEAST_PX = 0.05
 LENS_SHARE = 1.2e-4
 """What lenses leave may tell them apart by so much, as a share of the long side, 0.09 px of 768: thousands of matches make any
 difference significant.  Fitted between three photographs of an entry, 0.2 degrees off (0.7e-4), and a car park 3 degrees off
-(2e-4); judged on wrong ones of a small car park and a platform (6 to 19e-4), right ones of a yard and a fountain (at most 1.1e-4)."""
+(2e-4); judged on a small car park and a platform that are wrong (6 to 19e-4), on a right yard and fountain (at most 1.1e-4)."""
 OUTLIER = 2.0
 """Errors beyond so many standard deviations count as their length, not its square."""
 
