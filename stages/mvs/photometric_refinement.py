@@ -23,15 +23,11 @@ from ..types import Float32s, Int32s, Uint64s
 _SOFTNESS = 12.0
 """Grey levels at which a patch's pixel counts half."""
 _FLAT = 0.05
-"""Grey levels squared: patches with less contrast say nothing..."""
-_UNLIKE = 0.6
-"""...nor do sources in which a patch costs more."""
+"""Grey levels squared: patches with less contrast say nothing."""
 _FLOOR = 0.02
 """Added to the cost of a source: no source is better than the grey levels' noise."""
 _HELD = 0.1
 """What speaks for the plane as it was, in squared share of a patch's contrast that one pixel of movement changes."""
-_STEP_PX = 0.5
-"""A plane moves by no more, in sources' pixels: a wrong one is not put right so."""
 _NEAREST = 1e-6
 _BLOCK = 128
 """Pixels of a row that are worked on together."""
@@ -40,7 +36,7 @@ _BLOCK = 128
 _Q, _A, _B, _U, _V, _UX, _UY, _VX, _VY, _DU, _DV, _SEEN, _PLACE, _FX, _FY, _CENTRE, _ROWS = (i * _BLOCK for i in range(17))
 _R, _RR, _DR, _E, _EE, _RE, _DE, _SUMS = (i * _BLOCK for i in range(8))
 _W, _D, _DD, _WEIGHTS = (i * _BLOCK for i in range(4))
-_PUSH, _STIFF, _MOVED, _WEIGHT, _VOTES = (i * _BLOCK for i in range(5))
+_PUSH, _STIFF, _MOVED, _VOTES = (i * _BLOCK for i in range(4))
 
 
 @helper
@@ -141,7 +137,7 @@ def _compare(
 
 @helper
 def _vote(window: Float32s, s: Float32s, sums: Float32s, votes: Float32s) -> None:
-    """Add what a source says: gradient, curvature and the squared pixels that a unit of q moves, by its weight, and that."""
+    """Add what a source says: gradient, curvature and the squared pixels that a unit of q moves, by its weight."""
     zero, one, flat = np.float32(0.0), np.float32(1.0), np.float32(_FLAT)
     for x in range(_BLOCK):
         share = one / max(window[_W + x], np.float32(1e-6))
@@ -154,23 +150,19 @@ def _vote(window: Float32s, s: Float32s, sums: Float32s, votes: Float32s) -> Non
         gradient = (share * sums[_DE + x] - d * e) * scale - like * along
         curvature = (share * sums[_EE + x] - e * e) * inverse - along * along
         cost = max(one - like, zero)
-        heard = (s[_SEEN + x] > zero) & (here > flat) & (there > flat) & (cost < np.float32(_UNLIKE))
+        heard = (s[_SEEN + x] > zero) & (here > flat) & (there > flat)
         weight = one / (cost + np.float32(_FLOOR)) if heard else zero
         votes[_PUSH + x] += weight * gradient
         votes[_STIFF + x] += weight * curvature
-        votes[_WEIGHT + x] += weight
         votes[_MOVED + x] += weight * (s[_DU + x] * s[_DU + x] + s[_DV + x] * s[_DV + x])
 
 
 @helper
 def _move(s: Float32s, votes: Float32s) -> None:
     """Move q, held by where it is: `_HELD` for each vote, where q moves a source by so many pixels."""
-    zero, tiny = np.float32(0.0), np.float32(1e-12)
     for x in range(_BLOCK):
-        per_pixel = np.float32(1.0) / np.sqrt(max(votes[_MOVED + x] / max(votes[_WEIGHT + x], tiny), tiny))
-        held, most = np.float32(_HELD) * votes[_MOVED + x], np.float32(_STEP_PX) * per_pixel
-        step = min(max(votes[_PUSH + x] / max(votes[_STIFF + x] + held, tiny), -most), most)
-        s[_Q + x] += step if votes[_WEIGHT + x] > zero else zero
+        stiff = votes[_STIFF + x] + np.float32(_HELD) * votes[_MOVED + x]
+        s[_Q + x] += votes[_PUSH + x] / max(stiff, np.float32(1e-12))
 
 
 @kernel
