@@ -737,7 +737,7 @@ VARIATIONS = (
     _fault("all rolled by 1 degree", turn((0, 0, 1)), "poses"),
     _fault("all turned by 1 degree, each about itself", turn((0, 1, 0)), "poses", "principal-points"),
     _fault("poses of two others exchanged", exchange(("R", "C"), 1, 3), "exchanged"),
-    _fault("positions stretched by 1.05 to the east", centres(lambda C: C * (1.05, 1, 1)), "poses"),
+    _fault("positions stretched by 1.05 to the east", centres(lambda C: C * (1.05, 1, 1)), "poses", "stretched-x"),
     _fault("one raised by .4 m", move((0, 0, 0.4), (1,)), *ONE),
     _fault("one moved by 1 m", move((-0.8, 0.6, 0), (2,)), *ONE),
     # units
@@ -820,7 +820,7 @@ VARIATIONS = (
     _fault("all tilted by .5 degrees", turn((0.5, 0, 0)), "poses", "principal-points"),
     _fault("focal +1.5 %", focal(1.015), *FOCAL),
     _fault("half the distortion", distortion(0.5), *BENT),
-    _fault("heights times 1.2", centres(lambda C: C * (1, 1, 1.2)), "poses"),
+    _fault("heights times 1.2", centres(lambda C: C * (1, 1, 1.2)), "poses", "stretched-z"),
     _fault("thick fog", pictures(levels(0.15, 170)), "pictures-soft"),
     _fault("underexposed", pictures(levels(0.15)), "pictures-soft"),
     _fault("hot air, 1 px", pictures(shimmering(1.0)), "pictures-soft"),

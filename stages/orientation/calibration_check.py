@@ -29,7 +29,7 @@ from ..core.epipolar import fundamental_from_cameras, sampson_distance, triangul
 from ..core.rotations import rotation_matrix
 from ..sfm.consistent_matches import consistent_matches
 from ..types import CalibrationCheck, Camera, Float64s, Geometry, Pair
-from .pose_check import BELIEVED, MIN_SHARED
+from .pose_check import BELIEVED, MIN_SHARED, PAIR_PX, epipolar_error_px
 
 FEWEST_CONFIRMED = 15
 """A pair with fewer confirmed matches says nothing."""
@@ -63,7 +63,7 @@ LEAST_LOSS = 30.0
 """...and in all so many squared standard deviations (the matches of a pair count as `COUNTED` at most)."""
 COUNTED = 50
 HARMFUL_PX = 0.4
-"""Cameras that move points by less than this (median, in pixels along the epipolar line) spoil no cloud."""
+"""Cameras that move points by less than this (median, in pixels along and across the epipolar line) spoil no cloud."""
 FARTHEST_PX = 1e4
 LARGEST_SITE = 12
 """Exchanged poses are looked for among so many cameras at most."""
@@ -71,6 +71,8 @@ LARGEST_ZOOM = 3.0
 """Logarithm of the largest factor of focal lengths that is tried."""
 STEPS = 20
 POSES = "poses"
+STRETCHED, LEAST_STRETCH = ("stretched-x", "stretched-y", "stretched-z"), 0.02
+"""No survey is off by less along one axis alone; what matches ask for on a harbour, all of whose poses are right, is 0.009."""
 CORNER = "principal-points-corner"
 CORNER_PX = np.array([-0.5, -0.5])
 """What principal points lack that are counted from the corner of the first pixel, not from its centre."""
@@ -163,26 +165,37 @@ def check_calibration(cameras: Mapping[str, Camera], geometries: Mapping[Pair, G
     """
     if len(cameras) < 2:
         return None
-    believed = {
-        pair: geometry
-        for pair, geometry in geometries.items()
-        if geometry.good_probability >= BELIEVED and len(geometry.x1) >= MIN_SHARED
-    }
-    mine = {pair: some for pair, some in consistent_matches(believed).items() if set(pair) <= set(cameras)}
-    known = {pair: some for pair, some in mine.items() if len(some.x1) >= FEWEST_CONFIRMED}
-    confirmed = [_matches(pair, some, believed[pair]) for pair, some in known.items()]
-    others = [_matches(pair, believed[pair], believed[pair]) for pair in mine if pair not in known]
+    stated = {name: _Seen(camera) for name, camera in cameras.items()}
+    enough = {pair: geometry for pair, geometry in geometries.items() if len(geometry.x1) >= MIN_SHARED}
+    believed = {pair: geometry for pair, geometry in enough.items() if geometry.good_probability >= BELIEVED}
+    confirmed, others = _evidence(stated, believed)
     if not confirmed and not others:
         return None
-    stated = {name: _Seen(camera) for name, camera in cameras.items()}
     found = _checked(stated, confirmed, others)
-    return found if found.contradicted or not others else _with_cause_of_most(found, stated, [*confirmed, *others])
+    if not found.contradicted and others:
+        found = _with_cause_of_most(found, stated, [*confirmed, *others])
+    if found.contradicted or len(confirmed) >= FEWEST_PAIRS:
+        return found
+    near = {p: g for p, g in enough.items() if set(p) <= set(cameras) and epipolar_error_px(cameras, p, g) <= PAIR_PX}
+    return _with_slight_cause(found, stated, _alike(stated, *_evidence(stated, {**believed, **near})))
+
+
+def _evidence(stated: _World, geometries: Mapping[Pair, Geometry]) -> tuple[list[_Matches], list[_Matches]]:
+    """The matches of pairs of stated cameras that third cameras confirm, and those of pairs of which these confirm too few."""
+    mine = {pair: some for pair, some in consistent_matches(geometries).items() if set(pair) <= set(stated)}
+    known = {pair: some for pair, some in mine.items() if len(some.x1) >= FEWEST_CONFIRMED}
+    confirmed = [_matches(pair, some, geometries[pair]) for pair, some in known.items()]
+    return confirmed, [_matches(pair, geometries[pair], geometries[pair]) for pair in mine if pair not in known]
+
+
+def _alike(stated: _World, confirmed: list[_Matches], others: list[_Matches]) -> list[_Matches]:
+    """What shows no look-alikes: confirmed matches and, where few pairs have these, others that have not strayed."""
+    return confirmed if len(confirmed) >= FEWEST_PAIRS else [*confirmed, *(m for m in others if _median(stated, m) <= STRAYED)]
 
 
 def _checked(stated: _World, confirmed: list[_Matches], others: list[_Matches]) -> CalibrationCheck:
     """What matches say that third cameras confirm; the others, where there are none."""
-    evidence, few = confirmed or others, len(confirmed) < FEWEST_PAIRS
-    alike = [*confirmed, *(m for m in others if few and _median(stated, m) <= STRAYED)]  # but for look-alikes
+    evidence, alike = confirmed or others, _alike(stated, confirmed, others)
     loss, own = _loss(stated, evidence), _mean(evidence, [m.own_loss for m in evidence])
     count = sum(len(m.x1) for m in evidence)
     found = CalibrationCheck(matches=count, pairs=len(evidence), confirmed=bool(confirmed), misfit=loss / max(own, 1e-9))
@@ -296,7 +309,8 @@ def _with_slight_cause(found: CalibrationCheck, stated: _World, evidence: list[_
         amount, covariance = _wanted(stated, evidence, best.cause.change, len(best.amount))
         sigmas = sqrt(float(amount @ np.linalg.solve(covariance + 1e-12 * np.eye(len(amount)), amount)))
         gained = sum(min(len(m.x1), COUNTED) * (_loss(stated, [m]) - _loss(best.world, [m])) for m in evidence)
-        if sigmas * gained < ALIKE or not _is_felt(stated, best.world, evidence):
+        slight = best.cause.name in STRETCHED and abs(best.amount[0]) < LEAST_STRETCH
+        if sigmas * gained < ALIKE or slight or not _is_felt(stated, best.world, evidence):
             return found
     if _excess(best.world, evidence) > EXPLAINED * _mean(evidence, [m.own_loss for m in evidence]):
         return found
@@ -333,15 +347,17 @@ def _explains(best: _Explanation, loss: float, own: float, evidence: list[_Match
 
 
 def _off_px(stated: _World, right: _World, evidence: list[_Matches]) -> float:
-    """How far points move along the epipolar lines between two worlds, in pixels: median over the matches of the pairs that
-    change; `FARTHEST_PX` where they lie behind a camera."""
+    """How far points move along the epipolar lines between two worlds, and towards these, in pixels: median over the matches of
+    the pairs that change; `FARTHEST_PX` where they lie behind a camera."""
     found = []
     for matches in evidence:
         if all(stated[name] is right[name] for name in matches.pair):
             continue
         (z, gain), (other, _) = (_depths(world, matches) for world in (stated, right))
+        before, after = (np.abs(_residuals(world, matches)) * matches.noise_px for world in (stated, right))
         with np.errstate(invalid="ignore", divide="ignore"):
-            found.append(np.minimum(np.nan_to_num(np.abs(z - other) / gain, nan=FARTHEST_PX), FARTHEST_PX))
+            along = np.minimum(np.nan_to_num(np.abs(z - other) / gain, nan=FARTHEST_PX), FARTHEST_PX)
+        found.append(np.hypot(along, before - after))
     return float(np.median(np.concatenate(found))) if found else 0.0
 
 
@@ -441,6 +457,8 @@ def _causes(stated: _World, evidence: list[_Matches], alone: bool) -> Iterator[_
     yield of_all(CORNER, 0, lambda one, _: _shifted_px(one, CORNER_PX))
     yield of_all("principal-points", 2, _shifted)
     yield of_all("focal-lengths-and-distortion", 2, lambda one, a: _bent(_zoomed(one, a[:1]), a[1:]))
+    for axis, name in enumerate(STRETCHED):
+        yield of_all(name, 1, lambda one, a, axis=axis: _stretched(one, axis, a))  # type: ignore[misc]
     for name, change in CONVENTIONS.items():
         yield of_all(name, 0, lambda one, a, c=change: replace(one, camera=c(one.camera)))  # type: ignore[misc]
     for name in seen:
@@ -531,6 +549,13 @@ def _like(one: _Seen, other: _Seen, keys: tuple[str, ...]) -> _Seen:
     was, alike = one.camera, replace(one.camera, **{key: getattr(other.camera, key) for key in keys})
     bent = "distortion" in keys and was.lens is None and other.camera.lens is None
     return replace(one, camera=alike, stated=was if bent and (_is_bent(was) or _is_bent(other.camera)) else None)
+
+
+def _stretched(one: _Seen, axis: int, log: Float64s) -> _Seen:
+    """log: of the factor of positions along an axis."""
+    C = one.camera.C.copy()
+    C[axis] *= np.exp(np.clip(log[0], -LARGEST_ZOOM, LARGEST_ZOOM))
+    return replace(one, camera=replace(one.camera, C=C))
 
 
 def _flipped(camera: Camera, axes: int) -> Camera:

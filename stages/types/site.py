@@ -67,18 +67,18 @@ class CalibrationCheck(Record):
     contradicted: bool = False
     cause: str = ""
     """What would explain it, "" for nothing: of all cameras "focal-lengths", "pixel-shape", "pixel-height", "distortion",
-    "distortion-factor", "focal-lengths-and-distortion", "principal-points", "captures-exchanged", "poses" or a name of
-    `CONVENTIONS`, or "principal-points-corner"; of one "focal-length", "distortion-of-one", "turned", "moved", "mirrored-frames",
-    "upside-down"; of two a name of `EXCHANGED`."""
+    "distortion-factor", "focal-lengths-and-distortion", "principal-points", "principal-points-corner", "captures-exchanged",
+    "poses", a name of `CONVENTIONS` or of `STRETCHED`; of one "focal-length", "distortion-of-one", "turned", "moved",
+    "mirrored-frames", "upside-down"; of two a name of `EXCHANGED`."""
     cameras: tuple[str, ...] = ()
     """Those that it is about; () for all."""
     amount: tuple[float, ...] = ()
-    """By how much: logarithm of the focal lengths' factor, k1, how many times more distortion, shares of the width, radians,
-    shares of the baseline."""
+    """By how much: logarithm of the factor of focal lengths or positions, k1, how many times more distortion, shares of the
+    width, radians, shares of the baseline."""
     better: float = 1.0
     """So many times smaller the misfit would be."""
     off_px: float = 0.0
-    """How far points move along the epipolar line then (median, pixels)."""
+    """How far points move along and across the epipolar line then (median, pixels)."""
     sigmas: float = 0.0
     """Where the misfit is too small to tell, and all pairs want the amount alike: so many times its standard deviation."""
 

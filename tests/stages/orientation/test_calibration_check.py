@@ -96,6 +96,8 @@ def test_a_right_calibration_is_not_contradicted(cameras: int, noise_px: float) 
         (lambda _, c: replace(c, R=np.diag([1.0, -1.0, -1.0]) @ c.R), "rotations-opengl", None),
         (lambda _, c: replace(c, C=-c.R @ c.C), "t-for-positions", None),
         (lambda _, c: replace(c, C=c.C[[1, 0, 2]]), "axes-exchanged", None),
+        (lambda _, c: replace(c, C=c.C * [1.05, 1, 1]), "stretched-x", -np.log(1.05)),
+        (lambda _, c: replace(c, C=c.C * [1, 1, 1.2]), "stretched-z", -np.log(1.2)),
     ],
 )
 def test_a_wrong_one_is_and_the_cause_is_named(site: PairSite, change: Change, cause: str, amount: float | None) -> None:
@@ -155,6 +157,17 @@ def test_a_chain_of_pairs_tells_what_all_of_them_want_alike(change: Change, caus
     check = check_calibration(stated(site, change), {pair: site.geometries[pair] for pair in pairwise(site.cameras)})
     assert check is not None and not check.confirmed
     assert (check.cause, check.contradicted) == (cause, bool(cause))
+
+
+@pytest.mark.parametrize(("factor", "contradicted"), [(1.02, True), (1.0, False)])
+def test_pairs_that_are_hardly_believed_speak_where_they_agree_with_the_poses(factor: float, contradicted: bool) -> None:
+    """Two pairs are believed: too few.  The matches of others lie within a pixel of the lines, where no look-alikes do."""
+    site = make_pair_site(6, noise_px=0.3, degrees=30.0)
+    geometries = {pair: replace(site.geometries[pair], good_probability=0.3) for pair in pairwise(site.cameras)}
+    geometries |= {pair: site.geometries[pair] for pair in list(geometries)[:2]}
+    check = check_calibration(stated(site, zoomed(factor, 1.0)), geometries)
+    assert check is not None
+    assert (check.contradicted, check.cause) == (contradicted, "pixel-shape" if contradicted else "")
 
 
 def test_two_poses_that_were_exchanged_are_named(site: PairSite) -> None:
@@ -224,6 +237,7 @@ def in_a_row(site: PairSite, wrong: int) -> dict[Pair, Geometry]:
         (zoomed(1.2, 1.0), "pixel-shape"),
         (shifted(40.0), "principal-points"),
         (mirrored, "mirrored-x"),
+        (lambda name, camera: replace(camera, C=camera.C * [1, 1, 1.2]), "stretched-z"),
         (lambda name, camera: replace(camera, R=camera.R.T), "rotations-transposed"),
     ],
 )
