@@ -74,6 +74,7 @@ SCENES = {
     "market": Scene({"scene": "market", "cameras": 5}, 0.2, fitted=False),
     "railyard": Scene({"scene": "railyard", "cameras": 5}, 0.2, fitted=False),
     "workshop": Scene({"scene": "workshop", "cameras": 5}, 0.15, fitted=False),
+    "construction": Scene({"scene": "construction", "cameras": 5}, 0.3, fitted=False),
 }
 
 
