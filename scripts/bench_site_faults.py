@@ -75,6 +75,7 @@ SCENES = {
     "railyard": Scene({"scene": "railyard", "cameras": 5}, 0.2, fitted=False),
     "workshop": Scene({"scene": "workshop", "cameras": 5}, 0.15, fitted=False),
     "construction": Scene({"scene": "construction", "cameras": 5}, 0.3, fitted=False),
+    "substation": Scene({"scene": "substation", "cameras": 5}, 0.3, fitted=False),
 }
 
 

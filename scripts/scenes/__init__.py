@@ -24,6 +24,7 @@ _ROWS = {
     "railyard": SceneRow("scenes.railyard:railyard", "a shunting yard under snow: rows of wagons of three types", (4, 80), 8, 3),
     "workshop": SceneRow("scenes.workshop:workshop", "a machine shop: smooth floor, white walls, steel machines", (4, 80), 8, 3),
     "construction": SceneRow("scenes.construction:construction", "a building site: a pit, a raw frame, a crane", (4, 80), 5, 3),
+    "substation": SceneRow("scenes.substation:substation", "a switchyard: gantries, insulators, transformers", (4, 80), 5, 3),
     "study": SceneRow("scenes.study:study", "a study with even walls, seen by webcams", (4, 60), 4, 3),
     "mast": SceneRow("scenes.mast:mast", "a valley seen by cameras that hang on one mast", (0, 60), captures=3),
 }

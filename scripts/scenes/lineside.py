@@ -67,7 +67,7 @@ def spruce(build: SceneBuilder, bark: int, needles: int) -> SceneBuilder:
     return part
 
 
-def _walls(
+def four_walls(
     build: SceneBuilder, at: tuple[float, float], size: tuple[float, float, float], wall: int, openings: list[Opening], sill: int
 ) -> None:
     """Four walls, all with the same openings."""
@@ -102,7 +102,7 @@ def signal_box(build: SceneBuilder, rng: Rng, texel_m: float, at: tuple[float, f
     board = build.add_texture(paint.planks(rng, 9.0, 1.2, texel_m, (0.15, 0.20, 0.16)))
     pane, low = build.add_texture(paint.window(1.4, 1.5, texel_m)), build.add_texture(paint.window(1.1, 1.3, texel_m))
     openings = [Opening(0.8 + 2.0 * k, 1.1, 1.1, 1.3, low) for k in range(4)]
-    _walls(build, at, (8.6, 4.4, 3.6), brick, openings, board)
+    four_walls(build, at, (8.6, 4.4, 3.6), brick, openings, board)
     build.box((x, y, 3.6), (9.0, 4.9, 0.9), board)
     build.box((x, y, 4.5), (8.4, 4.2, 1.5), board, sides=pane)
     for k in range(7):
@@ -121,5 +121,5 @@ def hut(build: SceneBuilder, rng: Rng, texel_m: float, at: tuple[float, float], 
     board = build.add_texture(paint.planks(rng, 3.4, 2.3, texel_m, (0.24, 0.17, 0.11)))
     door = build.add_texture(paint.planks(rng, 1.0, 1.9, texel_m, (0.10, 0.17, 0.22)))
     pane = build.add_texture(paint.window(0.8, 0.8, texel_m))
-    _walls(build, at, (3.2, 2.4, 2.3), board, [Opening(0.3, 0.4, 0.9, 1.9, door), Opening(1.45, 0.6, 0.8, 0.8, pane)], board)
+    four_walls(build, at, (3.2, 2.4, 2.3), board, [Opening(0.3, 0.4, 0.9, 1.9, door), Opening(1.45, 0.6, 0.8, 0.8, pane)], board)
     _roof(build, (*at, 2.3), (3.8, 3.0, 0.75), white, board)
