@@ -25,6 +25,7 @@ from time import process_time
 import cv2
 import numpy as np
 from bench_files import Panel, draw, exit_status, write_rows
+from graphcut import match_graphcut
 from pairs_with_truth import DATA, read_rgb
 from rectified_pairs import SWEEP, dense_errors, true_pairs
 
@@ -128,8 +129,9 @@ RIVALS = {
     "opencv-sgbm5": opencv_sgbm5,
     "sift-sgm": sift_sgm,
     "daisy-sgm": daisy_sgm,
+    "graphcut": match_graphcut,
 }
-disparity.MATCHERS.update({name: f"{__name__}:{function.__name__}" for name, function in RIVALS.items()})
+disparity.MATCHERS.update({name: f"{function.__module__}:{function.__name__}" for name, function in RIVALS.items()})
 DEFAULT = ("patchmatch", "sgbm", "census-sgm", "opencv-sgbm5", "opencv-bm", "graphcut")
 
 

@@ -8,17 +8,17 @@ import numpy as np
 
 from .core.methods import bind
 from .reasons import Reason, Rejected
-from .rectification.warping import Side
+from .rectification.warping import Side, from_rectified
 from .stereo.consistency import agreeing, disagreement, lands_on, without_speckles
 from .stereo.matcher import DenseMatches, RectifiedPair
 from .stereo.rectified import rectified_pair, with_coarse_range
-from .types import INVALID, Disparity, Float32s, Frame, Int16s, Rectification, Uint8s
+from .stereo.y_parallax import measure_y_parallax
+from .types import INVALID, Disparity, Float32s, Frame, Int16s, Rectification, RowMatches, Uint8s
 
 MATCHERS = {
     "patchmatch": "wbflow_stages.stereo.patchmatch:match_patchmatch",
     "sgbm": "wbflow_stages.stereo.sgbm:match_sgbm",
     "census-sgm": "wbflow_stages.stereo.census:match_census_sgm",
-    "graphcut": "wbflow_stages.stereo.census:match_graphcut",
 }
 """Dense matchers by name.  One asks by argument name for what it reads: `pair` (`RectifiedPair`: grey, quiet, of one exposure),
 `left`, `right` (`Frame`), `rectification`; its own parameters are keyword-only, with defaults.  It returns `DenseMatches`."""
@@ -53,8 +53,7 @@ def match_dense(
     reference_rectification, reference_disparity : the reference's, if there is one: where to start from, for matchers that can,
         if the frames are resampled as they were.
     matcher : "patchmatch": a slanted plane for each pixel, started from census semi-global matching; the most accurate.  "sgbm":
-        OpenCV's semi-global matching, in half the time.  "census-sgm": that start alone, and "graphcut": expansion moves at no
-        more than 384 x 256 pixels (slow; needs the extra `graphcut`), for comparison.  Or a function of your own,
+        OpenCV's semi-global matching, in half the time.  "census-sgm": that start alone.  Or a function of your own,
         `package.module:function`.
     tolerance_px : the two views must agree within this many rectified pixels, and more closely where disparity is steep or torn.
     speckle_share : connected pieces of disparity smaller than this share of the rectified image are dropped.
@@ -83,7 +82,9 @@ def match_dense(
         return Rejected(Reason.NO_DENSE_MATCHES, {"density": density, "common_px": float(common_px)})
     widths = rectification.size1[0], rectification.size2[0]
     (left_map, sure1), (right_map, sure2) = ((a[:, :w].copy(), b[:, :w].copy()) for w, (a, b) in zip(widths, kept, strict=True))
-    return Disparity(left_map, right_map, sure1, sure2, offset, density)
+    x1, x2, sigma_px = measure_y_parallax(pair, _known(kept[0][0], offset, pair.left.shape[1]), rectification.angle_deg)
+    rows = RowMatches(from_rectified(rectification, 1, x1), from_rectified(rectification, 2, x2), sigma_px / rectification.scale)
+    return Disparity(left_map, right_map, sure1, sure2, offset, density, rows)
 
 
 def _alike(one: Rectification, two: Rectification) -> bool:

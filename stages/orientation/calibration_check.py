@@ -7,7 +7,7 @@ a few causes with one to three unknowns each are fitted to them, and the one tha
 
 Matches of two cameras alone may show look-alikes, which lie on lines of their own as well.  So what counts are the matches that
 the way over a third camera confirms; where there are none, only a cause that all cameras share is believed, and only where it
-explains nearly everything, or where all pairs want it alike.
+explains nearly everything.  What is slightly wrong shows later, in what dense matching measures beside the rows.
 
 References
 ----------
@@ -28,8 +28,8 @@ from ..core.cameras import ray_angles, rays
 from ..core.epipolar import fundamental_from_cameras, sampson_distance, triangulate_depth
 from ..core.rotations import rotation_matrix
 from ..sfm.consistent_matches import consistent_matches
-from ..types import CalibrationCheck, Camera, Float64s, Geometry, Pair
-from .pose_check import BELIEVED, MIN_SHARED, PAIR_PX, epipolar_error_px
+from ..types import CalibrationCheck, Camera, Float64s, Geometry, Pair, RowMatches
+from .pose_check import BELIEVED, MIN_SHARED
 
 FEWEST_CONFIRMED = 15
 """A pair with fewer confirmed matches says nothing."""
@@ -76,21 +76,16 @@ STRETCHED, LEAST_STRETCH = ("stretched-x", "stretched-y", "stretched-z"), 0.02
 CORNER = "principal-points-corner"
 CORNER_PX = np.array([-0.5, -0.5])
 """What principal points lack that are counted from the corner of the first pixel, not from its centre."""
+FITS = 3.0
+"""Standard errors of the median that are granted to pairs which agree with the stated lines."""
 FEWEST_PAIRS = 4
-"""The spread of fewer tells too little of what they have in common."""
-LEAST_SHIFT_SIGMA_PX = 0.1
-"""No lens is known better (photographs of a fountain have theirs .05 and .2 px off, right yards .01 to .12 px)."""
-FITS, SURE = 3.0, 16.0
-"""Half a pixel is named where the shift that matches ask for lies so many standard deviations from it at most, and its square
-distance from none is so much larger (odds of 3000 to 1)."""
-ALIKE = 100.0
-"""What else all cameras share is named where the standard deviations that it is from none times the squared ones that it takes
-away are more..."""
-ALONG, ASIDE = 6e-4, 2e-3
-"""...and it moves points along the lines, or turns rays, by these shares of the width.  Unharmed nights of 7 scenes have 51 at
-most, of a harbour 79; focal lengths 1.5 % too long 250 to 1700, and 3 % on a tank farm, whose pairs are a chain, 112."""
-DIFFERENCE = 1e-3
-"""Of unknowns, between which residuals are about straight."""
+"""Rows of fewer tell too little of what they have in common."""
+FEWEST_TILES, LEAST_GAIN = 4, 15.0
+"""What dense matching measures across the rows of a pair says something with so many matches, and blames a cause that takes away
+so many squared standard deviations: 140 unharmed nights of nine scenes have 10 at most, focal lengths 1.5 % too long 14 up..."""
+OF_ONE, ALONG, ASIDE = 1.25e-3, 6e-4, 2e-3
+"""...if it moves points by these shares of the width: of one camera (four photographs with true cameras: 6e-4), or of all,
+along the lines; or turns rays by the last."""
 
 
 @dataclass(frozen=True)
@@ -100,7 +95,7 @@ class _Matches:
     pair: Pair
     x1: Float64s
     x2: Float64s
-    noise_px: float
+    noise_px: float | Float64s
     own_loss: float
     """Mean loss under that matrix."""
 
@@ -174,10 +169,41 @@ def check_calibration(cameras: Mapping[str, Camera], geometries: Mapping[Pair, G
     found = _checked(stated, confirmed, others)
     if not found.contradicted and others:
         found = _with_cause_of_most(found, stated, [*confirmed, *others])
-    if found.contradicted or len(confirmed) >= FEWEST_PAIRS:
-        return found
-    near = {p: g for p, g in enough.items() if set(p) <= set(cameras) and epipolar_error_px(cameras, p, g) <= PAIR_PX}
-    return _with_slight_cause(found, stated, _alike(stated, *_evidence(stated, {**believed, **near})))
+    return found
+
+
+def check_rows(cameras: Mapping[str, Camera], rows: Mapping[Pair, RowMatches]) -> CalibrationCheck | None:
+    """Compare stated cameras with what dense matching measures across their rows; None where too few pairs can tell.
+
+    These matches are ten times as exact as keypoints, and show no look-alikes, so that they tell what is slightly wrong.
+
+    cameras : by id.  rows : of pairs of them.
+    """
+    evidence = [
+        _Matches(pair, found.x1, found.x2, found.sigma_px, 0.0) for pair, found in rows.items() if len(found.x1) >= FEWEST_TILES
+    ]
+    if len(evidence) < FEWEST_PAIRS:
+        return None
+    stated = {name: _Seen(camera) for name, camera in cameras.items()}
+    loss, count = _loss(stated, evidence), sum(min(len(m.x1), COUNTED) for m in evidence)
+    best = _simplest([_fit(cause, stated, evidence) for cause in _causes(stated, evidence, alone=False)], loss, slack=0.0)
+    half = _fit(_Cause(CORNER, lambda world, a: _of_all(_shifted_px, world, a * CORNER_PX), ("",)), stated, evidence)
+    explains = best.cause.name == "principal-points" and loss - half.loss >= SHARE_ALONE * (loss - best.loss)
+    if explains and 0.25 <= half.amount[0] <= 1.25:  # partners that are found lie nearer to the rows than right ones
+        best = half
+    gained, tiles = max(count * (loss - best.loss), 0.0), sum(len(m.x1) for m in evidence)
+    found = CalibrationCheck(tiles, len(evidence), True, misfit=loss / max(best.loss, 1e-9), sigmas=sqrt(gained))
+    return _named(found, best, stated, evidence) if gained >= LEAST_GAIN and _matters(best, stated, evidence) else found
+
+
+def _matters(best: _Explanation, stated: _World, evidence: list[_Matches]) -> bool:
+    """Is what rows blame more than a survey and lenses always leave?"""
+    name = best.cause.name
+    if name == CORNER:
+        return True  # however little it moves: it is half a pixel or nothing
+    if best.cause.cameras:
+        return _off_px(stated, best.world, evidence) >= OF_ONE * next(iter(stated.values())).camera.width
+    return (name not in STRETCHED or abs(best.amount[0]) >= LEAST_STRETCH) and _is_felt(stated, best.world, evidence)
 
 
 def _evidence(stated: _World, geometries: Mapping[Pair, Geometry]) -> tuple[list[_Matches], list[_Matches]]:
@@ -188,20 +214,15 @@ def _evidence(stated: _World, geometries: Mapping[Pair, Geometry]) -> tuple[list
     return confirmed, [_matches(pair, geometries[pair], geometries[pair]) for pair in mine if pair not in known]
 
 
-def _alike(stated: _World, confirmed: list[_Matches], others: list[_Matches]) -> list[_Matches]:
-    """What shows no look-alikes: confirmed matches and, where few pairs have these, others that have not strayed."""
-    return confirmed if len(confirmed) >= FEWEST_PAIRS else [*confirmed, *(m for m in others if _median(stated, m) <= STRAYED)]
-
-
 def _checked(stated: _World, confirmed: list[_Matches], others: list[_Matches]) -> CalibrationCheck:
     """What matches say that third cameras confirm; the others, where there are none."""
-    evidence, alike = confirmed or others, _alike(stated, confirmed, others)
+    evidence = confirmed or others
     loss, own = _loss(stated, evidence), _mean(evidence, [m.own_loss for m in evidence])
     count = sum(len(m.x1) for m in evidence)
     found = CalibrationCheck(matches=count, pairs=len(evidence), confirmed=bool(confirmed), misfit=loss / max(own, 1e-9))
     excess = _excess(stated, evidence)
     if excess <= EXPLAINED * own:
-        return _with_slight_cause(found, stated, alike)
+        return found
     beyond_noise = found.confirmed and excess > CONTRADICTED * own
     best = _explanation(stated, evidence, own, alone=not confirmed)
     poses = best is not None and best.cause.name == POSES
@@ -210,7 +231,7 @@ def _checked(stated: _World, confirmed: list[_Matches], others: list[_Matches]) 
     elif poses and not beyond_noise and len(evidence) <= len({name for m in evidence for name in m.pair}):
         best = None  # a chain or a ring of pairs: each gets poses of its own
     named = replace(found, contradicted=beyond_noise) if best is None else _named(found, best, stated, evidence)
-    return named if beyond_noise or named.off_px >= HARMFUL_PX else _with_slight_cause(found, stated, alike)
+    return named if beyond_noise or named.off_px >= HARMFUL_PX else found
 
 
 def _named(found: CalibrationCheck, best: _Explanation, stated: _World, evidence: list[_Matches]) -> CalibrationCheck:
@@ -290,53 +311,6 @@ def _excess(world: _World, evidence: list[_Matches], errors: float = 0.0) -> flo
     most = [AGREEING + errors * MEDIAN_ERROR / sqrt(len(m.x1)) for m in evidence]
     agrees = [_median(world, m) <= limit for m, limit in zip(evidence, most, strict=True)]
     return _mean(evidence, [m.own_loss if same else _loss(world, [m]) for m, same in zip(evidence, agrees, strict=True)])
-
-
-def _with_slight_cause(found: CalibrationCheck, stated: _World, evidence: list[_Matches]) -> CalibrationCheck:
-    """Name what all pairs want alike where the loss is too small to tell, if it leaves nothing to explain: half a pixel less in
-    all principal points, or what else all cameras may share."""
-    if len(evidence) < FEWEST_PAIRS:
-        return found
-    shift, covariance = _wanted(stated, evidence, lambda world, a: _of_all(_shifted_px, world, a), 2)
-    covariance += LEAST_SHIFT_SIGMA_PX**2 * np.eye(2)
-    none, half = (float(off @ np.linalg.solve(covariance, off)) for off in (shift, shift - CORNER_PX))
-    if half <= FITS**2 and none - half >= SURE:
-        corner = _Cause(CORNER, lambda world, _: _of_all(_shifted_px, world, CORNER_PX))
-        best, sigmas = _fit(corner, stated, evidence), sqrt(none - half)
-    else:
-        shared = [cause for cause in _causes(stated, evidence, alone=False) if cause.about and not cause.cameras]
-        best = _simplest([_fit(cause, stated, evidence) for cause in shared], _loss(stated, evidence), slack=0.0)
-        amount, covariance = _wanted(stated, evidence, best.cause.change, len(best.amount))
-        sigmas = sqrt(float(amount @ np.linalg.solve(covariance + 1e-12 * np.eye(len(amount)), amount)))
-        gained = sum(min(len(m.x1), COUNTED) * (_loss(stated, [m]) - _loss(best.world, [m])) for m in evidence)
-        slight = best.cause.name in STRETCHED and abs(best.amount[0]) < LEAST_STRETCH
-        if sigmas * gained < ALIKE or slight or not _is_felt(stated, best.world, evidence):
-            return found
-    if _excess(best.world, evidence) > EXPLAINED * _mean(evidence, [m.own_loss for m in evidence]):
-        return found
-    return replace(_named(found, best, stated, evidence), sigmas=sigmas)
-
-
-def _wanted(
-    world: _World, evidence: list[_Matches], change: Callable[[_World, Float64s], _World], unknowns: int
-) -> tuple[Float64s, Float64s]:
-    """The amount (n,) of a change of all cameras that fits the matches best, and its covariance (n, n) by leaving out pair after
-    pair."""
-    off = [_residuals(world, m) for m in evidence]
-    ahead = [change(world, step) for step in DIFFERENCE * np.eye(unknowns)]
-    slope = [np.column_stack([_residuals(w, m) - off[k] for w in ahead]) / DIFFERENCE for k, m in enumerate(evidence)]
-
-    def fitted(without: int | None = None) -> Float64s:
-        e, J = (np.concatenate([part for k, part in enumerate(parts) if k != without]) for parts in (off, slope))
-        amount = np.zeros(unknowns)
-        for _ in range(STEPS):
-            weight = 1 / (1 + ((e + J @ amount) / OUTLIER) ** 2)
-            amount = -np.linalg.lstsq((J * weight[:, None]).T @ J, J.T @ (weight * e))[0]
-        return amount
-
-    others = np.array([fitted(k) for k in range(len(evidence))])
-    spread = others - others.mean(axis=0)
-    return fitted(), (1 - 1 / len(evidence)) * spread.T @ spread
 
 
 def _explains(best: _Explanation, loss: float, own: float, evidence: list[_Matches], alone: bool) -> bool:

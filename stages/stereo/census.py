@@ -1,10 +1,8 @@
-"""Matchers on census costs (Zabih & Woodfill, ECCV 1994): semi-global matching, and graph cuts for comparison.
+"""A matcher on census costs (Zabih & Woodfill, ECCV 1994): semi-global matching.
 
 The census of a pixel says which of its 9x7 neighbours are darker: exposure does not matter.  Semi-global matching runs along
 eight paths (Hirschmueller, PAMI 2008) and reads the disparities of both views from one volume of costs.
-
-Graph cuts are Hao's (2011) choice: expansion moves over whole-pixel disparities (Boykov et al., PAMI 2001).  They are slow by
-nature, so larger pairs are matched at the power of two of their size that fits.  They need the extra `graphcut`."""
+"""
 
 from __future__ import annotations
 
@@ -12,7 +10,7 @@ import numpy as np
 
 from ..core.jit import kernel
 from ..types import Bools, Float32s, Uint8s, Uint16s, Uint64s
-from .matcher import DenseMatches, RectifiedPair, halved, mirrored
+from .matcher import DenseMatches, RectifiedPair
 
 _SMALL_STEP = 12
 _LARGE_STEP, _LARGE_STEP_AT_LEAST = 100.0, 20.0
@@ -204,34 +202,3 @@ def _best(summed: Uint16s, low: int) -> tuple[Float32s, Float32s, Float32s, Floa
                 right[y, partner] = best2[there] - partner
                 distinct2[y, partner] = 1.0
     return left, right, distinct1, distinct2
-
-
-LARGEST_PX = 384 * 256
-"""Pairs with more pixels are halved."""
-_STEP, _LARGEST_JUMP = 4.0, 2
-"""Penalty of neighbours whose disparities differ by 1, and the difference from which it grows no more."""
-_CYCLES = 4
-
-
-def match_graphcut(pair: RectifiedPair) -> DenseMatches:
-    """Disparity of both views in whole pixels of the size that was matched.  Raises ImportError without PyMaxflow."""
-    if pair.left.size > LARGEST_PX:
-        height, width = pair.left.shape
-        small = match_graphcut(halved(pair))
-        doubled = (np.repeat(np.repeat(a, 2, axis=0), 2, axis=1)[:height, :width] for a in (small.left, small.right))
-        left, right = (np.ascontiguousarray(2 * a) for a in doubled)
-    else:
-        left, right = _left_disparity(pair), np.ascontiguousarray(_left_disparity(mirrored(pair))[:, ::-1])
-    return DenseMatches(left, right, np.ones_like(left), np.ones_like(right))
-
-
-def _left_disparity(pair: RectifiedPair) -> Float32s:
-    try:
-        from maxflow.fastmin import aexpansion_grid
-    except ImportError as error:
-        raise ImportError("matcher 'graphcut' needs PyMaxflow: pip install 'wbflow[graphcut]'") from error
-    costs = census_costs(pair).astype(np.float64)
-    labels = np.arange(costs.shape[2])
-    jumps = _STEP * np.minimum(np.abs(labels[:, None] - labels), _LARGEST_JUMP).astype(np.float64)
-    best = aexpansion_grid(costs, jumps, max_cycles=_CYCLES, labels=np.argmin(costs, axis=2))
-    return np.asarray(pair.disparity_min + best, dtype=np.float32)

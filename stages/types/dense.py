@@ -96,6 +96,17 @@ class Rectification(Record):
 
 
 @dataclass(frozen=True)
+class RowMatches(Record):
+    """Matches of a pair that were measured across its rows, one for each part of the common view (`stereo.y_parallax`)."""
+
+    x1: Float64s
+    x2: Float64s
+    """(n, 2) pixels of frame 1 and of frame 2."""
+    sigma_px: Float64s
+    """(n,) standard deviation of their distance to the epipolar line, pixels."""
+
+
+@dataclass(frozen=True)
 class Disparity(Record):
     """Dense matches of a rectified pair, left-right checked; x2 = x1 - d on the same row."""
 
@@ -110,6 +121,7 @@ class Disparity(Record):
     """Added to both."""
     density: float
     """Share of the common valid area with a value."""
+    rows: RowMatches | None = None
 
 
 INVALID = -32768

@@ -164,13 +164,6 @@ def test_confidence_is_zero_where_nothing_is_known_and_only_there() -> None:
     np.testing.assert_array_equal(found.right == INVALID, found.confidence_right == 0)
 
 
-def test_graph_cuts_match_a_small_pair_to_whole_pixels() -> None:
-    pytest.importorskip("maxflow")
-    left, right, rectification, truth = case()
-    found = disparity_px(matched(left, right, rectification, "graphcut"), 1)
-    assert np.mean(np.abs(found - truth)[visible(truth)] <= 1) > 0.85
-
-
 def test_any_function_of_the_same_signature_plugs_in_with_its_own_parameters() -> None:
     left, right, rectification, truth = case(slope=0.0)
     found = match_dense(left, right, rectification, matcher="tests.helpers.plug_ins:at_its_word")
@@ -183,7 +176,7 @@ def test_any_function_of_the_same_signature_plugs_in_with_its_own_parameters() -
 
 def test_a_matcher_that_nobody_knows_and_a_parameter_that_nobody_reads_are_refused() -> None:
     left, right, rectification, _ = case()
-    with pytest.raises(ValueError, match="patchmatch, sgbm, census-sgm, graphcut"):
+    with pytest.raises(ValueError, match="patchmatch, sgbm, census-sgm"):
         match_dense(left, right, rectification, matcher="foo")
     with pytest.raises(TypeError, match="'patchmatch' does not read 'ratio'"):
         match_dense(left, right, rectification, ratio=0.8)

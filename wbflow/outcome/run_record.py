@@ -14,7 +14,7 @@ from ..cache.layout import cloud_name
 from ..cache.versions import installed_versions
 from ..errors import ExitCode
 from ..pipeline import summaries
-from ..pipeline.stages import DENSE_PAIRS, DEPTH, DISPARITY, FRAMES, FUSE, GEOMETRY, PAIRS, POSES, STAGES, Stage
+from ..pipeline.stages import CALIBRATION, DENSE_PAIRS, DEPTH, DISPARITY, FRAMES, FUSE, GEOMETRY, PAIRS, POSES, STAGES, Stage
 from ..records.record import CameraRecord, CloudRecord, PairRecord, RunRecord, Seconds, TaskCounts, stamp
 from ..runner.planner import Plan
 from ..runner.state import Cause, State, summary_of
@@ -130,6 +130,8 @@ class _SiteWide:
                 apart_px[task.subject[0]] = found
         pairs, dense = (summary_of(plan.states.get(Task(stage)), summaries.PairsSummary) for stage in (PAIRS, DENSE_PAIRS))
         poses = summary_of(plan.states.get(Task(POSES)), summaries.PosesSummary)
+        if (rows := plan.states.get(Task(CALIBRATION))) and rows.usable:
+            poses = replace(poses, rows=summary_of(rows, summaries.CalibrationCheck))
         return _SiteWide(
             poses, points, misfits, apart_px, {**pairs.crowded, **dense.crowded}, frozenset(_usable_pairs(plan, DENSE_PAIRS))
         )

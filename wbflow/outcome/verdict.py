@@ -381,8 +381,7 @@ def check_calibration(record: RunRecord, facts: Facts) -> Iterator[Finding]:
     """Do the reference, or the matches, contradict what the site states of lenses and poses?"""
     if change := facts.calibration_change:
         yield finding("calibration-changed", reason=change)
-    check = record.poses.calibration if record.poses else None
-    if check and check.contradicted:
+    if record.poses and (check := record.poses.contradiction):
         figures = {"misfit": check.misfit, "better": check.better, "off_px": check.off_px}
         remedy = "subtract 0.5 from cx and cy of all cameras" if check.cause == "principal-points-corner" else None
         yield finding("calibration-contradicted", check.cameras, figures, None, remedy, explanation=_explanation(check))
@@ -445,7 +444,8 @@ def _explanation(check: CalibrationCheck) -> str:
         degrees=math.degrees(size),
     )
     if check.sigmas:
-        return f"those of all pairs alike want {words}, by {check.sigmas:.0f} standard deviations"
+        more = "" if check.cause == "principal-points-corner" else " or more"
+        return f"dense matches lie beside its rows by {check.sigmas:.0f} standard deviations; {words}{more} would put them there"
     return f"{misfit}; {words} would fit {check.better:.1f} times better"
 
 
@@ -453,7 +453,7 @@ def check_poses(record: RunRecord, facts: Facts) -> Iterator[Finding]:
     """Are poses and lenses known well enough?  They may fit the pictures, and be wrong."""
     poses = record.poses or PosesSummary()
     contradicted = poses.issues_of("contradicted")
-    if not (poses.calibration and poses.calibration.contradicted):  # that finding explains what these say
+    if not poses.contradiction:  # that finding explains what these say
         for reason in dict.fromkeys(issue.text for issue in contradicted.values()):
             issues = [issue for issue in contradicted.values() if issue.text == reason]
             if not all(_is_answered(issue, record) for issue in issues):
@@ -473,7 +473,7 @@ def check_poses(record: RunRecord, facts: Facts) -> Iterator[Finding]:
 def check_depths(record: RunRecord, facts: Facts) -> Iterator[Finding]:
     """Do pairs agree on depths?  Along epipolar lines a wrong pose or lens changes depths, and no match of two pictures tells."""
     poses = record.poses
-    if poses and poses.calibration and poses.calibration.contradicted:
+    if poses and poses.contradiction:
         return  # that finding explains it
     solved = {camera.id for camera in record.cameras if camera.figures.pose_from == "solved"}
     found = [
@@ -482,7 +482,8 @@ def check_depths(record: RunRecord, facts: Facts) -> Iterator[Finding]:
         for pair, px in (camera.figures.apart_px or {}).items()
         if px <= LOOK_ALIKES_PX
     ]
-    apart = [(cameras, px, SOLVED_APART_PX if cameras & solved else APART_PX) for cameras, px in found]
+    agree = poses is not None and poses.rows_agree
+    apart = [(cameras, px, SOLVED_APART_PX if agree or cameras & solved else APART_PX) for cameras, px in found]
     beyond = sorted((px / limit, px, limit) for _, px, limit in apart if px > limit)
     if not beyond or (len(beyond) == 1 and beyond[0][0] <= ALONE):
         return

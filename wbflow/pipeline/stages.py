@@ -1,4 +1,4 @@
-"""The pipeline: its eighteen stages in their order, with their inputs, their functions, and what becomes of their results.
+"""The pipeline: its nineteen stages in their order, with their inputs, their functions, and what becomes of their results.
 
 To add a stage, write its function (`stages/`), its row here, and where run.json is to have figures of it, its summary
 (`pipeline.summaries`).  The engine knows the stages by name; what is in their arrays it does not know.
@@ -15,7 +15,7 @@ from . import summaries
 
 FRAMES, HEALTH, PAIRS, MATCHES, GEOMETRY = "frames", "health", "pairs", "matches", "geometry"
 POSES, DENSE_PAIRS, RECTIFY, DISPARITY = "poses", "dense_pairs", "rectify", "disparity"
-DEPTH, REFINE, FUSE, CHANGES = "depth", "refine", "fuse", "changes"
+CALIBRATION, DEPTH, REFINE, FUSE, CHANGES = "calibration", "depth", "refine", "fuse", "changes"
 """Names of the stages that the engine knows for more than handing on their results."""
 
 REJECTED = "wbflow_stages.types:Rejected"
@@ -384,6 +384,15 @@ STAGES: tuple[Stage, ...] = (
             picture_inputs={**_FRAMES, "rectification": own("rectify")},
         ),
         summary=summaries.DisparitySummary,
+    ),
+    Stage(
+        "calibration",
+        scope="site",
+        function="wbflow_stages.calibration:check_calibration",
+        inputs={"poses": own("poses"), "disparities": every("disparity", optional=True)},
+        optional=lambda site: site.some_given,
+        reuse=Reuse(stored=False),
+        summary=summaries.CalibrationCheck,
     ),
     Stage(
         "depth",

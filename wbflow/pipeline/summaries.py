@@ -193,6 +193,10 @@ class PoseIssue(Summary):
     border_px: float | None = None
 
 
+_ROWS_AGREE, _LOOK_ALIKES = 3.5, 3.0
+"""Rows want a change of the cameras by no more standard deviations (140 unharmed nights: 3.2 at most); misfits by which
+look-alikes contradict right cameras (a workshop: 1.9 to 2.8; wrong poses there 3.2 and more)."""
+
 _FORMER_ISSUES = {
     "suspects": ("moved", "text"),
     "doubtful": ("unverified", "text"),
@@ -228,6 +232,8 @@ class PosesSummary(Summary):
     points: int = 0
     reprojection_px: float | None = None
     calibration: CalibrationCheck | None = None
+    rows: CalibrationCheck | None = None
+    """The same by what dense matching finds beside the rows of pairs (stage `calibration`)."""
     pair_checks: Annotated[Mapping[str, PairCheck], Field(exclude=True)] = field(default_factory=dict)
     """This and the next two stand with the pairs and cameras in run.json."""
     pose_checks: Annotated[Mapping[str, Mapping[str, Any]], Field(exclude=True)] = field(default_factory=dict)
@@ -236,7 +242,21 @@ class PosesSummary(Summary):
     @property
     def unverified(self) -> bool:
         """Are lenses and poses stated, and were there too few matches to check them?"""
-        return self.source in {"calibration", "mixed"} and self.calibration is None
+        told = self.calibration is not None or (self.rows is not None and self.rows.pairs > 0)
+        return self.source in {"calibration", "mixed"} and not told
+
+    @property
+    def rows_agree(self) -> bool:
+        """Does dense matching find what it should on the rows of the stated cameras?"""
+        return self.rows is not None and self.rows.pairs > 0 and self.rows.sigmas <= _ROWS_AGREE
+
+    @property
+    def contradiction(self) -> CalibrationCheck | None:
+        """What contradicts the stated calibration: a little, and without a simple cause, look-alikes do where the rows agree."""
+        by_keypoints, by_rows = (check if check and check.contradicted else None for check in (self.calibration, self.rows))
+        if by_keypoints and self.rows_agree and by_keypoints.cause in {"", "poses"} and by_keypoints.misfit < _LOOK_ALIKES:
+            return None
+        return by_keypoints or by_rows
 
     def issues_of(self, kind: str) -> dict[str, PoseIssue]:
         """Return the issues of one kind by camera."""

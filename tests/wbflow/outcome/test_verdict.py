@@ -544,6 +544,37 @@ def test_what_is_stated_and_contradicted_degrades_the_night(
     assert words in found.text
 
 
+def dense_rows(sigmas: float, contradicted: bool = False) -> CalibrationCheck:
+    return CalibrationCheck(
+        120, 7, True, 1.5, contradicted, "focal-lengths" if contradicted else "", (), (-0.005,), sigmas=sigmas
+    )
+
+
+def test_dense_matches_beside_their_rows_contradict_the_calibration() -> None:
+    finding = only(judge(replace(night(), poses=PosesSummary(rows=dense_rows(5.0, True))), Facts()))
+    assert finding.kind == "calibration-contradicted"
+    assert "beside its rows by 5 standard deviations; all focal lengths 0.5 % shorter or more" in finding.text
+
+
+@pytest.mark.parametrize(("sigmas", "good"), [(2.0, True), (6.0, False)])
+def test_where_dense_matches_lie_on_their_rows_look_alikes_blame_nothing(sigmas: float, good: bool) -> None:
+    alike = CalibrationCheck(164, 5, True, 1.9, True, cause="poses")
+    poses = PosesSummary(calibration=alike, rows=dense_rows(sigmas))
+    assert (judge(replace(night(), poses=poses), Facts()).exit_code == ExitCode.GOOD) == good
+    apart = [CameraRecord("gate", "ok", figures=CameraFigures(apart_px={"crane--mast": 0.4, "mast--roof": 0.3}))]
+    told = replace(night(cameras=apart), poses=PosesSummary(rows=dense_rows(sigmas)))
+    assert (judge(told, Facts()).exit_code == ExitCode.GOOD) == good
+
+
+def test_a_clear_contradiction_stays_whatever_rows_say() -> None:
+    for clear in (
+        CalibrationCheck(164, 5, True, 5.0, True, cause="poses"),
+        CalibrationCheck(9, 5, True, 2.0, True, cause="pixel-shape"),
+    ):
+        record = judge(replace(night(), poses=PosesSummary(calibration=clear, rows=dense_rows(2.0))), Facts())
+        assert only(record).kind == "calibration-contradicted"
+
+
 def test_a_calibration_that_nothing_could_check_is_unverified_and_no_fault() -> None:
     world = PosesSummary(source="calibration")
     assert world.unverified and judge(replace(night(), poses=world), Facts()).exit_code == ExitCode.GOOD

@@ -1,0 +1,18 @@
+"""Are stated cameras right to a tenth of a pixel?  They are held against what dense matching finds beside their rows."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from .orientation.calibration_check import check_rows
+from .types import CalibrationCheck, Disparity, Pair, Poses
+
+
+def check_calibration(poses: Poses, disparities: Mapping[Pair, Disparity]) -> CalibrationCheck:
+    """Compare the stated cameras of the main component with the rows of all their dense pairs.
+
+    The result has no pairs where too few can tell.
+    """
+    stated = {n: c for n, c in poses.main_cameras().items() if poses.sources.get(n) != "solved" and n not in poses.focals}
+    rows = {pair: found.rows for pair, found in disparities.items() if found.rows is not None and set(pair) <= set(stated)}
+    return check_rows(stated, rows) or CalibrationCheck(matches=0, pairs=0, confirmed=False, misfit=1.0)

@@ -1,0 +1,46 @@
+"""What lies a fraction of a row beside its row is measured, from the pictures alone."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+
+from tests.helpers.dots import as_they_are, frame_of, stereo_pair, texture, true_disparity
+from wbflow_stages.disparity import match_dense
+from wbflow_stages.types import Disparity, RowMatches
+
+
+def rows_of(left: np.ndarray, right: np.ndarray) -> RowMatches:
+    truth = true_disparity(*left.shape)
+    found = match_dense(frame_of(left), frame_of(right), as_they_are(left, right, float(truth.min() - 3), float(truth.max() + 3)))
+    assert isinstance(found, Disparity) and found.rows is not None
+    return found.rows
+
+
+@pytest.mark.parametrize("lower", [0.0, 0.1, 0.3, -0.2])
+def test_pictures_that_are_shifted_by_part_of_a_row_say_by_how_much(lower: float) -> None:
+    left, right = stereo_pair()
+    y, x = np.mgrid[: right.shape[0], : right.shape[1]].astype(np.float32)
+    shifted = cv2.remap(right, x, y - np.float32(lower), cv2.INTER_CUBIC, borderMode=cv2.BORDER_REFLECT)
+    found = rows_of(left, shifted)
+    off = found.x2[:, 1] - found.x1[:, 1]
+    assert len(off) > 20
+    assert np.median(off) == pytest.approx(lower, abs=0.01 + 0.1 * abs(lower))  # partners that are found lie nearer to the row
+    assert np.mean(np.abs(off - lower) <= 3 * found.sigma_px) > 0.95
+
+
+def test_matches_lie_where_the_disparity_has_them() -> None:
+    left, right = stereo_pair()
+    found = rows_of(left, right)
+    at = np.rint(found.x1).astype(int)
+    truth = true_disparity(*left.shape)[at[:, 1], at[:, 0]]
+    assert np.median(np.abs(found.x1[:, 0] - found.x2[:, 0] - truth)) < 0.2
+
+
+def test_pictures_of_other_things_say_nothing() -> None:
+    left, _ = stereo_pair()
+    found = match_dense(
+        frame_of(left), frame_of(texture(left.shape[0], left.shape[1], seed=9)), as_they_are(left, left, 0.0, 40.0)
+    )
+    assert not isinstance(found, Disparity) or found.rows is None or len(found.rows.x1) <= 3
