@@ -928,8 +928,9 @@ def work_through(variation: Variation, name: str, folder: Path, quick: bool) -> 
         record = wbflow_run(copy, site.night)
     verdict = record.get("verdict", {})
     findings = _kinds(record)
-    check = (record.get("poses") or {}).get("calibration") or {}
-    cause = check.get("cause", "")
+    poses = record.get("poses") or {}
+    checks = (poses.get(source) or {} for source in ("calibration", "rows"))
+    cause = next((check["cause"] for check in checks if check.get("contradicted")), "")
     text = " | ".join(finding["text"] for finding in verdict.get("findings", ())) or record.get("said", "")[-300:]
     result = Result(name, variation.name, variation.kind, record["exit_code"], None, 0, None, None, findings, cause, text=text)
     result.cpu = record.get("seconds", {}).get("cpu", 0.0)

@@ -43,7 +43,7 @@ def measure_y_parallax(pair: RectifiedPair, disparity: Float32s, angle_deg: floa
     y_offset, sure = _offsets(pair, disparity)
     h, w = disparity.shape
     found = []
-    for rows, columns in product(np.array_split(np.arange(h), _TILES), np.array_split(np.arange(w), _TILES)):
+    for rows, columns in product(*(np.array_split(np.arange(side), min(_TILES, side)) for side in (h, w))):
         y, x = np.nonzero(sure[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1])
         if len(y) < _LEAST:
             continue

@@ -80,7 +80,8 @@ class CalibrationCheck(Record):
     off_px: float = 0.0
     """How far points move along and across the epipolar line then (median, pixels)."""
     sigmas: float = 0.0
-    """Where the misfit is too small to tell, and all pairs want the amount alike: so many times its standard deviation."""
+    """Of what dense matching finds beside its rows: root of the squared standard deviations that the likeliest cause takes away,
+    contradicted or not."""
 
 
 @dataclass(frozen=True)

@@ -8,6 +8,8 @@ import pytest
 
 from tests.helpers.dots import as_they_are, frame_of, stereo_pair, texture, true_disparity
 from wbflow_stages.disparity import match_dense
+from wbflow_stages.stereo.matcher import RectifiedPair
+from wbflow_stages.stereo.y_parallax import measure_y_parallax
 from wbflow_stages.types import Disparity, RowMatches
 
 
@@ -44,3 +46,10 @@ def test_pictures_of_other_things_say_nothing() -> None:
         frame_of(left), frame_of(texture(left.shape[0], left.shape[1], seed=9)), as_they_are(left, left, 0.0, 40.0)
     )
     assert not isinstance(found, Disparity) or found.rows is None or len(found.rows.x1) <= 3
+
+
+def test_a_strip_of_few_rows_says_nothing() -> None:
+    strip = np.full((5, 40), 9.0, np.float32)
+    valid = np.ones(strip.shape, dtype=bool)
+    x1, x2, sigma_px = measure_y_parallax(RectifiedPair(strip, strip, valid, valid, 0, 3), np.zeros_like(strip), 10.0)
+    assert len(x1) == len(x2) == len(sigma_px) == 0
