@@ -82,7 +82,8 @@ FEWEST_PAIRS = 4
 """Rows of fewer tell too little of what they have in common."""
 FEWEST_TILES, LEAST_GAIN = 4, 15.0
 """What dense matching measures across the rows of a pair says something with so many matches, and blames a cause that takes away
-so many squared standard deviations: 140 unharmed nights of nine scenes have 10 at most, focal lengths 1.5 % too long 14 up..."""
+so many squared standard deviations: 140 unharmed nights of nine scenes have 10 at most, focal lengths 1.5 % too long 14 to
+137..."""
 OF_ONE, ALONG, ASIDE = 1.25e-3, 6e-4, 2e-3
 """...if it moves points by these shares of the width: of one camera (four photographs with true cameras: 6e-4), or of all,
 along the lines; or turns rays by the last."""
