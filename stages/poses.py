@@ -2,9 +2,9 @@
 
 Solved: rotations of all pairs are compared and contradictions dropped; what is left is grown into models view by view, with
 bundle adjustment; each model is put into the world by whatever is known of it.  A known pose is evidence with a standard
-deviation: it stays, or is adjusted within that.  Only where several partners agree on another pose (`orientation.moved_cameras`)
-it is wrong: named, with how far it seems off, and solved like an unknown one.  What one pair says against it leaves it in use,
-unverified.
+deviation: it stays, or is adjusted within that, or within what surveys usually leave where none is stated.  Only where several
+partners agree on another pose (`orientation.moved_cameras`) it is wrong: named, with how far it seems off, and solved like an
+unknown one.  What one pair says against it leaves it in use, unverified.
 """
 
 from __future__ import annotations
@@ -33,6 +33,7 @@ from .orientation.pose_check import (
 )
 from .orientation.pose_prior_adjustment import AdjustedPoses, adjust_within_priors
 from .orientation.survey_check import check_survey
+from .orientation.usual_errors import put_right
 from .reasons import Reason, Rejected
 from .rectification.predicted import predict
 from .sfm.rigs import beside
@@ -75,7 +76,8 @@ def solve_poses(
     Parameters
     ----------
     views : the pinhole of each camera's frame, at working resolution.
-    placements : R and C as the site states them, where it does.
+    placements : R and C as the site states them, where it does.  Where none has standard deviations, they stay if the matches fit
+        them; otherwise they may be off by what surveys usually leave.
     geometries : Two-view geometry of the pairs.  Where all poses and intrinsics are stated, they check these.
     survey : known distances and control points.
     frames_if_rough : the frames, looked at where keypoints don't tell poses better that are stated with standard deviations.
@@ -95,7 +97,9 @@ def solve_poses(
     sigmas = {name: Sigma(placements[name].sigma_m, placements[name].sigma_deg) for name in stated}
     known = {name: camera for name, camera in stated.items() if sigmas[name].exact or sigmas[name].degrees > 0}
     seen = {pair: geometry for pair, geometry in geometries.items() if set(pair) <= set(known)}
-    adjusted, moved = _believed(known, sigmas, seen, frames_if_rough or {})
+    exact = all(sigmas[name].exact for name in known)
+    right, calibration = put_right(known, geometries) if exact else (known, None)
+    adjusted, moved = _believed(right, sigmas, seen, frames_if_rough or {})
     cameras = adjusted.cameras
     if rejected := without_baseline(views, cameras, geometries, min_angle_deg, all(placements[n].metric for n in cameras)):
         return rejected
@@ -103,7 +107,8 @@ def solve_poses(
     held = {name: replace(placements[name], R=c.R, C=c.C, sigma_m=0.0, sigma_deg=0.0) for name, c in cameras.items()}
     believed = {name: placement for name, placement in placements.items() if name not in moved} | held
     trusted = {name: camera for name, camera in stated.items() if name not in moved} | cameras
-    calibration = stated_calibration(known, cameras, set(moved), geometries)
+    if moved or not exact:
+        calibration = stated_calibration(right, cameras, set(moved), geometries)
     geometries = {**geometries, **{pair: confirmed(geometries[pair]) for new in moved.values() for pair in new.pairs}}
     if len(trusted) == len(views) and all(believed[name].sigma_m == 0 for name in trusted):
         found = _as_stated(views, believed, trusted, survey)

@@ -13,7 +13,7 @@ import numpy as np
 from ..core.cameras import same_camera
 from ..core.epipolar import fundamental_from_cameras, homogeneous, symmetric_epipolar_distance
 from ..core.least_squares import Equations, levenberg_marquardt
-from ..core.rotations import rotation_matrix, rotation_vector, skew
+from ..core.rotations import rotation_matrix, rotation_vector
 from ..sfm.rigs import between, rigs_of
 from ..sfm.tracks import Edge, Tracks, build_tracks
 from ..sfm.triangulation import angles, residuals, triangulate
@@ -179,22 +179,23 @@ class _Problem:
         normal, right = np.zeros((size, size)), np.zeros(size)
         H = np.zeros((tracks.count, 3, 3))
         g = np.zeros((tracks.count, 3))
-        np.add.at(H, tracks.track, np.einsum("n,nki,nkj->nij", weight, J_point, J_point))
-        np.add.at(g, tracks.track, np.einsum("n,nki,nk->ni", weight, J_point, off))
+        weighted = weight[:, None, None] * J_point
+        np.add.at(H, tracks.track, weighted.transpose(0, 2, 1) @ J_point)
+        np.add.at(g, tracks.track, np.einsum("nki,nk->ni", weighted, off))
         trace = np.trace(H, axis1=1, axis2=2)[:, None, None]
         inverse = np.linalg.inv(H + (1e-9 * trace + 1e-12) * np.eye(3))
         W = np.zeros((len(self.place), tracks.count, 6, 3))
         for place, (view, k) in enumerate(self.place.items()):
             rows = tracks.view == view
-            A, B, w = J_camera[rows], J_point[rows], weight[rows]
-            normal[k : k + 6, k : k + 6] += np.einsum("n,nki,nkj->ij", w, A, A)
-            right[k : k + 6] += np.einsum("n,nki,nk->i", w, A, off[rows])
-            W[place, tracks.track[rows]] = np.einsum("n,nki,nkj->nij", w, A, B)
-        WH = np.einsum("ctij,tjk->ctik", W, inverse)
+            A = weight[rows, None, None] * J_camera[rows]
+            normal[k : k + 6, k : k + 6] += np.tensordot(A, J_camera[rows], ((0, 1), (0, 1)))
+            right[k : k + 6] += np.tensordot(A, off[rows], ((0, 1), (0, 1)))
+            W[place, tracks.track[rows]] = A.transpose(0, 2, 1) @ J_point[rows]
+        WH = W @ inverse
         for a, k in enumerate(self.place.values()):
-            right[k : k + 6] -= np.einsum("tij,tj->i", WH[a], g)
+            right[k : k + 6] -= np.tensordot(WH[a], g, ((0, 2), (0, 1)))
             for b, m in enumerate(self.place.values()):
-                normal[k : k + 6, m : m + 6] -= np.einsum("tij,tkj->ik", WH[a], W[b])
+                normal[k : k + 6, m : m + 6] -= np.tensordot(WH[a], W[b], ((0, 2), (0, 2)))
         return self._with_priors(cameras, cost, normal, right)
 
     def _jacobians(self, cameras: Mapping[int, Camera], X: Float64s) -> tuple[Float64s, Float64s]:
@@ -207,8 +208,7 @@ class _Problem:
             z = np.where(x[:, 2] > 0, x[:, 2], 1.0)
             p = x @ camera.K.T / z[:, None]
             D = (camera.K[None, :2] - p[:, :2, None] * camera.K[None, 2:]) / z[:, None, None]  # pixels by camera axes
-            turned = np.stack([skew(v) for v in x]) if len(x) else np.zeros((0, 3, 3))
-            J_camera[rows, :, :3] = np.einsum("nij,njk->nik", D, turned) / self.noise
+            J_camera[rows, :, :3] = np.cross(D, x[:, None]) / self.noise
             if view in self.turns:
                 J_camera[rows, :, :3] = J_camera[rows, :, :3] @ self.turns[view]
             J_point[rows] = -D @ camera.R / self.noise
