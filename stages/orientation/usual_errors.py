@@ -13,9 +13,10 @@ from collections.abc import Mapping
 import numpy as np
 
 from ..core.epipolar import triangulate_depth
+from ..sfm.consistent_matches import consistent_matches
 from ..types import CalibrationCheck, Camera, Geometry, Pair
 from .calibration_check import check_calibration
-from .pose_check import BELIEVED, Sigma
+from .pose_check import BELIEVED, MIN_SHARED, Sigma
 from .pose_prior_adjustment import adjust_within_priors
 
 USUAL_DEG, USUAL_SHARE = 0.03, 5e-4
@@ -42,7 +43,8 @@ def put_right(
     stated, found = dict(cameras), check_calibration(cameras, geometries)
     if found is None or not found.confirmed or found.misfit < 1 + LEAST_GAIN or found.cause not in _POSES:
         return stated, found
-    seen = {pair: geometry for pair, geometry in geometries.items() if set(pair) <= set(cameras)}
+    believed = {pair: g for pair, g in geometries.items() if g.good_probability >= BELIEVED and len(g.x1) >= MIN_SHARED}
+    seen = {pair: geometry for pair, geometry in consistent_matches(believed).items() if set(pair) <= set(cameras)}
     better = adjust_within_priors(cameras, _usual(cameras, seen), seen).cameras
     left = check_calibration(better, geometries)
     if left is None or left.misfit > LEFT:
