@@ -162,15 +162,24 @@ def check_calibration(cameras: Mapping[str, Camera], geometries: Mapping[Pair, G
     if len(cameras) < 2:
         return None
     stated = {name: _Seen(camera) for name, camera in cameras.items()}
-    enough = {pair: geometry for pair, geometry in geometries.items() if len(geometry.x1) >= MIN_SHARED}
-    believed = {pair: geometry for pair, geometry in enough.items() if geometry.good_probability >= BELIEVED}
-    confirmed, others = _evidence(stated, believed)
+    confirmed, others = _evidence(stated, geometries)
     if not confirmed and not others:
         return None
     found = _checked(stated, confirmed, others)
     if not found.contradicted and others:
         found = _with_cause_of_most(found, stated, [*confirmed, *others])
     return found
+
+
+def misfit_without_cause(cameras: Mapping[str, Camera], geometries: Mapping[Pair, Geometry]) -> float:
+    """The misfit of confirmed matches that is left once the likeliest cause that all cameras share is mended.
+
+    cameras, geometries: as of `check_calibration`.
+    """
+    stated = {name: _Seen(camera) for name, camera in cameras.items()}
+    confirmed, _ = _evidence(stated, geometries)
+    shared = [cause for cause in _causes(stated, confirmed, alone=False) if cause.about and not cause.cameras]
+    return min(_fit(cause, stated, confirmed).loss for cause in shared) / _mean(confirmed, [m.own_loss for m in confirmed])
 
 
 def check_rows(cameras: Mapping[str, Camera], rows: Mapping[Pair, RowMatches]) -> CalibrationCheck | None:
@@ -209,7 +218,9 @@ def _matters(best: _Explanation, stated: _World, evidence: list[_Matches]) -> bo
 
 def _evidence(stated: _World, geometries: Mapping[Pair, Geometry]) -> tuple[list[_Matches], list[_Matches]]:
     """The matches of pairs of stated cameras that third cameras confirm, and those of pairs of which these confirm too few."""
-    mine = {pair: some for pair, some in consistent_matches(geometries).items() if set(pair) <= set(stated)}
+    enough = {pair: geometry for pair, geometry in geometries.items() if len(geometry.x1) >= MIN_SHARED}
+    believed = {pair: geometry for pair, geometry in enough.items() if geometry.good_probability >= BELIEVED}
+    mine = {pair: some for pair, some in consistent_matches(believed).items() if set(pair) <= set(stated)}
     known = {pair: some for pair, some in mine.items() if len(some.x1) >= FEWEST_CONFIRMED}
     confirmed = [_matches(pair, some, geometries[pair]) for pair, some in known.items()]
     return confirmed, [_matches(pair, geometries[pair], geometries[pair]) for pair in mine if pair not in known]

