@@ -63,11 +63,10 @@ def _usual(cameras: Mapping[str, Camera], geometries: Mapping[Pair, Geometry]) -
     """The usual errors of cameras that see something, by the distance to that."""
     found: dict[str, list[float]] = {}
     for pair, geometry in geometries.items():
-        if geometry.good_probability >= BELIEVED:
-            one, other = (cameras[name] for name in pair)
-            for name, depth in (
-                (pair[0], triangulate_depth(one, other, geometry.x1, geometry.x2)[0]),
-                (pair[1], triangulate_depth(other, one, geometry.x2, geometry.x1)[0]),
-            ):
-                found.setdefault(name, []).extend(depth[depth > 0])
+        one, other = (cameras[name] for name in pair)
+        for name, depth in (
+            (pair[0], triangulate_depth(one, other, geometry.x1, geometry.x2)[0]),
+            (pair[1], triangulate_depth(other, one, geometry.x2, geometry.x1)[0]),
+        ):
+            found.setdefault(name, []).extend(depth[depth > 0])
     return {name: Sigma(USUAL_SHARE * float(np.median(depths)), USUAL_DEG) for name, depths in found.items() if depths}
