@@ -2,8 +2,8 @@
 
 A pose without standard deviations counts as exact.  On real sites it is off by hundredths of a degree and by millimetres all the
 same, which costs partners beside the rows, and surfaces where pairs meet.  So poses within such errors replace the stated ones
-where they bring matches that third cameras confirm back to where the pairs' own geometry has them.  So little brings back neither
-look-alikes nor what a wrong lens or a camera that was moved leaves: these are left to the checks of stated poses.
+where they bring matches that third cameras confirm back to where the pairs' own geometry has them.  Such small changes explain
+neither look-alikes nor a wrong lens nor a camera that was moved: these are left to the checks of stated poses.
 """
 
 from __future__ import annotations
@@ -13,10 +13,9 @@ from collections.abc import Mapping
 import numpy as np
 
 from ..core.epipolar import triangulate_depth
-from ..sfm.consistent_matches import consistent_matches
 from ..types import CalibrationCheck, Camera, Geometry, Pair
 from .calibration_check import check_calibration, misfit_without_cause
-from .pose_check import BELIEVED, MIN_SHARED, Sigma
+from .pose_check import PoseConstraints, Sigma
 from .pose_prior_adjustment import adjust_within_priors
 
 USUAL_DEG, USUAL_SHARE = 0.03, 5e-4
@@ -46,8 +45,7 @@ def put_right(
     stated, found = dict(cameras), check_calibration(cameras, geometries)
     if found is None or not found.confirmed or found.misfit < 1 + LEAST_GAIN or found.cause not in _POSES:
         return stated, found
-    believed = {pair: g for pair, g in geometries.items() if g.good_probability >= BELIEVED and len(g.x1) >= MIN_SHARED}
-    seen = {pair: geometry for pair, geometry in consistent_matches(believed, MIN_SHARED).items() if set(pair) <= set(cameras)}
+    seen = PoseConstraints.of(tuple(cameras), geometries).pairs
     better = adjust_within_priors(cameras, _usual(cameras, seen), seen).cameras
     left = check_calibration(better, geometries)
     if left is None or left.misfit > LEFT:
