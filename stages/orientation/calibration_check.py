@@ -52,16 +52,13 @@ EXPLAINED, EXPLAINED_ALONE = 1.12, 1.5
 of others..."""
 SHARE, SHARE_ALONE = 0.6, 0.8
 """...and where it takes away this share of what the stated cameras lose over the matches' own geometry..."""
+LEAST_LOSS = 30.0
+"""...and in all so many squared standard deviations (the matches of a pair count as `COUNTED` at most)."""
+COUNTED = 50
 STRAYED, LED_BACK = 1.6, 2
 """Of pairs whose matches nobody confirms some are look-alikes, which no cause leads back to the lines.  Pairs whose median
 distance is more than so many standard deviations have strayed: a cause is named that leads so many, and half of them, back to
 half of that distance or less, and no other pair away."""
-HALF = 0.5
-"""...or, unless it is another pose of one camera, this share of what other poses of all take away, which explain nearly all.
-Set by design, judged on two yards: exchanged captures, distortion's sign, and heights left out get their own names."""
-LEAST_LOSS = 30.0
-"""...and in all so many squared standard deviations (the matches of a pair count as `COUNTED` at most)."""
-COUNTED = 50
 HARMFUL_PX = 0.4
 """Cameras that move points by less than this (median, in pixels along and across the epipolar line) spoil no cloud."""
 FARTHEST_PX = 1e4
@@ -70,7 +67,6 @@ LARGEST_SITE = 12
 LARGEST_ZOOM = 3.0
 """Logarithm of the largest factor of focal lengths that is tried."""
 STEPS = 20
-POSES = "poses"
 STRETCHED, LEAST_STRETCH = ("stretched-x", "stretched-y", "stretched-z"), 0.02
 """No survey is off by less along one axis alone; what matches ask for on a harbour, all of whose poses are right, is 0.009."""
 CORNER = "principal-points-corner"
@@ -237,11 +233,8 @@ def _checked(stated: _World, confirmed: list[_Matches], others: list[_Matches]) 
         return found
     beyond_noise = found.confirmed and excess > CONTRADICTED * own
     best = _explanation(stated, evidence, own, alone=not confirmed)
-    poses = best is not None and best.cause.name == POSES
-    if (best is None or poses) and _excess(stated, evidence, errors=FITS) <= EXPLAINED * own:
-        best, beyond_noise = None, False  # few matches, most of which agree: poses of all cameras bring look-alikes back
-    elif poses and not beyond_noise and len(evidence) <= len({name for m in evidence for name in m.pair}):
-        best = None  # a chain or a ring of pairs: each gets poses of its own
+    if (best is None or best.cause.name in ("turned", "moved")) and _excess(stated, evidence, errors=FITS) <= EXPLAINED * own:
+        best, beyond_noise = None, False  # few matches, most of which agree: another pose brings look-alikes back
     named = replace(found, contradicted=beyond_noise) if best is None else _named(found, best, stated, evidence)
     return named if beyond_noise or named.off_px >= HARMFUL_PX else found
 
@@ -361,20 +354,10 @@ def _depths(world: _World, matches: _Matches) -> tuple[Float64s, Float64s]:
 
 
 def _explanation(stated: _World, evidence: list[_Matches], own: float, alone: bool) -> _Explanation | None:
-    """The cause that explains the matches best; of those that do so about as well the simplest.
-
-    Other poses of all cameras explain much: they are fitted only where nothing else brings the matches back, and named only
-    where nothing but the pose of one camera explains half of what they do.
-    """
+    """The cause that explains the matches best; of those that do so about as well the simplest."""
     found = [_fit(cause, stated, evidence) for cause in _causes(stated, evidence, alone)]
     loss = _loss(stated, evidence)
     best = _simplest(found, loss)
-    if best.loss > CONTRADICTED * own and not alone and len(stated) <= LARGEST_SITE:
-        poses = _fit(_all_poses(stated, evidence), stated, evidence)
-        simple = best.cause.name not in ("turned", "moved")
-        if simple and loss - best.loss >= HALF * (loss - poses.loss) and best.loss < loss / CONTRADICTED:
-            return best
-        best = min(best, poses, key=lambda e: e.loss)
     return best if _explains(best, loss, own, evidence, alone) else None
 
 
@@ -470,16 +453,6 @@ def _moved_on(world: _World, step: int) -> _World:
     others = [names[(k + step) % len(names)] for k in range(len(names))]
     keys = EXCHANGED["captures-exchanged"]
     return {name: _like(world[name], world[other], keys) for name, other in zip(names, others, strict=True)}
-
-
-def _all_poses(stated: _World, evidence: list[_Matches]) -> _Cause:
-    size, seen = _size(stated, evidence), sorted({name for m in evidence for name in m.pair})
-    rows = {name: slice(6 * k, 6 * k + 6) for k, name in enumerate(seen)}
-
-    def change(world: _World, amount: Float64s) -> _World:
-        return {**world, **{name: _posed(world[name], amount[rows[name]], size) for name in seen}}
-
-    return _Cause(POSES, change, tuple(name for name in seen for _ in range(6)))
 
 
 def _size(stated: _World, evidence: list[_Matches]) -> float:

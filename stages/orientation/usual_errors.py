@@ -28,7 +28,7 @@ most; one of 438 faults on twelve rendered scenes, which does little harm, is ta
 MOST_SHARED = 0.8
 """Where a cause that all cameras share, such as longer focal lengths, lowers the misfit by this share of that or more, poses only
 hide it (errors of poses 0.04 to 0.72; focal lengths 0.5 and 1.5 % too long 0.93 and 1.25)."""
-_POSES = ("", "poses", "turned", "moved")
+_POSES = ("", "turned", "moved")
 """Causes of a contradiction that are poses."""
 
 

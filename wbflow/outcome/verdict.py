@@ -400,7 +400,6 @@ _CAUSES: Mapping[str, str] = {
     "focal-length": "the focal length of {cameras} {longer}",
     "turned": "{cameras} turned by {degrees:.2f} degrees",
     "moved": "{cameras} moved by {percent:.1f} % of the distance between cameras",
-    "poses": "other poses of several cameras, no lens and no single camera,",
     "exchanged": "the poses of {cameras} exchanged",
     "captures-exchanged": "captures of {cameras} exchanged",
     "positions-exchanged": "the positions of {cameras} exchanged",
@@ -431,7 +430,7 @@ _EVERYBODY = {
 def _explanation(check: CalibrationCheck) -> str:
     misfit = f"they lie {math.sqrt(check.misfit):.1f} times as far from where it has them as noise explains"
     if not check.cause:
-        return f"{misfit}; no single cause explains that"
+        return f"{misfit}; no lens and no single camera explains that"
     amount = check.amount or (0.0,)
     size, scale = math.hypot(*amount), math.expm1(amount[0])
     words = _CAUSES[check.cause].format(

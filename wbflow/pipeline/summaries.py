@@ -254,7 +254,7 @@ class PosesSummary(Summary):
     def contradiction(self) -> CalibrationCheck | None:
         """What contradicts the stated calibration: a little, and without a simple cause, look-alikes do where the rows agree."""
         by_keypoints, by_rows = (check if check and check.contradicted else None for check in (self.calibration, self.rows))
-        if by_keypoints and self.rows_agree and by_keypoints.cause in {"", "poses"} and by_keypoints.misfit < _LOOK_ALIKES:
+        if by_keypoints and self.rows_agree and not by_keypoints.cause and by_keypoints.misfit < _LOOK_ALIKES:
             return None
         return by_keypoints or by_rows
 

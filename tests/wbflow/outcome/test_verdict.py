@@ -558,7 +558,7 @@ def test_dense_matches_beside_their_rows_contradict_the_calibration() -> None:
 
 @pytest.mark.parametrize(("sigmas", "good"), [(2.0, True), (6.0, False)])
 def test_where_dense_matches_lie_on_their_rows_look_alikes_blame_nothing(sigmas: float, good: bool) -> None:
-    alike = CalibrationCheck(164, 5, True, 1.9, True, cause="poses")
+    alike = CalibrationCheck(164, 5, True, 1.9, True)
     poses = PosesSummary(calibration=alike, rows=dense_rows(sigmas))
     assert (judge(replace(night(), poses=poses), Facts()).exit_code == ExitCode.GOOD) == good
     apart = [CameraRecord("gate", "ok", figures=CameraFigures(apart_px={"crane--mast": 0.4, "mast--roof": 0.3}))]
@@ -568,7 +568,7 @@ def test_where_dense_matches_lie_on_their_rows_look_alikes_blame_nothing(sigmas:
 
 def test_a_clear_contradiction_stays_whatever_rows_say() -> None:
     for clear in (
-        CalibrationCheck(164, 5, True, 5.0, True, cause="poses"),
+        CalibrationCheck(164, 5, True, 5.0, True),
         CalibrationCheck(9, 5, True, 2.0, True, cause="pixel-shape"),
     ):
         record = judge(replace(night(), poses=PosesSummary(calibration=clear, rows=dense_rows(2.0))), Facts())
