@@ -7,10 +7,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from .fusion.pair_depth import MOST_PAIRS, NoiseModel, apart_px, fuse_pairs, pair_depth
+from .fusion.pair_depth import NoiseModel, apart_px, fuse_pairs, pair_depth
 from .reasons import Reason, Rejected
 from .rectification.warping import Side
-from .types import Camera, DepthMap, Disparity, Float32s, Pair, Rectification
+from .types import MOST_PARTNERS, Camera, DepthMap, Disparity, Float32s, Pair, Rectification
 
 
 def view_depth(
@@ -41,9 +41,9 @@ def view_depth(
         if pair not in rectifications or other not in cameras or cameras[other].component != camera.component:
             continue
         found[other] = pair_depth(camera, cameras[other], rectifications[pair], disparities[pair], side)
-        if len(disparities) > MOST_PAIRS:
+        if len(disparities) > MOST_PARTNERS:
             pixels[other] = int(np.count_nonzero(noise.usable(*found[other])))
-        if len(found) > MOST_PAIRS:
+        if len(found) > MOST_PARTNERS:
             left_out.append(min(found, key=pixels.__getitem__))
             del found[left_out[-1]]
     if found:

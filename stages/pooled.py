@@ -13,9 +13,8 @@ from collections.abc import Mapping
 import numpy as np
 
 from .core.ordering import rank_within
-from .fusion.overlay import renumbered
 from .sfm.tracks import joined_places
-from .types import Bools, DepthMap, Float64s, Int64s, Matches, View
+from .types import MOST_PARTNERS, Bools, DepthMap, Float64s, Int64s, Matches, View
 
 _FLOOR = 0.75
 """The pooled standard deviation is at least this share of the best night's: errors of the same pixels with the same partners are
@@ -101,8 +100,8 @@ def pool_depths(nights: Mapping[str, DepthMap], *, agree: float = 3.0, least_sha
         _mean(np.nan_to_num(np.stack(fields)).astype(np.float64), weights, total, usable)
         for fields in ([depth.slope_x for depth in maps], [depth.slope_y for depth in maps])
     )
-    partners = tuple(dict.fromkeys(partner for depth in maps for partner in depth.partners))[:32]
-    supports = [np.where(agree_k, renumbered(depth, partners), 0) for depth, agree_k in zip(maps, agreeing, strict=True)]
+    partners = tuple(dict.fromkeys(partner for depth in maps for partner in depth.partners))[:MOST_PARTNERS]
+    supports = [np.where(agree_k, depth.support_of(partners), 0) for depth, agree_k in zip(maps, agreeing, strict=True)]
     support = np.bitwise_or.reduce(supports)
     sure = np.any([depth.sure & agree_k for depth, agree_k in zip(maps, agreeing, strict=True)], axis=0)
     return DepthMap(

@@ -20,17 +20,16 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from .core.cameras import backproject, project, ray_angles, transfer
+from .core.cameras import backproject, ray_angles, transfer
 from .core.luminance import luminance
 from .core.residual_distortion import straight_frame, straight_frames
 from .fusion.pair_depth import NoiseModel
 from .mvs.carried import carried_planes, with_carried
-from .mvs.multi_scale_fill import filled, reduced, reduced_view
 from .mvs.plane_prior import PlanePriors, apply_plane_priors
 from .mvs.propagation import Propagation
 from .reasons import Reason, Rejected
 from .stereo.plane_filter import smoothed
-from .types import Bools, Camera, DepthMap, Float32s, Float64s, Frame, Int32s
+from .types import MOST_PARTNERS, Bools, Camera, DepthMap, Float32s, Float64s, Frame, Int32s
 
 _SURE_COST = 0.3
 """Of the second best source: what two sources show this well must be believed even where no pair had a depth."""
@@ -40,12 +39,6 @@ _SURE_ALONE = 0.05
 
 _FEW, _WIDE_DEG = 2, 80.0
 """Where fewer views see the scene from within the limits, those up to so many degrees aside make up for it."""
-
-_UNLIKE = 2.0
-"""Two cameras of which one sees the surface so many times finer meet where they see equally fine."""
-
-_SOURCES = 32
-"""At most: `DepthMap.support` has a bit for each."""
 
 _SAME_SIGMAS, _SAME_SHARE = 3.0, 0.002
 """A depth is that of the pairs if it is so many sigmas and this share of itself from it."""
@@ -88,17 +81,15 @@ def refine(
     frame, frames = straight_frame(frame, camera), straight_frames(frames, cameras)
     others = {name: cameras[name] for name in frames if name in cameras}
     y, x = np.nonzero(np.isfinite(depth.depth[::8, ::8]))
-    z = depth.depth[::8, ::8][y, x].astype(np.float64)
-    surface = backproject(camera, np.column_stack([8.0 * x, 8.0 * y]), z)
-    useful = _sources(camera, others, surface, min_angle_deg, max_angle_deg)
-    finer = {name: _finer(camera, others[name], surface, z) for name in useful}
-    if not finer:
+    surface = backproject(camera, np.column_stack([8.0 * x, 8.0 * y]), depth.depth[::8, ::8][y, x].astype(np.float64))
+    around = _sources(camera, others, surface, min_angle_deg, max_angle_deg)[: min(max_sources, MOST_PARTNERS)]
+    if not around:
         return Rejected(Reason.NO_USEFUL_ANGLE, {"views": len(frames)})
-    limits = _Limits(radius, sweeps, min(max_sources, _SOURCES), max_cost, noise_px)
     if not _stands(camera, reference_camera, depth, reference_depth):
         reference_depth = None
     start = _Start(depth, reference_depth, carried_planes(camera, others, depths or {}))
-    return _refined(frame, camera, start, frames, others, finer, limits)
+    views = {name: (frames[name], others[name]) for name in around}
+    return _compared(frame, camera, start, views, _Limits(radius, sweeps, max_cost, noise_px))
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,54 +117,27 @@ class _Limits:
 
     radius: int
     sweeps: int
-    sources: int
     cost: float
     noise_px: float
 
 
-def _refined(
-    frame: Frame, camera: Camera, start: _Start, frames: Mapping[str, Frame], cameras: Mapping[str, Camera],
-    finer: Mapping[str, float], limits: _Limits,
-) -> DepthMap:  # fmt: skip
-    """Depth from the views that see as finely as this one, then as coarsely as the finest of the others do from these, too.
-
-    finer: how much finer each useful view sees than this one, the nearest in angle first.  What a view shows that sees much less
-    fits at many depths: it is not asked beside others that see more.
-    """
-    fine = {name: times for name, times in finer.items() if times * _UNLIKE >= 1}
-    found = _compared(frame, camera, start, frames, cameras, fine or finer, limits)
-    if not fine or len(fine) == len(finer):
-        return found
-    times = 1 / max(finer[name] for name in finer if name not in fine)
-    again = {name: share * times for name, share in finer.items()}
-    picture, small, coarse = reduced_view(frame, camera, start.depth, times)
-    if not np.isfinite(coarse.depth).any():
-        return found
-    return filled(found, _refined(picture, small, _Start(coarse), frames, cameras, again, limits))
-
-
 def _compared(
-    frame: Frame, camera: Camera, start: _Start, frames: Mapping[str, Frame], cameras: Mapping[str, Camera],
-    finer: Mapping[str, float], limits: _Limits,
-) -> DepthMap:  # fmt: skip
-    """Depth from all of these views at once; the finer ones are looked at as coarsely as this one sees."""
-    around, max_cost, then = list(finer)[: limits.sources], limits.cost, start.reference_depth
-    small = [(frames[other].image, cameras[other]) for other in around]
-    small = [reduced(*view, finer[other]) if finer[other] > _UNLIKE else view for view, other in zip(small, around, strict=True)]
-    image, sources = luminance(frame.image), _stack([luminance(picture) for picture, _ in small])
-    M, b = (np.stack(part) for part in zip(*(transfer(camera, other) for _, other in small), strict=True))
-    coarser = 1 / float(np.median([finer[other] for other in around]))
-    least = max(1, round(coarser)) if coarser > _UNLIKE else 1  # as far apart as the pixels of views that see much less
-    spacing = max(least, round(max(image.shape) / 768))
+    frame: Frame, camera: Camera, start: _Start, views: Mapping[str, tuple[Frame, Camera]], limits: _Limits
+) -> DepthMap:
+    """Depth from all of these views at once."""
+    max_cost, then = limits.cost, start.reference_depth
+    image, sources = luminance(frame.image), _stack([luminance(other.image) for other, _ in views.values()])
+    M, b = (np.stack(part) for part in zip(*(transfer(camera, other) for _, other in views.values()), strict=True))
+    spacing = max(1, round(max(image.shape) / 768))
     far = max(2, round(5 * max(image.shape) / 768))
     propagation = Propagation(image, frame.mask, sources, M, b, spacing * _taps(limits.radius))
     planes = start.planes(propagation, max_cost)
     nearest, farthest = np.percentile(planes[0][np.isfinite(planes[0])], [99.8, 0.2])
     cost = propagation.improve(planes, limits.sweeps, far, 0.9 * farthest, 1.1 * nearest, again=then is not None)
     scale = _pixels_per_inverse_depth(M, b, planes[0])
-    propagation.refine_photometrically(planes, limits.radius, least)
+    propagation.refine_photometrically(planes, limits.radius)
     planes[0] = smoothed(image, scale * planes, cost, max_cost, spacing)[0] / scale
-    propagation.refine_photometrically(planes, limits.radius, least)
+    propagation.refine_photometrically(planes, limits.radius)
     support = propagation.support(planes, max_cost)
     kept = frame.mask & (support.first < max_cost)
     exact = 1.0 / np.where(kept, planes[0], np.float32(np.nan)).astype(np.float64)
@@ -183,7 +147,7 @@ def _compared(
     sure = _as_before(z, sigma, start.depth) | (support.second < _SURE_COST) | (support.first < _SURE_ALONE)
     if then is not None:
         sure |= (support.second < max_cost) & then.sure & _as_before(z, sigma, then)
-    rough = DepthMap(z, sigma, planes[1], planes[2], support.sources, tuple(around), kept & sure)
+    rough = DepthMap(z, sigma, planes[1], planes[2], support.sources, tuple(views), kept & sure)
     return _flattened(rough, planes[0], apply_plane_priors(frame, propagation, planes, support, rough.sure, scale, max_cost))
 
 
@@ -224,13 +188,6 @@ def _sources(
     near = [name for angle, name in sorted(angles) if min_angle_deg <= angle <= max_angle_deg]
     wide = [name for angle, name in sorted(angles) if max(min_angle_deg, max_angle_deg) < angle <= _WIDE_DEG]
     return near + wide[: max(0, _FEW - len(near))]
-
-
-def _finer(camera: Camera, other: Camera, points: Float64s, z: Float64s) -> float:
-    """How many times finer another camera sees points (n, 3) of the surface than this one does, at depths z (n,)."""
-    there = project(other, points)[1]
-    seen = there > 0
-    return float(np.median(z[seen] / there[seen]) * other.K[0, 0] / camera.K[0, 0]) if seen.any() else 1.0
 
 
 def _pixels_per_inverse_depth(M: Float64s, b: Float64s, q: Float32s) -> np.float32:

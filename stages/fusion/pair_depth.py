@@ -17,10 +17,7 @@ from ..core.cameras import transfer
 from ..core.jit import helper, kernel
 from ..rectification.placement import frame_grid
 from ..rectification.warping import Side, disparity_px, from_rectified, resampling, to_rectified
-from ..types import Bools, Camera, DepthMap, Disparity, Float32s, Float64s, Rectification, Uint32s
-
-MOST_PAIRS = 32
-"""So many pairs of one view are fused: each has a bit of what supports a pixel."""
+from ..types import MOST_PARTNERS, Bools, Camera, DepthMap, Disparity, Float32s, Float64s, Rectification, Uint32s
 
 _SMOOTH_PX = 2.5
 """Neighbouring pixels whose disparities differ by no more lie on one surface."""
@@ -195,11 +192,11 @@ def fuse_pairs(
 
     Parameters
     ----------
-    depths, gains : (h, w) float32 of each pair, as `pair_depth` gives them; at most 32.
+    depths, gains : (h, w) float32 of each pair, as `pair_depth` gives them; at most `MOST_PARTNERS`.
     partners : the other camera of each pair, in the same order.
     """
-    if len(depths) > MOST_PAIRS:
-        raise ValueError(f"{len(depths)} pairs of one view, at most {MOST_PAIRS} can be fused")
+    if len(depths) > MOST_PARTNERS:
+        raise ValueError(f"{len(depths)} pairs of one view, at most {MOST_PARTNERS} can be fused")
     Z, G = np.stack(depths), np.stack(gains)
     h, w = Z.shape[1:]
     depth, sigma = np.full((h, w), np.nan, np.float32), np.full((h, w), np.nan, np.float32)

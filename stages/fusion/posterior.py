@@ -13,13 +13,14 @@ and a hall without lamps, the others held.  It speaks last, so that it takes poi
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
 
 import cv2
 import numpy as np
 
 from ..core.luminance import luminance
-from ..types import Bools, DepthMap, Float32s, Float64s, Frame
-from .overlay import overlaid
+from ..types import MOST_PARTNERS, Bools, DepthMap, Float32s, Float64s, Frame
 from .surface_support import spacing_px, surface_support
 from .visibility import CrossCheck, TrustedDepth, probability
 
@@ -69,8 +70,16 @@ def likelier(found: Sequence[TrustedDepth]) -> TrustedDepth:
     first, *others = found
     for other in others:
         taken = ~first.depth.sure & (other.own > first.own)
-        first = TrustedDepth(overlaid(first.depth, other.depth, taken), np.where(taken, other.own, first.own))
+        first = TrustedDepth(_overlaid(first.depth, other.depth, taken), np.where(taken, other.own, first.own))
     return first
+
+
+def _overlaid(depth: DepthMap, other: DepthMap, taken: Bools) -> DepthMap:
+    """Depth of a view with that of another map of the same view where that is `taken` (h, w)."""
+    partners = tuple(dict.fromkeys((*depth.partners, *other.partners)))[:MOST_PARTNERS]
+    names = ("depth", "sigma", "slope_x", "slope_y", "sure")
+    mixed: dict[str, Any] = {name: np.where(taken, getattr(other, name), getattr(depth, name)) for name in names}
+    return replace(depth, **mixed, support=np.where(taken, other.support_of(partners), depth.support), partners=partners)
 
 
 def posterior(depth: DepthMap, frame: Frame, own: Float32s, check: CrossCheck) -> Float32s:

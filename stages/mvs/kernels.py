@@ -25,8 +25,6 @@ UNSEEN = 2.0
 """The cost where no source sees a plane; costs of planes that are seen lie between 0 and 1."""
 _FLAT = 0.05  # grey levels squared: patches with less contrast show nothing
 _FLAT_COST = 0.95
-_HOPELESS = 0.9
-"""A plane that costs more is not worth spreading."""
 _SOFTNESS = 12.0
 """Grey levels at which a patch's pixel counts half."""
 NOISE = 65537
@@ -199,8 +197,8 @@ def _pixels_per_inverse_depth(
 
 @helper
 def _planes_at(
-    planes: Float32s, cost: Float32s, best: Int32s, y: int, x0: int, n: int, dx: int, dy: int, low: Scalar, high: Scalar,
-    trial: Float32s, source: Int32s,
+    planes: Float32s, best: Int32s, y: int, x0: int, n: int, dx: int, dy: int, low: Scalar, high: Scalar, trial: Float32s,
+    source: Int32s,
 ) -> None:  # fmt: skip
     """The planes at (x0 + dx, y + dy), ... continued to (x0, y), ..., and the sources that see them best; q = 0: none."""
     row, width = y + dy, planes.shape[2]
@@ -211,12 +209,11 @@ def _planes_at(
         return
     start = x0 + dx + first
     q, a, b = planes[0, row, start:], planes[1, row, start:], planes[2, row, start:]
-    dear, seen = cost[row, start:], best[row, start:]
-    here, there = trial[first:], source[first:]
+    seen, here, there = best[row, start:], trial[first:], source[first:]
     for x in range(last - first):
         na, nb = a[x], b[x]
         nq = q[x] - na * np.float32(dx) - nb * np.float32(dy)
-        usable = (nq > low) & (nq < high) & (dear[x] <= np.float32(_HOPELESS))  # never true where q is nan
+        usable = (nq > low) & (nq < high)  # never true where q is nan
         here[_Q + x] = nq if usable else np.float32(0.0)
         here[_A + x] = na if usable else np.float32(0.0)
         here[_B + x] = nb if usable else np.float32(0.0)
@@ -305,7 +302,7 @@ def propagate(
                 dx, dy = back * rings[q, 0], back * rings[q, 1]
                 if not 0 <= y + dy < h:
                     continue
-                _planes_at(planes, cost, best, y, x0, n, dx, dy, low, high, trial, source)
+                _planes_at(planes, best, y, x0, n, dx, dy, low, high, trial, source)
                 _costs(pairs, height, width, M, b, taps, reach, y, x0, trial, source, window, scratch, taken, trial_cost)
                 for x in range(n):
                     here[x] = best[y, x0 + x]

@@ -71,14 +71,14 @@ class Propagation:
             propagate(*self.views, self.taps, self.reach, noise, sweep, rings, changes, *limits, planes, cost, best)
         return cost
 
-    def refine_photometrically(self, planes: Float32s, radius: int, spacing: int) -> None:
+    def refine_photometrically(self, planes: Float32s, radius: int) -> None:
         """Move planes (3, h, w) in place, by fractions of a pixel, to where all sources together fit best
-        (`mvs.photometric_refinement`).  radius: of the patch, in steps of `spacing` pixels; it reaches no farther than `taps`.
+        (`mvs.photometric_refinement`).  radius: of the patch in pixels; it reaches no farther than `taps`.
         """
         near = range(-radius, radius + 1)
         offsets = np.array(sorted(((i, j) for j in near for i in near), key=lambda at: at != (0, 0)), np.int32)
         fall = np.exp(-2 * (offsets**2).sum(axis=1) / radius**2).astype(np.float32)
-        refine_photometrically(*self.views, spacing * offsets, fall, self.reach, planes)
+        refine_photometrically(*self.views, offsets, fall, self.reach, planes)
 
     def support(self, planes: Float32s, limit: float) -> Support:
         """What the sources show of planes (3, h, w), and which of them cost less than the limit."""

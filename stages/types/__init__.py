@@ -3,7 +3,7 @@
 from ..reasons import Reason, Rejected
 from .arrays import Bools, Float32s, Float64s, Int16s, Int32s, Int64s, Pair, Uint8s, Uint16s, Uint32s, Uint64s
 from .captured import Capture, Lens, Placement, Privacy, Survey
-from .dense import INVALID, Cloud, DepthMap, Disparity, GroundOfPair, PolarRows, Rectification, RowMatches
+from .dense import INVALID, MOST_PARTNERS, Cloud, DepthMap, Disparity, GroundOfPair, PolarRows, Rectification, RowMatches
 from .ground import NEW, SAME, UNKNOWN, VANISHED, Change, Changes, Coverage, CutFill, GroundGrid
 from .health import CameraHealth, Usual
 from .pairs import Geometry, Matches, Overlap, at_rows

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
+
+import numpy as np
 
 from ..core.short_repr import Record
-from .arrays import Bools, Float32s, Float64s, Int16s, Int64s, Uint8s, Uint16s, Uint32s
+from .arrays import Bools, Float32s, Float64s, Int16s, Uint8s, Uint16s, Uint32s
 
 
 @dataclass(frozen=True)
@@ -128,6 +130,10 @@ INVALID = -32768
 """The value of `Disparity.left` and `.right` where nothing is known."""
 
 
+MOST_PARTNERS = 32
+"""Of a depth map: `support` has a bit for each."""
+
+
 @dataclass(frozen=True)
 class DepthMap(Record):
     """Depth of one view, from all its pairs or refined over all views around it."""
@@ -150,10 +156,13 @@ class DepthMap(Record):
     apart_px: Mapping[str, float] = field(default_factory=dict)
     """For each two partners, as `left--right`: by how many pixels the depths that they give differ as a whole."""
 
-    def at(self, pixels: tuple[Int64s, ...]) -> DepthMap:
-        """What is known of some pixels, whose rows and columns `numpy.ix_` has put together."""
-        names = ("depth", "sigma", "slope_x", "slope_y", "support", "sure")
-        return replace(self, **{name: getattr(self, name)[pixels] for name in names})
+    def support_of(self, partners: tuple[str, ...]) -> Uint32s:
+        """(h, w) `support` with the bits of other partners; one that is not among them is left out."""
+        support, place = np.zeros_like(self.support), {name: k for k, name in enumerate(partners)}
+        for k, name in enumerate(self.partners):
+            if name in place:
+                support |= (self.support >> np.uint32(k) & np.uint32(1)) << np.uint32(place[name])
+        return support
 
 
 @dataclass(frozen=True)

@@ -30,7 +30,7 @@ def polished(planes: Float32s, contrast: float = 20.0) -> Float32s:
     usable = np.ones((ROWS, COLUMNS), np.bool_)
     view = Propagation(seen_from(np.zeros(3), contrast), usable, sources, np.stack([np.eye(3)] * 2), BASES, TAPS)
     after = planes.copy()
-    view.refine_photometrically(after, 3, 1)
+    view.refine_photometrically(after, 3)
     return after
 
 
