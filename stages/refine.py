@@ -18,9 +18,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
+import cv2
 import numpy as np
 
-from .core.cameras import backproject, ray_angles, transfer
+from .core.cameras import backproject, project, ray_angles, scaled_intrinsics, transfer
 from .core.luminance import luminance
 from .core.residual_distortion import straight_frame, straight_frames
 from .fusion.pair_depth import NoiseModel
@@ -29,7 +30,7 @@ from .mvs.plane_prior import PlanePriors, apply_plane_priors
 from .mvs.propagation import Propagation
 from .reasons import Reason, Rejected
 from .stereo.plane_filter import smoothed
-from .types import MOST_PARTNERS, Bools, Camera, DepthMap, Float32s, Float64s, Frame, Int32s
+from .types import MOST_PARTNERS, Bools, Camera, DepthMap, Float32s, Float64s, Frame, Int32s, Uint8s
 
 _SURE_COST = 0.3
 """Of the second best source: what two sources show this well must be believed even where no pair had a depth."""
@@ -39,6 +40,9 @@ _SURE_ALONE = 0.05
 
 _FEW, _WIDE_DEG = 2, 80.0
 """Where fewer views see the scene from within the limits, those up to so many degrees aside make up for it."""
+
+_FINER = 2.0
+"""Cameras that see the surface so many times finer are looked at as coarsely as the view sees it."""
 
 _SAME_SIGMAS, _SAME_SHARE = 3.0, 0.002
 """A depth is that of the pairs if it is so many sigmas and this share of itself from it."""
@@ -81,14 +85,15 @@ def refine(
     frame, frames = straight_frame(frame, camera), straight_frames(frames, cameras)
     others = {name: cameras[name] for name in frames if name in cameras}
     y, x = np.nonzero(np.isfinite(depth.depth[::8, ::8]))
-    surface = backproject(camera, np.column_stack([8.0 * x, 8.0 * y]), depth.depth[::8, ::8][y, x].astype(np.float64))
+    z = depth.depth[::8, ::8][y, x].astype(np.float64)
+    surface = backproject(camera, np.column_stack([8.0 * x, 8.0 * y]), z)
     around = _sources(camera, others, surface, min_angle_deg, max_angle_deg)[: min(max_sources, MOST_PARTNERS)]
     if not around:
         return Rejected(Reason.NO_USEFUL_ANGLE, {"views": len(frames)})
     if not _stands(camera, reference_camera, depth, reference_depth):
         reference_depth = None
     start = _Start(depth, reference_depth, carried_planes(camera, others, depths or {}))
-    views = {name: (frames[name], others[name]) for name in around}
+    views = {name: _reduced(frames[name].image, others[name], _finer(camera, others[name], surface, z)) for name in around}
     return _compared(frame, camera, start, views, _Limits(radius, sweeps, max_cost, noise_px))
 
 
@@ -122,11 +127,11 @@ class _Limits:
 
 
 def _compared(
-    frame: Frame, camera: Camera, start: _Start, views: Mapping[str, tuple[Frame, Camera]], limits: _Limits
+    frame: Frame, camera: Camera, start: _Start, views: Mapping[str, tuple[Uint8s, Camera]], limits: _Limits
 ) -> DepthMap:
     """Depth from all of these views at once."""
     max_cost, then = limits.cost, start.reference_depth
-    image, sources = luminance(frame.image), _stack([luminance(other.image) for other, _ in views.values()])
+    image, sources = luminance(frame.image), _stack([luminance(picture) for picture, _ in views.values()])
     M, b = (np.stack(part) for part in zip(*(transfer(camera, other) for _, other in views.values()), strict=True))
     spacing = max(1, round(max(image.shape) / 768))
     far = max(2, round(5 * max(image.shape) / 768))
@@ -188,6 +193,23 @@ def _sources(
     near = [name for angle, name in sorted(angles) if min_angle_deg <= angle <= max_angle_deg]
     wide = [name for angle, name in sorted(angles) if max(min_angle_deg, max_angle_deg) < angle <= _WIDE_DEG]
     return near + wide[: max(0, _FEW - len(near))]
+
+
+def _finer(camera: Camera, other: Camera, points: Float64s, z: Float64s) -> float:
+    """How many times finer another camera sees points (n, 3) of the surface than this one does, at depths z (n,)."""
+    there = project(other, points)[1]
+    seen = there > 0
+    return float(np.median(z[seen] / there[seen]) * other.K[0, 0] / camera.K[0, 0]) if seen.any() else 1.0
+
+
+def _reduced(image: Uint8s, camera: Camera, finer: float) -> tuple[Uint8s, Camera]:
+    """A picture (h, w, 3) and its camera, with pixels so many times as large if it sees much finer."""
+    if finer <= _FINER:
+        return image, camera
+    width, height = (max(8, round(side / finer)) for side in (camera.width, camera.height))
+    K = scaled_intrinsics(camera.K, width / camera.width, height / camera.height)
+    small = np.asarray(cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA), np.uint8)
+    return small, replace(camera, K=K, width=width, height=height)
 
 
 def _pixels_per_inverse_depth(M: Float64s, b: Float64s, q: Float32s) -> np.float32:
