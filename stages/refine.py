@@ -16,7 +16,7 @@ Surface Normal Diffusion, ICCV 2015.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -92,64 +92,38 @@ def refine(
         return Rejected(Reason.NO_USEFUL_ANGLE, {"views": len(frames)})
     if not _stands(camera, reference_camera, depth, reference_depth):
         reference_depth = None
-    start = _Start(depth, reference_depth, carried_planes(camera, others, depths or {}))
+    carried = carried_planes(camera, others, depths or {})
     views = {name: _reduced(frames[name].image, others[name], _finer(camera, others[name], surface, z)) for name in around}
-    return _compared(frame, camera, start, views, _Limits(radius, sweeps, max_cost, noise_px))
-
-
-@dataclass(frozen=True, eq=False)
-class _Start:
-    """Where to start from."""
-
-    depth: DepthMap
-    """Of the view, from its pairs."""
-    reference_depth: DepthMap | None = None
-    """The reference's, if the camera stands as then."""
-    carried: Float32s | None = None
-    """(3, h, w) planes that other views have."""
-
-    def planes(self, propagation: Propagation, max_cost: float) -> Float32s:
-        """(3, h, w): tonight's, the reference's where tonight has none, and those of other views where this one sees them."""
-        planes = _planes_of(self.depth)
-        if self.reference_depth is not None:
-            planes = np.where(np.isfinite(planes[0]), planes, _planes_of(self.reference_depth))
-        return planes if self.carried is None else with_carried(planes, self.carried, propagation, max_cost)
-
-
-@dataclass(frozen=True)
-class _Limits:
-    """Parameters of `refine`."""
-
-    radius: int
-    sweeps: int
-    cost: float
-    noise_px: float
+    return _compared(frame, camera, depth, reference_depth, carried, views, radius, sweeps, max_cost, noise_px)
 
 
 def _compared(
-    frame: Frame, camera: Camera, start: _Start, views: Mapping[str, tuple[Uint8s, Camera]], limits: _Limits
-) -> DepthMap:
-    """Depth from all of these views at once."""
-    max_cost, then = limits.cost, start.reference_depth
+    frame: Frame, camera: Camera, depth: DepthMap, then: DepthMap | None, carried: Float32s,
+    views: Mapping[str, tuple[Uint8s, Camera]], radius: int, sweeps: int, max_cost: float, noise_px: float,
+) -> DepthMap:  # fmt: skip
+    """Depth from all of these views at once.  Where to start from: tonight's depth, the reference's, what other views have."""
     image, sources = luminance(frame.image), _stack([luminance(picture) for picture, _ in views.values()])
     M, b = (np.stack(part) for part in zip(*(transfer(camera, other) for _, other in views.values()), strict=True))
     spacing = max(1, round(max(image.shape) / 768))
     far = max(2, round(5 * max(image.shape) / 768))
-    propagation = Propagation(image, frame.mask, sources, M, b, spacing * _taps(limits.radius))
-    planes = start.planes(propagation, max_cost)
+    propagation = Propagation(image, frame.mask, sources, M, b, spacing * _taps(radius))
+    planes = _planes_of(depth)
+    if then is not None:
+        planes = np.where(np.isfinite(planes[0]), planes, _planes_of(then))
+    planes = with_carried(planes, carried, propagation, max_cost)
     nearest, farthest = np.percentile(planes[0][np.isfinite(planes[0])], [99.8, 0.2])
-    cost = propagation.improve(planes, limits.sweeps, far, 0.9 * farthest, 1.1 * nearest, again=then is not None)
+    cost = propagation.improve(planes, sweeps, far, 0.9 * farthest, 1.1 * nearest, again=then is not None)
     scale = _pixels_per_inverse_depth(M, b, planes[0])
-    propagation.refine_photometrically(planes, limits.radius)
+    propagation.refine_photometrically(planes, radius)
     planes[0] = smoothed(image, scale * planes, cost, max_cost, spacing)[0] / scale
-    propagation.refine_photometrically(planes, limits.radius)
+    propagation.refine_photometrically(planes, radius)
     support = propagation.support(planes, max_cost)
     kept = frame.mask & (support.first < max_cost)
     exact = 1.0 / np.where(kept, planes[0], np.float32(np.nan)).astype(np.float64)
     with np.errstate(divide="ignore", invalid="ignore"):
-        error = exact * np.sqrt((limits.noise_px * exact) ** 2 / support.parallax + NoiseModel.floor**2)
+        error = exact * np.sqrt((noise_px * exact) ** 2 / support.parallax + NoiseModel.floor**2)
     z, sigma = exact.astype(np.float32), error.astype(np.float32)
-    sure = _as_before(z, sigma, start.depth) | (support.second < _SURE_COST) | (support.first < _SURE_ALONE)
+    sure = _as_before(z, sigma, depth) | (support.second < _SURE_COST) | (support.first < _SURE_ALONE)
     if then is not None:
         sure |= (support.second < max_cost) & then.sure & _as_before(z, sigma, then)
     rough = DepthMap(z, sigma, planes[1], planes[2], support.sources, tuple(views), kept & sure)
