@@ -3,10 +3,10 @@
 
     bench_site_faults.py FOLDER [--scenes yard carpark ...] [--everywhere] [--only WORD ...] [--quick] [--json FILE]
 
-Renders the scenes into FOLDER, works through two nights of each, then makes a copy for each variation of `VARIATIONS`, changes it
-and runs it.  What came of a variation stays in FOLDER/results: a second call goes on where the first stopped, and prints all.
-Only the last run of a copy counts.  --quick ends a run after its poses where these are already found to be wrong: its cloud is
-not measured.
+Renders the scenes into FOLDER, or writes photographs there, works through two nights of each, then makes a copy for each
+variation of `VARIATIONS`, changes it and runs it.  What came of a variation stays in FOLDER/results: a second call goes on where
+the first stopped, and prints all.  Only the last run of a copy counts.  --quick ends a run after its poses where these are
+already found to be wrong: its cloud is not measured.
 
 - **Fault**: exit code 0 is a lie where less than 90 % of the points lie within the tolerance of the true surface.
 - **Harmless**: exit code 3 is a false alarm.
@@ -32,6 +32,7 @@ import numpy as np
 import scenes  # noqa: F401  # adds its scenes to the table
 import yaml
 from bench_certainty import errors_along_rays
+from photograph_site import write_photographs
 from scipy.spatial import cKDTree
 
 from wbflow.cache.ply import read_ply
@@ -47,7 +48,7 @@ NIGHTS = ("2026-11-19", "2026-11-20")
 
 @dataclass(frozen=True)
 class Scene:
-    """A demo site in its small form, whose limits were fitted on it or not."""
+    """A demo site in its small form, or photographs; limits were fitted on it or not."""
 
     render: dict[str, Any]
     tolerance_m: float
@@ -76,6 +77,10 @@ SCENES = {
     "workshop": Scene({"scene": "workshop", "cameras": 5}, 0.15, fitted=False),
     "construction": Scene({"scene": "construction", "cameras": 5}, 0.3, fitted=False),
     "substation": Scene({"scene": "substation", "cameras": 5}, 0.3, fitted=False),
+    "fountain": Scene(
+        {"photographs": "fountain", "cameras": ["0000", "0002", "0004", "0006", "0008", "0010"]}, 0.1, fitted=False
+    ),
+    "entry": Scene({"photographs": "entry", "cameras": [f"{k:04}" for k in range(0, 9, 2)]}, 0.2, fitted=False),
 }
 
 
@@ -891,10 +896,13 @@ def prepare(folder: Path, scene: Scene) -> None:
     if (folder / "ready").exists():
         return
     shutil.rmtree(folder, ignore_errors=True)
-    write_demo(folder, small=True, captures=6, **scene.render)
-    for camera in sorted((folder / "captures").iterdir()):
-        for k, file in enumerate(sorted(camera.iterdir())):
-            file.rename(camera / f"{NIGHTS[k // 3]}_{k % 3 + 1}.jpg")
+    if "photographs" in scene.render:
+        write_photographs(folder, nights=NIGHTS, **scene.render)
+    else:
+        write_demo(folder, small=True, captures=6, **scene.render)
+        for camera in sorted((folder / "captures").iterdir()):
+            for k, file in enumerate(sorted(camera.iterdir())):
+                file.rename(camera / f"{NIGHTS[k // 3]}_{k % 3 + 1}.jpg")
     wbflow_run(folder, NIGHTS[0])
     work = next((folder / ".wbflow").iterdir())
     shutil.copytree(work, folder / "first", symlinks=True, ignore=shutil.ignore_patterns("cache"))
