@@ -23,7 +23,7 @@ from scores import voxel_means
 
 from wbflow.cache.ply import ply_bytes, read_ply
 from wbflow_stages.core.cameras import backproject, project, scaled_intrinsics
-from wbflow_stages.types import Camera, Float32s, Float64s, Uint8s
+from wbflow_stages.types import Bools, Camera, Float32s, Float64s, Uint8s
 
 DATA = Path(os.environ.get("WBFLOW_DATA") or Path(__file__).resolve().parents[2] / "shared" / "data")
 LENS = np.array([-0.12, 0.02, 0.0003, -0.0002, 0.0])
@@ -132,7 +132,7 @@ def sampled(depth: Float32s, whole: Camera, camera: Camera) -> Float32s:
     return np.asarray(depth[x[:, 1], x[:, 0]].reshape(camera.height, camera.width), np.float32)
 
 
-def knows(depth: Float32s, camera: Camera, X: Float64s) -> np.ndarray:
+def knows(depth: Float32s, camera: Camera, X: Float64s) -> Bools:
     """(n,) bool: has the laser something in the pixel of a point?"""
     x, z = project(camera, X)
     with np.errstate(invalid="ignore"):
