@@ -52,11 +52,11 @@ def write_photographs(folder: Path, photographs: str, cameras: Sequence[str], ni
     site = {
         "site": photographs,
         "captures": captures,
-        "cameras": list(cameras),
+        "cameras": [{"id": name} for name in cameras],
         "calibration": "cameras.json",
         "resolution": None,
     }
-    (folder / "site.yaml").write_text(yaml.safe_dump(site | {"resolution": None}, sort_keys=False))
+    (folder / "site.yaml").write_text(yaml.safe_dump(site, sort_keys=False))
     write_truth(folder / "truth", source, every, {name: resized(every[name], WIDTH) for name in cameras})
 
 
