@@ -430,7 +430,8 @@ def test_pictures_without_detail_are_soft_where_their_points_show_it(detail_px: 
 
 
 @pytest.mark.parametrize(
-    ("coarseness", "misfit", "soft"), [(1.4, 0.9, False), (1.4, 1.5, False), (1.0, 1.8, False), (1.45, 1.8, True)]
+    ("coarseness", "misfit", "soft"),
+    [(1.4, 0.9, False), (1.4, 1.5, False), (1.0, 1.8, False), (1.45, 1.8, True), (1.0, 2.1, True)],
 )
 def test_coarsely_coded_pictures_are_soft_where_their_points_show_it(coarseness: float, misfit: float, soft: bool) -> None:
     figures = CameraFigures(coarseness=coarseness, misfit=misfit)
