@@ -77,9 +77,7 @@ SCENES = {
     "workshop": Scene({"scene": "workshop", "cameras": 5}, 0.15, fitted=False),
     "construction": Scene({"scene": "construction", "cameras": 5}, 0.3, fitted=False),
     "substation": Scene({"scene": "substation", "cameras": 5}, 0.3, fitted=False),
-    "fountain": Scene(
-        {"photographs": "fountain", "cameras": ["0000", "0002", "0004", "0006", "0008", "0010"]}, 0.1, fitted=False
-    ),
+    "fountain": Scene({"photographs": "fountain", "cameras": [f"{k:04}" for k in range(0, 11, 2)]}, 0.1, fitted=False),
     "entry": Scene({"photographs": "entry", "cameras": [f"{k:04}" for k in range(0, 9, 2)]}, 0.2, fitted=False),
 }
 
