@@ -433,7 +433,7 @@ _EVERYBODY = {
 
 def _explanation(check: CalibrationCheck) -> str:
     misfit = f"they lie {math.sqrt(check.misfit):.1f} times as far from where it has them as noise explains"
-    if not check.cause:
+    if check.cause not in _CAUSES:  # none, or one that only an older version named, kept with the reference
         return f"{misfit}; no lens and no single camera explains that"
     amount = check.amount or (0.0,)
     size, scale = math.hypot(*amount), math.expm1(amount[0])

@@ -576,6 +576,11 @@ def test_a_clear_contradiction_stays_whatever_rows_say() -> None:
         assert only(record).kind == "calibration-contradicted"
 
 
+def test_a_reference_may_hold_a_cause_that_only_an_older_version_named() -> None:
+    check = CalibrationCheck(164, 5, True, 5.0, True, cause="poses")
+    assert only(judge(replace(night(), poses=PosesSummary(calibration=check)), Facts())).kind == "calibration-contradicted"
+
+
 def test_a_calibration_that_nothing_could_check_is_unverified_and_no_fault() -> None:
     world = PosesSummary(source="calibration")
     assert world.unverified and judge(replace(night(), poses=world), Facts()).exit_code == ExitCode.GOOD
