@@ -1,4 +1,4 @@
-"""wbflow: a metric, coloured point cloud of a site, every night, from fixed cameras far apart.
+"""wbflow: a metric, coloured point cloud of a site every night, from fixed cameras with wide baselines.
 
 From Python: `load_site`, `run` and `open_run` (see `wbflow.api`).
 """
@@ -16,7 +16,7 @@ __all__ = ["Run", "__version__", "load_site", "open_run", "run"]
 
 
 def __getattr__(name: str) -> Any:
-    """The API is imported when it is first asked for: the command line, and workers, do without most of it."""
+    """Import the API on first use: the command line and the workers need little of it."""
     if name not in __all__:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     from . import api

@@ -1,4 +1,4 @@
-"""`python -m wbflow` is `wbflow`."""
+"""`python -m wbflow` runs the command `wbflow`."""
 
 from .cli.main import main
 

@@ -1,4 +1,4 @@
-"""wbflow from Python: load a site, run a night, open what a run left.
+"""Python interface of wbflow: load a site, run a night, open a finished run.
 
 >>> import wbflow
 >>> run = wbflow.run("yard/site.yaml", jobs=8)
@@ -48,48 +48,48 @@ def run(
     not_captured: Mapping[str, str] | None = None,
     listen: Listener | None = None,
 ) -> Run:
-    """Do a night's work: from captures to cloud and report.  What has not changed is taken from the cache.
+    """Process a night: from captures to cloud and report.  Results that have not changed are taken from the cache.
 
     Parameters
     ----------
     site : Site, str or Path
         A site, or its file.
     date : date, optional
-        The night; the newest that has captures, if not given.
+        The night; the newest one with captures, if not given.
     jobs : int, optional
-        Workers; as many as there are cores, if not given.
+        Number of workers; the number of cores, if not given.
     until : str, optional
         Stop after this stage.
     force : iterable of str
-        Stages, or tasks such as "matches gate--roof", to be done again.
+        Stages, or tasks such as "matches gate--roof", to run again.
     wait : bool
-        Wait for another run of the same work folder.
+        Wait for another run of the same work folder to end.
     backend, scheduler : str
-        Where tasks run: processes, threading or dask; the address of Dask's scheduler.
+        Where tasks run: processes (or loky, the same), threading or dask; the address of Dask's scheduler.
     worker_roots : iterable of str
-        "/srv=/mnt/srv": what the workers of the cluster call folders of this machine.
+        Folders of this machine and their paths on the workers of the cluster: "/srv=/mnt/srv".
     memory : str, optional
-        What all workers together may hold: "4GB"; four fifths of what the machine has, if not given.
+        Memory limit for all workers together: "4GB"; four fifths of the machine's memory, if not given.
     time_limit : float, optional
-        Seconds that a task may take; derived from what its stage took earlier, if not given.
+        Limit for a task in seconds; derived from earlier tasks of its stage, if not given.
     stop_at : datetime, optional
-        Local time from which on only what is there already is put together and published.
+        Local time at which running tasks are stopped; after it, only tasks that combine existing results are run.
     not_captured : mapping of str to str, optional
-        Why no picture of a camera could be taken tonight, by camera: its finding says so.
+        By camera: the reason why no picture could be taken tonight, for its finding.
     listen : callable, optional
-        Called with every event as it happens, also with what is planned, and each task that begins.
+        Called with every event as it happens, including updates of the plan and the start of each task.
 
     Returns
     -------
     Run
-        Whatever its outcome: see `record.exit_code` and `record.reason`.
+        The finished run, whatever its outcome: see `record.exit_code` and `record.reason`.
 
     Raises
     ------
     SiteError
         The site file cannot be used.
     UsageError
-        There is no such stage, or no Dask.
+        An option is invalid, such as an unknown stage, or Dask is not installed.
     Locked
         Another run holds the work folder.
     WbflowError
@@ -118,12 +118,12 @@ def open_run(where: Site | str | Path, run_id: str | None = None) -> Run:
     where : Site, str or Path
         The site, its file or folder, or the folder of the run itself.
     run_id : str, optional
-        Which of the site's runs; "latest-good" is the newest with a cloud; the newest, if not given.
+        Id or night of the run; "latest-good" is the newest one that is good or degraded; the newest, if not given.
 
     Raises
     ------
     NoSuchRun
-        There is none.
+        There is no such run.
     SiteError
         The site file cannot be used.
     """

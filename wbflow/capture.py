@@ -1,6 +1,6 @@
-"""`wbflow capture`: pictures of all cameras at once, under the names that a run looks for.
+"""`wbflow capture`: take pictures with all cameras at once, and save them under the names that a run looks for.
 
-They come from a snapshot or Motion JPEG over HTTP, a video stream, or a folder that a camera writes to.
+A camera delivers snapshots or Motion JPEG over HTTP, a video stream, or files in a folder that it writes to.
 """
 
 from __future__ import annotations
@@ -32,25 +32,25 @@ from .site.models import Site
 from .words import counted, printable
 
 CREDENTIALS = "WBFLOW_CREDENTIALS"
-"""Environment variable: the file of credentials, where the site file names none."""
+"""Environment variable with the path of the credentials file, used if the site file names none."""
 TRIES = 3
 _BETWEEN_TRIES, _LEAD = 2.0, 2.0
-"""Seconds: before a camera is asked again; before the first picture, for connections to be made."""
+"""Seconds of pause before a failed camera is tried again, and of lead time before the first picture, to connect."""
 _SECONDS_OF_AN_HOUR = 3600
 _MOST_OFF = 60.0
-"""Seconds by which a camera's clock may differ from this machine's and is still believed."""
+"""If a camera's clock differs from this machine's by more seconds than this, its times are not used."""
 PATIENCE = 15.0
-"""Seconds that a camera may take to answer."""
+"""Timeout of a camera's answer, seconds."""
 LARGEST = 100_000_000
-"""Bytes of one picture."""
+"""Largest picture that is read, bytes."""
 _STREAM = "wbflow_stages.capture.stream:stream_pictures"
 _STILL_SECONDS = 0.5
 _COMPLETE = {b"\xff\xd8": b"\xff\xd9", b"\x89P": b"IEND\xaeB`\x82"}
-"""How a picture ends, by how it begins."""
+"""By the first two bytes of a file (JPEG, PNG): the bytes at the end of a complete one."""
 
 
 class CaptureFailed(WbflowError):
-    """A camera gives no picture; the message holds neither user nor password."""
+    """A camera delivers no picture; the message contains neither user nor password."""
 
 
 Login = tuple[str, str]
@@ -58,22 +58,22 @@ Login = tuple[str, str]
 
 
 Shot = tuple[bytes, float | None]
-"""A picture's file, and when it was taken: Unix time by the camera's own clock; None: it does not say."""
+"""A picture file's bytes, and the Unix time when it was taken by the camera's clock; None if the camera sends no time."""
 
 
 @dataclass
 class Taken:
-    """What a camera has given."""
+    """What a camera has delivered."""
 
     camera: str
     wanted: int
     files: list[Path] = field(default_factory=list)
     fault: str = ""
-    """Why some are missing."""
+    """Why pictures are missing; "" if none are."""
     own_clock: bool = True
-    """Are all times the camera's own?"""
+    """Are all times from the camera's own clock?"""
     off: float = 0.0
-    """Seconds by which its clock is ahead of this machine's, where that is too much to believe it."""
+    """Seconds by which its clock is ahead of this machine's, if by more than `_MOST_OFF`; else 0."""
 
     def __str__(self) -> str:
         off = datetime.timedelta(seconds=round(abs(self.off)))
@@ -83,12 +83,12 @@ class Taken:
 
 
 def capture(site: Site, listen: Callable[[Taken], None] = lambda taken: None) -> list[Taken]:
-    """Take pictures of every camera that has a `url`, all at the same moments.
+    """Take pictures with every camera that has a `url`, all at the same moments.
 
-    The site's `captures` say how many, over how long, and how files are called.  listen: receives what a camera has given.
+    The site's `captures` set how many, over how many seconds, and the file names.  listen: called with each camera's `Taken`.
 
-    Raises UsageError where no camera has a `url`, the file of credentials cannot be read, names do not tell pictures apart, or
-    captures lie in a store.
+    Raises UsageError if no camera has a `url`, the credentials file cannot be read, two pictures would get the same name, or the
+    captures are in an object store.
     """
     settings = site.settings.captures
     urls = {entry.id: entry.url for entry in site.settings.cameras if entry.url}
@@ -119,7 +119,7 @@ def capture(site: Site, listen: Callable[[Taken], None] = lambda taken: None) ->
 
 
 def _take(site: Site, taken: Taken, url: str, login: Login | None, moments: list[float]) -> None:
-    """Write a camera's pictures; ask again where it fails."""
+    """Write a camera's pictures; retry if it fails."""
     for attempt in range(TRIES):
         if attempt:
             time.sleep(_BETWEEN_TRIES)
@@ -146,8 +146,8 @@ def _write(site: Site, taken: Taken, shot: Shot) -> None:
 
 
 def _free_name(site: Site, camera: str, local: datetime.datetime) -> Path:
-    """The name of a capture.  In the hour that comes twice, when clocks are set back, one that the first hour has taken is not
-    written over: the next second's is used."""
+    """The path of a capture.  When clocks are set back, an hour occurs twice: if a file of the first pass has the name, the name
+    of the next free second is used, so that nothing is overwritten."""
     path = site.captures.name(camera, local)
     for seconds in range(1, _SECONDS_OF_AN_HOUR if local.fold else 0):
         if not path.exists():
@@ -168,7 +168,7 @@ def _check_names(site: Site, camera: str, moments: list[float]) -> None:
 
 
 def _logins(site: Site) -> dict[str, Login]:
-    """Read user and password by camera; "*" stands for all others."""
+    """Read user and password by camera; "*" is for all others."""
     named = site.settings.captures.credentials or os.environ.get(CREDENTIALS)
     if not named:
         return {}
@@ -179,12 +179,12 @@ def _logins(site: Site) -> dict[str, Login]:
         return {str(camera): (str(entry["user"]), str(entry["password"])) for camera, entry in data.items()}
     except OSError as error:
         raise UsageError(f"the file of credentials cannot be read: {error}", where=str(path), remedy=remedy) from None
-    except (yaml.YAMLError, ValueError, TypeError, KeyError, AttributeError):  # without a word of what it holds
+    except (yaml.YAMLError, ValueError, TypeError, KeyError, AttributeError):  # the message must not show the contents
         raise UsageError("the file of credentials is not as it should be", where=str(path), remedy=remedy) from None
 
 
 def shots(url: str, login: Login | None, moments: Sequence[float]) -> Iterator[Shot]:
-    """Yield a camera's picture at each moment (Unix times, in order).  Raises CaptureFailed where it gives none, or no more."""
+    """Yield a camera's picture at each moment (Unix times, in order).  Raises CaptureFailed if the camera delivers none."""
     try:
         if url.startswith("rtsp"):
             yield from load(_STREAM)(_with_login(url, login), moments, PATIENCE)
@@ -204,12 +204,12 @@ def shots(url: str, login: Login | None, moments: Sequence[float]) -> Iterator[S
         ) from None
     except http.client.IncompleteRead as error:
         raise CaptureFailed(f"sends half a picture ({len(error.partial):,} bytes)") from None
-    except (OSError, ValueError, http.client.HTTPException) as error:  # ValueError: a way of authentication that urllib lacks
+    except (OSError, ValueError, http.client.HTTPException) as error:  # ValueError: urllib lacks the authentication scheme
         raise CaptureFailed(str(error) or type(error).__name__) from None
 
 
 def _of_server(url: str, login: Login | None, moments: Sequence[float]) -> Iterator[Shot]:
-    """Ask for each picture, or read them all from one answer that goes on and on."""
+    """Request each picture, or read all of them from one endless response (Motion JPEG)."""
     opener = urllib.request.build_opener()
     if login:
         known = urllib.request.HTTPPasswordMgrWithDefaultRealm()
@@ -227,7 +227,7 @@ def _of_server(url: str, login: Login | None, moments: Sequence[float]) -> Itera
 
 
 def _of_parts(answer: IO[bytes], moments: Sequence[float]) -> Iterator[Shot]:
-    """Read Motion JPEG: parts with a head each, of which those at the moments count."""
+    """Read Motion JPEG: parts with a header each; yield the first part at or after each moment."""
     due = iter(moments)
     moment = next(due, None)
     while moment is not None:
@@ -244,7 +244,7 @@ def _of_parts(answer: IO[bytes], moments: Sequence[float]) -> Iterator[Shot]:
 
 
 class _SkipToHead:
-    """The lines of a part's head, without what stands before it."""
+    """The header lines of a multipart part, without what precedes them."""
 
     def __init__(self, answer: IO[bytes]) -> None:
         self._answer = answer
@@ -270,14 +270,14 @@ def _until_end(answer: IO[bytes]) -> bytes:
 
 
 def _of_folder(folder: Path, moments: Sequence[float]) -> Iterator[Shot]:
-    """Take what a camera writes into a folder from now on, the newest at each moment; `moments` end the wait, too."""
+    """Yield at each moment the newest file that arrives in a folder from now on; give up `PATIENCE` s after the last moment."""
     begun, used = time.time(), set[Path]()
     for moment in moments:
         while True:
             _wait_until(moment)
             new = [path for path in folder.iterdir() if path.is_file() and path not in used and path.stat().st_mtime >= begun - 1]
             latest = max(new, key=lambda path: path.stat().st_mtime, default=None)
-            if latest and time.time() - latest.stat().st_mtime > _STILL_SECONDS:  # it is no longer written to
+            if latest and time.time() - latest.stat().st_mtime > _STILL_SECONDS:  # the camera has finished writing it
                 used.add(latest)
                 yield _whole(read_untrusted(latest)), latest.stat().st_mtime
                 break
@@ -287,7 +287,7 @@ def _of_folder(folder: Path, moments: Sequence[float]) -> Iterator[Shot]:
 
 
 def _whole(data: bytes) -> bytes:
-    """Return a picture's bytes.  Raises OSError where their end is missing, or where they are no picture."""
+    """Return a picture's bytes unchanged.  Raises OSError if the end is missing, or if it is neither JPEG nor PNG."""
     ends = _COMPLETE.get(data[:2])
     if ends is None:
         raise OSError(f"sends something else than a picture ({len(data):,} bytes)" if data else "sends an empty picture")

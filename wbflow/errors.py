@@ -1,4 +1,4 @@
-"""How wbflow ends, and how it says that something is wrong: the exit codes, and the base of all its exceptions."""
+"""The exit codes of wbflow, and the base class of all its exceptions."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ class ExitCode(IntEnum):
     """The exit codes of every command."""
 
     GOOD = 0
-    """Nothing to look at."""
+    """Nothing needs attention."""
     FAILED = 1
     """No cloud could be made."""
     USAGE = 2
@@ -24,7 +24,7 @@ class ExitCode(IntEnum):
 
 
 def worst(codes: Iterable[int]) -> int:
-    """The exit code of several runs: interrupted, else no cloud, else a site not begun, else degraded, else good."""
+    """The worst exit code of several runs: interrupted, then failed, usage, locked, degraded, good."""
     order = (ExitCode.GOOD, ExitCode.DEGRADED, ExitCode.LOCKED, ExitCode.USAGE, ExitCode.FAILED, ExitCode.INTERRUPTED)
     return max(codes, key=lambda code: order.index(ExitCode(code)), default=ExitCode.GOOD)
 
@@ -32,12 +32,12 @@ def worst(codes: Iterable[int]) -> int:
 class WbflowError(Exception):
     """The base of all errors that wbflow raises on purpose.
 
-    what: is wrong, in one line.  where: a file (with line and column), a task, a folder; "" where there is no place.  remedy:
-    what to do about it; "" where nothing can be.
+    what: the fault, in one line.  where: a file (with line and column), a task or a folder; "" if the fault has no place.
+    remedy: what to do about it; "" if nothing can be done.
     """
 
     exit_code: ExitCode = ExitCode.FAILED
-    """What the command line ends with when nobody catches it."""
+    """Exit code of the command line if the error is not caught."""
 
     def __init__(self, what: str, *, where: str = "", remedy: str = "") -> None:
         self.what = what
@@ -51,6 +51,6 @@ class WbflowError(Exception):
 
 
 class UsageError(WbflowError, ValueError):
-    """What was asked for cannot be meant."""
+    """Wrong usage: invalid options, site file or arguments."""
 
     exit_code = ExitCode.USAGE

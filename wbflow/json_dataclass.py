@@ -1,4 +1,4 @@
-"""Dataclasses that are read from JSON and written to it; keys that they do not know are ignored."""
+"""Dataclasses that are read from JSON and written to it; unknown keys are ignored."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from typing import Any, Self
 from pydantic import TypeAdapter, model_serializer, model_validator
 
 DIGITS = 4
-"""More are read by nobody."""
+"""Decimal places of numbers in JSON."""
 
 
 class JsonDataclass:
-    """A dataclass with a form in JSON."""
+    """Base of dataclasses that convert to and from JSON."""
 
     def to_json(self) -> dict[str, Any]:
         """Return its fields by name, numbers rounded."""
@@ -23,14 +23,14 @@ class JsonDataclass:
 
     @classmethod
     def from_json(cls, data: Any) -> Self:
-        """Return the dataclass of such fields.  Raises ValueError for anything else."""
+        """Return the dataclass with these fields.  Raises ValueError if the data does not fit."""
         kind: Any = cls
         made: Self = _adapter(kind).validate_python(data)
         return made
 
 
 class FlatJsonDataclass(JsonDataclass):
-    """One whose `figures` stand among its own fields in JSON."""
+    """Base of dataclasses whose `figures` are written to JSON flat, alongside the other fields."""
 
     @model_validator(mode="before")
     @classmethod
@@ -49,7 +49,7 @@ def _adapter(kind: Any) -> TypeAdapter[Any]:
 
 
 def rounded(value: Any) -> Any:
-    """Return numbers rounded to `DIGITS`; those in lists (corners of boxes) stay as they are."""
+    """Return a value with floats rounded to `DIGITS`, also in mappings; numbers in lists (corners of boxes) stay as they are."""
     if isinstance(value, Mapping):
         return {key: rounded(entry) for key, entry in value.items()}
     if isinstance(value, list | tuple):

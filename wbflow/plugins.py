@@ -1,4 +1,4 @@
-"""Functions by dotted name, also those of modules that lie beside a site file (`use: my_module:my_function`)."""
+"""Functions by dotted name, also from modules in the folder of a site file (`use: my_module:my_function`)."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ from typing import Any
 
 
 class _Beside(str):
-    """An entry of the module path that was added for a site."""
+    """An entry of `sys.path` that was added for a site."""
 
     def __reduce__(self) -> tuple[type[str], tuple[str]]:  # worker processes get the path before they can import this
         return str, (str(self),)
 
 
 def make_importable(folder: Path | None) -> None:
-    """Let modules in a folder be imported, after all that Python finds elsewhere; those of another site are forgotten."""
+    """Append a folder to `sys.path`, after all other entries; unload the modules of another site, and remove its folder."""
     for other in [entry for entry in sys.path if isinstance(entry, _Beside) and entry != str(folder)]:
         sys.path.remove(other)
         for name, module in list(sys.modules.items()):
@@ -28,11 +28,11 @@ def make_importable(folder: Path | None) -> None:
 
 
 def is_site_module(file: str) -> bool:
-    """Was a source file made importable by `make_importable`, rather than installed?"""
+    """Is a source file in a folder that `make_importable` added, rather than installed?"""
     return any(Path(file).is_relative_to(entry) for entry in sys.path if isinstance(entry, _Beside))
 
 
 def load(dotted: str) -> Callable[..., Any]:
-    """The function, or class, "package.module:name", looked up anew: modules beside a site file are forgotten with it."""
+    """The function or class "package.module:name", looked up each time: modules of a site are unloaded with the site."""
     function: Callable[..., Any] = pkgutil.resolve_name(dotted)
     return function

@@ -1,17 +1,17 @@
 """Work folders and captures in an object store (s3://bucket/prefix, gs://..., file:///...), through fsspec.
 
-A work folder in a store is worked on as an ordinary folder of this machine, file for file under the same names: `pull` brings
-what other machines have done, `push` sends what was done here, while the run works and at its end.  The store's listing is the
-index: size and ETag of each file, compared with what both sides had when they last agreed (`mirror.json`).  Where the store has
-changed since, the store wins; what differs otherwise was done here, and goes up.  An artifact goes before its receipt, a run's
-files before its run.json: nothing in the store promises what is not there.
+A work folder in a store is mirrored by an ordinary local folder with the same file names.  `pull` downloads what other machines
+have done; `push` uploads what was done here, during the run and at its end.  Changes are found from the store's listing: the
+ETag of each file is compared with that of the last synchronization (`mirror.json`).  Files that have changed in the store since
+then replace the local ones; all other differences are local changes and are uploaded.  An artifact is uploaded before its
+receipt, and a run's files before its run.json, so that no file in the store refers to one that is missing.
 
-One machine writes at a time: `held.json` in the store names it.  It is made with a conditional put where the store knows one,
-renewed while results go up, and counts as abandoned after an hour; what a killed run has left is taken over at once by the next
-run on the same machine.  The clocks of the machines have to agree to within a few minutes.
+Only one machine writes at a time: the one that `held.json` in the store names.  That object is created with a conditional put
+if the store supports it, is renewed with each upload, and counts as abandoned after an hour without renewal; the next run on the
+same machine takes over from a killed run at once.  The clocks of all machines must agree to within a few minutes.
 
-Captures in a store are listed, and those of the night are fetched; each comes once, until its ETag changes.  Credentials and
-endpoints are those of the store's own library (AWS_PROFILE, AWS_ENDPOINT_URL, ...): no site file holds any.
+Captures in a store are listed, and only those of the night are downloaded, once until their ETags change.  Credentials and
+endpoints come from the store's own library (AWS_PROFILE, AWS_ENDPOINT_URL, ...); site files contain none.
 """
 
 from __future__ import annotations
@@ -40,54 +40,54 @@ from .words import counted, printable
 
 HELD = "held.json"
 ABANDONED_SECONDS = 3600.0
-"""A writer that has not been heard of for so long is gone."""
+"""A writer that has not renewed `held.json` for this many seconds counts as gone."""
 UPLOAD_SECONDS = 10.0
-"""Finished results go up this often."""
+"""Shortest time in seconds between uploads of finished results during a run."""
 _WAIT_SECONDS = 5.0
 _URL = re.compile(r"[a-z][a-z0-9+.-]*://")
 _INSTALL = "pip install 'wbflow[cloud]'  (for gs:// also gcsfs, for abfs:// adlfs)"
 _REACH = "is it there, does this machine reach it, and do its credentials hold (for S3: AWS_PROFILE, AWS_ENDPOINT_URL)?"
 _OPTIONS: dict[str, dict[str, Any]] = {
     "file": {"auto_mkdir": True},
-    "s3": {"config_kwargs": {"retries": {"max_attempts": 1}}},  # s3fs itself tries five times
+    "s3": {"config_kwargs": {"retries": {"max_attempts": 1}}},  # s3fs itself already tries five times
 }
-_AT_ONCE = 16  # files on their way at the same time
+_AT_ONCE = 16  # parallel transfers
 
 
 class StoreError(WbflowError):
-    """An object store does not do what is asked; the message names it."""
+    """An operation on an object store failed; the message names the store."""
 
 
 class NoSuchStore(StoreError):
-    """The URL names no store that can be used here."""
+    """The URL is invalid, or packages for its kind of store are missing."""
 
     exit_code = ExitCode.USAGE
 
 
 def is_url(text: str) -> bool:
-    """Return whether an object store is named, and no folder."""
+    """Return whether the text is the URL of an object store, rather than a folder."""
     return _URL.match(text) is not None
 
 
 Entry = tuple[int, str]
-"""Size of an object, and its ETag or else the time of its last change: another one for other bytes."""
+"""Size of an object, and its mark: the ETag, or else the time of its last change.  The mark changes with the bytes."""
 
 
 class ObjectStore:
-    """The objects below a URL, by name.  Whatever a store's library raises becomes a StoreError."""
+    """The objects below a URL, by name.  Errors of the store's library are raised as StoreError, except for a full local disk."""
 
     def __init__(self, url: str) -> None:
         self.url = url.rstrip("/")
 
     def listing(self) -> dict[str, Entry]:
-        """Return every object by name."""
+        """Return size and mark of every object, by name."""
         system, top = self._opened
         with self._errors("listing"):
             found = {str(path)[len(top) + 1 :]: info for path, info in system.find(top, detail=True).items()}
             return {name: _entry(info) for name, info in found.items() if info["type"] == "file" and not name.endswith("/")}
 
     def read(self, name: str) -> bytes | None:
-        """Return an object's bytes; None where there is none."""
+        """Return an object's bytes; None if it does not exist."""
         with self._errors(name):
             try:
                 return bytes(self._opened[0].cat_file(self._path(name)))
@@ -95,18 +95,18 @@ class ObjectStore:
                 return None
 
     def write(self, name: str, data: bytes, new: bool = False) -> bool:
-        """Write an object.  new: only where there is none; returns False where there is one."""
+        """Write an object.  new: only if it does not exist; returns False if it does."""
         with self._errors(name):
             try:
                 self._opened[0].pipe_file(self._path(name), data, **({"mode": "create"} if new else {}))
-            except OSError as error:  # S3: PreconditionFailed, or ConditionalRequestConflict where two come at once
+            except OSError as error:  # S3: PreconditionFailed, or ConditionalRequestConflict for simultaneous writes
                 if new and (isinstance(error, FileExistsError) or "condition" in f"{error} {error.__cause__}".lower()):
                     return False
                 raise
             return True
 
     def fetch(self, names: Sequence[str], root: Path) -> None:
-        """Copy objects to files of the same names, each by rename; one that is gone is left out."""
+        """Download objects to files of the same names, each by rename; objects that no longer exist are skipped."""
 
         def one(name: str) -> None:
             temporary = WorkFolder.unfinished(root / name)
@@ -119,12 +119,12 @@ class ObjectStore:
             list(threads.map(one, names))
 
     def put(self, names: Sequence[str], root: Path) -> None:
-        """Copy files to objects of the same names.  After an error some are there, and others are not."""
+        """Upload files to objects of the same names.  After an error, some may be uploaded and others not."""
         with self._errors("upload"):
             self._opened[0].put([str(root / name) for name in names], [self._path(name) for name in names], batch_size=_AT_ONCE)
 
     def remove(self, names: Iterable[str]) -> None:
-        """Remove objects; one that is gone already is no error."""
+        """Remove objects; those that no longer exist are ignored."""
         for name in names:
             with self._errors(name), contextlib.suppress(FileNotFoundError):
                 self._opened[0].rm_file(self._path(name))
@@ -134,9 +134,9 @@ class ObjectStore:
 
     @cached_property
     def _opened(self) -> tuple[Any, str]:
-        """The file system of fsspec, and the path in it."""
+        """The fsspec file system, and the path in it."""
         try:
-            from fsspec.core import url_to_fs  # an extra
+            from fsspec.core import url_to_fs  # optional dependency
 
             system, top = url_to_fs(self.url, use_listings_cache=False, **_OPTIONS.get(self.url.partition("://")[0], {}))
         except ImportError as error:
@@ -151,7 +151,7 @@ class ObjectStore:
             yield
         except StoreError:
             raise
-        except Exception as error:  # each store's library has errors of its own: BotoCoreError, ClientError, FSTimeoutError, ...
+        except Exception as error:  # each store's library has its own errors: BotoCoreError, ClientError, FSTimeoutError, ...
             if isinstance(error, OSError) and error.errno in FULL:
                 raise
             what = f"{self.url} cannot be used ({name}): {type(error).__name__}: {printable(error)}"
@@ -159,38 +159,38 @@ class ObjectStore:
 
 
 def _entry(info: Mapping[str, Any]) -> Entry:
-    """Read what fsspec reports of an object: each store has names of its own."""
+    """Return size and mark from fsspec's information on an object, whose keys differ between stores."""
     marks = (info.get(name) for name in ("ETag", "etag", "LastModified", "updated", "last_modified", "mtime", "created"))
     return int(info["size"]), str(next(filter(None, marks), ""))
 
 
 Stamp = tuple[int, int]
-"""Size and mtime_ns of a file: another one after a change."""
+"""Size and mtime_ns of a local file, to detect changes."""
 
 
 class Mirror:
-    """A work folder of this machine, and the store that it mirrors.  The caller holds the folder's lock."""
+    """A local work folder and the store that it mirrors.  The caller holds the folder's lock."""
 
     def __init__(self, work: WorkFolder) -> None:
         self.work, self.store = work, ObjectStore(work.store)
         self._token = os.urandom(8).hex()
-        """Names this folder in held.json."""
+        """Identifies this folder in held.json."""
         self._agreed: dict[str, tuple[str, Stamp]] = {}
-        """By name: the store's mark ("" where it is not known yet) and the stamp here, when both had the same bytes."""
+        """By name: mark in the store ("" if not known yet) and local stamp when both sides last had the same bytes."""
         self._waiting: list[tuple[Task, str]] = []
         self._fault: str | None = None
         self.holds = False
         self._sent = time.monotonic()
-        with contextlib.suppress(Damaged, KeyError, TypeError, ValueError):  # then files are fetched again
+        with contextlib.suppress(Damaged, KeyError, TypeError, ValueError):  # without the memo, files are downloaded again
             memo = read_checksummed(work.mirror_memo, "mirror") or {}
             if memo["url"] == self.store.url:
                 self._token = str(memo["token"])
                 self._agreed = {name: (mark, (size, mtime)) for name, (mark, size, mtime) in memo["files"].items()}
 
     def pull(self) -> None:
-        """Bring what others have done since.  Raises StoreError, OSError."""
+        """Download what other machines have changed since the last synchronization.  Raises StoreError, OSError."""
         there, here = {name: e for name, e in self.store.listing().items() if self._belongs(name)}, self._stamps(self._files())
-        if not there:  # a new store, or one that has lost everything: what is here goes up
+        if not there:  # a new store, or one that has lost everything: the next push uploads all local files
             self._agreed = {}
         missing = []
         for name, (size, mark) in there.items():
@@ -204,13 +204,13 @@ class Mirror:
             self.store.fetch(names, self.work.root)
         fetched = self._stamps(self.work.root / name for name in missing)
         self._agreed.update({name: (there[name][1], stamp) for name, stamp in fetched.items()})
-        for name in self._agreed.keys() - there.keys():  # somebody else has removed it
+        for name in self._agreed.keys() - there.keys():  # another machine has removed it
             if self._agreed.pop(name)[1] == here.get(name):
                 (self.work.root / name).unlink(missing_ok=True)
         self._save()
 
     def push(self, some: Iterable[Path] | None = None) -> None:
-        """Send what was done here; `some`: these files only.  Raises StoreError: the rest goes with the next push."""
+        """Upload local changes; `some`: of these files only.  Raises StoreError; the next push uploads the rest."""
         here = self._stamps(self._files() if some is None else some)
         fresh = [name for name, stamp in here.items() if self._agreed.get(name, ("", None))[1] != stamp]
         for names in self._in_order(fresh):
@@ -222,7 +222,7 @@ class Mirror:
             self.store.remove(names)
             for name in names:
                 del self._agreed[name]
-        for link in self.work.links():  # for people who look there: an object of a link's name holds the id of a run
+        for link in self.work.links():  # for people who browse the store: an object named like the link contains the run's id
             if run := self.work.led_to(link):
                 self.store.write(f"{self.work.runs.name}/{link.name}", run.encode())
         there = self.store.listing() if fresh else {}
@@ -230,7 +230,7 @@ class Mirror:
         self._save()
 
     def listening(self, listen: Listener) -> Listener:
-        """Return a listener that receives everything, and sends results as tasks finish."""
+        """Return a listener that passes events on to `listen`, and uploads results as tasks finish."""
 
         def receive(event: Event | Signal) -> None:
             listen(event)
@@ -242,19 +242,19 @@ class Mirror:
         return receive
 
     def behind(self) -> Finding | None:
-        """Send what is finished; return a finding where that does not work."""
+        """Upload finished results; return a finding if that fails."""
         self._send(everything=False)
         return finding("store-behind", reason=self._fault) if self._fault else None
 
     def finish(self) -> str | None:
-        """Send everything and let others write; return what went wrong."""
+        """Upload everything and release the store; return what went wrong, in words, or None."""
         if self.holds:
             self._send(everything=True)
             self.release()
         return self._fault
 
     def hold(self, wait: bool) -> None:
-        """Become the one writer.  Raises Locked where another machine is, and `wait` is False; StoreError."""
+        """Become the only writer.  Raises Locked if another folder holds the store and `wait` is False; StoreError."""
         while not self.store.write(HELD, self._claim(), new=True):
             holder = self._holder()
             if holder["token"] in {self._token, ""} or time.time() - holder["seen"] > ABANDONED_SECONDS:
@@ -268,7 +268,7 @@ class Mirror:
         self.holds = True
 
     def release(self) -> None:
-        """Let others write; where the store does not answer, they may after a while."""
+        """Release the store.  If it does not answer, others can write after `ABANDONED_SECONDS`."""
         self.holds = False
         with contextlib.suppress(StoreError):
             if self._holder()["token"] == self._token:
@@ -291,7 +291,7 @@ class Mirror:
         return json.dumps({"token": self._token, "host": os.uname().nodename, "pid": os.getpid(), "seen": time.time()}).encode()
 
     def _holder(self) -> dict[str, Any]:
-        """Return who holds the store; a token of "" for nobody, or somebody who cannot be read."""
+        """Return the holder of the store; its token is "" if there is none, or held.json is invalid."""
         try:
             return {"token": "", "host": "?", "pid": "?", "seen": 0.0, **json.loads(self.store.read(HELD) or b"{}")}
         except (ValueError, TypeError):
@@ -302,19 +302,19 @@ class Mirror:
         write_checksummed(self.work.mirror_memo, "mirror", {"url": self.store.url, "token": self._token, "files": files})
 
     def _files(self) -> Iterator[Path]:
-        """Every file here that belongs into the store."""
+        """Yield every local file that belongs in the store."""
         start = len(f"{self.work.root}/")
         return (path for path in self.work.root.rglob("*") if self._belongs(str(path)[start:]))
 
     def _belongs(self, name: str) -> bool:
-        """Return whether a file belongs into the store: not what is of this machine alone, or can be made again from the rest."""
+        """Return whether a file belongs in the store; files of this machine alone, and those that can be rebuilt, do not."""
         work, parts = self.work, PurePosixPath(name).parts
         fewest = {work.cache.name: 4, work.reference.name: 2, work.runs.name: 3}
         fewest |= {path.name: 1 for path in (work.delivered_memo, work.notified, work.owner)}
         return len(parts) >= fewest.get(parts[0], len(parts) + 1) and not any(part.startswith(".") for part in parts)
 
     def _in_order(self, names: Iterable[str]) -> Iterator[list[str]]:
-        """Group names: bytes, then receipts, then what says that a run or a reference is there."""
+        """Group names in order of upload: artifacts, then receipts and other JSON, then the records of runs and the reference."""
         last = {self.work.reference_record.name, RunPaths(self.work.root).record.name}
 
         def rank(name: str) -> int:
@@ -333,8 +333,8 @@ class Mirror:
 
 @contextlib.contextmanager
 def writing(work: WorkFolder, wait: bool) -> Iterator[Mirror]:
-    """Hold the store of a work folder while the block runs: it begins with all that others have done, and ends with all that was
-    done here in the store.  The caller holds the folder.  Raises Locked, StoreError."""
+    """Hold the store of a work folder while the block runs: download other machines' changes first, and upload all local ones at
+    the end.  The caller holds the folder's lock.  Raises Locked, StoreError."""
     mirror = Mirror(work)
     mirror.hold(wait)
     try:
@@ -347,14 +347,14 @@ def writing(work: WorkFolder, wait: bool) -> Iterator[Mirror]:
 
 
 def pull_to_read(work: WorkFolder) -> None:
-    """Bring what others have done, only to read it; a folder that a run writes to is up to date.  Raises StoreError, OSError."""
+    """Download other machines' changes; not while a run holds the folder, which is then current.  Raises StoreError, OSError."""
     with contextlib.suppress(Locked), hold(work.lock, wait=False):
         Mirror(work).pull()
 
 
 def list_captures(root: Path, url: str) -> None:
-    """Make a folder show the names of all captures in a store.  What is new, or has another ETag, is an empty file until
-    `fetch_captures` gets its bytes.  Raises StoreError, OSError."""
+    """Mirror the names of all captures in a store in a folder.  A new or changed capture is an empty file until `fetch_captures`
+    downloads its bytes.  Raises StoreError, OSError."""
     memo = WorkFolder(root).mirror_memo
     known: dict[str, list[Any]] = {}
     with contextlib.suppress(Damaged):
@@ -372,7 +372,7 @@ def list_captures(root: Path, url: str) -> None:
                 path.touch()
         except OSError as error:
             if error.errno in FULL:
-                raise  # else it is a name that no file here can have beside the others
+                raise  # any other error: no local file can have this name, at least not together with the others
     for name in known.keys() - files.keys():
         (root / name).unlink(missing_ok=True)
     if files != known:
@@ -380,6 +380,6 @@ def list_captures(root: Path, url: str) -> None:
 
 
 def fetch_captures(root: Path, url: str, paths: Iterable[Path]) -> None:
-    """Get the bytes of captures that are not here yet.  Raises StoreError, OSError."""
+    """Download the captures that are still empty files.  Raises StoreError, OSError."""
     empty = [path for path in paths if path.is_file() and not path.stat().st_size]
     ObjectStore(url).fetch([str(path.relative_to(root)) for path in empty], root)

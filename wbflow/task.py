@@ -1,29 +1,29 @@
-"""The unit of work that everything in the engine speaks of: a stage applied to one subject."""
+"""The engine's unit of work: a stage applied to one subject."""
 
 from __future__ import annotations
 
 from typing import NamedTuple
 
 Subject = tuple[str, ...]
-"""What a task works on: () for the site, (camera,) or (left, right).  Of a camera that is too wide for one pinhole each view
-counts as a camera; what a person sees of it is said of the camera (`camera_of`)."""
+"""What a task works on: () for the site, (camera,) or (left, right).  If a camera is too wide for one pinhole camera, it is split
+into views, and each view counts as a camera here; texts for people name the camera (`camera_of`)."""
 
 _VIEW = "@"
-"""Between a camera's id, in which it cannot be, and the number of one of its views."""
+"""Separates a camera's id, which cannot contain it, from the number of one of its views."""
 
 
 def view_name(camera: str, number: int) -> str:
-    """What a view of a camera is called that has several, as a subject: gate@1 is the first of gate."""
+    """The name, as a subject, of one view of a camera that has several: gate@1 is the first view of gate."""
     return f"{camera}{_VIEW}{number}"
 
 
 def camera_of(view: str) -> str:
-    """The id of the camera that a view is of; most cameras have one view, which is called as they are."""
+    """The id of a view's camera; most cameras have a single view, which has the camera's id."""
     return view.partition(_VIEW)[0]
 
 
 class Task(NamedTuple):
-    """A stage applied to one subject.  (A plan asks for tasks by the hundred thousand: tuples are found quickest.)"""
+    """A stage applied to one subject.  (A tuple, since a plan looks up hundreds of thousands of tasks in dictionaries.)"""
 
     stage: str
     subject: Subject = ()
@@ -33,10 +33,10 @@ class Task(NamedTuple):
 
 
 def names_of(task: Task) -> set[str]:
-    """What people may call a task: its stage, itself, and of a view the same of its camera."""
+    """The names that select a task in options: its stage, the task itself, and for views the task of their cameras."""
     return {task.stage, str(task), str(Task(task.stage, tuple(map(camera_of, task.subject))))}
 
 
 def component_name(number: int) -> str:
-    """What a component of cameras other than the main one is called, as a subject: component-2 is the second."""
+    """The name, as a subject, of a component of cameras other than the main one (number 0): component-2 for number 1."""
     return f"component-{number + 1}"

@@ -1,4 +1,4 @@
-"""How text from outside, numbers, sizes and times are written for people; and sizes read that people have written."""
+"""Formats untrusted text, numbers, sizes and times for people, and parses sizes that people write."""
 
 from __future__ import annotations
 
@@ -6,18 +6,18 @@ import re
 from typing import Any
 
 LONGEST = 500
-"""Characters of a reason or a name from outside that are kept."""
+"""Longest reason or name from outside, in characters."""
 LONGEST_TRACE = 8000
-"""Of a traceback."""
+"""Longest traceback, in characters."""
 _UNFIT = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u200e\u200f\u2028-\u202e\u2066-\u2069\ud800-\udfff]")
-"""Control characters but for the end of a line and the tabulator, what turns the direction of writing, halves of characters."""
+"""Characters to escape: controls other than newline and tab, line separators and bidirectional marks, and lone surrogates."""
 
 
 def printable(text: object, most: int = LONGEST) -> str:
-    """Words from outside (a file's name, an id, what a stage raised) as they may be shown, logged and published.
+    """Return text from outside (a file name, an id, a stage's exception) in a form that is safe to show, log and publish.
 
-    Control characters, which a terminal would obey, and bytes that are no text are written as escapes; of what is longer than
-    `most` characters the middle is left out.
+    Control characters, which a terminal would obey, and undecodable bytes are written as escapes.  The middle of a text longer
+    than `most` characters is left out.
     """
     words = str(text)
     if len(words) > most:
@@ -27,12 +27,12 @@ def printable(text: object, most: int = LONGEST) -> str:
 
 
 def counted(number: float, thing: str) -> str:
-    """So many of a thing: 1 pair, 1,204 points."""
+    """A count with its noun: 1 pair, 1,204 points."""
     return f"{number:,.0f} {thing}{'s' * (round(number) != 1)}"
 
 
 def bytes_of(text: str) -> int:
-    """A size in bytes: 4GB, 1.5G, 800 MB, 2GiB.  Raises ValueError."""
+    """Parse a size such as 4GB, 1.5G, 800 MB or 2GiB into bytes.  Raises ValueError."""
     found = re.fullmatch(r"\s*(\d+(?:\.\d+)?)\s*([KMGT]?)(i?)B?\s*", text, re.IGNORECASE)
     if not found or not float(found[1]):
         raise ValueError(f"{text!r} is no size; write for example 50GB or 800MB")
@@ -48,7 +48,7 @@ def in_words(size: float) -> str:
 
 
 def lasting(seconds: float) -> str:
-    """A length of time for people: 40 min, 3 h, 5 days; "" below a minute."""
+    """A duration for people: 40 min, 3 h, 5 days; "" below a minute."""
     for unit, size, least in (("days", 86400, 48 * 3600), ("h", 3600, 3600), ("min", 60, 60)):
         if seconds >= least:
             return f"{seconds / size:.0f} {unit}"
@@ -56,7 +56,7 @@ def lasting(seconds: float) -> str:
 
 
 def spoken(value: Any) -> str:
-    """A number, yes or no, or a word, as people read it."""
+    """A value for people: yes or no for a bool, a formatted number, or the string itself."""
     if isinstance(value, str):
         return value
     if isinstance(value, bool):
@@ -65,7 +65,7 @@ def spoken(value: Any) -> str:
 
 
 def number(value: float) -> str:
-    """As people read it: three digits that count, thousands apart."""
+    """A number for people: three significant digits; from 100 on, whole with thousands separators."""
     if value == 0 or abs(value) >= 100:
         return f"{value:,.0f}"
     return f"{value:.3g}"
@@ -73,6 +73,6 @@ def number(value: float) -> str:
 
 def _escaped(found: re.Match[str]) -> str:
     code = ord(found.group())
-    if 0xDC80 <= code <= 0xDCFF:  # a byte of a file's name that is no text (PEP 383)
+    if 0xDC80 <= code <= 0xDCFF:  # an undecodable byte of a file name (PEP 383)
         return f"\\x{code - 0xDC00:02x}"
     return f"\\x{code:02x}" if code < 0x100 else f"\\u{code:04x}"

@@ -1,4 +1,4 @@
-"""A car park: marked bays, cars of one model in few colours, a supermarket behind; cameras on posts around it."""
+"""A car park: marked bays, cars of one model in few colours, a supermarket behind them, and cameras on posts around it."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from .render.scene import STATIC, Scene, SceneBuilder
 WIDE, DEEP = 50.0, 36.0
 BAY_M, BAYS = 2.5, 18
 ROWS = ((-15.0, 1), (-3.6, 1), (1.6, -1), (13.0, -1))
-"""North of the middle of each row of bays, and which way its cars' noses point."""
+"""For each row of bays: the northing of its middle in metres, and the direction of its cars' noses (1: north, -1: south)."""
 LAMPS = tuple((x, y, 6.0) for x in (-18.0, -6.0, 6.0, 18.0) for y in (-9.5, 7.5))
 MASTS = (
     (-22.0, -21.0, 5.6), (-8.0, -22.0, 6.2), (7.0, -21.5, 5.4), (21.0, -21.0, 6.0),
@@ -48,7 +48,7 @@ def viewpoints() -> list[Viewpoint]:
 
 
 def static_carpark(rng: Rng, texel_m: float) -> Scene:
-    """Return everything that stands still; textures at `texel_m` metres per texel."""
+    """Return the static parts of the car park; textures at `texel_m` metres per texel."""
     build = SceneBuilder()
     build.kind = STATIC
     look = furniture_textures(build, rng, texel_m)
@@ -56,7 +56,7 @@ def static_carpark(rng: Rng, texel_m: float) -> Scene:
     cars = car_textures(build, rng, texel_m)
     models = [car(build, cars, colour) for colour in range(3)]
     for (y, nose), k in itertools.product(ROWS, range(BAYS)):
-        # most are of one colour, as in a fleet's or a dealer's yard; one bay in six is free
+        # most cars have one colour, as in a fleet's or a dealer's yard; one bay in six is free
         chance, aside, turn = rng.uniform(), rng.normal(0, 0.06), rng.normal(0, 0.012)
         if chance < 5 / 6:
             model = models[0 if chance < 0.55 else 1 if chance < 0.72 else 2]

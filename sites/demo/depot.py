@@ -1,4 +1,4 @@
-"""A container depot: stacks of one and the same container in straight rows, seen from masts."""
+"""A container depot: stacks of identical containers in straight rows, seen from masts."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from .render.photograph import DemoSite, Night, Shots, photograph
 from .render.scene import STATIC, Scene, SceneBuilder
 
 COLUMNS, ROWS = (-19.5, -13.0, -6.5, 6.5, 13.0, 19.5), (-13.0, -10.4, -1.3, 1.3, 10.4, 13.0)
-"""Middles of the stacks, metres east and north: three blocks of two rows, an aisle across."""
+"""Centres of the stacks, metres east and north: three blocks of two rows, with an aisle across them."""
 LAMPS = tuple((x, y, 8.5) for x in (-24.0, 0.0, 24.0) for y in (-6.0, 6.0))
 MASTS = (
     (-22.0, -27.0, 10.0), (-10.0, -29.0, 9.0), (1.5, -29.5, 10.5), (12.5, -28.5, 9.4),
@@ -46,7 +46,7 @@ def viewpoints() -> list[Viewpoint]:
 
 
 def static_depot(rng: Rng, texel_m: float) -> Scene:
-    """Return everything that stands still; textures at `texel_m` metres per texel."""
+    """Return the static parts of the depot; textures at `texel_m` metres per texel."""
     build = SceneBuilder()
     build.kind = STATIC
     slabs = build.add_texture(ground.concrete(rng, 40.0, 30.0, texel_m))

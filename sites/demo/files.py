@@ -1,4 +1,4 @@
-"""A rendered scene, or nights of the yard, as the files of a demo: captures, a site file that works as it is, and the truth."""
+"""A rendered scene, or nights of the yard, as the files of a demo: captures, a site file ready to run, and the ground truth."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class Points:
     columns: Mapping[str, npt.NDArray[Any]]
     """(n,) arrays by name."""
     comments: tuple[str, ...] = ()
-    """Lines for its header."""
+    """Comment lines of its header."""
 
 
 File = tuple[str, bytes | Points]
@@ -38,15 +38,15 @@ File = tuple[str, bytes | Points]
 
 @dataclass(frozen=True)
 class DemoFiles:
-    """A demo, before it is written."""
+    """The files of a demo, before they are written."""
 
     manifest: Mapping[str, Any]
-    """What was rendered (JSON data): demo.json holds it."""
+    """What was rendered, as JSON data; written to demo.json."""
     files: Iterator[File]
 
 
 def demo_files(scene: str, *, small: bool = False, light: str = "day", seed: int = 0, **options: Any) -> DemoFiles:
-    """Render a scene; the same arguments, which are those of `scenes.render`, give the same bytes."""
+    """Render a scene with the arguments of `scenes.render`; the same arguments give the same bytes."""
     site = render(scene, small=small, light=light, seed=seed, **options)
     kinds = {key: kind for key in ("lenses", "surfaces") if (kind := options.get(key, "standard")) != "standard"}
     which = ({} if scene == "yard" else {"scene": scene}) | kinds
@@ -71,7 +71,7 @@ def _files(site: DemoSite, scene: str, light: str, lenses: str) -> Iterator[File
 
 
 def _cameras_and_reference(cameras: Sequence[DemoCamera], site: DemoSite | NightsSite, taken: dict[str, Any]) -> Iterator[File]:
-    """Yield the calibration, twice, and the reference cloud with its summary."""
+    """Yield the calibration (for the site and for the truth), and the reference cloud with its summary."""
     calibration = json_bytes({camera.name: calibration_of(camera) for camera in cameras})
     yield "cameras.json", calibration
     yield "truth/cameras.json", calibration
@@ -121,7 +121,7 @@ def _site_file(scene: str, cameras: Sequence[DemoCamera], example: str) -> str:
 
 
 def _text(name: str, **words: Any) -> str:
-    """Return one of `texts/` with words filled in."""
+    """Return a text of `texts/` with its placeholders filled in."""
     return (resources.files(__package__) / "texts" / f"{name}.txt").read_text(encoding="utf-8").format(**words)
 
 
@@ -129,9 +129,9 @@ NIGHT_SMALL, NIGHT_LARGE = (320, 180), (640, 360)
 
 
 def demo_nights(nights: int, *, frames: int = 3, small: bool = False, cameras: int | None = None, seed: int = 0) -> DemoFiles:
-    """Render nights of the yard, with so many frames of each camera and night; the same arguments give the same bytes.
+    """Render nights of the yard, with `frames` captures per camera and night; the same arguments give the same bytes.
 
-    small: 320 x 180 pixels instead of 640 x 360, and 4 cameras.  Raises ValueError for impossible numbers.
+    small: 320 x 180 pixels instead of 640 x 360, and 4 cameras by default.  Raises ValueError for impossible numbers.
     """
     count = cameras or (SCENES["yard"].small_cameras if small else None) or 8
     size = NIGHT_SMALL if small else NIGHT_LARGE
@@ -164,7 +164,7 @@ def _depth_folder(epoch: int) -> str:
 
 
 def _night(site: NightsSite, number: int) -> dict[str, Any]:
-    """Return the truth of a night, for truth/nights.json."""
+    """Return the ground truth of a night, for truth/nights.json."""
     epoch = max(first for first in site.cameras[0].depths if first <= number)
     return {
         "night": number,
@@ -185,14 +185,14 @@ STATES = {
     "frozen": "stale",
     "foreign": "wrong-scene",
 }
-"""The state that a camera should be found in, by what happened to it."""
+"""The state in which a camera should be found, by its event."""
 
 
 def _camera(each: CameraNights, number: int) -> dict[str, Any]:
-    """Return the truth of a camera's night."""
+    """Return the ground truth of a camera on a night."""
     event, K = event_of(number, each.camera.name), each.camera.camera.K
     turn = turned_axes(event, float(K[0, 0]))
-    # where the point that the axis met is seen now
+    # the nominal optical axis in the camera's present axes
     x, y, z = turn[:, 2].tolist()
     angles = {
         "angle_deg": np.arccos(np.clip((np.trace(turn) - 1) / 2, -1, 1)),
@@ -209,7 +209,7 @@ def _camera(each: CameraNights, number: int) -> dict[str, Any]:
 
 
 def _changes(number: int, extents: dict[str, Extent]) -> Iterator[dict[str, Any]]:
-    """Yield the differences of a night's yard to that of the first, besides what moves from frame to frame."""
+    """Yield the differences between the yard on a night and on the first night, without traffic."""
     before, now = stays(1), stays(number)
     for name, extent in extents.items():
         old, new = before.get(name), now.get(name)

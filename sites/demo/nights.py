@@ -1,6 +1,6 @@
-"""The demo yard photographed night after night: other light, other people and vehicles, and what the script says has happened.
+"""The demo yard photographed on several nights, with other light, people and vehicles each time, and the events of the script.
 
-What each ray meets is worked out once for each camera and state of the yard, and lit anew for every night.
+Rays are traced once for each camera and state of the yard; their hits are shaded again for the light of every night.
 """
 
 from __future__ import annotations
@@ -44,16 +44,16 @@ RASTER_M = 0.01
 
 @dataclass(frozen=True)
 class Extent:
-    """How large a thing is, at its own heading."""
+    """Size of a thing, measured along its own axes."""
 
     size: tuple[float, float, float]
     """Length, width and height, metres."""
     volume_m3: float
-    """Under what is seen of it from above, down to the ground."""
+    """Volume between the ground and its surface as seen from above."""
 
 
 class Things:
-    """Builds the things of a night; all scenes have the same textures."""
+    """Builds scenes with the things of a night; all these scenes share their textures."""
 
     def __init__(self, rng: Rng, texel_m: float) -> None:
         self._all = SceneBuilder()
@@ -74,14 +74,14 @@ class Things:
         self._parts["crate"].box((0.0, 0.0, 0.0), (1.6, 1.2, 1.3), lid, sides=sides)
 
     def scene(self, there: Mapping[str, Stay]) -> Scene:
-        """Return the things of a night as a scene; `there`: at least one."""
+        """Return the things of a night as a scene; `there` must contain at least one."""
         build = self._all.with_same_textures()
         for name, stay in there.items():
             build.stamp(self._parts[name], (*stay.at, 0.0), yaw=stay.yaw)
         return build.build()
 
     def extent(self, name: str) -> Extent:
-        """Return the size of a thing, and its volume by rays from above, one for each cell of RASTER_M."""
+        """Return the size of a thing, and its volume from vertical rays, one per cell of a grid of `RASTER_M` metres."""
         corners = self._parts[name].build().vertices
         low, high = corners.min(axis=0), corners.max(axis=0)
         x, y = np.meshgrid(*(np.arange(low[k] + RASTER_M / 2, high[k], RASTER_M) for k in range(2)))
@@ -94,7 +94,7 @@ class Things:
 
 
 PEOPLE, VEHICLES = 6, 2
-"""That move in each frame."""
+"""Number of people and vehicles that move in each frame."""
 
 
 @dataclass(frozen=True)
@@ -102,41 +102,41 @@ class CameraNights:
     """A camera and all its nights."""
 
     camera: DemoCamera
-    """As the site file says; its captures are those of the first night."""
+    """The camera as described in the site file, with the captures of the first night."""
     view: TrueView
-    """Of the first night."""
+    """Its true view on the first night."""
     frames: tuple[tuple[tuple[datetime, bytes], ...], ...]
-    """Of each night the JPEG files, and the times that they are named after."""
+    """For each night, its captures: the time that the file is named after, and the JPEG data."""
     depths: dict[int, Float32s]
-    """(h, w) float32 by the first night from which it holds; the first is the camera's own."""
+    """True depth, (h, w) float32, by the first night on which it is valid; the first one is `camera.depth`."""
 
 
 @dataclass(frozen=True)
 class NightsSite:
-    """A yard photographed for some nights."""
+    """The yard photographed on several nights."""
 
     cameras: tuple[CameraNights, ...]
     reference: Cloud
-    """Of the first night: see `DemoSite`."""
+    """Reference cloud of the first night (see `DemoSite`)."""
     voxel_m: float
     extents: dict[str, Extent]
-    """How large the things of the script are."""
+    """Size of each thing of the script."""
 
 
 @dataclass(frozen=True)
 class _NightScene:
-    """The yard in one night, in its light."""
+    """The yard on one night, in its light."""
 
     number: int
     epoch: int
-    """The first night with the same things at the same places."""
+    """The first night since which the same things have been at the same places."""
     hour: Hour
     still: PreparedScene
     frames: tuple[Frame, ...]
 
 
 def yard_nights(nights: int, shots: Shots) -> NightsSite:
-    """Render the yard of several nights: `shots` says what is taken in each, `script` the light and what happens.
+    """Render the yard on several nights: `shots` sets the captures of each night, the module `script` its light and events.
 
     Raises ValueError for impossible shots.
     """
@@ -154,7 +154,7 @@ def yard_nights(nights: int, shots: Shots) -> NightsSite:
 
 
 def moving(nights: int, shots: Shots) -> list[Scene]:
-    """Return the people and vehicles of each frame, night after night."""
+    """Return the people and vehicles of each frame of the first night, then of the second, and so on."""
     return movers(shots.random(2), max(_texel_m(shots), 0.02), nights * shots.captures, people=PEOPLE, vehicles=VEHICLES)
 
 
@@ -163,7 +163,7 @@ def _texel_m(shots: Shots) -> float:
 
 
 def _scenes(things: Things, nights: int, shots: Shots) -> Iterator[_NightScene]:
-    """Yield the yard of each night, empty and at each frame; all share textures and sky."""
+    """Yield the yard on each night, without traffic and at each frame; all share textures and sky visibility."""
     yard = static_yard(shots.random(1), _texel_m(shots))
     traffic = moving(nights, shots)
     atlas = build_atlas(yard.textures + things.scene(stays(1)).textures + traffic[0].textures)
@@ -180,7 +180,7 @@ def _scenes(things: Things, nights: int, shots: Shots) -> Iterator[_NightScene]:
 
 
 def _camera_nights(nights: Sequence[_NightScene], shots: Shots, viewpoint: Viewpoint) -> CameraNights:
-    """Return all nights of one camera, and its truth."""
+    """Return all nights of one camera with its ground truth."""
     name = viewpoint.name
     camera, lens = camera_at(viewpoint, shots.size)
     depth, normals = true_depth(nights[0].still, camera)
@@ -210,7 +210,7 @@ def _camera_nights(nights: Sequence[_NightScene], shots: Shots, viewpoint: Viewp
 
 
 def _images(night: _NightScene, shots: Shots, event: CameraEvent, camera: Camera, lens: Lens, seen: Hits) -> Iterable[Uint8s]:
-    """Return the frames of a camera as it stands in a night; `seen`: what its rays would hit, had nobody turned it."""
+    """Return the frames of a camera with its pose of a night; `seen`: hits of its rays in its nominal pose."""
     rngs = [np.random.default_rng([*_seed(shots, event.camera), night.number, k]) for k in range(shots.captures)]
     if event.what == "foreign":
         return containers(replace(shots, cameras=1, threads=1)).cameras[0].captures
@@ -227,7 +227,7 @@ def _images(night: _NightScene, shots: Shots, event: CameraEvent, camera: Camera
 
 
 def _tarpaulin(folds: Float64s, size: tuple[int, int], rng: Rng) -> Uint8s:
-    """Return a frame of a tarpaulin before the lens: light from one side, no detail; its `folds` (4, 6, 1) flap a little."""
+    """Return a frame that shows a tarpaulin over the lens, without detail; its `folds`, (4, 6, 1) grey tones, vary a little."""
     tinted = (folds + rng.normal(0, 0.004, folds.shape)) * np.array([0.8, 0.95, 1.0])
     radiance = np.asarray(cv2.resize(tinted.astype(np.float32), size, interpolation=cv2.INTER_CUBIC))
     return develop(radiance, sensor_of(rng, "day"), 1.0, rng)

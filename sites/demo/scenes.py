@@ -1,4 +1,4 @@
-"""All demo scenes by name: for `wbflow demo`, for benches and tests.
+"""All demo scenes by name, for `wbflow demo`, benchmarks and tests.
 
 site = render("square", cameras=3)
 site["pole-1"].captures, site["pole-1"].camera, site["pole-1"].depth, site.reference
@@ -16,19 +16,19 @@ from .render.photograph import Daytime, DemoSite, Shots
 
 @dataclass(frozen=True)
 class SceneRow:
-    """A scene of the table."""
+    """A row of the table of scenes."""
 
     function: str
     """module:function; takes `Shots` and returns a DemoSite."""
     about: str
     angles_deg: tuple[float, float]
-    """Between which angles its views are worth matching."""
+    """Smallest and largest angle between views that are worth matching."""
     cameras: int = 6
     captures: int = 4
     size: tuple[int, int] = (960, 540)
-    """Of the large form, where not said otherwise."""
+    """Default number of cameras, captures per camera, and (width, height) in pixels of the large form."""
     small_cameras: int | None = None
-    """How many cameras the small form has; None: as many as the large."""
+    """Number of cameras of the small form; None: as many as the large form."""
 
 
 SCENES = {
@@ -36,7 +36,7 @@ SCENES = {
     "square": SceneRow("wbflow_demo.square:square", "a public square whose tiles repeat exactly", (8, 100), captures=10),
     "carpark": SceneRow("wbflow_demo.carpark:carpark", "a car park with rows of the same car", (4, 70)),
 }
-"""By name; benches add theirs."""
+"""Scenes by name; benchmarks add theirs."""
 
 
 def render(
@@ -53,9 +53,9 @@ def render(
 ) -> DemoSite:
     """Render a scene in memory; the same arguments give the same bytes.
 
-    small: 320 x 180 pixels, rendered in seconds.  cameras, captures: how many, and of each; the scene's own where not given.
-    size: width and height in pixels.  seed: of everything that is drawn at random.  light: "day", "dusk", "night", or "dark",
-    which is night without lamps.  lenses: a name of `cameras.VARIANTS`.  surfaces: a name of `weak.SURFACES`.
+    small: 320 x 180 pixels, rendered in seconds.  cameras, captures: number of cameras, and of captures of each; default: the
+    scene's own.  size: width and height in pixels.  seed: of all random numbers.  light: "day", "dusk", "night", or "dark" (night
+    without lamps).  lenses: a name in `cameras.VARIANTS`.  surfaces: a name in `weak.SURFACES`.
 
     Raises ValueError for an unknown scene, light, kind of lenses or surfaces, and for impossible numbers.
     """

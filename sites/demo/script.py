@@ -1,4 +1,4 @@
-"""What happens in the demo yard night after night: the light, what becomes of cameras, what appears, vanishes and moves."""
+"""Events in the demo yard on each night: the light, faults of cameras, and things that appear, vanish or move."""
 
 from __future__ import annotations
 
@@ -20,21 +20,21 @@ Weather = Literal["afternoon", "noon", "overcast", "rain", "dusk", "lamps"]
 NIGHTS: tuple[Weather, ...] = (
     "afternoon", "noon", "overcast", "dusk", "noon", "rain", "afternoon", "lamps", "overcast", "dusk",
 )  # fmt: skip
-"""Light of the nights, from the first; then from the beginning again."""
+"""Weather and light of the nights, from the first one; the list repeats."""
 
 Event = Literal["none", "turned", "nudged", "covered", "frozen", "foreign"]
 
 
 @dataclass(frozen=True)
 class CameraEvent:
-    """What happens to a camera in one night; the next morning it is put right."""
+    """A fault of a camera on one night; by the next night it is repaired."""
 
     night: int
     """From 1."""
     camera: str
     what: Event
     turn: tuple[float, float] = (0.0, 0.0)
-    """Pan (to the right) and tilt (upward): degrees of `turned`, pixels at the principal point of `nudged`."""
+    """Pan (to the right) and tilt (upward): for `turned` in degrees, for `nudged` in pixels at the principal point."""
 
 
 EVENTS = (
@@ -48,10 +48,10 @@ EVENTS = (
 
 @dataclass(frozen=True)
 class Stay:
-    """A thing stands at one place for some nights."""
+    """The place of a thing for a range of nights."""
 
     first: int
-    """Night, from 1."""
+    """First night, counted from 1; `last`: last night."""
     last: int
     at: tuple[float, float]
     """Metres east and north."""
@@ -66,7 +66,7 @@ THINGS: Mapping[str, tuple[Stay, ...]] = {
     "stack": (Stay(1, 6, (22.0, 10.8), 0.2),),
     "crate": (Stay(1, 11, (16.6, 9.6), 0.3), Stay(12, FOREVER, (16.2, 7.4), 0.5)),
 }
-"""Things that do not stand in the yard every night, besides what moves from frame to frame."""
+"""Things that are not at the same place in the yard every night; traffic, which differs in every frame, is not included."""
 
 
 @dataclass(frozen=True)
@@ -74,7 +74,7 @@ class Hour:
     """The light of a night."""
 
     sensor: str
-    """What the sensors are set for: day, dusk or night."""
+    """Sensor settings: day, dusk or night."""
     begins: time
     light: Light
     rain: bool = False
@@ -102,24 +102,24 @@ def date_of(night: int) -> date:
 
 
 def frame_time(night: int, frame: int, late_s: int) -> datetime:
-    """Return the time of a frame (from 0) of a camera that is `late_s` seconds behind the others."""
+    """Return the time of a frame (from 0) of a camera that is `late_s` seconds behind the schedule of the night."""
     begins = datetime.combine(date_of(night), HOURS[weather_of(night)].begins)
     return begins + frame * BETWEEN_FRAMES + timedelta(seconds=late_s)
 
 
 def event_of(night: int, camera: str) -> CameraEvent:
-    """Return what happens to a camera in a night."""
+    """Return the event of a camera on a night; "none" if it has none."""
     found = (event for event in EVENTS if (event.night, event.camera) == (night, camera))
     return next(found, CameraEvent(night, camera, "none"))
 
 
 def stays(night: int) -> dict[str, Stay]:
-    """Return the things that stand in the yard in a night, and where."""
+    """Return the things in the yard on a night, with their places."""
     return {name: stay for name, places in THINGS.items() for stay in places if stay.first <= night <= stay.last}
 
 
 def turned_axes(event: CameraEvent, focal_px: float) -> Float64s:
-    """Return (3, 3), which turns a camera's axes as they should be into its axes as they are."""
+    """Return the rotation (3, 3) from a camera's nominal axes to its axes after the event."""
     pan, tilt = event.turn if event.what == "turned" else np.degrees(np.arctan(np.array(event.turn) / focal_px))
     # x right, y down, z ahead: a pan to the right turns z towards x, a tilt upward turns it towards -y
     a, b = np.radians(float(pan)), np.radians(float(tilt))

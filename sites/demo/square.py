@@ -1,6 +1,6 @@
-"""A public square of 40 x 40 m, paved with one tile that repeats exactly, six cameras 2.5 m high around it.
+"""A public square of 40 x 40 m, paved with one tile that repeats exactly, with six cameras 2.5 m high around it.
 
-Tile matches wrong tile wherever nothing but the ground decides; façades, a fountain and what stands about are distinct.
+Where only the ground is visible, tiles match wrong tiles; façades, a fountain and other objects are distinct.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from .render.scene import STATIC, WATER, Scene, SceneBuilder
 HALF = 20.0
 TILE_M = 0.8
 BEARINGS_DEG = (0.0, 42.0, 98.0, 163.0, 229.0, 295.0)
-"""East of south, of the six cameras; the first three are 42, 56 and 98 degrees apart."""
+"""Bearings of the six cameras from the centre, east of south; the first three are 42, 56 and 98 degrees apart."""
 LAMPS = ((-11.0, -11.0, 4.6), (11.0, -11.0, 4.6), (11.0, 11.0, 4.6), (-11.0, 11.0, 4.6), (0.0, 16.5, 4.6), (0.0, -16.5, 4.6))
 WALKS = (
     ((-11.0, -7.0), (11.0, 6.0)),
@@ -36,7 +36,7 @@ WALKS = (
 )
 BENCHES = ((-5.5, 1.0, 1.7), (5.4, -1.8, -1.4), (1.5, 6.1, 0.2), (-12.5, -3.5, 1.5), (12.8, 2.2, -1.6), (-2.2, -6.3, 3.0))
 
-# side, from, to (metres along it, as seen from the square), height, wall, storeys, shop
+# side, from, to (metres along it, as seen from the square), height, kind of wall, its tint, shop
 HOUSES: tuple[tuple[int, float, float, float, str, Colour, str], ...] = (
     (0, -20.0, -7.5, 11.5, "brick", (1.0, 1.0, 1.0), "RATSKELLER"),
     (0, -7.5, 5.0, 13.5, "ashlar", (1.0, 1.0, 1.0), "STADTSPARKASSE"),
@@ -59,7 +59,7 @@ WALLS: dict[str, Callable[[Rng, float, float, float, Colour], Texture]] = {
 
 
 def square(shots: Shots) -> DemoSite:
-    """Render the square: six cameras around it, of which the first three are 42, 56 and 98 degrees apart.
+    """Render the square, seen by up to six cameras around it; the first three are 42, 56 and 98 degrees apart.
 
     Raises ValueError for impossible shots.
     """
@@ -72,7 +72,7 @@ def square(shots: Shots) -> DemoSite:
 
 
 def viewpoints() -> list[Viewpoint]:
-    """Return the six cameras, 2.5 m above the ground, looking down on the square: most of what they see is paving."""
+    """Return the six cameras, 2.5 m above the ground, looking down on the square, so that most of each image is paving."""
     found = []
     for k, bearing in enumerate(np.deg2rad(BEARINGS_DEG)):
         distance = 15.5 + 0.8 * float(np.sin(2.3 * k))
@@ -84,7 +84,7 @@ def viewpoints() -> list[Viewpoint]:
 
 
 def static_square(rng: Rng, texel_m: float) -> Scene:
-    """Return everything that stands still; textures at `texel_m` metres per texel."""
+    """Return the static parts of the square; textures at `texel_m` metres per texel."""
     build = SceneBuilder()
     build.kind = STATIC
     _ground(build, rng, texel_m)

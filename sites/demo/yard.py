@@ -25,7 +25,7 @@ LAMPS = (
 )  # fmt: skip
 
 CONTAINERS = (
-    # east, north, level, heading, length, paint, line
+    # east, north, level, heading, length, paint, shipping line
     Box(17.6, 19.4, 0, 0.07, 6.06, (0.05, 0.14, 0.36), "NORDSEE"),
     Box(17.5, 19.5, 1, 0.12, 6.06, (0.42, 0.07, 0.05), "HANSA LINE"),
     Box(22.4, 17.2, 0, 1.23, 6.06, (0.55, 0.29, 0.03), "KOGGE"),
@@ -36,7 +36,7 @@ CONTAINERS = (
     Box(20.4, 24.0, 0, -0.05, 6.06, (0.17, 0.18, 0.19), "KONTOR"),
 )
 
-# east, north, and how many
+# east, north, and number of stacks or drums
 CRATES = ((9.8, 28.0, 3), (22.4, 28.2, 3), (37.2, 17.4, 2), (2.4, 19.0, 2), (27.4, 20.6, 2), (10.8, 18.6, 2), (18.0, 15.4, 3))
 BARRELS = ((28.0, 28.4, 9), (2.0, 25.5, 7), (24.6, 21.8, 6), (36.6, 27.8, 8), (10.6, 12.2, 5))
 WOOD = ((0.36, 0.25, 0.14), (0.27, 0.21, 0.15), (0.42, 0.33, 0.2))
@@ -44,7 +44,7 @@ DRUMS = ((0.06, 0.14, 0.34), (0.40, 0.10, 0.04), (0.12, 0.25, 0.14))
 
 
 def static_yard(rng: Rng, texel_m: float, surfaces: str = "standard") -> Scene:
-    """Return everything that stands still."""
+    """Return the static parts of the yard."""
     build = SceneBuilder()
     build.kind = STATIC
     _ground(build, rng, texel_m, surfaces)
@@ -76,7 +76,7 @@ def _ground(build: SceneBuilder, rng: Rng, texel_m: float, surfaces: str) -> Non
 
 
 def _buildings(build: SceneBuilder, rng: Rng, texel_m: float, surfaces: str) -> None:
-    """Add two brick warehouses alike, a plastered shed opposite, gatehouse and office: all with the same window."""
+    """Add two similar brick warehouses, a plastered shed opposite, a gatehouse and an office, all with the same window."""
     pane = build.add_texture(paint.window(1.2, 1.8, texel_m))
     stone = build.add_texture(ground.concrete(rng, 2.0, 1.0, texel_m))
     _facades(build, rng, texel_m, pane, stone, surfaces)
@@ -122,7 +122,7 @@ def _facades(build: SceneBuilder, rng: Rng, texel_m: float, pane: int, sill: int
 
 
 def _bays(size: tuple[float, float], pane: int, doors: list[int]) -> list[Opening]:
-    """Return rows of the one window every 2.5 m; doors, evenly spread, take the place of ground-floor windows."""
+    """Return rows of the same window every 2.5 m; doors, evenly spaced, replace ground-floor windows."""
     width, height = size
     columns = [0.65 + 2.5 * k for k in range(int((width - 0.65) / 2.5))]
     at = [width * (k + 0.5) / len(doors) - 1.7 for k in range(len(doors))]
@@ -200,11 +200,11 @@ def _lorry(build: SceneBuilder, rng: Rng, texel_m: float) -> None:
 
 
 def yard(shots: Shots) -> DemoSite:
-    """Render the yard: up to 8 neighbours of a half ring.  Raises ValueError for impossible shots."""
+    """Render the yard with up to 8 neighbouring cameras of a half ring.  Raises ValueError for impossible shots."""
     shots.check(len(MOUNTS))
     texel_m = shots.texel_m(0.0098 * 1280, 0.0098, 0.1)
     still = static_yard(shots.random(1), texel_m, shots.surfaces)
     moving = tuple(movers(shots.random(2), max(texel_m, 0.02), shots.captures))
     night = Night(choose_mounts(shots.cameras), still, moving, light_of(shots.light, LAMPS))
-    # about two pixels in the middle of the yard
+    # a voxel is about two pixels wide in the middle of the yard
     return photograph(night, shots, shots.voxel_m(51.2))

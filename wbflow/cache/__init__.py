@@ -1,1 +1,1 @@
-"""What is kept on disk, and how it survives."""
+"""Files of the work folder: how they are written, checked, found again and cleaned up."""

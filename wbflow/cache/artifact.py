@@ -1,4 +1,4 @@
-"""How a dataclass of arrays becomes bytes and back: a JSON header, then one zstd frame for each array.  No pickle, ever.
+"""Serialization of dataclasses of arrays: a JSON header, then one zstd frame for each array.  No pickle, ever.
 
 Layout: b"WBF1", length of the header (uint32, little-endian), header (JSON), array frames.  Equal objects give equal bytes.
 The header alone rebuilds an object that holds no arrays, so small artifacts are read without importing numpy.
@@ -21,7 +21,7 @@ from .checksum import content_digest
 from .ply import columns_of, ply_bytes
 
 MAGIC = b"WBF1"
-_SCALARS = (bool, int, float, str)  # `bool | int` would be made anew at each look
+_SCALARS = (bool, int, float, str)  # a tuple: `bool | int` would be built anew at each check
 
 
 class ArtifactError(WbflowError, ValueError):
@@ -29,7 +29,7 @@ class ArtifactError(WbflowError, ValueError):
 
 
 def bytes_and_facts(result: Any, stage: str, key: str) -> tuple[bytes | bytearray, dict[str, Any]]:
-    """The bytes of a result, and what its receipt says of these."""
+    """Return the bytes of a result, and the fields of its receipt that describe them."""
     data = result_bytes(result, stage)
     more = load(CLOUD_FIGURES)(result) if stage == FUSE else {}
     facts = {"digest": content_digest(data), "parts": parts(result), "file": f"{key}{suffix_of(stage)}", "bytes": len(data)}
@@ -37,24 +37,24 @@ def bytes_and_facts(result: Any, stage: str, key: str) -> tuple[bytes | bytearra
 
 
 def suffix_of(stage: str) -> str:
-    """How the names of a stage's artifacts end: of a cloud, which is a PLY file, and of all else."""
+    """Return the suffix of a stage's artifacts: ".ply" for clouds, ".wbf" for everything else."""
     return ".ply" if stage == FUSE else ".wbf"
 
 
 def result_bytes(result: Any, stage: str) -> bytes | bytearray:
-    """A result of a stage as the cache keeps it."""
+    """Return the bytes that the cache stores for a result of a stage."""
     return ply_bytes(load(CLOUD_COLUMNS)(result), comments=("made by wbflow",)) if stage == FUSE else encode(result)
 
 
 def result_of(data: bytes, stage: str) -> Any:
-    """The result that bytes of the cache hold.  Raises ArtifactError, ValueError."""
+    """Return the result that bytes of the cache hold.  Raises ArtifactError, ValueError."""
     return load(RESTORE_CLOUD)(columns_of(data)) if stage == FUSE else decode(data)
 
 
 def encode(value: Any) -> bytes:
-    """Bytes of a dataclass whose fields are arrays, scalars, strings, tuples, mappings or further dataclasses.
+    """Return the bytes of a dataclass whose fields are arrays, scalars, strings, tuples, mappings or further dataclasses.
 
-    Raises TypeError for a field that holds something else, and is not marked `transient` (such fields are left out).
+    Fields marked `transient` are left out.  Raises TypeError for any other field that holds something else.
     """
     import zstandard
 
@@ -64,9 +64,9 @@ def encode(value: Any) -> bytes:
 
 
 def decode(data: bytes) -> Any:
-    """The object that `encode` was given (arrays are writable copies).
+    """Return the object that `encode` was given (arrays are writable copies).
 
-    Raises ArtifactError where the bytes are cut short or not an artifact.
+    Raises ArtifactError if the bytes are truncated or not an artifact.
     """
     if data[:4] != MAGIC or len(data) < 8:
         raise ArtifactError("not a wbflow artifact")
@@ -81,9 +81,9 @@ def decode(data: bytes) -> Any:
 
 
 def parts(value: Any) -> dict[str, str]:
-    """Digests of what can be needed on its own: each dataclass field, and each dataclass entry of a mapping field.
+    """Return digests of the parts that a task can need on their own: dataclass fields, and dataclass entries of mapping fields.
 
-    A task that needs only `frames.view` or `poses.cameras[gate]` is not run again when something else in there changes.
+    A task that needs only `frames.view` or `poses.cameras[gate]` is not run again when other parts of the artifact change.
     """
     found: dict[str, str] = {}
     for name in _fields_of(value):
@@ -99,8 +99,8 @@ def parts(value: Any) -> dict[str, str]:
 
 
 def figures(value: Any) -> dict[str, Any]:
-    """Plain fields of a dataclass by name: scalars, tuples, small dataclasses, mappings and tuples of them; rows of its arrays as
-    `<field>_count`.  A field whose metadata say `figure=False` is left out."""
+    """Return the plain fields of a dataclass by name: scalars, tuples, small dataclasses, mappings and tuples of them.  An array
+    gives its number of rows as `<field>_count`.  Fields with `figure=False` in their metadata are left out."""
     found: dict[str, Any] = {}
     left_out = {field.name for field in dataclasses.fields(value) if not field.metadata.get("figure", True)}
     for name in _fields_of(value):
@@ -121,12 +121,12 @@ def figures(value: Any) -> dict[str, Any]:
 
 
 def _fields_of(value: Any) -> tuple[str, ...]:
-    """Names of a dataclass's fields, without those marked `transient`: they are found again where they are missing."""
+    """Return the names of a dataclass's fields, without those marked `transient`, which are recomputed when missing."""
     return tuple(f.name for f in dataclasses.fields(value) if not f.metadata.get("transient"))
 
 
 def _is_small(value: Any) -> bool:
-    """A dataclass of nothing but scalars and words."""
+    """Is it a dataclass whose fields are all scalars or strings?"""
     fields = [getattr(value, f.name) for f in dataclasses.fields(value)] if dataclasses.is_dataclass(value) else [()]
     return all(isinstance(field, _SCALARS) for field in fields)
 
@@ -173,9 +173,9 @@ def _array_tree(array: Any, frames: list[bytes], compress: Callable[[bytes], byt
 
 
 def _array(node: Mapping[str, Any], frames: IO[bytes]) -> Any:
-    """The array that a node of the header describes; frames lie in the order in which the header names them."""
+    """Return the array that a node of the header describes; `frames` holds the arrays in header order."""
     import numpy as np
-    import zstandard  # here: an object without arrays needs neither
+    import zstandard  # imported here: objects without arrays need neither
 
     try:
         raw = bytearray(zstandard.ZstdDecompressor().decompress(frames.read(node["bytes"])))
@@ -185,7 +185,7 @@ def _array(node: Mapping[str, Any], frames: IO[bytes]) -> Any:
 
 
 def _untree(node: Any, frames: IO[bytes]) -> Any:
-    """Rebuild depth first."""
+    """Rebuild the value of a header node, depth first: the frames were written in this order."""
     if not isinstance(node, dict):
         return node
     if "array" in node:

@@ -1,4 +1,4 @@
-"""Files that are either there as a whole or not at all, whenever the power goes; and errors that say that a disk is full."""
+"""Atomic writes: after a power cut a file is complete or absent.  Also errors that report a full disk."""
 
 from __future__ import annotations
 
@@ -14,33 +14,33 @@ from ..errors import WbflowError
 from ..words import in_words
 
 FULL = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG})
-"""Errors of a full disk: of all of it, of the user's share, of the longest file that a process may write."""
+"""Error numbers of a full disk: no space left, the user's quota exceeded, the file-size limit exceeded."""
 REMEDY = "free some space (wbflow clean SITE.yaml --keep 3), or say in the site file what to keep"
 
 Fsync = Literal["folder", "file", "none"]
-"""What survives a power cut once a write has returned: the new file under its name; its bytes, but maybe not yet its name (where
-another file is written to the same folder right after); neither (where a file is checked when it is read, and can do without)."""
+"""What survives a power cut after the write.  "folder": the file under its name.  "file": its bytes, but perhaps not its name (if
+another file is written to the same folder right after).  "none": neither (if the file is checked on reading and dispensable)."""
 
 
 def write_atomic(path: Path, data: bytes | bytearray, *, fsync: Fsync = "folder", ours: bool = False) -> None:
-    """Write a file so that a reader sees all of it or the old one: temporary name, fsync, rename.
+    """Write a file so that a reader sees either all of it or the old one: temporary name, fsync, rename.
 
     Parameters
     ----------
     path, data : Path, bytes
-        Where, and what.
+        The file and its content.
     fsync : str
-        See `Fsync`.
+        What a power cut preserves: see `Fsync`.
     ours : bool
-        The place is one of the work folder's own: a folder that somebody has put there gives way.
+        The path is one of the work folder's own names: a folder in its place is removed.
 
-    Raises OSError; one of a full disk says how much was needed, and how much is free.
+    Raises OSError; for a full disk, its message states the space needed and the space free.
     """
     _replace(path, lambda file: file.write(data), len(data), fsync, ours)
 
 
 def copy_atomic(source: Path, path: Path, *, fsync: Fsync = "folder") -> None:
-    """Put a copy of a file in a place of the work folder's own, as `write_atomic` does.  Raises OSError."""
+    """Copy a file to one of the work folder's own paths, as `write_atomic` does with `ours`.  Raises OSError."""
     with source.open("rb") as original:
         _replace(path, lambda file: shutil.copyfileobj(original, file, 1 << 20), source.stat().st_size, fsync, ours=True)
 
@@ -69,7 +69,7 @@ def _replace(path: Path, fill: Callable[[IO[bytes]], object], size: int, fsync: 
 
 
 def clear(path: Path) -> None:
-    """Remove whatever bears a name: a file, a link (never what is behind it), a pipe, a folder with all that is in it."""
+    """Remove whatever is at a path: a file, a link (never its target), a pipe, or a folder with all its content."""
     if path.is_dir() and not path.is_symlink():
         shutil.rmtree(path)
     else:
@@ -77,7 +77,7 @@ def clear(path: Path) -> None:
 
 
 def sync_folder(folder: Path) -> None:
-    """Make renames in a folder last through a power cut."""
+    """Make renames in a folder survive a power cut."""
     descriptor = os.open(folder, os.O_RDONLY)
     try:
         os.fsync(descriptor)
@@ -86,13 +86,13 @@ def sync_folder(folder: Path) -> None:
 
 
 def free_bytes(folder: Path) -> int:
-    """What may still be written to the file system of a folder, which need not exist yet."""
+    """Return the free bytes on the file system of a folder, which need not exist yet."""
     while not folder.exists():
         folder = folder.parent
     return shutil.disk_usage(folder).free
 
 
 def disk_fault(error: OSError, place: Path | str) -> WbflowError:
-    """The error for people when a file or folder cannot be read or written."""
+    """Return the error to show to the user when a file or folder cannot be read or written."""
     remedy = REMEDY if error.errno in FULL else "check the rights on the work folder and its file system"
     return WbflowError(f"{error.filename or place}: {error.strerror or error}", remedy=remedy)

@@ -1,8 +1,8 @@
-"""JSON files with a checksum of their own content, which also say what they are of.
+"""JSON files that contain a checksum of their content and the identity of what they describe.
 
-A receipt or memo is one JSON object whose first entry is the checksum of all bytes that follow it: it is checked without being
-written anew, and people and programs read it as what it is.  The checksum finds chance and mistakes (a failing disk, an editor,
-two files exchanged), not malice: whoever may write to the work folder is trusted with it.
+A receipt or memo is one JSON object whose first entry is the checksum of all bytes that follow it.  It can be checked without
+serializing it again, and remains ordinary JSON.  The checksum detects accidents (a failing disk, an edit, two files swapped), not
+malice: anyone who may write to the work folder is trusted.
 """
 
 from __future__ import annotations
@@ -19,22 +19,22 @@ from ..errors import WbflowError
 from .atomic import write_atomic
 from .untrusted import MOST_CAPTURE_BYTES, Unreadable, open_untrusted, read_untrusted
 
-_HEAD, _TAIL = b'{"signed":"', b'",'  # as the first version has called it
+_HEAD, _TAIL = b'{"signed":"', b'",'  # the entry keeps the name that the first version gave it
 _BODY = len(_HEAD) + 32 + len(_TAIL)
 
 
 def content_digest(data: bytes | bytearray | memoryview) -> str:
-    """By this files and artifacts are compared: 32 hexadecimal digits of SHA-256."""
+    """Return the digest by which files and artifacts are compared: the first 32 hexadecimal digits of SHA-256."""
     return hashlib.sha256(data).hexdigest()[:32]
 
 
 def file_digest(path: Path) -> str:
-    """The same of a file from outside, read in pieces.  Raises OSError."""
+    """Return the content digest of a file from outside, read in chunks.  Raises OSError."""
     return _sha256(path, MOST_CAPTURE_BYTES)[:32]
 
 
 def sha256_of(path: Path) -> str:
-    """All 64 digits of a file of the work folder, however large; "" where it cannot be read."""
+    """Return the full SHA-256 (64 hex digits) of a file of the work folder, whatever its size; "" if it cannot be read."""
     try:
         return _sha256(path, sys.maxsize)
     except OSError:
@@ -47,18 +47,18 @@ def _sha256(path: Path, most: int) -> str:
 
 
 class Damaged(WbflowError, ValueError):
-    """Bytes that are not as they were written, or that belong to something else."""
+    """The bytes differ from those that were written, or describe something else."""
 
 
 class NoChecksum(Damaged):
-    """Bytes without a checksum, as earlier versions wrote them: they are not believed."""
+    """The bytes carry no checksum, as in files of earlier versions; all such files but run.json are treated as missing."""
 
 
 def with_checksum(of: str, content: Mapping[str, Any], in_lines: bool = False) -> bytes:
-    """A JSON object with its checksum and what it is of.
+    """Return a JSON object with its checksum and the identity of what it describes.
 
-    of: a task and its key, the name of a memo.  content: none of its entries may be called "signed" or "of".  in_lines: for files
-    that people read.
+    of: the identity: stage/subject/key.json for a receipt, the name of a memo.  content: entries, none of which may be named
+    "signed" or "of".  in_lines: write one entry per line, for files that people read.
     """
     entries = {"of": of, **content}
     body = (lines_of(entries) if in_lines else json.dumps(entries, separators=(",", ":"))).encode()[1:]
@@ -66,8 +66,8 @@ def with_checksum(of: str, content: Mapping[str, Any], in_lines: bool = False) -
 
 
 def lines_of(content: Mapping[str, Any]) -> str:
-    """A JSON object for people: one entry in a line, and of an entry that holds many one item.  (`json` indents twenty times as
-    slowly as it writes.)"""
+    """Return a JSON object for people, with one entry per line, or one item per line for entries that are lists or objects.
+    (`json.dumps` takes twenty times as long with indentation as without.)"""
     return "{\n " + ",\n ".join(f"{json.dumps(name)}: {_items(entry)}" for name, entry in content.items()) + "\n}"
 
 
@@ -80,9 +80,9 @@ def _items(entry: Any) -> str:
 
 
 def checked(data: bytes, of: str) -> dict[str, Any]:
-    """The entries of what `with_checksum` gave.
+    """Return the entries of an object that `with_checksum` wrote.
 
-    Raises NoChecksum where it carries no checksum, Damaged where that is wrong, or it belongs to something else.
+    Raises NoChecksum if it has no checksum, Damaged if the checksum is wrong or `of` does not match.
     """
     body = data[_BODY:]
     if not data.startswith(_HEAD):
@@ -96,14 +96,14 @@ def checked(data: bytes, of: str) -> dict[str, Any]:
 
 
 def write_checksummed(path: Path, of: str, content: Mapping[str, Any]) -> None:
-    """Put a file with a checksum into its place in the work folder.  Raises OSError."""
+    """Write a file with a checksum to the work folder, atomically.  Raises OSError."""
     write_atomic(path, with_checksum(of, content), ours=True)
 
 
 def read_checksummed(path: Path, of: str) -> dict[str, Any] | None:
-    """The entries of a file with a checksum; None where there is none, or one of an earlier version.
+    """Return the entries of a file with a checksum; None if the file is missing or has no checksum (earlier versions).
 
-    Raises Damaged, naming the file, where its checksum is wrong, it belongs to something else, or it cannot be read.
+    Raises Damaged, which names the file, if the checksum is wrong, `of` does not match, or the file cannot be read.
     """
     try:
         return checked(read_untrusted(path), of)

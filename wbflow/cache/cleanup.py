@@ -1,4 +1,4 @@
-"""Removing what nobody asks for any more: artifacts, and published runs only where somebody has said so."""
+"""Removal of artifacts that are no longer needed, and of published files if a limit for them is set."""
 
 from __future__ import annotations
 
@@ -18,60 +18,60 @@ from .layout import WorkFolder
 
 @dataclass(frozen=True)
 class Keep:
-    """What stays; None: all of it."""
+    """Limits on what is kept; None keeps everything of that kind."""
 
     runs: int | None = None
     nights: int | None = None
-    """Artifacts that so many of the newest runs, or the runs of so many of the newest nights, use."""
+    """Number of newest runs, and of newest nights, whose artifacts are kept; with both limits, artifacts must meet both."""
     bytes: int | None = None
-    """So much of the cache: the artifacts of older runs go first, those of the newest and of the last good one never."""
+    """Size limit of the cache, reference excluded: artifacts of old runs go first, those of the newest and last good never."""
     clouds: int | None = None
     reports: int | None = None
-    """Published clouds, and reports with their logs, of so many of the newest nights."""
+    """Number of newest nights whose published clouds, and whose reports with their logs, are kept."""
 
     @property
     def keeps_artifacts(self) -> bool:
-        """Is no artifact ever removed?"""
+        """Are all artifacts kept?"""
         return self.runs is self.nights is self.bytes is None
 
 
 _QUARANTINED = 20
-"""So many damaged files are kept, for whoever wants to know why, when nobody has asked for a cleaning."""
+"""Number of quarantined files, newest first, that an automatic cleanup keeps so that their damage can be investigated."""
 
 
 @dataclass(frozen=True)
 class Cleaning:
-    """What goes, or went."""
+    """What a cleanup removed, or would remove."""
 
     files: int = 0
     bytes: int = 0
     runs: tuple[str, ...] = ()
-    """Whose folders go."""
+    """Ids of the runs whose folders are removed."""
     over: int = 0
-    """Bytes of the cache that are more than may stay, and are needed."""
+    """Bytes by which the cache still exceeds its limit, because the artifacts left are needed."""
 
 
 def clean(work: WorkFolder, keep: Keep, *, dry_run: bool = False, asked: bool = True) -> Cleaning:
-    """Remove what need not stay.  The caller holds the lock.
+    """Remove everything that exceeds the limits.  The caller holds the lock.
 
     Parameters
     ----------
     work, keep : WorkFolder, Keep
-        Where, and what stays; the runs that links show always do, with all that they use.
+        The folder and its limits; the newest run and the targets of links always stay, with all artifacts that they use.
     dry_run, asked : bool
-        Only say what would go; somebody has asked for it: damaged files that were put aside go, too.
+        Only report what would be removed; the user requested the cleanup, so all quarantined files are removed, too.
     """
     with Ledger(work, writes=True) as ledger:
         nights = _Nights(work, ledger)
         older = nights.runs[: len(nights.runs) - keep.runs] if keep.runs is not None else []
-        unused = nights.beyond(keep.nights) | set(older) - nights.shown  # runs whose artifacts go
+        unused = nights.beyond(keep.nights) | set(older) - nights.shown  # runs whose artifacts are removed
         doomed, keys, over = _artifacts(work, keep, nights, unused)
         damaged = [path for path in work.quarantine.glob("*") if path.is_file()]
         doomed += sorted(damaged, key=lambda path: path.stat().st_ctime_ns, reverse=True)[0 if asked else _QUARANTINED :]
         clouds, reports = nights.beyond(keep.clouds), nights.beyond(keep.reports)
         folders = clouds & reports
         doomed += [path for run in sorted(clouds - folders) for path in work.run(run).clouds()]
-        logs = (reports if keep.keeps_artifacts else reports & unused) - folders  # a log names the artifacts that a run used
+        logs = (reports if keep.keeps_artifacts else reports & unused) - folders  # a log lists the artifacts that a run used
         pages = [*(work.run(run).report for run in sorted(reports - folders)), *(work.run(run).log for run in sorted(logs))]
         doomed += [path for path in pages if path.is_file()]
         inside = [path for run in sorted(folders) for path in work.run(run).folder.glob("*")]
@@ -79,7 +79,7 @@ def clean(work: WorkFolder, keep: Keep, *, dry_run: bool = False, asked: bool = 
         if not dry_run:
             for path in doomed:
                 path.unlink(missing_ok=True)
-            for run in sorted(folders):  # with one rename it is no run any more; the next run removes what a kill leaves of it
+            for run in sorted(folders):  # once renamed it is no run any more; if this process is killed, the next run removes it
                 out = work.unfinished_run(run).folder
                 work.run(run).folder.rename(out)
                 shutil.rmtree(out)
@@ -96,12 +96,12 @@ class _Nights:
         self.runs = work.run_ids()
         """Oldest first."""
         self.shown = {run for link in work.links() if (run := work.led_to(link))} | set(self.runs[-1:])
-        """Runs that stay whatever is said."""
+        """Runs that no limit removes: the targets of links and the newest run."""
         dates = {run.run: run.date for run in ledger.runs()}
-        self._dates = {run: dates.get(run, run) for run in self.runs}  # what the ledger can't read is a night of its own
+        self._dates = {run: dates.get(run, run) for run in self.runs}  # a run that the ledger lacks is a night of its own
 
     def beyond(self, count: int | None) -> set[str]:
-        """Runs of nights before the last so many."""
+        """Return the runs of all but the newest `count` nights, without those in `shown`; the empty set for None."""
         if count is None:
             return set()
         newest = list(dict.fromkeys(self._dates[run] for run in reversed(self.runs)))[:count]
@@ -109,7 +109,7 @@ class _Nights:
 
 
 def _artifacts(work: WorkFolder, keep: Keep, nights: _Nights, unused: set[str]) -> tuple[list[Path], set[str], int]:
-    """Files of the cache that go, their keys, and how many bytes too many stay.  unused: runs whose artifacts go."""
+    """Return the cache files to remove, their keys, and the bytes still over the limit.  unused: runs whose artifacts may go."""
     if keep.keeps_artifacts:
         return [], set(), 0
     files: dict[str, list[Path]] = defaultdict(list)
@@ -127,13 +127,13 @@ def _artifacts(work: WorkFolder, keep: Keep, nights: _Nights, unused: set[str]) 
             if over > 0 and not any(key in used.get(run, ()) for run in nights.shown):
                 over -= sizes[key]
                 gone.add(key)
-    # the receipt goes first: what is left without one is not believed
+    # receipts first: an artifact without a receipt is never used
     ordered = (path for key in sorted(gone) for path in sorted(files[key], key=lambda path: path != work.receipt_beside(path)))
     return list(ordered), gone, max(over, 0)
 
 
 def _pinned_keys(work: WorkFolder) -> set[str]:
-    """Keys of what the reference holds: nights read them here, and each copy heals the other."""
+    """Return the keys of the reference's artifacts: nights read them from the cache, and each copy can restore the other."""
     try:
         reference = read_reference(work)
     except BadReference:
@@ -142,10 +142,10 @@ def _pinned_keys(work: WorkFolder) -> set[str]:
 
 
 def _keys(work: WorkFolder, run: str) -> set[str]:
-    """Keys of the artifacts that a run used, by its log."""
+    """Return the keys of the artifacts that a run used, from its log."""
     try:
         return {event.key for event in RunFolder.of(work, run).events() if isinstance(event, TaskEvent) and event.key}
-    except NoSuchRun:  # nobody knows what it used: that is made again if it is asked for
+    except NoSuchRun:  # what it used is unknown, and is made again when needed
         return set()
 
 
@@ -158,7 +158,7 @@ def _remove_empty(work: WorkFolder, removed: Iterable[Path]) -> None:
 
 
 def _size(paths: Iterable[Path]) -> int:
-    """What files take; what has two names in here, or elsewhere, counts only where its last one goes."""
+    """Return the bytes that removing files frees: a file with several hard links counts only if all of them are in `paths`."""
     total = 0
     seen: dict[tuple[int, int], int] = defaultdict(int)
     for path in paths:

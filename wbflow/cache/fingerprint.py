@@ -1,8 +1,8 @@
 """A fingerprint of all code that a function runs, from source files alone.
 
-It covers the syntax trees (without comments and docstrings) of the function's module and of the modules that this one imports,
-directly or not, as far as they belong to the same package, to the stages or to the site's own folder; and the major.minor
-versions of all other libraries that they import.  Names of modules, and the function's own name, do not enter: a function that
+It covers the syntax trees (without comments and docstrings) of the function's module and of all modules that it imports,
+directly or indirectly, if they belong to the same package, to the stages or to the site's own folder; and the major.minor
+versions of all other libraries that these modules import.  Module names and the function's own name do not enter: a function that
 is renamed, or whose file is moved, keeps its fingerprint as long as its code is the same.
 """
 
@@ -22,41 +22,41 @@ from ..plugins import is_site_module
 from .versions import installed_version
 
 FOLLOWED = ("wbflow_stages",)
-"""Packages whose modules are followed whoever imports them."""
+"""Packages whose modules enter the fingerprint whichever module imports them."""
 
 
 class FunctionError(WbflowError, ValueError):
-    """A dotted function name leads nowhere."""
+    """A dotted function name does not lead to a function whose source can be read."""
 
     exit_code = ExitCode.USAGE
 
 
 @dataclass
 class Modules:
-    """The modules that a site's functions can come from: all that Python finds, and those in a folder of the site's own."""
+    """The modules that a site's functions can come from: all that Python finds, and those in the site's own folder."""
 
     folder: Path | None = None
-    """Beside the site file; what Python finds elsewhere comes first."""
+    """The folder of the site file; modules that Python finds elsewhere take precedence."""
     _files: dict[str, Path | None] = field(default_factory=dict)
     _tops: dict[str, ModuleSpec | None] = field(default_factory=dict)
-    """What Python finds by the first word of a module's name."""
+    """Specs of top-level packages and modules by name; None if Python does not find one."""
     _codes: dict[Path, _ModuleCode] = field(default_factory=dict)
     _trees: dict[Path, ast.Module] = field(default_factory=dict)
 
     def code(self, module: str, path: Path) -> _ModuleCode:
-        """Return the code of a module, read once."""
+        """Return the code of a module; it is read only once."""
         if path not in self._codes:
             self._codes[path] = _module_code(self, module, path)
         return self._codes[path]
 
     def file(self, module: str) -> Path | None:
-        """Return the source file of a module; None where there is none."""
+        """Return the source file of a module, or None."""
         if module not in self._files:
             self._files[module] = self._find(module)
         return self._files[module]
 
     def follows(self, name: str, module: str) -> bool:
-        """Is a module that another one imports code of the stages or of the site, rather than a library?"""
+        """Is `name`, which `module` imports, code of the same package, the stages or the site, rather than a library?"""
         top = name.partition(".")[0]
         if top == module.partition(".")[0] or top in FOLLOWED:
             return True
@@ -64,14 +64,14 @@ class Modules:
         return bool(path and self.folder and path.is_relative_to(self.folder))
 
     def tree(self, path: Path) -> ast.Module:
-        """Return the syntax tree of a source file, read once: nobody may change it.  Raises FunctionError."""
+        """Return the syntax tree of a source file, shared by all callers: do not modify it.  Raises FunctionError."""
         if path not in self._trees:
             self._trees[path] = self.parsed(path)
         return self._trees[path]
 
     @staticmethod
     def parsed(path: Path) -> ast.Module:
-        """Return a new syntax tree of a source file.  Raises FunctionError where the file is not Python."""
+        """Return a new syntax tree of a source file.  Raises FunctionError if the file cannot be read or is not Python."""
         try:
             return ast.parse(path.read_bytes(), filename=str(path))
         except SyntaxError as error:
@@ -82,7 +82,7 @@ class Modules:
     def function(self, dotted: str) -> tuple[str, Path, ast.FunctionDef]:
         """Return module, source file and definition of "package.module:function".
 
-        Raises FunctionError, with what is missing.
+        Raises FunctionError, which names what is missing.
         """
         module, _, name = dotted.partition(":")
         path = self.file(module)
@@ -124,26 +124,26 @@ class Code:
     """All code that a function runs."""
 
     digest: str
-    """Of the syntax trees."""
+    """Digest of the syntax trees."""
     libraries: tuple[str, ...]
-    """That are imported anywhere in there, by import name."""
+    """Import names of all libraries that the code imports."""
     files: tuple[Path, ...]
 
     @property
     def fingerprint(self) -> str:
-        """The digest with the versions of the libraries that are installed now."""
+        """Digest of the code and of the installed versions of its libraries."""
         return _digest("\n".join([self.digest, *(f"{name} {installed_version(name)}" for name in self.libraries)]))
 
 
 def read_code(modules: Modules, dotted: str, table: str = "") -> Code:
     """Read the code of a function.  Raises FunctionError.
 
-    dotted: "package.module:function".  table: name of a dictionary of methods in the same module, which is left out: the chosen
-    method has its own fingerprint.
+    dotted: "package.module:function".  table: name of a dictionary of methods in the same module.  It is left out, because the
+    chosen method has its own fingerprint.
     """
     first, path, function = modules.function(dotted)
     found = {first: path}
-    numbers = {first: 0}  # a module is named by the order in which it is met: its own name does not enter
+    numbers = {first: 0}  # modules are numbered in the order in which they are met, so that their names do not enter
     texts, libraries = [], set[str]()
     waiting = [first]
     for module in waiting:
@@ -164,14 +164,14 @@ class _ModuleCode:
     """The code of one module."""
 
     digest: str
-    """Of its syntax tree without the names of the modules that it imports from."""
+    """Digest of its syntax tree, without the names of the followed modules that it imports from."""
     imports: tuple[str, ...]
-    """Modules that are followed from here, in the order of the text."""
+    """Imported modules that enter the fingerprint, in source order."""
     libraries: frozenset[str]
 
 
 def _module_code(modules: Modules, module: str, path: Path, function: str = "", table: str = "") -> _ModuleCode:
-    """Read a module, without the name of one of its functions and without a table."""
+    """Read a module, without the name of the given function and without the given table of methods."""
     tree = modules.parsed(path)
     bare = _Bare(modules, module, path)
     bare.visit(tree)
@@ -186,12 +186,12 @@ def _module_code(modules: Modules, module: str, path: Path, function: str = "", 
 
 
 class _Bare(ast.NodeTransformer):
-    """Takes from a module what does not count: docstrings, and the names of modules that are followed, which it collects."""
+    """Strips a module of docstrings and of the names of followed modules in `from` imports, and collects what it imports."""
 
     def __init__(self, modules: Modules, module: str, path: Path) -> None:
         self.modules, self.module, self.path = modules, module, path
         self.imports: dict[str, None] = {}
-        """Modules that are followed from here, in the order of the text."""
+        """Imported modules that enter the fingerprint, in source order."""
         self.libraries: set[str] = set()
 
     def visit_Expr(self, node: ast.Expr) -> ast.AST | None:
@@ -213,7 +213,7 @@ class _Bare(ast.NodeTransformer):
         return ast.ImportFrom(module="", names=node.names, level=0)
 
     def _imported(self, name: str) -> bool:
-        """Enter a module; is it followed?"""
+        """Record an imported module; return whether it enters the fingerprint."""
         top = name.partition(".")[0]
         followed = self.modules.follows(name, self.module)
         if followed and name != self.module:
@@ -224,13 +224,13 @@ class _Bare(ast.NodeTransformer):
 
 
 def assigned(node: ast.stmt) -> Iterator[str]:
-    """Yield the names that a statement gives a value to."""
+    """Yield the names that a statement assigns to."""
     targets = node.targets if isinstance(node, ast.Assign) else [node.target] if isinstance(node, ast.AnnAssign) else []
     yield from (target.id for target in targets if isinstance(target, ast.Name))
 
 
 def origin_of(node: ast.ImportFrom, module: str, path: Path) -> str:
-    """Return the full name of the module that a `from ... import` takes from."""
+    """Return the full name of the module in a `from ... import` statement."""
     if not node.level:
         return node.module or ""
     package = module.split(".") if path.name == "__init__.py" else module.split(".")[:-1]

@@ -1,4 +1,4 @@
-"""Where everything in the work folder lies.  No other file of the engine spells one of these names."""
+"""Layout of the work folder.  No other module of the engine spells out any of its file names."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ _UNFINISHED = ".tmp"
 
 
 def run_id(moment: datetime.datetime) -> str:
-    """The id of a run that starts at `moment` (UTC, to the second): ids sort as the runs did."""
+    """Return the id of a run that starts at `moment` (UTC, to the second).  Sorting ids sorts runs by start time."""
     return moment.strftime(_RUN_ID)
 
 
 def started_by(name: str) -> datetime.datetime | None:
-    """When the run of an id was started (UTC); None for a folder that somebody else has made."""
+    """Return the start time (UTC) that a run id encodes; None for the name of any other folder."""
     try:
         return datetime.datetime.strptime(name, _RUN_ID).replace(tzinfo=datetime.UTC)
     except ValueError:
@@ -31,7 +31,7 @@ def started_by(name: str) -> datetime.datetime | None:
 
 
 def cloud_name(component: tuple[str, ...] = ()) -> str:
-    """The name of a component's cloud in a run's folder; () is the main one."""
+    """Return the file name of a component's cloud in a run's folder; () is the main component."""
     return f"cloud{''.join(f'-{name}' for name in component)}.ply"
 
 
@@ -43,20 +43,20 @@ class RunPaths:
 
     def __post_init__(self) -> None:
         self.record = self.folder / "run.json"
-        """The run in figures (see `records.record`)."""
+        """The run's figures (see `records.record`)."""
         self.log = self.folder / "log.jsonl"
-        """What happened, one event a line (see `records.events`)."""
+        """The run's events, one per line (see `records.events`)."""
         self.cameras = self.folder / "cameras.json"
-        """The cameras that the cloud rests on, in the form of a calibration."""
+        """The cameras from which the cloud was computed, in the format of a calibration file."""
         self.report = self.folder / "report.html"
-        """The run for people."""
+        """The report for people."""
         self.metrics = self.folder / "metrics.prom"
-        """The run for Prometheus."""
+        """Metrics for Prometheus."""
         self.cloud = self.folder / cloud_name()
         """The cloud of the main component."""
 
     def clouds(self) -> list[Path]:
-        """Every cloud in the folder, by name."""
+        """Return every cloud in the folder, sorted by name."""
         return sorted(self.folder.glob("*.ply"))
 
 
@@ -66,145 +66,145 @@ class WorkFolder:
 
     root: Path
     store: str = ""
-    """URL of the object store that it is a mirror of; "" for an ordinary one."""
+    """URL of the object store that the folder mirrors; "" if it mirrors none."""
 
     def __post_init__(self) -> None:
         self.cache = self.root / "cache"
-        """cache/<stage>/<subject>/<key>.*: artifacts, their receipts, and what was drawn of them."""
+        """cache/<stage>/<subject>/<key>.*: artifacts, their receipts, and their drawings for the report."""
         self.captures_memo = self.cache / "captures.json"
-        """Digests of captures, remembered from run to run."""
+        """Digests of captures, kept between runs."""
         self.functions_memo = self.cache / "functions.json"
-        """What was read of the stages' functions, remembered from run to run."""
+        """Signatures and code fingerprints of the stages' functions, kept between runs."""
         self._writing = self.cache / ".writing"
-        """There while somebody writes; there at the start: a run was killed."""
+        """Exists while a process writes; if it exists when a run starts, the previous writer was killed or failed."""
         self.runs = self.root / "runs"
-        """runs/<run id>/: what a night left for people and programs."""
+        """runs/<run id>/: the published results of each run, for people and programs."""
         self.latest = self.runs / "latest"
-        """A link to the newest run, whatever came of it."""
+        """A link to the newest run, whatever its outcome."""
         self.latest_good = self.runs / "latest-good"
         """A link to the newest run with a cloud whose verdict is good or degraded."""
         self.reference = self.root / "reference"
-        """What nights are compared with; also copies of its artifacts, as in the cache."""
+        """The reference that nights are compared with, and copies of its artifacts under the same names as in the cache."""
         self.reference_record = self.reference / "reference.json"
-        """What is pinned; without it nothing is (see `records.reference_folder`)."""
+        """The record of what is pinned (see `records.reference_folder`)."""
         self.reference_twin = self.reference / "reference-twin.json"
-        """The same again: it takes the place of a record that is damaged."""
+        """A second copy of the record, used if the first is missing or damaged."""
         self.quarantine = self.root / "quarantine"
-        """Artifacts whose bytes were not what their receipts promised."""
+        """Artifacts whose bytes did not match the digests in their receipts."""
         self.ledger = self.root / "ledger.sqlite"
-        """An index of runs and artifacts; can be deleted."""
+        """An index of runs and artifacts; it can be deleted."""
         self.delivered_memo = self.root / "delivered.json"
-        """Digests of what cameras have delivered in earlier nights."""
+        """Digests of the captures that cameras delivered in earlier nights."""
         self.notified = self.root / "notified.json"
-        """The state of the site that somebody was told of last."""
+        """The state of the site at the last notification."""
         self.owner = self.root / "site.json"
-        """Which site the folder belongs to (see `cache.lock`)."""
+        """The site that the folder belongs to (see `cache.lock`)."""
         self.mirror_memo = self.root / "mirror.json"
-        """What was agreed with the object store that this folder mirrors (see `remote`); an ordinary one has none."""
+        """State of each file at the last synchronization with the object store (see `remote`); exists only in a mirror."""
         self.lock = self.root / "lock"
-        """Held while somebody writes."""
+        """The lock file, held while a process writes."""
         self.progress = self.root / ".progress"
-        """What the workers of a run are at (see `runner.worker.Progress`); gone when it has ended."""
+        """Current tasks of the workers (see `runner.worker.Progress`); removed at the end of a run."""
 
     @staticmethod
     def mirroring(url: str, site: str) -> WorkFolder:
-        """The folder of this machine that mirrors a store's: in WBFLOW_CACHE, else in the user's folder of caches."""
+        """Return this machine's mirror of a work folder in an object store: in WBFLOW_CACHE, else in the user's cache folder."""
         caches = os.environ.get("WBFLOW_CACHE") or Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "wbflow"
         mark = hashlib.sha256(url.rstrip("/").encode()).hexdigest()[:12]
         return WorkFolder(Path(caches).absolute() / f"{site}-{mark}", url.rstrip("/"))
 
     @staticmethod
     def beside(site_file: Path, site: str) -> WorkFolder:
-        """The work folder of a site whose file names none."""
+        """Return the default work folder, for a site file that names none."""
         return WorkFolder(site_file.resolve().parent / ".wbflow" / site)
 
     @staticmethod
     def of_run(run: RunPaths) -> WorkFolder:
-        """The work folder that a run's folder stands in."""
+        """Return the work folder that contains a run's folder."""
         return WorkFolder(run.folder.parent.parent)
 
     @staticmethod
     def unfinished(path: Path) -> Path:
-        """Where a file is put together that comes from an object store."""
+        """Return the temporary path of a file while it is downloaded from an object store."""
         return path.with_name(f".{path.name}{_UNFINISHED}")
 
     def task(self, task: Task) -> Path:
-        """Where the artifacts of a task lie, whatever their key."""
-        return self.cache / f"{task.stage}/{'--'.join(task.subject) or 'site'}"  # one step: a path is slow to join
+        """Return the folder of all artifacts of a task, whatever their key."""
+        return self.cache / f"{task.stage}/{'--'.join(task.subject) or 'site'}"  # one join only: joining paths is slow
 
     def artifact(self, task: Task, key: str, suffix: str) -> Path:
-        """The artifact of a task; `suffix` says what it is: .wbf, .ply."""
+        """Return the path of a task's artifact; `suffix` is that of its format: .wbf or .ply."""
         return self.cache / f"{task.stage}/{'--'.join(task.subject) or 'site'}/{key}{suffix}"
 
     def receipt(self, task: Task, key: str) -> Path:
-        """What is known of an artifact; without it there is none."""
+        """Return the path of an artifact's receipt; an artifact without a receipt does not count."""
         return self.artifact(task, key, ".json")
 
     def drawing(self, task: Task, key: str, name: str) -> Path:
-        """What the report shows of an artifact, by the name of the product (see `Products.drawings`)."""
+        """Return the path of an artifact's drawing for the report, by product name (see `Products.drawings`)."""
         return self.artifact(task, key, ".jpg" if name == "picture" else f".{name}")
 
     def of_key(self, task: Task, key: str) -> list[Path]:
-        """All files of a task under a key, the receipt first."""
+        """Return all files of a task under a key, the receipt first."""
         first = self.receipt(task, key)
         return [first, *(p for p in sorted(self.task(task).glob(f"{key}.*")) if p != first)]
 
     def half_written(self, task: Task) -> list[Path]:
-        """Files of a task that somebody has begun and not finished."""
+        """Return the temporary files of a task: writes that have not finished."""
         return sorted(self.task(task).glob(f".*{_UNFINISHED}"))
 
     def receipt_beside(self, artifact: Path) -> Path:
-        """The receipt of the artifact in a file."""
+        """Return the path of the receipt of an artifact file."""
         return artifact.with_suffix(".json")
 
     def place(self, path: Path) -> str:
-        """What a file of the cache is of, in words that are the same wherever the work folder lies: stage/subject/key.suffix."""
+        """Return the identity of a cache file, independent of where the work folder lies: stage/subject/key.suffix."""
         return "/".join(path.parts[-3:])
 
     def receipts(self, task: Task | None = None) -> list[Path]:
-        """The receipts of a task, or of all tasks, by name."""
+        """Return the receipts of a task, or of all tasks, sorted by name."""
         return sorted(self.task(task).glob("*.json") if task else self.cache.glob("*/*/*.json"))
 
     def cached(self) -> Iterator[Path]:
-        """Every file of every task, whatever its key."""
+        """Yield every file of every task, whatever its key."""
         return (path for path in self.cache.glob("*/*/*") if not path.name.startswith("."))
 
     def quarantined(self, path: Path) -> Path:
-        """Where a damaged file of the cache is put."""
+        """Return the path to which a damaged file of the cache is moved."""
         return self.quarantine / "--".join(path.relative_to(self.cache).parts)
 
     def pinned(self, path: Path) -> Path:
-        """Where the reference keeps a file of the cache."""
-        return self.reference / str(path).removeprefix(f"{self.cache}/")  # one step: a path is slow to join
+        """Return the path of the reference's copy of a file of the cache."""
+        return self.reference / str(path).removeprefix(f"{self.cache}/")  # one join only: joining paths is slow
 
     def run(self, name: str) -> RunPaths:
-        """The folder of a run."""
+        """Return the paths of a run."""
         return RunPaths(self.runs / name)
 
     def unfinished_run(self, name: str) -> RunPaths:
-        """The folder of a run that is being put together."""
+        """Return the paths of a run that is not published yet."""
         return RunPaths(self.runs / f".{name}{_UNFINISHED}")
 
     def run_ids(self) -> list[str]:
-        """Every published run, oldest first."""
-        links = {self.latest.name, self.latest_good.name}  # folders in a copy of the work folder
+        """Return the ids of all published runs, oldest first."""
+        links = {self.latest.name, self.latest_good.name}  # in a copy of the work folder they can be folders
         names = [path.name for path in self.runs.glob("*") if path.name not in links and not path.is_symlink()]
         return sorted(name for name in names if not name.startswith(".") and self.run(name).record.is_file())
 
     def links(self) -> list[Path]:
-        """Whatever leads to a run, now."""
+        """Return all links in the folder of runs."""
         return [path for path in self.runs.glob("*") if path.is_symlink()]
 
     def led_to(self, link: Path) -> str | None:
-        """The run that a link leads to; None where there is no link, or no whole run behind it."""
+        """Return the id of the run that a link points to; None if there is no link, or its target is not a published run."""
         name = link.readlink().name if link.is_symlink() else None
         return name if name and self.run(name).record.is_file() else None
 
     def turn(self, link: Path, run: str) -> None:
-        """Turn a link beside the runs, such as `latest`, to a run with one rename: whoever looks sees the old run or the new one.
+        """Point a link such as `latest` to a run with one rename, so that a reader sees either the old run or the new one.
 
-        Nothing is ever written or removed through the link.  A copy of the work folder may hold a folder there: it is set aside.
-        Raises OSError.
+        Nothing is ever written or removed through the link.  If a folder is in its place, as in a copy of the work folder, it is
+        moved to the quarantine.  Raises OSError.
         """
         fresh = self.unfinished_run(link.name).folder
         clear(fresh)
@@ -217,24 +217,24 @@ class WorkFolder:
         sync_folder(self.runs)
 
     def ledger_files(self) -> list[Path]:
-        """The ledger and what SQLite keeps beside it."""
+        """Return the paths of the ledger and of SQLite's auxiliary files."""
         return [self.ledger.with_name(self.ledger.name + end) for end in ("", "-wal", "-shm")]
 
     def start_writing(self) -> bool:
-        """Clear away what a killed run left half-written, and mark that there may be such again.  The caller holds the lock.
+        """Remove what a killed run left half-written, and mark the folder as being written.  The caller holds the lock.
 
-        Returns whether the last one that wrote here was killed.
+        Returns whether the previous writer was killed or failed.
         """
         killed = self._writing.exists()
         beside = f".*{_UNFINISHED}"
         if killed:
             left = [*self.cache.rglob(beside), *self.reference.rglob(beside), *self.root.glob(beside)]
             for path in [*left, *self.runs.glob(beside), *self.runs.glob(f"*/{beside}")]:
-                clear(path)  # never through a link: behind it stands a run that is published
+                clear(path)  # never through a link: its target is a published run
         self._writing.parent.mkdir(parents=True, exist_ok=True)
         self._writing.touch()
         return killed
 
     def done_writing(self) -> None:
-        """All that was begun is finished."""
+        """Remove the mark of `start_writing`: every write has finished."""
         self._writing.unlink(missing_ok=True)

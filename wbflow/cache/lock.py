@@ -1,6 +1,6 @@
-"""One writer for each work folder: an flock, which the kernel frees when its process dies, however it dies.
+"""A work folder has one writer, enforced by an flock that the kernel releases when its process dies, however it dies.
 
-And one site: two that shared a folder would be compared with each other's nights.
+It also belongs to one site: if two sites shared a folder, each would be compared with the other's nights.
 """
 
 from __future__ import annotations
@@ -25,18 +25,18 @@ from .untrusted import read_untrusted
 
 
 class Locked(WbflowError):
-    """Another run holds the work folder; the message says who and since when."""
+    """Another run holds the work folder; the message names its process and start time."""
 
     exit_code = ExitCode.LOCKED
 
 
 @contextlib.contextmanager
 def hold(path: Path, wait: bool) -> Iterator[None]:
-    """Hold the lock file while the block runs.  Raises Locked where another process holds it and `wait` is False."""
+    """Hold the lock file while the block runs.  Raises Locked if another process holds it and `wait` is False."""
     path.parent.mkdir(parents=True, exist_ok=True)
     with _held(path, wait) as file:
         since = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
-        with contextlib.suppress(OSError):  # on a full disk it is held without a word
+        with contextlib.suppress(OSError):  # on a full disk the lock is held, but its file stays empty
             file.truncate(0)
             os.write(file.fileno(), json.dumps({"pid": os.getpid(), "host": os.uname().nodename, "since": since}).encode())
         try:
@@ -46,7 +46,7 @@ def hold(path: Path, wait: bool) -> Iterator[None]:
 
 
 def _held(path: Path, wait: bool) -> IO[str]:
-    """The file, opened and locked; whatever else bears its name (a folder, a pipe) gives way, unless it is held."""
+    """Open and lock the file.  Anything else at its path (a folder, a dangling link, a pipe) is removed, unless it is locked."""
     while True:
         if path.is_dir() or (path.is_symlink() and not path.exists()):
             clear(path)
@@ -63,7 +63,7 @@ def _held(path: Path, wait: bool) -> IO[str]:
         status = os.fstat(descriptor)
         with contextlib.suppress(FileNotFoundError):
             there = path.stat()
-            if (there.st_dev, there.st_ino) == (status.st_dev, status.st_ino):  # nobody has put another one in its place
+            if (there.st_dev, there.st_ino) == (status.st_dev, status.st_ino):  # the file was not replaced meanwhile
                 if stat.S_ISREG(status.st_mode):
                     return os.fdopen(descriptor, "r+")
                 clear(path)
@@ -79,16 +79,16 @@ def _holder(path: Path) -> str:
 
 
 FORMAT = 1
-"""Of the work folder; raised when a version of wbflow writes what older ones cannot work with."""
+"""Format version of the work folder; it is increased when wbflow starts to write what older versions cannot use."""
 _OF = "work folder"
 
 
 def claim(work: WorkFolder, site: str, file: Path) -> str | None:
-    """Record which site a work folder belongs to; returns a warning where another file of this site has used it before.
+    """Record which site a work folder belongs to; return a warning if another existing file of this site was the last to use it.
 
-    The caller holds the lock.  A folder that nobody has claimed belongs to the first site that does; the site's name decides, its
-    file may be moved or renamed.  Raises UsageError where the folder belongs to another site, or a newer version of wbflow has
-    written it; OSError.
+    The caller holds the lock.  An unclaimed folder goes to the first site that claims it.  Sites are identified by name: a site
+    file may be moved or renamed.  Raises UsageError if the folder belongs to another site or was written by a newer version of
+    wbflow; OSError.
     """
     mine = {"site": site, "file": str(file.resolve()), "format": FORMAT, "version": __version__}
     try:

@@ -1,4 +1,4 @@
-"""What was learnt of files, remembered from run to run: digests, for as long as a file does not change, and earlier captures.
+"""Memos that persist between runs: digests of files, valid while a file does not change, and captures of earlier nights.
 
 A file younger than two seconds is always read again: it may change once more within the resolution of its time stamp.
 """
@@ -15,32 +15,32 @@ from ..errors import WbflowError
 from .checksum import Damaged, file_digest, read_checksummed, write_checksummed
 
 _SETTLED_NS = 2_000_000_000
-"""A file younger than this may change again within its time stamp's resolution."""
+"""Digests of files younger than this (nanoseconds) are not reused: see the module's docstring."""
 _FORMER = 2000
-"""So many files that were not looked up this time are remembered besides those that were."""
+"""Number of files that this run has not looked up whose digests are kept all the same."""
 NIGHTS = 60
-"""So many nights of captures are remembered."""
+"""Number of nights whose captures are remembered, per camera."""
 
 
 class ChangedFile(WbflowError):
-    """A file from outside does not hold any more what it held when its digest was taken."""
+    """The content of a file from outside has changed since its digest was taken."""
 
     def __init__(self, path: Path) -> None:
         super().__init__(f"{path} has changed while the night was being worked on")
         self.path = path
 
-    def __reduce__(self) -> tuple[type[ChangedFile], tuple[Path]]:  # it comes back from worker processes
+    def __reduce__(self) -> tuple[type[ChangedFile], tuple[Path]]:  # worker processes send it back pickled
         return type(self), (self.path,)
 
 
 class Memo:
-    """A file with a checksum of what was learnt, kept between runs."""
+    """A dictionary that is kept between runs in a file with a checksum."""
 
     def __init__(self, path: Path | None, of: str, cost: str) -> None:
-        """path: None keeps nothing.  cost: what it means, in words, when the file is damaged."""
+        """path: None keeps nothing.  cost: in words, the consequence of a damaged file."""
         self._path, self._of = path, of
         self.damage: str | None = None
-        """What was wrong with the file, if anything was."""
+        """What was wrong with the file, in words; None if it was intact."""
         self.entries: dict[str, Any] = {}
         try:
             self.entries = (read_checksummed(path, of) if path else None) or {}
@@ -49,7 +49,7 @@ class Memo:
         self._changed = self.damage is not None
 
     def save(self) -> None:
-        """Keep what was learnt.  Raises OSError."""
+        """Write the file, if anything has changed.  Raises OSError."""
         if self._path and self._changed:
             write_checksummed(self._path, self._of, self.entries)
             self._changed = False
@@ -64,7 +64,7 @@ class Digests(Memo):
         self._used: dict[str, None] = {}
 
     def of(self, path: Path) -> str:
-        """The content digest of a file.  Raises OSError."""
+        """Return the content digest of a file.  Raises OSError."""
         name, status = str(path), path.stat()
         self._used[name] = None
         before, known = _stamp(status), self._files.get(name)
@@ -72,13 +72,13 @@ class Digests(Memo):
         if known and known[:-1] == before and settled:
             return str(known[-1])
         digest = file_digest(path)
-        if settled and _stamp(path.stat()) == before:  # the file is the one that was looked at before it was read
+        if settled and _stamp(path.stat()) == before:  # unchanged while it was read
             self._files[name] = [*before, digest]
             self._changed = True
         return digest
 
     def forget(self, path: Path) -> None:
-        """What is remembered of a file is wrong: it is read again."""
+        """Forget the digest of a file, so that it is read again."""
         self._changed |= self._files.pop(str(path), None) is not None
 
     def save(self) -> None:
@@ -89,7 +89,7 @@ class Digests(Memo):
 
 
 def file_stamp(path: Path | str) -> list[int] | None:
-    """What tells that a file has been touched, or replaced; None where there is none."""
+    """Return a stamp that differs once a file has been modified or replaced; None if there is no file."""
     try:
         return _stamp(os.stat(path))  # noqa: PTH116 (a string where many are looked at)
     except OSError:
@@ -97,7 +97,7 @@ def file_stamp(path: Path | str) -> list[int] | None:
 
 
 def _stamp(status: os.stat_result) -> list[int]:
-    """Size, last change of its content and of anything, inode."""
+    """Return size, mtime_ns, ctime_ns and inode."""
     return [status.st_size, status.st_mtime_ns, status.st_ctime_ns, status.st_ino]
 
 
@@ -110,12 +110,12 @@ class EarlierCaptures(Memo):
         self._cameras: dict[str, dict[str, list[str]]] = self.entries.setdefault("cameras", {})
 
     def before(self, camera: str, night: str) -> dict[str, str]:
-        """The newest earlier night of each digest that a camera has delivered."""
+        """Return, for each digest that a camera delivered before `night`, the newest such night."""
         earlier = sorted((date, found) for date, found in self._cameras.get(camera, {}).items() if date < night)
         return {digest: date for date, found in earlier for digest in found}
 
     def note(self, camera: str, night: str, digests: Iterable[str]) -> None:
-        """Remember what a camera delivers tonight.  A night that is run again is remembered as it is now."""
+        """Remember what a camera delivered in a night.  If the night is run again, the new digests replace the old ones."""
         nights = self._cameras.setdefault(camera, {})
         found = sorted({digest for digest in digests if digest})
         if found and nights.get(night) != found:

@@ -1,4 +1,4 @@
-"""PLY files, binary and little-endian: named columns of a cloud as bytes, and back."""
+"""Binary little-endian PLY files: named columns of a cloud to bytes, and back."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _TYPES = {"f4": "float", "f8": "double", "u1": "uchar", "i1": "char", "u2": "ush
 
 
 def ply_bytes(columns: Columns, comments: tuple[str, ...] = ()) -> bytes | bytearray:
-    """A PLY file with one vertex property for each column (1-D arrays of equal length)."""
+    """Return a PLY file with one vertex property for each column (1-D arrays of equal length)."""
     import numpy as np
 
     count = len(next(iter(columns.values())))
@@ -27,7 +27,7 @@ def ply_bytes(columns: Columns, comments: tuple[str, ...] = ()) -> bytes | bytea
     properties = [f"property {_TYPES[column.dtype.str[1:]]} {name}" for name, column in columns.items()]
     head = ["ply", "format binary_little_endian 1.0", *(f"comment {c}" for c in comments), f"element vertex {count}"]
     start = "\n".join([*head, *properties, "end_header", ""]).encode()
-    data = bytearray(len(start) + count * dtype.itemsize)  # filled in place: a cloud can be as large as all else in memory
+    data = bytearray(len(start) + count * dtype.itemsize)  # filled in place: a cloud can take as much memory as all else
     data[: len(start)] = start
     table = np.frombuffer(data, dtype, count, len(start))
     for name, column in columns.items():
@@ -36,9 +36,9 @@ def ply_bytes(columns: Columns, comments: tuple[str, ...] = ()) -> bytes | bytea
 
 
 def read_ply(path: Path) -> dict[str, npt.NDArray[Any]]:
-    """Vertex columns of a binary little-endian PLY by name.
+    """Return the vertex columns of a binary little-endian PLY file by name.
 
-    Raises ValueError for another PLY format, list properties, or fewer bytes than the header promises.
+    Raises ValueError for another PLY format, or fewer bytes than the header states.  List properties are not supported.
     """
     try:
         return columns_of(read_untrusted(path, most=sys.maxsize))
@@ -47,7 +47,7 @@ def read_ply(path: Path) -> dict[str, npt.NDArray[Any]]:
 
 
 def columns_of(data: bytes) -> dict[str, npt.NDArray[Any]]:
-    """Vertex columns of the bytes of a binary little-endian PLY by name.  Raises ValueError."""
+    """Return the vertex columns of the bytes of a binary little-endian PLY file by name.  Raises ValueError."""
     import numpy as np
 
     end = data.find(b"end_header\n")
@@ -66,7 +66,7 @@ def columns_of(data: bytes) -> dict[str, npt.NDArray[Any]]:
 
 
 def with_comments(ply: bytes, comments: tuple[str, ...]) -> bytes:
-    """The same PLY with further comments in its header, after the first."""
+    """Return the PLY with further comments at the end of those in its header."""
     if not comments:
         return ply
     at = ply.index(b"element vertex")

@@ -1,7 +1,7 @@
-"""The cache: one artifact and one receipt for each task and key.  No receipt, not done.
+"""The cache: one artifact and one receipt for each task and key.  A task without a receipt is not done.
 
-A key is the hash of all that determines an artifact; inputs enter by the digest of their content, so that an upstream task
-that runs again and gives the same bytes stops there.
+A key is the hash of everything that determines an artifact.  Inputs enter by the digest of their content: if an upstream task
+runs again and gives the same bytes, the tasks after it stay cached.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from .untrusted import read_untrusted
 
 
 class DamagedArtifact(WbflowError):
-    """The bytes on disk are not those that the receipt promises; the file, if there is one, has been moved to quarantine."""
+    """The bytes on disk do not match the digest in the receipt; the file, if there is one, has been moved to quarantine."""
 
     def __init__(self, task: Task, path: Path, gone: bool = False) -> None:
         what = f"{path} is gone" if gone else f"{path} is damaged: moved to quarantine"
@@ -36,23 +36,23 @@ class DamagedArtifact(WbflowError):
         self.path = path
         self.gone = gone
 
-    def __reduce__(self) -> tuple[Any, ...]:  # it comes back from worker processes
+    def __reduce__(self) -> tuple[Any, ...]:  # worker processes send it back pickled
         return type(self), (self.task, self.path, self.gone)
 
 
 @dataclass(frozen=True)
 class Damage:
-    """Something in the work folder that was not as it had been written, and is not used."""
+    """A file of the work folder that differs from what was written, and is therefore not used."""
 
     what: str
-    """Which file, and what is wrong with it."""
+    """The file, and what is wrong with it."""
     task: Task | None = None
-    """Whose it was."""
+    """The task that the file belongs to."""
 
 
 @dataclass(frozen=True)
 class Preimage:
-    """All that determines an artifact.  inputs: digest by input name, or by "name subject" for inputs that join many."""
+    """Everything that determines an artifact.  inputs: digests by input name, or by "name subject" if an input joins several."""
 
     stage: str
     subject: tuple[str, ...]
@@ -63,62 +63,62 @@ class Preimage:
 
     @property
     def task(self) -> Task:
-        """Whose artifact it determines."""
+        """The task whose artifact it determines."""
         return Task(self.stage, self.subject)
 
     def key(self) -> str:
-        """32 hexadecimal digits.  The function counts by its code, not by its name."""
+        """Return the cache key: 32 hexadecimal digits.  The function enters by its code, not by its name."""
         determines = {name: value for name, value in vars(self).items() if name != "function"}
         return content_digest(json.dumps(determines, sort_keys=True, separators=(",", ":")).encode())
 
 
 @dataclass(frozen=True)
 class Receipt:
-    """What is known of a finished task."""
+    """The record of a finished task."""
 
     task: str
     key: str
     outcome: str
-    """ran, or rejected: then there is a reason, and no file."""
+    """ran, or rejected: a rejected task has a reason and no file."""
     preimage: Preimage
     digest: str
-    """Of the artifact's bytes (see `checksum.content_digest`)."""
+    """Digest of the artifact's bytes (see `checksum.content_digest`)."""
     parts: dict[str, str] = field(default_factory=dict)
-    """Digests of what can be needed on its own (see `artifact.parts`)."""
+    """Digests of the parts that a task can need on their own (see `artifact.parts`)."""
     file: str | None = None
-    """The artifact's name beside the receipt."""
+    """The artifact's file name, in the folder of the receipt."""
     bytes: int = 0
     reason: str | None = None
     code: str | None = None
-    """The reason as one word that can be counted."""
+    """The reason as one word, for statistics."""
     figures: dict[str, Any] = field(default_factory=dict)
     """The artifact's scalars, or the numbers behind the reason."""
     wall: float = 0.0
     cpu: float = 0.0
-    """Seconds."""
+    """Wall and CPU time in seconds."""
     peak_rss_mb: float = 0.0
-    """MB (2^20 bytes) that the worker held for itself at most, while it was at this."""
+    """Peak private memory of the worker during the task, in MB (2^20 bytes)."""
     finished: str = ""
-    """ISO 8601, UTC."""
+    """Time of completion, ISO 8601, UTC."""
     drawings: dict[str, str] = field(default_factory=dict)
-    """Digests of what was drawn of the result for the report, by the name of the product."""
+    """Digests of the result's drawings for the report, by product name."""
 
 
 @dataclass(frozen=True)
 class Cache:
-    """The cache of a work folder.  Safe to use from many processes at once."""
+    """The cache of a work folder.  Many processes may use it at once."""
 
     work: WorkFolder
     _damages: list[Damage] = field(default_factory=list, compare=False, repr=False)
     _known: dict[tuple[Task, str], tuple[str, str, list[int], Receipt]] = field(default_factory=dict, compare=False, repr=False)
-    """By task and key: the receipt's file, the artifact's ("": none), the former's stamp when it was read, and the receipt.  A
-    night looks up each receipt three times."""
+    """By task and key: the receipt's file, the artifact's file ("" if none), the stamp of the former when it was read, and the
+    receipt.  It saves reading files again, since a run looks up each receipt three times."""
 
-    def __reduce__(self) -> tuple[Any, ...]:  # what was read and found damaged here is not sent to worker processes
+    def __reduce__(self) -> tuple[Any, ...]:  # known receipts and noted damage are not sent to worker processes
         return type(self), (self.work,)
 
     def by_key(self, task: Task, key: str) -> Receipt | None:
-        """The receipt of a finished task, or None.  Checks the artifact's presence and size; who reads it checks its digest."""
+        """Return the receipt of a finished task, or None.  Checks the artifact's presence and size; `read` checks its digest."""
         receipt_file, artifact_file, then, receipt = self._known.get((task, key), ("", "", [], None))
         if receipt and file_stamp(receipt_file) == then and not (artifact_file and _wrong_size(artifact_file, receipt.bytes)):
             return receipt
@@ -129,36 +129,36 @@ class Cache:
         return receipt
 
     def newest(self, task: Task) -> Receipt | None:
-        """The most recently finished receipt of a task, under whatever key."""
+        """Return the most recent receipt of a task, whatever its key."""
         receipts = [receipt for path in self.work.receipts(task) if (receipt := self._receipt(task, path))]
         return max(receipts, key=lambda receipt: receipt.finished, default=None)
 
     def receipts(self) -> Iterator[Receipt]:
-        """Every intact receipt."""
+        """Yield every intact receipt."""
         return (receipt for path in self.work.receipts() if (receipt := self._receipt(None, path)))
 
     def note(self, what: str, task: Task | None = None) -> None:
-        """Note damage that was found, to be reported (see `damages`)."""
+        """Note damage that was found, for the report (see `damages`)."""
         self._damages.append(Damage(what, task))
 
     def damages(self) -> list[Damage]:
-        """What was found damaged since the last call."""
+        """Return the damage noted since the last call."""
         found = self._damages[:]
         del self._damages[: len(found)]
         return found
 
     def path(self, receipt: Receipt) -> Path:
-        """The artifact's file.  Raises ValueError for a rejected task, which has none."""
+        """Return the artifact's path.  Raises ValueError for a rejected task, which has none."""
         if receipt.file is None:
             raise ValueError(f"{receipt.task} left no artifact")
         return self.work.artifact(receipt.preimage.task, "", receipt.file)
 
     def read(self, task: Task, path: Path, digest: str) -> bytes:
-        """The bytes of an artifact.
+        """Return the bytes of an artifact.
 
-        Raises DamagedArtifact where they are missing, or not what the receipt promised; the file is in quarantine then.
+        If they are missing or do not match the digest, moves the file to quarantine and raises DamagedArtifact.
         """
-        for _ in range(2):  # a second look, since somebody else may just have made it again
+        for _ in range(2):  # a second try, since another process may just have written the file again
             try:
                 data = read_untrusted(path, most=sys.maxsize)
             except OSError:
@@ -166,7 +166,7 @@ class Cache:
             if content_digest(data) == digest:
                 return data
         gone = not path.exists()
-        clear(self.work.receipt_beside(path))  # the receipt goes first, the file is kept for whoever wants to know why
+        clear(self.work.receipt_beside(path))  # the receipt goes first; the file is kept for investigation
         if path.exists():
             target = self.work.quarantined(path)
             target.parent.mkdir(parents=True, exist_ok=True)
@@ -174,11 +174,11 @@ class Cache:
         raise DamagedArtifact(task, path, gone)
 
     def load(self, task: Task, receipt: Receipt) -> Any:
-        """The result that an artifact holds.  Raises DamagedArtifact, ArtifactError."""
+        """Return the result that an artifact holds.  Raises DamagedArtifact, ArtifactError."""
         return artifact.result_of(self.read(task, self.path(receipt), receipt.digest), task.stage)
 
     def drawing(self, task: Task, key: str, name: str) -> bytes | None:
-        """What was drawn of a result; None where that is not there, or not as it was drawn."""
+        """Return a drawing of a result; None if it is missing or damaged."""
         receipt = self.by_key(task, key)
         if receipt is None or name not in receipt.drawings:
             return None
@@ -189,7 +189,7 @@ class Cache:
         return data if content_digest(data) == receipt.drawings[name] else None
 
     def write(self, receipt: Receipt, data: bytes | bytearray | None, drawings: Mapping[str, bytes] | None = None) -> None:
-        """Keep an artifact and what was drawn of it: the bytes first, the receipt last.  Raises OSError."""
+        """Write an artifact and its drawings, and the receipt last.  Raises OSError."""
         task = receipt.preimage.task
         for name, drawing in (drawings or {}).items():
             write_atomic(self.work.drawing(task, receipt.key, name), drawing, fsync="none", ours=True)
@@ -199,13 +199,13 @@ class Cache:
         write_checksummed(path, self.work.place(path), {**vars(receipt), "preimage": vars(receipt.preimage)})
 
     def tidy(self, tasks: Iterable[Task]) -> None:
-        """Clear away what a worker that is gone has left half-written of some tasks."""
+        """Remove temporary files that a dead worker left of some tasks."""
         for left in (path for task in tasks for path in self.work.half_written(task)):
             with suppress(OSError):
                 left.unlink()
 
     def _receipt(self, task: Task | None, path: Path) -> Receipt | None:
-        """None for one that is not there, or cannot be believed: then the damage is noted, and the task done again."""
+        """Return a receipt; None if it is missing or damaged.  Damage is noted, and the task runs again."""
         try:
             if (fields := read_checksummed(path, self.work.place(path))) is None:
                 return None
@@ -215,7 +215,7 @@ class Cache:
         except Damaged as damage:
             self.note(damage.what, task)
             return None
-        except (TypeError, KeyError):  # of another version
+        except (TypeError, KeyError):  # written by another version
             return None
         if receipt.file and (wrong := _wrong_size(f"{path.parent}/{receipt.file}", receipt.bytes)):
             self.note(wrong, task)
@@ -224,7 +224,7 @@ class Cache:
 
 
 class OnDemand(UserDict[Any, Any]):
-    """A mapping whose values are read when they are asked for, so that a night is never in memory at once."""
+    """A mapping whose values are loaded on access, so that the artifacts of a night are never all in memory at once."""
 
     def __init__(self, items: dict[Any, Any], load: Callable[[Any], Any]) -> None:
         super().__init__(items)
@@ -235,7 +235,7 @@ class OnDemand(UserDict[Any, Any]):
 
 
 def _wrong_size(path: Path | str, expected: int) -> str | None:
-    """What is wrong with an artifact at first sight."""
+    """Return, in words, whether an artifact is missing or has the wrong size; None if neither."""
     try:
         size = os.stat(path).st_size  # noqa: PTH116
     except OSError:

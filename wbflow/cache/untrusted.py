@@ -1,8 +1,8 @@
-"""Bytes from outside, opened in this one place: captures, masks, site files, calibrations.
+"""The only place that opens files from outside: captures, masks, site files, calibrations.
 
-Whoever puts files where captures are looked for may put anything there.  Only regular files are opened (a pipe or a device is
-named at once, and nobody waits for it), only as large as such a file can sensibly be, and no folder is walked through twice,
-however links lead back to it.
+Anything may lie in the folders that are searched for captures.  Only regular files are opened (a pipe or a device is refused
+at once instead of blocking the reader), only up to a sensible size, and no folder is searched twice, even if links lead back
+to it.
 """
 
 from __future__ import annotations
@@ -17,11 +17,11 @@ from pathlib import Path
 from ..errors import WbflowError
 
 MOST_CAPTURE_BYTES = 1_000_000_000
-"""Of an image file, or a mask."""
+"""Largest size of an image file or mask."""
 MOST_TEXT_BYTES = 50_000_000
-"""Of a site file, or a calibration."""
+"""Largest size of a site file or calibration."""
 MOST_ENTRIES = 1_000_000
-"""Names that one search for captures looks at."""
+"""Most directory entries that one search for captures may visit."""
 
 _KINDS = {
     stat.S_IFIFO: "a pipe",
@@ -33,11 +33,11 @@ _KINDS = {
 
 
 class Unreadable(WbflowError, OSError):
-    """What lies under a name cannot be read, or will not be; `what` says why, without the name."""
+    """A file cannot be read, or is refused; `what` is the reason, without the file's name."""
 
 
 def read_untrusted(path: Path | str, most: int = MOST_CAPTURE_BYTES) -> bytes:
-    """All bytes of a file.  Raises Unreadable where it is not there, no regular file, too large, or the disk fails."""
+    """Return all bytes of a file.  Raises Unreadable if it is missing, not a regular file or too large, or if the disk fails."""
     with os.fdopen(open_untrusted(path, most), "rb") as file:
         try:
             size = os.fstat(file.fileno()).st_size
@@ -50,7 +50,7 @@ def read_untrusted(path: Path | str, most: int = MOST_CAPTURE_BYTES) -> bytes:
 
 
 def open_untrusted(path: Path | str, most: int = MOST_CAPTURE_BYTES) -> int:
-    """A descriptor of a file, to be closed by the caller.  Raises Unreadable, as `read_untrusted` does."""
+    """Return a file descriptor, which the caller closes.  Raises Unreadable, as `read_untrusted` does."""
     try:
         _check(os.stat(path), most)  # noqa: PTH116  (before it is opened: opening some devices does something)
         descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC | os.O_NOCTTY)
@@ -59,7 +59,7 @@ def open_untrusted(path: Path | str, most: int = MOST_CAPTURE_BYTES) -> int:
             raise
         raise Unreadable(f"cannot be read: {getattr(error, 'strerror', None) or error}") from None
     try:
-        _check(os.fstat(descriptor), most)  # it may have been exchanged since
+        _check(os.fstat(descriptor), most)  # the file may have been replaced since the first check
     except Unreadable:
         os.close(descriptor)
         raise
@@ -67,7 +67,7 @@ def open_untrusted(path: Path | str, most: int = MOST_CAPTURE_BYTES) -> int:
 
 
 def is_file(path: Path) -> bool:
-    """Is there a regular file?  Never raises, whatever the path is like."""
+    """Is there a regular file?  Never raises, not even for an invalid path."""
     return os.path.isfile(path)  # noqa: PTH113  (Path.is_file raises for names that are too long)
 
 
@@ -77,20 +77,20 @@ def is_folder(path: Path) -> bool:
 
 
 def find_untrusted(pattern: str) -> Iterator[str]:
-    """Names of what a pattern finds, as `glob` does (`*`, `?`, `[...]`, and `**` for folders in folders; nothing hidden), but
-    through each folder once only, however many links lead to it.  Raises Unreadable beyond `MOST_ENTRIES` names."""
+    """Yield the paths that a pattern matches, as `glob` does (`*`, `?`, `[...]`, `**` for nested folders; no hidden names), but
+    visit each folder only once, however many links lead to it.  Raises Unreadable beyond `MOST_ENTRIES` entries."""
     parts = Path(pattern).parts
     yield from _Search().below(parts[0], parts[1:]) if Path(pattern).is_absolute() else _Search().below("", parts)
 
 
 class _Search:
-    """One search, and how much it has looked at."""
+    """One search; counts the directory entries that it visits."""
 
     def __init__(self) -> None:
         self._looked_at = 0
 
     def below(self, folder: str, parts: tuple[str, ...]) -> Iterator[str]:
-        """What the rest of a pattern finds in a folder."""
+        """Yield the paths in a folder that match the remaining parts of a pattern."""
         if not parts:
             if os.path.lexists(folder):
                 yield folder
@@ -112,7 +112,7 @@ class _Search:
                     yield from self.below(entry.path, rest)
 
     def _folders(self, top: str) -> Iterator[tuple[str, list[str]]]:
-        """A folder and all below it, each once, those that are no links first; with the files in each."""
+        """Yield a folder and all folders below it, each once, and the files in each.  Symbolic links are followed last."""
         seen: set[tuple[int, int]] = set()
         waiting = [[top], []]
         while waiting[0] or waiting[1]:

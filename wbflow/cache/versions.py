@@ -1,4 +1,4 @@
-"""Versions of the libraries that stages import: part of the code's fingerprint, and of run.json."""
+"""Versions of the libraries that stages import; they enter code fingerprints and run.json."""
 
 from __future__ import annotations
 
@@ -6,26 +6,26 @@ import functools
 import platform
 
 LIBRARIES = ("cv2", "joblib", "maxflow", "networkx", "numba", "numpy", "open3d", "poselib", "pycolmap", "scipy")
-"""What the stages import, by import name: run.json has their versions, and the workers of a cluster must have the same."""
+"""Import names of the libraries of the stages: run.json records their versions, which all workers of a cluster must share."""
 
 _DISTRIBUTIONS = {
     "cv2": ("opencv-python-headless", "opencv-python", "opencv-contrib-python-headless", "opencv-contrib-python"),
     "open3d": ("open3d-cpu", "open3d"),
     "maxflow": ("PyMaxflow",),
 }
-"""Import name -> distributions that may provide it; of other names this is looked up."""
+"""Import name -> distributions that may provide it; for names not listed here, the installed metadata is searched."""
 
 
 def installed_versions() -> dict[str, str]:
-    """Return Python's version, and those of the libraries of `LIBRARIES` that are installed, by name."""
+    """Return the versions of Python and of the installed `LIBRARIES`, by name."""
     found = {name: installed_version(name) for name in LIBRARIES}
     return {"python": platform.python_version(), **{name: version for name, version in found.items() if version != "absent"}}
 
 
 @functools.cache
 def installed_version(library: str) -> str:
-    """Return major and minor version of a library by its import name; "absent" where no distribution provides it."""
-    from importlib import metadata  # here: `wbflow --help` needs no version
+    """Return major.minor version of a library by its import name; "absent" if no distribution provides it."""
+    from importlib import metadata  # imported here to keep `wbflow --help` fast
 
     for distribution in _DISTRIBUTIONS.get(library, (library,)):
         try:
@@ -38,7 +38,7 @@ def installed_version(library: str) -> str:
 
 @functools.cache
 def _provided() -> dict[str, list[str]]:
-    """Distributions by the import names that they provide (0.1 CPU s: only where the name does not say it)."""
+    """Return distributions by import name.  It takes 0.1 CPU s, so it is called only if the distribution's name differs."""
     from importlib import metadata
 
     return dict(metadata.packages_distributions())

@@ -1,4 +1,4 @@
-"""Options and arguments that several commands share, loading the site, and printing."""
+"""Shared options and arguments of commands, loading of sites, and printing."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ if TYPE_CHECKING:
     from ..site.models import Site
 
 LONGEST_TEXT = 100_000_000
-"""Characters that are printed at once: run.json is, as a whole."""
+"""Most characters that are printed at once; it must hold a whole run.json."""
 
 Day = datetime.date | int
-"""A day, or how many after today: what day it is at a site depends on its time zone."""
+"""A date, or an offset in days from today, which is resolved later because today depends on the site's time zone."""
 
 
 def day(text: str) -> Day:
-    """Return a day: 2026-11-19, today, yesterday, or -1 (yesterday), -2, ..."""
+    """Parse a day: 2026-11-19, today, yesterday, or -1 (yesterday), -2, ..."""
     named = {"today": 0, "yesterday": -1}
     if text in named or re.fullmatch(r"-\d{1,5}", text):
         return named[text] if text in named else int(text)
@@ -36,12 +36,12 @@ def day(text: str) -> Day:
 
 
 def date_at(site: Site, given: Day | None) -> datetime.date | None:
-    """Return the date of a day at a site; None where none is given."""
+    """Return the date that a day means at a site; None for None."""
     return site.today() + datetime.timedelta(days=given) if isinstance(given, int) else given
 
 
 def next_time(text: str) -> datetime.datetime:
-    """Return the next time that the clock shows 06:00."""
+    """Parse a time of day such as 06:00, and return its next occurrence (local time)."""
     try:
         moment = datetime.datetime.combine(datetime.date.today(), datetime.time.fromisoformat(text))
     except ValueError:
@@ -71,10 +71,10 @@ until_option = click.option("--until", metavar="STAGE", help="Stop after this st
 
 
 def load(path: Path, work: str | None, for_run: bool = False) -> Site:
-    """Load a site from its file, or from the folder of a `site.yaml`.
+    """Load a site from its file, or from a folder with a `site.yaml`.
 
-    work: a work folder, or object store, instead of the one that the file names.  for_run: a run itself reports what is out of
-    date in the file, and brings the runs of other machines from the object store.
+    work: a work folder or object store that replaces the one in the file.  for_run: skip the notes on obsolete words in the file,
+    and the download of other machines' runs from the object store, since a run does both itself.
     """
     from ..records.run_folder import refresh
     from ..remote import StoreError
@@ -100,7 +100,7 @@ def load(path: Path, work: str | None, for_run: bool = False) -> Site:
 def echo(text: object, err: bool = False) -> None:
     """Print text with its control characters escaped.
 
-    A reader that has gone away (`wbflow run ... | head -1`) costs the output, not the night's work.
+    If the reader has closed the pipe (`wbflow run ... | head -1`), further output is dropped and the run continues.
     """
     try:
         click.echo(printable(text, LONGEST_TEXT), err=err)
@@ -117,6 +117,6 @@ def echo_json(data: Any) -> None:
 
 
 def stop(code: ExitCode, message: str) -> NoReturn:
-    """Print a last message (on stderr, unless all is well), and exit."""
+    """Print a last message (on stdout if the code is GOOD, else on stderr), and exit."""
     echo(message, err=code is not ExitCode.GOOD)
     sys.exit(code)

@@ -1,4 +1,4 @@
-"""What a run shows while it works: a live table on a terminal, one line for each finished stage in a log file."""
+"""Progress display of a run: a live table on a terminal, or one line for each finished stage in a log file."""
 
 from __future__ import annotations
 
@@ -21,16 +21,16 @@ if TYPE_CHECKING:
     from rich.progress import TaskID
 
 PROGRESS_SECONDS = 300.0
-"""A log file gets a line about so often while tasks end."""
+"""After this many seconds without output, a log file gets a line on the progress, at the next event."""
 MOST_REJECTED = 8
-"""Rejections of a stage that are printed with their reason; with -v all are."""
+"""Number of rejections per stage that are printed with their reason; with -v all are printed."""
 
 
 @contextmanager
 def display(site: str, verbose: bool = False, quiet: bool = False) -> Iterator[Display]:
-    """Yield the display that suits stderr; whatever it has drawn is gone at the end.
+    """Yield the display that suits stderr.  A live table is erased at the end.
 
-    verbose: print every task with its seconds, and tracebacks.  quiet: print warnings only; findings follow at the end.
+    verbose: print every task with its seconds, and tracebacks.  quiet: print warnings only; the caller prints the findings later.
     """
     if quiet:
         yield Display(site, verbose, quiet=True)
@@ -49,27 +49,27 @@ class StageProgress:
     tasks: int = 0
     outcomes: dict[Task, str] = field(default_factory=dict)
     cpu: float = 0.0
-    """Seconds that its tasks took together."""
+    """Total CPU seconds of its tasks in this run."""
     fresh: bool = False
-    """Whether this run has worked on it, and its end has not been reported."""
+    """Whether this run has worked on it and has not reported its end yet."""
 
     @property
     def done(self) -> int:
         return len(self.outcomes)
 
     def counts(self) -> str:
-        """Return the outcomes: "24 ran, 3 rejected"."""
+        """Return the number of tasks by outcome: "24 ran, 3 rejected"."""
         counts = Counter(self.outcomes.values())
         return ", ".join(f"{counts[name]} {name}" for name in ("ran", "cached", "rejected", "failed", "skipped") if counts[name])
 
 
 class Display:
-    """Prints messages about single events, and keeps the progress."""
+    """Prints messages about single events, and tracks the progress."""
 
     def __init__(self, site: str, verbose: bool = False, quiet: bool = False) -> None:
         self.site = site
         self.stages: dict[str, StageProgress] = {}
-        """In the order of the pipeline."""
+        """By name, in the order of the pipeline."""
         self.running: dict[Task, None] = {}
         self._verbose, self._quiet = verbose, quiet
         self._rejected: Counter[str] = Counter()
@@ -94,7 +94,7 @@ class Display:
         self.update()
 
     def print(self, line: str, is_fault: bool = False) -> None:
-        """Print a line; of a fault to stderr."""
+        """Print a line, to stderr if it reports a fault."""
         echo(line, err=is_fault)
 
     def stage_ended(self, stage: StageProgress) -> None:
@@ -105,13 +105,13 @@ class Display:
 
     @property
     def totals(self) -> tuple[int, int]:
-        """Tasks that are done, and all tasks that are known of."""
+        """Number of finished tasks, and of all known tasks."""
         return sum(stage.done for stage in self.stages.values()), sum(stage.tasks for stage in self.stages.values())
 
     def _plan(self, event: PlannedEvent) -> list[StageProgress]:
-        """Take in how many tasks there are; returns the stages that have ended since the last time and had something to do."""
+        """Update the number of tasks; return the stages that have ended since the last call and had work to do in this run."""
         self.stages = {name: self.stages.get(name, StageProgress(name)) for name in event.tasks}
-        ended, earlier_ended = [], True  # a stage knows all its tasks when the stages before it have ended
+        ended, earlier_ended = [], True  # all tasks of a stage are known only once the stages before it have ended
         for name, stage in self.stages.items():
             stage.tasks = event.tasks[name]
             earlier_ended = earlier_ended and stage.done >= stage.tasks
@@ -121,7 +121,7 @@ class Display:
         return ended
 
     def _messages(self, event: Event | Signal) -> list[tuple[str, bool]]:
-        """Return the lines to print for an event, each with whether it is a fault."""
+        """Return the lines to print for an event, and for each whether it reports a fault."""
         if isinstance(event, WarningEvent):
             lines = [(f"warning: {event}", True)]
         elif isinstance(event, TaskEvent) and self._is_printed(event):
@@ -143,7 +143,7 @@ class Display:
 
 
 class LogLines(Display):
-    """For files: a time-stamped line for each message, for each stage that ends, and from time to time for the progress."""
+    """Display for log files: a time-stamped line for each message, each stage that ends and, now and then, the progress."""
 
     def __init__(self, site: str, verbose: bool = False) -> None:
         super().__init__(site, verbose)
@@ -163,7 +163,7 @@ class LogLines(Display):
 
 
 class LiveTable(Display):
-    """For terminals: all tasks, those that run, and the progress of each stage that has begun; messages scroll by above."""
+    """Display for terminals: overall progress, running tasks, and a bar for each stage that has begun; messages scroll above."""
 
     def __init__(self, site: str, verbose: bool = False) -> None:
         from rich.console import Console

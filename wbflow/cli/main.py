@@ -1,4 +1,4 @@
-"""The command line: its commands, and how errors reach the user.  Commands import what they need when they run."""
+"""The command line: its commands, and how errors are shown.  Commands import what they need only when they run."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ _UNWRITABLE = {errno.EACCES, errno.EPERM, errno.EROFS}
 
 
 class _Commands(click.Group):
-    """Commands whose errors are one line and a remedy; with -v, a traceback."""
+    """A group of commands that prints errors as one line and a remedy; with -v, also a traceback."""
 
     def resolve_command(self, ctx: click.Context, args: list[str]) -> tuple[str | None, click.Command | None, list[str]]:
-        """Return the named command; of an unknown one, suggest the nearest."""
+        """Return the named command; for an unknown one, suggest the most similar."""
         if args[0] not in self.commands and (close := difflib.get_close_matches(args[0], self.commands, 1)):
             ctx.fail(f"No such command {args[0]!r}; did you mean  wbflow {close[0]}?")
         return super().resolve_command(ctx, args)

@@ -1,4 +1,4 @@
-"""What runs have left: reports, history, comparison, reference, exports, one task's inputs, and room on the disk."""
+"""Commands for the results of runs: report, history, comparison, reference, exports, a task's inputs, and disk space."""
 
 from __future__ import annotations
 

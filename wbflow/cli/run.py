@@ -1,4 +1,4 @@
-"""`wbflow run`, `status` and `check`: a night's work, and what it would do."""
+"""`wbflow run`, `capture`, `status` and `check`: process a night, or show what would be done."""
 
 from __future__ import annotations
 
@@ -30,13 +30,13 @@ if TYPE_CHECKING:
 
 BACKENDS = ("processes", "loky", "threading", "dask")
 LEVELS = {"good": "good: nothing to look at", "degraded": "degraded: look at this", "failed": "failed"}
-"""Text of the verdict's levels."""
+"""Printed text of each verdict level."""
 MOST_FINDINGS = 20
-"""Findings that are printed; the report has all."""
+"""Largest number of findings that are printed; the report has all."""
 MOST_ALIKE = 4
-"""Findings of one kind with the same remedy that are printed in full."""
+"""Largest number of findings of one kind with the same remedy that are printed in full; larger groups are summarized."""
 DEBUGGABLE = {"fault", "too-slow", "worker-lost", "out-of-memory"}
-"""Causes of failure for which the task's inputs are worth a look."""
+"""Failure codes after which `wbflow debug` is suggested."""
 
 
 @click.command()
@@ -134,9 +134,9 @@ def run(
 
 
 def for_each(sites: Sequence[Path], work: Callable[[Path], int]) -> int:
-    """Do something for each site, and return the worst exit code.
+    """Call `work` for each site, and return the worst exit code.
 
-    A fault of one of several sites is printed, and costs the others nothing; that of the only one is raised.
+    With several sites, an error of one is printed and the others go on; with a single site it is raised.
     """
     if len(sites) == 1:
         return work(sites[0])
@@ -147,7 +147,7 @@ def for_each(sites: Sequence[Path], work: Callable[[Path], int]) -> int:
         except WbflowError as error:
             echo(f"{site}: {error}", err=True)
             codes.append(error.exit_code)
-        except Exception as error:  # a fault of ours
+        except Exception as error:  # a bug in wbflow
             echo(f"{site}: wbflow itself failed: {type(error).__name__}: {error}\n  wbflow run {site} -v  shows where", err=True)
             codes.append(ExitCode.FAILED)
         if codes[-1] == ExitCode.INTERRUPTED:
@@ -181,14 +181,14 @@ def print_findings(record: RunRecord) -> None:
     printed = texts[:MOST_FINDINGS]
     for (text, remedy), (_, following) in zip_longest(printed, printed[1:], fillvalue=("", "")):
         echo(f"  {text}", err=True)
-        if remedy and remedy != following:  # once, after the last that it is for
+        if remedy and remedy != following:  # once, after the last of consecutive findings with this remedy
             echo(f"    {remedy}", err=True)
     if (left := len(texts) - MOST_FINDINGS) > 0:
         echo(f"  and {left} more: the report has them", err=True)
 
 
 def _texts(found: Iterable[Finding]) -> Iterator[tuple[str, str]]:
-    """Yield text and remedy of findings; of many alike only the first, and the subjects of the others."""
+    """Yield text and remedy of each finding; for a large group of the same kind, the first ones and the subjects of the rest."""
     for _, alike in groupby(found, key=lambda finding: (finding.kind, finding.remedy)):
         group = list(alike)
         few = len(group) <= MOST_ALIKE or not all(finding.subject for finding in group)
@@ -199,7 +199,7 @@ def _texts(found: Iterable[Finding]) -> Iterator[tuple[str, str]]:
 
 
 def next_command(finished: Run, site: Path) -> str:
-    """Return the command that is most useful after a run."""
+    """Return the command to suggest after a run."""
     record, file = finished.record, shlex.quote(str(site))
     if record.exit_code == ExitCode.INTERRUPTED:
         return f"wbflow run {file}"

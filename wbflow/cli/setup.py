@@ -1,4 +1,4 @@
-"""Commands for a start: a demo, a site file, two photographs, a lens calibration, and the stages' parameters."""
+"""Commands to get started: demo, site file, editor, pair of photographs, lens calibration, and the stages' parameters."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from ..errors import ExitCode, UsageError
 from .common import PATH, echo, echo_json, jobs_option, load, site_argument, stop, verbose_option, work_option
 
 _PLAIN = ("yard", "day", "standard", "standard")
-"""Scene, light, lenses and surfaces of a demo of several nights."""
+"""Scene, light, lenses and surfaces that --nights requires, which are the defaults."""
 
 
 @click.command()
@@ -99,7 +99,7 @@ def edit(site: Path, work: str | None) -> None:
     from ..edit.session import Session
 
     with EditServer(Session(load(site, work))) as server, contextlib.suppress(KeyboardInterrupt):
-        # not opened from here: other users of this machine can read what programs are started with
+        # wbflow does not start the browser itself: other users of this machine can read the arguments of processes
         echo(f"{server.address}\nopen this in a browser on this machine; Ctrl-C, or Done in the page, ends it")
         server.serve_forever()
 

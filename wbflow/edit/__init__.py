@@ -1,1 +1,1 @@
-"""`wbflow edit`: masks, privacy polygons, zones and control points, drawn on captures in a page of this machine."""
+"""`wbflow edit`: draw masks, privacy polygons, zones and control points on captures, in a local web page."""

@@ -1,7 +1,7 @@
-"""The page of `wbflow edit`: served to a browser on this machine, and to nobody who does not know its address.
+"""The web server of `wbflow edit`: it serves the page to a browser on this machine that knows its secret address.
 
-The address has a token that is made for this one session; another host name in a request (a page elsewhere whose name leads here)
-is refused, too.  The page loads nothing from anywhere else.
+The address contains a token made for this session.  Requests with another host name (DNS rebinding: a foreign page whose name
+resolves to this machine) are refused, too.  The page loads nothing from other servers.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ from ..words import printable
 from .session import GroundRequest, GuideRequest, Refused, SaveRequest, Session
 
 _MOST_BYTES = 10_000_000
-"""Of what the page sends."""
+"""Largest size of a request's body."""
 _SECONDS = 30
-"""For which a connection may stand still."""
+"""Timeout of an idle connection."""
 _ASSETS = {"": ("edit.html", "text/html"), "edit.js": ("edit.js", "text/javascript"), "edit.css": ("edit.css", "text/css")}
 _HEADERS = {
     "Cache-Control": "no-store",
@@ -35,11 +35,11 @@ _HEADERS = {
 }
 
 Answer = tuple[str, bytes, Mapping[str, str]]
-"""Its type, the bytes, and further headers."""
+"""Content type, content, and further headers."""
 
 
 class EditServer(ThreadingHTTPServer):
-    """Serves one session at `address`, until somebody is done."""
+    """Serves one session at `address`, until the page reports that the user is done."""
 
     daemon_threads = True
 
@@ -47,13 +47,13 @@ class EditServer(ThreadingHTTPServer):
         self.session = session
         self.token = secrets.token_urlsafe(24)
         self.done = False
-        """Somebody has said in the page that it is no longer needed."""
+        """The page has reported that the user is done."""
         super().__init__(("127.0.0.1", 0), _Handler)
         self.hosts = {f"{name}:{self.server_port}" for name in ("127.0.0.1", "localhost")}
 
     @property
     def address(self) -> str:
-        """Where the page is."""
+        """URL of the page."""
         return f"http://127.0.0.1:{self.server_port}/{self.token}/"
 
 
@@ -63,7 +63,7 @@ class _Handler(BaseHTTPRequestHandler):
     server_version, sys_version = "wbflow", ""
 
     def parse_request(self) -> bool:
-        """Read a request, of whatever method, and refuse it where host or token are wrong."""
+        """Read a request of any method, and refuse it if the host or the token is wrong."""
         if not super().parse_request():
             return False
         token = self.path.removeprefix("/").partition("/")[0]
@@ -132,7 +132,7 @@ class _Handler(BaseHTTPRequestHandler):
         self.wfile.write(content)
 
     def log_message(self, format: str, *args: Any) -> None:
-        """Nothing is logged: addresses hold the token."""
+        """Log nothing, since addresses contain the token."""
 
 
 def _json(data: Any) -> Answer:

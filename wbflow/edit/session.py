@@ -1,4 +1,4 @@
-"""A site file that is being edited: what the page shows of it and of its cameras, and how what is drawn gets into it."""
+"""An editing session of a site file: what the page shows of the file and its cameras, and how drawn marks are written to it."""
 
 from __future__ import annotations
 
@@ -27,18 +27,18 @@ from ..site.yaml_document import Location, Problems, SiteError, parse_yaml
 from .splice import NotEditable, append, put, remove
 
 GROUND_SHARE = 0.1
-"""Of the last cloud's points, so many lie lower than the ground that zones are drawn on at first."""
+"""The initial ground height for drawing zones is this quantile of the z coordinates of the last cloud."""
 _FEWEST_PLACES = 3
-"""Control points or positions that tie a world to stated coordinates."""
+"""Smallest number of control points, or of stated camera positions, that fixes the world to stated coordinates."""
 
 Corners = list[Vector2]
 
 
 class Drawn(Section):
-    """Something that the site file may hold already."""
+    """A mark that may already be in the site file."""
 
     was: int | None = None
-    """Its place in the file's list; None: it is new."""
+    """Its index in the site file's list; None if it is new."""
 
 
 class PolygonMark(Drawn):
@@ -48,7 +48,7 @@ class PolygonMark(Drawn):
 
 
 class MaskArea(Section):
-    """A polygon that is painted over a camera's mask."""
+    """A polygon that is painted over a camera's mask.  use: True marks its pixels as usable, False as left out."""
 
     use: bool
     corners: Annotated[Corners, Field(min_length=3)]
@@ -67,39 +67,39 @@ class PointMark(Drawn):
 
     id: str = ""
     position: Vector3 | None = None
-    """x, y, z; or latitude, longitude, height, in a site that has those; None: not stated."""
+    """x, y, z, or latitude, longitude, height in a site with a geodetic system; None if not stated."""
     pixels: dict[str, Vector2] = Field(default_factory=dict)
 
 
 class CameraMarks(Section):
-    """What is drawn in one camera's picture."""
+    """The marks drawn in one camera's picture."""
 
     privacy: list[PolygonMark] = Field(default_factory=list)
     mask: list[MaskArea] = Field(default_factory=list)
 
 
 class Marks(Section):
-    """All that is drawn."""
+    """All marks of the page."""
 
     cameras: dict[str, CameraMarks] = Field(default_factory=dict)
-    """Those in which something was drawn."""
+    """By camera id; only cameras in whose pictures something was drawn."""
     zones: list[ZoneMark] = Field(default_factory=list)
     points: list[PointMark] = Field(default_factory=list)
 
 
 class GuideRequest(Section):
-    """What the page wants to know of one picture."""
+    """A request for residuals, guides and zone outlines in one picture."""
 
     camera: str
     marks: Marks
     chosen: int | None = None
-    """The point that guides are shown of."""
+    """Index of the control point for which guides are shown."""
     ground: float = 0.0
-    """The height at which zones lie."""
+    """The height (z) at which zones lie."""
 
 
 class GroundRequest(Section):
-    """A pixel whose place on the ground is wanted."""
+    """A request for the place on the ground that a pixel shows."""
 
     camera: str
     pixel: Vector2
@@ -107,26 +107,26 @@ class GroundRequest(Section):
 
 
 class SaveRequest(Section):
-    """What is to be written."""
+    """A request to write the marks.  version: digest of the site file on which they were drawn."""
 
     marks: Marks
     version: str = Field(min_length=1)
 
 
 class Refused(WbflowError):
-    """What was asked for cannot be done; the site file is as it was."""
+    """A request cannot be carried out; the site file is unchanged."""
 
     exit_code = ExitCode.USAGE
 
 
 class PosedCameras:
-    """The posed cameras of a site: those of its last run, else as the site file states them."""
+    """The posed cameras of a site: as its last run solved them, else as the site file states them."""
 
     def __init__(self, site: Site) -> None:
         self.poses: Mapping[str, Mapping[str, Any]] = _stated(site)
-        """Cameras as `cameras.json` has them, by id."""
+        """Cameras by id, in the format of `cameras.json`."""
         self.ground = 0.0
-        """The height at which zones lie."""
+        """The height (z) at which zones are drawn at first."""
         try:
             run = RunFolder.of(site.work_folder)
             self.poses = {**self.poses, **run.cameras()}
@@ -134,18 +134,18 @@ class PosedCameras:
                 heights = sorted(read_ply(run.paths.folder / cloud.path)["z"][::97].tolist())
                 self.ground = round(heights[int(GROUND_SHARE * len(heights))], 2)
         except (NoSuchRun, OSError, ValueError, LookupError):
-            pass  # there is no run yet, or what it made is gone
+            pass  # there is no run yet, or its files are gone
         self._frame = local_frame(site.settings, Problems(site.document))
         self._tied = _is_tied(site) and all(entry.get("metric", True) for entry in self.poses.values())
         self.upright = bool(self.poses) and all(entry["R"][1][2] < -0.5 for entry in self.poses.values())
-        """z points up: zones have a place."""
+        """Does the world's z axis point up in all cameras?  Otherwise zones have no place."""
 
     @cached_property
     def _sights(self) -> Any:
         return load("wbflow_stages.sighting:Sights")(self.poses)
 
     def guides(self, asked: GuideRequest) -> dict[str, Any]:
-        """What is to be shown of points and zones in one camera's picture."""
+        """Return residuals of the control points, and guides and zone outlines for one camera's picture."""
         camera, marks, chosen = asked.camera, asked.marks, asked.chosen
         stated = [self._world(point.position) for point in marks.points]
         residuals = self._sights.residuals([(p.pixels, where) for p, where in zip(marks.points, stated, strict=True)])
@@ -156,33 +156,33 @@ class PosedCameras:
         return {"residuals": residuals, "guide": guide, "zones": zones}
 
     def on_ground(self, asked: GroundRequest) -> list[float] | None:
-        """x, y of what a pixel shows of the ground; None above the horizon, and where poses are unknown."""
+        """Return x, y of the ground that a pixel shows; None above the horizon, or if the camera has no pose."""
         if asked.camera not in self.poses or not self.upright:
             return None
         found: list[float] | None = self._sights.on_ground(asked.camera, list(asked.pixel), asked.ground)
         return found
 
     def _world(self, position: Sequence[float] | None) -> list[float] | None:
-        """Stated coordinates in the world of the cameras; None where there are none, or that world is another one."""
+        """Return stated coordinates in the cameras' world; None if not stated, or if that world is not tied to them."""
         if position is None or not self._tied:
             return None
         return list(position) if self._frame is None else self._frame.metres(*position)
 
 
 def _stated(site: Site) -> dict[str, dict[str, Any]]:
-    """Cameras of which the site file, or a calibration, gives lens and pose."""
+    """Return the cameras whose lens and pose the site file or a calibration file states."""
     given = (camera for camera in site.cameras if camera.given and camera.lens.width and camera.lens.height)
     return {camera.id: {**vars(camera.lens), **vars(camera.placement)} for camera in given}
 
 
 def _is_tied(site: Site) -> bool:
-    """Are coordinates that are stated those of the cameras' world?  Distances alone leave it where it is."""
+    """Is the cameras' world the coordinate system of stated coordinates?  Stated distances alone fix only its scale."""
     placed = sum(camera.placement.C is not None for camera in site.cameras)
     return site.some_given or bool(site.survey.crs) or max(placed, len(site.settings.control_points)) >= _FEWEST_PLACES
 
 
 class Session:
-    """One site file, from the start of `wbflow edit` to its end."""
+    """The state of one `wbflow edit`, from its start to its end."""
 
     def __init__(self, site: Site) -> None:
         self.site = site
@@ -190,15 +190,15 @@ class Session:
         self._night = night(site, None)
         self._lock = threading.Lock()
         self._sizes: dict[str, tuple[int, int]] = {}
-        """Width and height of the captures of cameras that were shown."""
+        """Width and height of the captures, for cameras that were shown."""
         self._masks = {camera.id: read_untrusted(camera.mask) for camera in site.cameras if camera.mask}
-        """As they were at first: areas are painted over these, however often they are saved."""
+        """The original masks: each save paints all areas over these."""
         self._painted: set[str] = set()
-        """Cameras whose masks were written."""
+        """Cameras whose masks this session has written."""
         self._known = self._digests()
 
     def state(self) -> dict[str, Any]:
-        """What the site file says, and which cameras have a pose."""
+        """Return the content of the site file for the page, and which cameras have a pose."""
         cameras = [{"id": c.id, "posed": c.id in self.posed.poses, "privacy": c.privacy} for c in self.site.cameras]
         zones, points = _marks_of(self.site)
         return {
@@ -215,7 +215,7 @@ class Session:
         }
 
     def picture(self, name: str) -> tuple[dict[str, Any], bytes]:
-        """Width, height and file name of a capture of a camera, and a JPEG of it to draw on.  Raises Refused."""
+        """Return width, height and file name of a camera's capture, and a JPEG of it to draw on.  Raises Refused."""
         camera = self._camera(name)
         files = captures_of(self.site, camera, self._night, Digests(None))
         usable = [file for file in files if file.digest]
@@ -231,7 +231,7 @@ class Session:
         return {"width": width, "height": height, "name": file.name, "masked": name in self._masks}, jpeg
 
     def shade(self, name: str) -> bytes:
-        """A picture of what a camera's mask leaves out.  Raises Refused where it has none, or it cannot be read."""
+        """Return a PNG that shows what a camera's mask leaves out.  Raises Refused if there is no mask, or it cannot be read."""
         if (mask := self._masks.get(self._camera(name).id)) is None:
             raise Refused(f"{name} has no mask")
         try:
@@ -240,9 +240,9 @@ class Session:
             raise Refused(str(error)) from None
 
     def save(self, marks: Marks, version: str) -> dict[str, Any]:
-        """Write what is drawn, and return the new state.
+        """Write the marks to the site file and to masks, and return the new state.
 
-        version: of the state that was drawn on.  Raises Refused where the file would be invalid, or was changed meanwhile.
+        version: that of the state on which they were drawn.  Raises Refused if the file would be invalid, or has changed since.
         """
         with self._lock:
             if version != self._known[self.site.file] or self._known != self._digests():
@@ -251,7 +251,7 @@ class Session:
             masks = dict(self._new_masks(marks))
             files = {name: self._mask_file(self._camera(name)) for name in masks}
             added = [name for name, file in files.items() if file != self._camera(name).mask]
-            for name in added:  # a mask that the site file names must be there
+            for name in added:  # the site file is valid only if the masks that it names exist
                 write_atomic(files[name], masks[name])
             try:
                 text, site = self._edited(marks, {name: str(files[name].relative_to(self.site.folder)) for name in added})
@@ -279,7 +279,7 @@ class Session:
                 raise Refused(str(error)) from None
 
     def _edited(self, marks: Marks, masks: dict[str, str]) -> tuple[bytes, Site]:
-        """The bytes of the site file with what is drawn, and what it says.  Raises Refused."""
+        """Return the bytes of the site file with the marks, and the site loaded from them.  Raises Refused."""
         raw = read_untrusted(self.site.file, MOST_TEXT_BYTES)
         before, mark = raw.decode("utf-8-sig"), BOM_UTF8 if raw.startswith(BOM_UTF8) else b""
         ends = "\r\n" if "\r\n" in before else "\n"
@@ -293,7 +293,7 @@ class Session:
         return mark + text.replace("\n", ends).encode(), site
 
     def _mask_file(self, camera: Camera) -> Path:
-        """Where a camera's mask is written: over its own, where that is a PNG, else in a new file."""
+        """Return where to write a camera's mask: its own file if that is a PNG of this camera alone, else a new file."""
         others = {other.mask for other in self.site.cameras if other.id != camera.id}
         if camera.mask and camera.mask.suffix.lower() == ".png" and camera.mask not in others:
             return camera.mask
@@ -314,7 +314,7 @@ class Session:
 
 
 def _with_marks(text: str, site: Site, marks: Marks, masks: Mapping[str, str]) -> str:
-    """The text of a site file with what is drawn.  masks: paths of those that are new, by camera.  Raises NotEditable."""
+    """Return the text of a site file with the marks.  masks: paths of new masks, by camera.  Raises NotEditable."""
     file, geodetic = site.settings, bool(site.survey.crs)
     for k, camera in enumerate(file.cameras):
         if (drawn := marks.cameras.get(camera.id)) is None:
@@ -322,7 +322,7 @@ def _with_marks(text: str, site: Site, marks: Marks, masks: Mapping[str, str]) -
         at: Location = ("cameras", k)
         changes: dict[str, Any] = {"mask": masks[camera.id]} if camera.id in masks else {}
         polygons = [(mark.was, mark.corners) for mark in drawn.privacy]
-        if not isinstance(site.document.data["cameras"][k], dict):  # its id alone
+        if not isinstance(site.document.data["cameras"][k], dict):  # the entry is a camera's id alone
             changes |= {"privacy": _numbers([corners for _, corners in polygons])} if polygons else {}
             text = put(text, at, {"id": camera.id, **changes}) if changes else text
             continue
@@ -344,7 +344,7 @@ def _marks_of(site: Site) -> tuple[list[ZoneMark], list[PointMark]]:
 
 
 def _listed(text: str, location: Location, there: Sequence[Any], wanted: Sequence[tuple[int | None, Any]]) -> str:
-    """The text with a list as it is wanted: items that stay keep their text, but for what differs."""
+    """Return the text with a list changed to the wanted one: items that remain keep their text, except for values that differ."""
     kept = {was: value for was, value in wanted if was is not None and was < len(there)}
     for k, before in enumerate(there):
         if k in kept:
@@ -384,7 +384,7 @@ def _point(mark: PointMark, geodetic: bool) -> dict[str, Any]:
 
 
 def _numbers(value: Any) -> Any:
-    """The same with whole numbers written as such."""
+    """Return a value with whole-numbered floats as int, so that 2.0 is written as 2."""
     if isinstance(value, dict):
         return {key: _numbers(inner) for key, inner in value.items()}
     if isinstance(value, list):

@@ -1,7 +1,7 @@
-"""Changes of single values in the text of a YAML file: every other byte, with comments and layout, stays as it is.
+"""Edit single values in the text of a YAML file: every other byte, including comments and layout, stays unchanged.
 
-A library that writes the whole file again moves comments that stand between sections, and joins lists that are written over
-several lines; here only the text of what changes is replaced.
+A library that rewrites the whole file moves comments between sections, and joins lists that are written over several lines;
+here only the text of the changed value is replaced.
 """
 
 from __future__ import annotations
@@ -16,15 +16,15 @@ import yaml
 from ..site.yaml_document import Loader, Location
 
 Splice = tuple[int, int, str]
-"""From where to where, and what stands there instead."""
+"""Start and end index in the text, and the replacement."""
 
 
 class NotEditable(ValueError):
-    """A value cannot be changed in the text: it is shared by an alias, or written in a form that is not known here."""
+    """A value cannot be changed in the text: it is shared through an alias, or written in a form that is not supported."""
 
 
 def put(text: str, location: Location, value: Any) -> str:
-    """Return the text with another value at a location; the last step may be a new key of a mapping.  Raises NotEditable."""
+    """Return the text with a new value at a location, whose last step may be a new key of a mapping.  Raises NotEditable."""
     parent = _node_at(text, location[:-1])
     if isinstance(parent, yaml.MappingNode) and not any(key.value == str(location[-1]) for key, _ in parent.value):
         splice = _new_key(text, parent, str(location[-1]), value)
@@ -34,7 +34,7 @@ def put(text: str, location: Location, value: Any) -> str:
 
 
 def append(text: str, location: Location, value: Any) -> str:
-    """Return the text with a further item in the list at a location.  Raises NotEditable."""
+    """Return the text with an item appended to the list at a location.  Raises NotEditable."""
     node = _node_at(text, location)
     if not isinstance(node, yaml.SequenceNode) or not node.value:
         return put(text, location, [value])
@@ -73,14 +73,14 @@ def flow(value: Any) -> str:
 def _replaced(text: str, node: Any, value: Any) -> Splice:
     start, end = node.start_mark.index, _end(node)
     if isinstance(node, yaml.CollectionNode) and not node.flow_style:
-        # the block stands below its key, and may have comments above it: the new value stands on the key's line
+        # a block starts below its key, perhaps after comments; the new value is written on the key's line
         key_end = _key_end(text, start)
         return key_end, end, f" {flow(value)}{text[key_end:start].rstrip()}"
     return start, end, f" {flow(value)}" if start == end and text[start - 1 : start] == ":" else flow(value)
 
 
 def _key_end(text: str, start: int) -> int:
-    """Where the colon before a block ends: only comments and white space stand between."""
+    """Return the end of the colon before a block; only comments and white space may be in between."""
     before = text[:start]
     while True:
         stripped = before.rstrip()
@@ -106,7 +106,7 @@ def _new_key(text: str, mapping: Any, key: str, value: Any) -> Splice:
 
 
 def _end(node: Any) -> int:
-    """Where a value's own text ends: that of a block collection is followed by white space and comments."""
+    """Return where a value's own text ends, without the white space and comments that follow a block collection."""
     if isinstance(node, yaml.CollectionNode) and not node.flow_style and node.value:
         last = node.value[-1]
         return _end(last[1] if isinstance(last, tuple) else last)
@@ -133,7 +133,7 @@ def _node_at(text: str, location: Location) -> Any:
 
 
 def _checked(text: str, splice: Splice, location: Location, change: Any) -> str:
-    """The text with a splice, which must do to the data what `change` does, and nothing else."""
+    """Return the text with a splice applied; raise NotEditable unless it changes the data exactly as `change` does."""
     start, end, instead = splice
     edited = f"{text[:start]}{instead}{text[end:]}"
     expected = copy.deepcopy(_unshared(yaml.load(text, Loader)))
@@ -148,7 +148,7 @@ def _checked(text: str, splice: Splice, location: Location, change: Any) -> str:
 
 
 def _unshared(data: Any) -> Any:
-    """The data with each alias a value of its own."""
+    """Return a copy of the data in which values shared through aliases are separate."""
     if isinstance(data, dict):
         return {key: _unshared(value) for key, value in data.items()}
     return [_unshared(value) for value in data] if isinstance(data, list) else data
@@ -166,5 +166,5 @@ def _set(data: Any, location: Location, value: Any) -> None:
 
 
 def _key(data: Any, step: str | int) -> Any:
-    """A key as the file has it: an id that looks like a number is one."""
+    """Return the key as the file has it: YAML reads an id that looks like a number as a number."""
     return next((key for key in data if str(key) == step), step) if isinstance(data, dict) else step

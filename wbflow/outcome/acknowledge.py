@@ -1,7 +1,7 @@
-"""Findings and changes that somebody knows of: they stay in the report, and neither degrade a night nor notify anybody.
+"""Acknowledged findings and changes: they stay in the report, but neither degrade a night nor cause a notification.
 
-They lie beside the site file, and enter the verdict of a night but no key of the cache.  A change has another number each night:
-what is remembered of it is its kind and its place, as `Change.is_same` compares them.
+They are kept beside the site file, and enter the verdict of a night but no cache key.  A change gets another number each night,
+so an acknowledgement stores its kind and position, which are compared as in `Change.is_same`.
 """
 
 from __future__ import annotations
@@ -27,22 +27,22 @@ from ..records.run_folder import newest_runs
 from ..site.models import Site
 
 CHANGE = "change"
-"""The word with which acknowledgements of changes begin."""
+"""First word of the name of an acknowledged change."""
 _NAME = re.compile(rf"{CHANGE} (\w+) at (-?\d+\.\d+),(-?\d+\.\d+),(-?\d+\.\d+)")
 _HEAD = "# What `wbflow acknowledge` says of this site's findings.\n"
 
 
 @dataclass(frozen=True)
 class Acknowledgement(JsonDataclass):
-    """That somebody knows of a finding."""
+    """A finding or change that somebody has acknowledged."""
 
     finding: str
-    """Code and subject, "camera-lost crane-2", "fewer-points"; of a change its kind and place, "change new at 9.2,15.3,1.3"."""
+    """Code and subject, "camera-lost crane-2", "fewer-points"; of a change kind and position, "change new at 9.2,15.3,1.3"."""
     by: str
     on: str
     """ISO 8601 date."""
     until: str = ""
-    """The last night that it holds for; "": all."""
+    """The last night for which it holds; "" for all nights."""
     note: str = ""
 
     def holds(self, night: str) -> bool:
@@ -51,7 +51,7 @@ class Acknowledgement(JsonDataclass):
 
     @property
     def words(self) -> str:
-        """Who knows of it, until when, and why."""
+        """Who acknowledged it, until when, and why."""
         until = f", until {self.until}" if self.until else ""
         return f"acknowledged by {self.by} on {self.on}{until}{': ' if self.note else ''}{self.note}"
 
@@ -62,7 +62,7 @@ def name_of(finding: Finding) -> str:
 
 
 def file_of(site: Site) -> Path:
-    """Return where the acknowledgements of a site lie: beside its file."""
+    """Return the file of a site's acknowledgements, which is beside the site file."""
     return site.file.with_suffix(".acknowledged")
 
 
@@ -82,16 +82,16 @@ def read(site: Site) -> tuple[Acknowledgement, ...]:
 
 
 def add(site: Site, finding: str, until: datetime.date | None, note: str) -> Acknowledgement:
-    """Acknowledge a finding, or a change.  An earlier acknowledgement of it gives way.
+    """Acknowledge a finding or a change, replacing an earlier acknowledgement of it.
 
-    Raises UsageError where there is no such finding or change, or it is one of nights that have failed.
+    Raises UsageError where there is no such finding, change or camera, or the finding is one of failed nights.
 
     Parameters
     ----------
     site, finding
-        Whose; code and subject, or "change" and its number in the newest run.
+        The site; code and subject of the finding, or "change" and its number in the newest run.
     until, note
-        The last night that it holds for (None: all), and why.
+        The last night for which it holds (None: all), and why.
     """
     name = _named(site, finding)
     code, *subject = name.split()
@@ -110,7 +110,7 @@ def add(site: Site, finding: str, until: datetime.date | None, note: str) -> Ack
 
 
 def drop(site: Site, finding: str) -> None:
-    """Take an acknowledgement back.  Raises UsageError where there is none."""
+    """Remove an acknowledgement.  Raises UsageError where there is none."""
     there = read(site)
     name = _named(site, finding)
     if all(one.finding != name for one in there):
@@ -120,7 +120,7 @@ def drop(site: Site, finding: str) -> None:
 
 
 def _named(site: Site, finding: str) -> str:
-    """Return the name of a finding, or of a change that is given by its number in the newest run ("change 2"), or by its name."""
+    """Return the name of a finding or change; a change may be given by its number in the newest run ("change 2") or by name."""
     name = " ".join(finding.split())
     if name.split(" ")[0] != CHANGE or _place(name):
         return name
@@ -135,7 +135,7 @@ def _named(site: Site, finding: str) -> str:
 
 
 def _place(name: str) -> Change | None:
-    """Return kind and place of a change by its name; None for what is no such name."""
+    """Return kind and position of a change from its name; None for any other name."""
     found = _NAME.fullmatch(name)
     return Change(found[1], float(found[2]), float(found[3]), float(found[4])) if found else None
 
@@ -146,7 +146,7 @@ def changes_of(record: RunRecord) -> Mapping[str, Change]:
 
 
 def with_known(record: RunRecord, known: Iterable[Acknowledgement]) -> RunRecord:
-    """Return the record with what is known of its changes."""
+    """Return the record with its acknowledged changes marked."""
     places = [(place, one.words) for one in known if one.holds(record.date) and (place := _place(one.finding))]
 
     def marked(changes: Mapping[str, Change]) -> Iterator[tuple[str, Change]]:
@@ -165,7 +165,7 @@ def with_known(record: RunRecord, known: Iterable[Acknowledgement]) -> RunRecord
 def split(
     findings: Iterable[Finding], known: Iterable[Acknowledgement], night: str
 ) -> tuple[tuple[Finding, ...], tuple[Finding, ...]]:
-    """Return the findings of a night that count, and those that somebody knows of, with who does as their remedy."""
+    """Return the findings of a night that count, and the acknowledged ones, each with its acknowledgement as the remedy."""
     by_name = {one.finding: one for one in known if one.holds(night)}
     counts, acknowledged = list[Finding](), list[Finding]()
     for finding in findings:

@@ -1,4 +1,4 @@
-"""What is usual at a site: medians of its last good nights, or the reference; and how tonight's pictures compare with it."""
+"""What is usual at a site: medians of its last good nights, or the reference; and how tonight's images compare with it."""
 
 from __future__ import annotations
 
@@ -20,22 +20,22 @@ from ..records.run_folder import newest_runs
 from ..site.models import Expected, Measure, Site
 
 FOUND_SHARE = 0.25
-"""A camera of whose pairs fewer than this share of the usual share find common points shows something else."""
+"""A camera shows something else if the share of its pairs that find common points is less than this share of the usual one."""
 SHARP_SHARE = 0.4
-"""A picture with less than this share of its usual sharpness is out of focus, or behind drops or dirt."""
+"""An image with less than this share of its usual sharpness is out of focus, or taken through drops or dirt."""
 MOST_RUNS = 14
-"""So many earlier runs are read at most.  What they say of the good nights before them stands in their own records."""
+"""At most this many earlier runs are read; their records contain the usual figures from good nights before them."""
 
 
 @dataclass(frozen=True)
 class Baseline:
-    """The runs before one, newest first: the last of each night."""
+    """The runs before one, newest first, one for each night."""
 
     runs: tuple[RunRecord, ...] = ()
 
     @staticmethod
     def before(work: WorkFolder, run: str, date: str) -> Baseline:
-        """The runs before `run`, of nights up to `date`; what cannot be read is passed over."""
+        """The runs before `run`, of nights up to `date`; records that cannot be read are skipped."""
         found: dict[str, RunRecord] = {}
         for _, record in islice(newest_runs(work, before=run), MOST_RUNS):
             if record.date <= date and (record.date not in found or not _whole(found[record.date])):
@@ -43,7 +43,7 @@ class Baseline:
         return Baseline(tuple(sorted(found.values(), key=lambda record: (record.date, record.run), reverse=True)))
 
     def usual(self, settings: str, since: str = "") -> Usual | None:
-        """What good nights with the same settings gave; where these runs hold none, what the newest of them was compared with.
+        """Medians of good nights with the same settings; without such a night, what the newest of these runs was compared with.
 
         settings: digest of tonight's.  since: nights before this one (ISO 8601) don't count.
         """
@@ -64,7 +64,7 @@ class Baseline:
 
 
 def usual_of(records: Sequence[RunRecord]) -> Usual:
-    """The medians of some nights."""
+    """The medians of the figures of some nights."""
     cameras = list(dict.fromkeys(camera.id for record in records for camera in record.cameras))
     appearances = [appearance_of(record) for record in records]
     looks = {name: [of.get(name, {}) for of in appearances] for name in cameras}
@@ -76,11 +76,11 @@ def usual_of(records: Sequence[RunRecord]) -> Usual:
 
 
 def figures_of(record: RunRecord) -> dict[str, float]:
-    """What is compared of a whole night, by name."""
+    """The figures of a whole night that are compared with the usual ones, by name."""
     found: dict[str, float] = {Measure.POINTS: float(record.cloud.points) if record.cloud else 0.0}
     if record.pairs:
         found[Measure.PAIRS] = float(sum(pair.ok for pair in record.pairs))
-    for stage in STAGES if record.poses and record.poses.metric else ():  # else each night has units of its own
+    for stage in STAGES if record.poses and record.poses.metric else ():  # else units differ between nights
         result = record.results.get(stage.name)
         if result and result.amount is not None:
             found[stage.name] = result.amount
@@ -88,11 +88,11 @@ def figures_of(record: RunRecord) -> dict[str, float]:
 
 
 def appearance_of(record: RunRecord) -> dict[str, dict[str, float]]:
-    """What is compared of each camera that is well, by id and name: how its picture looks, and the share of its pairs that found
-    common points."""
+    """The figures of each usable camera that are compared with the usual ones, by id and name: those of its image, and the share
+    of its pairs that found common points."""
     names = [field.name for field in fields(FrameSummary)]
     matched: dict[str, list[bool]] = {}
-    well = {camera.id for camera in record.cameras if camera.ok}  # what is lost with another camera says nothing of this one
+    well = {camera.id for camera in record.cameras if camera.ok}  # pairs with a lost camera don't count
     for pair in record.pairs:
         if {*pair.cameras} <= well and pair.matched is not None:
             for name in pair.cameras:
@@ -108,10 +108,10 @@ def appearance_of(record: RunRecord) -> dict[str, dict[str, float]]:
 
 
 def with_appearance(record: RunRecord, expected: Expected) -> RunRecord:
-    """Return the record with the health of cameras whose pictures do not look as usual.
+    """Return the record with the health of cameras whose images do not look as usual.
 
-    What most cameras have in common tonight (fog, a lamp that is out) is the night's and not theirs; a camera of which something
-    closer to the pixels knows the health keeps that.
+    What most cameras have in common tonight (fog, a lamp that is out) is not attributed to a single camera; a camera that an
+    earlier stage has found unhealthy keeps that health.
     """
     usual = record.usual.cameras if record.usual else {}
     looks, common = appearance_of(record), _common_shares(record)
@@ -126,7 +126,7 @@ def with_appearance(record: RunRecord, expected: Expected) -> RunRecord:
 
 
 def _common_shares(record: RunRecord) -> dict[str, float]:
-    """Return tonight's figures of most cameras as shares of the usual ones."""
+    """Return the medians over the cameras of tonight's figures as shares of the usual ones, at most 1."""
     shares: dict[str, list[float]] = {}
     for name, looks in appearance_of(record).items():
         usual = record.usual.cameras.get(name, {}) if record.usual else {}
@@ -139,7 +139,7 @@ def _common_shares(record: RunRecord) -> dict[str, float]:
 def _health_by_appearance(
     looks: Mapping[str, float], usual: Mapping[str, float], common: Mapping[str, float], expected: Expected
 ) -> Health:
-    """Return the health of a camera from the figures of its picture, tonight's and the usual ones."""
+    """Return the health of a camera from its figures tonight, the usual ones, and what all cameras have in common."""
     shared = [name for name in looks if name in usual]
     figures, base = {name: looks[name] for name in shared}, {name: usual[name] for name in shared}
     shares = {name: looks[name] / usual[name] for name in shared if usual[name] > 0}
@@ -157,7 +157,7 @@ def _health_by_appearance(
 
 
 def settings_of(site: Site) -> str:
-    """Digest of all that decides what a night gives, besides its captures: the site file's words and the code."""
+    """Digest of everything that determines a night's results except its captures: the settings of the site file, and the code."""
     stages = []
     for stage in STAGES:
         settings = site.stage_settings(stage.name)
@@ -170,7 +170,7 @@ def settings_of(site: Site) -> str:
 
 
 def _whole(record: RunRecord) -> bool:
-    """Was it the night's work, and not a part of it?"""
+    """Did the run do the whole night's work, and not only a part of it?"""
     return record.cloud is not None or record.exit_code not in (0, 130)
 
 

@@ -36,23 +36,23 @@ DEBIAN_PACKAGES = {
 """Shared libraries that open3d needs and the Debian packages that hold them."""
 
 BYTES_PER_PIXEL = 40
-"""Disk that a night takes in the cache, for each pixel of each camera at working resolution (measured, generous)."""
+"""Disk space that a night takes in the cache, for each pixel of each camera at working resolution (measured, generous)."""
 
 
 @dataclass(frozen=True)
 class Fault:
-    """One thing found."""
+    """One problem that was found."""
 
     severity: Severity
     what: str
-    """Where, and what."""
+    """Where it is, and what it is."""
     remedy: str
     code: ExitCode
-    """What a run would end with for it."""
+    """The exit code that a run would end with because of it."""
 
 
 def check(site: Site, date: datetime.date | None) -> list[Fault]:
-    """Everything that would spoil a run, or part of one."""
+    """Find everything that would spoil a run, or part of one."""
     machine = check_machine()
     if any(finding.severity == "error" for finding in machine):
         return machine + _disk(site)
@@ -60,7 +60,7 @@ def check(site: Site, date: datetime.date | None) -> list[Fault]:
 
 
 def exit_code(findings: Iterable[Fault]) -> ExitCode:
-    """What `wbflow check` ends with: the worst that a run would."""
+    """Exit code of `wbflow check`: the worst that a run would end with."""
     return min((finding.code for finding in findings if finding.severity == "error"), default=ExitCode.GOOD)
 
 
@@ -89,7 +89,7 @@ def check_captures(site: Site, context: RunContext) -> list[Fault]:
 
 
 def _remedy_of_missing(site: Site, camera: Camera) -> str:
-    """What to do about a camera without captures: its name may be written otherwise than the files'."""
+    """What to do about a camera without captures; the files' names may spell its id otherwise."""
     there = site.captures.cameras() - {other.id for other in site.cameras} if camera.images is None else set()
     close = difflib.get_close_matches(camera.id, there, 1)
     if close:
@@ -131,7 +131,7 @@ def _remedy(message: str) -> str:
 
 
 def check_published(work: WorkFolder) -> list[Fault]:
-    """Are the files of every run as they were published?  Those of runs that links show must be there, too."""
+    """Are the published files of every run unchanged?  Those of runs that links lead to must also exist."""
     shown = {work.led_to(link) for link in work.links()}
     found = []
     for name in work.run_ids():

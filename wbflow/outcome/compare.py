@@ -1,4 +1,4 @@
-"""Runs beside each other: two nights compared, from their run.json; what changed between them; a night against a scan."""
+"""Comparisons: the figures of two runs from their run.json, what changed between two runs, and a run's cloud with a scan."""
 
 from __future__ import annotations
 
@@ -23,29 +23,29 @@ from .export import MissingExtra
 from .finished_run import Gone, Run
 
 NOISE = 0.05
-"""Figures that differ by less than this share say nothing: keypoints, inliers and points change so much from night to night."""
+"""Smaller relative differences are ignored: keypoints, inliers and points vary this much from night to night."""
 NOISE_OF_SHARES = 0.03
-"""The same, of figures that are shares of one themselves."""
+"""Smaller absolute differences are ignored between figures that are shares, 0 to 1."""
 NOISE_OF_TIME = 0.25
-"""The same, of seconds."""
+"""Smaller relative differences are ignored between times in seconds."""
 
 Value = int | float | str | None
 
 
 @dataclass(frozen=True)
 class Row:
-    """A figure, or words, of both runs."""
+    """A figure or text of both runs."""
 
     what: str
-    """Its name; of a camera or pair: its name, then that of the figure."""
+    """Its name, after that of its camera or pair, if it has one."""
     a: Value
     b: Value
     noise: float = NOISE
-    """Figures that differ by less are alike, as a share of the larger one."""
+    """Figures count as equal up to this difference, as a share of the larger one."""
 
     @property
     def change(self) -> float | None:
-        """By which share of a's figure b's differs; None for words, and where a's is 0."""
+        """Relative change from a to b; None for texts, and where a is 0."""
         if isinstance(self.a, int | float) and isinstance(self.b, int | float) and self.a:
             return self.b / self.a - 1
         return None
@@ -87,12 +87,12 @@ def compare(a: RunRecord, b: RunRecord) -> list[Row]:
 
 
 def differing(rows: list[Row]) -> list[Row]:
-    """Return which runs they are, and what differs."""
+    """Return the rows that identify the runs, their verdicts, and the rows that differ."""
     return rows[:3] + [row for row in rows[3:] if row.differs]
 
 
 def last_two(work: WorkFolder) -> tuple[RunFolder, RunFolder]:
-    """The newest run, after the newest good one before it.  Raises NoSuchRun where there is none."""
+    """The newest good run before the newest one, and the newest one.  Raises NoSuchRun where there is none."""
     newest = RunFolder.of(work)
     for folder, record in newest_runs(work, before=newest.id):
         if folder.is_good() and (record.verdict is None or record.verdict.good):
@@ -118,7 +118,7 @@ def _of_site(a: RunRecord, b: RunRecord) -> Iterator[Row]:
 
 
 def _of_subject(name: str, a: CameraRecord | PairRecord | None, b: CameraRecord | PairRecord | None) -> list[Row]:
-    """The outcome of a camera or pair; its figures where both runs have used it."""
+    """The outcome of a camera or pair, and its figures where both runs used it."""
     rows = [Row(name, _outcome(a), _outcome(b))]
     if a and b and a.ok and b.ok:
         ours, theirs = vars(a.figures), vars(b.figures)
@@ -135,7 +135,7 @@ def _outcome(record: CameraRecord | PairRecord | None) -> str:
 
 
 def _shared(ours: Mapping[str, Any], theirs: Mapping[str, Any]) -> list[str]:
-    """Return the names of numbers and words that both have."""
+    """Return the names of numbers and texts that both have."""
     return [name for name in ours if _plain(ours[name]) and _plain(theirs.get(name))]
 
 
@@ -150,10 +150,10 @@ def _words(value: Value) -> str:
 
 
 def compare_with_scan(run: Run, scan: Path, out: Path) -> dict[str, Any]:
-    """Write into `out` what a run's cloud deviates by from a scan; return the figures.
+    """Write the deviations of a run's cloud from a scan into `out`; return the figures.
 
-    Raises UsageError for a scan that cannot be read, or lies elsewhere, or covers less than half of the cloud; MissingExtra where
-    packages that read such files are not installed; Gone where the run has no cloud.
+    Raises UsageError for a scan that cannot be read, or lies elsewhere, or covers less than half of the cloud; MissingExtra
+    where packages that read such files are not installed; Gone where the run has no cloud.
     """
     if not scan.is_file():
         raise UsageError(f"{scan}: there is no such file", remedy="wbflow compare SITE.yaml SCAN.laz --out DIR")
@@ -172,8 +172,8 @@ def compare_with_scan(run: Run, scan: Path, out: Path) -> dict[str, Any]:
 def changes_between(then: Run, tonight: Run) -> Any:
     """Return what changed (`wbflow_stages.types.Changes`), by the function and the parameters of the later run.
 
-    Raises Gone where the cache does not hold what one of them made any more; WbflowError where one of them looked for no changes,
-    or they lie in different worlds.
+    Raises Gone where a run placed no cameras or the cache no longer holds its results; WbflowError where the later run did not
+    look for changes, or the runs have nothing in common.
     """
     receipt = tonight.receipt(Task(CHANGES))
     if receipt is None:
@@ -195,13 +195,13 @@ def _surface(run: Run, prefix: str = "") -> Mapping[str, Any]:
 
 
 def data_of(changes: Any) -> dict[str, Any]:
-    """Return the same as changes.json has it."""
+    """Return changes in the form of changes.json."""
     data: dict[str, Any] = load("wbflow_stages.exports.ground:changes_data")(changes)
     return data
 
 
 def lines_of(data: Mapping[str, Any]) -> Iterator[str]:
-    """Yield volumes and changes for people."""
+    """Yield the volumes and changes of changes.json as lines of text."""
     unit = "m" if data["unit"] == "m" else "units"
     parts = {"": data.get("cut_fill"), **data["zones"]}
     for zone, part in ((zone, CutFill.from_json(part)) for zone, part in parts.items() if part):

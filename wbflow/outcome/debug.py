@@ -45,18 +45,18 @@ print(debug.keep(here, result))
 
 
 def write_task(site: Site, task: Task, out: Path, date: datetime.date | None = None) -> list[Path]:
-    """Write what a task is handed tonight, and the script that does it; returns the files, the script first.
+    """Write a task's inputs and parameters as they are tonight, and a script that runs it; returns the files, the script first.
 
-    Raises UsageError where there is no such task, or its inputs are not there; DamagedArtifact.
+    Raises UsageError where there is no such task, or its inputs have not been made; DamagedArtifact.
 
     Parameters
     ----------
     site, task : Site, Task
-        Whose, and which.
+        The site, and the task to write.
     out : Path
-        The folder for the files; it is made.
+        The folder for the files; it is created if missing.
     date : date, optional
-        The night; the newest that has captures, if not given.
+        The night; the newest with captures, if not given.
     """
     context = plan_run(site, Options(date))
     plan = context.plan
@@ -68,7 +68,7 @@ def write_task(site: Site, task: Task, out: Path, date: datetime.date | None = N
     nodes = {name: _write(spec.inputs[name], value, out / INPUTS, name, plan.cache) for name, value in values.items()}
     state = plan.states.get(task)
     ended = state and ("the night uses the reference's" if state.receipt else state.outcome)
-    otherwise = ended or "not run"  # what became of a task whose inputs have left nothing in the cache
+    otherwise = ended or "not run"  # for a task without a receipt for these inputs
     receipt = Cache(plan.cache.work).by_key(task, spec.preimage().key())
     description: dict[str, Any] = {
         "stage": task.stage,
@@ -113,7 +113,7 @@ def _waits(plan: Plan, task: Task, first: Task) -> UsageError:
 
 
 def _write(how: Input, value: Any, folder: Path, name: str, cache: Cache) -> Any:
-    """Write an input; one that the cache keeps as a file that people can open is copied."""
+    """Write an input; a cloud, which the cache keeps as a file that people can open, is copied."""
     if isinstance(how, Stored) and not how.part and how.file and how.task.stage == FUSE:
         file = f"{name}{suffix_of(FUSE)}"
         shutil.copyfile(cache.work.task(how.task) / how.file, folder / file)
@@ -122,31 +122,31 @@ def _write(how: Input, value: Any, folder: Path, name: str, cache: Cache) -> Any
 
 
 TASK_FILE = "task.json"
-"""What the task is: stage, subject, function, parameters, where its inputs are, what came of it in the cache."""
+"""Describes the task: stage, subject, function, parameters, where its inputs are, and its outcome in the cache."""
 INPUTS = "inputs"
-"""The folder of its inputs."""
+"""Folder of the task's inputs."""
 
 
 def as_a_worker(folder: Path) -> None:
-    """Before anything else is imported: one thread, and modules beside the site file, as in a run."""
+    """Allow one thread, and make modules beside the site file importable, as in a run; call this before other imports."""
     os.environ.update(dict.fromkeys(THREADS, "1"))
     beside = _task(folder)["folder"]
     make_importable(Path(beside) if beside else None)
 
 
 def inputs(folder: Path) -> dict[str, Any]:
-    """What the function is handed, by argument name."""
+    """The arguments of the function that are inputs, by name."""
     return {name: _input(node, folder / INPUTS) for name, node in _task(folder)["inputs"].items()}
 
 
 def parameters(folder: Path) -> dict[str, Any]:
-    """Its parameters: change them in task.json, and run the script again."""
+    """The parameters of the function: change them in task.json, and run the script again."""
     found: dict[str, Any] = _task(folder)["parameters"]
     return found
 
 
 def keep(folder: Path, result: Any) -> str:
-    """Write the result beside the script, and say how it compares with what the cache has."""
+    """Write the result beside the script, and return in words how it compares with the result in the cache."""
     task = _task(folder)
     before = task["outcome"], task["reason"]
     nothing: Any = load(REJECTED)

@@ -1,4 +1,4 @@
-"""`wbflow demo`: a rendered site, written to a folder so that it can be written again, but not over what somebody has changed."""
+"""`wbflow demo`: a rendered site, written to a folder; it can be written again unless its site file or calibration was edited."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ _ELSEWHERE = "name a new or an empty folder"
 
 
 def write_demo(folder: Path, *, scene: str = "yard", nights: int | None = None, **options: Any) -> None:
-    """Render a demo scene, or so many nights of the demo yard with what happens in them; the same arguments write the same bytes.
+    """Render a demo scene, or `nights` nights of the demo yard with their events; the same arguments write the same bytes.
 
     scene: "yard", "square" or "carpark".  options: those of `wbflow_demo.scenes.render` (small, light, cameras, captures, seed,
     lenses, surfaces), or of `wbflow_demo.files.demo_nights` (frames, small, cameras, seed).  Raises UsageError where the folder
-    holds something else than a demo, or a demo whose site file or calibration was edited; for an unknown scene or light, and for
+    holds something other than a demo, or a demo whose site file or calibration was edited; for an unknown scene or light, and for
     no captures.
     """
     known = _claim(folder)
@@ -44,7 +44,7 @@ def write_demo(folder: Path, *, scene: str = "yard", nights: int | None = None, 
 
 
 def _claim(folder: Path) -> dict[str, str]:
-    """The files, with digests, of the demo that `folder` holds already."""
+    """Digests by name of the files of the demo that `folder` already holds.  Raises UsageError where it must not be written."""
     if not folder.exists():
         return {}
     if not folder.is_dir():

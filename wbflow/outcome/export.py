@@ -1,4 +1,4 @@
-"""A run's results in the forms that other programs read: the rows of `pipeline.exports`, written to a folder."""
+"""A run's results in formats that other programs read: the rows of `pipeline.exports`, written to a folder."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ class MissingExtra(WbflowError):
 
 
 def export(run: Run, out: Path, forms: frozenset[str]) -> Iterator[Path]:
-    """Write a run's results into `out` in some forms (names of `EXPORTS`); yields each file when it is there.
+    """Write a run's results into `out` in some formats (names of `EXPORTS`); yields each file when it is written.
 
-    Raises MissingExtra or WbflowError before a file of a form is written for which a package is missing, or the run does not hold
-    what it needs; DamagedArtifact where the cache's disk has lost something, which the next run makes again.
+    Raises MissingExtra before any file is written; WbflowError, before a format's files are, where the run lacks what it needs;
+    DamagedArtifact where the cache's disk has lost something, which the next run makes again.
     """
     if run.record.poses is None:
         raise WbflowError(f"run {run.id} solved no cameras: {run.record.reason or 'it ended before'}")
@@ -45,7 +45,7 @@ def export(run: Run, out: Path, forms: frozenset[str]) -> Iterator[Path]:
 
 
 def require(row: Export, *, georeferenced: bool) -> None:
-    """See that the packages that a form needs are installed.  Raises MissingExtra."""
+    """Check that the packages that a format needs are installed.  Raises MissingExtra."""
     extra = row.extra or (row.extra_on_the_map if georeferenced else "")
     missing = [package for package in EXTRAS.get(extra, ()) if importlib.util.find_spec(package) is None]
     if missing:

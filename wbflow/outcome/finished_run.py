@@ -1,4 +1,4 @@
-"""`Run`: a finished run, and what its tasks made, read from its folder and the cache; nothing is run again."""
+"""`Run`: a finished run and the results of its tasks, read from its folder and the cache; nothing is run again."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ if TYPE_CHECKING:
 
 
 class Gone(WbflowError):
-    """The run made it, but it is not there any more."""
+    """A result is not there: it was removed, or the run never made it."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Run:
-    """A finished run, and all that it left."""
+    """A finished run, and all its results."""
 
     place: RunFolder
     record: RunRecord
@@ -38,7 +38,7 @@ class Run:
 
     @staticmethod
     def open(work: WorkFolder, name: str | None = None) -> Run:
-        """A run by what `RunFolder.of` knows it by.  Raises NoSuchRun where there is none, or it cannot be read."""
+        """A run by its name, as `RunFolder.of` takes it.  Raises NoSuchRun where there is none, or it cannot be read."""
         folder = RunFolder.of(work, name)
         return Run(folder, folder.record(), folder.tasks(), Cache(work))
 
@@ -57,27 +57,27 @@ class Run:
 
     @property
     def folder(self) -> Path:
-        """Where its files are: run.json, cloud.ply, cameras.json, report.html, log.jsonl."""
+        """The folder of its files: run.json, cloud.ply, cameras.json, report.html, log.jsonl."""
         return self.place.paths.folder
 
     @property
     def events(self) -> list[Event]:
-        """What happened, in order."""
+        """Its events, in order."""
         return self.place.events()
 
     @cached_property
     def cameras(self) -> Mapping[str, CameraRecord]:
-        """What became of each camera, by id."""
+        """Records of the cameras, by id."""
         return {camera.id: camera for camera in self.record.cameras}
 
     @cached_property
     def pairs(self) -> Mapping[str, PairRecord]:
-        """What became of each pair, by "left--right"."""
+        """Records of the pairs, by "left--right"."""
         return {pair.name: pair for pair in self.record.pairs}
 
     @cached_property
     def calibration(self) -> Mapping[str, Any]:
-        """The cameras that the cloud rests on, by id: K, R, C, width, height, as a site file's `calibration` takes them."""
+        """The cameras behind the cloud, by id: K, R, C, width, height, as a site file's `calibration` takes them."""
         return self.place.cameras()
 
     @cached_property
@@ -88,11 +88,11 @@ class Run:
 
     @property
     def tasks(self) -> list[Task]:
-        """The tasks that left an artifact."""
+        """The tasks that made an artifact."""
         return [task for task, event in self.ended.items() if event.usable]
 
     def artifact(self, task: Task | str) -> Any:
-        """Return what a task made: a dataclass of `wbflow_stages.types`.
+        """Return the result of a task: a dataclass of `wbflow_stages.types`.
 
         task: such as "geometry gate--roof", "frames gate" or "poses".  Raises UsageError where the run had no such task, or it
         made nothing; WbflowError where the cache does not hold it any more.
@@ -108,7 +108,7 @@ class Run:
         return self.load(task)
 
     def receipt(self, task: Task) -> Receipt | None:
-        """The receipt of a task that gave a result in this run, or None.  Raises Gone where the cache has lost it."""
+        """The receipt of a task that made a result in this run, or None.  Raises Gone where the cache has lost it."""
         event = self.ended.get(task)
         if event is None or not event.usable or event.key is None:
             return None
@@ -118,20 +118,20 @@ class Run:
         return receipt
 
     def load(self, task: Task) -> Any:
-        """What a task made (a dataclass of `wbflow_stages.types`), or None where it gave nothing.
+        """The result of a task (a dataclass of `wbflow_stages.types`), or None where it made nothing.
 
-        Raises Gone or DamagedArtifact where the cache does not hold it any more, or its disk has lost something.
+        Raises Gone where the cache no longer holds it, DamagedArtifact where the disk has lost a part of it.
         """
         receipt = self.receipt(task)
         return self.cache.load(task, receipt) if receipt else None
 
     def made(self, stage: str, subject: Subject = ()) -> Any:
-        """What a stage made of a subject, or None."""
+        """The result of a stage for a subject, or None."""
         return self.load(Task(stage, subject))
 
     def of_cameras(self, *stages: str) -> Mapping[str, Any]:
-        """What the first of these stages that gave something made of each camera, or of each of its views; each is
-        read when it is needed."""
+        """The results of the first of these stages that made something, by camera, or by view where a camera has views; each is
+        read when it is accessed."""
         views: dict[str, list[str]] = {camera.id: [] for camera in self.record.cameras}
         for view in (task.subject[0] for task in self.ended if task.stage == FRAMES):
             views.setdefault(camera_of(view), []).append(view)
@@ -141,7 +141,7 @@ class Run:
         return self._on_demand({name: (name,) for name in names}, stages)
 
     def of_pairs(self, *stages: str) -> Mapping[str, Any]:
-        """The same of each pair, as "left--right"."""
+        """The results of the first of these stages that made something, by pair: "left--right"."""
         return self._on_demand({pair.name: (pair.left, pair.right) for pair in self.record.pairs}, stages)
 
     def _on_demand(self, subjects: Mapping[str, Subject], stages: tuple[str, ...]) -> Mapping[str, Any]:
@@ -162,7 +162,7 @@ class Run:
 
 
 def task_named(name: str) -> Task:
-    """A task as it is written: "geometry gate--roof", "frames gate", "poses".  Raises UsageError."""
+    """A task from its name: "geometry gate--roof", "frames gate", "poses".  Raises UsageError."""
     stage, _, subject = name.partition(" ")
     if stage not in {row.name for row in STAGES}:
         remedy = f"stages are {', '.join(row.name for row in STAGES)}; a task is a stage and its subject: 'geometry gate--roof'"

@@ -1,5 +1,4 @@
-"""The history of a site: its runs, and changes through the nights: volumes of its zones, and each change from its first night to
-its last."""
+"""The history of a site: its runs, the volumes of its zones night by night, and each change from its first night to its last."""
 
 from __future__ import annotations
 
@@ -18,7 +17,7 @@ from ..records.record import RunRecord
 from ..records.run_folder import NoSuchRun, RunFolder, last_of_nights, newest_runs
 
 MOST_WORDS = 80
-"""A line has at most so many characters of a finding."""
+"""Longest text of a run's verdict in a line, in characters."""
 
 
 @dataclass(frozen=True)
@@ -27,13 +26,13 @@ class Entry:
 
     run: LedgerRun
     verdict: Verdict | None
-    """None where its record is gone, or of an earlier version."""
+    """None if run.json is gone, or is of an earlier version."""
     cleaned: bool
-    """Is its folder gone?"""
+    """Has its folder been removed?"""
 
     @property
     def words(self) -> str:
-        """What it came to: the level, and the first finding."""
+        """The verdict in words: the level, and the first finding."""
         if self.cleaned:
             return "cleaned"
         if self.verdict is None:
@@ -61,7 +60,7 @@ def _verdict_of(folder: RunFolder) -> Verdict | None:
 
 
 def places(work: WorkFolder) -> list[dict[str, Any]]:
-    """Return where every run lies, oldest first, for programs: paths are None where there is nothing any more."""
+    """Return where the files of every run are, oldest run first, for programs: paths are None where files are gone."""
     found = []
     for entry in history(work) if work.root.exists() else ():
         run, paths, level = entry.run, work.run(entry.run.run), entry.verdict.level if entry.verdict else None
@@ -78,9 +77,9 @@ class GrowthRow(JsonDataclass):
     night: str
     run: str
     what: str
-    """site, zone or change."""
+    """What the row describes: site, zone or change."""
     name: str
-    """Of the zone; of a change its number, which it keeps through the nights."""
+    """Name of the site or zone; of a change its number, which stays the same through the nights."""
     kind: str = ""
     zone: str = ""
     gained: float | None = None
@@ -88,13 +87,13 @@ class GrowthRow(JsonDataclass):
     lost: float | None = None
     lost_sigma: float | None = None
     growth: float | None = None
-    """Of a change: by how much its volume has grown since the night on which it was last seen."""
+    """Growth of a change's volume since the night on which it was last seen."""
     area: float | None = None
     unseen: float | None = None
     begin: str = ""
     """The first night of a change."""
     end: str = ""
-    """The first night after its last one; "" while it is there."""
+    """The first night after the last one of a change; "" while it lasts."""
     x: float | None = None
     y: float | None = None
     z: float | None = None
@@ -111,12 +110,12 @@ class GrowthRow(JsonDataclass):
 
 
 HEAD = f"{'night':10} {'what':6} {'name':16} {'kind':9} {'gained':>14} {'lost':>14} {'growth':>7}  nights, or ground"
-"""Above such lines."""
+"""Heading of a table of such lines."""
 
 
 @dataclass
 class _Followed:
-    """A change through the nights of one reference."""
+    """A change, followed through the nights with the same reference."""
 
     number: int
     reference: str | None
@@ -136,7 +135,7 @@ class _Followed:
 
 
 def growth(work: WorkFolder) -> list[GrowthRow]:
-    """Return the volumes of each part of the ground, night after night, then each change from its first night to its last."""
+    """Return the volumes of the site and its zones, night by night, then each change from its first night to its last."""
     nights = last_of_nights(newest_runs(work))
     return [*_parts(nights), *(row for change in _follow(nights) for row in change.rows())]
 
@@ -150,7 +149,7 @@ def _parts(nights: Iterable[RunRecord]) -> Iterator[GrowthRow]:
 
 
 def _follow(nights: Iterable[RunRecord]) -> list[_Followed]:
-    """Return every change with the nights on which it was seen; one that is hidden for a night is still the same."""
+    """Return every change with the nights on which it was seen; one that is hidden for a night stays the same change."""
     found: list[_Followed] = []
     for record in (night for night in nights if any(result.volumes for result in night.results.values())):
         open_ones = [one for one in found if one.reference == record.reference]
@@ -166,7 +165,7 @@ def _follow(nights: Iterable[RunRecord]) -> list[_Followed]:
 
 
 def as_csv(rows: Iterable[GrowthRow]) -> str:
-    """Return a table with a head, for spreadsheets."""
+    """Return a table with a header row, for spreadsheets."""
     text = io.StringIO()
     writer = csv.DictWriter(text, [column.name for column in fields(GrowthRow)], lineterminator="\n")
     writer.writeheader()

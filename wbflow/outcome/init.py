@@ -1,5 +1,5 @@
-"""What a new site begins with: a site file from a folder of photographs (`wbflow init`), units that have systemd run it every
-night, and the calibration of a lens from pictures of a board (`wbflow calibrate`)."""
+"""Files for a new site: a site file from a folder of photographs (`wbflow init`), systemd units that run it every night, and the
+calibration of a lens from pictures of a board (`wbflow calibrate`)."""
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ from ..site.models import Site
 from ..site.yaml_document import is_name
 
 PHOTOGRAPHS = {".jpg", ".jpeg", ".png", ".tif", ".tiff"}
-"""Suffixes of files that are taken for photographs, whatever their case."""
+"""Suffixes of photographs in lower case; the case of a file's suffix is ignored."""
 
 SITE_FILE = "site.yaml"
 
 
 def write_site(folder: Path) -> tuple[Path, list[str], str]:
-    """Write `site.yaml` into a folder of photographs; returns the file, ids of its cameras, and which were made from other names.
+    """Write `site.yaml` into a folder of photographs; returns it, its camera ids, and a note on ids that differ from names.
 
-    Photographs in the folder are one camera each; folders with photographs in it are one camera each, with several
-    captures.  Raises UsageError where there is no such folder, a site file already, no two cameras, or both kinds of them.
+    Each photograph in the folder is a camera; or each folder in it that holds photographs is a camera with several captures.
+    Raises UsageError where there is no such folder, a site file already, fewer than two cameras, or both kinds of them.
     """
     file = folder / SITE_FILE
     if not folder.is_dir():
@@ -44,7 +44,7 @@ def write_site(folder: Path) -> tuple[Path, list[str], str]:
 
 
 def _cameras(folder: Path) -> list[tuple[str, list[str]]]:
-    """Return the name of each folder of photographs, or photograph without suffix, and its photographs seen from the folder."""
+    """Return each camera's name (of its folder, or of its photograph without suffix) and photographs, relative to `folder`."""
     single = [(path.stem, [path.name]) for path in _photographs(folder)]
     inner = sorted(path for path in folder.iterdir() if path.is_dir() and not path.name.startswith("."))
     folders = [(path.name, names) for path in inner if (names := [f"{path.name}/{file.name}" for file in _photographs(path)])]
@@ -64,7 +64,7 @@ def _photographs(folder: Path) -> list[Path]:
 
 
 def _id(name: str) -> str:
-    """A name as an id: letters, digits, `_`, `.` and `-`, anything else becomes `-`."""
+    """A name as an id: anything other than letters, digits, `_`, `.` and `-` becomes `-`."""
     return re.sub(r"[^A-Za-z0-9_.-]+", "-", name).strip("-.")[:90]
 
 
@@ -81,7 +81,7 @@ def _ids(names: Iterable[str]) -> list[str]:
 
 
 def _pattern(photographs: list[str]) -> str | None:
-    """Return a pattern that finds exactly each camera's photographs, where there is one."""
+    """Return a pattern that finds exactly each camera's photographs, or None where their suffixes differ."""
     suffixes = {Path(name).suffix for name in photographs}
     inside = "/*" if "/" in photographs[0] else ""
     return f"{{camera}}{inside}{suffixes.pop()}" if len(suffixes) == 1 else None
@@ -112,14 +112,14 @@ resolution: 1600
 def write_calibration(
     camera: str, pictures: Path, board: dict[str, float | str], model: str, out: Path
 ) -> tuple[list[Path], list[str]]:
-    """Write the calibration of a camera and the plot of its coverage; which files, and what to say.
+    """Write the calibration of a camera and the plot of its coverage; returns the files, and lines to print.
 
     Raises UsageError where there are no pictures, or they do not show the board well enough.
 
     Parameters
     ----------
     camera, model : str, str
-        Its id, and the model of its lens.
+        The id of the camera, and the model of its lens.
     pictures : Path
         A folder of photographs, or a video.
     board : dict
@@ -179,7 +179,7 @@ WantedBy=timers.target
 
 
 def write_units(site: Site) -> list[Path]:
-    """Write a service and a timer beside the site file; returns them.  Raises OSError."""
+    """Write a systemd service and a timer beside the site file; returns their paths.  Raises OSError."""
     captures = any(entry.url for entry in site.settings.cameras)
     file = '"' + str(site.file.resolve()).replace("%", "%%").replace('"', '\\"') + '"'
     filled = {"name": site.name, "user": getpass.getuser(), "python": sys.executable, "file": file}

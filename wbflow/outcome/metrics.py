@@ -49,7 +49,7 @@ def metrics(record: RunRecord) -> str:
 
 
 def _volumes(record: RunRecord) -> tuple[Rows, Rows, Rows]:
-    """Return volumes, their standard deviations, and areas; of a site without a scale none."""
+    """Return volumes, their standard deviations, and areas; nothing for a site without a metric scale."""
     volumes, sigmas, areas = Rows(), Rows(), Rows()
     known = record.results.values() if record.poses and record.poses.metric else ()
     for zone, part in ((zone, part) for result in known for zone, part in result.volumes.items()):

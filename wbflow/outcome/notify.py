@@ -1,8 +1,8 @@
-"""Notification by the command that the site file names, when the state of the site has changed.
+"""Notification by a command of the site file, when the state of the site has changed.
 
-The command is called once for each state of degraded and failed nights (the level, and what the findings are about), again when
-one has lasted as long as `remind` says, and once for the first good night after them; with `heartbeat`, after every other night
-too.  One that fails or hangs costs the night nothing, and is called again after the next.
+The command is called once for each state of degraded and failed nights (the level, and kinds and subjects of the findings),
+again when a state has lasted as long as `remind` says, and once for the first good night after them; with `heartbeat`, also
+after every other night.  A command that fails or hangs does not affect the night, and is called again after the next run.
 """
 
 from __future__ import annotations
@@ -29,10 +29,10 @@ from .finished_run import Run
 Occasion = Literal["degraded", "failed", "reminder", "recovered", "heartbeat"]
 
 MOST_WORDS = 300
-"""A summary has at most so many characters."""
+"""Longest summary, in characters."""
 
 _OF = "notified"
-"""What the file with the last reported state is of."""
+"""Kind of the checksummed file with the last reported state."""
 
 
 class NotifyFailed(WbflowError):
@@ -44,16 +44,16 @@ class _Reported(JsonDataclass):
     """The state of a site that was last reported."""
 
     state: tuple[str, ...] = ()
-    """Its level, and kind and subject of each finding; nothing of a good night, but for what somebody knows of."""
+    """The level, and kind and subject of each finding; empty for a good night without acknowledged findings."""
     since: str = ""
     bad_since: str = ""
-    """When the run ended that found it, and that which found the first state since the last good night (UTC)."""
+    """When the runs ended that found this state, and the first state since the last good night (UTC)."""
     reminders: int = 0
-    """How many of it have been sent."""
+    """Number of reminders of this state that have been sent."""
 
 
 _KNOWN = "acknowledged"
-"""In place of the level of a good night that has acknowledged findings: it neither degrades a site nor is it back."""
+"""Takes the place of a good night's level if it has acknowledged findings: the site is neither degraded nor recovered."""
 
 
 def _state(verdict: Verdict) -> tuple[str, ...]:
@@ -86,7 +86,7 @@ def notify(how: Notify, folder: Path, run: Run) -> Occasion | None:
 
 
 def _next(last: _Reported, state: tuple[str, ...], now: str, how: Notify) -> _Reported:
-    """Return what a night makes of the last reported state."""
+    """Return the state to remember after a night, from the last reported one."""
     known = state[:1] == (_KNOWN,)
     bad_since = (last.bad_since if last.state else "") or ("" if known else now)
     if state != last.state:
@@ -101,7 +101,7 @@ def _next(last: _Reported, state: tuple[str, ...], now: str, how: Notify) -> _Re
 def _last(work: WorkFolder) -> _Reported:
     try:
         return _Reported.from_json(read_checksummed(work.notified, _OF) or {})
-    except (Damaged, ValueError):  # nobody knows what was reported: what is wrong is reported once more
+    except (Damaged, ValueError):  # unknown what was reported: report the state again
         return _Reported()
 
 
@@ -131,7 +131,7 @@ def _message(occasion: Occasion, lasted: str, run: RunPaths, record: RunRecord) 
 def _call(how: Notify, folder: Path, message: dict[str, Any]) -> None:
     plain = {name: value for name, value in message.items() if isinstance(value, str | int)}
     environment = os.environ | {f"WBFLOW_{name.upper()}": str(value) for name, value in plain.items()}
-    with tempfile.TemporaryFile() as stdin, tempfile.TemporaryFile() as output:  # pipes could be held open by what outlives it
+    with tempfile.TemporaryFile() as stdin, tempfile.TemporaryFile() as output:  # a child that outlives it could hold pipes open
         stdin.write(json.dumps(message).encode())
         stdin.seek(0)
         try:
@@ -152,7 +152,7 @@ def _call(how: Notify, folder: Path, message: dict[str, Any]) -> None:
         except subprocess.TimeoutExpired:
             raise NotifyFailed(f"notify: {_shown(how)} had not ended after {how.seconds:g} s, and was killed") from None
         finally:
-            if process.poll() is None:  # of a command that has not ended by itself, nothing is left
+            if process.poll() is None:  # kill its child processes, too
                 os.killpg(process.pid, signal.SIGKILL)
                 process.wait()
         if code:

@@ -1,4 +1,4 @@
-"""`wbflow pair`: two photographs and nothing else become a site, whose results are files that other programs read."""
+"""`wbflow pair`: make a site of two photographs and nothing else, and write its results as files that other programs read."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ from .finished_run import Run
 PAIR = ("left", "right")
 
 LAST_STAGE = DISPARITY
-"""Where a run of a pair ends."""
+"""The stage at which a pair's run ends."""
 
 
 def pair_site(left: Path, right: Path, out: Path, resolution: int | None) -> Site:
-    """A site of the two photographs, written to out/site.yaml (from where it can be taken further).
+    """A site of the two photographs, written to out/site.yaml (which can be extended to a larger site).
 
     Raises UsageError where a photograph is not there.
 
@@ -51,7 +51,7 @@ def pair_site(left: Path, right: Path, out: Path, resolution: int | None) -> Sit
 
 
 def write_pair(run: Run, out: Path) -> tuple[Path, ...]:
-    """Write what a run of a pair's site made into `out`.  Raises Gone, DamagedArtifact."""
+    """Write the results of a pair's run into `out`; returns the files, if any.  Raises Gone, DamagedArtifact."""
     left, right = (run.made(FRAMES, (name,)) for name in PAIR)
     stages = {"matches": MATCHES, "geometry": GEOMETRY, "rectification": RECTIFY, "disparity": DISPARITY}
     results = {name: run.made(stage, PAIR) for name, stage in stages.items()}

@@ -45,14 +45,14 @@ from .verdict import Facts, judge_run
 
 
 def run_pipeline(run: str, context: RunContext, options: Options, journal: Journal) -> Run:
-    """Do the work of a run, and publish it.  Raises OSError.
+    """Run the tasks of a plan, and publish the run.  Raises OSError.
 
     Parameters
     ----------
     run, context : str, RunContext
         The run's id, and its plan; the caller holds the lock.
     options, journal : Options, Journal
-        How it is done, and what receives everything that happens.
+        Options of the run, and the journal that records its events.
     """
     site = context.plan.site
     for camera, note in context.notes.items():
@@ -64,14 +64,14 @@ def run_pipeline(run: str, context: RunContext, options: Options, journal: Journ
     if site.settings.notify and not options.until and products is not None:
         try:
             notify(site.settings.notify, site.folder, finished)
-        except (NotifyFailed, OSError) as error:  # costs the night nothing
+        except (NotifyFailed, OSError) as error:  # the night itself is not affected
             journal.warn(str(error), remedy="the command is called again after the next run")
             finished.place.add(journal.events[-1])
     return finished
 
 
 def _publish(run: str, context: RunContext, products: dict[Task, bytes] | None, journal: Journal, own_process: bool) -> Run:
-    """Write the folder of a run; `latest` leads there.  What cannot be drawn or written as a file becomes a warning.
+    """Write the folder of a run, and make `latest` lead there.  What cannot be drawn or written as a file becomes a warning.
 
     products: None where the run was interrupted.  own_process: did the tasks run in this process?
     """
@@ -99,7 +99,7 @@ def _publish(run: str, context: RunContext, products: dict[Task, bytes] | None, 
     record = replace(record, repaired=tuple(journal.repairs), files=unfinished.files)
     page = _report(plan, record, journal, cameras, unfinished)
     folder = unfinished.publish(record, journal.events, page, metrics(record))
-    with contextlib.suppress(OSError):  # it costs reading functions again
+    with contextlib.suppress(OSError):  # functions are then read again by the next run
         context.plan.site.reader.save()
     tasks = {event.task: event for event in journal.events if isinstance(event, TaskEvent)}
     return Run(folder, record, tasks, plan.cache)
@@ -114,7 +114,7 @@ def _with_motion(camera: CameraRecord, harmful: Mapping[str, list[str]], harmles
 
 
 def _cameras(plan: Plan, poses: bytes) -> dict[str, Any]:
-    """Return the solved cameras in the form of a calibration, by id.  poses: the artifact, where nobody has kept that form."""
+    """Return the solved cameras in the form of a calibration, by id.  poses: the artifact, used if the cache has no such form."""
     receipt = plan.states[Task(POSES)].receipt
     kept = plan.cache.drawing(Task(POSES), receipt.key, "cameras") if receipt else None
     cameras: dict[str, Any] = json.loads(kept or load(stage_named(POSES).products.drawings["cameras"])(artifact.decode(poses)))
@@ -122,7 +122,7 @@ def _cameras(plan: Plan, poses: bytes) -> dict[str, Any]:
 
 
 def _place_comments(crs: str) -> tuple[str, ...]:
-    """Return where on Earth the coordinates begin: the coordinate system as PROJ reads it, its origin in words."""
+    """Return PLY comments on where the origin is on Earth: the coordinate system as PROJ reads it, its origin in words."""
     if not crs:
         return ()
     origin = origin_of(crs)
@@ -135,7 +135,7 @@ def _place_comments(crs: str) -> tuple[str, ...]:
 def _files(plan: Plan, journal: Journal) -> Iterator[tuple[str, str, bytes]]:
     """Yield the files that stages make of their results: stage, name, content.
 
-    What cannot be made (a library is not installed, no map has the place) becomes a warning.
+    What cannot be made (a library is not installed, no UTM zone covers the site) becomes a warning.
     """
     for stage in plan.stages:
         state = plan.states.get(Task(stage.name))
@@ -150,7 +150,7 @@ def _files(plan: Plan, journal: Journal) -> Iterator[tuple[str, str, bytes]]:
 
 
 def _acknowledged(site: Site, journal: Journal) -> tuple[Acknowledgement, ...]:
-    """Return what somebody knows of; a file that cannot be read is a warning."""
+    """Return the acknowledgements of a site; a file that cannot be read becomes a warning."""
     try:
         return acknowledge.read(site)
     except UsageError as error:
@@ -159,20 +159,20 @@ def _acknowledged(site: Site, journal: Journal) -> tuple[Acknowledgement, ...]:
 
 
 def _report(plan: Plan, record: RunRecord, journal: Journal, cameras: Mapping[str, Any], unfinished: UnfinishedRun) -> str:
-    """Return the report.  The night's work is done: a report that cannot be drawn is a warning, and loses nothing."""
+    """Return the report.  The night's work is done, so a report that cannot be drawn is only a warning."""
     try:
         from ..report.data import ReportData
         from ..report.page import build_report
 
         return build_report(ReportData(plan.cache, record, tuple(journal.events), cameras, unfinished.paths.folder, plan.site))
-    except Exception as error:  # whatever is wrong in it
+    except Exception as error:  # whatever goes wrong in drawing
         what = f"the report could not be built: {type(error).__name__}: {error}"
         journal.warn(what, remedy="wbflow report SITE.yaml  builds it again", trace=traceback.format_exc())
         return f"<!doctype html><title>wbflow</title><p>No report: {escape(repr(error))}"
 
 
 def mend_ledger(place: WorkFolder, journal: Journal) -> None:
-    """Make the ledger again where it is damaged, before anybody reads it."""
+    """Rebuild the ledger where it is damaged, before it is read."""
     try:
         with Ledger(place, writes=True) as ledger:
             ledger.catch_up()
@@ -183,7 +183,7 @@ def mend_ledger(place: WorkFolder, journal: Journal) -> None:
 
 
 def post_run(run: Run, site: Site, journal: Journal) -> None:
-    """Index the run, pin the first good one, and remove what need not stay.  The night is published: a fault is a warning."""
+    """Index the run, pin the first good one, and clean up.  The night is already published, so faults are only warnings."""
     before = len(journal.events)
     try:
         with Ledger(run.cache.work, writes=True) as ledger:
@@ -202,6 +202,6 @@ def post_run(run: Run, site: Site, journal: Journal) -> None:
         journal.warn(f"the ledger was not written: {error}", remedy="the next run catches up")
     except (OSError, WbflowError) as error:
         journal.warn(f"after the run: {error}", remedy="nothing of the night is lost; the next run tries again")
-    with contextlib.suppress(OSError):  # a full disk: the warning has been given
+    with contextlib.suppress(OSError):  # a full disk, of which a warning has been given
         for event in journal.events[before:]:
             run.place.add(event)

@@ -1,4 +1,4 @@
-"""A run in figures: run.json made from the states of a plan, by the summaries of their results."""
+"""A run in figures: run.json, made from the states of a plan and the summaries of their results."""
 
 from __future__ import annotations
 
@@ -22,22 +22,22 @@ from ..site.stale_cameras import by_picture, night_by_pictures
 from ..task import Task, camera_of
 
 _ADD_UP = {"keypoints", "points"}
-"""Figures of a camera's views that add up; of others the camera has the mean."""
+"""Figures that are summed over a camera's views; the others are averaged."""
 
 
 def run_record(
     run: str, plan: Plan, started: datetime.datetime, seconds: Seconds, peak_rss_mb: float, files: Mapping[str, Collection[str]]
 ) -> RunRecord:
-    """Return the record of a run that ends now; nothing is judged yet.
+    """Return the record of a run that ends now, without a verdict yet.
 
     Parameters
     ----------
     run, started : str, datetime
-        Its id, and when it began (UTC).
+        The run's id, and when it began (UTC).
     plan : Plan
-        With the states of all its tasks.
+        The plan, with the states of all its tasks.
     seconds, peak_rss_mb : Seconds, float
-        What it has cost, and the memory of its largest worker.
+        Time that the run took, and the memory of its largest worker.
     files : mapping
         Names of the files that are published beside the cloud, by stage.
     """
@@ -75,9 +75,9 @@ def run_record(
 
 
 def root_cause(plan: Plan, task: Task) -> str | None:
-    """Why a task gave nothing: where it was skipped since others were skipped, what that goes back to.
+    """Return why a task made nothing; if it was skipped because others were skipped, the original cause.
 
-    Of several causes the one that most tasks share.
+    Of several causes, it is the one that most tasks share.
     """
     state = plan.states[task]
     if state.outcome != "skipped" or "skipped" not in (state.reason or ""):
@@ -103,18 +103,18 @@ def root_cause(plan: Plan, task: Task) -> str | None:
 
 @dataclass(frozen=True)
 class _SiteWide:
-    """What site-wide results report of single cameras and pairs."""
+    """What site-wide results contain about single cameras and pairs."""
 
     poses: summaries.PosesSummary
     points: Mapping[str, int]
     misfits: Mapping[str, float]
-    """By camera: what it has given to its cloud, and the error of these points over the expected one."""
+    """By camera: the number of its points in its cloud, and the ratio of their error to the expected one."""
     apart_px: Mapping[str, Mapping[str, float]]
-    """By camera: by how much the depths from its pairs differ as a whole."""
+    """By camera: overall differences between the depths from its pairs."""
     crowded: Mapping[str, str]
-    """By camera: what the pair graph left out."""
+    """By camera: a note on pairs that the pair graph left out."""
     dense: frozenset[tuple[str, str]]
-    """Pairs that are made dense, where they are chosen apart."""
+    """Pairs for dense matching, where these are chosen separately."""
 
     @staticmethod
     def from_plan(plan: Plan) -> _SiteWide:
@@ -164,7 +164,7 @@ def _camera(plan: Plan, camera: str, whole: _SiteWide) -> CameraRecord:
 
 
 def _with_staleness(record: CameraRecord, night: str, dated: bool) -> CameraRecord:
-    """With the health of a camera whose pictures say that they are of another night; dated: do the captures' names say a date?"""
+    """Add the health of a camera whose images are of another night; dated: do the captures' names contain a date?"""
     if record.outcome in {"ok", "unsolved"} and (record.health is None or record.health.ok):
         record = replace(record, health=by_picture(record.figures, night, dated) or record.health)
     return record
@@ -200,7 +200,7 @@ def _not_none(summary: summaries.Summary) -> dict[str, Any]:
 
 
 def _pairs(plan: Plan) -> list[tuple[str, str]]:
-    """Those that are matched or made dense, in the order of the site file where the latter were chosen anew."""
+    """Pairs that are matched or made dense, in the order of the site file where the latter were chosen separately."""
     matched, dense = _usable_pairs(plan, PAIRS), _usable_pairs(plan, DENSE_PAIRS)
     place = {view.id: k for k, view in enumerate(plan.site.views)}
     return sorted({*matched, *dense}, key=lambda pair: [place[view] for view in pair]) if dense else matched
@@ -230,7 +230,7 @@ def _results(plan: Plan, files: Mapping[str, Collection[str]]) -> Iterator[tuple
 
 
 def _of_views(views: Sequence[CameraRecord]) -> CameraRecord:
-    """Return the record of a camera from those of its views: it is well where one of them is, and says what it lost."""
+    """Return the record of a camera from those of its views: it is ok if one of them is, and its notes name lost ones."""
     if len(views) == 1:
         return views[0]
     well = [view for view in views if view.ok]
@@ -258,14 +258,14 @@ def _figure(values: Sequence[Any], adds: bool) -> Any:
 
 
 def _by_camera(poses: summaries.PosesSummary) -> summaries.PosesSummary:
-    """Return the summary with cameras named where the poses name their views."""
+    """Return the summary with camera ids where the poses have the ids of views."""
     issues = {(issue.kind, _camera_name(issue.camera)): issue for issue in reversed(poses.issues)}
     named = [replace(issue, camera=camera) for (_, camera), issue in reversed(issues.items())]
     return replace(poses, **{name: _of_cameras(value) for name, value in vars(poses).items()} | {"issues": tuple(named)})
 
 
 def _of_cameras(value: Any) -> Any:
-    """Return the first entry of each camera's views; pairs are of views, and keep their names."""
+    """Replace views by their cameras, keeping each camera's first entry; pairs are of views, and keep their names."""
     if isinstance(value, Mapping):
         found: dict[str, Any] = {}
         for name, entry in value.items():

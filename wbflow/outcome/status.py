@@ -12,7 +12,7 @@ from ..runner.spec import TaskSpec
 from ..task import Task
 
 _MOST_NAMED = 3
-"""So many of the inputs that have changed are named."""
+"""Number of changed inputs that are named."""
 
 
 @dataclass(frozen=True)
@@ -24,7 +24,7 @@ class Line:
     """Cached, rejected, failed, skipped, would run, or waits."""
     why: str
     seconds: float | None = None
-    """CPU time that it will take, by its last run or by the others of its stage; None where it won't run, or nobody knows."""
+    """Expected CPU time, from its last run or the mean of its stage; None where it won't run, or neither is known."""
 
 
 @dataclass(frozen=True)
@@ -34,13 +34,13 @@ class Status:
     site: str
     night: str
     tasks: tuple[Line, ...]
-    """A line for every task that is known of, in the order of the pipeline."""
+    """A line for every known task, in the order of the pipeline."""
     totals: dict[str, int]
     """How many tasks are in each state."""
     cpu_seconds: float | None
-    """CPU time of all that would run, as far as is known; None where nothing is."""
+    """Expected CPU time of all tasks that would run, as far as it is known; None where none is."""
     pairs_to_come: bool
-    """Pairs will be matched that are not listed yet, because the pair graph is not there."""
+    """Further pairs will be matched that are not listed, because the pair graph is not known yet."""
 
 
 def explain(plan: Plan) -> Status:
@@ -73,7 +73,7 @@ def _why(plan: Plan, spec: TaskSpec) -> str:
 
 
 def _pending(plan: Plan, task: Task) -> str:
-    """How much of a waiting task's input is to be made anew (the same bytes may come out of it: then the task is not run)."""
+    """How many inputs of a waiting task will be made again (if that gives the same bytes, the task is not run)."""
     if plan.cache.newest(task) is None:
         return "never run"
     upstreams = plan.upstreams(task)
@@ -84,7 +84,7 @@ def _pending(plan: Plan, task: Task) -> str:
 
 
 def difference(last: Receipt, now: Preimage) -> str:
-    """What changed since a receipt, in words."""
+    """What has changed since a receipt, in words."""
     before = last.preimage
     found = []
     if before.code != now.code:

@@ -1,10 +1,10 @@
-"""Was it a good night?  The findings of a run, its level, and its exit code: the one place that decides.
+"""Was it a good night?  This module alone decides the findings of a run, its level, and its exit code.
 
-A night is good when there is nothing to look at, failed when there is no cloud, and degraded when a camera that should give
-something gave nothing or is not as it should be, when a task failed, or when much less came of it than is usual (the last good
-nights with the same settings) or, without these, than its own plan expected.  A pair that finds nothing is no failure.
+A night is good if there are no findings, failed if there is no cloud, and degraded if a camera that should contribute does not
+or is not as it should be, if a task failed, or if the results are far fewer than usual (the last good nights with the same
+settings) or, without such nights, than planned.  A pair without matches is not a failure.
 
-`CHECKS` lists what is looked at.  What each finding means stands in `records.findings.FINDINGS`.
+`CHECKS` lists the checks.  `records.findings.FINDINGS` explains each finding.
 """
 
 from __future__ import annotations
@@ -31,91 +31,93 @@ from .baseline import Baseline, figures_of, settings_of, usual_of, with_appearan
 from .run_record import root_cause
 
 PLANNED_PAIRS = 0.5
-"""Fewer of the planned pairs than this share are too few on a night without an earlier one to compare with."""
+"""Smallest share of the planned pairs that must be usable on a night without earlier ones to compare with."""
 RIGHT = 0.9
-"""Such a share of a cloud's points is to be right, as it is expected from each one's confidence."""
+"""Smallest share of a cloud's points that must be right, as expected from the confidence of each."""
 LEAST_CONTRAST = 2.0
-"""Grey levels: pictures with less show nothing, and two of them may be alike."""
+"""Images with a smaller standard deviation, in grey levels, show nothing, and may be identical."""
 SOFT_PX = 1.3
-"""Pictures whose sharper edges are blurred by more (standard deviation, pixels) are soft: the softest parts of photographs at 320
-to 1600 pixels, and of rendered scenes by day and night, have 0.8 at most, a sensor's own pixels 1.0."""
+"""Images count as soft if their sharper edges are blurred by more than this (standard deviation, pixels).  The softest parts of
+photographs at 320 to 1600 pixels, and of rendered scenes by day and night, have 0.8 at most, a sensor's own pixels 1.0."""
 COARSE = 1.465
-"""So are pictures on whose steps JPEG's blocks stand out more than this at working resolution: quality 50 has 1.1 to 1.45 on
-sixteen scenes, 20 on a yard 1.48 (87 % of its points right)."""
+"""Images count as soft above this JPEG blockiness (measured at working resolution).  Quality 50 gives 1.1 to 1.45 on sixteen
+scenes; quality 20 gives 1.48 on a yard, where 87 % of the points are right."""
 NOISY = 10.0
-"""So are those in which more grey levels of noise are left: with 13 a yard was right in 86 % of its points, with 6 in 95 %."""
+"""Images count as soft if more noise than this is left (grey levels): with 13, 86 % of a yard's points are right, with 6, 95
+%."""
 _SOFT: Mapping[str, float] = {"blur_px": SOFT_PX, "coarseness": COARSE, "noise_left": NOISY}
 _SHOWN = ("detail_px", "saturated", "contrast")
 LEAST_MISFIT, UNRESOLVED = 1.1, 2.2
-"""So are those with points whose errors are larger than expected by more than the first factor, and by more than the second times
-the pixels between details.  Fitted on a yard and a stadium: smeared by 5 px 2.0 (92 % of the points right), enlarged twice 2.2
-(90 %), smeared by 7 px 3.9 (86 %), enlarged three times 4.0 (78 %).  Judged on another yard (as it is 1.1, enlarged twice 2.7,
-smeared by 9 px 7), an apron (as it is 1.4, smeared 17), fountain, entry and belvedere (0.5 to 1.4)."""
+"""Images count as soft if the ratio of their points' errors to the expected ones exceeds `LEAST_MISFIT`, and this ratio times the
+pixels between details exceeds `UNRESOLVED`.  The product, fitted on a yard and a stadium: smeared by 5 px 2.0 (92 % of the points
+right), enlarged twice 2.2 (90 %), smeared by 7 px 3.9 (86 %), enlarged three times 4.0 (78 %).  Judged on another yard (unaltered
+1.1, enlarged twice 2.7, smeared by 9 px 7), an apron (unaltered 1.4, smeared 17), fountain, entry and belvedere (0.5 to 1.4)."""
 BLURRED_BY_CODING = 2.45
-"""So are those whose points' errors, over the expected ones, times how much JPEG's blocks stand out are more.  Of a third of the
-cameras: quality 50 has 1.4 to 2.35, 20 has 2.6 to 4 (but 2.3 on a yard), fitted on the fountain and seven rendered scenes.
-Judged on the entry and seven others: quality 50 has 1.4 to 2.2, an apron 2.8 and a car park 2.6; 20 has 2.6 to 3.7, a solar farm
-2.0 (89 % of the points right)."""
+"""Images count as soft if the ratio of their points' errors to the expected ones, times their JPEG blockiness, exceeds this.
+Values that a third of the cameras reach, fitted on the fountain and seven rendered scenes: 1.4 to 2.35 at quality 50, 2.6 to 4 at
+quality 20 (but 2.3 on a yard).  Judged on the entry and seven others: 1.4 to 2.2 at quality 50, but 2.8 on an apron and 2.6 on a
+car park; 2.6 to 3.7 at quality 20, but 2.0 on a solar farm (89 % of the points right)."""
 ROUGH = 2.0
-"""So are those whose points err so many times more than expected, however they are coded (a third of the cameras at quality 50:
-1.9 at most, but for an apron and a car park; a car park as it is 1.9)."""
+"""Images count as soft if the ratio of their points' errors to the expected ones exceeds this, however they are coded.  A third
+of the cameras reach at most 1.9 at quality 50, except on an apron and a car park, and 1.9 on an unaltered car park."""
 OVEREXPOSED = 0.5
-"""So are those of which more is pure white: photographs and rendered scenes have up to 0.03; by day, with grey levels three times
-as high, 0.4 to 0.9 (a yard 0.66, 87 % of its points right).  The sky of a grey day may be white, too."""
+"""Images count as soft if a larger share of their pixels is pure white.  Photographs and rendered scenes have up to 0.03; by day
+with grey levels tripled 0.4 to 0.9 (a yard 0.66, 87 % of its points right).  The sky of a grey day may be white, too."""
 FAINT = 10.0
-"""So are those whose grey levels have a smaller standard deviation: eight bits and JPEG leave little of what they show.  Fitted
-on six scenes in thick fog or underexposed: 4.2 to 8.8 (82 to 90 % of the points right, 90 to 95 as they are); in thinner fog 10.5
+"""Images count as soft if their grey levels have a smaller standard deviation: eight bits and JPEG leave little detail.  Fitted
+on six scenes in thick fog or underexposed: 4.2 to 8.8 (82 to 90 % of the points right, 90 to 95 unaltered); in thinner fog 10.5
 and more.  Judged on a solar farm and a stadium: 6.8 to 9.1 (87 to 90 %).  Photographs by day and night have 17 to 76."""
 APART_PX = 0.25
-"""Depths that two pairs give to one view may differ by so much as a whole.  Under right cameras 0.02 to 0.16 (yard, apron,
-stadium, fountain, entry), with one moved by half a metre or turned by half a degree 0.38 to 2.1."""
+"""Largest overall difference tolerated between the depths that two pairs give to one view.  Right cameras give 0.02 to 0.16
+(yard, apron, stadium, fountain, entry), a camera moved by half a metre or turned by half a degree 0.38 to 2.1."""
 SOLVED_APART_PX = 0.5
-"""The same where a pose is solved: tonight's matches tell it no better.  Judged on a quarry (one pose solved 0.25, all 0.3; 94
-and 93 % of the points right) and a stadium (all 0.8, 76 %)."""
+"""Limit instead of `APART_PX` where a pose is solved, since tonight's matches determine it no better, or where dense matching
+confirms the rows of the stated cameras.  Judged on a quarry (one pose solved 0.25, all 0.3; 94 and 93 % of the points right) and
+a stadium (all 0.8, 76 %)."""
 ALONE = 2.0
-"""A wrong pose shows in more than one view or pair: two pairs that differ in one view, and no others, may by so many times as
-much.  Fitted on a harbour with exact poses: 0.3 to 0.4 px beside its water, in 6 % of one view; judged on the records of a solar
-farm, a stadium, a tank farm and a park."""
+"""A single difference between two pairs, with no other above its limit, may exceed its own by this factor: a wrong pose shows in
+more than one view or pair.  Fitted on a harbour with exact poses: 0.3 to 0.4 px beside its water, in 6 % of one view; judged on
+the records of a solar farm, a stadium, a tank farm and a park."""
 LOOK_ALIKES_PX = 12.0
-"""Pairs that differ by more see other things of a pattern that repeats; they cost only themselves.  On a solar farm 19 to 96, and
-7 with a camera turned by 2 degrees."""
+"""Larger differences between pairs are ignored: these pairs match different parts of a repeating pattern, and harm only
+themselves.  On a solar farm such differences are 19 to 96, and 7 with a camera turned by 2 degrees."""
 LIKELY = 0.8
-"""A pair that is right with less than this probability, odds of four to one, contradicts no stated pose."""
+"""A pair contradicts a stated pose only if it is right with at least this probability (odds of four to one)."""
 LINES_PX, ROWS_PX = 1.0, 0.7
-"""A pair agrees with stated poses whose matches lie no farther from the epipolar lines (as in `orientation.pose_check`), or whose
-rows, found by dense matching, no farther off.  On a solar farm matches of look-alikes lie 1.5 to 20 px off, rows 0 to 0.65; of a
-stadium's camera that was tilted by half a degree the rows 1.6 and 1.7."""
+"""A pair agrees with stated poses if its matches lie at most `LINES_PX` from the epipolar lines (as in `orientation.pose_check`),
+or if its rows, by dense matching, are off by at most `ROWS_PX`.  On a solar farm, matches of look-alikes lie 1.5 to 20 px off,
+rows 0 to 0.65; with a stadium's camera tilted by half a degree, rows lie 1.6 and 1.7 px off."""
 SOFT_SHARE = 1 / 3
-"""Of the cameras in use: points of fewer show nothing, since one camera may see what is hard to measure."""
+"""Smallest share of the cameras in use whose points must show soft images: a single camera may see what is hard to measure."""
 MOST_LETTERS = 200
-"""A reason has at most so many letters in a finding."""
+"""Longest reason in a finding, in characters."""
 _EXIT_CODES: Mapping[Level, ExitCode] = {"good": ExitCode.GOOD, "degraded": ExitCode.DEGRADED, "failed": ExitCode.FAILED}
 
 
 @dataclass(frozen=True)
 class Facts:
-    """What the verdict rests on, besides the record."""
+    """What the verdict is based on, besides the record."""
 
     failed: tuple[tuple[Task, State], ...] = ()
     product: bool = True
-    """Was a cloud wanted?"""
+    """Was the run to make a cloud?"""
     missing: tuple[str, str] | None = None
-    """The stage that the run was to end with, where it made nothing, and why."""
+    """The stage that the run was to end with, and why it made nothing; None if it made something."""
     interrupted: bool = False
     stopped: tuple[State, ...] = ()
-    """Of tasks that were not started because the time was over."""
+    """States of the tasks that were not started because the time was over."""
     behind: Finding | None = None
-    """What the object store does not have yet."""
+    """A finding on what the object store does not have yet."""
     calibration_change: str = ""
-    """How lenses and poses differ from those of the reference, which is out of use for that."""
+    """How lenses and poses differ from those of the reference, which is therefore not used."""
     acknowledged: tuple[Acknowledgement, ...] = ()
     expected: Expected = field(default_factory=Expected)
     baseline: Baseline = field(default_factory=Baseline)
-    """What the site file says of good nights, and the runs before this one."""
+    """What the site file expects of good nights, and the runs before this one."""
 
     @staticmethod
     def from_plan(plan: Plan, interrupted: bool) -> Facts:
-        """Return those of a plan whose tasks have all ended."""
+        """Return the facts of a plan whose tasks have all ended."""
         failed = tuple((task, state) for task, state in plan.states.items() if state.outcome == "failed")
         stopped = tuple(state for state in plan.states.values() if state.code == Cause.STOPPED)
         product = stage_named(FUSE) in plan.stages
@@ -128,11 +130,11 @@ class Facts:
 
 
 def judge_run(record: RunRecord, plan: Plan, facts: Facts) -> RunRecord:
-    """Return the record with what it is compared with, how its cameras are, its verdict and its exit code."""
+    """Return the record with the figures it is compared with, the health of its cameras, its verdict and its exit code."""
     expected, settings, work = plan.site.settings.expect, settings_of(plan.site), plan.cache.work
     baseline = Baseline.before(work, record.run, record.date)
     usual = baseline.usual(settings, expected.since)
-    if plan.reference and not plan.reference.automatic:  # pinned by somebody: what it gave is usual
+    if plan.reference and not plan.reference.automatic:  # pinned by an operator: its figures count as usual
         with suppress(NoSuchRun):  # removed since
             pinned = RunFolder.of(work, plan.reference.run).record()
             if pinned.settings == settings and pinned.cloud:
@@ -143,7 +145,7 @@ def judge_run(record: RunRecord, plan: Plan, facts: Facts) -> RunRecord:
 
 
 def judge(record: RunRecord, facts: Facts) -> RunRecord:
-    """Return the same of a record that says what is usual."""
+    """Return a record, whose usual figures are set, with the health of its cameras, its verdict and its exit code."""
     record = with_appearance(record, facts.expected)
     record = replace(record, cameras=tuple(_with_down(camera, record, facts.baseline) for camera in record.cameras))
     every = (finding for check in CHECKS for finding in check(record, facts))
@@ -155,7 +157,7 @@ def judge(record: RunRecord, facts: Facts) -> RunRecord:
 
 
 def _is_tolerated(found: Finding, record: RunRecord, facts: Facts) -> bool:
-    """Is it about a camera of a site that may do without some?"""
+    """Is it about a camera, on a site that may do without some of its cameras?"""
     limit = facts.expected.limit(Measure.CAMERAS)
     if not found.kind.startswith("camera-") or limit >= 1:
         return False
@@ -164,7 +166,7 @@ def _is_tolerated(found: Finding, record: RunRecord, facts: Facts) -> bool:
 
 
 def check_end(record: RunRecord, facts: Facts) -> Iterator[Finding]:
-    """Did the run come to its end, is there what was wanted, and does the object store have it?"""
+    """Did the run complete, did it make what it was to make, and does the object store have everything?"""
     if facts.stopped:
         count = len(facts.stopped)
         yield finding("stopped", (), {"tasks": count}, reason=facts.stopped[0].reason, tasks=counted(count, "task"))
@@ -179,13 +181,13 @@ def check_end(record: RunRecord, facts: Facts) -> Iterator[Finding]:
 
 
 def check_cameras(record: RunRecord, facts: Facts) -> Iterator[Finding]:
-    """Is each camera in use, and as it should be?  One finding each, with the nights that it has lasted."""
+    """Is each camera in use, and as it should be?  At most one finding each, with the number of nights that it has lasted."""
     blamed = blame(record)
     excused = {name for others in blamed.values() for name in others}
     for camera in record.cameras:
         trouble = _trouble(camera, record)
         if trouble and trouble.kind == "camera-no-usable-pair":
-            may_be_dense = not facts.product and camera.figures.pose_from == "stated"  # along rows that its pose predicts
+            may_be_dense = not facts.product and camera.figures.pose_from == "stated"  # on rows that its pose predicts
             trouble = None if camera.id in excused or may_be_dense else _blamed(trouble, blamed.get(camera.id))
         if trouble:
             down = camera.down
@@ -223,9 +225,8 @@ def _has_doubtful_pose(camera: CameraRecord, record: RunRecord) -> Finding | Non
 
 
 def _is_answered(issue: PoseIssue, record: RunRecord) -> bool:
-    """Do the pairs of a camera agree with its stated pose after all, whose matches may be of look-alikes?  Where whole surfaces
-    find their partners on the rows that the poses give, matches far from these rows are wrong.  Pairs have votes as in
-    `orientation.pose_check.verified`."""
+    """Do a camera's pairs agree with its stated pose after all?  Where whole surfaces match on the rows that the poses give,
+    matches far from these rows are of look-alikes.  Pairs vote as in `orientation.pose_check.verified`."""
     if not record.poses or record.poses.source != "calibration" or issue.triplets:
         return False
     votes = Counter(_agrees_with_poses(pair) for pair in record.pairs_of(issue.camera))
@@ -233,7 +234,7 @@ def _is_answered(issue: PoseIssue, record: RunRecord) -> bool:
 
 
 def _agrees_with_poses(pair: PairRecord) -> bool | None:
-    """None where a pair says nothing."""
+    """Does a pair agree with its stated poses?  None if that is undecided."""
     figures = pair.figures
     if figures.verified == "dense" and abs(figures.row_error_px or 0.0) <= ROWS_PX:
         return True
@@ -273,7 +274,7 @@ def _remedy_of_lost(camera: CameraRecord) -> str:
 
 
 def _with_down(camera: CameraRecord, record: RunRecord, baseline: Baseline) -> CameraRecord:
-    """Count for how many nights a camera is down; one that is well again says so."""
+    """Count for how many nights a camera has been down; add a note to one that is well again."""
     before = baseline.camera(camera.id)
     last = before[1].down if before else None
     if _trouble(camera, record):
@@ -286,11 +287,11 @@ def _with_down(camera: CameraRecord, record: RunRecord, baseline: Baseline) -> C
 
 
 def blame(record: RunRecord) -> Mapping[str, tuple[str, ...]]:
-    """Return cameras whose stated poses pairs speak against, each with the other cameras that it excuses.
+    """Return cameras whose stated poses are contradicted by pairs, each with the other cameras that it excuses.
 
-    A pair speaks against its poses when it matches better beside the rows that they give than on them; when neither matches, it
-    says nothing.  Of the cameras that have no usable pair the one with most of these pairs explains them, then the one with most
-    of the rest.  Of two that have as many, neither is more likely, and neither is blamed.
+    A pair contradicts its poses if it matches better on shifted rows than on those that they give; if it matches on neither, it
+    contradicts nothing.  Of the cameras without a usable pair, the one with most of these pairs explains them, then the one
+    with most of the remaining ones.  If two have equally many, neither is more likely, and neither is blamed.
     """
     usable = {name for pair in record.pairs if pair.ok for name in pair.cameras}
     left = [pair for pair in record.pairs if _contradicts_poses(pair)]
@@ -314,7 +315,7 @@ def _counts(pairs: Iterable[PairRecord]) -> Counter[str]:
 
 
 def _commonest(pairs: Iterable[PairRecord], cameras: Iterable[str]) -> str | None:
-    """Return the one of these cameras that is in most pairs; None if that is one pair only, or another camera is in as many."""
+    """Return the one of these cameras that is in most pairs; None if it is in one pair only, or another of them is in as many."""
     among = set(cameras)
     counts = [(name, count) for name, count in _counts(pairs).most_common() if name in among]
     if not counts or counts[0][1] < 2 or (len(counts) > 1 and counts[1][1] == counts[0][1]):
@@ -335,7 +336,7 @@ def _blamed(trouble: Finding, excused: tuple[str, ...] | None) -> Finding:
 
 
 def check_captures(record: RunRecord, facts: Facts) -> Iterator[Finding]:
-    """Did captures change while they were worked on, and does each camera deliver pictures of its own?"""
+    """Did captures change during the run, and does each camera deliver images of its own?"""
     moved = {camera.id: names for camera in record.cameras if (names := camera.captures_in_motion)}
     if moved:
         files = [name for names in moved.values() for name in names]
@@ -353,7 +354,7 @@ def _same_pictures(cameras: Iterable[CameraRecord]) -> Iterator[tuple[str, ...]]
 
 
 def check_pictures(record: RunRecord, facts: Facts) -> Iterator[Finding]:
-    """Are pictures too blurred, noisy or coarsely coded to be measured in?"""
+    """Are images too blurred, noisy, badly lit or coarsely coded for measuring?"""
     used = [camera for camera in record.cameras if camera.ok]
     soft = {camera.id: _soft_figures(camera) for camera in used if _is_soft(camera) or _is_unresolved(camera)}
     if any(map(_is_soft, used)) or (soft and len(soft) >= SOFT_SHARE * len(used)):
@@ -367,14 +368,13 @@ def _soft_figures(camera: CameraRecord) -> dict[str, float]:
 
 
 def _is_soft(camera: CameraRecord) -> bool:
-    """Is a camera out of focus, noisy or coarsely coded by its pictures alone?"""
+    """Is a camera out of focus, noisy or coarsely coded, by its images alone?"""
     figures = _soft_figures(camera)
     return any(figures[name] > limit for name, limit in _SOFT.items())
 
 
 def _is_unresolved(camera: CameraRecord) -> bool:
-    """Is much of a camera's pictures white, or all of them grey, or do its points show that they hold less than their pixels
-    promise?"""
+    """Are a camera's images overexposed or faint, or less resolved, by their points' errors, than their pixels promise?"""
     figures, misfit = _soft_figures(camera), camera.figures.misfit or 0.0
     unresolved = misfit > ROUGH or (misfit > LEAST_MISFIT and misfit * figures["detail_px"] > UNRESOLVED)
     badly_lit = figures["saturated"] > OVEREXPOSED or 0.0 < figures["contrast"] < FAINT
@@ -382,7 +382,7 @@ def _is_unresolved(camera: CameraRecord) -> bool:
 
 
 def check_calibration(record: RunRecord, facts: Facts) -> Iterator[Finding]:
-    """Do the reference, or the matches, contradict what the site states of lenses and poses?"""
+    """Does the reference, or do the matches, contradict the lenses and poses that the site file states?"""
     if change := facts.calibration_change:
         yield finding("calibration-changed", reason=change)
     if record.poses and (check := record.poses.contradiction):
@@ -422,13 +422,13 @@ _CAUSES: Mapping[str, str] = {
     "mirrored-frames": "pictures of {cameras} mirrored",
     "upside-down": "pictures of {cameras} turned by half a turn",
 }
-"""What explains matches best that contradict the stated calibration, by the check's word for it."""
+"""Texts for the cause that best explains matches contradicting the stated calibration, by its name in the check."""
 _EVERYBODY = {
     "captures-exchanged": "all cameras, each of the next one,",
     "mirrored-frames": "all cameras",
     "upside-down": "all cameras",
 }
-"""Of causes that name cameras only where it is not all of them."""
+"""Texts for `cameras` in causes that name no cameras if all are affected."""
 
 
 def _explanation(check: CalibrationCheck) -> str:
@@ -453,10 +453,10 @@ def _explanation(check: CalibrationCheck) -> str:
 
 
 def check_poses(record: RunRecord, facts: Facts) -> Iterator[Finding]:
-    """Are poses and lenses known well enough?  They may fit the pictures, and be wrong."""
+    """Are poses and lenses known well enough?  Even wrong ones may fit the images."""
     poses = record.poses or PosesSummary()
     contradicted = poses.issues_of("contradicted")
-    if not poses.contradiction:  # that finding explains what these say
+    if not poses.contradiction:  # whose finding explains these, too
         for reason in dict.fromkeys(issue.text for issue in contradicted.values()):
             issues = [issue for issue in contradicted.values() if issue.text == reason]
             if not all(_is_answered(issue, record) for issue in issues):
@@ -474,10 +474,10 @@ def check_poses(record: RunRecord, facts: Facts) -> Iterator[Finding]:
 
 
 def check_depths(record: RunRecord, facts: Facts) -> Iterator[Finding]:
-    """Do pairs agree on depths?  Along epipolar lines a wrong pose or lens changes depths, and no match of two pictures tells."""
+    """Do pairs agree on depths?  A wrong pose or lens can shift depths along epipolar lines, where matches do not reveal it."""
     poses = record.poses
     if poses and poses.contradiction:
-        return  # that finding explains it
+        return  # whose finding explains wrong depths, too
     solved = {camera.id for camera in record.cameras if camera.figures.pose_from == "solved"}
     found = [
         ({camera.id, *map(camera_of, pair.split("--"))}, px)
@@ -504,7 +504,7 @@ def check_depths(record: RunRecord, facts: Facts) -> Iterator[Finding]:
 
 
 def check_survey(record: RunRecord, facts: Facts) -> Iterator[Finding]:
-    """Do stated distances, control points and units agree with where the cameras stand?"""
+    """Do stated distances, control points and units agree with the cameras' positions?"""
     poses = record.poses
     if poses is None:
         return
@@ -529,7 +529,7 @@ def _names(cameras: Iterable[str]) -> str:
 
 
 def check_tasks(record: RunRecord, facts: Facts) -> Iterator[Finding]:
-    """Did tasks fail?  Those with the same cause are one finding; those of a camera that is left out are part of that finding."""
+    """Did tasks fail?  One finding for each stage and cause; failures of a camera that is left out belong to its finding."""
     left_out = {camera.id for camera in record.cameras if not camera.ok}
     groups: dict[tuple[str, str | None], list[tuple[Task, State]]] = {}
     for task, state in facts.failed:
@@ -543,7 +543,7 @@ def check_tasks(record: RunRecord, facts: Facts) -> Iterator[Finding]:
 
 
 def check_cloud(record: RunRecord, facts: Facts) -> Iterator[Finding]:
-    """Is the cloud right, as far as its own cameras can tell?"""
+    """Is enough of the cloud right, as estimated from its own cameras?"""
     cloud = record.cloud
     if cloud and cloud.right is not None and cloud.right < RIGHT:
         figures, expected = {"right": cloud.right}, {"right": RIGHT}
@@ -551,7 +551,7 @@ def check_cloud(record: RunRecord, facts: Facts) -> Iterator[Finding]:
 
 
 def check_amounts(record: RunRecord, facts: Facts) -> Iterator[Finding]:
-    """Is there as much as the site file expects, the last good nights gave, or the night itself planned?"""
+    """Is there as much as the site file expects, as the last good nights gave, or as the night itself planned?"""
     if facts.interrupted or not facts.product or not record.cloud:
         return
     usual = record.usual or Usual(0, {})
@@ -562,7 +562,7 @@ def check_amounts(record: RunRecord, facts: Facts) -> Iterator[Finding]:
             if value < limit:
                 yield _fewer(name, value, limit, f"{amount}, at least {limit:,.0f} are expected")
         elif name == Measure.CAMERAS:
-            continue  # each one that is lost is a finding of its own
+            continue  # each lost camera has a finding of its own
         elif base is not None and value < limit * base:
             whose = "the reference's" if usual.reference else "the usual"
             yield _fewer(name, value, base, f"{amount}, {100 * value / base:.0f} % of {whose} {base:,.0f}")
@@ -596,7 +596,7 @@ def _why_few(record: RunRecord) -> str:
 
 
 def shortened(reason: str) -> str:
-    """Bound the length of a reason: stages may say a lot, and name every file; the record of the camera, pair or task has all."""
+    """Limit the length of a reason, which may name every file; the record of the camera, pair or task contains all of it."""
     return reason if len(reason) <= MOST_LETTERS else f"{reason[: MOST_LETTERS - 3]}..."
 
 
@@ -614,4 +614,4 @@ CHECKS: tuple[Check, ...] = (
     check_cloud,
     check_amounts,
 )
-"""What is looked at, in the order in which it is reported."""
+"""All checks, in the order in which their findings are reported."""

@@ -1,1 +1,1 @@
-"""What is to be done: the table of stages, their functions, and the pairs of cameras."""
+"""The definition of the pipeline: the table of stages, their functions, and the pairs of cameras."""

@@ -1,7 +1,7 @@
-"""A stage bound to the function, and the method, that a site has it done by: what these are handed, and their parameters.
+"""Binds a stage to the function and the method that a site uses for it: their inputs and parameters.
 
-What a function receives is decided by the names of its arguments: any input that the stage's row needs or offers.  Everything
-else that it takes is a parameter, and stands after a bare `*`.
+The names of a function's arguments select its inputs: any that the stage's row needs or offers.  All other arguments are
+parameters, and must come after a bare `*`.
 """
 
 from __future__ import annotations
@@ -19,20 +19,20 @@ from .stages import Source, Stage
 
 @dataclass(frozen=True)
 class Binding:
-    """A stage as a site has it done."""
+    """A stage with the function that a site uses for it."""
 
     stage: Stage
     function: FunctionInfo
     method: FunctionInfo | None
-    """Where the function chooses among methods, the chosen one."""
+    """The chosen method, if the function chooses among methods."""
     inputs: dict[str, Source]
-    """Inputs that are handed over, by argument name."""
+    """The inputs that are passed, by argument name."""
     parameters: dict[str, Parameter]
-    """The function's own, and those of the chosen method."""
+    """Parameters of the function and of the chosen method."""
 
     @cached_property
     def code(self) -> str:
-        """Fingerprint of all code that runs."""
+        """Fingerprint of all code that the function and the method run."""
         if self.method is None:
             return self.function.code
         return content_digest(f"{self.function.code} {self.method.code}".encode())
@@ -42,7 +42,7 @@ class Binding:
         return {name: p.default for name, p in self.parameters.items() if not p.source and not p.required}
 
     def left_to_function(self) -> dict[str, str]:
-        """Text of the defaults that only the function can work out."""
+        """Source text of the defaults that are not literals, which only the function can evaluate."""
         return {name: f"default {p.source}" for name, p in self.parameters.items() if p.source}
 
     def faults(self) -> list[str]:
@@ -56,14 +56,14 @@ class Binding:
 
 
 def bind(stage: Stage, use: str | None, values: Mapping[str, Any], reader: FunctionReader) -> Binding:
-    """Bind a stage.  Raises FunctionError where there is no such function, or no such method.
+    """Bind a stage.  Raises FunctionError if the function or the method does not exist.
 
     Parameters
     ----------
     stage, reader : Stage, FunctionReader
-        Its row, and what knows the functions.
+        The row of the stage, and the reader of functions.
     use : str or None
-        The function that the site file names for it; None for the row's own.
+        The function that the site file names for the stage; None for that of the row.
     values : mapping
         Parameters that the site file sets, by name.
     """
@@ -83,7 +83,7 @@ def bind(stage: Stage, use: str | None, values: Mapping[str, Any], reader: Funct
 
 
 def method_parameters(stage: Stage, reader: FunctionReader) -> dict[str, dict[str, Parameter]]:
-    """Parameters of each method of a stage's table that the stage has not itself.  Raises FunctionError."""
+    """Parameters, by method of a stage's table, that the stage's function does not have itself.  Raises FunctionError."""
     if stage.method is None:
         return {}
     taken = {*stage.inputs, *stage.offers, *stage.method.given, *reader.signature(stage.function).parameters}
@@ -94,7 +94,7 @@ def method_parameters(stage: Stage, reader: FunctionReader) -> dict[str, dict[st
 
 
 def methods_with_file(stage: Stage, name: str, reader: FunctionReader) -> list[str]:
-    """The methods of a stage's table that read a file of this name.  Raises FunctionError."""
+    """The methods of a stage's table that take the file input `name`.  Raises FunctionError."""
     need = stage.offers.get(name)
     if stage.method is None or need is None or need.kind != "file":
         return []
@@ -102,7 +102,7 @@ def methods_with_file(stage: Stage, name: str, reader: FunctionReader) -> list[s
 
 
 def _chosen(stage: Stage, values: Mapping[str, Any], parameters: Mapping[str, Parameter], reader: FunctionReader) -> str:
-    """Dotted name of the method that the site file, or the default, chooses."""
+    """Dotted name of the method that the site file or else the default selects."""
     assert stage.method
     name = stage.method.parameter
     wanted = values.get(name, parameters[name].default)
@@ -115,8 +115,8 @@ def _chosen(stage: Stage, values: Mapping[str, Any], parameters: Mapping[str, Pa
 
 
 def _handed_on(own: Signature, stage: Stage) -> set[str]:
-    """Inputs that a stage's function hands to the method that it chooses: those that it names, and files, which go with the
-    parameters that it only passes through."""
+    """Inputs that a stage's function passes on to its method: those among its own arguments, and files if it has `**parameters`,
+    through which files are passed."""
     files = {name for name, need in stage.offers.items() if need.kind == "file"} if own.takes_any else set()
     return (_asked(own) & {*stage.inputs, *stage.offers}) | files
 
@@ -126,7 +126,7 @@ def _asked(signature: Signature) -> set[str]:
 
 
 def _wanted(inputs: Mapping[str, Source], names: set[str], own: Signature) -> dict[str, Source]:
-    """The inputs of these names.  What the function has no default for must be there, whatever else is."""
+    """The inputs with these names.  One for which `own` has no default is required, even if its source has an `unless`."""
     required = {argument.name for argument in own.arguments if argument.required}
     found = {name: need for name, need in inputs.items() if name in names}
     for name in required & set(found):

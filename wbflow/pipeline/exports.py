@@ -1,4 +1,4 @@
-"""The forms in which results leave the engine: which function of the vision makes each, and of what."""
+"""The export formats: which function of `wbflow_stages` makes each, and from which results."""
 
 from __future__ import annotations
 
@@ -10,27 +10,27 @@ _CLOUD, _POSES, _FRAMES = ("fuse",), ("poses",), ("frames",)
 
 @dataclass(frozen=True)
 class Export:
-    """A form in which a run is exported: one option of `wbflow export`.
+    """A format in which a run is exported: one option of `wbflow export`.
 
-    The function that is called as it is gets what it needs by name and yields names and bytes of files; a ValueError says why
-    there is nothing to make.
+    The function of the same name gets its inputs by argument name, and yields names and bytes of files.  It raises ValueError,
+    with the reason, if there is nothing to export.
     """
 
     name: str
     help: str
     """Text of the option in `wbflow export --help`."""
     inputs: Mapping[str, tuple[str, ...]] = field(default_factory=lambda: {"cloud": _CLOUD, "poses": _POSES})
-    """By argument name: the cloud, what a stage of the site gave (None: nothing), or of every camera or pair (as a mapping) what
-    the first of these stages gave."""
+    """Stages by argument name.  The function gets the cloud for `fuse`; the result, or None, for another site-wide stage; else a
+    mapping by camera or pair, with the result of the first of the stages that has one."""
     dated: bool = False
-    """Takes the night's date, too, as `day`."""
+    """Does the function also take the date of the night, as `day`?"""
     extra: str = ""
     extra_on_the_map: str = ""
-    """The extra of this package that it needs, always or where the site is georeferenced."""
+    """The extras of this package that the format needs: always, and only if the site is georeferenced."""
 
     @property
     def function(self) -> str:
-        """Dotted: package.module:function."""
+        """Dotted name, package.module:function."""
         return f"wbflow_stages.exports.forms:{self.name}"
 
 
@@ -39,7 +39,7 @@ EXTRAS: Mapping[str, tuple[str, ...]] = {
     "e57": ("pye57",),
     "geo": ("rasterio", "pyproj", "pyogrio"),
 }
-"""Packages of the extras that exports may need."""
+"""The packages in each extra that exports may need."""
 
 EXPORTS: tuple[Export, ...] = (
     Export("laz", "The cloud as LAZ, on the map where positions are known by latitude and longitude.", dated=True, extra="las"),
@@ -84,4 +84,4 @@ EXPORTS: tuple[Export, ...] = (
 )
 
 SCANS = (".las", ".laz", ".e57", ".ply", ".pcd", ".xyz", ".obj", ".stl", ".off")
-"""How names of scans and models end."""
+"""File name suffixes of scans and models."""

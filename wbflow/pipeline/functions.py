@@ -1,8 +1,8 @@
-"""What a site's functions ask for and which code they run, read from source and remembered until a source file changes.
+"""Signatures and code fingerprints of a site's functions, read from source files and remembered until one of these changes.
 
-A function takes inputs by name, and parameters with defaults and types.  A default that is no literal is left to the function;
-its text stands for its value.  Of a type only what `typing` and the built-ins say counts: a class of one's own accepts anything,
-and the function will speak for itself.
+A function takes inputs by name, and parameters with defaults and types.  A default that is not a literal is left to the function;
+the cache key contains its source text.  Types are checked only as far as they consist of `typing` and built-in names: any other
+class accepts every value, and the function has to check it.
 """
 
 from __future__ import annotations
@@ -26,15 +26,15 @@ from ..cache.fingerprint import Code, FunctionError, Modules, assigned, origin_o
 from ..cache.memo import Memo, file_stamp
 
 _FORM = f"3, Python {sys.version_info.major}.{sys.version_info.minor}"
-"""Of the memo; another one is not read."""
+"""Version of the memo's format; a memo with another version is ignored."""
 
 _TYPING = {"typing", "typing_extensions", "collections.abc"}
-_DEEPEST = 10  # modules that import a name from each other
+_DEEPEST = 10  # limit of the chain of modules through which an imported name is followed
 
 
 @dataclass(frozen=True)
 class FunctionInfo:
-    """A function: its dotted name, what it asks for, and a fingerprint of all code that it runs."""
+    """A function: its dotted name, its signature, and a fingerprint of all code that it runs."""
 
     dotted: str
     signature: Signature
@@ -42,13 +42,13 @@ class FunctionInfo:
 
 
 class FunctionReader(Memo):
-    """Reads functions, and remembers in a file what it read, for as long as none of their source files changes.
+    """Reads functions from source, and keeps the results in a memo file as long as none of the source files changes.
 
-    Nothing is imported: all stages with their libraries take 1.6 CPU seconds and 250 MB to import, and 0.8 seconds to read.
+    Nothing is imported: importing all stages with their libraries takes 1.6 CPU seconds and 250 MB, reading them 0.8 seconds.
     """
 
     def __init__(self, memo: Path | None = None, folder: Path | None = None) -> None:
-        """folder: where modules may lie that are not installed: beside the site file."""
+        """folder: the site file's folder, which may contain modules that are not installed."""
         super().__init__(memo, "what was read of functions", "functions are read again")
         self.modules = Modules(folder)
         files = self.entries.get("files", {})
@@ -56,9 +56,9 @@ class FunctionReader(Memo):
             self.entries = {"form": _FORM, "files": {}, "known": {}}
 
     def read(self, dotted: str, table: str = "") -> FunctionInfo:
-        """Return what is known of a function, "package.module:function".  Raises FunctionError, with what is missing.
+        """Return the signature and fingerprint of "package.module:function".  Raises FunctionError if something is missing.
 
-        table: dotted name of the table of methods that it chooses from: what is in it does not enter the fingerprint.
+        table: dotted name of the table from which the function chooses its method; its contents do not enter the fingerprint.
         """
         home, _, own_table = table.partition(":")
         left_out = own_table if home == dotted.partition(":")[0] else ""
@@ -72,7 +72,7 @@ class FunctionReader(Memo):
         return FunctionInfo(dotted, self.signature(dotted), code.fingerprint)
 
     def signature(self, dotted: str) -> Signature:
-        """Return what a function asks for.  Raises FunctionError."""
+        """Return the signature of a function.  Raises FunctionError."""
 
         def read() -> tuple[dict[str, Any], Iterable[Path]]:
             signature, files = read_signature(self.modules, dotted)
@@ -83,13 +83,13 @@ class FunctionReader(Memo):
         return Signature(arguments, {name: Parameter(**row) for name, row in known["parameters"].items()}, known["takes_any"])
 
     def table(self, dotted: str) -> dict[str, str]:
-        """Return a table of methods: name -> dotted function.  Raises FunctionError."""
+        """Return a table of methods: method name -> dotted function name.  Raises FunctionError."""
         found: dict[str, str] = self._remembered("table", dotted, lambda: read_table(self.modules, dotted))
         return found
 
     def _remembered(self, what: str, dotted: str, read: Callable[[], tuple[Any, Iterable[Path]]]) -> Any:
-        """Return what is known of a dotted name, or read it now, with the files that it is from."""
-        entry = f"{what} {dotted} {self.modules.file(dotted.partition(':')[0])}"  # found elsewhere, it is another one
+        """Return what the memo has of a dotted name; else read it, and remember it with its source files."""
+        entry = f"{what} {dotted} {self.modules.file(dotted.partition(':')[0])}"  # the same name in another file is another entry
         known = self.entries["known"]
         if entry not in known:
             known[entry], files = read()
@@ -105,26 +105,26 @@ class Parameter:
     name: str
     default: Any = None
     source: str = ""
-    """Text of a default that is no literal: what it is worth only the function knows."""
+    """Source text of a default that is not a literal: only the function can evaluate it."""
     required: bool = False
     """There is no default."""
     annotation: str = "Any"
-    """Its type, in names of `typing` and built-ins alone."""
+    """The type, written only with names of `typing` and built-ins."""
 
     @property
     def shown(self) -> str:
-        """The default in words."""
+        """The default as text for people."""
         return self.source or ("none: it must be given" if self.required else repr(self.default))
 
     @property
     def choices(self) -> tuple[Any, ...]:
-        """Literal values that are accepted."""
+        """The values that `Literal` types accept."""
         return tuple(value for kind in _alternatives(self._type) if isinstance(kind, _LITERAL) for value in typing.get_args(kind))
 
     def problem(self, value: Any) -> str | None:
-        """Return what is wrong with a value from the site file, in words; None when it fits."""
+        """Return what is wrong with a value from the site file, as text; None if it is valid."""
         try:
-            # as JSON, which is what YAML gives: a list fits a tuple, a whole number a float, and nothing else is converted
+            # strict validation of JSON accepts a list for a tuple and an integer for a float, but no other conversion
             TypeAdapter(self._type, config=_AS_IT_IS).validate_json(json.dumps(value))
         except (ValidationError, TypeError):
             kinds = [_words(kind) for kind in _alternatives(self._type) if not isinstance(kind, _LITERAL)]
@@ -138,7 +138,7 @@ class Parameter:
     def _type(self) -> Any:
         try:
             return eval(self.annotation, {"__builtins__": builtins, **vars(typing)})
-        except (TypeError, NameError):  # such as list[int, int, int]: no type to Python either
+        except (TypeError, NameError):  # not a valid type in Python either, such as list[int, int, int]
             return Any
 
 
@@ -158,26 +158,26 @@ def _words(kind: Any) -> str:
 
 @dataclass(frozen=True)
 class Argument:
-    """An argument that can be handed over by position or by name."""
+    """An argument that is not keyword-only."""
 
     name: str
     required: bool
     by_name: bool = True
-    """False where only a position will do."""
+    """False for a positional-only argument."""
 
 
 @dataclass(frozen=True)
 class Signature:
-    """What a function asks for."""
+    """The arguments and parameters of a function."""
 
     arguments: tuple[Argument, ...]
     parameters: dict[str, Parameter]
     takes_any: bool
-    """It has **something that swallows whatever else is handed over."""
+    """It has a `**` argument, which accepts any further keyword."""
 
 
 def read_signature(modules: Modules, dotted: str) -> tuple[Signature, set[Path]]:
-    """Return what "package.module:function" asks for, and the source files that say so.  Raises FunctionError."""
+    """Return the signature of "package.module:function", and the source files it is from.  Raises FunctionError."""
     module, path, node = modules.function(dotted)
     scope = _Scope(modules, module, path)
     args = node.args
@@ -197,9 +197,9 @@ def read_signature(modules: Modules, dotted: str) -> tuple[Signature, set[Path]]
 
 
 def read_table(modules: Modules, dotted: str) -> tuple[dict[str, str], set[Path]]:
-    """Return a table of methods, name -> "package.module:function", and the files it is from.
+    """Return a table of methods, name -> "package.module:function", and the source files it is from.
 
-    Raises FunctionError where there is no such dictionary literal.
+    Raises FunctionError if there is no such dictionary literal.
     """
     module, _, name = dotted.partition(":")
     path = modules.file(module)
@@ -217,7 +217,7 @@ def read_table(modules: Modules, dotted: str) -> tuple[dict[str, str], set[Path]
 
 @dataclass(frozen=True)
 class _Scope:
-    """The names at the top of a module."""
+    """The names at the top level of a module."""
 
     modules: Modules
     module: str
@@ -233,7 +233,7 @@ class _Scope:
 
     @cached_property
     def defined(self) -> dict[str, ast.expr]:
-        """Value of each name that is set once, at the top."""
+        """Value of each name that is assigned once, at the top level."""
         stored = Counter(n.id for n in ast.walk(self.tree) if isinstance(n, ast.Name) and not isinstance(n.ctx, ast.Load))
         values = [(node, getattr(node, "value", None)) for node in self.tree.body]
         found = {name: value for node, value in values if value for name in assigned(node) if stored[name] == 1}
@@ -242,7 +242,7 @@ class _Scope:
 
     @cached_property
     def imported(self) -> dict[str, tuple[str, str]]:
-        """Module and name there, "" for the module itself, of each imported name; "*" for what follows a star."""
+        """By imported name: its module and its name there, "" for a module itself; "*" is the key of a star import."""
         found: dict[str, tuple[str, str]] = {}
         for node in ast.walk(self.tree):
             if isinstance(node, ast.ImportFrom):
@@ -253,7 +253,7 @@ class _Scope:
         return found
 
     def literal(self, node: ast.expr) -> Any:
-        """Return the value of a literal or of a name for one, plain as JSON is.  Raises ValueError."""
+        """Return the value of a literal, or of a name bound to one.  Raises ValueError, also if JSON cannot represent it."""
         if isinstance(node, ast.Name):
             found = self.find(node.id)
             if isinstance(found, str):
@@ -264,19 +264,19 @@ class _Scope:
             value = ast.literal_eval(node)
         except (TypeError, SyntaxError) as error:
             raise ValueError(str(error)) from None
-        if json.loads(json.dumps(value, default=str)) != value:  # tuples, sets, not a number: memos would change them
+        if json.loads(json.dumps(value, default=str)) != value:  # tuples, sets and nan: the memo, a JSON file, would change them
             raise ValueError(str(value))
         return value
 
     def find(self, name: str) -> tuple[ast.expr, _Scope] | str:
-        """Return the definition of a name and its module; of something of `typing` its name there; "" where neither is known."""
+        """Return the definition of a name and the scope it is in; for a name from `typing`, its name there; "" if unknown."""
         if name in self.defined:
             return self.defined[name], self
         origin, there = self.imported.get(name) or self.imported.get("*", ("", ""))
         return self.within(origin, name if there == "*" else there) if there else ""
 
     def within(self, origin: str, name: str) -> tuple[ast.expr, _Scope] | str:
-        """Return the same of a name in another module."""
+        """Return what `find` returns, for a name in the module `origin`."""
         if origin in _TYPING:
             return name
         path = self.modules.file(origin) if origin and self.modules.follows(origin, self.module) else None
@@ -286,8 +286,8 @@ class _Scope:
 
 
 class _Inlined(ast.NodeTransformer):
-    """Writes an annotation in names of `typing` and built-ins alone: names for types are replaced by what they stand for, and
-    what is neither by Any."""
+    """Rewrites an annotation with names of `typing` and built-ins only: type aliases are replaced by their definitions, and all
+    other names by Any."""
 
     def __init__(self, scope: _Scope) -> None:
         self.scope = scope

@@ -1,4 +1,4 @@
-"""What the figures of run.json mean: title, words, and from where on they are good or bad, for the report and comparisons."""
+"""The meaning of the figures in run.json: title, explanation, and limits of good and bad, for the report and comparisons."""
 
 from __future__ import annotations
 
@@ -9,24 +9,24 @@ from typing import Any
 from ..words import spoken
 
 _MOST_NAMED = 8
-"""So many of a figure's parts are named, the largest first."""
+"""Largest number of a figure's parts to list; those with the largest values are listed."""
 
 
 @dataclass(frozen=True)
 class Meaning:
-    """Of one figure."""
+    """The meaning of one figure."""
 
     title: str
     words: str
     good: float | None = None
-    """From here on it is good."""
+    """The limit from which on the figure is good."""
     bad: float | None = None
-    """From here on it is bad; below `good` where less is worse, above it where more is."""
+    """The limit from which on it is bad; below `good` if small values are bad, above it if large ones are."""
     share: bool = False
-    """Is it a share, which people read in percent?"""
+    """Is it a share, to be shown in percent?"""
 
     def grade(self, value: Any) -> str:
-        """good, fair or bad; "" where there is nothing to grade."""
+        """The grade of a value: good, fair or bad; "" if it cannot be graded."""
         if self.good is None or self.bad is None or isinstance(value, bool | str) or value is None:
             return ""
         sign = 1.0 if self.good > self.bad else -1.0
@@ -82,16 +82,16 @@ MEANINGS: Mapping[str, Meaning] = {
     "detail_px": Meaning("detail, px", "so many pixels lie between details that the picture resolves, in the coarser direction"),
     "keypoints": Meaning("keypoints", "distinct points that were found; their number is capped by `max_keypoints`"),
 }
-"""By the name of the figure in run.json."""
+"""Meanings by the name of the figure in run.json."""
 
 
 def meaning(figure: str) -> Meaning:
-    """Of a figure, known or not."""
+    """The meaning of a figure; for an unknown one, its name as the title."""
     return MEANINGS.get(figure) or Meaning(figure.replace("_", " "), "")
 
 
 def shown(figures: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
-    """Figures of a stage for people: name and value."""
+    """Yield title and formatted value of a stage's figures."""
     for name, value in figures.items():
         title, written = titled(name), _percent if meaning(name).share else spoken
         if isinstance(value, Mapping) and value and all(isinstance(entry, int | float) for entry in value.values()):
@@ -103,7 +103,7 @@ def shown(figures: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
 
 
 def titled(name: str) -> str:
-    """What a figure is called."""
+    """The title of a figure; for an unknown one, its name with the unit in parentheses."""
     if name in MEANINGS:
         return MEANINGS[name].title
     words, _, unit = name.rpartition("_")

@@ -1,8 +1,8 @@
 """The pair graph: which pairs of cameras are worth matching, and why each was kept or dropped.
 
-Nodes are cameras; edges carry the evidence of `Overlap`.  The graph is kept connected (maximum spanning tree), then made
-robust (edges across weak cuts), then filled with the best edges up to `degree` at each camera.  No camera gets more than
-`MOST_AT_A_CAMERA`, not even by `include`.
+Nodes are views; edges carry the evidence from `Overlap`.  The graph is first connected (maximum spanning tree), then made
+robust (edges across weak cuts), then filled with the best edges up to `degree` at each view.  No view gets more than
+`MOST_AT_A_CAMERA` pairs, not even by `include`.
 """
 
 from __future__ import annotations
@@ -22,17 +22,17 @@ if TYPE_CHECKING:
 
 Pair = tuple[str, str]
 Known = tuple[float, float, float]
-"""Of a pair: angle in degrees, nan where it is unknown; share; how much it promises."""
+"""Evidence of a pair: angle between the views in degrees (nan if unknown), shared part 0 to 1, and `worth`."""
 Evidence = Mapping[Pair, Known]
 
 MOST_CANDIDATES = 96
-"""Pairs of one view that are candidates, the most promising first: a view takes a third of them at most."""
+"""Largest number of candidate pairs per view, by descending worth; at most a third of them are taken (`MOST_AT_A_CAMERA`)."""
 ALL_KNOWN = 32
-"""Of so many views each pair has a row; of more, those that share nothing may have none."""
+"""Up to this number of views, `Overlap` has a row for each pair; with more views, pairs that share nothing may have none."""
 _LESS_ALIKE, _AIM_DEG = 0.047, 12.0
-"""Share by which views look less alike for each degree between them, and the angle that is best where only looks are known."""
+"""Relative loss of similarity per degree between two views, and the best angle (degrees) if only similarity is known."""
 MOST_DROPPED = 24
-"""Dropped pairs of one camera that are listed with their reason, the most promising first."""
+"""Largest number of dropped pairs per view that are listed with their reason, by descending worth."""
 
 
 def cameras_of(pair: Pair) -> frozenset[str]:
@@ -41,7 +41,7 @@ def cameras_of(pair: Pair) -> frozenset[str]:
 
 
 def worth(angle: np.ndarray, shared: np.ndarray) -> np.ndarray:
-    """(m,) how much pairs promise: what they share, best at 10 to 25 degrees: wide enough to be exact, narrow enough to match."""
+    """(m,) worth of pairs: the shared part, reduced outside 10 to 25 degrees: wide enough to be exact, narrow enough to match."""
     import numpy as np
 
     off = np.maximum(0.0, (10 - angle) / 10) ** 2 + np.maximum(0.0, (angle - 25) / 15) ** 2
@@ -50,7 +50,7 @@ def worth(angle: np.ndarray, shared: np.ndarray) -> np.ndarray:
 
 
 def unfit(angle: float, shared: float, angles: tuple[float, float]) -> str | None:
-    """Why a pair is not worth matching, if it is not; angles: between which it is."""
+    """Why a pair is not worth matching; None if it is.  angles: smallest and largest permitted angle, degrees."""
     min_angle, max_angle = angles
     if shared <= 0:
         return "they share nothing"
@@ -61,12 +61,12 @@ def unfit(angle: float, shared: float, angles: tuple[float, float]) -> str | Non
 
 
 def evidence_of(overlap: Any, angles: tuple[float, float], named: Collection[frozenset[str]]) -> tuple[dict[Pair, Known], int]:
-    """Return the evidence of pairs that may be chosen or listed, and how many pairs there are.
+    """Return the evidence of the pairs that may be chosen or listed, and the number of all pairs.
 
-    Where views have more pairs than `MOST_CANDIDATES`, each keeps its most promising ones, and as many more as connect all
-    cameras that can be connected.
+    If views have more than `MOST_CANDIDATES` pairs on average, each keeps its best ones, and further pairs are kept to connect
+    all cameras that can be connected.
 
-    angles: degrees between which pairs are fit.  named: pairs of cameras that the site file names; all of theirs are looked at.
+    angles: smallest and largest permitted angle, degrees.  named: camera pairs in the site file; all their view pairs are kept.
     """
     known = _known(overlap)
     if len(known) <= len(overlap.cameras) * MOST_CANDIDATES // 2:
@@ -87,7 +87,7 @@ def evidence_of(overlap: Any, angles: tuple[float, float], named: Collection[fro
 
 
 def _known(overlap: Any) -> dict[Pair, Known]:
-    """What is known of all pairs.  Two views of one camera have no baseline and are no pair."""
+    """The evidence of all pairs.  Two views of one camera have no baseline, and are not a pair."""
     names = overlap.cameras
     columns = overlap.pairs, overlap.angle_deg, overlap.shared, worth(overlap.angle_deg, _apart_enough(overlap))
     rows = zip(*(column.tolist() for column in columns), strict=True)
@@ -96,7 +96,7 @@ def _known(overlap: Any) -> dict[Pair, Known]:
 
 
 def _among_best(best_first: Iterable[Pair], most: int) -> set[Pair]:
-    """The pairs that are among the most promising of one of their views."""
+    """The pairs that are among the best `most` of at least one of their views."""
     found, counts = set[Pair](), Counter[str]()
     for pair in best_first:
         if min(counts[view] for view in pair) < most:
@@ -106,10 +106,10 @@ def _among_best(best_first: Iterable[Pair], most: int) -> set[Pair]:
 
 
 def _apart_enough(overlap: Any) -> np.ndarray:
-    """Return shares (m,); of many views without poses, less where two are too similar: without a baseline there is no depth.
+    """Return shares (m,), reduced for many views without poses if two are too similar: without a baseline there is no depth.
 
-    The similarity of views falls with the angle between them, by 4.7 % a degree on two photographed sites.  The best similarity
-    of each view is taken as that of no angle, and a pair nearer than 12 degrees counts as one that is as much farther.
+    The similarity of views falls with the angle between them, by 4.7 % per degree on two photographed sites.  The median of the
+    views' best similarities is taken as that at zero angle; a pair below 12 degrees counts like one as far above 12 degrees.
     """
     import numpy as np
 
@@ -125,17 +125,17 @@ def _apart_enough(overlap: Any) -> np.ndarray:
 
 
 MOST_AT_A_CAMERA = 32
-"""Pairs of one view: its depth is fused from no more."""
+"""Largest number of pairs per view: its depth map is fused from no more."""
 
 _LEAST_OF_VIEWS = 0.04
-"""A pair with one of several views must promise this much, unless it connects cameras: the other views show the rest."""
+"""Pairs with a view of a multi-view camera are dropped below this worth, unless they connect cameras: other views see more."""
 _LEAST_OF_BEST = 0.5
-"""Where only similarity is known: or this share of what the best views of the same two cameras promise.  Similarity is no share
-of what both see, and right pairs of wide views have a similarity of a few hundredths."""
+"""If only similarity is known, this share of the best worth among the views of the same two cameras suffices, too: similarity is
+not the shared part of the views, and correct pairs of wide views have a similarity of a few hundredths."""
 
 
 def of_little_use(evidence: Evidence) -> set[Pair]:
-    """Pairs with one of several views, of which others promise more."""
+    """Pairs with a view of a multi-view camera whose worth is too low (`_LEAST_OF_VIEWS`, `_LEAST_OF_BEST`)."""
     of_views = {pair: cameras for pair in evidence if (cameras := cameras_of(pair)) != {*pair}}
     best: dict[frozenset[str], float] = {}
     for pair, cameras in of_views.items():
@@ -150,23 +150,23 @@ def of_little_use(evidence: Evidence) -> set[Pair]:
 
 
 def choose(candidates: nx.Graph, degree: int, forced: list[Pair], little: Collection[Pair]) -> dict[Pair, str]:
-    """Reasons by chosen pair: forced ones, the spanning tree, cover for weak cuts, then the best up to `degree`.
+    """Choose forced pairs, a spanning tree, cover for weak cuts, then the best up to `degree`; returns reasons by chosen pair.
 
     Parameters
     ----------
     candidates
-        Views, and pairs with their `weight` and `order`.
+        Graph of views; its edges are pairs with `weight` (worth) and `order` (of the evidence).
     degree
-        Pairs wanted at each view.
+        Pairs to choose at each view.
     forced
         Pairs that are always chosen.
     little
-        Pairs that are chosen only where they connect cameras.
+        Pairs that are chosen only to connect cameras.
     """
     import networkx as nx
 
     position = {node: i for i, node in enumerate(candidates.nodes)}
-    graph, whole = nx.Graph(), nx.Graph()  # of views, and of their cameras: views of one camera are connected
+    graph, whole = nx.Graph(), nx.Graph()  # of views, and of cameras: views of one camera are connected by definition
     graph.add_nodes_from(candidates.nodes)
     whole.add_nodes_from(map(camera_of, candidates.nodes))
     chosen: dict[Pair, str] = {}
@@ -186,7 +186,7 @@ def choose(candidates: nx.Graph, degree: int, forced: list[Pair], little: Collec
             take(*pair, "included by the site file")
     groups = nx.utils.UnionFind(whole.nodes)
     ranked = sorted(candidates.edges(data=True), key=lambda e: (-e[2]["weight"], e[2]["order"]))
-    for u, v, _ in ranked:  # Kruskal (1956), where there is room
+    for u, v, _ in ranked:  # Kruskal (1956), as long as both views have room
         ends = camera_of(u), camera_of(v)
         if groups[ends[0]] != groups[ends[1]] and (graph.has_edge(u, v) or has_room(u, v)):
             groups.union(*ends)
@@ -219,7 +219,7 @@ def choose(candidates: nx.Graph, degree: int, forced: list[Pair], little: Collec
 
 
 MOST_NAMED = 8
-"""So many cameras are named of those that a camera has to do without."""
+"""Largest number of left-out views named in the note about a view with `MOST_AT_A_CAMERA` pairs."""
 
 
 @dataclass(frozen=True)
@@ -230,27 +230,27 @@ class Edge:
     right: str
     kept: bool
     reason: str
-    """In words."""
+    """Why it was kept or dropped, as text."""
     angle_deg: float
-    """Between the views; nan where unknown."""
+    """Between the views; nan if unknown."""
     shared: float
-    """How much both see, 0 to 1."""
+    """Shared part of the views, 0 to 1."""
 
 
 @dataclass(frozen=True)
 class PairGraph:
-    """All pairs that were looked at."""
+    """The kept pairs, and the decisions about all that were considered."""
 
     pairs: tuple[Pair, ...]
-    """Those to match, in the order of the site file."""
+    """The kept pairs, in the order of the site file."""
     edges: tuple[Edge, ...] = field(metadata={"figure": False})
-    """The decision about each; of many that were dropped, the most promising of each camera."""
+    """The decisions: about all kept pairs, and about the best `MOST_DROPPED` dropped ones of each view."""
     components: tuple[tuple[str, ...], ...]
-    """Cameras that the kept pairs connect, largest group first."""
+    """Groups of cameras that the kept pairs connect, largest group first."""
     untold: int = 0
-    """Pairs that share something, were dropped, and are not among the edges."""
+    """Number of dropped pairs that are not among the edges."""
     crowded: Mapping[str, str] = field(default_factory=dict)
-    """What cameras that take no more pairs have to do without, in words, by camera."""
+    """By view with `MOST_AT_A_CAMERA` pairs: a note that names candidates which were left out."""
 
 
 def select_pairs(
@@ -262,24 +262,24 @@ def select_pairs(
     include: list[list[str]] = [],  # noqa: B006 (a literal, so that the site file is checked without importing; never changed)
     exclude: list[list[str]] = [],  # noqa: B006
 ) -> PairGraph:
-    """Choose pairs from the evidence.
+    """Choose the pairs of cameras to match from evidence of their overlap.
 
     Parameters
     ----------
     overlap : Overlap
-        Angle and shared share of every pair of cameras.
+        Angle and shared part of the pairs of views.
     degree : int
-        Pairs wanted at each camera; the spanning tree, edges that cover weak cuts and `include` may exceed it, up to 32.
+        Pairs to choose at each camera; the spanning tree, edges that cover weak cuts and `include` may exceed it, up to 32.
     min_angle, max_angle : float
-        Degrees; pairs whose views converge outside of this are dropped (where the angle is known).
+        Smallest and largest angle between the views of a pair, degrees; pairs outside are dropped, if their angle is known.
     include, exclude : list of [id, id]
-        Pairs of cameras that are always, or never, matched; of cameras with several views the best pair of these, or all.
+        Pairs of cameras that are always, or never, matched; if cameras have several views: the best pair of these, or all.
 
     Returns
     -------
     PairGraph
     """
-    import networkx as nx  # here, so that a report that only shows the graph does not wait for it
+    import networkx as nx  # here, so that a report that only shows the graph need not import it
 
     wanted, banned = {frozenset(p) for p in include}, {frozenset(p) for p in exclude}
     evidence, count = evidence_of(overlap, (min_angle, max_angle), wanted | banned)
@@ -288,7 +288,7 @@ def select_pairs(
     candidates = nx.Graph()
     candidates.add_nodes_from(overlap.cameras)
     reasons: dict[Pair, str] = {}
-    orders = itertools.count()  # to count the edges each time would be quadratic
+    orders = itertools.count()  # counting the edges each time would be quadratic
     for pair, (angle, shared, promise) in evidence.items():
         if cameras_of(pair) in banned:
             reasons[pair] = "excluded by the site file"
@@ -320,7 +320,7 @@ def _why_not(pair: Pair, little: Collection[Pair], counts: Mapping[str, int], de
 
 
 def _left_out(view: str, candidates: nx.Graph, chosen: Collection[Pair]) -> str:
-    """What a view that takes no more has to do without, in words."""
+    """A note that names the candidates left out at a full view; "" if there are none."""
     better_first = sorted(candidates[view].items(), key=lambda other: (-other[1]["weight"], other[1]["order"]))
     missed = [other for other, _ in better_first if (view, other) not in chosen and (other, view) not in chosen]
     if not missed:
@@ -330,7 +330,7 @@ def _left_out(view: str, candidates: nx.Graph, chosen: Collection[Pair]) -> str:
 
 
 def groups(views: Sequence[str], pairs: Collection[Pair]) -> tuple[tuple[str, ...], ...]:
-    """Cameras that pairs connect, largest group first."""
+    """Groups of cameras that pairs connect, largest group first."""
     import networkx as nx
 
     graph = nx.Graph((camera_of(left), camera_of(right)) for left, right in pairs)
@@ -341,15 +341,15 @@ def groups(views: Sequence[str], pairs: Collection[Pair]) -> tuple[tuple[str, ..
 
 
 def _listed(evidence: Evidence, chosen: Collection[Pair]) -> set[Pair]:
-    """Return the pairs that are listed: all chosen ones, and the most promising dropped ones of each camera."""
+    """Return the pairs to list: all chosen ones, and the best dropped ones of each view."""
     dropped = (pair for pair in evidence if pair not in chosen)
     return {*chosen, *_among_best(sorted(dropped, key=lambda pair: -evidence[pair][2]), MOST_DROPPED)}
 
 
 def _best_of(wanted: Collection[frozenset[str]], views: Sequence[str], evidence: dict[Pair, Known]) -> set[Pair]:
-    """The pairs that are always matched: of two cameras with several views, those views that promise most.
+    """The pairs that are always matched: one for each two cameras in `wanted`, the best if they have several views.
 
-    Of many views those that share nothing are not among the evidence; those that the site file names are entered as such.
+    With many views, pairs that share nothing may be missing from the evidence; wanted ones are added to it.
     """
     found = dict[frozenset[str], Pair]()
     for pair in evidence if wanted else ():
@@ -375,19 +375,19 @@ def select_dense_pairs(
     include: list[list[str]] = [],  # noqa: B006 (a literal, so that the site file is checked without importing; never changed)
     exclude: list[list[str]] = [],  # noqa: B006
 ) -> PairGraph:
-    """Choose pairs among placed cameras by the rules of the pair graph; further ones that were matched where there is room.
+    """Choose the pairs for dense matching among placed cameras, by the rules of the pair graph, and add matched pairs.
 
-    A pair that was matched comes in beside what the rules choose where both cameras have fewer than `degree`, or one has none:
-    its matches show what it sees.  Pairs with a camera that is not placed stay as they were matched.
+    A matched pair that the rules do not choose is added if both cameras have fewer than `degree` pairs, or if one has none: its
+    matches show that the views overlap.  Matched pairs with a camera that is not placed are kept.
 
     Parameters
     ----------
     shared : Overlap
-        Angle and shared share of the pairs of placed cameras; no row where the cameras contradict a pair.
+        Angle and shared part of the pairs of placed cameras; without the pairs that the cameras contradict.
     pairs : PairGraph
-        What was matched.
+        The pairs that were matched.
     degree, min_angle, max_angle, include, exclude
-        As of `select_pairs`.
+        As in `select_pairs`.
 
     Returns
     -------
@@ -421,7 +421,7 @@ def select_dense_pairs(
 
 
 def _matched_too(shared: Any, pairs: PairGraph, chosen: Collection[Pair]) -> tuple[list[tuple[Pair, float, float]], list[Pair]]:
-    """Pairs that were matched and not chosen: those of placed cameras with angle and shared share, the most promising first, and
+    """Matched pairs that are not among `chosen`: those of placed cameras with angle and shared part, by descending worth; and
     those with a camera that is not placed."""
     known = _known(shared)
     left = [pair for pair in pairs.pairs if pair not in chosen]

@@ -1,4 +1,4 @@
-"""What docstrings and signatures say of the parameters of stages: default, unit and meaning, for `wbflow stages`."""
+"""Default, unit and meaning of the stages' parameters, from signatures and docstrings, for `wbflow stages`."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ _UNITS = {
     "_share": "share, 0 to 1",
     "_probability": "0 to 1",
 }
-"""By the end of a parameter's name; what the docstring says goes first."""
+"""Units by the ending of a parameter's name; a unit in the docstring takes precedence."""
 _WIDTH = 110
-"""Of the lines that are printed."""
+"""Width of the printed lines, in characters."""
 
 
 @dataclass(frozen=True)
 class ParameterDoc:
-    """A parameter, and what the docstring of its function has of it."""
+    """A parameter, with its unit and meaning from the docstring of its function."""
 
     parameter: Parameter
     unit: str
@@ -37,7 +37,7 @@ class ParameterDoc:
 
 
 def document(dotted: str, parameters: Iterable[Parameter], reader: FunctionReader) -> tuple[str, list[ParameterDoc]]:
-    """What the docstring of a function says: its first paragraph in one line, and unit and meaning of parameters."""
+    """The first paragraph of a function's docstring in one line, and unit and meaning of parameters."""
     _, _, node = reader.modules.function(dotted)
     text = ast.get_docstring(node) or ""
     known = _parameter_texts(text)
@@ -50,7 +50,7 @@ def document(dotted: str, parameters: Iterable[Parameter], reader: FunctionReade
 
 
 def describe(stage: Stage, reader: FunctionReader) -> list[str]:
-    """A stage and its methods as a person reads them at a terminal."""
+    """The lines that describe a stage and its methods at a terminal."""
     own = reader.signature(stage.function).parameters
     inputs = {*stage.inputs, *stage.offers}
     meaning, docs = document(stage.function, [p for name, p in own.items() if name not in inputs], reader)
@@ -66,7 +66,7 @@ def describe(stage: Stage, reader: FunctionReader) -> list[str]:
 
 
 def _parameter_texts(docstring: str) -> dict[str, tuple[str, str]]:
-    """Unit and meaning of what the section Parameters of a docstring lists, by name."""
+    """Unit and meaning of the parameters in the section Parameters of a docstring, by name."""
     found: dict[str, tuple[str, str]] = {}
     for head, body in _entries(docstring):
         names, _, text = head.partition(" : ") if " : " in head else head.partition(": ")
@@ -80,7 +80,7 @@ def _parameter_texts(docstring: str) -> dict[str, tuple[str, str]]:
 
 
 def _entries(docstring: str) -> list[tuple[str, list[str]]]:
-    """Head line and further lines of each entry of the section Parameters."""
+    """The head line and the further lines of each entry in the section Parameters."""
     lines = docstring.splitlines()
     entries: list[tuple[str, list[str]]] = []
     inside = False
@@ -95,7 +95,7 @@ def _entries(docstring: str) -> list[tuple[str, list[str]]]:
 
 
 def _elsewhere(stage: Stage, name: str) -> str:
-    """Where in a site file a parameter is set that is not set in the stage's section."""
+    """The key of the site file that sets a parameter, as text, if it is not set in the stage's section."""
     section, _, key = stage.set_by_site().get(name, "").rpartition(".")
     if key:
         return f", set by {f'{key} in the section {section}' if section else f'{key} at the top'} of the site file"

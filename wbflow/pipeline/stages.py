@@ -1,7 +1,7 @@
-"""The pipeline: its nineteen stages in their order, with their inputs, their functions, and what becomes of their results.
+"""The pipeline: its nineteen stages in order, with their functions, their inputs, and the uses of their results.
 
-To add a stage, write its function (`stages/`), its row here, and where run.json is to have figures of it, its summary
-(`pipeline.summaries`).  The engine knows the stages by name; what is in their arrays it does not know.
+To add a stage, write its function (`stages/`), its row here and, if run.json is to contain figures of it, its summary
+(`pipeline.summaries`).  The engine knows the stages by name, but nothing about the contents of their arrays.
 """
 
 from __future__ import annotations
@@ -16,10 +16,10 @@ from . import summaries
 FRAMES, HEALTH, PAIRS, MATCHES, GEOMETRY = "frames", "health", "pairs", "matches", "geometry"
 POSES, DENSE_PAIRS, RECTIFY, DISPARITY = "poses", "dense_pairs", "rectify", "disparity"
 CALIBRATION, DEPTH, REFINE, FUSE, CHANGES = "calibration", "depth", "refine", "fuse", "changes"
-"""Names of the stages that the engine knows for more than handing on their results."""
+"""Names of the stages that the engine refers to; it treats all others alike."""
 
 REJECTED = "wbflow_stages.types:Rejected"
-"""The type of a result that says "nothing usable here": it has `reason` and `figures`."""
+"""The type of a result that means "nothing usable here": it has `reason` and `figures`."""
 
 SITE_TYPES = {
     "captures": "wbflow_stages.types:Capture",
@@ -29,12 +29,12 @@ SITE_TYPES = {
     "placement": "wbflow_stages.types:Placement",
     "survey": "wbflow_stages.types:Survey",
 }
-"""What the site file and its captures can give to a stage, and the type that it comes as."""
+"""The inputs that the site file and the captures can provide to a stage, and their types."""
 
 Scope = Literal["camera", "pair", "site"]
 Of = Literal["own", "left", "right", "every", "around", "near"]
 Condition = Callable[[Any], bool]
-"""A question to the site (`site.models.Site`)."""
+"""A predicate of the site (`site.models.Site`)."""
 
 
 @dataclass(frozen=True)
@@ -42,29 +42,29 @@ class Source:
     """Where an input of a stage comes from."""
 
     kind: Literal["stage", "site", "file", "reference", "history"]
-    """Another stage; the site file or the captures; a file that the stage's section names; what a stage made in the reference's
-    night (None, or an empty mapping, where there is no reference, or where tonight is its own night); earlier nights."""
+    """Another stage; the site file or the captures; a file that the stage's section names; a stage's result in the reference's
+    night (None or an empty mapping if there is no reference, or if tonight is the reference's night); earlier nights."""
     name: str
-    """Of the stage, or of what the site gives."""
+    """Name of the stage, or of the input from the site."""
     of: Of = "own"
-    """The task's own subject; the left or right camera of the pair; every subject that has it, as a mapping; the cameras that the
-    one in question makes dense pairs with ("around"), and a few that make pairs with these ("near", see `Subjects.near`)."""
+    """Whose result: that of the task's own subject, or of the left or right camera of its pair; or, as a mapping, those of every
+    subject, of the camera's partners in dense pairs ("around"), or also of some partners of these ("near": `Subjects.near`)."""
     part: str = ""
-    """Only this field of the result; of a mapping that a site-wide stage made, the entry of the camera or pair in question."""
+    """Only this field of the result; if it is a mapping from a site-wide stage, only the entry of the task's camera or pair."""
     optional: bool | Condition = False
-    """It may be missing: then the function gets None, or a mapping that lacks entries."""
+    """The input may be missing: the function then gets None, or a mapping without some entries."""
     needed_if: Condition | None = None
-    """Where this is not so, the function gets an empty mapping."""
+    """If this is false for the site, the function gets an empty mapping."""
     unless: tuple[str, ...] = ()
-    """It may be missing where the inputs of these names are there."""
+    """The input may be missing if the inputs with these names are all present."""
 
     @property
     def joins(self) -> bool:
-        """Is it handed over as a mapping?"""
+        """Is the input passed as a mapping?"""
         return self.of in {"every", "around", "near"}
 
     def may_lack(self, site: Any) -> bool:
-        """May it be missing on this site?"""
+        """May the input be missing on this site?"""
         return self.optional(site) if callable(self.optional) else self.optional
 
 
@@ -83,16 +83,16 @@ class Method:
     """A stage's choice among functions: one parameter names a row of a table, or any function as package.module:function."""
 
     parameter: str
-    """The parameter that chooses."""
+    """Name of the parameter that selects the method."""
     table: str
     """Dotted name of a dictionary literal: name -> "package.module:function"."""
     given: tuple[str, ...] = ()
-    """Names of arguments that the stage itself hands to its methods, besides its inputs."""
+    """Names of arguments that the stage's function passes to its methods in addition to its inputs."""
 
 
 @dataclass(frozen=True)
 class Adapt:
-    """Another function for a stage, that makes its result from the reference's."""
+    """A function that computes a stage's result from that of the reference, instead of the stage's own function."""
 
     function: str
     inputs: Mapping[str, Source]
@@ -100,35 +100,35 @@ class Adapt:
 
 @dataclass(frozen=True)
 class Reuse:
-    """What the reference has to do with a stage's results."""
+    """How later nights use the reference's results of a stage."""
 
     shifted: Literal["reuse", "recompute"] | Adapt | None = None
-    """What becomes of the reference's result where a camera has shifted by a known rotation; None: it is never used."""
+    """Use of the reference's result if a camera has shifted by a known rotation; None: the result is never used."""
     moved: Literal["reuse", "recompute"] | Adapt | None = None
-    """The same where a camera was moved, or is new."""
+    """Use of the reference's result if a camera was moved or is new."""
     stored: bool = True
     """The reference keeps a copy of the results."""
     aggregate: str = ""
-    """Dotted function: results of many nights, as a mapping by night -> one."""
+    """Dotted name of a function that pools the results of many nights (mapping by night) into one result."""
     too_little: tuple[str, ...] = ()
-    """Pairs are aggregated that were rejected, here or by what rests on it, with one of these codes: one night had too little."""
+    """Rejection codes, of this stage or of pair stages that need it, with which pairs are pooled: one night was too little."""
 
 
 @dataclass(frozen=True)
 class Products:
-    """What is made of a stage's result for people; of each, the dotted function that makes it of the result."""
+    """What people see of a stage's result: dotted names of the functions that make it from the result."""
 
     drawings: Mapping[str, str] = field(default_factory=dict)
-    """Bytes that are kept beside the artifact, by name.  `picture`: a JPEG file, of the result and `picture_inputs`; `large`: one
-    of a camera's picture as large as it is; `marks`: places in these pictures, of a camera or a pair; `view`: points for the
-    report's 3-D view; `layer`: a picture that lies on its map (see `report.pictures`); `cameras`: those that a run publishes, as
-    JSON in the form of a calibration."""
+    """Functions, by name of the drawing, whose bytes are stored with the artifact.  `picture`: a JPEG file, drawn from the result
+    and `picture_inputs`; `large`: a JPEG of a camera's image in full size; `marks`: points in these images, of a camera or pair;
+    `view`: points for the report's 3-D view; `layer`: an image on the report's map (see `report.pictures`); `cameras`: the
+    cameras that a run publishes, as JSON in the format of a calibration."""
     picture_inputs: Mapping[str, Source] = field(default_factory=dict)
-    """By argument name; None is passed for one that is not there."""
+    """Further inputs of `picture` by argument name; the function gets None for a missing one."""
     files: str = ""
-    """Names and bytes of files that a run publishes beside its cloud."""
+    """Function that yields names and bytes of the files that a run publishes with its cloud."""
     title: str = ""
-    """Of its part of the report, where its summary is a `SiteSummary`."""
+    """Title of the stage's section in the report, if its summary is a `SiteSummary`."""
 
 
 @dataclass(frozen=True)
@@ -138,38 +138,38 @@ class Stage:
     name: str
     scope: Scope
     function: str
-    """Dotted: package.module:function.  What it is handed is decided by the names of its arguments."""
+    """Dotted name, package.module:function.  The names of the function's arguments select its inputs."""
     inputs: Mapping[str, Source]
-    """By argument name."""
+    """Inputs by argument name."""
     offers: Mapping[str, Source] = field(default_factory=dict)
-    """Further inputs that another function in its place, or a method of it, may ask for by argument name."""
+    """Further inputs, for methods and functions of a site's own that have arguments with these names."""
     optional: bool | Condition = False
-    """The site file may switch it off; of a condition: it has nothing to do where this is not so, either."""
+    """The site file may switch the stage off; with a condition, it also takes no part where that is false for the site."""
     dense: bool = False
-    """Of pairs: works on the dense ones, rather than on those that are matched."""
+    """Of a pair stage: it works on the dense pairs instead of the matched ones."""
     method: Method | None = None
     site_keys: tuple[str, ...] = ()
-    """Where the site file sets parameters of it outside of `stages`: "resolution", "pairs.degree"."""
+    """Keys of the site file outside of `stages` that set parameters of the stage: "resolution", "pairs.degree"."""
     reuse: Reuse = Reuse()
     products: Products = Products()
     summary: type[summaries.Summary] | None = None
-    """What the engine and run.json read of its results."""
+    """The part of its results that the engine and run.json read."""
 
     def needed(self) -> set[str]:
-        """The stages without which it can do nothing."""
+        """The stages whose results this one requires."""
         return {source.name for source in self.inputs.values() if source.kind == "stage" and not source.optional}
 
     def set_by_site(self) -> dict[str, str]:
-        """Return the key of the site file that sets each parameter which is not set in `stages`."""
+        """Return, by parameter, the key of the site file that sets it outside of `stages`."""
         return {key.rpartition(".")[2]: key for key in self.site_keys}
 
 
 CLOUD_COLUMNS = "wbflow_stages.io.clouds:cloud_columns"
 RESTORE_CLOUD = "wbflow_stages.io.clouds:cloud_of"
 CLOUD_FIGURES = "wbflow_stages.io.clouds:cloud_figures"
-"""A cloud is kept as a PLY file: its columns by name, the cloud of such columns, and figures beside its fields."""
+"""Dotted functions for clouds, which are stored as PLY files: cloud to columns by name, columns to cloud, and further figures."""
 COMPONENT = "component"
-"""The parameter of `fuse` that says which component of cameras it works on; each has a task."""
+"""The parameter of `fuse` with the number of the component of cameras; each component has a task."""
 
 _SIDES = {"left": left("features"), "right": right("features")}
 _FRAMES = {"left": left("frames"), "right": right("frames")}
@@ -191,7 +191,7 @@ _REFERENCE_SURFACE = {
 }
 _PAIR_KEYS = ("pairs.degree", "pairs.min_angle", "pairs.max_angle", "pairs.include", "pairs.exclude")
 _ALWAYS = Reuse(shifted="reuse", moved="reuse")
-"""Of results that do not depend on where single cameras look."""
+"""For results that do not depend on the orientation of single cameras."""
 _FEATURES = Reuse(shifted="reuse", moved="recompute")
 _TURNED_GEOMETRY = Adapt(
     "wbflow_stages.held:turn_geometry", {"pinned": reference("geometry"), "left": left("health"), "right": right("health")}
@@ -206,7 +206,7 @@ _HELD_POSES = Adapt(
         "survey": site("survey"),
     },
 )
-"""The cameras of the reference stay; one that has shifted is turned, one that was moved is solved from the others."""
+"""Keeps the cameras of the reference; turns those that have shifted, and solves those that were moved from the others."""
 
 
 def _some_unposed(site: Any) -> bool:

@@ -1,7 +1,7 @@
-"""What the engine reads of results: a typed summary beside each stage, and what run.json has of it.
+"""The parts of results that the engine reads and run.json contains: a typed summary for each stage that has one.
 
-A receipt keeps the plain fields of a result; a summary is built from those that somebody reads.  What is missing, as in a receipt
-of another version, is None or empty.
+A receipt stores all plain fields of a result; a summary has those that are used.  Fields that are missing, as in a receipt of
+another version, are None or empty.
 """
 
 from __future__ import annotations
@@ -18,26 +18,26 @@ from ..records.findings import Health, HealthState
 
 
 class Summary(JsonDataclass):
-    """Fields of a result that somebody reads; each has a default."""
+    """The fields of a result that are used; each has a default."""
 
     @model_validator(mode="wrap")
     @classmethod
     def _read(cls, data: Any, read: Any) -> Self:
         try:
             made: Self = read(data)
-        except ValidationError:  # of another version, or of a function that is not ours
+        except ValidationError:  # the result of another version, or of a function of the site's own
             return cls()
         return made
 
 
 def _named(*names: str) -> Any:
-    """The names of a field in a result, the first that is there, and in run.json."""
+    """Alternative names of a field, in results and in run.json; the first that is present is read."""
     return Field(validation_alias=AliasChoices(*names))
 
 
 @dataclass(frozen=True)
 class Notes(Summary):
-    """Of any stage of a camera."""
+    """The notes of any camera stage."""
 
     notes: tuple[str, ...] = ()
     """What the operator should know."""
@@ -45,7 +45,7 @@ class Notes(Summary):
 
 @dataclass(frozen=True)
 class FrameSummary(Summary):
-    """How the clean picture of a camera is (`stages.types.Frame`)."""
+    """Quality figures of a camera's clean frame (`stages.types.Frame`)."""
 
     brightness: float | None = None
     contrast: float | None = None
@@ -78,26 +78,26 @@ class FeaturesSummary(Summary):
 
 @dataclass(frozen=True)
 class CameraFigures(FeaturesSummary, FrameSummary):
-    """What run.json has of a camera: the summaries of its stages, and its part in those of the site."""
+    """The figures of a camera in run.json: the summaries of its stages, and its entries in site-wide summaries."""
 
     pose: Mapping[str, Any] | None = None
-    """How the pictures agree with its known pose (`stages.types.PoseCheck`)."""
+    """How well the images agree with its known pose (`stages.types.PoseCheck`)."""
     verified: bool | None = None
     pose_from: str | None = None
     """stated, refined, corrected or solved."""
     points: int | None = None
     misfit: float | None = None
     apart_px: Mapping[str, float] | None = None
-    """For each two partners whose pairs make it dense: by how many pixels their depths differ as a whole."""
+    """By two dense partners, as `left--right`: overall difference between the depths from their pairs, pixels."""
 
 
 @dataclass(frozen=True)
 class HealthSummary(Health, Summary):
-    """How a camera is, compared with the reference (`stages.types.CameraHealth`)."""
+    """State of a camera compared with the reference (`stages.types.CameraHealth`)."""
 
     state: HealthState = "ok"
     corrected: bool = False
-    """It has shifted, and its pose is known from the reference."""
+    """The camera has shifted, and its pose is that of the reference, turned by the measured rotation."""
 
 
 @dataclass(frozen=True)
@@ -118,7 +118,7 @@ class MatchesSummary(Summary):
 
 @dataclass(frozen=True)
 class GeometrySummary(Summary):
-    """The epipolar geometry of a pair; of a rejected one what was found too little."""
+    """The epipolar geometry of a pair; for a rejected pair, the figures behind the rejection."""
 
     inliers: Annotated[int | None, _named("x1_count", "inliers")] = None
     angle_deg: float | None = None
@@ -148,7 +148,7 @@ class DisparitySummary(Summary):
 
 @dataclass(frozen=True)
 class PairFigures(DisparitySummary, RectifySummary, GeometrySummary, MatchesSummary):
-    """What run.json has of a pair: the summaries of its stages, and its part in that of the poses."""
+    """The figures of a pair in run.json: the summaries of its stages, and its entry in the summary of the poses."""
 
     poses_px: float | None = None
     known: str | None = None
@@ -156,7 +156,7 @@ class PairFigures(DisparitySummary, RectifySummary, GeometrySummary, MatchesSumm
 
 @dataclass(frozen=True)
 class PairCheck(Summary):
-    """What the cameras of a whole site say of one pair (`stages.types.PairCheck`)."""
+    """How one pair agrees with the cameras of the whole site (`stages.types.PairCheck`)."""
 
     adjusted_px: float | None = None
     known: str | None = None
@@ -194,8 +194,8 @@ class PoseIssue(Summary):
 
 
 _ROWS_AGREE, _LOOK_ALIKES = 3.5, 3.0
-"""Rows want a change of the cameras by no more standard deviations (140 unharmed nights: 3.2 at most); misfits by which
-look-alikes contradict right cameras (a workshop: 1.9 to 2.8; wrong poses there 3.2 and more)."""
+"""Rows agree with the cameras up to this many `CalibrationCheck.sigmas` (140 unharmed nights: 3.2 at most).  Below this `misfit`,
+keypoints may contradict correct cameras only because of look-alikes (a workshop: 1.9 to 2.8; wrong poses there: 3.2 and more)."""
 
 _FORMER_ISSUES = {
     "suspects": ("moved", "text"),
@@ -203,12 +203,12 @@ _FORMER_ISSUES = {
     "uncertain": ("uncertain", "row_px"),
     "strained": ("inconsistent", "strain"),
 }
-"""By key that run.json had before 0.2: kind and field of an issue."""
+"""By key of run.json before version 0.2: the kind of the issues, and the field that was written for each camera."""
 
 
 @dataclass(frozen=True)
 class PosesSummary(Summary):
-    """How the cameras came to stand where they do (`stages.types.Poses`); the cameras themselves are in cameras.json."""
+    """How the poses of the cameras were found (`stages.types.Poses`); the cameras themselves are in cameras.json."""
 
     unsolved: Mapping[str, str] = field(default_factory=dict)
     """Reason by camera."""
@@ -223,36 +223,36 @@ class PosesSummary(Summary):
     focals: tuple[str, ...] = ()
     components: tuple[tuple[str, ...], ...] = ()
     joins: tuple[str, ...] = ()
-    """What would join the worlds that share no pair."""
+    """For each component but the main one: the pair that would best join it to the others."""
     scale: str = ""
     crs: str = ""
-    """Coordinate system of the world as PROJ reads it; "" for a local one."""
+    """Coordinate system of the world, in a form that PROJ reads; "" for a local one."""
     notes: tuple[str, ...] = ()
     """What the operator should know."""
     points: int = 0
     reprojection_px: float | None = None
     calibration: CalibrationCheck | None = None
     rows: CalibrationCheck | None = None
-    """The same by what dense matching finds beside the rows of pairs (stage `calibration`)."""
+    """The check of the calibration by the row offsets that dense matching measures (stage `calibration`)."""
     pair_checks: Annotated[Mapping[str, PairCheck], Field(exclude=True)] = field(default_factory=dict)
-    """This and the next two stand with the pairs and cameras in run.json."""
+    """In run.json, this field and the next two are entries of the pairs and cameras."""
     pose_checks: Annotated[Mapping[str, Mapping[str, Any]], Field(exclude=True)] = field(default_factory=dict)
     sources: Annotated[Mapping[str, str], Field(exclude=True)] = field(default_factory=dict)
 
     @property
     def unverified(self) -> bool:
-        """Are lenses and poses stated, and were there too few matches to check them?"""
+        """Are lenses and poses stated, but were there too few matches to check them?"""
         told = self.calibration is not None or (self.rows is not None and self.rows.pairs > 0)
         return self.source in {"calibration", "mixed"} and not told
 
     @property
     def rows_agree(self) -> bool:
-        """Does dense matching find what it should on the rows of the stated cameras?"""
+        """Do the row offsets that dense matching measures agree with the stated cameras?"""
         return self.rows is not None and self.rows.pairs > 0 and self.rows.sigmas <= _ROWS_AGREE
 
     @property
     def contradiction(self) -> CalibrationCheck | None:
-        """What contradicts the stated calibration: a little, and without a simple cause, look-alikes do where the rows agree."""
+        """The check that contradicts the stated calibration; a weak one by keypoints without a cause is ignored if rows agree."""
         by_keypoints, by_rows = (check if check and check.contradicted else None for check in (self.calibration, self.rows))
         if by_keypoints and self.rows_agree and not by_keypoints.cause and by_keypoints.misfit < _LOOK_ALIKES:
             return None
@@ -264,7 +264,7 @@ class PosesSummary(Summary):
 
     @model_serializer(mode="wrap")
     def _with_former_keys(self, write: Any) -> dict[str, Any]:
-        """Add the issues as versions before 0.2 wrote them, for one more version."""
+        """Also write the issues under the keys of versions before 0.2, for one more version."""
         former: dict[str, dict[str, Any]] = {
             key: {camera: getattr(issue, field) for camera, issue in self.issues_of(kind).items()}
             for key, (kind, field) in _FORMER_ISSUES.items()
@@ -276,41 +276,41 @@ class PosesSummary(Summary):
 
 @dataclass(frozen=True)
 class DepthSummary(Summary):
-    """Depth of one view (`stages.types.DepthMap`)."""
+    """The depth map of one view (`stages.types.DepthMap`)."""
 
     apart_px: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
 class FuseSummary(Summary):
-    """A cloud."""
+    """A point cloud."""
 
     points: Annotated[int, _named("points_count")] = 0
     bounds: tuple[tuple[float, ...], tuple[float, ...]] = ((), ())
-    """Two opposite corners of the box around it."""
+    """Two opposite corners of its bounding box."""
     given: Mapping[str, int] = field(default_factory=dict)
-    """Samples by camera."""
+    """Number of samples that each camera contributed."""
     misfits: Mapping[str, float] = field(default_factory=dict)
-    """Of each camera's samples: their standard deviation over the expected one, median."""
+    """By camera: median ratio of the samples' standard deviation to the expected one."""
     right: float | None = None
     """Share of the points that is expected to be right."""
 
 
 @dataclass(frozen=True)
 class SiteSummary(Summary):
-    """Of a site-wide stage that has a part of run.json and of the report, under its name."""
+    """Summary of a site-wide stage that has a section in run.json and in the report, under its name."""
 
     AMOUNT: ClassVar[tuple[str, str]] = ("", "")
-    """Unit and meaning of `amount`, where there is one; `expect` in the site file has it under the name of the stage."""
+    """Unit and meaning of `amount`, if there is one; `expect` in the site file limits it under the name of the stage."""
 
     files: tuple[str, ...] = ()
-    """Names of what was published."""
+    """Names of the published files."""
     reason: str | None = None
     """Why there is no result."""
 
     @property
     def amount(self) -> float | None:
-        """What should be as much as is usual."""
+        """The quantity that is compared with its usual value."""
         return None
 
     @property
@@ -326,7 +326,7 @@ class SiteSummary(Summary):
 
 @dataclass(frozen=True)
 class CoverageSummary(SiteSummary):
-    """What the cameras see of the ground."""
+    """How much of the ground the cameras see."""
 
     AMOUNT = ("m²", "seen by two cameras")
 
@@ -343,7 +343,7 @@ class CoverageSummary(SiteSummary):
 
 
 _SAME_PLACE = 0.5
-"""Two things of one kind are the same where their middles are nearer than this share of the larger one's length."""
+"""Two changes of one kind are the same thing if their centres are nearer than this share of the larger one's length."""
 
 
 @dataclass(frozen=True)
@@ -369,7 +369,7 @@ class Change(Summary):
     from_y: float | None = None
     from_z: float | None = None
     acknowledged: str = ""
-    """Who knows of it, until when, and why; "" where nobody does."""
+    """Who has acknowledged the change, until when, and why; "" if it is not acknowledged."""
 
     @model_serializer(mode="wrap")
     def _named_where_known(self, write: Any) -> dict[str, Any]:
@@ -397,7 +397,7 @@ class CutFill(Summary):
 
 @dataclass(frozen=True)
 class ChangesSummary(SiteSummary):
-    """What is not as it was when the reference was made."""
+    """The changes since the night of the reference."""
 
     compared: bool | None = None
     count: int | None = None
@@ -414,5 +414,5 @@ class ChangesSummary(SiteSummary):
 
     @property
     def volumes(self) -> Mapping[str, CutFill]:
-        """By zone; "" is the whole site, or all zones together."""
+        """Volumes by zone; "" is the whole site, or all zones together."""
         return {"": self.cut_fill, **self.zones} if self.cut_fill else {}

@@ -1,1 +1,1 @@
-"""What a run leaves on disk: its folder, record, log, ledger and the reference, each in one form."""
+"""What a run leaves on disk: its folder, record and log, the ledger and the reference."""

@@ -1,4 +1,4 @@
-"""What happens in a run, as typed events: the lines of its log, and what listeners receive."""
+"""Typed events of a run: the lines of its log, and what listeners receive."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from ..task import Task
 
 
 def now() -> str:
-    """The time stamp of an event."""
+    """Return the current time as the time stamp of an event."""
     return datetime.datetime.now(datetime.UTC).isoformat(timespec="milliseconds")
 
 
@@ -23,43 +23,43 @@ class TaskEvent:
     outcome: str
     """cached, ran, rejected, failed or skipped."""
     at: str
-    """When, ISO 8601, UTC."""
+    """Time of the event, ISO 8601, UTC."""
     fresh: bool = False
-    """Has it been worked on in this run?"""
+    """Was the task worked on in this run?"""
     reason: str | None = None
-    """Why, in words, for all but cached and ran."""
+    """Reason for the outcome, in words; None for cached and ran."""
     code: str | None = None
-    """Why, as one word that can be counted, where the task gave one."""
+    """The reason as one word, for statistics, if the task gave one."""
     key: str | None = None
-    """Under which the cache keeps its artifact."""
+    """Cache key of its artifact."""
     cpu: float | None = None
-    """Seconds, where it ran."""
+    """CPU time in seconds, if it ran."""
     trace: str | None = None
-    """Traceback of a fault that nobody foresaw."""
+    """Traceback of an unexpected fault."""
 
     @property
     def usable(self) -> bool:
-        """Did it leave an artifact?"""
+        """Is there an artifact?"""
         return self.outcome in {"cached", "ran"} and self.key is not None
 
 
 @dataclass(frozen=True)
 class WarningEvent:
-    """Something that the operator should know of, and that the run has survived: a picture that was not drawn, an artifact made
-    again, a ledger that was not written, a word of the site file that is out of date."""
+    """A problem that did not stop the run but that the operator should know of: a picture that was not drawn, an artifact made
+    again, a ledger that was not written, an obsolete word in the site file."""
 
     what: str
-    """What, in one line."""
+    """The problem, in one line."""
     at: str
-    """When, ISO 8601, UTC."""
+    """Time of the event, ISO 8601, UTC."""
     task: Task | None = None
-    """The task that it happened to, if any."""
+    """The task concerned, if any."""
     remedy: str = ""
-    """What to do about it, where something can be done."""
+    """What to do about it; "" if nothing can be done."""
     trace: str | None = None
-    """Traceback of a fault that nobody foresaw."""
+    """Traceback of an unexpected fault."""
     repaired: bool = False
-    """Was it damage on disk that has been put right?"""
+    """Was it damage on disk that has been repaired?"""
 
     def __str__(self) -> str:
         head = f"{self.task}: {self.what}" if self.task else self.what
@@ -68,41 +68,41 @@ class WarningEvent:
 
 @dataclass(frozen=True)
 class PlannedEvent:
-    """What is to be done was looked at again; for whoever watches, and in no log."""
+    """The plan was updated.  Sent to listeners only, not logged."""
 
     tasks: Mapping[str, int]
-    """How many tasks each stage has, as far as they are known, in the order of the pipeline."""
+    """Number of known tasks of each stage, in the order of the pipeline."""
 
 
 @dataclass(frozen=True)
 class StartedEvent:
-    """A worker has begun a task; for whoever watches, and in no log."""
+    """A worker has begun a task.  Sent to listeners only, not logged."""
 
     task: Task
 
 
 Event = TaskEvent | WarningEvent
-"""What a log keeps."""
+"""An event that is logged."""
 
 Signal = PlannedEvent | StartedEvent
-"""For whoever watches a run, and in no log."""
+"""An event for listeners only, which is not logged."""
 
 Listener = Callable[[Event | Signal], None]
-"""Receives every event as it happens, and what is planned and begun."""
+"""Receives every event and signal as it happens."""
 
 
 _KINDS: dict[str, type[Event]] = {"task": TaskEvent, "warning": WarningEvent}
 
 
 def event_to_json(event: Event) -> dict[str, Any]:
-    """Return a line of the log."""
+    """Return an event as a line of the log, before JSON encoding."""
     task = event.task
     whose = {"task": str(task), "stage": task.stage, "subject": task.subject} if task else {}
     return {"event": next(name for name, kind in _KINDS.items() if isinstance(event, kind)), **vars(event), **whose}
 
 
 def event_from_json(line: Mapping[str, Any]) -> Event | None:
-    """Return an event as the log has it; None for a kind of a later version.  Raises KeyError, TypeError."""
+    """Return the event of a log line; None for a kind that only later versions know.  Raises KeyError, TypeError."""
     if (kind := _KINDS.get(line["event"])) is None:
         return None
     known = {field.name: line[field.name] for field in fields(kind) if field.name in line}

@@ -1,6 +1,6 @@
-"""What a person has to know of a night, as data: the verdict, its findings, and how each camera is.
+"""The verdict on a night, its findings and the health of each camera, as data.
 
-`FINDINGS` is the one table of everything that a verdict can say: code, level, meaning, text and remedy.
+`FINDINGS` is the table of all findings that a verdict can have: code, level, meaning, text and remedy.
 """
 
 from __future__ import annotations
@@ -14,13 +14,13 @@ from pydantic import BeforeValidator, model_serializer
 from ..json_dataclass import JsonDataclass
 
 Figures = Mapping[str, Any]
-"""What is reported of a camera, a pair, a night or the world, by name: numbers, words, and mappings of these."""
+"""Reported figures of a camera, a pair, a night or the world by name: numbers, strings, and mappings of these."""
 
 Level = Literal["good", "degraded", "failed"]
 HealthState = Literal["ok", "shifted", "moved", "obscured", "stale", "wrong-scene"]
 
 STATE_ALIASES = {"nudged": "shifted", "blind": "obscured", "foreign": "wrong-scene"}
-"""States of a camera as versions before 0.2 wrote them: read for one more version."""
+"""Camera states as versions before 0.2 wrote them; they are still read for one more version."""
 FINDING_ALIASES = {
     "camera-nudged": "camera-shifted",
     "camera-blind": "camera-obscured",
@@ -29,35 +29,35 @@ FINDING_ALIASES = {
     "camera-alone": "camera-unpaired",
     "poses-strained": "poses-inconsistent",
 }
-"""Codes of findings as versions before 0.2 wrote them: read for one more version, and written beside the new ones as `alias`."""
+"""Finding codes of versions before 0.2: still read for one more version, and written in addition to the new ones as `alias`."""
 _FORMER = {new: old for old, new in FINDING_ALIASES.items()}
 
 
 def _current(aliases: Mapping[str, str]) -> BeforeValidator:
-    """Words of earlier versions are read as those of today."""
+    """Return a validator that replaces names of earlier versions with the current ones."""
     return BeforeValidator(lambda word: aliases.get(word, word) if isinstance(word, str) else word)
 
 
 @dataclass(frozen=True)
 class Finding(JsonDataclass):
-    """Something that a person should look at."""
+    """A problem that the operator should look at."""
 
     kind: Annotated[str, _current(FINDING_ALIASES)]
     """Its code in `FINDINGS`: camera-lost, fewer-pairs, task-failed, ..."""
     subject: tuple[str, ...]
-    """() for the site, (camera,), (left, right), or all the cameras that it is about."""
+    """() for the site, (camera,), (left, right), or all cameras concerned."""
     text: str
-    """In one line."""
+    """The problem, in one line."""
     figures: Figures = field(default_factory=dict)
-    """What was measured, by name."""
+    """Measured values, by name."""
     expected: Figures = field(default_factory=dict)
-    """What it should have been, under the same names."""
+    """Expected values, under the same names."""
     remedy: str = ""
-    """What to do about it; "" where nothing can be."""
+    """What to do about it; "" if nothing can be done."""
 
     @property
     def about(self) -> str:
-        """The subject in words: of many cameras, which the text names, how many."""
+        """The subject in words; for more than two cameras only their number, since the text names them."""
         return "--".join(self.subject) if len(self.subject) <= 2 else f"{len(self.subject)} cameras"
 
     def __str__(self) -> str:
@@ -74,13 +74,13 @@ class FindingType:
 
     code: str
     meaning: str
-    """In one sentence, for the table in the documentation."""
+    """One sentence for the table in the documentation."""
     remedy: str
-    """What to do about it, as long as nothing more specific is known."""
+    """Default advice, used unless a more specific remedy is known."""
     text: str = "{reason}"
-    """What the operator reads; the names in braces are filled in."""
+    """Text for the operator; the names in braces are filled in."""
     level: Level = "degraded"
-    """What a night with it is, unless the site file tolerates it."""
+    """Level of a night with this finding, unless the site file tolerates it."""
 
 
 _BACK = "it is used again as soon as its captures are usable"
@@ -283,7 +283,7 @@ FINDINGS: Mapping[str, FindingType] = {
         FindingType("fewer-coverage", "Far less of the ground is seen than usual.", _COMPARE),
     )
 }
-"""Everything that a verdict can say."""
+"""All findings that a verdict can have, by code."""
 
 
 def finding(
@@ -294,18 +294,18 @@ def finding(
     remedy: str | None = None,
     **words: Any,
 ) -> Finding:
-    """Return the finding with a code of the table.
+    """Return a finding of the table.
 
     Parameters
     ----------
     code, words
-        In `FINDINGS`, and what fills in its text.
+        Its code in `FINDINGS`, and the values that fill in its text.
     subject
         The camera, pair or cameras; () for the site.
     figures, expected
-        What was measured, and what it should have been.
+        Measured and expected values, by name.
     remedy
-        Instead of the one in the table; "" where nothing can be done.
+        Replaces the remedy in the table; "" if nothing can be done.
     """
     row = FINDINGS[code]
     text = row.text.format(**words)
@@ -314,13 +314,13 @@ def finding(
 
 @dataclass(frozen=True)
 class Verdict(JsonDataclass):
-    """What a night came to."""
+    """The verdict on a night."""
 
     level: Level
     findings: tuple[Finding, ...] = ()
-    """What is to be looked at, the most important first; none of a good night."""
+    """Findings, the most important first; none for a good night."""
     acknowledged: tuple[Finding, ...] = ()
-    """What somebody knows of: it does not count; its remedy says who, and until when.  run.json has it where there is any."""
+    """Findings that do not count because a user acknowledged them; `remedy` states who and until when.  Not written if empty."""
 
     @property
     def good(self) -> bool:
@@ -334,11 +334,11 @@ class Verdict(JsonDataclass):
 
 @dataclass(frozen=True)
 class Health(JsonDataclass):
-    """How a camera is, compared with what it has been; what its fields have in common with a `Finding` is meant alike."""
+    """Condition of a camera, compared with earlier nights; fields with the same names as in `Finding` have the same meaning."""
 
     state: Annotated[HealthState, _current(STATE_ALIASES)]
-    """shifted: turned by little, still in use; moved; obscured: too dark, dirty or out of focus; stale: not of tonight;
-    wrong-scene: another place."""
+    """shifted: turned slightly, still in use; moved; obscured: too dark, dirty or out of focus; stale: its pictures are not from
+    tonight; wrong-scene: it shows another place."""
     text: str = ""
     figures: Figures = field(default_factory=dict)
     expected: Figures = field(default_factory=dict)
@@ -346,32 +346,32 @@ class Health(JsonDataclass):
 
     @property
     def ok(self) -> bool:
-        """Is it as it has been?"""
+        """Is the camera in its usual condition?"""
         return self.state == "ok"
 
 
 @dataclass(frozen=True)
 class Down(JsonDataclass):
-    """Since when a camera gives nothing, or is not as it should be."""
+    """How long a camera has given no results or had a fault."""
 
     since: str
-    """The first night, ISO 8601."""
+    """The first such night, ISO 8601."""
     nights: int = 1
-    """How many nights by now."""
+    """Number of such nights so far."""
 
     def words(self, left_out: bool = True) -> str:
-        """Return since when; a camera that is used all the same is not down."""
+        """Return since when, in words.  left_out: False for a camera that is used despite its fault, and thus is not "down"."""
         return f"{'down' if left_out else 'so'} since {self.since}, {self.nights} night{'s' * (self.nights != 1)}"
 
 
 @dataclass(frozen=True)
 class Usual(JsonDataclass):
-    """What the last good nights gave, each figure by its median, or the reference: what tonight is compared with."""
+    """The figures that a night is compared with: medians of the last good nights, or those of the reference."""
 
     nights: int
     figures: Mapping[str, float]
-    """Of the whole site: points, pairs, ..."""
+    """Figures of the whole site: points, pairs, ..."""
     cameras: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
-    """Of each camera by id: brightness, ..."""
+    """Figures of each camera, by id: brightness, ..."""
     reference: str = ""
-    """The run that somebody has pinned, where the figures of the whole site are from that one."""
+    """Id of the run that a user has pinned, if the figures of the whole site come from it; "" otherwise."""

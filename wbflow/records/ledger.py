@@ -1,5 +1,5 @@
-"""The ledger: an SQLite index of runs, and of what their tasks took.  Not the truth: where it is missing or damaged, it is made
-again from receipts and run.json; a reader never changes it."""
+"""The ledger: an SQLite index of runs and of the costs of their tasks.  Receipts and run.json are authoritative: a missing or
+damaged ledger is rebuilt from them.  Readers never change it."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ from .record import RunRecord
 from .run_folder import NoSuchRun, RunFolder
 
 _FORM = 4
-"""Written when a ledger is complete; one of another form, or cut short, is made again."""
+"""Format version, stored last (SQLite's user_version): a ledger with another one, or an incomplete one, is rebuilt."""
 _PATIENCE_S = 5.0
-"""How long to wait for somebody else who is writing."""
+"""Seconds to wait for another process that is writing."""
 _MOST = 20_000
-"""Tasks whose costs are looked at, the newest first."""
+"""Largest number of tasks, newest first, from which costs are estimated."""
 
 
 @dataclass(frozen=True)
 class LedgerRun:
-    """A run as the ledger knows it: the columns of its table."""
+    """A run in the ledger; the fields are the columns of its table."""
 
     run: str
     date: str
@@ -40,7 +40,7 @@ class LedgerRun:
     failed: int
     skipped: int
     points: int | None
-    """Of the cloud; None where there is none."""
+    """Number of points of the cloud; None without a cloud."""
     exit_code: int
 
 
@@ -52,14 +52,14 @@ create table if not exists artifacts (artifact primary key, stage, task, bytes, 
 
 
 class Ledger:
-    """The ledger of one work folder; a context manager.  Whoever opens it can meet sqlite3.Error and OSError.
+    """The ledger of one work folder; a context manager.  Opening and using it can raise sqlite3.Error and OSError.
 
-    writes: the caller holds the lock, and what is damaged or missing is made again on disk; a reader gets an index in memory.
+    writes: the caller holds the lock; a damaged or missing ledger is rebuilt on disk.  For a reader it is rebuilt in memory.
     """
 
     def __init__(self, work: WorkFolder, writes: bool = False) -> None:
         self.faults: list[str] = []
-        """What was wrong with it and has been put right, or left out, in words."""
+        """Faults that were found and repaired, and runs that were left out, in words."""
         self._work = work
         try:
             self._open("rwc" if writes else "ro")
@@ -94,7 +94,7 @@ class Ledger:
             self._db.execute(f"insert or replace into runs values ({','.join('?' * len(row))})", row)
 
     def catch_up(self) -> None:
-        """Index runs that were published after the newest known one, and whose process was killed before it came here."""
+        """Index runs newer than the newest one in the ledger: their process was killed between publishing and indexing."""
         (newest,) = self._db.execute("select max(run) from runs").fetchone()
         for name in self._work.run_ids():
             if name > (newest or ""):
@@ -104,11 +104,11 @@ class Ledger:
                     self.faults.append(f"{error.what}: left out of the ledger")
 
     def runs(self) -> list[LedgerRun]:
-        """Return every run, oldest first."""
+        """Return all runs, oldest first."""
         return [LedgerRun(*row) for row in self._db.execute(f"select {_COLUMNS} from runs order by run")]
 
     def costs(self) -> TaskCosts:
-        """Return what the newest tasks took."""
+        """Return the time, memory and disk space that the newest tasks took."""
         query = f"select stage, task, wall, peak_mb, bytes from artifacts order by finished desc limit {_MOST}"
         costs, seconds, sizes = TaskCosts(), defaultdict[str, list[float]](list), defaultdict[str, list[int]](list)
         for stage, task, wall, held, size in self._db.execute(query):
@@ -122,13 +122,13 @@ class Ledger:
         return costs
 
     def forget(self, keys: Iterable[str]) -> None:
-        """Leave out artifacts that have been removed."""
+        """Remove artifacts from the index, after their files have been removed."""
         with self._db:
             self._db.executemany("delete from artifacts where artifact = ?", [(key,) for key in keys])
         self._db.execute("vacuum")
 
     def _open(self, mode: str) -> None:
-        """Open the whole ledger on disk, or one in memory; raises sqlite3.DatabaseError for one that is not as it should be."""
+        """Open the ledger on disk, or build one in memory; raises sqlite3.DatabaseError if it is damaged or of another format."""
         if mode != "memory" and any(os.path.lexists(path) and not path.is_file() for path in self._work.ledger_files()):
             raise sqlite3.DatabaseError("it is no file")
         self._db = sqlite3.connect(f"{self._work.ledger.resolve().as_uri()}?mode={mode}", uri=True, timeout=_PATIENCE_S)
@@ -149,36 +149,36 @@ class Ledger:
 
 
 def _is_damage(error: sqlite3.DatabaseError) -> bool:
-    """Is the file itself at fault, and not a full disk, or somebody else who holds it for long?"""
+    """Is the file itself damaged, as opposed to a full disk or a lock that another process holds?"""
     code = getattr(error, "sqlite_errorcode", sqlite3.SQLITE_ERROR) & 0xFF
     return code in {sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB, sqlite3.SQLITE_ERROR, sqlite3.SQLITE_MISMATCH}
 
 
 @dataclass(frozen=True)
 class TaskCosts:
-    """What tasks took, by stage and by task."""
+    """Costs of earlier tasks, by stage and by task."""
 
     stages: dict[str, float] = field(default_factory=dict)
-    """Seconds by the clock: median of a stage's tasks."""
+    """Median wall time of a stage's tasks, in seconds."""
     stages_mb: dict[str, float] = field(default_factory=dict)
-    """MB (2^20 bytes) that a stage's tasks held at most."""
+    """Largest peak memory of a stage's tasks, in MB (2^20 bytes)."""
     tasks: dict[str, float] = field(default_factory=dict)
     tasks_mb: dict[str, float] = field(default_factory=dict)
-    """The same of a task, the last time."""
+    """Wall time (seconds) and peak memory (MB) of a task, when it last ran."""
     stages_bytes: dict[str, float] = field(default_factory=dict)
-    """Bytes that an artifact of a stage takes on disk, on average."""
+    """Mean size of a stage's artifacts on disk, in bytes."""
 
     def expected(self, stage: str, task: str) -> float:
-        """What a task will take, as far as one can say."""
+        """Return the expected wall time of a task in seconds: that of its last run, else the median of its stage."""
         return self.tasks.get(task, self.stages.get(stage, 0.0))
 
     def held(self, stage: str, task: str, others: float = 0.0) -> float:
-        """MB that a task will hold, as far as one can say; `others` of its stage held so much in the meantime."""
+        """Return the expected peak memory of a task in MB.  others: peak of its stage's tasks in the run so far."""
         return self.tasks_mb.get(task, max(others, self.stages_mb.get(stage, 0.0)))
 
 
 def read_costs(work: WorkFolder) -> TaskCosts:
-    """Return the costs that a work folder's ledger knows; none where it cannot be read."""
+    """Return the costs in a work folder's ledger; none if it cannot be read."""
     try:
         with Ledger(work) as ledger:
             return ledger.costs()

@@ -1,4 +1,4 @@
-"""run.json as dataclasses.  Its keys are a contract: those that exist stay; what a later version adds is ignored."""
+"""run.json as dataclasses.  Its keys are a stable interface: existing keys stay, and keys of later versions are ignored."""
 
 from __future__ import annotations
 
@@ -20,22 +20,22 @@ _STAMP = "%Y-%m-%dT%H:%M:%SZ"
 
 
 def stamp(at: datetime.datetime) -> str:
-    """A time as run.json writes it (UTC)."""
+    """Return a time (UTC) in the format of run.json."""
     return at.strftime(_STAMP)
 
 
 def moment(text: str) -> datetime.datetime:
-    """A time that run.json has (UTC).  Raises ValueError."""
+    """Parse a time (UTC) from run.json.  Raises ValueError."""
     return datetime.datetime.strptime(text, _STAMP).replace(tzinfo=datetime.UTC)
 
 
 Time = Annotated[float, PlainSerializer(lambda seconds: round(seconds, 2))]
-"""Seconds."""
+"""Seconds, written with two decimals."""
 
 
 @dataclass(frozen=True)
 class TaskCounts(JsonDataclass):
-    """How many tasks ended how."""
+    """Number of tasks by outcome."""
 
     cached: int = 0
     ran: int = 0
@@ -46,7 +46,7 @@ class TaskCounts(JsonDataclass):
 
 @dataclass(frozen=True)
 class StageSeconds(JsonDataclass):
-    """What the tasks of one stage that ran have cost together."""
+    """Total time of the tasks of one stage that ran, and their number."""
 
     wall: Time
     cpu: Time
@@ -55,7 +55,7 @@ class StageSeconds(JsonDataclass):
 
 @dataclass(frozen=True)
 class Seconds(JsonDataclass):
-    """What a run has cost."""
+    """Time that a run took, as a whole and by stage."""
 
     wall: Time
     cpu: Time
@@ -64,7 +64,7 @@ class Seconds(JsonDataclass):
 
 @dataclass(frozen=True)
 class CameraRecord(FlatJsonDataclass):
-    """What became of one camera."""
+    """The outcome of one camera."""
 
     id: str
     outcome: str
@@ -72,21 +72,21 @@ class CameraRecord(FlatJsonDataclass):
     reason: str | None = None
     code: str | None = None
     notes: tuple[str, ...] = ()
-    """What the operator should know of it."""
+    """Remarks for the operator."""
     captures: Mapping[str, str] = field(default_factory=dict)
-    """Digests of the files that were used, by name."""
+    """Digests of the captures that were used, by file name."""
     captures_in_motion: tuple[str, ...] = ()
-    """Those that changed during the run."""
+    """Names of captures that changed during the run although they should not have."""
     figures: CameraFigures = field(default_factory=CameraFigures)
-    """What the stages report of it."""
+    """Figures that the stages report about the camera."""
     health: Health | None = None
-    """How it is, compared with what it has been; None where nobody knows."""
+    """The camera's condition compared with earlier nights; None if unknown."""
     down: Down | None = None
-    """Since when it gives nothing or is not as it should be; None while all is well."""
+    """Since when the camera has given no results or had a fault; None while it is well."""
 
     @property
     def ok(self) -> bool:
-        """Did it do its part?"""
+        """Was the camera used?"""
         return self.outcome == "ok"
 
     def __repr__(self) -> str:
@@ -95,7 +95,7 @@ class CameraRecord(FlatJsonDataclass):
 
 @dataclass(frozen=True)
 class PairRecord(FlatJsonDataclass):
-    """What became of one pair of cameras, or of their views."""
+    """The outcome of one pair of cameras, or of one pair of views."""
 
     left: str
     right: str
@@ -104,27 +104,27 @@ class PairRecord(FlatJsonDataclass):
     reason: str | None = None
     code: str | None = None
     stage: str | None = None
-    """The stage that gave nothing, where one did."""
+    """The stage that gave no result, if any."""
     matched: bool | None = None
-    """Has it a geometry of its own?"""
+    """Did its matches give a geometry (F)?  None if that stage has no task for the pair."""
     dense: bool | None = None
-    """Is it among the pairs that are made dense, where these are chosen apart?"""
+    """Is it one of the pairs for dense matching?  None if these are not chosen separately."""
     figures: PairFigures = field(default_factory=PairFigures)
-    """What the stages report of it."""
+    """Figures that the stages report about the pair."""
 
     @property
     def cameras(self) -> tuple[str, str]:
-        """The cameras whose views these are."""
+        """The cameras of the two views."""
         return camera_of(self.left), camera_of(self.right)
 
     @property
     def name(self) -> str:
-        """As it is written everywhere: left--right."""
+        """The pair's name, as it is written everywhere: left--right."""
         return f"{self.left}--{self.right}"
 
     @property
     def ok(self) -> bool:
-        """Has it been matched densely, as far as was wanted?"""
+        """Did dense matching give a result, or every other stage if the run had no dense matching for this pair?"""
         return self.outcome == "ok"
 
     def __repr__(self) -> str:
@@ -136,17 +136,17 @@ class CloudRecord(JsonDataclass):
     """A cloud of a run."""
 
     path: str
-    """Its file, relative to the run's folder."""
+    """File of the cloud, relative to the run's folder."""
     points: int
     bounds: tuple[tuple[float, ...], tuple[float, ...]]
-    """Two opposite corners of the box around it."""
+    """Two opposite corners of its bounding box."""
     right: float | None = None
-    """Share of its points that is expected to be right."""
+    """Expected share of correct points."""
 
 
 @dataclass(frozen=True)
 class RunRecord(JsonDataclass):
-    """A run: run.json."""
+    """The content of run.json: one run."""
 
     run: str
     site: str
@@ -159,35 +159,35 @@ class RunRecord(JsonDataclass):
     tasks: TaskCounts
     seconds: Seconds
     peak_rss_mb: int
-    """What the fullest worker held for itself, without what it shares; MB of 2^20 bytes."""
+    """Largest peak memory of a worker, without shared memory, in MB of 2^20 bytes."""
     cameras: tuple[CameraRecord, ...]
     pairs: tuple[PairRecord, ...]
     cloud: CloudRecord | None = None
     other_clouds: tuple[CloudRecord, ...] = ()
-    """Of cameras that share no world with the main ones."""
+    """Clouds of components whose cameras are not connected to the main ones."""
     poses: PosesSummary | None = None
     reason: str | None = None
     """Why there is no cloud."""
     code: str | None = None
     verdict: Verdict | None = None
-    """What the night came to; None of a run of an earlier version."""
+    """The verdict on the night; None in runs of earlier versions."""
     usual: Usual | None = None
-    """What it was compared with; None where there was nothing."""
+    """The usual figures that the night was compared with; None if there were none."""
     settings: str = ""
-    """Digest of all that the site file and the version decide: only nights with the same are compared."""
+    """Digest of everything that the site file and the version determine: only nights with equal digests are compared."""
     repaired: tuple[str, ...] = ()
-    """Damage on disk that the run found and put right, in words."""
+    """Damage on disk that the run found and repaired, in words."""
     files: Mapping[str, str] = field(default_factory=dict)
     """SHA-256 of the products in its folder, by name."""
     versions: Mapping[str, str] = field(default_factory=dict)
-    """Of Python and of the libraries behind the stages, by name; empty of a run of an earlier version."""
+    """Versions of Python and of the stages' libraries, by name; empty in runs of earlier versions."""
     reference: str | None = None
-    """Id of the run that it was compared with, if any (see `records.reference_folder`)."""
+    """Id of the reference's run, if the run was compared with a reference (see `records.reference_folder`)."""
     results: Annotated[Mapping[str, SiteSummary], Field(exclude=True)] = field(default_factory=dict)
-    """What site-wide stages report, by stage; in run.json each stands under its own name."""
+    """Summaries of site-wide stages, by stage; in run.json each one is a top-level entry under its stage's name."""
 
     def pairs_of(self, camera: str) -> list[PairRecord]:
-        """The pairs that a camera is one of."""
+        """Return the pairs that a camera is part of."""
         return self._pairs_of.get(camera, [])
 
     @cached_property

@@ -1,9 +1,9 @@
-"""The pinned reference of a work folder: which results of which run later nights are compared with, and copies of them.
+"""The pinned reference of a work folder: the run and results that later nights are compared with, and copies of these results.
 
-`reference.json` says what is pinned, for people and programs; beside it lie copies of the artifacts, so that nothing that happens
-to the cache takes them away.  The record is written last, by rename: at any moment there is the old reference or the new one.
-All of it is there twice, the record as its twin, the artifacts in the cache: what one has lost is put back from the other.
-No night changes what is pinned.
+`reference.json` lists what is pinned, for people and programs; the same folder has copies of the artifacts, so that no change of
+the cache affects them.  The record is written last, by rename: at any moment, either the old or the new reference is in force.
+Everything exists twice, the record as its twin and the artifacts in the cache: each copy can be restored from the other.
+A night never changes the pinned reference.
 """
 
 from __future__ import annotations
@@ -34,37 +34,37 @@ class BadReference(WbflowError):
 
 @dataclass(frozen=True)
 class PinnedArtifact:
-    """What a task made, or rejected, in the reference's run."""
+    """The result of a task in the reference's run, or its rejection."""
 
     task: Task
     key: str
     outcome: str
     """ran or rejected."""
     digest: str
-    """Of the artifact's bytes; "" where it was rejected."""
+    """Digest of the artifact's bytes; "" if the task was rejected."""
 
 
 @dataclass(frozen=True)
 class Reference:
-    """What later nights are compared with."""
+    """The reference that later nights are compared with."""
 
     run: str
-    """Id of the run that it was taken from."""
+    """Id of the run that was pinned."""
     date: str
     """The night of its captures."""
     cameras: Mapping[str, Mapping[str, Any]]
-    """The cameras of the site by id, each as the run has solved it (K, R, C, ...: see cameras.json); empty where it has not."""
+    """The cameras of the site by id, as the run solved them (K, R, C, ...: see cameras.json); an unsolved camera is empty."""
     artifacts: Mapping[Task, PinnedArtifact] = field(default_factory=dict)
     automatic: bool = False
-    """The first good run became it by itself."""
+    """Was it pinned automatically, rather than by the user?"""
 
     @property
     def placed(self) -> frozenset[str]:
-        """The cameras whose poses are known."""
+        """The cameras that have a pose in the reference."""
         return frozenset(camera for camera, solved in self.cameras.items() if solved)
 
     def lines(self) -> list[str]:
-        """What is pinned, for people."""
+        """Return what is pinned as text lines."""
         how = "automatically" if self.automatic else "by hand"
         found = [f"run {self.run}, night of {self.date}, pinned {how}"]
         for subject in dict.fromkeys(task.subject for task in self.artifacts):
@@ -76,14 +76,14 @@ class Reference:
         return found
 
     def to_json(self) -> dict[str, Any]:
-        """Return what reference.json holds."""
+        """Return the content of reference.json."""
         artifacts = [vars(pinned) for pinned in self.artifacts.values()]
         pinned = "automatically" if self.automatic else "by hand"
         return {"run": self.run, "date": self.date, "pinned": pinned, "cameras": self.cameras, "artifacts": artifacts}
 
     @staticmethod
     def from_json(data: Mapping[str, Any]) -> Reference:
-        """Raises KeyError, TypeError or ValueError for what is no reference.json."""
+        """Return the reference of such content.  Raises KeyError, TypeError or ValueError if it is not from a reference.json."""
         artifacts = {}
         for entry in data["artifacts"]:
             stage, subject = entry["task"]
@@ -93,7 +93,7 @@ class Reference:
 
 
 def read_reference(work: WorkFolder) -> Reference | None:
-    """The reference of a work folder, or None.  Raises BadReference where its record and the record's twin are damaged."""
+    """Return the reference of a work folder, or None.  Raises BadReference if neither the record nor its twin can be used."""
     try:
         return read_record(work.reference_record) or read_record(work.reference_twin)
     except BadReference:
@@ -113,9 +113,9 @@ def read_record(path: Path) -> Reference | None:
 
 
 def write_reference(cache: Cache, reference: Reference, receipts: Iterable[Receipt]) -> None:
-    """Put a reference in the place of the one that is there.  The caller holds the lock.  Raises OSError.
+    """Replace the reference of a work folder.  The caller holds the lock.  Raises OSError.
 
-    receipts: of its artifacts, which the cache holds.
+    receipts: those of the reference's artifacts, which must be in the cache.
     """
     work = cache.work
     kept, anew = {work.reference_record, work.reference_twin}, work.reference.exists()
@@ -123,7 +123,7 @@ def write_reference(cache: Cache, reference: Reference, receipts: Iterable[Recei
         for path in files_of(cache, receipt):
             copy_atomic(path, work.pinned(path), fsync="none")
             kept.add(work.pinned(path))
-    os.sync()  # all of them at once: the record is the last to be there
+    os.sync()  # one sync for all copies, before the record is written
     data = with_checksum(_OF, reference.to_json(), in_lines=True)
     for path in (work.reference_twin, work.reference_record):
         write_atomic(path, data, ours=True)
@@ -132,8 +132,8 @@ def write_reference(cache: Cache, reference: Reference, receipts: Iterable[Recei
 
 
 def _remove_all_but(reference: Path, kept: set[Path]) -> None:
-    """What was there for an earlier reference goes."""
-    for path in sorted(reference.rglob("*"), reverse=True):  # what is in a folder before the folder
+    """Remove the files of an earlier reference."""
+    for path in sorted(reference.rglob("*"), reverse=True):  # the content of a folder before the folder
         if path.is_dir() and not path.is_symlink():
             with contextlib.suppress(OSError):  # not empty
                 path.rmdir()
@@ -142,7 +142,7 @@ def _remove_all_but(reference: Path, kept: set[Path]) -> None:
 
 
 def drop_reference(work: WorkFolder) -> bool:
-    """Forget the reference; False where there is none.  The caller holds the lock."""
+    """Remove the reference; return False if there is none.  The caller holds the lock."""
     there = work.reference_record.exists() or work.reference_twin.exists()
     for path in (work.reference_twin, work.reference_record):
         path.unlink(missing_ok=True)
@@ -152,6 +152,6 @@ def drop_reference(work: WorkFolder) -> bool:
 
 
 def files_of(cache: Cache, receipt: Receipt) -> list[Path]:
-    """An artifact, if there is one, and its receipt."""
+    """Return the paths of a task's artifact, if there is one, and of its receipt."""
     artifact = [cache.path(receipt)] if receipt.file else []
     return [*artifact, cache.work.receipt(receipt.preimage.task, receipt.key)]

@@ -1,4 +1,4 @@
-"""A run's folder: read, and put together so that `runs/latest` never shows half a run."""
+"""Reading a run's folder, and publishing it so that `runs/latest` never shows an incomplete run."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ _NIGHT = re.compile(r"\d{4}-\d{2}-\d{2}")
 
 
 def _link(path: Path, earlier: Path | None, data: bytes) -> bool:
-    """Give a file a second name where it holds these bytes, and the file system can."""
+    """Hard-link `path` to an earlier file with these bytes; return False if there is none, or linking fails."""
     try:
         if earlier is None or earlier.stat().st_size != len(data) or read_untrusted(earlier, most=sys.maxsize) != data:
             return False
@@ -45,20 +45,20 @@ def _link(path: Path, earlier: Path | None, data: bytes) -> bool:
 
 
 class NoSuchRun(WbflowError, ValueError):
-    """There is no run of that name, or its folder cannot be read."""
+    """No run has that name, or its folder cannot be read."""
 
     exit_code = ExitCode.USAGE
 
 
 @dataclass(frozen=True)
 class RunFolder:
-    """What a finished run left."""
+    """The folder of a finished run."""
 
     paths: RunPaths
 
     @staticmethod
     def at(path: Path) -> RunFolder:
-        """The run in a folder (or of the run.json in it).  Raises NoSuchRun where it is not the folder of a run."""
+        """Return the run in a folder; `path` may also be its run.json.  Raises NoSuchRun if it is not the folder of a run."""
         folder = RunFolder(RunPaths((path if path.is_dir() else path.parent).resolve()))
         if not RunFolder.is_one(path):
             raise NoSuchRun(f"{path} is not the folder of a run: it holds no {folder.paths.record.name}")
@@ -71,9 +71,9 @@ class RunFolder:
 
     @staticmethod
     def of(work: WorkFolder, name: str | None = None) -> RunFolder:
-        """A run by id, or by the night of its captures: the newest run of that night.
+        """Return a run by id, or the newest run of a night by its date.
 
-        "latest-good" is the newest with a cloud whose verdict is good or degraded, "latest" (or None) the newest.
+        "latest-good" is the newest run with a cloud whose verdict is good or degraded, "latest" (or None) the newest.
         Raises NoSuchRun.
         """
         known = work.run_ids()
@@ -102,7 +102,7 @@ class RunFolder:
         return f"RunFolder({str(self.paths.folder)!r})"
 
     def record(self) -> RunRecord:
-        """run.json.  Raises NoSuchRun for one that cannot be read."""
+        """Return the content of run.json.  Raises NoSuchRun if it cannot be read."""
         try:
             status = self.paths.record.stat()
             return _read(self.paths.record, (status.st_ino, status.st_mtime_ns, status.st_size))
@@ -111,7 +111,7 @@ class RunFolder:
             raise NoSuchRun(what) from None
 
     def events(self) -> list[Event]:
-        """What happened, in order.  Raises NoSuchRun for a log that cannot be read."""
+        """Return the events of the log, in order.  Raises NoSuchRun if it cannot be read."""
         try:
             lines = [json.loads(line) for line in read_untrusted(self.paths.log).splitlines()]
             return [event for event in map(event_from_json, lines) if event]
@@ -119,13 +119,13 @@ class RunFolder:
             raise NoSuchRun(f"{self.paths.log} cannot be read: {type(error).__name__}: {error}") from None
 
     def tasks(self) -> dict[Task, TaskEvent]:
-        """How each task ended (the last word of one that was done again)."""
+        """Return how each task ended, by its last event if it ran again."""
         return {event.task: event for event in self.events() if isinstance(event, TaskEvent)}
 
     def cameras(self) -> dict[str, Any]:
-        """Cameras by id in the form of a calibration (K, R, C, width, height, ...); empty where none were solved.
+        """Return cameras by id in the format of a calibration file (K, R, C, width, height, ...); empty if none were solved.
 
-        Raises NoSuchRun for a file that cannot be read.
+        Raises NoSuchRun if the file cannot be read.
         """
         try:
             if not os.path.lexists(self.paths.cameras):
@@ -136,15 +136,15 @@ class RunFolder:
         return found
 
     def damaged(self, missing: bool) -> list[Path]:
-        """Products of the run that are not as they were published.  Raises NoSuchRun where run.json itself is damaged.
+        """Return the products of the run that differ from what was published.  Raises NoSuchRun if run.json itself is damaged.
 
-        missing: count those, too, that are not there any more.
+        missing: include products that no longer exist.
         """
         files = ((self.paths.folder / name, digest) for name, digest in self.record().files.items())
         return [path for path, digest in files if (path.is_file() or missing) and sha256_of(path) != digest]
 
     def is_good(self) -> bool:
-        """Is there a cloud, and a verdict that is good or degraded?  (Runs of earlier versions have a cloud, and no verdict.)"""
+        """Is there a cloud, and a verdict that is good or degraded?  (Runs of earlier versions need only a cloud.)"""
         if not self.paths.cloud.is_file():
             return False
         try:
@@ -154,18 +154,18 @@ class RunFolder:
         return verdict is None or verdict.level != "failed"
 
     def add(self, event: Event) -> None:
-        """Add to the log of a finished run what has happened after it."""
+        """Append to the log an event that happened after the run was published."""
         write_atomic(self.paths.log, read_untrusted(self.paths.log) + log_of([event]))
 
     def write_report(self, page: str) -> Path:
-        """Put a report in the place of the one that is there."""
+        """Replace the report."""
         write_atomic(self.paths.report, page.encode(errors="backslashreplace"))
         return self.paths.report
 
 
 @dataclass(frozen=True)
 class UnfinishedRun:
-    """A run's folder while it is put together, under another name."""
+    """The folder of a run that is not published yet, under a temporary name."""
 
     work: WorkFolder
     name: str
@@ -173,31 +173,31 @@ class UnfinishedRun:
     """SHA-256 of the products that have been written, by name."""
 
     def write_cameras(self, cameras: Mapping[str, Any]) -> None:
-        """The cameras in the form of a calibration.  Raises OSError."""
+        """Write the cameras in the format of a calibration file.  Raises OSError."""
         self.write(self.paths.cameras.name, json.dumps(cameras, indent=1).encode())
 
     def write(self, name: str, data: bytes) -> None:
-        """A product that is not changed after the run; what an earlier run has just the same takes no room.
+        """Write a product that does not change after the run; it is a hard link if the newest earlier copy has the same bytes.
 
-        Products can be read only, so that no program writes through one name what is then read under the other; wbflow itself
-        only ever puts new files in the place of old ones.  Raises OSError.
+        Products are read-only, so that no program changes one run's file through the name in another run's folder; wbflow itself
+        only replaces files, and never writes into them.  Raises OSError.
         """
         path, earlier = self.paths.folder / name, (self.work.run(run).folder / name for run in reversed(self.work.run_ids()))
         if not _link(path, next((place for place in earlier if place.is_file()), None), data):
             write_atomic(path, data)
-        with contextlib.suppress(OSError):  # a file system without rights: nothing depends on them
+        with contextlib.suppress(OSError):  # some file systems have no permissions, and nothing depends on them
             path.chmod(0o444)
         self.files[name] = hashlib.sha256(data).hexdigest()
 
     def publish(self, record: RunRecord, events: Iterable[Event], report: str, metrics: str = "") -> RunFolder:
-        """Add record, log, report and metrics, and give the folder its name; the links lead there.  Raises OSError.
+        """Add record, log, report and metrics, rename the folder to its final name, and update the links.  Raises OSError.
 
         Parameters
         ----------
         record, events : RunRecord, iterable of Event
-            The run in figures, and what happened.
+            The content of run.json, and of the log.
         report, metrics : str
-            The run for people (HTML), and for Prometheus.
+            The report (HTML), and the metrics for Prometheus.
         """
         write_atomic(self.paths.report, report.encode(errors="backslashreplace"))
         write_atomic(self.paths.log, log_of(events))
@@ -211,13 +211,13 @@ class UnfinishedRun:
 
     @property
     def paths(self) -> RunPaths:
-        """Where it is put together."""
+        """Paths in the temporary folder."""
         return self.work.unfinished_run(self.name)
 
 
 def turn_links(work: WorkFolder) -> None:
-    """Turn each link to the newest run that it may show: after a run has its name, and before the next one, in case that was
-    killed in between.  Raises OSError."""
+    """Point each link to the newest run that it may show.  Called after a run is published, and before the next run, in case the
+    process was killed in between.  Raises OSError."""
     may_show: dict[Path, Callable[[RunFolder], bool]] = {work.latest: lambda run: True, work.latest_good: RunFolder.is_good}
     runs = [RunFolder(work.run(name)) for name in reversed(work.run_ids())]
     for link, suits in may_show.items():
@@ -233,8 +233,8 @@ def turn_links(work: WorkFolder) -> None:
 def newest_runs(work: WorkFolder, before: str = "", after: str = "") -> Iterator[tuple[RunFolder, RunRecord]]:
     """Yield runs and their records, newest first, without those that cannot be read.
 
-    Each record is read when it is needed: whoever looks at the past stops as soon as enough is known.
-    before, after: ids of runs; only those between, if given.
+    Records are read lazily: a caller can stop as soon as it has seen enough.
+    before, after: ids of runs; if given, only runs strictly between them.
     """
     for name in reversed(work.run_ids()):
         if name > after and (not before or name < before):
@@ -247,7 +247,7 @@ def newest_runs(work: WorkFolder, before: str = "", after: str = "") -> Iterator
 
 
 def last_of_nights(runs: Iterable[tuple[RunFolder, RunRecord]], most: int = sys.maxsize) -> list[RunRecord]:
-    """The last run of each night, the latest nights but in their order, of runs that come newest first; no more than so many."""
+    """Return the last run of each of the `most` latest nights, in order of date.  runs: newest first."""
     found: dict[str, RunRecord] = {}
     for _, record in runs:
         found.setdefault(record.date, record)
@@ -258,26 +258,26 @@ def last_of_nights(runs: Iterable[tuple[RunFolder, RunRecord]], most: int = sys.
 
 @contextlib.contextmanager
 def hold_to_write(work: WorkFolder, wait: bool) -> Iterator[Mirror | None]:
-    """Hold the work folder while the block runs, and begin with one that is whole; and so the object store that it mirrors.
+    """Hold the work folder, and the object store that it mirrors, while the block runs; first clean up after a killed run.
 
-    Raises Locked where another process holds it and `wait` is False; StoreError where the store does not answer; OSError.
+    Raises Locked if another process holds either and `wait` is False; StoreError if the store does not answer; OSError.
     """
     with hold(work.lock, wait):
         if work.start_writing():
             turn_links(work)
         if work.store:
-            from ..remote import writing  # here: few work folders are mirrors
+            from ..remote import writing  # imported here: few work folders are mirrors
 
             with writing(work, wait) as mirror:
                 turn_links(work)
                 yield mirror
         else:
             yield None
-        work.done_writing()  # not where the block was left by an exception: then there may be something to clear away
+        work.done_writing()  # not after an exception: then there may be something to clean up
 
 
 def refresh(work: WorkFolder) -> None:
-    """Bring what other machines have done, where the work folder mirrors an object store.  Raises StoreError, OSError."""
+    """Download the results of other machines, if the work folder mirrors an object store.  Raises StoreError, OSError."""
     if work.store:
         from ..remote import pull_to_read
 
@@ -286,10 +286,10 @@ def refresh(work: WorkFolder) -> None:
 
 
 def new_run(work: WorkFolder) -> tuple[str, datetime.datetime]:
-    """An id for a run that starts now, and that moment.
+    """Return an id for a run that starts now, and the current time.
 
-    No id is used twice, and ids sort as the runs did: one that starts within the second of the newest run, or after the clock has
-    been set back, takes the next free second.
+    No id is used twice, and ids sort in the order of the runs: a run that starts in the same second as the newest run, or after
+    the clock was set back, takes the next free second.
     """
     now = datetime.datetime.now(datetime.UTC).replace(microsecond=0)
     newest = max((moment for name in work.run_ids() if (moment := started_by(name))), default=None)
@@ -301,12 +301,12 @@ def new_run(work: WorkFolder) -> tuple[str, datetime.datetime]:
 
 @functools.lru_cache(maxsize=32)
 def _read(path: Path, stamp: tuple[int, int, int]) -> RunRecord:
-    """Return a record; verdict, health and report look at the same earlier nights, and read each once."""
+    """Return a record, cached because verdict, health and report read the same earlier nights."""
     return RunRecord.from_json(_entries(read_untrusted(path)))
 
 
 def _entries(data: bytes) -> dict[str, Any]:
-    """Return what run.json holds; that of an earlier version carries no checksum.  Raises ValueError, AttributeError."""
+    """Return the entries of run.json, which has no checksum in earlier versions.  Raises ValueError, AttributeError."""
     try:
         return checked(data, _OF)
     except NoChecksum:
@@ -317,5 +317,5 @@ def _entries(data: bytes) -> dict[str, Any]:
 
 
 def log_of(events: Iterable[Event]) -> bytes:
-    """The lines of a log."""
+    """Return events as the lines of a log."""
     return "".join(json.dumps(event_to_json(event)) + "\n" for event in events).encode()

@@ -1,1 +1,1 @@
-"""The reference: which run later nights are compared with, and what they take from it."""
+"""The reference: the run that later nights are compared with, and what they reuse of it."""

@@ -1,7 +1,7 @@
-"""What many nights have measured from the same poses becomes the reference's: `wbflow pin --refine`.
+"""`wbflow pin --refine`: pool what many nights measured from the same poses into results of the reference.
 
-Of cameras that is the surface they see; of pairs that the reference's own night had too little of, the points they share.  Such a
-pair's cameras stand where they stood then, or its own night counts alone (see `reference.resolve`).
+For cameras, depth maps are pooled; for pairs with too few matches in the reference's own night, the matches.  A later night uses
+such a pair's pooled result only while its cameras have not moved; else it matches the pair anew (see `reference.resolve`).
 """
 
 from __future__ import annotations
@@ -26,15 +26,15 @@ from ..task import Subject, Task, camera_of
 from .create import CannotPin
 
 MOST_NIGHTS = 30
-"""So many nights count at most, the newest."""
+"""Largest number of nights to pool; the newest are used."""
 
 FEWEST_NIGHTS = 3
 
 
 def aggregate_nights(work: WorkFolder, reference: Reference, site: Site) -> dict[Task, int]:
-    """Put what all its nights have measured in the place of what the reference's own night has; returns how many, by task.
+    """Replace results of the reference's own night by results pooled from many nights; returns the number of nights by task.
 
-    The caller holds the lock.  Raises CannotPin where too few nights were compared with the reference; OSError.
+    The caller holds the lock.  Raises CannotPin if too few nights were compared with the reference; OSError.
     """
     cache = Cache(work)
     nights = _nights(work, reference)
@@ -61,7 +61,7 @@ def aggregate_nights(work: WorkFolder, reference: Reference, site: Site) -> dict
 
 
 def _nights(work: WorkFolder, reference: Reference) -> dict[str, dict[Task, str]]:
-    """Keys of what the newest run of each night made of cameras that stood where they did, by date and task."""
+    """Cache keys of the newest run of each night, by date and task, for cameras that had not moved."""
     found: dict[str, dict[Task, str]] = {}
     for folder, record in newest_runs(work):
         if reference.run not in {folder.id, record.reference} or record.date in found:
@@ -69,7 +69,7 @@ def _nights(work: WorkFolder, reference: Reference) -> dict[str, dict[Task, str]
         still = {camera.id for camera in record.cameras if camera.health is None or camera.health.ok}
         try:
             tasks = folder.tasks()
-        except NoSuchRun:  # one night less
+        except NoSuchRun:  # do without this night
             continue
         used = {task: event.key for task, event in tasks.items() if event.usable and event.key and task.subject}
         found[record.date] = {task: key for task, key in used.items() if set(map(camera_of, task.subject)) <= still}
@@ -79,7 +79,7 @@ def _nights(work: WorkFolder, reference: Reference) -> dict[str, dict[Task, str]
 
 
 def _poor(cache: Cache, reference: Reference, stage: Stage) -> list[Subject]:
-    """The pairs of which the reference's own night had too little to tell anything."""
+    """The pairs that the reference's own night rejected with one of the codes `too_little`."""
     of_pairs = {stage.name, *(other.name for other in _resting_on(stage))}
     rejected = [pinned for task, pinned in reference.artifacts.items() if pinned.outcome == "rejected" and task.stage in of_pairs]
     codes = {pinned.task.subject: receipt.code for pinned in rejected if (receipt := cache.by_key(pinned.task, pinned.key))}
@@ -91,7 +91,7 @@ def _resting_on(stage: Stage) -> list[Stage]:
 
 
 def _reference_s_night(cache: Cache, reference: Reference, site: Site) -> Plan:
-    """The night of the reference, all done."""
+    """A plan of the reference's night in which all stored results are committed."""
     plan = Plan(site, {}, reference.date, cache)
     for task, pinned in reference.artifacts.items():
         if receipt := cache.by_key(task, pinned.key):
@@ -100,7 +100,7 @@ def _reference_s_night(cache: Cache, reference: Reference, site: Site) -> Plan:
 
 
 def _made_of(aggregated: Receipt, stage: Stage, then: Plan) -> list[Receipt] | None:
-    """What is made from the aggregated result of a pair as in the reference's night; None where it is too little even so."""
+    """Run the pair stages that need a pooled result, with other inputs of the reference's night; None if one yields nothing."""
     pair = aggregated.preimage.task.subject
     then.commit(aggregated.preimage.task, cached_state(aggregated))
     try:
@@ -114,7 +114,7 @@ def _made_of(aggregated: Receipt, stage: Stage, then: Plan) -> list[Receipt] | N
 def _alike(
     cache: Cache, reference: Reference, stage: Stage, task: Task, nights: Mapping[str, Mapping[Task, str]]
 ) -> dict[str, Receipt]:
-    """A task's receipts by night, as far as they go back to the pose of the reference; what nights share counts once."""
+    """A task's receipts by night, if they rest on the poses of the reference; a result that nights share counts once."""
     same = [n for n, source in stage.inputs.items() if (source.kind, source.name, source.of) == ("stage", POSES, "own")]
     pinned = reference.artifacts.get(task)
     base = cache.by_key(task, pinned.key) if pinned else None
@@ -131,7 +131,7 @@ def _alike(
 
 
 def _aggregate(cache: Cache, stage: Stage, task: Task, receipts: Mapping[str, Receipt], reader: FunctionReader) -> Receipt | None:
-    """The aggregated result, kept in the cache; None where a night's is damaged."""
+    """Pool the results of nights, and store the result in the cache; None if one of them is damaged."""
     function = reader.read(stage.reuse.aggregate)
     any_one = next(iter(receipts.values()))
     own = {name: digest for name, digest in any_one.preimage.inputs.items() if name in stage.inputs}

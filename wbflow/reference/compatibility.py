@@ -1,4 +1,4 @@
-"""Is the reference one of the site as its file describes it now, and by how much have lenses and poses changed if not?"""
+"""Does the reference still fit the site file as it is now, and if not, by how much have lenses and poses changed?"""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ _COMPARED = {"lens", "placement", "survey"}
 
 
 def incompatibility(reference: Reference, plan: Plan) -> str:
-    """What has changed since the reference was pinned that takes it out of use, in words; "" where nothing has.
+    """Return why the reference can no longer be used after changes of the site file, as text; "" if it can.
 
-    Code may change: a reference outlives a new version.  What the site file says of cameras, and of the stages whose results the
-    reference answers for, may not.  plan: of the site as it is now.
+    Code may change: a reference survives a new version.  The site file's entries for cameras, and for the stages whose results
+    are reused from the reference, may not.  plan: that of the site as it is now.
     """
     site = plan.site
     ids = {camera.id for camera in site.cameras}
@@ -55,7 +55,7 @@ def incompatibility(reference: Reference, plan: Plan) -> str:
 def _changed(receipt: Receipt, stage: Stage, site: Site, bound: Binding, settings: Mapping[str, Any]) -> str:
     then, task = receipt.preimage, receipt.preimage.task
     if any(isinstance(how, Adapt) and how.function == then.function for how in (stage.reuse.shifted, stage.reuse.moved)):
-        return ""  # it was made from the result of an earlier reference
+        return ""  # it was derived from the result of an earlier reference
     if then.function not in {bound.function.dotted, stage.reuse.aggregate}:
         return f"{stage.name}: function {then.function} → {bound.function.dotted}"
     now = {**bound.defaults(), **settings}
@@ -79,18 +79,18 @@ def _changed(receipt: Receipt, stage: Stage, site: Site, bound: Binding, setting
 
 
 LEAST_FOCAL = 0.005
-"""Focal lengths that differ by a smaller share have not changed."""
+"""A focal length counts as changed if it differs by more than this share."""
 LEAST_BORDER = 0.001
-"""So has distortion that moves the border of the picture by a smaller share of its width."""
+"""Distortion counts as changed if it moves the corner of the image by more than this share of the image width."""
 LEAST_DEG, LEAST_DISTANCE = 0.5, 0.02
-"""So have poses: degrees between two cameras, and the share of the cameras' mean distance by which one of them differs."""
+"""Poses count as changed if two cameras' relative rotation (degrees) or distance (share of the mean distance) changes by more."""
 
 
 def calibration_change(pinned: Mapping[str, Mapping[str, Any]], site: Site) -> str:
-    """Return in words what is different, "" where nothing is.  pinned: cameras as cameras.json has them, by id.
+    """Return which lenses and poses have changed, as text; "" if none have.  pinned: cameras by id, as in cameras.json.
 
-    Poses are compared with each other, so that the frame and the scale of the pinned world do not matter; those with standard
-    deviations were refined by the run that was pinned, and are not compared.
+    Relative poses are compared, so that the frame and the scale of the pinned world do not matter.  Poses that are stated with
+    standard deviations were refined by the pinned run, and are not compared.
     """
     lenses = {c.id: (c.lens, pinned[c.id]) for c in site.cameras if c.lens.K is not None and pinned.get(c.id, {}).get("K")}
     focals = {name: share for name, (lens, then) in lenses.items() if abs(share := _longer(lens, then)) > LEAST_FOCAL}
@@ -123,7 +123,7 @@ def _longer(lens: Lens, then: Mapping[str, Any]) -> float:
 
 
 def _bent(lens: Lens, then: Mapping[str, Any]) -> float:
-    """Return how far the corner of the picture moves, as a share of its width."""
+    """Return how far the image corner moves, as a share of the width; 1 if the model or a non-Brown coefficient differs."""
     K, width, height = then["K"], float(then["width"]), float(then["height"])
     if lens.model != str(then.get("model") or "brown"):
         return 1.0
@@ -135,13 +135,13 @@ def _bent(lens: Lens, then: Mapping[str, Any]) -> float:
 
 
 def _radial(distortion: Sequence[float], radius: float) -> float:
-    """Return how far k1 k2 p1 p2 k3 move a ray (radial terms)."""
+    """Return the shift of a ray at a radius by the radial terms of k1 k2 p1 p2 k3, in units of the focal length."""
     k1, k2, _, _, k3 = [*distortion, 0.0, 0.0, 0.0, 0.0, 0.0][:5]
     return radius**3 * (k1 + radius**2 * (k2 + radius**2 * k3))
 
 
 def _poses_apart(before: Mapping[str, Any], now: Mapping[str, Any]) -> tuple[float, float]:
-    """Return the most degrees, and share of the mean distance, by which two cameras stand otherwise to each other."""
+    """Return the largest change between two cameras: of the relative rotation in degrees; of distance over the mean distance."""
     pairs = list(combinations(now, 2))
     if not pairs:
         return 0.0, 0.0
@@ -154,6 +154,6 @@ def _poses_apart(before: Mapping[str, Any], now: Mapping[str, Any]) -> tuple[flo
 
 
 def _degrees(one: list[list[float]], other: list[list[float]]) -> float:
-    """Return the angle between two rotations."""
+    """Return the angle between two rotations, degrees."""
     trace = sum(x * y for row, line in zip(one, other, strict=True) for x, y in zip(row, line, strict=True))
     return math.degrees(math.acos(max(-1.0, min(1.0, (trace - 1) / 2))))

@@ -1,4 +1,4 @@
-"""Pinning: a run becomes the reference that later nights are compared with."""
+"""Pinning: makes a run the reference that later nights are compared with."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from ..records.run_folder import RunFolder, newest_runs
 
 
 class CannotPin(WbflowError, ValueError):
-    """A run is no reference."""
+    """A run cannot become the reference."""
 
     exit_code = ExitCode.USAGE
 
 
 def pin(cache: Cache, run: RunFolder, automatic: bool = False) -> Reference:
-    """Make a run the reference of its work folder.  The caller holds the lock.  automatic: nobody has asked for it.
+    """Make a run the reference of its work folder.  The caller holds the lock.  automatic: without a request by the user.
 
-    Raises CannotPin where the run has made no cloud, or the cache no longer holds what it made; OSError.
+    Raises CannotPin if the run has made no cloud, or the cache no longer holds its results; OSError.
     """
     record = run.record()
     if record.cloud is None:
@@ -39,7 +39,7 @@ def pin(cache: Cache, run: RunFolder, automatic: bool = False) -> Reference:
 
 
 def good_run(work: WorkFolder, name: str | None = None) -> RunFolder:
-    """The run that is to be pinned: the named one, else the newest good one.  Raises CannotPin, NoSuchRun."""
+    """The run to pin: the named one, else the newest good one.  Raises CannotPin, NoSuchRun."""
     if name is not None:
         return RunFolder.of(work, name)
     for folder, record in newest_runs(work):
@@ -56,7 +56,7 @@ def fit_to_pin(record: RunRecord) -> bool:
 
 
 def _receipts(cache: Cache, run: RunFolder) -> list[Receipt]:
-    """Of all that a run made or rejected and the reference keeps."""
+    """Receipts of all results and rejections of a run that the reference keeps."""
     kept = {stage.name for stage in STAGES if stage.reuse.stored}
     found = []
     for task, event in run.tasks().items():

@@ -1,7 +1,7 @@
-"""What tonight takes from the pinned reference: inputs, whole results, and how each camera stands compared with it.
+"""What tonight's run takes from the pinned reference: inputs, whole results, and each camera's state compared with it.
 
-The reference answers for the results of a stage that says so (`Reuse`) as long as the cameras in question stand as they did; the
-stage `health` says of each camera whether it does.
+Results of the reference are reused as each stage's `Reuse` defines, depending on whether the cameras involved have moved; the
+stage `health` finds that out for each camera.
 """
 
 from __future__ import annotations
@@ -28,25 +28,25 @@ if TYPE_CHECKING:
     from ..runner.planner import Plan
 
 _STILL, _TURNED, _LOST = "still", "turned", "lost"
-"""A camera's pose is that of the reference, is known from it, or is not known."""
+"""A camera's pose is that of the reference, is derived from it, or is unknown."""
 USELESS = frozenset({"obscured", "stale", "wrong-scene"})
 """States of a camera that shows nothing of the site tonight."""
 FEWEST = 2
-"""So many cameras must stand where they did, for the reference to tell where the others are."""
+"""The reference is reused only if the poses of at least this many cameras are known from it."""
 
 SHIFTS_TYPE = "wbflow_stages.types:Usual"
-"""The type that shifts are handed to a stage as; its fields are lists, one number for each night, oldest first..."""
+"""The type as which a stage gets the shifts of earlier nights; its fields are lists with a number per night, oldest first."""
 SHIFTS = ("shift_x_px", "shift_y_px", "roll_deg")
-"""...and their names, which are those of the figures of the camera's health."""
+"""Fields of `SHIFTS_TYPE`; the figures of a camera's health have the same names."""
 MOST_NIGHTS = 14
 MOST_RUNS = 3 * MOST_NIGHTS
-"""So many records are read at most: nights may be run several times."""
+"""Largest number of run records to read: a night may have several runs."""
 
 
 def shift_history(work: WorkFolder, night: str, reference: str) -> dict[str, dict[str, list[float]]]:
-    """By camera, its shifts by name, one for each night that was compared with the same reference and has them, oldest first.
+    """By camera and name: its shifts on the nights that were compared with the same reference and measured them, oldest first.
 
-    night: only what is older counts, so that a night that is run again finds the same past.  reference: id of its run.
+    night: only older nights count, so that a repeated run finds the same history.  reference: id of the reference's run.
     """
     runs = islice(newest_runs(work, after=reference), MOST_RUNS)
     nights = last_of_nights((run for run in runs if run[1].date < night and run[1].reference == reference), MOST_NIGHTS)
@@ -60,27 +60,27 @@ def shift_history(work: WorkFolder, night: str, reference: str) -> dict[str, dic
 
 @dataclass
 class Resolver:
-    """The reference as tonight's plan sees it."""
+    """Decides what tonight's plan reuses of the reference."""
 
     plan: Plan
-    """Whose states and reference it goes by, as these change."""
+    """Tonight's plan; its states and its reference change during the run."""
     _healths: dict[str, HealthSummary] = field(default_factory=dict, repr=False)
-    """By view, of those that have been looked at tonight."""
+    """Health by view, for the views that were examined tonight."""
     _useless: set[str] = field(default_factory=set, repr=False)
     """Views that show nothing of the site, as far as is known."""
     _own_frames: set[str] = field(default_factory=set, repr=False)
-    """Views whose frame is that of the reference itself."""
+    """Views whose frame tonight is the reference's own (same cache key)."""
     _enough: bool | None = field(default=None, repr=False)
-    """Do enough cameras stand where they did, once the health of all is known?"""
+    """Are the poses of at least `FEWEST` cameras known from the reference?  None until the health of all is known."""
 
     def __post_init__(self) -> None:
-        self.cameras = [view.id for view in self.plan.site.views]  # of a camera that has several, all
+        self.cameras = [view.id for view in self.plan.site.views]  # ids of all views
         self._forced = {name.split(" ")[0] for name in self.plan.force}
-        """Stages that are to be done again."""
+        """Stages with tasks that are forced to run again."""
         self._useless |= {view for view in self.cameras if (h := self.plan.stale.get(camera_of(view))) and h.state in USELESS}
 
     def input(self, need: Source, task: Task) -> Input:
-        """An input that the reference holds.  Raises Waiting."""
+        """An input from the reference; absent if tonight's frames are the reference's own.  Raises Waiting."""
         everywhere = need.of == "every"
         if self.plan.reference is None or self._own_frames.issuperset(task.subject or self.cameras):
             return Joined({}) if everywhere else Absent()
@@ -94,7 +94,7 @@ class Resolver:
         return self._stored(need, Task(origin.name, subject), not whole, task.subject)
 
     def history_input(self, need: Source, task: Task) -> Input:
-        """What earlier nights found of a camera.  Raises Waiting."""
+        """The shifts of a camera on earlier nights.  Raises Waiting."""
         if self.plan.reference is None or self._own_frames.issuperset(task.subject):
             return Absent()
         return Value(SHIFTS_TYPE, self._past.get(camera_of(task.subject[0]), {}))
@@ -105,9 +105,9 @@ class Resolver:
         return shift_history(self.plan.cache.work, self.plan.night, reference.run) if reference else {}
 
     def replacement(self, stage: Stage, task: Task) -> Receipt | Adapt | None:
-        """What takes the place of working a task out: the reference's result, or another function.
+        """What replaces the computation of a task: the reference's result, or another function; None for neither.
 
-        Raises Waiting while the health of a camera is not known, Impossible where one shows nothing of the site.
+        Raises Waiting while the health of a camera is not known, Impossible if a camera shows nothing of the site.
         """
         if stage.reuse.shifted is None or self.plan.reference is None or not any(s.name == HEALTH for s in self.plan.stages):
             return None
@@ -122,7 +122,7 @@ class Resolver:
         return decision if isinstance(decision, Adapt) else None
 
     def state_of(self, camera: str) -> str:
-        """How a camera is; a view that shows nothing is of no use, else it is as its camera is.  Raises Waiting."""
+        """The state of a view: its own if it shows nothing of the site, else that of its camera.  Raises Waiting."""
         if health := self.plan.stale.get(camera_of(camera)):
             return health.state
         own = self._own_state(camera)
@@ -130,7 +130,7 @@ class Resolver:
         return next((state for state in (own, *others) if state not in USELESS | {"ok"}), own)
 
     def _own_state(self, view: str) -> str:
-        """How a view is, by itself.  Raises Waiting."""
+        """The state of a view, without that of other views of its camera.  Raises Waiting."""
         task = Task(HEALTH, (view,))
         state = self.plan.states.get(task)
         if state is None:
@@ -141,9 +141,9 @@ class Resolver:
         return "ok" if frame and frame.usable else "obscured"
 
     def health(self, camera: str) -> Health | None:
-        """What is known of a camera's health, or of that of the camera of a view; None where nobody has looked.
+        """The health of a camera, or of the camera of a view; None if it was not examined.
 
-        Of several views, that of the first that has turned; the camera shows nothing of the site where none of them does.
+        Of several views, the first that shows the site and is not ok decides, else the first that shows it, else the first.
         """
         if known := self.plan.stale.get(camera_of(camera)):
             return known
@@ -152,7 +152,7 @@ class Resolver:
         return next((health for health in of_use if not health.ok), next(iter(of_use or found), None))
 
     def _views_of(self, camera: str) -> Sequence[str]:
-        """A camera's views, or those of the camera of a view; most have one."""
+        """The views of a camera, or of the camera of a view; most cameras have one."""
         return self._views.get(camera_of(camera), [camera])
 
     @cached_property
@@ -163,11 +163,11 @@ class Resolver:
         return found
 
     def useless(self) -> Set[str]:
-        """The cameras of which it is known that they show nothing of the site tonight."""
+        """The views that are known to show nothing of the site tonight."""
         return self._useless if self.plan.reference else frozenset()
 
     def unfit(self, subject: Subject) -> Impossible:
-        """Why what one of these cameras shows is not used."""
+        """Why a task is impossible: a camera of its subject shows nothing of the site."""
         camera = next((c for c in subject if c in self.useless()), subject[0])
         if health := self.plan.stale.get(camera_of(camera)) or self._healths.get(camera):
             return Impossible(f"camera {camera} is {health.state}: {health.text}", Cause.UNFIT)
@@ -175,19 +175,19 @@ class Resolver:
         return because(frame, self.plan.states[frame])
 
     def task_ended(self, task: Task) -> None:
-        """A task has ended: that may have been the health of a camera."""
+        """Note the health of a camera, if a task that has ended found it."""
         state = self.plan.states[task]
         if task.stage == HEALTH and state.usable:
             self._healths[task.subject[0]] = health = summary_of(state, HealthSummary)
             self._useless |= set(task.subject) if health.state in USELESS else set()
 
     def note_frame(self, subject: Subject, key: str) -> None:
-        """The key of tonight's frame of a camera."""
+        """Note whether a camera's frame tonight, by its cache key, is the reference's own."""
         pinned = self.plan.reference.artifacts.get(Task(FRAMES, subject)) if self.plan.reference else None
         (self._own_frames.update if pinned and pinned.key == key else self._own_frames.difference_update)(subject)
 
     def artifact_lost(self, task: Task) -> None:
-        """An artifact was found damaged: where it was the reference's, its copy is put back, or that has it no longer."""
+        """Handle a damaged artifact: if it is the reference's, restore it from its copy, or else drop it from the reference."""
         self._enough = None
         if task.stage == HEALTH:
             self._healths.pop(task.subject[0], None)
@@ -211,9 +211,9 @@ class Resolver:
         return reuse.shifted if _TURNED in standing else "reuse"
 
     def _of_many_nights(self, task: Task) -> bool:
-        """Is the reference's result of a pair pooled from many nights, or made from one that is?
+        """Is the reference's result of a pair pooled from many nights, or derived from one that is?
 
-        Its cameras need not be placed for that, only stand there still.
+        Such a result can be reused even if its cameras are not placed, as long as they have not moved.
         """
         receipt = self._receipt(task)
         for stage in STAGES if receipt and len(task.subject) == 2 else ():
@@ -223,7 +223,7 @@ class Resolver:
         return False
 
     def _standing(self, camera: str) -> str:
-        """Is a camera's pose that of the reference, or known from it?  Raises Waiting."""
+        """Is a camera's pose that of the reference, derived from it, or unknown?  Raises Waiting."""
         if self.plan.reference is None or camera_of(camera) not in self.plan.reference.placed:
             return _LOST
         state = self.state_of(camera)
@@ -232,7 +232,7 @@ class Resolver:
         return _STILL if state == "ok" else _LOST
 
     def _enough_stand(self) -> bool:
-        """Do enough cameras stand where they did?  Raises Waiting."""
+        """Are the poses of enough cameras known from the reference?  Raises Waiting."""
         if self._enough is None:
             self._enough = len({camera_of(c) for c in self.cameras if self._standing(c) != _LOST}) >= FEWEST
         return self._enough

@@ -1,4 +1,4 @@
-"""What the reference or the cache has lost is put back from the other, before a run and whenever a reader finds damage."""
+"""Restores what the reference or the cache has lost from the other, before a run and whenever a reader finds damage."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 def prepare(context: RunContext, journal: Journal) -> None:
-    """Restore what the reference holds, and warn where it cannot be used.  The caller holds the lock."""
+    """Restore the results of the reference, and warn if it cannot be used.  The caller holds the lock."""
     plan, work = context.plan, context.plan.cache.work
     fault = mend_record(work) if plan.site.settings.pin != "none" else None
     if fault:
@@ -41,9 +41,9 @@ def prepare(context: RunContext, journal: Journal) -> None:
 
 
 def mend_record(work: WorkFolder) -> str | None:
-    """Make the record and its twin the same again, from the one that is whole; returns what was wrong, in words.
+    """Restore the record of the reference or its twin from the intact one; returns what was wrong, as text, or None.
 
-    Where neither is, both are taken out of use, so that the next good night is pinned.  The caller holds the lock.
+    If neither is intact, both are removed, so that the next good night is pinned.  The caller holds the lock.
     Raises OSError.
     """
     record, twin = work.reference_record, work.reference_twin
@@ -68,9 +68,9 @@ def mend_record(work: WorkFolder) -> str | None:
 
 
 def restore(cache: Cache, reference: Reference) -> tuple[list[Task], list[Task], list[Task]]:
-    """Put back what the cache or the reference has lost, as far as the other still has it.  The caller holds the lock.
+    """Restore results that the cache or the reference has lost, as far as the other still has them.  The caller holds the lock.
 
-    Returns the tasks whose results were put back into the cache, copied anew from there, and are nowhere.  Raises OSError.
+    Returns the tasks whose results were restored to the cache, copied to the reference, and found in neither.  Raises OSError.
     """
     work = cache.work
     to_cache: list[Task] = []
@@ -89,7 +89,7 @@ def restore(cache: Cache, reference: Reference) -> tuple[list[Task], list[Task],
 
 
 def put_back(work: WorkFolder, pinned: PinnedArtifact) -> bool:
-    """Put a result of the reference back into the cache; False where the reference's own copy is damaged or gone.
+    """Put a result of the reference back into the cache; returns False if the reference's own copy is damaged or gone.
 
     The caller holds the lock.  Raises OSError.
     """
@@ -108,9 +108,9 @@ def put_back(work: WorkFolder, pinned: PinnedArtifact) -> bool:
 
 
 def _differs(cache: Cache, receipt: Receipt) -> bool:
-    """At first sight: is the reference's copy of a receipt or an artifact gone, or of another size?"""
+    """Quick check: is the reference's copy of a receipt or an artifact gone, or of another size?"""
     record = cache.work.receipt(receipt.preimage.task, receipt.key)
-    copies = str(cache.work.pinned(record.parent))  # joined as text: every night looks at all of them
+    copies = str(cache.work.pinned(record.parent))  # as text, which is faster: every night checks all of them
     try:
         sizes = {record.name: record.stat().st_size} | ({receipt.file: receipt.bytes} if receipt.file else {})
         return any(os.stat(f"{copies}/{name}").st_size != size for name, size in sizes.items())  # noqa: PTH116

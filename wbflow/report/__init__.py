@@ -8,12 +8,12 @@ from typing import Any
 
 
 def render(template: str, **content: Any) -> str:
-    """Return the page of a template in `assets`; all that is put in is escaped, but for the assets."""
+    """Return the page made from a template in `assets`; all inserted content is escaped, except the assets."""
     from jinja2 import Environment, FileSystemBytecodeCache, FunctionLoader, StrictUndefined  # here: only pages need it
     from markupsafe import Markup
 
     compiled = None
-    with contextlib.suppress(RuntimeError, OSError):  # a machine without a folder for it compiles the template each time
+    with contextlib.suppress(RuntimeError, OSError):  # without a cache folder, templates are compiled each time
         compiled = FileSystemBytecodeCache()
     environment = Environment(
         loader=FunctionLoader(_asset), autoescape=True, bytecode_cache=compiled, undefined=StrictUndefined, trim_blocks=True

@@ -1,4 +1,4 @@
-"""Charts of the report: figures over the last nights, each camera's last nights, and where the time went."""
+"""Charts of the report: figures over the last nights, each camera's last nights, and the run times of tasks."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def trends(data: ReportData) -> list[dict[str, Any]]:
     nights, found = data.nights, list[dict[str, Any] | None]()
     titles = {str(Measure.POINTS): "points in the cloud", str(Measure.PAIRS): "pairs that were used"}
     names = dict.fromkeys(name for night in nights for name in figures_of(night))
-    for name in (name for name in names if name not in {stage.name for stage in STAGES}):  # those follow, by their own titles
+    for name in (name for name in names if name not in {stage.name for stage in STAGES}):  # stages follow, with own titles
         found.append(_chart(data, titles.get(name, name), [figures_of(night).get(name) for night in nights]))
     fields = {(stage, name): None for night in nights for stage, result in night.results.items() for name in vars(result)}
     for stage, name in fields:
@@ -47,9 +47,9 @@ def trends(data: ReportData) -> list[dict[str, Any]]:
 
 
 def _chart(data: ReportData, title: str, values: Sequence[float | None], unit: str = "") -> dict[str, Any] | None:
-    """Return the chart of a figure, oldest night first; None where fewer than two nights have it, or all are 0.
+    """Return the chart of a figure, oldest night first; None if fewer than two nights have it, or all values are 0.
 
-    Its points are, of each night: x, y, its verdict, its words, and the link to its report ("" for this night).
+    Its points are, for each night: x, y, verdict, label, and link to the report ("" for this night).
     """
     known = [value for value in values if value is not None]
     if len(known) < 2 or not any(known):
@@ -88,7 +88,7 @@ def _megabytes(data: ReportData, night: RunRecord) -> float | None:
 
 
 def camera_bars(data: ReportData) -> dict[str, list[tuple[str, float, str]]]:
-    """Return each camera's last nights: its state, the share of its pairs that find common points, and words."""
+    """Return each camera's last nights: its state, the share of its pairs that find common points, and a label."""
     bars: dict[str, list[tuple[str, float, str]]] = {camera.id: [] for camera in data.record.cameras}
     for night in data.nights[-SPARK_NIGHTS:]:
         figures = appearance_of(night)
@@ -108,7 +108,7 @@ def _camera_words(camera: CameraRecord, share: float) -> str:
 
 
 def tasks_of_stages(data: ReportData) -> Iterator[tuple[str, Counter[str]]]:
-    """Yield name and outcomes of the tasks of each stage: ran, cached, rejected, failed, skipped."""
+    """Yield the name of each stage with the counts of its tasks' outcomes: ran, cached, rejected, failed, skipped."""
     counts: dict[str, Counter[str]] = {}
     for task, event in data.tasks.items():
         outcome = "cached" if event.usable and not (event.outcome == "ran" and event.fresh) else event.outcome
@@ -117,9 +117,9 @@ def tasks_of_stages(data: ReportData) -> Iterator[tuple[str, Counter[str]]]:
 
 
 def timetable(data: ReportData) -> dict[str, Any] | None:
-    """Return when tasks ran this night; None where none did.  Tasks that ran at the same time lie in different rows.
+    """Return when tasks ran this night; None if none did.  Tasks that ran at the same time are in different rows.
 
-    Its bars are, of each task: number of its stage, which is its colour, row, x, width, and words.
+    Its bars are, for each task: the number of its stage, which gives the colour, row, x, width, and label.
     """
     numbers = {stage.name: k for k, stage in enumerate(STAGES)}
     ran: list[tuple[float, float, Task]] = []

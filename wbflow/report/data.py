@@ -1,4 +1,4 @@
-"""The data of a report: the run, its events, the nights before it, and what differs from the last good one."""
+"""The data of a report: the run, its events, the nights before it, and its differences from the last good one."""
 
 from __future__ import annotations
 
@@ -21,20 +21,20 @@ from ..site.models import Site
 from ..task import Task, view_name
 
 NIGHTS = 30
-"""Nights in the report's charts."""
+"""Number of nights in the report's charts."""
 
 
 @dataclass(frozen=True)
 class ReportData:
-    """A run, and what surrounds it."""
+    """A run with the site, cache and earlier nights that its report needs."""
 
     cache: Cache
     record: RunRecord
     events: tuple[Event, ...]
     cameras: Mapping[str, Any] = field(repr=False)
-    """The cameras of the cloud by id, as cameras.json has them."""
+    """The cameras of the cloud by id, as in cameras.json."""
     files: Path
-    """The folder in which the run's files lie now."""
+    """The folder that contains the run's files now."""
     site: Site
 
     @property
@@ -43,7 +43,7 @@ class ReportData:
 
     @cached_property
     def tasks(self) -> dict[Task, TaskEvent]:
-        """How each task ended."""
+        """The event with the outcome of each task."""
         return {event.task: event for event in self.events if isinstance(event, TaskEvent)}
 
     @cached_property
@@ -52,11 +52,11 @@ class ReportData:
         return {task: event.key for task, event in self.tasks.items() if event.usable and event.key}
 
     def drawing(self, task: Task, name: str) -> bytes | None:
-        """Return what was drawn of a result (see `Products.drawings`); None where it is gone, or never was."""
+        """Return a drawing of a result (see `Products.drawings`); None if it is gone or never existed."""
         return self.cache.drawing(task, key, name) if (key := self.keys.get(task)) else None
 
     def frame(self, camera: str) -> Task:
-        """Return the task of a camera's frame: of several views the first, which shows the middle."""
+        """Return the task of a camera's frame; if it has several views, that of the first one, which shows the middle."""
         whole, first = (Task(FRAMES, (name,)) for name in (camera, view_name(camera, 1)))
         return first if first in self.tasks else whole
 
@@ -68,7 +68,7 @@ class ReportData:
 
     @property
     def nights(self) -> list[RunRecord]:
-        """Those and this one, oldest first."""
+        """The earlier nights and this one, oldest first."""
         return [*reversed(self.earlier), self.record]
 
     @cached_property
@@ -77,7 +77,7 @@ class ReportData:
         return next((night for night in self.earlier if night.verdict and night.verdict.good), None)
 
     def last_good_of(self, camera: str) -> RunRecord | None:
-        """Return the last earlier night on which a camera was as it should be."""
+        """Return the last earlier night on which a camera's state was good."""
         for record in self.earlier:
             if any(entry.id == camera and state_of(entry, record) == "good" for entry in record.cameras):
                 return record
@@ -97,7 +97,7 @@ class ReportData:
 
     @cached_property
     def _earlier_cameras(self) -> tuple[Mapping[str, Any], str]:
-        """The cameras of the last earlier night on which they were placed, and which night that was."""
+        """The cameras of the last earlier night on which their poses were found, and the date of that night."""
         for record in self.earlier:
             with suppress(NoSuchRun):
                 if cameras := RunFolder.of(self.work, record.run).cameras():
@@ -105,7 +105,7 @@ class ReportData:
         return {}, ""
 
     def _placements(self) -> Iterator[tuple[Mapping[str, Any], str]]:
-        """Yield what is known of where cameras stand, the best first, and where that is from if not from tonight."""
+        """Yield known camera poses, the best source first, each with a note on the source ("" for tonight)."""
         yield self.cameras, ""
         if self._reference:
             yield self._reference.cameras, f"stood here on {self._reference.date}"
@@ -115,7 +115,7 @@ class ReportData:
         yield stated, "stands here by the site file"
 
     def placement(self, camera: str) -> tuple[Mapping[str, Any], str] | None:
-        """Return a camera as cameras.json has it, and where that is from if not from tonight."""
+        """Return a camera's entry, as in cameras.json, and a note on its source ("" for tonight); None if its C is unknown."""
         known = ((cameras.get(camera), note) for cameras, note in self._placements())
         return next(((entry, note) for entry, note in known if entry and entry.get("C")), None)
 
@@ -125,7 +125,7 @@ class ReportData:
 
 
 def state_of(camera: CameraRecord, record: RunRecord) -> str:
-    """Return how a camera was: good, warn (of use, but not as it should be) or bad (gave nothing)."""
+    """Return the state of a camera: good, warn (usable, but something is wrong with it) or bad (no usable result)."""
     if not camera.ok:
         return "bad"
     health = camera.health is None or camera.health.ok
@@ -136,17 +136,17 @@ def state_of(camera: CameraRecord, record: RunRecord) -> str:
 
 @dataclass(frozen=True)
 class Comparison:
-    """Objects that differ from the reference: tonight's against those of the last good night."""
+    """Objects that differ from the reference, compared between tonight and the last good night."""
 
     date: str
     known: Mapping[str, str]
-    """Tonight's objects that were there then, and their names of then."""
+    """Tonight's objects that were already there on the last good night, mapped to their names of that night."""
     gone: Mapping[str, Change]
-    """Objects of then that are as in the reference again."""
+    """Objects of the last good night that no longer differ from the reference."""
 
 
 def since_last_good(data: ReportData, stage: str) -> Comparison | None:
-    """Compare a stage's objects with those of the last good night; None where no good night has the same reference."""
+    """Compare a stage's objects with those of the last good night; None if that night does not have the same reference."""
     record, good = data.record, data.last_good
     if good is None or record.reference is None or record.reference not in {good.reference, good.run}:
         return None
@@ -160,6 +160,6 @@ def since_last_good(data: ReportData, stage: str) -> Comparison | None:
 
 
 def objects_of(record: RunRecord, stage: str) -> Mapping[str, Change]:
-    """Return all objects with a place that a stage reports, by name."""
+    """Return all objects that a stage reports, by name."""
     result = record.results.get(stage)
     return result.objects if result else {}

@@ -18,17 +18,17 @@ _LONGEST = 900.0
 """Largest height."""
 _MARGIN = 70.0
 _REACH = 0.16
-"""Length of a field of view, as a share of the map."""
+"""Length of a drawn field of view, as a share of the larger side of the map."""
 _FEW = 24
-"""Names of so many cameras have room above them."""
+"""Up to this number of cameras, each camera's name is placed above it."""
 _LETTER, _LINE = 6.0, 11.0
-"""Width of a letter and height of a line, where there are many names."""
+"""Width of a letter and height of a line, if there are many names."""
 _WIDEST = 5.0
-"""Width of a pair's line."""
+"""Extra width of the line of the pair with the most inliers; other usable pairs get a share of it."""
 
 
 class Map:
-    """The site from above, in units of the drawing; its y axis points down."""
+    """The site seen from above, in units of the drawing, whose y axis points down."""
 
     width = WIDTH
 
@@ -36,7 +36,7 @@ class Map:
         self.scene = scene
         wide, high = (max(scene.high[k] - scene.low[k], 1e-9) for k in (0, 1))
         self.scale = min((WIDTH - 2 * _MARGIN) / wide, (_LONGEST - 2 * _MARGIN) / high)
-        """Units of the drawing for one of the page's frame."""
+        """Units of the drawing per unit of the page's frame."""
         self.height = min(_LONGEST, max(360.0, high * self.scale + 2 * _MARGIN))
         self.left = (scene.low[0] + scene.high[0]) / 2 - WIDTH / 2 / self.scale
         self.top = (scene.low[1] + scene.high[1]) / 2 + self.height / 2 / self.scale
@@ -48,11 +48,11 @@ class Map:
         """Offset and anchor of the name of each camera that has room for it."""
 
     def at(self, place: Sequence[float]) -> tuple[float, float]:
-        """Return a place of the page's frame in the drawing."""
+        """Return the position in the drawing of a point in the page's frame."""
         return (place[0] - self.left) * self.scale, (self.top - place[1]) * self.scale
 
     def field_of_view(self, camera: SceneCamera) -> str:
-        """Return its corners on the ground; "" where its direction is not known.  The widest two of its rays bound it."""
+        """Return the corners of its outline, bounded by the camera's two outermost rays; "" if its direction is unknown."""
         level = [(r[0], r[1]) for r in camera.rays if math.hypot(r[0], r[1]) > 1e-9]
         if len(level) < 2 or math.hypot(camera.ahead[0], camera.ahead[1]) < 0.1:
             return ""
@@ -64,7 +64,7 @@ class Map:
         return " ".join(f"{a:.1f},{b:.1f}" for a, b in corners)
 
     def lines(self, pairs: Sequence[PairRecord]) -> Iterator[tuple[PairRecord, float, str]]:
-        """Yield the pairs whose cameras have a place, with the width of their lines and their words; usable ones come last."""
+        """Yield the pairs whose cameras are on the map, with line width and label; usable pairs come last, so they are on top."""
         most = max((pair.figures.inliers or 0 for pair in pairs), default=0) or 1
         for pair in sorted(pairs, key=lambda pair: pair.ok):
             if self.standing.keys() >= {*pair.cameras}:
@@ -81,14 +81,14 @@ class Map:
 
     @property
     def north_deg(self) -> float:
-        """Where the world's y points, clockwise from the top."""
+        """Direction of the world's y axis, clockwise from the top."""
         return math.degrees(math.atan2(self.scene.rows[0][1], self.scene.rows[1][1]))
 
 
 def _outside(cameras: Sequence[SceneCamera], at: Mapping[str, tuple[float, float]]) -> dict[str, tuple[float, float, str]]:
-    """Place names away from the middle of all cameras, which often stand around something.
+    """Place names on the side of each camera that faces away from the middle of all cameras, which often surround the scene.
 
-    Those that lie over others are left out (the pointer shows them); those of cameras to look at come first.
+    Names that would overlap others are left out (hovering shows them); cameras whose state is not good have priority.
     """
     x, y = (sum(values) / len(at) for values in zip(*at.values(), strict=True))
     taken: list[tuple[float, float, float]] = []
@@ -109,9 +109,9 @@ def _outside(cameras: Sequence[SceneCamera], at: Mapping[str, tuple[float, float
 
 
 def layers_of(data: ReportData, drawn: Map) -> list[dict[str, Any]]:
-    """Return the pictures on the map; the head of each names its top left, top right and bottom left corner in the world.
+    """Return the pictures on the map; each head contains the top left, top right and bottom left corner in world coordinates.
 
-    Their matrices go from the unit square to the drawing, as CSS has it: a, b, c, d, e, f.
+    Their matrices map the unit square to the drawing, in the order of CSS: a, b, c, d, e, f.
     """
     found = []
     for stage in STAGES:

@@ -1,6 +1,6 @@
-"""The report of a run, and the page with two runs beside each other.
+"""The report of a run, and the page that compares two runs.
 
-Each is one HTML file with its pictures and points inside, readable anywhere without a network.
+Each is one HTML file that contains its pictures and points, so it can be read without a network.
 """
 
 from __future__ import annotations
@@ -30,9 +30,9 @@ from .pictures import Pictures, Points, large_pictures, other_night, points_of, 
 from .scene import scene_of
 
 MOST_BYTES = 14_000_000
-"""Of a page, about: large pictures get the room that nothing else needs."""
+"""Approximate limit on the size of a page: large pictures get the bytes that everything else leaves."""
 _ROW_BYTES = 4000
-"""Of the text of a camera or a pair, about."""
+"""Approximate size of the text of a camera or a pair."""
 
 
 def rebuild_report(site: Site, run: Run) -> str:
@@ -46,14 +46,14 @@ def build_report(data: ReportData) -> str:
 
 
 def build_comparison(site: Site, tonight: Run, then: Run, changes: Any) -> str:
-    """Return the HTML of two runs of a site, one beside the other.
+    """Return the HTML that compares two runs of a site.
 
-    Raises Gone where the points of one of them are not there any more.
+    Raises Gone if the points of one of them no longer exist.
 
     Parameters
     ----------
     site, tonight, then : Site, Run, Run
-        Whose runs; the later one, and the earlier one.
+        The site; its later run, and its earlier run.
     changes : wbflow_stages.types.Changes
         What changed between them.
     """
@@ -150,7 +150,7 @@ def _when(data: ReportData) -> str:
 
 
 def _pose_notes(record: RunRecord) -> Iterator[str]:
-    """Yield how the cameras were placed, with residuals of distances and control points."""
+    """Yield how the cameras' poses were found, with residuals of distances and control points."""
     if record.poses is None:
         return
     plain = {name: value for name, value in vars(record.poses).items() if isinstance(value, str | int | float) and value != ""}

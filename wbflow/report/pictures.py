@@ -1,6 +1,6 @@
-"""What the page shows of the night's results: pictures, points, layers of the map, and keypoints over the camera pictures.
+"""Drawings of the night's results for the page: pictures, points, layers of the map, and keypoints over the camera pictures.
 
-All of it was drawn when the result was made, and lies beside the artifact; what is not there any more is left out.
+All were drawn when the result was made, and are stored with its artifact; drawings that no longer exist are left out.
 """
 
 from __future__ import annotations
@@ -26,12 +26,12 @@ from .data import ReportData
 Matrix = Sequence[Sequence[float]]
 
 _STILL = 5e-4
-"""A picture that is off by less than this share of its size is not moved."""
+"""Pictures of two nights whose corners differ by less than this share of their size are overlaid without a homography."""
 ROOM = 6_000_000
-"""Bytes of small pictures in a page; the page links to the files of the others."""
+"""Most bytes of small pictures in a page; further pictures are links to their files."""
 
 OTHER = "other"
-"""Stands for the stage of another night's points."""
+"""Used instead of a stage's name for the points of another night."""
 
 
 @dataclass(frozen=True)
@@ -41,14 +41,14 @@ class Picture:
     id: str
     alt: str
     data: str = ""
-    """A data URL; "" where the picture stands elsewhere in the page, or has no room."""
+    """A data URL; "" if the picture is already elsewhere in the page, or exceeds `ROOM`."""
     link: str = ""
-    """The file, seen from the report, where there is no room for it."""
+    """Path to the file, relative to the report, if the picture exceeds `ROOM`; else ""."""
 
 
 @dataclass(frozen=True)
 class OtherNight:
-    """A run of another night, shown beside that of the page: its points, and its pictures laid over those of this night."""
+    """A run of another night to compare with the page's own: its points, and its pictures, overlaid on those of this night."""
 
     date: str
     keys: Mapping[Task, str] = field(repr=False)
@@ -57,13 +57,13 @@ class OtherNight:
     page: ReportData = field(repr=False)
 
     def points(self) -> bytes | None:
-        """Return the stream of its cloud; None where it is gone, or would show what is private now."""
+        """Return the stream of its cloud; None if it is gone, or might show areas that are private now."""
         task = Task(FUSE)
         stream = self.page.cache.drawing(task, self.keys[task], "view") if task in self.keys else None
         return stream if all(self.is_as_private(frame) for frame in self.keys if frame.stage == FRAMES) else None
 
     def is_as_private(self, frame: Task) -> bool:
-        """Return whether a camera's picture of that night left out what is private on the night of the page."""
+        """Return whether a camera's picture of that night hides all that is private now: same polygons then, or none now."""
         stated = next((view for view in self.page.site.views if (view.id,) == frame.subject), None)
         if stated is None or not stated.privacy:
             return True
@@ -75,9 +75,9 @@ class OtherNight:
         return all(then.preimage.inputs.get(name) == now.preimage.inputs.get(name) for name in private)
 
     def onto(self, camera: str) -> str:
-        """Return what lays a camera's picture of that night over this night's: a homography of the unit square, row by row.
+        """Return the homography of the unit square, row by row, that maps a camera's picture of that night onto this night's.
 
-        "" where it has not turned, or where that is not known.
+        "" if the camera has not turned, or its poses are unknown.
         """
         then, now = self.cameras.get(camera), self.page.cameras.get(camera)
         if not then or not now or not all(one.get("R") and one.get("K") for one in (then, now)):
@@ -91,7 +91,7 @@ class OtherNight:
 
 
 def other_night(data: ReportData, run: str | None) -> OtherNight | None:
-    """Return a run beside that of the page; None where there is none that can be read, or where it is the page's own."""
+    """Return a run to compare with the page's own; None if `run` is None, cannot be read, or is the page's own."""
     if run is None or run == data.record.run:
         return None
     try:
@@ -104,7 +104,7 @@ def other_night(data: ReportData, run: str | None) -> OtherNight | None:
 
 @dataclass
 class Pictures:
-    """Hands out pictures in the order of the page; each is in the page once."""
+    """Provides pictures in the order of the page, and embeds each file only once."""
 
     data: ReportData
     held: int = 0
@@ -116,17 +116,17 @@ class Pictures:
         return self._of_result(task, event.key, alt) if event and event.key else None
 
     def of_frame(self, camera: str, alt: str) -> Picture | None:
-        """Return what a camera saw this night."""
+        """Return a camera's picture of this night."""
         return self.of_task(self.data.frame(camera), alt)
 
     def of_last_good(self, camera: str) -> Picture | None:
-        """Return what a camera saw when it was last as it should be."""
+        """Return a camera's picture of the last night on which it was in good state."""
         good = self.data.last_good_of(camera)
         other = other_night(self.data, good.run) if good else None
         return self.of_other_night(other, camera, f"{camera} on {good.date}, when all was well") if good and other else None
 
     def of_other_night(self, night: OtherNight, camera: str, alt: str) -> Picture | None:
-        """Return what a camera saw on another night."""
+        """Return a camera's picture of another night."""
         task = self.data.frame(camera)
         key = night.keys.get(task)
         return self._of_result(task, key, alt) if key and night.is_as_private(task) else None
@@ -141,7 +141,7 @@ class Pictures:
         return self._of(path, alt, lambda: cache.drawing(task, key, "picture"))
 
     def _of(self, path: Path, alt: str, read: Callable[[], bytes | None], link: str = "") -> Picture | None:
-        """Return the picture in a file; None where there is none.  link: to a product, from the report."""
+        """Return the picture in a file; None if there is none.  link: path to a product, relative to the report."""
         if path in self._ids:
             return Picture(self._ids[path], alt)
         name = f"picture-{len(self._ids) + 1}"
@@ -159,14 +159,14 @@ class Pictures:
 
 
 def then_pictures(data: ReportData, album: Pictures, night: OtherNight) -> dict[str, tuple[Picture, str]]:
-    """Return, by camera, what it saw on another night, and how that is laid over what it saw on this one."""
+    """Return, by camera, its picture of another night, and the homography that maps it onto the picture of this night."""
     ids = [camera.id for camera in data.record.cameras]
     found = {name: album.of_other_night(night, name, f"{name} on {night.date}") for name in ids}
     return {name: (picture, night.onto(name)) for name, picture in found.items() if picture and not picture.link}
 
 
 def data_url(content: bytes, kind: str = "image/jpeg") -> str:
-    """Return a file as a URL that holds it.  kind: its MIME type."""
+    """Return a file's content as a data URL.  kind: its MIME type."""
     return f"data:{kind};base64,{base64.b64encode(content).decode()}"
 
 
@@ -188,11 +188,11 @@ class Points:
 
 
 MOST_POINTS = 300_000
-"""Of another night: it is looked at in turns with that of the page."""
+"""Most points of another night's cloud in a page: it is only shown in alternation with the page's own cloud."""
 
 
 def points_of_other(night: OtherNight) -> list[Points]:
-    """Return some points of another night's cloud; none where it is gone."""
+    """Return at most `MOST_POINTS` points of another night's cloud; none if it is gone."""
     stream = night.points()
     if stream is None:
         return []
@@ -202,13 +202,13 @@ def points_of_other(night: OtherNight) -> list[Points]:
 
 
 def points_of(data: ReportData) -> list[Points]:
-    """Return the points of the night's results, the product's first."""
+    """Return the points of the night's results, in the order of the stages: the product's come first."""
     found = ((stage.name, data.drawing(Task(stage.name), "view")) for stage in STAGES)
     return [Points(name, split(stream)[0], stream) for name, stream in found if stream]
 
 
 def split(data: bytes) -> tuple[dict[str, Any], bytes]:
-    """Return the JSON head of a stream, and what follows it."""
+    """Return the JSON head of a stream, and the bytes after it."""
     (length,) = struct.unpack_from("<I", data)
     return json.loads(data[4 : 4 + length]), data[4 + length :]
 
@@ -216,8 +216,8 @@ def split(data: bytes) -> tuple[dict[str, Any], bytes]:
 def large_pictures(data: ReportData, room: int) -> list[tuple[int, str, str]]:
     """Return the night's pictures at full size: the camera's number in the page, their data, and a note about the keypoints.
 
-    Data are three words of Base64 ("-" for none): the JPEG, keypoints, inliers; points are pairs of unsigned 16-bit numbers,
-    shares of width and height.  Cameras with a finding come first where room, in bytes, runs out.
+    The data are three words of Base64 ("-" for none): the JPEG, keypoints, and inliers; points are pairs of unsigned 16-bit
+    numbers, as shares of width and height.  `room` limits their size in bytes; cameras with a finding have priority.
     """
     record = data.record
     in_findings = {name for finding in record.verdict.findings for name in finding.subject} if record.verdict else set()
@@ -247,7 +247,7 @@ def _keypoints(data: ReportData, view: str) -> bytes:
 
 
 def _inliers(data: ReportData) -> Mapping[str, bytes]:
-    """Return the inliers of each view; those of a pair are the left picture's, then as many of the right one."""
+    """Return the inliers of each view; the first half of a pair's inliers is in the left image, the second in the right one."""
     found: dict[str, bytes] = defaultdict(bytes)
     for stage in (stage for stage in STAGES if "marks" in stage.products.drawings and stage.scope == "pair"):
         for pair in data.record.pairs:
@@ -258,7 +258,7 @@ def _inliers(data: ReportData) -> Mapping[str, bytes]:
 
 
 def _keypoint_note(data: ReportData, frame: Task) -> str:
-    """A camera that has not moved keeps the keypoints of the reference's picture."""
+    """Return a note if the keypoints come from the reference's picture, as they do for a camera that has not moved; else ""."""
     cache = data.cache
     shown = cache.by_key(frame, data.keys[frame])
     for stage in STAGES:

@@ -1,4 +1,4 @@
-"""Cameras and objects in one frame for the 3-D view and the map: right, away from the first view, and up."""
+"""Cameras and objects in the coordinate frame of the 3-D view and the map: right, away from the first view, and up."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ Vector = tuple[float, float, float]
 Matrix = Sequence[Sequence[float]]
 
 _UPRIGHT = 0.5
-"""The world's z is up where it agrees so well with every camera's."""
+"""The world's z axis is up if the cosine of its angle with the upward (-y) axis of every camera is above this."""
 _TRIMMED, _GROWN = 0.1, 0.13
-"""Share of the points that the extent leaves out at each end, and by which it grows again: far points don't shrink the site."""
+"""Share of points left out of the extent at each end of an axis (far ones would shrink the site), and the margin then added."""
 
 
 @dataclass(frozen=True)
@@ -28,42 +28,42 @@ class SceneCamera:
     id: str
     C: Vector
     rays: tuple[Vector, ...]
-    """Through the four corners of its picture, of depth 1; () where its direction is not known."""
+    """Rays of depth 1 through the four corners of its picture; () if its rotation is unknown."""
     ahead: Vector
     fov: float
-    """Vertical, radians."""
+    """Vertical field of view, radians."""
     state: str
     note: str
-    """Where its place is from, if not from tonight."""
+    """Source of its pose; "" if it is from tonight."""
     words: str
-    """How it is, and that."""
+    """Its state in words, followed by `note`."""
 
 
 @dataclass(frozen=True)
 class Scene:
-    """The frame of the page, and what stands in it."""
+    """The coordinate frame of the page, with cameras and objects in it."""
 
     rows: tuple[Vector, Vector, Vector]
-    """Right, away and up, in the world."""
+    """Right, away and up, in world coordinates."""
     origin: Vector
     cameras: tuple[SceneCamera, ...]
     objects: tuple[dict[str, Any], ...]
-    """Those that stages report, such as changes, and whether each is known: was there on the last good night."""
+    """Objects that stages report, such as changes; `known` means that the object was there on the last good night."""
     low: Vector
-    """Corners of the box around most points and all cameras, in the frame of the page."""
+    """Lower corner of the box around most points, all cameras and all objects, in the frame of the page; `high`: the other."""
     high: Vector
     middle: Vector
-    """Of the points."""
+    """Centre of the box around most points; `radius` is half its diagonal."""
     radius: float
     unit: str
-    """m, or "" where the scale is not known."""
+    """m, or "" if the scale is unknown."""
     north: str
-    """Name of the direction of the world's y."""
+    """Name of the direction of the world's y axis."""
     place: list[float] | None
-    """Latitude, longitude and height of the world's origin, where the site is on the map."""
+    """Latitude, longitude and height of the world's origin; None if the site is not georeferenced."""
 
     def to(self, point: Sequence[float]) -> Vector:
-        """Return a point of the world in the frame of the page."""
+        """Return a world point in the frame of the page."""
         return _times(self.rows, _minus(point, self.origin))
 
     def to_json(self) -> dict[str, Any]:
@@ -75,10 +75,10 @@ class Scene:
 
 
 def scene_of(data: ReportData, sample: list[Vector]) -> Scene | None:
-    """Return the frame of a run's page; None where no place is known.  sample: some points of the cloud.
+    """Return the frame of a run's page; None without a sample and camera positions.  sample: some points of the cloud.
 
-    Up is the world's z where every camera agrees, else against the mean of the cameras' y axes; the first view goes from the
-    cameras to the points, along an axis of the map where the site is on one.
+    Up is the world's z axis if it agrees with every camera's, else the opposite of the cameras' mean y axis.  The first view
+    looks from the cameras to the points, along a world axis if the site is georeferenced.
     """
     record = data.record
     placed = {camera.id: place for camera in record.cameras if (place := data.placement(camera.id))}
@@ -102,7 +102,7 @@ def scene_of(data: ReportData, sample: list[Vector]) -> Scene | None:
 
 
 def _last_cloud(data: ReportData) -> list[Vector]:
-    """Return the corners of the last cloud: a night without one shows the same place from the same side."""
+    """Return the corners of the last cloud, so that a night without a cloud shows the same place from the same side."""
     for record in data.earlier:
         if record.cloud and record.poses and record.poses.metric:
             return [(x, y, z) for x, y, z in itertools.product(*zip(*record.cloud.bounds, strict=True))]
@@ -119,7 +119,7 @@ def _up(rotations: Sequence[Matrix]) -> Vector:
 def _axes(
     up: Vector, centres: Sequence[Vector], middle: Vector, looks: Sequence[Sequence[float]], on_map: bool
 ) -> tuple[Vector, Vector, Vector]:
-    """Return right, away and up: away from where most cameras stand, else where they look."""
+    """Return right, away and up: away points from the cameras to the middle, else where they look, else along y."""
     ways = [_minus(middle, C) for C in centres]
     spread = sum(math.hypot(*way) for way in ways)
     away: Vector = (1.0, 0.0, 0.0)
@@ -163,7 +163,7 @@ def _objects(data: ReportData, rows: Matrix, origin: Vector) -> Iterator[dict[st
 
 
 def _box(points: Sequence[Vector], trimmed: float) -> tuple[Vector, Vector]:
-    """Return the corners of the box around points, without a share of them at each end, but grown again."""
+    """Return two corners of the box around points; if a share is trimmed at each end of the axes, a margin is added."""
     ordered, skipped = [sorted(values) for values in zip(*points, strict=True)], int(trimmed * (len(points) - 1))
     low, high = (_vector(values[k] for values in ordered) for k in (skipped, len(points) - 1 - skipped))
     margin = _sum([_minus(high, low)], _GROWN if trimmed else 0.0)

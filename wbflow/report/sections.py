@@ -1,4 +1,4 @@
-"""The sections of the report: the first screen, cameras, pairs with what was tried, results of site-wide stages, and settings."""
+"""The sections of the report: first screen, cameras, pairs with the stages they reached, site-wide results, and settings."""
 
 from __future__ import annotations
 
@@ -23,18 +23,18 @@ from .data import Comparison, ReportData, since_last_good, state_of
 from .pictures import Picture, Pictures
 
 BADGES = {"good": "as it should be", "warn": "look at it", "bad": "down"}
-"""Words for the states of cameras."""
+"""Labels of the camera states."""
 _MOST_OF_A_KIND = 4
-"""Findings of one kind that are shown; more are folded."""
+"""Largest number of findings of one kind that are shown in full; further ones are folded."""
 _MOST_FIGURES = 8
-"""Figures of a step that was tried."""
+"""Largest number of figures shown for a stage that a pair reached."""
 
 Fact = tuple[str, str, str, str]
-"""A main figure of the night: value, words, what is usual, and fair or bad where it is clearly below that, else ""."""
+"""A main figure of the night: value, label, usual value, and "fair" or "bad" if it is clearly below the usual value, else ""."""
 
 
 def headline(data: ReportData) -> tuple[str, str, str]:
-    """Return the verdict, and in words what it comes to and what to do first."""
+    """Return the level of the verdict, a title, and a text with its reason and what to do first."""
     record, verdict = data.record, data.record.verdict
     level = verdict.level if verdict else "good" if record.exit_code == 0 else "degraded" if record.cloud else "failed"
     findings = verdict.findings if verdict else ()
@@ -52,7 +52,7 @@ def headline(data: ReportData) -> tuple[str, str, str]:
 
 
 def _shared(record: RunRecord, cameras: list[Finding]) -> str:
-    """Return what to do where nearly all cameras have the same fault: then none of them is to blame."""
+    """Return what to do if nearly all cameras have the same fault, whose cause is then common to them; else ""."""
     kinds = {finding.kind for finding in cameras}
     if len(kinds) != 1 or len(cameras) < max(3, 0.8 * len(record.cameras)):
         return ""
@@ -115,22 +115,22 @@ def volume_facts(data: ReportData) -> Iterator[Fact]:
 
 
 def _change_count(result: SiteSummary) -> int | None:
-    """Return how many objects a stage has found to differ from the reference; None where it compared nothing."""
+    """Return how many objects a stage found to differ from the reference; None if it compared nothing."""
     return result.count if isinstance(result, ChangesSummary) and result.compared else None
 
 
 def _acknowledged(result: SiteSummary) -> int:
-    """Return how many of a stage's objects somebody knows of."""
+    """Return how many of a stage's objects are acknowledged."""
     return sum(bool(thing.acknowledged) for thing in result.objects.values())
 
 
 def _newer(count: int, result: SiteSummary, since: Comparison) -> int:
-    """Return how many objects were not there on the last good night, and nobody knows of."""
+    """Return how many objects were not there on the last good night and are not acknowledged."""
     return count - len(since.known) - sum(bool(o.acknowledged) and n not in since.known for n, o in result.objects.items())
 
 
 def _changes(data: ReportData) -> str:
-    """Return a sentence with the number and kinds of changes since the reference; "" without any."""
+    """Return a sentence with the number and kinds of changes since the reference; "" if there are none."""
     for stage, result in data.record.results.items():
         if count := _change_count(result):
             kinds = Counter(thing.kind or "other" for thing in result.objects.values())
@@ -143,7 +143,7 @@ def _changes(data: ReportData) -> str:
 
 
 def _grade(value: float, base: float | None) -> str:
-    """Compare a figure with what is usual: for the colour alone, the verdict has its own limits."""
+    """Grade a figure against its usual value, for its colour only; the verdict has its own limits."""
     if not base:
         return ""
     return "" if value >= 0.9 * base else "fair" if value >= 0.7 * base else "bad"
@@ -152,8 +152,8 @@ def _grade(value: float, base: float | None) -> str:
 def findings(data: ReportData, album: Pictures) -> list[dict[str, Any]]:
     """Return the findings of a night with their pictures, the most important first.
 
-    Each has the number of its camera in the page, from 1 (0 if it is about none), pictures with their captions (None for one that
-    is missing), and the text instead of a missing one.
+    Each has the number of its camera in the page, from 1 (0 if it is about none), pictures with their captions (None for a
+    missing picture), and the text that replaces a missing picture.
     """
     record = data.record
     numbers = {camera.id: k for k, camera in enumerate(record.cameras, 1)}
@@ -185,14 +185,14 @@ def _pictures(data: ReportData, album: Pictures, finding: Finding, number: int) 
 
 
 def cameras(data: ReportData) -> list[tuple[str, int, CameraRecord]]:
-    """Return state, number in the site file from 1, and record of each camera: those that gave nothing first, then those to look
-    at; else in the order of the site file."""
+    """Return state, number in the site file (from 1), and record of each camera: "bad" ones first, then "warn" ones, otherwise in
+    the order of the site file."""
     found = [(state_of(camera, data.record), k, camera) for k, camera in enumerate(data.record.cameras, 1)]
     return sorted(found, key=lambda entry: ("bad", "warn", "good").index(entry[0]))
 
 
 def camera_figures(data: ReportData, camera: CameraRecord) -> tuple[list[tuple[str, str, str]], dict[str, float]]:
-    """Return title, meaning and value of a camera's main figures, and its other numbers by name."""
+    """Return title, explanation and value of a camera's main figures, and its other numbers by name."""
     numbers = {name: v for name, v in vars(camera.figures).items() if isinstance(v, int | float) and not isinstance(v, bool)}
     points, pairs = numbers.pop("points", None), data.record.pairs_of(camera.id)
     main = [("used pairs", "of its pairs, those matched densely", f"{sum(p.ok for p in pairs)} of {len(pairs)}")]
@@ -214,7 +214,7 @@ def keypoints(data: ReportData, camera: CameraRecord) -> str:
 
 
 def camera_words(data: ReportData, camera: CameraRecord) -> str:
-    """Return how a camera was; "" for one that is well on a night without a reference."""
+    """Return the state of a camera in words; "" if it is well on a night without a reference."""
     alone = data.record.reference is None
     health = camera.health.text if camera.health and not (alone and camera.health.ok) else ""
     words = health if camera.ok else camera.reason or camera.outcome
@@ -222,13 +222,13 @@ def camera_words(data: ReportData, camera: CameraRecord) -> str:
 
 
 def pair_columns(data: ReportData) -> list[str]:
-    """Return the names of the figures that any pair has."""
+    """Return the names of the figures that at least one pair has."""
     names = [field.name for field in fields(PairFigures)]
     return [name for name in names if any(getattr(pair.figures, name) not in {None, ""} for pair in data.record.pairs)]
 
 
 def tried(data: ReportData, pair: PairRecord) -> Iterator[tuple[str, str, str]]:
-    """Yield the stages of a pair as far as it came: name, outcome, and figures."""
+    """Yield name, outcome and figures of each stage that a pair reached."""
     for stage in (stage for stage in STAGES if stage.scope == "pair"):
         event = data.tasks.get(Task(stage.name, (pair.left, pair.right)))
         if event is None or event.outcome == "skipped":
@@ -241,7 +241,7 @@ def tried(data: ReportData, pair: PairRecord) -> Iterator[tuple[str, str, str]]:
 
 
 def _step_figures(stage: Stage, receipt: Receipt) -> Iterator[str]:
-    """Yield the numbers of a result by the names of run.json; of a rejection those behind the reason."""
+    """Yield the numbers of a result, named as in run.json; for a rejection, the figures that led to it."""
     made = stage.summary if receipt.outcome != "rejected" else None
     figures = vars(made.from_json(receipt.figures)) if made else receipt.figures
     numbers = [(n, v) for n, v in figures.items() if isinstance(v, int | float) and not isinstance(v, bool) and v == v]
@@ -257,7 +257,7 @@ def pair_pictures(data: ReportData, album: Pictures) -> list[tuple[str, list[Pic
 
 
 def parts(data: ReportData, album: Pictures) -> list[dict[str, Any]]:
-    """Return the results of each site-wide stage in run.json; of its things, those first that nobody knows of."""
+    """Return the results of each site-wide stage in run.json; objects that are not acknowledged come first."""
     found = []
     unit = "m" if data.record.poses is None or data.record.poses.metric else ""
     for stage in STAGES:
@@ -301,7 +301,7 @@ def _volumes(result: SiteSummary, unit: str) -> Iterator[tuple[str, ...]]:
 
 
 def _dimensions(entry: Change, unit: str) -> str:
-    """Return the size and place of an object, as far as it has them."""
+    """Return the size, volume and place of an object, as far as they are known."""
     size = " × ".join(f"{side:.1f}" for side in (entry.length, entry.width, entry.height) if side is not None)
     volume, sigma = entry.volume, entry.volume_sigma
     room = f"{volume:.1f}" + (f" ± {sigma:.1f}" if sigma else "") + (f" {unit}³" if unit else "") if volume else ""
@@ -310,7 +310,7 @@ def _dimensions(entry: Change, unit: str) -> str:
 
 
 def is_picture(file: str) -> bool:
-    """Return whether a file's name is that of a picture."""
+    """Return whether a file is a picture, by its name."""
     return (mimetypes.guess_type(file)[0] or "").startswith("image/")
 
 

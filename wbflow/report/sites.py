@@ -1,4 +1,4 @@
-"""The page about several sites: each with its last nights and a picture, those that need attention first."""
+"""The page about several sites: the last nights and a picture of each; sites that need attention come first."""
 
 from __future__ import annotations
 
@@ -32,24 +32,24 @@ class SiteRow:
     fault: str = ""
     """Why the site cannot be shown."""
     nights: tuple[tuple[Entry, str, str], ...] = ()
-    """Of each night, oldest first: its last run, the level of its verdict, and the link to its report; "" where there is none."""
+    """For each night, oldest first: its last run, the level of its verdict, and the link to its report; "" if there is none."""
     picture: str = ""
 
     @property
     def findings(self) -> tuple[Finding, ...]:
-        """Those of the last night."""
+        """The findings of the last night."""
         verdict = self.nights[-1][0].verdict if self.nights else None
         return verdict.findings if verdict else ()
 
     @property
     def order(self) -> tuple[int, str]:
-        """Sites that need attention come first."""
+        """Sort key: sites that need attention come first."""
         level = "failed" if self.fault else self.nights[-1][1] if self.nights else ""
         return ({"failed": 0, "degraded": 1}.get(level, 2), self.name)
 
 
 def site_files(places: Sequence[Path]) -> list[Path]:
-    """Return the named site files; of a folder its site.yaml, else all site files in it and one level below."""
+    """Return the named site files; for a folder its site.yaml, else all site files in it and each site.yaml one level below."""
     found: list[Path] = []
     for place in places:
         own = place / "site.yaml"
@@ -61,7 +61,7 @@ def site_files(places: Sequence[Path]) -> list[Path]:
 
 
 def sites_page(places: Sequence[Path], out: Path) -> str:
-    """Return the HTML of all sites.  out: its file, for the links in it."""
+    """Return the HTML page of all sites.  out: the file it will be written to; links are relative to it."""
     rows = sorted((_row(file, out.resolve().parent) for file in site_files(places)), key=lambda row: row.order)
     return render("sites.html", rows=rows)
 

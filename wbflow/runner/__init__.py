@@ -1,1 +1,1 @@
-"""One run: its context, its plan, and how that is done."""
+"""One run: its context, its plan, and the execution of the plan."""

@@ -1,4 +1,4 @@
-"""What a run starts from: the captures of its night, and its plan.  `run`, `status` and `check` begin here."""
+"""The start of a run: the captures of its night, and its plan.  `run`, `status` and `check` begin here."""
 
 from __future__ import annotations
 
@@ -19,23 +19,23 @@ from .planner import Plan
 
 @dataclass
 class RunContext:
-    """A site on one night: the plan of what is made of its captures, and what is remembered of these."""
+    """A site on one night: the plan for its captures, and the memos about these."""
 
     date: datetime.date
     digests: Digests
-    """To be saved by a run."""
+    """Saved at the end of a run."""
     earlier_captures: EarlierCaptures
-    """To be saved by a run that comes to its end."""
+    """Saved at the end of a run."""
     notes: dict[str, str]
-    """Remarks about the captures of a camera."""
+    """Remarks about captures, by camera."""
     plan: Plan
     replaced: set[Path] = field(default_factory=set)
-    """Files that were found changed after their digests had been taken."""
+    """Files that were found to have changed after their digests were taken."""
     growing: frozenset[Path] = frozenset()
     """Captures that were still being written when the run began."""
 
     def reread(self, path: Path) -> None:
-        """A file has changed since its digest was taken: the plan goes on with what it holds now."""
+        """Take a new digest of a file that has changed; the plan continues with its present content."""
         self.replaced.add(path)
         self.digests.forget(path)
         self.plan.relist()
@@ -46,10 +46,10 @@ class RunContext:
                 self.plan.named[name] = as_now(file, self.digests)
 
     def captures_in_motion(self) -> tuple[dict[str, list[str]], dict[str, list[str]]]:
-        """Captures that have changed since the run began, by camera: those that should not have, and those that may.
+        """Captures that have changed since the run began, by camera: first harmful changes, then harmless ones.
 
-        A camera whose captures' names say no date overwrites one and the same file: each is read as a whole, and once it is
-        complete the next one harms nothing.
+        If the names of captures contain no date, a camera overwrites the same file again and again.  A file is read as a whole,
+        so overwriting it is harmless if it was complete when the run began.
         """
         changed = in_motion(self.plan.captures, self.replaced, self.digests)
         if self.plan.site.captures.dated:
@@ -61,7 +61,7 @@ class RunContext:
 
 
 def plan_run(site: Site, options: Options) -> RunContext:
-    """Find a night's captures and plan its work; nothing is written."""
+    """Find a night's captures and plan its tasks; nothing is written."""
     work = site.work_folder
     digests, earlier_captures = Digests(work.captures_memo), EarlierCaptures(work.delivered_memo)
     list_store(site)
@@ -89,7 +89,7 @@ def plan_run(site: Site, options: Options) -> RunContext:
 
 
 def _reference(site: Site, work: WorkFolder) -> tuple[Reference | None, str]:
-    """The reference, and why there is none where there should be."""
+    """The reference, and why it cannot be read ("" if it can, or if there is none)."""
     try:
         return (read_reference(work) if site.settings.pin != "none" else None), ""
     except BadReference as error:

@@ -1,4 +1,4 @@
-"""Chains of tasks on their way through an executor: queued, at work, ended, and tried again alone where a worker was lost."""
+"""Dispatches chains of tasks to an executor: queues and submits them, and retries a task alone if its worker was lost."""
 
 from __future__ import annotations
 
@@ -29,25 +29,25 @@ from .state import Cause, State
 from .worker import Done, run_chain
 
 PROGRESS_SECONDS = 0.5
-"""How often it is read which tasks are at work."""
+"""Interval at which the progress files of running chains are read."""
 
 
 @dataclass
 class _Submitted:
-    """A chain in the hands of a worker."""
+    """A chain that was submitted to a worker."""
 
     specs: list[TaskSpec]
     progress: Path
-    """See `worker.Progress`."""
+    """The progress file (see `worker.Progress`)."""
     at_work: int = -1
-    """Number of the task that began last."""
+    """Position in the chain of the task that began last; -1 before the first."""
 
     @property
     def tasks(self) -> list[Task]:
         return [spec.task for spec in self.specs]
 
     def read_progress(self) -> tuple[bool, str]:
-        """Read the progress file: has another task begun, and what has `faulthandler` written of it?"""
+        """Read the progress file: has another task begun, and what has `faulthandler` written since?"""
         try:
             text = self.progress.read_text(errors="replace")
         except OSError:
@@ -60,10 +60,10 @@ class _Submitted:
 
 
 class Dispatcher:
-    """Submits chains to an executor, longest expected first, no more at once than there are workers and memory for.
+    """Submits chains to an executor, longest expected duration first, as many at once as workers and memory allow.
 
-    A task whose worker was lost is tried once more, when nothing else is at work; the second loss is its failure.  One that took
-    too long is not tried again.
+    A task whose worker was lost is retried once, while nothing else runs; after a second loss it has failed.  A task that
+    exceeded its time limit is not retried.
     """
 
     def __init__(self, options: Options, cache: Cache, journal: Journal) -> None:
@@ -79,16 +79,16 @@ class Dispatcher:
 
     @cached_property
     def _costs(self) -> TaskCosts:
-        """What such tasks took before."""
+        """Costs of the tasks in earlier runs."""
         return read_costs(self._cache.work)
 
     def disk_shortage(self, tasks: Iterable[Task]) -> str:
-        """What is missing on disk for some tasks, in words; "" where there is room."""
+        """How much disk space is missing for some tasks, as text; "" if there is enough."""
         return disk_shortage(self._cache.work.root, self._costs, tasks)
 
     def submit(self, chains: list[list[TaskSpec]]) -> None:
         """Queue chains."""
-        if self._executor is None:  # not before: a run with nothing to do starts no worker
+        if self._executor is None:  # only now: a run without work starts no worker
             memory = self._options.memory or machine_memory()
             self._limits = Limits(memory, self._options.time_limit, self._costs)
             self._executor = _executor(self._options, memory)
@@ -99,7 +99,7 @@ class Dispatcher:
             heapq.heappush(self._queue, (suspect, -expected, next(self._numbers), chain))
 
     def wait(self) -> tuple[list[Done], list[list[TaskSpec]]]:
-        """Wait until a chain ends, or a moment; return the tasks that have ended, and the chains that have."""
+        """Wait until a chain ends, at most `PROGRESS_SECONDS`; return the tasks and the chains that have ended."""
         self._begin()
         over, _ = wait(self._at_work, timeout=PROGRESS_SECONDS, return_when=FIRST_COMPLETED)
         for chain in self._at_work.values():
@@ -109,7 +109,7 @@ class Dispatcher:
         return [done for chain, future in ended for done in self._ended(chain, future)], [chain.specs for chain, _ in ended]
 
     def stop(self) -> None:
-        """End whatever is at work, and clear away what it has left half-written."""
+        """End all running chains, and remove their half-written files."""
         if self._executor:
             self._executor.shutdown(wait=True, cancel_futures=True)
         self._executor = None
@@ -135,7 +135,7 @@ class Dispatcher:
             self._at_work[future] = chain
 
     def _ended(self, chain: _Submitted, future: Future[list[Done]]) -> Iterator[Done]:
-        """How the tasks of a chain have ended; of a lost worker the one at work: the plan finds the others in the cache."""
+        """How the tasks of a chain ended; if its worker was lost, only the running one: finished ones are in the cache."""
         error = future.exception()
         if error is None:
             for done in future.result():
@@ -149,10 +149,10 @@ class Dispatcher:
         elif isinstance(error, WorkerLost):
             yield from self._lost(chain, error)
         elif isinstance(error, OtherCode) and isinstance(self._executor, Cluster):
-            self._executor.refuse(error)  # the plan hands it out again
+            self._executor.refuse(error)  # the plan submits the chain again
         elif isinstance(error, WbflowError):
             raise error
-        else:  # Dask has lost its workers, again and again; at which of the tasks is not known
+        else:  # Dask has lost its workers repeatedly; during which task of the chain is unknown
             names = ", ".join(map(str, chain.tasks))
             why = printable(f"{names}: {type(error).__name__}: {error}")
             yield Done(chain.tasks[0], State("failed", why, Cause.WORKER_LOST, fresh=True))
@@ -178,7 +178,7 @@ class Dispatcher:
 
 
 def _executor(options: Options, memory: int) -> Executor:
-    if options.backend == "threading":  # they start at once, and nothing protects the run from what a stage does
+    if options.backend == "threading":  # threads start at once, but a crash in a stage ends the run
         return ThreadPoolExecutor(options.jobs)
     if options.backend == "dask":
         return Cluster(options.scheduler or "", worker_roots(options.worker_roots))

@@ -1,4 +1,4 @@
-"""Where chains of tasks run, each a `concurrent.futures.Executor`: worker processes of joblib's loky, or a Dask cluster."""
+"""The `concurrent.futures.Executor` classes that run chains of tasks: worker processes of joblib's loky, or a Dask cluster."""
 
 from __future__ import annotations
 
@@ -29,19 +29,19 @@ from .spec import TaskSpec
 from .state import Cause
 
 THREADS = ("OPENCV_FOR_THREADS_NUM", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
-"""One thread for each worker: OpenCV and the numeric libraries read these when they are first imported."""
+"""Environment variables, read by OpenCV and the numeric libraries at import, that limit each worker to one thread."""
 ALL_CORES = "STAGE_THREADS"
-"""Read by stages that all others wait for: they may take as many threads as there are workers."""
+"""Environment variable with the number of workers: stages that all others wait for may use this many threads."""
 PIXELS = {"OPENCV_IO_MAX_IMAGE_PIXELS": "200000000"}
-"""Of an image whose header nobody has read before OpenCV does."""
+"""Limit of OpenCV for images whose header was not checked before."""
 MEASURE_SECONDS = 0.25
-"""How often the memory of workers is measured."""
+"""Interval at which the memory of workers is measured."""
 PATIENCE_SECONDS = 4
-"""How long to wait for a Dask scheduler, and as long again for its first worker."""
+"""Timeout for a Dask scheduler, and again for its first worker."""
 
 
 class WorkerLost(Exception):
-    """A worker process ended while it worked on a call."""
+    """A worker process ended during a call."""
 
     def __init__(self, why: str, cause: Cause) -> None:
         super().__init__(why)
@@ -51,9 +51,9 @@ class WorkerLost(Exception):
 class Processes(Executor):
     """Worker processes of joblib's loky, kept warm.
 
-    Each worker is a pool of its own, so that a call that ends its process affects no other call.  All workers together may hold
-    a limited amount of memory: beyond it idle ones are ended, then the one that holds most.  The caller submits no more than
-    `jobs` calls at a time.
+    Each worker is a pool of its own, so that a call that ends its process affects no other call.  The total memory of all workers
+    is limited: above the limit, idle workers are ended first, then the one that holds most.  The caller submits at most `jobs`
+    calls at a time.
     """
 
     def __init__(self, jobs: int, memory: int) -> None:
@@ -75,7 +75,7 @@ class Processes(Executor):
         return outcome
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
-        """End all workers and the processes that they have started."""
+        """End all workers and their child processes."""
         self._closed.set()
         self._watcher.join()
         for each in list(self._workers):
@@ -88,7 +88,7 @@ class Processes(Executor):
 
         preset = {name: value for name, value in PIXELS.items() if name not in os.environ}
         environment = preset | dict.fromkeys(THREADS, "1") | {ALL_CORES: str(self._jobs)}
-        # Ctrl-C, which the terminal sends to all, reaches no process that starts while it is blocked: the run ends them itself
+        # the terminal sends Ctrl-C to all processes, but not to those that start while it is blocked: the run ends workers itself
         before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
         try:
             pool = ProcessPoolExecutor(
@@ -103,7 +103,7 @@ class Processes(Executor):
         return self._workers[-1]
 
     def _begin(self, chosen: _Worker, outcome: Future[Any], call: Callable[[], Any]) -> None:
-        """Submit a call to a worker that has started: loky would wait for ever for one that dies before it reads a long call."""
+        """Submit a call to a worker that has started: loky would wait forever for one that dies before it reads a long call."""
         if failure := chosen.started.exception():
             outcome.set_exception(_not_started(_ending(failure)))
             return
@@ -134,18 +134,18 @@ class Processes(Executor):
         if chosen.over:
             together = f"all workers together more than the {in_words(self._memory)} that they may"
             why, cause = f"ran out of memory: it held {held}, and {together}", Cause.OUT_OF_MEMORY
-        elif "SIGKILL" in why and self._memory and chosen.most > self._memory / 2:  # as the kernel does where memory runs out
+        elif "SIGKILL" in why and self._memory and chosen.most > self._memory / 2:  # probably by the kernel's OOM killer
             why, cause = f"{why} (out of memory? it held {held})", Cause.OUT_OF_MEMORY
         outcome.set_exception(WorkerLost(why, cause))
 
     def _watch(self) -> None:
-        """In a thread: measure the memory of all workers, and end the largest while they hold too much."""
+        """Run in a thread: measure the memory of all workers, and while it exceeds the limit, end idle ones, then the largest."""
         while not self._closed.wait(MEASURE_SECONDS):
             held = {each: each.holds() for each in list(self._workers)}
             if not self._memory or sum(held.values()) <= self._memory:
                 continue
             for idle in [each for each in held if each in self._idle]:
-                with suppress(ValueError):  # it has just been given a call
+                with suppress(ValueError):  # the worker has just received a call
                     self._idle.remove(idle)
                     self._workers.remove(idle)
                     idle.end()
@@ -161,15 +161,15 @@ class _Worker:
     """One worker process."""
 
     pool: Any
-    """loky's, of this process alone."""
+    """A pool of loky with this process only."""
     started: Future[int]
     most: int = 0
-    """The most bytes that it was measured to hold during its present call."""
+    """Largest measured memory during the present call, bytes."""
     over: bool = False
-    """Was it ended because it held too much?"""
+    """Was the worker ended because it held too much memory?"""
 
     def holds(self) -> int:
-        """Bytes that it holds now, without those that it shares with others."""
+        """Present memory in bytes, without memory shared with other processes."""
         import psutil
 
         if not self.started.done() or self.started.exception():
@@ -182,29 +182,29 @@ class _Worker:
         return held
 
     def end(self) -> None:
-        """End its process, the processes that this has started, and the pool."""
+        """End the worker process, its child processes, and the pool."""
         self.end_group()
         self.pool.shutdown(wait=True, kill_workers=True)
 
     def end_group(self) -> None:
-        """Kill its process and those that it has started: they are a process group."""
+        """Kill the worker process and its child processes, which form a process group."""
         if self.started.done() and not self.started.exception():
             with suppress(ProcessLookupError, PermissionError):
                 os.killpg(self.started.result(), signal.SIGKILL)
 
 
 def _start_worker(parent: int) -> None:
-    """Make a new process a worker of the run `parent`: it ends with it, however that ends, and writes nothing to stdout."""
+    """Make a new process a worker of the run `parent`: it ends whenever its parent ends, and writes nothing to stdout."""
     from joblib.externals.loky import process_executor
 
     ctypes.CDLL(None, use_errno=True).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)
     if os.getppid() != parent:
         os._exit(1)
-    os.setpgid(0, 0)  # what a stage starts ends with its worker
+    os.setpgid(0, 0)  # so that processes started by a stage can be ended with the worker
     with suppress(OSError):
         os.dup2(2, 1)
-    process_executor._MAX_MEMORY_LEAK_SIZE = sys.maxsize  # loky would renew a worker that has loaded 300 MB of libraries
-    with suppress(OSError):  # where the kernel has to end something, let it be a worker
+    process_executor._MAX_MEMORY_LEAK_SIZE = sys.maxsize  # else loky restarts a worker that has loaded 300 MB of libraries
+    with suppress(OSError):  # makes the kernel's OOM killer choose a worker instead of the run
         Path("/proc/self/oom_score_adj").write_text("500")
 
 
@@ -212,7 +212,7 @@ _PR_SET_PDEATHSIG = 1  # prctl(2)
 
 
 def _not_started(why: str) -> WbflowError:
-    """The fault of a worker process that does not start; a pipe that breaks says nothing of an interpreter without rights."""
+    """The error for a worker process that does not start; checks the right to execute, which a broken pipe does not reveal."""
     remedy = "its output says why; is wbflow installed for this Python?"
     if not os.access(sys.executable, os.X_OK):
         why = f"this user may not execute {sys.executable}"
@@ -221,7 +221,7 @@ def _not_started(why: str) -> WbflowError:
 
 
 def _ending(error: BaseException) -> str:
-    """How a worker process ended, in words: loky gives exit codes as `{SIGKILL(-9)}` or `{EXIT(3)}`."""
+    """How a worker process ended, as text; loky reports exit codes as `{SIGKILL(-9)}` or `{EXIT(3)}`."""
     found = re.search(r"\{(\w+)\((-?\d+)\)", str(error))
     if found is None:
         return "lost its worker process"
@@ -232,7 +232,7 @@ def _ending(error: BaseException) -> str:
 
 
 class OtherCode(Exception):
-    """A worker of a cluster has other code than the run: the keys of its results would be wrong."""
+    """A worker of a cluster has different code from the run: the cache keys of its results would be wrong."""
 
     def __init__(self, worker: str, names: str) -> None:
         super().__init__(worker, names)
@@ -241,10 +241,10 @@ class OtherCode(Exception):
 
 
 class Cluster(Executor):
-    """A Dask cluster whose workers share the work folder, maybe under another path."""
+    """A Dask cluster whose workers share the work folder, possibly under another path."""
 
     def __init__(self, scheduler: str, roots: Mapping[Path, Path] | None = None) -> None:
-        """roots: what workers call folders of this machine."""
+        """roots: paths on the workers, by folder of this machine."""
         distributed: Any = importlib.import_module("distributed")
         try:
             self._client = distributed.Client(scheduler, timeout=PATIENCE_SECONDS)
@@ -263,15 +263,15 @@ class Cluster(Executor):
 
     @property
     def room(self) -> int:
-        """So many calls keep all workers busy."""
+        """Number of submitted calls that keeps all workers busy: two per thread."""
         return 2 * int(sum(self._client.nthreads().values()))
 
     def refuse(self, other: OtherCode) -> None:
-        """Submit nothing more to a worker."""
+        """Submit no more calls to a worker."""
         self._refused[other.worker] = other.names
 
     def submit(self, function: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
-        """Call a function, whose first argument is a chain, in a worker with the same code.  The future may raise `OtherCode`."""
+        """Call a function, whose first argument is a chain, in a worker not yet refused.  The future may raise `OtherCode`."""
         workers = [address for address in self._client.nthreads() if address not in self._refused]
         if self._refused and not workers:
             why = "; ".join(f"the {names} of {address}" for address, names in sorted(self._refused.items()))
@@ -282,13 +282,13 @@ class Cluster(Executor):
         return future
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
-        """Take back what has not begun, and leave the cluster."""
+        """Cancel pending calls, and disconnect from the cluster."""
         self._executor.shutdown(wait=False)
         self._client.close(timeout=PATIENCE_SECONDS)
 
 
 def _in_cluster(roots: Mapping[Path, Path], version: str, function: Callable[..., Any], *args: Any, **kwargs: Any) -> Any:
-    """In a worker of the cluster: check its code, and call a function with paths as they are here."""
+    """Run in a worker of the cluster: check its code, and call a function with paths translated to this machine."""
     os.environ |= PIXELS | dict.fromkeys(THREADS, "1")  # OpenCV and Numba read them when the first task imports them
     chain, *rest = moved(args, roots)
     other = [spec.function for spec in chain if not _same_code(spec)] + (["wbflow"] if version != __version__ else [])
@@ -298,7 +298,7 @@ def _in_cluster(roots: Mapping[Path, Path], version: str, function: Callable[...
 
 
 def _same_code(spec: TaskSpec) -> bool:
-    """Is a task's code here what its key was made with?"""
+    """Is the code of a task on this machine the code that is part of its cache key?"""
     stage, reader = stage_named(spec.task.stage), _reader(spec.folder)
     try:
         uses = [spec.function, None] if spec.function == stage.function else [spec.function]
@@ -309,12 +309,12 @@ def _same_code(spec: TaskSpec) -> bool:
 
 @functools.cache
 def _reader(folder: Path | None) -> FunctionReader:
-    """Kept: it describes the code that this process has loaded, whatever becomes of the files."""
+    """A cached reader: it describes the code that this process has loaded, even if the source files change."""
     return FunctionReader(folder=folder)
 
 
 def moved(value: Any, roots: Mapping[Path, Path]) -> Any:
-    """Return a value with all paths in it as they are on the other side: paths, or containers and data classes of anything."""
+    """Return a value with all paths in it, also in containers and dataclasses, translated by `roots` (folder -> folder)."""
     if isinstance(value, Path):
         return next((there / value.relative_to(here) for here, there in roots.items() if value.is_relative_to(here)), value)
     if dataclasses.is_dataclass(value) and not isinstance(value, type):

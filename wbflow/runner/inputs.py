@@ -1,4 +1,4 @@
-"""Which tasks a site has, and where their inputs come from: earlier tasks, the site file, the captures, the reference."""
+"""The tasks of a site, and the origin of their inputs: earlier tasks, the site file, the captures, the reference."""
 
 from __future__ import annotations
 
@@ -20,22 +20,22 @@ if TYPE_CHECKING:
     from .planner import Plan
 
 _NEAR = 8
-"""Cameras that show more of what one sees than its partners alone; each is one more picture that a task reads."""
+"""`Subjects.near` adds cameras up to this number: they show more of the surface, but each is one more image to read."""
 
 
 @dataclass
 class Subjects:
-    """The cameras of a site, its pairs as far as the pair graph is known, and its components as far as poses are.
+    """The cameras of a site; its pairs, once the pair graph is known; and its components, once the poses are known.
 
-    Where dense pairs are chosen once the cameras are placed, the stages that make pairs dense work on these; where nothing came
-    of that choice, on those that were matched.
+    If dense pairs are chosen after the cameras are placed, dense stages work on these; if that choice failed, they work on the
+    matched pairs.
     """
 
     site: Site
     states: dict[Task, State]
-    """Tasks that have ended: the plan's own, which it changes."""
+    """States of the tasks that have ended; the plan's own dictionary, which changes."""
     dense_chosen: bool = False
-    """Does the stage that chooses the dense pairs take part?"""
+    """Does the stage `dense_pairs` take part?"""
     _graphs: dict[Task, _PairGraph] = field(default_factory=dict, repr=False)
 
     def tasks(self, stage: Stage) -> list[Task]:
@@ -48,36 +48,36 @@ class Subjects:
         return [Task(stage.name), *(Task(stage.name, (component_name(k),)) for k in components)]
 
     def pairs(self, dense: bool = False) -> list[tuple[str, str]] | None:
-        """The pairs that are matched, or made dense; None while they are not known."""
+        """The pairs that are matched, or those of dense matching; None while they are unknown."""
         graph = self._graph(dense)
         return None if graph is None else graph.pairs
 
     def is_unmatched(self, task: Task) -> bool:
-        """Is this of a pair that the stage does not work on, since it is made dense without having been matched?"""
+        """Does the stage not work on this pair, because the pair was chosen for dense matching without having been matched?"""
         graph = self._graph(dense=False) if self.dense_chosen and len(task.subject) == 2 else None
         return graph is not None and not stage_named(task.stage).dense and task.subject not in graph.of.get(task.subject[0], ())
 
     def components(self) -> int:
-        """How many groups of at least two cameras are placed with each other, as far as is known."""
+        """The number of components with at least two placed cameras; 0 while the poses are unknown."""
         state = self.states.get(Task(POSES))
         return sum(len(group) > 1 for group in summary_of(state, PosesSummary).components) if state and state.usable else 0
 
     def around(self, camera: str) -> list[str]:
-        """The cameras that one makes dense pairs with, in the order of the site file."""
+        """A camera's partners in dense pairs, in the order of the site file."""
         graph = self._graph(dense=True)
         around = {c for pair in graph.of.get(camera, ()) for c in pair} - {camera} if graph else set()
         return sorted(around, key=self._position.__getitem__)
 
     def near(self, camera: str) -> list[str]:
-        """Those around a camera, and where they are fewer than eight, the cameras that make dense pairs with the most of them;
-        in the order of the site file."""
+        """The cameras around a camera and, if these are fewer than eight, those that make dense pairs with the most of them; in
+        the order of the site file."""
         partners = self.around(camera)
         shared = Counter(other for partner in partners for other in self.around(partner))
         more = sorted(shared.keys() - {camera, *partners}, key=lambda other: (-shared[other], self._position[other]))
         return sorted([*partners, *more[: max(0, _NEAR - len(partners))]], key=self._position.__getitem__)
 
     def joined(self, origin: Stage, need: Source, task: Task) -> list[Task]:
-        """The tasks whose artifacts, or entries of artifacts, an input joins."""
+        """The tasks whose artifacts, or entries of one, form a mapping input."""
         if need.of == "every":
             return self.tasks(origin)
         camera = task.subject[0]
@@ -87,16 +87,16 @@ class Subjects:
         return [Task(origin.name, (c,)) for c in (self.near(camera) if need.of == "near" else self.around(camera))]
 
     def camera(self, camera: str) -> Camera:
-        """What the site file says of a camera, or of one of its views."""
+        """The site's entry for a camera with one view, or for a view."""
         return self.site.views[self._position[camera]]
 
     @cached_property
     def _position(self) -> dict[str, int]:
-        """Of each camera in the site file."""
+        """Position of each view in the order of the site file."""
         return {view.id: k for k, view in enumerate(self.site.views)}
 
     def _graph(self, dense: bool) -> _PairGraph | None:
-        """The pair graph, indexed once for each result of its task; None while that has not ended."""
+        """The pair graph, indexed once for each result of its task; None while the task has not ended."""
         task = Task(DENSE_PAIRS if dense and self.dense_chosen else PAIRS)
         state = self.states.get(task)
         if state is None:
@@ -114,12 +114,12 @@ class Subjects:
 
 @dataclass
 class _PairGraph:
-    """The pairs of a night, those that are matched or those that are made dense."""
+    """The pairs of a night: the matched ones, or the dense ones."""
 
     state: State
     pairs: list[tuple[str, str]]
     of: dict[str, list[tuple[str, str]]] = field(default_factory=dict)
-    """The pairs of each camera."""
+    """Pairs by camera."""
 
 
 @dataclass
@@ -127,14 +127,14 @@ class Inputs:
     """Finds the inputs of a night's tasks."""
 
     plan: Plan
-    """Whose states, subjects and reference they are found by, as it changes."""
+    """The plan of the night; its states, subjects and reference change during the run."""
     stages: Collection[str]
-    """Names of those that take part tonight."""
+    """Names of the stages that take part tonight."""
 
     def of(self, task: Task, needs: Mapping[str, Source], made: set[Task]) -> dict[str, Input]:
-        """All inputs of a task by argument name.  Raises Waiting or Impossible where one has not ended, or will not come.
+        """All inputs of a task by argument name.  Raises Waiting if one is not ready, Impossible if one cannot be made.
 
-        made: earlier in the same chain: inputs from these are not resolved yet.
+        made: tasks earlier in the same chain; inputs from these are not resolved yet.
         """
         found: dict[str, Input] = {}
         impossible: dict[str, Impossible] = {}
@@ -151,7 +151,7 @@ class Inputs:
         return found
 
     def one(self, task: Task, need: Source, made: set[Task]) -> Input:
-        """An input of a task, as `of` finds it."""
+        """One input of a task; parameters and exceptions as for `of`."""
         if need.kind == "site":
             return self._from_site(need, task)
         if need.kind == "file":
@@ -171,7 +171,7 @@ class Inputs:
         return self._stored(Task(origin.name, subject_of(origin, need, task)), need, part, made)
 
     def upstreams(self, task: Task, needs: Mapping[str, Source]) -> list[Task]:
-        """The tasks that a task takes its inputs from, as far as they are listed yet."""
+        """The tasks that provide the inputs of a task, as far as they are listed yet."""
         found: list[Task] = []
         for need in needs.values():
             needless = need.kind != "stage" or (need.needed_if and not need.needed_if(self.plan.site))
@@ -212,7 +212,7 @@ class Inputs:
         joined = self.plan.subjects.joined(origin, need, task)
         if origin.scope == "site":
             return self._entries(origin, need, joined)
-        for upstream in reversed(joined):  # the last to be listed is mostly the last to end
+        for upstream in reversed(joined):  # the last in the list is usually the last to end
             if upstream not in self.plan.states:
                 raise Waiting(upstream)
         items: dict[Subject, Value | Stored] = {}
@@ -232,7 +232,7 @@ class Inputs:
         return Joined(items)
 
     def _entries(self, origin: Stage, need: Source, joined: list[Task]) -> Input:
-        """The entries of a mapping, made by a site-wide stage, of some cameras."""
+        """The entries for some cameras in a mapping from a site-wide stage."""
         optional, whole = replace(need, optional=True), Task(origin.name)
         found = {task.subject: self._stored(whole, optional, Part(need.part, task.subject[0])) for task in joined}
         items: dict[Subject, Value | Stored] = {subject: item for subject, item in found.items() if isinstance(item, Stored)}
@@ -241,7 +241,7 @@ class Inputs:
         return Joined(items)
 
     def _nothing(self, origin: Stage, faults: list[Impossible]) -> Impossible:
-        """Why a stage that joins many has none to join."""
+        """Why a mapping input has no entries."""
         first = f": {faults[0]}" if faults else ""
         frames = {view.id: self.plan.states.get(Task(FRAMES, (view.id,))) for view in self.plan.site.views}
         usable = list(dict.fromkeys(view.camera for view in self.plan.site.views if (state := frames[view.id]) and state.usable))
@@ -273,7 +273,7 @@ class Inputs:
         return site_input(camera, what)
 
     def _named(self, words: str, key: str) -> Input:
-        """A file that the site file names.  words: what it is."""
+        """A file that the site file names.  words: its kind, for the message; key: its key in `Plan.named`."""
         file = self.plan.named.get(key)
         if file and not file.digest:
             raise Impossible(f"{words} {file.name} {file.fault}", Cause.BAD_INPUT)

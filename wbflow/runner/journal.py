@@ -1,4 +1,4 @@
-"""What happens in a run, and what it costs."""
+"""The events of a run, and its costs."""
 
 from __future__ import annotations
 
@@ -20,23 +20,23 @@ if TYPE_CHECKING:
 
 @dataclass
 class Journal:
-    """Everything that has happened in a run, and what it has cost: each event is kept for the log, and given to the listener."""
+    """The events of a run, and its costs; each event is kept for the log, and passed to the listener."""
 
     listen: Listener
     started: datetime.datetime = field(default_factory=lambda: datetime.datetime.now(datetime.UTC))
     events: list[Event] = field(default_factory=list)
     repairs: dict[str, None] = field(default_factory=dict)
-    """Damage on disk that was found and put right, in words."""
+    """Damage on disk that was found and repaired, as text (the keys)."""
     behind: Callable[[], Finding | None] = lambda: None
-    """Stores what was done in an object store, too; what a person has to know of that."""
+    """Uploads finished results to the object store, if the site has one; returns a finding if that fails."""
     peak_rss_mb: float = 0.0
-    """Of the largest worker."""
+    """Peak memory of the largest worker, MB (2^20 bytes)."""
     _stages: dict[str, StageSeconds] = field(default_factory=dict)
     _wall: float = field(default_factory=time.perf_counter)
     _cpu: float = field(default_factory=time.process_time)
 
     def add_ended(self, plan: Plan) -> None:
-        """Add an event for each task that has ended since the last time, and for damage that was found in the cache."""
+        """Add an event for each task that has ended since the last call, and for damage that was found in the cache."""
         for damage in plan.cache.damages():
             self.repaired(f"{damage.what}: made again", task=damage.task)
         for task, state in plan.news():
@@ -48,25 +48,25 @@ class Journal:
                 self.peak_rss_mb = max(self.peak_rss_mb, receipt.peak_rss_mb)
 
     def warn(self, what: str, *, task: Task | None = None, remedy: str = "", trace: str | None = None) -> None:
-        """Add a warning of something that went wrong and that the run has survived.
+        """Add a warning of a problem that the run has survived.
 
         Parameters
         ----------
         what, remedy : str
-            What, in one line, and what to do about it, where something can be done.
+            The problem in one line, and what to do about it ("" if nothing can be done).
         task, trace : Task, str, optional
-            The task that it happened to, and the traceback of an unforeseen fault.
+            The task that it concerns, and the traceback of an unforeseen error.
         """
         self._add(WarningEvent(what, now(), task, remedy, trace))
 
     def repaired(self, what: str, *, task: Task | None = None) -> None:
-        """Add, once, a warning of damage on disk that is put right.  task: whose file it was."""
+        """Add a warning of repaired damage on disk, once for each text.  task: the task whose file was damaged."""
         if what not in self.repairs:
             self.repairs[what] = None
             self._add(WarningEvent(what, now(), task, repaired=True))
 
     def seconds(self, own_process: bool) -> Seconds:
-        """Return what the run has cost until now.  own_process: its tasks ran in this process, whose CPU time includes theirs."""
+        """Return the costs of the run until now.  own_process: tasks ran in this process, whose CPU time includes theirs."""
         wall, cpu = time.perf_counter() - self._wall, time.process_time() - self._cpu
         if not own_process:
             cpu += sum(stage.cpu for stage in self._stages.values())

@@ -1,4 +1,4 @@
-"""What the tasks of a run may take: time and memory, by what such tasks took before, and room on the disk."""
+"""Limits for the tasks of a run: time and memory, derived from the costs of earlier tasks, and disk space."""
 
 from __future__ import annotations
 
@@ -14,38 +14,38 @@ from ..task import Task
 from ..words import in_words
 
 LEAST_SECONDS, MOST_SECONDS, TIMES_MEDIAN = 600.0, 6 * 3600.0, 20.0
-"""Seconds that a task may take: so many times the median of its stage, within limits; MOST_SECONDS where that is not known."""
+"""Time limit of a task: TIMES_MEDIAN times the median of its stage, within the two bounds (seconds); the upper one if unknown."""
 DISK_RESERVE, DISK_MARGIN = 16_000_000, 1.2
-"""Bytes on disk that tasks leave free, since the run has to be published; how much more they may need than before."""
+"""Bytes of disk space kept free so that the run can be published; factor by which tasks may need more space than earlier ones."""
 SHARE = 0.8
-"""Of the memory of this machine, or of the control group that the run is in, that its workers may hold together."""
+"""Share of the memory of this machine, or of the run's control group, that all workers together may hold."""
 
 
 @dataclass(frozen=True)
 class Limits:
-    """What the tasks of a run may take, of time and memory, by what such tasks took before."""
+    """Limits of time and memory for the tasks of a run, derived from the costs of earlier tasks."""
 
     memory: int = 0
     """Bytes that all workers together may hold; 0: no limit."""
     seconds: float | None = None
-    """For every task; None: by what its stage took before."""
+    """Time limit of every task; None: derived from the stage's earlier tasks."""
     costs: TaskCosts = field(default_factory=TaskCosts)
     measured_mb: dict[str, float] = field(default_factory=dict)
-    """MB that tasks of a stage held at most in this run."""
+    """By stage: peak memory of its tasks in this run, MB (2^20 bytes)."""
 
     def seconds_for(self, stage: str) -> float:
-        """Return after how long a task of a stage is ended."""
+        """Return the time limit of a stage's tasks, seconds."""
         if self.seconds is not None:
             return self.seconds
         before = self.costs.stages.get(stage)
         return MOST_SECONDS if before is None else min(max(LEAST_SECONDS, TIMES_MEDIAN * before), MOST_SECONDS)
 
     def learn(self, stage: str, mb: float) -> None:
-        """Note what a task of this run held."""
+        """Record the peak memory of a task in this run, MB."""
         self.measured_mb[stage] = max(mb, self.measured_mb.get(stage, 0.0))
 
     def fits(self, begun: Iterable[Iterable[Task]], chain: Iterable[Task]) -> bool:
-        """Return whether a chain may begin beside others; an unknown one may: if need be it runs again, alone."""
+        """Return whether memory suffices for one more chain; an unknown chain counts as 0: if lost, it is retried alone."""
         return not self.memory or sum(map(self._most_mb, [*begun, chain])) * 2**20 <= self.memory
 
     def _most_mb(self, chain: Iterable[Task]) -> float:
@@ -53,7 +53,7 @@ class Limits:
 
 
 def machine_memory() -> int:
-    """Return how many bytes workers may hold together, unless the user gives a limit; 0 where it is not known."""
+    """Return the default limit of the memory of all workers together, bytes; 0 if the machine's memory is unknown."""
     groups, known = Path("/sys/fs/cgroup"), []
     files = [groups / "memory" / "memory.limit_in_bytes"]
     with suppress(OSError, StopIteration):
@@ -69,7 +69,7 @@ def machine_memory() -> int:
 
 
 def disk_shortage(root: Path, costs: TaskCosts, tasks: Iterable[Task]) -> str:
-    """What is missing on the disk of a work folder for some tasks, in words; "" where there is room."""
+    """A message if the disk of a work folder has too little space for some tasks; "" if it has enough."""
     need = round(DISK_MARGIN * sum(costs.stages_bytes.get(task.stage, 0.0) for task in tasks)) + DISK_RESERVE
     if (free := free_bytes(root)) >= need:
         return ""

@@ -1,4 +1,4 @@
-"""The work of a run: plan, do what is ready, plan again, until nothing is left and the products are found intact."""
+"""The main loop of a run: plan, run the ready tasks, plan again, until no task is left and the products are intact."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ from .options import Options
 from .state import Cause, State
 
 MOST_ATTEMPTS = 3
-"""How often a damaged artifact is made again, and a file that changes is read again, in one run."""
+"""In one run, a damaged artifact is made again, and a changed file read again, at most this often."""
 
 
 def run_tasks(context: RunContext, options: Options, journal: Journal) -> dict[Task, bytes] | None:
-    """Do all that is to be done; return the artifacts that are published, found intact; None where the run was interrupted.
+    """Run all tasks; return the artifacts to publish by task, after checking their digests; None if the run was interrupted.
 
-    The caller holds the lock.  context: with its plan, not yet refreshed.  journal: receives everything that happens.
+    The caller holds the lock.  context: its plan is not yet refreshed.  journal: receives all events.
     """
     dispatcher = Dispatcher(options, context.plan.cache, journal)
     try:
@@ -42,7 +42,7 @@ def run_tasks(context: RunContext, options: Options, journal: Journal) -> dict[T
         try:
             for memo in (context.digests, context.earlier_captures, context.plan.site.reader):
                 memo.save()
-        except OSError as error:  # costs time only
+        except OSError as error:  # the next run only takes longer
             journal.warn(f"what was learnt of captures and functions could not be kept: {error}")
 
 
@@ -54,12 +54,12 @@ class _Loop:
     dispatcher: Dispatcher
     journal: Journal
     stop_at: datetime.datetime | None
-    """Local time: from then on only what is there is put together."""
+    """Local time from which on only existing results are put together."""
     stopped: bool = False
     _attempts: Counter[Task | Path] = field(default_factory=Counter)
 
     def run(self) -> dict[Task, bytes]:
-        """Run them; returns what is published."""
+        """Run all tasks; return the artifacts to publish."""
         plan = self.context.plan
         self.journal.listen(PlannedEvent(plan.counts()))
         while True:
@@ -97,7 +97,7 @@ class _Loop:
             self.context.plan.release(spec.task for spec in chain)
 
     def _stop(self, at: datetime.datetime) -> None:
-        """End what is at work, and give up what is ready, except for what joins the results that are there."""
+        """End running tasks, and skip ready ones, except depth maps and site-wide stages, which join existing results."""
         plan = self.context.plan
         if not self.stopped:
             self.stopped = True
@@ -110,7 +110,7 @@ class _Loop:
             plan.refresh()
 
     def _make_again(self, task: Task, reason: str) -> None:
-        """Have a damaged artifact made again.  Each of its readers reports it; it counts once."""
+        """Have a damaged artifact made again.  Each of its readers reports the damage, but it counts once."""
         plan = self.context.plan
         if task not in plan.states:
             return
@@ -123,7 +123,7 @@ class _Loop:
             plan.forget(task)
 
     def _reread(self, task: Task, file: Path, reason: str) -> None:
-        """A capture, mask or model has been replaced since it was read: the plan goes on with what it holds now."""
+        """Continue the plan with the present content of a capture, mask or model that was replaced since it was read."""
         self._attempts[file] += 1
         if self._attempts[file] > MOST_ATTEMPTS:
             why = f"{file} keeps changing: is it still being written?"
@@ -133,7 +133,7 @@ class _Loop:
         self.context.reread(file)
 
     def _products(self) -> dict[Task, bytes]:
-        """What is published.  Raises DamagedArtifact."""
+        """The artifacts to publish: poses and clouds.  Raises DamagedArtifact."""
         cache, found = self.context.plan.cache, {}
         for task, state in self.context.plan.states.items():
             if task.stage in {POSES, FUSE} and state.usable and state.receipt:
@@ -143,15 +143,15 @@ class _Loop:
 
 @contextmanager
 def terminate_as_interrupt() -> Iterator[None]:
-    """SIGTERM (systemd, cron's timeout) and SIGHUP (a terminal closed) end a run as Ctrl-C does: what is finished is kept."""
+    """Treat SIGTERM (systemd, cron's timeout) and SIGHUP (closed terminal) as Ctrl-C: the run ends, finished work is kept."""
 
     def interrupt(signum: int, frame: object) -> None:
         raise KeyboardInterrupt
 
-    if threading.current_thread() is not threading.main_thread():  # only that one receives signals
+    if threading.current_thread() is not threading.main_thread():  # only the main thread can set signal handlers
         yield
         return
-    caught = [s for s in (signal.SIGTERM, signal.SIGHUP) if signal.getsignal(s) is not signal.SIG_IGN]  # nohup ignores one
+    caught = [s for s in (signal.SIGTERM, signal.SIGHUP) if signal.getsignal(s) is not signal.SIG_IGN]  # nohup ignores SIGHUP
     before = {each: signal.signal(each, interrupt) for each in caught}
     try:
         yield

@@ -1,4 +1,4 @@
-"""What a run is asked to do, besides its site."""
+"""The options of a run."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from ..task import camera_of, component_name
 
 @dataclass(frozen=True)
 class Options:
-    """What a run is to do, besides its site: `api.run` explains each."""
+    """The options of a run; `api.run` explains each."""
 
     date: datetime.date | None = None
     jobs: int = 1
@@ -29,13 +29,13 @@ class Options:
     scheduler: str | None = None
     worker_roots: tuple[str, ...] = ()
     memory: int | None = None
-    """Bytes that all workers together may hold; None: four fifths of what the machine has."""
+    """Bytes that all workers together may hold; None: 0.8 of the machine's memory (`limits.machine_memory`)."""
     time_limit: float | None = None
     stop_at: datetime.datetime | None = None
     not_captured: Mapping[str, str] = field(default_factory=dict)
 
     def check(self, site: Site) -> None:
-        """Raises UsageError for what is not possible."""
+        """Raises UsageError for impossible options."""
         names = [stage.name for stage in STAGES]
         if self.until and self.until not in names:
             raise UsageError(f"--until {self.until}: there is no such stage", remedy=_stages(self.until, names))
@@ -54,7 +54,7 @@ class Options:
             raise UsageError("--backend dask needs Dask", remedy="pip install 'wbflow[dask]'")
 
     def _check_subject(self, site: Site, name: str) -> None:
-        """Raises UsageError for a task that is to be done again and that the site cannot have."""
+        """Raises UsageError if `force` names a task that the site cannot have."""
         stage, _, subject = name.partition(" ")
         views = [name for view in site.views for name in dict.fromkeys((view.id, camera_of(view.id)))]
         pairs = {"--".join(pair) for pair in itertools.combinations(dict.fromkeys(views), 2)} if subject else set()
@@ -73,7 +73,7 @@ def _stages(named: str, names: list[str]) -> str:
 
 
 def worker_roots(texts: tuple[str, ...]) -> dict[Path, Path]:
-    """Return folders of this machine and what workers call them, each written as HERE=THERE.  Raises UsageError."""
+    """Return the workers' paths by folder of this machine, parsed from texts HERE=THERE.  Raises UsageError."""
     roots = {}
     for text in texts:
         here, _, there = text.partition("=")

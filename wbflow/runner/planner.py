@@ -1,7 +1,7 @@
-"""The plan: every task of a site with its state, derived again and again from the table of stages, the captures and the cache.
+"""The plan: every task of a site with its state, derived repeatedly from the table of stages, the captures and the cache.
 
-A task has ended (cached, ran, rejected, failed, skipped), is running, is ready, or waits for another.  Nothing is stored: a plan
-made after a crash finds in the cache exactly what was finished.
+A task has ended (cached, ran, rejected, failed, skipped), is running, is ready, or waits for another.  The plan itself is not
+stored: after a crash, a new plan finds in the cache exactly what was finished.
 """
 
 from __future__ import annotations
@@ -27,12 +27,12 @@ from .spec import Absent, Drawing, Input, TaskSpec
 from .state import Impossible, State, Waiting, cached_state
 
 _DECIDE = frozenset(Task(name) for name in (PAIRS, POSES, DENSE_PAIRS))
-"""Their results decide which tasks there are."""
+"""Tasks whose results determine which other tasks exist."""
 
 
 @dataclass
 class Plan:
-    """The tasks of one night.  `refresh` derives all of it from the cache."""
+    """The tasks of one night; `refresh` derives their states from the cache."""
 
     site: Site
     captures: dict[str, list[CaptureFile]]
@@ -40,7 +40,7 @@ class Plan:
     cache: Cache
     named: dict[str, CaptureFile] = field(default_factory=dict)
     missing: dict[str, str] = field(default_factory=dict)
-    """Why cameras without captures have none, by camera."""
+    """Why a camera has no captures, by camera."""
     until: str | None = None
     force: frozenset[str] = frozenset()
     states: dict[Task, State] = field(default_factory=dict)
@@ -48,39 +48,39 @@ class Plan:
     running: set[Task] = field(default_factory=set)
     ready: dict[Task, TaskSpec] = field(default_factory=dict)
     waiting: dict[Task, Task | None] = field(default_factory=dict)
-    """The rest, with the first task found that each waits for (None: for the pair graph)."""
+    """All other tasks, with the first task found that each waits for (None: the pair graph)."""
     reference: Reference | None = None
-    """What tonight is compared with."""
+    """The reference of tonight; None if there is none, or if it cannot be used."""
     incompatible: str = ""
-    """Why it is not, where a reference is there that is one of the site as it was before its file changed."""
+    """Why an existing reference cannot be used: it is unreadable, or the site file has changed since it was pinned."""
     calibration_change: str = ""
-    """What lenses and poses have become then, compared with those of the reference."""
+    """If the site file has changed: how its lenses and poses differ from those of the reference."""
     stale: dict[str, Health] = field(default_factory=dict)
-    """Cameras whose captures are not of tonight."""
+    """Health of the cameras whose captures are not of tonight."""
     night_given: bool = False
-    """Has somebody named the night?  Otherwise pictures may say it, where names don't."""
+    """Did the user give the night?  Otherwise dates in the pictures may determine it, if file names contain none."""
     _anew: bool = True
-    """Are the tasks to be listed again?"""
+    """Must the tasks be listed again?"""
     _due: deque[Task] = field(default_factory=deque)
-    """Tasks that are to be looked at."""
+    """Tasks whose states must be derived."""
     _dependents: dict[Task | None, list[Task]] = field(default_factory=dict)
-    """Waiting tasks, by what they wait for."""
+    """Waiting tasks, by the task that they wait for."""
     _news: dict[Task, None] = field(default_factory=dict)
-    """Tasks that have ended since `news` was called."""
+    """Tasks that have ended since the last call of `news`."""
     _listed: Counter[str] = field(default_factory=Counter)
-    """Tasks by stage: all, and those that have ended."""
+    """Number of tasks by stage, ended ones included."""
     _bindings: dict[str, Binding] = field(default_factory=dict)
-    """By stage, or by the function in its place."""
+    """Bindings by stage, or by the `Adapt` function that replaces that of the stage."""
 
     def __post_init__(self) -> None:
         wanted = ancestors(self.until) if self.until else {stage.name for stage in STAGES}
         off = {name for name, stage in self.site.stages.items() if not stage.enabled}
         off |= {stage.name for stage in STAGES if callable(stage.optional) and not stage.optional(self.site)}
-        for stage in STAGES:  # in their order: what needs one that is off is off, and so is what needs that
+        for stage in STAGES:  # in order, so that an optional stage is off whenever one that it needs is, directly or not
             off |= {stage.name} if stage.optional and off & stage.needed() else set()
         self._folder = self.site.folder
         self.stages = [stage for stage in STAGES if stage.name in wanted - off]
-        """Those that take part tonight."""
+        """The stages that take part tonight."""
         names = frozenset(stage.name for stage in self.stages)
         self.subjects = Subjects(self.site, self.states, DENSE_PAIRS in names)
         if self.reference:
@@ -91,7 +91,7 @@ class Plan:
         self._inputs = Inputs(self, names)
 
     def refresh(self) -> None:
-        """Find what the cache has, what is ready, and what waits; only what may have changed is looked at."""
+        """Find which tasks are cached, ready or waiting; only those that may have changed are examined."""
         while self._anew or self._due:
             if self._anew:
                 self._list()
@@ -99,7 +99,7 @@ class Plan:
                 self._derive(stage_named(task.stage), task)
 
     def commit(self, task: Task, state: State) -> None:
-        """Record how a task has ended; those that wait for it are looked at again."""
+        """Record how a task has ended; tasks that wait for it are examined again."""
         self.states[task] = state
         self.ready.pop(task, None)
         self.waiting.pop(task, None)
@@ -110,24 +110,24 @@ class Plan:
         self._anew = self._anew or task in _DECIDE
 
     def forget(self, task: Task) -> None:
-        """Take back that a task has ended (its artifact turned out damaged)."""
+        """Drop the state of a task that has ended, because its artifact is damaged."""
         self.states.pop(task, None)
         self.resolver.artifact_lost(task)
         self._anew = True
 
     def relist(self) -> None:
-        """A capture has changed: derive anew whatever has not ended."""
+        """Have the states of all tasks that have not ended derived again, because a file has changed."""
         self._anew = True
 
     def begin(self, chains: Iterable[list[TaskSpec]]) -> None:
-        """Workers have been given these."""
+        """Mark the tasks of chains as running."""
         for task in (spec.task for chain in chains for spec in chain):
             self.running.add(task)
             self.ready.pop(task, None)
             self.waiting.pop(task, None)
 
     def release(self, tasks: Iterable[Task]) -> None:
-        """Workers are through with these: those that have not ended are looked at again."""
+        """Mark tasks as no longer running; those that have not ended are examined again."""
         for task in tasks:
             self.running.discard(task)
             self._due.append(task)
@@ -138,23 +138,23 @@ class Plan:
         return [(task, state) for task in found if (state := self.states.get(task))]
 
     def chains(self) -> list[list[TaskSpec]]:
-        """Ready tasks, each with the tasks of the same subject that can follow it in the same worker call."""
+        """The ready tasks, each with the tasks of the same subject that can follow it in the same worker call."""
         return [self._chain(spec) for spec in self.ready.values()]
 
     def counts(self) -> dict[str, int]:
-        """How many tasks of each stage are listed so far."""
+        """The number of tasks of each stage that are listed so far."""
         if self._anew:
             self._list()
         return {stage.name: self._listed[stage.name] for stage in self.stages}
 
     def pairs_known(self, stage: Stage | None = None) -> bool:
-        """Is it known which pairs a stage works on (so that its tasks are listed), or each stage?"""
+        """Are the pairs known that a stage works on, so that its tasks are listed?  None: for all stages."""
         return all(self.subjects.pairs(dense) is not None for dense in ([stage.dense] if stage else (False, True)))
 
     def spec_of(self, task: Task) -> TaskSpec:
-        """How a task would be done, whether it has been or not.
+        """The spec of a task, whether it has been done or not.
 
-        Raises Waiting or Impossible where its inputs are not there yet, or will not come.
+        Raises Waiting if its inputs are not ready, Impossible if they cannot be made.
         """
         stage = stage_named(task.stage)
         replacement = self.resolver.replacement(stage, task)
@@ -163,11 +163,11 @@ class Plan:
         )
 
     def upstreams(self, task: Task) -> list[Task]:
-        """The tasks that a task takes its inputs from, as far as they are listed yet."""
+        """The tasks that provide the inputs of a task, as far as they are listed yet."""
         return self._inputs.upstreams(task, self.bound(stage_named(task.stage)).inputs)
 
     def _list(self) -> None:
-        """List every task that is known of, to be looked at in the order of the pipeline."""
+        """List all known tasks, to be examined in the order of the pipeline."""
         self._anew = False
         self.ready, self.waiting, self._dependents = {}, {}, {}
         self._due = deque(task for stage in self.stages for task in self.subjects.tasks(stage))
@@ -212,9 +212,9 @@ class Plan:
         return [self._with_drawings(spec, made) for spec in chain]
 
     def _spec(self, stage: Stage, task: Task, made: Iterable[Task] = (), adapt: Adapt | None = None) -> TaskSpec:
-        """The spec of a task, done by the stage's function or what takes its place; raises Waiting, Impossible.
+        """The spec of a task with the stage's function or the `adapt` function; raises Waiting, Impossible.
 
-        made: made earlier in the same chain; inputs from these are not resolved yet.
+        made: tasks earlier in the same chain; inputs from these are not resolved yet.
         """
         bound = self.bound(stage, adapt)
         inputs = self._inputs.of(task, bound.inputs, set(made))
@@ -231,7 +231,7 @@ class Plan:
         )
 
     def _with_drawings(self, spec: TaskSpec, made: set[Task]) -> TaskSpec:
-        """A task with what is drawn of its result.  made: as for `_spec`."""
+        """A spec with the drawings to make of its result.  made: as for `_spec`."""
         stage = stage_named(spec.task.stage)
         drawings = []
         for name, function in stage.products.drawings.items():
@@ -245,7 +245,7 @@ class Plan:
         return dataclasses.replace(spec, drawings=tuple(drawings))
 
     def bound(self, stage: Stage, adapt: Adapt | None = None) -> Binding:
-        """A stage as the site has it done, or by the function in its place."""
+        """The binding of a stage to the function that the site uses, or to the `adapt` function."""
         name = adapt.function if adapt else stage.name
         if name not in self._bindings:
             settings = self.site.stage_settings(stage.name)
@@ -256,14 +256,14 @@ class Plan:
         return self._bindings[name]
 
     def _parameters(self, stage: Stage, task: Task, adapt: Adapt | None) -> dict[str, Any]:
-        """Parameters of a task, without those that its function works out."""
+        """Parameters of a task, without those whose defaults only its function can evaluate."""
         bound, settings = self.bound(stage, adapt), self.settings(stage, task)
         if adapt:
             settings = {name: value for name, value in settings.items() if name in bound.parameters}
         return bound.defaults() | settings
 
     def settings(self, stage: Stage, task: Task) -> dict[str, Any]:
-        """Parameters that the site file sets, in the stage's section or elsewhere."""
+        """Parameters of a task that the site file sets, in the stage's section or elsewhere; for `fuse`, also the component."""
         values: dict[str, Any] = {name: self.site.setting(key) for name, key in stage.set_by_site().items()}
         if stage.name == FUSE:
             numbers = range(1, self.subjects.components())

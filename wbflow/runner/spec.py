@@ -1,4 +1,4 @@
-"""What a worker is handed to do a task: its function, parameters and inputs, and the preimage of its key."""
+"""The description of a task for a worker: its function, parameters and inputs, and the preimage of its cache key."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from ..task import Subject, Task
 
 @dataclass(frozen=True)
 class Value:
-    """An input given by the site file: a dataclass of the stages made from plain values."""
+    """An input from plain values, mostly of the site file: they become a dataclass of `wbflow_stages`."""
 
     kind: str
     """Dotted name of the dataclass."""
     plain: dict[str, Any]
-    """Its fields, as far as they are stated."""
+    """The fields that are stated."""
 
     def digest(self) -> str:
         return content_digest(json.dumps([self.kind, self.plain], sort_keys=True).encode())
@@ -30,11 +30,11 @@ class Value:
 
 @dataclass(frozen=True)
 class Files:
-    """An input read from files as they are."""
+    """An input with the content of files."""
 
     files: tuple[CaptureFile, ...]
     single: bool = False
-    """One file rather than a list."""
+    """The function gets one file instead of a list."""
 
     def digest(self) -> str:
         return content_digest(json.dumps([f.digest for f in self.files]).encode())
@@ -42,12 +42,12 @@ class Files:
 
 @dataclass(frozen=True)
 class Part:
-    """A part of an artifact that can be needed on its own (see `artifact.parts`)."""
+    """A part of an artifact that an input can consist of (see `artifact.parts`)."""
 
     field: str
-    """A field of the artifact."""
+    """Name of a field of the artifact."""
     entry: str | None = None
-    """The entry of a mapping field: a camera's id, or "left--right"; None: all of it."""
+    """Key of an entry in a mapping field: a camera's id, or "left--right"; None: the whole field."""
 
     def __str__(self) -> str:
         return f"{self.field}[{self.entry}]" if self.entry is not None else self.field
@@ -65,30 +65,30 @@ class Stored:
     task: Task
     part: Part | None = None
     file: str = ""
-    """Its name beside the receipt; "" while a task of the same chain makes it."""
+    """Name of the artifact's file, in the folder of the receipt; "" until an earlier task of the same chain has made it."""
     file_digest: str = ""
     content: str = ""
-    """Digest of the artifact, or of the part."""
+    """Digest of the artifact, or of the part; it enters the cache key."""
 
     def digest(self) -> str:
         return self.content
 
     def resolved(self, receipt: Receipt) -> Stored:
-        """The same input, now that its task is done."""
+        """The same input with file and digests, once its task is done."""
         content = receipt.parts[str(self.part)] if self.part else receipt.digest
         return Stored(self.task, self.part, receipt.file or "", receipt.digest, content)
 
 
 @dataclass(frozen=True)
 class Joined:
-    """An input that maps each subject to its own (camera id, or a pair of ids)."""
+    """An input that is a mapping, by subject: a camera's id, or a pair of ids."""
 
     items: dict[Subject, Value | Stored]
 
 
 @dataclass(frozen=True)
 class Absent:
-    """An optional input that is not there."""
+    """An optional input that is missing."""
 
 
 Input = Value | Files | Stored | Joined | Absent
@@ -96,18 +96,18 @@ Input = Value | Files | Stored | Joined | Absent
 
 @dataclass(frozen=True)
 class Drawing:
-    """What is drawn of a task's result for the report.  It is no part of the task's key."""
+    """A drawing of a task's result for the report.  It is not part of the task's cache key."""
 
     name: str
-    """Of the product (see `Products.drawings`)."""
+    """Name of the drawing (see `Products.drawings`)."""
     function: str
     inputs: dict[str, Input]
-    """What the function is handed besides the result, by argument name."""
+    """Arguments of the function besides the result, by name."""
 
 
 @dataclass(frozen=True)
 class TaskSpec:
-    """All that a worker needs to do a task."""
+    """All that a worker needs to run a task."""
 
     task: Task
     function: str
@@ -117,19 +117,19 @@ class TaskSpec:
     drawings: tuple[Drawing, ...] = ()
     force: bool = False
     left_to_function: dict[str, str] = field(default_factory=dict)
-    """Parameters whose defaults the function works out itself: source text by name.  Not passed, but part of the key."""
+    """Defaults that only the function can evaluate, as source text by parameter: not passed, but part of the cache key."""
     folder: Path | None = None
-    """Where modules that are not installed may lie: beside the site file."""
+    """The site file's folder, which may contain modules that are not installed."""
 
     def preimage(self) -> Preimage:
-        """All that determines the artifact; every input must be resolved."""
+        """Everything that determines the artifact; all inputs must be resolved."""
         parameters = {**self.parameters, **self.left_to_function}
         digests = input_digests(self.inputs)
         return Preimage(self.task.stage, self.task.subject, self.function, self.code, parameters, digests)
 
 
 def input_digests(inputs: dict[str, Input]) -> dict[str, str]:
-    """Digest by input name, or by "name subject" for inputs that join many."""
+    """Digests by input name, or by "name subject" for mapping inputs."""
     digests: dict[str, str] = {}
     for name, value in inputs.items():
         if isinstance(value, Joined):
@@ -140,7 +140,7 @@ def input_digests(inputs: dict[str, Input]) -> dict[str, str]:
 
 
 def site_input(camera: Camera, what: str) -> Value:
-    """What the site file says of a camera: `LENS`, `PRIVACY` or `PLACEMENT`."""
+    """The site file's entry for a camera, as an input: "lens", "privacy" or "placement"."""
     if what == "privacy":
         corners = [corner for polygon in camera.privacy for corner in polygon]
         return Value(SITE_TYPES[what], {"corners": corners, "counts": [float(len(polygon)) for polygon in camera.privacy]})
@@ -148,17 +148,17 @@ def site_input(camera: Camera, what: str) -> Value:
 
 
 def site_inputs(site: Site, what: str) -> Value | Joined:
-    """The same of all cameras, by id; or the `SURVEY`."""
+    """The inputs `site_input` of all cameras, by id; or the "survey"."""
     if what == "survey":
         return Value(SITE_TYPES[what], stated_fields(site.survey))
     return Joined({(camera.id,): site_input(camera, what) for camera in site.views})
 
 
 def subject_of(origin: Stage, need: Source, task: Task) -> Subject:
-    """The subject of an input that is not joined: the task's own, or the left or right camera of its pair."""
+    """The subject of an input that is not a mapping: the task's own, the left or right camera of its pair, or the site."""
     return () if origin.scope == "site" else own_subject(need, task)
 
 
 def own_subject(need: Source, task: Task) -> Subject:
-    """The same where the input is an entry of a site-wide result."""
+    """The task's own subject, or the left or right camera of its pair: also the entry to take from a site-wide result."""
     return {"left": task.subject[:1], "right": task.subject[1:]}.get(need.of, task.subject)

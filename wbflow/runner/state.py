@@ -1,4 +1,4 @@
-"""How a task ended: outcome, cause and receipt; and why one cannot begin."""
+"""How a task has ended: outcome, cause and receipt; and why a task cannot begin."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ Outcome = Literal["cached", "ran", "rejected", "failed", "skipped"]
 
 
 class Cause(StrEnum):
-    """Why a task failed or was skipped, as one word that can be counted; a rejection has the code that its stage gives."""
+    """Why a task failed or was skipped, as one countable word; for a rejection, the stage defines the code."""
 
     NO_CAPTURE = "no-capture"
     """No file of the camera is there, or none can be read."""
@@ -23,27 +23,27 @@ class Cause(StrEnum):
     NO_PAIRS = "no-pairs"
     """No two cameras share enough to be matched."""
     UPSTREAM = "upstream"
-    """A task that it needs left nothing, and gave no code of its own."""
+    """A task that it needs left no result, and has no code of its own."""
     UNSOLVED = "unsolved"
     """The camera could not be placed."""
     UNFIT = "camera-unfit"
-    """The camera shows nothing of the site tonight, or another place."""
+    """The camera shows nothing of the site tonight: it is obscured, stale, or shows another scene."""
     BAD_INPUT = "bad-input"
-    """The function refused what it was given, or a file could not be read or written."""
+    """The function refused its input, or a file could not be read or written."""
     FAULT = "fault"
-    """The function itself is wrong."""
+    """The function has a bug."""
     OUT_OF_MEMORY = "out-of-memory"
-    """A request for memory was refused."""
+    """An allocation failed, or the worker was ended because of its memory."""
     WORKER_LOST = "worker-lost"
-    """The worker's process was killed, or ended by the function, twice."""
+    """The worker process was killed, or ended by the function, twice."""
     DISK_FULL = "disk-full"
-    """There was no room for what it made, or would have made."""
+    """There was no disk space for its result."""
     TOO_SLOW = "too-slow"
-    """It took far longer than such tasks do, and was ended."""
+    """It exceeded its time limit, and was ended."""
     STOPPED = "stopped"
-    """The time that the run was given was over."""
+    """The run reached the time at which it was to stop."""
     DAMAGED = "damaged"
-    """What it had made was found damaged again and again."""
+    """Its artifact was found damaged repeatedly."""
 
 
 @dataclass(frozen=True)
@@ -52,18 +52,18 @@ class State:
 
     outcome: Outcome
     reason: str | None = None
-    """Why, in words, for all but cached and ran."""
+    """Why, as text, for all outcomes but cached and ran."""
     code: str | None = None
-    """The same as one word: a `Cause`, or the code of the stage that rejected; of a skipped task that of the task to blame."""
+    """The reason as one word: a `Cause`, or the stage's code for a rejection; for a skipped task, that of the upstream task."""
     receipt: Receipt | None = None
     trace: str | None = None
-    """Traceback of an unforeseen fault."""
+    """Traceback of an unforeseen error."""
     fresh: bool = False
-    """Has this run worked on it?"""
+    """Has this run worked on the task?"""
 
     @property
     def usable(self) -> bool:
-        """Did it leave an artifact?"""
+        """Did the task leave an artifact?"""
         return self.outcome in {"cached", "ran"}
 
 
@@ -71,12 +71,12 @@ _S = TypeVar("_S", bound=Summary)
 
 
 def summary_of(state: State | None, kind: type[_S]) -> _S:
-    """Return what the engine reads of a task's result, or of its rejection; an empty summary where there is neither."""
+    """Return the summary of a task's result or rejection; an empty summary if there is neither."""
     return kind.from_json(state.receipt.figures) if state and state.receipt else kind()
 
 
 def cached_state(receipt: Receipt) -> State:
-    """The state of a task whose receipt was found."""
+    """The state of a task whose receipt was found in the cache."""
     return State("rejected" if receipt.outcome == "rejected" else "cached", receipt.reason, receipt.code, receipt)
 
 
@@ -89,7 +89,7 @@ class Waiting(Exception):
 
 
 class Impossible(Exception):
-    """An input will not come; the message says why, in one word the code."""
+    """An input cannot be made; the message and the code (one word) give the reason."""
 
     def __init__(self, why: str, code: str) -> None:
         super().__init__(why)
@@ -97,6 +97,6 @@ class Impossible(Exception):
 
 
 def because(task: Task, state: State) -> Impossible:
-    """What a task ended with is why another that needs it cannot be done."""
+    """The exception for a task that needs `task`, which has ended without an artifact in the given state."""
     ended = state.outcome if state.outcome == "failed" else f"was {state.outcome}"
     return Impossible(f"{task} {ended}: {state.reason}" if state.reason else f"{task} {ended}", state.code or Cause.UPSTREAM)

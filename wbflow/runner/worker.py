@@ -1,6 +1,6 @@
-"""What happens in a worker: the tasks of a chain run one after the other, each from its inputs to its receipt.
+"""The work of a worker: run the tasks of a chain one after the other, each from its inputs to its receipt.
 
-One that takes too long is ended from within (see `Progress`); how long that is `runner.limits` says.
+A task that exceeds its time limit (see `runner.limits`) is ended by the worker process itself (see `Progress`).
 """
 
 from __future__ import annotations
@@ -37,28 +37,28 @@ from .state import Cause, State, cached_state
 
 @dataclass(frozen=True)
 class Done:
-    """How a task ended in a worker.  It is tried again where an input was damaged, or has changed."""
+    """How a task ended in a worker.  It is retried if an input was damaged or has changed."""
 
     task: Task
     state: State
     damaged: Task | None = None
-    """What has to be made again before this."""
+    """The task whose artifact has to be made again first."""
     changed: Path | None = None
-    """A file from outside that is not what it was when the task was planned."""
+    """A capture, mask or model that has changed since the task was planned."""
     warnings: tuple[str, ...] = ()
-    """What went wrong without costing the result, in words."""
+    """Problems that did not affect the result, as text."""
     damages: tuple[Damage, ...] = ()
-    """What was found damaged on the way."""
+    """Damage in the cache that was found meanwhile."""
 
 
 class Progress:
-    """A small file in which a worker writes `begun NUMBER` of each task, so that the run knows it whatever becomes of the worker.
+    """A small file in which a worker writes `begun NUMBER` for each task: the run knows the task even if the worker is lost.
 
-    `faulthandler` writes there, too, when the process crashes or a task takes longer than it may: then it ends the process.
+    `faulthandler` writes to the same file if the process crashes, or if a task exceeds its time limit: it then ends the process.
     """
 
     def __init__(self, path: Path | None, time_limits: Mapping[str, float] | None) -> None:
-        """time_limits: seconds by stage; None where the process does other work besides and is not to be ended."""
+        """time_limits: seconds by stage; None if the process also does other work, and must not be ended."""
         nowhere = Path(os.devnull)
         self._file: TextIO
         try:
@@ -80,7 +80,7 @@ class Progress:
             self._file.close()
 
     def begun(self, number: int, stage: str) -> None:
-        """Note that a task has begun, and start its time: it is ended even where Python hangs."""
+        """Note that a task has begun, and start its time limit, which takes effect even if Python hangs."""
         with suppress(OSError):
             self._file.write(f"begun {number}\n")
             self._file.flush()
@@ -90,29 +90,29 @@ class Progress:
 
 @dataclass
 class _Results:
-    """Results of a chain so far and what its tasks have read: nothing is read, or read back, twice."""
+    """The results of a chain so far, and the artifacts that its tasks have read, so that none is read twice."""
 
     cache: Cache
     clock: Callable[[], float] = time.process_time
-    """CPU seconds: of the process, or of the thread where others work beside it."""
+    """CPU seconds: of the process, or of the thread if other threads run tasks, too."""
     receipts: dict[Task, Receipt] = field(default_factory=dict)
     results: dict[str, Any] = field(default_factory=dict)
-    """By the digest of the artifact: a task's result of tonight and the reference's may both be needed."""
+    """Results by digest, not by task: a task's result of tonight and that of the reference may both be needed."""
 
 
 def run_chain(
     specs: list[TaskSpec], cache: Cache, progress: Path | None = None, time_limits: Mapping[str, float] | None = None
 ) -> list[Done]:
-    """Run tasks one after the other until one leaves nothing that the next could use.  Never raises for a task's sake.
+    """Run the tasks of a chain until one leaves no artifact.  An exception in a task is not raised, but returned as its state.
 
     Parameters
     ----------
     specs, cache : list of TaskSpec, Cache
-        The chain, and where its results go.
+        The chain, and the cache for its results.
     progress : Path, optional
-        See `Progress`.
+        The progress file (see `Progress`).
     time_limits : mapping, optional
-        Seconds by stage; None where this process is shared with others.
+        Seconds by stage; None if this process is shared with other work.
     """
     make_importable(specs[0].folder)
     chain = _Results(cache, time.process_time if time_limits is not None else time.thread_time)
@@ -129,13 +129,13 @@ def run_chain(
 
 
 def arguments_of(spec: TaskSpec, cache: Cache) -> dict[str, Any]:
-    """What a task's function is handed, besides its parameters.  Raises DamagedArtifact, ChangedFile, OSError."""
+    """The arguments of a task's function, without its parameters.  Raises DamagedArtifact, ChangedFile, OSError."""
     chain = _Results(cache)
     return {name: _load(value, chain) for name, value in spec.inputs.items()}
 
 
 def _attempt(spec: TaskSpec, chain: _Results) -> Done:
-    """The one broad `except`: whatever a stage does wrong costs that task only."""
+    """Run one task.  This is the only broad `except`: whatever a stage raises, only its own task fails."""
     try:
         inputs = {name: _resolve(value, chain) for name, value in spec.inputs.items()}
         resolved = spec if inputs == spec.inputs else dataclasses.replace(spec, inputs=inputs)
@@ -153,9 +153,9 @@ def _attempt(spec: TaskSpec, chain: _Results) -> Done:
 
 
 def _failure(spec: TaskSpec, error: BaseException) -> State:
-    """What a task raised, in words: it may be anything, and is not sent to the run itself.
+    """The state for an exception of a task, as text: it may be of any class, so the object itself is not sent to the run.
 
-    The input is at fault only where the task reads files from outside and raises what reading raises; else the stage is.
+    An OSError, or a ValueError of a task that reads files from outside, is blamed on the input; others on the function.
     """
     words = printable("".join(traceback.format_exception_only(error)).strip())
     trace = printable("".join(traceback.format_exception(error)), LONGEST_TRACE)
@@ -208,7 +208,7 @@ def _do(spec: TaskSpec, preimage: Preimage, key: str, chain: _Results) -> Done:
 
 
 def _draw(spec: TaskSpec, result: Any, chain: _Results) -> tuple[dict[str, bytes], tuple[str, ...]]:
-    """What is drawn of a result for the report, by name, and what went wrong, in words: that costs the drawing only.
+    """The drawings of a result for the report, by name, and warnings for those that failed, which do not affect the result.
 
     Raises DamagedArtifact.
     """
@@ -218,14 +218,14 @@ def _draw(spec: TaskSpec, result: Any, chain: _Results) -> tuple[dict[str, bytes
             inputs = {name: _load(_resolve(value, chain), chain) for name, value in drawing.inputs.items()}
             drawings[drawing.name] = bytes(load(drawing.function)(result, **inputs))
         except DamagedArtifact:
-            raise  # it is made again, and then this task
+            raise  # the artifact is made again, then this task
         except Exception as error:
             warnings.append(printable(f"its {drawing.name} could not be drawn: {type(error).__name__}: {error}"))
     return drawings, tuple(warnings)
 
 
 def _resolve(value: Input, chain: _Results) -> Input:
-    """Give inputs made earlier in this chain their place in the cache."""
+    """Resolve an input that an earlier task of this chain has made: fill in its file and digests."""
     if isinstance(value, Stored) and not value.file:
         return value.resolved(chain.receipts[value.task])
     return value
@@ -243,7 +243,7 @@ def _load(value: Input, chain: _Results, keep: bool = True) -> Any:
         captures = [_capture(file) for file in value.files]
         return captures[0] if value.single else captures
     result = chain.results.get(value.file_digest)
-    if result is None and value.part and not value.task.subject:  # the tasks of many chains need a part each
+    if result is None and value.part and not value.task.subject:  # many chains need a part each of a site-wide artifact
         return copy.deepcopy(value.part.of(_decoded(chain.cache, value.task, value.file, value.file_digest)))
     if result is None:
         result = _read(chain.cache, value.task, value.file, value.file_digest)
@@ -271,20 +271,20 @@ def _capture(file: CaptureFile) -> Any:
     import numpy as np
 
     data = read_untrusted(file.path)
-    if content_digest(data) != file.digest:  # else what is made of it would be kept as made of something else
+    if content_digest(data) != file.digest:  # else the result would be stored under the key of another content
         raise ChangedFile(file.path)
     return load(SITE_TYPES["captures"])(name=file.name, data=np.frombuffer(data, dtype=np.uint8))
 
 
 def reset_peak() -> None:
-    """Forget what this process held at most so far."""
+    """Reset the peak memory of this process."""
     with suppress(OSError):
         Path("/proc/self/clear_refs").write_text("5")
 
 
 def peak() -> int:
-    """Return the bytes that this process held for itself at most since `reset_peak`; where /proc lacks it, since its start, with
-    what it shares."""
+    """Return the peak of this process's private memory since `reset_peak`, bytes; if /proc does not provide it, the peak since
+    its start, including shared memory."""
     with suppress(OSError, ValueError, KeyError):
         lines = (line.split() for line in Path("/proc/self/status").read_text().splitlines())
         kb = {words[0]: int(words[1]) for words in lines if words[0] in {"VmHWM:", "RssFile:", "RssShmem:"}}

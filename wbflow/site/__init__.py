@@ -1,1 +1,1 @@
-"""What a site file says: read, validated, explained."""
+"""Site files: read, validated, and their errors explained."""

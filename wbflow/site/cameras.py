@@ -1,6 +1,6 @@
-"""The cameras of a site file, merged with what calibrations give for them; and the views of those too wide for one pinhole.
+"""The cameras of a site file, merged with their calibrations, and the views of cameras that are too wide for one pinhole.
 
-Also what a site file gives besides the cameras: known distances and control points.
+Also the site file's survey data: known distances and control points.
 """
 
 from __future__ import annotations
@@ -21,13 +21,13 @@ from .models import Camera, CameraEntry, SiteFile, Survey
 from .yaml_document import CalibrationError, Location, Problems, beside, is_name
 
 _OWN_PINHOLE = frozenset({"pinhole", "brown"})
-"""Frames of these keep the K of their lens, however wide it is: the vision has no say."""
+"""Lens models whose frames keep the K of the lens, however wide it is: such a camera is never split into views."""
 
 
 def read_cameras(file: SiteFile, frame: LocalFrame | None, problems: Problems) -> list[Camera]:
-    """The cameras of the site; what is wrong with them is added to `problems`.
+    """The cameras of the site; their faults are added to `problems`.
 
-    frame: the origin of positions by latitude and longitude; None without such.
+    frame: the local frame for positions given by latitude and longitude; None if there are none.
     """
     calibrated = _calibrated(file.calibration, ("calibration",), problems)
     _check_ids([camera.id for camera in file.cameras], problems)
@@ -49,16 +49,16 @@ def read_cameras(file: SiteFile, frame: LocalFrame | None, problems: Problems) -
 
 
 def views_of(camera: Camera) -> tuple[Camera, ...]:
-    """The camera itself, or, of one that is too wide for one pinhole, its views, which share its captures and mask.
+    """The camera itself or, if it is too wide for one pinhole, its views, which share its captures and mask.
 
-    They follow from the lens that the site file gives alone, so that a camera has the same views in all nights.
+    The views depend only on the lens that the site file gives, so a camera has the same views on all nights.
     """
     lens = camera.lens
     if lens.K is None or lens.model in _OWN_PINHOLE or not (lens.width and lens.height):
         return (camera,)
     try:
         found = load("wbflow_stages.capture.wide:views_of_lens")(lens.K, lens.distortion, lens.width, lens.height, lens.model)
-    except (ValueError, ArithmeticError):  # no lens has such numbers: the camera's frame says what is wrong
+    except (ValueError, ArithmeticError):  # impossible lens: the camera's frame task reports it
         found = []
     R = camera.placement.R
     return tuple(
@@ -73,7 +73,7 @@ def views_of(camera: Camera) -> tuple[Camera, ...]:
 
 
 def _calibrated(given: str | None, location: Location, problems: Problems) -> dict[str, Calibrated]:
-    """The cameras of a calibration that the site file names at a location; none where that has problems."""
+    """The cameras of the calibration that the site file names at a location; none if it has problems."""
     if not given:
         return {}
     try:
@@ -89,7 +89,7 @@ def _calibrated(given: str | None, location: Location, problems: Problems) -> di
 
 
 def _own_entry(camera: CameraEntry, location: Location, problems: Problems) -> Calibrated | None:
-    """What a camera's own calibration file gives for it: the only camera in there, or the one of its name."""
+    """A camera's entry in its own calibration file: the only camera in that file, or the one with the same name."""
     location = (*location, "calibration")
     found = _calibrated(camera.calibration, location, problems)
     if not found:
@@ -109,7 +109,7 @@ def _check_ids(ids: list[str], problems: Problems) -> None:
         if (first := ids.index(name)) < i:
             line = problems.document.marks.get(("cameras", first), (0, 0))[0]
             problems.add(("cameras", i), f"camera {name!r} is named twice, first on line {line}", "give each camera its own id")
-    # pairs are called left--right: of ids with dashes in the wrong places, two pairs can have one name, and one folder
+    # pairs are called left--right: if ids have dashes in the wrong places, two pairs can get the same name and folder
     dashed = [k for k, name in enumerate(ids) if "--" in name or name.startswith("-") or name.endswith("-")]
     pairs: dict[str, tuple[str, str]] = {}
     for left, right in itertools.combinations(dict.fromkeys(ids), 2) if dashed else ():
@@ -126,7 +126,7 @@ def _shown(names: dict[str, Any], most: int = 5) -> str:
 
 
 def _lens(camera: CameraEntry, entry: Calibrated | None) -> Lens:
-    """The site file's intrinsics and distortion replace those of a calibration; but a calibration beats a field of view."""
+    """Merge both: the site file's intrinsics and distortion take precedence, but a calibration precedes a mere field of view."""
     lens = entry.lens if entry else Lens()
     if (own := camera.intrinsics) and not (entry and own.hfov is not None):
         lens = dataclasses.replace(lens, K=own.K, hfov_deg=own.hfov, width=own.width or 0, height=own.height or 0)
@@ -138,7 +138,7 @@ def _lens(camera: CameraEntry, entry: Calibrated | None) -> Lens:
 
 
 def _placement(camera: CameraEntry, entry: Calibrated | None, frame: LocalFrame | None) -> Placement:
-    """The site file's pose replaces a calibration's; but a whole pose that was solved from a rough one beats it."""
+    """Merge both: the site file's pose takes precedence, but a complete calibrated pose precedes a rough or incomplete one."""
     pose, solved = camera.pose, entry.placement if entry else Placement()
     if pose is None:
         return solved
@@ -149,7 +149,7 @@ def _placement(camera: CameraEntry, entry: Calibrated | None, frame: LocalFrame 
 
 
 def read_survey(file: SiteFile, frame: LocalFrame | None, problems: Problems) -> Survey:
-    """Distances and control points, with cameras by number; what is wrong with them is added to `problems`."""
+    """Distances and control points, with cameras by number; their faults are added to `problems`."""
     number = {camera.id: k for k, camera in reversed(list(enumerate(file.cameras)))}
 
     def camera_at(location: Location, camera: Any) -> int:

@@ -1,4 +1,4 @@
-"""The captures of a night: which files are of it, whether they are complete, and what is in them (by digest)."""
+"""The captures of a night: which files belong to it, whether they are completely written, and their digests."""
 
 from __future__ import annotations
 
@@ -21,34 +21,34 @@ from .models import Camera, Site
 
 @dataclass(frozen=True)
 class CaptureFile:
-    """A capture of the night, as it lies on disk."""
+    """A capture of the night, as it is on disk."""
 
     name: str
     """Relative to the captures' root."""
     path: Path
     digest: str
-    """Of its bytes, "" where it cannot be read."""
+    """Digest of its bytes; "" if it cannot be read."""
     fault: str = ""
-    """Why it cannot."""
+    """Why it cannot be read."""
 
 
 ANSWER_SECONDS = 120.0
-"""A camera's folder that takes longer to list and read does not answer: its mount is dead."""
+"""Timeout for listing and reading a camera's folder: if it takes longer, its mount is considered dead."""
 STILL_SECONDS, MOST_SECONDS, _POLL_SECONDS = 0.5, 10.0, 0.05
-"""A capture that is being written is waited for until it has stood still so long; for all together at most so long."""
+"""A capture is complete when it has not changed for `STILL_SECONDS`; at most `MOST_SECONDS` are spent waiting for all of them."""
 LATER_SECONDS = 5.0
-"""The same once another camera's folder has not answered: most cameras share one mount."""
+"""Timeout instead of `ANSWER_SECONDS` once another camera's folder has timed out: most cameras share one mount."""
 T = TypeVar("T")
 
 
 class _Reader(Generic[T]):
-    """Reads from disks that may hang, one thing after the other, in a thread of its own."""
+    """Performs reads from disks that may hang, one after the other, in a thread of its own."""
 
     def __init__(self, reads: Iterable[Callable[[], T]]) -> None:
         self._reads = reads
         self._answers: SimpleQueue[Future[T]] = SimpleQueue()
         self.stopped = False
-        # not a pool: its threads would be waited for when the program ends
+        # not a pool: the interpreter would wait for the pool's threads at exit
         threading.Thread(target=self._read_all, daemon=True).start()
 
     def _read_all(self) -> None:
@@ -63,7 +63,7 @@ class _Reader(Generic[T]):
             self._answers.put(answer)
 
     def next(self, seconds: float) -> T:
-        """Return what was read next.  Raises TimeoutError, and is stopped, if the disk hangs; else what reading raises."""
+        """Return the result of the next read.  Raises TimeoutError, and stops, if the disk hangs; else what the read raised."""
         try:
             answer = self._answers.get(timeout=seconds)
         except Empty:
@@ -73,12 +73,12 @@ class _Reader(Generic[T]):
 
 
 def answered(read: Callable[[], T], seconds: float) -> T:
-    """Return what a function reads from a disk that may hang.  Raises TimeoutError if it does, and what the function raises."""
+    """Return what `read` returns from a disk that may hang.  Raises TimeoutError if it hangs, and what `read` raises."""
     return _Reader([read]).next(seconds)
 
 
 def _answers(reads: Iterable[tuple[str, Callable[[], T]]]) -> Iterator[tuple[str, T | TimeoutError]]:
-    """What is read of each camera, or that its disk does not answer; the others are read all the same."""
+    """The result of each camera's read, or a TimeoutError if its disk hangs; the other cameras are still read."""
     cameras, seconds = list(reads), ANSWER_SECONDS
     reader = _Reader(read for _, read in cameras)
     try:
@@ -95,29 +95,29 @@ def _answers(reads: Iterable[tuple[str, Callable[[], T]]]) -> Iterator[tuple[str
 
 
 def nights(site: Site, since: datetime.date | None = None) -> list[datetime.date]:
-    """The nights for which any camera has a capture by its name, in order."""
+    """The nights, from the file names, for which any camera has a capture, in order."""
     if not site.captures.dated:
         return []
     named = (c.id for c in site.cameras if c.images is None)
     answers = _answers((name, functools.partial(lambda name: set(site.captures.dates(name)), name)) for name in named)
-    # `find_captures` names the cameras that do not answer
+    # `find_captures` reports the cameras that time out
     found = {date for _, dates in answers if not isinstance(dates, TimeoutError) for date in dates}
     return sorted(date for date in found if since is None or date >= since)
 
 
 def list_store(site: Site) -> None:
-    """See what has arrived in an object store, where the captures lie in one.  Raises StoreError, OSError."""
+    """Update the list of captures in the object store, if the site has one.  Raises StoreError, OSError."""
     if site.captures.store:
-        from ..remote import list_captures  # here: most captures lie in folders
+        from ..remote import list_captures  # here: most captures are in folders
 
         list_captures(site.captures.root, site.captures.store)
 
 
 def night(site: Site, date: datetime.date | None) -> datetime.date:
-    """The night to work on: `date`, else the newest for which any camera has a capture, else today.
+    """The night to work on: `date`, else the newest one for which any camera has a capture, else today.
 
-    A name that tells of days to come (a camera whose clock is wrong) says nothing, unless all names do.  Where names tell no
-    date, files do: photographs of another year are of a night in that year.
+    Nights later than tomorrow (from a camera with a wrong clock) are ignored unless there are no others.  If file names contain
+    no date, the days on which the files were written are used: last year's photographs belong to a night of last year.
     """
     today = site.today()
     if date is not None:
@@ -133,23 +133,23 @@ def _days_written(site: Site, today: datetime.date) -> set[datetime.date]:
         times = [path.stat().st_mtime for path in _paths(site, camera, today) if path.exists()]
         return {site.local(max(times)).date()} if times else set()
 
-    if site.captures.store:  # files are of when they were fetched
+    if site.captures.store:  # these files' times are those of their download
         return set()
     answers = _answers((camera.id, functools.partial(read, camera)) for camera in site.cameras)
     return {date for _, dates in answers if not isinstance(dates, TimeoutError) for date in dates}
 
 
 def _paths(site: Site, camera: Camera, date: datetime.date) -> list[Path]:
-    """The files of a camera: those that the site file names, else those that the pattern finds."""
+    """The files of a camera: those that the site file lists, else those that match the pattern."""
     if camera.images is not None:
         return [site.captures.root / name for name in camera.images]
     return site.captures.files(camera.id, date)
 
 
 def backlog(site: Site, since: datetime.date) -> list[datetime.date]:
-    """The nights that have captures from a day on, in order.
+    """The nights with captures from a day on, in order.
 
-    Raises UsageError where the captures' names don't say which night they are of, or there are none.
+    Raises UsageError if the names of captures contain no date, or if there are no such nights.
     """
     if not site.captures.dated:
         what = "--since needs {date} in captures.pattern: the names of captures don't say which night they are of"
@@ -162,9 +162,9 @@ def backlog(site: Site, since: datetime.date) -> list[datetime.date]:
 
 
 def find_captures(site: Site, date: datetime.date, digests: Digests) -> dict[str, list[CaptureFile]]:
-    """Return a night's files of each camera, in the order of their times or names; an empty list where there are none.
+    """Return each camera's files of a night, ordered by time or name; an empty list if a camera has none.
 
-    digests: remembered ones, by file.
+    digests: remembers the digests of files.
     """
     reads = ((camera.id, functools.partial(captures_of, site, camera, date, digests)) for camera in site.cameras)
     found = {}
@@ -182,9 +182,9 @@ def captures_of(site: Site, camera: Camera, date: datetime.date, digests: Digest
     Parameters
     ----------
     site, camera, date : Site, Camera, date
-        Whose, and of which night.
+        The site, its camera, and the night.
     digests : Digests
-        Of their bytes.
+        Remembers the digests of files.
     """
     paths = _paths(site, camera, date)
     if site.captures.store:
@@ -195,12 +195,12 @@ def captures_of(site: Site, camera: Camera, date: datetime.date, digests: Digest
 
 
 def expected(site: Site, camera: Camera, date: datetime.date) -> str:
-    """What a camera's captures would be called tonight, for messages."""
+    """The expected names of a camera's captures of a night, for messages."""
     return ", ".join(camera.images) if camera.images else site.captures.expected(camera.id, date)
 
 
 def find_named(site: Site, digests: Digests) -> dict[str, CaptureFile]:
-    """The files that the site file names: the masks of cameras by id, and those of stages by `file_of_stage`."""
+    """The files that the site file names: masks by camera id, and files of stages by `file_of_stage`."""
     paths = {camera.id: camera.mask for camera in site.cameras if camera.mask}
     paths |= {
         file_of_stage(stage, name): path for stage, settings in site.stages.items() for name, path in settings.files.items()
@@ -209,12 +209,12 @@ def find_named(site: Site, digests: Digests) -> dict[str, CaptureFile]:
 
 
 def file_of_stage(stage: str, name: str) -> str:
-    """Under which key a file is found that a stage's section names; no camera is called so."""
+    """The key of a file that a stage's section names; it contains a space, which no camera id does."""
     return f"{stage} {name}"
 
 
 def _digested(name: str, path: Path, digests: Digests) -> CaptureFile:
-    """name: as it is shown, whatever whoever named the file put into it."""
+    """A file with its digest, or with the fault that kept it from being read.  name: untrusted, so made printable here."""
     try:
         return CaptureFile(printable(name), path, digests.of(path))
     except (OSError, ValueError) as error:
@@ -223,7 +223,7 @@ def _digested(name: str, path: Path, digests: Digests) -> CaptureFile:
 
 
 def as_now(file: CaptureFile, digests: Digests) -> CaptureFile:
-    """A file as it is now."""
+    """The file with its present digest; "" if it is gone."""
     try:
         return replace(file, digest=digests.of(file.path))
     except OSError:  # gone since
@@ -233,9 +233,9 @@ def as_now(file: CaptureFile, digests: Digests) -> CaptureFile:
 def when_complete(
     captures: Mapping[str, list[CaptureFile]], digests: Digests
 ) -> tuple[dict[str, list[CaptureFile]], frozenset[Path]]:
-    """Return captures once those that are being written stand still, and which still grew after `MOST_SECONDS`.
+    """Return captures once they are completely written, and the paths of those still being written after `MOST_SECONDS`.
 
-    A capture is taken for complete when nothing was written to it for `STILL_SECONDS`.
+    A capture counts as complete when nothing was written to it for `STILL_SECONDS`.
     """
     end = time.monotonic() + MOST_SECONDS
     waited: set[Path] = set()
@@ -249,7 +249,7 @@ def when_complete(
 
 
 def _is_written(path: Path) -> bool:
-    """Was a file written to just now?  One of the future says nothing: its disk has another clock."""
+    """Was a file written to just now?  A time in the future does not count: it comes from a disk with another clock."""
     try:
         return 0 <= time.time() - path.stat().st_mtime < STILL_SECONDS
     except OSError:
@@ -257,11 +257,11 @@ def _is_written(path: Path) -> bool:
 
 
 def in_motion(captures: Mapping[str, list[CaptureFile]], replaced: Collection[Path], digests: Digests) -> dict[str, list[str]]:
-    """Captures that were replaced, or grew, since their digests were taken: their names, by camera.
+    """Names, by camera, of captures that were replaced or have grown since their digests were computed.
 
-    One that is gone was complete, as far as anybody knows: recorders tidy up.
+    A capture that has been deleted is not reported: recorders delete complete files.
 
-    replaced: files of which that is known.
+    replaced: files already known to have been replaced.
     """
 
     def moved(files: list[CaptureFile]) -> list[str]:
@@ -269,5 +269,5 @@ def in_motion(captures: Mapping[str, list[CaptureFile]], replaced: Collection[Pa
         return [f.name for f in files if f.digest and (f.path in replaced or now[f.name] != f.digest)]
 
     answers = _answers((camera, functools.partial(moved, files)) for camera, files in captures.items())
-    # a mount that has died since says nothing
+    # a mount that has died since is no evidence of a change
     return {camera: names for camera, names in answers if names and not isinstance(names, TimeoutError)}

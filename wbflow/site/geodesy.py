@@ -1,4 +1,4 @@
-"""Latitude and longitude: such positions become metres east, north and up of the first one in the file (z up)."""
+"""Geodetic positions, converted to metres east, north and up (z up) of the first one in the site file."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ POSITION_REMEDY = (
 
 
 class LocalFrame:
-    """East, north, up around an origin on the WGS 84 ellipsoid."""
+    """East, north, up around an origin given in WGS 84 coordinates."""
 
     def __init__(self, latitude: float, longitude: float, height: float) -> None:
         from pyproj import Transformer  # here: only sites with geodetic positions need it
@@ -30,13 +30,13 @@ class LocalFrame:
 
 
 def origin_of(crs: str) -> list[float] | None:
-    """Latitude, longitude and height that a world's coordinates begin at; None for a local one."""
+    """Latitude, longitude and height of the origin of a coordinate system; None for a local one."""
     named = dict(word.lstrip("+").split("=", 1) for word in crs.split() if "=" in word)
     return [float(named[key]) for key in ("lat_0", "lon_0", "h_0")] if {"lat_0", "lon_0", "h_0"} <= set(named) else None
 
 
 def local_frame(file: SiteFile, problems: Problems) -> LocalFrame | None:
-    """The frame of all geodetic positions of a site; None where there are none."""
+    """The local frame of a site's geodetic positions; None if there are none."""
     positions = list(file.positions())
     geodetic = [(location, p.geodetic) for location, p in positions if p.geodetic is not None]
     if not geodetic:

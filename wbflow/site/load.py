@@ -1,4 +1,4 @@
-"""The site file: one YAML file, typed and validated; every error at once, each with its line and what to write instead."""
+"""Loading of the site file: one YAML file, typed and validated; all errors are reported at once, with line and remedy."""
 
 from __future__ import annotations
 
@@ -27,15 +27,15 @@ from .yaml_document import Document, Location, Problems, SiteError, SiteProblem,
 
 
 def load_site(path: str | Path, work: str | Path | None = None) -> Site:
-    """Read and validate a site file (or the `site.yaml` in a folder).  work: another work folder, or object store, than it names.
+    """Read and validate a site file (or the `site.yaml` in a folder).  work: work folder or object store that replaces its own.
 
-    Raises SiteError, with every problem that was found.
+    Raises SiteError with every problem found.
     """
     return site_of(load_yaml(_file_of(Path(path))), work)
 
 
 def site_of(document: Document, work: str | Path | None = None) -> Site:
-    """Validate what a site file says, as `load_site` does.  Raises SiteError."""
+    """Validate the content of a site file, as `load_site` does.  Raises SiteError."""
     problems = Problems(document)
     file = _validated(document, problems)
     frame = local_frame(file, problems)
@@ -66,7 +66,7 @@ def site_of(document: Document, work: str | Path | None = None) -> Site:
 
 
 def _file_of(path: Path) -> Path:
-    """The site file at a path: of a folder, the `site.yaml` in it."""
+    """The site file at a path: the file itself, or the `site.yaml` in a folder."""
     if not is_folder(path):
         return path
     file = path / "site.yaml"
@@ -77,9 +77,9 @@ def _file_of(path: Path) -> Path:
 
 
 def _validated(document: Document, problems: Problems) -> SiteFile:
-    """The file's sections; what is wrong is added to `problems`, and left out so that the rest is examined too.
+    """The validated file; faulty values are added to `problems` and left out, so that the rest is checked too.
 
-    Raises SiteError where too little is right for that.
+    Raises SiteError if too little is valid for that.
     """
     if not isinstance(document.data, dict):
         remedy = "start with 'site: NAME'; see sites/template.yaml"
@@ -98,7 +98,7 @@ def _validated(document: Document, problems: Problems) -> SiteFile:
 
 
 def _work_folder(asked: str, file: SiteFile, problems: Problems) -> WorkFolder:
-    """Return the work folder.  asked: replaces the file's own key."""
+    """Return the work folder.  asked: takes precedence over the file's own key."""
     given, name = asked or file.work or "", file.site if is_name(file.site) else "site"
     if is_url(given):
         return WorkFolder.mirroring(given, name)
@@ -108,7 +108,7 @@ def _work_folder(asked: str, file: SiteFile, problems: Problems) -> WorkFolder:
 
 
 def _captures(given: Captures, problems: Problems) -> Pattern:
-    """What the captures are called, and where they lie: in a folder, or one that shows what is in an object store."""
+    """The captures' pattern, with the folder they are in, or the local mirror of their object store."""
     if is_url(given.root):
         mirror = WorkFolder.mirroring(given.root, "captures")
         return Pattern(mirror.root, given.pattern, mirror.store)
@@ -120,11 +120,11 @@ def _captures(given: Captures, problems: Problems) -> Pattern:
 
 
 _IDS = re.compile(r"site|cameras\.\d+(\.id)?|pairs\.(include|exclude)\.\d+\.\d+|distances\.\d+\.[01]")
-"""Locations of names of the site and of cameras."""
+"""Locations of site and camera names."""
 
 
 def _prepared(data: Any, problems: Problems, location: Location = ()) -> Any:
-    """The data with ids as they are written (an unquoted `0000` stays '0000' instead of becoming a number), and with ${VAR} and
+    """The data with ids as written (an unquoted `0000` stays '0000' instead of becoming a number), and with ${VAR} and
     ${VAR:-default} replaced in every string."""
     if isinstance(data, dict):
         return {str(key): _prepared(value, problems, (*location, str(key))) for key, value in data.items()}
@@ -134,7 +134,7 @@ def _prepared(data: Any, problems: Problems, location: Location = ()) -> Any:
         data = problems.document.texts.get(location, data)
     if not isinstance(data, str):
         return data
-    if "\0" in data:  # which no path and no command may have
+    if "\0" in data:  # not allowed in paths and commands
         problems.add(location, f"{printable(repr(data), 80)} holds a zero byte", "write the text without \\0")
         data = data.replace("\0", "")
 
@@ -196,7 +196,7 @@ _REMEDIES = {
 
 
 def explained(error: ValidationError, document: Document) -> list[SiteProblem]:
-    """pydantic's findings in the words of a site file."""
+    """The errors that pydantic found, as problems in the terms of a site file."""
     found = []
     errors = error.errors()
     misspelt = {(*e["loc"][:-1], _close(str(e["loc"][-1]), e["loc"][:-1])) for e in errors if e["type"] == "extra_forbidden"}
@@ -210,7 +210,7 @@ def explained(error: ValidationError, document: Document) -> list[SiteProblem]:
             remedy = f"did you mean {close!r}?" if close else f"known here: {', '.join(_keys_at(location[:-1]))}"
             found.append(document.problem(location, f"unknown key {last!r}", remedy, key=True))
         elif kind == "missing":
-            if location not in misspelt:  # else it is there, under another name
+            if location not in misspelt:  # otherwise it is present but misspelt
                 found.append(document.problem(location[:-1], f"{last!r} is missing", remedy))
         elif last == "pattern" and isinstance(item["input"], dict):
             what = "is no text: YAML takes {camera} for a mapping where no quotes are around it"
@@ -225,7 +225,7 @@ def explained(error: ValidationError, document: Document) -> list[SiteProblem]:
 
 
 def without_faults(data: dict[str, Any], error: ValidationError) -> SiteFile | None:
-    """What is left of a site file without its faulty values, to be examined in the same go; None when too little is."""
+    """The site file without its faulty values, so that the rest is checked in the same run; None if too little is left."""
     cameras = data.get("cameras")
     data = {**data, "cameras": list(cameras) if isinstance(cameras, list) else []}
     for item in error.errors():
@@ -244,7 +244,7 @@ def without_faults(data: dict[str, Any], error: ValidationError) -> SiteFile | N
 
 
 def _close(key: str, location: Location) -> str:
-    """Return the known key nearest to a misspelt one; "" where none is near."""
+    """Return the known key most similar to a misspelt one; "" if none is similar."""
     return next(iter(difflib.get_close_matches(key, _keys_at(location), 1)), "")
 
 
@@ -257,7 +257,7 @@ def _keys_at(location: Location) -> list[str]:
 
 
 def _model_in(annotation: Any) -> type[BaseModel] | None:
-    """The model that an annotation such as `list[CameraEntry]` or `Pose | None` is about."""
+    """The model within an annotation such as `list[CameraEntry]` or `Pose | None`."""
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return annotation
     return next((model for inner in typing.get_args(annotation) if (model := _model_in(inner))), None)

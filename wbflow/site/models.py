@@ -1,4 +1,4 @@
-"""A site: `SiteFile` and its sections validate the YAML; `Site` adds what needs calibrations, paths and stage functions."""
+"""Data models of a site: `SiteFile` and its sections validate the YAML; `Site` adds resolved paths, calibrations and stages."""
 
 from __future__ import annotations
 
@@ -36,11 +36,11 @@ Matrix3 = Annotated[list[Vector3], Field(min_length=3, max_length=3)]
 CameraPair = Annotated[list[str], Field(min_length=2, max_length=2)]
 
 GEODETIC_SIGMA_M = 3.0
-"""Standard deviation of a position by latitude and longitude that comes without one: a plain satellite receiver's, metres."""
+"""Standard deviation, in metres, of a geodetic position that is given without one: that of a plain satellite receiver."""
 _GEODETIC = ("latitude", "longitude", "height")
 
 CUSTOM = "site"
-"""The type of validation errors whose message is complete."""
+"""Type of validation errors whose message is shown as it is, without the input value appended."""
 
 
 def _error(what: str) -> PydanticCustomError:
@@ -48,21 +48,21 @@ def _error(what: str) -> PydanticCustomError:
 
 
 class Section(BaseModel):
-    """A mapping of a site file: unknown keys are refused, and nothing is converted."""
+    """A mapping in a site file: unknown keys are refused, and values are not converted."""
 
     model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
 
 
 class Captures(Section):
-    """Where captures are, and what they are called."""
+    """Where captures are, and the pattern of their file names."""
 
     root: str = "."
     pattern: str
     frames: int = Field(default=7, ge=1, le=500)
     seconds: float = Field(default=60.0, ge=0, le=3600)
-    """So many pictures `wbflow capture` takes of each camera, over so long."""
+    """`wbflow capture` takes `frames` pictures with each camera, spread over `seconds`."""
     credentials: str | None = None
-    """File with user and password of each camera, for `wbflow capture`."""
+    """File with the user and password of each camera, for `wbflow capture`."""
 
     @field_validator("pattern")
     @classmethod
@@ -97,7 +97,7 @@ class Intrinsics(Section):
 
     @property
     def K(self) -> Matrix | None:
-        """3x3; None where only the field of view is given."""
+        """3x3; None if only the field of view is given."""
         if self.fx is None or self.fy is None or self.cx is None or self.cy is None:
             return None
         return [[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]]
@@ -124,21 +124,21 @@ class Position(Section):
 
     @property
     def geodetic(self) -> tuple[float, float, float] | None:
-        """latitude, longitude, height; None where x, y, z are given."""
+        """(latitude, longitude, height); None if x, y, z are given."""
         if self.latitude is None or self.longitude is None or self.height is None:
             return None
         return self.latitude, self.longitude, self.height
 
 
 class ControlPoint(Position):
-    """A point of the scene with known coordinates, and where it is in captures: pixels by camera, of a capture as it is."""
+    """A point of the scene with known coordinates, and its pixel position in the (distorted) captures, by camera."""
 
     id: str | None = None
     pixels: dict[str, Vector2]
 
 
 class Pose(Position):
-    """Where a camera is, and which way it looks."""
+    """Position and viewing direction of a camera."""
 
     position_sigma_m: float | None = Field(default=None, ge=0)
     rotation_sigma_deg: float | None = Field(default=None, ge=0)
@@ -165,7 +165,7 @@ class Pose(Position):
 
     @property
     def R(self) -> Matrix | None:
-        """3x3, world axes to camera axes, from whichever form is given; None where only the position is."""
+        """3x3, world axes to camera axes, from whichever form is given; None if only the position is given."""
         if self.look_at is not None and self.position is not None:
             return look_at(self.position, self.look_at)
         if self.yaw_pitch_roll is not None:
@@ -174,14 +174,14 @@ class Pose(Position):
 
     @property
     def sigma_m(self) -> float:
-        """Standard deviation of the position: as given, else what a satellite receiver gives, else exact."""
+        """Standard deviation of the position: as given, else `GEODETIC_SIGMA_M` for a geodetic position, else 0 (exact)."""
         if self.position_sigma_m is not None:
             return self.position_sigma_m
         return GEODETIC_SIGMA_M if self.geodetic else 0.0
 
     @property
     def sigma_deg(self) -> float:
-        """Standard deviation of the rotation, degrees: as given, else exact."""
+        """Standard deviation of the rotation, degrees: as given, else 0 (exact)."""
         return self.rotation_sigma_deg or 0.0
 
 
@@ -233,7 +233,7 @@ class CameraEntry(Section):
 
 
 class Pairs(Section):
-    """Which pairs are worth matching."""
+    """How the pairs of cameras to match are chosen."""
 
     degree: int = Field(default=6, ge=1, le=100)
     min_angle: float = Field(default=4.0, ge=0, lt=180)
@@ -261,7 +261,7 @@ Nights = Annotated[int | None, BeforeValidator(_nights, json_schema_input_type=i
 
 
 class KeepEntry(Section):
-    """What stays on disk after a run."""
+    """What is kept on disk after a run."""
 
     nights: Nights = None
     bytes: Annotated[int | None, BeforeValidator(_bytes, json_schema_input_type=int | str | None)] = None
@@ -269,7 +269,7 @@ class KeepEntry(Section):
     reports: Nights = None
 
     def limits(self) -> Keep:
-        """The same, where clouds and reports stay for `nights` unless they have a limit of their own."""
+        """The limits to apply: clouds and reports are kept for `nights` nights unless they have a limit of their own."""
         given = self.model_fields_set
         clouds = self.clouds if "clouds" in given else self.nights
         reports = self.reports if "reports" in given else self.nights
@@ -277,7 +277,7 @@ class KeepEntry(Section):
 
 
 class Measure(StrEnum):
-    """A figure of a night that is compared with what is usual."""
+    """A figure of a night that is compared with its usual value."""
 
     POINTS = "points"
     PAIRS = "pairs"
@@ -296,7 +296,7 @@ def _date(value: Any) -> str:
 
 
 class Expected(Section):
-    """What a good night gives: shares of what is usual, or, above 1, least counts."""
+    """Limits that a good night must reach: shares of the usual value or, above 1, minimum counts."""
 
     points: float = Field(default=0.7, ge=0)
     pairs: float = Field(default=0.7, ge=0)
@@ -304,16 +304,16 @@ class Expected(Section):
     cameras: float = Field(default=1.0, ge=0)
     brightness: float = Field(default=0.35, ge=0, le=1)
     since: Annotated[str, BeforeValidator(_date)] = ""
-    """Earlier nights (ISO 8601) don't count as usual; "" where all do."""
+    """Nights before this date (ISO 8601) do not contribute to the usual values; "": all nights do."""
 
     @model_validator(mode="before")
     @classmethod
     def _stated(cls, data: Any) -> Any:
-        """A key without a value is as if it were not there."""
+        """Drop keys without a value, so that their defaults apply."""
         return {key: value for key, value in data.items() if value is not None} if isinstance(data, dict) else data
 
     def limit(self, name: str) -> float:
-        """The least share, or count, of a figure that a good night has; 0 where anything is good."""
+        """The minimum share, or count, of a figure on a good night; 0 if there is no limit."""
         value: float = getattr(self, name, 0.0)
         return value
 
@@ -327,20 +327,20 @@ def _seconds(value: Any) -> float:
 
 
 Duration = Annotated[float, BeforeValidator(_seconds, json_schema_input_type=str)]
-"""Seconds; in the file 30min, 1h, 1d."""
+"""Seconds; written 30min, 1h or 1d in the file."""
 
 
 class Notify(Section):
     """The command that is called after a night."""
 
     command: str | list[str]
-    """For the shell, or program and arguments."""
+    """Text for the shell, or a list of program and arguments."""
     heartbeat: bool = False
-    """It is called after every night."""
+    """Whether it is called after every night."""
     remind: list[Duration] = []
-    """It is called again by the first run after a state has lasted so long."""
+    """It is called again by the first run after a state has lasted this long, for each duration."""
     seconds: float = Field(default=60.0, gt=0, le=3600)
-    """How long it may take."""
+    """Time limit of the command, seconds."""
 
     @field_validator("command", mode="before")
     @classmethod
@@ -352,7 +352,7 @@ class Notify(Section):
 
 
 class Health(Section):
-    """How much a camera may differ from the reference (see `wbflow_stages.health`)."""
+    """Thresholds of the check of each camera against the reference (see `wbflow_stages.health`)."""
 
     nudged_px: float = Field(default=1.5, gt=0)
     moved_deg: float = Field(default=0.4, gt=0)
@@ -361,7 +361,7 @@ class Health(Section):
 
 
 class Zone(Section):
-    """A part of the ground where changes count."""
+    """A part of the ground where changes are reported."""
 
     name: str
     polygon: Annotated[list[Vector2], Field(min_length=3)]
@@ -372,14 +372,14 @@ def _zone(name: Any) -> Any:
     try:
         if isinstance(name, str) and zoneinfo.ZoneInfo(name):
             return name
-    except (zoneinfo.ZoneInfoNotFoundError, ValueError, OSError):  # OSError: a folder of zones, such as "Europe"
+    except (zoneinfo.ZoneInfoNotFoundError, ValueError, OSError):  # OSError: the name of a folder of zones, such as "Europe"
         pass
     near = did_you_mean(str(name), zoneinfo.available_timezones(), "write one such as Europe/Berlin")
     raise _error(f"{name!r} is no time zone; {near}")
 
 
 class SiteFile(Section):
-    """The whole file."""
+    """The whole site file."""
 
     site: str
     timezone: Annotated[str | None, BeforeValidator(lambda name: name and _zone(name))] = None
@@ -401,7 +401,7 @@ class SiteFile(Section):
     work: str | None = None
 
     def positions(self) -> Iterator[tuple[Location, Position]]:
-        """Every position in the file with its location."""
+        """Every position in the file, with its location."""
         yield from ((("cameras", k, "pose"), camera.pose) for k, camera in enumerate(self.cameras) if camera.pose)
         yield from ((("control_points", k), point) for k, point in enumerate(self.control_points))
 
@@ -417,17 +417,17 @@ def site_schema() -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class Survey:
-    """What is known of the ground besides the cameras.  Cameras count by their position in the site file."""
+    """Distances and control points.  Cameras are given by their index in the site file."""
 
     cameras: tuple[str, ...] = ()
     distances: Matrix = field(default_factory=list)
     """Rows of camera, camera, metres."""
     points: Matrix = field(default_factory=list)
-    """Control points, metres."""
+    """Rows of x, y, z of the control points, metres."""
     observations: Matrix = field(default_factory=list)
     """Rows of control point, camera, x, y in pixels of the capture."""
     crs: str = ""
-    """Coordinate system of the world; "" where it is local."""
+    """Coordinate system of the world; "" if it is local."""
 
 
 def stated_fields(value: Lens | Placement | Survey) -> dict[str, Any]:
@@ -439,27 +439,27 @@ def stated_fields(value: Lens | Placement | Survey) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class Camera:
-    """One camera of a site, or one view of a camera that has several."""
+    """One camera of a site, or one of the views of a wide camera."""
 
     id: str
     lens: Lens
     placement: Placement
     mask: Path | None = None
     privacy: list[Matrix] = field(default_factory=list)
-    """Polygons of a capture that nobody may see: pixels, or shares of width and height."""
+    """Polygons of a capture to be blanked for privacy: in pixels, or as shares of its width and height."""
     images: tuple[str, ...] | None = None
-    """File names below the captures' root, where the site file lists them."""
+    """File names below the captures' root, if the site file lists them."""
     location: Location = ()
-    """Of its entry in the site file."""
+    """Location of its entry in the site file."""
 
     @property
     def camera(self) -> str:
-        """The id of the camera, where this is a view of one that has several."""
+        """The id of the camera; differs from `id` if this is one of several views."""
         return camera_of(self.id)
 
     @property
     def posed(self) -> bool:
-        """Are intrinsics and the whole pose given, exactly or with a standard deviation of each part that is not exact?"""
+        """Are intrinsics and the whole pose given, and is the rotation's standard deviation given if the position has one?"""
         return self.given and (not self.placement.sigma_m or self.placement.sigma_deg > 0)
 
     @property
@@ -470,31 +470,31 @@ class Camera:
 
 @dataclass(frozen=True)
 class StageSettings:
-    """What the site file sets for one stage: another function for it (`use`), parameters, or that it is off."""
+    """Settings of one stage in the site file: a function that replaces its own (`use`), parameters, and whether it is enabled."""
 
     use: str | None = None
     parameters: dict[str, Any] = field(default_factory=dict)
     enabled: bool = True
     files: dict[str, Path] = field(default_factory=dict)
-    """By the name that each has in its section."""
+    """Files that the section names, by their key in it."""
 
 
 @dataclass(frozen=True)
 class Site:
-    """A valid site: its file with paths resolved, calibrations read and stages checked."""
+    """A valid site: the site file with paths resolved, calibrations read and stages checked."""
 
     settings: SiteFile
     document: Document
     captures: Pattern
     cameras: tuple[Camera, ...]
     views: tuple[Camera, ...]
-    """What the stages work on: the cameras, but each that is too wide for one pinhole as several views."""
+    """What the stages work on: the cameras, with several views instead of each camera that is too wide for one pinhole."""
     survey: Survey
     stages: dict[str, StageSettings]
     work_folder: WorkFolder
     reader: FunctionReader
     notes: tuple[SiteProblem, ...]
-    """What still works, but has a better form."""
+    """Remarks about entries that still work but should be written differently."""
 
     @property
     def name(self) -> str:
@@ -505,11 +505,11 @@ class Site:
         return self.settings.model_dump(include={"resolution", "bounds", "pairs", "health", "zones"})
 
     def stage_settings(self, stage: str) -> StageSettings:
-        """What the file sets for a stage; where it says nothing, that nothing is set."""
+        """The settings of a stage; defaults if the file has none."""
         return self.stages.get(stage, StageSettings())
 
     def setting(self, key: str) -> Any:
-        """The value of a key outside of `stages` that sets a parameter of a stage: "resolution", "pairs.degree"."""
+        """The value of a key outside `stages` that sets a parameter of a stage, such as "resolution" or "pairs.degree"."""
         return reduce(getitem, key.split("."), self._plain)
 
     @cached_property
@@ -517,11 +517,11 @@ class Site:
         return zoneinfo.ZoneInfo(self.settings.timezone) if self.settings.timezone else None
 
     def local(self, seconds: float) -> datetime.datetime:
-        """What the site's clocks show at a moment (seconds since 1970): by `timezone`, else by this machine's."""
+        """Local time at the site at a moment (seconds since 1970), in `timezone` or else in this machine's time zone."""
         return datetime.datetime.fromtimestamp(seconds, datetime.UTC).astimezone(self._zone)
 
     def today(self) -> datetime.date:
-        """The day at the site."""
+        """The present date at the site."""
         return self.local(time.time()).date()
 
     @property

@@ -1,4 +1,4 @@
-"""How the captures of a site are called: `captures.pattern` with {camera}, {date}, {time}, * and **, read and filled in."""
+"""File names of captures: `captures.pattern` with {camera}, {date}, {time}, * and **, parsed and filled in."""
 
 from __future__ import annotations
 
@@ -28,17 +28,17 @@ _FIELD = re.compile(r"\{(date|time)(?::([^}]*))?\}")
 
 @dataclass(frozen=True)
 class Pattern:
-    """How the captures of a site are called."""
+    """File name pattern of the captures of a site."""
 
     root: Path
     text: str
-    """Relative to the root."""
+    """The pattern, relative to the root."""
     store: str = ""
-    """URL of the object store that has the captures; "" where they lie in a folder."""
+    """URL of the object store that holds the captures; "" if they are in a folder."""
 
     @property
     def dated(self) -> bool:
-        """Do the names say which night they are of?"""
+        """Do the names contain the date of the night?"""
         return "date" in self._fields
 
     @property
@@ -46,24 +46,24 @@ class Pattern:
         return {match.group(1) for match in _FIELD.finditer(self.text)}
 
     def files(self, camera: str, date: datetime.date) -> list[Path]:
-        """A camera's captures of a night, in the order of their times, where their names say them, else of their names."""
+        """A camera's captures of a night, ordered by the times in their names, or by name if these contain no time."""
         moment = self._reader(camera)
         found = [path for path in map(Path, find_untrusted(self._wild(camera, date))) if not path.is_dir()]
         return sorted(found, key=lambda path: (moment(str(path)) or datetime.datetime.min, path))
 
     def moment(self, camera: str, path: Path) -> datetime.datetime | None:
-        """When a capture was taken, by its name; None where that does not say a time of day."""
+        """When a capture was taken, from its name; None if the name contains no time of day."""
         return self._reader(camera)(str(path)) if "time" in self._fields else None
 
     def dates(self, camera: str) -> Iterator[datetime.date]:
-        """Every night for which a camera has a file, as often as it has one."""
+        """The night of each file of a camera; a night with several files is repeated."""
         moment = self._reader(camera)
         for name in find_untrusted(self._wild(camera)):
             if found := moment(name):
                 yield found.date()
 
     def cameras(self) -> set[str]:
-        """Names for which there are files, of whatever night, where the pattern's `{camera}` stands."""
+        """The values of `{camera}` for which there are files, of any night."""
         if "{camera}" not in self.text:
             return set()
         wild = self._in_root(self._filled(None).replace("{camera}", "*"))
@@ -73,13 +73,13 @@ class Pattern:
         return {match["camera"] for match in found if match}
 
     def expected(self, camera: str, date: datetime.date) -> str:
-        """What a camera's captures of a night would be called, for messages."""
+        """The path, with wildcards, of a camera's captures of a night, for messages."""
         return str(self.root / self._filled(date).replace("{camera}", camera))
 
     def name(self, camera: str, moment: datetime.datetime) -> Path:
-        """The path of a new capture: `*` becomes the time of day, where no {time} says it.
+        """The path of a new capture; the first `*` becomes the time of day if the pattern has no {time}.
 
-        Raises ValueError for a pattern with `?` or `[`, which names nothing.
+        Raises ValueError for a pattern with `?` or `[`, from which no name can be made.
         """
         if re.search(r"[?\[]", self.text):
             raise ValueError(f"{self.text} has ? or [ in it: no new capture can be called so")
@@ -89,14 +89,14 @@ class Pattern:
         return self.root / text.replace("{camera}", camera)
 
     def _wild(self, camera: str, date: datetime.date | None = None) -> str:
-        """A pattern for `glob`: of one night, or of all."""
+        """A `glob` pattern for the files of one night, or of all nights (`date` None)."""
         return self._in_root(self._filled(date).replace("{camera}", glob.escape(camera)))
 
     def _in_root(self, text: str) -> str:
         return str(Path(glob.escape(str(self.root))) / text)
 
     def _filled(self, date: datetime.date | None) -> str:
-        """The text with the date put in; what is not known matches anything."""
+        """The pattern with the date filled in; fields without a known value become wildcards."""
 
         def of(match: re.Match[str]) -> str:
             form = match.group(2) or _FORMATS[match.group(1)]
@@ -107,7 +107,7 @@ class Pattern:
         return _FIELD.sub(of, self.text)
 
     def _reader(self, camera: str) -> Callable[[str], datetime.datetime | None]:
-        """A function that reads the moment out of a path; it returns None for a path without one."""
+        """A function that reads date and time from a path; it returns None for a path that does not match."""
         formats = "|".join(match.group(2) or _FORMATS[match.group(1)] for match in _FIELD.finditer(self.text))
         expression = re.compile(self._expression(re.escape(camera)))
 
@@ -121,7 +121,7 @@ class Pattern:
         return moment
 
     def _expression(self, camera: str) -> str:
-        """A regular expression for a capture's path with one group for each {date} and {time}; camera stands for {camera}."""
+        """A regular expression for a capture's path with one group per {date} and {time}; `camera` replaces {camera}."""
         out = []
         for part in re.split(r"(\{(?:date|time)(?::[^}]*)?\}|\{camera\}|\*\*/?|\*)", str(self.root / self.text)):
             if field := _FIELD.fullmatch(part):

@@ -1,4 +1,4 @@
-"""The section `stages` of a site file, checked against the signatures of the functions that it is about."""
+"""The section `stages` of a site file, checked against the signatures of the stages' functions."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ from .yaml_document import Location, Problems, beside, did_you_mean, similar
 
 @dataclass(frozen=True)
 class Renamed:
-    """A parameter that had another name, or other values, in an earlier version; still accepted, with a note."""
+    """A parameter with another name or other values in an earlier version; these are still accepted, with a note."""
 
     now: str
     values: Mapping[str, str] = field(default_factory=dict)
-    """New value by old value."""
+    """Present value by old value."""
 
 
 RENAMED: Mapping[str, Mapping[str, Renamed]] = {
@@ -34,16 +34,16 @@ RENAMED: Mapping[str, Mapping[str, Renamed]] = {
     "disparity": {"speck_share": Renamed("speckle_share")},
     "fuse": {"strict": Renamed("min_consistent_pairs")},
 }
-"""By stage and by the parameter's old name."""
+"""Renamed parameters by stage and old name."""
 GONE: Mapping[str, frozenset[str]] = {"fuse": frozenset({"neighbours"})}
-"""By stage: parameters of an earlier version that nothing has taken the place of; still accepted, with a note."""
+"""Parameters of earlier versions that were removed without replacement, by stage; accepted and ignored, with a note."""
 
 
 def read_stages(
     sections: dict[str, Any], reader: FunctionReader, problems: Problems
 ) -> tuple[dict[str, StageSettings], Problems]:
-    """Settings by stage of the section `stages`; what is wrong with them is added to `problems`.  Also what still works but is
-    called otherwise now."""
+    """The settings of each stage in the section `stages`, and notes on renamed or removed parameters; faults are added to
+    `problems`."""
     found: dict[str, StageSettings] = {}
     notes = Problems(problems.document)
     known = {stage.name: stage for stage in STAGES}
@@ -68,7 +68,7 @@ def read_stages(
 
 @dataclass(frozen=True)
 class _Section:
-    """One stage's section while it is read."""
+    """Reads the section of one stage."""
 
     stage: Stage
     reader: FunctionReader
@@ -77,11 +77,11 @@ class _Section:
 
     @property
     def chooser(self) -> str:
-        """The parameter that says which method is meant; "" where there is no choice."""
+        """The parameter that selects the stage's method; "" if there is no choice."""
         return self.stage.method.parameter if self.stage.method else ""
 
     def read(self, values: dict[str, Any]) -> StageSettings:
-        """The settings; faults and notes are added to the lists."""
+        """The settings; faults and notes are added to `problems` and `notes`."""
         use = values.pop("use", None)
         if use is not None and not (isinstance(use, str) and use):
             self._problem("use", f"{printable(repr(use), 80)} is no function", _USE)
@@ -109,7 +109,7 @@ class _Section:
         return StageSettings(use, values, files=files)
 
     def _files(self, bound: Binding, values: dict[str, Any]) -> dict[str, Path]:
-        """The files that the section names, which are taken out of it: what is in them counts, not what they are called."""
+        """The files that the section names; they are removed from `values`, as their content matters, not their names."""
         found: dict[str, Path] = {}
         chosen, key = bound.method or bound.function, self.chooser if bound.method else "use"
         required = {argument.name for argument in chosen.signature.arguments if argument.required}
@@ -128,7 +128,7 @@ class _Section:
         return found
 
     def _renamed(self, values: dict[str, Any], use: str | None) -> dict[str, str]:
-        """Give parameters of earlier versions their present names and values, in place; present name by old name."""
+        """Give parameters of earlier versions their present names and values, in place; returns present name by old name."""
         renamed, gone = RENAMED.get(self.stage.name, {}), GONE.get(self.stage.name, frozenset())
         if not (renamed.keys() | gone) & values.keys():
             return {}
@@ -159,11 +159,11 @@ class _Section:
         return found
 
     def _fed(self) -> set[str]:
-        """Parameters that are set elsewhere in the site file, or by the plan."""
+        """The parameters that are set elsewhere in the site file, or by the plan."""
         return {*self.stage.set_by_site(), *([COMPONENT] if self.stage.name == FUSE else [])}
 
     def _check(self, bound: Binding, key: str, value: Any, written: str) -> None:
-        """One parameter.  written: what it is called in the file."""
+        """Check one parameter.  written: its name in the file."""
         fed = self._fed()
         parameter = bound.parameters.get(key)
         if key in fed and parameter:
@@ -177,7 +177,7 @@ class _Section:
             self._problem(written, wrong, f"the default is {parameter.shown}")
 
     def _unknown(self, bound: Binding, key: str, written: str, allowed: list[str]) -> None:
-        """A parameter that is not read: by nobody, or by another method than the chosen one."""
+        """Report a parameter that is unknown, or that only other methods than the chosen one read."""
         if bound.method:
             readers = [name for name, known in method_parameters(self.stage, self.reader).items() if key in known]
             readers += methods_with_file(self.stage, key, self.reader)

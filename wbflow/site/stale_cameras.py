@@ -1,7 +1,7 @@
-"""Is what a camera delivers of tonight?  A frozen camera repeats itself; one whose clock is wrong delivers another night.
+"""Are a camera's captures from tonight?  A frozen camera repeats old ones; a wrong clock gives captures of another night.
 
-Nothing is looked at here but digests, names and what is remembered of earlier nights; what the pictures themselves tell comes
-with the frame (`by_picture`).
+`find_stale` uses only digests, file names and the digests of earlier nights.  Evidence from the images themselves comes with the
+summary of the frame task (`by_picture`).
 """
 
 from __future__ import annotations
@@ -18,27 +18,27 @@ from .captures import CaptureFile, captures_of
 from .models import Camera, Site
 
 FAR_OFF_HOURS = 3.0
-"""A camera whose captures are further than this from those of the others shows another light, or its clock is wrong."""
+"""A camera is stale if its captures' time of day is further than this from the others': other light, or a wrong clock."""
 NIGHT_HOURS = 36.0
-"""A capture that was taken further than this from noon of the night's date is of another night."""
+"""A capture belongs to another night if it was taken further than this from noon of the night's date."""
 SAME_PIXELS = 0.98
-"""Two pictures of a live sensor never agree in so many pixels to the last grey level."""
+"""A camera is frozen if a larger share of its pixels is identical in all captures: noise keeps a live sensor below this."""
 _OF_NOTHING = content_digest(b"")
-"""Of an empty file: that two cameras or nights have one does not say that a picture is frozen."""
+"""Digest of an empty file: repeated empty files are no evidence of a frozen image."""
 _REMEDY = "restart the camera or what fetches its pictures; it is used again by itself as soon as its captures are new"
 _CLOCK = "set the camera's clock, or look at what fetches and names its pictures"
 
 
 @dataclass
 class Delivered:
-    """The night's captures, looked at."""
+    """The night's captures after the search for stale ones."""
 
     captures: dict[str, list[CaptureFile]]
-    """By camera: those that are used."""
+    """The captures to use, by camera."""
     stale: dict[str, Health] = field(default_factory=dict)
-    """Cameras none of whose captures are of tonight."""
+    """Cameras that repeat old captures, or whose captures were taken at another time, with the finding."""
     notes: dict[str, str] = field(default_factory=dict)
-    """What else is to be said, by camera."""
+    """Remarks by camera, such as how many captures were left out."""
 
 
 def find_stale(
@@ -48,16 +48,16 @@ def find_stale(
     digests: Digests,
     remembered: EarlierCaptures,
 ) -> Delivered:
-    """Leave out captures that come again, and name cameras that deliver nothing else.
+    """Leave out repeated captures, and find the cameras that are stale.
 
     Parameters
     ----------
     site, date : Site, date
-        Whose captures, and of which night.
+        The site and the night.
     captures : mapping
         All files of the night, by camera.
     digests, remembered : Digests, EarlierCaptures
-        To look at the files of the night before; what cameras have delivered before: tonight is noted there.
+        Digests of files, for the night before; digests of earlier nights by camera, to which tonight's are added.
     """
     delivered = Delivered({camera: list(files) for camera, files in captures.items()})
     repeated: dict[str, Health] = {}
@@ -69,7 +69,7 @@ def find_stale(
         if health:
             repeated[camera.id] = health
     if not site.captures.dated and all(health.figures["earlier"] for health in repeated.values()):
-        # names without a date: where nothing is new, the pictures are meant to stay
+        # names without a date: if no camera has a new capture, the same pictures are processed again on purpose
         with_files = [camera for camera, files in captures.items() if files]
         repeated = {} if set(with_files) <= set(repeated) else repeated
     delivered.stale = {**_far_off(site, delivered.captures), **repeated}
@@ -77,8 +77,8 @@ def find_stale(
 
 
 def _earlier(site: Site, camera: Camera, date: datetime.date, digests: Digests, remembered: EarlierCaptures) -> dict[str, str]:
-    """Digests of what a camera delivered in earlier nights, with the night: as remembered, and as far as it lies there still."""
-    if camera.images is not None:  # the site file names them: they are what is meant
+    """The night of each digest of a camera's earlier captures: remembered ones, and those of the last earlier night on disk."""
+    if camera.images is not None:  # the site file lists them, so repeating them is intended
         return {}
     known = remembered.before(camera.id, str(date))
     pattern = site.captures
@@ -90,7 +90,7 @@ def _earlier(site: Site, camera: Camera, date: datetime.date, digests: Digests, 
 
 
 def _repeats(camera: str, files: list[CaptureFile], earlier: Mapping[str, str], delivered: Delivered) -> Health | None:
-    """A camera that repeats itself; single captures that come again are left out of `delivered`.  earlier: night by digest."""
+    """The finding for a frozen camera; single repeated captures are left out of `delivered`.  earlier: night by digest."""
     readable = [file for file in files if file.digest not in {"", _OF_NOTHING}]
     if not readable:
         return None
@@ -114,7 +114,7 @@ def _repeats(camera: str, files: list[CaptureFile], earlier: Mapping[str, str], 
 
 
 def _far_off(site: Site, captures: Mapping[str, list[CaptureFile]]) -> dict[str, Health]:
-    """Cameras whose captures were taken at another time of day than those of the others, as their names tell."""
+    """Cameras whose captures, by the times in their names, were taken at another time of day than the other cameras'."""
     pattern = site.captures
     hours: dict[str, float] = {}
     for camera, files in captures.items():
@@ -134,20 +134,19 @@ def _far_off(site: Site, captures: Mapping[str, list[CaptureFile]]) -> dict[str,
 
 
 def _apart(hour: float, other: float) -> float:
-    """Hours from one time of day to another, whatever midnight lies between."""
+    """Signed hours from `other` to `hour`, the shorter way across midnight."""
     return (hour - other + 12) % 24 - 12
 
 
 def _middle(hours: list[float]) -> float:
-    """The time of day that is nearest to all."""
+    """The median time of day: the one with the smallest sum of distances to all others."""
     return min(hours, key=lambda hour: sum(abs(_apart(hour, other)) for other in hours))
 
 
 def night_by_pictures(frames: Iterable[FrameSummary]) -> str:
-    """The night (ISO 8601) of most cameras by what these wrote into their pictures; "" where nothing is written, or no night is
-    that of most.
+    """The night (ISO 8601) of most cameras by the capture times in their files; "" without such times or a majority.
 
-    Photographs whose names say no date are of whatever night they are of: old ones are not stale, only those that differ.
+    Used if names contain no date: then old photographs are not stale, only those that differ from the majority.
     """
     moments = sorted(taken[-1] for frame in frames if (taken := _taken(frame)))
     middle = moments[len(moments) // 2] if moments else None
@@ -157,9 +156,9 @@ def night_by_pictures(frames: Iterable[FrameSummary]) -> str:
 
 
 def by_picture(frame: FrameSummary, night: str, in_order: bool) -> Health | None:
-    """A camera whose pictures themselves say that they are of another time.
+    """The finding for a camera whose images are frozen, or whose capture times are of another night or out of order.
 
-    night: ISO 8601, "" where none is known.  in_order: do names say in which order captures were taken?
+    night: ISO 8601, "" if unknown.  in_order: do file names give the order in which captures were taken?
     """
     unchanged = frame.unchanged
     if unchanged is not None and unchanged > SAME_PIXELS:
@@ -180,7 +179,7 @@ def by_picture(frame: FrameSummary, night: str, in_order: bool) -> Health | None
 
 
 def _taken(frame: FrameSummary) -> list[datetime.datetime]:
-    """When the first and the last capture of a camera were taken; [] where it does not say."""
+    """When the first and the last capture of a camera were taken; [] if unknown."""
     try:
         return [datetime.datetime.fromisoformat(at or "") for at in (frame.taken_first, frame.taken_last)]
     except ValueError:

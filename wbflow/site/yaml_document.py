@@ -1,4 +1,4 @@
-"""YAML read with the line and column of everything in it, and what is wrong at a location of it."""
+"""YAML with the line and column of every value and key, and problems reported at their location."""
 
 from __future__ import annotations
 
@@ -25,25 +25,25 @@ except ImportError:  # pragma: no cover  (PyYAML built without libyaml)
 Loader = _Loader
 
 Location = tuple[str | int, ...]
-"""Where a value is: keys and list positions from the top."""
+"""Path to a value: keys and list indices from the top."""
 
 _DEEPEST = 40
-"""Levels of values within values; a site file has eight."""
+"""Largest nesting depth that is accepted; a site file needs eight levels."""
 _MOST_VALUES = 500_000
-"""Values that aliases may make of a file; a site of a thousand cameras has 30,000."""
+"""Largest number of values once aliases are expanded; a site with a thousand cameras has 30,000."""
 _INLINE = re.compile(r"[-?:] +(?=[-?])")
-"""Where block collections are nested on one line."""
+"""Matches block collections that are nested on one line."""
 _LARGEST = 10**15
-"""Of whole numbers."""
+"""Largest magnitude of an integer that is accepted."""
 
 
 @dataclass(frozen=True)
 class SiteProblem:
-    """One thing that is wrong with an input file."""
+    """One problem in an input file."""
 
     file: Path
     line: int
-    """From 1; 0 where the problem has no line."""
+    """From 1; 0 if the problem has no line."""
     column: int
     where: str
     """The location as text: `cameras[3].intrinsics`."""
@@ -61,7 +61,7 @@ class SiteProblem:
 
 
 class SiteError(WbflowError, ValueError):
-    """The site file, or a file that it names, cannot be used.  `problems` holds everything found, not just the first."""
+    """The site file, or a file that it names, cannot be used.  `problems` holds all problems found, not just the first."""
 
     exit_code = ExitCode.USAGE
 
@@ -71,40 +71,40 @@ class SiteError(WbflowError, ValueError):
 
 
 class CalibrationError(WbflowError, ValueError):
-    """A calibration file cannot be used; the message says what and where."""
+    """A calibration file cannot be used; the message contains the problem and its place."""
 
     exit_code = ExitCode.USAGE
 
     @classmethod
     def from_site_error(cls, error: SiteError, remedy: str = "") -> CalibrationError:
-        """The first problem of a file that could not be read."""
+        """The error for a file that could not be read, made from its first problem."""
         problem = error.problems[0]
         return cls(problem.what, where=problem.mark, remedy=remedy)
 
 
 @dataclass(frozen=True)
 class Document:
-    """A YAML file with the line and column of everything in it."""
+    """A YAML file with the line and column of every value and key."""
 
     path: Path
     data: Any
-    """The YAML as Python."""
+    """The content as Python objects."""
     marks: dict[Location, tuple[int, int]] = field(default_factory=dict)
     """(line, column) of each value."""
     key_marks: dict[Location, tuple[int, int]] = field(default_factory=dict)
-    """Of each key."""
+    """(line, column) of each key."""
     texts: dict[Location, str] = field(default_factory=dict)
-    """Scalars as written."""
+    """Each scalar as written."""
 
     def problem(self, location: Location, what: str, remedy: str = "", key: bool = False) -> SiteProblem:
-        """A problem at a location; where the file has no such location, at the nearest one around it.
+        """A problem at a location; if the file has no such location, at the nearest enclosing one.
 
         Parameters
         ----------
         location, key : Location, bool
-            Keys and indices that lead there; point at the last key instead of its value.
+            Path to the value; whether to point at its key instead of the value.
         what, remedy : str
-            What is wrong, and what to do.
+            What is wrong, and how to fix it.
         """
         marks = self.key_marks if key else self.marks
         at = location
@@ -116,7 +116,7 @@ class Document:
 
 @dataclass(frozen=True)
 class Problems:
-    """What is wrong with a document, collected so that all of it is reported at once."""
+    """The problems of a document, collected so that all are reported at once."""
 
     document: Document
     found: list[SiteProblem] = field(default_factory=list)
@@ -127,7 +127,7 @@ class Problems:
         Parameters
         ----------
         location, what, remedy, key
-            As of `Document.problem`.
+            As for `Document.problem`.
         """
         self.found.append(self.document.problem(location, what, remedy, key))
 
@@ -138,16 +138,16 @@ def _spelled(location: Location) -> str:
 
 
 ID = re.compile(r"[A-Za-z0-9_.-]{1,100}")
-"""What a camera, and a site, may be called."""
+"""Characters and length of names of cameras and sites; `is_name` also excludes names that consist of dots only."""
 
 
 def is_name(name: str) -> bool:
-    """May a camera, or a site, be called so?  It becomes the name of a folder."""
+    """Is this a valid name for a camera or a site?  It becomes the name of a folder."""
     return bool(ID.fullmatch(name) and name.strip("."))
 
 
 def beside(path: str, location: Location, problems: Problems) -> Path:
-    """A path that a site file gives at a location: relative to the file."""
+    """A path from the site file, resolved relative to that file; an invalid path is added to `problems` at its location."""
     try:
         given = Path(path).expanduser()
     except (RuntimeError, ValueError) as error:
@@ -158,13 +158,13 @@ def beside(path: str, location: Location, problems: Problems) -> Path:
 
 
 def did_you_mean(word: str, known: Iterable[str], otherwise: str) -> str:
-    """A remedy that names the nearest of what is known, where one is near."""
+    """A remedy that suggests the known word most similar to `word`, or `otherwise` if none is similar."""
     close = difflib.get_close_matches(word, known, 1)
     return f"did you mean {printable(close[0])!r}?" if close else otherwise
 
 
 def similar(path: Path) -> str:
-    """A remedy that names what lies beside a path that does not exist, and has nearly the same name; "" where nothing does."""
+    """A remedy that suggests a file with a similar name in the folder of a path that does not exist; "" if there is none."""
     try:
         names = [entry.name for entry in path.parent.iterdir()]
     except OSError:
@@ -173,7 +173,7 @@ def similar(path: Path) -> str:
 
 
 def read_text(path: Path) -> str:
-    """The text of a file from outside.  Raises SiteError where it cannot be read, or is not UTF-8."""
+    """The text of an untrusted file.  Raises SiteError if it cannot be read or is not UTF-8."""
     try:
         return read_untrusted(path, MOST_TEXT_BYTES).decode("utf-8-sig")
     except Unreadable as error:
@@ -187,13 +187,13 @@ def read_text(path: Path) -> str:
 def load_yaml(path: Path) -> Document:
     """Read a YAML file.
 
-    Raises SiteError where it cannot be read, is not YAML, holds a key twice, has tags beyond plain data, or would exhaust memory.
+    Raises SiteError if it cannot be read, is not YAML, has a duplicate key or tags beyond plain data, or would exhaust memory.
     """
     return parse_yaml(read_text(path), path)
 
 
 def parse_yaml(text: str, path: Path) -> Document:
-    """Read the text of a YAML file.  Raises SiteError, as `load_yaml` does."""
+    """Parse the text of a YAML file.  Raises SiteError, as `load_yaml` does."""
     loader = None
     try:
         _refuse_depth(text)
@@ -222,7 +222,7 @@ def parse_yaml(text: str, path: Path) -> Document:
 
 
 def _remedy_at(text: str, line: int) -> str:
-    """What to do about text that is not YAML, judged by the most frequent mistakes."""
+    """A remedy for invalid YAML near a line, from the most frequent mistakes."""
     lines = text.splitlines()
     near = lines[max(0, line - 2) : line]
     if any("\t" in each[: len(each) - len(each.lstrip())] for each in near):
@@ -233,7 +233,7 @@ def _remedy_at(text: str, line: int) -> str:
 
 
 class _Careful(Loader):
-    """Reports the location of values that are malformed (`!!int x`, `2026-99-99`) or too large to compute with."""
+    """A loader that reports the location of values that are malformed (`!!int x`, `2026-99-99`) or too large."""
 
     def construct_object(self, node: Any, deep: bool = False) -> Any:
         try:
@@ -251,7 +251,7 @@ def _shown(node: Any) -> str:
 
 
 def _refuse_depth(text: str) -> None:
-    """Refuse deep nesting by the events alone: constructing it is recursive, and would overflow.  Raises MarkedYAMLError."""
+    """Refuse deep nesting from the parser's events: recursive construction would overflow the stack.  Raises MarkedYAMLError."""
     if text.count("[") + text.count("{") + len(_INLINE.findall(text)) < _DEEPEST and " " * _DEEPEST not in text:
         return
     try:
@@ -259,7 +259,7 @@ def _refuse_depth(text: str) -> None:
     except yaml.MarkedYAMLError as error:
         if "nesting depth" not in str(error.problem):
             raise
-        _count_depth(yaml.SafeLoader(text))  # libyaml has a limit of its own, looks ahead, and marks where it stopped
+        _count_depth(yaml.SafeLoader(text))  # libyaml's own limit marks the place where its look-ahead stopped
 
 
 def _count_depth(loader: Any) -> None:
@@ -296,7 +296,7 @@ def _refuse_bomb(node: Any) -> None:
 
 
 def _mark(node: Any, location: Location, document: Document, problems: list[SiteProblem]) -> None:
-    """Enter the places of a value and of all in it; duplicate keys are added to `problems`."""
+    """Record the places of a value and of everything in it; duplicate keys are added to `problems`."""
     document.marks[location] = (node.start_mark.line + 1, node.start_mark.column + 1)
     if isinstance(node, yaml.MappingNode):
         for key, value in node.value:

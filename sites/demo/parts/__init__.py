@@ -1,1 +1,1 @@
-"""What stands and moves in scenes."""
+"""Static and moving parts of scenes."""

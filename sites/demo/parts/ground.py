@@ -18,7 +18,7 @@ LITTER_TONES = ((0.5, 0.36, 0.12), (0.62, 0.6, 0.55), (0.08, 0.07, 0.06), (0.33,
 
 
 def cobbles(rng: Rng, width_m: float, height_m: float, texel_m: float) -> Texture:
-    """Paint setts with worn tracks, moss and sand in the joints, oil, relaid patches, covers, painted lines and litter."""
+    """Paint setts with worn tracks, moss and soil in the joints, oil, relaid patches, covers, painted lines and litter."""
     shape = shape_of(width_m, height_m, texel_m)
     cover, tone, relief = stones(rng, shape, texel_m, (0.17, 0.125), 0.018, bond=0.5, jitter=0.16, warp=0.02)
     image = palette(COBBLE_TONES, tone)
@@ -147,13 +147,13 @@ SLAB_TONES = ((0.36, 0.34, 0.31), (0.30, 0.285, 0.27), (0.42, 0.39, 0.35), (0.25
 
 
 def repeating_tiles(rng: Rng, tile_m: float, tiles: int, texel_m: float) -> Texture:
-    """Paint `tiles` x `tiles` copies of one tile, equal to the bit: a patterned slab of `tile_m` metres with a joint around it.
+    """Paint `tiles` x `tiles` bit-identical copies of one tile, a patterned slab of `tile_m` metres with a joint around it.
 
-    `tile_m` is rounded to whole texels; lay the texture edge to edge and the ground repeats everywhere."""
+    `tile_m` is rounded to whole texels; copies of the texture laid edge to edge continue the repetition."""
     n = max(round(tile_m / texel_m), 4)
     shape = (n, n)
     y, x = (np.indices(shape, dtype=np.float32) + 0.5) / n
-    # four slabs around a small dark one, as cut stone is often laid; each with its own tone and grain
+    # four slabs around a small dark one, as cut stone is often laid, each with its own tone
     inset = np.float32(0.24)
     arms = np.where((y < inset) & (x >= inset), 0, np.where((x >= inset) & (y >= inset) & (x > y), 1, np.where(y >= inset, 2, 3)))
     arms = np.where((np.abs(x - 0.60) < 0.10) & (np.abs(y - 0.55) < 0.10), 4, arms)
@@ -187,7 +187,7 @@ def asphalt(rng: Rng, width_m: float, height_m: float, texel_m: float, *, tone: 
 
 
 def with_lines(texture: Texture, lines_m: Float32s, width_m: float, rng: Rng, colour: Colour = (0.62, 0.60, 0.55)) -> Texture:
-    """Return a copy with worn lines painted on it; lines_m: (n, 2, 2), from and to, metres from the top left corner."""
+    """Return a copy with worn lines painted on it; lines_m: (n, 2, 2), start and end points, metres from the top left corner."""
     shape = (texture.pixels.shape[0], texture.pixels.shape[1])
     paint = np.zeros(shape, np.uint8)
     for line in lines_m:

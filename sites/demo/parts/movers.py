@@ -1,4 +1,4 @@
-"""People and vehicles: what stands elsewhere at every capture."""
+"""People and vehicles, which are at other places in every capture."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from ..render.textures import cloth, painted_steel, sign_board
 from .street import car, car_textures
 
 Way = tuple[tuple[float, float], tuple[float, float]]
-"""From and to, metres east and north."""
+"""Start and end point, metres east and north."""
 
 CLOTHES = ((0.75, 0.32, 0.02), (0.10, 0.16, 0.35), (0.45, 0.05, 0.04), (0.55, 0.55, 0.08), (0.06, 0.06, 0.07), (0.25, 0.35, 0.22))
 
@@ -30,11 +30,11 @@ ROUTES: tuple[Way, ...] = (
     ((8.0, 26.0), (32.0, 26.5)),
     ((15.0, 12.5), (25.0, 13.5)),
 )
-"""Of the yard: lanes that stay free of everything that stands still."""
+"""Ways of the yard, along which there are no static objects."""
 
 
 def movers(rng: Rng, texel_m: float, captures: int, *, people: int = 9, vehicles: int = 2) -> list[Scene]:
-    """Return the same people and vehicles at other places of the routes for each capture; all scenes share their textures."""
+    """Return a scene per capture with the same people and vehicles at other places on the routes; all share their textures."""
     build = SceneBuilder()
     build.kind = MOVING
     skin, dark, glass = (build.add_texture(cloth(rng, texel_m, c)) for c in (SKIN, (0.035, 0.035, 0.04), (0.05, 0.07, 0.08)))
@@ -60,7 +60,7 @@ def movers(rng: Rng, texel_m: float, captures: int, *, people: int = 9, vehicles
 
 
 def person(build: SceneBuilder, rng: Rng, place: Place, yaw: float, look: tuple[int, int, int, int]) -> None:
-    """Add a walker of about 1.75 m, one leg forward; `look`: textures of jacket, trousers, skin, helmet."""
+    """Add a walking person of about 1.75 m, one leg forward; `look`: textures of jacket, trousers, skin, helmet."""
     jacket, trousers, skin, helmet = look
     x, y, _ = place
     ahead, side = axes_of(yaw)
@@ -117,7 +117,7 @@ HAIR: tuple[Colour, ...] = ((0.05, 0.035, 0.025), (0.16, 0.10, 0.05), (0.30, 0.2
 def traffic(
     rng: Rng, texel_m: float, captures: int, *, people: int, walks: Sequence[Way], cars: int = 0, roads: Sequence[Way] = ()
 ) -> tuple[Scene, ...]:
-    """Return the same people and cars at other places of their ways for each capture; all scenes share their textures."""
+    """Return a scene per capture with the same people and cars at other places on their ways; all share their textures."""
     build = SceneBuilder()
     build.kind = MOVING
     skin = build.add_texture(cloth(rng, texel_m, SKIN))
@@ -139,7 +139,7 @@ def traffic(
 
 
 def _on_way(rng: Rng, way: Way, stray_m: float, veer: float) -> tuple[Place, float]:
-    """Return a random place on a way, and a heading along it, to or fro: up to about `stray_m` metres and `veer` radians off."""
+    """Return a random place and heading along a way, in either direction; `stray_m`, `veer` (radians): standard deviations."""
     start, end = (np.array(p) for p in way)
     x, y = start + rng.uniform(0, 1) * (end - start) + rng.normal(0, stray_m, 2)
     yaw = float(np.arctan2(*(end - start)[::-1])) + float(rng.normal(0, veer)) + np.pi * float(rng.integers(2))

@@ -1,4 +1,4 @@
-"""What stands in streets and on squares: cars, trees, benches, lamps, bollards, signs' posts."""
+"""Objects in streets and on squares: cars, trees, benches and lamps."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def _lacquer(rng: Rng, texel_m: float, colour: Colour) -> Texture:
 
 
 def car(build: SceneBuilder, look: CarTextures, colour: int, *, length: float = 4.3) -> SceneBuilder:
-    """Return a car on the origin, nose along +x: a part to `stamp`."""
+    """Return a car at the origin, nose along +x, as a part to `stamp`."""
     part = build.with_same_textures()
     body, half, wide = look.paints[colour % len(look.paints)], length / 2, 1.76
     part.box((0.0, 0.0, 0.26), (length, wide, 0.28), look.dark, sides=body)
@@ -92,7 +92,7 @@ def furniture_textures(build: SceneBuilder, rng: Rng, texel_m: float) -> Furnitu
 
 
 def tree(build: SceneBuilder, rng: Rng, look: Furniture, *, height: float = 6.0) -> SceneBuilder:
-    """Return a trunk and a crown of leafy lumps, on the origin: a part to `stamp`."""
+    """Return a tree at the origin, a trunk and a crown of leafy lumps, as a part to `stamp`."""
     part = build.with_same_textures()
     part.tube((0.0, 0.0, 0.0), 0.03 * height, 0.55 * height, look.bark, sides=9)
     for _ in range(9):
@@ -103,7 +103,7 @@ def tree(build: SceneBuilder, rng: Rng, look: Furniture, *, height: float = 6.0)
 
 
 def bench(build: SceneBuilder, look: Furniture) -> SceneBuilder:
-    """Return a bench of 1.8 m along x on the origin: a part to `stamp`."""
+    """Return a bench at the origin, 1.8 m along x, as a part to `stamp`."""
     part = build.with_same_textures()
     for k in range(3):
         part.box((0.0, -0.15 + 0.15 * k, 0.44), (1.8, 0.11, 0.04), look.wood)
@@ -115,7 +115,7 @@ def bench(build: SceneBuilder, look: Furniture) -> SceneBuilder:
 
 
 def street_lamp(build: SceneBuilder, look: Furniture, *, height: float) -> SceneBuilder:
-    """Return a post with a lamp head on the origin: a part to `stamp`; its light belongs at `height`."""
+    """Return a post with a lamp head at the origin, as a part to `stamp`; its light source must be placed at `height`."""
     part = build.with_same_textures()
     part.tube((0.0, 0.0, 0.0), 0.11, 0.9, look.steel, sides=8)
     part.tube((0.0, 0.0, 0.9), 0.06, height - 0.85, look.steel, sides=8)

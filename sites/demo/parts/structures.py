@@ -1,4 +1,4 @@
-"""The parts of the yard: façades with recessed windows, containers with ribs, a lattice crane, stacks, posts."""
+"""Structures: façades with recessed windows, containers with ribs, a lattice crane, stacks, posts."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class Opening:
 
 @dataclass(frozen=True)
 class Box:
-    """A container: where (metres; level 1 stands on another), heading (radians), length, paint and the line's name."""
+    """A container: position (metres), level (1: on top of another), heading (radians), length, paint and shipping line's name."""
 
     x: float
     y: float
@@ -42,16 +42,16 @@ class Box:
 def facade(
     build: SceneBuilder, corner: Vector, right: Vector, size: tuple[float, float], wall: int, openings: list[Opening], sill: int
 ) -> None:
-    """Add a wall with openings: `corner` top left and `right` unit direction as seen from outside, `size` = (width, height).
+    """Add a wall with openings, seen from outside: top left `corner`, unit direction `right`, `size` = (width, height).
 
-    The wall is cut along the edges of its openings; all its pieces continue one texture."""
+    The wall is cut along the edges of its openings; one texture continues across all its pieces."""
     corner, right = np.asarray(corner, np.float64), np.asarray(right, np.float64)
     inward = np.cross(right, -UP)
     xs = sorted({0.0, size[0], *(o.left for o in openings), *(o.left + o.width for o in openings)})
     ys = sorted({0.0, size[1], *(o.top for o in openings), *(o.top + o.height for o in openings)})
     for top, bottom in itertools.pairwise(ys):
         for left, end in itertools.pairwise(xs):
-            if min(end - left, bottom - top) < 1e-6:  # edges of two openings that agree but for rounding
+            if min(end - left, bottom - top) < 1e-6:  # edges of two openings that differ only by rounding
                 continue
             x, y = 0.5 * (left + end), 0.5 * (top + bottom)
             if not any(o.left < x < o.left + o.width and o.top < y < o.top + o.height for o in openings):
@@ -75,7 +75,7 @@ def _recess(build: SceneBuilder, corner: Float64s, right: Float64s, inward: Floa
 
 
 def container(build: SceneBuilder, rng: Rng, texel_m: float, box: Box) -> None:
-    """Add a shipping container: ribbed walls painted one by one, corner posts, door end with bars."""
+    """Add a shipping container: ribbed walls with a texture each, corner posts, door end with bars."""
     length, width, height = box.length, 2.44, 2.59
     ahead, side = axes_of(box.yaw)
     foot = np.array([box.x, box.y, 2.6 * box.level])
@@ -101,13 +101,13 @@ def container(build: SceneBuilder, rng: Rng, texel_m: float, box: Box) -> None:
 
 _POST, _DEEP = 0.16, 0.036
 _PROFILE = ((0.0, 0.0), (0.25, 0.0), (0.5, -_DEEP), (0.75, -_DEEP), (1.0, 0.0))
-"""Of a rib: how far along it, and how far out, metres."""
+"""Profile of a rib: position along it, as a share of its pitch, and outward offset, metres."""
 
 
 def _ribs(
     build: SceneBuilder, corner: Float64s, right: Float64s, outward: Float64s, size: tuple[float, float], texture: int
 ) -> None:
-    """Add a corrugated wall between posts and rails: trapezoids of about 0.28 m; its texture runs straight across."""
+    """Add a corrugated wall of trapezoids of about 0.28 m between posts and rails; its texture ignores the corrugation."""
     length, height = size
     down = -(height - 2 * _POST) * UP
     build.quad(corner, length * right, -_POST * UP, texture)
@@ -185,7 +185,7 @@ def barrels(build: SceneBuilder, rng: Rng, place: tuple[float, float], textures:
 def heap(
     build: SceneBuilder, rng: Rng, place: tuple[float, float], radius: float, height: float, texture: int, *, steps: int = 18
 ) -> None:
-    """Add a tipped heap of gravel, rough on the scale of its facets."""
+    """Add a heap of tipped gravel, rough at the scale of its facets."""
     side = np.linspace(-radius, radius, steps + 1)
     x, y = np.meshgrid(side, side)
     z = height * (1 - (np.hypot(x, y) / radius) ** 1.3) + 0.04 * rng.standard_normal(x.shape)

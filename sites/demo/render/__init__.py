@@ -1,4 +1,4 @@
-"""Renders a scene as cameras see it, and what is true in it."""
+"""Renders the captures of a scene and its ground truth."""
 
 Place = tuple[float, float, float]
 """x, y, z, metres."""

@@ -1,4 +1,4 @@
-"""Cameras: where they hang, their lenses and sensors, and the rays of their (distorted) pixels."""
+"""Cameras: their poses, their lenses, and the rays of their (distorted) pixels."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from wbflow_stages.types import Camera, Float32s, Float64s, Lens
 from . import Place
 
 CENTRE = (20.0, 18.0)
-"""What the half ring of cameras surrounds, metres east and north."""
+"""Centre of the half ring of cameras, metres east and north."""
 
 
 @dataclass(frozen=True)
@@ -24,31 +24,31 @@ class Viewpoint:
     name: str
     centre: Place
     target: Place
-    """What it looks at."""
+    """The point that it looks at."""
     hfov_deg: float
     distortion: tuple[float, ...]
-    """Coefficients of the lens: of a brown one k1 k2 p1 p2 k3."""
+    """Coefficients of the lens: k1 k2 p1 p2 k3 for "brown", k1 k2 k3 k4 for "fisheye"."""
     roll_deg: float = 0.0
     shift: tuple[float, float] = (0.0, 0.0)
-    """How far the principal point lies off the middle, in units of 0.6 % of the width."""
+    """Offset of the principal point from the image centre, in units of 0.6 % of the width."""
     model: Literal["brown", "fisheye"] = "brown"
     scale: float = 1.0
-    """Of its pictures' size."""
+    """Factor on the size of its images."""
     whole_picture: bool = False
-    """`hfov_deg` is that of the (distorted) picture, rather than of the pinhole with the same K."""
+    """Whether `hfov_deg` is the field of view of the (distorted) image instead of the pinhole with the same K."""
 
     def size(self, size: tuple[int, int]) -> tuple[int, int]:
-        """Return (width, height) of its pictures where those of others have `size`."""
+        """Return (width, height) of its images; `size`: (width, height) for a `scale` of 1."""
         return round(self.scale * size[0]), round(self.scale * size[1])
 
 
 def principal_shift(k: int) -> tuple[float, float]:
-    """Return the `shift` of a scene's k-th camera: principal points lie a little off the middle, as in real cameras."""
+    """Return the `shift` of a scene's k-th camera: principal points are a little off the image centre, as in real cameras."""
     return float(np.sin(k + 0.5)), float(np.cos(1.7 * k))
 
 
 def viewpoint_on_post(k: int, name: str, centre: Place, target: Place, hfov_deg: float, barrel: float) -> Viewpoint:
-    """Return a scene's k-th camera, `name`-k+1: its lens is a little unlike its neighbours', and it does not hang quite level."""
+    """Return a scene's k-th camera, named `name`-(k+1), with a lens that differs slightly from others', and not quite level."""
     shift = principal_shift(k)
     distortion = (barrel - 0.01 * (k % 3), 0.03, 0.0002, 0.0003, 0.0)
     return Viewpoint(f"{name}-{k + 1}", centre, target, hfov_deg, distortion, 0.8 * shift[0], shift)
@@ -57,16 +57,16 @@ def viewpoint_on_post(k: int, name: str, centre: Place, target: Place, hfov_deg:
 def _mounted(
     name: str, bearing_deg: float, distance: float, height: float, target: Place, hfov_deg: float, distortion: tuple[float, ...]
 ) -> Viewpoint:
-    """Return a camera of the yard; `bearing_deg` and `distance`, in metres: where it hangs, east of south, seen from CENTRE."""
+    """Return a camera of the yard at a `distance` in metres from CENTRE, in direction `bearing_deg` east of south."""
     bearing = np.deg2rad(bearing_deg)
     centre = (float(CENTRE[0] + distance * np.sin(bearing)), float(CENTRE[1] - distance * np.cos(bearing)), height)
-    # principal points lie a little off the middle, as in real cameras, and no camera hangs quite level
+    # principal points are a little off the image centre, and no camera is quite level, as in reality
     right, down = np.sin(np.array([1.0, 2.0]) * (bearing_deg + 7.0))
     roll_deg = 1.2 * float(np.sin(bearing_deg))
     return Viewpoint(name, centre, target, hfov_deg, distortion, roll_deg, (float(right), float(down)))
 
 
-# Distortions of the size of real surveillance lenses: barrel, a little decentring.
+# Distortions are as large as those of real surveillance lenses: barrel, with a little decentring.
 MOUNTS = (
     _mounted("gate", -71.0, 19.5, 6.2, (21.0, 20.5, 1.2), 70.0, (-0.21, 0.055, 0.0004, -0.0003, -0.008)),
     _mounted("mast-1", -50.0, 20.0, 7.6, (20.5, 21.5, 1.4), 66.0, (-0.16, 0.032, -0.0005, 0.0002, 0.0)),
@@ -80,7 +80,7 @@ MOUNTS = (
 
 
 def choose_mounts(cameras: int) -> tuple[Viewpoint, ...]:
-    """Return the `cameras` neighbours in the middle of the half ring."""
+    """Return `cameras` neighbouring viewpoints from the middle of the half ring."""
     first = (len(MOUNTS) - cameras) // 2
     return MOUNTS[first : first + cameras]
 
@@ -96,9 +96,9 @@ def look_at(centre: Float64s, target: Float64s, roll_deg: float = 0.0) -> Float6
 
 
 def camera_at(viewpoint: Viewpoint, size: tuple[int, int]) -> tuple[Camera, Lens]:
-    """Return the pinhole without distortion, and the lens with it, of `size` = (width, height) pixels.
+    """Return the pinhole camera without distortion, and the lens with distortion, for images of `size` = (width, height) pixels.
 
-    Of a fisheye the first has its pose, size and K, but is no pinhole.
+    For a fisheye, the first has its pose, size and K, but is not a pinhole.
     """
     width, height = size
     angle = np.deg2rad(viewpoint.hfov_deg) / 2
@@ -154,7 +154,7 @@ def _fisheye_rays(rays: Float64s, x: Float64s, y: Float64s, K: Float64s, distort
 
 
 def pixel_rays(camera: Camera, lens: Lens | None, x: Float64s, y: Float64s) -> Float32s:
-    """Return unit world directions (n, 3) float32 of pixels x, y (n,) as the lens sees them (None: without distortion)."""
+    """Return unit world directions (n, 3) float32 of pixels x, y (n,) of a lens (None: of the pinhole without distortion)."""
     rays = np.empty((len(x), 3))
     if lens is not None and lens.model == "fisheye":
         _fisheye_rays(rays, x, y, camera.K, lens.distortion)
@@ -165,7 +165,7 @@ def pixel_rays(camera: Camera, lens: Lens | None, x: Float64s, y: Float64s) -> F
 
 
 def distort(lens: Lens, x: Float64s) -> Float64s:
-    """Return pixels (n, 2) of the undistorted view with the same K, as the lens images them (Brown's model, OpenCV's order)."""
+    """Return the distorted positions (n, 2) of pixels of the undistorted view with the same K (Brown's model, OpenCV's order)."""
     assert lens.K is not None
     K, (k1, k2, p1, p2, k3) = lens.K, lens.distortion
     a, b = (x[:, 0] - K[0, 2]) / K[0, 0], (x[:, 1] - K[1, 2]) / K[1, 1]
@@ -182,7 +182,7 @@ VARIANTS = {
     "brown": "all see 100 degrees with half as many pixels again along each side, and bend lines strongly",
     "mixed": "every second camera has four times the pixels of its neighbours along each side",
 }
-"""What each is."""
+"""Description of each kind of lenses."""
 
 _FISHEYE = {"model": "fisheye", "distortion": (-0.012, 0.004, -0.0011, 0.0001), "hfov_deg": 180.0, "scale": 2.0}
 """Nearly equidistant."""
@@ -193,11 +193,11 @@ _CHANGES: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {
     "brown": (_BARREL, _BARREL),
     "mixed": ({"scale": 0.5}, {"scale": 2.0}),
 }
-"""To a scene's first, third, ... camera, and to its second, fourth, ..."""
+"""Changes to a scene's first, third, ... camera, and to its second, fourth, ... camera."""
 
 
 def with_lenses(viewpoint: Viewpoint, k: int, lenses: str) -> Viewpoint:
-    """Return a scene's k-th camera with the lens of a row of `VARIANTS`.  Raises ValueError for another row."""
+    """Return a scene's k-th camera with a kind of `lenses` from `VARIANTS`.  Raises ValueError for an unknown kind."""
     if lenses not in VARIANTS:
         raise ValueError(f"lenses are {', '.join(VARIANTS)}, not {lenses!r}")
     return replace(viewpoint, **_CHANGES[lenses][k % 2])

@@ -1,4 +1,4 @@
-"""How far something covers a surface: lettering, spots, rows of stones; with `rng`, `shape` and `texel_m` as in `paint`."""
+"""Coverage maps of lettering, spots and rows of stones on a surface; `rng`, `shape` and `texel_m` are as in `paint`."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ Maps = tuple[Float32s, Float32s, Float32s]
 
 @kernel
 def _lay_stones(laid: Maps, stones: Maps, warp: Float32s, texel: float, unit: tuple[float, float], joint: float) -> None:
-    """Rows of stones with jittered joints: coverage (0 in a joint), a stone's own number, and dome shading lit from top left."""
+    """Fill in rows of stones with jittered joints: coverage (0 in a joint), tone per stone, dome shading lit from top left."""
     cover, tone, relief = laid
     table, edges, shift = stones
     rows, cols = table.shape
@@ -71,7 +71,7 @@ def _lay_stones(laid: Maps, stones: Maps, warp: Float32s, texel: float, unit: tu
 def stones(
     rng: Rng, shape: Shape, texel_m: float, unit: tuple[float, float], joint: float, *, bond: float, jitter: float, warp: float
 ) -> Maps:
-    """Return coverage, tone (unit variance, one number a stone) and relief of rows of stones `unit` = (width, height) metres."""
+    """Return coverage, tone (unit variance, one per stone) and relief of rows of stones of `unit` = (width, height) metres."""
     rows, cols = int(shape[0] * texel_m / unit[1]) + 2, int(shape[1] * texel_m / unit[0]) + 4
     table = rng.standard_normal((rows, cols), dtype=np.float32)
     edges = (unit[0] * jitter * rng.uniform(-1, 1, (rows, cols))).astype(np.float32)

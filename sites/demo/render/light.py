@@ -1,4 +1,4 @@
-"""The light of a scene: sun, sky, haze, ground and lamps; by day, at dusk, at night, in the dark, and under an even grey sky."""
+"""The light of a scene: sun, sky, haze, ground and lamps, by day, at dusk, at night, in the dark, and under an overcast sky."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from . import Place
 
 @dataclass(frozen=True)
 class Lamp:
-    """A lamp: position (3,), colour times strength (3,), metres-squared falloff."""
+    """A lamp: position in metres, and colour times strength, with inverse-square falloff."""
 
     position: tuple[float, float, float]
     power: tuple[float, float, float]
@@ -18,32 +18,32 @@ class Lamp:
 
 @dataclass(frozen=True)
 class Light:
-    """What lights a scene."""
+    """All light sources of a scene."""
 
     sun_direction: tuple[float, float, float]
     """Unit vector towards the sun."""
     sun: tuple[float, float, float]
-    """Its linear colour."""
+    """Linear colour of the sun."""
     sky: tuple[float, float, float]
-    """That of the sky overhead."""
+    """Linear colour of the sky overhead."""
     ground: tuple[float, float, float]
-    """That of the light that comes back from the ground."""
+    """Linear colour of the light reflected by the ground."""
     haze: tuple[float, float, float]
-    """The sky at the horizon."""
+    """Linear colour of the sky at the horizon."""
     lamps: tuple[Lamp, ...] = ()
     clouds: float = 0.25
-    """How clearly the sky is banded."""
+    """Contrast of the bands of cloud."""
 
 
 SUN = (-0.547, -0.526, 0.652)
-"""Towards the afternoon's sun: in the south-west, 40 degrees up."""
+"""Unit vector towards the afternoon sun: in the south-west, 40 degrees above the horizon."""
 
 
 def light_of(light: str, lamps: Sequence[Place]) -> Light:
-    """Return the light at an hour.
+    """Return the light at a time of day.
 
-    day: afternoon sun; dusk: the last of it, with the lamps on; night: lamps; dark: night without lamps, where a camera still
-    sees something by the sky's glow.  lamps: where they hang, metres.
+    day: afternoon sun; dusk: low sun with the lamps on; night: lamps; dark: night without lamps, with only the glow of the sky.
+    lamps: their positions, metres.  Raises ValueError for another `light`.
     """
     if light == "day":
         return Light(SUN, (1.55, 1.45, 1.27), (0.52, 0.60, 0.76), (0.30, 0.28, 0.25), (0.86, 0.90, 0.95))
@@ -57,7 +57,7 @@ def light_of(light: str, lamps: Sequence[Place]) -> Light:
 
 
 def overcast_of(light: str, lamps: Sequence[Place]) -> Light:
-    """Return the light of an hour under an even sky without sun: the same from all sides."""
+    """Return the light at a time of day under an even sky without sun; all lamps have the same colour and strength."""
     lit = light_of(light, lamps)
     if light == "day":
         lit = replace(lit, sky=(1.25, 1.27, 1.32), ground=(0.55, 0.54, 0.52), haze=(0.9, 0.92, 0.95))
@@ -66,6 +66,6 @@ def overcast_of(light: str, lamps: Sequence[Place]) -> Light:
 
 
 def _lit(places: Sequence[Place], strength: float) -> tuple[Lamp, ...]:
-    """Return burning lamps of two kinds."""
+    """Return lamps that are on: every third is white, the others warm."""
     warm, white = (34.0 * strength, 27.0 * strength, 17.0 * strength), (30.0 * strength, 29.0 * strength, 26.0 * strength)
     return tuple(Lamp(place, warm if k % 3 else white) for k, place in enumerate(places))

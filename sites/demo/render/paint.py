@@ -1,8 +1,8 @@
-"""What all textures are painted with: noise, cracks, weathering, colours laid over each other.
+"""Tools for painting textures: noise, cracks, weathering, and blending of colours.
 
-Everything that is random comes from an explicit generator `rng`; `shape` is (height, width) in texels, `texel_m` the side of a
-texel in metres.  Colours are linear reflectances, stored as square roots in 8 bits (about what sRGB does), so that filtering can
-be done in linear light.
+All random numbers come from an explicit generator `rng`; `shape` is (height, width) in texels, `texel_m` the side of a texel in
+metres.  Colours are linear reflectances, stored as square roots in 8 bits (similar to sRGB), so that filtering can be done in
+linear light.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ def smooth_noise(rng: Rng, shape: Shape, wave_px: tuple[float, float]) -> Float3
 def fractal_noise(
     rng: Rng, shape: Shape, texel_m: float, longest_m: float, *, octaves: int = 6, gain: float = 0.6, stretch: float = 1.0
 ) -> Float32s:
-    """Return sum of octaves of `smooth_noise`, (h, w) float32 of about unit variance; `stretch` > 1 draws it out along y."""
+    """Return a sum of octaves of `smooth_noise`, (h, w) float32 of about unit variance; `stretch` > 1 elongates it along y."""
     total = np.zeros(shape, np.float32)
     power, weight, wave = 0.0, 1.0, longest_m / texel_m
     for _ in range(octaves):
@@ -75,18 +75,18 @@ Colour = tuple[float, float, float]
 
 @dataclass(frozen=True)
 class Texture:
-    """A picture of a surface."""
+    """An image of a surface."""
 
     pixels: Uint8s
     """(h, w, 3) uint8, square root of the linear reflectance."""
     texel_m: float
     """Metres per texel."""
     gloss: float = 0.0
-    """How much of it is as smooth as water, 0 to 1: it mirrors the sky."""
+    """Share of the surface that is as smooth as water and reflects the sky, 0 to 1."""
 
 
 def encode(reflectance: Float32s, texel_m: float, gloss: float = 0.0) -> Texture:
-    """Return a texture of a (h, w, 3) linear reflectance."""
+    """Return the texture of a linear reflectance (h, w, 3)."""
     return Texture((np.sqrt(np.clip(reflectance, 0.004, 0.97)) * 255 + 0.5).astype(np.uint8), texel_m, gloss)
 
 
@@ -100,19 +100,19 @@ def one_colour(shape: Shape, colour: Colour) -> Float32s:
 
 
 def mix(image: Float32s, colour: Colour | Float32s, cover: Float32s) -> None:
-    """Paint `colour` over `image` in place, as far as `cover` (h, w) goes."""
+    """Blend `colour` over `image` in place, with opacity `cover` (h, w)."""
     image += (np.asarray(colour, np.float32) - image) * np.clip(cover, 0, 1)[..., None]
 
 
 def palette(tones: tuple[Colour, ...], tone: Float32s) -> Float32s:
-    """Return a colour for each number of unit variance: the numbers' order is cut into as many classes as there are tones."""
+    """Return a colour for each value of `tone` (unit variance): its range is divided into as many classes as there are tones."""
     index = np.minimum((smoothstep(-2.2, 2.2, tone) * len(tones)).astype(np.intp), len(tones) - 1)
     variation = 1 + 0.13 * np.sin(37.0 * tone)
     return np.asarray(np.asarray(tones, np.float32)[index] * variation[..., None], dtype=np.float32)
 
 
 def weather(rng: Rng, image: Float32s, texel_m: float, *, strength: float, streaks: float = 0.0) -> None:
-    """Add large stains, fine grain, and rain streaks down the wall, as factors on `image` in place."""
+    """Multiply `image` in place by large stains, fine grain, and rain streaks down the wall."""
     shape = image.shape[:2]
     stains, grain = (fractal_noise(rng, shape, texel_m, longest_m, octaves=5) for longest_m in (5.0, 0.4))
     factor = 1 + strength * (0.55 * stains + 0.45 * grain)

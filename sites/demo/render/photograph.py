@@ -1,7 +1,7 @@
-"""Photographs a scene: fixed cameras, several captures each with what moves standing elsewhere, and the exact truth.
+"""Photographs a scene: fixed cameras, several captures of each with traffic at other places, and the exact ground truth.
 
-Captures are what a camera would write (distorted, noisy, with a clock burned in); the truth is of the empty scene: lenses, poses,
-depth, and a reference cloud.  The same arguments give the same bytes.
+Captures are as a camera would write them (distorted, noisy, with a burned-in clock).  The ground truth describes the empty scene:
+lenses, poses, depth, and a reference cloud.  The same arguments give the same bytes.
 """
 
 from __future__ import annotations
@@ -33,27 +33,27 @@ Daytime = Literal["day", "dusk", "night", "dark"]
 
 @dataclass(frozen=True)
 class Shots:
-    """How many pictures are taken of a scene, how large, and when."""
+    """Number, size and conditions of the pictures taken of a scene."""
 
     cameras: int
-    """The scene's first ones."""
+    """Number of the scene's cameras that are used."""
     captures: int
-    """Of each camera."""
+    """Captures per camera."""
     size: tuple[int, int] = (960, 540)
     """Width and height, pixels."""
     seed: int = 0
-    """Of textures, movers, exposures and noise."""
+    """Seed of textures, movers, exposures and noise."""
     light: Daytime = "day"
-    """The hour."""
+    """Time of day."""
     threads: int = 2
-    """Of rendering; the result does not depend on it."""
+    """Threads for rendering; the result does not depend on their number."""
     lenses: str = "standard"
-    """A name of `variants.VARIANTS`."""
+    """A name in `cameras.VARIANTS`."""
     surfaces: str = "standard"
-    """A name of `weak.SURFACES`."""
+    """A name in `weak.SURFACES`."""
 
     def check(self, there_are: int) -> None:
-        """Raise ValueError for pictures that are too small, or none, and for more cameras than `there_are`."""
+        """Raise ValueError unless there is a capture, it has 16 x 16 pixels, and there are 1 to `there_are` cameras."""
         if not 1 <= self.cameras <= there_are:
             raise ValueError(f"this scene has 1 to {there_are} cameras, not {self.cameras}")
         if self.captures < 1 or min(self.size) < 16:
@@ -61,15 +61,15 @@ class Shots:
             raise ValueError(f"a camera needs at least 1 capture of 16 x 16 pixels, not {self.captures} of {wide} x {high}")
 
     def texel_m(self, width_m: float, finest_m: float, coarsest_m: float) -> float:
-        """Return the side of a texel, metres: one to a pixel of a picture that shows `width_m` of the scene, within limits."""
+        """Return the side of a texel, metres: that of a pixel if an image shows `width_m` of the scene, clipped to the limits."""
         return float(np.clip(width_m / self.size[0], finest_m, coarsest_m))
 
     def voxel_m(self, width_m: float, coarsest_m: float = 0.1) -> float:
-        """Return the same for a cell of the reference cloud, in whole centimetres and at least two."""
+        """Return the side of a cell of the reference cloud likewise, in whole centimetres, from 0.02 to `coarsest_m` metres."""
         return float(np.clip(round(width_m / self.size[0], 2), 0.02, coarsest_m))
 
     def random(self, part: int) -> Rng:
-        """Return the random numbers of one part of the scene."""
+        """Return the random generator for one part of the scene."""
         return np.random.default_rng([self.seed, part])
 
 
@@ -83,15 +83,15 @@ FIRST_CAPTURE = {
 SAMPLES = 2
 """Samples along each side of a pixel."""
 ROW, COLUMN = np.divmod(np.arange(SAMPLES * SAMPLES), SAMPLES)
-"""Of each sample within its pixel."""
+"""Row and column of each sample within its pixel."""
 BATCH = 65536
-"""Pixels that are rendered at a time."""
+"""Number of pixels that are rendered at a time."""
 Indices = npt.NDArray[np.int64]
 
 
 @dataclass(frozen=True)
 class DemoCamera:
-    """One fixed camera, its captures and its truth."""
+    """One fixed camera, its captures and its ground truth."""
 
     name: str
     captures: tuple[Uint8s, ...]
@@ -101,10 +101,10 @@ class DemoCamera:
     mask: Bools
     """(h, w) bool, False under the clock."""
     depth: Float32s
-    """(h, w) float32, metres along the axis, of the empty scene in the undistorted view with the lens's own K, 0 where there is
-    only sky or water.  Of a fisheye: metres along the ray of each pixel of a capture."""
+    """(h, w) float32, depth of the empty scene in metres along the optical axis, in the undistorted view with the lens's own K;
+    0 for sky and water.  For a fisheye: metres along the ray of each pixel of a capture."""
     camera: Camera
-    """That undistorted view."""
+    """The undistorted view of `depth`."""
     lens: Lens
 
 
@@ -114,7 +114,7 @@ class DemoSite:
 
     cameras: tuple[DemoCamera, ...]
     reference: Cloud
-    """Surfaces that at least two cameras see, one point (their mean) per cell of `voxel_m` metres."""
+    """Surfaces that at least two cameras see: their mean point in each cell of `voxel_m` metres."""
     voxel_m: float
 
     def __getitem__(self, name: str) -> DemoCamera:
@@ -123,24 +123,24 @@ class DemoSite:
 
 @dataclass(frozen=True)
 class Night:
-    """A scene as it stands before the cameras."""
+    """A scene with its cameras, traffic and light."""
 
     viewpoints: tuple[Viewpoint, ...]
     still: Scene
     """The empty scene."""
     traffic: tuple[Scene, ...]
-    """What moves, at each capture; all with the same textures."""
+    """The moving objects at each capture; all scenes share their textures."""
     lighting: Light
     sky: SkyGrid | None = None
-    """Sky visibility of the empty scene; None: computed."""
+    """Sky visibility of the empty scene; None: it is computed."""
 
 
 class Frame(NamedTuple):
-    """What a capture shows."""
+    """The scene at one capture."""
 
     scene: PreparedScene
     moving: Scene
-    """The part of it that is elsewhere in other captures."""
+    """The part of the scene that differs between captures."""
 
 
 def frames_of(empty: PreparedScene, traffic: Sequence[Scene]) -> tuple[Frame, ...]:
@@ -149,7 +149,7 @@ def frames_of(empty: PreparedScene, traffic: Sequence[Scene]) -> tuple[Frame, ..
 
 
 def photograph(night: Night, shots: Shots, voxel_m: float) -> DemoSite:
-    """Take the pictures of all cameras, several at a time; `voxel_m`: cell of the reference cloud, metres."""
+    """Take the captures of all cameras, several cameras at a time; `voxel_m`: cell of the reference cloud, metres."""
     atlas = build_atlas(night.still.textures + night.traffic[0].textures)
     empty = PreparedScene(night.still, night.lighting, atlas, night.sky)
     frames = frames_of(empty, night.traffic)
@@ -163,7 +163,7 @@ def photograph(night: Night, shots: Shots, voxel_m: float) -> DemoSite:
 def _photograph(
     empty: PreparedScene, frames: Sequence[Frame], viewpoint: Viewpoint, shots: Shots
 ) -> tuple[DemoCamera, list[TrueView]]:
-    """Return all captures of one camera with its truth, and its pinhole view (of a fisheye: several)."""
+    """Return one camera with its captures and ground truth, and its pinhole view (for a fisheye: several)."""
     name, size = viewpoint.name, viewpoint.size(shots.size)
     camera, lens = camera_at(viewpoint, size)
     wide = lens if lens.model == "fisheye" else None
@@ -184,7 +184,7 @@ def _photograph(
 def captures(
     still: Float32s, frames: Sequence[Frame], rngs: Sequence[Rng], camera: Camera, lens: Lens, sensor: Sensor, rain: bool = False
 ) -> Iterator[Uint8s]:
-    """Yield what a camera captures of each frame, with random numbers for each.
+    """Yield a camera's capture of each frame; `rngs`: a random generator per frame.
 
     still: radiance (h, w, 3) of the empty scene; only pixels that movers may change are rendered again.
     """
@@ -204,7 +204,7 @@ def render_view(prepared: PreparedScene, camera: Camera, lens: Lens | None) -> F
 
 
 def render_pixels(prepared: PreparedScene, camera: Camera, lens: Lens | None, pixels: Indices) -> Float32s:
-    """Return linear radiance (n, 3) float32 of pixels, given by their index, each the mean of SAMPLES x SAMPLES samples."""
+    """Return linear radiance (n, 3) float32 of pixels, given by index: the means of their SAMPLES x SAMPLES samples."""
     out = np.empty((len(pixels), 3), np.float32)
     for start in range(0, len(pixels), BATCH):
         out[start : start + BATCH] = shade_pixels(prepared, trace_pixels(prepared, camera, lens, pixels[start : start + BATCH]))
@@ -212,7 +212,7 @@ def render_pixels(prepared: PreparedScene, camera: Camera, lens: Lens | None, pi
 
 
 def trace_pixels(prepared: PreparedScene, camera: Camera, lens: Lens | None, pixels: Indices) -> Hits:
-    """Return the hits of SAMPLES x SAMPLES rays through each of some pixels, given by their index in the image."""
+    """Return the hits of SAMPLES x SAMPLES rays through each pixel; pixels are given by their index in the image."""
     y, x = np.divmod(pixels[:, None], camera.width)
     column, row = (SAMPLES * x + COLUMN).ravel().astype(np.float64), (SAMPLES * y + ROW).ravel().astype(np.float64)
     rays = pixel_rays(camera, lens, (column + 0.5) / SAMPLES - 0.5, (row + 0.5) / SAMPLES - 0.5)
@@ -220,17 +220,17 @@ def trace_pixels(prepared: PreparedScene, camera: Camera, lens: Lens | None, pix
 
 
 def shade_pixels(prepared: PreparedScene, seen: Hits) -> Float32s:
-    """Return linear radiance (n, 3) float32 of n pixels from `trace_pixels`, in the light of `prepared`."""
+    """Return linear radiance (n, 3) float32 of n pixels from the hits of `trace_pixels`, in the light of `prepared`."""
     pixels = len(seen.directions) // (SAMPLES * SAMPLES)
-    # each sample of a pixel takes another point of the sun's disc, the same in all pixels: soft edges without noise
+    # the samples of a pixel use different points of the sun's disc, equal for all pixels: soft shadow edges without noise
     disc = np.tile(np.column_stack([COLUMN + 0.4 * ROW, ROW - 0.4 * COLUMN]) * 1.4 - (0.98, 0.42), (pixels, 1))
     return np.asarray(shade(prepared, seen, disc.astype(np.float32)).reshape(pixels, SAMPLES * SAMPLES, 3).mean(axis=1))
 
 
 def true_depth(prepared: PreparedScene, camera: Camera, wide: Lens | None = None) -> tuple[Float32s, Float32s]:
-    """Return depth (h, w) float32 of the undistorted view, 0 without truth, and normals (h, w, 3) towards the camera.
+    """Return depth (h, w) float32 of the undistorted view, 0 where there is none, and normals (h, w, 3) towards the camera.
 
-    wide: for a fisheye's own pixels, and metres along their rays instead of along the axis.
+    wide: a fisheye lens; then pixels are those of its captures, and depth is in metres along their rays instead of the axis.
     """
     y, x = np.divmod(np.arange(camera.width * camera.height), camera.width)
     rays = pixel_rays(camera, wide, x.astype(np.float64), y.astype(np.float64))
@@ -259,7 +259,7 @@ def pinholes_of(camera: Camera, lens: Lens, name: str) -> list[Camera]:
 
 
 def changed_pixels(scene: Scene, light: Light, camera: Camera, lens: Lens, tile: int = 8) -> Bools:
-    """Return the pixels (h, w) that facets of `scene`, or their shadows on the ground, may change: whole tiles of the image."""
+    """Return the mask (h, w) of pixels that facets of `scene` or their shadows on the ground may change, in whole tiles."""
     rows, cols = -(-camera.height // tile), -(-camera.width // tile)
     mark = np.zeros((rows + 1, cols + 1), np.int32)
     facets = scene.vertices.astype(np.float64).reshape(-1, 3, 3)
@@ -275,7 +275,7 @@ def changed_pixels(scene: Scene, light: Light, camera: Camera, lens: Lens, tile:
         at = at[(ahead.reshape(len(group), -1) > 0.5).all(axis=1) & (np.abs(at) < 1e4).all(axis=(1, 2))]
         low = np.clip(np.floor(at.min(axis=1) - 0.3), 0, (cols, rows)).astype(np.intp)
         high = np.clip(np.floor(at.max(axis=1) + 0.3) + 1, 0, (cols, rows)).astype(np.intp)
-        # +1 and -1 at the corners of each rectangle: their running sum counts the rectangles over a tile
+        # +1 and -1 at the corners of each rectangle: their cumulative sum counts the rectangles that cover a tile
         for y, x, sign in ((low, low, 1), (low, high, -1), (high, low, -1), (high, high, 1)):
             np.add.at(mark, (y[:, 1], x[:, 0]), sign)
     covered = mark.cumsum(axis=0).cumsum(axis=1)[:rows, :cols] > 0
@@ -283,7 +283,7 @@ def changed_pixels(scene: Scene, light: Light, camera: Camera, lens: Lens, tile:
 
 
 def _shadows(facets: Float64s, light: Light) -> list[Float64s]:
-    """Return the shadows of facets (t, 3, 3) on the ground, for each light; of a lamp only near it, where they are clear."""
+    """Return the shadows of facets (t, 3, 3) on the ground, for each light; for a lamp only near it, where they are visible."""
     found = []
     if max(light.sun) > 0:
         found.append(_on_ground(facets, facets - 1e4 * np.asarray(light.sun_direction)))
@@ -295,14 +295,14 @@ def _shadows(facets: Float64s, light: Light) -> list[Float64s]:
 
 
 def _on_ground(start: Float64s, end: Float64s) -> Float64s:
-    """Return the points where the way from `start` down to `end` meets z = 0; the end where it does not."""
+    """Return the points where the segments from `start` down to `end` meet z = 0, clamped to the segments."""
     with np.errstate(divide="ignore", invalid="ignore"):
         share = np.clip(np.nan_to_num(start[..., 2] / (start[..., 2] - end[..., 2]), nan=1.0), 0, 1)
     return np.asarray(start + share[..., None] * (end - start), np.float64)
 
 
 def undistorted_colours(camera: DemoCamera, pinhole: Camera | None = None) -> Uint8s:
-    """Return colours (h, w, 3) of the undistorted view, or of another pinhole: the median capture at the nearest pixel."""
+    """Return colours (h, w, 3) of the undistorted view or another pinhole: the median over captures at the nearest pixel."""
     view = pinhole or camera.camera
     y, x = np.divmod(np.arange(view.width * view.height), view.width)
     pixels = np.column_stack([x, y]).astype(np.float64)

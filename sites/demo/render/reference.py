@@ -1,4 +1,4 @@
-"""The reference cloud: what at least two cameras truly see, from the exact depth of the empty yard."""
+"""The reference cloud: the surfaces that at least two cameras see, from the exact depth of the empty scene."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from wbflow_stages.core.jit import kernel
 from wbflow_stages.types import Camera, Cloud, Float32s, Float64s, Uint8s
 
 CELL_NUMBER = np.array([1, 1 << 21, 1 << 42])
-"""Makes one number of steps along x, y and z on a grid anchored at 0, up to a million cells away from it."""
+"""Weights that combine the cell indices along x, y and z into one number; the grid reaches a million cells from the origin."""
 
 
 class TrueView(NamedTuple):
@@ -23,14 +23,14 @@ class TrueView(NamedTuple):
     """(h, w), 0 where unknown."""
     normals: Float32s
     colors: Uint8s
-    """(h, w, 3)."""
+    """Normals and colours, (h, w, 3) each."""
 
 
 def reference_cloud(views: Sequence[TrueView], voxel_m: float) -> Cloud:
-    """Return one point, the mean, for each cell of `voxel_m` metres of all that two cameras or more see.
+    """Return the mean point of each cell of `voxel_m` metres, from all points that at least two cameras see.
 
-    `views` of the cloud: the most cameras that see a point of the cell (its own among them)."""
-    # of each cell: its number, the sum of (1, position, normal, colour) of its points, and the most views of any
+    The cloud's `views` is the largest number of cameras, including its own, that see a point of the cell."""
+    # for each cell: its number, the sum of (1, position, normal, colour) of its points, and their largest number of views
     keys, sums, most = np.zeros(0, np.int64), np.zeros((0, 10)), np.zeros(0, np.uint16)
     for view in views:
         v, u = np.nonzero(view.depth > 0)
@@ -58,7 +58,7 @@ def reference_cloud(views: Sequence[TrueView], voxel_m: float) -> Cloud:
 
 
 def count_views(points: Float64s, cameras: Sequence[Camera], depths: Sequence[Float32s]) -> Uint8s:
-    """(n,) uint8: how many of the cameras see each point, judged by their true depth maps (h, w), 0 where unknown."""
+    """Return (n,) uint8: how many cameras see each point according to their true depth maps (h, w), 0 where unknown."""
     views = np.zeros(len(points), np.uint8)
     for camera, depth in zip(cameras, depths, strict=True):
         _count(views, points.astype(np.float64), depth.astype(np.float32), camera.K, camera.R, camera.C)
@@ -67,7 +67,7 @@ def count_views(points: Float64s, cameras: Sequence[Camera], depths: Sequence[Fl
 
 @kernel
 def _count(views: Uint8s, points: Float64s, depth: Float32s, K: Float64s, R: Float64s, C: Float64s) -> None:
-    """Add 1 to `views` of each point that lies on the surface that one camera sees."""
+    """Add 1 to `views` of each point that is on the surface seen by one camera."""
     h, w = depth.shape
     for k in range(points.shape[0]):
         dx, dy, dz = points[k, 0] - C[0], points[k, 1] - C[1], points[k, 2] - C[2]
@@ -83,6 +83,6 @@ def _count(views: Uint8s, points: Float64s, depth: Float32s, K: Float64s, R: Flo
         for a in range(2):
             for b in range(2):
                 low, high = min(low, depth[i + a, j + b]), max(high, depth[i + a, j + b])
-        # between its four neighbours in the depth map, and not in the gap of a silhouette
+        # between the depths of its four neighbouring pixels, and not at a depth discontinuity
         if low > 0 and low * 0.999 <= z <= high * 1.001 and high < 1.05 * low:
             views[k] += 1

@@ -1,8 +1,8 @@
-"""Renders a scene: open3d finds what each ray hits, compiled kernels filter the textures and add up the light.
+"""Renders a scene: open3d finds the hits of rays, compiled kernels filter the textures and add up the light.
 
-Surfaces are matt, or wet.  Sun and lamps cast shadows by rays, one for every sample, toward a point of the (wide) source; light
-of sky and surroundings comes from a coarse grid of directional visibilities, computed once a scene.  Every sample depends on its
-own ray and on nothing else, so that the same scene gives the same picture on any number of threads.
+Surfaces are matt or wet.  Shadows of sun and lamps come from one ray per sample towards a point of the source (the sun has a
+disc); light of sky and surroundings comes from a coarse grid of directional visibilities, computed once per scene.  Every sample
+depends only on its own ray, so the same scene gives the same image on any number of threads.
 """
 
 from __future__ import annotations
@@ -23,23 +23,23 @@ from .scene import GLOWING, STATIC, Scene
 
 
 class Atlas(NamedTuple):
-    """All textures and their halvings in one array of bytes."""
+    """All textures with their image pyramids, in one array."""
 
     texels: Uint8s
     """(n, 3) uint8."""
     starts: Int32s
     heights: Int32s
     widths: Int32s
-    """(textures, LEVELS) int32."""
+    """(textures, LEVELS) int32 each: first texel, height and width of each level."""
     texel_m: Float32s
-    """(textures,) float32."""
+    """(textures,) float32, side of a texel at level 0, metres."""
 
 
 LEVELS = 9
 
 
 def build_atlas(textures: tuple[Texture, ...]) -> Atlas:
-    """Return textures with their pyramids."""
+    """Return an atlas of textures with their pyramids."""
     levels: list[Uint8s] = []
     for texture in textures:
         levels.append(texture.pixels)
@@ -53,7 +53,7 @@ def build_atlas(textures: tuple[Texture, ...]) -> Atlas:
 
 
 def _halved(fine: Uint8s) -> Uint8s:
-    """Return the mean of 2 x 2 texels in linear light (texels hold square roots); of an odd row or column with itself."""
+    """Return the means of 2 x 2 texels in linear light (texels hold square roots); an odd last row or column is duplicated."""
     height, width = fine.shape[:2]
     linear = np.square(cv2.copyMakeBorder(fine, 0, height % 2, 0, width % 2, cv2.BORDER_REPLICATE), dtype=np.float32)
     size = ((width + 1) // 2, (height + 1) // 2)
@@ -65,18 +65,18 @@ AXES = np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0,
 
 
 class SkyGrid(NamedTuple):
-    """How much of the sky is visible from points in space."""
+    """Visibility of the sky from the points of a grid."""
 
     open: Float32s
-    """(nz, ny, nx, 6) float32, along +x -x +y -y +z -z."""
+    """(nz, ny, nx, 6) float32, visible share in the half spaces along +x -x +y -y +z -z."""
     corner: Float32s
     """(3,) float32: the first point, metres."""
     cell_m: float
-    """From each point to the next."""
+    """Distance between neighbouring points, metres."""
 
 
 OPEN_SKY = SkyGrid(np.ones((2, 2, 2, 6), np.float32), np.zeros(3, np.float32), 1e4)
-"""All points see all of the sky: for landscapes."""
+"""The whole sky is visible from everywhere: for landscapes."""
 
 
 def tensor(array: Any) -> Any:
@@ -84,14 +84,14 @@ def tensor(array: Any) -> Any:
 
 
 def ray_scene(vertices: Float32s) -> Any:
-    """Return what rays can be cast at: triangles, three vertices (3 t, 3) for each."""
+    """Return an open3d ray casting scene of t triangles, given by three vertices each, (3 t, 3)."""
     scene = o3d.t.geometry.RaycastingScene()
     scene.add_triangles(tensor(vertices), tensor(np.arange(len(vertices), dtype=np.uint32).reshape(-1, 3)))
     return scene
 
 
 class PreparedScene:
-    """A scene ready for rays: light, atlas of its textures, sky visibility (computed where not given)."""
+    """A scene ready for ray casting, with light, atlas of its textures, and sky visibility (computed if not given)."""
 
     def __init__(self, scene: Scene, light: Light, atlas: Atlas, sky: SkyGrid | None = None) -> None:
         self.scene = scene
@@ -107,15 +107,15 @@ class PreparedScene:
         return answer["t_hit"].numpy(), np.where(facet < len(self.scene.kinds), facet, -1).astype(np.int32)
 
     def reaches(self, origins: Float32s, directions: Float32s, far: float = np.inf) -> Float32s:
-        """Return 1 for each ray of length `far` (in units of its direction) that meets nothing, else 0."""
+        """Return 1 for each ray of length `far` (in units of its direction) that is not occluded, else 0."""
         rays = tensor(np.hstack([origins, directions]))
         hit = self._rays.test_occlusions(rays, tnear=0.0, tfar=float(far)).numpy()
         return np.asarray(~hit, dtype=np.float32)
 
     def sky_grid(self, directions: Float32s, cell_m: float = 0.8) -> SkyGrid:
-        """Return the share of the sky that cells of a grid around the static scene see in the half space along each axis.
+        """Return the share of the sky visible from points of a grid around the static scene, in the half space along each axis.
 
-        It is counted by rays along `directions` (n, 3)."""
+        The shares are estimated with rays along `directions` (n, 3)."""
         still = self.scene.vertices[np.repeat(self.scene.kinds == STATIC, 3)]
         low = still.min(axis=0) - cell_m
         shape = (np.ceil((still.max(axis=0) + cell_m - low) / cell_m).astype(int) + 1)[::-1]
@@ -124,7 +124,7 @@ class PreparedScene:
         total = np.zeros(6, np.float32)
         for d in directions:
             facing = np.maximum(AXES @ d, 0)
-            # sideways and downward light also comes back from the ground: rays below the horizon count a little when free
+            # light is also reflected by the ground: rays below the horizon count half, and fully if they are not occluded
             clear = self.reaches(points, np.broadcast_to(d, points.shape).astype(np.float32), far=25.0)
             seen += (clear if d[2] > 0 else 0.5 + 0.5 * clear)[:, None] * facing
             total += facing
@@ -141,7 +141,7 @@ def spiral(n: int) -> Float32s:
 
 @dataclass(frozen=True)
 class Hits:
-    """What rays from one point hit, before light falls on it: the same in any light."""
+    """Hits of rays from one point, before shading: they do not depend on the light."""
 
     directions: Float32s
     """(n, 3) float32 unit vectors."""
@@ -152,15 +152,15 @@ class Hits:
     points: Float32s
     facing: Float32s
     albedo: Float32s
-    """(m, 3) float32 each, of the m rays that meet something: where, its normal towards the camera, its colour."""
+    """(m, 3) float32 each, for the m rays that hit a facet: hit point, normal towards the camera, and reflectance."""
 
 
 _HEAD_ON = 0.02
-"""What water mirrors of light that falls straight on it."""
+"""Reflectance of water at normal incidence."""
 
 
 def sky_radiance(light: Light, directions: Float32s) -> Float32s:
-    """Return the sky: haze at the horizon, the light's own colour higher up, drifting bands of cloud."""
+    """Return the radiance of the sky, (n, 3): haze at the horizon, `light.sky` higher up, and bands of cloud."""
     up = np.clip(directions[:, 2], 0, 1)[:, None]
     blend = np.sqrt(up)
     x, y = directions[:, 0] / (up[:, 0] + 0.12), directions[:, 1] / (up[:, 0] + 0.12)
@@ -172,10 +172,10 @@ def sky_radiance(light: Light, directions: Float32s) -> Float32s:
 
 
 def add_sheen(prepared: PreparedScene, seen: Hits, lifted: Float32s, radiance: Float32s) -> Float32s:
-    """Return radiance (n, 3) of surfaces that are hit, with the sky mirrored in those that have a gloss.
+    """Return radiance (m, 3) of the hit surfaces, with reflections of the sky in glossy ones.
 
-    What stands before the sky is mirrored as one dark tone, in its right outline: that it moves over the ground with who looks
-    is what misleads a matcher.  Schlick's approximation of Fresnel's equations (Computer Graphics Forum 1994)."""
+    Objects in front of the sky are reflected as one dark tone with the right outline; reflections move over the ground with the
+    viewpoint, which misleads matchers.  Schlick's approximation of Fresnel's equations (Computer Graphics Forum 1994)."""
     gloss = np.array([texture.gloss for texture in prepared.scene.textures], np.float32)
     if not gloss.any():
         return radiance
@@ -193,7 +193,7 @@ def add_sheen(prepared: PreparedScene, seen: Hits, lifted: Float32s, radiance: F
 
 
 def trace(prepared: PreparedScene, centre: Float64s, directions: Float32s, spread: float) -> Hits:
-    """Return what n rays from one point hit."""
+    """Return the hits of n rays from `centre`; `spread`: footprint of a ray per metre of distance."""
     origins = np.broadcast_to(np.asarray(centre, np.float32), directions.shape)
     distance, facet = prepared.cast(origins, directions)
     scene = prepared.scene
@@ -210,7 +210,7 @@ def trace(prepared: PreparedScene, centre: Float64s, directions: Float32s, sprea
 def shade(prepared: PreparedScene, seen: Hits, jitter: Float32s) -> Float32s:
     """Return linear radiance (n, 3) float32 of hits, in the light of a scene.
 
-    jitter: (n, 2) float32 in -1..1, the point of the sun's disc that each sample takes.
+    jitter: (n, 2) float32 in -1..1, the point of the sun's disc that each sample uses.
     """
     scene, light = prepared.scene, prepared.light
     hit = seen.facet >= 0
@@ -232,7 +232,7 @@ def shade(prepared: PreparedScene, seen: Hits, jitter: Float32s) -> Float32s:
 
 
 def _add_sun(prepared: PreparedScene, received: Float32s, points: Float32s, facing: Float32s, jitter: Float32s) -> None:
-    """Sunlight on lit facets, with the sun widened to 1 degree for soft edges."""
+    """Add sunlight on lit facets, with the sun's disc widened to 1 degree for soft edges."""
     sun = np.asarray(prepared.light.sun_direction, np.float32)
     side = np.cross(sun, (0, 0, 1)).astype(np.float32)
     side /= np.linalg.norm(side)
@@ -246,7 +246,7 @@ def _add_sun(prepared: PreparedScene, received: Float32s, points: Float32s, faci
 
 
 def _add_lamp(prepared: PreparedScene, received: Float32s, points: Float32s, facing: Float32s, lamp: Lamp) -> None:
-    """Light of one lamp, where it is bright enough to matter."""
+    """Add the light of one lamp where it is bright enough to matter."""
     place, power = np.asarray(lamp.position, np.float32), np.asarray(lamp.power, np.float32)
     strength = np.empty(len(points), np.float32)
     _lamp_strength(strength, points, facing, place, float(0.012 / power.max()))
@@ -258,7 +258,7 @@ def _add_lamp(prepared: PreparedScene, received: Float32s, points: Float32s, fac
 
 @kernel
 def _lamp_strength(strength: Float32s, points: Float32s, normals: Float32s, place: Float32s, least: float) -> None:
-    """Falloff and slant of a hooded lamp's light (little goes up), faded to exactly 0 below `least`."""
+    """Fill in a hooded lamp's strength (little light goes up): falloff times cosine, minus `least`, at least 0."""
     for k in range(points.shape[0]):
         x, y, z = place[0] - points[k, 0], place[1] - points[k, 1], place[2] - points[k, 2]
         square = x * x + y * y + z * z
@@ -270,16 +270,16 @@ def _lamp_strength(strength: Float32s, points: Float32s, normals: Float32s, plac
 
 @kernel
 def _mirror(i: int, n: int) -> int:
-    """Position i of an endlessly mirrored row of n texels."""
+    """Return the index of the texel at position i of an endlessly mirrored row of n texels."""
     i = i % (2 * n)
     return i if i < n else 2 * n - 1 - i
 
 
 @kernel
 def _filter(albedo: Float32s, seen: tuple[Any, ...], spread: float, painted: tuple[Any, ...], atlas: Atlas) -> None:
-    """Fill in texture colours under each sample's footprint: the level of the short axis, several taps along the long one.
+    """Fill in texture colours of each sample's footprint, by anisotropic filtering: several taps along its long axis.
 
-    seen: points, rays, normals (n, 3), distance and facet (n,) of the samples.  painted: of all facets, as a `Scene` has them."""
+    seen: points, rays, normals (n, 3), distance and facet (n,) of the samples.  painted: arrays of all facets, as in `Scene`."""
     points, rays, normals, distance, facet = seen
     origins, along_u, along_v, offsets, texture_of = painted
     texels, starts, heights, widths, texel_m = atlas
@@ -291,7 +291,7 @@ def _filter(albedo: Float32s, seen: tuple[Any, ...], spread: float, painted: tup
             cosine -= rays[k, c] * normals[k, c]
         cosine = max(cosine, 0.03)
         width = distance[k] * spread
-        # long axis: the ray's own direction laid into the facet; short axis: across it
+        # long axis of the footprint: the ray's direction projected into the facet; short axis: across it
         lx = rays[k, 0] + cosine * normals[k, 0]
         ly = rays[k, 1] + cosine * normals[k, 1]
         lz = rays[k, 2] + cosine * normals[k, 2]
@@ -332,7 +332,7 @@ def _filter(albedo: Float32s, seen: tuple[Any, ...], spread: float, painted: tup
 
 @kernel
 def _sky_light(received: Float32s, points: Float32s, normals: Float32s, around: SkyGrid, sky: Float32s, ground: Float32s) -> None:
-    """Light from sky and surroundings: visibilities of the grid around a point just off the surface, weighed by its normal."""
+    """Fill in light of sky and surroundings: visibilities interpolated just off the surface, weighted by its normal."""
     grid, corner, cell = around
     nz, ny, nx = grid.shape[:3]
     for k in range(points.shape[0]):

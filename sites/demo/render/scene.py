@@ -1,7 +1,7 @@
 """Scenes of flat textured facets: quads, boxes, posts and balls, gathered by a builder into arrays for the renderer.
 
-World axes are metres, z up.  A facet's texture runs along two world vectors from its first corner, so a hit point gives its
-texture position by two dot products and facets may share one texture (walls between windows, ribs of a container).
+World axes are in metres, z up.  A facet's texture runs along two world vectors from its first corner, so two dot products give
+the texture position of a hit point, and facets may share one texture (walls between windows, ribs of a container).
 """
 
 from __future__ import annotations
@@ -20,12 +20,12 @@ Vector = tuple[float, float, float] | Float64s
 UP = np.array([0.0, 0.0, 1.0])
 
 STATIC, MOVING, WATER, GLOWING = 0, 1, 2, 3
-"""Kinds of facets: what stands still, what moves between captures, water (drawn, but no truth for a reconstruction), lamps."""
+"""Kinds of facets: static, moving between captures, water (rendered, but without ground truth), and lamps."""
 
 
 @dataclass(frozen=True)
 class Scene:
-    """Triangles and what is painted on them."""
+    """Triangles and their textures."""
 
     vertices: Float32s
     """(3 t, 3) float32, three for each of t triangles."""
@@ -34,26 +34,26 @@ class Scene:
     origins: Float32s
     along_u: Float32s
     along_v: Float32s
-    """(t, 3) float32: a point X lies ((X - origin) . u + offset_u, (X - origin) . v + offset_v) metres into its texture."""
+    """(t, 3) float32: a point X is ((X - origin) . u + offset_u, (X - origin) . v + offset_v) metres into its texture."""
     offsets: Float32s
     """(t, 2) float32."""
     texture_of: Int32s
-    """(t,) int32, into `textures`."""
+    """(t,) int32, indices into `textures`."""
     kinds: Uint8s
     """(t,) uint8."""
     textures: tuple[Texture, ...]
 
 
 _Facet = tuple[Float64s, Float64s, Float64s, Float64s, tuple[float, float], int, int]
-"""A triangle before it is frozen: corners (3, 3), and origin, u, v, offsets, texture and kind as `Scene` has them."""
+"""A triangle in the builder: corners (3, 3), and origin, u, v, offsets, texture and kind as in `Scene`."""
 
 
 VECTORS = ("vertices", "normals", "origins", "along_u", "along_v", "offsets")
-"""What a `Scene` holds as float32."""
+"""The float32 arrays of a `Scene`."""
 
 
 class SceneBuilder:
-    """Collects facets; `build` freezes them.  Textures are referred to by the number `add_texture` returns."""
+    """Collects facets; `build` returns them as arrays.  Textures are given by the number that `add_texture` returns."""
 
     def __init__(self) -> None:
         self._textures: list[Texture] = []
@@ -61,7 +61,7 @@ class SceneBuilder:
         self.kind = STATIC
 
     def with_same_textures(self) -> SceneBuilder:
-        """Return a builder without facets that shares this one's textures, and their numbers."""
+        """Return a builder without facets that shares this one's textures and their numbers."""
         other = SceneBuilder()
         other._textures, other.kind = self._textures, self.kind
         return other
@@ -82,7 +82,7 @@ class SceneBuilder:
     ) -> None:
         """Add a parallelogram seen from its front: top-left `corner`, edges `right` and `down`.
 
-        run: along which the texture lies, where that is not `right`."""
+        run: direction of the texture's rows, if it is not `right`."""
         c, r, d = (np.asarray(v, np.float64) for v in (corner, right, down))
         v = d / np.linalg.norm(d)
         if run is None:
@@ -109,7 +109,7 @@ class SceneBuilder:
         front: int | None = None,
         at: float = 0.0,
     ) -> None:
-        """Add a box, given the centre of its foot; `sides` replaces `texture` on upright faces, `front` on the one facing -y."""
+        """Add a box with its bottom centre at `base`; `sides` replaces `texture` on upright faces, `front` on the -y face."""
         width, depth, height = (float(s) for s in size)
         foot, across, back = np.asarray(base, np.float64), *axes_of(yaw)
         x, y, z = across * width, back * depth, np.array([0, 0, height])
@@ -150,7 +150,7 @@ class SceneBuilder:
                 self.triangle(np.array([foot + lift, *rim[k : k + 2]]), (1, 0, 0), (0, 1, 0), texture, (radius, radius))
 
     def ball(self, centre: Vector, radii: Vector, texture: int, *, steps: int = 8) -> None:
-        """Add an ellipsoid of `steps` x 2 `steps` facets: heads, shoulders, wheels seen from afar."""
+        """Add an ellipsoid of `steps` x 2 `steps` faces, for heads, shoulders and wheels seen from afar."""
         down, around = np.linspace(0, np.pi, steps + 1)[:, None], np.linspace(0, 2 * np.pi, 2 * steps + 1)
         height = np.broadcast_to(np.cos(down), (steps + 1, 2 * steps + 1))
         unit = np.stack([np.sin(down) * np.cos(around), np.sin(down) * np.sin(around), height], axis=-1)
@@ -158,7 +158,7 @@ class SceneBuilder:
         for i, j in np.ndindex(steps, 2 * steps):
             (a, d), (b, e) = surface[i : i + 2, j : j + 2]
             u, at = np.array([-np.sin(around[j]), np.cos(around[j]), 0.0]), (0.3 * j, 0.3 * i)
-            # at the poles one of the two has no area
+            # at the poles, one of the two triangles has no area
             if i < steps - 1:
                 self.triangle(np.array([a, b, e]), u, (0, 0, -1), texture, at)
             if i > 0:
@@ -167,7 +167,7 @@ class SceneBuilder:
     def stamp(self, part: SceneBuilder, at: Vector = (0.0, 0.0, 0.0), *, yaw: float = 0.0, quarters: int = 0) -> None:
         """Add a copy of a part that shares this builder's textures.
 
-        It is turned by `yaw` radians and by exactly `quarters` right angles about its origin, then moved to `at`, metres."""
+        It is rotated about its origin by `yaw` radians and by exactly `quarters` right angles, then moved to `at`, metres."""
         quarter = np.linalg.matrix_power(np.array([[0, -1.0, 0], [1.0, 0, 0], [0, 0, 1.0]]), quarters % 4)
         turn = quarter @ np.column_stack([*axes_of(yaw), UP])
         corners, origins, u, v = (np.array(column) @ turn.T for column in list(zip(*part._facets, strict=True))[:4])
@@ -188,7 +188,7 @@ class SceneBuilder:
 
 
 def axes_of(yaw: float) -> tuple[Float64s, Float64s]:
-    """Return (3,) unit vectors ahead and to the left of what heads `yaw` radians north of east."""
+    """Return (3,) unit vectors ahead and to the left for a heading of `yaw` radians north of east."""
     c, s = np.cos(yaw), np.sin(yaw)
     return np.array([c, s, 0]), np.array([-s, c, 0])
 

@@ -1,4 +1,4 @@
-"""What a camera makes of the light: rain, exposure, white balance, vignetting, blur, noise, a burned-in clock, a file."""
+"""From radiance to a camera's file: rain, exposure, white balance, vignetting, blur, noise, a burned-in clock, encoding."""
 
 from __future__ import annotations
 
@@ -17,26 +17,26 @@ from .paint import Rng
 
 @dataclass(frozen=True)
 class Sensor:
-    """How light becomes pixels."""
+    """Parameters of the conversion from light to pixel values."""
 
     gain: float
     """Exposure factor."""
     balance: tuple[float, float, float]
-    """Factors of red, green, blue."""
+    """White balance: factors of red, green, blue."""
     full_well: float
     """Electrons at white (fewer: noisier)."""
     read: float
-    """Electrons of read noise."""
+    """Standard deviation of read noise, electrons."""
     vignette: float
-    """Loss of light in the corners."""
+    """Share of the light that is lost in the corners."""
 
 
 _SETTINGS = {"day": (1.0, 9000.0), "dusk": (1.9, 2600.0), "night": (3.4, 900.0), "dark": (13.0, 235.0)}
-"""Exposure and electrons at white, by the light."""
+"""Exposure factor and electrons at white, by time of day."""
 
 
 def sensor_of(rng: Rng, light: str) -> Sensor:
-    """Return a camera's own sensor: up to a quarter stop of exposure and a few per cent of colour off its neighbours'."""
+    """Return a camera's sensor with random deviations: up to 0.28 stops of exposure and a few per cent of colour balance."""
     exposure, full_well = _SETTINGS[light]
     gain = exposure * float(2 ** rng.uniform(-0.28, 0.28))
     warm = float(rng.uniform(-0.06, 0.06))
@@ -45,7 +45,7 @@ def sensor_of(rng: Rng, light: str) -> Sensor:
 
 
 def develop(radiance: Float32s, sensor: Sensor, exposure: float, rng: Rng) -> Uint8s:
-    """Return one capture, (h, w, 3) uint8 sRGB, of linear radiance (h, w, 3); `exposure`: this capture's own factor."""
+    """Return one capture, (h, w, 3) uint8 sRGB, of linear radiance (h, w, 3); `exposure`: additional factor of this capture."""
     h, w = radiance.shape[:2]
     x, y = np.linspace(-1, 1, w, dtype=np.float32), np.linspace(-1, 1, h, dtype=np.float32)[:, None]
     fall = 1 - np.float32(sensor.vignette) * (0.75 * x * x + 0.25 * y * y)
@@ -58,7 +58,7 @@ def develop(radiance: Float32s, sensor: Sensor, exposure: float, rng: Rng) -> Ui
 
 
 def _encode(linear: Float32s) -> Uint8s:
-    """Return sRGB with a soft shoulder, so that lamps and sunlit walls do not clip hard."""
+    """Return sRGB values, with a soft shoulder so that lamps and sunlit walls do not clip hard."""
     x = np.clip(linear, 0, None)
     x = np.where(x > 0.7, 1 - 0.3 * np.exp(-(x - 0.7) / 0.3), x)
     table = np.linspace(0, 1, 4096)
@@ -72,7 +72,7 @@ def clock_size(size: tuple[int, int]) -> tuple[int, int]:
 
 
 def burn_clock(image: Uint8s, name: str, time: datetime) -> Uint8s:
-    """Return a copy of the picture with the camera's name and the time in white on a dark strip."""
+    """Return a copy of the image with the camera's name and the time, in white on a dark strip."""
     w, h = clock_size((image.shape[1], image.shape[0]))
     out = image.copy()
     out[:h, :w] //= 4
@@ -93,13 +93,13 @@ def clock_mask(size: tuple[int, int]) -> Bools:
 
 
 VEIL = 0.12
-"""Share of the light that falling water replaces by that of the sky."""
+"""Share of the scene's light that the veil of rain replaces with a tone of the sky."""
 STREAKS = 0.0016
-"""For each pixel."""
+"""Number of rain streaks per pixel of an image 640 pixels wide."""
 
 
 def add_rain(radiance: Float32s, light: Light, rng: Rng) -> Float32s:
-    """Return a picture (h, w, 3) of linear radiance through rain: a veil, and streaks that are elsewhere in every frame."""
+    """Return linear radiance (h, w, 3) as seen through rain: with a veil, and with streaks at random places in every frame."""
     height, width = radiance.shape[:2]
     scale = width / 640
     streaks = np.zeros((height, width), np.uint8)
@@ -115,11 +115,11 @@ def add_rain(radiance: Float32s, light: Light, rng: Rng) -> Float32s:
 
 
 def jpeg(image: Uint8s) -> bytes:
-    """Return JPEG of (h, w, 3) uint8 RGB."""
+    """Return the JPEG file of an image, (h, w, 3) uint8 RGB."""
     _, data = cv2.imencode(".jpg", np.ascontiguousarray(image[..., ::-1]), [cv2.IMWRITE_JPEG_QUALITY, 92])
     return bytes(data.tobytes())
 
 
 def png(mask: Bools) -> bytes:
-    """Return PNG of (h, w) bool: white is True."""
+    """Return the PNG file of a mask, (h, w) bool: True is white."""
     return rasters.png(mask.astype(np.uint8) * np.uint8(255))

@@ -1,7 +1,7 @@
-"""Textures of what people have built: brick, tiles, plaster, painted steel, planks, windows, signs.
+"""Textures of buildings and objects: brick, tiles, plaster, painted steel, planks, windows, signs, and foliage.
 
-Every texture is painted for one surface, `width_m` x `height_m`, row 0 at the top, and carries variation at every scale from
-metres (stains, repairs, weathering) to a texel, so that no two places look the same; only windows repeat.
+Every texture is painted for one surface, `width_m` x `height_m`, with row 0 at the top, and varies at every scale from metres
+(stains, repairs, weathering) to a texel, so that no two places look the same; only windows repeat.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ RUST: Colour = (0.19, 0.075, 0.03)
 def brick_wall(
     rng: Rng, width_m: float, height_m: float, texel_m: float, tint: Colour = (1.0, 1.0, 1.0), *, sign: str = ""
 ) -> Texture:
-    """Paint old brickwork: tone by brick, pale joints, repairs, soot from the eaves, damp at the foot, a faded painted sign."""
+    """Paint old brickwork: tone by brick, pale joints, repairs, streaks, damp and salt at the foot, a faded painted sign."""
     shape = shape_of(width_m, height_m, texel_m)
     cover, tone, relief = stones(rng, shape, texel_m, (0.25, 0.078), 0.013, bond=0.5, jitter=0.05, warp=0.004)
     repairs = blobs(rng, shape, texel_m, count=int(width_m * height_m / 18), radius_m=0.6)
@@ -58,7 +58,7 @@ def roof_tiles(rng: Rng, width_m: float, height_m: float, texel_m: float) -> Tex
 
 
 def plaster(rng: Rng, width_m: float, height_m: float, texel_m: float, colour: Colour = (0.62, 0.58, 0.48)) -> Texture:
-    """Paint nearly even render, hard to match on purpose: a few cracks, faint stains, flakes at the foot."""
+    """Paint nearly even plaster that is intentionally hard to match: a few cracks, faint stains, flaked spots at the foot."""
     shape = shape_of(width_m, height_m, texel_m)
     image = one_colour(shape, colour)
     tone = 1 + 0.025 * fractal_noise(rng, shape, texel_m, 3.0) + 0.012 * fractal_noise(rng, shape, texel_m, 0.05, octaves=2)
@@ -71,7 +71,7 @@ def plaster(rng: Rng, width_m: float, height_m: float, texel_m: float, colour: C
 
 
 def container_side(rng: Rng, width_m: float, height_m: float, texel_m: float, colour: Colour, name: str, serial: str) -> Texture:
-    """Paint painted steel with a company's name, a stripe or disc, a serial number, dents of tone, rust from edges and seams."""
+    """Paint a container's steel wall: company name, disc, sometimes a stripe, serial number, stains, and rust from the edges."""
     shape = shape_of(width_m, height_m, texel_m)
     image = one_colour(shape, colour)
     pale: Colour = (0.72, 0.70, 0.66) if sum(colour) < 1.2 else (0.10, 0.16, 0.32)
@@ -91,7 +91,7 @@ def container_side(rng: Rng, width_m: float, height_m: float, texel_m: float, co
 
 
 def container_roof(rng: Rng, width_m: float, height_m: float, texel_m: float, colour: Colour) -> Texture:
-    """Paint faded paint under dirt, dried puddles and rust between the ribs, and the number for the crane driver."""
+    """Paint a container's ribbed roof: dirt, dried puddles, rust, and the faded number for the crane driver."""
     shape = shape_of(width_m, height_m, texel_m)
     rib = np.asarray(np.sin(np.arange(shape[1], dtype=np.float32) * np.float32(texel_m * 2 * np.pi / 0.28)), dtype=np.float32)
     image = one_colour(shape, colour) * (1 + 0.10 * rib)[None, :, None]
@@ -107,7 +107,7 @@ def container_roof(rng: Rng, width_m: float, height_m: float, texel_m: float, co
 
 
 def _rust(rng: Rng, image: Float32s, texel_m: float, *, amount: float) -> None:
-    """Add rust where noise and nearness to the top and bottom edges agree, running down in streaks."""
+    """Add rust in streaks where the sum of noise and closeness to the top and bottom edges is large."""
     shape = image.shape[:2]
     y = np.linspace(-1, 1, shape[0], dtype=np.float32)[:, None] ** 4
     field = fractal_noise(rng, shape, texel_m, 1.5) + 0.7 * fractal_noise(rng, shape, texel_m, 0.25, stretch=6.0) + 1.2 * y
@@ -117,7 +117,7 @@ def _rust(rng: Rng, image: Float32s, texel_m: float, *, amount: float) -> None:
 
 
 def painted_steel(rng: Rng, width_m: float, height_m: float, texel_m: float, colour: Colour, *, stripes: bool = False) -> Texture:
-    """Paint painted steel of cranes, posts and vehicles, with or without warning stripes."""
+    """Paint the steel of cranes, posts and vehicles, with or without warning stripes."""
     shape = shape_of(width_m, height_m, texel_m)
     image = one_colour(shape, colour)
     if stripes:
@@ -153,7 +153,7 @@ def roller_door(rng: Rng, width_m: float, height_m: float, texel_m: float, colou
 
 
 def window(width_m: float, height_m: float, texel_m: float) -> Texture:
-    """Paint the one window that all façades repeat: white bars, dark panes that mirror a pale sky, half-drawn blind."""
+    """Paint the window that all façades repeat: white bars, dark panes that reflect a pale sky, a half-drawn blind."""
     shape = shape_of(width_m, height_m, texel_m)
     y, x = np.mgrid[0 : shape[0], 0 : shape[1]].astype(np.float32) * np.float32(texel_m)
     sheen = smoothstep(0.0, 1.0, 0.9 - 0.5 * y / height_m - 0.35 * x / width_m)
@@ -168,7 +168,7 @@ def window(width_m: float, height_m: float, texel_m: float) -> Texture:
 def sign_board(
     rng: Rng, width_m: float, height_m: float, texel_m: float, lines: tuple[str, ...], colour: Colour, ink: Colour
 ) -> Texture:
-    """Paint a painted board with a frame and lines of text."""
+    """Paint a sign board with a frame and lines of text."""
     shape = shape_of(width_m, height_m, texel_m)
     image = one_colour(shape, colour)
     pitch = height_m / len(lines)
@@ -183,14 +183,14 @@ def sign_board(
 
 
 def cloth(rng: Rng, texel_m: float, colour: Colour) -> Texture:
-    """Paint clothes, skin, rubber, glass: one colour with a little fold and grain."""
+    """Paint clothes, skin, rubber or glass: one colour with slight folds and grain."""
     shape = shape_of(1.0, 1.0, texel_m)
     factor = 1 + 0.18 * fractal_noise(rng, shape, texel_m, 0.3)
     return encode(factor[..., None] * np.asarray(colour, np.float32), texel_m)
 
 
 def ashlar(rng: Rng, width_m: float, height_m: float, texel_m: float, tint: Colour = (1.0, 1.0, 1.0)) -> Texture:
-    """Paint dressed stone in courses, sooty from the top, with streaks."""
+    """Paint dressed stone in courses, with stains and streaks."""
     shape = shape_of(width_m, height_m, texel_m)
     cover, tone, relief = stones(rng, shape, texel_m, (0.95, 0.42), 0.014, bond=0.5, jitter=0.10, warp=0.003)
     image = palette(ASHLAR_TONES, tone) * np.asarray(tint, np.float32) * (1 + 0.05 * relief)[..., None]
@@ -201,7 +201,7 @@ def ashlar(rng: Rng, width_m: float, height_m: float, texel_m: float, tint: Colo
 
 
 def leaves(rng: Rng, texel_m: float, colour: Colour = (0.06, 0.095, 0.03)) -> Texture:
-    """Paint foliage from outside: clumps of light and shadow down to the leaf."""
+    """Paint the outside of foliage: clumps of light and shadow at all scales down to a leaf."""
     shape = shape_of(3.0, 3.0, texel_m)
     clumps = fractal_noise(rng, shape, texel_m, 0.7, octaves=6, gain=0.85)
     image = np.clip(1 + 0.55 * clumps, 0.12, 3)[..., None] * np.asarray(colour, np.float32)

@@ -1,5 +1,5 @@
-"""Calibrations read from files: wbflow's own JSON, what OpenCV, ROS and Kalibr write, COLMAP's models, and folders with a file
-for each camera.  All give a camera for each image or camera name."""
+"""Calibrations read from wbflow's own JSON, files of OpenCV, ROS and Kalibr, COLMAP's models, and folders with one file per
+camera.  All give cameras by image or camera name."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from .opencv import MATRIX_KEYS, read_camera
 from .values import text_of
 
 SUFFIXES = {".yaml", ".yml", ".json"}
-"""Of files with one camera each, in a folder of such."""
+"""Suffixes of the files in a folder with one calibration file per camera."""
 OWN_REMEDY = "give K (3x3), width, height and, where known, R (3x3) and C (3 numbers): x ~ K R (X - C); see sites/README.md"
 
 
 def read_calibration(path: Path) -> dict[str, Calibrated]:
-    """Cameras by name, from a file, from a COLMAP model (a folder), or from a folder with a file for each camera.
+    """Cameras by name, from a file, a COLMAP model (a folder), or a folder with one file per camera.
 
-    Raises CalibrationError for what is missing or unreadable, and for an entry without what it needs.
+    Raises CalibrationError for missing or unreadable files, and for incomplete entries.
     """
     if is_folder(path):
         return _read_folder(path)
@@ -41,7 +41,7 @@ def read_calibration(path: Path) -> dict[str, Calibrated]:
 
 
 def find_camera(cameras: dict[str, Calibrated], camera: str) -> Calibrated | None:
-    """The entry of a camera id: the same name, the same name without extension, or a folder of that name."""
+    """The entry of a camera id: its name, its file name (with or without extension) or one of its folders equals the id."""
     if camera in cameras:
         return cameras[camera]
     for name, entry in cameras.items():
@@ -56,11 +56,11 @@ def _read_folder(folder: Path) -> dict[str, Calibrated]:
         return read_colmap(folder)
     files = sorted(file for file in folder.iterdir() if file.suffix.lower() in SUFFIXES and is_file(file))
     if not files:
-        return read_colmap(folder)  # which says what is missing
+        return read_colmap(folder)  # it reports what is missing
     found: dict[str, Calibrated] = {}
     for file in files:
         inside = read_calibration(file)
-        # a file for one camera is called as the camera is, whatever the program that wrote it calls it
+        # a file with one camera has the camera's name; a name inside it comes from the calibration program
         found |= {file.stem: next(iter(inside.values()))} if len(inside) == 1 else inside
     return found
 
@@ -93,7 +93,7 @@ def _read_json(path: Path, text: str) -> dict[str, Calibrated]:
 
 
 def _mark(path: Path, text: str, location: Location) -> str:
-    """The file, with line and column of a value where they can be found (JSON is YAML, nearly)."""
+    """The file, with line and column of a value if these can be found by parsing the JSON as YAML (nearly a superset)."""
     try:
         return parse_yaml(text, path).problem(location, "").mark
     except SiteError:
@@ -101,7 +101,7 @@ def _mark(path: Path, text: str, location: Location) -> str:
 
 
 def _document_of(path: Path, text: str) -> Document:
-    """A YAML or JSON file, with OpenCV's first line and tags, which no other program knows.  Raises CalibrationError."""
+    """A YAML or JSON file, without OpenCV's own first line and tags, which YAML parsers reject.  Raises CalibrationError."""
     if text.lstrip().startswith("<"):
         raise CalibrationError("is XML, which is not read", where=str(path), remedy="save it as .yaml or .json")
     text = re.sub(r"\A%YAML[:\s]\s*1\.[0-9]+[^\n]*", "# YAML", text)  # the line stays, for the locations of errors
@@ -114,7 +114,7 @@ def _document_of(path: Path, text: str) -> Document:
 
 
 def _camera_file(document: Document) -> dict[str, Calibrated] | None:
-    """The cameras of a file of OpenCV, ROS or Kalibr; None where it is of none of them.  Raises CalibrationError."""
+    """The cameras of a file of OpenCV, ROS or Kalibr; None if it is of another kind.  Raises CalibrationError."""
     data = document.data
     if not isinstance(data, dict):
         return None

@@ -1,6 +1,6 @@
-"""What is known of a camera: its lens and where it is.  A calibration is checked here, whichever program has written it.
+"""A camera's lens and placement, and the checks that all calibrations pass, whichever program wrote them.
 
-Rotations, however people write them, are R: world axes (z up) to camera axes (x right, y down, z forward).
+Rotations, in whatever form they are given, become R: world axes (z up) to camera axes (x right, y down, z forward).
 """
 
 from __future__ import annotations
@@ -31,16 +31,16 @@ LENS_MODELS: Mapping[str, tuple[tuple[int, ...], str]] = {
     "rad-tan-thin-prism-fisheye": ((12,), "k0 k1 k2 k3 k4 k5 p0 p1 s0 s1 s2 s3"),
     "equirectangular": ((0,), ""),
 }
-"""How many coefficients each lens model has (`wbflow_stages.core.lenses`), and in which order."""
+"""For each lens model (`wbflow_stages.core.lenses`): the valid numbers of coefficients, and their order."""
 
 _LARGEST = 1e12
-"""Of any number in a calibration: metres, pixels."""
+"""Limit on the magnitude of any number in a calibration (metres, pixels): larger ones, and NaN, are refused."""
 _MOST_PIXELS_A_SIDE = 1_000_000
-"""Of an image in a calibration."""
+"""Largest width or height of an image in a calibration."""
 
 
 def lens_fault(model: str, distortion: list[float] | None) -> str:
-    """What is wrong with the coefficients of a lens, and what to do; "" where nothing is."""
+    """What is wrong with the model or coefficients of a lens, and how to fix it; "" if nothing is."""
     if model not in LENS_MODELS:
         return f"{model!r} is no lens model that is known; use one of {', '.join(LENS_MODELS)}"
     counts, order = LENS_MODELS[model]
@@ -56,37 +56,37 @@ class Lens:
     """Intrinsics of a camera as the site file, or a calibration, gives them."""
 
     K: Matrix | None = None
-    """3x3, pixels; None where unknown."""
+    """3x3, pixels; None if unknown."""
     distortion: list[float] = field(default_factory=lambda: [0.0] * 5)
-    """Coefficients of `model`; of "brown" k1 k2 p1 p2 k3."""
+    """Coefficients of `model`; for "brown" k1 k2 p1 p2 k3."""
     hfov_deg: float | None = None
-    """Horizontal field of view, used where K is None."""
+    """Horizontal field of view, used if K is None."""
     width: int = 0
-    """Of the image that this is for, pixels; 0: unknown."""
+    """Width of the image that these intrinsics are for, pixels; 0: unknown."""
     height: int = 0
     model: str = "brown"
-    """How the lens bends light: a key of `LENS_MODELS`."""
+    """Lens model: a key of `LENS_MODELS`."""
     camera: str = ""
-    """Of one view among several: the id of the camera that has them."""
+    """For one of several views: the id of its camera; "" for the lens of a whole camera."""
     turn: Matrix | None = None
-    """3x3, from the camera's axes to those of this view; None where it has the one view."""
+    """3x3, from the camera's axes to the axes of this view; None for the lens of a whole camera."""
     window: list[float] | None = None
-    """How far this view reaches: slopes to the left, right, up and down, as the vision defines them."""
+    """Extent of this view to the left, right, up and down, as slopes x / z and y / z in its axes (`wbflow_stages.types.Lens`)."""
 
 
 @dataclass(frozen=True)
 class Placement:
-    """Where a camera is, as the site file or a calibration gives it: x ~ K R (X - C)."""
+    """Pose of a camera as the site file or a calibration gives it: x ~ K R (X - C)."""
 
     R: Matrix | None = None
-    """3x3; None where unknown."""
+    """3x3; None if unknown."""
     C: list[float] | None = None
-    """Metres."""
+    """Centre of the camera; None if unknown."""
     sigma_m: float = 0.0
     sigma_deg: float = 0.0
-    """Standard deviations of C and R; 0 where they are exact."""
+    """Standard deviations of C and R; 0 if they are exact."""
     metric: bool = True
-    """C is in metres."""
+    """C is in metres; otherwise its scale is unknown."""
 
 
 def _number(value: Any) -> Any:
@@ -96,7 +96,7 @@ def _number(value: Any) -> Any:
 
 
 Number = Annotated[float, PlainValidator(_number)]
-"""As it is written, so that what is digested of it does not change."""
+"""A number kept as it is written (int or float), so that digests computed from it do not change."""
 Vector3 = Annotated[list[Number], Field(min_length=3, max_length=3)]
 Matrix3 = Annotated[list[Vector3], Field(min_length=3, max_length=3)]
 Pixels = Annotated[int, Field(gt=0, le=_MOST_PIXELS_A_SIDE)]
@@ -113,13 +113,13 @@ _MUST = {
     "position_sigma_m": "must be a number, 0 or more",
     "rotation_sigma_deg": "must be a number, 0 or more",
 }
-"""What a field of `Calibrated` has to be."""
+"""The requirement on each field of `Calibrated`, for error messages."""
 
 
 class Calibrated(BaseModel):
-    """A camera in wbflow's own form, that of cameras.json; what other programs write is turned into this.
+    """A camera in wbflow's own form, as in cameras.json; files of other programs are converted to it.
 
-    Pixel centres are whole numbers.
+    Pixel centres have integer coordinates.
     """
 
     model_config = ConfigDict(strict=True, frozen=True, defer_build=True)
@@ -166,7 +166,7 @@ class Calibrated(BaseModel):
 
     @property
     def lens(self) -> Lens:
-        """Its lens; coefficients that a short list of "brown" leaves out are 0."""
+        """The camera's lens; coefficients missing from a short "brown" list are 0."""
         given = self.distortion or []
         padded = given + [0.0] * (5 - len(given)) if self.model == "brown" or not given else given
         return Lens(K=self.K, distortion=padded, width=self.width, height=self.height, model=self.model)
@@ -181,7 +181,7 @@ REMEDY = "give the file that OpenCV, ROS, Kalibr, COLMAP or wbflow wrote; see si
 
 
 class Faulty(ValueError):
-    """A value that cannot be used, and where it is."""
+    """A value that cannot be used, with its location in the file."""
 
     def __init__(self, what: str, location: Location = (), remedy: str = REMEDY) -> None:
         super().__init__(what)
@@ -189,9 +189,9 @@ class Faulty(ValueError):
 
 
 def calibrated(fields: Mapping[str, Any], shown: Mapping[str, str] | None = None, location: Location = ()) -> Calibrated:
-    """Check the fields of a camera.  Raises Faulty where one is missing, or cannot be used.
+    """Check the fields of a camera.  Raises Faulty if one is missing or cannot be used.
 
-    shown: what its file calls them, where it has other names.  location: of the camera in its file.
+    shown: the names of fields in the camera's file, if they differ.  location: the camera's location in its file.
     """
     try:
         return Calibrated.model_validate(fields)
@@ -209,7 +209,7 @@ def calibrated(fields: Mapping[str, Any], shown: Mapping[str, str] | None = None
 def look_at(position: Vector, target: Vector) -> Matrix:
     """R of an upright camera that looks from `position` at `target`.
 
-    Raises ValueError where the two points coincide, or the camera would look straight up or down (its roll would be undefined).
+    Raises ValueError if the two points coincide, or if the camera would look straight up or down (its roll would be undefined).
     """
     forward = _unit([t - p for t, p in zip(target, position, strict=True)])
     right = _cross(forward, [0.0, 0.0, 1.0])
@@ -220,7 +220,7 @@ def look_at(position: Vector, target: Vector) -> Matrix:
 
 
 def yaw_pitch_roll(yaw_deg: float, pitch_deg: float, roll_deg: float) -> Matrix:
-    """R from a heading: yaw 0 looks along +y, 90 along +x; pitch up is positive; roll turns the camera clockwise as it sees."""
+    """R from angles: yaw 0 looks along +y, 90 along +x; pitch up is positive; roll is clockwise seen from behind the camera."""
     yaw, pitch, roll = (math.radians(v) for v in (yaw_deg, pitch_deg, roll_deg))
     forward = [math.sin(yaw) * math.cos(pitch), math.cos(yaw) * math.cos(pitch), math.sin(pitch)]
     level = [math.cos(yaw), -math.sin(yaw), 0.0]
@@ -230,7 +230,7 @@ def yaw_pitch_roll(yaw_deg: float, pitch_deg: float, roll_deg: float) -> Matrix:
 
 
 def rotation_fault(R: Matrix) -> str:
-    """What is wrong with a rotation matrix; "" where nothing is."""
+    """What is wrong with a rotation matrix; "" if nothing is."""
     dots = [sum(a * b for a, b in zip(R[i], R[j], strict=True)) - (i == j) for i in range(3) for j in range(3)]
     if not max(map(abs, dots)) < 1e-3:
         return "is not a rotation matrix (rows of unit length, at right angles)"

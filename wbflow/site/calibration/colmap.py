@@ -1,4 +1,4 @@
-"""COLMAP's models, as text (cameras.txt and images.txt) or binary (.bin), with every camera model that COLMAP has.
+"""COLMAP's models, as text (cameras.txt and images.txt) or binary (.bin), with all of COLMAP's camera models.
 
 References
 ----------
@@ -37,19 +37,19 @@ _LAYOUTS: dict[str, tuple[str, int, int]] = {
     "EUCM": ("eucm", 2, 2),
     "EQUIRECTANGULAR": ("equirectangular", 0, 0),
 }
-"""By COLMAP's name: our model, how many focal lengths come first, and how many coefficients after the principal point.
+"""By COLMAP's camera model: our lens model, the number of focal lengths, and of coefficients after the principal point.
 
-The order is that of COLMAP's numbers: binary models have these.
+A model's position in this table is its COLMAP id, which binary models contain.
 """
 
 
 def is_colmap(folder: Path) -> bool:
-    """Does a folder hold a model, or a part of one?"""
+    """Does a folder contain a COLMAP model, or a part of one?"""
     return any(is_file(folder / f"{name}.{suffix}") for name in ("cameras", "images") for suffix in ("txt", "bin"))
 
 
 def read_colmap(folder: Path) -> dict[str, Calibrated]:
-    """Cameras by image name; of a folder with both models the text.  Raises CalibrationError."""
+    """Cameras by image name; a text model takes precedence over a binary one.  Raises CalibrationError."""
     text, binary = ([folder / f"{name}.{suffix}" for name in ("cameras", "images")] for suffix in ("txt", "bin"))
     if all(map(is_file, text)):
         file, cameras, images = text[0].name, _text_cameras(text[0]), _text_images(text[1])
@@ -80,9 +80,9 @@ def read_colmap(folder: Path) -> dict[str, Calibrated]:
 
 _REMEDY = "have COLMAP write the model again: model_converter --output_type TXT"
 _Camera = tuple[str, str, str, str, tuple[int, int], list[float]]
-"""Where it stands, what it is called in a message, its number, model, size and parameters."""
+"""A camera: its place in the file, a prefix for messages, its id, model, size and parameters."""
 _Image = tuple[str, str, str, str, list[float]]
-"""The same: name, number of its camera, qw qx qy qz and t."""
+"""An image: its place in the file, a prefix for messages, its name, the id of its camera, and its pose (qw qx qy qz and t)."""
 
 
 def _text_cameras(path: Path) -> Iterator[_Camera]:
@@ -96,7 +96,7 @@ def _text_cameras(path: Path) -> Iterator[_Camera]:
 
 
 def _text_images(path: Path) -> Iterator[_Image]:
-    # each image takes two lines, the second being its 2-D points (possibly empty): only the first is of interest
+    # each image takes two lines; the second, with its 2-D points (possibly empty), is not needed
     what = "not an image line of COLMAP's text model"
     for where, line in list(_lines(path))[::2]:
         if line.strip():
@@ -108,7 +108,7 @@ def _text_images(path: Path) -> Iterator[_Image]:
 
 
 def _lines(path: Path) -> Iterator[tuple[str, str]]:
-    """The lines of a file that are no comments, each with its place."""
+    """The lines of a file that are not comments, each with its place (file and line number)."""
     try:
         lines = read_text(path).splitlines()
     except SiteError as error:
@@ -135,11 +135,11 @@ def _binary_images(path: Path) -> Iterator[_Image]:
 
 
 _POINT_BYTES = 24
-"""Of a point of an image: x, y, and the number of its point in space."""
+"""Size of a 2-D point of an image: x, y, and the id of its 3-D point."""
 
 
 class _Binary:
-    """A file of COLMAP's binary model: little-endian numbers one after the other, each list after its length."""
+    """Reads a file of COLMAP's binary model: little-endian numbers, each list preceded by its length."""
 
     def __init__(self, path: Path) -> None:
         self.path, self.at = path, 0
@@ -149,26 +149,26 @@ class _Binary:
             raise CalibrationError(error.what, where=str(path)) from None
 
     def values(self, layout: str) -> tuple[Any, ...]:
-        """What comes next."""
+        """The next values, in a `struct` layout."""
         start = self.at
         self.skip(struct.calcsize(layout))
         return struct.unpack_from(layout, self.data, start)
 
     def text(self) -> str:
-        """Text up to a zero byte."""
+        """The text up to the next zero byte."""
         start, end = self.at, self.data.find(b"\0", self.at)
         self.skip(end + 1 - start if end >= 0 else len(self.data))
         return self.data[start:end].decode(errors="surrogateescape")
 
     def skip(self, count: int) -> None:
-        """Leave bytes out."""
+        """Skip bytes.  Raises CalibrationError if the file ends before."""
         self.at += count
         if self.at > len(self.data):
             raise CalibrationError("ends too early (COLMAP's binary model)", where=str(self.path), remedy=_REMEDY)
 
 
 def _lens(name: str, width: int, height: int, p: list[float]) -> dict[str, Any]:
-    """COLMAP puts the origin at the top-left *corner* of the first pixel: half a pixel is taken off the principal point."""
+    """The lens of a camera.  COLMAP's origin is the *corner* of the top-left pixel, so 0.5 is subtracted from cx and cy."""
     if name not in _LAYOUTS:
         raise ValueError(f"camera model {name} is not supported; use one of {', '.join(_LAYOUTS)}")
     model, focals, count = _LAYOUTS[name]
@@ -180,7 +180,7 @@ def _lens(name: str, width: int, height: int, p: list[float]) -> dict[str, Any]:
         raise ValueError("a focal length must be positive")
     K = [[fx, 0.0, cx - 0.5], [0.0, fy, cy - 0.5], [0.0, 0.0, 1.0]]
     coefficients = [p[focals + 2 + i] for i in range(count)]
-    if model == "fisheye":  # what COLMAP does not write is 0
+    if model == "fisheye":  # coefficients that COLMAP's model lacks are 0
         coefficients += [0.0] * (4 - count)
     model = "brown" if model == "pinhole" else model
     return {"K": K, "width": width, "height": height, "distortion": coefficients, "model": model}

@@ -1,4 +1,4 @@
-"""Kalibr's chains of cameras (camchain.yaml).
+"""Kalibr's camera chains (camchain.yaml).
 
 References
 ----------
@@ -13,11 +13,11 @@ from .calibrated import Calibrated, Faulty, Matrix, calibrated, centre, product,
 from .values import MODEL_NAMES, numbers_of, rows_of, size_of, text_of
 
 _PROJECTIONS = {"pinhole": ("", 0), "omni": ("omni", 1), "eucm": ("eucm", 2), "ds": ("double-sphere", 2)}
-"""Kalibr's projections: our model ("" for that of their distortion), and how many intrinsics come before fu, fv, pu, pv."""
+"""By Kalibr's projection: our lens model ("": see the distortion model), and the number of intrinsics before fu, fv, pu, pv."""
 
 
 def read_chain(data: dict[str, Any]) -> dict[str, Calibrated]:
-    """A chain of cameras; each says how the one before it lies, so that the first one is the world."""
+    """A chain of cameras: each has a pose relative to the one before it, so the first camera's axes become the world's."""
     found: dict[str, Calibrated] = {}
     R: Matrix | None = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
     t = [0.0, 0.0, 0.0]
@@ -34,7 +34,7 @@ def read_chain(data: dict[str, Any]) -> dict[str, Calibrated]:
 
 
 def _chained(name: str, entry: dict[str, Any], R: Matrix, t: list[float]) -> tuple[Matrix | None, list[float]]:
-    """The pose of a camera, x = R X + t, from that of the one before it; None where the file does not say."""
+    """The pose of a camera, x = R X + t, from the pose of the one before it; R is None if the file lacks it."""
     if "T_cn_cnm1" not in entry:
         return None, t
     T = rows_of(numbers_of(entry["T_cn_cnm1"], "T_cn_cnm1", (name,)), 4)

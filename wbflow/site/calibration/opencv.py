@@ -1,4 +1,4 @@
-"""Files of OpenCV and ROS: one camera, its K and D by one of their names.
+"""Calibration files of OpenCV and ROS: one camera each, with K and D under one of several names.
 
 References
 ----------
@@ -20,21 +20,21 @@ _XI = ("xi", "Xi")
 
 
 def read_camera(data: dict[str, Any]) -> Calibrated:
-    """The one camera of a file.  Raises Faulty where something in it cannot be used."""
+    """The one camera of a file.  Raises Faulty if something in it cannot be used."""
     key, bent, xi = first_key(data, MATRIX_KEYS), first_key(data, _D), first_key(data, _XI)
     assert key
     if bent is None:
         raise Faulty(f"lacks the distortion ({', '.join(_D[:3])} or D)", (), "add it; zeros where there is none")
     K, distortion = rows_of(numbers_of(data[key], key), 3), numbers_of(data[bent], bent)
     model = _model(data, len(distortion))
-    if xi is not None:  # as cv2.omnidir's files have it, beside k1 k2 p1 p2
+    if xi is not None:  # files of cv2.omnidir have xi in addition to k1 k2 p1 p2
         model, distortion = "omni", numbers_of(data[xi], xi) + distortion
     size = _cut(data, K, size_of(data))
     return calibrated({"K": K, **size, "distortion": distortion, "model": model}, {"K": key, "distortion": bent})
 
 
 def _cut(data: dict[str, Any], K: Matrix, size: dict[str, int]) -> dict[str, int]:
-    """The size of pictures that are a part of the sensor (ROS's region of interest), to whose corner K is moved."""
+    """The size of images that are a part of the sensor (ROS's region of interest); K is shifted in place to their corner."""
     roi = data.get("roi")
     names = ("x_offset", "y_offset", "width", "height")
     if not isinstance(roi, dict) or not any(roi.get(name) for name in names):
@@ -50,7 +50,7 @@ def _cut(data: dict[str, Any], K: Matrix, size: dict[str, int]) -> dict[str, int
 
 
 def _model(data: dict[str, Any], count: int) -> str:
-    """Return the model that a file names, else the one that its flags and its number of coefficients imply."""
+    """Return the lens model that a file names, else the one that its flags and number of coefficients imply."""
     key = first_key(data, _MODEL)
     named = text_of(data.get(key, "")).lower().replace("-", "_") if key else ""
     fisheye = data.get("fisheye_model") or "fisheye" in text_of(data.get("flags")).lower()

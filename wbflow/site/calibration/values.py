@@ -1,4 +1,4 @@
-"""What the files of several programs have in common: numbers, however they are nested, sizes of pictures, names of models."""
+"""Helpers shared by the calibration readers: numbers, however they are nested, image sizes, and names of lens models."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ MODEL_NAMES = {
     "opencv_fisheye": "fisheye",
     "thin_prism": "rational",
 }
-"""What others call our models."""
+"""wbflow's lens model for each name that other programs use."""
 
 
 def size_of(data: dict[str, Any], location: Location = ()) -> dict[str, Any]:
-    """Width and height of the pictures that a calibration is for.  Raises Faulty where it does not say."""
+    """Width and height of the images that a calibration is for.  Raises Faulty if it does not contain them."""
     keys = first_key(data, _WIDTH), first_key(data, _HEIGHT)
     if keys[0] and keys[1]:
         return {"width": data[keys[0]], "height": data[keys[1]]}
@@ -40,12 +40,12 @@ def size_of(data: dict[str, Any], location: Location = ()) -> dict[str, Any]:
 
 
 def rows_of(flat: list[float], width: int) -> Matrix:
-    """The rows of a matrix from its numbers one after the other."""
+    """The rows of a matrix from its numbers in row-major order."""
     return [flat[i : i + width] for i in range(0, len(flat), width)]
 
 
 def numbers_of(value: Any, key: str, location: Location = ()) -> list[float]:
-    """All numbers of a matrix: nested lists, or OpenCV's and ROS's rows, cols and data.  Raises Faulty."""
+    """All numbers of a matrix, given as nested lists or as OpenCV's and ROS's rows, cols and data.  Raises Faulty."""
     if isinstance(value, dict):
         rows, columns = value.get("rows"), value.get("cols")
         flat = list(_flat(value.get("data")))
@@ -54,7 +54,7 @@ def numbers_of(value: Any, key: str, location: Location = ()) -> list[float]:
     else:
         flat = list(_flat(value))
     try:
-        return [float(str(number)) for number in flat]  # also words: YAML 1.1 takes 1e-05 for one; but no truth
+        return [float(str(number)) for number in flat]  # strings too (YAML 1.1 reads 1e-05 as one), but not booleans
     except (TypeError, ValueError, OverflowError):
         raise Faulty(f"{key} must hold numbers", (*location, key)) from None
 
@@ -68,10 +68,10 @@ def _flat(value: Any) -> Iterable[Any]:
 
 
 def first_key(data: dict[str, Any], names: tuple[str, ...]) -> str | None:
-    """The first of these names under which there is something."""
+    """The first of these names that has a value."""
     return next((name for name in names if data.get(name) is not None), None)
 
 
 def text_of(value: Any) -> str:
-    """A text; "" for anything else."""
+    """The value if it is a string, else ""."""
     return value if isinstance(value, str) else ""
