@@ -1,7 +1,7 @@
-"""A matcher on census costs (Zabih & Woodfill, ECCV 1994): semi-global matching.
+"""Semi-global matching on census costs (Zabih & Woodfill, ECCV 1994).
 
-The census of a pixel says which of its 9x7 neighbours are darker: exposure does not matter.  Semi-global matching runs along
-eight paths (Hirschmueller, PAMI 2008) and reads the disparities of both views from one volume of costs.
+The census of a pixel records which of its 9x7 neighbours are darker, so exposure does not matter.  Semi-global matching runs
+along eight paths (Hirschmueller, PAMI 2008); the disparities of both views come from the same cost volume.
 """
 
 from __future__ import annotations
@@ -14,10 +14,10 @@ from .matcher import DenseMatches, RectifiedPair
 
 _SMALL_STEP = 12
 _LARGE_STEP, _LARGE_STEP_AT_LEAST = 100.0, 20.0
-"""Penalties for a disparity that changes by 1 and by more; the latter falls with the image gradient, down to its least."""
+"""Penalties for a change of disparity by 1 and by more; the latter falls with the image gradient, down to its minimum."""
 _GRADIENT = 0.1
 _UNKNOWN_COST = 35
-"""Cost of a partner that may not be matched: a little above that of unrelated texture."""
+"""Cost of a partner that may not be matched: slightly above the cost of unrelated texture."""
 
 
 def match_census_sgm(pair: RectifiedPair) -> DenseMatches:
@@ -26,7 +26,7 @@ def match_census_sgm(pair: RectifiedPair) -> DenseMatches:
 
 
 def semi_global(pair: RectifiedPair, volume: Uint8s) -> DenseMatches:
-    """The same from any costs (h, w, disparities) uint8 of the size of the census's."""
+    """Disparity of both views from any cost volume (h, w, disparities), uint8, on the scale of `census_costs`."""
     large = _large_steps(pair.left)
     summed = np.zeros(volume.shape, dtype=np.uint16)
     for backward in (False, True):
@@ -36,7 +36,7 @@ def semi_global(pair: RectifiedPair, volume: Uint8s) -> DenseMatches:
 
 
 def census_costs(pair: RectifiedPair) -> Uint8s:
-    """(h, w, disparities) uint8: in how many of 62 neighbours a pixel differs from its partner at each disparity of the range."""
+    """(h, w, disparities) uint8: Hamming distance, 0 to 62, of the censuses of a pixel and its partner at each disparity."""
     census1 = _census(np.ascontiguousarray(pair.left))
     census2 = _census(np.ascontiguousarray(pair.right))
     count = pair.disparity_max - pair.disparity_min + 1
@@ -74,14 +74,14 @@ def _census(image: Float32s) -> Uint64s:
 
 @kernel
 def _costs(census1: Uint64s, census2: Uint64s, valid2: Bools, low: int, count: int, unknown: np.uint8) -> Uint8s:
-    """(h, w, count) uint8: number of neighbours that tell the two pixels apart."""
+    """(h, w, count) uint8: Hamming distance of the censuses, `unknown` where the partner is invalid or outside the image."""
     height, width = census1.shape
     m1, m2, m4 = np.uint64(0x5555555555555555), np.uint64(0x3333333333333333), np.uint64(0x0F0F0F0F0F0F0F0F)
     ones = np.uint64(0x0101010101010101)
     volume = np.full((height, width, count), unknown, dtype=np.uint8)
     partners, usable = np.empty(width, dtype=np.uint64), np.empty(width, dtype=np.bool_)
     for y in range(height):
-        for x in range(width):  # backwards: they come in the order of growing disparity
+        for x in range(width):  # reversed: in the order of increasing disparity
             partners[x], usable[x] = census2[y, width - 1 - x], valid2[y, width - 1 - x]
         for x in range(width):
             first, last = max(0, x - low - width + 1), min(count, x - low + 1)
@@ -103,7 +103,7 @@ def _costs(census1: Uint64s, census2: Uint64s, valid2: Bools, low: int, count: i
 def _path(
     costs: Uint8s, before: Uint16s, least: np.uint16, large: np.uint16, small: np.uint16, after: Uint16s, total: Uint16s
 ) -> np.uint16:
-    """One step along one path: `before` and `after` are (count + 2,) with sentinels at both ends.  Gives the least of `after`."""
+    """One step along one path; returns the least of `after`.  `before`, `after`: (count + 2,) with sentinels at both ends."""
     count = costs.shape[0]
     limit = np.uint16(least + large)
     smallest = np.uint16(65535)
@@ -153,15 +153,15 @@ def _aggregate(volume: Uint8s, large: Uint16s, small: np.uint16, backward: bool,
 
 @kernel
 def _best(summed: Uint16s, low: int) -> tuple[Float32s, Float32s, Float32s, Float32s]:
-    """Disparity of least summed cost for both views, and how much worse the next best is, 0 to 1."""
+    """Disparity of least summed cost for both views, and confidence: relative lead over the next best; 1 in the right view."""
     height, width, count = summed.shape
     left = np.empty((height, width), dtype=np.float32)
     right = np.full((height, width), np.nan, dtype=np.float32)
     distinct1 = np.zeros((height, width), dtype=np.float32)
     distinct2 = np.zeros((height, width), dtype=np.float32)
     none = np.uint16(65535)
-    least2 = np.empty(width, dtype=np.uint16)  # of each pixel of the right view, backwards as in `_costs`, and where
-    best2 = np.empty(width, dtype=np.int32)
+    least2 = np.empty(width, dtype=np.uint16)  # by pixel of the right view, reversed as in `_costs`
+    best2 = np.empty(width, dtype=np.int32)  # and its column in the left view
     for y in range(height):
         least2[:] = none
         best2[:] = -1

@@ -1,4 +1,4 @@
-"""What is kept of raw dense matches: both views must agree, speckles go."""
+"""Filters for raw dense matches: agreement of both views, and removal of speckles."""
 
 from __future__ import annotations
 
@@ -9,15 +9,15 @@ from ..core.jit import kernel
 from ..types import Bools, Float32s
 
 _STEEP = 0.15
-"""How fast the tolerance falls where disparity is steep or torn."""
+"""The tolerance of `agreeing` is divided by 1 + this times the range of disparities around the pixel."""
 _STEP_X, _STEP_Y = 1.5, 4.0
-"""Neighbours whose disparities differ by no more, in a row and between rows, are connected: ground seen at a low angle moves by
-several pixels from row to row, never along one."""
+"""Largest difference, in pixels, between the disparities of connected neighbours within a row and between rows: ground seen at a
+low angle changes by several pixels from row to row, but never along a row."""
 
 
 @kernel
 def disagreement(one: Float32s, other: Float32s, sign: int) -> Float32s:
-    """(h, w) float32: how far the disparity of one view differs from that of the pixel it points to, inf where there is none.
+    """(h, w) float32: difference between a view's disparity and that of the pixel it points to, inf where either is unknown.
 
     sign: -1 when `one` belongs to the left view (x2 = x1 - d), 1 for the right view.
     """
@@ -26,7 +26,7 @@ def disagreement(one: Float32s, other: Float32s, sign: int) -> Float32s:
     for y in range(height):
         for x in range(width):
             column = np.rint(np.float32(x) + np.float32(sign) * one[y, x])
-            if 0 <= column < width:  # nor where it is nan
+            if 0 <= column < width:  # False for nan, too
                 away = abs(other[y, int(column)] - one[y, x])
                 if not np.isnan(away):
                     difference[y, x] = away
@@ -34,10 +34,10 @@ def disagreement(one: Float32s, other: Float32s, sign: int) -> Float32s:
 
 
 def agreeing(one: Float32s, other: Float32s, sign: int, tolerance_px: float) -> Bools:
-    """(h, w) bool: the other view agrees within `tolerance_px`, and more closely where disparity is steep or torn: the tolerance
-    is divided by 1 + `_STEEP` times the range of disparities within 5x5 pixels.
+    """(h, w) bool: the other view agrees within `tolerance_px`, and more closely where disparity is steep or torn: the
+    tolerance is divided by 1 + `_STEEP` times the range of disparities within 5x5 pixels.
 
-    There, errors are larger than the disagreement tells: both views stretch the same edge over what lies behind it.
+    There, errors exceed the disagreement between the views, because both stretch the same edge over the background.
 
     Parameters
     ----------
@@ -54,7 +54,7 @@ def agreeing(one: Float32s, other: Float32s, sign: int, tolerance_px: float) -> 
 
 
 def lands_on(valid_other: Bools, disparity: Float32s, sign: int) -> Bools:
-    """(h, w) bool: the pixel that each disparity points to may be matched."""
+    """(h, w) bool: does each disparity point to a pixel of the other view that may be matched?"""
     width = disparity.shape[1]
     x = np.arange(width, dtype=np.float32) + sign * np.nan_to_num(disparity, nan=-1e6)
     column = np.rint(np.clip(x, -1, width)).astype(np.int64)
@@ -63,14 +63,14 @@ def lands_on(valid_other: Bools, disparity: Float32s, sign: int) -> Bools:
 
 
 def cross_checked(one: Float32s, other: Float32s, valid: Bools, sign: int, smallest_px: int) -> Float32s:
-    """Disparity of one view where the other one's differs by at most a pixel, without speckles; nan elsewhere.
+    """Disparity of one view where the other view agrees within one pixel, without speckles; nan elsewhere.
 
     Parameters
     ----------
     one, other : (h, w) disparity of the view and of the other one, nan where unknown.
     valid : (h, w) pixels of the view that may be used.
     sign : -1 for the left view, 1 for the right one.
-    smallest_px : connected pieces of fewer pixels go.
+    smallest_px : connected pieces of fewer pixels are removed.
     """
     agreed = valid & (disagreement(one, other, sign) <= 1)
     return without_speckles(np.where(agreed, one, np.float32(np.nan)), smallest_px)
@@ -116,7 +116,7 @@ def _drop_speckles(disparity: Float32s, smallest_px: int, step_x: float, step_y:
 
 
 def fill_along_rows(disparity: Float32s, nearer: int) -> Float32s:
-    """Holes filled with the farther one of the disparities at their two ends in the row: what a foreground hides is background.
+    """Disparity with each hole filled by the farther value at its two ends in the row: a foreground hides background.
 
     nearer: 1 where larger disparities are nearer, -1 where smaller ones are.  Rows without any value stay nan.
     """

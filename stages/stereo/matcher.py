@@ -1,4 +1,4 @@
-"""What every dense matcher is given, and what it gives: the border at which matchers plug in."""
+"""Input and output of every dense matcher: the interface for further matchers."""
 
 from __future__ import annotations
 
@@ -26,14 +26,14 @@ class RectifiedPair:
     """Whole pixels, the range to search, both ends included."""
     prior_left: Float32s | None = None
     prior_right: Float32s | None = None
-    """(h, w) disparity of a surface that is likely to be there (the ground), nan where there is none; None where nobody knows."""
+    """(h, w) disparity of a surface that is likely to be there (the ground), nan where there is none; None if unknown."""
     _: KW_ONLY
     reference_left: Float32s | None = None
     reference_right: Float32s | None = None
-    """(h, w) disparity of another night from the same places, nan where it had none; None where there is no such night."""
+    """(h, w) disparity of another night from the same places, nan where it had none; None without such a night."""
     floor_left: Float32s | None = None
     floor_right: Float32s | None = None
-    """(h, w) disparity of a surface behind the likely one: nothing lies farther; None where something may."""
+    """(h, w) disparity of a surface behind the prior one, beyond which there is nothing; None without such a limit."""
 
     def within_reach(self) -> Bools:
         """(h, w) bool: valid pixels of the left image that have at least one valid partner within the range."""
@@ -47,7 +47,7 @@ class RectifiedPair:
 
 @dataclass(frozen=True)
 class DenseMatches:
-    """Disparity of both views before any check between them: (h, w) float32 pixels, nan where the matcher has no answer."""
+    """Disparity of both views before they are compared: (h, w) float32 pixels, nan where the matcher found none."""
 
     left: Float32s
     """x2 = x1 - d."""
@@ -55,11 +55,11 @@ class DenseMatches:
     """x1 = x2 + d."""
     confidence_left: Float32s
     confidence_right: Float32s
-    """(h, w) float32, 0 to 1; where it is 0, the value may confirm the other view's but is not kept itself."""
+    """(h, w) float32, 0 to 1; a value with confidence 0 may confirm the other view's, but is not kept itself."""
 
 
 def mirrored(pair: RectifiedPair) -> RectifiedPair:
-    """The pair in a mirror, views exchanged: its left disparity is the right disparity of `pair`, mirrored."""
+    """The pair mirrored, with views exchanged: its left disparity is the right disparity of `pair`, mirrored."""
 
     def flipped(name: str) -> Any:
         image = getattr(pair, name)
@@ -70,9 +70,9 @@ def mirrored(pair: RectifiedPair) -> RectifiedPair:
 
 
 def halved(pair: RectifiedPair) -> RectifiedPair:
-    """The pair at half its size, filled up at the right and the bottom with its border; valid where all four pixels are.
+    """The pair at half its size, padded at the right and the bottom by its border; valid where all four pixels are.
 
-    What another night found is left out: it is where to start from at the full size.
+    Disparity of another night is left out: it is a start for the full size only.
     """
     return RectifiedPair(
         left=_half(pair.left),

@@ -1,8 +1,8 @@
-"""Slanted PatchMatch from a census SGM start: a plane of disparity for each pixel, spread to neighbours and refined at random.
+"""Slanted PatchMatch from a census SGM start: a disparity plane for each pixel, spread to neighbours and refined at random.
 
-After Bleyer, Rhemann & Rother (BMVC 2011), with the start and the cost changed: semi-global matching at a fraction of the size
-tells where to look, so two rounds of propagation are enough; the cost is 1 - ZNCC of windows weighted by likeness, which exposure
-does not change.
+After Bleyer, Rhemann & Rother (BMVC 2011), with another start and another cost.  Semi-global matching at a fraction of the size
+provides the start, so that two rounds of propagation are enough.  The cost is 1 - ZNCC over windows whose pixels are weighted
+by similarity to the centre; it does not depend on exposure.
 """
 
 from __future__ import annotations
@@ -23,35 +23,35 @@ from .sgbm import match_sgbm
 
 _ROUNDS = 2
 _DEAREST = 0.6
-"""Planes that cost more are no matches."""
+"""Planes with a higher cost are no matches."""
 _DOUBTFUL = 2.5
-"""How much the surroundings of a pixel may disagree with its plane, see `doubt`."""
+"""Confidence is 0 where `doubt` in a pixel's plane exceeds this."""
 _DIRECT_PX = 1.0e6
-"""Larger pairs start from PatchMatch at half the size, others from SGM at half the size."""
+"""Pairs with more pixels than this start from PatchMatch at half the size, smaller ones from SGM at half the size."""
 _LIKELY = 0.1
-"""A surface that is likely to be there may cost so much more than what was found."""
+"""The prior surface replaces a found plane if its cost is higher by at most this much."""
 _BEYOND = 0.5
-"""Planes may leave the range of disparities by this share of it: they spread to where the start did not look."""
+"""Planes may leave the disparity range by this share of its width, since they spread to where the start did not search."""
 _AGAIN = Trials(np.array([(0, 1), (1, 0), (8, 0)]), changes=3, shift_px=0.8, turn=0.2)
-"""Where another night shows where to start: that is nearly right, and lies on planes that have been voted on."""
+"""Trials where another night provides the start: its planes are nearly right, and already smoothed."""
 _BLOCK = 128
 _XX, _YY, _XY, _XD, _YD = (i * _BLOCK for i in range(5))
-"""Places of sums in the scratch of `_slopes`."""
+"""Offsets of the sums in the scratch array of `_slopes`."""
 
 
 def match_patchmatch(pair: RectifiedPair) -> DenseMatches:
-    """Disparity of both views to a fraction of a pixel; confidence 1 - cost, 0 where the surroundings speak against it."""
+    """Disparity of both views to a fraction of a pixel; confidence is 1 - cost, and 0 where surrounding planes disagree."""
     view1, view2 = _matched_views(pair)
     for view in (view1, view2):
         view.planes = view.smoothed(rounds=2 if pair.reference_left is None else 1)
     left, mirrored_right = view1.planes[0], view2.planes[0]
     mirrored_left, right = (np.ascontiguousarray(disparity[:, ::-1]) for disparity in (left, mirrored_right))
     confidence1, confidence2 = view1.confidence(right), view2.confidence(mirrored_left)
-    return DenseMatches(left.copy(), right, confidence1, np.ascontiguousarray(confidence2[:, ::-1]))  # without the slopes
+    return DenseMatches(left.copy(), right, confidence1, np.ascontiguousarray(confidence2[:, ::-1]))  # a copy frees the slopes
 
 
 class _View:
-    """The planes of one view, which is the left one of its pair, and what they cost.
+    """The planes of one view, which is the left one of its pair, and their costs.
 
     planes: (3, h, w) float32 disparity and its slopes along x and y; cost: (h, w) float32, 0 to 1."""
 
@@ -66,8 +66,8 @@ class _View:
         return Propagation(self.pair.left, self.pair.right, self.pair.valid_left, low, high)
 
     def lean_on_prior(self, propagation: Propagation) -> None:
-        """Take the likely surface where it shows the other image about as well as what was found: repeated tiles fit at many
-        disparities, and bare asphalt at any; and where what was found lies behind the floor."""
+        """Use the prior surface where it costs little more than the planes found, since repeated tiles match at many disparities
+        and bare asphalt at any; and where the planes found lie behind the floor."""
         prior = self.pair.prior_left
         if prior is None:
             return
@@ -82,22 +82,22 @@ class _View:
         self.cost[likely] = cost[likely]
 
     def smoothed(self, rounds: int) -> Float32s:
-        """Planes (3, h, w), nan where too costly."""
+        """Smoothed planes (3, h, w), nan where the cost is too high."""
         return smoothed(self.pair.left, self.planes, self.cost, _DEAREST, rounds=rounds)
 
     def settled(self) -> Float32s:
-        """Planes (3, h, w) for the next size: the smoothed ones, and its own where those are too costly."""
+        """Planes (3, h, w) from which the next size starts: smoothed, or as found where the cost is too high."""
         planes = self.smoothed(rounds=1)
         return np.where(np.isnan(planes[0]), self.planes, planes)
 
     def confidence(self, other: Float32s) -> Float32s:
-        """(h, w), once the planes are smoothed, for the disparity that the other view says, in the sense of this one's pair."""
+        """(h, w) confidence of smoothed planes, given the `other` view's disparity in the orientation of this view's pair."""
         sure = doubt(self.planes, disagreement(self.planes[0], other, -1)) <= _DOUBTFUL
         return np.where(sure, 1 - self.cost, 0).astype(np.float32)
 
 
 def _matched_views(pair: RectifiedPair) -> tuple[_View, _View]:
-    """The view of the left image, and that of the right one in a mirror."""
+    """Matched views: of the left image, and of the right image, which is the left one of the mirrored pair."""
     if pair.reference_left is not None and pair.reference_right is not None:
         return _matched_again(pair)
     large, small = pair.left.size > _DIRECT_PX, halved(pair)
@@ -106,8 +106,8 @@ def _matched_views(pair: RectifiedPair) -> tuple[_View, _View]:
 
 
 def _matched_again(pair: RectifiedPair) -> tuple[_View, _View]:
-    """The same where another night shows where to start: a quick search of the whole range at half the size finds what is new,
-    and one round settles which of both it is."""
+    """Matched views, started from another night's disparity: SGM over the whole range at half the size finds what is new, and one
+    round of PatchMatch chooses between the two."""
     views = _View(pair, _planes_then(pair)), _View(mirrored(pair), _planes_then(mirrored(pair)))
     small = halved(pair)
     for view, coarse in zip(views, _as_planes(small, match_sgbm(small)), strict=True):
@@ -120,7 +120,7 @@ def _matched_again(pair: RectifiedPair) -> tuple[_View, _View]:
 
 
 def _planes_then(pair: RectifiedPair) -> Float32s:
-    """(3, h, w) planes of the left view as another night knows them, nan where it doesn't."""
+    """(3, h, w) planes of the left view by the other night's disparity, nan where it had none."""
     then = pair.reference_left
     assert then is not None
     return np.stack([then, *_slopes(then)])
@@ -138,7 +138,7 @@ def _propagated(pair: RectifiedPair, start: Sequence[Float32s], rounds: int) -> 
 
 
 def _as_planes(pair: RectifiedPair, found: DenseMatches) -> tuple[Float32s, Float32s]:
-    """Planes (3, h, w) of both views, those of the right one in a mirror, from what a matcher found; holes filled."""
+    """Planes (3, h, w) of both views from a matcher's disparity, with holes filled; the right view's are mirrored."""
     planes1 = _planes_of(found.left, found.right, pair.valid_left, -1)
     planes2 = _planes_of(found.right, found.left, pair.valid_right, 1)
     return planes1, planes2[:, :, ::-1] * np.array([[[1]], [[-1]], [[1]]], dtype=np.float32)
@@ -154,7 +154,7 @@ def _planes_of(one: Float32s, other: Float32s, valid: Bools, sign: int) -> Float
 
 @kernel
 def _slopes(disparity: Float32s) -> tuple[Float32s, Float32s]:
-    """Slopes (h, w), (h, w) of disparity along x and y: least squares over an 11x11 window at stride 2, without what jumps."""
+    """Slopes (h, w), (h, w) of disparity along x and y: least squares over an 11x11 window at stride 2, without jumps."""
     height, width = disparity.shape
     along_x = np.zeros((height, width), dtype=np.float32)
     along_y = np.zeros((height, width), dtype=np.float32)
@@ -180,7 +180,7 @@ def _slopes(disparity: Float32s) -> tuple[Float32s, Float32s]:
                     across, down = np.float64(dx), np.float64(dy)
                     for x in range(_BLOCK):
                         rise = there[x] - centre[x]
-                        near = abs(rise) <= furthest  # never where it is nan: outside
+                        near = abs(rise) <= furthest  # False for nan, as outside the image
                         one = np.float64(1.0) if near else np.float64(0.0)
                         up = np.float64(rise) if near else np.float64(0.0)
                         s[_XX + x] += across * across * one
@@ -197,7 +197,7 @@ def _slopes(disparity: Float32s) -> tuple[Float32s, Float32s]:
 
 
 def _doubled(coarse: Float32s, shape: tuple[int, int]) -> Float32s:
-    """Planes (3, h, w) of an image of this shape from those of half its size."""
+    """Planes (3, h, w) for an image of this shape from the planes of the half-size image."""
     planes = np.repeat(np.repeat(coarse, 2, axis=1), 2, axis=2)[:, : shape[0], : shape[1]].astype(np.float64)
     y, x = (np.arange(side) % 2 - 0.5 for side in shape)
     planes[0] = 2 * planes[0] + planes[1] * x + planes[2] * y[:, None]
@@ -206,7 +206,7 @@ def _doubled(coarse: Float32s, shape: tuple[int, int]) -> Float32s:
 
 @kernel
 def _seen_from_other(planes: Float32s, cost: Float32s) -> Float32s:
-    """(3, h, w): planes of one view as the other, mirrored, sees them; nan where none lands, the cheapest where several do."""
+    """(3, h, w) planes of one view in the other, mirrored one; nan where none lands, the cheapest where several do."""
     height, width = cost.shape
     seen = np.full((3, height, width), np.nan, dtype=np.float32)
     cheapest = np.full(width, np.inf, dtype=np.float32)

@@ -1,7 +1,7 @@
-"""What the planes around a pixel say of its disparity: a correction, a weighted median, and doubt.
+"""Filters that use the planes around a pixel: a correction of its disparity, a weighted median, and doubt.
 
-Whole pieces of a row are done at once, so that the compiler can do many columns with one instruction; scratch is flat, in rows of
-_BLOCK, so that it sees that none overlaps another.
+Up to `_BLOCK` pixels of a row are processed at once, so that the compiler can use SIMD instructions; scratch is one flat array
+in rows of _BLOCK, so that it can prove that the rows do not overlap.
 """
 
 from __future__ import annotations
@@ -13,30 +13,30 @@ from ..core.ordering import sorting_network
 from ..types import Float32s
 
 _LIKENESS = 8.0
-"""Grey levels at which a neighbour counts half."""
+"""Grey-level difference at which a neighbour gets half the weight."""
 _NEAR = 2
-"""How far away, in pixels, neighbours correct a plane, and raise doubts."""
+"""Radius of the neighbours that correct a plane and that enter its doubt, pixels."""
 _REACH, _STRIDE = 6, 3
-"""How far away, in pixels, and how densely neighbours are asked what a pixel's disparity should be."""
+"""Radius and stride of the neighbours whose planes enter the median of a pixel's disparity, pixels."""
 _CONFIRMED_PX = 2.0
-"""Both views tell the same of a pixel if they differ by no more."""
+"""A pixel is confirmed if the disparities of both views differ by at most this much."""
 _UNCONFIRMED_PX = 3.0
-"""What a neighbour that the other view does not confirm, or that lies farther from the plane, adds to the doubt."""
+"""Contribution to the doubt of a neighbour that is not confirmed; also the most that any neighbour contributes."""
 _BORDER = _REACH
 _BLOCK = 128
 
 
 def smoothed(image: Float32s, planes: Float32s, cost: Float32s, dearest: float, spacing: int = 1, rounds: int = 1) -> Float32s:
     """Planes (3, h, w) from planes whose `cost` is below `dearest`, nan elsewhere: disparities are first corrected by their
-    neighbours, then the median of what neighbours farther away say.
+    neighbours, then replaced by the median of the planes of neighbours farther away.
 
     Parameters
     ----------
     image : (h, w) grey levels of the view.
-    planes, cost : (3, h, w) disparity and its slopes along x and y, and what they cost.
-    dearest : a plane that costs more has no say.
-    spacing : of the pixels that were compared: so far apart are the neighbours that are asked.
-    rounds : a further round starts from what the one before said, with slopes fitted to those.
+    planes, cost : (3, h, w) disparity and its slopes along x and y, and (h, w) their costs.
+    dearest : planes that cost this much or more are ignored.
+    spacing : distance between the pixels that were matched; neighbours for the median are farther apart by this factor.
+    rounds : each further round starts from the medians of the one before, with slopes fitted to them.
     """
     border = _BORDER * spacing
     inner = slice(border, -border)
@@ -55,18 +55,18 @@ def smoothed(image: Float32s, planes: Float32s, cost: Float32s, dearest: float, 
 
 
 def doubt(planes: Float32s, difference: Float32s) -> Float32s:
-    """(h, w) doubt in each pixel's plane: how far its 5x5 neighbours lie from it on average, the more where disparity is torn.
+    """(h, w) doubt in each pixel's plane: the mean distance of 5x5 neighbours from it, larger where disparity is torn.
 
-    Neighbours that the other view does not confirm (`difference` in pixels) count as if far away: where one is wrong, those
-    beside it are suspect.  Infinite where the pixel itself is not confirmed."""
+    Neighbours that the other view does not confirm (`difference` in pixels) count as far away: where one is wrong, those around
+    it are suspect.  Infinite where the pixel itself is not confirmed."""
     confirmed = np.where(difference <= np.float32(_CONFIRMED_PX), planes[0], np.float32(np.nan))
     rows, columns = (np.convolve(np.ones(n), np.ones(2 * _NEAR + 1), mode="same")[:n] for n in difference.shape)
-    inside = (rows[:, None] * columns).astype(np.float32)  # how many pixels of the window around each lie in the image
+    inside = (rows[:, None] * columns).astype(np.float32)  # number of pixels of each window that lie in the image
     return _doubt(_bordered(_BORDER, confirmed)[0], planes, inside)
 
 
 def _bordered(border: int, *layers: Float32s) -> Float32s:
-    """Layers (h, w) on top of each other, with a border of nan."""
+    """Layers (h, w) stacked, with a border of nan."""
     height, width = layers[0].shape
     whole = np.full((len(layers), height + 2 * border, width + 2 * border), np.nan, dtype=np.float32)
     for layer, values in zip(whole, layers, strict=True):
@@ -76,7 +76,7 @@ def _bordered(border: int, *layers: Float32s) -> Float32s:
 
 @helper
 def _unknown(row: Float32s, n: int) -> bool:
-    """Is nothing known of the first n?  In a loop: numpy's words for this take longer to compile than the rest of a kernel."""
+    """Are the first n values all nan?  A loop: numpy's functions for this take longer to compile than the rest of a kernel."""
     known = 0
     for x in range(n):
         known += 0 if np.isnan(row[x]) else 1
@@ -91,10 +91,11 @@ def _fill(row: Float32s, first: int, last: int, value: np.float32) -> None:
 
 @kernel
 def _correct(bordered: Float32s, border: int, stride: int, out: Float32s) -> None:
-    """Planes (3, h, w) into `out`: the pixels' own, corrected by a least-squares plane through what 5x5 neighbours, `stride`
-    apart, say.
+    """Write planes (3, h, w) to `out`: each pixel's own, corrected by a least-squares plane through 5x5 neighbours, `stride`
+    apart.
 
-    They must nearly agree, and weigh by likeness.  `bordered` are disparity, its slopes and grey (4, h, w) with a border."""
+    Neighbours must nearly agree with the plane, and are weighted by similarity of grey level.  `bordered` holds disparity, its
+    slopes and grey (4, h, w) with a border."""
     known, image = bordered[0], bordered[3]
     height, width = known.shape[0] - 2 * border, known.shape[1] - 2 * border
     soft = np.float32(1.0 / _LIKENESS)
@@ -110,7 +111,7 @@ def _correct(bordered: Float32s, border: int, stride: int, out: Float32s) -> Non
                     _fill(out[k, y], x0, x0 + n, np.float32(np.nan))
                 continue
             _fill(s, 0, 9 * _BLOCK, none)
-            _fill(s, 3 * _BLOCK, 5 * _BLOCK, np.float32(2.0))  # slopes stay the plane's own where little speaks
+            _fill(s, 3 * _BLOCK, 5 * _BLOCK, np.float32(2.0))  # damping: with few neighbours, slopes stay the plane's own
             for j in range(-_NEAR, _NEAR + 1):
                 for i in range(-_NEAR, _NEAR + 1):
                     dx, dy = i * stride, j * stride
@@ -118,7 +119,7 @@ def _correct(bordered: Float32s, border: int, stride: int, out: Float32s) -> Non
                     fx, fy = np.float32(dx), np.float32(dy)
                     for x in range(n):
                         e = disparity[x] - (d[x] + a[x] * fx + b[x] * fy)
-                        # errors between the rows shift a steep plane the more
+                        # a row offset between the images shifts a steep plane more
                         heard = abs(e) <= np.float32(1.5) + np.float32(0.7) * (abs(a[x]) + abs(b[x]))
                         unlike = (likeness[x] - grey[x]) * soft
                         w = np.float32(1.0) / (np.float32(1.0) + unlike * unlike)
@@ -146,15 +147,14 @@ def _correct(bordered: Float32s, border: int, stride: int, out: Float32s) -> Non
 
 _TAPS = ((2 * _REACH) // _STRIDE + 1) ** 2
 _NETWORK = sorting_network(_TAPS)
-"""No branch depends on the values, so that whole rows of pixels are sorted at once."""
+"""Its comparisons do not depend on the values, so that whole rows of pixels are sorted at once."""
 
 
 @kernel
 def _filtered(bordered: Float32s, spacing: int) -> Float32s:
-    """(h, w) disparity: the median of what the planes of neighbours say, each weighted by its likeness.
+    """(h, w) disparity: the median of the neighbours' planes, continued to each pixel and weighted by similarity of grey level.
 
-    A wrong plane, or one of the other side of an edge, does not pass; slanted surfaces keep their slant.  `bordered` as in
-    `_correct`."""
+    This rejects wrong planes and those from beyond an edge; slanted surfaces keep their slant.  `bordered` as in `_correct`."""
     border = _BORDER * spacing
     height, width = bordered.shape[1] - 2 * border, bordered.shape[2] - 2 * border
     out = np.empty((height, width), dtype=np.float32)
@@ -200,7 +200,7 @@ def _filtered(bordered: Float32s, spacing: int) -> Float32s:
                 out[y, x0 + x] = np.float32(np.nan)
             for k in range(_TAPS):
                 value, weight = values[k], weights[k]
-                # `half` is what is still missing to half of all weight; it turns negative, or 0, once
+                # `half` is the weight still missing to half of the total; it falls to 0 or below once
                 for x in range(n):
                     before = half[x]
                     half[x] = before - np.float32(2.0) * weight[x]
@@ -223,7 +223,7 @@ def _doubt(confirmed: Float32s, planes: Float32s, inside: Float32s) -> Float32s:
             if _unknown(d, n):
                 _fill(doubt[y], x0, x0 + n, np.float32(np.inf))
                 continue
-            _fill(s, 0, _BLOCK, np.float32(0.0))  # how far away
+            _fill(s, 0, _BLOCK, np.float32(0.0))  # sum of distances
             _fill(s, _BLOCK, 2 * _BLOCK, np.float32(np.inf))  # the lowest disparity
             _fill(s, 2 * _BLOCK, 3 * _BLOCK, np.float32(-np.inf))  # the highest
             for dy in range(-_NEAR, _NEAR + 1):

@@ -1,7 +1,7 @@
-"""One round of PatchMatch propagation: planes spread from row to row and along rows, and change at random; the cheaper one stays.
+"""One round of PatchMatch propagation: each pixel tries its neighbours' planes and random changes, and keeps the cheapest.
 
-Whole pieces of a row are judged at once, so that the compiler can do many columns with one instruction: a pixel reads finished
-rows, and its own row as it stands before each step.  Steps of 1, 2 and 8 columns carry a plane along the row.
+Up to `_BLOCK` pixels of a row are evaluated at once, so that the compiler can use SIMD instructions.  A pixel therefore reads
+finished rows, and its own row in the state before each step.  Steps of 1, 2 and 8 columns carry a plane along the row.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from ..core.jit import Scalar, helper, kernel
 from ..types import Bools, Float32s, Int64s, Uint64s
 
 _LIKENESS = 8.0
-"""Grey levels at which a pixel of a window counts half."""
+"""Grey-level difference from the centre at which a pixel of the window gets half the weight."""
 _RADIUS, _STRIDE = 3, 2
 _ACROSS = 2 * _RADIUS // _STRIDE + 1
 _TAPS = _ACROSS**2
@@ -22,9 +22,9 @@ _LEAST_VARIANCE = 0.05
 _FLAT_COST = 0.9
 _STEEPEST, _SHEAREST = -6.0, 6.0
 _NOWHERE = 1.0e6
-"""Disparity of a plane that may not be tried: it leads out of the image."""
+"""Disparity of a plane that must not be tried: it leads out of the image, where the cost is 1."""
 
-# Scratch is flat, in rows of _BLOCK at places known to the compiler, which then sees that none overlaps another.
+# Scratch is one flat array, in rows of _BLOCK at constant offsets: so the compiler can prove that the rows do not overlap.
 _BLOCK = 128
 _MIDDLE, _STEP, _MEAN, _SQUARE, _PRODUCT, _VALUES = (i * _BLOCK for i in range(6))
 _PLACES = _VALUES + _ACROSS * _BLOCK
@@ -37,25 +37,25 @@ _WINDOW = (2 * _TAPS + 3) * _BLOCK
 
 @dataclass(frozen=True)
 class Trials:
-    """Which planes a pixel tries."""
+    """Which planes a pixel tries in a round."""
 
     neighbours: Int64s
-    """(n, 2) of which pixels, in this order: columns and rows back along the way."""
+    """(n, 2) offsets (columns, rows) of the neighbours to try, in this order, counted against the direction of the sweep."""
     changes: int
-    """So many of its own, changed at random, each less than the one before."""
+    """Number of random changes of the pixel's own plane, each smaller than the one before."""
     shift_px: float
-    """By how much its disparity changes in the first round at most..."""
+    """Largest random change of the disparity in the first round, pixels."""
     turn: float
-    """...and its slopes."""
+    """Largest random change of each slope in the first round."""
 
 
 TRIALS = Trials(np.array([(0, 1), (3, 2), (-3, 3), (1, 0), (2, 0), (8, 0)]), 4, 1.5, 0.3)
-"""Where little is known."""
+"""Trials for a start that is only roughly right."""
 
 
 class Propagation:
-    """What propagation over one view needs of both its images: the left one with a border, and each pixel of the right one beside
-    its neighbour, so that one access fetches what is interpolated."""
+    """Propagation over one view, with both images laid out for the kernels: the left one with a border, the right one as pairs of
+    adjacent pixels, so that a single load fetches both values of an interpolation."""
 
     def __init__(self, left: Float32s, right: Float32s, valid_left: Bools, low: float, high: float) -> None:
         self.left = np.pad(left, _RADIUS, mode="edge")
@@ -69,8 +69,8 @@ class Propagation:
 
         Parameters
         ----------
-        number : even rounds go down, odd ones up.
-        planes, cost : (3, h, w) disparity and its slopes, and (h, w) what they cost, 1 before the first round.
+        number : of the round, from 0: even rounds sweep down, odd ones up; random changes shrink with each round.
+        planes, cost : (3, h, w) disparity and its slopes, and (h, w) their costs, 1 before the first round.
         proposals : (3, h, w) planes that are tried first, nan where there are none.
         trials : which further planes a pixel tries.
         """
@@ -80,7 +80,7 @@ class Propagation:
         )  # fmt: skip
 
     def costs(self, planes: Float32s) -> Float32s:
-        """(h, w) what `planes` (3, h, w) cost; 1 where they are nan or lead out of the range."""
+        """(h, w) cost of `planes` (3, h, w); 1 where they are nan or lead out of the range."""
         cost = np.ones(planes.shape[1:], dtype=np.float32)
         _judge(self.left, self.pairs, self.valid, planes, cost, *self.range)
         return cost
@@ -88,11 +88,11 @@ class Propagation:
 
 @helper
 def _windows(left: Float32s, valid: Float32s, y: int, x0: int, n: int, window: Float32s) -> None:
-    """The windows of `n` pixels from (x0, y) on: weights, which sum to 1; weights times grey minus the window's mean, which sum
-    to 0; the window's deviation.  `left` and `valid` have a border of _RADIUS."""
+    """Fill `window` for `n` pixels from (x0, y) on: weights, which sum to 1; weights times (grey minus the window's mean), which
+    sum to 0; the standard deviation of the window.  `left` and `valid` have a border of _RADIUS."""
     soft = np.float32(1.0 / _LIKENESS)
     window[_SPREAD:_WINDOW] = np.float32(0.0)
-    mean = _SPREAD  # until the deviation takes its place
+    mean = _SPREAD  # overwritten by the standard deviation later
     for q in range(_ACROSS):
         for k in range(_ACROSS):
             tap = (q * _ACROSS + k) * _BLOCK
@@ -126,7 +126,7 @@ def _windows(left: Float32s, valid: Float32s, y: int, x0: int, n: int, window: F
 def _costs(
     pairs: Uint64s, y: int, x0: int, trial: Float32s, window: Float32s, s: Float32s, taken: Uint64s, cost: Float32s
 ) -> None:
-    """1 - ZNCC of the windows around (x0, y), (x0 + 1, y), ... and their images under the planes of `trial`."""
+    """1 - ZNCC between the windows around (x0, y), (x0 + 1, y), ... and the right image under the planes of `trial`."""
     height, width = pairs.shape
     limit = np.float32(width - 2)
     whole, place, both = s.view(np.int32), s.view(np.uint32), taken.view(np.float32)
@@ -141,7 +141,7 @@ def _costs(
             middle, step = s[_MIDDLE + x] - trial[_B + x] * np.float32(dy), s[_STEP + x]
             for k in range(_ACROSS):
                 at = middle + np.float32(k * _STRIDE - _RADIUS) * step
-                at = at if at > np.float32(0.0) else np.float32(0.0)  # nan, too: nothing outside the row is ever read
+                at = at if at > np.float32(0.0) else np.float32(0.0)  # nan becomes 0, too: nothing outside the row is ever read
                 s[_VALUES + k * _BLOCK + x] = at if at < limit else limit
         for x in range(_ACROSS * _BLOCK):
             at = s[_VALUES + x]
@@ -182,7 +182,7 @@ def _costs(
 def _neighbours(
     source: Float32s, valid: Float32s, y: int, x0: int, n: int, dx: int, dy: int, low: Scalar, high: Scalar, trial: Float32s
 ) -> None:
-    """The planes of `source` at (x0 + dx, y + dy), ... continued to (x0, y), ..."""
+    """Extrapolate the planes of `source` at (x0 + dx, y + dy), ... to (x0, y), ...; unusable ones become `_NOWHERE`."""
     row, width = y + dy, source.shape[2]
     first, last = max(0, -x0 - dx), min(n, width - x0 - dx)
     trial[_D : _D + n] = np.float32(_NOWHERE)
@@ -202,7 +202,7 @@ def _neighbours(
 
 @helper
 def _random(x: np.uint32, seed: np.uint32) -> np.float32:
-    """A number from -1 to 1: the bits of x and seed well mixed."""
+    """Pseudo-random number from -1 to 1, a hash of x and seed."""
     h = np.uint32(np.uint32(x * np.uint32(0x9E3779B1)) ^ np.uint32(seed * np.uint32(0xC2B2AE3D)))
     h = np.uint32(np.uint32(h ^ np.uint32(h >> np.uint32(16))) * np.uint32(0x7FEB352D))
     h = np.uint32(np.uint32(h ^ np.uint32(h >> np.uint32(15))) * np.uint32(0x846CA68B))
@@ -214,7 +214,7 @@ def _random(x: np.uint32, seed: np.uint32) -> np.float32:
 def _changed(
     planes: Float32s, y: int, x0: int, n: int, seed: int, shift: Scalar, turn: Scalar, low: Scalar, high: Scalar, trial: Float32s
 ) -> None:
-    """The planes at (x0, y), ... moved and turned at random."""
+    """The planes at (x0, y), ... with random changes of disparity and slopes."""
     d, a, b = planes[0, y, x0:], planes[1, y, x0:], planes[2, y, x0:]
     seed1, seed2, seed3 = np.uint32(3 * seed), np.uint32(3 * seed + 1), np.uint32(3 * seed + 2)
     for x in range(n):

@@ -1,6 +1,6 @@
-"""Prepare the two rectified images of a pair for dense matching: grey, denoised, of one exposure, with a disparity range.
+"""Prepare the two rectified images of a pair for dense matching: grey, denoised, equal exposure, with a disparity range.
 
-Matches of keypoints are sparse: on real pairs up to a fifth of what both images see, the foreground above all, lies beyond the
+Keypoint matches are sparse: on real pairs, up to a fifth of the common view, mostly foreground, lies outside the disparity
 range of the matches.  A coarse dense match at a quarter of the size, over a wider range, costs little and finds it."""
 
 from __future__ import annotations
@@ -22,9 +22,9 @@ _WHOLE_PX = 32
 
 
 def rectified_pair(left: Frame, right: Frame, rectification: Rectification) -> RectifiedPair:
-    """Both rectified images in grey, padded to one width, and what of them may be matched.
+    """Both rectified images in grey, padded to the same width, and masks of the pixels that may be matched.
 
-    The width is even at every size that matchers go down to: a mirror image of half the size is then half the mirror image.
+    The width is even at every size that matchers go down to, so that halving and mirroring can be done in either order.
     """
     width = -(-max(rectification.size1[0], rectification.size2[0]) // _WHOLE_PX) * _WHOLE_PX
     images, masks = [], []
@@ -49,7 +49,7 @@ def rectified_pair(left: Frame, right: Frame, rectification: Rectification) -> R
 def _plane_disparity(
     rectification: Rectification, ground: GroundOfPair, plane: Float64s, side: Side, shape: tuple[int, ...]
 ) -> Float32s:
-    """(h, w) disparity of the ground, or of a plane beneath it, in one rectified image; nan where that looks above the horizon.
+    """(h, w) disparity of the ground, or of a plane beneath it, in one rectified image; nan above the horizon.
 
     plane: (3, 3) homography of the plane, frame 1 to frame 2.
     """
@@ -78,8 +78,8 @@ def _saturated(image: Uint8s) -> Bools:
 
 
 NOISY = 3.0
-"""Grey levels of noise (standard deviation) from which a picture is smoothed before it is matched: lamp light, high gain.  Fine
-texture everywhere reads as 2."""
+"""Images with at least this noise (standard deviation, grey levels) are smoothed before matching: lamp light, high gain.  An
+image with fine texture everywhere reads as 2."""
 
 
 def quietened(image: Float32s, valid: Bools) -> Float32s:
@@ -91,18 +91,18 @@ def quietened(image: Float32s, valid: Bools) -> Float32s:
 
 _SHRINK = 4
 _WIDER = 1.0
-"""The coarse match reaches beyond the matches by this share of their range on both sides."""
+"""The coarse match extends the range of the keypoint matches by this share on both sides."""
 _LEAST_SHARE = 0.002
-"""Disparities count as found from this share of the agreeing pixels on."""
+"""Less than this share of the agreeing pixels is cut off as outliers at each end of the range."""
 _PAYS = 0.02
-"""Share of the agreeing pixels that a search farther by the matches' range must find: small pieces of look-alikes agree, too."""
+"""Extending the range by its own width requires this share of the agreeing pixels: small pieces of look-alikes agree, too."""
 _ENOUGH = 0.1
-"""Share of the common area that must agree for the coarse match to be believed."""
+"""Smallest share of the common area that must agree for the coarse match to be used."""
 _COARSE_PX, _FINE_CONTRAST = 10.0, 8.0
 
 
 def with_coarse_range(pair: RectifiedPair) -> RectifiedPair:
-    """The pair with the disparity range that a coarse match finds, and both images of one brightness and contrast."""
+    """The pair with the disparity range found by a coarse match, and with both images at equal brightness and contrast."""
     small = _shrunk(pair)
     found = match_in_one_piece(_flattened(small))
     agreed = ~np.isnan(cross_checked(found.left, found.right, small.valid_left, -1, max(small.left.size // 2000, 4)))
@@ -116,10 +116,10 @@ def with_coarse_range(pair: RectifiedPair) -> RectifiedPair:
 
 
 def _reach(disparity: Float32s, lowest: int, highest: int) -> float:
-    """The least of the disparities (n,) that enough others lie below, of a search from `lowest` to `highest`."""
+    """Smallest of the disparities (n,) with enough others at or below it; the search went from `lowest` to `highest`."""
     ordered = np.sort(disparity)
     matches = (highest - lowest) / (1 + 2 * _WIDER)
-    beyond = (lowest + _WIDER * matches - ordered) / matches  # the range of the matches
+    beyond = (lowest + _WIDER * matches - ordered) / matches  # in widths of the matches' range
     share = np.arange(1, len(ordered) + 1) / len(ordered)
     return float(ordered[np.argmax(share >= np.maximum(_LEAST_SHARE, _PAYS * beyond))])
 
@@ -137,7 +137,7 @@ def _shrunk(pair: RectifiedPair) -> RectifiedPair:
 
 
 def _quarter(image: Float32s) -> Float32s:
-    """(h / 4, w / 4) means of 4x4 pixels; the image is filled up with zeros to whole blocks."""
+    """(h / 4, w / 4) means of 4x4 pixels; the image is padded with zeros to whole blocks."""
     height, width = image.shape
     whole = np.pad(image, ((0, -height % _SHRINK), (0, -width % _SHRINK)))
     small = cv2.resize(whole, (whole.shape[1] // _SHRINK, whole.shape[0] // _SHRINK), interpolation=cv2.INTER_AREA)
@@ -145,7 +145,7 @@ def _quarter(image: Float32s) -> Float32s:
 
 
 def _flattened(pair: RectifiedPair) -> RectifiedPair:
-    """Both images without their coarse brightness and with one fine contrast: what can be done before anything is matched."""
+    """Both images without coarse brightness and with equal fine contrast: what is possible before anything is matched."""
     images = [_fine_part(image, valid) for image, valid in ((pair.left, pair.valid_left), (pair.right, pair.valid_right))]
     return replace(pair, left=images[0], right=images[1])
 
@@ -161,7 +161,7 @@ def _fine_part(image: Float32s, valid: Bools) -> Float32s:
 
 
 def _exposed_alike(pair: RectifiedPair, small: RectifiedPair, disparity: Float32s, agreed: Bools) -> RectifiedPair:
-    """The image of less contrast is stretched to the other, by what pixels that agree show in both."""
+    """The pair with the lower-contrast image stretched to match the other, by the pixels on which both views agree."""
     rows, columns = np.nonzero(agreed)
     partner = np.clip(np.rint(columns - disparity[agreed]).astype(np.int64), 0, small.right.shape[1] - 1)
     left, right = small.left[agreed], small.right[rows, partner]

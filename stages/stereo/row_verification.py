@@ -1,13 +1,13 @@
-"""Dense row verification: does a rectification bring corresponding points to one row?  No keypoints are needed.
+"""Dense row verification: does a rectification bring corresponding points to the same row?  No keypoints are needed.
 
-Both images are matched at half their size, on the rows as they are and on rows shifted by eight.  If rows correspond, many pixels
-find a partner that finds them back; on shifted rows only chance does that.  Chance differs between scenes and within an image:
-noise, faint walls and repeated stones match anywhere.  So each cell of the image is compared with itself: on wrong rows the given
-ones match most often in a third of the cells, one of three, and on right rows in nearly all.  A likelihood ratio sums that up.
+Both images are matched at half their size, on the given rows and on rows shifted by eight up and down.  If rows correspond,
+many pixels agree in both views; on shifted rows they agree only by chance.  Chance differs between scenes and within an image:
+noise, faint walls and repeated stones match anywhere.  So each cell of the image is compared with itself: wrong given rows
+match best of the three in a third of the cells, right ones in nearly all.  A likelihood ratio combines the cells.
 
-Pavement that repeats matches on shifted rows, too.  But only on the right rows does it lie where other views know the ground:
-what lies there is counted in the same way.  What matches on the right rows then replaces keypoints: it gives the net, the crop
-and the disparity range of the final rectification.  Two rows up or down show a small error.
+Repeated pavement matches on shifted rows, too, but only on the right rows at the depth where other views know the ground:
+matches on the ground are compared in the same way.  Matches on the right rows then replace keypoints: they give the net of
+matches, the crop and the disparity range of the final rectification.  Shifts by two rows up and down reveal a small error.
 """
 
 from __future__ import annotations
@@ -24,71 +24,71 @@ from .patchmatch import match_patchmatch
 from .rectified import rectified_pair, with_coarse_range
 
 _BESIDE, _AWAY = 1, 4
-"""Rows of the halved images: an error that can be lived with, and one with which nothing should match."""
+"""Shifts in rows of the halved images: a tolerable error, and one at which nothing should match."""
 _SPECKLE_SHARE = 5e-4
-"""Smaller pieces than this share of the image match anywhere."""
+"""Connected pieces smaller than this share of the image are removed: they match anywhere."""
 _SAME_PX = 0.75
-"""Disparities of the halved images that differ by no more are those of one surface."""
+"""Largest difference between disparities of the same surface, in pixels of the halved images."""
 _ACROSS, _SMALLEST, _LARGEST = 12, 12, 32
-"""Cells in a row of the halved images, and the least and largest side of one, pixels: several windows of the matcher, whose
-results hang together, and in pictures of 320 pixels, too, enough cells to decide (an apron: 5 of 7 right pairs, 2 with 32)."""
+"""Cells in a row of the halved images, and the smallest and largest side of a cell, pixels: several windows of the matcher, whose
+results are correlated, yet enough cells in images of 320 pixels (an apron: 5 of 7 right pairs confirmed, 2 with 32)."""
 _IN_COMMON, _DIFFERENT = 0.3, 0.1
-"""Least share of a cell that both images show, and by how much of that the given rows and the shifted ones must differ if the
-cell is to say anything."""
+"""A cell counts if both images show at least `_IN_COMMON` of it, and its numbers of matches on the given and the shifted rows
+differ by at least `_DIFFERENT` of what both show."""
 _BY_CHANCE, _IF_RIGHT = 1.0 / 3.0, 0.9
-"""In how many of the cells that say something the given rows match most, if they are wrong (one of three), and if they are right
-(a small yard, a hall and a pavilion by night)."""
+"""Share of the counting cells in which the given rows match most: if they are wrong (one of three), and if they are right (a
+small yard, a hall and a pavilion by night)."""
 _ENOUGH = 5.0
-"""Logarithm of the likelihood ratio: six cells of six, eight of nine."""
+"""Rows are confirmed if the log-likelihood ratio reaches this: six cells of six, seven of eight."""
 
 
 @dataclass(frozen=True)
 class Cells:
-    """What the cells of an image say of the rows."""
+    """Cells of an image in which the given rows and shifted ones clearly differ."""
 
     better: Bools
-    """(n, m) those in which clearly more matches on the given rows than on either of the shifted ones..."""
+    """(n, m) bool, where clearly more pixels match on the given rows than on any shifted ones."""
     worse: Bools
-    """(n, m) ...and those in which clearly less does."""
+    """(n, m) bool, where clearly fewer pixels match on the given rows than on the best of the shifted ones."""
 
     @property
     def confirm(self) -> bool:
-        """The rows are right."""
+        """Are the rows right, by the likelihood ratio?"""
         right, wrong = np.log(_IF_RIGHT / _BY_CHANCE), np.log((1.0 - _IF_RIGHT) / (1.0 - _BY_CHANCE))
         return bool(right * self.better.sum() + wrong * self.worse.sum() >= _ENOUGH)
 
 
 @dataclass(frozen=True)
 class RowAgreement:
-    """What finds its partner on the rows as they are, and on shifted ones."""
+    """Matches on the given rows compared with matches on shifted ones."""
 
     share: float
-    """Share of the common area that survives the check between the views, at the best of no shift and two rows up or down."""
+    """Share of the common area on which both views agree: the largest for no shift and two rows up or down."""
     chance: float
-    """The largest such share with one image shifted by eight rows."""
+    """The larger share of agreement with one image shifted by eight rows up or down."""
     row_error_px: float
-    """By how many rows of the rectified images they seem to be shifted, with sign."""
+    """Estimated offset between corresponding rows of the rectified images, with sign."""
     cells: Cells
-    """Where more matches on the given rows than on shifted ones."""
+    """Cells in which more or fewer pixels match on the given rows than on shifted ones."""
     on_ground: Cells | None = None
-    """The same of what matches where the ground is known to be, without being led there; None if nobody knows it."""
+    """Like `cells`, but only for matches at the known ground, found without this prior; None if the ground is unknown."""
 
     @property
     def confirmed(self) -> bool:
-        """The rows are right."""
+        """Are the rows right, by all matches or by those on the ground?"""
         return self.cells.confirm or (self.on_ground is not None and self.on_ground.confirm)
 
 
 def match_rows(pair: RectifiedPair) -> tuple[RowAgreement, Float32s, Float32s]:
     """Match a pair at half its size on its rows and on shifted ones.
 
-    Also disparity and confidence, (h / 2, w / 2), of the halved left image on the rows as they are, nan where nothing matches.
+    Also returns the left image's disparity on the given rows, nan where nothing matches, and confidence, both (h / 2, w / 2).
     """
     small = halved(pair)
     common = small.within_reach()
     disparity, confidence = _matched(small)
     shifted = {rows: _matched(_shifted(small, rows))[0] for rows in (_BESIDE, -_BESIDE, _AWAY, -_AWAY)}
-    shifted[0] = disparity if small.prior_left is None else _matched(_shifted(small, 0))[0]  # led nowhere, as the others
+    shifted[0] = disparity if small.prior_left is None else _matched(_shifted(small, 0))[0]  # without prior, as the others
     shares = {rows: float(np.isfinite(found).sum() / max(common.sum(), 1)) for rows, found in shifted.items()}
     below, here, above = (shares[rows] for rows in (_BESIDE, 0, -_BESIDE))
     error = 2.0 * _BESIDE * (below - above) / max(above + here + below, 1e-9)
@@ -102,7 +102,7 @@ def match_rows(pair: RectifiedPair) -> tuple[RowAgreement, Float32s, Float32s]:
 
 
 def _compared(common: Bools, given: Bools, *shifted: Bools) -> Cells:
-    """Count what matches in each cell, each (h, w): on the given rows, and on shifted ones."""
+    """Compare the pixels that match on the given rows and on shifted ones, each (h, w), cell by cell."""
     side = int(np.clip(common.shape[1] // _ACROSS, _SMALLEST, _LARGEST))
     shown, chance = _by_cell(common, side), np.max([_by_cell(found, side) for found in shifted], axis=0)
     gain, clear = _by_cell(given, side) - chance, _DIFFERENT * shown
@@ -111,15 +111,14 @@ def _compared(common: Bools, given: Bools, *shifted: Bools) -> Cells:
 
 
 def _by_cell(counted: Bools, side: int) -> Int64s:
-    """(n, m) how many pixels of each cell are among those counted."""
+    """(n, m) number of pixels of each cell that are `counted`."""
     height, width = counted.shape
     whole = np.pad(counted, ((0, -height % side), (0, -width % side)))
     return np.asarray(whole.reshape(-(-height // side), side, -1, side).sum(axis=(1, 3)), dtype=np.int64)
 
 
 def _shifted(pair: RectifiedPair, rows: int) -> RectifiedPair:
-    """The pair with its right image moved down by so many rows, and nothing known of where the scene is; rows without a partner
-    may not be matched."""
+    """The pair with its right image moved down by `rows`, without prior and floor; rows without a partner may not be matched."""
     valid = np.roll(pair.valid_right, rows, axis=0)
     if rows:
         valid[slice(rows) if rows > 0 else slice(rows, None)] = False
@@ -140,8 +139,8 @@ _MOST_POINTS = 4000
 
 
 def verify_rows(left: Frame, right: Frame, rectification: Rectification) -> tuple[RowAgreement, Float64s, Float64s, Float32s]:
-    """Match both frames at half their size as `rectification` resamples them: are its rows right?  Also some of what matched,
-    evenly spread: pixels (n, 2) of either frame, and confidence (n,), 0 to 1."""
+    """Match both frames at half their size as `rectification` resamples them: are its rows right?  Also returns some of the
+    matches, evenly spread: pixels (n, 2) of either frame, and confidence (n,), 0 to 1."""
     rows, disparity, confidence = match_rows(with_coarse_range(rectified_pair(left, right, rectification)))
     y, x = np.nonzero(np.isfinite(disparity))
     some = slice(None, None, max(1, len(x) // _MOST_POINTS))

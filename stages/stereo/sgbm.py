@@ -1,8 +1,8 @@
 """OpenCV's semi-global matching, three directions, on both views (Hirschmueller, PAMI 2008; OpenCV's StereoSGBM).
 
-A wide range is searched in blocks, each with a range of its own that a match at half the size gives: semi-global matching takes
-time for every pixel at every disparity, while most parts of an image show few of the scene's depths.  The price: things less than
-8 pixels wide, or of less than some 400 pixels, are missed where their disparity is not one of their surroundings."""
+A wide range is searched in blocks, each with its own range from a match at half the size: semi-global matching takes time for
+every pixel at every disparity, while most parts of an image contain few of the scene's depths.  The price: objects narrower
+than 8 pixels, or of less than some 400 pixels, are missed if their disparity is outside the range of their surroundings."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ from .matcher import DenseMatches, RectifiedPair, halved, mirrored
 
 _BLOCK = 3
 _NARROW = 160
-"""Ranges of up to this many disparities are searched in one piece: it costs no more than blocks do."""
+"""Ranges of up to this many disparities are searched in one piece, which takes no longer than blocks."""
 
 
 def match_sgbm(pair: RectifiedPair) -> DenseMatches:
-    """Disparity of both views, each from its own runs; blocks of a wide range are searched as far as half the size tells."""
+    """Disparity of both views, each matched separately; wide ranges are searched in blocks, by a match at half the size."""
     if pair.disparity_max - pair.disparity_min < _NARROW:
         return match_in_one_piece(pair)
     small = halved(pair)
@@ -34,7 +34,7 @@ def match_sgbm(pair: RectifiedPair) -> DenseMatches:
 
 
 def match_in_one_piece(pair: RectifiedPair) -> DenseMatches:
-    """The same with the whole range for all of the image."""
+    """Disparity of both views, with the whole range searched in the whole image."""
     left = _whole(pair)
     right = np.ascontiguousarray(_whole(mirrored(pair))[:, ::-1])
     return DenseMatches(left, right, np.ones_like(left), np.ones_like(right))
@@ -53,7 +53,7 @@ def _in_blocks(pair: RectifiedPair, seen: Float32s) -> Float32s:
 
 
 def _whole(pair: RectifiedPair) -> Float32s:
-    """Columns where nothing may be matched are left out."""
+    """Disparity (h, w) of the left image, without the columns in which no pixel may be matched."""
     disparity = np.full(pair.left.shape, np.nan, dtype=np.float32)
     used = np.flatnonzero(pair.valid_left.any(axis=0))
     if len(used) > 0:
@@ -66,8 +66,8 @@ def _whole(pair: RectifiedPair) -> Float32s:
 def _searched(left: Uint8s, right: Uint8s, start: int, low: int, high: int) -> Float32s:
     """Disparity (h, w) of a part of the left image that begins at its column `start`; right: the same rows, all columns.
 
-    The right image is moved so that disparities start at 0, and both get columns on the left: StereoSGBM gives no value to
-    columns that don't have the whole range inside the right image.
+    The right image is shifted so that disparities start at 0, and both are padded on the left: StereoSGBM gives no value in
+    columns whose range is not entirely inside the right image.
     """
     count = 16 * -(-(high - low + 1) // 16)
     left = np.asarray(cv2.copyMakeBorder(left, 0, 0, count, 0, cv2.BORDER_REPLICATE), dtype=np.uint8)
@@ -80,7 +80,7 @@ def _searched(left: Uint8s, right: Uint8s, start: int, low: int, high: int) -> F
         preFilterCap=20,
         mode=cv2.STEREO_SGBM_MODE_SGBM_3WAY,
     )
-    columns = np.clip(np.arange(left.shape[1]) - (count + low - start), 0, right.shape[1] - 1)  # the ends repeat the border
+    columns = np.clip(np.arange(left.shape[1]) - (count + low - start), 0, right.shape[1] - 1)  # replicates the border columns
     found = matcher.compute(left, np.ascontiguousarray(right[:, columns]))[:, count:]
     return np.where(found < 0, np.float32(np.nan), found.astype(np.float32) / 16 + low).astype(np.float32)
 
@@ -90,26 +90,26 @@ def _eight_bit(image: Float32s) -> Uint8s:
 
 
 _Piece = tuple[int, int, int, int, int, int, float]
-"""Cells from top to bottom and left to right that might become a block, its low and high, and its cost; 0 if nothing is there."""
+"""A possible block: cells from top to bottom and left to right, its low and high, its cost (0 if there is nothing to search)."""
 
 CELL_PX = 16
-"""Blocks are made of whole cells, and reach one cell farther than what was seen."""
+"""Side of the square cells that make up blocks; blocks reach one cell beyond what was seen at half the size."""
 CONTEXT_PX, BELOW_PX = 16, 3
-"""What a block is matched with beyond its sides and its top, and below: semi-global paths come from there, none from below."""
+"""Margins matched with a block, at its sides and top, and below it: semi-global paths come from the former, none from below."""
 _LEAST_CELLS = 3
-"""No block is cut off that is narrower or lower than this, in cells."""
+"""Smallest width and height, in cells, of the parts into which a block is split."""
 _MARGIN_PX = 8
-"""What was seen at half the size may be wrong by this much."""
+"""The range seen at half the size is extended by this much at both ends, as it may be wrong."""
 _LEAST_RANGE = 96
-"""Disparities that a block searches at least: among few of them, both views agree by chance."""
+"""Smallest number of disparities that a block searches: among few of them, both views agree by chance."""
 _PIXEL_COST, _BLOCK_COST = 35, 2e5
-"""What a pixel and what a block cost besides their disparities, in units of a pixel at one disparity (1.1 ns; OpenCV 5.0)."""
+"""Cost of a pixel and of a block besides their disparities, in units of a pixel at one disparity (1.1 ns; OpenCV 5.0)."""
 
 
 @dataclass(frozen=True)
 class Block:
-    """Pixels of the image from top to bottom and left to right without the ends, which may lie beyond the image's own; its
-    context is not counted.  low, high: whole disparities, the range to search, both ends included."""
+    """Rows from `top` to `bottom` and columns from `left` to `right`, ends excluded and possibly beyond the image, without the
+    context; `low`, `high`: whole disparities, the range to search, both ends included."""
 
     top: int
     bottom: int
@@ -120,10 +120,10 @@ class Block:
 
 
 def blocks(seen: Float32s, low: int, high: int) -> list[Block]:
-    """Blocks of an image from what was `seen` at half its size: (h, w) disparity in pixels of that size, nan where unknown.
+    """Blocks of an image from disparities `seen` at half its size: (h, w), in pixels of that size, nan where unknown.
 
-    Nothing is searched outside the range from `low` to `high`, nor far from what was seen.  A block is cut in two where the
-    parts cost less, contexts included.
+    Only the range from `low` to `high` is searched, and only near what was seen.  A block is split in two where the parts, with
+    their contexts, cost less.
     """
     least, most = _ranges(seen)
     least = np.maximum(np.floor(2 * least - _MARGIN_PX), np.float32(low))
@@ -138,7 +138,7 @@ def blocks(seen: Float32s, low: int, high: int) -> list[Block]:
 
 
 def _ranges(seen: Float32s) -> tuple[Float32s, Float32s]:
-    """Least and largest disparity of each cell; inf and -inf where it has none."""
+    """Smallest and largest disparity of each cell; inf and -inf where it has none."""
     size = CELL_PX // 2
     whole = np.pad(seen, ((0, -seen.shape[0] % size), (0, -seen.shape[1] % size)), constant_values=np.nan)
     rows, columns = whole.shape[0] // size, whole.shape[1] // size
@@ -149,9 +149,9 @@ def _ranges(seen: Float32s) -> tuple[Float32s, Float32s]:
 
 
 def _cheapest(least: Float32s, most: Float32s, near: Bools, piece: _Piece) -> list[_Piece]:
-    """The piece, or what becomes of its parts where that costs less.
+    """The piece, or its parts (split further in the same way) where these cost less; nothing for an empty piece.
 
-    least, most: (rows, columns) ranges of the cells, empty where nothing was seen; near: where anything is to be searched.
+    least, most: (rows, columns) ranges of the cells, empty where nothing was seen; near: cells that are to be searched.
     """
     if piece[-1] == 0:
         return []
@@ -164,7 +164,7 @@ def _cheapest(least: Float32s, most: Float32s, near: Bools, piece: _Piece) -> li
 
 @kernel
 def _piece(least: Float32s, most: Float32s, near: Bools, top: int, bottom: int, left: int, right: int) -> _Piece:
-    """What is to be searched among some cells, as tight as can be."""
+    """The smallest piece around the cells that are to be searched within a rectangle of cells."""
     first, last, start, stop = bottom, top, right, left
     for y in range(top, bottom):
         for x in range(left, right):
@@ -187,7 +187,7 @@ def _piece(least: Float32s, most: Float32s, near: Bools, top: int, bottom: int, 
 
 @kernel
 def _parted(least: Float32s, most: Float32s, near: Bools, top: int, bottom: int, left: int, right: int) -> tuple[_Piece, _Piece]:
-    """The two parts, one below the other or side by side, that cost least; inf where the cells are too few to be parted."""
+    """The cheapest two parts of a rectangle of cells, above and below or side by side; cost inf if it is too small to split."""
     best = np.inf
     parts = (top, top, left, left, 0, 0, np.inf), (top, top, left, left, 0, 0, np.inf)
     for y in range(top + _LEAST_CELLS, bottom - _LEAST_CELLS + 1):

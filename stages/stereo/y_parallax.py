@@ -1,12 +1,12 @@
-"""How far corresponding points lie from their common row: y-parallax, of which right cameras leave none.
+"""Residual y-parallax: the row offset between corresponding points of a rectified pair, zero if the cameras are right.
 
-Dense matching looks for partners on the row that cameras give, and finds most of them where these are some tenths of a pixel off,
-too.  What is left of that across the rows shows it: where windows of both images are most alike, a row up or down.  Keypoints lie
-within 0.3 pixels of their lines; the median of some hundred windows within 0.05.
+Dense matching searches along the rows that the cameras give, and finds most partners even if these are some tenths of a pixel
+off.  The remaining offset shows when windows of both images are correlated on the same row, one row up and one row down.
+Keypoints lie within 0.3 pixels of their epipolar lines, the median offset of some hundred windows within 0.05.
 
 References
 ----------
-Y-parallax of relative orientation: Kraus, Photogrammetry, 2007, chapter 4.  Between three costs: parabola, e.g. Scharstein &
+Y-parallax of relative orientation: Kraus, Photogrammetry, 2007, chapter 4.  Parabola through three costs: e.g. Scharstein &
 Szeliski, IJCV 2002.
 """
 
@@ -22,22 +22,22 @@ from .matcher import RectifiedPair
 
 _WINDOW = 7
 _LEAST_FILLED = 0.8
-"""Share of a window's pixels that need a disparity."""
+"""Smallest share of a window's pixels that must have a disparity."""
 _ALIKE, _SHARP, _CONTRAST = 0.6, 0.1, 2.0
-"""A window is asked whose correlation is more than this, and falls by that from a row to the next (twice the second difference),
-with so many grey levels of standard deviation."""
+"""A window is used if its correlation exceeds `_ALIKE`, the (negative) second difference of its correlation over the three rows
+exceeds `_SHARP`, and its standard deviation exceeds `_CONTRAST` grey levels."""
 _TILES, _LEAST = 8, 20
-"""Tiles along each side of the image, and the fewest windows that one needs."""
+"""Tiles along each side of the image, and the fewest usable windows that a tile needs."""
 _FLOOR_PX, _USUAL_DEG = 0.05, 30.0
-"""No tile is known better where views meet at less than this angle; beyond it, by its square (nine rendered
-scenes, as they are, leave 0.01 to 0.09 below 45 degrees, but for one pair, and up to 0.25 at 88)."""
+"""Smallest standard deviation of a tile, pixels, up to this angle between the views; beyond it, it grows with the angle's square
+(nine unaltered rendered scenes leave 0.01 to 0.09 below 45 degrees, except for one pair, and up to 0.25 at 88)."""
 
 
 def measure_y_parallax(pair: RectifiedPair, disparity: Float32s, angle_deg: float) -> tuple[Float64s, Float64s, Float64s]:
-    """One match for each part of the common view that is free to lie beside its row: pixels (n, 2) of the left and of the right
-    rectified image, and the standard deviation (n,) of the latter's rows, pixels.
+    """Measure the row offset in each tile of the common view by a match that may leave its row: pixels (n, 2) of the left and
+    of the right rectified image, and the standard deviation (n,) of the latter's rows, pixels.
 
-    disparity : (h, w) of the left image, nan where unknown.  angle_deg : between the views, nan where unknown.
+    disparity : (h, w) of the left image, nan where unknown.  angle_deg : angle between the views, nan where unknown.
     """
     floor = _FLOOR_PX * max(1.0, np.nan_to_num(angle_deg) / _USUAL_DEG) ** 2
     y_offset, sure = _offsets(pair, disparity)
@@ -54,14 +54,14 @@ def measure_y_parallax(pair: RectifiedPair, disparity: Float32s, angle_deg: floa
         middle = int(np.argmin((y - y.mean()) ** 2 + (x - x.mean()) ** 2))
         at = float(x[middle]), float(y[middle])
         partner = at[0] - float(disparity[y[middle], x[middle]])
-        windows = max(1.0, len(y) / _WINDOW**2)  # that share no pixel
+        windows = max(1.0, len(y) / _WINDOW**2)  # number of windows without a common pixel
         found.append((*at, partner, at[1] + median, np.hypot(floor, scatter / np.sqrt(windows))))
     tiles = np.array(found, dtype=np.float64).reshape(-1, 5)
     return tiles[:, :2], tiles[:, 2:4], tiles[:, 4]
 
 
 def _offsets(pair: RectifiedPair, disparity: Float32s) -> tuple[Float32s, Bools]:
-    """(h, w) rows by which the partner of each window lies lower, and where that is sure."""
+    """(h, w) row offset of each window's partner in the right image, positive if it lies lower; and where it is reliable."""
     h, w = disparity.shape
     known = np.isfinite(disparity)
     y, x = np.mgrid[:h, :w].astype(np.float32)
