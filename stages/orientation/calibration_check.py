@@ -1,13 +1,13 @@
-"""Is the stated calibration right as a whole?  The cameras that the site states, held against the matches of the night.
+"""Check the stated calibration as a whole: compare the cameras that the site states with the matches of the night.
 
-A stale calibration file, a lens whose distortion was left out, a zoom that nobody wrote down: all cameras are wrong together, so
-no camera stands out against the others, and every pair is made dense along rows that are wrong.  Matches tell it all the same:
-under right cameras they lie as near to the epipolar lines as to those of a fundamental matrix of their own.  Where they do not,
-a few causes with one to three unknowns each are fitted to them, and the one that brings them back is named.
+A stale calibration file, a lens whose distortion was left out, or a zoom that was not recorded makes all cameras wrong together.
+No camera then stands out against the others, and every pair is matched densely along wrong rows.  Matches reveal it: under right
+cameras they lie as near to the epipolar lines as to those of a fundamental matrix of their own.  If they do not, a few causes
+with up to three unknowns each are fitted to them, and the cause that restores the fit is named.
 
-Matches of two cameras alone may show look-alikes, which lie on lines of their own as well.  So what counts are the matches that
-the way over a third camera confirms; where there are none, only a cause that all cameras share is believed, and only where it
-explains nearly everything.  What is slightly wrong shows later, in what dense matching measures beside the rows.
+Matches of only two cameras may be look-alikes, which lie on epipolar lines of their own as well.  So the evidence is the matches
+that are confirmed through a third camera.  Without any, only a cause that all cameras share is accepted, and only if it explains
+nearly everything.  Small errors are caught later, from the row offsets that dense matching measures.
 
 References
 ----------
@@ -32,62 +32,62 @@ from ..types import CalibrationCheck, Camera, Float64s, Geometry, Pair, RowMatch
 from .pose_check import BELIEVED, MIN_SHARED
 
 FEWEST_CONFIRMED = 15
-"""A pair with fewer confirmed matches says nothing."""
+"""Pairs with fewer confirmed matches count as unconfirmed."""
 SAMPLE = 150
-"""So many matches of a pair are looked at: more of them err together."""
+"""Largest number of matches sampled from a pair: the errors of more are correlated."""
 LEAST_NOISE_PX = 0.2
-"""No picture tells places better."""
+"""Smallest noise of matches: no image locates points better."""
 OUTLIER = 3.0
 """Scale of the loss, in standard deviations."""
 AGREEING = 0.8
-"""A pair of whose matches half lie nearer to the stated lines than this, in standard deviations, agrees with these: what lies
-elsewhere are look-alikes, even those that a third camera confirms (right cameras: 0.15 to 0.76, in a car park 0.69 with a quarter
-of the matches elsewhere; focal lengths 3 % too long: 0.8 to 7.6)."""
+"""A pair agrees with the stated cameras if the median distance of its matches from the stated epipolar lines is below this (in
+standard deviations); its distant matches are then look-alikes, even confirmed ones (right cameras: 0.15 to 0.76, in a car park
+0.69 with a quarter of the matches elsewhere; focal lengths 3 % too long: 0.8 to 7.6)."""
 MEDIAN_ERROR = 0.79
-"""Standard error of the median distance of normal deviates from 0, times the root of their number."""
+"""Standard error of the median absolute value of normal deviates, times the square root of their number."""
 CONTRADICTED = 1.6
-"""Confirmed matches whose loss under the stated cameras is so many times that under their own geometry contradict these."""
+"""Confirmed matches contradict the stated cameras if their loss under these exceeds this multiple of that under their own F."""
 EXPLAINED, EXPLAINED_ALONE = 1.12, 1.5
-"""A cause is named where the loss under the stated cameras is so many times the loss with it: of confirmed matches,
-of others..."""
+"""Smallest ratio of the loss under the stated cameras to the loss under a cause for it to be named: with confirmed matches, and
+with unconfirmed ones.  Up to the first times the loss under their own F, matches agree with the stated cameras."""
 SHARE, SHARE_ALONE = 0.6, 0.8
-"""...and where it takes away this share of what the stated cameras lose over the matches' own geometry..."""
+"""A cause must remove this share of the loss beyond that under the matches' own F: if these are confirmed, and if not."""
 LEAST_LOSS = 30.0
-"""...and in all so many squared standard deviations (the matches of a pair count as `COUNTED` at most)."""
+"""A cause must remove this total loss, in squared standard deviations (a pair counts as at most `COUNTED` matches)."""
 COUNTED = 50
 STRAYED, LED_BACK = 1.6, 2
-"""Of pairs whose matches nobody confirms some are look-alikes, which no cause leads back to the lines.  Pairs whose median
-distance is more than so many standard deviations have strayed: a cause is named that leads so many, and half of them, back to
-half of that distance or less, and no other pair away."""
+"""Some unconfirmed pairs match look-alikes, which no cause brings back to the lines.  A pair has strayed if its median distance
+exceeds the first, in standard deviations.  A cause is named if it brings at least `LED_BACK` pairs, and half of the strayed ones,
+back to at most half of their distance, and makes no other pair stray."""
 HARMFUL_PX = 0.4
-"""Cameras that move points by less than this (median, in pixels along and across the epipolar line) spoil no cloud."""
+"""Cameras that move points by less than this (median, in pixels along and across the epipolar line) do not harm a cloud."""
 FARTHEST_PX = 1e4
 LARGEST_SITE = 12
-"""Exchanged poses are looked for among so many cameras at most."""
+"""Largest number of cameras among which exchanged poses are tried."""
 LARGEST_ZOOM = 3.0
-"""Logarithm of the largest factor of focal lengths that is tried."""
+"""Logarithm of the largest factor of focal lengths, and of positions, that is tried."""
 STEPS = 20
 STRETCHED, LEAST_STRETCH = ("stretched-x", "stretched-y", "stretched-z"), 0.02
-"""No survey is off by less along one axis alone; what matches ask for on a harbour, all of whose poses are right, is 0.009."""
+"""Smallest stretch along one axis alone (logarithm of the factor) that is blamed: surveys have no smaller ones.  The matches of a
+harbour, all of whose poses are right, yield 0.009."""
 CORNER = "principal-points-corner"
 CORNER_PX = np.array([-0.5, -0.5])
-"""What principal points lack that are counted from the corner of the first pixel, not from its centre."""
+"""Correction of principal points that are counted from the corner of the first pixel instead of its centre."""
 FITS = 3.0
-"""Standard errors of the median that are granted to pairs which agree with the stated lines."""
+"""Standard errors of the median added to `AGREEING` if no cause, or only a turned or moved camera, explains the matches."""
 FEWEST_PAIRS = 4
-"""Rows of fewer tell too little of what they have in common."""
+"""Fewest pairs whose rows are compared: fewer show too little of a common cause."""
 FEWEST_TILES, LEAST_GAIN = 4, 15.0
-"""What dense matching measures across the rows of a pair says something with so many matches, and blames a cause that takes away
-so many squared standard deviations: 140 unharmed nights of nine scenes have 10 at most, focal lengths 1.5 % too long 14 to
-137..."""
+"""Fewest matches of a pair for its row offsets to count, and smallest gain of a cause (in squared standard deviations) for row
+offsets to blame it.  140 correct nights of nine scenes gain at most 10, focal lengths 1.5 % too long 14 to 137."""
 OF_ONE, ALONG, ASIDE = 1.25e-3, 6e-4, 2e-3
-"""...if it moves points by these shares of the width: of one camera (four photographs with true cameras: 6e-4), or of all,
-along the lines; or turns rays by the last."""
+"""Smallest effects, as shares of the width, for row offsets to blame a cause.  Motion of points: by a cause of single cameras
+(four photographs with true cameras: 6e-4), and along the lines by a cause of all.  Turn of rays: by a cause of all."""
 
 
 @dataclass(frozen=True)
 class _Matches:
-    """Matches of a pair, and the standard deviation of their distance to the lines of their own fundamental matrix."""
+    """Matches of a pair, and the standard deviation of their distance to the epipolar lines of their own fundamental matrix."""
 
     pair: Pair
     x1: Float64s
@@ -99,16 +99,16 @@ class _Matches:
 
 @dataclass(frozen=True)
 class _Seen:
-    """A camera, and what is wrong with the distortion that was taken off its frames."""
+    """A camera, and what is wrong with the distortion that was removed from its frames."""
 
     camera: Camera
     k1: float = 0.0
-    """Radial distortion that is left in."""
+    """Radial distortion that remains in the frames."""
     stated: Camera | None = None
-    """Whose distortion was taken off, by its K, in place of the camera's own; None: the right one was."""
+    """Camera whose K and distortion were used for the removal instead of the camera's own; None if the right ones were."""
 
     def straight(self, x: Float64s) -> Float64s:
-        """Pixels as they would be without distortion."""
+        """Pixels with the distortion removed correctly."""
         if self.k1 == 0 and self.stated is None:
             return x
         K = self.camera.K
@@ -118,7 +118,7 @@ class _Seen:
 
 
 def _bent_otherwise(x: Float64s, stated: Camera, right: Camera) -> Float64s:
-    """Normalised coordinates (n, 2), by the right camera, of pixels whose distortion was taken off as the stated one has it."""
+    """Normalised coordinates (n, 2), by the right camera, of pixels that were undistorted with the stated one."""
     ray = np.column_stack([(x - stated.K[:2, 2]) / stated.K[[0, 1], [0, 1]], np.ones(len(x))])
     captured = cv2.projectPoints(ray, np.zeros(3), np.zeros(3), stated.K, stated.distortion)[0]
     return np.asarray(cv2.undistortPoints(captured, right.K, right.distortion)[:, 0], dtype=np.float64)
@@ -130,14 +130,14 @@ _Change = Callable[[_Seen, Float64s], _Seen]
 
 @dataclass(frozen=True)
 class _Cause:
-    """Something that may be wrong with the stated cameras.  Zeros: as stated."""
+    """A possible error of the stated cameras; with unknowns of zero they are as stated."""
 
     name: str
     change: Callable[[_World, Float64s], _World]
     about: tuple[str, ...] = ()
-    """The camera that each unknown is about; "" for all."""
+    """For each unknown, the camera that it concerns; "" for all."""
     cameras: tuple[str, ...] = ()
-    """Those that it is about; () for all."""
+    """The cameras that the cause concerns; () for all."""
 
 
 @dataclass(frozen=True)
@@ -150,10 +150,10 @@ class _Explanation:
 
 
 def check_calibration(cameras: Mapping[str, Camera], geometries: Mapping[Pair, Geometry]) -> CalibrationCheck | None:
-    """Compare stated cameras with the matches of the night; None where too few matches can tell.
+    """Compare stated cameras with the matches of the night; None if there are too few matches.
 
-    cameras: as the site states them, at working resolution, by id.  geometries: matches of the pairs, without the stated
-    distortion; those of other cameras confirm matches.
+    cameras: as the site states them, at working resolution, by id.  geometries: matches of the pairs, with the stated
+    distortion removed; pairs with other cameras serve to confirm matches.
     """
     if len(cameras) < 2:
         return None
@@ -168,9 +168,9 @@ def check_calibration(cameras: Mapping[str, Camera], geometries: Mapping[Pair, G
 
 
 def misfit_without_cause(cameras: Mapping[str, Camera], geometries: Mapping[Pair, Geometry]) -> float:
-    """The misfit of confirmed matches that is left once the likeliest cause that all cameras share is mended.
+    """The misfit of confirmed matches that remains once the likeliest cause that all cameras share is corrected.
 
-    cameras, geometries: as of `check_calibration`.
+    cameras, geometries: as for `check_calibration`.
     """
     stated = {name: _Seen(camera) for name, camera in cameras.items()}
     confirmed, _ = _evidence(stated, geometries)
@@ -179,9 +179,9 @@ def misfit_without_cause(cameras: Mapping[str, Camera], geometries: Mapping[Pair
 
 
 def check_rows(cameras: Mapping[str, Camera], rows: Mapping[Pair, RowMatches]) -> CalibrationCheck | None:
-    """Compare stated cameras with what dense matching measures across their rows; None where too few pairs can tell.
+    """Compare stated cameras with the row offsets that dense matching measures; None if there are too few pairs.
 
-    These matches are ten times as exact as keypoints, and show no look-alikes, so that they tell what is slightly wrong.
+    These matches are ten times as accurate as keypoints, and contain no look-alikes, so they reveal small errors.
 
     cameras : by id.  rows : of pairs of them.
     """
@@ -195,7 +195,7 @@ def check_rows(cameras: Mapping[str, Camera], rows: Mapping[Pair, RowMatches]) -
     best = _simplest([_fit(cause, stated, evidence) for cause in _causes(stated, evidence, alone=False)], loss, slack=0.0)
     half = _fit(_Cause(CORNER, lambda world, a: _of_all(_shifted_px, world, a * CORNER_PX), ("",)), stated, evidence)
     explains = best.cause.name == "principal-points" and loss - half.loss >= SHARE_ALONE * (loss - best.loss)
-    if explains and 0.25 <= half.amount[0] <= 1.25:  # partners that are found lie nearer to the rows than right ones
+    if explains and 0.25 <= half.amount[0] <= 1.25:  # matches found by dense matching are biased toward the rows
         best = half
     gained, tiles = max(count * (loss - best.loss), 0.0), sum(len(m.x1) for m in evidence)
     found = CalibrationCheck(tiles, len(evidence), True, misfit=loss / max(best.loss, 1e-9), sigmas=sqrt(gained))
@@ -203,17 +203,17 @@ def check_rows(cameras: Mapping[str, Camera], rows: Mapping[Pair, RowMatches]) -
 
 
 def _matters(best: _Explanation, stated: _World, evidence: list[_Matches]) -> bool:
-    """Is what rows blame more than a survey and lenses always leave?"""
+    """Does a cause exceed the errors that surveys and lenses always have?"""
     name = best.cause.name
     if name == CORNER:
-        return True  # however little it moves: it is half a pixel or nothing
+        return True  # however small its effect: it is half a pixel or nothing
     if best.cause.cameras:
         return _off_px(stated, best.world, evidence) >= OF_ONE * next(iter(stated.values())).camera.width
     return (name not in STRETCHED or abs(best.amount[0]) >= LEAST_STRETCH) and _is_felt(stated, best.world, evidence)
 
 
 def _evidence(stated: _World, geometries: Mapping[Pair, Geometry]) -> tuple[list[_Matches], list[_Matches]]:
-    """The matches of pairs of stated cameras that third cameras confirm, and those of pairs of which these confirm too few."""
+    """Confirmed matches of pairs of stated cameras, and all matches of the pairs with too few confirmed ones."""
     enough = {pair: geometry for pair, geometry in geometries.items() if len(geometry.x1) >= MIN_SHARED}
     believed = {pair: geometry for pair, geometry in enough.items() if geometry.good_probability >= BELIEVED}
     mine = {pair: some for pair, some in consistent_matches(believed).items() if set(pair) <= set(stated)}
@@ -223,7 +223,7 @@ def _evidence(stated: _World, geometries: Mapping[Pair, Geometry]) -> tuple[list
 
 
 def _checked(stated: _World, confirmed: list[_Matches], others: list[_Matches]) -> CalibrationCheck:
-    """What matches say that third cameras confirm; the others, where there are none."""
+    """Check by confirmed matches; by the others if there are none."""
     evidence = confirmed or others
     loss, own = _loss(stated, evidence), _mean(evidence, [m.own_loss for m in evidence])
     count = sum(len(m.x1) for m in evidence)
@@ -234,20 +234,20 @@ def _checked(stated: _World, confirmed: list[_Matches], others: list[_Matches]) 
     beyond_noise = found.confirmed and excess > CONTRADICTED * own
     best = _explanation(stated, evidence, own, alone=not confirmed)
     if (best is None or best.cause.name in ("turned", "moved")) and _excess(stated, evidence, errors=FITS) <= EXPLAINED * own:
-        best, beyond_noise = None, False  # few matches, most of which agree: another pose brings look-alikes back
+        best, beyond_noise = None, False  # few matches, most of which agree: a changed pose merely fits look-alikes
     named = replace(found, contradicted=beyond_noise) if best is None else _named(found, best, stated, evidence)
     return named if beyond_noise or named.off_px >= HARMFUL_PX else found
 
 
 def _named(found: CalibrationCheck, best: _Explanation, stated: _World, evidence: list[_Matches]) -> CalibrationCheck:
-    """With the cause of the contradiction."""
+    """The result with the cause of the contradiction."""
     cause, amount, better = best.cause, tuple(float(a) for a in best.amount), _loss(stated, evidence) / best.loss
     off_px = _off_px(stated, best.world, evidence)
     return replace(found, contradicted=True, cause=cause.name, cameras=cause.cameras, amount=amount, better=better, off_px=off_px)
 
 
 def _with_cause_of_most(found: CalibrationCheck, stated: _World, evidence: list[_Matches]) -> CalibrationCheck:
-    """Name the cause that leads most pairs back to the lines of the stated cameras, if it is more than chance."""
+    """Name the cause that brings most pairs back to the lines of the stated cameras, if that is more than chance."""
     before = np.array([_median(stated, m) for m in evidence])
     strayed = before > STRAYED
     if strayed.sum() < LED_BACK:
@@ -273,7 +273,7 @@ def _with_cause_of_most(found: CalibrationCheck, stated: _World, evidence: list[
 
 
 def _matches(pair: Pair, some: Geometry, whole: Geometry) -> _Matches:
-    """Some matches of a pair; all of them tell the noise."""
+    """A sample of some matches of a pair; the noise is estimated from all of them (`whole`)."""
     off = np.abs(sampson_distance(whole.F, whole.x1, whole.x2))
     noise_px = max(1.4826 * float(np.median(off)), LEAST_NOISE_PX)
     rows = np.linspace(0, len(some.x1) - 1, min(SAMPLE, len(some.x1))).astype(np.int64)
@@ -283,7 +283,7 @@ def _matches(pair: Pair, some: Geometry, whole: Geometry) -> _Matches:
 
 
 def _cauchy(residuals: Float64s) -> Float64s:
-    """Squares of residuals, with less and less weight for those beyond `OUTLIER`."""
+    """Cauchy loss: squares of residuals, whose weight decreases beyond `OUTLIER`."""
     return np.asarray(OUTLIER**2 * np.log1p((residuals / OUTLIER) ** 2), dtype=np.float64)
 
 
@@ -295,12 +295,12 @@ def _residuals(world: _World, matches: _Matches) -> Float64s:
 
 
 def _median(world: _World, matches: _Matches) -> float:
-    """Distance to the lines, in standard deviations."""
+    """Median distance of the matches to the epipolar lines, in standard deviations."""
     return float(np.median(np.abs(_residuals(world, matches))))
 
 
 def _mean(evidence: list[_Matches], values: list[float]) -> float:
-    """Mean over pairs, each by its number of matches."""
+    """Mean over pairs, weighted by their number of matches, up to `COUNTED`."""
     return float(np.average(values, weights=[min(len(m.x1), COUNTED) for m in evidence]))
 
 
@@ -309,9 +309,9 @@ def _loss(world: _World, evidence: list[_Matches]) -> float:
 
 
 def _excess(world: _World, evidence: list[_Matches], errors: float = 0.0) -> float:
-    """The loss, but for pairs that agree with the world: these have none beyond that under their own geometry.
+    """The loss, except that pairs which agree with the world count with the loss under their own geometry.
 
-    errors: standard errors of the median that are granted.
+    errors: tolerance of agreement, in standard errors of the median.
     """
     most = [AGREEING + errors * MEDIAN_ERROR / sqrt(len(m.x1)) for m in evidence]
     agrees = [_median(world, m) <= limit for m, limit in zip(evidence, most, strict=True)]
@@ -319,15 +319,15 @@ def _excess(world: _World, evidence: list[_Matches], errors: float = 0.0) -> flo
 
 
 def _explains(best: _Explanation, loss: float, own: float, evidence: list[_Matches], alone: bool) -> bool:
-    """Does a cause bring the matches back to where their own geometry has them?"""
+    """Does a cause restore the fit that the matches have under their own geometry?"""
     times, share = (EXPLAINED_ALONE, SHARE_ALONE) if alone else (EXPLAINED, SHARE)
     gained, count = loss - best.loss, sum(min(len(m.x1), COUNTED) for m in evidence)
     return loss > times * best.loss and gained >= share * (loss - min(own, best.loss)) and gained * count >= LEAST_LOSS
 
 
 def _off_px(stated: _World, right: _World, evidence: list[_Matches]) -> float:
-    """How far points move along the epipolar lines between two worlds, and towards these, in pixels: median over the matches of
-    the pairs that change; `FARTHEST_PX` where they lie behind a camera."""
+    """Motion of points along the epipolar lines between two worlds, and towards these lines, in pixels: median over the matches
+    of the pairs that change; `FARTHEST_PX` for points behind a camera."""
     found = []
     for matches in evidence:
         if all(stated[name] is right[name] for name in matches.pair):
@@ -341,7 +341,7 @@ def _off_px(stated: _World, right: _World, evidence: list[_Matches]) -> float:
 
 
 def _is_felt(stated: _World, right: _World, evidence: list[_Matches]) -> bool:
-    """Do points lie elsewhere in another world, farther along their rays, or because these turn?"""
+    """Do points move noticeably in another world, along their rays or because these turn?"""
     seen = [(stated[name], right[name], x) for m in evidence for name, x in zip(m.pair, (m.x1, m.x2), strict=True)]
     turns = [ray_angles(*(rays(each.camera, each.straight(x)).T for each in two)) * two[0].camera.K[0, 0] for *two, x in seen]
     width = np.mean([one.camera.width for one, *_ in seen])
@@ -354,7 +354,7 @@ def _depths(world: _World, matches: _Matches) -> tuple[Float64s, Float64s]:
 
 
 def _explanation(stated: _World, evidence: list[_Matches], own: float, alone: bool) -> _Explanation | None:
-    """The cause that explains the matches best; of those that do so about as well the simplest."""
+    """The cause that explains the matches best, or the simplest of those about as good; None if it explains too little."""
     found = [_fit(cause, stated, evidence) for cause in _causes(stated, evidence, alone)]
     loss = _loss(stated, evidence)
     best = _simplest(found, loss)
@@ -362,14 +362,14 @@ def _explanation(stated: _World, evidence: list[_Matches], own: float, alone: bo
 
 
 def _simplest(found: list[_Explanation], loss: float, slack: float = 0.1) -> _Explanation:
-    """The simplest of the causes that explain about as much of a loss as any.  slack: share of what is left that says nothing."""
+    """The simplest of the causes that explain about as much of a loss as any; slack: tolerated share of the remaining loss."""
     least = min(explanation.loss for explanation in found)
     enough = least + max(slack * least, 0.05 * (loss - least))
     return min(found, key=lambda e: (e.loss > enough, len(e.cause.about), e.loss))
 
 
 def _fit(cause: _Cause, stated: _World, evidence: list[_Matches]) -> _Explanation:
-    """The amount of a cause that fits the matches best: Gauss-Newton steps on a loss that tightens as it goes."""
+    """The amount of a cause that fits the matches best, by Gauss-Newton steps on a loss whose scale tightens."""
     mine = [m for m in evidence if not cause.cameras or set(cause.cameras) & set(m.pair)]
     amount, damping, scale = np.zeros(len(cause.about)), 1e-3, np.inf
 
@@ -400,7 +400,7 @@ def _fit(cause: _Cause, stated: _World, evidence: list[_Matches]) -> _Explanatio
 
 
 def _causes(stated: _World, evidence: list[_Matches], alone: bool) -> Iterator[_Cause]:
-    """What may be wrong, the likeliest first."""
+    """Possible causes, the likeliest first."""
     seen = sorted({name for m in evidence for name in m.pair})
     size, still = _size(stated, evidence), np.zeros(3)
 
@@ -431,7 +431,7 @@ def _causes(stated: _World, evidence: list[_Matches], alone: bool) -> Iterator[_
     for name, change in CONVENTIONS.items():
         yield of_all(name, 0, lambda one, a, c=change: replace(one, camera=c(one.camera)))  # type: ignore[misc]
     for name in seen:
-        if len({m.pair for m in evidence if name in m.pair}) < 2:  # one pair may show look-alikes
+        if len({m.pair for m in evidence if name in m.pair}) < 2:  # matches of one pair may be look-alikes
             continue
         yield of_one("focal-length", 1, _zoomed, name)
         yield of_one("distortion-of-one", 1, _bent, name)
@@ -448,7 +448,7 @@ def _causes(stated: _World, evidence: list[_Matches], alone: bool) -> Iterator[_
 
 
 def _moved_on(world: _World, step: int) -> _World:
-    """Each camera is the next one: a recorder counts its inputs from another number."""
+    """Each camera takes the place of the next one, as when a recorder numbers its inputs from another start."""
     names = list(world)
     others = [names[(k + step) % len(names)] for k in range(len(names))]
     keys = EXCHANGED["captures-exchanged"]
@@ -456,18 +456,18 @@ def _moved_on(world: _World, step: int) -> _World:
 
 
 def _size(stated: _World, evidence: list[_Matches]) -> float:
-    """Between two cameras, median."""
+    """Median distance between the two cameras of a pair."""
     return float(np.median([np.linalg.norm(stated[a].camera.C - stated[b].camera.C) for a, b in (m.pair for m in evidence)]))
 
 
 def _posed(one: _Seen, amount: Float64s, size: float) -> _Seen:
-    """amount: a turn and a move."""
+    """The camera rotated and shifted; amount: rotation vector (3), and shift (3) in units of `size`."""
     camera = one.camera
     return replace(one, camera=replace(camera, R=rotation_matrix(amount[:3]) @ camera.R, C=camera.C + size * amount[3:]))
 
 
 def _zoomed(one: _Seen, logs: Float64s) -> _Seen:
-    """logs: of the factors of both focal lengths, or of the horizontal and the vertical one."""
+    """The camera with scaled focal lengths; logs: log factor of both, or of the horizontal and the vertical one."""
     K = one.camera.K.copy()
     K[[0, 1], [0, 1]] *= np.exp(np.clip(logs, -LARGEST_ZOOM, LARGEST_ZOOM))
     return replace(one, camera=replace(one.camera, K=K))
@@ -482,14 +482,14 @@ def _is_bent(camera: Camera) -> bool:
 
 
 def _bent_more(one: _Seen, more: Float64s) -> _Seen:
-    """The stated distortion, and so many times more of it."""
+    """The camera with the stated distortion times 1 + `more`."""
     camera = one.camera
     bent = replace(camera, distortion=camera.distortion * (1 + more[0]))
     return replace(one, camera=bent, stated=camera) if _is_bent(camera) else one
 
 
 def _shifted(one: _Seen, share: Float64s) -> _Seen:
-    """share: of the width."""
+    """The camera with a shifted principal point; share: of the width."""
     K = one.camera.K.copy()
     K[:2, 2] += share * one.camera.width
     return replace(one, camera=replace(one.camera, K=K))
@@ -504,21 +504,21 @@ def _of_all(change: _Change, world: _World, amount: Float64s) -> _World:
 
 
 def _like(one: _Seen, other: _Seen, keys: tuple[str, ...]) -> _Seen:
-    """With parts of another camera."""
+    """The camera with parts of another one."""
     was, alike = one.camera, replace(one.camera, **{key: getattr(other.camera, key) for key in keys})
     bent = "distortion" in keys and was.lens is None and other.camera.lens is None
     return replace(one, camera=alike, stated=was if bent and (_is_bent(was) or _is_bent(other.camera)) else None)
 
 
 def _stretched(one: _Seen, axis: int, log: Float64s) -> _Seen:
-    """log: of the factor of positions along an axis."""
+    """The camera with its position stretched along an axis; log: logarithm of the factor."""
     C = one.camera.C.copy()
     C[axis] *= np.exp(np.clip(log[0], -LARGEST_ZOOM, LARGEST_ZOOM))
     return replace(one, camera=replace(one.camera, C=C))
 
 
 def _flipped(camera: Camera, axes: int) -> Camera:
-    """Mirrored frames; with two axes: turned by half a turn."""
+    """The camera for frames that are mirrored, or with two axes turned by half a turn."""
     K, size = camera.K.copy(), (camera.width, camera.height)
     for k in range(axes):
         K[k, k], K[k, 2] = -K[k, k], size[k] - 1 - K[k, 2]
@@ -538,11 +538,11 @@ CONVENTIONS: Mapping[str, Callable[[Camera], Camera]] = {
     "mirrored-frames": lambda c: _flipped(c, 1),
     "upside-down": lambda c: _flipped(c, 2),
 }
-"""How calibrations are misread: what would be right of what is stated."""
+"""Corrections of misread conventions, by name: from the stated camera to the right one."""
 EXCHANGED = {
     "exchanged": ("R", "C"),
     "captures-exchanged": ("K", "distortion", "R", "C"),
     "positions-exchanged": ("C",),
     "lenses-exchanged": ("K", "distortion"),
 }
-"""What two cameras may have of each other."""
+"""Parts that two cameras may have exchanged, by name of the cause."""

@@ -1,9 +1,9 @@
-"""Known poses adjusted within their standard deviations to the ground, where keypoints don't tell them.
+"""Known poses adjusted within their standard deviations to the ground, where keypoints do not determine them.
 
-On paving that repeats, keypoints agree on wrong stones, and within what is known of the poses several fit.  For each plane that
-may be the ground, patches of one view are looked for in the others where this plane and the poses put them (`mvs.ground_prior`);
-the poses are adjusted to what was found, with the keypoints that are not beneath it; and it is the ground if then, and on no
-other plane, large patches look the same.
+On repetitive paving, keypoints match wrong stones, and several such solutions are within the uncertainty of the poses.  For each
+plane that may be the ground, patches of one view are searched in the others where this plane and the poses predict them
+(`mvs.ground_prior`).  The poses are adjusted to the patches found and to the keypoints that are not below the plane.  The plane
+is the ground if large patches then look the same on it, and on no other plane.
 """
 
 from __future__ import annotations
@@ -22,22 +22,22 @@ from .pose_check import Sigma
 from .pose_prior_adjustment import MIN_MATCHES, AdjustedPoses, adjust_within_priors
 
 _MOST_PLANES = 4
-"""Planes that are looked at more closely."""
+"""Largest number of planes that are examined closely."""
 _SAME_HEIGHT = 0.06
-"""Heights within this share of each other are the same plane."""
+"""Planes whose heights differ by at most this share are the same."""
 _FINE_REACH_PX = 6.0
-"""Patches are off by no more once the poses have been adjusted roughly."""
+"""Search radius for patches once the poses have been adjusted roughly."""
 _REACH_SIGMAS, _WIDEST_REACH_PX = 2.0, 24.0
-"""Patches are looked for so many standard deviations away, and no farther than so many pixels: the wider, the fewer are the only
-ones in reach that look so."""
+"""Search radius for patches in standard deviations, and its limit in pixels: the wider the search, the fewer patches have no
+look-alike within it."""
 _BENEATH = 0.1
-"""Matches farther under the plane than this share of the camera's height above it are of look-alikes."""
+"""Matches farther below the plane than this share of the camera's height above it are look-alikes."""
 _ROUGH, _FINE = 80, 200
-"""Matches of a pair that are used at most."""
+"""Largest number of matches of a pair in the rough and in the fine adjustment."""
 _FEWEST = 12
-"""So many large patches must look the same on the ground..."""
+"""Fewest large patches that must look the same on the ground."""
 _CLEARER, _CLEARER_FOR_TWO = 1.5, 3.0
-"""...and so many times those on any other plane; more where two views alone must tell."""
+"""Smallest ratio of alike large patches on the ground to those on any other plane: for more than two views, and for two."""
 
 
 @dataclass(frozen=True)
@@ -47,19 +47,19 @@ class _Fit:
     adjusted: AdjustedPoses
     plane: Float64s
     share: float
-    """Of the patches that look alike on it."""
+    """Share of the patches that look alike on the plane."""
 
 
 def adjust_to_ground(
     images: Mapping[str, Float32s], known: Mapping[str, Camera], sigmas: Mapping[str, Sigma], pairs: Mapping[Pair, Geometry]
 ) -> AdjustedPoses | None:
-    """The cameras as the ground has them; None where no plane stands out.
+    """The cameras adjusted to the ground; None if no plane stands out.
 
     Parameters
     ----------
     images : (h, w) float32 grey frame of each camera.
-    known, sigmas : the same cameras as they are stated, and how well.
-    pairs : their pairs, with what keypoints say.
+    known, sigmas : the same cameras as stated, and their standard deviations.
+    pairs : pairs of these cameras, with their keypoint matches.
     """
     site = _Site({name: images[name] for name in known if name in images}, known, sigmas, pairs)
     rough = []
@@ -83,7 +83,7 @@ class _Site:
     pairs: Mapping[Pair, Geometry]
 
     def views(self, cameras: Mapping[str, Camera], times: int) -> list[tuple[Float32s, Camera]]:
-        """Images and cameras, halved so many times."""
+        """Images and cameras, halved `times` times."""
         found = [(image, cameras[name]) for name, image in self.images.items()]
         for _ in range(times):
             found = [halved(*view) for view in found]
@@ -92,7 +92,7 @@ class _Site:
     def matches(
         self, cameras: Mapping[str, Camera], plane: Float64s, times: int, most: int, reach_px: float | None = None
     ) -> dict[Pair, Geometry]:
-        """What the pairs show of a plane, in images that are halved so many times; reach_px: without, what the sigmas allow."""
+        """Matches of the pairs on a plane, in images halved `times` times; reach_px: search radius, None to use the sigmas."""
         views = dict(zip(self.images, self.views(cameras, times), strict=True))
         found = {}
         for pair, geometry in self.pairs.items():
@@ -106,7 +106,7 @@ class _Site:
         return found
 
     def _reach_px(self, pair: Pair, plane: Float64s) -> float:
-        """How far off patches of a plane may be, at a few times the camera's height above it."""
+        """Search radius in pixels for patches of a plane, at four times the camera's height above it."""
         square = 0.0
         for name in pair:
             camera, sigma = self.known[name], self.sigmas.get(name, Sigma())
@@ -116,7 +116,7 @@ class _Site:
 
 
 def _planes(site: _Site) -> list[Float64s]:
-    """Planes that may be the ground: in small images those on which the poses, as stated, are right to a pixel or two."""
+    """Planes that may be the ground: those on which, in small images, the stated poses are right to a pixel or two."""
     planes: list[Float64s] = []
     for times in (1, 2):
         for plane in likely_planes(site.views(site.known, times)):
@@ -126,7 +126,7 @@ def _planes(site: _Site) -> list[Float64s]:
 
 
 def _apart(plane: Float64s, other: Float64s, cameras: Mapping[str, Camera]) -> float:
-    """How much higher one plane lies than another, as a share of the height of the lowest camera above it."""
+    """Height difference of two planes, as a share of the height of the lowest camera above the first."""
     height = min(float(plane[:3] @ camera.C + plane[3]) for camera in cameras.values())
     centre = np.mean([camera.C for camera in cameras.values()], axis=0)
     difference = float((plane[:3] - other[:3]) @ centre + plane[3] - other[3])
@@ -134,7 +134,7 @@ def _apart(plane: Float64s, other: Float64s, cameras: Mapping[str, Camera]) -> f
 
 
 def _different(fits: Iterable[_Fit], cameras: Mapping[str, Camera]) -> list[_Fit]:
-    """Without those that have become the same as an earlier one."""
+    """The fits without those whose plane has become the same as an earlier one's."""
     found: list[_Fit] = []
     for fit in fits:
         if all(_apart(fit.plane, other.plane, cameras) > _SAME_HEIGHT for other in found):
@@ -143,7 +143,7 @@ def _different(fits: Iterable[_Fit], cameras: Mapping[str, Camera]) -> list[_Fit
 
 
 def _finely(site: _Site, fit: _Fit) -> _Fit:
-    """The cameras adjusted to the full images, and to the keypoints that are not beneath the plane."""
+    """The cameras adjusted to patches of the full images, and to the keypoints that are not below the plane."""
     cameras = fit.adjusted.cameras
     found = site.matches(cameras, fit.plane, 0, _FINE, _FINE_REACH_PX)
     both: dict[Pair, Geometry] = {}
@@ -163,7 +163,7 @@ def _fitted(site: _Site, matches: Mapping[Pair, Geometry], plane: Float64s) -> _
 
 
 def _not_beneath(geometry: Geometry, left: Camera, right: Camera, plane: Float64s) -> tuple[Float64s, Float64s]:
-    """Some of the matches of a pair that lie above a plane."""
+    """Some of the matches of a pair that are not below a plane."""
     depth, _ = triangulate_depth(left, right, geometry.x1, geometry.x2)
     above = backproject(left, geometry.x1, depth) @ plane[:3] + plane[3] > -_BENEATH * (plane[:3] @ left.C + plane[3])
     rows = np.flatnonzero(above & (depth > 0))

@@ -1,13 +1,13 @@
-"""How well the images of a site tell the lenses that were solved with its poses.
+"""Uncertainty of the lenses that were solved together with the poses of a site.
 
-From the normal equations of the adjustment, reduced to cameras and lenses (Triggs et al. 2000, section 6), with Cauchy's weights.
-A principal point is not solved with the rest, since matches that are wrong together pull it far: it moves as far as pictures tell
-it better than that it is near the middle.  By how much what stays open of it puts all else off enters beside the noise (consider
-parameters: Tapley, Schutz, Born, Statistical Orbit Determination, 2004, chapter 6).  It is one for all views of a lens, as all
-else of the lens.  What a turn of the camera would undo is not counted.
+It follows from the normal equations of the adjustment, reduced to cameras and lenses (Triggs et al. 2000, section 6), with Cauchy
+weights.  A principal point is not solved with the rest, since correlated wrong matches pull it far: it moves only as far as the
+images determine it better than the prior, which is the middle of the picture.  Its remaining uncertainty is propagated to all
+other parameters, in addition to the noise (consider parameters: Tapley, Schutz, Born, Statistical Orbit Determination, 2004,
+chapter 6).  All views of a lens share one principal point.  Effects that a rotation of the camera would undo are not counted.
 
-What is wrong in matches is wrong in many at once: what wet ground mirrors, a texture that repeats.  So besides what independent
-noise leaves open it is asked how far the lenses move when parts of the scene are left out, one at a time (the jackknife of
+Wrong matches come in groups: reflections in wet ground, a repetitive texture.  So besides the uncertainty due to independent
+noise, this module measures how far the lenses move when parts of the scene are left out, one at a time (the jackknife of
 clusters: Bell & McCaffrey, Bias reduction in standard errors for linear regression with multi-stage samples, Survey Methodology
 2002).  The larger of both counts.
 """
@@ -23,61 +23,61 @@ from ..sfm.incremental import Model, refine
 from ..types import Camera, Float64s, Int64s, LensSigma
 
 MOST_SIGMA_PX = 1.0
-"""A lens whose border is not known to a pixel is not known: as of rows of stated poses, dense matching does not look farther."""
+"""Largest standard deviation at the border of a known lens: dense matching searches no farther (as for rows of stated poses)."""
 MOST_VIEWS = 64
-"""So many views tell their lenses, and the equations of more are not worth their time."""
+"""Models with more views are not analysed: this many determine their lenses well, and larger equations take too long."""
 CENTRE_SIGMA = 0.005
-"""Standard deviation of a principal point from the middle of the picture, of its width."""
+"""Prior standard deviation of a principal point around the middle of the picture, as a share of the width."""
 LOSS = 2.385
 """Scale of the Cauchy loss in standard deviations of the noise: 95 % efficient (Holland & Welsch 1977)."""
 RAYLEIGH = 1.1774
-"""Median distance over the standard deviation of one coordinate."""
+"""Ratio of the median length of a 2-D normal error to the standard deviation of one coordinate."""
 _POSE, _LENS = 6, 5
-"""Numbers of a pose (turn, centre), and of a lens (cx, cy, f, k1, k2)."""
+"""Number of parameters of a pose (rotation, centre), and of a lens (cx, cy, f, k1, k2)."""
 _LOOSE = 1e-10
-"""A share that holds the world where it is, whose place, turn and scale nothing tells."""
+"""Relative regularisation that fixes the gauge: position, rotation and scale of the world are undetermined."""
 _AT_ONCE = 256
-"""Points: bounds memory."""
+"""Number of points processed together, which bounds memory."""
 _HALVINGS = 3
-"""Of the scene, into parts with as many points: eight.  Fewer say little of a variance, and smaller ones are wrong together."""
+"""Halvings of the scene, into eight parts of equal size: fewer estimate a variance badly, and smaller ones are correlated."""
 _KEPT = 1e-3
-"""Of its weight, by a part that is left out: what no other part shows is solved still."""
+"""Share of its weight that a left-out part keeps, so that parameters which no other part determines stay solvable."""
 _LONG_SIDE = 768
-"""Of larger frames, whose pixels show less, as many more pixels may be open by wrong matches or a principal point."""
+"""For larger frames, uncertainty from wrong matches or principal points is scaled down to this size: their pixels show less."""
 
 
 @dataclass(frozen=True)
 class _Equations:
-    """The normal equations of an adjusted model."""
+    """The normal equations of an adjusted model, separately for each part of the scene."""
 
     H: Float64s
-    """(parts, n, n) for turn and centre of each view, then cx, cy, f, k1, k2 of each lens, by part of the scene..."""
+    """(parts, n, n) normal matrices: rotation and centre of each view, then cx, cy, f, k1, k2 of each lens."""
     pulls: Float64s
-    """...(parts, n) and their right sides."""
+    """(parts, n) right sides of the equations."""
     at: dict[int, Int64s]
-    """Of each view, (11,) where in them its numbers are."""
+    """(11,) indices of each view's parameters."""
     solved: Int64s
-    """Where those are that are solved..."""
+    """Indices of the solved parameters."""
     centres: dict[int, Int64s]
-    """...and (2,) the principal points of solved lenses, by the first view of each."""
+    """(2,) indices of the principal point of each solved lens, by the first view of the lens."""
 
 
 @dataclass(frozen=True)
 class _PrincipalPoint:
-    """Where a principal point is likelier than where it is, pixels, and how well that is known."""
+    """Correction of a principal point in pixels, and its uncertainty."""
 
     step: Float64s
-    """(2,) by how much it moves there..."""
+    """(2,) correction."""
     without: Float64s
-    """...(parts, 2) and farther where a part of the scene is left out; squares of all parts add up to variances."""
+    """(parts, 2) further correction if a part of the scene is left out; the squares of all parts add up to variances."""
     by_noise: Float64s
-    """(2, 2) covariance of what noise does to it..."""
+    """(2, 2) covariance due to the noise."""
     left: Float64s
-    """...and of what is left of what was open beforehand."""
+    """(2, 2) covariance that remains from the prior."""
 
 
 def with_principal_points(model: Model) -> Model:
-    """An adjusted model whose principal points are in the middle, adjusted again with them where they are likelier."""
+    """The adjusted model with its principal points moved from the middle to likelier positions, and adjusted again."""
     if not _may_ask(model):
         return model
     cameras = dict(model.cameras)
@@ -90,9 +90,9 @@ def with_principal_points(model: Model) -> Model:
 
 
 def lens_sigmas(model: Model, centre_sigma: float = CENTRE_SIGMA) -> dict[int, LensSigma]:
-    """Of each view whose lens was solved, how well the observations of an adjusted model, whose residuals are the noise, tell it.
+    """Uncertainty of each view's lens if it was solved; the residuals of the adjusted model serve as the noise.
 
-    centre_sigma: of principal points, of the width, before they were looked for.
+    centre_sigma: prior standard deviation of principal points, as a share of the width.
     """
     if not _may_ask(model):
         return {}
@@ -114,7 +114,7 @@ def _may_ask(model: Model) -> bool:
 
 
 def _principal_points(model: Model, equations: _Equations, centre_sigma: float) -> dict[int, _PrincipalPoint]:
-    """Of each solved lens, by its first view: its principal point by what is known beforehand and by what the pictures tell."""
+    """Correction of the principal point of each solved lens from the prior and the images, by the first view of the lens."""
     columns = np.concatenate([equations.solved, *equations.centres.values()])
     by_noise, without, step = _left_out(equations, columns)
     found = {}
@@ -130,7 +130,7 @@ def _principal_points(model: Model, equations: _Equations, centre_sigma: float) 
 
 
 def _border_px(camera: Camera, covariance: Float64s) -> float:
-    """Standard deviation of pixels at the border, from the covariance (5, 5) of cx, cy, f, k1, k2."""
+    """Standard deviation of border pixels, from the covariance (5, 5) of cx, cy, f, k1, k2, apart from what a rotation undoes."""
     x, y = np.linspace(0.02, 0.98, 17) * (camera.width - 1), np.linspace(0.02, 0.98, 11) * (camera.height - 1)
     grid = np.stack(np.meshgrid(x, y), axis=-1)
     border = np.concatenate([grid[0], grid[-1], grid[1:-1, 0], grid[1:-1, -1]])
@@ -140,7 +140,7 @@ def _border_px(camera: Camera, covariance: Float64s) -> float:
 
 
 def _slopes_at(camera: Camera, x: Float64s) -> tuple[Float64s, Float64s]:
-    """How pixels (n, 2) move with a turn of the camera (2n, 3), and with cx, cy, f, k1, k2 (2n, 5)."""
+    """Derivatives of pixels (n, 2) by a rotation of the camera (2n, 3), and by cx, cy, f, k1, k2 (2n, 5)."""
     straight = without_distortion(camera, x)
     Y = np.column_stack([(straight - camera.K[:2, 2]) / camera.K[0, 0], np.ones(len(x))])
     lens = np.tile([camera.K[0, 0], *camera.radial], (len(x), 1))
@@ -151,7 +151,7 @@ def _slopes_at(camera: Camera, x: Float64s) -> tuple[Float64s, Float64s]:
 
 
 def _slopes(Y: Float64s, lens: Float64s) -> tuple[Float64s, Float64s]:
-    """How pixels move with points (n, 3) in camera axes, (n, 2, 3), and with their lenses f, k1, k2, (n, 2, 3)."""
+    """Derivatives of pixels by points (n, 3) in camera axes, (n, 2, 3), and by their lenses f, k1, k2, (n, 2, 3)."""
     f, k1, k2 = lens.T
     x = Y[:, :2] / Y[:, 2:]
     r2 = (x * x).sum(axis=1)
@@ -163,7 +163,7 @@ def _slopes(Y: Float64s, lens: Float64s) -> tuple[Float64s, Float64s]:
 
 
 def _equations(model: Model) -> _Equations:
-    """The normal equations of an adjusted model, its points moved where they like."""
+    """The normal equations of an adjusted model with its points eliminated."""
     rows = np.flatnonzero(model.use)
     names = np.unique(model.tracks.view[rows]).tolist()
     owners = [model.lenses.get(name, -1 - name) for name in names]
@@ -178,7 +178,7 @@ def _equations(model: Model) -> _Equations:
     off = model.error_px()[rows] / noise
     weight = np.sqrt(1 / (1 + off**2 / LOSS**2)) / noise
     J, P, r = J * weight[:, None, None], P * weight[:, None, None], r * weight[:, None]
-    V = np.zeros((len(points), 3, 3))  # of each point alone
+    V = np.zeros((len(points), 3, 3))  # normal matrix of each point alone
     np.add.at(V, point, np.einsum("nki,nkj->nij", P, P))
     inverse = np.linalg.inv(V + _LOOSE * np.trace(V, axis1=1, axis2=2)[:, None, None] * np.eye(3))
     part = _parts(model.X[points])
@@ -194,8 +194,8 @@ def _equations(model: Model) -> _Equations:
 
 
 def _covariances(equations: _Equations, centres: dict[int, _PrincipalPoint]) -> tuple[Float64s, Float64s, Float64s]:
-    """Covariances (n, n) of all cameras and lenses: by the noise, by the parts of the scene, and by what is left open of where
-    principal points are."""
+    """Covariances (n, n) of all cameras and lenses: from the noise, from the parts of the scene, and from the remaining
+    uncertainty of the principal points."""
     by_noise, without, _ = _left_out(equations, equations.solved)
     by_centre, whole, without = np.zeros_like(by_noise), equations.H.sum(axis=0), without.copy()
     solved = by_noise
@@ -209,8 +209,8 @@ def _covariances(equations: _Equations, centres: dict[int, _PrincipalPoint]) -> 
 
 
 def _left_out(equations: _Equations, columns: Int64s) -> tuple[Float64s, Float64s, Float64s]:
-    """Where only some of the numbers are solved, by their columns: their covariance (n, n) by the equations; how they move
-    (parts, n) without each part of these, as roots of variances that add up; by how much (n,) they would still move."""
+    """Solve some of the parameters, given by their columns: their covariance (n, n); their changes (parts, n) without each part,
+    scaled so that squares add up to variances; and the step (n,) that they would still take."""
     H, pulls = equations.H[:, columns[:, None], columns], equations.pulls[:, columns]
     whole = H.sum(axis=0)
     whole[np.diag_indices_from(whole)] *= 1 + _LOOSE
@@ -228,7 +228,7 @@ def _left_out(equations: _Equations, columns: Int64s) -> tuple[Float64s, Float64
 
 
 def _parts(X: Float64s) -> Int64s:
-    """(n,) the part of the scene that each point is in: halved again and again across its longest side."""
+    """(n,) the part of the scene that each point is in: repeatedly halved across its longest side."""
     part = np.zeros(len(X), np.int64)
     for _ in range(_HALVINGS):
         beyond = np.zeros(len(X), bool)
@@ -244,8 +244,8 @@ def _parts(X: Float64s) -> Int64s:
 def _pulls(
     J: Float64s, P: Float64s, r: Float64s, inverse: Float64s, at: Int64s, point: Int64s, part: Int64s, size: int
 ) -> Float64s:
-    """(parts, size) by how much the points of each part of the scene pull cameras and lenses, the points themselves moved where
-    they like; in sum nothing."""
+    """(parts, size) right sides: the pull of the points of each part of the scene on cameras and lenses, with the points at their
+    optimum; the parts add up to zero."""
     pulled = np.zeros((len(inverse), 3))
     np.add.at(pulled, point, np.einsum("nki,nk->ni", P, r))
     left = r - np.einsum("nki,nij,nj->nk", P, inverse[point], pulled[point])
@@ -255,8 +255,8 @@ def _pulls(
 
 
 def _linearised(model: Model, names: list[int], rows: Int64s, of: Int64s) -> tuple[Float64s, Float64s, Float64s]:
-    """Slopes of the pixels by turn, centre, principal point and lens (n, 2, 11), and by the point (n, 2, 3); how far the pixels
-    are from where the model has them (n, 2)."""
+    """Derivatives of the pixels by rotation, centre, principal point and lens (n, 2, 11), and by the point (n, 2, 3); and the
+    residuals (n, 2), observed minus projected."""
     cameras = [model.cameras[name] for name in names]
     R = np.array([camera.R for camera in cameras])[of]
     C = np.array([camera.C for camera in cameras])[of]
@@ -274,9 +274,9 @@ def _linearised(model: Model, names: list[int], rows: Int64s, of: Int64s) -> tup
 
 
 def _reduced(J: Float64s, P: Float64s, inverse: Float64s, at: Int64s, point: Int64s, size: int) -> Float64s:
-    """The normal equations of cameras and lenses (size, size) without the points.
+    """The normal matrix of cameras and lenses (size, size) with the points eliminated.
 
-    Points are taken together that have as many observations: of these only the cameras that see them are touched.
+    Points with equally many observations are processed together, and touch only the cameras that see them.
     """
     H, count = np.zeros(size * size), len(inverse)
     np.add.at(H, (at[:, :, None] * size + at[:, None, :]).ravel(), np.einsum("nki,nkj->nij", J, J).ravel())

@@ -15,37 +15,37 @@ from ..types import Camera, Float64s, Geometry, Pair
 from .pose_check import PAIR_PX, TRIPLET_PX, PoseConstraints, Triplet, seen_points
 
 AGREE_DEG = 1.5
-"""Two pairs agree on a camera's rotation within this; then one pose must satisfy both."""
+"""Largest difference between the rotations that two pairs give a camera for one pose to be fitted to both."""
 CLEARER = 2.0
-"""A constraint supports a new pose if that fits it so many times better than the stated one."""
+"""A constraint supports a new pose if it fits that this many times better than the stated one."""
 MIN_CELLS = 8
-"""Distinctive matches of a constraint are in so many cells of the image at least (of 96)."""
+"""Fewest grid cells of the image (of 96) that the distinctive matches of a constraint must cover."""
 SAMPLE = 150
-"""So many matches of a constraint are fitted."""
+"""Constraints with more matches are thinned to about this number for the fit."""
 PARALLEL = 0.03
-"""Two directions to a camera that differ by less than this (radians) leave its distance open."""
+"""Two directions to a camera that differ by less than this (radians) do not determine its distance."""
 
 
 @dataclass(frozen=True)
 class NewPose:
-    """A camera where its partners agree that it is."""
+    """A camera at the pose on which its partners agree."""
 
     camera: Camera
     support: int
-    """Constraints that it satisfies..."""
+    """Number of constraints that contradict the stated pose and support this one."""
     left: int
-    """...and contradictions that stay with it among all cameras."""
+    """Number of contradictions that remain with it among all cameras."""
     pairs: tuple[Pair, ...]
-    """Those that agree with it."""
+    """Pairs that support it."""
 
 
 def find_moved_cameras(cameras: Mapping[str, Camera], constraints: PoseConstraints) -> dict[str, NewPose]:
-    """The cameras whose stated poses are wrong, with where they are instead.
+    """The cameras whose stated poses are wrong, with their new poses.
 
     A camera has moved if at least two pairs with different partners, or three cameras whose matches close, contradict
-    its pose and agree on another one; if their distinctive matches are spread over the image; and if they are more than the
-    constraints against it.  Where it could be one camera as well as another, neither counts as moved; nor does any if it were
-    half of all cameras.
+    its pose and agree on another one; if their distinctive matches are spread over the image; and if they outnumber the
+    constraints against the new pose.  If either of two cameras may have moved, neither counts as moved; if half of all cameras
+    or more would count, none does.
     """
     found: dict[str, NewPose] = {}
     passed: set[str] = set()
@@ -65,7 +65,7 @@ def find_moved_cameras(cameras: Mapping[str, Camera], constraints: PoseConstrain
 
 
 def _agreed(name: str, cameras: Mapping[str, Camera], constraints: PoseConstraints) -> NewPose | None:
-    """The pose of a camera that its partners agree on against the stated one; None where they don't."""
+    """The pose of a camera that its partners agree on against the stated one; None if there is none."""
     stated = {e.cameras: e for e in constraints.evidence(cameras, name)}
     against = {key: e for key, e in stated.items() if e.contradicts and _distinctive(key, constraints.pairs)}
     triplets = [triplet for triplet in constraints.triplets if triplet.cameras in against]
@@ -98,7 +98,7 @@ def _distinctive(key: tuple[str, ...], pairs: Mapping[Pair, Geometry]) -> bool:
 def _starts(
     name: str, cameras: Mapping[str, Camera], pairs: Mapping[Pair, Geometry], triplets: list[Triplet]
 ) -> Iterator[tuple[Camera, Mapping[Pair, Geometry], list[Triplet]]]:
-    """Yield poses to begin with, each with the constraints that give it."""
+    """Yield initial poses, each with the constraints that determine it."""
     views = {pair: view for pair, g in pairs.items() if (view := _from(name, cameras, pair, g)) is not None}
     for a, b in combinations(views, 2):
         if angle_between_deg(views[a][0], views[b][0]) <= AGREE_DEG:
@@ -111,7 +111,7 @@ def _starts(
 
 
 def _from(name: str, cameras: Mapping[str, Camera], pair: Pair, geometry: Geometry) -> tuple[Float64s, Float64s, Float64s] | None:
-    """R of a camera as a pair tells it, the partner's centre, and the direction (3,) from there to the camera."""
+    """R of a camera according to a pair, the partner's centre, and the direction (3,) from there to the camera."""
     R, t = geometry.cam2_R_cam1, geometry.cam2_t_cam1
     if R is None or t is None:
         return None
@@ -124,8 +124,8 @@ def _from(name: str, cameras: Mapping[str, Camera], pair: Pair, geometry: Geomet
 
 
 def _crossing(camera: Camera, A: Float64s, a: Float64s, B: Float64s, b: Float64s) -> Float64s | None:
-    """(3,) where two directions a from A and b from B meet; None where that is behind one of them."""
-    if np.linalg.norm(np.cross(a, b)) < PARALLEL:  # the partners are in line with the camera: as far as it is stated to be
+    """(3,) where the direction a from A and the direction b from B meet; None if that is behind one of them."""
+    if np.linalg.norm(np.cross(a, b)) < PARALLEL:  # the partners are in line with the camera: keep its stated distance
         return np.asarray(A + a * np.linalg.norm(camera.C - A), dtype=np.float64)
     (s, t), *_ = np.linalg.lstsq(np.column_stack([a, -b]), B - A, rcond=None)
     return np.asarray(0.5 * (A + s * a + B + t * b), dtype=np.float64) if min(s, t) > 0 else None
@@ -134,8 +134,8 @@ def _crossing(camera: Camera, A: Float64s, a: Float64s, B: Float64s, b: Float64s
 def _fitted(
     name: str, start: Camera, cameras: Mapping[str, Camera], pairs: Mapping[Pair, Geometry], triplets: list[Triplet]
 ) -> Camera:
-    """Return the pose that satisfies some constraints best, the other cameras being at their stated poses."""
-    from scipy.optimize import least_squares  # here: nights whose poses are right don't wait for it
+    """Return the pose that best satisfies some constraints, with the other cameras at their stated poses."""
+    from scipy.optimize import least_squares  # imported here, since nights with right poses do not need it
 
     scale = min(float(np.linalg.norm(start.C - camera.C)) for other, camera in cameras.items() if other != name) or 1.0
     sights = [(pair, g.x1[_some(len(g.x1))], g.x2[_some(len(g.x1))]) for pair, g in pairs.items()]

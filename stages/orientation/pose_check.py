@@ -1,10 +1,10 @@
 """Known poses compared with the images: has a camera been knocked, turned or moved since it was measured?
 
-A stated pose is evidence with a standard deviation.  Two kinds of evidence speak about it.  A pair: how far its inliers, or those
-that third cameras confirm where these are enough, lie from the epipolar lines of the stated poses.  Three cameras: keypoints that
-all three pairs among them chain to the same point; this also tells what moves along the epipolar lines.  Either may be a
-look-alike, which no count of inliers tells from the truth: so a pose is replaced only where several partners agree on one new
-pose (`moved_cameras`), and is unverified otherwise.
+A stated pose is evidence with a standard deviation.  Two kinds of evidence check it.  A pair: the distance of its inliers (only
+those that third cameras confirm, if there are enough) from the epipolar lines of the stated poses.  Three cameras: keypoints that
+all three pairs among them chain to the same point; this also reveals motion along the epipolar lines.  Either may consist of
+look-alikes, which no number of inliers exposes: so a pose is replaced only if several partners agree on one new pose
+(`moved_cameras`), and is unverified otherwise.
 """
 
 from __future__ import annotations
@@ -25,25 +25,25 @@ from ..twoview.pair_score import hardly_converging, probability
 from ..types import Camera, Float64s, Geometry, Int32s, Int64s, Pair, PoseCheck
 
 MIN_SHARED = 20
-"""Matches or points that a piece of evidence needs at least."""
+"""Fewest matches of a pair, or points of three cameras, that count as evidence."""
 PAIR_PX, TRIPLET_PX = 1.0, 4.0
-"""Larger median errors contradict exact poses: of a pair, and of three cameras, where the error of a point adds to that of the
-matches."""
+"""Larger median errors contradict exact poses: of a pair, and of three cameras, where the errors of points and of matches add
+up."""
 DEVIATIONS = 3.0
-"""Poses with standard deviations may be off by so many."""
+"""Tolerance of poses with standard deviations, as a multiple of these."""
 TURNED_DEG = 0.5
-"""The relative rotation of a pair's poses and that of its matches differ by more than this if one of the cameras was turned."""
+"""If a pair's stated relative rotation and that of its matches differ by more than this, one of the cameras was turned."""
 BELIEVED = 0.5
-"""Pairs that are less probable than this check no pose."""
+"""Smallest probability of pairs that may check poses."""
 SURE = 4.0
-"""Log odds of a pair that is confirmed by known poses."""
+"""Smallest log odds of a pair that known poses confirm."""
 MIN_ANGLE = np.radians(3.0)
-"""Points are made of rays that meet at more than this, radians."""
+"""Smallest angle between the rays of a triangulated point, radians."""
 
 
 @dataclass(frozen=True)
 class Sigma:
-    """How well a stated pose is known; zeros: exactly."""
+    """Standard deviations of a stated pose; zeros if it is exact."""
 
     metres: float = 0.0
     degrees: float = 0.0
@@ -56,29 +56,29 @@ class Sigma:
 
 @dataclass(frozen=True)
 class Evidence:
-    """What two or three cameras say of each other."""
+    """How well the matches of two or three cameras agree with their poses."""
 
     cameras: tuple[str, ...]
     """Ids."""
     error_px: float
-    """Median."""
+    """Median error."""
     tolerated_px: float
-    """What right poses may leave."""
+    """Largest error that right poses may leave."""
 
     @property
     def excess(self) -> float:
-        """The error as a share of what is tolerated."""
+        """The error as a multiple of the tolerated one."""
         return self.error_px / self.tolerated_px
 
     @property
     def contradicts(self) -> bool:
-        """Are the poses and the matches not both right?"""
+        """Whether the poses and the matches cannot both be right."""
         return not self.excess <= 1
 
 
 @dataclass(frozen=True)
 class Triplet:
-    """Three cameras and (n, 2) pixels in each of points that all three pairs among them agree on."""
+    """Three cameras, and in each the pixels (n, 2) of points that all three pairs among them agree on."""
 
     cameras: tuple[str, str, str]
     x: tuple[Float64s, Float64s, Float64s]
@@ -86,14 +86,14 @@ class Triplet:
 
 @dataclass(frozen=True)
 class PoseConstraints:
-    """What may speak about poses: believed pairs with enough matches, and the triplets among them."""
+    """Evidence about poses: probable pairs with enough matches, and the triplets among them."""
 
     pairs: Mapping[Pair, Geometry]
     triplets: tuple[Triplet, ...]
 
     @classmethod
     def of(cls, names: tuple[str, ...], geometries: Mapping[Pair, Geometry]) -> PoseConstraints:
-        """Those among the cameras of these names, each pair with the matches that third cameras confirm, if these are enough."""
+        """Constraints among the named cameras; pairs have only the matches that third cameras confirm, if these are enough."""
         known = set(names)
         pairs = {p: g for p, g in geometries.items() if set(p) <= known and g.good_probability >= BELIEVED}
         pairs = {p: g for p, g in pairs.items() if len(g.x1) >= MIN_SHARED}
@@ -101,12 +101,12 @@ class PoseConstraints:
         return cls(consistent_matches(pairs, MIN_SHARED), tuple(triplets))
 
     def without(self, names: set[str]) -> PoseConstraints:
-        """Those that say nothing of some cameras."""
+        """The constraints that involve none of some cameras."""
         pairs = {pair: g for pair, g in self.pairs.items() if not set(pair) & names}
         return PoseConstraints(pairs, tuple(t for t in self.triplets if not set(t.cameras) & names))
 
     def evidence(self, cameras: Mapping[str, Camera], about: str = "") -> list[Evidence]:
-        """What all say; or those that know the camera `about`."""
+        """Evidence from all constraints, or from those that involve the camera `about`."""
         pairs = {pair: geometry for pair, geometry in self.pairs.items() if not about or about in pair}
         found = [Evidence(pair, epipolar_error_px(cameras, pair, geometry), PAIR_PX) for pair, geometry in pairs.items()]
         for triplet in self.triplets:
@@ -116,12 +116,12 @@ class PoseConstraints:
 
 
 def slack_px(cameras: Mapping[str, Camera], sigmas: Mapping[str, Sigma], pair: Pair, geometry: Geometry) -> float:
-    """How far off a pair's epipolar lines may be for what is uncertain of its cameras: `DEVIATIONS` of it.
+    """Tolerance in pixels for a pair's epipolar lines from the uncertainty of its cameras: `DEVIATIONS` standard deviations.
 
     Parameters
     ----------
     cameras, sigmas : by id, and standard deviations of their stated poses.
-    pair, geometry : ids of its two cameras; its matches say where the slack is asked for.
+    pair, geometry : ids of its two cameras, and its matches, whose distance the tolerance depends on.
     """
     if all(sigmas.get(name, Sigma()).exact for name in pair):
         return 0.0
@@ -140,7 +140,7 @@ def slack_px(cameras: Mapping[str, Camera], sigmas: Mapping[str, Sigma], pair: P
 def check_cameras(
     cameras: Mapping[str, Camera], geometries: Mapping[Pair, Geometry], evidence: list[Evidence]
 ) -> dict[str, PoseCheck]:
-    """The figures of each camera that some pair with another of them can check."""
+    """The check of each camera that has a probable pair with another one."""
     found: dict[str, PoseCheck] = {}
     ids = {name: camera_id(name, camera) for name, camera in cameras.items()}
     for name in cameras:
@@ -155,11 +155,11 @@ def check_cameras(
 
 
 def verified(views: Set[str], evidence: list[Evidence]) -> bool:
-    """Do as many of a camera's pairs, and of its triplets, agree with the poses as contradict them?  All its views have a say:
-    they move as one.
+    """Do as many of a camera's pairs, and of its triplets, agree with the poses as contradict them?  All views of a camera count,
+    since they move together.
 
-    Look-alikes contradict poses that are right.  Two pairs do not agree with a wrong pose; a single pair may, along whose
-    epipolar lines the camera was moved.
+    Look-alikes contradict poses that are right.  Two pairs do not agree with a wrong pose; a single pair may, if the camera was
+    moved along its epipolar lines.
     """
     mine = [e for e in evidence if not views.isdisjoint(e.cameras)]
     agree, contradict = (sum(e.contradicts == no for e in mine if len(e.cameras) == 2) for no in (False, True))
@@ -168,26 +168,26 @@ def verified(views: Set[str], evidence: list[Evidence]) -> bool:
 
 
 def confirmed(geometry: Geometry) -> Geometry:
-    """A pair that agrees with known poses, or with several others on a new one."""
+    """A pair that known poses, or several pairs with a common new pose, confirm: its score is at least `SURE`."""
     score = max(geometry.score, SURE)
     return replace(geometry, score=score, good_probability=probability(score))
 
 
 def epipolar_error_px(cameras: Mapping[str, Camera], pair: Pair, geometry: Geometry) -> float:
-    """Median distance of a pair's inliers to the epipolar lines of its cameras."""
+    """Median distance of a pair's inliers to the epipolar lines of its cameras, pixels."""
     F = fundamental_from_cameras(cameras[pair[0]], cameras[pair[1]])
     return float(np.median(symmetric_epipolar_distance(F, geometry.x1, geometry.x2)))
 
 
 def turned_deg(cameras: Mapping[str, Camera], pair: Pair, geometry: Geometry) -> float:
-    """Angle between a pair's relative rotation and that of its matches; nan where these have none."""
+    """Angle in degrees between a pair's relative rotation and that of its matches; nan if these have none."""
     if geometry.cam2_R_cam1 is None:
         return float("nan")
     return angle_between_deg(geometry.cam2_R_cam1, relative_pose(cameras[pair[0]], cameras[pair[1]])[0])
 
 
 def triplet_error_px(cameras: Mapping[str, Camera], triplet: Triplet) -> float | None:
-    """Median distance of the points that the two widest views give to their pixels in the third; None where these are few."""
+    """Median distance of points from the two views at the widest angle to their pixels in the third; None if there are few."""
     best: tuple[float, float] | None = None
     for third in reversed(triplet.cameras):
         x, X = seen_points(cameras, triplet, third)
@@ -201,7 +201,7 @@ def triplet_error_px(cameras: Mapping[str, Camera], triplet: Triplet) -> float |
 
 
 def seen_points(cameras: Mapping[str, Camera], triplet: Triplet, name: str) -> tuple[Float64s, Float64s]:
-    """(n, 2) pixels of one camera of a triplet, and (n, 3) the points that the other two make of them."""
+    """(n, 2) pixels of one camera of a triplet, and (n, 3) the points triangulated from the other two."""
     k = triplet.cameras.index(name)
     i, j = (n for n in range(3) if n != k)
     X = _meet(cameras[triplet.cameras[i]], cameras[triplet.cameras[j]], triplet.x[i], triplet.x[j])
@@ -210,7 +210,7 @@ def seen_points(cameras: Mapping[str, Camera], triplet: Triplet, name: str) -> t
 
 
 def _triplet(three: tuple[str, str, str], pairs: Mapping[Pair, Geometry]) -> Triplet | None:
-    """The points whose matches close: what a wrong pair says, the two others would have to say, too."""
+    """Points whose matches close around the triangle: a wrong match passes only with consistent errors in both other pairs."""
     a, b, c = three
     ab, bc, ac = pairs[a, b], pairs[b, c], pairs[a, c]
     first, second = _joined(ab.i2, ab.x2, bc.i1, bc.x1)  # rows of a--b and of b--c that share a keypoint of b
@@ -223,7 +223,7 @@ def _triplet(three: tuple[str, str, str], pairs: Mapping[Pair, Geometry]) -> Tri
 
 
 def _joined(i: Int32s | None, x: Float64s, j: Int32s | None, y: Float64s) -> tuple[Int64s, Int64s]:
-    """Rows of two lists of points of one view that are the same keypoint, or at the same place where there are no keypoints."""
+    """Rows of two lists of points of one view that are the same keypoint, or at the same place if there are no keypoints."""
     if i is None or j is None:
         return same_places(x, y)
     _, rows, others = np.intersect1d(i, j, return_indices=True)
@@ -231,7 +231,7 @@ def _joined(i: Int32s | None, x: Float64s, j: Int32s | None, y: Float64s) -> tup
 
 
 def _meet(left: Camera, right: Camera, x1: Float64s, x2: Float64s) -> Float64s:
-    """(n, 3) world points of matches, nan where the rays are too parallel."""
+    """(n, 3) world points of matches, nan if the rays are too parallel."""
     X = backproject(left, x1, triangulate_depth(left, right, x1, x2)[0])
     X[~(ray_angles(X - left.C, X - right.C) > MIN_ANGLE)] = np.nan
     return X
@@ -244,15 +244,15 @@ def without_baseline(
     min_angle_deg: float,
     metric: bool,
 ) -> Rejected | None:
-    """Why a site whose cameras are all (almost) at one place makes no cloud; None where some pair has a baseline.
+    """Why a site with all cameras (almost) at one place yields no cloud; None if some pair has a baseline.
 
     Parameters
     ----------
     names : all cameras.
-    known : those whose poses are known.
-    geometries : of the pairs.  As long as a camera is in no pair of matches that agree and whose angle is known, nothing is said.
-    min_angle_deg : a pair has a baseline if the rays of its matches meet at this or more (median), in degrees.
-    metric : known positions are in metres.
+    known : the cameras whose poses are known.
+    geometries : of the pairs.  Unless each camera is in a pair of known angle whose matches agree, None is returned.
+    min_angle_deg : smallest median angle between the rays of a pair's matches that counts as a baseline, in degrees.
+    metric : whether known positions are in metres.
     """
     angles = {}
     for pair, geometry in geometries.items():

@@ -1,6 +1,6 @@
 """Adjust known poses to the images within their standard deviations: the most probable cameras given both, and their covariance.
 
-The covariance tells how well the rows of a pair are known: dense matching needs these to about a pixel."""
+The covariance gives the uncertainty of a pair's rows, which dense matching needs to about a pixel."""
 
 from __future__ import annotations
 
@@ -21,35 +21,35 @@ from ..types import Camera, Float64s, Geometry, Pair, at_rows
 from .pose_check import BELIEVED, DEVIATIONS, PAIR_PX, PoseConstraints, Sigma, slack_px
 
 MIN_MATCHES = 20
-"""A pair adjusts its cameras if so many of its matches lie within what the standard deviations allow..."""
+"""A pair enters the adjustment only if this many of its matches lie within the tolerance of the stated poses."""
 MIN_SHARE = 0.5
-"""...and this share of them..."""
+"""A pair enters the adjustment only if this share of its matches lies within the tolerance of the stated poses."""
 MIN_SHARE_OF_TRUSTED = 0.3
-"""...or this one where they show no look-alikes."""
+"""Replaces `MIN_SHARE` for matches that contain no look-alikes."""
 LEAST_NOISE_PX = 0.2
-"""Standard deviation of the matches at least: those of a pair err together, however small their residuals."""
+"""Smallest standard deviation of the matches: errors within a pair are correlated, however small the residuals."""
 ALONE, CONFIRMED = 4.0, 400.0
-"""The matches of a pair weigh no more than so many with a noise of one pixel: what errs together does not average out.  Of a pair
-alone a part may show look-alikes that the standard deviations allow (on a tiled square, a third of its matches, 6 px off); pairs
-that a third camera confirms have none."""
+"""Largest weight of a pair's matches, as a number of independent matches with a noise of one pixel: correlated errors do not
+average out.  The first is for pairs alone, which may contain look-alikes within the standard deviations (on a tiled square, a
+third of the matches, 6 px off), the second for pairs that a third camera confirms, which contain none."""
 NOISES = 3.0
 """Scale of the Cauchy loss, in standard deviations of the noise."""
 ROUNDS = 4
 MIN_ANGLE = np.radians(1.0)
-"""Rays that meet at less than this don't make a point."""
+"""Rays that meet at less than this (radians) yield no point."""
 
 
 def adjust_within_priors(
     cameras: Mapping[str, Camera], sigmas: Mapping[str, Sigma], geometries: Mapping[Pair, Geometry], *, trusted: bool = False
 ) -> AdjustedPoses:
-    """The most probable cameras, given their stated poses with their standard deviations and the matches that these allow.
+    """The most probable cameras, given their stated poses with standard deviations and the matches that these allow.
 
     Parameters
     ----------
-    cameras, sigmas : as they are stated, and how well they are known; one that is not named in `sigmas` is exact, and stays.
-    geometries : matches of the pairs.  Those of pairs that are not believed don't count, nor those that are farther from the
-        epipolar lines than the standard deviations allow.
-    trusted : whether they show no look-alikes: then each pair has the weight of a confirmed one.
+    cameras, sigmas : stated cameras, and their standard deviations; cameras not named in `sigmas` are exact, and stay fixed.
+    geometries : matches of the pairs.  Improbable pairs are ignored, and matches that are farther from the epipolar lines than
+        the standard deviations allow.
+    trusted : whether the matches contain no look-alikes: each pair then has the weight of a confirmed one.
     """
     names = tuple(cameras)
     number = {name: k for k, name in enumerate(names)}
@@ -78,7 +78,7 @@ def adjust_within_priors(
         if not strayed:
             adjusted = {name: found[number[name]] for name in names}
             return stated_only if problem is None else stated_only.with_images(adjusted, *problem.known_to(found, names))
-        worst = max(strayed, key=strayed.__getitem__)  # it stays where it is stated, and has no say about the others
+        worst = max(strayed, key=strayed.__getitem__)  # it stays as stated, and no longer influences the others
         gone = {view for view in stated if view == worst or same_camera(stated[view], stated[worst])}
         known = {view: sigma for view, sigma in known.items() if view not in gone}
         edges = {edge: geometry for edge, geometry in edges.items() if not gone & {*edge}}
@@ -86,20 +86,20 @@ def adjust_within_priors(
 
 
 def _strays(found: Camera, stated: Camera, sigma: Sigma) -> float:
-    """How far a camera is from where it is stated, as a share of what its standard deviations allow."""
+    """Distance of a camera from its stated pose, as a share of what its standard deviations allow."""
     metres = float(np.linalg.norm(found.C - stated.C))
     degrees = float(np.degrees(np.linalg.norm(rotation_vector(found.R @ stated.R.T))))
-    limit = DEVIATIONS * float(np.sqrt(3))  # of three coordinates
+    limit = DEVIATIONS * float(np.sqrt(3))  # three coordinates together
     return max(metres / (limit * sigma.metres + 1e-9), degrees / (limit * sigma.degrees + 1e-9))
 
 
 def _most_probable(
     stated: Mapping[int, Camera], known: Mapping[int, Sigma], tracks: Tracks, weight: float
 ) -> tuple[dict[int, Camera], _Problem | None]:
-    """Rounds of least squares over cameras and points, with the matches that fit and the noise that they turn out to have.  Also
-    the last of these problems.
+    """Rounds of least squares over cameras and points, each with the inliers and the noise found so far; also returns the
+    last of these problems.
 
-    weight: of all matches together at most, as that of so many with a noise of one pixel.
+    weight: largest weight of all matches together, as a number of matches with a noise of one pixel.
     """
     cameras = dict(stated)
     noise = 2.0
@@ -126,27 +126,27 @@ def _most_probable(
 
 
 class _Problem:
-    """Least squares over the loose cameras; each point is where the cameras see it best, so that steps count cameras only."""
+    """Least squares over the loose cameras; each point is at its optimum, so that steps contain cameras only."""
 
     def __init__(
         self, stated: Mapping[int, Camera], known: Mapping[int, Sigma], tracks: Tracks, noise: float, share: float
     ) -> None:
-        """tracks: the observations in use; share: weight of the images against what is stated."""
+        """tracks: the observations in use; share: weight of the images relative to the stated poses."""
         self.stated, self.known, self.tracks, self.noise, self.share = stated, known, tracks, noise, share
         rigs = {view: views[0] for views in rigs_of({v: stated[v] for v in known}).values() for view in views}
         self.first = {view: rigs.get(view, view) for view in known}
-        """Views of one camera move as its first."""
+        """The first view of each one's camera, with which it moves."""
         blocks = {view: 6 * k for k, view in enumerate(dict.fromkeys(self.first.values()))}
         self.place = {view: blocks[first] for view, first in self.first.items()}
         self.size = 6 * len(blocks)
         self.turns = {v: between(stated[first].lens, stated[v].lens) for v, first in self.first.items() if first != v}
 
     def points(self, cameras: Mapping[int, Camera]) -> Float64s:
-        """(count, 3) where the observations meet."""
+        """(count, 3) points triangulated from the observations."""
         return triangulate(cameras, self.tracks, np.ones(len(self.tracks.track), bool), NOISES * self.noise)
 
     def moved(self, cameras: Mapping[int, Camera], step: Float64s) -> dict[int, Camera]:
-        """The cameras after a step: for each loose one a turn in its own axes, and a shift."""
+        """The cameras after a step: for each loose one a rotation in its own axes, and a shift."""
         found = dict(cameras)
         for view, k in self.place.items():
             camera = cameras[view]
@@ -155,7 +155,7 @@ class _Problem:
         return found
 
     def known_to(self, cameras: Mapping[int, Camera], names: tuple[str, ...]) -> tuple[dict[str, Place], Float64s]:
-        """Where the cameras' turns and shifts are in the covariance (n, n), and that, as far as the equations tell it."""
+        """Indices of the cameras' rotations and shifts in the covariance (n, n), and the covariance by the equations."""
         whole = np.eye(3)
         places = {names[view]: Place(k, self.turns.get(view, whole)) for view, k in self.place.items()}
         covariance = np.asarray(np.linalg.inv(self.equations(cameras)[1]), dtype=np.float64)
@@ -199,7 +199,7 @@ class _Problem:
         return self._with_priors(cameras, cost, normal, right)
 
     def _jacobians(self, cameras: Mapping[int, Camera], X: Float64s) -> tuple[Float64s, Float64s]:
-        """(n, 2, 6) by turn and shift of the observation's camera, and (n, 2, 3) by its point, of observed minus projected."""
+        """Derivatives of observed minus projected by rotation and shift of the camera (n, 2, 6), and by the point (n, 2, 3)."""
         tracks = self.tracks
         J_camera, J_point = np.zeros((len(tracks.track), 2, 6)), np.zeros((len(tracks.track), 2, 3))
         for view, camera in cameras.items():
@@ -224,7 +224,7 @@ class _Problem:
             turned = rotation_vector(camera.R @ stated.R.T)
             for first, off, known in ((0, turned, np.radians(sigma.degrees)), (3, camera.C - stated.C, sigma.metres)):
                 own = slice(k + first, k + first + 3)
-                if known == 0:  # exact: stays
+                if known == 0:  # exact: stays fixed
                     normal[own], normal[:, own], right[own] = 0.0, 0.0, 0.0
                     normal[own, own] = np.eye(3)
                     continue
@@ -236,34 +236,34 @@ class _Problem:
 
 @dataclass(frozen=True)
 class Place:
-    """Where a camera's turn (3, radians) and shift (3) are in a covariance."""
+    """Indices of a camera's rotation (3, radians) and shift (3) in a covariance."""
 
     first: int
     """Row of the first of the six."""
     turn: Float64s
-    """(3, 3) from the axes of the turn to the camera's own: views of one camera turn as the first of them."""
+    """(3, 3) from the axes of the rotation to the camera's own: views of one camera turn with its first one."""
 
 
 @dataclass(frozen=True)
 class AdjustedPoses:
-    """Cameras in their most probable places, with the covariance of those that are not exact."""
+    """Cameras at their most probable poses, with the covariance of those that are not exact."""
 
     cameras: dict[str, Camera]
     """By id."""
     places: Mapping[str, Place]
-    """Of those that are not exact."""
+    """For each camera that is not exact, by id."""
     covariance: Float64s
     """(n, n)."""
 
     @classmethod
     def as_stated(cls, cameras: Mapping[str, Camera], sigmas: Mapping[str, Sigma]) -> AdjustedPoses:
-        """Cameras of which the images say nothing; sigmas: of those that are not exact."""
+        """The stated cameras, without information from the images; sigmas: of those that are not exact."""
         own = [(np.radians(sigma.degrees),) * 3 + (sigma.metres,) * 3 for sigma in sigmas.values()]
         places = {name: Place(6 * k, np.eye(3)) for k, name in enumerate(sigmas)}
         return cls(dict(cameras), places, np.diag(np.square(np.array(own, dtype=np.float64).reshape(-1))))
 
     def with_images(self, cameras: dict[str, Camera], places: Mapping[str, Place], covariance: Float64s) -> AdjustedPoses:
-        """These cameras, some of them as the images place them."""
+        """The adjusted `cameras`, with the covariance that the images give those in `places`."""
         n = len(self.covariance)
         both = np.zeros((n + len(covariance),) * 2)
         both[:n, :n], both[n:, n:] = self.covariance, covariance
@@ -271,7 +271,7 @@ class AdjustedPoses:
         return AdjustedPoses(cameras, {**self.places, **adjusted}, both)
 
     def row_sigmas_px(self, pair: Pair, x1: Float64s, x2: Float64s) -> Float64s:
-        """(n,) standard deviation of how far points x1, x2 (n, 2) of two cameras are from the epipolar lines, to first order."""
+        """(n,) standard deviation of the distance of points x1, x2 (n, 2) of a pair to the epipolar lines, to first order."""
         firsts = {self.places[name].first for name in pair if name in self.places}
         rows = [first + k for first in sorted(firsts) for k in range(6)]
         values, vectors = np.linalg.eigh(self.covariance[np.ix_(rows, rows)])
@@ -283,7 +283,7 @@ class AdjustedPoses:
         return np.sqrt(square)
 
     def _off_lines(self, pair: Pair, x1: Float64s, x2: Float64s, step: Mapping[int, float]) -> Float64s:
-        """(n,) distances of x2 to the lines of x1, with sign, after a step."""
+        """(n,) signed distances of x2 to the epipolar lines of x1, after a step."""
         left, right = (self._moved(name, step) for name in pair)
         lines = homogeneous(x1) @ fundamental_from_cameras(left, right).T
         return np.asarray(np.sum(lines * homogeneous(x2), axis=1) / np.linalg.norm(lines[:, :2], axis=1), dtype=np.float64)

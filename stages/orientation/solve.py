@@ -1,4 +1,4 @@
-"""Cameras from the geometries of their pairs: grow models, put them into the world, judge every pair by them."""
+"""Solve cameras from the geometries of their pairs: grow models, align them with the world, judge every pair by them."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from .triplet_consistency import FEWEST, MOST_INCONSISTENCY, inconsistency
 from .world import World, to_world
 
 WORSE = 1.25
-"""A pair is flagged where the adjusted F is worse on its inliers than its own by this factor and by `WORSE_PX`."""
+"""A pair is flagged if its inliers fit the adjusted F worse than its own F by this factor and by `WORSE_PX`."""
 WORSE_PX = 0.1
 
 
@@ -45,7 +45,7 @@ def solve_from_pairs(
     ----------
     views, placements, geometries, survey, max_rotation_error_deg, max_epipolar_px : see `poses.solve_poses`.
     stated : cameras whose intrinsics and poses are both known, by id.
-    usual : what the check of the site's loops goes by.
+    usual : statistics of scenes that do not repeat, for the check of the site's loops.
     """
     exact = {n: camera for n, camera in stated.items() if placements[n].sigma_m == 0 and placements[n].sigma_deg == 0}
     graph = ViewGraph.of(views, _obeying(exact, geometries, max_epipolar_px))
@@ -73,20 +73,20 @@ def solve_from_pairs(
 
 
 def _refined(grown: Sequence[Model], believed: Mapping[Edge, Geometry], max_epipolar_px: float) -> tuple[list[Model], list[int]]:
-    """The models that are left once all is adjusted, and the views that have no support."""
+    """The models after adjustment, without unsupported views; and the views that were removed."""
     adjusted = [with_principal_points(refine(model, rounds=3)) for model in grown]
     supported = [without_unsupported(model, believed, max_epipolar_px) for model in adjusted]
     return [model for model, _ in supported if model.use.any()], [view for _, out in supported for view in out]
 
 
 def _obeying(exact: Mapping[str, Camera], geometries: Mapping[Pair, Geometry], max_epipolar_px: float) -> dict[Pair, Geometry]:
-    """The geometries without pairs of known cameras that contradict these, and with the known pose in those that don't."""
+    """The geometries without pairs of known cameras that contradict these, and with the known poses of the other such pairs."""
     found = {}
     for pair, geometry in geometries.items():
         if set(pair) <= set(exact):
             if not epipolar_error_px(exact, pair, geometry) <= max_epipolar_px:
                 continue
-            if geometry.good_probability >= BELIEVED:  # others may match look-alikes along the epipolar lines
+            if geometry.good_probability >= BELIEVED:  # improbable pairs may match look-alikes along the epipolar lines
                 R, t = relative_pose(*(exact[name] for name in pair))
                 t /= np.linalg.norm(t)
                 geometry = replace(confirmed(geometry), cam2_R_cam1=R, cam2_t_cam1=t)
@@ -105,10 +105,10 @@ def _collect(
     max_epipolar_px: float,
     survey: Survey,
 ) -> Poses:
-    """All worlds as one result: those in the site's frame are the first component, each other is one of its own."""
+    """All worlds as one result: those in the site's frame are the first component, each other world is one of its own."""
     worlds = sorted(worlds, key=lambda world: not world.placed)
     main = worlds[0]
-    if not main.placed and len(exact) >= 2:  # what is solved has no place among the known cameras
+    if not main.placed and len(exact) >= 2:  # the solved model is not aligned with the known cameras
         main = replace(main, metric=exact_metric, scale="calibration" if exact_metric else "calibration, not metric", placed=True)
     cameras: dict[str, Camera] = dict(exact) if main.placed else {}
     groups: list[list[str]] = [list(cameras)]
@@ -177,7 +177,7 @@ def _check(
     R = graph.rotations.get(edge)
     off = float("nan") if R is None else angle_between_deg(R, relative_pose(left, right)[0])
     if straight <= max_epipolar_px:
-        why = None  # cameras that were solved without the pair agree with it after all
+        why = None  # cameras that were solved without this pair agree with it after all
     elif why is None:
         why = Rejected(Reason.CONTRADICTS_CAMERAS, {"epipolar_px": straight})
     flagged = adjusted > max(WORSE * own, own + WORSE_PX)
@@ -195,7 +195,7 @@ def _why_unsolved(graph: ViewGraph, name: str, dropped: Mapping[Edge, Rejected],
     if not mine:
         return "no pair with it has a geometry"
     if all(edge in dropped for edge in mine):
-        unbacked = (Reason.UNCONFIRMED, Reason.NOT_BELIEVED)  # for want of evidence: in no triangle nothing can contradict a pair
+        unbacked = (Reason.UNCONFIRMED, Reason.NOT_BELIEVED)  # lack of evidence: without triangles, nothing contradicts a pair
         if all(dropped[edge].why in unbacked and not dropped[edge].figures["triangles"] for edge in mine):
             which = f"none of its {len(mine)} pairs" if len(mine) > 1 else "its only pair"
             believed = "is" if len(mine) > 1 else "is not"
@@ -208,9 +208,9 @@ def _why_unsolved(graph: ViewGraph, name: str, dropped: Mapping[Edge, Rejected],
 
 
 def _joins(graph: ViewGraph, groups: list[list[str]]) -> tuple[str, ...]:
-    """For each further component the pair that would join it to the main one best.
+    """For each further component, the pair that would join it best to the main one.
 
-    Of cameras that already see much: the one with most inliers on each side.
+    It consists of the camera with most inliers on each side.
     """
 
     def strength(name: str) -> int:
@@ -223,20 +223,20 @@ def _joins(graph: ViewGraph, groups: list[list[str]]) -> tuple[str, ...]:
 
 
 def straight_error_px(left: Camera, right: Camera, geometry: Geometry) -> float:
-    """Median distance of a pair's inliers, lenses straightened, to the epipolar lines of its cameras."""
+    """Median distance of a pair's inliers, with radial distortion removed, to the epipolar lines of its cameras."""
     x1, x2 = without_distortion(left, geometry.x1), without_distortion(right, geometry.x2)
     return float(np.median(symmetric_epipolar_distance(fundamental_from_cameras(left, right), x1, x2)))
 
 
 def without_unsupported(model: Model, geometries: Mapping[Edge, Geometry], max_epipolar_px: float) -> tuple[Model, list[int]]:
-    """The refined model without cameras whose believed pairs contradict it with more inliers than agree, and which these are.
+    """The refined model without cameras whose accepted pairs contradict it with more inliers than agree, and the removed views.
 
-    A few points of look-alikes that three views share place a camera as well as right ones do, and the adjustment then throws the
-    right ones out: what is left agrees, though the pair that sees most does not.  Known cameras stay.  A pair agrees up to a
-    median distance of `max_epipolar_px` to the epipolar lines of its cameras.
+    A few points of look-alikes that three views share can place a camera as well as right ones do, and the adjustment then
+    rejects the right ones: the rest agrees, although the pair with most matches does not.  Known cameras stay.  A pair agrees
+    up to a median distance of `max_epipolar_px` to the epipolar lines of its cameras.
     """
     out: list[int] = []
-    first_of = {view: first for first, views in rigs_of(model.cameras).items() for view in views}  # these go together
+    first_of = {view: first for first, views in rigs_of(model.cameras).items() for view in views}  # removed together
     while len(model.cameras) > 2:
         balance = dict.fromkeys((first_of.get(view, view) for view in model.cameras if view not in model.held), 0)
         for (i, j), geometry in geometries.items():

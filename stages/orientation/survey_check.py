@@ -1,4 +1,4 @@
-"""Do distances, control points and units agree with where the cameras stand in the end?"""
+"""Do stated distances, control points and units agree with the final positions of the cameras?"""
 
 from __future__ import annotations
 
@@ -12,21 +12,21 @@ from ..core.cameras import camera_id
 from ..types import Float64s, Placement, Poses, Survey, View
 
 DISTANCE_SHARE = 0.03
-"""A stated distance may differ from that of the cameras by this share, and three standard deviations of their positions."""
+"""Tolerance of a stated distance: this share of it, plus three standard deviations of the camera positions."""
 POINT_SHARE = 0.02
-"""A control point may lie off by this share of its distance from the cameras, and as many standard deviations."""
+"""Tolerance of a control point: this share of its distance from the cameras, plus three standard deviations of positions."""
 NEAREST_M = (0.05, 1000.0)
-"""Metres from a camera to the nearest other one, median over a site: less than two housings take, more than any site of local
-coordinates has."""
+"""Plausible range of the median distance from a camera to its nearest neighbour, in metres: less than two housings take, and more
+than any site of local coordinates has."""
 
 
 def check_survey(poses: Poses, views: Mapping[str, View], placements: Mapping[str, Placement], survey: Survey) -> Poses:
-    """Return the poses with what the site states, and the cameras contradict.
+    """Return the poses with the statements of the site that the cameras contradict.
 
     Parameters
     ----------
-    poses, views : the cameras as they are in the end, and the pinhole of each one's frame.
-    placements, survey : what is stated of the poses, by id, and of distances and control points.
+    poses, views : the final cameras, and the pinhole of each one's frame.
+    placements, survey : stated poses by id; stated distances and control points.
     """
     cameras = poses.main_cameras()
     if not poses.metric or len(cameras) < 2:
@@ -43,7 +43,7 @@ def check_survey(poses: Poses, views: Mapping[str, View], placements: Mapping[st
             if abs(found - stated) > DISTANCE_SHARE * min(stated, found) + np.sqrt(2) * sigma:
                 distances[f"{a}--{b}"] = float(stated), found
     if len(survey.points):
-        from .world import control_landmarks  # here: few sites have control points, and it takes what solves poses
+        from .world import control_landmarks  # imported here: few sites have control points, and it loads the pose solver
 
         names = list(views)
         numbered = {names.index(name): camera for name, camera in cameras.items()}
@@ -58,6 +58,6 @@ def check_survey(poses: Poses, views: Mapping[str, View], placements: Mapping[st
 
 
 def _nearest(centres: Mapping[str, Float64s]) -> float:
-    """Median distance from a camera to the nearest other one."""
+    """Median distance from a camera to its nearest neighbour."""
     C = np.array([*centres.values()])
-    return float(np.median(cKDTree(C).query(C, 2)[0][:, 1]))  # the nearest of all is itself
+    return float(np.median(cKDTree(C).query(C, 2)[0][:, 1]))  # the first neighbour of each is itself

@@ -1,10 +1,10 @@
 """Do solved cameras fit the matches that a third camera confirms?
 
-Where things repeat along a row (parked cars, windows), matches to the neighbour of the right thing agree with a pose of their
-own, and far surfaces that are matched rightly bend to it by fractions of a pixel: every pair looks well, and so do its loops.
-Three cameras that are all matched with each other tell more: a match is confirmed where the way over the third camera ends at
-the same place.  In a car park that was solved .6 degrees off, 68 to 81 % of the matches of the worst pairs were right, and 96 to
-99 % of their confirmed ones.  Cameras that all matches place where these alone would not have them rest on others.
+If things repeat along a row (parked cars, windows), matches to the neighbour of the right thing agree with a pose of their own,
+and right matches of far surfaces bend to it by fractions of a pixel: every pair looks good, and so do its loops.  Three cameras
+that are all matched with each other give more evidence: a match is confirmed if the chain of matches through the third camera
+ends at the same place.  In a car park that was solved 0.6 degrees off, 68 to 81 % of the matches of the worst pairs were right,
+and 96 to 99 % of their confirmed ones.  If confirmed matches alone place the cameras elsewhere, wrong matches have bent them.
 """
 
 from __future__ import annotations
@@ -22,25 +22,25 @@ from ..types import Camera, Float64s, Geometry
 from .lens_sigma import RAYLEIGH
 
 MOST_INCONSISTENCY = 16.0
-"""More is not noise: cameras with stated lenses that were right had .9 to 4.3, with solved ones 1.7 to 5.4 (photographs) and 12.6
-to 14.0 (yards, .45 % of their size off, whose lenses k1 and k2 do not describe); wrong ones 22 to 57 (car parks, houses)."""
+"""Larger values are not noise.  Right cameras had 0.9 to 4.3 with stated lenses; with solved ones 1.7 to 5.4 (photographs), 12.6
+to 14.0 (yards 0.45 % of their size off, whose lenses k1 and k2 do not describe).  Wrong ones had 22 to 57 (car parks, houses)."""
 FEWEST = 15
-"""A camera with fewer confirmed observations is not asked, and of a pair with fewer confirmed matches all are taken."""
+"""Fewest confirmed observations of a camera for it to be checked, and fewest confirmed matches of a pair that replace all."""
 LEAST_PX = 0.05
-"""No picture tells places better."""
+"""Smallest noise: no image locates points better."""
 LENS_SHARE = 1.2e-4
-"""What lenses leave may tell them apart by so much, as a share of the long side, 0.09 px of 768: thousands of matches make any
-difference significant.  Fitted between three photographs of an entry, 0.2 degrees off (0.7e-4), and a car park 3 degrees off
-(2e-4); judged on a small car park and a platform that are wrong (6 to 19e-4), on a right yard and fountain (at most 1.1e-4)."""
+"""Tolerated misfit due to lenses, as a share of the long side (0.09 px of 768): with thousands of matches, any difference is
+significant.  Chosen between three photographs of an entry, 0.2 degrees off (0.7e-4), and a car park 3 degrees off (2e-4); tested
+on a wrong small car park and platform (6 to 19e-4), and on a right yard and fountain (at most 1.1e-4)."""
 OUTLIER = 2.0
-"""Errors beyond so many standard deviations count as their length, not its square."""
+"""Errors beyond this many standard deviations count with their length instead of its square."""
 
 
 def inconsistency(model: Model, geometries: Mapping[Edge, Geometry]) -> float:
     """By how much confirmed observations fit cameras of their own better: the loss in squared standard deviations of their noise,
-    for each degree of freedom of the cameras.  About one where all matches tell the same; nan where too few are confirmed.
+    per degree of freedom of the cameras.  About one if all matches are consistent; nan if too few are confirmed.
 
-    model: as it was solved from all matches; geometries: the pairs that were believed.
+    model: as it was solved from all matches; geometries: the accepted pairs.
     """
     mine = {edge: geometry for edge, geometry in geometries.items() if edge[0] in model.cameras and edge[1] in model.cameras}
     tracks = build_tracks(consistent_matches(mine), 1 + max(model.cameras))
@@ -60,13 +60,13 @@ def inconsistency(model: Model, geometries: Mapping[Edge, Geometry]) -> float:
     loss = 2 * OUTLIER**2 * (np.hypot(1, together[finite] / scale) - np.hypot(1, apart[finite] / scale))
     loss -= (LENS_SHARE * max(max(camera.width, camera.height) for camera in asked.values()) / sigma) ** 2
     free = [view for view in own.cameras if view not in own.held]
-    frame = 7 if len(own.held) == 0 else 1 if len(own.held) == 1 else 0  # that the poses share
+    frame = 7 if len(own.held) == 0 else 1 if len(own.held) == 1 else 0  # free parameters of the frame that all poses share
     freedoms = 6 * len(free) - frame + 3 * len({own.lenses[view] for view in free if view in own.lenses})
     return float(max(loss.sum(), 0.0)) / max(1, freedoms)
 
 
 def _errors(model: Model, cameras: Mapping[int, Camera]) -> Float64s:
-    """(n,) pixels by which the observations of a model miss their points, with these cameras and the points that suit them."""
+    """(n,) errors in pixels of a model's observations with these cameras, and with points triangulated for them."""
     other = replace(model, cameras=dict(cameras))
     X = triangulate(other.cameras, other.straight, model.use, 1.0)
     return replace(other, X=X).error_px()[model.use]

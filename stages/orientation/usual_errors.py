@@ -1,9 +1,9 @@
-"""Stated poses that are off by what surveys usually leave are put right by the matches.
+"""Correct stated poses by the matches if they are off by no more than surveys usually are.
 
-A pose without standard deviations counts as exact.  On real sites it is off by hundredths of a degree and by millimetres all the
-same, which costs partners beside the rows, and surfaces where pairs meet.  So poses within such errors replace the stated ones
-where they bring matches that third cameras confirm back to where the pairs' own geometry has them.  Such small changes explain
-neither look-alikes nor a wrong lens nor a camera that was moved: these are left to the checks of stated poses.
+A pose without standard deviations counts as exact.  On real sites it is still off by hundredths of a degree and by millimetres,
+which moves partners off the rows, and displaces surfaces where pairs meet.  So poses within such errors replace the stated ones
+if matches that third cameras confirm then fit as well as under the pairs' own geometry.  Such small changes explain neither
+look-alikes nor a wrong lens nor a camera that was moved: these are left to the checks of stated poses.
 """
 
 from __future__ import annotations
@@ -19,23 +19,23 @@ from .pose_check import PoseConstraints, Sigma
 from .pose_prior_adjustment import adjust_within_priors
 
 USUAL_DEG, USUAL_SHARE = 0.03, 5e-4
-"""Standard deviations of usual surveys: of rotations, degrees, and of positions, as a share of the distance to what is seen."""
+"""Standard deviations of usual surveys: of rotations, degrees, and of positions, as a share of the distance to the scene."""
 LEAST_GAIN, LEAST_WEIGHT = 0.1, 100.0
-"""Better poses lower the misfit by so much, and by so much in all matches together..."""
+"""Smallest reduction of the misfit by corrected poses, and smallest value of that times the number of matches."""
 LEFT = 1.05
-"""...to this at most.  Fountain and entry with errors of 0.005 to 0.04 degrees or 5 to 10 mm: from 1.17 to 6.5 to 1.03 at
-most; one of 438 faults on twelve rendered scenes, which does little harm, is taken for them."""
+"""Largest misfit under corrected poses.  Fountain and entry with errors of 0.005 to 0.04 degrees or 5 to 10 mm: from 1.17 to 6.5
+down to at most 1.03.  One of 438 faults on twelve rendered scenes, which does little harm, is mistaken for such errors."""
 MOST_SHARED = 0.8
-"""Where a cause that all cameras share, such as longer focal lengths, lowers the misfit by this share of that or more, poses only
-hide it (errors of poses 0.04 to 0.72; focal lengths 0.5 and 1.5 % too long 0.93 and 1.25)."""
+"""Poses are not corrected if a cause that all cameras share, such as longer focal lengths, reduces the misfit by this share of
+their reduction: they would hide it (errors of poses 0.04 to 0.72; focal lengths 0.5 and 1.5 % too long 0.93 and 1.25)."""
 _POSES = ("", "turned", "moved")
-"""Causes of a contradiction that are poses."""
+"""Causes of a contradiction that concern only poses; "" is no cause."""
 
 
 def put_right(
     cameras: Mapping[str, Camera], geometries: Mapping[Pair, Geometry]
 ) -> tuple[dict[str, Camera], CalibrationCheck | None]:
-    """Better cameras within the usual errors, or the same, and what the check of the calibration says of them.
+    """Cameras corrected within the usual errors, or the stated ones, and the check of the calibration for them.
 
     Parameters
     ----------
@@ -58,7 +58,7 @@ def put_right(
 
 
 def _usual(cameras: Mapping[str, Camera], geometries: Mapping[Pair, Geometry]) -> dict[str, Sigma]:
-    """The usual errors of cameras that see something, by the distance to that."""
+    """The usual errors of cameras that have matches, from the median distance to these."""
     found: dict[str, list[float]] = {}
     for pair, geometry in geometries.items():
         one, other = (cameras[name] for name in pair)

@@ -1,7 +1,6 @@
-"""Put a solved model into the world: the arbitrary frame and scale are aligned with known positions, poses, control points,
-distances.
+"""Align a solved model with the world: known positions, poses, control points and distances fix its arbitrary frame and scale.
 
-All that is known is compared with the solved model at once, and what contradicts the rest is named instead of bending it."""
+All known data are compared with the solved model at once, and data that contradict the rest are named instead of bending it."""
 
 from __future__ import annotations
 
@@ -24,39 +23,40 @@ from ..sfm.view_graph import ViewGraph
 from ..types import Camera, Float64s, Placement, Survey, View
 
 EXACT_SHARE = 1e-4
-"""An exact position without a rotation counts as known to this share of the scene's distance..."""
+"""Assumed standard deviation of an exact position without a rotation, as a share of the scene's distance."""
 LOOSE_SHARE = 0.005
-"""...and where all are known no better than this, the images know the shape better: they give frame and scale only."""
+"""If all positions are known less well than this share of the scene's distance, they only give frame and scale: the images
+determine the shape better."""
 
 
 @dataclass(frozen=True)
 class World:
-    """A model of one connected part of the site, in the world or in a frame of its own."""
+    """A model of one connected part of the site, in world coordinates or in a frame of its own."""
 
     model: Model
     placed: bool
-    """The frame is that of the site's known positions."""
+    """Whether the frame is that of the site's known positions."""
     metric: bool
     scale: str
-    """Where it comes from."""
+    """Source of the scale."""
     suspects: dict[str, str]
-    """Known poses that the images contradict, by id."""
+    """Known poses that the images contradict and that are left out, by id, with the reason."""
     doubtful: Mapping[str, str] = field(default_factory=dict)
-    """Known poses in use, by id, that the model of the others has elsewhere."""
+    """Known poses that stay in use although the model of the others contradicts them, by id, with the reason."""
     contradicting: Mapping[str, str] = field(default_factory=dict)
-    """Known poses, by id, that the model contradicts so far that it stands apart."""
+    """Known poses that the model contradicts so much that it is not aligned with them, by id, with the reason."""
 
 
 def to_world(graph: ViewGraph, model: Model, placements: Mapping[str, Placement], survey: Survey) -> World:
-    """The model in the frame and scale of what is known, which then stays.
+    """The model in the frame and scale of the known data; trusted poses then stay fixed.
 
     Parameters
     ----------
     graph, model : views and their names; cameras and points in a frame of their own.
-    placements, survey : what is known of the poses, by id, and of distances and control points.
+    placements, survey : known poses by id; known distances and control points.
     """
     cameras = model.cameras
-    beside = {view for views in rigs_of(cameras).values() for view in views[1:]}  # where they are says nothing more
+    beside = {view for views in rigs_of(cameras).values() for view in views[1:]}  # their positions add no information
     firsts = [view for view in cameras if view not in beside]
     placed = {view: placements[name] for view in firsts if (name := graph.names[view]) in placements}
     landmarks = [
@@ -76,14 +76,14 @@ def to_world(graph: ViewGraph, model: Model, placements: Mapping[str, Placement]
         model = _moved(model, _own_frame(graph, cameras, landmarks, up, scale))
         again = {graph.names[view] for views in rigs_of(dict(enumerate(graph.views))).values() for view in views[1:]}
         count = sum(p.C is not None for name, p in placements.items() if name not in again)
-        alone = count == 1  # without a scale it fits nothing else that is placed
+        alone = count == 1  # without a scale, a model cannot be placed relative to several known positions
         return World(model, bool(landmarks) and (known_scale or alone), known_scale, why, {})
     trusted, doubted = alignment.trusted, alignment.doubted
     unplaced, model = model, _moved(model, alignment.similarity)
     exact = [view for view, p in placed.items() if p.R is not None and p.C is not None and max(p.sigma_m, p.sigma_deg) == 0]
     number = {name: view for view, name in enumerate(graph.names)}
     held = [number[name] for name in trusted if (p := placements.get(name)) and p.R is not None and p.sigma_m == 0]
-    if len(held) < 2 <= len(exact):  # the model contradicts the known poses, and no more than it can be right
+    if len(held) < 2 <= len(exact):  # fewer than two known poses agree with the model, so these cannot place it
         names = " and ".join(graph.names[view] for view in exact)
         why_apart = f"the model of {len(cameras)} cameras contradicts the known poses of {names}: it stands apart, unverified"
         apart = {graph.names[view]: why_apart for view in exact}
@@ -119,7 +119,7 @@ def _source(trusted: tuple[str, ...], known: int) -> str:
 
 
 def _scale_of_distances(graph: ViewGraph, cameras: Mapping[int, Camera], survey: Survey) -> float | None:
-    """Metres for each unit of the model from the known distances."""
+    """Metres for each unit of the model, from the known distances; None without any."""
     ratios = []
     placed = {camera_id(graph.names[view], camera): camera.C for view, camera in cameras.items()}
     for i, j, metres in survey.distances:
@@ -132,8 +132,8 @@ def _scale_of_distances(graph: ViewGraph, cameras: Mapping[int, Camera], survey:
 def _own_frame(
     graph: ViewGraph, cameras: Mapping[int, Camera], landmarks: list[Landmark], up: Float64s, scale: float | None
 ) -> Similarity:
-    """z up, x to the right of the first camera, which is at the origin (or at its known place).  Without a scale the baselines of
-    the pairs that were matched are 1 in the median."""
+    """Frame with z up and x to the right of the first camera, which is at the origin (or at its known position).  Without a
+    scale, the median baseline of the matched pairs becomes 1."""
     if scale is None:
         lengths = [np.linalg.norm(cameras[i].C - cameras[j].C) for i, j in graph.geometries if i in cameras and j in cameras]
         scale = 1 / float(np.median(lengths))
@@ -174,17 +174,17 @@ def _suspicion(name: str, length: float, degrees: float) -> str:
 
 
 TOLERANCE = 0.01
-"""A known position may be off by this share of the scene's distance, and three standard deviations, before it is doubted."""
+"""Tolerance of a known position: this share of the scene's distance, plus three standard deviations."""
 TOLERANCE_DEG = 1.5
-"""A known rotation may be off by so much."""
+"""Tolerance of a known rotation."""
 UP_WEIGHT = 1e-7
-"""Weight of "cameras stand upright" against what is known exactly: it decides only what nothing else does."""
+"""Weight of the assumption that cameras are upright, against exact data: it decides only what nothing else determines."""
 MOST_TRIALS = 3000
 
 
 @dataclass(frozen=True)
 class Landmark:
-    """A place that is known both in the model and in the world: a camera, or a control point."""
+    """A position that is known both in the model and in the world: of a camera, or of a control point."""
 
     name: str
     model_X: Float64s
@@ -194,19 +194,19 @@ class Landmark:
     world_R: Float64s | None = None
     """(3, 3) world to camera axes, for a camera whose rotation is known too."""
     sigma: float = 0.0
-    """Standard deviation of world_X, 0 where it is exact."""
+    """Standard deviation of world_X, 0 if it is exact."""
 
 
 @dataclass(frozen=True)
 class Alignment:
-    """How a model comes into the world."""
+    """Similarity from a model to the world, and the landmarks that support it."""
 
     similarity: Similarity
     """Model to world."""
     trusted: tuple[str, ...]
-    """Names of the landmarks that it rests on."""
+    """Names of the landmarks that agree with it."""
     doubted: dict[str, tuple[float, float]]
-    """How far off the others seem, by name: length in the world, degrees (nan where no rotation is known)."""
+    """Deviations of the other landmarks, by name: length in the world, degrees (nan if no rotation is known)."""
 
 
 def align(landmarks: Sequence[Landmark], up: Float64s, depth: float, scale: float | None = None) -> Alignment | None:
@@ -214,10 +214,10 @@ def align(landmarks: Sequence[Landmark], up: Float64s, depth: float, scale: floa
 
     Parameters
     ----------
-    landmarks : at least two; one is enough where `scale` is given.
-    up : (3,) the direction in the model that is +z in the world as far as nothing else says so.
+    landmarks : at least two; one is enough if `scale` is given.
+    up : (3,) the direction in the model that is +z in the world unless the landmarks determine another.
     depth : median distance of the scene from its cameras, in the model.
-    scale : where it is known otherwise; None is returned where neither this nor the landmarks tell it.
+    scale : if known otherwise; None is returned if neither this nor the landmarks determine it.
     """
 
     def agreement(similarity: Similarity) -> tuple[int, float]:
@@ -241,7 +241,7 @@ def align(landmarks: Sequence[Landmark], up: Float64s, depth: float, scale: floa
 def fit_similarity(landmarks: Sequence[Landmark], up: Float64s, scale: float | None = None) -> Similarity | None:
     """Least squares over landmarks (Wahba's problem over baselines and known rotations, solved by SVD); None without a scale."""
     sigmas = np.array([landmark.sigma for landmark in landmarks])
-    known = sigmas[sigmas > 0]  # exact landmarks count as a tenth of the smallest
+    known = sigmas[sigmas > 0]  # exact landmarks get a tenth of the smallest sigma
     weight = 1 / np.where(sigmas > 0, sigmas, 0.1 * known.min() if len(known) else 1.0) ** 2
     weight /= weight.sum()
     source = np.array([landmark.model_X for landmark in landmarks])
@@ -264,7 +264,7 @@ def fit_similarity(landmarks: Sequence[Landmark], up: Float64s, scale: float | N
 
 
 def upward(cameras: Sequence[Camera]) -> Float64s:
-    """(3,) the direction that is most likely up: cameras are hung level, so their x axes are horizontal and their y axes point
+    """(3,) the direction that is most likely up: cameras are mounted level, so their x axes are horizontal and their y axes point
     down."""
     x = np.array([camera.R[0] for camera in cameras])
     down = np.mean([camera.R[1] for camera in cameras], axis=0)
@@ -275,7 +275,7 @@ def upward(cameras: Sequence[Camera]) -> Float64s:
 
 
 def _subsets(landmarks: Sequence[Landmark], scale: float | None) -> list[Sequence[Landmark]]:
-    """The smallest sets that fix a similarity, and all landmarks together: first, so that it wins where nothing contradicts."""
+    """The minimal sets that fix a similarity, after the set of all landmarks, which thus wins if nothing contradicts it."""
     turned = [landmark for landmark in landmarks if landmark.world_R is not None]
     subsets: list[Sequence[Landmark]] = [landmarks]
     if scale is not None:
@@ -286,14 +286,14 @@ def _subsets(landmarks: Sequence[Landmark], scale: float | None) -> list[Sequenc
 
 
 def _error(similarity: Similarity, landmark: Landmark, depth: float) -> float:
-    """How far off a landmark is, as a share of what is tolerated."""
+    """Deviation of a landmark, as a share of the tolerance."""
     length, degrees = _off(similarity, landmark)
     tolerated = 3 * landmark.sigma + TOLERANCE * depth * similarity.scale
     return max(length / tolerated, 0.0 if np.isnan(degrees) else degrees / TOLERANCE_DEG)
 
 
 def _off(similarity: Similarity, landmark: Landmark) -> tuple[float, float]:
-    """How far a landmark is from where the model has it: length, degrees (nan where its rotation is unknown)."""
+    """Deviation of a landmark from the model: length, degrees (nan if its rotation is unknown)."""
     length = float(np.linalg.norm(similarity.points(landmark.model_X[None])[0] - landmark.world_X))
     if landmark.model_R is None or landmark.world_R is None:
         return length, float("nan")
@@ -335,7 +335,7 @@ def control_landmarks(
 
 
 def _in_frame(x: Float64s, view: View, camera: Camera) -> Float64s:
-    """(n, 2) pixels of the capture, moved to where a pinhole would have them in the frame."""
+    """(n, 2) pixels of the capture, mapped to the undistorted frame."""
     if view.lens is not None:
         seen = lens_rays(view.lens, x)
         rays = (seen if view.lens.turn is None else seen @ view.lens.turn.T) @ camera.K.T

@@ -13,7 +13,7 @@ from ..types import Bools, Camera, Float64s
 from .rigs import between, rigs_of
 from .tracks import Tracks
 
-pycolmap.logging.minloglevel = pycolmap.logging.Level.FATAL.value  # a step that Ceres takes back is no news
+pycolmap.logging.minloglevel = pycolmap.logging.Level.FATAL.value  # rejected steps of Ceres are no cause for concern
 
 
 def adjust(
@@ -29,26 +29,26 @@ def adjust(
     tolerance: float,
     iterations: int = 100,
 ) -> tuple[dict[int, Camera], Float64s]:
-    """Move cameras and points so that the observations in `use` are met best.
+    """Move cameras and points to minimise the reprojection errors of the observations in `use`.
 
     Parameters
     ----------
-    cameras : by number of the view.
-    tracks, X, use : observations as they are in the frames, (count, 3) their points, and (n,) which observations to look at: all
-        of them need a camera and a point.
-    held : cameras that stay where they are.  Where there are none, one stays, and its distance to another.
+    cameras : by view number.
+    tracks, X, use : observations in frame pixels, (count, 3) their points, and (n,) which observations to use; each of these
+        needs a camera and a point.
+    held : cameras that stay fixed.  Without any, one camera and its distance to another fix the gauge.
     focals : views whose focal length and radial distortion are solved too, each with the number of its lens: views of one lens
         share them.
-    positions : views whose centre is known, (3,) with its standard deviation in standard deviations of the pixels' noise; three
-        or more, or none.  The cameras must stand in the world already.
+    positions : known centres (3,) of views, each with its standard deviation divided by that of the pixel noise; at least
+        three, or none.  The cameras must already be in world coordinates.
     loss_px : scale of the Cauchy loss.
-    tolerance : ends when a step lowers the cost by no more than this share...
-    iterations : ...or after so many steps.
+    tolerance : stop when a step lowers the cost by no more than this share.
+    iterations : largest number of steps.
     """
     focals = focals or {}
     rows = np.flatnonzero(use)
     if not len(rows):
-        return dict(cameras), X.copy()  # nothing is seen that could move anything
+        return dict(cameras), X.copy()  # no observation constrains anything
     model, points = _model(cameras, tracks, X, rows, focals)
     config = pycolmap.BundleAdjustmentConfig()
     for view in cameras:
@@ -77,9 +77,9 @@ def adjust(
 def _model(
     cameras: Mapping[int, Camera], tracks: Tracks, X: Float64s, rows: Any, focals: Mapping[int, int]
 ) -> tuple[pycolmap.Reconstruction, Any]:
-    """COLMAP's form of it, and the tracks its points (1, 2, ...) stand for.
+    """COLMAP reconstruction of the cameras and observations, and the tracks to which its points (1, 2, ...) belong.
 
-    Pixels keep their origin: Ceres sees only differences to the principal point.  Views of one camera are one frame of a rig.
+    Pixels keep their origin: Ceres uses only differences to the principal point.  Views of one camera are one frame of a rig.
     """
     model = pycolmap.Reconstruction()
     rigs = rigs_of(cameras)
@@ -111,7 +111,7 @@ def _model(
 
 
 def _add_rig(model: pycolmap.Reconstruction, cameras: Mapping[int, Camera]) -> None:
-    """The views of one camera as the sensors of a rig, and its one frame, numbered after the first."""
+    """Add the views of one camera as the sensors of a rig with one frame, numbered after the first view."""
     first = next(iter(cameras))
     rig, frame = pycolmap.Rig(rig_id=first + 1), pycolmap.Frame(frame_id=first + 1, rig_id=first + 1)
     for view, camera in cameras.items():

@@ -1,8 +1,8 @@
 """Matches that a third camera confirms.
 
-Three cameras that are all matched with each other tell more than three pairs: a match is confirmed where the way over the third
-camera ends at the same place.  Where things repeat along a row, a pair's look-alikes obey a geometry of their own, but few of
-them close such loops.
+Among three cameras that are all matched with each other, a match is confirmed if the chain of matches through the third camera
+ends at the same place.  If things repeat along a row, a pair's look-alikes agree with a geometry of their own, but few of them
+close such loops.
 
 References: Zach, Klopschitz, Pollefeys, Disambiguating Visual Relations Using Loop Constraints, CVPR 2010.
 """
@@ -20,11 +20,11 @@ from .loops import triangles_of
 from .rotation_averaging import View
 
 SAME_PX, ELSEWHERE_PX = 3.0, 12.0
-"""Two ways around three cameras end at the same place within the first, elsewhere beyond the second."""
+"""Chains around three cameras confirm a match if they end within the first distance, and contradict it beyond the second."""
 
 
 def consistent_matches(geometries: Mapping[tuple[View, View], Geometry], fewest: int = 0) -> dict[tuple[View, View], Geometry]:
-    """Of each pair the matches that more third cameras confirm than contradict; all where these are fewer than `fewest`."""
+    """Matches of each pair that more third cameras confirm than contradict; all its matches if fewer than `fewest` remain."""
     votes = {edge: np.zeros(len(geometry.x1), np.int64) for edge, geometry in geometries.items()}
 
     @cache

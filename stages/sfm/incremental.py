@@ -1,6 +1,6 @@
-"""Growing a set of cameras: two views first, then one after the other by the points it shares with those that are there.
+"""Incremental reconstruction: start with two views, then add one view after the other by the points it shares with the model.
 
-Every decision is by rank or by the noise of the residuals themselves: no length enters, since the scale is free.
+All decisions use ranks or the noise of the residuals: no length enters, since the scale is free.
 """
 
 from __future__ import annotations
@@ -22,65 +22,65 @@ from .tracks import Edge, Tracks, spread_tracks, straightened
 from .triangulation import angles, posed, residuals, triangulate
 
 LOOSE_PX = 4.0
-"""An observation farther from its point than this is wrong, whatever the noise; also the threshold of resection."""
+"""Observations farther from their point than this are outliers at any noise level; also the threshold of resection."""
 NOISES = 20.0
-"""In the end, an observation farther from its point than this many standard deviations of the noise is wrong.  So many, because
-the noise is that of the many small keypoints: those of large ones scatter more, and they are what ties wide views together."""
+"""Observations farther from their point than this many standard deviations of the noise are outliers.  So large a factor, because
+the noise is that of the many small keypoints: large keypoints scatter more, and they connect wide views."""
 COARSE_PX = 1.0
-"""Scale of the robust loss while views are still being added..."""
+"""Scale of the robust loss while views are still being added."""
 FINE = 10.0
-"""...and in the end, in standard deviations of the noise."""
+"""Scale of the robust loss in the final adjustment, in standard deviations of the noise."""
 MIN_ANGLE = np.radians(1.0)
-"""Rays that meet at less than this don't make a point."""
+"""Rays that meet at less than this (radians) yield no point."""
 MIN_POINTS = 12
-"""So many points at least must agree on the pose of a view."""
+"""Fewest points of a first model, and fewest that must agree on the pose of a view."""
 MIN_SHARED = 5
-"""So many at least on how far it is from a view that it makes a pair with..."""
+"""Fewest points that must agree on the distance of a view from the view that it is paired with."""
 KNOWN_SHARE = 0.5
-"""A model begins with known cameras where they agree on this share of the points that two of them see."""
+"""A model starts from known cameras if these agree on this share of the points that at least two of them see."""
 SAME_LENGTH = 0.1
-"""...to this share of the distance; and at least half of those that could."""
+"""Points agree on a baseline if the lengths they imply differ from the median by less than this share; half of them must."""
 SETTLED = 1e-3
-"""Rounds end when no more than this share of the observations comes or goes."""
+"""Rounds end when no more than this share of the observations enters or leaves."""
 ROUGH, EXACT = 1e-5, 1e-6
-"""An adjustment ends when a step lowers its cost by no more than this share: until all views are there, and then.  Exact is what
-a long row of cameras needs, whose bending costs next to nothing: with 1e-5, one of 100 cameras ended four times as far off."""
+"""An adjustment ends when a step lowers its cost by no more than this share: of a growing model, and of the final one.  Long rows
+of cameras need the exact one, as bending them costs almost nothing: with 1e-5, one of 100 cameras ended four times as far off."""
 GROWN = 1.25
-"""All cameras are adjusted again when there are so many times more than the last time..."""
+"""All cameras are adjusted again when their number has grown by this factor since the last time."""
 SKETCH, SKETCH_STEPS = 5, 10
-"""...with so many observations in each field of a view, in so many steps."""
+"""Observations in each grid field of a view, and steps, of an adjustment while the model grows."""
 FOCALS_FROM = 3
-"""Focal lengths are solved once there are so many views: two leave them nearly free."""
+"""Focal lengths are solved from this number of views on: two views leave them nearly free."""
 LENSES_DIFFER = 0.02
-"""Views don't share a lens if their own focal lengths spread by more than this share..."""
+"""Views get lenses of their own only if the focal lengths solved separately spread by more than this share."""
 OWN_LENS_GAIN = 0.85
-"""...and having their own brings the median error below this share of what it was."""
+"""Views get lenses of their own only if this lowers the median error below this share of what it was."""
 
 
 @dataclass(frozen=True)
 class Model:
-    """Cameras and points in a frame of their own, with the observations they rest on."""
+    """Cameras and points in a frame of their own, with the observations that support them."""
 
     cameras: dict[int, Camera]
-    """By number of the view."""
+    """By view number."""
     tracks: Tracks
-    """The observations, as they are in the frames."""
+    """The observations, in frame pixels."""
     X: Float64s
-    """(count, 3) points of the tracks, nan where there is none."""
+    """(count, 3) points of the tracks, nan if there is none."""
     use: Bools
-    """(n,) which observations they rest on."""
+    """(n,) which observations support the points."""
     lenses: Mapping[int, int]
-    """Views whose focal length and distortion are solved too, each with the number of the lens that it may share with others."""
+    """Views whose focal length and distortion are solved too, each with the number of its lens, which views may share."""
     held: tuple[int, ...] = ()
-    """Views whose cameras are known and stay."""
+    """Views whose cameras are known and stay fixed."""
 
     @property
     def straight(self) -> Tracks:
-        """The observations as pinhole cameras would have them."""
+        """The observations with the radial distortion of the cameras removed."""
         return straightened(self.tracks, self.cameras)
 
     def error_px(self) -> Float64s:
-        """(n,) distance of each observation to its projected point; nan or inf where there is none."""
+        """(n,) distance of each observation to its projected point; nan or inf if there is none."""
         return np.asarray(np.linalg.norm(residuals(self.cameras, self.straight, self.X), axis=1), dtype=np.float64)
 
 
@@ -92,16 +92,16 @@ def grow(
     lenses: Mapping[int, int] | None = None,
     known: Mapping[int, Camera] | None = None,
 ) -> Model | None:
-    """Solve as many views as hang together with the known cameras, or with the best pair; None where not even two can be placed.
+    """Solve all views that connect to the known cameras, or to the best pair; None if not even two can be placed.
 
     Parameters
     ----------
-    cameras : intrinsics of every view, known or guessed; R and C don't count.
-    tracks : Observations.
-    geometries : the pairs that are believed, with relative poses.
+    cameras : intrinsics of every view, known or guessed; R and C are ignored.
+    tracks : observations of all views.
+    geometries : the accepted pairs, with relative poses.
     lenses : see `Model`.
-    known : cameras whose poses are known: where two of them or more see the same points, the model begins with them, in their
-        world.
+    known : cameras whose poses are known: if at least two of them see the same points, the model starts from them, in their
+        world frame.
     """
     model = _from_known(known or {}, tracks, lenses or {}) or _from_best_pair(cameras, tracks, geometries, lenses or {})
     if model is None:
@@ -121,10 +121,10 @@ def grow(
 def _next_view(
     model: Model, cameras: Mapping[int, Camera], geometries: Mapping[Edge, Geometry], failed: dict[int, int]
 ) -> tuple[int, Camera] | None:
-    """The view that sees most of the model's points among those that can be placed, and its camera; before all others one whose
-    camera is there already by another view.
+    """The view that sees most of the model's points among those that can be placed, and its camera; a view of a camera that is
+    already placed by another view comes first.
 
-    failed: how many points a view saw that could not be placed: it is tried again only with more.
+    failed: number of points seen by each view that could not be placed; it is tried again only with more.
     """
     for view, bare in cameras.items():
         if view not in model.cameras and (camera := beside(bare, model.cameras)):
@@ -142,7 +142,7 @@ def _next_view(
 
 
 def _sketched(model: Model) -> Model:
-    """The growing model after an adjustment that is good enough for views to come: of a part of the tracks, in a few steps."""
+    """The growing model after a quick adjustment, of some of the tracks in a few steps, that suffices for adding views."""
     model = _retriangulated(model)
     focals = _lenses(model) if len(model.cameras) >= FOCALS_FROM else {}
     args = model.cameras, model.tracks, model.X, _spread(model)
@@ -152,7 +152,7 @@ def _sketched(model: Model) -> Model:
 
 
 def _fitted(model: Model, view: int) -> Model:
-    """The model with this one camera fitted to the others, which stay; what the view doesn't see stays, too."""
+    """The model with this one camera fitted; the other cameras, and points that it does not see, stay fixed."""
     tracks = model.tracks
     seen = np.zeros(tracks.count, bool)
     seen[tracks.track[tracks.view == view]] = True
@@ -176,12 +176,12 @@ def _fitted(model: Model, view: int) -> Model:
 
 
 def _spread(model: Model) -> Bools:
-    """(n,) observations of a part of the tracks that still covers every view."""
+    """(n,) observations in use of a subset of the tracks that still covers every view."""
     return np.asarray(model.use & spread_tracks(model.tracks, model.use, SKETCH)[model.tracks.track])
 
 
 def _lenses(model: Model) -> dict[int, int]:
-    """The lenses that are solved with the model as it is."""
+    """The solved lenses of the views that the model has."""
     return {view: lens for view, lens in model.lenses.items() if view in model.cameras}
 
 
@@ -192,15 +192,15 @@ def refine(
     rough: bool = False,
     positions: Mapping[int, tuple[Float64s, float]] | None = None,
 ) -> Model:
-    """The model after rounds of triangulation, adjustment and sorting out, until that settles.
+    """The model after rounds of triangulation, adjustment and outlier removal, until the observations settle.
 
     Parameters
     ----------
-    model : where to start.
-    known : views whose cameras stay.
-    rounds : at most so many.
-    rough : with the loss and the tolerance of a model that still grows.
-    positions : centres (3,) of three views or more, with standard deviations, in the world where the model already stands.
+    model : initial model.
+    known : views whose cameras stay fixed.
+    rounds : largest number of rounds.
+    rough : use the loss and the tolerance of a growing model.
+    positions : known centres (3,) of at least three views, with standard deviations, in the world frame of the model.
     """
     free = _lenses(model) if len(model.cameras) >= FOCALS_FROM or known or model.held else {}
     held = [view for view in model.cameras if view in known or view in model.held]
@@ -220,12 +220,12 @@ def refine(
 
 
 def replace_cameras(model: Model, cameras: dict[int, Camera]) -> Model:
-    """The model with other cameras, in the order of their numbers."""
+    """The model with other cameras, sorted by view number."""
     return replace(model, cameras=dict(sorted(cameras.items())))
 
 
 def _from_known(known: Mapping[int, Camera], tracks: Tracks, lenses: Mapping[int, int]) -> Model | None:
-    """The known cameras and what they see together; None where that is too little, or contradicts them."""
+    """A model of the known cameras and the points that they share; None if too few points agree with them."""
     if len(known) < 2:
         return None
     nowhere, unused = np.full((tracks.count, 3), np.nan), np.zeros(len(tracks.track), bool)
@@ -238,7 +238,7 @@ def _from_known(known: Mapping[int, Camera], tracks: Tracks, lenses: Mapping[int
 def _from_best_pair(
     cameras: Mapping[int, Camera], tracks: Tracks, geometries: Mapping[Edge, Geometry], lenses: Mapping[int, int]
 ) -> Model | None:
-    """The pair with most points at a good angle; points that other views share count twice, since these are to follow."""
+    """A model of the pair with most points at a good angle; points that other views share count twice: those come next."""
     best: tuple[float, dict[int, Camera]] | None = None
     lengths = np.bincount(tracks.track, minlength=tracks.count)
     rows = {view: np.flatnonzero(tracks.view == view) for view in cameras}
@@ -259,11 +259,11 @@ def _from_best_pair(
     if np.isfinite(model.X[:, 0]).sum() < MIN_POINTS:
         return None
     model = refine(model, rounds=2, rough=True)
-    return model if np.isfinite(model.X[:, 0]).sum() >= MIN_POINTS else None  # the adjustment may leave nothing that fits
+    return model if np.isfinite(model.X[:, 0]).sum() >= MIN_POINTS else None  # the adjustment may leave too few
 
 
 def _angles_of_pair(left: Camera, right: Camera, x1: Float64s, x2: Float64s) -> Float64s:
-    """(n,) radians at which the rays of two cameras meet; 0 where they miss each other, or meet behind one of them."""
+    """(n,) angle in radians between the rays of two cameras; 0 if they miss each other, or meet behind a camera."""
     X = backproject(left, x1, triangulate_depth(left, right, x1, x2)[0])
     projected, depth = project(right, X)
     with np.errstate(invalid="ignore"):
@@ -273,7 +273,7 @@ def _angles_of_pair(left: Camera, right: Camera, x1: Float64s, x2: Float64s) -> 
 
 
 def _with_lens(camera: Camera, view: int, model: Model) -> Camera:
-    """The camera with the focal length and distortion that views of the same lens have been found to have."""
+    """The camera with the focal length and distortion that other views of its lens have in the model."""
     for other, found in model.cameras.items():
         if view in model.lenses and model.lenses.get(other) == model.lenses[view]:
             return replace(camera, K=found.K, radial=found.radial)
@@ -281,7 +281,7 @@ def _with_lens(camera: Camera, view: int, model: Model) -> Camera:
 
 
 def _resect(camera: Camera, view: int, model: Model) -> Camera | None:
-    """The view's pose from the points it shares with the model; None when too few agree."""
+    """The view's pose from the points it shares with the model; None if too few agree."""
     tracks = model.tracks
     rows = np.flatnonzero((tracks.view == view) & np.isfinite(model.X[tracks.track, 0]))
     x, X = without_distortion(camera, tracks.xy[rows]), model.X[tracks.track[rows]]
@@ -294,9 +294,9 @@ def _resect(camera: Camera, view: int, model: Model) -> Camera | None:
 
 
 def _attached(camera: Camera, view: int, model: Model, geometries: Mapping[Edge, Geometry]) -> Camera | None:
-    """The view's pose from that of a pair with a solved view; points that a third view sees tell only the length of the baseline.
+    """The view's pose from its pair with a solved view; points of the model determine only the length of the baseline.
 
-    For views so wide apart that too few points are seen by three of them.
+    This serves views so far apart that too few points are seen by three of them.
     """
     best: tuple[int, Camera] | None = None
     tracks = model.straight
@@ -324,7 +324,7 @@ def _attached(camera: Camera, view: int, model: Model, geometries: Mapping[Edge,
 
 
 def _with_own_lenses(model: Model) -> Model:
-    """The model with a lens for each view instead of shared ones, where these turn out to differ and that explains the images."""
+    """The model with a lens for each view instead of shared ones, if these differ clearly and lower the errors."""
     lens_of = _lenses(model)
     members = [[view for view, lens in lens_of.items() if lens == each] for each in set(lens_of.values())]
     if all(len(views) == 1 for views in members):
@@ -338,7 +338,7 @@ def _with_own_lenses(model: Model) -> Model:
 
 
 def _retriangulated(model: Model) -> Model:
-    """All points anew from all observations; then without those that don't fit."""
+    """The model with all points triangulated again from all observations, then without outliers."""
     tracks = model.straight
     everything = posed(model.cameras, tracks)
     X = triangulate(model.cameras, tracks, everything, 1.0)
@@ -348,7 +348,7 @@ def _retriangulated(model: Model) -> Model:
 
 
 def _filtered(model: Model) -> Model:
-    """Only observations that fit, and points that two of them see at an angle."""
+    """The model with only observations that fit, and points that at least two of them see at an angle."""
     tracks, error = model.tracks, model.error_px()
     with np.errstate(invalid="ignore"):
         use = model.use & (error < min(LOOSE_PX, max(NOISES * _noise(error[model.use]), 1e-9)))
@@ -360,6 +360,6 @@ def _filtered(model: Model) -> Model:
 
 
 def _noise(error: Float64s) -> float:
-    """Standard deviation of one coordinate, from the median of errors that can be right (Rayleigh)."""
+    """Standard deviation of one coordinate, from the median of errors below `LOOSE_PX` (Rayleigh)."""
     fits = error[error < LOOSE_PX]
     return float(np.median(fits)) / 1.1774 if len(fits) else LOOSE_PX

@@ -1,12 +1,12 @@
-"""Loops: all pairs of a site are compared with each other, since rotations around a triangle of cameras must close.
+"""Loop checks: compare all pairs of a site, since the rotations around a triangle of cameras must compose to the identity.
 
-Loops expose look-alikes that a pair's own evidence (`twoview.pair_score`) does not, and confirm pairs that it leaves open.
+Loops expose look-alikes that a pair's own evidence (`twoview.pair_score`) does not, and confirm pairs that it leaves undecided.
 
-Where a scene looks the same from other sides, or along a row, wrong pairs may close all loops.  The ambiguity of a pair
-(`twoview.ambiguity`) shows it, by the angle between its rotation and the accepted one: a part of a full turn where the scene
-looks the same from another side, no turn but another step along a row.  One pair may be ambiguous by chance, and few pairs of a
-scene that repeats see what shows it, so all pairs of the site decide together.  Three pairs that are each as distinct as right
-ones, yet contradict each other by a part of a full turn, show it at once."""
+If a scene looks the same from other sides, or along a row, wrong pairs may close all loops.  The ambiguity of pairs
+(`twoview.ambiguity`) shows this, by the angle between the rotations of the rival and of the accepted pose: part of a full turn
+if the scene looks the same from another side, none for another step along a row.  One pair may be ambiguous by chance, and few
+pairs of a repetitive scene see its repetition, so all pairs of the site decide together.  Three pairs that are as distinctive as
+right ones, yet contradict each other by part of a full turn, are proof on their own."""
 
 from __future__ import annotations
 
@@ -25,33 +25,33 @@ from ..types import Bools, Float64s, Geometry, Int64s, Pair
 from .rotation_averaging import View, rotations_along_tree
 
 PARTS_DEG = (180.0, 120.0, 90.0, 60.0)
-"""Of a full turn: buildings with two, three, four and six equal sides."""
+"""Rotations between equal sides of a building, as parts of a full turn: two, three, four and six sides."""
 PART_WITHIN_DEG = 2.0
 ROW_SHARE, ROW_INLIERS = 0.2, 20
-"""Of the accepted inliers, and matches, that a rival of the same rotation needs."""
+"""A rival with the same rotation indicates a row from this share of the accepted inliers, and this many matches, on."""
 
 
 class AmbiguityKind(Enum):
-    """What the rival of a pair looks like."""
+    """How the pose of a pair's rival differs from the accepted one."""
 
     NONE = "none"
     TURNED = "turned"
     SIDE = "side"
-    """Turned by a part of a full turn."""
+    """Turned by part of a full turn."""
     ROW = "row"
     """Not turned at all."""
 
 
 @dataclass(frozen=True)
 class Shares:
-    """Of the pairs of a scene that have a rival of each kind."""
+    """Shares of the pairs of a scene whose rivals are of each kind."""
 
     turned: float
     side: float
     row: float
 
     def log_odds(self, other: Shares, kind: AmbiguityKind) -> float:
-        """For this scene against the other, of one pair."""
+        """Log likelihood ratio of this scene over the other, given the kind of one pair's rival."""
         return log(self._of(kind) / other._of(kind))
 
     def _of(self, kind: AmbiguityKind) -> float:
@@ -59,14 +59,14 @@ class Shares:
 
 
 FROM_OTHER_SIDES, IN_A_ROW = Shares(turned=0.3, side=0.2, row=0.01), Shares(turned=0.1, side=0.01, row=0.5)
-"""Scenes that repeat; by what a pair can see, since there is one family of each to measure: only cameras that look around a
-corner see another side, and any two of a row see another house."""
+"""Shares in scenes that look the same from other sides, and along a row.  Derived from what pairs can see, as only one family of
+scenes of each kind could be measured: only cameras around a corner see another side, but any two at a row see another house."""
 P_REPEATS = 0.2
-"""Of a site to be the one or the other."""
+"""Prior probability of a scene to look the same from other sides, and likewise along a row."""
 
 
 def ambiguity_kind(geometry: Geometry) -> AmbiguityKind | None:
-    """The kind of a pair's rival, None where nobody looked for one."""
+    """The kind of a pair's rival, None if none was searched for."""
     turned = geometry.rival_turned_deg
     if not isfinite(turned):
         return None
@@ -83,10 +83,10 @@ def _part_of_a_turn(degrees: float) -> bool:
 
 
 def distinct_copies(posed: Mapping[Pair, Geometry], triangles: Iterable[tuple[str, str, str]]) -> bool:
-    """Do pairs, each as distinct as right ones, contradict each other by parts of a full turn around triangles of cameras?
+    """Whether triangles of distinctive pairs that do not close are mostly off by part of a full turn.
 
-    One of the three is wrong, then, and matches one side of a building with another as well as a right pair matches what it sees.
-    By chance a sixth of all rotations are so near to a part of a turn: most that contradict have to be.
+    One of the three pairs is wrong then, and matches two different sides of a building as well as a right pair matches one.
+    By chance, a sixth of all rotations are this close to part of a turn; so most of the open triangles must be.
     """
     turned = []
     for a, b, c in triangles:
@@ -101,7 +101,7 @@ def distinct_copies(posed: Mapping[Pair, Geometry], triangles: Iterable[tuple[st
 
 
 def why_ambiguous(geometries: Iterable[Geometry], usual: Shares) -> Reason | None:
-    """In which way a scene repeats, None where it more likely does not; usual: the shares of scenes that don't."""
+    """In which way a scene repeats, None if it more likely does not; usual: the shares of scenes that do not repeat."""
     kinds = [kind for geometry in geometries if (kind := ambiguity_kind(geometry)) is not None]
     prior = log(P_REPEATS / (1 - P_REPEATS))
     odds = {
@@ -113,61 +113,61 @@ def why_ambiguous(geometries: Iterable[Geometry], usual: Shares) -> Reason | Non
 
 
 STANDS_ALONE = log(19)
-"""Log odds that a pair needs which no third camera confirms: one such in twenty may be wrong.  One that others do confirm needs
-only be more likely right than wrong."""
+"""Log odds that a pair needs if no third camera confirms it: one in twenty such pairs may be wrong.  A confirmed pair need only
+be more likely right than wrong."""
 STANDS_ALONE_BARE = 1.0
-"""The same of the other score, where no rival was looked for."""
+"""Score that an unconfirmed pair needs if no rival was searched for."""
 
 
 @dataclass(frozen=True)
 class LoopCheck:
-    """What the triangles of a site's cameras say of one pair."""
+    """Result of the loop check for one pair."""
 
     good_probability: float
-    """After the check."""
+    """Probability of the pair after the check."""
     rejected: Rejected | None
-    """Why the pair is not to be used, None where it is."""
+    """Why the pair must not be used, None if it may be."""
     triangles: int
-    """Loops of three cameras that the pair is in..."""
+    """Number of loops of three cameras with the pair."""
     closed: int
-    """...and how many of them close."""
+    """Number of those loops that close."""
 
 
 @dataclass(frozen=True)
 class Habits:
-    """What is usual in scenes that do not repeat, as `scripts/bench_verdict.py` counts it."""
+    """Statistics of scenes that do not repeat, as measured by `scripts/bench_verdict.py`."""
 
     rotation_deg: float
     direction_deg: float
-    """A triangle closes where its rotations return within the first, and the third direction is within the second of the arc of
-    the others."""
+    """A triangle closes if its rotations return within `rotation_deg`, and its third direction is within `direction_deg` of the
+    arc between the other two."""
     closed_right: float
-    """Share of the triangles of right pairs that close..."""
+    """Share of the triangles of right pairs that close."""
     closed_wrong: float
-    """...and of those with a wrong one."""
+    """Share of the triangles with a wrong pair that close."""
     rivals: Shares
 
 
 USUAL = Habits(6.0, 15.0, closed_right=0.99, closed_wrong=0.05, rivals=Shares(turned=0.2, side=0.012, row=0.01))
 FEW_PAIRS = 15
-"""Of so many pairs (six cameras) all combinations of right and wrong ones are weighed."""
+"""Up to this many pairs (six cameras), all combinations of right and wrong pairs are evaluated."""
 LOOP_WEIGHT, LOOP_CAP = 0.5, 6.0
-"""Of more pairs beliefs are approximate: triangles share pairs, so each counts half; all together they move the log odds by at
-most 6."""
+"""For more pairs the result is approximate: triangles share pairs, so each counts half, and together they change the log odds by
+at most 6."""
 PRIOR_SHIFT = 0.5
 
 
 def check_loops(
     geometries: Mapping[Pair, Geometry], unsure_deg: Mapping[Pair, float] | None = None, usual: Habits = USUAL
 ) -> dict[Pair, LoopCheck]:
-    """Judge all pairs of a site together; for each pair whether it may enter the poses.
+    """Judge all pairs of a site together: which of them may be used for solving poses.
 
-    Beliefs from the triangles of cameras (exact where pairs are few, else mean-field), then a maximum spanning tree of the
-    believed pairs: what disagrees with the rotations along it is dropped.  Pairs without a relative pose are judged by their
-    score alone, and a pair that stands in no triangle needs a score over `STANDS_ALONE`.
+    The triangles of cameras give posterior log odds (exact for few pairs, else mean-field).  Then pairs that disagree with the
+    rotations along the maximum spanning tree of the accepted pairs are dropped.  Pairs without a relative pose are judged by
+    their score alone; a pair in no triangle needs a score above `STANDS_ALONE` (or `STANDS_ALONE_BARE`).
 
-    unsure_deg: by how much rotations may be off besides the noise, where lenses are only guessed: a triangle that a wrong focal
-    length may hold open says nothing against its pairs.
+    unsure_deg: additional tolerance for the rotations of pairs whose lenses are only guessed: a triangle that a wrong focal
+    length may keep open is no evidence against its pairs.
     """
     posed = {pair: g for pair, g in geometries.items() if g.cam2_R_cam1 is not None and g.cam2_t_cam1 is not None}
     triangles = triangles_of(posed)
@@ -203,7 +203,7 @@ def check_loops(
 
 
 def _refusal(geometry: Geometry, belief: float, figures: dict[str, float]) -> Rejected | None:
-    """None for a pair to be believed."""
+    """Why a pair is rejected, None if it is accepted; belief: its posterior log odds."""
     if figures["triangles"] == 0 and 0 < geometry.score <= _alone(geometry):
         return Rejected(Reason.UNCONFIRMED, figures)
     if belief > 0:
@@ -214,18 +214,18 @@ def _refusal(geometry: Geometry, belief: float, figures: dict[str, float]) -> Re
 
 
 def _alone(geometry: Geometry) -> float:
-    """The score that this pair needs where no other confirms it."""
+    """The score that this pair needs if no other confirms it."""
     return STANDS_ALONE if isfinite(geometry.rival_turned_deg) else STANDS_ALONE_BARE
 
 
 def _unsupported(
     believed: set[Pair], geometries: Mapping[Pair, Geometry], triangles: list[tuple[str, str, str]], closed: Bools
 ) -> dict[Pair, Reason]:
-    """Believed pairs that no camera may be hung on.
+    """Accepted pairs that must not place any camera.
 
-    Where a triangle of three believed pairs does not close, one of them is wrong, and nothing says which: copies of a building
-    contradict each other, with scores like those of right pairs.  So a pair needs at least as many of its triangles of believed
-    pairs closed as open; and where none of them is closed, a score that stands alone.
+    If a triangle of three accepted pairs does not close, one of them is wrong, but it is unknown which: copies of a building
+    contradict each other, with scores like those of right pairs.  So at least as many of a pair's triangles of accepted pairs
+    must be closed as open; if none is closed, the pair needs the score of an unconfirmed one.
     """
     agree, object_ = dict.fromkeys(believed, 0), dict.fromkeys(believed, 0)
     for (a, b, c), closes in zip(triangles, closed.tolist(), strict=True):
@@ -243,7 +243,7 @@ def _unsupported(
 
 
 def triangles_of(pairs: Collection[tuple[View, View]]) -> list[tuple[View, View, View]]:
-    """(a, b, c) with pairs a--b, b--c and a--c, in the order of the cameras."""
+    """Triangles (a, b, c) with pairs a--b, b--c and a--c, in the order of the cameras."""
     after: dict[View, set[View]] = {}
     for a, b in pairs:
         after.setdefault(a, set()).add(b)
@@ -251,14 +251,14 @@ def triangles_of(pairs: Collection[tuple[View, View]]) -> list[tuple[View, View,
 
 
 def closes(posed: Mapping[Pair, Geometry], a: str, b: str, c: str, usual: Habits = USUAL, slack_deg: float = 0.0) -> bool:
-    """Do the rotations around the triangle return, and does the direction a to c lie between those to b and on from there?
+    """Do the rotations around the triangle return, and does the direction a to c lie between a to b and b to c?
 
     Parameters
     ----------
     posed : geometries by pair.
     a, b, c : ids of the cameras.
-    usual : how well triangles close where all is right.
-    slack_deg : more than that, for what else is uncertain.
+    usual : tolerances, as for right pairs.
+    slack_deg : additional tolerance, for other uncertainty.
     """
     (R_ab, t_ab), (R_bc, t_bc), (R_ac, t_ac) = (_pose(posed[pair]) for pair in ((a, b), (b, c), (a, c)))
     if angle_between_deg(R_ac, R_bc @ R_ab) > usual.rotation_deg + slack_deg:
@@ -281,10 +281,10 @@ def _pose(geometry: Geometry) -> tuple[Float64s, Float64s]:
 
 
 def _exact_beliefs(prior: Float64s, members: Int64s, closed: Bools, usual: Habits) -> Float64s:
-    """Log odds of each pair, over all combinations of right and wrong pairs.
+    """Posterior log odds of each pair, over all combinations of right and wrong pairs.
 
-    Of few pairs, two wrong ones that agree with each other would talk each other up in the rounds of the approximation: views
-    from the opposite side, each turned by half a turn, close triangles with what is right.
+    For few pairs, the approximation would let two wrong pairs that agree reinforce each other: views from the opposite side, each
+    turned by half a turn, close triangles with right pairs.
     """
     right = (np.arange(1 << len(prior))[:, None] >> np.arange(len(prior)) & 1).astype(bool)
     likelihood = np.zeros(len(right))
@@ -300,7 +300,7 @@ def _exact_beliefs(prior: Float64s, members: Int64s, closed: Bools, usual: Habit
 
 
 def _beliefs(prior: Float64s, members: Int64s, closed: Bools, usual: Habits) -> Float64s:
-    """Log odds of each pair after 15 damped rounds of mean-field messages from the triangles."""
+    """Approximate posterior log odds of each pair, after 15 damped rounds of mean-field messages from the triangles."""
     belief, right, wrong = prior.copy(), usual.closed_right, usual.closed_wrong
     for _ in range(15 if len(members) else 0):
         p = 1 / (1 + np.exp(-belief))
@@ -319,7 +319,7 @@ def _beliefs(prior: Float64s, members: Int64s, closed: Bools, usual: Habits) -> 
 def _against_tree(
     posed: Mapping[Pair, Geometry], believed: Mapping[Pair, float], unsure_deg: Mapping[Pair, float], most_deg: float
 ) -> dict[Pair, float]:
-    """Believed pairs whose rotation is off by more than `most_deg` from that along the maximum spanning tree, and by how much."""
+    """Accepted pairs whose rotation is off by more than `most_deg` from the maximum spanning tree's, and by how much."""
     relative = {pair: _pose(posed[pair])[0] for pair in believed}
     world = rotations_along_tree(relative, believed)
     off = {(a, b): angle_between_deg(R, world[b] @ world[a].T) for (a, b), R in relative.items()}

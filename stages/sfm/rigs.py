@@ -1,4 +1,4 @@
-"""Views that share a camera: one of them tells where all are, and they move as one."""
+"""Views that share a camera: the pose of one determines those of all, and they move together."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from ..types import Camera, Float64s, Lens, View
 
 
 def rigs_of(cameras: Mapping[int, Camera] | Mapping[int, View]) -> dict[int, list[int]]:
-    """The views of each camera that has more than one among them, by its first view; views by number."""
+    """The views of each camera that has more than one of them, by its first view; views by number."""
     found: dict[int, list[int]] = {}
     first_of: dict[str, int] = {}
     for view in sorted(cameras):
@@ -21,19 +21,19 @@ def rigs_of(cameras: Mapping[int, Camera] | Mapping[int, View]) -> dict[int, lis
 
 
 def between(one: Lens | None, other: Lens | None) -> Float64s:
-    """(3, 3) from the axes of one view to those of another of the same camera."""
+    """(3, 3) rotation from the axes of one view to those of another view of the same camera."""
     assert one is not None and other is not None and one.turn is not None and other.turn is not None
     return other.turn @ one.turn.T
 
 
 def whole_R(camera: Camera) -> Float64s:
-    """(3, 3) world axes to those of the camera that a view is of; most are their camera's own."""
+    """(3, 3) rotation from world axes to those of the camera that a view belongs to; most views have their camera's own axes."""
     return camera.R if camera.lens is None or camera.lens.turn is None else camera.lens.turn.T @ camera.R
 
 
 def beside(bare: Camera, cameras: Mapping[int, Camera]) -> Camera | None:
-    """A view, of which the intrinsics count, where another view of its camera, among placed ones, says that it is; None where
-    there is none."""
+    """The view `bare`, of which only the intrinsics are used, posed by another view of its camera among `cameras`; None if there
+    is none."""
     for placed in cameras.values():
         if same_camera(bare, placed):
             return replace(bare, R=between(placed.lens, bare.lens) @ placed.R, C=placed.C, component=placed.component)

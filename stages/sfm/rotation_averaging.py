@@ -1,8 +1,8 @@
-"""Rotations of all views at once from those of the pairs, so that pairs which contradict the rest can be told.
+"""Rotations of all views from those of the pairs, which exposes pairs that contradict the rest.
 
-The spanning tree of the pairs that are believed most gives a start, and robust averaging (Chatterjee & Govindu, PAMI 2018: L1,
-then Geman-McClure) spreads the error over all pairs.  A pair that then is off by more than a few degrees is wrong, however many
-inliers it has: look-alikes agree among themselves.
+The maximum spanning tree of the pairs gives initial rotations, and robust averaging (Chatterjee & Govindu, PAMI 2018: L1, then
+Geman-McClure) spreads the error over all pairs.  A pair that is then off by more than a few degrees is wrong, however many
+inliers it has: look-alikes agree with each other.
 """
 
 from __future__ import annotations
@@ -24,9 +24,9 @@ View = TypeVar("View", int, str)
 
 
 def average_rotations(relative: Mapping[Edge, Float64s], weights: Mapping[Edge, float]) -> dict[int, Float64s]:
-    """R of each view (world to camera) from `cam2_R_cam1` of the pairs; each connected part has its first view at identity.
+    """R of each view (world to camera) from `cam2_R_cam1` of the pairs; the first view of each connected part is the identity.
 
-    weights: only the order matters; the spanning tree takes the largest first.  No pairs: no views.
+    weights: only their order matters; the spanning tree takes the largest first.  Without pairs the result is empty.
     """
     if not relative:
         return {}
@@ -39,7 +39,7 @@ def average_rotations(relative: Mapping[Edge, Float64s], weights: Mapping[Edge, 
     given = np.array([relative[edge] for edge in edges]).reshape(-1, 3, 3)
     found = np.array([R[view] for view in views])
     for k in range(ROUNDS):
-        # what each pair says is left to turn, in the axes of its second view
+        # the rotation that remains for each pair, in the axes of its second view
         off = rotation_vector(given @ found[i] @ np.swapaxes(found[j], 1, 2))
         size = np.linalg.norm(off, axis=1)
         scale = np.radians(max(3.0, 30.0 * 0.8**k))
@@ -62,9 +62,9 @@ def components(edges: list[Edge], views: list[int]) -> list[list[int]]:
 def rotations_along_tree(
     relative: Mapping[tuple[View, View], Float64s], weights: Mapping[tuple[View, View], float]
 ) -> dict[View, Float64s]:
-    """R of each view along the maximum spanning tree of the pairs; each connected part has its first view at identity.
+    """R of each view along the maximum spanning tree of the pairs; the first view of each connected part is the identity.
 
-    relative: `cam2_R_cam1` of each pair; weights: only the order matters.
+    relative: `cam2_R_cam1` of each pair; weights: only their order matters.
     """
     graph = nx.Graph()
     for a, b in sorted(relative):
@@ -82,7 +82,7 @@ def rotations_along_tree(
 
 
 def _least_squares(i: Int64s, j: Int64s, given: Float64s, off: Float64s, weight: Float64s, count: int) -> Float64s:
-    """(count, 3) small turns of the views that satisfy `turn_j - given turn_i = off` best."""
+    """(count, 3) small rotations of the views that best satisfy `turn_j - given turn_i = off`."""
     H, g = np.zeros((count, 3, count, 3)), np.zeros((count, 3))
     for a, b, M, r, w in zip(i, j, given, off, weight, strict=True):
         H[a, :, a] += w * np.eye(3)
@@ -91,6 +91,6 @@ def _least_squares(i: Int64s, j: Int64s, given: Float64s, off: Float64s, weight:
         H[b, :, a] -= w * M
         g[b] += w * r
         g[a] -= w * M.T @ r
-    # the common turn of a connected part is free: the smallest solution leaves it alone
+    # the common rotation of a connected part is free: the regularisation selects the smallest solution
     turns = np.linalg.solve(H.reshape(3 * count, 3 * count) + 1e-9 * np.eye(3 * count), g.ravel())
     return np.asarray(turns.reshape(count, 3), dtype=np.float64)

@@ -1,7 +1,7 @@
-"""Tracks: keypoints of several views that show the same point of the scene, chained from the inliers of the pairs.
+"""Tracks: keypoints of several views that show the same scene point, chained from the inliers of the pairs.
 
-Matches are joined in the order of their probability, and a match that would put two keypoints of one view into one track is left
-out: one wrong match then costs itself, and not the two tracks that it would have tied together.
+Matches are joined in the order of their probability, and a match that would put two keypoints of one view into one track is
+skipped: a wrong match then costs only itself, and does not merge two tracks.
 """
 
 from __future__ import annotations
@@ -19,9 +19,9 @@ from ..types import Bools, Camera, Float64s, Geometry, Int32s, Int64s
 Edge = tuple[int, int]
 """Two views by number, in the order of the pair."""
 SAME_PX = 1.5
-"""Points of one view that are no keypoints are the same observation within this distance, pixels."""
+"""Points of one view that are not keypoints count as one observation within this distance, pixels."""
 FIELDS = (16, 12)
-"""A view is divided into so many columns and rows, to see how its observations are spread."""
+"""Columns and rows of the grid in which the coverage of a view is measured."""
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,7 @@ class Tracks:
 
 
 def straightened(tracks: Tracks, cameras: Mapping[int, Camera]) -> Tracks:
-    """The tracks as pinhole cameras would see them: without the radial distortion that the cameras have."""
+    """The tracks with the radial distortion of the cameras removed."""
     xy = tracks.xy.copy()
     for view, camera in cameras.items():
         if any(camera.radial):
@@ -66,8 +66,8 @@ def build_tracks(geometries: Mapping[Edge, Geometry], views: int) -> Tracks:
 
 
 def spread_tracks(tracks: Tracks, use: Bools, wanted: int) -> Bools:
-    """(count,) a part of the tracks that still covers each view: where there are more than `wanted` observations in a field of a
-    view, only those of tracks that another field needs.  Longest tracks first.
+    """(count,) a subset of the tracks that still covers each view: where a field of a view has more than `wanted` observations,
+    only tracks that another field needs remain.  Longest tracks first.
     """
     low, high = tracks.xy.min(axis=0, initial=0), tracks.xy.max(axis=0, initial=1)
     column, row = np.minimum(((tracks.xy - low) / (high - low) * FIELDS).astype(np.int64), np.array(FIELDS) - 1).T
@@ -79,7 +79,7 @@ def spread_tracks(tracks: Tracks, use: Bools, wanted: int) -> Bools:
 
 @kernel
 def _needed(order: Int64s, first: Int64s, field: Int64s, use: Bools, wanted: int) -> Bools:
-    """The tracks that some field needs, taken in the given order."""
+    """The tracks that some field needs, chosen in the given order."""
     there = np.zeros(field.max() + 1, np.int64)
     needed = np.zeros(len(order), np.bool_)
     for t in order:
@@ -114,8 +114,8 @@ def _nodes(geometries: Mapping[Edge, Geometry], views: int) -> tuple[dict[Edge, 
 
 
 def joined_places(points: Float64s, reach: float) -> tuple[Int64s, Int64s]:
-    """Points (n, d) without keypoints are never found twice at the very same place: those within reach of one that came before
-    are one with it.  Rows (k,) of the points that stay, and which of these (n,) each point belongs to."""
+    """Merge points (n, d) within reach of an earlier one, since without keypoints none is found twice at exactly the same place.
+    Returns the rows (k,) of the points that stay, and which of these (n,) each point belongs to."""
     owner = np.full(len(points), -1)
     near = cKDTree(points).query_ball_point(points, reach, return_sorted=True)
     kept: list[int] = []
@@ -128,7 +128,7 @@ def joined_places(points: Float64s, reach: float) -> tuple[Int64s, Int64s]:
 
 
 def same_places(x: Float64s, y: Float64s) -> tuple[Int64s, Int64s]:
-    """Rows of points x (n, 2) and y (m, 2) of one view that show the same: nearest to each other, within `SAME_PX`."""
+    """Rows of points x (n, 2) and y (m, 2) of one view that show the same: mutual nearest neighbours within `SAME_PX`."""
     if min(len(x), len(y)) == 0:
         return np.zeros(0, np.int64), np.zeros(0, np.int64)
     away, of_y = cKDTree(y).query(x)
@@ -141,7 +141,7 @@ def same_places(x: Float64s, y: Float64s) -> tuple[Int64s, Int64s]:
 def _join(ends: Int64s, view: Int64s, count: int) -> Int64s:
     """Union-find over nodes that never joins two nodes of one view.  Returns the root of each node."""
     parent = np.arange(count)
-    following = np.full(count, -1)  # the members of a set as a chain that begins at its root
+    following = np.full(count, -1)  # the members of a set form a chain that begins at its root
     last = np.arange(count)
     for k in range(len(ends)):
         a, b = ends[k, 0], ends[k, 1]

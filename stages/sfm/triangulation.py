@@ -12,22 +12,22 @@ from ..types import Bools, Camera, Float64s, Int32s, Int64s
 from .tracks import Tracks
 
 POLISH, SETTLED = 4, 1e-6
-"""Gauss-Newton steps on the reprojection error after the linear solution, at most; none follows one that gains less than the
-second, squared pixels."""
+"""Largest number of Gauss-Newton steps on the reprojection error after the linear solution; none follows a step that gains less
+than the second, in squared pixels."""
 PARALLEL = 1e-9
-"""Rays that meet at less than about the root of this (radians) have no point."""
+"""Rays that meet at less than about the square root of this (radians) yield no point."""
 
 
 def triangulate(cameras: Mapping[int, Camera], tracks: Tracks, use: Bools, scale_px: float) -> Float64s:
-    """(count, 3) the point of each track that at least two of the observations in `use` see; nan elsewhere.
+    """(count, 3) point of each track that at least two of the observations in `use` see; nan elsewhere.
 
-    Start: the point nearest to all rays.  Then least squares on the reprojection error with Cauchy weights.
+    The point nearest to all rays, refined by least squares on the reprojection error with Cauchy weights.
 
     Parameters
     ----------
-    cameras : by number of the view; views without one are passed over.
-    tracks, use : the observations, and (n,) bool, which of them to look at.
-    scale_px : an observation off by so many pixels counts half.
+    cameras : by view number; views without one are ignored.
+    tracks, use : the observations, and (n,) bool, which of them to use.
+    scale_px : residual at which the weight of an observation is halved.
     """
     KR, C = _stacked(cameras, tracks)
     first = np.searchsorted(tracks.track, np.arange(tracks.count + 1))
@@ -36,7 +36,7 @@ def triangulate(cameras: Mapping[int, Camera], tracks: Tracks, use: Bools, scale
 
 
 def residuals(cameras: Mapping[int, Camera], tracks: Tracks, X: Float64s) -> Float64s:
-    """(n, 2) observed minus projected, pixels; inf where the view has no camera, nan where there is no point, or behind it."""
+    """(n, 2) observed minus projected, pixels; inf if the view has no camera, nan if the point is missing or behind it."""
     KR, C = _stacked(cameras, tracks)
     p = np.einsum("nij,nj->ni", KR[tracks.view], X[tracks.track] - C[tracks.view])
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -46,13 +46,13 @@ def residuals(cameras: Mapping[int, Camera], tracks: Tracks, X: Float64s) -> Flo
 
 
 def angles(cameras: Mapping[int, Camera], tracks: Tracks, X: Float64s, use: Bools) -> Float64s:
-    """(count,) radians: how widely the observations in `use` look at their point (twice the largest angle to their mean ray).
+    """(count,) angle in radians at which the observations in `use` see their point (twice the largest angle to their mean ray).
 
     Parameters
     ----------
-    cameras : by number of the view.
-    tracks, X : n observations of `count` points, and (count, 3) these.
-    use : (n,) bool: which observations count.
+    cameras : by view number.
+    tracks, X : n observations, and (count, 3) their points.
+    use : (n,) bool, which observations count.
     """
     rows = np.flatnonzero(use & posed(cameras, tracks))
     track = tracks.track[rows]
@@ -65,12 +65,12 @@ def angles(cameras: Mapping[int, Camera], tracks: Tracks, X: Float64s, use: Bool
 
 
 def posed(cameras: Mapping[int, Camera], tracks: Tracks) -> Bools:
-    """(n,) is there a camera for the observation's view?"""
+    """(n,) whether the observation's view has a camera."""
     return np.isin(tracks.view, list(cameras))
 
 
 def rays(cameras: Mapping[int, Camera], tracks: Tracks) -> Float64s:
-    """(n, 3) unit directions in the world of the observations; zeros where the view has no camera."""
+    """(n, 3) unit ray directions of the observations in the world; zeros if the view has no camera."""
     back = np.zeros((_views(cameras, tracks), 3, 3))
     for view, camera in cameras.items():
         back[view] = camera.R.T @ np.linalg.inv(camera.K)
@@ -84,7 +84,7 @@ def _views(cameras: Mapping[int, Camera], tracks: Tracks) -> int:
 
 
 def _stacked(cameras: Mapping[int, Camera], tracks: Tracks) -> tuple[Float64s, Float64s]:
-    """K R (views, 3, 3) and C (views, 3) by number of the view, zeros where there is no camera."""
+    """K R (views, 3, 3) and C (views, 3) by view number, zeros if there is no camera."""
     KR, C = np.zeros((_views(cameras, tracks), 3, 3)), np.zeros((_views(cameras, tracks), 3))
     for view, camera in cameras.items():
         KR[view], C[view] = camera.K @ camera.R, camera.C
@@ -111,7 +111,7 @@ def _points(
                 H[i, i] += 1
                 for j in range(3):
                     H[i, j] -= d[k, i] * d[k, j]
-        # two of the three eigenvalues are about as large as the number of rays: the determinant tells the smallest
+        # two of the three eigenvalues are about the number of rays, so the determinant measures the smallest one
         if seen < 2 or _solve(H, g, step) < PARALLEL * seen**2:
             continue
         X[t] = step

@@ -1,7 +1,7 @@
-"""The view graph: all views of a site by number, the geometries of their pairs, and which focal lengths are to be solved.
+"""The view graph: all views of a site by number, the geometries of their pairs, and which focal lengths to solve.
 
-With the right focal lengths `K2^T F K1` is an essential matrix, whose two singular values are equal (Mendonca & Cipolla, CVPR
-1999).  One pair tells little, and nothing where the two axes meet; the pairs of a site together tell a lot."""
+With the right focal lengths, `K2^T F K1` is an essential matrix, whose two singular values are equal (Mendonca & Cipolla, CVPR
+1999).  One pair constrains focal lengths weakly, and not at all if the two axes meet; all pairs of a site constrain them well."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ from .tracks import Edge, build_tracks
 
 _AMBIGUOUS = (Reason.AMBIGUOUS, Reason.SAME_FROM_OTHER_SIDES, Reason.SAME_ALONG_A_ROW)
 _CERTAIN = 2.0
-"""What is tied goes before all that is only probable."""
+"""Spanning tree weight of views that one camera ties together: above any probability."""
 
 
 @dataclass(frozen=True)
 class ViewGraph:
-    """All views by number, what is known of their lenses, and the geometries of their pairs."""
+    """All views by number, their lenses as far as known, and the geometries of their pairs."""
 
     names: tuple[str, ...]
     views: tuple[View, ...]
@@ -49,7 +49,7 @@ class ViewGraph:
 
     @cached_property
     def tied(self) -> dict[Edge, Float64s]:
-        """How views of one camera are turned against its first."""
+        """Rotations from the first view of each camera to its other views."""
         views = dict(enumerate(self.views))
         return {(a, b): between(views[a].lens, views[b].lens) for a, (_, *others) in rigs_of(views).items() for b in others}
 
@@ -57,7 +57,7 @@ class ViewGraph:
         return f"{self.names[edge[0]]}--{self.names[edge[1]]}"
 
     def consistent(self, tolerance_deg: float, usual: Habits = USUAL) -> tuple[list[Edge], dict[Edge, Rejected]]:
-        """The pairs that the site as a whole believes and whose rotations agree, and why the others are left out."""
+        """The pairs that the site as a whole supports and whose rotations agree, and why the others are left out."""
         unsure = {(self.names[i], self.names[j]): degrees for (i, j), degrees in unsure_deg(self.geometries, self.lenses).items()}
         named = {(self.names[i], self.names[j]): geometry for (i, j), geometry in self.geometries.items()}
         judged = check_loops(named, unsure, usual)
@@ -76,7 +76,7 @@ class ViewGraph:
         return trusted, dropped
 
     def models(self, trusted: list[Edge], known: Mapping[int, Camera]) -> list[Model]:
-        """A model of every part that hangs together, largest first; known cameras stay."""
+        """A model of every connected part, largest first; known cameras stay fixed."""
         found = []
         tied = list(self.tied)
         waiting = [part for part in components([*trusted, *tied], _views([*trusted, *tied])) if {*part} & {*_views(trusted)}]
@@ -96,7 +96,7 @@ class ViewGraph:
         return sorted(found, key=lambda model: (-len(model.cameras), min(model.cameras)))
 
     def why_nothing(self, trusted: list[Edge], dropped: Mapping[Edge, Rejected]) -> Rejected:
-        """Why not even two views can be placed: of the reasons of the pairs, the one that most have."""
+        """Why not even two views can be placed: the reason that most pairs share."""
         figures = {"cameras": float(len(self.views)), "pairs": float(len(self.geometries))}
         if not self.geometries:
             return Rejected(Reason.NO_GEOMETRY, figures)
@@ -118,39 +118,39 @@ def _views(edges: list[Edge]) -> list[int]:
 
 
 NARROW, WIDE, GRID = 0.35, 6.0, 143
-"""Focal lengths tried, in image widths (fields of view from 110 to 9.5 degrees), 2 % apart."""
+"""Range of focal lengths tried, in image widths (fields of view from 110 to 9.5 degrees), and their number, 2 % apart."""
 FIRST = 1.0
 GUESS_SIGMA = 0.2
-"""A guess (a field of view, EXIF) is off by so much, as a share."""
+"""Relative standard deviation of a guessed focal length (from a field of view or EXIF)."""
 GUESS_WEIGHT = 0.05
-"""How much a guess counts against the pairs, of which each counts for the root of its inliers times at most `MOST_UNEQUAL`."""
+"""Weight of a guess against the votes of the pairs, each at most the root of its inliers times `MOST_UNEQUAL`."""
 MOST_UNEQUAL = 0.1
 SWEEPS = 5
 ONE_LENS = 0.1
-"""Views whose own pairs tell focal lengths within this share of each other (median) are taken to share a lens."""
+"""Views share a lens if the focal lengths from their own pairs differ from the common one by less than this share (median)."""
 
 
 @dataclass(frozen=True)
 class Lenses:
-    """What is known of the lenses."""
+    """Lenses of the views: known, guessed, or to be solved."""
 
     views: tuple[View, ...]
     """All views by number."""
     K: Mapping[int, Float64s]
-    """Intrinsics of those that have some, known or guessed."""
+    """Intrinsics of the views that have some, known or guessed."""
     solved: Mapping[int, int]
-    """Views whose focal length is to be solved, with the number of the lens they share."""
+    """Views whose focal length is to be solved, each with the number of its lens, which views may share."""
 
     def camera(self, view: int) -> Camera:
-        """A camera with these intrinsics, at the origin."""
+        """A camera with the view's intrinsics, at the origin."""
         return camera_of(self.views[view], self.K[view], np.eye(3), np.zeros(3))
 
 
 def guess_lenses(views: tuple[View, ...], geometries: Mapping[Edge, Geometry]) -> Lenses:
-    """Intrinsics of all views: as known, or with the focal length that the fundamental matrices agree on best.
+    """Intrinsics of all views: the known ones, or with the focal length that best agrees with the fundamental matrices.
 
-    Views of one size and one guess are taken to share a lens, unless their own pairs tell clearly different focal lengths.
-    Principal point: the centre of the image.
+    Views of one size and one guess share a lens, unless their own pairs yield clearly different focal lengths.  The principal
+    point is that of the guess, or the centre of the image.
     """
     K = {k: view.K for k, view in enumerate(views) if view.K is not None and view.focal_known}
     groups: dict[tuple[int, int, float], list[int]] = {}
@@ -177,9 +177,9 @@ def _vote(
     lenses: Mapping[int, int],
     start: Mapping[int, float] | None = None,
 ) -> dict[int, float]:
-    """Focal length (pixels) of each view in `lenses`: the value on a grid that its pairs, each with a bounded vote, like best.
+    """Focal length (pixels) of each view in `lenses`: the grid value with the lowest total cost of its pairs, bounded per pair.
 
-    A pair likes focal lengths that give its essential matrix two equal singular values.  Tried in turn until none changes.
+    The cost of a pair is the relative difference of its essential matrix's two singular values.  Iterated until none changes.
     """
     first = {k: FIRST * view.width if view.K is None else float(view.K[0, 0]) for k, view in enumerate(views)}
     focal = {k: (start or {}).get(k) or first[k] for k in lenses}
@@ -205,7 +205,7 @@ def _vote(
 
 
 def _candidates(view: View, grid: Float64s | None, known: Float64s | None, focal: float | None) -> Float64s:
-    """(n, 3, 3) intrinsics for each focal length of the grid, or (1, 3, 3) as they are."""
+    """(n, 3, 3) intrinsics for each focal length of the grid, or (1, 3, 3) the known or current ones."""
     if grid is not None:
         return np.array([_centred(view, f) for f in grid])
     if known is not None:
@@ -221,7 +221,7 @@ def _centred(view: View, focal: float) -> Float64s:
 
 
 def relative_rotations(geometries: Mapping[Edge, Geometry], lenses: Lenses) -> dict[Edge, Geometry]:
-    """The geometries of pairs whose lenses are known or guessed, with relative poses that go with these lenses."""
+    """The geometries of pairs whose lenses are known or guessed, with relative poses for these lenses."""
     found = {}
     for (i, j), geometry in geometries.items():
         if i not in lenses.K or j not in lenses.K:
@@ -237,7 +237,7 @@ def relative_rotations(geometries: Mapping[Edge, Geometry], lenses: Lenses) -> d
 
 
 def unsure_deg(geometries: Mapping[Edge, Geometry], lenses: Lenses) -> dict[Edge, float]:
-    """How far the rotation of each pair turns where the focal lengths that are only guessed are longer by `GUESS_SIGMA`."""
+    """By how much (degrees) the rotation of each pair changes if the guessed focal lengths grow by `GUESS_SIGMA`."""
     longer = np.diag([1 + GUESS_SIGMA, 1 + GUESS_SIGMA, 1.0])
     longer_lenses = replace(lenses, K={k: K @ longer if k in lenses.solved else K for k, K in lenses.K.items()})
     guessed = {edge: g for edge, g in geometries.items() if (edge[0] in lenses.solved or edge[1] in lenses.solved)}

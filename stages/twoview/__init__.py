@@ -1,1 +1,1 @@
-"""The geometry of two views: F and E, estimated, refined, judged."""
+"""Two-view geometry: F and E, estimated, refined and judged."""

@@ -1,8 +1,8 @@
-"""Rivals of a pair's geometry, looked for on purpose: a shift by a period of what repeats, the view of another side.
+"""Search for rivals of a pair's geometry: a shift by one period of a repetitive structure, or the view of another side.
 
-What the accepted geometry explains is taken out of the candidates, and the matcher works once more on what is left.  In a scene
-without repetition nothing hangs together there.  Where tiles or whole sides of a building repeat, a second pattern of matches
-appears, of the same keypoints with other partners, and a second pose with it.
+Candidates that the accepted geometry explains are removed, and the matcher runs again on the rest.  In a scene without
+repetition, the rest is incoherent.  If tiles or whole sides of a building repeat, a second set of matches appears, of the same
+keypoints with other partners, and with it a second pose.
 """
 
 from __future__ import annotations
@@ -23,38 +23,38 @@ from .image_grid import places
 from .robust import MOST_POSED, TwoView, estimate_essential, supporters
 
 EXPLAINED_PX = 12.0
-"""A candidate this near to where the accepted matches put its keypoint is no rival."""
+"""A candidate at most this far from where the accepted matches predict its keypoint is no rival."""
 CONFIRMED = 2
-"""Neighbours that confirm a first match of the rival."""
+"""Neighbours that must confirm an initial match of the rival."""
 FEWEST = 8
 FREEDOMS = 5
-"""Of E.  Matches of one place agree with many poses and tell one thing at most; in so few places any pattern fits some pose."""
+"""Degrees of freedom of E: inliers in so few grid cells fit some pose by chance, as matches of one cell count about as one."""
 OFF_LINES_PX = 3.0
 MUCH = 0.25
-"""Share of the accepted inliers that makes any other pose a rival..."""
+"""Any other pose makes a pair ambiguous if this share of the accepted inliers agrees with it."""
 MUCH_TURNED, TURNED_DEG = 0.08, 20.0
-"""...and one that is turned by more than so many degrees."""
+"""A pose turned by more than the second makes a pair ambiguous if the first share of the accepted inliers agrees with it."""
 SAME_ROTATION_DEG, ANOTHER_STEP_DEG = 1.0, 30.0
-"""A rival of the same rotation whose baseline has another direction is another pose, though all its matches be on the lines: the
-view of another house of a row."""
+"""A rival whose rotation differs by less than the first and whose baseline differs by more than the second is another pose even
+if all its matches lie on the epipolar lines: the view of another house of a row."""
 
 
 @dataclass(frozen=True)
 class Ambiguity:
-    """The best other hypothesis of a pair."""
+    """The best competing pose of a pair."""
 
     inliers: int = 0
-    """How many of the matches that the geometry does not explain agree with one pose."""
+    """Number of matches not explained by the accepted geometry that agree with one other pose."""
     elsewhere: int = 0
-    """The same, of matches off the accepted epipolar lines: a shift along the lines is another depth, unless it is another step
-    along a row, which may lead to the other side."""
+    """Number of matches off the accepted epipolar lines that agree with one other pose (a shift along them is another depth);
+    equals `inliers` if that pose is another step along a row, which may lead to the other side."""
     turned_deg: float = 0.0
-    """Between the accepted rotation and that of these."""
+    """Angle between the accepted rotation and that of the pose of `elsewhere`."""
 
     def ambiguous(self, inliers: int) -> bool:
-        """Nothing decides between this and a geometry with so many inliers.
+        """Whether this pose is as plausible as a geometry with this many inliers.
 
-        A quarter of the support is much for a second pose; a twelfth is if that is turned by far: the view of another side.
+        A quarter of its inliers suffices for any second pose; a twelfth for one that is turned far: the view of another side.
         """
         another_side = self.elsewhere >= MUCH_TURNED * inliers and self.turned_deg > TURNED_DEG
         return another_side or self.elsewhere >= MUCH * inliers
@@ -69,15 +69,15 @@ def find_ambiguity(
     accepted: TwoView,
     seed: int = 0,
 ) -> Ambiguity:
-    """The strongest pattern of matches besides the accepted ones.
+    """The strongest set of matches apart from the accepted ones.
 
     Parameters
     ----------
     left, right : keypoints of the two frames.
-    pairs : their views, as `matching.candidates.view_pairs` gives them.
-    i1, i2 : (n,) int32, the accepted matches: rows of the features.
-    accepted : their geometry, with its pose.
-    seed : of the random samples.
+    pairs : their view pairs, from `matching.candidates.view_pairs`.
+    i1, i2 : (n,) int32, rows of the accepted matches in the features.
+    accepted : the accepted geometry, with its pose.
+    seed : random seed.
     """
     assert accepted.R is not None and accepted.t is not None
     others = (_without(pairs[0], left, right, i1, i2),) if pairs else ()
@@ -88,7 +88,7 @@ def find_ambiguity(
     every = _one_pose(x1, x2, left.view, right.view, accepted.R, accepted.t, seed)
     off = symmetric_epipolar_distance(accepted.F, x1, x2) > OFF_LINES_PX
     elsewhere = _Pose()
-    if off.sum() >= MUCH_TURNED * len(i1):  # fewer decide nothing
+    if off.sum() >= MUCH_TURNED * len(i1):  # fewer cannot make the pair ambiguous
         elsewhere = _one_pose(x1[off], x2[off], left.view, right.view, accepted.R, accepted.t, seed)
     if every.turned_deg < SAME_ROTATION_DEG and every.step_deg > ANOTHER_STEP_DEG and every.inliers > elsewhere.inliers:
         elsewhere = every
@@ -96,7 +96,7 @@ def find_ambiguity(
 
 
 class _Pose(NamedTuple):
-    """How many matches agree with one pose, and by how much it and its baseline are turned against the accepted one."""
+    """Number of matches that agree with one pose, and the angles of its rotation and baseline to the accepted ones."""
 
     inliers: int = 0
     turned_deg: float = 0.0
@@ -104,7 +104,7 @@ class _Pose(NamedTuple):
 
 
 def _one_pose(x1: Float64s, x2: Float64s, view1: View, view2: View, R: Float64s, t: Float64s, seed: int) -> _Pose:
-    """The pose that most of the matches agree with, against R and the unit vector t."""
+    """The pose that most matches agree with, compared with R and the unit vector t."""
     if len(x1) < FEWEST:
         return _Pose()
     some = slice(None, None, -(-len(x1) // MOST_POSED))
@@ -120,7 +120,7 @@ def _one_pose(x1: Float64s, x2: Float64s, view1: View, view2: View, R: Float64s,
 
 
 def _without(pair: ViewPair, left: Features, right: Features, i1: Int32s, i2: Int32s) -> ViewPair:
-    """The view pair without the candidates near to where the accepted matches put them."""
+    """The view pair without the candidates near the positions that the accepted matches predict."""
     x1, x2 = left.xy[i1], right.xy[i2]
     affine = right.frames[i2] @ inverses(left.frames[i1])
     field = fit_affine_field(x1, x2, affine, np.ones(len(i1)), pair.x1)
@@ -135,7 +135,7 @@ def _without(pair: ViewPair, left: Features, right: Features, i1: Int32s, i2: In
 
 
 def _first(pair: ViewPair) -> Correspondences:
-    """Candidates that are the best of both their keypoints among what is left, and that their neighbours confirm."""
+    """Initial matches: candidates that are mutually nearest among the remaining ones, confirmed by their neighbours."""
     c = pair.candidates
     mutual = np.flatnonzero(_best(c.i, c.q) & _best(c.j, c.q))
     i, j, q = c.i[mutual], c.j[mutual], c.q[mutual]
@@ -149,7 +149,7 @@ def _first(pair: ViewPair) -> Correspondences:
 
 def _best(keypoint: Int32s, distance: Float64s) -> Bools:
     """(n,) which candidates are the nearest of their keypoint."""
-    order = np.lexsort((distance, keypoint))  # of several that are as near, the first
+    order = np.lexsort((distance, keypoint))  # the first of equally near ones
     best = np.zeros(len(keypoint), bool)
     best[order[np.unique(keypoint[order], return_index=True)[1]]] = True
     return best

@@ -1,7 +1,7 @@
-"""Two pictures of one camera that do not fit near their old places: was it turned far, carried elsewhere, or exchanged?
+"""Compare two pictures of one camera that do not align near their old positions: was it turned far, moved, or exchanged?
 
-Keypoints (SIFT; Lowe 2004) are matched over the whole picture; a homography of a pure rotation, or else a fundamental matrix,
-tells whether the pictures show the same things at all.
+SIFT keypoints (Lowe 2004) are matched over the whole picture.  A homography of a pure rotation, or else a fundamental matrix,
+shows whether the pictures have scene content in common at all.
 """
 
 from __future__ import annotations
@@ -19,38 +19,38 @@ _KEYPOINTS = 2500
 _RATIO = 0.75
 _AGREE_PX = 3.0
 _FEWEST = 20
-"""So many matches must agree."""
+"""Fewest matches that must agree with a homography; twice as many with a fundamental matrix."""
 _SHARE = 0.25
-"""...and this share of all."""
+"""Smallest share of the matches that must agree with a homography; twice as much with a fundamental matrix."""
 _CELLS = 5
-"""...in so many cells of a 6 x 4 grid: a clock that is burnt into the picture lies in one or two."""
+"""Fewest cells of a 6 x 4 grid that must hold them: a clock burnt into the picture covers one or two."""
 _DISTINCT = 300
-"""A picture with so many keypoints shows enough to be known again."""
+"""Pictures with this many keypoints have enough detail for shared content to be found."""
 
 
 @dataclass(frozen=True)
 class GlobalMatch:
-    """What two pictures have in common anywhere."""
+    """What two pictures have in common, at any position."""
 
     keypoints: int
-    """Of the second picture."""
+    """Number in the second picture."""
     matches: int
     agreeing: int
-    """With the best homography, or epipolar geometry."""
+    """Matches that agree with the best homography or epipolar geometry."""
     turn_deg: float | None
-    """The rotation between them, where one explains the matches."""
+    """Angle of the rotation between them, None if no homography explains the matches."""
     shared: bool
-    """They show the same things."""
+    """Whether both pictures show the same scene."""
     distinct: bool
-    """Both show enough that the same things would have been found again."""
+    """Whether both have enough detail for shared content to be found."""
 
 
 def search_globally(grey1: Uint8s, grey2: Uint8s, mask1: Bools, mask2: Bools, K: Float64s) -> GlobalMatch:
-    """Look for the first picture anywhere in the second.
+    """Search for the content of the first picture anywhere in the second.
 
     Parameters
     ----------
-    grey1, grey2 : (h, w) uint8, of one size.
+    grey1, grey2 : (h, w) uint8, of the same size.
     mask1, mask2 : (h, w), True where a pixel may be used.
     K : (3, 3) intrinsics of both, pixels.
     """
@@ -86,7 +86,7 @@ def _keypoints(grey: Uint8s, mask: Bools, scale: float) -> tuple[Float64s, Float
 
 
 def _matched(xy1: Float64s, d1: Float32s, xy2: Float64s, d2: Float32s) -> tuple[Float64s, Float64s]:
-    """Places (n, 2) of keypoints whose nearest descriptor is clearly nearer than the next, in both directions."""
+    """Positions (n, 2) of mutual nearest keypoints that also pass the ratio test from the first picture to the second."""
     if min(len(d1), len(d2)) < 2:
         return np.zeros((0, 2)), np.zeros((0, 2))
     matcher = cv2.BFMatcher(cv2.NORM_L2)
@@ -115,5 +115,5 @@ def _fit(fit: object, x1: Float64s, x2: Float64s) -> tuple[Float64s | None, Bool
 
 
 def _spread(points: Float64s, shape: tuple[int, ...]) -> bool:
-    """Do they lie in several parts of the picture?"""
+    """Do the points lie in several parts of the picture?"""
     return places(points, (shape[1], shape[0]), 0.25) >= _CELLS

@@ -1,4 +1,4 @@
-"""How many places of an image hold something: what lies close together tells little more than one point of it."""
+"""Coverage of an image: the number of grid cells with points, since points close together add little information to one."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ GRID_COLUMNS, GRID_ROWS = 12, 8
 
 
 def places(x: Float64s, size: tuple[int, int], more: float = 1.0) -> int:
-    """How many cells of an image of this width and height hold one of the points x (n, 2), pixels.
+    """Number of grid cells that hold at least one of the points x (n, 2), pixels, in an image of this size (width, height).
 
-    more: the grid has so many times the cells of `GRID_COLUMNS` x `GRID_ROWS`.
+    more: number of cells of the grid, as a multiple of `GRID_COLUMNS` x `GRID_ROWS`.
     """
     finer = np.sqrt(more)
     column = (x[:, 0] * GRID_COLUMNS * finer / size[0]).astype(np.int64)

@@ -1,9 +1,9 @@
-"""F of two views whose lenses nobody knows: unknown, but not arbitrary.
+"""F of two views whose lenses are unknown, but not arbitrary: refinement with a prior on the intrinsics.
 
-A bare F has seven degrees of freedom, and wrong matches that agree with each other bend it where the right ones say little.
-Cameras have square pixels, a principal point near the centre, some focal length, and mostly the same in both views.  So F is
-taken as that of two cameras with such intrinsics, as far as the matches do not say otherwise; and where they do, F is more
-likely wrong than the intrinsics are implausible.
+A bare F has seven degrees of freedom, and wrong matches that agree with each other bend it where right matches constrain it
+little.  Cameras have square pixels, a principal point near the centre, a plausible focal length, and mostly the same one in both
+views.  So F is estimated as that of two cameras with such intrinsics, as far as the matches permit.  If the matches require
+implausible intrinsics, F is more likely wrong than the lenses are unusual.
 """
 
 from __future__ import annotations
@@ -22,72 +22,72 @@ from .refinement import CAUCHY, normal_equations
 from .robust import pose_of_fundamental
 
 FOCAL_SIGMA, GUESS_SIGMA, KNOWN_SIGMA = 0.7, 0.2, 0.01
-"""Of the logarithm of a focal length: when nothing is known (around one long side), when there is a guess, when it is known."""
+"""Standard deviation of a log focal length: unknown (the mean is then one long side), guessed, and known."""
 RATIO_SIGMA = 0.1
-"""Of the logarithm of the two focal lengths' ratio, with Cauchy's long tails: mostly one lens, sometimes two."""
+"""Scale of the Cauchy prior on the log ratio of both focal lengths: most pairs share one lens, some do not."""
 CENTRE_SIGMA = 0.01
-"""Of the principal point, in long sides."""
+"""Standard deviation of the principal point, as a share of the long side."""
 TOGETHER = 2.5
-"""Matches err together, not each on its own: their noise counts as so many times what the residuals tell (the factor by which
-true errors exceed those of independent matches, on photographs)."""
+"""Factor by which the noise of the matches is taken to exceed their residuals, because errors of matches are correlated (on
+photographs, true errors exceed those expected of independent matches by this factor)."""
 MOST_IMPLAUSIBLE = 4.0
-"""Lenses two standard deviations off: then F is more likely bent by wrong matches."""
+"""Largest plausible `implausibility`, two standard deviations: above it, F is more likely bent by wrong matches."""
 STARTS = (0.5, 0.7, 1.0, 1.4, 2.0)
-"""Focal lengths, in long sides (or in guesses), at which the search starts."""
+"""Initial focal lengths of the search, as multiples of the long side, or of the guess if there is one."""
 FIRST_STEPS, LAST_STEPS = 5, 30
 
 
 @dataclass(frozen=True)
 class TwoCameras:
-    """An F and the intrinsics that it is that of."""
+    """An F and the intrinsics that were estimated with it."""
 
     F: Float64s
     """(3, 3) of unit norm."""
     K1: Float64s
     K2: Float64s
-    """(3, 3), the intrinsics that go with it."""
+    """(3, 3) intrinsics of the two views."""
     implausibility: float
-    """Of these intrinsics, in squared standard deviations."""
+    """Deviation of these intrinsics from the prior, in squared standard deviations."""
 
 
 @dataclass(frozen=True)
 class _State:
-    """What is refined."""
+    """The refined parameters."""
 
     R: Float64s
     t: Float64s
     """`cam2_R_cam1`, unit `cam2_t_cam1`."""
     lens: Float64s
-    """Log f1, log f2, c1 (2), c2 (2), in units of the first long side around each image's centre."""
+    """(6,) log f1, log f2, c1 (2), c2 (2), relative to each image's centre, in units of the first image's long side."""
 
 
 @dataclass(frozen=True)
 class _Matches:
-    """What it is refined by."""
+    """Matches and the lens prior."""
 
     x1: Float64s
     x2: Float64s
-    """(n, 2) matches in units of the first long side around each image's centre."""
+    """(n, 2) matches relative to each image's centre, in units of the first image's long side."""
     scale: Float64s
-    """(n,) what makes a distance one unit of the loss."""
+    """(n,) factor from distances to units of the loss."""
     mean: Float64s
     sigma: Float64s
-    """(6,) what is expected of the lens."""
+    """(6,) mean and standard deviation of the lens prior."""
 
 
 def refine_with_plausible_intrinsics(
     candidates: Sequence[Float64s], x1: Float64s, x2: Float64s, noise: Float64s, view1: View, view2: View
 ) -> TwoCameras | None:
-    """The two cameras near one of the candidates for F that explain matches best; None where none has a pose.
+    """The two cameras near a candidate F that explain the matches best; None if no candidate yields a pose.
 
-    Most probable pose and lenses, by Levenberg-Marquardt over 11 parameters from several focal lengths.
+    Maximum a posteriori pose and lenses, by Levenberg-Marquardt over 11 parameters from several focal lengths.
 
     Parameters
     ----------
-    candidates : (3, 3) each, from which to start.
+    candidates : (3, 3) fundamental matrices to start from.
     x1, x2 : (n, 2) pixels of the matches.
-    noise : (n,) standard deviation of each, pixels.
-    view1, view2 : sizes of the frames, and what is known of the lenses.
+    noise : (n,) standard deviation of each match, pixels.
+    view1, view2 : sizes of the frames, and known or guessed intrinsics.
     """
     unit = float(max(view1.width, view1.height))
     T1, T2 = (_frame_of(view, unit) for view in (view1, view2))
@@ -111,14 +111,14 @@ def refine_with_plausible_intrinsics(
 
 
 def freedoms(F: Float64s, K1: Float64s, K2: Float64s, view1: View, view2: View) -> tuple[Float64s, Float64s]:
-    """Directions (9, 12) in which F = K2^-T E K1^-1 may change: turns of either camera (6), and lenses; and the information
-    (12, 12), in units of that of the matches, that is known of them beforehand.
+    """Directions (9, 12) in which F = K2^-T E K1^-1 may change, by rotations of either camera (6) and by the lenses (6), and the
+    prior information on these parameters (12, 12), in units of the matches' information.
 
     Parameters
     ----------
     F : (3, 3).
     K1, K2 : (3, 3) intrinsics in pixels.
-    view1, view2 : sizes of the frames, and what is known of the lenses.
+    view1, view2 : sizes of the frames, and known or guessed intrinsics.
     """
     unit = float(max(view1.width, view1.height))
     T1, T2 = (_frame_of(view, unit) for view in (view1, view2))
@@ -138,18 +138,18 @@ def freedoms(F: Float64s, K1: Float64s, K2: Float64s, view1: View, view2: View) 
 
 
 def _frame_of(view: View, unit: float) -> Float64s:
-    """(3, 3) pixels of coordinates in units around the image's centre."""
+    """(3, 3) transform to pixels, from coordinates in units of `unit` relative to the image's centre."""
     return np.array([[unit, 0.0, (view.width - 1) / 2], [0.0, unit, (view.height - 1) / 2], [0.0, 0.0, 1.0]])
 
 
 def _expected_of_both(view1: View, view2: View, unit: float) -> tuple[Float64s, Float64s]:
-    """Mean and standard deviation (6,) of the lens of a `_State`."""
+    """Mean and standard deviation (6,) of the prior on `_State.lens`."""
     means, sigmas = (np.array(both) for both in zip(_expected(view1, unit), _expected(view2, unit), strict=True))
     return np.append(means[:, 0], means[:, 1:]), np.append(sigmas[:, 0], sigmas[:, 1:])
 
 
 def _expected(view: View, unit: float) -> tuple[Float64s, Float64s]:
-    """Mean and standard deviation of log f, cx, cy."""
+    """Mean and standard deviation (3,) of the prior on log f, cx, cy."""
     side = max(view.width, view.height)
     if view.K is None:
         return np.array([np.log(side / unit), 0.0, 0.0]), np.array([FOCAL_SIGMA, *[CENTRE_SIGMA * side / unit] * 2])
@@ -173,12 +173,12 @@ def _fundamental(state: _State) -> Float64s:
 
 
 def _across(t: Float64s) -> Float64s:
-    """(3, 2) directions in which the unit vector t may move."""
+    """(3, 2) tangent directions of the unit vector t."""
     return np.asarray(np.linalg.svd(t[None])[2][1:].T, dtype=np.float64)
 
 
 def _directions(state: _State) -> Float64s:
-    """(9, 11) how F changes with a turn of the second camera (3), with t (2), and with the lenses (6)."""
+    """(9, 11) derivative of F by a rotation of the second camera (3), by t (2), and by the lenses (6)."""
     K1, K2 = _intrinsics(state.lens)
     right, left = np.linalg.inv(K1), np.linalg.inv(K2).T
     E = skew(state.t) @ state.R
@@ -191,7 +191,7 @@ def _directions(state: _State) -> Float64s:
 
 
 def _lens_changes(K: Float64s) -> list[Float64s]:
-    """How K^-1 changes with log f, cx and cy."""
+    """Derivatives of K^-1 by log f, cx and cy."""
     f, cx, cy = K[0, 0], K[0, 2], K[1, 2]
     by_f = np.array([[-1.0, 0.0, cx], [0.0, -1.0, cy], [0.0, 0.0, 0.0]]) / f
     by_x, by_y = np.zeros((3, 3)), np.zeros((3, 3))
@@ -200,7 +200,7 @@ def _lens_changes(K: Float64s) -> list[Float64s]:
 
 
 def _information(lens: Float64s, mean: Float64s, sigma: Float64s) -> tuple[Float64s, Float64s, float]:
-    """What is expected of the lenses as normal equations (6, 6), (6,), and how implausible they are, in squared deviations."""
+    """The lens prior as normal equations (6, 6), (6,), and the implausibility of `lens` in squared standard deviations."""
     off = (lens - mean) / sigma
     ratio = (lens[0] - mean[0] - lens[1] + mean[1]) / RATIO_SIGMA
     along = np.array([1.0, -1.0, 0, 0, 0, 0]) / RATIO_SIGMA
@@ -210,7 +210,7 @@ def _information(lens: Float64s, mean: Float64s, sigma: Float64s) -> tuple[Float
 
 
 def _equations(state: _State, matches: _Matches) -> tuple[float, Float64s, Float64s]:
-    """Cost, normal matrix (11, 11) and right side (11,) of matches and lenses together."""
+    """Cost, normal matrix (11, 11) and right side (11,) of the matches and the lens prior together."""
     cost, normal, right = normal_equations(_fundamental(state), matches.x1, matches.x2, matches.scale, _directions(state))
     share = (CAUCHY / TOGETHER) ** 2
     prior_normal, prior_right, implausibility = _information(state.lens, matches.mean, matches.sigma)

@@ -1,11 +1,11 @@
-"""Is a pair to be believed?  A score for each pair, from its own evidence.
+"""Score of a pair: how likely its geometry is right, from the pair's own evidence.
 
-Look-alike windows seen from opposite sides give a hundred and more matches that agree with one F: no count of inliers tells them
-from the truth.  What does: whether the matches are *distinctive* (no rival in the other image, no look-alike in their own) and
-cover the image; whether the clearest matches, found before any geometry, agree with it too; whether the two halves of the
-inliers tell the same pose; and how much the local maps are stretched (aliases are found where views look alike).
+Look-alike windows seen from opposite sides give a hundred or more matches that agree with one F, so the number of inliers does
+not separate right pairs from wrong ones.  What does: whether the matches are *distinctive* (no rival in the other image, no
+look-alike in their own) and cover the image; whether the clearest matches, found before any geometry, also agree with F; whether
+both halves of the inliers give the same rotation; and how stretched the local affine maps are (wrong pairs join similar views).
 
-What a pair alone leaves open is settled by the site (`sfm.loops`).
+Pairs that remain undecided on their own are decided by the whole site (`sfm.loops`).
 """
 
 from __future__ import annotations
@@ -27,19 +27,19 @@ from .image_grid import places
 from .robust import TwoView, estimate_essential
 
 DISTINCT_FROM_RIVALS, DISTINCT_FROM_LOOKALIKES = 0.85, 0.95
-"""A match is distinctive where its descriptor distance is below this share of the nearest rival's and look-alike's."""
+"""A match is distinctive if its descriptor distance is below these shares of its nearest rival's and nearest look-alike's."""
 CLEAR_RATIO, CLEAR_PX = 0.9, 2.0
-"""Clear matches: mutual nearest under this ratio, without geometry; they agree with F within so many pixels."""
+"""Clear matches are mutual nearest neighbours with a distance ratio below the first; they agree with F within the second (px)."""
 DISTINCT_CELLS = 20
-"""A pair with distinctive matches in so many cells of the grid shows the same thing in both images, if not the same place: where
-scenes don't repeat, no three such pairs contradict each other (`scripts/bench_verdict.py`: at most 7 cells, in 484 triangles)."""
+"""Distinctive matches in this many grid cells show the same structure in both images, if perhaps at another place: in scenes
+without repetition, no three such pairs contradict each other (`scripts/bench_verdict.py`: at most 7 cells, in 484 triangles)."""
 LIKELY = 0.5
-"""A match without keypoints counts as distinctive from this probability on."""
+"""Probability from which a match without keypoints counts as distinctive, and as clear."""
 
 
 @dataclass(frozen=True)
 class PairEvidence:
-    """What the score is made of; described in `Geometry`."""
+    """Inputs of the score; described in `Geometry`."""
 
     inliers: int
     distinct_cells: int
@@ -48,21 +48,21 @@ class PairEvidence:
     half_rotation_deg: float
     stretch: float
     angle_deg: float = float("nan")
-    """Median angle between the rays, nan without a pose."""
+    """Median angle between the rays of the inliers, nan without a pose."""
     rival: Ambiguity | None = None
-    """The best other hypothesis, None where nobody looked for one: no pose, or no keypoints."""
+    """The best competing pose; None if none was searched for, without a pose or without keypoints."""
 
 
 HARDLY_DEG, MOSTLY = 1.0, 0.8
-"""Rays that meet at less, and clear matches of which so many agree: two cameras at one place."""
+"""Both cameras seem to be at one place if the ray angle is below the first (degrees) and the agreement is at least the second."""
 WEIGHTS, OFFSET = (0.89, 0.90, 3.37, 1.20, 2.91, 3.68, -0.27, -1.15), -15.3
-"""Of the `terms`, fitted by `scripts/bench_verdict.py` on 299 pairs of 13 sets, photographed and rendered, look-alikes in most;
-each scene with the same weight, drawn to the weights of an earlier fit (walls and a courtyard).  Exact copies of a building
-count as right there: no pair tells them apart."""
+"""Weights of the `terms`, fitted by `scripts/bench_verdict.py` on 299 pairs of 13 sets, photographed and rendered, most with
+look-alikes.  Each scene has the same weight, and the fit is drawn toward the weights of an earlier one (walls and a courtyard).
+Exact copies of a building count as right, since no single pair can distinguish them."""
 
 
 def terms(e: PairEvidence) -> tuple[float, ...]:
-    """What the score of a pair adds up that has a pose, and of which rivals were looked for; all but the last two are for it."""
+    """Terms of the score of a pair with a pose and a search for rivals; the last two count against the pair, the rest for it."""
     rivals = 0 if e.rival is None else e.rival.inliers
     return (
         log(1 + e.distinct_cells),
@@ -79,15 +79,15 @@ def terms(e: PairEvidence) -> tuple[float, ...]:
 def pair_evidence(
     left: Features, right: Features, pairs: tuple[ViewPair, ...], i1: Int32s, i2: Int32s, found: TwoView, seed: int = 0
 ) -> PairEvidence:
-    """Evidence from the inliers of a pair.
+    """Evidence from the inliers of a pair with keypoints.
 
     Parameters
     ----------
     left, right : keypoints of the two frames.
-    pairs : their views, as `matching.candidates.view_pairs` gives them.
-    i1, i2 : (n,) int32, the inliers: rows of the features.
+    pairs : their view pairs, from `matching.candidates.view_pairs`.
+    i1, i2 : (n,) int32, rows of the inliers in the features.
     found : the geometry.
-    seed : of the random samples for the halves' poses.
+    seed : random seed for the poses of the two halves and of rivals.
     """
     x1, x2 = left.xy[i1], right.xy[i2]
     dots = np.einsum("nd,nd->n", left.descriptors[i1], right.descriptors[i2]).astype(np.float64)
@@ -108,16 +108,16 @@ def pair_evidence(
 
 
 def point_evidence(before: Matches, inliers: Matches, found: TwoView, seed: int = 0) -> PairEvidence:
-    """The same for points that are no keypoints, in which the matcher's word stands for what descriptors tell.
+    """Evidence from matches without keypoints, where the matcher's probabilities replace descriptors.
 
-    A match of probability 0.5 and more counts as distinctive, and so do those `before` geometry as clear.
+    Inliers with a probability of 0.5 or more count as distinctive, and such matches of `before` as clear.
 
     Parameters
     ----------
-    before : all matches that the geometry was estimated from.
-    inliers : those that agree with it.
+    before : all matches from which the geometry was estimated.
+    inliers : the matches that agree with it.
     found : the geometry.
-    seed : of the samples.
+    seed : random seed.
     """
     x1, x2 = inliers.x1, inliers.x2
     distinct = inliers.probability >= LIKELY
@@ -135,7 +135,7 @@ def point_evidence(before: Matches, inliers: Matches, found: TwoView, seed: int 
 
 
 def _lookalikes(features: Features, rows: Int32s) -> Float32s:
-    """Distance of some keypoints (n,) to the most similar one elsewhere in their own image."""
+    """Descriptor distance (n,) of keypoints, given by their rows, to the most similar one elsewhere in their own image."""
     known = features.lookalikes
     if not len(known):
         return nearest_elsewhere(features.descriptors, features.xy, len(features.xy))[rows]
@@ -152,9 +152,9 @@ def _lookalikes(features: Features, rows: Int32s) -> Float32s:
 def pair_score(evidence: PairEvidence, contradicted: bool = False) -> float:
     """Log odds that the geometry is right.
 
-    contradicted: the intrinsics contradict F, or another pose has as much support; such a pair is never believed on its own.
-    With K and rivals: see `WEIGHTS`.  Without either, fitted by logistic regression on 263 labelled pairs of four scenes, 118 of
-    them wrong; 5 fall on the wrong side.
+    contradicted: the intrinsics contradict F.  The score is then at most 0, as it is if a rival pose has much support.
+    With K and a search for rivals, `WEIGHTS` apply.  The weights for the other cases were fitted by logistic regression on 263
+    labelled pairs of four scenes, 118 of them wrong; 5 are misclassified.
     """
     e = evidence
     cells, inliers, stretch = log(1 + e.distinct_cells), log(1 + e.inliers), log(e.stretch + 0.01)
@@ -170,14 +170,14 @@ def pair_score(evidence: PairEvidence, contradicted: bool = False) -> float:
 
 
 def hardly_converging(angle_deg: float, agreement: float) -> bool:
-    """The clear matches of a pair agree, but its rays are so near to parallel (degrees; nan: unknown) that no pose can be told:
-    what speaks against it is not its matches."""
+    """Whether the clear matches agree but the rays are too nearly parallel (degrees; nan if unknown) to determine the pose: it is
+    not the matches that are in doubt."""
     return angle_deg < HARDLY_DEG and agreement >= MOSTLY
 
 
 def tells_the_site(evidence: PairEvidence) -> bool:
-    """Does a pair that is not believed, since its cameras seem to be at one place, say something of its site all the same: that
-    they are, or, as distinct as right pairs are, that the scene looks the same from several sides?"""
+    """Whether a rejected pair whose cameras seem to be at one place is still informative about its site: either that they are at
+    one place, or, if as distinctive as right pairs, that the scene looks the same from several sides."""
     e = evidence
     return hardly_converging(e.angle_deg, e.agreement) or (e.angle_deg < HARDLY_DEG and e.distinct_cells >= DISTINCT_CELLS)
 
@@ -188,9 +188,9 @@ def probability(score: float) -> float:
 
 
 def _distinct_cells(x1: Float64s, x2: Float64s, view1: View, view2: View) -> int:
-    """How many cells hold a point, in the image where they are fewer.
+    """Number of cells that hold a point, in the image with fewer of them.
 
-    A wide view has as many more cells as it sees more than a narrow one: a long lens sees a few cells of it, and all of its own.
+    The wider view gets more cells, by the ratio of the fields of view: a long lens covers few of its cells, but all of its own.
     """
     more = field_ratio(view1, view2)
     size1, size2 = (view1.width, view1.height), (view2.width, view2.height)
@@ -198,7 +198,7 @@ def _distinct_cells(x1: Float64s, x2: Float64s, view1: View, view2: View) -> int
 
 
 def _agreement(pairs: tuple[ViewPair, ...], F: Float64s) -> float:
-    """Share of the clear matches of the plain views that lie on their epipolar lines; shrunk toward 0 where they are few."""
+    """Share of the clear matches of the untilted views that lie on their epipolar lines; shrunk toward 0 if they are few."""
     if not pairs:
         return 0.0
     i, j, ratio = pairs[0].candidates.near.mutual()
@@ -208,14 +208,14 @@ def _agreement(pairs: tuple[ViewPair, ...], F: Float64s) -> float:
 
 
 def _share_near(distance: Float64s) -> float:
-    """Share of the matches at most `CLEAR_PX` from their epipolar lines; shrunk toward 0 where they are few."""
+    """Share of the matches within `CLEAR_PX` of their epipolar lines; shrunk toward 0 if they are few."""
     return float(((distance < CLEAR_PX).sum() + 0.5) / (len(distance) + 5))
 
 
 def _stretch(x1: Float64s, x2: Float64s, affine: Float64s | None) -> float:
-    """Median log ratio of the axes of the local maps, each fitted to the neighbours of a match without itself.
+    """Median log axis ratio of the local affine maps, each fitted to the neighbours of a match without the match itself.
 
-    affine: (n, 2, 2) what the keypoints' frames say of the maps, None where there are no keypoints.
+    affine: (n, 2, 2) maps from the keypoints' frames, None without keypoints.
     """
     maps, ridge = (np.zeros((len(x1), 2, 2)), 0.0) if affine is None else (affine, 2.0)
     field = fit_affine_field(x1, x2, maps, np.ones(len(x1)), x1, neighbours=16, ridge=ridge)
@@ -224,11 +224,11 @@ def _stretch(x1: Float64s, x2: Float64s, affine: Float64s | None) -> float:
 
 
 def _half_rotation_deg(x1: Float64s, x2: Float64s, view1: View, view2: View, seed: int) -> float:
-    """Angle between the rotations that the two halves of the inliers tell; nan without K."""
+    """Angle in degrees between the rotations estimated from the two halves of the inliers; nan without K, 180 without a pose."""
     if view1.K is None or view2.K is None or not (view1.focal_known and view2.focal_known):
         return float("nan")
     centred = x1 - x1.mean(axis=0)
-    along = centred @ np.linalg.svd(centred, full_matrices=False)[2][0]  # their longest spread
+    along = centred @ np.linalg.svd(centred, full_matrices=False)[2][0]  # along the largest spread
     first = along < np.median(along)
     poses = [estimate_essential(x1[h], x2[h], view1, view2, 1.0, seed, max_iterations=300) for h in (first, ~first)]
     if poses[0] is None or poses[1] is None or poses[0].R is None or poses[1].R is None:
@@ -237,13 +237,13 @@ def _half_rotation_deg(x1: Float64s, x2: Float64s, view1: View, view2: View, see
 
 
 def ray_angle_deg(x1: Float64s, x2: Float64s, view1: View, view2: View, R: Float64s | None) -> float:
-    """Median angle between the two rays of each correspondence.
+    """Median angle in degrees between the two rays of each correspondence; nan without R or K.
 
     Parameters
     ----------
     x1, x2 : (n, 2) pixels.
     view1, view2 : size and intrinsics of the images.
-    R : (3, 3) relative rotation; None where it is not known.
+    R : (3, 3) relative rotation; None if unknown.
     """
     if R is None or view1.K is None or view2.K is None:
         return float("nan")

@@ -1,9 +1,9 @@
-"""What one night's keypoints add to a geometry that was pooled from many, and what they say of it.
+"""Evidence from one night's keypoints for a geometry that was pooled from many nights.
 
-Nights of the same scene are no independent evidence: what looks alike does so every night, and matches that come again agree with
-each other whether they are right or not.  Their number makes the geometry more exact.  Whether it is to be believed, the
-descriptors of one night say as for any pair: how distinctive the matches around it are, whether the clear ones agree with it, and
-what else the two cameras may see.
+Nights of the same scene are not independent evidence: look-alikes recur every night, and recurring matches agree with each other
+whether they are right or not.  Pooling makes the geometry more exact, but whether it is right is judged from the descriptors of
+one night, as for any pair: how distinctive the matches around it are, whether the clear ones agree with it, and which rival
+poses the two cameras have.
 """
 
 from __future__ import annotations
@@ -22,19 +22,19 @@ from .pair_score import PairEvidence, pair_evidence
 from .robust import TwoView, supporters
 
 NEAR_PX = 2.0
-"""A keypoint so near to a pooled match's point stands for it: nights differ by noise."""
+"""A keypoint within this distance of a pooled match's point represents it: nights differ by noise."""
 SAME_PX = 1.5
-"""A match of the night is the same as a pooled one where their four coordinates differ by less (root of the sum of squares)."""
+"""A match of the night equals a pooled one if the Euclidean distance of their four coordinates is at most this."""
 FEWEST = 8
-"""Matches of one night that tell something."""
+"""Fewest matches of a night that count as evidence."""
 
 
 def matches_of_night(inliers: Matches, F: Float64s, left: Features, right: Features) -> Matches:
-    """What the keypoints of one night match around a pooled geometry.
+    """Match the keypoints of one night around a pooled geometry.
 
     Parameters
     ----------
-    inliers : the pooled matches that agree with it.
+    inliers : the pooled matches that agree with F.
     F : (3, 3) the geometry.
     left, right : keypoints of the two cameras in that night.
     """
@@ -47,7 +47,7 @@ def matches_of_night(inliers: Matches, F: Float64s, left: Features, right: Featu
 
 
 def with_night(pooled: Matches, night: Matches) -> Matches:
-    """The pooled matches, and those of a night that are not among them."""
+    """The pooled matches, and those of a night that are new."""
     ends = np.hstack([night.x1, night.x2])
     away, _ = cKDTree(np.hstack([pooled.x1, pooled.x2])).query(ends) if len(ends) else (np.zeros(0), None)
     more = away > SAME_PX
@@ -62,16 +62,16 @@ def with_night(pooled: Matches, night: Matches) -> Matches:
 def pooled_evidence(
     own: PairEvidence, night: Matches, found: TwoView, left: Features, right: Features, threshold_px: float, seed: int = 0
 ) -> PairEvidence:
-    """Evidence for a pooled geometry: its own number, angle and halves; all that descriptors tell from the keypoints of a night.
+    """Evidence for a pooled geometry: inliers, ray angle and halves from the pool; descriptor evidence from a night's keypoints.
 
     Parameters
     ----------
-    own : what the pooled matches say of it by themselves.
-    night : what the keypoints match around it.
+    own : evidence from the pooled matches alone.
+    night : the night's matches around the geometry.
     found : the geometry.
-    left, right : the keypoints.
+    left, right : keypoints of the night.
     threshold_px : noise of a correct match, pixels.
-    seed : of the random samples.
+    seed : random seed.
     """
     keep = supporters(found.F, night.x1, night.x2, threshold_px)
     if night.i1 is None or night.i2 is None or keep.sum() < FEWEST:
@@ -85,6 +85,6 @@ def pooled_evidence(
 
 
 def _keypoint_at(features: Features, x: Float64s) -> Int32s:
-    """(n,) row of the keypoint nearest to each place, -1 where none is near."""
+    """(n,) row of the nearest keypoint to each position, -1 if none is within `NEAR_PX`."""
     distance, row = nearest_points(features.xy, x, 1)
     return np.where(distance.ravel() <= NEAR_PX, row.ravel(), -1).astype(np.int32)

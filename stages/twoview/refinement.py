@@ -1,7 +1,7 @@
-"""The last refinement of F, or of E where the lenses are known: matches count by how exactly their keypoints are located.
+"""Final refinement of F, or of E for known lenses, with matches weighted by the localisation accuracy of their keypoints.
 
-The error of a keypoint grows with its size: that of the largest eighth is three times that of the smallest, in photographs and
-renderings alike.  Least squares with equal weights gives most of the say to the worst.  Reference: Zeisl et al., Estimation of
+A keypoint's error grows with its size: in photographs and renderings alike, the largest eighth has three times the error of the
+smallest.  Least squares with equal weights would be dominated by the least accurate.  Reference: Zeisl et al., Estimation of
 location uncertainty for scale invariant feature points, BMVC 2009.
 """
 
@@ -18,21 +18,21 @@ from ..types import Float64s
 Intrinsics = tuple[Float64s, Float64s]
 
 CAUCHY = 1.5
-"""Matches that lie off by this many standard deviations count half."""
+"""Residual, in standard deviations, at which the weight of a match is halved."""
 LEAST_NOISE_PX = 0.02
 ITERATIONS = 12
 _TURNS = np.stack([skew(axis) for axis in np.eye(3)])
-"""(3, 3, 3): what a small turn about each axis adds to a vector."""
+"""(3, 3, 3) generators of small rotations about each axis."""
 
 
 def noise_px(F: Float64s, x1: Float64s, x2: Float64s, size: Float64s) -> Float64s:
-    """(n,) standard deviation of the distance of each match to F, pixels: in proportion to `size` (n,), as large as measured.
+    """(n,) standard deviation in pixels of each match's distance to F: proportional to `size` (n,), scaled to the residuals.
 
     Parameters
     ----------
     F : (3, 3).
     x1, x2 : (n, 2) pixels of the matches.
-    size : (n,) of the coarser of the two keypoints, in any unit.
+    size : (n,) size of the coarser keypoint of each match, in any unit.
     """
     measured = 1.4826 * float(np.median(np.abs(sampson_distance(F, x1, x2)) / size))
     return np.asarray(size * max(measured, LEAST_NOISE_PX / float(np.median(size))), dtype=np.float64)
@@ -41,17 +41,17 @@ def noise_px(F: Float64s, x1: Float64s, x2: Float64s, size: Float64s) -> Float64
 def refine_two_view(
     F: Float64s, x1: Float64s, x2: Float64s, size: Float64s, intrinsics: Intrinsics | None = None
 ) -> tuple[Float64s, Float64s]:
-    """F of unit norm near `F` that fits matches best, and the standard deviation (n,) in pixels of their distances.
+    """F of unit norm near `F` that fits the matches best, and the standard deviation (n,) in pixels of their distances.
 
-    Least Cauchy-weighted Sampson distances over the seven (five) degrees of freedom, by Levenberg-Marquardt; the noise is
-    measured twice.
+    Minimises Cauchy-weighted Sampson distances over seven degrees of freedom (five for known lenses) by Levenberg-Marquardt; the
+    noise is estimated twice.
 
     Parameters
     ----------
-    F : (3, 3), from which to start.
+    F : (3, 3), initial value.
     x1, x2 : (n, 2) pixels of the matches.
-    size : (n,) of the coarser of the two keypoints, in any unit.
-    intrinsics : K1, K2; then F = K2^-T E K1^-1 throughout.
+    size : (n,) size of the coarser keypoint of each match, in any unit.
+    intrinsics : K1, K2; if given, F = K2^-T E K1^-1 throughout.
     """
     half = max(float(np.abs(np.concatenate([x1, x2])).max()) / 2, 1.0)
     N = np.array([[1 / half, 0.0, -1.0], [0.0, 1 / half, -1.0], [0.0, 0.0, 1.0]])
@@ -65,7 +65,7 @@ def refine_two_view(
 
 
 def _descend(F: Float64s, x1: Float64s, x2: Float64s, scale: Float64s, lenses: Intrinsics | None) -> Float64s:
-    """The least distances in normalised coordinates; scale: (n,) what makes a distance one unit of the loss."""
+    """F that minimises the distances in normalised coordinates; scale: (n,) factor from distances to units of the loss."""
 
     def equations(state: tuple[Float64s, Float64s]) -> Equations:
         return normal_equations(state[0], x1, x2, scale, state[1])
@@ -87,7 +87,7 @@ def _descend(F: Float64s, x1: Float64s, x2: Float64s, scale: Float64s, lenses: I
 
 
 def _nearest(F: Float64s, lenses: Intrinsics | None) -> Float64s:
-    """The matrix of rank 2, or with two equal singular values where the lenses are known, nearest to F; of unit norm."""
+    """The matrix of unit norm nearest to F that has rank 2 or, for known lenses, yields an E with two equal singular values."""
     if lenses is None:
         U, s, Vt = np.linalg.svd(F)
         return unit_norm((U[:, :2] * s[:2]) @ Vt[:2])
@@ -97,13 +97,13 @@ def _nearest(F: Float64s, lenses: Intrinsics | None) -> Float64s:
 
 
 def tangent(F: Float64s, lenses: Intrinsics | None) -> Float64s:
-    """Orthonormal directions (9, k) in which F may change: it keeps its norm and its rank, or stays an essential matrix."""
+    """Orthonormal directions (9, k) in which F may change while it keeps its norm and its rank, or remains that of an E."""
     if lenses is None:
         e1, e2 = epipoles(F)  # no change along F itself, nor along e2 e1^T
         return np.asarray(np.linalg.svd(np.stack([F.ravel(), np.outer(e2, e1).ravel()]))[2][2:].T, dtype=np.float64)
     K1, K2 = lenses
     E = K2.T @ F @ K1
-    moves = np.concatenate([_TURNS @ E, E @ _TURNS])  # turn either camera about an axis
+    moves = np.concatenate([_TURNS @ E, E @ _TURNS])  # rotations of either camera about an axis
     changes = (np.linalg.inv(K2).T @ moves @ np.linalg.inv(K1)).reshape(6, 9)
     changes = changes - np.outer(changes @ F.ravel(), F.ravel())
     return np.asarray(np.linalg.svd(changes, full_matrices=False)[2][:5].T, dtype=np.float64)
@@ -113,13 +113,13 @@ def tangent(F: Float64s, lenses: Intrinsics | None) -> Float64s:
 def normal_equations(
     F: Float64s, x1: Float64s, x2: Float64s, scale: Float64s, directions: Float64s
 ) -> tuple[float, Float64s, Float64s]:
-    """Sum of log(1 + r^2) of the scaled Sampson distances r, and the weighted normal equations of their changes along (9, k).
+    """Sum of log(1 + r^2) over the scaled Sampson distances r, and weighted normal equations of their changes along (9, k).
 
     Parameters
     ----------
     F : (3, 3).
     x1, x2 : (n, 2) of the matches.
-    scale : (n,) what makes a distance one unit of the loss.
+    scale : (n,) factor from distances to units of the loss.
     directions : (9, k) in which F may change.
     """
     k = directions.shape[1]
@@ -133,7 +133,7 @@ def normal_equations(
         inverse = 1 / np.sqrt(ax * ax + ay * ay + bx * bx + by * by + 1e-30)
         algebraic = u1 * ax + v1 * ay + u2 * F[0, 2] + v2 * F[1, 2] + F[2, 2]
         r = algebraic * inverse * scale[n]
-        q = algebraic * inverse * inverse  # the length of the gradient changes, too
+        q = algebraic * inverse * inverse  # accounts for the changing length of the gradient
         row[0], row[1], row[2] = u2 * u1 - q * (bx * u1 + u2 * ax), u2 * v1 - q * (bx * v1 + u2 * ay), u2 - q * bx
         row[3], row[4], row[5] = v2 * u1 - q * (by * u1 + v2 * ax), v2 * v1 - q * (by * v1 + v2 * ay), v2 - q * by
         row[6], row[7], row[8] = u1 - q * ax, v1 - q * ay, 1.0

@@ -1,9 +1,9 @@
-"""Two pictures of one camera: by how much it has turned between them, from small patches found again near their old places.
+"""Rotation of a camera between two of its pictures, from small patches found again near their old positions.
 
-Patches around corners of the first picture are searched in the second by normalised cross-correlation (Lewis 1995), which does
-not mind how bright a place is; the turn that most of them agree on (random samples of two, Fischler & Bolles 1981) is fitted by
-least squares as a rotation about the camera's centre with a zoom.  That works between noon and lamps, where descriptors of
-keypoints find nothing; a camera that was turned farther than the search reaches is left to these.
+Patches around corners of the first picture are searched in the second by normalised cross-correlation (Lewis 1995), which is
+insensitive to local brightness.  The rotation that most patches agree on (random samples of two, Fischler & Bolles 1981) is
+fitted by least squares as a rotation about the camera's centre with a zoom.  This works between noon and lamplight, where
+keypoint descriptors fail; cameras that turned farther than the search radius are left to keypoints (`global_search`).
 """
 
 from __future__ import annotations
@@ -17,56 +17,56 @@ from ..types import Bools, Float32s, Float64s, Uint8s
 from .image_grid import GRID_COLUMNS, GRID_ROWS, places
 
 REACH_PX = 40
-"""Patches are searched so far from their old places."""
+"""Search radius around a patch's old position, in pixels."""
 _PER_CELL = 4
-"""So many patches in each cell of the grid over which they are spread."""
+"""Largest number of patches in a grid cell."""
 _LEAST_CORRELATION = 0.6
-"""Below this a patch was not found."""
+"""Patches with a lower correlation count as not found."""
 _LEAST_STD = 2.0
-"""Grey levels: a patch with less is nothing to look for."""
+"""Patches with a lower standard deviation, in grey levels, are not searched."""
 _TRIALS = 400
 _AGREE_PX = 1.5
-"""So far a patch may lie from where the turn puts it."""
+"""Largest distance of an inlier from the position that the rotation predicts, in pixels."""
 _FEWEST, _FEWEST_CELLS, _SHARE = 10, 8, 0.1
-"""So many patches must agree, of so many cells, and this share of all: what agrees by chance, or is a clock in the picture, is
-less."""
+"""Fewest inliers, fewest grid cells that hold them, and their smallest share of all patches.  Chance agreement, or a clock burnt
+into the picture, stays below these."""
 _ROUNDS = 5
 
 
 @dataclass(frozen=True)
 class Found:
-    """Patches of one picture, and where they are in another."""
+    """Patches of one picture and their positions in another."""
 
     x1: Float64s
-    """(n, 2) their old places, pixels."""
+    """(n, 2) old positions, pixels."""
     x2: Float64s
-    """(n, 2) their new ones."""
+    """(n, 2) new positions, pixels."""
 
 
 @dataclass(frozen=True)
 class Turn:
-    """How a camera has turned."""
+    """Rotation and zoom of a camera between two pictures."""
 
     R: Float64s
-    """(3, 3) from its old axes to the new ones."""
+    """(3, 3) rotation from the old camera axes to the new ones."""
     zoom: float
     """New focal length over the old one."""
     homography: Float64s
-    """(3, 3) old pixels to new ones."""
+    """(3, 3) transform from old pixels to new ones."""
     shift: Float64s
-    """(2,) by which the middle of the picture has moved, pixels."""
+    """(2,) motion of the picture's centre, pixels."""
     shift_sigma: Float64s
-    """(2,) its standard deviation."""
+    """(2,) standard deviation of `shift`, pixels."""
     roll_deg: float
-    """Turn about the optical axis, positive from x to y."""
+    """Rotation about the optical axis, positive from x to y."""
     roll_sigma_deg: float
     angle_deg: float
-    """The whole rotation."""
+    """Angle of the whole rotation."""
     angle_sigma_deg: float
     motion_px: float
-    """Median motion of the pixels of the picture."""
+    """Median motion of pixels on a grid over the picture."""
     inliers: Bools
-    """(n,) of the patches, which agree."""
+    """(n,) which patches agree with the rotation."""
 
 
 def corners(image: Uint8s, mask: Bools) -> Float64s:
@@ -94,12 +94,12 @@ def corners(image: Uint8s, mask: Bools) -> Float64s:
 
 
 def patch_radius(width: int) -> int:
-    """Half the side of a patch, for pictures of a width."""
+    """Half the side of a patch in pixels, for pictures of this width."""
     return int(np.clip(width // 100, 5, 12))
 
 
 def find_again(image1: Uint8s, image2: Uint8s, points: Float64s) -> Found:
-    """Search patches of one grey image (h, w) in another of its size, around points (n, 2): at half the size, then finely."""
+    """Search patches around points (n, 2) of one grey image (h, w) in another of the same size, at half size and then finely."""
     radius = patch_radius(image1.shape[1])
     reach = REACH_PX // 2
     half1, half2 = _padded(_halved(image1), radius), _padded(_halved(image2), radius + reach)
@@ -121,7 +121,7 @@ def _padded(image: Uint8s, by: int) -> tuple[Float32s, int]:
 def _search(
     first: tuple[Float32s, int], second: tuple[Float32s, int], points: Float64s, near: Float64s, radius: int, reach: int
 ) -> tuple[Float64s, Float64s]:
-    """Best place (n, 2) and its correlation (n,) of each patch within `reach` of `near`; nan and -1 where there is none."""
+    """Best position (n, 2) and correlation (n,) of each patch within `reach` of `near`; nan and -1 if there is none."""
     image1, pad1 = first
     image2, pad2 = second
     at_best, scores = np.full(points.shape, np.nan), np.full(len(points), -1.0)
@@ -145,7 +145,7 @@ def _search(
 
 
 def _peak(values: Float32s, at: np.intp) -> float:
-    """Where a parabola through a maximum and its two neighbours is highest."""
+    """Position of the vertex of the parabola through a maximum and its two neighbours."""
     k = int(at)
     if not 0 < k < len(values) - 1:
         return float(k)
@@ -155,11 +155,11 @@ def _peak(values: Float32s, at: np.intp) -> float:
 
 
 def fit_turn(found: Found, K: Float64s, width: int, height: int) -> Turn | None:
-    """The turn that most patches agree on, or None where too few do.
+    """The rotation and zoom that most patches agree on, or None if too few do.
 
     Parameters
     ----------
-    found : patches and where they are now.
+    found : old and new positions of the patches.
     K : (3, 3) intrinsics, pixels.
     width, height : size of the pictures.
     """
@@ -180,7 +180,7 @@ def fit_turn(found: Found, K: Float64s, width: int, height: int) -> Turn | None:
     if inliers.sum() < max(_FEWEST, _SHARE * len(inliers)) or cells < _FEWEST_CELLS:
         return None
     residual, jacobian = _residuals(parameters, rays[inliers], found.x2[inliers], K)
-    # patches of one cell err alike (a shadow, one thing that moved): they count as one
+    # errors within a cell are correlated (a shadow, one object that moved): its patches count as one
     variance = float(np.mean(residual**2)) * max(len(residual) / cells, 1.0)
     covariance = variance * np.linalg.pinv(jacobian.T @ jacobian)
     R, zoom = np.asarray(cv2.Rodrigues(parameters[:3])[0], dtype=np.float64), float(np.exp(parameters[3]))
@@ -211,7 +211,7 @@ def fit_turn(found: Found, K: Float64s, width: int, height: int) -> Turn | None:
 
 
 def _agreeing(found: Found) -> Bools:
-    """The patches that agree with the best of many similarities through two of them."""
+    """The inliers of the best of many similarities, each through two random patches."""
     n = len(found.x1)
     rng = np.random.default_rng(0)
     pairs = rng.integers(0, n, (_TRIALS, 2))
@@ -229,7 +229,7 @@ def _agreeing(found: Found) -> Bools:
 
 
 def _residuals(parameters: Float64s, rays: Float64s, x2: Float64s, K: Float64s) -> tuple[Float64s, Float64s]:
-    """Distances (n, 2) of turned rays (n, 3) from pixels, and their derivatives (2 n, 4) by rotation vector and log zoom."""
+    """Residuals (n, 2) in pixels of rotated rays (n, 3), and their derivatives (2 n, 4) by rotation vector and log zoom."""
     R, zoom = cv2.Rodrigues(parameters[:3])[0], float(np.exp(parameters[3]))
     X = rays @ R.T
     f = np.array([K[0, 0], K[1, 1]]) * zoom

@@ -1,4 +1,4 @@
-"""F, E and homographies from correspondences with outliers, seeded, refined to the last tenth of a pixel.
+"""Robust estimation of F, E and homographies from correspondences with outliers; seeded, and accurate to a tenth of a pixel.
 
 F: normalised 7- and 8-point algorithms inside MAGSAC++ (Barath et al., CVPR 2020; OpenCV's USAC), then Cauchy-weighted least
 squares on the Sampson distance over F of rank 2 (poselib).  MAGSAC alone leaves up to twice the error.  E: the 5-point algorithm
@@ -20,34 +20,34 @@ from ..types import Bools, Camera, Float64s, View
 
 CONFIDENCE = 0.9999
 MIN_ITERATIONS, MAX_ITERATIONS = 50, 20000
-"""Of random samples; between the two, as many as the share of inliers asks for."""
+"""Limits of the number of random samples; within them the share of inliers determines it."""
 INLIER_FACTOR = 1.5
-"""An inlier of the refined model lies within this times the threshold, in Sampson distance."""
+"""Inlier threshold of the refined model, as a multiple of the given threshold, in Sampson distance."""
 MOST_POSED = 500
-"""So many matches at most are asked on which side of the cameras they lie, and which pose a rival has."""
+"""Largest number of matches that enter the decomposition of F into a pose, and the search for a rival pose."""
 
 
 @dataclass(frozen=True)
 class TwoView:
-    """A two-view geometry and what supports it."""
+    """A two-view geometry and its inliers."""
 
     F: Float64s
     """(3, 3) of unit norm."""
     inliers: Bools
-    """(n,) bool."""
+    """(n,) which correspondences are inliers."""
     R: Float64s | None = None
     t: Float64s | None = None
     """`cam2_R_cam1` and unit `cam2_t_cam1`, None for a bare F."""
 
 
 def estimate_fundamental(x1: Float64s, x2: Float64s, threshold_px: float, seed: int) -> TwoView | None:
-    """F of (n, 2) correspondences; None when nothing with 8 inliers is found.
+    """F of (n, 2) correspondences; None if none with 8 inliers is found.
 
     Parameters
     ----------
     x1, x2 : (n, 2) pixels of the correspondences.
-    threshold_px : sampson distance of an inlier, at most.
-    seed : of the samples.
+    threshold_px : noise of a correct match; inliers lie within `INLIER_FACTOR` times this, in Sampson distance.
+    seed : random seed.
     """
     if len(x1) < 8:
         return None
@@ -68,7 +68,7 @@ def estimate_fundamental(x1: Float64s, x2: Float64s, threshold_px: float, seed: 
 
 
 def _refined(F: Float64s, x1: Float64s, x2: Float64s, threshold_px: float) -> Float64s:
-    """The F of rank 2 near `F` with the least Cauchy-weighted Sampson distances."""
+    """The F of rank 2 near `F` that minimises the Cauchy-weighted Sampson distances."""
     loss = {"loss_type": "CAUCHY", "loss_scale": 0.5 * threshold_px}
     return unit_norm(poselib.refine_fundamental(x1, x2, F, loss)[0])
 
@@ -76,15 +76,15 @@ def _refined(F: Float64s, x1: Float64s, x2: Float64s, threshold_px: float) -> Fl
 def estimate_essential(
     x1: Float64s, x2: Float64s, view1: View, view2: View, threshold_px: float, seed: int, max_iterations: int = MAX_ITERATIONS
 ) -> TwoView | None:
-    """Relative pose and its F where both K are known; None when nothing with 8 inliers is found.
+    """Relative pose and its F from known K; None if a K is missing or no pose with 8 inliers is found.
 
     Parameters
     ----------
     x1, x2 : (n, 2) float64, pixels in images 1 and 2.
-    view1, view2 : whose K are known.
+    view1, view2 : views with known K.
     threshold_px : noise of a correct match; inliers lie within `INLIER_FACTOR` times this.
-    seed : of the random samples.
-    max_iterations : random samples, at most.
+    seed : random seed.
+    max_iterations : largest number of random samples.
     """
     if len(x1) < 8 or view1.K is None or view2.K is None:
         return None
@@ -107,15 +107,15 @@ def _lo_ransac(threshold_px: float, seed: int, most: int) -> dict[str, Any]:
 def estimate_with_one_lens(
     x1: Float64s, x2: Float64s, view1: View, view2: View, threshold_px: float, seed: int
 ) -> TwoView | None:
-    """F of two views with one unknown lens, whose centre is theirs (six points inside LO-RANSAC, poselib); None when nothing with
-    8 inliers is found.  It has one freedom less than a bare F, by which wrong matches that agree can bend it.
+    """F of two views with one unknown focal length and centred principal points (six points inside LO-RANSAC, poselib); None if
+    none with 8 inliers is found.  It has one degree of freedom less than a bare F, so wrong matches bend it less.
 
     Parameters
     ----------
     x1, x2 : (n, 2) float64, pixels in images 1 and 2.
-    view1, view2 : only their sizes are used.
+    view1, view2 : only their sizes are used; the focal length is the same in units of their long sides.
     threshold_px : noise of a correct match; inliers lie within `INLIER_FACTOR` times this.
-    seed : of the random samples.
+    seed : random seed.
     """
     if len(x1) < 8:
         return None
@@ -137,13 +137,13 @@ def estimate_with_one_lens(
 
 
 def pose_of_fundamental(F: Float64s, x1: Float64s, x2: Float64s, view1: View, view2: View) -> tuple[Float64s, Float64s] | None:
-    """`cam2_R_cam1`, `cam2_t_cam1` nearest to F: of the four decompositions of K2^T F K1 the one with the points in front.
+    """`cam2_R_cam1`, `cam2_t_cam1` nearest to F: of the four decompositions of K2^T F K1, the one with points in front of both.
 
     Parameters
     ----------
     F : (3, 3).
     x1, x2 : (n, 2) pixels of the correspondences.
-    view1, view2 : views with intrinsics.
+    view1, view2 : views; None is returned if a K is missing, or if fewer than 8 points are in front.
     """
     if view1.K is None or view2.K is None:
         return None
@@ -155,14 +155,14 @@ def pose_of_fundamental(F: Float64s, x1: Float64s, x2: Float64s, view1: View, vi
 
 
 def rotation_support(x1: Float64s, x2: Float64s, view1: View, view2: View, R: Float64s, threshold_px: float) -> float:
-    """Share of the correspondences that a turn of the camera alone explains.
+    """Share of the correspondences that a rotation of the camera alone explains.
 
     Parameters
     ----------
     x1, x2 : (n, 2) float64, pixels in images 1 and 2.
-    view1, view2 : whose K are known; 0 is given back where they are not.
-    R : (3, 3) float64, where the search for the turn starts.
-    threshold_px : a match is explained within so many pixels of image 2.
+    view1, view2 : views with known K; the result is 0 if one is missing.
+    R : (3, 3) float64, initial rotation.
+    threshold_px : largest error of an explained match, in pixels of image 2.
     """
     if view1.K is None or view2.K is None:
         return 0.0
@@ -179,13 +179,13 @@ def rotation_support(x1: Float64s, x2: Float64s, view1: View, view2: View, R: Fl
 
 
 def homography_support(x1: Float64s, x2: Float64s, threshold_px: float, seed: int) -> Bools:
-    """(n,) which correspondences the best homography explains, to `INLIER_FACTOR` thresholds both ways.
+    """(n,) which correspondences the best homography explains, within `INLIER_FACTOR` thresholds in both directions.
 
     Parameters
     ----------
     x1, x2 : (n, 2) pixels of the correspondences.
-    threshold_px : of a hypothesis, pixels.
-    seed : of the samples.
+    threshold_px : noise of a correct match, pixels.
+    seed : random seed.
     """
     none = np.zeros(len(x1), dtype=bool)
     if len(x1) < 8:
@@ -202,7 +202,7 @@ def homography_support(x1: Float64s, x2: Float64s, threshold_px: float, seed: in
 
 
 def _usac(threshold_px: float, seed: int, iterations: int) -> Any:
-    """MAGSAC with its own generator: `cv2.setRNGSeed` does not reach USAC."""
+    """MAGSAC settings with their own random seed: `cv2.setRNGSeed` does not reach USAC."""
     params = cv2.UsacParams()
     params.randomGeneratorState = seed
     params.threshold = threshold_px
@@ -219,7 +219,7 @@ def _usac(threshold_px: float, seed: int, iterations: int) -> Any:
 
 
 def pinhole(view: View | Camera) -> dict[str, Any]:
-    """A view or camera with known K as poselib wants it."""
+    """A view or camera with known K in poselib's format."""
     assert view.K is not None
     K = view.K
     params = [float(K[0, 0]), float(K[1, 1]), float(K[0, 2]), float(K[1, 2])]
@@ -233,7 +233,7 @@ def supporters(F: Float64s, x1: Float64s, x2: Float64s, threshold_px: float) -> 
     ----------
     F : (3, 3).
     x1, x2 : (n, 2) pixels of the correspondences.
-    threshold_px : Pixels.
+    threshold_px : noise of a correct match, pixels.
     """
     return np.asarray(np.abs(sampson_distance(F, x1, x2)) < INLIER_FACTOR * threshold_px)
 

@@ -1,6 +1,6 @@
-"""How much of one posed view another sees, and at what angle: rays of each view, out to where the scene lies, seen by the others.
+"""How much of one posed view another one sees, and at what angle, from sample points on rays of each view near the scene.
 
-No length enters but ratios, so a desk and a quarry are treated alike.
+Only ratios of lengths enter, so a desk and a quarry are treated alike.
 """
 
 from __future__ import annotations
@@ -14,24 +14,24 @@ from ..core.cameras import backproject, project, ray_angles
 from ..types import Bools, Camera, Float32s, Float64s, Int64s
 
 FEW = 32
-"""Up to so many views every pair is looked at closely, and all axes say how far away the scene is.  Of more, few rays are drawn
-(a quarter of a million pairs of five hundred views are looked at in a second), and only the axes of the views nearest to it say
-how far a view looks: on a large site those of most views cross somewhere far behind what it shows."""
+"""Up to this many views, every pair is sampled on the fine grid, and the axes of all views enter the scene distances.  For more
+views, the grid is coarse (a quarter of a million pairs of 500 views take a second), and a view's scene distance comes from the
+axes of its `FEW` nearest views only: on a large site, the axes of most other views cross far behind what the view shows."""
 
 _Grid = tuple[int, int, int]
 _FINE: _Grid = (8, 6, 5)
 _COARSE: _Grid = (6, 4, 3)
-"""Rays across and down an image, and depths on each of them."""
+"""Sample points up to and above `FEW` views: rays across an image, rays down it, and depths on each ray."""
 
 
 def shared_ground(cameras: list[Camera]) -> tuple[Int64s, Float64s, Float64s]:
-    """What pairs of posed views share.
+    """Viewing angle and overlap of pairs of posed views.
 
     Returns
     -------
-    pairs : (m, 2) positions in `cameras`, in their order.  Of many views, only pairs that share something.
-    angle : (m,) radians at which the two see what they share; the mean of both views' medians.
-    shared : (m,) share of one view that the other sees, 0 to 1; the mean of both.
+    pairs : (m, 2) indices into `cameras`, in ascending order.  Above `FEW` views, only pairs that share something.
+    angle : (m,) angle in radians between the two views' rays to shared samples (all if none is); the mean of both medians.
+    shared : (m,) share of one view's sample points that the other sees, 0 to 1; the mean of both directions.
     """
     if len(cameras) < 2:
         return np.zeros((0, 2), np.int64), np.zeros(0), np.zeros(0)
@@ -56,7 +56,7 @@ def shared_ground(cameras: list[Camera]) -> tuple[Int64s, Float64s, Float64s]:
 
 
 def _of_many(cameras: list[Camera], distances: Float64s) -> tuple[Int64s, Float64s, Float64s]:
-    """The same for all other views of a view at once; where only one of two sees what the other does, the angle is its own."""
+    """The result of `shared_ground` for many views.  If only one view of a pair has visible samples, its angle is used alone."""
     n = len(cameras)
     C = np.stack([camera.C for camera in cameras])
     sides = np.concatenate([_frustum(camera) for camera in cameras]).astype(np.float32)
@@ -76,33 +76,33 @@ def _of_many(cameras: list[Camera], distances: Float64s) -> tuple[Int64s, Float6
 
 
 def _frustum(camera: Camera) -> Float64s:
-    """(4, 3) normals, in world axes, of the sides of what a camera sees, which point inward: a point that all sides have before
-    them, seen from the camera's centre, is in the image."""
+    """(4, 3) normals, in world axes, of the four sides of a camera's frustum, pointing inward: a point is in the image if its
+    vector from the camera's centre has a positive dot product with all four."""
     left, top, right, bottom = -0.5, -0.5, camera.width - 0.5, camera.height - 0.5
     lines = np.array([[1.0, 0, -left], [-1.0, 0, right], [0, 1.0, -top], [0, -1.0, bottom]])
     return np.asarray(lines @ camera.K @ camera.R, dtype=np.float64)
 
 
 def _median_angles(rays: Float32s, apart: Float32s, visible: Bools) -> Float32s:
-    """(m,) median angle in radians at which points (p, 3) are seen from the origin and from other places `apart` (m, 3), of those
-    that are visible (m, p): at least one in each row."""
+    """(m,) median angle in radians between the rays to points (p, 3) from the origin and from each position in `apart` (m, 3),
+    over the visible points (m, p) only: at least one in each row."""
     along = apart @ rays.T
     square = np.einsum("pk,pk->p", rays, rays)
     there = np.einsum("mk,mk->m", apart, apart)[:, None] + square - 2 * along
     with np.errstate(divide="ignore", invalid="ignore"):
         cosine = (square - along) / np.sqrt(square * there)
     cosine[~visible] = np.inf
-    cosine.sort(axis=1)  # what is not visible comes last
+    cosine.sort(axis=1)  # invisible points (inf) come last
     count, rows = visible.sum(axis=1), np.arange(len(visible))
     middle = np.stack([cosine[rows, (count - 1) // 2], cosine[rows, count // 2]])
     return np.asarray(np.arccos(np.clip(middle, -1, 1)).mean(axis=0), dtype=np.float32)
 
 
 def _scene_distances(cameras: list[Camera]) -> Float64s:
-    """(n,) how far along each optical axis the scene lies: the median of where other axes pass nearest in front of both.
+    """(n,) distance of the scene along each optical axis: the median of the points nearest to other axes, in front of both.
 
-    Cameras whose axis meets no other take the others' median; if no axes meet at all (a row of parallel cameras, or cameras that
-    look outward) five times the median distance to the nearest camera: the angle between neighbours is then about 11 degrees.
+    Cameras whose axis meets no other get the median of the others' distances.  If no axes meet at all (a row of parallel cameras,
+    or cameras that look outward), five times the median distance to the nearest camera: neighbours then differ by 11 degrees.
     """
     C = np.stack([camera.C for camera in cameras])
     axes = np.stack([camera.R[2] for camera in cameras])
