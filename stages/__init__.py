@@ -1,6 +1,6 @@
 """The vision of wbflow: plain functions that turn arrays into arrays.  Nothing here knows a path, a cache or the engine.
 
-Conventions, kept everywhere:
+Conventions that hold everywhere:
 
 * **Pixels**: `(x, y)`, x to the right, y down; the origin is the *centre* of the top-left pixel, so an image of width `w`
   covers x from -0.5 to w - 0.5.  Resizing by `s` maps `x` to `(x + 0.5) * s - 0.5`.
@@ -13,11 +13,11 @@ Conventions, kept everywhere:
 * **Depth** is z along the optical axis, not range.
 * **Epipolar geometry**: `x2^T F x1 = 0`, F of unit Frobenius norm.
 * **Disparity**: after rectification a point lies on the same row in both images and `x2 = x1 - d`.
-* **Angles** are radians inside; degrees only where the name says so (`_deg`).
+* **Angles** are in radians, and in degrees only where the name says so (`_deg`).
 * A function that finds nothing usable *returns* `Rejected` with a reason and figures; bad input *raises* `ValueError`.
 * The same inputs give the same bytes: every random choice has an explicit seed.
 
-In a notebook, two photographs become disparity by what is exported here:
+The functions exported here turn two photographs into disparity, for example in a notebook:
 
     import wbflow_stages as wb
     left, right = wb.read_frame("left.jpg"), wb.read_frame("right.jpg")
@@ -53,7 +53,7 @@ _EXPORTED = {
     "disparity_px": "rectification.warping",
     "Rejected": "reasons",
 }
-"""What stands at the top, and the module that has it: loaded when it is first asked for."""
+"""Exported names, and the module that defines each: it is imported on first access."""
 
 __all__ = list(_EXPORTED)
 
@@ -69,8 +69,8 @@ def __dir__() -> list[str]:
 
 
 class _Package(ModuleType):
-    """Some stage functions have the name of their file: `wbflow_stages.rectify` is always the function, whoever has imported the
-    module before."""
+    """A module class for this package: some stage functions share the name of their file, and `wbflow_stages.rectify` is
+    always the function, even after an import of the module."""
 
     def __setattr__(self, name: str, value: object) -> None:
         if isinstance(value, ModuleType) and name in _EXPORTED:

@@ -1,11 +1,11 @@
 """Calibrate a lens from pictures of a board: find corners, fit the lens, report the fit and its coverage of the picture.
 
-OpenCV fits perspective lenses from homographies of the picture.  What a fisheye sees of a board is none, and beside the axis by
-90 degrees a ray has no place on any plane: for these lenses boards are placed by homographies to *rays*, then least squares
-follow.
+OpenCV fits perspective lenses starting from homographies between board and picture.  A fisheye picture of a board is not
+related to it by a homography, and a ray 90 degrees off the axis meets no image plane: for these lenses, boards are placed by
+homographies to *rays*, and least squares then refine lens and poses.
 
-References: Zhang, A flexible new technique for camera calibration, PAMI 2000; Garrido-Jurado et al., ArUco, Pattern Recognition
-2014 (both as OpenCV has them); Kannala & Brandt, PAMI 2006, section 4 (boards and a generic lens).
+References: Zhang, A flexible new technique for camera calibration, PAMI 2000; Garrido-Jurado et al., ArUco, Pattern
+Recognition 2014 (both as implemented in OpenCV); Kannala & Brandt, PAMI 2006, section 4 (boards and a generic lens).
 """
 
 from __future__ import annotations
@@ -28,52 +28,52 @@ from .types import Capture, Float32s, Float64s, Lens, Uint8s
 _LEAST_PICTURES, _LEAST_CORNERS = 5, 8
 _VIDEO_STEP, _MOST_OF_A_VIDEO = 15, 60
 _CELLS = (8, 6)
-"""Of the picture, across and down, in which corners are counted."""
+"""Columns and rows of the grid of cells over the picture in which corners are counted."""
 _GOOD_PX, _BAD_PX = 0.3, 1.0
-"""Residuals that are drawn green, and from which on they are red."""
+"""Residuals in pixels: up to the first a corner is drawn green, from the second on red."""
 _POOR_PX = 1.0
-"""A lens that misses corners by more, rms, is of another kind than was asked for, or the board is not flat."""
+"""RMS residual in pixels above which the report warns: the lens is of another model, or the board is not flat."""
 
 
 @dataclass(frozen=True)
 class Board:
-    """What was photographed."""
+    """The calibration board that was photographed."""
 
     columns: int
-    """Inner corners of a checkerboard; of ChArUco squares."""
+    """Inner corners per row of a checkerboard; squares per row of a ChArUco board."""
     rows: int
     square: float = 1.0
-    """Edge of a square."""
+    """Edge of a square, in any unit of length."""
     marker: float = 0.0
-    """Edge of a ChArUco marker; 0: a plain checkerboard."""
+    """Edge of a ChArUco marker, in the same unit; 0: a plain checkerboard."""
     dictionary: str = "4X4_50"
-    """Of its markers."""
+    """OpenCV's dictionary of the markers, without the prefix `DICT_`."""
 
 
 @dataclass(frozen=True)
 class _Seen:
-    """The board in one picture."""
+    """The corners detected in one picture."""
 
     name: str
     board: Float32s
-    """(n, 3) corners on the board..."""
+    """(n, 3) corners on the board."""
     image: Float32s
-    """...and (n, 2) in the picture."""
+    """(n, 2) the same corners in the picture, pixels."""
 
 
 def board_files(
     camera: str, pictures_of_it: Mapping[str, bytes], board: Mapping[str, float | str], model: str
 ) -> tuple[dict[str, bytes], list[str]]:
-    """A calibration file and a plot of its coverage, by name, and what to say of them.
+    """A calibration file and a plot of its coverage, by file name, and messages for the operator.
 
-    Raises ValueError where the board is seen in too few pictures, or they do not tell the lens.
+    Raises ValueError if the board is found in too few pictures, or if they do not determine the lens.
 
     Parameters
     ----------
-    camera : its id.
-    pictures_of_it : photographs or videos, as they lie on disk, by name.
+    camera : id of the camera.
+    pictures_of_it : contents of photograph or video files, by file name.
     board : fields of `Board` by name.
-    model : "brown", "rational" (as OpenCV fits them), or a key of `STARTS`.
+    model : "brown" or "rational" (fitted by OpenCV), or a key of `STARTS`.
     """
     what, seen, size, notes = Board(**board), [], (0, 0), []  # type: ignore[arg-type]
     for name, data in pictures_of_it.items():
@@ -132,7 +132,7 @@ def _corners(name: str, grey: Uint8s, board: Board) -> _Seen | None:
 
 
 def _fitted(seen: Sequence[_Seen], size: tuple[int, int], model: str) -> tuple[Float64s, Float64s, list[Float64s]]:
-    """K, coefficients, and residuals (n, 2) of each picture, pixels."""
+    """K, distortion coefficients, and residuals (n, 2) of each picture, pixels."""
     if model in STARTS:
         return fit_lens(
             [each.board.astype(np.float64) for each in seen], [each.image.astype(np.float64) for each in seen], size, model
@@ -153,14 +153,14 @@ def _fitted(seen: Sequence[_Seen], size: tuple[int, int], model: str) -> tuple[F
 
 
 def _covered(seen: Sequence[_Seen], size: tuple[int, int]) -> float:
-    """Share of the picture's cells that have a corner: where there is none, the lens is extrapolated."""
+    """Share of the picture's cells that contain a corner: in the others the lens is extrapolated."""
     x = np.concatenate([each.image for each in seen]) / size
     cells = np.clip((x * _CELLS).astype(int), 0, np.array(_CELLS) - 1)
     return len(np.unique(cells, axis=0)) / (_CELLS[0] * _CELLS[1])
 
 
 def _plot(seen: Sequence[_Seen], residuals: Sequence[Float64s], size: tuple[int, int]) -> Uint8s:
-    """(h, w, 3) BGR: every corner where it was seen, green where the lens fits it, red where not."""
+    """(h, w, 3) BGR: every corner where it was detected, from green (small residual) to red (large)."""
     scale = min(1.0, 1280 / max(size))
     plot = np.full((round(size[1] * scale), round(size[0] * scale), 3), 255, np.uint8)
     plot[:, [plot.shape[1] * k // _CELLS[0] for k in range(1, _CELLS[0])]] = 225
@@ -179,36 +179,36 @@ STARTS: dict[str, tuple[float, ...]] = {
     "eucm": (0.6, 1.0),
     "double-sphere": (-0.2, 0.6),
 }
-"""Models that can be fitted, and coefficients to begin with: of a usual wide lens."""
+"""Lens models that are fitted here instead of by OpenCV, with the initial coefficients of a usual wide lens."""
 
 _HALF_FIELDS_DEG = (20.0, 30.0, 40.0, 52.0, 65.0, 80.0, 95.0)
-"""Of what is tried, from the middle to the nearer ends of the picture."""
+"""Half fields of view to start from, in degrees between the centre of the picture and its nearer edges."""
 _STEPS = 60
 _LOST_PX = 100.0
-"""Residual of a corner that the lens does not see."""
+"""Residual in pixels of a corner that the lens does not image, and upper limit of all residuals."""
 _DIFFERENCE = 1e-6
 
 
 @dataclass(frozen=True)
 class _Guess:
-    """A lens, and where the boards are."""
+    """An estimate of the lens and of the board poses."""
 
     intrinsics: Float64s
-    """fx fy cx cy, then the coefficients."""
+    """fx, fy, cx, cy, then the distortion coefficients."""
     poses: Float64s
-    """(m, 6) rotation vectors, from board to camera axes, and shifts."""
+    """(m, 6) rotation vectors, from board to camera axes, and translations."""
 
 
 def fit_lens(
     boards: Sequence[Float64s], corners: Sequence[Float64s], size: tuple[int, int], model: str
 ) -> tuple[Float64s, Float64s, list[Float64s]]:
-    """K (3, 3), coefficients, and residuals (n, 2) of each picture in pixels.
+    """K (3, 3), distortion coefficients, and residuals (n, 2) of each picture in pixels.
 
-    Raises ValueError where no lens of that model shows boards so.
+    Raises ValueError if no lens of this model fits the corners.
 
     Parameters
     ----------
-    boards, corners : of each picture, (n, 3) corners on the board (z = 0), and (n, 2) where they are seen, pixels.
+    boards, corners : for each picture, (n, 3) corners on the board (z = 0), and (n, 2) where they are detected, pixels.
     size : (width, height) of the pictures.
     model : a key of `STARTS`.
     """
@@ -250,7 +250,7 @@ def _start(
 
 
 def _placed(board: Float64s, rays: Float64s) -> tuple[Float64s, Float64s] | None:
-    """Rotation vector and shift of a board whose corners lie on rays (n, 3); None where too few are known."""
+    """Rotation vector and translation of a board whose corners lie on rays (n, 3); None if fewer than six rays are known."""
     known = np.isfinite(rays).all(axis=1)
     if known.sum() < 6:
         return None
@@ -260,7 +260,7 @@ def _placed(board: Float64s, rays: Float64s) -> tuple[Float64s, Float64s] | None
     nothing = np.zeros_like(plane)
     rows = np.concatenate([np.hstack([nothing, -z, y]), np.hstack([z, nothing, -x]), np.hstack([-y, x, nothing])])
     H = np.linalg.svd(rows)[2][-1].reshape(3, 3)
-    if ((plane @ H.T) * rays).sum() < 0:  # the board lies on the side of the rays
+    if ((plane @ H.T) * rays).sum() < 0:  # choose the sign that puts the corners on the rays, not on their extensions backwards
         H = -H
     H = H / np.sqrt(np.linalg.norm(H[:, 0]) * np.linalg.norm(H[:, 1]))
     axes = np.column_stack([H[:, 0], H[:, 1], np.cross(H[:, 0], H[:, 1])])
@@ -274,7 +274,7 @@ def _moved(guess: _Guess, step: Float64s) -> _Guess:
 
 
 def _residuals(guess: _Guess, picture: int, board: Float64s, corners: Float64s, model: str) -> Float64s:
-    """(n, 2) seen less reckoned, pixels."""
+    """(n, 2) detected minus projected corners, pixels."""
     return corners - _pixels(guess.intrinsics, guess.poses[picture], board, model)
 
 
@@ -299,7 +299,7 @@ def _cost(guess: _Guess, boards: Sequence[Float64s], corners: Sequence[Float64s]
 def _equations(
     guess: _Guess, boards: Sequence[Float64s], corners: Sequence[Float64s], model: str
 ) -> tuple[float, Float64s, Float64s]:
-    """Cost, normal matrix and right side; boards, corners, model: as of `fit_lens`."""
+    """Cost, normal matrix and right-hand side; boards, corners, model: see `fit_lens`."""
     count = len(guess.intrinsics)
     whole = count + 6 * len(boards)
     normal, right, cost = np.zeros((whole, whole)), np.zeros(whole), 0.0

@@ -1,4 +1,4 @@
-"""Are stated cameras right to a tenth of a pixel?  They are held against what dense matching finds beside their rows."""
+"""Check, to a tenth of a pixel, whether the stated cameras fit the row offsets that dense matching measures."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from .types import CalibrationCheck, Disparity, Pair, Poses
 
 
 def check_calibration(poses: Poses, disparities: Mapping[Pair, Disparity]) -> CalibrationCheck:
-    """Compare the stated cameras of the main component with the rows of all their dense pairs.
+    """Compare the stated cameras of the main component with the row offsets of all their dense pairs.
 
-    The result has no pairs where too few can tell.
+    The result has 0 pairs if too few of them have measurements.
     """
     stated = {n: c for n, c in poses.main_cameras().items() if poses.sources.get(n) != "solved" and n not in poses.focals}
     rows = {pair: found.rows for pair, found in disparities.items() if found.rows is not None and set(pair) <= set(stated)}

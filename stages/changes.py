@@ -1,8 +1,8 @@
-"""What changed since the reference was pinned: new, vanished and moved things, by tonight's surface against that of then.
+"""What changed since the reference was pinned: new, vanished and moved things, from tonight's surface and the reference's.
 
-Three kinds of evidence are put together (`change.evidence`): distances between the clouds along their normals, with what each can
-tell (M3C2); free space, as the cameras of either night saw through the places of the other's points; and the photographs, as the
-cameras are fixed: what looks the same is the same.  Points that indicate a change and are connected become clusters with place,
+Three kinds of evidence are combined (`change.evidence`): distances between the clouds along their normals, with their standard
+deviations (M3C2); free space, where cameras of one night saw through points of the other; and the photographs: the cameras are
+fixed, so a place that looks the same has not changed.  Connected points that indicate a change become clusters with place,
 size and volume (`change.clusters`).
 """
 
@@ -41,17 +41,17 @@ from .types import (
 )
 
 _TOP = 0.9
-"""Quantile of the heights over a cell that counts as its surface."""
+"""Quantile of the heights in a cell that counts as the height of its surface."""
 _LEAST_AREA = 300.0
-"""A change has at least so much surface, in squared spacings of the points."""
+"""Smallest surface area of a change in squared point spacings, unless `least_area_m2` is given."""
 _SAME_PLACE = 0.01
-"""Cameras stand where they stood within this share of the site's size."""
+"""Largest median displacement of the cameras, as a share of the site's size, at which two nights share a world."""
 _CELL = 2.0
-"""Edge of a cell, at least, in spacings."""
+"""Smallest edge of a cell, in point spacings, unless `cell_m` is given."""
 _SOME = 8
-"""Every so manieth point tells how far the ground reaches."""
+"""Step through the points from which the extent of the ground is found."""
 _SEEN = 0.2
-"""A camera that sees this share of a change sees it."""
+"""A camera sees a change if it sees at least this share of the change's points."""
 _CROP = 240
 """Height of the pictures of a change, pixels."""
 
@@ -80,18 +80,18 @@ def find_changes(
 
     Parameters
     ----------
-    poses, cloud, frames, depths, refined : of tonight; of cameras of the main component.
-    reference_poses, reference_cloud, reference_frames, reference_depths, reference_refined : of the reference; None, or empty:
-        there is nothing to compare with.
-    scene : where the ground is, if that is known.
-    zones : only changes whose middle lies in one of these count: each a mapping of name, polygon (corners x, y on the ground) and
-        least_m (shortest length of a change that counts, metres).
-    sigmas : a surface has changed where it lies so many standard deviations off.
-    registration_m : standard deviation in metres of tonight's world against that of then: nearly nothing for cameras that stay.
-    alike : places whose pictures correlate better on both nights have not changed, 0 to 1.
-    least_area_m2 : surface of the smallest change that is reported, square metres; None: what some hundred points of the cloud
+    poses, cloud, frames, depths, refined : tonight's results; only cameras of the main component are used.
+    reference_poses, reference_cloud, reference_frames, reference_depths, reference_refined : the reference's results; None, or
+        empty: there is nothing to compare with.
+    scene : the ground plane, if it is known.
+    zones : only changes whose centre lies in one of these zones count; each is a mapping of name, polygon (corners x, y on the
+        ground) and least_m (smallest length or height of a change that counts, metres).
+    sigmas : a surface has changed if its distance exceeds this many standard deviations.
+    registration_m : standard deviation in metres between tonight's world and the reference's; nearly 0 for fixed cameras.
+    alike : places where the photographs of both nights correlate better than this have not changed, 0 to 1.
+    least_area_m2 : surface area of the smallest reported change, square metres; None: what about 300 points of the cloud
         cover.
-    cell_m : edge of the ground's cells in metres; None: twice the points' spacing, as 1, 2 or 5 times a power of ten.
+    cell_m : edge of the ground's cells in metres; None: twice the point spacing, rounded up to 1, 2 or 5 times a power of ten.
     """
     cameras = poses.main_cameras()
     tonight = Epoch(cloud, cameras, straight_frames(frames, cameras), depths, refined or {})
@@ -128,14 +128,14 @@ def find_changes(
 
 
 def _same_world(cameras: Mapping[str, Camera], old: Mapping[str, Camera], cloud: Cloud) -> bool:
-    """Do most cameras stand where they stood?  Else tonight's world was solved anew, and lies somewhere else."""
+    """Are most cameras at their old positions?  Otherwise tonight's world was solved anew, and its frame is another one."""
     off = [float(np.linalg.norm(cameras[name].C - old[name].C)) for name in cameras if name in old]
     size = float(np.linalg.norm(np.ptp(np.quantile(cloud.points.astype(np.float64), [0.05, 0.95], axis=0), axis=0)))
     return bool(off) and float(np.median(off)) <= _SAME_PLACE * size
 
 
 def _in_zone(cluster: ChangeCluster, zones: list[dict[str, Any]] | None, axes: Float64s) -> ChangeCluster | None:
-    """A change with the zone that it lies in; None where it counts in none."""
+    """The change, labelled with the zone that contains it; None if no zone counts it."""
     if not zones:
         return cluster
     change = cluster.change
@@ -154,7 +154,7 @@ def _put_together(
     nights: tuple[Epoch, Epoch],
     found: list[tuple[ChangeCluster, ChangeCluster | None]],
 ) -> Changes:
-    """Changes with the points of both nights; those of then only where they have vanished or nothing is known of them."""
+    """`Changes` with the points of both nights; the reference's only where they have vanished or are unknown tonight."""
     blob_of = [np.zeros(len(side.core), np.uint16) for side in (now, before)]
     changes, crops = {}, {}
     for k, (cluster, source) in enumerate(found, 1):
@@ -193,7 +193,7 @@ def _put_together(
 
 
 def _cameras(side: Evidence, cluster: ChangeCluster, night: Epoch) -> list[str]:
-    """The cameras that see a change, the one that shows most of it first."""
+    """The cameras that see a change, the one that shows it largest first."""
     X, sigma = side.core[cluster.rows], night.sigma[side.rows[cluster.rows]]
     found = []
     for name in night.seeing:
@@ -205,7 +205,7 @@ def _cameras(side: Evidence, cluster: ChangeCluster, night: Epoch) -> list[str]:
 
 
 def _crop(X: Float64s, name: str, nights: tuple[Epoch, Epoch]) -> Uint8s:
-    """(h, w, 3) the surroundings of points X as a camera saw them then, and tonight, side by side."""
+    """(h, w, 3) the surroundings of points X in one camera, side by side: the reference's frame, then tonight's."""
     parts = []
     for night in reversed(nights):
         if name not in night.frames or name not in night.cameras:
@@ -222,7 +222,7 @@ def _crop(X: Float64s, name: str, nights: tuple[Epoch, Epoch]) -> Uint8s:
 
 
 def _tops(grid: GroundGrid, night: Over) -> Float32s:
-    """(rows, columns) heights of a night's surface; nan where none is known."""
+    """(rows, columns) heights of a night's surface; nan where unknown."""
     heights = quantile_by_cell(night.cells, night.levels, grid.rows * grid.columns, _TOP)
     return heights.reshape(grid.rows, grid.columns).astype(np.float32)
 

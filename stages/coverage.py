@@ -1,8 +1,8 @@
-"""How well the cameras see the ground: how many see each place, at what angle, how exactly; and what the loss of one would cost.
+"""How well the cameras see the ground: how many, at what angle, with what error; and what the loss of one camera would cost.
 
-The surface is tonight's: the lowest that was found over each cell, else the ground plane.  A camera sees a place that lies in its
-image, is not masked, and has nothing in front of it in the camera's depth map.  One without a depth map tonight sees nothing: it
-is down, or none of its pairs could be used.
+The surface is tonight's: the lowest height found in each cell, else the ground plane.  A camera sees a place if it projects
+into the image, is not masked, and is not occluded according to the camera's depth map.  A camera without a depth map tonight
+sees nothing: it is down, or none of its pairs could be used.
 """
 
 from __future__ import annotations
@@ -21,15 +21,15 @@ from .reasons import Reason, Rejected
 from .types import Bools, Camera, Coverage, DepthMap, Float64s, Frame, GroundGrid, Poses, Scene
 
 _ACROSS = 320
-"""So many pixels along the rows of a depth map, at least, make the surface."""
+"""Smallest number of samples per row of a depth map from which the surface is made."""
 _REACH = 1.5
-"""A cell without a point has the height of one that is not farther than so many cells."""
+"""A cell without points takes the height of the nearest cell with points, up to this distance in cells."""
 _CELLS = 250
-"""Along the longer side of the ground, about."""
+"""Approximate number of cells along the longer side of the ground."""
 _LOWEST = 0.1
-"""Quantile of the heights over a cell that counts as the lowest: one wrong point is no pit."""
+"""Quantile of the heights in a cell that counts as its lowest: a single wrong point must not make a pit."""
 _ON_GROUND = 0.2
-"""Share of the heights that may lie below the ground."""
+"""Share of the heights that may lie below the fitted ground plane."""
 
 
 def find_coverage(
@@ -48,13 +48,13 @@ def find_coverage(
 
     Parameters
     ----------
-    poses : of the cameras; those of the main component that have a depth map count.
-    frames : for their masks; looked at one at a time.
-    depths, refined : depth of each view from its pairs, and refined where there is such.
-    scene : where the ground is, if that is known.
-    cell_m : edge of a cell in metres; None: so that some 250 lie along the longer side, 1, 2 or 5 times a power of ten.
+    poses : camera poses; only cameras of the main component that have a depth map count.
+    frames : the cameras' frames, for their masks; loaded one at a time.
+    depths, refined : depth maps of the views from their pairs, and refined ones, which are preferred where they exist.
+    scene : the ground plane, if it is known.
+    cell_m : edge of a cell in metres; None: 1, 2 or 5 times a power of ten, for about 250 cells along the longer side.
     noise_px : expected error of a match in pixels, standard deviation.
-    min_angle_deg, max_angle_deg : pairs of cameras tell depth where their rays meet at angles between these.
+    min_angle_deg, max_angle_deg : two cameras measure depth where their rays meet at an angle between these limits.
     """
     better = refined or {}
     placed = poses.main_cameras()
@@ -76,7 +76,7 @@ def find_coverage(
     for k, (name, camera) in enumerate(cameras.items()):
         seen[k] = _sees(camera, frames.get(name), source[name][name], X[known], grid.cell)
     ids = [camera_id(name, camera) for name, camera in cameras.items()]
-    whole = {name: np.flatnonzero(np.array(ids) == name) for name in ids}  # the views of each camera, of which most have one
+    whole = {name: np.flatnonzero(np.array(ids) == name) for name in ids}  # the views of each camera; most cameras have one
     seen = np.stack([seen[rows].any(axis=0) for rows in whole.values()])
     firsts = [list(cameras.values())[rows[0]] for rows in whole.values()]
     limits = np.cos(np.radians([min_angle_deg, max_angle_deg]))
@@ -130,7 +130,7 @@ def _surface(camera: Camera, depth: DepthMap) -> Float64s:
 
 
 def _heights(grid: GroundGrid, surface: Float64s, plane: Float64s | None) -> Float64s:
-    """(rows, columns) of the surface in the area that it covers: the lowest in each cell, else the ground plane."""
+    """(rows, columns) heights of the surface within its convex hull: the lowest in each cell, else the ground plane."""
     found = quantile_by_cell(cells_of(grid, surface), surface @ grid.axes[2], grid.rows * grid.columns, _LOWEST)
     heights = found.reshape(grid.rows, grid.columns)
     away, nearest = distance_transform_edt(~np.isfinite(heights), return_indices=True)
@@ -150,9 +150,9 @@ def _heights(grid: GroundGrid, surface: Float64s, plane: Float64s | None) -> Flo
 
 
 def _low_plane(flat: Float64s, heights: Float64s, up: Float64s) -> Float64s:
-    """(4,) the plane that few of the heights (n,) above the places `flat` (n, 3) lie below: what stands on the ground is above.
+    """(4,) the plane below most of the heights (n,) at the places `flat` (n, 3): things that stand on the ground are above it.
 
-    Regression to a low quantile by least squares with weights, again and again (Koenker & Bassett 1978).
+    Quantile regression at `_ON_GROUND`, by iteratively reweighted least squares (Koenker & Bassett 1978).
     """
     known = np.isfinite(heights)
     across = np.linalg.svd(up[None])[2][1:]
@@ -167,7 +167,7 @@ def _low_plane(flat: Float64s, heights: Float64s, up: Float64s) -> Float64s:
 
 
 def _sees(camera: Camera, frame: Frame | None, depth: DepthMap, X: Float64s, cell: float) -> Bools:
-    """(n,) bool: is a point X (n, 3) in a camera's image, unmasked, and is nothing in front of it?"""
+    """(n,) bool: which points X (n, 3) are in a camera's image, unmasked and not occluded?"""
     x, z = project(camera, X)
     inside = (z > 0) & (x > -0.5).all(axis=1) & (x[:, 0] < camera.width - 0.5) & (x[:, 1] < camera.height - 0.5)
     at = np.rint(x[inside]).astype(np.intp)
@@ -176,7 +176,7 @@ def _sees(camera: Camera, frame: Frame | None, depth: DepthMap, X: Float64s, cel
         free &= frame.mask[at[:, 1], at[:, 0]]
     there, sigma = depth.depth[at[:, 1], at[:, 0]], depth.sigma[at[:, 1], at[:, 0]]
     tolerance = 3.0 * sigma + 0.02 * z[inside] + cell
-    free &= ~(there < z[inside] - tolerance)  # where nothing is known, nothing is known to be in front
+    free &= ~(there < z[inside] - tolerance)  # a pixel without depth (nan) occludes nothing
     seen = np.zeros(len(X), bool)
     seen[inside] = free
     return seen
@@ -186,10 +186,10 @@ def _sees(camera: Camera, frame: Frame | None, depth: DepthMap, X: Float64s, cel
 def _best_pairs(
     X: Float64s, seen: Bools, centres: Float64s, focals: Float64s, cos_least: float, cos_most: float
 ) -> tuple[Float64s, Float64s]:
-    """Radians between the rays (n,), and the error (n,) of the point, of the pair of cameras that tells it best; nan without.
+    """Radians between the rays of each point's best pair of cameras (n,), and the point's error (n,); nan without a pair.
 
-    A camera knows a point across its ray to range / focal; the sum of the information of two rays at an angle has its smallest
-    eigenvalue in their plane: ((a + b) - sqrt((a - b)^2 + 4 a b cos^2)) / 2 for weights a and b.
+    A camera locates a point across its ray to range / focal; the summed information of two rays has its smallest eigenvalue in
+    the rays' plane: ((a + b) - sqrt((a - b)^2 + 4 a b cos^2)) / 2 for weights a and b.
     """
     n, count = len(X), len(centres)
     angle, error = np.full(n, np.nan), np.full(n, np.nan)

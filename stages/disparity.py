@@ -20,13 +20,13 @@ MATCHERS = {
     "sgbm": "wbflow_stages.stereo.sgbm:match_sgbm",
     "census-sgm": "wbflow_stages.stereo.census:match_census_sgm",
 }
-"""Dense matchers by name.  One asks by argument name for what it reads: `pair` (`RectifiedPair`: grey, quiet, of one exposure),
-`left`, `right` (`Frame`), `rectification`; its own parameters are keyword-only, with defaults.  It returns `DenseMatches`."""
+"""Dense matchers by name.  Inputs are passed by argument name: `pair` (`RectifiedPair`: grey, denoised, exposures equal),
+`left`, `right` (`Frame`), `rectification`; parameters are keyword-only, with defaults.  Matchers return `DenseMatches`."""
 
 _SIDES: tuple[tuple[Side, int], ...] = ((1, -1), (2, 1))
-"""Both views, and the sign with which a disparity leads to the other one."""
+"""Both views, each with the sign of its disparity: the partner lies at x + sign * d."""
 _WIDEST_RANGE_PX = 4000
-"""What int16 sixteenths can hold."""
+"""Widest disparity range in pixels that int16 sixteenths can hold."""
 
 
 def match_dense(
@@ -44,20 +44,20 @@ def match_dense(
 ) -> Disparity | Rejected:
     """Match every pixel of the two rectified images.
 
-    Raises ValueError where there is no such matcher, TypeError for a parameter that it does not read.
+    Raises ValueError for an unknown matcher, TypeError for a parameter that the matcher does not have.
 
     Parameters
     ----------
     left, right : the frames of the pair; masked and saturated pixels are never matched.
     rectification : how the frames are resampled.
-    reference_rectification, reference_disparity : the reference's, if there is one: where to start from, for matchers that can,
-        if the frames are resampled as they were.
-    matcher : "patchmatch": a slanted plane for each pixel, started from census semi-global matching; the most accurate.  "sgbm":
-        OpenCV's semi-global matching, in half the time.  "census-sgm": that start alone.  Or a function of your own,
-        `package.module:function`.
-    tolerance_px : the two views must agree within this many rectified pixels, and more closely where disparity is steep or torn.
-    speckle_share : connected pieces of disparity smaller than this share of the rectified image are dropped.
-    min_density : reject if less than this share of the common area gets a value.
+    reference_rectification, reference_disparity : those of the reference, if there is one: an optional start for matchers,
+        used if both rectifications are alike.
+    matcher : "patchmatch": a slanted plane for each pixel, started from census semi-global matching; the most accurate.
+        "sgbm": OpenCV's semi-global matching, in half the time.  "census-sgm": the start of "patchmatch" alone.  Or a function
+        of your own, `package.module:function`.
+    tolerance_px : largest left-right difference of disparity in rectified pixels; less where disparity is steep or jumps.
+    speckle_share : connected regions of disparity smaller than this share of the rectified image are dropped.
+    min_density : reject if less than this share of the common area gets a disparity.
     options : parameters of the matcher, see its function.
 
     References: Hirschmueller, PAMI 2008; Bleyer et al., BMVC 2011.
@@ -88,7 +88,7 @@ def match_dense(
 
 
 def _alike(one: Rectification, two: Rectification) -> bool:
-    """Are the images resampled in the same way, by homographies?"""
+    """Do two rectifications resample the images in the same way, by homographies?"""
     if one.H1 is None or one.H2 is None or two.H1 is None or two.H2 is None:
         return False
     sizes = one.size1 == two.size1 and one.size2 == two.size2
@@ -96,7 +96,7 @@ def _alike(one: Rectification, two: Rectification) -> bool:
 
 
 def _known(stored: Int16s, offset: int, width: int) -> Float32s:
-    """(h, width) pixels; nan where unknown, and where the images are filled up."""
+    """(h, width) disparity in pixels; nan where unknown, and in the columns that pad the image to `width`."""
     disparity = np.where(stored == INVALID, np.float32(np.nan), stored / np.float32(16) + offset).astype(np.float32)
     return np.pad(disparity, ((0, 0), (0, width - stored.shape[1])), constant_values=np.nan)
 
@@ -104,13 +104,13 @@ def _known(stored: Int16s, offset: int, width: int) -> Float32s:
 def _kept(
     pair: RectifiedPair, matches: DenseMatches, side: Side, sign: int, tolerance_px: float, speckle_px: int, offset: int
 ) -> tuple[Int16s, Uint8s]:
-    """What survives of one view: stored disparity and confidence."""
+    """The disparities of one view that pass all checks: as stored, and their confidence."""
     one, other, certain = matches.left, matches.right, matches.confidence_left
     valid, valid_other = pair.valid_left, pair.valid_right
     if side == 2:
         one, other, certain = other, one, matches.confidence_right
         valid, valid_other = valid_other, valid
-    one = (np.rint((one - offset) * 16) / 16 + offset).astype(np.float32)  # as stored, so that what is checked is what is kept
+    one = (np.rint((one - offset) * 16) / 16 + offset).astype(np.float32)  # the checks see the values as stored
     agreed = valid & (certain > 0) & agreeing(one, other, sign, tolerance_px) & lands_on(valid_other, one, sign)
     kept = without_speckles(np.where(agreed, one, np.float32(np.nan)), speckle_px)
     known = ~np.isnan(kept)

@@ -1,10 +1,10 @@
 """Keypoints of a frame: SIFT, spread over the image, with RootSIFT descriptors.
 
-SIFT is Lowe's detector (IJCV 2004), in kernels of our own (`matching.scale_space`, `matching.description`): only what is kept
-gets a direction and a descriptor, from the pyramid that it was found in.  RootSIFT takes the square root of the L1-normalised
-descriptor, so that Euclidean distance compares histograms as Hellinger does (Arandjelovic & Zisserman, CVPR 2012).  A second set
-of keypoints comes from the frame compressed by 2 in x, the one simulated view of ASIFT (Morel & Yu, 2009) that pays between
-upright cameras far apart: it is detected here once, and used only by pairs whose plain views are not enough.
+SIFT is Lowe's detector (IJCV 2004), in kernels of our own (`matching.scale_space`, `matching.description`): only keypoints
+that are kept get an orientation and a descriptor, from the pyramid in which they were found.  RootSIFT takes the square root
+of the L1-normalised descriptor, so that Euclidean distance compares histograms as Hellinger does (Arandjelovic & Zisserman,
+CVPR 2012).  A second set of keypoints comes from the frame compressed by 2 in x, the one simulated view of ASIFT (Morel & Yu,
+2009) that pays off between upright cameras far apart; only pairs whose plain views are not enough use it.
 """
 
 from __future__ import annotations
@@ -26,13 +26,13 @@ from .types import Bools, Features, Float32s, Float64s, Frame, Int64s, Uint8s
 Preprocessing = Literal["auto", "none", "clahe"]
 
 DARK_GREY, FLAT_RANGE = 50.0, 25.0
-"""Grey levels of 255: a median below the first, or a span from 10 to 90 % below the second, asks for CLAHE."""
+"""Grey levels (0 to 255): CLAHE is applied if the median is below the first, or the 10 to 90 % range below the second."""
 ANGLE_SEAM_DEG = 45.0
-"""SIFT repeats a keypoint for each strong gradient direction; the first from this angle on stays.  Upright cameras then choose
-alike (edges are mostly level or plumb, so the seam lies between), and no place is spent on repeats."""
+"""SIFT repeats a keypoint for each strong gradient direction; only the first one from this angle on is kept.  Upright cameras
+then choose the same one (edges are mostly level or plumb, and the seam lies between), and repeats do not use up the quota."""
 LARGEST_PX, OVERLAP_PX = 6_500_000, 256
-"""An image with more pixels is searched in bands: all scales of one pixel take 230 bytes.  Bands reach farther by the overlap,
-and begin at multiples of it, so that coarse scales are sampled at the same places."""
+"""Larger images are searched in bands, since all scales of one pixel take 230 bytes.  Bands overlap by `OVERLAP_PX` pixels and
+begin at multiples of it, so that coarse scales are sampled at the same places."""
 
 
 def detect(
@@ -51,14 +51,14 @@ def detect(
     Parameters
     ----------
     frame : the clean frame; keypoints on or at the edge of masked pixels are left out.
-    max_keypoints : how many to keep in the plain view.
-    tilted_keypoints : how many to keep in the view compressed by 2 in x; 0 leaves that view out.
-    contrast_threshold : least contrast of a keypoint, as share of the grey range (OpenCV's meaning).
-    grid_columns : square cells across the image among which the keypoints are spread.
-    crowding : a cell gives at most this many times its even share, as long as others have keypoints to give; no unit.
-    preprocessing : "clahe" smooths the noise and equalises the local contrast first, for night, lamps and fog; "auto" looks at
-        the image to decide between that and "none", because by day this finds less.
-    min_keypoints : fewer than this in the plain view reject the frame.
+    max_keypoints : most keypoints kept in the plain view.
+    tilted_keypoints : most keypoints kept in the view compressed by 2 in x; 0 leaves that view out.
+    contrast_threshold : smallest contrast of a keypoint, as share of the grey range (OpenCV's meaning).
+    grid_columns : number of square cells across the image, over which the keypoints are spread.
+    crowding : a cell yields at most this many times its even share while other cells still have keypoints; no unit.
+    preprocessing : "clahe" first smooths noise and equalises local contrast, for night, lamps and fog; "auto" chooses between
+        that and "none" by the image, because "clahe" finds fewer keypoints by day.
+    min_keypoints : reject the frame if the plain view has fewer.
     """
     grey = grey_levels(frame.image)
     equalise = preprocessing == "clahe" or (preprocessing == "auto" and _low_contrast(grey, frame.mask))
@@ -83,7 +83,7 @@ _View = tuple[Float64s, Float64s, Float32s, Float32s]
 
 
 def _low_contrast(grey: Uint8s, mask: Bools) -> bool:
-    """True for a dark image (night, lamps), or one that lives in a small part of the grey range (fog)."""
+    """True for a dark image (night, lamps), or one with a narrow range of grey levels (fog)."""
     if not mask.any():
         return False
     low, median, high = np.percentile(grey[mask][::7], [10, 50, 90])
@@ -91,9 +91,9 @@ def _low_contrast(grey: Uint8s, mask: Bools) -> bool:
 
 
 def _equalised(grey: Uint8s) -> Uint8s:
-    """Smoothed against the sensor's noise, then contrast-limited adaptive histogram equalisation on 8 x 8 tiles.
+    """The image smoothed against sensor noise, then equalised: contrast-limited adaptive histogram equalisation, 8 x 8 tiles.
 
-    Equalising without smoothing first amplifies the noise of a night image, and finds less than the image left alone.
+    Equalisation without smoothing amplifies the noise of a night image, and yields fewer keypoints than the original image.
     """
     smooth = cv2.GaussianBlur(grey, (0, 0), 1.2)
     return np.asarray(cv2.createCLAHE(clipLimit=2.0, tileGridSize=(8, 8)).apply(smooth), dtype=np.uint8)
@@ -125,7 +125,7 @@ def _detect_view(grey: Uint8s, contrast: float, mask: Bools, wanted: int, grid_c
 
 
 def _bands(height: int, width: int) -> list[tuple[int, int, int, int]]:
-    """Bands of a large image: where each starts, is looked at from and to, and stops."""
+    """Row limits of the bands of a large image: (first row read, first and end row whose keypoints count, end row read)."""
     count = -(-height * width // LARGEST_PX)
     edges = [height * band // count for band in range(count + 1)]
     return [
@@ -147,7 +147,7 @@ def _detect_tilted(grey: Uint8s, contrast: float, mask: Bools, wanted: int, grid
 
 
 def _usable(blobs: Blobs, mask: Bools) -> Bools:
-    """Keypoints whose disc (of radius sigma) touches no masked pixel: the rim of a mask is no structure of the scene."""
+    """(n,) keypoints whose disc of radius sigma touches no masked pixel: the edge of a mask is not part of the scene."""
     h, w = mask.shape
     if mask.all():
         return np.ones(len(blobs.x), dtype=bool)
@@ -158,9 +158,9 @@ def _usable(blobs: Blobs, mask: Bools) -> Bools:
 
 
 def _spread(blobs: Blobs, usable: Bools, shape: tuple[int, ...], wanted: int, grid_columns: int, crowding: float) -> Int64s:
-    """Rows of the keypoints to keep, strongest first; no cell gives more than its crowded share before all have given theirs.
+    """Rows of the keypoints to keep, strongest first; keypoints beyond `crowding` times a cell's even share come last.
 
-    Spreading more evenly finds more at 50 to 60 degrees but loses a tenth everywhere else: weak keypoints aren't found again.
+    A more even spread finds more matches at 50 to 60 degrees but loses a tenth elsewhere: weak keypoints are not found again.
     """
     order = np.lexsort((blobs.sigma, blobs.y, blobs.x, -blobs.response))
     order = order[usable[order]]

@@ -1,7 +1,7 @@
 """A camera's captures of one night become one clean frame: upright, undistorted, at working resolution, moving things removed.
 
-Image files from the field arrive empty, cut short, black or from another camera.  Each such case is distinguished here, by name,
-because what the operator has to do about it differs.
+Image files from the field arrive empty, truncated, black or from another camera.  Each case has its own error here, because
+the operator has to act differently.
 """
 
 from __future__ import annotations
@@ -44,24 +44,24 @@ def clean_frame(
 ) -> Frame:
     """Make the night's frame of one camera.
 
-    Three and more usable captures are brought to one exposure and merged by the median of each pixel, which removes what moves;
-    those that are blurred, dark or blinded compared with the others count less.  Two have no majority: the later one is used.
-    Where no majority agrees, the frame is masked.  Damaged captures are left out and noted.  Raises ValueError (`BadCapture` and
-    its kinds) when no capture can be used, or the mask can't; the message names file and fault.
+    Three or more usable captures are brought to one exposure and merged by the median of each pixel, which removes moving
+    things; captures more blurred, dark or blinded than the others get less weight.  Two captures have no majority: the later
+    one is used.  Pixels where no majority agrees are masked.  Damaged captures are left out and noted.  Raises `BadCapture` (a
+    ValueError) if the mask or all captures are unusable; the message names file and fault.
 
     Parameters
     ----------
-    captures : the night's image files of this camera, in the order of time; all of one size.  Of a video, pictures are taken.
+    captures : the night's image or video files of this camera, in order of time; those of an uncommon size are left out.
     lens : intrinsics and distortion of the image as captured (after its EXIF orientation is applied).
-    mask : an image of the captured size, or None: pixels that are not zero may be used.
-    privacy : polygons whose pixels are gone before anything else looks at a capture; None: there are none.
+    mask : an image of the captured size whose nonzero pixels may be used; None: all pixels may be used.
+    privacy : polygons whose pixels are blanked before anything else reads a capture; None: there are none.
     resolution : long side of the frame in pixels; None: as captured.  Images are never enlarged.
-    max_captures : at most so many captures are merged, spread evenly over the night: bounds memory and time.
-    video_step : of a video, every so many-th picture is taken, or fewer where these would be more than `max_captures`.
-    overlays : clocks, logos and captions are looked for, as pixels that stay while the exposure changes, and masked.
-    denoise : noise is taken off where much of it is left in the frame (a night without lamps).
-    whole_field : of a brown lens all that it sees (up to 110 degrees) becomes the frame; else what has place in a frame with the
-        lens's own K and size, which cuts off the corners of wide lenses.  Of other lenses all that they see always does.
+    max_captures : most captures that are merged, spread evenly over the night: bounds memory and time.
+    video_step : step in frames between the images taken from a video; longer where there would be more than `max_captures`.
+    overlays : find and mask clocks, logos and captions, by pixels that stay the same while the exposure changes.
+    denoise : denoise the frame if much noise is left in it (a night without lamps).
+    whole_field : for a "brown" lens, make a frame of all that it sees (up to 110 degrees) instead of what fits the lens's own
+        K and size, which cuts off the corners of wide lenses.  Frames of other models always show all that the lens sees.
     """
     if not captures:
         raise EmptyCapture("no capture was found for this night")
@@ -87,7 +87,7 @@ def clean_frame(
 
 
 def _listed(faults: Sequence[BadCapture]) -> str:
-    """What is wrong, once for each kind."""
+    """The faults as one message, with one example of each kind."""
     alike: dict[type, list[BadCapture]] = {}
     for fault in faults:
         alike.setdefault(type(fault), []).append(fault)
@@ -97,7 +97,7 @@ def _listed(faults: Sequence[BadCapture]) -> str:
 def _one_frame(
     clean: Sequence[_Clean], mask: Capture | None, asked: tuple[bool, bool], captures: Sequence[Capture], notes: list[str]
 ) -> Frame:
-    """The frame of clean pictures of one size; asked: whether overlays are masked, and noise is taken off."""
+    """The frame from clean pictures of one size; asked: whether to mask overlays, and whether to denoise."""
     overlays, denoise = asked
     camera, images, names = clean[0].camera, [each.image for each in clean], [each.name for each in clean]
     height, width = images[0].shape[:2]
@@ -155,15 +155,15 @@ class _Clean:
     camera: Straight
     name: str
     image: Uint8s
-    """At working resolution, undistorted, without what nobody may see."""
+    """At working resolution, undistorted, private areas blanked."""
     private: Bools | None
-    """What that is, in the capture."""
+    """(h, w) the private area in the capture."""
     signal: Signal
-    """What electronics and coding have done to the capture."""
+    """What electronics and coding have done to the capture: combing, blocks, colour cast, noise."""
     repair: str
-    """What was done about that; "" where nothing."""
+    """How combing was repaired, in words; "" where there is none."""
     digest: str
-    """Of the capture's pixels."""
+    """First 32 hex digits of the SHA-256 of the capture's pixels, private areas blanked."""
 
 
 def _cleaned(image: Uint8s, camera: Straight, name: str, privacy: Privacy | None, resolution: int | None) -> _Clean:
@@ -176,7 +176,7 @@ def _cleaned(image: Uint8s, camera: Straight, name: str, privacy: Privacy | None
 
 
 def _seen_privately(clean: _Clean, width: int, height: int) -> Bools:
-    """(height, width) bool, True where a pixel of the frame, or one near it, is one that nobody may see."""
+    """(height, width) bool, True where a pixel of the frame lies in or near a private area."""
     if clean.private is None:
         return np.zeros((height, width), np.bool_)
     area = _resized(clean.camera.undistort(around(clean.private).astype(np.uint8) * np.uint8(255)), width, height)
@@ -184,7 +184,7 @@ def _seen_privately(clean: _Clean, width: int, height: int) -> Bools:
 
 
 def _as_written(lens: Lens, capture: Capture, image: Uint8s) -> Lens:
-    """The lens, with the field of view that the capture's EXIF data tell where the site says nothing."""
+    """The lens, with the field of view from the capture's EXIF data if the site states neither K nor a field of view."""
     if lens.K is not None or lens.hfov_deg is not None:
         return lens
     focal = focal_in_long_sides(capture.data)
@@ -199,7 +199,7 @@ def _spread(found: Sequence[_T], count: int) -> list[_T]:
 
 
 def _most_common_size(clean: Sequence[_Clean], notes: list[str]) -> list[_Clean]:
-    """The captures of the most common size (the later one's among equals); the others are noted."""
+    """The captures of the most common size (that of the latest among equals); a note is added for each other one."""
     sizes = [(each.camera.width, each.camera.height) for each in clean]
     width, height = max(reversed(sizes), key=sizes.count)
     for each, size in zip(clean, sizes, strict=True):
@@ -218,7 +218,7 @@ def _usable(camera: Straight, mask: Capture | None, width: int, height: int) -> 
     """(height, width) bool: covered by the sensor after undistortion, and allowed by the mask."""
     allowed = np.full((camera.height, camera.width), 255, np.uint8) if mask is None else _decode_mask(mask, camera)
     allowed = _resized(camera.undistort(allowed, nearest=True), width, height)
-    usable: Bools = allowed > 250  # a reduced pixel counts where all it covers does
+    usable: Bools = allowed > 250  # a reduced pixel is usable if all pixels that it covers are
     if not usable.any():
         name = "the distortion" if mask is None else mask.name
         raise BadCapture(f"{name} leaves no pixel to use: in a mask, zero means 'ignore' and anything else 'use'")

@@ -1,9 +1,9 @@
 """Depths of all views become one coloured point cloud.
 
-Three passes over the views, few of them in memory at a time: each subsampled (`fusion.planning`), from which follow what can be
-compared with what, exposures and the voxels' size; what other views say about each depth (`fusion.visibility`), and how probable
-it is (`fusion.posterior`); probable points, merged on a grid (`fusion.voxels`).  No threshold is a length: all follow from the
-pixel's footprint and the depth's propagated error, so a desk and a quarry are treated alike.
+Three steps, with few views in memory at a time: views are subsampled (`fusion.planning`) to choose the views to compare,
+exposure gains and the voxel size; each depth is compared with those of other views (`fusion.visibility`) and gets a
+probability (`fusion.posterior`); probable points are merged on a grid (`fusion.voxels`).  No threshold is a length: all follow
+from a pixel's footprint and the propagated error of depth, so a desk and a quarry are treated alike.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from .reasons import Reason, Rejected
 from .types import Camera, Cloud, DepthMap, Float32s, Float64s, Frame
 
 _IN_MEMORY, _IN_MEMORY_PX = 8, 12_000_000
-"""Depth maps kept at hand, at least, and more while they are small: the next view is mostly compared with the same ones."""
+"""Least number of depth maps in memory, and pixels up to which more are kept: successive views need mostly the same ones."""
 
 
 def fuse(
@@ -50,17 +50,17 @@ def fuse(
 
     Parameters
     ----------
-    frames, cameras : of each view; frames are looked at one at a time.
-    depths : of each view that has any, from its pairs; loaded when they are needed.
-    refined : depth of views refined over all views around them: taken for these instead, but where it is improbable.
-    component : only cameras of this component: those that share a world.
-    min_consistent_pairs : a point needs so many pairs that agree on it and, from 2 on, so many other views whose depth is the
-        same: 2 trades completeness for accuracy.
-    voxel_m : edge of the voxels in which points are merged, in metres; None: what a pixel covers.
-    confidence : a point is right with this probability at least: more trades completeness for accuracy.
-    right : this share of the points is expected to be right, by their probabilities: the least probable are left out until it is,
-        but never more than half.  Where pictures are poor, 0.01 to 0.02 fewer are.
-    check_views : each view is compared with so many others that see most of the same.
+    frames, cameras : frames and cameras of the views; frames are loaded one at a time.
+    depths : depth maps of the views from their pairs; loaded when needed.
+    refined : depth maps refined over all surrounding views; used instead of `depths`, except where they are improbable.
+    component : use only cameras of this component (those that share a world).
+    min_consistent_pairs : smallest number of pairs that agree on a point and, from 2 on, of other views with the same depth; 2
+        trades completeness for accuracy.
+    voxel_m : edge of the voxels in which points are merged, in metres; None: the footprint of a pixel.
+    confidence : smallest probability that a point is right; higher values trade completeness for accuracy.
+    right : share of the points that is expected to be right, by their probabilities: the least probable are left out until it
+        is reached, but never more than half.  With poor pictures the true share is lower by 0.01 to 0.02.
+    check_views : number of other views that each view is compared with: those that see most of the same.
     """
     better, frames = refined or {}, straight_frames(frames, cameras)
     cameras = {k: camera for k, camera in cameras.items() if camera.component == component and (k in depths or k in better)}
@@ -71,10 +71,10 @@ def fuse(
     @lru_cache(kept)
     def loaded(name: str) -> TrustedDepth:
         found = [source[name] for source in (better, depths) if name in source]
-        usable = believed(frames[name], found[-1])  # by its pairs: refinement lays planes over a sky, too
+        usable = believed(frames[name], found[-1])  # judged by the pairs' depth: refinement fits planes to the sky, too
         return likelier([TrustedDepth(depth, own_logit(depth, usable)) for depth in found])
 
-    loading = Lock()  # or two threads that want the same one would both load it
+    loading = Lock()  # otherwise two threads that need the same view would both load it
 
     def view_of(name: str) -> TrustedDepth:
         with loading:
@@ -87,7 +87,7 @@ def fuse(
     gains = exposure_gains(cameras, small, near)
     edge = voxel_m or natural_voxel(cameras, small)
     centre = np.mean([camera.C for camera in cameras.values()], axis=0)
-    grid = VoxelGrid(edge, edge * np.round(centre / edge))  # a multiple: the same cells whichever cameras took part
+    grid = VoxelGrid(edge, edge * np.round(centre / edge))  # a multiple: cells don't depend on the cameras that took part
 
     def view_points(name: str, grid: VoxelGrid) -> tuple[Float32s, VoxelSums]:
         check = cross_check(name, near[name], cameras, view_of)
@@ -108,9 +108,9 @@ def fuse(
 def _collected(
     grid: VoxelGrid, names: Sequence[str], points_of: Callable[[str, VoxelGrid], tuple[Float32s, VoxelSums]]
 ) -> tuple[dict[str, int], dict[str, float]]:
-    """Merge in the points of each view, in order, which sums depend on; returns `Cloud.given` and `Cloud.misfits`.
+    """Add the points of all views to the grid, in order, since sums depend on it; returns `Cloud.given` and `Cloud.misfits`.
 
-    points_of: squared misfits (n,) of a view's points, and their sums.
+    points_of: squared misfits (n,) of a view's points, and their voxel sums.
     """
     given, misfits = {}, {}
     for name, (squared, sums) in zip(names, parallel_map(lambda name: points_of(name, grid), names), strict=True):
@@ -148,7 +148,7 @@ def _samples(
 
 
 def _joined(parts: Sequence[Cloud], given: dict[str, int], misfits: dict[str, float], right: float) -> Cloud:
-    """The surest points of a cloud in parts; given, misfits, right: see `Cloud` and `fuse`."""
+    """The most probable points of a cloud given in parts; given, misfits, right: see `Cloud` and `fuse`."""
     names = [field.name for field in fields(Cloud) if field.name not in ("given", "misfits", "right")]
     arrays: dict[str, Any] = {name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
     kept = surest(arrays["confidence"], right)

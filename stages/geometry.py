@@ -1,4 +1,4 @@
-"""Two-view geometry of a pair: F (or E, where the lenses are known), what supports it, and when it means nothing."""
+"""Two-view geometry of a pair: F (or E, where the lenses are known), the evidence for it, and tests for degenerate cases."""
 
 from __future__ import annotations
 
@@ -38,16 +38,16 @@ from .twoview.robust import (
 from .types import Features, Float64s, Geometry, Matches, View, at_rows
 
 ESSENTIAL_SUPPORT = 0.7
-"""E is kept when it has at least this share of the inliers of F.  F has two freedoms more: enough to take in, besides the truth,
-what repeats along a facade (a sixth of the inliers of some right pairs), and to be bent by it."""
+"""E is kept if it has at least this share of the inliers of F.  F has two more degrees of freedom: enough to also fit matches
+that repeat along a facade (a sixth of the inliers of some right pairs), and to be bent by them."""
 PLANAR_SHARE = 0.95
-"""A model without depth (homography, rotation) that explains this share of the inliers, or all but the fewest that F needs,
-leaves F undetermined: what is left over may be chance."""
+"""F counts as undetermined if a model without depth (homography, rotation) explains this share of its inliers, or all but
+fewer than `min_inliers`: the rest may be chance."""
 
 
 @dataclass(frozen=True)
 class _How:
-    """Parameters of all estimates of one pair, see `estimate_geometry`."""
+    """Parameters shared by all estimates of one pair, see `estimate_geometry`."""
 
     threshold_px: float
     use_intrinsics: bool
@@ -69,25 +69,25 @@ def estimate_geometry(
     min_score: float = -4.0,
     seed: int = 0,
 ) -> Geometry | Rejected:
-    """Estimate the epipolar geometry of a pair and say whether it can be used.
+    """Estimate the epipolar geometry of a pair and decide whether it can be used.
 
-    Rejected, with the figures: too few, too clustered, planar scene, pure rotation, wrong.
+    Returns `Rejected`, with figures, for too few or too clustered inliers, a planar scene, a pure rotation, or wrong matches.
 
     Parameters
     ----------
-    matches : correspondences before geometry.  Points that are no keypoints stay as they are, and their matcher's probability
-        stands for how distinctive their descriptors are; of many nights the keypoints of one say that (`twoview.pooled_pair`).
+    matches : correspondences before geometry.  Points without keypoints stay as they are, and their matcher's probability
+        replaces the distinctiveness of descriptors; for matches pooled over nights, one night's keypoints supply it.
     left, right : the keypoints of the two frames.
     threshold_px : noise of a correct match, pixels.
-    guided : match once more around the epipolar lines, and keep what that finds unless the inliers drop.
-    use_intrinsics : try the 5-point E too where both K are known, and keep the better supported.
-    min_inliers : fewer reject the pair (with 15 the error of F reaches tens of pixels).
-    few_inliers : fewer are warned about.
-    min_area : share of the image that the hull of the inliers covers, at least, in both images.
-    small_area : less than this is warned about.
-    min_score : log odds of being right under which a pair is rejected here; between this and 0 the site decides, and on pairs
-        whose matches agree but whose rays hardly meet.
-    seed : of the random samples.
+    guided : match again along the epipolar lines, and keep the result unless the number of inliers drops.
+    use_intrinsics : also try the 5-point E where both K are known, and keep the better supported model.
+    min_inliers : reject a pair with fewer inliers (with 15 the error of F reaches tens of pixels).
+    few_inliers : warn about a pair with fewer inliers.
+    min_area : smallest share of either image that the convex hull of the inliers covers; reject if it is less.
+    small_area : warn if the convex hull of the inliers covers less than this share of either image.
+    min_score : reject the pair if the log odds that it is right are lower; between this and 0 the whole site decides, as it
+        does for pairs whose matches agree but whose rays hardly converge.
+    seed : seed of the random samples.
 
     References: Hartley & Zisserman, Multiple View Geometry, 2nd ed., chapters 9 to 11.
     """
@@ -124,7 +124,7 @@ def estimate_geometry(
 
 def _accepted(inliers: Matches, found: TwoView, support: _Support, evidence: PairEvidence, score: float) -> Geometry:
     R, t = found.R, found.t
-    if R is None:  # the pose nearest to F, where there is some K to read it with
+    if R is None:  # the pose nearest to F, if there is some K to derive it with
         R, t = pose_of_fundamental(found.F, inliers.x1, inliers.x2, inliers.view1, inliers.view2) or (None, None)
     rival = evidence.rival
     return Geometry(
@@ -158,7 +158,7 @@ def _accepted(inliers: Matches, found: TwoView, support: _Support, evidence: Pai
 
 
 def _of_one_night(matches: Matches, found: TwoView, left: Features, right: Features) -> Matches | None:
-    """What the keypoints match around a geometry of many nights; None for one of a single night."""
+    """One night's keypoint matches around a geometry pooled over many nights; None if it is not pooled."""
     if matches.nights == 1 or matches.i1 is not None or not min(len(left.xy), len(right.xy)):
         return None
     return matches_of_night(at_rows(matches, found.inliers), found.F, left, right)
@@ -167,8 +167,8 @@ def _of_one_night(matches: Matches, found: TwoView, left: Features, right: Featu
 def _evidence(
     before: Matches, inliers: Matches, night: Matches | None, found: TwoView, left: Features, right: Features, how: _How
 ) -> PairEvidence:
-    """What speaks for the pair: its descriptors where the matches have keypoints, or of one night where they are of many; else
-    what the matcher said of its points."""
+    """Evidence for the pair: from the descriptors where the matches have keypoints, from those of one night where they are
+    pooled over nights, else from the matcher's probabilities."""
     if inliers.i1 is not None and inliers.i2 is not None:
         return pair_evidence(left, right, searched_view_pairs(inliers, left, right), inliers.i1, inliers.i2, found, how.seed)
     own = point_evidence(before, inliers, found, how.seed)
@@ -177,8 +177,8 @@ def _evidence(
 
 @dataclass(frozen=True)
 class _Support:
-    """How many inliers there are, and what they span; shares of them that a model without depth explains, turned_share None
-    where no E is known."""
+    """Number of inliers, the share of the image that they span, and the shares that a homography and a pure rotation explain
+    (turned_share: None without E)."""
 
     inliers: int
     area: float
@@ -190,7 +190,7 @@ class _Support:
         return {"inliers": float(self.inliers), "area_share": self.area, "homography_share": self.plane_share, **turned}
 
     def explained(self, share: float, min_inliers: int) -> bool:
-        """What the model leaves over could be chance."""
+        """Can the inliers that the model does not explain be chance?"""
         return self.inliers * (1 - share) < max(min_inliers, (1 - PLANAR_SHARE) * self.inliers)
 
 
@@ -224,14 +224,14 @@ def _warnings(support: _Support, contradicted: bool, few_inliers: int, small_are
 
 
 def _solve(matches: Matches, size: Float64s, how: _How) -> TwoView | None:
-    """F and, where both K are known, E; the better supported by `ESSENTIAL_SUPPORT`.  size: (n,) of the matched keypoints."""
+    """F and, where both K are known, E; the one that `ESSENTIAL_SUPPORT` prefers.  size: (n,) of the matched keypoints."""
     x1, x2, view1, view2 = matches.x1, matches.x2, matches.view1, matches.view2
     if not (how.use_intrinsics and _known(view1) and _known(view2)):
         bare = estimate_fundamental(x1, x2, how.threshold_px, how.seed)
         return None if bare is None else _plausible(matches, bare, size, how)
     calibrated = estimate_essential(x1, x2, view1, view2, how.threshold_px, how.seed)
     if calibrated is not None and calibrated.inliers.sum() >= ESSENTIAL_SUPPORT * len(x1):
-        return calibrated  # no F can have more than all of them
+        return calibrated  # even an F with all matches as inliers would not be preferred
     bare = estimate_fundamental(x1, x2, how.threshold_px, how.seed)
     if bare is None or calibrated is None:
         return calibrated or bare
@@ -241,9 +241,9 @@ def _solve(matches: Matches, size: Float64s, how: _How) -> TwoView | None:
 def _guided_round(
     matches: Matches, found: TwoView, night: Matches | None, left: Features, right: Features, how: _How
 ) -> tuple[Matches, TwoView]:
-    """Matches and their geometry after the guided round, or what came in where that has more inliers.
+    """Matches and their geometry after the guided round, or those passed in if they have more inliers.
 
-    night: what one night's keypoints match around the geometry, where the matches are of many.
+    night: one night's keypoint matches around the geometry, if the matches are pooled over nights.
     """
     inside = at_rows(matches, found.inliers)
     again = with_night(matches, night) if night is not None else match_guided(inside, left, right, found.F)
@@ -255,7 +255,7 @@ def _guided_round(
 def _weighted(
     matches: Matches, found: TwoView | None, size: Float64s, how: _How
 ) -> tuple[TwoView | None, Float64s, TwoCameras | None]:
-    """The geometry refined with weights by the size of the keypoints; the noise (n,) in pixels of each match; lenses that go with
+    """The geometry refined with weights by keypoint size; the noise (n,) of each match in pixels; and the lenses that go with
     F where they are not known."""
     if found is None:
         return None, size, None
@@ -281,7 +281,7 @@ def _weighted(
 
 
 def _plausible(matches: Matches, bare: TwoView, size: Float64s, how: _How) -> TwoView:
-    """F of two cameras with lenses as cameras have, unless these are implausible or it has far fewer inliers than the bare F."""
+    """F with plausible lenses for both cameras; the bare F if there are none, or if too many inliers would be lost."""
     x1, x2 = matches.x1, matches.x2
     views = _lenses_to_use(matches, how.use_intrinsics)
     one = estimate_with_one_lens(x1, x2, *views, how.threshold_px, how.seed)
@@ -304,7 +304,7 @@ def _lenses_to_use(matches: Matches, use_intrinsics: bool) -> tuple[View, View]:
 
 
 def _sizes(matches: Matches, left: Features, right: Features) -> Float64s:
-    """(n,) size of the coarser keypoint of each match, pixels; 1 where there are no keypoints: only their ratios count."""
+    """(n,) size of the coarser keypoint of each match, pixels; 1 without keypoints: only ratios of sizes matter."""
     if matches.i1 is None or matches.i2 is None:
         return np.ones(len(matches.x1))
     return np.asarray(np.maximum(_size(left.frames[matches.i1]), _size(right.frames[matches.i2])), dtype=np.float64)

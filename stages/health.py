@@ -1,6 +1,6 @@
-"""How a camera is tonight, compared with what it was when the reference was pinned: still there, turned, covered, elsewhere.
+"""State of a camera tonight, compared with the pinned reference: in place, turned, moved, covered, or showing another scene.
 
-What cannot be decided is `ok`, and says that it is unverified: a night without light is no fault of the camera.
+An undecided case counts as `ok`, with a note that it is unverified: a night without light is no fault of the camera.
 """
 
 from __future__ import annotations
@@ -17,46 +17,46 @@ from .types import Camera, CameraHealth, Float64s, Frame, Uint8s, Usual
 
 _TILE_PX = 16
 _FLAT = 2.5
-"""Grey levels of standard deviation of a smoothed tile: one with less shows nothing."""
+"""Standard deviation in grey levels of a smoothed tile; tiles below this show nothing."""
 _SATURATED, _COLOURLESS = 250, 0.03
-"""Grey level of pixels that are blinded; saturation below which a picture is one of infrared light."""
+"""Grey level from which a pixel is saturated; median saturation below which a picture counts as infrared."""
 _NIGHT = 60.0
 """Median grey level below which it is night."""
 _USUAL_NIGHTS = 5
-"""So many nights show what is usual."""
+"""Fewest earlier nights from which the usual sway of a camera is measured."""
 _GUESSED_FOCAL = 1.2
-"""Of the width, where nothing is known: a turn in pixels does not depend on it."""
+"""Focal length in image widths, assumed if nothing is known: a turn in pixels does not depend on it."""
 _SIGMAS = 3.0
 _TURNED_SHARE = 0.5
-"""So many of the patches that were found must agree that a camera has only turned."""
+"""Smallest share of the patches found again that must agree with a turn for it to explain the picture."""
 _ZOOMED = 0.003
-"""So much zoom is no turn: the lens was touched."""
+"""Largest change of zoom (relative) that still counts as a turn: with more, the lens was touched."""
 
 
 @dataclass(frozen=True)
 class _Looks:
-    """What a picture looks like, by itself."""
+    """Statistics of a single picture."""
 
     brightness: float
     """Median grey level."""
     contrast: float
-    """Grey levels between the 5 % darkest and the 5 % brightest pixels."""
+    """Grey levels between the 5th and the 95th percentile."""
     saturation: float
-    """Median, 0 to 1."""
+    """Median saturation, 0 to 1."""
     blinded: float
-    """Share of pixels that are saturated."""
+    """Share of saturated pixels."""
     structured: Float64s
     """(rows, columns) standard deviation of the tiles of the smoothed picture, nan where masked."""
 
     @property
     def flat(self) -> float:
-        """Share of the picture that shows nothing."""
+        """Share of the picture's tiles that show nothing."""
         tiles = self.structured[np.isfinite(self.structured)]
         return float((tiles < _FLAT).mean()) if tiles.size else 1.0
 
     @property
     def mode(self) -> str:
-        """Kind of light."""
+        """Kind of light: "infrared", "night" or "day"."""
         if self.saturation < _COLOURLESS:
             return "infrared"
         return "night" if self.brightness < _NIGHT else "day"
@@ -64,14 +64,14 @@ class _Looks:
 
 @dataclass
 class _Case:
-    """What has been found so far."""
+    """Intermediate results of one examination."""
 
     figures: dict[str, float | str] = field(default_factory=dict)
     expected: dict[str, float | str] = field(default_factory=dict)
     turn: Turn | None = None
 
     def closed(self, state: str, text: str, remedy: str = "", corrected: bool = False) -> CameraHealth:
-        """The finding."""
+        """The final `CameraHealth`."""
         turned = (self.turn.R, self.turn.homography) if self.turn else (None, None)
         return CameraHealth(state, text, remedy, self.figures, self.expected, corrected, *turned)
 
@@ -91,16 +91,16 @@ def examine(
 
     Parameters
     ----------
-    frame : tonight's.
-    pinned_frame, pinned_camera : the reference's, and the camera that took it; without them only what the frame itself shows is
+    frame : tonight's frame.
+    pinned_frame, pinned_camera : the reference's frame, and the camera that took it; without them only the frame itself is
         judged.
-    usual : what earlier nights measured: a camera that sways is not shifted whenever it does.
-    nudged_px : a camera whose picture has moved by more (median over the picture) is shifted, in pixels of the frame; and its
-        pose is corrected.  Where it usually sways by more, three standard deviations of that count.
-    moved_deg : one that has turned by more is moved, in degrees.  It is corrected, too, where a turn explains what is seen; else
-        it is solved anew from the others.
-    flat : a picture of which a larger share than this shows nothing (covered, fog, no light) is obscured.
-    dark : so is one whose contrast (5 to 95 %) is below this, in grey levels of 255.
+    usual : measurements of earlier nights, so that a camera that usually sways does not count as shifted each time.
+    nudged_px : a camera counts as shifted, and its pose is corrected, if its picture has moved by more (median over the
+        picture), in pixels of the frame.  If its usual sway, three standard deviations, is larger, that is the limit.
+    moved_deg : a camera counts as moved if it has turned by more, in degrees.  Its pose is corrected if a turn explains the
+        picture; otherwise it is solved anew from the others.
+    flat : a picture counts as obscured if a larger share of it shows nothing (covered, fog, no light).
+    dark : a picture also counts as obscured if its contrast (5 to 95 %) is lower, in grey levels of 255.
     """
     now = _looks(frame)
     case = _Case(
@@ -154,7 +154,7 @@ def _turned(case: _Case, turn: Turn, usual: Usual | None, nudged_px: float, move
     if zoomed or turn.angle_deg > moved_deg:
         also = f", zoomed by {100 * (turn.zoom - 1):+.1f} %" if zoomed else ""
         case.expected["turn_deg"] = moved_deg
-        agreeing = bool(turn.inliers.mean() >= _TURNED_SHARE)  # else things near and far disagree: it has been carried, too
+        agreeing = bool(turn.inliers.mean() >= _TURNED_SHARE)  # else near and far things disagree: it was displaced, too
         turned = agreeing and not zoomed
         how += also + (": corrected" if turned else "")
         return case.closed("moved", how, "turn it back, or pin a new reference", turned)
@@ -162,7 +162,7 @@ def _turned(case: _Case, turn: Turn, usual: Usual | None, nudged_px: float, move
 
 
 def _far(case: _Case, grey1: Uint8s, grey2: Uint8s, pinned: Frame, frame: Frame, K: Float64s) -> CameraHealth:
-    """The state of a camera whose picture does not fit near its old place."""
+    """The state of a camera whose picture cannot be registered near its old place."""
     wide = search_globally(grey1, grey2, pinned.mask, frame.mask, K)
     case.figures |= {"matches": float(wide.matches), "agreeing": float(wide.agreeing)}
     if wide.turn_deg is not None:
@@ -180,7 +180,7 @@ def _far(case: _Case, grey1: Uint8s, grey2: Uint8s, pinned: Frame, frame: Frame,
 
 
 def _sway(usual: Usual | None) -> float:
-    """Three robust standard deviations of the shifts of earlier nights, pixels."""
+    """Three robust standard deviations of the shifts of earlier nights, pixels; 0 if there are too few nights."""
     if usual is None or len(usual.shift_x_px) < _USUAL_NIGHTS:
         return 0.0
     shifts = np.stack([usual.shift_x_px, usual.shift_y_px])
@@ -204,7 +204,7 @@ def _looks(frame: Frame) -> _Looks:
 
 
 def _covered(then: _Looks, now: _Looks) -> float:
-    """Share of what showed something in the reference that shows nothing now."""
+    """Share of the tiles with clear structure in the reference that show nothing now."""
     if then.structured.shape != now.structured.shape:
         return 0.0
     clear = np.nan_to_num(then.structured) > 2 * _FLAT
@@ -212,7 +212,7 @@ def _covered(then: _Looks, now: _Looks) -> float:
 
 
 def _sharpness(grey1: Uint8s, grey2: Uint8s, found: Found, turn: Turn) -> float:
-    """Strength of the finest detail for the contrast of its surroundings, tonight's over the reference's."""
+    """Strength of the finest detail relative to the contrast around it: median ratio of tonight to the reference."""
     measured = []
     for grey, at in ((grey1, found.x1), (grey2, found.x2)):
         fine = np.abs(cv2.Laplacian(cv2.GaussianBlur(grey, (0, 0), 0.7), cv2.CV_32F))
@@ -226,7 +226,7 @@ def _sharpness(grey1: Uint8s, grey2: Uint8s, found: Found, turn: Turn) -> float:
 
 
 def _intrinsics(frame: Frame, camera: Camera | None) -> Float64s:
-    """(3, 3), as well as they are known."""
+    """(3, 3) intrinsics of the reference's camera, else of the frame, else a guess."""
     if camera is not None:
         return camera.K
     if frame.view.K is not None:

@@ -1,4 +1,4 @@
-"""Geometry that is not computed again: what the reference knows of the cameras, put right for those that have turned or moved."""
+"""Geometry taken over from the reference instead of estimated again, corrected for cameras that have turned or moved."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ _ITSELF: Float64s = np.eye(3)
 
 
 def turn_geometry(pinned: Geometry | None, left: CameraHealth, right: CameraHealth) -> Geometry | Rejected:
-    """The geometry of a pair whose cameras have turned since: a turn moves all pixels by a homography.
+    """The reference's geometry of a pair, corrected for cameras that have turned: a turn moves all pixels by a homography.
 
-    A camera that is not `corrected` counts as where it was.
+    A camera that is not `corrected` counts as unmoved.
 
     References: Hartley & Zisserman (2004), section 8.4: a camera that turns about its centre; F' = H2^-T F H1^-1.
     """
@@ -52,18 +52,18 @@ def hold_poses(
     max_epipolar_px: float = 2.0,
     min_angle_deg: float = 0.7,
 ) -> Poses | Rejected:
-    """The cameras of the reference: those that have turned are turned, those that were moved or are new are solved.
+    """The cameras of the reference: those that have turned are corrected, those that were moved or are new are solved.
 
-    Where all stand as they stood the matches are the reference's, and so is the check of the calibration; else it is made anew.
+    If none has to be solved, the matches are the reference's, and so is the calibration check; otherwise it is repeated.
 
     Parameters
     ----------
     pinned : the reference's poses.
-    healths : how the cameras are; one that shows nothing of the site is not among them.
+    healths : states of the cameras, without those that show nothing of the site.
     views : the pinholes of tonight's frames.
-    geometries : of the pairs; those of moved cameras are looked at.
+    geometries : two-view geometries of the pairs; moved and new cameras are solved from those that contain them.
     survey : known distances and control points.
-    max_rotation_error_deg, max_epipolar_px, min_angle_deg : as of the stage `poses`.
+    max_rotation_error_deg, max_epipolar_px, min_angle_deg : see the stage `poses`.
     """
     if pinned is None:
         return Rejected(Reason.NOTHING_KNOWN)
@@ -99,7 +99,7 @@ def hold_poses(
 
 
 def _shared(healths: Mapping[str, CameraHealth], views: Mapping[str, View]) -> dict[str, CameraHealth]:
-    """The same, but all views of one camera turn as that one which knows it best: by the patches that were found again."""
+    """The healths, but with the same turn for all views of one camera: that of the view with the most patches found again."""
     found = dict(healths)
     usable = {n: health for n, health in healths.items() if n in views and health.state not in {"obscured", "wrong-scene"}}
     for name in usable:
@@ -117,7 +117,7 @@ def _shared(healths: Mapping[str, CameraHealth], views: Mapping[str, View]) -> d
 
 
 def _with_solved(held: Poses, found: Poses | Rejected, lost: list[str]) -> Poses:
-    """The held cameras, and those of the lost ones that could be solved in their world."""
+    """The held cameras, and those of the lost ones that could be solved in the same world."""
     theirs = {name: check for name, check in held.pair_checks.items() if not set(name.split("--")) & set(lost)}
     others = {name: reason for name, reason in held.unsolved.items() if name not in lost}
     components = tuple(tuple(n for n in group if n not in lost) for group in held.components) or ((),)
@@ -140,7 +140,7 @@ def _with_solved(held: Poses, found: Poses | Rejected, lost: list[str]) -> Poses
 
 
 def _motion(health: CameraHealth) -> tuple[Float64s, Float64s]:
-    """Of a camera that has turned, old pixels to new ones and old axes to new ones."""
+    """Homography from old to new pixels, and rotation from old to new axes; identities if the camera has not turned."""
     if not health.corrected or health.homography is None or health.turn is None:
         return _ITSELF, _ITSELF
     return health.homography, health.turn
@@ -155,7 +155,7 @@ def _lost(health: CameraHealth) -> bool:
 
 
 def _moved(points: Float64s, H: Float64s, view: View) -> tuple[Float64s, Bools]:
-    """Points (n, 2) where a homography takes them, and whether they are in the picture still."""
+    """Points (n, 2) mapped by a homography, and whether they are still in the picture."""
     if H is _ITSELF:
         return points, np.ones(len(points), dtype=bool)
     at = np.column_stack([points, np.ones(len(points))]) @ H.T

@@ -1,4 +1,4 @@
-"""Captures and masks for a page in which somebody draws on them: pictures to draw on, and masks made of what was drawn."""
+"""Captures and masks for a page on which an operator draws: pictures to draw on, and masks made from the drawing."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ from .io.rasters import jpeg, png
 from .types import Capture, Lens, Uint8s
 
 LARGE = 2560
-"""Long side of a picture to draw on, pixels."""
+"""Long side in pixels of a picture to draw on."""
 _QUALITY = 88
 _SHADE = (230, 60, 60, 130)
-"""Over what a mask leaves out: red, green, blue, opacity."""
+"""Colour over what a mask leaves out: red, green, blue, opacity."""
 
 Area = tuple[bool, list[list[float]]]
-"""May its pixels be used, and its corners: pixels of a capture, whose centres are whole numbers."""
+"""Whether its pixels may be used, and its corners in pixels of a capture (pixel centres are whole numbers)."""
 
 
 def shown(name: str, data: bytes) -> tuple[int, int, bytes]:
-    """Width and height of a capture (upright, as masks and polygons count), and a JPEG of it that a browser shows.
+    """Width and height of a capture (upright, as for masks and polygons), and a JPEG of it that browsers show.
 
-    Raises BadCapture, which names it, where it is no picture that can be used.
+    Raises BadCapture, naming the file, if it is not a usable picture.
     """
     image = one_picture(Capture(name, np.frombuffer(data, np.uint8)))
     height, width = image.shape[:2]
@@ -33,7 +33,7 @@ def shown(name: str, data: bytes) -> tuple[int, int, bytes]:
 
 
 def shade(name: str, mask: bytes) -> bytes:
-    """A PNG that is red where a mask leaves pixels out, and clear elsewhere.  Raises BadCapture."""
+    """A PNG that is red where a mask leaves pixels out, and transparent elsewhere.  Raises BadCapture."""
     small = _reduced(_read(name, mask))
     picture = np.zeros((*small.shape[:2], 4), np.uint8)
     picture[small == 0] = _SHADE
@@ -43,13 +43,13 @@ def shade(name: str, mask: bytes) -> bytes:
 def painted(name: str, mask: bytes | None, size: tuple[int, int], areas: Sequence[Area]) -> bytes:
     """A mask, as a PNG, with areas painted over it, one after the other.
 
-    Raises BadCapture where the mask cannot be read, or has another size.
+    Raises BadCapture if the mask cannot be read, has another size, or would leave no pixel to use.
 
     Parameters
     ----------
-    name, mask : for messages; an image file of the captures' size, None: all pixels may be used.
+    name, mask : the mask's name for messages, and an image file of the captures' size; None: all pixels may be used.
     size : (width, height) of captures.
-    areas : what is painted.
+    areas : the areas to paint, in order.
     """
     width, height = size
     image = np.full((height, width), 255, np.uint8) if mask is None else _read(name, mask).copy()

@@ -16,9 +16,9 @@ MATCHERS = {
     "kdtree": "wbflow_stages.matching.nearest_neighbour:match_kdtree",
     "onnx": "wbflow_stages.matching.learned:match_onnx",
 }
-"""Sparse matchers by name.  One asks by argument name for what it reads: `left`, `right` (`Features`), `left_frame`,
-`right_frame` (`Frame`); its own parameters are keyword-only, with defaults.  What it returns has keypoints
-(`matching.matcher.keypoint_matches`), or is points of any other origin, with None for i1, i2 and affine."""
+"""Sparse matchers by name.  A matcher takes its inputs by argument name: `left`, `right` (`Features`), `left_frame`,
+`right_frame` (`Frame`); its own parameters are keyword-only, with defaults.  It returns matches of keypoints
+(`matching.matcher.keypoint_matches`), or points of any other origin, with None for i1, i2 and affine."""
 
 
 def match(
@@ -33,17 +33,17 @@ def match(
 ) -> Matches | Rejected:
     """Find corresponding points of two frames, before any geometry.
 
-    Raises ValueError where there is no such matcher, or it needs the frames, and TypeError for a parameter that it does not read.
+    Raises ValueError for an unknown matcher or missing frames, TypeError for a parameter that the matcher does not have.
 
     Parameters
     ----------
     left, right : keypoints of the two frames.
-    left_frame, right_frame : the frames themselves, for matchers that ask for them.
-    matcher : "structural" (descriptors and local affine structure together); for study "hao2011" (Hao 2011, section 3.3.2, to the
-        letter) and "hao2011-dominance" (the same with a dominance test that can fire); rivals "mutual" (mutual nearest neighbours
-        under a ratio both ways) and "kdtree" (Lowe's, through FLANN); "onnx" (a learned one, whose `model: PATH` you bring); or a
-        function of your own, `package.module:function`.
-    min_matches : fewer than this reject the pair.
+    left_frame, right_frame : the frames themselves, for matchers that take them.
+    matcher : "structural": descriptors and local affine structure together; "hao2011": section 3.3.2 of Hao (2011) to the
+        letter, for study; "hao2011-dominance": the same with a dominance test that can take effect; "mutual": mutual nearest
+        neighbours with a ratio test both ways; "kdtree": Lowe's ratio test through FLANN; "onnx": a learned matcher, whose
+        file you supply as `model: PATH`; or a function of your own, `package.module:function`.
+    min_matches : reject a pair with fewer matches.
     options : parameters of the matcher, see its function.
 
     References: W. Hao, wide-baseline stereo, 2011, chapter 3.

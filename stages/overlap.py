@@ -1,14 +1,14 @@
 """Which views share ground: judged from poses where they are known, from appearance where they aren't.
 
-With poses, rays of each view are followed into the others (`twoview.shared_ground`).
+With poses, rays of each view are projected into the others (`twoview.shared_ground`).
 
-Without, the descriptors of each view's *largest* keypoints are compared: a few hundred of them rank the pairs better than twice
-as many of the strongest, since what is large survives a change of viewpoint (rank correlation with the angle between views on two
-photographed sites: .98 and .91 against .91 and .89).  What counts is not how many resemble each other, since some always do, but
-how many of those resemblances are mutual and distinctive.  What is large in a picture of a long lens is small in one of a short
-lens: of two such views the largest are taken of those keypoints that both may have, by the angle that they take up, and of the
-wider view as many more as it sees more.  Of many views only those are compared that look most alike as wholes
-(`matching.appearance`).
+Without poses, the descriptors of each view's *largest* keypoints are compared: a few hundred of them rank the pairs better
+than twice as many of the strongest, since large structures survive a change of viewpoint (rank correlation with the angle
+between views on two photographed sites: 0.98 and 0.91 against 0.91 and 0.89).  Only mutual and distinctive resemblances count,
+since some descriptors always resemble each other.  What is large in the picture of a long lens is small in that of a short
+lens: if fields of view are unequal, the largest keypoints are chosen among those whose angular size both views can show, and
+the wider view gets more in proportion to its field.  Of many views, only those that look most alike as whole pictures are
+compared (`matching.appearance`).
 """
 
 from __future__ import annotations
@@ -25,11 +25,11 @@ from .twoview.shared_ground import shared_ground
 from .types import Bools, Camera, Features, Float32s, Float64s, Int32s, Int64s, Overlap, Placement, View
 
 _FEW = 32
-"""Up to so many views all pairs are compared."""
+"""Up to this many views all pairs are compared."""
 _UNEQUAL = 2.0
-"""Of two views one of which sees so many times the area of the other, keypoints are compared that both may have."""
+"""Ratio of the areas seen by two views from which only keypoints of a size that both may have are compared."""
 _LARGEST = 0.98
-"""Share of a view's keypoints that are no larger than what it is said to see at most: a few are as large as the picture."""
+"""Quantile that counts as the largest keypoint size of a view: a few keypoints are as large as the picture."""
 
 
 def estimate_overlap(
@@ -43,18 +43,18 @@ def estimate_overlap(
 ) -> Overlap:
     """Estimate for every pair of cameras how much of one view the other sees.
 
-    A row for each pair about which something is known; none for two views of one camera, and of more than 32 views none for those
-    that share nothing.  `source` is "poses", "appearance" or "mixed".
+    The result has a row for each pair with some evidence, but none for two views of one camera, nor, among more than 32 views,
+    for posed pairs that share nothing.  `source` is "poses", "appearance" or "mixed".
 
     Parameters
     ----------
     views : the pinhole of every camera that has a frame, in the order of the site.
     placements : poses where known.
-    features : keypoints of each camera; looked at for pairs in which a pose or the intrinsics are missing.
-    descriptors : so many of a view's largest keypoints are compared.
-    ratio : a resemblance counts when its distance is below this share of the second nearest's, both ways.
-    candidates : of more than 32 views without a pose, each is compared with so many that look most like it, and those like which
-        it looks.
+    features : keypoints of each camera; used for pairs in which a pose or the intrinsics are missing.
+    descriptors : number of each view's largest keypoints that are compared.
+    ratio : a resemblance counts if its distance is below this share of the second nearest's, both ways.
+    candidates : among more than 32 views, a pair without both poses is compared only if one view is among this many that look
+        most like the other.
     """
     names = tuple(views)
     cameras = {i: camera for i, name in enumerate(names) if (camera := _camera(views[name], placements.get(name))) is not None}
@@ -74,13 +74,13 @@ def estimate_overlap(
 
 
 def _different(views: Mapping[str, View], pairs: Int64s) -> Bools:
-    """(m,) which pairs (m, 2) of positions are of two cameras: two views of one tell no depth."""
+    """(m,) which pairs (m, 2) of positions are of two cameras: two views of one camera give no depth."""
     camera = np.array([camera_id(name, view) for name, view in views.items()])
     return np.asarray(camera[pairs[:, 0]] != camera[pairs[:, 1]])
 
 
 def _to_compare(seen: Mapping[int, Float32s], posed: Mapping[int, Camera], candidates: int) -> Int64s:
-    """(m, 2) positions of the views whose looks are compared: all where one has no pose, or those that look most alike."""
+    """(m, 2) positions of the views to compare by appearance: pairs without both poses, among many views the most alike."""
     if len(seen) <= _FEW:
         pairs: Sequence[tuple[int, int]] = list(combinations(seen, 2))
     else:
@@ -97,12 +97,12 @@ def _camera(view: View, placement: Placement | None) -> Camera | None:
 
 @dataclass(frozen=True)
 class _Seen:
-    """The keypoints of an untilted view, the largest first."""
+    """The keypoints of a view that is not tilted, the largest first."""
 
     descriptors: Float32s
     """(n, d)"""
     size: Float64s
-    """(n,) tangent of the angle that each takes up, pixels where the lens is not known."""
+    """(n,) tangent of the angle that each keypoint subtends; pixels if the lens is not known."""
     view: View
 
     @classmethod
@@ -114,13 +114,13 @@ class _Seen:
         return cls(features.descriptors[plain[order]], np.sqrt(area[order]) * pixel, view)
 
     def largest(self, count: float, below: float = np.inf) -> Float32s:
-        """(m, d) descriptors of the largest of those that are smaller than `below`."""
+        """(m, d) descriptors of the `count` largest keypoints that are smaller than `below`."""
         first = int(np.searchsorted(-self.size, -below))
         return self.descriptors[first : first + round(count)]
 
 
 def _likeness(left: _Seen, right: _Seen, count: int, ratio: float) -> float:
-    """Share of what the two may both see that resembles each other, 0 to 1."""
+    """Share of the keypoints comparable in both views that resemble each other, 0 to 1."""
     more = field_ratio(left.view, right.view)
     if 1 / _UNEQUAL < more < _UNEQUAL or not min(len(left.size), len(right.size)):
         return _resemblance(left.largest(count), right.largest(count), ratio)
@@ -140,7 +140,7 @@ def _resemblance(left: Float32s, right: Float32s, ratio: float) -> float:
 
 
 def _distinctive(similarity: Float32s, ratio: float) -> tuple[Int32s, Bools]:
-    """Per row the best column, and whether its distance is below `ratio` times the second's; it is given back as it was."""
+    """Per row the best column, and whether its distance is below `ratio` times the second's; leaves `similarity` as it was."""
     rows = np.arange(len(similarity))
     best = similarity.argmax(axis=1)
     first = similarity[rows, best]

@@ -1,4 +1,4 @@
-"""A photograph from disk, for notebooks and scripts: the pipeline itself hands bytes to the stages."""
+"""Read a photograph from disk, for notebooks and scripts: the pipeline itself passes bytes to the stages."""
 
 from __future__ import annotations
 
@@ -22,15 +22,14 @@ def read_frame(
 ) -> Frame:
     """The clean frame of one photograph: upright, undistorted, at working resolution, with intrinsics of its own size.
 
-    Raises OSError where the file cannot be read, ValueError where it holds no usable image; the message says what is wrong with
-    it.
+    Raises OSError if the file cannot be read, ValueError if it holds no usable image; the message names the fault.
 
     Parameters
     ----------
     path : the image file.
-    K : (3, 3) intrinsics in pixels of the photograph as it lies upright, where they are known.
+    K : (3, 3) intrinsics in pixels of the upright photograph, if they are known.
     distortion : (5,) k1 k2 p1 p2 k3 (OpenCV's order and meaning); None: no distortion.
-    hfov_deg : horizontal field of view in degrees, where only that is known.
+    hfov_deg : horizontal field of view in degrees, if only that is known.
     mask : an image file of the photograph's size; pixels that are not zero may be used.
     resolution : long side of the frame in pixels; None: as photographed.
     """

@@ -1,9 +1,8 @@
-"""From many nights one surface and one geometry: what fixed cameras show again and again is known better than by any one night.
+"""Many nights of fixed cameras pooled into one surface and one geometry, which are better than those of any single night.
 
-Pooling the epochs of fixed time-lapse cameras halves the error at best (Blanch et al. 2021): what errs alike every night stays.
-What no single night knows whole is known then: .89 of a picture after seven nights, .75 after one.  So it is with the points that
-two cameras have in common: F of a wide pair is wrong by up to 7 pixels on single nights, and by .3 at most on the matches of two
-to four.
+Pooling the epochs of fixed time-lapse cameras halves the error at best (Blanch et al. 2021): errors that repeat every night
+remain.  Coverage grows: 0.89 of a picture is known after seven nights, 0.75 after one.  The same holds for matches: F of a
+wide pair is wrong by up to 7 pixels on single nights, and by 0.3 at most on the pooled matches of two to four.
 """
 
 from __future__ import annotations
@@ -17,25 +16,24 @@ from .sfm.tracks import joined_places
 from .types import MOST_PARTNERS, Bools, DepthMap, Float64s, Int64s, Matches, View
 
 _FLOOR = 0.75
-"""The pooled standard deviation is at least this share of the best night's: errors of the same pixels with the same partners are
-alike.  Seven nights of the demo yard, each in its own light: median error .76 of one night's where all know the pixel."""
+"""Least pooled standard deviation, as a share of the best night's: the nights' errors at a pixel with the same partners
+correlate.  Seven nights of the demo yard, in different light: median error 0.76 of one night's where all know the pixel."""
 _FIELDS = (12, 8)
-"""A view is divided into so many columns and rows, to spread the points."""
+"""Columns and rows of fields into which a view is divided to spread the points."""
 
 
 def pool_matches(nights: Mapping[str, Matches], *, same_px: float = 1.5, most_per_row: float = 0.6) -> Matches:
     """Pool the matches that a pair of cameras gave in several nights, each from the same two places.
 
-    What several nights have found counts once, at the mean of its places: a wrong match that comes again every night is no
-    better founded for that.  Places in the pictures are all that nights have in common: the result has no keypoints.
+    A match found in several nights counts once, at the mean of its positions: a wrong match that recurs every night must not
+    gain weight.  Nights have only image positions in common, so the result has no keypoints.
 
     Parameters
     ----------
     nights : matches of one pair, by night.
-    same_px : two matches are the same where their four coordinates differ by less (root of the sum of squares), pixels.
-    most_per_row : so many are kept at most for each row of the left view's pixels, the likeliest of each part of it.  Of many
-        that are all wrong, some geometry explains enough by chance: of .6 a row 13 to 19, of 1.7 a row up to 21, where 20 make a
-        pair.
+    same_px : two matches are the same if their four coordinates differ by less (root of the sum of squares), pixels.
+    most_per_row : most matches kept for each pixel row of the left view, the most probable of each part of it.  Among many
+        wrong matches a geometry finds inliers by chance: 13 to 19 with 0.6 per row, up to 21 with 1.7, and 20 make a pair.
     """
     newest = list(nights.values())[-1]
     ends = np.concatenate([np.hstack([night.x1, night.x2]) for night in nights.values()])
@@ -63,7 +61,7 @@ def pool_matches(nights: Mapping[str, Matches], *, same_px: float = 1.5, most_pe
 
 
 def _spread(x: Float64s, likely: Float64s, view: View, most: int) -> Int64s:
-    """Rows of the points (n, 2) to keep: of each field of the view its likeliest, then the second of each, and so on."""
+    """Rows of the points (n, 2) to keep: the most probable of each field of the view, then the second of each, and so on."""
     size, fields = np.array([view.width, view.height]), np.array(_FIELDS)
     column, row = np.clip(x * fields / size, 0, fields - 1).astype(np.int64).T
     field = row * _FIELDS[0] + column
@@ -73,14 +71,14 @@ def _spread(x: Float64s, likely: Float64s, view: View, most: int) -> Int64s:
 def pool_depths(nights: Mapping[str, DepthMap], *, agree: float = 3.0, least_share: float = 0.5) -> DepthMap:
     """Pool depth maps that one camera gave in several nights, from one place.
 
-    Each pixel's inverse depth is the mean of the nights that agree with their median, weighted by their variances.
+    Each pixel's inverse depth is the mean, weighted by variances, of the nights that agree with their median.
 
     Parameters
     ----------
     nights : depth maps of one size, by night.
-    agree : a night agrees that lies within so many of its standard deviations, no unit.
-    least_share : more than this share of the nights that know a pixel must agree, or it is left unknown: things come and go
-        there.
+    agree : a night agrees within this many standard deviations, its own or those of the nights' scatter if larger, no unit.
+    least_share : more than this share of the nights that know a pixel must agree, otherwise the pixel is left unknown: things
+        come and go there.
     """
     maps = list(nights.values())
     inverse = np.stack([1.0 / depth.depth.astype(np.float64) for depth in maps])

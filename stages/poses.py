@@ -1,10 +1,10 @@
 """Where the cameras are: taken from the calibration, solved from the pairs' geometries, or both at once.
 
-Solved: rotations of all pairs are compared and contradictions dropped; what is left is grown into models view by view, with
-bundle adjustment; each model is put into the world by whatever is known of it.  A known pose is evidence with a standard
-deviation: it stays, or is adjusted within that, or within what surveys usually leave where none is stated.  Only where several
-partners agree on another pose (`orientation.moved_cameras`) it is wrong: named, with how far it seems off, and solved like an
-unknown one.  What one pair says against it leaves it in use, unverified.
+To solve poses, rotations of all pairs are compared and contradictory pairs dropped; the others grow into models view by view,
+with bundle adjustment; each model is placed in the world by whatever is known of it.  A known pose is evidence with a standard
+deviation: it is kept, or adjusted within that, or within usual survey errors if none is stated.  A pose is wrong only if
+several partners agree on another one (`orientation.moved_cameras`): a finding then names the camera and its apparent
+displacement, and it is solved like an unknown one.  If only one pair contradicts a pose, it stays in use, unverified.
 """
 
 from __future__ import annotations
@@ -53,9 +53,9 @@ from .types import (
 )
 
 MOST_NAMES = 6
-"""A sentence lists so many cameras at most."""
+"""Most cameras that a message lists."""
 MOST_ROW_SIGMA_PX = 1.0
-"""Dense matching finds what lies on the row, and to about a pixel beside it."""
+"""Largest standard deviation of the rows in pixels: dense matching tolerates partners up to about a pixel off the row."""
 
 
 def solve_poses(
@@ -71,22 +71,22 @@ def solve_poses(
 ) -> Poses | Rejected:
     """Put the cameras into one world.
 
-    Rejected where not even two cameras can be placed.
+    Returns `Rejected` if not even two cameras can be placed.
 
     Parameters
     ----------
     views : the pinhole of each camera's frame, at working resolution.
-    placements : R and C as the site states them, where it does.  Where none has standard deviations, they stay if the matches fit
-        them; otherwise they may be off by what surveys usually leave.
-    geometries : Two-view geometry of the pairs.  Where all poses and intrinsics are stated, they check these.
+    placements : R and C as the site states them, if it does.  If none has standard deviations, they are kept if the matches
+        fit them, and otherwise adjusted within usual survey errors.
+    geometries : two-view geometries of the pairs.  If all poses and intrinsics are stated, they check these.
     survey : known distances and control points.
-    frames_if_rough : the frames, looked at where keypoints don't tell poses better that are stated with standard deviations.
-    max_rotation_error_deg : a pair whose relative rotation is farther than this from what the other pairs agree on is dropped, in
-        degrees.
-    max_epipolar_px : so is a pair whose inliers lie farther than this from the epipolar lines of the solved cameras (median), in
-        pixels.
-    min_angle_deg : reject where the rays of the matches converge by less than this (median) in all pairs, in degrees: cameras at
-        one place, seen from the scene, tell no depth.
+    frames_if_rough : the frames, used if keypoints determine poses no better than their stated standard deviations.
+    max_rotation_error_deg : drop a pair whose relative rotation differs by more than this from what the other pairs agree on,
+        in degrees.
+    max_epipolar_px : drop a pair whose inliers lie farther than this from the epipolar lines of the solved cameras (median),
+        in pixels.
+    min_angle_deg : reject if the rays of the matches converge by less than this (median) in all pairs, in degrees: cameras at
+        one place, seen from the scene, give no depth.
     """
     if len(views) < 2:
         return Rejected(Reason.ONE_CAMERA, {"cameras": len(views)})
@@ -112,7 +112,7 @@ def solve_poses(
     geometries = {**geometries, **{pair: confirmed(geometries[pair]) for new in moved.values() for pair in new.pairs}}
     if len(trusted) == len(views) and all(believed[name].sigma_m == 0 for name in trusted):
         found = _as_stated(views, believed, trusted, survey)
-    else:  # imported here, so that a night whose poses are all known and right does not wait for what solves poses
+    else:  # imported here, so that a night whose poses are all known and right does not wait for the solver
         from .orientation.solve import solve_from_pairs
 
         found = solve_from_pairs(views, believed, geometries, survey, trusted, max_rotation_error_deg, max_epipolar_px)
@@ -132,12 +132,12 @@ def stated_calibration(
     moved: set[str],
     geometries: Mapping[Pair, Geometry],
 ) -> CalibrationCheck | None:
-    """The stated calibration as a whole; what the pose of a single camera that was moved explains is no fault of the others.
+    """Check the stated calibration as a whole; a contradiction that moved cameras explain is not blamed on the others.
 
     Parameters
     ----------
-    known, cameras : as stated, and as they are within their standard deviations, without those that were moved.
-    moved : the cameras that were.
+    known, cameras : cameras as stated, and as adjusted within their standard deviations, without those that were moved.
+    moved : ids of the cameras that were moved.
     geometries : of all pairs.
     """
     found = check_calibration({**known, **cameras}, geometries)
@@ -154,10 +154,10 @@ def _checked(
     evidence: list[Evidence],
     max_epipolar_px: float,
 ) -> Poses:
-    """What the images say of known poses, with the cameras that were found.
+    """The poses found, with the checks of known poses against the images.
 
-    stages: known cameras as stated; those that have not moved, as adjusted; and these with those that nothing checks.
-    seen, evidence: the pairs of known cameras, and what they say of the adjusted ones.
+    stages: known cameras as stated; those that have not moved, as adjusted; and these plus cameras that nothing checks.
+    seen, evidence: the pairs of known cameras, and their evidence about the adjusted ones.
     """
     known, cameras, trusted = stages
     checks = check_cameras(cameras, seen, evidence)
@@ -165,12 +165,12 @@ def _checked(
     unclear = [name for name in cameras if any(name in those for those in against) and not checks[name].verified]
     common = [name for name in unclear if all(name in those for those in against)]
     three = {name for those in against if len(those) == 3 for name in those}
-    if min(len(unclear), len(against)) < 2 or len(common) > 1:  # nothing that all contradictions have in common
+    if min(len(unclear), len(against)) < 2 or len(common) > 1:  # no camera that all contradictions share
         common = []
     contradiction = _doubt(unclear, cameras, seen, evidence) if unclear else ""
     off = {name: _moved(known[name], found.cameras.get(name), name, seen) for name in moved}
     suspects = {name: _suspicion(name, check, found.metric) for name, check in off.items()}
-    fit = _fit(cameras, seen, max_epipolar_px)  # counts, but for pairs that it keeps and all cameras have judged, too
+    fit = _fit(cameras, seen, max_epipolar_px)  # replaces the checks found, but for pairs that it keeps
     kept = {pair: found.pair_checks[pair] for pair, check in fit.items() if check.kept and pair in found.pair_checks}
     pair_checks = {**found.pair_checks, **fit, **{pair: replace(check, known="stated") for pair, check in kept.items()}}
     return replace(
@@ -192,10 +192,10 @@ def _checked(
 def _believed(
     known: Mapping[str, Camera], sigmas: Mapping[str, Sigma], geometries: Mapping[Pair, Geometry], frames: Mapping[str, Frame]
 ) -> tuple[AdjustedPoses, dict[str, NewPose]]:
-    """Known cameras as the images have them within their standard deviations, and those that have moved."""
+    """Known cameras, adjusted to the images within their standard deviations, and those that have moved."""
     adjusted = adjust_within_priors(known, sigmas, geometries)
     if frames and _uncertain(adjusted, geometries):
-        from .orientation.ground_adjustment import adjust_to_ground  # here: other nights don't wait for its kernels
+        from .orientation.ground_adjustment import adjust_to_ground  # imported here: other nights need none of its kernels
 
         grey = {name: grey_levels(frame.image).astype(np.float32) for name, frame in frames.items()}
         adjusted = adjust_to_ground(grey, known, sigmas, geometries) or adjusted
@@ -207,7 +207,7 @@ def _believed(
 
 
 def _uncertain(adjusted: AdjustedPoses, pairs: Iterable[Pair]) -> dict[str, float]:
-    """The cameras none of whose pairs has rows that are known well enough to match along them; the least standard deviation."""
+    """Cameras without any pair whose rows are exact enough to match along, with the least standard deviation of their rows."""
     least: dict[str, float] = {}
     for pair in pairs:
         if not set(pair) <= set(adjusted.cameras):
@@ -222,7 +222,7 @@ def _uncertain(adjusted: AdjustedPoses, pairs: Iterable[Pair]) -> dict[str, floa
 
 
 def _with_views_beside(cameras: Mapping[str, Camera], moved: Mapping[str, NewPose]) -> dict[str, NewPose]:
-    """The moved cameras, with the other views of each."""
+    """The moved cameras, with the other views of the same cameras."""
     found = dict(moved)
     for name, camera in cameras.items():
         for new in moved.values() if name not in moved else ():
@@ -256,7 +256,7 @@ def _fit(cameras: Mapping[str, Camera], geometries: Mapping[Pair, Geometry], max
 
 
 def _moved(stated: Camera, solved: Camera | None, name: str, geometries: Mapping[Pair, Geometry]) -> PoseCheck:
-    """A camera that is not where it is said to be, and by how much."""
+    """The check of a camera that is not at its stated pose, with its displacement."""
     mine = {pair: geometry for pair, geometry in geometries.items() if name in pair}
     inliers = sum(geometry.inliers for geometry in mine.values())
     if solved is None or solved.component != 0:
@@ -274,7 +274,7 @@ def _suspicion(name: str, check: PoseCheck, metric: bool) -> str:
 
 
 def _doubtful(name: str, cameras: Mapping[str, Camera], geometries: Mapping[Pair, Geometry], evidence: list[Evidence]) -> str:
-    """How far the pairs of a camera are from its known pose."""
+    """The message for a camera whose pairs contradict its known pose."""
     mine = {pair: geometry for pair, geometry in geometries.items() if name in pair}
     against = [pair for pair in mine if any(e.cameras == pair and e.contradicts for e in evidence)]
     worst = max((epipolar_error_px(cameras, pair, mine[pair]) for pair in against), default=float("nan"))
@@ -290,7 +290,7 @@ def _most_turned(cameras: Mapping[str, Camera], geometries: Mapping[Pair, Geomet
 
 
 def _doubt(names: list[str], cameras: Mapping[str, Camera], geometries: Mapping[Pair, Geometry], evidence: list[Evidence]) -> str:
-    """What is known of poses of which some are wrong, and what would tell which."""
+    """The message for known poses that contradict each other, with what would decide which is wrong."""
     contradicting = {e.cameras for e in evidence if e.contradicts}
     pairs = {pair: geometry for pair, geometry in geometries.items() if set(pair) <= set(names)}
     most = _most_turned(cameras, {pair: g for pair, g in pairs.items() if pair in contradicting} or pairs)
@@ -324,7 +324,7 @@ def _as_stated(
     views: Mapping[str, View], placements: Mapping[str, Placement], stated: dict[str, Camera], survey: Survey,
     why: str = "no pair to solve it from",
 ) -> Poses | Rejected:  # fmt: skip
-    """No image has a say, and why not."""
+    """The stated cameras as poses, without solving any; `why` completes the reason given for each other camera."""
     unsolved = {}
     for name, view in views.items():
         if name not in stated:

@@ -1,4 +1,4 @@
-"""Why a stage found nothing usable: a code that can be counted, figures, and words that are made from both."""
+"""Why a stage found nothing usable: a code that can be counted, figures, and a message made from both."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ _LOOPS = (
 
 
 class Reason(StrEnum):
-    """All reasons of the stages.  The value is the code; `template` makes the words from the figures of a `Rejected`."""
+    """All reasons of the stages.  The value is the code; `template` makes the message from the figures of a `Rejected`."""
 
     template: str
 
@@ -129,19 +129,19 @@ class Reason(StrEnum):
 
 @dataclass(frozen=True)
 class Rejected:
-    """A stage worked, and found nothing usable.
+    """A stage ran, and found nothing usable.
 
-    A function of one's own may say why in words of its own: their code is "other".
+    A user's own function may give the reason in its own words; the code is then "other".
     """
 
     why: Reason | str
     figures: Mapping[str, float] = field(default_factory=dict)
-    """The numbers behind it, of which the words name some."""
+    """The numbers behind the reason; the message names some of them."""
     words: str = ""
-    """Made by the stage that knew the figures, where it was another one."""
+    """The message, if it was made by another stage, which knew the figures."""
 
     def __post_init__(self) -> None:
-        _ = self.reason  # a figure that the words need and nobody gave shows where it is forgotten
+        _ = self.reason  # fails here, where it was forgotten, if a figure of the message is missing
 
     @property
     def code(self) -> str:
@@ -150,7 +150,7 @@ class Rejected:
 
     @property
     def reason(self) -> str:
-        """In words.  Raises KeyError when a figure is missing that they need."""
+        """The message.  Raises KeyError if a figure that it needs is missing."""
         if self.words or not isinstance(self.why, Reason):
             return self.words or self.why
         return self.why.template.format_map(self.figures).replace("%", " %")

@@ -1,7 +1,7 @@
 """Rectification of a pair: after it a point lies on the same row in both images (Hao 2011, chapter 4).
 
-The homographies of `congruent`, `hao2011`, `hartley` and `calibrated` cannot work when an epipole lies in or near the image; then
-`polar` takes over.  What would be wrong is rejected, with the reason.
+The homographies of `congruent`, `hao2011`, `hartley` and `calibrated` cannot work when an epipole lies in or near the image;
+then `polar` takes over.  Rectifications that would be wrong are rejected, with the reason.
 """
 
 from __future__ import annotations
@@ -35,22 +35,22 @@ METHODS = {
     "calibrated": "wbflow_stages.rectification.planar:calibrated",
     "polar": "wbflow_stages.rectification.polar:polar",
 }
-"""Methods of rectification by name.  One asks by argument name for what it reads: `pair` (`MatchedPair`), `geometry`, `left`,
-`right` (`Camera`); its own parameters are keyword-only, with defaults.  It returns `Homographies` or `PolarImages`, and
-raises ValueError, with the reason, where it can do nothing for a pair."""
+"""Rectification methods by name.  A method takes its inputs by argument name: `pair` (`MatchedPair`), `geometry`, `left`,
+`right` (`Camera`); its own parameters are keyword-only, with defaults.  It returns `Homographies` or `PolarImages`, and raises
+ValueError, with the reason, if it cannot rectify a pair."""
 
 _LEAST_PARALLAX = 0.01
-"""Share of the width that the matches must leave their best homography by, where no camera tells the angle."""
+"""Least parallax of the matches against their best homography, as a share of the width, if no camera gives the angle."""
 _LEAST_GROUND_IN_REACH = 0.5
-"""Where the search for disparities leaves out more than this of the ground that two known cameras see, the matches have not told
-where the scene lies."""
+"""Smallest share of the ground seen by two known cameras that the disparity range covers; if it covers less, the matches have
+not shown where the scene lies."""
 _BENEATH = 0.05
-"""Nothing is farther under the ground than this share of the lower camera's height above it: what matches there is a stone that
-repeats."""
+"""Depth under the ground, as a share of the lower camera's height above it, below which nothing is searched: matches there
+come from repeating stones."""
 _FEWEST_POINTS = 50
-"""So few points of a dense match show no scene."""
+"""Fewest points, of a dense match or on the ground, that show where the scene lies."""
 _MARGIN_OF_POINTS = 0.1
-"""The disparity range reaches beyond the points of a dense match by this share of their range."""
+"""Margin of the disparity range beyond the points of a dense match, as a share of their range."""
 
 
 def rectify(
@@ -73,30 +73,29 @@ def rectify(
 ) -> Rectification | Rejected:
     """Find how the two frames of a pair are resampled so that a point lies on the same row in both.
 
-    Known cameras give the rows.  Matches that agree with them choose scale, crop and range, with the ground where that is known;
-    where these are too few, points of the likely scene do, and dense matching is asked whether the rows are right.  Raises
-    ValueError where there is no such method, or it needs the cameras, and TypeError for a parameter that it does not read.
+    Known cameras determine the rows.  Matches that agree with them determine scale, crop and disparity range, together with
+    the ground if it is known; if they are too few, points of the likely scene are used, and dense matching must confirm the
+    rows.  Raises ValueError for an unknown method or missing cameras, TypeError for a parameter that the method does not have.
 
     Parameters
     ----------
-    geometry : Two-view geometry of the pair: its matches choose scale, crop and disparity range, and F where there are no
+    geometry : two-view geometry of the pair: its matches determine scale, crop and disparity range, and F if there are no
         cameras.
-    left, right, check : solved or known cameras, which then give F; and whether the pair's matches agree with those of the whole
-        site.
-    left_frame, right_frame, scene : the frames of the pair, and what is known of where things are: looked at where the matches
-        are too few.
-    method : "congruent": homographies that make the net of matches congruent, robustly; "hartley": that minimise the disparity of
-        the matches; "hao2011": congruent by the letter of Hao (2011), for study; "calibrated": both cameras turned to a common
-        orientation (needs cameras), then the congruent affine; "polar": half epipolar lines as rows; or a dotted function.
-        Homographies that tear the image are replaced by Hartley's, and where an epipole is near by "polar"; `reason` says why.
-    fallback : replace homographies that tear the image; False keeps the asked method however it stretches, for study.
-    min_matches : fewer matches than this reject the pair where no cameras are known.
-    few_matches : fewer do not tell where the scene lies if both cameras are known.
-    max_row_error_px : without cameras, reject if the epipolar lines may be off by more than this (95 % of them), in pixels of a
-        frame whose long side is 768, or smaller: the limit grows with larger frames, whose pixels show as much less.
-    min_angle_deg : reject if the rays converge by less (median), in degrees; or where a homography explains a pair without
-        cameras.
-    range_margin : the disparity range reaches beyond the matches by this share of their range, and 1 % of the width more.
+    left, right, check : solved or known cameras, which then give F; and whether the pair's matches agree with the whole site.
+    left_frame, right_frame, scene : the pair's frames, and the likely position of the scene; used if matches are too few.
+    method : "congruent": homographies that make the net of matches congruent, robustly; "hartley": homographies that minimise
+        the disparity of the matches; "hao2011": congruent by the letter of Hao (2011), for study; "calibrated": both cameras
+        turned to a common orientation (needs cameras), then the congruent affine map; "polar": half epipolar lines as rows; or
+        a function of your own, `package.module:function`.  Homographies that tear the image are replaced by Hartley's, or by
+        "polar" if an epipole is near; `reason` says why.
+    fallback : replace homographies that tear the image; False keeps the chosen method however it stretches, for study.
+    min_matches : reject a pair without known cameras if it has fewer matches.
+    few_matches : if both cameras are known, fewer matches than this do not determine where the scene lies.
+    max_row_error_px : without cameras, reject if the epipolar lines may be off by more than this (95 % of them), in pixels of
+        a frame with a long side of 768 or less; the limit grows with larger frames, whose pixels show less of the scene.
+    min_angle_deg : reject if the rays converge by less (median), in degrees; without cameras, also if one homography explains
+        the pair.
+    range_margin : the disparity range reaches beyond the matches by this share of their range plus 1 % of the width.
     options : parameters of the method, see its function.
 
     References: Hartley, IJCV 1999; Fusiello et al., MVA 2000; Pollefeys et al., ICCV 1999.
@@ -119,7 +118,7 @@ def rectify(
 
 
 def _bent(found: Rectification | Rejected, left: Camera | None, right: Camera | None) -> Rectification | Rejected:
-    """With what the lenses of two known cameras still bend in their frames."""
+    """The rectification, with the distortion that remains in the frames of two known cameras."""
     if isinstance(found, Rejected) or left is None or right is None:
         return found
     return replace(found, bend1=residual_distortion(left), bend2=residual_distortion(right))
@@ -133,7 +132,7 @@ def _by_matches(
     fitted: Callable[[MatchedPair], Placed | Rejected],
     limits: tuple[int, float, float, float],
 ) -> tuple[Rectification | Rejected, int]:
-    """The rectification that the matches tell, and how many of them obey F.  limits: `min_matches`, `max_row_error_px`,
+    """The rectification from the matches, and how many of them agree with F.  limits: `min_matches`, `max_row_error_px`,
     `min_angle_deg` and `range_margin` of `rectify`."""
     if geometry is None:
         return Rejected(Reason.NOTHING_KNOWN), 0
@@ -154,7 +153,7 @@ def _from_cameras(
     fitted: Callable[[MatchedPair], Placed | Rejected],
     min_angle_deg: float,
 ) -> Rectification | Rejected:
-    """The rectification that two cameras give, laid out by the scene that both should see; dense matching must confirm it, and
+    """The rectification from two cameras, laid out for the scene that both should see; dense matching must confirm it, and
     shows where the scene really is."""
     expected = predict(*cameras, scene)
     if expected is None:
@@ -192,8 +191,8 @@ def _reaching_ground(
     scene: Scene | None,
     fitted: Callable[[MatchedPair], Placed | Rejected],
 ) -> Rectification | Rejected:
-    """What the matches tell, laid out anew where that leaves most of the ground out of reach: façades all around a square match
-    one another, its repeated paving at their feet does not."""
+    """The rectification from the matches, laid out anew if most of the ground is outside its disparity range: the façades
+    around a square match, but the repetitive paving at their feet does not."""
     left, right = views
     if left is None or right is None or isinstance(found, Rejected) or geometry is None or scene is None or scene.ground is None:
         return found
@@ -213,7 +212,7 @@ def _reaching_ground(
 
 
 def _in_reach(found: Rectification, x1: Float64s, x2: Float64s) -> float:
-    """Share of points (n, 2), (n, 2) of the frames that both rectified images show within the range of disparities."""
+    """Share of points (n, 2), (n, 2) of the frames that both rectified images show within the disparity range."""
     y1, y2 = to_rectified(found, 1, x1), to_rectified(found, 2, x2)
     shown = [((y > -0.5) & (y < np.array(size) - 0.5)).all(axis=1) for y, size in ((y1, found.size1), (y2, found.size2))]
     disparity = y1[:, 0] - y2[:, 0]
@@ -222,7 +221,7 @@ def _in_reach(found: Rectification, x1: Float64s, x2: Float64s) -> float:
 
 
 def _known_pair(cameras: tuple[Camera, Camera], x1: Float64s, x2: Float64s, probability: Float32s) -> MatchedPair:
-    """Points x1, x2 (n, 2) in the place of matches, of cameras that give F."""
+    """Points x1, x2 (n, 2) as if they were matches, of cameras that determine F."""
     left, right = cameras
     sizes = (left.width, left.height), (right.width, right.height)
     F = fundamental_from_cameras(left, right)
@@ -239,7 +238,7 @@ def _ground(cameras: tuple[Camera, Camera], scene: Scene | None) -> GroundOfPair
 
 
 def _lowered(ground: Float64s, cameras: tuple[Camera, Camera]) -> Float64s:
-    """(4,) the plane under the ground."""
+    """(4,) the plane under the ground below which nothing is searched."""
     height = min(float(ground[:3] @ camera.C + ground[3]) for camera in cameras)
     return np.asarray(ground + np.array([0.0, 0.0, 0.0, _BENEATH * height]), dtype=np.float64)
 
@@ -274,7 +273,7 @@ def _unbelievable(geometry: Geometry, pair: MatchedPair, min_angle_deg: float) -
 
 
 def _unusable(given: int, pair: MatchedPair, min_matches: int, min_angle_deg: float) -> Rejected | None:
-    """Reasons that hold whatever the method: too few of the given matches left, cameras that contradict them, no baseline."""
+    """Reasons that hold for every method: too few of the given matches left, cameras that contradict them, no baseline."""
     n = len(pair.x1)
     if n < min_matches <= given or n < 0.5 * given:
         return Rejected(Reason.CAMERAS_CONTRADICT_MATCHES, {"matches": given, "agreeing": n})

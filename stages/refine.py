@@ -1,16 +1,16 @@
 """Depth of one view refined against all views around it at once: the second pass, after the pairs.
 
-Starting from the depth that pairs gave, planes are improved by what several photographs together show (`mvs.propagation`):
-matches that no single pair could keep are found, holes are filled from their rims and by what other views have there, and depth
-follows the view that shows a surface best.
-Planes are then moved to where all sources together fit best (`mvs.photometric_refinement`), and vote on each other, as those of a
-pair do: what is cheapest of many trials by chance is outvoted.  A second move gives back the detail that the vote has smoothed.
-Even surfaces are laid on planes of many pixels (`mvs.plane_prior`).
+Planes start from the pairs' depth and are improved by the photo-consistency of several photographs (`mvs.propagation`): this
+finds matches that no single pair could keep, fills holes from their rims and from other views' depth, and lets depth follow
+the view that shows a surface best.  Planes are then moved to where all sources together fit best
+(`mvs.photometric_refinement`), and filtered by their neighbours, as those of a pair are: a plane that is cheapest of many
+trials by chance is outvoted.  A second move restores detail that the filter has smoothed.  Even surfaces are fitted by planes
+over many pixels (`mvs.plane_prior`).
 
 References
 ----------
-Bleyer, Rhemann, Rother, PatchMatch Stereo, BMVC 2011; Galliani, Lasinger, Schindler, Massively Parallel Multiview Stereopsis by
-Surface Normal Diffusion, ICCV 2015.
+Bleyer, Rhemann, Rother, PatchMatch Stereo, BMVC 2011; Galliani, Lasinger, Schindler, Massively Parallel Multiview Stereopsis
+by Surface Normal Diffusion, ICCV 2015.
 """
 
 from __future__ import annotations
@@ -33,19 +33,19 @@ from .stereo.plane_filter import smoothed
 from .types import MOST_PARTNERS, Bools, Camera, DepthMap, Float32s, Float64s, Frame, Int32s, Uint8s
 
 _SURE_COST = 0.3
-"""Of the second best source: what two sources show this well must be believed even where no pair had a depth."""
+"""Cost of the second best source below which a depth is sure, even if no pair had one."""
 
 _SURE_ALONE = 0.05
-"""What a single source shows so well must be believed, too."""
+"""Cost of the best source below which a depth is sure, even if no other source shows it."""
 
 _FEW, _WIDE_DEG = 2, 80.0
-"""Where fewer views see the scene from within the limits, those up to so many degrees aside make up for it."""
+"""If fewer than `_FEW` views see the scene from within the angle limits, views up to `_WIDE_DEG` degrees aside are added."""
 
 _FINER = 2.0
-"""Cameras that see the surface so many times finer are looked at as coarsely as the view sees it."""
+"""Views that see the surface finer than this view by more than this factor are reduced to its resolution."""
 
 _SAME_SIGMAS, _SAME_SHARE = 3.0, 0.002
-"""A depth is that of the pairs if it is so many sigmas and this share of itself from it."""
+"""A depth equals that of the pairs if it differs by at most this many sigmas plus this share of itself."""
 
 
 def refine(
@@ -70,17 +70,17 @@ def refine(
 
     Parameters
     ----------
-    frame, camera, depth : of the view itself; depth: where to start from.
-    frames, cameras : of the views around it, by id; views without a camera of the same world are passed over.
-    reference_camera, reference_depth : the reference's, if there is one: where to start from where tonight's pairs have nothing,
-        if the camera stands as then.
-    depths : of the views around it, from their pairs: where to start from where this view has nothing and its photographs agree.
-    radius : the patch that is compared reaches so many pixels of an image 768 wide from its centre, and as far in larger ones.
+    frame, camera, depth : of the view itself; depth: where to start.
+    frames, cameras : of the views around it, by id; views without a camera in the same world are ignored.
+    reference_camera, reference_depth : the reference's, if there is one: the start where tonight's pairs have no depth,
+        provided that the camera has not moved.
+    depths : of the views around it, from their pairs: the start where this view has no depth and its photographs agree.
+    radius : radius of the compared patch in pixels of an image 768 wide; it grows with larger images.
     sweeps : passes over the image, alternately down and up.
-    max_sources, min_angle_deg, max_angle_deg : compare with at most so many views, the nearest in angle, that see the scene from
-        so many degrees aside; where fewer than two do, with those up to 80 degrees aside, too.
-    max_cost, noise_px : keep planes whose best source correlates better than 1 - max_cost; assumed error of a match, pixels,
-        standard deviation.
+    max_sources : most views to compare with, the nearest in angle first.
+    min_angle_deg, max_angle_deg : angle to this view at which others are used; if fewer than two are within, up to 80.
+    max_cost : keep planes whose best source correlates better than 1 - max_cost.
+    noise_px : assumed error of a match, pixels, standard deviation.
     """
     frame, frames = straight_frame(frame, camera), straight_frames(frames, cameras)
     others = {name: cameras[name] for name in frames if name in cameras}
@@ -101,7 +101,7 @@ def _compared(
     frame: Frame, camera: Camera, depth: DepthMap, then: DepthMap | None, carried: Float32s,
     views: Mapping[str, tuple[Uint8s, Camera]], radius: int, sweeps: int, max_cost: float, noise_px: float,
 ) -> DepthMap:  # fmt: skip
-    """Depth from all of these views at once.  Where to start from: tonight's depth, the reference's, what other views have."""
+    """Depth from all of these views at once, started from tonight's depth, else the reference's, else other views'."""
     image, sources = luminance(frame.image), _stack([luminance(picture) for picture, _ in views.values()])
     M, b = (np.stack(part) for part in zip(*(transfer(camera, other) for _, other in views.values()), strict=True))
     spacing = max(1, round(max(image.shape) / 768))
@@ -136,19 +136,19 @@ def _planes_of(depth: DepthMap) -> Float32s:
 
 
 def _stands(camera: Camera, then: Camera | None, depth: DepthMap, reference_depth: DepthMap | None) -> bool:
-    """Does the camera see each place in the same pixel as in the reference?"""
+    """Has the camera not moved since the reference, so that each pixel shows the same place?"""
     if then is None or reference_depth is None or depth.depth.shape != reference_depth.depth.shape:
         return False
     return all(np.array_equal(now, was) for now, was in ((camera.K, then.K), (camera.R, then.R), (camera.C, then.C)))
 
 
 def _as_before(z: Float32s, sigma: Float32s, start: DepthMap) -> Bools:
-    """(h, w) bool: the depth is the one that pairs gave, whose two views were compared with each other."""
+    """(h, w) bool: the depth equals that of the pairs, which was cross-checked between their two views."""
     return np.asarray(np.abs(start.depth - z) <= _SAME_SIGMAS * sigma + _SAME_SHARE * z)
 
 
 def _flattened(rough: DepthMap, q: Float32s, flats: PlanePriors) -> DepthMap:
-    """Depth with even surfaces on their planes, and without what was found by chance.  q: (h, w) inverse depths."""
+    """Depth with even surfaces on their planes, and without depths found by chance.  q: (h, w) inverse depths."""
     flat, nan = np.isfinite(flats.sigma), np.float32(np.nan)
     with np.errstate(divide="ignore", invalid="ignore"):
         z = np.where(flat, 1.0 / q, np.where(flats.chance, nan, rough.depth))
@@ -177,7 +177,7 @@ def _finer(camera: Camera, other: Camera, points: Float64s, z: Float64s) -> floa
 
 
 def _reduced(image: Uint8s, camera: Camera, finer: float) -> tuple[Uint8s, Camera]:
-    """A picture (h, w, 3) and its camera, with pixels so many times as large if it sees much finer."""
+    """A picture (h, w, 3) and its camera, reduced by this factor if it sees the surface much finer."""
     if finer <= _FINER:
         return image, camera
     width, height = (max(8, round(side / finer)) for side in (camera.width, camera.height))
@@ -187,7 +187,7 @@ def _reduced(image: Uint8s, camera: Camera, finer: float) -> tuple[Uint8s, Camer
 
 
 def _pixels_per_inverse_depth(M: Float64s, b: Float64s, q: Float32s) -> np.float32:
-    """How far a pixel moves per unit of inverse depth, in the median over sources and a few pixels."""
+    """Median motion of a pixel per unit of inverse depth, over the sources and a few pixels."""
     y, x = np.nonzero(np.isfinite(q[::16, ::16]))
     p = np.stack([16.0 * x, 16.0 * y, np.ones(len(x))])
     seen = M @ p + b[:, :, None] * q[::16, ::16][y, x]
@@ -196,7 +196,7 @@ def _pixels_per_inverse_depth(M: Float64s, b: Float64s, q: Float32s) -> np.float
 
 
 def _stack(images: list[Float32s]) -> Float32s:
-    """(s, h, w); smaller images are filled up with their edge's values, which correlate with nothing."""
+    """(s, h, w); smaller images are padded with their edge values, which correlate with nothing."""
     h, w = max(image.shape[0] for image in images), max(image.shape[1] for image in images)
     return np.stack([np.pad(image, ((0, h - image.shape[0]), (0, w - image.shape[1])), mode="edge") for image in images])
 

@@ -1,6 +1,6 @@
-"""Where the scene lies: its bounds as the site states them, and the ground, found by what all views together show of it.
+"""Where the scene lies: the bounds that the site states, and the ground plane, found from all views together.
 
-Asked where pairs of known cameras lack matches of keypoints: then this tells where to look.
+Pairs of known cameras that lack keypoint matches search for partners there.
 """
 
 from __future__ import annotations
@@ -18,12 +18,12 @@ from .types import Camera, Frame, Scene
 def find_scene(
     frames: Mapping[str, Frame], cameras: Mapping[str, Camera], *, bounds: list[list[float]] | None = None, ground: bool = True
 ) -> Scene:
-    """What is known of where things are.
+    """What is known of the scene's position.
 
     Parameters
     ----------
     frames : the clean frame of each camera.
-    cameras : cameras by id; those of the main component have a say.
+    cameras : cameras by id; only those of the main component are used.
     bounds : two corners [[x, y, z], [x, y, z]] of the box that holds all that matters, in world lengths.
     ground : look for the plane on which most of the site stands.
     """

@@ -1,7 +1,7 @@
-"""What placed cameras share: where the site file gives no poses, once these are solved.
+"""How much posed cameras see in common, once poses are solved for a site file that states none.
 
-Which pairs are worth matching was judged from looks; which are worth making dense is better judged from where the cameras are.
-Two cameras that never were matched may have the best view of a thing, and their rows follow from their poses.
+The pairs to match were chosen by appearance; the pairs for dense matching are better chosen by poses.  Two cameras that were
+never matched may have the best view of a thing, and their poses determine their rows.
 """
 
 from __future__ import annotations
@@ -14,9 +14,9 @@ from .types import Overlap, Poses
 
 
 def find_shared(poses: Poses) -> Overlap:
-    """How much of one view another sees, of all pairs of views that are placed in one frame, in the order of the views.
+    """How much of one view another sees, for all pairs of views that are placed in one frame, in the order of the views.
 
-    No row for two views of one camera, for two that are placed in different frames, nor for a pair that the cameras contradict.
+    No row for two views of one camera, for views placed in different frames, or for a pair that the cameras contradict.
     """
     names = tuple(poses.cameras)
     cameras = list(poses.cameras.values())

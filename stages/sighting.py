@@ -1,4 +1,4 @@
-"""Where a place of the scene is in the captures of posed cameras: guides for somebody who points at it in several of them."""
+"""Where a point of the scene appears in the captures of posed cameras: guides for marking it in several of them."""
 
 from __future__ import annotations
 
@@ -12,26 +12,26 @@ from .core.lenses import lens_pixels, lens_rays
 from .types import Float64s, Lens
 
 Pixel = list[float]
-"""x, y in a capture."""
+"""x, y in a capture, pixels."""
 
 _NEAR, _FAR, _STEPS = 0.02, 2000.0, 600
-"""Of a ray, the part that is drawn in other pictures, over the distance between the cameras; and of how many points."""
+"""The part of a ray that is drawn in other pictures, from and to, in units of the baseline; and its number of points."""
 _EDGE = 24
-"""Points of the edge of an outline: lenses bend it."""
+"""Points along each edge of an outline, since lenses bend straight lines."""
 _MARGIN = 0.5
-"""Over a picture's size: what lies farther outside of it is not drawn."""
+"""Margin around a picture, as a share of its size, within which lines are still drawn."""
 
 
 @dataclass(frozen=True)
 class Sight:
-    """A posed camera, for captures as they are."""
+    """A posed camera, with the pixels of captures as they are (distorted)."""
 
     lens: Lens
     R: Float64s
     C: Float64s
 
     def pixels(self, X: Float64s) -> Float64s:
-        """(n, 2) where places (n, 3) of the world are; nan where the camera does not see them."""
+        """(n, 2) pixels of points (n, 3) of the world; nan where the camera does not see them."""
         return lens_pixels(self.lens, (X - self.C) @ self.R.T)
 
     def rays(self, pixels: Sequence[Pixel]) -> Float64s:
@@ -40,12 +40,12 @@ class Sight:
 
     @property
     def focal(self) -> float:
-        """Pixels in a radian, in the middle of the picture."""
+        """Pixels per radian in the middle of the picture."""
         assert self.lens.K is not None
         return float(self.lens.K[0, 0])
 
     def drawn(self, X: Float64s) -> list[list[Pixel]]:
-        """A line through places (n, 3), as far as it is in the picture or near it: pieces."""
+        """The pieces of a line through points (n, 3) of the world that are in or near the picture."""
         pixels = self.pixels(X)
         size = np.array([self.lens.width, self.lens.height])
         with np.errstate(invalid="ignore"):
@@ -59,14 +59,14 @@ class Sights:
     """The posed cameras of a site, by id."""
 
     def __init__(self, cameras: Mapping[str, Mapping[str, Any]]) -> None:
-        """cameras: as `cameras.json` has them: K, R, C, width, height, and where they are there model and distortion."""
+        """cameras: entries of `cameras.json`: K, R, C, width, height, and optionally model and distortion."""
         self._sights = {name: _sight(entry) for name, entry in cameras.items()}
 
     def residuals(self, points: Sequence[tuple[Mapping[str, Pixel], Sequence[float] | None]]) -> list[dict[str, Any]]:
-        """How well clicks on places, by camera, fit together, and to stated coordinates.
+        """How well clicks on points, by camera, agree with each other and with stated coordinates.
 
-        Of each: "place", [x, y, z] that fits the clicks best, None of fewer than two; "pixels" by camera, how far the click is
-        from where that place (else the stated one) is seen; "metres" from the stated place, None where there is none.
+        For each point: "place", the [x, y, z] that fits the clicks best, None if there are fewer than two; "pixels", by camera
+        the distance of the click from the projection of that (else the stated) place; "metres" from the stated place, or None.
         """
         places = self._places([pixels for pixels, _ in points])
         found: list[dict[str, Any]] = []
@@ -85,8 +85,8 @@ class Sights:
         return found
 
     def guide(self, camera: str, pixels: Mapping[str, Pixel], stated: Sequence[float] | None) -> dict[str, Any]:
-        """Where a place should be in one camera's picture, by the clicks in others: "at": its pixel, of two clicks or more;
-        "lines": pieces of the epipolar line, of one; "stated": the pixel of its stated coordinates."""
+        """Where a point should be in one camera's picture, by the clicks in others: "at": its pixel, from two clicks or more;
+        "lines": pieces of the epipolar line, from one click; "stated": the pixel of its stated coordinates."""
         if (sight := self._sights.get(camera)) is None:
             return {}
         others = {name: pixel for name, pixel in pixels.items() if name in self._sights and name != camera}
@@ -104,7 +104,7 @@ class Sights:
         return found
 
     def on_ground(self, camera: str, pixel: Pixel, height: float) -> Pixel | None:
-        """x, y of the place at a height that a pixel shows; None above the horizon."""
+        """x, y of the point at a given height that a pixel shows; None above the horizon."""
         sight = self._sights[camera]
         (ray,) = sight.rays([pixel])
         along = (height - sight.C[2]) / ray[2] if abs(ray[2]) > 1e-9 else np.nan
@@ -121,7 +121,7 @@ class Sights:
         return {"lines": lines, "corners": [_plain(pixel) for pixel in sight.pixels(at)]}
 
     def _places(self, points: Sequence[Mapping[str, Pixel]]) -> list[Float64s | None]:
-        """(3,) the place that clicks in two cameras or more show, of each point; None where no such place is known."""
+        """(3,) the position of each point from clicks in two cameras or more; None if it is not determined."""
         rays: list[list[_Ray]] = [[] for _ in points]
         for name, sight in self._sights.items():
             clicked = [k for k, pixels in enumerate(points) if name in pixels]
@@ -132,14 +132,14 @@ class Sights:
 
 
 _Ray = tuple[Float64s, Float64s, float]
-"""From where, unit direction, and pixels in a radian."""
+"""Origin, unit direction, and pixels per radian."""
 _ROUNDS = 5
 _PARALLEL = 1e10
-"""Of the condition of the equations: rays that meet at less have no place."""
+"""Condition number of the equations above which the rays are parallel and have no intersection."""
 
 
 def _meeting(rays: Sequence[_Ray]) -> Float64s | None:
-    """(3,) the place next to all rays: their distances from it over its own from the cameras, in pixels, least squares."""
+    """(3,) the point closest to all rays by least squares of distances in pixels (focal length times distance / range)."""
     if len(rays) < 2:
         return None
     across = [np.eye(3) - np.outer(direction, direction) for _, direction, _ in rays]

@@ -1,1 +1,1 @@
-"""Files of one thing each: EXIF and JPEG, rasters; cameras and clouds as plain data."""
+"""File formats as data: EXIF and JPEG headers, rasters, scans; cameras and clouds as plain data."""

@@ -1,4 +1,4 @@
-"""Solved cameras in the form in which a site file's `calibration` takes them."""
+"""Solved cameras in the form that a site file's `calibration` reads."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from ..types import Camera, Poses
 
 
 def calibration(poses: Poses) -> dict[str, Any]:
-    """Cameras of the main component by id, as JSON data, for captures as they are."""
+    """Cameras of the main component by id, as JSON data, in pixels of the original captures."""
     found: dict[str, Any] = {}
     for name, camera in poses.main_cameras().items():
         found.setdefault(camera_id(name, camera), _entry(camera, poses.metric))
@@ -18,12 +18,12 @@ def calibration(poses: Poses) -> dict[str, Any]:
 
 
 def calibration_file(poses: Poses) -> bytes:
-    """The same as a file's bytes."""
+    """`calibration` as the bytes of a file."""
     return json.dumps(calibration(poses)).encode()
 
 
 def _entry(camera: Camera, metric: bool) -> dict[str, Any]:
-    """One camera: K and size of its captures, and the distortion that is in them, whether it was known or solved."""
+    """One camera: K and size of its captures, and their distortion, whether it was known or solved."""
     width, height = camera.captured_width or camera.width, camera.captured_height or camera.height
     world = {} if metric else {"metric": False}
     if (lens := camera.lens) is not None and lens.K is not None:

@@ -35,7 +35,7 @@ def cloud_columns(cloud: Cloud) -> dict[str, npt.NDArray[Any]]:
 
 
 def cloud_of(columns: Columns) -> Cloud:
-    """The cloud that `cloud_columns` was given, its positions as they were kept."""
+    """The cloud that was passed to `cloud_columns`, with positions as they were stored."""
     groups = (("x", "y", "z"), ("nx", "ny", "nz"), ("red", "green", "blue"))
     points, normals, colors = (np.column_stack([columns[name] for name in names]) for names in groups)
     return Cloud(points, normals, colors, columns["confidence"], columns["views"], columns["sigma_mm"])
@@ -52,11 +52,11 @@ def point_cloud(cloud: Cloud) -> open3d.geometry.PointCloud:
 
 
 def cloud_figures(cloud: Cloud) -> dict[str, Any]:
-    """Corners of the box around a cloud."""
+    """Corners of a cloud's bounding box."""
     return {"bounds": (tuple(cloud.points.min(axis=0).tolist()), tuple(cloud.points.max(axis=0).tolist()))}
 
 
 def coordinate_step(points: Float64s) -> float:
-    """Step of coordinates kept as whole numbers: a power of ten, as fine as float32 tells points of this extent apart."""
+    """Step of coordinates stored as integers: a power of ten, as fine as the resolution of float32 for points of this extent."""
     span = float(np.ptp(points, axis=0).max())
     return float(10.0 ** np.floor(np.log10(span / 1e7))) if span > 0 else 1e-4

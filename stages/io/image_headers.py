@@ -11,14 +11,14 @@ from typing import Literal
 from ..types import Capture, Uint8s
 
 SCAN, APP1 = 0xDA, 0xE1
-"""Markers: where compressed data begins, and where EXIF stands."""
+"""JPEG markers: the start of the compressed data, and the segment that holds EXIF."""
 
 
 def jpeg_segments(data: bytes) -> Iterator[tuple[int, int, int]]:
     """(marker, start, end) of each segment up to the first scan, which ends where the file does; nothing for other files.
 
     start: where the segment's content begins, behind marker and length.  A thumbnail inside a segment has markers of its own:
-    whoever looks for one must step over whole segments.
+    a search for a marker must skip whole segments.
     """
     at = 2 if data[:2] == b"\xff\xd8" else len(data)
     while at + 4 <= len(data) and data[at] == 0xFF:
@@ -38,13 +38,13 @@ FILM_WIDTH_MM = 36.0
 
 
 def focal_in_long_sides(data: Uint8s) -> float | None:
-    """Focal length as a multiple of the image's long side; None where the file doesn't say.  data: the encoded bytes."""
+    """Focal length as a multiple of the image's long side; None if the file doesn't state it.  data: the encoded bytes."""
     _, millimetres = _exif(data, FOCAL_LENGTH_35MM, 2)
     return millimetres / FILM_WIDTH_MM if millimetres else None
 
 
 def taken_at(captures: Sequence[Capture]) -> list[datetime]:
-    """When captures were taken by what the camera wrote into them (EXIF DateTimeOriginal), as far as they say."""
+    """When captures were taken according to the camera (EXIF DateTimeOriginal); captures without that are skipped."""
     return [moment for capture in captures if (moment := _taken(capture.data))]
 
 
@@ -59,7 +59,7 @@ def _taken(data: Uint8s) -> datetime | None:
 
 
 def _exif(data: Uint8s, tag: int, size: int) -> tuple[bytes, int | None]:
-    """The TIFF block of a JPEG's EXIF segment, and the number of so many bytes that it has for a tag; None where it has none."""
+    """The TIFF block of a JPEG's EXIF segment, and the value of a tag as a number of `size` bytes; None if it is missing."""
     head = bytes(data[:65536])
     segments = (head[start:end] for marker, start, end in jpeg_segments(head) if marker == APP1)
     tiff = next((segment[6:] for segment in segments if segment[:6] == b"Exif\0\0"), b"")
@@ -69,7 +69,7 @@ def _exif(data: Uint8s, tag: int, size: int) -> tuple[bytes, int | None]:
         return int.from_bytes(tiff[at : at + size], order)
 
     def entry(directory: int, tag: int) -> int | None:
-        """Where the value of a tag stands."""
+        """Offset of a tag's value."""
         for at in range(directory + 2, directory + 2 + 12 * number(directory, 2), 12):
             if number(at, 2) == tag and at + 12 <= len(tiff):
                 return at + 8
@@ -81,15 +81,15 @@ def _exif(data: Uint8s, tag: int, size: int) -> tuple[bytes, int | None]:
 
 
 _NO_FRAME = {0xC4, 0xC8, 0xCC}
-"""Markers among the JPEG's C0 to CF that begin no frame (ITU-T T.81, table B.1)."""
+"""JPEG markers from C0 to CF that begin no frame (ITU-T T.81, table B.1)."""
 _WIDTH, _HEIGHT = 256, 257
 """TIFF tags."""
 _MOST_ENTRIES = 4096
-"""Entries of a TIFF directory that are looked at."""
+"""Most entries of a TIFF directory that are read."""
 
 
 def picture_size(data: bytes) -> tuple[int, int] | None:
-    """(width, height) in pixels before any EXIF rotation; None where the form is another, or the header is cut short."""
+    """(width, height) in pixels before any EXIF rotation; None for other formats, or if the header is truncated."""
     try:
         if data[:8] == b"\x89PNG\r\n\x1a\n":
             width, height = struct.unpack_from(">II", data, 16)
@@ -114,7 +114,7 @@ def picture_size(data: bytes) -> tuple[int, int] | None:
 
 
 def _tiff_size(data: bytes) -> tuple[int, int] | None:
-    """Of the first directory (TIFF 6.0, section 2; BigTIFF has longer fields)."""
+    """Size in the first directory (TIFF 6.0, section 2; BigTIFF has longer fields)."""
     order = "<" if data[:2] == b"II" else ">"
     big = data[2:4] in {b"+\0", b"\0+"}
     (at,) = struct.unpack_from(order + ("Q" if big else "I"), data, 8 if big else 4)
@@ -130,7 +130,7 @@ def _tiff_size(data: bytes) -> tuple[int, int] | None:
 
 
 def _webp_size(data: bytes) -> tuple[int, int] | None:
-    """By kind of the first chunk (RFC 9649, section 2)."""
+    """Size by the kind of the first chunk (RFC 9649, section 2)."""
     if data[12:16] == b"VP8 ":
         width, height = struct.unpack_from("<HH", data, 26)
         return width & 0x3FFF, height & 0x3FFF

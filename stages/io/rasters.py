@@ -1,4 +1,4 @@
-"""Images and maps of numbers as the bytes of files that every program reads."""
+"""Images and maps of numbers as the bytes of common file formats."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def pfm(values: Float32s) -> bytes:
 
 
 def world_file(left: float, top: float, cell: float) -> bytes:
-    """The world file of a map: the middle of its first cell, as GIS programs read it.
+    """The world file of a map, for GIS programs: it gives the centre of the first cell.
 
     left, top: x and y of that cell's outer corner.  cell: the edge of a cell.
     """
@@ -54,10 +54,10 @@ def geotiff(bands: npt.NDArray[Any], left: float, top: float, cell: float, epsg:
     bands : (bands, rows, columns) float32, nan where unknown, or (4, rows, columns) uint8 RGBA.
     left, top : x and y of the outer corner of the first cell.
     cell : edge of a cell.
-    epsg : the coordinate system.
-    words : what each band of float32 holds.
+    epsg : EPSG code of the coordinate system.
+    words : description of each float32 band.
     """
-    from rasterio.crs import CRS  # here: only georeferenced sites need it
+    from rasterio.crs import CRS  # imported here: only georeferenced sites need it
     from rasterio.enums import ColorInterp
     from rasterio.io import MemoryFile
     from rasterio.transform import Affine
@@ -79,10 +79,10 @@ def geotiff(bands: npt.NDArray[Any], left: float, top: float, cell: float, epsg:
 
 
 def stepped(values: npt.NDArray[Any], lowest: float) -> tuple[Uint16s, float]:
-    """A map of numbers in 65535 steps, and how many steps make one unit.
+    """A map of numbers quantised to 16 bits, and the number of steps per unit.
 
-    0 where `values` is nan, else value = (step - 1) / steps_per_unit + lowest.  The number of steps is 1, 2 or 5 times a power of
-    ten: the largest with which all values fit.
+    0 where `values` is nan, else value = (step - 1) / steps_per_unit + lowest.  The number of steps per unit is 1, 2 or 5
+    times a power of ten: the largest with which all values fit.
     """
     known = np.isfinite(values)
     span = float(values[known].max()) - lowest if known.any() else 0.0

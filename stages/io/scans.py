@@ -1,4 +1,4 @@
-"""Clouds and surfaces of other programs: LAS and LAZ, E57, PLY, PCD and XYZ; meshes as points spread over them."""
+"""Clouds and meshes of other programs: LAS and LAZ, E57, PLY, PCD and XYZ; meshes are sampled to points."""
 
 from __future__ import annotations
 
@@ -20,19 +20,19 @@ _SEED = 0
 
 @dataclass(frozen=True)
 class Scan:
-    """Points of a surface."""
+    """Points sampled from a surface."""
 
     points: Float64s
     """(n, 3), metres."""
     epsg: int | None = None
-    """The coordinate system, where the file states it."""
+    """EPSG code of the coordinate system, if the file states it."""
 
 
 def read_scan(path: Path, spacing: float) -> Scan:
-    """Return the points of a file of a kind in `CLOUDS` or `MESHES`; spacing: metres between points that are spread over a mesh.
+    """Return the points of a file with a suffix in `CLOUDS` or `MESHES`; spacing: metres between points sampled on a mesh.
 
-    Raises ValueError where it is of another kind, or damaged, or holds no points; ImportError where LAS lacks laspy, lazrs or
-    pyproj, E57 pye57.
+    Raises ValueError if the file is of another kind, damaged, or without points; ImportError if a library is missing: laspy,
+    lazrs or pyproj for LAS, pye57 for E57.
     """
     kind = path.suffix.lower()
     try:
@@ -46,7 +46,7 @@ def read_scan(path: Path, spacing: float) -> Scan:
             raise ValueError(f"its name ends in none of {' '.join(CLOUDS + MESHES)}")
     except ImportError:
         raise
-    except Exception as error:  # each library has errors of its own for damaged files
+    except Exception as error:  # each library raises its own errors for damaged files
         raise ValueError(f"{path} cannot be read: {error}") from None
     points = scan.points[np.isfinite(scan.points).all(axis=1)]
     if not len(points):
@@ -86,7 +86,7 @@ def _open3d(path: Path, kind: str, spacing: float) -> Float64s:
 
 
 def _read(function: Callable[[Path], Any], path: Path) -> Any:
-    """Return what a function of open3d reads; what it only prints of files that are cut short is an error."""
+    """Return what an open3d reader returns; raise ValueError where it only prints a message (truncated files)."""
     printed = io.StringIO()
     with contextlib.redirect_stdout(printed):
         found = function(path)

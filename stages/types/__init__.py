@@ -1,4 +1,4 @@
-"""What the stages hand to each other: frozen dataclasses of arrays.  Axes, units, order: see the package's docstring."""
+"""Data that the stages pass to each other: frozen dataclasses of arrays.  Axes, units, order: see the package's docstring."""
 
 from ..reasons import Reason, Rejected
 from .arrays import Bools, Float32s, Float64s, Int16s, Int32s, Int64s, Pair, Uint8s, Uint16s, Uint32s, Uint64s

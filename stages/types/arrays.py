@@ -1,4 +1,4 @@
-"""Names of arrays by their kind of number, and of a pair of cameras."""
+"""Names of array types by dtype, and of a pair of cameras."""
 
 from __future__ import annotations
 

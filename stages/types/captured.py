@@ -1,4 +1,4 @@
-"""What is captured, and what the site knows of its cameras."""
+"""Captured files, and what the site states about its cameras."""
 
 from __future__ import annotations
 
@@ -26,60 +26,60 @@ class Lens(Record):
     K: Float64s | None = None
     """(3, 3) pixels, or None when unknown."""
     distortion: Float64s = field(default_factory=lambda: np.zeros(5))
-    """(n,) coefficients of `model`; of "brown" k1 k2 p1 p2 k3 (OpenCV's order and meaning, and further ones as OpenCV has them),
-    zeros for none."""
+    """(n,) coefficients of `model`, zeros for none; for "brown" k1 k2 p1 p2 k3 in OpenCV's order and meaning, followed by
+    OpenCV's further ones if there are any."""
     hfov_deg: float | None = None
-    """The horizontal field of view, used where K is None."""
+    """Horizontal field of view in degrees, used where K is None."""
     width: int = 0
     height: int = 0
     model: str = "brown"
-    """How the lens bends light: a name of `core.lenses`."""
+    """Name of the lens model, see `core.lenses`."""
     camera: str = ""
-    """Of one view among several of a camera: the id of the camera; views of one camera share its place and its captures."""
+    """Id of the camera, for one of several views of a camera: these share its place and its captures."""
     turn: Float64s | None = None
-    """(3, 3), from the camera's axes to those of this view; None where the view is the camera's own."""
+    """(3, 3) rotation from the camera's axes to those of this view; None if the view is the camera's own."""
     window: Float64s | None = None
-    """(4,) how far this view reaches to the left, right, up and down: x / z and y / z in its axes."""
+    """(4,) extent of this view to the left, right, up and down: x / z and y / z in its axes."""
 
 
 @dataclass(frozen=True)
 class Privacy(Record):
-    """Polygons of a capture that nobody may see."""
+    """Polygons of a capture whose content must not be seen."""
 
     corners: Float64s = field(default_factory=lambda: np.zeros((0, 2)))
-    """(n, 2) of all polygons one after the other: pixels of a capture as it is (upright); or, where all of a polygon's are from 0
-    to 1, shares of width and height."""
+    """(n, 2) corners of all polygons, one polygon after the other, in pixels of the upright capture; or as shares of width and
+    height, if all of a polygon's lie between 0 and 1."""
     counts: Float64s = field(default_factory=lambda: np.zeros(0))
-    """(polygons,) how many corners each has."""
+    """(polygons,) number of corners of each polygon."""
 
 
 @dataclass(frozen=True)
 class Placement(Record):
-    """Where the site says that a camera is."""
+    """The pose of a camera as the site states it."""
 
     R: Float64s | None = None
-    """(3, 3), None where unknown."""
+    """(3, 3) world axes to camera axes, None if unknown."""
     C: Float64s | None = None
-    """(3,), None where unknown."""
+    """(3,) the centre in the world, None if unknown."""
     sigma_m: float = 0.0
-    """Standard deviation of C in metres, 0 where it is to be held."""
+    """Standard deviation of C in metres; 0: C is held fixed."""
     sigma_deg: float = 0.0
-    """Standard deviation of R in degrees, 0 where it is to be held."""
+    """Standard deviation of R in degrees; 0: R is held fixed."""
     metric: bool = True
-    """C is in metres."""
+    """Whether C is in metres."""
 
 
 @dataclass(frozen=True)
 class Survey(Record):
-    """What is known of a site besides its cameras' poses.  Cameras count by their position in the site file."""
+    """What was measured on a site besides its cameras' poses.  Cameras are given by their position in the site file."""
 
     cameras: tuple[str, ...] = ()
     """Ids in the order of the site file."""
     distances: Float64s = field(default_factory=lambda: np.zeros((0, 3)))
-    """(n, 3) rows of camera, camera, metres between their centres."""
+    """(n, 3) rows of camera, camera, distance between their centres in metres."""
     points: Float64s = field(default_factory=lambda: np.zeros((0, 3)))
     """(p, 3) control points, metres."""
     observations: Float64s = field(default_factory=lambda: np.zeros((0, 4)))
     """(m, 4) rows of control point, camera, x, y in pixels of the image as captured (upright)."""
     crs: str = ""
-    """The coordinate system of the world, "" where it is local."""
+    """The coordinate system of the world, "" if it is local."""

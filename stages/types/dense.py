@@ -1,4 +1,4 @@
-"""Every pixel: rectification, disparity, depth, cloud."""
+"""Data for every pixel: rectification, disparity, depth, cloud."""
 
 from __future__ import annotations
 
@@ -20,36 +20,36 @@ class PolarRows(Record):
     angles: Float64s
     """(rows,) radians, strictly monotone."""
     direction: int
-    """1 or -1."""
+    """1 or -1, the sign of x along the rays (see `start_px`)."""
     start_px: float
-    """A point at distance r from the epipole has rectified x = direction * r - start_px."""
+    """Offset of x: a point at distance r from the epipole has rectified x = direction * r - start_px."""
 
 
 @dataclass(frozen=True)
 class GroundOfPair(Record):
-    """The ground as both frames of a pair see it.  Homographies lead from frame 1 to frame 2; their third coordinate, and that of
-    their inverse, is positive before both cameras."""
+    """The ground as both frames of a pair see it.  Homographies map frame 1 to frame 2; their third coordinate, and that of
+    their inverse, is positive for points in front of both cameras."""
 
     homography: Float64s
-    """(3, 3) of points on the ground."""
+    """(3, 3) for points on the ground."""
     beneath: Float64s
-    """(3, 3) of points on a plane under it: nothing is searched deeper."""
+    """(3, 3) for points on a plane under the ground, below which nothing is searched."""
     inverse_depth1: Float64s
     inverse_depth2: Float64s
-    """(3,) times (x, y, 1): inverse depth of the ground in either frame, negative above the horizon."""
+    """(3,) each; the product with (x, y, 1) is the inverse depth of the ground in that frame, negative above the horizon."""
 
 
 @dataclass(frozen=True)
 class Rectification(Record):
     """How the two images of a pair are resampled so that a point lies on the same row in both.
 
-    Use `rectification.warping` to move points and images; nothing else asks which method it was.
+    Use `rectification.warping` to move points and images; no other code depends on the method.
     """
 
     method: str
-    """Which `rectification` made it."""
+    """Name of the method that made it."""
     reason: str
-    """Why this method."""
+    """Why this method was used."""
     H1: Float64s | None
     H2: Float64s | None
     """(3, 3) frame pixels to rectified pixels; None for polar."""
@@ -57,55 +57,55 @@ class Rectification(Record):
     """(width, height) of the rectified images; heights are equal."""
     size2: tuple[int, int]
     disparity_min_px: float
-    """Range to search, with margins..."""
+    """Lower end of the disparity range to search, with its margin."""
     disparity_max_px: float
-    """...and its end."""
+    """Upper end of the disparity range to search, with its margin."""
     vertical_px: float
-    """Mean row difference of the inliers..."""
+    """Mean absolute row difference of the inliers."""
     vertical_p95_px: float
-    """...and that which 95 % of them keep."""
+    """95th percentile of the absolute row differences of the inliers."""
     angle_deg: float
     """Convergence angle, nan if unknown."""
     polar1: PolarRows | None = None
     polar2: PolarRows | None = None
     """The rows of a polar rectification, else None."""
     scale: float = 1.0
-    """Rectified pixels for each pixel of the frames (median)."""
+    """Rectified pixels per frame pixel (median)."""
     anisotropy: float = 1.0
-    """Longest over shortest side of a resampled pixel, 95 % over both images."""
+    """Longest over shortest side of a resampled pixel, 95th percentile over both images."""
     kept1: float = 1.0
-    """Share of each frame inside its rectified image."""
+    """Share of each frame (kept1, kept2) inside its rectified image."""
     kept2: float = 1.0
     depth_resolution: float = float("nan")
-    """Median depth error of one pixel of disparity over depth, nan without cameras."""
+    """Median relative depth error for a disparity error of one rectified pixel, nan without cameras."""
     warnings: tuple[str, ...] = ()
-    """What weakens the result without making it useless."""
+    """Weaknesses of the result that do not make it useless."""
     verified: str = "sparse"
-    """Who says that the rows are right: "sparse" (matches of keypoints) or "dense" (the cameras, and dense matches; see
+    """What confirms the rows: "sparse" (keypoint matches) or "dense" (dense matches along the rows that the cameras give, see
     `stereo.row_verification`)."""
     row_share: float = float("nan")
-    """Of rows that dense matches verified: share of the common area whose pixels find their partners on them..."""
+    """If dense matches verified the rows: share of the common area whose pixels find their partners on them."""
     row_chance: float = float("nan")
-    """...and on rows shifted by eight."""
+    """If dense matches verified the rows: the same share on rows shifted by eight, which only chance explains."""
     row_error_px: float = float("nan")
-    """By how many rows the images seem to be off."""
+    """Apparent shift between the rows of both images, in rows."""
     ground: GroundOfPair | None = None
-    """Where the ground lies in both frames, if that is known."""
+    """The ground in both frames, if it is known."""
     bend1: Float64s | None = None
     bend2: Float64s | None = None
-    """(6,) fx fy cx cy k1 k2 of what a lens still bends in its frame (`core.residual_distortion`), whose pixels count as
-    straightened; None where nothing is bent."""
+    """(6,) fx fy cx cy k1 k2 of the distortion that remains in each frame (`core.residual_distortion`); the rectification
+    applies to straightened pixels.  None if there is none."""
 
 
 @dataclass(frozen=True)
 class RowMatches(Record):
-    """Matches of a pair that were measured across its rows, one for each part of the common view (`stereo.y_parallax`)."""
+    """Matches of a pair with measured row offsets, one for each part of the common view (`stereo.y_parallax`)."""
 
     x1: Float64s
     x2: Float64s
     """(n, 2) pixels of frame 1 and of frame 2."""
     sigma_px: Float64s
-    """(n,) standard deviation of their distance to the epipolar line, pixels."""
+    """(n,) standard deviation of the distance between match and epipolar line, pixels."""
 
 
 @dataclass(frozen=True)
@@ -113,16 +113,16 @@ class Disparity(Record):
     """Dense matches of a rectified pair, left-right checked; x2 = x1 - d on the same row."""
 
     left: Int16s
-    """(h, w1) sixteenths of a pixel relative to `offset_px`, on the rectified left image; INVALID where unknown."""
+    """(h, w1) disparity on the rectified left image, sixteenths of a pixel relative to `offset_px`; INVALID where unknown."""
     right: Int16s
     """(h, w2) the same on the rectified right image (x1 = x2 + d)."""
     confidence_left: Uint8s
     confidence_right: Uint8s
-    """(h, w1), (h, w2), 0 to 255."""
+    """(h, w1) and (h, w2), 0 to 255."""
     offset_px: int
-    """Added to both."""
+    """Pixels to add to both disparities."""
     density: float
-    """Share of the common valid area with a value."""
+    """Share of the common valid area that has a disparity."""
     rows: RowMatches | None = None
 
 
@@ -131,7 +131,7 @@ INVALID = -32768
 
 
 MOST_PARTNERS = 32
-"""Of a depth map: `support` has a bit for each."""
+"""Most partners of a depth map: `support` has a bit for each."""
 
 
 @dataclass(frozen=True)
@@ -139,25 +139,25 @@ class DepthMap(Record):
     """Depth of one view, from all its pairs or refined over all views around it."""
 
     depth: Float32s
-    """(h, w) along the optical axis, in world lengths; nan where unknown."""
+    """(h, w) depth along the optical axis, in world lengths; nan where unknown."""
     sigma: Float32s
-    """(h, w) its standard deviation."""
+    """(h, w) standard deviation of the depth."""
     slope_x: Float32s
     slope_y: Float32s
     """(h, w) change of 1 / depth per pixel in x and in y: the local plane."""
     support: Uint32s
     """(h, w) bit k set where the pair with `partners[k]` supports the depth."""
     partners: tuple[str, ...]
-    """The other cameras of its pairs."""
+    """Ids of the other cameras of its pairs; for refined depth, of the views that it was compared with."""
     sure: Bools
-    """(h, w) False where the depth must not be believed unless another view's depth agrees."""
+    """(h, w) False where the depth may be used only if another view's depth agrees."""
     left_out: tuple[str, ...] = ()
-    """The other cameras of pairs that would have been too many."""
+    """Ids of the other cameras of pairs that were not used because there were too many."""
     apart_px: Mapping[str, float] = field(default_factory=dict)
-    """For each two partners, as `left--right`: by how many pixels the depths that they give differ as a whole."""
+    """Overall difference in pixels between the depths that two partners give, by "left--right" of the partners."""
 
     def support_of(self, partners: tuple[str, ...]) -> Uint32s:
-        """(h, w) `support` with the bits of other partners; one that is not among them is left out."""
+        """(h, w) `support` with the bits of other partners; a partner that is not among them is left out."""
         support, place = np.zeros_like(self.support), {name: k for k, name in enumerate(partners)}
         for k, name in enumerate(self.partners):
             if name in place:
@@ -167,7 +167,7 @@ class DepthMap(Record):
 
 @dataclass(frozen=True)
 class Cloud(Record):
-    """Points of a scene with what is known of each."""
+    """Points of a scene with the properties of each."""
 
     points: Float64s
     """(n, 3)"""
@@ -176,15 +176,15 @@ class Cloud(Record):
     colors: Uint8s
     """(n, 3) RGB."""
     confidence: Float32s
-    """(n,) 0 to 1."""
+    """(n,) probability that the point is right, 0 to 1."""
     views: Uint16s
-    """(n,) cameras that support the point."""
+    """(n,) number of cameras that support the point."""
     sigma_mm: Float32s
-    """(n,) standard deviation along the ray of the nearest camera that has the point, millimetres."""
+    """(n,) standard deviation along the ray of the nearest camera that sees the point, millimetres."""
     given: Mapping[str, int] = field(default_factory=dict)
-    """Samples that each camera's view has given, before they were merged; empty of a cloud that was read from its file."""
+    """Number of samples from each camera's view before merging; empty for a cloud that was read from its file."""
     misfits: Mapping[str, float] = field(default_factory=dict)
-    """Of the samples of each camera's view, the median of their standard deviation as views and surroundings show it over the
-    one that `noise_px` lets expect."""
+    """By view, the median over its samples of their standard deviation, as other views and neighbouring pixels show it,
+    divided by the one expected from `noise_px`."""
     right: float | None = None
-    """Share of the points that is expected to be right: mean confidence; None of a cloud that was read from its file."""
+    """Share of the points that is expected to be right: mean confidence; None for a cloud that was read from its file."""

@@ -1,4 +1,4 @@
-"""What is known of each place on the ground."""
+"""Data for each place on the ground."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from .arrays import Float32s, Float64s, Uint8s, Uint16s
 
 @dataclass(frozen=True)
 class GroundGrid(Record):
-    """Square cells as seen from above; the first row has the largest second coordinate (north, where the world has one)."""
+    """Square cells seen from above; the first row has the largest second coordinate (north, if the world has one)."""
 
     axes: Float64s
     """(3, 3) rows east, north, up in the world, of unit length; a world point X has the coordinates `axes` X."""
     left: float
-    """East of the outer corner of the first cell..."""
+    """East coordinate of the outer corner of the first cell, world lengths."""
     top: float
-    """...and its north, world lengths; multiples of `cell`, so that grids of different nights lie on each other."""
+    """North coordinate of that corner; like `left` a multiple of `cell`, so that the cells of different nights coincide."""
     cell: float
     """Edge of a cell."""
     rows: int
@@ -29,136 +29,136 @@ class GroundGrid(Record):
 class Coverage(Record):
     """How well cameras see the ground, and what stands on it, seen from above.
 
-    Cells outside of the area that the night's surface covers have 0 views and nan elsewhere.
+    Cells outside the area that the night's surface covers have 0 views, and nan in all other maps.
     """
 
     grid: GroundGrid
     heights: Float32s
-    """(rows, columns) of the surface in each cell along `grid.axes[2]`, world lengths; nan outside of the area."""
+    """(rows, columns) height of the surface in each cell along `grid.axes[2]`, world lengths; nan outside the area."""
     views: Uint8s
-    """(rows, columns) cameras that see it (255: that or more)."""
+    """(rows, columns) number of cameras that see the cell (255: that or more)."""
     angle_deg: Float32s
-    """(rows, columns) between the rays of the pair of cameras that tells its depth best; nan where there is no pair."""
+    """(rows, columns) angle between the rays of the pair of cameras that measures the cell best; nan without a pair."""
     error: Float32s
-    """(rows, columns) expected error of a point by that pair, standard deviation along its worst direction, world lengths."""
+    """(rows, columns) expected error of a point by that pair: standard deviation along its worst direction, world lengths."""
     area: float
-    """Of the ground that counts, square world lengths."""
+    """Area of the covered ground, square world lengths."""
     seen_by_one: float
-    """Share of it that at least one camera sees..."""
+    """Share of the area that at least one camera sees."""
     seen_by_two: float
-    """...and at least two."""
+    """Share of the area that at least two cameras see."""
     median_angle_deg: float
-    """Over the cells that have a pair; -1 where none has."""
+    """Median of `angle_deg` over the cells that have a pair; -1 if none has."""
     median_error: float
-    """The same of the expected error; -1 where no cell has a pair."""
+    """Median of `error` over the cells that have a pair; -1 if none has."""
     lost_without: Mapping[str, float] = field(default_factory=dict)
-    """By camera: share of the area that would fall below two cameras without it."""
+    """By camera: share of the area that would be seen by fewer than two cameras without it."""
     metric: bool = True
     crs: str = ""
-    """As of `Poses`."""
+    """`metric` and `crs`: see `Poses`."""
 
 
 @dataclass(frozen=True)
 class Change(Record):
-    """One thing that has appeared, vanished or moved."""
+    """A single thing that has appeared, vanished or moved."""
 
     kind: str
     """"new", "vanished" or "moved"."""
     x: float
-    """Middle of the box around it, in the world."""
+    """Centre of the box around it (x, y, z), in the world."""
     y: float
     z: float
     length: float
-    """Of the rectangle around it on the ground, the longer side..."""
+    """Longer side of the rectangle around it on the ground."""
     width: float
-    """...and the shorter one."""
+    """Shorter side of the rectangle around it on the ground."""
     height: float
-    """Of most of it above what was below it."""
+    """Height above what was below it, 90th percentile over the cells that it covers."""
     area: float
-    """Of the ground that it covers."""
+    """Ground area that it covers."""
     volume: float
-    """Between its surface and what was, or is now, below it."""
+    """Volume between its surface and what was, or is now, below it."""
     volume_sigma: float
-    """Standard deviation of that."""
+    """Standard deviation of the volume."""
     significance: float
     """Median over its points of distance over standard deviation."""
     likeness: float
-    """Median correlation of the photographs of it and of what was there, -1 to 1; -2 where they show nothing."""
+    """Median correlation of the photographs of it and of what was there, -1 to 1; -2 if they show nothing."""
     points: int
     cameras: str
-    """Ids of those that see it, or saw it, joined by commas."""
+    """Ids of the cameras that see it, or saw it, joined by commas."""
     zone: str = ""
-    """The zone that it lies in."""
+    """Name of the zone that contains it."""
     from_x: float = 0.0
-    """Of what has moved: where it was..."""
+    """Where a moved thing was (from_x, from_y, from_z)."""
     from_y: float = 0.0
     from_z: float = 0.0
 
 
 @dataclass(frozen=True)
 class CutFill(Record):
-    """What was gained and lost on a part of the ground since the reference, world lengths."""
+    """Volumes gained and lost on a part of the ground since the reference, world lengths."""
 
     gained: float
-    """Volume by which changes stand higher..."""
+    """Volume added by changes."""
     gained_sigma: float
     lost: float
-    """...and that by which they stand lower."""
+    """Volume removed by changes."""
     lost_sigma: float
     level: float
-    """Level of detection: surfaces that lie less apart do not count, median."""
+    """Level of detection, median: surfaces closer to each other than this count as the same."""
     common_sigma: float
-    """Standard deviation of one night's heights against the other's that all places share; `gained_sigma` and `lost_sigma` hold
-    it, too."""
+    """Standard deviation of one night's heights against the other's that all places share; `gained_sigma` and `lost_sigma`
+    include it."""
     area: float
-    """Of the ground that both nights saw..."""
+    """Area of the ground that both nights saw."""
     unseen: float
-    """...and that one of them, or of a zone neither, did not see: nothing of it counts."""
+    """Area that one of the nights (for a zone, one or both) did not see: nothing in it counts."""
 
 
 @dataclass(frozen=True)
 class Changes(Record):
-    """What is not as it was when the reference was pinned."""
+    """What differs from the pinned reference."""
 
     compared: bool
-    """False where there is nothing to compare with."""
+    """False if there is nothing to compare with."""
     changes: Mapping[str, Change]
-    """By number, "1" and so on, the largest first."""
+    """Changes by number, "1" and so on, the largest first."""
     points: Float64s
-    """(n, 3) of tonight, and of then what has vanished or is unknown, thinned."""
+    """(n, 3) points of tonight, and those of the reference that have vanished or are unknown, thinned."""
     colors: Uint8s
     """(n, 3) RGB."""
     distance: Float32s
-    """(n,) from one night's surface to the other's: along the normal, or along the ray of a camera that saw through; nan where
-    neither is known."""
+    """(n,) distance from one night's surface to the other's: along the normal, or along the ray of a camera that saw through;
+    nan where neither is known."""
     sigma: Float32s
-    """(n,) its standard deviation."""
+    """(n,) standard deviation of the distance."""
     significance: Float32s
-    """(n,) distance over sigma, positive: nearer to the cameras than on the other night; 0 where nothing is known."""
+    """(n,) distance over sigma, positive if nearer to the cameras than on the other night; 0 where nothing is known."""
     label: Uint8s
     """(n,) `SAME`, `NEW`, `VANISHED` or `UNKNOWN`."""
     blob: Uint16s
-    """(n,) number of the change that a point belongs to, 0: none."""
+    """(n,) number of the change that the point belongs to, 0: none."""
     grid: GroundGrid
     difference: Float32s
-    """(rows, columns) height of tonight's surface less that of then; nan where one is unknown."""
+    """(rows, columns) height of tonight's surface minus the reference's; nan where one is unknown."""
     crops: Mapping[str, Uint8s] = field(default_factory=dict)
-    """By number of the change: (h, w, 3) then and tonight, side by side, by the camera that sees it best."""
+    """By number of the change: (h, w, 3) the reference's and tonight's picture side by side, by the camera that sees it best."""
     count: int = 0
-    """Of changes."""
+    """Number of changes."""
     changed_share: float = 0.0
-    """Of the surface that could be compared, how much belongs to changes."""
+    """Share of the comparable surface that belongs to changes."""
     unknown_share: float = 0.0
-    """Share of the surface of then of which tonight nothing is known."""
+    """Share of the reference's surface about which tonight nothing is known."""
     cut_fill: CutFill | None = None
-    """Of the whole site, or of all zones together where there are any; None where nothing was compared."""
+    """Volumes of the whole site, or of all zones together if there are any; None if nothing was compared."""
     zones: Mapping[str, CutFill] = field(default_factory=dict)
-    """The same of each zone, by name."""
+    """Volumes of each zone, by name."""
     noise: float = 1.0
-    """By how much distances where nothing has changed exceed what the points' own standard deviations say."""
+    """Factor by which distances without a change exceed the points' own standard deviations."""
     metric: bool = True
     crs: str = ""
-    """As of `Poses`."""
+    """`metric` and `crs`: see `Poses`."""
 
 
 SAME, NEW, VANISHED, UNKNOWN = 0, 1, 2, 3

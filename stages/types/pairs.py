@@ -1,4 +1,4 @@
-"""Two cameras: matches, geometry, and what the site says of a pair."""
+"""Data of two cameras: matches, geometry, and overlap."""
 
 from __future__ import annotations
 
@@ -19,26 +19,26 @@ class Matches(Record):
     """(n, 2) pixels of the left and of the right frame."""
     i1: Int32s | None
     i2: Int32s | None
-    """(n,) rows in the left and in the right `Features`, None where the points are no keypoints of these."""
+    """(n,) rows in the left and in the right `Features`, None if the points are not keypoints of these."""
     probability: Float32s
-    """(n,)"""
+    """(n,) probability that the match is right."""
     affine: Float64s | None
-    """(n, 2, 2) the local map of image 1 onto image 2 by the two keypoints' frames, None without keypoints."""
+    """(n, 2, 2) local affine map from image 1 to image 2 by the two keypoints' frames, None without keypoints."""
     view1: View
     view2: View
     matcher: str = ""
-    """Who found them."""
+    """Name of the matcher."""
     tilted: bool = False
-    """The views compressed in x were used too."""
+    """Whether the views compressed in x were used, too."""
     nights: int = 1
-    """So many nights' matches are put together here; of several they have no keypoints."""
+    """Number of nights whose matches are pooled here; matches of several nights have no keypoints."""
     searched: tuple[object, ...] = field(default=(), compare=False, repr=False, metadata={"transient": True})
-    """What the matcher searched and geometry may use again; no part of the artifact, and found again where it is missing."""
+    """Search results of the matcher that geometry may reuse; not part of the artifact, and computed again if missing."""
 
 
 @dataclass(frozen=True)
 class Geometry(Record):
-    """Two-view geometry of a pair and what supports it."""
+    """Two-view geometry of a pair and the evidence for it."""
 
     F: Float64s
     """(3, 3) of unit norm."""
@@ -53,13 +53,13 @@ class Geometry(Record):
     cam2_R_cam1: Float64s | None
     """(3, 3) relative rotation where both K are known (x_2 ~ R x_1 + t), else None."""
     cam2_t_cam1: Float64s | None
-    """(3,) of unit length, or None."""
+    """(3,) translation of unit length, or None."""
     matches: int
-    """How many there were before geometry."""
+    """Number of matches before geometry."""
     inliers: int
-    """How many support F."""
+    """Number of matches that support F."""
     model: str
-    """"F" or "E": what was kept."""
+    """The model that was kept: "F" or "E"."""
     epipolar_px: float
     """Median symmetric epipolar distance of the inliers."""
     angle_deg: float
@@ -67,41 +67,41 @@ class Geometry(Record):
     homography_share: float
     """Share of the inliers that one homography explains too."""
     score: float
-    """Log odds that the pair is right, from what follows (see `twoview.pair_score`)."""
+    """Log odds that the pair is right, from the fields below (see `twoview.pair_score`)."""
     good_probability: float
     """The score as a probability."""
     distinct_cells: int = 0
-    """Cells of a 12 x 8 grid with distinctive matches."""
+    """Number of cells of a 12 x 8 grid with distinctive matches."""
     distinct_share: float = 0.0
     """Share of the inliers without a look-alike in their own image."""
     agreement: float = 0.0
-    """Share of the clear matches found without geometry that F explains."""
+    """Share of the clear matches, found without geometry, that F explains."""
     half_rotation_deg: float = float("nan")
     """Angle between the rotations of the two halves of the inliers; nan without K."""
     stretch: float = 0.0
     """Median log ratio of the axes of the local affine maps."""
     rival_inliers: int = 0
-    """How many matches agree with the best other hypothesis (see `twoview.ambiguity`)..."""
+    """Number of matches that agree with the best other hypothesis (see `twoview.ambiguity`)."""
     rival_elsewhere: int = 0
-    """...and how many of those off the epipolar lines, or with another step along a row..."""
+    """Number of the rival's matches off the epipolar lines, or with another step along a row."""
     rival_turned_deg: float = float("nan")
-    """...whose rotation is so far from the accepted one; nan where no rival was looked for."""
+    """Angle between the rotation of those matches and the accepted one; nan if no rival was looked for."""
     noise_px: Float32s | None = None
-    """(n,) standard deviation of the distance of each inlier to its epipolar line, None where nobody knows."""
+    """(n,) standard deviation of the distance of each inlier to its epipolar line, None if unknown."""
     lens1: Float64s | None = None
     lens2: Float64s | None = None
-    """(3, 3) intrinsics that go with F where they had to be guessed, else None."""
+    """(3, 3) intrinsics that go with F if they had to be guessed, else None."""
     implausibility: float = float("nan")
-    """How far these are from what cameras have, in squared standard deviations; nan where they are known."""
+    """Deviation of guessed intrinsics from those of usual cameras, in squared standard deviations; nan if they are known."""
     warnings: tuple[str, ...] = ()
-    """Named degenerate cases that did not reject the pair."""
+    """Degenerate cases that did not reject the pair, in words."""
 
 
 Found = TypeVar("Found", Matches, Geometry)
 
 
 def at_rows(found: Found, rows: Bools | Int64s) -> Found:
-    """The same with some of its matches alone.  rows: (n,) bool, or their numbers."""
+    """The matches or geometry, with some of its matches only.  rows: (n,) bool, or row numbers."""
     names = ("x1", "x2", "i1", "i2", "probability", "affine", "noise_px")
     return replace(found, **{name: of[rows] for name in names if (of := getattr(found, name, None)) is not None})
 
@@ -118,4 +118,4 @@ class Overlap(Record):
     shared: Float64s
     """(m,) 0 to 1: share of one view that the other sees (poses), or similarity of appearance."""
     source: str
-    """"poses" or "appearance"."""
+    """"poses", "appearance" or "mixed"."""

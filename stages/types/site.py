@@ -1,4 +1,4 @@
-"""All cameras together: their poses."""
+"""Data of all cameras together: their poses."""
 
 from __future__ import annotations
 
@@ -15,41 +15,41 @@ class PoseCheck(Record):
     """How the images agree with a camera's known pose."""
 
     pairs: int
-    """How many could check it."""
+    """Number of pairs that could check it."""
     inliers: int
-    """Of these pairs together."""
+    """Number of inliers of these pairs together."""
     epipolar_px: float
-    """Median of its pairs' median distances to the epipolar lines of the known poses."""
+    """Median over its pairs of the median distance to the epipolar lines of the known poses."""
     moved: bool = False
-    """The pose is contradicted, the camera has been solved anew."""
+    """The images contradict the pose, and the camera was solved anew."""
     off_m: float = float("nan")
-    """How far that is from the known pose, world lengths; nan where not moved, or unknown."""
+    """Distance of the solved from the known position, world lengths; nan if not moved, or unknown."""
     off_deg: float = float("nan")
-    """The same in degrees."""
+    """Angle between the solved and the known rotation in degrees; nan if not moved, or unknown."""
     verified: bool = False
     """Enough of its pairs and triplets agree with the pose in use; see `orientation.pose_check.verified`."""
 
 
 @dataclass(frozen=True)
 class PairCheck(Record):
-    """What the cameras of a whole site say of one pair.  Figures are nan where there is nothing to compare."""
+    """How one pair agrees with the cameras of the whole site.  Figures are nan if there is nothing to compare."""
 
     kept: bool
-    """The pair agrees with the cameras, or they say nothing of it."""
+    """The pair agrees with the cameras, or they provide no evidence about it."""
     reason: str = ""
-    """Why it is not kept, or what is to be known of it."""
+    """Why the pair is not kept, or a remark about it."""
     code: str = ""
-    """Of a pair that is not kept: which `Reason`."""
+    """Code of the `Reason` if the pair is not kept."""
     estimated_px: float = float("nan")
-    """Median epipolar distance of its inliers to its own F..."""
+    """Median epipolar distance of its inliers to its own F."""
     adjusted_px: float = float("nan")
-    """...and to the F of the adjusted cameras."""
+    """Median epipolar distance of its inliers to the F of the adjusted cameras."""
     rotation_off_deg: float = float("nan")
-    """Between its own relative rotation and that of the cameras."""
+    """Angle between its own relative rotation and that of the cameras."""
     flagged: bool = False
     """The adjusted F is noticeably worse than the pair's own."""
     known: str = ""
-    """How the relative pose is known that counts: "stated" or "solved", "" where it is not."""
+    """Where the relative pose in use comes from: "stated" or "solved", "" if there is none."""
 
 
 @dataclass(frozen=True)
@@ -57,41 +57,41 @@ class CalibrationCheck(Record):
     """How the stated calibration as a whole agrees with the matches (`orientation.calibration_check`)."""
 
     matches: int
-    """How many were compared, sampled evenly from the pairs."""
+    """Number of matches compared, sampled evenly from the pairs."""
     pairs: int
     confirmed: bool
-    """Third cameras confirm these matches; otherwise they are those of pairs alone, which may show look-alikes."""
+    """Third cameras confirm these matches; otherwise they come from single pairs, which may show look-alikes."""
     misfit: float
-    """Mean robust squared distance to the epipolar lines of the stated cameras over that to the lines of the pairs' own
-    fundamental matrices: about one where the calibration is right."""
+    """Mean robust squared distance to the epipolar lines of the stated cameras, divided by that to the lines of the pairs' own
+    fundamental matrices: about one if the calibration is right."""
     contradicted: bool = False
     cause: str = ""
-    """What would explain it, "" for nothing: of all cameras "focal-lengths", "pixel-shape", "pixel-height", "distortion",
+    """The likeliest cause, "" for none.  About all cameras: "focal-lengths", "pixel-shape", "pixel-height", "distortion",
     "distortion-factor", "focal-lengths-and-distortion", "principal-points", "principal-points-corner", "captures-exchanged",
-    "poses", a name of `CONVENTIONS` or of `STRETCHED`; of one "focal-length", "distortion-of-one", "turned", "moved",
-    "mirrored-frames", "upside-down"; of two a name of `EXCHANGED`."""
+    "poses", a name of `CONVENTIONS` or of `STRETCHED`; about one: "focal-length", "distortion-of-one", "turned", "moved",
+    "mirrored-frames", "upside-down"; about two: a name of `EXCHANGED`."""
     cameras: tuple[str, ...] = ()
-    """Those that it is about; () for all."""
+    """Ids of the cameras that the cause is about; () for all."""
     amount: tuple[float, ...] = ()
-    """By how much: logarithm of the factor of focal lengths or positions, k1, how many times more distortion, shares of the
-    width, radians, shares of the baseline."""
+    """Size of the cause, depending on its kind: logarithm of the factor of focal lengths or positions, k1, factor of the
+    distortion, shares of the width, radians, shares of the baseline."""
     better: float = 1.0
-    """So many times smaller the misfit would be."""
+    """Factor by which the misfit would shrink if the cause were corrected."""
     off_px: float = 0.0
-    """How far points move along and across the epipolar line then (median, pixels)."""
+    """Median motion of points along and across the epipolar line if the cause were corrected, pixels."""
     sigmas: float = 0.0
-    """Of what dense matching finds beside its rows: root of the squared standard deviations that the likeliest cause takes away,
-    contradicted or not."""
+    """For row offsets from dense matching: square root of the squared standard deviations that the likeliest cause removes,
+    whether the calibration is contradicted or not."""
 
 
 @dataclass(frozen=True)
 class LensSigma(Record):
-    """Standard deviations of what was solved of a lens."""
+    """Standard deviations of a solved lens."""
 
     focal: float
-    """Of the focal length, as a share of it."""
+    """Standard deviation of the focal length, relative to it."""
     border_px: float
-    """Of pixels at the border of the frame, but for what a turn of the camera undoes."""
+    """Standard deviation of pixels at the border of the frame, apart from what a turn of the camera compensates."""
 
 
 @dataclass(frozen=True)
@@ -100,36 +100,36 @@ class PoseIssue(Record):
 
     kind: str
     """"moved": the images contradict the known pose.
-    "unverified": all contradictions between known poses have this camera in common; the pose stays in use.
+    "unverified": all contradictions between known poses involve this camera; the pose stays in use.
     "contradicted": known poses contradict each other, or the model of the others; which is wrong is open, and they stay in use.
-    "uncertain": the images tell the known pose no better than it is stated, which is too little to match along rows.
-    "inconsistent": all matches would place the camera otherwise than those that a third camera confirms, from which alone it is
-    solved (`orientation.triplet_consistency`).
-    "lens-undetermined": the lens was solved, and the images do not determine it."""
+    "uncertain": the images determine the known pose no better than stated, which is not enough to match along rows.
+    "inconsistent": all matches together place the camera differently from those confirmed by a third camera; it is solved from
+    the latter alone (`orientation.triplet_consistency`).
+    "lens-undetermined": the lens was solved, but the images do not determine it."""
     camera: str
-    """Its id, or the control point that is in doubt."""
+    """Id of the camera, or of the control point in doubt."""
     text: str = ""
-    """Of "moved", "unverified" and "contradicted": by how much, and by what."""
+    """For "moved", "unverified" and "contradicted": the message, with the size of the contradiction."""
     triplets: bool = False
-    """Of "unverified" and "contradicted": three cameras contradict it, too, which no pair answers."""
+    """For "unverified" and "contradicted": triplets of cameras contradict the pose, too; agreeing pairs do not settle that."""
     row_px: float = float("nan")
-    """Of "uncertain": standard deviation of the rows of the camera's best pair, pixels."""
+    """For "uncertain": standard deviation of the rows of the camera's best pair, pixels."""
     strain: float = float("nan")
-    """Of "inconsistent": what the confirmed matches would lose, squared standard deviations for each degree of freedom."""
+    """For "inconsistent": loss that confirmed matches would save with cameras of their own, sigma^2 per degree of freedom."""
     focal: float = float("nan")
-    """Of "lens-undetermined": standard deviation of the focal length, as a share of it..."""
+    """For "lens-undetermined": standard deviation of the focal length, relative to it."""
     border_px: float = float("nan")
-    """...and of pixels at the border of the frame."""
+    """For "lens-undetermined": standard deviation of pixels at the border of the frame."""
 
 
 @dataclass(frozen=True)
 class Scene(Record):
-    """Where the things that the cameras look at are expected, in the world of the cameras."""
+    """Expected position of the things that the cameras look at, in the cameras' world."""
 
     box: Float64s | None = None
-    """(2, 3) lowest and highest corner of all that matters, world lengths."""
+    """(2, 3) lowest and highest corner of the box that holds all that matters, world lengths."""
     ground: Float64s | None = None
-    """(4,) plane n, d with n X + d = 0, n of unit length and pointing up: where most of it stands."""
+    """(4,) plane (n, d) with n X + d = 0, n of unit length and pointing up, on which most of the scene stands."""
 
 
 @dataclass(frozen=True)
@@ -139,48 +139,48 @@ class Poses(Record):
     cameras: Mapping[str, Camera]
     """Solved cameras by id."""
     unsolved: Mapping[str, str]
-    """Reason by id."""
+    """Reason why a camera is unsolved, by id."""
     dropped: Mapping[str, str]
-    """Reason by "left--right" of pairs that contradict the rest."""
+    """Reason by "left--right" of each pair that contradicts the others."""
     metric: bool
-    """Lengths are metres."""
+    """Whether lengths are metres."""
     source: str
     """"calibration", "solved" or "mixed"."""
     pair_checks: Mapping[str, PairCheck] = field(default_factory=dict)
-    """By "left--right", of every pair that was looked at."""
+    """Checks by "left--right" of every pair that was examined."""
     issues: tuple[PoseIssue, ...] = ()
-    """What is doubtful about poses and lenses, one entry for each camera and kind."""
+    """Doubts about poses and lenses, one entry for each camera and kind."""
     distances_off: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-    """Stated distances ("left--right") that the cameras contradict: as stated, and between the cameras; metres."""
+    """Stated distances (by "left--right") that the cameras contradict: stated distance and that between the cameras, metres."""
     points_off: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-    """Control points by name that the cameras contradict: how far off they are, and what is tolerated; metres."""
+    """Control points by name that the cameras contradict: error and tolerance, metres."""
     units_off: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-    """"nearest": metres from a camera to the nearest other one (median) and the limit, where no site is so small or so large."""
+    """"nearest": median distance of cameras to their nearest neighbour and its limit, metres, if no site is so small or large."""
     focals: tuple[str, ...] = ()
     """Ids of cameras whose focal length was solved."""
     components: tuple[tuple[str, ...], ...] = ()
-    """Ids that share a world, the main one first (a camera's `component` is its place here)."""
+    """Ids of cameras that share a world, the main one first (a camera's `component` is its position here)."""
     joins: tuple[str, ...] = ()
-    """For each component but the first, the pair that would join it best."""
+    """For each component but the first, the pair that could best join it to the main one."""
     scale: str = ""
-    """What the scale comes from."""
+    """Where the scale comes from."""
     crs: str = ""
-    """Coordinate system of the main component, "" for a local one."""
+    """Coordinate system of the main component, "" if it is local."""
     notes: tuple[str, ...] = ()
-    """What the operator should know."""
+    """Notes for the operator."""
     points: int = 0
-    """Scene points that the cameras rest on."""
+    """Number of scene points from which the cameras are determined."""
     reprojection_px: float = float("nan")
-    """Their median error."""
+    """Median reprojection error of these points."""
     pose_checks: Mapping[str, PoseCheck] = field(default_factory=dict)
-    """By id, of the cameras with known poses."""
+    """Checks of the cameras with known poses, by id."""
     calibration: CalibrationCheck | None = None
-    """The stated cameras as a whole, held against the matches; None where nothing is stated, or too little is matched."""
+    """Check of the stated cameras as a whole against the matches; None if nothing is stated, or too little is matched."""
     sources: Mapping[str, str] = field(default_factory=dict)
-    """By id, how the pose in use is known: "stated", "refined" (within what is stated of it) or "solved"."""
+    """By id, source of the pose in use: "stated", "refined" (within its stated uncertainty) or "solved"."""
 
     def main_cameras(self) -> dict[str, Camera]:
-        """Those of the main component, by id."""
+        """The cameras of the main component, by id."""
         return {name: camera for name, camera in self.cameras.items() if camera.component == 0}
 
     def issues_of(self, kind: str) -> dict[str, PoseIssue]:

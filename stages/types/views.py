@@ -1,4 +1,4 @@
-"""One camera: its pinhole, its frame, its keypoints."""
+"""Data of one camera: its pinhole, its frame, its keypoints."""
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ class View(Record):
     width: int
     height: int
     K: Float64s | None = None
-    """(3, 3) pixels of the frame (working resolution, distortion removed), None when nothing is known."""
+    """(3, 3) pixels of the frame (working resolution, distortion removed), None if nothing is known."""
     focal_known: bool = True
-    """False when K is only a guess, from a field of view."""
+    """False if K is only a guess, from a field of view."""
     captured_width: int = 0
     captured_height: int = 0
-    """Size of the capture; 0: as the frame."""
+    """Size of the capture; 0: the same as the frame's."""
     distortion: Float64s = field(default_factory=lambda: np.zeros(5))
-    """(n,) what was removed from the capture (see `Lens`)."""
+    """(n,) distortion coefficients that were removed from the capture (see `Lens`)."""
     lens: Lens | None = None
-    """The capture's lens, where the frame has another pinhole than its own (then `distortion` says nothing)."""
+    """The capture's lens, if the frame has another pinhole than the lens itself (then `distortion` has no meaning)."""
 
 
 @dataclass(frozen=True)
@@ -45,13 +45,12 @@ class Camera(Record):
     component: int = 0
     """Cameras with the same number share a world; 0 is the main one."""
     radial: tuple[float, float] = (0.0, 0.0)
-    """k1 and k2 of the distortion that was found to be left in the frame where the lens was unknown (the frame is used as it
-    is)."""
+    """k1 and k2 of the distortion found to remain in the frame if the lens was unknown (the frame itself is not straightened)."""
     captured_width: int = 0
     captured_height: int = 0
     distortion: Float64s = field(default_factory=lambda: np.zeros(5))
     lens: Lens | None = None
-    """These four as of `View`."""
+    """These four fields: see `View`."""
 
 
 @dataclass(frozen=True)
@@ -64,46 +63,46 @@ class Frame(Record):
     """(h, w), True where a pixel may be used."""
     view: View
     notes: tuple[str, ...] = ()
-    """What the operator should know (frames left out, exposure)."""
+    """Notes for the operator (captures left out, exposure)."""
     brightness: float = float("nan")
-    """Mean grey of the usable pixels, 0 to 255."""
+    """Mean grey level of the usable pixels, 0 to 255."""
     contrast: float = float("nan")
-    """Standard deviation of their grey levels."""
+    """Standard deviation of the grey levels of the usable pixels."""
     saturated: float = float("nan")
-    """Share of them that is white, beyond what the sensor can tell."""
+    """Share of the usable pixels that is saturated."""
     sharpness: float = float("nan")
-    """Standard deviation of their Laplacian as a share of the contrast: defocus, drops and dirt lower it, darkness doesn't."""
+    """Standard deviation of the Laplacian as a share of the contrast: lowered by defocus, drops and dirt, not by darkness."""
     combing: float = 0.0
     """Share of the captures' structured parts in which every second row is from another moment, or shifted (median)."""
     blocking: float = 1.0
-    """How many times stronger edges are at the borders of the captures' coded blocks than within them."""
+    """Ratio of the strength of edges at the borders of the captures' coded blocks to that within blocks."""
     blur_px: float = float("nan")
-    """Standard deviation of the blur of the sharper edges in the frame's softest quarter, pixels; nan where it has no edges."""
+    """Standard deviation of the blur of the sharper edges in the frame's softest part, pixels; nan if it has no edges."""
     detail_px: float = 1.0
-    """So many pixels lie between details that the frame resolves, in the coarser direction."""
+    """Spacing in pixels of the details that the frame resolves, in the coarser direction."""
     coarseness: float = 1.0
-    """`blocking` as far as it is left at working resolution."""
+    """`blocking` as far as it remains at working resolution."""
     cast: float = 1.0
     """Mean of the strongest of red, green and blue over that of the weakest, in the captures."""
     colour: float = 1.0
-    """Median saturation of the captures once their cast is taken off, 0 (grey, infrared) to 1."""
+    """Median saturation of the captures with their cast removed, 0 (grey, infrared) to 1."""
     noise: float = 0.0
     """Standard deviation of the captures' noise, grey levels (median)."""
     noise_left: float = 0.0
-    """`noise` as far as it is left at working resolution by the median of the captures."""
+    """`noise` as far as it remains after the median of the captures, at working resolution."""
     frames_used: int = 1
-    """Captures that count fully."""
+    """Number of captures with full weight."""
     doubtful: float = 0.0
     """Share of pixels where no majority of the captures agrees: something stood or moved there."""
     unchanged: float = 0.0
-    """Share of pixels that all captures show alike to the last grey level; 0 for a single one."""
+    """Share of pixels with exactly equal grey levels in all captures; 0 for a single capture."""
     taken_first: str = ""
     taken_last: str = ""
-    """When the first and the last capture were taken, ISO 8601, by what the camera wrote into them; "" where it says nothing."""
+    """Times of the first and the last capture, ISO 8601, as the camera recorded them; "" if it did not."""
     taken_in_order: bool = True
     """False where the cameras' times contradict the order of the captures."""
     picture_digest: str = ""
-    """Of the last capture's pixels: no two cameras show the same."""
+    """Digest of the last capture's pixels: it differs between any two cameras."""
 
 
 @dataclass(frozen=True)
@@ -117,17 +116,17 @@ class Features(Record):
     descriptors: Float32s
     """(n, d) of unit length (RootSIFT)."""
     responses: Float32s
-    """(n,)"""
+    """(n,) detector responses."""
     tilts: Uint8s
     """(n,) `PLAIN`, or `TILTED` for the view compressed by 2 in x."""
     view: View
     lookalikes: Float32s = field(default_factory=lambda: np.zeros(0, np.float32))
-    """(p,) of the plain view's keypoints, the distance to the most similar descriptor of that view at least 6 px away: how
-    distinctive a keypoint is in its own image (empty: unknown).  Of a tilted view few are ever asked."""
+    """(p,) distance of each plain-view keypoint to the most similar descriptor of that view at least 6 px away: how
+    distinctive it is in its own image (empty: unknown).  Tilted keypoints have none, since few are ever needed."""
     plain_keypoints: int = 0
-    """Rows of the plain view."""
+    """Number of rows of the plain view."""
     preprocessing: str = "none"
-    """"none" or "clahe": how the image was prepared."""
+    """How the image was prepared: "none" or "clahe"."""
 
 
 PLAIN, TILTED = 0, 1
