@@ -1,1 +1,1 @@
-"""From the files that a camera delivers to one static picture: decoding, what nobody may see, which frames count, the median."""
+"""From a camera's files to one static image: decoding, privacy areas, weights of the captures, and their median."""

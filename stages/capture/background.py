@@ -1,7 +1,7 @@
-"""One static picture out of several of a night: what moves is removed, and where nothing can be trusted is said.
+"""One static image from several of a night: moving things are removed, and doubtful pixels are marked.
 
-The median of each pixel, once exposures are made equal (the oldest and still the most robust background: Lo and Velastin, 2001);
-a pixel is trusted where frames that hold the majority of the weight agree with it.
+The background is the median of each pixel after exposures are equalised (the oldest and still the most robust method: Lo and
+Velastin, 2001); a pixel is trusted if images with a majority of the weight agree with it.
 """
 
 from __future__ import annotations
@@ -16,11 +16,11 @@ from ..core.luminance import grey_levels, with_gain
 from ..types import Bools, Float64s, Uint8s
 
 _LEAST_TOLERANCE, _SIGMAS = 18.0, 5.0
-"""Grey levels that a frame may differ by and still agree, at least and in standard deviations of its noise."""
+"""An image agrees with the background within the larger of this many grey levels and standard deviations of its noise."""
 _SPECK_PX, _MARGIN_PX = 5, 2
-"""What is thinner is an edge that swayed, nothing that moved; a margin around what did."""
+"""Disagreeing areas thinner than the first are swaying edges and are ignored; the second is the margin around the others."""
 _MOST_DOUBTFUL = 0.25
-"""Where more of a picture than this is doubtful, its frames differ by more than things that move."""
+"""If a larger share of the pixels is doubtful, the images differ by more than moving things, and no pixel is marked."""
 _STRIP = 64
 
 
@@ -31,17 +31,17 @@ class Background:
     image: Uint8s
     """(h, w, 3) RGB."""
     doubtful: Bools
-    """(h, w), True where no majority of the frames agrees: something stood or moved there."""
+    """(h, w), True where no majority of the images agrees: something stood or moved there."""
     overlaid: Bools
-    """(h, w), True where pixels stay while the light of the scene changes: a clock, a logo, a caption."""
+    """(h, w), True where pixels are constant while the light of the scene changes: a clock, a logo, a caption."""
     unchanged: float
-    """Share of pixels that are the same in all frames to the last grey level; 0 for a single frame."""
+    """Share of pixels that are identical in all images; 0 for a single image."""
 
 
 def merge(images: Sequence[Uint8s], weights: Float64s | None = None) -> Background:
-    """The static scene of several images (h, w, 3) of one view, in the order of time.
+    """The background of several images (h, w, 3) of one view, in the order of time.
 
-    Two have no majority: the later one is used, and where they differ is doubtful.  weights: (n,) what each counts; None: alike.
+    Two images have no majority: the later one is used, and pixels where they differ are doubtful.  weights: (n,); None: equal.
     """
     nothing = np.zeros(images[0].shape[:2], np.bool_)
     if len(images) == 1:
@@ -65,7 +65,7 @@ def _medians(stack: Sequence[Uint8s], weights: Float64s) -> Uint8s:
     merged = np.empty_like(stack[0])
     middle = len(stack) // 2
     equal = bool((weights == weights[0]).all())
-    for top in range(0, len(merged), _STRIP):  # by strips: a night's stack is held once, as bytes
+    for top in range(0, len(merged), _STRIP):  # in strips: only one uint8 copy of the stack is in memory
         strip = np.stack([image[top : top + _STRIP] for image in stack])
         if equal:
             merged[top : top + _STRIP] = np.partition(strip, middle, axis=0)[middle]
@@ -78,7 +78,7 @@ def _medians(stack: Sequence[Uint8s], weights: Float64s) -> Uint8s:
 
 
 def _agreeing(stack: Sequence[Uint8s], merged: Uint8s, weights: Float64s) -> Float64s:
-    """(h, w) share of the weight of frames that agree with the merged picture."""
+    """(h, w) share of the images' weight that agrees with the background."""
     share = np.zeros(merged.shape[:2])
     for image, weight in zip(stack, weights, strict=True):
         off = cv2.absdiff(image, merged).max(axis=2)
@@ -92,10 +92,10 @@ def _disc(size: int) -> Uint8s:
 
 
 def _overlaid(images: Sequence[Uint8s], gains: Float64s, merged: Uint8s) -> Bools:
-    """Where the written picture stays while the scene's exposure changes.
+    """(h, w), True where an overlay is constant while the scene's exposure changes.
 
-    Told apart only where the exposure has changed enough to move a pixel by some grey levels; strokes are gathered to lines of
-    text, whose digits change.
+    It is detected only where the exposure has changed enough to move a pixel by some grey levels.  Strokes are joined to lines
+    of text, which then include the changing digits.
     """
     nothing = np.zeros(merged.shape[:2], np.bool_)
     overall = gains.mean(axis=1)
@@ -109,7 +109,7 @@ def _overlaid(images: Sequence[Uint8s], gains: Float64s, merged: Uint8s) -> Bool
     stays = (expected >= 8) & (spread <= 0.25 * expected) & (np.maximum(low, high) <= 251)
     edges = np.abs(cv2.Laplacian(grey_levels(merged), cv2.CV_32F))
     strokes = (stays & (cv2.dilate(edges, _disc(3)) > 60)).astype(np.uint8)
-    strokes[cv2.blur(strokes.astype(np.float32), (9, 9)) < 0.12] = 0  # single pixels that noise has left
+    strokes[cv2.blur(strokes.astype(np.float32), (9, 9)) < 0.12] = 0  # isolated pixels, left by noise
     width = merged.shape[1]
     gathered = cv2.morphologyEx(strokes, cv2.MORPH_CLOSE, np.ones((5, max(width // 20, 5) | 1), np.uint8))
     out = np.zeros_like(gathered)
@@ -122,7 +122,7 @@ def _overlaid(images: Sequence[Uint8s], gains: Float64s, merged: Uint8s) -> Bool
 
 
 def _gain(thumbnail: np.ndarray, reference: np.ndarray) -> Float64s:
-    """(3,) factors per channel that bring a thumbnail to the reference's exposure: robust to what moved, blind to clipping."""
+    """(3,) gains that bring a thumbnail's channels to the reference's exposure: robust to motion, clipped pixels left out."""
     usable = (thumbnail > 8) & (thumbnail < 247) & (reference > 8) & (reference < 247)
     gains = np.ones(3)
     for c in range(3):

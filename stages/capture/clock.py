@@ -1,7 +1,7 @@
-"""Is a running clock burned into a picture?  Its digits change from capture to capture, and the strokes beside them do not.
+"""Detects a running clock burned into the image: its digits change between captures, the strokes next to them do not.
 
-Cameras that write such a line at the same place match each other's text instead of the scene.  Where the light of a night
-changes, `background` finds overlays by that; this asks for the digits, which need no change of light.
+If several cameras write such a line at the same place, matching finds their text instead of the scene.  `background` finds
+overlays where the light of the scene changes; this module looks for changing digits, which also works in constant light.
 """
 
 from __future__ import annotations
@@ -15,26 +15,26 @@ from ..core.luminance import grey_levels
 from ..types import Bools, Uint8s
 
 _BAND = 0.15
-"""Of the picture's height, at the top and at the bottom: where cameras write."""
+"""Height of the bands at the top and at the bottom of the image in which a clock is searched for, as a share of its height."""
 _HIGHEST = 0.08
-"""Of the picture's height: no line of text is higher."""
+"""Largest height of a line of text, as a share of the image height."""
 _LONG = 8.0
-"""A line is so many times longer than high."""
+"""Smallest ratio of a line's length to its height."""
 _STROKE, _WHITE = 50.0, 170.0
-"""Grey levels by which a stroke stands out, and that it has at least."""
+"""Smallest grey-level contrast of a stroke with its surroundings, and smallest grey level of a stroke."""
 _ROLLED, _STEADY = 60.0, 25.0
-"""Grey levels by which a digit's strokes change at least, and those of a letter at most."""
+"""Range of grey levels over the captures: at least the first for a stroke of a digit, at most the second for one of a letter."""
 _LEAST_ROLLED, _LEAST_STEADY, _LEAST_READ = 8, 0.25, 0.7
-"""Pixels of digits; share of the strokes that stay; share of them that do one or the other."""
+"""Smallest number of changing digit pixels, and smallest shares of a line's strokes that are steady, and that are either."""
 _WRITTEN = 0.15
-"""Where a digit changes, each capture has strokes on this share of the pixels: a shadow or a person leaves none."""
+"""Smallest share of a changing digit's pixels that are strokes in every capture; a shadow or a person leaves none."""
 
 Box = tuple[int, int, int, int]
 """x, y, width and height, pixels."""
 
 
 def running_clock(images: Sequence[Uint8s], usable: Bools) -> Box | None:
-    """The line of text whose digits change between pictures (h, w, 3) of one view, where `usable` (h, w) has not masked it."""
+    """Box of the text line whose digits change between images (h, w, 3) of one view, within the mask `usable` (h, w), or None."""
     height, width = usable.shape
     if len(images) < 2 or min(height, width) < 64:
         return None
@@ -49,7 +49,7 @@ def running_clock(images: Sequence[Uint8s], usable: Bools) -> Box | None:
 
 
 def _line(grey: Sequence[Uint8s], usable: Bools, highest: float) -> Box | None:
-    """The box of a running clock in a band of the pictures."""
+    """The box of a running clock in a band of the images, or None."""
     side = max(5, round(0.6 * highest)) | 1
     kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side))
     strokes = np.stack([(cv2.morphologyEx(one, cv2.MORPH_TOPHAT, kernel) > _STROKE) & (one > _WHITE) for one in grey])
@@ -72,10 +72,10 @@ def _line(grey: Sequence[Uint8s], usable: Bools, highest: float) -> Box | None:
 
 
 def _digits(strokes: Bools, height: int) -> int:
-    """Pixels at which digits change into digits, of the changing strokes (captures, height, w) of a line.
+    """Number of pixels at which digits change into other digits, from a line's changing strokes (captures, height, w).
 
-    What changes is looked at in parts that stand apart, as digits do: a passer-by or a shadow may cross the bright stones of a
-    paved row, and leaves none of them bright.
+    Changes are judged in groups of columns that are separated by gaps, as digits are: a passer-by or a shadow that crosses a
+    row of bright paving stones leaves none of them bright.
     """
     changing = np.flatnonzero(strokes.any(axis=(0, 1)))
     found = 0

@@ -1,4 +1,4 @@
-"""Image files as pixels.  Files from the field arrive empty, cut short, black or from another camera: each case has its name."""
+"""Image files as pixels.  Files from the field may be empty, truncated, black or from another camera: each case has its error."""
 
 from __future__ import annotations
 
@@ -9,15 +9,15 @@ from ..io.image_headers import SCAN, jpeg_segments, picture_size
 from ..types import Capture, Lens, Uint8s
 
 MOST_PIXELS = 200_000_000
-"""Of an image that is decoded: 0.6 GB, and twice that while colours are put in order."""
+"""Largest image that is decoded if its size is stated: 0.6 GB, and twice that while the channels are reordered."""
 MOST_UNSTATED_PIXELS = 110_000_000
-"""Of one whose size nobody has stated: what cameras that stand somewhere have; it takes seconds to decode."""
+"""Largest image that is decoded if its size is not stated: as large as fixed cameras deliver, and seconds to decode."""
 MOST_JPEG_PIXELS_A_BYTE = 1000
-"""Each block of 64 pixels takes a bit at least (ITU-T T.81, F.1.2); a black PNG may hold thousands of pixels in a byte."""
+"""Most pixels per byte of a JPEG file: 64 pixels take at least a bit (ITU-T T.81, F.1.2).  A black PNG may hold thousands."""
 FEW_PIXELS = 10_000_000
-"""Of these, no byte is counted."""
+"""Up to this size, the ratio of pixels to bytes is not checked."""
 MOST_MISSING = 0.1
-"""Share of a picture's rows that may be of one colour at its lower end; a caption's bar is lower."""
+"""Largest share of an image's rows that may be of one colour at its lower end; caption bars are lower."""
 
 
 class BadCapture(ValueError):
@@ -29,11 +29,11 @@ class EmptyCapture(BadCapture):
 
 
 class NotAnImage(BadCapture):
-    """The bytes are no image that can be decoded."""
+    """The bytes cannot be decoded as an image."""
 
 
 class TruncatedImage(BadCapture):
-    """The file ends before the image does, or the picture before its lower edge."""
+    """The file ends before the image does, or the image content ends above the lower edge."""
 
 
 class FeaturelessImage(BadCapture):
@@ -41,18 +41,18 @@ class FeaturelessImage(BadCapture):
 
 
 class OversizedImage(BadCapture):
-    """More pixels than are decoded: a few bytes can promise gigabytes."""
+    """The image has more pixels than are decoded: a few bytes can claim gigabytes."""
 
 
 class WrongSize(BadCapture):
-    """Not the size that the intrinsics, the mask or the night's other captures have."""
+    """The size differs from that of the intrinsics, the mask or the night's other captures."""
 
 
 def decode(capture: Capture, lens: Lens | None = None) -> Uint8s:
-    """Decode an image file into (h, w, 3) uint8 RGB, turned upright as its EXIF data say.
+    """Decode an image file into (h, w, 3) uint8 RGB, rotated upright by its EXIF data.
 
-    lens: where it states the size of captures, one whose header promises another is not decoded at all.  Raises BadCapture for
-    what is empty, no image, truncated, too large, of another size, or without any content (black, white, uniform).
+    lens: if it states the size of captures, a file whose header gives another size is not decoded.  Raises BadCapture for a
+    file that is empty, not an image, truncated, too large, of another size, or without content (black, white, uniform).
     """
     data = np.ascontiguousarray(capture.data)
     if data.size == 0:
@@ -67,13 +67,13 @@ def decode(capture: Capture, lens: Lens | None = None) -> Uint8s:
 
 
 def wrong_size(name: str, width: int, height: int, lens: Lens) -> WrongSize:
-    """What is wrong with a picture of another size than its intrinsics are for.
+    """The error for an image whose size differs from that of its intrinsics.
 
     Parameters
     ----------
-    name : the capture's.
-    width, height : of the picture, pixels.
-    lens : which states another size.
+    name : of the capture.
+    width, height : of the image, pixels.
+    lens : states the expected size.
     """
     turned = (height, width) == (lens.width, lens.height)
     remedy = "state the intrinsics for the size captured, or set the camera back"
@@ -83,9 +83,9 @@ def wrong_size(name: str, width: int, height: int, lens: Lens) -> WrongSize:
 
 
 def _refuse_size(name: str, data: bytes, lens: Lens | None) -> None:
-    """By the header alone, before memory and time are given for what it promises.
+    """Raises BadCapture by the header alone, before time and memory are spent on decoding.
 
-    The image may lie on its side: EXIF data turn it.
+    Width and height may be swapped, as the EXIF data may rotate the image.
     """
     if (size := picture_size(data)) is None:
         return
@@ -102,7 +102,7 @@ def _refuse_size(name: str, data: bytes, lens: Lens | None) -> None:
 
 
 def refuse_truncated(name: str, data: bytes) -> None:
-    """JPEG must have an end marker after its first scan, PNG a last chunk; decoders pad the rest with grey and only mutter."""
+    """Raises TruncatedImage for JPEG without end marker or PNG without last chunk: decoders pad them with grey and only warn."""
     if data[:3] == b"\xff\xd8\xff":
         scan = next((start for marker, start, _ in jpeg_segments(data) if marker == SCAN), None)
         whole = scan is not None and data.find(b"\xff\xd9", scan) >= 0
@@ -115,22 +115,22 @@ def refuse_truncated(name: str, data: bytes) -> None:
 
 
 def refuse_unfinished(name: str, image: Uint8s) -> None:
-    """A recorder that lost a part of a picture pads it with one colour and writes a file that is whole.
+    """Raises TruncatedImage if the lower end is of one colour: recorders that lost a part of an image pad it in a complete file.
 
-    Black and white are left alone (a letter box, a night, a sky), and so is a colour that the upper edge has, too: the ground of
-    a drawing.
+    Black and white are exempt (letter box, night, sky), and so is a colour that the upper edge has as well: the background of a
+    drawing.
     """
     last = image[-1, -1]
     if last.max() < 24 or last.min() > 231 or (image[0] == last).all():
         return
     whole = next((row for row in range(len(image) - 1, -1, -1) if (image[row] != last).any()), None)
-    missing = 0.0 if whole is None else 1.0 - (whole + 1) / len(image)  # one colour everywhere is featureless
+    missing = 0.0 if whole is None else 1.0 - (whole + 1) / len(image)  # one colour everywhere: see `refuse_featureless`
     if missing > MOST_MISSING:
         raise TruncatedImage(f"{name} is unfinished: the lower {100 * missing:.0f} % of it are of one colour")
 
 
 def decoded(name: str, data: Uint8s, flags: int) -> Uint8s:
-    """Pixels as OpenCV reads them (BGR).  Raises NotAnImage for what is none."""
+    """Pixels as OpenCV reads them (BGR).  Raises NotAnImage if it cannot."""
     try:
         image = cv2.imdecode(data, flags) if data.size else None
     except cv2.error:
@@ -141,9 +141,9 @@ def decoded(name: str, data: Uint8s, flags: int) -> Uint8s:
 
 
 def refuse_featureless(name: str, image: Uint8s) -> None:
-    """Raises FeaturelessImage for what shows nothing.
+    """Raises FeaturelessImage for an image that is black, white or uniform.
 
-    Averaging over cells removes sensor noise; what then spans less than six grey levels is that.
+    Averaging over cells removes sensor noise; cells that then span less than six grey levels show nothing.
     """
     cells = cv2.resize(image, (48, 32), interpolation=cv2.INTER_AREA).astype(np.float32).mean(axis=2)
     low, high = np.percentile(cells, [1, 99])

@@ -1,4 +1,4 @@
-"""How pictures look, in figures: by these nights are compared, and the frames of a night weighed against each other."""
+"""Image statistics, by which nights are compared and the frames of a night are weighted."""
 
 from __future__ import annotations
 
@@ -13,26 +13,26 @@ from ..core.luminance import grey_levels
 from ..types import Bools, Float32s, Float64s, Uint8s
 
 POOR = 0.25
-"""What a frame counts that is clearly worse than the others of its night."""
+"""Weight of a frame that is clearly worse than the others of its night."""
 _BLURRED, _DARK, _BRIGHT, _BLINDED = 0.6, 0.5, 1.8, 0.12
-"""Shares of the night's median sharpness and brightness, and the share of saturated pixels beyond the median's."""
+"""Limits of poor frames: shares of the night's median sharpness and brightness, and excess share of saturated pixels."""
 _LONG_SIDE = 640
 _PREPARED_PX = 0.5
-"""Noise is smoothed by so much before edges are looked for."""
+"""Sigma of the Gaussian that suppresses noise before edges are detected, pixels."""
 _SCALES, _SMOOTH = (1.0, 0.5, 0.25, 0.125), 1.5
-"""At which a picture's differences are looked at; and the factor between two of them that no detail makes.  Fitted on a yard,
-fountain and entry at 768 pixels (0.9 to 1.44; enlarged or smeared: 1.6 to 1.9).  Judged on stadium, apron, hall, houses, yard by
-night, belvedere, square, pavilion: 1 pixel each as they are, 1.6 and more where enlarged three times or smeared by 9 px."""
+"""Scales at which pixel differences are measured, and ratio of successive ones below which there is detail.  Fitted on a yard,
+fountain and entry at 768 pixels (0.9 to 1.44; enlarged or smeared: 1.6 to 1.9).  Validated on stadium, apron, hall, houses,
+yard by night, belvedere, square, pavilion: 1 pixel as they are, 1.6 and more if enlarged three times or smeared by 9 px."""
 _SOME = 7
-"""Which slopes are strong is told by every so many-th."""
+"""Step of the samples from which the threshold for strong slopes is taken."""
 _FAINT, _FEWEST_EDGES = 24.0, 15
-"""Slopes (Sobel) below the first are noise; fewer edges than the second tell nothing.  A quarter of 160 x 90 pixels has 50 to
-120, and 15 to 30 where it is out of focus."""
+"""Sobel slopes below the first are noise; with fewer edge pixels than the second there is no estimate.  A quarter of 160 x 90
+pixels has 50 to 120, and 15 to 30 if it is out of focus."""
 
 
 @dataclass(frozen=True)
 class ImageStatistics:
-    """One picture in figures, those of `Frame`."""
+    """Statistics of one image; for the fields see `Frame`."""
 
     brightness: float
     contrast: float
@@ -41,9 +41,9 @@ class ImageStatistics:
 
 
 def image_statistics(image: Uint8s, usable: Bools) -> ImageStatistics:
-    """Figures of a picture (h, w, 3) uint8 where it may be used (h, w)."""
+    """Statistics of an image (h, w, 3) uint8 over its usable pixels (h, w)."""
     grey = grey_levels(image)
-    smooth = cv2.GaussianBlur(grey, (0, 0), 1.0)  # the sensor's noise is no sharpness
+    smooth = cv2.GaussianBlur(grey, (0, 0), 1.0)  # sensor noise must not count as sharpness
     edges = cv2.Laplacian(smooth, cv2.CV_32F)[usable]
     levels = grey[usable]
     contrast = float(levels.std())
@@ -56,12 +56,12 @@ def image_statistics(image: Uint8s, usable: Bools) -> ImageStatistics:
 
 
 def blur_px(image: Uint8s, usable: Bools) -> float:
-    """Standard deviation in pixels of the blur of the sharper edges in the softest part of a picture (h, w, 3): a quarter, or an
-    outer third; nan where it has no edges.  Parts that have few are passed over.
+    """Blur of the sharper edges in the softest part of an image (h, w, 3): sigma in pixels, nan without edges.
 
-    An edge that is blurred once more, by one pixel, loses the more of its slope the sharper it was; neither contrast nor the
-    scene changes the ratio.  Of the strongest twentieth of a part's slopes the sharpest quarter counts, since depth of field
-    and motion blur a part of nearly every picture; a lens that is tilted or wet blurs one side.
+    Parts are the quarters, the outer thirds and the whole; parts with few edges are skipped.  Blurring an edge again, by one
+    pixel, reduces its slope the more the sharper it was; the ratio depends neither on contrast nor on the scene.  A part's blur
+    is the lower quartile over the strongest 5 % of its slopes, since depth of field and motion blur some of nearly every image;
+    parts are measured because a tilted or wet lens blurs one side.
 
     References: Zhuo, Sim, Defocus map estimation from a single image, Pattern Recognition 44, 2011.
     """
@@ -76,7 +76,7 @@ def blur_px(image: Uint8s, usable: Bools) -> float:
 
 
 def _blur_px(slope: Float32s, again: Float32s, inside: Bools) -> float:
-    """Of a part of a picture: slopes (h, w) of its grey levels, and of the same once more blurred."""
+    """Blur of a part of an image, from the slopes (h, w) of its grey levels before and after blurring it again."""
     if not inside.any():
         return float("nan")
     strong = inside & (slope > max(float(np.percentile(slope[inside][::_SOME], 95)), _FAINT))
@@ -89,16 +89,16 @@ def _blur_px(slope: Float32s, again: Float32s, inside: Bools) -> float:
 
 
 def _slope(grey: cv2.typing.MatLike) -> Float32s:
-    # not by cv2.magnitude, whose last bits depend on where in memory the arrays lie
+    # not cv2.magnitude: its last bits depend on where in memory the arrays are
     return np.asarray(np.hypot(cv2.Sobel(grey, cv2.CV_32F, 1, 0), cv2.Sobel(grey, cv2.CV_32F, 0, 1)), np.float32)
 
 
 def detail_px(image: Uint8s, usable: Bools, noise: float) -> float:
-    """So many pixels lie between details that a picture (h, w, 3) resolves, in the coarser of rows and columns; 1 for its own.
+    """Distance in pixels between details that an image (h, w, 3) resolves, in the coarser direction; 1 at full resolution.
 
-    Where a picture is sharp, grey levels two pixels apart differ little more than those one pixel apart; where it was blurred,
-    smeared or enlarged, twice as much.  The distance is the one at which the factor falls below `_SMOOTH`.  usable: (h, w);
-    noise: grey levels that are no detail.
+    In a sharp image, grey levels two pixels apart differ little more than those one pixel apart; in one that was blurred,
+    smeared or enlarged, they differ twice as much.  The distance is the one at which this ratio falls below `_SMOOTH`.  usable:
+    (h, w); noise: standard deviation in grey levels, which is subtracted.
     """
     grey = grey_levels(image).astype(np.float32)
     found = []
@@ -118,7 +118,7 @@ def detail_px(image: Uint8s, usable: Bools, noise: float) -> float:
 
 
 def _step(grey: cv2.typing.MatLike, usable: Bools, axis: int, noise: float) -> float:
-    """By how much neighbouring pixels of a picture (h, w) differ along an axis, root mean square, without its noise."""
+    """Root mean square difference of neighbouring pixels of an image (h, w) along an axis, without the noise's part."""
     h, w = grey.shape
     inside = cv2.resize(usable.astype(np.uint8), (w, h), interpolation=cv2.INTER_NEAREST).astype(np.bool_)
     both = (inside[1:] & inside[:-1]) if axis == 0 else (inside[:, 1:] & inside[:, :-1])
@@ -127,9 +127,9 @@ def _step(grey: cv2.typing.MatLike, usable: Bools, axis: int, noise: float) -> f
 
 
 def weigh(images: Sequence[Uint8s], names: Sequence[str], usable: Bools) -> tuple[Float64s, list[str]]:
-    """What each frame (h, w, 3) of a night counts, and what is wrong, by its name, with those that count less.
+    """Weights (n,) of a night's frames (h, w, 3), and a message for each frame with a low weight.
 
-    (n,) 1 for a frame like the others, `POOR` for one that is blurred, dark or blinded beside them, where `usable` (h, w).
+    The weight is 1, or `POOR` if a frame is blurred, dark, bright or blinded compared with the others, over `usable` (h, w).
     """
     scale = min(_LONG_SIDE / max(usable.shape), 1.0)
     size = max(round(usable.shape[1] * scale), 1), max(round(usable.shape[0] * scale), 1)

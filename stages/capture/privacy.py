@@ -1,4 +1,4 @@
-"""What nobody may see: polygons whose pixels are gone before anything else looks at a picture."""
+"""Privacy areas: polygons whose pixels are erased before anything else reads an image."""
 
 from __future__ import annotations
 
@@ -11,20 +11,20 @@ from ..types import Bools, Float64s, Privacy, Uint8s
 from .files import BadCapture
 
 GREY = 128
-"""What is there instead."""
+"""Grey level that replaces private pixels."""
 _MARGIN = 3
-"""Pixels around a polygon that are not used: the edge of a grey area is no feature of the site."""
+"""Width in pixels of the margin around a polygon that is not used: the edge of a grey area is not a feature of the site."""
 
 
 def private_area(privacy: Privacy | None, width: int, height: int, name: str) -> Bools | None:
-    """(height, width) bool, True where nobody may see anything; None where everything may be seen.
+    """(height, width) bool, True for private pixels; None if there are no polygons.
 
-    Raises BadCapture where a polygon does not fit a picture of this size: rather none of it is used than what should not be seen.
+    Raises BadCapture if a polygon does not fit an image of this size: a capture is lost rather than private pixels shown.
 
     Parameters
     ----------
     privacy : the polygons.
-    width, height : of a capture, pixels.
+    width, height : size of the capture, pixels.
     name : of the capture, for messages.
     """
     if privacy is None or not len(privacy.counts):
@@ -44,7 +44,7 @@ def private_area(privacy: Privacy | None, width: int, height: int, name: str) ->
 
 
 def blanked(image: Uint8s, area: Bools | None) -> Uint8s:
-    """The picture without what lies in an area."""
+    """The image with its private pixels replaced by grey."""
     if area is None:
         return image
     out = image.copy()
@@ -53,13 +53,13 @@ def blanked(image: Uint8s, area: Bools | None) -> Uint8s:
 
 
 def around(area: Bools) -> Bools:
-    """The area and a margin."""
+    """The area with a margin around it."""
     kernel = np.ones((2 * _MARGIN + 1, 2 * _MARGIN + 1), np.uint8)
     return np.asarray(cv2.dilate(area.astype(np.uint8), kernel), np.bool_)
 
 
 def _polygons(privacy: Privacy, width: int, height: int) -> Iterator[Float64s]:
-    """The corners (n, 2) of each, pixels; they may be stated as shares of width and height."""
+    """Corners (n, 2) of each polygon in pixels; corners that all lie within 0 to 1 are shares of width and height."""
     for corners in np.split(privacy.corners, np.cumsum(privacy.counts.astype(int)))[:-1]:
         shares = bool((corners >= 0).all() and (corners <= 1).all())
         yield corners * (width, height) - 0.5 if shares else corners

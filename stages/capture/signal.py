@@ -1,10 +1,10 @@
-"""What a camera's electronics and coding do to a picture: combed rows, blocks, a colour cast, no colour, noise.
+"""Artefacts of a camera's electronics and coding: combing, coding blocks, colour cast, missing colour, noise.
 
-Interlaced cameras read every second row a moment later, and a poor line shifts these rows as a whole; recorders that are short of
-disk code blocks of 8 x 8 pixels so coarsely that their edges are stronger than what the scene shows.
+Interlaced cameras read every second row a moment later, and a poor signal line shifts these rows as a whole.  Recorders that are
+short of disk space code blocks of 8 x 8 pixels so coarsely that the block edges are stronger than those of the scene.
 
-Noise is measured where it is white, in the captures as they come from the camera: undistorting a picture mixes neighbouring
-pixels, after which noise of eleven grey levels reads as two."""
+Noise is measured where it is white, in the captures as they come from the camera: undistortion mixes neighbouring pixels, after
+which noise of eleven grey levels is measured as two."""
 
 from __future__ import annotations
 
@@ -19,29 +19,29 @@ from ..types import Float32s, Uint8s
 
 _TILE_PX = 16
 _STRUCTURED = 3.0
-"""Grey levels by which neighbouring pixels of a row differ, on average, in a tile that can tell of combing."""
+"""Mean grey-level difference of neighbouring pixels of a row above which a tile is tested for combing."""
 _COMBED = 1.3
-"""In a combed tile neighbouring rows differ so many times more than every second one."""
+"""Smallest ratio of the difference between adjacent rows to that between rows two apart for a tile to count as combed."""
 _MOST_COMBED = 0.1
-"""Share of combed tiles from which on one field only is used."""
+"""Share of combed tiles from which on only one field is used."""
 _LEAST_PX, _FARTHEST_PX = 0.3, 6.0
-"""So far every second row must, and may, lie off as a whole; in pictures that are not combed it is under .03."""
+"""Range of horizontal shifts of the second field that are corrected, in pixels; images without combing measure below 0.03."""
 _SHIFTED = 0.8
-"""Neighbouring rows differ so many times less, at most, once they are shifted back."""
+"""Largest ratio of row-to-row differences after a shift to those before it for the shift to be accepted."""
 _MIDDLE_PX = 1024
-"""Side of the part of a picture that is looked at."""
+"""Side of the central part of an image that is analysed."""
 _BLOCK_PX = 8
 _BLOCKY = 1.5
-"""Differences across the borders of blocks are so many times those within, where coding hides the scene."""
+"""Ratio of the steps at block borders to those within blocks above which coarse coding is reported: it hides the scene."""
 _CAST = 1.7
-"""The strongest colour over the weakest, mean of the picture: more is no scene under a usual lamp."""
+"""Ratio of the strongest to the weakest mean channel above which a colour cast is reported; usual lamps stay below."""
 _COLOURLESS = 0.05
-"""Saturation, once a cast is taken off, of a picture without colours."""
+"""Median saturation, after removal of a colour cast, below which an image is reported as without colour."""
 
 
 @dataclass(frozen=True)
 class Signal:
-    """Figures of one picture, or the median of several: those of `Frame`."""
+    """Signal statistics of one image, or their median over several; for the fields see `Frame`."""
 
     combing: float = 0.0
     blocking: float = 1.0
@@ -51,11 +51,11 @@ class Signal:
 
     @classmethod
     def median(cls, several: Sequence[Signal]) -> Signal:
-        """Of several pictures."""
+        """The median of each field over several images."""
         return cls(*(float(np.median([getattr(one, name) for one in several])) for name in cls.__dataclass_fields__))
 
     def words(self) -> list[str]:
-        """What people should know."""
+        """Warnings for the operator."""
         found = []
         if self.blocking > _BLOCKY:
             found.append(
@@ -69,7 +69,7 @@ class Signal:
 
 
 def signal_of(image: Uint8s) -> Signal:
-    """Figures of a picture (h, w, 3) as it comes from the camera."""
+    """Signal statistics of an image (h, w, 3) as it comes from the camera."""
     image = _middle(image)
     grey = np.asarray(grey_levels(image), np.float32)
     means = np.maximum(np.array(cv2.mean(image)[:3]), 1.0)
@@ -80,13 +80,13 @@ def signal_of(image: Uint8s) -> Signal:
 
 
 def _middle(image: Uint8s) -> Uint8s:
-    """The middle of a picture; its rows keep their field."""
+    """The centre of an image, cut at an even row so that each row stays in its field."""
     top, left = ((side - _MIDDLE_PX) // 2 // 2 * 2 if side > _MIDDLE_PX else 0 for side in image.shape[:2])
     return image[top : top + _MIDDLE_PX, left : left + _MIDDLE_PX]
 
 
 def _combing(grey: Float32s) -> float:
-    """Share of the tiles that have structure along their rows in which neighbouring rows (h, w) differ more than every second."""
+    """Share of the tiles with structure along their rows in which adjacent rows of (h, w) differ more than rows two apart."""
     near, far, along = (np.abs(grey[2:] - grey[1:-1]), np.abs(grey[2:] - grey[:-2]), np.abs(np.diff(grey, axis=1))[2:])
     near_tiles, far_tiles, along_tiles = (block_means(each, _TILE_PX) for each in (near[:, 1:], far[:, 1:], along))
     structured = along_tiles > _STRUCTURED
@@ -96,7 +96,7 @@ def _combing(grey: Float32s) -> float:
 
 
 def _blocking(grey: Float32s) -> float:
-    """Over both directions; which pixel blocks begin at is looked for, since pictures are turned and cut."""
+    """Ratio of steps at block borders to the median step, the lower of both directions; blocks may begin at any pixel (crops)."""
     found = []
     for steps in (np.abs(np.diff(grey, axis=1)).mean(axis=0), np.abs(np.diff(grey, axis=0)).mean(axis=1)):
         count = len(steps) // _BLOCK_PX * _BLOCK_PX
@@ -108,9 +108,9 @@ def _blocking(grey: Float32s) -> float:
 
 
 def put_right(image: Uint8s) -> tuple[Uint8s, str]:
-    """The picture (h, w, 3) without combing, and in words what was done; as it is, and "", where it is not combed.
+    """The image (h, w, 3) without combing, and what was done in words; the image itself and "" if it is not combed.
 
-    Rows of the second field that lie off as a whole are shifted back; else they are made from their neighbours of the first.
+    If the second field is shifted as a whole, it is shifted back; otherwise its rows are interpolated from the first field.
     """
     grey = np.asarray(grey_levels(_middle(image)), np.float32)
     shift = _field_shift(grey)
@@ -134,13 +134,13 @@ def _across_rows(grey: Float32s) -> float:
 
 
 def _field_shift(grey: Float32s) -> float:
-    """By how much every second row lies to the right of what its neighbours say, pixels (Lucas and Kanade, 1981)."""
+    """Shift of the second field to the right, against the mean of its neighbouring rows, pixels (Lucas and Kanade, 1981)."""
     first, second = grey[::2], grey[1::2]
     if min(grey.shape) < 32:
         return 0.0
     rows = min(len(first) - 1, len(second))
     between, there = 0.5 * (first[:rows] + first[1 : rows + 1]), second[:rows]
-    starts = np.arange(-_FARTHEST_PX, _FARTHEST_PX + 1)  # steps of a pixel; what lies between is found from there
+    starts = np.arange(-_FARTHEST_PX, _FARTHEST_PX + 1)  # whole pixels; the fraction is found from there
     off = [np.abs(np.roll(between, int(start), axis=1) - there)[:, 8:-8].mean() for start in starts]
     best = float(starts[np.argmin(off)])
     moved = np.roll(between, int(best), axis=1)
@@ -150,24 +150,24 @@ def _field_shift(grey: Float32s) -> float:
 
 
 def _shifted(rows: Uint8s, shift: float) -> Uint8s:
-    """(h, w, 3) rows moved to the left by a shift."""
+    """(h, w, 3) rows moved to the left by a shift in pixels."""
     x, y = np.meshgrid(np.arange(rows.shape[1], dtype=np.float32) + np.float32(shift), np.arange(len(rows), dtype=np.float32))
     return np.asarray(cv2.remap(rows, x, y, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE), np.uint8)
 
 
 NOISY = 2.0
-"""Grey levels of noise (standard deviation) of a frame from which on it is denoised."""
+"""Noise of a frame (standard deviation in grey levels) from which on it is denoised."""
 _DARKEST, _BRIGHTEST = 12.0, 243.0
-"""Mean grey of the surroundings that can tell of noise: what is clipped has none."""
+"""Range of the local mean grey level in which noise is measured: clipped areas have none."""
 _SURROUNDINGS_PX = 16
 _MIXED = 0.67
-"""What bilinear interpolation leaves of white noise: 2/3 of its standard deviation, mean over all fractions."""
+"""Share of the standard deviation of white noise that bilinear interpolation leaves: 2/3, the mean over all fractions."""
 _PATCH_PX, _SEARCH_PX = 7, 21
 _KEPT = 0.35
-"""This share of the noise stays.  Even surfaces would else show nothing but what denoising has made of it, alike in all views by
-chance: of a study without light 61 % of the points were within 5 cm, 77 % now, and more of them; .2 gives 71 %, .5 76 %."""
+"""Share of the noise that is kept.  Without it, uniform surfaces show only denoising artefacts, alike in all views by chance:
+in the study without light it raises the points within 5 cm from 61 to 77 % (of more points); 0.2 gives 71 %, 0.5 76 %."""
 _COLOUR_PX = 2.0
-"""Colours are smoothed by a Gaussian of so many pixels: they tell little of shape, and their noise is coarse."""
+"""Sigma of the Gaussian that smooths the colours, pixels: they carry little shape, and their noise is coarse."""
 
 
 def capture_noise(grey: Float32s) -> float:
@@ -177,10 +177,10 @@ def capture_noise(grey: Float32s) -> float:
 
 
 def remaining_noise(noise: float, captures: int, scale: float) -> float:
-    """What the frame has of its captures' noise, grey levels.
+    """Noise of a frame, in grey levels, from the noise of its captures.
 
-    So many captures are merged by their median, whose standard deviation is sqrt(pi / (2 n + pi - 2)) of one's (David and
-    Nagaraja, Order Statistics, 2003; within 1 % from three on).  Of two, one is used.  scale: side of the frame over a capture's.
+    The median of n captures has sqrt(pi / (2 n + pi - 2)) of the standard deviation of one (David and Nagaraja, Order
+    Statistics, 2003; within 1 % from three on).  Of two captures one is used.  scale: side of the frame over that of a capture.
     """
     merged = 1.0 if captures < 3 else float(np.sqrt(np.pi / (2 * captures + np.pi - 2)))
     return noise * _MIXED * merged * min(scale, 1.0)
@@ -189,8 +189,8 @@ def remaining_noise(noise: float, captures: int, scale: float) -> float:
 def denoised(image: Uint8s, noise: float) -> Uint8s:
     """A frame (h, w, 3) without most of its noise (grey levels): non-local means (Buades, Coll and Morel, CVPR 2005).
 
-    Edges and texture that is seen again nearby stay, which a Gaussian wears down: on the yard without lamps (four cameras)
-    F at 2 cm is 35.5 with it, 34.7 with a Gaussian of 1 px, 32.8 with neither.
+    It keeps edges and repeated texture, which a Gaussian blurs: on the yard without lamps (four cameras) the F-score at 2 cm is
+    35.5 with it, 34.7 with a Gaussian of 1 px, and 32.8 without denoising.
     """
     luma, red, blue = cv2.split(cv2.cvtColor(image, cv2.COLOR_RGB2YCrCb))
     quiet = cv2.fastNlMeansDenoising(luma, None, h=noise, templateWindowSize=_PATCH_PX, searchWindowSize=_SEARCH_PX)

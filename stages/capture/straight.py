@@ -1,4 +1,4 @@
-"""The pinhole that a camera's picture is straightened to: the lens's own, or a view of what a wider lens sees."""
+"""Undistortion of captures to pinhole images: with the lens's own K, or as a view of what a wider lens sees."""
 
 from __future__ import annotations
 
@@ -17,36 +17,35 @@ from .files import BadCapture, wrong_size
 
 @dataclass(frozen=True)
 class Straight:
-    """Size and intrinsics of captures as they come, and of the pinhole picture that is made of them.
+    """Size and intrinsics of captures, and of the undistorted pinhole image that is made of them.
 
-    Of a `pinhole` or `brown` lens that picture has the K and size of the captures, and pixels without a source
-    are black.  Else it is just as large as what the lens sees, up to `WIDEST_DEG` or in the window of one view among several,
-    with the scale of the lens in its middle.
+    For a `pinhole` or `brown` lens that image has the K and size of the captures, and pixels without a source are black.
+    Otherwise it covers exactly what the lens sees, up to `WIDEST_DEG` or in the window of one view among several, at the scale
+    of the lens's centre.
     """
 
     width: int
-    """Of captures."""
+    """Width of captures, pixels."""
     height: int
     K: Float64s | None
-    """(3, 3) of the straightened picture; a guess from the field of view unless `focal_known`."""
+    """(3, 3) of the undistorted image, None if unknown; a guess from the field of view unless `focal_known`."""
     focal_known: bool
     lens: Lens
     size: tuple[int, int]
-    """(width, height) of the straightened picture, at the scale of captures."""
+    """(width, height) of the undistorted image, at the scale of captures."""
 
     @classmethod
     def of(cls, image: Uint8s, lens: Lens, name: str, whole_field: bool = False) -> Straight:
-        """The pinhole for a picture.
+        """The pinhole for a capture.
 
-        Raises BadCapture for another size than the lens is for, and where the lens sees nothing in the direction of the view.
+        Raises BadCapture if its size differs from that of the lens, or if the lens sees nothing in the direction of the view.
 
         Parameters
         ----------
         image : (h, w, 3) uint8, as captured.
-        lens : what is known of its lens.
+        lens : the lens, as far as it is known.
         name : of the capture, for messages.
-        whole_field : all that the lens sees (up to `WIDEST_DEG`), rather than what has place with its own K, where it is a brown
-            lens.
+        whole_field : for a brown lens: cover all that it sees (up to `WIDEST_DEG`) instead of what fits its own K and size.
         """
         height, width = image.shape[:2]
         if lens.width and lens.height and (width, height) != (lens.width, lens.height):
@@ -58,19 +57,19 @@ class Straight:
 
     @property
     def own(self) -> bool:
-        """Does the straightened picture have the captures' own K and size?"""
+        """Does the undistorted image have the captures' own K and size?"""
         return self.lens.K is None or self.K is self.lens.K
 
     def undistort(self, image: Uint8s, nearest: bool = False) -> Uint8s:
-        """Straighten (h, w, ...) of the captures' size; pixels without a source become 0."""
+        """Undistort (h, w, ...) of the captures' size; pixels without a source become 0."""
         if self.K is None or (self.own and not np.any(self.lens.distortion)):
             return image
-        # in a view of another size, what is part black at the edge of the picture counts as not seen
+        # of a mask in a view of another size, pixels that mix with the black outside count as not seen
         how = cv2.INTER_NEAREST if nearest and self.own else cv2.INTER_LINEAR
         return np.asarray(cv2.remap(image, *self._maps, how, borderMode=cv2.BORDER_CONSTANT, borderValue=0), dtype=np.uint8)
 
     def working_size(self, resolution: int | None) -> tuple[int, int]:
-        """(width, height) of the frame: its scale is that of captures brought to a long side of `resolution`."""
+        """(width, height) of the frame, at the scale of captures resized to a long side of `resolution`."""
         width, height = working_size(self.width, self.height, resolution)
         if self.size == (self.width, self.height):
             return width, height
@@ -78,7 +77,7 @@ class Straight:
         return max(1, round(self.size[0] * scale)), max(1, round(self.size[1] * scale))
 
     def view(self, width: int, height: int) -> View:
-        """Of the frame, of this size."""
+        """The `View` of a frame of this size."""
         K = None if self.K is None else scaled_intrinsics(self.K, width / self.size[0], height / self.size[1])
         known = self.focal_known and K is not None
         if not self.own:
@@ -87,7 +86,7 @@ class Straight:
         return View(width, height, K, known, self.width, self.height, removed)
 
     def lost(self) -> tuple[str, ...]:
-        """What the lens sees and no pinhole shows, in words; () where that is nothing."""
+        """A note on the part of the lens's field that no pinhole shows; () if there is none."""
         if self.own or self.K is None or self.lens.turn is not None:
             return ()
         left, right, up, low = sides_deg(self.lens, self.width, self.height)
@@ -99,7 +98,7 @@ class Straight:
 
     @cached_property
     def _maps(self) -> tuple[Float32s, Float32s]:
-        """Where each pixel of the straightened picture comes from."""
+        """Column and row in the capture of each pixel of the undistorted image."""
         assert self.K is not None
         if self.own:
             maps = cv2.initUndistortRectifyMap(self.K, self.lens.distortion, None, self.K, self.size, cv2.CV_32FC1)
@@ -112,13 +111,13 @@ class Straight:
             pixels = np.stack([*np.meshgrid(np.arange(width), rows), np.ones((len(rows), width))], axis=-1)
             rays: Float64s = pixels.reshape(-1, 3).astype(np.float64) @ back
             found = lens_pixels(self.lens, rays if self.lens.turn is None else rays @ self.lens.turn)
-            # what the lens does not see comes from far outside of the picture
+            # pixels that the lens does not see are mapped to far outside the capture
             x[rows], y[rows] = (np.nan_to_num(found[:, k], nan=-1e4).reshape(len(rows), width) for k in (0, 1))
         return x, y
 
 
 def working_size(width: int, height: int, resolution: int | None) -> tuple[int, int]:
-    """(width, height) in pixels of an image brought to a long side of `resolution`; never larger than it is."""
+    """(width, height) in pixels of an image scaled down to a long side of `resolution`; it is never enlarged."""
     if resolution is not None and resolution < 1:
         raise ValueError(f"resolution is {resolution}, at least 1 pixel is needed")
     if resolution is None or resolution >= max(width, height):
@@ -128,13 +127,13 @@ def working_size(width: int, height: int, resolution: int | None) -> tuple[int, 
 
 
 _ROWS = 128
-"""That are reckoned at once: bounds memory."""
+"""Rows of the maps that are computed at once, to bound memory."""
 _GRID_DEG = 0.25
-"""Steps in which the limits of a view are looked for."""
+"""Angular step of the search for the limits of a view."""
 
 
 def _bends(lens: Lens, whole_field: bool) -> bool:
-    """Is the picture straightened to another pinhole than the lens's own?"""
+    """Does the undistorted image get another K and size than the lens's own?"""
     return (whole_field and bool(np.any(lens.distortion))) if lens.model == "brown" else lens.model != "pinhole"
 
 
@@ -149,7 +148,7 @@ def _intrinsics(lens: Lens, width: int, height: int) -> tuple[Float64s | None, b
 
 
 def _framed(lens: Lens, width: int, height: int, name: str) -> tuple[Float64s, bool, Lens, tuple[int, int]]:
-    """K, that it is known, the lens and the size of the view."""
+    """K, that it is known, the lens, and the size of the view."""
     axes = [_slopes(lens, 0), _slopes(lens, 2)]
     x, y = np.meshgrid(*axes)
     rays = np.stack([x, y, np.ones_like(x)], axis=-1).reshape(-1, 3)
@@ -168,14 +167,14 @@ def _framed(lens: Lens, width: int, height: int, name: str) -> tuple[Float64s, b
 
 
 def _slopes(lens: Lens, first: int) -> Float64s:
-    """Along one axis of a view, from one end to the other."""
+    """Tangents of the angles along one axis of a view, from one end to the other."""
     half = 0.5 * WIDEST_DEG
     low, high = (-half, half) if lens.window is None else np.rad2deg(np.arctan(lens.window[first : first + 2]))
     return np.asarray(np.tan(np.deg2rad(np.arange(low, high + 1e-9, _GRID_DEG))), dtype=np.float64)
 
 
 def _scale(lens: Lens) -> float:
-    """Pixels of the capture for each radian in the middle of the lens."""
+    """Pixels of the capture per radian at the centre of the lens."""
     step = 1e-4
     x = lens_pixels(lens, np.array([[step, 0, 1], [-step, 0, 1], [0, step, 1], [0, -step, 1]]))
     scale = np.sqrt(abs(np.linalg.det(np.array([x[0] - x[1], x[2] - x[3]]) / (2 * step))))

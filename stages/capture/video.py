@@ -1,4 +1,4 @@
-"""Pictures out of a video file: every n-th, so many at most."""
+"""Images from a video file: every n-th frame, up to a maximum number."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from .files import BadCapture, EmptyCapture, NotAnImage, decode
 SUFFIXES = frozenset({".mp4", ".m4v", ".mov", ".avi", ".mkv", ".webm", ".mpg", ".mpeg", ".ts"})
 IN_MEMORY = hasattr(os, "memfd_create")
 MOST_FRAMES = 100_000
-"""So many are stepped over at most: a file that claims to be endless ends here."""
+"""Largest number of frames that are read, in case a file claims to be endless."""
 
 
 def pictures(capture: Capture, step: int, most: int) -> Iterator[tuple[str, Uint8s]]:
-    """Every `step`-th picture (h, w, 3) uint8 RGB of a video, with a name; `most` at most, spread over its length where that is
-    known.
+    """Every `step`-th frame of a video as name and image (h, w, 3) uint8 RGB, at most `most`.
 
-    Raises BadCapture where it is empty, or nothing in it can be decoded.
+    If the video's length is known, the step grows so that the images cover all of it.  Raises BadCapture if the file is empty
+    or nothing in it can be decoded.
     """
     if capture.data.size == 0:
         raise EmptyCapture(f"{capture.name} is empty (0 bytes)")
@@ -47,12 +47,12 @@ def pictures(capture: Capture, step: int, most: int) -> Iterator[tuple[str, Uint
 
 
 def all_pictures(capture: Capture, step: int, most: int, lens: Lens | None = None) -> Iterator[tuple[str, Uint8s]]:
-    """A capture's pictures (h, w, 3) uint8 RGB with their names: one, or those of a video.  Raises BadCapture.
+    """A capture's images (h, w, 3) uint8 RGB with their names: one, or several of a video.  Raises BadCapture.
 
     Parameters
     ----------
     capture : an image file or a video.
-    step, most : of a video, as of `pictures`.
+    step, most : for a video, see `pictures`.
     lens : see `files.decode`.
     """
     if PurePath(capture.name).suffix.lower() in SUFFIXES:
@@ -62,13 +62,13 @@ def all_pictures(capture: Capture, step: int, most: int, lens: Lens | None = Non
 
 
 def one_picture(capture: Capture) -> Uint8s:
-    """A capture's picture (h, w, 3) uint8 RGB, of a video the first.  Raises BadCapture."""
+    """A capture's image (h, w, 3) uint8 RGB; the first frame of a video.  Raises BadCapture."""
     return next(all_pictures(capture, 1, 1))[1]
 
 
 @contextmanager
 def _opened(capture: Capture) -> Iterator[cv2.VideoCapture]:
-    """FFmpeg reads files only: one in memory where the system can, else one that is gone when it is closed."""
+    """The opened video; FFmpeg reads only files: one in memory if the system supports that, else a temporary one."""
     suffix = PurePath(capture.name).suffix
     with os.fdopen(os.memfd_create("video"), "wb") if IN_MEMORY else NamedTemporaryFile(suffix=suffix) as file:
         file.write(capture.data.tobytes())

@@ -1,8 +1,8 @@
-"""The views of a lens that sees more than one pinhole can show: how they are turned, and how far each reaches.
+"""The pinhole views of a lens that sees more than one pinhole can show: their orientations and extents.
 
-A lens that is wide in one direction only (a frame that cuts off the circle of a fisheye) gets two or three views side by side;
-one that is wide in both gets four, or a cross: the middle, which is what other cameras mostly see, whole in one view, and one
-view on each side of it.  Neighbours overlap a little, so that windows of matching at the border of one lie within the other.
+A lens that is wide in one direction only (a frame that cuts off the circle of a fisheye) gets two or three views side by side.
+One that is wide in both directions gets four views, or a cross of five: one for the middle, which other cameras mostly see, and
+one on each side of it.  Neighbours overlap slightly, so that matching windows at the border of one lie inside the other.
 """
 
 from __future__ import annotations
@@ -13,29 +13,28 @@ from ..core.lenses import WIDEST_DEG, lens_pixels, sides_deg
 from ..types import Float64s, Lens
 
 _SPARED_DEG = 2.0
-"""A lens that sees no more than this beyond `WIDEST_DEG` stays one view."""
+"""A lens whose field of view exceeds `WIDEST_DEG` by at most this keeps a single view."""
 _THREE_FROM_DEG = 150.0
-"""Of what is wider than this, the middle is one view, and each side another."""
+"""A field of view wider than this is split into three views, the middle and both sides, instead of two."""
 _MIDDLE_DEG = 45.0
 """Half the width of a middle view."""
 _OVERLAP_DEG = 3.0
-"""By so much neighbours reach over each other's border, each."""
+"""Overlap: each of two views reaches this far over their border; of three, the side views reach this far into the middle one."""
 _FARTHEST_DEG = 95.0
-"""Nothing farther off the axis is used: there wide lenses see their own housing, and are known worst."""
+"""Largest angle off the axis that is used: beyond it wide lenses see their own housing, and calibration is worst."""
 _CORNERS_DEG = 10.0
-"""How much farther a view may reach at the border of the picture."""
+"""How much farther a view may reach at the border of the image, whose corners lie farther out than the middles of its sides."""
 _LEAST_SHARE = 0.05
-"""A view of which the lens sees less than this is none."""
+"""A view is left out if the lens sees less than this share of it."""
 
 Span = tuple[float, float]
-"""From one angle to another, degrees."""
+"""Smallest and largest angle, degrees."""
 
 
 def views_of_lens(
     K: list[list[float]], distortion: list[float], width: int, height: int, model: str
 ) -> list[tuple[list[list[float]], list[float]]]:
-    """What each view is, as `Lens.turn` and `Lens.window` have it in plain numbers, the one nearest to the axis first; none where
-    one pinhole shows all.
+    """`Lens.turn` and `Lens.window` of each view as plain numbers, nearest to the axis first; none if one pinhole suffices.
 
     Parameters
     ----------
@@ -56,7 +55,7 @@ def views_of_lens(
 
 
 def _layout(x: Span, y: Span) -> list[tuple[Span, Span]]:
-    """The views, from left to right and from top to bottom, each as what it shows to the sides and in height."""
+    """Horizontal and vertical span of each view: from left to right and from top to bottom, or the middle first in a cross."""
     columns, rows = _parts(x), _parts(y)
     if min(len(columns), len(rows)) == 1 or len(columns) == len(rows) == 2:
         return [(a, b) for b in rows for a in columns]
@@ -80,7 +79,7 @@ def _parts(span: Span) -> list[Span]:
 
 
 def _turn(right_deg: float, down_deg: float) -> Float64s:
-    """(3, 3) from camera axes to those of a view that looks so far to the right, and then so far down."""
+    """(3, 3) rotation from camera axes to those of a view that is turned to the right and then down by these angles."""
     a, b = np.deg2rad([right_deg, down_deg])
     about_y = np.array([[np.cos(a), 0.0, -np.sin(a)], [0.0, 1.0, 0.0], [np.sin(a), 0.0, np.cos(a)]])
     about_x = np.array([[1.0, 0.0, 0.0], [0.0, np.cos(b), -np.sin(b)], [0.0, np.sin(b), np.cos(b)]])
@@ -88,8 +87,8 @@ def _turn(right_deg: float, down_deg: float) -> Float64s:
 
 
 def _slopes(span: Span, whole: Span) -> list[float]:
-    """From one border to the other of a view that shows a span and looks at its middle; at borders of the picture, whose corners
-    reach farther than the middles of its sides, a little more."""
+    """Tangents at both borders of a view that looks at the middle of its span, which `_CORNERS_DEG` extends at borders of the
+    image."""
     half, most = 0.5 * (span[1] - span[0]), 0.5 * WIDEST_DEG
     low, high = (min(half + (_CORNERS_DEG if edge in whole else 0.0), most) for edge in span)
     return [-float(np.tan(np.deg2rad(low))), float(np.tan(np.deg2rad(high)))]

@@ -1,1 +1,1 @@
-"""What changed between two nights of the same fixed cameras: distances, free space, likeness of photographs, clusters."""
+"""Changes between two nights of the same fixed cameras: cloud distances, free space, image correlation, clusters."""

@@ -1,10 +1,10 @@
-"""Distances between two clouds along the normals of one, each with the smallest change that it could tell: M3C2.
+"""Distances between two clouds along the normals of one, each with its level of detection: M3C2.
 
-At each core point a cylinder is laid along the normal; the distance is that of the mean positions of both clouds in it.  The
-points' own standard deviations take the place of the spread in the cylinder, as both clouds come with them.
+At each core point a cylinder is placed along the normal; the distance is measured between the mean positions of both clouds in
+it.  The points' own standard deviations are used instead of the spread in the cylinder, as both clouds have them.
 
-References: Lague, Brodu, Leroux, Accurate 3D comparison of complex topography with terrestrial laser scanner, ISPRS J. 82, 2013;
-Winiwarter, Anders, Höfle, M3C2-EP, ISPRS J. 178, 2021 (known uncertainties instead of the spread).
+References: Lague, Brodu, Leroux, Accurate 3D comparison of complex topography with terrestrial laser scanner, ISPRS J. 82,
+2013; Winiwarter, Anders, Höfle, M3C2-EP, ISPRS J. 178, 2021 (known uncertainties instead of the spread).
 """
 
 from __future__ import annotations
@@ -19,40 +19,40 @@ from ..core.ordering import by_cell
 from ..types import Float32s, Float64s, Int64s
 
 CONFIDENCE = 1.96
-"""Standard deviations that 95 % of all errors keep within."""
+"""Number of standard deviations that holds 95 % of all errors."""
 _BLOCK = 64
-"""So many points are looked at at once: the compiler can do several with one instruction."""
+"""Number of points that are processed at once, so that the compiler can vectorise."""
 
 
 @dataclass(frozen=True)
 class Distances:
-    """Of each core point, (n,) each."""
+    """Distances at the core points, (n,) each."""
 
     distance: Float64s
-    """From the first cloud to the second along the normal; nan where one has too few points in the cylinder."""
+    """From the first cloud to the second along the normal; nan if either has too few points in the cylinder."""
     sigma: Float64s
     """Standard deviation of the distance."""
     count1: Int64s
-    """Points of the first cloud in the cylinder..."""
+    """Points of the first cloud in the cylinder."""
     count2: Int64s
-    """...and of the second."""
+    """Points of the second cloud in the cylinder."""
 
     @property
     def detectable(self) -> Float64s:
-        """Level of detection, (n,): a distance beyond it is a change, at 95 %."""
+        """Level of detection, (n,): a larger distance is a change, with 95 % confidence."""
         return CONFIDENCE * self.sigma
 
 
 @dataclass(frozen=True)
 class MeasuredCloud:
-    """A cloud whose points each have a standard deviation."""
+    """A cloud with a standard deviation for each point."""
 
     points: Float64s
     """(n, 3)"""
     sigma: Float64s
     """(n,)"""
     index: PointIndex | None = None
-    """Of the points, by cells of the size of a cylinder; made where there is none."""
+    """Spatial index of the points, with cells of the size of a cylinder; built when needed if None."""
 
 
 def cloud_distances(
@@ -72,9 +72,9 @@ def cloud_distances(
     ----------
     core, normals : (n, 3) where to measure, and unit directions; nan directions give nan.
     first, second : the clouds.
-    radius, reach : of the cylinder, which ends so far from the core point, both ways.
-    registration : standard deviation of the position of one cloud against the other.
-    least : points of each cloud that a cylinder needs.
+    radius, reach : radius and half length of the cylinder, whose middle is the core point.
+    registration : standard deviation of the position of one cloud relative to the other.
+    least : smallest number of points of each cloud in a cylinder; with fewer the distance is nan.
     """
     along = [_in_cylinders(core, normals, cloud, radius, reach) for cloud in (first, second)]
     (mean1, variance1, count1), (mean2, variance2, count2) = along
@@ -104,7 +104,7 @@ def _measure(
     shape: Int64s, radius: float, reach: float, mean: Float64s, variance: Float64s, count: Int64s,
 ) -> None:  # fmt: skip
     """points: (3, n)."""
-    near = (radius + 0.8661 * edge) ** 2  # half a cell's diagonal: what lies farther from the axis holds no point of the cylinder
+    near = (radius + 0.8661 * edge) ** 2  # plus half a cell's diagonal: cells farther from the axis hold no point of the cylinder
     first, last, scratch = np.empty(3, np.int64), np.empty(3, np.int64), np.empty(2 * _BLOCK)
     for q in range(len(core)):
         n0, n1, n2 = normals[q]
@@ -120,7 +120,7 @@ def _measure(
             for j in range(first[1], last[1] + 1):
                 y = low[1] + (j + 0.5) * edge - core[q, 1]
                 column = (i * shape[1] + j) * shape[2]
-                begin, end = -1, -1  # cells of a column lie one after the other
+                begin, end = -1, -1  # the cells of a column are contiguous
                 for k in range(first[2], last[2] + 1):
                     z = low[2] + (k + 0.5) * edge - core[q, 2]
                     t = x * n0 + y * n1 + z * n2
@@ -151,12 +151,12 @@ _MOST_CELLS = 40_000_000
 
 @dataclass(frozen=True)
 class PointIndex:
-    """A cloud in the order of its cells."""
+    """A cloud sorted by the cells of a grid."""
 
     points: Float64s
-    """(n, 3) in that order."""
+    """(n, 3) in the order of their cells."""
     order: Int64s
-    """(n,) their places in the cloud as it was given."""
+    """(n,) indices of the sorted points in the cloud as it was given."""
     starts: Int64s
     """(cells + 1,) where each cell begins."""
     low: Float64s
@@ -167,7 +167,7 @@ class PointIndex:
 
 
 def index_points(points: Float64s, edge: float) -> PointIndex:
-    """Points (n, 3), not empty, by cells of about `edge`: of larger ones where there would be too many."""
+    """Sorts points (n, 3), at least one, into cells of about `edge`, or larger ones if there were more than `_MOST_CELLS`."""
     low, high = (np.array([side(points[:, axis]) for axis in range(3)]) for side in (np.min, np.max))
     while np.prod(np.floor((high - low) / edge) + 1) > _MOST_CELLS:
         edge *= 1.5
@@ -178,7 +178,7 @@ def index_points(points: Float64s, edge: float) -> PointIndex:
 
 
 def one_of_each_cell(points: Float64s, edge: float) -> Int64s:
-    """Places (m,) of the first point in each cell of a grid anchored at 0, in the order of the points."""
+    """Indices (m,) of the first point in each cell of a grid anchored at 0, in the order of the points."""
     at = np.floor(points / edge).astype(np.int64)
     at -= at.min(axis=0)
     span = at.max(axis=0) + 1
@@ -187,19 +187,19 @@ def one_of_each_cell(points: Float64s, edge: float) -> Int64s:
 
 
 def spacing_of(points: Float64s) -> float:
-    """Median distance of a point (n, 3) from its nearest neighbour, of every so manieth point."""
+    """Median distance of a point (n, 3) from its nearest neighbour, estimated from some 5000 points."""
     tree = cKDTree(points, balanced_tree=False, compact_nodes=False)
     distances, _ = tree.query(points[:: max(1, len(points) // 5000)], k=2, workers=1)
     return max(float(np.median(distances[:, 1])) if len(points) > 1 else 1.0, 1e-9)
 
 
 def mean_normals(queries: Float64s, index: PointIndex, normals: Float32s, radius: float) -> Float64s:
-    """(m, 3) of unit length: mean normal of the cloud within a radius of each query, nan without any.
+    """(m, 3) of unit length: mean normal of the cloud within a radius of each query, nan if it has no points there.
 
     Parameters
     ----------
-    queries, radius : (m, 3) places; metres around them.
-    index, normals : of the cloud, and (n, 3) its normals as it was indexed.
+    queries, radius : (m, 3) points, and the radius around them in metres.
+    index, normals : index of the cloud, and its normals (n, 3) in the order before indexing.
     """
     out = np.full((len(queries), 3), np.nan)
     ordered = normals[index.order].astype(np.float64)

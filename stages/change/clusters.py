@@ -1,7 +1,7 @@
-"""Changed points become things: what hangs together on the ground is one change, with its place, size and volume.
+"""Clustering of changed points: those that are connected on the ground are one change, with its place, size and volume.
 
-Volumes are differences of heights over the cells that a change covers: of its upper surface less what was below it on the other
-night.
+A volume is the sum of height differences over the cells that a change covers: its upper surface minus what was below it on the
+other night.
 """
 
 from __future__ import annotations
@@ -18,40 +18,40 @@ from .evidence import CORE, Evidence
 from .footprint import OPEN, Footprint, covered
 
 _TOP = 0.9
-"""Quantile of heights over a cell that counts as its surface: one wrong point must not raise a roof."""
+"""Quantile of the heights in a cell that counts as its surface: one wrong point must not raise a roof."""
 _SAME_VOLUME, _SAME_HEIGHT, _SAME_LENGTH = 0.3, 0.25, 0.2
-"""What has moved keeps its volume, height and length within these shares.  The yard by eight cameras, night after night: lengths
-of one thing differ by up to 7 %, of two things by 28 % and more; volumes alone took a vehicle for a stack by four cameras..."""
+"""Largest difference in volume, height and length of a moved thing, as shares of the larger one.  On the yard (eight cameras),
+lengths differ by up to 7 % for one thing, 28 % or more for two; volumes alone (four cameras) took a vehicle for a stack."""
 _SAME_COLOUR = 0.05
-"""...and its colour, as shares of red and green, within this."""
+"""Largest difference between a moved thing's colours at both places, as shares of red and green."""
 _FOOT = 0.25
-"""Cells where a thing has less than this share of its height lie at its foot, and don't count for its sides."""
+"""Cells where a change has less than this share of its height are its foot, and are not part of its footprint."""
 _UPPER = 0.1
-"""What lies lower than the highest nearby by more than this share of the change's height are its sides, which cover nothing."""
+"""Points lower than the highest nearby by more than this share of the change's height are its sides and cover no ground."""
 _LEAST_MEASURED = 0.5
-"""What has distances for more than this share of its points is judged by them."""
+"""A change is judged by measured distances if more than this share of its points has one."""
 _CLEAR = 3.0
-"""Most of a change is higher than so many standard deviations of its points."""
+"""Smallest height of a change (0.9 quantile over its cells), in standard deviations of its points."""
 _CLEARED, _LIKELY = 0.75, 0.5
-"""Of the cameras that saw it, this share must see through its place, in the mean over its points; single points for which it is
-less do not count for its area.  Where most do, and not so many, it may be a change: nights that lost half of their cameras."""
+"""Smallest mean of `Evidence.cleared` over a change's points: for a confirmed change, and for a possible one (nights that lost
+half of their cameras).  Points below the first do not count for the area of a confirmed change."""
 _CERTAIN, _EDGE = 6.0, 0.5
-"""The volume of a change is so many times what noise of its surface, and such a share of a spacing along its edges, amount to.
-Its standard deviation holds a whole spacing: edges of matched surfaces are about a pixel off, alike all around."""
+"""Smallest ratio of a change's volume to its error from surface noise and edges that are off by `_EDGE` spacings.  The volume's
+standard deviation takes a whole spacing: edges of matched surfaces are off by about a pixel, alike all around."""
 
 
 @dataclass(frozen=True)
 class ChangeCluster:
-    """A change, and which core points of a night's evidence it consists of."""
+    """A change, and the core points of a night's evidence of which it consists."""
 
     change: Change
     footprint: Footprint
     rows: Int64s
-    """Of the evidence."""
+    """Rows of the evidence."""
     of_then: bool
-    """The points are those of then: it has vanished."""
+    """True if the points are of the earlier night: the thing has vanished."""
     confirmed: bool
-    """By so many cameras that it is reported; else its volume is a doubt."""
+    """True if enough cameras saw through its place for a report; otherwise its volume only adds uncertainty."""
     colour: Float64s
     """(2,) mean shares of red and green."""
 
@@ -67,18 +67,18 @@ def find_clusters(
     least_area: float,
     alike: float,
 ) -> list[ChangeCluster]:
-    """The things that a night's changed points make, as far as most cameras say so that could and the photographs differ.
+    """Changes that a night's changed points form, if enough cameras saw through their places and the images differ.
 
-    Not all are confirmed.
+    Not all of them are confirmed.
 
     Parameters
     ----------
-    side, colors : what is known of one night's surface, and (n, 3) of its core points.
-    grid, other : cells of the ground, and the other night's cloud over it.
-    of_then : is that night the earlier one: is what it alone has, gone?
+    side, colors : evidence on one night's surface, and the colours (n, 3) of its core points.
+    grid, other : cells of the ground, and the other night's cloud over them.
+    of_then : True if that night is the earlier one, so that its changes have vanished.
     spacing : of the points.
-    least_area : a change has at least so much surface.
-    alike : places whose pictures correlate better, in the median, have not changed.
+    least_area : smallest surface area of a change.
+    alike : median correlation of the images from which on a place has not changed.
     """
     cells = np.where(side.changed, cells_of(grid, side.core), -1)
     covered = np.zeros(grid.rows * grid.columns, bool)
@@ -102,7 +102,7 @@ def find_clusters(
         footprint = _footprint(side, rows, labels == number, same, grid, other, spacing, trimmed=confirmed)
         if footprint is None:
             continue
-        far = side.measured[rows].mean() <= _LEAST_MEASURED  # then distances do not tell what the surface has swept
+        far = side.measured[rows].mean() <= _LEAST_MEASURED  # too few distances for the volume that the surface has swept
         swept = np.inf if far else surface * float(side.distance[rows][side.measured[rows]].mean())
         change = _described(side, rows, footprint, grid, spacing, swept)
         if change is not None:
@@ -114,7 +114,7 @@ def find_clusters(
 
 
 def paired(clusters: list[ChangeCluster]) -> list[tuple[ChangeCluster, ChangeCluster | None]]:
-    """What has moved: a new thing with the vanished one that it was before, the most alike first; all others alone."""
+    """Moved things as pairs of a new and a vanished change, assigned by closest volume first; all other changes with None."""
     new, gone = [b for b in clusters if not b.of_then], [b for b in clusters if b.of_then]
     ways = sorted(
         (abs(a.change.volume - b.change.volume), i, j) for i, a in enumerate(new) for j, b in enumerate(gone) if _alike(a, b)
@@ -142,16 +142,16 @@ def _moved(new: ChangeCluster, gone: ChangeCluster) -> ChangeCluster:
 
 @dataclass(frozen=True)
 class Over:
-    """Points over the cells of the ground, those over none left out."""
+    """Points over the cells of the ground grid; points outside it are left out."""
 
     cells: Int64s
-    """(n,)"""
+    """(n,) index of the cell."""
     levels: Float64s
-    """(n,) heights, world lengths."""
+    """(n,) heights, world units."""
 
 
 def over_ground(grid: GroundGrid, points: Float64s) -> Over:
-    """Points (n, 3) over the ground."""
+    """The points (n, 3) that lie over the ground grid."""
     cells = cells_of(grid, points)
     inside = cells >= 0
     return Over(cells[inside], points[inside] @ grid.axes[2])
@@ -160,10 +160,10 @@ def over_ground(grid: GroundGrid, points: Float64s) -> Over:
 def _footprint(
     side: Evidence, rows: Int64s, around: Bools, same: Bools, grid: GroundGrid, other: Over, spacing: float, *, trimmed: bool
 ) -> Footprint | None:
-    """The ground that changed points cover; None where nothing is known of what was below, or they hardly stand above it.
+    """The ground that changed points cover; None if the surface below is unknown, or if they hardly rise above it.
 
-    rows: of the side; around, same: (rows, columns) the cells over which they are, and those that are as they were; trimmed:
-    without points that too few cameras see through.
+    rows: of the evidence; around, same: (rows, columns) cells of the change, and cells known to be unchanged; trimmed: leave
+    out points that too few cameras saw through.
     """
     points, count = side.core[rows], grid.rows * grid.columns
     levels, cells = points @ grid.axes[2], cells_of(grid, points)
@@ -175,7 +175,7 @@ def _footprint(
     base = _filled(quantile_by_cell(other.cells[below], other.levels[below], count, _TOP).reshape(near.shape), near)
     top = quantile_by_cell(cells, levels, count, _TOP).reshape(near.shape)
     noise, typical = float(np.median(side.sigma[rows])), float(np.nanquantile(top - base, 0.9))
-    if typical <= _CLEAR * noise:  # a wall whose upper edge wavers
+    if typical <= _CLEAR * noise:  # a wall whose upper edge is noisy
         return None
     highest = ndimage.maximum_filter(np.nan_to_num(top, nan=-np.inf), 3).ravel()[cells]
     upper = levels >= highest - max(_UPPER * typical, _CLEAR * noise)
@@ -184,7 +184,7 @@ def _footprint(
         return None
 
     def over(chosen: Bools) -> tuple[Int64s, Float64s, Float64s, Float64s]:
-        """Cells that these points cover, shares, heights, and the volume that none of them shows."""
+        """Cells that the chosen points cover, shares, heights, and the volume inferred where there are no points."""
         share, unseen = (part.ravel() for part in covered(grid, points[chosen], same, CORE * spacing))
         surface = _filled(quantile_by_cell(cells[chosen], levels[chosen], count, _TOP).reshape(near.shape), near)
         height = (surface - base).ravel()
@@ -205,9 +205,9 @@ def _footprint(
 def _described(
     side: Evidence, rows: Int64s, footprint: Footprint, grid: GroundGrid, spacing: float, swept_volume: float
 ) -> Change | None:
-    """Place, size and volume of what changed points make; None where the volume is hardly more than its error.
+    """Place, size and volume of a change; None if the volume is hardly more than its error.
 
-    swept_volume: between both nights' surfaces, along the normals: for a strip of wall less than heights over the footprint give.
+    swept_volume: volume between both nights' surfaces along the normals; for a strip of wall it is less than by heights.
     """
     covers = np.zeros((grid.rows, grid.columns), bool)
     covers.ravel()[footprint.cells] = True
@@ -223,7 +223,7 @@ def _described(
     middle, sides, _ = cv2.minAreaRect(np.column_stack([column, row]).astype(np.float32))
     level = float(np.median(footprint.base)) + 0.5 * tall
     place = np.array([grid.left + (middle[0] + 0.5) * grid.cell, grid.top - (middle[1] + 0.5) * grid.cell, level]) @ grid.axes
-    sides = sorted(float(max(v, 1) * grid.cell) for v in sides)  # cells at the rim are covered by half
+    sides = sorted(float(max(v, 1) * grid.cell) for v in sides)  # cells at the rim are half covered
     return Change(
         kind="new",
         x=float(place[0]),
@@ -243,7 +243,7 @@ def _described(
 
 
 def _filled(values: Float64s, within: Bools) -> Float64s:
-    """Values (rows, columns) where cells within have none: the nearest one's."""
+    """Values (rows, columns), with the nearest known value of the cells inside `within` wherever these have none."""
     known = np.isfinite(values) & within
     nearest = ndimage.distance_transform_edt(~known, return_distances=False, return_indices=True)
     return np.asarray(values[tuple(nearest)], dtype=np.float64)

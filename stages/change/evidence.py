@@ -1,8 +1,8 @@
-"""What speaks for a change at each point of a night's surface, seen from the other night.
+"""Evidence of change at each point of a night's surface, compared with the other night.
 
-A point of tonight is new where it stands before the surface of then by more than both are uncertain, or where cameras of then saw
-through its place; a point of then has vanished by the same rule the other way round.  Where no camera of the other night could
-see, nothing is known.  What looks the same in the pictures of a fixed camera has not changed, whatever the depths say.
+A point of tonight is new if it lies in front of the earlier surface by more than the uncertainty of both, or if cameras of then
+saw through its place; an earlier point has vanished by the same rule with the nights swapped.  Where no camera of the other
+night could see, the state is unknown.  A place that looks the same to a fixed camera has not changed, whatever the depths.
 """
 
 from __future__ import annotations
@@ -21,66 +21,66 @@ from .free_space import Sight, look_at
 from .ncc import Photograph, ncc
 
 RADIUS, REACH, CORE = 3.0, 15.0, 2.0
-"""Of the cylinders, half their length, and the distance of core points, in spacings of the cloud."""
+"""Radius and half length of the M3C2 cylinders, and distance of core points, in spacings of the cloud."""
 _THROUGH = 2.0
-"""So many cameras must see through a point for each that sees a surface there."""
+"""A place counts as free if the cameras that see through it are more than this many times those that see a surface there."""
 _UNCHANGED, _NORMAL = 0.9, 1.645
-"""Share of the surface that is as it was, and how many standard deviations this share of normal errors keeps within."""
+"""Share of the surface that is assumed unchanged, and the standard deviations that hold this share of normal errors."""
 _MOST_NOISE = 3.0
-"""Distances exceed their standard deviations by no more than this factor; where they seem to, the site has changed as a whole
-(nights of the demo yard: 1.4 to 1.7)."""
+"""Largest factor by which distances may exceed their standard deviations (`noise_of`); if they seem to exceed them by more, the
+site has changed as a whole (nights of the demo yard: 1.4 to 1.7)."""
 _APART_PX = 2.0
-"""A surface that has moved by so many pixels no longer looks the same at its old place."""
+"""Smallest displacement of a surface in the image, in pixels, at which its old place no longer looks the same."""
 _NEAR = 4.0
-"""Core points so many spacings apart are neighbours."""
+"""Core points closer than this many spacings are neighbours."""
 
 
 @dataclass(frozen=True)
 class Evidence:
-    """Of each core point of a night, (n,) each unless said otherwise."""
+    """Evidence at the core points of a night; arrays are (n,) unless stated otherwise."""
 
     core: Float64s
-    """(n, 3)"""
+    """(n, 3) core points."""
     normals: Float64s
-    """(n, 3)"""
+    """(n, 3) unit normals at the core points."""
     rows: Int64s
-    """Places of the core points in the night's cloud."""
+    """Indices of the core points in the night's cloud."""
     distance: Float64s
-    """From the other night's surface: positive where this one is nearer to the cameras; nan where unknown."""
+    """Distance from the other night's surface: positive if this one is nearer to the cameras; nan if unknown."""
     sigma: Float64s
-    """Standard deviation of that."""
+    """Standard deviation of `distance`."""
     sight: Sight
-    """What the cameras of the other night saw there."""
+    """What the cameras of the other night saw at the core points."""
     measured: Bools
-    """The distance comes from both clouds, not from a camera that saw through."""
+    """True where the distance comes from both clouds, not from cameras that saw through the place."""
     ncc: Float32s
-    """Median over the cameras that see the point of the correlation of both nights' pictures; nan where it was not asked, or they
-    show nothing."""
+    """Median correlation of both nights' images over the cameras that see the point; nan if not computed, or if no camera shows
+    texture there."""
     cleared: Float32s
-    """Share of the cameras which saw the point, and could look there on the other night, that saw through it then; nan where it
-    was not asked."""
+    """Of the cameras that saw the point and could look there on the other night, the share that saw through it then; nan if not
+    computed."""
     changed: Bools
-    """All evidence together."""
+    """The verdict from all evidence."""
 
     @property
     def significance(self) -> Float64s:
-        """Distance over its standard deviation, 0 where nothing is known."""
+        """Distance over its standard deviation, 0 if unknown."""
         return np.nan_to_num(self.distance / self.sigma)
 
     @property
     def unknown(self) -> Bools:
-        """Nobody could tell on the other night."""
+        """True where the other night gives neither a distance nor a camera that saw the surface or through it."""
         return np.asarray(~self.measured & (self.sight.through == 0) & (self.sight.agreeing == 0), dtype=np.bool_)
 
 
 def gather(tonight: Epoch, then: Epoch, spacing: float, registration: float) -> tuple[Evidence, Evidence]:
-    """Distances and sights of both nights' surfaces, each compared with the other's; nothing is called changed yet.
+    """Distances and visibility of both nights' surfaces, each compared with the other's; `changed` is still False everywhere.
 
     Parameters
     ----------
     tonight, then : the nights.
     spacing : of the points of the coarser cloud.
-    registration : standard deviation of the position of one night's world against the other's.
+    registration : standard deviation of the position of one night's world relative to the other's.
     """
     edge = 2.0 * RADIUS * spacing
     clouds = [MeasuredCloud(night.points, night.sigma, index_points(night.points, edge)) for night in (tonight, then)]
@@ -91,7 +91,7 @@ def gather(tonight: Epoch, then: Epoch, spacing: float, registration: float) -> 
 def _gathered(
     own: Epoch, cloud: MeasuredCloud, other: Epoch, other_cloud: MeasuredCloud, spacing: float, registration: float
 ) -> Evidence:
-    """The same of one night's surface; its clouds are indexed."""
+    """Evidence on one night's surface from the other night; both clouds are indexed."""
     assert cloud.index is not None
     rows = one_of_each_cell(cloud.points, CORE * spacing)
     core = cloud.points[rows]
@@ -105,10 +105,10 @@ def _gathered(
 
 
 def noise_of(*sides: Evidence) -> float:
-    """By how much distances exceed their standard deviations where nothing has changed; at least 1.
+    """Factor by which distances exceed their standard deviations where nothing has changed; at least 1.
 
-    By the 90th percentile: so much of a site is taken to be as it was, and other light errs in the tails (shadows, façades).
-    Where most of what is seen has moved (the front of a glacier) that would take the change for noise: hence the most.
+    It comes from the 90th percentile: this share is assumed unchanged, and changed light causes outliers (shadows, façades).
+    Where most of the surface has moved (the front of a glacier), this would take the change for noise: hence `_MOST_NOISE`.
     """
     ratios = np.concatenate([side.distance[side.measured] / side.sigma[side.measured] for side in sides])
     noise = float(np.quantile(np.abs(ratios), _UNCHANGED)) / _NORMAL if len(ratios) else 1.0
@@ -116,16 +116,16 @@ def noise_of(*sides: Evidence) -> float:
 
 
 def judged(side: Evidence, own: Epoch, other: Epoch, spacing: float, *, noise: float, sigmas: float, alike: float) -> Evidence:
-    """The same with what has changed.
+    """The evidence with its verdict, and the distances, correlations and shares on which that rests.
 
     Parameters
     ----------
-    side : of one night's surface.
+    side : evidence on one night's surface.
     own, other : that night, and the other.
     spacing : of the points.
     noise : factor on the standard deviations of distances between clouds.
-    sigmas : so many standard deviations make a change.
-    alike : pictures that correlate better show the same.
+    sigmas : number of standard deviations from which on a distance is a change.
+    alike : correlation above which images show the same surface.
     """
     sight, sigma = side.sight, side.sigma * noise
     nearer = side.measured & (side.distance > sigmas * sigma)
@@ -153,13 +153,13 @@ def judged(side: Evidence, own: Epoch, other: Epoch, spacing: float, *, noise: f
 
 
 def _cleared(X: Float64s, sigma: Float64s, measured: Bools, own: Epoch, other: Epoch) -> Float32s:
-    """(n,) share of the cameras that saw points X which saw through their places on the other night, of those that could look.
+    """(n,) of the cameras that saw points X and could look there on the other night, the share that saw through.
 
-    measured (n,): the clouds say how far the surface lies off, as both nights saw it nearby; there a camera that does not tell
-    the two apart, or knows no depth of its own, does not count, and where none is left the share is 1.
+    measured (n,): the distance comes from both clouds, so both nights saw a surface nearby.  There, only cameras that saw
+    through count: one that cannot separate the surfaces, or has no depth, is left out; if none is left, the share is 1.
 
-    Elsewhere a camera that knows no depth has not seen through: of lattices and other thin things a window shows what is behind,
-    too, and each night it is another camera that takes the one for the other.
+    Elsewhere a camera without depth counts as not having seen through: matching windows on lattices and thin things also show
+    what is behind, and each night other cameras confuse the two.
     """
     saw, through = np.zeros(len(X), np.float32), np.zeros(len(X), np.float32)
     asked = set(other.seeing) & set(other.cameras)
@@ -177,17 +177,17 @@ def seen_by(X: Float64s, sigma: Float64s, epoch: Epoch, name: str) -> Bools:
     Parameters
     ----------
     X, sigma : (n, 3) points and (n,) their standard deviations, metres.
-    epoch, name : cameras and depths of a night, and the camera.
+    epoch, name : the night with its cameras and depths, and the camera's id.
     """
     sight = look_at(X, sigma, epoch.cameras, [name], epoch.depth)
     return np.asarray(sight.agreeing > 0)
 
 
 def _likeness(X: Float64s, offset: Float64s, sigma: Float64s, own: Epoch, other: Epoch, alike: float) -> Float32s:
-    """(n,) the median over the cameras that see a point; nan where none can tell.
+    """(n,) median correlation over the cameras that see a point; nan if none is conclusive.
 
-    offset (n, 3): by which the surface is said to have moved, nan where it is another one.  A camera in whose picture that is
-    hardly a pixel can't tell what is alike from what has moved a little.
+    offset (n, 3): displacement of the surface between the nights, nan if it is another surface.  If this is hardly a pixel in a
+    camera's image, high correlation there is inconclusive: a surface that has moved slightly looks the same.
     """
     both = [name for name in own.seeing if name in other.cameras and name in own.frames and name in other.frames]
     if not both or not len(X):
@@ -204,7 +204,7 @@ def _likeness(X: Float64s, offset: Float64s, sigma: Float64s, own: Epoch, other:
 
 
 def _with_neighbours(core: Float64s, changed: Bools, spacing: float) -> Bools:
-    """Changed points half of whose neighbours have changed, too."""
+    """Changed points that have at least three neighbours and at least half of whose neighbourhood has changed."""
     if not changed.any():
         return changed
     asked = core[changed]
@@ -215,21 +215,21 @@ def _with_neighbours(core: Float64s, changed: Bools, spacing: float) -> Bools:
 
 
 _IN_MEMORY, _IN_MEMORY_PX = 4, 6_000_000
-"""Depth maps of a night kept at hand, at least, and more while they are small: each is asked several times."""
+"""Cache of a night's depth maps, each read several times: smallest number of maps, and pixels up to which it grows."""
 
 
 @dataclass(frozen=True)
 class Epoch:
-    """A night."""
+    """One night: cloud, cameras, frames and depth maps."""
 
     cloud: Cloud
     cameras: Mapping[str, Camera]
-    """Those that share the cloud's world."""
+    """Cameras that share the cloud's world."""
     frames: Mapping[str, Frame]
-    """Loaded when they are asked for."""
+    """Loaded on access."""
     depths: Mapping[str, DepthMap]
     refined: Mapping[str, DepthMap]
-    """Taken instead of `depths` where there is one."""
+    """Depth maps that replace those of `depths`."""
 
     @cached_property
     def seeing(self) -> list[str]:
@@ -238,7 +238,7 @@ class Epoch:
 
     @cached_property
     def depth(self) -> Callable[[str], DepthMap]:
-        """What a camera saw, by its name."""
+        """Gives the depth map of a camera by its id, from a cache."""
         largest = max((camera.width * camera.height for camera in self.cameras.values()), default=1)
 
         @lru_cache(maxsize=max(_IN_MEMORY, _IN_MEMORY_PX // largest))
@@ -253,10 +253,10 @@ class Epoch:
 
     @cached_property
     def points(self) -> Float64s:
-        """(n, 3) of the cloud."""
+        """(n, 3) points of the cloud."""
         return np.asarray(self.cloud.points, dtype=np.float64)
 
     @cached_property
     def sigma(self) -> Float64s:
-        """(n,) of the cloud's points, world lengths."""
+        """(n,) standard deviations of the cloud's points, world units."""
         return np.asarray(self.cloud.sigma_mm, dtype=np.float64) / 1000.0

@@ -1,4 +1,4 @@
-"""The ground that a change covers, and how high it stands there."""
+"""The ground that a change covers, and its height there."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from ..core.ground_grid import cells_of
 from ..types import Bools, Float64s, GroundGrid, Int64s, Uint8s
 
 _SOLID = 0.5
-"""What covers more than this share of its convex hull fills it, but for places that are as they were: of most things only the
-sides that face the cameras are seen."""
+"""A footprint that covers more than this share of its convex hull is extended to all of it except unchanged cells: of most
+things only the sides that face the cameras are seen."""
 _PARTS = 8
-"""Parts of a cell's edge: a container's sides at whole cells of 10 cm are 2 m³ of its 38."""
+"""Subdivisions of a cell's edge: with whole cells of 10 cm, the sides of a container make up 2 of its 38 m³."""
 _NARROW = 0.75
-"""What is narrower than so many cells are errors of the cloud beyond the edges of a thing, unless it is all there is."""
+"""Radius, in cells, of the opening that removes narrow parts (errors beyond the edges of a thing), unless nothing is left."""
 _BEYOND = 0.25
-"""A surface ends beyond its outermost points by this share of their distance.  A half, were it not that matched surfaces reach
-over their edges: boxes of exact points lose 8 % of their volume by 0, things on the yard gain 8 % by 0.4."""
+"""Distance by which a surface extends beyond its outermost points, in point spacings.  It would be 0.5 if matched surfaces did
+not reach over their edges: with 0, boxes of exact points lose 8 % of their volume; with 0.4, things on the yard gain 8 %."""
 
 
 @dataclass(frozen=True)
@@ -29,27 +29,27 @@ class Footprint:
 
     cells: Int64s
     share: Float64s
-    """Of each cell that it covers, 0 to 1."""
+    """Covered share of each cell, 0 to 1."""
     base: Float64s
-    """Height of what is below it on the other night, world lengths..."""
+    """Height of the surface below on the other night, world units."""
     height: Float64s
-    """...and its own above that."""
+    """Height of the change above `base`, world units."""
     doubt: float
-    """Standard deviation of the volume for what it covers without having been seen, and what is left out though it was seen."""
+    """Standard deviation of the volume from cells that are covered but were not seen, and from seen points that are left out."""
 
 
 OPEN = 3.0**-0.5
-"""Standard deviation of a share of which nothing is known, from the end at which it is taken to be: 0 or 1."""
+"""Standard deviation of an unknown share, 0 to 1, relative to the end at which it is assumed to be (0 or 1)."""
 
 
 def covered(grid: GroundGrid, points: Float64s, same: Bools, apart: float) -> tuple[Float64s, Float64s]:
-    """(rows, columns) share of each cell that a surface covers, and the part of it that no point shows.
+    """(rows, columns) share of each cell that a surface covers, and the part of this share where there are no points.
 
     Parameters
     ----------
-    grid, points : the cells, and (n, 3) of the surface, over these.
-    same : (rows, columns) cells that are known to be as they were.
-    apart : distance of neighbouring points: gaps of twice that are closed.
+    grid, points : the cells, and the points (n, 3) of the surface, which lie over them.
+    same : (rows, columns) cells that are known to be unchanged.
+    apart : distance of neighbouring points: gaps up to twice as wide are closed.
     """
     fine = replace(grid, cell=grid.cell / _PARTS, rows=grid.rows * _PARTS, columns=grid.columns * _PARTS)
     places = np.divmod(cells_of(fine, points), fine.columns)
@@ -76,7 +76,7 @@ def _disk(radius: int) -> Uint8s:
 
 
 def _filled_out(footprint: Bools, same: Bools) -> Bools:
-    """The cells, and those of their convex hull that are not known to be as they were, where they cover much of it."""
+    """The footprint, extended to its convex hull except for unchanged cells if it covers more than `_SOLID` of the hull."""
     row, column = np.nonzero(footprint)
     hull = np.zeros(footprint.shape, np.uint8)
     cv2.fillConvexPoly(hull, cv2.convexHull(np.column_stack([column, row]).astype(np.int32)), 1)

@@ -1,7 +1,7 @@
-"""What cameras saw of the places where points are: nothing but air, the point itself, or something in front of it.
+"""What the cameras saw at given points: free space, a surface at the point, or something in front of it.
 
-Clouds alone cannot tell what has gone from what nobody has seen.  Depth maps can: a camera whose depth lies clearly behind a
-place has seen through it.
+Clouds alone cannot distinguish a surface that has vanished from one that no camera saw.  Depth maps can: a camera whose depth
+lies clearly behind a place has seen through it.
 """
 
 from __future__ import annotations
@@ -16,9 +16,9 @@ from ..types import Camera, DepthMap, Float32s, Float64s, Uint8s
 
 _SIGMAS = 3.0
 _RELATIVE = 0.002
-"""A depth agrees within so many standard deviations of both, and this share of it..."""
+"""A depth agrees with a point within `_SIGMAS` standard deviations of both plus `_RELATIVE` times the depth."""
 _CLEARLY = 2.0
-"""...and lies clearly behind beyond so many times that."""
+"""A camera sees through a point if its depth lies behind it by more than this many times the tolerance for agreement."""
 
 
 @dataclass(frozen=True)
@@ -26,30 +26,29 @@ class Sight:
     """What the cameras saw at each of n points, (n,) each."""
 
     through: Uint8s
-    """Cameras that saw through it..."""
+    """Number of cameras that saw through the point."""
     agreeing: Uint8s
-    """...those that saw a surface there..."""
+    """Number of cameras that saw a surface at the point."""
     hidden: Uint8s
-    """...and those before which something nearer stood."""
+    """Number of cameras that saw something in front of the point."""
     gap: Float32s
-    """How far behind it the nearest surface lies, along the ray, by the camera for which that is least; nan where none saw
-    through."""
+    """Depth of the surface behind minus that of the point, smallest over the cameras that saw through; nan if none did."""
     doubt: Float32s
-    """Standard deviation of that."""
+    """Standard deviation of `gap`."""
 
 
 def look_at(
     X: Float64s, sigma: Float64s, cameras: Mapping[str, Camera], names: Iterable[str], depth_of: Callable[[str], DepthMap]
 ) -> Sight:
-    """Ask cameras what they saw of points.
+    """Compare points with the depth maps of cameras.
 
-    A pixel's neighbours have a say: a point at a silhouette is not seen through, as the edge may be a pixel off.
+    The neighbours of a pixel are taken into account: at a silhouette, whose edge may be a pixel off, no camera sees through.
 
     Parameters
     ----------
     X, sigma : (n, 3) points in the world and (n,) their standard deviations.
-    cameras, names : by id, and those that have a depth map.
-    depth_of : loads it; asked once for each.
+    cameras, names : cameras by id, and the ids of those that have a depth map.
+    depth_of : loads the depth map of a camera; called once for each.
     """
     n = len(X)
     counts = np.zeros((3, n), np.uint8)

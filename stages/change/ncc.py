@@ -1,4 +1,4 @@
-"""Does a place look tonight as it did then, to the same fixed camera?  Light may change: patches are compared by correlation."""
+"""Does a place look the same on both nights to a fixed camera?  Patches are compared by correlation, as the light may change."""
 
 from __future__ import annotations
 
@@ -10,29 +10,29 @@ from ..core.luminance import grey_levels
 from ..types import Bools, Camera, Float32s, Float64s, Frame
 
 _RADIUS = 3
-"""Of patches, pixels of an image 768 wide."""
+"""Radius of patches, in pixels of an image 768 pixels wide."""
 _CONTRAST = 2.5
-"""Standard deviation of grey values (0 to 255) below which a patch shows nothing."""
+"""Standard deviation of grey levels (0 to 255) below which a patch shows nothing."""
 _CLEAR_CONTRAST = 9.0
-"""One patch with so much, the other with nothing: they differ..."""
+"""Two patches differ (correlation 0) if one has at least this standard deviation and the other shows nothing."""
 _LIT = 40.0
-"""...where both are so bright, at least: what is dark shows nothing of what is there."""
+"""Smallest mean grey level of both patches for a patch that shows nothing to count as different: dark ones hide everything."""
 
 
 Photograph = tuple[Camera, Frame]
-"""What one camera saw on one night."""
+"""A camera and its frame on one night."""
 
 
 def ncc(X: Float64s, seen: Bools, tonight: Photograph, then: Photograph) -> Float32s:
-    """(n,) correlation, -1 to 1, of the patches around points in both photographs, the best of nine shifts by a pixel.
+    """(n,) correlation, -1 to 1, of the patches around points in both images, the best of nine shifts by a pixel.
 
-    nan where a patch shows nothing, or is masked, or lies outside.
+    nan where a patch shows nothing, is masked or lies outside.
 
     Parameters
     ----------
     X : (n, 3) points in the world.
-    seen : (n,) only these are looked at.
-    tonight, then : the same camera on both nights; sizes must be equal.
+    seen : (n,) bool, the points that are compared.
+    tonight, then : the same camera on both nights; images of different sizes give nan.
     """
     found = np.full(len(X), np.nan, np.float32)
     (camera, frame), (_, frame_then) = tonight, then

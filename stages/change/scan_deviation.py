@@ -1,4 +1,4 @@
-"""A cloud against a scan or model of the same place: registered on what agrees, then measured along the cloud's normals.
+"""Deviation of a cloud from a scan or model of the same place: robust registration, then distances along the normals.
 
 References: Chen, Medioni, Object modelling by registration of multiple range images, Image and Vision Computing 10, 1992 (point
 to plane); for distances and their level of detection see `cloud_distance`.
@@ -16,43 +16,43 @@ from ..types import Cloud, Float64s
 from .cloud_distance import MeasuredCloud, cloud_distances, one_of_each_cell, spacing_of
 
 LEAST_OVERLAP = 0.5
-"""Two clouds that share less of the site say little of each other."""
+"""Smallest share of the cloud that a scan must cover for a comparison."""
 _FAR = 0.05
-"""A scan may lie off by so much of the site's size before it is registered."""
+"""Largest misalignment of a scan before its registration, as a share of the site's size."""
 _STEPS = (1.0, 0.25, 0.06)
-"""Of that distance: how far apart two points may lie that are taken for one, from step to step."""
+"""Largest distance of corresponding points in each step of the registration, as shares of the largest misalignment."""
 _REACH = 0.02
-"""Deviations up to so much of the site's size are measured."""
+"""Largest deviation that is measured, as a share of the site's size."""
 _DENSE = 5.0
 """Radius of a cylinder, in spacings of the coarser of the two clouds."""
 _MOST = 200_000
-"""Points that registration takes of each."""
+"""Points of each cloud that the registration uses: fewer than twice this number."""
 
 
 @dataclass(frozen=True)
 class ScanDeviation:
-    """How a cloud lies against a scan."""
+    """Deviation of a cloud from a scan."""
 
     distance: Float64s
     """(n,) metres from the scan to the cloud along the cloud's normal; nan where the scan has no points."""
     sigma: Float64s
-    """(n,) its standard deviation."""
+    """(n,) standard deviation of `distance`."""
     transform: Float64s
-    """(4, 4) what brought the scan onto the cloud."""
+    """(4, 4) rigid transform that registers the scan to the cloud."""
     overlap: float
-    """Share of the cloud's points where the scan has points, 0 to 1."""
+    """Share of the cloud's points at which the scan has points, 0 to 1."""
     residual_m: float
-    """Median deviation, without its sign, where the two agree: within their level of detection."""
+    """Median absolute deviation where both agree: within two standard deviations."""
     agreeing: float
-    """Share of the points with a scan where the two agree."""
+    """Of the points with a scan, the share where both agree."""
     registration_m: float
-    """Standard deviation of the registration: what is left of it between parts of the site."""
+    """Standard deviation of the registration: the offsets that remain between parts of the site."""
 
 
 def deviation_from_scan(cloud: Cloud, scan: Float64s) -> ScanDeviation:
-    """Register a scan (m, 3), in the cloud's world, on the cloud, and measure what it deviates by.
+    """Register a scan (m, 3), in the cloud's world, to the cloud, and measure the deviations.
 
-    The scan is taken as exact.  Raises ValueError where less than `LEAST_OVERLAP` of the cloud has a scan beside it.
+    The scan is taken as exact.  Raises ValueError if it is far from the site, or covers less than `LEAST_OVERLAP` of the cloud.
     """
     points = cloud.points.astype(np.float64)
     low, high = np.quantile(points, [0.01, 0.99], axis=0)
@@ -85,7 +85,7 @@ _REMEDY = "bring it into the site's world first, to some metres (CloudCompare: A
 
 
 def _registered(cloud: Cloud, scan: Float64s, far: float) -> Float64s:
-    """Return the rigid transform (4, 4) that lays a scan on the cloud: point to plane, deviations weigh less and less."""
+    """Return the rigid transform (4, 4) that registers a scan to the cloud: point to plane, with ever stricter Tukey weights."""
     target = point_cloud(cloud)
     target = target.uniform_down_sample(max(1, len(target.points) // _MOST))
     kept = one_of_each_cell(scan, max(spacing_of(scan), far / 200))
@@ -96,11 +96,11 @@ def _registered(cloud: Cloud, scan: Float64s, far: float) -> Float64s:
         plane = ways.TransformationEstimationPointToPlane(ways.TukeyLoss(k=distance / 2))
         done = ways.registration_icp(source, target, distance, transform, plane, ways.ICPConvergenceCriteria(max_iteration=60))
         transform = np.asarray(done.transformation, np.float64)
-    return np.round(transform, 9)  # sums of several threads differ in the last digits
+    return np.round(transform, 9)  # multithreaded sums differ in the last digits
 
 
 def _unevenness(points: Float64s, distance: Float64s, detectable: Float64s) -> float:
-    """Return the standard deviation, between the eight octants of the site, of the median deviation of what has not changed."""
+    """Return the root mean square, over the eight octants of the site, of the median deviation of unchanged points."""
     octant = (points > np.median(points, axis=0)) @ np.array([1, 2, 4])
     same = np.abs(distance - np.median(distance)) <= np.maximum(detectable, np.median(np.abs(distance)))
     medians = [float(np.median(distance[same & (octant == k)])) for k in range(8) if np.any(same & (octant == k))]

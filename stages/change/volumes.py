@@ -1,8 +1,8 @@
-"""Cut and fill: the volumes that changes have gained and lost on parts of the ground, with standard deviations.
+"""Cut and fill: volumes gained and lost by changes on parts of the ground, with standard deviations.
 
-Only changes count, which lie beyond the level of detection and are confirmed by free space and photographs: heights alone differ
-at the edges of walls by as much as a container.  Errors of two kinds are kept apart, as they add up differently: those of single
-changes, and the height of one night against the other, which all places share and nothing averages out (Wheaton, Brasington,
+Only detected changes count, beyond the level of detection and confirmed by free space and photographs: height differences alone
+reach the size of a container at the edges of walls.  Two kinds of error are kept apart, as they add up differently: errors of
+single changes, and the height offset between the nights, which all places share and no averaging reduces (Wheaton, Brasington,
 Darby, Sear, Accounting for uncertainty in DEMs from repeat topographic surveys, Earth Surf. Process. Landforms 35, 2010).
 """
 
@@ -23,23 +23,23 @@ from .evidence import Evidence
 from .footprint import OPEN
 
 _GAP = 2
-"""So many cells between seen ones, to either side, are gaps between points and no place that was not seen."""
+"""Unseen cells within this many cells of seen ones, on either side, are gaps between points and count as seen."""
 
 
 @dataclass(frozen=True)
 class Detection:
-    """What a comparison of two nights can tell."""
+    """Detection limits of a comparison of two nights."""
 
     level: float
-    """Surfaces that lie less apart count as the same, world lengths."""
+    """Level of detection, world units: surfaces that are closer to each other count as the same."""
     common_sigma: float
-    """Standard deviation of one night's heights against the other's."""
+    """Standard deviation of the height offset between the nights."""
     least_area: float
-    """A change that covers less is not reported."""
+    """Smallest area of a change that is reported."""
 
 
 def detection_of(now: Evidence, before: Evidence, *, sigmas: float, registration: float, least_area: float) -> Detection:
-    """What a comparison can tell, by the places that both nights measured.
+    """Detection limits of a comparison, from the places that both nights measured.
 
     Parameters
     ----------
@@ -54,7 +54,7 @@ def detection_of(now: Evidence, before: Evidence, *, sigmas: float, registration
 
 
 def counts(cluster: ChangeCluster, zone: Mapping[str, Any]) -> bool:
-    """Is a change large enough for a zone?"""
+    """Is a change large enough for a zone (`least_m`)?"""
     return max(cluster.change.length, cluster.change.height) >= float(zone.get("least_m", 0.0))
 
 
@@ -65,15 +65,15 @@ def volumes(
     zones: Sequence[Mapping[str, Any]],
     detection: Detection,
 ) -> tuple[CutFill, dict[str, CutFill]]:
-    """What was gained and lost on the whole site, or in all zones together where there are any; and in each zone.
+    """Cut and fill of the whole site, or of all zones together if there are any; and of each zone by name.
 
     Parameters
     ----------
     grid : of the ground.
-    tops : (rows, columns) heights of tonight's surface, and of that of then; nan where none is known.
-    clusters : the changes, wherever they are, and what may be one.
+    tops : (rows, columns) heights of tonight's surface, and of the earlier night's; nan if unknown.
+    clusters : the changes in all places, confirmed or not.
     zones : see `find_changes`.
-    detection : what the comparison can tell.
+    detection : detection limits of the comparison.
     """
     seen = [np.pad(np.isfinite(heights), _GAP + 1) for heights in tops]
     tonight, then = (ndimage.binary_closing(known, iterations=_GAP)[_GAP + 1 : -_GAP - 1, _GAP + 1 : -_GAP - 1] for known in seen)
@@ -94,7 +94,7 @@ def volumes(
 
 
 def _unseen(grid: GroundGrid, zone: Mapping[str, Any], inside: Bools, seen: Bools) -> float:
-    """Area of a zone, which may reach beyond the grid, that was not seen on both nights."""
+    """Area of a zone, including any part beyond the grid, that was not seen on both nights."""
     corners = np.array(zone["polygon"], np.float32)
     low, high = (grid.left, grid.top - grid.rows * grid.cell), (grid.left + grid.columns * grid.cell, grid.top)
     reaches_beyond = bool(np.any(corners < low) or np.any(corners > high))
@@ -111,9 +111,9 @@ def _cut_and_fill(
 
 
 def _volume(clusters: Sequence[ChangeCluster], within: Bools, grid: GroundGrid, detection: Detection) -> tuple[float, float]:
-    """Volume of the parts of changes that lie inside, and its standard deviation: no less than the least change's volume.
+    """Volume of the parts of changes that lie inside, and its standard deviation: at least the smallest detectable change.
 
-    What is not confirmed may be there or not, or a part of it.
+    An unconfirmed change adds no volume, but uncertainty: it may be real, wholly or in part, or not.
     """
     volume, area, variance = 0.0, 0.0, (detection.least_area * detection.level) ** 2
     for cluster in clusters:

@@ -1,1 +1,1 @@
-"""What several rooms share: compiled loops, nearest points, sorting."""
+"""Functions that several packages share: camera geometry, lenses, compiled loops, nearest points, sorting."""

@@ -1,4 +1,4 @@
-"""Pinhole cameras: their pixels, the rays of these, points in the world, and how one camera's pixels move into another's."""
+"""Pinhole cameras: projection, rays, back-projection, relative poses, and transfer of pixels from one camera to another."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ def scaled_intrinsics(K: Float64s, sx: float, sy: float) -> Float64s:
 
 
 def field_ratio(view1: View, view2: View) -> float:
-    """How many times the area of view 2 view 1 sees, at one distance; 1 where a lens is not known."""
+    """Area that view 1 sees over the area that view 2 sees, at equal distance; 1 if the intrinsics of either are unknown."""
     if view1.K is None or view2.K is None:
         return 1.0
     area1, area2 = (view.width * view.height / float(K[0, 0] * K[1, 1]) for view, K in ((view1, view1.K), (view2, view2.K)))
@@ -26,7 +26,7 @@ def camera_of(view: View, K: Float64s, R: Float64s, C: Float64s) -> Camera:
 
     Parameters
     ----------
-    view : its size and lens.
+    view : gives the size, the captured size, the distortion and the lens.
     K, R : (3, 3) intrinsics in pixels, and rotation from world to camera axes.
     C : (3,) centre in the world.
     """
@@ -35,12 +35,12 @@ def camera_of(view: View, K: Float64s, R: Float64s, C: Float64s) -> Camera:
 
 
 def same_camera(one: View | Camera, other: View | Camera) -> bool:
-    """Are these two of the several views of one camera, which stand at one place and show the same captures?"""
+    """Are both of them views of the same physical camera, with the same position and the same captures?"""
     return bool(one.lens and other.lens and one.lens.camera and one.lens.camera == other.lens.camera)
 
 
 def camera_id(name: str, view: View | Camera) -> str:
-    """The id of the camera that a view is of; most cameras have one view, of their own name."""
+    """Id of the camera to which a view belongs; the view's own name for most cameras, which have one view."""
     return (view.lens.camera if view.lens else "") or name
 
 
@@ -50,13 +50,13 @@ def relative_pose(camera1: Camera, camera2: Camera) -> tuple[Float64s, Float64s]
 
 
 def transfer(camera: Camera, other: Camera) -> tuple[Float64s, Float64s]:
-    """M (3, 3), b (3,): pixel p of `camera` at depth z is seen by `other` at z M p + b, whose third entry is the depth there."""
+    """M (3, 3), b (3,): pixel p (homogeneous) of `camera` at depth z projects into `other` at z M p + b; third entry: depth."""
     R, t = relative_pose(camera, other)
     return other.K @ R @ np.linalg.inv(camera.K), other.K @ t
 
 
 def project(camera: Camera, X: Float64s) -> tuple[Float64s, Float64s]:
-    """Pixels (n, 2) and depth (n,) of world points (n, 3); pixels of points behind the camera mean nothing."""
+    """Pixels (n, 2) and depth (n,) of world points (n, 3); pixels of points behind the camera are meaningless."""
     x = (X - camera.C) @ camera.R.T
     p = x @ camera.K.T
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -64,7 +64,7 @@ def project(camera: Camera, X: Float64s) -> tuple[Float64s, Float64s]:
 
 
 def rays(camera: Camera, x: Float64s) -> Float64s:
-    """Directions (3, n) in the world of the rays of pixels x (n, 2), as long as they reach at depth 1."""
+    """World directions (3, n) of the rays of pixels x (n, 2), scaled to depth 1."""
     A = camera.R.T @ np.linalg.inv(camera.K)
     return np.asarray(A[:, :2] @ x.T + A[:, 2:], dtype=np.float64)
 
@@ -76,12 +76,12 @@ def backproject(camera: Camera, x: Float64s, depth: Float64s) -> Float64s:
 
 
 def convergence_deg(camera1: Camera, camera2: Camera, x1: Float64s, x2: Float64s) -> float:
-    """Median angle in degrees at which the rays of pixels x1, x2 (n, 2) meet; nan where there are none.
+    """Median angle in degrees between the rays of matched pixels x1, x2 (n, 2); nan if there are none.
 
     Parameters
     ----------
-    camera1, camera2 : in one world.
-    x1, x2 : (n, 2) pixels of the same places.
+    camera1, camera2 : in the same world.
+    x1, x2 : (n, 2) matched pixels.
     """
     if len(x1) == 0:
         return float("nan")
@@ -91,7 +91,7 @@ def convergence_deg(camera1: Camera, camera2: Camera, x1: Float64s, x2: Float64s
 
 
 def ray_angles(a: Float64s, b: Float64s) -> Float64s:
-    """(n,) radians between directions a and b (n, 3) of any length; nan where one of them is nan or zero."""
+    """(n,) angles in radians between directions a and b (n, 3) of any length; nan where either is nan or zero."""
     with np.errstate(divide="ignore", invalid="ignore"):
         cosine = np.einsum("ni,ni->n", a, b) / (np.linalg.norm(a, axis=1) * np.linalg.norm(b, axis=1))
     return np.asarray(np.arccos(np.clip(cosine, -1, 1)), dtype=np.float64)

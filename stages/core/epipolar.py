@@ -1,4 +1,4 @@
-"""The geometry of two views that several stages share: F and E, homographies, epipoles, residuals and triangulation."""
+"""Two-view geometry that several stages share: F and E, homographies, epipoles, residuals and triangulation."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from .rotations import skew
 
 
 def unit_norm(F: Float64s) -> Float64s:
-    """A matrix over its Frobenius norm."""
+    """A matrix divided by its Frobenius norm."""
     return np.asarray(F / np.linalg.norm(F), dtype=np.float64)
 
 
@@ -21,7 +21,7 @@ def homogeneous(x: Float64s) -> Float64s:
 
 def apply_homography(H: Float64s, x: Float64s) -> Float64s:
     """Map (n, 2) points by a (3, 3) homography."""
-    X, Y, z = H[:, :2] @ x.T + H[:, 2:]  # coordinate by coordinate: numpy is slow along short rows
+    X, Y, z = H[:, :2] @ x.T + H[:, 2:]  # one coordinate at a time: numpy is slow along short rows
     return np.column_stack([X / z, Y / z])
 
 
@@ -37,7 +37,7 @@ def essential_to_fundamental(R: Float64s, t: Float64s, K1: Float64s, K2: Float64
 
 
 def fundamental_from_cameras(camera1: Camera, camera2: Camera) -> Float64s:
-    """F of unit norm of two cameras whose centres differ."""
+    """F of unit norm for two cameras with different centres."""
     R, t = relative_pose(camera1, camera2)
     return essential_to_fundamental(R, t, camera1.K, camera2.K)
 
@@ -72,7 +72,7 @@ def triangulate_depth(camera1: Camera, camera2: Camera, x1: Float64s, x2: Float6
 
     Parameters
     ----------
-    camera1, camera2 : in one world.
+    camera1, camera2 : in the same world.
     x1, x2 : (n, 2) pixels of the matches, without distortion.
     """
     A = (camera2.K @ camera2.R @ rays(camera1, x1)).T

@@ -1,4 +1,4 @@
-"""The ground seen from above: which way is up, and a grid of square cells."""
+"""Grids of square cells on the ground, seen from above, and the directions east, north and up."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from ..types import Bools, Camera, Float64s, GroundGrid, Int64s
 from .ordering import by_cell
 
 _MARGIN = 0.1
-"""How far a grid reaches beyond all points but those that lie far outside, as a share of their extent."""
+"""Margin of a grid beyond the percentiles that bound its points (`extent`), as a share of the distance between them."""
 
 
 def ground_axes(cameras: Iterable[Camera], plane: Float64s | None = None) -> Float64s:
-    """(3, 3) rows east, north and up in the world, of unit length.
+    """(3, 3) unit vectors in the world, one per row: east, north and up.
 
-    The world's own axes where its z points up for every camera; else up is the normal of the ground `plane` (4,), or against the
-    mean of the cameras' y axes, and east lies across the first camera's view.
+    These are the world's own axes if its z points up for every camera.  Otherwise up is the normal of the ground `plane` (4,),
+    or minus the mean of the cameras' y axes without one, and east is the first camera's x axis, projected onto the ground.
     """
     views = list(cameras)
     if all(-camera.R[1, 2] > 0.5 for camera in views):
@@ -31,9 +31,9 @@ def ground_axes(cameras: Iterable[Camera], plane: Float64s | None = None) -> Flo
 
 
 def grid_over(points: Float64s, axes: Float64s, cell: float) -> GroundGrid:
-    """The grid that covers points (n, 3) of the world, not empty, but for those far outside of the rest.
+    """The grid that covers world points (n, 3), at least one, except outliers far from the rest.
 
-    axes: see `ground_axes`; cell: edge of a cell, world lengths; corners lie at its multiples.
+    axes: see `ground_axes`; cell: edge of a cell in world units; the grid's corners lie at multiples of it.
     """
     flat = points @ axes[:2].T
     low, high = extent(flat, 1)
@@ -43,39 +43,39 @@ def grid_over(points: Float64s, axes: Float64s, cell: float) -> GroundGrid:
 
 
 def extent(xy: Float64s, percent: float) -> tuple[Float64s, Float64s]:
-    """Corners (2,) around places (n, 2), but for such a part of them at each end: few wrong ones would make it huge."""
+    """Lower and upper corner (2,) around points (n, 2), ignoring `percent` of them at each end if these lie far outside."""
     low, high = np.percentile(xy, [percent, 100 - percent], axis=0)
     margin = _MARGIN * (high - low)
     return np.maximum(low - margin, xy.min(axis=0)), np.minimum(high + margin, xy.max(axis=0))
 
 
 def cells_of(grid: GroundGrid, points: Float64s) -> Int64s:
-    """(n,) number of the cell, row by row, that each of the points (n, 3) lies over; -1 outside of the grid."""
+    """(n,) index of the cell (row-major) over which each of the points (n, 3) lies; -1 outside the grid."""
     x, y, z = np.asarray(points, np.float64).T
-    east, north = (x * a + y * b + z * c for a, b, c in grid.axes[:2])  # not by BLAS, whose sums differ from machine to machine
+    east, north = (x * a + y * b + z * c for a, b, c in grid.axes[:2])  # without BLAS, whose sums differ between machines
     column, row = np.floor((east - grid.left) / grid.cell), np.floor((grid.top - north) / grid.cell)
     inside = (column >= 0) & (row >= 0) & (column < grid.columns) & (row < grid.rows)
     return np.where(inside, row * grid.columns + column, -1).astype(np.int64)
 
 
 def inside_polygon(corners: Sequence[Sequence[float]], x: Float64s, y: Float64s) -> Bools:
-    """Which of the places x, y (any shape, both alike) lie inside of a polygon of corners (x, y)?"""
+    """Which of the points x, y (arrays of the same shape) lie inside the polygon with these corners (x, y)?"""
     inside = np.zeros(np.shape(x), bool)
     for (x1, y1), (x2, y2) in pairwise([*corners, corners[0]]):
-        with np.errstate(divide="ignore", invalid="ignore"):  # level edges cross nothing
+        with np.errstate(divide="ignore", invalid="ignore"):  # horizontal edges are never crossed
             inside ^= ((y1 > y) != (y2 > y)) & (x < (x2 - x1) * (y - y1) / np.float64(y2 - y1) + x1)
     return inside
 
 
 def cells_inside(grid: GroundGrid, corners: Sequence[Sequence[float]]) -> Bools:
-    """(rows, columns) cells whose middle lies inside of a polygon."""
+    """(rows, columns) bool, True for cells whose centre lies inside a polygon."""
     east = grid.left + (np.arange(grid.columns) + 0.5) * grid.cell
     north = grid.top - (np.arange(grid.rows) + 0.5) * grid.cell
     return inside_polygon(corners, *np.meshgrid(east, north))
 
 
 def cell_centres(grid: GroundGrid, heights: Float64s) -> Float64s:
-    """(rows * columns, 3) world points in the middle of the cells at heights (rows, columns)."""
+    """(rows * columns, 3) world points at the centres of the cells, at heights (rows, columns)."""
     east = grid.left + (np.arange(grid.columns) + 0.5) * grid.cell
     north = grid.top - (np.arange(grid.rows) + 0.5) * grid.cell
     x, y = np.meshgrid(east, north)
@@ -87,8 +87,8 @@ def quantile_by_cell(cells: Int64s, values: Float64s, count: int, quantile: floa
 
     Parameters
     ----------
-    cells, values : (n,) number of each value's cell, or -1; and the value.
-    count : of cells.
+    cells, values : (n,) index of each value's cell, or -1 to ignore it; and the values.
+    count : number of cells.
     quantile : 0 to 1.
     """
     inside = cells >= 0
@@ -103,6 +103,6 @@ def quantile_by_cell(cells: Int64s, values: Float64s, count: int, quantile: floa
 
 
 def preferred_above(value: float) -> float:
-    """The least of 1, 2, 5 times a power of ten that is not below a positive value."""
+    """The smallest of 1, 2 or 5 times a power of ten that is not below a positive value."""
     decade = 10.0 ** float(np.floor(np.log10(value)))
     return float(decade * min(step for step in (1.0, 2.0, 5.0, 10.0) if step >= value / decade * (1 - 1e-9)))

@@ -1,16 +1,15 @@
-"""How loops become machine code: one decorator around numba, with the flags that keep results the same everywhere.
+"""Compilation of loops to machine code: decorators around numba with flags that keep results identical everywhere.
 
-A kernel's compiled form is kept on disk beside its source (or in NUMBA_CACHE_DIR).  numba looks only at that one file's time
-stamp, so a kernel may call other kernels of *its own file* only.
+A kernel's compiled form is cached on disk next to its source (or in NUMBA_CACHE_DIR).  numba checks the time stamp of that one
+file only, so a kernel may call only kernels of *its own file*.
 
-Processes that start side by side compile each kernel once between them: who comes second waits, and reads what the first has
-left.
+Processes that start at the same time compile each kernel only once: one compiles, the others wait and read the cached result.
 
-Compiling is what a first run on a machine spends most on, so kernels are written to be compiled quickly: whole arrays are filled
-in loops (what numba says of shapes that differ takes seconds to compile), medians and the like are taken outside.
+Compilation takes most of a first run on a machine, so kernels are written to compile quickly: whole arrays are filled in loops
+(numba's error message for mismatched shapes alone takes seconds to compile), and medians and the like are computed outside.
 
-No fast mathematics: with leave to reorder sums, code that had just been compiled and the same code read back from the disk gave
-disparities that differed in the last bits, and so clouds of other bytes.
+fastmath is off: with reordered sums, freshly compiled code and the same code read back from the disk gave disparities that
+differed in the last bits, and therefore clouds with different bytes.
 """
 
 from __future__ import annotations
@@ -27,39 +26,39 @@ from numba.core.compiler_lock import global_compiler_lock
 
 try:
     import fcntl
-except ImportError:  # Windows: every process compiles for itself
+except ImportError:  # Windows: every process compiles on its own
     fcntl = None  # type: ignore[assignment]
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 Scalar = np.float32
-"""What kernels reckon with: numba takes a number of Python for a float64."""
+"""Scalar type of kernel arguments: numba would type a Python float as float64."""
 
 
 def kernel(function: Function) -> Function:
-    """Compile `function` at its first call; the compiled form releases the GIL and follows numpy's rules for division by zero."""
+    """Compile `function` at its first call; the compiled form releases the GIL and divides by zero as numpy does."""
     return _compiled(function)
 
 
 def helper(function: Function) -> Function:
-    """The same for what kernels call and Python never does: how Python would call it is not compiled, which takes about as long
-    as a small kernel itself (14 in place of 33 ms with a number, 66 in place of 126 with six arrays).  Python must not call it:
-    a test looks for that."""
+    """Compile a function that only other kernels call, without the wrapper for calls from Python.  Compiling that wrapper takes
+    about as long as a small kernel itself (14 instead of 33 ms with one number, 66 instead of 126 ms with six arrays).  Python
+    must never call such a function; a test checks this."""
     return _compiled(function, no_cpython_wrapper=True)
 
 
 def _compiled(function: Function, **more: bool) -> Function:
-    options: Any = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True, **more}  # nobody calls one from C
+    options: Any = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True, **more}  # never called from C
     try:
         return cast(Function, _once_between_processes(numba.njit(cache=True, **options)(function)))
-    except RuntimeError:  # nowhere to keep the compiled form: a read-only installation and no home, as under cron
+    except RuntimeError:  # no writable cache: a read-only installation and no home folder, as under cron
         return cast(Function, numba.njit(**options)(function))
 
 
 def _once_between_processes(dispatcher: Any) -> Any:
-    """Let a kernel be compiled, or read from the disk, by one process at a time.
+    """Let only one process at a time compile a kernel, or read it from the disk.
 
-    A lock for each kernel: what it calls is locked within its own, and no kernel calls itself in a circle, so nobody waits for
-    somebody who waits.  In one process numba's own lock, which it takes for every compilation, comes first.
+    Each kernel has its own lock.  The locks of the kernels that it calls are taken while it holds its own; since kernels never
+    call each other in a circle, this cannot deadlock.  Within a process, numba's own compiler lock is taken first.
     """
     compiled = dispatcher.compile
 
@@ -73,7 +72,7 @@ def _once_between_processes(dispatcher: Any) -> Any:
 
 @contextmanager
 def _without_collecting() -> Iterator[None]:
-    """A compiler makes very many objects that stay until it ends: looking for garbage among them takes a tenth of its time."""
+    """Disable the garbage collector: scanning the many objects that a compiler keeps until it ends takes a tenth of its time."""
     collecting = gc.isenabled()
     gc.disable()
     try:
@@ -85,7 +84,7 @@ def _without_collecting() -> Iterator[None]:
 
 @contextmanager
 def _alone(dispatcher: Any) -> Iterator[None]:
-    """While no other process compiles this kernel; where files cannot be locked, at once."""
+    """Hold the kernel's lock file, so that no other process compiles it; without locking where files cannot be locked."""
     folder, function = dispatcher.stats.cache_path, dispatcher.py_func
     name = f"{function.__module__}.{function.__qualname__}.lock".replace("<locals>", "")
     try:

@@ -1,4 +1,4 @@
-"""Nonlinear least squares over states that are no vectors: rotations, essential matrices, unit vectors."""
+"""Nonlinear least squares over states that are not vectors: rotations, essential matrices, unit vectors."""
 
 from __future__ import annotations
 
@@ -26,18 +26,18 @@ def levenberg_marquardt(
     tolerance: float = 0.0,
     relative_tolerance: float = 0.0,
 ) -> tuple[float, State]:
-    """The state of least cost that is found downhill from `state`, and its cost.
+    """Minimise a cost from a starting state; returns the least cost found and its state.
 
     Parameters
     ----------
     state : where to start.
-    equations : cost of a state, normal matrix (k, k) and right side (k,) of the linear equations for a step from there.
-    moved : a state after a step (k,).
-    steps : ends after so many, taken or not.
-    damping, least_damping, most_damping : of the normal matrix's diagonal, as a share of it: a tenth after each step that lowers
-        the cost, ten times as much after each other.  Ends where it would be more than the most.
-    floor : added to the diagonal that is damped, as a share of its sum: for directions of which the equations say nothing.
-    tolerance, relative_tolerance : ends when a step lowers the cost by less than this, or than this share of it.
+    equations : gives the cost of a state, and normal matrix N (k, k) and gradient g (k,) of the linear system N step = -g.
+    moved : gives the state after a step (k,).
+    steps : largest number of steps, accepted or not.
+    damping, least_damping, most_damping : initial, smallest and largest damping, as shares of N's diagonal: a tenth after each
+        step that lowers the cost, ten times as much after any other.  Ends if it would exceed the largest.
+    floor : share of the diagonal's sum that is added to the damped diagonal, for directions that the equations leave open.
+    tolerance, relative_tolerance : ends when a step lowers the cost by less than `tolerance` plus this share of the cost.
 
     References: Marquardt, SIAM Journal on Applied Mathematics, 1963.
     """

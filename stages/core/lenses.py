@@ -1,7 +1,7 @@
-"""Lenses: which ray of light falls on a pixel, and on which pixel a ray falls, by every model that is in use.
+"""Lens models: projection of rays to pixels, and of pixels back to rays, for every supported model.
 
-Each model maps a ray to *normalised* coordinates, which K makes pixels of; the way back is Newton's, from a table of the lens's
-radial profile.  Rays are directions (x, y, z) in camera axes, of any length: a lens of 180 degrees or more sees some with z < 0.
+Each model maps a ray to *normalised* coordinates, which K turns into pixels; the inverse uses Newton's method from a table of
+the radial profile.  Rays are directions (x, y, z) in camera axes, of any length; beyond 90 degrees off the axis z < 0.
 
 References
 ----------
@@ -20,17 +20,17 @@ import numpy as np
 from ..types import Float64s, Lens
 
 WIDEST_DEG = 110.0
-"""No pinhole is made wider: at its border a pixel would be three times smaller than in its middle."""
+"""Largest field of view of a pinhole image, degrees: a pixel at its border covers a third of the angle of a central one."""
 
 
 @dataclass(frozen=True)
 class LensModel:
-    """How a lens bends light."""
+    """The projection of a lens model."""
 
     project: Callable[[Float64s, Float64s], Float64s]
-    """Coefficients and unit rays (n, 3) to normalised coordinates (n, 2); nan where the lens sees nothing."""
+    """Maps coefficients and unit rays (n, 3) to normalised coordinates (n, 2); nan for rays that the lens does not see."""
     farthest: float = np.pi
-    """No ray farther from the axis, in radians, is of use: the model, or its way back, ends there."""
+    """Largest usable angle off the axis, in radians: the model, or its inverse, ends there."""
 
 
 def lens_pixels(lens: Lens, rays: Float64s) -> Float64s:
@@ -45,7 +45,7 @@ def lens_pixels(lens: Lens, rays: Float64s) -> Float64s:
 
 
 def lens_rays(lens: Lens, x: Float64s) -> Float64s:
-    """Rays (n, 3) of unit length, in camera axes, of pixels (n, 2) of the capture; nan where the model knows none."""
+    """Unit rays (n, 3), in camera axes, of pixels (n, 2) of the capture; nan for pixels to which the model maps no ray."""
     if lens.K is None:
         raise ValueError("a lens without intrinsics has no rays")
     target = (x - lens.K[:2, 2]) @ np.linalg.inv(lens.K[:2, :2]).T
@@ -67,7 +67,7 @@ def lens_rays(lens: Lens, x: Float64s) -> Float64s:
 
 
 def reach(lens: Lens) -> float:
-    """How far from the axis, in radians, the lens images rays one beside the other: beyond it the model folds over or ends."""
+    """Angle off the axis, in radians, up to which image radii grow with the angle: beyond it the model folds over or ends."""
     if lens.model == "equirectangular":
         return np.pi
     model, coefficients = _model(lens), _coefficients(lens)
@@ -87,7 +87,7 @@ def off_axis(rays: Float64s) -> Float64s:
 
 
 def sides_deg(lens: Lens, width: int, height: int) -> Float64s:
-    """(4,) degrees from the axis to the middles of the left, right, upper and lower side of a picture, at most `reach`."""
+    """(4,) degrees from the axis to the left, right, upper and lower side, through the principal point; at most `reach`."""
     if lens.K is None:
         raise ValueError("a lens without intrinsics has no rays")
     x, y = lens.K[:2, 2]
@@ -96,11 +96,11 @@ def sides_deg(lens: Lens, width: int, height: int) -> Float64s:
 
 
 _SAMPLE = np.deg2rad(0.25)
-"""Steps of the radial profile."""
+"""Step of the radial profile, radians."""
 _MOST_STEPS, _STEP, _MISSED = 30, 1e-13, 1e-10
-"""Of Newton's method: how many, the smallest, and how far from a pixel (over the focal length) its ray may end."""
+"""Newton's method: most steps, step size (radians) at which it ends, and largest final error in normalised coordinates."""
 _DIFFERENCE = 1e-6
-"""Of the angles between which slopes are taken."""
+"""Angle to each side, in radians, of the central differences that give the derivatives."""
 
 
 def _model(lens: Lens) -> LensModel:
@@ -110,12 +110,12 @@ def _model(lens: Lens) -> LensModel:
 
 
 def _coefficients(lens: Lens) -> Float64s:
-    """Of every model at least as many as it has: those that are not stated are 0."""
+    """The stated coefficients followed by zeros, so that every model finds those that are not stated as 0."""
     return np.concatenate([np.asarray(lens.distortion, dtype=np.float64), np.zeros(14)])
 
 
 def _radii(coefficients: Float64s, project: Callable[[Float64s, Float64s], Float64s], angles: Float64s) -> list[Float64s]:
-    """How far from the middle of the image rays at angles (n,) off the axis fall, (n,) in each of eight directions."""
+    """Normalised image radii (n,) of rays at angles (n,) off the axis, in each of eight directions."""
     towards = (np.array([np.cos(azimuth), np.sin(azimuth)]) for azimuth in np.arange(8) * (np.pi / 4))
     return [np.linalg.norm(project(coefficients, _ray(angles[:, None] * toward)), axis=1) for toward in towards]
 
@@ -128,7 +128,7 @@ def _ray(bent: Float64s) -> Float64s:
 
 
 def _start(coefficients: Float64s, project: Callable[[Float64s, Float64s], Float64s], limit: float, target: Float64s) -> Float64s:
-    """(n, 2) angles times directions, by the mean radial profile."""
+    """(n, 2) starting values of Newton's method, angle times direction, from the mean radial profile."""
     angles = np.linspace(0, limit, 400)
     profile = np.mean(_radii(coefficients, project, angles), axis=0)
     radius = np.linalg.norm(target, axis=1)
@@ -138,7 +138,7 @@ def _start(coefficients: Float64s, project: Callable[[Float64s, Float64s], Float
 def _newton(
     coefficients: Float64s, project: Callable[[Float64s, Float64s], Float64s], bent: Float64s, target: Float64s
 ) -> Float64s:
-    """(n, 2) by how much to go back; 0 where the model ends."""
+    """(n, 2) steps of Newton's method, to be subtracted; 0 where the model ends."""
     slopes = []
     for axis in np.eye(2) * _DIFFERENCE:
         slopes.append((project(coefficients, _ray(bent + axis)) - project(coefficients, _ray(bent - axis))) / (2 * _DIFFERENCE))
@@ -156,7 +156,7 @@ def _pinhole(_: Float64s, rays: Float64s) -> Float64s:
 
 
 def _brown(c: Float64s, rays: Float64s) -> Float64s:
-    """OpenCV's whole model: k1 k2 p1 p2 k3, k4 k5 k6 (rational), s1..s4 (thin prism), and the tilt of the sensor."""
+    """OpenCV's full model: k1 k2 p1 p2 k3, k4 k5 k6 (rational), s1..s4 (thin prism), and the tilt of the sensor."""
     x, y = _pinhole(c, rays).T
     r2 = x * x + y * y
     radial = (1 + r2 * (c[0] + r2 * (c[1] + r2 * c[4]))) / (1 + r2 * (c[5] + r2 * (c[6] + r2 * c[7])))
@@ -172,7 +172,7 @@ def _brown(c: Float64s, rays: Float64s) -> Float64s:
 
 
 def _by_angle(rays: Float64s) -> Float64s:
-    """(n, 2) angle off the axis times direction in the image: what an ideal fisheye images."""
+    """(n, 2) angle off the axis times direction in the image: the projection of an ideal fisheye."""
     r = np.hypot(rays[:, 0], rays[:, 1])
     return np.asarray(rays[:, :2] * np.where(r > 0, off_axis(rays) / r, 1.0)[:, None], dtype=np.float64)
 
@@ -218,7 +218,7 @@ def _fov(c: Float64s, rays: Float64s) -> Float64s:
 
 
 def _eucm(c: Float64s, rays: Float64s) -> Float64s:
-    """alpha, beta."""
+    """Coefficients: alpha, beta."""
     z, distance = rays[:, 2], np.sqrt(c[1] * (rays[:, :2] ** 2).sum(axis=1) + rays[:, 2] ** 2)
     below = c[0] * distance + (1 - c[0]) * z
     w = c[0] / (1 - c[0]) if c[0] <= 0.5 else (1 - c[0]) / c[0]
@@ -226,14 +226,14 @@ def _eucm(c: Float64s, rays: Float64s) -> Float64s:
 
 
 def _omni(c: Float64s, rays: Float64s) -> Float64s:
-    """xi, then k1 k2 p1 p2 k3 of what the mirror's or the lens's sphere shows."""
+    """Coefficients: xi, then k1 k2 p1 p2 k3 of the distortion that follows the projection by way of the unit sphere."""
     below = rays[:, 2] + c[0]
     sphere = np.column_stack([rays[:, :2], np.where(below > 0, below, np.nan)])
     return _brown(np.concatenate([c[1:6], np.zeros(9)]), sphere)
 
 
 def _double_sphere(c: Float64s, rays: Float64s) -> Float64s:
-    """xi, alpha."""
+    """Coefficients: xi, alpha."""
     xi, alpha = c[:2]
     z = xi + rays[:, 2]
     second = np.sqrt((rays[:, :2] ** 2).sum(axis=1) + z * z)
@@ -262,4 +262,4 @@ MODELS = {
     "rad-tan-thin-prism-fisheye": LensModel(_rad_tan_thin_prism_fisheye),
     "equirectangular": LensModel(_equirectangular),
 }
-"""By the name that a site file gives them; the order of coefficients is OpenCV's where OpenCV has the model."""
+"""Lens models by their name in a site file; the order of coefficients is OpenCV's where OpenCV has the model."""

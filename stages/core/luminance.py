@@ -1,4 +1,4 @@
-"""Grey levels of images: rounded as detectors take them or not, another exposure, and how noisy they are."""
+"""Grey levels of images, rounded (for detectors) or not, channel gains, block means, and pixel noise."""
 
 from __future__ import annotations
 
@@ -9,23 +9,23 @@ from ..types import Bools, Float32s, Float64s, Uint8s
 
 
 def grey_levels(image: Uint8s) -> Uint8s:
-    """(h, w) grey levels of (h, w, 3) RGB, rounded: OpenCV's weights, those of ITU-R BT.601."""
+    """(h, w) grey levels of (h, w, 3) RGB, rounded, with OpenCV's weights (ITU-R BT.601)."""
     return np.asarray(cv2.cvtColor(np.ascontiguousarray(image), cv2.COLOR_RGB2GRAY), dtype=np.uint8)
 
 
 def luminance(image: Uint8s) -> Float32s:
-    """(h, w) float32 of (h, w, 3) RGB, the same weights, never rounded: weak texture lives below one grey level."""
+    """(h, w) float32 grey levels of (h, w, 3) RGB with the same weights, not rounded: weak texture spans less than one level."""
     return np.asarray(cv2.cvtColor(image.astype(np.float32), cv2.COLOR_RGB2GRAY), dtype=np.float32)
 
 
 def with_gain(image: Uint8s, gains: Float64s) -> Uint8s:
-    """(h, w, 3) uint8 of an image, its channels times (3,) gains."""
+    """(h, w, 3) uint8 image with its channels multiplied by (3,) gains."""
     table = np.clip(np.arange(256)[:, None] * gains[None, :] + 0.5, 0, 255).astype(np.uint8)
     return np.asarray(cv2.LUT(image, table.reshape(256, 1, 3)), dtype=np.uint8)
 
 
 def block_means(values: Float32s, side: int) -> Float32s:
-    """(h // side, w // side) means of the whole square blocks of values (h, w)."""
+    """(h // side, w // side) means over square blocks of values (h, w); incomplete blocks at the borders are left out."""
     rows, columns = values.shape[0] // side, values.shape[1] // side
     blocks = values[: rows * side, : columns * side].reshape(rows, side, columns, side)
     return np.asarray(blocks.mean(axis=(1, 3)), dtype=np.float32)
@@ -38,7 +38,7 @@ _QUIETEST_PERCENT = 10
 def noise_level(image: Float32s, valid: Bools) -> float:
     """Standard deviation of the pixel noise, in grey levels, of a grey image (h, w), from its quietest blocks.
 
-    The mask is blind to anything that changes linearly.  References: Immerkaer, CVIU 1996.
+    The filter does not respond to intensities that vary linearly.  References: Immerkaer, CVIU 1996.
     """
     mask = np.array([[1, -2, 1], [-2, 4, -2], [1, -2, 1]], dtype=np.float32)
     response = np.abs(cv2.filter2D(image, -1, mask))

@@ -1,8 +1,8 @@
-"""Methods: where a stage can be done in several ways, a table names the functions that do it, and anybody's function may join.
+"""Methods: alternative implementations of a stage, listed by name in a table; users can add functions of their own.
 
 A table maps names to `package.module:function`, so that it can be read without importing anything.  A stage function takes the
-name of a method, or a dotted function that is in no table, and passes on all parameters that are not its own.  A method takes its
-inputs *by argument name*, among those that the stage has; its parameters are keyword-only with defaults.
+name of a method, or `package.module:function` for one that is in no table, and passes on all parameters that are not its own.
+A method takes its inputs *by argument name*, among those of the stage; its parameters are keyword-only with defaults.
 """
 
 from __future__ import annotations
@@ -17,14 +17,14 @@ from typing import Any
 def method(table: Mapping[str, str], name: str) -> Callable[..., Any]:
     """Return the function behind a name of the table, or behind `package.module:function`.
 
-    Raises ValueError, with the names that exist, for a name that leads nowhere.
+    Raises ValueError, with the known names, if no function is found.
     """
     module, _, function = table.get(name, name).partition(":")
     try:
         found = getattr(importlib.import_module(module), function, None) if function else None
     except ModuleNotFoundError as error:
         if error.name is None or not f"{module}.".startswith(f"{error.name}."):
-            raise  # the module exists, and lacks something itself
+            raise  # the module exists, but fails to import another one
         found = None
     if not callable(found):
         choices = ", ".join(table)
@@ -35,15 +35,15 @@ def method(table: Mapping[str, str], name: str) -> Callable[..., Any]:
 def bind(table: Mapping[str, str], name: str, inputs: Mapping[str, object], options: Mapping[str, object]) -> Callable[[], Any]:
     """Return a method with its inputs and parameters bound, ready to be called.
 
-    Raises ValueError where the name is unknown, or the method needs an input that is not available; TypeError where it has no
-    such parameter.
+    Raises ValueError if the name is unknown or the method needs an input that is not available; TypeError if the method lacks
+    one of the options.
 
     Parameters
     ----------
     table : the methods that have a name.
     name : one of them, or `package.module:function`.
-    inputs : by argument name; None: not available.
-    options : the parameters of the method.
+    inputs : the stage's inputs by argument name; None: not available.
+    options : parameters of the method, by name.
     """
     function = method(table, name)
     arguments = inspect.signature(function).parameters

@@ -1,7 +1,7 @@
-"""Exact nearest neighbours among points of an image: a grid of cells, of which squares around each query are looked at.
+"""Exact nearest neighbours of image points by a grid of cells: the search covers a square of cells around each query.
 
-Points of an image are spread well enough for this to be several times faster than a tree.  No list is kept in order: distances
-are counted below a limit, and the limit halved in, which the compiler does for several at once.
+Image points are spread evenly enough for this to be several times faster than a tree.  Instead of keeping a sorted list, the
+search counts the distances below a limit and bisects the limit, which the compiler can vectorise.
 """
 
 from __future__ import annotations
@@ -14,16 +14,16 @@ from .ordering import by_cell
 
 _POINTS_PER_CELL = 2.0
 _ENOUGH = 1.5
-"""The first square looked at holds so many times what is asked, if points lie evenly."""
+"""Points expected in the first square of the search, if they are spread evenly, as a multiple of the k that are needed."""
 _HALVINGS = 100
 
 
 def nearest_points(points: Float64s, queries: Float64s, k: int) -> tuple[Float64s, Int32s]:
-    """Distances (m, k) and rows (m, k) of the k nearest of `points` (n, 2) to each of `queries` (m, 2), in no order.
+    """Distances (m, k) and row indices (m, k) of the k `points` (n, 2) nearest to each of `queries` (m, 2), unsorted.
 
-    k is at most n; of points at one distance, any is among them, the same at every call.
+    k is at most n.  Of points at equal distance an arbitrary one is returned, but the same in every call.
     """
-    by_axis = np.ascontiguousarray(points.T)  # several times faster than extremes along the long axis
+    by_axis = np.ascontiguousarray(points.T)  # extremes along the long axis would be several times slower
     low, high = by_axis.min(axis=1), by_axis.max(axis=1)
     extent = np.maximum(high - low, 1e-9)
     size = max(float(np.sqrt(extent[0] * extent[1] * _POINTS_PER_CELL / len(points))), float(extent.max()) / len(points))
@@ -43,10 +43,10 @@ def _search(
     queries: Float64s, points: Float64s, chosen: Int32s, names: Int64s, starts: Int64s, low: Float64s, size: float,
     columns: int, rows: int, begin: int, squared: Float64s, index: Int32s,
 ) -> None:  # fmt: skip
-    """Write squared distances and names of the nearest.
+    """Write the squared distances and the names of the nearest points.
 
-    points: (3, n) x and y in order of their cells, whose first ones are `starts`, and room for distances; chosen: room; begin:
-    cells that the first square reaches to each side.
+    points: (3, n) x and y in cell order (`starts` holds each cell's first point), and room for distances; chosen: room for
+    indices; begin: number of cells by which the first square extends to each side.
     """
     k = squared.shape[1]
     for q in range(len(queries)):
@@ -61,7 +61,7 @@ def _search(
                 first, last = starts[row * columns + left], starts[row * columns + right + 1]
                 _distances(points, first, last, queries[q, 0], queries[q, 1], found, chosen)
                 found += last - first
-            # no point outside the square is nearer than its nearest side that has points beyond it
+            # points outside the square lie beyond its nearest side that is not a border of the grid
             side = np.inf
             if left > 0:
                 side = min(side, x - left * size)
@@ -90,7 +90,7 @@ def _search(
 
 @helper
 def _distances(points: Float64s, first: int, last: int, x: float, y: float, found: int, chosen: Int32s) -> None:
-    """Squared distances of a row of cells, after those `found` before, and where the points are."""
+    """Write squared distances and indices of the points of a row of cells, behind those of the first `found` points."""
     for n in range(last - first):
         dx, dy = points[0, first + n] - x, points[1, first + n] - y
         points[2, found + n] = dx * dx + dy * dy
@@ -117,7 +117,7 @@ def _count(points: Float64s, found: int, limit: float) -> int:
 def _take(
     points: Float64s, chosen: Int32s, found: int, low: float, high: float, names: Int64s, squared: Float64s, index: Int32s
 ) -> None:
-    """Write the points up to the low limit, then of those up to the high one as many as there is place for."""
+    """Write the points up to the low limit, then points between both limits as far as there is room."""
     below = between = 0
     for n in range(found):
         d = points[2, n]

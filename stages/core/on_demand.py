@@ -1,4 +1,4 @@
-"""Mappings whose values are made when they are asked for: a night need not be in memory at once."""
+"""Mappings whose values are computed on access, so that a night need not be in memory at once."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ Value = TypeVar("Value", covariant=True)
 
 
 class OnDemand(Mapping[Key, Value]):
-    """`make` of each key, every time that it is asked for."""
+    """A mapping that calls `make` at every access to a key and keeps no value."""
 
     def __init__(self, keys: Collection[Key], make: Callable[[Key], Value]) -> None:
         self._keys, self._make = keys, make

@@ -1,4 +1,4 @@
-"""Order by counting and by sorting networks, and order statistics of a few thousand values: faster than the general routines."""
+"""Counting sort, sorting networks, and order statistics of a few thousand values: faster than the general routines."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from .jit import kernel
 
 
 def by_cell(cells: Int64s, count: int) -> tuple[Int64s, Int64s]:
-    """Places (n,) of things in the order of their cells (n,), numbers below `count`; where each cell begins in it, (count + 1,).
+    """Indices (n,) that sort items by their cells (n,), numbers below `count`, and where each cell starts there, (count + 1,).
 
-    What shares a cell keeps its order.
+    The sort is stable.
     """
     starts = np.zeros(count + 1, np.int64)
     np.cumsum(np.bincount(cells, minlength=count), out=starts[1:])
@@ -28,7 +28,7 @@ def _place(cells: Int64s, free: Int64s, order: Int64s) -> None:
 
 
 def rank_within(groups: Int64s, worth: Float64s | Int64s) -> Int64s:
-    """(n,) how many of the same group come before each in the order of their worth, the least first."""
+    """(n,) rank of each item within its group by ascending worth, counted from 0."""
     order = np.lexsort((worth, groups))
     rank = np.empty(len(groups), np.int64)
     rank[order] = np.arange(len(groups)) - np.searchsorted(groups[order], groups[order])
@@ -36,8 +36,8 @@ def rank_within(groups: Int64s, worth: Float64s | Int64s) -> Int64s:
 
 
 def sorting_network(count: int) -> Int64s:
-    """(m, 2) places to compare, and to exchange where the first is larger, that sort `count` values (Batcher's merge exchange,
-    Knuth 5.2.2 M).  What is compared never depends on the values."""
+    """(m, 2) pairs of indices to compare, and to swap if the first value is larger, that sort `count` values (Batcher's merge
+    exchange, Knuth 5.2.2 M).  The pairs do not depend on the values."""
     pairs = []
     for p in (2**i for i in range((count - 1).bit_length())):
         for k in (p >> i for i in range(p.bit_length())):
@@ -47,7 +47,7 @@ def sorting_network(count: int) -> Int64s:
 
 
 def percentiles(values: Float64s, *shares: float) -> list[float]:
-    """The values (n,) below which `shares` percent of them lie, linear between two, as numpy's default has it."""
+    """The percentiles `shares` (0 to 100) of the values (n,), interpolated linearly as by numpy's default."""
     last = len(values) - 1
     places = [share / 100 * last for share in shares]
     ordered = np.partition(values, sorted({min(int(place) + k, last) for place in places for k in (0, 1)}))

@@ -1,6 +1,6 @@
-"""Work of one stage in threads: the same results in the same order, however many threads there are.
+"""Threads within one stage: the same results in the same order, whatever the number of threads.
 
-Kernels and most of numpy release the GIL.  The environment says how many threads a stage may have; in a notebook it has one.
+Kernels and most of numpy release the GIL.  An environment variable sets the number of threads of a stage; the default is one.
 """
 
 from __future__ import annotations
@@ -16,13 +16,13 @@ Item = TypeVar("Item")
 Result = TypeVar("Result")
 
 THREADS = "STAGE_THREADS"
-"""The environment variable that says how many threads a stage may have."""
+"""Environment variable with the number of threads that a stage may use; where it is not set, as in a notebook, it uses one."""
 _MOST = 4
-"""More would hold too much at once: each has results of its own in memory."""
+"""Largest number of threads: each holds its own results in memory."""
 
 
 def parallel_map(work: Callable[[Item], Result], items: Iterable[Item]) -> Iterator[Result]:
-    """Yield `work` of each item, in order; no more results are ahead of the consumer than there are threads."""
+    """Yield `work(item)` for each item, in order; at most as many results as there are threads are computed ahead."""
     stated = os.environ.get(THREADS, "")
     threads = min(max(int(stated), 1), _MOST) if stated.isdecimal() else 1
     if threads == 1:

@@ -1,7 +1,7 @@
-"""What a lens that nobody stated still bends in a frame: found with the poses, and taken out for all that comes after them.
+"""Residual distortion of lenses without stated coefficients: solved together with the poses, removed in all later stages.
 
-Frames are made before anything is known of such a lens.  What its solved k1 and k2 (`Camera.radial`) move by a pixel and more is
-straightened when the frame is looked at again; points of pairs are moved likewise.
+Frames are made before the distortion of such a lens is known.  If its solved k1 and k2 (`Camera.radial`) move a corner by more
+than a pixel, the frame is undistorted whenever a later stage loads it; the points of pairs are undistorted likewise.
 """
 
 from __future__ import annotations
@@ -16,11 +16,11 @@ from ..types import Camera, Float32s, Float64s, Frame
 from .on_demand import OnDemand
 
 STRAIGHT_PX = 1.0
-"""A frame whose corners a lens moves by no more than this is taken for straight."""
+"""A frame counts as undistorted if the solved distortion moves its corners by at most this, in pixels."""
 
 
 def without_distortion(camera: Camera, x: Float64s) -> Float64s:
-    """(n, 2) pixels of the frame, moved to where a pinhole would have them; none beyond where the lens folds over."""
+    """(n, 2) undistorted pixels of pixels (n, 2) of the frame; none lies beyond the radius at which the model folds over."""
     if not any(camera.radial):
         return x
     centre, f = camera.K[:2, 2], camera.K[[0, 1], [0, 1]]
@@ -29,7 +29,7 @@ def without_distortion(camera: Camera, x: Float64s) -> Float64s:
     straight = radius.copy()
     k1, k2 = camera.radial
     fold = _fold(k1, k2)
-    # Newton; the slope is bounded, since the model folds over outside the image, or in it if it is a wild guess
+    # Newton's method; the slope is bounded, as the model folds over outside the image, or inside it while k1, k2 are a wild guess
     for _ in range(20):
         square = straight**2
         slope = np.maximum(1 + 3 * k1 * square + 5 * k2 * square**2, 0.2)
@@ -38,20 +38,20 @@ def without_distortion(camera: Camera, x: Float64s) -> Float64s:
 
 
 def _fold(k1: float, k2: float) -> float:
-    """The distance from the axis from which on what lies farther out is imaged farther in; infinity where there is none."""
-    squares = np.roots([5 * k2, 3 * k1, 1.0])  # of the distances where the slope of the image is 0
+    """Normalised radius beyond which the distorted radius shrinks again (the model folds over); infinity if it never does."""
+    squares = np.roots([5 * k2, 3 * k1, 1.0])  # squared radii at which the slope of the distorted radius is 0
     ahead = [square.real for square in squares if square.imag == 0 and square.real > 0]
     return float(np.sqrt(min(ahead))) if ahead else np.inf
 
 
 def residual_px(camera: Camera) -> float:
-    """How far the solved distortion moves the corners of the frame."""
+    """Largest displacement of a corner of the frame by the solved distortion, pixels."""
     corners = np.array([[x, y] for x in (0.0, camera.width - 1.0) for y in (0.0, camera.height - 1.0)])
     return float(np.linalg.norm(without_distortion(camera, corners) - corners, axis=1).max())
 
 
 def residual_distortion(camera: Camera | None) -> Float64s | None:
-    """(6,) fx fy cx cy k1 k2 of a camera whose frame is bent; None where it is straight."""
+    """(6,) fx fy cx cy k1 k2 of a camera whose frame is distorted; None if it counts as undistorted (`STRAIGHT_PX`)."""
     if camera is None or not any(camera.radial) or residual_px(camera) <= STRAIGHT_PX:
         return None
     K = camera.K
@@ -59,7 +59,7 @@ def residual_distortion(camera: Camera | None) -> Float64s | None:
 
 
 def distorted_pixels(bend: Float64s, x: Float64s | Float32s, y: Float64s | Float32s) -> tuple[Float32s, Float32s]:
-    """Where in a bent frame the pixels x, y of the straight one are; far outside where the lens folds over."""
+    """Pixels in the distorted frame of pixels x, y of the undistorted one; far outside where the model folds over."""
     fx, fy, cx, cy, k1, k2 = (np.float64(number) for number in bend)
     a, b = (x - cx) / fx, (y - cy) / fy
     square = a * a + b * b
@@ -71,12 +71,12 @@ def distorted_pixels(bend: Float64s, x: Float64s | Float32s, y: Float64s | Float
 
 
 def straight_points(camera: Camera | None, x: Float64s) -> Float64s:
-    """(n, 2) pixels of a frame as it is, moved to where the straight frame has them."""
+    """(n, 2) undistorted pixels of pixels of a frame as it is; unchanged if the frame counts as undistorted."""
     return x if camera is None or residual_distortion(camera) is None else without_distortion(camera, x)
 
 
 def straight_frame(frame: Frame, camera: Camera | None) -> Frame:
-    """The frame as a pinhole would show it: itself where it is straight."""
+    """The undistorted frame; the frame itself if it counts as undistorted."""
     bend = residual_distortion(camera)
     if bend is None:
         return frame
@@ -89,7 +89,7 @@ def straight_frame(frame: Frame, camera: Camera | None) -> Frame:
 
 
 def straight_frames(frames: Mapping[str, Frame], cameras: Mapping[str, Camera]) -> Mapping[str, Frame]:
-    """Frames by camera as pinholes would show them, each made when it is asked for."""
+    """Undistorted frames by camera, each made on access."""
     if not any(name in frames and residual_distortion(camera) is not None for name, camera in cameras.items()):
         return frames
     return OnDemand(frames, lambda name: straight_frame(frames[name], cameras.get(name)))

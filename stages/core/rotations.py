@@ -1,5 +1,4 @@
-"""Rotations: (3, 3) matrices, vectors (axis times angle), and the angle between two of them; similarities, which scale and shift,
-too."""
+"""Rotations as (3, 3) matrices and as vectors (axis times angle), the angle between two rotations, and similarity transforms."""
 
 from __future__ import annotations
 
@@ -16,7 +15,7 @@ def skew(t: Float64s) -> Float64s:
 
 
 def rotation_matrix(v: Float64s) -> Float64s:
-    """(3, 3) the rotation about v by |v| radians (Rodrigues' formula)."""
+    """(3, 3) rotation by |v| radians about v (Rodrigues' formula)."""
     angle = float(np.linalg.norm(v))
     if angle < 1e-12:
         return np.eye(3) + skew(v)
@@ -49,39 +48,39 @@ def angle_between_deg(A: Float64s, B: Float64s) -> float:
 
 
 def nearest_rotation(M: Float64s) -> Float64s:
-    """(3, 3) the rotation R with the largest trace(R^T M): what turns vectors best where M sums target times source^T."""
+    """(3, 3) rotation R that maximises trace(R^T M); with M = sum of target source^T, R best rotates source onto target."""
     U, _, Vt = np.linalg.svd(M)
     return np.asarray(U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt, dtype=np.float64)
 
 
 @dataclass(frozen=True)
 class Similarity:
-    """X -> scale R X + t."""
+    """The transform X -> scale R X + t."""
 
     scale: float = 1.0
     R: Float64s = field(default_factory=lambda: np.eye(3))
     t: Float64s = field(default_factory=lambda: np.zeros(3))
 
     def points(self, X: Float64s) -> Float64s:
-        """(n, 3) points, moved."""
+        """(n, 3) transformed points."""
         return np.asarray(self.scale * X @ self.R.T + self.t, dtype=np.float64)
 
     def camera(self, camera: Camera) -> Camera:
-        """A camera, moved."""
+        """A camera, transformed."""
         return replace(camera, R=camera.R @ self.R.T, C=self.points(camera.C[None])[0])
 
 
 def with_rotation(
     R: Float64s, source: Float64s, target: Float64s, weight: Float64s, scale: float | None = None
 ) -> Similarity | None:
-    """The similarity with a given rotation that fits best; None where its scale would not be positive.
+    """The best-fitting similarity (weighted least squares) with a given rotation; None if its scale would not be positive.
 
     Parameters
     ----------
     R : (3, 3) float64, from the source's axes to the target's.
     source, target : (n, 3) float64 points.
-    weight : (n,) float64, that sum to one.
-    scale : where it is known otherwise; else at least two points are needed that differ.
+    weight : (n,) float64, weights that sum to one.
+    scale : the scale if it is known; None: it is estimated, which needs at least two distinct points.
     """
     a_mean, b_mean = weight @ source, weight @ target
     a, b = source - a_mean, target - b_mean

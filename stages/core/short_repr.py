@@ -1,4 +1,4 @@
-"""How dataclasses of arrays show themselves: arrays as type and shape, and of what is long only how long it is."""
+"""Short reprs of dataclasses of arrays: dtype and shape instead of values; long sequences and texts are cut."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ _MOST_CHARACTERS, _MOST_ENTRIES = 80, 6
 class Record:
     """Base of dataclasses whose repr is one line, such as `Matches(x1=float64 (812, 2), ..., matcher='mutual')`.
 
-    Fields that hold their default, or are kept out of the repr, are not shown.
+    Fields that hold their default value, or are declared with `repr=False`, are not shown.
     """
 
     def __init_subclass__(cls) -> None:

@@ -1,1 +1,1 @@
-"""Results in the forms that people and other programs look at: pictures, files of a pair, LAZ, meshes, COLMAP, maps."""
+"""Export of results for people and other programs: previews, files of a pair, LAZ, meshes, COLMAP, maps."""

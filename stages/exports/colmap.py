@@ -1,7 +1,7 @@
-"""Cameras, the points that they rest on, and the cloud as a COLMAP model in text form, written by COLMAP itself.
+"""Cameras, tracks of their matches, and the cloud as a COLMAP model in text form, written by COLMAP itself.
 
-COLMAP's pixels have their origin in the corner of the image, ours in the centre of the first pixel: principal points and
-keypoints move by half a pixel.
+The origin of COLMAP's pixels is the corner of the image, ours is the centre of the first pixel: principal points and keypoints
+move by half a pixel.
 
 References: https://colmap.github.io/format.html
 """
@@ -21,7 +21,7 @@ from ..sfm.triangulation import residuals, triangulate
 from ..types import Camera, Cloud, Float64s, Geometry
 
 MAX_ERROR_PX = 4.0
-"""An observation farther from its point is left out, as COLMAP does (`filter_max_reproj_error`)."""
+"""Observations with a larger reprojection error are left out, as in COLMAP (`filter_max_reproj_error`)."""
 
 
 def colmap_files(
@@ -33,8 +33,8 @@ def colmap_files(
     ----------
     cameras : by id.
     geometries : by "left--right": their inliers become tracks.
-    cloud : thinned evenly to `most_points` and added after the points of the tracks; these points name no image.
-    most_points : of the cloud.
+    cloud : thinned evenly to `most_points` and added after the points of the tracks; its points have no observations.
+    most_points : largest number of points of the cloud.
     """
     names = list(cameras)
     tracks, X = _tracks(cameras, geometries)
@@ -65,7 +65,7 @@ def colmap_files(
 
 
 def _tracks(cameras: Mapping[str, Camera], geometries: Mapping[str, Geometry]) -> tuple[Tracks, Float64s]:
-    """Tracks of at least two views that meet their point (count, 3) within `MAX_ERROR_PX`."""
+    """Tracks of at least two views with reprojection errors below `MAX_ERROR_PX`, and their points (count, 3)."""
     number = {name: view for view, name in enumerate(cameras)}
     views = {number[name]: camera for name, camera in cameras.items()}
     ends = {name: name.split("--") for name in geometries}

@@ -1,4 +1,4 @@
-"""What a night's cloud deviates by from a scan or model of another program, as files."""
+"""Deviation of a night's cloud from a scan or model of another program, as files."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ from ..io.scans import Scan, read_scan
 from ..types import Cloud, Float32s, Float64s, Poses, Uint8s
 
 _SPACING = 0.02
-"""Metres between points that are spread over a mesh."""
+"""Spacing in metres of points that are sampled on a mesh."""
 _FULL = 0.9
-"""Quantile of the deviations from which on the colour is full."""
+"""Quantile of the absolute deviations from which on the colour is full."""
 
 
 def scan_files(cloud: Cloud, poses: Poses, path: Path) -> tuple[dict[str, bytes | Columns], dict[str, Any]]:
-    """Compare a cloud with the scan in a file: deviation.ply (as columns; red: in front of the scan, blue: behind it, grey: no
-    scan) and deviation.json by name, and the figures that this holds.
+    """Compare a cloud with the scan in a file; returns deviation.ply and deviation.json by name, and the figures in the latter.
 
-    Raises ValueError where the file cannot be read, the scan is elsewhere, or it covers too little of the site.
+    deviation.ply (as columns) is red in front of the scan, blue behind it, grey without a scan.  Raises ValueError if the site
+    has no scale, the file cannot be read, the scan is elsewhere, or it covers too little of the site.
     """
     if not poses.metric:
         raise ValueError("the site has no scale: state one distance, or positions of cameras")
@@ -55,7 +55,7 @@ def scan_files(cloud: Cloud, poses: Poses, path: Path) -> tuple[dict[str, bytes 
 
 
 def _in_the_world(scan: Scan, poses: Poses) -> Float64s:
-    """Return a scan's points (n, 3) in the site's world: of a scan on the map by the site's place on it."""
+    """Return a scan's points (n, 3) in the site's world; those in map coordinates are converted by its georeference."""
     if not poses.crs:
         return scan.points
     from .world import georeference
@@ -65,7 +65,7 @@ def _in_the_world(scan: Scan, poses: Poses) -> Float64s:
 
 
 def _colours(distance: Float64s) -> Uint8s:
-    """Return (n, 3) uint8: white where nothing deviates, red in front, blue behind, grey where nothing is known."""
+    """Return (n, 3) uint8: white without deviation, red in front, blue behind, grey where unknown."""
     known = np.isfinite(distance)
     most = max(float(np.quantile(np.abs(distance[known]), _FULL)), 1e-9)
     share: Float32s = np.clip(np.nan_to_num(distance) / most, -1, 1).astype(np.float32)[:, None]

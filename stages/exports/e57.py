@@ -1,4 +1,4 @@
-"""A cloud as E57 (ASTM E2807), by libE57Format: a scan of scaled integers, colours, normals, and the confidence as intensity.
+"""A cloud as E57 (ASTM E2807), by libE57Format: a scan of scaled integers, colours, normals, and confidence as intensity.
 
 References: ASTM E2807-11, Standard Specification for 3D Imaging Data Exchange, 2011; surface normals: the extension E57_NOR of
 libe57.org.
@@ -20,11 +20,11 @@ from .world import Georeference
 
 _NORMALS = "nor", "http://www.libe57.org/E57_NOR_surface_normals.txt"
 _AT_ONCE = 1_000_000
-"""Points in memory twice."""
+"""Points per write; they are in memory twice."""
 
 
 def e57_bytes(cloud: Cloud, georeference: Georeference | None = None) -> bytes:
-    """E57 of a cloud, in the map's coordinates where there is a georeference.  The same cloud gives the same bytes."""
+    """E57 of a cloud, in map coordinates if there is a georeference.  The same cloud gives the same bytes."""
     points, normals = cloud.points.astype(np.float64), cloud.normals.astype(np.float64)
     where = ""
     if georeference is not None:
@@ -64,9 +64,9 @@ def _write(path: str, columns: dict[str, Float64s], points: Float64s, where: str
 def _scan(
     file: libe57.ImageFile, columns: dict[str, Float64s], points: Float64s, named: str, where: str
 ) -> libe57.CompressedVectorNode:
-    """The tree of the file, and the node that its points (n, 3) go into.
+    """Builds the node tree of the file, and returns the node for its points (n, 3).
 
-    columns: what each point has; named: as no other cloud is; where: the coordinate system, "" for a local one.
+    columns: attributes of the points; named: a GUID of the cloud; where: the coordinate system, "" for a local one.
     """
     file.extensionsAdd("", libe57.E57_V1_0_URI)
     file.extensionsAdd(*_NORMALS)

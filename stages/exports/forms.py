@@ -1,6 +1,6 @@
-"""The files of each form of export, from a run's results.  Each function yields name and content of its files.
+"""The files of each export format, from a run's results.  Each function yields names and contents of its files.
 
-Raises ValueError, with the reason, where there is nothing to make.
+Raises ValueError, with the reason, if there is nothing to export.
 """
 
 from __future__ import annotations
@@ -22,14 +22,14 @@ Files = Iterator[tuple[str, bytes]]
 
 
 def laz(cloud: Cloud, poses: Poses, day: datetime.date) -> Files:
-    """cloud.laz, on the map where the site is georeferenced.  day: for the file's header."""
-    from .las import laz_bytes  # here and below: each form has libraries of its own, some of them extras
+    """cloud.laz, in map coordinates if the site is georeferenced.  day: for the file's header."""
+    from .las import laz_bytes  # here and below: each format has its own libraries, some of them optional
 
     yield "cloud.laz", laz_bytes(cloud, day, _georeference(poses))
 
 
 def copc(cloud: Cloud, poses: Poses, day: datetime.date) -> Files:
-    """cloud.copc.laz: what `laz` gives, in an octree.  day: for the file's header."""
+    """cloud.copc.laz: the points of `laz` in an octree.  day: for the file's header."""
     from .copc import copc_bytes
     from .las import laz_bytes
 
@@ -37,7 +37,7 @@ def copc(cloud: Cloud, poses: Poses, day: datetime.date) -> Files:
 
 
 def tiles(cloud: Cloud, poses: Poses) -> Files:
-    """tiles/tileset.json and what it names, on the globe where the site is georeferenced."""
+    """tiles/tileset.json and the files that it names, on the globe if the site is georeferenced."""
     from .tiles import tile_files
 
     place = _georeference(poses)
@@ -46,14 +46,14 @@ def tiles(cloud: Cloud, poses: Poses) -> Files:
 
 
 def e57(cloud: Cloud, poses: Poses) -> Files:
-    """cloud.e57, on the map where the site is georeferenced."""
+    """cloud.e57, in map coordinates if the site is georeferenced."""
     from .e57 import e57_bytes
 
     yield "cloud.e57", e57_bytes(cloud, _georeference(poses))
 
 
 def heights(cloud: Cloud, poses: Poses) -> Files:
-    """heights.tif where the site is georeferenced, else heights.png with its world file, heights.pfm and heights.json."""
+    """heights.tif if the site is georeferenced, else heights.png with its world file, heights.pfm and heights.json."""
     from .heights import height_map, plain_files
 
     points = cloud.points.astype(np.float64)
@@ -83,7 +83,7 @@ def depth(poses: Poses, depths: Mapping[str, DepthMap]) -> Files:
 
 
 def mesh(cloud: Cloud, poses: Poses, frames: Mapping[str, Frame]) -> Files:
-    """mesh.ply: the surface through the cloud, in its colours; mesh/mesh.obj: a coarser one with the photographs on it."""
+    """mesh.ply: the surface of the cloud, in its colours; mesh/mesh.obj: a coarser one, textured with the photographs."""
     from .mesh import mesh_bytes, object_files, poisson_mesh, textured
 
     yield "mesh.ply", mesh_bytes(poisson_mesh(cloud))
@@ -93,7 +93,7 @@ def mesh(cloud: Cloud, poses: Poses, frames: Mapping[str, Frame]) -> Files:
 
 
 def orthophoto(cloud: Cloud, poses: Poses, frames: Mapping[str, Frame]) -> Files:
-    """orthophoto.tif where the site is georeferenced, else orthophoto.png with its world file."""
+    """orthophoto.tif if the site is georeferenced, else orthophoto.png with its world file."""
     from .mesh import poisson_mesh, textured
     from .orthophoto import orthophoto as seen_from_above
 
@@ -112,8 +112,8 @@ def colmap(cloud: Cloud, poses: Poses, frames: Mapping[str, Frame], geometries: 
 
     Parameters
     ----------
-    cloud, poses : its points follow those that the cameras rest on.
-    frames, geometries : by camera, and by "left--right": matches that become tracks.
+    cloud, poses : the cloud, whose points follow those of the tracks in the model, and the camera poses.
+    frames, geometries : frames by camera, and geometries by "left--right", whose inliers become tracks.
     """
     from .colmap import colmap_files
 
@@ -128,7 +128,7 @@ def colmap(cloud: Cloud, poses: Poses, frames: Mapping[str, Frame], geometries: 
 
 
 def geojson(poses: Poses, changes: Changes | None) -> Files:
-    """cameras.geojson, and where nights were compared changes.geojson: longitude, latitude, height above the ellipsoid."""
+    """cameras.geojson, and changes.geojson if nights were compared: longitude, latitude, height above the ellipsoid."""
     from .map_features import camera_features, change_features, geojson_bytes
 
     place = _on_the_map(poses)
@@ -138,7 +138,7 @@ def geojson(poses: Poses, changes: Changes | None) -> Files:
 
 
 def gpkg(poses: Poses, changes: Changes | None, day: datetime.date) -> Files:
-    """site.gpkg with the layers "cameras" and, where anything has changed, "changes", in UTM.  day: the night's."""
+    """site.gpkg in UTM, with the layers "cameras" and, if anything has changed, "changes".  day: date of the night."""
     from .map_features import camera_features, change_features, geopackage_bytes
 
     layers = {"cameras": camera_features(poses.main_cameras()), "changes": change_features(changes.changes if changes else {})}
@@ -146,7 +146,7 @@ def gpkg(poses: Poses, changes: Changes | None, day: datetime.date) -> Files:
 
 
 def _on_the_map(poses: Poses) -> Georeference:
-    """Where the site lies on the map.  Raises ValueError for a site that is not on one."""
+    """Georeference of the site.  Raises ValueError if it has none."""
     place = _georeference(poses)
     if place is None:
         raise ValueError("the site is not on the map: state positions by latitude, longitude and height")
@@ -154,7 +154,7 @@ def _on_the_map(poses: Poses) -> Georeference:
 
 
 def _georeference(poses: Poses) -> Georeference | None:
-    """Where the site lies on the map, or None.  Raises ValueError for a place that no map has."""
+    """Georeference of the site, or None.  Raises ValueError for a site outside UTM."""
     if not poses.crs:
         return None
     from .world import georeference
@@ -171,11 +171,11 @@ def _json(data: dict[str, Any]) -> bytes:
 
 
 def depth_files(depth: DepthMap) -> tuple[dict[str, bytes], float]:
-    """Files of the depths that are sure, by suffix, and the steps of the PNG in a unit of length.
+    """Files of the sure depths, by suffix, and the steps of the PNG per unit of length.
 
     PNG: 0 is unknown, else depth = (value - 1) / steps.  PFM: float32, bottom row first, infinite where unknown.
     """
-    # a depth that needs another view to be believed is no answer when this view is looked at alone
+    # depths that need confirmation by another view are left out, as these files show one view alone
     sure = np.where(depth.sure, depth.depth, np.nan).astype(np.float32)
     values, steps = stepped(sure, 0.0)
     return {".png": png(values), ".pfm": pfm(sure)}, steps

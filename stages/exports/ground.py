@@ -1,4 +1,4 @@
-"""Maps of the ground and of what changed on it: pictures, and files for other programs."""
+"""Maps of the ground's coverage and of its changes: pictures, and files for other programs."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ _WIDTH = 960
 _QUALITY = 85
 _GROUND = (24, 24, 24)
 _STEPS = ((196, 60, 50), (232, 150, 50), (240, 215, 90), (150, 205, 95), (60, 170, 90), (25, 120, 110), (20, 80, 120))
-"""Colours of 0, 1, 2, ... cameras; the last one of so many or more."""
+"""Colours for 0, 1, 2, ... cameras; the last one also stands for more."""
 
 
 def coverage_files(coverage: Coverage) -> Iterator[tuple[str, bytes]]:
-    """coverage.png, and where the site lies on a map coverage.tif: cameras, angle and expected error of each cell."""
+    """coverage.png, and coverage.tif if the site is georeferenced: cameras, angle and expected error of each cell."""
     yield "coverage.png", png(_map(coverage))
     if coverage.crs:
         layers = {
@@ -35,8 +35,8 @@ def coverage_files(coverage: Coverage) -> Iterator[tuple[str, bytes]]:
 
 
 def coverage_layer(coverage: Coverage) -> bytes:
-    """The same for the report's map: the length of a JSON head (uint32, little-endian), the head, and a PNG, clear where nothing
-    is known.  The head holds three corners of the picture in the world, at the height of the ground, and what its colours say."""
+    """Coverage for the report's map: length of a JSON header (uint32, little-endian), the header, and a PNG, transparent where
+    unknown.  The header holds three corners of the image in the world, at ground height, and the legend of its colours."""
     grid, known = coverage.grid, np.isfinite(coverage.heights)
     level = float(np.median(coverage.heights[known])) if known.any() else 0.0
     wide, high = grid.columns * grid.cell, grid.rows * grid.cell
@@ -51,19 +51,19 @@ def coverage_layer(coverage: Coverage) -> bytes:
 
 
 def coverage_preview(coverage: Coverage, poses: Poses | None = None) -> Uint8s:
-    """How many cameras see each place, from above, as a JPEG file's bytes; poses: where the cameras are drawn in."""
+    """Number of cameras that see each place, from above, as the bytes of a JPEG file; poses: also draw their cameras."""
     return jpeg(_map(coverage, poses.main_cameras() if poses else None), _QUALITY)
 
 
 def _on_the_map(grid: GroundGrid, heights: Float32s, layers: Mapping[str, Float32s], crs: str) -> bytes:
-    """GeoTIFF of layers (rows, columns) by what they hold, in the UTM zone of the site, whose local frame is `crs`.
+    """GeoTIFF of layers (rows, columns) by description, in the UTM zone of the site, whose local frame is `crs`.
 
-    heights: (rows, columns) of the surface along the grid's up; north on the map hardly depends on it.  Raises ValueError for a
-    place that no map has.
+    heights: (rows, columns) of the surface along the grid's up axis; their median suffices, as positions on the map hardly
+    depend on height.  Raises ValueError for a site outside UTM.
     """
     from scipy.spatial import cKDTree
 
-    from .world import georeference  # here: only georeferenced sites need it
+    from .world import georeference  # imported here: only georeferenced sites need it
 
     reference = georeference(crs)
     level = float(np.nanmedian(heights)) if np.isfinite(heights).any() else 0.0
@@ -79,15 +79,15 @@ def _on_the_map(grid: GroundGrid, heights: Float32s, layers: Mapping[str, Float3
 
 
 def _map(coverage: Coverage, cameras: Mapping[str, Camera] | None = None) -> Uint8s:
-    """(h, w, 3) uint8: the number of cameras as colours, a legend below, and the cameras."""
+    """(h, w, 3) uint8: number of cameras as colours, the cameras, and a legend below."""
     views = np.minimum(coverage.views, len(_STEPS) - 1)
     colours = np.where(np.isfinite(coverage.heights)[..., None], np.array(_STEPS, np.uint8)[views], np.uint8(_GROUND[0]))
     return _legend(drawn(coverage.grid, colours.astype(np.uint8), cameras or {}))
 
 
 def drawn(grid: GroundGrid, colours: Uint8s, cameras: Mapping[str, Camera]) -> Uint8s:
-    """Cells (rows, columns, 3) as squares of some pixels, and cameras as triangles that open the way they look, where the picture
-    reaches with a margin around both."""
+    """Image of the cells (rows, columns, 3) as squares, and of cameras as triangles that open in the viewing direction; it is
+    extended to hold the cameras with a margin."""
     scale = max(1, _WIDTH // max(grid.columns, grid.rows))
     image = np.repeat(np.repeat(colours, scale, axis=0), scale, axis=1)
     if not cameras:
@@ -127,14 +127,14 @@ def _legend(image: Uint8s) -> Uint8s:
 
 
 _HIGHEST = 2.0
-"""Differences of height of so much, in hundredths of the map's width, have the full colour."""
+"""Height difference, in percent of the map's width, from which on the colour is full."""
 _SHOWN = 6
-"""Pairs of pictures that the report shows."""
+"""Number of changes whose images the report shows."""
 
 
 def changes_files(changes: Changes) -> Iterator[tuple[str, bytes | Columns]]:
-    """changes.ply (as columns), changes.json, a picture of each change, and changes.tif where the site is on a map; nothing where
-    there was nothing to compare with."""
+    """changes.ply (as columns), changes.json, a picture of each change, and changes.tif if the site is georeferenced; nothing
+    if there was no night to compare with."""
     if not changes.compared:
         return
     yield "changes.ply", changes_columns(changes)
@@ -160,7 +160,7 @@ def changes_columns(changes: Changes) -> Columns:
 
 
 def changes_data(changes: Changes) -> dict[str, Any]:
-    """changes.json: each change with its number, volumes of the site and its zones, and what the comparison could see."""
+    """Content of changes.json: the changes with their numbers, volumes of the site and its zones, changed and unknown shares."""
     rows = []
     for number, change in changes.changes.items():
         numbers = ("length", "width", "height", "area", "volume", "volume_sigma", "significance", "points")
@@ -185,7 +185,7 @@ def _volumes(part: CutFill) -> dict[str, float]:
 
 
 def changes_preview(changes: Changes) -> Uint8s:
-    """Differences of height from above, changes framed and numbered, and pictures before and after, as a JPEG file's bytes."""
+    """Height differences from above with circled, numbered changes, and images before and after, as the bytes of a JPEG file."""
     if not changes.compared or not changes.grid.rows:
         return jpeg(np.full((40, 480, 3), 24, np.uint8), _QUALITY)
     known = np.isfinite(changes.difference)

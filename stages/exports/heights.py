@@ -1,4 +1,4 @@
-"""Height above the ground plane as a map: what is seen from straight above, as a grid of square cells."""
+"""Height maps: the surface seen from straight above, on a grid of square cells."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from ..types import Float32s, Float64s
 
 MOST_CELLS = 50_000_000
 QUANTILE = 0.9
-"""Of the points of a cell, this one's height counts: nearly the highest, as one wrong point must not raise a roof."""
+"""Quantile of the heights in a cell that is its height: nearly the highest, as one wrong point must not raise a roof."""
 
 
 @dataclass(frozen=True)
@@ -28,13 +28,13 @@ class HeightMap:
     cell: float
     """Edge of a cell."""
     left_out: int
-    """Points far outside of the rest, which the map does not cover."""
+    """Number of points far from the rest, which the map does not cover."""
 
 
 def height_map(points: Float64s, cell: float | None = None) -> HeightMap:
     """Height map of points (n, 3), z up.
 
-    cell: its edge, in the points' unit; None: twice their median distance from each other, as 1, 2 or 5 times a power of ten.
+    cell: its edge in the points' unit; None: twice the median point spacing, rounded up to 1, 2 or 5 times a power of ten.
     """
     low, high = extent(points[:, :2], 0.1)
     edge, first_column, last_row, columns, rows = map_cells(low, high, cell or preferred_above(2 * spacing(points)))
@@ -52,8 +52,8 @@ def height_map(points: Float64s, cell: float | None = None) -> HeightMap:
 
 
 def map_cells(low: Float64s, high: Float64s, edge: float) -> tuple[float, int, int, int, int]:
-    """Edge of the cells of a map from `low` to `high`, (2,) each, larger where there would be too many; its first column and last
-    row; columns and rows.  Corners lie at multiples of the edge: maps of different nights lie on each other."""
+    """Cell edge of a map from `low` to `high`, (2,) each, first column, last row, columns and rows.  The edge grows to limit
+    the cells (`MOST_CELLS`); corners lie at multiples of it, so that maps of different nights align."""
     while np.prod((high - low) / edge + 1) > MOST_CELLS:
         edge = preferred_above(1.5 * edge)
     first_column, last_row = int(np.floor(low[0] / edge)), int(np.floor(high[1] / edge))
@@ -70,7 +70,7 @@ def spacing(points: Float64s) -> float:
 
 
 def plain_files(heights: HeightMap) -> tuple[dict[str, bytes], dict[str, float | int]]:
-    """heights.pfm, heights.png with its world file, and what is to be known to read them.
+    """heights.pfm, heights.png with its world file, and the metadata needed to read them.
 
     PNG: 0 is unknown, else height = (value - 1) / png_steps_per_unit + png_lowest.
     """

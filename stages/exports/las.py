@@ -27,11 +27,11 @@ EXTRA = {
 
 
 def laz_bytes(cloud: Cloud, day: datetime.date, georeference: Georeference | None = None) -> bytes:
-    """LAZ of a cloud, in the map's coordinates and with their CRS where there is a georeference.  day: for the file's header."""
+    """LAZ of a cloud, in map coordinates with their CRS if there is a georeference.  day: for the file's header."""
     points, normals = cloud.points.astype(np.float64), cloud.normals.astype(np.float64)
     header = laspy.LasHeader(point_format=7, version="1.4")
     header.creation_date, header.generating_software, header.system_identifier = day, "wbflow", "stereo"
-    header.global_encoding.wkt = True  # of point formats above 5 the specification asks for it
+    header.global_encoding.wkt = True  # the specification requires it for point formats above 5
     header.scales = np.full(3, coordinate_step(points))
     if georeference is not None:
         points, normals = georeference.points(points), georeference.directions(points, normals)
@@ -45,6 +45,6 @@ def laz_bytes(cloud: Cloud, day: datetime.date, georeference: Georeference | Non
     las.nx, las.ny, las.nz = normals.T.astype(np.float32)
     las.confidence, las.views, las.sigma_mm = cloud.confidence, cloud.views, cloud.sigma_mm
     buffer = io.BytesIO()
-    # one thread: the chunks' order, and so the bytes, are always the same
+    # one thread keeps the order of chunks, and so the bytes, reproducible
     las.write(buffer, do_compress=True, laz_backend=laspy.LazBackend.Lazrs)
     return buffer.getvalue()

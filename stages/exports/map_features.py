@@ -1,4 +1,4 @@
-"""Cameras and changes as features of a map: GeoJSON in degrees, and GeoPackage in UTM as the other exports are.
+"""Cameras and changes as map features: GeoJSON in degrees, and GeoPackage in UTM like the other exports.
 
 References: RFC 7946, The GeoJSON Format, 2016; OGC 12-128r18, GeoPackage Encoding Standard 1.3.1, 2021.
 """
@@ -22,16 +22,16 @@ from .world import Georeference
 
 @dataclass(frozen=True)
 class Feature:
-    """A point of the world with what is known of it."""
+    """A world point with its properties."""
 
     at: Float64s
     """(3,) in the world."""
     properties: dict[str, str | float | int]
-    """By name; all features of a layer have the same names."""
+    """Values by name; all features of a layer have the same names."""
 
 
 def camera_features(cameras: Mapping[str, Camera]) -> list[Feature]:
-    """Return each camera where it stands, with its name and the compass heading that it looks in, degrees."""
+    """Return a feature for each camera, at its position, with its name and compass heading in degrees."""
     features = []
     for name, camera in cameras.items():
         east, north, _ = camera.R[2]
@@ -41,7 +41,7 @@ def camera_features(cameras: Mapping[str, Camera]) -> list[Feature]:
 
 
 def change_features(changes: Mapping[str, Change]) -> list[Feature]:
-    """Return each change at its middle."""
+    """Return a feature for each change, at its centre."""
     return [Feature(np.array([c.x, c.y, c.z]), {"change": name, **vars(c)}) for name, c in changes.items()]
 
 
@@ -58,12 +58,12 @@ def geojson_bytes(features: list[Feature], place: Georeference) -> bytes:
 def geopackage_bytes(layers: dict[str, list[Feature]], place: Georeference, day: datetime.date) -> bytes:
     """Return a GeoPackage with a layer of points for each list of features that is not empty.
 
-    day: what the file gives as the time of its last change.
+    day: written to the file as the time of its last change.
     """
-    import pyogrio  # an extra of this form alone
+    import pyogrio  # an optional dependency of this format only
     import pyogrio.raw
 
-    pyogrio.set_gdal_config_options({"OGR_CURRENT_DATE": f"{day}T00:00:00.000Z"})  # the same features give the same bytes
+    pyogrio.set_gdal_config_options({"OGR_CURRENT_DATE": f"{day}T00:00:00.000Z"})  # for reproducible bytes
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "site.gpkg"
         for layer, features in layers.items():

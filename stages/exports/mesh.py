@@ -1,12 +1,12 @@
-"""Meshes of the cloud: a closed surface, cut where no points carry it, and the same with the photographs on it.
+"""Meshes of the cloud: a closed surface, cut where no points support it, and the same textured with the photographs.
 
-On the textured mesh each triangle shows the camera that sees it largest and best.
+On the textured mesh each triangle shows the camera that sees it largest and sharpest.
 
 References
 ----------
 Kazhdan, Hoppe, Screened Poisson Surface Reconstruction, ACM Transactions on Graphics 32(3), 2013.
-Lempitsky, Ivanov, Seamless Mosaicing of Image-Based Texture Maps, CVPR 2007: one view for each triangle, neighbours alike.
-Waechter, Moehrle, Goesele, Let There Be Color!, ECCV 2014: projected area tells distance, obliquity and resolution at once."""
+Lempitsky, Ivanov, Seamless Mosaicing of Image-Based Texture Maps, CVPR 2007: one view for each triangle, alike among neighbours.
+Waechter, Moehrle, Goesele, Let There Be Color!, ECCV 2014: projected area covers distance, obliquity and resolution."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ from ..types import Bools, Camera, Cloud, Float32s, Float64s, Frame, Int32s, Int
 from .heights import spacing
 
 DEEPEST = 11
-"""The octree's depth is at most this: 2048 cells along the longest side, several gigabytes."""
+"""Largest depth of the octree: 2048 cells along the longest side, several gigabytes."""
 SPARSEST = 2.0
-"""Surface is cut where points lie this many levels of the octree (a factor of two each) sparser than in the median."""
+"""The surface is cut where the points are sparser than the median by more than this many octree levels (a factor of two each)."""
 
 
 @dataclass(frozen=True)
@@ -44,16 +44,16 @@ class Mesh:
 
 
 def poisson_mesh(cloud: Cloud, coarser: int = 0) -> Mesh:
-    """Mesh of a cloud with normals; cells of the octree are about as wide as points are apart.
+    """Mesh of a cloud with normals; cells of the octree are about as wide as the point spacing.
 
-    coarser: so many times they are twice as wide: for a surface whose detail is in the photographs on it.
+    coarser: number of times that the cell width is doubled, for a surface whose detail is in its texture.
     """
     points = cloud.points.astype(np.float64)
     middle = points.mean(axis=0)
     span = float(np.ptp(points, axis=0).max()) * 1.1
     depth = int(np.clip(np.ceil(np.log2(span / spacing(points))), 5, DEEPEST)) - coarser
     source = point_cloud(replace(cloud, points=points - middle))
-    # one thread: sums in the same order, the same bytes
+    # one thread keeps the order of sums, and so the bytes, reproducible
     surface, levels = open3d.geometry.TriangleMesh.create_from_point_cloud_poisson(source, depth=depth, n_threads=1)
     carried = np.asarray(levels)
     surface.remove_vertices_by_mask(carried < np.median(carried) - SPARSEST)
@@ -74,46 +74,46 @@ def mesh_bytes(mesh: Mesh) -> bytes:
 
 
 NONE = -1
-"""In the place of a view: no camera sees the triangle."""
+"""Index of the view of a triangle that no camera sees."""
 _BEHIND = 0.01
-"""A triangle is hidden that lies this share of its depth behind the surface that a camera sees."""
+"""A vertex is hidden if it is farther away than the surface that a camera sees by more than this share of the depth."""
 _ALIKE_ROUNDS = 8
-"""So many times a triangle hears from its neighbours which views are good."""
+"""Number of times that the scores of views are averaged over neighbouring triangles."""
 _GREY_COUNTS = 0.05
-"""How much views without colour count beside others: they are shown where nothing else sees."""
+"""Weight of views without colour: they are used where no other view sees the surface."""
 _COLOURLESS = 0.05
 _DARKEST, _BRIGHTEST = 10, 245
-"""Levels between which a pixel tells of a camera's exposure."""
+"""Levels between which a pixel is used to estimate a camera's exposure."""
 _BALANCED, _BALANCE_ROUNDS = 50_000, 20
-"""Exposures are made equal on so many triangles, in so many rounds."""
+"""Exposures are equalised on about this many triangles, in this many rounds."""
 
 
 @dataclass(frozen=True)
 class View:
-    """What a camera gives to the mesh."""
+    """A view that textures the mesh."""
 
     name: str
     camera: Camera
     image: Uint8s
-    """(h, w, 3) RGB, brought to one exposure with the others."""
+    """(h, w, 3) RGB, with the exposure equalised with the other views."""
 
 
 @dataclass(frozen=True)
 class Textured:
-    """A mesh and what its triangles show."""
+    """A mesh with a view for each of its triangles."""
 
     mesh: Mesh
     views: tuple[View, ...]
     chosen: Int32s
-    """(m,) of each triangle: which view, or `NONE`."""
+    """(m,) index of the view of each triangle, or `NONE`."""
     pixel: float
-    """How wide a pixel of a triangle's view is on it, median; 0 where no camera sees any."""
+    """Median width on the surface of a pixel of the triangle's view; 0 if no camera sees a triangle."""
 
 
 def textured(mesh: Mesh, cameras: Mapping[str, Camera], frames: Mapping[str, Frame]) -> Textured:
-    """Choose a view for each triangle, and bring the views to one exposure; what is masked in a frame is not shown.
+    """Choose a view for each triangle, and equalise the exposures of the views; masked pixels of a frame are not shown.
 
-    Raises ValueError where no camera has a frame.
+    Raises ValueError if no camera has a frame.
     """
     names = [name for name in sorted(cameras) if name in frames]
     if not names:
@@ -128,14 +128,14 @@ def textured(mesh: Mesh, cameras: Mapping[str, Camera], frames: Mapping[str, Fra
 
 
 def scene_of(vertices: Float64s, triangles: Int32s) -> open3d.t.geometry.RaycastingScene:
-    """The surface for rays.  vertices (n, 3) near the origin, since rays are of single precision."""
+    """Ray-casting scene of a surface.  vertices (n, 3) near the origin, since rays are of single precision."""
     scene = open3d.t.geometry.RaycastingScene(nthreads=1)
     scene.add_triangles(_tensor(vertices.astype(np.float32)), _tensor(triangles.astype(np.uint32)))
     return scene
 
 
 def cast(scene: open3d.t.geometry.RaycastingScene, origins: Float64s, directions: Float64s) -> dict[str, Any]:
-    """What rays (n, 3) meet first: `t_hit`, `primitive_ids`, `primitive_uvs`."""
+    """First hits of rays (n, 3): `t_hit`, `primitive_ids`, `primitive_uvs`."""
     rays = np.concatenate([np.broadcast_to(origins, directions.shape), directions], axis=1)
     return {name: value.numpy() for name, value in scene.cast_rays(_tensor(rays.astype(np.float32)), nthreads=1).items()}
 
@@ -150,13 +150,13 @@ class _Seen:
     """The triangles that a view sees."""
 
     triangles: Int64s
-    """(k,) ascending."""
+    """(k,) indices of triangles, ascending."""
     area: Float32s
-    """(k,) how large it sees them, pixels."""
+    """(k,) areas of the triangles in the view, square pixels."""
 
 
 def _seen(mesh: Mesh, scene: open3d.t.geometry.RaycastingScene, camera: Camera, mask: Bools) -> _Seen:
-    """The triangles that are wholly in the picture, where it may be used, from the front, with nothing before them."""
+    """The triangles that lie wholly in the image, on usable pixels, face the camera and are not occluded."""
     x, z = project(camera, mesh.vertices)
     column, row = np.rint(np.where(z[:, None] > 0, x, -1.0)).clip(-1, 1e6).astype(np.int64).T
     inside = (z > 0) & (column >= 0) & (row >= 0) & (column < camera.width) & (row < camera.height)
@@ -170,7 +170,7 @@ def _seen(mesh: Mesh, scene: open3d.t.geometry.RaycastingScene, camera: Camera, 
 
 
 def _surface_depth(scene: open3d.t.geometry.RaycastingScene, camera: Camera) -> Float32s:
-    """(h, w) depth of the mesh along the axis; inf where there is none."""
+    """(h, w) depth of the mesh along the optical axis; inf where there is none."""
     y, x = np.mgrid[0 : camera.height, 0 : camera.width].reshape(2, -1)
     directions = rays(camera, np.column_stack([x, y]).astype(np.float64)).T
     found = cast(scene, camera.C, directions)["t_hit"]
@@ -178,7 +178,7 @@ def _surface_depth(scene: open3d.t.geometry.RaycastingScene, camera: Camera) -> 
 
 
 def _weights(frames: list[Frame]) -> Float64s:
-    """What the area counts in each view: less in those that are blurred beside the others, burnt out, or without colour."""
+    """Weight of the area in each view: less if it is blurred compared with the others, overexposed, or without colour."""
     sharpness = np.array([frame.sharpness if np.isfinite(frame.sharpness) else 1.0 for frame in frames])
     sharp = np.clip(sharpness / max(float(np.median(sharpness)), 1e-6), 0.25, 1.0)
     exposed = np.array([1 - frame.saturated if np.isfinite(frame.saturated) else 1.0 for frame in frames])
@@ -187,7 +187,7 @@ def _weights(frames: list[Frame]) -> Float64s:
 
 
 def _chosen(mesh: Mesh, seen: list[_Seen]) -> Int32s:
-    """(m,) the view of each triangle.  Its share of the best is averaged over neighbours first, so that patches are large."""
+    """(m,) the view of each triangle; its area relative to the best is averaged over neighbours first, for large patches."""
     count = len(mesh.triangles)
     best = np.zeros(count, np.float32)
     for each in seen:
@@ -217,7 +217,7 @@ def _pixel(mesh: Mesh, seen: list[_Seen], chosen: Int32s) -> float:
 
 
 def _gains(mesh: Mesh, seen: list[_Seen], cameras: list[Camera], images: list[Uint8s]) -> Float64s:
-    """(views, 3) factors that bring views to one exposure: medians over what several see, in turn with its colours."""
+    """(views, 3) gains that equalise exposure: medians over triangles in several views, in alternation with their colours."""
     views_of = np.bincount(np.concatenate([each.triangles for each in seen]), minlength=len(mesh.triangles))
     several = np.flatnonzero(views_of >= 2)
     several = several[:: max(1, len(several) // _BALANCED)]
@@ -242,7 +242,7 @@ def _gains(mesh: Mesh, seen: list[_Seen], cameras: list[Camera], images: list[Ui
 def sampled(image: Uint8s, x: Float64s) -> Float32s:
     """(n, 3) colours of an image at pixels (n, 2), bilinear."""
     column, row = (np.ascontiguousarray(x[:, k : k + 1], np.float32) for k in (0, 1))
-    parts = [slice(k, k + 30_000) for k in range(0, len(x), 30_000)]  # OpenCV remaps into fewer than 32,768 rows
+    parts = [slice(k, k + 30_000) for k in range(0, len(x), 30_000)]  # cv2.remap is limited to fewer than 32,768 rows
     out = [cv2.remap(image, column[part], row[part], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE) for part in parts]
     return np.concatenate(out).reshape(-1, 3).astype(np.float32) if out else np.zeros((0, 3), np.float32)
 
@@ -250,10 +250,10 @@ def sampled(image: Uint8s, x: Float64s) -> Float32s:
 def object_files(found: Textured, name: str) -> Iterator[tuple[str, bytes]]:
     """Wavefront OBJ with its materials: `name`.obj, `name`.mtl, and a JPEG of every view that is shown.
 
-    What no camera sees has the colours of the cloud, a pixel a triangle in a picture of its own.
+    Triangles that no camera sees have the cloud's colours, one pixel each in a separate image.
     """
     shown = [number for number in range(len(found.views)) if (found.chosen == number).any()]
-    pictures = {found.views[number].name: f"{name}_{found.views[number].name}.jpg" for number in shown}  # of each material
+    pictures = {found.views[number].name: f"{name}_{found.views[number].name}.jpg" for number in shown}  # by material
     for number in shown:
         yield pictures[found.views[number].name], jpeg(found.views[number].image, 92).tobytes()
     unseen = np.flatnonzero(found.chosen == NONE)

@@ -1,4 +1,4 @@
-"""An octree of points: each node keeps some of its own, spread evenly; viewers fetch only the nodes that they show."""
+"""An octree of points for viewers that fetch only what they show: each node keeps some of its points, spread evenly."""
 
 from __future__ import annotations
 
@@ -9,18 +9,18 @@ import numpy as np
 from ..types import Float64s, Int64s
 
 CELLS = 128
-"""A node keeps one point for each of so many cells along an axis, and hands the others down."""
+"""Cells along each axis of a node, which keeps one point per cell and passes the others to its children."""
 MOST_IN_LEAF = 20_000
-"""A node with fewer points keeps them all."""
+"""A node with at most this many points keeps them all."""
 
 Key = tuple[int, int, int, int]
-"""Level, and the node's place along x, y and z on it."""
+"""Level of a node, and its index along x, y and z on that level."""
 
 
 def octree(points: Float64s, low: Float64s, side: float) -> Iterator[tuple[Key, Int64s]]:
     """Yield each node of an octree with the rows (n,) of the points (n, 3) that it keeps.
 
-    low, side: corner (3,) and edge of its cube.  Each point is in one node; those of a node are spread evenly over it.
+    low, side: corner (3,) and edge of its cube.  Each point is in exactly one node; those of a node are spread evenly over it.
     """
     pending: list[tuple[Key, Int64s]] = [((0, 0, 0, 0), np.arange(len(points)))]
     while pending:

@@ -1,4 +1,4 @@
-"""The site from straight above, coloured by the photographs: each cell shows what the mesh's uppermost triangle there shows."""
+"""Orthophoto: the site from straight above, each cell in the colour of the textured mesh's uppermost triangle there."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from .world import Georeference
 
 _STRIP = 2_000_000
-"""Cells that are looked at in one go."""
+"""Number of cells that are processed at once."""
 
 
 @dataclass(frozen=True)
@@ -25,7 +25,7 @@ class Orthophoto:
     """Colours seen from above, on a grid; the first row has the largest y."""
 
     image: Uint8s
-    """(rows, columns, 4) uint8 RGBA; clear where there is no surface."""
+    """(rows, columns, 4) uint8 RGBA; transparent where there is no surface."""
     left: float
     top: float
     """x and y of the outer corner of the first cell."""
@@ -34,10 +34,10 @@ class Orthophoto:
 
 
 def orthophoto(found: Textured, georeference: Georeference | None = None) -> Orthophoto:
-    """What is seen from above, in the map's coordinates where there is a georeference.
+    """The orthophoto of a textured mesh, in map coordinates if there is a georeference.
 
-    Cells are as wide as the pixels that they show, in the median, as 1, 2 or 5 times a power of ten; their corners lie at
-    multiples of that, so that pictures of different nights lie on each other.
+    Cells are as wide as the median of the pixels that they show, rounded up to 1, 2 or 5 times a power of ten; their corners
+    lie at multiples of that, so that orthophotos of different nights align.
     """
     mesh = found.mesh
     X = georeference.points(mesh.vertices) if georeference else mesh.vertices
@@ -60,7 +60,7 @@ def orthophoto(found: Textured, georeference: Georeference | None = None) -> Ort
 
 
 def _colours(found: Textured, triangles: Int64s, uv: Float64s) -> Uint8s:
-    """(n, 3) what triangles show at barycentric coordinates (n, 2)."""
+    """(n, 3) colours of triangles at barycentric coordinates (n, 2)."""
     corners, weights = found.mesh.triangles[triangles], np.column_stack([1 - uv.sum(axis=1), uv])
     colours = np.einsum("nk,nkc->nc", weights, found.mesh.colors[corners].astype(np.float64))
     points = np.einsum("nk,nkc->nc", weights, found.mesh.vertices[corners])

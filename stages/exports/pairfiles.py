@@ -12,9 +12,9 @@ from ..types import Disparity, Frame, Geometry, Matches, Rectification
 from .previews import disparity_preview, matches_preview, rectified_preview
 
 PNG_STEPS = 16
-"""Steps of the 16-bit disparity image in a pixel."""
+"""Steps of the 16-bit disparity image per pixel of disparity."""
 FULL = 10_000
-"""Pictures are as large as the frames."""
+"""Width limit that keeps the pictures as large as the frames."""
 
 
 def pair_files(
@@ -25,13 +25,13 @@ def pair_files(
     rectification: Rectification | None,
     disparity: Disparity | None,
 ) -> tuple[dict[str, bytes], dict[str, Any]]:
-    """All files of a pair by name, as far as it came, and figures for a summary (JSON data).
+    """All files of a pair by name, as far as its processing got, and JSON data for a summary.
 
     Parameters
     ----------
     left, right : the frames of the pair.
-    matches : what was matched.
-    geometry, rectification, disparity : what came of it; None where it did not come so far.
+    matches : of the pair.
+    geometry, rectification, disparity : later results of the pair; None if it did not get so far.
     """
     files = {"matches.csv": _table(matches), "1-matches.jpg": bytes(matches_preview(matches, left, right, width=FULL))}
     if geometry is not None:

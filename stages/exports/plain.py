@@ -1,5 +1,5 @@
-"""Any dataclass of arrays as ordinary files, and back to the bit: images as PNG, tables as CSV, other arrays as npy, the rest as
-JSON, which says where everything is."""
+"""Dataclasses of arrays as ordinary files, and back without loss: images as PNG, tables as CSV, other arrays as npy, and JSON
+for everything else, which also names the files."""
 
 from __future__ import annotations
 
@@ -17,20 +17,20 @@ from ..core.on_demand import OnDemand
 from ..types import Capture
 
 MOST_INLINE = 64
-"""Numbers of an array that stand in the JSON itself."""
+"""Arrays of at most this many numbers are stored in the JSON itself."""
 MOST_COLUMNS = 16
 MOST_ROWS = 20_000
-"""Of a table that people may want to read; larger ones are npy."""
+"""Largest number of rows of a CSV table, for people to read; larger arrays are npy."""
 _FORMATS = {"f8": "%.17g", "f4": "%.9g"}
-"""Digits that tell every number of a type from its neighbours."""
+"""Formats with enough digits to distinguish all numbers of a type."""
 
 Array = npt.NDArray[Any]
 
 
 def write(value: Any, folder: Path, stem: str) -> Any:
-    """Write a dataclass, an array, a mapping or sequence of such, a number, a word, or None; returns JSON data for `read`.
+    """Write a dataclass, an array, a number, a string, None, or a mapping or sequence of these; returns JSON data for `read`.
 
-    folder: where the files go; stem: how their names begin: fields and entries are added with dots.
+    folder: where the files go; stem: prefix of their names, to which fields and entries are appended with dots.
     """
     if value is None or isinstance(value, bool | int | float | str):
         return value
@@ -42,7 +42,7 @@ def write(value: Any, folder: Path, stem: str) -> Any:
         return {"capture": value.name, "file": file}
     if dataclasses.is_dataclass(value):
         kind = type(value)
-        kept = [f.name for f in dataclasses.fields(value) if not f.metadata.get("transient")]  # those are found again
+        kept = [f.name for f in dataclasses.fields(value) if not f.metadata.get("transient")]  # transient ones are recomputed
         fields = {name: write(getattr(value, name), folder, f"{stem}.{name}") for name in kept}
         return {"type": f"{kind.__module__}:{kind.__qualname__}", "fields": fields}
     if isinstance(value, Mapping):
@@ -55,7 +55,7 @@ def write(value: Any, folder: Path, stem: str) -> Any:
 
 
 def read(node: Any, folder: Path) -> Any:
-    """The value that `write` was given.  Entries of a mapping are read when they are asked for."""
+    """The value that was given to `write`.  Entries of a mapping are read on access."""
     if not isinstance(node, dict):
         return node
     if "dtype" in node:
@@ -107,7 +107,7 @@ def _read_array(node: dict[str, Any], folder: Path) -> Array:
 
 
 def _picture(array: Array) -> Any:
-    """An array as OpenCV writes it, where it is a picture that a PNG holds as it is."""
+    """An array in OpenCV's channel order and type if PNG can store it without loss as an image, else None."""
     if array.ndim == 3 and array.shape[2] == 3 and array.dtype == np.uint8:
         return array[..., ::-1]
     if array.ndim == 2 and min(array.shape) > MOST_COLUMNS:

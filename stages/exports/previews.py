@@ -1,7 +1,7 @@
-"""Small pictures of every stage's result, for the report: what a person looks at to see whether a night is sound.
+"""Small pictures of every stage's result for the report, by which a person judges whether a night is sound.
 
-Each function returns a JPEG file's bytes, (n,) uint8, at most 480 pixels wide where nothing else is asked for; the same result
-gives the same bytes.
+Each picture is the bytes of a JPEG file, (n,) uint8, at most 480 pixels wide unless stated otherwise; the same result gives the
+same bytes.
 """
 
 from __future__ import annotations
@@ -37,12 +37,12 @@ _DOTS = 500_000
 
 
 def frame_preview(frame: Frame) -> Uint8s:
-    """The frame; what its mask leaves out is dimmed."""
+    """The frame, with its masked pixels dimmed."""
     return jpeg(_fit(_dimmed(frame), WIDTH), QUALITY)
 
 
 def frame_large(frame: Frame) -> Uint8s:
-    """The same as large as it is, as far as screens go."""
+    """The frame, with its masked pixels dimmed, at most `LARGE` pixels wide."""
     return jpeg(_fit(_dimmed(frame), LARGE), QUALITY)
 
 
@@ -53,12 +53,12 @@ def _dimmed(frame: Frame) -> Uint8s:
 def matches_preview(
     matches: Matches | Geometry, left: Frame | None = None, right: Frame | None = None, *, width: int = WIDTH
 ) -> Uint8s:
-    """Both views side by side, and lines between corresponding points: evenly spread, each in a colour of its own.
+    """Both views side by side, with lines between matches that are spread evenly, each in its own colour.
 
     Parameters
     ----------
     matches : of the pair.
-    left, right : of both views; None: the points stand on empty ground.
+    left, right : frames of both views; None: a plain background.
     width : of the picture, at most.
     """
     ground = [
@@ -79,11 +79,11 @@ def matches_preview(
 
 
 def rectified_preview(rectification: Rectification, left: Frame, right: Frame, *, width: int = WIDTH) -> Uint8s:
-    """Both rectified images and a few common rows: what lies on a row on the left lies on it on the right.
+    """Both rectified images with a few rows drawn across both: matching points lie on the same row.
 
     Parameters
     ----------
-    rectification, left, right : how the frames of the pair are resampled, and these.
+    rectification, left, right : rectification and frames of the pair.
     width : of the picture, at most.
     """
     return jpeg(_rectified(rectification, left, right, width), QUALITY)
@@ -97,13 +97,13 @@ def disparity_preview(
     *,
     width: int = WIDTH,
 ) -> Uint8s:
-    """Disparity of both views, near in warm colours, black where unknown; above it the rectified images where they are given,
-    below it what the colours mean.
+    """Disparity of both views, near in warm colours, black where unknown, with a colour scale below and, if given, the rectified
+    images above.
 
     Parameters
     ----------
     disparity : of both rectified views.
-    left, right, rectification : the frames of the pair, and how they are resampled.
+    left, right, rectification : frames and rectification of the pair; the images need all three.
     width : of the picture, at most.
     """
     shown = _disparities(disparity, width)
@@ -117,21 +117,21 @@ def disparity_preview(
 
 
 def depth_preview(depth: DepthMap) -> Uint8s:
-    """Depth of one view, near in warm colours; black where unknown; below it what the colours mean."""
+    """Depth of one view, near in warm colours, black where unknown, with a colour scale below."""
     coloured, low, high = _coloured((1.0 / depth.depth).astype(np.float32))
     shown = _fit(coloured[0], WIDTH)
     return jpeg(_with_scale(shown, f"{1 / low:.3g} away", f"{1 / high:.3g} away") if high > low > 0 else shown, QUALITY)
 
 
 def cloud_preview(cloud: Cloud, cameras: Mapping[str, Camera]) -> Uint8s:
-    """The cloud from above, and the cameras as red triangles that open the way they look."""
+    """The cloud from above, and the cameras as red triangles that open in the viewing direction."""
     up, east, north = _directions(cameras)
     plan = np.stack([east, north])
     some = slice(None, None, 1 + len(cloud.points) // _DOTS)
     scene, colors = cloud.points[some].astype(np.float64), cloud.colors[some]
     points = scene @ plan.T
     centres = np.array([camera.C for camera in cameras.values()]).reshape(-1, 3) @ plan.T
-    shown = [np.percentile(points, [1, 99], axis=0)] if len(points) else []  # but the farthest percent at each end
+    shown = [np.percentile(points, [1, 99], axis=0)] if len(points) else []  # without the outermost percent at each end
     corners = np.vstack([*shown, centres]) if len(centres) or shown else np.zeros((1, 2))
     low, high = corners.min(axis=0), corners.max(axis=0)
     size = np.maximum(high - low, 1e-9)
@@ -162,7 +162,7 @@ def _fit(image: Uint8s, width: int) -> Uint8s:
 
 
 def _side_by_side(left: Uint8s, right: Uint8s, width: int) -> tuple[Uint8s, float, int]:
-    """Two pictures on one canvas at one scale, that scale, and the column at which the right one begins."""
+    """Two images on one canvas at a common scale, that scale, and the column at which the right one begins."""
     gap, widest = 4, max(left.shape[1], right.shape[1])
     scale = min(1.0, (width - gap) / 2 / widest)
     small = [_fit(image, max(1, round(image.shape[1] * scale))) for image in (left, right)]
@@ -174,7 +174,7 @@ def _side_by_side(left: Uint8s, right: Uint8s, width: int) -> tuple[Uint8s, floa
 
 
 def _rectified(rectification: Rectification, left: Frame, right: Frame, width: int) -> Uint8s:
-    from ..rectification.warping import warp  # here: whoever shows frames has no use for compiled kernels
+    from ..rectification.warping import warp  # imported here: frames alone need no compiled kernels
 
     canvas, _, _ = _side_by_side(warp(rectification, 1, left.image), warp(rectification, 2, right.image), width)
     for row in np.linspace(0, canvas.shape[0] - 1, 9)[1:-1]:
@@ -183,7 +183,7 @@ def _rectified(rectification: Rectification, left: Frame, right: Frame, width: i
 
 
 def _disparities(disparity: Disparity, width: int) -> Uint8s:
-    from ..rectification.warping import disparity_px  # here: as above
+    from ..rectification.warping import disparity_px  # imported here, as above
 
     coloured, low, high = _coloured(disparity_px(disparity, 1), disparity_px(disparity, 2))
     shown = _side_by_side(coloured[0], coloured[1], width)[0]
@@ -191,7 +191,7 @@ def _disparities(disparity: Disparity, width: int) -> Uint8s:
 
 
 def _with_scale(picture: Uint8s, low: str, high: str) -> Uint8s:
-    """The picture, and below it a strip with the scale of colours between its ends."""
+    """The image with a strip below that shows the colour scale between its end values."""
     wide = picture.shape[1]
     size = max(0.35, 0.4 * wide / WIDTH)
     ends = [cv2.getTextSize(words, cv2.FONT_HERSHEY_SIMPLEX, size, 1)[0][0] for words in (low, high)]
@@ -215,8 +215,7 @@ def _hue(share: float) -> tuple[int, int, int]:
 
 
 def _coloured(*maps: Float32s) -> tuple[list[Uint8s], float, float]:
-    """Each (h, w, 3) uint8: the common 2nd to 98th percentile spread over a colour map, black where there is no value; and these
-    two values."""
+    """Each map as (h, w, 3) uint8, coloured over the common 2nd to 98th percentile, black where unknown; and these two values."""
     known = np.concatenate([values[np.isfinite(values)] for values in maps])
     low, high = np.percentile(known, [2, 98]) if known.size else (0.0, 0.0)
     pictures = []
@@ -228,7 +227,7 @@ def _coloured(*maps: Float32s) -> tuple[list[Uint8s], float, float]:
 
 
 def _directions(cameras: Mapping[str, Camera]) -> tuple[Float64s, Float64s, Float64s]:
-    """Unit vectors up (against the cameras' mean y axis), right and ahead of the first camera's view, as seen from above."""
+    """Unit vectors up (against the cameras' mean y axis), right, and ahead (their mean viewing direction), as seen from above."""
     if not cameras:
         return np.array([0.0, 0.0, 1.0]), np.array([1.0, 0.0, 0.0]), np.array([0.0, 1.0, 0.0])
     up = -np.sum([camera.R[1] for camera in cameras.values()], axis=0)
@@ -243,17 +242,17 @@ def _directions(cameras: Mapping[str, Camera]) -> tuple[Float64s, Float64s, Floa
 
 
 MOST = 3000
-"""Keypoints of a picture that are shown: more hide it."""
+"""Largest number of keypoints that are shown in an image: more would hide it."""
 MOST_OF_A_PAIR = 400
 
 
 def keypoint_marks(features: Features) -> bytes:
-    """Evenly chosen ones of a camera's keypoints."""
+    """Evenly sampled keypoints of a camera: shares of width and height as little-endian uint16."""
     return _places(features.xy[_some(len(features.xy), MOST)], features.view)
 
 
 def inlier_marks(geometry: Geometry) -> bytes:
-    """Evenly chosen inliers of a pair: their places in the left picture, then as many in the right one."""
+    """Evenly sampled inliers of a pair: positions in the left image, then as many in the right one, as in `keypoint_marks`."""
     some = _some(len(geometry.x1), MOST_OF_A_PAIR)
     return _places(geometry.x1[some], geometry.view1) + _places(geometry.x2[some], geometry.view2)
 

@@ -17,13 +17,13 @@ from .octree import CELLS, Key, octree
 
 _HEADER = struct.Struct("<4s6I")
 _ALIGNED = 8
-"""Tables begin at multiples of so many bytes."""
+"""Tables begin at multiples of this many bytes."""
 
 
 def tile_files(cloud: Cloud, to_earth: Float64s | None = None) -> Iterator[tuple[str, bytes]]:
     """Yield the tiles of a cloud that is not empty, and tileset.json, which names them.
 
-    to_earth: (4, 4) from world points to geocentric coordinates (EPSG 4978); None: the site is not on the map.
+    to_earth: (4, 4) from world points to geocentric coordinates (EPSG 4978); None: the site is not georeferenced.
     """
     points = cloud.points.astype(np.float64)
     low, side = points.min(axis=0), max(float(np.ptp(points, axis=0).max()), 1e-3)
@@ -36,11 +36,11 @@ def tile_files(cloud: Cloud, to_earth: Float64s | None = None) -> Iterator[tuple
         if level:
             parent = tiles[level - 1, place[0] // 2, place[1] // 2, place[2] // 2]
             parent.setdefault("children", []).append(tiles[key])
-            parent["geometricError"] = 2 * edge / CELLS  # the spacing of its points: a viewer goes on where that is too coarse
+            parent["geometricError"] = 2 * edge / CELLS  # the spacing of its points: viewers load children if it is too coarse
         yield name, _tile(cloud, rows)
     root = tiles[0, 0, 0, 0] | {"refine": "ADD"}
     if to_earth is not None:
-        root["transform"] = to_earth.T.ravel().tolist()  # by columns
+        root["transform"] = to_earth.T.ravel().tolist()  # column-major
     tileset = {"asset": {"version": "1.0"}, "geometricError": side, "root": root}
     yield "tileset.json", (json.dumps(tileset, indent=1) + "\n").encode()
 
@@ -57,7 +57,7 @@ def _tile(cloud: Cloud, rows: Int64s) -> bytes:
 def _table(words: dict[str, Any], columns: Mapping[str, Any], form: Mapping[str, str], begin: int) -> tuple[bytes, bytes]:
     """The two parts of a table of columns: JSON with further `words`, and the bytes that it refers to.
 
-    form: what each column's entry says of its numbers; begin: bytes before the table since the last multiple of `_ALIGNED`.
+    form: number type, added to the entry of each column; begin: bytes before the table since the last multiple of `_ALIGNED`.
     """
     data = b""
     for name, values in columns.items():

@@ -1,10 +1,10 @@
-"""Points for the report's 3-D view: thinned by voxels, in few bytes each, in one stream that a browser can unpack by itself.
+"""Points for the report's 3-D view: thinned by voxels and packed in a compact stream that a browser can unpack by itself.
 
-A stream is the length of a JSON head (uint32, little-endian), the head, and zlib-packed planes of `n` bytes: of each coordinate,
-low and high byte of its difference from the point before (points follow a space-filling curve, so that these are small: Morton,
-A computer oriented geodetic data base, 1966); red, green, blue; and one plane for each of `layers`.  A layer has the ends of its
-colour scale, `low` and `high`.  Its bytes go from one to the other, or from `least` to `most` in equal ratios where it has these:
-colours need no more than most values have, measuring needs all.
+A stream is the length of a JSON header (uint32, little-endian), the header, and zlib-packed planes of `n` bytes: low bytes of
+x, y and z, then their high bytes, of the difference from the previous point (points follow a space-filling curve, so that these
+are small: Morton, A computer oriented geodetic data base, 1966); red, green, blue; and one plane for each of `layers`.  `low`
+and `high` are the ends of a layer's colour scale.  Its bytes run linearly between these, or logarithmically between `least` and
+`most` if it has them: colours need only the range of most values, measuring needs all of it.
 """
 
 from __future__ import annotations
@@ -19,28 +19,28 @@ import numpy as np
 from ..types import NEW, VANISHED, Bools, Changes, Cloud, Float32s, Float64s, Int64s, Uint8s
 
 MOST = 600_000
-"""Points that a browser turns without a graphics card's help."""
+"""Largest number of points in a stream: a browser can turn them without a graphics card."""
 _EACH = 2
-"""Of larger clouds every second, third, ... point is looked at, so that about so many make one that is shown."""
+"""Larger clouds are sampled at regular steps, to about this many points for each one that is shown."""
 _STEPS = 65535
-"""A coordinate takes 16 bits."""
+"""Largest coded coordinate: 16 bits."""
 _FAR = 0.5
-"""Points farther outside than this share of the middle 99.9 percent's extent would make the rest coarse: they are not shown."""
+"""Points outside the middle 99.9 percent by more than this share of its extent are not shown: they would make the rest coarse."""
 _RAMP = 255
 _LEVEL = 5
-"""Of zlib: 6 takes half as long again for half a percent."""
+"""Compression level of zlib: 6 takes half as long again and saves half a percent."""
 _SAMPLE = 600
-"""So many points stand in the head, for whoever wants to know where they are without unpacking any."""
+"""Most points listed in the header, which show where the points are without unpacking."""
 
 
 class Layer(NamedTuple):
-    """What points have beside their colours."""
+    """A value of each point, besides its colour."""
 
     values: Float32s
     """(n,)"""
     unit: str
     in_ratios: bool = False
-    """Coded in equal ratios, from the least to the most."""
+    """Coded logarithmically, from the least to the most."""
 
 
 Layers = dict[str, Layer]
@@ -63,7 +63,7 @@ def cloud_view(cloud: Cloud, most: int = MOST) -> bytes:
 
 
 def changes_view(changes: Changes) -> bytes:
-    """The stream of the points that are new, or have vanished; the layer `kind` is 1 for those that are gone."""
+    """The stream of new and vanished points; the layer `kind` is 1 for vanished ones."""
     chosen = np.isin(changes.label, (NEW, VANISHED)) & (changes.blob > 0)
     points = changes.points[chosen].astype(np.float64)
     kind = (changes.label[chosen] == VANISHED).astype(np.float32)
@@ -73,7 +73,7 @@ def changes_view(changes: Changes) -> bytes:
 
 
 def thinned_view(stream: bytes, most: int) -> bytes:
-    """The stream of every second, third, ... point of another one, at most so many; without layers."""
+    """A stream of every second, third, ... point of another one, at most `most` of them, without layers."""
     length = struct.unpack_from("<I", stream)[0]
     head = json.loads(stream[4 : 4 + length])
     count, every = head["n"], max(1, -(-head["n"] // most))
@@ -92,7 +92,7 @@ def _near(points: Float64s) -> Bools:
 
 
 def _thinned(points: Float64s, values: Float32s, most: int) -> tuple[Float64s, Float32s, float]:
-    """Mean point and values of each voxel, along the curve, and the voxel's edge; the points as they are where they are few."""
+    """Mean point and values of each voxel, in curve order, and the voxel's edge; up to `most` points are only reordered."""
     if not len(points):
         return points, values, 1.0
     low, extent = points.min(axis=0), max(float(np.ptp(points, axis=0).max()), 1e-9)
@@ -109,7 +109,7 @@ def _thinned(points: Float64s, values: Float32s, most: int) -> tuple[Float64s, F
 
 
 def _edge(points: Float64s, extent: float, most: int) -> float:
-    """A voxel's edge that leaves nearly `most` voxels, and no more (a surface has as many as the edge's square goes into it)."""
+    """Edge of a voxel that leaves nearly `most` voxels, and no more (on a surface their number falls with the edge's square)."""
     edge = 1.5 * extent / np.sqrt(most)
     for _ in range(12):
         occupied = _occupied(points, edge)
@@ -129,7 +129,7 @@ def _occupied(points: Float64s, edge: float) -> int:
 
 
 def _curve(cells: Int64s) -> Int64s:
-    """Position of cells (n, 3), 16 bits each, along the curve: their bits in turns."""
+    """Position of cells (n, 3), 16 bits each, along the curve: their bits interleaved."""
     code = np.zeros(len(cells), np.int64)
     for axis in range(3):
         bits = np.clip(cells[:, axis], 0, _STEPS)

@@ -1,7 +1,7 @@
-"""From a site's local east, north, up to the map: the UTM zone it lies in.
+"""Conversion of a site's local east, north, up coordinates to its UTM zone.
 
-A local frame's axes are tangent to the ellipsoid at its origin; few programs know such a coordinate system, and what they make of
-its PROJ string lies at the centre of the earth.  UTM is known everywhere; heights stay above the ellipsoid.
+The axes of a local frame are tangent to the ellipsoid at its origin.  Few programs support such a coordinate system, and those
+that read its PROJ string place it at the centre of the earth.  UTM is supported everywhere; heights remain above the ellipsoid.
 """
 
 from __future__ import annotations
@@ -15,19 +15,19 @@ import pyproj
 from ..types import Float64s
 
 LOCAL = "+proj=topocentric"
-"""How the `crs` of a local frame begins."""
+"""Prefix of the `crs` of a local frame."""
 
 
 @dataclass(frozen=True)
 class Georeference:
-    """A coordinate system of the map (EPSG code), and how the world's points get there."""
+    """A map coordinate system (EPSG code), and the PROJ pipelines from world points to it."""
 
     epsg: int
     steps: str
     geographic: str
-    """Steps to longitude, latitude (degrees) and height above the ellipsoid."""
+    """Pipeline to longitude, latitude (degrees) and height above the ellipsoid."""
     geocentric: str
-    """Steps to EPSG 4978."""
+    """Pipeline to geocentric coordinates (EPSG 4978)."""
 
     def degrees(self, x: Any) -> tuple[float, float, float]:
         """A world point as longitude, latitude (degrees, WGS 84) and height above the ellipsoid."""
@@ -36,7 +36,7 @@ class Georeference:
         return longitude, latitude, height
 
     def to_earth(self) -> Float64s:
-        """(4, 4) from world points to geocentric coordinates (EPSG 4978), metres."""
+        """(4, 4) transform from world points to geocentric coordinates (EPSG 4978), metres."""
         ends = pyproj.Transformer.from_pipeline(self.geocentric).transform(*np.vstack([np.eye(3), np.zeros(3)]).T)
         *axes, origin = np.column_stack(ends)
         return np.column_stack([*(np.append(axis - origin, 0.0) for axis in axes), np.append(origin, 1.0)])
@@ -47,9 +47,9 @@ class Georeference:
         return np.column_stack(moved).astype(np.float64)
 
     def local(self, X: Float64s, epsg: int | None = None) -> Float64s:
-        """(n, 3) float64 world points of easting, northing and height; epsg: of another system of the map, heights are the same.
+        """(n, 3) float64 world points of easting, northing and height; epsg: of another map system, whose heights are the same.
 
-        A system's own order of axes does not count: easting, or longitude, comes first.
+        Easting or longitude comes first, whatever that system's own order of axes.
         """
         x, y, z = np.asarray(X, np.float64).T
         if epsg and epsg != self.epsg:
@@ -63,7 +63,7 @@ class Georeference:
         return bool(np.linalg.norm(middle - origin) < np.linalg.norm(middle))
 
     def directions(self, X: Float64s, directions: Float64s) -> Float64s:
-        """(n, 3) unit vectors at world points X: the map's north is not the local frame's."""
+        """(n, 3) unit vectors in map axes, from those at world points X: the map's north differs from the local frame's."""
         moved = self.points(X + directions) - self.points(X)
         return np.asarray(moved / np.linalg.norm(moved, axis=1, keepdims=True), dtype=np.float64)
 
@@ -71,7 +71,7 @@ class Georeference:
 def georeference(crs: str) -> Georeference:
     """The UTM zone around the origin of a local frame (`Poses.crs`).
 
-    Raises ValueError for another kind of coordinate system, and for an origin beyond the zones of UTM.
+    Raises ValueError for another kind of coordinate system, and for an origin at a latitude outside UTM.
     """
     if not crs.startswith(LOCAL):
         raise ValueError(f"{crs!r} is not the coordinate system of a local frame")

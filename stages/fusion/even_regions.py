@@ -1,6 +1,6 @@
-"""Regions that show nothing but shading (sky, an even wall): depths come from their borders, and reach into them from there.
+"""Regions with nothing but shading (sky, an even wall): their depths come from their borders and extend inwards from there.
 
-Of a wall or a lawn nearly all gets a depth; of the sky a band beside whatever stands before it, which is wrong.
+On a wall or a lawn, nearly all pixels get a depth.  In the sky, only a band along foreground objects does, and it is wrong.
 """
 
 from __future__ import annotations
@@ -13,17 +13,17 @@ from ..types import Bools, DepthMap, Frame
 from .surface_support import surroundings_px
 
 _EVEN = 1.0
-"""Grey levels that pixels differ by from the mean of 3 x 3 (root mean square), besides a quarter of the noise that is left in a
-picture: less shows nothing, or shading."""
+"""A pixel is even if its grey levels differ from the mean of 3 x 3 pixels (root mean square) by less than this plus a quarter of
+the noise left in the frame: it shows nothing, or only shading."""
 _FILLED = 0.5
-"""Of a region: so much of a surface gets a depth from pairs.  Of skies above houses, a car park and a stadium 0 to 0.25 do, of
-nearly all walls and lawns there 0.54 to 1, of cars and roads that show nothing 0 to 0.02."""
+"""Smallest share of a large even region that must have a depth from pairs for its depths to be used.  Skies above houses, a car
+park and a stadium reach 0 to 0.25, nearly all walls and lawns there 0.54 to 1, cars and roads that show nothing 0 to 0.02."""
 
 
 def believed(frame: Frame, depth: DepthMap) -> Bools:
-    """(h, w) pixels of a frame's mask whose depths may be used: all but large even regions of which too little has one.
+    """(h, w) pixels of a frame's mask whose depths may be used: all but large even regions in which too few pixels have one.
 
-    Small ones lie within what `surface_support` asks anyway.  depth: of the view, from its pairs, where there is one.
+    Even regions smaller than the neighbourhood of `surface_support` are kept.  depth: the view's, from its pairs if it has any.
     """
     grey = grey_levels(frame.image).astype(np.float32)
     detail = cv2.blur(np.square(grey - cv2.blur(grey, (3, 3))), (3, 3))
@@ -32,5 +32,5 @@ def believed(frame: Frame, depth: DepthMap) -> Bools:
     pixels = np.bincount(region.ravel())
     filled = np.bincount(region.ravel(), np.isfinite(depth.depth).ravel(), count)
     known = (filled >= _FILLED * pixels) | (pixels < surroundings_px(frame.mask.shape))
-    known[0] = True  # what is not even
+    known[0] = True  # label 0: pixels that are not even
     return np.asarray(frame.mask & known[region], np.bool_)

@@ -1,7 +1,7 @@
 """Depth of one view from the disparities of its pairs: triangulation, propagated uncertainty, agreement between pairs.
 
-A pixel's sigma is what `noise_px` in the other image does to its depth, and a relative floor that stands for what no pixel noise
-explains (calibration, low-frequency errors of matching): sigma^2 = (noise_px dz/dpx)^2 + (floor z)^2.
+A pixel's sigma combines a match error of `noise_px` in the other image, propagated to depth, with a relative floor for errors
+that do not come from pixel noise (calibration, low-frequency matching errors): sigma^2 = (noise_px dz/dpx)^2 + (floor z)^2.
 """
 
 from __future__ import annotations
@@ -20,41 +20,41 @@ from ..rectification.warping import Side, disparity_px, from_rectified, resampli
 from ..types import MOST_PARTNERS, Bools, Camera, DepthMap, Disparity, Float32s, Float64s, Rectification, Uint32s
 
 _SMOOTH_PX = 2.5
-"""Neighbouring pixels whose disparities differ by no more lie on one surface."""
+"""Neighbouring pixels whose disparities differ by no more than this lie on one surface."""
 
 _UNLIKE = 2.0
-"""Where a rectified pixel covers so many times more of one frame than of the other, rectified pixels say how exact a match is."""
+"""`noise_px` is in rectified pixels if their side, in frame pixels, differs by more than this factor between the two frames."""
 
 _SAME_STEP = 0.3
-"""Steps from row to row are those of one slope if they differ by no more than this share."""
+"""Two successive disparity steps from row to row belong to one slope if they differ by no more than this share."""
 
 _TILES = 5
-"""Two pairs are compared in so many columns and rows of the view..."""
+"""`apart_px` compares two pairs in this many columns and rows of tiles."""
 _TILE_PIXELS, _LEAST_SHARE = 40, 0.05
-"""...where both know so many pixels of a tile, and such a share of the view in all: on less a repeated pattern that one of them
-mistook decides (a warehouse's shelves: 7 px on 3 % of a view whose cameras are exact)..."""
+"""Fewest pixels with both depths in a tile, and smallest share of the view in such tiles: with less, a repeated pattern mistaken
+by one pair would decide (a warehouse's shelves: 7 px on 3 % of a view with exact cameras)."""
 _COMPARED = 40_000
-"""...at about so many pixels in all."""
+"""Approximate number of pixels at which two pairs are compared."""
 _SCATTER = 0.6
-"""Such a share of the scatter within tiles may enter their medians (at most .65 in five rendered scenes with right cameras, where
-that is more than .1 px; .82 in a hall at night)."""
+"""Share of the scatter within tiles that noise may leave in the tiles' medians, and that `apart_px` takes off (at most 0.65 in
+five rendered scenes with right cameras, counting differences over 0.1 px; 0.82 in a hall at night)."""
 _LONG_SIDE = 768
-"""Of larger frames, whose pixels show less: what a calibration leaves is an angle (fountain: 0.10 px, of twice as many 0.21)."""
+"""Differences are scaled to frames of this long side: calibration errors are angles (fountain: 0.10 px; twice as long: 0.21)."""
 
 
 @dataclass(frozen=True)
 class NoiseModel:
-    """What errors of depth are to be expected."""
+    """Expected errors of depth."""
 
     noise_px: float = 0.35
-    """Error of a match in pixels of the other image; between unlike views in rectified pixels."""
+    """Standard deviation of a match in pixels of the other image; in rectified pixels between unlike views (`_UNLIKE`)."""
     floor: float = 0.0004
-    """Relative error of depth that more pixels don't reduce."""
+    """Relative error of depth that a higher resolution does not reduce."""
     limit: float = 0.006
-    """Largest relative sigma at which a hypothesis is still used."""
+    """Largest relative sigma at which a depth is still used."""
 
     def usable(self, depth: Float32s, gain: Float32s) -> Bools:
-        """Which depths of a pair, any shape, are exact enough to be fused; gain: |dz/dpixel|.  Never one that is nan."""
+        """Which depths of a pair, any shape, are exact enough to be fused; False for nan.  gain: |dz/dpixel|."""
         with np.errstate(invalid="ignore"):
             return (self.noise_px * gain) ** 2 + (self.floor * depth) ** 2 <= (self.limit * depth) ** 2
 
@@ -66,7 +66,7 @@ def pair_depth(
 
     Parameters
     ----------
-    camera, other : the view asked for, and its partner.
+    camera, other : the view whose depth is computed, and its partner.
     rectification, disparity : of the pair.
     side : 1 if `camera` is the pair's left view, 2 if it is its right one.
     """
@@ -91,7 +91,7 @@ def pair_depth(
 
 
 def _frame_px(rectification: Rectification, side: Side, camera: Camera) -> float:
-    """Pixels of a frame to the side of a rectified one, in the median of what is shown of it."""
+    """Side of a rectified pixel in pixels of the frame, median over the part of the frame that is shown."""
     grid = frame_grid((camera.width, camera.height))
     with np.errstate(divide="ignore", invalid="ignore"):
         x = to_rectified(rectification, side, grid)
@@ -105,7 +105,7 @@ def _frame_px(rectification: Rectification, side: Side, camera: Camera) -> float
 def _by_homographies(
     disparity: Float32s, sign: float, H: Float64s, H_back: Float64s, M: Float64s, b: Float64s, depth: Float32s, gain: Float32s
 ) -> None:
-    """Depth and |dz/dpixel| of every pixel; H: to the rectified image, H_back: from that of the other view to its frame."""
+    """Depth and |dz/dpixel| of every pixel; H: to the rectified image, H_back: from the other rectified image to its frame."""
     h, w = depth.shape
     for y in range(h):
         for x in range(w):
@@ -154,8 +154,8 @@ def _disparity_at(disparity: Float32s, x: float, y: float) -> float:
 
 @helper
 def _goes_on(disparity: Float32s, x: int, y: int) -> bool:
-    """Whether the step from row y to the next one is that of a slope: ground seen at a low angle moves by several pixels from
-    row to row, again and again; an edge does it once."""
+    """Whether the step from row y to the next belongs to a slope: on ground seen at a low angle, steps of several pixels repeat
+    from row to row; at an edge there is one."""
     step = disparity[y + 1, x] - disparity[y, x]
     if y > 0 and abs(disparity[y, x] - disparity[y - 1, x] - step) <= _SAME_STEP * abs(step):
         return True
@@ -178,7 +178,7 @@ def _depth_at(x: float, y: float, u: float, v: float, M: Float64s, b: Float64s) 
     a2, b2 = m1 - v * m2, b[1] - v * b[2]
     z = -(a1 * b1 + a2 * b2) / (a1 * a1 + a2 * a2)
     w = z * m2 + b[2]
-    if not (z > 0 and w > 0):  # nor where the partner is unknown
+    if not (z > 0 and w > 0):  # also where the partner is nan
         return np.nan, np.nan
     du = (m0 * b[2] - b[0] * m2) / (w * w)
     dv = (m1 * b[2] - b[1] * m2) / (w * w)
@@ -188,11 +188,11 @@ def _depth_at(x: float, y: float, u: float, v: float, M: Float64s, b: Float64s) 
 def fuse_pairs(
     camera: Camera, depths: Sequence[Float32s], gains: Sequence[Float32s], partners: Sequence[str], noise: NoiseModel
 ) -> DepthMap:
-    """Agreement between the pairs of one view: per pixel the hypothesis with most supporters, averaged over them by 1 / sigma^2.
+    """Fuse the depths of one view's pairs: per pixel the one with most supporters, averaged over these by 1 / sigma^2.
 
     Parameters
     ----------
-    depths, gains : (h, w) float32 of each pair, as `pair_depth` gives them; at most `MOST_PARTNERS`.
+    depths, gains : (h, w) float32 of each pair, as `pair_depth` returns them; at most `MOST_PARTNERS`.
     partners : the other camera of each pair, in the same order.
     """
     if len(depths) > MOST_PARTNERS:
@@ -207,16 +207,16 @@ def fuse_pairs(
 
 
 def apart_px(depths: Sequence[Float32s], gains: Sequence[Float32s], noise: NoiseModel) -> dict[tuple[int, int], float]:
-    """By how many pixels the depths of each two pairs of a view differ as a whole: median over its pixels of the median in each
-    one's tile, in pixels of a frame whose long side is 768 at most, without what the scatter within tiles leaves of that.
+    """Systematic difference between the depths of each two pairs of a view, in pixels of a frame with a long side of at most 768.
 
-    Noise differs from patch to patch, and leaves little of such medians.  A wrong pose or lens of one partner differs alike over
-    large parts of the view; along the epipolar lines nothing but the depth that another pair gives tells of it.
+    Each tile has a median difference; the result is the median of its absolute value over all pixels, less the part that scatter
+    within tiles explains.  Noise differs from patch to patch and nearly cancels in such medians.  A partner's wrong pose or lens
+    acts alike on large parts of the view; along the epipolar lines, only the depth of another pair reveals it.
 
     Parameters
     ----------
-    depths, gains : (h, w) float32 of each pair, as `pair_depth` gives them.
-    noise : pixels are compared that are exact enough to be fused.
+    depths, gains : (h, w) float32 of each pair, as `pair_depth` returns them.
+    noise : noise model; only pixels that are exact enough to be fused are compared.
     """
     h, w = depths[0].shape
     step = max(1, int(np.sqrt(h * w / _COMPARED)))
@@ -259,7 +259,7 @@ def _agree(
                         weight = 1.0 / s[m] ** 2
                         total += weight * Z[m, y, x]
                         weights += weight
-                        score += 1.0 + 0.1 * floor * z / s[m]  # among equals, the more exact
+                        score += 1.0 + 0.1 * floor * z / s[m]  # the more exact one wins a tie
                         mask |= np.uint32(1) << np.uint32(m)
                 if score > best:
                     best = score
@@ -269,7 +269,7 @@ def _agree(
 
 
 def inverse_depth_slopes(depth: Float32s, focal: float, radius: int = 3) -> tuple[Float32s, Float32s]:
-    """(h, w) float32 each: how 1/z changes per pixel in x and in y, from a robust local plane; 0 where depth is unknown."""
+    """(h, w) float32 each: change of 1/z per pixel in x and in y, from a robust local plane; 0 where depth is unknown."""
     slope_x, slope_y = np.zeros_like(depth), np.zeros_like(depth)
     steepest = 2.75 / focal  # a surface turned 70 degrees away changes its depth by tan(70) / focal per pixel
     _slopes((1.0 / depth).astype(np.float32), radius, steepest, slope_x, slope_y)
@@ -278,8 +278,8 @@ def inverse_depth_slopes(depth: Float32s, focal: float, radius: int = 3) -> tupl
 
 @kernel
 def _slopes(q: Float32s, radius: int, steepest: float, slope_x: Float32s, slope_y: Float32s) -> None:
-    """Least squares through the centre over neighbours on the same surface; one neighbour of all pixels of a row after the other,
-    which the compiler does for several pixels at once."""
+    """Least squares through the centre over neighbours on the same surface; the loop over a row's pixels is innermost, so that
+    the compiler can vectorise it."""
     h, w = q.shape
     xx, yy, xy, xq, yq = np.empty(w), np.empty(w), np.empty(w), np.empty(w), np.empty(w)
     for y in range(h):
@@ -318,7 +318,7 @@ def _add_neighbour(
     reach = max(abs(dx), abs(dy))
     for x in range(len(here)):
         e = there[x] - here[x]
-        near = abs(e) <= steepest * here[x] * reach  # never where one is unknown
+        near = abs(e) <= steepest * here[x] * reach  # False where either is nan
         xx[x] += dx * dx if near else 0.0
         yy[x] += dy * dy if near else 0.0
         xy[x] += dx * dy if near else 0.0

@@ -19,12 +19,12 @@ class Subsampled:
     """A view at a quarter of its size."""
 
     colors: Uint8s
-    """(h / 4, w / 4, 3) uint8, means over blocks, which pixel noise and small errors of depth don't reach."""
+    """(h / 4, w / 4, 3) uint8, means over blocks, which pixel noise and small depth errors hardly affect."""
     depth: Float32s
-    """(h / 4, w / 4) float32, of the pixel beside each block's centre."""
+    """(h / 4, w / 4) float32, of the pixel next to each block's centre."""
 
     def points(self, step: int) -> tuple[Float64s, Float64s]:
-        """Pixels (n, 3), homogeneous, and depths (n, 1) of every `step`-th place that has a depth."""
+        """Homogeneous pixels (n, 3) and depths (n, 1) of every `step`-th sample in x and y that has a depth."""
         depth = self.depth[::step, ::step]
         y, x = np.nonzero(np.isfinite(depth))
         pixels = np.column_stack([STEP * step * x + STEP // 2, STEP * step * y + STEP // 2, np.ones(len(x))])
@@ -40,20 +40,20 @@ def subsample(frame: Frame, depth: DepthMap) -> Subsampled:
 
 
 def nearest_views(name: str, cameras: Mapping[str, Camera], small: Mapping[str, Subsampled], count: int) -> list[str]:
-    """The views of other cameras that see most of what one view sees, and at least 1 % of it.
+    """The views of other cameras that see most of one view's surface, the largest share first, and at least 1 % of it.
 
     Parameters
     ----------
     name : the view.
-    cameras, small : of all views, by id.
-    count : so many at most.
+    cameras, small : cameras and subsampled views, by id.
+    count : largest number of views.
     """
     pixels, z = small[name].points(2)
     if not len(z):
         return []
     shares = []
     for other in cameras:
-        if other == name or same_camera(cameras[name], cameras[other]):  # which says the same again
+        if other == name or same_camera(cameras[name], cameras[other]):  # no independent view
             continue
         M, b = transfer(cameras[name], cameras[other])
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -66,9 +66,10 @@ def nearest_views(name: str, cameras: Mapping[str, Camera], small: Mapping[str, 
 
 
 def natural_voxel(cameras: Mapping[str, Camera], small: Mapping[str, Subsampled]) -> float:
-    """What a pixel covers, in the median over all views.
+    """Edge of a pixel's footprint on the surface, median over all views.
 
-    Rounded down to a preferred number, so that the grid stays the same when cameras fail or surfaces change from night to night.
+    It is rounded down to a preferred number, so that the grid stays the same when cameras fail or surfaces change from night to
+    night.
     """
     edges = [(g.depth / cameras[name].K[0, 0])[1::2, 1::2].ravel() for name, g in small.items()]
     median = float(np.nanmedian(np.concatenate(edges)))
@@ -83,11 +84,10 @@ _PREFERRED = (1.0, 1.25, 1.6, 2.0, 2.5, 3.2, 4.0, 5.0, 6.3, 8.0)
 def exposure_gains(
     cameras: Mapping[str, Camera], small: Mapping[str, Subsampled], neighbours: Mapping[str, Sequence[str]]
 ) -> dict[str, Float64s]:
-    """(3,) factor for each camera; their geometric mean over the cameras is one.
+    """Colour gain (3,) of each camera; the geometric mean over the cameras is one.
 
-    The ratio of two cameras is the median over pixels whose depths agree; the cameras' gains fit all ratios by least squares, a
-    camera without ratios keeps one.
-    """
+    The ratio of two cameras is the median over pixels whose depths agree.  The gains fit all ratios by least squares; a camera
+    without ratios has gain one."""
     names = list(small)
     rows, ratios, weights = [], [], []
     for i, name in enumerate(names):
@@ -109,7 +109,7 @@ def exposure_gains(
 
 
 def _ratio(camera: Camera, other: Camera, ours: Subsampled, theirs: Subsampled) -> tuple[Float64s, int]:
-    """Median log ratio (3,) of the two cameras' colours over surfaces that both see, and over how many pixels."""
+    """Median log ratio (3,) of two cameras' colours on surfaces that both see, and the number of pixels that it is from."""
     pixels, z = ours.points(2)
     M, b = transfer(camera, other)
     p = z * (pixels @ M.T) + b
@@ -126,7 +126,7 @@ def _ratio(camera: Camera, other: Camera, ours: Subsampled, theirs: Subsampled) 
 
 
 def _at(values: Uint8s | Float32s, places: Float64s) -> np.ndarray:
-    """(n, ...) what a subsampled view holds at positions of the full size."""
+    """(n, ...) values of a subsampled view at positions in pixels of the full size."""
     h, w = values.shape[:2]
     x, y = (places[:, :2].T + 0.5).astype(int) // STEP
     return np.asarray(values[np.minimum(y, h - 1), np.minimum(x, w - 1)])

@@ -1,13 +1,13 @@
-"""How probable it is that a depth is right: one number from all that speaks for and against it.
+"""Probability that a depth is right, from all evidence for and against it.
 
-A depth is right if its point lies within two pixels' widths of a surface.  Three logistic regressions, each on what the one
-before it says: what a view knows of its own depths; what the other views say of them, each as far as it is right itself; and how
-right the depths are that lie around on the same plane, and how much of what is seen there is noise.
+A depth is right if its point lies within two pixel widths of a surface.  Three logistic regressions are chained, each with the
+result of the previous one as an input: of the view's own evidence; of the evidence of the other views, each weighted by the
+probability that its own depth is right; and of the probability of the surrounding depths on the same plane, and image noise.
 
-The coefficients are those of `scripts/fit_posterior.py` on scenes with exact truth: a small yard and a small hall by night, small
-houses by day, and four photographs of the fountain.  They were fitted before a pair could be doubted: fitted anew, they trust
-single pairs more, which costs photographs 0.3 points of F at 2 cm and gains nothing elsewhere.  That of noise is fitted on a yard
-and a hall without lamps, the others held.  It speaks last, so that it takes points away and never adds any.
+The coefficients were fitted by `scripts/fit_posterior.py` on scenes with exact truth: a small yard and a small hall by night,
+small houses by day, and four photographs of the fountain.  They date from before `CrossCheck.doubted` existed: refitted, they
+trust single pairs more, which costs 0.3 points of F-score at 2 cm on photographs and gains nothing elsewhere.  The coefficient of
+noise was fitted on a yard and a hall without lamps, with the others held.  It comes last, so that it only ever removes points.
 """
 
 from __future__ import annotations
@@ -25,29 +25,29 @@ from .surface_support import spacing_px, surface_support
 from .visibility import CrossCheck, TrustedDepth, probability
 
 _OWN = np.array([-5.45, 0.56, 2.16, 2.5, -0.66])
-"""Of one, a depth that is sure, the logarithm of one more than its pairs, the share of its surroundings that is sure and on its
-plane, and the logarithm of its relative standard deviation."""
+"""Coefficients of: the constant 1, whether the depth is sure, log(1 + number of its pairs), the share of its surroundings that is
+sure and on its plane, and the logarithm of its relative standard deviation."""
 
 _OTHERS = np.array([-0.03, 0.52, 0.42, 1.91, -0.39, -1.39])
-"""Of one, the logit of the above, and what `evidence_of_others` returns."""
+"""Coefficients of: the constant 1, the logit from `_OWN`, and the four values of `evidence_of_others`."""
 
 _AROUND = np.array([-0.75, 0.7, 2.94, -0.98])
-"""Of one, the logit of the above, the mean of its probability over the surroundings, and `noisiness`."""
+"""Coefficients of: the constant 1, the logit from `_OTHERS`, the mean probability around it on its plane, and `noisiness`."""
 
 _PATCH_PX = 3
-"""How far a patch reaches from its middle in an image 768 wide, and as far in larger ones: as those that `refine` compares."""
+"""Half side of the patch of `noisiness`, in pixels of an image 768 wide (scaled for larger ones), as in `refine`."""
 
 _QUANTIZED = 1 / 12
-"""Variance of grey levels that rounding alone leaves."""
+"""Variance of grey levels due to rounding alone."""
 
 _MOST_LEFT_OUT = 0.5
-"""Of a cloud: where more would have to go, too little is sure for a choice."""
+"""Largest share of a cloud that `surest` removes: if more had to go, the cloud is too uncertain for a choice."""
 
 
 def surest(right: Float32s, share: float) -> Bools:
-    """(n,) which points stay when the least probable go until a share of the rest is expected to be right.
+    """(n,) points that stay when the least probable ones are removed until `share` of the rest is expected to be right.
 
-    right: (n,) their probabilities of being right.
+    right: (n,) probabilities that the points are right.
     """
     ranked = np.sort(right)[::-1]
     expected = np.cumsum(ranked, dtype=np.float64) / np.arange(1, len(ranked) + 1)
@@ -58,12 +58,12 @@ def surest(right: Float32s, share: float) -> Bools:
 
 
 def own_logit(depth: DepthMap, usable: Bools) -> Float32s:
-    """(h, w) log-odds that a view's depths are right, as far as it knows itself; -inf where it has none."""
+    """(h, w) log-odds that a view's depths are right, from its own evidence alone; -inf where it has no usable depth."""
     return _logit(_OWN, evidence_of_itself(depth, usable), usable & np.isfinite(depth.depth))
 
 
 def likelier(found: Sequence[TrustedDepth]) -> TrustedDepth:
-    """The first of one or two depths of a view, with the second where the first is not sure and the second is likelier.
+    """The first of one or two depth maps of a view, replaced by the second where it is not sure and the second is likelier.
 
     Refined depths are finer than those of pairs, which a probability of being right to two pixels does not show: sure ones stay.
     """
@@ -75,7 +75,7 @@ def likelier(found: Sequence[TrustedDepth]) -> TrustedDepth:
 
 
 def _overlaid(depth: DepthMap, other: DepthMap, taken: Bools) -> DepthMap:
-    """Depth of a view with that of another map of the same view where that is `taken` (h, w)."""
+    """Depth map of a view, with the values of another map of the same view where `taken` (h, w)."""
     partners = tuple(dict.fromkeys((*depth.partners, *other.partners)))[:MOST_PARTNERS]
     names = ("depth", "sigma", "slope_x", "slope_y", "sure")
     mixed: dict[str, Any] = {name: np.where(taken, getattr(other, name), getattr(depth, name)) for name in names}
@@ -83,13 +83,13 @@ def _overlaid(depth: DepthMap, other: DepthMap, taken: Bools) -> DepthMap:
 
 
 def posterior(depth: DepthMap, frame: Frame, own: Float32s, check: CrossCheck) -> Float32s:
-    """(h, w) probability that depths are right; 0 where there are none, or none that a pair shows.
+    """(h, w) probability that depths are right; 0 where there is none, or no pair supports it.
 
     Parameters
     ----------
-    depth, frame : of a view.
-    own : (h, w) of `own_logit`.
-    check : what the other views say.
+    depth, frame : depth map and frame of a view.
+    own : (h, w) result of `own_logit`.
+    check : cross-check of the view against the others.
     """
     known = frame.mask & np.isfinite(depth.depth) & (check.pairs > 0)
     logit = _logit(_OTHERS, [own, *evidence_of_others(check)], known)
@@ -98,7 +98,7 @@ def posterior(depth: DepthMap, frame: Frame, own: Float32s, check: CrossCheck) -
 
 
 def evidence_of_itself(depth: DepthMap, usable: Bools) -> list[Float32s]:
-    """(h, w) each: what a view knows of its depths; see `_OWN`."""
+    """The view's own evidence, (h, w) each, in the order of `_OWN` without its constant."""
     pairs = np.zeros(depth.depth.shape, np.float32)
     for k in range(len(depth.partners)):
         pairs += depth.support & np.uint32(1 << k) > 0
@@ -109,9 +109,9 @@ def evidence_of_itself(depth: DepthMap, usable: Bools) -> list[Float32s]:
 
 
 def evidence_of_others(check: CrossCheck) -> list[Float32s]:
-    """(h, w) each: what speaks against a depth; the expected number of its pairs that are right; of the views that could see it,
-    the share that has nothing there, and that which has something in front of it.  Views that agree add nothing to their pairs,
-    which are independent evidence."""
+    """Evidence of the other views, (h, w) each: `opposing`; log(1 + expected number of right pairs); and of the views that could
+    see the point, the share that does not see it, and the share that has something in front of it.  The number of agreeing views
+    is left out, because their pairs are the independent evidence."""
     visible = check.visible.astype(np.float32)
     missing = (visible - check.agreeing) / (visible + np.float32(1.0))
     hiding = check.hiding / (visible + check.hiding + np.float32(1.0))
@@ -120,9 +120,9 @@ def evidence_of_others(check: CrossCheck) -> list[Float32s]:
 
 
 def noisiness(frame: Frame) -> Float32s:
-    """(h, w) logarithm of one more than the variance of the frame's noise over that of the grey levels of the patch around.
+    """(h, w) log(1 + variance of the frame's noise / variance of the grey levels in the surrounding patch).
 
-    Where it is high a patch shows little but noise, and matches somewhere by chance.
+    Where it is high, a patch shows little but noise, and matches somewhere by chance.
     """
     grey = luminance(frame.image)
     side = 2 * _PATCH_PX * spacing_px(grey.shape) + 1

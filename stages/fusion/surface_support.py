@@ -1,4 +1,4 @@
-"""Whether a depth stands alone: what share of its surroundings lies on the same surface."""
+"""Share of a depth's surroundings that lies on the same surface: isolated depths have little."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ from ..core.jit import kernel
 from ..types import Bools, DepthMap, Float32s
 
 _REACH, _STRIDE = 6, 2
-"""How far away, in pixels of an image 768 wide, and how densely neighbours are asked; as far in larger ones."""
+"""Reach of the neighbourhood and distance between its samples, in pixels of an image 768 wide; scaled for larger ones."""
 
 
 def surface_support(depth: DepthMap, usable: Bools, weight: Float32s | None = None) -> Float32s:
-    """(h, w) share of the neighbours of each usable pixel that are usable and lie on its plane, each counted by its weight (h, w)
-    from 0 to 1 if there is one; 0 elsewhere.
+    """(h, w) share of each usable pixel's neighbours that are usable and lie on its plane; 0 elsewhere.
 
-    On it is what differs by no more than three sigmas and 0.2 % of the depth: as when views are compared.
+    A neighbour is on the plane if it differs by no more than three sigmas plus 0.2 % of the depth, at most 1.6 %, as when views
+    are compared.  It counts by its weight (h, w), 0 to 1, if there are weights.
     """
     spacing = spacing_px(usable.shape)
     inverse = np.where(usable, 1.0 / depth.depth, np.float32(np.nan)).astype(np.float32)
@@ -27,12 +27,12 @@ def surface_support(depth: DepthMap, usable: Bools, weight: Float32s | None = No
 
 
 def surroundings_px(shape: tuple[int, ...]) -> int:
-    """How many pixels of an image of this shape the surroundings of one cover."""
+    """Number of pixels in the neighbourhood of one pixel, for an image of this shape."""
     return (2 * spacing_px(shape) * _REACH + 1) ** 2
 
 
 def spacing_px(shape: tuple[int, ...]) -> int:
-    """Pixels of an image of this shape that one pixel of an image 768 wide covers."""
+    """Pixels of an image of this shape for each pixel of an image 768 wide."""
     return max(1, round(max(shape) / 768))
 
 
@@ -57,7 +57,7 @@ def _count(
                 fx, fy = np.float32(dx), np.float32(dy)
                 for x in range(last - first):
                     tolerance = min(np.float32(3.0) * sigma[x] + np.float32(0.002), np.float32(0.016)) * here[x]
-                    near = abs(there[x] - here[x] - a[x] * fx - b[x] * fy) <= tolerance  # never where one is unknown
+                    near = abs(there[x] - here[x] - a[x] * fx - b[x] * fy) <= tolerance  # False where either is nan
                     count[x] += counts[x] if near else np.float32(0.0)
         for x in range(w):
             share[y, x] /= asked

@@ -1,20 +1,20 @@
-"""How sure a depth is: what its own noise model expects, put right by what is seen of its errors.
+"""Standard deviation of a depth: the expectation of its noise model, corrected by the errors that are observed.
 
-Errors of matching follow texture, shading and the slant of a surface, which no model of pixel noise knows.  Two things show them:
+Matching errors follow texture, shading and slant, unlike pixel noise.  Two distances, divided by the expected ones, reveal them:
 
-- views that agree put the surface elsewhere on this view's ray, by so much of what both models together let expect.  A view that
-  sees a surface finely differs much from one that sees it roughly, and errs little: differences alone would not tell which;
-- pixels around lie off the plane through this one, by so much of what the model lets expect.
+- along this view's ray, between the surfaces of this view and an agreeing one, expected from both models.  (Undivided, a view
+  with fine depth would seem as wrong as one with coarse depth from which it differs);
+- between the surrounding pixels and the plane through this one, expected from this view's model.
 
-Either tells by which factor the model is wrong, and is wrong by a factor itself: their logarithms are averaged.  By how much each
-has to say is a regression of errors on all three, on demo yards of 320 to 1280 pixels: from one view that agrees to six, and from
-scene to scene, it finds nearly the same.  No scale is fitted.
+Each ratio estimates the factor by which the model is wrong, itself uncertain by a factor: their logarithms are averaged.  Weights
+are from a regression of errors on demo yards of 320 to 1280 pixels, nearly the same for one agreeing view as for six, and from
+scene to scene.  No scale is fitted.
 
-Two views of n + 1 share one of the n pairs that each rests on, and with it a part of their errors, which neither shows: were it
-all, their errors would correlate by 1 / (n + 1), and the variance would be 1 + 1 / n times what is seen of it.
+Any two of n + 1 views share one of the n pairs behind each depth, and with it errors that their difference does not show.  If all
+errors came from pairs, they would correlate by 1 / (n + 1), and the variance would be 1 + 1 / n times the observed one.
 
-What a depth errs by along its ray depends on how the surface is turned to it: with the angle between them it becomes the error
-across the surface, and that the error along another camera's ray.  Of a point that several cameras have, the nearest counts.
+The error along a ray depends on the angle between ray and surface: it is converted to the error along the surface's normal, and
+that to the error along another camera's ray: of the cameras that have the point, the nearest.
 """
 
 from __future__ import annotations
@@ -26,19 +26,19 @@ from ..types import Camera, DepthMap, Float32s, Float64s, Int64s, Uint8s
 from .visibility import ITSELF, CrossCheck
 
 _MODEL, _ROUGHNESS = 0.2, 1.5
-"""What the model and the pixels around have to say, beside the root of the number of views that agree."""
+"""Weights of the model and of the surrounding pixels; that of the views is the square root of the number that agree."""
 _SHARED = 0.5
-"""Of the error that views would share if nothing but their pairs made it (fitted on the demo's yards, apron and stadium)."""
+"""Share of all errors that comes from shared pairs (see above; fitted on the demo's yards, apron and stadium)."""
 _NORMAL_LOG = -0.635
-"""Mean logarithm of what a normal distribution of unit variance draws, without its sign."""
+"""Mean logarithm of the absolute value of a standard normal variable."""
 _LAID = 0.05
-"""Pixels off their plane by no more than this share of what is expected were laid on it: that says nothing of how right it is."""
+"""If the surroundings are this close to the plane, over the expected distance, they were put on it, and show no errors."""
 _AROUND, _PATCHES_PX = 2, 768
-"""Pixels to those around, in images so long: nearer ones were matched on nearly the same patch, which grows with the image."""
+"""Distance of the surrounding pixels, in images of this long side (scaled): nearer ones were matched on nearly the same patch."""
 _OTHER_SURFACE = 0.02
-"""What lies farther off the plane, as a share of the depth, is cut off there."""
+"""Upper limit of distances from the plane, as a share of the depth: larger ones are of other surfaces, and are clipped."""
 _GRAZING = 0.05
-"""Least cosine of ray and normal that is reckoned with."""
+"""Lower limit of the cosine between ray and normal."""
 
 
 def depth_variance(depth: DepthMap, check: CrossCheck, y: Int64s, x: Int64s) -> Float64s:
@@ -46,7 +46,7 @@ def depth_variance(depth: DepthMap, check: CrossCheck, y: Int64s, x: Int64s) -> 
 
     Parameters
     ----------
-    depth, check : of a view, and what the others say of it.
+    depth, check : depth map of a view, and its cross-check against the others.
     y, x : (n,) rows and columns of pixels that have a depth.
     """
     sigma, views = depth.sigma[y, x].astype(np.float64), check.agreeing[y, x].astype(np.float64)
@@ -62,14 +62,14 @@ def depth_variance(depth: DepthMap, check: CrossCheck, y: Int64s, x: Int64s) -> 
 def along_nearest_rays(
     variance: Float64s, camera: Camera, others: Float64s, nearest: Uint8s, points: Float64s, normals: Float64s
 ) -> Float64s:
-    """(n,) squared standard deviations of points along the ray of the nearest camera that has each, from those along the axis.
+    """(n,) squared standard deviations along the ray of each point's nearest camera, from those along this view's optical axis.
 
     Parameters
     ----------
-    variance, points, normals : (n,), (n, 3) and (n, 3), of points of a view's pixels.
-    camera : of the view.
+    variance, points, normals : (n,), (n, 3) and (n, 3), for points of a view's pixels.
+    camera : the view's camera.
     others : (k, 3) centres of the views that it was compared with.
-    nearest : (n,) which of them is the nearest, `ITSELF`: the view.
+    nearest : (n,) index of the nearest camera in `others`, or `ITSELF` for the view.
     """
     centres = np.concatenate([others, camera.C[None]])
     there = centres[np.where(nearest == ITSELF, len(others), nearest)] - points
@@ -81,7 +81,7 @@ def along_nearest_rays(
 
 @kernel
 def _roughness(depth: Float32s, slope_x: Float32s, slope_y: Float32s, y: Int64s, x: Int64s, around: int) -> Float32s:
-    """(n,) mean distance of the eight pixels around from the plane of one, as a share of its depth; 0 where none is known."""
+    """(n,) mean distance of the eight pixels around one from its plane, as a share of its depth; 0 where none has a depth."""
     h, w = depth.shape
     rough = np.zeros(len(y), np.float32)
     for n in range(len(y)):

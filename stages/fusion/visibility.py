@@ -1,4 +1,4 @@
-"""What the other views say about one view's depth: who agrees, and who sees through it."""
+"""Cross-check of one view's depth against the other views: which of them agree, and which look through it."""
 
 from __future__ import annotations
 
@@ -14,59 +14,59 @@ from ..types import Camera, DepthMap, Float32s, Float64s, Uint8s, Uint16s, Uint3
 
 @dataclass(frozen=True)
 class CrossCheck:
-    """What other views say of each pixel of a view, (h, w) each."""
+    """Result of the cross-check for each pixel of a view, (h, w) each."""
 
     pairs: Uint8s
-    """Distinct pairs that support the depth..."""
+    """Number of distinct pairs that support the depth."""
     cameras: Uint16s
-    """...and distinct cameras in them."""
+    """Number of distinct cameras in these pairs."""
     visible: Uint8s
-    """Other views that have the point in their image and nothing in front of it."""
+    """Number of other views that have the point in their image and nothing in front of it."""
     agreeing: Uint8s
-    """Those among them whose own depth agrees."""
+    """Number of `visible` views whose own depth agrees."""
     opposing: Float32s
-    """Log-likelihood ratio of a right depth to a wrong one, summed over the views that make it less likely: they look through the
-    point, as surely as their own depth is right."""
+    """Sum of the log-likelihood ratios, right depth to wrong depth, of the views for which it is negative: they look through the
+    point, and count by the probability that their own depth is right."""
     hiding: Uint8s
-    """Views that have something in front of the point."""
+    """Number of other views that have something in front of the point."""
     doubted: Float32s
-    """Expected number of these pairs that are wrong: the other view of a pair looks through the point, and its own depth is right
-    with some probability."""
+    """Expected number of wrong pairs among `pairs`: the sum, over pairs whose other view looks through the point, of the
+    probability that the other view's depth is right."""
     apart: Float32s
-    """Over those that agree, the sum of logarithms of how far off they put the surface on this view's ray, each over the standard
-    deviation that the sigmas of both depths let expect."""
+    """Sum over the agreeing views of the logarithm of a ratio: distance between the two surfaces along this view's ray, over the
+    standard deviation expected from the sigmas of both depths."""
     nearest: Uint8s
-    """The nearest camera among those that agree and this view: its place among the others, `ITSELF` for this view."""
+    """Camera nearest to the point, among the agreeing views and this one: its index in the other views, or `ITSELF`."""
 
 
 @dataclass(frozen=True)
 class TrustedDepth:
-    """The depth of a view, and how far it is to be believed by itself."""
+    """The depth of a view, and how reliable it is without the other views."""
 
     depth: DepthMap
     own: Float32s
-    """(h, w) log-odds that the depth is right, as far as the view knows itself."""
+    """(h, w) log-odds that the depth is right, from the view's own evidence alone."""
 
 
 def probability(logit: Float32s) -> Float32s:
-    """(h, w) of log-odds."""
+    """Probability (h, w) that belongs to log-odds."""
     with np.errstate(over="ignore"):
         return np.asarray(1.0 / (1.0 + np.exp(-logit)), dtype=np.float32)
 
 
 _UNCOUNTED = 255
-"""The number of pairs that go uncounted."""
+"""Number given to all pairs beyond the first 255; they are not counted."""
 _SAME_SURFACE = 0.016
-"""Depths that differ by no more than this share are of one surface: beyond it nothing agrees."""
+"""Largest relative difference of depths on one surface: views that differ by more never agree, whatever their sigmas."""
 _FLOOR = 0.0007
-"""What depths of two views differ by beyond their sigmas, as a share."""
+"""Relative standard deviation of the difference between two views' depths, in addition to their sigmas."""
 ITSELF = 255
 _MOST_TRUST = np.float32(0.995)
-"""No view is believed more than this."""
+"""Upper limit of the probability that another view's depth is right."""
 _NORMAL = 2.5066
-"""What the density of a normal distribution is divided by, beside its standard deviation."""
+"""Square root of 2 pi, by which the normal density is divided, besides its standard deviation."""
 _LEAST_APART = 0.1
-"""Where two views put the surface, as a share of what is expected: nearer to each other is by chance."""
+"""Lower limit of the distance between two views' surfaces over the expected one: smaller distances are due to chance."""
 
 
 def cross_check(
@@ -74,20 +74,20 @@ def cross_check(
 ) -> CrossCheck:
     """Project every pixel of a view into the other views, one at a time, and compare with the depth found there.
 
-    A view agrees within three sigmas of both and 0.2 % of the depth.  A pair whose other view has something in front of the point
-    does not support it; one whose other view looks through the point does as far as that view's depth is wrong.
+    A view agrees within three combined sigmas plus 0.2 % of the depth, at most 1.6 %.  A pair does not support the point if its
+    other view has something in front of it.  If the other view looks through it, the pair counts as partly wrong (`doubted`).
 
-    How much a view's depth says follows from its standard deviation and from the probability t that it is right: beside a right
-    depth it is normally distributed, beside a wrong one, as when it is wrong itself, it may be anything up to twice as far.  One
-    that lies behind the point, where it should have seen it, has the likelihood ratio 1 - t: what is not sure itself rules
-    nothing out.
+    The weight of a view's depth follows from its standard deviation and from the probability t that it is right.  If both depths
+    are right, their difference is normally distributed; if either is wrong, the other view's depth may be anything up to twice
+    the point's.  A depth far behind the point thus has the likelihood ratio 1 - t: a view that is unsure of its own depth does
+    not rule the point out.
 
     Parameters
     ----------
     name : the view.
     others : views to compare it with, in the order in which pairs are numbered.
-    cameras : of all these views.
-    view_of : loads a view's depth; asked once for each.
+    cameras : cameras of all these views.
+    view_of : loads a view's depth; called once for each view.
     """
     own = view_of(name).depth
     h, w = own.depth.shape
@@ -104,7 +104,7 @@ def cross_check(
         words = max(1, -(-min(len(numbers), _UNCOUNTED) // 64))  # of 64 bits each
         if words > len(pairs):
             pairs = np.concatenate([pairs, np.zeros((words - len(pairs), h, w), np.uint64)])
-        # (4,) g and s: the square of a point's distance from the other camera, less that from its own, is s - depth g (x, y, 1)
+        # (4,) g and s: a point's squared distance to the other camera, minus that to its own, is s - depth g (x, y, 1)
         c = cameras[name].R @ (cameras[other].C - cameras[name].C)
         farther = np.append(2.0 * np.linalg.solve(cameras[name].K.T, c), c @ c)
         pair, rank = min(numbers.get(tuple(sorted((name, other))), _UNCOUNTED), _UNCOUNTED), min(place, ITSELF)
@@ -119,9 +119,9 @@ def cross_check(
 
 
 def _numbers_of(view: str, depth: DepthMap, numbers: dict[tuple[str, ...], int]) -> Uint8s:
-    """(n,) the number of the pair with each of a view's n partners, as pairs are met; 255: not counted.
+    """(n,) number of the pair with each of a view's n partners, in order of first occurrence; 255: not counted.
 
-    Seventeen views that all have 32 pairs could meet twice as many, but a point that has more than a hundred needs no further.
+    Seventeen views with 32 pairs each could have twice as many pairs, but a point with more than a hundred needs no more.
     """
     pairs = (tuple(sorted((view, partner))) for partner in depth.partners)
     return np.array([min(numbers.setdefault(pair, len(numbers)), _UNCOUNTED) for pair in pairs], np.uint8)
@@ -129,7 +129,7 @@ def _numbers_of(view: str, depth: DepthMap, numbers: dict[tuple[str, ...], int])
 
 @kernel
 def _own_pairs(support: Uint32s, bits: Uint8s) -> Uint64s:
-    """(words, h, w): bit k of word m is set where the pair of number 64 m + k supports the depth; a view has one word full."""
+    """(words, h, w): bit k of word m is set where pair number 64 m + k supports the depth; one word holds a view's own pairs."""
     h, w = support.shape
     pairs = np.zeros((1, h, w), np.uint64)
     for y in range(h):
@@ -173,7 +173,7 @@ def _compare(
             there = 1.0 / (1.0 / other_depth[j, i] + slope_x[j, i] * (u - i) + slope_y[j, i] * (v - j))
             spread = np.sqrt(sigma[y, x] ** 2 + other_sigma[j, i] ** 2) + _FLOOR * z
             tolerance = min(3.0 * spread, _SAME_SURFACE * z)
-            if there < z - tolerance:  # hidden: then that view cannot have seen it
+            if there < z - tolerance:  # the point is hidden there, so the pair with that view cannot support it
                 pairs[common_word, y, x] &= ~common
                 hiding[y, x] += 1
                 continue
@@ -185,7 +185,7 @@ def _compare(
                 if pairs[common_word, y, x] & common:
                     doubted[y, x] += t
             else:
-                n0, n1 = slope_x[j, i], slope_y[j, i]  # its plane, linear in places as that camera sees them, on this pixel's ray
+                n0, n1 = slope_x[j, i], slope_y[j, i]  # the other view's plane, intersected with this pixel's ray
                 n2 = 1.0 / other_depth[j, i] - n0 * i - n1 * j
                 along = own * (n0 * (m00 * x + m01 * y + m02) + n1 * (m10 * x + m11 * y + m12) + n2 * (m20 * x + m21 * y + m22))
                 farther = (1.0 - n0 * b0 - n1 * b1 - n2 * b2) / along - 1.0
@@ -202,7 +202,7 @@ def _compare(
 
 @kernel
 def _count(pairs: Uint64s, pair_index: Uint16s, count: Uint8s, cameras: Uint16s) -> None:
-    """Set bits, and distinct cameras of the pairs they stand for."""
+    """Count the set bits, and the distinct cameras of the pairs that they represent."""
     words, h, w = pairs.shape
     stamp = np.full(2 * len(pair_index) + 1, -1, np.int64)
     for y in range(h):

@@ -1,8 +1,8 @@
-"""Points of many views merged on a grid that grows coarser where the cameras see coarser.
+"""Points of many views merged on a grid that is coarser where the cameras see coarser.
 
-A voxel's level doubles its edge: level 0 has the basic edge, and a point whose pixel covers more than two, four, ... edges goes
-to level 1, 2, ...  Sites in which near and far things are seen at once keep both.  A rough depth weighs less, it does not
-coarsen.
+Each level doubles the voxels' edge: level 0 has the basic edge, and a point whose pixel covers more than two, four, ... edges
+goes to level 1, 2, ...  Sites with both near and far things thus keep the detail of both.  A depth with a large sigma gets a
+smaller weight, not a coarser voxel.
 """
 
 from __future__ import annotations
@@ -20,17 +20,17 @@ _HALF = 1 << 19  # cells to either side of the origin, per axis
 _LEVELS = 8
 _BLOCK = 1 << 18
 _COLUMNS, _BEST = 16, 14
-"""Columns of a voxel's sums: position, normal (by weight), colour (by confidence), weight, confidence, count, standard deviation
-by weight, variance by squared weight; from `_BEST` on the largest values: confidence, cameras."""
+"""Columns of a voxel's sums: position and normal (times weight), colour (times confidence), weight, confidence, count, standard
+deviation times weight, variance times squared weight.  Columns from `_BEST` on hold maxima: of confidence and of cameras."""
 _IN_COMMON = 0.25
-"""Correlation of the errors of a voxel's samples: views share pairs, pixels their patches (fitted as in `fusion.uncertainty`)."""
+"""Error correlation of a voxel's samples: views share pairs, and pixels share patches (fitted as in `fusion.uncertainty`)."""
 
 
 @dataclass(frozen=True)
 class Samples:
-    """Points before or after merging, (n, ...): position, unit normal, colour 0 to 255, weight 1 / sigma^2, confidence 0 to 1,
-    number of cameras, edge in world lengths of what its pixel covers, and squared standard deviation along the nearest camera's
-    ray as images show it (the weight is what it was expected to be)."""
+    """Points before or after merging, (n, ...): position, unit normal, colour 0 to 255, weight 1 / sigma^2 (sigma of the noise
+    model), confidence 0 to 1, number of cameras, edge of the pixel's footprint in world lengths, and squared standard deviation
+    along the nearest camera's ray, as observed in the images (`fusion.uncertainty`)."""
 
     points: Float64s
     normals: Float32s
@@ -44,14 +44,14 @@ class Samples:
 
 @dataclass(frozen=True)
 class VoxelSums:
-    """Samples of one view, summed in the voxels that hold any: sorted keys (n,), and columns (n, 16) as in `_COLUMNS`."""
+    """Samples of one view, summed by occupied voxel: sorted keys (n,), and columns (n, 16) as in `_COLUMNS`."""
 
     keys: Int64s
     columns: Float32s
 
 
 class VoxelGrid:
-    """Collects samples view by view.  Memory follows the number of occupied voxels, not of samples: 72 bytes for each."""
+    """Collects samples view by view.  Memory is 72 bytes for each occupied voxel, however many samples it has."""
 
     def __init__(self, edge: float, origin: Float64s) -> None:
         self.edge = edge
@@ -60,7 +60,7 @@ class VoxelGrid:
         self._sums = np.zeros((0, _COLUMNS), np.float32)
 
     def sums_of(self, samples: Samples) -> VoxelSums:
-        """The samples of one view by voxel; what lies beyond half a million edges from the origin is left out."""
+        """The samples of one view, summed by voxel; those beyond half a million edges from the origin are left out."""
         doublings = np.floor(np.log2(np.maximum(samples.footprint / self.edge, 1.0)))
         level = np.clip(doublings, 0, _LEVELS - 1).astype(np.int64)
         keys, away = np.empty(len(level), np.int64), np.empty((len(level), 3), np.float32)
@@ -77,7 +77,7 @@ class VoxelGrid:
         return VoxelSums(keys[starts], columns)
 
     def add(self, sums: VoxelSums) -> None:
-        """Merge in the samples of one view, in place: the voxels known are never held twice."""
+        """Merge in the sums of one view, in place, so that memory never holds the known voxels twice."""
         before = len(self._keys)
         after = before + _count_new(self._keys, sums.keys)
         self._keys.resize(after, refcheck=False)
@@ -85,10 +85,10 @@ class VoxelGrid:
         _merge_from_the_end(self._keys, self._sums, before, sums.keys, sums.columns)
 
     def merged(self) -> Iterator[Samples]:
-        """One sample for each voxel, some at a time.
+        """One sample for each voxel, in blocks of voxels.
 
-        Position and normal are means by weight, the colour by confidence; `weight` is the samples' mean, `variance` that of the
-        position, as of samples whose errors correlate by `_IN_COMMON`; confidence and cameras are the best sample's.
+        Position and normal are means weighted by weight, the colour by confidence; `weight` is the samples' mean; `variance` is
+        that of the position for error correlation `_IN_COMMON`; confidence and cameras are the largest of the samples.
         """
         count = len(self._keys)
         pieces = [slice(first, min(first + _BLOCK, count)) for first in range(0, count, _BLOCK)]
@@ -102,11 +102,11 @@ class VoxelGrid:
         cells = np.column_stack([keys >> shift & (2 * _HALF - 1) for shift in (40, 20, 0)]) - _HALF
         middles = self.origin + (cells + 0.5) * (self.edge * 2.0 ** (keys >> 60))[:, None]
         return Samples(
-            middles + sums[:, 0:3] / w,  # positions are summed relative to these, in single precision
+            middles + sums[:, 0:3] / w,  # sums are relative to the middles, which keeps single precision exact enough
             np.asarray(sums[:, 3:6] / np.maximum(length, 1e-30), dtype=np.float32),
             sums[:, 6:9] / c,
             (w / n)[:, 0],
-            sums[:, 14].copy(),  # a view would keep all the block's sums alive
+            sums[:, 14].copy(),  # an array view would keep all the block's sums in memory
             sums[:, 15].copy(),
             (self.edge * 2.0 ** (keys >> 60)).astype(np.float32),
             _IN_COMMON * together + (1.0 - _IN_COMMON) * alone,
@@ -115,7 +115,7 @@ class VoxelGrid:
 
 @kernel
 def _locate(points: Float64s, level: Int64s, origin: Float64s, edge: float, keys: Int64s, away: Float32s) -> None:
-    """Key of each point's voxel, -1 where it is too far out, and where the point lies from the voxel's centre."""
+    """Write the key of each point's voxel, -1 if it is too far out, and the point's offset from the voxel's centre."""
     for n in range(len(points)):
         size = edge * 2.0 ** level[n]
         key, inside = level[n], True
@@ -141,7 +141,7 @@ def _sum(
     variance: Float32s,
     sums: Float32s,
 ) -> None:
-    """Sums of each voxel over its samples, which stand together in `order` from one of `starts` to the next."""
+    """Sum each voxel's samples, which are contiguous in `order`, from one of `starts` to the next."""
     for voxel in range(len(sums)):
         row = sums[voxel]
         row[:] = 0
@@ -163,7 +163,7 @@ def _sum(
 
 @kernel
 def _count_new(known: Int64s, keys: Int64s) -> int:
-    """How many of `keys` are not among those known; both are sorted."""
+    """Number of `keys` that are not in `known`; both are sorted."""
     count, at = 0, 0
     for k in range(len(keys)):
         while at < len(known) and known[at] < keys[k]:
@@ -175,11 +175,11 @@ def _count_new(known: Int64s, keys: Int64s) -> int:
 
 @kernel
 def _merge_from_the_end(keys: Int64s, sums: Float32s, before: int, new_keys: Int64s, new_sums: Float32s) -> None:
-    """Merge sorted rows into the first `before` sorted rows of an array that has just the room for all."""
+    """Merge new sorted rows into an array whose first `before` rows are sorted and whose length is that of the result."""
     a, b = before - 1, len(new_keys) - 1
     for to in range(len(keys) - 1, -1, -1):
         if b < 0:
-            return  # what is left is in its place
+            return  # the remaining rows are in place already
         if a >= 0 and keys[a] > new_keys[b]:
             keys[to] = keys[a]
             for c in range(_COLUMNS):

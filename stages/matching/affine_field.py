@@ -1,8 +1,8 @@
 """A local affine map at every keypoint, from the confident matches around it.
 
 Each query point fits `x2 = y + A (x1 - query)` to its nearest matches by iteratively reweighted least squares (Geman-McClure),
-with a ridge that draws A toward the mean of what the matched keypoints' own frames say.  A match that lies on the query itself is
-left out, so that the map is always the opinion of the others.
+with a ridge that draws A toward the mean of the affine maps between the matched keypoints' own frames.  A match at the query
+itself is left out, so that the map always comes from the other matches.
 """
 
 from __future__ import annotations
@@ -17,9 +17,9 @@ from ..types import Float32s, Float64s, Int32s
 
 _BATCH = 128
 _WIDTH_RANK = 8
-"""The distance of this neighbour (0 is the nearest) is the width of the weights."""
+"""Rank of the neighbour (0 is the nearest) whose distance is the width of the distance weights."""
 _LARGEST_SPREAD_PX, _HALVINGS = 65536.0, 11
-"""The median residual is looked for between 1 and the first, by so many halvings of the logarithm: to half a per cent."""
+"""Upper limit of the median residual (the lower one is 1), and bisections of its logarithm: exact to half a per cent."""
 
 
 @dataclass(frozen=True)
@@ -31,15 +31,15 @@ class AffineField:
     affine: Float64s
     """(m, 2, 2)."""
     sigma_px: Float64s
-    """(m,), weighted median residual of the neighbours, at least 1."""
+    """(m,), weighted median residual of the neighbouring matches, at least 1."""
     support: Float64s
-    """(m,), summed weight of the neighbours that agree."""
+    """(m,), summed weight of the neighbouring matches that agree."""
 
 
 def fit_affine_field(
     x1: Float64s, x2: Float64s, affine: Float64s, weight: Float64s, queries: Float64s, neighbours: int = 20, ridge: float = 2.0
 ) -> AffineField:
-    """Fit the field to matches, at queries.
+    """Fit the field to matches, at query points.
 
     Parameters
     ----------
@@ -47,7 +47,7 @@ def fit_affine_field(
     affine : (n, 2, 2) from frame 1 to frame 2 of each match.
     weight : (n,) of each match, 0 to 1.
     queries : (m, 2) pixels of image 1.
-    neighbours : matches that a query asks.
+    neighbours : nearest matches that each query uses.
     ridge : pull toward the mean of the frame affines; no unit.
     """
     distance, index = nearest_points(x1, queries, min(neighbours, len(x1) - 1) + 1)
@@ -77,8 +77,8 @@ def _fit(
     sigma: Float64s,
     support: Float64s,
 ) -> None:
-    """A batch of queries at a time: arrays hold a row for each neighbour and a column for each query, and every loop over columns
-    is one that the compiler does for several at once."""
+    """Fit a batch of queries at a time: arrays hold a row for each neighbour and a column for each query, so that the compiler
+    can vectorise every loop over columns."""
     k = distance.shape[1]
     by_neighbour, by_query = np.zeros((7, k, _BATCH), np.float32), np.zeros((27, _BATCH), np.float32)
     middle = np.ones((2, _BATCH))
@@ -120,7 +120,7 @@ def _fit(
 
 @helper
 def _copy(here: Float32s, there: Float32s) -> None:
-    """Not  there[:] = here: how to raise for shapes that differ takes longer to compile than all of this."""
+    """Copy without `there[:] = here`, whose error for different shapes takes longer to compile than this whole function."""
     for a in range(here.shape[0]):
         for c in range(here.shape[1]):
             there[a, c] = here[a, c]
@@ -155,8 +155,8 @@ def _gather(
     middle: Float64s,
     drawn: Float32s,
 ) -> None:
-    """Write the neighbours of one query into column c: weights by distance, u, v around the query in units of `scale`, s, t
-    around their mean in image 2, `middle`; drawn: the mean of the frame affines, toward which `pull` draws."""
+    """Write the neighbours of one query into column c.  w0: weights by distance; u, v: positions from the query, in units of
+    `scale`; s, t: positions in image 2 from their mean `middle`; drawn: mean frame affine, toward which `pull` draws."""
     k = distance.shape[1]
     width = widths[q]
     unit = width + 5.0
@@ -236,7 +236,7 @@ def _residuals(u: Float32s, v: Float32s, s: Float32s, t: Float32s, found: Float3
 
 @helper
 def _median(values: Float32s, weights: Float32s, high: Float32s, low: Float32s, below: Float32s) -> None:
-    """To `high` the least value, nearly, with half the weight of its column at or below it, at least 1; low, below: room."""
+    """Write to `high` the weighted median of each column of values (approximately), at least 1; low, below: scratch."""
     k, n = values.shape
     for c in range(n):
         low[c], high[c] = 1, np.float32(_LARGEST_SPREAD_PX)

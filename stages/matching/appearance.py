@@ -1,8 +1,8 @@
-"""Which views look alike as wholes: one vector for each, so that of many views only promising pairs need a closer look.
+"""Similarity of whole views, from one vector for each, so that only promising pairs of many views need a closer look.
 
-A view's vector holds, for each of a few visual words, the direction in which its descriptors lie off the word (VLAD; Jegou,
-Douze, Schmid, Perez, Aggregating local descriptors into a compact image representation, CVPR 2010), each word's share of unit
-length (Arandjelovic, Zisserman, All about VLAD, CVPR 2013).  Words are the means of the site's own descriptors: nothing has to be
+A view's vector holds, for each of a few visual words, the sum of its descriptors' residuals from the word (VLAD; Jegou, Douze,
+Schmid, Perez, Aggregating local descriptors into a compact image representation, CVPR 2010), scaled to unit length for each word
+(Arandjelovic, Zisserman, All about VLAD, CVPR 2013).  The words are clusters of the site's own descriptors: nothing has to be
 learnt beforehand.
 """
 
@@ -15,14 +15,14 @@ import numpy as np
 from ..types import Float32s
 
 _WORDS = 32
-"""Of 16, 32 and 64 the one that finds most on two photographed sites; a vocabulary of a thousand words, and votes of single
-descriptors, find no more."""
+"""Number of visual words: the best of 16, 32 and 64 on two photographed sites; a vocabulary of a thousand words, or votes of
+single descriptors, find no more."""
 _LEARNT_FROM, _ROUNDS = 12_000, 8
-"""Descriptors from which words are made, and rounds of making them."""
+"""Number of descriptors that the words are clustered from, and rounds of k-means."""
 
 
 def most_alike(descriptors: Sequence[Float32s], count: int) -> list[tuple[int, int]]:
-    """Pairs (i, j) of views, i < j, of which one is among the `count` that look most like the other; in order.
+    """Pairs (i, j) of views, i < j, in which one view is among the `count` most similar to the other; in order.
 
     descriptors: (n, d) float32 of unit length, of each view.
     """
@@ -37,7 +37,7 @@ def most_alike(descriptors: Sequence[Float32s], count: int) -> list[tuple[int, i
 
 
 def _whole_views(descriptors: Sequence[Float32s]) -> Float32s:
-    """(views, words d) of unit length, or 0 where a view has no descriptors."""
+    """(views, words d) vectors of unit length, 0 for views without descriptors."""
     every = np.concatenate(descriptors)
     words = _words(every, np.random.default_rng(0))
     found = np.zeros((len(descriptors), *words.shape), np.float32)
@@ -50,7 +50,7 @@ def _whole_views(descriptors: Sequence[Float32s]) -> Float32s:
 
 
 def _words(every: Float32s, random: np.random.Generator) -> Float32s:
-    """(words, d) of unit length: spherical k-means of some of the descriptors."""
+    """(words, d) of unit length, by spherical k-means on a sample of the descriptors."""
     some = every[np.sort(random.choice(len(every), min(len(every), _LEARNT_FROM), replace=False))]
     words = some[random.choice(len(some), min(_WORDS, len(some)), replace=False)].copy()
     for _ in range(_ROUNDS):

@@ -1,7 +1,7 @@
-"""One partner for each keypoint: Sinkhorn's balancing on a sparse set of candidates, and what remains of repeats.
+"""One partner for each keypoint: Sinkhorn balancing on a sparse set of candidates, and removal of repeated matches.
 
-Sinkhorn & Knopp (1967); the dustbin that takes keypoints without a partner is that of partial assignment (Rangarajan, Chui &
-Bookstein, 1997).
+Sinkhorn & Knopp (1967); the dustbin for keypoints without a partner is that of partial assignment (Rangarajan, Chui & Bookstein,
+1997).
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ def assign(i: Int32s, j: Int32s, log_odds: Float64s, n1: int, n2: int, iteration
     i, j : (c,) int32 row and column of each candidate.
     log_odds : (c,) evidence for the candidate against "no partner", whose mass is 1 in every row and column.
     n1, n2 : numbers of rows and columns.
-    iterations : of scaling rows and columns in turn.
+    iterations : number of times that rows and columns are scaled in turn.
     """
     probability = np.empty(len(i))
     if len(i):
@@ -32,7 +32,7 @@ _TOO_NEAR_PX = 1.5
 
 
 def without_repeats(x1: Float64s, x2: Float64s, probability: Float64s) -> Bools:
-    """(n,) True for matches that no more probable match shadows: one that lies within `_TOO_NEAR_PX` in image 1 or in image 2.
+    """(n,) True for matches that stay: no more probable match that stays is within `_TOO_NEAR_PX` in image 1 or in image 2.
 
     x1, x2: (n, 2) pixels of the matches in either image; probability: (n,) of each match.
     """
@@ -45,19 +45,19 @@ def without_repeats(x1: Float64s, x2: Float64s, probability: Float64s) -> Bools:
 
 
 def _cells(x: Float64s) -> Int32s:
-    """(n, 2) grid cell of each point, counted from 1, so that each has neighbours on all sides."""
+    """(n, 2) grid cell of each point, counted from 1, so that each cell has neighbours on all sides."""
     return np.asarray(np.floor((x - x.min(axis=0)) / _TOO_NEAR_PX) + 1, dtype=np.int32)
 
 
 def _heads(cells: Int32s) -> Int32s:
-    """For each cell the first of the list of those taken: none, as yet."""
+    """For each grid cell the head of its list of kept matches: -1, as the lists are empty at first."""
     columns, rows = cells.max(axis=0) + 2
     return np.full((rows, columns), -1, np.int32)
 
 
 @kernel
 def _sinkhorn(i: Int32s, j: Int32s, mass: Float64s, rows: int, columns: int, iterations: int, probability: Float64s) -> None:
-    u, row, v, column = np.ones(rows), np.ones(rows), np.ones(columns), np.ones(columns)  # factors, and sums
+    u, row, v, column = np.ones(rows), np.ones(rows), np.ones(columns), np.ones(columns)  # scale factors, and sums
     for _ in range(iterations):
         for c in range(len(row)):
             row[c] = 1.0
@@ -79,7 +79,7 @@ def _sinkhorn(i: Int32s, j: Int32s, mass: Float64s, rows: int, columns: int, ite
 def _suppress(
     order: Int32s, cells1: Int32s, cells2: Int32s, x1: Float64s, x2: Float64s, head1: Int32s, head2: Int32s, keep: Bools
 ) -> None:
-    """Take matches in order, unless one already taken is near in either image; each grid cell heads a list of those taken."""
+    """Keep matches in order, unless one already kept is near in either image; each grid cell heads a linked list of these."""
     next1, next2 = np.full(len(x1), -1, np.int32), np.full(len(x1), -1, np.int32)
     for n in order:
         if _taken(head1, next1, cells1, x1, n) or _taken(head2, next2, cells2, x2, n):

@@ -1,4 +1,4 @@
-"""What may correspond in two sets of keypoints: the nearest few by descriptor, and keypoints near a predicted place.
+"""Candidate matches of two sets of keypoints: the nearest few by descriptor, and keypoints near a predicted position.
 
 A pair of frames is matched view by view: the plain views with each other, and each compressed view with the other's plain one.
 """
@@ -16,37 +16,37 @@ from .affine_field import AffineField
 from .neighbours import APART_PX, Neighbours, nearest_neighbours
 
 NEIGHBOURS = 7
-"""Candidates that each keypoint proposes, unless asked otherwise."""
+"""Candidates that each keypoint proposes, by default."""
 NOISE_RANK = 2
-"""The local noise level of a keypoint is its distance to the neighbour this many places after the last candidate."""
+"""A keypoint's local noise level is its descriptor distance to the neighbour this many ranks after its last candidate."""
 TRUSTED, MAX_SIGMA_PX, MAX_RADIUS_PX = 0.5, 15.0, 40.0
-"""Keypoints near a prediction are candidates where the field is trusted by more than the first, its sigma below the second."""
+"""Keypoints near a prediction are candidates if the field's weight is above `TRUSTED` and its sigma below `MAX_SIGMA_PX`."""
 SEARCH_CELL_PX = 12.0
 MAX_DISTANCE = 1.08
-"""Candidates near a prediction may be this much farther in descriptor space than the noise level."""
+"""Limit of the descriptor distance, over the noise level, of candidates near a prediction."""
 
 
 @dataclass(frozen=True)
 class Candidates:
-    """Pairs i--j, (c,) int32 in order of i and j, that may correspond by their descriptors (n1, d) and (n2, d)."""
+    """Pairs i--j, (c,) int32 sorted by i and j, that may match by their descriptors (n1, d) and (n2, d)."""
 
     descriptors1: Float32s
     descriptors2: Float32s
     neighbours: int
     near: Neighbours
-    """The nearest both ways, `NOISE_RANK` more than the `neighbours` that are candidates."""
+    """The nearest neighbours both ways: the `neighbours` that are candidates, and `NOISE_RANK` more."""
     noise1: Float32s
     noise2: Float32s
     """(n1,) and (n2,), the local noise levels."""
     i: Int32s
     j: Int32s
     q: Float64s
-    """(c,) descriptor distances over the noise."""
+    """(c,) descriptor distances over the mean noise level of both keypoints."""
 
 
 @dataclass(frozen=True)
 class ViewPair:
-    """One view of the left frame against one of the right: rows of the `Features`, places, frames of 1, inverse frames of 2."""
+    """A view of the left frame and one of the right: rows of the `Features`, positions, frames of 1, inverse frames of 2."""
 
     rows1: Int32s
     rows2: Int32s
@@ -60,18 +60,18 @@ class ViewPair:
 def view_pairs(
     left: Features, right: Features, tilted: bool, neighbours: int = NEIGHBOURS, known: tuple[ViewPair, ...] = ()
 ) -> tuple[ViewPair, ...]:
-    """What is matched with what: the plain views, and each compressed view with the other's plain one.
+    """Pairs of views to be matched: the plain views, and each compressed view with the other's plain one.
 
     Parameters
     ----------
     left, right : keypoints of the two frames.
-    tilted : bring in the compressed views.
+    tilted : include the compressed views.
     neighbours : candidates that each keypoint proposes.
-    known : the plain views' pair where it has been searched already, with as many neighbours.
+    known : the pair of plain views if it has been searched already, with the same `neighbours`.
 
     Returns
     -------
-    Those of the pairs that have enough keypoints on both sides, the plain one first.
+    The pairs with enough keypoints on both sides, the plain one first.
     """
     views = [(TILTED, PLAIN), (PLAIN, TILTED)] if tilted else []
     plain = known[0] if known else _view_pair(left, right, PLAIN, PLAIN, neighbours)
@@ -80,7 +80,7 @@ def view_pairs(
 
 
 def searched_view_pairs(matches: Matches, left: Features, right: Features) -> tuple[ViewPair, ...]:
-    """The view pairs that the matches come from: as their matcher handed them on, else found again."""
+    """The view pairs that the matches come from: as handed on by their matcher, else searched again."""
     handed_on = tuple(pair for pair in matches.searched if isinstance(pair, ViewPair))
     if handed_on and all(pair.candidates.neighbours == NEIGHBOURS for pair in handed_on):
         return handed_on
@@ -111,8 +111,8 @@ def _candidates(descriptors1: Float32s, descriptors2: Float32s, neighbours: int)
 
 
 def rival_distances(left: Features, right: Features, pairs: tuple[ViewPair, ...], i1: Int32s, i2: Int32s) -> Float64s:
-    """(n,) descriptor distance of each match's nearest rival: of those that its two keypoints have in the other image, at least
-    `APART_PX` from the match.  Among the nearest few only: where all lie at the match itself, the last of them.
+    """(n,) descriptor distance of each match's nearest rival: a neighbour of one of its keypoints, at least `APART_PX` from the
+    other in the image.  Only the nearest few are searched: if all lie at the match itself, the last of them counts.
 
     Parameters
     ----------
@@ -132,21 +132,21 @@ def rival_distances(left: Features, right: Features, pairs: tuple[ViewPair, ...]
 
 
 def _first_apart(places: Float64s, match: Float64s, distance: Float32s) -> Float64s:
-    """Distance of the nearest neighbour (of (n, k), nearest first) that lies apart from the match."""
+    """Descriptor distance of the first neighbour, of (n, k), that is at least `APART_PX` from the match, else of the last."""
     apart = np.linalg.norm(places - match[:, None], axis=2) >= APART_PX
     apart[:, -1] = True
     return np.asarray(distance[np.arange(len(distance)), apart.argmax(axis=1)], dtype=np.float64)
 
 
 def near_predictions(pair: ViewPair, field: AffineField, sigma: Float64s, trust: Float64s) -> tuple[Int32s, Int32s, Float64s]:
-    """Candidates that no descriptor list has: keypoints of image 2 near the prediction, where the field can be trusted.
+    """Candidates beyond the lists of nearest descriptors: keypoints of image 2 near a reliable prediction.
 
     Parameters
     ----------
     pair : keypoints and descriptors of both images.
-    field : where keypoints of image 1 are expected in image 2.
-    sigma : (n,) standard deviation of that, pixels.
-    trust : (n,) probability that the field holds there.
+    field : predicts the positions of keypoints of image 1 in image 2.
+    sigma : (n,) standard deviation of the prediction, pixels.
+    trust : (n,) weight of the field there against the descriptors alone, 0 to 1.
     """
     asking = np.flatnonzero((trust > TRUSTED) & (sigma < MAX_SIGMA_PX)).astype(np.int32)
     radius = np.minimum(3 * sigma[asking] + 2, MAX_RADIUS_PX)
@@ -213,8 +213,8 @@ def _search(
     out_j: Int32s,
     out_q: Float64s,
 ) -> int:
-    """Write pairs of an asking keypoint and a keypoint of image 2 within its radius that are not candidates yet (first, known:
-    their list by row) and whose relative distance, written too, is small; as many as there is room for.  Returns how many."""
+    """Write new candidates, as far as they fit: keypoints of image 2 within the radius of a keypoint in `asking`, not listed yet
+    (first, known: list by row), with a small relative distance, which is written, too.  Returns how many there are."""
     count = 0
     for n in range(len(asking)):
         a = asking[n]

@@ -1,7 +1,7 @@
-"""What a keypoint's surroundings look like: its main direction, and SIFT's histograms of gradients (Lowe, IJCV 2004).
+"""Description of a keypoint's surroundings: its main direction, and SIFT's histograms of gradients (Lowe, IJCV 2004).
 
-Histograms are made from a small picture of the surroundings, sampled in the keypoint's own scale and direction: what a sample
-adds to which histogram is then known beforehand, and the samples are as many for a large keypoint as for a small one.
+Histograms are made from a small patch, resampled in the keypoint's own scale and direction: the share of each sample in each
+histogram is then known beforehand, and a large keypoint has as many samples as a small one.
 """
 
 from __future__ import annotations
@@ -13,26 +13,26 @@ from ..types import Float32s, Float64s, Int32s, Int64s
 from .scale_space import Blobs, Pyramid, in_octave
 
 BINS = 36
-"""Of the histogram of directions."""
+"""Bins of the histogram of directions."""
 WINDOW, REACH = 1.5, 3.0
-"""It weighs by a Gaussian of so many sigmas of the keypoint, over so many times that."""
+"""Gaussian weight in the histogram of directions: its sigma in sigmas of the keypoint, and its reach in its own sigmas."""
 STRONG = 0.8
-"""Directions with this share of the strongest are main directions, too."""
+"""Peaks of at least this share of the strongest one are main directions, too."""
 CELLS, TURNS = 4, 8
-"""Histograms along each side of the patch, and directions of each."""
+"""Histograms along each side of the patch, and directions in each."""
 CELL_SIGMAS = 3.0
-"""A histogram's width in sigmas of the keypoint."""
+"""Width of a histogram's cell in sigmas of the keypoint."""
 SAMPLES = 20
 """Samples along the patch, which reaches half a cell beyond the histograms."""
 LENGTH = CELLS * CELLS * TURNS
 CLIP = 0.2
-"""No direction counts more, of unit length."""
+"""Upper limit of an element of a descriptor of unit length."""
 _GRADIENTS = 4, 64
-"""x, y, direction and size of the gradients of one row; so long is none."""
+"""Shape of the buffer for the gradients of one row: x, y, direction and magnitude; every row is shorter than this."""
 
 
 def main_directions(octaves: Pyramid, blobs: Blobs, seam: float) -> Float64s:
-    """(n,) radians from x to y: of each blob the first main direction from the angle `seam` on."""
+    """(n,) main direction of each blob, radians from x to y: the first one from the angle `seam` on."""
     angle = np.empty(len(blobs.x))
     for octave, levels in enumerate(octaves):
         rows = np.flatnonzero(blobs.octave == octave)
@@ -43,7 +43,7 @@ def main_directions(octaves: Pyramid, blobs: Blobs, seam: float) -> Float64s:
 
 
 def describe(octaves: Pyramid, blobs: Blobs, angle: Float64s) -> Float32s:
-    """(n, 128) histograms of unit length, of blobs with main directions `angle`."""
+    """(n, 128) descriptors of unit length, of blobs with main directions `angle`."""
     out = np.empty((len(blobs.x), LENGTH), np.float32)
     weight, first, share = _grid()
     for octave, levels in enumerate(octaves):
@@ -56,8 +56,8 @@ def describe(octaves: Pyramid, blobs: Blobs, angle: Float64s) -> Float32s:
 
 
 def _grid() -> tuple[Float32s, Int64s, Float32s]:
-    """For each sample along a side: Gaussian weight, the first of two cells that it adds to (0: before the patch), and the share
-    of the second."""
+    """For each sample along a side: Gaussian weight, the first of the two cells that it contributes to (0: before the patch), and
+    the share of the second."""
     at = (np.arange(SAMPLES) + 0.5) * (CELLS + 1) / SAMPLES - 0.5 * (CELLS + 1)
     cell = at + 0.5 * CELLS + 0.5
     first = np.floor(cell).astype(np.int64)
@@ -66,14 +66,14 @@ def _grid() -> tuple[Float32s, Int64s, Float32s]:
 
 @helper
 def _angles(gx: Float32s, gy: Float32s, turn: Float32s, size: Float32s, per: float) -> None:
-    """Direction of each gradient, from 0 on, times `per`, and its size."""
+    """Write the direction of each gradient, 0 to 2 pi, times `per`, and its magnitude."""
     for k in range(len(gx)):
         x, y = gx[k], gy[k]
         ax, ay = abs(x), abs(y)
         low, high = min(ax, ay), max(ax, ay)
         r = low / max(high, np.float32(1e-12))
         q = r * r
-        # odd powers by least squares, wrong by .0002 rad at most
+        # arctangent as odd powers, fitted by least squares: wrong by 0.0002 rad at most
         t = r * (np.float32(0.999215) + q * (np.float32(-0.3211819) + q * (np.float32(0.1462766) - q * np.float32(0.0389929))))
         t = np.float32(1.5707964) - t if ay > ax else t
         t = np.float32(3.1415927) - t if x < 0 else t
@@ -84,7 +84,7 @@ def _angles(gx: Float32s, gy: Float32s, turn: Float32s, size: Float32s, per: flo
 
 @kernel
 def _directions(levels: Float32s, level: Int32s, where: Float64s, seam: float, out: Float64s) -> None:
-    """Write the first main direction of each; where: (n, 3) x, y and sigma in pixels of the octave."""
+    """Write the first main direction of each blob; where: (n, 3) x, y and sigma in pixels of the octave."""
     _, h, w = levels.shape
     gradients, along = np.empty(_GRADIENTS, np.float32), np.empty(_GRADIENTS[1], np.float32)
     histogram, smooth = np.empty(BINS), np.empty(BINS)
@@ -117,7 +117,7 @@ def _directions(levels: Float32s, level: Int32s, where: Float64s, seam: float, o
 
 @helper
 def _first_peak(smooth: Float64s, seam: float) -> float:
-    """Of the peaks that are strong, the first from the seam on, between bins by a parabola."""
+    """Angle of the first strong peak from the seam on, interpolated between bins by a parabola."""
     best, found = 7.0, seam
     least = STRONG * smooth.max()
     for b in range(BINS):
@@ -134,7 +134,7 @@ def _first_peak(smooth: Float64s, seam: float) -> float:
 def _histograms(
     levels: Float32s, level: Int32s, where: Float64s, weight: Float32s, first: Int64s, share: Float32s, out: Float32s
 ) -> None:
-    """Write the descriptors; where: (n, 4) x, y and sigma in pixels of the octave, and direction; others: of `_grid`."""
+    """Write the descriptors; where: (n, 4) x, y, sigma in pixels of the octave, direction; weight, first, share: from `_grid`."""
     patch = np.empty((SAMPLES + 2, SAMPLES + 2), np.float32)
     gx, gy, turn, size = np.empty((4, SAMPLES), np.float32)
     line = np.empty((CELLS + 2, TURNS + 1), np.float32)
@@ -177,7 +177,7 @@ def _add_row(turn: Float32s, size: Float32s, weight: Float32s, first: Int64s, sh
 
 @kernel
 def _write(total: Float32s, out: Float32s) -> None:
-    """The inner cells, of unit length, clipped, and of unit length again."""
+    """Write the inner cells as a vector: scaled to unit length, clipped, and scaled again."""
     k = 0
     for i in range(1, CELLS + 1):
         for j in range(1, CELLS + 1):
@@ -197,7 +197,7 @@ def _write(total: Float32s, out: Float32s) -> None:
 
 @helper
 def _sample(image: Float32s, x: float, y: float, c: float, s: float, patch: Float32s) -> None:
-    """The surroundings of x, y by bilinear interpolation, (c, s) apart along a row; what lies outside is like the edge."""
+    """Write the patch around x, y by bilinear interpolation, in steps of (c, s) along a row; the image's edge is repeated."""
     h, w = image.shape
     side = len(patch)
     half = 0.5 * (side - 1)

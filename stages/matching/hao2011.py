@@ -5,11 +5,11 @@ orthogonal Procrustes problem; T = diag(A, I), the nearest of that form to Y^T P
 dominates its row and its column.
 
 **Thin form.**  X T^T Y^T has rank at most d.  With X = Qx Rx, Y = Qy Ry (QR) and U D V^T = svd(Rx T^T Ry^T), of size d x d:
-P = (Qx U)(Qy V)^T and Y^T P^T X = Ry^T V U^T Rx, so that an iteration never sees the m x n matrix.  Equal to the dense SVD on the
-row space; what the dense U V^T has beyond it is arbitrary.
+P = (Qx U)(Qy V)^T and Y^T P^T X = Ry^T V U^T Rx, so that an iteration never forms the m x n matrix.  The result equals the dense
+SVD on the row space; beyond it, the dense U V^T is arbitrary.
 
-As published, the dominance test never fires on thousands of features: P has rank d, so that no entry of a row can outweigh
-all the others.  `nearest_dominance` is the nearest test that can.
+As published, the dominance test accepts nothing on thousands of features: P has rank d, so that no entry of a row can outweigh
+all the others.  `nearest_dominance` is the most similar test that does accept matches.
 """
 
 from __future__ import annotations
@@ -26,12 +26,12 @@ _DEPENDENT = 1e-6
 
 
 def match_hao2011(left: Features, right: Features, *, dominance: float = 0.8) -> Matches:
-    """Match the keypoints of the plain views by the published test.  `probability` is 1: the test gives no order.
+    """Match the keypoints of the plain views by the published test.  `probability` is 1: the test gives no ranking.
 
     Parameters
     ----------
     left, right : keypoints of the pair; those of simulated views are left out.
-    dominance : an entry of P outweighs the rest of its row, and of its column, this many times at least; no unit.
+    dominance : an entry of P must exceed this times the sum of the rest of its row, and of its column; no unit.
     """
     rows1, rows2, P = _permutation(left, right)
     i1, i2 = (found.astype(np.int32) for found in np.nonzero(published_dominance(P, dominance)))
@@ -39,12 +39,12 @@ def match_hao2011(left: Features, right: Features, *, dominance: float = 0.8) ->
 
 
 def match_hao2011_dominance(left: Features, right: Features, *, ratio: float = 0.8) -> Matches:
-    """Match the keypoints of the plain views by `nearest_dominance`; `probability` is 1 - second/best, an order.
+    """Match the keypoints of the plain views by `nearest_dominance`; `probability` is 1 - second/best, which is only a ranking.
 
     Parameters
     ----------
     left, right : keypoints of the pair; those of simulated views are left out.
-    ratio : second largest over largest entry of a row and of a column of P, at most; no unit.
+    ratio : largest ratio of the second largest to the largest entry of a row and of a column of P; no unit.
     """
     rows1, rows2, P = _permutation(left, right)
     i1, i2, distance_ratio = nearest_dominance(P, ratio)
@@ -52,7 +52,7 @@ def match_hao2011_dominance(left: Features, right: Features, *, ratio: float = 0
 
 
 def _permutation(left: Features, right: Features) -> tuple[Int32s, Int32s, Float32s]:
-    """Rows of the plain views and P (m, n) of them, which is empty where one view has not two keypoints."""
+    """Rows of the plain views and their P (m, n), which is empty if a view has fewer than two keypoints."""
     rows1, rows2 = plain_rows(left), plain_rows(right)
     if min(len(rows1), len(rows2)) < 2:
         return rows1, rows2, np.zeros((0, 0), np.float32)
@@ -61,14 +61,14 @@ def _permutation(left: Features, right: Features) -> tuple[Int32s, Int32s, Float
 
 @dataclass(frozen=True)
 class Procrustes:
-    """P = left @ right.T, nearest to a matching."""
+    """The relaxed permutation P = left @ right.T."""
 
     left: Float64s
     """(m, r) of orthonormal columns."""
     right: Float64s
     """(n, r) of orthonormal columns."""
     affine: Float64s
-    """A (2, 2), the last."""
+    """(2, 2) A of the last iteration."""
 
     def matrix(self) -> Float32s:
         """P (m, n) float32."""
@@ -94,7 +94,7 @@ def procrustes(X: Float64s, Y: Float64s, *, max_iterations: int = 20) -> Procrus
         iterations += 1
         mapped = np.column_stack([Rx[:, :2] @ A.T, Rx[:, 2:]])  # Rx T^T
         U, D, Vt = np.linalg.svd(mapped @ Ry.T)
-        rank = int((_TINY * D[0] < D).sum())  # beyond it U and V are arbitrary
+        rank = int((_TINY * D[0] < D).sum())  # beyond the rank U and V are arbitrary
         U, Vt = U[:, :rank], Vt[:rank]
         update = (Vt @ Ry[:, :2]).T @ (U.T @ Rx[:, :2])  # the corner of Y^T P^T X
         if iterations >= max_iterations or np.abs(update - A).max() < 1e-6 * np.abs(update).max():
@@ -103,8 +103,8 @@ def procrustes(X: Float64s, Y: Float64s, *, max_iterations: int = 20) -> Procrus
 
 
 def _orthonormal(X: Float64s) -> tuple[Float64s, Float64s]:
-    """X = Q R with orthonormal columns Q, by Cholesky's factor of X^T X, twice: as exact as Householder's reflections at a
-    quarter of their time, as long as no column nearly depends on the others (Yamamoto et al., ETNA 2015)."""
+    """X = Q R with orthonormal columns Q, by the Cholesky factor of X^T X, twice: as exact as Householder reflections, in 1/4 of
+    the time.  If a column nearly depends on the others, Householder is used (Yamamoto et al., ETNA 2015)."""
     Q, R = X, np.eye(X.shape[1])
     for _ in range(2):
         try:

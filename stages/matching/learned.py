@@ -1,13 +1,13 @@
-"""Learned matchers, for who brings the weights: an ONNX model that takes two pictures, run by OpenCV's own dnn.
+"""Learned matchers, for users who have the weights: an ONNX model that takes two images, run by OpenCV's dnn module.
 
-Two forms are known, those in which LightGlue and its features are published as one model (Lindenberger, Sarlin, Pollefeys,
+Two interfaces are supported, in which LightGlue and its features are published as one model (Lindenberger, Sarlin, Pollefeys,
 LightGlue: Local Feature Matching at Light Speed, ICCV 2023):
 
     image0, image1 (1, c, h, w) each    ->  kpts0, kpts1 (1, n, 2), matches0, mscores0
     images (2, c, h, w)                 ->  keypoints (2, n, 2), matches, mscores
 
-Pictures are RGB or grey from 0 to 1; keypoints are in pixels of them.  Matches are rows of two keypoint numbers, or of the number
-of the pair and two keypoint numbers, or one number for each left keypoint, below 0 for none.
+Images are RGB or grey from 0 to 1; keypoints are in their pixels.  Matches are rows of two keypoint indices, or of the index of
+the pair and two keypoint indices, or one index for each left keypoint, negative for none.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from ..types import Capture, Float32s, Float64s, Frame, Matches, Uint8s
 _TWO_INPUTS, _TWO_OUTPUTS = ("image0", "image1"), ("kpts0", "kpts1", "matches0", "mscores0")
 _ONE_INPUT, _ONE_OUTPUTS = ("images",), ("keypoints", "matches", "mscores")
 _STRIDE = 32
-"""Sizes are multiples of this where the model leaves them free: as much as the features that are in use halve a picture."""
+"""Image sizes that the model leaves free are multiples of this, the largest factor by which common features downsample."""
 _WANTED = (
     f"a model of {', '.join(_TWO_INPUTS)} -> {', '.join(_TWO_OUTPUTS)}, or of {', '.join(_ONE_INPUT)} -> "
     f"{', '.join(_ONE_OUTPUTS)}, is wanted: features and matcher exported as one"
@@ -39,18 +39,17 @@ _WANTED = (
 def match_onnx(
     left_frame: Frame, right_frame: Frame, model: Capture, *, min_score: float = 0.0, long_side_px: int = 1024
 ) -> Matches:
-    """Match by a model in ONNX form that takes the two pictures (features and LightGlue exported as one).
+    """Match by an ONNX model that takes both images (features and LightGlue exported as one).
 
-    Points are no keypoints of the site: geometry takes them as they are, without its guided round.  Raises ValueError, with the
-    file's name, where it is no ONNX model, has other inputs or outputs, or OpenCV cannot run it.
+    The points are not keypoints of the site: geometry uses them as they are, without guided matching.  Raises ValueError, with
+    the file's name, if the file is not an ONNX model, has other inputs or outputs, or cannot be run by OpenCV.
 
     Parameters
     ----------
     left_frame, right_frame : the pair.
-    model : the ONNX file: `model: PATH` in the site file.  What is in it decides whether matches are found anew, not where it
-        lies.
-    min_score : matches that the model thinks less of are dropped, 0 to 1.
-    long_side_px : long side that the pictures are brought to where the model takes any size, pixels.
+    model : the ONNX file: `model: PATH` in the site file.  Its content, not its path, decides whether pairs are matched again.
+    min_score : matches to which the model gives a lower score are dropped, 0 to 1.
+    long_side_px : long side to which larger images are scaled if the model takes any size, pixels.
     """
     data = model.data.tobytes()
     try:
@@ -73,7 +72,7 @@ def match_onnx(
 
 
 def _check(name: str, interface: ModelInterface) -> None:
-    """Is it a model of one of the two forms?"""
+    """Raise ValueError for a model that has neither of the two interfaces."""
     forms = ((_TWO_INPUTS, _TWO_OUTPUTS), (_ONE_INPUT, _ONE_OUTPUTS))
     fits = any(set(interface.inputs) == set(i) and set(interface.outputs) >= set(o) for i, o in forms)
     if not fits or any(len(sizes) != 4 or sizes[1] not in {0, 1, 3} for sizes in interface.inputs.values()):
@@ -82,7 +81,7 @@ def _check(name: str, interface: ModelInterface) -> None:
 
 
 def _size(asked: tuple[int, ...], frame: Frame, long_side_px: int) -> tuple[int, int]:
-    """Width and height of the picture that a model is given of a frame.  asked: (n, c, h, w), 0 where any will do."""
+    """Width and height of the image that a model gets for a frame.  asked: (n, c, h, w) of the model's input, 0 where free."""
     _, _, height, width = asked
     scale = min(long_side_px / max(frame.view.width, frame.view.height), 1.0)
     free = [max(round(n * scale / _STRIDE), 1) * _STRIDE for n in (frame.view.width, frame.view.height)]
@@ -90,7 +89,7 @@ def _size(asked: tuple[int, ...], frame: Frame, long_side_px: int) -> tuple[int,
 
 
 def _picture(image: Uint8s, size: tuple[int, int], channels: int) -> Float32s:
-    """(1, c, h, w) from 0 to 1."""
+    """Input of a model for an image: (1, c, h, w), 0 to 1."""
     smaller = size[0] < image.shape[1] and size[1] < image.shape[0]
     image = np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA if smaller else cv2.INTER_LINEAR), dtype=np.uint8)
     planes = grey_levels(image)[None] if channels == 1 else image.transpose(2, 0, 1)
@@ -98,7 +97,7 @@ def _picture(image: Uint8s, size: tuple[int, int], channels: int) -> Float32s:
 
 
 def _run(model: Capture, interface: ModelInterface, pictures: list[Float32s]) -> tuple[Float64s, Float64s, Float32s]:
-    """What a model finds in two pictures: matches (n, 2), (n, 2) in pixels of these, and scores (n,).  One thread, so that any
+    """Run a model on two images: matches (n, 2), (n, 2) in pixels of these, and scores (n,).  It uses one thread, so that every
     machine finds the same."""
     together = len(interface.inputs) == 1
     names = _ONE_OUTPUTS if together else _TWO_OUTPUTS
@@ -119,7 +118,7 @@ def _run(model: Capture, interface: ModelInterface, pictures: list[Float32s]) ->
 
 
 def _sorted_out(name: str, outputs: list[Any]) -> tuple[Float64s, Float64s, Float32s]:
-    """The same from what it gave."""
+    """Matches and scores, as `_run` returns them, from a model's outputs."""
     *points, matches, scores = outputs
     points1, points2 = (np.asarray(p, dtype=np.float64).reshape(-1, 2) for p in (points if len(points) == 2 else points[0]))
     rows = np.asarray(matches).astype(np.int64)
@@ -136,13 +135,13 @@ def _sorted_out(name: str, outputs: list[Any]) -> tuple[Float64s, Float64s, Floa
 
 
 def _in_frame(points: Float64s, size: tuple[int, int], frame: Frame) -> Float64s:
-    """Points of a picture as pixels of the frame that it was made of; a pixel's centre has whole numbers."""
+    """Points of an image of this size as pixels of the frame that it was scaled from; pixel centres are at integers."""
     scale = np.array([frame.view.width / size[0], frame.view.height / size[1]])
     return np.asarray((points + 0.5) * scale - 0.5, dtype=np.float64)
 
 
 def _usable(x: Float64s, frame: Frame) -> Any:
-    """(n,) does the frame say anything there?"""
+    """(n,) whether points are inside the frame and its mask."""
     column, row = np.rint(x).astype(int).T
     inside = (column >= 0) & (row >= 0) & (column < frame.view.width) & (row < frame.view.height)
     inside[inside] = frame.mask[row[inside], column[inside]]
@@ -150,32 +149,32 @@ def _usable(x: Float64s, frame: Frame) -> Any:
 
 
 _VARINT, _EIGHT_BYTES, _BYTES, _FOUR_BYTES = 0, 1, 2, 5
-"""Wire types."""
+"""Wire types of Protocol Buffers."""
 
 
 @dataclass(frozen=True)
 class ModelInterface:
-    """What a model takes and gives."""
+    """Inputs and outputs of a model."""
 
     inputs: dict[str, tuple[int, ...]]
-    """Sizes by name, 0 where any will do."""
+    """Shapes by name, 0 where the model takes any size."""
     outputs: tuple[str, ...]
 
 
 def read_interface(model: bytes) -> ModelInterface:
-    """The interface of an ONNX model.  Raises ValueError for bytes that are none."""
+    """The interface of an ONNX model.  Raises ValueError for bytes that are not an ONNX model."""
     try:
         (graph,) = _parts(memoryview(model), 7)
-        weights = {_text(tensor, 8) for tensor in _parts(graph, 5)}  # which old models list among their inputs
+        weights = {_text(tensor, 8) for tensor in _parts(graph, 5)}  # old models list them as inputs, too
         inputs = {_text(value, 1): _sizes(value) for value in _parts(graph, 11)}
         outputs = tuple(_text(value, 1) for value in _parts(graph, 12))
-    except (IndexError, ValueError):  # UnicodeDecodeError is one
+    except (IndexError, ValueError):  # UnicodeDecodeError is a ValueError
         raise ValueError("is no ONNX model") from None
     return ModelInterface({name: sizes for name, sizes in inputs.items() if name not in weights}, outputs)
 
 
 def _sizes(value: memoryview) -> tuple[int, ...]:
-    """The sizes of an input, which need not be stated."""
+    """The shape of an input; () if the model does not state it."""
     for kind in _parts(value, 2):
         for tensor in _parts(kind, 1):
             for shape in _parts(tensor, 2):
@@ -188,12 +187,12 @@ def _text(message: memoryview, field: int) -> str:
 
 
 def _parts(message: memoryview, field: int) -> list[memoryview]:
-    """The texts, bytes or messages of a field."""
+    """The values of a field of strings, bytes or messages."""
     return [value for number, value in _fields(message) if number == field and isinstance(value, memoryview)]
 
 
 def _fields(message: memoryview) -> Iterator[tuple[int, int | memoryview]]:
-    """Number and value of each field.  Raises IndexError or ValueError where the message is cut or none."""
+    """Number and value of each field.  Raises IndexError or ValueError if the message is truncated or invalid."""
     at = 0
     while at < len(message):
         tag, at = _varint(message, at)
@@ -213,7 +212,7 @@ def _fields(message: memoryview) -> Iterator[tuple[int, int | memoryview]]:
 
 
 def _varint(message: memoryview, at: int) -> tuple[int, int]:
-    """A number of seven bits a byte, and where it ends."""
+    """A varint, which has seven bits in each byte, and the position after it."""
     value = 0
     for shift in range(0, 70, 7):
         byte = message[at]
@@ -236,7 +235,7 @@ _LONGEST_S = 120.0
 
 @functools.lru_cache(maxsize=2)
 def why_unreadable(model: bytes) -> str:
-    """Why this process had better not read a model; "" where it may."""
+    """Why this process must not read a model, "" if it may: reading is tried in another process, which OpenCV may crash."""
     try:
         tried = subprocess.run([sys.executable, "-c", _READ], input=model, capture_output=True, timeout=_LONGEST_S, check=False)
     except subprocess.TimeoutExpired:

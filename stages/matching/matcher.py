@@ -1,4 +1,4 @@
-"""What sparse matchers share: the rows that they may use, and what they give."""
+"""Shared by the sparse matchers: the keypoints that they may use, and the form of their result."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ def keypoint_matches(
     tilted: bool = False,
     searched: tuple[object, ...] = (),
 ) -> Matches:
-    """Matches of keypoints.
+    """`Matches` from rows of keypoints.
 
     Parameters
     ----------
     left, right : the keypoints of the two frames.
     i1, i2 : (n,) int32 rows of `left` and `right`.
-    probability : (n,) of each match being right, 0 to 1.
+    probability : (n,) probability that each match is right, 0 to 1.
     tilted : the views compressed in x were used too.
-    searched : what geometry may use again, see `Matches.searched`.
+    searched : results that geometry may use again, see `Matches.searched`.
     """
     affine = right.frames[i2] @ np.linalg.inv(left.frames[i1])
     p = probability.astype(np.float32)
@@ -33,5 +33,5 @@ def keypoint_matches(
 
 
 def plain_rows(features: Features) -> Int32s:
-    """Rows of the keypoints of the plain view, for matchers that know one view only."""
+    """Rows of the keypoints of the plain view, for matchers that use only one view."""
     return np.flatnonzero(features.tilts == PLAIN).astype(np.int32)

@@ -1,4 +1,4 @@
-"""Rivals of the structural matcher: nearest neighbours under a ratio test, mutual ones or Lowe's (IJCV 2004, section 7)."""
+"""Alternatives to the structural matcher: nearest neighbours with a ratio test, mutual ones or Lowe's (IJCV 2004, section 7)."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from .neighbours import nearest_neighbours
 
 
 def match_mutual(left: Features, right: Features, *, ratio: float = 0.8) -> Matches:
-    """Match the keypoints of the plain views; `probability` is 1 - first/second distance, an order and no frequency.
+    """Match mutual nearest neighbours of the plain views; `probability` is 1 - first/second distance, which is only a ranking.
 
     Parameters
     ----------
     left, right : keypoints of the pair; those of simulated views are left out.
-    ratio : first over second descriptor distance, at most, both ways; no unit.
+    ratio : largest ratio of first to second descriptor distance, both ways; no unit.
     """
     rows1, rows2 = plain_rows(left), plain_rows(right)
     near = nearest_neighbours(left.descriptors[rows1], right.descriptors[rows2], 2)
@@ -31,18 +31,18 @@ _KDTREE, _TREES, _CHECKS = 1, 4, 200
 
 
 def match_kdtree(left: Features, right: Features, *, ratio: float = 0.8, seed: int = 0) -> Matches:
-    """Match the keypoints of the plain views; `probability` is 1 - first/second distance, an order and no frequency.
+    """Match nearest neighbours of the plain views (k-d trees); `probability` is 1 - first/second distance, only a ranking.
 
     Parameters
     ----------
     left, right : keypoints of the pair; those of simulated views are left out.
-    ratio : first over second descriptor distance, at most; no unit.
-    seed : of the trees' random splits.
+    ratio : largest ratio of first to second descriptor distance; no unit.
+    seed : seed of the trees' random splits.
     """
     rows1, rows2 = plain_rows(left), plain_rows(right)
     pairs = []
     if len(rows1) and len(rows2) >= 2:
-        cv2.setRNGSeed(seed)  # the trees' random splits
+        cv2.setRNGSeed(seed)
         matcher = cv2.FlannBasedMatcher({"algorithm": _KDTREE, "trees": _TREES}, {"checks": _CHECKS})
         pairs = [pair for pair in matcher.knnMatch(left.descriptors[rows1], right.descriptors[rows2], 2) if len(pair) == 2]
     i1 = np.array([a.queryIdx for a, _ in pairs], np.int32)

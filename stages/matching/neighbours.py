@@ -11,13 +11,13 @@ from ..types import Float32s, Float64s, Int32s, Int64s, Uint8s, Uint64s
 
 _BLOCK, _SPAN = 512, 32
 APART_PX = 6.0
-"""What lies nearer in an image is the same thing."""
+"""Keypoints nearer to each other than this in an image count as the same thing."""
 
 
 @dataclass(frozen=True)
 class Neighbours:
-    """The k nearest of the other set, nearest first: rows: (n1, k) of set 2 for set 1, columns: (n2, k) of set 1 for set 2;
-    `*_distance`: their Euclidean distances, float32."""
+    """The k nearest neighbours in the other set, nearest first: rows (n1, k) of set 2 for set 1, columns (n2, k) of set 1 for
+    set 2; `*_distance`: their Euclidean distances, float32."""
 
     rows: Int32s
     row_distance: Float32s
@@ -25,7 +25,7 @@ class Neighbours:
     column_distance: Float32s
 
     def mutual(self) -> tuple[Int64s, Int32s, Float64s]:
-        """i, j of those that are each other's nearest, and first over second distance, the worse of both ways."""
+        """i, j of mutual nearest neighbours, and their ratio of first to second distance, the larger one of both directions."""
         i = np.flatnonzero(self.columns[self.rows[:, 0], 0] == np.arange(len(self.rows)))
         j = self.rows[i, 0]
         forward = self.row_distance[i, 0] / np.maximum(self.row_distance[i, 1], 1e-9)
@@ -34,7 +34,7 @@ class Neighbours:
 
 
 def nearest_neighbours(descriptors1: Float32s, descriptors2: Float32s, k: int) -> Neighbours:
-    """The k nearest neighbours both ways of unit-length descriptors (n1, d), (n2, d); k is cut to the smaller set."""
+    """The k nearest neighbours both ways of unit-length descriptors (n1, d), (n2, d); k is limited to the smaller set's size."""
     n1, n2 = len(descriptors1), len(descriptors2)
     k = max(min(k, n1, n2), 0)
     rows, row_best = np.full((n1, k), -1, np.int32), np.full((n1, k), -2, np.float32)
@@ -48,29 +48,29 @@ def nearest_neighbours(descriptors1: Float32s, descriptors2: Float32s, k: int) -
 
 
 def nearest_elsewhere(descriptors: Float32s, xy: Float64s, others: int, begin: int = 0) -> Float32s:
-    """(n - begin,) distance of each descriptor to the most similar of the first `others` that lies at least `APART_PX` from it in
-    the image.
+    """(n - begin,) distance of each descriptor to the most similar one, among the first `others`, at least `APART_PX` away in the
+    image.
 
     Parameters
     ----------
     descriptors : (n, d) float32.
     xy : (n, 2) pixels.
-    others : how many of them, from the first, are asked.
-    begin : the first that asks: 0, or `others`.
+    others : number of descriptors, from the first, that are compared with.
+    begin : first descriptor whose distance is returned: 0, or `others`.
     """
     best = np.full(len(descriptors), -2, np.float32)
     transposed = np.ascontiguousarray(descriptors[:others].T)
     room = np.empty(_BLOCK * others, np.float32)
     for start in [*range(begin, others, _BLOCK), *range(others, len(descriptors), _BLOCK)]:
         among = start < others
-        first = start if among else 0  # similarity has no direction: the others are compared with each other once
+        first = start if among else 0  # similarity is symmetric: each two of the first `others` are compared once
         rows = descriptors[start : min(start + _BLOCK, others) if among else start + _BLOCK]
         _best_elsewhere(_products(rows, transposed[:, first:], room), start, first, xy, APART_PX**2, among, best)
     return _distance(np.maximum(best[begin:], -1))
 
 
 def _products(rows: Float32s, columns: Float32s, room: Float32s) -> Float32s:
-    """(n, m) products of (n, d) and (d, m), kept in `room`: new memory for each block costs a tenth of the time."""
+    """(n, m) products of (n, d) and (d, m), written to `room`: allocating memory for each block costs a tenth of the time."""
     out = room[: len(rows) * columns.shape[1]].reshape(len(rows), columns.shape[1])
     return np.asarray(np.matmul(rows, columns, out=out))
 
@@ -85,10 +85,10 @@ def _keep_best(
     similarity: Float32s, start: int, rows: Int32s, row_best: Float32s, columns: Int32s, column_best: Float32s, enough: Float32s,
     marks: Uint64s, each: Uint8s,
 ) -> None:  # fmt: skip
-    """Merge a block of similarities into the best k of its rows and of all columns; of equals, the first index stays.
+    """Merge a block of similarities into the best k of its rows and of all columns; of equal ones, the first index stays.
 
-    enough: (n2,) the last of each column's best.  Few similarities enter a list: spans twice as long each time are compared at
-    once with what was enough before them, and only what exceeds that is looked at.  marks, each: the same memory, zeros at first.
+    enough: (n2,) the last of each column's best k.  Few similarities enter a list: a row is scanned in spans of doubling length,
+    and in each only values above the limits valid at its start are inspected.  marks, each: the same memory, zeros at first.
     """
     k, n = rows.shape[1], similarity.shape[1]
     for i in range(similarity.shape[0]):
@@ -117,7 +117,7 @@ def _mark(values: Float32s, least: float, enough: Float32s, marks: Uint8s) -> No
 
 @helper
 def _insert(best: Float32s, index: Int32s, value: float, at: int) -> None:
-    """Put a value into a list from high to low; the last falls out."""
+    """Insert a value into a list in descending order; the last value drops out."""
     place = len(best) - 1
     while place > 0 and value > best[place - 1]:
         best[place] = best[place - 1]
@@ -129,7 +129,7 @@ def _insert(best: Float32s, index: Int32s, value: float, at: int) -> None:
 
 @kernel
 def _best_elsewhere(similarity: Float32s, start: int, first: int, xy: Float64s, limit: float, both: bool, best: Float32s) -> None:
-    """Raise the best of the rows, which begin at `start`, and with `both` those of the columns, which begin at `first`."""
+    """Raise the best similarity of the rows, which begin at `start`, and if `both`, of the columns, which begin at `first`."""
     for i in range(similarity.shape[0]):
         row = start + i
         for j in range(similarity.shape[1]):

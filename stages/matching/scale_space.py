@@ -1,8 +1,8 @@
 """Blobs of all sizes in a grey image: extrema of differences of Gaussians (Lowe, IJCV 2004).
 
-The image is doubled first, since blobs of a pixel's size can't be placed on a grid of whole pixels.  Each extremum is placed by
-Newton's steps, which look at differences interpolated around the current estimate (cubic convolution; Keys, 1981) instead of
-going from pixel to pixel.  Neither direction nor histograms are made here: most blobs are never described.
+The image is doubled first, since blobs of a pixel's size cannot be located on a grid of whole pixels.  Each extremum is located
+by Newton steps on differences interpolated around the current estimate (cubic convolution; Keys, 1981), not by moving from pixel
+to pixel.  Directions and descriptors are computed elsewhere, since most blobs are never described.
 """
 
 from __future__ import annotations
@@ -19,21 +19,21 @@ from ..core.jit import helper, kernel
 from ..types import Bools, Float32s, Float64s, Int32s, Int64s, Uint8s, Uint64s
 
 LEVELS = 3
-"""Scales to the octave."""
+"""Scales per octave."""
 FINEST_SIGMA, CAMERA_SIGMA = 1.6, 1.0
-"""Smoothness of the finest level, and what is taken for that of the doubled photograph, in its pixels."""
+"""Blur of the finest level, and assumed blur of the doubled photograph, as sigmas in pixels of the doubled photograph."""
 REACH = 3.5
-"""A smoothing kernel ends after so many standard deviations."""
+"""Radius of a smoothing kernel, in standard deviations."""
 LEAST_SIDE = 12
-"""Octaves whose image is smaller hold no blob."""
+"""Smallest side of an octave's image, pixels; octaves below it are not built."""
 BORDER = 4
 MOST_CURVED = 10.0
-"""Ratio of a blob's principal curvatures, at most (Lowe, section 4.1): the rest is edges."""
+"""Largest ratio of a blob's principal curvatures (Lowe, section 4.1); extrema above it are edges."""
 STEPS, NEAR, FAR_PX = 5, 0.6, 1.5
-"""So many steps at most; none follows one as short as this, in pixels and levels, or leads farther than that from the start."""
+"""Limits of Newton's iteration: number of steps; step at which it ends, in pixels and levels; distance from the start, pixels."""
 WHITE = 255.0
 _PIXELS_TO_ONE = 64
-"""Extrema are given room for one in so many pixels at first."""
+"""Memory for extrema is allocated first for one in this many pixels."""
 
 
 @dataclass(frozen=True)
@@ -46,22 +46,22 @@ class Blobs:
     sigma: Float64s
     """Standard deviation of the Gaussian at which it is strongest, pixels."""
     response: Float64s
-    """Absolute difference there, as share of the grey range."""
+    """Absolute difference of Gaussians there, as a share of the grey range."""
     octave: Int32s
     level: Int32s
-    """Where in the pyramid that is, nearly."""
+    """Nearest octave and level of the pyramid."""
 
     def at(self, rows: Int64s | Bools) -> Self:
-        """Some of them."""
+        """The blobs of some rows."""
         return replace(self, **{field.name: getattr(self, field.name)[rows] for field in fields(self)})
 
     def lower_by(self, rows: int) -> Self:
-        """The same in an image that begins so many rows higher."""
+        """The same blobs in an image that begins `rows` rows higher."""
         return replace(self, y=self.y + rows)
 
     @classmethod
     def joined(cls, parts: Sequence[Blobs]) -> Self:
-        """All of several."""
+        """The blobs of several parts in one."""
         return cls(*(np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(cls)))
 
 
@@ -70,7 +70,7 @@ Pyramid = Sequence[Float32s]
 
 
 def pyramid(grey: Uint8s) -> Pyramid:
-    """The image ever smoother, in octaves of half the width and height of those before."""
+    """Levels of increasing blur, in octaves of half the width and height of those before."""
     step = 2 ** (1 / LEVELS)
     further = [FINEST_SIGMA * step**i * (step**2 - 1) ** 0.5 for i in range(LEVELS + 2)]
     doubled = cv2.resize(grey.astype(np.float32), (2 * grey.shape[1], 2 * grey.shape[0]), interpolation=cv2.INTER_LINEAR)
@@ -99,8 +99,8 @@ def in_octave(octave: int, blobs: Blobs) -> Float64s:
 
 
 def find_blobs(octaves: Pyramid, contrast: float) -> Blobs:
-    """Extrema of the differences of neighbouring levels, of at least this contrast (OpenCV's meaning: a share of the grey range,
-    divided by LEVELS)."""
+    """Extrema of the differences of neighbouring levels, of at least this contrast (as OpenCV defines it: a share of the grey
+    range, divided by LEVELS)."""
     found, least = [], contrast * WHITE / LEVELS
     for octave, levels in enumerate(octaves):
         x, y, scale, value = _refined(_rough(levels, 0.75 * least), levels, least).T
@@ -126,11 +126,11 @@ def _rough(levels: Float32s, least: float) -> Int64s:
 
 @kernel
 def _extrema(levels: Float32s, least: float, d: Float32s, marks: Uint64s, each: Uint8s, out: Int64s) -> int:
-    """Write x, y, level of those differences above `least` that no neighbour in place or scale exceeds, as many as there is room
-    for, and return how many there are.
+    """Write x, y, level of the extrema of at least `least` in absolute value, among neighbours in position and scale, as far as
+    they fit, and return how many there are.
 
-    Of the differences three rows of each scale are kept in `d`: all of them are as large as the pyramid.  marks, each: the same
-    memory by eights and one by one.
+    `d` keeps only three rows of differences for each scale: all would take as much memory as the pyramid.  marks, each: the same
+    memory as groups of eight and as single bytes.
     """
     count, h, w = levels.shape
     limit, n = np.float32(least), 0
@@ -165,7 +165,7 @@ def _subtract(coarser: Float32s, finer: Float32s, out: Float32s) -> None:
 def _mark(
     row: Float32s, above: Float32s, below: Float32s, finer: Float32s, coarser: Float32s, least: np.float32, marks: Uint8s
 ) -> None:
-    """Mark what may be an extremum by its nearest neighbours in place and scale."""
+    """Mark what may be an extremum, by its nearest neighbours in position and scale."""
     for k in range(len(row) - 2):
         x = np.uint64(k + 1)
         v = row[x]
@@ -176,7 +176,7 @@ def _mark(
 
 @helper
 def _extreme(d: Float32s, v: np.float32, s: int, x: int) -> bool:
-    """Does no neighbour exceed v, which is in the middle of the three rows?"""
+    """Is v, in the middle of the three rows, an extremum among all 26 neighbours?"""
     sign = np.float32(1.0) if v > 0 else np.float32(-1.0)
     v = sign * v
     for j in range(3):
@@ -189,7 +189,7 @@ def _extreme(d: Float32s, v: np.float32, s: int, x: int) -> bool:
 
 @helper
 def _cubic(t: float, taps: Float64s) -> None:
-    """Weights of the four samples around a place `t` after the second (Keys' cubic convolution, a = -1/2)."""
+    """Weights of the four samples around a position `t` after the second (Keys' cubic convolution, a = -1/2)."""
     taps[0] = ((-0.5 * t + 1.0) * t - 0.5) * t
     taps[1] = (1.5 * t - 2.5) * t * t + 1.0
     taps[2] = ((-1.5 * t + 2.0) * t + 0.5) * t
@@ -198,7 +198,7 @@ def _cubic(t: float, taps: Float64s) -> None:
 
 @helper
 def _look(levels: Float32s, s: int, x: float, y: float, taps: Float64s, rows: Float64s, cube: Float64s) -> None:
-    """Differences at x, y and a pixel around, in the scales around s, by interpolation: cube (3, 3, 3), by s, y, x."""
+    """Interpolate differences at x, y and one pixel around, in the scales around s: cube (3, 3, 3), by s, y, x."""
     left, top = int(np.floor(x)) - 2, int(np.floor(y)) - 2
     across, down = taps[0], taps[1]
     _cubic(x - np.floor(x), across)
@@ -219,8 +219,8 @@ def _look(levels: Float32s, s: int, x: float, y: float, taps: Float64s, rows: Fl
 
 @helper
 def _newton(c: Float64s, step: Float64s) -> bool:
-    """The step (x, y, s) from the middle of the cube to the extremum; step[3]: the value there.  False where
-    there is none, or an edge."""
+    """Write the step (x, y, s) from the middle of the cube to the extremum; step[3]: the value there.  False if there is no
+    extremum, or it is an edge."""
     v = c[1, 1, 1]
     gx, gy, gs = 0.5 * (c[1, 1, 2] - c[1, 1, 0]), 0.5 * (c[1, 2, 1] - c[1, 0, 1]), 0.5 * (c[2, 1, 1] - c[0, 1, 1])
     xx, yy, ss = c[1, 1, 2] + c[1, 1, 0] - 2 * v, c[1, 2, 1] + c[1, 0, 1] - 2 * v, c[2, 1, 1] + c[0, 1, 1] - 2 * v
@@ -241,14 +241,14 @@ def _newton(c: Float64s, step: Float64s) -> bool:
 
 
 def _refined(start: Int64s, levels: Float32s, least: float) -> Float64s:
-    """(n, 4) x, y, scale in levels, and absolute value of those that Newton's steps lead to an extremum nearby."""
+    """(n, 4) x, y, scale in levels, and absolute value of the extrema that Newton steps reach near their start."""
     out = np.empty((len(start), 4))
     return out[: _refine(start, levels, least, out)]
 
 
 @kernel
 def _refine(start: Int64s, levels: Float32s, least: float, out: Float64s) -> int:
-    """Write these, and return how many."""
+    """Write the rows of `_refined`, and return their number."""
     taps, rows, cube, step = np.empty((2, 4)), np.empty((3, 6)), np.empty((3, 3, 3)), np.empty(4)
     count = len(levels) - 1
     n = 0

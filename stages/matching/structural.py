@@ -1,18 +1,18 @@
 """Match two keypoint sets by their descriptors *and* by the pattern they form (the default matcher).
 
-The intent is that of Hao (2011), chapter 3: the structure of the whole set decides, rows and columns compete, an affine map
-compensates the change of viewpoint, and a match must dominate its rivals.  Here the affine is local, one at every keypoint
-(what that work names as its future), because one global map cannot follow a scene with depth:
+The idea is that of Hao (2011), chapter 3: the structure of the whole set decides, rows and columns compete, an affine map
+compensates the change of viewpoint, and a match must dominate its rivals.  Here the affine map is local, one at every keypoint
+(named there as future work), because one global map cannot follow a scene with depth:
 
 1. candidates: the nearest few by descriptor, both ways;
-2. first matches: mutual nearest neighbours that their own neighbours confirm, each through its local affine frame;
+2. first matches: mutual nearest neighbours that neighbouring matches confirm, each through its local affine frame;
 3. rounds of expectation and maximisation: confident matches give the local affine field; the field and the descriptors give the
-   log odds of each candidate; Sinkhorn's balancing with a dustbin turns these into probabilities;
-4. a match is accepted where its probability p dominates what is left to its rivals: p > dominance * (1 - p).
+   log odds of each candidate; Sinkhorn balancing with a dustbin turns these into probabilities;
+4. a match is accepted if its probability p dominates the remainder, which is left to its rivals: p > dominance * (1 - p).
 
-The same rounds with an epipolar term, begun from the inliers, are the guided matching of a pair whose F is known.  Pairs of views
-far apart may bring in the keypoints of the frames compressed in x: plain with plain, tilted with plain, plain with tilted, under
-one field.
+The same rounds with an epipolar term, started from the inliers, are the guided matching of a pair whose F is known.  Pairs of
+views far apart may also use the keypoints of the frames compressed in x: plain with plain, tilted with plain, plain with tilted,
+under one field.
 """
 
 from __future__ import annotations
@@ -40,10 +40,10 @@ class Evidence:
     Without a field: `alone - alone_slope q`, q = descriptor distance over the local noise level of descriptors.
     With a field: `growing` (`final` in the last round) `- slope q` minus penalties `weight ln(1 + (error/scale)^2)` of the
     distance to the prediction (over its sigma), of the log scale (over 0.25) and of the angle (over 0.25 rad), and minus
-    `sigma_weight ln(sigma / 2 px)`: a Student density of the distance, which is the lower the wider it is.
+    `sigma_weight ln(sigma / 2 px)`: a Student density of the distance, which is lower where it is wider.
     With an epipolar line: `epipolar - epipolar_weight ln(1 + e^2)`, e in pixels.
     Fitted by maximum likelihood on the candidates of half of 68 pairs (photographed and rendered, truth by depth), so that p is a
-    probability; `final` is less than what fits best, for precision.
+    probability; `final` is below the best fit, for precision.
     """
 
     alone: float = 15.0
@@ -62,14 +62,14 @@ class Evidence:
 EVIDENCE = Evidence()
 EPIPOLAR = EVIDENCE.epipolar
 HOPELESS = -8.0
-"""A candidate with log odds below this takes nothing away from its rivals that would show: it is left out."""
+"""Candidates with log odds below this are left out: they would not noticeably lower their rivals' probabilities."""
 MIN_SIGMA_PX = 2.0
 TRUST_HALF = 1.5
-"""Support at which the field is trusted as much as the descriptors alone."""
+"""Support at which the field has the same weight as the descriptors alone."""
 DOMINANCE, ROUNDS = 0.8, 3
-"""Of the matcher's rounds, where nothing else is asked for."""
+"""Values for callers of `solve_rounds` other than `match_structural`; equal to its defaults."""
 MIN_MATCHES = 6
-"""Fewer confident matches make no field."""
+"""Fewest confident matches for a field; with fewer, the pair has no matches."""
 
 
 def match_structural(
@@ -87,12 +87,12 @@ def match_structural(
     Parameters
     ----------
     left, right : keypoints of the two frames.
-    dominance : odds of an accepted match against all its rivals together, at least; no unit.  More is stricter: 0.8 keeps what is
+    dominance : smallest odds of an accepted match against all its rivals together; no unit.  More is stricter: 0.8 keeps what is
         more likely right than wrong, 9 keeps what is right nine times in ten.
     neighbours : candidates that each keypoint proposes.
     rounds : rounds of expectation and maximisation.
-    tilt : bring in the views compressed in x: "auto" where the plain views give fewer than `weak_matches`.
-    weak_matches : plain matches under which "auto" brings in the compressed views.
+    tilt : also match the views compressed in x: "auto" does so if the plain views give fewer than `weak_matches` matches.
+    weak_matches : with fewer matches of the plain views, "auto" also matches the compressed views.
     """
     possible = tilt != "never" and bool((left.tilts == TILTED).any() or (right.tilts == TILTED).any())
     pairs: tuple[ViewPair, ...] = ()
@@ -107,8 +107,8 @@ def match_structural(
 
 
 def match_guided(matches: Matches, left: Features, right: Features, F: Float64s) -> Matches:
-    """Match again around the inliers of F, with the distance to the epipolar lines as evidence: those that are found again, and
-    new ones.  Raises ValueError for matches without keypoints.
+    """Match again, starting from the inliers of F, with the distance to the epipolar lines as additional evidence.  The result
+    has inliers that were found again and new matches.  Raises ValueError for matches without keypoints.
 
     Parameters
     ----------
@@ -133,15 +133,15 @@ def solve_rounds(
     rounds: int,
     F: Float64s | None,
 ) -> Correspondences:
-    """The rounds: field from the matches, matches from the field.
+    """Run the rounds: field from the matches, matches from the field.
 
     Parameters
     ----------
     left, right : keypoints of the two frames.
-    pairs : their views with the candidates.
+    pairs : pairs of their views, with the candidates.
     first : matches to begin with.
     dominance, rounds : as in `match_structural`.
-    F : (3, 3), None where it is not known.
+    F : (3, 3) fundamental matrix, None if it is not known.
     """
     matches = first
     for step in range(rounds):
@@ -167,7 +167,7 @@ def solve_rounds(
 def _expect(
     pair: ViewPair, field: AffineField, odds: float, last: bool, search: bool, F: Float64s | None
 ) -> tuple[Int32s, Int32s, Float64s]:
-    """Candidates whose probability has at least `odds` against all rivals together, as rows of the `Features`."""
+    """Candidates whose probability exceeds `odds` times that of all rivals together, as rows of the `Features`."""
     sigma = np.maximum(field.sigma_px, MIN_SIGMA_PX)
     trust = field.support / (field.support + TRUST_HALF)
     i, j, q = pair.candidates.i, pair.candidates.j, pair.candidates.q
@@ -209,8 +209,8 @@ def _score(
 ) -> None:
     """Log odds of the candidates i--j by `Evidence`, without the epipolar term; coefficients in the order of its fields.
 
-    forward: keypoint frames of image 1 as the field maps them into image 2; log_scale: of these and of the inverse frames of 2;
-    log_sigma: of sigma over the least.
+    forward: keypoint frames of image 1 as the field maps them into image 2; log_scale1, log_scale2: log scale of these and of the
+    inverse frames of image 2; log_sigma: ln(sigma / MIN_SIGMA_PX).
     """
     alone, alone_slope, base, _, slope, by_distance, by_sigma, by_scale, by_angle = coefficients[:9]
     for c in range(len(i)):
@@ -230,7 +230,7 @@ def _score(
 
 
 def _log_scale(m: Float64s) -> Float64s:
-    """(n,) logarithm of how much (n, 2, 2) maps enlarge; those that flatten count as enormously small."""
+    """(n,) logarithm of the scale of (n, 2, 2) maps; singular maps get a very small scale."""
     area = np.abs(m[:, 0, 0] * m[:, 1, 1] - m[:, 0, 1] * m[:, 1, 0])
     return np.asarray(0.5 * np.log(np.maximum(area, 1e-12)), dtype=np.float64)
 
@@ -239,7 +239,7 @@ def _log_scale(m: Float64s) -> Float64s:
 def _score_epipolar(
     i: Int32s, j: Int32s, x1: Float64s, x2: Float64s, F: Float64s, coefficients: Float64s, log_odds: Float64s
 ) -> None:
-    """Add what the symmetric distance to the epipolar lines tells."""
+    """Add the evidence of the symmetric distance to the epipolar lines."""
     base, weight = coefficients[9], coefficients[10]
     for c in range(len(i)):
         x, y, u, v = x1[i[c], 0], x1[i[c], 1], x2[j[c], 0], x2[j[c], 1]
@@ -251,25 +251,25 @@ def _score_epipolar(
 
 
 MAX_RATIO = 0.85
-"""First over second descriptor distance of a first match, at most."""
+"""Largest ratio of first to second descriptor distance of a first match."""
 CONFIRMING_NEIGHBOURS = 24
 CONFIRM_PX, CONFIRM_PER_PX, CONFIRM_RAD, CONFIRM_LOG_SCALE = 8.0, 0.3, 0.6, 0.8
-"""A neighbour confirms a match within 8 px + 0.3 of their distance, 0.6 rad and a log scale of 0.8."""
+"""A neighbouring match confirms a match that it predicts to within 8 px + 0.3 of their distance, 0.6 rad and 0.8 in log scale."""
 
 
 @dataclass(frozen=True)
 class Correspondences:
-    """Matches to start from."""
+    """Matches before and after each round."""
 
     i1: Int32s
     i2: Int32s
     """(n,) int32 rows of the two `Features`."""
     probability: Float64s
-    """(n,) float64, p of the accepted match."""
+    """(n,) float64 probability of each match."""
 
 
 def initial_matches(pairs: tuple[ViewPair, ...]) -> Correspondences:
-    """Mutual nearest neighbours that are clearly nearest, or that their neighbours confirm; weight 1 each."""
+    """Mutual nearest neighbours that are clearly nearest or confirmed by their neighbours, else the best 8; weight 1 each."""
     if not pairs:
         return Correspondences(np.zeros(0, np.int32), np.zeros(0, np.int32), np.zeros(0))
     i1, i2, x1, x2, affine, ratio = (np.concatenate(parts) for parts in zip(*map(_clear, pairs), strict=True))
@@ -285,7 +285,7 @@ def initial_matches(pairs: tuple[ViewPair, ...]) -> Correspondences:
 
 
 def _clear(pair: ViewPair) -> tuple[Int32s, Int32s, Float64s, Float64s, Float64s, Float64s]:
-    """Rows of the `Features`, places, frame affines and ratios of the mutual nearest neighbours that may be first matches."""
+    """Mutual nearest neighbours within `MAX_RATIO`: rows of the `Features`, positions, frame affines and ratios."""
     i, j, ratio = pair.candidates.near.mutual()
     keep = ratio < MAX_RATIO
     i, j = i[keep], j[keep]
@@ -294,7 +294,7 @@ def _clear(pair: ViewPair) -> tuple[Int32s, Int32s, Float64s, Float64s, Float64s
 
 
 def confirmations(x1: Float64s, x2: Float64s, affine: Float64s) -> Int32s:
-    """(n,) how many of a match's nearest matches predict it, place and frame."""
+    """(n,) number of the nearest matches around each match that predict its position and frame."""
     count = np.zeros(len(x1), np.int32)
     if len(x1) >= 4:
         _, index = nearest_points(x1, x1, min(CONFIRMING_NEIGHBOURS, len(x1) - 1) + 1)

@@ -1,1 +1,1 @@
-"""Depth of one view judged by all views around it."""
+"""Depth of one view, refined against all views around it."""

@@ -1,7 +1,7 @@
 """Depths of other views carried over into one view, as planes to be tried where its own pairs have none.
 
-A pair that sees a surface well shows where it lies in views whose pairs don't.  What is carried over is no evidence: a plane is
-taken only where this view's own photographs show it.
+A pair that sees a surface well gives its position in views whose own pairs do not.  Carried depths are not evidence: a plane is
+used only where this view's own photographs confirm it.
 """
 
 from __future__ import annotations
@@ -17,9 +17,9 @@ from .propagation import Propagation
 
 
 def carried_planes(camera: Camera, cameras: Mapping[str, Camera], depths: Mapping[str, DepthMap]) -> Float32s:
-    """(3, h, w) planes of the nearest surface that depths of other views show to a camera; nan where they show none.
+    """(3, h, w) planes of the surface nearest to a camera, from depths of other views; nan where these have none.
 
-    cameras, depths: of the other views; those of another world are passed over.
+    cameras, depths: of the other views; cameras of another component are skipped.
     """
     planes = np.full((3, camera.height, camera.width), np.nan, np.float32)
     for name, depth in depths.items():
@@ -30,12 +30,12 @@ def carried_planes(camera: Camera, cameras: Mapping[str, Camera], depths: Mappin
 
 
 def with_carried(planes: Float32s, carried: Float32s, propagation: Propagation, max_cost: float) -> Float32s:
-    """Planes of a view, and where it has none those carried over that a source sees.
+    """Planes of a view; where it has none, the carried ones that a source sees.
 
     Parameters
     ----------
     planes, carried : (3, h, w) each, nan for none.
-    propagation, max_cost : of the view; a source sees a plane that costs less.
+    propagation, max_cost : of the view; a source sees a plane that costs less than `max_cost`.
     """
     trial = np.where(np.isnan(planes[0]), carried, np.float32(np.nan))
     return np.where(propagation.support(trial, max_cost).first < max_cost, trial, planes)
@@ -46,9 +46,9 @@ def _carry(
     depth: Float32s, slope_x: Float32s, slope_y: Float32s, M: Float64s, b: Float64s, M_back: Float64s, b_back: Float64s,
     planes: Float32s,
 ) -> None:  # fmt: skip
-    """Write planes of one view at the pixels of another that see them, where they are nearer than what is there.
+    """Write planes of one view at the pixels of another that see them, where they are nearer than the planes already there.
 
-    depth, slope_x, slope_y: (h', w') of the one view; M, b: from it to the other; M_back, b_back: from the other to it; planes:
+    depth, slope_x, slope_y: (h', w') of the first view; M, b: from it to the other; M_back, b_back: from the other to it; planes:
     (3, h, w) of the other.
     """
     h, w = planes.shape[1:]
@@ -65,11 +65,11 @@ def _carry(
             if not (u > -0.5 and v > -0.5 and u < w - 0.5 and v < h - 0.5):
                 continue
             i, j = int(u + 0.5), int(v + 0.5)
-            n0, n1 = np.float64(slope_x[y, x]), np.float64(slope_y[y, x])  # its plane, linear in the places of both cameras
+            n0, n1 = np.float64(slope_x[y, x]), np.float64(slope_y[y, x])  # its plane is linear in the pixels of both cameras
             n2 = 1.0 / z - n0 * x - n1 * y
             scale = 1.0 / (1.0 - n0 * b_back[0] - n1 * b_back[1] - n2 * b_back[2])
             across = scale * (n0 * M_back[0, 0] + n1 * M_back[1, 0] + n2 * M_back[2, 0])
             down = scale * (n0 * M_back[0, 1] + n1 * M_back[1, 1] + n2 * M_back[2, 1])
             q = np.float32(1.0 / there + across * (i - u) + down * (j - v))
-            if q > 0 and not q <= planes[0, j, i]:  # never where nothing is there
+            if q > 0 and not q <= planes[0, j, i]:  # nan where there is none
                 planes[0, j, i], planes[1, j, i], planes[2, j, i] = q, across, down

@@ -1,11 +1,11 @@
-"""The ground: the plane on which most of a site stands, found by what all views together show of it.
+"""The ground: the plane on which most of a site stands, found in all views together.
 
-Fixed cameras hang upright, so that their rows are level: which way is up follows from the cameras alone.  Planes at many heights
-below the lowest camera are tried: where patches of one view, carried over a plane into another view, look there as they do here,
-the plane is the ground.  Repeated tiles fit at many heights in one pair of views, at one height only in all of them.
+Fixed cameras hang upright, with level rows: the up direction follows from the cameras alone.  Planes at many heights below the
+lowest camera are tried: a plane is likely the ground if patches of one view look the same in another view when the plane maps
+them there.  Repeated tiles fit at many heights in one pair of views, but at one height only in all of them.
 
-How alike a patch looks by chance follows from the patch itself, at all heights that were tried.  A plane is the ground if its
-patches look more alike than by chance, and than on any other plane, significantly.
+How alike a patch looks by chance follows from the patch itself, over all heights that were tried.  A plane is the ground if its
+patches look significantly more alike than by chance, and than on any other plane.
 
 References
 ----------
@@ -30,32 +30,32 @@ from ..types import Camera, Float32s, Float64s
 
 _HEIGHTS = 200
 _LOWEST, _HIGHEST = 0.02, 1.5
-"""Heights of the lowest camera above the planes that are tried, as shares of the longest baseline."""
+"""Range of the lowest camera's height above the planes that are tried, as shares of the longest baseline."""
 _PATCHES = 28
 """Patches across the wider side of a view."""
 _RADIUS = 4
 _LARGE_RADIUS, _VERY_ALIKE = 8, 0.9
-"""Of large patches that must look the same, and how well these correlate."""
+"""Radius of the large patches of `very_alike`, pixels, and the correlation above which they look the same."""
 _CANDIDATES = 4
 _MOST_PAIRS = 8
 _LEAST_SPREAD = 0.15
-"""Correlations (of Fisher's kind) vary by so much from height to height at least: those of patches without texture hardly do."""
+"""Lower limit of the standard deviation of Fisher-transformed correlations over the heights: without texture they hardly vary."""
 _LEAST_CHANCE = 1e-6
 _SHARES = np.array([0.02, 0.05, 0.1, 0.2, 0.4, 0.7])
 """Shares of the patches that may lie on the ground."""
 _SIGNIFICANT = 2.0
 """Standard errors by which the ground must be more likely than chance, and than any other plane."""
 _MOST_TILT_DEG, _MOST_LIFT = 3.0, 0.05
-"""A plane is tilted and lifted no farther to fit: degrees, and shares of its height below the cameras; below the outermost camera
-it moves by twice that share at most."""
+"""Limits of the change that fits a plane: tilt in degrees, and lift as a share of its height below the cameras.  Below the
+outermost camera the tilt moves it by at most twice that share."""
 _SAME_HEIGHT = 0.06
-"""Heights within this share of the best one are the same."""
+"""Planes whose heights differ by no more than this share are the same."""
 _LEVEL_DEG = 5.0
-"""World axes whose z is no farther from the cameras' up are meant to have z up."""
+"""World axes are assumed to have z up if z is within this angle of the cameras' up direction."""
 
 
 def find_ground(images: Mapping[str, Float32s], cameras: Mapping[str, Camera]) -> Float64s | None:
-    """The ground plane (4,): n, d with n X + d = 0, n of unit length and pointing up; None where no plane stands out.
+    """The ground plane (4,): n, d with n X + d = 0, n of unit length and pointing up; None if no plane is significant.
 
     images: (h, w) float32 grey frame of each camera.
     """
@@ -79,49 +79,49 @@ def find_ground(images: Mapping[str, Float32s], cameras: Mapping[str, Camera]) -
 
 
 def likely_planes(views: list[tuple[Float32s, Camera]]) -> list[Float64s]:
-    """(4,) the level planes on which most looks alike to views, image and camera, that may be some pixels off: some of them."""
+    """A few level planes (4,) on which most patches look alike, for views (image, camera) that may be some pixels off."""
     pairs, ups = _pairs([camera for _, camera in views]), _ups([camera for _, camera in views])
     return _sweep(views, pairs, _ways(views, pairs, ups[0]), ups[0])[0] if pairs and ups else []
 
 
 def settled_on(views: list[tuple[Float32s, Camera]], plane: Float64s) -> tuple[float, Float64s]:
-    """The plane nearby on which most looks alike, and how much: the mean square of the correlations."""
+    """Mean square of the correlations on the best plane near a given one, and that plane."""
     ways = _ways(views, _pairs([camera for _, camera in views]), plane[:3])
     settled = _settled(views, ways, plane)
     return _alike(ways, settled) / sum(len(way.patches) for way in ways), settled
 
 
 def very_alike(views: list[tuple[Float32s, Camera]], plane: Float64s) -> int:
-    """How many large patches look the same to two views if they lie on the plane: a stone looks like another one, but with all
-    that is around it, it doesn't."""
+    """Number of large patches that look the same in two views if they lie on the plane: one stone looks like another, but not
+    together with its surroundings."""
     ways = _ways(views, _pairs([camera for _, camera in views]), plane[:3])
     return sum(int(np.sum(_likeness(way, plane, _LARGE_RADIUS) > _VERY_ALIKE)) for way in ways)
 
 
 @dataclass(frozen=True)
 class _Way:
-    """One view compared with another."""
+    """One view compared with another, in this direction."""
 
     one: tuple[Float32s, Camera]
     two: tuple[Float32s, Camera]
     patches: Float64s
-    """(n, 2) whole pixels of the first."""
+    """(n, 2) whole pixels of the first view."""
 
 
 def halved(image: Float32s, camera: Camera) -> tuple[Float32s, Camera]:
-    """A view at half its size: planes a little off still fit there, so that fewer have to be tried."""
+    """A view at half its size: planes that are slightly wrong still fit there, so that fewer have to be tried."""
     small = block_means(image, 2)
     return small, replace(camera, K=scaled_intrinsics(camera.K, 0.5, 0.5), width=small.shape[1], height=small.shape[0])
 
 
 def _ups(cameras: list[Camera]) -> list[Float64s]:
-    """Where up may be: at right angles to the rows of all views; and the world's z axis, if that is nearly the same."""
+    """Possible up directions: perpendicular to all views' rows, and the world's z axis if it agrees or the rows leave it open."""
     across = np.stack([camera.R[0] for camera in cameras])
     values, vectors = np.linalg.eigh(across.T @ across)
     up = vectors[:, 0] * np.sign(-sum(camera.R[1] @ vectors[:, 0] for camera in cameras))
     z = np.array([0.0, 0.0, 1.0])
     level = float(up @ z) > np.cos(np.radians(_LEVEL_DEG))
-    turned = values[1] > 0.02 * len(cameras)  # views that all look the same way don't tell their tilt
+    turned = values[1] > 0.02 * len(cameras)  # views that all face the same way do not determine their tilt
     upright = all(-camera.R[1] @ z > 0.5 for camera in cameras)
     return ([z] if level or (upright and not turned) else []) + ([up] if turned else [])
 
@@ -136,8 +136,8 @@ def _pairs(cameras: list[Camera]) -> list[tuple[int, int]]:
 def _sweep(
     views: list[tuple[Float32s, Camera]], pairs: list[tuple[int, int]], ways: list[_Way], up: Float64s
 ) -> tuple[list[Float64s], tuple[Float64s, Float64s]]:
-    """Level planes (4,) on which more patches look alike than a little higher and lower, the best ones first; and by chance: mean
-    and standard deviation (n,) of each patch's correlation, of Fisher's kind; nan for one that is rarely in view."""
+    """The best level planes (4,), of different heights, the best one first; and chance: mean and standard deviation (n,) of each
+    patch's Fisher-transformed correlation over all heights, nan for a patch that is rarely in view."""
     lowest = min(float(camera.C @ up) for _, camera in views)
     longest = max(float(np.linalg.norm(views[i][1].C - views[j][1].C)) for i, j in pairs)
     below = longest * np.geomspace(_LOWEST, _HIGHEST, _HEIGHTS)
@@ -154,13 +154,13 @@ def _sweep(
 
 
 def _fisher(correlation: Float64s) -> Float64s:
-    """Its transform, which is about normally distributed."""
+    """Fisher's transform of correlations, which is about normally distributed."""
     return np.asarray(np.arctanh(np.clip(correlation, -0.99, 0.99)), dtype=np.float64)
 
 
 def _odds(likeness: Float64s, mean: Float64s, spread: Float64s) -> Float64s:
-    """(n,) how much more likely patches are to look so alike on a plane than by chance; 1 where nothing is known."""
-    from scipy.special import ndtr  # here: many sites need no ground
+    """(n,) how many times more likely patches look so alike on a plane than by chance; 1 where nothing is known."""
+    from scipy.special import ndtr  # imported here, because many sites need no ground
 
     above = (_fisher(likeness) - mean) / np.hypot(spread, _LEAST_SPREAD)
     return np.asarray(np.nan_to_num(0.5 / np.sqrt(np.maximum(ndtr(-above), _LEAST_CHANCE)), nan=1.0), dtype=np.float64)
@@ -172,8 +172,8 @@ def _gains(odds: Float64s) -> Float64s:
 
 
 def _significance(odds: Float64s, other: Float64s, share: float) -> float:
-    """Standard errors by which one plane is more likely than another (Vuong); each pair of views is compared both ways, which
-    shows everything twice."""
+    """Standard errors by which one plane is more likely than another (Vuong).  The factor 2 is for pairs of views, which are
+    compared in both directions and thus count twice."""
     gain = np.log1p(share * (odds - 1.0)) - np.log1p(share * (other - 1.0))
     return float(gain.sum() / max(np.sqrt(2.0 * (gain**2).sum()), 1e-12))
 
@@ -192,7 +192,7 @@ def _alike(ways: list[_Way], plane: Float64s) -> float:
 
 
 def _settled(views: list[tuple[Float32s, Camera]], ways: list[_Way], plane: Float64s) -> Float64s:
-    """The plane nearby on which patches look most alike: tilted and lifted a little."""
+    """The plane near a given one, tilted and lifted a little, on which patches look most alike."""
     from scipy.optimize import minimize
 
     cameras = np.array([camera.C for _, camera in views])
@@ -213,7 +213,7 @@ def _settled(views: list[tuple[Float32s, Camera]], ways: list[_Way], plane: Floa
 
 
 def below_horizon(camera: Camera, up: Float64s, across: int) -> Float64s:
-    """(n, 2) whole pixels of a grid that look below the horizon; across: of so many over the wider side."""
+    """(n, 2) whole pixels of a grid that look below the horizon; across: points of the grid over the wider side."""
     step = max(camera.width, camera.height) / across
     x, y = np.arange(step / 2, camera.width, step), np.arange(step / 2, camera.height, step)
     pixels = np.floor(np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2))
@@ -222,7 +222,7 @@ def below_horizon(camera: Camera, up: Float64s, across: int) -> Float64s:
 
 
 def _likeness(way: _Way, plane: Float64s, radius: int = _RADIUS) -> Float64s:
-    """(n,) correlation of the patches of one view with what the other one shows there if they lie on the plane; nan: not seen."""
+    """(n,) correlation of one view's patches with the other view, where the plane maps them; nan for patches not in view."""
     (image1, camera1), (image2, camera2) = way.one, way.two
     if plane[:3] @ camera1.C + plane[3] <= 0 or plane[:3] @ camera2.C + plane[3] <= 0:
         return np.full(len(way.patches), np.nan)
@@ -233,14 +233,14 @@ def _likeness(way: _Way, plane: Float64s, radius: int = _RADIUS) -> Float64s:
 
 def ground_homography(camera1: Camera, camera2: Camera, plane: Float64s) -> Float64s:
     """(3, 3): pixels of camera 1 to those of camera 2, of points on the plane n X + d = 0; its third coordinate, and that of its
-    inverse, is positive for points before both cameras (Hartley & Zisserman, eq. 13.2)."""
+    inverse, is positive for points in front of both cameras (Hartley & Zisserman, eq. 13.2)."""
     R, t = relative_pose(camera1, camera2)
     normal, offset = camera1.R @ plane[:3], float(plane[:3] @ camera1.C + plane[3])
     return np.asarray(camera2.K @ (R - np.outer(t, normal) / offset) @ np.linalg.inv(camera1.K), dtype=np.float64)
 
 
 def inverse_depth_line(camera: Camera, plane: Float64s) -> Float64s:
-    """(3,): times (x, y, 1) the inverse depth in a camera of the plane n X + d = 0; negative above its horizon."""
+    """(3,): its product with (x, y, 1) is the inverse depth of the plane n X + d = 0 in a camera, negative above the horizon."""
     line = -(plane[:3] @ camera.R.T @ np.linalg.inv(camera.K)) / (plane[:3] @ camera.C + plane[3])
     return np.asarray(line, dtype=np.float64)
 
@@ -254,7 +254,7 @@ def _correlate(image1: Float32s, image2: Float32s, patches: Float64s, H: Float64
 
 @helper
 def _in_view(image1: Float32s, image2: Float32s, x: int, y: int, H: Float64s, radius: int) -> bool:
-    """Do both images show the patch?  Before the camera its image is convex: its corners tell."""
+    """Do both images show the patch?  In front of the camera its projection is convex, so that its corners decide."""
     h1, w1 = image1.shape
     h2, w2 = image2.shape
     if x < radius or y < radius or x >= w1 - radius or y >= h1 - radius:

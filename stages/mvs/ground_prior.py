@@ -1,8 +1,8 @@
 """Matches on the ground between cameras that are known to within their standard deviations.
 
-Keypoints on paving that repeats match wrong stones, each as well as the right one.  But where two cameras are known nearly, and
-the ground with them, a patch of one is expected in the other to within some pixels: as the ground maps it, it is looked for there
-and nowhere else, and counts only where nothing else in reach looks the same.
+On repetitive paving, keypoints match wrong stones as well as the right one.  But if two cameras and the ground plane are known
+approximately, the position of a patch in the other image is predicted to within some pixels.  The patch, warped by the ground's
+homography, is searched only there, and counts only if nothing else within reach looks the same.
 """
 
 from __future__ import annotations
@@ -17,15 +17,15 @@ _PATCHES = 64
 """Patches across the wider side of a view."""
 _RADIUS = 6
 _ALIKE = 0.75
-"""Patches correlate so well at least..."""
+"""Smallest correlation of matching patches."""
 _CLEARER = 0.12
-"""...and so much better than anywhere else in reach that is no neighbour."""
+"""Smallest lead of the best correlation over that at any other place within reach."""
 _BESIDE_PX = 3
-"""So near to the best place all places are one."""
+"""Places within this distance of the best one do not count as others."""
 _LEAST_SPREAD = 16.0
-"""Variance of grey levels: flatter patches look alike anywhere."""
+"""Smallest variance of a patch's grey levels: flatter patches look alike anywhere."""
 _MOST_STRETCH = 4.0
-"""A patch that covers so many times more or fewer pixels in the other view is not compared."""
+"""Patches that cover more than this many times more or fewer pixels in the other view are not compared."""
 
 
 def ground_matches(
@@ -35,9 +35,9 @@ def ground_matches(
 
     Parameters
     ----------
-    images, cameras : (h, w) float32 grey of both views, and these as well as they are known.
-    plane : (4,) the ground.
-    reach_px : how far patches may be from where cameras and ground put them.
+    images, cameras : (h, w) float32 grey images of both views, and their cameras, as well as they are known.
+    plane : (4,) ground plane.
+    reach_px : largest distance of patches from the positions predicted by cameras and ground, pixels.
     """
     camera1, camera2 = cameras
     if any(plane[:3] @ camera.C + plane[3] <= 0 for camera in cameras):
@@ -53,7 +53,7 @@ def ground_matches(
 
 @kernel
 def _search(image1: Float32s, image2: Float32s, patches: Float64s, H: Float64s, reach: int, found: Float64s) -> None:
-    """For each patch its place in image 2 (2), how well it fits there, and how well at the best other place."""
+    """Write for each patch its position in image 2 (2 numbers), its correlation there, and that at the best other place."""
     h1, w1 = image1.shape
     h2, w2 = image2.shape
     side = 2 * _RADIUS + 1
@@ -79,7 +79,7 @@ def _search(image1: Float32s, image2: Float32s, patches: Float64s, H: Float64s, 
 
 @helper
 def _mapped(image1: Float32s, x: int, y: int, H: Float64s, u: Float64s, v: Float64s, here: Float64s) -> bool:
-    """Where H takes the pixels around one (u, v), and their grey levels; False where some are behind the camera."""
+    """Write where H maps the pixels around x, y (u, v), and their grey levels; False if some are behind the camera."""
     n = 0
     for j in range(y - _RADIUS, y + _RADIUS + 1):
         for i in range(x - _RADIUS, x + _RADIUS + 1):
@@ -95,7 +95,7 @@ def _mapped(image1: Float32s, x: int, y: int, H: Float64s, u: Float64s, v: Float
 
 @helper
 def _correlate(image2: Float32s, u: Float64s, v: Float64s, here: Float64s, reach: int, scores: Float64s) -> None:
-    """Correlation of a patch with image 2 at each shift of its place there."""
+    """Correlation of a patch with image 2 at each shift from its predicted position."""
     n = len(here)
     mean, spread = here.mean(), here.var()
     for down in range(-reach, reach + 1):
@@ -116,7 +116,7 @@ def _correlate(image2: Float32s, u: Float64s, v: Float64s, here: Float64s, reach
 
 @helper
 def _best_place(scores: Float64s, reach: int, found: Float64s) -> None:
-    """The shift (2) of the best score, to fractions by a parabola each way; it; and the best one that is not beside it."""
+    """Write the best score's shift (2), by parabolas, that score, and the best one elsewhere; nothing if it is at the border."""
     size = 2 * reach + 1
     best, row, column = -1.0, 0, 0
     for r in range(size):

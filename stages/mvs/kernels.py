@@ -1,15 +1,15 @@
-"""The compiled loops of `mvs.propagation`: planes of one view projected into its sources, costed, spread and changed.
+"""The compiled loops of `mvs.propagation`: planes of one view are projected into its sources, scored, propagated and changed.
 
 A pixel's surface is a plane in inverse depth, q + A dx + B dy for its neighbours at (dx, dy): a plane in space is exactly
-linear in inverse depth.  The pixel is seen by source s at the homogeneous position M_s p + b_s q, linear in q, so that a small
-patch maps affinely with derivatives at hand.  A plane's cost is the lowest 1 - ZNCC over the sources: one view that sees the
-surface unhidden and alike is proof; the mean over several would punish surfaces that others don't see.
+linear in inverse depth.  Source s sees the pixel at the homogeneous position M_s p + b_s q, linear in q, so that a small patch
+maps affinely, with derivatives in closed form.  A plane's cost is the lowest 1 - ZNCC over the sources: one source that sees the
+surface unoccluded and alike is enough; a mean over several would penalise surfaces that are hidden from some.
 
-Pieces of a row are judged at once, so that the compiler can do many columns with one instruction: a pixel reads finished rows,
-and its own row as it stands before each step.
+Blocks of a row are processed at once, so that the compiler can vectorise over columns: a pixel reads finished rows, and its own
+row in the state before each step.
 
 Arguments of all kernels: `image` (h + 2 reach, w + 2 reach) grey levels of the view with a margin, `usable` of the same shape, 1
-where a pixel may be used; `pairs` neighbouring grey levels of the sources, two in one number, `height` and `width` of a source;
+where a pixel may be used; `pairs` neighbouring grey levels of the sources, two in a uint64, `height` and `width` of a source;
 `M` (sources, 3, 3) and `b` (sources, 3) as above; `taps` (n, 2) offsets x, y of a patch, none beyond `reach`; `planes` (3, h, w)
 q, A, B and `cost` (h, w), improved in place.
 """
@@ -22,16 +22,16 @@ from ..core.jit import Scalar, helper, kernel
 from ..types import Float32s, Int32s, Int64s, Uint32s, Uint64s
 
 UNSEEN = 2.0
-"""The cost where no source sees a plane; costs of planes that are seen lie between 0 and 1."""
-_FLAT = 0.05  # grey levels squared: patches with less contrast show nothing
+"""Cost of a plane that no source sees; costs of planes that are seen are between 0 and 1."""
+_FLAT = 0.05  # grey levels squared: patches with less variance are flat, and cost _FLAT_COST
 _FLAT_COST = 0.95
 _SOFTNESS = 12.0
-"""Grey levels at which a patch's pixel counts half."""
+"""Difference from the centre, in grey levels, at which a patch's pixel has half weight."""
 NOISE = 65537
-"""Random numbers in a row; a prime: steps of a block meet every place."""
+"""Length of the table of random numbers; a prime, so that steps of a block reach every entry."""
 _NEAREST = 1e-6
 
-# Scratch is flat, in rows of BLOCK at places known to the compiler, which then sees that none overlaps another.
+# Scratch is a flat array of rows of BLOCK at offsets known to the compiler, which then sees that they do not overlap.
 BLOCK = 128
 _U, _V, _UX, _UY, _VX, _VY, _SEEN, _START, _PLACE, _FX, _FY, _CENTRE, _MEAN, _SQUARE, _PRODUCT, _SCALE, _SCRATCH = (
     i * BLOCK for i in range(17)
@@ -42,8 +42,8 @@ _SPREAD, _TOTAL, _OFFSET, _TAPS = (i * BLOCK for i in range(4))
 
 @helper
 def _windows(image: Float32s, usable: Float32s, taps: Int32s, reach: int, y: int, x0: int, n: int, window: Float32s) -> None:
-    """The patches of `n` pixels from (x0, y) on: their deviation; then for each tap weights that sum to 1, and for each tap the
-    weights times grey minus the patch's mean.  Weights fall as 1 / (1 + (dI / softness)^2); unusable pixels have none."""
+    """The patches of `n` pixels from (x0, y) on: standard deviation; then for each tap its weights, which sum to 1 over the taps;
+    then for each tap weight times (grey - mean).  Weights fall as 1 / (1 + (dI / softness)^2); unusable pixels have 0."""
     soft, count = np.float32(1.0 / _SOFTNESS), len(taps)
     window[:_TAPS] = np.float32(0.0)
     centre = image[y + reach, x0 + reach :]
@@ -80,7 +80,7 @@ def _windows(image: Float32s, usable: Float32s, taps: Int32s, reach: int, y: int
 def _project(
     height: int, width: int, M: Float32s, b: Float32s, y: int, x0: int, trial: Float32s, source: Int32s, s: Float32s
 ) -> None:
-    """Where the sources see the planes of `trial` at (x0, y), ..., and how that changes in x and y."""
+    """Project the planes of `trial` at (x0, y), ... into one source each, with the derivatives of the position in x and y."""
     starts = s.view(np.int32)
     row = np.float32(y)
     for k in range(len(M)):
@@ -118,8 +118,8 @@ def _costs(
     pairs: Uint64s, height: int, width: int, M: Float32s, b: Float32s, taps: Int32s, reach: int, y: int, x0: int,
     trial: Float32s, source: Int32s, window: Float32s, s: Float32s, taken: Uint64s, cost: Float32s,
 ) -> None:  # fmt: skip
-    """1 - ZNCC of the patches around (x0, y), (x0 + 1, y), ... and their images in a source each, under the planes of `trial`, 0
-    to 1; UNSEEN where there is no plane, or the patch leaves the image or lies behind the camera."""
+    """1 - ZNCC, 0 to 1, between the patches around (x0, y), (x0 + 1, y), ... and their projections into one source each by the
+    planes of `trial`; UNSEEN where there is no plane, or the patch leaves the image or lies behind the camera."""
     _project(height, width, M, b, y, x0, trial, source, s)
     whole, place, both = s.view(np.int32), s.view(np.uint32), taken.view(np.float32)
     count, stride = len(taps), np.int32(width)
@@ -146,7 +146,7 @@ def _costs(
             top += s[_FX + x] * (both[2 * x + 1] - top)
             bottom += s[_FX + x] * (both[2 * BLOCK + 2 * x + 1] - bottom)
             s[_FX + x] = top + s[_FY + x] * (bottom - top)
-        if t == 0:  # differences to the centre: weak contrast must not drown in rounding
+        if t == 0:  # sums use differences from the centre, so that rounding does not hide weak contrast
             for x in range(BLOCK):
                 s[_CENTRE + x] = s[_FX + x]
         for x in range(BLOCK):
@@ -175,7 +175,7 @@ def _costs(
 def _pixels_per_inverse_depth(
     height: int, width: int, M: Float32s, b: Float32s, y: int, x0: int, trial: Float32s, s: Float32s
 ) -> None:
-    """How far the pixels at (x0, y), ... move per unit of q in the source where they move most; 0 where none sees them."""
+    """Pixels that the points at (x0, y), ... move per unit of q in the source where they move most; 0 where none sees them."""
     row, zero, nearest = np.float32(y), np.float32(0.0), np.float32(_NEAREST)
     right, low = np.float32(width - 1), np.float32(height - 1)
     s[_SCALE:_SCRATCH] = zero
@@ -200,7 +200,7 @@ def _planes_at(
     planes: Float32s, best: Int32s, y: int, x0: int, n: int, dx: int, dy: int, low: Scalar, high: Scalar, trial: Float32s,
     source: Int32s,
 ) -> None:  # fmt: skip
-    """The planes at (x0 + dx, y + dy), ... continued to (x0, y), ..., and the sources that see them best; q = 0: none."""
+    """The planes at (x0 + dx, y + dy), ... extrapolated to (x0, y), ..., and the sources that see them best; q = 0: none."""
     row, width = y + dy, planes.shape[2]
     first, last = max(0, -x0 - dx), min(n, width - x0 - dx)
     trial[:] = np.float32(0.0)
@@ -222,7 +222,7 @@ def _planes_at(
 
 @helper
 def _own_planes(planes: Float32s, y: int, x0: int, n: int, trial: Float32s) -> None:
-    """The planes at (x0, y), ..., whatever they cost; q = 0: none."""
+    """The planes at (x0, y), ..., regardless of their cost; q = 0: none."""
     trial[:] = np.float32(0.0)
     for x in range(n):
         q = planes[0, y, x0 + x]
@@ -236,8 +236,8 @@ def _own_planes(planes: Float32s, y: int, x0: int, n: int, trial: Float32s) -> N
 def _changed(
     noise: Float32s, at: int, shift: Scalar, turn: Scalar, low: Scalar, high: Scalar, s: Float32s, trial: Float32s
 ) -> None:
-    """Move and turn the planes of `trial` at random: by up to `shift` and `turn` pixels (per pixel) in the source where they move
-    most.  noise: numbers from -1 to 1, from `at` on."""
+    """Shift and tilt the planes of `trial` at random: by up to `shift` pixels, and `turn` pixels per pixel, in the source where
+    they move most.  noise: random numbers from -1 to 1, used from `at` on."""
     first, second, third = noise[at:], noise[(at + BLOCK) % NOISE :], noise[(at + 2 * BLOCK) % NOISE :]
     for x in range(BLOCK):
         scale = s[_SCALE + x]
@@ -269,11 +269,11 @@ def propagate(
     reach: int, noise: Float32s, number: int, rings: Int64s, changes: int, low: Scalar, high: Scalar,
     planes: Float32s, cost: Float32s, best: Int32s,
 ) -> None:  # fmt: skip
-    """One pass, down if `number` is even, else up.  `rings` (n, 2): where planes come from, columns and rows back along the way;
-    `changes`: of a pixel's own so many are tried, changed at random.
+    """One pass, down if `number` is even, else up.  `rings` (n, 2): neighbours that planes come from, columns and rows back along
+    the direction of the pass; `changes`: random changes of its own plane that each pixel tries.
 
-    A plane is tried on the source that is best here, the one best where it comes from, and one more in turn: of six sources half
-    are enough."""
+    A plane is tried in the source that is best here, the one that is best where the plane comes from, and one more in turn: half
+    of six sources are enough."""
     h, w = cost.shape
     count = len(M)
     window = np.zeros(_TAPS + 2 * len(taps) * BLOCK, dtype=np.float32)
@@ -335,8 +335,8 @@ def judge(
     image: Float32s, usable: Float32s, pairs: Uint64s, height: int, width: int, M: Float32s, b: Float32s, taps: Int32s,
     reach: int, limit: Scalar, planes: Float32s, first: Float32s, second: Float32s, support: Uint32s, parallax: Float32s,
 ) -> None:  # fmt: skip
-    """The least (`first`) and second least cost of each plane over the sources, `support`: a bit for each source below `limit`,
-    and `parallax`: the sum over these of squared pixels a unit of inverse depth.  All are (h, w), and written."""
+    """Write the lowest (`first`) and second lowest cost of each plane over the sources, `support`: a bit for each source below
+    `limit`, and `parallax`: the sum over these of (pixels per unit of inverse depth)^2, all (h, w)."""
     h, w = first.shape
     window = np.zeros(_TAPS + 2 * len(taps) * BLOCK, dtype=np.float32)
     scratch = np.zeros(_SCRATCH, dtype=np.float32)

@@ -1,13 +1,13 @@
-"""Depth on fractions of a pixel: each plane moved to where all sources together fit best.
+"""Depth to fractions of a pixel: each plane is moved to the best fit of all sources together.
 
-`mvs.kernels` looks for planes by the one source that shows them best, on every second pixel of a patch: right to within a pixel,
-but the cheapest of many trials by chance.  From there a Gauss-Newton step follows the slopes of all correlations at once, on
-every pixel of a patch whose centre weighs most.  With a the patch here and b its image in a source, both without their mean and
-of unit length, 1 - ab is half of |a - b|^2: a least-squares problem in the inverse depth q, in which
+`mvs.kernels` finds planes by the one source that shows them best, on every second pixel of a patch: right to within a pixel, but
+within that the cheapest of many trials by chance.  From there a Gauss-Newton step uses the gradients of all correlations at once,
+on every pixel of a patch whose centre has the largest weight.  With a the patch here and b its projection in a source, both with
+zero mean and unit length, 1 - ab is half of |a - b|^2: a least-squares problem in the inverse depth q, in which one source adds
 
-    gradient = -a db/dq,    curvature = |db/dq|^2,    db/dq = (r - mean - b (b r)) / |patch|,    r = dI/dq,
+    gradient = -a db/dq,    curvature = |db/dq|^2,    db/dq = (r - mean - b (b r)) / |patch|,    r = dI/dq.
 
-is what one source adds.  It weighs as much as it fits: the variance of its differences is twice its cost.
+The better a source fits, the larger its weight: the variance of its differences is twice its cost.
 
 References: Lucas, Kanade, An iterative image registration technique, IJCAI 1981; Furukawa, Ponce, Accurate, Dense, and Robust
 Multiview Stereopsis, PAMI 2010 (a patch's depth improved on all views' correlations).
@@ -21,18 +21,18 @@ from ..core.jit import Scalar, helper, kernel
 from ..types import Float32s, Int32s, Uint64s
 
 _SOFTNESS = 12.0
-"""Grey levels at which a patch's pixel counts half."""
+"""Difference from the centre, in grey levels, at which a patch's pixel has half weight."""
 _FLAT = 0.05
-"""Grey levels squared: patches with less contrast say nothing."""
+"""Smallest variance of a patch that counts, grey levels squared."""
 _FLOOR = 0.02
-"""Added to the cost of a source: no source is better than the grey levels' noise."""
+"""Added to the cost of a source in its weight: no source is better than the noise of grey levels."""
 _HELD = 0.1
-"""What speaks for the plane as it was, in squared share of a patch's contrast that one pixel of movement changes."""
+"""Prior that holds the plane in place, as a curvature: squared share of a patch's contrast per squared pixel of movement."""
 _NEAREST = 1e-6
 _BLOCK = 128
-"""Pixels of a row that are worked on together."""
+"""Pixels of a row that are processed together."""
 
-# Scratch is flat, in rows of _BLOCK at places known to the compiler.
+# Scratch is a flat array of rows of _BLOCK at offsets known to the compiler.
 _Q, _A, _B, _U, _V, _UX, _UY, _VX, _VY, _DU, _DV, _SEEN, _PLACE, _FX, _FY, _CENTRE, _ROWS = (i * _BLOCK for i in range(17))
 _R, _RR, _DR, _E, _EE, _RE, _DE, _SUMS = (i * _BLOCK for i in range(8))
 _W, _D, _DD, _WEIGHTS = (i * _BLOCK for i in range(4))
@@ -43,8 +43,8 @@ _PUSH, _STIFF, _MOVED, _VOTES = (i * _BLOCK for i in range(4))
 def _window(
     image: Float32s, usable: Float32s, taps: Int32s, fall: Float32s, reach: int, y: int, x0: int, n: int, window: Float32s
 ) -> None:
-    """The patches of `n` pixels from (x0, y) on: sums of weights, of weighted differences to the centre, of their squares; then
-    each tap's weights, and its differences."""
+    """The patches of `n` pixels from (x0, y) on: sums of weights, of weighted differences from the centre, and of their weighted
+    squares; then each tap's weights, and its differences."""
     soft, count = np.float32(1.0 / _SOFTNESS), len(taps)
     window[:_WEIGHTS] = np.float32(0.0)
     centre = image[y + reach, x0 + reach :]
@@ -64,7 +64,7 @@ def _window(
 
 @helper
 def _project(height: int, width: int, M: Float32s, b: Float32s, k: int, reach: Scalar, y: int, x0: int, s: Float32s) -> None:
-    """Where source k sees the planes, how that changes in x, in y and with q, and whether it sees all of the patch."""
+    """Project the planes into source k: position, its derivatives in x, y and q, and whether the source sees the whole patch."""
     row, zero, right, low = np.float32(y), np.float32(0.0), np.float32(width - 1.001), np.float32(height - 1.001)
     m00, m10, m20 = M[k, 0, 0], M[k, 1, 0], M[k, 2, 0]
     m01, m11, m21 = M[k, 0, 1], M[k, 1, 1], M[k, 2, 1]
@@ -91,8 +91,8 @@ def _project(height: int, width: int, M: Float32s, b: Float32s, k: int, reach: S
 def _compare(
     pairs: Uint64s, height: int, width: int, k: int, taps: Int32s, window: Float32s, s: Float32s, taken: Uint64s, sums: Float32s
 ) -> None:
-    """Weighted sums over the patches' images in source k: r, the grey levels there less the centre's, its square, its product
-    with the patch here; and e, what a unit of q changes of r, its square and its products with r and with the patch here."""
+    """Weighted sums over the patches' projections in source k: r, the grey level there less the centre's, its square, its product
+    with the patch here; and e, the grey level's derivative in q, its square and its products with r and with the patch here."""
     whole, place, both = s.view(np.int32), s.view(np.uint32), taken.view(np.float32)
     count, stride, start = len(taps), np.int32(width), np.int32(k * height * width)
     zero, right, low = np.float32(0.0), np.float32(width - 2), np.float32(height - 2)
@@ -120,7 +120,7 @@ def _compare(
             down = bottom + fx * below - top
             s[_FX + x] = top + fy * down
             s[_FY + x] = (across + fy * (below - across)) * s[_DU + x] + down * s[_DV + x]
-        if t == 0:  # differences to the centre: weak contrast must not drown in rounding
+        if t == 0:  # sums use differences from the centre, so that rounding does not hide weak contrast
             for x in range(_BLOCK):
                 s[_CENTRE + x] = s[_FX + x]
         for x in range(_BLOCK):
@@ -137,7 +137,7 @@ def _compare(
 
 @helper
 def _vote(window: Float32s, s: Float32s, sums: Float32s, votes: Float32s) -> None:
-    """Add what a source says: gradient, curvature and the squared pixels that a unit of q moves, by its weight."""
+    """Add the contributions of a source, by its weight: gradient, curvature and (pixels per unit of q)^2."""
     zero, one, flat = np.float32(0.0), np.float32(1.0), np.float32(_FLAT)
     for x in range(_BLOCK):
         share = one / max(window[_W + x], np.float32(1e-6))
@@ -159,7 +159,7 @@ def _vote(window: Float32s, s: Float32s, sums: Float32s, votes: Float32s) -> Non
 
 @helper
 def _move(s: Float32s, votes: Float32s) -> None:
-    """Move q, held by where it is: `_HELD` for each vote, where q moves a source by so many pixels."""
+    """Move q by one Gauss-Newton step, damped by the prior `_HELD`."""
     for x in range(_BLOCK):
         stiff = votes[_STIFF + x] + np.float32(_HELD) * votes[_MOVED + x]
         s[_Q + x] += votes[_PUSH + x] / max(stiff, np.float32(1e-12))
@@ -170,7 +170,7 @@ def refine_photometrically(
     image: Float32s, usable: Float32s, pairs: Uint64s, height: int, width: int, M: Float32s, b: Float32s, taps: Int32s,
     fall: Float32s, reach: int, planes: Float32s,
 ) -> None:  # fmt: skip
-    """Move planes in place.  `fall` (n,): what a patch's pixels weigh by their distance from its centre; all else as in
+    """Move planes in place.  `fall` (n,): weights of a patch's pixels by their distance from its centre; all else as in
     `mvs.kernels`."""
     h, w = planes.shape[1:]
     zero, far = np.float32(0.0), np.float32(np.abs(taps).max())

@@ -1,12 +1,12 @@
-"""Even surfaces laid on planes: what patches of plaster, asphalt or snow cannot tell, a whole wall of them can.
+"""Even surfaces put on planes: a single patch of plaster, asphalt or snow gives no reliable depth, but a whole wall of it does.
 
-Where next to nothing is to be seen a patch matches by its noise, and beside a window by the window: depths scatter about the
-surface by several times what is expected.  A plane through the depths of a whole textureless region (`mvs.textureless`) averages
-that.  It is taken where enough depths tell it, and yields to what the photographs show.
+Where there is hardly any texture, a patch matches by its noise, and next to a window by the window: depths scatter about the
+surface by several times the expected sigma.  A plane through the depths of a whole textureless region (`mvs.textureless`)
+averages their errors.  It is used where enough depths define it, unless the photographs contradict it.
 
 References
 ----------
-Planes as priors that yield to the photographs: Xu, Tao, Planar Prior Assisted PatchMatch Multi-View Stereo, AAAI 2020 (ACMP).
+Planes as priors that the photographs can override: Xu, Tao, Planar Prior Assisted PatchMatch Multi-View Stereo, AAAI 2020 (ACMP).
 Pixels judged by reliable ones of their surface: Wang et al., Adaptive Patch Deformation for Textureless-Resilient Multi-View
 Stereo, CVPR 2023 (APD).
 """
@@ -25,60 +25,60 @@ from .propagation import Propagation, Support
 from .textureless import NEAR_PX, RegionPlane, from_middle, planes_of_regions, textureless_regions
 
 _AROUND = 25
-"""Half the side of the window, pixels of an image 768 wide, in which depths about a plane speak for it."""
+"""Half the side of the window, pixels of an image 768 wide, over which costs and supporting depths of a plane are averaged."""
 _SURE_PX = 0.5
-"""Standard deviation of a plane where it is taken, at most."""
+"""Largest standard deviation of a plane where it is used, pixels of a source, without `_SHARED_PX`."""
 _SHARED_PX = 0.2
-"""What all depths of a plane err alike."""
+"""Standard deviation of the error that all depths of a plane have in common, pixels of a source."""
 _RELIEF = 0.045
-"""Where planes cost so much more than the depths around that they replace, in the mean, the surface has relief: 95 % of the
-textureless ones of the demo's weak yard cost less than .03 more, waves of one and a half pixels .06, the flank of a tank .2."""
+"""Planes whose mean cost exceeds that of the depths they would replace by more than this are not used: the surface has relief.
+95 % of the textureless ones in the demo's weak yard cost less than 0.03 more, waves of 1.5 pixels 0.06, a tank's flank 0.2."""
 _SOURCES = 2.0
-"""So many sources must see the depths around, on average, for a plane to replace one: what a single one errs, calibration
-included, is common to all its depths."""
+"""Mean number of sources that must see the depths around for a plane to replace a sure depth: the error of a single source,
+calibration included, is common to all its depths."""
 _CHANCE_PX = 0.42
-"""...but one does where depths scatter by more about theirs, pixels of the sources that see them: more than such a source errs as
-a whole.  One that stands near moves little with depth, and shows much scatter by little noise."""
+"""Fewer sources suffice if depths scatter about their plane by more than this, in pixels of the sources that see them: more than
+such a source errs as a whole.  (With a short baseline, little noise in pixels already makes much scatter in depth.)"""
 _STEEP_PX = 0.7
-"""Inverse depths that change by more from a pixel to the next, pixels of a source: twice what is assumed of a match."""
+"""Depths are not `chance` where inverse depth changes by more than this per pixel, pixels of a source: twice the match error."""
 
 
 @dataclass(frozen=True)
 class _Laid:
-    """What is known of a view's planes, (h, w) each but the first, written region by region."""
+    """The planes of a view, (h, w) each but the first, written region by region."""
 
     planes: Float32s
     """(3, h, w), in pixels of a source; nan for none."""
     sigma: Float32s
-    """Their standard deviation."""
+    """Standard deviation of the planes."""
     anchors: Bools
-    """Depths that speak for the plane of their region."""
+    """Depths that support the plane of their region."""
     spread: Float32s
-    """Of single depths about the plane."""
+    """Standard deviation of single depths about the plane."""
 
 
 @dataclass(frozen=True)
 class PlanePriors:
-    """What became of textureless surfaces, (h, w) each."""
+    """Result for textureless surfaces, (h, w) each."""
 
     sigma: Float32s
     """Standard deviation of the inverse depths that were put on planes, nan elsewhere."""
     chance: Bools
-    """Depths that were found by chance, on no plane, and lie off the surface for it."""
+    """Depths on no plane that were matched by chance, and therefore lie off the surface."""
 
 
 def apply_plane_priors(
     frame: Frame, propagation: Propagation, planes: Float32s, support: Support, sure: Bools,
     scale: np.float32, max_cost: float,
 ) -> PlanePriors:  # fmt: skip
-    """Put textureless surfaces on planes of many pixels: planes and the sources of `support` are changed in place.
+    """Put textureless surfaces on planes of many pixels; changes `planes` and the sources of `support` in place.
 
     Parameters
     ----------
-    frame : the view.
-    propagation, planes, support : of the view: (3, h, w) planes, and what the sources show of them.
-    sure : (h, w): depths to be believed.
-    scale : pixels in a source for a unit of inverse depth.
+    frame : the view's frame.
+    propagation, planes, support : of the view: (3, h, w) planes, and the sources' evidence for them.
+    sure : (h, w), True for reliable depths.
+    scale : pixels in a source per unit of inverse depth.
     max_cost : a source sees a plane that costs less.
     """
     spacing = max(1, round(max(sure.shape) / 768))
@@ -91,12 +91,12 @@ def apply_plane_priors(
         trial = np.where(take, laid.planes / scale, np.float32(np.nan))
         shown = propagation.support(trial, max_cost)
         sources, seen = _sources_around(laid.anchors, support.sources, propagation.sources, spacing)
-        take &= ~sure | ~_relief(shown, support, take & sure, spacing)  # gaps are filled
+        take &= ~sure | ~_relief(shown, support, take & sure, spacing)  # gaps are always filled
         take &= ~sure | (seen >= _SOURCES) | _noisy(laid, support, scale, spacing)
         planes[:, take] = trial[:, take]
         support.sources[take] = (sources | shown.sources | np.where(sure, support.sources, np.uint32(0)))[take]
     sigma = np.where(take, laid.sigma / scale, np.float32(np.nan)).astype(np.float32)
-    steep = scale * np.hypot(planes[1], planes[2]) > _STEEP_PX  # the error leaves it on the surface, a pixel or less aside
+    steep = scale * np.hypot(planes[1], planes[2]) > _STEEP_PX  # an error shifts these along the surface by a pixel at most
     return PlanePriors(sigma, _doubted(regions, found) & ~take & ~steep)
 
 
@@ -113,7 +113,7 @@ def _laid(regions: Int32s, found: Sequence[RegionPlane], known: Float32s) -> _La
 
 
 def _doubted(regions: Int32s, found: Sequence[RegionPlane]) -> Bools:
-    """(h, w): textureless regions whose depths tell no plane that is sure in their middle."""
+    """(h, w): textureless regions without a plane that is reliable in their middle."""
     doubtful = np.arange(regions.max() + 1) > 0
     boxes = ndimage.find_objects(regions)
     for plane in found:
@@ -125,16 +125,16 @@ def _doubted(regions: Int32s, found: Sequence[RegionPlane]) -> Bools:
 
 
 def _noisy(laid: _Laid, support: Support, scale: np.float32, spacing: int) -> Bools:
-    """(h, w): do single depths err by more than one source does as a whole?"""
+    """(h, w): do single depths scatter by more than one source errs as a whole (`_CHANCE_PX`)?"""
     moves = _around(np.where(laid.anchors, np.sqrt(support.parallax), np.float32(0)), spacing)
     moves /= scale * np.maximum(_around(laid.anchors, spacing), 1)
-    with np.errstate(invalid="ignore"):  # where no depth gives the plane, and none is near
+    with np.errstate(invalid="ignore"):  # where no depth near supports a plane
         return laid.spread * moves > _CHANCE_PX
 
 
 def _relief(shown: Support, support: Support, both: Bools, spacing: int) -> Bools:
-    """(h, w): do planes cost more than the depths around that they would replace, in the best source and in the second, too?
-    One source is fitted by chance; what no second one sees is judged by the first."""
+    """(h, w): do planes cost more than the depths around that they would replace, both in the best source and in the second best?
+    A single source may fit by chance.  Where no second source sees the depth, only the best one counts."""
     first, second = (
         np.minimum(of_plane, 1) - np.minimum(found, 1)
         for of_plane, found in ((shown.first, support.first), (shown.second, support.second))
@@ -146,7 +146,7 @@ def _relief(shown: Support, support: Support, both: Bools, spacing: int) -> Bool
 
 
 def _lay(laid: _Laid, plane: RegionPlane, where: tuple[slice, slice], lies: Bools, known: Float32s) -> None:
-    """Take a plane at those pixels of its regions (`lies`) where it is sure, and surer than another."""
+    """Use a plane at those pixels of its regions (`lies`) where its sigma is small, and smaller than an earlier plane's."""
     y, x = np.mgrid[where]
     at = from_middle(x.ravel(), y.ravel(), laid.sigma.shape)
     value = (at @ plane.plane).reshape(lies.shape)
@@ -168,7 +168,7 @@ def _around(values: Bools | Float32s, spacing: int) -> Float32s:
 
 
 def _sources_around(anchors: Bools, sources: Uint32s, count: int, spacing: int) -> tuple[Uint32s, Float32s]:
-    """(h, w) bits of the sources that see anchors around, and by how many an anchor is seen on average."""
+    """(h, w) bits of the sources that see anchors around, and the mean number of sources that see an anchor."""
     anchored = np.maximum(_around(anchors, spacing), 1)
     bits, seen = np.zeros(anchors.shape, np.uint32), np.zeros(anchors.shape, np.float32)
     for k in range(count):

@@ -1,4 +1,4 @@
-"""Planes of one view spread, improved and judged by all views around it: PatchMatch over many views (loops: `mvs.kernels`)."""
+"""Planes of one view, propagated, improved and scored against all views around it: multi-view PatchMatch (see `mvs.kernels`)."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from .photometric_refinement import refine_photometrically
 
 @dataclass(frozen=True)
 class Support:
-    """What all sources show of planes, (h, w) each."""
+    """Evidence of all sources for a view's planes, (h, w) each."""
 
     first: Float32s
-    """The lowest cost..."""
+    """Lowest cost over the sources."""
     second: Float32s
-    """...and the second lowest."""
+    """Second lowest cost over the sources."""
     sources: Uint32s
     """Bit k is set where the cost in source k is below the limit."""
     parallax: Float32s
@@ -27,8 +27,8 @@ class Support:
 
 
 _CHANGES, _CHANGES_AGAIN = 3, 2
-"""Random changes that a pixel tries.  Where planes are nearly right, the cheapest of many is right by chance only: fewer give a
-better surface, in less time."""
+"""Random changes that a pixel tries: at first, and `again`.  Where planes are nearly right, the cheapest of many changes is so by
+chance only: fewer changes give a better surface, in less time."""
 
 
 class Propagation:
@@ -36,7 +36,7 @@ class Propagation:
 
     Parameters
     ----------
-    image, usable : (h, w) float32, grey, and (h, w) bool, what may be matched.
+    image, usable : (h, w) float32, grey, and (h, w) bool, True where it may be matched.
     sources : (s, h', w') float32, grey.
     M, b : (s, 3, 3) and (s, 3) float64: source s sees pixel p with inverse depth q at M_s p + b_s q.
     taps : (n, 2) int32, offsets (x, y) of a patch's pixels, its centre first.
@@ -46,13 +46,13 @@ class Propagation:
         self.taps, self.reach, self.sources = taps, int(np.abs(taps).max()), len(sources)
         own = np.pad(image, self.reach, mode="edge"), np.pad(usable.astype(np.float32), self.reach)
         beside = np.concatenate([sources[..., 1:], sources[..., -1:]], axis=-1)
-        pairs = np.stack([sources, beside], axis=-1).view(np.uint64).ravel()  # one access fetches what is interpolated
+        pairs = np.stack([sources, beside], axis=-1).view(np.uint64).ravel()  # one access fetches two neighbours
         height, width = sources.shape[1:]
         self.views = *own, pairs, height, width, M.astype(np.float32), b.astype(np.float32)  # as all kernels take them
 
     def improve(self, planes: Float32s, sweeps: int, far: int, low: float, high: float, *, again: bool = False) -> Float32s:
-        """Improve planes in place by propagation from neighbours, holes (nan) included, and shrinking random changes; returns
-        (h, w) float32, what they cost.
+        """Improve planes in place, holes (nan) included, by propagation from neighbours and ever smaller random changes.  Returns
+        their cost (h, w) float32.
 
         Parameters
         ----------
@@ -60,7 +60,7 @@ class Propagation:
         sweeps : passes over the image, alternately down and up.
         far : distance of the second ring of neighbours, pixels.
         low, high : limits of q.
-        again : the planes are nearly right, and little is left to be found: in one pass, fewer are tried.
+        again : the planes are nearly right: do at most one pass, with fewer neighbours and changes.
         """
         cost = np.full(planes.shape[1:], UNSEEN, np.float32)
         best = np.zeros(planes.shape[1:], np.int32)
@@ -72,7 +72,7 @@ class Propagation:
         return cost
 
     def refine_photometrically(self, planes: Float32s, radius: int) -> None:
-        """Move planes (3, h, w) in place, by fractions of a pixel, to where all sources together fit best
+        """Move planes (3, h, w) in place, by fractions of a pixel, to the best fit of all sources together
         (`mvs.photometric_refinement`).  radius: of the patch in pixels; it reaches no farther than `taps`.
         """
         near = range(-radius, radius + 1)
@@ -81,7 +81,7 @@ class Propagation:
         refine_photometrically(*self.views, offsets, fall, self.reach, planes)
 
     def support(self, planes: Float32s, limit: float) -> Support:
-        """What the sources show of planes (3, h, w), and which of them cost less than the limit."""
+        """Evidence of the sources for planes (3, h, w); a source supports a plane that costs less than `limit` in it."""
         shape = planes.shape[1:]
         first, second = np.full(shape, UNSEEN, np.float32), np.full(shape, UNSEEN, np.float32)
         found = Support(first, second, np.zeros(shape, np.uint32), np.zeros(shape, np.float32))

@@ -1,8 +1,8 @@
-"""Even regions of a picture, and the planes that the depths in each of them tell.
+"""Even regions of an image, and the planes that the depths in each of them define.
 
-A region is what hangs together without an edge; pixels of its colour beside it belong to it, too.  Planes are found from the
-largest region on (RANSAC), fitted by weights that fall with the error, and shared with the other regions that lie on them: the
-plaster between the windows of a façade is many regions and one plane.
+A region is connected and has no edges; nearby pixels of its colour belong to it, too.  Planes are found by RANSAC, from the
+largest region on, fitted with weights that fall with the error, and shared with the other regions that lie on them: the plaster
+between the windows of a façade is many regions and one plane.
 
 References: Fischler, Bolles, Random Sample Consensus, CACM 1981; Beaton, Tukey, The Fitting of Power Series, Technometrics 1974
 (weights).
@@ -18,50 +18,50 @@ import numpy as np
 from ..types import Bools, Float32s, Float64s, Int32s, Int64s, Uint8s
 
 _EVEN = 6
-"""Grey levels, in any colour: 3x3 pixels that differ by no more show no edge."""
+"""Grey levels: 3x3 pixels that differ by no more than this in every colour channel have no edge."""
 _BESIDE, _ALIKE = 3, 10
-"""So near a region, pixels that differ from its nearest pixel by no more grey levels belong to it."""
+"""Largest distance (in an image 768 wide) and difference (grey levels) from a region's nearest pixel for pixels to join it."""
 _SMALLEST = 40
-"""Pixels of a region, at least."""
+"""Fewest pixels of a region, in an image 768 wide."""
 _FEWEST = 15
-"""A region with fewer depths tells no plane, and joins none."""
+"""Fewest depths of a region that can define a plane or join one."""
 _TRIALS = 64
 """Planes that RANSAC tries."""
 _ROUNDS = 4
-"""Of fitting and joining."""
+"""Rounds of fitting a plane and joining regions."""
 _AGAIN = 0.2
-"""This share of a region's depths off a plane may tell another one: a box stands before a wall of its colour."""
+"""Smallest share of a region's depths, off its first plane, that may define a second: a box before a wall of the same colour."""
 _JOIN_PX = 0.1
-"""What the middle of a region may lie off a plane beyond what noise explains, pixels."""
+"""Largest median distance of a region from a plane that it joins, beyond what noise explains, pixels."""
 NEAR_PX = 2.0
-"""In a source: a depth that is no farther from a plane speaks for it."""
+"""Largest distance of a depth that supports a plane, pixels of a source."""
 CORRELATED = 240.0
-"""So many neighbouring pixels err alike: patches overlap, and planes spread (fitted to errors on the demo's weak yard)."""
+"""Number of neighbouring pixels with the same error: patches overlap and planes propagate (fitted on the demo's weak yard)."""
 
 
 @dataclass(frozen=True)
 class RegionPlane:
-    """A plane in inverse depth, in pixels of a source: (1, x, y) @ plane with x and y from the middle of the picture."""
+    """A plane in inverse depth, in pixels of a source: (1, x, y) @ plane with x and y from the middle of the image."""
 
     plane: Float64s
     """(3,)"""
     covariance: Float64s
-    """(3, 3) of it."""
+    """(3, 3) of `plane`."""
     spread: float
-    """Standard deviation of single depths, robust."""
+    """Robust standard deviation of single depths from the plane."""
     regions: tuple[int, ...]
-    """Those that lie on it."""
+    """Numbers of the regions that lie on it."""
 
     def variance(self, at: Float64s) -> Float64s:
-        """(n,) of its value at places (n, 3), each (1, x, y)."""
+        """(n,) variance of the plane's value at positions (n, 3), each (1, x, y)."""
         return np.asarray(np.sum((at @ self.covariance) * at, axis=1), dtype=np.float64)
 
 
 def textureless_regions(image: Uint8s, usable: Bools, spacing: int) -> Int32s:
-    """(h, w) the even regions 1, 2, ... of a picture, 0 for none.
+    """(h, w) numbers 1, 2, ... of the even regions of an image, 0 for none.
 
-    image, usable : (h, w, 3), and where it may be matched (h, w).
-    spacing : pixels for each of an image 768 wide.
+    image, usable : (h, w, 3), and (h, w) where it may be matched.
+    spacing : pixels for each pixel of an image 768 wide.
     """
     square = np.ones((3, 3), np.uint8)
     differ = (cv2.dilate(image, square) - cv2.erode(image, square)).max(axis=2)
@@ -77,16 +77,16 @@ def textureless_regions(image: Uint8s, usable: Bools, spacing: int) -> Int32s:
     places = np.flatnonzero(number)
     place = np.zeros(int(nearest.max()) + 1, np.int64)
     place[nearest.ravel()[places]] = places
-    there = place[nearest]  # the nearest pixel of a region
+    there = place[nearest]  # flat index of the nearest pixel of a region
     unlike = np.abs(image.astype(np.int16) - image.reshape(-1, 3)[there].astype(np.int16)).max(axis=2)
     belongs = usable & ((away <= 1) | ((away <= _BESIDE * spacing) & (unlike <= _ALIKE)))
     return np.asarray(np.where(belongs, number.ravel()[there], 0), dtype=np.int32)
 
 
 def planes_of_regions(regions: Int32s, known: Float32s, spacing: int) -> list[RegionPlane]:
-    """Planes that depths in even regions tell, those of the best known regions first.
+    """Planes that depths in even regions define, beginning with the region that has most depths.
 
-    known: (h, w) inverse depths in pixels of a source, nan where there is none to be believed; spacing: as above.
+    known: (h, w) inverse depths in pixels of a source, nan where there is no reliable one; spacing: as in `textureless_regions`.
     """
     rng = np.random.default_rng(1)
     known_there = (regions > 0) & np.isfinite(known)
@@ -117,7 +117,7 @@ def planes_of_regions(regions: Int32s, known: Float32s, spacing: int) -> list[Re
 
 
 def from_middle(x: Int64s, y: Int64s, shape: tuple[int, ...]) -> Float64s:
-    """(n, 3): 1, x, y from the middle of a picture of this shape."""
+    """(n, 3): 1, x, y from the middle of an image of this shape."""
     return np.column_stack([np.ones(len(x)), x - shape[1] / 2, y - shape[0] / 2])
 
 
@@ -137,9 +137,9 @@ def _grown(at: Float64s, d: Float64s, free: dict[int, Int64s], seed: int, rng: n
 
 
 def _tried(at: Float64s, d: Float64s, rng: np.random.Generator) -> Float64s | None:
-    """(3,) the best of random planes through three depths each."""
+    """(3,) the best of random planes through three depths each; None if all triples are nearly collinear."""
     triples = rng.integers(0, len(d), (_TRIALS, 3))
-    triples = triples[np.abs(np.linalg.det(at[triples])) > 0.02 * len(d)]  # triangles of some size
+    triples = triples[np.abs(np.linalg.det(at[triples])) > 0.02 * len(d)]  # no thin triangles
     if not len(triples):
         return None
     planes = np.linalg.solve(at[triples], d[triples][..., None])[..., 0]
@@ -148,7 +148,7 @@ def _tried(at: Float64s, d: Float64s, rng: np.random.Generator) -> Float64s | No
 
 
 def _fitted(at: Float64s, d: Float64s, plane: Float64s, regions: tuple[int, ...]) -> RegionPlane | None:
-    """Least squares with Tukey's weights, from a first plane; None where too few depths lie near it."""
+    """Least squares with Tukey's weights, from a first plane; None if too few depths lie near it."""
     inverse, spread = np.eye(3), 0.0
     for _ in range(5):
         off = d - at @ plane
@@ -167,7 +167,7 @@ def _fitted(at: Float64s, d: Float64s, plane: Float64s, regions: tuple[int, ...]
 
 
 def _joins(at: Float64s, d: Float64s, plane: RegionPlane) -> bool:
-    """Do depths (n,) at places (n, 3) lie on a plane as noise does?"""
+    """Do depths (n,) at positions (n, 3) lie on a plane to within noise?"""
     off = d - at @ plane.plane
     variance = float(plane.variance(at.mean(axis=0)[None])[0])
     noise = np.sqrt(variance + plane.spread**2 * min(1.0, CORRELATED / len(d)))

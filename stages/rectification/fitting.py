@@ -1,4 +1,4 @@
-"""A rectification fitted to matches: by homographies where they don't tear the image, else by rows; its figures and its range."""
+"""A rectification fitted to matches: by homographies unless they tear the image, else polar; its figures and disparity range."""
 
 from __future__ import annotations
 
@@ -24,10 +24,10 @@ from .warping import Side, from_rectified, rectified_size, resampling, to_rectif
 
 _SMALLEST_SIDE_PX = 16
 _NOMINAL_SIDE = 768
-"""Long side of the frame, pixels, that `max_row_error_px` is said for."""
+"""Long side of the frame, pixels, for which `max_row_error_px` is stated; the limit grows with larger frames."""
 _DEVIATIONS = 3.5
-"""Standard deviations by which epipolar lines may be off: residuals don't tell all, matches err together and wrong ones agree.
-Chosen on fountain with known lenses as the least with which no pair of wrong rows passes; checked on entry and the demo."""
+"""Standard deviations by which epipolar lines may be off: residuals miss errors that matches share, and wrong matches that agree.
+Chosen on fountain with known lenses as the smallest with which no pair with wrong rows passes; checked on entry and the demo."""
 
 
 class Footprint(NamedTuple):
@@ -47,13 +47,13 @@ Placed = tuple[Rectification, list[Footprint]]
 def placed(
     pair: MatchedPair, method: str, rectifier: Callable[[], Homographies | PolarImages], fallback: bool
 ) -> Placed | Rejected:
-    """The rectification by the method; where that can't be, by Hartley's homographies, which bend x least; else by rows.
+    """The rectification by the method; if that fails, by Hartley's homographies, which bend x least; else polar.
 
     Parameters
     ----------
     pair : frames' sizes, F, and matches.
-    method, rectifier : its name, for the result, and the method with all that it needs.
-    fallback : may Hartley's homographies, or rows, stand in?
+    method, rectifier : name of the method, for the result, and the method with all its arguments.
+    fallback : replace homographies that stretch the image too much; False keeps them.
     """
     reason = "as asked"
     attempts = {method: rectifier}
@@ -80,7 +80,7 @@ def _by_homographies(pair: MatchedPair, found: Homographies, method: str, reason
     near1, near2 = _third(H1, shown1) > 0, _third(H2, shown2) > 0
     if min(near1.mean(), near2.mean()) < 0.98 or not np.isfinite([H1, H2]).all():
         return "an epipole lies among the matches"
-    x1, x2 = (np.compress(near1 & near2, x, axis=0) for x in (shown1, shown2))  # five times as fast as x[...]
+    x1, x2 = (np.compress(near1 & near2, x, axis=0) for x in (shown1, shown2))  # 5 times as fast as x[...]
     H1, H2, size1, size2 = place(H1, H2, x1, x2, pair.size1, pair.size2)
     result = Rectification(method, reason, H1, H2, size1, size2, 0.0, 0.0, 0.0, 0.0, float("nan"))
     footprints = [_footprint(result, pair, side) for side in _SIDES]
@@ -127,11 +127,11 @@ def finished(
 
     Parameters
     ----------
-    found, footprints : as the method has it, and where the frames' pixels come to lie.
+    found, footprints : the rectification by the method, and where the frames' pixels lie in it.
     pair : frames' sizes, F, and matches.
-    geometry : of the pair; None where cameras give the rows and points at many depths stand for matches: their order along the
-        rows is then no test.
-    max_row_error_px : a larger error of the rows is refused.
+    geometry : of the pair; None if cameras give the rows, and points at many depths replace matches: their order along the rows
+        is then not tested.
+    max_row_error_px : a larger error of the rows is rejected.
     range_margin : share of the disparity range that is added at either end.
     """
     y1, y2 = to_rectified(found, 1, pair.x1), to_rectified(found, 2, pair.x2)
@@ -185,7 +185,7 @@ def _row_uncertainty_px(
 ) -> float:
     """How far the epipolar lines may be off over the shared area (95 %), pixels of the frame; 0 when cameras gave F.
 
-    Asked where the scene probably is: at the disparity of the nearest match y1, y2 (n, 2).
+    It is evaluated where the scene probably is: at the disparity of the nearest match y1, y2 (n, 2).
     """
     if pair.camera1 is not None or geometry is None:
         return 0.0
@@ -207,7 +207,7 @@ def _row_uncertainty_px(
 
 
 def _depth_resolution(pair: MatchedPair, scale: float) -> float:
-    """Median error of the depth, as a share of it, that one rectified pixel of disparity makes."""
+    """Median relative error of the depth due to one rectified pixel of disparity; nan without cameras."""
     if pair.camera1 is None or pair.camera2 is None:
         return float("nan")
     depth, per_pixel = triangulate_depth(pair.camera1, pair.camera2, pair.x1, pair.x2)

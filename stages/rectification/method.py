@@ -1,4 +1,4 @@
-"""What a method of rectification is given, and what it gives: the border at which methods plug in."""
+"""Input and output of a rectification method: the interface at which methods plug in."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Points = tuple[Float64s, Float64s] | None
 
 @dataclass(frozen=True)
 class MatchedPair:
-    """F, and the matches that obey it: all that rectification knows of a pair."""
+    """F, and the matches that obey it: all that a rectification method knows of a pair."""
 
     F: Float64s
     """(3, 3), x2^T F x1 = 0; from the cameras where both are known."""
@@ -29,9 +29,9 @@ class MatchedPair:
     camera1: Camera | None
     camera2: Camera | None
     angle_deg: float
-    """Median angle between the two rays of a match; nan when neither cameras nor geometry know it."""
+    """Median angle between the two rays of a match; nan if neither cameras nor geometry give it."""
     around: Points = None
-    """Further points (m, 2), (m, 2) that the rectified images must show, though nobody has matched them."""
+    """Further points (m, 2), (m, 2) that the rectified images must show, although they are not matched."""
 
     def shown(self) -> tuple[Float64s, Float64s]:
         """Points in both images around which the rectified images are cropped."""
@@ -41,7 +41,7 @@ class MatchedPair:
 
 
 class Homographies(NamedTuple):
-    """H1, H2 (3, 3): frame pixels to rectified ones, up to a common scale and offset in y, and scale and offsets in x."""
+    """H1, H2 (3, 3): frame pixels to rectified ones; common scales, the common y offset and both x offsets are set by `place`."""
 
     H1: Float64s
     H2: Float64s

@@ -1,4 +1,4 @@
-"""Where a pair of rectifying homographies puts the images: common scale and rows, own x offsets, cropped around the matches."""
+"""Placement of a pair of images by rectifying homographies: common scales and rows, own x offsets, crop around the matches."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 from ..types import Float64s
 
 MARGIN_SHARE, MARGIN_OF_WIDTH = 0.35, 0.05
-"""The crop leaves this share of the matches' box around it, and this share of the frame's width more."""
+"""Margin of the crop around the box of the matches: this share of the box, plus this share of the frame's width."""
 LARGEST = 2.5
 """A rectified image is at most this many frame widths wide and frame heights high."""
 
@@ -19,9 +19,9 @@ Size = tuple[int, int]
 def place(
     H1: Float64s, H2: Float64s, x1: Float64s, x2: Float64s, size1: Size, size2: Size
 ) -> tuple[Float64s, Float64s, Size, Size]:
-    """H1, H2 scaled and shifted so that rectified pixels are about as long and as high as the frames', and the rectified sizes.
+    """H1, H2 scaled and shifted so that rectified pixels are about as wide and as high as the frames', and the rectified sizes.
 
-    One scale for x and one for y, common to both images: what one image loses in width the other gains.
+    Both images have the same scale in x and the same scale in y, so that one may become narrower than its frame and one wider.
 
     Parameters
     ----------
@@ -45,8 +45,8 @@ def place(
 
 
 def _sent(H: Float64s, x: Float64s) -> tuple[Float64s, Float64s]:
-    """Smallest and largest coordinates (2, 2) of the images of points x (n, 2) under H, and how many rectified pixels wide and
-    high (2, n) a pixel at each point becomes."""
+    """Smallest and largest coordinates (2, 2) of points x (n, 2) mapped by H, and width and height (2, n) that a pixel at each
+    point gets, in rectified pixels."""
     u, v, w = (a * x[:, 0] + b * x[:, 1] + c for a, b, c in H)
     at = np.stack([u, v]) * (1 / w)
     lengths = np.sqrt((H[:2, :1] - at * H[2, 0]) ** 2 + (H[:2, 1:2] - at * H[2, 1]) ** 2) * np.abs(1 / w)

@@ -1,11 +1,11 @@
 """Rectification by a pair of homographies (Hao 2011, chapter 4; Hartley, IJCV 1999; Fusiello, Trucco & Verri, MVA 2000).
 
-From `F ~ H2^-T [i]x H1` follow the second and third row of H1 once H2 is chosen; its first row, three numbers, is free.
+Once H2 is chosen, the second and third row of H1 follow from `F ~ H2^-T [i]x H1`; its first row, three numbers, is free.
 
 - `congruent` makes the *net* of matches congruent in both images.  Hao (2011, section 4.3) joins the matches by a Delaunay net
-  and minimises the differences of its edges (4-6).  To the letter (`hao2011`), edges across depth jumps are noise in the
-  regressor and shrink x.  Two steps together cure it: one control point for each cell of a grid (that work's own future work),
-  and weights that let edges across depth jumps go.
+  and minimises the differences of its edges (4-6).  If this is done to the letter (`hao2011`), edges across depth jumps are noise
+  in the regressor and shrink x.  Two steps together prevent it: one control point for each cell of a grid (named there as future
+  work), and robust weights, which discard edges across depth jumps.
 - `hartley` brings *points* to the x of their partners."""
 
 from __future__ import annotations
@@ -21,22 +21,22 @@ COLUMNS = 24
 """Columns of square cells that hold one control point each."""
 _ITERATIONS = 10
 _SETTLED = 1e-6
-"""Share of the largest coefficient by which none changes any more."""
+"""Iterations end when no coefficient changes by more than this share of the largest."""
 
 
 def congruent(pair: MatchedPair) -> Homographies:
-    """Control points of a grid, robust weights."""
+    """Make the net of matches congruent in both images, with control points of a grid and robust weights."""
     chosen = control_points(pair.x1, pair.probability, pair.size2)
     return _fit(pair.F, pair.x1[chosen], pair.x2[chosen], pair.size2, robust=True)
 
 
 def hao2011(pair: MatchedPair) -> Homographies:
-    """By the letter of Hao's 4.3: every match, plain least squares."""
+    """Make the net of matches congruent exactly as in Hao's section 4.3: every match, plain least squares."""
     return _fit(pair.F, pair.x1, pair.x2, pair.size2, robust=False)
 
 
 def control_points(x1: Float64s, probability: Float32s, size: tuple[int, int]) -> Int32s:
-    """Rows of the most probable match of each square cell, `COLUMNS` cells across an image of `size`; the first of equals."""
+    """Rows of the most probable match of each square cell, `COLUMNS` cells across an image of `size`; the first of equal ones."""
     column, row = np.floor(x1 / (size[0] / COLUMNS)).T
     order = np.lexsort((-probability, row, column))
     cells = np.column_stack([column, row])[order]
@@ -57,15 +57,15 @@ def net_edges(x: Float64s) -> Int32s:
 
 
 def _fit_edges(design: Float64s, target: Float64s, edges: Int32s, robust: bool) -> Float64s:
-    """Coefficients (2,) that best carry the differences of `design` (n, 2) over `edges` (m, 2) into those of `target` (n,).
+    """Coefficients (2,) that best map the differences of `design` (n, 2) over `edges` (m, 2) to those of `target` (n,).
 
-    robust: weights 1 / (1 + (r / 2s)^2) on squared residuals r, s their median absolute deviation, found by iteration.
+    robust: weights 1 / (1 + (r / 2s)^2) of residuals r, with s = 1.4826 times their median absolute value, by iteration.
     """
     p, q = edges[:, 0], edges[:, 1]
     D1, D2, d = design[p, 0] - design[q, 0], design[p, 1] - design[q, 1], target[p] - target[q]
     weights, x, y = np.ones(len(d)), np.float64(0.0), np.float64(0.0)
-    with np.errstate(divide="ignore", invalid="ignore"):  # edges that say nothing give nan
-        for _ in range(_ITERATIONS if robust else 1):  # two well-scaled columns: normal equations lose nothing
+    with np.errstate(divide="ignore", invalid="ignore"):  # degenerate edges give nan
+        for _ in range(_ITERATIONS if robust else 1):  # with two well-scaled columns, normal equations are exact enough
             a, b = weights * D1, weights * D2
             aa, ab, bb, ad, bd = (np.cumsum(terms)[-1] for terms in (a * D1, a * D2, b * D2, a * d, b * d))
             before = x, y
@@ -87,7 +87,7 @@ def _fit(F: Float64s, x1: Float64s, x2: Float64s, size: tuple[int, int], robust:
     row3_n = row3 @ np.linalg.inv(N)
     m = homogeneous(x1) @ N.T
     points = m / (m @ row3_n)[:, None]
-    # row1 = B ab + c row3: row3 maps every point to 1, so edges say nothing about c, and B spans the rest
+    # row1 = B ab + c row3: row3 maps every point to 1, so edges do not depend on c, and B spans the rest
     B = np.linalg.svd(row3_n[None])[2][1:].T
     ab = _fit_edges(points @ B, target[:, 0], net_edges(target), robust)
     c = np.median(target[:, 0] - points @ (B @ ab))
@@ -95,16 +95,16 @@ def _fit(F: Float64s, x1: Float64s, x2: Float64s, size: tuple[int, int], robust:
 
 
 def send_epipole_to_infinity(F: Float64s, size: tuple[int, int]) -> Float64s:
-    """H2 = G R T (3, 3): origin to the centre of image 2, epipole turned onto the x axis, then to infinity along it.
+    """H2 = G R T (3, 3): origin to the centre of image 2, epipole rotated onto the x axis, then moved to infinity along it.
 
-    The turn is at most 90 degrees, so that the image stays upright; in homogeneous form an epipole at infinity is no
+    The rotation is at most 90 degrees, so that the image stays upright; in homogeneous form an epipole at infinity is no
     special case.
     """
     width, height = size
     T = np.array([[1.0, 0.0, -(width - 1) / 2], [0.0, 1.0, -(height - 1) / 2], [0.0, 0.0, 1.0]])
     epipole = T @ epipoles(F)[1]
     if epipole[0] < 0:
-        epipole = -epipole  # a homogeneous sign, chosen so that the turn is short
+        epipole = -epipole  # its homogeneous sign is free: this one makes the rotation small
     length = np.hypot(epipole[0], epipole[1])
     c, s = (epipole[0] / length, epipole[1] / length) if length > 0 else (1.0, 0.0)
     R = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
@@ -135,7 +135,7 @@ def hartley(pair: MatchedPair) -> Homographies:
 def fusiello(camera1: Camera, camera2: Camera) -> tuple[Float64s, Float64s]:
     """H1, H2 (3, 3): x along the baseline, z as near as possible to both optical axes, the mean of both K.
 
-    Raises ValueError when the baseline is parallel to the mean optical axis: no common image plane then.
+    Raises ValueError if the baseline is parallel to the mean optical axis: there is no common image plane then.
     """
     x_axis = camera2.C - camera1.C
     x_axis = x_axis / np.linalg.norm(x_axis)

@@ -1,7 +1,7 @@
-"""Polar rectification (Pollefeys, Koch & Van Gool, ICCV 1999): half epipolar lines become rows, the distance from the epipole x.
+"""Polar rectification (Pollefeys, Koch & Van Gool, ICCV 1999): half epipolar lines become rows, x is the distance to the epipole.
 
-Works wherever the epipoles lie, inside the images too.  Needs F and the side of the epipole each match lies on, which the
-matches themselves tell.
+It works wherever the epipoles lie, inside the images too.  It needs F and the side of the epipole on which the matches lie, which
+follows from the matches themselves.
 """
 
 from __future__ import annotations
@@ -15,23 +15,23 @@ from .placement import MARGIN_OF_WIDTH, MARGIN_SHARE, Size, frame_grid
 from .quality import order_agreement
 
 _FAR = 1e6
-"""An epipole farther than this many image diagonals is put there: its lines then differ from parallels by less than 1e-4 px."""
+"""Farther epipoles are moved to this many image diagonals: their lines then differ from parallels by less than 1e-4 px."""
 _SAMPLES_PER_PIXEL = 2
-"""Directions looked at to lay out the rows, for each pixel of the frame's border: with more, no row but the first and the last
-of some pairs would be another."""
+"""Directions sampled to lay out the rows, for each pixel of the frame's border: more of them would change only the first and the
+last row of some pairs."""
 
 
 def polar(pair: MatchedPair) -> PolarImages:
     """Half epipolar lines as rows.
 
-    The share of matches on one common side is 1 for a right F: every match lies on the half line that the other image's half line
-    demands.
+    For a right F, the share of matches on one common side is 1: every match lies on the half line that corresponds to the half
+    line in the other image.
     """
     F, size1, size2 = pair.F, pair.size1, pair.size2
     x1, x2 = pair.shown()
     e1, e2 = (_finite(e, size) for e, size in zip(epipoles(F), (size1, size2), strict=True))
     away1, away2 = x1 - e1, x2 - e2
-    lines = homogeneous(x1) @ F.T  # their sign is that of F, the same for all points on the right side
+    lines = homogeneous(x1) @ F.T  # all have the sign of F, so that right matches agree in `forward`
     along = np.column_stack([lines[:, 1], -lines[:, 0]]) / np.hypot(lines[:, 0], lines[:, 1])[:, None]
     forward = np.sum(along * away2, axis=1) > 0
     side = 1.0 if forward.mean() >= 0.5 else -1.0
@@ -65,11 +65,11 @@ def _finite(epipole: Float64s, size: Size) -> Float64s:
 
 
 def _angle_in_image2(F: Float64s, e1: Float64s, e2: Float64s, side: float, theta: Float64s, size1: Size, size2: Size) -> Float64s:
-    """Angles (n,) at e2 of the half lines that belong to the directions theta (n,) at e1, without jumps."""
+    """Angles (n,) at e2 of the half lines that correspond to the directions theta (n,) at e1, unwrapped."""
     centre1, centre2 = (np.array([(w - 1) / 2, (h - 1) / 2]) for w, h in (size1, size2))
     reach = max(float(np.hypot(*(centre1 - e1))), float(np.hypot(*size1)))
     points = e1[:, None] + reach * np.stack([np.cos(theta), np.sin(theta)])
-    a, b, c = F[:, :2] @ points + F[:, 2:]  # their lines, and from the foot of the centre a long way along them:
+    a, b, c = F[:, :2] @ points + F[:, 2:]  # their lines; phi is the direction of a far point on each
     norm = np.sqrt(a * a + b * b)
     foot = (a * centre2[0] + b * centre2[1] + c) / (norm * norm)
     along = side * 2 * np.hypot(*size2) / norm
@@ -81,7 +81,7 @@ def _angle_in_image2(F: Float64s, e1: Float64s, e2: Float64s, side: float, theta
 def _rows(
     F: Float64s, e1: Float64s, e2: Float64s, side: float, theta: Float64s, size1: Size, size2: Size, far1: float, far2: float
 ) -> tuple[Float64s, Float64s]:
-    """Angles (rows,) at both epipoles: one pixel of arc or less between rows at the far end of either ray."""
+    """Angles (rows,) at both epipoles, at most one pixel of arc apart at the far end of either ray."""
     phi = _angle_in_image2(F, e1, e2, side, theta, size1, size2)
     end1, end2 = _ray_end(e1, theta, size1), _ray_end(e2, phi, size2)
     arc = np.fmax(np.minimum(end1, far1), np.minimum(end2, far2) * np.abs(np.gradient(phi, theta)))

@@ -1,4 +1,4 @@
-"""What two known cameras both see, though nobody has matched it yet: where the scene would lie in both images, how far to search.
+"""What two known cameras both see, predicted without matches: where the scene lies in both images, and how far to search.
 
 A pair whose cameras are known needs no matches to be rectified.  The net that makes both images congruent, the crop and the range
 of disparities follow from points of the scene's likely surface and of its nearest and farthest ends, projected into both images.
@@ -18,15 +18,15 @@ _GRID = 24
 _STEPS = 32
 """Depths tried along each ray, evenly spaced in inverse depth."""
 _NEAREST, _FARTHEST = 0.5, 2.5
-"""Where nothing else is known the scene reaches from half to two and a half times the distance at which the optical axes meet."""
+"""Without a box of the scene, its assumed range of depths, in units of the depth at which the optical axes meet."""
 _PARALLEL = 8.0
-"""Where the axes don't meet, so many baselines take the place of that distance."""
+"""Assumed depth of the scene, in baselines, if the optical axes do not meet."""
 _CLOSEST = 0.02
-"""Nothing is nearer to a camera than this share of the box's diagonal."""
+"""Smallest depth of the scene, as a share of the diagonal of its box."""
 _STANDING, _DEEPER = 0.3, 1.05
-"""What stands on the ground has at least this share of the ground's depth; nothing is farther than this share of it."""
+"""Nearest and farthest depth of the scene on a ray that meets the ground, as shares of the ground's depth."""
 _FEWEST = 12
-"""Fewer points in common tell no net."""
+"""Fewest points that both cameras see for a prediction: fewer define no net."""
 
 
 @dataclass(frozen=True)
@@ -42,9 +42,9 @@ class Prediction:
 
 
 def predict(camera1: Camera, camera2: Camera, scene: Scene | None = None) -> Prediction | None:
-    """Points that two cameras of one world see if the scene is where it is expected; None where they have nothing in common.
+    """Points that two cameras of one world see if the scene is where it is expected; None if they have too few in common.
 
-    Without a box of the scene, the optical axes tell the distance.
+    Without a box of the scene, its distance is estimated from the optical axes.
     """
     first = _seen_from(camera1, camera2, scene)
     second = _seen_from(camera2, camera1, scene)
@@ -74,7 +74,7 @@ def _inside(pixels: Float64s, camera: Camera) -> Bools:
 
 
 def _seen_from(camera: Camera, other: Camera, scene: Scene | None) -> tuple[Float64s, Float64s, Float64s, Float64s]:
-    """Pixels in both cameras of the likely surface, and of the ends of what both see."""
+    """Pixels in both cameras of the likely surface, and of the nearest and farthest points that both see."""
     pixels = _grid(camera)
     near, far = _reach(camera, other, pixels, scene)
     usable = far > near
@@ -130,7 +130,7 @@ def _ground_depth(camera: Camera, pixels: Float64s, ground: Float64s) -> Float64
 
 
 def _likely_step(camera: Camera, pixels: Float64s, inverse: Float64s, scene: Scene | None) -> Int64s:
-    """Which of the inverse depths (steps, n) of each pixel is nearest the likely surface: the ground, else the middle one."""
+    """Index of the inverse depth (steps, n) of each pixel that is nearest to the likely surface: the ground, else the middle."""
     middle = np.full(len(pixels), _STEPS // 2)
     if scene is None or scene.ground is None:
         return middle
@@ -140,7 +140,7 @@ def _likely_step(camera: Camera, pixels: Float64s, inverse: Float64s, scene: Sce
 
 
 def axes_meet_at(camera: Camera, other: Camera) -> float:
-    """Depth in `camera` at which the optical axes pass nearest each other; many baselines where they don't meet in front."""
+    """Depth in `camera` at which the optical axes are nearest to each other; `_PARALLEL` baselines if that is not in front."""
     between = other.C - camera.C
     a, b = camera.R[2], other.R[2]
     cosine = float(a @ b)

@@ -1,4 +1,4 @@
-"""What a rectification is worth: signs that it is wrong, and how far its rows can be trusted (algorithms of degenerate cases)."""
+"""Quality of a rectification: signs that it is wrong, and the uncertainty of its rows (degenerate cases)."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from ..twoview.refinement import tangent
 from ..types import Float64s, Int64s
 
 _ENOUGH = 1000
-"""Matches that tell their order, or their best homography, as well as more do."""
+"""Matches, at most, from which order and homography are estimated: more do not improve them."""
 _BANDS, _ACROSS, _DOWN = 12, 4, 3
-"""Bands of rows in which that order is told, and parts of an image, each left out in turn."""
+"""Bands of rows in which order along x is compared; columns and rows of the parts of an image that are left out in turn."""
 
 
 def order_agreement(y1: Float64s, y2: Float64s) -> float:
@@ -34,7 +34,7 @@ def order_agreement(y1: Float64s, y2: Float64s) -> float:
 
 
 def parallax_px(x1: Float64s, x2: Float64s) -> float:
-    """How far matches (n, 2) lie from one homography, in pixels (95 %): nothing where there is no baseline, or no relief."""
+    """Distance of matches (n, 2) from one homography, pixels (95 %): near 0 without baseline or relief, inf if none is found."""
     step = max(1, -(-len(x1) // _ENOUGH))
     H, _ = cv2.findHomography(x1[::step], x2[::step], cv2.RANSAC, 2.0, maxIters=2000, confidence=0.999)
     if H is None:
@@ -55,20 +55,19 @@ def line_uncertainty(
 ) -> Float64s:
     """Standard deviation (m,) in pixels of epipolar lines of F.
 
-    Two parts.  The residuals, propagated through the degrees of freedom of F: few or clustered matches fit well and say little
-    elsewhere, which no residual tells.  And how F changes, to first order, when the matches of one part of the image are left
-    out: wrong matches that agree with each other show there.
+    It combines two parts: the residuals, propagated through the degrees of freedom of F, because few or clustered matches fit
+    well and constrain lines elsewhere poorly; and the change of F, to first order, when the matches of one part of the image are
+    left out, which reveals wrong matches that agree with each other.
 
     References: Csurka et al., CVIU 1997; Efron, The jackknife, 1982.
 
     Parameters
     ----------
     F, x1, x2 : (3, 3) fundamental matrix, and (n, 2) the matches that it was fitted to, pixels.
-    at1, at2 : (m, 2) points of image 1 whose lines are asked for, and of image 2 beside which these are judged.
-    essential : (K1, K2) where F = K2^-T E K1^-1: five of the seven degrees of freedom are left.
-    noise : (n,) standard deviation of each match, pixels; as measured and alike where None.
-    freedoms : directions (9, k) in which F may change instead of those, and the information (k, k) there is on them besides the
-        matches.
+    at1, at2 : (m, 2) points of image 1 whose lines are evaluated, and the points of image 2 at which they are.
+    essential : (K1, K2) if F = K2^-T E K1^-1: five of the seven degrees of freedom are left.
+    noise : (n,) standard deviation of each match, pixels; None: estimated from the residuals, the same for all.
+    freedoms : directions (9, k) in which F may change, instead of the seven or five, and prior information (k, k) on them.
     """
     half = max(float(np.abs(np.concatenate([x1, x2])).max()) / 2, 1.0)
     N = np.array([[1 / half, 0.0, -1.0], [0.0, 1 / half, -1.0], [0.0, 0.0, 1.0]])
@@ -83,14 +82,14 @@ def line_uncertainty(
         directions = (Ni.T @ freedoms[0].T.reshape(-1, 3, 3) @ Ni).reshape(-1, 9).T / length
         directions = directions - np.outer(Fn.ravel(), Fn.ravel() @ directions)
         known = freedoms[1]
-    both = np.column_stack([Fn.ravel(), directions])  # along F itself the distance changes by its own amount
+    both = np.column_stack([Fn.ravel(), directions])  # the derivative along F itself is the residual
     rows = _derivatives(Fn, x1 / half - 1, x2 / half - 1, half) @ both
     residual, rows = rows[:, 0], np.ascontiguousarray(rows[:, 1:])
     elsewhere = _derivatives(Fn, at1 / half - 1, at2 / half - 1, half) @ directions
     if noise is None:
         noise = np.full(len(x1), max(1.4826 * np.median(np.abs(residual)), 0.1))
     residual, rows = residual / noise, rows / noise[:, None]
-    each = 1 / np.sqrt(np.sum(rows * rows, axis=0) + np.diag(known))  # turns and lenses in units of what is known of them
+    each = 1 / np.sqrt(np.sum(rows * rows, axis=0) + np.diag(known))  # scales turns and lenses to similar units
     rows, elsewhere, known = rows * each, elsewhere * each, known * np.outer(each, each)
 
     values, vectors = np.linalg.eigh(rows.T @ rows + known)

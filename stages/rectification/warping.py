@@ -1,7 +1,7 @@
 """Moving points and images between a frame and its rectified image, whatever the method of rectification.
 
-`side` is 1 for the left image and 2 for the right one.  Points are (n, 2) float64 (x, y), pixel centres at integers; those of a
-frame that its lens still bends are where the straight frame has them, and its images are looked up where they are.
+`side` is 1 for the left image and 2 for the right one.  Points are (n, 2) float64 (x, y), pixel centres at integers.  For a frame
+with residual lens distortion, points are in the undistorted frame; images are sampled in the distorted one.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ from ..types import INVALID, Bools, Disparity, Float32s, Float64s, PolarRows, Re
 Side = Literal[1, 2]
 Pixels = TypeVar("Pixels", np.uint8, np.float32)
 _COARSE_PX, _SOME = 2.0, 16
-"""Where rectified pixels lie farther apart than this in the frame (a camera that sees finer than its partner), the frame is
-smoothed first; looked at every so many pixels."""
+"""A frame is smoothed first if rectified pixels lie farther apart in it than `_COARSE_PX` (its camera sees finer than its
+partner); their distance is measured at every `_SOME`-th rectified pixel."""
 
 
 def rectified_size(rectification: Rectification, side: Side) -> tuple[int, int]:
@@ -60,7 +60,7 @@ def warp_with_mask(
 
     Parameters
     ----------
-    rectification, side : how the frames are resampled, and which one.
+    rectification, side : how the frames are resampled, and the side of the frame.
     image, mask : (h, w) or (h, w, 3) of that side, and (h, w) pixels of it that may be used.
     """
     source = _source_of_pixels(rectification, side)
@@ -68,7 +68,7 @@ def warp_with_mask(
 
 
 def _looked_up(image: npt.NDArray[Pixels], source: tuple[Float32s, Float32s]) -> npt.NDArray[Pixels]:
-    """Resampled, without detail that rectified pixels are too large for."""
+    """The image resampled, smoothed first if it has finer detail than the rectified pixels can show."""
     step = _step_px(source, image.shape[1], image.shape[0])
     if step > _COARSE_PX:
         image = np.asarray(cv2.GaussianBlur(image, (0, 0), 0.5 * np.sqrt(step**2 - 1)), dtype=image.dtype)
@@ -76,7 +76,7 @@ def _looked_up(image: npt.NDArray[Pixels], source: tuple[Float32s, Float32s]) ->
 
 
 def _step_px(source: tuple[Float32s, Float32s], width: int, height: int) -> float:
-    """So many pixels of the frame lie from one rectified pixel to the next, in the median."""
+    """Median distance from one rectified pixel to the next, in pixels of the frame."""
     x, y = source
     rows, columns = slice(0, max(x.shape[0] - 1, 0), _SOME), slice(0, max(x.shape[1] - 1, 0), _SOME)
     inside = ((x > 0) & (x < width - 1) & (y > 0) & (y < height - 1))[rows, columns]
@@ -92,8 +92,8 @@ def _resampled(image: npt.NDArray[Pixels], source: tuple[Float32s, Float32s]) ->
 
 
 def resampling(rectification: Rectification, side: Side, x: Float64s) -> tuple[Float64s, Float64s, Float64s]:
-    """What happens to the pixels of a frame around points x (n, 2): the area that each takes in the rectified image, negative if
-    it is mirrored there, and the longer and the shorter side (n,): determinant and singular values of the Jacobian."""
+    """Area, longer and shorter side (n,) that pixels of a frame at points x (n, 2) get in the rectified image; areas are negative
+    if it is mirrored.  These are the determinant and the singular values of the Jacobian."""
     polar, H = _maps(rectification, side)
     if polar is None:
         u, v, w = (a * x[:, 0] + b * x[:, 1] + c for a, b, c in H)
@@ -106,7 +106,7 @@ def resampling(rectification: Rectification, side: Side, x: Float64s) -> tuple[F
     away_x, away_y = (x - polar.epipole).T
     k = np.floor(_row_of_angle(polar, np.arctan2(away_y, away_x))).astype(np.int64)
     k = np.clip(k, 0, len(polar.angles) - 2)
-    # along its row a pixel keeps its length, and rows run at right angles to what crosses them
+    # pixels keep their length along a row; the other singular value is that across the row
     rows_per_px = polar.direction / (np.hypot(away_x, away_y) * (polar.angles[k + 1] - polar.angles[k]))
     across = np.abs(rows_per_px)
     return rows_per_px, np.maximum(across, 1), np.minimum(across, 1)
@@ -150,7 +150,7 @@ def _source_of_pixels(rectification: Rectification, side: Side) -> tuple[Float32
 
 
 def _straight_source(rectification: Rectification, side: Side) -> tuple[Float32s, Float32s]:
-    """The same of the straight frame."""
+    """As `_source_of_pixels`, in the undistorted frame."""
     width, height = rectified_size(rectification, side)
     polar, H = _maps(rectification, side)
     columns, rows = np.arange(width, dtype=np.float64), np.arange(height, dtype=np.float64)
