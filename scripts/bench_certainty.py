@@ -1,17 +1,17 @@
-"""How right `sigma_mm` of a cloud is: errors on exact truth over sigma, in every tenth of the points by sigma.
+"""How right is `sigma_mm` of a cloud?  Prints the spread of error over sigma for each tenth of the points, sorted by sigma.
 
     scripts/bench_certainty.py CLOUD.ply TRUTH
     scripts/bench_certainty.py CLOUD.ply --then CLOUD.ply ... [--days D ...] --camera X Y Z
 
-TRUTH holds `cameras.json` and `depth/<camera>.npz`, as `wbflow demo` writes them.  A point's error is along the ray of the
-nearest camera that sees it in truth, where that surface is smooth.  The robust spread (1.4826 MAD) is 1 where sigma is right.
+TRUTH holds `cameras.json` and `depth/<camera>.npz`, as `wbflow demo` writes them.  A point's error is measured along the ray of
+the nearest camera that sees it, where the true surface is smooth.  The robust spread (1.4826 MAD) is 1 where sigma is right.
 
-With --then it is the difference of two dates, over both points' sigmas: along the normal to the nearest point of the other date,
-turned into the ray's direction, less what moved as a whole (the median of a block of 20 m).  What moves within a block is in it,
-and grows with the days between: from several dates follows what is left of two with none between them.
+With --then, the error is the difference to the other date's nearest point along the normal, converted to the ray's direction,
+minus the median of its block of 20 m, which may have moved as a whole; sigma combines those of both points.  Motion within a
+block remains and grows with the days between; with --days, the spread of three or more dates is extrapolated to no days between.
 
-The score is the mean negative log-likelihood of errors, in millimetres, those beyond three sigmas cut off there: of two sigmas of
-the same points the lower one tells more of the errors.
+The score is the mean negative log-likelihood of the errors in millimetres, with errors beyond three sigmas cut off there.  Of two
+estimates of sigma for the same points, the one with the lower score describes the errors better.
 """
 
 from __future__ import annotations
@@ -32,18 +32,18 @@ from wbflow_stages.types import Camera, Float64s
 Columns = dict[str, np.ndarray]
 
 FAR = 3.0
-"""Errors of more sigmas count as so many in the score."""
+"""The score cuts errors off at this many sigmas."""
 
 SMOOTH, SAME = 0.03, 0.02
-"""Of the depth: how much four neighbouring pixels of the truth may differ, and how far a point may be off."""
+"""Limits as shares of the depth: range of four neighbouring true depths, and distance of a point from the true surface."""
 
 NEAR_M, BLOCK_M, FEW, STEEPEST = 3.0, 20.0, 20, 0.2
-"""Between dates: how far away the other point may be, side of a block that moves as a whole, how many points it needs, and the
-least cosine of ray and normal that a difference is divided by."""
+"""For two dates: largest distance to the other date's nearest point, side of the blocks that may move as a whole, smallest number
+of points in a block, and smallest cosine between ray and normal by which a difference is divided."""
 
 
 def errors_along_rays(X: Float64s, truth: Path) -> Float64s:
-    """(n,) signed errors, metres; nan where no camera sees the point in truth."""
+    """(n,) signed errors along the ray, metres; nan where no camera sees the true surface near the point."""
     nearest, error = np.full(len(X), np.inf), np.full(len(X), np.nan)
     for name, entry in json.loads((truth / "cameras.json").read_text()).items():
         file = truth / "depth" / f"{name}.npz"
@@ -72,7 +72,7 @@ def errors_along_rays(X: Float64s, truth: Path) -> Float64s:
 
 
 def differences_of_dates(tables: Sequence[Columns], centre: Float64s) -> tuple[Float64s, Float64s]:
-    """(n,) differences along the first date's rays, nan where the other has nothing near, and (n,) both sigmas together."""
+    """(n,) differences along the first date's rays, nan where the other has no point near, and (n,) their combined sigmas."""
     X, Y = (columns(table, "x", "y", "z") for table in tables)
     near, at = cKDTree(Y).query(X, distance_upper_bound=NEAR_M)
     at = np.minimum(at, len(Y) - 1)
@@ -114,7 +114,7 @@ def main() -> None:
 
 
 def of_dates(clouds: Sequence[Path], days: Sequence[float] | None, centre: Float64s) -> None:
-    """Of each two dates; with their days, of none between them, too."""
+    """Print the rows of each pair of dates and, given their days, the spread extrapolated to no days between them."""
     tables = [read_ply(cloud) for cloud in clouds]
     found = {}
     for i, j in combinations(range(len(clouds)), 2):
@@ -134,12 +134,12 @@ def of_dates(clouds: Sequence[Path], days: Sequence[float] | None, centre: Float
 
 
 def tenths(sigma: Float64s) -> Float64s:
-    """(11,) limits of the tenths of the points."""
+    """(11,) values of sigma that bound the tenths of the points."""
     return np.asarray(np.quantile(sigma, np.linspace(0.0, 1.0, 11)))
 
 
 def show(title: str, error: Float64s, sigma: Float64s, limits: Float64s) -> Float64s:
-    """Prints a row for each tenth; (10,) robust spreads of error over sigma."""
+    """Print a row for each tenth, and return the (10,) robust spreads of error over sigma."""
     score = np.mean(np.log(1000 * sigma) + 0.5 * np.minimum((error / sigma) ** 2, FAR**2))
     print(f"{title};  score {score:.3f};  sigma, median error, robust spread of error over sigma")
     row, spreads = np.searchsorted(limits[1:-1], sigma, side="right"), np.full(10, np.nan)

@@ -1,8 +1,8 @@
 """Which changes of the ground are found, by size and height?    bench_changes.py THEN TONIGHT [--json FILE] [--svg FILE]
 
-THEN and TONIGHT are folders of two runs of one site between which nothing has changed, with their work folder's cache.  Patches
-of the ground of TONIGHT are raised by known steps: in its depth maps, its cloud and its photographs (which show another texture
-there).  Beside the share of patches that are found stands what is reported although nothing has changed.
+THEN and TONIGHT are folders of two runs of one site between which nothing has changed; their work folder still has its cache.
+Patches of TONIGHT's ground are raised by known steps in its depth maps, its cloud and its photographs (which get another texture
+there).  Prints the share of patches found, the error of their volumes, and the share of the surface reported by mistake.
 """
 
 from __future__ import annotations
@@ -26,12 +26,12 @@ STEPS_M = (0.05, 0.10, 0.20)
 SIZES_M = (0.5, 1.0, 2.0)
 PATCHES = 10
 FLAT_M = 0.08
-"""Ground within a patch differs by no more, in the 5th to 95th percentile."""
+"""A patch is flat enough if its heights differ by less than this from the 5th to the 95th percentile, metres."""
 
 
 @dataclass(frozen=True)
 class Night:
-    """What a run left of a night."""
+    """The artifacts of one night's run."""
 
     poses: Poses
     cloud: Cloud
@@ -40,7 +40,7 @@ class Night:
     refined: Mapping[str, DepthMap]
 
     def arguments(self, prefix: str = "") -> dict[str, Any]:
-        """By argument name of `find_changes`."""
+        """The fields as keyword arguments of `find_changes`."""
         return {prefix + name: value for name, value in vars(self).items()}
 
 
@@ -54,20 +54,20 @@ class Row:
     found: float
     """Share of the patches on which a change is reported."""
     volume_error: float
-    """Median of |volume - truth| / truth of those; nan for none."""
+    """Median of |volume - truth| / truth over the patches found; nan if none is."""
     elsewhere: float
-    """Share of the surface that is reported elsewhere."""
+    """Share of the surface that is reported as changed outside the patches."""
 
 
 def night_of(folder: Path) -> Night:
-    """A night from the folder of its run and the cache.  Raises Gone."""
+    """Load a night from the folder of its run and the cache.  Raises Gone."""
     run = wbflow.open_run(folder)
     of = {role: dict(run.of_cameras(role)) for role in (FRAMES, DEPTH, REFINE)}
     return Night(run.made(POSES), run.cloud_table(), of[FRAMES], of[DEPTH], of[REFINE])
 
 
 def flat_places(night: Night, size: float, count: int) -> Float64s:
-    """(n, 3) places on level ground at least two sizes apart, drawn at random."""
+    """(n, 3) places on level ground, drawn at random, more than 2.5 sizes plus 1 m apart."""
     rng = np.random.default_rng(round(100 * size))
     points = night.cloud.points.astype(np.float64)
     level = points[np.abs(night.cloud.normals[:, 2]) > 0.9]
@@ -87,7 +87,7 @@ def flat_places(night: Night, size: float, count: int) -> Float64s:
 
 
 def inside(X: Float64s, places: Float64s, size: float) -> np.ndarray:
-    """(n,) number of the patch that each point lies on, -1 for none."""
+    """(n,) index of the patch that each point lies on, -1 for none."""
     found = np.full(len(X), -1)
     for k, place in enumerate(places):
         found[(np.abs(X[:, :2] - place[:2]).max(axis=1) <= size / 2) & (np.abs(X[:, 2] - place[2]) < 0.3)] = k
@@ -95,7 +95,7 @@ def inside(X: Float64s, places: Float64s, size: float) -> np.ndarray:
 
 
 def raised(night: Night, places: Float64s, size: float, step: float) -> Night:
-    """The night with patches of the ground raised, and another texture on them."""
+    """The night with its patches of ground raised by `step` and covered with another texture."""
     on = inside(night.cloud.points.astype(np.float64), places, size) >= 0
     points = night.cloud.points.astype(np.float64).copy()
     points[on, 2] += step
@@ -108,7 +108,7 @@ def raised(night: Night, places: Float64s, size: float, step: float) -> Night:
 
 
 def _lifted(camera: Camera, depth: DepthMap, frame: Frame, places: Float64s, size: float, step: float) -> tuple[DepthMap, Frame]:
-    """What a camera sees of raised patches: each pixel whose ray meets one at its new height."""
+    """A camera's depth map and frame after raising: changes each pixel whose ray meets a patch at its new height."""
     y, x = np.mgrid[0 : camera.height, 0 : camera.width].reshape(2, -1)
     pixels = np.column_stack([x, y]).astype(np.float64)
     away = backproject(camera, pixels, np.ones(len(pixels))) - camera.C
@@ -117,7 +117,7 @@ def _lifted(camera: Camera, depth: DepthMap, frame: Frame, places: Float64s, siz
         at = (place[2] + step - camera.C[2]) / np.where(np.abs(away[:, 2]) > 1e-9, away[:, 2], np.nan)
         X = camera.C + away * at[:, None]
         hit = (at > 0) & (np.abs(X[:, :2] - place[:2]).max(axis=1) <= size / 2)
-        # the patch keeps the noise of the ground below it; what stands in front of it stays in front
+        # the patch keeps the depth noise of the ground below it; objects in front of it stay in front
         below = (place[2] - camera.C[2]) / away[:, 2]
         error = np.where(hit, z - below, np.nan)
         hit &= ~(error < -1.0)
@@ -130,13 +130,13 @@ def _lifted(camera: Camera, depth: DepthMap, frame: Frame, places: Float64s, siz
 
 
 def _texture(X: Float64s) -> Float64s:
-    """(n,) waves of several lengths, fixed in space, of unit deviation."""
+    """(n,) sum of sine waves of several lengths, fixed in space, with unit standard deviation."""
     waves = [np.sin(X[:, :2] @ np.array(k) + p) for k, p in (((9, 17), 0), ((-23, 8), 1), ((14, -27), 2), ((31, 19), 3))]
     return np.asarray(np.sum(waves, axis=0) / np.sqrt(2.0))
 
 
 def row_of(found: Changes, places: Float64s, size: float, step: float) -> Row:
-    """Which patches a comparison reports."""
+    """Compare the reported changes with the raised patches."""
     truth = size * size * step
     hits: dict[int, float] = {}
     for change in found.changes.values():

@@ -1,10 +1,10 @@
 #!/usr/bin/env python3
-"""The fountain's cloud against laser depth: accuracy, completeness, F, colours, CPU seconds and memory, beside a plain script.
+"""Compare the fountain's cloud with laser depth: accuracy, completeness, F, colours, CPU seconds and memory.
 
-Each row is a whole `wbflow run` in one process.  Beside it, in a process of its own: a plain OpenCV script (stereoRectify, SGBM,
-voxels, outliers); and, quoted, what COLMAP + OpenMVS reached on the same photographs and another day (CPU, true poses).
-Solved poses are aligned to the true camera centres first, by a similarity.  Surveyed ones are true but for what surveys leave:
-0.02 degrees and 5 mm (standard deviations of each coordinate).
+Each row is a whole `wbflow run` in one process.  Its rivals are a plain OpenCV script (stereoRectify, SGBM, voxels, removal of
+outliers) in its own process, and quoted figures of COLMAP + OpenMVS, measured on the same photographs on another day (on CPUs,
+true poses).  Clouds from solved poses are first aligned to the true camera centres by a similarity.  Surveyed poses are the true
+ones with the errors of a survey: 0.02 degrees and 5 mm (standard deviations of each coordinate).
 
     scripts/bench_cloud.py                                     all 11, six and four cameras at 768, true poses
     scripts/bench_cloud.py --sizes 768 1536 --poses true solved --modes refined pairs sgbm strict
@@ -52,8 +52,8 @@ LAUNCHER = ProcessPoolExecutor(1, mp_context=get_context("spawn"))
 
 @dataclass
 class Row:
-    """accuracy, completeness, F: percent at 1, 2, 5, 10 cm; colour: mean absolute difference from the photographs, of
-    255; peak_mb: of the run's largest process; 0 where something was not measured."""
+    """accuracy, completeness, F: percent at 1, 2, 5, 10 cm; colour: mean absolute difference from the photographs (0 to
+    255); peak_mb: peak memory of the run's largest process.  Figures that were not measured are 0."""
 
     what: str
     cameras: str
@@ -80,7 +80,7 @@ def main() -> None:
     arguments = parser.parse_args()
     if not DATA.is_dir():
         raise SystemExit(f"{DATA} is not there: point WBFLOW_DATA at the folder that holds fountain/")
-    LAUNCHER.submit(int).result()  # a process takes over the memory record of the one that starts it: be small at that time
+    LAUNCHER.submit(int).result()  # a process inherits its parent's peak memory: start it while that is small
     reference, rows = laser_cloud(), []
     print(HEAD)
     for size in arguments.sizes:
@@ -118,7 +118,7 @@ def true_cameras(width: int) -> dict[str, Camera]:
 
 
 def laser_cloud() -> Float64s:
-    """Every second pixel of every depth map, thinned to one point in each centimetre."""
+    """World points of every second pixel of each laser depth map, thinned to one point per voxel of 1 cm."""
     points = []
     for name, camera in true_cameras(3072).items():
         depth = laser_depth(name)[::2, ::2].astype(np.float64)
@@ -137,7 +137,7 @@ def laser_depth(name: str) -> Float32s:
 
 
 def run(mode: str, cameras: str, size: int, poses: str, reference: Float64s) -> Row:
-    """A night of the site in a folder of its own."""
+    """Run a night of the site in its own folder, and score the cloud."""
     names = [f"{n:04d}" for n in SETS[cameras]]
     with tempfile.TemporaryDirectory() as folder:
         calibration = json.loads((DATA / "cameras.json").read_text())
@@ -167,7 +167,7 @@ def run(mode: str, cameras: str, size: int, poses: str, reference: Float64s) -> 
 
 
 def surveyed(calibration: dict[str, Any], seed: int = 0) -> dict[str, Any]:
-    """The calibration with errors as surveys leave them."""
+    """The calibration with the errors of a survey: 0.02 degrees and 5 mm (standard deviations of each coordinate)."""
     rng = np.random.default_rng(seed)
 
     def measured(entry: dict[str, Any]) -> dict[str, Any]:
@@ -204,7 +204,7 @@ def percent(shares: Float64s) -> list[float]:
 
 
 def colour_error(points: Float64s, colors: Uint8s, cameras: str) -> float:
-    """Mean absolute difference from the photographs of all cameras of the set whose laser depth says that they see the point."""
+    """Mean absolute difference from the photographs of all cameras of the set that see the point according to laser depth."""
     chosen = np.linspace(0, len(points) - 1, min(len(points), 100_000)).astype(int)
     differences = []
     for name in (f"{n:04d}" for n in SETS[cameras]):
@@ -229,7 +229,7 @@ COLMAP = {
     ("six", 1536): (376, "81/38/52 97/52/67.6 100/58/73 100/63/77"),
     ("four", 1536): (157, "85/25/38 97/32/48.1 100/37/54 100/42/59"),
 }
-"""COLMAP + OpenMVS by cameras and size: CPU seconds and accuracy/completeness/F at 1, 2, 5, 10 cm.  Quoted, not measured here."""
+"""COLMAP + OpenMVS by set and image width: CPU seconds, accuracy/completeness/F at 1, 2, 5, 10 cm.  Quoted, not measured here."""
 
 
 def quoted(cameras: str, size: int) -> list[Row]:
@@ -247,9 +247,9 @@ def rival(cameras: str, size: int, reference: Float64s) -> Row:
 
 
 def plain_script(cameras: str, size: int) -> tuple[Float64s, Uint8s, float, float]:
-    """What one writes in an afternoon: calibrated rectification, SGBM on both views, triangulation, voxels, outliers removed.
+    """A plain OpenCV script: calibrated rectification, SGBM on both views, triangulation, voxels, removal of outliers.
 
-    Returns points, colours, CPU seconds and the largest memory in MB.
+    Returns points, colours, CPU seconds and the peak memory in MB.
     """
     start = process_time()
     cv2.setNumThreads(1)
@@ -272,19 +272,19 @@ def plain_script(cameras: str, size: int) -> tuple[Float64s, Uint8s, float, floa
 
     lonely = np.isinf(cKDTree(merged[:, :3]).query(merged[:, :3], k=7, distance_upper_bound=0.03)[0][:, 6])
     merged = merged[~lonely]
-    peak_mb = int(Path("/proc/self/status").read_text().split("VmHWM:")[1].split()[0]) / 1024  # Linux; of this process alone
+    peak_mb = int(Path("/proc/self/status").read_text().split("VmHWM:")[1].split()[0]) / 1024  # Linux only; peak of this process
     return merged[:, :3], merged[:, 3:6].astype(np.uint8), process_time() - start, peak_mb
 
 
 def neighbours(left: Camera, right: Camera) -> bool:
-    """Optical axes between 5 and 40 degrees apart."""
+    """Are the optical axes between 5 and 40 degrees apart?"""
     return bool(np.cos(np.radians(40)) < left.R[2] @ right.R[2] < np.cos(np.radians(5)))
 
 
 def stereo(left: Camera, right: Camera, image1: Uint8s, image2: Uint8s) -> tuple[Float64s, Float64s]:
-    """World points and colours of both views of one pair; each rectified picture has a canvas that holds all of it."""
+    """World points and colours of both views of one pair; the rectified images are large enough to crop nothing."""
     R, t = relative_pose(left, right)
-    if t[0] > 0:  # the right camera stands on the left
+    if t[0] > 0:  # the right camera is to the left of the other
         return stereo(right, left, image2, image1)
     none = np.zeros((5, 1))
     R1, R2, P1, P2, *_ = cv2.stereoRectify(left.K, none, right.K, none, (left.width, left.height), R, t.reshape(3, 1), alpha=-1)
@@ -302,7 +302,7 @@ def stereo(left: Camera, right: Camera, image1: Uint8s, image2: Uint8s) -> tuple
         for c, turn, P, image in views
     ]
     shift, reach = P1[0, 2] - P2[0, 2], abs(P2[0, 3])
-    least, most = (int(reach / z + shift) for z in (15.0, 4.5))  # who knows the yard knows how far it reaches, in metres
+    least, most = (int(reach / z + shift) for z in (15.0, 4.5))  # depth range in metres, which the user of a script knows
     count = 16 * -(-(most - least) // 16)
     matcher = cv2.StereoSGBM.create(least, count, 5, 600, 2400, 1, 63, 10, 100, 2, cv2.STEREO_SGBM_MODE_SGBM_3WAY)
     pad = max(abs(least), abs(least + count))

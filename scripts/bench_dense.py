@@ -1,16 +1,16 @@
 #!/usr/bin/env python3
-"""Dense matchers beside each other: Middlebury's four pairs, and fountain pairs of growing baseline rectified by the project.
+"""Compare dense matchers on Middlebury's four pairs and on fountain pairs of growing baseline.
 
-Fountain pairs are rectified by F of the project's own matches.  Density of values among pixels that both views see; share of
-those values off by more than 1, 2, 4 px; bad (2 px) or missing among all; median error; CPU seconds for each million pixels, both
-views.  The project's matchers, OpenCV's, and graph cuts.
+Fountain pairs are rectified by the project, with F from its own matches.  Columns: density, the share of pixels with known truth
+that have a value; share of these values off by more than 1, 2, 4 px; share of all these pixels bad (2 px) or missing; median
+error; CPU seconds per million pixels, both views.  The matchers are the project's, OpenCV's, and graph cuts.
 
     scripts/bench_dense.py --scenes middlebury --matchers sgbm patchmatch
-    scripts/bench_dense.py --json rows.json --plot curves.svg        'quality against baseline', as curves
-    scripts/bench_dense.py --noise 0 100 --plot curves.svg           Hao's noise test (2011) too: Gaussian noise of this variance
-    scripts/bench_dense.py --matchers census-sgm sift-sgm daisy-sgm  dense descriptors as data cost, Hao's future work
-                                                                     (slow; DAISY needs scikit-image)
-    scripts/bench_dense.py --check                                   exit code 1 when a figure is missed
+    scripts/bench_dense.py --json rows.json --plot curves.svg        draw quality against baseline as curves
+    scripts/bench_dense.py --noise 0 100 --plot curves.svg           add Hao's noise test (2011): Gaussian, of these variances
+    scripts/bench_dense.py --matchers census-sgm sift-sgm daisy-sgm  dense descriptors as data cost, which Hao (2011)
+                                                                     left to future work (slow; DAISY needs scikit-image)
+    scripts/bench_dense.py --check                                   exit code 1 if a figure misses its limit
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ from wbflow_stages.stereo.matcher import DenseMatches, RectifiedPair, mirrored
 from wbflow_stages.types import Disparity, Float32s, Float64s, Frame, Rectification, Uint8s, View
 
 MIDDLEBURY = {
-    # left, right, truth, its scale, disparity range
+    # left, right, true disparity, its grey levels per pixel, largest disparity in pixels
     "tsukuba": ("im3.png", "im4.png", "disp3.pgm", 16, 16),
     "venus": ("im2.png", "im6.png", "disp2.pgm", 8, 20),
     "teddy": ("im2.png", "im6.png", "disp2.png", 4, 60),
@@ -46,7 +46,7 @@ MIDDLEBURY = {
 
 
 def opencv(matcher: cv2.StereoMatcher, pair: RectifiedPair) -> DenseMatches:
-    """OpenCV's matchers as a script would use them, on both views."""
+    """Run one of OpenCV's matchers on both views, as a plain script would."""
     views = []
     count = 16 * -(-(pair.disparity_max - pair.disparity_min + 1) // 16)
     for view in (pair, mirrored(pair)):
@@ -70,25 +70,25 @@ def opencv_sgbm5(pair: RectifiedPair) -> DenseMatches:
 
 
 SIFT_SIZE, DAISY_RADIUS, SCALE = 1.2, 4, 90.0
-"""Diameter of the keypoints (their descriptors see some eight times as much), how far DAISY looks, and what a distance of 1
-costs, in census bits."""
+"""Diameter of SIFT keypoints in pixels (descriptors cover about eight times as much), radius of DAISY in pixels, and cost of a
+descriptor distance of 1, in census bits."""
 
 
 def sift_sgm(pair: RectifiedPair) -> DenseMatches:
-    """Future work of Hao (2011): semi-global matching on distances of dense descriptors (SIFT at every pixel)."""
+    """Semi-global matching on distances of dense SIFT descriptors, which Hao (2011) left to future work."""
     return descriptor_sgm(pair, dense_sift(pair.left), dense_sift(pair.right))
 
 
 def daisy_sgm(pair: RectifiedPair) -> DenseMatches:
-    """The same with DAISY (Tola et al., PAMI 2010), from scikit-image."""
+    """Semi-global matching on distances of dense DAISY descriptors (Tola et al., PAMI 2010), from scikit-image."""
     return descriptor_sgm(pair, dense_daisy(pair.left), dense_daisy(pair.right))
 
 
 def descriptor_sgm(pair: RectifiedPair, left: Float32s, right: Float32s) -> DenseMatches:
-    """left, right: (h, w, n) descriptors of unit length."""
+    """Semi-global matching on distances of descriptors; left, right: (h, w, n), of unit length."""
     height, width = pair.left.shape
     count = pair.disparity_max - pair.disparity_min + 1
-    volume = np.full((height, width, count), 35, dtype=np.uint8)  # as the census: what may not be matched costs this
+    volume = np.full((height, width, count), 35, dtype=np.uint8)  # the census matcher's cost of invalid matches
     for k in range(count):
         d = pair.disparity_min + k
         at = slice(max(d, 0), min(width, width + d))
@@ -111,7 +111,7 @@ def dense_sift(image: Float32s) -> Float32s:
 
 
 def dense_daisy(image: Float32s) -> Float32s:
-    """(h, w, 104) of every pixel, upright."""
+    """(h, w, 104) DAISY descriptors of every pixel, upright, square roots as in RootSIFT."""
     try:
         from skimage.feature import daisy
     except ImportError:
@@ -137,7 +137,7 @@ DEFAULT = ("patchmatch", "sgbm", "census-sgm", "opencv-sgbm5", "opencv-bm", "gra
 
 @dataclass(frozen=True)
 class Row:
-    """noise: variance of the noise added; its scene says so, too.  angle_deg: median between the rays, nan where unknown."""
+    """One pair, one matcher; noise: variance, also part of `scene`; angle_deg: median between the rays, nan if unknown."""
 
     scene: str
     pair: str
@@ -186,7 +186,7 @@ def whole(pixels: Uint8s) -> Frame:
 
 
 def as_it_is(size: tuple[int, int], widest: float) -> Rectification:
-    """The rectification of images that are rectified already."""
+    """A rectification that leaves already rectified images unchanged."""
     return Rectification("hartley", "rectified already", np.eye(3), np.eye(3), size, size, 0.0, widest, 0.0, 0.0, float("nan"))
 
 
@@ -233,12 +233,12 @@ def line(r: Row) -> str:
 
 
 LIMITS = {
-    # pair, matcher: bad2 of what is kept, bad or missing
+    # pair, matcher: largest bad2, largest bad or missing
     ("5-4", "patchmatch"): (0.013, 0.10), ("5-2", "patchmatch"): (0.028, 0.205), ("5-9", "patchmatch"): (0.045, 0.29),
     ("5-4", "sgbm"): (1.0, 0.105), ("5-2", "sgbm"): (1.0, 0.23), ("5-9", "sgbm"): (1.0, 0.36),
     ("tsukuba", "sgbm"): (0.028, 1.0), ("venus", "sgbm"): (0.009, 1.0),
     ("teddy", "sgbm"): (0.048, 1.0), ("cones", "sgbm"): (0.037, 1.0),
-    ("teddy", "patchmatch"): (0.040, 1.0), ("cones", "patchmatch"): (0.030, 1.0),  # below sgbm's
+    ("teddy", "patchmatch"): (0.040, 1.0), ("cones", "patchmatch"): (0.030, 1.0),  # stricter than for sgbm
 }  # fmt: skip
 
 
@@ -255,7 +255,7 @@ FIELDS = ("bad_or_missing", "bad2", "median_px")
 
 
 def plot(rows: list[Row], file: Path) -> None:
-    """Quality against baseline: a curve for each matcher over the angle of the fountain pairs; then quality against noise."""
+    """Plot quality against the angle of the fountain pairs, one curve per matcher; with several noises also against noise."""
     matchers = list(dict.fromkeys(r.matcher for r in rows))
     noises = sorted({r.noise for r in rows})
     panels = []
@@ -277,10 +277,10 @@ def mean_of(rows: list[Row], scene: str, matcher: str, noise: float, field: str)
 
 
 def warm_up(matchers: list[str]) -> None:
-    """Compile the kernels, so that no row pays for it."""
+    """Compile the kernels, so that no row includes the time."""
     image = np.random.default_rng(0).integers(0, 255, (64, 480, 3)).astype(np.uint8)
     for matcher in matchers:
-        for widest in (8.0, 240.0):  # wide ranges are searched in another way
+        for widest in (8.0, 240.0):  # wide disparity ranges take another code path
             matched(whole(image), whole(image), as_it_is((480, 64), widest), matcher)
 
 

@@ -1,11 +1,11 @@
-"""What the engine itself costs: toy stages that take no time, beside Snakemake on the same graph.
+"""What does the engine itself cost?  Runs toy stages that take no time, and Snakemake on the same graph for comparison.
 
     scripts/bench_engine.py [--cameras 20 100 300 1000] [--snakemake PYTHON] [--json FILE]
 
-For each number of cameras a full run, one with nothing to do, one after a capture has changed, and one after a run was killed
-half way; CPU seconds of the whole process tree and seconds by the clock.  The stages of wbflow are those of its tests.  Snakemake
-gets a workflow of as many jobs with the same dependencies, each of which writes a file (`--snakemake` names a Python that has it,
-so that it can have an environment of its own).
+For each number of cameras it measures a full run, a run with nothing to do, one after a capture has changed, and one after a run
+was killed half way, in CPU seconds of the whole process tree and in wall-clock seconds.  wbflow uses the toy stages of its tests.
+Snakemake gets a workflow with the same jobs and dependencies, where each job writes a file; `--snakemake` names a Python that has
+Snakemake, so that it can be installed in its own environment.
 """
 
 from __future__ import annotations
@@ -43,9 +43,9 @@ class Row:
     what: str
     """full, noop, change or resume."""
     tasks: int
-    """That there are, whether they ran or not."""
+    """All tasks of the graph, whether they ran or not."""
     cpu_s: float
-    """Of the process and all that it has started."""
+    """CPU seconds of the process and of all that it started."""
     wall_s: float
 
 
@@ -59,12 +59,12 @@ class Subject:
     environment: dict[str, str]
     folder: Path
     capture: Path
-    """That changes."""
+    """The capture that is changed between runs."""
     left: Callable[[], int]
-    """How many tasks have left something."""
+    """Counts the tasks that have left a result."""
 
     def run(self) -> tuple[float, float]:
-        """CPU seconds and seconds by the clock."""
+        """Run it, and return CPU seconds and wall-clock seconds."""
         before, start = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
         with (self.folder / "words.txt").open("w") as words:
             done = subprocess.run(self.command, env=self.environment, cwd=self.folder, stdout=words, stderr=words, check=False)
@@ -74,7 +74,7 @@ class Subject:
         return after.ru_utime - before.ru_utime + after.ru_stime - before.ru_stime, wall
 
     def kill_half_way(self, tasks: int) -> None:
-        """Start it, and kill all of it when half of its tasks are done."""
+        """Start it, and kill its process group when half of its tasks are done."""
         process = subprocess.Popen(
             self.command,
             env=self.environment,
@@ -98,24 +98,24 @@ def toy(cameras: int, folder: Path) -> Subject:
 
 
 def _receipts(work: Path) -> int:
-    """Tasks that are finished: what lies in the cache itself are memos."""
+    """Number of finished tasks, counted by their receipts; JSON files directly in the cache folder are memos."""
     within = (names for folder, _, names in os.walk(work / "cache") if folder != str(work / "cache"))
     return sum(name.endswith(".json") for names in within for name in names)
 
 
 def snakemake(cameras: int, pairs: Sequence[tuple[str, str]], python: str, folder: Path) -> Subject:
-    """Snakemake on the same graph: a rule for each stage, each job writes what it has read.
+    """Snakemake on the same graph: a rule for each stage, whose jobs write a hash of their inputs.
 
     Parameters
     ----------
     cameras : int
-        How many.
+        Number of cameras.
     pairs : sequence of (str, str)
-        Those that wbflow has chosen.
+        The pairs that wbflow has chosen.
     python : str
         A Python that has Snakemake.
     folder : Path
-        Where it works.
+        Working folder of the workflow.
     """
     names = [f"c{k:04d}" for k in range(cameras)]
     (folder / "captures").mkdir(parents=True)
@@ -145,13 +145,13 @@ wildcard_constraints: camera="c[0-9]+", pair="c[0-9]+--c[0-9]+"
 rule all:
     input: "made/fuse"
 """
-"""What comes before the rules."""
+"""Start of the Snakefile, before the rules."""
 _RULE = """rule {stage}:
     input: {needs}
     output: "made/{stage}{each}"
     shell: "cat {{input}} | sha256sum > {{output}}"
 """
-"""A `run:` would start a Python for each job, which takes most of a second."""
+"""A rule of the Snakefile.  `run:` instead of `shell:` would start a Python for each job, which takes most of a second."""
 _RULES = (
     ("frames", "camera", '"captures/{camera}.txt"'),
     ("features", "camera", '"made/frames/{camera}"'),
@@ -165,24 +165,24 @@ _RULES = (
     ("depth", "camera", '"made/poses", lambda w: each("disparity", AROUND[w.camera])'),
     ("fuse", "", '"made/poses", each("frames", CAMERAS), each("depth", CAMERAS)'),
 )
-"""Stage, of what there is one each, and what it needs: as the tests' stages."""
+"""Stage, wildcard of its jobs ("" for a single job), and its inputs, as in the toy stages of the tests."""
 
 
 def measured(subject: Subject, fresh: Subject, rows: list[Row], count: Callable[[], int], work: Path | None = None) -> None:
-    """Add a workflow's rows.
+    """Measure a workflow and add its rows.
 
     Parameters
     ----------
     subject : Subject
-        Runs in full, with nothing to do, and after one capture has changed.
+        Is run in full, with nothing to do, and after one capture has changed.
     fresh : Subject
-        The same again, not run yet: is killed and goes on.
+        The same workflow, not run yet: is killed half way, then run to its end.
     rows : list of Row
-        To which they are added.
+        The list that receives the new rows.
     count : callable
-        How many tasks it has, once it has run.
+        Returns the number of tasks after the full run.
     work : Path, optional
-        The work folder, of wbflow: what the tasks have used themselves is distinguished.
+        Work folder of wbflow; if given, prints the CPU time per task without that of the stages.
     """
 
     def add(what: str, of: Subject, tasks: int) -> None:
@@ -211,10 +211,10 @@ def main() -> None:
     parser.add_argument("--most", type=int, default=300, help="cameras up to which Snakemake takes part")
     parser.add_argument("--json", type=Path)
     asked = parser.parse_args()
-    os.environ.pop("PYTHONDONTWRITEBYTECODE", None)  # both systems would compile their own modules at each start
+    os.environ.pop("PYTHONDONTWRITEBYTECODE", None)  # with it, both systems would compile their modules at each start
     rows: list[Row] = []
-    # Nothing is removed before the end: ext4 leaves inodes alone that were in use in the last five minutes, and whoever makes a
-    # file meanwhile looks at each of them.
+    # Remove nothing before the end: ext4 does not reuse inodes that were freed in the last five minutes, and each creation of a
+    # file has to search past them.
     with tempfile.TemporaryDirectory() as name:
         print(f"a folder with two files takes {_file_system(Path(name)):.0f} us here")
         for cameras in asked.cameras:
@@ -234,8 +234,8 @@ def main() -> None:
 
 
 def _file_system(folder: Path, many: int = 500) -> float:
-    """What a task's files take of the file system at least, in microseconds of CPU: some 65, and ten times that right after as
-    many have been removed on it, by whomever (wait five minutes then)."""
+    """Least cost of a task's files on this file system, in CPU microseconds: about 65, but ten times that right after any process
+    has removed as many files from it (then wait five minutes)."""
     start = time.process_time()
     for number in range(many):
         (folder / f"probe-{number}").mkdir()
@@ -245,7 +245,7 @@ def _file_system(folder: Path, many: int = 500) -> float:
 
 
 def growth(rows: Sequence[Row]) -> Iterator[tuple[str, float]]:
-    """How steeply the CPU seconds of wbflow grow from the smallest to the largest number of tasks, by what was run."""
+    """Exponent of the growth of wbflow's CPU seconds from the smallest to the largest number of tasks, for each kind of run."""
     for what in ("noop", "full", "change"):
         own = sorted((row.tasks, row.cpu_s) for row in rows if row.system == "wbflow" and row.what == what)
         if len(own) > 1 and own[0][0] < own[-1][0]:
@@ -253,7 +253,7 @@ def growth(rows: Sequence[Row]) -> Iterator[tuple[str, float]]:
 
 
 def _of_stages(work: Path) -> float:
-    """CPU seconds that the tasks of the newest run have used themselves."""
+    """CPU seconds that the stages of the latest run used themselves."""
     record = json.loads((work / "runs" / "latest" / "run.json").read_bytes())
     return float(sum(row["cpu"] for row in record["seconds"]["stages"].values()))
 

@@ -1,4 +1,4 @@
-"""What benchmarks leave behind: rows as JSON, curves as SVG (without a plotting library), a last word."""
+"""Output of benchmarks: rows as JSON, curves as SVG (without a plotting library), and the exit code."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ Curve = Sequence[tuple[float, float]]
 
 COLOURS = ("#3070b0", "#d07020", "#3a9a50", "#b04040", "#8060b0", "#707070", "#c050a0", "#909020")
 WIDE, HIGH, LEFT, ROOM = 300, 200, 46, 44
-"""Pixels: a panel's axes, the room for numbers at their left, and for words above and below them."""
+"""Pixels: width and height of a panel's axes, space for the numbers to their left, and for the text above and below them."""
 
 
 def write_rows(rows: Sequence[object], keys: Sequence[str], file: Path) -> None:
-    """The named fields of each row as a JSON object; null where there is no number."""
+    """Write the named fields of each row as a JSON object, with null for nan and infinity."""
     objects = [{key: _json_value(getattr(row, key)) for key in keys} for row in rows]
     file.write_text(json.dumps(objects, indent=1))
 
 
 def exit_status(faults: Sequence[str]) -> int:
-    """Say what is worse than it should be; 1 if anything is."""
+    """Print the faults; return 1 if there are any, else 0."""
     for fault in faults:
         print(fault)
     return 1 if faults else 0
@@ -35,7 +35,7 @@ def _json_value(value: object) -> object:
 
 @dataclass(frozen=True)
 class Panel:
-    """Curves y(x) by name, from 0 up; words: what stands below the axis at whole x, in place of numbers."""
+    """Curves y(x) by name, with y from 0 up; words: labels of the x axis at 0, 1, 2, ..., instead of numbers."""
 
     title: str
     along_x: str
@@ -44,7 +44,7 @@ class Panel:
 
 
 def draw(panels: Sequence[Panel], file: Path) -> None:
-    """Panels side by side, three in a row; a name has one colour in all of them."""
+    """Write the panels as SVG, three in a row; a curve's name has the same colour in all of them."""
     names = list(dict.fromkeys(name for panel in panels for name in panel.curves))
     colours = {name: COLOURS[k % len(COLOURS)] for k, name in enumerate(names)}
     parts = []
@@ -92,7 +92,7 @@ def _drawn(panel: Panel, colours: Mapping[str, str]) -> str:
 
 
 def _round_up(value: float) -> float:
-    """The next 1, 1.2, 1.5, 2, 3, 4, 5, 6, 8 times a power of ten: where an axis may end."""
+    """The next 1, 1.2, 1.5, 2, 3, 4, 5, 6, 8 times a power of ten, for the end of an axis or the spacing of its ticks."""
     if value <= 0:
         return 1.0
     power = 10.0 ** math.floor(math.log10(value))

@@ -1,12 +1,12 @@
 #!/usr/bin/env python3
-"""How right a cloud is near flat ground at z = 0 (the demo square): what lies on it, what stands on it, what is wrong.
+"""How right is a cloud near flat ground at z = 0 (the demo square)?
 
     scripts/bench_ground.py CLOUD.ply TRUTH [CAMERA...]
 
-TRUTH holds `cameras.json` and `depth/<camera>.npz`, as `wbflow demo` writes them; CAMERA: those that made the cloud (all, if none
-is named).  Of the points within a metre of the ground: the share within 5 cm of it, beside that of a perfect cloud, since
-benches, kerbs and the feet of walls stand within the metre, too; the share that is on no true surface at all; and how much of the
-ground that two cameras see is covered, in cells of 10 cm.
+TRUTH holds `cameras.json` and `depth/<camera>.npz`, as `wbflow demo` writes them; CAMERA names the cameras that made the cloud
+(default: all).  Of the points within a metre of the ground, prints the share within 5 cm of it, and the same share of a perfect
+cloud, which is below 1 because benches, kerbs and the feet of walls are within the metre too; the number of points on no true
+surface at all; and the share of the ground seen by two cameras that is covered, in cells of 10 cm.
 """
 
 from __future__ import annotations
@@ -24,11 +24,11 @@ from wbflow_stages.types import Bools, Camera, Float32s, Float64s
 
 NEAR_M, ON_M, CELL_M = 1.0, 0.05, 0.1
 SAME = 0.02
-"""Depths that differ by less than this share are of one surface."""
+"""A point lies on the surface that a camera sees if their depths differ by less than this share."""
 
 
 def views(truth: Path, names: list[str]) -> dict[str, tuple[Camera, Float32s]]:
-    """True cameras with their depth."""
+    """True cameras with their depth maps, by name; no names: all cameras."""
     found = {}
     for name, entry in json.loads((truth / "cameras.json").read_text()).items():
         if names and name not in names:
@@ -40,13 +40,13 @@ def views(truth: Path, names: list[str]) -> dict[str, tuple[Camera, Float32s]]:
 
 
 def surface(camera: Camera, depth: Float32s) -> Float64s:
-    """(n, 3) what a camera sees in truth."""
+    """(n, 3) points of the true surface that a camera sees."""
     y, x = np.nonzero(depth > 0)
     return backproject(camera, np.column_stack([x, y]).astype(np.float64), depth[y, x].astype(np.float64))
 
 
 def sees(camera: Camera, depth: Float32s, X: Float64s) -> Bools:
-    """(n,) which points are on what the camera sees."""
+    """(n,) which points lie on the true surface that the camera sees."""
     x, z = project(camera, X)
     inside = (z > 0) & (x > -0.5).all(axis=1) & (x < np.array([camera.width, camera.height]) - 0.5).all(axis=1)
     column, row = np.where(inside[:, None], np.rint(x), 0).astype(int).T
@@ -54,7 +54,7 @@ def sees(camera: Camera, depth: Float32s, X: Float64s) -> Bools:
 
 
 def cells(X: Float64s) -> set[tuple[int, int]]:
-    """Cells of the ground that points lie in."""
+    """Cells of the ground that contain points."""
     return set(map(tuple, np.floor(X[:, :2] / CELL_M).astype(int).tolist()))
 
 

@@ -1,12 +1,12 @@
 #!/usr/bin/env python3
-"""How far a site with other cameras ends behind the same scene seen by pinholes: F on the ground that both see.
+"""How far does a site with other lenses fall behind the same scene seen by pinholes?  Compares F on the surface that both see.
 
     wbflow demo plain --small --cameras 8;  wbflow demo wide --small --cameras 8 --lenses fisheye
-    scripts/bench_lenses.py --withhold plain wide [MORE...]      runs both without R and C in the calibration; else with them
+    scripts/bench_lenses.py --withhold plain wide [MORE...]      withholds R and C in the calibration (default: keeps them)
 
-Folders are as `wbflow demo` writes them, of one scene and seed.  For each but the first there are two rows: its cloud, and
-that of the first, both by the points of the truth that both see; a point of a cloud counts where the nearest of either
-truth is one of these.  Solved poses are aligned to the true centres by a similarity first.
+Folders are as `wbflow demo` writes them, of one scene and seed.  Each folder after the first gets two rows: its cloud, and the
+cloud of the first folder, both compared with the true points that both sites see.  A point of a cloud counts if the nearest
+point of the two truths is one of these.  With --withhold, clouds are first aligned to the true camera centres by a similarity.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from wbflow_stages.types import Float64s
 
 TAUS = (0.05, 0.10, 0.20)
 SAME_M = 0.05
-"""Points of two truths that are no farther apart show the same ground."""
+"""Points of two truths show the same surface if they are closer than this, metres."""
 
 
 def main() -> None:
@@ -49,7 +49,7 @@ def main() -> None:
 
 
 def run(folder: Path, withhold: bool, work: Path) -> tuple[wbflow.Run, Float64s]:
-    """A night of a demo folder, and its cloud in the frame of the truth."""
+    """Run a night of a demo folder; returns the run, and its cloud in the frame of the truth."""
     site = work / f"{folder.name}-{'withheld' if withhold else 'given'}"
     site.mkdir(parents=True, exist_ok=True)
     for name in ("captures", "masks"):
@@ -70,13 +70,13 @@ def run(folder: Path, withhold: bool, work: Path) -> tuple[wbflow.Run, Float64s]
 
 
 def points_of(file: Path) -> Float64s:
-    """(n, 3) metres."""
+    """(n, 3) points of a PLY file, metres."""
     table = read_ply(file)
     return np.column_stack([table[axis] for axis in "xyz"]).astype(np.float64)
 
 
 def show(name: str, night: wbflow.Run, cloud: Float64s, truth: Float64s, elsewhere: Float64s) -> None:
-    """A row of a cloud; elsewhere: (m, 3) what the other site's cameras see."""
+    """Print the row of a cloud; elsewhere: (m, 3) true points that the other site's cameras see."""
     common = cKDTree(elsewhere).query(truth, distance_upper_bound=SAME_M)[0] < SAME_M
     both = np.concatenate([truth, elsewhere])
     counts = np.concatenate([common, cKDTree(truth).query(elsewhere, distance_upper_bound=SAME_M)[0] < SAME_M])

@@ -1,18 +1,18 @@
 #!/usr/bin/env python3
-"""Matchers beside each other on photographed pairs with truth: fountain (laser depth) and entry (cameras).
+"""Compare matchers on photographed pairs with truth: fountain (laser depth) and entry (known cameras).
 
-Rows: kdtree, kdtree-root, mutual, dominant, structural (plain views), structural-tilt (with the views compressed in x); each as
-matched, and (+F) after the guided round.  Matches, correct ones and precision at 3 px (at 1536); mean symmetric epipolar distance
-of F on true correspondences, K unknown; usable: under 0.2 % of the width; rotation and translation error with K known; CPU
-seconds without SIFT.
+Rows: kdtree, kdtree-root, mutual, hao2011-dominance, structural (plain views), structural-tilt (adds views compressed in x); each
+as matched, and (+F) after the guided round.  Columns: matches, correct ones and precision at 3 px (at width 1536); mean symmetric
+epipolar distance of F on true correspondences, with K unknown; ok if that is below 0.2 % of the width; rotation and translation
+error with K known; CPU seconds without SIFT.
 
-The rival is Lowe's matching (ratio 0.8, randomised kd-trees of FLANN, 200 checks) twice: `kdtree` is what a user of OpenCV has
-on the same photographs, all keypoints and descriptors of its SIFT at its defaults; `kdtree-root` is given the keypoints and
-RootSIFT descriptors that the other rows match, a harder rival: what is gained on it is gained by matching alone.
+The rival is Lowe's matching (ratio 0.8, randomised kd-trees of FLANN, 200 checks), in two rows.  `kdtree` is what OpenCV offers
+on the same photographs: all keypoints and descriptors of its SIFT with default settings.  `kdtree-root` is the harder rival: it
+matches the keypoints and RootSIFT descriptors of the other rows, so any gain over it comes from matching alone.
 
-`lightglue` is DISK with LightGlue where a package with its weights is installed (see lightglue_rival.py), else left out with a
-word; `onnx` is the model that --onnx names, run by the matcher of that name.  Neither has keypoints of ours: (+F) is the same
-geometry without a guided round.
+`lightglue` is DISK with LightGlue; it is left out with a message unless a package with its weights is installed (see
+lightglue_rival.py).  `onnx` runs the model that --onnx names, with the matcher `onnx`.  Both bring their own keypoints, so their
+rows (+F) have the same geometry without a guided round.
 
     scripts/bench_matching.py --scenes fountain --pairs 5-4 5-9
     scripts/bench_matching.py --matchers kdtree structural lightglue
@@ -65,7 +65,7 @@ USABLE_SHARE = 0.002
 
 @dataclass(frozen=True)
 class Row:
-    """One pair, one matcher.  Errors of poses are 180 and of F infinite where there is none."""
+    """One pair, one matcher.  Errors of a missing pose are 180 degrees, the error of a missing F is infinite."""
 
     scene: str
     pair: str
@@ -102,7 +102,7 @@ def judge(
     left: TrueView, right: TrueView, f: Features, g: Features, name: str, matches: Matches | Rejected, guided: bool, seed: int,
     seconds: float,
 ) -> Row:  # fmt: skip
-    """One row; seconds: what the matching alone cost, so that the +F row counts it too."""
+    """One row; seconds: CPU seconds of the matching, to which the +F row adds those of the geometry."""
     geometry = posed = None
     if isinstance(matches, Matches):
         start = process_time()
@@ -132,12 +132,12 @@ def lensless(features: Features) -> Features:
 
 
 def without_lenses(matches: Matches) -> Matches:
-    """The same matches of cameras whose lenses nobody knows."""
+    """The same matches with unknown intrinsics."""
     return replace(matches, view1=replace(matches.view1, K=None), view2=replace(matches.view2, K=None))
 
 
 def averaged(rows: list[Row]) -> Row:
-    """The mean over seeds."""
+    """The mean of a row over seeds."""
     first = asdict(rows[0])
     means: dict[str, Any] = {k: v if isinstance(v, str) else mean(asdict(row)[k] for row in rows) for k, v in first.items()}
     return Row(**means)
@@ -153,7 +153,7 @@ def bench(pairs: dict[str, list[tuple[str, str]]], width: int, seeds: int, names
 
 
 def warm_up(width: int, names: list[str]) -> None:
-    """Compile the kernels, so that no row pays for it."""
+    """Compile the kernels, so that no row includes the time."""
     views = photographed("fountain", min(width, 768), ["4", "5"])
     for name in names:
         measure(views["5"], views["4"], name, 0)
@@ -207,7 +207,7 @@ def plot(rows: list[Row], file: Path) -> None:
 
 
 def check(rows: list[Row]) -> list[str]:
-    """What a change must not break: precision, right matches against the harder rival; a tenth below what was measured."""
+    """Faults against limits a tenth below the measured figures: precision, and correct matches relative to the harder rival."""
     by = {(r.pair, r.matcher): r for r in rows}
     faults = []
     for pair, precision, gain in (("5-4", 0.94, 1.04), ("5-1", 0.90, 1.4), ("5-9", 0.84, 1.8), ("2-9", 0.70, 2.5)):
@@ -223,7 +223,7 @@ def check(rows: list[Row]) -> list[str]:
 
 
 def there(names: list[str], model: Path | None) -> list[str]:
-    """The rows that can be measured here; of the others it is said why not."""
+    """The matchers that can be measured here; prints why the others cannot."""
     absent = {"lightglue": lightglue_rival.why_absent(), "onnx": "" if model else "no --onnx MODEL"}
     for name in names:
         if absent.get(name):

@@ -1,9 +1,9 @@
 #!/usr/bin/env python3
-"""Which share of a cloud lies on what moved from frame to frame?    bench_movers.py DEMO CLOUD.ply [CLOUD.ply ...]
+"""What share of a cloud lies on objects that moved between frames?    bench_movers.py DEMO CLOUD.ply [CLOUD.ply ...]
 
-DEMO is a folder that `wbflow demo --nights N --frames K` has made, the clouds are of its first night: of all frames, or of the
-first one alone.  A point lies on a mover where it is nearer to one, in any frame, than `NEAR`, and farther from what stands still
-than from that, and than a cell of the truth.
+DEMO is a folder made by `wbflow demo --nights N --frames K`; the clouds are of its first night, from all frames or from the first
+one alone.  A point lies on a mover if a mover's surface is within `NEAR` (0.15 m) of it in any frame, and if the nearest static
+surface is farther away than that mover and than one voxel of the truth.
 """
 
 from __future__ import annotations
@@ -23,9 +23,9 @@ from wbflow_demo.render.scene import Scene
 from wbflow_stages.types import Float64s
 
 NEAR = 0.15
-"""Metres."""
+"""A point lies on a mover only if the mover's surface is closer than this, metres."""
 STEP = 0.03
-"""Metres between the points that stand for a mover's surface."""
+"""Largest spacing of the points that sample a mover's surface, metres."""
 
 
 def points_of(file: Path) -> Float64s:

@@ -1,11 +1,11 @@
-"""What many cameras cost: the pair graph and the plan, pairs without poses, and a rendered site from 8 cameras to 64.
+"""What do many cameras cost?  Measures the pair graph, the plan, pairs without poses, and a rendered site of 8 and 64 cameras.
 
-    scripts/bench_pipeline.py plan [--cameras 100 300 1000]       poses known, nothing but the pair graph and the plan
-    scripts/bench_pipeline.py overlap [--cameras 100 300 1000]    no poses: made-up keypoints
+    scripts/bench_pipeline.py plan [--cameras 100 300 1000]       known poses: the pair graph and the plan alone
+    scripts/bench_pipeline.py overlap [--cameras 100 300 1000]    no poses: the overlap of synthetic keypoints
     scripts/bench_pipeline.py growth [--width 640] [--until STAGE]  the yard with 8 and with 64 cameras, poses withheld
-    scripts/bench_pipeline.py first --site DIR [--jobs 1 2]       the first run without compiled kernels, and the second
+    scripts/bench_pipeline.py first --site DIR [--jobs 1 2]       a first run without compiled kernels, and a second with them
 
-CPU seconds of the whole process tree; `--json FILE` writes rows.
+Prints CPU seconds of the whole process tree; `--json FILE` writes the rows.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ class Row:
 
 
 def clean_frame(captures: Sequence[Any], lens: Any) -> Any:
-    """The stage `frames` of the made-up plan: every picture is black."""
+    """Stage `frames` of the synthetic site of `plan`: every frame is black."""
     from wbflow_stages.types import Frame, View
 
     black = np.zeros((8, 8, 3), np.uint8)
@@ -50,7 +50,7 @@ def clean_frame(captures: Sequence[Any], lens: Any) -> Any:
 
 
 def detect(frame: Any) -> Any:
-    """Its stage `features`: one keypoint."""
+    """Stage `features` of the synthetic site of `plan`: one keypoint per frame."""
     from wbflow_stages.types import Features
 
     one = np.ones(1, np.float32)
@@ -58,7 +58,7 @@ def detect(frame: Any) -> Any:
 
 
 def plan(cameras: int) -> Iterator[Row]:
-    """Cameras on a grid of masts, eight metres apart, that look anywhere."""
+    """Measure a synthetic site: cameras on a grid of masts, eight metres apart, that look in random directions."""
     random = np.random.default_rng(0)
     side = int(np.ceil(np.sqrt(cameras)))
     rows = []
@@ -89,7 +89,7 @@ def plan(cameras: int) -> Iterator[Row]:
 
 
 def overlap(cameras: int) -> Iterator[Row]:
-    """Views along a row of things, each of which shares some with a dozen others."""
+    """Measure synthetic views along a row of landmarks; each view shares landmarks with a dozen others."""
     from wbflow_stages.overlap import estimate_overlap
     from wbflow_stages.types import Features, View
 
@@ -106,7 +106,7 @@ def overlap(cameras: int) -> Iterator[Row]:
 
 
 def growth(width: int, until: str, memory: str) -> Iterator[Row]:
-    """The same yard with 64 cameras and with every eighth of them."""
+    """Measure the same yard with every eighth of its 64 cameras, and with all of them."""
     from many_cameras import render, write_site
 
     site = render(64, (width, width * 9 // 16))
@@ -129,7 +129,7 @@ def growth(width: int, until: str, memory: str) -> Iterator[Row]:
 
 
 def first(jobs: int, site: Path) -> Iterator[Row]:
-    """A site that has been rendered, with and without compiled kernels."""
+    """Measure two full runs of a rendered site: the first without compiled kernels, the second with them."""
     with tempfile.TemporaryDirectory() as name:
         for k, what in enumerate(("first", "second")):
             arguments = ("run", site, "--jobs", str(jobs), "--work", Path(name) / str(k))
@@ -138,7 +138,7 @@ def first(jobs: int, site: Path) -> Iterator[Row]:
 
 
 def _wbflow(command: str, *arguments: object, kernels: Path | None = None) -> tuple[float, float]:
-    """CPU seconds of all processes, and seconds by the clock, of a command that need not find all well."""
+    """CPU seconds of all processes, and wall-clock seconds, of a command; exit codes 1 and 3 are accepted."""
     words = [sys.executable, "-m", "wbflow", command, *map(str, arguments), "-q"]
     if command == "run" and "--jobs" not in arguments:
         words += ["--jobs", "1"]
@@ -146,7 +146,7 @@ def _wbflow(command: str, *arguments: object, kernels: Path | None = None) -> tu
     own = {"PYTHONPATH": os.pathsep.join(paths)} | ({"NUMBA_CACHE_DIR": str(kernels)} if kernels else {})
     before, start = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
     done = subprocess.run(words, env=os.environ | own, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, check=False)
-    if done.returncode not in {0, 1, 3}:  # without a cloud is 1
+    if done.returncode not in {0, 1, 3}:  # 1: a run without a cloud
         raise SystemExit(f"{' '.join(words)} ended with {done.returncode}")
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
     return after.ru_utime - before.ru_utime + after.ru_stime - before.ru_stime, time.perf_counter() - start

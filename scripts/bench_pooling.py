@@ -1,12 +1,12 @@
-"""Is F of a wide pair better known from the matches of many nights?
+"""Is F of a wide pair more accurate if the matches of many nights are pooled?
 
     bench_pooling.py DEMO RUN RUN... --pairs gate--mast-2 ...
     bench_pooling.py --dark 320x180 --nights 4 --pairs gate--mast-2 ...
 
-DEMO is a folder that `wbflow demo --nights N` has made, the RUNs are folders of runs of its nights, with their work folder's
-cache: their frames are matched, whether the runs did that or not.  With --dark the yard is photographed here, without lamps, in
-so many pixels; each night is one capture: so little light that wide pairs have too little of a single one.  The error of F is the
-median distance of true correspondences to their epipolar lines, in both images, in pixels of the frames.
+DEMO is a folder made by `wbflow demo --nights N`; the RUNs are folders of runs of its nights, whose work folder still has its
+cache.  Their frames are matched here, whether or not the runs did so.  With --dark, the yard is rendered here in this size,
+without lamps, one capture per night: so dark that one night gives too few matches for wide pairs.  The error of F is the median
+symmetric epipolar distance of true correspondences, in pixels of the frames.
 """
 
 from __future__ import annotations
@@ -33,10 +33,10 @@ from wbflow_stages.pooled import pool_matches
 from wbflow_stages.types import Camera, Capture, Float32s, Float64s, Frame, Geometry, Matches, Rejected
 
 _STEP_PX = 4
-"""Every so manieth pixel of the true depth is a correspondence."""
+"""Spacing of the true correspondences in rows and columns of the true depth map, pixels."""
 
 _SAME = 0.02
-"""Both true depths agree within this share: the place is seen by both cameras."""
+"""Both cameras see a point if their true depths of it differ by less than this share."""
 
 
 @dataclass(frozen=True)
@@ -50,11 +50,11 @@ class Truth:
     """Median angle between their rays."""
 
     def at(self, scale: float) -> Truth:
-        """The same in pictures of another size."""
+        """The same correspondences in images scaled by this factor."""
         return replace(self, x1=(self.x1 + 0.5) * scale - 0.5, x2=(self.x2 + 0.5) * scale - 0.5)
 
     def words(self, found: Geometry | Rejected) -> str:
-        """How right a geometry is."""
+        """Describe the error of a geometry, or why it was rejected."""
         if isinstance(found, Rejected):
             return f"rejected: {found.reason} { ({k: round(v, 2) for k, v in found.figures.items()}) }"
         error = float(np.median(symmetric_epipolar_distance(found.F, self.x1, self.x2)))
@@ -62,7 +62,7 @@ class Truth:
 
 
 def cameras_of(demo: Path) -> dict[str, Camera]:
-    """The cameras as they should be."""
+    """The true cameras by name, in the size of their depth maps."""
     entries = json.loads((demo / "cameras.json").read_text())
     found = {}
     for name, entry in entries.items():
@@ -77,7 +77,7 @@ def _depth(demo: Path, name: str) -> Float32s:
 
 
 def truth_of(one: Camera, depth: Float32s, two: Camera, other: Float32s) -> Truth:
-    """Where both cameras see the same, by their true depths."""
+    """Correspondences of the points that both cameras see, from their true depths."""
     y, x = np.mgrid[0 : one.height : _STEP_PX, 0 : one.width : _STEP_PX].reshape(2, -1)
     seen = depth[y, x] > 0
     x1 = np.column_stack([x, y])[seen].astype(np.float64)
@@ -92,7 +92,7 @@ def truth_of(one: Camera, depth: Float32s, two: Camera, other: Float32s) -> Trut
 
 
 def of_runs(demo: Path, runs: list[Path], pairs: list[str]) -> None:
-    """Nights of a demo."""
+    """Report pairs over the nights of a demo."""
     cameras = cameras_of(demo)
     nights = [wbflow.open_run(folder).of_cameras(FRAMES) for folder in runs]
     for pair in pairs:
@@ -103,7 +103,7 @@ def of_runs(demo: Path, runs: list[Path], pairs: list[str]) -> None:
 
 
 def of_the_dark(size: tuple[int, int], nights: int, pairs: list[str]) -> None:
-    """The yard without lamps, a capture a night."""
+    """Report pairs over nights of the yard without lamps, one capture per night."""
     site = render("yard", cameras=8, size=size, captures=nights, light="dark")
     for pair in pairs:
         left, right = (site[name] for name in pair.split("--"))
@@ -115,13 +115,13 @@ def of_the_dark(size: tuple[int, int], nights: int, pairs: list[str]) -> None:
 
 
 def frame(camera: DemoCamera, night: int) -> Frame:
-    """What a camera's capture of a night becomes."""
+    """The clean frame of a camera's capture of one night."""
     picture, mask = (np.frombuffer(data, np.uint8) for data in (jpeg(camera.captures[night]), png(camera.mask)))
     return clean_frame([Capture("picture.jpg", picture)], camera.lens, Capture("mask.png", mask), resolution=None)
 
 
 def reported(pair: str, truth: Truth, frames: list[tuple[Frame, Frame]]) -> None:
-    """Print what each night says, and what all nights up to it do together."""
+    """Print the error of F from each night alone, and from all nights up to it together."""
     print(f"{pair}: {truth.angle_deg:.1f} degrees, {len(truth.x1)} true correspondences")
     matched: list[Matches] = []
     for number, (left, right) in enumerate(frames, 1):

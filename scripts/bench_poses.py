@@ -1,11 +1,11 @@
 #!/usr/bin/env python3
-"""Solved poses beside pycolmap's own pipeline (its SIFT, exhaustive matching, incremental mapper), on photographs with truth.
+"""Compare solved poses with pycolmap's own pipeline (its SIFT, exhaustive matching, incremental mapper) on scenes with truth.
 
-Poses are withheld; intrinsics too with --unknown.  Errors after similarity alignment of the camera centres: mean rotation in
-degrees, mean and largest centre error in centimetres, largest error of a focal length in percent; CPU seconds from photographs
-to poses (ours also those of the poses stage alone).  "turn": mean rotation error after the turn of all cameras that fits best,
-instead of the one that the centres tell: two millimetres on the centres of four cameras almost in a row turn all of them by
-.04 degrees.
+Poses are withheld, and with --unknown the intrinsics too.  Columns: mean rotation error in degrees, and mean and largest centre
+error in centimetres, after similarity alignment of the camera centres; largest error of a focal length in percent; CPU seconds
+from photographs to poses (for wbflow also of the poses stage alone).  "turn" is the mean rotation error after the common rotation
+that fits the orientations best, instead of the one from the centres: errors of 2 mm in the centres of four cameras almost in a
+row rotate all of them by 0.04 degrees.
 
     scripts/bench_poses.py
     scripts/bench_poses.py --sets fountain:0-5-10 fountain:1-5-9 --width 1536
@@ -13,12 +13,12 @@ instead of the one that the centres tell: two millimetres on the centres of four
     scripts/bench_poses.py --json rows.json
     scripts/bench_poses.py --check        the four-camera set at 768 with thresholds, for CI
 
-"yard" is the rendered demo site, whose truth is exact ("yard:one-lens": as if all its cameras had one).
-That of the photographs is not: solutions of all of fountain by two
-programs from different features are turned against each other by .005 degrees and against the truth by .025.  So for a part of a
-scene the table also says how far it is turned against the same program's solution of the whole scene, where that came before
-("to whole").
-pycolmap's figures change from run to run.
+"yard" is the rendered demo site, whose truth is exact; for "yard:one-lens" its images are warped to a common lens.  The truth of
+the photographs is not exact: two programs' solutions of all of fountain, from different features, are rotated by 0.005 degrees
+against each other and by 0.025 degrees against the truth.  So "to whole" is the rotation of a part of a scene against the same
+program's solution of the whole scene, if that came earlier in the run.
+
+pycolmap's figures vary from run to run.
 """
 
 from __future__ import annotations
@@ -82,7 +82,7 @@ class Row:
 
 
 WHOLE: dict[tuple[str, int, bool, str], dict[str, Camera]] = {}
-"""Solutions of whole scenes in this run, by scene, width, whether intrinsics were known, and program."""
+"""Solutions of whole scenes so far, by scene, width, whether intrinsics were known, and program."""
 
 
 def main() -> None:
@@ -117,7 +117,7 @@ def main() -> None:
 
 
 def check() -> None:
-    """Exit 1 where the poses of four cameras are worse than promised."""
+    """Exit with code 1 if the poses of four cameras are worse than the limits."""
     row = ours("fountain:1-4-7-10", 768, True)
     print(row)
     if row.solved < 4 or row.rotation_deg > 0.10 or row.centre_cm > 0.8:
@@ -179,10 +179,10 @@ def theirs(images: str, width: int, known: bool, *, mapper: Literal["incremental
             size = width, round(pixels.shape[0] * width / pixels.shape[1])
             cv2.imwrite(str(folder / "images" / f"{name}.png"), cv2.resize(pixels, size, interpolation=cv2.INTER_AREA))
     database = folder / "database.db"
-    for names in groups:  # of one lens
+    for names in groups:  # cameras with the same lens
         if known:
             K, s = truth[names[0]].K, width / truth[names[0]].width
-            # COLMAP's pixels begin at the corner of the first one
+            # COLMAP's origin is the corner of the first pixel, not its centre
             params = [K[0, 0] * s, K[1, 1] * s, (K[0, 2] + 0.5) * s, (K[1, 2] + 0.5) * s]
             reader.camera_params = ",".join(map(repr, map(float, params)))
         pycolmap.extract_features(
@@ -257,7 +257,7 @@ def yard_frames() -> tuple[dict[str, Frame], dict[str, Camera]]:
 
 
 def one_lens() -> tuple[dict[str, Frame], dict[str, Camera]]:
-    """The yard's frames and true cameras as if all had the lens of the widest."""
+    """The yard's frames and true cameras, all warped to the intrinsics of the widest lens."""
     frames, truth = yard_frames()
     K = min((camera.K for camera in truth.values()), key=lambda one: one[0, 0])
     moved, cameras = {}, {}
@@ -272,7 +272,7 @@ def one_lens() -> tuple[dict[str, Frame], dict[str, Camera]]:
 
 
 RENDERED: dict[str, Callable[[], tuple[dict[str, Frame], dict[str, Camera]]]] = {"yard": yard_frames, "yard:one-lens": one_lens}
-"""Sets that are no photographs: where their frames and true cameras come from."""
+"""Functions that return the frames and true cameras of the rendered sets."""
 
 
 def row_of(

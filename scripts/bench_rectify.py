@@ -1,19 +1,19 @@
 #!/usr/bin/env python3
-"""Rectification methods beside each other on fountain pairs with laser truth: Tables 4-1 to 4-3 of Hao (2011), and more.
+"""Compare rectification methods on fountain pairs with laser truth: Tables 4-1 to 4-3 of Hao (2011), and more.
 
-For each pair and method: mean and 95 % row difference of true correspondences; sqrt of (4-6), the difference of the two nets of
-matches, and the same over the nets' size; disparity range; anisotropy; share of both frames kept; share of visible pixels whose
-dense disparity is off by more than 2 px or missing; CPU milliseconds of `rectify`.  "original" is the pair as photographed;
+Columns: mean and 95th percentile of the row difference of true correspondences; sqrt of (4-6), the difference between the two
+nets of matches, and the same over the nets' size; disparity range; anisotropy; share kept of the frame that loses more; share of
+visible pixels with a dense disparity missing or off by over 2 px; CPU milliseconds.  "original" is the pair as photographed;
 "fusiello" is "calibrated" without its robust affine.  F, and the relative pose of these two, come from the project's own matches.
 
-The judge is `sgbm`, whose windows are upright squares in both images: for such matchers images are made congruent.  `patchmatch`
-slants its windows by itself and hardly notices.
+The dense matcher is `sgbm` unless --dense names another one.  Its windows are upright squares in both images, so it profits from
+congruent images.  `patchmatch` slants its windows itself and depends little on the method.
 
     scripts/bench_rectify.py --pairs 5-4 5-9 --methods hartley congruent
-    scripts/bench_rectify.py --pairs all --dense none            does every pair end in right rows, or in a right refusal?
+    scripts/bench_rectify.py --pairs all --dense none            is every pair rectified rightly or rejected rightly?
     scripts/bench_rectify.py --json rows.json --plot tables.svg
-    scripts/bench_rectify.py --dense patchmatch                  judged by another matcher
-    scripts/bench_rectify.py --check            exit code 1 when a figure is missed
+    scripts/bench_rectify.py --dense patchmatch                  with another dense matcher
+    scripts/bench_rectify.py --check            exit code 1 if a figure misses its limit
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ from wbflow_stages.rectify import rectify
 from wbflow_stages.types import Camera, Disparity, Float64s, Rectification, Rejected
 
 WIDE = "5-2 5-1 5-8 5-9"
-"""Pairs of the sweep from 34 degrees on."""
+"""Pairs of the sweep at angles of 34 degrees and more."""
 
 METHODS = ("original", "hartley", "hao2011", "congruent", "calibrated", "fusiello", "polar")
 
@@ -75,7 +75,7 @@ JSON_KEYS = [
 
 
 def net_difference(y1: Float64s, y2: Float64s) -> tuple[float, float]:
-    """sqrt of (4-6) over the Delaunay net of y2 (n, 2), in x, and its mean square over that of the net's edges."""
+    """sqrt of (4-6) in x over the Delaunay net of y2 (n, 2), and its ratio to the root sum of squares of the net's edges in x."""
     edges = net_edges(y2)
     e1, e2 = (y[edges[:, 0], 0] - y[edges[:, 1], 0] for y in (y1, y2))
     total = float(np.sum((e1 - e2) ** 2))
@@ -83,7 +83,7 @@ def net_difference(y1: Float64s, y2: Float64s) -> tuple[float, float]:
 
 
 def own_cameras(pair: TruePair) -> tuple[Camera | None, Camera | None]:
-    """The first camera at the origin, the second where the matches put it; None where no lens is known."""
+    """The first camera at the origin, the second at the pose from the matches; None, None if a lens or the pose is unknown."""
     g = pair.geometry
     if g.view1.K is None or g.view2.K is None or g.cam2_R_cam1 is None or g.cam2_t_cam1 is None:
         return None, None
@@ -95,7 +95,7 @@ def own_cameras(pair: TruePair) -> tuple[Camera | None, Camera | None]:
 
 
 def only_turned(pair: TruePair, left: Camera, right: Camera) -> Rectification:
-    """Calibrated rectification as the textbook has it: both cameras turned, nothing fitted to the matches but crop and range."""
+    """Textbook calibrated rectification: rotates both cameras; only crop and disparity range are fitted to the matches."""
     g = pair.geometry
     sizes = (left.width, left.height), (right.width, right.height)
     H1, H2, size1, size2 = place(*fusiello(left, right), g.x1, g.x2, *sizes)
@@ -107,7 +107,7 @@ def only_turned(pair: TruePair, left: Camera, right: Camera) -> Rectification:
 
 
 def rectified(pair: TruePair, method: str, cameras: str) -> tuple[Rectification | Rejected, float]:
-    """The pair by one method, and the CPU milliseconds that took."""
+    """The rectification of a pair by one method, and its CPU milliseconds."""
     left, right = (pair.left.camera, pair.right.camera) if cameras == "true" else own_cameras(pair)
     needed = method in ("calibrated", "fusiello")
     if needed and (left is None or right is None):
@@ -157,7 +157,7 @@ def line(r: Row) -> str:
 
 
 def check(rows: list[Row]) -> list[str]:
-    """What the project promises of its default method on the sweep, with F from the matches."""
+    """Faults against the limits of the default method on the sweep, with F from the matches."""
     by = {(r.pair, r.method): r for r in rows}
     promised = []
     for pair in SWEEP.split():
@@ -177,7 +177,7 @@ def check(rows: list[Row]) -> list[str]:
 
 
 def plot(rows: list[Row], file: Path) -> None:
-    """Every column against the pairs; rows of the photographs as they are would dwarf the others' errors and are left out."""
+    """Plot columns against the pairs; except for sqrt_d, "original" is left out, because its errors would dwarf the others."""
     pairs = list(dict.fromkeys(r.pair for r in rows))
     methods = list(dict.fromkeys(r.method for r in rows))
     fields = ("sqrt_d", "sqrt_d_normalised", "disparity_range_px", "vertical_p95_px", "anisotropy", "kept", "bad_or_missing")

@@ -1,12 +1,12 @@
 #!/usr/bin/env python3
-"""Sparse reconstruction, photographs to poses, beside openMVG (openmvg-rs) and COLMAP (pycolmap), incremental and global.
+"""Compare sparse reconstruction (photographs to poses) with openMVG (openmvg-rs) and COLMAP (pycolmap; incremental and global).
 
     scripts/bench_sfm.py [--sets entry:all yard:one-lens ...] [--width 1536] [--systems wbflow openmvg ...] [--json FILE]
 
-All get the same images at the same size, and intrinsics; poses are withheld.  wbflow and openMVG work on one thread, as a worker
-of the engine does: threads that wait for work spin, and count as CPU seconds.  Errors as in `bench_poses.py`.  openMVG takes one
-calibration matrix for all images, so the clean frames of the yard, whose lenses differ, are scaled and moved to one for all
-systems, and what masks cover is black.  Seeds are fixed; COLMAP varies from run to run.
+All systems get the same images at the same size, and intrinsics; poses are withheld.  wbflow and openMVG run on one thread, as a
+worker of the engine does, because idle threads spin and count as CPU seconds.  Errors are those of `bench_poses.py`.  openMVG
+takes one calibration matrix for all images, so the yard's clean frames, whose lenses differ, are scaled and shifted to one matrix
+for all systems; masked pixels are black for openMVG.  Seeds are fixed, but COLMAP still varies from run to run.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ SETS = tuple("yard:one-lens" if images == "yard" else images for images in POSE_
 
 @dataclass(frozen=True)
 class Measured:
-    """One set, one system: what is written."""
+    """One set, one system: a row of the JSON file."""
 
     system: str
     cameras: int
@@ -48,7 +48,7 @@ class Measured:
 
     @classmethod
     def of(cls, system: str, row: Row, wall_s: float) -> Measured:
-        """A row of `bench_poses.py`, and what the clock says."""
+        """Combine a row of `bench_poses.py` with its wall-clock seconds."""
         errors = row.turn_deg, row.rotation_deg, row.centre_cm
         return cls(system, row.cameras, row.images, 1, row.cpu_s, wall_s, row.solved, *errors)
 
@@ -105,7 +105,7 @@ def openmvg(images: str, width: int) -> Row:
 
 
 def _written(images: str, width: int, folder: Path) -> tuple[dict[str, Camera], Float64s, int]:
-    """The set's pictures at a width, in a folder; true cameras, the calibration matrix of all, the width."""
+    """Write the set's images into a folder; returns true cameras, the common calibration matrix, and the images' width."""
     if images in RENDERED:
         frames, truth = RENDERED[images]()
         for name, frame in frames.items():

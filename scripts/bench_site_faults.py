@@ -1,18 +1,18 @@
 #!/usr/bin/env python3
-"""Does a night that is called good have a right cloud?  One thing wrong at a time with a small site whose truth is exact.
+"""Is the cloud right whenever a night is called good?  Changes one thing at a time on small sites with known truth.
 
     bench_site_faults.py FOLDER [--scenes yard carpark ...] [--everywhere] [--only WORD ...] [--quick] [--json FILE]
 
-Renders the scenes into FOLDER, or writes photographs there, works through two nights of each, then makes a copy for each
-variation of `VARIATIONS`, changes it and runs it.  What came of a variation stays in FOLDER/results: a second call goes on where
-the first stopped, and prints all.  Only the last run of a copy counts.  --quick ends a run after its poses where these are
-already found to be wrong: its cloud is not measured.
+Renders the scenes into FOLDER, or writes photographs there, and runs two nights of each.  Then, for each variation of
+`VARIATIONS`, it makes a copy of the scene, changes the copy and runs it.  Results stay in FOLDER/results: a second call resumes
+where the first stopped, and prints all results.  A result is that of the last run of its copy.  With --quick, a copy with a fault
+is run only up to its poses if these are already found to be wrong; its cloud is not measured.
 
-- **Fault**: exit code 0 is a lie where less than 90 % of the points lie within the tolerance of the true surface.
-- **Harmless**: exit code 3 is a false alarm.
-- **Invisible**: no evidence in the pictures can show it; `why` has the proof.
+- **Fault**: exit code 0 is a lie if less than 90 % of the points lie within the tolerance of the true surface.
+- **Harmless**: any exit code other than 0 is a false alarm.
+- **Invisible**: no evidence in the images can show it; `why` has the proof.
 
-Exit code 1 where there is a lie or a false alarm.
+The exit code is 1 if there is a lie or a false alarm.
 """
 
 from __future__ import annotations
@@ -42,13 +42,13 @@ from wbflow_stages.types import Float64s, Uint8s
 
 RIGHT = 0.9
 ANSWERED = {"camera-unverified", "poses-contradicted"}
-"""Doubts that dense matching may answer: a run that has no others goes on to its end."""
+"""Findings that dense matching may refute: with --quick, a copy that has no others after its poses is run to the end."""
 NIGHTS = ("2026-11-19", "2026-11-20")
 
 
 @dataclass(frozen=True)
 class Scene:
-    """A demo site in its small form, or photographs; limits were fitted on it or not."""
+    """A small demo site, or photographs; fitted: the limits of the checks were fitted on this scene."""
 
     render: dict[str, Any]
     tolerance_m: float
@@ -83,7 +83,7 @@ SCENES = {
 
 
 class Site:
-    """A copy of a site that may be changed."""
+    """A copy of a site, which variations may change."""
 
     def __init__(self, folder: Path, night: str) -> None:
         self.folder, self.night = folder, night
@@ -125,16 +125,16 @@ class Variation:
     kind: Literal["fault", "harmless", "invisible"]
     change: Change
     causes: tuple[str, ...] = ()
-    """What explains it: `cause` of the calibration check, or findings."""
+    """Right explanations: each a `cause` of the calibration check or a kind of finding."""
     on: tuple[str, ...] = ("yard",)
     night: int = 1
-    """The second night has the first as reference."""
+    """The night that is run, 1 or 2; the second night has the first as reference."""
     why: str = ""
 
 
 @dataclass
 class Result:
-    """What came of a variation."""
+    """The outcome of a variation."""
 
     scene: str
     name: str
@@ -144,7 +144,7 @@ class Result:
     """Share of all points within the tolerance of the true surface."""
     points: int
     sigma_mm: float | None
-    """Claimed, median."""
+    """Median of the cloud's `sigma_mm`."""
     within_3_sigma: float | None
     findings: list[str] = field(default_factory=list)
     cause: str = ""
@@ -210,7 +210,7 @@ def move(metres: tuple[float, float, float], which: Sequence[int]) -> Change:
 
 
 def centres(change_of: Callable[[Float64s], Float64s], which: Sequence[int] | None = None) -> Change:
-    """change_of: of the (3,) position."""
+    """Change positions; change_of: maps a (3,) position to the stated one."""
 
     def change(site: Site) -> None:
         for camera in site.cameras(which):
@@ -247,7 +247,7 @@ def without_poses(which: Sequence[int], wrong: Change | None = None) -> Change:
 
 
 def as_t(site: Site) -> None:
-    """The vector of x = R X + t in place of the position."""
+    """State the t of x = R X + t instead of the position."""
     for camera in site.cameras():
         camera["C"] = (-np.array(camera["R"]) @ np.array(camera["C"])).tolist()
 
@@ -315,7 +315,7 @@ def sheared(pixels: float) -> Callable[[Uint8s], Uint8s]:
 
 
 def stretched(factor: float) -> Callable[[Uint8s], Uint8s]:
-    """Wider, cut to the same size: pixels that are not square."""
+    """Images stretched in x and cropped to the same size: non-square pixels."""
 
     def change(image: Uint8s) -> Uint8s:
         h, w = image.shape[:2]
@@ -326,7 +326,7 @@ def stretched(factor: float) -> Callable[[Uint8s], Uint8s]:
 
 
 def smaller(factor: float) -> Callable[[Uint8s], Uint8s]:
-    """Enlarged from fewer pixels."""
+    """Images reduced by a factor and enlarged again."""
 
     def change(image: Uint8s) -> Uint8s:
         h, w = image.shape[:2]
@@ -346,7 +346,7 @@ def snowy(image: Uint8s) -> Uint8s:
 
 
 def rainy(image: Uint8s) -> Uint8s:
-    """Streaks, in other places of each picture, through a haze."""
+    """Streaks at different places in each image, and haze."""
     h, w = image.shape[:2]
     rng = np.random.default_rng(int(image.astype(np.int64).sum()) % 2**31)
     streaks = np.zeros((h, w), np.uint8)
@@ -356,7 +356,7 @@ def rainy(image: Uint8s) -> Uint8s:
 
 
 def sensed(image: Uint8s) -> Uint8s:
-    """Noise that grows with light, as that of photons does, besides that of reading."""
+    """Photon noise, whose variance grows with brightness, and read noise."""
     rng = np.random.default_rng(int(image.astype(np.int64).sum()) % 2**31)
     return np.asarray(np.clip(image + rng.normal(size=image.shape) * np.sqrt(2.0 + 0.06 * image), 0, 255), np.uint8)
 
@@ -370,7 +370,7 @@ def grey(image: Uint8s) -> Uint8s:
 
 
 def cropped(share: float) -> Callable[[Uint8s], Uint8s]:
-    """The middle of the picture, in fewer pixels: a recorder that cuts where it should scale."""
+    """The middle of the image, in fewer pixels: a recorder that crops instead of scaling."""
 
     def change(image: Uint8s) -> Uint8s:
         h, w = image.shape[:2]
@@ -381,7 +381,7 @@ def cropped(share: float) -> Callable[[Uint8s], Uint8s]:
 
 
 def torn(pixels: int) -> Callable[[Uint8s], Uint8s]:
-    """The lower part is from when the camera shook."""
+    """The lower 45 % of the image is displaced in x: the camera shook during readout."""
 
     def change(image: Uint8s) -> Uint8s:
         at = image.shape[0] * 55 // 100
@@ -420,7 +420,7 @@ def drops(share: float, which: Sequence[int]) -> Change:
 
 
 def _with_drops(share: float, seed: int) -> Callable[[Uint8s], Uint8s]:
-    """Discs in which the picture is blurred and turned over, at the same places of all pictures of a camera."""
+    """Discs that show the image blurred and rotated by 180 degrees, at the same places in all images of a camera."""
 
     def change(image: Uint8s) -> Uint8s:
         h, w = image.shape[:2]
@@ -434,7 +434,7 @@ def _with_drops(share: float, seed: int) -> Callable[[Uint8s], Uint8s]:
 
 
 def webbed(image: Uint8s) -> Uint8s:
-    """A spider's web before the glass, out of focus."""
+    """A spider's web in front of the glass, out of focus."""
     h, w = image.shape[:2]
     web, middle = np.zeros((h, w), np.uint8), (w // 2, h // 3)
     for angle in np.linspace(0, 2 * np.pi, 14, endpoint=False):
@@ -446,7 +446,7 @@ def webbed(image: Uint8s) -> Uint8s:
 
 
 def hidden(image: Uint8s) -> Uint8s:
-    """A lorry stands before the camera."""
+    """A lorry in front of the camera hides the lower left of the image."""
     h, w = image.shape[:2]
     image = image.copy()
     image[int(0.35 * h) :, : int(0.45 * w)] = (60, 40, 35)
@@ -454,19 +454,19 @@ def hidden(image: Uint8s) -> Uint8s:
 
 
 def unfinished(image: Uint8s) -> Uint8s:
-    """The lower half did not arrive, and is grey."""
+    """The lower half of the image was not transmitted, and is grey."""
     image = image.copy()
     image[len(image) // 2 :] = 128
     return image
 
 
 def infrared(image: Uint8s) -> Uint8s:
-    """By the camera's own lamps: grey, dark toward the corners, noisy."""
+    """An infrared image lit by the camera's own lamps: grey, dark toward the corners, noisy."""
     return noisy(8)(vignetted(0.3)(grey(image)))
 
 
 def boxed(image: Uint8s) -> Uint8s:
-    """Scaled to three quarters, black around it."""
+    """The image scaled to three quarters, with a black border."""
     h, w = image.shape[:2]
     small = cv2.resize(image, None, fx=0.75, fy=0.75, interpolation=cv2.INTER_AREA)
     y, x = (h - len(small)) // 2, (w - small.shape[1]) // 2
@@ -476,7 +476,7 @@ def boxed(image: Uint8s) -> Uint8s:
 
 
 def rolled(degrees: float) -> Callable[[Uint8s], Uint8s]:
-    """Turned about its middle by the recorder."""
+    """Images rotated about their centre by the recorder."""
 
     def change(image: Uint8s) -> Uint8s:
         h, w = image.shape[:2]
@@ -487,12 +487,12 @@ def rolled(degrees: float) -> Callable[[Uint8s], Uint8s]:
 
 
 def doubled(image: Uint8s) -> Uint8s:
-    """The mast shook during the exposure."""
+    """A double image: the mast shook during the exposure."""
     return np.asarray(0.5 * image + 0.5 * np.roll(image, (2, 4), (0, 1)), np.uint8)
 
 
 def wavy(pixels: float) -> Callable[[Uint8s], Uint8s]:
-    """A rolling shutter on a mast that sways."""
+    """Rows displaced by a sine wave: a rolling shutter on a mast that sways."""
 
     def change(image: Uint8s) -> Uint8s:
         h, w = image.shape[:2]
@@ -510,12 +510,12 @@ def half_soft(image: Uint8s) -> Uint8s:
 
 
 def higher(image: Uint8s) -> Uint8s:
-    """A third more rows of the same picture: pixels that are not square."""
+    """The image resampled to a third more rows: non-square pixels."""
     return np.asarray(cv2.resize(image, (image.shape[1], image.shape[0] * 4 // 3), interpolation=cv2.INTER_AREA), np.uint8)
 
 
 def barred(image: Uint8s) -> Uint8s:
-    """A railing stands close before the camera."""
+    """A railing close in front of the camera."""
     image, w = image.copy(), image.shape[1]
     for x in range(w // 10, w, w // 6):
         image[:, x : x + w // 60] = 30
@@ -523,7 +523,7 @@ def barred(image: Uint8s) -> Uint8s:
 
 
 def shimmering(pixels: float) -> Callable[[Uint8s], Uint8s]:
-    """Hot air: each place moves on its own, otherwise in each picture."""
+    """Hot air: smooth random displacements, different in each image; pixels: their standard deviation."""
 
     def change(image: Uint8s) -> Uint8s:
         h, w = image.shape[:2]
@@ -538,7 +538,7 @@ def shimmering(pixels: float) -> Callable[[Uint8s], Uint8s]:
 
 
 def reflections(share: float) -> Change:
-    """Each camera's window mirrors what another one sees."""
+    """Each camera's window reflects the view of another camera."""
 
     def change(site: Site) -> None:
         seen = [cv2.imread(str(site.files(name)[0])) for name in site.names]
@@ -559,7 +559,7 @@ def sharpened(image: Uint8s) -> Uint8s:
 
 
 def equalized(image: Uint8s) -> Uint8s:
-    """Contrast as recorders raise it: by parts of the picture."""
+    """Local contrast raised (CLAHE), as recorders do."""
     lab = cv2.cvtColor(image, cv2.COLOR_BGR2LAB)
     lab[..., 0] = cv2.createCLAHE(3.0, (8, 8)).apply(lab[..., 0])
     return np.asarray(cv2.cvtColor(lab, cv2.COLOR_LAB2BGR), np.uint8)
@@ -570,7 +570,7 @@ def foggy(image: Uint8s) -> Uint8s:
 
 
 def exchanged_captures(order: Callable[[list[str]], list[str]]) -> Change:
-    """Cameras deliver the captures of others."""
+    """Cameras deliver the captures of other cameras; order: maps all names to those whose captures they get."""
 
     def change(site: Site) -> None:
         content = {name: [file.read_bytes() for file in site.files(name)] for name in site.names}
@@ -595,7 +595,7 @@ def same_picture_twice(poses: bool) -> Change:
 
 
 def other_scene(site: Site) -> None:
-    """Camera 0 delivers pictures of elsewhere: random blocks."""
+    """Camera 0 delivers images of another scene: random blocks."""
     rng = np.random.default_rng(3)
     site.pictures(
         lambda image: np.asarray(cv2.resize(rng.integers(0, 255, (20, 36, 3), np.uint8), image.shape[1::-1]), np.uint8), (0,)
@@ -642,7 +642,7 @@ def turned_world(site: Site) -> None:
 
 
 def of_other_size(factor: float, which: Sequence[int]) -> Change:
-    """K belongs to pictures of another size than the one that is stated."""
+    """K belongs to images of another size than the calibration states."""
 
     def change(site: Site) -> None:
         for camera in site.cameras(which):
@@ -652,7 +652,7 @@ def of_other_size(factor: float, which: Sequence[int]) -> Change:
 
 
 def other_night(which: Sequence[int]) -> Change:
-    """Cameras deliver what they saw in the other night."""
+    """Cameras deliver their captures of the other night."""
 
     def change(site: Site) -> None:
         other = NIGHTS[site.night == NIGHTS[0]]
@@ -821,7 +821,7 @@ VARIATIONS = (
     _fault("second night: frames shifted by 6 px", pictures(shifted(6, 0)), "camera-shifted", night=2),
     _fault("second night: captures of two exchanged", exchanged_captures(two_exchanged), "captures-exchanged", night=2),
     _fault("second night: all blurred by 2 px", pictures(blurred(2.0)), "pictures-soft", night=2),
-    # thought of last: limits for tilted cameras, focal lengths, distortion and fog were fitted on another yard and a quarry
+    # added last; limits for tilted cameras, focal lengths, distortion and fog were fitted on another yard and a quarry
     _fault("all tilted by .5 degrees", turn((0.5, 0, 0)), "no-cause", "principal-points"),
     _fault("focal +1.5 %", focal(1.015), *FOCAL),
     _fault("half the distortion", distortion(0.5), *BENT),
@@ -834,7 +834,7 @@ VARIATIONS = (
     _fault("railings before all cameras", pictures(barred), "camera-obscured", "pictures-soft"),
     _harmless("sharpened", pictures(sharpened), TWO),
     _harmless("contrast raised by parts", pictures(equalized), TWO),
-    # what no picture shows
+    # invisible
     Variation("positions x 1.1", "invisible", centres(lambda C: C * 1.1), on=TWO,
               why="x ~ K R (sX - sC) = K R (X - C): every picture of a world times s is the same"),
     Variation("positions in feet", "invisible", centres(lambda C: C * 3.28), on=TWO,
@@ -843,7 +843,7 @@ VARIATIONS = (
               why="x ~ K R ((X + d) - (C + d)): every picture of a moved world is the same"),
     Variation("world turned by 10 degrees", "invisible", turned_world, on=TWO,
               why="x ~ K (R Q') (Q X - Q C): every picture of a turned world is the same"),
-    # unharmed
+    # harmless
     _harmless("as it is", nothing, ALL + LIT + NEW),
     _harmless("second night as it is", nothing, ALL, night=2),
     _harmless("grey", pictures(grey)),
@@ -890,7 +890,7 @@ VARIATIONS = (
 
 
 def prepare(folder: Path, scene: Scene) -> None:
-    """Render a scene, split its captures into two nights and work through both; what is kept is the state after the first."""
+    """Render a scene, split its captures into two nights and run both; keeps the cache of both, and the state after the first."""
     if (folder / "ready").exists():
         return
     shutil.rmtree(folder, ignore_errors=True)
@@ -912,14 +912,14 @@ def prepare(folder: Path, scene: Scene) -> None:
 
 
 def wbflow_run(folder: Path, night: str, *options: str) -> dict[str, Any]:
-    """run.json of a run; where there is none, its exit code and what it printed."""
+    """The run.json of a run, or its exit code and error output if there is none."""
     command = [sys.executable, "-m", "wbflow", "run", str(folder), "--date", night, "--jobs", "1", "--json", *options]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     return dict(json.loads(done.stdout)) if done.stdout.startswith("{") else {"exit_code": done.returncode, "said": done.stderr}
 
 
 def work_through(variation: Variation, name: str, folder: Path, quick: bool) -> Result:
-    """Change a copy of a scene, and run it."""
+    """Apply a variation to a copy of a scene, and run the copy."""
     base, copy = folder / name, folder / f"{name}-copy"
     shutil.rmtree(copy, ignore_errors=True)
     shutil.copytree(base, copy, symlinks=True, ignore=shutil.ignore_patterns("first"))
@@ -954,7 +954,7 @@ def _kinds(record: dict[str, Any]) -> list[str]:
 
 
 def measure(result: Result, cloud: Path, truth: Path, tolerance_m: float) -> None:
-    """Add what the truth shows of a cloud."""
+    """Add the figures of a cloud compared with the truth."""
     table, reference = read_ply(cloud), read_ply(truth / "reference.ply")
     X, true = (np.stack([np.asarray(t[axis], np.float64) for axis in "xyz"], axis=1) for t in (table, reference))
     off, _ = cKDTree(true).query(X, distance_upper_bound=tolerance_m)
@@ -966,14 +966,14 @@ def measure(result: Result, cloud: Path, truth: Path, tolerance_m: float) -> Non
 
 
 def is_wrong(result: Result) -> str:
-    """Is a night called good that is not, or the other way round?"""
+    """Return "LIE" for a wrong cloud called good, "FALSE ALARM" for a harmless change not called good, else an empty text."""
     if result.kind == "fault" and result.exit == 0 and result.right is not None and result.right < RIGHT:
         return "LIE"
     return "FALSE ALARM" if result.kind == "harmless" and result.exit != 0 else ""
 
 
 def row(result: Result) -> dict[str, str | float | None]:
-    """Of the table."""
+    """A result as a row of the table."""
     percent = {k: None if v is None else round(100 * v, 1) for k, v in (("r", result.right), ("s", result.within_3_sigma))}
     return {
         "scene": f"{result.scene}{' (fitted)' if SCENES[result.scene].fitted else ''}",
