@@ -1,4 +1,4 @@
-"""Pictures of a board tell the lens."""
+"""Photographs of a calibration board determine the lens."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ CHECKERS = np.where(np.add.outer(np.arange(7 * PX) // PX, np.arange(10 * PX) // 
 
 
 def seen(texture: Uint8s, rays: Float64s, turn: tuple[float, float, float], shift: tuple[float, float, float]) -> Uint8s:
-    """The lens's picture of a board, whose middle lies at `shift`."""
+    """The image of a board whose middle is at `shift`, as `LENS` shows it."""
     R = np.asarray(cv2.Rodrigues(np.array(turn))[0], dtype=np.float64)
     t = np.array(shift)
     depth = (R[:, 2] @ t) / (rays @ R[:, 2])
@@ -69,7 +69,7 @@ FISHEYE = Lens(
 
 
 def boards_around(count: int, farthest_deg: float) -> tuple[list[Float64s], list[Float64s]]:
-    """Boards in all directions that a fisheye sees, and where it sees their corners."""
+    """Corners of boards up to `farthest_deg` off the axis of a fisheye: on the boards, and in its image, with noise."""
     rng = np.random.default_rng(1)
     flat = np.column_stack([np.mgrid[0:9, 0:6].T.reshape(-1, 2) * SQUARE, np.zeros(54)])
     boards, corners = [], []

@@ -1,4 +1,4 @@
-"""What appears, vanishes and moves is found where it is, with its volume; what nobody saw is unknown; there is nothing else."""
+"""What appears, vanishes or moves is found at its place, with its volume; what no camera sees is unknown; no false changes."""
 
 from __future__ import annotations
 
@@ -119,7 +119,7 @@ def test_nothing_is_reported_where_only_the_light_has_changed(brightness: float)
 def test_what_no_camera_sees_tonight_is_unknown_and_has_not_vanished() -> None:
     then = night(CRATE, NEW_BOX)
     blind = ("c0", "c1", "c2")
-    found = compared(night(CRATE, NEW_BOX, seed=1, blind=blind), then)  # one camera is left: it does not see all
+    found = compared(night(CRATE, NEW_BOX, seed=1, blind=blind), then)  # the one camera that is left does not see everything
     assert found.count == 0
     assert 0.01 < found.unknown_share < 0.5
     assert np.sum(found.label == UNKNOWN) > 100
@@ -144,7 +144,7 @@ def test_a_site_most_of_which_has_moved_is_not_taken_for_a_noisy_one() -> None:
 
 def test_depths_that_are_wrong_on_one_night_are_overruled_by_the_pictures() -> None:
     honest, wrong = night(CRATE, seed=1), night(CRATE, NEW_BOX, seed=1)
-    # the pictures of a night without the box, and its depths and cloud with it
+    # frames of a night without the box, depths and cloud of one with it
     lying = BoxNight(honest.cameras, honest.frames, wrong.depths, wrong.cloud)
     assert compared(wrong, night(CRATE)).count == 1
     assert compared(lying, night(CRATE)).count == 0
@@ -153,14 +153,14 @@ def test_depths_that_are_wrong_on_one_night_are_overruled_by_the_pictures() -> N
 def test_what_half_of_the_cameras_see_through_and_the_others_do_not_know_has_not_vanished() -> None:
     then, tonight = night(CRATE, NEW_BOX), night(CRATE, seed=1)
     assert the_only(compared(tonight, then)).kind == "vanished"
-    # a lattice: tonight two cameras take what is behind for it, and two cannot tell
+    # a lattice: tonight two cameras measure what is behind it, and the other two have no depth there
     depths = dict(tonight.depths)
     for name in ("c0", "c2"):
         seen = depths[name]
         gone = seen.depth > then.depths[name].depth + 0.1
         depths[name] = replace(seen, depth=np.where(gone, np.nan, seen.depth).astype(np.float32))
     assert compared(replace(tonight, depths=depths), then).count == 0
-    # a night of few depths: three see through three quarters of its place
+    # a night of few depths: three cameras see through the box in only five of eight columns
     for name in ("c0", "c1", "c2"):
         seen = tonight.depths[name]
         gone = (seen.depth > then.depths[name].depth + 0.1) & (np.arange(seen.depth.shape[1]) % 8 < 3)
@@ -182,7 +182,7 @@ def test_each_depth_map_is_read_once() -> None:
     tonight["depths"], then["reference_depths"] = Read(tonight["depths"]), Read(then["reference_depths"])
     find_changes(**tonight, **then)
     assert set(reads) == set(tonight["depths"])
-    assert set(reads.values()) == {2}  # tonight's and then's
+    assert set(reads.values()) == {2}  # once for each night
 
 
 def test_only_changes_in_a_zone_count() -> None:
@@ -221,5 +221,5 @@ def test_changes_are_written_for_people_and_programs() -> None:
     crop = cv2.imdecode(np.frombuffer(files["change-1.jpg"], np.uint8), 1)
     assert crop is not None
     half = crop.shape[1] // 2 - 8
-    assert np.abs(crop[:, :half].astype(float) - crop[:, -half:]).mean() > 5  # then and tonight differ
+    assert np.abs(crop[:, :half].astype(float) - crop[:, -half:]).mean() > 5  # the two nights differ
     assert cv2.imdecode(changes_preview(found), 1) is not None

@@ -1,4 +1,4 @@
-"""Which places cameras see, how well, and what the site loses without one of them."""
+"""Which places the cameras see, how well, and what the site loses without each of them."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def test_the_best_pair_tells_angle_and_error() -> None:
     coverage = covered(max_angle_deg=50)
     angle, error = at(coverage, coverage.angle_deg, -0.5, -2.0), at(coverage, coverage.error, -0.5, -2.0)
     assert 30 < angle <= 50
-    # by the plain formula of two equal rays: range / focal * noise / (sqrt(2) sin(angle / 2))
+    # plain formula for two equal rays: range / focal * noise / (sqrt(2) sin(angle / 2))
     reach = float(np.median([np.linalg.norm(c.C - (-0.5, -2.0, 0.0)) for c in YARD.cameras.values()]))
     plain = reach / YARD.cameras["cam+0"].K[0, 0] * 0.35 / (np.sqrt(2) * np.sin(np.radians(angle) / 2))
     assert error == pytest.approx(plain, rel=0.15)

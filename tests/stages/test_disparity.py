@@ -104,7 +104,7 @@ def test_a_night_that_starts_from_another_is_as_good_and_finds_what_is_new() -> 
     y, x = np.mgrid[0:180, 0:240]
     disc = np.hypot(x - 144, y - 90) < 20
     level = np.rint(16 * (truth[:, :60].mean() - fresh.offset_px)).astype(np.int16)
-    then = replace(fresh, left=np.where(disc, level, fresh.left), right=np.where(disc, level, fresh.right))  # it was not there
+    then = replace(fresh, left=np.where(disc, level, fresh.left), right=np.where(disc, level, fresh.right))  # without the disc
     again = match_dense(left, right, rectification, rectification, then)
     assert isinstance(again, Disparity)
     assert not np.array_equal(again.left, fresh.left)
@@ -192,10 +192,10 @@ def test_what_a_matcher_does_not_believe_is_not_kept_but_may_confirm_the_other_v
 
 @pytest.mark.parametrize("matcher", NAMES)
 def test_a_step_towards_a_wall_is_matched_although_the_epipole_lies_in_the_image(matcher: str) -> None:
-    """Rows are rays from the epipole; the wall is slanted, its image in the second camera is drawn by its homography."""
+    """Rows are rays from the epipole; the wall is slanted, and its homography gives its image in the second camera."""
     left = looking(np.zeros(3), np.array([0.0, 0.0, 9.0]))
     right = Camera(left.K, left.R, np.array([0.15, 0.1, 2.0]), left.width, left.height)
-    normal, distance = np.array([0.3, 0.0, 1.0]), 9.0  # points X of the wall: normal . X = distance
+    normal, distance = np.array([0.3, 0.0, 1.0]), 9.0  # the wall is the plane normal . X = distance
     onto_right = left.K @ (np.eye(3) - np.outer(right.C, normal) / distance) @ np.linalg.inv(left.K)
     image1 = texture(left.height, left.width)
     image2 = cv2.warpPerspective(image1, onto_right, (left.width, left.height), borderMode=cv2.BORDER_REFLECT)
@@ -210,7 +210,7 @@ def test_a_step_towards_a_wall_is_matched_although_the_epipole_lies_in_the_image
     at = to_rectified(found, 1, x1)
     values = d[np.rint(at[:, 1]).astype(int), np.rint(at[:, 0]).astype(int)]
     error = np.hypot(*(from_rectified(found, 2, np.column_stack([at[:, 0] - values, at[:, 1]])) - x2).T)
-    away = np.hypot(*(x1 - x1.mean(axis=0)).T) > 60  # beside the epipole nothing moves
+    away = np.hypot(*(x1 - x1.mean(axis=0)).T) > 60  # near the epipole nothing moves
     assert np.mean(~np.isnan(values[away])) > 0.8
     assert np.mean(error[away & ~np.isnan(values)] < 1.5) > 0.95
 
@@ -227,7 +227,7 @@ def test_a_step_towards_a_wall_is_matched_although_the_epipole_lies_in_the_image
     ],
 )
 def test_photographs_are_matched_as_well_as_measured(pair: tuple[int, int], matcher: str, bad: float, missed: float) -> None:
-    """Rectified by the true cameras and matches that the laser gives; errors in pixels of image 2, at half the width."""
+    """Rectified with true cameras and exact matches from laser depth; errors in pixels of image 2, at a quarter of the width."""
     left, right = (photograph(k) for k in pair)
     x1, x2 = laser_matches(left, right)
     few = np.linspace(0, len(x1) - 1, 1500).astype(int)

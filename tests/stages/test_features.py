@@ -1,4 +1,4 @@
-"""Keypoints are spread over the frame, keep off its mask, come in a fixed order and mean what they say."""
+"""Keypoints are spread over the frame, avoid its mask, come in a fixed order, and have correct positions and frames."""
 
 import numpy as np
 import pytest
@@ -8,7 +8,7 @@ from wbflow_stages.types import PLAIN, TILTED, Features, Frame, Rejected, View
 
 
 def blobs(seed: int = 0, width: int = 480, height: int = 320) -> np.ndarray:
-    """A grey world of soft blobs: something for SIFT everywhere."""
+    """A grey image of soft blobs, in which SIFT finds keypoints everywhere."""
     rng = np.random.default_rng(seed)
     y, x = np.mgrid[:height, :width]
     image = np.full((height, width), 110.0)

@@ -1,4 +1,4 @@
-"""A camera's captures of one night: what is clean, what is damaged, what has moved."""
+"""A camera's captures of one night become one frame, without what is damaged and what has moved."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def test_working_size_bounds_the_long_side_and_never_enlarges(
 
 
 def test_intrinsics_follow_the_working_resolution() -> None:
-    """A world point falls on the same spot of the picture, whatever the resolution."""
+    """A world point projects to the same place of the picture, whatever the resolution."""
     K = np.array([[300.0, 0, 150.2], [0, 305.0, 121.7], [0, 0, 1]])
     frame = clean_frame([capture(scene())], Lens(K=K, width=WIDTH, height=HEIGHT), None, resolution=160)
     X = np.array([[0.3, -0.2, 2.0], [-0.5, 0.1, 1.5]])
@@ -151,7 +151,7 @@ def test_a_small_png_that_promises_900_million_pixels_is_not_decoded(monkeypatch
 
 @pytest.mark.parametrize("bits", [1, 8])
 def test_a_large_picture_of_next_to_nothing_is_decoded_and_judged_by_what_it_shows(bits: int) -> None:
-    """Black packs to thousands of pixels in a byte: it is named for what it is."""
+    """Black compresses to more than 1000 pixels per byte: the message calls the image black instead of too large."""
     wide, high = 4000, 3000
     body = zlib.compress((b"\0" + bytes(wide * bits // 8)) * high, 9)
     header = struct.pack(">IIBBBBB", wide, high, bits, 0, 0, 0, 0)
@@ -164,7 +164,7 @@ def test_a_large_picture_of_next_to_nothing_is_decoded_and_judged_by_what_it_sho
 
 
 def test_the_end_of_a_thumbnail_is_not_the_end_of_the_image() -> None:
-    """A JPEG cut short may hold a whole thumbnail in its EXIF segment."""
+    """A truncated JPEG may contain a complete thumbnail in its EXIF segment."""
     thumbnail = capture(scene(width=64, height=48), "t.jpg").data.tobytes()
     image = capture(scene(), "gate.jpg").data.tobytes()
     with_thumbnail = image[:2] + b"\xff\xe1" + (len(thumbnail) + 2).to_bytes(2, "big") + thumbnail + image[2:]
@@ -200,7 +200,7 @@ def test_exif_orientation_is_applied() -> None:
 
 
 def test_what_moves_and_what_flickers_is_gone_from_the_merged_night() -> None:
-    """Five captures with different exposures, and in each a bright van somewhere else."""
+    """Five captures with different exposures, and a bright van at another place in each."""
     truth = scene().astype(np.float64) * 0.6 + 20
     night = []
     for k, exposure in enumerate([1.0, 0.8, 1.15, 0.9, 1.05]):
@@ -239,7 +239,7 @@ def test_the_median_needs_a_majority() -> None:
 
 
 def test_distortion_is_removed_and_its_empty_borders_are_masked() -> None:
-    """A grid of dots drawn where a distorting lens images it comes back to where a pinhole sees it."""
+    """Dots that are drawn where a distorting lens shows them are moved to where a pinhole shows them."""
     K = np.array([[250.0, 0, 160], [0, 250.0, 120], [0, 0, 1]])
     distortion = np.array([0.25, 0.05, 0.002, -0.003, 0.0])  # pincushion: undistorting needs pixels from outside the sensor
     rays = np.array([[x, y, 1.0] for x in (-0.4, 0.0, 0.35) for y in (-0.3, 0.02, 0.28)])

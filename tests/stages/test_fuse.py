@@ -1,4 +1,4 @@
-"""From disparities of pairs to one cloud."""
+"""The disparities of pairs are fused into one cloud."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def test_normals_have_unit_length_face_the_cameras_and_stand_on_their_surface() 
 
 @pytest.mark.parametrize("exposures", [(1.0, 1.0, 1.0), (1.0, 0.6, 1.1)])
 def test_a_surface_has_one_colour_whatever_the_exposures(exposures: tuple[float, float, float]) -> None:
-    """Without balance a stop's difference would show as patches: here colours follow the true ones by one common factor."""
+    """Colours are the true ones times one common factor; without balancing, different exposures would show as patches."""
     yard = make_yard(exposures=exposures)
     cloud = fused(yard)
     truth, seen = yard.colour(cloud.points), cloud.colors.astype(float)
@@ -69,7 +69,7 @@ def test_wrong_matches_are_outvoted() -> None:
 
 
 def test_of_a_hundred_pairs_around_a_view_the_best_are_taken_and_the_others_named() -> None:
-    """Every fourth pair knows half of the image: those are among what is left out."""
+    """Every fourth pair has disparities in only half of the image: all of these pairs are left out."""
     yard = make_yard((-20, 0), width=80)
     ((left, right), disparity), *_ = yard.disparities.items()
     values = disparity.left.copy()
@@ -89,7 +89,7 @@ def test_of_a_hundred_pairs_around_a_view_the_best_are_taken_and_the_others_name
 
 
 def test_more_than_64_pairs_around_a_view_are_counted() -> None:
-    """Thirteen views of one and the same picture, each with eight pairs of its own that all support it."""
+    """Thirteen identical views, each with eight pairs of its own that all support the depth."""
     camera = make_yard((0,), width=16).cameras["cam+0"]
     flat, bits = np.full((12, 16), 5.0, np.float32), np.full((12, 16), 0xFF, np.uint32)
     level, sure = np.zeros_like(flat), np.ones(flat.shape, bool)
@@ -123,7 +123,7 @@ def voxel(yard: Yard) -> float:
 @pytest.mark.parametrize(("scale", "metres"), [(0.1, (0, 0, 0)), (100.0, (0, 0, 0)), (1.0, (565000.0, 5930000.0, 30.0))])
 def test_a_desk_and_a_quarry_give_the_same_cloud(scale: float, metres: tuple[float, float, float]) -> None:
     edge = voxel(make_yard())
-    x, y, z = (edge * round(away / edge) for away in metres)  # else walls fall on other borders of voxels, and less is merged
+    x, y, z = (edge * round(away / edge) for away in metres)  # keeps voxel borders in place, so that as many points are merged
     yard = make_yard(scale=scale, shift=(x, y, z))
     here, there = fused(make_yard()), fused(yard)
     assert len(there.points) == pytest.approx(len(here.points), rel=0.001)
@@ -176,7 +176,7 @@ def test_the_same_inputs_give_the_same_bytes() -> None:
 
 
 class Loading(Mapping[str, DepthMap]):
-    """A lazy mapping that counts what is loaded, and how much of it was in memory at once."""
+    """A lazy mapping that counts the loads, and the most depth maps that were in memory at once."""
 
     def __init__(self, items: Mapping[str, DepthMap]) -> None:
         self.kept, self.most = dict(items), 0
@@ -208,7 +208,7 @@ def test_the_depth_of_a_large_site_is_never_in_memory_at_once(monkeypatch: pytes
 
 
 def exactly_refined(yard: Yard, support: int, sure: bool) -> dict[str, DepthMap]:
-    """The true depth of every view, as if refined.  support: which of the other views show it, as bits."""
+    """The true depth of every view, as if refined.  support: bit mask of the other views that show it."""
     refined = {}
     for name, camera in yard.cameras.items():
         depth = true_depth(camera).astype(np.float32)
@@ -230,7 +230,7 @@ def test_where_refinement_is_not_sure_and_less_likely_the_depth_of_the_pairs_sta
     yard = make_yard()
     refined = exactly_refined(yard, 0b01, sure=False)
     for name, view in refined.items():
-        view.depth[...] *= np.float32(1.05) + 0 * yard.depths()[name].depth  # where there is depth of pairs
+        view.depth[...] *= np.float32(1.05) + 0 * yard.depths()[name].depth  # nan where pairs have no depth
     cloud, pairs = fuse(yard.frames, yard.cameras, yard.depths(), refined), fused(yard)
     assert isinstance(cloud, Cloud)
     assert (yard.distance(cloud.points) < 0.1).mean() > 0.95
@@ -238,7 +238,7 @@ def test_where_refinement_is_not_sure_and_less_likely_the_depth_of_the_pairs_sta
 
 
 def test_a_refined_depth_that_fills_what_shows_nothing_is_believed_where_the_pairs_fill_it() -> None:
-    """Refinement lays a plane over a sky as it does over a wall; of the sky the pairs have nothing."""
+    """Refinement puts a plane on the sky as on a wall, but pairs have no depths in the sky."""
     yard, points = make_yard(), []
     for filled in (True, False):
         frames, depths = dict(yard.frames), dict(yard.depths())

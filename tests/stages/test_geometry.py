@@ -1,4 +1,4 @@
-"""Two-view geometry against exact cameras: the pose comes out, and each degenerate case is called by its name."""
+"""Two-view geometry of exact cameras: the pose is recovered, and each degenerate case is named."""
 
 import numpy as np
 import pytest

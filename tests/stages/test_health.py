@@ -1,4 +1,4 @@
-"""A camera compared with its own reference: what has become of it, by how much, and no false alarm."""
+"""A camera is compared with its own reference: what happened to it, by how much, and no false alarms."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ WORLD = texture(2 * H, 2 * W, seed=3)
 def seen(
     pan_deg: float = 0.0, tilt_deg: float = 0.0, roll_deg: float = 0.0, zoom: float = 1.0, world: np.ndarray = WORLD
 ) -> Frame:
-    """What a camera sees of a far picture when it has turned: the turn of its axes is known exactly."""
+    """A far image as a camera sees it after turning by exactly these angles, at this zoom."""
     R = turn(pan_deg, tilt_deg, roll_deg)
     far = np.array([[F, 0, W - 0.5], [0, F, H - 0.5], [0, 0, 1]])
     lens = K @ np.diag([1, 1, 1 / zoom])
@@ -31,7 +31,7 @@ def seen(
 
 
 def turn(pan_deg: float, tilt_deg: float, roll_deg: float) -> np.ndarray:
-    """(3, 3) from the axes before to those after."""
+    """(3, 3) rotation from the camera axes before to those after."""
     return rotation_matrix(np.radians([tilt_deg, pan_deg, roll_deg]))
 
 

@@ -1,4 +1,4 @@
-"""Geometry of the reference, put right for cameras that have turned or moved since."""
+"""Geometries and poses of the reference, corrected for cameras that have turned or moved since."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ TURN = rotation_matrix(np.radians([0.1, -0.2, 0.05]))
 
 
 def nudged(camera: Camera) -> CameraHealth:
-    """How a camera that has turned by TURN is."""
+    """Health of a camera that has turned by TURN."""
     return CameraHealth("shifted", "turned", corrected=True, turn=TURN, homography=camera.K @ TURN @ np.linalg.inv(camera.K))
 
 
@@ -28,7 +28,7 @@ def reference(site: PairSite) -> Poses:
 
 
 def tonight(site: PairSite, cameras: dict[str, Camera]) -> dict[tuple[str, str], Geometry]:
-    """Geometries of pairs as these cameras see them."""
+    """Geometries of the pairs as these cameras give them."""
     pixels = {name: project(camera, site.X)[0] for name, camera in cameras.items()}
     return {pair: pair_geometry(cameras, site.views, pixels, pair, 0.0) for pair in site.geometries}
 
@@ -83,7 +83,7 @@ def test_a_moved_camera_is_solved_from_the_others() -> None:
 
 
 def test_captures_exchanged_since_are_found_out_tonight() -> None:
-    """Both cameras look elsewhere; the reference's calibration was right, and it is not what it says that is reported."""
+    """Both cameras look elsewhere; the check of tonight is reported instead of the reference's, whose calibration was right."""
     site = make_pair_site(6)
     right = replace(reference(site), calibration=CalibrationCheck(900, 6, True, 1.0))
     one, other = site.cameras["c1"], site.cameras["c4"]

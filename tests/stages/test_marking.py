@@ -1,4 +1,4 @@
-"""Pictures to draw on, and masks made of what was drawn."""
+"""Images to draw areas on, and masks made from these areas."""
 
 from __future__ import annotations
 

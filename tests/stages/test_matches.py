@@ -1,4 +1,4 @@
-"""The matchers find the same points again, whatever their order, and say so when there is nothing to find."""
+"""Matchers find the same points again in any order, and report when there is nothing to find."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def random_features(n: int, rng: np.random.Generator = RNG) -> Features:
 
 
 def seen_again(left: Features, order: np.ndarray, move: np.ndarray) -> Features:
-    """The same keypoints in another order, their descriptors a little different, moved in the image."""
+    """The same keypoints in another order, with slightly different descriptors, moved in the image."""
     noisy = left.descriptors[order] + RNG.normal(0, 0.01, (len(order), 128)).astype(np.float32)
     noisy /= np.linalg.norm(noisy, axis=1, keepdims=True)
     ones, plain = left.responses[order], left.tilts[order]
@@ -95,7 +95,7 @@ def test_the_literal_dominance_test_never_fires_on_hundreds_of_features() -> Non
 
 
 def repeated_windows(seed: int) -> tuple[Features, Features]:
-    """A facade of 12 x 8 equal windows of 4 keypoints each, among 150 distinct ones; the right view is an affine map."""
+    """A facade of 12 x 8 equal windows of 4 keypoints each, and 150 distinct ones; an affine map leads to the right view."""
     rng = np.random.default_rng(seed)
     gx, gy = np.meshgrid(np.arange(12) * 50 + 40, np.arange(8) * 55 + 40)
     corners = np.array([[0, 0], [14, 0], [0, 20], [14, 20]])

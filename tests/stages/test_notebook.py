@@ -1,4 +1,4 @@
-"""Two photographs to disparity by what `wbflow_stages` exports, as in its docstring."""
+"""From two photographs to disparity with the exports of `wbflow_stages`, as in its docstring."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from tests.helpers.synthetic_site import single_pair, write_straight
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Two photographs of the demo yard, by lenses that bend nothing."""
+    """Two photographs of the demo yard, taken with lenses without distortion."""
     folder = tmp_path_factory.mktemp("photographs")
     for name, camera in zip(("left", "right"), single_pair().cameras, strict=True):
         write_straight(folder / f"{name}.png", camera)

@@ -1,4 +1,4 @@
-"""Which views share ground."""
+"""Estimates of which views share ground."""
 
 from __future__ import annotations
 
@@ -87,7 +87,7 @@ def features(descriptors: np.ndarray) -> Features:
 
 
 def appearance(n: int, cameras: int, step: int) -> dict[str, Features]:
-    """Each camera sees `n` points of a long row of them, `step` further along than the last, with noise of its own."""
+    """Each camera sees `n` points of a long row, `step` points further along than the camera before, with its own noise."""
     rng = np.random.default_rng(0)
     world = rng.normal(size=(n + cameras * step, 128))
     return {f"c{k}": features(world[k * step : k * step + n] + 0.3 * rng.normal(size=(n, 128))) for k in range(cameras)}
@@ -103,10 +103,10 @@ def test_without_poses_appearance_ranks_the_pairs() -> None:
 
 
 def test_a_long_lens_is_like_the_short_one_that_sees_the_same_and_not_like_another_long_one() -> None:
-    """Three times the focal length: what it sees is a ninth of the other picture, and what is fine there is large here."""
+    """With three times the focal length, it sees a ninth of the other image, and fine detail there is large here."""
     rng = np.random.default_rng(4)
     short, long = View(1536, 1024, K * [[1.5], [1.5], [1]]), View(512, 341, K * [[1.5], [1.5], [1]])
-    size = 1.7 * rng.pareto(1.2, 8000) + 1.7  # of the keypoints that the short lens has
+    size = 1.7 * rng.pareto(1.2, 8000) + 1.7  # of keypoints in the image of the short lens
     world = rng.normal(size=(8000, 128))
 
     def seen(rows: npt.NDArray[np.int64], times: float, view: View) -> Features:
@@ -143,7 +143,7 @@ def test_a_pair_costs_milliseconds() -> None:
 
 
 def test_of_many_views_those_that_look_alike_are_compared_and_no_neighbour_is_missed() -> None:
-    """Sixty views along a row of things: each shares something with the five before and behind it."""
+    """Sixty views along a row of points: each shares some with the five views before it and the five after it."""
     seen = appearance(120, 60, 20)
     views = {name: View(1024, 768) for name in seen}
     overlap = estimate_overlap(views, {}, seen, candidates=14)

@@ -1,4 +1,4 @@
-"""A matcher whose points are no keypoints: its matches go through geometry, poses and rectification to disparity."""
+"""Matches of a matcher without keypoints are used for geometry, poses, rectification and disparity."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ GRID = "tests.helpers.plug_ins:grid_points"
 
 @pytest.fixture(scope="module")
 def geometries() -> dict[Pair, Geometry]:
-    """Of all pairs of three cameras."""
+    """Geometries of all pairs of three cameras."""
     found = {}
     for a, b in combinations(range(1, 4), 2):
         left, right = straight_frames()[a], straight_frames()[b]

@@ -1,4 +1,4 @@
-"""Depth of many nights: noise falls, what comes and goes is left unknown.  Matches of many nights: a geometry from scraps."""
+"""Pooling many nights lowers the noise of depths, leaves what comes and goes unknown, and gives weak pairs a geometry."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def test_noise_falls_and_more_is_known() -> None:
     pooled = pool_depths(nights)
     assert error(pooled) < 0.5 * error(nights["0"])
     assert np.isfinite(pooled.depth).mean() > 0.99
-    assert 0.03 < float(np.nanmedian(pooled.sigma)) < 0.05  # what errs alike every night stays
+    assert 0.03 < float(np.nanmedian(pooled.sigma)) < 0.05  # an error common to all nights remains
     assert not np.isfinite(pooled.depth[~pooled.sure]).any()
 
 
@@ -69,13 +69,13 @@ def test_better_nights_count_for_more_and_all_partners_are_reported() -> None:
 
 
 LEFT, RIGHT = (looking(np.array([x, 0.0, 0.0]), np.array([0.0, 0.0, 11.0])) for x in (-6.5, 6.5))
-"""They see what lies in the middle from 55 degrees apart."""
+"""Cameras whose rays meet at about 55 degrees in the middle of the scene."""
 TRULY = seen_by_both(LEFT, RIGHT, scene(n=4000))
 
 
 def found(seed: int, again: int = 16) -> Matches:
-    """What one night finds of a pair, .4 pixels off: 16 matches, `again` of them its own, the rest as every night; and 8 wrong
-    ones, the same every night."""
+    """Matches of a pair in one night: 16 right ones with 0.4 pixels of noise, of which `again` differ from night to night and the
+    others are of the same points every night; and 8 wrong ones, the same every night."""
     own, same = np.random.default_rng(seed), np.random.default_rng(0)
     rows = np.concatenate([same.permutation(len(TRULY[0]))[: 16 - again], own.permutation(len(TRULY[0]))[:again]])
     wrong = [same.uniform(0, (WIDTH, HEIGHT), (8, 2)) for _ in "12"]
@@ -90,7 +90,7 @@ def geometry(matches: Matches, left: Features | None = None, right: Features | N
 
 
 def keypoints(x: Float64s, seed: int, count: int = 600) -> Features:
-    """What a night shows of the scene's first points, .4 pixels off: each looks like itself only, the same for the same seed."""
+    """Keypoints at the first `count` points, with 0.4 pixels of noise; descriptors are distinct, and equal for equal seeds."""
     rng = np.random.default_rng(seed)
     looks = rng.normal(size=(len(x), 32)).astype(np.float32)
     looks /= np.linalg.norm(looks, axis=1, keepdims=True)
@@ -111,7 +111,7 @@ def test_a_wide_pair_that_single_nights_reject_is_known_from_four() -> None:
 
 def test_what_every_night_finds_is_no_more_evidence_for_being_found_again() -> None:
     pooled = pool_matches({str(seed): found(seed, again=0) for seed in range(1, 5)})
-    assert len(pooled.x1) <= 16 + 8 + 4  # noise may part a few
+    assert len(pooled.x1) <= 16 + 8 + 4  # noise may separate a few
     assert isinstance(geometry(pooled), Rejected)
 
 
@@ -122,7 +122,7 @@ def test_the_keypoints_of_a_night_say_whether_pooled_matches_are_believed_and_ma
     assert isinstance(alone, Geometry) and isinstance(together, Geometry)
     off = [float(np.median(symmetric_epipolar_distance(each.F, *TRULY))) for each in (alone, together)]
     assert together.score > 0 and together.inliers > 1.5 * alone.inliers and off[1] < 0.8 * off[0]
-    unlike = geometry(pooled, left, keypoints(TRULY[1], 6))  # nothing there looks like what the matches put it to
+    unlike = geometry(pooled, left, keypoints(TRULY[1], 6))  # descriptors of matched keypoints differ
     assert isinstance(unlike, Geometry) and unlike.score < 0
 
 

@@ -1,4 +1,4 @@
-"""Every reason has a code and words; the words need no figure that its call sites do not give; reasons can be counted."""
+"""Every reason has a code and a text, whose figures all call sites give; reasons can be counted."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ SOURCES = sorted(Path(wbflow_stages.__file__).parent.rglob("*.py"))
 
 
 def needed(reason: Reason) -> set[str]:
-    """The figures that the words name."""
+    """Names of the figures in a reason's text."""
     return {name for _, name, _, _ in Formatter().parse(reason.template) if name}
 
 
 def calls() -> Iterator[ast.Call]:
-    """`Rejected(...)` wherever the stages say it."""
+    """All calls of `Rejected(...)` in the stages."""
     for path in SOURCES:
         for node in ast.walk(ast.parse(path.read_text())):
             if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id == "Rejected":

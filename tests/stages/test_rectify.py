@@ -1,4 +1,4 @@
-"""Rectification on exact geometry: rows agree, the epipole may lie anywhere, what would be wrong is rejected with the reason."""
+"""Rectification of exact geometry: rows agree, the epipole may be anywhere, and wrong input is rejected with the reason."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def test_neither_image_is_mirrored_and_pixels_keep_their_size(method: str) -> No
 
 @pytest.mark.parametrize("degrees", [0, 30, 60, 70, 75, 80, 85, 88, 90])
 def test_the_epipole_may_come_from_infinity_to_the_centre_of_the_image(degrees: float) -> None:
-    """The second camera moves sideways (0 degrees) to straight ahead (90)."""
+    """The direction of the second camera from the first: sideways (0 degrees) to straight ahead (90)."""
     a = np.radians(degrees)
     geometry, left, right = two_views(2.0 * np.array([np.cos(a), 0.05, np.sin(a)]))
     for cameras in ((left, right), (None, None)):
@@ -106,7 +106,7 @@ def test_any_two_views_of_a_dolly_get_right_rows_from_f_of_their_own_noisy_match
 
 
 def test_cameras_that_see_each_other_are_rectified_by_rows_that_run_in_opposite_directions() -> None:
-    """Each epipole lies inside the other's image: distance from one epipole falls while that from the other rises."""
+    """Both epipoles lie inside the images: along a row, the distance from one epipole falls while that from the other rises."""
     left = looking(np.array([-2.5, 0.0, 0.0]), np.array([1.0, 0.3, 2.5]))
     right = looking(np.array([2.5, 0.0, 1.0]), np.array([-1.0, -0.2, 3.5]))
     rng = np.random.default_rng(3)
@@ -120,7 +120,7 @@ def test_cameras_that_see_each_other_are_rectified_by_rows_that_run_in_opposite_
 
 
 def test_edges_across_depth_jumps_do_not_shrink_the_congruent_image() -> None:
-    """A wall and things far in front of it: the seed's plain least squares gives the first image away, robust edges don't."""
+    """A wall and things far in front of it: plain least squares (`hao2011`) shrinks the first image, robust edges do not."""
     X = scene(1, 1400, (7.0, 10.0))
     wall = X[X[:, 2] > 9]
     left, right = looking(np.zeros(3), np.array([0.0, 0.0, 8.0])), looking(np.array([2.0, 0.0, 0.0]), np.array([0.0, 0.0, 8.0]))
@@ -138,7 +138,7 @@ def test_edges_across_depth_jumps_do_not_shrink_the_congruent_image() -> None:
 
 
 def test_matches_too_scattered_for_a_congruent_net_fall_back_to_hartley() -> None:
-    """Points all over a deep volume: no surface joins neighbours, and the net would shrink the image."""
+    """Points all over a deep volume: neighbours are on no common surface, and the net would shrink the image."""
     rng = np.random.default_rng(0)
     z = rng.uniform(4, 14, 1500)
     X = np.column_stack([*(rng.uniform(-0.5, 0.5, (2, 1500)) * z), z])
@@ -189,7 +189,7 @@ def test_clustered_matches_do_not_tell_the_rows_of_the_rest() -> None:
 
 @pytest.mark.parametrize("method", ["congruent", "calibrated"])
 def test_matches_too_close_together_for_a_net_do_not_stop_cameras_from_telling_the_rows(method: str) -> None:
-    """All in one cell of the grid of control points."""
+    """All matches are in one cell of the grid of control points."""
     geometry, left, right = two_views(SIDEWAYS, n=60000)
     near = (np.abs(geometry.x1 - np.array([333.0, 280.0])) < 12).all(axis=1)
     assert near.sum() > 20
@@ -200,7 +200,7 @@ def test_matches_too_close_together_for_a_net_do_not_stop_cameras_from_telling_t
 
 
 def test_the_limit_for_rows_grows_with_the_frame() -> None:
-    """The same pair four times as large, noise and all, is as good as before."""
+    """The same pair enlarged four times, noise included, is accepted like the original."""
     geometry, _, _ = two_views(SIDEWAYS, n=900, noise_px=0.4)
     rectified(geometry, None, None)
     S = np.array([[4.0, 0.0, 1.5], [0.0, 4.0, 1.5], [0.0, 0.0, 1.0]])
@@ -237,7 +237,7 @@ def test_an_f_that_is_more_likely_wrong_than_right_is_refused_unless_cameras_rep
 
 
 def test_rows_are_trusted_where_the_scene_is_and_not_where_nothing_was_matched() -> None:
-    """Matches on all of the scene tell its lines; on a strip of it they don't tell the rest's."""
+    """Matches all over the scene determine its epipolar lines; matches in a strip do not determine those of the rest."""
     geometry, _, _ = two_views(SIDEWAYS, noise_px=0.4)
     rectified(geometry, None, None)
     strip = geometry.x1[:, 1] < 0.2 * HEIGHT
@@ -267,7 +267,7 @@ def test_a_flat_scene_is_refused_only_where_f_must_come_from_it() -> None:
 
 
 def test_a_mirrored_image_is_refused() -> None:
-    """Rows and order of x stay perfect when one photograph is a mirror image: only the handedness tells."""
+    """If one photograph is mirrored, rows and the order of x still fit perfectly: only the handedness reveals it."""
     geometry, _, _ = two_views(SIDEWAYS)
     mirror = np.array([[-1.0, 0.0, WIDTH - 1], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
     flipped = dataclasses.replace(
@@ -282,7 +282,7 @@ def test_a_mirrored_image_is_refused() -> None:
 
 @pytest.mark.parametrize("seed", range(4))
 def test_a_wrong_f_is_refused(seed: int) -> None:
-    """Look-alikes: every match obeys F, because partners lie anywhere on its lines."""
+    """Look-alikes: every match obeys F, but its partner is anywhere on the epipolar line."""
     rng = np.random.default_rng(seed)
     geometry, _, _ = two_views(SIDEWAYS)
     x1 = geometry.x1

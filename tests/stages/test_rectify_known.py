@@ -1,4 +1,4 @@
-"""Cameras that are known give the rows without a single match; dense matching has to confirm them."""
+"""Known cameras give the rows without a single match; dense matching has to confirm them."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def test_a_camera_that_is_tilted_by_three_degrees_is_not_confirmed(degrees: floa
 
 
 def test_what_a_solved_lens_bends_is_taken_out_of_matches_and_frames() -> None:
-    """Rows of bent frames are straight again, by the matches as they were found and by dense matching."""
+    """Distorted frames give straight rows, both with matches in distorted pixels and with dense matching."""
     left, right = (replace(camera, radial=(-0.2, 0.02)) for camera in (ONE, TWO))
     height, width = FRAMES[0].mask.shape
     x, y = np.meshgrid(np.arange(width, dtype=np.float64), np.arange(height, dtype=np.float64))
@@ -76,7 +76,7 @@ GROUND = Scene(ground=np.array([0.0, 0.0, 1.0, 0.0]))
 
 
 def matches_at(*heights: float, spread: float = 0.6) -> Geometry:
-    """Sixty matches of points at each of some heights above the ground, so far from its middle."""
+    """Sixty matches of points at each height above the ground, at most `spread` from its middle in x and in y."""
     rng = np.random.default_rng(2)
     X = np.concatenate([np.column_stack([rng.uniform(-spread, spread, (60, 2)), rng.normal(z, 0.05, 60)]) for z in heights])
     found = geometry_of(project(ONE, X)[0], project(TWO, X)[0], fundamental_from_cameras(ONE, TWO))
@@ -84,7 +84,7 @@ def matches_at(*heights: float, spread: float = 0.6) -> Geometry:
 
 
 def reach(found: Rectification, height: float) -> tuple[float, float, float]:
-    """The disparity of a point in the middle at a height, between the ends of the range."""
+    """Smallest disparity of the range, disparity of a point in the middle at this height, and largest of the range."""
     X = np.array([[0.0, 0.0, height]])
     disparity = to_rectified(found, 1, project(ONE, X)[0])[0, 0] - to_rectified(found, 2, project(TWO, X)[0])[0, 0]
     return found.disparity_min_px, float(disparity), found.disparity_max_px

@@ -1,4 +1,4 @@
-"""Depth refined over all views around one, on a yard whose depth is known exactly."""
+"""The depth of one view is refined with all views around it, on a yard whose depth is known exactly."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def refined(yard: Yard, name: str, **parameters: Any) -> DepthMap:
 
 
 def inputs(yard: Yard, name: str) -> tuple[Frame, Camera, DepthMap, dict[str, Frame], dict[str, Camera]]:
-    """What `refine` is given of a view: itself, its depth from pairs, and the views around it."""
+    """Arguments of `refine` for a view: its frame, camera and depth from pairs, and the views around it."""
     around = [other for other in yard.cameras if other != name]
     depth = yard.depth(name)
     assert isinstance(depth, DepthMap)
@@ -152,14 +152,14 @@ def test_a_view_seventy_degrees_aside_is_heard_where_it_alone_shows_the_surface(
 
 
 def test_frames_of_different_sizes_work_together() -> None:
-    """The left camera's picture is half as large again; the pair of the two others starts the middle one off."""
+    """The left camera's image is 1.5 times as large; the depth of the middle one starts from its pair with the right one."""
     small, large = make_yard((-12, 0, 12), noise_px=0.3), make_yard((-12, 0, 12), width=360)
     left, middle, right = small.cameras
     disparities = {pair: d for pair, d in small.disparities.items() if pair == (middle, right)}
     frames, cameras = small.frames | {left: large.frames[left]}, small.cameras | {left: large.cameras[left]}
     after = refined(replace(small, frames=frames, cameras=cameras, disparities=disparities), middle)
     assert after.partners == (left, right)
-    assert (after.support & 1).astype(bool).mean() > 0.4  # the large picture confirms much
+    assert (after.support & 1).astype(bool).mean() > 0.4  # the large image confirms many pixels
     assert np.nanmedian(errors(small, middle, after.depth)) < 0.004
 
 

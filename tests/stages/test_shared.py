@@ -1,4 +1,4 @@
-"""What placed cameras share."""
+"""What posed cameras see in common."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Guides for somebody who points at one place in several pictures."""
+"""Guides for marking one place in several pictures."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ K = [[400.0, 0, 319.5], [0, 400.0, 179.5], [0, 0, 1]]
 
 
 def camera(C: list[float], model: str, distortion: list[float]) -> dict[str, Any]:
-    """One that looks at the origin, z up."""
+    """A camera at C that looks at the origin, z up."""
     ahead = -np.array(C) / np.linalg.norm(C)
     right = np.cross(ahead, [0, 0, 1])
     right /= np.linalg.norm(right)

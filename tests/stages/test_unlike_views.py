@@ -1,4 +1,4 @@
-"""Cameras of which one sees several times finer than the other meet where they see equally fine."""
+"""Cameras of very different resolution are compared at a resolution that both have."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ COARSE = 4
 
 
 def finer(frame: Frame, camera: Camera, times: int) -> tuple[Frame, Camera]:
-    """The same view with more pixels, of which the added detail is noise."""
+    """The same view with `times` as many pixels along each side; the added detail is noise."""
     size = times * camera.width, times * camera.height
     rng = np.random.default_rng(2)
     image = np.asarray(cv2.resize(frame.image, size, interpolation=cv2.INTER_CUBIC), np.float64)
@@ -37,7 +37,7 @@ def test_detail_that_rectified_pixels_are_too_large_for_is_smoothed() -> None:
 
 
 def test_a_match_with_a_coarse_view_is_as_exact_as_rectified_pixels() -> None:
-    """The other view has a fourth of the pixels along each side, and so does not err by its own pixels but by rectified ones."""
+    """The other view has a quarter of the pixels along each side: its error is in rectified pixels instead of its own."""
     yard = make_yard((-8, 8))
     (pair, rectification), (left, right) = next(iter(yard.rectifications.items())), yard.cameras.values()
     depth, gain = pair_depth(left, right, rectification, yard.disparities[pair], 1)

@@ -1,4 +1,4 @@
-"""The static picture of a night: what moves, what is in doubt, which frames count, and what was written over the scene."""
+"""The merged image of a night: what moves, what is doubtful, how frames are weighted, and which overlays are burned in."""
 
 from __future__ import annotations
 
@@ -32,9 +32,9 @@ def as_bytes(picture: np.ndarray) -> Uint8s:
 def test_what_stands_in_most_frames_is_doubtful_and_nothing_else_is() -> None:
     frames = [shot(k, 0.95 + 0.02 * k) for k in range(5)]
     for k, frame in enumerate(frames):
-        frame[20:50, 30 + 40 * k : 55 + 40 * k] = 20  # somebody walks
+        frame[20:50, 30 + 40 * k : 55 + 40 * k] = 20  # a pedestrian
         if k < 2:
-            frame[100:140, 200:240] = 250  # and two different vans stand at one place
+            frame[100:140, 200:240] = 250  # two vans at the same place, one after the other
         elif k < 4:
             frame[100:140, 200:240] = 5
     found = merge(frames)

@@ -1,4 +1,4 @@
-"""A clock that runs in the pictures of a camera is told of, where no mask hides it."""
+"""A running clock in the images of a camera is reported, unless a mask hides it."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def test_a_name_that_stands_still_cars_and_a_mask_are_no_clock() -> None:
 
 
 def paved(shadows: tuple[int | None, ...]) -> list[Uint8s]:
-    """Captures of a paved row of bright and dark stones; across one a shadow falls from the left of each capture's column."""
+    """Captures of a row of bright and dark paving stones; `shadows`: leftmost column of each capture's shadow, None for none."""
     rng = np.random.default_rng(3)
     stones = np.repeat(np.where(rng.random(40) < 0.5, 220.0, 120.0), 16)
     scene = np.full((HEIGHT, WIDTH), 110.0)

@@ -1,4 +1,4 @@
-"""What nobody may see is in no frame."""
+"""Private areas are visible in no frame."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def test_the_area_is_grey_and_masked_whatever_lens_and_size(privacy: Privacy, co
         frame = clean_frame(captures(count), lens, None, privacy, resolution=size)
         magenta = (frame.image[..., 0] > frame.image[..., 1] + 60.0) & (frame.image[..., 2] > frame.image[..., 1] + 60.0)
         assert not magenta[~frame.mask].any()
-        # the scene has purple of its own; of the pure colour of the area nothing is left
+        # the scene itself contains purple, but nothing of the pure magenta of the private area may remain
         assert not ((frame.image[..., 0] > 235) & (frame.image[..., 1] < 40) & (frame.image[..., 2] > 235)).any()
         hidden = (frame.image == GREY).all(axis=2)
         assert hidden.mean() > 0.07

@@ -1,4 +1,4 @@
-"""What cameras and recorders have done to pictures is told, and put right where it can be."""
+"""Damage that cameras and recorders do to images is reported, and repaired where possible."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ HEIGHT, WIDTH = 180, 320
 
 @pytest.fixture(scope="module")
 def scene() -> Uint8s:
-    """A picture in colours with details of all sizes."""
+    """A colour image with detail of all sizes."""
     rng = np.random.default_rng(3)
     picture = np.zeros((HEIGHT, WIDTH, 3))
     for sigma in (0.8, 2.0, 6.0, 25.0):
@@ -51,7 +51,7 @@ def test_rows_that_lie_off_are_shifted_back(scene: Uint8s, shift: int) -> None:
 
 
 def test_of_two_moments_one_is_used(scene: Uint8s) -> None:
-    """What moves by different amounts cannot be shifted back."""
+    """Rows of two moments whose contents move by different amounts cannot be aligned by one shift."""
     later = np.concatenate([np.roll(scene[:90], 14, axis=1), np.roll(scene[90:], -11, axis=1)])
     combed = scene.copy()
     combed[1::2] = later[1::2]

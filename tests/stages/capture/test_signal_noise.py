@@ -1,4 +1,4 @@
-"""Noise of dark nights is measured in the captures, and taken off their frame; day frames stay as they are."""
+"""Noise of dark nights is measured in the captures and removed from their frame; daytime frames stay unchanged."""
 
 from __future__ import annotations
 
@@ -30,14 +30,14 @@ def taken(noise: float, seed: int) -> Capture:
 
 
 def off(image: Uint8s, truth: Uint8s) -> float:
-    """Typical error of the inner part, grey levels."""
+    """Root mean square error without a border of 20 pixels, grey levels."""
     return float(np.sqrt(np.mean((image.astype(float) - truth)[20:-20, 20:-20] ** 2)))
 
 
 @pytest.mark.parametrize("noise", [4.0, 11.0])
 def test_noise_is_measured_before_the_picture_is_straightened(noise: float) -> None:
     frame = clean_frame([taken(noise, 1)], BENT, None)
-    grey = noise * np.sqrt(0.299**2 + 0.587**2 + 0.114**2)  # of three channels whose noise is not the same
+    grey = noise * np.sqrt(0.299**2 + 0.587**2 + 0.114**2)  # weighted sum of three channels with independent noise
     assert frame.noise == pytest.approx(grey, rel=0.2)
 
 

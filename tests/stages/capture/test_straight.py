@@ -1,4 +1,4 @@
-"""Pictures of wide lenses become pinhole pictures of all that a pinhole can show."""
+"""Images of wide lenses become pinhole images that show as much of the field as a pinhole can."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def capture(image: npt.NDArray[Any]) -> Capture:
 
 
 RAMPS = np.stack([*np.meshgrid(np.arange(WIDTH) / 2, np.arange(HEIGHT) / 2), np.full((HEIGHT, WIDTH), 90.0)], axis=-1)
-"""Red tells the column, green the row of a pixel, in steps of two."""
+"""Red encodes the column of a pixel and green its row: one grey level for two pixels."""
 
 
 def dots(x: Float64s) -> Uint8s:
@@ -95,5 +95,5 @@ def test_the_camera_that_is_published_is_the_one_that_was_stated() -> None:
     entry = calibration(Poses({"gate": camera}, {}, {}, True, "calibration"))["gate"]
     assert entry["model"] == "fisheye" and entry["distortion"] == FISHEYE.distortion.tolist()
     assert np.allclose(entry["K"], K) and np.allclose(entry["R"], R) and (entry["width"], entry["height"]) == (WIDTH, HEIGHT)
-    X = DIRECTIONS @ R + camera.C  # and control points of the capture come to where the frame has them
+    X = DIRECTIONS @ R + camera.C  # control points marked in the capture are moved to their pixels of the frame
     assert np.abs(_in_frame(lens_pixels(FISHEYE, DIRECTIONS), frame.view, camera) - project(camera, X)[0]).max() < 1e-9

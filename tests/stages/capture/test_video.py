@@ -1,4 +1,4 @@
-"""Pictures out of videos."""
+"""Images taken from videos."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ SIZE = (160, 96)
 
 @pytest.fixture(scope="module")
 def video(tmp_path_factory: pytest.TempPathFactory) -> Capture:
-    """60 pictures of a scene through which something dark walks."""
+    """60 frames of a still scene through which a dark object moves."""
     file = tmp_path_factory.mktemp("video") / "gate.avi"
     still = cv2.resize(np.random.default_rng(0).integers(60, 220, (8, 12, 3), np.uint8), SIZE, interpolation=cv2.INTER_CUBIC)
     writer = cv2.VideoWriter(str(file), cv2.VideoWriter.fourcc(*"MJPG"), 25, SIZE)

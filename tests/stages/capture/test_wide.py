@@ -1,4 +1,4 @@
-"""A lens that one pinhole cannot show becomes several views that show all of it."""
+"""A lens that is too wide for one pinhole is split into several views that together show all of its field."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ COEFFICIENTS = np.array([-0.012, 0.004, -0.0011, 0.0001])
 
 
 def fisheye(width: int, height: int, across_deg: float) -> Lens:
-    """A fisheye whose picture's width shows so many degrees."""
+    """A fisheye whose image shows `across_deg` degrees across its width."""
     bent = lens_pixels(Lens(np.eye(3), COEFFICIENTS, model="fisheye"), rays_at(across_deg / 2))[0, 0]
     f = 0.5 * width / bent
     K = np.array([[f, 0.0, 0.5 * width + 3.0], [0.0, f, 0.5 * height - 2.0], [0.0, 0.0, 1.0]])
@@ -37,7 +37,7 @@ def views_of(lens: Lens) -> list[Lens]:
 
 
 def shown_in(view: Lens, rays: Float64s) -> np.ndarray:
-    """(n,) is a direction in a view's window?"""
+    """(n,) is each direction inside the window of a view?"""
     assert view.turn is not None and view.window is not None
     x, y, z = (rays @ view.turn.T).T
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -87,9 +87,7 @@ def test_each_view_shows_the_picture_where_its_pinhole_says() -> None:
         usable = frame.mask.ravel()
         assert usable.mean() > 0.6
         off = 1.9 * (frame.image.reshape(-1, 3)[usable, :2].astype(float) - [0, 50]) - came_from[usable]
-        assert (
-            np.percentile(np.abs(off), 99.5) < 2.5
-        )  # at the border of the picture a pixel may be in part of its black surroundings
+        assert np.percentile(np.abs(off), 99.5) < 2.5  # pixels at the border may contain some of the black surroundings
         assert np.abs(off).max() < 12
         assert not frame.notes
     assert same_camera(frames[0].view, frames[1].view)

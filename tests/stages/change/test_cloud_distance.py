@@ -1,4 +1,4 @@
-"""Distances between clouds: right in size and sign, with a level of detection that says how often they are wrong."""
+"""Distances between clouds have the right size and sign, and a level of detection with the stated error rate."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def test_a_step_is_measured_and_the_rest_is_within_its_level_of_detection() -> N
     steep = normals_at(core_points())[:, 2]
     assert np.median(found.distance[raised] / steep[raised]) == pytest.approx(0.1, abs=0.003)
     assert (np.abs(found.distance[raised]) > found.detectable[raised]).mean() > 0.99
-    # one in twenty of the unchanged ones is beyond, as 95 % says
+    # at 95 % confidence, one in twenty unchanged points exceeds the level
     assert (np.abs(found.distance[level]) > found.detectable[level]).mean() == pytest.approx(0.05, abs=0.03)
 
 
@@ -74,7 +74,7 @@ def test_two_clouds_exchanged_give_the_distance_with_the_other_sign() -> None:
 
 @pytest.mark.skipif(importlib.util.find_spec("py4dgeo") is None, reason="py4dgeo (the extra oracle) is not installed")
 def test_py4dgeo_finds_the_same_within_its_uncertainty(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)  # it writes a log where it stands
+    monkeypatch.chdir(tmp_path)  # it writes a log to the working directory
     import py4dgeo
 
     first, second = surface(0), surface(1, step=0.1)
@@ -93,4 +93,4 @@ def test_py4dgeo_finds_the_same_within_its_uncertainty(tmp_path: Path, monkeypat
     agree = np.abs(distances[common] - found.distance[common]) <= uncertainties["lodetection"][common]
     assert agree.mean() > 0.99
     ratio = found.detectable[common] / uncertainties["lodetection"][common]
-    assert np.median(ratio) == pytest.approx(1.0, abs=0.15)  # their spread is our points' own sigma
+    assert np.median(ratio) == pytest.approx(1.0, abs=0.15)  # py4dgeo takes the spread, we the points' sigma: equal here

@@ -1,4 +1,4 @@
-"""A cloud against a scan: registration and deviations of surfaces that are known exactly."""
+"""A cloud compared with a scan: registration and deviations, on surfaces that are known exactly."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ LOCAL = "+proj=topocentric +ellps=WGS84 +lat_0=53.541 +lon_0=9.966 +h_0=52.0"
 
 
 def yard(seed: int, count: int = 40_000, box: float = 2.0, noise: float = 0.0) -> tuple[Float64s, Float64s]:
-    """Points and normals: ground of 20 by 14 m, two walls, and a box of a height in the middle."""
+    """Points and normals: ground of 20 x 14 m, two walls, and a box of height `box` in the middle."""
     rng = np.random.default_rng(seed)
     x, y = rng.uniform((0, 0), (20, 14), (count, 2)).T
     on_box = (np.abs(x - 10) < 1.5) & (np.abs(y - 7) < 1.5)

@@ -1,4 +1,4 @@
-"""Pixels, rays and points of pinhole cameras go with each other exactly."""
+"""Projection, back-projection, rays and poses of pinhole cameras are exactly consistent."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ SEEDS = st.integers(0, 10_000)
 
 
 def some_camera(rng: np.random.Generator) -> Camera:
-    """A camera near the origin that looks along +z, more or less."""
+    """A camera near the origin that looks roughly along +z."""
     K = np.array([[rng.uniform(300, 900), 0, 320.0], [0, rng.uniform(300, 900), 180.0], [0, 0, 1]])
     R = Rotation.from_rotvec(rng.uniform(-0.3, 0.3, 3)).as_matrix()
     return Camera(K, R, rng.uniform(-1, 1, 3), 640, 360)

@@ -1,4 +1,4 @@
-"""Compiled loops keep holes as holes, and work where nothing can be written."""
+"""Compiled loops treat nan and division by zero as numpy does, and work where nothing can be written."""
 
 from __future__ import annotations
 
@@ -65,9 +65,9 @@ assert not consistency._drop_speckles.stats.cache_path, "compiled code was kept 
 
 
 def test_a_read_only_installation_without_a_home_works(tmp_path: Path) -> None:
-    """As under cron: nobody's process, nowhere to write.  The libraries are loaded first, with the rights of whoever tests: other
-    users may not be able to read them."""
-    with tempfile.TemporaryDirectory() as name:  # not `tmp_path`, whose parents are closed to other users
+    """As under cron: the process can write nowhere (root becomes `nobody`).  Libraries are loaded before that, since `nobody`
+    may be unable to read them."""
+    with tempfile.TemporaryDirectory() as name:  # not `tmp_path`, whose parents other users cannot enter
         folder = Path(name)
         package = folder / "wbflow_stages"
         shutil.copytree(Path(wbflow_stages.__file__).parent, package, ignore=shutil.ignore_patterns("__pycache__"))
@@ -117,7 +117,7 @@ def test_two_processes_compile_a_kernel_once_between_them(tmp_path: Path) -> Non
     for process in both:
         assert process.stdout
         assert process.stdout.readline() == "ready\n"
-    for process in both:  # both are let go before either is waited for
+    for process in both:  # both are started before either is awaited
         assert process.stdin
         process.stdin.write("go\n")
         process.stdin.flush()
@@ -126,7 +126,7 @@ def test_two_processes_compile_a_kernel_once_between_them(tmp_path: Path) -> Non
 
 
 def test_no_kernel_uses_anything_of_another_file_of_the_stages() -> None:
-    """What a kernel calls or reads is compiled into it, and numba looks at its own file's time stamp only."""
+    """Whatever a kernel uses is compiled into it, but numba recompiles only if the kernel's own file has changed."""
     root = Path(wbflow_stages.__file__).parent
     sources = {path.relative_to(root).as_posix(): path.read_text() for path in sorted(root.rglob("*.py"))}
     assert sum(len(_kernels(ast.parse(source))) for source in sources.values()) > 50
@@ -144,8 +144,8 @@ def test_a_kernel_that_calls_one_of_another_file_is_found() -> None:
 
 
 def test_python_calls_no_helper() -> None:
-    """It could not: how it would is not compiled.  Helpers are private, so nobody but their own file has to be looked at, and
-    tests."""
+    """Helpers are compiled without a wrapper for calls from Python.  They are private, so it is enough to check the code of their
+    own files, and what the stages and their tests import."""
     root = Path(wbflow_stages.__file__).parent
     sources = {path.relative_to(root).as_posix(): path.read_text() for path in sorted(root.rglob("*.py"))}
     assert {name: found for name, source in sources.items() if (found := _helpers_elsewhere(source))} == {}
@@ -162,7 +162,7 @@ def test_a_helper_that_python_calls_is_found() -> None:
 
 
 def test_no_kernel_copies_an_array_into_a_slice() -> None:
-    """What numba compiles for that, should the shapes differ, takes seconds of a first run; a loop takes none."""
+    """Numba also compiles the case that shapes differ, which adds seconds to a first run; a loop adds none."""
     root = Path(wbflow_stages.__file__).parent
     trees = {path.relative_to(root).as_posix(): ast.parse(path.read_text()) for path in sorted(root.rglob("*.py"))}
     found = {f"{name}: {line}" for name, tree in trees.items() for kernel in _kernels(tree) for line in _copies(kernel)}
@@ -180,7 +180,7 @@ def test_a_kernel_that_copies_an_array_is_found() -> None:
 
 
 def _copies(function: ast.FunctionDef) -> list[str]:
-    """Assignments to slices of what is, or is reckoned from, an array or a part of one."""
+    """Source lines that assign an array, a slice of one, or a value computed from these, to a slice."""
     arrays = {a.arg for a in function.args.args if a.annotation and ast.unparse(a.annotation).endswith("s")}
     lines = []
     for node in (n for n in ast.walk(function) if isinstance(n, ast.Assign) and len(n.targets) == 1):
@@ -201,7 +201,7 @@ _MAKERS = {"np.zeros", "np.ones", "np.empty", "np.full"}
 
 
 def _holds_array(value: ast.expr, arrays: set[str]) -> bool:
-    """Is an array, or a slice of one, part of a value?  A single element is none."""
+    """Does a value contain an array or a slice of one?  Single elements do not count."""
     if isinstance(value, ast.Name):
         return value.id in arrays
     if isinstance(value, ast.Subscript):
@@ -220,7 +220,7 @@ def _is_made_by(function: ast.AST, *decorators: str) -> bool:
 
 
 def _helpers_elsewhere(source: str) -> list[str]:
-    """Helpers that something else than a kernel of their file can call, or of which nothing is known there."""
+    """Helpers that code outside the kernels of their own file uses, or whose names are not private."""
     tree = ast.parse(source)
     helpers = {f.name for f in _kernels(tree) if _is_made_by(f, "helper")}
     free = [node for node in tree.body if not _is_made_by(node, "kernel", "helper")]
@@ -229,7 +229,7 @@ def _helpers_elsewhere(source: str) -> list[str]:
 
 
 def _foreign_in_kernels(source: str) -> list[str]:
-    """Names from other files of the stages that the bodies of kernels use, annotations aside."""
+    """Names imported from other files of the stages that the bodies of kernels use outside annotations."""
     tree = ast.parse(source)
     foreign = set()
     for node in ast.walk(tree):

@@ -1,4 +1,4 @@
-"""Levenberg-Marquardt goes downhill only, and reaches the bottom of curved valleys."""
+"""Levenberg-Marquardt never increases the cost, and reaches the minimum of curved valleys."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Methods are chosen by name or by a dotted function, ask for inputs by name, and read their own parameters only."""
+"""Methods are chosen by name or as a dotted function, receive inputs by name, and accept only their own parameters."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ TABLE = {"first": "a_module_of_methods:first", "second": "a_module_of_methods:se
 
 @pytest.fixture(autouse=True)
 def methods(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A module with two methods, and a third that stands in no table."""
+    """A module with the two methods of the table, and a third one that is not in it."""
     module = types.ModuleType("a_module_of_methods")
     code = (
         "def first(left, *, ratio=0.5): return 'first', left, ratio\n"

@@ -18,7 +18,7 @@ def test_results_come_in_order_however_many_threads_there_are(threads: str, monk
 
 def test_with_two_threads_two_are_at_work(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv(THREADS, "2")
-    met = threading.Barrier(2, timeout=30)  # of which one alone would never get past
+    met = threading.Barrier(2, timeout=30)  # a single thread would never pass it
     assert sorted(parallel_map(lambda _: met.wait(), range(4))) == [0, 0, 1, 1]
 
 

@@ -1,4 +1,4 @@
-"""A lens that is found with the poses is taken out of frames and pairs on the same night."""
+"""Lens distortion that is solved together with the poses is removed from the frames and pairs of the same night."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ x, y = np.meshgrid(np.arange(WIDTH, dtype=np.float64), np.arange(HEIGHT, dtype=n
 
 
 def painted(x: Float64s, y: Float64s) -> Uint8s:
-    """A smooth picture, at any place."""
+    """A smooth RGB image, evaluated at any coordinates."""
     waves = [120 + 60 * np.sin(0.11 * x + k) + 50 * np.cos(0.09 * y - 0.05 * x + 2 * k) for k in range(3)]
     return np.stack(waves, axis=-1).clip(0, 255).astype(np.uint8)
 
 
 def bent_frame() -> Frame:
-    """What the lens makes of the picture."""
+    """The smooth image as the distorting lens shows it."""
     straight = without_distortion(BENT, np.column_stack([x.ravel(), y.ravel()]))
     u, v = (straight[:, k].reshape(x.shape) for k in (0, 1))
     return Frame(painted(u, v), np.ones((HEIGHT, WIDTH), np.bool_), View(WIDTH, HEIGHT, K, False))
@@ -84,7 +84,7 @@ def test_a_rectified_image_is_looked_up_where_the_bent_frame_has_it() -> None:
 
 @pytest.mark.parametrize("radial", [(2.9, -18.5), (-3.0, 0.0), (0.2, 4.0), (-0.5, 0.05)])
 def test_a_wild_lens_moves_pixels_nowhere_that_is_none(radial: tuple[float, float]) -> None:
-    """As an adjustment may guess it from a few points: it folds over within its frame."""
+    """An adjustment from few points may give such coefficients, whose model folds over within the frame."""
     camera = Camera(np.array([[600.0, 0, 239.5], [0, 600, 134.5], [0, 0, 1]]), np.eye(3), np.zeros(3), 480, 270, radial=radial)
     corners = np.array([[0.0, 0], [479, 0], [0, 269], [479, 269], [239.5, 134.5]])
     straight = without_distortion(camera, corners)

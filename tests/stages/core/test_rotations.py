@@ -22,7 +22,7 @@ VECTORS = st.tuples(
 
 
 def vector(seed: int, angle: float) -> np.ndarray:
-    """A vector of a random direction."""
+    """Rotation vector of a random direction and the given angle."""
     axis = np.random.default_rng(seed).normal(size=3)
     return angle * axis / np.linalg.norm(axis)
 

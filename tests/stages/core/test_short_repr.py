@@ -1,4 +1,4 @@
-"""Dataclasses of arrays show themselves in a line."""
+"""Dataclasses of arrays have a short `repr`."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Similarities are found from points that were moved by one, and move cameras with what they see."""
+"""A similarity is recovered from points that it has moved, and moves cameras consistently with the points that they see."""
 
 from __future__ import annotations
 

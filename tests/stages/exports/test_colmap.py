@@ -1,4 +1,4 @@
-"""COLMAP reads the model, and sees every point where our cameras see it."""
+"""COLMAP reads the exported model, and projects every point as our cameras do, with its offset of half a pixel."""
 
 from __future__ import annotations
 

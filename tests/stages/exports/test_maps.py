@@ -1,4 +1,4 @@
-"""Maps of heights and depths, clouds on the map: read back with other libraries."""
+"""Height maps, depth maps and clouds in map coordinates can be read back with other libraries."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def read_pfm(data: bytes, shape: tuple[int, int]) -> np.ndarray:
 
 
 def hill(seed: int = 0, count: int = 40_000) -> np.ndarray:
-    """A ramp that rises to the east by 0.1, 20 by 10, with a pole of 3 at (15, 8)."""
+    """A ramp of 20 x 10 that rises by 0.1 per unit to the east, with a pole at (15.05, 8.05) whose top is at 3."""
     rng = np.random.default_rng(seed)
     x, y = rng.uniform(0, 20, count), rng.uniform(0, 10, count)
     pole = np.column_stack([np.full(50, 15.05), np.full(50, 8.05), np.linspace(1.5, 3.0, 50)])

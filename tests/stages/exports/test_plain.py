@@ -1,4 +1,4 @@
-"""Whatever a stage is handed, as ordinary files and back to the bit."""
+"""Everything that a stage receives can be written to ordinary files and read back bit for bit."""
 
 from __future__ import annotations
 

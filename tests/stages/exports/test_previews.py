@@ -1,4 +1,4 @@
-"""Small pictures for the report."""
+"""Small preview images for the report."""
 
 from __future__ import annotations
 

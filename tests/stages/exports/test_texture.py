@@ -1,4 +1,4 @@
-"""A mesh shows the photographs: of the camera that sees it best, of none that something hides it from."""
+"""A mesh is textured with the photograph of the camera that sees it best, never with one in which it is hidden."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ from wbflow_stages.types import Camera, Float64s, Frame, View
 
 K = np.array([[300.0, 0, 159.5], [0, 300.0, 119.5], [0, 0, 1]])
 DOWN = np.diag([1.0, -1.0, -1.0])
-"""A camera that looks down; its right is east."""
+"""Rotation of a camera that looks down, with east to its right."""
 SIDE_M = 4.0
 
 
 def colour_at(x: Float64s) -> Float64s:
-    """(n, 3) what is painted on the ground at (n, 2)."""
+    """(n, 3) colours painted on the ground at positions x (n, 2)."""
     waves = np.column_stack([np.sin(1.7 * x[:, 0]), np.sin(2.3 * x[:, 1]), np.sin(x.sum(axis=1))])
     return np.asarray(120 + 60 * waves, np.float64)
 
 
 def ground(cells: int = 40, height: float = 0.0, side: float = SIDE_M) -> Mesh:
-    """A square around the origin, of two triangles a cell, counterclockwise from above."""
+    """A square around the origin with two triangles per cell, counterclockwise from above."""
     at = np.linspace(-side / 2, side / 2, cells + 1)
     x, y = np.meshgrid(at, at)
     vertices = np.column_stack([x.ravel(), y.ravel(), np.full(x.size, height)])
@@ -101,11 +101,11 @@ def test_another_program_reads_the_object_and_finds_the_paint_where_it_was(tmp_p
     off: list[Float64s] = []
     for material, picture in enumerate(pictures):
         if read.textures[material].is_empty():
-            continue  # what it puts first for triangles without a material
+            continue  # Open3D puts a texture for triangles without a material first
         chosen = np.asarray(read.triangle_material_ids) == material
         at = uv[chosen].mean(axis=1)
         height, width = picture.shape[:2]
-        pixels = np.column_stack([at[:, 0] * width, at[:, 1] * height]).astype(int)  # open3d turns v round
+        pixels = np.column_stack([at[:, 0] * width, at[:, 1] * height]).astype(int)  # Open3D flips v
         off.append(np.abs(picture[pixels[:, 1], pixels[:, 0], :3] - colour_at(corners[chosen].mean(axis=1)[:, :2])))
     assert len(off) == 2 and np.percentile(np.concatenate(off), 99) < 8
 

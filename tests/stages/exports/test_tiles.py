@@ -1,4 +1,4 @@
-"""3D Tiles, read back by the specification, and by py3dtiles where that is installed (it asks for an older numpy)."""
+"""3D Tiles, read back as specified, and with py3dtiles if that is installed (it requires an older numpy)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The points of the report's 3-D view: few enough to be turned, spread as the cloud is, where and as its own points are."""
+"""Points of the report's 3-D view: few enough to rotate smoothly, spread like the cloud, with its positions and colours."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from wbflow_stages.types import Cloud
 
 
 def bowl(count: int) -> Cloud:
-    """Points on a bowl of 20 m, redder to the east."""
+    """Points on a bowl 20 m wide, redder to the east."""
     rng = np.random.default_rng(0)
     x, y = rng.uniform(-10, 10, (2, count))
     points = np.column_stack([x, y, 0.05 * (x**2 + y**2)])
@@ -28,7 +28,7 @@ def bowl(count: int) -> Cloud:
 
 
 def unpacked(stream: bytes) -> tuple[dict[str, Any], np.ndarray, np.ndarray]:
-    """Head, places (n, 3) and colours (n, 3) as the browser unpacks them."""
+    """Header, positions (n, 3) and colours (n, 3), decoded as in the browser."""
     (length,) = struct.unpack_from("<I", stream)
     head = json.loads(stream[4 : 4 + length])
     planes = np.frombuffer(zlib.decompress(stream[4 + length :]), np.uint8).reshape(-1, head["n"])
@@ -38,7 +38,7 @@ def unpacked(stream: bytes) -> tuple[dict[str, Any], np.ndarray, np.ndarray]:
 
 
 def test_every_uncertainty_is_known_whatever_the_colours_reach_to() -> None:
-    sigma = np.geomspace(2, 5000, 3000).astype(np.float32)  # millimetres; hardly any is beyond 500
+    sigma = np.geomspace(2, 5000, 3000).astype(np.float32)  # millimetres; only the last three exceed 500
     sigma[sigma > 500] = 10
     sigma[-3:] = 700, 2000, 5000
     stream = cloud_view(replace(bowl(3000), sigma_mm=sigma))

@@ -1,4 +1,4 @@
-"""Depths that reach into a region that shows nothing are believed where they fill it: a wall, and not the sky."""
+"""Depths in a region without texture are used only if they fill most of it, as on a wall but not in the sky."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from wbflow_stages.types import Bools, DepthMap, Frame, View
 
 HEIGHT, WIDTH = 120, 160
 TOP = 50
-"""Rows of an even region above textured ground."""
+"""Number of rows of an even region above textured ground."""
 
 
 def frame(noise: float = 0.0) -> Frame:
@@ -30,7 +30,7 @@ def depth_map(known: Bools) -> DepthMap:
 
 
 def known_down_from(row: int) -> Bools:
-    """The ground, and a band above it."""
+    """(h, w) True from this row down: the ground, and what lies between it and the row."""
     return np.repeat(np.arange(HEIGHT)[:, None] >= row, WIDTH, axis=1)
 
 

@@ -1,4 +1,4 @@
-"""Reading a disparity map between its pixels, where depth of a frame's pixels comes from."""
+"""Disparity maps are sampled between their pixels for the depths of a frame, and the depths of pairs are compared."""
 
 import numpy as np
 import pytest
@@ -8,10 +8,10 @@ from hypothesis import strategies as st
 from wbflow_stages.fusion.pair_depth import NoiseModel, apart_px, sample_disparity
 
 
-@settings(deadline=None)  # the first example waits for the compiler
+@settings(deadline=None)  # the first example includes compilation
 @given(st.floats(-6, 6), st.floats(-1, 1), st.integers(0, 2**32 - 1))
 def test_ground_seen_at_a_low_angle_is_read_exactly_between_rows(per_row: float, per_column: float, seed: int) -> None:
-    """It moves by several pixels from row to row: the nearest row alone would be off by up to half of that."""
+    """Its disparity changes by several pixels per row: the nearest row alone would be off by up to half of that."""
     y, x = np.mgrid[0:24, 0:30].astype(np.float32)
     ground = (40 + per_row * y + per_column * x).astype(np.float32)
     at = np.random.default_rng(seed).uniform([0, 0], [28.9, 22.9], (50, 2))
@@ -37,7 +37,7 @@ def test_nothing_is_read_outside_and_beside_holes_only_what_is_known() -> None:
 def test_pairs_differ_as_a_whole_by_what_one_of_them_has_everywhere_and_noise_is_none() -> None:
     rng = np.random.default_rng(0)
     gain = np.full((120, 160), 0.1, np.float32)
-    gain[40:60] = np.nan  # one row of tiles is not seen
+    gain[40:60] = np.nan  # a band of rows is unknown
     depths = [(50 + 0.1 * (off + rng.normal(0, 0.35, gain.shape))).astype(np.float32) for off in (0.0, 0.0, 1.0)]
     depths[1][rng.random(gain.shape) < 0.2] = 30  # look-alikes
     apart = apart_px(depths, [gain, gain, gain], NoiseModel())
@@ -47,7 +47,7 @@ def test_pairs_differ_as_a_whole_by_what_one_of_them_has_everywhere_and_noise_is
 
 
 def test_noise_that_is_alike_over_patches_is_no_difference_as_a_whole() -> None:
-    """At night errors are as large as patches."""
+    """At night, errors are correlated over whole patches, here of 20 x 20 pixels."""
     rng = np.random.default_rng(2)
     gain = np.full((200, 200), 0.1, dtype=np.float32)
     patches = [np.kron(rng.normal(0, 0.5, (10, 10)), np.ones((20, 20))) for _ in range(2)]
@@ -61,7 +61,7 @@ def test_a_pattern_that_one_pair_mistook_is_no_difference_as_a_whole() -> None:
     rng = np.random.default_rng(1)
     gain = np.full((200, 300), 0.1, dtype=np.float32)
     depths = [(50 + 0.1 * rng.normal(0, 0.35, gain.shape)).astype(np.float32) for _ in range(2)]
-    depths[1][:80] += 0.7  # two rows of tiles of five
+    depths[1][:80] += 0.7  # two of the five rows of tiles
     assert apart_px(depths, [gain, gain], NoiseModel())[0, 1] < 0.15
-    gain[:, 12:] = np.nan  # 4 % of the view
+    gain[:, 12:] = np.nan  # 4 % of the view is left, less than needed
     assert apart_px(depths, [gain, gain], NoiseModel()) == {}

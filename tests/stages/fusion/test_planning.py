@@ -1,4 +1,4 @@
-"""Exposures are made equal where views see the same surface; the nearest views are those that share most."""
+"""Exposures are equalised where views see the same surface; the nearest views are those that share most of it."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ K = np.array([[200.0, 0, 159.5], [0, 200, 89.5], [0, 0, 1]])
 
 
 def wall(x: float, gain: float = 1.0) -> tuple[Camera, Subsampled]:
-    """A camera at x that looks at a wall 10 away, whose grey follows the place on the wall."""
+    """A camera at x that looks at a wall at a distance of 10, whose grey level depends on the position on it."""
     camera = Camera(K, np.eye(3), np.array([x, 0.0, 0.0]), 320, 180)
     place = x + (np.arange(320) - 159.5) / 20
     grey = gain * (80 + 30 * np.sin(place))

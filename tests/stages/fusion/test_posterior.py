@@ -1,4 +1,4 @@
-"""How probable points are, and which of a cloud stay."""
+"""Posterior probability of points, and the points of a cloud that are kept."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from wbflow_stages.fusion.visibility import CrossCheck
 from wbflow_stages.types import DepthMap, Float32s, Frame, View
 
 HEIGHT, WIDTH, WALL = 40, 60, 30
-"""From column `WALL` on a wall shows nothing but noise."""
+"""Size of the frame, pixels; from column `WALL` on, it shows nothing but noise."""
 
 
 def noisy_frame(noise: float) -> Frame:
@@ -24,7 +24,7 @@ def noisy_frame(noise: float) -> Frame:
 
 
 def found_by_two(noise: float) -> Float32s:
-    """Probabilities of a plane that one pair shows and nothing contradicts."""
+    """Posterior probabilities of a plane that one pair supports and nothing contradicts."""
     flat, none = np.full((HEIGHT, WIDTH), 10.0, np.float32), np.zeros((HEIGHT, WIDTH), np.float32)
     depth = DepthMap(flat, 0.01 * flat, none, none, np.ones(flat.shape, np.uint32), ("roof",), np.ones(flat.shape, np.bool_))
     one = np.ones(flat.shape, np.uint8)
@@ -35,7 +35,7 @@ def found_by_two(noise: float) -> Float32s:
 def test_where_a_picture_shows_little_but_noise_depths_are_less_probable() -> None:
     shown = noisiness(noisy_frame(8.0))
     assert shown[:, : WALL - 4].max() < 0.1
-    assert abs(np.median(shown[:, WALL + 4 :]) - np.log(2)) < 0.05  # all that the patch shows is noise
+    assert abs(np.median(shown[:, WALL + 4 :]) - np.log(2)) < 0.05  # the patch shows only noise
     quiet, noisy = found_by_two(0.0), found_by_two(8.0)
     inside = (slice(12, -12), slice(12, WALL - 12)), (slice(12, -12), slice(WALL + 12, -12))
     assert np.abs(quiet[inside[0]] - noisy[inside[0]]).max() < 0.02

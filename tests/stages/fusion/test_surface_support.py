@@ -1,4 +1,4 @@
-"""A depth stands alone where its surroundings are unknown, or lie elsewhere."""
+"""A depth has little support where its surroundings are unknown or lie on another surface."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from wbflow_stages.types import Bools, DepthMap, Float32s
 
 
 def slope() -> Float32s:
-    """Depth (80, 120) of ground that falls away, 10 to 20 m."""
+    """Depth (80, 120) of sloping ground, 10 m in the first row to 20 m in the last."""
     return np.repeat(1 / np.linspace(0.1, 0.05, 80)[:, None], 120, axis=1).astype(np.float32)
 
 
@@ -41,7 +41,7 @@ def test_sparse_specks_have_as_much_company_as_there_are_of_them(kept: float) ->
 
 
 def test_neighbours_count_by_their_weight() -> None:
-    """In the middle of a patch that weighs nothing a pixel has no support, at its rim some."""
+    """A pixel in the middle of a patch of weight 0 has no support, one at its rim has some."""
     weight = np.ones(slope().shape, np.float32)
     weight[20:60, 40:80] = 0
     known = np.ones(slope().shape, np.bool_)

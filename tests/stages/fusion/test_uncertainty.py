@@ -1,4 +1,4 @@
-"""The standard deviation of a point is about its error, whatever the model of pixel noise believed."""
+"""The standard deviation of a point is about its error, whatever the pixel noise model assumes."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ EVERYWHERE = np.mgrid[0:ROWS, 0:COLUMNS].reshape(2, -1)
 
 
 def message(own: Float64s, others: Float64s, believed: float, of_others: float) -> float:
-    """Standard deviation that is said of depths that err by `own` (h, w), a share, beside others (n, h, w) that agree; `believed`
-    and `of_others`: what their models say."""
+    """Reported standard deviation, as a share of the depth, of depths with relative errors `own` (h, w), compared with agreeing
+    views of relative errors `others` (n, h, w).  believed, of_others: relative sigmas that the noise models give to both."""
     apart = np.log(np.maximum(np.abs(others - own) / np.hypot(believed, of_others), 0.1)).sum(axis=0).astype(np.float32)
     count, flat = np.full((ROWS, COLUMNS), len(others), np.uint8), np.zeros((ROWS, COLUMNS), np.float32)
     known = np.ones((ROWS, COLUMNS), bool)
@@ -26,7 +26,7 @@ def message(own: Float64s, others: Float64s, believed: float, of_others: float) 
 
 
 def views_of_pairs(noise: float, views: int) -> Float64s:
-    """(views, h, w) errors of views whose depths are the means of their pairs', each of which errs by `noise`."""
+    """(views, h, w) errors of views, each the mean over its pairs, whose errors have the standard deviation `noise`."""
     errors = np.random.default_rng(views).normal(0, noise, (views, views, ROWS, COLUMNS))
     pairs = np.triu(np.ones((views, views)), 1)[..., None, None] * errors
     return np.asarray((pairs + pairs.swapaxes(0, 1)).sum(axis=1) / (views - 1))
@@ -37,20 +37,20 @@ def views_of_pairs(noise: float, views: int) -> Float64s:
 def test_views_that_share_pairs_show_their_errors_all_the_same(noise: float, views: int) -> None:
     own, *others = views_of_pairs(noise, views)
     true = noise / np.sqrt(views - 1)
-    reported = message(own, np.stack(others), 0.001, 0.001)  # what is believed, up to five times as much, counts a little
+    reported = message(own, np.stack(others), 0.001, 0.001)  # the model, wrong by up to a factor of five, has little weight
     assert reported / true == pytest.approx(1.0, abs=0.35)
 
 
 def test_what_was_believed_counts_little_where_views_tell_another_thing() -> None:
     own, *others = views_of_pairs(0.001, 6)
     low, high = (message(own, np.stack(others), believed, believed) for believed in (0.0003, 0.003))
-    assert high / low < 1.6  # of ten
+    assert high / low < 1.6  # the models differ by a factor of ten
 
 
 def test_a_view_that_sees_finely_is_not_taken_for_one_that_errs_as_much_as_those_which_see_roughly() -> None:
     rng = np.random.default_rng(0)
     fine, rough = rng.normal(0, 0.0005, (ROWS, COLUMNS)), rng.normal(0, 0.004, (3, ROWS, COLUMNS))
-    assert message(fine, rough, 0.001, 0.008) == pytest.approx(0.0005, rel=0.3)  # both models fear twice too much
+    assert message(fine, rough, 0.001, 0.008) == pytest.approx(0.0005, rel=0.3)  # both models expect twice the true error
     assert message(rough[0], fine[None], 0.008, 0.001) == pytest.approx(0.004, rel=0.4)
 
 
@@ -66,7 +66,7 @@ def test_where_no_other_view_agrees_the_pixels_around_and_the_model_are_left() -
 
 
 def test_of_a_point_it_is_said_along_the_ray_of_the_nearest_camera() -> None:
-    """A wall seen frontally from ten metres; a nearer camera sees it at an angle of 30 degrees."""
+    """A wall seen frontally from 10 m; a nearer camera sees it at an angle of 30 degrees to its surface."""
     camera = Camera(np.diag([500.0, 500.0, 1.0]), np.eye(3), np.zeros(3), 100, 100)
     points, normals = np.array([[0.0, 0.0, 10.0]] * 2), np.array([[0.0, 0.0, -1.0]] * 2)
     aslant = points[:1] + 4.0 * np.array([[np.cos(np.pi / 6), 0.0, -np.sin(np.pi / 6)]])

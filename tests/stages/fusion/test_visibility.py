@@ -1,4 +1,4 @@
-"""Several views of one wall say how probable a depth is."""
+"""Several views of one wall determine how probable a depth is."""
 
 from __future__ import annotations
 
@@ -9,18 +9,18 @@ from wbflow_stages.fusion.visibility import CrossCheck, TrustedDepth, cross_chec
 from wbflow_stages.types import Camera, DepthMap, Float32s
 
 SIDE, FOCAL, WALL = 80, 200.0, 10.0
-"""Pixels of a frame and of the focal length; metres to the wall, on which a pixel covers five centimetres."""
+"""Side of the frame and focal length, pixels; distance of the wall, metres, at which a pixel covers 5 cm."""
 PATCH = slice(30, 50), slice(30, 50)
 
 
 def cameras(count: int) -> dict[str, Camera]:
-    """Side by side, in steps of 30 cm; they look along z."""
+    """Cameras side by side, 30 cm apart, that look along z."""
     K = np.array([[FOCAL, 0.0, SIDE / 2], [0.0, FOCAL, SIDE / 2], [0.0, 0.0, 1.0]])
     return {f"c{k}": Camera(K, np.eye(3), np.array([0.3 * k, 0.0, 0.0]), SIDE, SIDE) for k in range(count)}
 
 
 def leaning(camera: Camera, lean: float) -> tuple[Float32s, Float32s]:
-    """Depth (h, w) of a wall that recedes by `lean` per metre to the right, and its slope in inverse depth."""
+    """Depth (h, w) of a wall that recedes by `lean` metres per metre to the right, and its slope in inverse depth."""
     x = (np.arange(SIDE) - SIDE / 2) / FOCAL
     q = (1 - lean * x) / (WALL + lean * camera.C[0])
     depth = np.broadcast_to(1 / q, (SIDE, SIDE)).astype(np.float32)
@@ -28,7 +28,7 @@ def leaning(camera: Camera, lean: float) -> tuple[Float32s, Float32s]:
 
 
 def views(count: int, lean: float, off: float) -> tuple[dict[str, Camera], dict[str, DepthMap]]:
-    """Depths of such a wall, of which the first view has a patch that is `off` metres behind it."""
+    """Depth maps of a leaning wall; in that of the first view, a patch lies `off` metres behind the wall."""
     found, maps = cameras(count), {}
     names = tuple(found)
     for name, camera in found.items():
@@ -43,7 +43,7 @@ def views(count: int, lean: float, off: float) -> tuple[dict[str, Camera], dict[
 
 
 def check_of(found: dict[str, Camera], maps: dict[str, DepthMap], own: float) -> CrossCheck:
-    """What the others say of the first view, each with these log-odds of being right itself."""
+    """Cross-check of the first view against the others; `own`: log-odds that a view's own depth is right."""
     trusted = {name: TrustedDepth(depth, np.full(depth.depth.shape, own, np.float32)) for name, depth in maps.items()}
     return cross_check("c0", ["c1", "c2", "c3"], found, trusted.__getitem__)
 
@@ -57,7 +57,7 @@ def test_views_of_the_same_wall_speak_for_it(lean: float) -> None:
 
 @pytest.mark.parametrize(("own", "against"), [(5.0, 10.0), (-2.0, 0.5)])
 def test_views_look_through_a_depth_as_surely_as_their_own_is_right(own: float, against: float) -> None:
-    """A patch half a metre before the wall: sure views rule it out, unsure ones hardly speak against it."""
+    """A patch 0.5 m in front of the wall: views that are sure of their depth rule it out, unsure ones hardly oppose it."""
     check = check_of(*views(4, 0.0, off=-0.5), own=own)
     seen = -check.opposing[PATCH]
     assert (seen > against).all() if own > 0 else (seen < against).all()

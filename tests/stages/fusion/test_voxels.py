@@ -1,4 +1,4 @@
-"""Samples of one cell become one, whatever the order of the views."""
+"""Samples in one cell are merged into one, whatever the order of the views."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Headers of image files: segments of a JPEG, the focal length and the size that are written there."""
+"""Headers of image files: the segments of a JPEG, and the focal length and image size stated there."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def test_other_files_and_cut_ones_have_no_scan() -> None:
 
 
 def photograph(order: str, focal_mm: int | None, width: int = 120, height: int = 80) -> np.ndarray:
-    """A JPEG with an EXIF segment in the byte order "<" or ">"."""
+    """A JPEG with an EXIF segment in the byte order "<" or ">", or without one if `focal_mm` is None."""
     pixels = np.random.default_rng(0).integers(0, 255, (height, width, 3), dtype=np.uint8)
     plain = cv2.imencode(".jpg", pixels)[1].tobytes()
     if focal_mm is None:

@@ -1,4 +1,4 @@
-"""A learned matcher that somebody brings: what it finds, and what is said of a file that is none."""
+"""A learned matcher that a user supplies: what it finds, and the message for a file that is no such model."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ PLACES = np.array([[12 + 6 * (i % 4) * 3, 16 + 16 * (i // 4)] for i in range(POI
 
 
 def dots(move: Float64s, times: int = 1) -> Frame:
-    """Dots of all brightnesses, moved; `times` as many pixels along each side."""
+    """Dots of different brightness, moved by `move`, with `times` as many pixels along each side."""
     image = np.zeros((HEIGHT, WIDTH, 3), dtype=np.uint8)
     for k, (x, y) in enumerate((PLACES + move).astype(int)):
         image[y, x] = 255 - 10 * k
@@ -55,15 +55,15 @@ def test_points_of_the_two_pictures_are_matched() -> None:
 def test_a_model_of_a_size_sees_the_frame_in_that_size_and_its_points_are_in_pixels_of_the_frame() -> None:
     matches = found(dots(np.zeros(2), times=4), dots(SHIFT), two_pictures(WIDTH, HEIGHT))
     assert isinstance(matches, Matches)
-    np.testing.assert_allclose(matches.x1, 4 * PLACES + 1.5)  # the middle of 4 x 4 pixels
+    np.testing.assert_allclose(matches.x1, 4 * PLACES + 1.5)  # the centre of a block of 4 x 4 pixels
     np.testing.assert_array_equal(matches.x2, PLACES + SHIFT)
 
 
 def test_what_a_mask_hides_and_what_the_model_doubts_is_no_match() -> None:
     left, right = dots(np.zeros(2)), dots(SHIFT)
-    left.mask[:20] = False  # the first of three rows
+    left.mask[:20] = False  # the first of three rows of dots
     dim = right.image.copy()
-    dim[dim == 205] = 178  # and one dot of another brightness
+    dim[dim == 205] = 178  # one dot has another brightness
     matches = found(left, Frame(dim, right.mask, right.view), two_pictures(WIDTH, HEIGHT), min_score=0.99)
     assert isinstance(matches, Rejected) and matches.figures == {"matches": 7, "needed": 8}
 

@@ -1,4 +1,4 @@
-"""The parts of the matchers against what they replace: dense SVD, brute force, exact maps."""
+"""Parts of the matchers, compared with what they replace: dense SVD, brute force, exact maps."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def test_nearest_points_are_those_of_brute_force_however_they_lie(n: int, k: int
     rng = np.random.default_rng(seed)
     points = rng.random((n, 2)) * [500.0 * width, 500.0]
     points[: n // 3] = points[0] + rng.random((n // 3, 2))  # a cluster
-    points[-1] = points[-1] * 10 + 5  # and one far away
+    points[-1] = points[-1] * 10 + 5  # one point far away
     queries = np.vstack([rng.random((40, 2)) * 1200 - 300, points[: n // 2]])
     k = min(k, n)
     distance, index = nearest_points(points, queries, k)

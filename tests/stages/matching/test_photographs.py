@@ -1,4 +1,4 @@
-"""Photographed pairs: more right matches than the kd-tree, poses to a fraction of a degree, and no belief in strangers."""
+"""Photographed pairs: more right matches than with the kd-tree, poses to a fraction of a degree, unrelated views rejected."""
 
 import json
 import os
@@ -38,7 +38,7 @@ def view(scene: str, number: int) -> tuple[Features, Camera]:
 
 
 def pair(left: int, right: int, **options: object) -> tuple[Matches, int]:
-    """Matches of a fountain pair, and how many lie on their true epipolar lines."""
+    """Matches of a pair of the fountain, and how many are within 1.5 pixels of their true epipolar lines."""
     (f, cam1), (g, cam2) = view("fountain", left), view("fountain", right)
     found = match(f, g, **options)  # type: ignore[arg-type]
     assert isinstance(found, Matches)

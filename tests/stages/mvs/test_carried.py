@@ -1,4 +1,4 @@
-"""Depths of other views as planes to be tried, on a yard whose depth is known exactly."""
+"""Depths of other views serve as candidate planes, on a yard whose depth is known exactly."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def yard() -> Yard:
 
 
 def exact(yard: Yard, name: str) -> DepthMap:
-    """The true depth, as pairs might have given it."""
+    """The true depth, as if it came from pairs."""
     z = true_depth(yard.cameras[name]).astype(np.float32)
     slope_x, slope_y = inverse_depth_slopes(z, 500.0)
     return replace(yard.depths()[name], depth=z, slope_x=slope_x, slope_y=slope_y)
@@ -43,7 +43,7 @@ def test_a_view_of_another_world_has_no_say(yard: Yard) -> None:
 
 
 def test_what_no_pair_of_the_view_has_is_found_where_others_have_it(yard: Yard) -> None:
-    """All that the view has itself is a stripe far from the middle: planes would have to spread from there."""
+    """The view's own depth is a stripe of 12 columns at its left border: alone, planes would have to spread from there."""
     name, depths = list(yard.cameras)[1], yard.depths()
     others = {n: camera for n, camera in yard.cameras.items() if n != name}
     known = depths[name].depth.copy()

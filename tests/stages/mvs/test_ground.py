@@ -1,4 +1,4 @@
-"""The ground is found from what all views show of it, and is carried exactly from one view to another."""
+"""The ground plane is found from all views together, and maps its points exactly from one view to another."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from wbflow_stages.types import Float32s
 
 
 def pictures(height: float, repeated: int = 0) -> dict[str, Float32s]:
-    """Grey pictures of flat ground; repeated: of tiles of so many texels."""
+    """Grey images of flat ground; repeated: side in texels of the tile that it repeats, 0 for none."""
     ground = texture()
     if repeated:
         tile = ground[:repeated, :repeated]

@@ -1,4 +1,4 @@
-"""Patches of the ground are found in another view within reach, and only where nothing else there looks the same."""
+"""Patches of the ground are found in another view within a search radius, if nothing else there looks the same."""
 
 from __future__ import annotations
 

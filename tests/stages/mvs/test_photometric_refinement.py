@@ -1,4 +1,4 @@
-"""Planes that are right to within half a pixel end where the photographs put them."""
+"""Planes that are off by about half a pixel are moved to where the photographs fit best."""
 
 from __future__ import annotations
 
@@ -9,15 +9,15 @@ from wbflow_stages.types import Float32s, Float64s, Int32s
 
 ROWS, COLUMNS, MARGIN = 48, 150, 14
 TRUE = 0.073
-"""Inverse depth of all that is seen."""
+"""True inverse depth of the whole scene."""
 BASES = np.array([[100.0, 0.0, 0.0], [0.0, -120.0, 0.0]])
-"""By how many pixels a unit of inverse depth moves what is seen, in x and in y, in each source."""
+"""Pixels in x and y by which a unit of inverse depth moves the image in each source (b of `Propagation`)."""
 TAPS: Int32s = 2 * np.array([(0, 0), *((x, y) for y in (-2, 0, 2) for x in (-2, 0, 2) if (x, y) != (0, 0))], np.int32)
 INSIDE = slice(MARGIN, ROWS - MARGIN), slice(MARGIN, COLUMNS - MARGIN)
 
 
 def seen_from(base: Float64s, contrast: float = 20.0) -> Float32s:
-    """A waved picture, moved as the source sees it."""
+    """An image of waves, shifted as the source of this base sees it."""
     y, x = np.mgrid[0:ROWS, 0:COLUMNS].astype(np.float64)
     x, y = x - TRUE * base[0], y - TRUE * base[1]
     waves = np.random.default_rng(3).uniform((-0.9, -0.9, 0.0), (0.9, 0.9, 6.3), (12, 3))
@@ -25,7 +25,7 @@ def seen_from(base: Float64s, contrast: float = 20.0) -> Float32s:
 
 
 def polished(planes: Float32s, contrast: float = 20.0) -> Float32s:
-    """The planes after a step, from a picture and two sources."""
+    """The planes after one step of refinement with an image and two sources."""
     sources = np.stack([seen_from(base, contrast) for base in BASES])
     usable = np.ones((ROWS, COLUMNS), np.bool_)
     view = Propagation(seen_from(np.zeros(3), contrast), usable, sources, np.stack([np.eye(3)] * 2), BASES, TAPS)

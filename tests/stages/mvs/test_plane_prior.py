@@ -1,4 +1,4 @@
-"""Even surfaces: the planes that their depths tell, and what stays as it was."""
+"""Even surfaces are put on planes fitted to their depths; other surfaces stay as they are."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from wbflow_stages.refine import refine
 from wbflow_stages.types import DepthMap, Float32s, Uint8s
 
 SHAPE = (120, 200)
-WALL = (40.0, 0.02, -0.01)  # pixels of a source at the middle, and per pixel
+WALL = (40.0, 0.02, -0.01)  # at the middle, in pixels of a source, and its change per pixel in x and y
 NOISE_PX = 0.8
 
 
@@ -26,7 +26,7 @@ def plane(at_middle: float, along_x: float, along_y: float) -> Float32s:
 
 
 def plaster() -> Uint8s:
-    """Bright, nearly even, with six windows in which much is to be seen."""
+    """A bright, nearly even wall with six richly textured windows."""
     rng = np.random.default_rng(0)
     image = rng.integers(198, 202, (*SHAPE, 3)).astype(np.uint8)
     for left in range(20, 200, 60):
@@ -82,11 +82,11 @@ def test_windows_belong_to_no_region_of_the_plaster() -> None:
     wall = regions[60, 5]
     assert wall > 0
     assert (regions[~inside] == wall).mean() > 0.95
-    assert (regions[inside] == wall).mean() < 0.2  # rims of a pixel
+    assert (regions[inside] == wall).mean() < 0.2  # rims one pixel wide
 
 
 def test_ground_of_which_single_patches_show_next_to_nothing_is_known_by_its_plane() -> None:
-    """A fiftieth of the yard's contrast under half a grey level of noise: without planes .08 of the pixels are sure."""
+    """With 1/50 of the yard's contrast and noise of half a grey level, only 0.08 of the pixels are sure without planes."""
     yard, rng = make_yard((-24, -8, 8, 24), noise_px=0.5), np.random.default_rng(0)
     frames = {name: replace(frame, image=faint(frame.image, rng)) for name, frame in yard.frames.items()}
     name = list(yard.cameras)[1]
@@ -107,7 +107,7 @@ def test_ground_of_which_single_patches_show_next_to_nothing_is_known_by_its_pla
     ],
 )
 def test_painted_surfaces_with_relief_are_not_laid_on_planes(relief: Relief, within: float) -> None:
-    """Planes that depths alone allow put .42 of the waves within 5 cm."""
+    """If depths alone decided where planes are used, only 0.42 of the waves would be within 5 cm."""
     wall = make_wall(relief)
     others = {name: camera for name, camera in wall.cameras.items() if name != wall.name}
     after = refine(wall.frames[wall.name], wall.cameras[wall.name], wall.start(), wall.frames, others)
@@ -118,7 +118,7 @@ def test_painted_surfaces_with_relief_are_not_laid_on_planes(relief: Relief, wit
 
 @pytest.mark.parametrize(("moves", "noisy"), [(1.0, True), (0.3, False)], ids=["far source", "near source"])
 def test_scatter_counts_in_pixels_of_the_source_that_sees_it(moves: float, noisy: bool) -> None:
-    """What scatters by .8 px in the median source is found by chance, unless seen by one that moves by .3 of that with depth."""
+    """Depths that scatter by 0.8 px of the median source are noisy, unless their source has only 0.3 of its parallax."""
     scale, ones = np.float32(5000), np.ones(SHAPE, np.float32)
     laid = flats._Laid(plane(*WALL)[None].repeat(3, 0), ones, np.ones(SHAPE, bool), NOISE_PX * ones)
     support = Support(ones, ones, np.ones(SHAPE, np.uint32), (moves * scale) ** 2 * ones)

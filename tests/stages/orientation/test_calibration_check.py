@@ -1,4 +1,4 @@
-"""A stated calibration that is wrong as a whole is found out, with its cause; a right one is left alone."""
+"""A stated calibration that is wrong as a whole is detected and its cause named; a right one is not contradicted."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ Change = Callable[[str, Camera], Camera]
 
 
 def zoomed(factor: float, vertical: float | None = None) -> Change:
-    """vertical: factor of the vertical focal length, where it is another one."""
+    """vertical: factor of the vertical focal length, if it is another one."""
 
     def change(name: str, camera: Camera) -> Camera:
         K = camera.K.copy()
@@ -109,7 +109,7 @@ def test_a_wrong_one_is_and_the_cause_is_named(site: PairSite, change: Change, c
 
 
 def rows_of(site: PairSite, pairs: Iterable[Pair], sigma_px: float = 0.05) -> dict[Pair, RowMatches]:
-    """What dense matching would measure of the points of a site: places in both views, off by so much across the lines."""
+    """Row matches that dense matching would measure at points of a site, with noise of `sigma_px` in the second view."""
     rng = np.random.default_rng(8)
     found = {}
     for pair in pairs:
@@ -134,7 +134,7 @@ def rows_of(site: PairSite, pairs: Iterable[Pair], sigma_px: float = 0.05) -> di
 )
 @pytest.mark.parametrize("alone", [False, True])
 def test_rows_tell_what_keypoints_are_too_coarse_for(change: Change, cause: str, alone: bool) -> None:
-    """alone: a chain of pairs, in which no third camera confirms a match."""
+    """alone: only a chain of pairs, in which no third camera can confirm a match."""
     site = make_pair_site(6, degrees=30.0)
     pairs = list(pairwise(site.cameras)) if alone else list(site.geometries)
     check = check_rows(stated(site, change), rows_of(site, pairs))
@@ -157,7 +157,7 @@ def test_two_poses_that_were_exchanged_are_named(site: PairSite) -> None:
 
 
 def test_captures_that_were_exchanged_are_named(site: PairSite) -> None:
-    """Lenses differ, so that exchanged poses alone explain less."""
+    """Lenses differ, so that exchanged poses explain the matches less well than exchanged captures."""
     lenses = [zoomed(1 + 0.1 * k) for k in range(len(site.cameras))]
     pixels = {name: lens(name, camera) for lens, (name, camera) in zip(lenses, site.cameras.items(), strict=True)}
     shown = {name: project(camera, site.X)[0] for name, camera in pixels.items()}
@@ -169,7 +169,7 @@ def test_captures_that_were_exchanged_are_named(site: PairSite) -> None:
 
 @pytest.mark.parametrize("factor", [-1.0, 3.0])
 def test_distortion_with_the_wrong_sign_or_size_is_named(site: PairSite, factor: float) -> None:
-    """Each lens has its own; what was taken off is so many times that."""
+    """Each lens has its own distortion; the images were undistorted with `factor` times that."""
     rng = np.random.default_rng(2)
     right = {name: replace(c, distortion=np.array([rng.uniform(-0.2, -0.05), 0, 0, 0, 0])) for name, c in site.cameras.items()}
     wrong = {name: replace(c, distortion=factor * c.distortion) for name, c in right.items()}
@@ -193,7 +193,7 @@ def test_poses_that_are_all_wrong_contradict_without_a_single_cause(site: PairSi
 
 
 def test_cameras_without_poses_confirm_matches_of_the_others(site: PairSite) -> None:
-    """Two cameras are stated, one of them wrongly."""
+    """Only two cameras have stated poses, one of them a wrong one."""
     names = list(site.cameras)
     two = {names[0]: site.cameras[names[0]], names[1]: turned(names[1], site.cameras[names[1]])}
     check = check_calibration(two, site.geometries)
@@ -201,7 +201,7 @@ def test_cameras_without_poses_confirm_matches_of_the_others(site: PairSite) -> 
 
 
 def in_a_row(site: PairSite, wrong: int) -> dict[Pair, Geometry]:
-    """Pairs of neighbours alone, so that no third camera confirms a match, the last of them look-alikes."""
+    """Only pairs of neighbours, so that no third camera confirms a match; the last `wrong` of them are look-alikes."""
     pairs = list(pairwise(site.cameras))
     right = len(pairs) - wrong
     return {pair: site.geometries[pair] if k < right else turned_wrong(site, pair, k) for k, pair in enumerate(pairs)}
@@ -234,7 +234,7 @@ def test_look_alikes_of_some_pairs_blame_no_calibration(seed: int, wrong: int) -
 
 
 def test_look_alikes_of_one_pair_contradict_nothing(site: PairSite) -> None:
-    """Matches of two cameras that have lines of their own, elsewhere."""
+    """The matches of two cameras are shifted in the second image, and obey epipolar lines of their own."""
     pair, geometry = next(iter(site.geometries.items()))
     wrong = replace(geometry, x2=geometry.x2 + np.array([40.0, 15.0]), F=_moved(geometry, [40.0, 15.0]))
     check = check_calibration({name: site.cameras[name] for name in pair}, {pair: wrong})
@@ -257,8 +257,8 @@ def test_a_part_of_the_matches_elsewhere_contradicts_nothing(site: PairSite) -> 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_look_alikes_among_few_matches_do_not_contradict_all_poses(seed: int) -> None:
-    """Rows of equal seats: five of 24 matches that third cameras confirm are of another seat, with lines of their own, and all
-    are rougher than the rest, by which noise is known."""
+    """Rows of equal seats: 5 of the 24 matches that third cameras confirm are of another seat and obey other epipolar lines.  All
+    24 have more noise than the other matches, from which the noise is estimated."""
     site, rng = make_pair_site(3, points=3000), np.random.default_rng(seed)
     rolled = {
         name: replace(camera, R=rotation_matrix(np.radians([0, 0, degrees])) @ camera.R)
@@ -301,13 +301,13 @@ def test_poses_carry_what_was_found(site: PairSite) -> None:
 
 
 def _fitted(geometry: Geometry) -> Geometry:
-    """With the fundamental matrix of its matches, whatever they are."""
+    """The geometry with F refitted to all of its matches."""
     F, _ = cv2.findFundamentalMat(geometry.x1, geometry.x2, cv2.FM_8POINT)
     return replace(geometry, F=np.asarray(F))
 
 
 def _moved(geometry: Geometry, by: list[float]) -> np.ndarray:
-    """F where all pixels of image 2 lie elsewhere."""
+    """F after all pixels of image 2 have been shifted by `by`."""
     T = np.eye(3)
     T[:2, 2] = -np.array(by)
     return np.asarray(T.T @ geometry.F)

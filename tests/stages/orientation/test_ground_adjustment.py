@@ -1,4 +1,4 @@
-"""Poses that keypoints don't tell are adjusted to the ground, where it shows more than stones that repeat."""
+"""Poses that keypoints do not determine are adjusted to the ground, if it shows more than repeated stones."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ from wbflow_stages.poses import solve_poses
 from wbflow_stages.types import Camera, Float32s, Frame, Geometry, Pair, Placement, Poses, View
 
 STONE = 25
-"""Texels along each side of a stone."""
+"""Side of a stone in texels."""
 
 
 def paving() -> Float32s:
-    """Stones that are all alike, and stains that are not."""
+    """Identical stones with stains that do not repeat."""
     stone = np.tile(texture(1)[:STONE, :STONE], (36, 36))
     return np.clip(0.5 * stone + 0.5 * texture(2), 1, 254).astype(np.float32)
 
 
 def row_errors(seen: dict[str, Camera]) -> list[float]:
-    """Median distances of points of the ground to the epipolar lines of cameras, for each pair."""
+    """Median distance of ground points to the epipolar lines of these cameras, pixels, for each pair."""
     across = np.linspace(-2, 2, 9)
     X = np.column_stack([*(axis.ravel() for axis in np.meshgrid(across, across)), np.zeros(81)])
     x = {name: project(camera, X)[0] for name, camera in cameras().items()}

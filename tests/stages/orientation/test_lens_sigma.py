@@ -1,4 +1,4 @@
-"""Lenses that nobody stated: whether the images tell them is known, and said."""
+"""Unstated lenses: their standard deviations are known, and those that the images do not determine are reported."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def test_focal_lengths_are_off_by_as_much_as_their_standard_deviations_say() -> 
 
 def test_a_principal_point_elsewhere_is_found_as_far_as_the_pictures_tell_it() -> None:
     model = adjusted(make_pair_site(6, know="hfov", noise_px=0.05, points=120, focal=FOCAL))
-    shift = np.array([4.0, -3.0])  # of all pictures: as a principal point that lies there
+    shift = np.array([4.0, -3.0])  # of all observations, as by a shifted principal point
     seen = refine(replace(model, tracks=replace(model.tracks, xy=model.tracks.xy + shift)), rounds=3)
     found = with_principal_points(seen).cameras[0].K[:2, 2] - model.cameras[0].K[:2, 2]
     assert np.linalg.norm(found - shift) < 0.4 * np.linalg.norm(shift)
@@ -87,7 +87,7 @@ def test_of_very_many_cameras_and_of_known_lenses_nothing_is_asked() -> None:
 
 
 def test_what_is_wrong_in_many_at_once_leaves_more_open_than_as_much_in_each_alone() -> None:
-    """As the mirrored sky on wet ground: two quarters of the scene are seen a pixel lower by every second camera."""
+    """As with sky mirrored by wet ground: every second camera sees two quarters of the scene one pixel lower."""
     model = adjusted(make_pair_site(6, know="hfov", noise_px=0.2, focal=FOCAL, points=1200))
     tracks, rng = model.tracks, np.random.default_rng(0)
     X = model.X[tracks.track]

@@ -1,4 +1,4 @@
-"""Known poses compared with the images of the night: cameras that have been moved are named, with how far."""
+"""Known poses are compared with the images of the night: cameras that were moved are named, with how far."""
 
 from __future__ import annotations
 
@@ -118,7 +118,7 @@ def test_a_new_pose_that_no_distinctive_matches_tell_is_not_believed() -> None:
 
 
 def rough(site: PairSite, seed: int, metres: float, degrees: float, exact: tuple[str, ...] = ()) -> dict[str, Placement]:
-    """Poses off by normal errors, with sigmas that say so."""
+    """Poses with normally distributed errors and the standard deviations of these; those of `exact` are right."""
     rng = np.random.default_rng(seed)
     known = {}
     for name, camera in site.cameras.items():
@@ -191,7 +191,7 @@ def test_of_two_cameras_it_cannot_be_reported_which_is_wrong() -> None:
 
 
 def test_a_camera_turned_at_the_end_of_a_chain_is_unverified() -> None:
-    """Only one pair sees it, and one pair's word may be that of look-alikes, however many they are."""
+    """Only one pair contains this camera, and the matches of one pair may be look-alikes, however many there are."""
     site = make_pair_site(3, noise_px=0.2)
     chain = replace(site, geometries={pair: g for pair, g in site.geometries.items() if pair != ("c0", "c2")})
     poses = solve(chain, placements(chain, c2=moved(chain, "c2", (0, 3, 0), (0, 0, 0))))
@@ -241,7 +241,7 @@ def test_two_pairs_that_agree_outweigh_as_many_look_alikes_and_a_single_one_does
 
 @pytest.mark.parametrize("seed", range(3))
 def test_look_alikes_that_no_third_camera_confirms_do_not_contradict_right_poses(seed: int) -> None:
-    """Seven of ten matches of two pairs of c1 say that the second camera is turned by 0.7 degrees."""
+    """In two pairs of c1, seven of ten matches fit a second camera that is turned by 0.7 degrees."""
     site = make_pair_site(4, seed=seed, noise_px=0.2)
     misled = {pair: with_look_alikes(site, pair, 0.7, seed) for pair in (("c0", "c1"), ("c1", "c2"))}
     assert all(epipolar_error_px(site.cameras, pair, geometry) > PAIR_PX for pair, geometry in misled.items())

@@ -1,4 +1,4 @@
-"""Cameras solved from the geometries of their pairs, against exact truth."""
+"""Cameras solved from the geometries of their pairs, compared with the exact truth."""
 
 from __future__ import annotations
 
@@ -188,7 +188,7 @@ def test_positions_that_are_known_better_than_the_images_tell_pull_the_cameras_t
 
 
 def _mean_error_of_similarity(poses: Poses, site: PairSite) -> float:
-    """Mean error of the centres, metres, after the similarity that fits them best."""
+    """Mean error of the camera centres, metres, after the similarity that fits them best."""
     a = np.array([poses.cameras[name].C for name in site.cameras])
     b = np.array([camera.C for camera in site.cameras.values()])
     a, b = a - a.mean(axis=0), b - b.mean(axis=0)
@@ -278,7 +278,7 @@ def test_where_no_pair_is_believed_there_are_no_cameras_and_the_reason_says_why(
 
 
 def test_a_pair_whose_points_all_go_again_gives_no_cameras() -> None:
-    """Matches that no pose explains: whatever is triangulated is thrown out by the adjustment."""
+    """No pose explains the matches: the adjustment removes all points that are triangulated."""
     site = only(make_pair_site(2), "c0", "c1")
     (pair,) = site.geometries
     geometry = site.geometries[pair]
@@ -300,7 +300,7 @@ def test_the_same_input_gives_the_same_bytes() -> None:
 def test_pairs_that_fare_worse_with_the_adjusted_cameras_are_flagged() -> None:
     site = make_pair_site(5, noise_px=0.2)
     assert not any(check.flagged for check in solve(site).pair_checks.values())
-    # a known pose that is off by less than would be doubted is held where it is said to be exact, and its pairs pay for it
+    # a known pose that is off by too little to be doubted, but stated as nearly exact, is kept, and its pairs fit worse
     known = {name: true_placement(site, name) for name in ("c0", "c2")}
     R = rotation_matrix(np.radians([0.06, 0.0, 0.0])) @ site.cameras["c1"].R
     turned = Placement(R, site.cameras["c1"].C, sigma_m=1e-4, sigma_deg=1e-4)
@@ -309,7 +309,7 @@ def test_pairs_that_fare_worse_with_the_adjusted_cameras_are_flagged() -> None:
 
 
 def on_one_mast(site: PairSite) -> PairSite:
-    """The site with all cameras within 1 m, the scene 8 m away seen as if from 300 m: pairs that meet at a third of a degree."""
+    """The site with all cameras within 1 m and the scene moved 300 m away: rays of a pair meet at about 0.1 degrees."""
     hung = {name: replace(camera, C=site.cameras["c0"].C + 0.1 * k) for k, (name, camera) in enumerate(site.cameras.items())}
     far = site.X + 300 * site.cameras["c0"].R[2]
     same = {name: replace(camera, R=site.cameras["c0"].R) for name, camera in hung.items()}
@@ -348,7 +348,7 @@ def test_one_pair_with_a_baseline_is_enough() -> None:
 
 
 def solved(site: PairSite) -> tuple[Model, dict[Edge, Geometry]]:
-    """The model of a site's right pairs, by number."""
+    """The model grown from a site's right pairs, and these pairs by camera number."""
     number = {name: k for k, name in enumerate(site.cameras)}
     edges = {(number[a], number[b]): geometry for (a, b), geometry in site.geometries.items()}
     model = grow({number[name]: camera for name, camera in site.cameras.items()}, build_tracks(edges, len(number)), edges)

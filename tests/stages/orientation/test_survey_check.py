@@ -1,4 +1,4 @@
-"""Distances, control points and units that the cameras contradict are named with both numbers."""
+"""Distances, control points and units that the cameras contradict are reported with both figures."""
 
 from __future__ import annotations
 

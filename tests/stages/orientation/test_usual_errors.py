@@ -1,4 +1,4 @@
-"""Stated poses that are off by what surveys usually leave are put right; nothing else is hidden by that."""
+"""Stated poses with the small errors that surveys usually leave are corrected, which hides no other error."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from wbflow_stages.types import Camera, Placement, Poses
 
 
 def off_by(site: PairSite, degrees: float, metres: float, seed: int = 0) -> dict[str, Camera]:
-    """All cameras, each off by so much in a direction of its own."""
+    """All cameras, each off by these amounts in a direction of its own."""
     rng = np.random.default_rng(seed)
 
     def moved(camera: Camera) -> Camera:
@@ -44,7 +44,7 @@ def test_small_errors_of_all_poses_are_put_right_without_an_alarm(degrees: float
     assert errors_px(site, poses.cameras) < 1.15 * errors_px(site, site.cameras) < 0.8 * errors_px(site, stated)
     assert set(poses.sources.values()) == {"refined"} and not poses.issues
     assert poses.calibration is not None and not poses.calibration.contradicted
-    for name, camera in poses.cameras.items():  # what is stated still says where the site is
+    for name, camera in poses.cameras.items():  # the stated poses still define the position of the site
         assert angle_between_deg(camera.R, stated[name].R) < 0.15 and np.linalg.norm(camera.C - stated[name].C) < 0.03
 
 

@@ -1,4 +1,4 @@
-"""What two known cameras both see follows from the cameras, and from where the scene is said to be."""
+"""What two known cameras see in common is predicted from their poses and from the stated extent of the scene."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Points and images go to the rectified image and back, for homographies and for polar rows."""
+"""Points and images are mapped to the rectified image and back, by homographies and by polar rows."""
 
 from __future__ import annotations
 

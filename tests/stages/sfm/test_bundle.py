@@ -1,4 +1,4 @@
-"""Cameras and points moved so that they meet what is seen."""
+"""Bundle adjustment of cameras and points to their observations."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Loops of a site confirm right pairs and expose those that only look right."""
+"""Loops of a site confirm right pairs and expose look-alikes."""
 
 from dataclasses import replace
 
@@ -23,7 +23,7 @@ def turn(degrees: float, axis: int = 1) -> np.ndarray:
 
 
 def ring(count: int) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-    """Cameras on an arc that look at its centre: R and C by name."""
+    """Cameras on an arc that look at its centre: rotation R and centre C by name."""
     cameras = {}
     for k in range(count):
         R = turn(-15.0 * k) @ turn(3.0 * (k % 2), 0)
@@ -41,7 +41,7 @@ def geometry(R: np.ndarray, t: np.ndarray, score: float) -> Geometry:
 
 
 def site(count: int, score: float = 2.0, wrong: dict[Pair, float] | None = None) -> dict[Pair, Geometry]:
-    """All pairs of a ring; `wrong` ones have another rotation, and the score given."""
+    """All pairs of a ring; those in `wrong` have another pose, and the score given there."""
     cameras, pairs, rng = ring(count), {}, np.random.default_rng(count)
     for a in range(count):
         for b in range(a + 1, count):
@@ -83,7 +83,7 @@ def pose(g: Geometry) -> tuple[np.ndarray, np.ndarray]:
 
 
 def test_pairs_that_are_unlikely_each_do_not_talk_each_other_up() -> None:
-    """Of a square by night: opposite sides, taken for one another in three pairs that agree; wrong triangles rarely close."""
+    """Scores of a square by night: three pairs that agree confuse opposite sides.  Triangles of wrong pairs rarely close here."""
     scores = {("c0", "c1"): 0.93, ("c0", "c3"): -1.32, ("c1", "c2"): -2.94, ("c1", "c3"): -2.3, ("c2", "c3"): -0.67}
     pairs = {pair: replace(site(4)[pair], score=score) for pair, score in scores.items()}
     checks = check_loops(pairs, None, replace(USUAL, closed_wrong=0.01))
@@ -136,7 +136,7 @@ def test_a_camera_joins_by_two_consistent_pairs_or_by_one_that_is_sure() -> None
 
 @pytest.mark.parametrize(("share", "believed"), [(0.2, False), (0.02, True)])
 def test_a_building_that_looks_the_same_from_other_sides_gives_no_cameras(share: float, believed: bool) -> None:
-    """Its copies close all loops; what tells is that most pairs have a rival turned by far."""
+    """Its wrong pairs close all loops, too; only the rivals of most pairs, turned by 90 degrees, reveal them."""
     turned = {p: replace(g, rival_elsewhere=int(share * g.inliers), rival_turned_deg=90.0) for p, g in site(4, score=5.0).items()}
     checks = check_loops(turned)
     assert all((v.rejected is None) == believed for v in checks.values())
@@ -147,7 +147,7 @@ def test_a_building_that_looks_the_same_from_other_sides_gives_no_cameras(share:
 def test_distinct_pairs_that_contradict_each_other_by_a_quarter_turn_show_a_building_from_other_sides(
     degrees: float, cells: int, code: str
 ) -> None:
-    """Cameras that look at two sides alike seem to stand at one place: such a pair has no score, but hundreds of matches."""
+    """Cameras that look at two equal sides seem to be at one place: their pair has a low score, but distinctive matches."""
     pairs = site(4, score=5.0)
     R, t = pose(pairs["c0", "c2"])
     pairs["c0", "c2"] = replace(geometry(turn(degrees) @ R, t, score=-14.0), distinct_cells=cells)
@@ -156,7 +156,7 @@ def test_distinct_pairs_that_contradict_each_other_by_a_quarter_turn_show_a_buil
 
 
 def test_a_triangle_that_a_guessed_lens_holds_open_contradicts_nothing() -> None:
-    """A focal length off by a fifth turns the rotations by degrees, and so does a wrong pair by tens."""
+    """A focal length that is off by a fifth turns rotations by several degrees, a wrong pair by tens of degrees."""
     pairs = site(4, score=4.0)
     for k, pair in enumerate(pairs):
         R, t = pose(pairs[pair])

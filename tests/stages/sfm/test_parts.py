@@ -1,4 +1,4 @@
-"""Points of tracks, and the part of the tracks that is enough while views are added."""
+"""Triangulated points of tracks, and the part of the tracks that suffices while views are added."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ CAMERAS = {view: look(K, np.array([2.0 * view - 3, -8, 0.3 * view]), np.zeros(3)
 
 
 def tracks_of(X: np.ndarray, views: tuple[int, ...] = (0, 1, 2, 3)) -> Tracks:
-    """Every view sees every point."""
+    """Tracks in which every view sees every point."""
     xy = np.stack([project(CAMERAS[view], X)[0] for view in views], axis=1).reshape(-1, 2)
     count, each = len(X), len(views)
     return Tracks(np.repeat(np.arange(count, dtype=np.int32), each), np.tile(np.array(views, np.int32), count), xy, count)
@@ -57,7 +57,7 @@ def test_a_part_of_the_tracks_still_covers_each_view() -> None:
     X = np.random.default_rng(0).uniform(-1.5, 1.5, (5000, 3))
     tracks = tracks_of(X)
     use = np.ones(len(tracks.track), bool)
-    use[tracks.view > 1] = tracks.track[tracks.view > 1] % 2 == 0  # every other track is seen by two views only
+    use[tracks.view > 1] = tracks.track[tracks.view > 1] % 2 == 0  # two views see only every other track
     part = spread_tracks(tracks, use, 3)
     assert part.sum() < 0.5 * len(X)
     low, high = np.minimum(tracks.xy.min(axis=0), 0), tracks.xy.max(axis=0)
@@ -68,4 +68,4 @@ def test_a_part_of_the_tracks_still_covers_each_view() -> None:
         np.add.at(there, tuple(field[mine].T), 1)
         np.add.at(kept, tuple(field[mine & part[tracks.track]].T), 1)
         assert (kept >= np.minimum(there, 3)).all()
-    assert part[::2].sum() > 2 * part[1::2].sum()  # long ones first
+    assert part[::2].sum() > 2 * part[1::2].sum()  # long tracks are preferred

@@ -1,4 +1,4 @@
-"""A scene that repeats is told by what the rivals of its pairs look like."""
+"""The rivals of a site's pairs reveal a scene that repeats."""
 
 from __future__ import annotations
 

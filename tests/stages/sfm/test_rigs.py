@@ -1,4 +1,4 @@
-"""Several views of one camera are solved as one: they stand at one place, turned as the lens says."""
+"""Several views of one camera are solved as one: at one position, with the rotations that its lens defines."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ TURNS = (-18.0, 18.0)
 
 
 def turned(degrees: float) -> Float64s:
-    """From a camera's axes to those of a view of it that looks to the right by so much."""
+    """Rotation from a camera's axes to those of its view that looks `degrees` to the right."""
     return rotation_matrix(np.radians([0.0, -degrees, 0.0]))
 
 
@@ -56,7 +56,7 @@ def solve(site: PairSite, placements: dict[str, Placement]) -> Poses:
 
 
 def relative_errors(site: PairSite, rotations: dict[str, Float64s]) -> float:
-    """Mean of the rotations' errors against that of the first camera: what turns all of them, no image tells."""
+    """Mean error of the rotations relative to that of the first camera, since images do not determine a common rotation."""
     first = rotations["c0"] @ site.cameras["c0"].R.T
     return float(np.mean([np.linalg.norm(R - first @ site.cameras[n].R) for n, R in rotations.items()]))
 

@@ -1,4 +1,4 @@
-"""What is kept of raw disparity: agreement of both views, landing on valid pixels, no speckles."""
+"""Raw disparity is kept where both views agree and the partner is a valid pixel; speckles are removed, holes filled."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def test_speckles_go_and_steep_ground_stays() -> None:
     disparity = constant(NAN, (40, 60))
     disparity[2:5, 2:5] = 9
     rows = np.arange(10, 40, dtype=np.float32)
-    disparity[10:, :] = (3.3 * rows)[:, None]  # three pixels a row: ground seen at a low angle
+    disparity[10:, :] = (3.3 * rows)[:, None]  # 3.3 pixels per row: ground seen at a low angle
     kept = without_speckles(disparity, 20)
     assert np.isnan(kept[2:5, 2:5]).all()
     np.testing.assert_array_equal(kept[10:], disparity[10:])

@@ -1,4 +1,4 @@
-"""The dense matchers by themselves: slanted planes, wide ranges, the same bytes, and the real photographs where they lie here."""
+"""The dense matchers by themselves: slanted planes, wide ranges, faint or noisy images, and the same bytes every time."""
 
 from __future__ import annotations
 
@@ -98,7 +98,7 @@ def test_the_faint_texture_of_a_white_wall_is_matched() -> None:
 
 
 def test_patchmatch_believes_what_its_surroundings_back() -> None:
-    """Around the disc the views see different things: what is believed there is right far more often than what is not."""
+    """Around the disc the views see different things: pixels with confidence are wrong far less often than those without."""
     left, right = stereo_pair(180, 240)
     truth = true_disparity(180, 240)
     found = match_patchmatch(pair_of(left, right, 16, 50))
@@ -125,7 +125,7 @@ def test_a_hidden_strip_of_columns_has_no_disparity_and_changes_nothing_far_from
 
 
 def near_and_far() -> tuple[RectifiedPair, np.ndarray, np.ndarray]:
-    """A wall at 12 px and a thing at 150, to be searched from -40 to 220: the pair, its disparity, and what both views see."""
+    """A wall at 12 px and an object at 150, search range -40 to 220: the pair, its true disparity, and what both views see."""
     wall, thing = texture(192, 524, seed=1), texture(100, 120, seed=2)
     left, right = wall[:, :512].copy(), wall[:, 12:].copy()
     left[50:150, 270:390] = right[50:150, 120:240] = thing
@@ -159,7 +159,7 @@ def test_a_wide_range_gives_the_same_bytes_from_any_number_of_threads() -> None:
 
 
 def test_blocks_search_what_was_seen_and_little_else() -> None:
-    """At half the size: a slanted wall with a thing before it, and nothing at the right."""
+    """`seen` is disparity at half the size: a slanted wall, an object in front of it, and nothing at the right."""
     height, width, low, high = 160, 320, -300, 300
     y, x = np.mgrid[0:height, 0:width].astype(np.float32)
     seen = np.where((x > 180) & (x < 230) & (y > 90), np.float32(120), -60 + 0.2 * x)
@@ -187,7 +187,7 @@ def test_a_range_that_nothing_narrows_is_searched_in_one_block() -> None:
 
 
 def test_wrong_planes_are_filtered_and_doubted() -> None:
-    """A slanted surface of one grey, with noise, and a wrong patch; a speckle is doubted, and what the other view contradicts."""
+    """A noisy slanted surface of even grey with a wrong patch; speckles and what the other view contradicts are doubted."""
     y, x = np.mgrid[0:60, 0:300].astype(np.float32)
     noise = np.random.default_rng(3).normal(0, 0.2, y.shape).astype(np.float32)
     truth = 20 + 0.2 * x - 0.1 * y
@@ -206,7 +206,7 @@ def test_wrong_planes_are_filtered_and_doubted() -> None:
 
 
 def test_a_second_round_of_the_plane_filter_finds_the_slope_of_planes_that_have_none() -> None:
-    """Semi-global matching's fronto-parallel start, on ground seen at a low angle."""
+    """The start is fronto-parallel, as from semi-global matching, on ground seen at a low angle."""
     y, x = np.mgrid[0:60, 0:120].astype(np.float32)
     truth = 30 + 0.3 * x - 0.4 * y
     flat = np.stack([truth, np.zeros_like(x), np.zeros_like(x)])
@@ -269,7 +269,7 @@ def test_noisy_pictures_are_smoothed_before_they_are_matched_and_others_left_alo
 
 @pytest.mark.parametrize(("floor", "found"), [(-10.0, 0.0), (10.0, 20.0)])
 def test_what_lies_behind_the_floor_is_not_believed(floor: float, found: float) -> None:
-    """The images match at no disparity at all, and nowhere else; the ground would be at 20."""
+    """The images match at disparity 0 only; the ground is at 20.  A floor at 10 rules out 0, one at -10 does not."""
     left = texture(100, 160)
     ground, floors = (np.full(left.shape, disparity, np.float32) for disparity in (20.0, floor))
     pair = dataclasses.replace(

@@ -1,4 +1,4 @@
-"""Right rows match, wrong rows don't, and rows that are a little off say by how much."""
+"""Right rows are confirmed, wrong rows are not, and the error of rows that are slightly off is measured."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def test_part_of_a_small_picture_is_enough() -> None:
 
 
 def pavement() -> RectifiedPair:
-    """Eight rows further down, the same stones lie twenty pixels to the right: they match there, too, but not where they lie."""
+    """The same stones repeat eight rows further down, 20 pixels to the right: they match there, too, at a wrong disparity."""
     rng = np.random.default_rng(1)
     stones = rng.uniform(30, 220, (8, 600)).astype(np.float32)
     left = np.concatenate([np.roll(stones, 20 * course, axis=1) for course in range(40)])
@@ -72,7 +72,7 @@ def test_stones_that_repeat_do_not_confirm_wrong_rows() -> None:
 
 @pytest.fixture(scope="module")
 def partly_striped(pair: RectifiedPair) -> RectifiedPair:
-    """The left part of the picture is striped, and matches on any rows."""
+    """The left part of the image has vertical stripes, and matches on any rows."""
     right = pair.right.copy()
     left = pair.left.copy()
     stripes = np.random.default_rng(3).uniform(30, 220, (1, left.shape[1])).astype(np.float32)

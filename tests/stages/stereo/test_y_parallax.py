@@ -1,4 +1,4 @@
-"""What lies a fraction of a row beside its row is measured, from the pictures alone."""
+"""Row offsets of a fraction of a pixel are measured from the images alone."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def test_pictures_that_are_shifted_by_part_of_a_row_say_by_how_much(lower: float
     found = rows_of(left, shifted)
     off = found.x2[:, 1] - found.x1[:, 1]
     assert len(off) > 20
-    assert np.median(off) == pytest.approx(lower, abs=0.01 + 0.1 * abs(lower))  # partners that are found lie nearer to the row
+    assert np.median(off) == pytest.approx(lower, abs=0.01 + 0.1 * abs(lower))  # partners nearer to the row are found more often
     assert np.mean(np.abs(off - lower) <= 3 * found.sigma_px) > 0.95
 
 

@@ -1,4 +1,4 @@
-"""A second pattern of matches is found where a scene repeats, and only there."""
+"""A rival geometry of the matches is found where a scene repeats, and only there."""
 
 from dataclasses import replace
 
@@ -18,7 +18,7 @@ SHIFT = np.array([260.0, 0])
 
 
 def repeated(seed: int) -> tuple[Features, Features]:
-    """Two views of a solid, of which each image shows a second copy, shifted by the same in both."""
+    """Two views of a solid; each image also shows a copy of it, shifted by `SHIFT` in both."""
     views = []
     for view in solid_pair(seed, lookalikes=False):
         xy = np.concatenate([view.xy * 0.6, view.xy * 0.6 + SHIFT])
@@ -39,7 +39,7 @@ def repeated(seed: int) -> tuple[Features, Features]:
 
 
 def row_of_houses() -> tuple[Features, Features]:
-    """Two views from 3 m apart of four houses that are the same, 5 m wide; rows: house, then point."""
+    """Two views, 3 m apart, of four identical houses, each 5 m wide; keypoints are sorted by house, then by point."""
     rng = np.random.default_rng(5)
     house = np.column_stack([rng.uniform(0, 5, 80), rng.uniform(-3, 3, 80), rng.uniform(14, 17, 80)])
     X = np.concatenate([house + np.array([5 * k - 10, 0, 0]) for k in range(4)])
@@ -66,7 +66,7 @@ def test_the_next_house_of_a_row_is_another_pose_though_it_lies_on_the_lines() -
 
 
 def two_of_a_kind(size_m: float) -> tuple[Features, Features]:
-    """Two views from 3 m apart of ground that does not repeat, 240 points, and of a thing that stands there twice, 60 each."""
+    """Two views, 3 m apart, of ground that does not repeat (240 points) and two copies of a thing (60 points each)."""
     rng = np.random.default_rng(8)
     ground = np.column_stack([rng.uniform(-9, 9, 240), rng.uniform(-5, 5, 240), rng.uniform(13, 20, 240)])
     thing = rng.uniform(-0.5, 0.5, (60, 3)) * [size_m, size_m, 1.0]

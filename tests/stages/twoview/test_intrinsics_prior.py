@@ -1,4 +1,4 @@
-"""Two views whose lenses nobody knows: F is that of cameras, and where these are implausible nothing is believed."""
+"""Two views with unknown lenses: F is that of plausible cameras, and is rejected if only implausible ones explain it."""
 
 import dataclasses
 
@@ -19,14 +19,14 @@ RIGHT = looking(np.array([2.5, 0.3, 0.8]), np.array([0.3, -0.4, 9.0]))
 
 
 def shallow(noise_px: float = 0.6, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
-    """Matches of a nearly flat scene: they say little of F off its plane."""
+    """Matches of a nearly flat scene, which hardly determine F off its plane."""
     rng = np.random.default_rng(seed)
     exact = seen_by_both(LEFT, RIGHT, scene(n=500, depth=(8.8, 9.0)))
     return exact[0] + rng.normal(0, noise_px, exact[0].shape), exact[1] + rng.normal(0, noise_px, exact[1].shape)
 
 
 def error_px(F: np.ndarray, right: Camera = RIGHT) -> float:
-    """95 % distance to the truth all over a deep scene."""
+    """95th percentile of the distance to the truth, all over a deep scene."""
     return float(np.percentile(np.abs(sampson_distance(F, *seen_by_both(LEFT, right, scene(depth=(5.0, 14.0))))), 95))
 
 
@@ -70,7 +70,7 @@ def test_where_the_scene_is_deep_the_matches_decide_even_for_two_different_lense
 
 
 def test_images_of_two_sizes_and_one_lens_give_its_f() -> None:
-    """The second image is enlarged by half: one lens, measured in long sides."""
+    """The second image is enlarged 1.5 times: both have one focal length in units of the long side."""
     x1, x2 = seen_by_both(LEFT, RIGHT, scene(), 0.1)
     big = View(WIDTH * 3 // 2, HEIGHT * 3 // 2)
     S = np.array([[1.5, 0, 0.25], [0, 1.5, 0.25], [0, 0, 1]])
@@ -83,7 +83,7 @@ def test_images_of_two_sizes_and_one_lens_give_its_f() -> None:
 
 
 def test_an_f_of_implausible_intrinsics_is_not_believed_unless_cameras_replace_it() -> None:
-    """A lens that sees 150 degrees without bending lines: what repeats on a wall makes such an F, cameras don't."""
+    """A lens that sees 150 degrees without distortion is implausible: repetition on a wall gives such an F, cameras do not."""
     left, right = with_focal(LEFT, 0.15), with_focal(RIGHT, 0.15)
     X = scene(n=6000, depth=(3.0, 14.0))
     x1, x2 = seen_by_both(left, right, X * [5, 5, 1], 0.1)

@@ -1,4 +1,4 @@
-"""A pair rises in score with distinctive evidence."""
+"""The score of a pair rises with distinctive evidence."""
 
 from dataclasses import replace
 from itertools import product
@@ -33,7 +33,7 @@ def test_a_contradicted_pair_is_never_believed_alone() -> None:
 
 
 def solid_pair(seed: int, lookalikes: bool) -> tuple[Features, Features]:
-    """Two views of a solid; with `lookalikes` two thirds of the descriptors have a twin elsewhere in the image."""
+    """Two views of a solid; with `lookalikes`, two thirds of the descriptors have a twin elsewhere in the image."""
     rng = np.random.default_rng(seed)
     X = np.column_stack([rng.uniform(-4, 6, 600), rng.uniform(-3, 3, 600), rng.uniform(9, 15, 600)])
     descriptors = rng.random((600, 128)).astype(np.float32) ** 3
@@ -67,7 +67,7 @@ def test_distinctive_matches_are_believed_more_than_twins() -> None:
 
 
 def test_a_long_lens_beside_a_short_one_has_its_evidence_counted_by_what_it_sees() -> None:
-    """A ninth of the other picture holds all that both see: at most 20 of the cells that are right for two equal lenses."""
+    """What both see fills a ninth of the other image: at most 20 of the cells that are used for two equal lenses."""
     left, right = solid_pair(1, lookalikes=False)
     x, y, width, height = 333, 222, 334, 223
     inside = ((right.xy > [x, y]) & (right.xy < [x + width, y + height])).all(axis=1)
@@ -98,5 +98,5 @@ def test_a_geometry_below_the_least_score_is_rejected_with_its_figures() -> None
 def test_two_cameras_that_seem_to_stand_at_one_place_are_reported_to_the_site(
     cells: int, agreement: float, angle_deg: float, reported: bool
 ) -> None:
-    """They do, or the scene looks the same from two sides: other pairs tell."""
+    """Either they are at one place, or the scene looks the same from two sides: other pairs decide."""
     assert tells_the_site(replace(GOOD, distinct_cells=cells, agreement=agreement, angle_deg=angle_deg)) is reported

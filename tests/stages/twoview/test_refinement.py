@@ -1,4 +1,4 @@
-"""The last refinement of F and E: exact keypoints have more of the say, and what is known of the lenses stays true."""
+"""Final refinement of F and E: accurate keypoints count more, and known lenses stay enforced."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ LEFT, RIGHT = looking(np.zeros(3), np.array([0.0, 0.0, 9.0])), looking(np.array(
 
 
 def noisy(wrong: int = 0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """x1, x2 and the sizes of keypoints whose noise is a tenth of their size; `wrong` of them lie anywhere near their lines."""
+    """x1, x2 and sizes of keypoints whose noise is a tenth of their size; `wrong` of them are only near their epipolar lines."""
     x1, x2 = seen_by_both(LEFT, RIGHT, scene())
     rng = np.random.default_rng(4)
     size = np.exp(rng.uniform(np.log(1), np.log(10), len(x1)))
