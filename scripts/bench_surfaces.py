@@ -1,10 +1,10 @@
 #!/usr/bin/env python3
-"""How much of weak surfaces a cloud has: white plaster, wet asphalt and snow of `wbflow demo --surfaces weak`.
+"""How much of each weak surface does a cloud contain: white plaster, wet asphalt and snow of `wbflow demo --surfaces weak`?
 
     scripts/bench_surfaces.py TRUTH CLOUD.ply [CLOUD.ply ...]
 
-TRUTH holds `reference.ply`, as the demo writes it.  Completeness: points of the truth that have a point of the cloud within
-5 (10) cm.  Precision: points of the cloud, nearest to that surface of all, that lie within 5 (10) cm of its plane.
+TRUTH is the demo's folder that holds `reference.ply`.  Completeness is the share of the surface's true points that have a cloud
+point within 5 (10) cm.  Precision is the share of the cloud points nearest to the surface that lie within 5 (10) cm of its plane.
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ from wbflow_stages.types import Float64s
 
 TAUS = (0.05, 0.10)
 ON = 0.02
-"""Metres: points of the truth that are no farther from a plane belong to it."""
+"""True points closer to a plane than this belong to it (metres)."""
 PLANES = (
-    # name, axis, where, and the limits of the other two axes
+    # name, axis normal to the plane, its coordinate on that axis, and the limits along the other two axes (metres)
     ("white plaster", 1, 30.0, ((0.0, 40.0), (0.1, 9.2))),
     ("white plaster", 0, 40.0, ((12.5, 30.5), (0.1, 9.2))),
     ("white plaster", 0, 0.0, ((13.0, 30.0), (0.1, 8.0))),
@@ -38,7 +38,7 @@ def points_of(file: Path) -> Float64s:
 
 
 def surfaces_of(truth: Float64s) -> np.ndarray:
-    """(n,) index of the row of PLANES that each point lies on, -1 for none."""
+    """(n,) index into `PLANES` of the plane that each point lies on, -1 for none."""
     found = np.full(len(truth), -1)
     for k, (_, axis, where, limits) in enumerate(PLANES):
         on = np.abs(truth[:, axis] - where) < ON

@@ -1,11 +1,11 @@
 #!/usr/bin/env python3
-"""Photographed sites whose cameras differ: which are placed, how exactly, with poses withheld?
+"""Photographed sites with unequal cameras and withheld poses: which cameras are placed, and how accurately?
 
     scripts/bench_unequal.py [--scenes fountain entry] [--kinds long-3 small-4 ...] [--resolution 1024]
 
-Every third camera of a site is made another one: of a longer lens (its picture cut to a half or a third), of fewer pixels, turned
-by a quarter, grey, infrared in the dark, an old one whose lines are combed; or all are compressed hard, or their colours are off.
-`mixed` has most of these in one site.  Whole commands, until poses; errors after a similarity of the centres.
+Every third camera of a site is changed: a longer lens (its image cropped to a half or a third), fewer pixels, rotated by 90
+degrees, grey, infrared in the dark, or interlaced lines.  Other kinds compress all images strongly, or give them wrong colours.
+`mixed` combines most of these in one site.  Whole runs until `poses`; errors after a similarity alignment of the centres.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ WIDTH = 1536
 
 @dataclass(frozen=True)
 class Shot:
-    """A picture (h, w, 3) uint8 RGB, the camera that took it, and how well its file is kept."""
+    """An image (h, w, 3) uint8 RGB, its camera, and the JPEG quality of its file."""
 
     image: Uint8s
     camera: Camera
@@ -39,7 +39,7 @@ class Shot:
 
 
 def smaller(shot: Shot, times: int) -> Shot:
-    """Of a camera with fewer pixels."""
+    """The same view by a camera with fewer pixels: `times` fewer along each side."""
     c = shot.camera
     width, height = c.width // times, c.height // times
     camera = Camera(scaled_intrinsics(c.K, width / c.width, height / c.height), c.R, c.C, width, height)
@@ -47,7 +47,7 @@ def smaller(shot: Shot, times: int) -> Shot:
 
 
 def longer(shot: Shot, times: int) -> Shot:
-    """Of a longer lens."""
+    """The same view through a lens `times` longer: the middle of the image, cropped."""
     c = shot.camera
     width, height = c.width // times, c.height // times
     x, y = (c.width - width) // 2, (c.height - height) // 2
@@ -56,7 +56,7 @@ def longer(shot: Shot, times: int) -> Shot:
 
 
 def upright(shot: Shot) -> Shot:
-    """Of a camera turned by a quarter, clockwise."""
+    """The image rotated by 90 degrees clockwise, and the camera that takes it."""
     c = shot.camera
     quarter = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])
     moved = np.array([[0.0, -1, c.height - 1], [1, 0, 0], [0, 0, 1]])
@@ -69,7 +69,7 @@ def grey(shot: Shot) -> Shot:
 
 
 def infrared(shot: Shot) -> Shot:
-    """Red and green bright, blue dark, shadows lifted, and the noise of a sensor in the dark."""
+    """Imitation of infrared: bright red and green, dark blue, lifted shadows, and the noise of a sensor in the dark."""
     r, g, b = np.moveaxis(shot.image.astype(np.float64), 2, 0)
     seen = 255 * (np.clip(0.8 * r + 0.5 * g - 0.3 * b, 0, 255) / 255) ** 0.6
     noisy = seen + np.random.default_rng(1).normal(0, 6, seen.shape)
@@ -77,14 +77,14 @@ def infrared(shot: Shot) -> Shot:
 
 
 def combed(shot: Shot) -> Shot:
-    """Every other line four pixels late."""
+    """Interlacing: every other line is shifted by four pixels."""
     image = shot.image.copy()
     image[1::2] = np.roll(image[1::2], 4, axis=1)
     return replace(shot, image=image)
 
 
 def tinted(shot: Shot, which: int) -> Shot:
-    """Brightness and colour of another maker."""
+    """Brightness and colour balance of another make of camera."""
     gains = np.array([(0.7, 1, 1.3), (1.4, 1, 0.7), (0.8, 1.25, 1)][which % 3]) * (0.6 + 0.3 * (which % 3))
     return replace(shot, image=np.clip(shot.image * gains, 0, 255).astype(np.uint8))
 
@@ -129,7 +129,7 @@ def main() -> None:
 
 
 def photographed(scene: str) -> dict[str, Shot]:
-    """The photographs of a scene, by camera."""
+    """The photographs of a scene at about `WIDTH`, by camera."""
     shots = {}
     for name, row in json.loads((DATA / scene / "cameras.json").read_text()).items():
         camera = Camera(np.array(row["K"]), np.array(row["R"]), np.array(row["C"]), row["width"], row["height"])
@@ -139,7 +139,7 @@ def photographed(scene: str) -> dict[str, Shot]:
 
 
 def show(scene: str, kind: str, shots: dict[str, Shot], resolution: int) -> None:
-    """A row: the run of a site with these cameras, their poses withheld."""
+    """Run a site with these cameras, without their poses, and print its row."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         for camera, shot in shots.items():

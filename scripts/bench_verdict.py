@@ -1,16 +1,16 @@
 #!/usr/bin/env python3
-"""Are right pairs believed and wrong ones not?  Every scene judged by a score that was fitted on the others.
+"""Are right pairs accepted and wrong ones rejected?  Each scene is judged by a score that was fitted on the other scenes.
 
-Without arguments: pairs of photographed and rendered scenes, labelled by their truth (`verdict_scenes`).  For each scene left
-out: usable pairs kept and wrong ones accepted, by the pair's score alone and where the site's cameras are solved from them; how
-often p is right, in ten bins; random small sites and those that end with a turned camera; and the weights of a fit on all scenes.
+Without --sets, the pairs of photographed and rendered scenes are labelled by the truth (`verdict_scenes`).  The tables give, for
+each scene, usable pairs kept and wrong pairs accepted, by the pair's score alone and by the solved site; the reliability of the
+probability p in ten bins; random small sites that end with a wrongly turned camera; and the weights of a fit on all scenes.
 
-With --sets, the weights as they are on pairs matched anew.  Sets without any right pair: the first five views of fountain with
-entry (the others look at entry's facade), the demo's walls with entry, and mirrored images.
+With --sets, pairs are matched anew and judged by the current weights.  Three sets have no right pair: the first five views of
+fountain with entry (the other views show entry's facade), the demo's walls with entry, and mirrored images.
 
     scripts/bench_verdict.py --plot reliability.png --check
     scripts/bench_verdict.py --sets fountain-768 walls sites
-    scripts/bench_verdict.py --cache DIR       renderings and pairs are kept there (else in the temporary folder)
+    scripts/bench_verdict.py --cache DIR       keeps renderings and pairs in DIR (default: in the temporary folder)
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ MAX_ROTATION_DEG, MAX_TRANSLATION_DEG, MIN_CORRECT = 5.0, 10.0, 0.35
 
 @dataclass(frozen=True)
 class Judged:
-    """A pair with a geometry, and whether that is right."""
+    """A pair with its geometry, and whether the geometry is right."""
 
     pair: Pair
     geometry: Geometry
@@ -53,7 +53,7 @@ class Judged:
 
 @dataclass(frozen=True)
 class Result:
-    """One set of pairs; kept and accepted: by the score alone; site_*: after the site's check."""
+    """Counts for one set of pairs; kept and accepted: by the pair's score alone; site_*: after the site's `check_loops`."""
 
     name: str
     pairs: int
@@ -68,7 +68,7 @@ class Result:
 
 
 def judge(left: TrueView, right: TrueView, known: bool, related: bool) -> Judged | None:
-    """Match a pair and label it; None where the stages themselves reject it."""
+    """Match a pair and label it; None if matching or geometry reject it."""
     f, g = (left.features, right.features) if known else (left.without_lens(), right.without_lens())
     matches = match(f, g)
     if not isinstance(matches, Matches):
@@ -81,11 +81,11 @@ def judge(left: TrueView, right: TrueView, known: bool, related: bool) -> Judged
 
 def is_right(left: TrueView, right: TrueView, geometry: Geometry) -> bool:
     R, t = geometry.cam2_R_cam1, geometry.cam2_t_cam1
-    if R is None:  # no K was given: read F with the true one
+    if R is None:  # without K: decompose F with the true intrinsics
         pose = pose_of_fundamental(geometry.F, geometry.x1, geometry.x2, left.features.view, right.features.view)
         R, t = pose if pose is not None else (None, None)
     rotation, translation = pose_error_deg(left.camera, right.camera, R, t)
-    # without K the F of a nearly flat facade tells the pose poorly, though its matches are right: depth judges them
+    # without K, the F of a nearly flat facade determines the pose poorly even if its matches are right: judge those by depth
     posed = geometry.cam2_R_cam1 is not None
     if (rotation > MAX_ROTATION_DEG and (posed or left.depth is None)) or (translation > MAX_TRANSLATION_DEG and posed):
         return False
@@ -100,7 +100,7 @@ def mirrored(view: TrueView) -> TrueView:
 
 
 def pairs_of(name: str, cache: Path) -> tuple[list[tuple[TrueView, TrueView]], bool]:
-    """The pairs of a set, and whether any of them can be right."""
+    """The pairs of a set, and whether any of them can be right (show the same scene)."""
     scene = name.split("-")[0]
     if name == "nothing":
         some = photographed("fountain", 768, list("01234"))
@@ -147,7 +147,7 @@ HEAD = "set                pairs  right  kept  wrong accepted  alone site: kept 
 
 
 def small_sites(name: str, judged: list[Judged], views: dict[str, TrueView], draws: int = 100) -> None:
-    """Random subsets of the cameras: sites that end with a turned camera, and usable pairs that were lost."""
+    """Print, for random subsets of the cameras, how many sites end with a turned camera and how many right pairs are lost."""
     rng = np.random.default_rng(0)
     geometries, right = {j.pair: j.geometry for j in judged}, {j.pair for j in judged if j.right}
     for size in (3, 5, 8):
@@ -166,7 +166,7 @@ def small_sites(name: str, judged: list[Judged], views: dict[str, TrueView], dra
 
 
 def worst_turn_deg(believed: set[Pair], geometries: dict[Pair, Geometry], views: dict[str, TrueView]) -> float:
-    """The largest rotation error of a believed pair: any of them may be what a camera is hung on."""
+    """The largest rotation error of an accepted pair: any accepted pair may determine a camera's rotation."""
     errors = [0.0]
     for a, b in believed:
         R = geometries[a, b].cam2_R_cam1

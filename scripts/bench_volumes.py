@@ -1,7 +1,7 @@
-"""Are volumes gained and lost right, and their standard deviations?    bench_volumes.py NIGHTS [--json FILE]
+"""Are the gained and lost volumes right, and their standard deviations?    bench_volumes.py NIGHTS [--json FILE]
 
-NIGHTS is the folder of `wbflow demo --nights` after `wbflow run --since`.  Each night is compared with each later one; the truth
-is what came and went between them.
+NIGHTS is the folder of `wbflow demo --nights` after `wbflow run --since`.  Each night is compared with each later one; the true
+volumes are those of the things that came and went between them.
 """
 
 from __future__ import annotations
@@ -21,21 +21,21 @@ from wbflow.outcome.compare import changes_between
 
 @dataclass(frozen=True)
 class Row:
-    """Pairs of nights."""
+    """Figures of a group of pairs of nights."""
 
     what: str
     nights: int
     within_two_sigma: float
-    """Share of gained and lost volumes."""
+    """Share of the gained and lost volumes within two standard deviations of the truth."""
     within_tenth: float
-    """The same within 10 % of the truth."""
+    """Share of the volumes within 10 % of the truth (within 0.1 m³ where the truth is zero)."""
     worst: float
-    """Largest error as a share of the truth, or in m³ where the truth is nothing."""
+    """Largest error as a share of the truth, or in m³ where the truth is zero."""
 
 
 @dataclass(frozen=True)
 class Volume:
-    """Of one comparison."""
+    """The gained or the lost volume of one comparison, in m³."""
 
     found: float
     sigma: float
@@ -43,12 +43,12 @@ class Volume:
 
     @property
     def error(self) -> float:
-        """As a share of the truth, or in m³."""
+        """Error as a share of the truth, or in m³ where the truth is zero."""
         return abs(self.found - self.truth) / (self.truth or 1.0)
 
 
 def truth_of(folder: Path) -> dict[str, dict[str, float]]:
-    """By night: what stands there, by name and place, and what does not; volumes against the first night."""
+    """Changes of each night against the first, as volumes in m³ by name: negative for things that vanished."""
     nights = json.loads((folder / "truth" / "nights.json").read_text())["nights"]
     return {
         night["date"]: {c["name"]: c["volume_m3"] * (-1 if c["kind"] == "vanished" else 1) for c in night["changes"]}
@@ -63,7 +63,7 @@ def between(then: dict[str, float], tonight: dict[str, float]) -> tuple[float, f
 
 
 def row_of(what: str, pairs: Sequence[tuple[Volume, Volume]]) -> Row:
-    """What came out of some comparisons."""
+    """Summarize the (gained, lost) volumes of some comparisons."""
     volumes = [volume for pair in pairs for volume in pair]
     two = sum(abs(v.found - v.truth) <= 2 * v.sigma for v in volumes) / max(1, len(volumes))
     tenth = sum(v.error <= 0.1 for v in volumes) / max(1, len(volumes))

@@ -1,12 +1,12 @@
 #!/usr/bin/env python
-"""Everything that can happen to a night at 3 a.m., on stages that take no time: a table of tries and losses.
+"""Inject all faults that can hit a night's run, on stages that take no time, and print a table of tries and losses.
 
     scripts/fault_campaign.py [--reduced] [--only NAME] [--json FILE] [--seed N]
 
-Kills at file operations, worker deaths, damage to every sort of file, receipts exchanged, full disks, overlapping runs, clocks,
-signals.  After each, a plain `wbflow run` has to give the cloud that an undisturbed run gives, with the right exit code, without
-anybody's help, and without doing again what was finished.  And site files, calibrations and captures that nobody means well with,
-which have to be refused by name, or used.  Exit code 1 if anything was lost.
+Faults are kills at file operations, worker deaths, damage to every kind of file, exchanged receipts, full disks, overlapping
+runs, wrong clocks and signals.  After each, a plain `wbflow run` must give the cloud of an undisturbed run, with the right exit
+code, without manual steps, and without repeating finished tasks.  Hostile site files, calibrations and captures must be refused
+by name, or used.  The exit code is 1 if anything was lost.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ def main() -> None:
     parser.add_argument("--json", type=Path, metavar="FILE")
     options = parser.parse_args()
     rows = []
-    memory = Path("/dev/shm")  # where syncing costs nothing: what is tried is the order of operations, not the disk
+    memory = Path("/dev/shm")  # fsync is free there: the campaign tests the order of operations, not the disk
     with tempfile.TemporaryDirectory(prefix="wbflow-faults-", dir=memory if memory.is_dir() else None) as folder:
         bench = Bench(Path(folder), options.seed)
         print(f"{Row.HEAD}", flush=True)
@@ -56,7 +56,7 @@ def main() -> None:
 
 
 def _busy() -> float:
-    """Processor seconds of this process and of all that it has waited for."""
+    """CPU seconds of this process and of all children that it has waited for."""
     return sum(t.ru_utime + t.ru_stime for t in map(resource.getrusage, (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)))
 
 

@@ -1,12 +1,12 @@
 #!/usr/bin/env python3
-"""Fits the coefficients of `stages/fusion/posterior.py`, or says how right its probabilities are.
+"""Fits the coefficients of `stages/fusion/posterior.py`, or measures how reliable its probabilities are.
 
     scripts/fit_posterior.py FOLDER ... [--judge]
 
-Each FOLDER is a rendered site with its truth (`wbflow demo`, `scripts/render_scene.py`) that was run: depths of its newest good
-run are compared with `truth/depth/`: refined ones and those of pairs to fit what a view knows of itself, then the likelier ones.
-With --judge nothing is fitted: for each folder the share of right depths in ten bins of their probability is shown, and the area
-under the ROC curve.
+Each FOLDER is a rendered site with its truth (`wbflow demo`, `scripts/render_scene.py`) after a run.  The depths of its newest
+good run are compared with `truth/depth/`.  `_OWN` is fitted on both refined and pair depths, `_OTHERS` and `_AROUND` on the
+likelier depth of each pixel.  With --judge, the existing coefficients are used instead of fitted ones.  At the end, the share of
+right depths in ten bins of their probability, and the area under the ROC curve, are printed for each folder.
 """
 
 from __future__ import annotations
@@ -30,30 +30,30 @@ from wbflow_stages.fusion.visibility import TrustedDepth, cross_check, probabili
 from wbflow_stages.types import Bools, Camera, DepthMap, Float32s, Float64s
 
 RIGHT_PX = 2.0
-"""A depth is right if its point lies within so many pixels' widths of the truth."""
+"""A depth is right if its point lies within this many pixel widths of the true surface."""
 
 MOST = 12_000
-"""Pixels of each view."""
+"""Largest number of pixels sampled from each view."""
 
 HOLD = 2e-5
-"""Weight of the coefficients' squares, which keeps them finite."""
+"""Ridge penalty on the coefficients, which keeps them finite."""
 
 
 @dataclass
 class View:
-    """A view with what is known of its depths, and which of them are right."""
+    """A view's depths, the evidence about them, and which of them are right."""
 
     depth: DepthMap
     known: Bools
     right: Bools
     judged: Bools
-    """Where the truth is known."""
+    """Where a depth exists and its true value is known."""
     evidence: list[Float32s]
     logit: Float32s
 
 
 class Scene:
-    """The views of a run, each with its refined depth and that of its pairs."""
+    """The views of a run, each with its refined depth and the depth from its pairs."""
 
     def __init__(self, folder: Path) -> None:
         run = wbflow.open_run(folder, "latest-good")
@@ -82,12 +82,12 @@ class Scene:
         return (view for kind in self.kinds for view in kind.values())
 
     def apply(self, coefficients: Float64s) -> None:
-        """Log-odds of the evidence that is at hand."""
+        """Set each view's log-odds from its current evidence."""
         for view in self.views():
             view.logit = P._logit(coefficients, view.evidence, view.known)
 
     def compare_views(self) -> None:
-        """Keeps the likelier depth of each pixel, as fusion does, and gathers what the other views say of it."""
+        """Keeps the likelier depth of each pixel, as fusion does, and gathers the evidence of the other views."""
         found = {name: [kind[name] for kind in self.kinds if name in kind] for name in self.cameras}
         trusted = {name: P.likelier([TrustedDepth(v.depth, v.logit) for v in views]) for name, views in found.items()}
         kept = {name: self._view(name, view.depth) for name, view in trusted.items()}
@@ -95,7 +95,7 @@ class Scene:
             view.logit = trusted[name].own
             check = cross_check(name, self.near[name], self.cameras, trusted.__getitem__)
             view.evidence = [view.logit, *P.evidence_of_others(check)]
-            view.known &= check.pairs > 0  # nothing else comes into a cloud
+            view.known &= check.pairs > 0  # depths without pairs never enter a cloud
             view.judged &= view.known
         self.kinds = [kept]
 
@@ -106,7 +106,7 @@ class Scene:
 
 
 def off_truth(truth: Path, name: str, camera: Camera, depth: DepthMap) -> Float64s:
-    """(h, w) how far each point is from the surface that is seen there, or beside it; nan where nothing is known."""
+    """(h, w) distance of each point from the true surface at its pixel or a neighbouring one; nan where the truth is unknown."""
     entry = json.loads((truth / "cameras.json").read_text())[name]
     z = np.load(truth / "depth" / f"{name}.npz")["depth"].astype(np.float64)
     z[z <= 0] = np.nan
@@ -134,7 +134,7 @@ def off_truth(truth: Path, name: str, camera: Camera, depth: DepthMap) -> Float6
 
 
 def samples(scenes: list[Scene]) -> tuple[Float64s, Float64s, Float64s, Float64s]:
-    """Evidence with a leading one, whether it is right, weights, and log-odds, of some pixels of each view."""
+    """Evidence (with a leading column of ones), labels (1: right), weights and log-odds of sampled pixels of each view."""
     rng = np.random.default_rng(0)
     parts = [part for scene in scenes for part in _parts(scene, rng)]
     return tuple(np.concatenate(column) for column in zip(*parts, strict=True))  # type: ignore[return-value]
@@ -151,7 +151,7 @@ def _parts(scene: Scene, rng: np.random.Generator) -> Iterator[tuple[Any, ...]]:
 
 
 def fitted(scenes: list[Scene]) -> Float64s:
-    """Coefficients by iterated least squares."""
+    """Coefficients of a logistic regression, by iteratively reweighted least squares."""
     X, right, weight, _ = samples(scenes)
     weight, b = weight / weight.sum(), np.zeros(X.shape[1])
     for _ in range(40):
@@ -162,7 +162,7 @@ def fitted(scenes: list[Scene]) -> Float64s:
 
 
 def reliability(scenes: list[Scene]) -> str:
-    """Share of right depths and of all, in ten bins of the probability; area under the ROC curve."""
+    """Share of right depths, and in brackets of all depths, in ten bins of the probability; area under the ROC curve."""
     _, right, weight, logit = samples(scenes)
     p, weight = 1 / (1 + np.exp(-logit)), weight / weight.sum()
     order = np.argsort(p)

@@ -1,10 +1,10 @@
-"""What nights leave behind, digest by digest, so that a change of the code can be held against the code before it.
+"""Digests of all that runs leave behind, to compare two versions of the code.
 
-    golden.py record FILE [--only NAME ...]     works through the scenes and writes what they left
-    golden.py compare BEFORE AFTER              names every difference; exit code 1 where there is one
+    golden.py record FILE [--only NAME ...]     runs the scenes and writes the digests of their results
+    golden.py compare BEFORE AFTER              prints every difference; exit code 1 if there is one
 
-A scene goes through the commands alone, so the script judges any version: run it with the PYTHONPATH of the one that is meant.
-Digests hold for one machine and one set of libraries.
+Scenes use only the command line, so any version can be recorded: set PYTHONPATH to the version to record.  Digests are comparable
+only on one machine with one set of libraries.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from typing import Any
 ROOT = Path(__file__).resolve().parent.parent
 DATA = Path(os.environ.get("WBFLOW_DATA", ROOT.parent / "shared" / "data"))
 OF_THE_MOMENT = {"run", "started", "finished", "seconds", "peak_rss_mb", "version", "usual", "settings", "reference", "later"}
-"""Entries of run.json that differ from run to run."""
+"""Entries of run.json that differ from run to run, and are not compared."""
 
 FOUNTAIN = """
 site: fountain
@@ -53,12 +53,12 @@ def wbflow(*arguments: str | Path) -> tuple[int, str, str]:
 
 
 def sha256(path: Path) -> str:
-    """Digest of a file's bytes."""
+    """The first 24 hex digits of a file's SHA-256."""
     return hashlib.sha256(path.read_bytes()).hexdigest()[:24]
 
 
 def run_of(site: Path, *arguments: str) -> dict[str, Any]:
-    """What a night leaves: plan, exit code, record, digests of products and artifacts."""
+    """Run a site: its plan, exit code and record, and the digests of its products and artifacts."""
     planned = wbflow("status", site, *arguments, "--json")
     plan = json.loads(planned[1]) if planned[0] == 0 else {}
     code, said, _ = wbflow("run", site, *arguments, "--json")
@@ -82,21 +82,21 @@ def run_of(site: Path, *arguments: str) -> dict[str, Any]:
 
 
 def yard_small(folder: Path) -> dict[str, Any]:
-    """Four cameras, 320x180; and once more with nothing to do."""
+    """Four cameras of 320x180, run twice: the second run has nothing to do."""
     wbflow("demo", folder, "--small")
     captures = {str(file.relative_to(folder)): sha256(file) for file in sorted(folder.rglob("*.jpg"))}
     return {"captures": captures, "first": run_of(folder / "site.yaml"), "second": run_of(folder / "site.yaml")}
 
 
 def yard(folder: Path) -> dict[str, Any]:
-    """Eight cameras in full size."""
+    """Eight cameras at full size."""
     wbflow("demo", folder)
     captures = {str(file.relative_to(folder)): sha256(file) for file in sorted(folder.rglob("*.jpg"))}
     return {"captures": captures, "run": run_of(folder / "site.yaml")}
 
 
 def fountain(folder: Path) -> dict[str, Any]:
-    """Four photographs at 768 with the poses stated."""
+    """Four photographs with stated poses, at resolution 768."""
     folder.mkdir()
     (folder / "site.yaml").write_text(FOUNTAIN % (DATA, DATA))
     return {"run": run_of(folder / "site.yaml")}
@@ -112,7 +112,7 @@ def nights(folder: Path) -> dict[str, Any]:
 
 
 def broken(folder: Path) -> dict[str, Any]:
-    """A site whose captures are cut short or gone."""
+    """A site with one truncated and one missing capture."""
     wbflow("demo", folder, "--small")
     files = sorted(file for file in folder.rglob("*.jpg") if "truth" not in file.parts)
     files[0].write_bytes(files[0].read_bytes()[:1000])
@@ -121,7 +121,7 @@ def broken(folder: Path) -> dict[str, Any]:
 
 
 def wrong(folder: Path) -> dict[str, Any]:
-    """A site file with mistakes: what is said of them."""
+    """A site file with mistakes: the messages about them."""
     folder.mkdir()
     (folder / "site.yaml").write_text(WRONG)
     code, _, said = wbflow("run", folder)
@@ -134,7 +134,7 @@ SCENES: dict[str, Callable[[Path], dict[str, Any]]] = {
 
 
 def differences(before: Any, after: Any, path: str = "") -> Iterator[str]:
-    """Paths of entries that differ, with both values."""
+    """Paths of the entries that differ, with both values."""
     if isinstance(before, dict) and isinstance(after, dict):
         for key in sorted({*before, *after}, key=str):
             yield from differences(before.get(key, "(nothing)"), after.get(key, "(nothing)"), f"{path}/{key}")

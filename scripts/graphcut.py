@@ -1,8 +1,8 @@
-"""A dense matcher for comparison: graph cuts, Hao's (2011) choice.
+"""A dense matcher for comparison: graph cuts, which Hao (2011) used.
 
-Expansion moves over whole-pixel disparities (Boykov et al., PAMI 2001), on the census costs of semi-global matching.  They are
-slow by nature, so larger pairs are matched at the power of two of their size that fits.  In a site file, with this folder on
-PYTHONPATH: `disparity: {matcher: "graphcut:match_graphcut"}`.  Needs the extra `graphcut`.
+It makes expansion moves over whole-pixel disparities (Boykov et al., PAMI 2001) on the census costs of semi-global matching.
+This is slow, so large pairs are halved until they fit `LARGEST_PX`.  Use it in a site file, with this folder on PYTHONPATH, as
+`disparity: {matcher: "graphcut:match_graphcut"}`.  It needs the extra `graphcut`.
 """
 
 from __future__ import annotations
@@ -14,14 +14,14 @@ from wbflow_stages.stereo.matcher import DenseMatches, RectifiedPair, halved, mi
 from wbflow_stages.types import Float32s
 
 LARGEST_PX = 384 * 256
-"""Pairs with more pixels are halved."""
+"""Largest number of pixels per image that is matched directly; larger pairs are halved."""
 _STEP, _LARGEST_JUMP = 4.0, 2
-"""Penalty of neighbours whose disparities differ by 1, and the difference from which it grows no more."""
+"""Smoothness penalty per pixel of disparity difference between neighbours, and the difference beyond which it stays constant."""
 _CYCLES = 4
 
 
 def match_graphcut(pair: RectifiedPair) -> DenseMatches:
-    """Disparity of both views in whole pixels of the size that was matched.  Raises ImportError without PyMaxflow."""
+    """Disparity of both views, in whole pixels of the (possibly halved) matched size.  Raises ImportError without PyMaxflow."""
     if pair.left.size > LARGEST_PX:
         height, width = pair.left.shape
         small = match_graphcut(halved(pair))

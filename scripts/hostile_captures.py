@@ -1,4 +1,4 @@
-"""Captures that nobody means well with: a camera for each, beside two good ones."""
+"""Hostile captures: a site with one camera for each of them, and two good cameras."""
 
 from __future__ import annotations
 
@@ -19,25 +19,25 @@ FORMS = ("png", "jpg", "tif", "bmp")
 STATED = {"fx": 300.0, "fy": 300.0, "cx": 159.5, "cy": 89.5, "width": WIDE, "height": HIGH}
 
 Make = Callable[[Path], None]
-"""Puts something where a capture should be."""
+"""Creates something at the path of a capture."""
 
 
 @dataclass(frozen=True)
 class Hostile:
-    """A camera of its own, `name`, whose capture is made by `make`."""
+    """A camera `name` whose capture is created by `make`."""
 
     name: str
     make: Make
     refused: bool = True
     said: str = ""
-    """Words that the reason must hold."""
+    """Text that the reason of the refusal must contain."""
     stated: bool = True
     """Does the site file state the size of its captures?"""
     mask: Make | None = None
 
 
 def lay(folder: Path, cases: list[Hostile]) -> Path:
-    """Write a site with a camera for each case, and the good ones; returns the site file."""
+    """Write a site with a camera for each case and the good cameras; returns the site file."""
     captures = folder / "captures"
     captures.mkdir()
     cameras: list[dict[str, object]] = []
@@ -58,19 +58,19 @@ def lay(folder: Path, cases: list[Hostile]) -> Path:
 
 
 def picture(seed: int = 0, wide: int = WIDE, high: int = HIGH) -> np.ndarray:
-    """(high, wide, 3) of something that can be seen."""
+    """(high, wide, 3) uint8 of smooth random colours: an image with texture."""
     noise = np.random.default_rng(seed).integers(0, 255, (max(high // 8, 2), max(wide // 8, 2), 3), np.uint8)
     return cv2.resize(noise, (wide, high), interpolation=cv2.INTER_CUBIC)
 
 
 def encoded(form: str, seed: int = 0, wide: int = WIDE, high: int = HIGH) -> bytes:
-    """The same as a file."""
+    """The bytes of such a `picture` in an image format, such as ".png"."""
     data: bytes = cv2.imencode(form, picture(seed, wide, high))[1].tobytes()
     return data
 
 
 def png(wide: int, high: int, rows: int, bits: int = 8, colour: int = 2) -> bytes:
-    """A PNG whose header promises wide x high, with so many rows of black in it."""
+    """A PNG whose header states wide x high pixels, and whose data are `rows` black rows."""
     row = b"\0" + bytes(wide * bits // 8 * (3 if colour == 2 else 1)) if rows else b""
     pack = zlib.compressobj(9)
     body = b"".join(pack.compress(row) for _ in range(rows)) + pack.flush()
@@ -80,7 +80,7 @@ def png(wide: int, high: int, rows: int, bits: int = 8, colour: int = 2) -> byte
 
 
 def tiff(wide: int, high: int) -> bytes:
-    """A TIFF that promises wide x high."""
+    """A TIFF whose header states wide x high pixels, without pixel data."""
     entries = [
         (256, 4, 1, wide),
         (257, 4, 1, high),
@@ -95,7 +95,7 @@ def tiff(wide: int, high: int) -> bytes:
 
 
 def capture_cases() -> list[Hostile]:
-    """All of them."""
+    """All hostile captures and masks."""
     good_png, good_jpg = encoded(".png"), encoded(".jpg")
     return [
         Hostile("pipe", os.mkfifo, said="a pipe"),
@@ -188,7 +188,7 @@ def _socket(path: Path) -> None:
 
     here = Path.cwd()
     with socket.socket(socket.AF_UNIX) as bound:
-        os.chdir(path.parent)  # a socket's name has at most 108 letters
+        os.chdir(path.parent)  # the path of a socket has at most 108 bytes
         try:
             bound.bind(path.name)
         finally:
@@ -196,7 +196,7 @@ def _socket(path: Path) -> None:
 
 
 def _jpeg_claims(data: bytes, wide: int, high: int) -> bytes:
-    """A JPEG whose frame header promises another size."""
+    """A JPEG whose frame header is changed to another size."""
     at = data.index(b"\xff\xc0") + 5
     return data[:at] + struct.pack(">HH", high, wide) + data[at + 4 :]
 

@@ -1,4 +1,4 @@
-"""Site files and calibrations that nobody means well with: made up, and fuzzed from good ones."""
+"""Hostile site files and calibrations: hand-written ones, and fuzzed good ones."""
 
 from __future__ import annotations
 
@@ -37,16 +37,16 @@ WRONG: dict[str, Any] = {
 
 @dataclass(frozen=True)
 class Case:
-    """Files that take the place of good ones, by name."""
+    """Files, by name, that replace those of the good site."""
 
     name: str
     files: dict[str, bytes]
     refused: bool = True
-    """Must it be?  Otherwise it may be used, too."""
+    """Whether the site must be refused; if not, it may be refused or used."""
 
 
 def write_base(folder: Path) -> None:
-    """The good files in a folder."""
+    """Write the good files into a folder, and remove those that only cases add."""
     for name, data in base().items():
         (folder / name).parent.mkdir(exist_ok=True)
         (folder / name).write_bytes(data)
@@ -56,7 +56,7 @@ def write_base(folder: Path) -> None:
 
 
 def base() -> dict[str, bytes]:
-    """A good site file, and what it names."""
+    """A good site file and the files that it refers to, by name."""
     return {
         "site.yaml": _dumped(SITE),
         "mask.png": b"",
@@ -67,7 +67,7 @@ def base() -> dict[str, bytes]:
 
 
 def site_cases() -> Iterator[Case]:
-    """Site files: the worst that people have thought of, and every value of a good one exchanged for others."""
+    """Site files: hand-written bad ones, and a good one with each of its values replaced by several or all of `WRONG`."""
     for name, text in texts().items():
         yield Case(name, {"site.yaml": text if isinstance(text, bytes) else text.encode()})
     for name, code in plug_ins().items():
@@ -87,7 +87,7 @@ _TRIED_EVERYWHERE = {"a word", "no number", "400 digits", "an empty mapping"}
 
 
 def calibration_cases() -> Iterator[Case]:
-    """Calibrations, as JSON and as COLMAP's text model."""
+    """Bad calibrations: JSON files, the camera files of other tools, and COLMAP's text model."""
     site = _dumped({key: value for key, value in SITE.items() if key != "calibration"} | {"calibration": "cameras.json"})
     for name, data in jsons().items():
         yield Case(f"JSON: {name}", {"site.yaml": site, "cameras.json": data if isinstance(data, bytes) else data.encode()})
@@ -103,7 +103,7 @@ def calibration_cases() -> Iterator[Case]:
 
 
 def _camera_files() -> Iterator[Case]:
-    """What OpenCV, ROS and Kalibr write: as it is, and with every value of it exchanged for others."""
+    """Camera files as OpenCV, ROS and Kalibr write them: unchanged, and with each value replaced by bad ones."""
     import yaml
 
     for file, text in CAMERA_FILES.items():
@@ -117,7 +117,7 @@ def _camera_files() -> Iterator[Case]:
 
 
 def _calibrated_by(file: str) -> bytes:
-    """A site file whose lenses stand in a camera file, or in its folder."""
+    """A site file whose lenses come from a camera file, or from the folder of camera files."""
     cameras = [{key: value for key, value in camera.items() if key not in _LENS} for camera in SITE["cameras"]]
     return _dumped(SITE | {"cameras": cameras, "calibration": file.partition("/")[0]})
 
@@ -127,7 +127,7 @@ _TRIED_IN_CALIBRATIONS = ("a word", "nothing", "no number", "endless", "400 digi
 
 
 def fuzzed(count: int, seed: int) -> Iterator[Case]:
-    """Good files with a few bytes, lines or words changed; the same for a seed."""
+    """Good files with a few bytes, lines or words changed; a seed always gives the same cases."""
     chance = random.Random(seed)
     calibrated = _dumped(SITE | {"calibration": "cameras.json"})
     model = _dumped(SITE | {"calibration": "model"})
@@ -214,7 +214,7 @@ def _mutated(data: bytes, chance: random.Random) -> bytes:
 
 
 def _places(data: Any, above: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
-    """The place of every value."""
+    """The place (keys and indices from the root) of every value."""
     items = data.items() if isinstance(data, dict) else enumerate(data) if isinstance(data, list) else ()
     for key, value in items:
         yield (*above, key)
@@ -231,7 +231,7 @@ def _with(data: Any, place: tuple[Any, ...], value: Any) -> Any:
 
 
 def _dumped(data: Any) -> bytes:
-    """JSON, which is YAML but for two numbers."""
+    """JSON, which is also YAML if nan and infinity are spelled as YAML spells them."""
     return json.dumps(data, indent=1).replace("NaN", ".nan").replace("-Infinity", "-.inf").replace("Infinity", ".inf").encode()
 
 
@@ -242,7 +242,7 @@ def _as_yaml(data: Any) -> bytes:
 
 
 def _at_home(text: str) -> bytes:
-    """A site file of the repository whose captures are in the folder where it lies."""
+    """A site file of the repository, changed so that its captures are in its own folder and it has no calibration."""
     import re
 
     text = re.sub(r"root: \S+", "root: .", text)

@@ -1,12 +1,12 @@
 #!/usr/bin/env python3
-"""Site files, calibrations and captures that nobody means well with, and what becomes of them: refused by name, or used.
+"""Try hostile site files, calibrations and captures: each must be refused by name, or used.
 
-    python scripts/hostile_inputs.py                      # everything: made-up files, 5,000 fuzzed ones, captures
+    python scripts/hostile_inputs.py                      # everything: hand-written files, 5,000 fuzzed ones, captures
     python scripts/hostile_inputs.py --fuzz 200 --seed 3  # fewer fuzzed ones
     python scripts/hostile_inputs.py --no-captures        # only what is loaded in this process: seconds
 
-A fault is a traceback, "wbflow itself failed", an exception that is no WbflowError, anything that takes longer than a minute
-a made-up file that must be refused and is not, or one refused without a line and a column.
+Faults are a traceback, "wbflow itself failed", an exception that is not a WbflowError, a file that takes longer than a minute, a
+bad file that is used although it must be refused, and a refusal that does not name the place or cannot be shown on a screen.
 """
 
 from __future__ import annotations
@@ -35,36 +35,36 @@ from wbflow.runner.options import Options
 from wbflow.site.load import load_site
 
 SECONDS = 60.0
-"""That anything may take, on a machine that has nothing else to do."""
+"""Time limit for one file, in seconds, on an idle machine."""
 WORKER_MB = 1500.0
 
 
 @dataclass(frozen=True)
 class Fault:
-    """Something that must not be."""
+    """A wrong reaction to a hostile input."""
 
     kind: str
     name: str
     what: str
     loss: str = "wrong exit"
-    """The column of the fault campaign's table that it counts in."""
+    """The column of the fault campaign's table in which it counts."""
 
     def __str__(self) -> str:
         return f"{self.kind:12} {self.name:48} {self.what[:300]!r}"
 
 
 def patience() -> float:
-    """The same in seconds by the clock, with all that the machine is doing now."""
+    """The time limit in wall-clock seconds: `SECONDS`, scaled by the machine's present load."""
     return SECONDS * max(1.0, os.getloadavg()[0] / (os.cpu_count() or 1))
 
 
 class TooSlow(BaseException):
-    """A file has had its time; no `except Exception` is to swallow it."""
+    """A file exceeded its time limit.  A BaseException, so that no `except Exception` swallows it."""
 
 
 @contextlib.contextmanager
 def within(seconds: float) -> Iterator[None]:
-    """Raise TooSlow in the block after so many seconds."""
+    """Raise TooSlow inside the block after this many seconds."""
 
     def stop(signum: int, frame: object) -> None:
         raise TooSlow
@@ -79,11 +79,11 @@ def within(seconds: float) -> Iterator[None]:
 
 
 def load(file: Path) -> str:
-    """ "" where a site file is accepted, else the words of its refusal.  Whatever else is raised is a fault."""
+    """An empty string if a site file is accepted, else the message of its refusal.  Any other exception is a fault."""
     try:
         with within(patience()):
             own_work = b'"work"' in file.read_bytes()
-            site = load_site(file, None if own_work else file.parent / "work")  # one memo of functions for all
+            site = load_site(file, None if own_work else file.parent / "work")  # all cases share its functions memo
             plan_run(site, Options()).plan.refresh()
             site.reader.save()
     except WbflowError as error:
@@ -98,7 +98,7 @@ def try_files(kind: str, cases: Iterator[Case], counts: Counter[str]) -> Iterato
     with tempfile.TemporaryDirectory() as folder:
         base = Path(folder)
         write_base(base)
-        load(base / "site.yaml")  # what is learnt of functions is remembered for all
+        load(base / "site.yaml")  # fills the functions memo for all cases
         for case in cases:
             write_base(base)
             for name, data in case.files.items():
@@ -120,7 +120,7 @@ def try_files(kind: str, cases: Iterator[Case], counts: Counter[str]) -> Iterato
 
 
 def try_captures(cases: list[Hostile], counts: Counter[str]) -> Iterator[Fault]:
-    """One night of a camera for each case beside two good ones, through the command line."""
+    """Run a site with a camera for each case and two good ones, through the command line."""
     with tempfile.TemporaryDirectory() as folder:
         site = lay(Path(folder), cases)
         command = [sys.executable, "-m", "wbflow", "run", str(site), "--until", "frames", "--json", "--jobs", "2"]
@@ -164,7 +164,7 @@ def _judge(record: dict[str, object], cases: list[Hostile], counts: Counter[str]
 
 
 def try_loops() -> Iterator[Fault]:
-    """Links that lead back to where they are, and `**`: the night is found all the same."""
+    """Two symbolic links to their own folder, and `**` in the pattern: the captures must be found nevertheless."""
     with tempfile.TemporaryDirectory() as folder:
         site = lay(Path(folder), [])
         captures = Path(folder) / "captures"

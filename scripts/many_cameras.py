@@ -1,4 +1,4 @@
-"""The demo yard with as many cameras as one likes: on masts along its half ring, at several heights, each looking elsewhere."""
+"""The demo yard with any number of cameras: on masts along a half ring, at various heights, looking in various directions."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from wbflow_demo.yard import LAMPS, static_yard
 
 
 def viewpoints(count: int, every: int = 1) -> tuple[Viewpoint, ...]:
-    """Every so many-th of a number of cameras; neighbours in the list are neighbours on the ring."""
+    """Every `every`-th of `count` cameras, in the order of their places on the ring."""
     random = np.random.default_rng(count)
     found = []
     for k, bearing in enumerate(np.radians(np.linspace(-74.0, 74.0, count))):
@@ -40,7 +40,7 @@ def viewpoints(count: int, every: int = 1) -> tuple[Viewpoint, ...]:
 
 
 def render(count: int, size: tuple[int, int], every: int = 1) -> DemoSite:
-    """Photograph the yard with every so many-th of a number of cameras, one picture each."""
+    """Photograph the yard with every `every`-th of `count` cameras, one image each."""
     shots = Shots(len(viewpoints(count, every)), 1, size)
     texel_m = shots.texel_m(0.0098 * 1280, 0.0098, 0.1)
     night = Night(
@@ -53,18 +53,18 @@ def render(count: int, size: tuple[int, int], every: int = 1) -> DemoSite:
 
 
 def write_site(site: DemoSite, folder: Path, degree: int = 6, cameras: int | None = None, every: int = 1) -> tuple[Path, Path]:
-    """A site without poses, and one with them; returns both site files.
+    """Write a site without poses and one with them; returns both site files.
 
     Parameters
     ----------
     site : DemoSite
         What was photographed.
     folder : Path
-        Gets the captures, and a site file each beside them.
+        Where captures, masks, calibrations and both site files are written.
     degree : int
-        Pairs wanted at each camera.
+        Number of pairs per camera.
     cameras, every : int, optional
-        Only the first so many of every so many-th camera.
+        Use every `every`-th camera, and of these only the first `cameras`.
     """
     chosen = site.cameras[::every][:cameras]
     for camera in chosen:

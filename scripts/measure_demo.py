@@ -1,7 +1,7 @@
-"""How far the demo's newest cloud is from the rendered truth.    measure_demo.py DEMO_FOLDER [--json FILE]
+"""Measure how far the demo's newest cloud is from the rendered truth.    measure_demo.py DEMO_FOLDER [--json FILE]
 
-The demo's captures carry a burned-in clock, which masks leave out, and people and vehicles that stand elsewhere each time;
-the truth is the empty site: what is left of either counts against the cloud.
+The demo's captures show a burned-in clock, which masks leave out, and people and vehicles that move between captures.
+The truth is the empty site, so points on either count as errors of the cloud.
 """
 
 from __future__ import annotations

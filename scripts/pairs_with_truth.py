@@ -1,6 +1,6 @@
-"""Photographed and rendered pairs with known cameras, and the judgement of matches and geometries against them.
+"""Photographed and rendered pairs with known cameras, and measures of matches and geometries against this truth.
 
-For the benchmarks of matching.  fountain is judged by laser depth, the demo yard by its exact depth, entry by its cameras alone.
+Matches are judged by laser depth in fountain, by exact depth in rendered scenes, and by true epipolar lines in entry (no depth).
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ CORRECT_PX = 3.0
 
 @dataclass(frozen=True)
 class TrueView:
-    """A frame with its true camera; depth: (h, w) along the axis, 0 where unknown, None for a scene without depth."""
+    """A frame with its true camera; depth: (h, w) along the optical axis, 0 where unknown, None for a scene without depth."""
 
     scene: str
     name: str
@@ -51,7 +51,7 @@ class TrueView:
 
     @cached_property
     def plain_sift(self) -> Features:
-        """All that OpenCV's SIFT finds at its defaults, with its own descriptors: what a user has without this project."""
+        """Keypoints and descriptors of OpenCV's SIFT with default settings: what a user has without this project."""
         grey = cv2.cvtColor(self.frame.image, cv2.COLOR_RGB2GRAY)
         found, descriptors = cv2.SIFT.create().detectAndCompute(grey, None)
         c, s = np.cos(np.radians([k.angle for k in found])), np.sin(np.radians([k.angle for k in found]))
@@ -62,7 +62,7 @@ class TrueView:
         return Features(xy, frames, descriptors, responses, tilts, self.frame.view, plain_keypoints=len(found))
 
     def without_lens(self) -> Features:
-        """The features of a camera whose intrinsics nobody knows."""
+        """The same features for a camera with unknown intrinsics."""
         return replace(self.features, view=View(self.camera.width, self.camera.height))
 
     def depth_at(self, x: Float64s) -> Float64s:
@@ -77,7 +77,7 @@ class TrueView:
 
 
 def on_one_thread() -> None:
-    """Start this program again with one thread a library: those that wait for work spin, and count as CPU seconds."""
+    """Restart this program with one thread per library, since waiting threads spin and count as CPU seconds."""
     cv2.setNumThreads(1)
     if "OPENBLAS_NUM_THREADS" not in os.environ:
         os.environ["OPENBLAS_NUM_THREADS"] = os.environ["OMP_NUM_THREADS"] = "1"
@@ -130,7 +130,7 @@ def rendered(light: Daytime, cache: Path, width: int = 1280) -> dict[str, TrueVi
 
 
 def rendered_scene(scene: str, light: Daytime, cache: Path, width: int = 960, captures: int = 2) -> dict[str, TrueView]:
-    """All cameras of a demo scene, by name; rendered once (about 40 s) into `cache`."""
+    """The views of all cameras of a demo scene, by name; rendered once (about 40 s) into `cache`."""
     import scenes  # noqa: F401  # adds the scenes that only benches use
 
     from wbflow_demo.scenes import render
@@ -167,7 +167,7 @@ def axes_angle_deg(left: Camera, right: Camera) -> float:
 
 
 def transfer_error(left: TrueView, right: TrueView, x1: Float64s, x2: Float64s) -> Float64s:
-    """(n,) pixels between a match and the truth, by the depth of whichever view knows it; nan where neither does."""
+    """(n,) pixels between a match and the truth: the smaller error by either view's depth; nan where both are unknown."""
     errors = []
     for a, b, xa, xb in ((left, right, x1, x2), (right, left, x2, x1)):
         z = a.depth_at(xa)
@@ -180,7 +180,7 @@ def transfer_error(left: TrueView, right: TrueView, x1: Float64s, x2: Float64s) 
 
 
 def correct(left: TrueView, right: TrueView, x1: Float64s, x2: Float64s) -> tuple[int, int]:
-    """How many matches are correct, of how many that could be judged."""
+    """Number of correct matches, and number of matches that can be judged."""
     limit = CORRECT_PX * left.camera.width / 1536
     if left.depth is None:
         error = symmetric_epipolar_distance(fundamental_from_cameras(left.camera, right.camera), x1, x2)
@@ -191,7 +191,7 @@ def correct(left: TrueView, right: TrueView, x1: Float64s, x2: Float64s) -> tupl
 
 
 def true_correspondences(left: TrueView, right: TrueView, columns: int = 96) -> tuple[Float64s, Float64s]:
-    """Exact correspondences (n, 2) of points that both views see, on a grid of the left one."""
+    """Exact correspondences x1, x2 (n, 2) of points that both views see, on a pixel grid of the left view."""
     w, h = left.camera.width, left.camera.height
     step = w / columns
     gx, gy = np.meshgrid(np.arange(step / 2, w, step), np.arange(step / 2, h, step))
@@ -208,7 +208,7 @@ def true_correspondences(left: TrueView, right: TrueView, columns: int = 96) -> 
 
 
 def _on_true_lines(left: Camera, right: Camera, x1: Float64s) -> tuple[Float64s, Float64s]:
-    """Without depth: three depths along each ray, as far as both cameras see them."""
+    """Correspondences for a scene without depth: points at three depths along each ray that both cameras see."""
     scale = float(np.linalg.norm(left.C - right.C))
     points1, points2 = [], []
     for factor in (1.5, 3.0, 6.0):
@@ -230,7 +230,7 @@ def pose_error_deg(left: Camera, right: Camera, R: Float64s | None, t: Float64s 
 
 
 WALLS = (
-    # section of a wall: camera positions (x, y) and the points that they look at, metres; all windows are the same
+    # wall section, camera positions (x, y), and the point that they look at, in metres; all windows are alike
     ("north-a", ((2.5, 19.0), (5.5, 18.0), (9.5, 19.5)), (5.0, 30.0)),
     ("north-b", ((12.0, 22.0), (14.5, 21.5), (17.0, 22.5)), (14.5, 30.0)),
     ("north-c", ((24.0, 21.5), (26.5, 20.5), (29.0, 21.5)), (26.0, 30.0)),
@@ -241,7 +241,7 @@ WALLS = (
 
 
 def walls(cache: Path, width: int = 960) -> dict[str, TrueView]:
-    """Close views of the demo yard's walls, three of each section; sections look alike and share nothing."""
+    """Close views of the demo yard's walls, three of each section; the sections look alike but do not overlap."""
     from wbflow_demo.render.cameras import look_at
     from wbflow_demo.render.light import light_of
     from wbflow_demo.render.photograph import render_view, true_depth

@@ -1,8 +1,8 @@
-"""Photographs with true cameras as a site of two nights, and what is known of its surface.
+"""Make a site of two nights, with its true surface, from photographs with true cameras.
 
-Captures are small, seen through a lens that bends, so that each fault of a calibration has something to spoil; in the second
-night they are darker and noisier.  The surface is what a run on all photographs with their true cameras makes, and for the
-fountain, wherever the laser has something, the laser's.
+Captures are small and seen through a distorting lens, so that every calibration fault has an effect; those of the second night
+are darker and noisier.  The true surface is the cloud of a run on all photographs with their true cameras, replaced by the
+laser's points (fountain only) wherever the laser has data.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ WIDTH, WIDTH_OF_TRUTH = 480, 768
 
 
 def write_photographs(folder: Path, photographs: str, cameras: Sequence[str], nights: Sequence[str]) -> None:
-    """Write captures, site.yaml, cameras.json and truth/ of a set of `WBFLOW_DATA` into a folder.
+    """Write captures, site.yaml, cameras.json and truth/ for a data set of `WBFLOW_DATA` into a folder.
 
     cameras: names of photographs.  nights: two dates.
     """
@@ -61,7 +61,7 @@ def write_photographs(folder: Path, photographs: str, cameras: Sequence[str], ni
 
 
 def true_cameras(source: Path) -> dict[str, Camera]:
-    """All cameras of a set by name, for its photographs as they are."""
+    """All cameras of a data set by name, for its photographs at full size."""
     cameras = {}
     for name, of in json.loads((source / "cameras.json").read_text()).items():
         K, R, C = (np.array(of[key], np.float64) for key in "KRC")
@@ -70,14 +70,14 @@ def true_cameras(source: Path) -> dict[str, Camera]:
 
 
 def resized(camera: Camera, width: int) -> Camera:
-    """The same camera with pictures of this width."""
+    """The same camera with images of this width."""
     height = round(camera.height * width / camera.width)
     K = scaled_intrinsics(camera.K, width / camera.width, height / camera.height)
     return Camera(K, camera.R, camera.C, width, height)
 
 
 def through_lens(picture: Uint8s, whole: Camera, camera: Camera) -> Uint8s:
-    """What a smaller camera at the same place sees through the lens: rendered twice as large, then averaged."""
+    """The image of a smaller camera at the same place through `LENS`: resampled at twice its size, then averaged."""
     large = resized(camera, 2 * camera.width)
     v, u = np.mgrid[0 : large.height, 0 : large.width].reshape(2, -1).astype(np.float64)
     rays = cv2.undistortPoints(np.column_stack([u, v])[:, None], large.K, LENS)[:, 0]
@@ -89,13 +89,13 @@ def through_lens(picture: Uint8s, whole: Camera, camera: Camera) -> Uint8s:
 
 
 def entry(camera: Camera) -> dict[str, object]:
-    """A camera in cameras.json."""
+    """The entry of a camera in cameras.json."""
     matrices = {key: getattr(camera, key).tolist() for key in "KRC"}
     return {"width": camera.width, "height": camera.height, **matrices}
 
 
 def write_truth(truth: Path, source: Path, every: dict[str, Camera], cameras: dict[str, Camera]) -> None:
-    """Write cameras.json, depth/ of these cameras if there is a laser's, and reference.ply, in the form of the demo's."""
+    """Write cameras.json, depth/ of these cameras if the laser has it, and reference.ply, in the demo's formats."""
     (truth / "depth").mkdir(parents=True)
     (truth / "cameras.json").write_text(json.dumps({name: entry(camera) for name, camera in cameras.items()}))
     X, lit = photographed_surface(source, list(every)), []
@@ -113,7 +113,7 @@ def write_truth(truth: Path, source: Path, every: dict[str, Camera], cameras: di
 
 
 def photographed_surface(source: Path, names: Sequence[str]) -> Float64s:
-    """(n, 3) the cloud of all photographs with their true cameras."""
+    """(n, 3) the cloud of a run on all photographs with their true cameras."""
     with tempfile.TemporaryDirectory() as folder:
         captures = {"root": str(source / "images"), "pattern": "{camera}.jpg"}
         site = {"site": "truth", "captures": captures, "cameras": list(names), "resolution": WIDTH_OF_TRUTH}
@@ -124,7 +124,7 @@ def photographed_surface(source: Path, names: Sequence[str]) -> Float64s:
 
 
 def sampled(depth: Float32s, whole: Camera, camera: Camera) -> Float32s:
-    """(h, w) depth of a smaller camera at the same place: of the nearest pixels."""
+    """(h, w) depth map of a smaller camera at the same place, from the nearest pixels."""
     v, u = np.mgrid[0 : camera.height, 0 : camera.width].reshape(2, -1).astype(np.float64)
     rays = np.column_stack([u, v, np.ones(len(u))]) @ np.linalg.inv(camera.K).T
     x = np.rint((rays @ whole.K.T)[:, :2]).astype(np.int64)
@@ -133,7 +133,7 @@ def sampled(depth: Float32s, whole: Camera, camera: Camera) -> Float32s:
 
 
 def knows(depth: Float32s, camera: Camera, X: Float64s) -> Bools:
-    """(n,) bool: has the laser something in the pixel of a point?"""
+    """(n,) bool: does the depth map have a value at each point's pixel?"""
     x, z = project(camera, X)
     with np.errstate(invalid="ignore"):
         inside = (z > 0) & (x >= 0).all(axis=1) & (x <= (camera.width - 1, camera.height - 1)).all(axis=1)

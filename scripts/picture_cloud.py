@@ -1,4 +1,4 @@
-"""A picture of a cloud, seen from a place.    picture_cloud.py CLOUD.ply OUT.jpg --eye X Y Z --target X Y Z [--width N]"""
+"""Draw a cloud as seen from a point.    picture_cloud.py CLOUD.ply OUT.jpg --eye X Y Z --target X Y Z [--width N]"""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def main() -> None:
 
 
 def render(points: np.ndarray, colors: np.ndarray, eye: np.ndarray, R: np.ndarray, width: int) -> np.ndarray:
-    """(h, w, 3) uint8: every point as a small square, far ones first, so that near ones cover them."""
+    """(h, w, 3) uint8 image in BGR order: each point is a small square, near points cover far ones."""
     height, focal = width * 9 // 16, 0.9 * width
     x = (points - eye) @ R.T
     x, colors = x[x[:, 2] > 0.5], colors[x[:, 2] > 0.5]

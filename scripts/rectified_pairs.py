@@ -1,7 +1,7 @@
-"""Photographed pairs with the project's own geometry, and the judgement of rectified and densely matched pairs against the truth.
+"""Photographed pairs with the project's own geometry, and errors of rectification and dense matching against the truth.
 
-For the benchmarks of rectification and dense matching.  Geometry comes from keypoints at `FEATURE_WIDTH`, scaled to the width
-asked.
+The benches of rectification and dense matching use them.  Geometry is estimated from keypoints at `FEATURE_WIDTH` and scaled to
+the requested width.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ SWEEP = "5-4 5-3 5-2 5-1 5-6 5-7 5-8 5-9"
 
 @dataclass(frozen=True)
 class TruePair:
-    """Two views at working width, their geometry, and exact correspondences x1, x2 (n, 2) of what both see."""
+    """Two views at working width, their geometry, and exact correspondences x1, x2 (n, 2) of points that both see."""
 
     name: str
     left: TrueView
@@ -34,7 +34,7 @@ class TruePair:
 
 
 def true_pairs(names: list[str], width: int, scene: str = "fountain") -> list[TruePair]:
-    """Pairs such as "5-4" that have a geometry; the others are left out with a word."""
+    """Pairs such as "5-4" that have a geometry; for the others, the reason is printed."""
     chosen = [tuple(name.split("-")) for name in names]
     numbers = sorted({number for pair in chosen for number in pair})
     views, sharp = photographed(scene, width, numbers), photographed(scene, FEATURE_WIDTH, numbers)
@@ -65,7 +65,7 @@ def scaled(geometry: Geometry, left: TrueView, right: TrueView) -> Geometry:
 
 
 def row_errors(rectification: Rectification, pair: TruePair) -> Float64s:
-    """(n,) pixels between the rows of true correspondences that both rectified images show."""
+    """(n,) row offsets in pixels of the true correspondences that lie within both rectified images."""
     y1, y2 = to_rectified(rectification, 1, pair.x1), to_rectified(rectification, 2, pair.x2)
     shown = np.ones(len(y1), dtype=bool)
     for y, size in ((y1, rectification.size1), (y2, rectification.size2)):
@@ -74,7 +74,7 @@ def row_errors(rectification: Rectification, pair: TruePair) -> Float64s:
 
 
 def dense_errors(rectification: Rectification, disparity: Disparity, pair: TruePair) -> Float64s:
-    """(n,) pixels of image 2 between where the left disparity sends a true point and where it is; nan where it has no value."""
+    """(n,) pixels in image 2 between a true point and the point that the left disparity gives; nan without a disparity."""
     at = to_rectified(rectification, 1, pair.x1)
     d = sample_disparity(disparity_px(disparity, 1), at)
     found = from_rectified(rectification, 2, np.column_stack([at[:, 0] - d, at[:, 1]]))

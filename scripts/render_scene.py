@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
-"""Renders a scene that only benches use as a demo site:  scripts/render_scene.py hall DIR [--small] [--light dusk] [--cameras 4]
+"""Renders a demo site of a scene that only benches use:  scripts/render_scene.py hall DIR [--small] [--light dusk] [--cameras 4]
 
-As `wbflow demo --scene`, which knows yard, square and carpark; about a minute in full size.
+Works like `wbflow demo --scene`, which offers yard, square and carpark.  Takes about a minute at full size.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from wbflow_demo.scenes import SCENES
 
 
 def main() -> None:
-    """Render what is asked for."""
+    """Render the requested scene."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("scene", choices=[*SCENES])
     parser.add_argument("folder", type=Path)

@@ -1,10 +1,10 @@
 #!/usr/bin/env python3
-"""Keeps what benches measured: one JSON file a table in scripts/results/, all of them as tables in scripts/RESULTS.md.
+"""Stores the results of benches as one JSON file per table in scripts/results/, and writes all tables to scripts/RESULTS.md.
 
-scripts/results.py                                        writes RESULTS.md anew
+scripts/results.py                                        rewrites RESULTS.md
 scripts/results.py record NAME ROWS.json --title TITLE --command COMMAND [--columns a b ...] [--note TEXT]
-                                                          keeps rows that a bench wrote with --json, with today's date, this
-                                                          commit and this machine, then writes RESULTS.md anew
+                                                          stores rows that a bench wrote with --json, with today's date, this
+                                                          commit and this machine, then rewrites RESULTS.md
 """
 
 from __future__ import annotations
@@ -33,14 +33,14 @@ column says otherwise; the commit is the one that was measured, or the first tha
 
 @dataclass(frozen=True)
 class Table:
-    """What one bench measured once."""
+    """The results of one execution of a bench."""
 
     title: str
     command: str
-    """That measures it again."""
+    """Command that repeats the measurement."""
     date: str
     commit: str
-    """Of the code that was measured, or the first that holds the figures."""
+    """Commit of the measured code, or the first commit that contains the figures."""
     machine: str
     columns: list[str]
     rows: list[list[str | float | None]]
@@ -48,12 +48,12 @@ class Table:
 
 
 def read_tables() -> dict[str, Table]:
-    """All tables by the name of their file, in the order of names."""
+    """All tables by the name of their file, sorted by name."""
     return {file.stem: Table(**json.loads(file.read_text())) for file in sorted(FOLDER.glob("*.json"))}
 
 
 def markdown(tables: dict[str, Table]) -> str:
-    """The page."""
+    """The text of RESULTS.md."""
     return "\n".join([HEAD, *(_section(table) for table in tables.values())])
 
 
@@ -68,7 +68,7 @@ def _row(cells: list[str] | list[str | float | None]) -> str:
 
 
 def table_of(rows: list[dict[str, str | float | None]], asked: argparse.Namespace) -> Table:
-    """Rows of a bench as a table of today, of this commit and this machine."""
+    """A table of a bench's rows, with today's date, this commit and this machine."""
     git = ["git", "-C", str(SCRIPTS), "rev-parse", "--short", "HEAD"]
     commit = subprocess.run(git, capture_output=True, text=True, check=True).stdout.strip()
     columns = asked.columns or list(rows[0])
@@ -78,7 +78,7 @@ def table_of(rows: list[dict[str, str | float | None]], asked: argparse.Namespac
 
 
 def main() -> None:
-    """Record what is asked for, and write the page."""
+    """Record a table if requested, and write RESULTS.md."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     record = parser.add_subparsers(dest="action").add_parser("record")
     record.add_argument("name")

@@ -1,8 +1,8 @@
-"""How good is a result, given the truth: clouds, poses, epipolar geometry and matches against exact depth.
+"""Scores of results against the truth: clouds, poses, epipolar geometry, and matches against exact depth.
 
 Clouds are compared as in the multi-view benchmarks of Knapitsch et al. (Tanks and Temples, ACM TOG 2017) and Schöps et al.
 (ETH3D, CVPR 2017): accuracy (precision) is the share of the reconstruction within tau of the reference, completeness (recall)
-the share of the reference within tau of the reconstruction, F their harmonic mean.  This is the strict form: every point near the
+the share of the reference within tau of the reconstruction, F their harmonic mean.  The score is strict: every point near the
 reference's bounding box counts.
 """
 
@@ -25,20 +25,20 @@ Points = npt.NDArray[np.floating]
 
 @dataclass(frozen=True)
 class CloudScore:
-    """How near a cloud is to a reference."""
+    """How close a cloud is to a reference."""
 
     tau: Float64s
-    """(k,) float64, lengths."""
+    """(k,) float64, distance thresholds, in the reference's unit."""
     accuracy: Float64s
     completeness: Float64s
     F: Float64s
-    """(k,) float64, 0 to 1, at each tau."""
+    """(k,) float64 each, accuracy, completeness and F (0 to 1) at each tau."""
     accuracy_median: float
     completeness_median: float
-    """Median distances from the cloud to the reference and back, nan for an empty cloud."""
+    """Median distances from the cloud to the reference, and from the reference to the cloud; nan for an empty cloud."""
     points: int
     reference_points: int
-    """How many were compared, after thinning."""
+    """Numbers of points compared, after thinning."""
 
 
 def compare_clouds(
@@ -50,8 +50,8 @@ def compare_clouds(
     ----------
     points, reference : (n, 3) and (m, 3).
     taus : distances at which to score.
-    voxel : both clouds are thinned to one point, the mean, per cell of this size, so that density does not weigh; 0: not thinned.
-    margin : points farther than this outside the reference's bounding box are left out.
+    voxel : both clouds are thinned to one mean point per cell of this size, so that density has no weight; 0: no thinning.
+    margin : points farther than this outside the reference's bounding box are ignored.
 
     Raises
     ------
@@ -61,7 +61,7 @@ def compare_clouds(
     if not len(reference):
         raise ValueError("the reference has no points")
     low, high = reference.min(axis=0) - margin, reference.max(axis=0) + margin
-    inside = ((points >= low) & (points <= high)).all(axis=1)  # false for nan, too
+    inside = ((points >= low) & (points <= high)).all(axis=1)  # nan is not inside
     cloud, truth = voxel_means(points[inside], voxel), voxel_means(reference, voxel)
     to_truth, to_cloud = _nearest(cloud, truth), _nearest(truth, cloud)
     tau = np.asarray(taus, np.float64)
@@ -73,7 +73,7 @@ def compare_clouds(
 
 
 def voxel_means(points: Points, size: float) -> Float64s:
-    """One point (their mean) for each cell of a grid anchored at 0, in the order of the cells; size 0: the points as they are."""
+    """The mean of the points in each cell of a grid anchored at 0, in the order of the cells; size 0: all points."""
     exact = points.astype(np.float64)
     if size <= 0 or not len(points):
         return exact
@@ -86,7 +86,7 @@ def voxel_means(points: Points, size: float) -> Float64s:
 
 
 def _nearest(points: Float64s, others: Float64s) -> Float64s:
-    """Distance of each point to the nearest of the others; infinite where there are none."""
+    """Distance of each point to the nearest of the others; infinite if there are no others."""
     from scipy.spatial import cKDTree
 
     if not len(points) or not len(others):
@@ -96,16 +96,16 @@ def _nearest(points: Float64s, others: Float64s) -> Float64s:
 
 @dataclass(frozen=True)
 class PoseErrors:
-    """How near solved cameras are to the true ones."""
+    """Pose errors of solved cameras against the true ones."""
 
     cameras: tuple[str, ...]
-    """Ids compared."""
+    """Ids of the compared cameras."""
     rotation_deg: Float64s
     """(n,) angle between orientations."""
     position: Float64s
     """(n,) distance between centres, in the truth's unit."""
     alignment: Similarity | None
-    """What was applied to the estimate first, None for nothing."""
+    """Alignment that was applied to the estimate before the comparison; None without alignment."""
 
 
 def similarity_between(source: Float64s, target: Float64s, *, with_scale: bool = True) -> Similarity:
@@ -122,7 +122,7 @@ def similarity_between(source: Float64s, target: Float64s, *, with_scale: bool =
     a, b = source - weight @ source, target - weight @ target
     M = b.T @ a / count
     spread = np.linalg.svd(M, compute_uv=False)
-    open_turn = len(source) < 3 or spread[1] <= 1e-9 * spread[0]  # points that coincide have no spread at all
+    open_turn = len(source) < 3 or spread[1] <= 1e-9 * spread[0]  # `<=`: coinciding points have zero spread
     found = None if open_turn else with_rotation(nearest_rotation(M), source, target, weight, None if with_scale else 1.0)
     if found is None:
         raise ValueError("an alignment needs three points that are not on a line")
@@ -130,7 +130,7 @@ def similarity_between(source: Float64s, target: Float64s, *, with_scale: bool =
 
 
 def pose_errors(estimated: Mapping[str, Camera], truth: Mapping[str, Camera], *, aligned: bool = False) -> PoseErrors:
-    """Compare poses of the cameras that both have; `aligned`: after the best similarity of the centres (poses without scale)."""
+    """Compare the poses of common cameras; `aligned`: after the best similarity of the centres (for poses without scale)."""
     names = tuple(name for name in truth if name in estimated)
     centres = np.array([estimated[n].C for n in names]).reshape(-1, 3)
     true_centres = np.array([truth[n].C for n in names]).reshape(-1, 3)
@@ -143,9 +143,9 @@ def pose_errors(estimated: Mapping[str, Camera], truth: Mapping[str, Camera], *,
 
 
 def turn_errors_deg(estimated: Mapping[str, Camera], truth: Mapping[str, Camera]) -> Float64s:
-    """(n,) angles between orientations after the one turn of all cameras that fits best.
+    """(n,) angles in degrees between orientations, after the best common rotation of all cameras.
 
-    `pose_errors` takes that turn from the centres: where these lie almost in a row, their errors turn all cameras.
+    `pose_errors` takes this rotation from the centres: if these are nearly collinear, their errors rotate all cameras.
     """
     names = [name for name in truth if name in estimated]
     turn = nearest_rotation(np.sum([estimated[n].R.T @ truth[n].R for n in names], axis=0))
@@ -155,13 +155,13 @@ def turn_errors_deg(estimated: Mapping[str, Camera], truth: Mapping[str, Camera]
 def true_correspondences(
     camera1: Camera, depth1: Float32s, camera2: Camera, depth2: Float32s, *, step: int = 8
 ) -> tuple[Float64s, Float64s]:
-    """Pixels x1, x2 (n, 2) of the same surface points, where camera 2 sees what image 1 shows.
+    """Pixels x1, x2 (n, 2) of the surface points in image 1 that camera 2 also sees.
 
     Parameters
     ----------
     camera1, camera2 : the true cameras.
     depth1, depth2 : (h, w) float32, true depths, 0 where unknown.
-    step : every `step`-th pixel of image 1, both ways.
+    step : every `step`-th pixel of image 1 is used, in both directions.
     """
     v, u = np.mgrid[step // 2 : camera1.height : step, step // 2 : camera1.width : step].reshape(2, -1)
     known = depth1[v, u] > 0
@@ -179,11 +179,11 @@ class EpipolarErrors:
     median_px: float
     p95_px: float
     points: int
-    """How many there were."""
+    """Number of correspondences."""
 
 
 def epipolar_errors(F: Float64s, x1: Float64s, x2: Float64s) -> EpipolarErrors:
-    """How well F explains true correspondences (`true_correspondences`).  Raises ValueError for none."""
+    """How well F explains true correspondences (see `true_correspondences`).  Raises ValueError if there are none."""
     if not len(x1):
         raise ValueError("there are no true correspondences to judge F by")
     d = symmetric_epipolar_distance(F, x1, x2)
@@ -202,7 +202,7 @@ def correct_matches(
     x1, x2 : (n, 2) float64, pixels in images 1 and 2.
     camera1, camera2 : the true cameras.
     depth1 : (h, w) float32, true depth in image 1, 0 where unknown.
-    tolerance_px : in image 2.
+    tolerance_px : largest distance from x2 in image 2, in pixels.
     """
     best = np.full(len(x1), np.inf)
     for dx in (0, 1):

@@ -1,8 +1,8 @@
-"""The logistic score of a pair, fitted on some scenes and judged on others.
+"""Logistic regression for the score of a pair, fitted on some scenes and judged on others.
 
-Few terms, each with the sign that makes sense, and a small penalty on leaving an earlier fit.  Every scene weighs the same, and
-within a scene its right and its wrong pairs, so that neither the number of cameras nor that of pairs without overlap sets the
-offset.
+The few terms are constrained to their plausible signs, and a small penalty draws the weights toward an earlier fit.  All scenes
+have the same weight, and so have the right and the wrong pairs of a scene; otherwise the number of cameras, or of pairs without
+overlap, would determine the offset.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from wbflow_stages.types import Bools, Camera, Float64s, Geometry
 
 @dataclass(frozen=True)
 class Term:
-    """A term of the score: its name, and whether more of it speaks for a pair (1) or against it (-1)."""
+    """A term of the score: its name, and the sign of its weight (1: larger values make a pair more likely right; -1: less)."""
 
     name: str
     sign: int
@@ -39,23 +39,23 @@ TERMS = (
 )
 
 BEFORE = (0.54, 8.9, 4.8, 0.53, 2.7, 0.0, -0.84, 0.0)
-"""Weights of the terms in an earlier fit, on 263 pairs of other scenes (look-alike walls, a courtyard): where the pairs here tell
-nothing, these stay."""
+"""Weights of the terms in an earlier fit, on 263 pairs of other scenes (look-alike walls, a courtyard).  They remain where the
+pairs here carry no information."""
 PENALTY = 0.005
-"""On the squares of what the weights of standardised terms differ by from `BEFORE`, against the mean loss of a pair."""
+"""Penalty on the squared differences of the weights (of standardised terms) from `BEFORE`, added to the mean loss of a pair."""
 
 
 Errors = tuple[float, float]
-"""Degrees: of the relative rotation, and of the direction of the baseline."""
+"""Errors in degrees of the relative rotation, and of the direction of the baseline."""
 USABLE, WRONG = (3.0, 10.0), (10.0, 30.0)
-"""A pair is usable below both errors, and wrong above one of them."""
+"""A pair is usable if both errors are below those of `USABLE`, and wrong if either error is above that of `WRONG`."""
 LEAST_RIGHT = 0.2
-"""Nor is it usable if fewer of its matches are right: in a row of houses the next house may tell the true pose by accident."""
+"""Smallest share of right matches of a usable pair: in a row of houses, a wrong house may give the true pose by accident."""
 
 
 @dataclass(frozen=True)
 class LabelledPair:
-    """A pair with its geometry, and what it is in truth."""
+    """A pair with its geometry and the true errors of that geometry."""
 
     set: str
     left: str
@@ -63,9 +63,9 @@ class LabelledPair:
     geometry: Geometry
     error_deg: Errors
     error_of_copy_deg: Errors
-    """Against the nearest copy of the cameras, where the scene is the same after a part of a turn."""
+    """Errors against the nearest symmetric copy of the camera, for scenes that look the same after a part of a turn."""
     right_share: float
-    """Of its matches, by the true depth, or the true lines where no depth is known."""
+    """Share of its matches that are right, by the true depth, or by the true epipolar lines for scenes without depth."""
 
     @cached_property
     def evidence(self) -> PairEvidence:
@@ -87,7 +87,7 @@ class LabelledPair:
 
     @property
     def score(self) -> float:
-        """As the product has it."""
+        """The score with the product's current weights."""
         return pair_score(self.evidence, self.contradicted)
 
     @property
@@ -101,7 +101,7 @@ class LabelledPair:
 
 @dataclass(frozen=True)
 class LabelledSet:
-    """The pairs of a set that have a geometry, and the true cameras."""
+    """The pairs of a set that have a geometry, and the true cameras by name."""
 
     pairs: tuple[LabelledPair, ...]
     cameras: Mapping[str, Camera]
@@ -117,24 +117,24 @@ def is_wrong(error: Errors) -> bool:
 
 @dataclass(frozen=True)
 class Weights:
-    """Of the terms, in their own units, and what is added."""
+    """Weights of the terms (in the terms' own units), and the offset."""
 
     terms: Float64s
     offset: float
 
     def scores(self, pairs: list[LabelledPair]) -> Float64s:
-        """(n,) log odds of the pairs; of those that these weights are not for (`fitted`), as the product has them."""
+        """(n,) log odds of the pairs; the product's own score for pairs to which these weights do not apply (see `fitted`)."""
         own = [np.array(terms(p.evidence)) @ self.terms + self.offset if fitted(p) else p.score for p in pairs]
         return np.array([min(s, 0.0) if p.ambiguous else s for s, p in zip(own, pairs, strict=True)], np.float64)
 
 
 def fitted(pair: LabelledPair) -> bool:
-    """Is the pair one that the weights are for: with an essential matrix, of which rivals were looked for?"""
+    """Whether the weights apply to the pair: it has an essential matrix, and a rival pose was searched for."""
     return pair.evidence.rival is not None and not pair.contradicted
 
 
 def fit(pairs: list[LabelledPair], penalty: float = PENALTY) -> Weights:
-    """Weights from the pairs that are plainly usable or wrong; copies count as right, since no pair tells them apart."""
+    """Weights from the clearly usable or wrong pairs; symmetric copies count as right, since no pair can exclude them."""
     plain = [p for p in pairs if fitted(p) and (is_usable(p.error_of_copy_deg) or is_wrong(p.error_of_copy_deg))]
     x = np.array([terms(p.evidence) for p in plain], np.float64)
     right = np.array([is_usable(p.error_of_copy_deg) for p in plain])
@@ -158,7 +158,7 @@ def fit(pairs: list[LabelledPair], penalty: float = PENALTY) -> Weights:
 
 
 def balance(pairs: list[LabelledPair], right: Bools) -> Float64s:
-    """(n,) weights that add to 1: each scene as much as any other, up to its number of pairs where it has few of a kind."""
+    """(n,) weights that add to 1: equal totals for the right and the wrong pairs of each scene, less if these are under 10."""
     key = [(pair.set.split("-")[0], bool(r)) for pair, r in zip(pairs, right, strict=True)]
     count = {k: key.count(k) for k in set(key)}
     weight = np.array([1 / max(count[k], 10) for k in key])

@@ -1,4 +1,4 @@
-"""Labelled pairs of many scenes, for the score of a pair: measured once, kept beside the renderings."""
+"""Labelled pairs of many scenes for fitting the score of a pair; measured once and stored with the renderings."""
 
 from __future__ import annotations
 
@@ -23,21 +23,21 @@ SETS = (
     "fountain-768", "entry-768", "nothing", "yard-day", "yard-night", "square-day", "square-night",
     "hall-day", "hall-2-day", "hall-4-day", "houses-day", "carpark-day", "containers-day", "apron-day", "stadium-day",
 )  # fmt: skip
-"""Photographs by scene and width, demo scenes by name and light; nothing: views of fountain with views of entry."""
+"""Photographed sets by scene and width, demo sets by scene and light; nothing: views of fountain paired with views of entry."""
 TURNS = {"hall": 4, "hall-2": 2, "hall-4": 4}
-"""A hall looks the same after this part of a turn (the first but for a few small things)."""
+"""Rotational symmetry of the halls: each looks the same after 1/n of a turn (`hall` except for a few small things)."""
 
 REPEATING = ("hall", "houses", "containers")
-"""Scenes that look the same from other sides or along a row."""
+"""Scenes that look the same from several sides, or along a row."""
 
 
 def scene_of(name: str) -> str:
-    """What is left out together: a scene by all lights and with all symmetries."""
+    """The scene of a set; all its lights and symmetries are left out of a fit together."""
     return name.split("-")[0]
 
 
 def labelled(name: str, cache: Path) -> LabelledSet:
-    """The pairs of a set that have a geometry."""
+    """The labelled pairs of a set that have a geometry, from the cache or measured now."""
     file = cache / f"verdict-{name}.pairs"
     if not file.exists():
         views = _views(name, cache)
@@ -49,7 +49,7 @@ def labelled(name: str, cache: Path) -> LabelledSet:
 
 
 def symmetry(name: str) -> list[Float64s]:
-    """Turns about the vertical after which the scene of a set looks the same."""
+    """Rotations about the vertical axis after which the scene of a set looks the same."""
     count = TURNS.get(name.rpartition("-")[0], 1)
     return [_turn(2 * np.pi * k / count) for k in range(count)]
 
@@ -76,7 +76,7 @@ def _views(name: str, cache: Path) -> list[TrueView]:
 
 
 def _measured(name: str, left: TrueView, right: TrueView, related: bool) -> LabelledPair | None:
-    """None where matching or geometry have nothing."""
+    """A labelled pair; None if matching or geometry reject it."""
     matches = match(left.features, right.features)
     if not isinstance(matches, Matches):
         return None
@@ -91,7 +91,7 @@ def _measured(name: str, left: TrueView, right: TrueView, related: bool) -> Labe
 
 
 def _errors(left: TrueView, right: TrueView, g: Geometry, turns: list[Float64s]) -> tuple[float, float]:
-    """Of the pose, against the nearest copy of the right camera."""
+    """Errors of the pose against the nearest symmetric copy of the right camera."""
     found = []
     for turn in turns:
         copy = replace(right.camera, R=right.camera.R @ turn.T, C=turn @ right.camera.C)

@@ -1,4 +1,4 @@
-"""A site of labelled pairs: what its check (`sfm.loops`) believes and rests on, its solved cameras, which of them are turned."""
+"""Sites of labelled pairs: the pairs that their check (`sfm.loops`) accepts, and the rotation errors of their solved cameras."""
 
 from __future__ import annotations
 
@@ -19,23 +19,23 @@ from wbflow_stages.twoview.pair_score import probability, tells_the_site
 from wbflow_stages.types import Bools, Camera, Float64s, Geometry, Pair, Placement, Poses, Survey
 
 LEAST_SCORE = -4.0
-"""Of pairs below, only those that tell something of the site reach it (`estimate_geometry`)."""
+"""Pairs with a lower score are passed to the site only if they carry information about it (`tells_the_site`)."""
 WITHIN = ((3.0, 10.0), (6.0, 15.0), (9.0, 25.0))
-"""Tried: degrees within which triangles close, of rotation and direction."""
+"""Tolerances that are tried for the closure of triangles: degrees of rotation and of direction."""
 MAX_ROTATION_ERROR_DEG, MAX_EPIPOLAR_PX = 4.0, 2.0
-"""Of `solve_poses`."""
+"""Default parameters of `solve_poses`."""
 AT_LEAST = 0.01
-"""No share is taken to be rarer than this: there are too few pairs to know."""
+"""Lower bound on each estimated share: there are too few pairs to measure smaller ones."""
 
 
 def believed(pairs: list[LabelledPair], scores: Float64s, usual: Habits) -> Bools:
-    """(n,) which pairs of a site the site believes."""
+    """(n,) which pairs the site's check accepts."""
     checks = check_loops(_geometries(pairs, scores), None, usual)
     return np.array([(p.left, p.right) in checks and checks[p.left, p.right].rejected is None for p in pairs], bool)
 
 
 def count_habits(sets: Mapping[str, list[LabelledPair]]) -> Habits:
-    """What is usual in the scenes that do not repeat, each with the same weight."""
+    """Statistics of the scenes that do not repeat, each scene with the same weight; tolerances by largest likelihood."""
     plain: dict[str, list[list[LabelledPair]]] = {}
     for name, pairs in sets.items():
         if name != "nothing" and scene_of(name) not in REPEATING:
@@ -58,7 +58,7 @@ def count_habits(sets: Mapping[str, list[LabelledPair]]) -> Habits:
 
 
 def _share_closed(plain: Mapping[str, list[list[LabelledPair]]], usual: Habits, *, wrong: bool) -> float:
-    """Of triangles of usable pairs, or of those with a wrong one; between `AT_LEAST` and 1 less that."""
+    """Share of closed triangles among those of usable pairs, or those with a wrong pair; from `AT_LEAST` to 1 - `AT_LEAST`."""
     shares = []
     for sets in plain.values():
         closed = []
@@ -75,7 +75,7 @@ def _share_closed(plain: Mapping[str, list[list[LabelledPair]]], usual: Habits, 
 
 
 def solved(pairs: list[LabelledPair], scores: Float64s, usual: Habits) -> Poses | None:
-    """The cameras of a site whose intrinsics are known and nothing else, as `poses` has them; None where there are none."""
+    """The cameras of a site as `poses` solves them from known intrinsics and nothing else; None if it solves none."""
     geometries = _geometries(pairs, scores)
     seen = {name: view for p in pairs for name, view in ((p.left, p.geometry.view1), (p.right, p.geometry.view2))}
     views = {name: seen[name] for name in sorted(seen)}
@@ -85,7 +85,7 @@ def solved(pairs: list[LabelledPair], scores: Float64s, usual: Habits) -> Poses 
 
 
 def in_use(pairs: list[LabelledPair], poses: Poses | None, truth: Mapping[str, Camera]) -> tuple[Bools, Bools]:
-    """(n,) which pairs the solved site uses, and which of these have a wrong pose: its cameras', not what the pair said."""
+    """(n,) which pairs the solved site uses, and which of these have a wrong relative pose of the solved cameras."""
     kept, wrong = np.zeros(len(pairs), bool), np.zeros(len(pairs), bool)
     if poses is None:
         return kept, wrong
@@ -99,7 +99,7 @@ def in_use(pairs: list[LabelledPair], poses: Poses | None, truth: Mapping[str, C
 
 
 def averaged_turn_deg(pairs: list[LabelledPair], truth: Mapping[str, Camera]) -> float:
-    """How far a camera is turned at most, its rotation averaged from these pairs."""
+    """Largest rotation error of a camera, in degrees, if rotations are averaged from these pairs."""
     names = list(dict.fromkeys(name for p in pairs for name in (p.left, p.right)))
     number = {name: k for k, name in enumerate(names)}
     relative = {(number[p.left], number[p.right]): R for p in pairs if (R := p.geometry.cam2_R_cam1) is not None}
@@ -109,14 +109,14 @@ def averaged_turn_deg(pairs: list[LabelledPair], truth: Mapping[str, Camera]) ->
 
 
 def solved_turn_deg(poses: Poses, truth: Mapping[str, Camera], copies: list[Float64s]) -> float:
-    """How far a solved camera is turned at most, where each may stand for the nearest of its copies."""
+    """Largest rotation error of a solved camera, in degrees; each camera is compared with the nearest of its symmetric copies."""
     return _worst_turn_deg({name: c.R for name, c in poses.cameras.items()}, poses.components, truth, copies)
 
 
 def _worst_turn_deg(
     found: Mapping[str, Float64s], parts: Iterable[Iterable[str]], truth: Mapping[str, Camera], copies: list[Float64s]
 ) -> float:
-    """Against the first camera of those it hangs together with."""
+    """Largest rotation error relative to the first camera of each component, in degrees."""
     worst = 0.0
     for first, *others in parts:
         for name in others:
@@ -126,7 +126,7 @@ def _worst_turn_deg(
 
 
 def _geometries(pairs: list[LabelledPair], scores: Float64s | None = None) -> dict[Pair, Geometry]:
-    """What a site gets to see, of the pairs with these scores."""
+    """The geometries that are passed to a site if its pairs have these scores (by default the product's)."""
     scores = np.array([p.score for p in pairs]) if scores is None else scores
     return {
         (p.left, p.right): replace(p.geometry, score=float(score), good_probability=probability(float(score)))

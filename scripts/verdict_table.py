@@ -1,4 +1,4 @@
-"""Tables of `bench_verdict.py`: each scene left out of all fits in turn, reliability, and random small sites."""
+"""Tables of `bench_verdict.py`: leave-one-scene-out results, reliability of the probability, and random small sites."""
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ from wbflow_stages.twoview.pair_score import probability
 from wbflow_stages.types import Float64s
 
 MOST_WRONG, LEAST_KEPT = 0.01, 0.9
-"""Promised of every scene: share of wrong pairs among the accepted, and of usable ones that are kept."""
+"""`--check` limits for each set: largest share of wrong pairs in the solved site, smallest share of usable pairs kept in it."""
 RELIABLE, BIN_OF = 0.05, 30
-"""Promised of p: so near to the share that is right, in bins with so many pairs."""
+"""`--check` limit for p: largest difference of its mean to the share of right pairs, in bins with at least `BIN_OF` pairs."""
 TURNED_DEG = 3.0
 DRAWS, SITE_SIZES = 20, (2, 3, 4, 6)
 
 
 @dataclass(frozen=True)
 class Fitted:
-    """All that is fitted or counted on the scenes that are not judged by it."""
+    """The weights and statistics fitted on some scenes, to judge others."""
 
     weights: Weights
     usual: Habits
@@ -35,7 +35,7 @@ class Fitted:
 
 @dataclass(frozen=True)
 class Row:
-    """One set: kept and accepted by the score of the pair; site_*: in the solved site."""
+    """Counts for one set; kept and accepted: by the pair's score; site_*: by the solved site."""
 
     name: str
     pairs: int
@@ -53,7 +53,7 @@ class Row:
 
 
 def leave_one_out(cache: Path, to_json: Path | None, plot: Path | None, check: bool) -> int:
-    """Print all tables; 1 if `check` is asked for and a promise is broken."""
+    """Print all tables; returns 1 if `check` is given and a limit is exceeded, else 0."""
     all_of = {name: labelled(name, cache) for name in SETS}
     sets = {name: list(one.pairs) for name, one in all_of.items()}
     others = {scene: fitted({n: p for n, p in sets.items() if scene_of(n) != scene}) for scene in {scene_of(n) for n in sets}}
@@ -89,7 +89,7 @@ def leave_one_out(cache: Path, to_json: Path | None, plot: Path | None, check: b
 
 
 def fitted(sets: Mapping[str, list[LabelledPair]]) -> Fitted:
-    """What these sets tell."""
+    """Fit weights and statistics on these sets."""
     weights = fit([pair for pairs in sets.values() for pair in pairs])
     return Fitted(weights, count_habits(sets))
 
@@ -110,10 +110,10 @@ def _row(name: str, of: LabelledSet, by: Fitted) -> Row:
 
 
 def small_sites(name: str, of: LabelledSet, by: Fitted) -> int:
-    """Random subsets of the cameras: how many sites end with a turned camera.
+    """Print a row about random subsets of the cameras, and return how many of these sites end with a turned camera.
 
-    A site is solved where a camera is turned by the rotations of the believed pairs, averaged; the others go without the minutes
-    that it takes.
+    Solving takes minutes, so a site is solved only if averaging the rotations of its accepted pairs already gives a turned
+    camera.
     """
     rng = np.random.default_rng(0)
     turns = symmetry(name)
@@ -141,7 +141,7 @@ def small_sites(name: str, of: LabelledSet, by: Fitted) -> int:
 
 @dataclass(frozen=True)
 class Bin:
-    """A tenth of p: where it begins, its pairs, their mean p, the share that is right, and that with copies counted as right."""
+    """A tenth of p: its lower end, number of pairs, their mean p, share right, and share right if symmetric copies count."""
 
     begins: float
     pairs: int
@@ -154,7 +154,7 @@ class Bin:
 
 
 def reliability(said: Float64s, pairs: list[LabelledPair]) -> list[Bin]:
-    """The tenths of p that have pairs; without those that no site gets to see."""
+    """The tenths of p that contain pairs; pairs with scores below `LEAST_SCORE` are left out."""
     tenth = np.minimum((said * 10).astype(int), 9)
     right = np.array([[p.usable, is_usable(p.error_of_copy_deg)] for p in pairs])
     seen = said >= probability(LEAST_SCORE)
@@ -167,7 +167,7 @@ def reliability(said: Float64s, pairs: list[LabelledPair]) -> list[Bin]:
 
 
 def draw(bins: list[Bin], file: Path, size: int = 480) -> None:
-    """Share right (up) against p (right), the area of a dot as the number of pairs; grey: what is promised."""
+    """Plot the share of right pairs (up) against p (right); dots grow with the number of pairs; the grey band is the limit."""
     picture = np.full((size, size, 3), 255, np.uint8)
 
     def at(p: float, share: float) -> tuple[int, int]:

@@ -1,7 +1,7 @@
-"""A night on Kubernetes: workers are pods, through the Dask operator (pip install dask-kubernetes; the operator in the cluster).
+"""Run sites on Kubernetes with pods as workers (needs pip install dask-kubernetes, and the Dask operator in the cluster).
 
-The image has wbflow[dask] and everything that its sites' modules need; the claim is a volume that all pods mount as --there,
-and this machine as --here.
+The image must contain wbflow[dask] and all that the sites' modules need.  The claim is a volume that all pods mount at --there
+and this machine at --here.
 
 python scripts/cluster/kubernetes.py /srv/harbour/site.yaml --image registry/wbflow:1 --claim captures --here /srv --there /mnt
 """

@@ -1,4 +1,4 @@
-"""A night on a Slurm cluster: workers are jobs of their own, through dask-jobqueue (pip install dask-jobqueue).
+"""Run sites on a Slurm cluster with one Slurm job per worker (needs pip install dask-jobqueue).
 
 python scripts/cluster/slurm.py /srv/harbour/site.yaml --workers 40 --partition night
 """
@@ -29,7 +29,7 @@ def main() -> None:
             print(cluster.job_script())
             return
         cluster.scale(jobs=asked.workers)
-        cluster.wait_for_workers(1)  # the queue's patience, not wbflow's
+        cluster.wait_for_workers(1)  # jobs may queue for long; wbflow itself waits only seconds for a worker
         night = ["wbflow", "run", *asked.sites, "--backend", "dask", "--scheduler", cluster.scheduler_address]
         sys.exit(subprocess.run(night, check=False).returncode)
 

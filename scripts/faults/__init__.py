@@ -1,4 +1,4 @@
-"""The faults of the campaign, and the bench that they are tried on."""
+"""The faults of the campaign, and the bench that runs them."""
 
 from __future__ import annotations
 
@@ -28,4 +28,4 @@ CAMPAIGN: dict[str, Callable[[Bench, bool], Row]] = {
     "clocks": clocks,
     **HOSTILE,
 }
-"""By name: the bench, and whether a few tries are enough."""
+"""Faults by name: functions of the bench and of whether the campaign is reduced to a few tries."""

@@ -1,4 +1,4 @@
-"""Sites whose stages take no time, runs of them in processes of their own, and what each run must come to."""
+"""Sites whose stages take no time, runs of them in separate processes, and checks of what each run must give."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from .operations import arm
 from .processes import Ended, Started, forked, started_anew
 
 QUICK = ("--jobs", "1", "--backend", "threading")
-"""In one process: the one that is struck."""
+"""Options that keep a run in one process, so that a fault strikes that process."""
 
 
 KINDS = ("wrong cloud", "manual step", "traceback", "hang", "wrong exit", "done twice", "memory")
@@ -30,7 +30,7 @@ KINDS = ("wrong cloud", "manual step", "traceback", "hang", "wrong exit", "done 
 
 @dataclass
 class Row:
-    """What a sort of fault has cost."""
+    """Tries and losses of one kind of fault."""
 
     fault: str
     tries: int = 0
@@ -55,20 +55,20 @@ class Row:
 
 @dataclass(frozen=True)
 class Strike:
-    """A fault at one of the operations on files."""
+    """A fault at file operation number `at` (from 1; 0: none, operations are only counted); for `kind` see `arm`."""
 
     at: int
     kind: str = "kill"
 
 
 class Bench:
-    """Makes sites, and runs them."""
+    """Makes sites, runs them, and checks the results."""
 
     def __init__(self, folder: Path, seed: int) -> None:
         self.folder = folder
         self.random = random.Random(seed)
         self.clouds: dict[str, bytes] = {}
-        """What undisturbed runs give, by night."""
+        """Clouds of undisturbed runs, by number of cameras, view and parameters."""
         self._functions = _import_all(folder)
         self._made = 0
 
@@ -78,13 +78,13 @@ class Bench:
         Parameters
         ----------
         cameras : int
-            How many.
+            Number of cameras.
         unread : bool
-            Nothing is remembered of its functions yet.
+            Without the functions memo.
         watched : bool
-            Its captures are dated, and its cameras compared with the reference.
+            Captures are dated, and cameras are compared with the reference.
         **settings : Any
-            Sections of its file.
+            Sections of the site file.
         """
         self._made += 1
         ids = ["gate", "roof", "mast-1", "crane"][:cameras]
@@ -98,7 +98,7 @@ class Bench:
         return toy
 
     def copy(self, toy: ToySite) -> ToySite:
-        """A site with all that its runs have left, by bytes: what happens to one happens to no other."""
+        """A byte-for-byte copy of a site with all that its runs have left, independent of the original."""
         self._made += 1
         target = self.folder / f"site-{self._made}"
         shutil.copytree(toy.folder, target, symlinks=True)
@@ -110,12 +110,12 @@ class Bench:
         shutil.rmtree(toy.folder, ignore_errors=True)
 
     def night(self, toy: ToySite, view: str) -> None:
-        """Other captures."""
+        """Replace all captures with those of a view."""
         for camera in toy.cameras:
             toy.capture(camera).write_text(f"{camera} at {view}")
 
     def cloud(self, cameras: int, view: str, **parameters: Any) -> bytes:
-        """What an undisturbed run gives."""
+        """The cloud of an undisturbed run."""
         name = f"{cameras} {view} {parameters}"
         if name not in self.clouds:
             toy = self.site(cameras)
@@ -128,17 +128,17 @@ class Bench:
         return self.clouds[name]
 
     def run(self, toy: ToySite, *arguments: str, strike: Strike | None = None, command: str = "run") -> Ended:
-        """A command in a process of its own: a child of this one, which has everything imported already."""
+        """Run a command in a child process, forked from this one, which has already imported everything."""
         quick = QUICK if command == "run" and "--jobs" not in arguments else ()
         return self._forked(toy, [command, str(toy.file), *quick, *arguments], strike).wait()
 
     def operations(self, toy: ToySite, *arguments: str, command: str = "run") -> int:
-        """How many operations on files a command takes."""
+        """Number of file operations of a command."""
         self.run(toy, *arguments, strike=Strike(0), command=command)
         return self._counter.stat().st_size
 
     def start(self, toy: ToySite, *arguments: str, anew: bool = False) -> Started:
-        """A run of as many processes as it likes; anew: none of them is forked from this one."""
+        """Start a run with any number of processes; anew: as a new interpreter instead of a fork of this process."""
         if not anew:
             return self._forked(toy, ["run", str(toy.file), *arguments], None)
         environment = {**toy.env(), "PYTHONDONTWRITEBYTECODE": "1"}
@@ -157,22 +157,22 @@ class Bench:
         return self.folder / f"said-{self._made}"
 
     def recovered(self, row: Row, toy: ToySite, cloud: bytes, what: str, code: int = 0, at_most: int | None = None) -> None:
-        """After a fault, a plain run has to give the cloud, without anybody's help.
+        """Check that after a fault a plain run gives the expected cloud, without manual steps.
 
         Parameters
         ----------
         row : Row
-            Where losses are noted.
+            Where losses are recorded.
         toy : ToySite
-            Whose run.
+            The site to run.
         cloud : bytes
-            What it has to give.
+            The expected cloud.
         what : str
-            The fault, in words.
+            Description of the fault.
         code : int
-            The exit code that is right.
+            The expected exit code.
         at_most : int, optional
-            How many tasks may run: what was finished stays.
+            Largest number of tasks that may run, since finished tasks must not be repeated.
         """
         ended = self.run(toy)
         self.sane(row, ended, what, {code})
@@ -189,7 +189,7 @@ class Bench:
             row.lost("manual step", f"{what}: left behind: {left[:3]}")
 
     def sane(self, row: Row, ended: Ended, what: str, codes: set[int]) -> None:
-        """A process may end in one of these ways, and never with a traceback."""
+        """Check that a process ended with one of the exit codes `codes`, without hanging and without a traceback."""
         if ended.hung:
             row.lost("hang", what)
         elif ended.code not in codes:
@@ -198,12 +198,12 @@ class Bench:
             row.lost("traceback", f"{what}: {ended.said[-500:]}")
 
     def receipts(self, toy: ToySite) -> set[str]:
-        """Of the tasks that are finished."""
+        """Paths of the receipts of all finished tasks."""
         return {str(path.relative_to(toy.work)) for path in (toy.work / "cache").glob("*/*/*.json")}
 
 
 def set_parameters(toy: ToySite, **parameters: Any) -> None:
-    """Parameters by stage, in the site file as it is."""
+    """Set parameters by stage in the site's present file."""
     site = json.loads(toy.file.read_text())
     for stage, values in parameters.items():
         site["stages"][stage] |= values
@@ -211,19 +211,19 @@ def set_parameters(toy: ToySite, **parameters: Any) -> None:
 
 
 def _run(toy: ToySite, arguments: list[str], strike: Strike | None, counter: Path) -> None:
-    """In the child: the command line, struck where it is to be."""
+    """In the child process: run the command line, with the fault armed."""
     os.environ.update(toy.env())
     from wbflow.cache import memo
     from wbflow.cli.main import main
 
-    memo._SETTLED_NS = -(10**18)  # captures that are new are remembered, too
+    memo._SETTLED_NS = -(10**18)  # reuse the digests of new captures, too
     if strike:
         arm(counter, strike.at, strike.kind)
     main.main(args=arguments, prog_name="wbflow", standalone_mode=True)
 
 
 def _read_once() -> None:
-    """Source files and the report's template are read once in the campaign: that takes longer than all else of a toy night."""
+    """Let the campaign read source files and the report's template only once: this takes longer than the rest of a toy run."""
     remembered = FunctionReader._remembered
     known: dict[tuple[str, str], Any] = {}
 
@@ -248,7 +248,7 @@ def _read_once() -> None:
 
 
 def _import_all(folder: Path) -> Path:
-    """What a run imports is imported once, before processes are split off: by a run.  Returns what it remembers of functions."""
+    """Import everything once, by a run, before processes are forked.  Returns the functions memo of that run."""
     _read_once()
     toy = ToySite(folder / "first", ["gate", "roof"])
     before = dict(os.environ)

@@ -1,4 +1,4 @@
-"""Files that are not as they were written: every sort of file of the work folder, damaged, cut, lost, exchanged."""
+"""Damaged files: every kind of file in the work folder is corrupted, truncated, removed or swapped with another one."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from tests.helpers.toy_site import ToySite
 from .bench import Bench, Row, set_parameters
 
 OTHER = {"disparity": {"tolerance": 2.0}}
-"""With it, the readers of most artifacts have work to do."""
+"""With these parameters, the tasks that read most artifacts run again."""
 
 SORTS = {
     "receipt": "cache/*/*/*.json",
@@ -35,11 +35,11 @@ SORTS = {
     "published cloud": "runs/*/*.ply",
     "reference": "reference/**/*.*",
 }
-"""Every sort of file, by where it lies."""
+"""Every kind of file, with its glob pattern in the work folder."""
 
 
 def damage(bench: Bench, reduced: bool) -> Row:
-    """One file, in one way; then the same night, and one whose tasks read what is there."""
+    """One file is damaged in one way; then the same night runs again, and runs whose tasks read the existing artifacts."""
     row = Row("damaged file")
     sites = _three_nights(bench, pin="none"), _three_nights(bench)
     tries = 1 if reduced else 16
@@ -54,7 +54,7 @@ def damage(bench: Bench, reduced: bool) -> Row:
             file = bench.random.choice(files)
             what = f"{sort} {way}: {file.relative_to(made.work)}"
             twin = bench.copy(made)
-            if k % 4 > 1:  # a copy is known to nobody; once it was read, it is not read again unless it is touched
+            if k % 4 > 1:  # this run verifies the copied files; later runs verify them again only if they were changed
                 bench.run(twin)
                 what += ", found intact before"
             victim = twin.work / file.relative_to(made.work)
@@ -65,7 +65,7 @@ def damage(bench: Bench, reduced: bool) -> Row:
 
 
 def exchanges(bench: Bench, reduced: bool) -> Row:
-    """Two files of one sort in each other's place, whole and signed as they are."""
+    """Two files of one kind are swapped, each intact and with a valid checksum."""
     row = Row("files exchanged")
     made = _three_nights(bench)
     sorts = ("receipt", "artifact", "picture", "run.json")
@@ -77,11 +77,11 @@ def exchanges(bench: Bench, reduced: bool) -> Row:
             one, other = bench.random.sample(sorted(path for path in files if path.parts[-3] == stage), 2)
             twin = bench.copy(made)
             a, b = (twin.work / path.relative_to(made.work) for path in (one, other))
-            if sort == "artifact" and bench.random.random() < 0.5:  # with their receipts
+            if sort == "artifact" and bench.random.random() < 0.5:  # together with their receipts
                 _exchange(a.with_suffix(".json"), b.with_suffix(".json"))
             _exchange(a, b)
             _still_right(bench, row, twin, f"{sort}: {one.relative_to(made.work)} and {other.relative_to(made.work)}")
-    for name in ("captures.json", "functions.json"):  # those of another night
+    for name in ("captures.json", "functions.json"):  # memos of another site
         twin, old = bench.copy(made), bench.site(2)
         bench.night(old, "another")
         bench.run(old)
@@ -92,7 +92,7 @@ def exchanges(bench: Bench, reduced: bool) -> Row:
 
 
 def references(bench: Bench, reduced: bool) -> Row:
-    """One file that the reference consists of, there or in the cache; the nights after have to be what they would have been."""
+    """One file of the reference is damaged, in its folder or in the cache; the clouds of later nights must not change."""
     row = Row("reference damaged")
     made = bench.site(3, watched=True)
     bench.run(made, "--date", "2026-11-01")
@@ -149,7 +149,7 @@ def _flip(bench: Bench, path: Path) -> None:
 
 
 def _digit(bench: Bench, path: Path) -> None:
-    """A digit becomes another one: what is read as JSON stays JSON."""
+    """A digit becomes another one, so JSON stays valid."""
     data = bytearray(path.read_bytes())
     digits = [i for i, byte in enumerate(data) if 48 <= byte < 58]
     if not digits:
@@ -192,7 +192,7 @@ WAYS: dict[str, Callable[[Bench, Path], None]] = {
 
 
 def _instead(path: Path, make: Callable[[], None]) -> None:
-    """Something that is no file takes its place."""
+    """Replace a file with something else that `make` creates."""
     path.unlink()
     make()
 

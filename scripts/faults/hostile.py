@@ -1,4 +1,4 @@
-"""Site files, calibrations and captures that nobody means well with, as rows of the campaign."""
+"""Hostile site files, calibrations and captures, as rows of the campaign."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from .bench import Bench, Row
 
 FUZZED, FUZZED_REDUCED = 5000, 50
 STEP = 20
-"""Of a reduced campaign: it tries every twentieth file."""
+"""A reduced campaign tries every twentieth file and every sixth capture."""
 
 
 def _noted(row: Row, faults: Iterable[Fault], counts: Counter[str], kind: str) -> Row:
@@ -25,7 +25,7 @@ def _noted(row: Row, faults: Iterable[Fault], counts: Counter[str], kind: str) -
 
 
 def files(bench: Bench, reduced: bool) -> Row:
-    """Site files and calibrations, made up."""
+    """Hand-written bad site files and calibrations."""
     row = Row("hostile site or calibration file")
     for kind, cases in (("site", site_cases()), ("calibration", calibration_cases())):
         counts: Counter[str] = Counter()
@@ -41,7 +41,7 @@ def fuzz(bench: Bench, reduced: bool) -> Row:
 
 
 def captures(bench: Bench, reduced: bool) -> Row:
-    """Through the whole program, in real worker processes."""
+    """Hostile captures, through the whole program and in real worker processes."""
     counts: Counter[str] = Counter()
     row = Row("hostile capture")
     faults = [*try_captures(capture_cases()[:: STEP // 3 if reduced else 1], counts), *try_loops()]

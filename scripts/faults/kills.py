@@ -1,4 +1,4 @@
-"""Processes that are killed: the run at each of its operations on files, its workers in each stage, the parent alone."""
+"""Killed processes: a run at each of its file operations, its workers in each stage, its parent alone."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ from .bench import Bench, Row, Strike
 
 @dataclass(frozen=True)
 class Scene:
-    """A run that is to be struck."""
+    """A command to strike, and its expected cloud."""
 
     name: str
     toy: ToySite
-    """As it stands before."""
+    """The site before the command."""
     cloud: bytes
     arguments: tuple[str, ...] = ()
     command: str = "run"
 
 
 def first_night(bench: Bench) -> Scene:
-    """Everything is to be done."""
+    """A first night: nothing is cached."""
     toy = bench.site(unread=True)
     bench.night(toy, "one")
     return Scene("first night", toy, bench.cloud(2, "one"))
@@ -41,7 +41,7 @@ def nothing_to_do(bench: Bench) -> Scene:
 
 
 def next_night(bench: Bench) -> Scene:
-    """Other captures, and the night before is not to be kept."""
+    """A second night with other captures, after which the first night is not kept."""
     toy = bench.site(keep={"nights": 1, "clouds": 1, "reports": 1})
     bench.night(toy, "one")
     bench.run(toy, "--date", "2026-11-01")
@@ -50,12 +50,12 @@ def next_night(bench: Bench) -> Scene:
 
 
 def pinning(bench: Bench) -> Scene:
-    """Another run becomes the reference."""
+    """`wbflow pin` makes a run the reference."""
     return replace(nothing_to_do(bench), name="pin", command="pin")
 
 
 def cleaning(bench: Bench) -> Scene:
-    """All goes but the newest of three nights."""
+    """`wbflow clean` removes all but the newest of three nights."""
     scene = nothing_to_do(bench)
     for view in ("two", "one"):
         bench.night(scene.toy, view)
@@ -64,14 +64,14 @@ def cleaning(bench: Bench) -> Scene:
 
 
 def kills_in(make: Callable[[Bench], Scene], together: int) -> Callable[[Bench, bool], Row]:
-    """The fault for a scene: the run and all its processes end right before each operation that writes.
+    """The fault for a scene: the command and all its processes are killed right before each file operation that writes.
 
     Parameters
     ----------
     make : callable
         Makes the scene.
     together : int
-        So many runs are killed one after the other before a plain run has to put everything right.
+        Number of commands that are killed in sequence before a plain run must recover.
     """
 
     def kills(bench: Bench, reduced: bool) -> Row:
@@ -91,7 +91,7 @@ def kills_in(make: Callable[[Bench], Scene], together: int) -> Callable[[Bench, 
                 ended = bench.run(twin, *scene.arguments, strike=Strike(at), command=scene.command)
                 if ended.code == -signal.SIGKILL:
                     row.tries += 1
-                else:  # the runs before had left it less to do
+                else:  # earlier commands of the group left it fewer operations than `at`
                     bench.sane(row, ended, what, {0})
             missing = len(receipts - bench.receipts(twin)) if scene.command == "run" else 0
             bench.recovered(row, twin, scene.cloud, what, at_most=missing)
@@ -102,7 +102,7 @@ def kills_in(make: Callable[[Bench], Scene], together: int) -> Callable[[Bench, 
 
 
 def parents(bench: Bench, reduced: bool) -> Row:
-    """A run of many processes: all of it, or its parent alone, at some moment; no worker lives on."""
+    """A run with two workers is killed at a random moment, entirely or its parent alone; no worker may survive."""
     row = Row("killed at a random moment")
     cloud = bench.cloud(3, "one")
     for k in range(2 if reduced else 60):
@@ -126,7 +126,7 @@ def parents(bench: Bench, reduced: bool) -> Row:
 
 
 def workers(bench: Bench, reduced: bool) -> Row:
-    """A worker kills itself in each stage, once or every time."""
+    """A worker kills itself in a stage, once or every time; all stages are tried."""
     row = Row("worker killed in a stage")
     cloud = bench.cloud(2, "one")
     for stage in list(STAGES)[:: 4 if reduced else 1]:
@@ -146,7 +146,7 @@ def workers(bench: Bench, reduced: bool) -> Row:
 
 
 def _left(session: int, seconds: float) -> int:
-    """Processes of a session that are still there after some seconds."""
+    """Number of processes of a session that are still alive after this many seconds."""
     end = time.monotonic() + seconds
     while left := sum(_session(path) == session for path in Path("/proc").glob("[0-9]*/stat")):
         if time.monotonic() > end:

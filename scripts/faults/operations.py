@@ -1,6 +1,6 @@
-"""Faults at file operations: counts those that write, in a process and all its children, and strikes at one of them.
+"""Faults at file operations: counts the operations that write, in a process and all its children, and strikes at one of them.
 
-Nothing of this is in the product: the campaign arms it in the processes that it starts.
+The product contains nothing of this: the campaign arms the faults in the processes that it starts.
 """
 
 from __future__ import annotations
@@ -15,20 +15,20 @@ from pathlib import Path
 from typing import Any
 
 OPERATIONS = ("replace", "rename", "fsync", "unlink", "remove", "mkdir", "rmdir", "symlink", "link", "chmod", "utime")
-"""Functions of `os` that change what is on disk; opening for writing counts as well."""
+"""Functions of `os` that change files; opening a file for writing counts as well."""
 
 
 def arm(counter: Path, at: int, kind: str) -> None:
-    """From now on, count; at the operation number `at` (from 1), before it is done, strike.
+    """Count file operations from now on, and strike right before operation number `at` (from 1).
 
     Parameters
     ----------
     counter : Path
-        A file that grows by a byte with each operation.
+        A file that grows by one byte with each operation.
     at : int
-        Where to strike; 0: only count.
+        Number of the operation to strike at; 0: only count.
     kind : str
-        kill: the whole process group, as if the power went.  full: from there on the disk has no room.
+        kill: kill the whole process group, as in a power failure.  full: the disk is full from this operation on.
     """
     descriptor = os.open(counter, os.O_WRONLY | os.O_CREAT | os.O_APPEND)
     write, seek = os.write, os.lseek

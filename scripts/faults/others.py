@@ -1,4 +1,4 @@
-"""Disks that fill up, runs that overlap, signals, clocks that are wrong."""
+"""Full disks, overlapping runs, signals, and wrong clocks."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from .bench import Bench, Row, Strike
 
 
 def full_disks(bench: Bench, reduced: bool) -> Row:
-    """No room from some operation on; and file systems that are too small, where this machine lets one make them."""
+    """The disk is full from some operation on; and file systems that are too small, if this machine allows mounting them."""
     row = Row("disk full")
     cloud = bench.cloud(2, "one")
     toy = bench.site(2)
@@ -51,7 +51,7 @@ def full_disks(bench: Bench, reduced: bool) -> Row:
 
 
 def overlaps(bench: Bench, reduced: bool) -> Row:
-    """A second run while the first one is at work: refused, or waiting; and one while the first is killed."""
+    """A second run starts while the first one is at work: it is refused or waits; sometimes the first one is killed before."""
     row = Row("runs overlap")
     cloud = bench.cloud(2, "one")
     for k in range(1 if reduced else 20):
@@ -75,7 +75,7 @@ def overlaps(bench: Bench, reduced: bool) -> Row:
 
 
 def signals(bench: Bench, reduced: bool) -> Row:
-    """Asked to stop, it stops, and what is finished stays."""
+    """A run stops at SIGINT or SIGTERM, and finished tasks stay."""
     row = Row("interrupted or terminated")
     cloud = bench.cloud(2, "one")
     for k in range(1 if reduced else 12):
@@ -95,7 +95,7 @@ def signals(bench: Bench, reduced: bool) -> Row:
 
 
 def clocks(bench: Bench, reduced: bool) -> Row:
-    """Captures and runs from the future, and from long ago."""
+    """Captures and runs are dated in the future, or long ago."""
     row = Row("clock wrong")
     for k in range(1 if reduced else 6):
         toy = bench.site(2)

@@ -1,4 +1,4 @@
-"""Processes of the campaign: forked from one that has everything imported, or started anew as cron does."""
+"""Processes of the campaign: forked from one that has imported everything, or started as new interpreters, as cron does."""
 
 from __future__ import annotations
 
@@ -20,29 +20,29 @@ class Ended:
     """How a process ended."""
 
     code: int
-    """Negative: the signal that killed it."""
+    """Exit code; if negative, the signal that killed it."""
     said: str
     hung: bool = False
 
 
 class Started:
-    """A command on its way, in a session of its own, whose words go to a file."""
+    """A running command in its own session; its output goes to a file."""
 
     def __init__(self, pid: int, output: Path) -> None:
         self.pid = pid
         self._output = output
 
     def send(self, signum: int) -> None:
-        """A signal for the process alone."""
+        """Send a signal to the process alone."""
         os.kill(self.pid, signum)
 
     def kill_all(self) -> None:
-        """All of its group."""
+        """Kill all processes of its group."""
         with contextlib.suppress(ProcessLookupError):
             os.killpg(self.pid, signal.SIGKILL)
 
     def wait(self) -> Ended:
-        """How it ends; one that hangs is killed."""
+        """Wait until it ends; kill it if it exceeds `patience`."""
         began, pause = time.monotonic(), 0.002
         while time.monotonic() - began < patience():
             done, status = os.waitpid(self.pid, os.WNOHANG)
@@ -62,7 +62,7 @@ class Started:
 
 
 def started_anew(command: list[str], environment: dict[str, str], output: Path) -> Started:
-    """A process that imports everything itself."""
+    """Start a new process, which imports everything itself."""
     pid = os.fork()
     if pid == 0:
         _speak_to(output)
@@ -72,7 +72,7 @@ def started_anew(command: list[str], environment: dict[str, str], output: Path) 
 
 
 def forked(work: Callable[[], object], output: Path) -> Started:
-    """A child of this process that does some work, and ends as the interpreter would."""
+    """Fork a child of this process that calls `work` and ends with the exit code that the interpreter would give."""
     pid = os.fork()
     if pid == 0:
         _speak_to(output)
@@ -88,7 +88,7 @@ def _end_with(work: Callable[[], object]) -> NoReturn:
         code = 0
     except SystemExit as ended:
         code = ended.code if isinstance(ended.code, int) else 1
-    except BaseException as error:  # as the interpreter would end
+    except BaseException as error:  # like the interpreter
         os.write(2, f"Traceback: {type(error).__name__}: {error}".encode())
         code = 1
     finally:

@@ -1,4 +1,4 @@
-"""Scenes that only benches use: rendered by `wbflow_demo`, which knows them once this package is imported."""
+"""Scenes that only benches use: importing this package adds them to the scenes of `wbflow_demo`, which renders them."""
 
 from __future__ import annotations
 

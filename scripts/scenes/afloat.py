@@ -1,4 +1,4 @@
-"""What floats in the harbour, and what is elsewhere at every capture: the water with its waves, a barge, a forklift."""
+"""The barge of the harbour, and what changes from capture to capture: the waves of the water, a forklift."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ from wbflow_demo.render.paint import Rng, encode, fractal_noise, shape_of
 from wbflow_demo.render.scene import MOVING, STATIC, WATER, Scene, SceneBuilder
 
 LONG, EDGE, FAR, LEVEL = 64.0, -4.0, -15.0, -1.6
-"""The quay's length, its edge, that of the other side, and the water's height, metres."""
+"""Length of the quay, y of its edge and of the opposite edge, and height of the water, in metres."""
 
 
 def waves(build: SceneBuilder, rng: Rng, texel_m: float) -> int:
-    """A texture of dark water with weak waves, which mirrors the sky."""
+    """A texture of dark water with weak waves that reflects the sky."""
     ripples = fractal_noise(rng, shape_of(24.0, 11.0, 2 * texel_m), 2 * texel_m, 1.6, octaves=4, stretch=0.5)
     colour = np.asarray((0.050, 0.066, 0.062), np.float32)
     return build.add_texture(encode((1 + 0.2 * ripples)[..., None] * colour, 2 * texel_m, gloss=0.6))
 
 
 def water(build: SceneBuilder, texture: int, z: float) -> None:
-    """The basin in pieces of 4 x 5.5 m (of a large one no part is drawn again where it reaches behind a camera)."""
+    """The basin in small pieces (4 x 5.5 m), since moving facets that reach behind a camera are not rendered again."""
     build.kind = WATER
     for x, y in product(np.arange(-LONG / 2, LONG / 2, 4.0), (EDGE, EDGE - 5.5)):
         build.quad((float(x), float(y), z), (4.0, 0, 0), (0, -5.5, 0), texture, (float(x) + LONG / 2, EDGE - float(y)))
@@ -32,7 +32,7 @@ def water(build: SceneBuilder, texture: int, z: float) -> None:
 
 
 def afloat(rng: Rng, texel_m: float, captures: int) -> list[Scene]:
-    """Other waves and another place of the forklift for each capture."""
+    """Different waves and another place of the forklift for each capture."""
     build = SceneBuilder()
     sheets = [waves(build, rng, texel_m) for _ in range(captures)]
     build.kind = MOVING
@@ -56,7 +56,7 @@ def afloat(rng: Rng, texel_m: float, captures: int) -> list[Scene]:
 
 
 def barge(build: SceneBuilder, rng: Rng, texel_m: float, planks: int) -> None:
-    """A moored barge of 30 m, bow to the west: gravel in its hold, two containers, a wheelhouse, its lines to the quay."""
+    """A moored barge of 30 m, bow to the west, with gravel in its hold, two containers, a wheelhouse, and mooring lines."""
     hull = build.add_texture(paint.painted_steel(rng, 30.0, 2.4, texel_m, (0.11, 0.05, 0.045)))
     deck = build.add_texture(paint.painted_steel(rng, 30.0, 6.0, texel_m, (0.17, 0.22, 0.19)))
     white = build.add_texture(paint.plaster(rng, 6.0, 3.0, texel_m, (0.62, 0.61, 0.57)))

@@ -87,7 +87,7 @@ def _ground(build: SceneBuilder, rng: Rng, texel_m: float) -> None:
 
 
 def _stands(build: SceneBuilder, rng: Rng, texel_m: float) -> None:
-    """On each an aircraft of the same type, and the bridge that leads to it."""
+    """On each stand, an aircraft of the same type and its passenger bridge."""
     plane = _aircraft(build, rng, texel_m)
     for k, x in enumerate(STANDS):
         at = (x + float(rng.normal(0, 0.3)), 2.0 + float(rng.normal(0, 0.4)), 0.0)
@@ -98,7 +98,7 @@ def _stands(build: SceneBuilder, rng: Rng, texel_m: float) -> None:
 
 
 def _service(build: SceneBuilder, rng: Rng, texel_m: float) -> None:
-    """Cars and carts here and there."""
+    """Cars and carts at random places."""
     looks = car_textures(build, rng, texel_m)
     for k in range(9):
         at = (float(rng.uniform(-40, 40)), float(rng.choice([-20.0, 18.0])) + float(rng.normal()), 0.0)
@@ -110,7 +110,7 @@ def _service(build: SceneBuilder, rng: Rng, texel_m: float) -> None:
 
 
 def _aircraft(build: SceneBuilder, rng: Rng, texel_m: float) -> SceneBuilder:
-    """Nose to the north; 22 m long."""
+    """An aircraft of 22 m, nose to the north, as a part to stamp."""
     part = build.with_same_textures()
     skin = build.add_texture(paint.plaster(rng, 24.0, 4.0, texel_m, (0.72, 0.72, 0.73)))
     tail = build.add_texture(paint.sign_board(rng, 3.5, 4.0, texel_m, ("WB", "AIR"), (0.05, 0.15, 0.4), (0.7, 0.7, 0.7)))
@@ -127,7 +127,7 @@ def _aircraft(build: SceneBuilder, rng: Rng, texel_m: float) -> SceneBuilder:
 
 
 def _terminal(build: SceneBuilder, rng: Rng, texel_m: float) -> None:
-    """Two storeys of the same window, and the number of each stand."""
+    """A terminal with two storeys of identical windows, and a board with the number of each stand."""
     top, width = 8.0, 84.0
     wall = build.add_texture(paint.painted_steel(rng, width, top, texel_m, (0.50, 0.50, 0.52)))
     sill = build.add_texture(paint.plaster(rng, 3.0, 1.0, texel_m, (0.30, 0.30, 0.31)))

@@ -1,4 +1,4 @@
-"""A building site: brick walls half up behind scaffolding, piers on a slab, timber, containers; cameras on masts around it."""
+"""A building site: unfinished brick walls behind scaffolding, piers on a slab, timber, containers; cameras on masts around it."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ def static_building(rng: Rng, texel_m: float) -> Scene:
 
 
 def _walls(build: SceneBuilder, rng: Rng, texel_m: float) -> None:
-    """The back and one side of the house: six openings of one kind, and a top that is not level yet."""
+    """The back wall with six equal openings and an uneven top, and one side wall of the house."""
     wall = build.add_texture(paint.brick_wall(rng, 20.0, 4.5, texel_m))
     sill = build.add_texture(paint.plaster(rng, 2.0, 1.0, texel_m, (0.45, 0.43, 0.4)))
     hole = build.add_texture(paint.cloth(rng, texel_m, (0.03, 0.03, 0.03)))
@@ -86,7 +86,7 @@ def _walls(build: SceneBuilder, rng: Rng, texel_m: float) -> None:
 
 
 def _scaffold(build: SceneBuilder, rng: Rng, texel_m: float) -> None:
-    """Before the back wall: standards, ledgers and two decks."""
+    """A scaffold in front of the back wall: standards, ledgers and two decks."""
     steel = build.add_texture(paint.painted_steel(rng, 4.0, 1.0, texel_m, (0.36, 0.37, 0.38)))
     deck = build.add_texture(paint.planks(rng, 20.0, 1.0, texel_m, (0.4, 0.3, 0.18)))
     for x in np.linspace(-10.0, 10.0, 9):

@@ -20,7 +20,7 @@ from .rawframe import DEEP, EAST, NORTH, SOUTH, WEST, WIDE, cast, earth, frame, 
 from .shapes import rod
 
 MASTS = ((-20.7, -2.6, 9.2), (-15.1, -13.6, 8.4), (-3.6, -19.7, 10.2), (10.5, -17.2, 8.8), (20.3, -4.4, 9.8))
-"""30 to 39 degrees from one to the next, as they see the pit."""
+"""Camera positions in metres, neighbours 30 to 39 degrees apart as seen from the pit."""
 LAMPS = (*((1.03 * x, 1.03 * y, z + 0.4) for x, y, z in MASTS), (-9.0, 4.5, 7.0), (6.0, 4.5, 7.0))
 
 
@@ -67,7 +67,7 @@ def static_construction(rng: Rng, texel_m: float) -> Scene:
 
 
 def _material(build: SceneBuilder, rng: Rng, texel_m: float, look: tuple[int, int, int]) -> None:
-    """Stacks of planks, bricks and pipes, bundles of bars, crates, heaps of gravel, containers of the office."""
+    """Stacks of planks, bricks and pipes, bundles of bars, crates, heaps of gravel, office containers."""
     wood, rust, red = look
     bricks = build.add_texture(paint.brick_wall(rng, 4.0, 2.0, texel_m))
     tar = build.add_texture(paint.cloth(rng, texel_m, (0.05, 0.06, 0.07)))
@@ -94,7 +94,7 @@ def _material(build: SceneBuilder, rng: Rng, texel_m: float, look: tuple[int, in
 
 
 def _around(build: SceneBuilder, rng: Rng, texel_m: float, steel: int) -> None:
-    """A hoarding in the north, a fence of bars around the rest, houses behind, masts."""
+    """A hoarding in the north, a fence of bars in the west and east, houses in the background, masts."""
     tones = ((0.40, 0.38, 0.33), (0.16, 0.24, 0.33), (0.34, 0.26, 0.16))
     boards = [build.add_texture(paint.planks(rng, 6.0, 2.1, texel_m, tone)) for tone in tones]
     sign = build.add_texture(

@@ -23,12 +23,12 @@ WAYS = (
     ((15.6, 8.9), (15.6, 15.2)), ((17.2, 8.9), (17.2, 15.2)), ((3.0, 10.2), (6.6, 10.2)), ((3.0, 13.0), (6.6, 13.0)),
     ((3.0, 10.2), (3.0, 13.0)), ((6.6, 10.2), (6.6, 13.0)),
 )  # fmt: skip
-"""Painted lines, metres from the north-western corner."""
+"""Ends of the painted lines, in metres from the north-western corner."""
 WORDS = (("3", 10.0, 2.2, 0.8), ("LAGER", 3.5, 11.2, 0.5), ("<<", 12.6, 7.4, 0.7), ("7", 16.2, 12.0, 0.8))
 
 
 def sealed_floor(rng: Rng, texel_m: float) -> Texture:
-    """Paint smooth sealed concrete: clouds of some per cent, joints, worn lines, a hatched field, scuffs, drops of oil."""
+    """Paint smooth sealed concrete: its tone varies by a few per cent; joints, worn lines, a hatched field, scuffs, oil drops."""
     shape = shape_of(WIDE, DEEP, texel_m)
     tone = 1 + 0.03 * fractal_noise(rng, shape, texel_m, 2.5) + 0.012 * fractal_noise(rng, shape, texel_m, 0.06, octaves=2)
     image = tone[..., None] * np.asarray((0.30, 0.305, 0.30), np.float32)
@@ -56,7 +56,7 @@ def sealed_floor(rng: Rng, texel_m: float) -> Texture:
 
 
 def white_wall(rng: Rng, width_m: float, texel_m: float) -> Texture:
-    """Paint a white wall with a grey-green foot of 1.3 m, scuffed, with drips and the outlines of what hung on it."""
+    """Paint a white wall, grey-green up to 1.3 m, with scuffs, drips, spots and cracks."""
     shape = shape_of(width_m, HIGH, texel_m)
     tone = 1 + 0.014 * fractal_noise(rng, shape, texel_m, 2.5) + 0.008 * fractal_noise(rng, shape, texel_m, 0.06, octaves=2)
     image = one_colour(shape, (0.66, 0.66, 0.63)) * tone[..., None]
@@ -72,7 +72,7 @@ def white_wall(rng: Rng, width_m: float, texel_m: float) -> Texture:
 
 
 def _outside(rng: Rng, width_m: float, height_m: float, texel_m: float) -> Texture:
-    """Paint a window of small panes seen from inside: a bright sky, roofs outside, dust."""
+    """Paint a window of small panes seen from inside: a bright sky and roofs outside."""
     shape = shape_of(width_m, height_m, texel_m)
     y, x = np.indices(shape, dtype=np.float32) * np.float32(texel_m)
     image = one_colour(shape, (0.62, 0.66, 0.70)) * (1 + 0.05 * fractal_noise(rng, shape, texel_m, 0.8))[..., None]
@@ -84,7 +84,7 @@ def _outside(rng: Rng, width_m: float, height_m: float, texel_m: float) -> Textu
 
 
 def walls(build: SceneBuilder, rng: Rng, texel_m: float, steel: int, *, daylight: bool) -> None:
-    """Four walls with piers: windows that shine by daylight in the north and west, a door in the east; the crane's rails."""
+    """Four walls with piers, windows in the north and west that glow by daylight, a door in the east, and the crane's rails."""
     glass = build.add_texture(_outside(rng, 3.0, 1.9, texel_m))
     door = build.add_texture(paint.roller_door(rng, 4.0, 4.2, texel_m, (0.20, 0.26, 0.33), "2"))
     rows = {
@@ -111,7 +111,7 @@ def walls(build: SceneBuilder, rng: Rng, texel_m: float, steel: int, *, daylight
 
 
 def roof(build: SceneBuilder, rng: Rng, texel_m: float, steel: int) -> None:
-    """Panels with two skylights along the room, beams across it, lattice between them, lamps that hang from it."""
+    """Roof panels with two skylights along the room, lattice beams across it, and hanging lamps."""
     panel = build.add_texture(paint.plaster(rng, WIDE, 6.0, 2 * texel_m, (0.60, 0.60, 0.58)))
     tube = build.add_texture(paint.cloth(rng, 0.05, (0.80, 0.80, 0.78)))
     for low, high in ((-8.0, -4.4), (-2.4, 2.4), (4.4, 8.0)):

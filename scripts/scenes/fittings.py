@@ -1,4 +1,4 @@
-"""What stands in the shop besides machines: workbenches with tools, racks of bars, a portal crane; parts to be stamped."""
+"""Furniture of the machine shop, as parts to stamp: workbenches with tools, racks of bars, a portal crane."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def tool_board(rng: Rng, texel_m: float) -> Texture:
 
 
 def bench(build: SceneBuilder, rng: Rng, texel_m: float, look: Look, skin: Skin) -> SceneBuilder:
-    """Return a workbench with drawers, a vice, tools and boxes on it, a board of tools behind."""
+    """Return a workbench with drawers, a vice, tools and boxes, and a tool board behind it."""
     part, coat = build.with_same_textures(), build.add_texture(panel(rng, 2.4, 0.8, texel_m, skin[0]))
     wood = build.add_texture(paint.planks(rng, 2.4, 0.8, texel_m, (0.38, 0.27, 0.16)))
     part.box((0.0, 0.0, 0.84), (2.4, 0.8, 0.06), wood)
@@ -46,7 +46,7 @@ def bench(build: SceneBuilder, rng: Rng, texel_m: float, look: Look, skin: Skin)
 
 
 def rack(build: SceneBuilder, rng: Rng, texel_m: float, look: Look, skin: Skin) -> SceneBuilder:
-    """Return a rack with arms, 4 m long, and on them bars, pipes and sections."""
+    """Return a cantilever rack, 4 m long, with bars, pipes and sections on its arms."""
     part, blue = build.with_same_textures(), build.add_texture(paint.painted_steel(rng, 2.0, 2.4, texel_m, skin[0]))
     rust = build.add_texture(paint.painted_steel(rng, 4.0, 1.0, texel_m, (0.17, 0.10, 0.07)))
     for x in (-1.5, 0.0, 1.5):

@@ -1,4 +1,4 @@
-"""Parts of a park: trees, hedges and flower beds of many slanting cards, rough and with gaps; a fountain, a pavilion."""
+"""Parts of a park: trees, hedges and flower beds made of many slanting cards with gaps between them; a fountain, a pavilion."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from .shapes import cone, rod
 
 
 def cards(build: SceneBuilder, rng: Rng, places: Float64s, size_m: tuple[float, float], textures: tuple[int, ...]) -> None:
-    """Add a slanting leaf-like card at each of places (n, 3), metres, of a random size, tilt and piece of its texture."""
+    """Add a leaf-like card at each of places (n, 3), in metres, with random size, tilt, texture and part of the texture."""
     for place in places:
         u, v = np.linalg.qr(rng.standard_normal((3, 2)))[0].T
         long, wide = rng.uniform(*size_m), rng.uniform(*size_m)
@@ -27,9 +27,9 @@ def cards(build: SceneBuilder, rng: Rng, places: Float64s, size_m: tuple[float, 
 def tree(
     build: SceneBuilder, rng: Rng, at: tuple[float, float, float], bark: int, leaves: tuple[int, int], count: int, size_m: float
 ) -> None:
-    """Add a leaning trunk that forks into five boughs, each with a cloud of `count` / 5 cards of about `size_m` around it.
+    """Add a leaning trunk that forks into five boughs, each with `count` / 5 cards of about `size_m` around its end.
 
-    at: east, north and height, metres.  The sky shows between the cards.
+    at: east, north and height of the tree, in metres.  The sky is visible between the cards.
     """
     x, y, high = at
     fork = np.array([x, y, 0.38 * high]) + 0.03 * high * np.append(rng.standard_normal(2), 0.0)
@@ -47,7 +47,7 @@ def tree(
 def hedge(
     build: SceneBuilder, rng: Rng, at: tuple[float, float, float], size: tuple[float, float, float], leaves: tuple[int, ...]
 ) -> None:
-    """Add a clipped hedge: a core, and cards all over it, 45 to a square metre; at: east, north and yaw; size in metres."""
+    """Add a clipped hedge: a core covered with 45 cards per square metre; at: east, north and yaw; size in metres."""
     (x, y, yaw), (long, wide, high) = at, size
     build.box((x, y, 0.0), (long - 0.1, wide - 0.1, high - 0.06), leaves[0], yaw=yaw, at=float(rng.uniform(0, 2)))
     count = int(45 * (long * wide + 2 * (long + wide) * high))
@@ -65,7 +65,7 @@ def hedge(
 def flower_bed(
     build: SceneBuilder, rng: Rng, at: tuple[float, float, float], size: tuple[float, float], soil: int, looks: tuple[int, ...]
 ) -> None:
-    """Add a bed of soil with rows of plants, 30 cards to a square metre; at: east, north and yaw; size in metres."""
+    """Add a bed of soil with rows of plants, 30 cards per square metre; at: east, north and yaw; size in metres."""
     (x, y, yaw), (long, wide) = at, size
     build.box((x, y, 0.0), (long, wide, 0.12), soil, yaw=yaw)
     a, b = rng.uniform(-0.47, 0.47, (2, int(30 * long * wide)))
@@ -76,7 +76,7 @@ def flower_bed(
 
 
 def fountain(build: SceneBuilder, rng: Rng, texel_m: float) -> None:
-    """Add a round basin with water, in it a pedestal that bears a ball of stone, and four bronze spouts."""
+    """Add a round basin with water, and in it a pedestal with a stone ball and four bronze spouts."""
     stone = build.add_texture(paint.ashlar(rng, 19.0, 1.5, texel_m, tint=(0.9, 0.86, 0.78)))
     granite = build.add_texture(rock(rng, 5.0, 4.0, 0.5 * texel_m))
     bronze = build.add_texture(paint.painted_steel(rng, 2.0, 3.0, texel_m, (0.09, 0.15, 0.12)))
@@ -100,7 +100,7 @@ def fountain(build: SceneBuilder, rng: Rng, texel_m: float) -> None:
 
 
 def pavilion(build: SceneBuilder, rng: Rng, texel_m: float, stone: int) -> None:
-    """Add an open roof on eight posts, with a railing, beside the northern path."""
+    """Add a pavilion next to the northern path: a roof on eight posts, with a railing."""
     roof = build.add_texture(paint.roof_tiles(rng, 5.2, 5.2, texel_m))
     wood = build.add_texture(paint.planks(rng, 3.0, 3.0, texel_m, (0.5, 0.48, 0.42)))
     x, y = -6.8, 8.4

@@ -1,7 +1,7 @@
-"""A market hall in the middle of a walled green, cameras on a circle around it: views from other sides look alike.
+"""A market hall in the middle of a walled green, with cameras on a circle around it: views from different sides look alike.
 
-`hall_4` and `hall_2` are the same to the bit after a quarter and a half turn, light included; `hall` is nearly so, with
-something distinct on each side.  The sky is overcast.
+`hall_4` and `hall_2`, with their light, are bit-identical after a quarter and a half turn, respectively.  `hall` is almost
+symmetric, with distinct objects on each side.  The sky is overcast.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from wbflow_demo.render.renderer import OPEN_SKY, PreparedScene, SkyGrid, build_
 from wbflow_demo.render.scene import STATIC, Scene, SceneBuilder
 
 HALF, HEIGHT, EDGE = 8.0, 8.4, 35.6
-"""Of the hall, its walls, and the ground, metres."""
+"""Half the side of the hall, height of its walls, and half the side of the ground, in metres."""
 VIEWS, RADIUS, EYE = 12, 26.5, 4.6
 LAMPS = tuple((x, y, 4.4) for x, y in ((16.0, -9.5), (9.5, 16.0), (-16.0, 9.5), (-9.5, -16.0)))
 WALKS = (
@@ -34,18 +34,17 @@ WALKS = (
 
 
 def hall(shots: Shots) -> DemoSite:
-    """Render the hall with something distinct on each side, and 12 cameras 30 degrees apart; the same for all halls:
-    ValueError for impossible shots."""
+    """Render the hall with distinct sides; all halls have 12 cameras, 30 degrees apart.  Raises ValueError for bad shots."""
     return _render(shots, 1)
 
 
 def hall_2(shots: Shots) -> DemoSite:
-    """Render the hall that is the same after half a turn."""
+    """Render the hall that looks the same after half a turn."""
     return _render(shots, 2)
 
 
 def hall_4(shots: Shots) -> DemoSite:
-    """Render the hall that is the same after a quarter turn."""
+    """Render the hall that looks the same after a quarter turn."""
     return _render(shots, 4)
 
 
@@ -64,7 +63,7 @@ def _render(shots: Shots, symmetry: int) -> DemoSite:
 
 
 def viewpoints() -> list[Viewpoint]:
-    """Twelve cameras on a circle; each is its third neighbour after a quarter turn, lens and all."""
+    """Twelve cameras on a circle; a quarter turn maps each, including its lens, to its third neighbour."""
     found = []
     for k in range(VIEWS):
         bearing = np.deg2rad(11.0 + 30.0 * (k % 3))
@@ -78,9 +77,9 @@ def viewpoints() -> list[Viewpoint]:
 
 
 def even_sky(still: Scene) -> SkyGrid:
-    """Visibility of the sky by directions that are the same after a quarter turn.
+    """Visibility of the sky, sampled in directions that are invariant under a quarter turn.
 
-    The cells must turn into each other as well, and none may lie in a wall: the edge of the ground sees to both.
+    The grid's cells must be invariant as well, and none may lie in a wall: the size of the ground (`EDGE`) ensures both.
     """
     some = spiral(16)
     quarter = np.array([[0, -1, 0], [1, 0, 0], [0, 0, 1]], np.float32)
@@ -89,7 +88,7 @@ def even_sky(still: Scene) -> SkyGrid:
 
 
 def static_hall(rng: Rng, texel_m: float, symmetry: int) -> Scene:
-    """Everything that stands still; `symmetry`: 4 or 2 equal sides of four, or 1 for something distinct on each."""
+    """Everything that stands still; `symmetry`: 4 for four equal sides, 2 for two equal pairs, 1 for distinct objects on each."""
     build = SceneBuilder()
     build.kind = STATIC
     front = _quarter(build, rng, texel_m, portal=True)
@@ -102,7 +101,7 @@ def static_hall(rng: Rng, texel_m: float, symmetry: int) -> Scene:
 
 
 def _quarter(build: SceneBuilder, rng: Rng, texel_m: float, *, portal: bool) -> SceneBuilder:
-    """The south side, its part of the roof, and the ground and green before it."""
+    """The south side, its part of the roof, and the ground in front of it."""
     part = build.with_same_textures()
     stone = build.add_texture(paint.ashlar(rng, 6.0, HEIGHT, texel_m, tint=(0.85, 0.83, 0.8)))
     tint = (1.0, 0.95, 0.9) if portal else (0.85, 0.95, 1.1)
@@ -151,7 +150,7 @@ def _roof(part: SceneBuilder, build: SceneBuilder, rng: Rng, texel_m: float, sto
 
 
 def _green(part: SceneBuilder, build: SceneBuilder, rng: Rng, texel_m: float) -> None:
-    """A quarter of the ground: cobbles with a lawn on them, bench, lamp, tubs, and the wall with trees that closes the view."""
+    """A quarter of the ground: cobbles with lawn around them, benches, a lamp, tubs, and the wall and trees at the edge."""
     look = furniture_textures(build, rng, texel_m)
     cobbles = build.add_texture(ground.cobbles(rng, 18.0, 18.0, texel_m))
     grass = build.add_texture(lawn(rng, 18.0, 36.0, 1.6 * texel_m))
@@ -175,7 +174,7 @@ def _green(part: SceneBuilder, build: SceneBuilder, rng: Rng, texel_m: float) ->
 
 
 def _distinct(build: SceneBuilder, rng: Rng, texel_m: float) -> None:
-    """What tells one side from another: boards, a kiosk, a parked car, a flag, a red door, crates."""
+    """Objects that distinguish the sides: boards, two parked cars, a kiosk, a red door, a flag."""
     look = furniture_textures(build, rng, texel_m)
     boards = (("NORDSEITE", "FISCH & FLEISCH"), ("OBST", "GEMUESE"), ("BLUMEN", "SO 8-13 UHR"), ("TROEDEL", "JEDEN SAMSTAG"))
     tones = ((0.62, 0.45, 0.05), (0.05, 0.16, 0.34), (0.42, 0.06, 0.05), (0.12, 0.28, 0.14))

@@ -1,4 +1,4 @@
-"""A quay: a basin whose waves no two pictures share, stone walls, a barge, a portal crane, timber; cameras on both sides."""
+"""A quay: a basin with different waves in every image, stone walls, a barge, a portal crane, timber; cameras on both sides."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from wbflow_demo.render.scene import STATIC, UP, Scene, SceneBuilder, joined
 from .afloat import EDGE, FAR, LEVEL, LONG, afloat, barge, water, waves
 
 BACK, TOP = 17.0, 7.5
-"""Where the warehouse's front stands, and its height, metres."""
+"""y of the warehouse's front, and its height, in metres."""
 LAMPS = tuple((x, y, 8.0) for x in (-18.0, 0.0, 18.0) for y in (-17.0, 12.0))
 POLES = (
     (-20.0, -17.5, 8.0), (-9.0, -22.0, 9.5), (4.5, -21.5, 8.5), (17.0, -17.5, 9.0),
@@ -79,7 +79,7 @@ def static_harbour(rng: Rng, texel_m: float) -> Scene:
 
 
 def _quays(build: SceneBuilder, rng: Rng, texel_m: float, rust: int) -> None:
-    """Setts behind concrete with three rails, walls of stone with fenders, the other side, and the water as it lies still."""
+    """Both quays (setts, concrete with three rails, stone walls with fenders), and a static sheet of water."""
     strip = build.add_texture(ground.concrete(rng, LONG, 9.5, texel_m, text="LIEGEPLATZ 3   KRAN 12"))
     build.quad((-LONG / 2, EDGE + 9.5, 0.0), (LONG, 0, 0), (0, -9.5, 0), strip)
     for north, deep in ((BACK, BACK - EDGE - 9.5), (FAR, 13.0)):
@@ -98,7 +98,7 @@ def _quays(build: SceneBuilder, rng: Rng, texel_m: float, rust: int) -> None:
 
 
 def _warehouse(build: SceneBuilder, rng: Rng, texel_m: float) -> None:
-    """A front of brick with doors and one window many times, and its roof."""
+    """A brick front with doors and many identical windows, and its roof."""
     wide = LONG - 10.0
     wall = build.add_texture(paint.brick_wall(rng, wide, TOP, texel_m, sign="SPEICHER 4  STUECKGUT"))
     sill = build.add_texture(paint.plaster(rng, 3.0, 1.0, texel_m, (0.42, 0.40, 0.36)))
@@ -113,7 +113,7 @@ def _warehouse(build: SceneBuilder, rng: Rng, texel_m: float) -> None:
 
 
 def _crane(build: SceneBuilder, rng: Rng, texel_m: float, steel: int) -> None:
-    """A portal over the rails, a house that turns on it, and a jib that holds a grab over the barge."""
+    """A portal over the rails with a turning cabin, and a jib with a grab over the barge."""
     yellow = build.add_texture(paint.painted_steel(rng, 5.0, 4.0, texel_m, (0.55, 0.36, 0.03)))
     dark = build.add_texture(paint.cloth(rng, texel_m, (0.04,) * 3))
     south, north, high = EDGE + 1.6, EDGE + 8.6, 6.0

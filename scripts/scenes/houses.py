@@ -1,4 +1,4 @@
-"""A row of identical houses along a street: cameras at equal distances look at the same house, or at the next one."""
+"""A row of identical houses along a street: neighbouring cameras look at the same house, or at the next one."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from wbflow_demo.render.photograph import DemoSite, Night, Shots, photograph
 from wbflow_demo.render.scene import STATIC, Scene, SceneBuilder
 
 PITCH_M, HOUSES = 8.0, 9
-"""Width of a house, and how many stand in the row."""
+"""Width of a house, and number of houses in the row."""
 LOOKS = ((-13.5, -8.0), (-10.0, -8.5), (-6.5, -1.0), (-1.5, 0.5), (1.0, 8.5), (6.5, 8.0), (10.0, 15.5), (14.0, 16.5))
-"""East of each camera, and of what it looks at."""
+"""x (metres east) of each camera, and of the point that it looks at."""
 LAMPS = tuple((PITCH_M * k + 4.0, 2.4, 4.6) for k in range(-4, 4))
 
 
@@ -44,7 +44,7 @@ def houses(shots: Shots) -> DemoSite:
 
 
 def viewpoints() -> list[Viewpoint]:
-    """Cameras across the street, 3.4 m up."""
+    """Cameras across the street, about 3.4 m high."""
     found = []
     for k, (x, target) in enumerate(LOOKS):
         shift = principal_shift(k)
@@ -78,7 +78,7 @@ def static_houses(rng: Rng, texel_m: float) -> Scene:
 
 
 def _house(build: SceneBuilder, rng: Rng, texel_m: float, look: Furniture) -> SceneBuilder:
-    """One house with its front garden, hedge, path, bins and lamp: from x = 0 to one pitch, the front at y = 8."""
+    """One house with its front garden, hedge, path, bins and lamp: from x = 0 to `PITCH_M`, with the front at y = 8."""
     part = build.with_same_textures()
     height, deep = 5.6, 9.0
     wall = build.add_texture(paint.brick_wall(rng, PITCH_M, height, texel_m))

@@ -1,4 +1,4 @@
-"""What stands beside the tracks of the yard: rails, point levers, masts with wires, a signal box, huts."""
+"""Parts of the shunting yard: rails, switch levers, catenary masts with wires, spruces, a signal box, huts."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from .shapes import cone
 
 
 def rails(build: SceneBuilder, path: Float64s, steel: int) -> None:
-    """Add two rails along a middle line (n, 2), metres; they stand 0.1 m out of the snow."""
+    """Add two rails along a centre line (n, 2) in metres; they rise 0.1 m above the snow."""
     ahead = np.gradient(path, axis=0)
     across = np.column_stack([-ahead[:, 1], ahead[:, 0]]) / np.linalg.norm(ahead, axis=1, keepdims=True)
     for gauge in (-0.75, 0.75):
@@ -38,7 +38,7 @@ def lever(build: SceneBuilder, at: tuple[float, float], look: Look) -> None:
 
 
 def catenary(build: SceneBuilder, masts: Sequence[tuple[float, float]], tracks: Sequence[float], look: tuple[int, int]) -> None:
-    """Add masts (east, north) with an arm to each side, over all tracks wires that hang from others; look: steel and wire."""
+    """Add masts (east, north) with arms, and over each track a contact wire under a sagging wire; look: steel and wire."""
     steel, wire = look
     for x, y in masts:
         build.box((x, y, 0.0), (0.6, 0.6, 0.3), steel)
@@ -59,7 +59,7 @@ def catenary(build: SceneBuilder, masts: Sequence[tuple[float, float]], tracks: 
 
 
 def spruce(build: SceneBuilder, bark: int, needles: int) -> SceneBuilder:
-    """Return a spruce of 7 m on the origin: a part to `stamp`."""
+    """Return a spruce of 7 m at the origin, as a part to `stamp`."""
     part = build.with_same_textures()
     part.tube((0.0, 0.0, 0.0), 0.14, 1.6, bark, sides=7)
     for k in range(5):
@@ -70,7 +70,7 @@ def spruce(build: SceneBuilder, bark: int, needles: int) -> SceneBuilder:
 def four_walls(
     build: SceneBuilder, at: tuple[float, float], size: tuple[float, float, float], wall: int, openings: list[Opening], sill: int
 ) -> None:
-    """Four walls, all with the same openings."""
+    """Add four walls with the same openings, as far as these fit."""
     wide, deep, high = size
     for k in range(4):
         turn, half, out = k * np.pi / 2, (wide / 2, deep / 2)[k % 2], (deep / 2, wide / 2)[k % 2]
@@ -80,7 +80,7 @@ def four_walls(
 
 
 def _roof(build: SceneBuilder, at: tuple[float, float, float], size: tuple[float, float, float], white: int, board: int) -> None:
-    """A ridged roof along x under snow."""
+    """A snow-covered ridged roof along x."""
     (x, y, z), (wide, deep, rise) = at, size
     build.box((x, y, z), (wide, deep, 0.14), board)
     for side in (-1, 1):
@@ -96,7 +96,7 @@ def _roof(build: SceneBuilder, at: tuple[float, float, float], size: tuple[float
 
 
 def signal_box(build: SceneBuilder, rng: Rng, texel_m: float, at: tuple[float, float], white: int) -> None:
-    """Add a signal box: brick below, a band of windows all around above, its name, a stair, snow on its roof."""
+    """Add a signal box: brick base, a band of windows all around, a name board, a stair, snow on its roof."""
     x, y = at
     brick = build.add_texture(paint.brick_wall(rng, 9.0, 3.6, texel_m))
     board = build.add_texture(paint.planks(rng, 9.0, 1.2, texel_m, (0.15, 0.20, 0.16)))
@@ -117,7 +117,7 @@ def signal_box(build: SceneBuilder, rng: Rng, texel_m: float, at: tuple[float, f
 
 
 def hut(build: SceneBuilder, rng: Rng, texel_m: float, at: tuple[float, float], white: int) -> None:
-    """Add a hut of boards with a door, a window and a snowy roof."""
+    """Add a hut of boards with doors, windows and a snowy roof."""
     board = build.add_texture(paint.planks(rng, 3.4, 2.3, texel_m, (0.24, 0.17, 0.11)))
     door = build.add_texture(paint.planks(rng, 1.0, 1.9, texel_m, (0.10, 0.17, 0.22)))
     pane = build.add_texture(paint.window(0.8, 0.8, texel_m))

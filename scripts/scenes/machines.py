@@ -1,4 +1,4 @@
-"""Machines of the shop, of painted steel with panels: each a part on the origin whose front faces south, to be stamped."""
+"""Machines of the shop, of painted steel with panels: each is a part to stamp, at the origin, with its front to the south."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from wbflow_demo.render.scene import SceneBuilder
 from .shapes import rod
 
 Skin = tuple[Colour, str]
-"""Of a machine: its colour and its maker."""
+"""Colour of a machine, and its maker's name."""
 
 
 class Look(NamedTuple):
-    """Numbers of textures that all machines share."""
+    """Indices of the textures that all machines share."""
 
     steel: int
     dark: int
@@ -29,7 +29,7 @@ class Look(NamedTuple):
 
 
 def panel(rng: Rng, width_m: float, height_m: float, texel_m: float, colour: Colour) -> Texture:
-    """Paint a machine's covers: lacquer with seams, screws, slots for air, greasy hands, a dirty foot."""
+    """Paint a machine's covers: lacquer with seams, air slots, small spots, greasy stains, a dirty foot."""
     shape = shape_of(width_m, height_m, texel_m)
     image = one_colour(shape, colour) * (1 + 0.03 * fractal_noise(rng, shape, texel_m, 0.8, octaves=5))[..., None]
     seams = np.zeros(shape, np.uint8)
@@ -50,7 +50,7 @@ def panel(rng: Rng, width_m: float, height_m: float, texel_m: float, colour: Col
 
 
 def plate(part: SceneBuilder, build: SceneBuilder, rng: Rng, texel_m: float, name: str, at: Place) -> None:
-    """Add a maker's plate whose foot is at a place on a machine's front."""
+    """Add a maker's plate to a machine's front; at: the middle of its lower edge."""
     board = paint.sign_board(rng, 0.9, 0.22, min(texel_m, 0.02), (name,), (0.55, 0.54, 0.50), (0.05, 0.09, 0.25))
     part.box(at, (0.9, 0.02, 0.22), build.add_texture(board))
 
@@ -78,7 +78,7 @@ def lathe(build: SceneBuilder, rng: Rng, texel_m: float, look: Look, skin: Skin)
 
 
 def mill(build: SceneBuilder, rng: Rng, texel_m: float, look: Look, skin: Skin) -> SceneBuilder:
-    """Return a closed milling machine: a housing with a door of glass, a panel on an arm, a lamp of three colours, a chip bin."""
+    """Return a closed milling machine: a housing with a glass door, a panel on an arm, a lamp of two colours, a chip bin."""
     part, (colour, name) = build.with_same_textures(), skin
     coat = build.add_texture(panel(rng, 2.8, 2.3, texel_m, colour))
     pale = build.add_texture(panel(rng, 2.8, 2.3, texel_m, (0.55, 0.55, 0.53)))
@@ -100,7 +100,7 @@ def mill(build: SceneBuilder, rng: Rng, texel_m: float, look: Look, skin: Skin) 
 
 
 def press(build: SceneBuilder, rng: Rng, texel_m: float, look: Look, skin: Skin) -> SceneBuilder:
-    """Return a hydraulic press of 3 m: two cheeks, a head, a ram over a table, pipes, a cabinet, striped guards."""
+    """Return a hydraulic press of 3 m: two columns, a head, a ram over a table, a pipe, a cabinet, striped guards."""
     part, coat = build.with_same_textures(), build.add_texture(panel(rng, 2.0, 3.0, texel_m, skin[0]))
     stripes = build.add_texture(paint.painted_steel(rng, 1.5, 1.5, texel_m, (0.55, 0.40, 0.03), stripes=True))
     for x in (-0.7, 0.7):
@@ -118,7 +118,7 @@ def press(build: SceneBuilder, rng: Rng, texel_m: float, look: Look, skin: Skin)
 
 
 def drill(build: SceneBuilder, rng: Rng, texel_m: float, look: Look, skin: Skin) -> SceneBuilder:
-    """Return a drill on a column, 2 m high."""
+    """Return a column drill, 2 m high."""
     part, coat = build.with_same_textures(), build.add_texture(panel(rng, 1.0, 1.0, texel_m, skin[0]))
     part.box((0.0, 0.0, 0.0), (0.6, 0.8, 0.12), look.dark)
     part.tube((0.0, 0.2, 0.12), 0.09, 1.8, look.bare)

@@ -22,12 +22,12 @@ from .oldtown import House, house, setts, timber_frame
 from .stalls import column, fruit, parasol, stall, stripes
 
 EAST, NORTH = 16.0, 15.0
-"""Where the houses' fronts stand, metres from the middle."""
+"""Distances of the house fronts from the middle, in metres."""
 MOUNTS = (
     (-9.5, -12.0, 6.2), (1.0, -14.0, 5.8), (11.5, -10.5, 6.5), (15.1, 0.8, 7.4),
     (12.4, 12.4, 8.2), (1.4, 14.1, 6.8), (-10.8, 13.3, 8.6), (-15.1, -0.5, 7.0),
 )  # fmt: skip
-"""The first three on lamp posts, the others on houses; 40 to 53 degrees from one to the next, seen from the column."""
+"""Camera positions (metres): three on lamp posts, five on houses, neighbours 40 to 53 degrees apart as seen from the column."""
 LAMPS = (*((1.03 * x, 1.03 * y, z + 0.35) for x, y, z in MOUNTS[:3]), (-12.5, 5.5, 4.4), (12.0, 6.5, 4.4), (-3.0, 11.5, 4.4))
 PALETTE: tuple[Colour, ...] = (
     (0.36, 0.06, 0.05), (0.07, 0.20, 0.10), (0.08, 0.13, 0.30), (0.52, 0.37, 0.09), (0.44, 0.19, 0.06), (0.47, 0.43, 0.34),
@@ -37,7 +37,7 @@ STALLS = (
     (-7.6, -6.6, 3.05), (-3.0, -7.2, 3.2), (2.4, -6.5, 3.1), (7.0, -7.0, 3.35),
     (-10.2, -1.6, 1.5), (-10.6, 2.9, 1.66), (10.4, 2.6, -1.5), (10.2, -2.4, -1.62),
 )  # fmt: skip
-"""East, north and yaw; they sell towards the column."""
+"""East, north (metres) and yaw of the stalls, which face the column."""
 WALLS: dict[str, Callable[[Rng, float, float, float, Colour], Texture]] = {
     "timber": timber_frame,
     "plaster": paint.plaster,
@@ -52,7 +52,7 @@ ROWS: dict[int, tuple[tuple[float, float, float, bool, str, Colour, str], ...]] 
     3: ((9.2, 8.0, 3.4, False, "brick", WARM, "POST"), (7.0, 8.6, 4.5, True, "timber", PALE, "UHREN"),
         (6.9, 7.6, 4.0, True, "plaster", BLUE, "TUCHE")),
 }  # fmt: skip
-"""Houses of the north, west and east side, from left to right: width, height, the roof's rise, gable, wall, colour, shop."""
+"""Houses of the north (0), west (1) and east side (3), left to right: width, eaves, roof's rise, gable, wall, colour, shop."""
 
 
 def market(shots: Shots) -> DemoSite:
@@ -105,7 +105,7 @@ def static_market(rng: Rng, texel_m: float) -> Scene:
 
 
 def _houses(build: SceneBuilder, rng: Rng, texel_m: float) -> None:
-    """The rows around the square, one across the street, roofs behind, and a church tower."""
+    """The rows on three sides of the square, and a ring of houses behind them."""
     pane = build.add_texture(paint.window(0.9, 1.45, texel_m))
     stone = build.add_texture(paint.plaster(rng, 3.0, 1.0, texel_m, (0.42, 0.40, 0.35)))
     tiles = build.add_texture(paint.roof_tiles(rng, 12.0, 8.0, 1.5 * texel_m))
@@ -128,7 +128,7 @@ def _houses(build: SceneBuilder, rng: Rng, texel_m: float) -> None:
 
 
 def _stalls(build: SceneBuilder, rng: Rng, texel_m: float, steel: int) -> None:
-    """Thirteen stalls, four parasols, a van that unloads, crates beside it."""
+    """Thirteen stalls, four parasols, a delivery van, crates."""
     wood = [build.add_texture(paint.planks(rng, 3.0, 1.5, texel_m, c)) for c in ((0.40, 0.29, 0.17), (0.27, 0.20, 0.13))]
     tones = (
         (0.60, 0.24, 0.02),

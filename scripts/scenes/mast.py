@@ -17,7 +17,7 @@ from wbflow_demo.render.scene import STATIC, Scene, SceneBuilder
 from wbflow_stages.types import Float64s
 
 CENTRES = ((0.0, 0.0, 32.0), (0.3, 0.05, 32.1), (-0.5, 0.1, 33.0), (0.4, -0.1, 34.2), (-0.3, 0.0, 35.1), (0.2, 0.1, 35.9))
-"""Metres east, north, up."""
+"""Camera centres, in metres east, north and up."""
 NEAR, FAR, ASIDE = 90.0, 1300.0, 800.0
 LAMPS = tuple((x, y, 9.0) for x, y in ((-60.0, 300.0), (-20.0, 330.0), (40.0, 310.0), (90.0, 350.0)))
 
@@ -45,7 +45,7 @@ def mast(shots: Shots) -> DemoSite:
 
 
 def viewpoints() -> list[Viewpoint]:
-    """All on one mast, heading a few degrees apart."""
+    """Cameras on one mast, with headings a few degrees apart."""
     found = []
     for k, centre in enumerate(CENTRES):
         shift = principal_shift(k)
@@ -71,7 +71,7 @@ def static_valley(rng: Rng, texel_m: float) -> Scene:
     for x0, x1 in itertools.pairwise(xs):
         for y0, y1 in itertools.pairwise(ys):
             a, b, c, d = (np.array([x, y, float(height_of(x, y))]) for x, y in ((x0, y0), (x1, y0), (x1, y1), (x0, y1)))
-            # the texture lies on the map: u runs east, v south
+            # the texture is mapped from above: u runs east, v south
             for corners in (np.array([a, b, c]), np.array([a, c, d])):
                 at = (float(corners[0, 0]) + ASIDE, FAR - float(corners[0, 1]))
                 build.triangle(corners, np.array([1.0, 0, 0]), np.array([0, -1.0, 0]), land, at)
@@ -80,7 +80,7 @@ def static_valley(rng: Rng, texel_m: float) -> Scene:
 
 
 def _village(build: SceneBuilder, rng: Rng) -> None:
-    """Houses, a church and rows of trees on the valley floor."""
+    """Houses, a church and trees on the valley floor."""
     tones = ((0.60, 0.56, 0.47), (0.52, 0.42, 0.30), (0.62, 0.60, 0.57), (0.45, 0.30, 0.24))
     walls = [build.add_texture(paint.plaster(rng, 12.0, 6.0, 0.1, tone)) for tone in tones]
     fronts = [build.add_texture(paint.window(9.0, 5.5, 0.1)) for _ in range(1)]
@@ -123,7 +123,7 @@ def _house(
 
 
 def _land(rng: Rng, texel_m: float, size: tuple[float, float] = (2 * ASIDE, FAR - NEAR)) -> Texture:
-    """Woods, meadows, rock, and a road, as seen from a mile away; `size` in metres."""
+    """Woods, meadows, rock, and a road, with details for a view from a mile away; `size` in metres."""
     shape = shape_of(*size, texel_m)
     crowns = fractal_noise(rng, shape, texel_m, 9.0, octaves=5, gain=0.9)
     wood = np.clip(1 + 0.5 * crowns, 0.15, 3)[..., None] * np.asarray((0.055, 0.075, 0.035), np.float32)

@@ -1,4 +1,4 @@
-"""The meadow on which the solar farm stands: its slope and its fence, and the sheep and fitters on it."""
+"""The meadow of the solar farm: its slope, its fence, and the sheep and fitters that move on it."""
 
 from __future__ import annotations
 
@@ -13,25 +13,25 @@ from wbflow_demo.render.paint import Rng
 from wbflow_demo.render.scene import MOVING, Scene, SceneBuilder
 
 EAST, NORTH = 0.012, 0.04
-"""How much it rises towards the east and the north."""
+"""Slope of the meadow towards the east and the north, in metres per metre."""
 ROWS = (-11.0, -5.5, 0.0, 5.5, 11.0)
-"""Where rows of panels stand, metres north."""
+"""y of the rows of panels, in metres north."""
 WOOL, FACE = (0.50, 0.47, 0.41), (0.05, 0.045, 0.04)
 
 
 def on_meadow(x: float, y: float, above: float = 0.0) -> Place:
-    """Return a place so far above the slope, metres."""
+    """Return the place at (x, y) and `above` metres over the slope."""
     return (x, y, 1.3 + EAST * x + NORTH * y + above)
 
 
 def lay(build: SceneBuilder, corner: tuple[float, float], size: tuple[float, float], above: float, texture: int) -> None:
-    """A rectangle on the slope, given its north-western corner."""
+    """Add a rectangle parallel to the slope, `above` metres over it, given its north-western corner."""
     right, down = np.array([size[0], 0, size[0] * EAST]), np.array([0, -size[1], -size[1] * NORTH])
     build.quad(on_meadow(*corner, above), right, down, texture)
 
 
 def fence(build: SceneBuilder, wood: int, steel: int) -> None:
-    """Posts and three wires around the rows, with a gap where the way comes in."""
+    """Add posts and three wires around the rows, with a gap where the gravel way enters."""
     corners = ((3.0, -17.0), (22.0, -17.0), (22.0, 21.5), (-22.0, 21.5), (-22.0, -17.0), (-3.0, -17.0))
     for start, end in pairwise(np.array(corners)):
         for x, y in start + np.linspace(0, 1, 15)[:, None] * (end - start):
@@ -41,7 +41,7 @@ def fence(build: SceneBuilder, wood: int, steel: int) -> None:
 
 
 def flock(rng: Rng, texel_m: float, captures: int) -> tuple[Scene, ...]:
-    """Sheep between the rows and two fitters on the way, elsewhere at each capture."""
+    """Sheep between the rows and two fitters on the way, at other places in each capture."""
     build = SceneBuilder()
     build.kind = MOVING
     look = [

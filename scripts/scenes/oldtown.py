@@ -27,11 +27,11 @@ from wbflow_demo.render.scene import SceneBuilder
 
 SETTS = ((0.20, 0.19, 0.185), (0.26, 0.245, 0.23), (0.165, 0.165, 0.17), (0.23, 0.20, 0.175), (0.30, 0.285, 0.265))
 PITCH = 2.3
-"""From one window of a house to the next, metres."""
+"""Approximate distance between neighbouring windows of a house, in metres."""
 
 
 def setts(rng: Rng, width_m: float, height_m: float, texel_m: float) -> Texture:
-    """Paint fields of small granite setts, laid this way and that, between bands of pale flags; trodden, stained, littered."""
+    """Paint fields of small granite setts in two directions between bands of pale flags, with stains, moss and litter."""
     shape = shape_of(width_m, height_m, texel_m)
     cover, tone, relief = stones(rng, shape, texel_m, (0.15, 0.12), 0.018, bond=0.5, jitter=0.2, warp=0.03)
     other = [each.T for each in stones(rng, shape[::-1], texel_m, (0.15, 0.12), 0.018, bond=0.5, jitter=0.2, warp=0.03)]
@@ -59,7 +59,7 @@ def setts(rng: Rng, width_m: float, height_m: float, texel_m: float) -> Texture:
 
 
 def timber_frame(rng: Rng, width_m: float, height_m: float, texel_m: float, colour: Colour) -> Texture:
-    """Paint a half-timbered wall: dark beams that leave room for a window every PITCH, braces, infills of uneven render."""
+    """Paint a half-timbered wall: dark beams with room for a window about every `PITCH`, braces, infills of uneven render."""
     shape = shape_of(width_m, height_m, texel_m)
     image = one_colour(shape, colour) * (1 + 0.06 * fractal_noise(rng, shape, texel_m, 1.4))[..., None]
     beams = np.zeros(shape, np.uint8)
@@ -86,22 +86,22 @@ def timber_frame(rng: Rng, width_m: float, height_m: float, texel_m: float, colo
 
 @dataclass(frozen=True)
 class House:
-    """A house of a row: its storeys' wall, and what it is."""
+    """Dimensions and look of a house in a row, in metres."""
 
     width: float
     eaves: float
-    """Height of the wall, metres."""
+    """Height of the wall."""
     rise: float
-    """Of the roof above it, metres."""
+    """Height of the roof above the wall."""
     wall: int
     tone: Colour
-    """Of its shutters and door."""
+    """Colour of shutters and door."""
     gable: bool = True
-    """Its roof's end faces the square."""
+    """Whether the gable faces the square."""
 
 
 def house(build: SceneBuilder, rng: Rng, texel_m: float, it: House, looks: tuple[int, int, int], shop: str = "") -> SceneBuilder:
-    """Return a house whose front, on the x axis from the origin eastwards, faces south; looks: window, stone and roof tiles."""
+    """Return a house whose front lies on the x axis from the origin, facing south; looks: window, stone and roof tiles."""
     part, (pane, stone, tiles) = build.with_same_textures(), looks
     wood = build.add_texture(paint.planks(rng, 3.0, 2.5, texel_m, it.tone))
     columns, middle, deep = max(round(it.width / PITCH), 1), it.width / 2, 8.0

@@ -1,4 +1,4 @@
-"""A city park: mown lawn, gravel paths, hedges and trees of loose leaves, a fountain; cameras on lamp posts around it."""
+"""A city park: mown lawn, gravel paths, hedges and trees of separate leaves, a fountain; cameras on lamp posts around it."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ POSTS = (
     (-5.4, 15.0, 6.2), (-14.6, 7.6, 5.8), (-15.6, -5.4, 6.6), (-8.2, -13.6, 6.0),
     (4.6, -15.8, 6.4), (14.2, -7.8, 5.9), (15.4, 5.4, 6.7), (8.0, 14.2, 6.1),
 )  # fmt: skip
-"""40 to 49 degrees from one to the next, seen from the fountain."""
+"""Camera positions in metres, neighbours 40 to 49 degrees apart as seen from the fountain."""
 LAMPS = (*((1.03 * x, 1.03 * y, z + 0.35) for x, y, z in POSTS), (-6.6, 0.0, 4.2), (6.6, 0.0, 4.2))
 TREES = ((-11.2, 11.2, 6.2), (-11.2, -9.1, 5.6), (10.6, -11.0, 6.4), (11.6, 10.8, 5.8), (-10.8, 1.9, 4.6), (0.8, -10.6, 4.4),
          (10.4, -1.8, 4.8))  # fmt: skip
-"""East, north and height, metres, of those among the cameras; those behind them stand in a ring."""
+"""East, north and height, in metres, of the trees inside the ring of cameras; more trees form a ring outside it."""
 FLOWERS = ((0.45, 0.05, 0.06), (0.62, 0.45, 0.04), (0.55, 0.55, 0.58), (0.30, 0.08, 0.36))
 
 
@@ -85,7 +85,7 @@ def static_park(rng: Rng, texel_m: float) -> Scene:
 
 
 def lawn_with_paths(rng: Rng, texel_m: float) -> Texture:
-    """Paint the ground: grass in mown strips under fallen leaves, gravel paths with trodden edges around and to the fountain."""
+    """Paint the ground: grass in mown strips with fallen leaves, and gravel paths with worn edges around and to the fountain."""
     grass, stone = ground.lawn(rng, WIDE, WIDE, texel_m), ground.gravel(rng, WIDE, WIDE, texel_m)
     image, path = (np.asarray(np.square(t.pixels.astype(np.float32) / np.float32(255))) for t in (grass, stone))
     shape = (image.shape[0], image.shape[1])
@@ -105,7 +105,7 @@ def lawn_with_paths(rng: Rng, texel_m: float) -> Texture:
 
 
 def _hedges_and_beds(build: SceneBuilder, rng: Rng, texel_m: float, foliage: tuple[int, ...]) -> None:
-    """Low hedges along two paths, beds along the other two, tall hedges with gaps behind the lamps."""
+    """Low hedges along two paths, flower beds, and a ring of tall hedges with gaps outside the cameras."""
     for x in (-1.75, 1.75):
         for y in (-10.6, 10.6):
             hedge(build, rng, (x, y, np.pi / 2), (4.6, 0.6, 0.75), foliage[:2])

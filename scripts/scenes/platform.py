@@ -1,4 +1,4 @@
-"""A railway station: two platforms with tracks between them, sleepers, posts and windows that repeat; cameras under the roofs."""
+"""A railway station: two platforms, tracks between them, repeating sleepers, posts and windows; cameras above the platforms."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from wbflow_demo.render.photograph import DemoSite, Night, Shots, photograph
 from wbflow_demo.render.scene import STATIC, Scene, SceneBuilder
 
 LONG, HIGH, EDGES = 60.0, 0.9, (-5.5, 5.5)
-"""Length and height of the platforms, and where those in the south and north end, metres."""
+"""Length and height of the platforms, and y of the edges of the southern and the northern one, in metres."""
 TRACKS = (-3.0, 3.0)
 LAMPS = tuple((x, y, 4.6) for x in (-18.0, -6.0, 6.0, 18.0) for y in (-8.5, 8.5))
 POSTS = (
@@ -72,7 +72,7 @@ def static_platform(rng: Rng, texel_m: float) -> Scene:
 
 
 def _tracks(build: SceneBuilder, rng: Rng, texel_m: float) -> None:
-    """Two tracks: the same sleeper every 0.6 m, and rails."""
+    """Two tracks: identical sleepers every 0.6 m, and rails."""
     wood = build.add_texture(paint.planks(rng, 2.6, 0.4, texel_m, (0.13, 0.10, 0.08)))
     rail = build.add_texture(paint.painted_steel(rng, 8.0, 0.5, texel_m, (0.20, 0.12, 0.08)))
     for y in TRACKS:
@@ -83,7 +83,7 @@ def _tracks(build: SceneBuilder, rng: Rng, texel_m: float) -> None:
 
 
 def _side(build: SceneBuilder, rng: Rng, texel_m: float, side: int) -> None:
-    """A platform with a white line along its edge, and the building behind it with one window many times."""
+    """A platform with a white line along its edge, and the building behind it with many identical windows."""
     slabs = ground.concrete(rng, 20.0, 8.0, texel_m, slab_m=2.0)
     line = ground.with_lines(
         slabs, np.array([((0.0, 0.7 if side < 0 else 7.3), (20.0, 0.7 if side < 0 else 7.3))], np.float32), 0.2, rng

@@ -22,7 +22,7 @@ MASTS = (
     (17.0, -24.0, 8.5), (27.0, -18.5, 9.0), (33.0, -8.0, 11.0), (-33.0, -7.0, 10.5),
 )  # fmt: skip
 STEP, RISE, SLOPE, RADIUS = 6.0, 5.0, 1.4, 20.0
-"""Depth and height of a step, how far its face leans back, and where the first one begins, metres."""
+"""Depth and height of a step, how far its face leans back, and radius at which the first step begins, in metres."""
 
 
 def quarry(shots: Shots) -> DemoSite:
@@ -69,7 +69,7 @@ def static_quarry(rng: Rng, texel_m: float) -> Scene:
 
 
 def rock(rng: Rng, width_m: float, height_m: float, texel_m: float) -> Texture:
-    """Paint broken limestone: beds, cracks, rust, fresh and weathered faces."""
+    """Paint broken limestone: beds, cracks, rust stains, weathering."""
     shape = shape_of(width_m, height_m, texel_m)
     image = one_colour(shape, (0.42, 0.39, 0.33))
     image *= (1 + 0.22 * fractal_noise(rng, shape, texel_m, 3.0))[..., None]
@@ -82,7 +82,7 @@ def rock(rng: Rng, width_m: float, height_m: float, texel_m: float) -> Texture:
 
 
 def _steps(build: SceneBuilder, rng: Rng, texture: int) -> None:
-    """Three faces and the steps between them, broken on the scale of a metre, around the far half of the floor."""
+    """Three faces and the steps between them, roughened at the scale of a metre, around the northern half of the floor."""
     bearings = np.linspace(-0.15, np.pi + 0.15, 72)
     profile = [(0.0, 0.0)]
     for k in range(3):
@@ -104,7 +104,7 @@ def _steps(build: SceneBuilder, rng: Rng, texture: int) -> None:
 
 
 def _facet(build: SceneBuilder, corners: Float64s, texture: int) -> None:
-    """Add a triangle that faces the floor, or the sky, with the texture along its own plane."""
+    """Add a triangle that faces the middle of the floor or the sky, textured along its own plane."""
     normal = np.cross(corners[1] - corners[0], corners[2] - corners[0])
     towards = np.array([-corners[0, 0], -corners[0, 1], 12.0])
     corners = corners if normal @ towards > 0 else corners[::-1]

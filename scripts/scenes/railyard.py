@@ -1,4 +1,4 @@
-"""A shunting yard under snow: white ground that hardly shows its tracks, wagons of three types, wires; cameras on masts."""
+"""A shunting yard under snow: white ground with barely visible tracks, wagons of three types, wires; cameras on masts."""
 
 from __future__ import annotations
 
@@ -22,26 +22,26 @@ from .rolling import Look, box_wagon, tank_wagon, timber_wagon
 from .snowfield import DEEP, WIDE, needles, yard_under_snow
 
 TRACKS = (-9.0, -4.5, 0.0, 4.5, 9.0)
-"""Where they lie, metres north."""
+"""y of the straight tracks, in metres north."""
 SWITCHES = (((-15.0, -4.5), (-1.0, 0.0)), ((1.0, 0.0), (15.0, 4.5)), ((-9.0, 9.0), (-23.0, 4.5)), ((6.0, -9.0), (20.0, -4.5)))
-"""From where a track leaves another to where it meets the next."""
+"""Connecting tracks: the point where each leaves one track, and the point where it joins the next, in metres."""
 WAGONS = (
     ("box", -24.6, 0), ("box", -11.6, 0), ("box", 19.0, 0), ("timber", -24.0, 1), ("timber", 13.5, 1), ("timber", 26.6, 1),
     ("tank", -22.0, 2), ("tank", 22.5, 2), ("tank", -19.8, 3), ("tank", -32.8, 3), ("tank", 18.6, 3), ("tank", 31.6, 3),
     ("box", -24.0, 4), ("timber", 6.8, 4), ("box", 24.0, 4),
 )  # fmt: skip
-"""Type, metres east, number of the track: those in the middle are empty."""
+"""Type, metres east, and index of the track of each wagon; the middle of the yard is kept free."""
 MASTS = (
     (-19.5, -11.4, 8.6), (-9.6, -19.0, 7.6), (3.0, -21.0, 9.6), (14.8, -15.6, 8.2),
     (21.6, -6.7, 9.8), (20.6, 11.4, 8.4), (-21.4, 6.8, 9.2), (-13.0, 16.6, 8.0),
 )  # fmt: skip
 POLES = tuple((x + 2.5 * (y < 0), y) for x in (-27.0, -8.6, 9.2, 27.0) for y in (-6.75, 2.25))
-"""Of the wires, each between two tracks."""
+"""Catenary masts, each between two tracks."""
 HEAPS = (
     (-6.6, -11.8, 1.3, 0.6), (7.4, -11.9, 1.6, 0.8), (1.2, 12.4, 1.4, 0.7), (13.6, 13.8, 1.9, 1.0), (-12.6, 12.2, 1.2, 0.5),
     (9.6, -16.8, 2.0, 1.1), (-15.2, -15.6, 1.7, 0.8),
 )  # fmt: skip
-"""Of snow that was cleared: east, north, radius and height, metres."""
+"""Heaps of cleared snow: east, north, radius and height, in metres."""
 LAMPS = tuple((1.03 * x, 1.03 * y, z + 0.5) for x, y, z in MASTS)
 
 
@@ -60,7 +60,7 @@ def railyard(shots: Shots) -> DemoSite:
 
 
 def winter_light(light: Daytime) -> Light:
-    """A low sun through thin cloud by day, as cameras that have turned down for snow see it."""
+    """By day, a low sun through thin cloud, at the reduced exposure of cameras that look at snow; else the usual light."""
     lit = light_of(light, LAMPS)
     if light != "day":
         return lit
@@ -77,7 +77,7 @@ def viewpoints() -> list[Viewpoint]:
 
 
 def paths() -> list[Float64s]:
-    """Middle lines of all tracks, (n, 2) each, metres: straight ones first, then those of the switches."""
+    """Centre lines of all tracks, (n, 2) each, in metres: straight ones first, then those of the switches."""
     t = np.linspace(0, 1, 15)[:, None]
     bend = 3 * t**2 - 2 * t**3
     straight = [np.array([(-WIDE / 2, y), (WIDE / 2, y)]) for y in TRACKS]
@@ -111,7 +111,7 @@ def static_railyard(rng: Rng, texel_m: float) -> Scene:
 
 
 def _wagons(build: SceneBuilder, rng: Rng, texel_m: float, look: Look) -> None:
-    """Rows of wagons: two or three of each type, the same again and again."""
+    """Rows of wagons: two looks of each of the three types, repeated."""
     reds = (((0.20, 0.075, 0.05), "31 80 2450"), ((0.14, 0.10, 0.075), "21 80 1511"))
     greys = (((0.36, 0.37, 0.37), "VTG 7830"), ((0.24, 0.27, 0.25), "KVG 7912"))
     logs = (((0.19, 0.13, 0.085), (0.50, 0.36, 0.20)), ((0.14, 0.11, 0.09), (0.42, 0.27, 0.14)))
@@ -125,7 +125,7 @@ def _wagons(build: SceneBuilder, rng: Rng, texel_m: float, look: Look) -> None:
 
 
 def _lying_about(build: SceneBuilder, rng: Rng, texel_m: float, look: Look) -> None:
-    """Heaps of snow beside the ways, sleepers, crates, a buffer stop, trees behind."""
+    """Heaps of snow, stacks of sleepers, crates, two posts, and a ring of trees."""
     wood = [build.add_texture(paint.planks(rng, 3.0, 1.5, texel_m, c)) for c in ((0.16, 0.12, 0.09), (0.34, 0.25, 0.15))]
     for x, y, radius, high in HEAPS:
         heap(build, rng, (x, y), radius, high, look.snow)

@@ -1,4 +1,4 @@
-"""What is built on the building site: its pit with foundations, its concrete frame with a scaffold; loam and raw concrete."""
+"""Structures of the building site: the pit with foundations, the concrete frame with its scaffold; loam and raw concrete."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from wbflow_demo.render.scene import SceneBuilder
 from .shapes import rod
 
 WIDE, DEEP = 60.0, 52.0
-"""Of the site, metres."""
+"""Size of the site, in metres."""
 WEST, EAST, SOUTH, NORTH, FLOOR = -8.0, 11.0, -9.0, 3.5, -2.6
-"""Edges of the pit, and how high its floor lies, metres."""
+"""Edges of the pit, and height of its floor, in metres."""
 FRAME, STOREY = (-11.5, 5.5, 5.8, 14.8), 3.1
-"""West, east, south and north side of the concrete frame, and the height of a storey, metres."""
+"""West, east, south and north side of the concrete frame, and height of a storey, in metres."""
 
 
 def earth(rng: Rng, width_m: float, height_m: float, texel_m: float) -> Texture:
-    """Paint trodden loam: damp and dry patches, stones, ruts of wheels, spilt sand."""
+    """Paint trodden loam: damp patches, wheel ruts, spilt sand, stones."""
     shape = shape_of(width_m, height_m, texel_m)
     image = one_colour(shape, (0.25, 0.19, 0.125)) * (1 + 0.16 * fractal_noise(rng, shape, texel_m, 0.35, gain=0.8))[..., None]
     mix(image, (0.11, 0.085, 0.06), 0.7 * smoothstep(0.2, 1.6, fractal_noise(rng, shape, texel_m, 4.0)))
@@ -41,7 +41,7 @@ def earth(rng: Rng, width_m: float, height_m: float, texel_m: float) -> Texture:
 
 
 def cast(rng: Rng, width_m: float, height_m: float, texel_m: float) -> Texture:
-    """Paint raw concrete as it comes out of its formwork: panels of unlike tone, ridges between them, ties, runs, blow holes."""
+    """Paint raw concrete from formwork: panels of different tones with ridges between them, dark holes, runs."""
     shape = shape_of(width_m, height_m, texel_m)
     cover, tone, _ = stones(rng, shape, texel_m, (1.2, 0.6), 0.03, bond=0.0, jitter=0.0, warp=0.002)
     grain = 1 + 0.10 * tone + 0.06 * fractal_noise(rng, shape, texel_m, 0.3) + 0.08 * fractal_noise(rng, shape, texel_m, 2.0)
@@ -53,7 +53,7 @@ def cast(rng: Rng, width_m: float, height_m: float, texel_m: float) -> Texture:
 
 
 def pit(build: SceneBuilder, rng: Rng, look: tuple[int, int, int, int]) -> None:
-    """Add sloped sides, a ramp in the east, and on the floor strips of foundation with bars, a wall in its formwork."""
+    """Add sloped sides, a ramp in the east, and on the floor strip foundations with bars and a wall in its formwork."""
     soil, raw, wood, rust = look
     x, y = np.meshgrid(np.linspace(WEST, EAST, 27), np.linspace(SOUTH, NORTH, 19))
     down = np.clip(np.minimum.reduce([(x - WEST) / 2.4, (EAST - x) / 5.5, (y - SOUTH) / 2.0, (NORTH - y) / 2.4]), 0, 1)
@@ -74,7 +74,7 @@ def pit(build: SceneBuilder, rng: Rng, look: tuple[int, int, int, int]) -> None:
 
 
 def frame(build: SceneBuilder, rng: Rng, texel_m: float, look: tuple[int, ...]) -> None:
-    """Add three floors on columns, a core of stairs, red props under the upper floor, a scaffold in the west and south."""
+    """Add three floors on columns, a stair core, red props under the top floor, a scaffold in the west and south."""
     raw, wood, steel, red, rust = look
     west, east, south, north = FRAME
     slab = build.add_texture(ground.concrete(rng, 18.0, 10.0, texel_m, slab_m=4.0))

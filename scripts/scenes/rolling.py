@@ -1,4 +1,4 @@
-"""Wagons that have stood in the snow: tank, box and flat wagons with timber, each a part that is stamped many times."""
+"""Snow-covered wagons: tank, box and flat wagons with timber, each a part that is stamped many times."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from .shapes import rod
 from .tanks import shell
 
 LONG, DECK = 12.0, 1.25
-"""Length of a wagon and height of its floor, metres."""
+"""Length of a wagon, and height of its floor, in metres."""
 
 
 class Look(NamedTuple):
-    """Numbers of textures that all wagons share."""
+    """Indices of the textures that all wagons share."""
 
     frame: int
     dark: int
@@ -50,7 +50,7 @@ def box_side(rng: Rng, texel_m: float, colour: Colour, number: str) -> Texture:
 
 
 def box_wagon(build: SceneBuilder, rng: Rng, texel_m: float, look: Look, skin: tuple[Colour, str]) -> SceneBuilder:
-    """Return a box wagon with snow on its roof, along x on the origin."""
+    """Return a box wagon with snow on its roof, along x at the origin."""
     part, side = _chassis(build, look), build.add_texture(box_side(rng, texel_m, *skin))
     top = DECK + 2.6
     part.box((0.0, 0.0, DECK), (LONG, 2.7, 2.6), side)
@@ -66,7 +66,7 @@ def box_wagon(build: SceneBuilder, rng: Rng, texel_m: float, look: Look, skin: t
 
 
 def tank_wagon(build: SceneBuilder, rng: Rng, texel_m: float, look: Look, skin: tuple[Colour, str]) -> SceneBuilder:
-    """Return a tank wagon along x on the origin: a lying cylinder, snow along its top, a dome, a ladder, a walk."""
+    """Return a tank wagon along x at the origin: a lying cylinder with snow on top, a dome, a ladder, a walkway."""
     part, radius, half, z = _chassis(build, look), 1.35, 5.1, DECK + 1.5
     wall = build.add_texture(shell(rng, 2 * half, 0.5 * np.pi * radius, texel_m, *skin))
     for side in (-1, 1):
@@ -89,7 +89,7 @@ def tank_wagon(build: SceneBuilder, rng: Rng, texel_m: float, look: Look, skin: 
 
 
 def timber_wagon(build: SceneBuilder, rng: Rng, texel_m: float, look: Look, skin: tuple[Colour, Colour]) -> SceneBuilder:
-    """Return a flat wagon along x on the origin with two piles of logs between stakes, snow on top; skin: bark and cut ends."""
+    """Return a flat wagon along x at the origin: two piles of logs between stakes, snow on top; skin: bark and cut ends."""
     part = _chassis(build, look)
     bark = build.add_texture(paint.planks(rng, 1.5, 5.2, texel_m, skin[0]))
     cut = build.add_texture(paint.cloth(rng, texel_m, skin[1]))
@@ -111,14 +111,14 @@ def timber_wagon(build: SceneBuilder, rng: Rng, texel_m: float, look: Look, skin
 
 
 def _cap(part: SceneBuilder, start: Float64s, size: tuple[float, float], snow: int) -> None:
-    """Snow on a log along x: its length and half its width, metres."""
+    """Snow on a log along x; size: its length and half its width, in metres."""
     for side in (-1, 1):
         ridge = np.add(start, (0.0, 0.0, 0.07))
         part.quad(ridge, (size[0], 0, 0), (0, side * size[1], -0.13), snow, (float(start[0]), float(start[1])))
 
 
 def _chassis(build: SceneBuilder, look: Look) -> SceneBuilder:
-    """A frame with wheels, axle boxes and buffers, along x on the origin."""
+    """A frame with wheels, axle boxes and buffers, along x at the origin."""
     part = build.with_same_textures()
     for y in (-1.05, 1.05):
         part.box((0.0, y, 0.92), (LONG, 0.16, 0.33), look.frame)

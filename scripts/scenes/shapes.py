@@ -1,4 +1,4 @@
-"""Shapes that several of these scenes are built of: round bars, pipes, and flat cones."""
+"""Shapes that several of these scenes use: round bars, pipes, and flat cones."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from wbflow_demo.render.scene import UP, SceneBuilder, Vector
 
 
 def rod(build: SceneBuilder, start: Vector, end: Vector, radius: float, texture: int, *, sides: int = 10) -> None:
-    """Add a round bar between two points; its texture runs around it, from start to end."""
+    """Add a round bar between two points; the texture's u runs around it, its v from start to end."""
     a = np.asarray(start, np.float64)
     along = np.asarray(end, np.float64) - a
     side = np.cross(along, UP if abs(along[2]) < 0.95 * np.linalg.norm(along) else (0, 1.0, 0))
@@ -24,7 +24,7 @@ def rod(build: SceneBuilder, start: Vector, end: Vector, radius: float, texture:
 
 
 def run_of_pipe(build: SceneBuilder, path: list[Place], radius: float, texture: int) -> None:
-    """Add a pipe along points, with a round knee at each bend."""
+    """Add a pipe along a path of points, with a round knee at each bend."""
     for start, end in itertools.pairwise(path):
         rod(build, start, end, radius, texture)
     for knee in path[1:-1]:
@@ -32,7 +32,7 @@ def run_of_pipe(build: SceneBuilder, path: list[Place], radius: float, texture: 
 
 
 def cone(build: SceneBuilder, foot: Place, radius: float, rise: float, texture: int, *, sides: int = 14) -> None:
-    """Add a flat roof that rises towards its middle; the texture lies as seen from above."""
+    """Add a conical roof; its texture is projected from above."""
     apex, turn = np.add(foot, (0.0, 0.0, rise)), np.linspace(0, 2 * np.pi, sides + 1)
     rim = foot + radius * np.column_stack([np.cos(turn), np.sin(turn), np.zeros(sides + 1)])
     for p, q in itertools.pairwise(rim):

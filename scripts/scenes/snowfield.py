@@ -11,16 +11,16 @@ from wbflow_demo.render.textures import leaves
 from wbflow_stages.types import Float32s, Float64s
 
 WIDE, DEEP = 72.0, 56.0
-"""Of the painted ground, metres."""
+"""Size of the painted ground, in metres."""
 LINES = ((-8.0, -2.3, 0.0), (0.0, 2.2, 0.05), (4.0, -6.8, 0.02), (-6.0, 6.8, -0.03), (0.0, -11.6, 0.0), (2.0, 11.6, 0.02),
          (-3.0, 0.0, 1.4), (6.0, 0.0, 1.9), (-12.0, -14.0, 0.3), (8.0, 14.0, -0.5), (0.0, -16.0, 1.0))  # fmt: skip
-"""Where people walk: a place and a heading."""
+"""Trails of footprints: x and y of their middle in metres, and heading in radians."""
 ROADS = (((-36.0, -13.6), (-10.0, -12.8), (8.0, -14.4), (36.0, -13.4)), ((-36.0, 12.6), (-6.0, 12.2), (12.0, 13.4), (36.0, 12.4)),
          ((-2.0, -28.0), (-1.0, -20.0), (4.0, -15.5), (14.0, -14.0)))  # fmt: skip
 
 
 def yard_under_snow(rng: Rng, texel_m: float, tracks: list[Float64s]) -> Texture:
-    """Paint snow over tracks, given by middle lines (n, 2), metres: one or two per cent of contrast but where it is worn."""
+    """Paint snow over tracks (centre lines (n, 2) in metres), with one or two per cent of contrast except where it is worn."""
     shape = shape_of(WIDE, DEEP, texel_m)
     waves = 0.022 * fractal_noise(rng, shape, texel_m, 3.0) + 0.016 * fractal_noise(rng, shape, texel_m, 0.25, octaves=4)
     image = (1 + waves)[..., None] * np.asarray((0.79, 0.81, 0.845), np.float32)
@@ -47,7 +47,7 @@ def yard_under_snow(rng: Rng, texel_m: float, tracks: list[Float64s]) -> Texture
 
 
 def needles(rng: Rng, texel_m: float) -> Texture:
-    """Paint a spruce's branches, dark green under patches of snow."""
+    """Paint a spruce's branches: dark green with patches of snow."""
     green = leaves(rng, texel_m, (0.035, 0.055, 0.03))
     image = np.asarray(np.square(green.pixels.astype(np.float32) / np.float32(255)), np.float32)
     patches = smoothstep(0.1, 0.9, fractal_noise(rng, image.shape[:2], texel_m, 0.6, octaves=5))
@@ -56,12 +56,12 @@ def needles(rng: Rng, texel_m: float) -> Texture:
 
 
 def _texels(path_m: Float64s, texel_m: float) -> Float64s:
-    """World metres (n, 2) to texels from the north-western corner."""
+    """Convert world metres (n, 2) to texels from the north-western corner."""
     return np.asarray((path_m * (1, -1) + (WIDE / 2, DEEP / 2)) / texel_m, np.float64)
 
 
 def _along(path: Float64s, step: float) -> list[tuple[Float64s, Float64s]]:
-    """Places every `step` along a path (n, 2), each with the unit vector across it."""
+    """Places every `step` along a path (n, 2), each with the unit vector perpendicular to the path."""
     length = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1)))
     at = np.arange(0.0, length[-1], step)
     x, y = (np.interp(at, length, column) for column in path.T)
@@ -71,7 +71,7 @@ def _along(path: Float64s, step: float) -> list[tuple[Float64s, Float64s]]:
 
 
 def _trodden(rng: Rng, image: Float32s, texel_m: float) -> None:
-    """Add trails of footprints, bluish with a darker heel, and tyre tracks with slush along the ways."""
+    """Add trails of bluish footprints, and tyre tracks with slush along the roads."""
     shape = (image.shape[0], image.shape[1])
     prints, tyres = np.zeros(shape, np.uint8), np.zeros(shape, np.uint8)
     for x, y, heading in LINES * 2:

@@ -1,4 +1,4 @@
-"""A solar farm on a sloping meadow: rows of one and the same glossy panel, a gravel way, a cabin, sheep; cameras on masts."""
+"""A solar farm on a sloping meadow: rows of identical glossy panels, a gravel way, a cabin, sheep; cameras on masts."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from .meadow import EAST, ROWS, fence, flock, lay, on_meadow
 WIDE, DEEP = 64.0, 60.0
 """Size of the meadow, metres."""
 TABLE, TILT = 7.0, 0.44
-"""Length of a table of 2 x 7 panels, metres, and how far it leans to the south, radians."""
+"""Length of a table of 2 x 7 panels, in metres, and its tilt towards the south, in radians."""
 LAMPS = ((-4.0, 13.0, 7.0), (3.0, -14.0, 7.0))
 MASTS = (
     (-21.0, -11.0, 10.5), (-14.0, -20.5, 9.5), (3.4, -24.0, 10.0), (15.0, -19.0, 11.0),
@@ -78,7 +78,7 @@ def static_solar(rng: Rng, texel_m: float) -> Scene:
 
 
 def _panels(rng: Rng, texel_m: float) -> Texture:
-    """Paint a table: two rows of seven dark blue panels with pale frames and thin lines between their cells, behind glass."""
+    """Paint a table: two rows of seven glossy dark blue panels with pale frames and thin lines between their cells."""
     shape = shape_of(TABLE, 3.4, texel_m)
     image = one_colour(shape, (0.018, 0.030, 0.075)) * (1 + 0.05 * fractal_noise(rng, shape, texel_m, 0.8))[..., None]
     for pitch, wide, tone in ((1 / 6, 0.008, 0.35), (1.0, 0.04, 1.0)):
@@ -92,7 +92,7 @@ def _panels(rng: Rng, texel_m: float) -> Texture:
 
 
 def _table(build: SceneBuilder, at: tuple[float, float], look: tuple[int, int, int]) -> None:
-    """Panels on posts from `at`, their lower western corner, eastwards."""
+    """A table of panels on posts that extends eastwards from its lower western corner `at`."""
     panel, back, steel = look
     right, down = np.array([TABLE, 0, TABLE * EAST]), -3.4 * np.array([0, np.cos(TILT), np.sin(TILT)])
     corner = np.array(on_meadow(*at, 0.75)) - down
@@ -106,7 +106,7 @@ def _table(build: SceneBuilder, at: tuple[float, float], look: tuple[int, int, i
 
 
 def _cabin(build: SceneBuilder, rng: Rng, texel_m: float, steel: int) -> None:
-    """The cabin of the inverters with its boards, and what the fitters left: crates, cable drums, sand, a van."""
+    """The inverters' cabin, and the fitters' material: crates, cable drums, sand, a van."""
     wall = build.add_texture(paint.plaster(rng, 6.0, 3.0, texel_m, (0.42, 0.46, 0.38)))
     door = paint.sign_board(rng, 4.2, 2.5, texel_m, ("WECHSELRICHTER 2", "HOCHSPANNUNG"), (0.45, 0.47, 0.42), (0.35, 0.08, 0.04))
     build.box(on_meadow(5.0, 17.0), (4.2, 2.4, 2.6), wall, front=build.add_texture(door))

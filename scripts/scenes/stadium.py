@@ -1,4 +1,4 @@
-"""A small stadium: mown stripes, lines that are the same after half a turn, stands of identical seats, boards around."""
+"""A small stadium: mown stripes, lines that look the same after half a turn, stands of identical seats, boards around."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from wbflow_demo.render.scene import STATIC, Scene, SceneBuilder
 WIDE, DEEP = 60.0, 40.0
 CAMERAS = 10
 ROWS, ROW_M, SEATS_M = 9, 0.85, 5.0
-"""Of a stand; the picture of its seats is so wide."""
+"""Number of rows of a stand, depth of a row, and width of the texture of its seats (metres)."""
 LAMPS = tuple((x, y, 16.0) for x in (-34.0, 34.0) for y in (-24.0, 24.0))
 
 
@@ -39,7 +39,7 @@ def stadium(shots: Shots) -> DemoSite:
 
 
 def viewpoints() -> list[Viewpoint]:
-    """Cameras under the roofs, all around the field."""
+    """Cameras above the stands, all around the field."""
     found = []
     for k in range(CAMERAS):
         turn = 2 * np.pi * (k + 0.3 * np.sin(2.1 * k)) / CAMERAS
@@ -69,7 +69,7 @@ def static_stadium(rng: Rng, texel_m: float) -> Scene:
 
 
 def _stand(build: SceneBuilder, long: float, away: float, grey: int, seats: int) -> SceneBuilder:
-    """The southern stand: rows of one and the same texture, again and again."""
+    """The southern stand, as a part to stamp: rows of one repeated texture."""
     part = build.with_same_textures()
     for row in range(ROWS):
         high, near = 0.82 + 0.42 * row, away + ROW_M * row
@@ -82,7 +82,7 @@ def _stand(build: SceneBuilder, long: float, away: float, grey: int, seats: int)
 
 
 def _seats(texel_m: float, colour: Colour) -> Texture:
-    """Ten seats, and the step behind them."""
+    """A texture of ten seats and the step behind them."""
     shape = shape_of(SEATS_M, ROW_M, texel_m)
     y, x = np.mgrid[0 : shape[0], 0 : shape[1]].astype(np.float32) * np.float32(texel_m)
     seat = ((x % 0.5 > 0.05) & (y < 0.5)).astype(np.float32)
@@ -92,7 +92,7 @@ def _seats(texel_m: float, colour: Colour) -> Texture:
 
 
 def _pitch(build: SceneBuilder, rng: Rng, texel_m: float) -> None:
-    """Lawn in mown stripes, with the lines of a field, on a red track."""
+    """Lawn in mown stripes, with the lines of a field, inside a red track."""
     grass = lawn(rng, WIDE, DEEP, texel_m)
     x = np.arange(grass.pixels.shape[1]) * grass.texel_m
     stripe = np.where(((x / 5.0).astype(int) % 2)[None, :, None] == 0, 1.0, 0.86).astype(np.float32)
@@ -105,7 +105,7 @@ def _pitch(build: SceneBuilder, rng: Rng, texel_m: float) -> None:
 
 
 def _lines() -> list[tuple[tuple[float, float], tuple[float, float]]]:
-    """Of the field, metres from its top left corner; the same after half a turn."""
+    """Lines of the field, in metres from its top left corner; they are the same after half a turn."""
     x, y = WIDE / 2, DEEP / 2
     corners = [(2.0, 2.0), (WIDE - 2.0, 2.0), (WIDE - 2.0, DEEP - 2.0), (2.0, DEEP - 2.0)]
     lines = [*zip(corners, corners[1:] + corners[:1], strict=True), ((x, 2.0), (x, DEEP - 2.0))]
@@ -116,7 +116,7 @@ def _lines() -> list[tuple[tuple[float, float], tuple[float, float]]]:
 
 
 def _boards(build: SceneBuilder, rng: Rng, texel_m: float) -> None:
-    """Advertisements around the field, each several times, and one score board."""
+    """Repeated advertisements around the field, and one score board."""
     names = ("KAFFEE", "SPARKASSE", "REIFEN", "BRAUEREI", "ZEITUNG", "MOEBEL", "OPTIK", "STROM")
     tones = ((0.5, 0.05, 0.05), (0.05, 0.1, 0.4), (0.6, 0.55, 0.1), (0.05, 0.3, 0.1))
     faces = [

@@ -1,4 +1,4 @@
-"""What stands on the market: stalls with awnings and crates of fruit, parasols, the column in its middle."""
+"""Parts of the market: stalls with awnings and crates of fruit, parasols, the column in the middle."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from .shapes import cone
 
 
 def stripes(rng: Rng, width_m: float, height_m: float, texel_m: float, colour: Colour) -> Texture:
-    """Paint the cloth of an awning: stripes of 0.3 m in a colour and in off-white, faded and stained, with folds."""
+    """Paint the cloth of an awning: stripes of 0.3 m in a colour and in off-white, uneven, weathered and stained."""
     shape = shape_of(width_m, height_m, texel_m)
     image = one_colour(shape, (0.53, 0.50, 0.43))
     x = (np.arange(shape[1], dtype=np.float32) + 0.5) * np.float32(texel_m)
@@ -26,7 +26,7 @@ def stripes(rng: Rng, width_m: float, height_m: float, texel_m: float, colour: C
 
 
 def fruit(rng: Rng, texel_m: float, tones: tuple[Colour, ...], radius_m: float) -> Texture:
-    """Paint a crate filled with round goods of some tones, each lighter on top and dark where they touch."""
+    """Paint a crate filled with round goods of the given tones, each with a highlight and a darker rim."""
     fine = min(texel_m, 0.02)
     shape = shape_of(1.6, 1.2, fine)
     image = one_colour(shape, (0.03, 0.022, 0.015))
@@ -48,7 +48,7 @@ def fruit(rng: Rng, texel_m: float, tones: tuple[Colour, ...], radius_m: float) 
 
 
 def stall(build: SceneBuilder, rng: Rng, texel_m: float, colour: Colour, looks: tuple[int, int, list[int]]) -> SceneBuilder:
-    """Return a stall of 3.4 m that sells towards the south: awning, table, crates on it, before it and behind."""
+    """Return a stall of 3.4 m that faces south: awning, table, and crates on it, in front of it and behind it."""
     part, (wood, steel, goods) = build.with_same_textures(), looks
     cloth = build.add_texture(stripes(rng, 3.6, 3.2, texel_m, colour))
     for x in (-1.6, 1.6):

@@ -1,4 +1,4 @@
-"""A study: a desk, shelves full of books, a carpet and even white walls, seen by webcams 10 to 35 degrees apart."""
+"""A study: a desk, shelves full of books, a carpet and plain white walls, seen by webcams 10 to 35 degrees apart."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ def static_study(rng: Rng, texel_m: float) -> Scene:
 
 
 def _shelves(build: SceneBuilder, rng: Rng, texel_m: float) -> None:
-    """A bookcase at the left wall, another one behind the desk: six boards, books of many widths and colours."""
+    """Two bookcases, at the left wall and at the wall behind the desk: six boards, books of many widths and colours."""
     wood = build.add_texture(paint.planks(rng, 2.0, 0.4, texel_m, (0.42, 0.3, 0.18)))
     tones = rng.uniform(0.03, 0.5, (12, 3))
     spines = [

@@ -24,10 +24,10 @@ from .switchgear import PHASES, apparatus, gantries, transformer
 
 WIDE = 54.0
 MASTS = ((-18.3, -8.1, 11.6), (-10.9, -16.8, 12.4), (0.2, -20.0, 11.2), (11.0, -16.7, 12.8), (18.6, -7.6, 11.8))
-"""28 to 31 degrees from one to the next, as they see the middle."""
+"""Camera positions in metres, neighbours 28 to 31 degrees apart as seen from the middle."""
 LAMPS = tuple((1.03 * x, 1.03 * y, z + 0.4) for x, y, z in MASTS)
 PATHS = ((0.0, -5.4, 40.0, 1.6), (0.0, 4.6, 40.0, 3.2), (-12.6, -1.0, 1.4, 30.0), (13.2, -1.0, 1.4, 30.0))
-"""Of concrete: middle east and north, width and depth, metres."""
+"""Concrete paths: middle (east, north), width and depth, in metres."""
 
 
 def substation(shots: Shots) -> DemoSite:
@@ -55,7 +55,7 @@ def viewpoints() -> list[Viewpoint]:
 
 
 def strewn(rng: Rng, width_m: float, height_m: float, texel_m: float) -> Texture:
-    """Paint coarse gravel that was strewn in loads of unlike tone: sand that shows through, weeds, dark and pale stones."""
+    """Paint coarse gravel of varying tone: sand that shows through, weeds, dark and pale stones."""
     shape = shape_of(width_m, height_m, texel_m)
     _, tone, relief = stones(rng, shape, texel_m, (0.17, 0.13), 0.02, bond=0.5, jitter=0.3, warp=0.05)
     grain = 1 + 0.16 * tone + 0.12 * relief + 0.2 * fractal_noise(rng, shape, texel_m, 1.5, gain=0.75)
@@ -97,7 +97,7 @@ def static_substation(rng: Rng, texel_m: float) -> Scene:
 
 
 def _control_house(build: SceneBuilder, rng: Rng, texel_m: float, zinc: int) -> None:
-    """A house of bricks with a flat roof, windows and doors."""
+    """A brick house with a flat roof, windows and doors."""
     brick = build.add_texture(paint.brick_wall(rng, 8.0, 3.4, texel_m, sign="UW OST"))
     pane, door = (
         build.add_texture(paint.window(1.0, 1.2, texel_m)),
@@ -113,7 +113,7 @@ def _control_house(build: SceneBuilder, rng: Rng, texel_m: float, zinc: int) -> 
 
 
 def _around(build: SceneBuilder, rng: Rng, texel_m: float, look: tuple[int, int, int]) -> None:
-    """Cabinets, drums of cable, covers of a trench, a fence with signs, houses and a hedge behind, masts."""
+    """Cabinets, cable drums, covers of a trench, a fence with signs, a hedge behind it, masts."""
     zinc, grey, slabs = look
     for k in range(24):
         build.box((-11.4 + 1.0 * k, -6.9, 0.0), (0.94, 0.7, 0.08 + 0.03 * (k % 3 == 0)), slabs, at=1.7 * k % 30)

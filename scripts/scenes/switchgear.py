@@ -1,4 +1,4 @@
-"""What stands in the switchyard: gantries with wires, columns of insulators on stands, transformers; parts to be stamped."""
+"""Equipment of the switchyard: gantries with wires; insulators on stands and transformers, as parts to stamp."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from wbflow_demo.render.scene import SceneBuilder
 from .shapes import rod
 
 PHASES = (-10.2, -7.6, -5.0, 5.0, 7.6, 10.2)
-"""Where wires run, metres east."""
+"""x of the wires, in metres east."""
 
 
 def gantries(build: SceneBuilder, look: tuple[int, int, int, int]) -> None:
-    """Add two rows of latticed posts with a girder each, strings of insulators below it, six wires between the rows."""
+    """Add two rows of lattice posts, each with a girder, and six wires on insulator strings between the rows."""
     zinc, brown, wire, raw = look
     rows = (0.4, 6.8)
     for y, x in product(rows, (-12.2, -4.1, 4.1, 12.2)):
@@ -49,7 +49,7 @@ def gantries(build: SceneBuilder, look: tuple[int, int, int, int]) -> None:
 
 
 def _insulator(part: SceneBuilder, at: tuple[float, float, float], high: float, brown: int) -> None:
-    """A column of porcelain with sheds every 16 cm."""
+    """A porcelain insulator column with sheds every 16 cm."""
     x, y, z = at
     part.tube(at, 0.09, high, brown, sides=8)
     for up in np.arange(0.1, high - 0.05, 0.16):
@@ -57,7 +57,7 @@ def _insulator(part: SceneBuilder, at: tuple[float, float, float], high: float, 
 
 
 def apparatus(build: SceneBuilder, look: tuple[int, int, int, int], kind: int) -> SceneBuilder:
-    """Return an isolator of two columns with its blade (0), a breaker of two columns (1), or a current transformer (2)."""
+    """Return apparatus on a stand; kind: disconnector of two columns (0), breaker of two columns (1), current transformer (2)."""
     zinc, brown, raw, grey = look
     part = build.with_same_textures()
     part.box((0.0, 0.0, 0.0), (0.9, 1.5, 0.25), raw, at=3.0 * kind)
@@ -78,7 +78,7 @@ def apparatus(build: SceneBuilder, look: tuple[int, int, int, int], kind: int) -
 
 
 def transformer(build: SceneBuilder, rng: Rng, texel_m: float, look: tuple[int, int, int], name: str) -> SceneBuilder:
-    """Return a transformer on its tub of concrete: a tank, ribs that cool it, a vessel for oil, three bushings, its name."""
+    """Return a transformer on a concrete tub: a tank with its name, cooling ribs, an oil conservator, three bushings."""
     grey, brown, raw = look
     part = build.with_same_textures()
     skin = build.add_texture(paint.container_side(rng, 4.0, 2.5, texel_m, (0.23, 0.29, 0.27), name, "110/20 KV"))

@@ -23,12 +23,12 @@ POLES = (
     (-20.7, 5.9, 10.5), (-21.0, -4.5, 11.0), (-15.6, -14.1, 9.0), (-5.0, -19.9, 8.0),
     (6.5, -20.0, 9.8), (16.2, -12.6, 8.4), (21.1, -4.1, 9.2), (21.0, 6.0, 10.5),
 )  # fmt: skip
-"""27 to 34 degrees from one to the next, seen from the middle; no tank hides the middle from any of them."""
+"""Camera positions in metres, neighbours 27 to 34 degrees apart as seen from the middle, which no tank hides from any of them."""
 TANKS = (
     (-7.6, 10.8, 4.2, 7.0, "T-101"), (2.2, 11.4, 3.6, 6.2, "T-102"), (9.6, 10.2, 2.4, 5.2, "T-103"),
     (-11.4, -5.6, 1.8, 2.8, "D-7"), (-13.2, -0.9, 1.4, 2.6, "D-8"), (12.4, -1.2, 1.2, 4.4, "V-20"),
 )  # fmt: skip
-"""East, north, radius and height, metres, and number."""
+"""East, north, radius and height of each tank, in metres, and its number."""
 FAR = ((-27.0, 31.0, 8.0, 9.0), (-6.0, 36.0, 9.0, 9.5), (17.0, 33.0, 8.0, 8.5), (36.0, 18.0, 7.0, 8.0), (-37.0, 8.0, 6.5, 7.5),
        (37.0, -12.0, 6.5, 8.0), (-36.0, -16.0, 7.0, 8.0))  # fmt: skip
 
@@ -83,7 +83,7 @@ def static_tankfarm(rng: Rng, texel_m: float) -> Scene:
 
 
 def _pipes(build: SceneBuilder, rng: Rng, texel_m: float, steel: int, yellow: int) -> None:
-    """A rack of two levels along the bund, runs from it to the tanks, and pipes on sleepers across the pad; valves on them."""
+    """A pipe rack of two levels along the bund, pipes from it to the tanks, and pipes with valves on supports across the pad."""
     tones = ((0.55, 0.55, 0.53), (0.42, 0.43, 0.44), (0.46, 0.38, 0.16), (0.17, 0.23, 0.18), (0.29, 0.17, 0.12))
     lag = [build.add_texture(paint.painted_steel(rng, 2.0, 30.0, texel_m, tone)) for tone in tones]
     for x in np.linspace(-15.0, 15.0, 8):
@@ -116,7 +116,7 @@ def _pipes(build: SceneBuilder, rng: Rng, texel_m: float, steel: int, yellow: in
 
 
 def _loading(build: SceneBuilder, rng: Rng, texel_m: float, steel: int) -> None:
-    """On the pad: a shed, a gas tank, pumps, drums and signs."""
+    """The loading pad: a pump house, a gas tank, pumps, drums and signs."""
     pump_house(build, rng, texel_m, steel)
     gas_tank(build, rng, texel_m, steel)
     tones = ((0.05, 0.15, 0.35), (0.40, 0.05, 0.04), (0.06, 0.22, 0.12), (0.5, 0.4, 0.08))

@@ -16,7 +16,7 @@ from .shapes import cone, rod
 
 
 def shell(rng: Rng, around_m: float, high_m: float, texel_m: float, colour: Colour, name: str) -> Texture:
-    """Paint the wall of a tank: nearly even, with faint plates, runs of rust from the rim, a dirty foot, its number thrice."""
+    """Paint the wall of a tank: nearly uniform, with faint plates, rust runs from the rim, a dirty foot, its name three times."""
     shape = shape_of(around_m, high_m, texel_m)
     tone = 1 + 0.03 * fractal_noise(rng, shape, texel_m, 3.0) + 0.015 * fractal_noise(rng, shape, texel_m, 0.06, octaves=2)
     image = one_colour(shape, colour) * tone[..., None]
@@ -43,7 +43,7 @@ def tank(
     skin: tuple[Colour, str],
     look: tuple[int, ...],
 ) -> None:
-    """Add a tank on its ring of concrete: rim, railing, a stair that winds up, a manhole and a short ladder on its roof."""
+    """Add a tank on a concrete ring, with rim, railing, winding stair, manhole, and a short pipe on its roof."""
     (x, y, radius, high), (colour, name), (stone, steel, yellow) = at, skin, look
     wall = build.add_texture(shell(rng, 2 * np.pi * radius, high, texel_m, colour, name))
     roof = build.add_texture(paint.painted_steel(rng, 2 * radius, 2 * radius, texel_m, colour))
@@ -82,7 +82,7 @@ def gas_tank(build: SceneBuilder, rng: Rng, texel_m: float, steel: int) -> None:
 
 
 def pump_house(build: SceneBuilder, rng: Rng, texel_m: float, steel: int) -> None:
-    """Add a hut of brick with a door and a window on each side, and a roof of rusty sheet."""
+    """Add a brick hut with a door and a window on each side, and a roof of rusty sheet metal."""
     brick = build.add_texture(paint.brick_wall(rng, 4.4, 2.8, texel_m, sign="PUMPEN"))
     door = build.add_texture(paint.planks(rng, 1.2, 2.2, texel_m, (0.08, 0.16, 0.24)))
     pane = build.add_texture(paint.window(1.0, 0.9, texel_m))

@@ -1,4 +1,4 @@
-"""A warehouse without its roof: rows of shelves of one pattern, filled with boxes; cameras along the walls."""
+"""A warehouse without a roof: identical rows of shelves filled with boxes; cameras along the walls."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ def static_warehouse(rng: Rng, texel_m: float) -> Scene:
 
 
 def _shelves(build: SceneBuilder, rng: Rng, texel_m: float) -> None:
-    """Three rows: blue posts, orange beams, the same in every bay; boxes of six kinds, a quarter of the places empty."""
+    """Three rows of identical bays with blue posts and orange beams; boxes of six kinds, a quarter of the places empty."""
     blue = build.add_texture(paint.painted_steel(rng, 4.0, 5.0, texel_m, (0.06, 0.12, 0.3)))
     orange = build.add_texture(paint.painted_steel(rng, 4.0, 0.5, texel_m, (0.55, 0.2, 0.03)))
     board = build.add_texture(paint.planks(rng, BAY, 1.2, texel_m, (0.42, 0.34, 0.24)))

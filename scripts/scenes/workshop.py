@@ -25,7 +25,7 @@ MOUNTS = (
     (-11.5, -3.4, 4.0), (-8.6, -7.5, 4.5), (-3.0, -7.6, 3.9), (2.4, -7.6, 4.8),
     (7.6, -7.5, 4.2), (11.5, -4.2, 4.6), (11.5, 1.8, 4.9), (-11.5, 3.0, 4.4),
 )  # fmt: skip
-"""25 to 39 degrees from one to the next, seen from the middle."""
+"""Camera positions in metres, neighbours 25 to 39 degrees apart as seen from the middle."""
 PLACES = (
     ("lathe", -7.6, 3.4, 0.0), ("lathe", -2.4, 3.6, 0.0), ("mill", 5.6, 4.4, 0.0), ("mill", 9.2, 5.0, 0.0),
     ("press", 1.6, 4.9, 0.0), ("lathe", -6.8, -3.2, np.pi), ("lathe", 5.8, -3.2, np.pi), ("drill", -4.2, -3.0, 2.9),
@@ -66,7 +66,7 @@ def workshop(shots: Shots) -> DemoSite:
 
 
 def shop_light(light: Daytime) -> Light:
-    """What falls in through skylights, and lamps that are on but in the dark, as bright as cameras set for the hour expect."""
+    """Light through the skylights, and lamps that are on except in the dark, with power that fits the exposure at each hour."""
     strength = {"day": 1.0, "dusk": 0.53, "night": 0.29, "dark": 0.0}[light]
     power = (11.0 * strength, 10.8 * strength, 10.1 * strength)
     return replace(overcast_of(light, LAMPS), lamps=tuple(Lamp(place, power) for place in LAMPS if strength))
@@ -78,7 +78,7 @@ def viewpoints() -> list[Viewpoint]:
 
 
 def static_workshop(rng: Rng, texel_m: float, *, daylight: bool = True) -> Scene:
-    """Everything that stands still; textures at `texel_m` metres per texel; windows shine by daylight."""
+    """Everything that stands still; textures at `texel_m` metres per texel; windows glow by daylight."""
     build = SceneBuilder()
     build.kind = STATIC
     floor = build.add_texture(sealed_floor(rng, texel_m))
@@ -102,7 +102,7 @@ def static_workshop(rng: Rng, texel_m: float, *, daylight: bool = True) -> Scene
 
 
 def _bridge(build: SceneBuilder, look: Look) -> None:
-    """The crane under the roof: a girder from wall to wall, a trolley, a hook."""
+    """The bridge crane under the roof: two girders from wall to wall, a trolley, a hook."""
     for x in (-6.3, -5.5):
         build.box((x, 0.0, 5.75), (0.22, DEEP - 0.9, 0.45), look.yellow)
     build.box((-5.9, 2.4, 6.2), (1.3, 1.0, 0.5), look.red)
@@ -129,7 +129,7 @@ def _on_walls(build: SceneBuilder, rng: Rng, texel_m: float, look: Look) -> None
 
 
 def _on_floor(build: SceneBuilder, rng: Rng, texel_m: float, look: Look) -> None:
-    """Pallets with boxes and castings, bins, drums, a tool trolley, a forklift's battery charger."""
+    """Pallets with boxes and castings, bins, drums, three tool trolleys."""
     wood = build.add_texture(paint.planks(rng, 1.2, 0.8, texel_m, (0.40, 0.30, 0.18)))
     card = [build.add_texture(paint.sign_board(rng, 0.8, 0.6, texel_m, words, (0.42, 0.31, 0.19), (0.08, 0.07, 0.06)))
             for words in (("FLANSCH", "40 ST"), ("OBEN",), ("LAGER", "6204"))]  # fmt: skip
