@@ -19,11 +19,11 @@ SLOWEST = (
     "wbflow/outcome/test_export.py",
     "wbflow/runner/test_plugins.py",
 )
-"""Files that take more than a minute."""
+"""Test files that take more than a minute; they start first, in this order."""
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """The slowest files come first: else one process still works on them when the other has nothing left to do."""
+    """Start the slowest files first; otherwise one process would still run them when the other has nothing left to do."""
     first = {Path(__file__).parent / name: place for place, name in enumerate(SLOWEST)}
     items.sort(key=lambda item: first.get(item.path, len(first)))
 
@@ -32,5 +32,5 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 def toy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> ToySite:
     """A toy site of four cameras."""
     monkeypatch.syspath_prepend(str(HELPERS))
-    monkeypatch.setattr(captures, "STILL_SECONDS", 0.0)  # its captures were written just now, and are complete
+    monkeypatch.setattr(captures, "STILL_SECONDS", 0.0)  # captures are complete, though just written
     return ToySite(tmp_path / "site", ["gate", "roof", "mast-1", "crane"])

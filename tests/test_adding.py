@@ -1,4 +1,4 @@
-"""What it takes to add something: the diffs of stages/README.md, applied to a copy of the project and run there."""
+"""The diffs in stages/README.md that add a matcher, an export and a stage, applied to a copy of the project and run there."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def files_of(diff: str) -> list[str]:
 
 @dataclass
 class CopiedSite(ToySite):
-    """A toy site that the project of another folder works on."""
+    """A toy site that is processed by a copy of the project in another folder."""
 
     tree: str = ""
 
@@ -45,7 +45,7 @@ def tree(tmp_path: Path) -> Path:
 
 
 def apply(diff: str, tree: Path) -> None:
-    """Apply a diff, file by file, as git does to a folder that is in no repository."""
+    """Apply a diff with git, file by file, to a folder outside of any repository."""
     env = {**os.environ, "GIT_CEILING_DIRECTORIES": str(tree.parent)}
     for part in re.split(r"^(?=--- )", diff, flags=re.MULTILINE)[1:]:
         command = ["git", "apply", "--recount", "-"]
@@ -74,7 +74,7 @@ def change_stages(site: CopiedSite, **stages: object) -> None:
 
 
 def record(site: CopiedSite) -> dict[str, list[dict[str, object]]]:
-    """What `wbflow run` leaves, in a process of the copied project."""
+    """The record of `wbflow run` in a process of the copied project."""
     done = site.wbflow("run", "--json", "--jobs", "1", "--backend", "threading")
     assert done.returncode in {0, 3}, done.stderr
     found: dict[str, list[dict[str, object]]] = json.loads(done.stdout)
@@ -103,7 +103,7 @@ def test_an_export_touches_three_files(tree: Path) -> None:
 
 
 def test_a_stage_touches_five_files(tree: Path) -> None:
-    """Those of the diff, and the paragraph of stages/README.md."""
+    """The files of the diff, and stages/README.md, which gets a paragraph."""
     assert len(files_of(STAGE)) + 1 <= 5
     apply(STAGE, tree)
     pass_their_tests(tree, STAGE)

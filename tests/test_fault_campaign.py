@@ -1,4 +1,4 @@
-"""A few tries of the fault campaign: whatever happens at 3 a.m., the next run gives the right cloud without anybody's help."""
+"""A reduced fault campaign: after any fault, the next run produces the correct cloud without anybody's help."""
 
 from __future__ import annotations
 

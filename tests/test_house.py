@@ -1,4 +1,4 @@
-"""The house: imports run one way, each thing has one owner, and nothing is longer than a reader can hold."""
+"""Rules for the source code: imports run one way, each thing has one owner, and functions stay short enough to be read."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ FLOORS = [
     {"stages"},
     {"exports"},
 ]
-"""Rooms of the vision from the ground up: each imports from its own floor and from those below it.  "stages": the stage files."""
+"""Packages of the vision code in layers, lowest first: each imports only from its own and lower ones.  "stages": stage files."""
 
 LAYERS = (
     {"errors", "task", "words", "json_dataclass", "plugins"},
@@ -38,7 +38,7 @@ LAYERS = (
     {"api"},
     {"cli"},
 )
-"""Rooms of the engine from the ground up: each imports from its own floor and from those below it."""
+"""Packages and modules of the engine in layers, lowest first: each imports only from its own layer and lower ones."""
 LAYER_OF = {room: floor for floor, rooms in enumerate(LAYERS) for room in rooms}
 PATHS = r"""(?x)^(
     cache | runs | latest | latest-good | reference\.json | quarantine | lock | \.writing | \.wbflow
@@ -51,11 +51,11 @@ OTHERS = {
     ENGINE / "outcome" / "demo.py": {"cameras.json"},  # in the demo's own folder
     ENGINE / "cache" / "atomic.py": {".tmp"},
 }
-"""What looks like a path of the work folder elsewhere, and is none."""
+"""Strings that look like a path of the work folder but are none, by file."""
 
 
 def name_of(file: Path) -> str:
-    """The dotted name of a source file; that of a folder for its `__init__.py`."""
+    """The dotted name of a source file; for an `__init__.py`, that of its folder."""
     parts = file.relative_to(ROOT).with_suffix("").parts
     return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
 
@@ -83,7 +83,7 @@ def for_types_alone(tree: ast.Module) -> set[ast.AST]:
 
 
 def imports(file: Path, types_too: bool = False) -> Iterator[str]:
-    """Dotted names that a file imports when it runs, or for the reader of its types too; those of other packages as well."""
+    """Dotted names that a file imports when it runs; types_too: also those for type checking.  Other packages are included."""
     package = name_of(file).split(".") if file.name == "__init__.py" else name_of(file).split(".")[:-1]
     passed = set() if types_too else for_types_alone(parsed(file))
     for node in ast.walk(parsed(file)):
@@ -99,7 +99,7 @@ def imports(file: Path, types_too: bool = False) -> Iterator[str]:
 
 
 def floor(name: str) -> int | None:
-    """On which floor a module of the vision stands; None: the package itself, which may open any door."""
+    """Layer of a module of the vision code; None for the package itself, which may import anything, and for other modules."""
     package, _, rest = name.partition(".")
     if package != "stages" or not rest:
         return None
@@ -142,7 +142,7 @@ def test_imports_of_the_vision_run_one_way() -> None:
 
 
 def rooms(file: Path) -> set[str]:
-    """Rooms of the engine that a file imports from."""
+    """Packages and modules of the engine that a file imports from."""
     parts = [name.split(".") for name in imports(file, types_too=True)]
     return {name[1] for name in parts if name[0] == "wbflow" and len(name) > 1}
 
@@ -155,14 +155,14 @@ def test_imports_of_the_engine_run_one_way(file: Path) -> None:
 
 def test_no_imports_run_in_circles() -> None:
     graph = networkx.DiGraph()
-    modules = {name for name, file in NAMES.items() if file.name != "__init__.py"}  # packages open their doors when asked
+    modules = {name for name, file in NAMES.items() if file.name != "__init__.py"}  # packages import lazily
     for name in modules:
         graph.add_edges_from((name, other) for other in imports(NAMES[name]) if other in modules and other != name)
     assert not [sorted(circle) for circle in networkx.strongly_connected_components(graph) if len(circle) > 1]
 
 
 def room_of(name: str) -> str:
-    """The room of a module: its folder; of the packages themselves the folder "wbflow", "stages" or "sites.demo"."""
+    """The package ("room") of a module: that of its folder; at the top these are "wbflow", "stages" and "sites.demo"."""
     return name.rpartition(".")[0] if NAMES[name].name != "__init__.py" else name
 
 
@@ -171,7 +171,7 @@ IMPORTED = {name: {other for other in imports(NAMES[name]) if other in NAMES and
 
 
 def levels(room: str) -> int:
-    """How many modules of a room stand on top of each other: the longest chain of imports within it."""
+    """Number of levels in a package: of modules in the longest chain of imports within it."""
     within = networkx.DiGraph()
     within.add_nodes_from(name for name in MODULES if room_of(name) == room)
     within.add_edges_from((name, other) for name in within.nodes for other in IMPORTED[name] if other in within.nodes)
@@ -181,7 +181,7 @@ def levels(room: str) -> int:
 ROOMS = sorted({room_of(name) for name in MODULES})
 MOST_LEVELS = 4
 DEEPER = {"wbflow.runner": 5}
-"""Rooms that are deeper still, since a loop stands on a plan, and that on inputs: none may become so, and this one no deeper."""
+"""Limits of packages that exceed `MOST_LEVELS`: in the runner, the loop imports the plan, and the plan the inputs."""
 
 
 ON_THEIR_OWN = {
@@ -190,7 +190,7 @@ ON_THEIR_OWN = {
     "stages.fusion.even_regions",
     "stages.fusion.surface_support",
 }
-"""Modules under 60 lines with one importer that are an idea of their own."""
+"""The modules under 60 lines with only one importer that may exist, since each is an idea of its own."""
 
 
 @pytest.mark.parametrize("room", ROOMS)
@@ -199,7 +199,7 @@ def test_no_room_is_deeper_than_four_levels(room: str) -> None:
 
 
 TWICE = {"stages": {"cameras", "ground", "health", "matcher", "propagation", "world"}}
-"""Base names that two rooms of the vision still have: no further ones."""
+"""The only base names that modules in different packages of the vision code may share."""
 
 
 @pytest.mark.parametrize("package", ["wbflow", "stages", "sites"])
@@ -209,7 +209,7 @@ def test_no_two_modules_of_a_package_have_one_base_name(package: str) -> None:
 
 
 def test_table() -> None:
-    """`python -m pytest tests/test_house.py -k table -s` shows it."""
+    """Print sizes and levels of all packages: `python -m pytest tests/test_house.py -k table -s` shows them."""
     lines = {name: len(NAMES[name].read_text().splitlines()) for name in MODULES}
     importers = Counter(other for found in IMPORTED.values() for other in found)
     small = {name for name in MODULES if importers[name] == 1 and lines[name] < 60}
@@ -226,7 +226,7 @@ def test_table() -> None:
 
 
 def literals(tree: ast.Module) -> Iterator[str]:
-    """Strings of a module, without docstrings."""
+    """Strings in a module, without docstrings."""
     reported = set()
     for node in ast.walk(tree):
         if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant):
@@ -237,7 +237,7 @@ def literals(tree: ast.Module) -> Iterator[str]:
 
 
 def spelled(source: str) -> set[str]:
-    """Paths of the work folder in a module's strings, alone or as parts of a path."""
+    """Paths of the work folder in a module's strings, alone or as parts of longer paths."""
     parts = (part for text in literals(ast.parse(source)) if " " not in text for part in text.split("/"))
     return {part for part in parts if re.match(PATHS, part)}
 
@@ -266,15 +266,15 @@ def test_one_file_spells_the_paths_of_the_work_folder() -> None:
 
 
 def test_everything_is_caught_in_few_places_only() -> None:
-    """Around a task, its picture, the report, libraries of object stores (their errors share no base),
-    one of several sites, and at the end of the command line."""
+    """All exceptions are caught only around a task, its picture, the report, libraries of object stores (their errors have no
+    common base class), one of several sites, and the whole command line."""
     broad = [
         str(file.relative_to(ENGINE))
         for file in ENGINE_FILES
         for node in ast.walk(ast.parse(file.read_text()))
         if isinstance(node, ast.ExceptHandler) and (node.type is None or ast.unparse(node.type) in {"Exception", "BaseException"})
     ]
-    broad = [name for name in broad if name != "cache/atomic.py"]  # which clears away its temporary file, and raises again
+    broad = [name for name in broad if name != "cache/atomic.py"]  # it removes its temporary file, and raises again
     assert sorted(broad) == [
         "cli/main.py",
         "cli/run.py",
@@ -297,7 +297,7 @@ def test_functions_have_at_most_70_lines() -> None:
 
 
 def public_functions(body: list[ast.stmt], owner: str = "") -> Iterator[tuple[str, ast.FunctionDef]]:
-    """Functions, and methods of classes, that have a name for others."""
+    """Public functions, and public methods of public classes, by dotted name."""
     for node in body:
         if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
             yield from public_functions(node.body, f"{node.name}.")
@@ -306,7 +306,7 @@ def public_functions(body: list[ast.stmt], owner: str = "") -> Iterator[tuple[st
 
 
 def test_functions_with_more_than_three_parameters_explain_them() -> None:
-    """But kernels, whose file does it once, commands, whose options do, and the demo, whose scenes paint and build alike."""
+    """Exempt are kernels (their file explains them), commands (their options do), and the demo (its scenes share parameters)."""
     silent = []
     for file in (file for file in SOURCES if not file.is_relative_to(DEMO)):
         for name, node in public_functions(parsed(file).body):

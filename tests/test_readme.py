@@ -1,4 +1,4 @@
-"""What the guides show works when it is typed as it stands there."""
+"""The examples in the guides work when they are typed as printed."""
 
 from __future__ import annotations
 
@@ -26,15 +26,15 @@ def blocks(guide: str, language: str) -> list[str]:
 
 
 def wbflow_says(*arguments: str | Path) -> str:
-    """What a command prints; it must end well."""
+    """The output of a command, which has to succeed."""
     result = CliRunner().invoke(main, [str(argument) for argument in arguments])
     assert result.exit_code == 0, result.output
     return result.output
 
 
 def works_through(*arguments: str | Path) -> None:
-    """Run a night of four photographs of 320 pixels: there is a cloud, and it is said that they do not determine their lenses.
-    These are 5 to 10 pixels off at the border."""
+    """Run a night of four photographs, 320 pixels wide; the only finding has to be that they do not determine their lenses,
+    which are 5 to 10 pixels off at the border."""
     result = CliRunner().invoke(main, ["run", *(str(argument) for argument in arguments), "--jobs", "1", "--json"])
     findings = [finding["kind"] for finding in json.loads(result.stdout)["verdict"]["findings"]]
     assert (result.exit_code, findings) == (ExitCode.DEGRADED, ["lens-undetermined"]), result.output
@@ -46,7 +46,7 @@ def work(folder: Path) -> Path:
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The README's site file, in a folder with four photographs of which nothing else is known, and a run of it."""
+    """A folder with the README's site file and four photographs about which nothing else is known, after a run."""
     (typed,) = blocks("README.md", "yaml")
     assert len(typed.splitlines()) == 9
     folder = tmp_path_factory.mktemp("photographs")
@@ -72,7 +72,7 @@ def test_a_site_file_that_init_writes_makes_one_too(folder: Path, tmp_path: Path
     wbflow_says("init", tmp_path)
     written = (tmp_path / "site.yaml").read_text()
     (tmp_path / "site.yaml").write_text(re.sub(r"^site: .*", "site: yard", written, flags=re.MULTILINE))
-    works_through(tmp_path, "--work", work(folder))  # what is the same comes from the cache
+    works_through(tmp_path, "--work", work(folder))  # equal results come from the cache
     run = wbflow.open_run(wbflow.load_site(tmp_path, work(folder)))
     assert len(run.cloud.points) > 20_000
 
@@ -88,7 +88,7 @@ def test_from_python(folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pyte
 
 def test_a_matcher_of_ones_own_beside_the_site_file(folder: Path) -> None:
     _, typed = blocks("stages/README.md", "python")
-    named, _ = blocks("stages/README.md", "yaml")  # the other one is of a network
+    named, _ = blocks("stages/README.md", "yaml")  # the other block is about a network
     (folder / "orb.py").write_text(typed)
     site = folder / "orb.yaml"
     site.write_text((folder / "site.yaml").read_text() + named)

@@ -1,4 +1,4 @@
-"""The demo nights: what truth/nights.json says is what the pictures show."""
+"""The demo nights: the pictures show what truth/nights.json states."""
 
 from __future__ import annotations
 
@@ -85,7 +85,7 @@ def test_a_turned_camera_sees_the_yard_where_its_true_pose_says(night: int, came
     moved = project(now, ahead)[0] - project(before, ahead)[0]
     assert np.allclose(moved[0], reported["shift_px"], atol=1e-3)
     assert np.linalg.norm(moved) == pytest.approx(3.0, abs=0.01) or reported["angle_deg"] == pytest.approx(0.5, abs=1e-5)
-    if camera == "mast-2":  # the same light as in the second night: the pictures themselves say it, too
+    if camera == "mast-2":  # same light as on the second night, so the shift can be measured in the pictures, too
         first, second = (np.median([decoded(f).mean(axis=2) for f in frames(camera, n)], axis=0) for n in (2, 5))
         window = cv2.createHanningWindow((96, 44), cv2.CV_32F)
         first, second = (cv2.Laplacian(image[10:].astype(np.float32), cv2.CV_32F) for image in (first, second))

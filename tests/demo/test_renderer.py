@@ -1,4 +1,4 @@
-"""The renderer against what can be said about a picture without it."""
+"""The renderer, checked against facts about a picture that are known without rendering."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ OVERCAST = Light((0.0, 0.6, 0.8), (0.0, 0.0, 0.0), (1.0, 1.0, 1.0), (1.0, 1.0, 1
 
 
 def checker(texel_m: float) -> Texture:
-    """Black and white texels."""
+    """A texture of alternating black and white texels."""
     board = (np.indices((80, 80)).sum(axis=0) % 2).astype(np.float32)
     return encode(np.repeat(board[..., None], 3, axis=2), texel_m)
 
@@ -47,7 +47,7 @@ def test_faces_of_a_box_look_outward() -> None:
     scene = build.build()
     middles = scene.vertices.reshape(-1, 3, 3).mean(axis=1)
     inside = np.array([[1.0, 2.0, 2.0], [6.0, 5.5, 1.5], [-3.0, 0.0, 1.0], [0.0, -4.0, 1.0]], np.float32)
-    # facets stand in the order in which they were built; the beam is slanted, so only what is across its axis counts
+    # facets are in the order of construction; the beam is slanted, so only components across its axis count
     counts = (12, 8, 42, len(middles) - 62)
     owner = np.repeat(np.arange(4), counts)
     outward = middles - inside[owner]
@@ -59,19 +59,19 @@ def test_faces_of_a_box_look_outward() -> None:
 
 def test_near_a_texture_is_sharp_and_far_away_it_is_its_mean() -> None:
     near = render_view(floor(checker(0.1)), above(1.0), None)
-    far = render_view(floor(checker(0.03)), above(300.0, focal=2000.0), None)[20:60, 20:60]  # 15 cm a pixel
+    far = render_view(floor(checker(0.03)), above(300.0, focal=2000.0), None)[20:60, 20:60]  # 15 cm per pixel
     assert near.max() > 10 * near.min()
     assert far.std() < 0.03 * far.mean()
     assert far.mean() == pytest.approx(near.mean(), rel=0.1)
 
 
 def test_texture_lies_where_its_coordinates_say() -> None:
-    """A white spot 1.2 m right and 0.7 m below the top left corner of a floor is seen there."""
+    """A white spot 1.2 m to the right of and 0.7 m below the top left corner of a floor appears there."""
     spot = np.full((80, 80, 3), 0.02, np.float32)
     spot[5:9, 10:14] = 0.9
     picture = render_view(floor(encode(spot, 0.1)), above(20.0), None)[..., 0]
     y, x = np.average(np.indices(picture.shape).reshape(2, -1), axis=1, weights=(picture > 0.5 * picture.max()).ravel())
-    # 10 pixels a metre; the middle of the picture is the origin
+    # 10 pixels per metre; the centre of the picture is the origin
     assert x == pytest.approx(39.5 + 10 * (-4 + 1.2), abs=0.6)
     assert y == pytest.approx(39.5 + 10 * (-4 + 0.7), abs=0.6)
 
@@ -96,5 +96,5 @@ def test_only_pixels_that_movers_touch_need_to_be_rendered_again(light: Daytime)
     pixels = np.flatnonzero(changed)
     patched.reshape(-1, 3)[pixels] = render_pixels(busy, camera, lens, pixels)
     assert 0.02 < changed.mean() < 0.6
-    tolerance = 0.002 if light == "day" else 0.03  # a lamp's far, faint shadows are left out
+    tolerance = 0.002 if light == "day" else 0.03  # far, faint shadows of lamps are neglected
     assert np.percentile(np.abs(whole - patched), 99.9) < tolerance

@@ -1,4 +1,4 @@
-"""The demo scenes: is their truth true, do they repeat and turn exactly where they say so, does traffic move?"""
+"""The demo scenes: their ground truth is correct, tiles repeat exactly, and traffic moves."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def angle_deg(a: np.ndarray, b: np.ndarray) -> float:
 
 @pytest.mark.parametrize("name", [name for name in SCENES if name != "yard"])
 def test_depth_of_one_camera_is_what_another_sees_there(name: str) -> None:
-    """A point may lie behind what another camera sees, but not in front of it."""
+    """A point may be hidden behind what another camera sees, but not lie in front of it."""
     site = tiny(name)
     left = site.cameras[0]
     v, u = np.nonzero(left.depth > 0)
@@ -72,7 +72,7 @@ def test_the_same_arguments_give_the_same_bytes_and_another_seed_another_scene()
 
 def test_the_squares_ground_is_flat_at_zero() -> None:
     camera = tiny("square").cameras[0]
-    v, u = np.nonzero(camera.depth[70:] > 0)  # the lowest rows, where nothing but tiles is near
+    v, u = np.nonzero(camera.depth[70:] > 0)  # the lowest rows, which show little but tiles
     points = backproject(camera.camera, np.column_stack([u, v + 70]).astype(float), camera.depth[v + 70, u].astype(float))
     assert np.median(np.abs(points[:, 2])) < 1e-4
     assert (np.abs(points[:, 2]) < 1e-3).mean() > 0.7
@@ -95,7 +95,7 @@ def test_tiles_repeat_to_the_bit() -> None:
 
 
 def test_the_square_looks_the_same_one_tile_on() -> None:
-    """Two views straight down, a tile apart: what tells them apart is nothing but noise of filtering."""
+    """Two views straight down, one tile apart, differ only by the noise of filtering; half a tile apart, they differ clearly."""
     build = SceneBuilder()
     square._ground(build, np.random.default_rng(0), 0.05)
     scene = build.build()

@@ -1,4 +1,4 @@
-"""Scenes seen by other cameras: what a lens of each kind sees is what is there."""
+"""Scenes seen through other lenses: each kind of lens has the stated field of view and correct ground truth."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def test_a_fisheye_sees_180_degrees_and_its_truth_is_that_of_its_neighbour() -> 
     there = pinhole.depth[tuple(np.rint(at[inside]).astype(int).T[::-1])]
     agree = np.abs(depth[inside] / np.maximum(there, 1e-3) - 1) < 0.03
     assert inside.sum() > 1000
-    assert agree.mean() > 0.6  # the rest is hidden from one of the two
+    assert agree.mean() > 0.6  # the rest is hidden from one of the cameras
     assert len(site.reference.points) > 5000
 
 

@@ -1,4 +1,4 @@
-"""The yard in white plaster, wet asphalt and snow: the same walls and ground with little on them; the sky lies in the wet."""
+"""The yard with white plaster, wet asphalt and snow: the same walls and ground, with little texture; wet ground mirrors sky."""
 
 from __future__ import annotations
 

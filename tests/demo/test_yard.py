@@ -1,4 +1,4 @@
-"""The demo yard: is its truth true, and do its pictures behave like photographs?"""
+"""The demo yard: its ground truth is correct, and its pictures behave like photographs."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from wbflow_stages.core.cameras import backproject, project
 
 
 def background(camera: DemoCamera) -> np.ndarray:
-    """The undistorted view (h, w, 3) without what moves, by OpenCV's own idea of the lens."""
+    """The undistorted view (h, w, 3) without moving things, by OpenCV's own lens model."""
     middle = np.median(np.stack(camera.captures), axis=0).astype(np.uint8)
     assert camera.lens.K is not None
     return cv2.undistort(middle, camera.lens.K, camera.lens.distortion)
@@ -58,11 +58,11 @@ def test_lenses_distort_as_opencv_says(mount: Viewpoint) -> None:
     theirs = cv2.projectPoints(camera.C + rays, turn, -camera.R @ camera.C, lens.K, lens.distortion)[0][:, 0]
     assert np.abs(theirs - np.column_stack([x, y])).max() < 2e-3  # rays are float32
     assert np.abs(distort(lens, straight) - np.column_stack([x, y])).max() < 2e-3
-    assert np.abs(straight - np.column_stack([x, y])).max() > 2  # and the distortion is there to be removed
+    assert np.abs(straight - np.column_stack([x, y])).max() > 2  # the distortion is not negligible
 
 
 def test_pictures_lens_poses_and_depth_belong_together() -> None:
-    """Seen through the true depth, one view looks like its neighbour; through a depth 3 % off, it doesn't."""
+    """Warped by the true depth, one view resembles its neighbour; with 3 % error of the depth, it does not."""
     left, right = small_yard().cameras[1:3]
     one, other = (cv2.cvtColor(background(c), cv2.COLOR_RGB2GRAY).astype(np.float32) for c in (left, right))
 
@@ -129,7 +129,7 @@ def test_night_is_dark_and_noisy_and_has_the_same_geometry() -> None:
     def noise(camera: DemoCamera) -> float:
         a, b = (c.astype(np.float32)[20:] for c in camera.captures[:2])
         gain = np.median((a + 1) / (b + 1))
-        difference = (a - gain * b) / (a + gain * b + 1)  # relative to the light there is
+        difference = (a - gain * b) / (a + gain * b + 1)  # relative to the brightness
         return float(np.median(np.abs(difference - np.median(difference))))
 
     assert noise(night) > 2 * noise(day)

@@ -11,12 +11,12 @@ from typing import Any
 import pytest
 
 PATIENCE_S = 120.0
-"""Of a machine that does other things, too."""
+"""Longest wait for a page, seconds; the machine may be busy with other things."""
 
 
 @contextmanager
 def chromium(width: int, height: int) -> Iterator[Any]:
-    """Start a browser with a window of a size in pixels; skip the test where there is none."""
+    """Start a browser with a window of this size in pixels; skip the test if none is installed."""
     webdriver = pytest.importorskip("selenium.webdriver")
     binary = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
     driver = shutil.which("chromedriver")
@@ -36,7 +36,7 @@ def chromium(width: int, height: int) -> Iterator[Any]:
 
 
 def until(browser: Any, script: str) -> Any:
-    """Return what a script gives once that is true."""
+    """Run a script again and again until its result is true; return that."""
     end = time.monotonic() + PATIENCE_S
     while not (found := browser.execute_script(script)):
         assert time.monotonic() < end, script

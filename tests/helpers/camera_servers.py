@@ -1,4 +1,4 @@
-"""Cameras on this machine: HTTP snapshots and Motion JPEG, with basic or digest authentication and faults; RTSP with RFC 2435."""
+"""Camera servers on this machine: HTTP snapshots and Motion JPEG, with authentication and faults; RTSP with JPEG (RFC 2435)."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ NTP_EPOCH = 2_208_988_800
 
 
 def picture(value: int = 128, size: tuple[int, int] = (160, 96)) -> bytes:
-    """A JPEG file of a gradient, brighter with `value`."""
+    """A JPEG file with a horizontal gradient from 0 to `value`."""
     image = np.tile(np.linspace(0, value, size[0]).astype(np.uint8), (size[1], 1))
     return cv2.imencode(".jpg", np.dstack([image] * 3), [cv2.IMWRITE_JPEG_QUALITY, 90])[1].tobytes()
 
@@ -41,7 +41,7 @@ def digest_of(method: str, header: str) -> bool:
 
 
 class HttpCamera(BaseHTTPRequestHandler):
-    """/snapshot, /basic, /digest, /mjpeg, /hang, /half, /text."""
+    """Serves /snapshot; /basic and /digest with a password; /mjpeg; faults: /hang (for 60 s), /half (truncated), /text (HTML)."""
 
     server: Any
 
@@ -77,28 +77,28 @@ class HttpCamera(BaseHTTPRequestHandler):
         try:
             for k in range(200):
                 data = picture(50 + k)
-                length = f"Content-Length: {len(data)}\r\n" if k % 2 else ""  # some cameras say it, some do not
+                length = f"Content-Length: {len(data)}\r\n" if k % 2 else ""  # some cameras send it, some do not
                 self.wfile.write(f"--frame\r\nContent-Type: image/jpeg\r\n{length}\r\n".encode() + data + b"\r\n")
                 time.sleep(0.05)
         except OSError:
             pass
 
     def log_message(self, *words: Any) -> None:
-        """Nothing."""
+        """Print nothing."""
 
 
 class _Http(ThreadingHTTPServer):
     daemon_threads = True
     ahead = 0.0
-    """Seconds by which its clock is ahead."""
+    """How far the server's clock is ahead, seconds."""
 
     def handle_error(self, request: Any, client_address: Any) -> None:
-        """Say nothing: who asked has gone, and another test may be reading what is printed by now."""
+        """Print nothing: the client has gone, and the message could end up in the captured output of another test."""
 
 
 @contextmanager
 def serving(server: Any, address: str, ahead: float) -> Iterator[str]:
-    """Run a server whose clock is ahead by some seconds; its address, with the port filled in."""
+    """Run a server whose clock is `ahead` seconds ahead; yields its address, with the port filled in."""
     server.ahead = ahead
     threading.Thread(target=server.serve_forever, daemon=True).start()
     try:
@@ -109,12 +109,12 @@ def serving(server: Any, address: str, ahead: float) -> Iterator[str]:
 
 
 def http_camera(ahead: float = 0.0) -> AbstractContextManager[str]:
-    """A server; its address."""
+    """Run an HTTP camera; yields its address."""
     return serving(_Http(("127.0.0.1", 0), HttpCamera), "http://127.0.0.1:{port}", ahead)
 
 
 class RtspCamera(socketserver.StreamRequestHandler):
-    """DESCRIBE, SETUP and PLAY of one Motion JPEG track over the connection itself, with digest authentication."""
+    """Serves one Motion JPEG track, interleaved in the RTSP connection, with digest authentication."""
 
     server: Any
 
@@ -188,13 +188,13 @@ class _Rtsp(socketserver.ThreadingTCPServer):
 
 
 def rtsp_camera(ahead: float = 0.0) -> AbstractContextManager[str]:
-    """A server; its address."""
+    """Run an RTSP camera; yields its address."""
     return serving(_Rtsp(("127.0.0.1", 0), RtspCamera), "rtsp://127.0.0.1:{port}/stream", ahead)
 
 
 @contextmanager
 def writing_into(folder: Any, write: Callable[[int], bytes], seconds: float = 0.7) -> Iterator[None]:
-    """A camera that writes a picture into a folder again and again."""
+    """Run a camera that writes a picture into a folder every `seconds`; `write` returns the k-th."""
     stop = threading.Event()
 
     def work() -> None:

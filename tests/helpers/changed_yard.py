@@ -1,4 +1,4 @@
-"""Two nights of a yard of boxes on flat ground: pictures, depth maps and clouds are computed, so that every change is known."""
+"""Nights of a yard of boxes on flat ground: images, depth maps and clouds are computed, so that every change is known."""
 
 from __future__ import annotations
 
@@ -13,20 +13,20 @@ from wbflow_stages.core.cameras import backproject, rays, scaled_intrinsics
 from wbflow_stages.types import Camera, Cloud, DepthMap, Float64s, Frame, Poses, View
 
 Box = tuple[tuple[float, float, float], tuple[float, float, float]]
-"""Two opposite corners, metres."""
+"""Two opposite corners of a box, metres."""
 
 WALL: Box = ((-6.0, 5.0, 0.0), (6.0, 5.4, 3.0))
 CRATE: Box = ((-1.0, -0.8, 0.0), (1.0, 0.8, 1.2))
 SIGMA = 0.01
 SCALE = 0.75
-"""Of the pictures of `flat_ground`."""
+"""Size of the images relative to those of `flat_ground`."""
 FARTHEST = 16.0
-"""Metres: what is farther away has no depth."""
+"""Largest distance that has a depth, metres."""
 
 
 @dataclass(frozen=True)
 class BoxNight:
-    """One night: what `find_changes` takes of it."""
+    """The results of one night that `find_changes` takes."""
 
     cameras: dict[str, Camera]
     frames: dict[str, Frame]
@@ -39,13 +39,13 @@ class BoxNight:
         return Poses(self.cameras, {}, {}, metric=True, source="calibration")
 
     def arguments(self, prefix: str = "") -> dict[str, Any]:
-        """By argument name of `find_changes`."""
+        """The night as arguments of `find_changes`; prefix: "reference_" for the reference's."""
         found = {"poses": self.poses, "cloud": self.cloud, "frames": self.frames, "depths": self.depths, "refined": {}}
         return {prefix + name: value for name, value in found.items()}
 
 
 def cameras(count: int = 4) -> dict[str, Camera]:
-    """Around the south of the yard, 7 m up."""
+    """Cameras on an arc around the south of the yard, 7 m high."""
     turns = np.radians(np.linspace(-50, 50, count))
     places = [(10 * float(np.sin(a)), -10 * float(np.cos(a)), 7.0) for a in turns]
     return {f"c{k}": _smaller(camera_at(place, (0.0, 0.5, 0.3))) for k, place in enumerate(places)}
@@ -70,15 +70,15 @@ def box_night(
     Parameters
     ----------
     boxes
-        What stands there besides the wall.
+        The boxes besides the wall.
     seed, noise
-        Of the depths' errors, metres, standard deviation.
+        Seed of all noise, and standard deviation of the depth errors, metres.
     brightness
-        Of the pictures.
+        Factor on the grey values of the images.
     blind
         Cameras that have no depth.
     count
-        Of cameras.
+        Number of cameras.
     """
     rng = np.random.default_rng(seed)
     views = cameras(count)
@@ -110,7 +110,7 @@ def box_night(
 
 
 def _hit(camera: Camera, boxes: Sequence[Box]) -> tuple[Float64s, Float64s, Float64s]:
-    """(n, 3) the first surface along the ray of every pixel, nan beyond FARTHEST; its normals; a number (n,) for each thing."""
+    """First surface points (n, 3) along the pixels' rays, nan beyond FARTHEST; their normals; a number (n,) per object."""
     y, x = np.mgrid[0 : camera.height, 0 : camera.width].reshape(2, -1).astype(np.float64)
     d = rays(camera, np.column_stack([x, y])).T
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -129,6 +129,6 @@ def _hit(camera: Camera, boxes: Sequence[Box]) -> tuple[Float64s, Float64s, Floa
 
 
 def _paint(X: Float64s) -> Float64s:
-    """(n,) grey of surfaces: waves of several lengths, fixed in space; the sky is white."""
+    """Grey values (n,) of surface points: waves of several lengths, fixed in space; the sky is white."""
     waves = [np.sin(X @ np.array(k) + p) for k, p in (((9, 5, 11), 0), ((-13, 8, 5), 1), ((4, -17, 9), 2), ((21, 19, -16), 3))]
     return np.asarray(np.nan_to_num(128 + 28 * np.sum(waves, axis=0), nan=250.0), dtype=np.float64)

@@ -1,4 +1,4 @@
-"""A rectified pair of random texture whose disparity is known exactly: a slanted floor and a thing before it."""
+"""A rectified pair of random texture with exactly known disparity: a slanted floor and a disc in front of it."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from wbflow_stages.types import Frame, Rectification, View
 
 
 def texture(height: int, width: int, seed: int = 0) -> np.ndarray:
-    """(h, w) float32 random texture with detail at several scales, 30 to 220."""
+    """Random texture (h, w), float32, grey values 30 to 220, with detail at several scales."""
     rng = np.random.default_rng(seed)
     image = np.zeros((height, width))
     for sigma, weight in ((0.8, 1.0), (2.0, 2.0), (6.0, 4.0)):
@@ -20,7 +20,7 @@ def texture(height: int, width: int, seed: int = 0) -> np.ndarray:
 
 
 def true_disparity(height: int, width: int, offset: float = 20.0, slope: float = 0.04) -> np.ndarray:
-    """(h, w) disparity of the left view: floor offset + slope x + 0.5 slope y, and a disc 12 px nearer."""
+    """Disparity (h, w) of the left view: offset + slope x + 0.5 slope y on the floor, 12 px more on a disc."""
     y, x = np.mgrid[0:height, 0:width]
     floor = offset + slope * x + 0.5 * slope * y
     disc = np.hypot(x - 0.6 * width, y - 0.5 * height) < 0.15 * height
@@ -28,7 +28,7 @@ def true_disparity(height: int, width: int, offset: float = 20.0, slope: float =
 
 
 def stereo_pair(height: int = 180, width: int = 240, offset: float = 20.0, slope: float = 0.04) -> tuple[np.ndarray, np.ndarray]:
-    """(left, right) float32 grey images; the left one is drawn from the right one, so the truth is the left's."""
+    """Left and right grey image, float32; the left one is resampled from the right one, so its disparity is exact."""
     disparity = true_disparity(height, width, offset, slope)
     right = texture(height, width)
     y, x = np.mgrid[0:height, 0:width].astype(np.float32)

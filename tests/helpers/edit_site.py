@@ -51,7 +51,7 @@ resolution: 1600
 
 
 def write(folder: Path, text: str = SITE) -> Path:
-    """The site in a folder; returns its file."""
+    """Write the site into a folder; return its site file."""
     noise = np.random.default_rng(0)
     (folder / "captures").mkdir(parents=True)
     (folder / "masks").mkdir()
@@ -67,7 +67,7 @@ def write(folder: Path, text: str = SITE) -> Path:
 
 
 def seen(camera: str, X: list[float]) -> list[float]:
-    """Where a camera sees a place."""
+    """The pixel at which a camera sees a point."""
     R = np.array(look_at(PLACES[camera], [0, 0, 0]))
     x = R @ (np.array(X) - PLACES[camera])
     return [float(FOCAL * x[0] / x[2] + 159.5), float(FOCAL * x[1] / x[2] + 89.5)]
@@ -75,7 +75,7 @@ def seen(camera: str, X: list[float]) -> list[float]:
 
 @contextmanager
 def served(file: Path) -> Iterator[EditServer]:
-    """`wbflow edit` of a site file."""
+    """Run the server of `wbflow edit` for a site file."""
     with EditServer(Session(load_site(file))) as server:
         thread = Thread(target=server.serve_forever, daemon=True)
         thread.start()

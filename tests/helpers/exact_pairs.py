@@ -1,4 +1,4 @@
-"""A site of cameras around a cloud of points, with the geometries that perfect (or noisy, or wrong) matching would give."""
+"""Cameras around a cloud of points, with the pair geometries that perfect (or noisy, or wrong) matching would give."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ WIDTH, HEIGHT = 800, 600
 
 @dataclass(frozen=True)
 class PairSite:
-    """cameras: the truth; views: what is known of them; geometries: of every pair that sees enough in common; X: the points."""
+    """cameras: ground truth; views: what is known of them; geometries: of all pairs up to 60 degrees apart; X: the points."""
 
     cameras: dict[str, Camera]
     views: dict[str, View]
@@ -36,7 +36,7 @@ def make_pair_site(
     radius: float = 8.0,
     know: str = "K",
 ) -> PairSite:
-    """Cameras on an arc, `degrees` apart.  know: "K", "hfov" (10 % too long) or "nothing"."""
+    """Cameras on an arc, `degrees` apart.  know: "K", "hfov" (focal length 10 % too long) or "nothing"."""
     rng = np.random.default_rng(seed)
     X = rng.uniform([-2.5, -1.5, -1.5], [2.5, 1.5, 1.5], (points, 3))
     K = np.array([[focal, 0, (WIDTH - 1) / 2], [0, focal, (HEIGHT - 1) / 2], [0, 0, 1]])
@@ -68,7 +68,7 @@ def look(K: np.ndarray, C: np.ndarray, target: np.ndarray) -> Camera:
 def pair_geometry(
     cameras: dict[str, Camera], views: dict[str, View], pixels: dict[str, np.ndarray], pair: Pair, noise_px: float
 ) -> Geometry:
-    """What the geometry stage would find in a pair, whose keypoints are numbered like the points."""
+    """What the geometry stage would find for a pair; keypoints have the same numbers as the points."""
     left, right = (cameras[name] for name in pair)
     view1, view2 = (views[name] for name in pair)
     inside = np.ones(len(pixels[pair[0]]), bool)
@@ -102,7 +102,7 @@ def geometry_of(
     R: Float64s | None,
     t: Float64s | None,
 ) -> Geometry:
-    """A geometry that every judge of single pairs believes."""
+    """A geometry with figures that pass every check of single pairs."""
     n = len(x1)
     return Geometry(
         F=F,
@@ -129,7 +129,7 @@ def geometry_of(
 
 
 def turned_wrong(site: PairSite, pair: Pair, seed: int) -> Geometry:
-    """A geometry of the pair with a random relative pose and matches that agree with it perfectly."""
+    """A geometry of the pair with a wrong, random relative pose, and matches that fit this pose perfectly."""
     rng = np.random.default_rng(seed)
     view1, view2 = site.views[pair[0]], site.views[pair[1]]
     K = site.cameras[pair[0]].K
@@ -155,7 +155,7 @@ def turned_wrong(site: PairSite, pair: Pair, seed: int) -> Geometry:
 
 
 def aligned_errors(poses: Poses, truth: dict[str, Camera]) -> tuple[float, float]:
-    """Largest error of the centres, as a share of their extent, and of the rotations, radians, after similarity alignment."""
+    """Largest errors after similarity alignment: of the centres, relative to their extent, and of the rotations, radians."""
     names = list(poses.cameras)
     a = np.array([poses.cameras[name].C for name in names])
     b = np.array([truth[name].C for name in names])
@@ -170,7 +170,7 @@ def aligned_errors(poses: Poses, truth: dict[str, Camera]) -> tuple[float, float
 
 
 def only(site: PairSite, *names: str) -> PairSite:
-    """The site with these cameras."""
+    """The site, reduced to these cameras."""
     kept = {pair: geometry for pair, geometry in site.geometries.items() if set(pair) <= set(names)}
     views = {name: view for name, view in site.views.items() if name in names}
     return replace(site, views=views, geometries=kept)
@@ -182,14 +182,14 @@ def about_vertical(camera: Camera, degrees: float) -> Camera:
 
 
 def with_look_alikes(site: PairSite, pair: Pair, degrees: float, seed: int) -> Geometry:
-    """A pair's geometry from matches of which seven of ten lie where its second camera would see them if it were turned."""
+    """A pair's geometry, re-estimated after 70 % of the matches are moved to where its second camera would see them if turned."""
     geometry, rng = site.geometries[pair], np.random.default_rng(seed)
     assert geometry.i1 is not None and geometry.i2 is not None
     rows = rng.permutation(len(geometry.x1))[: int(0.7 * len(geometry.x1))]
     x2, i2 = geometry.x2.copy(), geometry.i2.copy()
     x2[rows] = project(about_vertical(site.cameras[pair[1]], degrees), site.X[geometry.i1[rows]])[0]
     x2[rows] += 0.2 * rng.normal(size=(len(rows), 2))
-    i2[rows] += len(site.X)  # other keypoints
+    i2[rows] += len(site.X)  # not the keypoints of these points
     left, right = (site.views[name] for name in pair)
     found = estimate_essential(geometry.x1, x2, left, right, 1.0, 0, 1000)
     assert found is not None and found.R is not None and found.t is not None

@@ -1,4 +1,4 @@
-"""A yard with exact truth: ground, a wall behind it and a box, seen by cameras on an arc; disparities computed, not matched."""
+"""A yard with exact truth: ground, a wall and a box, seen by cameras on an arc; disparities are computed, not matched."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ WALL_Y = 4.0
 
 @dataclass(frozen=True)
 class Yard:
-    """Everything `fuse` needs.  `scale` times larger than the basic yard, moved by `shift`."""
+    """The inputs of `fuse`, for a yard `scale` times larger than the basic yard and moved by `shift`."""
 
     frames: dict[str, Frame]
     cameras: dict[str, Camera]
@@ -27,7 +27,7 @@ class Yard:
     shift: np.ndarray
 
     def distance(self, points: np.ndarray) -> np.ndarray:
-        """How far points lie from the nearest surface, in units of the basic yard."""
+        """Distance of points from the nearest surface, in units of the basic yard."""
         X = (points.astype(np.float64) - self.shift) / self.scale
         low, high = BOX
         outside = np.linalg.norm(np.maximum(np.maximum(low - X, X - high), 0), axis=1)
@@ -36,18 +36,18 @@ class Yard:
         return np.asarray(np.minimum(np.minimum(np.abs(X[:, 2]), np.abs(X[:, 1] - WALL_Y)), box))
 
     def depths(self, **parameters: float) -> dict[str, DepthMap]:
-        """Depth of each view from its pairs, where there is any."""
+        """Depth maps of all views that get one from their pairs."""
         found = {name: self.depth(name, **parameters) for name in self.cameras}
         return {name: depth for name, depth in found.items() if isinstance(depth, DepthMap)}
 
     def depth(self, name: str, **parameters: float) -> DepthMap | Rejected:
-        """Depth of one view from its pairs."""
+        """Depth map of one view from its pairs."""
         others = {other: camera for other, camera in self.cameras.items() if other != name}
         pairs = {pair: disparity for pair, disparity in self.disparities.items() if name in pair}
         return view_depth(self.cameras[name], others, {pair: self.rectifications[pair] for pair in pairs}, pairs, **parameters)
 
     def colour(self, points: np.ndarray) -> np.ndarray:
-        """What a camera of exposure 1 sees there, (n, 3)."""
+        """Colours (n, 3) that a camera of exposure 1 sees at points."""
         return _colour((points.astype(np.float64) - self.shift) / self.scale)
 
 
@@ -62,7 +62,7 @@ def make_yard(
     noise_px: float = 0.0,
     wrong: float = 0.0,
 ) -> Yard:
-    """noise_px: Gaussian noise on every disparity; wrong: share of the disparities that are off by up to 20 px."""
+    """Make a yard.  noise_px: sigma of Gaussian noise on every disparity; wrong: share of disparities up to 20 px off."""
     cameras, frames = {}, {}
     exposures = exposures or (1.0,) * len(degrees)
     for angle, exposure in zip(degrees, exposures, strict=True):
@@ -86,7 +86,7 @@ def make_yard(
 
 
 def true_depth(camera: Camera) -> np.ndarray:
-    """(h, w) depth along the optical axis, of a camera in the basic yard."""
+    """Depth (h, w), along the optical axis, of a camera in the basic yard."""
     return project(camera, _hit(camera).reshape(-1, 3))[1].reshape(camera.height, camera.width)
 
 
@@ -100,7 +100,7 @@ def _looking(position: np.ndarray, target: np.ndarray, width: int) -> Camera:
 
 
 def _hit(camera: Camera) -> np.ndarray:
-    """(h, w, 3) the first surface along every pixel's ray."""
+    """First surface point (h, w, 3) along every pixel's ray."""
     y, x = np.mgrid[0 : camera.height, 0 : camera.width].reshape(2, -1).astype(np.float64)
     return _first(camera.C, backproject(camera, np.column_stack([x, y]), np.ones(len(x)))).reshape(camera.height, camera.width, 3)
 
@@ -122,7 +122,7 @@ def _colour(X: np.ndarray) -> np.ndarray:
 
 
 def _calibrated(left: Camera, right: Camera) -> Rectification:
-    """Both images turned about their centres until the baseline is their common x axis."""
+    """Rectification: both cameras are rotated about their centres until the baseline is their common x axis."""
     x = (right.C - left.C) / np.linalg.norm(right.C - left.C)
     y = np.cross(left.R[2] + right.R[2], x)
     y /= np.linalg.norm(y)

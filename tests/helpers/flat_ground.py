@@ -1,4 +1,4 @@
-"""Cameras above flat ground of random texture: pictures, and everything about them, are known exactly."""
+"""Cameras above flat ground of random texture, so that images, depths and poses are known exactly."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from wbflow_stages.types import Camera, Float32s, Float64s, Frame, View
 SIZE = (320, 240)
 TEXEL_M = 0.03
 TEXTURE = 900
-"""Texels along each side of the textured ground."""
+"""Number of texels along each side of the ground."""
 
 
 def camera_at(C: tuple[float, float, float], target: tuple[float, float, float]) -> Camera:
@@ -25,13 +25,13 @@ def camera_at(C: tuple[float, float, float], target: tuple[float, float, float])
 
 
 def cameras(count: int = 3) -> dict[str, Camera]:
-    """Cameras 6 m above the ground, 25 degrees apart around its middle."""
+    """Cameras 6 m above the ground, around its centre in steps of 25 degrees."""
     turns = np.radians(25.0 * np.arange(count))
     return {f"c{k}": camera_at((9 * float(np.sin(a)), -9 * float(np.cos(a)), 6.0), (0.0, 0.0, 0.0)) for k, a in enumerate(turns)}
 
 
 def texture(seed: int = 0) -> Float32s:
-    """(TEXTURE, TEXTURE) float32 grey with detail at several scales."""
+    """Grey texture (TEXTURE, TEXTURE), float32, with detail at several scales."""
     rng = np.random.default_rng(seed)
     layers = [cv2.GaussianBlur(rng.normal(size=(TEXTURE, TEXTURE)).astype(np.float32), (0, 0), s) * s for s in (1.5, 4.0, 10.0)]
     noise = np.sum(layers, axis=0)
@@ -39,7 +39,7 @@ def texture(seed: int = 0) -> Float32s:
 
 
 def frame_of(camera: Camera, ground: Float32s, height: float = 0.0) -> Frame:
-    """What a camera sees of ground at a height above z = 0."""
+    """The frame of a camera above level ground at z = `height`."""
     x, y = np.meshgrid(np.arange(camera.width), np.arange(camera.height))
     pixels = np.column_stack([x.ravel(), y.ravel()]).astype(np.float64)
     direction = rays(camera, pixels).T

@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 
 def read_image(file: Path, flags: int = cv2.IMREAD_COLOR) -> npt.NDArray[Any]:
-    """The pixels as OpenCV reads them (BGR); a file that it cannot read is a failure of the test."""
+    """The pixels of an image file, as OpenCV reads them (BGR); the test fails if it cannot."""
     pixels = cv2.imread(str(file), flags)
     assert pixels is not None, f"{file} is no image"
     return pixels
@@ -26,7 +26,7 @@ def decoded(data: bytes, flags: int = cv2.IMREAD_COLOR) -> npt.NDArray[Any]:
 
 
 def with_exif(jpeg: bytes, taken: str) -> bytes:
-    """A JPEG with the moment (2010:10:12 14:03:00) that a camera writes as EXIF DateTimeOriginal."""
+    """The JPEG with the time `taken`, such as 2010:10:12 14:03:00, as EXIF DateTimeOriginal."""
     ifd = struct.pack("<HHHIII", 1, 0x8769, 4, 1, 26, 0)
     exif = struct.pack("<HHHIII", 1, 0x9003, 2, len(taken) + 1, 44, 0)
     body = b"Exif\0\0" + struct.pack("<2sHI", b"II", 42, 8) + ifd + exif + taken.encode() + b"\0"

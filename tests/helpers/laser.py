@@ -1,4 +1,4 @@
-"""Photographs with true cameras and laser depth, where the data lies beside the project or at WBFLOW_DATA."""
+"""Photographs with true cameras and laser depth; the data is in shared/data beside the project, or at WBFLOW_DATA."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _SHRINK = 4
 
 @dataclass(frozen=True)
 class Photograph:
-    """A frame at a quarter of the photograph's width, its camera, and the depth (h, w) of its pixels, 0 where unknown."""
+    """A frame at a quarter of the photograph's width, its camera, and its depth map (h, w), 0 where unknown."""
 
     frame: Frame
     camera: Camera

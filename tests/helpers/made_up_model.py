@@ -1,4 +1,4 @@
-"""A matcher in ONNX form, made up: the brightest pixels of two pictures, matched by how bright they are."""
+"""A made-up matcher as an ONNX model: it matches the brightest pixels of two images by their brightness."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ POINTS = 12
 
 
 def two_pictures(width: int = 0, height: int = 0, channels: int = 1, **other: str) -> bytes:
-    """A model of image0, image1 -> kpts0, kpts1, matches0, mscores0; sizes 0 for any.  other: other names of these."""
+    """A model image0, image1 -> kpts0, kpts1, matches0, mscores0.  Size 0 means any; other: new names for these, equally long."""
     nodes = [*_brightest("image0", "0"), *_brightest("image1", "1")]
     nodes += [
         helper.make_node("Transpose", ["value1"], ["across"], perm=[1, 0]),
@@ -44,7 +44,7 @@ def two_pictures(width: int = 0, height: int = 0, channels: int = 1, **other: st
 
 
 def _brightest(image: str, k: str) -> list[onnx.NodeProto]:
-    """value (n, 1) of the brightest pixels of a grey picture, and kpts (1, n, 2) where they are."""
+    """Nodes for the brightest pixels of a grey image: their values (n, 1), and their positions kpts (1, n, 2)."""
     node = helper.make_node
     return [
         node("Reshape", [image, "flat"], [f"pixels{k}"]),

@@ -1,4 +1,4 @@
-"""A run that nobody has made: a ring of cameras around a bowl, for tests of its page."""
+"""A synthetic run, with a ring of cameras around a bowl, for tests of its report page."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from wbflow_stages.types import Cloud
 
 RUN = "20261210T031500Z"
 KEY = "0" * 32
-"""Of every result."""
+"""Cache key of every result of the night."""
 _RADIUS = 12.0
 
 
@@ -39,7 +39,7 @@ def names(count: int) -> list[str]:
 
 
 def cameras(ids: list[str]) -> dict[str, Any]:
-    """A ring that looks at its middle, as cameras.json has it."""
+    """Cameras on half a ring that look at its centre, in the format of cameras.json."""
     found = {}
     for k, name in enumerate(ids):
         angle = math.pi * (1 + k / max(1, len(ids) - 1))  # the southern half
@@ -54,7 +54,7 @@ def cameras(ids: list[str]) -> dict[str, Any]:
 
 
 def bowl(points: int) -> Cloud:
-    """A wavy disk in all colours."""
+    """A wavy disk with many colours."""
     rng = np.random.default_rng(7)
     r, a = 8 * np.sqrt(rng.random(points)), 2 * math.pi * rng.random(points)
     x, y = r * np.cos(a), r * np.sin(a)
@@ -67,7 +67,7 @@ def bowl(points: int) -> Cloud:
 
 
 def record(ids: list[str], run: str = RUN, date: str = "2026-12-09", **changes: Any) -> RunRecord:
-    """A night in which the last camera shows another place, the one before it is gone, and one pair was rejected."""
+    """A night on which the last camera shows another place, the one before it is lost, and one pair is rejected."""
     well = CameraFigures(brightness=110.0, sharpness=0.2, keypoints=6000, frames_used=3)
     reported = [CameraRecord(name, "ok", figures=well, health=Health("ok", "where it was")) for name in ids]
     reported[-1] = replace(reported[-1], health=Health("wrong-scene", "it shows another place", remedy="look at its picture"))
@@ -102,7 +102,7 @@ def record(ids: list[str], run: str = RUN, date: str = "2026-12-09", **changes: 
 
 
 def site(folder: Path, ids: list[str]) -> Site:
-    """A site file with as many cameras."""
+    """A site with as many cameras as there are ids; its site file names them c0, c1, ..."""
     (folder / "captures").mkdir(parents=True, exist_ok=True)
     plain = [f"c{k}" for k in range(len(ids))]
     reported = {"site": "bowl", "captures": {"root": "captures", "pattern": "{camera}.jpg"}, "cameras": plain}
@@ -111,7 +111,7 @@ def site(folder: Path, ids: list[str]) -> Site:
 
 
 def page(folder: Path, night: RunRecord, points: int = 900, pictures: tuple[int, int] = (160, 90), nights: int = 2) -> Path:
-    """The file of a night's page, and a few nights before it in the work folder."""
+    """Publish a night and a few nights before it in the work folder; return the file of the night's page."""
     ids = [camera.id for camera in night.cameras]
     described = site(folder, ids)
     work = described.work_folder
@@ -147,7 +147,7 @@ def page(folder: Path, night: RunRecord, points: int = 900, pictures: tuple[int,
 
 
 def _publish_reference(work: WorkFolder, night: RunRecord, jpeg: bytes) -> None:
-    """The run that a night was compared with: its cloud has a hill less, and its first camera looked elsewhere."""
+    """Publish the run that a night is compared with: its cloud is 2 m lower at x > 4, its first camera turned by 2 degrees."""
     ids = [camera.id for camera in night.cameras]
     whole = bowl(20_000)
     low = replace(whole, points=whole.points - [0, 0, 2] * (whole.points[:, :1] > 4))
@@ -164,7 +164,7 @@ def _publish_reference(work: WorkFolder, night: RunRecord, jpeg: bytes) -> None:
 
 
 def _made(work: WorkFolder, task: Task, drawings: dict[str, bytes], key: str = KEY) -> list[Event]:
-    """Keep what is said to have been drawn of a result; the result itself is not there."""
+    """Store the drawings of a task's result, but not the result itself; return its events."""
     digests = {name: content_digest(data) for name, data in drawings.items()}
     receipt = Receipt(str(task), key, "ran", Preimage(*task, "", "", {}, {}), "", drawings=digests)
     Cache(work).write(receipt, None, drawings)

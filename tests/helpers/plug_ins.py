@@ -1,4 +1,4 @@
-"""Methods that stand in no table of the stages: what a person would write beside a site file."""
+"""Methods that are in no table of the stages, as a user would write them beside a site file."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from wbflow_stages.types import Features, Frame, Matches, View
 
 
 def at_its_word(pair: RectifiedPair, *, distance_px: float = 20.0) -> DenseMatches:
-    """Dense: everything is at one disparity."""
+    """Dense matcher: one disparity everywhere."""
     flat = np.full(pair.left.shape, distance_px, dtype=np.float32)
     return DenseMatches(flat, flat, np.ones_like(flat), np.ones_like(flat))
 
 
 def half_believed(pair: RectifiedPair) -> DenseMatches:
-    """Dense: believes its left view below row 90 only."""
+    """Dense matcher: no confidence in rows 0 to 89 of the left view, full confidence elsewhere."""
     flat, sure = np.full(pair.left.shape, 20, dtype=np.float32), np.ones(pair.left.shape, dtype=np.float32)
     doubtful = sure.copy()
     doubtful[:90] = 0
@@ -30,14 +30,14 @@ def half_believed(pair: RectifiedPair) -> DenseMatches:
 
 
 def shifted(pair: MatchedPair, *, shift_px: float = 5.0) -> Homographies:
-    """Rectification: Hartley's, moved."""
+    """Rectification: Hartley's, with the left image moved along x."""
     H1, H2 = hartley(pair)
     return Homographies(np.array([[1.0, 0, shift_px], [0, 1, 0], [0, 0, 1]]) @ H1, H2)
 
 
 @cache
 def straight_frames() -> tuple[Frame, ...]:
-    """What the cameras of `small_yard` see, by lenses that bend nothing."""
+    """The undistorted frames of the cameras of `small_yard`."""
     found = []
     for camera in small_yard().cameras:
         image = np.median(np.stack(camera.captures), axis=0).astype(np.uint8)
@@ -49,8 +49,7 @@ def straight_frames() -> tuple[Frame, ...]:
 
 
 def grid_points(left: Features, right: Features, left_frame: Frame, right_frame: Frame, *, step_px: int = 6) -> Matches:
-    """Sparse: points of a grid of the left frame (one of `straight_frames`), and where they truly lie in the right one; no
-    keypoints."""
+    """Sparse matcher: true matches of a grid of points in the left frame (of `straight_frames`); it uses no keypoints."""
     one, two = (
         next(c for c, known in zip(small_yard().cameras, straight_frames(), strict=True) if known is frame)
         for frame in (left_frame, right_frame)

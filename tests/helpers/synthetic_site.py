@@ -1,4 +1,4 @@
-"""The small demo yard for tests: rendered once for each set of arguments and process, in a few seconds."""
+"""The small demo yard for tests: rendered in a few seconds, once per process and set of arguments."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def single_pair(width: int = 640) -> DemoSite:
 
 
 def write_straight(file: Path, camera: DemoCamera) -> None:
-    """A camera's first capture by a lens that bends nothing: no F fits two views through lenses as bent as the yard's."""
+    """Write a camera's first capture without distortion: no F fits two views through lenses as distorted as the yard's."""
     assert camera.lens.K is not None
     straight = cv2.undistort(camera.captures[0], camera.lens.K, camera.lens.distortion)
     cv2.imwrite(str(file), cv2.cvtColor(straight, cv2.COLOR_RGB2BGR))

@@ -27,20 +27,20 @@ STAGES = {
 
 @dataclass
 class ToySite:
-    """A site in a folder: captures `<camera>.txt`, site.yaml, and `parameters` by stage that the YAML sets."""
+    """A site in a folder: captures `<camera>.txt`, and site.yaml, which sets the `parameters` of each stage."""
 
     folder: Path
     cameras: list[str]
     parameters: dict[str, dict[str, Any]] = field(default_factory=dict)
     environment: dict[str, str] = field(default_factory=dict)
     keys: dict[str, Any] = field(default_factory=dict)
-    """Further keys of the site file."""
+    """Additional keys of the site file."""
     watched: bool = False
-    """Its cameras are compared with the reference."""
+    """Whether its cameras are compared with the reference (stage health)."""
     dated: bool = False
-    """Captures are `<camera>-<date>.txt`."""
+    """Whether captures are named `<camera>-<date>.txt`."""
     backend: str = "processes"
-    """Where `run` has its tasks done; threads start at once, where a test is of what nights leave and not of who did it."""
+    """Where `run` executes tasks.  Threads start at once; they suffice if a test is about results instead of workers."""
 
     def __post_init__(self) -> None:
         (self.folder / "captures").mkdir(parents=True)
@@ -65,7 +65,7 @@ class ToySite:
         return self.folder / "captures" / (f"{camera}-{date}.txt" if self.dated else f"{camera}.txt")
 
     def night(self, date: str, **states: str) -> None:
-        """Captures of one more night of a dated site; states of cameras that are not as they were."""
+        """Write the captures of one more night of a dated site; states: of cameras that are not `ok`, by name."""
         for camera in self.cameras:
             self.capture(camera, date).write_text(f"{states.get(camera, 'ok')}: {camera} on {date}")
 
@@ -101,7 +101,7 @@ class ToySite:
         return subprocess.run(full, env=self.env(), capture_output=True, text=True, timeout=120, check=False)
 
     def run(self, *arguments: str, code: int | None = 0) -> dict[str, Any]:
-        """`wbflow run --json` in this process (quick); the record, after checking the exit code."""
+        """Run `wbflow run --json` in this process, which is fast; check the exit code and return the record."""
         from click.testing import CliRunner
 
         from wbflow.cli.main import main
@@ -114,7 +114,7 @@ class ToySite:
         return record
 
     def ran(self) -> set[str]:
-        """Tasks that ran in the newest run."""
+        """The tasks that the newest run executed."""
         newest = max(p for p in (self.work / "runs").iterdir() if not p.is_symlink())
         events = [json.loads(line) for line in (newest / "log.jsonl").read_text().splitlines()]
         return {event["task"] for event in events if event.get("outcome") in {"ran", "rejected"} and event["fresh"]}

@@ -1,8 +1,8 @@
-"""Stages that look at nothing: quick stand-ins with which the engine's tests plan, cache, kill and resume.
+"""Fast stand-ins for the stages, with which the engine's tests plan, cache, kill and resume.
 
-Each leaves numbers that depend on all of its inputs, so that a wrong reuse shows in the cloud.  The folder TOY_FAULTS (an
-environment variable) lets a test make things go wrong: a file `slow` holds seconds to sleep in every stage, `die` the name of a
-stage whose worker kills itself (for as long as the file is there), `once` the same but removed first.
+Each result has numbers that depend on all inputs of its stage, so that a wrongly reused result shows in the cloud.  Tests cause
+faults by files in the folder TOY_FAULTS (an environment variable): `slow` has the seconds that every stage sleeps; `die` names
+a stage that kills its worker, as long as the file is there; `once` does the same once, since the file is removed first.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ from wbflow_stages.types import (
 
 
 def clean_frame(captures: Sequence[Capture], lens: Lens, mask: Capture | None, *, resolution: int | None = None) -> Frame:
-    """Captures are text: `broken` raises, all else becomes pixels; "ok/obscured/ok: a view" says how each of three views is."""
+    """Captures are text: `broken` raises, other text becomes pixels; "ok/obscured/ok: a view" gives the states of three views."""
     _trouble("frames")
     data = b"".join(capture.data.tobytes() for capture in captures)
     if data.startswith(b"broken"):
@@ -60,7 +60,7 @@ def clean_frame(captures: Sequence[Capture], lens: Lens, mask: Capture | None, *
 
 
 def examine(frame: Frame, pinned_frame: Frame | None, usual: Usual | None, *, nudged_px: float = 1.5) -> CameraHealth:
-    """The capture says it itself: "shifted: a view"; and how often it has been looked at before."""
+    """The capture itself gives its state, as in "shifted: a view"; a figure counts the earlier nights."""
     _trouble("health")
     state = frame.notes[1] if pinned_frame else "ok"
     figures = {"shift_x_px": 0.5, "shift_y_px": 0.0, "roll_deg": 0.0, "nights": float(len(usual.roll_deg)) if usual else -1.0}
@@ -68,7 +68,7 @@ def examine(frame: Frame, pinned_frame: Frame | None, usual: Usual | None, *, nu
 
 
 def detect(frame: Frame, *, offset: float = 0.0) -> Features:
-    """One keypoint whose place depends on the pixels."""
+    """One keypoint whose position depends on the pixels."""
     _trouble("features")
     xy = np.array([[frame.image.mean() + offset, float(frame.image[0, 0, 0])]])
     ones = np.ones(1, np.float32)
@@ -78,7 +78,7 @@ def detect(frame: Frame, *, offset: float = 0.0) -> Features:
 def estimate_overlap(
     views: Mapping[str, View], placements: Mapping[str, Placement], features: Mapping[str, Features], *, chain: bool = False
 ) -> Overlap:
-    """Every camera shares something with every other, or with the next one only."""
+    """Every camera shares something with every other; with `chain`, only with the next one."""
     _trouble("overlap")
     names = tuple(views)
     pairs = np.array([(i, j) for i in range(len(names)) for j in range(i + 1, len(names))], np.int32).reshape(-1, 2)
@@ -87,7 +87,7 @@ def estimate_overlap(
 
 
 def share(poses: Poses, *, reject: bool = False) -> Overlap | Rejected:
-    """Every placed camera sees what every other does."""
+    """Every placed camera sees the same as every other."""
     _trouble("shared")
     if reject:
         return Rejected("nobody knows")
@@ -97,7 +97,7 @@ def share(poses: Poses, *, reject: bool = False) -> Overlap | Rejected:
 
 
 def match(left: Features, right: Features, *, shift: float = 1.0, reject: str = "") -> Matches | Rejected:
-    """A match between the two keypoints; rejected when `reject` is the whole part of the left one's y."""
+    """A match between the two keypoints; rejected if `reject` is the integer part of the left one's y."""
     _trouble("matches")
     if reject and str(int(left.xy[0, 1])) == reject:
         return Rejected(Reason.TOO_FEW_MATCHES, {"matches": 0.0, "needed": 1.0})
@@ -106,7 +106,7 @@ def match(left: Features, right: Features, *, shift: float = 1.0, reject: str = 
 
 
 def estimate_geometry(matches: Matches, left: Features, right: Features, *, needed: int = 1) -> Geometry | Rejected:
-    """F that remembers the match; rejected where there are fewer than `needed`."""
+    """F depends on the matches; rejected if there are fewer than `needed`."""
     _trouble("geometry")
     if len(matches.x1) < needed:
         return Rejected(Reason.TOO_FEW_INLIERS, {"inliers": 0.0, "matches": float(len(matches.x1)), "needed": float(needed)})
@@ -125,7 +125,7 @@ def solve_poses(
     worlds: int = 1,
     leave_out: str = "",
 ) -> Poses | Rejected:
-    """Cameras in a row, in so many worlds; one may be left unsolved."""
+    """Cameras in a row, distributed among `worlds` components; `leave_out` stays unsolved."""
     _trouble("poses")
     unsolved = {name: "is left out" for name in views if name == leave_out}
     names = [name for name in views if name not in unsolved]
@@ -146,7 +146,7 @@ def rectify(
     margin: float = 0.0,
     reject: bool = False,
 ) -> Rectification | Rejected:
-    """H1 that remembers F and the cameras."""
+    """H1 and H2 depend on F and the cameras."""
     _trouble("rectify")
     if reject:
         return Rejected("almost no baseline")
@@ -158,14 +158,14 @@ def rectify(
 
 
 def rectify_known(left: Camera, right: Camera, check: PairCheck | None, geometry: Geometry | None = None) -> Rectification:
-    """Rows of known cameras, whatever their matches are worth."""
+    """Rectification from known cameras; matches are ignored."""
     H = np.eye(3) + left.C + right.C
     rectification: Rectification = _filled(Rectification, method="hartley", reason="toy", H1=H, H2=H, size1=(8, 8), size2=(8, 8))
     return rectification
 
 
 def match_dense(left: Frame, right: Frame, rectification: Rectification, *, tolerance: float = 1.0) -> Disparity:
-    """Disparities that remember everything above."""
+    """Disparities depend on the frames and the rectification."""
     _trouble("disparity")
     assert rectification.H1 is not None
     number = int(abs(rectification.H1).sum() * 7 + left.image.sum() + right.image.sum() * 3 + tolerance * 1000) % 30000
@@ -180,7 +180,7 @@ def view_depth(
     rectifications: Mapping[Pair, Rectification],
     disparities: Mapping[Pair, Disparity],
 ) -> DepthMap | Rejected:
-    """One row for each pair."""
+    """A depth map of one row, with one pixel for each pair."""
     _trouble("depth")
     assert len(cameras) >= len(disparities) == len(rectifications)
     row = np.array([[float(d.left[0, 0]) for d in disparities.values()]], np.float32)
@@ -226,6 +226,6 @@ def _trouble(stage: str) -> None:
                 continue
             if name == "once":
                 file.unlink()
-        except FileNotFoundError:  # never there, or another worker was quicker
+        except FileNotFoundError:  # there is none, or another worker has removed it
             continue
         os.kill(os.getpid(), signal.SIGKILL)

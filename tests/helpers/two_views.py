@@ -1,4 +1,4 @@
-"""Two cameras, a scene of points and their exact projections: what rectification is tested on."""
+"""Two cameras, a scene of points and their exact projections, for tests of rectification."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ K = np.array([[FOCAL, 0.0, (WIDTH - 1) / 2], [0.0, FOCAL, (HEIGHT - 1) / 2], [0.
 
 
 def looking(centre: np.ndarray, target: np.ndarray) -> Camera:
-    """A camera at `centre` that sees `target` in the middle of its image, y down."""
+    """A camera at `centre` with `target` in the middle of its image; the world's y axis points down."""
     forward = target - centre
     forward = forward / np.linalg.norm(forward)
     right = np.cross(np.array([0.0, 1.0, 0.0]), forward)
@@ -22,7 +22,7 @@ def looking(centre: np.ndarray, target: np.ndarray) -> Camera:
 
 
 def scene(seed: int = 0, n: int = 1500, depth: tuple[float, float] = (6.0, 12.0)) -> np.ndarray:
-    """(n, 3) points on a wavy wall and on things before it, as a camera at the origin sees them along z."""
+    """Points (n, 3) on a wavy wall and on objects in front of it, seen by a camera at the origin that looks along z."""
     rng = np.random.default_rng(seed)
     u, v = rng.uniform(-0.5, 0.5, (2, n))
     near, far = depth
@@ -45,7 +45,7 @@ def geometry_of(x1: np.ndarray, x2: np.ndarray, F: np.ndarray, *, angle_deg: flo
 
 
 def seen_by_both(camera1: Camera, camera2: Camera, X: np.ndarray, noise_px: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
-    """Projections (n, 2), (n, 2) of the points that lie inside both images, with Gaussian noise on both."""
+    """Projections (n, 2), (n, 2) of the points that lie inside both images, with Gaussian noise in both."""
     x1, z1 = project(camera1, X)
     x2, z2 = project(camera2, X)
     size = np.array([WIDTH - 1, HEIGHT - 1])
@@ -59,7 +59,7 @@ def seen_by_both(camera1: Camera, camera2: Camera, X: np.ndarray, noise_px: floa
 def two_views(
     baseline: np.ndarray, *, target: float = 9.0, n: int = 1500, noise_px: float = 0.0
 ) -> tuple[Geometry, Camera, Camera]:
-    """A camera at the origin and one at `baseline`; both look at a point `target` ahead of the first."""
+    """Geometry and cameras of two views: from the origin and from `baseline`; both look at the point (0, 0, target)."""
     aim = np.array([0.0, 0.0, target])
     camera1, camera2 = looking(np.zeros(3), aim), looking(baseline, aim)
     x1, x2 = seen_by_both(camera1, camera2, scene(n=n), noise_px)

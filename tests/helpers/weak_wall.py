@@ -1,4 +1,4 @@
-"""A nearly even wall with windows, of any relief, before cameras on an arc, and its exact depth."""
+"""A wall with little texture, windows and any relief, seen by cameras on an arc, and its exact depth."""
 
 from __future__ import annotations
 
@@ -11,31 +11,31 @@ from wbflow_stages.core.cameras import backproject, project
 from wbflow_stages.types import Camera, DepthMap, Float64s, Frame, View
 
 WIDTH, HEIGHT, AWAY = 320, 180, 12.0
-"""Pixels, and metres to the wall."""
+"""Image width and height in pixels, and radius of the cameras' arc in metres."""
 
 Relief = Callable[[Float64s, Float64s], Float64s]
-"""How far behind y = 0 the wall lies, metres, by x and z."""
+"""Function of x and z that gives how far the wall is behind y = 0, metres."""
 
 
 @dataclass(frozen=True)
 class Wall:
-    """What `refine` needs of the middle one of five cameras."""
+    """The inputs of `refine` for the middle one of five cameras."""
 
     frames: dict[str, Frame]
     cameras: dict[str, Camera]
     name: str
     truth: Float64s
-    """(h, w) depth of the middle camera."""
+    """Depth map (h, w) of the middle camera."""
 
     def start(self, noise: float = 0.01) -> DepthMap:
-        """The true depth with relative noise, as pairs would have it."""
+        """The true depth with relative noise, like a depth map from pairs."""
         z = (self.truth * (1 + noise * np.random.default_rng(3).normal(size=self.truth.shape))).astype(np.float32)
         flat, sources = np.zeros_like(z), np.ones(z.shape, np.uint32)
         return DepthMap(z, np.float32(noise) * z, flat, flat, sources, (next(iter(self.cameras)),), np.ones(z.shape, bool))
 
 
 def make_wall(relief: Relief) -> Wall:
-    """Paint of 1 % contrast, half a grey level of noise, a window every four metres."""
+    """Make a wall with paint of 1 % contrast, half a grey level of noise, and a window every four metres."""
     rng, frames, cameras, truth = np.random.default_rng(0), {}, {}, np.zeros((0, 0))
     for degrees in (-24, -12, 12, 24, 0):
         a, name = np.radians(degrees), f"cam{degrees:+d}"
@@ -60,7 +60,7 @@ def _looking(position: Float64s) -> Camera:
 
 
 def _hit(camera: Camera, relief: Relief) -> Float64s:
-    """(n, 3) where each pixel's ray first meets the wall, which lies between y = -1.5 and 1.5."""
+    """Points (n, 3) where the pixels' rays first meet the wall, which has to lie between y = -1.5 and 1.5."""
     y, x = np.mgrid[:HEIGHT, :WIDTH].reshape(2, -1).astype(np.float64)
     ray = backproject(camera, np.column_stack([x, y]), np.ones(len(x))) - camera.C
     near, far = ((side - camera.C[1]) / ray[:, 1] for side in (-1.5, 1.5))
@@ -70,7 +70,7 @@ def _hit(camera: Camera, relief: Relief) -> Float64s:
         return np.asarray(X[:, 1] - relief(X[:, 0], X[:, 2]))
 
     before, after = near.copy(), far.copy()
-    for share in np.linspace(1, 0, 60):  # the first step behind the wall
+    for share in np.linspace(1, 0, 60):  # from far to near: ends with the nearest step behind the wall
         t = near + (far - near) * share
         after = np.where(behind(t) >= 0, t, after)
     before = after - (far - near) / 59
@@ -81,7 +81,7 @@ def _hit(camera: Camera, relief: Relief) -> Float64s:
 
 
 def _pattern(X: Float64s, seed: int) -> Float64s:
-    """(n,) of unit variance, waves of 6 cm to 2 m in all directions."""
+    """Pattern (n,) of unit variance: waves of 6 cm to 2 m in all directions."""
     rng, total = np.random.default_rng(seed), np.zeros(len(X))
     for _ in range(40):
         direction = rng.normal(size=3)

@@ -1,4 +1,4 @@
-"""Graph cuts plug in as a dense matcher."""
+"""Graph cuts can be used as a plug-in dense matcher."""
 
 from __future__ import annotations
 

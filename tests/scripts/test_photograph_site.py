@@ -1,4 +1,4 @@
-"""Photographs as sites of a fault bench: what the simulated lens bends, its stated distortion straightens."""
+"""Photographs as sites of a fault bench: the stated distortion removes the distortion of the simulated lens."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What benches measured: the page is what the kept tables say."""
+"""Results of benches: the page has exactly the content of the stored tables."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The scenes that only benches use: do they repeat and turn exactly where they say so?"""
+"""The scenes that only benches use: their symmetry and their camera positions are as stated, and each renders."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def angle_deg(a: np.ndarray, b: np.ndarray) -> float:
 
 @pytest.mark.parametrize(("symmetry", "turn", "same"), [(4, 3, True), (4, 6, True), (2, 6, True), (2, 3, False), (1, 3, False)])
 def test_the_hall_looks_the_same_from_another_side(symmetry: int, turn: int, same: bool) -> None:
-    """From camera k and from k + 3 (a quarter turn) or k + 6 (half a turn); lens, light and shadow included."""
+    """With this symmetry, camera k + 3 (a quarter turn) or k + 6 (half a turn) sees the same as k, light and shadow included."""
     prepared = hall_stage(symmetry)
     views = hall.viewpoints()
     for k in (1, 2):

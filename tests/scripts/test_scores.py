@@ -1,4 +1,4 @@
-"""Scores behave as their definitions say, on clouds and cameras whose errors are known."""
+"""Scores behave as defined, on clouds and cameras with known errors."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ PLANE = np.stack([*np.meshgrid(np.arange(0, 1, 0.02), np.arange(0, 1, 0.02)), np
 
 
 def raised(points: np.ndarray, height: float) -> np.ndarray:
-    """The points, higher."""
+    """The points, moved up by `height`."""
     return np.asarray(points + np.array([0, 0, height]))
 
 
@@ -38,7 +38,7 @@ def looking(centre: tuple[float, float, float], width: int = 160) -> Camera:
 
 
 def plane_depth(camera: Camera) -> np.ndarray:
-    """True depth of the plane z = 0."""
+    """True depth map of the plane z = 0."""
     v, u = np.mgrid[0 : camera.height, 0 : camera.width]
     rays = np.stack([u, v, np.ones_like(u)], axis=-1) @ np.linalg.inv(camera.K).T @ camera.R
     return np.asarray(-camera.C[2] / rays[..., 2], np.float32)
@@ -103,7 +103,7 @@ def test_pose_errors_are_those_that_were_made() -> None:
 
 
 def test_errors_of_the_centres_do_not_count_as_turns() -> None:
-    truth = {f"c{k}": looking((k - 1.5, -2 + 1e-3 * k**2, 1)) for k in range(4)}  # almost in a row
+    truth = {f"c{k}": looking((k - 1.5, -2 + 1e-3 * k**2, 1)) for k in range(4)}  # almost collinear
     shifted = {n: Camera(c.K, c.R, c.C + np.array([0, 0, 2e-3 * (n == "c1")]), c.width, c.height) for n, c in truth.items()}
     assert pose_errors(shifted, truth, aligned=True).rotation_deg.min() > 1
     assert turn_errors_deg(shifted, truth).max() < 1e-6

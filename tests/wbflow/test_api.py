@@ -1,4 +1,4 @@
-"""wbflow as a Python program uses it."""
+"""The Python interface of wbflow."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`wbflow capture` against servers on this machine."""
+"""`wbflow capture` with camera servers on this machine."""
 
 from __future__ import annotations
 

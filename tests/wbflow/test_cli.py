@@ -1,4 +1,4 @@
-"""What a person at the terminal meets: help at once, plain errors, exit codes, no tracebacks."""
+"""The command line as a user meets it: fast help, plain error messages, exit codes, no tracebacks."""
 
 from __future__ import annotations
 
@@ -159,7 +159,7 @@ def test_a_night_goes_on_when_nobody_reads_what_it_says(toy: ToySite) -> None:
         text=True,
     )
     assert process.stdout and process.stderr
-    process.stdout.close()  # as `| head` does after its lines
+    process.stdout.close()  # as `| head` does once it has its lines
     assert process.stderr.read() == ""
     assert process.wait(timeout=60) == 0
     assert (toy.work / "runs" / "latest-good" / "cloud.ply").exists()
@@ -174,7 +174,7 @@ def test_failures_are_named_on_screen_without_a_traceback_unless_asked(toy: ToyS
 
 
 def test_nothing_to_do_costs_little(toy: ToySite, tmp_path: Path) -> None:
-    """With the engine compiled, as it is after its first call."""
+    """If everything is cached, a run takes less than 1 s of CPU time; the engine is compiled already, as after a first call."""
     import resource
 
     env = {**toy.env(), "PYTHONDONTWRITEBYTECODE": "", "PYTHONPYCACHEPREFIX": str(tmp_path / "compiled")}

@@ -1,4 +1,4 @@
-"""The product on photographs with laser truth: four cameras, 30 degrees between neighbours."""
+"""The whole product on photographs with laser ground truth: four cameras, 30 degrees between neighbours."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ FOUR = ["0001", "0004", "0007", "0010"]
 
 
 def laser_points(step: int = 4) -> np.ndarray:
-    """Every `step`-th pixel of all depth maps, in the world."""
+    """World coordinates of every `step`-th pixel, in both directions, of all depth maps."""
     points = []
     for name, entry in json.loads((DATA / "cameras.json").read_text()).items():
         depth = np.load(DATA / "depth" / f"{Path(name).stem}.npz")["depth"][::step, ::step].astype(np.float64)

@@ -1,4 +1,4 @@
-"""The whole product where no depth can be told: cameras that hang on one mast, with lenses known and poses not."""
+"""The whole product on a scene without measurable depth: cameras on one mast, with known lenses and unknown poses."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Pixels of a `privacy:` polygon occur in no file below the work folder: later stages take their colours from these frames."""
+"""No file below the work folder contains pixels of a `privacy:` polygon: later stages take their colours from masked frames."""
 
 from __future__ import annotations
 
@@ -20,22 +20,22 @@ from wbflow.cache import artifact
 from wbflow.cache.ply import read_ply
 
 CORNERS = ((20, 60), (150, 50), (140, 175), (10, 170))
-"""Of the polygon, in captures of 320 x 180 pixels: a piece of the ground that both cameras see."""
+"""Corners of the privacy polygon, in captures of 320 x 180 pixels: a piece of the ground that both cameras see."""
 PLANTED = ((24, 64), (146, 54), (136, 171), (14, 166))
-"""Of what is planted in it."""
+"""Corners of the planted pattern, which lies inside the privacy polygon."""
 
 
 SECRET = ((255, 0, 255), (0, 255, 0))
 ANOTHER = ((10, 30, 40), (250, 250, 0))
-"""Colours of the squares that are planted."""
+"""`SECRET` and `ANOTHER` are two choices for the colours (RGB) of the planted squares."""
 
 Colour = tuple[int, int, int]
 PICTURE = re.compile(r"data:image/\w+;base64,([\w+/=]+)")
-"""In a report."""
+"""A picture in a report; the group is its data in base64."""
 
 
 def site_with_a_secret(folder: Path, private: bool, colours: tuple[Colour, Colour] = SECRET) -> Path:
-    """Two cameras of the yard, with squares whose colours nothing else in the yard has."""
+    """Write a site with two cameras of the yard; its captures get squares in colours that the yard does not have."""
     (folder / "in").mkdir(parents=True, exist_ok=True)
     rows = []
     for camera in small_yard().cameras[1:3]:
@@ -56,7 +56,7 @@ def site_with_a_secret(folder: Path, private: bool, colours: tuple[Colour, Colou
 
 
 def secret_share(pixels: npt.NDArray[np.uint8]) -> float:
-    """How much of some colours (..., 3) is that of the planted squares."""
+    """Share of pixels (..., 3) that have a colour of the planted squares (`SECRET`)."""
     colours = pixels.reshape(-1, 3).astype(int)
     outer, green = np.minimum(colours[:, 0], colours[:, 2]), colours[:, 1]
     purple, pure = outer - green > 110, green - np.maximum(colours[:, 0], colours[:, 2]) > 110
@@ -64,7 +64,7 @@ def secret_share(pixels: npt.NDArray[np.uint8]) -> float:
 
 
 def pictures_below(folder: Path) -> Iterator[tuple[str, npt.NDArray[np.uint8]]]:
-    """Everything with colours: pictures, those within reports, arrays of artifacts, clouds."""
+    """Yield name and colours of all pictures, pictures within reports, colour arrays of artifacts, and clouds below a folder."""
     for file in sorted(p for p in folder.rglob("*") if p.is_file() and not p.is_symlink()):
         if file.suffix in {".jpg", ".png"}:
             yield str(file), decoded(file.read_bytes())
@@ -96,11 +96,11 @@ def test_what_is_private_is_in_no_picture_artifact_or_report(tmp_path: Path, pri
 
 
 def test_nothing_that_a_night_leaves_depends_on_what_is_private(tmp_path: Path) -> None:
-    """Stronger than a search for colours, which lines and colour maps have too: with another secret in the polygon every frame,
-    and so the whole night, has the same bytes."""
+    """With other colours in the polygon, all frames and so all products of the night have the same bytes.  This is stronger than
+    a search for the colours, which drawn lines and colour maps contain, too."""
     first = wbflow.run(site_with_a_secret(tmp_path, True, SECRET), jobs=1, backend="threading")
     assert first.record.cloud is not None, first.record.reason
-    pictures = PICTURE.findall(first.place.paths.report.read_text())  # a later report that has them, too, takes them over
+    pictures = PICTURE.findall(first.place.paths.report.read_text())
     second = wbflow.run(site_with_a_secret(tmp_path, True, ANOTHER), jobs=1, backend="threading")
     assert {task.stage for task, event in second.ended.items() if event.outcome == "ran"} == {"frames"}
     one, two = first.place.paths, second.place.paths

@@ -1,4 +1,4 @@
-"""Work folders whose truth lies in an object store: as on disk, from any machine, whatever is killed, damaged or out of reach."""
+"""Work folders kept in an object store: same results as on disk, from any machine, despite kills, damage and outages."""
 
 from __future__ import annotations
 
@@ -29,12 +29,12 @@ from wbflow.remote import HELD, ObjectStore, StoreError
 pytest.importorskip("fsspec", reason="object stores need the extra: pip install 'wbflow[cloud]'")
 
 TASKS = 25
-"""Of a night of the toy's."""
+"""Number of tasks in one night of the toy site with three cameras."""
 
 
 @dataclass
 class Mirrored(ToySite):
-    """A toy site whose work lies in a store; `machine` says on which machine it is run."""
+    """A toy site whose work folder is kept in an object store; `machine` selects the machine that it runs on."""
 
     caches: Path = Path()
     backend: str = field(default="threading")
@@ -51,7 +51,7 @@ class Mirrored(ToySite):
         os.environ["WBFLOW_CACHE"] = str(self.caches / name)
 
     def reported(self, *arguments: str) -> tuple[int, str]:
-        """Exit code and words of a command in this process."""
+        """Exit code and output of a command that runs in this process."""
         command = [arguments[0], str(self.file), *arguments[1:]]
         more = ["--backend", self.backend, "--jobs", "1"] if arguments[0] == "run" else []
         result = CliRunner().invoke(main, [*command, *more], env=self.env())
@@ -66,7 +66,7 @@ def _quick(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
 
 @pytest.fixture
 def made(toy: ToySite, tmp_path: Path) -> Callable[[str], Mirrored]:
-    """The same toy site with its work at a URL."""
+    """Makes the toy site with its work folder at a given URL."""
 
     def make(url: str) -> Mirrored:
         shutil.rmtree(toy.folder)
@@ -77,13 +77,13 @@ def made(toy: ToySite, tmp_path: Path) -> Callable[[str], Mirrored]:
 
 @pytest.fixture
 def site(made: Callable[[str], Mirrored], tmp_path: Path) -> Mirrored:
-    """A site whose store is another folder: for all that does not ask for an S3 of its own."""
+    """A site whose store is another folder, for tests that need no S3 server."""
     return made(f"file://{tmp_path}/store")
 
 
 @pytest.fixture(scope="module")
 def s3(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
-    """The URL of a bucket on a server of this machine."""
+    """The URL of a bucket on an S3 server that runs on this machine."""
     pytest.importorskip("s3fs", reason="object stores need the extra: pip install 'wbflow[cloud]'")
     server_of = pytest.importorskip("moto.server", reason="moto is not installed: pip install 'wbflow[test]'")
     server = server_of.ThreadedMotoServer("127.0.0.1", 0, verbose=False)
@@ -103,7 +103,7 @@ def s3(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
 
 @pytest.fixture
 def requests(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, str]]:
-    """What S3 is asked, and of which object."""
+    """The requests to S3, in order: method, and name or prefix of the object."""
     import s3fs
 
     asked: list[tuple[str, str]] = []
@@ -118,13 +118,13 @@ def requests(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, str]]:
 
 
 def on_disk(site: Mirrored, tmp_path: Path) -> bytes:
-    """The cloud that the same site makes in an ordinary work folder."""
+    """The cloud that the same site produces in an ordinary work folder on disk."""
     assert site.reported("run", "--work", str(tmp_path / "disk"))[0] == 0
     return (tmp_path / "disk" / "runs" / "latest" / "cloud.ply").read_bytes()
 
 
 def receipts(url: str, scratch: Path) -> set[str]:
-    """Tasks that a store knows the results of."""
+    """Names of the tasks whose receipts are in a store."""
     work = WorkFolder(scratch, url)
     remote.pull_to_read(work)
     return {json.loads(path.read_bytes())["task"] for path in work.receipts()}
@@ -135,7 +135,7 @@ def receipts_here(site: Mirrored) -> set[str]:
 
 
 def claim(minutes: float) -> bytes:
-    """What a machine has left in the store so long ago."""
+    """The content of the store's lock (`HELD`) as another machine wrote it `minutes` ago."""
     return json.dumps({"token": "t", "host": "crane-pc", "pid": 7, "seen": time.time() - 60 * minutes}).encode()
 
 
@@ -168,7 +168,7 @@ def test_a_night_is_killed_and_another_machine_goes_on_with_what_has_gone_up(
     there = receipts(site.url, tmp_path / "scratch")
     assert 2 < len(there) < TASKS
     site.fault("slow", "0")
-    site.machine("second")  # the first one's folder is gone with it
+    site.machine("second")  # the first machine is lost, together with its folder
     assert site.reported("run")[0] == ExitCode.LOCKED
     store.write(HELD, claim(minutes=61))
     record = site.run()

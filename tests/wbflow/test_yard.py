@@ -1,4 +1,4 @@
-"""The whole product on the small demo yard: from captures to a cloud that is near the rendered truth."""
+"""The whole product on the small demo yard: from captures to a cloud close to the rendered ground truth."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from wbflow_stages.exports.previews import matches_preview
 
 @pytest.fixture(scope="module")
 def yard(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The site after its first run, which compiles every kernel itself, as the first run on a machine does."""
+    """The site after its first run, which compiles all kernels, as the first run on a machine does."""
     folder = tmp_path_factory.mktemp("small") / "yard"
     write_demo(folder, small=True)
     record = run(folder, NUMBA_CACHE_DIR=str(tmp_path_factory.mktemp("kernels")))
@@ -74,7 +74,7 @@ def test_the_report_shows_the_inliers_of_every_pair_on_its_frames(yard: Path) ->
 
 
 def test_what_is_measured_in_the_page_is_within_its_standard_deviation_of_the_truth(yard: Path) -> None:
-    """Clicks all over the 3-D view; each point's true place is where the true surface lies nearest to it."""
+    """Points are clicked all over the 3-D view; the true place of each is its projection onto the nearest true surface."""
     webdriver = pytest.importorskip("selenium.webdriver")
     with chromium(1000, 800) as browser:
         browser.get(wbflow.open_run(yard).place.paths.report.as_uri())
@@ -184,8 +184,8 @@ def test_a_camera_that_has_been_turned_is_named_with_how_far_and_the_others_stay
 
 
 def test_one_task_of_each_stage_can_be_done_alone_and_gives_the_same_bytes(yard: Path, tmp_path: Path) -> None:
-    """The scripts that `wbflow debug` writes, all in one process, to load the libraries once."""
-    run(yard)  # the newest run is one of all stages
+    """The scripts that `wbflow debug` writes run in one process, so that libraries are loaded only once."""
+    run(yard)  # so that the newest run has all stages
     tasks = {task.stage: str(task) for task in wbflow.open_run(yard).tasks}
     for stage, task in tasks.items():
         result = CliRunner().invoke(main, ["debug", str(yard), task, "--out", str(tmp_path / stage)])

@@ -1,4 +1,4 @@
-"""Artifacts come back as they went in, equal objects give equal bytes, and damage is noticed."""
+"""Artifacts are decoded exactly as they were encoded, equal objects give equal bytes, and damage is detected."""
 
 from __future__ import annotations
 

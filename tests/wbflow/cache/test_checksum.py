@@ -1,4 +1,4 @@
-"""What is remembered is believed only as it was written, and only of what it is of."""
+"""Remembered content is used only if it is unchanged and belongs to the expected subject."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What stays on disk: as much as somebody has said, and never less than the newest and the last good run need."""
+"""What is kept on disk: as much as the settings say, but never less than the newest and the last good run need."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from wbflow.cache.layout import WorkFolder
 
 @pytest.fixture
 def small(tmp_path: Path, toy: ToySite) -> ToySite:
-    """Two cameras, so that a night takes no time."""
+    """A site with two cameras, so that a night takes no time."""
     return ToySite(tmp_path / "small", ["gate", "roof"], backend="threading")
 
 
 def night(toy: ToySite, day: int, view: str = "", **keep: Any) -> str:
-    """A night with captures of its own; the run's id."""
+    """Run a night with new captures (or those of `view`); return the run's id."""
     site = json.loads(toy.file.read_text())
     toy.file.write_text(json.dumps({**site, **({"keep": keep} if keep else {})}))
     for camera in toy.cameras:
@@ -30,9 +30,9 @@ def night(toy: ToySite, day: int, view: str = "", **keep: Any) -> str:
 
 
 def bytes_under(folder: Path) -> int:
-    """What a folder takes, as du counts it once all is on disk; a file with two names counts once."""
+    """The size of a folder in whole blocks of 4096 bytes, as du counts it; files with several hard links count once."""
     sizes = {(found := os.lstat(path)).st_ino: found.st_size for path in folder.rglob("*")}
-    return sum(-(-size // 4096) * 4096 for size in sizes.values())  # st_blocks counts room held ahead of a file just written, too
+    return sum(-(-size // 4096) * 4096 for size in sizes.values())  # st_blocks includes space preallocated for new files
 
 
 def test_thirty_nights_take_no_more_than_ten(small: ToySite) -> None:
@@ -59,7 +59,7 @@ def test_identical_products_share_their_bytes_and_no_later_write_changes_both(to
     second = toy.work / "runs" / toy.run()["run"] / "cloud.ply"
     cloud = first.read_bytes()
     assert second.read_bytes() == cloud
-    shared = first.stat().st_ino == second.stat().st_ino  # else the file system has made a clone
+    shared = first.stat().st_ino == second.stat().st_ino  # otherwise the file system has made a clone
     assert shared or bytes_under(toy.work / "runs") > 2 * len(cloud)
     assert not first.stat().st_mode & 0o222, "no program may write through one name what the other then shows"
     toy.capture("roof").write_text("another view")
@@ -95,7 +95,7 @@ def test_clean_leaves_what_is_published(small: ToySite) -> None:
 
 
 def test_bytes_are_a_limit_that_the_newest_run_alone_may_pass(small: ToySite) -> None:
-    small.keys = {"pin": "none"}  # what a reference holds would stay, too
+    small.keys = {"pin": "none"}  # a reference would keep its artifacts, too
     small.write()
     night(small, 1)
     one = bytes_under(small.work / "cache")

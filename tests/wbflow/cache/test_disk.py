@@ -1,4 +1,4 @@
-"""A full disk costs a night at most: it says how much is needed and free, and what is finished stays."""
+"""A full disk costs one night at most: the error states the space needed and free, and finished results are kept."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The fingerprint of a function: what it runs counts, what things are called and where they lie does not."""
+"""The fingerprint of a function depends on the code that it runs, not on names or the places of files."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def other(left, *, n: int = 4):
 
 
 class Package:
-    """A package in a folder that Python finds."""
+    """A package in a folder on Python's path."""
 
     def __init__(self, root: Path) -> None:
         self.root = root
@@ -125,7 +125,7 @@ def test_a_change_in_the_stages_counts_for_whoever_imports_them(package: Package
 def test_any_library_that_the_code_imports_counts_by_its_minor_version(
     package: Package, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Also one that is called otherwise than what provides it, and one that a helper imports within a function."""
+    """This includes libraries that are imported by another name than their package's, and imports within a helper's functions."""
 
     def install(version: str) -> None:
         folder = tmp_path / "Deep_Nets-1.dist-info"

@@ -1,4 +1,4 @@
-"""A work folder belongs to one site: another is refused, and a site that is moved, copied or renamed on disk is not."""
+"""A work folder belongs to one site: another site is refused; the same one, moved, copied or renamed on disk, is not."""
 
 from __future__ import annotations
 

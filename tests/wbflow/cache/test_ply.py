@@ -1,4 +1,4 @@
-"""Clouds as files: what is written is what is read, whatever the coordinates."""
+"""Clouds as PLY files: reading returns what was written, whatever the coordinates."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def test_coordinates_keep_their_millimetres(tmp_path: Path, origin: tuple[float,
     (tmp_path / "cloud.ply").write_bytes(ply_bytes(cloud_columns(cloud)))
     table = read_ply(tmp_path / "cloud.ply")
     read = np.stack([table[name] for name in "xyz"], axis=1)
-    assert read.dtype == kind  # single precision wherever it suffices: files of half the size, for viewers of all ages
+    assert read.dtype == kind  # single precision where it suffices: half the file size, and old viewers can read it
     assert np.abs(read - cloud.points).max() < 0.0005
 
 

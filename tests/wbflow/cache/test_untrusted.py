@@ -1,4 +1,4 @@
-"""Whatever lies where a file from outside should be: it is read, or named, at once."""
+"""Whatever is in the place of a file from outside (a pipe, device, huge file or link loop) is read or reported at once."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a person at a terminal sees of a run, and what is in a file that its words go to."""
+"""The output of a run on a terminal, and in a file that it is redirected to."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ ESCAPES = re.compile(r"\x1b\[[0-9;?]*[A-Za-z]")
 
 
 def on_a_terminal(toy: ToySite, *arguments: str, **environment: str) -> tuple[str, list[tuple[str, bool]]]:
-    """All that a run writes to a terminal of 80 x 30; and each piece, with whether a task had left its artifact by then."""
+    """The output of a run on a terminal of 80 x 30: whole, and in pieces, each with whether a frames task had ended by then."""
     ours, theirs = pty.openpty()
     env = {**toy.env(), "TERM": "xterm-256color", "COLUMNS": "80", "LINES": "30", **environment}
     process = subprocess.Popen(
@@ -32,7 +32,7 @@ def on_a_terminal(toy: ToySite, *arguments: str, **environment: str) -> tuple[st
     pieces = []
     while True:
         try:
-            piece = os.read(ours, 65536).decode(errors="replace")  # a piece may end within a character
+            piece = os.read(ours, 65536).decode(errors="replace")  # a piece may end in the middle of a character
         except OSError:  # the other end is closed
             break
         if not piece:

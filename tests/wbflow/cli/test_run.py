@@ -1,4 +1,4 @@
-"""What is said of a night when it is over."""
+"""What is printed about a night when it has ended."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The page of `wbflow edit` in Chromium: clicks and keys, as somebody who sets up a site makes them."""
+"""The page of `wbflow edit` in Chromium, operated with mouse and keyboard as by someone who sets up a site."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def browser() -> Iterator[Any]:
 
 @dataclass
 class Page:
-    """The page of a site, with a browser on it."""
+    """A browser that has the edit page of a site open."""
 
     browser: Any
     file: Path
@@ -48,7 +48,7 @@ class Page:
         return found
 
     def at(self, x: float, y: float) -> Any:
-        """Moves the pointer to a pixel of the capture."""
+        """An action chain that moves the pointer to a pixel of the capture."""
         u, v, wide, high = self.run("return [...toScreen(...arguments), canvas.clientWidth, canvas.clientHeight]", x, y)
         return webdriver.ActionChains(self.browser, duration=0).move_to_element_with_offset(
             self.canvas, round(u - wide / 2), round(v - high / 2)
@@ -67,7 +67,7 @@ class Page:
         self.browser.find_element("css selector", f"[data-tool={name}]").click()
 
     def to(self, camera: str) -> None:
-        """Tab leads from one camera to the next."""
+        """Press Tab until the page shows the camera."""
         while self.run("return edit.camera") != camera:
             self.keys(Keys.TAB)
         self.ready(camera)
@@ -98,7 +98,7 @@ def page(browser: Any, tmp_path: Path) -> Iterator[Page]:
         page = Page(browser, file, server.address)
         page.ready("gate")
         yield page
-        browser.execute_script("edit.saved = packed()")  # nothing holds the page back
+        browser.execute_script("edit.saved = packed()")  # without unsaved changes, no dialog holds the page back
         browser.get("about:blank")
 
 

@@ -1,4 +1,4 @@
-"""`wbflow edit` over HTTP: who gets an answer, and what is written."""
+"""`wbflow edit` over HTTP: which requests are answered, and what is written to the site file."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def state(server: EditServer) -> dict[str, Any]:
 
 
 def marks(state: dict[str, Any]) -> dict[str, Any]:
-    """What the page sends when nothing was drawn."""
+    """What the page sends if nothing was drawn."""
     cameras = {c["id"]: {"privacy": [{"was": k, "corners": p} for k, p in enumerate(c["privacy"])]} for c in state["cameras"]}
     return {"cameras": cameras, "zones": state["zones"], "points": state["points"]}
 
@@ -67,7 +67,7 @@ def save(server: EditServer, drawn: dict[str, Any], version: str) -> tuple[int, 
 
 
 def changed(file: Path) -> list[str]:
-    """Lines of the site file that went, and that came."""
+    """Lines removed from and added to the site file, marked with - and +."""
     return [line for line in difflib.ndiff(edit_site.SITE.splitlines(), file.read_text().splitlines()) if line[0] in "-+"]
 
 
@@ -271,7 +271,7 @@ def test_zones_are_drawn_where_the_ground_is_seen(server: EditServer) -> None:
 @pytest.mark.parametrize("ends", ["done", "interrupt"])
 def test_the_command_prints_the_address_and_ends_when_somebody_is_done(file: Path, ends: str) -> None:
     command = [sys.executable, "-m", "wbflow", "edit", str(file)]
-    # tests in the background of a shell ignore SIGINT, and so would what they start
+    # tests started in the background of a shell ignore SIGINT, and their child processes would inherit this
     heeds = partial(signal.signal, signal.SIGINT, signal.SIG_DFL)
     environment = {**os.environ, "PYTHONUNBUFFERED": "1"}
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=environment, preexec_fn=heeds) as process:

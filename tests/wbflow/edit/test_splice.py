@@ -1,4 +1,4 @@
-"""One value of a YAML file is changed, and every other byte stays."""
+"""Editing one value of a YAML file keeps every other byte."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ TEMPLATE = Path(__file__).resolve().parents[3] / "sites" / "template.yaml"
 
 
 def lines(before: str, after: str) -> list[str]:
-    """Lines that are no longer there, and those that came."""
+    """The removed and added lines, marked with - and +."""
     return [line for line in difflib.ndiff(before.splitlines(), after.splitlines()) if line[0] in "-+"]
 
 

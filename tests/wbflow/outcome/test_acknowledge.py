@@ -1,4 +1,4 @@
-"""Findings that somebody knows of."""
+"""Acknowledged findings neither degrade a night nor notify anybody until they expire."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ LOST = ("camera-lost", "crane")
 
 @pytest.fixture
 def site(toy: ToySite, tmp_path: Path) -> ToySite:
-    """A site whose camera `crane` delivers nothing."""
+    """A site whose camera `crane` delivers no captures."""
     toy.capture("crane").unlink()
     toy.dated, toy.backend = True, "threading"
     toy.keys = {"notify": {"command": f"echo $WBFLOW_EVENT >> {tmp_path / 'calls'}"}}

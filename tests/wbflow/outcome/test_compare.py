@@ -1,4 +1,4 @@
-"""Two nights side by side: what differs, and nothing else."""
+"""A comparison of two nights lists what differs, and nothing else."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def test_two_nights_that_are_alike() -> None:
 
 @pytest.fixture
 def past(tmp_path: Path) -> Callable[..., str]:
-    """`wbflow compare` on a site with three nights, the last of which has lost points."""
+    """Runs a wbflow command on a site with three nights, the last of which has lost points; returns the output."""
     (tmp_path / "site.yaml").write_text("site: yard\ncaptures: {pattern: '{camera}'}\ncameras: [crane, gate, mast, roof]\n")
     work = WorkFolder.beside(tmp_path / "site.yaml", "yard")
     records: list[RunRecord] = []

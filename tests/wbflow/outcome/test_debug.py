@@ -1,4 +1,4 @@
-"""One task alone: what it is handed as files, and a script that does it."""
+"""`wbflow debug`: the inputs of one task as files, and a script that runs it alone."""
 
 from __future__ import annotations
 

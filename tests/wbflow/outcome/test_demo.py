@@ -1,4 +1,4 @@
-"""`wbflow demo`: what is written can be run as it is, and nobody's files are touched."""
+"""`wbflow demo`: its files can be run as they are, and files of the user stay untouched."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from wbflow_demo.render.photograph import DemoSite, Shots
 
 
 def rendered(shots: Shots) -> DemoSite:
-    """The small yard, rendered once (rendering is tested elsewhere), with fewer captures where fewer are asked for."""
+    """The small yard, rendered once (rendering is tested elsewhere), with at most `shots.captures` captures per camera."""
     site = small_yard(shots.light)
     return replace(site, cameras=tuple(replace(c, captures=c.captures[: shots.captures]) for c in site.cameras))
 

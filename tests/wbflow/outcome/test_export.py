@@ -1,4 +1,4 @@
-"""A run's results for other programs: from a finished run, without running anything again."""
+"""Exports of a finished run for other programs, without running anything again."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ ORIGIN = (53.541, 9.966, 52.0)
 
 @pytest.fixture(scope="module")
 def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The small demo, run once, with few points: a mesh through many takes long."""
+    """The small demo, run once with few points, since meshing many takes long."""
     folder = tmp_path_factory.mktemp("export") / "demo"
     write_demo(folder, small=True, captures=1)
     with (folder / "site.yaml").open("a") as file:
@@ -37,7 +37,7 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def exported(site: Path) -> Path:
-    """Everything that can be exported of it."""
+    """A folder with everything that can be exported from the site's run."""
     result = wbflow_export(site, site / "out", *ALL)
     assert result.exit_code == 0, result.output
     written = {Path(line) for line in result.stdout.splitlines()}
@@ -105,7 +105,7 @@ def test_heights_agree_with_the_cloud(site: Path, exported: Path) -> None:
 
 
 def share_below(heights: np.ndarray, row: np.ndarray, column: np.ndarray, z: np.ndarray) -> float:
-    """The share of points that lie no higher than their cell of a height map; where the map is shifted or flipped, about half."""
+    """Share of points that are not above their cell of a height map; about half if the map is shifted or flipped."""
     row, column = np.floor(row).astype(int), np.floor(column).astype(int)
     inside = (row >= 0) & (row < heights.shape[0]) & (column >= 0) & (column < heights.shape[1])
     assert inside.mean() > 0.99
@@ -165,7 +165,7 @@ def test_cameras_of_a_site_on_the_map_are_geojson_and_of_others_are_refused(site
 
 
 def placed_on_the_map(site: Path, copy: Path) -> Path:
-    """A copy of a site whose cameras are said to have been found by latitude and longitude."""
+    """A copy of a site with georeferenced poses, as if its cameras were stated by latitude and longitude."""
     from dataclasses import replace
 
     from wbflow.cache import artifact

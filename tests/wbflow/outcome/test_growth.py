@@ -1,4 +1,4 @@
-"""Cut and fill through the nights: volumes of zones, and each change from its first night to its last."""
+"""Cut and fill over several nights: volumes of zones, and each change from its first night to its last."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`wbflow init`: a folder of photographs becomes a site."""
+"""`wbflow init` turns a folder of photographs into a site."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Changes that somebody knows of: they are found again by kind and place, whatever number they have on another night."""
+"""Acknowledged changes are recognised on later nights by kind and place, whatever their number there."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def wbflow(folder: Path, *words: str) -> Result:
 
 
 def known_of(folder: Path, record: RunRecord) -> dict[str, str]:
-    """What is known of the changes of a night, by number."""
+    """The acknowledgements of a night's changes, by number; "" without one."""
     there = acknowledge.read(load_site(folder))
     return {number: change.acknowledged for number, change in changes_of(with_known(record, there)).items()}
 
@@ -111,7 +111,7 @@ def test_on_the_page_known_changes_come_last_grey_and_are_counted_apart(tmp_path
 def test_a_run_writes_what_is_known_and_another_number_the_next_night_is_known_too(
     toy: ToySite, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The toy site compares nothing: its nights are given changes where they are judged."""
+    """The toy site compares nothing, so its nights get made-up changes when they are judged."""
     toy.backend = "threading"
     nights = iter([(VAN, CONTAINER), (replace(CONTAINER, x=9.5), VAN)])
     judged = verdict.judge_run

@@ -1,4 +1,4 @@
-"""Nights of a site, one after the other: what is said of each, and where it is found."""
+"""Consecutive nights of a site: the verdict on each, and where its files are found."""
 
 from __future__ import annotations
 
@@ -87,7 +87,7 @@ def test_what_is_expected_stands_in_the_site_file(toy: ToySite) -> None:
 
 
 def test_a_copy_of_a_work_folder_without_links_takes_the_next_night(toy: ToySite) -> None:
-    """`cp -rL` makes folders of `latest` and `latest-good`."""
+    """`cp -rL` turns the links `latest` and `latest-good` into folders."""
     first = toy.run()
     for name in ("latest", "latest-good"):
         link = toy.work / "runs" / name

@@ -1,4 +1,4 @@
-"""Somebody is told when the state of a site changes, and only then; nothing that the command does harms the night."""
+"""Notifications: sent when a site's state changes, or as set reminders and heartbeats; a failing command harms no night."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ with open("told.jsonl", "a") as file:
 
 
 class Site:
-    """A work folder whose nights are told to a program that writes down what it hears."""
+    """A work folder whose notifications go to a program that writes down what it receives."""
 
     def __init__(self, folder: Path, **settings: Any) -> None:
         self.work = WorkFolder(folder / "work")
@@ -53,7 +53,7 @@ class Site:
 
 
 def down(*names: str, date: str = "2026-11-20") -> RunRecord:
-    """A night without some cameras."""
+    """A night on which these cameras are lost."""
     pairs = [pair for pair in without(names[0]) if not {pair.left, pair.right} & set(names)]
     return night(date, [lost(name) if name in names else camera(name) for name in NAMES], pairs)
 
@@ -113,7 +113,7 @@ def test_a_heartbeat_is_heard_every_night(tmp_path: Path) -> None:
 
 
 def later(record: RunRecord, hours: float) -> RunRecord:
-    """The same from a run that ended so many hours after that of the 20th."""
+    """The same record from a run that ended `hours` after that of the 20th (03:16 UTC)."""
     ended = moment("2026-11-20T03:16:00Z") + datetime.timedelta(hours=hours)
     return replace(record, finished=stamp(ended))
 

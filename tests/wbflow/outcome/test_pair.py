@@ -1,4 +1,4 @@
-"""Two photographs and nothing else."""
+"""`wbflow pair`: two photographs and nothing else."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a run publishes beside its cloud: files of site-wide stages, and figures in run.json and the report."""
+"""What a run publishes besides its cloud: files of site-wide stages, and figures in run.json and the report."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def files(result):
         raise ValueError("no map has the place")
 """
 ROW = next(row for row in pipeline.STAGES if row.products.files)
-"""A row that publishes files, on which no other rests."""
+"""The first stage that publishes files; no other stage depends on it."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -36,7 +36,7 @@ class ToySummary(SiteSummary):
 
 @pytest.fixture
 def toy_with_files(toy: ToySite, monkeypatch: pytest.MonkeyPatch) -> ToySite:
-    """A toy site with one more stage, whose result is published as a text."""
+    """A toy site with one more stage, whose result is published as a text file."""
     monkeypatch.syspath_prepend(str(toy.folder))
     site = json.loads(toy.file.read_text())
     site["stages"][ROW.name] = {"use": "toylook:look"}

@@ -1,4 +1,4 @@
-"""Units that `wbflow init --systemd` writes."""
+"""The systemd units that `wbflow init --systemd` writes, and the container."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a night is said to have come to: only what a person has to look at, and all of that."""
+"""The verdict on a night: it names everything that a person has to look at, and nothing else."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def night(
     facts: Facts = NOTHING_FAILED,
     settings: str = "as ever",
 ) -> RunRecord:
-    """A night that has been judged; `past`: the nights before it, newest first."""
+    """A judged night; `past`: the nights before it, newest first."""
     box = ((0.0, 0.0, 0.0), (1.0, 1.0, 1.0))
     run = date.replace("-", "") + "T031500Z"
     times = f"{date}T03:15:00Z", f"{date}T03:16:00Z"
@@ -146,7 +146,7 @@ def test_without_an_earlier_night_the_plan_says_how_many_pairs_there_should_be()
 
 @pytest.mark.parametrize("before", [0, 1, 7])
 def test_a_night_that_is_poor_in_pairs_is_no_good_night_though_every_camera_takes_part(before: int) -> None:
-    """21 pairs rejected, and 50 tasks after them skipped; every camera is in a pair, and there is a cloud."""
+    """21 pairs are rejected, yet every camera is in a pair, and there is a cloud."""
     names = [f"camera-{k}" for k in range(10)]
     kept = [*zip(names[::2], names[1::2], strict=True), ("camera-1", "camera-2")]
     others = [(a, b) for k, a in enumerate(names) for b in names[k + 1 : k + 5] if (a, b) not in kept][:21]
@@ -329,13 +329,13 @@ def test_a_camera_whose_pairs_give_nothing_where_its_pose_puts_them_may_stand_el
 
 
 def rows(left: str, right: str, given: float, beside: float) -> PairRecord:
-    """A pair refused by its rows, of stated poses."""
+    """A pair with stated poses, rejected by dense matching; given, beside: shares that match on the stated rows and eight off."""
     figures = PairFigures(known="stated", row_share=given, row_chance=beside)
     return PairRecord(left, right, "rejected", "dense matching does not confirm the cameras", matched=True, figures=figures)
 
 
 def test_of_two_cameras_without_a_pair_the_one_that_explains_the_others_is_named() -> None:
-    wide = rows("crane", "roof", 0.026, 0.024)  # says nothing: neither row matches
+    wide = rows("crane", "roof", 0.026, 0.024)  # no evidence: about as much matches eight rows off
     tried = [pair("crane", "gate"), rows("crane", "mast", 0.03, 0.1), rows("gate", "mast", 0.01, 0.012), wide]
     (fruitless,) = (
         f

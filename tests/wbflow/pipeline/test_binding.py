@@ -1,4 +1,4 @@
-"""Stages and the methods they choose among: inputs by argument name, parameters of the chosen method only."""
+"""Stages and their methods: inputs are bound by argument name, and only the chosen method's parameters are known."""
 
 from __future__ import annotations
 

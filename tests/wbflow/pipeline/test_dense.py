@@ -1,4 +1,4 @@
-"""Which pairs are made dense: the rules of the pair graph, and what was matched where there is room."""
+"""Selection of the pairs for dense matching: by the rules of the pair graph, plus matched pairs where there is room."""
 
 from __future__ import annotations
 

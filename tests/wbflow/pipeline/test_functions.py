@@ -1,4 +1,4 @@
-"""Parameters and fingerprints are read from source: a helper's change counts, a comment does not."""
+"""Parameters and fingerprints are read from source; a change in a helper changes the fingerprint, a comment does not."""
 
 from __future__ import annotations
 

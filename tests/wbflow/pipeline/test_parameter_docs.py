@@ -1,4 +1,4 @@
-"""Every parameter is told with its default and what it means."""
+"""Every parameter of every stage is listed with its default and its meaning."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Signatures read from source: literals wherever they are written, and what is not literal is left to the function."""
+"""Signatures read from source: literal defaults are resolved wherever they are defined, others are left to the function."""
 
 from __future__ import annotations
 

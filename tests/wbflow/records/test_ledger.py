@@ -1,4 +1,4 @@
-"""The ledger is an index: lost or damaged, it is made again, and says so."""
+"""The ledger is only an index: it is rebuilt from the run folders if it is lost or damaged; damage is reported."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def full_ledger(work: WorkFolder, runs: int = 3) -> None:
 
 
 def damage_pages(work: WorkFolder) -> None:
-    """All pages but the first, which says what the file is."""
+    """Damage all pages but the first, which identifies the file as a database."""
     data = bytearray(work.ledger.read_bytes())
     data[4096:] = b"\x5a" * len(data[4096:])
     work.ledger.write_bytes(data)

@@ -1,4 +1,4 @@
-"""run.json: its keys are a contract, and what a later version adds does no harm."""
+"""run.json: its keys are a contract, and keys that a later version adds are ignored."""
 
 from __future__ import annotations
 

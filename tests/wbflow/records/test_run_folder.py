@@ -1,4 +1,4 @@
-"""A run's folder: whole or not there, and readable by whoever comes later."""
+"""A run's folder is published whole or not at all, and later runs and versions can read it."""
 
 from __future__ import annotations
 
@@ -90,7 +90,7 @@ def test_a_kill_before_the_link_was_turned_is_mended_and_costs_no_published_file
     files = {path.name: path.read_bytes() for path in newest.folder.iterdir()}
     work.start_writing()
     for link in (work.latest, work.latest_good):
-        work.turn(link, "20261120T031500Z")  # as it was when the kill came
+        work.turn(link, "20261120T031500Z")  # its state at the time of the kill
     work.unfinished_run(work.latest.name).folder.symlink_to(newest.folder.name)
     assert work.start_writing(), "somebody was killed"
     turn_links(work)

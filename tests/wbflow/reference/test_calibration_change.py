@@ -1,4 +1,4 @@
-"""A calibration that has changed since the reference was pinned is named, by what has changed and by how much."""
+"""A calibration that has changed since the reference was pinned is reported: what has changed, and by how much."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ NAMES = ("gate", "roof", "mast")
 def calibration(
     focal: float = 500.0, k1: float = -0.2, turned_deg: float = 0.0, scale: float = 1.0, of: tuple[str, ...] = NAMES
 ) -> dict[str, Any]:
-    """Of three cameras; some zoomed, with other distortion, turned about z; positions scaled."""
+    """Calibration of three cameras: `focal` and `k1` apply to those in `of`; `mast` is turned about z; positions are scaled."""
     found = {}
     for k, name in enumerate(NAMES):
         changed = name in of

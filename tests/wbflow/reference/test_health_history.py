@@ -1,4 +1,4 @@
-"""What earlier nights measured of a camera: the last of them, however many there are."""
+"""Measurements of a camera on earlier nights: only the last nights are read, however many there are."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ FIRST = datetime.date(2026, 1, 2)
 
 
 def night(number: int, shift: float, reference: str = REFERENCE) -> RunRecord:
-    """The record of the night so many days after the first."""
+    """The record of the night `number` days after the first."""
     date = FIRST + datetime.timedelta(days=number)
     figures = {"shift_x_px": shift, "shift_y_px": 0.0, "roll_deg": 0.0}
     gate = CameraRecord("gate", "ok", health=Health("ok", figures=figures))

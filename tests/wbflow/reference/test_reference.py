@@ -1,4 +1,4 @@
-"""The pinned reference: what later nights take from it, and that no night changes it."""
+"""The pinned reference: later nights reuse its results, and no night changes it."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def toy(tmp_path: Path) -> ToySite:
 
 
 def ran(site: ToySite) -> set[str]:
-    """Tasks of pinned geometry that the last run worked out."""
+    """The tasks of pinned stages that the last run executed."""
     return {task for task in site.ran() if task.split(" ")[0] in GEOMETRY}
 
 
@@ -179,7 +179,7 @@ def test_a_damaged_artifact_of_the_reference_is_done_without(toy: ToySite) -> No
     file = work.artifact(task, pinned.artifacts[task].key, ".wbf")
     data = bytearray(file.read_bytes())
     data[-3] ^= 1
-    file.write_bytes(data)  # a link: the copy is the same file
+    file.write_bytes(data)
     toy.night(SECOND)
     assert toy.run("--date", SECOND)["cloud"]["points"] > 0
 
@@ -244,7 +244,7 @@ def test_nights_are_pooled_into_the_surface_of_the_reference(toy: ToySite) -> No
     assert before is not None
     assert after is not None
     changed = {task for task in after.artifacts if after.artifacts[task] != before.artifacts[task]}
-    assert {str(task) for task in changed} == {"depth a", "depth b"}  # c was shifted one night: too few are left
+    assert {str(task) for task in changed} == {"depth a", "depth b"}  # c was shifted on one night, so too few nights are left
     assert "depth a: pooled from 3 nights" in pooled.stdout
     toy.night("2026-11-04")
     toy.run("--date", "2026-11-04")
@@ -276,7 +276,7 @@ def test_pooling_in_any_order_of_nights_twice_or_after_a_kill_makes_the_same_ref
         toy.run("--date", date)
     functions = {(cache, "write_atomic"): atomic.write_atomic, (cache, "write_checksummed"): checksum.write_checksummed}
     functions |= {(reference, "copy_atomic"): atomic.copy_atomic, (reference, "write_atomic"): atomic.write_atomic}
-    for last in (1, 2, 4, 6, 7, 30, 1000):  # the last is never reached
+    for last in (1, 2, 4, 6, 7, 30, 1000):  # 1000 steps are never reached, so the last one is not interrupted
         steps = iter(range(1000))
         for (module, name), function in functions.items():
             monkeypatch.setattr(module, name, _dying(function, steps, last))
@@ -286,7 +286,7 @@ def test_pooling_in_any_order_of_nights_twice_or_after_a_kill_makes_the_same_ref
 
 
 def test_what_single_nights_have_too_little_of_many_have_enough_of(tmp_path: Path) -> None:
-    """Camera c is not placed, since one match is too little for its pairs; three nights have three."""
+    """Camera c is not placed, since its pairs need three matches and have one per night; three nights together have three."""
     lens = {"fx": 9, "fy": 9, "cx": 4, "cy": 4, "width": 8, "height": 8}
     stand = {"look_at": [0, 9, 0]}
     placed = [{"id": n, "intrinsics": lens, "pose": {"position": [k, 0, 0], **stand}} for k, n in enumerate("ab")]

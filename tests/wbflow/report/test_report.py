@@ -1,4 +1,4 @@
-"""The page of a night, in a browser from the disk: it draws, turns, flies, shows all there is, asks nobody for anything."""
+"""The report page of a night, opened in a browser from disk: 3-D view, measuring, complete content, no network requests."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def page(night: RunRecord, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def browser(page: Path) -> Iterator[Any]:
-    """A browser that has the page open, from the disk."""
+    """A browser that has the page open, loaded from disk."""
     with chromium(900, 700) as driver:
         driver.get(page.as_uri())
         until(driver, "return document.querySelector('#view').dataset.state === 'ready'")
@@ -58,7 +58,7 @@ POSE = "return document.querySelector('#view').dataset.pose"
 
 
 def settled(browser: Any, does: Callable[[], object]) -> tuple[int, int]:
-    """Pixels drawn, and a sum over them, once what was done has come to rest."""
+    """Run an action, wait until the view is at rest, and return its number of drawn pixels and a checksum of them."""
     does()
     until(browser, "return !view.moving && !view.dirty && view.root.dataset.mode === view.mode")
     drawn, total = browser.execute_script(PIXELS)

@@ -1,4 +1,4 @@
-"""What has changed since the last good night, from differences to the reference alone."""
+"""Changes since the last good night, derived only from both nights' changes since the reference."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def reported(record: RunRecord, things: dict[str, Change], reference: str = "202
 
 
 def compared(tonight: RunRecord, *earlier: RunRecord) -> Comparison | None:
-    """Tonight's changes against those of earlier nights, newest first."""
+    """Tonight's changes compared with those of earlier nights (newest first)."""
     data = ReportData(cast(Any, None), tonight, (), {}, Path(), cast(Any, None))
     vars(data)["earlier"] = list(earlier)
     return since_last_good(data, "changes")

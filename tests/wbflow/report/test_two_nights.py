@@ -1,4 +1,4 @@
-"""Two nights in one view, in a browser: one wipes over the other, they take turns, and heights and pictures are compared."""
+"""Two nights in one view in a browser: a slider wipes between them, they blink, and heights and pictures are compared."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from tests.wbflow.report.test_report import Keys, settled, webdriver
 
 @pytest.fixture(scope="module")
 def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
-    """A browser with the page of a night that has a reference."""
+    """A browser that shows the page of a night with a reference."""
     night = replace(made_up_run.record(made_up_run.names(5)), reference="20261031T031500Z")
     page = made_up_run.page(tmp_path_factory.mktemp("page"), night, points=20_000)
     with chromium(900, 700) as driver:
@@ -101,7 +101,7 @@ def test_a_cameras_pictures_lie_over_each_other(browser: Any) -> None:
     assert browser.execute_script(clip, now).endswith(" 0%)")
     handle.send_keys(Keys.END)
     assert browser.execute_script(clip, now).endswith("100%)")
-    # it looked two degrees to the right of where it looks now: what it saw lies to the right of that
+    # on the other night the camera was turned 2 degrees to the right, so its picture has to lie further right
     across = "return new DOMMatrix(getComputedStyle(arguments[0]).transform).m41 / arguments[0].clientWidth"
     moved = browser.execute_script(across, then)
     assert moved == pytest.approx(np.tan(np.radians(2.0)) * 500 / 640, rel=0.4)

@@ -1,4 +1,4 @@
-"""Whatever left nothing says why, in words and as one word that can be counted."""
+"""Every result that is missing has a reason, as a text and as a code that can be counted."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def reported(toy: ToySite) -> list[dict[str, Any]]:
 
 
 def first_pixel(capture: bytes) -> int:
-    """Of the frame that the toy stage makes."""
+    """The first pixel value of the frame that the toy stage makes of a capture."""
     return hashlib.sha256(capture).digest()[0]
 
 
@@ -51,7 +51,7 @@ def test_a_run_without_a_cloud_says_as_one_word_why(toy: ToySite) -> None:
 def test_a_pair_says_as_one_word_why_it_is_lost_and_so_does_the_next_run(toy: ToySite) -> None:
     toy.parameters = {"matches": {"reject": str(first_pixel(b"a view from gate"))}}
     toy.write()
-    for _ in range(2):  # the second time from the receipts
+    for _ in range(2):  # the second run takes them from the receipts
         pairs = toy.run(code=3)["pairs"]  # the gate has no pair left
         assert {pair["code"] for pair in pairs if pair["left"] == "gate"} == {"too-few-matches"}
         assert {pair["code"] for pair in pairs if pair["left"] != "gate"} == {None}
@@ -64,7 +64,7 @@ def test_a_camera_that_is_not_placed(toy: ToySite) -> None:
 
 
 def test_a_function_that_is_wrong_is_distinguished_from_one_that_refuses_its_input(toy: ToySite) -> None:
-    toy.parameters = {"poses": {"worlds": 0}}  # divides by it
+    toy.parameters = {"poses": {"worlds": 0}}  # division by zero
     toy.write()
     assert toy.run(code=1)["code"] == Cause.FAULT
     assert codes(reported(toy), "task")["poses"] == Cause.FAULT

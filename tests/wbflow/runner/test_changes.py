@@ -1,4 +1,4 @@
-"""A capture that is replaced while the night is worked on is never kept under what it was before."""
+"""A capture that is replaced during a run is never cached under the digest of its former content."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ OVERWRITTEN = "roof.txt was overwritten during the run; it was read as a whole, 
 
 
 def notes_of(record: dict[str, Any], name: str) -> list[str]:
-    """Of a camera's captures."""
+    """The notes about the captures of a camera."""
     notes = next(list(camera["notes"]) for camera in record["cameras"] if camera["id"] == name)
     return [note for note in notes if note.startswith(f"{name}.txt")]
 
 
 @pytest.fixture
 def after_looking(monkeypatch: pytest.MonkeyPatch) -> Callable[[Path, int], None]:
-    """Has a file replaced right after its digest was taken, so many times."""
+    """Makes a file be replaced right after its digest was taken, the first `times` times."""
 
     def arrange(path: Path, times: int) -> None:
         left = iter(range(times))
@@ -63,7 +63,7 @@ def test_what_it_holds_now_is_used_and_kept_under_its_own_digest(
 def test_what_is_replaced_after_it_was_read_is_named_with_the_bytes_that_were_used(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, dated: bool
 ) -> None:
-    """It degrades the night where each night has names of its own; others overwrite their captures all the time."""
+    """It degrades the night only if file names contain the date; without dates, cameras overwrite their captures all the time."""
     monkeypatch.syspath_prepend(str(HELPERS))
     toy = ToySite(tmp_path / "site", ["gate", "roof", "mast-1", "crane"], dated=dated)
     used = file_digest(toy.capture("roof"))

@@ -1,4 +1,4 @@
-"""Damage on disk: found, put right, named; never a wrong cloud."""
+"""Damage on disk is found, repaired and reported, and never leads to a wrong cloud."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from wbflow.outcome.check import check_published
 
 @pytest.fixture
 def toy(toy: ToySite) -> ToySite:
-    """Without a reference, which would put back what it holds itself (see test_reference.py); tasks are done in threads."""
+    """A site without a reference, which would restore its own copies (see test_reference.py); tasks run in threads."""
     toy.keys["pin"] = "none"
     toy.backend = "threading"
     toy.write()
@@ -34,7 +34,7 @@ def damaged(path: Path, before: bytes, after: bytes) -> None:
 
 
 def repaired(toy: ToySite, code: int = 0) -> list[str]:
-    """What a run says that it has put right, after checking that the log says the same."""
+    """The repairs that a run reports, after checking that its log lists the same ones."""
     record: dict[str, Any] = toy.run(code=code)
     log = toy.work / "runs" / record["run"] / "log.jsonl"
     events = [json.loads(line) for line in log.read_text().splitlines()]
@@ -47,7 +47,7 @@ def receipts(toy: ToySite, stage: str) -> list[Path]:
 
 
 def check(toy: ToySite) -> list[str]:
-    """What `wbflow check` finds wrong with what is published."""
+    """The faults that `wbflow check` finds in published files."""
     return [finding.what for finding in check_published(WorkFolder(toy.work))]
 
 
@@ -84,7 +84,7 @@ def test_receipts_of_two_nights_exchanged_are_found(toy: ToySite) -> None:
     reported = [what for what in repaired(toy) if "belongs to" in what]
     assert {subject for what in reported for subject in subjects if f"/{subject}/" in what} == subjects
     assert all(any(f"/{subject}/" in what for subject in subjects) for what in reported)  # and nothing else
-    assert len(reported) == len(set(reported)) <= 2 * len(subjects)  # a receipt that was exchanged is told once
+    assert len(reported) == len(set(reported)) <= 2 * len(subjects)  # each exchanged receipt is reported once
     assert toy.cloud == cloud
 
 
@@ -93,7 +93,7 @@ def test_artifacts_of_two_cameras_exchanged_are_found(toy: ToySite) -> None:
     cloud = toy.cloud
     one, other = (next(r.parent.glob("*.wbf")) for r in receipts(toy, "frames")[:2])
     exchange(one, other)
-    toy.parameters = {"disparity": {"tolerance": 1.5}}  # its readers have work to do
+    toy.parameters = {"disparity": {"tolerance": 1.5}}  # so that tasks read the frames
     toy.write()
     toy.run()
     toy.parameters = {}
@@ -165,7 +165,7 @@ def test_an_artifact_that_is_gone_is_made_again_and_named(toy: ToySite) -> None:
 
 @pytest.fixture
 def settled(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Files count as settled from the moment that they are written."""
+    """Files count as settled from the moment that they are written, so that their digests are remembered at once."""
     monkeypatch.setattr("wbflow.cache.memo._SETTLED_NS", -(10**18))
 
 
@@ -194,7 +194,7 @@ def test_a_digit_changed_in_run_json_is_found(toy: ToySite) -> None:
 
 
 def test_what_stands_in_the_place_of_a_file_and_is_none_gives_way(toy: ToySite) -> None:
-    """Folders, pipes that nobody writes to, links that lead nowhere: nobody waits for them, and nobody has to clean up."""
+    """Folders, pipes without a writer and dangling links in place of files: runs do not wait for them, and replace them."""
     toy.run()
     cloud, cache, latest = toy.cloud, toy.work / "cache", (toy.work / "runs" / "latest").resolve()
 

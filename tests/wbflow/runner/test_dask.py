@@ -1,4 +1,4 @@
-"""Beyond one machine: the same night on a Dask cluster gives the same bytes."""
+"""A night on a Dask cluster gives the same bytes as on one machine."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def test_three_worker_processes_of_a_cluster_make_the_same_cloud_though_one_is_k
     with distributed.LocalCluster(n_workers=3, threads_per_worker=1, processes=True, dashboard_address=None) as cluster:
         result = toy.wbflow("run", "--backend", "dask", "--scheduler", cluster.scheduler_address, "--worker-root", roots)
     assert result.returncode == 0, result.stderr
-    assert not (toy.folder / "faults" / "once").exists()  # somebody was killed
+    assert not (toy.folder / "faults" / "once").exists()  # a worker was killed
     assert toy.cloud == cloud
 
 
@@ -56,7 +56,7 @@ def test_a_worker_with_other_stage_code_is_refused_and_stores_nothing(
     (tmp_path / "other" / "toy_stages.py").write_text(code.replace("matches.x1.sum()", "2 * matches.x1.sum()"))
     for name, value in toy.env().items():
         monkeypatch.setenv(name, value)
-    monkeypatch.syspath_prepend(str(tmp_path / "other"))  # whence worker processes have it, too
+    monkeypatch.syspath_prepend(str(tmp_path / "other"))  # worker processes inherit this path
     with distributed.LocalCluster(n_workers=1, threads_per_worker=1, processes=True, dashboard_address=None) as cluster:
         refused = toy.wbflow("run", "--backend", "dask", "--scheduler", cluster.scheduler_address)
         assert refused.returncode == 1
@@ -66,7 +66,7 @@ def test_a_worker_with_other_stage_code_is_refused_and_stores_nothing(
 
 
 class _Client:
-    """Two workers of a cluster; notes which of them each call may go to."""
+    """A cluster with two workers; records which of them each call may be sent to."""
 
     def __init__(self) -> None:
         self.asked: list[list[str] | None] = []

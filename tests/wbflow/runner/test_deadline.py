@@ -1,4 +1,4 @@
-"""A run that is to stop at a time ends in good order, and publishes what there is."""
+"""A run with a stop time ends in good order and publishes what is ready."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Pairs that are made dense are chosen anew once the cameras are placed."""
+"""Once the cameras are placed, the pairs for dense matching are selected anew."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ ALL = NEIGHBOURS | {"a--c", "a--d", "b--d"}
 
 @pytest.fixture
 def toy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> ToySite:
-    """Four cameras of which only neighbours look alike, though each sees what every other does."""
+    """Four cameras: only neighbours look alike, though every camera sees what all others see."""
     monkeypatch.syspath_prepend(str(HELPERS))
     parameters: dict[str, dict[str, Any]] = {"overlap": {"chain": True}, "rectify": {"use": "toy_stages:rectify_known"}}
     site = ToySite(tmp_path, ["a", "b", "c", "d"], parameters, backend="threading")
@@ -27,7 +27,7 @@ def toy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> ToySite:
 
 
 def share(site: ToySite, **stated: Any) -> None:
-    """Have what placed cameras share told, or not."""
+    """Switch on the stage `shared`, which estimates what placed cameras share, with these parameters."""
     site.write()
     reported = json.loads(site.file.read_text())
     reported["stages"]["shared"] = {"use": "toy_stages:share", **stated}

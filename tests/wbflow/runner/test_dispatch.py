@@ -1,4 +1,4 @@
-"""What a task does to its process costs that task alone, however many workers there are."""
+"""A task that hangs, ends its worker or fills the memory fails alone, with any number of workers."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def detect(frame, *, at: float = 0.0):
 
 @pytest.fixture
 def wicked(toy: ToySite) -> ToySite:
-    """A site one of whose tasks, `features roof`, behaves as the test says."""
+    """A site in which one task, `features roof`, misbehaves as the test specifies (`behave`)."""
     (toy.folder / "wicked_stage.py").write_text(WICKED)
     site = json.loads(toy.file.read_text())
     site["stages"]["features"] = {"use": "wicked_stage:detect"}
@@ -80,7 +80,7 @@ def reason_of(record: dict[str, Any]) -> str:
 @pytest.mark.parametrize(
     ("what", "message", "options"),
     [
-        ("hang", "took longer than 20 s", ("--jobs", "1", "--time-limit", "20")),  # a busy machine takes seconds for an import
+        ("hang", "took longer than 20 s", ("--jobs", "1", "--time-limit", "20")),  # on a busy machine imports alone take seconds
         ("leave", "exit code 3, twice", ("--jobs", "1")),
         ("leave", "exit code 3, twice", ("--jobs", "2")),
         ("exit", "sys.exit('enough')", ("--jobs", "1")),
@@ -138,7 +138,7 @@ def test_workers_end_with_the_run_however_it_ends(toy: ToySite) -> None:
     process.wait()
     until(lambda: not any(Path(f"/proc/{worker}").exists() for worker in workers))
     theirs = {str(pid) for pid in (process.pid, *workers)}
-    # joblib's tracker of shared memory outlives the workers by a moment
+    # joblib's shared-memory tracker outlives the workers briefly
     until(lambda: not [path for path in Path("/dev/shm").glob("*") if theirs & set(re.findall(r"\d+", path.name))])
 
 
@@ -148,7 +148,7 @@ def test_what_nobody_had_read_of_when_a_run_was_interrupted_is_kept_and_nothing_
     toy.fault("slow", "0.1")
 
     def interrupted(dispatcher: Dispatcher) -> None:
-        """Ctrl-C, when a worker has finished a task of its chain, and is at the next."""
+        """Ctrl-C after a worker has finished one task of its chain, during the next one."""
         dispatcher._begin()
         until(lambda: any(toy.work.rglob("frames/*/*.json")))
         time.sleep(0.05)

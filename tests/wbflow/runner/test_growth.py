@@ -1,4 +1,4 @@
-"""The engine's own work grows with the number of tasks, not with its square: operations are counted, not seconds."""
+"""The engine's own work grows linearly with the number of tasks, not quadratically; operations are counted, not seconds."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ STEEPEST = 1.1
 
 
 class Counted:
-    """Counts what the thread of the run does: function calls, and files that are made to last."""
+    """Counts function calls and fsyncs in the thread of a run."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.calls = self.syncs = 0
@@ -30,7 +30,7 @@ class Counted:
         monkeypatch.setattr(os, "fsync", counted)
 
     def run(self, toy: ToySite) -> tuple[int, int, int]:
-        """Calls, syncs and tasks of a run, in threads of this process."""
+        """Numbers of calls, fsyncs and tasks of a run, in threads of this process."""
 
         def note(frame: Any, event: str, argument: Any) -> None:
             self.calls += event in {"call", "c_call"}
@@ -45,7 +45,7 @@ class Counted:
 
 
 def exponent(counts: tuple[int, int], tasks: tuple[int, int]) -> float:
-    """How steeply something grows with the number of tasks; both on a small site and on a large one."""
+    """Exponent of growth with the number of tasks, from the counts and the tasks of a small and a large site."""
     return math.log(counts[1] / counts[0]) / math.log(tasks[1] / tasks[0])
 
 
@@ -54,7 +54,7 @@ def test_what_the_engine_does_grows_with_the_number_of_tasks(tmp_path: Path, mon
     counted, found = Counted(monkeypatch), []
     for cameras in (FEW, MANY):
         toy = ToySite(tmp_path / str(cameras), [f"c{k}" for k in range(cameras)], keys={"pin": "none"})
-        toy.run("--until", "frames", "--backend", "threading")  # what is imported and read once
+        toy.run("--until", "frames", "--backend", "threading")  # imports and files that are read only once
         full, idle = counted.run(toy), counted.run(toy)
         (toy.folder / "captures" / "c1.txt").write_text("another view")
         found.append((full, idle, counted.run(toy)))

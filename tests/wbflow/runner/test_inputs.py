@@ -1,4 +1,4 @@
-"""Which cameras a task looks at."""
+"""Which cameras are inputs of a task."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from wbflow.task import Task
 
 
 def subjects(cameras: str, pairs: list[str]) -> Subjects:
-    """Of a site with cameras of one letter each and these pairs."""
+    """The subjects of a site with these pairs; each camera's name is one letter."""
     graph = stage_named(PAIRS)
     receipt: Any = SimpleNamespace(figures={"pairs": [list(pair) for pair in pairs]})
     site: Any = SimpleNamespace(views=[SimpleNamespace(id=camera) for camera in cameras])

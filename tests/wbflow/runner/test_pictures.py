@@ -1,4 +1,4 @@
-"""Pictures: every pair has one, drawn with its result; one that cannot be drawn costs a warning, one that is lost is left out."""
+"""Pictures of results: every pair has one; failing to draw one costs only a warning, and the report omits lost ones."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ ORIGINAL = "def show(geometry, left, right):\n    return b'first' + bytes(left.i
 
 @pytest.fixture
 def toy(toy: ToySite) -> ToySite:
-    """Tasks are done in threads: who did them does not matter here."""
+    """A toy site whose tasks run in threads, since it does not matter here where they run."""
     toy.backend = "threading"
     return toy
 
@@ -26,7 +26,7 @@ def pictures(toy: ToySite, stage: str) -> dict[str, bytes]:
 
 @pytest.fixture
 def painter(toy: ToySite, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A picture function of the geometry that a test can change."""
+    """A module with the picture function of the geometry stage, which a test can change."""
     import dataclasses
 
     from wbflow.pipeline import stages as pipeline
@@ -96,8 +96,8 @@ def test_a_picture_that_is_lost_or_damaged_is_left_out_of_the_report(toy: ToySit
 
 
 def test_a_task_without_its_receipt_is_drawn_again(toy: ToySite) -> None:
-    """Whatever a killed worker has left: the receipt comes last, after the artifact and its pictures."""
-    toy.keys = {"pin": "none"}  # nothing puts the receipt back
+    """A killed worker may leave a result without a receipt, which is written last, after the artifact and its pictures."""
+    toy.keys = {"pin": "none"}  # no reference restores the receipt
     toy.write()
     toy.run()
     before = pictures(toy, "fuse")

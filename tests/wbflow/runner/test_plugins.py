@@ -1,4 +1,4 @@
-"""Functions of one's own: what they are handed, what of their parameters is known, and where they may lie."""
+"""User functions: their inputs, what is known about their parameters, and where their modules may be."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def find({arguments}):
 
 @pytest.fixture(autouse=True)
 def _forget() -> Iterator[None]:
-    """A module beside one test's site file is not that of another."""
+    """Unload the modules beside a site file, so that the next test does not get them."""
     before = list(sys.path)
     yield
     sys.path[:] = before
@@ -37,7 +37,7 @@ def _forget() -> Iterator[None]:
 
 
 def matcher(toy: ToySite, use: str = "plugin:find", **parameters: object) -> None:
-    """Have the toy site's pairs matched by a function of its own."""
+    """Make the toy site match its pairs with a user function."""
     site = json.loads(toy.file.read_text())
     site["stages"]["matches"] = {"use": use, **parameters}
     toy.file.write_text(json.dumps(site, indent=1))
@@ -52,7 +52,7 @@ def write(
 
 
 def first_match(toy: ToySite) -> float:
-    """x of the first match of a pair."""
+    """x of the first match of the pair gate--roof."""
     from wbflow.cache import artifact
 
     (file,) = (toy.work / "cache" / "matches" / "gate--roof").glob("*.wbf")
@@ -66,7 +66,7 @@ def parameters(toy: ToySite) -> dict[str, object]:
 
 
 def problem(toy: ToySite, command: str = "check") -> str:
-    """What a command says of the site file."""
+    """The error message with which a command refuses the site file."""
     result = toy.wbflow(command)
     assert result.returncode == 2
     return result.stderr
@@ -230,7 +230,7 @@ def test_what_is_in_a_model_decides_whether_matches_are_found_anew(toy: ToySite)
     assert first_match(toy) == 7.0
     assert parameters(toy) == {}
     model.rename(moved)
-    matcher(toy, model="two.onnx")  # the same under another name
+    matcher(toy, model="two.onnx")  # the same model under another name
     toy.run()
     assert not toy.ran()
     moved.write_bytes(bytes([3, 5]))

@@ -1,4 +1,4 @@
-"""A night's work: what runs, what does not run again, and what survives whatever happens."""
+"""The work of a night: which tasks run, which are not repeated, and what survives kills and damage."""
 
 from __future__ import annotations
 
@@ -92,7 +92,7 @@ def test_a_replaced_capture_runs_only_what_involves_its_camera_and_the_cloud(toy
     toy.run()
     ran = toy.ran()
     assert {"frames roof", "matches gate--roof", "fuse"} <= ran
-    whole = {"overlap", "pairs", "poses", "depth", "fuse"}  # every other camera makes a pair with the roof
+    whole = {"overlap", "pairs", "poses", "depth", "fuse"}  # every other camera is paired with the roof
     assert all("roof" in task or task.split()[0] in whole for task in ran)
 
 
@@ -187,7 +187,7 @@ def test_a_damaged_artifact_is_quarantined_and_made_again(toy: ToySite) -> None:
 
 
 def test_a_flipped_bit_in_the_published_artifact_is_noticed_even_when_nothing_runs(toy: ToySite) -> None:
-    toy.keys = {"pin": "none"}  # a reference has a copy, which is put back instead
+    toy.keys = {"pin": "none"}  # a reference would restore its copy instead
     toy.write()
     toy.run()
     cloud = toy.cloud
@@ -303,7 +303,7 @@ def test_a_task_that_always_kills_its_worker_has_failed_and_the_rest_goes_on(toy
 
 
 def test_clean_keeps_what_the_last_runs_use(toy: ToySite) -> None:
-    toy.keys = {"pin": "none"}  # what a reference holds would stay, too
+    toy.keys = {"pin": "none"}  # a reference would keep its artifacts, too
     toy.write()
     toy.run()
     toy.parameters = {"features": {"offset": 3.0}}
@@ -334,7 +334,7 @@ def _first_pixel(data: bytes) -> int:
 
 
 def _heed_interrupts() -> None:
-    """A test run in the background has been told to ignore SIGINT, and its children with it."""
+    """Restore SIGINT: tests started in the background of a shell ignore it, and child processes inherit this."""
     signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 

@@ -1,4 +1,4 @@
-"""A camera with several views is worked on view by view, and is one camera to whoever reads what came of it."""
+"""A camera with several views is processed view by view, and reported as one camera."""
 
 from __future__ import annotations
 

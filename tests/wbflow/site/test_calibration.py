@@ -1,4 +1,4 @@
-"""COLMAP's text model and orientations in words mean the same cameras as K, R, C."""
+"""COLMAP's text model, yaw, pitch and roll, and look_at give the same cameras as K, R, C."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def colmap(folder: Path, camera: str, image: str) -> Path:
 
 
 def test_a_colmap_text_model(tmp_path: Path) -> None:
-    """A quarter turn about z, half a pixel off the principal point, and C = -R^T t."""
+    """A quarter turn about z, a principal point that is shifted by half a pixel, and C = -R^T t."""
     half = 0.5**0.5
     model = colmap(
         tmp_path, "7 OPENCV 640 480 500 510 320 240 -0.1 0.02 0.001 0.002", f"1 {half} 0 0 {half} 1 2 3 7 gate/a b.jpg"

@@ -1,4 +1,4 @@
-"""Calibrations as other programs write them are read, and mean the same rays as for the program that wrote them."""
+"""Calibration files of other programs are read, and give the same rays as in those programs."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def rays_of(camera: Calibrated) -> Float64s:
 
 
 def opencv_pixels(rays: Float64s, coefficients: list[float], fisheye: bool = False) -> Float64s:
-    """Where OpenCV images rays."""
+    """The pixels (n, 2) to which OpenCV projects rays."""
     nothing, points = np.zeros(3), np.ascontiguousarray((rays / rays[:, 2:])[:, None])
     project = cv2.fisheye.projectPoints if fisheye else cv2.projectPoints
     arguments = (points, nothing, nothing, K, np.array(coefficients))
@@ -51,7 +51,7 @@ def opencv_pixels(rays: Float64s, coefficients: list[float], fisheye: bool = Fal
 
 
 def file_storage(path: Path, coefficients: list[float], **more: int) -> Path:
-    """As OpenCV's calibration sample writes it."""
+    """Write a calibration as OpenCV's calibration sample does."""
     file = cv2.FileStorage(str(path), cv2.FILE_STORAGE_WRITE)
     for name, value in {"image_width": WIDTH, "image_height": HEIGHT, **more}.items():
         file.write(name, value)
@@ -77,7 +77,7 @@ def test_opencvs_omnidir(tmp_path: Path, written: str) -> None:
     path.write_text(path.read_text() + f"xi: {written}\n")
     camera = read_calibration(path)["gate"]
     assert camera.lens.model == "omni" and camera.lens.distortion is not None
-    sphere = rays_of(camera) + np.array([0, 0, camera.lens.distortion[0]])  # what a camera in the sphere's own depth sees of it
+    sphere = rays_of(camera) + np.array([0, 0, camera.lens.distortion[0]])  # Mei's model: a pinhole sees the shifted sphere
     assert np.abs(opencv_pixels(sphere, BROWN[:4]) - GRID).max() < ALMOST
 
 
@@ -166,7 +166,7 @@ def test_kalibr(tmp_path: Path) -> None:
     cameras = read_calibration(tmp_path / "camchain.yaml")
     assert np.abs(opencv_pixels(rays_of(cameras["cam0"]), BROWN[:4]) - GRID).max() < ALMOST
     assert np.abs(opencv_pixels(rays_of(cameras["cam1"]), FISHEYE, fisheye=True) - GRID).max() < ALMOST
-    sphere = rays_of(cameras["cam2"]) + np.array([0, 0, 0.9])  # Mei's model: what a camera in the sphere's own depth sees of it
+    sphere = rays_of(cameras["cam2"]) + np.array([0, 0, 0.9])  # Mei's model: a pinhole sees the shifted sphere
     assert np.abs(opencv_pixels(sphere, BROWN[:4]) - GRID).max() < ALMOST
     assert cameras["gate/image_raw"] is cameras["cam0"]
     assert cameras["cam1"].placement.C is not None and np.allclose(cameras["cam1"].placement.C, [0, 0.5, 0]), (
@@ -176,7 +176,7 @@ def test_kalibr(tmp_path: Path) -> None:
 
 
 def unprojected(model: str, shape: list[float], m: Float64s) -> Float64s:
-    """Rays (n, 3) of points m (n, 2) one unit before a lens, in closed form as published: nan where it images nothing.
+    """Rays (n, 3) of normalized image points m (n, 2), by the published closed forms; nan where the lens images nothing.
 
     omni: Mei & Rives, ICRA 2007; eucm: Khomutenko, Garcia & Martinet, RA-L 2016; ds: Usenko, Demmel & Cremers, 3DV 2018.
     """
@@ -252,7 +252,7 @@ COLMAP = {
 
 
 def params_of(name: str) -> list[float]:
-    """As COLMAP orders them."""
+    """The parameters of a camera model in COLMAP's order."""
     words = pycolmap.Camera(model=name, width=1, height=1, params=[]).params_info.split(", ")
     focals, given = sum(word.startswith("f") for word in words), COLMAP[name]
     return [*given[:focals], 318.7, 244.2, *given[focals:]] if given else [WIDTH, HEIGHT]
@@ -277,7 +277,7 @@ DRAWN = {name: [(c - 0.1 * abs(c), c + 0.1 * abs(c)) for c in given if abs(c) < 
     "EUCM": [(0.05, 0.95), (0.6, 1.6)],
     "OPENCV_FISHEYE": [(-0.06, 0.06), (-0.02, 0.02), (-0.005, 0.005), (-0.001, 0.001)],
 }
-"""What coefficients are drawn from."""
+"""Ranges from which the distortion coefficients are drawn, by COLMAP camera model."""
 
 
 @pytest.mark.parametrize("name", sorted(COLMAP.keys() - {"EQUIRECTANGULAR"}))
@@ -295,7 +295,7 @@ def test_drawn_lenses_of_colmap(tmp_path: Path, name: str) -> None:
         theirs = pycolmap.Camera(model=name, width=WIDTH, height=HEIGHT, params=params)
         rays = lens_rays(lens, GRID)
         there = np.asarray(theirs.img_from_cam(rays)) - 0.5
-        both = np.isfinite(there).all(axis=1)  # COLMAP images nothing behind the camera, and no lens beyond where it folds over
+        both = np.isfinite(there).all(axis=1)  # nan behind the camera, and beyond the angle where a model folds over
         assert both.mean() > 0.5
         assert np.abs(there - GRID)[both].max() < ALMOST
 
@@ -317,7 +317,7 @@ def test_drawn_lenses_of_opencv(tmp_path: Path, count: int, fisheye: bool) -> No
 
 @pytest.fixture(scope="module")
 def binary(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A camera and an image of every model of COLMAP, as COLMAP writes them."""
+    """A binary model written by COLMAP, with a camera and an image for every camera model of COLMAP."""
     written = pycolmap.Reconstruction()
     for number, name in enumerate(COLMAP, 1):
         camera = pycolmap.Camera(camera_id=number, model=name, width=WIDTH, height=HEIGHT, params=params_of(name))

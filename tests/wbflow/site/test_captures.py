@@ -1,4 +1,4 @@
-"""Which files are tonight's, and when their bytes are read again."""
+"""Which files are tonight's captures, and when their bytes are read again."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Site files and calibrations that nobody means well with are refused with a place, and none makes wbflow itself fail."""
+"""Malicious site files and calibrations are refused with the place of the fault, and none makes wbflow itself fail."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ SCRIPTS = Path(__file__).parents[3] / "scripts"
 
 @pytest.fixture
 def hostile(monkeypatch: pytest.MonkeyPatch) -> Any:
-    """The script that tries them all, and more of them."""
+    """The script hostile_inputs.py, which has all of these cases and more."""
     monkeypatch.syspath_prepend(str(SCRIPTS))
     return importlib.import_module("hostile_inputs")
 
@@ -46,7 +46,7 @@ SAID = {
     "COLMAP: a zero quaternion": "model/images.txt:2: not an image line of COLMAP's text model: its quaternion is zero",
     "COLMAP: images that are no text": "model/images.txt:1:1: is not UTF-8 text",
 }
-"""What is said of files that once hung or crashed wbflow, or were used."""
+"""Error messages for files that once hung or crashed wbflow, or were accepted; by case."""
 
 
 def test_what_once_crashed_is_refused_at_its_place_and_the_good_file_is_not(hostile: Any, tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""Site files: what is understood, and how everything that is wrong is said at once, with its place and its remedy."""
+"""Site files: what is accepted, and that all mistakes are reported at once, each with its place and its remedy."""
 
 from __future__ import annotations
 
@@ -277,7 +277,7 @@ def test_geodetic_positions_become_east_north_up_of_the_first(tmp_path: Path) ->
     gate, roof = (camera.placement for camera in site.cameras)
     assert pytest.approx([0, 0, 0], abs=1e-6) == gate.C
     assert gate.sigma_m == 3.0, "as a plain receiver gives it"
-    # a thousandth of a degree of latitude is 111.3 m here; the ellipsoid falls away by 1 mm
+    # 0.001 degrees of latitude are 111.3 m here; over this distance the ellipsoid curves down by 1 mm
     assert pytest.approx([0, 111.29, 5.0], abs=0.01) == roof.C
     assert roof.sigma_m == 0.5
     assert "+lat_0=53.5 +lon_0=10.0" in site.survey.crs

@@ -1,4 +1,4 @@
-"""The JSON schema that editors check site files by."""
+"""The JSON schema with which editors check site files."""
 
 from __future__ import annotations
 

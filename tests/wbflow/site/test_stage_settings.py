@@ -1,4 +1,4 @@
-"""The section `stages`: parameters of the chosen method only, and names of earlier versions."""
+"""The section `stages` of a site file: only parameters of the chosen method, and names from earlier versions."""
 
 from __future__ import annotations
 
@@ -101,7 +101,7 @@ def test_a_function_of_one_s_own_keeps_its_names(tmp_path: Path) -> None:
 
 
 def test_every_new_name_is_a_parameter(tmp_path: Path) -> None:
-    """Of the stage or of one of its methods; else an old name would lead nowhere."""
+    """New names are parameters of the stage or of one of its methods; otherwise an old name would lead nowhere."""
     from wbflow.pipeline.binding import method_parameters
     from wbflow.pipeline.functions import FunctionReader
 

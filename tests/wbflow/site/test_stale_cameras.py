@@ -1,4 +1,4 @@
-"""Cameras that deliver what is not of tonight are named."""
+"""Cameras whose captures are not from tonight are reported."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ PATTERN = "{camera}/{date}_{time}.jpg"
 
 
 def deliver(folder: Path, night: datetime.date, **pictures: list[str]) -> None:
-    """Captures by camera: a time and a content in one word, 143000=frame."""
+    """Write captures by camera; each is given as its time, and optionally its content: 143000=frame."""
     for camera, found in pictures.items():
         (folder / camera).mkdir(parents=True, exist_ok=True)
         for each in found:

@@ -1,4 +1,4 @@
-"""Days and times are those of the site's clocks, also when these are set forward or back."""
+"""Dates and times follow the site's clocks, also when these are set forward or back."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def site(folder: Path, timezone: str, pattern: str = "{camera}/{date}_{time}.jpg
 
 
 def at(text: str) -> float:
-    """Seconds since 1970 of a moment in UTC."""
+    """Seconds since 1970 of a time given in UTC."""
     return datetime.datetime.fromisoformat(f"{text}+00:00").timestamp()
 
 
@@ -44,7 +44,7 @@ def clock(monkeypatch: pytest.MonkeyPatch, text: str) -> None:
         ("Europe/Berlin", "2026-11-19T23:00:00", "2026-11-20"),
         ("Pacific/Auckland", "2026-11-19T11:00:00", "2026-11-20"),
         ("America/Los_Angeles", "2026-11-20T07:59:59", "2026-11-19"),
-        # the day on which clocks are set forward has 23 hours, that on which they are set back 25
+        # the day on which clocks are set forward has 23 hours, the day on which they are set back has 25
         ("Europe/Berlin", "2026-03-28T22:59:59", "2026-03-28"),
         ("Europe/Berlin", "2026-03-28T23:00:00", "2026-03-29"),
         ("Europe/Berlin", "2026-03-29T21:59:59", "2026-03-29"),
