@@ -33,7 +33,7 @@ def seen(texture: Uint8s, rays: Float64s, turn: tuple[float, float, float], shif
 
 
 @pytest.mark.parametrize("charuco", [False, True])
-def test_a_folder_of_pictures_becomes_a_calibration_with_residuals_and_coverage(tmp_path: Path, charuco: bool) -> None:
+def test_a_folder_of_board_pictures_is_calibrated_with_residuals_and_coverage(tmp_path: Path, charuco: bool) -> None:
     table = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_50)
     board = cv2.aruco.CharucoBoard((10, 7), SQUARE, 0.022, table)
     texture = np.asarray(board.generateImage((10 * PX, 7 * PX)), np.uint8) if charuco else CHECKERS
@@ -44,8 +44,8 @@ def test_a_folder_of_pictures_becomes_a_calibration_with_residuals_and_coverage(
     for k, (a, b) in enumerate(places):
         turn = (0.5 * np.sin(k), 0.5 * np.cos(2 * k), 0.1 * k)
         cv2.imwrite(str(tmp_path / "pictures" / f"{k}.png"), seen(texture, rays, turn, (a, b, 0.36 + 0.02 * k)))
-    message = ["--board", "10x7" if charuco else "9x6", "--square", str(SQUARE), *(["--marker", "0.022"] if charuco else [])]
-    result = CliRunner().invoke(main, ["calibrate", "gate", str(tmp_path / "pictures"), *message, "--out", str(tmp_path)])
+    options = ["--board", "10x7" if charuco else "9x6", "--square", str(SQUARE), *(["--marker", "0.022"] if charuco else [])]
+    result = CliRunner().invoke(main, ["calibrate", "gate", str(tmp_path / "pictures"), *options, "--out", str(tmp_path)])
     assert result.exit_code == 0, result.output
     found = read_calibration(tmp_path / "gate.json")["gate"].lens
     lens = Lens(np.array(found.K), np.array(found.distortion), None, found.width, found.height, found.model)
@@ -87,7 +87,7 @@ def boards_around(count: int, farthest_deg: float) -> tuple[list[Float64s], list
     return boards, corners
 
 
-def test_a_fisheye_is_reported_by_boards_that_lie_beside_it() -> None:
+def test_a_fisheye_is_calibrated_from_boards_far_off_its_axis() -> None:
     K, coefficients, residuals = fit_lens(*boards_around(10, 80), (WIDTH, HEIGHT), "fisheye")
     assert np.sqrt(np.mean(np.concatenate(residuals) ** 2)) < 0.06
     found = Lens(K, coefficients, None, WIDTH, HEIGHT, "fisheye")

@@ -29,12 +29,12 @@ def compared(tonight: BoxNight, then: BoxNight, **parameters: Any) -> Changes:
     return find_changes(**tonight.arguments(), **then.arguments("reference_"), **parameters)
 
 
-def the_only(found: Changes) -> Change:
+def only_change(found: Changes) -> Change:
     assert list(found.changes) == ["1"]
     return found.changes["1"]
 
 
-def assert_is(change: Change, box: Box) -> None:
+def assert_matches_box(change: Change, box: Box) -> None:
     low, high = np.array(box)
     assert np.linalg.norm((low + high) / 2 - (change.x, change.y, change.z)) < 0.15
     assert change.volume == pytest.approx(float(np.prod(high - low)), rel=0.2)
@@ -45,16 +45,16 @@ def assert_is(change: Change, box: Box) -> None:
 
 def test_a_box_that_appeared_is_new() -> None:
     found = compared(night(CRATE, NEW_BOX, seed=1), night(CRATE))
-    change = the_only(found)
+    change = only_change(found)
     assert change.kind == "new"
-    assert_is(change, NEW_BOX)
+    assert_matches_box(change, NEW_BOX)
     assert len(change.cameras.split(",")) >= 3
     inside = found.blob == 1
     assert set(found.label[inside]) == {NEW}
     assert np.median(found.distance[inside & np.isfinite(found.distance)]) > 0.2
 
 
-def test_volumes_are_those_of_the_boxes_and_of_each_zone_its_part() -> None:
+def test_gained_and_lost_volumes_are_those_of_the_boxes_in_total_and_per_zone() -> None:
     zones = [
         {"name": "east", "polygon": [[2.9, -5], [6, -5], [6, 0], [2.9, 0]]},
         {"name": "far", "polygon": [[50, 0], [54, 0], [54, 4], [50, 4]]},
@@ -86,21 +86,21 @@ def test_a_night_without_changes_has_gained_and_lost_nothing() -> None:
 
 def test_a_box_that_was_taken_away_has_vanished() -> None:
     found = compared(night(NEW_BOX, seed=1), night(CRATE, NEW_BOX))
-    change = the_only(found)
+    change = only_change(found)
     assert change.kind == "vanished"
-    assert_is(change, CRATE)
+    assert_matches_box(change, CRATE)
     assert set(found.label[found.blob == 1]) == {VANISHED}
 
 
 def test_a_box_that_stands_elsewhere_has_moved() -> None:
     there: Box = ((-4.0, -2.9, 0.0), (-2.6, -1.7, 0.9))
-    change = the_only(compared(night(CRATE, there, seed=1), night(CRATE, NEW_BOX)))
+    change = only_change(compared(night(CRATE, there, seed=1), night(CRATE, NEW_BOX)))
     assert change.kind == "moved"
-    assert_is(change, there)
+    assert_matches_box(change, there)
     assert (change.from_x, change.from_y) == pytest.approx((2.9, -1.8), abs=0.15)
 
 
-def test_a_thing_of_another_shape_did_not_come_from_where_one_of_the_same_volume_went() -> None:
+def test_a_new_object_of_another_shape_is_not_taken_for_a_moved_one() -> None:
     long: Box = ((-5.0, -2.5, 0.0), (-2.9, -1.7, 0.9))
     found = compared(night(CRATE, long, seed=1), night(CRATE, NEW_BOX))
     new, gone = sorted(found.changes.values(), key=lambda change: change.kind)
@@ -109,7 +109,7 @@ def test_a_thing_of_another_shape_did_not_come_from_where_one_of_the_same_volume
 
 
 @pytest.mark.parametrize("brightness", [1.0, 0.5, 1.5])
-def test_nothing_is_reported_where_only_the_light_has_changed(brightness: float) -> None:
+def test_a_change_of_light_is_not_reported_as_a_change(brightness: float) -> None:
     found = compared(night(CRATE, seed=1, brightness=brightness), night(CRATE))
     assert found.compared
     assert (found.count, found.changed_share) == (0, 0)
@@ -126,33 +126,33 @@ def test_what_no_camera_sees_tonight_is_unknown_and_has_not_vanished() -> None:
     assert np.sum(found.label == VANISHED) == 0
 
 
-def test_a_low_step_is_reported_by_distance_and_a_lower_one_is_lost_in_the_noise() -> None:
+def test_a_low_slab_is_reported_and_a_very_thin_one_is_not() -> None:
     slab: Box = ((2.0, -3.0, 0.0), (4.0, -1.0, 0.06))
-    change = the_only(compared(night(CRATE, slab, seed=1), night(CRATE)))
+    change = only_change(compared(night(CRATE, slab, seed=1), night(CRATE)))
     assert change.height == pytest.approx(0.06, abs=0.02)
     assert change.volume == pytest.approx(0.24, rel=0.25)
     thin: Box = ((2.0, -3.0, 0.0), (4.0, -1.0, 0.004))
     assert compared(night(CRATE, thin, seed=1), night(CRATE)).count == 0
 
 
-def test_a_site_most_of_which_has_moved_is_not_taken_for_a_noisy_one() -> None:
+def test_a_change_of_most_of_the_site_is_not_taken_for_noise() -> None:
     floor: Box = ((-6.0, -3.5, 0.0), (6.0, 4.9, 0.3))
-    change = the_only(compared(night(CRATE, floor, seed=1), night(CRATE)))
+    change = only_change(compared(night(CRATE, floor, seed=1), night(CRATE)))
     assert change.kind == "new"
     assert change.height == pytest.approx(0.3, abs=0.03)
 
 
-def test_depths_that_are_wrong_on_one_night_are_overruled_by_the_pictures() -> None:
-    honest, wrong = night(CRATE, seed=1), night(CRATE, NEW_BOX, seed=1)
+def test_depths_that_the_pictures_contradict_give_no_change() -> None:
+    correct, wrong = night(CRATE, seed=1), night(CRATE, NEW_BOX, seed=1)
     # frames of a night without the box, depths and cloud of one with it
-    lying = BoxNight(honest.cameras, honest.frames, wrong.depths, wrong.cloud)
+    inconsistent = BoxNight(correct.cameras, correct.frames, wrong.depths, wrong.cloud)
     assert compared(wrong, night(CRATE)).count == 1
-    assert compared(lying, night(CRATE)).count == 0
+    assert compared(inconsistent, night(CRATE)).count == 0
 
 
-def test_what_half_of_the_cameras_see_through_and_the_others_do_not_know_has_not_vanished() -> None:
+def test_a_box_that_too_few_cameras_see_through_has_not_vanished() -> None:
     then, tonight = night(CRATE, NEW_BOX), night(CRATE, seed=1)
-    assert the_only(compared(tonight, then)).kind == "vanished"
+    assert only_change(compared(tonight, then)).kind == "vanished"
     # a lattice: tonight two cameras measure what is behind it, and the other two have no depth there
     depths = dict(tonight.depths)
     for name in ("c0", "c2"):
@@ -185,22 +185,22 @@ def test_each_depth_map_is_read_once() -> None:
     assert set(reads.values()) == {2}  # once for each night
 
 
-def test_only_changes_in_a_zone_count() -> None:
+def test_only_changes_in_a_zone_are_reported() -> None:
     tonight, then = night(CRATE, NEW_BOX, seed=1), night(CRATE)
     around = {"name": "quay", "polygon": [[1, -4], [5, -4], [5, 0], [1, 0]]}
-    assert the_only(compared(tonight, then, zones=[around])).zone == "quay"
+    assert only_change(compared(tonight, then, zones=[around])).zone == "quay"
     assert compared(tonight, then, zones=[around | {"least_m": 3.0}]).count == 0
     assert compared(tonight, then, zones=[around | {"polygon": [[-5, -4], [-1, -4], [-1, 0]]}]).count == 0
 
 
-def test_with_no_reference_nothing_is_compared() -> None:
+def test_without_a_reference_nothing_is_compared() -> None:
     found = find_changes(**night(CRATE).arguments())
     assert (found.compared, found.count, found.changes) == (False, 0, {})
     assert list(changes_files(found)) == []
     assert cv2.imdecode(changes_preview(found), 1) is not None
 
 
-def test_a_world_that_was_solved_anew_is_not_compared() -> None:
+def test_a_night_solved_in_another_frame_is_not_compared() -> None:
     tonight = night(CRATE, NEW_BOX, seed=1).arguments()
     poses = tonight["poses"]
     shifted = {name: replace(camera, C=camera.C + np.array([30.0, 0, 0])) for name, camera in poses.cameras.items()}
@@ -208,7 +208,7 @@ def test_a_world_that_was_solved_anew_is_not_compared() -> None:
     assert not found.compared
 
 
-def test_changes_are_written_for_people_and_programs() -> None:
+def test_changes_are_written_as_cloud_json_and_pictures() -> None:
     found = compared(night(CRATE, NEW_BOX, seed=1), night(CRATE))
     files: dict[str, Any] = dict(changes_files(found))
     assert list(files) == ["changes.ply", "changes.json", "change-1.jpg"]

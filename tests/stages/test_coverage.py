@@ -27,31 +27,31 @@ def covered(leave_out: str = "", max_angle_deg: float = 60.0) -> Coverage:
     return found
 
 
-def at(coverage: Coverage, values: np.ndarray, x: float, y: float) -> float:
+def value_at(coverage: Coverage, values: np.ndarray, x: float, y: float) -> float:
     return float(values.ravel()[cells_of(coverage.grid, np.array([[x, y, 0.0]]))[0]])
 
 
-def test_open_ground_is_seen_by_all_and_what_the_box_hides_by_fewer() -> None:
+def test_open_ground_is_seen_by_all_cameras_and_ground_behind_the_box_by_fewer() -> None:
     coverage = covered()
-    assert at(coverage, coverage.views, -0.5, -2.0) == 5
-    assert at(coverage, coverage.heights, -0.5, -2.0) == pytest.approx(0.0, abs=0.05)
-    assert at(coverage, coverage.heights, -0.5, 0.0) == pytest.approx(1.6, abs=0.05)  # on the box
-    assert at(coverage, coverage.views, -0.5, 1.4) < 5  # behind it
+    assert value_at(coverage, coverage.views, -0.5, -2.0) == 5
+    assert value_at(coverage, coverage.heights, -0.5, -2.0) == pytest.approx(0.0, abs=0.05)
+    assert value_at(coverage, coverage.heights, -0.5, 0.0) == pytest.approx(1.6, abs=0.05)  # on the box
+    assert value_at(coverage, coverage.views, -0.5, 1.4) < 5  # behind it
     assert 0 < coverage.seen_by_two <= coverage.seen_by_one <= 1
 
 
-def test_the_best_pair_tells_angle_and_error() -> None:
+def test_angle_and_error_are_those_of_the_best_pair() -> None:
     coverage = covered(max_angle_deg=50)
-    angle, error = at(coverage, coverage.angle_deg, -0.5, -2.0), at(coverage, coverage.error, -0.5, -2.0)
+    angle, error = value_at(coverage, coverage.angle_deg, -0.5, -2.0), value_at(coverage, coverage.error, -0.5, -2.0)
     assert 30 < angle <= 50
     # plain formula for two equal rays: range / focal * noise / (sqrt(2) sin(angle / 2))
     reach = float(np.median([np.linalg.norm(c.C - (-0.5, -2.0, 0.0)) for c in YARD.cameras.values()]))
     plain = reach / YARD.cameras["cam+0"].K[0, 0] * 0.35 / (np.sqrt(2) * np.sin(np.radians(angle) / 2))
     assert error == pytest.approx(plain, rel=0.15)
-    assert at(covered(max_angle_deg=25), covered(max_angle_deg=25).error, -0.5, -2.0) > 1.2 * error
+    assert value_at(covered(max_angle_deg=25), covered(max_angle_deg=25).error, -0.5, -2.0) > 1.2 * error
 
 
-def test_what_is_said_of_a_lost_camera_comes_true() -> None:
+def test_the_predicted_loss_of_a_camera_equals_the_actual_loss() -> None:
     coverage = covered()
     lost = max(coverage.lost_without, key=lambda name: coverage.lost_without[name])
     without = covered(lost)
@@ -62,7 +62,7 @@ def test_what_is_said_of_a_lost_camera_comes_true() -> None:
     assert coverage.lost_without[lost] == pytest.approx(fell.sum() / np.isfinite(coverage.heights).sum(), abs=0.02)
 
 
-def test_a_camera_without_depth_sees_nothing_tonight() -> None:
+def test_a_camera_without_depth_sees_nothing() -> None:
     depths = {name: depth for name, depth in DEPTHS.items() if name != "cam+0"}
     coverage = find_coverage(POSES, YARD.frames, depths, scene=Scene())
     assert isinstance(coverage, Coverage)
@@ -77,7 +77,7 @@ def test_masked_pixels_see_nothing() -> None:
     assert (blind.seen_by_one, blind.median_error) == (0, -1)
 
 
-def test_a_world_in_any_position_is_covered_alike() -> None:
+def test_coverage_does_not_depend_on_position_and_scale_of_the_world() -> None:
     turned = make_yard((-40, -20, 0, 20, 40), width=160, scale=0.1, shift=(100.0, -50.0, 3.0))
     other = find_coverage(replace(POSES, cameras=turned.cameras), turned.frames, turned.depths())
     assert isinstance(other, Coverage)
@@ -85,19 +85,19 @@ def test_a_world_in_any_position_is_covered_alike() -> None:
     assert other.median_error == pytest.approx(0.1 * covered().median_error, rel=0.1)
 
 
-def test_holes_lie_on_the_ground_plane_where_that_is_known() -> None:
+def test_holes_lie_on_the_ground_plane_if_it_is_known() -> None:
     plane = Scene(ground=np.array([0.0, 0.0, 1.0, 0.25]))
     found = find_coverage(POSES, YARD.frames, DEPTHS, scene=plane)
     assert isinstance(found, Coverage)
-    behind = at(found, found.heights, -0.5, 1.05)
-    assert behind == pytest.approx(-0.25, abs=1e-6) or at(found, found.views, -0.5, 1.05) > 1
+    behind = value_at(found, found.heights, -0.5, 1.05)
+    assert behind == pytest.approx(-0.25, abs=1e-6) or value_at(found, found.views, -0.5, 1.05) > 1
 
 
-def test_without_any_depth_there_is_no_ground() -> None:
+def test_without_any_depth_coverage_is_rejected() -> None:
     assert isinstance(find_coverage(POSES, YARD.frames, {}), Rejected)
 
 
-def test_it_is_drawn_and_written_for_maps() -> None:
+def test_coverage_is_drawn_and_written_as_a_geotiff() -> None:
     rasterio = pytest.importorskip("rasterio", reason="the extra geo is not installed")
     pytest.importorskip("pyproj", reason="the extra geo is not installed")
     coverage = replace(covered(), crs="+proj=topocentric +ellps=WGS84 +lat_0=53.5 +lon_0=9.9 +h_0=0 +type=crs")
@@ -115,7 +115,7 @@ def test_it_is_drawn_and_written_for_maps() -> None:
     assert list(dict(coverage_files(covered()))) == ["coverage.png"]
 
 
-def test_as_a_layer_of_a_map_its_corners_lie_around_its_cells() -> None:
+def test_the_corners_of_the_map_layer_enclose_its_cells() -> None:
     coverage = covered()
     data = coverage_layer(coverage)
     length = int.from_bytes(data[:4], "little")

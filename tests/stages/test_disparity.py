@@ -77,7 +77,7 @@ def test_masked_and_saturated_pixels_are_never_matched_in_either_image(matcher: 
 
 
 @pytest.mark.parametrize("matcher", NAMES)
-def test_exposure_of_one_camera_does_not_matter(matcher: str) -> None:
+def test_a_darker_exposure_of_one_camera_does_not_matter(matcher: str) -> None:
     left, right, rectification, truth = case()
     darker = Frame(np.rint(0.6 * right.image + 12).astype(np.uint8), right.mask, right.view)
     inside = visible(truth)
@@ -87,7 +87,7 @@ def test_exposure_of_one_camera_does_not_matter(matcher: str) -> None:
 
 
 @pytest.mark.parametrize("matcher", NAMES)
-def test_a_thing_beyond_the_range_of_the_matches_is_found(matcher: str) -> None:
+def test_an_object_beyond_the_disparity_range_of_the_matches_is_found(matcher: str) -> None:
     left, right, _, truth = case()
     floor = truth[:, :60]
     narrow = as_they_are(left.image[..., 0], right.image[..., 0], float(np.floor(floor.min())), float(np.ceil(floor.max() + 8)))
@@ -98,7 +98,7 @@ def test_a_thing_beyond_the_range_of_the_matches_is_found(matcher: str) -> None:
     assert np.mean(np.abs(found - truth)[disc] < 1) > 0.8
 
 
-def test_a_night_that_starts_from_another_is_as_good_and_finds_what_is_new() -> None:
+def test_starting_from_another_night_is_as_good_and_finds_new_objects() -> None:
     left, right, rectification, truth = case()
     fresh = matched(left, right, rectification, "patchmatch")
     y, x = np.mgrid[0:180, 0:240]
@@ -114,7 +114,7 @@ def test_a_night_that_starts_from_another_is_as_good_and_finds_what_is_new() -> 
     assert np.nanmedian(np.abs(found - truth)[inside]) < 0.15
 
 
-def test_another_night_of_other_rows_is_no_place_to_start_from() -> None:
+def test_the_disparity_of_a_night_with_other_rows_is_not_used() -> None:
     left, right, rectification, _ = case()
     fresh = matched(left, right, rectification, "patchmatch")
     assert rectification.H1 is not None
@@ -157,14 +157,14 @@ def test_images_that_share_nothing_are_rejected(matcher: str) -> None:
     assert isinstance(refused, Rejected) and refused.figures["density"] < 0.01
 
 
-def test_confidence_is_zero_where_nothing_is_known_and_only_there() -> None:
+def test_confidence_is_zero_exactly_where_disparity_is_unknown() -> None:
     left, right, rectification, _ = case()
     found = matched(left, right, rectification, "sgbm")
     np.testing.assert_array_equal(found.left == INVALID, found.confidence_left == 0)
     np.testing.assert_array_equal(found.right == INVALID, found.confidence_right == 0)
 
 
-def test_any_function_of_the_same_signature_plugs_in_with_its_own_parameters() -> None:
+def test_a_function_of_the_same_signature_is_used_with_its_own_parameters() -> None:
     left, right, rectification, truth = case(slope=0.0)
     found = match_dense(left, right, rectification, matcher="tests.helpers.plug_ins:at_its_word")
     assert isinstance(found, Disparity)
@@ -174,7 +174,7 @@ def test_any_function_of_the_same_signature_plugs_in_with_its_own_parameters() -
     assert isinstance(nearer, Disparity) and np.nanmax(np.abs(disparity_px(nearer, 1)[visible(truth)] - 22)) == 0
 
 
-def test_a_matcher_that_nobody_knows_and_a_parameter_that_nobody_reads_are_refused() -> None:
+def test_unknown_matchers_and_unknown_parameters_are_refused() -> None:
     left, right, rectification, _ = case()
     with pytest.raises(ValueError, match="patchmatch, sgbm, census-sgm"):
         match_dense(left, right, rectification, matcher="foo")
@@ -182,7 +182,7 @@ def test_a_matcher_that_nobody_knows_and_a_parameter_that_nobody_reads_are_refus
         match_dense(left, right, rectification, ratio=0.8)
 
 
-def test_what_a_matcher_does_not_believe_is_not_kept_but_may_confirm_the_other_view() -> None:
+def test_disparity_without_confidence_is_dropped_but_confirms_the_other_view() -> None:
     left, right, rectification, _ = case(slope=0.0)
     found = match_dense(left, right, rectification, matcher="tests.helpers.plug_ins:half_believed")
     assert isinstance(found, Disparity)
@@ -191,7 +191,7 @@ def test_what_a_matcher_does_not_believe_is_not_kept_but_may_confirm_the_other_v
 
 
 @pytest.mark.parametrize("matcher", NAMES)
-def test_a_step_towards_a_wall_is_matched_although_the_epipole_lies_in_the_image(matcher: str) -> None:
+def test_a_step_towards_a_wall_is_matched_although_the_epipole_is_in_the_image(matcher: str) -> None:
     """Rows are rays from the epipole; the wall is slanted, and its homography gives its image in the second camera."""
     left = looking(np.zeros(3), np.array([0.0, 0.0, 9.0]))
     right = Camera(left.K, left.R, np.array([0.15, 0.1, 2.0]), left.width, left.height)
@@ -226,7 +226,9 @@ def test_a_step_towards_a_wall_is_matched_although_the_epipole_lies_in_the_image
         ((5, 9), "sgbm", 0.085, 0.36),
     ],
 )
-def test_photographs_are_matched_as_well_as_measured(pair: tuple[int, int], matcher: str, bad: float, missed: float) -> None:
+def test_photographs_are_matched_within_the_measured_error_limits(
+    pair: tuple[int, int], matcher: str, bad: float, missed: float
+) -> None:
     """Rectified with true cameras and exact matches from laser depth; errors in pixels of image 2, at a quarter of the width."""
     left, right = (photograph(k) for k in pair)
     x1, x2 = laser_matches(left, right)

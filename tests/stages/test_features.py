@@ -31,7 +31,7 @@ def features(grey: np.ndarray, mask: np.ndarray | None = None, **options: object
     return found
 
 
-def test_descriptors_have_unit_length_and_rows_belong_together() -> None:
+def test_descriptors_have_unit_length_and_arrays_have_equal_length() -> None:
     found = features(blobs())
     n = len(found.xy)
     assert found.frames.shape == (n, 2, 2) and found.responses.shape == (n,) and found.tilts.shape == (n,)
@@ -45,13 +45,13 @@ def test_the_same_frame_gives_the_same_bytes() -> None:
         assert getattr(first, name).tobytes() == getattr(second, name).tobytes()
 
 
-def test_no_more_keypoints_than_asked_for_and_the_strongest_first() -> None:
+def test_the_number_of_keypoints_is_limited_and_the_strongest_come_first() -> None:
     found = features(blobs(), max_keypoints=120, tilted_keypoints=40)
     assert np.sum(found.tilts == PLAIN) == 120 and np.sum(found.tilts == TILTED) <= 40
     assert (np.diff(found.responses[:120]) <= 0).all()
 
 
-def test_a_large_image_searched_in_bands_shows_the_same_keypoints(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_large_image_searched_in_bands_gives_the_same_keypoints(monkeypatch: pytest.MonkeyPatch) -> None:
     grey = blobs(width=480, height=900)
     whole = features(grey, tilted_keypoints=0, max_keypoints=400)
     monkeypatch.setattr("wbflow_stages.features.LARGEST_PX", 160_000)
@@ -70,7 +70,7 @@ def test_a_faint_half_gets_its_share_of_keypoints() -> None:
     assert (strongest.xy[:, 0] > 240).sum() < 30
 
 
-def test_keypoints_keep_off_the_mask_and_its_rim() -> None:
+def test_keypoints_avoid_the_mask_and_its_border() -> None:
     mask = np.ones((320, 480), bool)
     mask[:, 200:280] = False
     found = features(np.where(mask, blobs(), 0), mask)
@@ -79,7 +79,7 @@ def test_keypoints_keep_off_the_mask_and_its_rim() -> None:
 
 
 @pytest.mark.parametrize(("view", "elongation"), [(PLAIN, 1.0), (TILTED, 2.0)])
-def test_keypoints_lie_on_the_centres_of_their_blobs(view: Frame, elongation: float) -> None:
+def test_keypoints_lie_at_the_centres_of_their_blobs(view: Frame, elongation: float) -> None:
     y, x = np.mgrid[:300, :600]
     rng = np.random.default_rng(0)
     centres = np.array([(60 + 115 * i, 50 + 50 * j) for i in range(5) for j in range(5)]) + rng.uniform(-0.5, 0.5, (25, 2))
@@ -92,7 +92,7 @@ def test_keypoints_lie_on_the_centres_of_their_blobs(view: Frame, elongation: fl
     np.testing.assert_allclose(np.median(offset, axis=0), 0, atol=0.1)  # a shift of half a pixel would show
 
 
-def test_turning_the_image_turns_the_frames() -> None:
+def test_frames_of_keypoints_turn_with_the_image() -> None:
     grey = blobs(width=320, height=320)
     upright, turned = features(grey, tilted_keypoints=0), features(np.rot90(grey, -1), tilted_keypoints=0)
     rotation = np.array([[0.0, -1.0], [1.0, 0.0]])  # clockwise: (x, y) -> (319 - y, x)
@@ -106,11 +106,11 @@ def test_turning_the_image_turns_the_frames() -> None:
     assert np.median(np.abs(relative - rotation).max(axis=(1, 2))) < 0.05
 
 
-def test_an_empty_frame_is_rejected_with_its_count() -> None:
+def test_an_empty_frame_is_rejected_with_its_number_of_keypoints() -> None:
     found = detect(frame(np.full((200, 300), 90.0)))
     assert isinstance(found, Rejected) and found.figures["keypoints"] == 0
 
 
 @pytest.mark.parametrize(("gain", "preprocessing"), [(1.0, "none"), (0.12, "clahe")])
-def test_the_image_itself_decides_how_it_is_prepared(gain: float, preprocessing: str) -> None:
+def test_preprocessing_is_chosen_by_the_contrast_of_the_image(gain: float, preprocessing: str) -> None:
     assert features(gain * blobs(), min_keypoints=1).preprocessing == preprocessing

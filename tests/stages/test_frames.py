@@ -39,7 +39,7 @@ def capture(image: np.ndarray, name: str = "gate.png", extension: str | None = N
     return Capture(name, data.ravel())
 
 
-def test_a_single_capture_comes_through_unchanged_in_rgb() -> None:
+def test_a_single_capture_becomes_an_unchanged_rgb_frame() -> None:
     frame = clean_frame([capture(scene())], Lens(), None, resolution=None)
     assert np.array_equal(frame.image, scene())
     assert frame.mask.all() and frame.notes == ()
@@ -91,7 +91,7 @@ def test_a_field_of_view_gives_a_guess_of_the_focal_length() -> None:
     ],
 )
 @pytest.mark.parametrize("extension", [".jpg", ".png"])
-def test_damaged_files_are_named_with_their_fault(
+def test_damaged_files_are_refused_with_their_name_and_fault(
     damage: Callable[[Uint8s], Uint8s], kind: type[Exception], words: str, extension: str
 ) -> None:
     good = capture(scene(), "gate/2026-11-19" + extension)
@@ -103,7 +103,7 @@ def test_damaged_files_are_named_with_their_fault(
 
 @pytest.mark.parametrize("extension", [".jpg", ".png"])
 @pytest.mark.parametrize("colour", [(128, 128, 128), (60, 140, 50)])
-def test_a_whole_file_of_a_picture_that_was_lost_in_part_is_left_out(extension: str, colour: tuple[int, int, int]) -> None:
+def test_a_capture_with_an_unfinished_lower_part_is_left_out(extension: str, colour: tuple[int, int, int]) -> None:
     broken = scene()
     broken[HEIGHT // 2 :] = colour
     lost = capture(broken, "gate/1" + extension)
@@ -114,7 +114,7 @@ def test_a_whole_file_of_a_picture_that_was_lost_in_part_is_left_out(extension: 
 
 
 @pytest.mark.parametrize("colour", [(0, 0, 0), (255, 255, 255)])
-def test_a_letter_box_is_no_picture_that_was_lost_in_part(colour: tuple[int, int, int]) -> None:
+def test_a_letter_box_is_not_taken_for_an_unfinished_picture(colour: tuple[int, int, int]) -> None:
     boxed = scene()
     boxed[-HEIGHT // 4 :] = colour
     assert clean_frame([capture(boxed)], Lens(), None).image.shape == boxed.shape
@@ -129,7 +129,7 @@ def test_a_letter_box_is_no_picture_that_was_lost_in_part(colour: tuple[int, int
         (14_000, 0, Lens(width=14_000, height=14_000), "which .* bytes cannot hold"),
     ],
 )
-def test_a_few_bytes_that_promise_gigabytes_are_not_decoded(
+def test_small_jpegs_that_claim_a_huge_size_are_not_decoded(
     size: int, padding: int, lens: Lens, words: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(cv2, "imdecode", lambda *image: pytest.fail("it is decoded"))
@@ -140,7 +140,7 @@ def test_a_few_bytes_that_promise_gigabytes_are_not_decoded(
         decode(Capture("gate.jpg", np.frombuffer(bomb, np.uint8)), lens)
 
 
-def test_a_small_png_that_promises_900_million_pixels_is_not_decoded(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_small_png_that_claims_900_million_pixels_is_not_decoded(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(cv2, "imdecode", lambda *image: pytest.fail("it is decoded"))
     good = cv2.imencode(".png", scene())[1].tobytes()
     bomb = good[:16] + (30_000).to_bytes(4, "big") * 2 + good[24:] + bytes(151_000)
@@ -150,7 +150,7 @@ def test_a_small_png_that_promises_900_million_pixels_is_not_decoded(monkeypatch
 
 
 @pytest.mark.parametrize("bits", [1, 8])
-def test_a_large_picture_of_next_to_nothing_is_decoded_and_judged_by_what_it_shows(bits: int) -> None:
+def test_a_highly_compressed_black_picture_is_decoded_and_called_black(bits: int) -> None:
     """Black compresses to more than 1000 pixels per byte: the message calls the image black instead of too large."""
     wide, high = 4000, 3000
     body = zlib.compress((b"\0" + bytes(wide * bits // 8)) * high, 9)
@@ -184,7 +184,7 @@ def test_a_dim_night_view_is_not_taken_for_black() -> None:
     assert clean_frame([capture((scene() * 0.08).astype(np.uint8))], Lens(), None).image.max() < 25
 
 
-def test_a_size_other_than_the_calibrated_one_names_both() -> None:
+def test_an_unexpected_image_size_is_refused_and_both_sizes_are_named() -> None:
     lens = Lens(K=np.diag([300.0, 300.0, 1.0]), width=3072, height=2048)
     with pytest.raises(WrongSize, match=r"gate.png has 320 x 240 pixels, the intrinsics are for 3072 x 2048: "):
         clean_frame([capture(scene())], lens, None)
@@ -199,7 +199,7 @@ def test_exif_orientation_is_applied() -> None:
     assert np.array_equal(upright, np.rot90(decode(capture(scene(), "gate.jpg")), -1))
 
 
-def test_what_moves_and_what_flickers_is_gone_from_the_merged_night() -> None:
+def test_moving_objects_and_exposure_changes_are_removed_from_the_merged_night() -> None:
     """Five captures with different exposures, and a bright van at another place in each."""
     truth = scene().astype(np.float64) * 0.6 + 20
     night = []
@@ -212,7 +212,7 @@ def test_what_moves_and_what_flickers_is_gone_from_the_merged_night() -> None:
     assert np.percentile(error, 99) < 6  # a van differs by about 100
 
 
-def test_damaged_captures_are_left_out_with_a_note_and_only_all_of_them_fail() -> None:
+def test_damaged_captures_are_left_out_and_only_all_of_them_are_refused() -> None:
     good = capture(scene(), "b.png")
     bad = Capture("a.png", good.data[:500])
     frame = clean_frame([bad, good], Lens(), None, resolution=None)
@@ -226,13 +226,13 @@ def test_damaged_captures_are_left_out_with_a_note_and_only_all_of_them_fail() -
         clean_frame([bad, Capture("b.png", good.data[:600]), Capture("c.png", good.data[:0])], Lens(), None)
 
 
-def test_the_odd_size_of_a_night_is_left_out() -> None:
+def test_a_capture_of_a_different_size_is_left_out() -> None:
     night = [capture(scene(width=160, height=120), "odd.png")] + [capture(scene(), f"{k}.png") for k in range(3)]
     frame = clean_frame(night, Lens(), None, resolution=None)
     assert frame.image.shape == (HEIGHT, WIDTH, 3) and "odd.png" in frame.notes[0]
 
 
-def test_the_median_needs_a_majority() -> None:
+def test_only_the_later_of_two_captures_is_used() -> None:
     frame = clean_frame([capture(scene(1), "1.png"), capture(scene(2), "2.png")], Lens(), None, resolution=None)
     assert np.array_equal(frame.image, scene(2))
     assert any("only 2.png" in note for note in frame.notes)
@@ -259,7 +259,7 @@ def test_distortion_is_removed_and_its_empty_borders_are_masked() -> None:
     assert barrel.mask.all()
 
 
-def test_a_mask_says_which_pixels_may_be_used() -> None:
+def test_only_nonzero_mask_pixels_are_used() -> None:
     mask = np.zeros((HEIGHT, WIDTH), np.uint8)
     mask[:, 100:] = 1  # any value but zero
     frame = clean_frame([capture(scene())], Lens(), capture(mask, "mask.png"), resolution=160)
@@ -275,7 +275,7 @@ def test_a_mask_says_which_pixels_may_be_used() -> None:
         (Capture("mask.png", np.zeros(0, np.uint8)), "mask mask.png is empty"),
     ],
 )
-def test_masks_that_cannot_be_meant_are_refused(mask: Capture, words: str) -> None:
+def test_masks_of_a_wrong_size_without_pixels_or_without_data_are_refused(mask: Capture, words: str) -> None:
     with pytest.raises(BadCapture, match=words):
         clean_frame([capture(scene())], Lens(), mask)
 
@@ -288,7 +288,7 @@ def test_a_long_night_is_sampled_evenly() -> None:
     assert "3 of 9 captures used" in frame.notes
 
 
-def test_darkness_takes_brightness_and_defocus_takes_sharpness() -> None:
+def test_darkness_lowers_brightness_and_defocus_lowers_sharpness() -> None:
     noise = np.random.default_rng(1).uniform(0, 255, (HEIGHT // 4, WIDTH // 4, 3)).astype(np.float32)
     image = np.clip(cv2.resize(noise, (WIDTH, HEIGHT), interpolation=cv2.INTER_CUBIC), 0, 255).astype(np.uint8)
     shown, dark, blurred = (
@@ -301,7 +301,7 @@ def test_darkness_takes_brightness_and_defocus_takes_sharpness() -> None:
     assert abs(blurred.brightness / shown.brightness - 1) < 0.01
 
 
-def test_what_the_mask_hides_is_not_looked_at() -> None:
+def test_masked_pixels_do_not_count_as_saturated() -> None:
     image = scene()
     image[:, : WIDTH // 2] = 255
     mask = np.full((HEIGHT, WIDTH), 255, np.uint8)
@@ -311,7 +311,7 @@ def test_what_the_mask_hides_is_not_looked_at() -> None:
     assert masked.saturated < 0.1
 
 
-def test_the_night_is_not_overexposed() -> None:
+def test_black_pixels_do_not_count_as_saturated() -> None:
     image = scene()
     image[:, : WIDTH // 2] = 0
     assert clean_frame([capture(image)], Lens(), None).saturated < 0.1

@@ -39,7 +39,7 @@ def test_exact_disparities_give_points_on_the_surfaces() -> None:
     assert np.median(distance) < 0.004
 
 
-def test_normals_have_unit_length_face_the_cameras_and_stand_on_their_surface() -> None:
+def test_normals_have_unit_length_face_the_cameras_and_fit_their_surface() -> None:
     yard = make_yard()
     cloud = fused(yard)
     assert np.allclose(np.linalg.norm(cloud.normals, axis=1), 1, atol=1e-5)
@@ -68,7 +68,7 @@ def test_wrong_matches_are_outvoted() -> None:
     assert len(strict.points) > 0.5 * len(lenient.points)
 
 
-def test_of_a_hundred_pairs_around_a_view_the_best_are_taken_and_the_others_named() -> None:
+def test_the_best_of_a_hundred_pairs_of_a_view_are_used_and_the_others_named() -> None:
     """Every fourth pair has disparities in only half of the image: all of these pairs are left out."""
     yard = make_yard((-20, 0), width=80)
     ((left, right), disparity), *_ = yard.disparities.items()
@@ -88,7 +88,7 @@ def test_of_a_hundred_pairs_around_a_view_the_best_are_taken_and_the_others_name
     np.testing.assert_allclose(depth.depth, one.depth, rtol=1e-6)
 
 
-def test_more_than_64_pairs_around_a_view_are_counted() -> None:
+def test_more_than_64_pairs_of_a_surface_are_counted() -> None:
     """Thirteen identical views, each with eight pairs of its own that all support the depth."""
     camera = make_yard((0,), width=16).cameras["cam+0"]
     flat, bits = np.full((12, 16), 5.0, np.float32), np.full((12, 16), 0xFF, np.uint32)
@@ -103,7 +103,7 @@ def test_more_than_64_pairs_around_a_view_are_counted() -> None:
     assert (few.pairs == 64).all()
 
 
-def test_confidence_tells_good_points_from_bad_and_sigma_is_about_the_error() -> None:
+def test_confidence_separates_good_from_bad_points_and_sigma_fits_the_error() -> None:
     yard = make_yard((-30, -15, 0, 15, 30), noise_px=0.3, wrong=0.1)
     cloud = fused(yard)
     distance = yard.distance(cloud.points)
@@ -121,7 +121,7 @@ def voxel(yard: Yard) -> float:
 
 
 @pytest.mark.parametrize(("scale", "metres"), [(0.1, (0, 0, 0)), (100.0, (0, 0, 0)), (1.0, (565000.0, 5930000.0, 30.0))])
-def test_a_desk_and_a_quarry_give_the_same_cloud(scale: float, metres: tuple[float, float, float]) -> None:
+def test_scale_and_position_of_the_world_do_not_change_the_cloud(scale: float, metres: tuple[float, float, float]) -> None:
     edge = voxel(make_yard())
     x, y, z = (edge * round(away / edge) for away in metres)  # keeps voxel borders in place, so that as many points are merged
     yard = make_yard(scale=scale, shift=(x, y, z))
@@ -131,7 +131,7 @@ def test_a_desk_and_a_quarry_give_the_same_cloud(scale: float, metres: tuple[flo
     assert np.percentile(yard.distance(there.points), 95) < 0.011
 
 
-def test_threads_do_not_change_a_byte(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_number_of_threads_does_not_change_the_cloud(monkeypatch: pytest.MonkeyPatch) -> None:
     yard = make_yard((-30, -15, 0, 15, 30), noise_px=0.3, wrong=0.1)
     alone = fused(yard)
     monkeypatch.setenv(THREADS, "3")
@@ -141,7 +141,7 @@ def test_threads_do_not_change_a_byte(monkeypatch: pytest.MonkeyPatch) -> None:
         assert one.tobytes() == other.tobytes() if isinstance(one, np.ndarray) else one == other
 
 
-def test_the_voxel_can_be_set() -> None:
+def test_the_voxel_size_can_be_set() -> None:
     cloud = fused(make_yard(), voxel_m=0.2)
     assert len(np.unique(np.floor(cloud.points / 0.2), axis=0)) > 0.5 * len(cloud.points)
     assert len(cloud.points) < 5000
@@ -153,7 +153,7 @@ def test_masked_pixels_give_no_points() -> None:
     assert isinstance(fuse(frames, yard.cameras, yard.depths()), Rejected)
 
 
-def test_without_pairs_the_reason_is_given() -> None:
+def test_views_and_clouds_without_pairs_are_rejected_with_the_reason() -> None:
     yard = make_yard()
     name, *others = yard.cameras
     alone = view_depth(yard.cameras[name], {other: yard.cameras[other] for other in others}, {}, {})
@@ -162,7 +162,7 @@ def test_without_pairs_the_reason_is_given() -> None:
     assert isinstance(answer, Rejected) and "no view has any depth" in answer.reason
 
 
-def test_pairs_of_unsolved_cameras_are_passed_over() -> None:
+def test_pairs_of_unsolved_cameras_are_ignored() -> None:
     yard = make_yard()
     known = replace(yard, cameras={name: yard.cameras[name] for name in list(yard.cameras)[:2]})
     cloud = fuse(yard.frames, known.cameras, known.depths())
@@ -175,7 +175,7 @@ def test_the_same_inputs_give_the_same_bytes() -> None:
         assert getattr(clouds[0], name).tobytes() == getattr(clouds[1], name).tobytes()
 
 
-class Loading(Mapping[str, DepthMap]):
+class CountingMapping(Mapping[str, DepthMap]):
     """A lazy mapping that counts the loads, and the most depth maps that were in memory at once."""
 
     def __init__(self, items: Mapping[str, DepthMap]) -> None:
@@ -198,10 +198,10 @@ class Loading(Mapping[str, DepthMap]):
         return len(self.kept)
 
 
-def test_the_depth_of_a_large_site_is_never_in_memory_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_depth_maps_of_a_large_site_are_never_all_in_memory(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys.modules[fuse.__module__], "_IN_MEMORY_PX", 0)  # as if the views had twelve million pixels
     yard = make_yard(tuple(range(-57, 58, 6)), width=120, max_angle=18)
-    lazy = Loading(yard.depths())
+    lazy = CountingMapping(yard.depths())
     assert isinstance(fuse(yard.frames, yard.cameras, lazy, check_views=4), Cloud)
     assert len(yard.cameras) == 20 and lazy.most <= 9
     assert len(lazy.loaded) < 4 * len(yard.cameras)
@@ -219,14 +219,14 @@ def exactly_refined(yard: Yard, support: int, sure: bool) -> dict[str, DepthMap]
     return refined
 
 
-def test_a_refined_depth_takes_the_place_of_the_pairs() -> None:
+def test_refined_depth_replaces_the_depth_of_the_pairs() -> None:
     yard = make_yard()
     cloud = fuse(yard.frames, yard.cameras, yard.depths(), exactly_refined(yard, 0b01, sure=True))
     assert isinstance(cloud, Cloud)
     assert np.percentile(yard.distance(cloud.points), 95) < 0.001
 
 
-def test_where_refinement_is_not_sure_and_less_likely_the_depth_of_the_pairs_stays() -> None:
+def test_pair_depth_is_kept_where_refinement_is_not_sure() -> None:
     yard = make_yard()
     refined = exactly_refined(yard, 0b01, sure=False)
     for name, view in refined.items():
@@ -237,7 +237,7 @@ def test_where_refinement_is_not_sure_and_less_likely_the_depth_of_the_pairs_sta
     assert len(cloud.points) > 0.9 * len(pairs.points)
 
 
-def test_a_refined_depth_that_fills_what_shows_nothing_is_believed_where_the_pairs_fill_it() -> None:
+def test_refined_depth_of_untextured_areas_is_used_only_if_pairs_fill_them() -> None:
     """Refinement puts a plane on the sky as on a wall, but pairs have no depths in the sky."""
     yard, points = make_yard(), []
     for filled in (True, False):
@@ -253,7 +253,7 @@ def test_a_refined_depth_that_fills_what_shows_nothing_is_believed_where_the_pai
     assert points[0] > 1000 and points[1] < 0.1 * points[0]
 
 
-def test_what_is_known_roughly_stays_as_dense_as_pixels_lie() -> None:
+def test_rough_depth_gives_as_dense_a_cloud_as_exact_depth() -> None:
     yard, points = make_yard(), []
     for sigma in (0.001, 0.008):
         refined = exactly_refined(yard, 0b11, sure=True)
@@ -265,7 +265,7 @@ def test_what_is_known_roughly_stays_as_dense_as_pixels_lie() -> None:
     assert points[1] > 0.95 * points[0]
 
 
-def test_more_confidence_leaves_fewer_points_that_are_more_often_right() -> None:
+def test_requiring_more_confidence_leaves_fewer_but_more_reliable_points() -> None:
     yard = make_yard((-30, -15, 0, 15, 30), noise_px=0.3, wrong=0.15)
     all_of_them, sure = fused(yard), fused(yard, confidence=0.9)
     assert 0.3 * len(all_of_them.points) < len(sure.points) < len(all_of_them.points)
@@ -274,7 +274,7 @@ def test_more_confidence_leaves_fewer_points_that_are_more_often_right() -> None
     assert sure.confidence.min() >= 0.9
 
 
-def test_a_pair_does_not_show_what_stands_behind_something_in_its_other_view() -> None:
+def test_a_refined_depth_hidden_in_the_other_view_of_its_pair_is_removed() -> None:
     yard = make_yard((-10, 10))
     refined = exactly_refined(yard, 0b01, sure=True)
     wrong = next(iter(refined.values()))

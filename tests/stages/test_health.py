@@ -43,12 +43,12 @@ def lit(frame: Frame, image: np.ndarray) -> Frame:
 REFERENCE = seen()
 
 
-def test_without_a_reference_there_is_nothing_to_compare_with() -> None:
+def test_a_camera_without_a_reference_is_ok() -> None:
     assert examine(REFERENCE).state == "ok"
 
 
 @pytest.mark.parametrize("light", ["same", "lamps", "noise", "shade"])
-def test_a_camera_that_stands_still_is_ok_whatever_the_light(light: str) -> None:
+def test_a_camera_that_has_not_moved_is_ok_in_any_light(light: str) -> None:
     rng = np.random.default_rng(1)
     image = REFERENCE.image.astype(np.float64)
     x = np.linspace(0, 1, W)[None, :, None]
@@ -65,7 +65,7 @@ def test_a_camera_that_stands_still_is_ok_whatever_the_light(light: str) -> None
 
 
 @pytest.mark.parametrize("angles", [(0.25, 0.1, 0.0), (-0.1, 0.2, 0.15), (0.0, 0.0, 0.35)])
-def test_a_nudge_is_measured_with_its_standard_deviation(angles: tuple[float, float, float]) -> None:
+def test_a_small_turn_is_measured_with_its_standard_deviation(angles: tuple[float, float, float]) -> None:
     found = examine(seen(*angles), REFERENCE, nudged_px=0.5)
     assert found.state == "shifted"
     true = float(np.linalg.norm(angles))
@@ -79,7 +79,7 @@ def test_a_nudge_is_measured_with_its_standard_deviation(angles: tuple[float, fl
     assert found.remedy
 
 
-def test_a_small_turn_is_a_nudge_and_a_larger_one_a_move() -> None:
+def test_a_small_turn_is_a_shift_and_a_larger_one_a_move() -> None:
     assert examine(seen(0.3), REFERENCE).state == "shifted"
     moved = examine(seen(0.6), REFERENCE)
     assert moved.state == "moved"
@@ -89,11 +89,11 @@ def test_a_small_turn_is_a_nudge_and_a_larger_one_a_move() -> None:
     assert float(far.figures["turn_deg"]) == pytest.approx(9.0, rel=0.05)
 
 
-def test_a_lens_that_was_touched_is_a_move() -> None:
+def test_a_changed_zoom_is_a_move() -> None:
     assert examine(seen(zoom=1.02), REFERENCE).state == "moved"
 
 
-def test_a_camera_that_always_sways_is_not_nudged_when_it_does() -> None:
+def test_usual_swaying_of_a_camera_is_not_reported_as_a_shift() -> None:
     swaying = Usual(np.array([-1.5, 2.0, 0.3, 1.8, -2.1, 0.9]), np.zeros(6), np.zeros(6))
     tonight = seen(0.25)
     assert examine(tonight, REFERENCE).state == "shifted"
@@ -103,14 +103,14 @@ def test_a_camera_that_always_sways_is_not_nudged_when_it_does() -> None:
 
 
 @pytest.mark.parametrize("level", [2.0, 70.0])
-def test_a_lens_that_is_covered_or_without_light_is_blind(level: float) -> None:
+def test_a_covered_or_unlit_lens_is_obscured(level: float) -> None:
     rng = np.random.default_rng(2)
     found = examine(lit(REFERENCE, rng.normal(level, 1.5, REFERENCE.image.shape)), REFERENCE)
     assert found.state == "obscured"
     assert float(found.figures["flat"]) > float(found.expected["flat"])
 
 
-def test_another_place_is_foreign_even_with_the_same_clock_burnt_in() -> None:
+def test_another_scene_is_recognised_even_with_the_same_burned_in_clock() -> None:
     other = seen(world=texture(2 * H, 2 * W, seed=9))
     assert examine(other, REFERENCE).state == "wrong-scene"
     image = other.image.copy()
@@ -118,12 +118,12 @@ def test_another_place_is_foreign_even_with_the_same_clock_burnt_in() -> None:
     assert examine(lit(other, image), REFERENCE).state == "wrong-scene"
 
 
-def test_what_cannot_be_decided_is_ok_and_unverified() -> None:
+def test_an_undecidable_camera_is_ok_but_unverified() -> None:
     other = seen(world=texture(2 * H, 2 * W, seed=9))
     found = examine(lit(other, 8 + 0.12 * other.image.astype(np.float64)), REFERENCE)
     assert found.state == "ok"
     assert "unverified" in found.text
 
 
-def test_pictures_of_another_size_are_those_of_another_camera() -> None:
+def test_a_picture_of_another_size_counts_as_a_moved_camera() -> None:
     assert examine(frame_of(texture(100, 200)), REFERENCE).state == "moved"

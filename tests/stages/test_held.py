@@ -33,7 +33,7 @@ def tonight(site: PairSite, cameras: dict[str, Camera]) -> dict[tuple[str, str],
     return {pair: pair_geometry(cameras, site.views, pixels, pair, 0.0) for pair in site.geometries}
 
 
-def test_the_geometry_of_a_nudged_camera_is_that_of_where_it_looks_now() -> None:
+def test_the_geometry_of_a_turned_camera_fits_its_new_direction() -> None:
     site = make_pair_site(3)
     cameras = {**site.cameras, "c1": replace(site.cameras["c1"], R=TURN @ site.cameras["c1"].R)}
     for pair, health in {("c0", "c1"): (OK, nudged(cameras["c1"])), ("c1", "c2"): (nudged(cameras["c1"]), OK)}.items():
@@ -47,7 +47,7 @@ def test_the_geometry_of_a_nudged_camera_is_that_of_where_it_looks_now() -> None
         assert np.abs(turned.cam2_R_cam1 - true.cam2_R_cam1).max() < 1e-9
 
 
-def test_the_geometry_of_cameras_that_stand_still_stays_what_it_is() -> None:
+def test_the_geometry_of_unmoved_cameras_stays_unchanged() -> None:
     site = make_pair_site(2)
     turned = turn_geometry(site.geometries["c0", "c1"], OK, OK)
     assert isinstance(turned, Geometry)
@@ -55,7 +55,7 @@ def test_the_geometry_of_cameras_that_stand_still_stays_what_it_is() -> None:
     assert len(turned.x1) == len(site.geometries["c0", "c1"].x1)
 
 
-def test_a_nudged_camera_turns_and_the_others_stay_to_the_bit() -> None:
+def test_a_turned_camera_is_corrected_and_the_others_stay_unchanged() -> None:
     site = make_pair_site(4)
     healths = dict.fromkeys(site.cameras, OK) | {"c2": nudged(site.cameras["c2"])}
     found = hold_poses(reference(site), healths, site.views, {})
@@ -82,7 +82,7 @@ def test_a_moved_camera_is_solved_from_the_others() -> None:
         assert np.array_equal(found.cameras[name].C, site.cameras[name].C)
 
 
-def test_captures_exchanged_since_are_found_out_tonight() -> None:
+def test_captures_exchanged_since_the_reference_are_detected() -> None:
     """Both cameras look elsewhere; the check of tonight is reported instead of the reference's, whose calibration was right."""
     site = make_pair_site(6)
     right = replace(reference(site), calibration=CalibrationCheck(900, 6, True, 1.0))
@@ -95,7 +95,7 @@ def test_captures_exchanged_since_are_found_out_tonight() -> None:
     assert "exchanged" in found.calibration.cause
 
 
-def test_a_moved_camera_that_shares_nothing_with_the_others_is_left_out_with_the_reason() -> None:
+def test_a_moved_camera_without_shared_matches_is_left_out_with_the_reason() -> None:
     site = make_pair_site(4)
     healths = dict.fromkeys(site.cameras, OK) | {"c3": CameraHealth("moved", "turned by 40 degrees")}
     found = hold_poses(reference(site), healths, site.views, {})

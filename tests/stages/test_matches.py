@@ -34,7 +34,7 @@ MATCHERS = ["structural", "hao2011-dominance", "mutual", "kdtree"]
 
 
 @pytest.mark.parametrize("matcher", MATCHERS)
-def test_shuffled_keypoints_find_themselves(matcher: str) -> None:
+def test_shuffled_keypoints_are_matched_to_themselves(matcher: str) -> None:
     left = random_features(400)
     order = RNG.permutation(400)
     found = match(left, seen_again(left, order, np.array([5.0, -3.0])), matcher=matcher)
@@ -57,18 +57,18 @@ def test_the_same_features_give_the_same_matches(matcher: str) -> None:
 
 
 @pytest.mark.parametrize("matcher", ["mutual", "kdtree"])
-def test_strangers_are_rejected_with_their_count(matcher: str) -> None:
+def test_unrelated_features_are_rejected_with_their_number_of_matches(matcher: str) -> None:
     found = match(random_features(300), random_features(300), matcher=matcher)
     assert isinstance(found, Rejected) and found.figures["matches"] < 8
 
 
 @pytest.mark.parametrize("matcher", MATCHERS)
-def test_no_keypoints_give_no_matches(matcher: str) -> None:
+def test_too_few_keypoints_are_rejected(matcher: str) -> None:
     assert isinstance(match(random_features(0), random_features(300), matcher=matcher), Rejected)
     assert isinstance(match(random_features(300), random_features(3), matcher=matcher), Rejected)
 
 
-def test_a_matcher_that_nobody_knows_is_refused_and_the_known_ones_are_listed() -> None:
+def test_an_unknown_matcher_is_refused_and_the_known_ones_are_listed() -> None:
     with pytest.raises(ValueError, match="structural, hao2011-dominance, hao2011, mutual, kdtree"):
         match(random_features(20), random_features(20), matcher="foo")
 
@@ -76,19 +76,17 @@ def test_a_matcher_that_nobody_knows_is_refused_and_the_known_ones_are_listed() 
 @pytest.mark.parametrize(
     ("matcher", "option", "own"), [("mutual", {"dominance": 2.0}, "ratio"), ("structural", {"ratio": 0.7}, "dominance")]
 )
-def test_a_parameter_that_the_matcher_does_not_read_is_refused_and_its_own_are_listed(
-    matcher: str, option: dict[str, Any], own: str
-) -> None:
+def test_a_parameter_of_another_matcher_is_refused_and_its_own_are_listed(matcher: str, option: dict[str, Any], own: str) -> None:
     with pytest.raises(TypeError, match=f"{matcher!r} does not read .*; its parameters: .*{own}"):
         match(random_features(20), random_features(20), matcher=matcher, **option)
 
 
-def test_strangers_share_no_structure() -> None:
+def test_unrelated_features_have_almost_no_structural_matches() -> None:
     found = match(random_features(300), random_features(300))
     assert isinstance(found, Rejected) or len(found.x1) < 25
 
 
-def test_the_literal_dominance_test_never_fires_on_hundreds_of_features() -> None:
+def test_the_published_dominance_test_never_accepts_hundreds_of_features() -> None:
     left = random_features(400)
     found = match(left, seen_again(left, RNG.permutation(400), np.zeros(2)), matcher="hao2011")
     assert isinstance(found, Rejected)
@@ -118,16 +116,16 @@ def repeated_windows(seed: int) -> tuple[Features, Features]:
     return view(xy, frames, order), view(xy @ A.T + shift + rng.normal(0, 0.3, xy.shape), frames * np.sqrt(0.67), order)
 
 
-def test_repeated_windows_are_distinguished_by_the_pattern_that_they_form() -> None:
+def test_repeated_windows_are_distinguished_by_their_arrangement() -> None:
     left, right = repeated_windows(3)
     structural, mutual = match(left, right), match(left, right, matcher="mutual")
     assert isinstance(structural, Matches) and isinstance(mutual, Matches)
-    right_ones, fewer = (np.asarray(found.i1 == found.i2) for found in (structural, mutual))
-    assert right_ones.mean() > 0.95
-    assert right_ones.sum() > 1.8 * fewer.sum()
+    structural_right, mutual_right = (np.asarray(found.i1 == found.i2) for found in (structural, mutual))
+    assert structural_right.mean() > 0.95
+    assert structural_right.sum() > 1.8 * mutual_right.sum()
 
 
-def test_a_match_is_unique_in_both_images_and_more_dominance_means_fewer() -> None:
+def test_matches_are_one_to_one_and_more_dominance_leaves_fewer() -> None:
     left, right = repeated_windows(4)
     loose, strict = match(left, right), match(left, right, dominance=3.0)
     assert isinstance(loose, Matches) and isinstance(strict, Matches)
@@ -137,7 +135,7 @@ def test_a_match_is_unique_in_both_images_and_more_dominance_means_fewer() -> No
     assert loose.probability.min() > 0.44 and strict.probability.min() > 0.74
 
 
-def test_compressed_views_come_in_only_where_the_plain_ones_are_weak() -> None:
+def test_tilted_keypoints_are_used_only_if_plain_matches_are_weak() -> None:
     left, right = repeated_windows(5)
     tilts1, tilts2 = ((np.arange(len(left.xy)) % 5 == rest).astype(np.uint8) for rest in (3, 4))
     left, right = Features(**{**vars(left), "tilts": tilts1}), Features(**{**vars(right), "tilts": tilts2})

@@ -22,7 +22,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def test_two_photographs_become_disparity_in_ten_lines(folder: Path) -> None:
+def test_two_photographs_become_disparity_with_a_few_calls(folder: Path) -> None:
     left, right = wb.read_frame(folder / "left.png"), wb.read_frame(folder / "right.png")
     features = wb.detect(left), wb.detect(right)
     matches = wb.match(*features)
@@ -35,7 +35,7 @@ def test_two_photographs_become_disparity_in_ten_lines(folder: Path) -> None:
         assert len(repr(result)) < 2000
 
 
-def test_the_lines_of_the_docstring_are_those(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_example_in_the_package_docstring_works(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert wb.__doc__ is not None
     lines = [line.strip() for line in wb.__doc__.splitlines() if line.startswith("    ")]
     lines = [line.replace(".jpg", ".png").replace("rectification)", 'rectification, matcher="sgbm")') for line in lines]
@@ -46,13 +46,13 @@ def test_the_lines_of_the_docstring_are_those(folder: Path, monkeypatch: pytest.
     assert isinstance(known["d"], np.ndarray) and np.isfinite(known["d"]).any()
 
 
-def test_what_is_known_of_the_lens_is_taken_along(folder: Path) -> None:
+def test_a_stated_field_of_view_sets_the_focal_length(folder: Path) -> None:
     frame = wb.read_frame(folder / "left.png", hfov_deg=60.0, resolution=480)
     assert frame.image.shape[1] == 480 and frame.view.K is not None
     np.testing.assert_allclose(frame.view.K[0, 0], 240 / np.tan(np.radians(30)), rtol=0.01)
 
 
-def test_stages_that_are_called_like_their_files_are_functions_whatever_was_imported_before() -> None:
+def test_stages_are_functions_even_after_importing_their_modules() -> None:
     code = (
         "import wbflow_stages as wb, sys\n"
         "assert 'numpy' not in sys.modules and 'cv2' not in sys.modules, 'the package loads heavy libraries'\n"
@@ -63,6 +63,6 @@ def test_stages_that_are_called_like_their_files_are_functions_whatever_was_impo
     subprocess.run([sys.executable, "-c", code], check=True)
 
 
-def test_a_name_that_is_not_there_is_an_attribute_error() -> None:
+def test_an_unknown_name_of_the_package_raises_an_attribute_error() -> None:
     with pytest.raises(AttributeError, match="no attribute 'mtach'"):
         _ = wb.mtach

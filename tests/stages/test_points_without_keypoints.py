@@ -39,21 +39,21 @@ def geometries() -> dict[Pair, Geometry]:
     return found
 
 
-def test_frames_that_the_matcher_asks_for_and_nobody_gives_are_named() -> None:
+def test_frames_that_a_matcher_needs_but_does_not_get_are_named() -> None:
     features = detect(straight_frames()[1], min_keypoints=1)
     assert isinstance(features, Features)
     with pytest.raises(ValueError, match="needs left_frame"):
         match(features, features, matcher=GRID)
 
 
-def test_geometry_is_that_of_the_cameras(geometries: dict[Pair, Geometry]) -> None:
+def test_geometry_from_grid_points_agrees_with_the_true_cameras(geometries: dict[Pair, Geometry]) -> None:
     for (a, b), geometry in geometries.items():
         assert geometry.i1 is None and geometry.i2 is None and geometry.score > 0
         R, _ = relative_pose(*(small_yard().cameras[int(name)].camera for name in (a, b)))
         assert geometry.cam2_R_cam1 is not None and angle_between_deg(R, geometry.cam2_R_cam1) < 0.2
 
 
-def test_cameras_are_solved_and_pixels_matched(geometries: dict[Pair, Geometry]) -> None:
+def test_cameras_and_disparity_are_found_from_grid_points(geometries: dict[Pair, Geometry]) -> None:
     views = {str(k): straight_frames()[k].view for k in range(1, 4)}
     poses = solve_poses(views, {}, geometries)
     assert isinstance(poses, Poses) and len(poses.cameras) == 3
@@ -64,7 +64,7 @@ def test_cameras_are_solved_and_pixels_matched(geometries: dict[Pair, Geometry])
     assert isinstance(disparity, Disparity) and disparity.density > 0.3
 
 
-def test_points_of_one_view_near_each_other_are_one_observation(geometries: dict[Pair, Geometry]) -> None:
+def test_nearby_points_of_one_view_become_one_observation(geometries: dict[Pair, Geometry]) -> None:
     tracks = build_tracks({(int(a), int(b)): geometry for (a, b), geometry in geometries.items()}, 4)
     assert (np.bincount(tracks.track) == 3).sum() > 50
     for view in range(1, 4):
@@ -73,7 +73,7 @@ def test_points_of_one_view_near_each_other_are_one_observation(geometries: dict
         assert gaps.min() > SAME_PX
 
 
-def test_the_same_places_are_nearest_to_each_other() -> None:
+def test_same_places_pairs_mutually_nearest_points() -> None:
     x = np.array([[0.0, 0.0], [10.0, 0.0], [10.9, 0.0], [50.0, 0.0]])
     y = np.array([[52.0, 0.0], [11.0, 0.0], [0.5, 0.5]])
     a, b = same_places(x, y)

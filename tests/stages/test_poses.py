@@ -10,7 +10,7 @@ from wbflow_stages.types import Placement, Poses, Rejected, Survey, View
 K = np.array([[500.0, 0, 319.5], [0, 500.0, 239.5], [0, 0, 1]])
 
 
-def test_stated_cameras_are_taken_over_and_the_others_say_what_they_lack() -> None:
+def test_stated_cameras_are_used_and_the_others_report_what_is_missing() -> None:
     views = {name: View(640, 480, K) for name in ("gate", "roof")} | {"mast": View(640, 480)}
     R, C = np.eye(3), np.array([1.0, 2.0, 3.0])
     poses = solve_poses(views, {"gate": Placement(R, C), "roof": Placement(R, None), "mast": Placement(R, C)}, {})
@@ -24,7 +24,7 @@ def test_stated_cameras_are_taken_over_and_the_others_say_what_they_lack() -> No
     assert poses.metric and poses.source == "calibration"
 
 
-def test_cameras_fed_back_keep_their_coordinate_system_and_whether_they_are_metric() -> None:
+def test_cameras_fed_back_keep_their_coordinate_system_and_non_metric_scale() -> None:
     views = {name: View(640, 480, K) for name in ("gate", "roof")}
     placements = {name: Placement(np.eye(3), np.array([x, 0.0, 0.0]), metric=False) for x, name in enumerate(views)}
     poses = solve_poses(views, placements, {}, Survey(crs="+proj=topocentric"))
@@ -32,5 +32,5 @@ def test_cameras_fed_back_keep_their_coordinate_system_and_whether_they_are_metr
     assert poses.crs == "+proj=topocentric" and not poses.metric and "not metric" in poses.scale
 
 
-def test_without_any_pose_there_is_nothing_to_give() -> None:
+def test_without_any_pose_or_pair_poses_are_rejected() -> None:
     assert isinstance(solve_poses({"gate": View(640, 480, K)}, {}, {}), Rejected)

@@ -31,18 +31,18 @@ def calls() -> Iterator[ast.Call]:
 
 
 @pytest.mark.parametrize("reason", Reason)
-def test_every_reason_has_a_code_in_kebab_case_and_words(reason: Reason) -> None:
+def test_every_reason_has_a_kebab_case_code_and_a_text(reason: Reason) -> None:
     assert re.fullmatch(r"[a-z]+(-[a-z]+)*", reason)
     words = Rejected(reason, dict.fromkeys(needed(reason), 0.25)).reason
     assert len(words) > 10 and "{" not in words and words[0].isascii()
 
 
 @pytest.mark.parametrize("reason", Reason)
-def test_every_reason_is_given_somewhere(reason: Reason) -> None:
+def test_every_reason_is_used_in_the_stages(reason: Reason) -> None:
     assert any(f"Reason.{reason.name}" in path.read_text() for path in SOURCES)
 
 
-def test_the_words_need_only_figures_that_are_given() -> None:
+def test_reason_texts_need_only_figures_that_the_call_sites_give() -> None:
     checked = 0
     for call in calls():
         code = call.args[0]
@@ -58,18 +58,18 @@ def test_the_words_need_only_figures_that_are_given() -> None:
     assert checked > 8
 
 
-def test_a_figure_that_is_missing_shows_where_it_is_forgotten() -> None:
+def test_a_missing_figure_raises_an_error_where_it_is_forgotten() -> None:
     with pytest.raises(KeyError, match="needed"):
         Rejected(Reason.TOO_FEW_MATCHES, {"matches": 3})
 
 
-def test_reasons_can_be_counted() -> None:
+def test_reasons_can_be_counted_by_their_code() -> None:
     few = [Rejected(Reason.TOO_FEW_MATCHES, {"matches": count, "needed": 8}) for count in range(3)]
     plane = Rejected(Reason.PLANAR_OR_ROTATION, {"homography_share": 0.953})
     assert Counter(found.code for found in [*few, plane]) == {"too-few-matches": 3, "planar-or-rotation": 1}
     assert few[2].reason == "too few: 2 matches, 8 needed" and "95 %" in plane.reason
 
 
-def test_a_function_of_ones_own_may_use_its_own_words() -> None:
+def test_a_rejection_with_free_text_has_the_code_other() -> None:
     found = Rejected("the network is not sure", {"certainty": 0.2})
     assert (found.code, found.reason) == ("other", "the network is not sure")

@@ -40,7 +40,7 @@ def test_every_method_puts_a_point_on_one_row_in_both_images(method: str) -> Non
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_the_disparity_range_holds_nearly_all_matches_and_the_images_all_of_them(method: str) -> None:
+def test_disparity_range_and_image_sizes_contain_nearly_all_matches(method: str) -> None:
     geometry, left, right = two_views(SIDEWAYS)
     result = rectified(geometry, left, right, method)
     y1, y2 = to_rectified(result, 1, geometry.x1), to_rectified(result, 2, geometry.x2)
@@ -63,7 +63,7 @@ def test_neither_image_is_mirrored_and_pixels_keep_their_size(method: str) -> No
 
 
 @pytest.mark.parametrize("degrees", [0, 30, 60, 70, 75, 80, 85, 88, 90])
-def test_the_epipole_may_come_from_infinity_to_the_centre_of_the_image(degrees: float) -> None:
+def test_the_epipole_may_lie_anywhere_from_infinity_to_the_image_centre(degrees: float) -> None:
     """The direction of the second camera from the first: sideways (0 degrees) to straight ahead (90)."""
     a = np.radians(degrees)
     geometry, left, right = two_views(2.0 * np.array([np.cos(a), 0.05, np.sin(a)]))
@@ -77,7 +77,7 @@ def test_the_epipole_may_come_from_infinity_to_the_centre_of_the_image(degrees: 
         assert result.method in ("congruent", "hartley") or "epipole" in result.reason or "infinity" in result.reason
 
 
-def test_in_both_orders_a_dolly_gives_the_same_rows() -> None:
+def test_two_views_of_a_dolly_get_right_rows_in_either_order() -> None:
     geometry, left, right = two_views(np.array([0.1, 0.0, 3.0]))
     swapped = dataclasses.replace(geometry, F=geometry.F.T, x1=geometry.x2, x2=geometry.x1)
     for g, cameras in ((geometry, (left, right)), (swapped, (right, left))):
@@ -90,7 +90,7 @@ DOLLY = [np.array([0.1 * np.sin(k), 0.05 * np.cos(2 * k), 0.8 * k]) for k in ran
 
 
 @pytest.mark.parametrize(("i", "j"), [(i, j) for i in range(5) for j in range(5) if i != j])
-def test_any_two_views_of_a_dolly_get_right_rows_from_f_of_their_own_noisy_matches(i: int, j: int) -> None:
+def test_any_two_views_of_a_dolly_get_right_rows_from_noisy_matches(i: int, j: int) -> None:
     """The cameras move towards what they see: both epipoles lie in the images."""
     left, right = (looking(place, np.array([0.0, 0.0, 9.0])) for place in (DOLLY[i], DOLLY[j]))
     X = scene()
@@ -105,7 +105,7 @@ def test_any_two_views_of_a_dolly_get_right_rows_from_f_of_their_own_noisy_match
     assert np.percentile(errors, 95) < 0.5
 
 
-def test_cameras_that_see_each_other_are_rectified_by_rows_that_run_in_opposite_directions() -> None:
+def test_cameras_that_see_each_other_get_rows_in_opposite_directions() -> None:
     """Both epipoles lie inside the images: along a row, the distance from one epipole falls while that from the other rises."""
     left = looking(np.array([-2.5, 0.0, 0.0]), np.array([1.0, 0.3, 2.5]))
     right = looking(np.array([2.5, 0.0, 1.0]), np.array([-1.0, -0.2, 3.5]))
@@ -149,7 +149,7 @@ def test_matches_too_scattered_for_a_congruent_net_fall_back_to_hartley() -> Non
     assert result.anisotropy < 2
 
 
-def test_without_cameras_the_matches_alone_give_rows_good_to_a_tenth_of_a_pixel() -> None:
+def test_matches_alone_give_rows_good_to_a_tenth_of_a_pixel() -> None:
     geometry, left, right = two_views(SIDEWAYS, noise_px=0.3)
     result = rectified(geometry, None, None)
     exact, _, _ = two_views(SIDEWAYS)
@@ -158,7 +158,7 @@ def test_without_cameras_the_matches_alone_give_rows_good_to_a_tenth_of_a_pixel(
     assert np.isfinite(rectified(geometry, left, right).depth_resolution)
 
 
-def test_depth_resolution_is_what_one_pixel_of_disparity_is_worth() -> None:
+def test_depth_resolution_is_the_depth_of_one_pixel_of_disparity() -> None:
     """Sideways cameras without rotation: dz / z = z / (f b) for one pixel."""
     left = Camera(K, np.eye(3), np.zeros(3), WIDTH, HEIGHT)
     right = Camera(K, np.eye(3), np.array([1.0, 0.0, 0.0]), WIDTH, HEIGHT)
@@ -168,7 +168,7 @@ def test_depth_resolution_is_what_one_pixel_of_disparity_is_worth() -> None:
     assert result.angle_deg == pytest.approx(np.degrees(1 / 10), rel=0.15)
 
 
-def test_few_matches_are_refused_and_some_warn() -> None:
+def test_very_few_matches_are_refused_and_few_give_a_warning() -> None:
     geometry, left, right = two_views(SIDEWAYS)
     few = dataclasses.replace(geometry, x1=geometry.x1[:12], x2=geometry.x2[:12], probability=geometry.probability[:12])
     refused = rectify(few, left, right)
@@ -177,7 +177,7 @@ def test_few_matches_are_refused_and_some_warn() -> None:
     assert rectified(some, left, right).warnings == ("few matches",)
 
 
-def test_clustered_matches_do_not_tell_the_rows_of_the_rest() -> None:
+def test_clustered_matches_without_cameras_are_refused() -> None:
     geometry, _, _ = two_views(SIDEWAYS, n=60000, noise_px=0.4)
     near = (np.abs(geometry.x1 - np.array([320.0, 288.0])) < 40).all(axis=1)
     assert near.sum() > 100
@@ -188,7 +188,7 @@ def test_clustered_matches_do_not_tell_the_rows_of_the_rest() -> None:
 
 
 @pytest.mark.parametrize("method", ["congruent", "calibrated"])
-def test_matches_too_close_together_for_a_net_do_not_stop_cameras_from_telling_the_rows(method: str) -> None:
+def test_matches_too_close_for_a_net_still_give_right_rows_with_known_cameras(method: str) -> None:
     """All matches are in one cell of the grid of control points."""
     geometry, left, right = two_views(SIDEWAYS, n=60000)
     near = (np.abs(geometry.x1 - np.array([333.0, 280.0])) < 12).all(axis=1)
@@ -199,7 +199,7 @@ def test_matches_too_close_together_for_a_net_do_not_stop_cameras_from_telling_t
     assert row_errors(result, geometry.x1, geometry.x2).max() < 1e-3
 
 
-def test_the_limit_for_rows_grows_with_the_frame() -> None:
+def test_the_limit_of_the_row_error_grows_with_the_frame() -> None:
     """The same pair enlarged four times, noise included, is accepted like the original."""
     geometry, _, _ = two_views(SIDEWAYS, n=900, noise_px=0.4)
     rectified(geometry, None, None)
@@ -218,7 +218,7 @@ def test_the_limit_for_rows_grows_with_the_frame() -> None:
     assert refused.figures["allowed_px"] == pytest.approx(0.1 * 4 * WIDTH / 768)
 
 
-def test_exact_matches_among_rough_ones_make_the_rows_sure() -> None:
+def test_exact_matches_among_rough_ones_make_rows_acceptable() -> None:
     geometry, _, _ = two_views(SIDEWAYS)
     rng = np.random.default_rng(0)
     noise = np.where(np.arange(len(geometry.x1)) % 5 == 0, 0.05, 2.0)
@@ -228,7 +228,7 @@ def test_exact_matches_among_rough_ones_make_the_rows_sure() -> None:
     rectified(dataclasses.replace(rough, noise_px=noise.astype(np.float32)), None, None)
 
 
-def test_an_f_that_is_more_likely_wrong_than_right_is_refused_unless_cameras_replace_it() -> None:
+def test_an_f_that_is_probably_wrong_is_refused_unless_cameras_replace_it() -> None:
     geometry, left, right = two_views(SIDEWAYS)
     doubtful = dataclasses.replace(geometry, score=-0.5, agreement=0.1)
     refused = rectify(doubtful, None, None)
@@ -236,7 +236,7 @@ def test_an_f_that_is_more_likely_wrong_than_right_is_refused_unless_cameras_rep
     assert row_errors(rectified(doubtful, left, right), geometry.x1, geometry.x2).max() < 1e-3
 
 
-def test_rows_are_trusted_where_the_scene_is_and_not_where_nothing_was_matched() -> None:
+def test_matches_in_a_strip_do_not_determine_the_rows_of_the_rest() -> None:
     """Matches all over the scene determine its epipolar lines; matches in a strip do not determine those of the rest."""
     geometry, _, _ = two_views(SIDEWAYS, noise_px=0.4)
     rectified(geometry, None, None)
@@ -257,7 +257,7 @@ def test_almost_no_baseline_is_refused_with_and_without_cameras() -> None:
     assert isinstance(agreed, Rejected) and "baseline" in agreed.reason and agreed.figures["angle_deg"] == 0.3
 
 
-def test_a_flat_scene_is_refused_only_where_f_must_come_from_it() -> None:
+def test_a_flat_scene_is_refused_only_without_known_cameras() -> None:
     left, right = looking(np.zeros(3), np.array([0.0, 0.0, 9.0])), looking(SIDEWAYS, np.array([0.0, 0.0, 9.0]))
     x1, x2 = seen_by_both(left, right, scene(depth=(9.0, 9.0 + 1e-9)))
     geometry = geometry_of(x1, x2, fundamental_from_cameras(left, right))
@@ -301,12 +301,12 @@ def test_cameras_that_contradict_the_matches_are_refused() -> None:
     assert isinstance(refused, Rejected) and "contradict" in refused.reason
 
 
-def test_calibrated_needs_cameras() -> None:
+def test_the_calibrated_method_needs_cameras() -> None:
     with pytest.raises(ValueError, match="needs left"):
         rectify(two_views(SIDEWAYS)[0], None, None, method="calibrated")
 
 
-def test_a_method_that_nobody_knows_and_a_parameter_that_nobody_reads_are_refused() -> None:
+def test_unknown_methods_and_unknown_parameters_are_refused() -> None:
     geometry, left, right = two_views(SIDEWAYS)
     with pytest.raises(ValueError, match="congruent, hao2011, hartley, calibrated, polar"):
         rectify(geometry, left, right, method="foo")
@@ -314,7 +314,7 @@ def test_a_method_that_nobody_knows_and_a_parameter_that_nobody_reads_are_refuse
         rectify(geometry, left, right, tilt="never")
 
 
-def test_any_function_of_the_same_signature_plugs_in() -> None:
+def test_a_function_of_the_same_signature_is_used_as_a_method() -> None:
     geometry, left, right = two_views(SIDEWAYS)
     found = rectify(geometry, left, right, method="tests.helpers.plug_ins:shifted", shift_px=11.0)
     assert isinstance(found, Rectification) and found.method == "tests.helpers.plug_ins:shifted"

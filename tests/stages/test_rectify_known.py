@@ -34,14 +34,14 @@ def test_known_cameras_are_rectified_without_matches() -> None:
 
 
 @pytest.mark.parametrize("degrees", [-3.0, 3.0])
-def test_a_camera_that_is_tilted_by_three_degrees_is_not_confirmed(degrees: float) -> None:
+def test_a_camera_tilted_by_three_degrees_is_not_confirmed(degrees: float) -> None:
     turn = cv2.Rodrigues(np.array([np.radians(degrees), 0.0, 0.0]))[0]
     found = rectify(None, ONE, replace(TWO, R=turn @ TWO.R), None, *FRAMES)
     assert isinstance(found, Rejected)
     assert found.code in {"rows-not-confirmed", "too-few-epipolar-lines"}
 
 
-def test_what_a_solved_lens_bends_is_taken_out_of_matches_and_frames() -> None:
+def test_solved_distortion_is_removed_from_matches_and_frames() -> None:
     """Distorted frames give straight rows, both with matches in distorted pixels and with dense matching."""
     left, right = (replace(camera, radial=(-0.2, 0.02)) for camera in (ONE, TWO))
     height, width = FRAMES[0].mask.shape
@@ -54,9 +54,9 @@ def test_what_a_solved_lens_bends_is_taken_out_of_matches_and_frames() -> None:
     found = rectify(None, left, right, None, bent[0], bent[1])
     assert isinstance(found, Rectification) and found.verified == "dense"
     assert found.bend1 is not None and found.bend2 is not None
-    asis = rectify(None, ONE, TWO, None, *FRAMES)
-    assert isinstance(asis, Rectification) and asis.bend1 is None
-    assert found.row_share > 0.8 * asis.row_share
+    undistorted = rectify(None, ONE, TWO, None, *FRAMES)
+    assert isinstance(undistorted, Rectification) and undistorted.bend1 is None
+    assert found.row_share > 0.8 * undistorted.row_share
     matched = matches_at(0.0, 0.4)
     there = [
         np.column_stack(distorted_pixels(bend, *points.T))
@@ -66,7 +66,7 @@ def test_what_a_solved_lens_bends_is_taken_out_of_matches_and_frames() -> None:
     assert isinstance(by_matches, Rectification) and by_matches.vertical_px < 0.05
 
 
-def test_without_matches_cameras_or_frames_nothing_is_known() -> None:
+def test_without_matches_and_both_cameras_rectification_is_rejected() -> None:
     found = rectify(None, ONE, None, None, *FRAMES)
     assert isinstance(found, Rejected)
     assert found.code == "nothing-known"
@@ -83,7 +83,7 @@ def matches_at(*heights: float, spread: float = 0.6) -> Geometry:
     return replace(found, view1=FRAMES[0].view, view2=FRAMES[1].view)
 
 
-def reach(found: Rectification, height: float) -> tuple[float, float, float]:
+def range_and_disparity(found: Rectification, height: float) -> tuple[float, float, float]:
     """Smallest disparity of the range, disparity of a point in the middle at this height, and largest of the range."""
     X = np.array([[0.0, 0.0, height]])
     disparity = to_rectified(found, 1, project(ONE, X)[0])[0, 0] - to_rectified(found, 2, project(TWO, X)[0])[0, 0]
@@ -96,33 +96,33 @@ def rectified(geometry: Geometry, scene: Scene | None) -> Rectification:
     return found
 
 
-def test_known_ground_is_searched_though_only_roofs_match() -> None:
+def test_known_ground_is_included_in_the_range_though_only_roofs_match() -> None:
     roofs = matches_at(3.5)
-    low, ground, high = reach(rectified(roofs, None), 0.0)
+    low, ground, high = range_and_disparity(rectified(roofs, None), 0.0)
     assert not low < ground < high
     found = rectified(roofs, GROUND)
     for height in (0.0, 3.5):
-        low, disparity, high = reach(found, height)
+        low, disparity, high = range_and_disparity(found, height)
         assert low < disparity < high
     assert found.verified == "sparse" and found.ground is not None
 
 
-def test_ground_that_the_matches_reach_changes_nothing() -> None:
+def test_known_ground_that_the_matches_reach_changes_nothing() -> None:
     found, without = (rectified(matches_at(-0.1, 1.0, spread=4.0), scene) for scene in (GROUND, None))
     assert found.ground is None
     np.testing.assert_array_equal(found.H1, without.H1)
     assert found.disparity_min_px == without.disparity_min_px and found.disparity_max_px == without.disparity_max_px
 
 
-def test_look_alikes_beneath_the_ground_do_not_widen_the_search() -> None:
+def test_look_alikes_beneath_the_ground_do_not_widen_the_range() -> None:
     found = rectified(matches_at(3.5, -6.0), GROUND)
-    low, disparity, high = reach(found, 3.5)
+    low, disparity, high = range_and_disparity(found, 3.5)
     assert low < disparity < high
-    low, disparity, high = reach(found, -6.0)
+    low, disparity, high = range_and_disparity(found, -6.0)
     assert not low < disparity < high
 
 
-def test_what_lies_beneath_the_ground_is_a_limit_and_no_other_night() -> None:
+def test_known_ground_gives_a_prior_and_a_floor_but_no_reference_night() -> None:
     pair = rectified_pair(*FRAMES, rectified(matches_at(3.5), GROUND))
     assert pair.reference_left is None and pair.reference_right is None
     assert pair.prior_left is not None and pair.floor_left is not None and pair.floor_right is not None
@@ -130,7 +130,7 @@ def test_what_lies_beneath_the_ground_is_a_limit_and_no_other_night() -> None:
     assert both.any() and len(np.unique(np.sign(pair.prior_left - pair.floor_left)[both])) == 1
 
 
-def test_there_is_no_ground_above_the_horizon() -> None:
+def test_no_ground_is_assumed_above_the_horizon() -> None:
     found = rectified(matches_at(3.5), GROUND)
     assert found.ground is not None
     far = np.array([0.0, 1.0, -0.5 * ONE.height])  # as if the camera looked along the ground

@@ -50,7 +50,7 @@ def noisy() -> Yard:
     return make_yard((-24, -8, 8, 24), noise_px=0.5)
 
 
-def test_noise_of_the_pairs_is_reduced(noisy: Yard) -> None:
+def test_refinement_reduces_the_noise_of_the_pairs(noisy: Yard) -> None:
     name = list(noisy.cameras)[1]
     start = noisy.depths()[name]
     after = refined(noisy, name)
@@ -60,14 +60,14 @@ def test_noise_of_the_pairs_is_reduced(noisy: Yard) -> None:
     assert both.sum() > 0.95 * np.isfinite(start.depth).sum()
 
 
-def test_sigma_is_about_the_error(noisy: Yard) -> None:
+def test_sigma_of_refined_depth_is_about_its_error(noisy: Yard) -> None:
     name = list(noisy.cameras)[1]
     after = refined(noisy, name)
     ratio = errors(noisy, name, after.depth) / (after.sigma / after.depth)
     assert 0.05 < np.nanmedian(ratio) < 1.5  # rendered images are free of noise
 
 
-def test_holes_are_filled_from_their_rims() -> None:
+def test_holes_are_filled_from_their_borders() -> None:
     yard = punched(make_yard((-24, -8, 8, 24), noise_px=0.2))
     name = list(yard.cameras)[1]
     start = yard.depths()[name]
@@ -77,7 +77,7 @@ def test_holes_are_filled_from_their_rims() -> None:
     assert np.percentile(errors(yard, name, after.depth)[filled], 80) < 0.004
 
 
-def test_what_a_single_other_view_shows_badly_is_not_sure_where_no_pair_had_it() -> None:
+def test_filled_depth_that_only_one_other_view_shows_is_not_sure() -> None:
     rng, shares = np.random.default_rng(0), []
     for degrees in ((-8, 8), (-24, -8, 8, 24)):
         yard = punched(make_yard(degrees, noise_px=0.2))
@@ -91,7 +91,7 @@ def test_what_a_single_other_view_shows_badly_is_not_sure_where_no_pair_had_it()
     assert shares[0] < 0.5 * shares[1]
 
 
-def test_slopes_are_those_of_the_surface(noisy: Yard) -> None:
+def test_refined_slopes_are_those_of_the_surface(noisy: Yard) -> None:
     name = list(noisy.cameras)[1]
     camera, after = noisy.cameras[name], refined(noisy, name)
     q = 1 / true_depth(camera)
@@ -101,7 +101,7 @@ def test_slopes_are_those_of_the_surface(noisy: Yard) -> None:
     assert np.median(np.abs(after.slope_y - truth)[smooth]) < flat
 
 
-def test_the_cloud_gets_better(noisy: Yard) -> None:
+def test_refined_depth_improves_the_cloud(noisy: Yard) -> None:
     depths = {name: refined(noisy, name) for name in noisy.cameras}
     plain = fuse(noisy.frames, noisy.cameras, noisy.depths(), voxel_m=0.04)
     better = fuse(noisy.frames, noisy.cameras, noisy.depths(), depths, voxel_m=0.04)
@@ -110,7 +110,7 @@ def test_the_cloud_gets_better(noisy: Yard) -> None:
     assert len(better.points) > 0.9 * len(plain.points)
 
 
-def test_masked_pixels_stay_empty(noisy: Yard) -> None:
+def test_masked_pixels_stay_without_depth(noisy: Yard) -> None:
     name = next(iter(noisy.cameras))
     frame = noisy.frames[name]
     mask = frame.mask.copy()
@@ -126,7 +126,7 @@ def test_the_same_inputs_give_the_same_bytes(noisy: Yard) -> None:
     assert one.depth.tobytes() == two.depth.tobytes() and one.support.tobytes() == two.support.tobytes()
 
 
-def test_what_cannot_be_refined_says_why(noisy: Yard) -> None:
+def test_views_without_suitable_partners_are_rejected_with_the_reason(noisy: Yard) -> None:
     given = inputs(noisy, next(iter(noisy.cameras)))
     aside = refine(*given, min_angle_deg=80, max_angle_deg=90)
     assert isinstance(aside, Rejected) and "angle" in aside.reason
@@ -135,7 +135,7 @@ def test_what_cannot_be_refined_says_why(noisy: Yard) -> None:
     assert isinstance(alone, Rejected) and "angle" in alone.reason
 
 
-def test_a_view_seventy_degrees_aside_is_heard_where_it_alone_shows_the_surface() -> None:
+def test_a_view_at_seventy_degrees_is_used_where_it_alone_shows_the_surface() -> None:
     yard = make_yard((-35, -19, 35), noise_px=0.5)
     name, near, wide = yard.cameras
     frame, camera, start, frames, cameras = inputs(yard, name)
@@ -163,7 +163,7 @@ def test_frames_of_different_sizes_work_together() -> None:
     assert np.nanmedian(errors(small, middle, after.depth)) < 0.004
 
 
-def test_the_surface_of_the_reference_is_taken_up_where_tonights_pairs_know_nothing(noisy: Yard) -> None:
+def test_the_reference_surface_is_used_where_tonights_pairs_have_no_depth(noisy: Yard) -> None:
     name = list(noisy.cameras)[1]
     frame, camera, depth, frames, cameras = inputs(noisy, name)
     then = refined(noisy, name)
@@ -177,7 +177,7 @@ def test_the_surface_of_the_reference_is_taken_up_where_tonights_pairs_know_noth
     assert np.nanmedian(errors(noisy, name, found.depth)[known]) < 0.002
 
 
-def test_a_reference_that_the_photographs_contradict_is_not_believed(noisy: Yard) -> None:
+def test_a_reference_that_the_photographs_contradict_is_not_used(noisy: Yard) -> None:
     name = list(noisy.cameras)[1]
     frame, camera, depth, frames, cameras = inputs(noisy, name)
     then = refined(noisy, name)
@@ -189,7 +189,7 @@ def test_a_reference_that_the_photographs_contradict_is_not_believed(noisy: Yard
     assert np.mean(errors(noisy, name, found.depth)[known] > 0.05) < 0.02
 
 
-def test_the_reference_of_a_camera_that_has_turned_is_not_looked_at(noisy: Yard) -> None:
+def test_the_reference_of_a_camera_that_has_moved_is_not_used(noisy: Yard) -> None:
     name = list(noisy.cameras)[1]
     frame, camera, depth, frames, cameras = inputs(noisy, name)
     turned = replace(camera, C=camera.C + 0.01)
@@ -198,7 +198,7 @@ def test_the_reference_of_a_camera_that_has_turned_is_not_looked_at(noisy: Yard)
     assert np.array_equal(found.depth, refined(noisy, name).depth, equal_nan=True)
 
 
-def test_a_far_coarser_camera_spoils_nothing(noisy: Yard) -> None:
+def test_a_much_coarser_view_improves_the_refined_depth(noisy: Yard) -> None:
     """One view has a third of the pixels along each side."""
     coarse, name, *_ = noisy.cameras
     frame, camera, depth, frames, cameras = inputs(noisy, name)
@@ -209,9 +209,9 @@ def test_a_far_coarser_camera_spoils_nothing(noisy: Yard) -> None:
     cameras = {**cameras, coarse: replace(small, K=K, width=size[0], height=size[1])}
     mixed = {**frames, coarse: replace(frames[coarse], image=image, mask=np.ones(image.shape[:2], bool))}
     without = {other: frames[other] for other in frames if other != coarse}
-    right = []
+    accuracy = []
     for views in (mixed, without):
         found = refine(frame, camera, depth, views, cameras)
         assert isinstance(found, DepthMap)
-        right.append((errors(noisy, name, np.where(found.sure, found.depth, np.nan)) < 0.01).mean())
-    assert right[0] > right[1]
+        accuracy.append((errors(noisy, name, np.where(found.sure, found.depth, np.nan)) < 0.01).mean())
+    assert accuracy[0] > accuracy[1]

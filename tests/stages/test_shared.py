@@ -27,13 +27,13 @@ def test_neighbours_share_more_than_cameras_far_apart() -> None:
     assert found.angle_deg[0] < found.angle_deg[2]
 
 
-def test_a_pair_that_the_cameras_contradict_is_not_reported_of() -> None:
+def test_a_pair_that_contradicts_the_cameras_is_not_listed() -> None:
     checks = {"c0--c1": PairCheck(False, "no", "contradicts-cameras"), "c1--c2": PairCheck(True)}
     assert ("c0", "c1") not in pairs(replace(PLACED, pair_checks=checks))
     assert ("c1", "c2") in pairs(replace(PLACED, pair_checks=checks))
 
 
-def test_cameras_placed_in_different_frames_share_nothing() -> None:
+def test_cameras_in_different_components_share_nothing() -> None:
     apart = {name: replace(camera, component=k % 2) for k, (name, camera) in enumerate(CAMERAS.items())}
     assert pairs(replace(PLACED, cameras=apart)) == [("c0", "c2"), ("c1", "c3")]
     alone = {**CAMERAS, "c3": replace(CAMERAS["c3"], component=1)}

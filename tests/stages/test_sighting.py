@@ -42,7 +42,7 @@ CLICKS = {name: seen(name, PLACE).tolist() for name in CAMERAS}
 
 
 @pytest.mark.parametrize("name", CAMERAS)
-def test_the_epipolar_line_bends_as_the_lens_does_and_leads_through_the_place(name: str) -> None:
+def test_an_epipolar_guide_bends_with_the_lens_and_passes_through_the_place(name: str) -> None:
     other = next(n for n in CAMERAS if n != name)
     (line,) = Sights(CAMERAS).guide(name, {other: CLICKS[other]}, None)["lines"]
     points = np.array(line)
@@ -51,14 +51,14 @@ def test_the_epipolar_line_bends_as_the_lens_does_and_leads_through_the_place(na
     assert np.linalg.norm(starts + t[:, None] * along - CLICKS[name], axis=1).min() < 0.1
 
 
-def test_two_clicks_give_the_place_and_where_the_third_camera_sees_it() -> None:
+def test_two_clicks_determine_the_place_and_its_pixel_in_a_third_camera() -> None:
     sights = Sights(CAMERAS)
     two = {name: CLICKS[name] for name in ("plain", "barrel")}
     assert sights.residuals([(two, None)])[0]["place"] == pytest.approx(PLACE, abs=1e-6)
     assert sights.guide("wide", two, None)["at"] == pytest.approx(CLICKS["wide"], abs=0.02)
 
 
-def test_residuals_are_of_pixels_and_of_metres() -> None:
+def test_residuals_are_given_in_pixels_and_in_metres() -> None:
     (found, one) = Sights(CAMERAS).residuals([(CLICKS, [1.2, 2.5, 1.0]), ({"plain": CLICKS["plain"]}, [1.2, 2.5, 1.0])])
     assert found["metres"] == pytest.approx(0.3, abs=1e-6)
     assert max(found["pixels"].values()) < 1e-6
@@ -72,13 +72,13 @@ def test_a_camera_without_a_pose_has_no_guides_and_no_residuals() -> None:
     assert sights.residuals([({"other": [1.0, 2.0]}, None)]) == [{"place": None, "pixels": {}, "metres": None}]
 
 
-def test_parallel_rays_have_no_place() -> None:
+def test_parallel_rays_give_no_place() -> None:
     twin = {"one": CAMERAS["plain"], "two": CAMERAS["plain"]}
     assert Sights(twin).residuals([({"one": [100.0, 100.0], "two": [100.0, 100.0]}, None)])[0]["place"] is None
 
 
 @pytest.mark.parametrize("name", CAMERAS)
-def test_a_pixel_of_the_ground_is_found_again(name: str) -> None:
+def test_a_pixel_on_the_ground_is_mapped_back_to_its_ground_point(name: str) -> None:
     sights = Sights(CAMERAS)
     corners = [[0.0, 0.0], [2.0, 0.0], [2.0, 1.5]]
     outline = sights.outline(name, corners, 0.25)

@@ -28,7 +28,7 @@ def finer(frame: Frame, camera: Camera, times: int) -> tuple[Frame, Camera]:
     return Frame(noisy, np.ones(size[::-1], np.bool_), view), replace(camera, K=K, width=size[0], height=size[1])
 
 
-def test_detail_that_rectified_pixels_are_too_large_for_is_smoothed() -> None:
+def test_detail_finer_than_rectified_pixels_is_smoothed() -> None:
     rng = np.random.default_rng(0)
     image = np.asarray(np.clip(rng.normal(128, 40, (400, 480)), 0, 255), np.uint8)
     known = Rectification("hartley", "", np.diag([0.25, 0.25, 1.0]), np.eye(3), (118, 98), (470, 390), 0.0, 9.0, 0.0, 0.0, 10.0)
@@ -36,7 +36,7 @@ def test_detail_that_rectified_pixels_are_too_large_for_is_smoothed() -> None:
     assert warp(known, 2, image)[4:-4, 4:-4].std() > 35
 
 
-def test_a_match_with_a_coarse_view_is_as_exact_as_rectified_pixels() -> None:
+def test_the_depth_error_of_a_coarse_partner_is_measured_in_rectified_pixels() -> None:
     """The other view has a quarter of the pixels along each side: its error is in rectified pixels instead of its own."""
     yard = make_yard((-8, 8))
     (pair, rectification), (left, right) = next(iter(yard.rectifications.items())), yard.cameras.values()
@@ -54,7 +54,7 @@ def test_a_match_with_a_coarse_view_is_as_exact_as_rectified_pixels() -> None:
     assert 0.7 < np.median(gain_too[known] / gain[known]) < 1.4
 
 
-def test_a_view_is_refined_by_one_that_sees_finer_as_by_its_like() -> None:
+def test_finer_views_refine_a_view_as_well_as_views_of_its_own_size() -> None:
     yard = make_yard((-12, 0, 12), noise_px=0.3)
     name, *others = "cam+0", "cam-12", "cam+12"
     start = yard.depth(name)
@@ -64,6 +64,6 @@ def test_a_view_is_refined_by_one_that_sees_finer_as_by_its_like() -> None:
     by_like = refine(*known, {n: yard.frames[n] for n in others}, {n: yard.cameras[n] for n in others})
     by_finer = refine(*known, {n: each[0] for n, each in large.items()}, {n: each[1] for n, each in large.items()})
     assert isinstance(by_like, DepthMap) and isinstance(by_finer, DepthMap)
-    off = np.abs(by_finer.depth / true_depth(yard.cameras[name]) - 1)[by_finer.sure]
+    error = np.abs(by_finer.depth / true_depth(yard.cameras[name]) - 1)[by_finer.sure]
     assert by_finer.sure.mean() > 0.9 * by_like.sure.mean()
-    assert np.median(off) < 0.005
+    assert np.median(error) < 0.005

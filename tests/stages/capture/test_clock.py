@@ -28,14 +28,14 @@ def night(texts: tuple[str, ...], y: int = 22, cars: bool = False) -> list[Uint8
 
 
 @pytest.mark.parametrize("y", [22, 350])
-def test_running_digits_are_found_at_either_end(y: int) -> None:
+def test_running_digits_are_found_at_the_top_and_at_the_bottom(y: int) -> None:
     found = running_clock(night(TIMES, y), np.ones((HEIGHT, WIDTH), np.bool_))
     assert found is not None
     left, top, width, height = found
     assert top <= y <= top + height + 3 and height < 20 and left < 20 and width > 120
 
 
-def test_a_name_that_stands_still_cars_and_a_mask_are_no_clock() -> None:
+def test_fixed_text_cars_single_captures_and_masked_clocks_are_not_reported() -> None:
     usable = np.ones((HEIGHT, WIDTH), np.bool_)
     assert running_clock(night(("GATE",) * 3), usable) is None
     assert running_clock(night(("",) * 3, cars=True), usable) is None
@@ -59,7 +59,7 @@ def paved(shadows: tuple[int | None, ...]) -> list[Uint8s]:
     return captures
 
 
-def test_shadows_that_cross_bright_paving_are_no_digits() -> None:
+def test_shadows_that_cross_bright_paving_are_not_taken_for_digits() -> None:
     usable = np.ones((HEIGHT, WIDTH), np.bool_)
     assert running_clock(paved((None, 200, None)), usable) is None
     assert running_clock(paved((100, 260, 420)), usable) is None

@@ -14,7 +14,7 @@ from wbflow_stages.types import Capture, Lens, Privacy
 WIDTH, HEIGHT = 320, 180
 MAGENTA = (255, 0, 255)
 PIXELS = Privacy(np.array([[40.0, 30], [120, 30], [120, 90], [40, 90]]), np.array([4.0]))
-SHARES = Privacy(PIXELS.corners / (WIDTH, HEIGHT), PIXELS.counts)
+FRACTIONS = Privacy(PIXELS.corners / (WIDTH, HEIGHT), PIXELS.counts)
 
 
 def captures(count: int = 3) -> list[Capture]:
@@ -28,9 +28,9 @@ def captures(count: int = 3) -> list[Capture]:
     return found
 
 
-@pytest.mark.parametrize("privacy", [PIXELS, SHARES], ids=["pixels", "shares"])
+@pytest.mark.parametrize("privacy", [PIXELS, FRACTIONS], ids=["pixels", "fractions"])
 @pytest.mark.parametrize("count", [1, 2, 3])
-def test_the_area_is_grey_and_masked_whatever_lens_and_size(privacy: Privacy, count: int) -> None:
+def test_a_private_area_is_grey_and_masked_at_every_resolution(privacy: Privacy, count: int) -> None:
     K = np.array([[260.0, 0, 159.5], [0, 260, 89.5], [0, 0, 1]])
     lens = Lens(K, np.array([-0.2, 0.05, 0, 0, 0]), None, WIDTH, HEIGHT)
     for size in (None, 200):
@@ -45,13 +45,13 @@ def test_the_area_is_grey_and_masked_whatever_lens_and_size(privacy: Privacy, co
     assert (clean_frame(captures(count), lens, None).image[..., 1] < 10).mean() > 0.05, "it was there"
 
 
-def test_a_polygon_that_does_not_fit_loses_the_camera_rather_than_show_anything() -> None:
+def test_a_privacy_polygon_outside_the_image_is_refused() -> None:
     large = Privacy(PIXELS.corners * 10, PIXELS.counts)
     with pytest.raises(BadCapture, match="privacy polygon"):
         clean_frame(captures(1), Lens(), None, large)
 
 
-def test_several_polygons() -> None:
+def test_several_privacy_polygons_are_all_grey_and_masked() -> None:
     both = Privacy(np.vstack([PIXELS.corners, [[200.0, 100], [250, 100], [225, 150]]]), np.array([4.0, 3.0]))
     frame = clean_frame(captures(1), Lens(), None, both)
     assert (frame.image[[60, 115], [80, 225]] == GREY).all()

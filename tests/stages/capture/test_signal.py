@@ -31,44 +31,46 @@ def frame_of(picture: Uint8s, quality: int = 95) -> Frame:
     return clean_frame([Capture("1.jpg", np.frombuffer(data, np.uint8))], Lens(), None, resolution=None)
 
 
-def off(frame: Frame, picture: Uint8s) -> float:
+def mean_difference(frame: Frame, picture: Uint8s) -> float:
     return float(np.abs(frame.image[8:-8, 8:-8].astype(float) - picture[8:-8, 8:-8]).mean())
 
 
-def test_a_sound_picture_has_no_such_notes(scene: Uint8s) -> None:
+def test_an_undamaged_picture_has_no_notes_of_damage(scene: Uint8s) -> None:
     frame = frame_of(scene)
     assert not frame.notes
     assert frame.combing < 0.02 and frame.blocking < 1.2 and frame.cast < 1.2 and frame.colour > 0.1
 
 
 @pytest.mark.parametrize("shift", [-3, 1, 2])
-def test_rows_that_lie_off_are_shifted_back(scene: Uint8s, shift: int) -> None:
+def test_shifted_rows_of_a_combed_picture_are_shifted_back(scene: Uint8s, shift: int) -> None:
     combed = scene.copy()
     combed[1::2] = np.roll(scene, shift, axis=1)[1::2]
     frame = frame_of(combed)
     assert frame.notes == ("1 of 1 captures are combed: every second row lies off, and is shifted back",)
-    assert off(frame, scene) < 1.3 * off(frame_of(scene), scene) + 0.5
+    assert mean_difference(frame, scene) < 1.3 * mean_difference(frame_of(scene), scene) + 0.5
 
 
-def test_of_two_moments_one_is_used(scene: Uint8s) -> None:
+def test_only_one_moment_of_an_interlaced_picture_is_used(scene: Uint8s) -> None:
     """Rows of two moments whose contents move by different amounts cannot be aligned by one shift."""
     later = np.concatenate([np.roll(scene[:90], 14, axis=1), np.roll(scene[90:], -11, axis=1)])
     combed = scene.copy()
     combed[1::2] = later[1::2]
     frame = frame_of(combed)
     assert frame.combing > 0.1 and any("another moment (interlaced)" in note for note in frame.notes)
-    assert off(frame, scene) < 0.6 * off(frame, later)
+    assert mean_difference(frame, scene) < 0.6 * mean_difference(frame, later)
 
 
 @pytest.mark.parametrize(
-    ("spoilt", "quality", "message"),
+    ("damage", "quality", "expected"),
     [
         (lambda picture: picture, 8, "coded coarsely"),
         (lambda picture: np.repeat(picture[..., 1:2], 3, axis=2), 95, "without colour"),
         (lambda picture: (picture * [0.5, 0.95, 1.0]).astype(np.uint8), 95, "a cast of colour"),
     ],
 )
-def test_what_coding_and_sensor_did_is_named(scene: Uint8s, spoilt: object, quality: int, message: str) -> None:
-    assert callable(spoilt)
-    notes = frame_of(spoilt(scene), quality).notes
-    assert len(notes) == 1 and message in notes[0]
+def test_coarse_coding_missing_colour_and_colour_casts_are_reported(
+    scene: Uint8s, damage: object, quality: int, expected: str
+) -> None:
+    assert callable(damage)
+    notes = frame_of(damage(scene), quality).notes
+    assert len(notes) == 1 and expected in notes[0]

@@ -50,18 +50,18 @@ def dots(x: Float64s) -> Uint8s:
     ],
     ids=["fisheye", "division", "rational"],
 )
-def test_what_a_wide_lens_sees_comes_to_where_the_frames_pinhole_says(lens: Lens, resolution: int | None) -> None:
+def test_wide_lens_images_agree_with_the_pinhole_of_their_frame(lens: Lens, resolution: int | None) -> None:
     frame = clean_frame([capture(RAMPS)], lens, None, resolution=resolution, overlays=False)
     view = frame.view
     assert view.K is not None and view.focal_known
     x, y = np.meshgrid(np.arange(view.width), np.arange(view.height))
     rays = np.stack([x, y, np.ones_like(x)], axis=-1).reshape(-1, 3) @ np.linalg.inv(view.K).T
     came_from = lens_pixels(lens, rays).reshape(view.height, view.width, 2)
-    off = (2.0 * frame.image[..., :2] - came_from)[frame.mask]
-    assert np.percentile(np.abs(off), 99.9) < 2.5 and np.abs(off.mean(axis=0)).max() < 0.1, "grey levels are two pixels"
+    error = (2.0 * frame.image[..., :2] - came_from)[frame.mask]
+    assert np.percentile(np.abs(error), 99.9) < 2.5 and np.abs(error.mean(axis=0)).max() < 0.1, "grey levels are two pixels"
 
 
-def test_the_frame_holds_all_that_a_pinhole_can_show_and_masks_what_the_lens_does_not_see() -> None:
+def test_a_frame_covers_the_widest_pinhole_field_and_masks_what_the_lens_misses() -> None:
     frame = clean_frame([capture(dots(lens_pixels(FISHEYE, DIRECTIONS)))], FISHEYE, None, resolution=None)
     assert frame.view.K is not None
     corners = np.array([[0, 0, 1], [frame.view.width - 1, frame.view.height - 1, 1]]) @ np.linalg.inv(frame.view.K).T
@@ -76,7 +76,7 @@ def test_the_frame_holds_all_that_a_pinhole_can_show_and_masks_what_the_lens_doe
     assert middle[120:-120].all() and not middle[0] and not middle[-1], "a pincushion: its corners reach farthest"
 
 
-def test_a_brown_lens_keeps_its_own_frame_unless_all_of_its_field_is_asked_for() -> None:
+def test_a_brown_lens_keeps_its_own_frame_unless_its_whole_field_is_requested() -> None:
     lens = Lens(NARROW, np.array([-0.2, 0.03, 0.0, 0.0, 0.0]), None, WIDTH, HEIGHT)
     kept, whole = (clean_frame([capture(RAMPS)], lens, None, resolution=None, whole_field=asked) for asked in (False, True))
     assert kept.view.K is not None and np.array_equal(kept.view.K, NARROW)
@@ -87,7 +87,7 @@ def test_a_brown_lens_keeps_its_own_frame_unless_all_of_its_field_is_asked_for()
     assert np.array_equal(whole.view.lens.distortion, lens.distortion)
 
 
-def test_the_camera_that_is_published_is_the_one_that_was_stated() -> None:
+def test_the_published_camera_equals_the_stated_one() -> None:
     frame = clean_frame([capture(dots(lens_pixels(FISHEYE, DIRECTIONS)))], FISHEYE, None, resolution=240)
     assert frame.view.K is not None
     R = cv2.Rodrigues(np.array([0.2, -0.4, 0.1]))[0]

@@ -31,20 +31,20 @@ def video(tmp_path_factory: pytest.TempPathFactory) -> Capture:
     return Capture("gate.avi", np.fromfile(file, np.uint8))
 
 
-def test_every_nth_picture_is_taken_and_so_many_at_most(video: Capture) -> None:
+def test_every_nth_video_frame_is_taken_up_to_a_maximum(video: Capture) -> None:
     assert [name for name, _ in pictures(video, 25, 15)] == ["gate.avi frame 0", "gate.avi frame 25", "gate.avi frame 50"]
     spread = [name for name, _ in pictures(video, 1, 4)]
     assert len(spread) == 4 and spread[-1] == "gate.avi frame 45"
     assert one_picture(video).shape == (96, 160, 3)
 
 
-def test_what_walks_through_a_video_is_gone(video: Capture) -> None:
+def test_an_object_that_moves_through_a_video_is_removed(video: Capture) -> None:
     frame = clean_frame([video], Lens(), None, video_step=5)
     assert frame.image[40:60].min() > 30
     assert frame.frames_used == 12
 
 
-def test_what_is_no_video_is_named(tmp_path: Path) -> None:
+def test_a_file_that_is_not_a_video_is_refused_by_name(tmp_path: Path) -> None:
     with pytest.raises(BadCapture, match=r"gate\.mp4 is no video"):
         clean_frame([Capture("gate.mp4", np.arange(200, dtype=np.uint8))], Lens(), None)
     with pytest.raises(BadCapture, match="empty"):

@@ -50,7 +50,7 @@ def shown_in(view: Lens, rays: Float64s) -> np.ndarray:
     ("width", "height", "across_deg", "count"),
     [(640, 360, 180, 3), (640, 640, 180, 5), (640, 360, 130, 2), (640, 640, 130, 4), (360, 640, 100, 3), (640, 480, 108, 0)],
 )
-def test_the_views_show_all_that_the_lens_sees(width: int, height: int, across_deg: float, count: int) -> None:
+def test_the_views_together_cover_the_field_of_the_lens(width: int, height: int, across_deg: float, count: int) -> None:
     lens = fisheye(width, height, across_deg)
     views = views_of(lens)
     assert len(views) == count
@@ -67,11 +67,11 @@ def test_the_views_show_all_that_the_lens_sees(width: int, height: int, across_d
         np.testing.assert_allclose(view.turn @ view.turn.T, np.eye(3), atol=1e-12)
         assert np.linalg.det(view.turn) > 0
         assert np.degrees(np.arctan(view.window)).max() <= WIDEST_DEG / 2 + 1e-9
-    off = [float(off_axis(view.turn[2:])[0]) for view in views if view.turn is not None]
-    assert all(a <= b + 1e-6 for a, b in pairwise(off))
+    axis_angles = [float(off_axis(view.turn[2:])[0]) for view in views if view.turn is not None]
+    assert all(a <= b + 1e-6 for a, b in pairwise(axis_angles))
 
 
-def test_each_view_shows_the_picture_where_its_pinhole_says() -> None:
+def test_each_view_agrees_with_its_pinhole() -> None:
     lens = fisheye(480, 270, 180)
     ramps = np.stack([*np.meshgrid(np.arange(480) / 1.9, 50 + np.arange(270) / 1.9), np.full((270, 480), 120.0)], axis=-1)
     capture = Capture(
@@ -86,19 +86,19 @@ def test_each_view_shows_the_picture_where_its_pinhole_says() -> None:
         came_from = lens_pixels(lens, rays)
         usable = frame.mask.ravel()
         assert usable.mean() > 0.6
-        off = 1.9 * (frame.image.reshape(-1, 3)[usable, :2].astype(float) - [0, 50]) - came_from[usable]
-        assert np.percentile(np.abs(off), 99.5) < 2.5  # pixels at the border may contain some of the black surroundings
-        assert np.abs(off).max() < 12
+        error = 1.9 * (frame.image.reshape(-1, 3)[usable, :2].astype(float) - [0, 50]) - came_from[usable]
+        assert np.percentile(np.abs(error), 99.5) < 2.5  # pixels at the border may contain some of the black surroundings
+        assert np.abs(error).max() < 12
         assert not frame.notes
     assert same_camera(frames[0].view, frames[1].view)
 
 
-def test_views_of_different_cameras_are_not_of_one() -> None:
+def test_views_of_different_cameras_do_not_count_as_one_camera() -> None:
     one, other = (replace(view, camera=name) for view, name in zip(views_of(fisheye(640, 360, 180)), "ab", strict=False))
-    frames = [clean_frame([_grey()], view, None, resolution=None, overlays=False) for view in (one, other)]
+    frames = [clean_frame([_noise_capture()], view, None, resolution=None, overlays=False) for view in (one, other)]
     assert not same_camera(frames[0].view, frames[1].view)
 
 
-def _grey() -> Capture:
+def _noise_capture() -> Capture:
     noise = np.random.default_rng(0).integers(60, 200, (360, 640, 3)).astype(np.uint8)
     return Capture("a.png", np.asarray(cv2.imencode(".png", noise)[1].ravel(), np.uint8))

@@ -43,7 +43,7 @@ def measured(first: MeasuredCloud, second: MeasuredCloud, registration: float = 
     return cloud_distances(core, normals_at(core), first, second, **limits)  # type: ignore[arg-type]
 
 
-def test_a_step_is_measured_and_the_rest_is_within_its_level_of_detection() -> None:
+def test_a_step_is_measured_and_unchanged_points_stay_below_the_detection_level() -> None:
     found = measured(surface(0), surface(1, step=0.1))
     raised, level = core_points()[:, 0] > 6.2, core_points()[:, 0] < 5.8
     steep = normals_at(core_points())[:, 2]
@@ -53,13 +53,13 @@ def test_a_step_is_measured_and_the_rest_is_within_its_level_of_detection() -> N
     assert (np.abs(found.distance[level]) > found.detectable[level]).mean() == pytest.approx(0.05, abs=0.03)
 
 
-def test_registration_makes_small_changes_undetectable() -> None:
+def test_registration_uncertainty_makes_small_changes_undetectable() -> None:
     found = measured(surface(0), surface(1, step=0.02), registration=0.05)
     assert (found.detectable > 0.09).all()
     assert not (np.abs(found.distance) > found.detectable).any()
 
 
-def test_with_too_few_points_nothing_is_known() -> None:
+def test_distance_is_unknown_where_one_cloud_has_too_few_points() -> None:
     far = MeasuredCloud(surface(1).points + np.array([0, 0, 5.0]), surface(1).sigma)
     found = measured(surface(0), far)
     assert np.isnan(found.distance).all()
@@ -67,13 +67,13 @@ def test_with_too_few_points_nothing_is_known() -> None:
     assert (found.count2 == 0).all()
 
 
-def test_two_clouds_exchanged_give_the_distance_with_the_other_sign() -> None:
+def test_exchanging_two_clouds_changes_the_sign_of_the_distance() -> None:
     one, two = surface(0), surface(1, step=0.1)
     assert np.array_equal(measured(one, two).distance, -measured(two, one).distance)
 
 
 @pytest.mark.skipif(importlib.util.find_spec("py4dgeo") is None, reason="py4dgeo (the extra oracle) is not installed")
-def test_py4dgeo_finds_the_same_within_its_uncertainty(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_py4dgeo_gives_the_same_distances_within_its_uncertainty(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)  # it writes a log to the working directory
     import py4dgeo
 

@@ -48,7 +48,7 @@ def poses(metric: bool, crs: str = "") -> Poses:
     return Poses({}, {}, {}, metric, "calibration", crs=crs)
 
 
-def test_a_scan_is_laid_on_the_cloud_and_the_change_does_not_pull_it() -> None:
+def test_a_scan_is_registered_to_the_cloud_and_a_changed_box_does_not_bias_it() -> None:
     turn, shift = Rotation.from_euler("zyx", [1.5, -0.5, 0.7], degrees=True).as_matrix(), np.array([0.5, -0.4, 0.3])
     scan = yard(2, box=0.0)[0] @ turn.T + shift
     found = deviation_from_scan(cloud(box=0.4), scan)
@@ -67,7 +67,7 @@ def test_a_scan_is_laid_on_the_cloud_and_the_change_does_not_pull_it() -> None:
     assert found.registration_m < 0.5 * NOISE
 
 
-def test_less_than_half_is_refused_and_three_quarters_are_not() -> None:
+def test_a_scan_of_less_than_half_is_refused_and_of_three_quarters_accepted() -> None:
     points, at = yard(3)[0], cloud().points[:, 0]
     with pytest.raises(ValueError, match=r"4\d% of the cloud"):
         deviation_from_scan(cloud(), points[points[:, 0] < np.quantile(at, 0.45)])
@@ -75,7 +75,7 @@ def test_less_than_half_is_refused_and_three_quarters_are_not() -> None:
     assert deviation_from_scan(cloud(), points[points[:, 0] < most]).overlap == pytest.approx(0.75, abs=0.03)
 
 
-def test_a_scan_on_the_map_is_brought_to_the_site() -> None:
+def test_map_coordinates_are_converted_to_site_coordinates_and_back() -> None:
     pytest.importorskip("pyproj")
     from wbflow_stages.exports.world import georeference
 
@@ -88,7 +88,7 @@ def test_a_scan_on_the_map_is_brought_to_the_site() -> None:
     assert not place.is_on_map(points)
 
 
-def test_files_say_what_was_found(tmp_path: Path) -> None:
+def test_scan_files_report_the_deviation_and_need_a_metric_scale(tmp_path: Path) -> None:
     pytest.importorskip("pyproj")
     from wbflow_stages.exports.world import georeference
 
@@ -104,12 +104,12 @@ def test_files_say_what_was_found(tmp_path: Path) -> None:
         scan_files(cloud(), poses(metric=False), path)
 
 
-def test_the_command_takes_every_kind_for_a_scan() -> None:
+def test_the_command_accepts_every_cloud_and_mesh_format_as_a_scan() -> None:
     assert SCANS == CLOUDS + MESHES
 
 
 @pytest.mark.parametrize("kind", CLOUDS)
-def test_every_kind_of_cloud_is_read(kind: str, tmp_path: Path) -> None:
+def test_every_cloud_format_is_read(kind: str, tmp_path: Path) -> None:
     points, path = yard(6, count=300)[0], tmp_path / f"scan{kind}"
     if kind in (".las", ".laz"):
         laspy = pytest.importorskip("laspy")
@@ -130,7 +130,7 @@ def test_every_kind_of_cloud_is_read(kind: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("kind", [*MESHES, ".ply"])
-def test_points_are_spread_over_meshes(kind: str, tmp_path: Path) -> None:
+def test_points_are_spread_evenly_over_meshes(kind: str, tmp_path: Path) -> None:
     path, box = tmp_path / f"model{kind}", open3d.geometry.TriangleMesh.create_box(2.0, 3.0, 1.0)
     box.compute_vertex_normals()
     assert open3d.io.write_triangle_mesh(path, box)
@@ -142,7 +142,7 @@ def test_points_are_spread_over_meshes(kind: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "content", "says"),
+    ("name", "content", "message"),
     [
         ("a.txt", b"", "ends in none"),
         ("a.laz", b"not so", "cannot be read"),
@@ -150,7 +150,7 @@ def test_points_are_spread_over_meshes(kind: str, tmp_path: Path) -> None:
         ("a.ply", b"ply\n", "cut short"),
     ],
 )
-def test_what_is_no_scan_is_refused(name: str, content: bytes, says: str, tmp_path: Path) -> None:
+def test_files_that_are_not_scans_are_refused(name: str, content: bytes, message: str, tmp_path: Path) -> None:
     (tmp_path / name).write_bytes(content)
-    with pytest.raises(ValueError, match=says):
+    with pytest.raises(ValueError, match=message):
         read_scan(tmp_path / name, 0.1)

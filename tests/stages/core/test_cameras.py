@@ -23,7 +23,7 @@ def some_camera(rng: np.random.Generator) -> Camera:
 
 @given(SEEDS)
 @settings(max_examples=30, deadline=None)
-def test_a_pixel_taken_back_into_the_world_is_seen_where_it_was(seed: int) -> None:
+def test_a_backprojected_pixel_projects_to_where_it_was(seed: int) -> None:
     rng = np.random.default_rng(seed)
     camera, x, depth = some_camera(rng), rng.uniform(0, 360, (20, 2)), rng.uniform(1, 50, 20)
     X = backproject(camera, x, depth)
@@ -34,7 +34,7 @@ def test_a_pixel_taken_back_into_the_world_is_seen_where_it_was(seed: int) -> No
 
 @given(SEEDS)
 @settings(max_examples=30, deadline=None)
-def test_pixels_move_from_one_camera_into_another_as_their_points_do(seed: int) -> None:
+def test_transfer_to_another_camera_agrees_with_projecting_the_points(seed: int) -> None:
     rng = np.random.default_rng(seed)
     camera, other = some_camera(rng), some_camera(rng)
     x, depth = rng.uniform(0, 360, (20, 2)), rng.uniform(5, 50, 20)
@@ -46,7 +46,7 @@ def test_pixels_move_from_one_camera_into_another_as_their_points_do(seed: int) 
 
 @given(SEEDS)
 @settings(max_examples=30, deadline=None)
-def test_the_relative_pose_leads_from_one_cameras_axes_to_the_others(seed: int) -> None:
+def test_the_relative_pose_converts_between_the_axes_of_two_cameras(seed: int) -> None:
     rng = np.random.default_rng(seed)
     one, two, X = some_camera(rng), some_camera(rng), rng.normal(size=(5, 3))
     R, t = relative_pose(one, two)
@@ -60,7 +60,7 @@ def test_pixel_centres_stay_at_integers_when_an_image_is_resized() -> None:
 
 @given(SEEDS, st.floats(0.001, 3.1))
 @settings(max_examples=30, deadline=None)
-def test_rays_of_any_length_have_the_angle_between_them(seed: int, angle: float) -> None:
+def test_ray_angles_do_not_depend_on_the_lengths_of_the_rays(seed: int, angle: float) -> None:
     rng = np.random.default_rng(seed)
     axis = rng.normal(size=3)
     across = np.cross(axis, [1.0, 0.3, -0.2])
@@ -68,6 +68,6 @@ def test_rays_of_any_length_have_the_angle_between_them(seed: int, angle: float)
     assert ray_angles(3.0 * across[None], 0.1 * turned[None]) == pytest.approx(angle, abs=1e-6)
 
 
-def test_a_ray_that_is_unknown_has_no_angle() -> None:
+def test_the_angle_to_an_unknown_ray_is_unknown() -> None:
     known = np.array([[0.0, 0, 1]])
     assert np.isnan(ray_angles(np.full((1, 3), np.nan), known)).all() and np.isnan(ray_angles(0 * known, known)).all()

@@ -18,7 +18,7 @@ from wbflow_stages.types import Float64s
 
 
 @kernel
-def _holes(values: Float64s) -> int:
+def _count_nan_and_zeros(values: Float64s) -> int:
     count = 0
     for value in values:
         if np.isnan(value) or np.isinf(1.0 / value):
@@ -26,8 +26,8 @@ def _holes(values: Float64s) -> int:
     return count
 
 
-def test_nan_and_division_by_zero_mean_what_they_mean_in_numpy() -> None:
-    assert _holes(np.array([1.0, np.nan, 0.0])) == 2
+def test_kernels_treat_nan_and_division_by_zero_as_numpy_does() -> None:
+    assert _count_nan_and_zeros(np.array([1.0, np.nan, 0.0])) == 2
 
 
 _READ_ONLY = """
@@ -64,7 +64,7 @@ assert not consistency._drop_speckles.stats.cache_path, "compiled code was kept 
 """
 
 
-def test_a_read_only_installation_without_a_home_works(tmp_path: Path) -> None:
+def test_stages_work_in_a_read_only_installation_without_a_home(tmp_path: Path) -> None:
     """As under cron: the process can write nowhere (root becomes `nobody`).  Libraries are loaded before that, since `nobody`
     may be unable to read them."""
     with tempfile.TemporaryDirectory() as name:  # not `tmp_path`, whose parents other users cannot enter
@@ -110,22 +110,24 @@ print(sum(slow.outer.stats.cache_misses.values()))
 """
 
 
-def test_two_processes_compile_a_kernel_once_between_them(tmp_path: Path) -> None:
+def test_two_processes_compile_a_shared_kernel_only_once(tmp_path: Path) -> None:
     (tmp_path / "slow.py").write_text(_SLOW)
     environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path / "kernels"), "PYTHONPATH": str(tmp_path)}
-    both = [subprocess.Popen([sys.executable, "-c", _AT_ONCE], env=environment, stdout=-1, stdin=-1, text=True) for _ in range(2)]
-    for process in both:
+    processes = [
+        subprocess.Popen([sys.executable, "-c", _AT_ONCE], env=environment, stdout=-1, stdin=-1, text=True) for _ in range(2)
+    ]
+    for process in processes:
         assert process.stdout
         assert process.stdout.readline() == "ready\n"
-    for process in both:  # both are started before either is awaited
+    for process in processes:  # both are started before either is awaited
         assert process.stdin
         process.stdin.write("go\n")
         process.stdin.flush()
-    reported = [process.communicate()[0].strip() for process in both]
+    reported = [process.communicate()[0].strip() for process in processes]
     assert sorted(reported) == ["0", "1"]
 
 
-def test_no_kernel_uses_anything_of_another_file_of_the_stages() -> None:
+def test_no_kernel_uses_a_name_from_another_file_of_the_stages() -> None:
     """Whatever a kernel uses is compiled into it, but numba recompiles only if the kernel's own file has changed."""
     root = Path(wbflow_stages.__file__).parent
     sources = {path.relative_to(root).as_posix(): path.read_text() for path in sorted(root.rglob("*.py"))}
@@ -133,7 +135,7 @@ def test_no_kernel_uses_anything_of_another_file_of_the_stages() -> None:
     assert {name: found for name, source in sources.items() if (found := _foreign_in_kernels(source))} == {}
 
 
-def test_a_kernel_that_calls_one_of_another_file_is_found() -> None:
+def test_a_kernel_that_uses_names_from_another_file_is_detected() -> None:
     source = (
         "from ..core.jit import kernel\nfrom ..types import Float64s\nfrom .other import LIMIT, inner, plain\n"
         "import wbflow_stages.core.ordering as sorting\n"
@@ -143,20 +145,22 @@ def test_a_kernel_that_calls_one_of_another_file_is_found() -> None:
     assert _foreign_in_kernels(source) == ["outer uses LIMIT", "outer uses inner", "outer uses sorting"]
 
 
-def test_python_calls_no_helper() -> None:
+def test_no_python_code_calls_a_compiled_helper() -> None:
     """Helpers are compiled without a wrapper for calls from Python.  They are private, so it is enough to check the code of their
     own files, and what the stages and their tests import."""
     root = Path(wbflow_stages.__file__).parent
     sources = {path.relative_to(root).as_posix(): path.read_text() for path in sorted(root.rglob("*.py"))}
     assert {name: found for name, source in sources.items() if (found := _helpers_elsewhere(source))} == {}
-    of = {Path(n).stem: {f.name for f in _kernels(ast.parse(s)) if _is_made_by(f, "helper")} for n, s in sources.items()}
+    helpers_of = {
+        Path(n).stem: {f.name for f in _kernels(ast.parse(s)) if _is_decorated_by(f, "helper")} for n, s in sources.items()
+    }
     others = [ast.parse(path.read_text()) for folder in (root, Path(__file__).parents[1]) for path in folder.rglob("*.py")]
     imports = [node for tree in others for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)]
-    taken = [(str(node.module).split(".")[-1], alias.name) for node in imports for alias in node.names]
-    assert [(stem, name) for stem, name in taken if name in of.get(stem, ())] == []
+    imported_names = [(str(node.module).split(".")[-1], alias.name) for node in imports for alias in node.names]
+    assert [(stem, name) for stem, name in imported_names if name in helpers_of.get(stem, ())] == []
 
 
-def test_a_helper_that_python_calls_is_found() -> None:
+def test_a_helper_that_python_code_calls_is_detected() -> None:
     source = "@helper\ndef _a(): ...\n@helper\ndef _b(): ...\n@kernel\ndef _c(): _a()\ndef d(): _b()\n@helper\ndef e(): ...\n"
     assert _helpers_elsewhere(source) == ["_b", "e"]
 
@@ -169,7 +173,7 @@ def test_no_kernel_copies_an_array_into_a_slice() -> None:
     assert found == set()
 
 
-def test_a_kernel_that_copies_an_array_is_found() -> None:
+def test_a_kernel_that_copies_an_array_into_a_slice_is_detected() -> None:
     source = (
         "@kernel\ndef f(a: Float64s, n: int) -> None:\n    b = np.zeros(n)\n    a[:] = b\n"
         "    a[1:], n = b[0], 2\n    a[:n] = b[:n]\n"
@@ -211,10 +215,10 @@ def _holds_array(value: ast.expr, arrays: set[str]) -> bool:
 
 def _kernels(tree: ast.Module) -> list[ast.FunctionDef]:
     functions = [node for node in ast.walk(tree) if isinstance(node, ast.FunctionDef)]
-    return [f for f in functions if _is_made_by(f, "kernel", "helper")]
+    return [f for f in functions if _is_decorated_by(f, "kernel", "helper")]
 
 
-def _is_made_by(function: ast.AST, *decorators: str) -> bool:
+def _is_decorated_by(function: ast.AST, *decorators: str) -> bool:
     made = function.decorator_list if isinstance(function, ast.FunctionDef) else []
     return any(isinstance(decorator, ast.Name) and decorator.id in decorators for decorator in made)
 
@@ -222,8 +226,8 @@ def _is_made_by(function: ast.AST, *decorators: str) -> bool:
 def _helpers_elsewhere(source: str) -> list[str]:
     """Helpers that code outside the kernels of their own file uses, or whose names are not private."""
     tree = ast.parse(source)
-    helpers = {f.name for f in _kernels(tree) if _is_made_by(f, "helper")}
-    free = [node for node in tree.body if not _is_made_by(node, "kernel", "helper")]
+    helpers = {f.name for f in _kernels(tree) if _is_decorated_by(f, "helper")}
+    free = [node for node in tree.body if not _is_decorated_by(node, "kernel", "helper")]
     named = {node.id for part in free for node in ast.walk(part) if isinstance(node, ast.Name)}
     return sorted(name for name in helpers if name in named or not name.startswith("_"))
 

@@ -28,24 +28,24 @@ def methods(monkeypatch: pytest.MonkeyPatch) -> None:
 INPUTS: dict[str, object] = {"left": "L", "right": "R", "picture": None}
 
 
-def test_a_method_gets_what_it_asks_for_and_its_own_parameters() -> None:
+def test_a_method_receives_the_inputs_it_names_and_its_own_parameters() -> None:
     assert bind(TABLE, "first", INPUTS, {"ratio": 0.7})() == ("first", "L", 0.7)
     assert bind(TABLE, "second", INPUTS | {"picture": "P"}, {})() == ("second", "R", "P", 3)
 
 
-def test_a_dotted_function_needs_no_table_and_may_take_anything() -> None:
+def test_a_dotted_function_is_called_without_being_in_the_table() -> None:
     assert bind(TABLE, "a_module_of_methods:third", INPUTS, {"depth": 2})() == ("third", "L", None, {"depth": 2})
 
 
 @pytest.mark.parametrize(
     "name", ["frist", "third", "a_module_of_methods:frist", "no_such_module:first", "a_module_of_methods.deeper:first"]
 )
-def test_a_name_that_leads_nowhere_lists_those_that_are_known(name: str) -> None:
+def test_an_unknown_method_name_is_refused_with_a_list_of_the_known_ones(name: str) -> None:
     with pytest.raises(ValueError, match="first, second"):
         method(TABLE, name)
 
 
-def test_a_module_that_lacks_something_itself_says_what(tmp_path: object, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_method_module_with_a_missing_import_names_that_import(tmp_path: object, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.syspath_prepend(str(tmp_path))
     with open(f"{tmp_path}/needs_more.py", "w") as file:  # noqa: PTH123
         file.write("import a_library_that_nobody_has\ndef run(left): pass\n")
@@ -53,16 +53,16 @@ def test_a_module_that_lacks_something_itself_says_what(tmp_path: object, monkey
         method(TABLE, "needs_more:run")
 
 
-def test_a_parameter_of_another_method_is_refused_and_its_own_are_listed() -> None:
+def test_a_parameter_of_another_method_is_refused_with_a_list_of_its_own() -> None:
     with pytest.raises(TypeError, match=r"'first' does not read 'rounds'; its parameters: ratio"):
         bind(TABLE, "first", INPUTS, {"rounds": 2})
 
 
-def test_a_missing_input_is_named() -> None:
+def test_a_missing_input_is_named_in_the_error() -> None:
     with pytest.raises(ValueError, match="'second' needs picture"):
         bind(TABLE, "second", INPUTS, {})
 
 
-def test_inputs_are_no_parameters() -> None:
+def test_inputs_are_not_accepted_as_parameters() -> None:
     with pytest.raises(TypeError, match="does not read 'left'"):
         bind(TABLE, "first", INPUTS, {"left": "X"})

@@ -37,11 +37,11 @@ def bent_frame() -> Frame:
     return Frame(painted(u, v), np.ones((HEIGHT, WIDTH), np.bool_), View(WIDTH, HEIGHT, K, False))
 
 
-def worst(image: Uint8s, expected: Uint8s, mask: Bools) -> float:
+def largest_error(image: Uint8s, expected: Uint8s, mask: Bools) -> float:
     return float(np.abs(image.astype(float) - expected)[mask].max())
 
 
-def test_bending_and_straightening_undo_each_other() -> None:
+def test_removing_distortion_inverts_adding_it() -> None:
     bend = residual_distortion(BENT)
     assert bend is not None
     u, v = distorted_pixels(bend, x, y)
@@ -49,41 +49,41 @@ def test_bending_and_straightening_undo_each_other() -> None:
     assert np.abs(back - np.column_stack([x.ravel(), y.ravel()])).max() < 1e-4
 
 
-def test_a_bent_frame_becomes_the_pinholes() -> None:
+def test_a_distorted_frame_becomes_a_pinhole_image() -> None:
     frame = straight_frame(bent_frame(), BENT)
-    assert worst(bent_frame().image, painted(x, y), frame.mask) > 40
-    assert worst(frame.image, painted(x, y), frame.mask) <= 3
+    assert largest_error(bent_frame().image, painted(x, y), frame.mask) > 40
+    assert largest_error(frame.image, painted(x, y), frame.mask) <= 3
     assert 0.9 < frame.mask.mean() <= 1.0
 
 
 @pytest.mark.parametrize("radial", [(0.0, 0.0), (-0.002, 0.0)])
-def test_a_frame_that_is_hardly_bent_stays_as_it_is(radial: tuple[float, float]) -> None:
+def test_a_frame_with_negligible_distortion_stays_unchanged(radial: tuple[float, float]) -> None:
     frame, camera = bent_frame(), replace(BENT, radial=radial)
     assert straight_frame(frame, camera) is frame
     frames = {"gate": frame}
     assert straight_frames(frames, {"gate": camera, "roof": BENT}) is frames
 
 
-def test_frames_are_straightened_when_they_are_asked_for() -> None:
+def test_frames_are_straightened_when_they_are_accessed() -> None:
     frames = straight_frames({"gate": bent_frame(), "roof": bent_frame()}, {"gate": BENT})
     assert list(frames) == ["gate", "roof"] and len(frames) == 2
-    assert worst(frames["gate"].image, painted(x, y), frames["gate"].mask) <= 3
+    assert largest_error(frames["gate"].image, painted(x, y), frames["gate"].mask) <= 3
     assert np.array_equal(frames["roof"].image, bent_frame().image)
 
 
-def test_a_rectified_image_is_looked_up_where_the_bent_frame_has_it() -> None:
+def test_a_rectified_image_is_sampled_from_the_distorted_frame() -> None:
     H = np.array([[0.9, 0.05, 4.0], [-0.04, 0.95, 6.0], [1e-4, -1e-4, 1.0]])
     known = Rectification("hartley", "", H, H, (230, 150), (230, 150), 0.0, 10.0, 0.0, 0.0, 10.0)
     bent = replace(known, bend1=residual_distortion(BENT))
     frame = bent_frame()
     inside = np.all([warp_with_mask(each, 1, frame.image, frame.mask)[1] for each in (bent, known)], axis=0)
     assert inside.mean() > 0.6
-    assert worst(warp(bent, 1, bent_frame().image), warp(known, 1, painted(x, y)), inside) <= 3
-    assert worst(warp(bent, 2, painted(x, y)), warp(known, 2, painted(x, y)), inside) == 0
+    assert largest_error(warp(bent, 1, bent_frame().image), warp(known, 1, painted(x, y)), inside) <= 3
+    assert largest_error(warp(bent, 2, painted(x, y)), warp(known, 2, painted(x, y)), inside) == 0
 
 
 @pytest.mark.parametrize("radial", [(2.9, -18.5), (-3.0, 0.0), (0.2, 4.0), (-0.5, 0.05)])
-def test_a_wild_lens_moves_pixels_nowhere_that_is_none(radial: tuple[float, float]) -> None:
+def test_extreme_distortion_coefficients_give_finite_pixels(radial: tuple[float, float]) -> None:
     """An adjustment from few points may give such coefficients, whose model folds over within the frame."""
     camera = Camera(np.array([[600.0, 0, 239.5], [0, 600, 134.5], [0, 0, 1]]), np.eye(3), np.zeros(3), 480, 270, radial=radial)
     corners = np.array([[0.0, 0], [479, 0], [0, 269], [479, 269], [239.5, 134.5]])

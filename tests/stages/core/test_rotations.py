@@ -29,7 +29,7 @@ def vector(seed: int, angle: float) -> np.ndarray:
 
 @given(VECTORS)
 @settings(max_examples=60, deadline=None)
-def test_vector_and_matrix_are_each_others_inverse(drawn: tuple[int, float]) -> None:
+def test_rotation_vectors_and_matrices_are_converted_both_ways(drawn: tuple[int, float]) -> None:
     v = vector(*drawn)
     R = rotation_matrix(v)
     assert np.abs(R - Rotation.from_rotvec(v).as_matrix()).max() < 1e-12
@@ -38,21 +38,21 @@ def test_vector_and_matrix_are_each_others_inverse(drawn: tuple[int, float]) -> 
 
 @given(VECTORS, st.integers(0, 10_000))
 @settings(max_examples=60, deadline=None)
-def test_the_angle_between_two_rotations_is_that_of_the_turn_from_one_to_the_other(drawn: tuple[int, float], seed: int) -> None:
+def test_angle_between_rotations_is_that_of_the_turn_from_one_to_the_other(drawn: tuple[int, float], seed: int) -> None:
     A = Rotation.random(random_state=seed).as_matrix()
     B = A @ rotation_matrix(vector(*drawn))
     assert np.radians(angle_between_deg(A, B)) == pytest.approx(drawn[1], abs=1e-7)
     assert angle_between_deg(B, A) == pytest.approx(np.degrees(drawn[1]), abs=1e-5)
 
 
-def test_half_a_turn_has_an_axis() -> None:
+def test_a_half_turn_has_the_correct_axis() -> None:
     R = Rotation.from_rotvec([0, np.pi, 0]).as_matrix()
     assert np.abs(rotation_vector(R)) == pytest.approx([0, np.pi, 0])
 
 
 @given(st.integers(0, 10_000))
 @settings(max_examples=30, deadline=None)
-def test_the_nearest_rotation_turns_vectors_as_they_were_turned(seed: int) -> None:
+def test_nearest_rotation_recovers_a_rotation_from_turned_vectors(seed: int) -> None:
     R, rng = Rotation.random(random_state=seed).as_matrix(), np.random.default_rng(seed)
     source = rng.normal(size=(5, 3))
     assert nearest_rotation((source @ R.T).T @ source) == pytest.approx(R)
@@ -60,6 +60,6 @@ def test_the_nearest_rotation_turns_vectors_as_they_were_turned(seed: int) -> No
     assert np.linalg.det(mirrored) == pytest.approx(1)
 
 
-def test_skew_is_the_cross_product() -> None:
+def test_skew_matrix_gives_the_cross_product() -> None:
     a, b = np.array([1.0, -2, 3]), np.array([0.5, 4, -1])
     assert skew(a) @ b == pytest.approx(np.cross(a, b))

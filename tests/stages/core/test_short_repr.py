@@ -7,7 +7,7 @@ import numpy as np
 from wbflow_stages.types import Camera, Disparity, Features, Matches, Poses, View
 
 
-def test_arrays_are_shown_by_type_and_shape() -> None:
+def test_repr_shows_arrays_by_type_and_shape() -> None:
     empty = np.zeros((20, 30), np.int16)
     shown = repr(Disparity(empty, empty, empty.astype(np.uint8), empty.astype(np.uint8), -12, 1 / 3))
     assert shown == (
@@ -16,13 +16,13 @@ def test_arrays_are_shown_by_type_and_shape() -> None:
     )
 
 
-def test_defaults_and_what_is_handed_on_are_left_out() -> None:
+def test_repr_omits_defaults_and_internal_fields() -> None:
     x, view = np.zeros((5, 2)), View(640, 480)
     shown = repr(Matches(x, x, None, None, np.ones(5, np.float32), None, view, view, "mutual", searched=(x, x)))
     assert "matcher='mutual'" in shown and "tilted" not in shown and "searched" not in shown and "i1=None" in shown
 
 
-def test_long_mappings_are_cut_and_nothing_takes_more_than_some_lines() -> None:
+def test_repr_of_long_mappings_and_large_arrays_is_short() -> None:
     cameras = {f"c{k}": Camera(np.eye(3), np.eye(3), np.zeros(3), 640, 480) for k in range(300)}
     shown = repr(Poses(cameras, {}, {}, True, "solved"))
     assert "... 294 more" in shown and len(shown) < 1500

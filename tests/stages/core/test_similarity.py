@@ -14,14 +14,14 @@ from wbflow_stages.core.rotations import Similarity, angle_between_deg, with_rot
 from wbflow_stages.types import Camera
 
 
-def some(seed: int, scale: float) -> Similarity:
+def random_similarity(seed: int, scale: float) -> Similarity:
     return Similarity(scale, Rotation.random(random_state=seed).as_matrix(), np.random.default_rng(seed).normal(size=3))
 
 
 @given(st.integers(0, 10_000), st.floats(0.1, 10))
 @settings(max_examples=25, deadline=None)
-def test_the_similarity_that_was_applied_is_found(seed: int, scale: float) -> None:
-    points, applied = np.random.default_rng(seed).normal(size=(6, 3)), some(seed, scale)
+def test_an_applied_similarity_is_recovered(seed: int, scale: float) -> None:
+    points, applied = np.random.default_rng(seed).normal(size=(6, 3)), random_similarity(seed, scale)
     found = similarity_between(points, applied.points(points))
     assert found.scale == pytest.approx(scale)
     assert angle_between_deg(found.R, applied.R) < 1e-5
@@ -29,7 +29,7 @@ def test_the_similarity_that_was_applied_is_found(seed: int, scale: float) -> No
     assert similarity_between(points, applied.points(points), with_scale=False).scale == 1.0
 
 
-def test_a_line_leaves_a_turn_open() -> None:
+def test_collinear_points_do_not_determine_a_similarity() -> None:
     line = np.outer(np.arange(5.0), [1, 2, 3])
     with pytest.raises(ValueError, match="line"):
         similarity_between(line, line)
@@ -38,15 +38,15 @@ def test_a_line_leaves_a_turn_open() -> None:
 
 
 @pytest.mark.parametrize("with_scale", [True, False])
-def test_points_that_coincide_cannot_be_aligned(with_scale: bool) -> None:
+def test_points_that_coincide_do_not_determine_a_similarity(with_scale: bool) -> None:
     points = np.random.default_rng(2).normal(size=(4, 3))
     for source, target in ((np.ones((4, 3)), points), (points, np.ones((4, 3))), (np.zeros((4, 3)), np.zeros((4, 3)))):
         with pytest.raises(ValueError, match="three points"):
             similarity_between(source, target, with_scale=with_scale)
 
 
-def test_a_moved_camera_sees_moved_points_where_it_saw_them() -> None:
-    moved = some(3, 2.5)
+def test_a_moved_camera_sees_moved_points_at_the_same_pixels() -> None:
+    moved = random_similarity(3, 2.5)
     camera = Camera(np.array([[500.0, 0, 320], [0, 500, 180], [0, 0, 1]]), np.eye(3), np.array([0.1, 0.2, -9]), 640, 360)
     X = np.random.default_rng(0).normal(size=(10, 3))
     before, depth = project(camera, X)
@@ -54,7 +54,7 @@ def test_a_moved_camera_sees_moved_points_where_it_saw_them() -> None:
     assert after == pytest.approx(before) and deeper == pytest.approx(2.5 * depth)
 
 
-def test_points_that_turn_inside_out_have_no_scale() -> None:
+def test_mirrored_points_have_no_scale() -> None:
     points = np.random.default_rng(1).normal(size=(5, 3))
     weight = np.full(5, 0.2)
     assert with_rotation(np.eye(3), points, -points, weight) is None

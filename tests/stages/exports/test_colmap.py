@@ -33,7 +33,7 @@ def read(files: dict[str, bytes], folder: Path) -> pycolmap.Reconstruction:
     return pycolmap.Reconstruction(folder)
 
 
-def test_colmap_projects_half_a_pixel_further_than_we_do(tmp_path: Path) -> None:
+def test_colmap_pixel_coordinates_are_half_a_pixel_larger_than_ours(tmp_path: Path) -> None:
     cameras = {"gate": camera([0.02, -0.1, 0.3]), "roof": camera([-0.1, 0.15, -2.9])}
     X = np.random.default_rng(0).uniform(-1, 1, (50, 3))
     model = read(colmap_files(cameras, {}, cloud_of(X)), tmp_path)
@@ -45,7 +45,7 @@ def test_colmap_projects_half_a_pixel_further_than_we_do(tmp_path: Path) -> None
         assert np.abs(theirs - 0.5 - x[:, :2] / x[:, 2:]).max() < 1e-9
 
 
-def test_points_and_colors_survive(tmp_path: Path) -> None:
+def test_points_and_colors_are_exported_unchanged(tmp_path: Path) -> None:
     cloud = cloud_of(np.random.default_rng(1).normal(size=(30, 3)))
     model = read(colmap_files({"gate": camera([0.0, 0.0, 0.1])}, {}, cloud), tmp_path)
     read_back = [model.points3D[n + 1] for n in range(30)]
@@ -53,7 +53,7 @@ def test_points_and_colors_survive(tmp_path: Path) -> None:
     assert np.array_equal([p.color for p in read_back], cloud.colors)
 
 
-def test_distortion_left_in_a_frame_is_reported(tmp_path: Path) -> None:
+def test_distortion_that_remains_in_a_frame_is_exported(tmp_path: Path) -> None:
     model = read(colmap_files({"gate": camera([0.0, 0.0, 0.1], (-0.1, 0.02))}, {}, cloud_of(np.zeros((1, 3)))), tmp_path)
     assert model.cameras[1].model.name == "OPENCV"
     assert model.cameras[1].params == pytest.approx([500, 505, 310.75, 181.25, -0.1, 0.02, 0, 0])
@@ -77,7 +77,7 @@ def test_matches_become_tracks_with_their_reprojection_errors(tmp_path: Path) ->
     assert np.median(nearest) < 0.02
 
 
-def test_a_match_that_no_camera_explains_becomes_no_track(tmp_path: Path) -> None:
+def test_a_match_that_contradicts_the_cameras_becomes_no_track(tmp_path: Path) -> None:
     site = make_pair_site(2, points=60)
     geometry = site.geometries["c0", "c1"]
     shifted = replace(geometry, x2=geometry.x2 + np.where(np.arange(len(geometry.x2)) < 20, 40.0, 0.0)[:, None])

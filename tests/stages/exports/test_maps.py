@@ -44,7 +44,7 @@ def test_a_height_map_shows_the_ramp_and_the_pole_with_north_up() -> None:
     assert (found.left + 0.5 * column, found.top - 0.5 * row) == (15.0, 8.5), "the corner above the pole"
 
 
-def test_cells_lie_on_each_other_from_night_to_night_and_points_on_the_horizon_do_not_stretch_the_map() -> None:
+def test_cells_of_two_nights_coincide_and_far_points_do_not_stretch_the_map() -> None:
     one, other = height_map(hill()), height_map(np.vstack([hill(1)[500:], [[1e5, 0.0, 0.0]]]))
     assert one.cell == other.cell
     assert math.isclose((one.left - other.left) / one.cell % 1, 0, abs_tol=1e-6)
@@ -53,7 +53,7 @@ def test_cells_lie_on_each_other_from_night_to_night_and_points_on_the_horizon_d
     assert other.heights.shape[1] < 1.2 * one.heights.shape[1]
 
 
-def test_png_and_pfm_tell_the_same_heights() -> None:
+def test_png_and_pfm_contain_the_same_heights() -> None:
     found = height_map(hill(count=500), cell=0.5)
     files, reported = plain_files(found)
     values = read_pfm(files["heights.pfm"], found.heights.shape)
@@ -70,7 +70,7 @@ def test_png_and_pfm_tell_the_same_heights() -> None:
 
 
 @pytest.mark.parametrize("span", [1e-3, 0.7, 65.0, 66.0, 12_345.0])
-def test_steps_use_the_range_and_never_exceed_it(span: float) -> None:
+def test_steps_use_most_of_the_16_bit_range_and_never_exceed_it(span: float) -> None:
     values, steps = stepped(np.array([[3.0, 3.0 + span, np.nan]]), 3.0)
     assert values[0, 0] == 1
     assert 65_535 / 2.6 < values[0, 1] <= 65_535
@@ -78,7 +78,7 @@ def test_steps_use_the_range_and_never_exceed_it(span: float) -> None:
     assert values[0, 1] - 1 == pytest.approx(span * steps, abs=0.51)
 
 
-def test_depth_of_which_a_view_alone_is_not_sure_is_left_out() -> None:
+def test_depth_that_is_not_sure_is_left_out() -> None:
     depth = np.linspace(2, 40, 12, dtype=np.float32).reshape(3, 4)
     sure = np.ones((3, 4), bool)
     sure[1, 2] = False
@@ -92,7 +92,7 @@ def test_depth_of_which_a_view_alone_is_not_sure_is_left_out() -> None:
     assert np.isinf(pfm[~sure]).all()
 
 
-def test_the_origin_of_a_local_frame_is_where_it_was_said_to_be_and_lengths_stay() -> None:
+def test_the_georeferenced_origin_is_at_the_stated_place_and_lengths_are_kept() -> None:
     pyproj = pytest.importorskip("pyproj")
     from wbflow_stages.exports.world import georeference
 
@@ -110,7 +110,7 @@ def test_the_origin_of_a_local_frame_is_where_it_was_said_to_be_and_lengths_stay
 
 
 @pytest.mark.parametrize("crs", ["EPSG:25832", LOCAL.replace("53.541", "88.0")])
-def test_what_utm_cannot_show_is_refused(crs: str) -> None:
+def test_frames_that_are_not_local_or_lie_near_a_pole_are_refused(crs: str) -> None:
     pytest.importorskip("pyproj")
     from wbflow_stages.exports.world import georeference
 
@@ -141,7 +141,7 @@ def test_laspy_reads_the_cloud_back(crs: str) -> None:
 
 
 @pytest.mark.parametrize("crs", ["", LOCAL])
-def test_laspy_reads_all_of_a_copc_or_a_coarse_and_even_part(crs: str, tmp_path: Path) -> None:
+def test_laspy_reads_a_copc_file_completely_or_as_a_coarse_even_part(crs: str, tmp_path: Path) -> None:
     laspy = pytest.importorskip("laspy")
     pytest.importorskip("copclib")
     from wbflow_stages.exports.copc import copc_bytes
@@ -171,7 +171,7 @@ def test_laspy_reads_all_of_a_copc_or_a_coarse_and_even_part(crs: str, tmp_path:
     assert copc_bytes(laz) == data
 
 
-def test_pyogrio_reads_cameras_and_changes_of_a_geopackage_back(tmp_path: Path) -> None:
+def test_pyogrio_reads_cameras_and_changes_back_from_a_geopackage(tmp_path: Path) -> None:
     pyogrio = pytest.importorskip("pyogrio")
     from wbflow_stages.exports.map_features import Feature, geopackage_bytes
     from wbflow_stages.exports.world import georeference
@@ -219,11 +219,11 @@ def test_libe57_reads_the_cloud_back(crs: str, tmp_path: Path) -> None:
 def test_rasterio_reads_the_geotiff_back() -> None:
     rasterio = pytest.importorskip("rasterio")
     found = height_map(hill(count=3000) + np.array([565_000.0, 5_933_000.0, 0.0]), cell=0.5)
-    of = found.heights[None], found.left, found.top, found.cell, 32632, ["heights"]
-    data = geotiff(*of)
+    arguments = found.heights[None], found.left, found.top, found.cell, 32632, ["heights"]
+    data = geotiff(*arguments)
     with rasterio.MemoryFile(data) as memory, memory.open() as file:
         assert file.crs.to_epsg() == 32632
         assert np.array_equal(file.read(1), found.heights, equal_nan=True)
         assert file.xy(0, 0) == pytest.approx((found.left + 0.25, found.top - 0.25))
         assert math.isnan(file.nodata)
-    assert geotiff(*of) == data
+    assert geotiff(*arguments) == data

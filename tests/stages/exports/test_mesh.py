@@ -24,7 +24,7 @@ def dome(count: int = 20_000) -> Cloud:
     return Cloud((directions + FAR).astype(np.float32), normals, colors, ones, ones.astype(np.uint16), ones)
 
 
-def test_open3d_reads_the_mesh_of_a_dome_that_stays_open_below(tmp_path: Path) -> None:
+def test_open3d_reads_back_the_mesh_of_a_dome_which_stays_open_below(tmp_path: Path) -> None:
     mesh = poisson_mesh(dome())
     (tmp_path / "mesh.ply").write_bytes(mesh_bytes(mesh))
     read = open3d.io.read_triangle_mesh(tmp_path / "mesh.ply")

@@ -16,7 +16,7 @@ from wbflow_stages.types import Camera, Capture, Features, Frame, Lens, View
 RANDOM = np.random.default_rng(5)
 
 
-def there_and_back(value: Any, folder: Path) -> Any:
+def round_trip(value: Any, folder: Path) -> Any:
     return read(json.loads(json.dumps(write(value, folder, "value"))), folder)
 
 
@@ -35,45 +35,45 @@ def there_and_back(value: Any, folder: Path) -> Any:
         (np.zeros((0, 4), np.float32), ""),
     ],
 )
-def test_arrays_take_the_form_that_people_can_open_and_keep_every_bit(array: Any, form: str, tmp_path: Path) -> None:
-    again = there_and_back(array, tmp_path)
+def test_arrays_are_written_in_the_expected_format_and_read_back_bit_for_bit(array: Any, form: str, tmp_path: Path) -> None:
+    again = round_trip(array, tmp_path)
     assert again.dtype == array.dtype
     assert again.shape == array.shape
     assert again.tobytes() == array.tobytes()
     assert [path.suffix for path in tmp_path.iterdir()] == ([form] if form else [])
 
 
-def test_a_frame_is_a_picture_that_any_program_shows_with_its_colours(tmp_path: Path) -> None:
+def test_a_frame_is_written_as_an_ordinary_colour_image(tmp_path: Path) -> None:
     red = np.zeros((30, 40, 3), np.uint8)
     red[..., 0] = 255
-    frame = there_and_back(Frame(red, np.ones((30, 40), bool), View(40, 30, np.eye(3)), ("a note",)), tmp_path)
+    frame = round_trip(Frame(red, np.ones((30, 40), bool), View(40, 30, np.eye(3)), ("a note",)), tmp_path)
     assert read_image(tmp_path / "value.image.png")[0, 0].tolist() == [0, 0, 255], "OpenCV says blue first"
     assert (frame.image == red).all()
     assert frame.notes == ("a note",)
     assert frame.view.width == 40
 
 
-def test_a_capture_is_the_file_that_the_camera_delivered(tmp_path: Path) -> None:
+def test_a_capture_is_written_as_the_original_file(tmp_path: Path) -> None:
     data = RANDOM.integers(0, 256, 5000, np.uint8)
-    (again,) = there_and_back([Capture("gate/2026-11-20.jpg", data)], tmp_path)
+    (again,) = round_trip([Capture("gate/2026-11-20.jpg", data)], tmp_path)
     assert (tmp_path / "value.0.2026-11-20.jpg").read_bytes() == data.tobytes()
     assert (again.name, again.data.tobytes()) == ("gate/2026-11-20.jpg", data.tobytes())
 
 
-def test_mappings_keep_order_and_pairs_and_are_read_on_demand(tmp_path: Path) -> None:
+def test_mappings_keep_their_order_and_their_keys_of_pairs(tmp_path: Path) -> None:
     cameras = {("gate", "roof"): Camera(np.eye(3), np.eye(3), np.zeros(3), 8, 6), ("a", "b"): Lens(hfov_deg=70.0)}
-    again = there_and_back(cameras, tmp_path)
+    again = round_trip(cameras, tmp_path)
     assert list(again) == list(cameras)
     assert ("gate", "roof") in again
     assert again["a", "b"].hfov_deg == 70.0
     assert again["gate", "roof"].radial == (0.0, 0.0)
 
 
-def test_keypoints_are_a_table(tmp_path: Path) -> None:
+def test_keypoints_are_written_as_a_csv_table(tmp_path: Path) -> None:
     n = 100
     xy, scores = RANDOM.random((n, 2)), RANDOM.random(n).astype(np.float32)
     descriptors = RANDOM.random((n, 128)).astype(np.float32)
     features = Features(xy, np.tile(np.eye(2), (n, 1, 1)), descriptors, scores, np.zeros(n, np.uint8), View(8, 6))
-    again = there_and_back(features, tmp_path)
+    again = round_trip(features, tmp_path)
     assert np.array_equal(np.loadtxt(tmp_path / "value.xy.csv", delimiter=","), xy)
     assert again.descriptors.tobytes() == descriptors.tobytes()

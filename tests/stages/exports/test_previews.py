@@ -37,7 +37,7 @@ def matches(x1: np.ndarray, x2: np.ndarray) -> Matches:
     return Matches(x1, x2, index, index, np.ones(n, np.float32), np.tile(np.eye(2), (n, 1, 1)), view, view)
 
 
-def test_a_frame_keeps_its_shape_and_shows_its_mask() -> None:
+def test_the_preview_of_a_frame_keeps_its_shape_and_darkens_masked_pixels() -> None:
     masked = frame()
     masked.mask[:, :480] = False
     shown = picture(frame_preview(masked))
@@ -45,7 +45,7 @@ def test_a_frame_keeps_its_shape_and_shows_its_mask() -> None:
     assert shown[:, 250:].mean() > 190 and shown[:, :230].mean() < 100
 
 
-def test_a_match_is_a_line_between_its_points() -> None:
+def test_a_match_is_drawn_as_a_line_between_its_points() -> None:
     x = np.array([[480.0, 320.0]])
     plain = picture(matches_preview(matches(x[:0], x[:0]), frame(), frame()))
     drawn = picture(matches_preview(matches(x, x), frame(), frame()))
@@ -53,7 +53,7 @@ def test_a_match_is_a_line_between_its_points() -> None:
     assert abs(columns.min() - 119) < 5 and abs(columns.max() - (119 + 242)) < 5 and abs(np.median(rows) - 79) < 3
 
 
-def test_disparity_is_black_where_unknown_and_coloured_by_nearness() -> None:
+def test_disparity_is_drawn_black_where_unknown_and_coloured_by_distance() -> None:
     left = np.full((100, 200), -32768, np.int16)
     left[:, 100:] = 16 * np.linspace(5, 60, 100).astype(np.int16)
     confidence = np.zeros((100, 200), np.uint8)
@@ -65,7 +65,7 @@ def test_disparity_is_black_where_unknown_and_coloured_by_nearness() -> None:
     assert far[2] > far[0] and near[0] > near[2]
 
 
-def test_the_cloud_is_seen_from_above_with_its_cameras() -> None:
+def test_the_cloud_preview_shows_the_points_from_above_and_the_cameras() -> None:
     yard = make_yard()
     cloud = fuse(yard.frames, yard.cameras, yard.depths())
     assert isinstance(cloud, Cloud)
@@ -77,7 +77,7 @@ def test_the_cloud_is_seen_from_above_with_its_cameras() -> None:
     assert cloud_preview(cloud, yard.cameras).tobytes() == cloud_preview(cloud, yard.cameras).tobytes()
 
 
-def test_a_rectified_pair_fits() -> None:
+def test_the_disparity_preview_of_a_rectified_pair_has_its_rows_and_a_scale() -> None:
     yard = make_yard()
     pair, rectification = next(iter(yard.rectifications.items()))
     left, right = (yard.frames[name] for name in pair)
@@ -88,7 +88,7 @@ def test_a_rectified_pair_fits() -> None:
     assert 0 < alone.shape[0] - rows.shape[0] < 30, "a scale below it"
 
 
-def test_nothing_is_no_reason_to_fail() -> None:
+def test_previews_of_empty_clouds_and_disparities_are_drawn() -> None:
     none = np.zeros(0, np.float32)
     empty = Cloud(
         np.zeros((0, 3), np.float32), np.zeros((0, 3), np.float32), np.zeros((0, 3), np.uint8), none, none.astype(np.uint16), none
@@ -99,7 +99,7 @@ def test_nothing_is_no_reason_to_fail() -> None:
     assert picture(disparity_preview(Disparity(nothing, nothing, confidence, confidence, 0, 0.0))).max() < 40
 
 
-def test_a_large_picture_is_as_large_as_the_frame_and_marks_are_shares_of_it() -> None:
+def test_a_large_preview_has_the_frame_size_and_marks_are_fractions_of_it() -> None:
     large = cv2.imdecode(frame_large(frame()), cv2.IMREAD_COLOR)
     assert large is not None and large.shape == (640, 960, 3)
     corners = np.array([[-0.5, -0.5], [959.5, 639.5]])

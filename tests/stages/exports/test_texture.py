@@ -51,7 +51,7 @@ def photograph(camera: Camera, gain: float = 1.0) -> Frame:
     return Frame(image.reshape(240, 320, 3).astype(np.uint8), np.ones((240, 320), bool), View(320, 240, K), sharpness=1.0)
 
 
-def test_the_larger_view_is_shown_in_patches_and_all_in_one_exposure() -> None:
+def test_the_larger_view_is_used_and_exposures_are_equalised() -> None:
     near, far = camera_at(-1.5, 3.0), camera_at(0.0, 6.0)
     found = textured(ground(), {"near": near, "far": far}, {"near": photograph(near, 0.7), "far": photograph(far)})
     names = np.array([view.name for view in found.views])
@@ -60,12 +60,12 @@ def test_the_larger_view_is_shown_in_patches_and_all_in_one_exposure() -> None:
     assert (names[found.chosen[seen_near]] == "near").all()
     assert (names[found.chosen[middles[:, 0] > 1]] == "far").all()
     ratio = [view.image.mean() for view in found.views]
-    here = project(far, middles[seen_near])[0].round().astype(int), project(near, middles[seen_near])[0].round().astype(int)
-    levels = [found.views[k].image[x[:, 1], x[:, 0]].astype(float) for k, x in enumerate(here)]
+    pixels = project(far, middles[seen_near])[0].round().astype(int), project(near, middles[seen_near])[0].round().astype(int)
+    levels = [found.views[k].image[x[:, 1], x[:, 0]].astype(float) for k, x in enumerate(pixels)]
     assert abs(np.median(levels[0] / levels[1]) - 1) < 0.03, ratio
 
 
-def test_what_stands_before_it_is_not_painted_on_the_ground_and_masks_hold() -> None:
+def test_hidden_and_masked_ground_gets_no_texture() -> None:
     floor, board = ground(), ground(10, 1.0, 1.0)
     both = Mesh(
         np.concatenate([floor.vertices, board.vertices]),
@@ -83,13 +83,13 @@ def test_what_stands_before_it_is_not_painted_on_the_ground_and_masks_hold() -> 
     assert (found.chosen[(middles[:, 0] > 0.7)] == 0).all()
 
 
-def test_no_camera_shows_the_ground_from_beneath() -> None:
+def test_a_camera_beneath_the_ground_gives_no_texture() -> None:
     beneath = Camera(K, np.eye(3), np.array([0.0, 0.0, -4.0]), 320, 240)
     found = textured(ground(), {"one": beneath}, {"one": photograph(camera_at(0, 4))})
     assert (found.chosen == NONE).all()
 
 
-def test_another_program_reads_the_object_and_finds_the_paint_where_it_was(tmp_path: Path) -> None:
+def test_open3d_reads_the_textured_mesh_with_its_colours_in_place(tmp_path: Path) -> None:
     mesh, camera = ground(), camera_at(0.8, 4.0)
     found = textured(mesh, {"one": camera}, {"one": photograph(camera)})
     for name, data in object_files(found, "mesh"):
@@ -98,7 +98,7 @@ def test_another_program_reads_the_object_and_finds_the_paint_where_it_was(tmp_p
     assert len(read.triangles) == len(mesh.triangles)
     corners = np.asarray(read.vertices)[np.asarray(read.triangles)]
     uv, pictures = np.asarray(read.triangle_uvs).reshape(-1, 3, 2), [np.asarray(image) for image in read.textures]
-    off: list[Float64s] = []
+    errors: list[Float64s] = []
     for material, picture in enumerate(pictures):
         if read.textures[material].is_empty():
             continue  # Open3D puts a texture for triangles without a material first
@@ -106,11 +106,11 @@ def test_another_program_reads_the_object_and_finds_the_paint_where_it_was(tmp_p
         at = uv[chosen].mean(axis=1)
         height, width = picture.shape[:2]
         pixels = np.column_stack([at[:, 0] * width, at[:, 1] * height]).astype(int)  # Open3D flips v
-        off.append(np.abs(picture[pixels[:, 1], pixels[:, 0], :3] - colour_at(corners[chosen].mean(axis=1)[:, :2])))
-    assert len(off) == 2 and np.percentile(np.concatenate(off), 99) < 8
+        errors.append(np.abs(picture[pixels[:, 1], pixels[:, 0], :3] - colour_at(corners[chosen].mean(axis=1)[:, :2])))
+    assert len(errors) == 2 and np.percentile(np.concatenate(errors), 99) < 8
 
 
-def test_the_orthophoto_has_the_paint_where_it_was_and_nothing_beside_the_ground() -> None:
+def test_the_orthophoto_has_the_right_colours_and_is_clear_beside_the_ground() -> None:
     mesh, camera = ground(), camera_at(0.8, 4.0)
     photo = orthophoto(textured(mesh, {"one": camera}, {"one": photograph(camera)}))
     assert photo.cell == pytest.approx(0.02), "a pixel is 4 m / 300 wide"
@@ -120,12 +120,12 @@ def test_the_orthophoto_has_the_paint_where_it_was_and_nothing_beside_the_ground
     assert np.abs(x).max() < SIDE_M / 2 and len(x) == pytest.approx((SIDE_M / photo.cell) ** 2, rel=0.03)
 
 
-def test_no_picture_no_texture() -> None:
+def test_a_mesh_without_any_frame_is_refused() -> None:
     with pytest.raises(ValueError, match="no camera has a frame"):
         textured(ground(), {"one": camera_at(0, 4)}, {})
 
 
-def test_infrared_is_shown_only_where_nothing_else_sees() -> None:
+def test_infrared_frames_are_not_used_where_colour_frames_see_the_mesh() -> None:
     near, far = camera_at(0.0, 3.0), camera_at(0.0, 6.0)
     grey = photograph(near)
     image = cv2.cvtColor(cv2.cvtColor(grey.image, cv2.COLOR_RGB2GRAY), cv2.COLOR_GRAY2RGB)

@@ -27,15 +27,20 @@ def columns_of(tile: bytes) -> np.ndarray:
     assert (magic, version, length) == (b"pnts", 1, len(tile))
     begins = 28 + np.cumsum([0, *lengths])
     assert not (begins[[1, 2, 4]] % 8).any(), "binary parts, and the tile's end, lie at multiples of 8 bytes"
-    features, data, properties, more = (tile[a:b] for a, b in itertools.pairwise(begins))
-    said, told = json.loads(features), json.loads(properties)
-    n = said["POINTS_LENGTH"]
+    feature_json, feature_data, batch_json, batch_data = (tile[a:b] for a, b in itertools.pairwise(begins))
+    feature_table, batch_table = json.loads(feature_json), json.loads(batch_json)
+    n = feature_table["POINTS_LENGTH"]
 
-    def column(part: bytes, entry: dict[str, Any], kind: str, wide: int) -> np.ndarray:
-        return np.frombuffer(part, kind, n * wide, entry["byteOffset"]).reshape(n, wide)
+    def column(part: bytes, entry: dict[str, Any], kind: str, width: int) -> np.ndarray:
+        return np.frombuffer(part, kind, n * width, entry["byteOffset"]).reshape(n, width)
 
-    positions, colors = column(data, said["POSITION"], "<f4", 3), column(data, said["RGB"], "u1", 3)
-    return np.hstack([positions, colors, *(column(more, told[name], "<f4", 1) for name in ("confidence", "sigma_mm"))])
+    positions, colors = (
+        column(feature_data, feature_table["POSITION"], "<f4", 3),
+        column(feature_data, feature_table["RGB"], "u1", 3),
+    )
+    return np.hstack(
+        [positions, colors, *(column(batch_data, batch_table[name], "<f4", 1) for name in ("confidence", "sigma_mm"))]
+    )
 
 
 def as_rows(cloud: Cloud) -> np.ndarray:
@@ -52,7 +57,7 @@ def walk(tile: dict[str, Any]) -> Iterator[dict[str, Any]]:
         yield from walk(child)
 
 
-def test_the_specification_reads_every_point_once_within_its_box_and_a_coarse_part_that_covers_all() -> None:
+def test_tiles_hold_every_point_once_in_its_box_and_the_root_covers_all() -> None:
     files = dict(tile_files(CLOUD))
     tileset = json.loads(files.pop("tileset.json"))
     assert tileset["asset"]["version"] == "1.0"
@@ -70,7 +75,7 @@ def test_the_specification_reads_every_point_once_within_its_box_and_a_coarse_pa
     assert dict(tile_files(CLOUD)) == dict(tile_files(CLOUD))
 
 
-def test_on_the_globe_it_lies_where_the_site_is() -> None:
+def test_tiles_are_placed_on_the_globe_at_the_site() -> None:
     pyproj = pytest.importorskip("pyproj")
     from wbflow_stages.exports.world import georeference
 
@@ -82,7 +87,7 @@ def test_on_the_globe_it_lies_where_the_site_is() -> None:
     assert found == pytest.approx(place.degrees([190.0, 90.0, 5.0]), abs=1e-7)
 
 
-def test_py3dtiles_reads_it_back(tmp_path: Path) -> None:
+def test_py3dtiles_reads_the_tiles_back(tmp_path: Path) -> None:
     pytest.importorskip("py3dtiles")
     from py3dtiles.tileset import TileSet
 

@@ -32,12 +32,12 @@ def unpacked(stream: bytes) -> tuple[dict[str, Any], np.ndarray, np.ndarray]:
     (length,) = struct.unpack_from("<I", stream)
     head = json.loads(stream[4 : 4 + length])
     planes = np.frombuffer(zlib.decompress(stream[4 + length :]), np.uint8).reshape(-1, head["n"])
-    apart = planes[0:3].astype(np.uint16) | planes[3:6].astype(np.uint16) << 8
-    places = np.cumsum(apart, axis=1, dtype=np.uint16).T * head["step"] + head["low"]
+    differences = planes[0:3].astype(np.uint16) | planes[3:6].astype(np.uint16) << 8
+    places = np.cumsum(differences, axis=1, dtype=np.uint16).T * head["step"] + head["low"]
     return head, places, planes[6:9].T
 
 
-def test_every_uncertainty_is_known_whatever_the_colours_reach_to() -> None:
+def test_uncertainties_beyond_the_colour_scale_keep_their_values() -> None:
     sigma = np.geomspace(2, 5000, 3000).astype(np.float32)  # millimetres; only the last three exceed 500
     sigma[sigma > 500] = 10
     sigma[-3:] = 700, 2000, 5000
@@ -50,20 +50,20 @@ def test_every_uncertainty_is_known_whatever_the_colours_reach_to() -> None:
     assert layer["high"] < 500 and np.allclose(known, sigma[nearest], rtol=0.02)
 
 
-def test_few_points_are_shown_as_they_are() -> None:
+def test_a_small_cloud_is_shown_point_by_point() -> None:
     cloud = bowl(5000)
     head, places, colors = unpacked(cloud_view(cloud))
-    away, nearest = cKDTree(cloud.points).query(places)
+    distance, nearest = cKDTree(cloud.points).query(places)
     assert head["n"] == head["total"] == 5000 and sorted(nearest) == list(range(5000))
-    assert away.max() < head["step"] and np.array_equal(colors, cloud.colors[nearest])
+    assert distance.max() < head["step"] and np.array_equal(colors, cloud.colors[nearest])
 
 
 @pytest.mark.parametrize("count", [30_000, 400_000])
-def test_of_many_points_there_are_means_everywhere_and_no_more_than_asked_for(count: int) -> None:
+def test_a_large_cloud_is_thinned_to_evenly_spread_means(count: int) -> None:
     cloud, most = bowl(count), 10_000
     head, places, colors = unpacked(cloud_view(cloud, most))
     assert 0.8 * most < head["n"] <= most and head["total"] == count
     assert cKDTree(places).query(cloud.points)[0].max() < 3 * head["voxel"]
-    away, nearest = cKDTree(cloud.points).query(places)
-    assert away.max() < head["voxel"]
+    distance, nearest = cKDTree(cloud.points).query(places)
+    assert distance.max() < head["voxel"]
     assert np.abs(colors[:, 0].astype(float) - cloud.colors[nearest, 0]).max() < 12 * 2 * head["voxel"] + 1

@@ -34,23 +34,23 @@ def known_down_from(row: int) -> Bools:
     return np.repeat(np.arange(HEIGHT)[:, None] >= row, WIDTH, axis=1)
 
 
-def test_a_band_of_sky_above_the_horizon_is_not_believed() -> None:
+def test_depth_in_a_band_of_sky_above_the_horizon_is_not_used() -> None:
     kept = believed(frame(), depth_map(known_down_from(TOP - 8)))
     assert not kept[: TOP - 2].any()
     assert kept[TOP + 1 :].all()
 
 
-def test_a_sky_that_darkens_toward_a_side_is_no_less_a_sky() -> None:
+def test_depth_in_a_sky_with_a_brightness_gradient_is_not_used() -> None:
     shaded = frame()
     shaded.image[:TOP] = (210 - np.arange(WIDTH))[:, None].clip(60, 210)
     assert not believed(shaded, depth_map(known_down_from(TOP - 8)))[: TOP - 2].any()
 
 
-def test_a_wall_that_is_filled_is_believed() -> None:
+def test_depth_on_a_mostly_filled_wall_is_used() -> None:
     assert believed(frame(), depth_map(known_down_from(5))).all()
 
 
-def test_what_is_masked_stays_masked() -> None:
+def test_depth_of_masked_pixels_is_not_used() -> None:
     masked = frame()
     masked.mask[:, :30] = False
     kept = believed(masked, depth_map(known_down_from(0)))
@@ -58,7 +58,7 @@ def test_what_is_masked_stays_masked() -> None:
 
 
 @pytest.mark.parametrize("side", [6, 40])
-def test_a_small_even_patch_is_judged_by_what_is_around_it(side: int) -> None:
+def test_unknown_depth_matters_in_large_even_patches_but_not_in_small_ones(side: int) -> None:
     patched = frame()
     patched.image[TOP + 10 : TOP + 10 + side, 60 : 60 + side] = 90
     known = known_down_from(0)
@@ -67,7 +67,7 @@ def test_a_small_even_patch_is_judged_by_what_is_around_it(side: int) -> None:
 
 
 @pytest.mark.parametrize("noise_left", [0.0, 6.0])
-def test_noise_is_something_to_be_seen_unless_it_is_known(noise_left: float) -> None:
+def test_noise_counts_as_texture_unless_its_level_is_known(noise_left: float) -> None:
     noisy = replace(frame(noise=2.0), noise_left=noise_left)
     sky = believed(noisy, depth_map(known_down_from(TOP - 8)))[: TOP - 8]
     assert sky.all() if noise_left == 0 else sky.mean() < 0.1

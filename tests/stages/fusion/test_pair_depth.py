@@ -10,7 +10,7 @@ from wbflow_stages.fusion.pair_depth import NoiseModel, apart_px, sample_dispari
 
 @settings(deadline=None)  # the first example includes compilation
 @given(st.floats(-6, 6), st.floats(-1, 1), st.integers(0, 2**32 - 1))
-def test_ground_seen_at_a_low_angle_is_read_exactly_between_rows(per_row: float, per_column: float, seed: int) -> None:
+def test_disparity_of_steep_ground_is_interpolated_exactly_between_rows(per_row: float, per_column: float, seed: int) -> None:
     """Its disparity changes by several pixels per row: the nearest row alone would be off by up to half of that."""
     y, x = np.mgrid[0:24, 0:30].astype(np.float32)
     ground = (40 + per_row * y + per_column * x).astype(np.float32)
@@ -20,33 +20,33 @@ def test_ground_seen_at_a_low_angle_is_read_exactly_between_rows(per_row: float,
 
 
 @pytest.mark.parametrize("edge", ["across rows", "along rows"])
-def test_edges_are_not_smeared(edge: str) -> None:
+def test_disparity_is_not_averaged_across_edges(edge: str) -> None:
     y, x = np.mgrid[0:20, 0:20]
     step = np.where((y if edge == "across rows" else x) < 10, np.float32(5), np.float32(25)).astype(np.float32)
     at = np.random.default_rng(1).uniform(8, 11, (200, 2))
     assert set(sample_disparity(step, at)) == {5.0, 25.0}
 
 
-def test_nothing_is_read_outside_and_beside_holes_only_what_is_known() -> None:
+def test_nothing_is_sampled_outside_the_map_and_only_known_pixels_beside_holes() -> None:
     flat = np.full((8, 8), 3, dtype=np.float32)
     flat[4, 4] = np.nan
     read = sample_disparity(flat, np.array([[-0.1, 3.0], [3.0, 7.5], [4.2, 4.2], [4.7, 4.2]]))
     np.testing.assert_array_equal(np.isnan(read), [True, True, True, False])
 
 
-def test_pairs_differ_as_a_whole_by_what_one_of_them_has_everywhere_and_noise_is_none() -> None:
+def test_a_uniform_offset_of_one_pair_is_measured_in_spite_of_noise() -> None:
     rng = np.random.default_rng(0)
     gain = np.full((120, 160), 0.1, np.float32)
     gain[40:60] = np.nan  # a band of rows is unknown
-    depths = [(50 + 0.1 * (off + rng.normal(0, 0.35, gain.shape))).astype(np.float32) for off in (0.0, 0.0, 1.0)]
+    depths = [(50 + 0.1 * (offset + rng.normal(0, 0.35, gain.shape))).astype(np.float32) for offset in (0.0, 0.0, 1.0)]
     depths[1][rng.random(gain.shape) < 0.2] = 30  # look-alikes
-    apart = apart_px(depths, [gain, gain, gain], NoiseModel())
-    assert apart[0, 1] < 0.15
-    assert apart[0, 2] == pytest.approx(1 / np.sqrt(2), abs=0.1)
+    offsets = apart_px(depths, [gain, gain, gain], NoiseModel())
+    assert offsets[0, 1] < 0.15
+    assert offsets[0, 2] == pytest.approx(1 / np.sqrt(2), abs=0.1)
     assert apart_px(depths, [gain, np.full_like(gain, 10), gain], NoiseModel()).keys() == {(0, 2)}, "too inexact to be fused"
 
 
-def test_noise_that_is_alike_over_patches_is_no_difference_as_a_whole() -> None:
+def test_noise_correlated_over_patches_is_not_taken_for_an_offset() -> None:
     """At night, errors are correlated over whole patches, here of 20 x 20 pixels."""
     rng = np.random.default_rng(2)
     gain = np.full((200, 200), 0.1, dtype=np.float32)
@@ -57,7 +57,7 @@ def test_noise_that_is_alike_over_patches_is_no_difference_as_a_whole() -> None:
     assert apart_px(depths, [gain, gain], NoiseModel())[0, 1] == pytest.approx(1 / np.sqrt(2), abs=0.15)
 
 
-def test_a_pattern_that_one_pair_mistook_is_no_difference_as_a_whole() -> None:
+def test_an_error_in_part_of_the_view_is_not_taken_for_an_offset_of_the_pair() -> None:
     rng = np.random.default_rng(1)
     gain = np.full((200, 300), 0.1, dtype=np.float32)
     depths = [(50 + 0.1 * rng.normal(0, 0.35, gain.shape)).astype(np.float32) for _ in range(2)]

@@ -23,7 +23,7 @@ def wall(x: float, gain: float = 1.0) -> tuple[Camera, Subsampled]:
     return camera, subsample(frame, depth)
 
 
-def test_gains_undo_the_exposures() -> None:
+def test_exposure_gains_equalise_the_exposures() -> None:
     views = {"a": wall(0.0), "b": wall(0.5, 1.5), "c": wall(1.0, 0.8)}
     cameras, small = {n: v[0] for n, v in views.items()}, {n: v[1] for n, v in views.items()}
     near = {n: nearest_views(n, cameras, small, 4) for n in views}
@@ -33,7 +33,7 @@ def test_gains_undo_the_exposures() -> None:
     assert np.prod([gains[n] for n in views]) ** (1 / 9) == pytest.approx(1, abs=0.01)
 
 
-def test_cameras_that_share_nothing_keep_their_exposure() -> None:
+def test_cameras_that_share_no_surface_keep_their_exposure() -> None:
     views = {"a": wall(0.0), "far": wall(500.0, 2.0)}
     cameras, small = {n: v[0] for n, v in views.items()}, {n: v[1] for n, v in views.items()}
     assert nearest_views("a", cameras, small, 4) == []
@@ -41,12 +41,12 @@ def test_cameras_that_share_nothing_keep_their_exposure() -> None:
     assert all(gain == pytest.approx(1) for gain in gains.values())
 
 
-def test_the_nearest_views_are_those_that_share_most() -> None:
+def test_the_nearest_views_are_those_that_share_most_of_the_surface() -> None:
     views = {name: wall(x) for name, x in (("a", 0.0), ("far", 9.0), ("near", 1.0), ("next", 4.0))}
     cameras, small = {n: v[0] for n, v in views.items()}, {n: v[1] for n, v in views.items()}
     assert nearest_views("a", cameras, small, 2) == ["near", "next"]
 
 
-def test_a_voxel_is_a_round_number_about_as_large_as_a_pixel_sees() -> None:
+def test_the_natural_voxel_is_a_round_number_of_about_a_pixels_footprint() -> None:
     camera, small = wall(0.0)
     assert natural_voxel({"a": camera}, {"a": small}) == pytest.approx(0.05)

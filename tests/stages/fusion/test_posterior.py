@@ -23,7 +23,7 @@ def noisy_frame(noise: float) -> Frame:
     return Frame(image.clip(0, 255).round().astype(np.uint8), mask, View(WIDTH, HEIGHT), noise_left=noise)
 
 
-def found_by_two(noise: float) -> Float32s:
+def plane_probabilities(noise: float) -> Float32s:
     """Posterior probabilities of a plane that one pair supports and nothing contradicts."""
     flat, none = np.full((HEIGHT, WIDTH), 10.0, np.float32), np.zeros((HEIGHT, WIDTH), np.float32)
     depth = DepthMap(flat, 0.01 * flat, none, none, np.ones(flat.shape, np.uint32), ("roof",), np.ones(flat.shape, np.bool_))
@@ -32,33 +32,33 @@ def found_by_two(noise: float) -> Float32s:
     return posterior(depth, noisy_frame(noise), none, check)
 
 
-def test_where_a_picture_shows_little_but_noise_depths_are_less_probable() -> None:
+def test_depths_are_less_probable_where_the_picture_is_mostly_noise() -> None:
     shown = noisiness(noisy_frame(8.0))
     assert shown[:, : WALL - 4].max() < 0.1
     assert abs(np.median(shown[:, WALL + 4 :]) - np.log(2)) < 0.05  # the patch shows only noise
-    quiet, noisy = found_by_two(0.0), found_by_two(8.0)
+    quiet, noisy = plane_probabilities(0.0), plane_probabilities(8.0)
     inside = (slice(12, -12), slice(12, WALL - 12)), (slice(12, -12), slice(WALL + 12, -12))
     assert np.abs(quiet[inside[0]] - noisy[inside[0]]).max() < 0.02
     assert (noisy[inside[1]] < quiet[inside[1]] - 0.05).all()
 
 
-def test_noise_makes_nothing_more_probable() -> None:
-    assert (found_by_two(8.0) <= found_by_two(0.0)).all()
+def test_noise_never_makes_a_depth_more_probable() -> None:
+    assert (plane_probabilities(8.0) <= plane_probabilities(0.0)).all()
 
 
 @given(arrays(np.float32, st.integers(1, 200), elements=st.floats(0.5, 1.0, width=32)), st.floats(0.5, 1.0))
-def test_the_least_probable_points_go_and_no_more_than_have_to(right: np.ndarray, share: float) -> None:
-    kept = surest(right, share)
+def test_the_least_probable_points_are_removed_and_no_more_than_necessary(probability: np.ndarray, share: float) -> None:
+    kept = surest(probability, share)
     assert kept.any()
     if kept.all():
         return
-    assert right[kept].min() > right[~kept].max()
-    more = right >= right[~kept].max()
-    assert right[more].mean(dtype=np.float64) < share
-    assert right[kept].mean(dtype=np.float64) >= share or more.sum() > len(right) / 2
+    assert probability[kept].min() > probability[~kept].max()
+    more = probability >= probability[~kept].max()
+    assert probability[more].mean(dtype=np.float64) < share
+    assert probability[kept].mean(dtype=np.float64) >= share or more.sum() > len(probability) / 2
 
 
-def test_a_cloud_that_is_right_stays_as_it_is_and_one_that_is_not_is_right_then() -> None:
+def test_a_cloud_is_thinned_only_if_too_few_of_its_points_are_right() -> None:
     rng = np.random.default_rng(0)
     good, poor = rng.uniform(0.85, 1.0, 1000), rng.uniform(0.5, 1.0, 1000)
     assert surest(good.astype(np.float32), 0.9).all()

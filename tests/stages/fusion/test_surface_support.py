@@ -21,32 +21,32 @@ def depth_map(depth: Float32s) -> DepthMap:
     return DepthMap(depth, 0.0005 * depth, *slopes, np.ones(shape, np.uint32), ("other",), np.ones(shape, np.bool_))
 
 
-def company_of(depth: Float32s, usable: Bools | None = None) -> Float32s:
+def support_of(depth: Float32s, usable: Bools | None = None) -> Float32s:
     return surface_support(depth_map(depth), np.isfinite(depth) if usable is None else usable)
 
 
-def test_a_slope_is_in_company_and_a_pixel_off_it_is_not() -> None:
+def test_a_pixel_on_a_slope_has_support_and_an_outlier_has_none() -> None:
     depth = slope()
     depth[40, 60] *= 1.05
-    share = company_of(depth)
+    share = support_of(depth)
     assert share[40, 60] == 0 and share[40, 70] > 0.95
 
 
 @pytest.mark.parametrize("kept", [0.1, 0.5])
-def test_sparse_specks_have_as_much_company_as_there_are_of_them(kept: float) -> None:
+def test_support_of_sparse_pixels_is_about_their_density(kept: float) -> None:
     known = np.random.default_rng(0).uniform(size=slope().shape) < kept
-    share = company_of(slope(), known)
+    share = support_of(slope(), known)
     assert share[known].mean() == pytest.approx(kept, rel=0.25)
     assert (share[~known] == 0).all()
 
 
-def test_neighbours_count_by_their_weight() -> None:
+def test_neighbours_give_support_in_proportion_to_their_weight() -> None:
     """A pixel in the middle of a patch of weight 0 has no support, one at its rim has some."""
     weight = np.ones(slope().shape, np.float32)
     weight[20:60, 40:80] = 0
     known = np.ones(slope().shape, np.bool_)
     share = surface_support(depth_map(slope()), known, weight)
     assert share[40, 60] == 0 and share[40, 40] > 0.3 and share[10, 20] > 0.95
-    off = slope()
-    off[weight > 0] *= 1.05
-    assert (surface_support(depth_map(off), known, weight)[25:55, 45:75] == 0).all()
+    off_surface = slope()
+    off_surface[weight > 0] *= 1.05
+    assert (surface_support(depth_map(off_surface), known, weight)[25:55, 45:75] == 0).all()

@@ -49,14 +49,14 @@ def check_of(found: dict[str, Camera], maps: dict[str, DepthMap], own: float) ->
 
 
 @pytest.mark.parametrize("lean", [0.0, 0.7])
-def test_views_of_the_same_wall_speak_for_it(lean: float) -> None:
+def test_views_of_the_same_wall_agree_with_its_depth(lean: float) -> None:
     check = check_of(*views(4, lean, off=0.0), own=3.0)
     middle = slice(20, 60), slice(40, 60)
     assert (check.agreeing[middle] == 3).all() and (check.pairs[middle] >= 6).all() and (check.opposing[middle] == 0).all()
 
 
 @pytest.mark.parametrize(("own", "against"), [(5.0, 10.0), (-2.0, 0.5)])
-def test_views_look_through_a_depth_as_surely_as_their_own_is_right(own: float, against: float) -> None:
+def test_views_oppose_a_depth_as_strongly_as_they_trust_their_own(own: float, against: float) -> None:
     """A patch 0.5 m in front of the wall: views that are sure of their depth rule it out, unsure ones hardly oppose it."""
     check = check_of(*views(4, 0.0, off=-0.5), own=own)
     seen = -check.opposing[PATCH]
@@ -64,7 +64,7 @@ def test_views_look_through_a_depth_as_surely_as_their_own_is_right(own: float, 
 
 
 @pytest.mark.parametrize(("own", "wrong"), [(5.0, 3.0), (-2.0, 0.4)])
-def test_pairs_whose_other_view_looks_through_a_depth_are_as_wrong_as_that_view_is_right(own: float, wrong: float) -> None:
+def test_pairs_are_doubted_as_strongly_as_the_contradicting_view_is_trusted(own: float, wrong: float) -> None:
     check = check_of(*views(4, 0.0, off=-0.5), own=own)
     assert np.allclose(check.doubted[PATCH], wrong, atol=0.05)
     assert (check.doubted[:20] == 0).all()

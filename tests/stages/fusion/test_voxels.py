@@ -32,14 +32,14 @@ def test_points_of_one_cell_become_their_weighted_mean() -> None:
     assert found.weight == pytest.approx([2.0]) and found.colors == pytest.approx(np.full((1, 3), 100))
 
 
-def test_the_order_of_the_views_does_not_matter_to_which_cells_are_kept() -> None:
+def test_the_order_of_the_views_does_not_change_the_merged_points() -> None:
     rng = np.random.default_rng(0)
     one, two = (samples(rng.uniform(-1, 1, (500, 3))) for _ in range(2))
     there, back = merged(one, two), merged(two, one)
     assert there.points == pytest.approx(back.points, abs=1e-5)
 
 
-def test_whole_clouds_and_pieces_of_them_are_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_merging_in_blocks_equals_merging_in_one_piece(monkeypatch: pytest.MonkeyPatch) -> None:
     rng = np.random.default_rng(0)
     scattered = samples(rng.uniform(-1, 1, (3000, 3)))
     coarse = samples(rng.uniform(-1, 1, (300, 3)), footprint=0.25)
@@ -50,7 +50,7 @@ def test_whole_clouds_and_pieces_of_them_are_the_same(monkeypatch: pytest.Monkey
         assert np.array_equal(values, getattr(pieces, name)), name
 
 
-def test_what_is_seen_coarsely_is_merged_coarsely() -> None:
+def test_coarsely_seen_samples_are_merged_into_larger_cells() -> None:
     line = np.column_stack([np.arange(0.05, 1.6, 0.1), np.full((16, 2), 0.05)])
     assert len(merged(samples(line)).points) == 16
     assert len(merged(samples(line, footprint=0.45)).points) == 4

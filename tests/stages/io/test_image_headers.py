@@ -16,14 +16,14 @@ from wbflow_stages.types import Capture, Lens
 JPEG = cv2.imencode(".jpg", np.random.default_rng(0).integers(0, 255, (32, 48, 3), dtype=np.uint8))[1].tobytes()
 
 
-def test_segments_follow_each_other_up_to_the_first_scan() -> None:
+def test_segments_are_contiguous_and_end_with_the_first_scan() -> None:
     found = list(jpeg_segments(JPEG))
     assert [marker for marker, _, _ in found].count(SCAN) == 1
     assert found[-1][0] == SCAN and found[-1][2] == len(JPEG)
     assert all(end == start - 4 for (_, _, end), (_, start, _) in pairwise(found))
 
 
-def test_a_thumbnail_inside_a_segment_is_stepped_over() -> None:
+def test_a_thumbnail_inside_a_segment_is_skipped() -> None:
     thumbnail = b"\xff\xe1" + (len(JPEG) + 2).to_bytes(2, "big") + JPEG
     whole = JPEG[:2] + thumbnail + JPEG[2:]
     found = list(jpeg_segments(whole))
@@ -31,12 +31,12 @@ def test_a_thumbnail_inside_a_segment_is_stepped_over() -> None:
     assert [marker for marker, _, _ in found[1:]] == [marker for marker, _, _ in jpeg_segments(JPEG)]
 
 
-def test_fill_bytes_between_segments_are_passed_over() -> None:
+def test_fill_bytes_between_segments_are_skipped() -> None:
     filled = JPEG[:2] + b"\xff\xff" + JPEG[2:]
     assert [marker for marker, _, _ in jpeg_segments(filled)] == [marker for marker, _, _ in jpeg_segments(JPEG)]
 
 
-def test_other_files_and_cut_ones_have_no_scan() -> None:
+def test_other_files_and_truncated_ones_have_no_scan() -> None:
     assert list(jpeg_segments(b"\x89PNG....")) == [] and list(jpeg_segments(b"")) == []
     scan = next(start for marker, start, _ in jpeg_segments(JPEG) if marker == SCAN)
     assert all(marker != SCAN for marker, _, _ in jpeg_segments(JPEG[: scan - 4]))
@@ -57,46 +57,46 @@ def photograph(order: str, focal_mm: int | None, width: int = 120, height: int =
 
 
 @pytest.mark.parametrize("order", ["<", ">"])
-def test_the_focal_length_is_read(order: str) -> None:
+def test_the_focal_length_is_read_from_exif_in_both_byte_orders(order: str) -> None:
     assert focal_in_long_sides(photograph(order, 28)) == pytest.approx(28 / 36)
 
 
 @pytest.mark.parametrize("data", [photograph("<", None), photograph("<", 28)[:30], np.zeros(0, np.uint8), np.zeros(99, np.uint8)])
-def test_files_that_do_not_say_give_none(data: np.ndarray) -> None:
+def test_files_without_exif_have_no_focal_length(data: np.ndarray) -> None:
     assert focal_in_long_sides(data) is None
 
 
 @pytest.mark.parametrize(("width", "height"), [(120, 80), (80, 120)])
-def test_a_frame_guesses_its_lens_from_the_file(width: int, height: int) -> None:
+def test_the_focal_length_of_a_frame_is_guessed_from_exif(width: int, height: int) -> None:
     frame = clean_frame([Capture("a.jpg", photograph("<", 36, width, height))], Lens(), None, resolution=None)
     assert frame.view.K is not None and not frame.view.focal_known
     assert frame.view.K[0, 0] == pytest.approx(120)
 
 
-def test_what_the_site_says_goes_before() -> None:
+def test_a_stated_field_of_view_takes_precedence_over_exif() -> None:
     frame = clean_frame([Capture("a.jpg", photograph("<", 36))], Lens(hfov_deg=90.0), None, resolution=None)
     assert frame.view.K is not None and frame.view.K[0, 0] == pytest.approx(60)
 
 
 @pytest.mark.parametrize("form", [".png", ".jpg", ".tif", ".bmp", ".webp", ".ppm"])
-def test_the_size_of_what_opencv_writes(form: str) -> None:
+def test_the_size_of_images_written_by_opencv_is_read(form: str) -> None:
     image = np.random.default_rng(1).integers(0, 255, (37, 51, 3), np.uint8)
     data = cv2.imencode(form, image)[1].tobytes()
     assert picture_size(data) == (51, 37)
 
 
 @pytest.mark.parametrize("form", [".png", ".jpg", ".tif", ".bmp", ".webp", ".ppm"])
-def test_a_header_cut_short_states_nothing_or_the_truth(form: str) -> None:
+def test_a_truncated_header_gives_no_size_or_the_right_one(form: str) -> None:
     data = cv2.imencode(form, np.zeros((37, 51, 3), np.uint8))[1].tobytes()
     for end in range(64):
         assert picture_size(data[:end]) in {None, (51, 37)}
 
 
-def test_a_header_may_promise_more_than_anybody_should_decode() -> None:
+def test_the_size_of_a_huge_image_is_read_without_decoding_it() -> None:
     bomb = b"\x89PNG\r\n\x1a\n" + struct.pack(">I4sIIBBBBB", 13, b"IHDR", 30_000, 30_000, 8, 2, 0, 0, 0)
     assert picture_size(bomb) == (30_000, 30_000)
 
 
-def test_what_is_no_picture_states_no_size() -> None:
+def test_files_that_are_not_images_have_no_size() -> None:
     assert picture_size(b"") is None
     assert picture_size(b"no picture at all") is None

@@ -22,7 +22,7 @@ def unit_rows(rng: np.random.Generator, n: int, d: int = 32) -> np.ndarray:
 
 @settings(max_examples=20, deadline=None)
 @given(st.integers(1, 700), st.integers(1, 60), st.integers(1, 6), st.integers(0, 1000))
-def test_neighbours_are_those_of_brute_force(n1: int, n2: int, k: int, seed: int) -> None:
+def test_nearest_neighbours_equal_those_of_brute_force(n1: int, n2: int, k: int, seed: int) -> None:
     rng = np.random.default_rng(seed)
     a, b = unit_rows(rng, n1), unit_rows(rng, n2)
     near = nearest_neighbours(a, b, k)
@@ -33,14 +33,14 @@ def test_neighbours_are_those_of_brute_force(n1: int, n2: int, k: int, seed: int
     np.testing.assert_allclose(np.take_along_axis(distance, near.rows.astype(int), 1), near.row_distance, atol=2e-3)
 
 
-def test_of_equal_neighbours_the_first_stays() -> None:
+def test_the_first_of_equally_near_neighbours_is_returned() -> None:
     near = nearest_neighbours(np.eye(4, dtype=np.float32)[[0]], np.eye(4, dtype=np.float32)[[1, 0, 0, 2]], 1)
     assert near.rows[0, 0] == 1
 
 
 @settings(max_examples=30, deadline=None)
 @given(st.integers(1, 300), st.integers(1, 40), st.sampled_from([0.0, 1e-4, 1.0, 30.0]), st.integers(0, 1000))
-def test_nearest_points_are_those_of_brute_force_however_they_lie(n: int, k: int, width: float, seed: int) -> None:
+def test_nearest_points_equal_those_of_brute_force_for_any_distribution(n: int, k: int, width: float, seed: int) -> None:
     rng = np.random.default_rng(seed)
     points = rng.random((n, 2)) * [500.0 * width, 500.0]
     points[: n // 3] = points[0] + rng.random((n // 3, 2))  # a cluster
@@ -79,7 +79,7 @@ def test_thin_procrustes_finds_a_permutation_of_few_points() -> None:
     assert fired.sum() == 10 and fired[i, j].all() and len(i) == 10
 
 
-def test_dominance_is_the_published_inequality() -> None:
+def test_published_dominance_follows_the_published_inequality() -> None:
     P = np.array([[0.9, 0.1, -0.1], [0.2, 0.1, 0.1], [0.0, 0.1, 0.5]], np.float32)
     expected = np.array(
         [[P[k, j] > 0.8 * (abs(P[k]).sum() - abs(P[k, j])) and P[k, j] > 0.8 * (abs(P[:, j]).sum() - abs(P[k, j]))
@@ -90,7 +90,7 @@ def test_dominance_is_the_published_inequality() -> None:
 
 @settings(max_examples=25, deadline=None)
 @given(st.integers(1, 40), st.integers(1, 40), st.integers(0, 1000))
-def test_probabilities_share_rows_and_columns(n1: int, n2: int, seed: int) -> None:
+def test_assigned_probabilities_sum_to_at_most_one_per_row_and_column(n1: int, n2: int, seed: int) -> None:
     rng = np.random.default_rng(seed)
     keep = rng.random((n1, n2)) < 0.3
     i, j = (part.astype(np.int32) for part in np.nonzero(keep))
@@ -99,14 +99,14 @@ def test_probabilities_share_rows_and_columns(n1: int, n2: int, seed: int) -> No
     assert (np.bincount(i, p, n1) <= 1 + 1e-6).all() and (np.bincount(j, p, n2) <= 1 + 1e-6).all()
 
 
-def test_a_lone_candidate_has_the_probability_that_balances_its_odds() -> None:
+def test_the_probability_of_a_lone_candidate_balances_its_odds() -> None:
     p = assign(np.zeros(1, np.int32), np.zeros(1, np.int32), np.array([2.0]), 1, 1, iterations=200)[0]
     assert p / (1 - p) ** 2 == pytest.approx(np.exp(2.0), rel=1e-6)  # mass = p / (what u leaves * what v leaves)
 
 
 @settings(max_examples=25, deadline=None)
 @given(st.integers(1, 60), st.integers(0, 1000))
-def test_repeats_keep_the_most_probable_and_nothing_near_it(n: int, seed: int) -> None:
+def test_only_the_most_probable_of_nearby_matches_is_kept(n: int, seed: int) -> None:
     rng = np.random.default_rng(seed)
     x1, x2, p = rng.uniform(-4, 9, (n, 2)), rng.uniform(0, 12, (n, 2)), rng.random(n)
     keep = without_repeats(x1, x2, p)
@@ -120,7 +120,7 @@ def test_repeats_keep_the_most_probable_and_nothing_near_it(n: int, seed: int) -
         assert gaps.min() < 1.5
 
 
-def test_the_field_finds_a_smooth_map_in_spite_of_outliers() -> None:
+def test_the_affine_field_finds_a_smooth_map_in_spite_of_outliers() -> None:
     rng = np.random.default_rng(2)
     x1 = rng.uniform(0, [800, 600], (600, 2))
 
@@ -139,7 +139,7 @@ def test_the_field_finds_a_smooth_map_in_spite_of_outliers() -> None:
     assert np.median(np.abs(field.affine.mean(axis=0) - expected)) < 0.05
 
 
-def test_the_field_at_a_place_does_not_depend_on_the_other_places_asked_for() -> None:
+def test_the_affine_field_at_one_query_does_not_depend_on_the_others() -> None:
     rng = np.random.default_rng(5)
     x1, x2 = rng.uniform(0, [800, 600], (90, 2)), rng.uniform(0, [800, 600], (90, 2))
     queries = rng.uniform(0, [800, 600], (300, 2))
@@ -151,7 +151,7 @@ def test_the_field_at_a_place_does_not_depend_on_the_other_places_asked_for() ->
         assert alone.sigma_px == together.sigma_px[n] and alone.support == together.support[n]
 
 
-def test_the_field_does_not_listen_to_the_match_on_the_query_itself() -> None:
+def test_the_affine_field_ignores_the_match_at_the_query_itself() -> None:
     rng = np.random.default_rng(3)
     x1 = rng.uniform(0, 100, (50, 2))
     x2 = x1 + np.array([10, 0])

@@ -49,10 +49,12 @@ def pair(left: int, right: int, **options: object) -> tuple[Matches, int]:
 @pytest.mark.parametrize(
     ("left", "right", "gain", "precision"), [(5, 4, 1.0, 0.92), (5, 2, 1.2, 0.85), (5, 9, 1.5, 0.75), (2, 9, 1.3, 0.62)]
 )
-def test_structure_finds_more_right_matches_than_the_kdtree(left: int, right: int, gain: float, precision: float) -> None:
+def test_the_structural_matcher_finds_more_right_matches_than_the_kdtree(
+    left: int, right: int, gain: float, precision: float
+) -> None:
     structural, good = pair(left, right, tilt="never")
-    _, rival = pair(left, right, matcher="kdtree")
-    assert good > gain * rival
+    _, kdtree_good = pair(left, right, matcher="kdtree")
+    assert good > gain * kdtree_good
     assert good > precision * len(structural.x1)
 
 
@@ -69,7 +71,7 @@ def test_the_relative_pose_is_right_to_a_fraction_of_a_degree(left: int, right: 
 
 
 @pytest.mark.parametrize(("left", "right"), [(0, 5), (2, 2), (4, 6)])
-def test_views_that_share_nothing_are_not_believed(left: int, right: int) -> None:
+def test_views_of_different_scenes_are_rejected(left: int, right: int) -> None:
     f, g = view("fountain", left)[0], view("entry", right)[0]
     matches = match(f, g)
     found = estimate_geometry(matches, f, g) if isinstance(matches, Matches) else matches

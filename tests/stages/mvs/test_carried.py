@@ -26,7 +26,7 @@ def exact(yard: Yard, name: str) -> DepthMap:
     return replace(yard.depths()[name], depth=z, slope_x=slope_x, slope_y=slope_y)
 
 
-def test_a_surface_is_carried_to_where_it_is_seen(yard: Yard) -> None:
+def test_the_surface_of_one_view_becomes_candidate_planes_of_another(yard: Yard) -> None:
     name, other = list(yard.cameras)[:2]
     planes = carried_planes(yard.cameras[name], yard.cameras, {other: exact(yard, other)})
     error = np.abs(1 / planes[0] / true_depth(yard.cameras[name]) - 1)
@@ -36,35 +36,35 @@ def test_a_surface_is_carried_to_where_it_is_seen(yard: Yard) -> None:
     assert (error[known] < 0.01).mean() > 0.95
 
 
-def test_a_view_of_another_world_has_no_say(yard: Yard) -> None:
+def test_a_view_in_another_component_gives_no_candidate_planes(yard: Yard) -> None:
     name, other = list(yard.cameras)[:2]
     elsewhere = replace(yard.cameras[other], component=1)
     assert np.isnan(carried_planes(yard.cameras[name], {other: elsewhere}, {other: exact(yard, other)})).all()
 
 
-def test_what_no_pair_of_the_view_has_is_found_where_others_have_it(yard: Yard) -> None:
+def test_depth_that_only_other_views_have_is_found(yard: Yard) -> None:
     """The view's own depth is a stripe of 12 columns at its left border: alone, planes would have to spread from there."""
     name, depths = list(yard.cameras)[1], yard.depths()
     others = {n: camera for n, camera in yard.cameras.items() if n != name}
     known = depths[name].depth.copy()
     known[:, 12:] = np.nan
     stripe = replace(depths[name], depth=known, sure=np.isfinite(known))
-    given = yard.frames[name], yard.cameras[name], stripe, yard.frames, others
-    right = []
-    for helped in (None, {n: depths[n] for n in others}):
-        found = refine(*given, depths=helped, sweeps=1)
+    inputs = yard.frames[name], yard.cameras[name], stripe, yard.frames, others
+    accuracy = []
+    for other_depths in (None, {n: depths[n] for n in others}):
+        found = refine(*inputs, depths=other_depths, sweeps=1)
         assert isinstance(found, DepthMap)
-        right.append(np.mean(np.abs(found.depth / true_depth(yard.cameras[name]) - 1) < 0.01))
-    assert right[1] > right[0] + 0.1
+        accuracy.append(np.mean(np.abs(found.depth / true_depth(yard.cameras[name]) - 1) < 0.01))
+    assert accuracy[1] > accuracy[0] + 0.1
 
 
-def test_wrong_depths_of_others_do_no_harm(yard: Yard) -> None:
+def test_wrong_depths_of_other_views_do_no_harm(yard: Yard) -> None:
     name, depths = list(yard.cameras)[1], yard.depths()
     others = {n: camera for n, camera in yard.cameras.items() if n != name}
-    given = yard.frames[name], yard.cameras[name], depths[name], yard.frames, others
+    inputs = yard.frames[name], yard.cameras[name], depths[name], yard.frames, others
     wrong = {n: replace(depths[n], depth=np.float32(1.2) * depths[n].depth) for n in others}
-    with_them, without = refine(*given, depths=wrong), refine(*given)
+    with_them, without = refine(*inputs, depths=wrong), refine(*inputs)
     assert isinstance(with_them, DepthMap) and isinstance(without, DepthMap)
     truth = true_depth(yard.cameras[name])
-    good = [np.mean(np.abs(found.depth / truth - 1) < 0.01) for found in (with_them, without)]
-    assert good[0] > good[1] - 0.005
+    accuracy = [np.mean(np.abs(found.depth / truth - 1) < 0.01) for found in (with_them, without)]
+    assert accuracy[0] > accuracy[1] - 0.005

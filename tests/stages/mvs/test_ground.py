@@ -29,7 +29,7 @@ def test_flat_ground_is_found_to_a_centimetre(height: float) -> None:
     assert abs(-plane[3] - height) < 0.01
 
 
-def test_threads_find_the_same_ground_to_the_bit(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_number_of_threads_does_not_change_the_ground(monkeypatch: pytest.MonkeyPatch) -> None:
     seen = pictures(0.0)
     alone = find_ground(seen, cameras())
     monkeypatch.setenv(THREADS, "2")
@@ -39,17 +39,17 @@ def test_threads_find_the_same_ground_to_the_bit(monkeypatch: pytest.MonkeyPatch
 
 
 @pytest.mark.parametrize("tile", [20, 25, 40])
-def test_repeated_tiles_fit_at_many_heights_and_are_not_put_at_a_wrong_one(tile: int) -> None:
+def test_ground_of_repeated_tiles_is_never_found_at_a_wrong_height(tile: int) -> None:
     plane = find_ground(pictures(0.0, repeated=tile), cameras())
     assert plane is None or abs(plane[3]) < 0.02
 
 
-def test_views_that_show_no_common_plane_have_no_ground() -> None:
+def test_views_without_a_common_plane_have_no_ground() -> None:
     noise = {name: 255 * np.random.default_rng(k).random((240, 320)).astype(np.float32) for k, name in enumerate(cameras())}
     assert find_ground(noise, cameras()) is None
 
 
-def test_a_ground_point_is_carried_to_where_the_other_camera_sees_it() -> None:
+def test_the_ground_homography_maps_ground_points_to_the_other_camera() -> None:
     one, two = list(cameras().values())[:2]
     X = np.array([[0.0, 0.0, 0.3], [1.0, -0.5, 0.3], [-1.2, 0.8, 0.3]])
     H = ground_homography(one, two, np.array([0.0, 0.0, 1.0, -0.3]))
@@ -59,7 +59,7 @@ def test_a_ground_point_is_carried_to_where_the_other_camera_sees_it() -> None:
     np.testing.assert_allclose(mapped[:, :2] / mapped[:, 2:], x2, atol=1e-9)
 
 
-def test_the_grounds_inverse_depth_is_that_of_points_on_it() -> None:
+def test_the_inverse_depth_of_the_ground_is_that_of_points_on_it() -> None:
     camera = cameras()["c0"]
     line = inverse_depth_line(camera, np.array([0.0, 0.0, 1.0, 0.0]))
     pixels = np.array([[20.0, 200.0], [160.0, 120.0], [300.0, 230.0]])

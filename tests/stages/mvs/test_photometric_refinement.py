@@ -24,7 +24,7 @@ def seen_from(base: Float64s, contrast: float = 20.0) -> Float32s:
     return np.asarray(128 + contrast * sum(np.sin(a * x + b * y + c) for a, b, c in waves), np.float32)
 
 
-def polished(planes: Float32s, contrast: float = 20.0) -> Float32s:
+def refined_once(planes: Float32s, contrast: float = 20.0) -> Float32s:
     """The planes after one step of refinement with an image and two sources."""
     sources = np.stack([seen_from(base, contrast) for base in BASES])
     usable = np.ones((ROWS, COLUMNS), np.bool_)
@@ -43,21 +43,21 @@ def errors_px(planes: Float32s) -> Float64s:
     return np.asarray(110 * np.abs(planes[0] - TRUE)[INSIDE], np.float64)
 
 
-def test_depth_is_found_on_fractions_of_a_pixel() -> None:
+def test_depth_errors_of_half_a_pixel_are_reduced_to_a_fraction() -> None:
     start = planes_off_by(np.random.default_rng(1).uniform(-0.6, 0.6, (ROWS, COLUMNS)))
-    before, after = errors_px(start), errors_px(polished(start))
+    before, after = errors_px(start), errors_px(refined_once(start))
     assert np.median(after) < 0.15 * np.median(before)
     assert np.percentile(after, 95) < 0.3 * np.percentile(before, 95)
 
 
-def test_a_plane_that_is_quite_wrong_is_not_led_astray() -> None:
+def test_a_plane_that_is_far_off_is_moved_only_a_little() -> None:
     start = planes_off_by(6.0)
-    assert np.abs(errors_px(polished(start)) - 6.0).max() < 2.1
+    assert np.abs(errors_px(refined_once(start)) - 6.0).max() < 2.1
 
 
-def test_what_nothing_shows_stays_where_it_was() -> None:
+def test_planes_of_untextured_pixels_stay_unchanged() -> None:
     start = planes_off_by(0.4)
     start[0, 20, 70] = np.nan
-    after = polished(start, contrast=0.0)
+    after = refined_once(start, contrast=0.0)
     assert np.isnan(after[0, 20, 70])
     assert np.array_equal(after, start, equal_nan=True)

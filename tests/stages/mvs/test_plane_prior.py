@@ -35,7 +35,7 @@ def plaster() -> Uint8s:
     return image
 
 
-def found(image: Uint8s, depths: Float32s) -> list[RegionPlane]:
+def fitted_planes(image: Uint8s, depths: Float32s) -> list[RegionPlane]:
     regions = textureless_regions(image, np.ones(SHAPE, bool), 1)
     return planes_of_regions(regions, depths, 1)
 
@@ -44,38 +44,38 @@ def noisy(depths: Float32s, seed: int = 1) -> Float32s:
     return (depths + np.random.default_rng(seed).normal(0, NOISE_PX, SHAPE)).astype(np.float32)
 
 
-def test_noise_is_averaged_over_the_whole_wall_though_one_depth_in_five_is_far_off() -> None:
+def test_a_wall_plane_averages_noise_and_ignores_outliers() -> None:
     depths = noisy(plane(*WALL))
     rng = np.random.default_rng(2)
     far = rng.random(SHAPE) < 0.2
     depths[far] += rng.uniform(-30, 30, int(far.sum())).astype(np.float32)
-    best = found(plaster(), depths)[0]
+    best = fitted_planes(plaster(), depths)[0]
     assert np.abs(best.plane - WALL) @ (1, 50, 30) < 0.2 * NOISE_PX
     assert 0.7 * NOISE_PX < best.spread < 1.4 * NOISE_PX
 
 
-def test_a_wall_that_pipes_cut_into_pieces_is_one_plane() -> None:
+def test_a_wall_cut_into_pieces_by_pipes_is_one_plane() -> None:
     image = plaster()
     image[:, 65:67] = image[:, 130:132] = 90
-    best = found(image, noisy(plane(*WALL)))[0]
+    best = fitted_planes(image, noisy(plane(*WALL)))[0]
     assert len(best.regions) == 3
 
 
-def test_a_wall_beside_it_that_lies_deeper_is_another_plane() -> None:
+def test_an_adjacent_wall_at_another_depth_is_another_plane() -> None:
     image, depths = plaster(), plane(*WALL)
     image[:, 130:132] = 90
     depths[:, 131:] -= np.float32(5)
-    planes = found(image, noisy(depths))
+    planes = fitted_planes(image, noisy(depths))
     assert [len(each.regions) for each in planes] == [1, 1]
     assert sorted(np.round(each.plane[0] - WALL[0]) for each in planes) == [-5, 0]
 
 
 def test_textured_pictures_have_no_even_regions() -> None:
     image = np.random.default_rng(0).integers(0, 256, (*SHAPE, 3)).astype(np.uint8)
-    assert not found(image, plane(*WALL))
+    assert not fitted_planes(image, plane(*WALL))
 
 
-def test_windows_belong_to_no_region_of_the_plaster() -> None:
+def test_windows_are_not_part_of_the_region_of_the_plaster() -> None:
     image = plaster()
     inside = (image < 120).any(axis=2)
     regions = textureless_regions(image, np.ones(SHAPE, bool), 1)
@@ -85,7 +85,7 @@ def test_windows_belong_to_no_region_of_the_plaster() -> None:
     assert (regions[inside] == wall).mean() < 0.2  # rims one pixel wide
 
 
-def test_ground_of_which_single_patches_show_next_to_nothing_is_known_by_its_plane() -> None:
+def test_ground_of_very_low_contrast_is_found_by_its_plane() -> None:
     """With 1/50 of the yard's contrast and noise of half a grey level, only 0.08 of the pixels are sure without planes."""
     yard, rng = make_yard((-24, -8, 8, 24), noise_px=0.5), np.random.default_rng(0)
     frames = {name: replace(frame, image=faint(frame.image, rng)) for name, frame in yard.frames.items()}
@@ -106,7 +106,7 @@ def test_ground_of_which_single_patches_show_next_to_nothing_is_known_by_its_pla
         pytest.param(lambda x, z: 1 - np.sqrt(np.maximum(4 - x * x, 0)) * (np.abs(x) < 2), 0.95, id="tank"),
     ],
 )
-def test_painted_surfaces_with_relief_are_not_laid_on_planes(relief: Relief, within: float) -> None:
+def test_painted_surfaces_with_relief_are_not_flattened_to_planes(relief: Relief, within: float) -> None:
     """If depths alone decided where planes are used, only 0.42 of the waves would be within 5 cm."""
     wall = make_wall(relief)
     others = {name: camera for name, camera in wall.cameras.items() if name != wall.name}
@@ -117,7 +117,7 @@ def test_painted_surfaces_with_relief_are_not_laid_on_planes(relief: Relief, wit
 
 
 @pytest.mark.parametrize(("moves", "noisy"), [(1.0, True), (0.3, False)], ids=["far source", "near source"])
-def test_scatter_counts_in_pixels_of_the_source_that_sees_it(moves: float, noisy: bool) -> None:
+def test_scatter_is_measured_in_pixels_of_the_source_that_sees_it(moves: float, noisy: bool) -> None:
     """Depths that scatter by 0.8 px of the median source are noisy, unless their source has only 0.3 of its parallax."""
     scale, ones = np.float32(5000), np.ones(SHAPE, np.float32)
     laid = flats._Laid(plane(*WALL)[None].repeat(3, 0), ones, np.ones(SHAPE, bool), NOISE_PX * ones)
@@ -125,7 +125,7 @@ def test_scatter_counts_in_pixels_of_the_source_that_sees_it(moves: float, noisy
     assert (flats._noisy(laid, support, scale, 1) == noisy).all()
 
 
-def test_a_piece_of_plaster_whose_depths_are_chance_is_doubted_and_the_wall_around_is_not() -> None:
+def test_a_region_of_random_depths_is_doubted_but_not_the_wall_around_it() -> None:
     rng = np.random.default_rng(0)
     usable = np.ones(SHAPE, bool)
     usable[:, [69, 70, 71, 110, 111, 112]] = False

@@ -51,7 +51,7 @@ def tilted(name: str, camera: Camera) -> Camera:
     return replace(camera, R=rotation_matrix(np.radians([0.2, 0.0, 0.0])) @ camera.R)
 
 
-def only(one: str, change: Change) -> Change:
+def only_for(one: str, change: Change) -> Change:
     return lambda name, camera: change(name, camera) if name == one else camera
 
 
@@ -90,7 +90,7 @@ def test_a_right_calibration_is_not_contradicted(cameras: int, noise_px: float) 
         (zoomed(1.06, 1.0), "pixel-shape", -np.log(1.06)),
         (zoomed(1.0, 1.04), "pixel-height", -np.log(1.04)),
         (shifted(8.0), "principal-points", None),
-        (only("c2", turned), "turned", None),
+        (only_for("c2", turned), "turned", None),
         (mirrored, "mirrored-x", None),
         (lambda _, c: replace(c, R=c.R.T), "rotations-transposed", None),
         (lambda _, c: replace(c, R=np.diag([1.0, -1.0, -1.0]) @ c.R), "rotations-opengl", None),
@@ -100,7 +100,7 @@ def test_a_right_calibration_is_not_contradicted(cameras: int, noise_px: float) 
         (lambda _, c: replace(c, C=c.C * [1, 1, 1.2]), "stretched-z", -np.log(1.2)),
     ],
 )
-def test_a_wrong_one_is_and_the_cause_is_named(site: PairSite, change: Change, cause: str, amount: float | None) -> None:
+def test_the_cause_of_a_wrong_calibration_is_named(site: PairSite, change: Change, cause: str, amount: float | None) -> None:
     check = check_calibration(stated(site, change), site.geometries)
     assert check is not None and check.contradicted
     assert check.cause == cause
@@ -128,26 +128,26 @@ def rows_of(site: PairSite, pairs: Iterable[Pair], sigma_px: float = 0.05) -> di
         (zoomed(1.0003), ""),
         (zoomed(1.03, 1.0), "pixel-shape"),
         (tilted, "principal-points"),
-        (only("c2", turned), "turned"),
+        (only_for("c2", turned), "turned"),
         (lambda _, c: replace(c, C=c.C * [1.001, 1, 1]), ""),
     ],
 )
-@pytest.mark.parametrize("alone", [False, True])
-def test_rows_tell_what_keypoints_are_too_coarse_for(change: Change, cause: str, alone: bool) -> None:
-    """alone: only a chain of pairs, in which no third camera can confirm a match."""
+@pytest.mark.parametrize("chain_only", [False, True])
+def test_rows_reveal_errors_that_are_too_small_for_keypoints(change: Change, cause: str, chain_only: bool) -> None:
+    """chain_only: only a chain of pairs, in which no third camera can confirm a match."""
     site = make_pair_site(6, degrees=30.0)
-    pairs = list(pairwise(site.cameras)) if alone else list(site.geometries)
+    pairs = list(pairwise(site.cameras)) if chain_only else list(site.geometries)
     check = check_rows(stated(site, change), rows_of(site, pairs))
     assert check is not None
     assert (check.cause, check.contradicted) == (cause, bool(cause))
 
 
-def test_rows_of_few_pairs_tell_nothing() -> None:
+def test_rows_of_too_few_pairs_give_no_result() -> None:
     site = make_pair_site(6, degrees=30.0)
     assert check_rows(stated(site, zoomed(1.02)), rows_of(site, list(site.geometries)[:3])) is None
 
 
-def test_two_poses_that_were_exchanged_are_named(site: PairSite) -> None:
+def test_two_exchanged_poses_are_named(site: PairSite) -> None:
     cameras = dict(site.cameras)
     one, other = list(cameras)[1], list(cameras)[4]
     a, b = cameras[one], cameras[other]
@@ -156,7 +156,7 @@ def test_two_poses_that_were_exchanged_are_named(site: PairSite) -> None:
     assert check is not None and (check.cause, set(check.cameras)) == ("exchanged", {one, other})
 
 
-def test_captures_that_were_exchanged_are_named(site: PairSite) -> None:
+def test_exchanged_captures_are_named(site: PairSite) -> None:
     """Lenses differ, so that exchanged poses explain the matches less well than exchanged captures."""
     lenses = [zoomed(1 + 0.1 * k) for k in range(len(site.cameras))]
     pixels = {name: lens(name, camera) for lens, (name, camera) in zip(lenses, site.cameras.items(), strict=True)}
@@ -185,14 +185,14 @@ def test_distortion_with_the_wrong_sign_or_size_is_named(site: PairSite, factor:
     assert 1 + check.amount[0] == pytest.approx(1 / factor, abs=0.1)
 
 
-def test_poses_that_are_all_wrong_contradict_without_a_single_cause(site: PairSite) -> None:
+def test_randomly_wrong_poses_are_contradicted_without_a_named_cause(site: PairSite) -> None:
     rng = np.random.default_rng(4)
     cameras = {name: replace(c, R=rotation_matrix(rng.normal(0, 0.005, 3)) @ c.R) for name, c in site.cameras.items()}
     check = check_calibration(cameras, site.geometries)
     assert check is not None and (check.contradicted, check.cause) == (True, "")
 
 
-def test_cameras_without_poses_confirm_matches_of_the_others(site: PairSite) -> None:
+def test_cameras_without_poses_confirm_matches_of_posed_cameras(site: PairSite) -> None:
     """Only two cameras have stated poses, one of them a wrong one."""
     names = list(site.cameras)
     two = {names[0]: site.cameras[names[0]], names[1]: turned(names[1], site.cameras[names[1]])}
@@ -200,7 +200,7 @@ def test_cameras_without_poses_confirm_matches_of_the_others(site: PairSite) -> 
     assert check is not None and (check.confirmed, check.contradicted) == (True, True)
 
 
-def in_a_row(site: PairSite, wrong: int) -> dict[Pair, Geometry]:
+def chain_of_pairs(site: PairSite, wrong: int) -> dict[Pair, Geometry]:
     """Only pairs of neighbours, so that no third camera confirms a match; the last `wrong` of them are look-alikes."""
     pairs = list(pairwise(site.cameras))
     right = len(pairs) - wrong
@@ -218,31 +218,31 @@ def in_a_row(site: PairSite, wrong: int) -> dict[Pair, Geometry]:
         (lambda name, camera: replace(camera, R=camera.R.T), "rotations-transposed"),
     ],
 )
-def test_a_cause_that_leads_back_most_pairs_is_named_though_nobody_confirms_matches(change: Change, cause: str) -> None:
+def test_a_cause_that_explains_most_unconfirmed_pairs_is_named(change: Change, cause: str) -> None:
     site = make_pair_site(6, seed=1, noise_px=0.3)
-    check = check_calibration(stated(site, change), in_a_row(site, 2))
+    check = check_calibration(stated(site, change), chain_of_pairs(site, 2))
     assert check is not None and not check.confirmed
     assert (check.contradicted, check.cause) == (True, cause)
 
 
 @pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize("wrong", [1, 2, 3, 5])
-def test_look_alikes_of_some_pairs_blame_no_calibration(seed: int, wrong: int) -> None:
+def test_look_alikes_in_some_pairs_do_not_contradict_a_right_calibration(seed: int, wrong: int) -> None:
     site = make_pair_site(6, seed=seed, noise_px=0.3)
-    check = check_calibration(site.cameras, in_a_row(site, wrong))
+    check = check_calibration(site.cameras, chain_of_pairs(site, wrong))
     assert check is not None and not check.contradicted
 
 
-def test_look_alikes_of_one_pair_contradict_nothing(site: PairSite) -> None:
+def test_look_alikes_in_a_single_pair_do_not_contradict_its_poses(site: PairSite) -> None:
     """The matches of two cameras are shifted in the second image, and obey epipolar lines of their own."""
     pair, geometry = next(iter(site.geometries.items()))
-    wrong = replace(geometry, x2=geometry.x2 + np.array([40.0, 15.0]), F=_moved(geometry, [40.0, 15.0]))
+    wrong = replace(geometry, x2=geometry.x2 + np.array([40.0, 15.0]), F=_f_of_shifted_image2(geometry, [40.0, 15.0]))
     check = check_calibration({name: site.cameras[name] for name in pair}, {pair: wrong})
     assert check is not None and not check.confirmed
     assert not check.contradicted
 
 
-def test_a_part_of_the_matches_elsewhere_contradicts_nothing(site: PairSite) -> None:
+def test_displaced_matches_among_right_ones_do_not_contradict_a_calibration(site: PairSite) -> None:
     names = list(site.cameras)[:3]
     geometries = {}
     for pair, geometry in site.geometries.items():
@@ -288,11 +288,11 @@ def test_look_alikes_among_few_matches_do_not_contradict_all_poses(seed: int) ->
     assert check is not None and check.contradicted
 
 
-def test_without_matches_nothing_is_said(site: PairSite) -> None:
+def test_without_matches_there_is_no_calibration_check(site: PairSite) -> None:
     assert check_calibration(site.cameras, {}) is None
 
 
-def test_poses_carry_what_was_found(site: PairSite) -> None:
+def test_solved_poses_carry_the_calibration_check(site: PairSite) -> None:
     views = {name: replace(view, K=zoomed(1.1)(name, site.cameras[name]).K) for name, view in site.views.items()}
     placements = {name: Placement(camera.R, camera.C) for name, camera in site.cameras.items()}
     poses = solve_poses(views, placements, site.geometries)
@@ -306,7 +306,7 @@ def _fitted(geometry: Geometry) -> Geometry:
     return replace(geometry, F=np.asarray(F))
 
 
-def _moved(geometry: Geometry, by: list[float]) -> np.ndarray:
+def _f_of_shifted_image2(geometry: Geometry, by: list[float]) -> np.ndarray:
     """F after all pixels of image 2 have been shifted by `by`."""
     T = np.eye(3)
     T[:2, 2] = -np.array(by)

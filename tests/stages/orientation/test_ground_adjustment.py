@@ -47,7 +47,7 @@ def no_keypoints(frames: dict[str, Frame]) -> dict[Pair, Geometry]:
     return found
 
 
-def test_rough_poses_are_adjusted_to_paving_and_are_uncertain_without_its_frames() -> None:
+def test_rough_poses_are_adjusted_to_paving_and_uncertain_without_its_frames() -> None:
     rng = np.random.default_rng(3)
     frames = {name: frame_of(camera, paving()) for name, camera in cameras().items()}
     views: dict[str, View] = {name: replace(frame.view, focal_known=True) for name, frame in frames.items()}

@@ -30,36 +30,36 @@ def adjusted(site: PairSite) -> Model:
     return refine(model, rounds=3)
 
 
-def test_a_lens_that_many_points_all_over_the_pictures_tell_is_not_named() -> None:
+def test_a_lens_that_well_spread_points_determine_is_not_reported() -> None:
     assert not solve(make_pair_site(6, know="nothing", noise_px=0.2, radius=7)).issues_of("lens-undetermined")
 
 
-def test_a_lens_whose_border_no_point_is_near_is_named_with_how_little_is_known_of_it() -> None:
+def test_a_lens_without_points_near_its_border_is_reported_as_undetermined() -> None:
     poses = solve(make_pair_site(6, know="nothing", noise_px=0.2, radius=24))
     assert set(poses.issues_of("lens-undetermined")) == set(poses.cameras)
     for sigma in poses.issues_of("lens-undetermined").values():
         assert sigma.border_px > 3 * MOST_SIGMA_PX and sigma.focal > 0.005
 
 
-def test_two_cameras_alone_do_not_tell_their_lens() -> None:
+def test_two_cameras_alone_do_not_determine_their_lens() -> None:
     poses = solve(make_pair_site(2, know="nothing", noise_px=0.2))
     assert set(poses.issues_of("lens-undetermined")) == {"c0", "c1"}
 
 
-def test_a_stated_lens_is_never_named() -> None:
+def test_a_stated_lens_is_never_reported_as_undetermined() -> None:
     assert not solve(make_pair_site(2, know="K", noise_px=0.2, radius=24)).issues_of("lens-undetermined")
 
 
-def test_focal_lengths_are_off_by_as_much_as_their_standard_deviations_say() -> None:
-    off = []
+def test_focal_length_errors_agree_with_their_standard_deviations() -> None:
+    normalised_errors = []
     for seed in range(8):
         model = adjusted(make_pair_site(5, know="hfov", noise_px=0.3, points=120, seed=seed, focal=FOCAL))
         sigma = lens_sigmas(model, centre_sigma=CERTAIN)
-        off.append((model.cameras[0].K[0, 0] / FOCAL - 1) / sigma[0].focal)
-    assert 0.5 < np.sqrt(np.mean(np.square(off))) < 2
+        normalised_errors.append((model.cameras[0].K[0, 0] / FOCAL - 1) / sigma[0].focal)
+    assert 0.5 < np.sqrt(np.mean(np.square(normalised_errors))) < 2
 
 
-def test_a_principal_point_elsewhere_is_found_as_far_as_the_pictures_tell_it() -> None:
+def test_a_shifted_principal_point_is_approximately_recovered() -> None:
     model = adjusted(make_pair_site(6, know="hfov", noise_px=0.05, points=120, focal=FOCAL))
     shift = np.array([4.0, -3.0])  # of all observations, as by a shifted principal point
     seen = refine(replace(model, tracks=replace(model.tracks, xy=model.tracks.xy + shift)), rounds=3)
@@ -67,26 +67,26 @@ def test_a_principal_point_elsewhere_is_found_as_far_as_the_pictures_tell_it() -
     assert np.linalg.norm(found - shift) < 0.4 * np.linalg.norm(shift)
 
 
-def test_principal_points_that_may_lie_elsewhere_leave_more_open() -> None:
+def test_uncertain_principal_points_increase_the_uncertainty_of_a_lens() -> None:
     model = adjusted(make_pair_site(5, know="hfov", noise_px=0.3, focal=FOCAL))
     exact, unsure = lens_sigmas(model, centre_sigma=CERTAIN), lens_sigmas(model)
     assert all(unsure[view].border_px > exact[view].border_px for view in model.cameras)
 
 
-def test_twice_the_noise_leaves_twice_as_much_open() -> None:
+def test_twice_the_noise_doubles_the_uncertainty_of_a_lens() -> None:
     one, two = (adjusted(make_pair_site(5, know="hfov", noise_px=noise, focal=FOCAL)) for noise in (0.15, 0.3))
     ratio = lens_sigmas(two, CERTAIN)[0].border_px / lens_sigmas(one, CERTAIN)[0].border_px
     assert ratio == pytest.approx(2, rel=0.3)
 
 
-def test_of_very_many_cameras_and_of_known_lenses_nothing_is_asked() -> None:
+def test_known_lenses_and_very_many_cameras_get_no_lens_sigmas() -> None:
     model = adjusted(make_pair_site(3, know="hfov", noise_px=0.3, focal=FOCAL))
     assert not lens_sigmas(replace(model, lenses={}))
     camera = model.cameras[0]
     assert not lens_sigmas(replace(model, cameras=dict.fromkeys(range(MOST_VIEWS + 1), camera)))
 
 
-def test_what_is_wrong_in_many_at_once_leaves_more_open_than_as_much_in_each_alone() -> None:
+def test_correlated_errors_give_more_uncertainty_than_independent_ones() -> None:
     """As with sky mirrored by wet ground: every second camera sees two quarters of the scene one pixel lower."""
     model = adjusted(make_pair_site(6, know="hfov", noise_px=0.2, focal=FOCAL, points=1200))
     tracks, rng = model.tracks, np.random.default_rng(0)

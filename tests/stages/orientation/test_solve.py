@@ -40,7 +40,7 @@ def test_exact_matches_give_exact_cameras(count: int, seed: int, degrees: float,
     assert rotation < 1e-6
 
 
-def test_errors_grow_with_the_noise_and_no_faster() -> None:
+def test_pose_errors_grow_at_most_in_proportion_to_the_noise() -> None:
     noises = (0.1, 0.2, 0.4, 0.8)
     errors = [
         np.mean(
@@ -62,7 +62,7 @@ def test_many_cameras_are_solved_as_well_as_few() -> None:
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_every_wrong_pair_is_found_and_costs_nothing(seed: int) -> None:
+def test_all_wrong_pairs_are_dropped_and_the_cameras_stay_exact(seed: int) -> None:
     site = make_pair_site(8, seed=seed, noise_px=0.2, degrees=8)
     rng = np.random.default_rng(seed)
     pairs = list(site.geometries)
@@ -83,7 +83,7 @@ def test_unknown_focal_lengths_are_solved(know: str) -> None:
         assert camera.K[0, 0] == pytest.approx(900, rel=0.005)
 
 
-def test_lenses_that_differ_are_distinguished() -> None:
+def test_different_focal_lengths_are_solved() -> None:
     site = make_pair_site(6, know="K", noise_px=0.1, seed=3, degrees=12)
     zoomed = make_pair_site(6, know="K", noise_px=0.1, seed=3, degrees=12, focal=900)
     cameras = {name: (zoomed if k % 2 else site).cameras[name] for k, name in enumerate(site.cameras)}
@@ -96,7 +96,7 @@ def test_lenses_that_differ_are_distinguished() -> None:
         assert camera.K[0, 0] == pytest.approx(cameras[name].K[0, 0], rel=0.01)
 
 
-def test_distortion_of_unknown_lenses_is_solved_and_said() -> None:
+def test_distortion_of_unknown_lenses_is_solved_and_noted() -> None:
     site = make_pair_site(6, know="hfov", seed=3, degrees=12)
     k1, rng = -0.03, np.random.default_rng(0)
     pixels = {}
@@ -113,7 +113,7 @@ def test_distortion_of_unknown_lenses_is_solved_and_said() -> None:
     assert "c0, c1, c2, c3, c4, c5" in note and "once these solved cameras are the calibration" in note
 
 
-def test_two_known_poses_stay_and_give_frame_and_scale() -> None:
+def test_two_known_poses_are_kept_and_define_frame_and_scale() -> None:
     site = make_pair_site(6, noise_px=0.2)
     known = {name: true_placement(site, name) for name in ("c1", "c4")}
     poses = solve(site, known)
@@ -126,7 +126,7 @@ def test_two_known_poses_stay_and_give_frame_and_scale() -> None:
         assert np.linalg.norm(camera.C - site.cameras[name].C) < 0.02
 
 
-def test_a_wrong_known_pose_is_named_and_bends_nothing() -> None:
+def test_a_wrong_known_pose_is_named_and_does_not_affect_the_others() -> None:
     site = make_pair_site(6, noise_px=0.2)
     good = {name: true_placement(site, name) for name in ("c0", "c5")}
     wrong = Placement(
@@ -141,7 +141,7 @@ def test_a_wrong_known_pose_is_named_and_bends_nothing() -> None:
         assert np.allclose(camera.C, without.cameras[name].C, atol=1e-6)
 
 
-def test_known_cameras_place_the_others_whatever_a_wrong_pair_among_them_says() -> None:
+def test_known_cameras_place_the_others_in_spite_of_wrong_pairs() -> None:
     site = make_pair_site(6, noise_px=0.2)
     known = {name: true_placement(site, name) for name in ("c0", "c2", "c4")}
     wrong = {pair: turned_wrong(site, pair, k) for k, pair in enumerate([("c0", "c2"), ("c2", "c4"), ("c1", "c3")])}
@@ -155,7 +155,7 @@ def test_known_cameras_place_the_others_whatever_a_wrong_pair_among_them_says() 
     assert poses.pair_checks["c0--c4"].known == "stated" and poses.pair_checks["c0--c1"].known == "solved"
 
 
-def test_a_model_that_contradicts_the_known_poses_stands_apart_and_moves_none() -> None:
+def test_a_model_that_contradicts_the_known_poses_becomes_its_own_component() -> None:
     site = make_pair_site(4, noise_px=0.2)
     pairs = {pair: geometry for pair, geometry in site.geometries.items() if pair != ("c0", "c3")}
     turned = rotation_matrix(np.radians([6.0, 0, 0])) @ site.cameras["c3"].R
@@ -166,7 +166,7 @@ def test_a_model_that_contradicts_the_known_poses_stands_apart_and_moves_none() 
     assert "contradicts the known poses of c0 and c3" in poses.issues_of("contradicted")["c0"].text
 
 
-def test_positions_with_a_standard_deviation_place_the_model_but_do_not_bend_it() -> None:
+def test_rough_known_positions_place_the_model_without_deforming_it() -> None:
     site = make_pair_site(6, noise_px=0.1)
     rng = np.random.default_rng(1)
     rough = {name: Placement(None, camera.C + rng.normal(size=3) * 0.05, 0.05) for name, camera in site.cameras.items()}
@@ -177,14 +177,14 @@ def test_positions_with_a_standard_deviation_place_the_model_but_do_not_bend_it(
 
 
 @pytest.mark.parametrize("sigma", [0.0, 0.001])
-def test_positions_that_are_known_better_than_the_images_tell_pull_the_cameras_there(sigma: float) -> None:
+def test_positions_known_better_than_from_the_images_correct_the_cameras(sigma: float) -> None:
     site = make_pair_site(5, noise_px=0.8)
     rng = np.random.default_rng(0)
     measured = {name: Placement(None, c.C + sigma * rng.normal(size=3), sigma) for name, c in site.cameras.items()}
     poses = solve(site, measured)
-    off = [np.linalg.norm(poses.cameras[name].C - camera.C) for name, camera in site.cameras.items()]
-    assert np.mean(off) < 0.8 * _mean_error_of_similarity(solve(site), site)
-    assert np.mean(off) < max(2 * sigma, 0.001)
+    errors = [np.linalg.norm(poses.cameras[name].C - camera.C) for name, camera in site.cameras.items()]
+    assert np.mean(errors) < 0.8 * _mean_error_of_similarity(solve(site), site)
+    assert np.mean(errors) < max(2 * sigma, 0.001)
 
 
 def _mean_error_of_similarity(poses: Poses, site: PairSite) -> float:
@@ -207,7 +207,7 @@ def test_a_known_distance_gives_the_scale() -> None:
     assert got == pytest.approx(np.linalg.norm(site.cameras["c1"].C - site.cameras["c3"].C), rel=1e-6)
 
 
-def test_control_points_give_frame_and_scale_and_a_wrong_one_is_named() -> None:
+def test_control_points_define_frame_and_scale_and_a_wrong_one_is_named() -> None:
     site = make_pair_site(5)
     rows = [[k, i, *project(camera, site.X[k : k + 1])[0][0]] for k in range(5) for i, camera in enumerate(site.cameras.values())]
     points = site.X[:5].copy()
@@ -219,7 +219,7 @@ def test_control_points_give_frame_and_scale_and_a_wrong_one_is_named() -> None:
         assert np.allclose(camera.C, site.cameras[name].C, atol=1e-5)
 
 
-def test_without_a_hint_of_scale_the_median_baseline_is_one_and_up_is_up() -> None:
+def test_without_known_scale_the_median_baseline_is_one_and_z_points_up() -> None:
     site = make_pair_site(5)
     poses = solve(site)
     assert not poses.metric and "not metric" in poses.scale
@@ -228,7 +228,7 @@ def test_without_a_hint_of_scale_the_median_baseline_is_one_and_up_is_up() -> No
     assert all(camera.R[1] @ [0, 0, 1] < -0.8 for camera in poses.cameras.values()), "y axes point down"
 
 
-def test_parts_that_do_not_hang_together_are_worlds_of_their_own() -> None:
+def test_unconnected_parts_of_a_site_become_separate_components() -> None:
     site = make_pair_site(7)
     first, second = {"c0", "c1", "c2", "c3"}, {"c4", "c5", "c6"}
     pairs = {pair: g for pair, g in site.geometries.items() if set(pair) <= first or set(pair) <= second}
@@ -239,7 +239,7 @@ def test_parts_that_do_not_hang_together_are_worlds_of_their_own() -> None:
     assert set(join.split("--")) & first and set(join.split("--")) & second
 
 
-def test_a_camera_without_any_geometry_costs_only_itself() -> None:
+def test_a_camera_without_any_geometry_is_left_out_and_the_others_are_solved() -> None:
     site = make_pair_site(5)
     pairs = {pair: g for pair, g in site.geometries.items() if "c2" not in pair}
     poses = solve(replace(site, geometries=pairs))
@@ -247,7 +247,7 @@ def test_a_camera_without_any_geometry_costs_only_itself() -> None:
     assert poses.unsolved == {"c2": "no pair with it has a geometry"}
 
 
-def test_a_weak_pair_that_no_third_camera_confirms_is_not_said_to_contradict_any() -> None:
+def test_an_unsolved_camera_with_one_weak_pair_is_not_called_contradictory() -> None:
     site = make_pair_site(5)
     pairs = {pair: g for pair, g in site.geometries.items() if "c2" not in pair or pair == ("c1", "c2")}
     weak = replace(pairs["c1", "c2"], score=-0.4)
@@ -260,35 +260,35 @@ def test_a_weak_pair_that_no_third_camera_confirms_is_not_said_to_contradict_any
     assert poses.unsolved == {"c2": "each of its 2 pairs contradicts the others"}
 
 
-def test_two_cameras_are_enough_and_one_is_not() -> None:
+def test_two_cameras_are_enough_and_one_is_rejected() -> None:
     site = make_pair_site(3)
     assert len(solve(only(site, "c0", "c1")).cameras) == 2
     alone = solve_poses({"c0": site.views["c0"]}, {}, {})
     assert isinstance(alone, Rejected) and "one camera makes no cloud" in alone.reason
 
 
-def test_where_no_pair_is_believed_there_are_no_cameras_and_the_reason_says_why() -> None:
+def test_poses_are_rejected_with_a_reason_if_no_pair_is_believed() -> None:
     site = make_pair_site(3)
     wrong = {pair: turned_wrong(site, pair, seed=k) for k, pair in enumerate(site.geometries)}
-    why = solve_poses(site.views, {}, wrong)
-    assert isinstance(why, Rejected) and why.code in ("pairs-contradict", "nothing-believed")
+    answer = solve_poses(site.views, {}, wrong)
+    assert isinstance(answer, Rejected) and answer.code in ("pairs-contradict", "nothing-believed")
     alone = {("c0", "c1"): replace(site.geometries["c0", "c1"], score=0.5)}
-    why = solve_poses(only(site, "c0", "c1").views, {}, alone)
-    assert isinstance(why, Rejected) and why.code == "nothing-confirmed"
+    answer = solve_poses(only(site, "c0", "c1").views, {}, alone)
+    assert isinstance(answer, Rejected) and answer.code == "nothing-confirmed"
 
 
-def test_a_pair_whose_points_all_go_again_gives_no_cameras() -> None:
+def test_a_pair_whose_points_are_all_removed_gives_no_cameras() -> None:
     """No pose explains the matches: the adjustment removes all points that are triangulated."""
     site = only(make_pair_site(2), "c0", "c1")
     (pair,) = site.geometries
     geometry = site.geometries[pair]
     some = {k: getattr(geometry, k)[:60] for k in ("x1", "i1", "i2", "probability")}
     x2 = np.random.default_rng(0).permutation(geometry.x2[:60])
-    why = solve_poses(site.views, {}, {pair: replace(geometry, x2=x2, **some)})
-    assert isinstance(why, Rejected) and why.code == "too-few-points"
+    answer = solve_poses(site.views, {}, {pair: replace(geometry, x2=x2, **some)})
+    assert isinstance(answer, Rejected) and answer.code == "too-few-points"
 
 
-def test_the_same_input_gives_the_same_bytes() -> None:
+def test_solving_the_same_input_twice_gives_the_same_bytes() -> None:
     site = make_pair_site(6, noise_px=0.3, know="nothing")
     first, second = solve(site), solve(site)
     for name, camera in first.cameras.items():
@@ -297,7 +297,7 @@ def test_the_same_input_gives_the_same_bytes() -> None:
         assert camera.K.tobytes() == again.K.tobytes()
 
 
-def test_pairs_that_fare_worse_with_the_adjusted_cameras_are_flagged() -> None:
+def test_pairs_that_fit_worse_after_the_adjustment_are_flagged() -> None:
     site = make_pair_site(5, noise_px=0.2)
     assert not any(check.flagged for check in solve(site).pair_checks.values())
     # a known pose that is off by too little to be doubted, but stated as nearly exact, is kept, and its pairs fit worse
@@ -319,7 +319,7 @@ def on_one_mast(site: PairSite) -> PairSite:
     return PairSite(same, site.views, {pair: replace(g, angle_deg=0.1) for pair, g in pairs.items()}, far)
 
 
-def test_cameras_on_one_mast_tell_no_depth_and_the_reason_names_the_baseline() -> None:
+def test_cameras_on_one_mast_are_rejected_and_the_baseline_is_stated() -> None:
     site = on_one_mast(make_pair_site(4))
     unknown = solve_poses(site.views, {}, site.geometries)
     assert isinstance(unknown, Rejected) and unknown.code == "no-usable-baseline"
@@ -329,7 +329,7 @@ def test_cameras_on_one_mast_tell_no_depth_and_the_reason_names_the_baseline() -
     assert "the cameras are at most 0.52 m apart and the scene some 30" in known.reason
 
 
-def test_cameras_on_one_mast_are_known_by_matches_that_agree_though_no_pose_is_believed() -> None:
+def test_agreeing_matches_reveal_cameras_on_one_mast_even_if_poses_are_doubted() -> None:
     site = on_one_mast(make_pair_site(4))
     doubted = {pair: replace(g, good_probability=0.001, agreement=0.95) for pair, g in site.geometries.items()}
     found = solve_poses(site.views, {}, doubted)
@@ -339,7 +339,7 @@ def test_cameras_on_one_mast_are_known_by_matches_that_agree_though_no_pose_is_b
     assert isinstance(other, Rejected) and other.code != "no-usable-baseline"
 
 
-def test_one_pair_with_a_baseline_is_enough() -> None:
+def test_a_single_pair_with_a_baseline_is_enough() -> None:
     site = on_one_mast(make_pair_site(4))
     pair = ("c0", "c3")
     site = replace(site, geometries=site.geometries | {pair: replace(site.geometries[pair], angle_deg=2.0)})
@@ -356,14 +356,14 @@ def solved(site: PairSite) -> tuple[Model, dict[Edge, Geometry]]:
     return model, edges
 
 
-def test_a_model_that_its_pairs_agree_with_keeps_all_cameras() -> None:
+def test_a_model_that_agrees_with_its_pairs_keeps_all_cameras() -> None:
     model, edges = solved(make_pair_site(4))
     kept, out = without_unsupported(model, edges, 2.0)
     assert kept is model and out == []
     assert all(straight_error_px(model.cameras[i], model.cameras[j], g) < 0.01 for (i, j), g in edges.items())
 
 
-def test_a_camera_that_its_strongest_pair_contradicts_is_taken_out_and_no_other() -> None:
+def test_only_the_camera_that_its_strongest_pair_contradicts_is_removed() -> None:
     site = make_pair_site(4)
     model, edges = solved(site)
     wrong = turned_wrong(site, ("c1", "c3"), seed=3)
@@ -376,7 +376,7 @@ def test_a_camera_that_its_strongest_pair_contradicts_is_taken_out_and_no_other(
     assert np.isfinite(kept.error_px()[kept.use]).all()
 
 
-def test_known_cameras_stay() -> None:
+def test_known_cameras_are_never_removed() -> None:
     site = make_pair_site(3)
     model, edges = solved(site)
     believed = {edge: turned_wrong(site, (f"c{edge[0]}", f"c{edge[1]}"), seed=k) for k, edge in enumerate(edges)}
@@ -384,7 +384,7 @@ def test_known_cameras_stay() -> None:
     assert out == [] and set(kept.cameras) == {0, 1, 2}
 
 
-def test_a_camera_that_no_pair_can_place_beside_known_ones_says_why() -> None:
+def test_an_unsolved_camera_beside_known_ones_states_that_no_pair_is_usable() -> None:
     site = make_pair_site(3)
     unlikely = {pair: replace(g, score=-3.0, good_probability=0.05) for pair, g in site.geometries.items() if "c2" in pair}
     known = {name: true_placement(site, name) for name in ("c0", "c1")}

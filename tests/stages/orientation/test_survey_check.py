@@ -23,7 +23,7 @@ def stated(site: PairSite, scale: float = 1.0) -> dict[str, Placement]:
     return {name: Placement(camera.R, scale * camera.C) for name, camera in site.cameras.items()}
 
 
-def apart(site: PairSite, a: str, b: str) -> float:
+def distance(site: PairSite, a: str, b: str) -> float:
     return float(np.linalg.norm(site.cameras[a].C - site.cameras[b].C))
 
 
@@ -31,11 +31,11 @@ def apart(site: PairSite, a: str, b: str) -> float:
 def test_a_distance_that_contradicts_poses_or_other_distances_is_named(posed: bool) -> None:
     site = make_pair_site(5)
     names, known = tuple(site.cameras), stated(site) if posed else {}
-    right = [[0, 4, apart(site, "c0", "c4")], [1, 3, apart(site, "c1", "c3")]]
+    right = [[0, 4, distance(site, "c0", "c4")], [1, 3, distance(site, "c1", "c3")]]
     assert not solve(site, known, Survey(names, np.array(right))).distances_off
-    wrong = [*right, [0, 2, 10 * apart(site, "c0", "c2")]]
+    wrong = [*right, [0, 2, 10 * distance(site, "c0", "c2")]]
     ((pair, metres),) = solve(site, known, Survey(names, np.array(wrong))).distances_off.items()
-    assert pair == "c0--c2" and metres == pytest.approx((10 * apart(site, "c0", "c2"), apart(site, "c0", "c2")))
+    assert pair == "c0--c2" and metres == pytest.approx((10 * distance(site, "c0", "c2"), distance(site, "c0", "c2")))
 
 
 def test_a_control_point_that_contradicts_stated_poses_is_named() -> None:
@@ -48,7 +48,7 @@ def test_a_control_point_that_contradicts_stated_poses_is_named() -> None:
     assert name == "control point 2" and off == pytest.approx(2, abs=0.01) and tolerated < 1
 
 
-def test_positions_in_millimetres_or_kilometres_are_implausible_unless_they_are_geodetic() -> None:
+def test_positions_in_wrong_units_are_reported_unless_a_crs_is_given() -> None:
     site = make_pair_site(5)
     assert not solve(site, stated(site), Survey()).units_off
     nearest, limit = solve(site, stated(site, 1000), Survey()).units_off["nearest"]

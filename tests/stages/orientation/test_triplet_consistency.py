@@ -44,7 +44,7 @@ def shorter(geometry: Geometry, count: int) -> Geometry:
 
 @pytest.mark.parametrize("know", ["K", "hfov"])
 @pytest.mark.parametrize("noise_px", [0.0, 0.2, 0.5])
-def test_cameras_that_all_matches_agree_on_are_under_no_strain(know: str, noise_px: float) -> None:
+def test_cameras_that_agree_with_all_matches_are_consistent(know: str, noise_px: float) -> None:
     site = make_pair_site(5, know=know, noise_px=noise_px)
     assert inconsistency(*solved(site)) < 3
     poses = solve_poses(site.views, {}, site.geometries)
@@ -52,18 +52,18 @@ def test_cameras_that_all_matches_agree_on_are_under_no_strain(know: str, noise_
 
 
 @pytest.mark.parametrize("degrees", [0.1, 0.5])
-def test_a_camera_a_tenth_of_a_degree_off_is(degrees: float) -> None:
+def test_a_camera_turned_by_a_tenth_of_a_degree_is_inconsistent(degrees: float) -> None:
     model, geometries = solved(make_pair_site(5, noise_px=0.2))
     assert inconsistency(turned(model, 2, degrees), geometries) > MOST_INCONSISTENCY
 
 
 @pytest.mark.parametrize("points", [400, 3000])
-def test_what_lenses_leave_is_no_strain_however_many_matches_there_are(points: int) -> None:
+def test_small_lens_errors_are_no_inconsistency_whatever_the_number_of_matches(points: int) -> None:
     model, geometries = solved(make_pair_site(3, noise_px=0.1, points=points))
     assert inconsistency(turned(model, 2, 0.005), geometries) < 3
 
 
-def test_matches_that_end_elsewhere_over_a_third_camera_are_not_confirmed() -> None:
+def test_matches_that_a_third_camera_contradicts_are_not_confirmed() -> None:
     _, geometries = solved(make_pair_site(4, noise_px=0.2))
     edge = next(iter(geometries))
     wrong = np.arange(0, len(geometries[edge].x1), 3)
@@ -73,7 +73,7 @@ def test_matches_that_end_elsewhere_over_a_third_camera_are_not_confirmed() -> N
     assert len(kept) > 0.5 * len(geometries[edge].x1)
 
 
-def test_a_pair_without_matches_confirms_nothing() -> None:
+def test_a_triplet_with_an_empty_pair_confirms_no_matches() -> None:
     _, geometries = solved(make_pair_site(3, noise_px=0.2))
     edge = next(iter(geometries))
     found = consistent_matches({**geometries, edge: shorter(geometries[edge], 0)})
@@ -81,12 +81,12 @@ def test_a_pair_without_matches_confirms_nothing() -> None:
     assert sum(len(geometry.x1) for geometry in consistent_matches(geometries).values()) > 0
 
 
-def test_without_three_cameras_that_share_matches_nothing_is_reported() -> None:
+def test_inconsistency_is_unknown_with_only_two_cameras() -> None:
     assert np.isnan(inconsistency(*solved(make_pair_site(2, noise_px=0.2))))
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_cameras_do_not_follow_look_alikes_that_most_matches_of_neighbours_are(seed: int) -> None:
+def test_cameras_stay_right_if_most_matches_of_neighbours_are_look_alikes(seed: int) -> None:
     """Seven of ten fit a next camera that is turned by 0.3 degrees: cameras solved from them are all 0.2 degrees off."""
     site = make_pair_site(5, noise_px=0.2, points=400, seed=seed)
     next_ones = [pair for pair in site.geometries if int(pair[1][1]) - int(pair[0][1]) == 1]

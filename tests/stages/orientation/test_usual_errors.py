@@ -37,7 +37,7 @@ def errors_px(site: PairSite, cameras: Mapping[str, Camera]) -> float:
 
 
 @pytest.mark.parametrize(("degrees", "metres"), [(0.03, 0.0), (0.0, 0.006), (0.05, 0.01)])
-def test_small_errors_of_all_poses_are_put_right_without_an_alarm(degrees: float, metres: float) -> None:
+def test_small_errors_of_all_poses_are_corrected_without_reporting_an_issue(degrees: float, metres: float) -> None:
     site = make_pair_site(5, noise_px=0.2)
     stated = off_by(site, degrees, metres)
     poses = solve(site, stated)
@@ -49,7 +49,7 @@ def test_small_errors_of_all_poses_are_put_right_without_an_alarm(degrees: float
 
 
 @pytest.mark.parametrize("noise_px", [0.1, 0.3, 0.6])
-def test_right_poses_stay_to_the_bit(noise_px: float) -> None:
+def test_right_poses_are_returned_unchanged(noise_px: float) -> None:
     site = make_pair_site(5, noise_px=noise_px)
     poses = solve(site, site.cameras)
     assert set(poses.sources.values()) == {"stated"}
@@ -65,7 +65,7 @@ def test_a_pair_of_look_alikes_moves_no_camera() -> None:
 
 
 @pytest.mark.parametrize("degrees", [0.5, 2.0])
-def test_larger_errors_are_left_to_the_checks(degrees: float) -> None:
+def test_larger_pose_errors_are_reported_instead_of_corrected(degrees: float) -> None:
     site = make_pair_site(5, noise_px=0.2)
     poses = solve(site, off_by(site, degrees, 0.0))
     assert "refined" not in poses.sources.values()
@@ -75,7 +75,7 @@ def test_larger_errors_are_left_to_the_checks(degrees: float) -> None:
 @pytest.mark.parametrize(
     ("degrees", "noise_px", "longer"), [(15.0, 0.2, 1.015), (6.0, 0.2, 1.015), (6.0, 0.2, 1.008), (6.0, 0.1, 1.005)]
 )
-def test_focal_lengths_that_are_wrong_are_not_hidden_by_other_poses(degrees: float, noise_px: float, longer: float) -> None:
+def test_wrong_focal_lengths_are_not_hidden_by_adjusted_poses(degrees: float, noise_px: float, longer: float) -> None:
     site = make_pair_site(5, noise_px=noise_px, degrees=degrees)
     long = {
         name: replace(view, K=np.array(view.K) * [[longer, 1, 1], [1, longer, 1], [1, 1, 1]]) for name, view in site.views.items()

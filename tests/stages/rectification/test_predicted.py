@@ -22,11 +22,11 @@ def test_predicted_points_obey_the_cameras_and_lie_in_both_images() -> None:
         assert (x > -0.5).all() and (x < [camera.width - 0.5, camera.height - 0.5]).all()
 
 
-def test_the_axes_meet_where_both_cameras_look() -> None:
+def test_the_viewing_axes_meet_where_both_cameras_look() -> None:
     assert abs(axes_meet_at(ONE, TWO) - np.linalg.norm(ONE.C)) < 1e-9
 
 
-def test_points_of_known_ground_lie_on_it() -> None:
+def test_predicted_points_lie_on_known_ground() -> None:
     found = predict(ONE, TWO, Scene(ground=np.array([0.0, 0.0, 1.0, 0.0])))
     assert found is not None
     depth, _ = triangulate_depth(ONE, TWO, found.x1, found.x2)
@@ -34,7 +34,7 @@ def test_points_of_known_ground_lie_on_it() -> None:
     assert np.median(np.abs(depth / ground - 1)) < 0.03
 
 
-def test_a_box_bounds_what_is_searched() -> None:
+def test_a_scene_box_limits_the_predicted_depth() -> None:
     box = np.array([[-2.0, -2.0, 0.0], [2.0, 2.0, 1.0]])
     found = predict(ONE, TWO, Scene(box))
     assert found is not None
@@ -43,6 +43,6 @@ def test_a_box_bounds_what_is_searched() -> None:
     assert (depth < reach).all()
 
 
-def test_cameras_that_look_apart_see_nothing_in_common() -> None:
+def test_cameras_that_look_in_opposite_directions_share_no_points() -> None:
     away = replace(TWO, R=np.diag([-1.0, 1.0, -1.0]) @ TWO.R)
     assert predict(ONE, away) is None

@@ -30,7 +30,7 @@ def polar(direction: int = 1) -> Rectification:
 
 @pytest.mark.parametrize("rectification", [planar(), polar(1), polar(-1)], ids=["planar", "polar", "polar leftward"])
 @given(x=st.floats(0, 200), y=st.floats(0, 150))
-def test_a_point_comes_back_from_the_rectified_image(rectification: Rectification, x: float, y: float) -> None:
+def test_mapping_a_point_to_the_rectified_image_and_back_is_exact(rectification: Rectification, x: float, y: float) -> None:
     point = np.array([[x, y]])
     for side in SIDES:
         there = to_rectified(rectification, side, point)
@@ -38,7 +38,7 @@ def test_a_point_comes_back_from_the_rectified_image(rectification: Rectificatio
 
 
 @pytest.mark.parametrize("rectification", [planar(), polar(1), polar(-1)], ids=["planar", "polar", "polar leftward"])
-def test_area_and_sides_of_a_resampled_pixel_are_those_of_a_small_square_and_circle_sent_there(
+def test_area_and_axes_of_a_resampled_pixel_agree_with_mapped_small_shapes(
     rectification: Rectification,
 ) -> None:
     points = np.random.default_rng(0).uniform([0, 0], [200, 150], (10, 2))
@@ -59,7 +59,7 @@ def test_area_and_sides_of_a_resampled_pixel_are_those_of_a_small_square_and_cir
 
 
 @pytest.mark.parametrize("rectification", [planar(), polar(1), polar(-1)], ids=["planar", "polar", "polar leftward"])
-def test_a_warped_image_shows_at_each_pixel_what_lies_at_its_source(rectification: Rectification) -> None:
+def test_a_warped_image_shows_the_pixels_of_its_source(rectification: Rectification) -> None:
     y, x = np.mgrid[0:150, 0:200].astype(np.float32)
     image = np.dstack([2 * x + y, x - 3 * y, 0 * x + 7]).astype(np.float32)  # linear in x and y: interpolation is exact
     for side in SIDES:
@@ -73,7 +73,7 @@ def test_a_warped_image_shows_at_each_pixel_what_lies_at_its_source(rectificatio
         assert np.abs(warped[valid][:, 1] - (source[:, 0] - 3 * source[:, 1])).max() < 0.1
 
 
-def test_a_masked_pixel_spoils_the_rectified_pixels_it_touches() -> None:
+def test_a_masked_pixel_invalidates_the_rectified_pixels_that_it_touches() -> None:
     mask = np.ones((150, 200), dtype=bool)
     mask[70, 90] = False
     rectification = planar()
@@ -83,7 +83,7 @@ def test_a_masked_pixel_spoils_the_rectified_pixels_it_touches() -> None:
     assert valid[round(y) - 4, round(x)]
 
 
-def test_disparity_is_stored_in_sixteenths_from_an_offset() -> None:
+def test_disparity_is_stored_in_sixteenths_of_a_pixel_with_an_offset() -> None:
     left = np.array([[16, 8, INVALID]], dtype=np.int16)
     right = np.array([[-16, INVALID, 0]], dtype=np.int16)
     confidence = np.zeros((1, 3), dtype=np.uint8)
@@ -92,7 +92,7 @@ def test_disparity_is_stored_in_sixteenths_from_an_offset() -> None:
     np.testing.assert_array_equal(disparity_px(disparity, 2), np.array([[99.0, np.nan, 100.0]], dtype=np.float32))
 
 
-def test_a_rectification_without_maps_is_refused() -> None:
+def test_a_rectification_without_homographies_or_polar_rows_is_refused() -> None:
     broken = Rectification("hartley", "", None, None, (10, 10), (10, 10), 0.0, 10.0, 0.0, 0.0, 10.0)
     with pytest.raises(ValueError, match="homography or polar"):
         to_rectified(broken, 1, np.zeros((1, 2)))

@@ -9,7 +9,7 @@ from wbflow_stages.sfm.tracks import Tracks
 from wbflow_stages.types import Camera
 
 
-def test_where_nothing_is_seen_nothing_moves() -> None:
+def test_bundle_adjustment_without_used_observations_changes_nothing() -> None:
     K = np.array([[500.0, 0, 320], [0, 500, 240], [0, 0, 1]])
     cameras = {view: Camera(K, np.eye(3), np.array([float(view), 0, 0]), 640, 480) for view in (0, 1)}
     tracks = Tracks(np.zeros(2, np.int32), np.array([0, 1], np.int32), np.array([[320.0, 240], [270, 240]]), 1)

@@ -54,7 +54,7 @@ def site(count: int, score: float = 2.0, wrong: dict[Pair, float] | None = None)
     return pairs
 
 
-def test_a_site_of_right_pairs_is_believed_and_all_triangles_close() -> None:
+def test_all_right_pairs_are_accepted_and_all_triangles_close() -> None:
     checks = check_loops(site(5))
     assert all(v.rejected is None for v in checks.values())
     assert all(v.closed == v.triangles == 3 for v in checks.values())
@@ -62,14 +62,14 @@ def test_a_site_of_right_pairs_is_believed_and_all_triangles_close() -> None:
 
 
 @pytest.mark.parametrize("score", [1.0, 3.0])
-def test_a_wrong_pair_of_good_score_is_dropped_as_a_lookalike(score: float) -> None:
+def test_a_wrong_pair_of_good_score_is_rejected_as_a_look_alike(score: float) -> None:
     checks = check_loops(site(5, wrong={("c1", "c3"): score}))
     assert checks["c1", "c3"].rejected is not None and checks["c1", "c3"].rejected.code == "look-alike"
     assert checks["c1", "c3"].closed == 0 and checks["c1", "c3"].good_probability <= 0.5
     assert all(v.rejected is None for pair, v in checks.items() if pair != ("c1", "c3"))
 
 
-def test_loops_confirm_a_pair_that_is_doubtful_alone() -> None:
+def test_closed_loops_confirm_a_pair_that_is_doubtful_by_itself() -> None:
     doubtful = site(5)
     doubtful["c0", "c4"] = geometry(*pose(doubtful["c0", "c4"]), score=-0.7)
     assert check_loops(doubtful)["c0", "c4"].rejected is None
@@ -82,7 +82,7 @@ def pose(g: Geometry) -> tuple[np.ndarray, np.ndarray]:
     return g.cam2_R_cam1, g.cam2_t_cam1
 
 
-def test_pairs_that_are_unlikely_each_do_not_talk_each_other_up() -> None:
+def test_unlikely_pairs_do_not_confirm_each_other() -> None:
     """Scores of a square by night: three pairs that agree confuse opposite sides.  Triangles of wrong pairs rarely close here."""
     scores = {("c0", "c1"): 0.93, ("c0", "c3"): -1.32, ("c1", "c2"): -2.94, ("c1", "c3"): -2.3, ("c2", "c3"): -0.67}
     pairs = {pair: replace(site(4)[pair], score=score) for pair, score in scores.items()}
@@ -91,20 +91,20 @@ def test_pairs_that_are_unlikely_each_do_not_talk_each_other_up() -> None:
     assert all(checks[pair].rejected is not None for pair, score in scores.items() if score < 0)
 
 
-def test_two_cameras_need_more_than_cameras_that_others_confirm() -> None:
+def test_a_pair_of_only_two_cameras_needs_a_high_score() -> None:
     pair = next(iter(site(2).values()))
     modest, sure = (check_loops({("a", "b"): geometry(*pose(pair), score=s)})["a", "b"] for s in (0.8, 3.5))
     assert modest.rejected is not None and modest.rejected.code == "unconfirmed"
     assert sure.rejected is None
 
 
-def test_what_two_poses_explain_is_ambiguous() -> None:
+def test_a_pair_of_score_zero_is_ambiguous() -> None:
     pair = next(iter(site(2).values()))
     check = check_loops({("a", "b"): geometry(*pose(pair), score=0.0)})["a", "b"]
     assert check.rejected is not None and check.rejected.code == "ambiguous"
 
 
-def test_pairs_without_pose_are_judged_by_their_score() -> None:
+def test_pairs_without_a_pose_are_judged_by_their_score() -> None:
     some = site(3)
     bare = {p: replace(g, cam2_R_cam1=None, cam2_t_cam1=None, rival_turned_deg=np.nan) for p, g in some.items()}
     checks = check_loops(bare)
@@ -112,19 +112,19 @@ def test_pairs_without_pose_are_judged_by_their_score() -> None:
     assert check_loops({}) == {}
 
 
-def test_the_check_does_not_depend_on_the_order_of_the_pairs() -> None:
+def test_the_loop_check_does_not_depend_on_the_order_of_the_pairs() -> None:
     pairs = site(5, wrong={("c0", "c2"): 1.5})
     there, back = check_loops(pairs), check_loops(dict(reversed(pairs.items())))
     assert {p: v.rejected is None for p, v in there.items()} == {p: v.rejected is None for p, v in back.items()}
     assert all(there[p].good_probability == pytest.approx(back[p].good_probability) for p in pairs)
 
 
-def test_three_pairs_that_contradict_each_other_are_all_left_out() -> None:
+def test_three_pairs_that_contradict_each_other_are_all_rejected() -> None:
     checks = check_loops(site(3, score=6.0, wrong={("c0", "c2"): 6.0}))
     assert all(v.rejected is not None and v.rejected.code == "look-alike" for v in checks.values())
 
 
-def test_a_camera_joins_by_two_consistent_pairs_or_by_one_that_is_sure() -> None:
+def test_a_single_pair_joins_a_camera_only_if_it_has_a_high_score() -> None:
     pairs = site(4, score=2.0)
     for other in ("c1", "c2"):
         del pairs[other, "c3"]
@@ -135,7 +135,7 @@ def test_a_camera_joins_by_two_consistent_pairs_or_by_one_that_is_sure() -> None
 
 
 @pytest.mark.parametrize(("share", "believed"), [(0.2, False), (0.02, True)])
-def test_a_building_that_looks_the_same_from_other_sides_gives_no_cameras(share: float, believed: bool) -> None:
+def test_a_building_with_identical_sides_is_rejected(share: float, believed: bool) -> None:
     """Its wrong pairs close all loops, too; only the rivals of most pairs, turned by 90 degrees, reveal them."""
     turned = {p: replace(g, rival_elsewhere=int(share * g.inliers), rival_turned_deg=90.0) for p, g in site(4, score=5.0).items()}
     checks = check_loops(turned)
@@ -144,9 +144,7 @@ def test_a_building_that_looks_the_same_from_other_sides_gives_no_cameras(share:
 
 
 @pytest.mark.parametrize(("degrees", "cells", "code"), [(90.0, 30, "same-from-other-sides"), (90.0, 6, ""), (40.0, 30, "")])
-def test_distinct_pairs_that_contradict_each_other_by_a_quarter_turn_show_a_building_from_other_sides(
-    degrees: float, cells: int, code: str
-) -> None:
+def test_distinct_pairs_in_quarter_turn_conflict_reveal_identical_sides(degrees: float, cells: int, code: str) -> None:
     """Cameras that look at two equal sides seem to be at one place: their pair has a low score, but distinctive matches."""
     pairs = site(4, score=5.0)
     R, t = pose(pairs["c0", "c2"])
@@ -155,7 +153,7 @@ def test_distinct_pairs_that_contradict_each_other_by_a_quarter_turn_show_a_buil
     assert codes == {code}
 
 
-def test_a_triangle_that_a_guessed_lens_holds_open_contradicts_nothing() -> None:
+def test_a_triangle_left_open_by_a_guessed_focal_length_contradicts_nothing() -> None:
     """A focal length that is off by a fifth turns rotations by several degrees, a wrong pair by tens of degrees."""
     pairs = site(4, score=4.0)
     for k, pair in enumerate(pairs):

@@ -28,7 +28,7 @@ def some_points(count: int = 50) -> np.ndarray:
 
 
 @pytest.mark.parametrize("views", [(0, 1), (0, 1, 2, 3)])
-def test_points_are_where_their_rays_meet(views: tuple[int, ...]) -> None:
+def test_points_are_triangulated_where_their_rays_meet(views: tuple[int, ...]) -> None:
     X = some_points()
     tracks = tracks_of(X, views)
     found = triangulate(CAMERAS, tracks, np.ones(len(tracks.track), bool), 1.0)
@@ -36,7 +36,7 @@ def test_points_are_where_their_rays_meet(views: tuple[int, ...]) -> None:
     assert np.abs(residuals(CAMERAS, tracks, found)).max() < 1e-8
 
 
-def test_one_ray_or_parallel_rays_make_no_point() -> None:
+def test_single_and_parallel_rays_give_no_point() -> None:
     tracks = tracks_of(some_points(5))
     assert np.isnan(triangulate(CAMERAS, tracks, tracks.view == 2, 1.0)).all()
     twins = dict.fromkeys(CAMERAS, CAMERAS[0])
@@ -44,7 +44,7 @@ def test_one_ray_or_parallel_rays_make_no_point() -> None:
     assert np.isnan(triangulate(twins, same, np.ones(len(same.track), bool), 1.0)).all()
 
 
-def test_what_has_no_camera_or_lies_behind_it_has_no_residual() -> None:
+def test_residuals_are_inf_without_a_camera_and_nan_behind_one() -> None:
     X = np.array([[0.0, 0.0, 0.0], [0.0, -20.0, 0.0]])
     tracks = tracks_of(X)
     some = {view: CAMERAS[view] for view in (0, 1)}
@@ -53,7 +53,7 @@ def test_what_has_no_camera_or_lies_behind_it_has_no_residual() -> None:
     assert np.isnan(found[(tracks.view < 2) & (tracks.track == 1)]).all()
 
 
-def test_a_part_of_the_tracks_still_covers_each_view() -> None:
+def test_a_selection_of_the_tracks_still_covers_each_view() -> None:
     X = np.random.default_rng(0).uniform(-1.5, 1.5, (5000, 3))
     tracks = tracks_of(X)
     use = np.ones(len(tracks.track), bool)

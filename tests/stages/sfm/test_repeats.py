@@ -19,7 +19,7 @@ PLAIN = Geometry(
 )  # fmt: skip
 
 
-def pair(share: float, turned_deg: float) -> Geometry:
+def pair_with_rival(share: float, turned_deg: float) -> Geometry:
     return replace(PLAIN, rival_elsewhere=round(share * PLAIN.inliers), rival_turned_deg=turned_deg)
 
 
@@ -35,24 +35,24 @@ def pair(share: float, turned_deg: float) -> Geometry:
         (0.02, 180.0, AmbiguityKind.NONE),
     ],
 )
-def test_a_rival_is_of_a_side_of_a_row_or_of_nothing_that_repeats(share: float, turned_deg: float, kind: AmbiguityKind) -> None:
-    assert ambiguity_kind(pair(share, turned_deg)) is kind
+def test_a_rival_is_classified_by_its_share_and_turn(share: float, turned_deg: float, kind: AmbiguityKind) -> None:
+    assert ambiguity_kind(pair_with_rival(share, turned_deg)) is kind
 
 
-def test_where_nobody_looked_for_rivals_nothing_is_said() -> None:
+def test_pairs_without_a_search_for_rivals_are_not_classified() -> None:
     bare = replace(PLAIN, rival_turned_deg=float("nan"))
     assert ambiguity_kind(bare) is None
     assert why_ambiguous([bare] * 5, USUAL.rivals) is None
 
 
-def test_one_rival_of_another_side_is_enough_among_few_pairs_and_not_among_many() -> None:
-    plain, side = pair(0.02, 60.0), pair(0.15, 90.0)
+def test_one_rival_of_another_side_is_enough_among_few_pairs_but_not_many() -> None:
+    plain, side = pair_with_rival(0.02, 60.0), pair_with_rival(0.15, 90.0)
     assert why_ambiguous([side, plain, plain], USUAL.rivals) is Reason.SAME_FROM_OTHER_SIDES
     assert why_ambiguous([side] + [plain] * 27, USUAL.rivals) is None
     assert why_ambiguous([side] * 6 + [plain] * 20, USUAL.rivals) is Reason.SAME_FROM_OTHER_SIDES
 
 
-def test_a_row_of_the_same_house_is_distinguished_from_other_sides() -> None:
-    plain, shifted = pair(0.02, 60.0), pair(0.4, 0.1)
+def test_a_row_of_identical_houses_is_distinguished_from_identical_sides() -> None:
+    plain, shifted = pair_with_rival(0.02, 60.0), pair_with_rival(0.4, 0.1)
     assert why_ambiguous([shifted] * 3 + [plain], USUAL.rivals) is Reason.SAME_ALONG_A_ROW
     assert why_ambiguous([plain] * 4, USUAL.rivals) is None

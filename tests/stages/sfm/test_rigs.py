@@ -62,7 +62,7 @@ def relative_errors(site: PairSite, rotations: dict[str, Float64s]) -> float:
 
 
 @pytest.mark.parametrize("noise_px", [0.0, 0.4])
-def test_views_of_one_camera_are_solved_as_one(noise_px: float) -> None:
+def test_views_of_one_camera_are_solved_together(noise_px: float) -> None:
     site = with_wide_cameras(noise_px)
     poses = solve(site, {})
     assert set(poses.cameras) == set(site.cameras)
@@ -72,28 +72,28 @@ def test_views_of_one_camera_are_solved_as_one(noise_px: float) -> None:
     assert rotation < (1e-6 if noise_px == 0 else 0.005)
 
 
-def test_a_look_alike_in_one_view_is_outvoted_by_what_the_others_of_its_camera_see() -> None:
+def test_a_look_alike_in_one_view_is_outvoted_by_other_views_of_its_camera() -> None:
     site = with_wide_cameras()
-    lonely = {pair: g for pair, g in site.geometries.items() if "c3@2" not in pair and "c0" not in pair}
+    remaining = {pair: g for pair, g in site.geometries.items() if "c3@2" not in pair and "c0" not in pair}
     wrong = {("c0", "c3@2"): turned_wrong(site, ("c0", "c3@2"), seed=1)}
     other = {("c0", name): site.geometries["c0", name] for name in ("c1@1", "c2", "c4")}
     placements = {name: Placement(R=camera.R, C=camera.C, metric=True) for name, camera in site.cameras.items()}
-    poses = solve(replace(site, geometries={**other, **lonely, **wrong}), placements)
+    poses = solve(replace(site, geometries={**other, **remaining, **wrong}), placements)
     assert not poses.issues and all(check.verified for check in poses.pose_checks.values())
-    alone = {pair: g for pair, g in lonely.items() if "c3@1" not in pair}
+    alone = {pair: g for pair, g in remaining.items() if "c3@1" not in pair}
     poses = solve(replace(site, geometries={**other, **alone, **wrong}), placements)
     assert not poses.pose_checks["c3@2"].verified, "nothing else of this camera says anything"
 
 
-def test_a_view_that_nothing_matches_is_where_its_camera_is() -> None:
+def test_a_view_without_matches_is_placed_with_its_camera() -> None:
     site = with_wide_cameras()
-    lonely = replace(site, geometries={pair: g for pair, g in site.geometries.items() if "c3@2" not in pair})
-    poses = solve(lonely, {})
+    without_matches = replace(site, geometries={pair: g for pair, g in site.geometries.items() if "c3@2" not in pair})
+    poses = solve(without_matches, {})
     assert set(poses.cameras) == set(site.cameras)
     assert_views_hang_together(poses)
 
 
-def test_the_world_comes_from_known_poses_of_other_cameras_and_of_views() -> None:
+def test_known_poses_of_cameras_and_views_define_the_world() -> None:
     site = with_wide_cameras()
     known = {n: Placement(c.R, c.C) for n, c in site.cameras.items() if n[:2] in {"c0", "c1"}}
     poses = solve(site, known)
@@ -102,12 +102,12 @@ def test_the_world_comes_from_known_poses_of_other_cameras_and_of_views() -> Non
         np.testing.assert_allclose(poses.cameras[name].R, camera.R, atol=1e-5)
 
 
-def test_distances_and_control_points_may_be_of_cameras_with_several_views() -> None:
+def test_distances_and_control_points_can_refer_to_cameras_with_several_views() -> None:
     site = with_wide_cameras()
     truth = make_pair_site(5, points=500, focal=500.0).cameras
     ids = tuple(truth)
-    far = float(np.linalg.norm(truth["c1"].C - truth["c3"].C))
-    found = solve_poses(site.views, {}, site.geometries, Survey(ids, np.array([[1, 3, far]])))
+    distance = float(np.linalg.norm(truth["c1"].C - truth["c3"].C))
+    found = solve_poses(site.views, {}, site.geometries, Survey(ids, np.array([[1, 3, distance]])))
     assert isinstance(found, Poses) and found.metric
     assert np.linalg.norm(found.cameras["c0"].C - found.cameras["c4"].C) == pytest.approx(
         np.linalg.norm(truth["c0"].C - truth["c4"].C), rel=1e-5
@@ -123,14 +123,14 @@ def test_distances_and_control_points_may_be_of_cameras_with_several_views() -> 
         np.testing.assert_allclose(found.cameras[name].C, camera.C, atol=1e-4)
 
 
-def test_one_wide_camera_alone_tells_no_scale() -> None:
+def test_the_pose_of_a_single_wide_camera_gives_no_scale() -> None:
     site = with_wide_cameras()
     poses = solve(site, {n: Placement(c.R, c.C) for n, c in site.cameras.items() if n.startswith("c1")})
     assert not poses.metric
     assert_views_hang_together(poses)
 
 
-def test_uncertain_poses_are_put_right_for_all_views_of_a_camera_together() -> None:
+def test_uncertain_poses_are_corrected_for_all_views_of_a_camera_together() -> None:
     site = with_wide_cameras(0.2)
     rng = np.random.default_rng(1)
     off = {name: (rng.normal(size=3) * 0.004, rng.normal(size=3) * 0.03) for name in ("c0", "c1", "c2", "c3", "c4")}
@@ -145,7 +145,7 @@ def test_uncertain_poses_are_put_right_for_all_views_of_a_camera_together() -> N
     assert relative_errors(site, {n: camera.R for n, camera in poses.cameras.items()}) < 0.3 * before
 
 
-def test_people_get_one_camera() -> None:
+def test_the_calibration_lists_a_camera_with_several_views_once() -> None:
     site = with_wide_cameras()
     found = calibration(solve(site, {n: Placement(c.R, c.C) for n, c in site.cameras.items()}))
     assert list(found) == ["c0", "c1", "c2", "c3", "c4"]

@@ -34,7 +34,7 @@ def well_inside(truth: np.ndarray) -> np.ndarray:
 
 @pytest.mark.parametrize("matcher", MATCHERS)
 @pytest.mark.parametrize("offset", [-40.0, 0.0, 15.0, 40.0])
-def test_any_sign_of_disparity_is_found(matcher: Matcher, offset: float) -> None:
+def test_disparities_of_any_sign_are_found(matcher: Matcher, offset: float) -> None:
     left, right = stereo_pair(120, 224, offset)
     truth = true_disparity(120, 224, offset)
     found = matcher(pair_of(left, right, int(offset) - 4, int(offset) + 28))
@@ -44,11 +44,11 @@ def test_any_sign_of_disparity_is_found(matcher: Matcher, offset: float) -> None
 
 
 @pytest.mark.parametrize("slope", [-0.6, 0.3, 0.5])
-def test_patchmatch_follows_slanted_planes_more_exactly_than_semi_global_matching(slope: float) -> None:
+def test_patchmatch_is_more_exact_on_slanted_planes_than_sgbm(slope: float) -> None:
     right = texture(160, 256)
     y, x = np.mgrid[0:160, 0:256].astype(np.float64)
     truth = 20 + slope * (x - 128) + 0.4 * (y - 80)
-    left = _drawn(right, x - truth)
+    left = _warped(right, x - truth)
     pair = pair_of(left, right, int(truth.min()) - 2, int(truth.max()) + 2)
     inside = well_inside(truth) & (np.abs(y - 80) < 70)
     errors = [np.abs(matcher(pair).left - truth)[inside] for matcher in (match_patchmatch, match_sgbm)]
@@ -57,13 +57,13 @@ def test_patchmatch_follows_slanted_planes_more_exactly_than_semi_global_matchin
     assert np.mean(errors[0] < 0.5) > 0.95
 
 
-def _drawn(right: np.ndarray, columns: np.ndarray) -> np.ndarray:
+def _warped(right: np.ndarray, columns: np.ndarray) -> np.ndarray:
     rows = np.mgrid[0 : right.shape[0], 0 : right.shape[1]][0].astype(np.float32)
     return np.asarray(cv2.remap(right, columns.astype(np.float32), rows, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REFLECT))
 
 
 @pytest.mark.parametrize("matcher", MATCHERS)
-def test_both_views_tell_the_same_story(matcher: Matcher) -> None:
+def test_matching_the_mirrored_pair_gives_the_right_view(matcher: Matcher) -> None:
     left, right = stereo_pair(120, 224)
     pair = pair_of(left, right, 16, 48)
     found, swapped = matcher(pair), matcher(mirrored(pair))
@@ -79,7 +79,7 @@ def test_patchmatch_gives_the_same_bytes_twice() -> None:
     assert first.confidence_right.tobytes() == second.confidence_right.tobytes()
 
 
-def test_patchmatch_of_a_large_pair_starts_from_half_its_size(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_patchmatch_starts_a_large_pair_at_half_size(monkeypatch: pytest.MonkeyPatch) -> None:
     from wbflow_stages.stereo import patchmatch
 
     left, right = stereo_pair(192, 256)
@@ -97,7 +97,7 @@ def test_the_faint_texture_of_a_white_wall_is_matched() -> None:
     assert np.mean(np.abs(found - truth)[well_inside(truth)] < 1) > 0.85
 
 
-def test_patchmatch_believes_what_its_surroundings_back() -> None:
+def test_patchmatch_is_confident_only_where_neighbours_agree() -> None:
     """Around the disc the views see different things: pixels with confidence are wrong far less often than those without."""
     left, right = stereo_pair(180, 240)
     truth = true_disparity(180, 240)
@@ -110,7 +110,7 @@ def test_patchmatch_believes_what_its_surroundings_back() -> None:
     assert np.mean(believed[inside]) > 0.9
 
 
-def test_a_hidden_strip_of_columns_has_no_disparity_and_changes_nothing_far_from_it() -> None:
+def test_masked_columns_have_no_disparity_and_do_not_affect_distant_ones() -> None:
     left, right = stereo_pair(120, 224)
     truth = true_disparity(120, 224)
     pair = pair_of(left, right, 16, 44)
@@ -144,7 +144,7 @@ def test_a_wide_range_is_matched_as_well_in_blocks_as_in_one_piece() -> None:
         assert blocked > 0.97 and blocked > whole - 0.01
 
 
-def test_a_wide_range_gives_the_same_bytes_from_any_number_of_threads() -> None:
+def test_a_wide_range_gives_the_same_bytes_for_any_number_of_threads() -> None:
     pair = near_and_far()[0]
     threads = cv2.getNumThreads()
     found = []
@@ -158,7 +158,7 @@ def test_a_wide_range_gives_the_same_bytes_from_any_number_of_threads() -> None:
     assert found[0].right.tobytes() == found[1].right.tobytes()
 
 
-def test_blocks_search_what_was_seen_and_little_else() -> None:
+def test_blocks_cover_the_seen_disparities_and_little_else() -> None:
     """`seen` is disparity at half the size: a slanted wall, an object in front of it, and nothing at the right."""
     height, width, low, high = 160, 320, -300, 300
     y, x = np.mgrid[0:height, 0:width].astype(np.float32)
@@ -179,14 +179,14 @@ def test_blocks_search_what_was_seen_and_little_else() -> None:
     assert blocks(np.full_like(seen, np.nan), low, high) == []
 
 
-def test_a_range_that_nothing_narrows_is_searched_in_one_block() -> None:
+def test_a_range_that_cannot_be_narrowed_is_searched_in_one_block() -> None:
     seen = np.random.default_rng(0).uniform(-140, 140, (96, 128)).astype(np.float32)
     (block,) = blocks(seen, -300, 300)
     assert (block.top, block.bottom, block.left, block.right) == (0, 192, 0, 256)
     assert block.low < -260 and block.high > 260
 
 
-def test_wrong_planes_are_filtered_and_doubted() -> None:
+def test_wrong_planes_are_filtered_and_contradicted_ones_doubted() -> None:
     """A noisy slanted surface of even grey with a wrong patch; speckles and what the other view contradicts are doubted."""
     y, x = np.mgrid[0:60, 0:300].astype(np.float32)
     noise = np.random.default_rng(3).normal(0, 0.2, y.shape).astype(np.float32)
@@ -205,7 +205,7 @@ def test_wrong_planes_are_filtered_and_doubted() -> None:
     assert doubts[5:55, 5:110].max() < 0.2 and doubts[0, 0] < 0.2
 
 
-def test_a_second_round_of_the_plane_filter_finds_the_slope_of_planes_that_have_none() -> None:
+def test_a_second_round_of_the_plane_filter_finds_slopes_from_flat_planes() -> None:
     """The start is fronto-parallel, as from semi-global matching, on ground seen at a low angle."""
     y, x = np.mgrid[0:60, 0:120].astype(np.float32)
     truth = 30 + 0.3 * x - 0.4 * y
@@ -216,7 +216,7 @@ def test_a_second_round_of_the_plane_filter_finds_the_slope_of_planes_that_have_
     assert np.abs(found[0] - truth)[inside].max() < 0.3
 
 
-def test_halving_keeps_disparity_half_as_large() -> None:
+def test_halving_a_pair_halves_its_disparity() -> None:
     left, right = stereo_pair(120, 224)
     small = halved(pair_of(left, right, 16, 44))
     assert small.left.shape == (60, 112)
@@ -226,7 +226,7 @@ def test_halving_keeps_disparity_half_as_large() -> None:
     assert np.median(np.abs(found - truth)[well_inside(truth)]) < 0.3
 
 
-def test_the_coarse_match_finds_the_range_and_makes_exposures_alike() -> None:
+def test_the_coarse_match_finds_the_range_and_equalises_exposures() -> None:
     left, right = stereo_pair(240, 320, 30.0)
     truth = true_disparity(240, 320, 30.0)
     pair = pair_of(left, 0.5 * right + 60, 30, 42)
@@ -236,7 +236,7 @@ def test_the_coarse_match_finds_the_range_and_makes_exposures_alike() -> None:
     assert abs(np.mean(ready.right) - np.mean(ready.left)) < 8
 
 
-def test_images_without_texture_keep_the_range_of_the_matches() -> None:
+def test_blank_images_keep_the_disparity_range_of_the_matches() -> None:
     blank = np.full((80, 160), 128.0)
     pair = dataclasses.replace(pair_of(blank, blank, 3, 17), valid_left=np.zeros((80, 160), dtype=bool))
     ready = with_coarse_range(pair)
@@ -253,7 +253,7 @@ def test_noise_is_distinguished_from_texture(level: float) -> None:
     assert noise_level(noisy, np.zeros_like(valid)) == 0
 
 
-def test_noisy_pictures_are_smoothed_before_they_are_matched_and_others_left_alone() -> None:
+def test_noisy_pictures_are_smoothed_before_matching_and_others_unchanged() -> None:
     left, right = (cv2.GaussianBlur(image, (0, 0), 1.5).astype(np.float32) for image in stereo_pair(160, 256))
     valid = np.ones(left.shape, dtype=bool)
     np.testing.assert_array_equal(quietened(left, valid), left)
@@ -267,8 +267,8 @@ def test_noisy_pictures_are_smoothed_before_they_are_matched_and_others_left_alo
     assert np.mean(smoothed < 0.5) > np.mean(as_given < 0.5) + 0.03
 
 
-@pytest.mark.parametrize(("floor", "found"), [(-10.0, 0.0), (10.0, 20.0)])
-def test_what_lies_behind_the_floor_is_not_believed(floor: float, found: float) -> None:
+@pytest.mark.parametrize(("floor", "expected"), [(-10.0, 0.0), (10.0, 20.0)])
+def test_matches_behind_the_floor_are_not_accepted(floor: float, expected: float) -> None:
     """The images match at disparity 0 only; the ground is at 20.  A floor at 10 rules out 0, one at -10 does not."""
     left = texture(100, 160)
     ground, floors = (np.full(left.shape, disparity, np.float32) for disparity in (20.0, floor))
@@ -276,5 +276,5 @@ def test_what_lies_behind_the_floor_is_not_believed(floor: float, found: float) 
         pair_of(left, left, -5, 30), prior_left=ground, prior_right=ground, floor_left=floors, floor_right=floors
     )
     matches = match_patchmatch(pair)
-    on = np.abs(matches.left - found) < 1
+    on = np.abs(matches.left - expected) < 1
     assert on.mean() > 0.8 or (floor > 0 and not (np.abs(matches.left) < 1).any())

@@ -28,7 +28,7 @@ def test_right_rows_are_confirmed(pair: RectifiedPair) -> None:
 
 
 @pytest.mark.parametrize("shift", [2, -2])
-def test_rows_off_by_two_are_said_to_be(pair: RectifiedPair, shift: int) -> None:
+def test_the_sign_of_a_two_row_offset_is_reported(pair: RectifiedPair, shift: int) -> None:
     rows, *_ = match_rows(replace(pair, right=np.roll(pair.right, shift, axis=0)))
     assert np.sign(rows.row_error_px) == -np.sign(shift)
 
@@ -39,7 +39,7 @@ def test_rows_of_another_picture_are_not_confirmed(pair: RectifiedPair) -> None:
     assert not rows.confirmed
 
 
-def test_part_of_a_small_picture_is_enough() -> None:
+def test_a_small_usable_part_of_a_picture_is_enough_to_confirm_rows() -> None:
     left, right = stereo_pair(180, 320)
     usable = np.zeros(left.shape, dtype=np.bool_)
     usable[60:120, 140:] = True
@@ -58,13 +58,13 @@ def pavement() -> RectifiedPair:
     return RectifiedPair(left, right, usable, usable, 0, 70, ground, ground)
 
 
-def test_stones_that_repeat_confirm_rows_where_others_know_the_ground() -> None:
+def test_repeating_stones_confirm_rows_where_the_ground_is_known() -> None:
     rows, *_ = match_rows(pavement())
     assert rows.share > 0.3 and not rows.cells.confirm
     assert rows.on_ground is not None and rows.on_ground.confirm
 
 
-def test_stones_that_repeat_do_not_confirm_wrong_rows() -> None:
+def test_repeating_stones_do_not_confirm_wrong_rows() -> None:
     right = pavement()
     wrong, *_ = match_rows(replace(right, right=np.roll(right.right, 8, axis=0)))
     assert wrong.share > 0.3 and not wrong.confirmed
@@ -81,7 +81,7 @@ def partly_striped(pair: RectifiedPair) -> RectifiedPair:
     return replace(pair, left=left, right=right)
 
 
-def test_what_matches_on_any_rows_does_not_outvote_the_rest_of_the_picture(partly_striped: RectifiedPair) -> None:
+def test_stripes_that_match_on_any_rows_do_not_outvote_the_rest(partly_striped: RectifiedPair) -> None:
     rows, *_ = match_rows(partly_striped)
     assert rows.chance > 0.3 and rows.share < 2.0 * rows.chance  # stripes match on all rows
     assert rows.confirmed

@@ -21,18 +21,19 @@ def rows_of(left: np.ndarray, right: np.ndarray) -> RowMatches:
 
 
 @pytest.mark.parametrize("lower", [0.0, 0.1, 0.3, -0.2])
-def test_pictures_that_are_shifted_by_part_of_a_row_say_by_how_much(lower: float) -> None:
+def test_a_shift_by_a_fraction_of_a_row_is_measured(lower: float) -> None:
     left, right = stereo_pair()
     y, x = np.mgrid[: right.shape[0], : right.shape[1]].astype(np.float32)
     shifted = cv2.remap(right, x, y - np.float32(lower), cv2.INTER_CUBIC, borderMode=cv2.BORDER_REFLECT)
     found = rows_of(left, shifted)
-    off = found.x2[:, 1] - found.x1[:, 1]
-    assert len(off) > 20
-    assert np.median(off) == pytest.approx(lower, abs=0.01 + 0.1 * abs(lower))  # partners nearer to the row are found more often
-    assert np.mean(np.abs(off - lower) <= 3 * found.sigma_px) > 0.95
+    row_offset = found.x2[:, 1] - found.x1[:, 1]
+    assert len(row_offset) > 20
+    # partners nearer to the row are found more often
+    assert np.median(row_offset) == pytest.approx(lower, abs=0.01 + 0.1 * abs(lower))
+    assert np.mean(np.abs(row_offset - lower) <= 3 * found.sigma_px) > 0.95
 
 
-def test_matches_lie_where_the_disparity_has_them() -> None:
+def test_row_matches_agree_with_the_true_disparity() -> None:
     left, right = stereo_pair()
     found = rows_of(left, right)
     at = np.rint(found.x1).astype(int)
@@ -40,7 +41,7 @@ def test_matches_lie_where_the_disparity_has_them() -> None:
     assert np.median(np.abs(found.x1[:, 0] - found.x2[:, 0] - truth)) < 0.2
 
 
-def test_pictures_of_other_things_say_nothing() -> None:
+def test_unrelated_pictures_give_almost_no_row_matches() -> None:
     left, _ = stereo_pair()
     found = match_dense(
         frame_of(left), frame_of(texture(left.shape[0], left.shape[1], seed=9)), as_they_are(left, left, 0.0, 40.0)
@@ -48,7 +49,7 @@ def test_pictures_of_other_things_say_nothing() -> None:
     assert not isinstance(found, Disparity) or found.rows is None or len(found.rows.x1) <= 3
 
 
-def test_a_strip_of_few_rows_says_nothing() -> None:
+def test_a_strip_of_few_rows_gives_no_row_matches() -> None:
     strip = np.full((5, 40), 9.0, np.float32)
     valid = np.ones(strip.shape, dtype=bool)
     x1, x2, sigma_px = measure_y_parallax(RectifiedPair(strip, strip, valid, valid, 0, 3), np.zeros_like(strip), 10.0)

@@ -55,7 +55,7 @@ def row_of_houses() -> tuple[Features, Features]:
     return views[0], views[1]
 
 
-def test_the_next_house_of_a_row_is_another_pose_though_it_lies_on_the_lines() -> None:
+def test_the_next_house_of_a_row_is_a_rival_although_it_fits_the_epipolar_lines() -> None:
     left, right = row_of_houses()
     same = np.arange(320, dtype=np.int32)
     F = np.linalg.inv(K).T @ np.array([[0, 0, 0], [0, 0, 3.0], [0, -3.0, 0]]) @ np.linalg.inv(K)
@@ -65,7 +65,7 @@ def test_the_next_house_of_a_row_is_another_pose_though_it_lies_on_the_lines() -
     assert rival.ambiguous(len(same))
 
 
-def two_of_a_kind(size_m: float) -> tuple[Features, Features]:
+def scene_with_two_copies(size_m: float) -> tuple[Features, Features]:
     """Two views, 3 m apart, of ground that does not repeat (240 points) and two copies of a thing (60 points each)."""
     rng = np.random.default_rng(8)
     ground = np.column_stack([rng.uniform(-9, 9, 240), rng.uniform(-5, 5, 240), rng.uniform(13, 20, 240)])
@@ -85,8 +85,8 @@ def two_of_a_kind(size_m: float) -> tuple[Features, Features]:
 
 
 @pytest.mark.parametrize(("size_m", "rivals"), [(0.9, False), (2.5, True)])
-def test_a_thing_that_stands_there_twice_is_no_rival_where_it_is_small(size_m: float, rivals: bool) -> None:
-    left, right = two_of_a_kind(size_m)
+def test_a_duplicated_thing_is_a_rival_only_if_it_is_large(size_m: float, rivals: bool) -> None:
+    left, right = scene_with_two_copies(size_m)
     same = np.arange(360, dtype=np.int32)
     F = np.linalg.inv(K).T @ np.array([[0, 0, 0], [0, 0, 3.0], [0, -3.0, 0]]) @ np.linalg.inv(K)
     accepted = TwoView(F / np.linalg.norm(F), np.ones(360, bool), np.eye(3), np.array([-1.0, 0, 0]))
@@ -95,7 +95,7 @@ def test_a_thing_that_stands_there_twice_is_no_rival_where_it_is_small(size_m: f
     assert (rival.inliers > 60) == rivals
 
 
-def found(left: Features, right: Features) -> Geometry:
+def geometry_of_pair(left: Features, right: Features) -> Geometry:
     matches = match(left, right)
     assert isinstance(matches, Matches)
     geometry = estimate_geometry(matches, left, right, min_score=-30.0)
@@ -103,8 +103,8 @@ def found(left: Features, right: Features) -> Geometry:
     return geometry
 
 
-def test_what_repeats_has_a_rival_and_what_does_not_has_none() -> None:
-    once, twice = found(*solid_pair(3, lookalikes=False)), found(*repeated(3))
+def test_a_repeated_scene_has_a_rival_and_a_unique_one_has_none() -> None:
+    once, twice = geometry_of_pair(*solid_pair(3, lookalikes=False)), geometry_of_pair(*repeated(3))
     assert once.rival_inliers < 0.02 * once.inliers
     assert twice.rival_inliers > 0.2 * twice.inliers
 
@@ -112,14 +112,14 @@ def test_what_repeats_has_a_rival_and_what_does_not_has_none() -> None:
 @pytest.mark.parametrize(
     ("elsewhere", "turned_deg", "ambiguous"), [(0, 0.0, False), (90, 0.0, True), (40, 2.0, False), (40, 90.0, True)]
 )
-def test_a_rival_with_much_support_leaves_a_pair_undecided(elsewhere: int, turned_deg: float, ambiguous: bool) -> None:
+def test_a_rival_with_much_support_makes_a_pair_ambiguous(elsewhere: int, turned_deg: float, ambiguous: bool) -> None:
     rival = Ambiguity(elsewhere, elsewhere, turned_deg)
     assert rival.ambiguous(GOOD.inliers) == ambiguous
     score = pair_score(replace(GOOD, angle_deg=20.0, rival=rival))
     assert score == 0 if ambiguous else score > 1
 
 
-def test_more_rivals_and_less_angle_are_a_lower_score() -> None:
+def test_more_rival_support_or_less_angle_lowers_the_score() -> None:
     good = replace(GOOD, angle_deg=20.0, rival=Ambiguity())
     for worse in (replace(good, rival=Ambiguity(inliers=60)), replace(good, angle_deg=2.0)):
         assert pair_score(worse) < pair_score(good)

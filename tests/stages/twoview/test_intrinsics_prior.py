@@ -34,7 +34,7 @@ def with_focal(camera: Camera, factor: float) -> Camera:
     return dataclasses.replace(camera, K=camera.K * np.array([[factor, 1, 1], [1, factor, 1], [1, 1, 1]]))
 
 
-def test_in_a_shallow_scene_f_is_more_exact_as_that_of_two_cameras_and_more_so_with_a_guess_of_the_focal_length() -> None:
+def test_plausible_intrinsics_make_f_of_a_shallow_scene_more_exact() -> None:
     guessed = View(WIDTH, HEIGHT, K, focal_known=False)
     errors = []
     for seed in range(5):
@@ -49,7 +49,7 @@ def test_in_a_shallow_scene_f_is_more_exact_as_that_of_two_cameras_and_more_so_w
     assert of_guess < of_cameras < 0.4 * of_bare
 
 
-def test_f_is_that_of_the_lenses_that_come_with_it() -> None:
+def test_f_is_consistent_with_the_lenses_returned_with_it() -> None:
     x1, x2 = shallow()
     found = refine_with_plausible_intrinsics(
         [fundamental_from_cameras(LEFT, RIGHT)], x1, x2, np.full(len(x1), 0.9), UNKNOWN, UNKNOWN
@@ -60,7 +60,7 @@ def test_f_is_that_of_the_lenses_that_come_with_it() -> None:
 
 
 @pytest.mark.parametrize("factor", [1.0, 1.5])
-def test_where_the_scene_is_deep_the_matches_decide_even_for_two_different_lenses(factor: float) -> None:
+def test_matches_of_a_deep_scene_determine_f_even_for_two_different_lenses(factor: float) -> None:
     right = with_focal(RIGHT, factor)
     x1, x2 = seen_by_both(LEFT, right, scene(n=4000, depth=(3.0, 14.0)), 0.1)
     bare, noise = refine_two_view(fundamental_from_cameras(LEFT, right), x1, x2, np.ones(len(x1)))
@@ -69,7 +69,7 @@ def test_where_the_scene_is_deep_the_matches_decide_even_for_two_different_lense
     assert error_px(found.F, right) < 0.1
 
 
-def test_images_of_two_sizes_and_one_lens_give_its_f() -> None:
+def test_f_is_found_for_images_of_two_sizes_from_one_lens() -> None:
     """The second image is enlarged 1.5 times: both have one focal length in units of the long side."""
     x1, x2 = seen_by_both(LEFT, RIGHT, scene(), 0.1)
     big = View(WIDTH * 3 // 2, HEIGHT * 3 // 2)
@@ -82,7 +82,7 @@ def test_images_of_two_sizes_and_one_lens_give_its_f() -> None:
     assert refined.K2[0, 0] == pytest.approx(1.5 * refined.K1[0, 0], rel=0.1)
 
 
-def test_an_f_of_implausible_intrinsics_is_not_believed_unless_cameras_replace_it() -> None:
+def test_an_f_of_implausible_intrinsics_is_refused_without_known_cameras() -> None:
     """A lens that sees 150 degrees without distortion is implausible: repetition on a wall gives such an F, cameras do not."""
     left, right = with_focal(LEFT, 0.15), with_focal(RIGHT, 0.15)
     X = scene(n=6000, depth=(3.0, 14.0))
@@ -96,7 +96,7 @@ def test_an_f_of_implausible_intrinsics_is_not_believed_unless_cameras_replace_i
     assert not isinstance(rectify(geometry, left, right), Rejected)
 
 
-def test_what_is_known_of_lenses_in_general_makes_rows_sure_that_matches_alone_do_not() -> None:
+def test_plausible_intrinsics_reduce_the_row_error_of_rectification() -> None:
     x1, x2 = seen_by_both(LEFT, RIGHT, scene(n=300, depth=(7.0, 9.0)), 0.5)
     own = estimate_fundamental(x1, x2, 1.0, seed=0)
     assert own is not None

@@ -22,13 +22,13 @@ WORSE = [{"inliers": 30}, {"distinct_cells": 5}, {"distinct_share": 0.2}, {"agre
 
 
 @pytest.mark.parametrize(("worse", "known"), [*product(WORSE, [True, False]), ({"half_rotation_deg": 8.0}, True)])
-def test_less_evidence_is_a_lower_score(worse: dict[str, float], known: bool) -> None:
+def test_less_evidence_lowers_the_score(worse: dict[str, float], known: bool) -> None:
     unknown = {} if known else {"half_rotation_deg": float("nan")}
     good, bad = PairEvidence(**{**vars(GOOD), **unknown}), PairEvidence(**{**vars(GOOD), **unknown, **worse})
     assert pair_score(bad) < pair_score(good) and pair_score(good) > 1
 
 
-def test_a_contradicted_pair_is_never_believed_alone() -> None:
+def test_the_score_of_a_contradicted_pair_is_never_positive() -> None:
     assert pair_score(GOOD) > 0 >= pair_score(GOOD, contradicted=True)
 
 
@@ -53,7 +53,7 @@ def solid_pair(seed: int, lookalikes: bool) -> tuple[Features, Features]:
     return views[0], views[1]
 
 
-def test_distinctive_matches_are_believed_more_than_twins() -> None:
+def test_distinctive_matches_score_higher_than_matches_with_twins() -> None:
     scores = []
     for lookalikes in (False, True):
         left, right = solid_pair(1, lookalikes)
@@ -66,7 +66,7 @@ def test_distinctive_matches_are_believed_more_than_twins() -> None:
     assert scores[0] > scores[1] + 0.5
 
 
-def test_a_long_lens_beside_a_short_one_has_its_evidence_counted_by_what_it_sees() -> None:
+def test_evidence_of_a_long_and_a_short_lens_is_counted_in_the_shared_area() -> None:
     """What both see fills a ninth of the other image: at most 20 of the cells that are used for two equal lenses."""
     left, right = solid_pair(1, lookalikes=False)
     x, y, width, height = 333, 222, 334, 223
@@ -83,7 +83,7 @@ def test_a_long_lens_beside_a_short_one_has_its_evidence_counted_by_what_it_sees
         assert isinstance(found, Geometry) and found.distinct_cells > 25
 
 
-def test_a_geometry_below_the_least_score_is_rejected_with_its_figures() -> None:
+def test_a_geometry_below_the_least_score_is_rejected_with_its_score() -> None:
     left, right = solid_pair(2, lookalikes=True)
     matches = match(left, right)
     assert isinstance(matches, Matches)
@@ -95,7 +95,7 @@ def test_a_geometry_below_the_least_score_is_rejected_with_its_figures() -> None
     ("cells", "agreement", "angle_deg", "reported"),
     [(30, 0.45, 0.1, True), (6, 0.45, 0.1, False), (6, 0.9, 0.1, True), (30, 0.7, 9, False)],
 )
-def test_two_cameras_that_seem_to_stand_at_one_place_are_reported_to_the_site(
+def test_a_pair_with_almost_no_baseline_is_reported_to_the_site(
     cells: int, agreement: float, angle_deg: float, reported: bool
 ) -> None:
     """Either they are at one place, or the scene looks the same from two sides: other pairs decide."""

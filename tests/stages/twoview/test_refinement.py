@@ -30,7 +30,7 @@ def error_px(F: np.ndarray) -> float:
 
 @pytest.mark.parametrize("lenses", [None, (K, K)])
 @pytest.mark.parametrize("wrong", [0, 100])
-def test_f_is_more_exact_when_fine_keypoints_count_more(lenses: tuple[Float64s, Float64s] | None, wrong: int) -> None:
+def test_f_is_more_exact_if_small_keypoints_get_more_weight(lenses: tuple[Float64s, Float64s] | None, wrong: int) -> None:
     x1, x2, size = noisy(wrong)
     rough = estimate_fundamental(x1, x2, 1.0, seed=0)
     assert rough is not None
@@ -41,13 +41,13 @@ def test_f_is_more_exact_when_fine_keypoints_count_more(lenses: tuple[Float64s, 
     assert error_px(weighted) < 0.75 * error_px(rough.F)
 
 
-def test_noise_comes_out_as_it_went_in() -> None:
+def test_the_estimated_noise_equals_the_true_noise() -> None:
     x1, x2, size = noisy()
     _, noise = refine_two_view(fundamental_from_cameras(LEFT, RIGHT), x1, x2, size)
     np.testing.assert_allclose(noise, 0.1 * size, rtol=0.1)
 
 
-def test_with_known_lenses_f_stays_that_of_two_such_cameras_and_without_it_stays_of_rank_two() -> None:
+def test_refined_f_fits_known_lenses_or_has_rank_two_without_them() -> None:
     x1, x2, size = noisy()
     rough = fundamental_from_cameras(LEFT, RIGHT) + 1e-7
     bare = np.linalg.svd(refine_two_view(rough, x1, x2, size)[0], compute_uv=False)
