@@ -84,7 +84,7 @@ def board_files(
             continue
         for each, image in found:
             if size not in {(0, 0), (image.shape[1], image.shape[0])}:
-                notes.append(f"{each} has another size than the first picture")
+                notes.append(f"{each} is not the same size as the first picture")
                 continue
             size = image.shape[1], image.shape[0]
             corners = _corners(each, np.asarray(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), dtype=np.uint8), what)
@@ -107,7 +107,7 @@ def board_files(
     whole = float(np.sqrt(np.mean(np.concatenate([(r**2).sum(axis=1) for r in residuals]))))
     words = [f"{len(seen)} pictures, {whole:.2f} px rms, corners in {100 * covered:.0f} % of the picture's cells", *notes]
     if whole > _POOR_PX:
-        words.append(f"{whole:.1f} px is much: another --model may fit this lens, or the board is not flat")
+        words.append(f"{whole:.1f} px rms is high: another --model may fit this lens better, or the board is not flat")
     plot = cv2.imencode(".png", _plot(seen, residuals, size))[1].tobytes()
     return {f"{camera}.json": json.dumps({camera: entry}, indent=1).encode(), f"{camera}-coverage.png": plot}, words
 
@@ -143,7 +143,7 @@ def _fitted(seen: Sequence[_Seen], size: tuple[int, int], model: str) -> tuple[F
     try:
         _, K, D, turns, shifts = cv2.calibrateCamera(board, image, size, np.eye(3), np.zeros(5), flags=flags)
     except cv2.error as error:
-        raise ValueError(f"these pictures do not tell a {model} lens: {error.err}") from None
+        raise ValueError(f"these pictures do not determine a {model} lens: {error.err}") from None
     D = np.asarray(D, dtype=np.float64).ravel()[: {"brown": 5, "rational": 8}[model]]
     residuals = []
     for X, x, turn, shift in zip(board, image, turns, shifts, strict=True):
@@ -214,13 +214,13 @@ def fit_lens(
     """
     starts = [start for half in _HALF_FIELDS_DEG if (start := _start(boards, corners, size, model, half))]
     if not starts:
-        raise ValueError(f"these pictures do not tell a {model} lens: no field of view fits them")
+        raise ValueError(f"these pictures do not determine a {model} lens: no field of view fits them")
     first = min(starts, key=lambda guess: _cost(guess, boards, corners, model))
     try:
         equations = partial(_equations, boards=boards, corners=corners, model=model)
         _, found = levenberg_marquardt(first, equations, _moved, steps=_STEPS, damping=1e-3, relative_tolerance=1e-10)
     except np.linalg.LinAlgError:
-        raise ValueError(f"these pictures do not tell a {model} lens: its numbers depend on each other") from None
+        raise ValueError(f"these pictures do not determine a {model} lens: its parameters are not independent") from None
     fx, fy, cx, cy, *coefficients = found.intrinsics
     K = np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
     residuals = [_residuals(found, k, X, x, model) for k, (X, x) in enumerate(zip(boards, corners, strict=True))]

@@ -120,7 +120,7 @@ def _one_frame(
         x, y, wide, high = clock
         notes.append(f"a clock runs in its picture ({wide} x {high} px at {x}, {y}): name a mask for it")
     if not trusted.any():
-        raise BadCapture("the mask, privacy polygons and what moves leave no pixel to use")
+        raise BadCapture("mask, privacy polygons and moving things leave no pixel to use")
     taken = taken_at(captures)
     noise = remaining_noise(signal.noise, len(images), width / camera.width)
     image = background.image

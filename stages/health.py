@@ -110,7 +110,7 @@ def examine(
     if now.flat > flat or now.contrast < dark:
         light = "no light" if now.brightness < _NIGHT / 2 else "covered, dirty, or in fog"
         what = f"{100 * now.flat:.0f} % of the picture show nothing ({light})"
-        return case.closed("obscured", what, "look at the camera: is the lens clear, does a lamp burn?")
+        return case.closed("obscured", what, "check that the lens is clear and that a lamp is on")
     if pinned_frame is None:
         return case.closed("ok", "nothing to compare with")
     if pinned_frame.image.shape != frame.image.shape:
@@ -169,14 +169,14 @@ def _far(case: _Case, grey1: Uint8s, grey2: Uint8s, pinned: Frame, frame: Frame,
         case.figures["turn_deg"] = wide.turn_deg
         return case.closed("moved", f"turned by {wide.turn_deg:.2f} degrees", "turn it back, or pin a new reference")
     if wide.shared:
-        return case.closed("moved", "it looks at the same things from another place", "move it back, or pin a new reference")
+        return case.closed("moved", "it sees the same things from another position", "move it back, or pin a new reference")
     then, now = _looks(pinned), _looks(frame)
     if wide.distinct and now.mode == then.mode and now.contrast > 0.5 * then.contrast:
         text = f"it shows another place: of {wide.keypoints} features, {wide.agreeing} agree with the reference"
         return case.closed(
             "wrong-scene", text, "is it the right camera on this input? If it was moved for good, pin a new reference"
         )
-    return case.closed("ok", f"unverified: too little of the reference is seen again ({now.mode})")
+    return case.closed("ok", f"unverified: too little of the reference is recognised ({now.mode})")
 
 
 def _sway(usual: Usual | None) -> float:

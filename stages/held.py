@@ -125,7 +125,7 @@ def _with_solved(held: Poses, found: Poses | Rejected, lost: list[str]) -> Poses
         why = dict.fromkeys(lost, f"moved, and not solved: {found.reason}")
         return replace(held, pair_checks=theirs, unsolved=others | why, components=components)
     solved = {name: found.cameras[name] for name in lost if name in found.cameras and found.cameras[name].component == 0}
-    unsolved = {n: f"moved, and not solved: {found.unsolved.get(n, 'its pairs do not join it to the others')}" for n in lost}
+    unsolved = {n: f"moved, and not solved: {found.unsolved.get(n, 'its pairs do not connect it with the others')}" for n in lost}
     return replace(
         held,
         cameras={**held.cameras, **solved},

@@ -268,7 +268,7 @@ def _moved(stated: Camera, solved: Camera | None, name: str, geometries: Mapping
 def _suspicion(name: str, check: PoseCheck, metric: bool) -> str:
     what = f"the known pose of {name} contradicts the images"
     if np.isnan(check.off_m):
-        return f"{what}; by how much is open: it is left out. Has it been moved?"
+        return f"{what}; by how much is unknown: it is left out. Has it been moved?"
     length = f"{check.off_m:.3f} {'m' if metric else 'units'}"
     return f"{what}: it seems off by {length} and {check.off_deg:.2f} degrees; solved anew from the others. Has it been moved?"
 
@@ -297,11 +297,11 @@ def _doubt(names: list[str], cameras: Mapping[str, Camera], geometries: Mapping[
     by = f" by {most:.1f} degrees" if most > TURNED_DEG else ""
     if len(names) == 1:
         return f"the known pose of {names[0]} is unverified: as many of its pairs contradict it{by} as agree. It stays in use."
-    what = f"the known poses of {_listed(names)} contradict each other{by}: which is wrong is open."
-    what += " They stay in use, unverified: the matches may be of look-alikes."
+    what = f"the known poses of {_listed(names)} contradict each other{by}: which of them is wrong is unknown."
+    what += " They stay in use, unverified: the matches may be look-alikes."
     if len(names) == len(cameras) > 2:
         return f"{what} Is this the calibration of these captures?"
-    return f"{what} If one was moved, leave out its pose, and it is solved; or add a camera that sees what both see."
+    return f"{what} If one was moved, leave out its pose to have it solved; or add a camera that sees what both see."
 
 
 def _listed(names: list[str]) -> str:
@@ -322,7 +322,7 @@ def stated_cameras(views: Mapping[str, View], placements: Mapping[str, Placement
 
 def _as_stated(
     views: Mapping[str, View], placements: Mapping[str, Placement], stated: dict[str, Camera], survey: Survey,
-    why: str = "no pair to solve it from",
+    why: str = "it has no pair from which to solve it",
 ) -> Poses | Rejected:  # fmt: skip
     """The stated cameras as poses, without solving any; `why` completes the reason given for each other camera."""
     unsolved = {}

@@ -31,34 +31,34 @@ class Reason(StrEnum):
 
     TOO_FEW_INLIERS = "too-few-inliers", "too few: {inliers:.0f} inliers of {matches:.0f} matches, {needed:.0f} needed"
     CLUSTERED = "clustered", "too clustered: {inliers:.0f} inliers on {area_share:.2%} of the image, {needed_share:.2%} needed"
-    PURE_ROTATION = "pure-rotation", "pure rotation: {rotation_share:.0%} of the inliers need no baseline"
+    PURE_ROTATION = "pure-rotation", "pure rotation: it explains {rotation_share:.0%} of the inliers without a baseline"
     PLANAR_OR_ROTATION = (
         "planar-or-rotation",
         "planar scene or pure rotation: a homography explains {homography_share:.0%} of the inliers, and no E is known",
     )
     WRONG_MATCHES = (
         "wrong-matches",
-        "wrong: {inliers:.0f} inliers agree with each other, but only {distinct_cells:.0f} of {cells:.0f} cells hold distinctive "
-        "ones and {agreement:.0%} of the clear matches agree with them",
+        "wrong: {inliers:.0f} inliers agree with each other, but only {distinct_cells:.0f} of {cells:.0f} cells have distinctive "
+        "ones, and only {agreement:.0%} of the clear matches agree with them",
     )
 
-    ONE_CAMERA = "one-camera", "one camera makes no cloud: two or more that see the same things are needed"
+    ONE_CAMERA = "one-camera", "a cloud needs two or more cameras that see the same things"
     NO_POSED_CAMERA = "no-posed-camera", "no camera has a pose and intrinsics"
     NO_GEOMETRY = "no-geometry", "no two cameras could be placed: no pair has a geometry"
     PAIRS_CONTRADICT = "pairs-contradict", "no two cameras could be placed: the pairs contradict each other"
     NOTHING_CONFIRMED = (
         "nothing-confirmed",
-        "no two cameras could be placed: {unconfirmed:.0f} of {pairs:.0f} pairs may show look-alikes, and no third camera "
+        "no two cameras could be placed: {unconfirmed:.0f} of {pairs:.0f} pairs may be look-alikes, and no third camera "
         "confirms them",
     )
     NOTHING_BELIEVED = (
         "nothing-believed",
-        "no two cameras could be placed: of {pairs:.0f} pairs none is more likely right than wrong",
+        "no two cameras could be placed: none of the {pairs:.0f} pairs is more likely right than wrong",
     )
     NOTHING_DISTINCT = (
         "nothing-distinct",
-        "no two cameras could be placed: {ambiguous:.0f} of {pairs:.0f} pairs fit as well in another way, as where a scene "
-        "repeats or looks the same from other sides",
+        "no two cameras could be placed: {ambiguous:.0f} of {pairs:.0f} pairs fit another pose equally well, because the scene "
+        "repeats or looks the same from several sides",
     )
     TOO_FEW_POINTS = "too-few-points", "no two cameras could be placed: too few points are seen at an angle"
 
@@ -75,55 +75,55 @@ class Reason(StrEnum):
 
     UNCONFIRMED = "unconfirmed", "possible look-alike: no third camera confirms it" + _LOOPS
     LOOK_ALIKE = "look-alike", "possible look-alike: other pairs contradict it" + _LOOPS
-    AMBIGUOUS = "ambiguous", "ambiguous: another pose fits as well" + _LOOPS
+    AMBIGUOUS = "ambiguous", "ambiguous: another pose fits equally well" + _LOOPS
     SAME_FROM_OTHER_SIDES = (
         "same-from-other-sides",
-        "ambiguous: the scene looks the same from other sides, and nothing distinct decides" + _LOOPS,
+        "ambiguous: the scene looks the same from several sides, and no distinctive match decides" + _LOOPS,
     )
     SAME_ALONG_A_ROW = (
         "same-along-a-row",
-        "ambiguous: the scene repeats along a row, and nothing distinct decides" + _LOOPS,
+        "ambiguous: the scene repeats along a row, and no distinctive match decides" + _LOOPS,
     )
     NOT_BELIEVED = "not-believed", "wrong" + _LOOPS
-    TURNED = "turned", "wrong: turned by {turned_deg:.1f} degrees against the pairs that are believed most"
-    CONTRADICTS_ROTATIONS = "contradicts-rotations", "contradicts the other pairs: its rotation is {off_deg:.0f} degrees off"
+    TURNED = "turned", "wrong: turned by {turned_deg:.1f} degrees relative to the most probable pairs"
+    CONTRADICTS_ROTATIONS = "contradicts-rotations", "contradicts the other pairs: its rotation is off by {off_deg:.0f} degrees"
     CONTRADICTS_CAMERAS = (
         "contradicts-cameras",
         "contradicts the other pairs: its inliers are {epipolar_px:.1f} px off the epipolar lines of the solved cameras",
     )
     MATCHES_CONTRADICT_CAMERAS = (
         "matches-contradict-cameras",
-        "its matches are {epipolar_px:.1f} px off the epipolar lines of the known poses, and don't count",
+        "its matches are {epipolar_px:.1f} px off the epipolar lines of the known poses, and are ignored",
     )
-    CAMERA_NOT_PLACED = "camera-not-placed", "a camera of it could not be placed"
+    CAMERA_NOT_PLACED = "camera-not-placed", "one of its cameras could not be placed"
     CAMERAS_APART = "cameras-apart", "its cameras could not be brought into one frame"
 
     UNLIKELY_GEOMETRY = "unlikely-geometry", "F is more likely wrong than right: too few distinctive matches agree with it"
     IMPLAUSIBLE_INTRINSICS = (
         "implausible-intrinsics",
-        "F is that of implausible intrinsics: it is wrong, or the fields of view must be given",
+        "F implies implausible intrinsics: it is wrong, or the fields of view must be given",
     )
     CAMERAS_CONTRADICT_MATCHES = "cameras-contradict-matches", "the cameras contradict the matches"
-    NOTHING_KNOWN = "nothing-known", "neither matches nor cameras tell how the two views lie to each other"
+    NOTHING_KNOWN = "nothing-known", "neither matches nor cameras determine the relative pose of the two views"
     NOTHING_IN_COMMON = "nothing-in-common", "the cameras see nothing in common where the scene is expected"
     ROWS_NOT_CONFIRMED = (
         "rows-not-confirmed",
-        "dense matching does not confirm the cameras: {row_share:.1%} of the common area match on the rows that they give, "
-        "{row_chance:.1%} eight rows off",
+        "dense matching does not confirm the cameras: {row_share:.1%} of the common area matches on the predicted rows, and "
+        "{row_chance:.1%} by chance (eight rows off)",
     )
     NO_BASELINE = "no-baseline", "almost no baseline: the rays converge by {angle_deg:.2f} degrees, {needed_deg:g} needed"
     NO_PARALLAX = "no-parallax", "one homography explains the pair: almost no baseline, or a flat scene"
     EPIPOLE_AMONG_MATCHES = "epipole-among-matches", "the matches lie on both sides of the epipole: F is wrong"
-    TOO_FEW_EPIPOLAR_LINES = "too-few-epipolar-lines", "the epipolar lines that both images see are too few"
+    TOO_FEW_EPIPOLAR_LINES = "too-few-epipolar-lines", "both images see too few common epipolar lines"
     ROW_ORDER = "row-order", "the order of the matches along the rows differs: F is wrong"
     MIRRORED = "mirrored", "one image would be mirrored"
-    UNCERTAIN_ROWS = "uncertain-rows", "the matches are too few or too clustered to tell the epipolar lines"
+    UNCERTAIN_ROWS = "uncertain-rows", "the matches are too few or too clustered to determine the epipolar lines"
 
     RANGE_TOO_WIDE = "range-too-wide", "the disparity range is too wide"
     NO_DENSE_MATCHES = "no-dense-matches", "almost nothing matches densely"
-    NO_PAIR_DEPTH = "no-pair-depth", "no pair gave this view any depth"
+    NO_PAIR_DEPTH = "no-pair-depth", "no pair gave depth for this view"
     NO_USEFUL_ANGLE = "no-useful-angle", "no other view sees the scene from a useful angle"
-    NO_DEPTH = "no-depth", "no view has any depth"
+    NO_DEPTH = "no-depth", "no view has depth"
     NO_SUPPORTED_POINT = "no-supported-point", "no point is probable enough and supported by {min_consistent_pairs:.0f} pairs"
 
 

@@ -13,7 +13,7 @@ SLOWEST = (
     "wbflow/test_yard.py",
     "wbflow/test_fountain.py",
     "wbflow/cache/test_cleanup.py",
-    "wbflow/runner/test_reference.py",
+    "wbflow/reference/test_reference.py",
     "wbflow/runner/test_run.py",
     "test_readme.py",
     "wbflow/outcome/test_export.py",

@@ -108,7 +108,7 @@ def capture(site: Site, listen: Callable[[Taken], None] = lambda taken: None) ->
         try:
             answered(work, moments[-1] - time.time() + TRIES * (PATIENCE + _BETWEEN_TRIES))
         except TimeoutError:
-            taken.fault = "does not end its answer"
+            taken.fault = "did not complete its response in time"
         except (OSError, ValueError) as error:
             taken.fault = printable(error)
         listen(taken)
@@ -180,7 +180,7 @@ def _logins(site: Site) -> dict[str, Login]:
     except OSError as error:
         raise UsageError(f"the file of credentials cannot be read: {error}", where=str(path), remedy=remedy) from None
     except (yaml.YAMLError, ValueError, TypeError, KeyError, AttributeError):  # the message must not show the contents
-        raise UsageError("the file of credentials is not as it should be", where=str(path), remedy=remedy) from None
+        raise UsageError("the file of credentials is not valid", where=str(path), remedy=remedy) from None
 
 
 def shots(url: str, login: Login | None, moments: Sequence[float]) -> Iterator[Shot]:
@@ -194,7 +194,9 @@ def shots(url: str, login: Login | None, moments: Sequence[float]) -> Iterator[S
             yield from _of_server(url, login, moments)
     except urllib.error.HTTPError as error:
         why = f"{error.code} {error.reason}"
-        raise CaptureFailed(f"{why}: see to its user and password" if error.code in {401, 403} else why) from None
+        raise CaptureFailed(
+            f"{why}: check its user and password in the file of credentials" if error.code in {401, 403} else why
+        ) from None
     except TimeoutError:
         raise CaptureFailed(f"does not answer within {PATIENCE:.0f} s") from None
     except urllib.error.URLError as error:
@@ -203,7 +205,7 @@ def shots(url: str, login: Login | None, moments: Sequence[float]) -> Iterator[S
             f"does not answer within {PATIENCE:.0f} s" if late else f"cannot be reached: {error.reason}"
         ) from None
     except http.client.IncompleteRead as error:
-        raise CaptureFailed(f"sends half a picture ({len(error.partial):,} bytes)") from None
+        raise CaptureFailed(f"sent an incomplete picture ({len(error.partial):,} bytes)") from None
     except (OSError, ValueError, http.client.HTTPException) as error:  # ValueError: urllib lacks the authentication scheme
         raise CaptureFailed(str(error) or type(error).__name__) from None
 
@@ -235,7 +237,7 @@ def _of_parts(answer: IO[bytes], moments: Sequence[float]) -> Iterator[Shot]:
         length = head.get("Content-Length", "")
         data = answer.read(min(int(length), LARGEST)) if length.isdecimal() else _until_end(answer)
         if not data:
-            raise OSError("the camera has ended its answer")
+            raise OSError("the camera closed the connection")
         if time.time() < moment:
             continue
         stamp = head.get("X-Timestamp", "")
@@ -292,7 +294,7 @@ def _whole(data: bytes) -> bytes:
     if ends is None:
         raise OSError(f"sends something else than a picture ({len(data):,} bytes)" if data else "sends an empty picture")
     if ends not in data[-4096:]:
-        raise OSError(f"sends half a picture ({len(data):,} bytes)")
+        raise OSError(f"sent an incomplete picture ({len(data):,} bytes)")
     return data
 
 

@@ -46,7 +46,7 @@ UPLOAD_SECONDS = 10.0
 _WAIT_SECONDS = 5.0
 _URL = re.compile(r"[a-z][a-z0-9+.-]*://")
 _INSTALL = "pip install 'wbflow[cloud]'  (for gs:// also gcsfs, for abfs:// adlfs)"
-_REACH = "is it there, does this machine reach it, and do its credentials hold (for S3: AWS_PROFILE, AWS_ENDPOINT_URL)?"
+_REACH = "check that it exists and can be reached, and the credentials (for S3: AWS_PROFILE, AWS_ENDPOINT_URL)"
 _OPTIONS: dict[str, dict[str, Any]] = {
     "file": {"auto_mkdir": True},
     "s3": {"config_kwargs": {"retries": {"max_attempts": 1}}},  # s3fs itself already tries five times
@@ -284,7 +284,7 @@ class Mirror:
             self._waiting, self._fault = [], None
         except (StoreError, OSError) as error:
             what = error.what if isinstance(error, WbflowError) else str(error)
-            self._fault = f"this machine alone has tonight's last results: {what}"
+            self._fault = f"tonight's last results were not uploaded; only this machine has them: {what}"
         self._sent = time.monotonic()
 
     def _claim(self) -> bytes:

@@ -35,7 +35,7 @@ def bytes_of(text: str) -> int:
     """Parse a size such as 4GB, 1.5G, 800 MB or 2GiB into bytes.  Raises ValueError."""
     found = re.fullmatch(r"\s*(\d+(?:\.\d+)?)\s*([KMGT]?)(i?)B?\s*", text, re.IGNORECASE)
     if not found or not float(found[1]):
-        raise ValueError(f"{text!r} is no size; write for example 50GB or 800MB")
+        raise ValueError(f"{text!r} is not a size; write for example 50GB or 800MB")
     return int(float(found[1]) * (1024 if found[3] else 1000) ** " KMGT".index(found[2].upper() or " "))
 
 

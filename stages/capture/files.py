@@ -150,4 +150,4 @@ def refuse_featureless(name: str, image: Uint8s) -> None:
     if high - low >= 6:
         return
     look = "black" if high < 24 else "white" if low > 231 else "uniform"
-    raise FeaturelessImage(f"{name} is {look}: nothing can be seen in it; look at the camera, its lens and its light")
+    raise FeaturelessImage(f"{name} is {look}: nothing can be seen in it; check the camera, its lens and its lighting")

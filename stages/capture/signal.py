@@ -119,7 +119,7 @@ def put_right(image: Uint8s) -> tuple[Uint8s, str]:
         shifted[1::2] = _shifted(image[1::2], shift)
         now = np.asarray(grey_levels(_middle(shifted)), np.float32)
         if _combing(now) < 0.5 * _MOST_COMBED and _across_rows(now) < _SHIFTED * _across_rows(grey):
-            return shifted, "every second row lies off, and is shifted back"
+            return shifted, "every second row is displaced, and is shifted back"
     if _combing(grey) < _MOST_COMBED:
         return image, ""
     first = image[::2]

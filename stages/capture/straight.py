@@ -155,7 +155,7 @@ def _framed(lens: Lens, width: int, height: int, name: str) -> tuple[Float64s, b
     at = lens_pixels(lens, rays if lens.turn is None else rays @ lens.turn)
     seen = np.all((at > -0.5) & (at < (width - 0.5, height - 0.5)), axis=1).reshape(x.shape)
     if not seen.any():
-        raise BadCapture(f"{name}: by its intrinsics the lens sees nothing before it")
+        raise BadCapture(f"{name}: according to its intrinsics, the lens sees nothing in front of it")
     spans = []
     for axis, slopes in enumerate(axes):
         found = np.flatnonzero(seen.any(axis=axis))

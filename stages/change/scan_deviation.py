@@ -61,7 +61,7 @@ def deviation_from_scan(cloud: Cloud, scan: Float64s) -> ScanDeviation:
     near = np.all((scan > low - 2 * far) & (scan < high + 2 * far), axis=1)
     if not near.any():
         lies = " ".join(f"{value:,.0f}" for value in np.median(scan, axis=0))
-        raise ValueError(f"the scan has no point near the site: its middle is at {lies} in the site's world")
+        raise ValueError(f"the scan has no point near the site: its centre is at {lies} in the site's world")
     scan = scan[near]
     transform = _registered(cloud, scan, far)
     scan = scan @ transform[:3, :3].T + transform[:3, 3]
@@ -81,7 +81,7 @@ def deviation_from_scan(cloud: Cloud, scan: Float64s) -> ScanDeviation:
     return ScanDeviation(found.distance, sigma, transform, overlap, residual, float(agrees.sum() / there.sum()), registration)
 
 
-_REMEDY = "bring it into the site's world first, to some metres (CloudCompare: Align)"
+_REMEDY = "align it with the site first, to within some metres (CloudCompare: Align)"
 
 
 def _registered(cloud: Cloud, scan: Float64s, far: float) -> Float64s:

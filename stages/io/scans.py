@@ -43,7 +43,7 @@ def read_scan(path: Path, spacing: float) -> Scan:
         elif kind in CLOUDS or kind in MESHES:
             scan = Scan(_open3d(path, kind, spacing))
         else:
-            raise ValueError(f"its name ends in none of {' '.join(CLOUDS + MESHES)}")
+            raise ValueError(f"its file name ends in none of {' '.join(CLOUDS + MESHES)}")
     except ImportError:
         raise
     except Exception as error:  # each library raises its own errors for damaged files

@@ -133,7 +133,7 @@ def _collect(
     if bent := {name: px for name in order if (px := residual_px(cameras[name])) > STRAIGHT_PX}:
         what = f"the lenses of {', '.join(bent)} bend straight lines (corners by up to {max(bent.values()):.1f} px)"
         notes.append(
-            f"{what}: that is taken out of what follows; once these solved cameras are the calibration, of what is matched, too"
+            f"{what}: later stages are corrected for it; matching is, too, once these solved cameras are the calibration"
         )
     errors = np.concatenate([world.model.error_px()[world.model.use] for world in worlds])
     return Poses(
@@ -191,7 +191,7 @@ def _why_unsolved(graph: ViewGraph, name: str, dropped: Mapping[Edge, Rejected],
     view = graph.names.index(name)
     mine = [edge for edge in graph.geometries if view in edge]
     if view not in graph.lenses.K:
-        return "no focal length: none given, and no pair tells it"
+        return "no focal length: none is given, and none can be estimated from its pairs"
     if not mine:
         return "no pair with it has a geometry"
     if all(edge in dropped for edge in mine):
@@ -199,11 +199,11 @@ def _why_unsolved(graph: ViewGraph, name: str, dropped: Mapping[Edge, Rejected],
         if all(dropped[edge].why in unbacked and not dropped[edge].figures["triangles"] for edge in mine):
             which = f"none of its {len(mine)} pairs" if len(mine) > 1 else "its only pair"
             believed = "is" if len(mine) > 1 else "is not"
-            return f"{which} {believed} believed: too little that is distinct, and no third camera to confirm it"
+            return f"{which} {believed} reliable: too few distinctive matches, and no third camera confirms them"
         which = f"each of its {len(mine)} pairs" if len(mine) > 1 else "its only pair"
         return f"{which} contradicts the others"
     if name in unsupported:
-        return "where the points that it shares would put it, the pairs that see most with it do not fit"
+        return "the pose from its shared points contradicts the pairs with the most matches"
     return "too few points in common with the solved cameras"
 
 

@@ -70,7 +70,7 @@ def to_world(graph: ViewGraph, model: Model, placements: Mapping[str, Placement]
     depth = _median_depth(model)
     scale = _scale_of_distances(graph, cameras, survey)
     known_scale = scale is not None
-    why = "known distances" if known_scale else "none: the median baseline is 1, the cloud is not metric"
+    why = "known distances" if known_scale else "none: the median baseline is set to 1, and the cloud is not metric"
     alignment = align(landmarks, up, depth, scale if len(landmarks) < 2 else None) if landmarks else None
     if alignment is None:
         model = _moved(model, _own_frame(graph, cameras, landmarks, up, scale))
@@ -85,7 +85,7 @@ def to_world(graph: ViewGraph, model: Model, placements: Mapping[str, Placement]
     held = [number[name] for name in trusted if (p := placements.get(name)) and p.R is not None and p.sigma_m == 0]
     if len(held) < 2 <= len(exact):  # fewer than two known poses agree with the model, so these cannot place it
         names = " and ".join(graph.names[view] for view in exact)
-        why_apart = f"the model of {len(cameras)} cameras contradicts the known poses of {names}: it stands apart, unverified"
+        why_apart = f"the model of {len(cameras)} cameras contradicts the known poses of {names}: it stays separate, unverified"
         apart = {graph.names[view]: why_apart for view in exact}
         model = _moved(unplaced, _own_frame(graph, cameras, [], up, scale))
         return World(model, False, known_scale, why, {}, contradicting=apart)

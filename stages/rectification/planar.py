@@ -52,7 +52,7 @@ def net_edges(x: Float64s) -> Int32s:
     try:
         triangles = Delaunay(x).simplices
     except QhullError:
-        raise ValueError("the matches lie too close together to span a net") from None
+        raise ValueError("the matches are too close together to span a net") from None
     return np.vstack([triangles[:, [0, 1]], triangles[:, [2, 1]]]).astype(np.int32)
 
 

@@ -18,8 +18,8 @@ def test_stated_cameras_are_used_and_the_others_report_what_is_missing() -> None
     assert list(poses.cameras) == ["gate"]
     assert np.array_equal(poses.cameras["gate"].C, C) and poses.cameras["gate"].width == 640
     assert poses.unsolved == {
-        "roof": "no pose given, and no pair to solve it from",
-        "mast": "no intrinsics given, and no pair to solve it from",
+        "roof": "no pose given, and it has no pair from which to solve it",
+        "mast": "no intrinsics given, and it has no pair from which to solve it",
     }
     assert poses.metric and poses.source == "calibration"
 

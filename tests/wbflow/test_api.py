@@ -39,7 +39,7 @@ def test_ten_lines_from_a_site_to_its_cloud_and_any_artifact(toy: ToySite) -> No
 
 def test_a_run_says_shortly_what_it_is(toy: ToySite) -> None:
     run = wbflow.run(toy.file, jobs=1, until="frames")
-    assert repr(run) == f"Run({run.id!r}, site 'toy', exit 0, no cloud (not asked for))"
+    assert repr(run) == f"Run({run.id!r}, site 'toy', exit 0, no cloud (not requested))"
     assert set(run.tasks) == {Task("frames", (camera,)) for camera in toy.cameras}
     with pytest.raises(WbflowError, match="made no cloud"):
         _ = run.cloud

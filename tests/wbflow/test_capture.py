@@ -81,7 +81,7 @@ def test_all_kinds_of_cameras_at_once(tmp_path: Path, http: str, rtsp: str) -> N
     ("way", "words"),
     [
         ("hang", "does not answer within"),
-        ("half", "half a picture"),
+        ("half", "an incomplete picture"),
         ("text", "something else than a picture"),
         ("missing-login", "401"),
         ("down", "cannot be reached"),
@@ -109,7 +109,7 @@ def test_the_night_in_one_line_names_a_broken_camera_and_keeps_passwords(tmp_pat
     assert record.verdict
     lost = [finding for finding in record.verdict.findings if finding.kind == "camera-lost"]
     assert [finding.subject for finding in lost] == [("crane",)]
-    assert "sends half a picture" in lost[0].text
+    assert "sent an incomplete picture" in lost[0].text
     assert sum(bool(camera.captures) for camera in record.cameras) == 3
     secrets = [PASSWORD.encode(), quote(PASSWORD).encode(), base64.b64encode(f"{USER}:{PASSWORD}".encode())]
     files = [path for path in site.rglob("*") if path.is_file()]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import scenes  # noqa: F401 - registers the scene with the demo
 from click.testing import CliRunner
 
 import wbflow

@@ -236,7 +236,7 @@ def test_a_store_that_has_lost_everything_is_filled_again(site: Mirrored, tmp_pa
 
 def test_a_store_that_is_out_of_reach_is_said_before_anything_is_done(made: Callable[[str], Mirrored], s3: str) -> None:
     site = made("s3://no-such-bucket/toy")
-    assert "only what this machine knows" in site.reported("status")[1]
+    assert "only what is on this machine" in site.reported("status")[1]
     code, words = site.reported("run")
     assert code == ExitCode.FAILED
     assert "s3://no-such-bucket/toy" in words and "AWS_ENDPOINT_URL" in words

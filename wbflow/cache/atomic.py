@@ -15,7 +15,7 @@ from ..words import in_words
 
 FULL = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG})
 """Error numbers of a full disk: no space left, the user's quota exceeded, the file-size limit exceeded."""
-REMEDY = "free some space (wbflow clean SITE.yaml --keep 3), or say in the site file what to keep"
+REMEDY = "free some space (wbflow clean SITE.yaml --keep 3), or limit what is kept (`keep:` in the site file)"
 
 Fsync = Literal["folder", "file", "none"]
 """What survives a power cut after the write.  "folder": the file under its name.  "file": its bytes, but perhaps not its name (if

@@ -75,7 +75,7 @@ def _holder(path: Path) -> str:
         who = json.loads(read_untrusted(path))
         return f"process {who['pid']} on {who['host']} since {who['since']}"
     except (OSError, ValueError, KeyError):
-        return "its process has not said who it is"
+        return "which process holds it is unknown"
 
 
 FORMAT = 1
@@ -107,4 +107,4 @@ def claim(work: WorkFolder, site: str, file: Path) -> str | None:
     other = owner.get("file", mine["file"])
     if other == mine["file"] or not Path(other).is_file():
         return None
-    return f"{other} has used this work folder, too: its nights are among those that tonight is compared with"
+    return f"{other} has used this work folder, too: tonight is compared with its nights as well"

@@ -105,7 +105,7 @@ class EarlierCaptures(Memo):
     """Digests of captures by camera and night (ISO 8601)."""
 
     def __init__(self, memo: Path) -> None:
-        cost = "what cameras have delivered before tonight is forgotten"
+        cost = "the record of what cameras delivered before tonight is lost"
         super().__init__(memo, "captures of earlier nights", cost)
         self._cameras: dict[str, dict[str, list[str]]] = self.entries.setdefault("cameras", {})
 

@@ -45,7 +45,7 @@ def next_time(text: str) -> datetime.datetime:
     try:
         moment = datetime.datetime.combine(datetime.date.today(), datetime.time.fromisoformat(text))
     except ValueError:
-        raise click.BadParameter(f"{text!r} is no time of day; write 06:00") from None
+        raise click.BadParameter(f"{text!r} is not a time of day; write 06:00") from None
     return moment if moment > datetime.datetime.now() else moment + datetime.timedelta(days=1)
 
 
@@ -91,7 +91,7 @@ def load(path: Path, work: str | None, for_run: bool = False) -> Site:
     try:
         refresh(site.work_folder)
     except StoreError as error:
-        echo(f"note: {error}\n  only what this machine knows is shown", err=True)
+        echo(f"note: {error}\n  only what is on this machine is shown", err=True)
     for note in site.notes:
         echo(f"note: {note}", err=True)
     return site

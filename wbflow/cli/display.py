@@ -179,7 +179,7 @@ class LiveTable(Display):
             *columns, console=self._console, transient=True, redirect_stdout=False, redirect_stderr=False, expand=True
         )
         self._rows: dict[str, TaskID] = {}
-        self._all = self._bars.add_task(printable(site), total=None, text="looking for what is to be done")
+        self._all = self._bars.add_task(printable(site), total=None, text="planning the run")
 
     def __enter__(self) -> LiveTable:
         self._bars.start()

@@ -203,9 +203,9 @@ def _compare_with_scan(site: Site, night: str | None, scan: Path, out: Path, as_
 @click.command()
 @common.site_argument
 @click.argument("words", metavar="[FINDING]", nargs=-1)
-@click.option("--until", type=day, metavar="DAY", help="The last night that it holds for (default: until it is dropped).")
+@click.option("--until", type=day, metavar="DAY", help="Last night for which it is acknowledged (default: until dropped).")
 @click.option("--note", default="", metavar="TEXT", help="Why.")
-@click.option("--drop", is_flag=True, help="Take it back.")
+@click.option("--drop", is_flag=True, help="Withdraw the acknowledgement.")
 def acknowledge(site: Path, words: tuple[str, ...], until: Day | None, note: str, drop: bool) -> None:
     """A finding that somebody knows of no longer degrades a night, nor notifies; it stays in the report, as a known change does.
 
@@ -240,7 +240,7 @@ def acknowledge(site: Path, words: tuple[str, ...], until: Day | None, note: str
 @common.run_argument
 @click.option("--list", "listed", is_flag=True, help="Print the reference.")
 @click.option("--drop", is_flag=True, help="Forget the reference.")
-@click.option("--refine", is_flag=True, help="Pool what the nights since have measured into the reference.")
+@click.option("--refine", is_flag=True, help="Refine the reference with the measurements of later nights.")
 @common.work_option
 def pin(site: Path, run_id: str | None, listed: bool, drop: bool, refine: bool, work: str | None) -> None:
     """Make a run the reference that later nights are compared with; the newest good one, if no RUN is named.
@@ -281,7 +281,7 @@ def _create(site: Site, run_id: str | None) -> None:
     reference = create.pin(Cache(folder), create.good_run(folder, run_id))
     echo(f"run {reference.run} (night of {reference.date}) is the reference now: {folder.reference}")
     if site.settings.pin == "none":
-        echo("the site file says `pin: none`: as long as it does, nothing is compared with it", err=True)
+        echo("the site file says `pin: none`: nothing is compared with it until that is changed", err=True)
 
 
 def _refine(site: Site) -> None:
@@ -366,10 +366,10 @@ def debug(words: tuple[str, ...], out: Path, date: Day | None, work: str | None)
 
 @click.command()
 @common.site_argument
-@click.option("--keep", type=click.IntRange(min=1), required=True, metavar="N", help="Runs whose artifacts stay.")
+@click.option("--keep", type=click.IntRange(min=1), required=True, metavar="N", help="Latest runs whose artifacts are kept.")
 @click.option("--clouds", type=click.IntRange(min=1), metavar="N", help="Also remove clouds, except those of N nights.")
 @click.option("--reports", type=click.IntRange(min=1), metavar="N", help="Also remove reports and logs except those of N nights.")
-@click.option("--dry-run", is_flag=True, help="Only print how much would go.")
+@click.option("--dry-run", is_flag=True, help="Only print how much would be removed.")
 @common.work_option
 def clean(site: Path, keep: int, clouds: int | None, reports: int | None, dry_run: bool, work: str | None) -> None:
     """Remove artifacts that the last N runs don't use.  What has been published stays, unless it is named.

@@ -42,20 +42,20 @@ DEBUGGABLE = {"fault", "too-slow", "worker-lost", "out-of-memory"}
 @click.command()
 @common.sites_argument
 @common.date_option
-@click.option("--since", type=day, metavar="DAY", help="All nights from this day on that have captures, one after the other.")
+@click.option("--since", type=day, metavar="DAY", help="Work through all nights with captures from this day on.")
 @click.option("--capture", "capture_first", is_flag=True, help="Take tonight's pictures first (see `wbflow capture`).")
 @common.work_option
 @common.jobs_option
 @common.until_option
-@click.option("--force", multiple=True, metavar="STAGE_OR_TASK", help="Do this again: `fuse`, or `'matches gate--roof'`.")
+@click.option("--force", multiple=True, metavar="STAGE_OR_TASK", help="Run it again: `fuse`, or `'matches gate--roof'`.")
 @click.option("--dry-run", is_flag=True, help="Print what would run, and why; write nothing.")
 @click.option("--wait", is_flag=True, help="Wait for another run of this work folder instead of giving up.")
-@click.option("--stop-at", type=common.next_time, metavar="HH:MM", help="Stop then, and publish what there is.")
+@click.option("--stop-at", type=common.next_time, metavar="HH:MM", help="Stop at this time, and publish what is done.")
 @click.option("--json", "as_json", is_flag=True, help="Print run.json, and nothing else.")
 @click.option("--backend", type=click.Choice(BACKENDS), default=BACKENDS[0], help="Where tasks run (loky: processes).")
 @click.option("--scheduler", metavar="ADDRESS", help="Dask scheduler, for --backend dask: tcp://host:8786.")
 @click.option(
-    "--worker-root", "worker_roots", multiple=True, metavar="HERE=THERE", help="What Dask's workers call a folder: /srv=/mnt/srv."
+    "--worker-root", "worker_roots", multiple=True, metavar="HERE=THERE", help="Folder's path on Dask workers: /srv=/mnt/srv."
 )
 @click.option("--memory", metavar="SIZE", help="Limit for all workers together: 4GB (default: 80 % of the machine's memory).")
 @click.option("--time-limit", type=click.FloatRange(min=0, min_open=True), metavar="S", help="Seconds a task may take.")

@@ -21,8 +21,8 @@ _PLAIN = ("yard", "day", "standard", "standard")
 @click.option("--light", type=click.Choice(["day", "dusk", "night", "dark"]), default="day", help="Time of day; dark: no lamps.")
 @click.option("--lenses", default="standard", metavar="KIND", help="fisheye, brown or mixed: other cameras.")
 @click.option("--surfaces", default="standard", metavar="KIND", help="weak: the yard with white walls, wet asphalt and snow.")
-@click.option("--cameras", type=click.IntRange(min=1), metavar="N", help="How many of the scene's cameras.")
-@click.option("--seed", type=click.IntRange(min=0), default=0, metavar="N", help="Another scene of the same kind.")
+@click.option("--cameras", type=click.IntRange(min=1), metavar="N", help="Number of cameras.")
+@click.option("--seed", type=click.IntRange(min=0), default=0, metavar="N", help="Seed of the scene.")
 @click.option("--nights", type=click.IntRange(min=1), metavar="N", help="Render nights of the yard (640x360).")
 @click.option("--frames", type=click.IntRange(min=1), default=3, metavar="K", help="Frames of each camera and night.")
 def demo(folder: Path, nights: int | None, frames: int, **options: Any) -> None:
@@ -52,7 +52,7 @@ def demo(folder: Path, nights: int | None, frames: int, **options: Any) -> None:
 
 @click.command()
 @click.argument("folder", metavar="[FOLDER]", type=PATH, default=Path())
-@click.option("--systemd", is_flag=True, help="Of a site that is there: write a service and a timer that run it every night.")
+@click.option("--systemd", is_flag=True, help="For an existing site: write a systemd service and timer that run it every night.")
 def init(folder: Path, systemd: bool) -> None:
     """Write a site file from a folder of photographs.
 
@@ -167,7 +167,7 @@ def calibrate(
 
     columns, cross, rows = board.partition("x")
     if not (cross and columns.isdigit() and rows.isdigit() and 2 < int(columns) < 100 and 2 < int(rows) < 100):
-        raise UsageError(f"{board!r} is no board", remedy="give columns x rows, such as --board 9x6")
+        raise UsageError(f"{board!r} is not a board", remedy="give columns x rows, such as --board 9x6")
     if marker >= square:
         raise UsageError(f"a marker of {marker:g} does not fit in a square of {square:g}", remedy="give both in the same unit")
     fields: dict[str, float | str] = {"columns": int(columns), "rows": int(rows), "square": square, "marker": marker}

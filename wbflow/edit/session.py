@@ -246,7 +246,7 @@ class Session:
         """
         with self._lock:
             if version != self._known[self.site.file] or self._known != self._digests():
-                remedy = "open the page again: what is drawn there now is not in the file"
+                remedy = "open the page again: what is drawn there now has not been saved"
                 raise Refused("was changed on disk meanwhile; nothing was written", where=str(self.site.file), remedy=remedy)
             masks = dict(self._new_masks(marks))
             files = {name: self._mask_file(self._camera(name)) for name in masks}

@@ -111,7 +111,7 @@ def _end(node: Any) -> int:
         last = node.value[-1]
         return _end(last[1] if isinstance(last, tuple) else last)
     if isinstance(node, yaml.ScalarNode) and node.style in {"|", ">"}:
-        raise NotEditable("a text over several lines stands there")
+        raise NotEditable("it is a text over several lines")
     return int(node.end_mark.index)
 
 

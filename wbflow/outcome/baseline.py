@@ -145,14 +145,14 @@ def _health_by_appearance(
     shares = {name: looks[name] / usual[name] for name in shared if usual[name] > 0}
     if shares.get(Measure.BRIGHTNESS, 1.0) < expected.limit(Measure.BRIGHTNESS) * common.get(Measure.BRIGHTNESS, 1.0):
         text = f"its picture has {100 * shares[Measure.BRIGHTNESS]:.0f} % of its usual brightness"
-        return Health("obscured", text, figures, base, "look at its light, its exposure, and what stands before it")
+        return Health("obscured", text, figures, base, "check its lighting and exposure, and whether something blocks its view")
     if shares.get("sharpness", 1.0) < SHARP_SHARE * common.get("sharpness", 1.0):
         text = f"its picture has {100 * shares['sharpness']:.0f} % of its usual sharpness"
-        return Health("obscured", text, figures, base, "look at its focus and its glass: drops, dirt, fog")
+        return Health("obscured", text, figures, base, "check its focus, and its glass for drops, dirt or fog")
     if shares.get("matched_share", 1.0) < FOUND_SHARE:
         now, then = (f"{100 * entry['matched_share']:.0f} %" for entry in (looks, usual))
-        text = f"{now} of its pairs find common points, usually {then} do: it shows something else, or has been turned"
-        return Health("wrong-scene", text, figures, base, "look at its picture, and where it points")
+        text = f"{now} of its pairs find common points, usually {then} do: it shows another place, or has been turned"
+        return Health("wrong-scene", text, figures, base, "check its picture, and where it points")
     return Health("ok", figures=figures, expected=base)
 
 

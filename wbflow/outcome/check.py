@@ -81,7 +81,7 @@ def check_captures(site: Site, context: RunContext) -> list[Fault]:
             size, problem = _size_of(file)
             stated = (camera.lens.width, camera.lens.height)
             if problem:
-                found.append(Fault("error", f"{where}: {problem}", "the other cameras go on without it", ExitCode.DEGRADED))
+                found.append(Fault("error", f"{where}: {problem}", "the run continues without it", ExitCode.DEGRADED))
             elif stated[0] and size != stated:
                 what = f"{where}: {file.name} is {size[0]}x{size[1]}, its intrinsics are for {stated[0]}x{stated[1]}"
                 found.append(Fault("error", what, "calibrate for this size, or correct width and height", ExitCode.DEGRADED))
@@ -135,7 +135,7 @@ def check_published(work: WorkFolder) -> list[Fault]:
     shown = {work.led_to(link) for link in work.links()}
     found = []
     for name in work.run_ids():
-        remedy = f"the next  wbflow run  publishes intact ones; do not use those of {name}"
+        remedy = f"the next  wbflow run  publishes intact ones; do not use the results of {name}"
         try:
             for path in RunFolder.of(work, name).damaged(missing=name in shown):
                 what = "is damaged" if path.exists() else "is gone"

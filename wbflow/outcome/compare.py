@@ -181,14 +181,16 @@ def changes_between(then: Run, tonight: Run) -> Any:
     used = receipt.preimage
     found = load(used.function)(**_surface(tonight), **_surface(then, "reference_"), **used.parameters)
     if not found.compared:
-        raise WbflowError(f"runs {then.id} and {tonight.id} have nothing in common", remedy="their cameras stand at other places")
+        raise WbflowError(
+            f"runs {then.id} and {tonight.id} have nothing in common", remedy="their cameras are at different places"
+        )
     return found
 
 
 def _surface(run: Run, prefix: str = "") -> Mapping[str, Any]:
     poses = run.made(POSES)
     if poses is None:
-        raise Gone(f"run {run.id} placed no cameras: {run.record.reason or 'it was not asked to'}")
+        raise Gone(f"run {run.id} placed no cameras: {run.record.reason or 'the run was not meant to'}")
     of_cameras = {"frames": FRAMES, "depths": DEPTH, "refined": REFINE}
     values = {"poses": poses, "cloud": run.cloud_table(), **{name: run.of_cameras(stage) for name, stage in of_cameras.items()}}
     return {prefix + name: value for name, value in values.items()}

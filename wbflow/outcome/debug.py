@@ -95,7 +95,7 @@ def _spec(plan: Plan, task: Task) -> TaskSpec:
         raise _waits(plan, task, Task(first))
     if task not in known:
         of_stage = [str(t) for t in known if t.stage == task.stage]
-        there = ", ".join(of_stage[:20]) or f"none of the stage {task.stage}"
+        there = ", ".join(of_stage[:20]) or f"there is none of the stage {task.stage}"
         remedy = did_you_mean(str(task), of_stage, f"there are: {there}")
         raise UsageError(f"the night of {plan.night} has no task '{task}'", remedy=remedy)
     try:

@@ -52,12 +52,12 @@ def _claim(folder: Path) -> dict[str, str]:
     manifest = folder / MANIFEST
     if not manifest.is_file():
         if any(folder.iterdir()):
-            raise UsageError(f"{folder} holds other files", remedy=_ELSEWHERE)
+            raise UsageError(f"{folder} contains other files", remedy=_ELSEWHERE)
         return {}
     try:
         known = {str(name): str(digest) for name, digest in json.loads(manifest.read_bytes())["files"].items()}
     except (ValueError, KeyError, TypeError, AttributeError):
-        raise UsageError(f"{manifest} isn't what a demo leaves there", remedy=_ELSEWHERE) from None
+        raise UsageError(f"{manifest} was not written by wbflow demo", remedy=_ELSEWHERE) from None
     for name in EDITABLE:
         file = folder / name
         if file.is_file() and name in known and hashlib.sha256(file.read_bytes()).hexdigest() != known[name]:

@@ -29,7 +29,7 @@ def export(run: Run, out: Path, forms: frozenset[str]) -> Iterator[Path]:
     DamagedArtifact where the cache's disk has lost something, which the next run makes again.
     """
     if run.record.poses is None:
-        raise WbflowError(f"run {run.id} solved no cameras: {run.record.reason or 'it ended before'}")
+        raise WbflowError(f"run {run.id} solved no cameras: {run.record.reason or 'it ended before that'}")
     rows = [row for row in EXPORTS if row.name in forms]
     for row in rows:
         require(row, georeferenced=bool(run.record.poses.crs))

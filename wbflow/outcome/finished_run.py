@@ -104,7 +104,7 @@ class Run:
             raise UsageError(f"run {self.id} had no task '{task}'", remedy=f"it had {known}")
         if not event.usable:
             what = f"'{task}' made nothing: {event.outcome}{f': {event.reason}' if event.reason else ''}"
-            raise UsageError(what, remedy="wbflow report SITE.yaml  shows what was tried")
+            raise UsageError(what, remedy="wbflow report SITE.yaml  shows why")
         return self.load(task)
 
     def receipt(self, task: Task) -> Receipt | None:
@@ -154,7 +154,7 @@ class Run:
         cloud = self.record.cloud
         path = self.folder / cloud.path if cloud else None
         if path is None or not path.is_file():
-            raise Gone(f"run {self.id} made no cloud: {self.record.reason or 'it was not asked to'}")
+            raise Gone(f"run {self.id} made no cloud: {self.record.reason or 'the run was not meant to'}")
         try:
             return load(RESTORE_CLOUD)(read_ply(path))
         except ValueError as error:

@@ -33,7 +33,7 @@ def write_site(folder: Path) -> tuple[Path, list[str], str]:
     if not folder.is_dir():
         raise UsageError(f"{folder}: there is no such folder", remedy="name the folder that holds the photographs")
     if file.exists():
-        raise UsageError(f"{file} is there already", remedy="move it away if a new one is wanted")
+        raise UsageError(f"{file} is there already", remedy="move it away to have a new one written")
     found = _cameras(folder)
     ids = _ids(name for name, _ in found)
     renamed = [f"{identity}: {name}" for identity, (name, _) in zip(ids, found, strict=True) if identity != name]
@@ -54,7 +54,7 @@ def _cameras(folder: Path) -> list[tuple[str, list[str]]]:
     found = single or folders
     if len(found) < 2:
         have = f"one camera only ({found[0][0]})" if found else f"no photographs ({', '.join(sorted(PHOTOGRAPHS))})"
-        raise UsageError(f"{folder} holds {have}", remedy="two cameras that see the same things are needed at least")
+        raise UsageError(f"{folder} holds {have}", remedy="two cameras that see the same things are the least")
     return found
 
 

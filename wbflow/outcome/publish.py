@@ -179,7 +179,7 @@ def mend_ledger(place: WorkFolder, journal: Journal) -> None:
             for fault in ledger.faults:
                 journal.repaired(fault)
     except (OSError, sqlite3.Error) as error:
-        journal.warn(f"the ledger cannot be used: {error}", remedy="the night does without; the next run tries again")
+        journal.warn(f"the ledger cannot be used: {error}", remedy="the run continues without it; the next run tries again")
 
 
 def post_run(run: Run, site: Site, journal: Journal) -> None:
@@ -201,7 +201,7 @@ def post_run(run: Run, site: Site, journal: Journal) -> None:
     except sqlite3.Error as error:
         journal.warn(f"the ledger was not written: {error}", remedy="the next run catches up")
     except (OSError, WbflowError) as error:
-        journal.warn(f"after the run: {error}", remedy="nothing of the night is lost; the next run tries again")
+        journal.warn(f"after the run: {error}", remedy="no result is lost; the next run tries again")
     with contextlib.suppress(OSError):  # a full disk, of which a warning has been given
         for event in journal.events[before:]:
             run.place.add(event)

@@ -175,7 +175,7 @@ def check_end(record: RunRecord, facts: Facts) -> Iterator[Finding]:
     elif facts.missing:
         yield finding("no-result", stage=facts.missing[0], reason=shortened(facts.missing[1]))
     elif facts.product and not record.cloud:
-        yield finding("no-cloud", reason=shortened(record.reason or "nothing says why"))
+        yield finding("no-cloud", reason=shortened(record.reason or "reason unknown"))
     if facts.behind:
         yield facts.behind
 
@@ -257,7 +257,7 @@ def _has_no_usable_pair(camera: CameraRecord, record: RunRecord) -> Finding | No
     which = f"none of its {len(tried)} pairs could" if len(tried) > 1 else "its only pair could not"
     remedy = FINDINGS["camera-no-usable-pair"].remedy
     if any(pair.figures.known == "stated" for pair in tried):
-        remedy += "; or its pose is not what the site file says: measure it again, or leave it out to have it solved"
+        remedy += "; or its pose is not the one in the site file: measure it again, or leave it out to have it solved"
     reason = f"{which} be used: {_most_common(tried)}"
     usable, planned = {str(Measure.PAIRS): 0}, {str(Measure.PAIRS): len(tried)}
     return finding("camera-no-usable-pair", (camera.id,), usable, planned, remedy, reason=reason)
@@ -270,7 +270,7 @@ def _remedy_of_lost(camera: CameraRecord) -> str:
     if camera.code == Cause.UNSOLVED:
         return FINDINGS["camera-unsolved"].remedy
     remedy = FINDINGS["camera-lost"].remedy
-    return remedy.replace("look at the camera", "see that it delivers") if camera.code == Cause.NO_CAPTURE else remedy
+    return remedy.replace("check the camera", "check that it delivers") if camera.code == Cause.NO_CAPTURE else remedy
 
 
 def _with_down(camera: CameraRecord, record: RunRecord, baseline: Baseline) -> CameraRecord:
@@ -327,11 +327,11 @@ def _blamed(trouble: Finding, excused: tuple[str, ...] | None) -> Finding:
     """Add that the stated pose of the camera is at fault, and which others have no usable pair because of it."""
     if excused is None:
         return trouble
-    text = f"{trouble.text}; its stated pose explains that, and no other camera's explains as much"
+    text = f"{trouble.text}; a wrong stated pose of this camera explains that better than one of any other camera"
     if excused:
         have = "has" if len(excused) == 1 else "have"
-        text += f"; {' and '.join(excused)} {have} no pair with another camera that says anything"
-    remedy = "it does not stand or look as the site file says: measure its pose again, or leave it out to have it solved"
+        text += f"; {' and '.join(excused)} {have} no conclusive pair with another camera"
+    remedy = "its pose is not the one in the site file: measure it again, or leave it out to have it solved"
     return replace(trouble, text=text, remedy=remedy)
 
 
@@ -395,11 +395,11 @@ _CAUSES: Mapping[str, str] = {
     "focal-lengths": "all focal lengths {longer}",
     "pixel-shape": "all horizontal focal lengths {longer}",
     "pixel-height": "all vertical focal lengths {longer}",
-    "distortion": "a radial distortion that is left in all pictures (k1 off by {first:+.3f})",
+    "distortion": "a radial distortion that remains in all pictures (k1 off by {first:+.3f})",
     "distortion-factor": "{factor:.2g} times the stated distortion in all pictures",
-    "distortion-of-one": "a radial distortion that is left in the pictures of {cameras} (k1 off by {first:+.3f})",
+    "distortion-of-one": "a radial distortion that remains in the pictures of {cameras} (k1 off by {first:+.3f})",
     "focal-lengths-and-distortion": "all focal lengths {longer} and k1 off by {last:+.3f}",
-    "principal-points-corner": "principal points half a pixel less (counted from the first pixel's centre, not its corner)",
+    "principal-points-corner": "principal points half a pixel less (counted from the first pixel's centre, not from its corner)",
     "principal-points": "all principal points shifted by {percent:.1f} % of the width",
     "focal-length": "the focal length of {cameras} {longer}",
     "turned": "{cameras} turned by {degrees:.2f} degrees",
@@ -409,10 +409,10 @@ _CAUSES: Mapping[str, str] = {
     "positions-exchanged": "the positions of {cameras} exchanged",
     "lenses-exchanged": "the lenses of {cameras} exchanged",
     "axes-exchanged": "positions with x and y exchanged",
-    "t-for-positions": "positions that are read as the t of x = R X + t",
-    "rotations-transposed": "rotations that are read as camera to world, not world to camera",
-    "rotations-opengl": "rotations whose y and z axes point the other way (OpenGL's)",
-    "rotations-transposed-opengl": "rotations that are read as camera to world, with y and z pointing the other way",
+    "t-for-positions": "positions that are in fact the t of x = R X + t",
+    "rotations-transposed": "rotations that are in fact camera to world, not world to camera",
+    "rotations-opengl": "rotations whose y and z axes point the other way (OpenGL)",
+    "rotations-transposed-opengl": "rotations that are in fact camera to world, with y and z pointing the other way (OpenGL)",
     "stretched-x": "all positions {longer} along x",
     "stretched-y": "all positions {longer} along y",
     "stretched-z": "all positions {longer} along z",
@@ -420,11 +420,11 @@ _CAUSES: Mapping[str, str] = {
     "mirrored-y": "positions mirrored in y",
     "mirrored-z": "positions mirrored in z",
     "mirrored-frames": "pictures of {cameras} mirrored",
-    "upside-down": "pictures of {cameras} turned by half a turn",
+    "upside-down": "pictures of {cameras} upside down",
 }
 """Texts for the cause that best explains matches contradicting the stated calibration, by its name in the check."""
 _EVERYBODY = {
-    "captures-exchanged": "all cameras, each of the next one,",
+    "captures-exchanged": "all cameras, each with the next one,",
     "mirrored-frames": "all cameras",
     "upside-down": "all cameras",
 }
@@ -432,9 +432,9 @@ _EVERYBODY = {
 
 
 def _explanation(check: CalibrationCheck) -> str:
-    misfit = f"they lie {math.sqrt(check.misfit):.1f} times as far from where it has them as noise explains"
+    misfit = f"they lie {math.sqrt(check.misfit):.1f} times as far from their epipolar lines as noise explains"
     if check.cause not in _CAUSES:  # none, or one that only an older version named, kept with the reference
-        return f"{misfit}; no lens and no single camera explains that"
+        return f"{misfit}; neither the lenses nor a single camera explain that"
     amount = check.amount or (0.0,)
     size, scale = math.hypot(*amount), math.expm1(amount[0])
     words = _CAUSES[check.cause].format(
@@ -448,7 +448,7 @@ def _explanation(check: CalibrationCheck) -> str:
     )
     if check.sigmas:
         more = "" if check.cause == "principal-points-corner" else " or more"
-        return f"dense matches lie beside its rows by {check.sigmas:.0f} standard deviations; {words}{more} would put them there"
+        return f"dense matches are {check.sigmas:.0f} standard deviations off their predicted rows; {words}{more} explain that"
     return f"{misfit}; {words} would fit {check.better:.1f} times better"
 
 
@@ -496,9 +496,9 @@ def check_depths(record: RunRecord, facts: Facts) -> Iterator[Finding]:
         against.update(dict.fromkeys(cameras, 1 if px > tolerated else -1))
     worst = max(against.values())
     suspects = tuple(camera for camera, votes in against.items() if votes == worst >= 0)
-    cause = "no single camera explains it: all may be a little off"
+    cause = "no single camera explains it; all may be slightly off"
     if suspects:
-        cause = f"the pose or lens of {' or '.join(suspects)} is not as it is used"
+        cause = f"the pose or lens of {' or '.join(suspects)} is probably wrong"
     words = {"px": most, "limit": limit, "cause": cause}
     yield finding("pairs-disagree", suspects, {"apart_px": most}, {"apart_px": limit}, None, **words)
 
@@ -510,7 +510,7 @@ def check_survey(record: RunRecord, facts: Facts) -> Iterator[Finding]:
         return
     if poses.distances_off:
         pair, (stated, found) = max(poses.distances_off.items(), key=lambda entry: abs(math.log(entry[1][1] / entry[1][0])))
-        more = f"; so are {others} more distances" if (others := len(poses.distances_off) - 1) else ""
+        more = f"; {others} more distances are off as well" if (others := len(poses.distances_off) - 1) else ""
         words = {"pair": pair, "stated": stated, "found": found, "more": more}
         yield finding("distances-contradicted", tuple(pair.split("--")), {"metres": found}, {"metres": stated}, None, **words)
     if poses.points_off:
@@ -537,7 +537,7 @@ def check_tasks(record: RunRecord, facts: Facts) -> Iterator[Finding]:
             groups.setdefault((task.stage, state.code), []).append((task, state))
     for (_, code), tasks in groups.items():
         task, state = tasks[0]
-        more = f" (and {len(tasks) - 1} more like it)" if len(tasks) > 1 else ""
+        more = f" (and {len(tasks) - 1} more tasks with the same cause)" if len(tasks) > 1 else ""
         reason, remedy = shortened(state.reason or ""), None if code == Cause.FAULT else ""
         yield finding("task-failed", task.subject, {"tasks": len(tasks)}, remedy=remedy, task=task, reason=reason, more=more)
 
@@ -560,7 +560,7 @@ def check_amounts(record: RunRecord, facts: Facts) -> Iterator[Finding]:
         limit, amount, base = facts.expected.limit(name), _amount(name, value), usual.figures.get(name)
         if limit > 1:
             if value < limit:
-                yield _fewer(name, value, limit, f"{amount}, at least {limit:,.0f} are expected")
+                yield _fewer(name, value, limit, f"{amount}; at least {limit:,.0f} are expected")
         elif name == Measure.CAMERAS:
             continue  # each lost camera has a finding of its own
         elif base is not None and value < limit * base:
@@ -568,7 +568,7 @@ def check_amounts(record: RunRecord, facts: Facts) -> Iterator[Finding]:
             yield _fewer(name, value, base, f"{amount}, {100 * value / base:.0f} % of {whose} {base:,.0f}")
         elif base is None and name == Measure.PAIRS and value < PLANNED_PAIRS * len(record.pairs):
             planned = float(len(record.pairs))
-            text = f"only {value:.0f} of {planned:.0f} pairs could be used; most others: {_why_few(record)}"
+            text = f"only {value:.0f} of {planned:.0f} pairs could be used; most of the others: {_why_few(record)}"
             yield _fewer(name, value, planned, text)
 
 
@@ -591,7 +591,7 @@ def _why_few(record: RunRecord) -> str:
     gone = {camera.id for camera in record.cameras if not camera.ok}
     theirs = [pair for pair in unused if gone & {camera_of(pair.left), camera_of(pair.right)}]
     if 2 * len(theirs) > len(unused):
-        return f"with cameras that are left out ({_names(sorted(gone))})"
+        return f"include cameras that are left out ({_names(sorted(gone))})"
     return _most_common(unused)
 
 

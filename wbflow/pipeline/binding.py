@@ -138,12 +138,12 @@ def _wanted(inputs: Mapping[str, Source], names: set[str], own: Signature) -> di
 
 def _faults(info: FunctionInfo, stage: Stage, offered: set[str]) -> list[str]:
     found = []
-    inputs = f"{stage.name} can hand over {', '.join(sorted(offered))}"
+    inputs = f"{stage.name} can provide {', '.join(sorted(offered))}"
     for argument in info.signature.arguments:
         if not argument.by_name:
-            found.append(f"{info.dotted} takes {argument.name!r} by position only: remove the '/', inputs come by name")
+            found.append(f"{info.dotted} takes {argument.name!r} by position only: remove the '/': inputs are passed by name")
         elif argument.name not in offered and argument.required:
-            found.append(f"{info.dotted} asks for {argument.name!r}, which is not there; {inputs}")
+            found.append(f"{info.dotted} has the required argument {argument.name!r}, which is not an available input; {inputs}")
         elif argument.name not in offered:
-            found.append(f"{info.dotted} has {argument.name!r} among its inputs; {inputs}; a parameter stands after a bare *")
+            found.append(f"{info.dotted} has {argument.name!r} among its inputs; {inputs}; parameters must come after a bare *")
     return found

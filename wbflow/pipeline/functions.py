@@ -49,7 +49,7 @@ class FunctionReader(Memo):
 
     def __init__(self, memo: Path | None = None, folder: Path | None = None) -> None:
         """folder: the site file's folder, which may contain modules that are not installed."""
-        super().__init__(memo, "what was read of functions", "functions are read again")
+        super().__init__(memo, "signatures of functions", "functions are read again")
         self.modules = Modules(folder)
         files = self.entries.get("files", {})
         if self.entries.get("form") != _FORM or any(file_stamp(file) != then for file, then in files.items()):

@@ -36,7 +36,7 @@ class Meaning:
 
 
 MEANINGS: Mapping[str, Meaning] = {
-    "matches": Meaning("matches", "points that look alike in both pictures, and whose neighbours do so too", 100, 30),
+    "matches": Meaning("matches", "points that look alike in both pictures, as do their neighbours", 100, 30),
     "inliers": Meaning(
         "inliers",
         "points that one position of the two cameras explains; more than matches where a second search, led by the first, "
@@ -45,19 +45,21 @@ MEANINGS: Mapping[str, Meaning] = {
         30,
     ),
     "angle_deg": Meaning(
-        "angle °", "between the two views of the scene: below 4° depth is not told, above 60° little looks alike"
+        "angle °", "between the two views of the scene: below 4° depth is poorly determined, above 60° few points match"
     ),
-    "epipolar_px": Meaning("epipolar px", "how far inliers lie from the line where they should be, median", 0.6, 1.5),
-    "probability": Meaning("probability", "that this pair's geometry is right, from how matches are spread and agree", 0.9, 0.5),
-    "poses_px": Meaning("placed px", "the same distance, once all cameras are placed together", 0.8, 2.0),
-    "known": Meaning("known", "where the relative position is from: stated by the site file, or solved"),
-    "dense": Meaning("dense", "whether it is among the pairs that are made dense, which are chosen once the cameras are placed"),
+    "epipolar_px": Meaning("epipolar px", "distance of inliers from their epipolar lines, median", 0.6, 1.5),
+    "probability": Meaning(
+        "probability", "that the geometry of this pair is right, from the spread and agreement of its matches", 0.9, 0.5
+    ),
+    "poses_px": Meaning("placed px", "the same distance with the poses of all cameras solved together", 0.8, 2.0),
+    "known": Meaning("known", "source of the relative pose: stated in the site file, or solved"),
+    "dense": Meaning("dense", "whether the pair is matched densely; such pairs are chosen once the cameras are placed"),
     "vertical_px": Meaning(
-        "vertical px", "how far matches lie from their common row in the rectified pictures, median", 0.6, 1.5
+        "vertical px", "distance of matches from their common row in the rectified pictures, median", 0.6, 1.5
     ),
     "method": Meaning("method", "how the pair was resampled to common rows"),
-    "verified": Meaning("verified", "by what the pose was confirmed"),
-    "row_share": Meaning("row share", "share of the common view that matches on the rows that the cameras give"),
+    "verified": Meaning("verified", "evidence that confirmed the pose"),
+    "row_share": Meaning("row share", "share of the common view that matches on the predicted rows"),
     "row_chance": Meaning("row chance", "the same with one picture eight rows off: what matches by chance"),
     "row_error_px": Meaning("row error px", "offset between corresponding rows, measured from the pictures", 0.5, 1.5),
     "density": Meaning("density", "share of the common view whose depth was found and confirmed from both sides", 0.3, 0.1),
@@ -65,21 +67,21 @@ MEANINGS: Mapping[str, Meaning] = {
     "contrast": Meaning("contrast", "standard deviation of the picture's brightness"),
     "saturated": Meaning("saturated", "share of the picture that is pure white", 0.02, 0.15),
     "sharpness": Meaning("sharpness", "of fine detail, compared with the contrast; compare it with other nights only"),
-    "frames_used": Meaning("captures", "captures of the night that the clean picture was made of"),
+    "frames_used": Meaning("captures", "number of captures merged into the clean picture"),
     "seen_by_one": Meaning("seen by one", "share of the ground that at least one camera sees", share=True),
     "seen_by_two": Meaning("seen by two", "share of the ground that at least two cameras see", share=True),
     "lost_without": Meaning("lost without", "share of the ground that fewer than two would see without this camera", share=True),
-    "area_m2": Meaning("ground, m²", "the area of the ground that is looked at"),
-    "error_m": Meaning("expected error, m", "of a point on the ground, from how far away and at which angle it is seen; median"),
+    "area_m2": Meaning("ground, m²", "area of the ground that is considered"),
+    "error_m": Meaning("expected error, m", "of points on the ground, from the distances and angles of the cameras; median"),
     "count": Meaning("things changed", "things that are new, have vanished or were moved"),
-    "changed_share": Meaning("changed", "share of the surface that could be compared which belongs to changes", share=True),
-    "unknown_share": Meaning("unknown", "share of the reference's surface of which this night tells nothing", share=True),
-    "noise": Meaning(
-        "noise", "how much more unchanged surfaces differ than the points' own uncertainty says; 1: as it should be"
+    "changed_share": Meaning("changed", "share of the compared surface that belongs to changes", share=True),
+    "unknown_share": Meaning("unknown", "share of the reference's surface that was not observed tonight", share=True),
+    "noise": Meaning("noise", "differences of unchanged surfaces, relative to the uncertainty of the points; 1 is ideal"),
+    "points": Meaning("points", "samples that this view contributed to the cloud, before merging"),
+    "misfit": Meaning(
+        "error of points", "estimated from other views and neighbours, relative to the error expected from matching; median"
     ),
-    "points": Meaning("points", "samples that its view has given to the cloud, before those of one place were merged"),
-    "misfit": Meaning("error of points", "as views and surroundings show it, over the one that matching lets expect; median"),
-    "detail_px": Meaning("detail, px", "so many pixels lie between details that the picture resolves, in the coarser direction"),
+    "detail_px": Meaning("detail, px", "smallest detail that the picture resolves, in pixels, in the coarser direction"),
     "keypoints": Meaning("keypoints", "distinct points that were found; their number is capped by `max_keypoints`"),
 }
 """Meanings by the name of the figure in run.json."""

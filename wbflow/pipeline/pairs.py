@@ -53,7 +53,7 @@ def unfit(angle: float, shared: float, angles: tuple[float, float]) -> str | Non
     """Why a pair is not worth matching; None if it is.  angles: smallest and largest permitted angle, degrees."""
     min_angle, max_angle = angles
     if shared <= 0:
-        return "they share nothing"
+        return "they see nothing in common"
     if not math.isnan(angle) and not min_angle <= angle <= max_angle:
         side, bound = ("below", min_angle) if angle < min_angle else ("above", max_angle)
         return f"views {angle:.0f} degrees apart, {side} {bound:g}"
@@ -315,7 +315,7 @@ def _why_not(pair: Pair, little: Collection[Pair], counts: Mapping[str, int], de
     if pair in little:
         return "other views of their cameras share more"
     if crowded := next((view for view in pair if counts[view] >= MOST_AT_A_CAMERA), None):
-        return f"{crowded} has {MOST_AT_A_CAMERA} better pairs, and no view takes more"
+        return f"{crowded} has {MOST_AT_A_CAMERA} better pairs, the most that a view can have"
     return f"both cameras have better pairs already (degree {degree})"
 
 
@@ -326,7 +326,7 @@ def _left_out(view: str, candidates: nx.Graph, chosen: Collection[Pair]) -> str:
     if not missed:
         return ""
     named = ", ".join(missed[:MOST_NAMED]) + (f" and {len(missed) - MOST_NAMED} more" if len(missed) > MOST_NAMED else "")
-    return f"it has {MOST_AT_A_CAMERA} pairs, and no view takes more; left out: those with {named}"
+    return f"it has {MOST_AT_A_CAMERA} pairs, the most that a view can have; left out: those with {named}"
 
 
 def groups(views: Sequence[str], pairs: Collection[Pair]) -> tuple[tuple[str, ...], ...]:
@@ -404,11 +404,11 @@ def select_dense_pairs(
     placed, others = _matched_too(shared, pairs, set(rules.pairs))
     for pair, angle, share in placed:
         if max(counts[view] for view in pair) < min(degree, MOST_AT_A_CAMERA):
-            take(pair, angle, share, "matched, and there is room for it")
+            take(pair, angle, share, "matched, and both cameras have room for it")
     for pair, angle, share in placed:
         fewest, most = sorted(counts[view] for view in pair)
         if not fewest and most < MOST_AT_A_CAMERA and pair not in taken:
-            take(pair, angle, share, "matched, and all that a camera has")
+            take(pair, angle, share, "matched, and the only pair of a camera")
     for pair in others:
         if max(counts[view] for view in pair) < MOST_AT_A_CAMERA:
             take(pair, math.nan, 0.0, "matched; its cameras are not both placed")

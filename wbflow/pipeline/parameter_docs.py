@@ -54,7 +54,7 @@ def describe(stage: Stage, reader: FunctionReader) -> list[str]:
     own = reader.signature(stage.function).parameters
     inputs = {*stage.inputs, *stage.offers}
     meaning, docs = document(stage.function, [p for name, p in own.items() if name not in inputs], reader)
-    offers = f"; a function of one's own may also ask for {', '.join(stage.offers)}" if stage.offers else ""
+    offers = f"; a function of your own may also take {', '.join(stage.offers)}" if stage.offers else ""
     found = [f"{stage.name}  (each {stage.scope})  {meaning}", f"  {stage.function}, from {', '.join(stage.inputs)}{offers}"]
     found += [line for doc in docs for line in _lines(doc, "  ", _elsewhere(stage, doc.parameter.name))]
     for name, dotted in reader.table(stage.method.table).items() if stage.method else ():

@@ -83,199 +83,197 @@ class FindingType:
     """Level of a night with this finding, unless the site file tolerates it."""
 
 
-_BACK = "it is used again as soon as its captures are usable"
-_COMPARE = "look at wbflow compare SITE.yaml; if it stays so, write expect: {since: DATE}"
+_BACK = "it is used again as soon as it delivers usable captures"
+_COMPARE = "run wbflow compare SITE.yaml to see what is missing; if it is meant to stay like this, set expect: {since: DATE}"
 
 FINDINGS: Mapping[str, FindingType] = {
     row.code: row
     for row in (
         FindingType(
             "stopped",
-            "The time of --stop-at was over before all tasks were done.",
-            "run it again without --stop-at, it continues from there; start earlier, or lower `resolution`",
+            "The time given by --stop-at came before all tasks were done.",
+            "run it again without --stop-at (it continues where it stopped); start earlier, or lower `resolution`",
             "{reason}: {tasks} not done",
         ),
         FindingType(
             "interrupted",
-            "Somebody or something ended the run.",
-            "run it again: it continues from there",
+            "The run was interrupted.",
+            "run it again: it continues where it stopped",
             "interrupted; everything finished is kept",
             level="failed",
         ),
         FindingType(
             "no-result",
-            "The stage that --until names made nothing for the site.",
-            "see to the cameras and pairs that the report names; run it again",
+            "The stage named by --until gave no result for the site.",
+            "fix the cameras and pairs that the report names, then run it again",
             "no {stage}: {reason}",
             level="failed",
         ),
         FindingType(
             "no-cloud",
             "The run made no cloud.",
-            "see to the cameras and pairs that the report names; run it again",
+            "fix the cameras and pairs that the report names, then run it again",
             "no cloud: {reason}",
             level="failed",
         ),
         FindingType(
             "store-behind",
-            "The object store does not have everything that was made; this machine has.",
-            "the next run uploads it; until then only this machine has it",
+            "Some results have not been uploaded to the object store.",
+            "the next run uploads them; until then they exist on this machine only",
         ),
         FindingType(
             "camera-lost",
-            "A camera gave nothing: no capture, or none that can be read.",
-            f"look at the camera: {_BACK}",
+            "A camera has no capture, or none that can be read.",
+            f"check the camera: {_BACK}",
             "{reason}; left out tonight",
         ),
         FindingType(
             "camera-unsolved",
             "A camera's pose could not be solved.",
-            "state its lens, if the site file does not (wbflow calibrate finds it): wide ones need that; "
-            "or add a camera nearby that sees the same things from an angle between",
+            "state its lens in the site file (wbflow calibrate measures it), which wide lenses need; "
+            "or add a camera between it and its neighbours that sees the same things",
             "{reason}; left out tonight",
         ),
         FindingType(
             "camera-obscured",
-            "A camera shows too little: dark, covered, dirty or out of focus.",
-            "look at its lens, its focus, its light, and what stands in front of it",
+            "A camera's picture shows too little: it is dark, covered, dirty or out of focus.",
+            "check its lens, focus and lighting, and whether something blocks its view",
         ),
         FindingType(
             "camera-stale",
-            "A camera delivers pictures that are not of this night.",
-            "look at its clock, its recorder, and the copying of its pictures",
+            "A camera delivers pictures that were not taken this night.",
+            "check its clock, its recorder, and the job that copies its pictures",
         ),
         FindingType(
             "camera-wrong-scene",
             "A camera shows another place.",
-            "check that it is the right camera on this input, and where it points; if it was moved for good, pin a new reference",
+            "check which camera is connected to this input, and where it points; if it was moved for good, pin a new reference",
         ),
         FindingType(
             "camera-shifted",
-            "A camera is turned by little: its pose is corrected, and it stays in use.",
-            "fasten it; if it stays so, pin a new reference",
+            "A camera has turned slightly: its pose is corrected, and it stays in use.",
+            "fasten it; if it is to stay like this, pin a new reference",
         ),
         FindingType(
             "camera-moved",
-            "A camera stands or looks elsewhere than the reference or the site file says.",
-            "look at it; calibrate it again if it has been moved, and pin a new reference",
+            "A camera is not where the reference or the site file has it, or points elsewhere.",
+            "check its mount; if it has been moved, calibrate it again and pin a new reference",
         ),
         FindingType(
             "camera-unverified",
-            "The stated pose of a camera is likely to be wrong; it is used all the same.",
-            "look at it; if it has been moved, calibrate it again or leave out its pose",
+            "The stated pose of a camera is probably wrong, but there is too little evidence to replace it.",
+            "check its mount; if it has been moved, calibrate it again, or leave out its pose to have it solved",
         ),
         FindingType(
             "camera-unpaired",
             "A camera is in no pair.",
-            "look at where it points, and at `pairs:` in the site file",
+            "check where it points, and `pairs:` in the site file",
             "no other camera seems to see enough of what it sees: it is in no pair",
         ),
         FindingType(
             "camera-no-usable-pair",
-            "A camera is in pairs, and none of them could be used.",
-            "look at where it points, and whether anything stands in front of it",
+            "None of a camera's pairs could be used.",
+            "check where it points, and whether something blocks its view",
         ),
         FindingType(
             "captures-in-motion",
-            "Captures still grew after 10 s of waiting, or were replaced though their names have a date, while the run worked.",
-            "run the night again; have captures complete before the run begins, and each night's under names of its own",
-            "captures changed while the night was worked on: {captures}; run.json has the digests of those that were used",
+            "During the run, captures were still growing after 10 s of waiting, or dated captures were replaced.",
+            "run the night again; start runs when captures are complete, and give the captures of each night names of their own",
+            "captures changed during the run: {captures}; run.json has the digests of those that were used",
         ),
         FindingType(
             "cameras-alike",
-            "Two cameras or more deliver one and the same picture.",
-            "look at which inputs of the recorder these cameras are on, and at what copies and names their pictures",
-            "{cameras} deliver one and the same picture",
+            "Two or more cameras deliver the same picture.",
+            "check the recorder inputs of these cameras, and the job that copies and names their pictures",
+            "{cameras} deliver the same picture",
         ),
         FindingType(
             "poses-uncertain",
-            "Stated poses are not exact enough for dense matching, and tonight's pictures do not improve them.",
-            "measure these poses more exactly; or leave them out, to have them solved; or add a camera that sees what these see",
-            "known poses are not exact enough, and tonight's pictures do not improve them: {cameras}; true matches may lie up to "
-            "{row_px:.1f} px beside the row that is searched: depths may come from look-alikes",
+            "Stated poses are not exact enough for dense matching, and tonight's pictures could not improve them.",
+            "measure these poses more exactly, leave them out to have them solved, or add a camera that sees the same things",
+            "stated poses are not exact enough, and tonight's pictures could not improve them: {cameras}; correct matches may be "
+            "up to {row_px:.1f} px off the row that is searched, so depths may come from wrong matches",
         ),
         FindingType(
             "pictures-soft",
-            "Pictures are too blurred, smeared, enlarged, noisy, faint, overexposed or coarsely coded to be measured in; "
+            "Pictures are too blurred, smeared, enlarged, noisy, faint, overexposed or strongly compressed to be measured in; "
             "`sigma_mm` may be too small.",
-            "look at focus, glass, exposure time, gain and the quality at which captures are coded; or lower `resolution`",
-            "pictures are too soft to be measured in: {cameras}; details are up to {detail_px:.1f} px apart, edges "
-            "blurred by {blur_px:.1f} px, blocks of their coding stand out by a factor of {coarseness:.1f}, "
-            "{noise_left:.0f} grey levels of noise are left, {saturated:.0%} is pure white, grey levels scatter by "
-            "{contrast:.0f}: points may be off by more than they say",
+            "check focus, glass, exposure time, gain and JPEG quality; or lower `resolution`",
+            "pictures are too poor to be measured in: {cameras}; worst values: smallest details {detail_px:.1f} px, edge blur "
+            "{blur_px:.1f} px, JPEG blockiness {coarseness:.1f}, noise {noise_left:.0f} grey levels, {saturated:.0%} pure white, "
+            "contrast {contrast:.0f} grey levels; errors of points may be larger than their sigma_mm",
         ),
         FindingType(
             "calibration-changed",
-            "Lenses or poses are stated otherwise than when the reference was pinned, which is out of use until another one is.",
-            "if it is meant, look at the cloud and pin it (wbflow pin SITE.yaml RUN); else bring the calibration file back",
-            "what the site states of lenses and poses has changed since the reference was pinned: {reason}",
+            "The stated lenses or poses have changed since the reference was pinned; until a new one is pinned, there is none.",
+            "if this is intended, look at the cloud and pin it (wbflow pin SITE.yaml RUN); if not, restore the calibration file",
+            "the stated lenses or poses have changed since the reference was pinned: {reason}",
         ),
         FindingType(
             "calibration-contradicted",
             "Tonight's matches contradict the stated lenses or poses as a whole.",
-            "calibrate the lenses again (wbflow calibrate), measure the poses again, or name the calibration that belongs to "
-            "these captures; without `calibration:` lenses and poses are solved",
+            "calibrate the lenses again (wbflow calibrate), measure the poses again, or use the calibration file that belongs to "
+            "these captures; without `calibration:`, lenses and poses are solved",
             "the matches contradict the stated calibration: {explanation}",
         ),
         FindingType(
             "poses-contradicted",
-            "Stated poses contradict each other, or what the other cameras see; which is wrong is open, and they stay in use.",
-            "measure these poses again, or name the calibration that belongs to these captures; a camera without pose is solved",
+            "Stated poses contradict each other or the pictures; which of them is wrong is unknown, and all stay in use.",
+            "measure these poses again, or use the calibration file that belongs to these captures; without a pose, it is solved",
         ),
         FindingType(
             "pairs-disagree",
-            "Pairs of one view give other depths to the same pixels, alike over much of the view: a pose or a lens is wrong.",
-            "measure pose and lens of that camera again, or leave them out, to have them solved",
-            "depths of one and the same view differ by up to {px:.1f} px as a whole between the pairs that give them, {limit:g} "
-            "px are tolerated: {cause}",
+            "Pairs give systematically different depths for the same view: a pose or a lens is wrong.",
+            "measure pose and lens of that camera again, or leave them out to have them solved",
+            "pairs disagree about the depths of a view, by up to {px:.1f} px over the whole view (limit {limit:g} px): {cause}",
         ),
         FindingType(
             "distances-contradicted",
             "A stated distance contradicts the other distances, or the positions of the cameras.",
-            "measure it again; check its unit (metres), and between which cameras it is",
-            "{pair} are stated to be {stated:.4g} m apart; by all else that is known it is {found:.4g} m{more}",
+            "measure it again; check its unit (metres), and that it names the right cameras",
+            "{pair}: the stated distance is {stated:.4g} m; everything else that is known makes it {found:.4g} m{more}",
         ),
         FindingType(
             "control-contradicted",
-            "Control points are not where the cameras see them.",
+            "The coordinates of control points contradict the places where the cameras see them.",
             "check their coordinates, and the pixels at which they are marked",
-            "{points}: up to {off:.3g} m from where the cameras see them; {tolerated:.3g} m are tolerated",
+            "{points}: up to {off:.3g} m from where the cameras see them (limit {tolerated:.3g} m)",
         ),
         FindingType(
             "units-implausible",
-            "The cameras stand nearer to each other, or farther apart, than those of any site.",
-            "state positions and distances in metres; or name the coordinate system (crs), where such lengths are meant",
-            "cameras stand {nearest:.4g} m from the nearest other one (median), the limit is {limit:g} m: are positions or "
+            "The cameras are implausibly close together or far apart.",
+            "state positions and distances in metres; if they are right, state the coordinate system (crs)",
+            "the median distance from a camera to the nearest other one is {nearest:.4g} m (limit {limit:g} m): are positions or "
             "distances in {unit}?",
         ),
         FindingType(
             "poses-inconsistent",
-            "Matches contradict each other, and the solved poses rest on some of them.",
-            "state poses and lenses that have been measured; or add a camera between those that stand far apart",
-            "matches contradict each other: {cameras}; those that a third camera confirms fit other poses {factor:.0f} times "
-            "better than noise explains, and the poses rest on these alone where that is possible: something repeats in "
-            "the scene, or a lens is not as it is stated; cloud and poses may be bent, though they fit the pictures",
+            "Matches contradict each other, and the solved poses depend on some of them.",
+            "state measured poses and lenses; or add a camera between those that are far apart",
+            "matches contradict each other: {cameras}; matches confirmed by a third camera fit other poses {factor:.0f} times "
+            "better than noise explains: the scene has repeating structures, or a stated lens is wrong; poses and cloud may be "
+            "distorted even though they fit the pictures",
         ),
         FindingType(
             "lens-undetermined",
             "Lenses were not stated, and tonight's pictures do not determine them.",
-            "state the lens (wbflow calibrate finds it); or add cameras that see the same things from nearer, farther or aside",
-            "the lens was not stated, and tonight's pictures do not determine it: {cameras}; noise and wrong matches leave "
-            "{focal_percent:.1f} % of its focal length open and {border_px:.1f} px at the border (standard deviations), often "
-            "several times as much: cloud and poses may be bent or stretched, though they fit the pictures",
+            "state the lens (wbflow calibrate measures it); or add cameras that see the same things at other distances or angles",
+            "the lens is not stated, and tonight's pictures do not determine it: {cameras}; its focal length is uncertain by "
+            "{focal_percent:.1f} % and its distortion by {border_px:.1f} px at the border (standard deviations; real errors can "
+            "be several times larger): poses and cloud may be bent or stretched even though they fit the pictures",
         ),
         FindingType(
             "task-failed",
-            "A task failed; what needs its result was skipped.",
+            "A task failed; tasks that need its result were skipped.",
             "wbflow run -v SITE.yaml shows where",
             "{task} failed: {reason}{more}",
         ),
         FindingType(
             "cloud-doubtful",
-            "By what its own cameras say of each point, too many points of the cloud are wrong.",
-            "look at the cloud where confidence is low: surfaces that repeat, shine or show nothing need more cameras, or "
-            "cameras closer together; a higher `confidence` of `fuse` keeps fewer points",
-            "{percent:.1f} % of its points are expected to be right, {limit:.0f} % are asked for",
+            "The confidence of the points implies that too many of them are wrong.",
+            "look at the cloud where confidence is low: repeating, shiny or plain surfaces need more cameras, or cameras "
+            "closer together; a higher `confidence` of `fuse` keeps fewer points",
+            "only {percent:.1f} % of the cloud's points are expected to be right (at least {limit:.0f} % required)",
         ),
         FindingType("fewer-points", "The cloud has far fewer points than usual.", _COMPARE),
         FindingType("fewer-pairs", "Far fewer pairs could be used than usual or planned.", _COMPARE),

@@ -65,7 +65,7 @@ class Ledger:
             self._open("rwc" if writes else "ro")
         except sqlite3.DatabaseError as error:
             if _is_damage(error):
-                self.faults.append(f"{work.ledger} could not be used ({error}): made again from receipts and records")
+                self.faults.append(f"{work.ledger} could not be used ({error}): rebuilt from receipts and records")
             elif writes:
                 raise
             for path in work.ledger_files() if writes else ():

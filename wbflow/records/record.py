@@ -199,7 +199,7 @@ class RunRecord(JsonDataclass):
         return found
 
     def __repr__(self) -> str:
-        points = f"{self.cloud.points:,} points" if self.cloud else f"no cloud ({self.reason or 'not asked for'})"
+        points = f"{self.cloud.points:,} points" if self.cloud else f"no cloud ({self.reason or 'not requested'})"
         return f"RunRecord({self.run!r}, site {self.site!r}, exit {self.exit_code}, {points})"
 
     def to_json(self) -> dict[str, Any]:

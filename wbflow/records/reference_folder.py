@@ -25,7 +25,7 @@ from ..task import Task
 
 _OF = "reference"
 
-_ANEW = "wbflow pin SITE.yaml  makes it anew, from the last good run; so does the next good night"
+_ANEW = "wbflow pin SITE.yaml  creates it again from the last good run; so does the next good night"
 
 
 class BadReference(WbflowError):

@@ -51,7 +51,9 @@ def aggregate_nights(work: WorkFolder, reference: Reference, site: Site) -> dict
                 made |= {one.preimage.task: (one, len(receipts)) for one in (receipt, *more)}
     if not made:
         remedy = "a few more nights, and again: wbflow history SITE.yaml lists them"
-        raise CannotPin(f"fewer than {FEWEST_NIGHTS} nights have measured the same from where the cameras stand", remedy=remedy)
+        raise CannotPin(
+            f"fewer than {FEWEST_NIGHTS} nights have measured the same from the cameras' present places", remedy=remedy
+        )
     new = {task: PinnedArtifact(task, receipt.key, receipt.outcome, receipt.digest) for task, (receipt, _) in made.items()}
     better = dataclasses.replace(reference, artifacts={**reference.artifacts, **new})
     kept = [cache.by_key(task, pinned.key) for task, pinned in better.artifacts.items()]

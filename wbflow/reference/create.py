@@ -24,7 +24,7 @@ def pin(cache: Cache, run: RunFolder, automatic: bool = False) -> Reference:
     """
     record = run.record()
     if record.cloud is None:
-        why = record.reason or "it was not asked to"
+        why = record.reason or "the run was not meant to"
         raise CannotPin(f"run {run.id} made no cloud: {why}", remedy="pin a run that did: wbflow history SITE.yaml")
     receipts = _receipts(cache, run)
     artifacts = {

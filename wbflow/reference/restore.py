@@ -27,7 +27,7 @@ def prepare(context: RunContext, journal: Journal) -> None:
         journal.repaired(fault)
     if plan.incompatible and not fault:
         what = f"the reference is not used: {plan.incompatible}"
-        remedy = "this night makes everything anew; wbflow pin SITE.yaml  makes a good night the reference"
+        remedy = "this night recomputes everything; wbflow pin SITE.yaml  makes a good night the reference"
         journal.warn(what, remedy=remedy)
     if plan.reference is None:
         return
@@ -37,7 +37,7 @@ def prepare(context: RunContext, journal: Journal) -> None:
             journal.repaired(f"{len(tasks)} results of the reference were missing ({tasks[0]}, ...): {how}")
     for task in lost:
         what = f"'{task}' of the reference is damaged, or gone"
-        journal.warn(what, remedy="it is done without; wbflow pin SITE.yaml  makes a whole one")
+        journal.warn(what, remedy="the run continues without it; wbflow pin SITE.yaml  creates a complete reference")
 
 
 def mend_record(work: WorkFolder) -> str | None:

@@ -108,11 +108,11 @@ class ReportData:
         """Yield known camera poses, the best source first, each with a note on the source ("" for tonight)."""
         yield self.cameras, ""
         if self._reference:
-            yield self._reference.cameras, f"stood here on {self._reference.date}"
-        yield self._earlier_cameras[0], f"stood here on {self._earlier_cameras[1]}"
+            yield self._reference.cameras, f"position on {self._reference.date}"
+        yield self._earlier_cameras[0], f"position on {self._earlier_cameras[1]}"
         placed = (camera for camera in self.site.cameras if camera.placement.C is not None)
         stated = {c.id: {**vars(c.placement), "K": c.lens.K, "width": c.lens.width, "height": c.lens.height} for c in placed}
-        yield stated, "stands here by the site file"
+        yield stated, "position from the site file"
 
     def placement(self, camera: str) -> tuple[Mapping[str, Any], str] | None:
         """Return a camera's entry, as in cameras.json, and a note on its source ("" for tonight); None if its C is unknown."""

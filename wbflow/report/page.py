@@ -71,7 +71,7 @@ def build_comparison(site: Site, tonight: Run, then: Run, changes: Any) -> str:
         stream = load(products.drawings["view"])(changes)
         content = _content(shown, [*points_of(shown), Points(CHANGES, split(stream)[0], stream)])
     if [stream.kind for stream in content["points"]] != ["product", "change", "then"]:
-        raise Gone("the points of one of the runs are not there any more", remedy="run the night again")
+        raise Gone("the cloud of one of the runs no longer exists", remedy="run the night again")
     title = counted(len(summary.objects), "change") if summary.objects else "Nothing has changed"
     first = {"headline": ("good", title, f"{then.record.date} beside {record.date}"), "facts": list(sections.volume_facts(shown))}
     return render("page.html", **{**content, **first, "files": [], "other_nights": [], "warnings": []}, beside=True)
@@ -155,7 +155,7 @@ def _pose_notes(record: RunRecord) -> Iterator[str]:
         return
     plain = {name: value for name, value in vars(record.poses).items() if isinstance(value, str | int | float) and value != ""}
     words = (f"{name.replace('_', ' ')} {spoken(value)}" for name, value in plain.items())
-    yield f"The cameras' places: {', '.join(words)}."
+    yield f"Positions of the cameras: {', '.join(words)}."
     yield from record.poses.notes
     yield from record.poses.joins
 

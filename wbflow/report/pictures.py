@@ -123,7 +123,7 @@ class Pictures:
         """Return a camera's picture of the last night on which it was in good state."""
         good = self.data.last_good_of(camera)
         other = other_night(self.data, good.run) if good else None
-        return self.of_other_night(other, camera, f"{camera} on {good.date}, when all was well") if good and other else None
+        return self.of_other_night(other, camera, f"{camera} on {good.date}, when it was well") if good and other else None
 
     def of_other_night(self, night: OtherNight, camera: str, alt: str) -> Picture | None:
         """Return a camera's picture of another night."""

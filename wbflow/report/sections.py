@@ -57,7 +57,7 @@ def _shared(record: RunRecord, cameras: list[Finding]) -> str:
     if len(kinds) != 1 or len(cameras) < max(3, 0.8 * len(record.cameras)):
         return ""
     whose = "every camera" if len(cameras) == len(record.cameras) else f"{len(cameras)} of {len(record.cameras)} cameras"
-    return f"The same is wrong with {whose}. First: look at what they share: power, network, the folder of the captures."
+    return f"The same is wrong with {whose}. Check first what they have in common: power, network, the folder of the captures."
 
 
 def _first_remedy(findings: tuple[Finding, ...]) -> str:
@@ -101,7 +101,7 @@ def facts(data: ReportData) -> Iterator[Fact]:
             yield str(count), words, ", ".join(filter(None, notes)) if count else "", ""
     seconds = record.seconds.wall
     took = f"{seconds / 60:.0f} min" if seconds >= 100 else f"{seconds:.0f} s"
-    yield took, "from captures to cloud" if record.cloud else "until it was clear", "", ""
+    yield took, "from captures to cloud" if record.cloud else "until the run ended", "", ""
 
 
 def volume_facts(data: ReportData) -> Iterator[Fact]:

@@ -173,7 +173,7 @@ class Dispatcher:
             self._journal.warn(f"it {error}: it is tried again, alone", task=task, trace=words or None)
             return
         memory = error.cause is Cause.OUT_OF_MEMORY
-        remedy = "lower `resolution`, or give it more with --memory" if memory else "look at its function"
+        remedy = "lower `resolution`, or allow more with --memory" if memory else "check the function of the stage"
         yield Done(task, State("failed", f"{error}, twice; {remedy}", error.cause, trace=words or None, fresh=True))
 
 

@@ -132,7 +132,7 @@ class Processes(Executor):
             self._workers.remove(chosen)
         why, cause, held = _ending(error), Cause.WORKER_LOST, in_words(chosen.most)
         if chosen.over:
-            together = f"all workers together more than the {in_words(self._memory)} that they may"
+            together = f"all workers together held more than the limit of {in_words(self._memory)}"
             why, cause = f"ran out of memory: it held {held}, and {together}", Cause.OUT_OF_MEMORY
         elif "SIGKILL" in why and self._memory and chosen.most > self._memory / 2:  # probably by the kernel's OOM killer
             why, cause = f"{why} (out of memory? it held {held})", Cause.OUT_OF_MEMORY
@@ -216,7 +216,7 @@ def _not_started(why: str) -> WbflowError:
     remedy = "its output says why; is wbflow installed for this Python?"
     if not os.access(sys.executable, os.X_OK):
         why = f"this user may not execute {sys.executable}"
-        remedy = "give it the right to (chmod, or another installation of Python);"
+        remedy = "allow it (chmod), or use another installation of Python;"
     return WbflowError(f"no worker process can be started: {why}", remedy=f"{remedy} or try --backend threading")
 
 

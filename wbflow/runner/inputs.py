@@ -256,7 +256,7 @@ class Inputs:
         if origin.scope == "pair" and not faults:
             if pairs and not pairs.usable:
                 return because(Task(PAIRS), pairs)
-            return Impossible("no two cameras share enough to be matched", Cause.NO_PAIRS)
+            return Impossible("no two cameras see enough in common to be matched", Cause.NO_PAIRS)
         return Impossible(f"no {origin.name} to work on{first}", faults[0].code if faults else Cause.UPSTREAM)
 
     def _from_site(self, need: Source, task: Task) -> Input:

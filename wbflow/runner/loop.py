@@ -43,7 +43,7 @@ def run_tasks(context: RunContext, options: Options, journal: Journal) -> dict[T
             for memo in (context.digests, context.earlier_captures, context.plan.site.reader):
                 memo.save()
         except OSError as error:  # the next run only takes longer
-            journal.warn(f"what was learnt of captures and functions could not be kept: {error}")
+            journal.warn(f"digests of captures and signatures of functions could not be saved: {error}")
 
 
 @dataclass
@@ -129,7 +129,7 @@ class _Loop:
             why = f"{file} keeps changing: is it still being written?"
             self.context.plan.commit(task, State("failed", why, Cause.BAD_INPUT))
             return
-        self.journal.warn(f"{reason}; what it holds now is used", task=task)
+        self.journal.warn(f"{reason}; its present content is used", task=task)
         self.context.reread(file)
 
     def _products(self) -> dict[Task, bytes]:

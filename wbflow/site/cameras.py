@@ -97,7 +97,7 @@ def _own_entry(camera: CameraEntry, location: Location, problems: Problems) -> C
     entry = next(iter(found.values())) if len(found) == 1 else find_camera(found, camera.id)
     if entry is None:
         what = f"{camera.calibration} has no camera {camera.id!r}; it has {_shown(found)}"
-        problems.add(location, what, "call the camera as that file does, or name another file")
+        problems.add(location, what, "rename the camera as in that file, or name another file")
     return entry
 
 
@@ -162,7 +162,7 @@ def read_survey(file: SiteFile, frame: LocalFrame | None, problems: Problems) ->
     for k, (left, right, metres) in enumerate(file.distances):
         i, j = camera_at(("distances", k, 0), left), camera_at(("distances", k, 1), right)
         if not isinstance(metres, int | float) or isinstance(metres, bool) or not 0 < metres < math.inf:
-            problems.add(("distances", k, 2), f"{metres!r} is no distance in metres", "write [camera, camera, metres]")
+            problems.add(("distances", k, 2), f"{metres!r} is not a distance in metres", "write [camera, camera, metres]")
         elif i == j:
             problems.add(("distances", k), "a camera has no distance from itself", "name two cameras")
         else:

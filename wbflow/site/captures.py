@@ -68,7 +68,7 @@ class _Reader(Generic[T]):
             answer = self._answers.get(timeout=seconds)
         except Empty:
             self.stopped = True
-            raise TimeoutError(f"does not answer within {seconds:.0f} s: is its disk, or the network, there?") from None
+            raise TimeoutError(f"no answer within {seconds:.0f} s: check its disk or the network") from None
         return answer.result()
 
 

@@ -43,7 +43,7 @@ def local_frame(file: SiteFile, problems: Problems) -> LocalFrame | None:
         return None
     mixed = next((location for location, p in positions if p.geodetic is None), None)
     if mixed is not None:
-        what = "x, y, z here, but latitude and longitude elsewhere: how they lie to each other is unknown"
+        what = "x, y, z here, but latitude and longitude elsewhere: the transformation between the two is unknown"
         problems.add(mixed, what, POSITION_REMEDY)
     location, origin = geodetic[0]
     try:

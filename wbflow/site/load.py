@@ -213,7 +213,7 @@ def explained(error: ValidationError, document: Document) -> list[SiteProblem]:
             if location not in misspelt:  # otherwise it is present but misspelt
                 found.append(document.problem(location[:-1], f"{last!r} is missing", remedy))
         elif last == "pattern" and isinstance(item["input"], dict):
-            what = "is no text: YAML takes {camera} for a mapping where no quotes are around it"
+            what = "is not a text: without quotes, YAML takes {camera} for a mapping"
             found.append(document.problem(location, what, "put it in quotes: pattern: '{camera}.jpg'"))
         else:
             what = item["msg"]

@@ -88,7 +88,7 @@ class Intrinsics(Section):
     def _complete(self) -> Intrinsics:
         if self.hfov is not None:
             if self.fx is not None or self.fy is not None:
-                raise _error("'hfov' and 'fx', 'fy' say the same thing twice")
+                raise _error("'hfov' and 'fx', 'fy' are both given: keep one of them")
             return self
         missing = [f"'{name}'" for name in ("fx", "fy", "cx", "cy", "width", "height") if getattr(self, name) is None]
         if missing:
@@ -115,7 +115,7 @@ class Position(Section):
     def _one_position(self) -> Position:
         given = [name for name in _GEODETIC if getattr(self, name) is not None]
         if self.position is not None and given:
-            raise _error(f"'position' and '{given[0]}' say the same thing twice")
+            raise _error(f"'position' and '{given[0]}' are both given: keep one of them")
         if self.position is None and not given:
             raise _error("'position' is missing")
         if given and len(given) < 3:
@@ -154,7 +154,7 @@ class Pose(Position):
         if self.look_at is not None and self.position is None:
             raise _error("'look_at' needs 'position' in the same coordinates")
         if self.rotation_sigma_deg is not None and not given:
-            raise _error("'rotation_sigma_deg' says how well a rotation is known that is not given")
+            raise _error("'rotation_sigma_deg' is given without a rotation")
         if self.rotation and (fault := rotation_fault(self.rotation)):
             raise _error(f"'rotation' {fault}")
         try:
@@ -207,7 +207,7 @@ class CameraEntry(Section):
         if not re.match("(https?|rtsps?|file)://.", url):
             raise _error("a url begins with http://, https://, rtsp://, rtsps://, or file:// for a folder that is written to")
         if "@" in url.split("://", 1)[1].split("/", 1)[0]:
-            raise _error("user and password stand in the file that captures.credentials names, not in the url")
+            raise _error("user and password belong in the file named by captures.credentials, not in the url")
         return url
 
     @model_validator(mode="after")
@@ -292,7 +292,7 @@ def _date(value: Any) -> str:
     try:
         return datetime.date.fromisoformat(value).isoformat() if value else ""
     except (TypeError, ValueError):
-        raise _error(f"{value!r} is no date, such as 2026-11-20") from None
+        raise _error(f"{value!r} is not a date such as 2026-11-20") from None
 
 
 class Expected(Section):
@@ -322,7 +322,7 @@ def _seconds(value: Any) -> float:
     units = {"min": 60.0, "h": 3600.0, "d": 86400.0}
     found = re.fullmatch(r"(\d+(?:\.\d+)?) ?(min|h|d)", value) if isinstance(value, str) else None
     if not found or not float(found[1]):
-        raise _error(f"{value!r} is no length of time; write for example 30min, 1h or 1d")
+        raise _error(f"{value!r} is not a duration; write for example 30min, 1h or 1d")
     return float(found[1]) * units[found[2]]
 
 
@@ -375,7 +375,7 @@ def _zone(name: Any) -> Any:
     except (zoneinfo.ZoneInfoNotFoundError, ValueError, OSError):  # OSError: the name of a folder of zones, such as "Europe"
         pass
     near = did_you_mean(str(name), zoneinfo.available_timezones(), "write one such as Europe/Berlin")
-    raise _error(f"{name!r} is no time zone; {near}")
+    raise _error(f"{name!r} is not a time zone; {near}")
 
 
 class SiteFile(Section):

@@ -82,7 +82,7 @@ class Pattern:
         Raises ValueError for a pattern with `?` or `[`, from which no name can be made.
         """
         if re.search(r"[?\[]", self.text):
-            raise ValueError(f"{self.text} has ? or [ in it: no new capture can be called so")
+            raise ValueError(f"{self.text} contains ? or [, which the name of a new capture cannot have")
         text = _FIELD.sub(lambda match: moment.strftime(match.group(2) or _FORMATS[match.group(1)]), self.text)
         text = re.sub(r"\*\*/?", "", text)
         text = text.replace("*", "" if "time" in self._fields else f"{moment:%H%M%S}", 1).replace("*", "")

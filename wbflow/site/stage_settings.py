@@ -54,7 +54,7 @@ def read_stages(
             problems.add(location, f"unknown stage {name!r}", remedy, key=True)
         elif section is False:
             if not known[name].optional:
-                remedy = f"stages that can be: {', '.join(s.name for s in STAGES if s.optional) or 'none'}"
+                remedy = f"optional stages: {', '.join(s.name for s in STAGES if s.optional) or 'none'}"
                 problems.add(location, f"{name} cannot be switched off", remedy)
             found[name] = StageSettings(enabled=False)
         elif section is None or section is True or isinstance(section, dict):
@@ -84,7 +84,7 @@ class _Section:
         """The settings; faults and notes are added to `problems` and `notes`."""
         use = values.pop("use", None)
         if use is not None and not (isinstance(use, str) and use):
-            self._problem("use", f"{printable(repr(use), 80)} is no function", _USE)
+            self._problem("use", f"{printable(repr(use), 80)} is not a function", _USE)
             return StageSettings()
         try:
             written = {new: old for old, new in self._renamed(values, use).items()}
@@ -96,7 +96,7 @@ class _Section:
         key = self.chooser if bound.method else "use"
         for function in filter(None, (bound.function, bound.method)):
             if function.dotted.partition(":")[0].partition(".")[0] in sys.stdlib_module_names:
-                self._problem(key, f"{function.dotted} is of Python's standard library, and no stage", _USE)
+                self._problem(key, f"{function.dotted} is in Python's standard library, and not a stage", _USE)
                 return StageSettings()
         for fault in bound.faults():
             self._problem("use" if use else self.chooser, fault, _SIGNATURE)
@@ -119,7 +119,7 @@ class _Section:
                 if name in required:
                     self._problem(key, f"{chosen.dotted} needs a file: {name}", _FILE.format(name=name))
             elif not isinstance(stated, str):
-                self._problem(name, f"{printable(repr(stated), 80)} is no path", _FILE.format(name=name))
+                self._problem(name, f"{printable(repr(stated), 80)} is not a path", _FILE.format(name=name))
             else:
                 found[name] = beside(stated, location, self.problems)
                 if not is_file(found[name]):
@@ -136,7 +136,7 @@ class _Section:
         known |= {name for of_method in method_parameters(self.stage, self.reader).values() for name in of_method}
         for old in gone & values.keys() - known:
             del values[old]
-            what = f"{self.stage.name} has no {old!r} any more; it is passed over in this version"
+            what = f"{self.stage.name} has no {old!r} any more; it is ignored in this version"
             self.notes.add(("stages", self.stage.name, old), what, "leave it out", key=True)
         found = {}
         for old, row in renamed.items():
@@ -147,7 +147,7 @@ class _Section:
             if row.now == old and not changed:
                 continue
             if row.now != old and row.now in values:
-                self._problem(old, f"{old!r} is the old name of {row.now!r}, which stands here too", "keep the new one")
+                self._problem(old, f"{old!r} is the old name of {row.now!r}, which is given as well", "keep the new one")
             del values[old]
             values[row.now] = row.values[value] if changed else value
             found[old] = row.now
@@ -169,7 +169,7 @@ class _Section:
         if key in fed and parameter:
             section = self.stage.set_by_site().get(key, "").rpartition(".")[0]
             where = f"in the section {section}" if section else "at the top of the file"
-            remedy = f"set {key} {where}" if key != COMPONENT else "leave it out: each component has its turn"
+            remedy = f"set {key} {where}" if key != COMPONENT else "leave it out: each component is worked on in turn"
             self._problem(written, f"{key!r} is not set here", remedy, key=True)
         elif parameter is None:
             self._unknown(bound, key, written, [name for name in bound.parameters if name not in fed])

@@ -25,8 +25,8 @@ SAME_PIXELS = 0.98
 """A camera is frozen if a larger share of its pixels is identical in all captures: noise keeps a live sensor below this."""
 _OF_NOTHING = content_digest(b"")
 """Digest of an empty file: repeated empty files are no evidence of a frozen image."""
-_REMEDY = "restart the camera or what fetches its pictures; it is used again by itself as soon as its captures are new"
-_CLOCK = "set the camera's clock, or look at what fetches and names its pictures"
+_REMEDY = "restart the camera, or the job that fetches its pictures; it is used again as soon as its captures are new"
+_CLOCK = "set the camera's clock, or check the job that fetches and names its pictures"
 
 
 @dataclass
@@ -101,7 +101,7 @@ def _repeats(camera: str, files: list[CaptureFile], earlier: Mapping[str, str], 
     if not kept:
         when = max(earlier[found] for found in old)
         delivered.captures[camera] = [file for file in readable if different[file.digest] is file]
-        text = f"it delivers again what it delivered on {when}: the picture is frozen"
+        text = f"its captures are the same as those of {when}: the picture is frozen"
         return Health("stale", text, figures, {"earlier": 0}, _REMEDY)
     delivered.captures[camera] = [file for file in files if file not in readable or file in kept]
     if len(different) == 1 and len(readable) > 1:

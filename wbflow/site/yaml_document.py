@@ -152,7 +152,7 @@ def beside(path: str, location: Location, problems: Problems) -> Path:
         given = Path(path).expanduser()
     except (RuntimeError, ValueError) as error:
         remedy = "write a path relative to the site file, or from the root: /srv/captures"
-        problems.add(location, f"{path!r} is no path: {printable(error)}", remedy)
+        problems.add(location, f"{path!r} is not a path: {printable(error)}", remedy)
         given = Path(path)
     return Path(os.path.normpath(problems.document.path.resolve().parent / given))
 
@@ -268,7 +268,7 @@ def _count_depth(loader: Any) -> None:
         while (event := loader.get_event()) is not None:
             depth += isinstance(event, CollectionStartEvent) - isinstance(event, CollectionEndEvent)
             if depth > _DEEPEST:
-                raise ConstructorError(None, None, f"values within values, {_DEEPEST} deep", event.start_mark)
+                raise ConstructorError(None, None, f"values are nested more than {_DEEPEST} levels deep", event.start_mark)
     finally:
         loader.dispose()
 
@@ -282,7 +282,7 @@ def _refuse_bomb(node: Any) -> None:
             return 1
         if id(part) in sizes:
             if sizes[id(part)] < 0:
-                raise ConstructorError(None, None, "an alias that stands for what it is in", part.start_mark)
+                raise ConstructorError(None, None, "an alias that contains itself", part.start_mark)
             return sizes[id(part)]
         sizes[id(part)] = -1
         inner = [n for entry in part.value for n in (entry if isinstance(entry, tuple) else (entry,))]
@@ -303,7 +303,7 @@ def _mark(node: Any, location: Location, document: Document, problems: list[Site
             inner = (*location, str(key.value))
             mark = (key.start_mark.line + 1, key.start_mark.column + 1)
             if inner in document.key_marks:
-                what = f"{key.value!r} stands here and on line {document.key_marks[inner][0]}"
+                what = f"{key.value!r} is already given on line {document.key_marks[inner][0]}"
                 problems.append(SiteProblem(document.path, *mark, _spelled(inner), what, "keep one of them"))
             document.key_marks[inner] = mark
             _mark(value, inner, document, problems)

@@ -46,7 +46,7 @@ def test_shifted_rows_of_a_combed_picture_are_shifted_back(scene: Uint8s, shift:
     combed = scene.copy()
     combed[1::2] = np.roll(scene, shift, axis=1)[1::2]
     frame = frame_of(combed)
-    assert frame.notes == ("1 of 1 captures are combed: every second row lies off, and is shifted back",)
+    assert frame.notes == ("1 of 1 captures are combed: every second row is displaced, and is shifted back",)
     assert mean_difference(frame, scene) < 1.3 * mean_difference(frame_of(scene), scene) + 0.5
 
 

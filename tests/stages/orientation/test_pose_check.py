@@ -195,7 +195,7 @@ def test_two_cameras_that_contradict_each_other_are_both_reported() -> None:
     assert not poses.issues_of("moved")
     assert list(poses.issues_of("contradicted")) == ["c0", "c1"]
     note = poses.issues_of("contradicted")["c0"].text
-    assert note.startswith("the known poses of c0 and c1 contradict each other by 5.0 degrees: which is wrong is open")
+    assert note.startswith("the known poses of c0 and c1 contradict each other by 5.0 degrees: which of them is wrong is unknown")
     assert "unverified" in note and "If one was moved, leave out its pose" in note
     assert set(poses.cameras) == {"c0", "c1"} and set(poses.sources.values()) == {"stated"}
 
@@ -218,7 +218,7 @@ def test_a_shifted_camera_in_a_chain_is_reported_as_contradicted_not_moved() -> 
     chain = replace(site, geometries={pair: g for pair, g in site.geometries.items() if pair != ("c0", "c2")})
     poses = solve(chain, placements(chain, c2=moved_placement(chain, "c2", (0, 0, 0), (0.5, 0.5, 0.5))))
     assert not poses.issues_of("moved") and not poses.issues_of("unverified")
-    assert "contradict each other: which is wrong is open" in poses.issues_of("contradicted")["c2"].text
+    assert "contradict each other: which of them is wrong is unknown" in poses.issues_of("contradicted")["c2"].text
 
 
 def test_the_common_camera_of_all_contradictions_is_reported_as_unverified() -> None:

@@ -48,7 +48,7 @@ def test_a_terminal_shows_stages_totals_and_running_tasks_before_the_first_task_
     toy.capture("roof").write_text("broken")
     written, pieces = on_a_terminal(toy)
     early = ESCAPES.sub("", "".join(piece for piece, some_done in pieces if not some_done))
-    assert "looking for what is to be done" in early
+    assert "planning the run" in early
     assert re.search(r"frames .*0/4", early)
     assert re.search(r"toy .*0/\d+ 0:00:0\d .*frames gate", early), "tasks at work are named"
     text = ESCAPES.sub("", written)

@@ -73,7 +73,7 @@ def test_quiet_says_nothing_of_a_good_night_and_the_findings_of_another(toy: Toy
     result = toy.wbflow("run", "-q", "--jobs", "1")
     assert result.returncode == 3
     assert result.stderr.count("roof.txt is not an image") == 1
-    assert "it is used again as soon as its captures are usable" in result.stderr
+    assert "it is used again as soon as it delivers usable captures" in result.stderr
 
 
 def test_what_is_expected_stands_in_the_site_file(toy: ToySite) -> None:

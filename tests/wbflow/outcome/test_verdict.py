@@ -141,7 +141,7 @@ def test_fewer_pairs_than_usual() -> None:
 
 def test_without_an_earlier_night_the_plan_says_how_many_pairs_there_should_be() -> None:
     pairs = [pair(*names, *(("ok",) if i in {0, 5} else ("rejected", False))) for i, names in enumerate(PAIRS)]
-    assert only(night(pairs=pairs)).text == "only 2 of 6 pairs could be used; most others: 23 inliers, 30 needed"
+    assert only(night(pairs=pairs)).text == "only 2 of 6 pairs could be used; most of the others: 23 inliers, 30 needed"
 
 
 @pytest.mark.parametrize("before", [0, 1, 7])
@@ -291,7 +291,7 @@ def test_poses_that_are_not_known_well_enough_are_one_finding_though_there_is_a_
     )
     record = judge(replace(night(), poses=world), Facts())
     assert (only(record).kind, only(record).subject, record.exit_code) == ("poses-uncertain", ("mast", "gate"), ExitCode.DEGRADED)
-    assert "up to 4.1 px beside the row" in only(record).text
+    assert "up to 4.1 px off the row" in only(record).text
 
 
 def test_lenses_that_the_pictures_do_not_tell_are_one_finding_that_says_how_to_know_them() -> None:
@@ -301,7 +301,7 @@ def test_lenses_that_the_pictures_do_not_tell_are_one_finding_that_says_how_to_k
     record = judge(replace(night(), poses=world), Facts())
     found = only(record)
     assert (found.kind, found.subject, record.exit_code) == ("lens-undetermined", ("mast", "gate"), ExitCode.DEGRADED)
-    assert "3.1 % of its focal length" in found.text and "2.2 px at the border" in found.text
+    assert "uncertain by 3.1 %" in found.text and "2.2 px at the border" in found.text
     assert found.remedy is not None and "wbflow calibrate" in found.remedy
 
 
@@ -325,7 +325,7 @@ def test_a_camera_whose_pairs_give_nothing_where_its_pose_puts_them_may_stand_el
     tried = [replace(p, outcome="rejected", figures=PairFigures(known=known)) if "roof" in p.cameras else p for p in EVERY_PAIR]
     finding = next(f for f in verdict_of(night(pairs=tried)).findings if f.kind == "camera-no-usable-pair")
     assert finding.subject == ("roof",)
-    assert ("its pose is not what the site file says" in finding.remedy) is (known == "stated")
+    assert ("its pose is not the one in the site file" in finding.remedy) is (known == "stated")
 
 
 def rows(left: str, right: str, given: float, beside: float) -> PairRecord:
@@ -343,7 +343,7 @@ def test_of_two_cameras_without_a_pair_the_one_that_explains_the_others_is_named
         if f.kind == "camera-no-usable-pair"
     )
     assert fruitless.subject == ("mast",)
-    assert "roof has no pair" in fruitless.text and "measure its pose again" in fruitless.remedy
+    assert "roof has no conclusive pair" in fruitless.text and "measure it again" in fruitless.remedy
 
 
 def test_two_cameras_with_as_many_pairs_against_them_are_both_named() -> None:
@@ -365,7 +365,7 @@ def test_failed_tasks_of_one_cause_are_one_finding() -> None:
     state = State("failed", "lost its worker process, twice", Cause.WORKER_LOST)
     failed = tuple((Task("matches", names), state) for names in PAIRS[:3])
     finding = only(night(facts=Facts(failed)))
-    assert finding.text == "matches crane--gate failed: lost its worker process, twice (and 2 more like it)"
+    assert finding.text == "matches crane--gate failed: lost its worker process, twice (and 2 more tasks with the same cause)"
 
 
 def test_no_cloud_is_a_failure_unless_none_was_asked_for() -> None:
@@ -506,7 +506,7 @@ def test_a_cloud_of_whose_points_too_few_are_expected_to_be_right_degrades_the_n
     record = judge(replace(record, cloud=replace(record.cloud, right=right)), Facts())
     assert verdict_of(record).good == good
     if not good:
-        assert only(record).kind == "cloud-doubtful" and "85.0 % of its points" in only(record).text
+        assert only(record).kind == "cloud-doubtful" and "85.0 % of the cloud's points" in only(record).text
 
 
 def test_a_stated_camera_without_matches_has_no_usable_pair_only_where_dense_matching_was_tried() -> None:
@@ -531,7 +531,7 @@ CONTRADICTED = tuple(PoseIssue("contradicted", name, "by 5.0 degrees") for name 
     ("figures", "kind", "subject", "words"),
     [
         ({"issues": CONTRADICTED}, "poses-contradicted", ("gate", "mast"), "5.0"),
-        ({"distances_off": {"gate--mast": (120.0, 12.0)}}, "distances-contradicted", ("gate", "mast"), "120 m apart"),
+        ({"distances_off": {"gate--mast": (120.0, 12.0)}}, "distances-contradicted", ("gate", "mast"), "distance is 120 m"),
         ({"points_off": {"control point 2": (2.0, 0.4)}}, "control-contradicted", (), "control point 2"),
         ({"units_off": {"nearest": (8200.0, 1000.0)}}, "units-implausible", (), "millimetres"),
     ],
@@ -554,7 +554,7 @@ def dense_rows(sigmas: float, contradicted: bool = False) -> CalibrationCheck:
 def test_dense_matches_beside_their_rows_contradict_the_calibration() -> None:
     finding = only(judge(replace(night(), poses=PosesSummary(rows=dense_rows(5.0, True))), Facts()))
     assert finding.kind == "calibration-contradicted"
-    assert "beside its rows by 5 standard deviations; all focal lengths 0.5 % shorter or more" in finding.text
+    assert "5 standard deviations off their predicted rows; all focal lengths 0.5 % shorter or more" in finding.text
 
 
 @pytest.mark.parametrize(("sigmas", "good"), [(2.0, True), (6.0, False)])

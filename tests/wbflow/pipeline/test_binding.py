@@ -78,7 +78,7 @@ def test_a_name_that_is_in_no_table_is_refused_with_those_that_are(reader: Funct
 def test_a_method_that_asks_for_what_is_not_there_is_reported(reader: FunctionReader) -> None:
     assert bound(reader).faults() == []
     (fault,) = bound(reader, how="beside:wrong").faults()
-    assert "asks for 'picture', which is not there; toy can hand over frame, left, right" in fault
+    assert "has the required argument 'picture', which is not an available input; toy can provide frame, left, right" in fault
 
 
 def test_who_reads_a_parameter_can_be_reported(reader: FunctionReader) -> None:

@@ -254,7 +254,7 @@ def test_a_night_without_any_camera_says_so_and_shows_where_they_stood(tmp_path:
     night = made_up_run.record(made_up_run.names(3), cloud=None, pairs=(), verdict=None, exit_code=1)
     reported = made_up_run.page(tmp_path, night, nights=1).read_text()
     assert reported.count('<g class="dot') == 3
-    assert "stood here on 2026-11-01" in reported
+    assert "position on 2026-11-01" in reported
     assert "No cloud this night" in reported
     assert "No two cameras were matched." in reported
     assert '<script type="application/octet-stream"' not in reported

@@ -139,7 +139,7 @@ def test_a_camera_whose_folder_does_not_answer_is_named_and_costs_no_other(toy: 
     finally:
         dead.set()
     reasons = {camera["id"]: camera["reason"] for camera in record["cameras"]}
-    assert "roof" in reasons["roof"] and "does not answer" in reasons["roof"]
+    assert "roof" in reasons["roof"] and "no answer within" in reasons["roof"]
     assert [reason for camera, reason in reasons.items() if camera != "roof" and reason] == []
 
 

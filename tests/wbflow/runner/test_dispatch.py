@@ -214,4 +214,4 @@ def test_what_tasks_held_before_and_tonight_tells_what_fits() -> None:
 def test_a_limit_of_memory_that_is_no_size_is_refused(toy: ToySite) -> None:
     result = toy.wbflow("run", "--memory", "4 apples")
     assert result.returncode == 2
-    assert "--memory: '4 apples' is no size" in result.stderr
+    assert "--memory: '4 apples' is not a size" in result.stderr

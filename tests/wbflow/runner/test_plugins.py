@@ -166,7 +166,7 @@ def test_a_method_of_one_s_own_gets_the_frames_through_the_stage(toy: ToySite) -
     [
         (
             "left, right, depth",
-            "asks for 'depth', which is not there; matches can hand over left, left_frame, ",
+            "has the required argument 'depth', which is not an available input; matches can provide left, left_frame, ",
         ),
         ("left, right, ratio=0.8", "has 'ratio' among its inputs"),
         ("left, right, /", "takes 'left' by position only"),

@@ -385,7 +385,7 @@ def test_opencvs_whole_model_with_thin_prism_and_a_tilted_sensor(tmp_path: Path)
     [
         (("image_width: 640\n", ""), r"gate.yaml:2:1: lacks the size of the pictures"),
         (("plumb_bob", "equidistant"), r"gate.yaml:7:\d+: .*a fisheye lens has 1 or 2 or 3 or 4 coefficients"),
-        (("plumb_bob", "wobbly"), "'wobbly' is no lens model"),
+        (("plumb_bob", "wobbly"), "'wobbly' is not a known lens model"),
         (("rows: 3, cols: 3, data: [402.5", "rows: 3, cols: 4, data: [402.5"), "camera_matrix says 3 x 4, and holds 9"),
         (("data: [402.5", "data: [no"), "camera_matrix must hold numbers"),
         (("camera_matrix", "matrix"), "holds no calibration"),

@@ -110,17 +110,17 @@ CASES = {
     "half a position": ("  - {id: a, pose: {latitude: 53, longitude: 9}}", "4:19: cameras[0].pose: 'height' is missing"),
     "two positions": (
         "  - {id: a, pose: {position: [0, 0, 0], latitude: 53}}",
-        "4:19: cameras[0].pose: 'position' and 'latitude' say the same thing twice",
+        "4:19: cameras[0].pose: 'position' and 'latitude' are both given",
     ),
     "distance to nowhere": ("distances: [[gate, rof, 3]]", "2:20: distances[0][1]: there is no camera 'rof'"),
-    "no distance": ("distances: [[gate, roof, far]]", "2:26: distances[0][2]: 'far' is no distance in metres"),
+    "no distance": ("distances: [[gate, roof, far]]", "2:26: distances[0][2]: 'far' is not a distance in metres"),
     "seen once": (
         "control_points: [{position: [0, 0, 0], pixels: {gate: [1, 2]}}]",
         "2:18: control_points[0]: fewer than two cameras see it",
     ),
     "a sigma of nothing": (
         "  - {id: a, pose: {position: [0, 0, 9], rotation_sigma_deg: 0.3}}",
-        "4:19: cameras[0].pose: 'rotation_sigma_deg' says how well a rotation is known that is not given",
+        "4:19: cameras[0].pose: 'rotation_sigma_deg' is given without a rotation",
     ),
     "a negative sigma": (
         "  - {id: a, pose: {position: [0, 0, 9], look_at: [1, 0, 9], rotation_sigma_deg: -1}}",
@@ -152,14 +152,14 @@ CASES = {
         "2:35: captures.pattern: '{camera}\\x00.jpg' holds a zero byte",
     ),
     "a command with a zero byte": ('notify: {command: [mail, "a\\0b"]}', "2:26: notify.command[1]: 'a\\x00b' holds a zero byte"),
-    "no function at all": ("stages: {matches: {use: ''}}", "2:25: stages.matches.use: '' is no function"),
+    "no function at all": ("stages: {matches: {use: ''}}", "2:25: stages.matches.use: '' is not a function"),
     "a function of Python's": (
         "stages: {matches: {use: 'subprocess:run'}}",
-        "2:25: stages.matches.use: subprocess:run is of Python's standard library, and no stage",
+        "2:25: stages.matches.use: subprocess:run is in Python's standard library, and not a stage",
     ),
     "a method of Python's": (
         "stages: {matches: {matcher: 'subprocess:run'}}",
-        "2:29: stages.matches.matcher: subprocess:run is of Python's standard library, and no stage",
+        "2:29: stages.matches.matcher: subprocess:run is in Python's standard library, and not a stage",
     ),
     "misspelt in a deep section": ("health: {drak: 5.0}", "2:10: health.drak: unknown key 'drak'\n  did you mean 'dark'?"),
     "not a number": ("resolution: many", "2:13: resolution: input should be a valid integer, not 'many'"),
@@ -189,7 +189,7 @@ def test_all_mistakes_are_reported_at_once(tmp_path: Path) -> None:
     ("text", "message"),
     [
         ("site: {a: b: c}", "1:12: not valid YAML"),
-        ("site: a\nsite: b\n", "2:1: site: 'site' stands here and on line 1"),
+        ("site: a\nsite: b\n", "2:1: site: 'site' is already given on line 1"),
         ("- a\n", "1:1: a site file is a mapping"),
         ("", "1:1: a site file is a mapping"),
         ("site: !!python/object:os.system {}\n", "1:7: not valid YAML"),
@@ -287,7 +287,7 @@ def test_geodetic_positions_become_east_north_up_of_the_first(tmp_path: Path) ->
 def test_local_and_geodetic_positions_do_not_mix(tmp_path: Path) -> None:
     pytest.importorskip("pyproj")
     text = GOOD.replace("  - gate", "  - {id: gate, pose: {latitude: 53.5, longitude: 10.0, height: 20.0}}")
-    assert any("how they lie to each other is unknown" in problem for problem in problems(tmp_path, text))
+    assert any("the transformation between the two is unknown" in problem for problem in problems(tmp_path, text))
 
 
 @pytest.mark.parametrize(

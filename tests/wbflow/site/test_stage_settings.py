@@ -56,7 +56,9 @@ def test_a_method_of_one_s_own_lies_beside_the_site_file(tmp_path: Path) -> None
     site = loaded(tmp_path, "matches: {matcher: 'mine:find', reach: 5}")
     assert site.stages["matches"].parameters == {"matcher": "mine:find", "reach": 5}
     (tmp_path / "mine.py").write_text("def find(left_frame, right_frame, depth, *, reach: int = 3):\n    return None\n")
-    assert "mine:find asks for 'depth', which is not there" in problem(tmp_path, "matches: {matcher: 'mine:find'}")
+    assert "mine:find has the required argument 'depth', which is not an available input" in problem(
+        tmp_path, "matches: {matcher: 'mine:find'}"
+    )
 
 
 def test_old_names_and_values_are_understood_with_a_note(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -68,7 +70,7 @@ def test_old_names_and_values_are_understood_with_a_note(tmp_path: Path, monkeyp
     assert "site.yaml:6:20: stages.rectify.range: 'range' is written 'range_margin' now" in first
     assert "'method: seed' is written 'method: hao2011' now" in second
     assert loaded(tmp_path, "rectify: {method: hao2011}").notes == ()
-    assert "stands here too" in problem(tmp_path, "rectify: {range: 0.2, range_margin: 0.1}")
+    assert "is given as well" in problem(tmp_path, "rectify: {range: 0.2, range_margin: 0.1}")
     assert "'far' is not of type float" in problem(tmp_path, "rectify: {range: far}")
 
 
@@ -117,7 +119,7 @@ def test_a_matcher_that_needs_a_model_says_so_and_where_it_is_given(tmp_path: Pa
     reported = problem(tmp_path, "matches: {matcher: onnx}")
     assert "site.yaml:6:29: stages.matches.matcher: " in reported and "needs a file: model" in reported
     assert "give its path, relative to the site file: model: models/matcher.onnx" in reported
-    assert "stages.matches.model: 5 is no path" in problem(tmp_path, "matches: {matcher: onnx, model: 5}")
+    assert "stages.matches.model: 5 is not a path" in problem(tmp_path, "matches: {matcher: onnx, model: 5}")
 
 
 def test_a_model_that_is_not_there_is_an_error_that_names_what_is_nearly_called_so(tmp_path: Path) -> None:

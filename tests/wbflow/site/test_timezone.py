@@ -118,5 +118,5 @@ def test_the_report_has_the_sites_times(tmp_path: Path, date: str, words: str) -
 
 @pytest.mark.parametrize(("name", "remedy"), [("Europe/Berln", "did you mean 'Europe/Berlin'"), ("Europe", ""), ("3", "such as")])
 def test_what_is_no_time_zone_is_refused_with_its_line(tmp_path: Path, name: str, remedy: str) -> None:
-    with pytest.raises(SiteError, match=rf"site.yaml:2:11: timezone: .*is no time zone.*{remedy}"):
+    with pytest.raises(SiteError, match=rf"site.yaml:2:11: timezone: .*is not a time zone.*{remedy}"):
         site(tmp_path, name)

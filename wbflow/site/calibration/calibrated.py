@@ -42,7 +42,7 @@ _MOST_PIXELS_A_SIDE = 1_000_000
 def lens_fault(model: str, distortion: list[float] | None) -> str:
     """What is wrong with the model or coefficients of a lens, and how to fix it; "" if nothing is."""
     if model not in LENS_MODELS:
-        return f"{model!r} is no lens model that is known; use one of {', '.join(LENS_MODELS)}"
+        return f"{model!r} is not a known lens model; use one of {', '.join(LENS_MODELS)}"
     counts, order = LENS_MODELS[model]
     count = len(distortion or [])
     if count in counts or (counts == (0,) and not any(distortion or [])):
@@ -161,7 +161,7 @@ class Calibrated(BaseModel):
     def _of_something(cls, sigma: float | None, info: ValidationInfo) -> float | None:
         known = "C" if info.field_name == "position_sigma_m" else "R"
         if sigma is not None and info.data.get(known, ()) is None:
-            raise ValueError(f"says how well {known} is known, which is not given")
+            raise ValueError(f"is the uncertainty of {known}, which is not given")
         return sigma
 
     @property

@@ -189,7 +189,7 @@ def _lens(name: str, width: int, height: int, p: list[float]) -> dict[str, Any]:
 def _quaternion_to_rotation(w: float, x: float, y: float, z: float) -> Matrix:
     n = math.sqrt(w * w + x * x + y * y + z * z)
     if not 1e-6 < n < 1e6:
-        raise ValueError("its quaternion is zero or endless, which is no rotation")
+        raise ValueError("its quaternion is zero or infinite, which is not a rotation")
     w, x, y, z = w / n, x / n, y / n, z / n
     return [
         [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
