@@ -41,7 +41,7 @@ from wbflow_stages.core.rotations import rotation_matrix
 from wbflow_stages.types import Float64s, Uint8s
 
 RIGHT = 0.9
-ANSWERED = {"camera-unverified", "poses-contradicted"}
+REFUTABLE = {"camera-unverified", "poses-contradicted"}
 """Findings that dense matching may refute: with --quick, a copy that has no others after its poses is run to the end."""
 NIGHTS = ("2026-11-19", "2026-11-20")
 
@@ -930,7 +930,7 @@ def work_through(variation: Variation, name: str, folder: Path, quick: bool) -> 
     variation.change(site)
     site.write()
     record: dict[str, Any] = wbflow_run(copy, site.night, "--until", "poses") if quick and variation.kind == "fault" else {}
-    if record.get("exit_code", 0) == 0 or {*_kinds(record)} <= ANSWERED:
+    if record.get("exit_code", 0) == 0 or {*_kinds(record)} <= REFUTABLE:
         record = wbflow_run(copy, site.night)
     verdict = record.get("verdict", {})
     findings = _kinds(record)

@@ -22,7 +22,7 @@ import numpy as np
 
 import wbflow
 from wbflow_stages.core.cameras import backproject, project
-from wbflow_stages.core.residual_distortion import straight_frames
+from wbflow_stages.core.residual_distortion import undistorted_frames
 from wbflow_stages.fusion import posterior as P
 from wbflow_stages.fusion.planning import nearest_views, subsample
 from wbflow_stages.fusion.surface_support import surface_support
@@ -63,7 +63,7 @@ class Scene:
                 found[task.stage][task.subject[0]] = run.artifact(task)
         posed = run.artifact("poses").cameras
         self.cameras = {name: camera for name, camera in posed.items() if name in {**found["depth"], **found["refine"]}}
-        frames = straight_frames(found["frames"], self.cameras)
+        frames = undistorted_frames(found["frames"], self.cameras)
         self.frames = {name: frames[name] for name in self.cameras}
         self.truth = folder / "truth"
         sources = [source for source in (found["refine"], found["depth"]) if source]
@@ -75,7 +75,7 @@ class Scene:
         camera, mask = self.cameras[name], self.frames[name].mask
         known, off = mask & np.isfinite(depth.depth), off_truth(self.truth, name, camera, depth)
         right = off <= RIGHT_PX * depth.depth / camera.K[0, 0]
-        evidence = P.evidence_of_itself(depth, mask)
+        evidence = P.own_evidence(depth, mask)
         return View(depth, known, right, known & np.isfinite(off), evidence, np.zeros(0, np.float32))
 
     def views(self) -> Iterator[View]:

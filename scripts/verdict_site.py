@@ -13,13 +13,22 @@ from verdict_scenes import REPEATING, scene_of
 from wbflow_stages.core.cameras import relative_pose
 from wbflow_stages.core.rotations import angle_between_deg
 from wbflow_stages.orientation.solve import solve_from_pairs
-from wbflow_stages.sfm.loops import USUAL, AmbiguityKind, Habits, Shares, ambiguity_kind, check_loops, closes, triangles_of
+from wbflow_stages.sfm.loops import (
+    USUAL,
+    AmbiguityKind,
+    LoopStatistics,
+    Shares,
+    ambiguity_kind,
+    check_loops,
+    closes,
+    triangles_of,
+)
 from wbflow_stages.sfm.rotation_averaging import average_rotations, components
-from wbflow_stages.twoview.pair_score import probability, tells_the_site
+from wbflow_stages.twoview.pair_score import informs_about_site, probability
 from wbflow_stages.types import Bools, Camera, Float64s, Geometry, Pair, Placement, Poses, Survey
 
 LEAST_SCORE = -4.0
-"""Pairs with a lower score are passed to the site only if they carry information about it (`tells_the_site`)."""
+"""Pairs with a lower score are passed to the site only if they carry information about it (`informs_about_site`)."""
 WITHIN = ((3.0, 10.0), (6.0, 15.0), (9.0, 25.0))
 """Tolerances that are tried for the closure of triangles: degrees of rotation and of direction."""
 MAX_ROTATION_ERROR_DEG, MAX_EPIPOLAR_PX = 4.0, 2.0
@@ -28,13 +37,13 @@ AT_LEAST = 0.01
 """Lower bound on each estimated share: there are too few pairs to measure smaller ones."""
 
 
-def believed(pairs: list[LabelledPair], scores: Float64s, usual: Habits) -> Bools:
+def believed(pairs: list[LabelledPair], scores: Float64s, usual: LoopStatistics) -> Bools:
     """(n,) which pairs the site's check accepts."""
     checks = check_loops(_geometries(pairs, scores), None, usual)
     return np.array([(p.left, p.right) in checks and checks[p.left, p.right].rejected is None for p in pairs], bool)
 
 
-def count_habits(sets: Mapping[str, list[LabelledPair]]) -> Habits:
+def count_habits(sets: Mapping[str, list[LabelledPair]]) -> LoopStatistics:
     """Statistics of the scenes that do not repeat, each scene with the same weight; tolerances by largest likelihood."""
     plain: dict[str, list[list[LabelledPair]]] = {}
     for name, pairs in sets.items():
@@ -46,7 +55,7 @@ def count_habits(sets: Mapping[str, list[LabelledPair]]) -> Habits:
         for kind in (AmbiguityKind.TURNED, AmbiguityKind.SIDE, AmbiguityKind.ROW)
     }
     rivals = Shares(shares[AmbiguityKind.TURNED], shares[AmbiguityKind.SIDE], shares[AmbiguityKind.ROW])
-    best: tuple[float, Habits] | None = None
+    best: tuple[float, LoopStatistics] | None = None
     for rotation, direction in WITHIN:
         tried = replace(USUAL, rotation_deg=rotation, direction_deg=direction, rivals=rivals)
         right, wrong = (_share_closed(plain, tried, wrong=wrong) for wrong in (False, True))
@@ -57,7 +66,7 @@ def count_habits(sets: Mapping[str, list[LabelledPair]]) -> Habits:
     return best[1]
 
 
-def _share_closed(plain: Mapping[str, list[list[LabelledPair]]], usual: Habits, *, wrong: bool) -> float:
+def _share_closed(plain: Mapping[str, list[list[LabelledPair]]], usual: LoopStatistics, *, wrong: bool) -> float:
     """Share of closed triangles among those of usable pairs, or those with a wrong pair; from `AT_LEAST` to 1 - `AT_LEAST`."""
     shares = []
     for sets in plain.values():
@@ -74,7 +83,7 @@ def _share_closed(plain: Mapping[str, list[list[LabelledPair]]], usual: Habits, 
     return float(np.clip(np.mean(shares), AT_LEAST, 1 - AT_LEAST))
 
 
-def solved(pairs: list[LabelledPair], scores: Float64s, usual: Habits) -> Poses | None:
+def solved(pairs: list[LabelledPair], scores: Float64s, usual: LoopStatistics) -> Poses | None:
     """The cameras of a site as `poses` solves them from known intrinsics and nothing else; None if it solves none."""
     geometries = _geometries(pairs, scores)
     seen = {name: view for p in pairs for name, view in ((p.left, p.geometry.view1), (p.right, p.geometry.view2))}
@@ -131,5 +140,5 @@ def _geometries(pairs: list[LabelledPair], scores: Float64s | None = None) -> di
     return {
         (p.left, p.right): replace(p.geometry, score=float(score), good_probability=probability(float(score)))
         for p, score in zip(pairs, scores, strict=True)
-        if score >= LEAST_SCORE or tells_the_site(p.evidence)
+        if score >= LEAST_SCORE or informs_about_site(p.evidence)
     }

@@ -13,7 +13,7 @@ from verdict_fit import TERMS, LabelledPair, LabelledSet, Weights, fit, is_usabl
 from verdict_scenes import SETS, labelled, scene_of, symmetry
 from verdict_site import LEAST_SCORE, averaged_turn_deg, believed, count_habits, in_use, solved, solved_turn_deg
 
-from wbflow_stages.sfm.loops import Habits
+from wbflow_stages.sfm.loops import LoopStatistics
 from wbflow_stages.twoview.pair_score import probability
 from wbflow_stages.types import Float64s
 
@@ -30,7 +30,7 @@ class Fitted:
     """The weights and statistics fitted on some scenes, to judge others."""
 
     weights: Weights
-    usual: Habits
+    usual: LoopStatistics
 
 
 @dataclass(frozen=True)

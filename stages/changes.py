@@ -17,11 +17,11 @@ import numpy as np
 
 from .change.cloud_distance import spacing_of
 from .change.clusters import ChangeCluster, Over, find_clusters, over_ground, paired
-from .change.evidence import Epoch, Evidence, gather, judged, noise_of, seen_by
+from .change.evidence import Epoch, Evidence, compare_nights, judged, noise_of, seen_by
 from .change.volumes import counts, detection_of, volumes
 from .core.cameras import camera_id, project
 from .core.ground_grid import grid_over, ground_axes, inside_polygon, preferred_above, quantile_by_cell
-from .core.residual_distortion import straight_frames
+from .core.residual_distortion import undistorted_frames
 from .types import (
     NEW,
     SAME,
@@ -94,7 +94,7 @@ def find_changes(
     cell_m : edge of the ground's cells in metres; None: twice the point spacing, rounded up to 1, 2 or 5 times a power of ten.
     """
     cameras = poses.main_cameras()
-    tonight = Epoch(cloud, cameras, straight_frames(frames, cameras), depths, refined or {})
+    tonight = Epoch(cloud, cameras, undistorted_frames(frames, cameras), depths, refined or {})
     plane = scene.ground if scene is not None else None
     axes = ground_axes(cameras.values(), plane)
     if reference_poses is None or reference_cloud is None or not len(reference_cloud.points) or not len(cloud.points):
@@ -103,11 +103,11 @@ def find_changes(
     if not _same_world(cameras, old, cloud):
         return _nothing(axes, poses)
     then = Epoch(
-        reference_cloud, old, straight_frames(reference_frames or {}, old), reference_depths or {}, reference_refined or {}
+        reference_cloud, old, undistorted_frames(reference_frames or {}, old), reference_depths or {}, reference_refined or {}
     )
     spacing = max(spacing_of(tonight.points), spacing_of(then.points))
     grid = grid_over(np.vstack([n.points[::_SOME] for n in (tonight, then)]), axes, cell_m or preferred_above(_CELL * spacing))
-    sides = gather(tonight, then, spacing, registration_m)
+    sides = compare_nights(tonight, then, spacing, registration_m)
     noise = noise_of(*sides)
     limits = {"noise": noise, "sigmas": sigmas, "alike": alike}
     now, before = judged(sides[0], tonight, then, spacing, **limits), judged(sides[1], then, tonight, spacing, **limits)

@@ -16,7 +16,7 @@ from scipy.ndimage import distance_transform_edt
 from .core.cameras import backproject, camera_id, project
 from .core.ground_grid import cell_centres, cells_of, grid_over, ground_axes, preferred_above, quantile_by_cell
 from .core.jit import kernel
-from .core.residual_distortion import straight_frames
+from .core.residual_distortion import undistorted_frames
 from .reasons import Reason, Rejected
 from .types import Bools, Camera, Coverage, DepthMap, Float64s, Frame, GroundGrid, Poses, Scene
 
@@ -60,7 +60,7 @@ def find_coverage(
     placed = poses.main_cameras()
     source = {name: better if name in better else depths for name in placed if name in better or name in depths}
     cameras = {name: placed[name] for name in source}
-    frames = straight_frames(frames, cameras)
+    frames = undistorted_frames(frames, cameras)
     points = [_surface(cameras[name], depth_of[name]) for name, depth_of in source.items()]
     if not sum(map(len, points)):
         return Rejected(Reason.NO_DEPTH, {"cameras": float(len(placed))})

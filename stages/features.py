@@ -18,7 +18,7 @@ import numpy as np
 from .core.luminance import grey_levels
 from .core.ordering import rank_within
 from .matching.description import LENGTH, describe, main_directions
-from .matching.neighbours import nearest_elsewhere
+from .matching.neighbours import nearest_lookalike
 from .matching.scale_space import Blobs, Pyramid, find_blobs, pyramid
 from .reasons import Reason, Rejected
 from .types import Bools, Features, Float32s, Float64s, Frame, Int64s, Uint8s
@@ -74,7 +74,7 @@ def detect(
     xy, frames, descriptors, responses = (np.concatenate(parts) for parts in zip(*views, strict=True))
     tilts = np.repeat(np.arange(len(views), dtype=np.uint8), [len(v[0]) for v in views])
     count, made = len(plain[0]), "clahe" if equalise else "none"
-    lookalikes = nearest_elsewhere(plain[2], plain[0], count)
+    lookalikes = nearest_lookalike(plain[2], plain[0], count)
     return Features(xy, frames, descriptors, responses, tilts, frame.view, lookalikes, count, made)
 
 

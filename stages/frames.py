@@ -20,7 +20,7 @@ from .capture.clock import running_clock
 from .capture.files import BadCapture, EmptyCapture, WrongSize, decoded, refuse_truncated
 from .capture.image_statistics import blur_px, detail_px, image_statistics, weigh
 from .capture.privacy import around, blanked, private_area
-from .capture.signal import NOISY, Signal, denoised, put_right, remaining_noise, signal_of
+from .capture.signal import NOISY, Signal, denoised, remaining_noise, repaired, signal_of
 from .capture.straight import Straight
 from .capture.video import all_pictures
 from .io.image_headers import focal_in_long_sides, picture_size, taken_at
@@ -170,7 +170,7 @@ def _cleaned(image: Uint8s, camera: Straight, name: str, privacy: Privacy | None
     area = private_area(privacy, camera.width, camera.height, name)
     image = blanked(image, area)  # first: no figure may depend on what is private
     digest = hashlib.sha256(image.tobytes()).hexdigest()[:32]
-    signal, (image, repair) = signal_of(image), put_right(image)
+    signal, (image, repair) = signal_of(image), repaired(image)
     straight = _resized(camera.undistort(image), *camera.working_size(resolution))
     return _Clean(camera, name, straight, area, signal, repair, digest)
 

@@ -18,11 +18,11 @@ import numpy as np
 
 from .core.cameras import backproject
 from .core.parallel import parallel_map
-from .core.residual_distortion import straight_frames
+from .core.residual_distortion import undistorted_frames
 from .fusion.even_regions import believed
 from .fusion.pair_depth import world_normals
 from .fusion.planning import exposure_gains, natural_voxel, nearest_views, subsample
-from .fusion.posterior import likelier, own_logit, posterior, surest
+from .fusion.posterior import likelier, most_probable, own_logit, posterior
 from .fusion.uncertainty import along_nearest_rays, depth_variance
 from .fusion.visibility import CrossCheck, TrustedDepth, cross_check
 from .fusion.voxels import Samples, VoxelGrid, VoxelSums
@@ -62,7 +62,7 @@ def fuse(
         is reached, but never more than half.  With poor pictures the true share is lower by 0.01 to 0.02.
     check_views : number of other views that each view is compared with: those that see most of the same.
     """
-    better, frames = refined or {}, straight_frames(frames, cameras)
+    better, frames = refined or {}, undistorted_frames(frames, cameras)
     cameras = {k: camera for k, camera in cameras.items() if camera.component == component and (k in depths or k in better)}
 
     largest = max((camera.width * camera.height for camera in cameras.values()), default=1)
@@ -151,7 +151,7 @@ def _joined(parts: Sequence[Cloud], given: dict[str, int], misfits: dict[str, fl
     """The most probable points of a cloud given in parts; given, misfits, right: see `Cloud` and `fuse`."""
     names = [field.name for field in fields(Cloud) if field.name not in ("given", "misfits", "right")]
     arrays: dict[str, Any] = {name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
-    kept = surest(arrays["confidence"], right)
+    kept = most_probable(arrays["confidence"], right)
     expected = round(float(arrays["confidence"][kept].mean(dtype=np.float64)), 4)
     return Cloud(**{name: values[kept] for name, values in arrays.items()}, given=given, misfits=misfits, right=expected)
 

@@ -15,12 +15,12 @@ from .twoview.image_grid import GRID_COLUMNS, GRID_ROWS
 from .twoview.intrinsics_prior import MOST_IMPLAUSIBLE, TwoCameras, refine_with_plausible_intrinsics
 from .twoview.pair_score import (
     PairEvidence,
+    informs_about_site,
     pair_evidence,
     pair_score,
     point_evidence,
     probability,
     ray_angle_deg,
-    tells_the_site,
 )
 from .twoview.pooled_pair import matches_of_night, pooled_evidence, with_night
 from .twoview.refinement import noise_px, refine_two_view
@@ -113,7 +113,7 @@ def estimate_geometry(
     evidence = _evidence(before, inliers, night, found, left, right, how)
     score = pair_score(evidence, contradicted)
     figures |= {"score": score, "distinct_cells": float(evidence.distinct_cells), "agreement": evidence.agreement}
-    if score < min_score and not tells_the_site(evidence):
+    if score < min_score and not informs_about_site(evidence):
         return Rejected(Reason.WRONG_MATCHES, figures | {"cells": GRID_COLUMNS * GRID_ROWS})
     warnings = _warnings(support, contradicted, few_inliers, small_area, min_inliers)
     accepted = _accepted(inliers, found, support, evidence, score)

@@ -33,7 +33,7 @@ from .orientation.pose_check import (
 )
 from .orientation.pose_prior_adjustment import AdjustedPoses, adjust_within_priors
 from .orientation.survey_check import check_survey
-from .orientation.usual_errors import put_right
+from .orientation.usual_errors import correct_usual_errors
 from .reasons import Reason, Rejected
 from .rectification.predicted import predict
 from .sfm.rigs import beside
@@ -98,7 +98,7 @@ def solve_poses(
     known = {name: camera for name, camera in stated.items() if sigmas[name].exact or sigmas[name].degrees > 0}
     seen = {pair: geometry for pair, geometry in geometries.items() if set(pair) <= set(known)}
     exact = all(sigmas[name].exact for name in known)
-    right, calibration = put_right(known, geometries) if exact else (known, None)
+    right, calibration = correct_usual_errors(known, geometries) if exact else (known, None)
     adjusted, moved = _believed(right, sigmas, seen, frames_if_rough or {})
     cameras = adjusted.cameras
     if rejected := without_baseline(views, cameras, geometries, min_angle_deg, all(placements[n].metric for n in cameras)):

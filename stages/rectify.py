@@ -15,7 +15,7 @@ from .core.cameras import convergence_deg
 from .core.epipolar import fundamental_from_cameras, symmetric_epipolar_distance, triangulate_depth
 from .core.methods import bind
 from .core.ordering import percentiles
-from .core.residual_distortion import residual_distortion, straight_points
+from .core.residual_distortion import residual_distortion, undistorted_points
 from .mvs.ground import ground_homography, inverse_depth_line
 from .reasons import Reason, Rejected
 from .rectification.fitting import Placed, finished, placed
@@ -101,7 +101,7 @@ def rectify(
     References: Hartley, IJCV 1999; Fusiello et al., MVA 2000; Pollefeys et al., ICCV 1999.
     """
     if geometry is not None and left is not None and right is not None:
-        geometry = replace(geometry, x1=straight_points(left, geometry.x1), x2=straight_points(right, geometry.x2))
+        geometry = replace(geometry, x1=undistorted_points(left, geometry.x1), x2=undistorted_points(right, geometry.x2))
 
     def fitted(pair: MatchedPair) -> Placed | Rejected:
         inputs = {"pair": pair, "geometry": geometry, "left": left, "right": right}

@@ -23,7 +23,7 @@ import numpy as np
 
 from .core.cameras import backproject, project, ray_angles, scaled_intrinsics, transfer
 from .core.luminance import luminance
-from .core.residual_distortion import straight_frame, straight_frames
+from .core.residual_distortion import undistorted_frame, undistorted_frames
 from .fusion.pair_depth import NoiseModel
 from .mvs.carried import carried_planes, with_carried
 from .mvs.plane_prior import PlanePriors, apply_plane_priors
@@ -82,7 +82,7 @@ def refine(
     max_cost : keep planes whose best source correlates better than 1 - max_cost.
     noise_px : assumed error of a match, pixels, standard deviation.
     """
-    frame, frames = straight_frame(frame, camera), straight_frames(frames, cameras)
+    frame, frames = undistorted_frame(frame, camera), undistorted_frames(frames, cameras)
     others = {name: cameras[name] for name in frames if name in cameras}
     y, x = np.nonzero(np.isfinite(depth.depth[::8, ::8]))
     z = depth.depth[::8, ::8][y, x].astype(np.float64)

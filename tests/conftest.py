@@ -32,5 +32,5 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 def toy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> ToySite:
     """A toy site of four cameras."""
     monkeypatch.syspath_prepend(str(HELPERS))
-    monkeypatch.setattr(captures, "STILL_SECONDS", 0.0)  # captures are complete, though just written
+    monkeypatch.setattr(captures, "QUIET_SECONDS", 0.0)  # captures are complete, though just written
     return ToySite(tmp_path / "site", ["gate", "roof", "mast-1", "crane"])

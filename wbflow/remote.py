@@ -223,7 +223,7 @@ class Mirror:
             for name in names:
                 del self._agreed[name]
         for link in self.work.links():  # for people who browse the store: an object named like the link contains the run's id
-            if run := self.work.led_to(link):
+            if run := self.work.link_target(link):
                 self.store.write(f"{self.work.runs.name}/{link.name}", run.encode())
         there = self.store.listing() if fresh else {}
         self._agreed.update({name: (there[name][1], here[name]) for name in fresh if name in there})

@@ -39,7 +39,7 @@ def bytes_of(text: str) -> int:
     return int(float(found[1]) * (1024 if found[3] else 1000) ** " KMGT".index(found[2].upper() or " "))
 
 
-def in_words(size: float) -> str:
+def format_size(size: float) -> str:
     """A size for people: 1.2 GB, 3.4 MB, 12 kB."""
     for power, unit in ((1e9, "GB"), (1e6, "MB")):
         if size >= power:
@@ -47,7 +47,7 @@ def in_words(size: float) -> str:
     return f"{size / 1e3:,.0f} kB"
 
 
-def lasting(seconds: float) -> str:
+def format_duration(seconds: float) -> str:
     """A duration for people: 40 min, 3 h, 5 days; "" below a minute."""
     for unit, size, least in (("days", 86400, 48 * 3600), ("h", 3600, 3600), ("min", 60, 60)):
         if seconds >= least:
@@ -55,7 +55,7 @@ def lasting(seconds: float) -> str:
     return ""
 
 
-def spoken(value: Any) -> str:
+def format_value(value: Any) -> str:
     """A value for people: yes or no for a bool, a formatted number, or the string itself."""
     if isinstance(value, str):
         return value

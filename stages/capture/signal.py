@@ -107,7 +107,7 @@ def _blocking(grey: Float32s) -> float:
     return min(found)
 
 
-def put_right(image: Uint8s) -> tuple[Uint8s, str]:
+def repaired(image: Uint8s) -> tuple[Uint8s, str]:
     """The image (h, w, 3) without combing, and what was done in words; the image itself and "" if it is not combed.
 
     If the second field is shifted as a whole, it is shifted back; otherwise its rows are interpolated from the first field.

@@ -73,7 +73,7 @@ class Evidence:
         return np.asarray(~self.measured & (self.sight.through == 0) & (self.sight.agreeing == 0), dtype=np.bool_)
 
 
-def gather(tonight: Epoch, then: Epoch, spacing: float, registration: float) -> tuple[Evidence, Evidence]:
+def compare_nights(tonight: Epoch, then: Epoch, spacing: float, registration: float) -> tuple[Evidence, Evidence]:
     """Distances and visibility of both nights' surfaces, each compared with the other's; `changed` is still False everywhere.
 
     Parameters

@@ -70,12 +70,12 @@ def distorted_pixels(bend: Float64s, x: Float64s | Float32s, y: Float64s | Float
     return u, v
 
 
-def straight_points(camera: Camera | None, x: Float64s) -> Float64s:
+def undistorted_points(camera: Camera | None, x: Float64s) -> Float64s:
     """(n, 2) undistorted pixels of pixels of a frame as it is; unchanged if the frame counts as undistorted."""
     return x if camera is None or residual_distortion(camera) is None else without_distortion(camera, x)
 
 
-def straight_frame(frame: Frame, camera: Camera | None) -> Frame:
+def undistorted_frame(frame: Frame, camera: Camera | None) -> Frame:
     """The undistorted frame; the frame itself if it counts as undistorted."""
     bend = residual_distortion(camera)
     if bend is None:
@@ -88,8 +88,8 @@ def straight_frame(frame: Frame, camera: Camera | None) -> Frame:
     return replace(frame, image=np.asarray(image, np.uint8), mask=np.asarray(mask > 0.9999, np.bool_))
 
 
-def straight_frames(frames: Mapping[str, Frame], cameras: Mapping[str, Camera]) -> Mapping[str, Frame]:
+def undistorted_frames(frames: Mapping[str, Frame], cameras: Mapping[str, Camera]) -> Mapping[str, Frame]:
     """Undistorted frames by camera, each made on access."""
     if not any(name in frames and residual_distortion(camera) is not None for name, camera in cameras.items()):
         return frames
-    return OnDemand(frames, lambda name: straight_frame(frames[name], cameras.get(name)))
+    return OnDemand(frames, lambda name: undistorted_frame(frames[name], cameras.get(name)))

@@ -77,7 +77,7 @@ NONE = -1
 """Index of the view of a triangle that no camera sees."""
 _BEHIND = 0.01
 """A vertex is hidden if it is farther away than the surface that a camera sees by more than this share of the depth."""
-_ALIKE_ROUNDS = 8
+_SMOOTHING_ROUNDS = 8
 """Number of times that the scores of views are averaged over neighbouring triangles."""
 _GREY_COUNTS = 0.05
 """Weight of views without colour: they are used where no other view sees the surface."""
@@ -197,7 +197,7 @@ def _chosen(mesh: Mesh, seen: list[_Seen]) -> Int32s:
     for number, each in enumerate(seen):
         share = np.zeros(count)
         share[each.triangles] = each.area / best[each.triangles]
-        for _ in range(_ALIKE_ROUNDS):
+        for _ in range(_SMOOTHING_ROUNDS):
             at_vertices = np.bincount(mesh.triangles.ravel(), np.repeat(share, 3), corners) / met
             share = at_vertices[mesh.triangles].mean(axis=1)
         better = each.triangles[share[each.triangles] > most[each.triangles]]

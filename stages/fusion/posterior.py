@@ -5,9 +5,9 @@ result of the previous one as an input: of the view's own evidence; of the evide
 probability that its own depth is right; and of the probability of the surrounding depths on the same plane, and image noise.
 
 The coefficients were fitted by `scripts/fit_posterior.py` on scenes with exact truth: a small yard and a small hall by night,
-small houses by day, and four photographs of the fountain.  They date from before `CrossCheck.doubted` existed: refitted, they
-trust single pairs more, which costs 0.3 points of F-score at 2 cm on photographs and gains nothing elsewhere.  The coefficient of
-noise was fitted on a yard and a hall without lamps, with the others held.  It comes last, so that it only ever removes points.
+small houses by day, and four photographs of the fountain.  They are older than `CrossCheck.expected_wrong`: refitted, they trust
+single pairs more, which costs 0.3 points of F-score at 2 cm on photographs and gains nothing elsewhere.  The coefficient of noise
+was fitted on a yard and a hall without lamps, with the others held.  It comes last, so that it only ever removes points.
 """
 
 from __future__ import annotations
@@ -41,10 +41,10 @@ _QUANTIZED = 1 / 12
 """Variance of grey levels due to rounding alone."""
 
 _MOST_LEFT_OUT = 0.5
-"""Largest share of a cloud that `surest` removes: if more had to go, the cloud is too uncertain for a choice."""
+"""Largest share of a cloud that `most_probable` removes: if more had to go, the cloud is too uncertain for a choice."""
 
 
-def surest(right: Float32s, share: float) -> Bools:
+def most_probable(right: Float32s, share: float) -> Bools:
     """(n,) points that stay when the least probable ones are removed until `share` of the rest is expected to be right.
 
     right: (n,) probabilities that the points are right.
@@ -59,7 +59,7 @@ def surest(right: Float32s, share: float) -> Bools:
 
 def own_logit(depth: DepthMap, usable: Bools) -> Float32s:
     """(h, w) log-odds that a view's depths are right, from its own evidence alone; -inf where it has no usable depth."""
-    return _logit(_OWN, evidence_of_itself(depth, usable), usable & np.isfinite(depth.depth))
+    return _logit(_OWN, own_evidence(depth, usable), usable & np.isfinite(depth.depth))
 
 
 def likelier(found: Sequence[TrustedDepth]) -> TrustedDepth:
@@ -97,7 +97,7 @@ def posterior(depth: DepthMap, frame: Frame, own: Float32s, check: CrossCheck) -
     return probability(_logit(_AROUND, [logit, around, noisiness(frame)], known))
 
 
-def evidence_of_itself(depth: DepthMap, usable: Bools) -> list[Float32s]:
+def own_evidence(depth: DepthMap, usable: Bools) -> list[Float32s]:
     """The view's own evidence, (h, w) each, in the order of `_OWN` without its constant."""
     pairs = np.zeros(depth.depth.shape, np.float32)
     for k in range(len(depth.partners)):
@@ -115,7 +115,7 @@ def evidence_of_others(check: CrossCheck) -> list[Float32s]:
     visible = check.visible.astype(np.float32)
     missing = (visible - check.agreeing) / (visible + np.float32(1.0))
     hiding = check.hiding / (visible + check.hiding + np.float32(1.0))
-    pairs = np.maximum(check.pairs - check.doubted, np.float32(0.0))
+    pairs = np.maximum(check.pairs - check.expected_wrong, np.float32(0.0))
     return [check.opposing, np.log1p(pairs), missing, hiding]
 
 

@@ -29,7 +29,7 @@ class CrossCheck:
     point, and count by the probability that their own depth is right."""
     hiding: Uint8s
     """Number of other views that have something in front of the point."""
-    doubted: Float32s
+    expected_wrong: Float32s
     """Expected number of wrong pairs among `pairs`: the sum, over pairs whose other view looks through the point, of the
     probability that the other view's depth is right."""
     apart: Float32s
@@ -75,7 +75,7 @@ def cross_check(
     """Project every pixel of a view into the other views, one at a time, and compare with the depth found there.
 
     A view agrees within three combined sigmas plus 0.2 % of the depth, at most 1.6 %.  A pair does not support the point if its
-    other view has something in front of it.  If the other view looks through it, the pair counts as partly wrong (`doubted`).
+    other view has something in front of it.  If that looks through it, the pair counts as partly wrong (`expected_wrong`).
 
     The weight of a view's depth follows from its standard deviation and from the probability t that it is right.  If both depths
     are right, their difference is normally distributed; if either is wrong, the other view's depth may be anything up to twice
@@ -94,7 +94,7 @@ def cross_check(
     numbers: dict[tuple[str, ...], int] = {}
     pairs = _own_pairs(own.support, _numbers_of(name, own, numbers))
     visible, agreeing, hiding = (np.zeros((h, w), np.uint8) for _ in range(3))
-    apart, reach, opposing, doubted = (np.zeros((h, w), np.float32) for _ in range(4))
+    apart, reach, opposing, expected_wrong = (np.zeros((h, w), np.float32) for _ in range(4))
     nearest = np.full((h, w), ITSELF, np.uint8)
     for place, other in enumerate(others):
         M, b = transfer(cameras[name], cameras[other])
@@ -109,13 +109,13 @@ def cross_check(
         farther = np.append(2.0 * np.linalg.solve(cameras[name].K.T, c), c @ c)
         pair, rank = min(numbers.get(tuple(sorted((name, other))), _UNCOUNTED), _UNCOUNTED), min(place, ITSELF)
         surface = own.depth, own.sigma, M, b, seen.depth, seen.slope_x, seen.slope_y, seen.sigma, seen.support
-        found = visible, agreeing, hiding, opposing, doubted, pairs
+        found = visible, agreeing, hiding, opposing, expected_wrong, pairs
         _compare(*surface, probability(view.own), theirs, pair, *found, rank, farther, apart, nearest, reach)
     number: dict[str, int] = {}
     ends = [[number.setdefault(end, len(number)) for end in two] for two in [*numbers][:_UNCOUNTED]]
     count, seen_by = np.zeros((h, w), np.uint8), np.zeros((h, w), np.uint16)
     _count(pairs, np.array(ends, np.uint16).reshape(-1, 2), count, seen_by)
-    return CrossCheck(count, seen_by, visible, agreeing, opposing, hiding, doubted, apart, nearest)
+    return CrossCheck(count, seen_by, visible, agreeing, opposing, hiding, expected_wrong, apart, nearest)
 
 
 def _numbers_of(view: str, depth: DepthMap, numbers: dict[tuple[str, ...], int]) -> Uint8s:
@@ -144,8 +144,8 @@ def _own_pairs(support: Uint32s, bits: Uint8s) -> Uint64s:
 def _compare(
     depth: Float32s, sigma: Float32s, M: Float64s, b: Float64s, other_depth: Float32s, slope_x: Float32s, slope_y: Float32s,
     other_sigma: Float32s, other_support: Uint32s, trust: Float32s, bits: Uint8s, number: int, visible: Uint8s, agreeing: Uint8s,
-    hiding: Uint8s, opposing: Float32s, doubted: Float32s, pairs: Uint64s, place: int, farther_by: Float64s, apart: Float32s,
-    nearest: Uint8s, reach: Float32s,
+    hiding: Uint8s, opposing: Float32s, expected_wrong: Float32s, pairs: Uint64s, place: int, farther_by: Float64s,
+    apart: Float32s, nearest: Uint8s, reach: Float32s,
 ) -> None:  # fmt: skip
     h, w = depth.shape
     other_h, other_w = other_depth.shape
@@ -183,7 +183,7 @@ def _compare(
             opposing[y, x] += min(ratio, np.float32(0.0))
             if there > z + tolerance:
                 if pairs[common_word, y, x] & common:
-                    doubted[y, x] += t
+                    expected_wrong[y, x] += t
             else:
                 n0, n1 = slope_x[j, i], slope_y[j, i]  # the other view's plane, intersected with this pixel's ray
                 n2 = 1.0 / other_depth[j, i] - n0 * i - n1 * j

@@ -47,7 +47,7 @@ def nearest_neighbours(descriptors1: Float32s, descriptors2: Float32s, k: int) -
     return Neighbours(rows, _distance(row_best), columns, _distance(column_best))
 
 
-def nearest_elsewhere(descriptors: Float32s, xy: Float64s, others: int, begin: int = 0) -> Float32s:
+def nearest_lookalike(descriptors: Float32s, xy: Float64s, others: int, begin: int = 0) -> Float32s:
     """(n - begin,) distance of each descriptor to the most similar one, among the first `others`, at least `APART_PX` away in the
     image.
 

@@ -61,7 +61,7 @@ class Evidence:
 
 EVIDENCE = Evidence()
 EPIPOLAR = EVIDENCE.epipolar
-HOPELESS = -8.0
+LEAST_LOG_ODDS = -8.0
 """Candidates with log odds below this are left out: they would not noticeably lower their rivals' probabilities."""
 MIN_SIGMA_PX = 2.0
 TRUST_HALF = 1.5
@@ -183,7 +183,7 @@ def _expect(
     )  # fmt: skip
     if F is not None:
         _score_epipolar(i, j, pair.x1, pair.x2, np.ascontiguousarray(F), coefficients, log_odds)
-    rivals = log_odds > HOPELESS
+    rivals = log_odds > LEAST_LOG_ODDS
     i, j, log_odds = i[rivals], j[rivals], log_odds[rivals]
     p = assign(i, j, log_odds, len(pair.x1), len(pair.x2))
     keep = p > odds * (1 - p)
@@ -219,7 +219,7 @@ def _score(
         t = trust[a]
         penalty = by_distance * np.log(1 + r2 / sigma[a] ** 2) + by_sigma * log_sigma[a]
         log_odds[c] = (1 - t) * (alone - alone_slope * q[c]) + t * (base - slope * q[c] - penalty)
-        if log_odds[c] < HOPELESS - EPIPOLAR:
+        if log_odds[c] < LEAST_LOG_ODDS - EPIPOLAR:
             continue
         W, N = forward[a], unframes2[b]
         q00, q01 = N[0, 0] * W[0, 0] + N[0, 1] * W[1, 0], N[0, 0] * W[0, 1] + N[0, 1] * W[1, 1]

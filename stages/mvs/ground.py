@@ -63,11 +63,11 @@ def find_ground(images: Mapping[str, Float32s], cameras: Mapping[str, Camera]) -
     pairs, ups = _pairs([camera for _, camera in views]), _ups([camera for _, camera in views])
     if not pairs or not ups:
         return None
-    ways = _ways(views, pairs, ups[0])
+    ways = _directed_pairs(views, pairs, ups[0])
     found: list[tuple[Float64s, Float64s]] = []
     for up in ups:
         planes, chance = _sweep(views, pairs, ways, up)
-        for plane in parallel_map(lambda plane: _settled(views, ways, plane), planes):
+        for plane in parallel_map(lambda plane: _fit_nearby(views, ways, plane), planes):
             found.append((_odds(_likenesses(ways, plane), *chance), plane))
     odds, ground = max(found, key=lambda each: float(_gains(each[0]).max()))
     share = _SHARES[int(np.argmax(_gains(odds)))]
@@ -81,25 +81,25 @@ def find_ground(images: Mapping[str, Float32s], cameras: Mapping[str, Camera]) -
 def likely_planes(views: list[tuple[Float32s, Camera]]) -> list[Float64s]:
     """A few level planes (4,) on which most patches look alike, for views (image, camera) that may be some pixels off."""
     pairs, ups = _pairs([camera for _, camera in views]), _ups([camera for _, camera in views])
-    return _sweep(views, pairs, _ways(views, pairs, ups[0]), ups[0])[0] if pairs and ups else []
+    return _sweep(views, pairs, _directed_pairs(views, pairs, ups[0]), ups[0])[0] if pairs and ups else []
 
 
-def settled_on(views: list[tuple[Float32s, Camera]], plane: Float64s) -> tuple[float, Float64s]:
+def fit_nearby_plane(views: list[tuple[Float32s, Camera]], plane: Float64s) -> tuple[float, Float64s]:
     """Mean square of the correlations on the best plane near a given one, and that plane."""
-    ways = _ways(views, _pairs([camera for _, camera in views]), plane[:3])
-    settled = _settled(views, ways, plane)
+    ways = _directed_pairs(views, _pairs([camera for _, camera in views]), plane[:3])
+    settled = _fit_nearby(views, ways, plane)
     return _alike(ways, settled) / sum(len(way.patches) for way in ways), settled
 
 
 def very_alike(views: list[tuple[Float32s, Camera]], plane: Float64s) -> int:
     """Number of large patches that look the same in two views if they lie on the plane: one stone looks like another, but not
     together with its surroundings."""
-    ways = _ways(views, _pairs([camera for _, camera in views]), plane[:3])
+    ways = _directed_pairs(views, _pairs([camera for _, camera in views]), plane[:3])
     return sum(int(np.sum(_likeness(way, plane, _LARGE_RADIUS) > _VERY_ALIKE)) for way in ways)
 
 
 @dataclass(frozen=True)
-class _Way:
+class _DirectedPair:
     """One view compared with another, in this direction."""
 
     one: tuple[Float32s, Camera]
@@ -134,7 +134,7 @@ def _pairs(cameras: list[Camera]) -> list[tuple[int, int]]:
 
 
 def _sweep(
-    views: list[tuple[Float32s, Camera]], pairs: list[tuple[int, int]], ways: list[_Way], up: Float64s
+    views: list[tuple[Float32s, Camera]], pairs: list[tuple[int, int]], ways: list[_DirectedPair], up: Float64s
 ) -> tuple[list[Float64s], tuple[Float64s, Float64s]]:
     """The best level planes (4,), of different heights, the best one first; and chance: mean and standard deviation (n,) of each
     patch's Fisher-transformed correlation over all heights, nan for a patch that is rarely in view."""
@@ -178,20 +178,20 @@ def _significance(odds: Float64s, other: Float64s, share: float) -> float:
     return float(gain.sum() / max(np.sqrt(2.0 * (gain**2).sum()), 1e-12))
 
 
-def _ways(views: list[tuple[Float32s, Camera]], pairs: list[tuple[int, int]], up: Float64s) -> list[_Way]:
+def _directed_pairs(views: list[tuple[Float32s, Camera]], pairs: list[tuple[int, int]], up: Float64s) -> list[_DirectedPair]:
     ways = ((views[a], views[b]) for i, j in pairs for a, b in ((i, j), (j, i)))
-    return [_Way(one, two, below_horizon(one[1], up, _PATCHES)) for one, two in ways]
+    return [_DirectedPair(one, two, below_horizon(one[1], up, _PATCHES)) for one, two in ways]
 
 
-def _likenesses(ways: list[_Way], plane: Float64s) -> Float64s:
+def _likenesses(ways: list[_DirectedPair], plane: Float64s) -> Float64s:
     return np.concatenate([_likeness(way, plane) for way in ways])
 
 
-def _alike(ways: list[_Way], plane: Float64s) -> float:
+def _alike(ways: list[_DirectedPair], plane: Float64s) -> float:
     return float(np.nansum(np.maximum(_likenesses(ways, plane), 0.0) ** 2))
 
 
-def _settled(views: list[tuple[Float32s, Camera]], ways: list[_Way], plane: Float64s) -> Float64s:
+def _fit_nearby(views: list[tuple[Float32s, Camera]], ways: list[_DirectedPair], plane: Float64s) -> Float64s:
     """The plane near a given one, tilted and lifted a little, on which patches look most alike."""
     from scipy.optimize import minimize
 
@@ -221,7 +221,7 @@ def below_horizon(camera: Camera, up: Float64s, across: int) -> Float64s:
     return np.asarray(pixels[up @ direction < -0.03 * np.linalg.norm(direction, axis=0)])
 
 
-def _likeness(way: _Way, plane: Float64s, radius: int = _RADIUS) -> Float64s:
+def _likeness(way: _DirectedPair, plane: Float64s, radius: int = _RADIUS) -> Float64s:
     """(n,) correlation of one view's patches with the other view, where the plane maps them; nan for patches not in view."""
     (image1, camera1), (image2, camera2) = way.one, way.two
     if plane[:3] @ camera1.C + plane[3] <= 0 or plane[:3] @ camera2.C + plane[3] <= 0:

@@ -29,7 +29,7 @@ from ..core.epipolar import fundamental_from_cameras, sampson_distance, triangul
 from ..core.rotations import rotation_matrix
 from ..sfm.consistent_matches import consistent_matches
 from ..types import CalibrationCheck, Camera, Float64s, Geometry, Pair, RowMatches
-from .pose_check import BELIEVED, MIN_SHARED
+from .pose_check import LEAST_PROBABILITY, MIN_SHARED
 
 FEWEST_CONFIRMED = 15
 """Pairs with fewer confirmed matches count as unconfirmed."""
@@ -47,18 +47,18 @@ MEDIAN_ERROR = 0.79
 """Standard error of the median absolute value of normal deviates, times the square root of their number."""
 CONTRADICTED = 1.6
 """Confirmed matches contradict the stated cameras if their loss under these exceeds this multiple of that under their own F."""
-EXPLAINED, EXPLAINED_ALONE = 1.12, 1.5
+LEAST_LOSS_RATIO, LEAST_LOSS_RATIO_UNCONFIRMED = 1.12, 1.5
 """Smallest ratio of the loss under the stated cameras to the loss under a cause for it to be named: with confirmed matches, and
 with unconfirmed ones.  Up to the first times the loss under their own F, matches agree with the stated cameras."""
-SHARE, SHARE_ALONE = 0.6, 0.8
+LEAST_SHARE, LEAST_SHARE_UNCONFIRMED = 0.6, 0.8
 """A cause must remove this share of the loss beyond that under the matches' own F: if these are confirmed, and if not."""
 LEAST_LOSS = 30.0
 """A cause must remove this total loss, in squared standard deviations (a pair counts as at most `COUNTED` matches)."""
 COUNTED = 50
-STRAYED, LED_BACK = 1.6, 2
+STRAYED_SIGMAS, FEWEST_RECOVERED = 1.6, 2
 """Some unconfirmed pairs match look-alikes, which no cause brings back to the lines.  A pair has strayed if its median distance
-exceeds the first, in standard deviations.  A cause is named if it brings at least `LED_BACK` pairs, and half of the strayed ones,
-back to at most half of their distance, and makes no other pair stray."""
+exceeds the first, in standard deviations.  A cause is named if it brings at least `FEWEST_RECOVERED` pairs, and half of those
+that strayed, back to at most half of their distance, and makes no other pair stray."""
 HARMFUL_PX = 0.4
 """Cameras that move points by less than this (median, in pixels along and across the epipolar line) do not harm a cloud."""
 FARTHEST_PX = 1e4
@@ -80,7 +80,7 @@ FEWEST_PAIRS = 4
 FEWEST_TILES, LEAST_GAIN = 4, 15.0
 """Fewest matches of a pair for its row offsets to count, and smallest gain of a cause (in squared standard deviations) for row
 offsets to blame it.  140 correct nights of nine scenes gain at most 10, focal lengths 1.5 % too long 14 to 137."""
-OF_ONE, ALONG, ASIDE = 1.25e-3, 6e-4, 2e-3
+LEAST_MOTION_OF_ONE, LEAST_MOTION_ALONG, LEAST_TURN = 1.25e-3, 6e-4, 2e-3
 """Smallest effects, as shares of the width, for row offsets to blame a cause.  Motion of points: by a cause of single cameras
 (four photographs with true cameras: 6e-4), and along the lines by a cause of all.  Turn of rays: by a cause of all."""
 
@@ -113,11 +113,11 @@ class _Seen:
             return x
         K = self.camera.K
         focal = np.array([K[0, 0], K[1, 1]])
-        ray = (x - K[:2, 2]) / focal if self.stated is None else _bent_otherwise(x, self.stated, self.camera)
+        ray = (x - K[:2, 2]) / focal if self.stated is None else _undistorted_otherwise(x, self.stated, self.camera)
         return np.asarray(K[:2, 2] + ray * (1 - self.k1 * (ray**2).sum(axis=1, keepdims=True)) * focal, dtype=np.float64)
 
 
-def _bent_otherwise(x: Float64s, stated: Camera, right: Camera) -> Float64s:
+def _undistorted_otherwise(x: Float64s, stated: Camera, right: Camera) -> Float64s:
     """Normalised coordinates (n, 2), by the right camera, of pixels that were undistorted with the stated one."""
     ray = np.column_stack([(x - stated.K[:2, 2]) / stated.K[[0, 1], [0, 1]], np.ones(len(x))])
     captured = cv2.projectPoints(ray, np.zeros(3), np.zeros(3), stated.K, stated.distortion)[0]
@@ -194,7 +194,7 @@ def check_rows(cameras: Mapping[str, Camera], rows: Mapping[Pair, RowMatches]) -
     loss, count = _loss(stated, evidence), sum(min(len(m.x1), COUNTED) for m in evidence)
     best = _simplest([_fit(cause, stated, evidence) for cause in _causes(stated, evidence, alone=False)], loss, slack=0.0)
     half = _fit(_Cause(CORNER, lambda world, a: _of_all(_shifted_px, world, a * CORNER_PX), ("",)), stated, evidence)
-    explains = best.cause.name == "principal-points" and loss - half.loss >= SHARE_ALONE * (loss - best.loss)
+    explains = best.cause.name == "principal-points" and loss - half.loss >= LEAST_SHARE_UNCONFIRMED * (loss - best.loss)
     if explains and 0.25 <= half.amount[0] <= 1.25:  # matches found by dense matching are biased toward the rows
         best = half
     gained, tiles = max(count * (loss - best.loss), 0.0), sum(len(m.x1) for m in evidence)
@@ -208,14 +208,14 @@ def _matters(best: _Explanation, stated: _World, evidence: list[_Matches]) -> bo
     if name == CORNER:
         return True  # however small its effect: it is half a pixel or nothing
     if best.cause.cameras:
-        return _off_px(stated, best.world, evidence) >= OF_ONE * next(iter(stated.values())).camera.width
+        return _off_px(stated, best.world, evidence) >= LEAST_MOTION_OF_ONE * next(iter(stated.values())).camera.width
     return (name not in STRETCHED or abs(best.amount[0]) >= LEAST_STRETCH) and _is_felt(stated, best.world, evidence)
 
 
 def _evidence(stated: _World, geometries: Mapping[Pair, Geometry]) -> tuple[list[_Matches], list[_Matches]]:
     """Confirmed matches of pairs of stated cameras, and all matches of the pairs with too few confirmed ones."""
     enough = {pair: geometry for pair, geometry in geometries.items() if len(geometry.x1) >= MIN_SHARED}
-    believed = {pair: geometry for pair, geometry in enough.items() if geometry.good_probability >= BELIEVED}
+    believed = {pair: geometry for pair, geometry in enough.items() if geometry.good_probability >= LEAST_PROBABILITY}
     mine = {pair: some for pair, some in consistent_matches(believed).items() if set(pair) <= set(stated)}
     known = {pair: some for pair, some in mine.items() if len(some.x1) >= FEWEST_CONFIRMED}
     confirmed = [_matches(pair, some, geometries[pair]) for pair, some in known.items()]
@@ -229,11 +229,13 @@ def _checked(stated: _World, confirmed: list[_Matches], others: list[_Matches]) 
     count = sum(len(m.x1) for m in evidence)
     found = CalibrationCheck(matches=count, pairs=len(evidence), confirmed=bool(confirmed), misfit=loss / max(own, 1e-9))
     excess = _excess(stated, evidence)
-    if excess <= EXPLAINED * own:
+    if excess <= LEAST_LOSS_RATIO * own:
         return found
     beyond_noise = found.confirmed and excess > CONTRADICTED * own
     best = _explanation(stated, evidence, own, alone=not confirmed)
-    if (best is None or best.cause.name in ("turned", "moved")) and _excess(stated, evidence, errors=FITS) <= EXPLAINED * own:
+    if (best is None or best.cause.name in ("turned", "moved")) and _excess(
+        stated, evidence, errors=FITS
+    ) <= LEAST_LOSS_RATIO * own:
         best, beyond_noise = None, False  # few matches, most of which agree: a changed pose merely fits look-alikes
     named = replace(found, contradicted=beyond_noise) if best is None else _named(found, best, stated, evidence)
     return named if beyond_noise or named.off_px >= HARMFUL_PX else found
@@ -249,14 +251,14 @@ def _named(found: CalibrationCheck, best: _Explanation, stated: _World, evidence
 def _with_cause_of_most(found: CalibrationCheck, stated: _World, evidence: list[_Matches]) -> CalibrationCheck:
     """Name the cause that brings most pairs back to the lines of the stated cameras, if that is more than chance."""
     before = np.array([_median(stated, m) for m in evidence])
-    strayed = before > STRAYED
-    if strayed.sum() < LED_BACK:
+    strayed = before > STRAYED_SIGMAS
+    if strayed.sum() < FEWEST_RECOVERED:
         return found
     causes = [_fit(cause, stated, evidence) for cause in _causes(stated, evidence, alone=False)]
     after = np.array([[_median(explanation.world, m) for m in evidence] for explanation in causes])
-    good = after <= STRAYED
+    good = after <= STRAYED_SIGMAS
     back = (strayed & good & (2 * after <= before)).sum(axis=1)
-    able = (back >= LED_BACK) & (2 * back >= strayed.sum()) & (good | strayed).all(axis=1)
+    able = (back >= FEWEST_RECOVERED) & (2 * back >= strayed.sum()) & (good | strayed).all(axis=1)
     if not able.any():
         return found
     most = good[able].sum(axis=1).max()
@@ -320,7 +322,7 @@ def _excess(world: _World, evidence: list[_Matches], errors: float = 0.0) -> flo
 
 def _explains(best: _Explanation, loss: float, own: float, evidence: list[_Matches], alone: bool) -> bool:
     """Does a cause restore the fit that the matches have under their own geometry?"""
-    times, share = (EXPLAINED_ALONE, SHARE_ALONE) if alone else (EXPLAINED, SHARE)
+    times, share = (LEAST_LOSS_RATIO_UNCONFIRMED, LEAST_SHARE_UNCONFIRMED) if alone else (LEAST_LOSS_RATIO, LEAST_SHARE)
     gained, count = loss - best.loss, sum(min(len(m.x1), COUNTED) for m in evidence)
     return loss > times * best.loss and gained >= share * (loss - min(own, best.loss)) and gained * count >= LEAST_LOSS
 
@@ -345,7 +347,9 @@ def _is_felt(stated: _World, right: _World, evidence: list[_Matches]) -> bool:
     seen = [(stated[name], right[name], x) for m in evidence for name, x in zip(m.pair, (m.x1, m.x2), strict=True)]
     turns = [ray_angles(*(rays(each.camera, each.straight(x)).T for each in two)) * two[0].camera.K[0, 0] for *two, x in seen]
     width = np.mean([one.camera.width for one, *_ in seen])
-    return bool(_off_px(stated, right, evidence) >= ALONG * width or np.median(np.concatenate(turns)) >= ASIDE * width)
+    return bool(
+        _off_px(stated, right, evidence) >= LEAST_MOTION_ALONG * width or np.median(np.concatenate(turns)) >= LEAST_TURN * width
+    )
 
 
 def _depths(world: _World, matches: _Matches) -> tuple[Float64s, Float64s]:
@@ -416,16 +420,16 @@ def _causes(stated: _World, evidence: list[_Matches], alone: bool) -> Iterator[_
         )
 
     yield of_all("focal-lengths", 1, _zoomed)
-    yield of_all("distortion", 1, _bent)
-    if any(_is_bent(one.camera) for one in stated.values()):
-        yield of_all("distortion-factor", 1, _bent_more)
+    yield of_all("distortion", 1, _distorted)
+    if any(_has_distortion(one.camera) for one in stated.values()):
+        yield of_all("distortion-factor", 1, _distortion_scaled)
     if alone:
         return
     yield of_all("pixel-shape", 1, lambda one, a: _zoomed(one, np.append(a, 0.0)))
     yield of_all("pixel-height", 1, lambda one, a: _zoomed(one, np.append(0.0, a)))
     yield of_all(CORNER, 0, lambda one, _: _shifted_px(one, CORNER_PX))
     yield of_all("principal-points", 2, _shifted)
-    yield of_all("focal-lengths-and-distortion", 2, lambda one, a: _bent(_zoomed(one, a[:1]), a[1:]))
+    yield of_all("focal-lengths-and-distortion", 2, lambda one, a: _distorted(_zoomed(one, a[:1]), a[1:]))
     for axis, name in enumerate(STRETCHED):
         yield of_all(name, 1, lambda one, a, axis=axis: _stretched(one, axis, a))  # type: ignore[misc]
     for name, change in CONVENTIONS.items():
@@ -434,7 +438,7 @@ def _causes(stated: _World, evidence: list[_Matches], alone: bool) -> Iterator[_
         if len({m.pair for m in evidence if name in m.pair}) < 2:  # matches of one pair may be look-alikes
             continue
         yield of_one("focal-length", 1, _zoomed, name)
-        yield of_one("distortion-of-one", 1, _bent, name)
+        yield of_one("distortion-of-one", 1, _distorted, name)
         yield of_one("turned", 3, lambda one, a: _posed(one, np.append(a, still), size), name)
         yield of_one("moved", 3, lambda one, a: _posed(one, np.append(still, a), size), name)
         for convention in ("mirrored-frames", "upside-down"):
@@ -473,19 +477,19 @@ def _zoomed(one: _Seen, logs: Float64s) -> _Seen:
     return replace(one, camera=replace(one.camera, K=K))
 
 
-def _bent(one: _Seen, k1: Float64s) -> _Seen:
+def _distorted(one: _Seen, k1: Float64s) -> _Seen:
     return replace(one, k1=float(k1[0]))
 
 
-def _is_bent(camera: Camera) -> bool:
+def _has_distortion(camera: Camera) -> bool:
     return camera.lens is None and bool(camera.distortion.any())
 
 
-def _bent_more(one: _Seen, more: Float64s) -> _Seen:
+def _distortion_scaled(one: _Seen, more: Float64s) -> _Seen:
     """The camera with the stated distortion times 1 + `more`."""
     camera = one.camera
     bent = replace(camera, distortion=camera.distortion * (1 + more[0]))
-    return replace(one, camera=bent, stated=camera) if _is_bent(camera) else one
+    return replace(one, camera=bent, stated=camera) if _has_distortion(camera) else one
 
 
 def _shifted(one: _Seen, share: Float64s) -> _Seen:
@@ -507,7 +511,7 @@ def _like(one: _Seen, other: _Seen, keys: tuple[str, ...]) -> _Seen:
     """The camera with parts of another one."""
     was, alike = one.camera, replace(one.camera, **{key: getattr(other.camera, key) for key in keys})
     bent = "distortion" in keys and was.lens is None and other.camera.lens is None
-    return replace(one, camera=alike, stated=was if bent and (_is_bent(was) or _is_bent(other.camera)) else None)
+    return replace(one, camera=alike, stated=was if bent and (_has_distortion(was) or _has_distortion(other.camera)) else None)
 
 
 def _stretched(one: _Seen, axis: int, log: Float64s) -> _Seen:

@@ -15,7 +15,7 @@ import numpy as np
 
 from ..core.cameras import backproject
 from ..core.epipolar import triangulate_depth
-from ..mvs.ground import halved, likely_planes, settled_on, very_alike
+from ..mvs.ground import fit_nearby_plane, halved, likely_planes, very_alike
 from ..mvs.ground_prior import ground_matches
 from ..types import Camera, Float32s, Float64s, Geometry, Int64s, Pair
 from .pose_check import Sigma
@@ -158,7 +158,7 @@ def _finely(site: _Site, fit: _Fit) -> _Fit:
 
 def _fitted(site: _Site, matches: Mapping[Pair, Geometry], plane: Float64s) -> _Fit:
     adjusted = adjust_within_priors(site.known, site.sigmas, matches, trusted=True)
-    share, settled = settled_on(site.views(adjusted.cameras, 1), plane)
+    share, settled = fit_nearby_plane(site.views(adjusted.cameras, 1), plane)
     return _Fit(adjusted, settled, share)
 
 

@@ -78,7 +78,7 @@ class _PrincipalPoint:
 
 def with_principal_points(model: Model) -> Model:
     """The adjusted model with its principal points moved from the middle to likelier positions, and adjusted again."""
-    if not _may_ask(model):
+    if not _can_estimate(model):
         return model
     cameras = dict(model.cameras)
     for first, found in _principal_points(model, _equations(model), CENTRE_SIGMA).items():
@@ -94,7 +94,7 @@ def lens_sigmas(model: Model, centre_sigma: float = CENTRE_SIGMA) -> dict[int, L
 
     centre_sigma: prior standard deviation of principal points, as a share of the width.
     """
-    if not _may_ask(model):
+    if not _can_estimate(model):
         return {}
     equations = _equations(model)
     covariances = _covariances(equations, _principal_points(model, equations, centre_sigma))
@@ -109,7 +109,7 @@ def lens_sigmas(model: Model, centre_sigma: float = CENTRE_SIGMA) -> dict[int, L
     return found
 
 
-def _may_ask(model: Model) -> bool:
+def _can_estimate(model: Model) -> bool:
     return any(view in model.lenses for view in model.cameras) and bool(model.use.any()) and len(model.cameras) <= MOST_VIEWS
 
 

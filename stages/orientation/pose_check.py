@@ -33,9 +33,9 @@ DEVIATIONS = 3.0
 """Tolerance of poses with standard deviations, as a multiple of these."""
 TURNED_DEG = 0.5
 """If a pair's stated relative rotation and that of its matches differ by more than this, one of the cameras was turned."""
-BELIEVED = 0.5
+LEAST_PROBABILITY = 0.5
 """Smallest probability of pairs that may check poses."""
-SURE = 4.0
+CONFIRMED_LOG_ODDS = 4.0
 """Smallest log odds of a pair that known poses confirm."""
 MIN_ANGLE = np.radians(3.0)
 """Smallest angle between the rays of a triangulated point, radians."""
@@ -95,7 +95,7 @@ class PoseConstraints:
     def of(cls, names: tuple[str, ...], geometries: Mapping[Pair, Geometry]) -> PoseConstraints:
         """Constraints among the named cameras; pairs have only the matches that third cameras confirm, if these are enough."""
         known = set(names)
-        pairs = {p: g for p, g in geometries.items() if set(p) <= known and g.good_probability >= BELIEVED}
+        pairs = {p: g for p, g in geometries.items() if set(p) <= known and g.good_probability >= LEAST_PROBABILITY}
         pairs = {p: g for p, g in pairs.items() if len(g.x1) >= MIN_SHARED}
         triplets = [triplet for three in triangles_of(pairs) if (triplet := _triplet(three, pairs)) is not None]
         return cls(consistent_matches(pairs, MIN_SHARED), tuple(triplets))
@@ -145,7 +145,7 @@ def check_cameras(
     ids = {name: camera_id(name, camera) for name, camera in cameras.items()}
     for name in cameras:
         mine = {pair: g for pair, g in geometries.items() if name in pair and set(pair) <= set(cameras)}
-        mine = {pair: g for pair, g in mine.items() if g.good_probability >= BELIEVED}
+        mine = {pair: g for pair, g in mine.items() if g.good_probability >= LEAST_PROBABILITY}
         if mine:
             errors = [epipolar_error_px(cameras, pair, g) for pair, g in mine.items()]
             inliers = sum(g.inliers for g in mine.values())
@@ -168,8 +168,8 @@ def verified(views: Set[str], evidence: list[Evidence]) -> bool:
 
 
 def confirmed(geometry: Geometry) -> Geometry:
-    """A pair that known poses, or several pairs with a common new pose, confirm: its score is at least `SURE`."""
-    score = max(geometry.score, SURE)
+    """A pair that known poses, or several pairs with a common new pose, confirm: its score is at least `CONFIRMED_LOG_ODDS`."""
+    score = max(geometry.score, CONFIRMED_LOG_ODDS)
     return replace(geometry, score=score, good_probability=probability(score))
 
 
@@ -256,7 +256,7 @@ def without_baseline(
     """
     angles = {}
     for pair, geometry in geometries.items():
-        matched = geometry.good_probability >= BELIEVED or hardly_converging(geometry.angle_deg, geometry.agreement)
+        matched = geometry.good_probability >= LEAST_PROBABILITY or hardly_converging(geometry.angle_deg, geometry.agreement)
         if matched and len(geometry.x1) >= MIN_SHARED:
             both = set(pair) <= set(known)
             angle = _angle_deg(known[pair[0]], known[pair[1]], geometry) if both else geometry.angle_deg

@@ -18,7 +18,7 @@ from ..sfm.rigs import between, rigs_of
 from ..sfm.tracks import Edge, Tracks, build_tracks
 from ..sfm.triangulation import angles, residuals, triangulate
 from ..types import Camera, Float64s, Geometry, Pair, at_rows
-from .pose_check import BELIEVED, DEVIATIONS, PAIR_PX, PoseConstraints, Sigma, slack_px
+from .pose_check import DEVIATIONS, LEAST_PROBABILITY, PAIR_PX, PoseConstraints, Sigma, slack_px
 
 MIN_MATCHES = 20
 """A pair enters the adjustment only if this many of its matches lie within the tolerance of the stated poses."""
@@ -55,7 +55,7 @@ def adjust_within_priors(
     number = {name: k for k, name in enumerate(names)}
     edges: dict[Edge, Geometry] = {}
     for pair, geometry in geometries.items():
-        if geometry.good_probability < BELIEVED or not set(pair) <= set(cameras):
+        if geometry.good_probability < LEAST_PROBABILITY or not set(pair) <= set(cameras):
             continue
         F = fundamental_from_cameras(cameras[pair[0]], cameras[pair[1]])
         slack = slack_px(cameras, sigmas, pair, geometry)
@@ -77,7 +77,7 @@ def adjust_within_priors(
         strayed = {view: far for view, sigma in known.items() if (far := _strays(found[view], stated[view], sigma)) > 1}
         if not strayed:
             adjusted = {name: found[number[name]] for name in names}
-            return stated_only if problem is None else stated_only.with_images(adjusted, *problem.known_to(found, names))
+            return stated_only if problem is None else stated_only.with_images(adjusted, *problem.covariance_of(found, names))
         worst = max(strayed, key=strayed.__getitem__)  # it stays as stated, and no longer influences the others
         gone = {view for view in stated if view == worst or same_camera(stated[view], stated[worst])}
         known = {view: sigma for view, sigma in known.items() if view not in gone}
@@ -154,7 +154,7 @@ class _Problem:
             found[view] = replace(camera, R=rotation_matrix(turn) @ camera.R, C=camera.C + step[k + 3 : k + 6])
         return found
 
-    def known_to(self, cameras: Mapping[int, Camera], names: tuple[str, ...]) -> tuple[dict[str, Place], Float64s]:
+    def covariance_of(self, cameras: Mapping[int, Camera], names: tuple[str, ...]) -> tuple[dict[str, Place], Float64s]:
         """Indices of the cameras' rotations and shifts in the covariance (n, n), and the covariance by the equations."""
         whole = np.eye(3)
         places = {names[view]: Place(k, self.turns.get(view, whole)) for view, k in self.place.items()}

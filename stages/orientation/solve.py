@@ -14,13 +14,13 @@ from ..core.rotations import angle_between_deg
 from ..reasons import Reason, Rejected
 from ..sfm.consistent_matches import consistent_matches
 from ..sfm.incremental import Model, refine
-from ..sfm.loops import USUAL, Habits
+from ..sfm.loops import USUAL, LoopStatistics
 from ..sfm.rigs import rigs_of
 from ..sfm.tracks import Edge
 from ..sfm.view_graph import ViewGraph
 from ..types import Camera, Geometry, Pair, PairCheck, Placement, PoseIssue, Poses, Survey, View
 from .lens_sigma import MOST_SIGMA_PX, lens_sigmas, with_principal_points
-from .pose_check import BELIEVED, confirmed, epipolar_error_px
+from .pose_check import LEAST_PROBABILITY, confirmed, epipolar_error_px
 from .triplet_consistency import FEWEST, MOST_INCONSISTENCY, inconsistency
 from .world import World, to_world
 
@@ -37,7 +37,7 @@ def solve_from_pairs(
     stated: Mapping[str, Camera],
     max_rotation_error_deg: float,
     max_epipolar_px: float,
-    usual: Habits = USUAL,
+    usual: LoopStatistics = USUAL,
 ) -> Poses | Rejected:
     """Solve the poses that are not known.
 
@@ -86,7 +86,7 @@ def _obeying(exact: Mapping[str, Camera], geometries: Mapping[Pair, Geometry], m
         if set(pair) <= set(exact):
             if not epipolar_error_px(exact, pair, geometry) <= max_epipolar_px:
                 continue
-            if geometry.good_probability >= BELIEVED:  # improbable pairs may match look-alikes along the epipolar lines
+            if geometry.good_probability >= LEAST_PROBABILITY:  # improbable pairs may match look-alikes along the epipolar lines
                 R, t = relative_pose(*(exact[name] for name in pair))
                 t /= np.linalg.norm(t)
                 geometry = replace(confirmed(geometry), cam2_R_cam1=R, cam2_t_cam1=t)

@@ -32,7 +32,7 @@ _POSES = ("", "turned", "moved")
 """Causes of a contradiction that concern only poses; "" is no cause."""
 
 
-def put_right(
+def correct_usual_errors(
     cameras: Mapping[str, Camera], geometries: Mapping[Pair, Geometry]
 ) -> tuple[dict[str, Camera], CalibrationCheck | None]:
     """Cameras corrected within the usual errors, or the stated ones, and the check of the calibration for them.

@@ -19,7 +19,7 @@ import numpy as np
 
 from ..core.rotations import angle_between_deg
 from ..reasons import Reason, Rejected
-from ..twoview.ambiguity import MUCH_TURNED, SAME_ROTATION_DEG, TURNED_DEG
+from ..twoview.ambiguity import SAME_ROTATION_DEG, TURNED_DEG, TURNED_RIVAL_SHARE
 from ..twoview.pair_score import DISTINCT_CELLS, probability
 from ..types import Bools, Float64s, Geometry, Int64s, Pair
 from .rotation_averaging import View, rotations_along_tree
@@ -71,11 +71,11 @@ def ambiguity_kind(geometry: Geometry) -> AmbiguityKind | None:
     if not isfinite(turned):
         return None
     share = geometry.rival_elsewhere / max(geometry.inliers, 1)
-    if share >= MUCH_TURNED and _part_of_a_turn(turned):
+    if share >= TURNED_RIVAL_SHARE and _part_of_a_turn(turned):
         return AmbiguityKind.SIDE
     if share >= ROW_SHARE and geometry.rival_elsewhere >= ROW_INLIERS and turned < SAME_ROTATION_DEG:
         return AmbiguityKind.ROW
-    return AmbiguityKind.TURNED if share >= MUCH_TURNED and turned > TURNED_DEG else AmbiguityKind.NONE
+    return AmbiguityKind.TURNED if share >= TURNED_RIVAL_SHARE and turned > TURNED_DEG else AmbiguityKind.NONE
 
 
 def _part_of_a_turn(degrees: float) -> bool:
@@ -134,7 +134,7 @@ class LoopCheck:
 
 
 @dataclass(frozen=True)
-class Habits:
+class LoopStatistics:
     """Statistics of scenes that do not repeat, as measured by `scripts/bench_verdict.py`."""
 
     rotation_deg: float
@@ -148,7 +148,7 @@ class Habits:
     rivals: Shares
 
 
-USUAL = Habits(6.0, 15.0, closed_right=0.99, closed_wrong=0.05, rivals=Shares(turned=0.2, side=0.012, row=0.01))
+USUAL = LoopStatistics(6.0, 15.0, closed_right=0.99, closed_wrong=0.05, rivals=Shares(turned=0.2, side=0.012, row=0.01))
 FEW_PAIRS = 15
 """Up to this many pairs (six cameras), all combinations of right and wrong pairs are evaluated."""
 LOOP_WEIGHT, LOOP_CAP = 0.5, 6.0
@@ -158,7 +158,7 @@ PRIOR_SHIFT = 0.5
 
 
 def check_loops(
-    geometries: Mapping[Pair, Geometry], unsure_deg: Mapping[Pair, float] | None = None, usual: Habits = USUAL
+    geometries: Mapping[Pair, Geometry], unsure_deg: Mapping[Pair, float] | None = None, usual: LoopStatistics = USUAL
 ) -> dict[Pair, LoopCheck]:
     """Judge all pairs of a site together: which of them may be used for solving poses.
 
@@ -250,7 +250,7 @@ def triangles_of(pairs: Collection[tuple[View, View]]) -> list[tuple[View, View,
     return [(a, b, c) for a, b in pairs for c in sorted(after.get(b, set()) & after[a])]
 
 
-def closes(posed: Mapping[Pair, Geometry], a: str, b: str, c: str, usual: Habits = USUAL, slack_deg: float = 0.0) -> bool:
+def closes(posed: Mapping[Pair, Geometry], a: str, b: str, c: str, usual: LoopStatistics = USUAL, slack_deg: float = 0.0) -> bool:
     """Do the rotations around the triangle return, and does the direction a to c lie between a to b and b to c?
 
     Parameters
@@ -280,7 +280,7 @@ def _pose(geometry: Geometry) -> tuple[Float64s, Float64s]:
     return geometry.cam2_R_cam1, geometry.cam2_t_cam1
 
 
-def _exact_beliefs(prior: Float64s, members: Int64s, closed: Bools, usual: Habits) -> Float64s:
+def _exact_beliefs(prior: Float64s, members: Int64s, closed: Bools, usual: LoopStatistics) -> Float64s:
     """Posterior log odds of each pair, over all combinations of right and wrong pairs.
 
     For few pairs, the approximation would let two wrong pairs that agree reinforce each other: views from the opposite side, each
@@ -299,7 +299,7 @@ def _exact_beliefs(prior: Float64s, members: Int64s, closed: Bools, usual: Habit
     return np.asarray(np.log(share), dtype=np.float64)
 
 
-def _beliefs(prior: Float64s, members: Int64s, closed: Bools, usual: Habits) -> Float64s:
+def _beliefs(prior: Float64s, members: Int64s, closed: Bools, usual: LoopStatistics) -> Float64s:
     """Approximate posterior log odds of each pair, after 15 damped rounds of mean-field messages from the triangles."""
     belief, right, wrong = prior.copy(), usual.closed_right, usual.closed_wrong
     for _ in range(15 if len(members) else 0):

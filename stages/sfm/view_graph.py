@@ -17,7 +17,7 @@ from ..reasons import Reason, Rejected
 from ..twoview.robust import pose_of_fundamental
 from ..types import Camera, Float64s, Geometry, Pair, View
 from .incremental import Model, grow
-from .loops import USUAL, Habits, check_loops
+from .loops import USUAL, LoopStatistics, check_loops
 from .rigs import between, rigs_of
 from .rotation_averaging import average_rotations, components
 from .tracks import Edge, build_tracks
@@ -56,7 +56,7 @@ class ViewGraph:
     def pair(self, edge: Edge) -> str:
         return f"{self.names[edge[0]]}--{self.names[edge[1]]}"
 
-    def consistent(self, tolerance_deg: float, usual: Habits = USUAL) -> tuple[list[Edge], dict[Edge, Rejected]]:
+    def consistent(self, tolerance_deg: float, usual: LoopStatistics = USUAL) -> tuple[list[Edge], dict[Edge, Rejected]]:
         """The pairs that the site as a whole supports and whose rotations agree, and why the others are left out."""
         unsure = {(self.names[i], self.names[j]): degrees for (i, j), degrees in unsure_deg(self.geometries, self.lenses).items()}
         named = {(self.names[i], self.names[j]): geometry for (i, j), geometry in self.geometries.items()}

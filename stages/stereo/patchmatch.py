@@ -22,7 +22,7 @@ from .propagation import Propagation, Trials
 from .sgbm import match_sgbm
 
 _ROUNDS = 2
-_DEAREST = 0.6
+_MOST_COST = 0.6
 """Planes with a higher cost are no matches."""
 _DOUBTFUL = 2.5
 """Confidence is 0 where `doubt` in a pixel's plane exceeds this."""
@@ -65,7 +65,7 @@ class _View:
         low, high = self.pair.disparity_min - beyond, self.pair.disparity_max + beyond
         return Propagation(self.pair.left, self.pair.right, self.pair.valid_left, low, high)
 
-    def lean_on_prior(self, propagation: Propagation) -> None:
+    def prefer_prior(self, propagation: Propagation) -> None:
         """Use the prior surface where it costs little more than the planes found, since repeated tiles match at many disparities
         and bare asphalt at any; and where the planes found lie behind the floor."""
         prior = self.pair.prior_left
@@ -75,7 +75,7 @@ class _View:
         planes = np.stack([prior, along_x, along_y]).astype(np.float32)
         cost = propagation.costs(planes)
         known = np.isfinite(planes).all(axis=0)
-        likely = known & (cost < _DEAREST) & (cost <= self.cost + _LIKELY)
+        likely = known & (cost < _MOST_COST) & (cost <= self.cost + _LIKELY)
         if (floor := self.pair.floor_left) is not None:
             likely |= known & ((floor - self.planes[0]) * (prior - floor) > 0)
         self.planes[:, likely] = planes[:, likely]
@@ -83,7 +83,7 @@ class _View:
 
     def smoothed(self, rounds: int) -> Float32s:
         """Smoothed planes (3, h, w), nan where the cost is too high."""
-        return smoothed(self.pair.left, self.planes, self.cost, _DEAREST, rounds=rounds)
+        return smoothed(self.pair.left, self.planes, self.cost, _MOST_COST, rounds=rounds)
 
     def settled(self) -> Float32s:
         """Planes (3, h, w) from which the next size starts: smoothed, or as found where the cost is too high."""
@@ -108,18 +108,18 @@ def _matched_views(pair: RectifiedPair) -> tuple[_View, _View]:
 def _matched_again(pair: RectifiedPair) -> tuple[_View, _View]:
     """Matched views, started from another night's disparity: SGM over the whole range at half the size finds what is new, and one
     round of PatchMatch chooses between the two."""
-    views = _View(pair, _planes_then(pair)), _View(mirrored(pair), _planes_then(mirrored(pair)))
+    views = _View(pair, _planes_of_reference(pair)), _View(mirrored(pair), _planes_of_reference(mirrored(pair)))
     small = halved(pair)
     for view, coarse in zip(views, _as_planes(small, match_sgbm(small)), strict=True):
         propagation, searched = view.propagation(), _doubled(coarse, pair.left.shape)
         view.planes = np.where(np.isnan(view.planes), searched, view.planes)
         view.cost = propagation.costs(view.planes)
         propagation.round(0, view.planes, view.cost, searched, _AGAIN)
-        view.lean_on_prior(propagation)
+        view.prefer_prior(propagation)
     return views
 
 
-def _planes_then(pair: RectifiedPair) -> Float32s:
+def _planes_of_reference(pair: RectifiedPair) -> Float32s:
     """(3, h, w) planes of the left view by the other night's disparity, nan where it had none."""
     then = pair.reference_left
     assert then is not None
@@ -133,7 +133,7 @@ def _propagated(pair: RectifiedPair, start: Sequence[Float32s], rounds: int) -> 
         proposals = [_seen_from_other(v.planes, v.cost) for v in views[::-1]] if number else [view.planes for view in views]
         for view, propagation, proposed in zip(views, propagations, proposals, strict=True):
             propagation.round(number, view.planes, view.cost, proposed)
-            view.lean_on_prior(propagation)
+            view.prefer_prior(propagation)
     return views
 
 

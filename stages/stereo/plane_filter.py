@@ -26,21 +26,21 @@ _BORDER = _REACH
 _BLOCK = 128
 
 
-def smoothed(image: Float32s, planes: Float32s, cost: Float32s, dearest: float, spacing: int = 1, rounds: int = 1) -> Float32s:
-    """Planes (3, h, w) from planes whose `cost` is below `dearest`, nan elsewhere: disparities are first corrected by their
+def smoothed(image: Float32s, planes: Float32s, cost: Float32s, most_cost: float, spacing: int = 1, rounds: int = 1) -> Float32s:
+    """Planes (3, h, w) from planes whose `cost` is below `most_cost`, nan elsewhere: disparities are first corrected by their
     neighbours, then replaced by the median of the planes of neighbours farther away.
 
     Parameters
     ----------
     image : (h, w) grey levels of the view.
     planes, cost : (3, h, w) disparity and its slopes along x and y, and (h, w) their costs.
-    dearest : planes that cost this much or more are ignored.
+    most_cost : planes that cost this much or more are ignored.
     spacing : distance between the pixels that were matched; neighbours for the median are farther apart by this factor.
     rounds : each further round starts from the medians of the one before, with slopes fitted to them.
     """
     border = _BORDER * spacing
     inner = slice(border, -border)
-    known = np.where(cost < np.float32(dearest), planes[0], np.float32(np.nan))
+    known = np.where(cost < np.float32(most_cost), planes[0], np.float32(np.nan))
     bordered = _bordered(border, known, planes[1], planes[2], image)
     out = np.empty((3, *known.shape), dtype=np.float32)
     _correct(bordered, border, 1, out)

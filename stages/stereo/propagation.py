@@ -21,7 +21,7 @@ _TAPS = _ACROSS**2
 _LEAST_VARIANCE = 0.05
 _FLAT_COST = 0.9
 _STEEPEST, _SHEAREST = -6.0, 6.0
-_NOWHERE = 1.0e6
+_INVALID_DISPARITY = 1.0e6
 """Disparity of a plane that must not be tried: it leads out of the image, where the cost is 1."""
 
 # Scratch is one flat array, in rows of _BLOCK at constant offsets: so the compiler can prove that the rows do not overlap.
@@ -82,7 +82,7 @@ class Propagation:
     def costs(self, planes: Float32s) -> Float32s:
         """(h, w) cost of `planes` (3, h, w); 1 where they are nan or lead out of the range."""
         cost = np.ones(planes.shape[1:], dtype=np.float32)
-        _judge(self.left, self.pairs, self.valid, planes, cost, *self.range)
+        _evaluate(self.left, self.pairs, self.valid, planes, cost, *self.range)
         return cost
 
 
@@ -182,10 +182,10 @@ def _costs(
 def _neighbours(
     source: Float32s, valid: Float32s, y: int, x0: int, n: int, dx: int, dy: int, low: Scalar, high: Scalar, trial: Float32s
 ) -> None:
-    """Extrapolate the planes of `source` at (x0 + dx, y + dy), ... to (x0, y), ...; unusable ones become `_NOWHERE`."""
+    """Extrapolate the planes of `source` at (x0 + dx, y + dy), ... to (x0, y), ...; unusable ones become `_INVALID_DISPARITY`."""
     row, width = y + dy, source.shape[2]
     first, last = max(0, -x0 - dx), min(n, width - x0 - dx)
-    trial[_D : _D + n] = np.float32(_NOWHERE)
+    trial[_D : _D + n] = np.float32(_INVALID_DISPARITY)
     if first >= last:
         return
     d, a, b = source[0, row, x0 + dx + first :], source[1, row, x0 + dx + first :], source[2, row, x0 + dx + first :]
@@ -195,7 +195,7 @@ def _neighbours(
         na, nb = a[x], b[x]
         nd = d[x] - na * np.float32(dx) - nb * np.float32(dy)
         usable = (low <= nd) & (nd <= high) & (use[x] > np.float32(0.0))
-        here[_D + x] = nd if usable else np.float32(_NOWHERE)
+        here[_D + x] = nd if usable else np.float32(_INVALID_DISPARITY)
         here[_A + x] = na if usable else np.float32(0.0)
         here[_B + x] = nb if usable else np.float32(0.0)
 
@@ -223,7 +223,7 @@ def _changed(
         na = a[x] + _random(column, seed2) * turn
         nb = b[x] + _random(column, seed3) * turn
         usable = low <= nd <= high and np.float32(_STEEPEST) <= na <= np.float32(0.9) and abs(nb) <= np.float32(_SHEAREST)
-        trial[_D + x] = nd if usable else np.float32(_NOWHERE)
+        trial[_D + x] = nd if usable else np.float32(_INVALID_DISPARITY)
         trial[_A + x], trial[_B + x] = na, nb
 
 
@@ -281,7 +281,9 @@ def _propagate(
 
 
 @kernel
-def _judge(left: Float32s, pairs: Uint64s, valid: Float32s, planes: Float32s, cost: Float32s, low: Scalar, high: Scalar) -> None:
+def _evaluate(
+    left: Float32s, pairs: Uint64s, valid: Float32s, planes: Float32s, cost: Float32s, low: Scalar, high: Scalar
+) -> None:
     height, width = cost.shape
     window = np.zeros(_WINDOW, dtype=np.float32)
     scratch = np.zeros(_SCRATCH, dtype=np.float32)

@@ -29,7 +29,7 @@ def rectified_pair(left: Frame, right: Frame, rectification: Rectification) -> R
     width = -(-max(rectification.size1[0], rectification.size2[0]) // _WHOLE_PX) * _WHOLE_PX
     images, masks = [], []
     for frame, side in zip((left, right), _SIDES, strict=True):
-        grey, mask = quietened(_grey(frame.image), frame.mask), frame.mask & ~_saturated(frame.image)
+        grey, mask = denoised_if_noisy(_grey(frame.image), frame.mask), frame.mask & ~_saturated(frame.image)
         grey, mask = warp_with_mask(rectification, side, grey, mask)
         padding = (0, 0), (0, width - grey.shape[1])
         images.append(np.pad(grey, padding, mode="edge"))
@@ -82,7 +82,7 @@ NOISY = 3.0
 image with fine texture everywhere reads as 2."""
 
 
-def quietened(image: Float32s, valid: Bools) -> Float32s:
+def denoised_if_noisy(image: Float32s, valid: Bools) -> Float32s:
     """The image, smoothed by a Gaussian of 1 px where it is noisy."""
     if noise_level(image, valid) < NOISY:
         return image
@@ -112,7 +112,7 @@ def with_coarse_range(pair: RectifiedPair) -> RectifiedPair:
     far = -_reach(-found.left[agreed], -small.disparity_max, -small.disparity_min)
     margin = 2 * _SHRINK + 0.05 * (pair.disparity_max - pair.disparity_min)
     low, high = int(np.floor(_SHRINK * near - margin)), int(np.ceil(_SHRINK * far + margin))
-    return replace(_exposed_alike(pair, small, found.left, agreed), disparity_min=low, disparity_max=high)
+    return replace(_with_equal_exposure(pair, small, found.left, agreed), disparity_min=low, disparity_max=high)
 
 
 def _reach(disparity: Float32s, lowest: int, highest: int) -> float:
@@ -160,7 +160,7 @@ def _fine_part(image: Float32s, valid: Bools) -> Float32s:
     return np.where(valid, 128 + gain * fine, 128).astype(np.float32)
 
 
-def _exposed_alike(pair: RectifiedPair, small: RectifiedPair, disparity: Float32s, agreed: Bools) -> RectifiedPair:
+def _with_equal_exposure(pair: RectifiedPair, small: RectifiedPair, disparity: Float32s, agreed: Bools) -> RectifiedPair:
     """The pair with the lower-contrast image stretched to match the other, by the pixels on which both views agree."""
     rows, columns = np.nonzero(agreed)
     partner = np.clip(np.rint(columns - disparity[agreed]).astype(np.int64), 0, small.right.shape[1] - 1)

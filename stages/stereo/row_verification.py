@@ -23,7 +23,7 @@ from .matcher import RectifiedPair, halved
 from .patchmatch import match_patchmatch
 from .rectified import rectified_pair, with_coarse_range
 
-_BESIDE, _AWAY = 1, 4
+_SMALL_SHIFT, _LARGE_SHIFT = 1, 4
 """Shifts in rows of the halved images: a tolerable error, and one at which nothing should match."""
 _SPECKLE_SHARE = 5e-4
 """Connected pieces smaller than this share of the image are removed: they match anywhere."""
@@ -87,18 +87,22 @@ def match_rows(pair: RectifiedPair) -> tuple[RowAgreement, Float32s, Float32s]:
     small = halved(pair)
     common = small.within_reach()
     disparity, confidence = _matched(small)
-    shifted = {rows: _matched(_shifted(small, rows))[0] for rows in (_BESIDE, -_BESIDE, _AWAY, -_AWAY)}
+    shifted = {rows: _matched(_shifted(small, rows))[0] for rows in (_SMALL_SHIFT, -_SMALL_SHIFT, _LARGE_SHIFT, -_LARGE_SHIFT)}
     shifted[0] = disparity if small.prior_left is None else _matched(_shifted(small, 0))[0]  # without prior, as the others
     shares = {rows: float(np.isfinite(found).sum() / max(common.sum(), 1)) for rows, found in shifted.items()}
-    below, here, above = (shares[rows] for rows in (_BESIDE, 0, -_BESIDE))
-    error = 2.0 * _BESIDE * (below - above) / max(above + here + below, 1e-9)
-    best = max((0, _BESIDE, -_BESIDE), key=shares.__getitem__)
-    cells = _compared(common, *(np.isfinite(shifted[rows]) for rows in (best, _AWAY, -_AWAY)))
+    below, here, above = (shares[rows] for rows in (_SMALL_SHIFT, 0, -_SMALL_SHIFT))
+    error = 2.0 * _SMALL_SHIFT * (below - above) / max(above + here + below, 1e-9)
+    best = max((0, _SMALL_SHIFT, -_SMALL_SHIFT), key=shares.__getitem__)
+    cells = _compared(common, *(np.isfinite(shifted[rows]) for rows in (best, _LARGE_SHIFT, -_LARGE_SHIFT)))
     ground = None
     if small.prior_left is not None:
-        lying = (np.abs(shifted[rows] - small.prior_left) <= _SAME_PX for rows in (0, _AWAY, -_AWAY))
+        lying = (np.abs(shifted[rows] - small.prior_left) <= _SAME_PX for rows in (0, _LARGE_SHIFT, -_LARGE_SHIFT))
         ground = _compared(common, *lying)
-    return RowAgreement(shares[best], max(shares[_AWAY], shares[-_AWAY]), error, cells, ground), disparity, confidence
+    return (
+        RowAgreement(shares[best], max(shares[_LARGE_SHIFT], shares[-_LARGE_SHIFT]), error, cells, ground),
+        disparity,
+        confidence,
+    )
 
 
 def _compared(common: Bools, given: Bools, *shifted: Bools) -> Cells:

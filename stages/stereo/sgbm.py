@@ -155,7 +155,7 @@ def _cheapest(least: Float32s, most: Float32s, near: Bools, piece: _Piece) -> li
     """
     if piece[-1] == 0:
         return []
-    parts = _parted(least, most, near, *piece[:4])
+    parts = _best_split(least, most, near, *piece[:4])
     if parts[0][-1] == np.inf:
         return [piece]
     found = [smaller for part in parts for smaller in _cheapest(least, most, near, part)]
@@ -186,7 +186,9 @@ def _piece(least: Float32s, most: Float32s, near: Bools, top: int, bottom: int, 
 
 
 @kernel
-def _parted(least: Float32s, most: Float32s, near: Bools, top: int, bottom: int, left: int, right: int) -> tuple[_Piece, _Piece]:
+def _best_split(
+    least: Float32s, most: Float32s, near: Bools, top: int, bottom: int, left: int, right: int
+) -> tuple[_Piece, _Piece]:
     """The cheapest two parts of a rectangle of cells, above and below or side by side; cost inf if it is too small to split."""
     best = np.inf
     parts = (top, top, left, left, 0, 0, np.inf), (top, top, left, left, 0, 0, np.inf)

@@ -30,9 +30,9 @@ FEWEST = 8
 FREEDOMS = 5
 """Degrees of freedom of E: inliers in so few grid cells fit some pose by chance, as matches of one cell count about as one."""
 OFF_LINES_PX = 3.0
-MUCH = 0.25
+RIVAL_SHARE = 0.25
 """Any other pose makes a pair ambiguous if this share of the accepted inliers agrees with it."""
-MUCH_TURNED, TURNED_DEG = 0.08, 20.0
+TURNED_RIVAL_SHARE, TURNED_DEG = 0.08, 20.0
 """A pose turned by more than the second makes a pair ambiguous if the first share of the accepted inliers agrees with it."""
 SAME_ROTATION_DEG, ANOTHER_STEP_DEG = 1.0, 30.0
 """A rival whose rotation differs by less than the first and whose baseline differs by more than the second is another pose even
@@ -56,8 +56,8 @@ class Ambiguity:
 
         A quarter of its inliers suffices for any second pose; a twelfth for one that is turned far: the view of another side.
         """
-        another_side = self.elsewhere >= MUCH_TURNED * inliers and self.turned_deg > TURNED_DEG
-        return another_side or self.elsewhere >= MUCH * inliers
+        another_side = self.elsewhere >= TURNED_RIVAL_SHARE * inliers and self.turned_deg > TURNED_DEG
+        return another_side or self.elsewhere >= RIVAL_SHARE * inliers
 
 
 def find_ambiguity(
@@ -88,7 +88,7 @@ def find_ambiguity(
     every = _one_pose(x1, x2, left.view, right.view, accepted.R, accepted.t, seed)
     off = symmetric_epipolar_distance(accepted.F, x1, x2) > OFF_LINES_PX
     elsewhere = _Pose()
-    if off.sum() >= MUCH_TURNED * len(i1):  # fewer cannot make the pair ambiguous
+    if off.sum() >= TURNED_RIVAL_SHARE * len(i1):  # fewer cannot make the pair ambiguous
         elsewhere = _one_pose(x1[off], x2[off], left.view, right.view, accepted.R, accepted.t, seed)
     if every.turned_deg < SAME_ROTATION_DEG and every.step_deg > ANOTHER_STEP_DEG and every.inliers > elsewhere.inliers:
         elsewhere = every

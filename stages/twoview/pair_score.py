@@ -20,7 +20,7 @@ from ..core.epipolar import homogeneous, symmetric_epipolar_distance
 from ..core.rotations import angle_between_deg
 from ..matching.affine_field import fit_affine_field
 from ..matching.candidates import ViewPair, rival_distances
-from ..matching.neighbours import nearest_elsewhere
+from ..matching.neighbours import nearest_lookalike
 from ..types import Features, Float32s, Float64s, Int32s, Matches, View
 from .ambiguity import Ambiguity, find_ambiguity
 from .image_grid import places
@@ -53,7 +53,7 @@ class PairEvidence:
     """The best competing pose; None if none was searched for, without a pose or without keypoints."""
 
 
-HARDLY_DEG, MOSTLY = 1.0, 0.8
+NO_BASELINE_DEG, LEAST_AGREEMENT = 1.0, 0.8
 """Both cameras seem to be at one place if the ray angle is below the first (degrees) and the agreement is at least the second."""
 WEIGHTS, OFFSET = (0.89, 0.90, 3.37, 1.20, 2.91, 3.68, -0.27, -1.15), -15.3
 """Weights of the `terms`, fitted by `scripts/bench_verdict.py` on 299 pairs of 13 sets, photographed and rendered, most with
@@ -138,14 +138,14 @@ def _lookalikes(features: Features, rows: Int32s) -> Float32s:
     """Descriptor distance (n,) of keypoints, given by their rows, to the most similar one elsewhere in their own image."""
     known = features.lookalikes
     if not len(known):
-        return nearest_elsewhere(features.descriptors, features.xy, len(features.xy))[rows]
+        return nearest_lookalike(features.descriptors, features.xy, len(features.xy))[rows]
     plain = rows < len(known)
     found = np.empty(len(rows), np.float32)
     found[plain] = known[rows[plain]]
     if plain.all():
         return found
     asking = np.concatenate([np.arange(len(known)), rows[~plain]])
-    found[~plain] = nearest_elsewhere(features.descriptors[asking], features.xy[asking], len(known), begin=len(known))
+    found[~plain] = nearest_lookalike(features.descriptors[asking], features.xy[asking], len(known), begin=len(known))
     return found
 
 
@@ -172,14 +172,14 @@ def pair_score(evidence: PairEvidence, contradicted: bool = False) -> float:
 def hardly_converging(angle_deg: float, agreement: float) -> bool:
     """Whether the clear matches agree but the rays are too nearly parallel (degrees; nan if unknown) to determine the pose: it is
     not the matches that are in doubt."""
-    return angle_deg < HARDLY_DEG and agreement >= MOSTLY
+    return angle_deg < NO_BASELINE_DEG and agreement >= LEAST_AGREEMENT
 
 
-def tells_the_site(evidence: PairEvidence) -> bool:
+def informs_about_site(evidence: PairEvidence) -> bool:
     """Whether a rejected pair whose cameras seem to be at one place is still informative about its site: either that they are at
     one place, or, if as distinctive as right pairs, that the scene looks the same from several sides."""
     e = evidence
-    return hardly_converging(e.angle_deg, e.agreement) or (e.angle_deg < HARDLY_DEG and e.distinct_cells >= DISTINCT_CELLS)
+    return hardly_converging(e.angle_deg, e.agreement) or (e.angle_deg < NO_BASELINE_DEG and e.distinct_cells >= DISTINCT_CELLS)
 
 
 def probability(score: float) -> float:

@@ -36,7 +36,7 @@ def shifted(pair: MatchedPair, *, shift_px: float = 5.0) -> Homographies:
 
 
 @cache
-def straight_frames() -> tuple[Frame, ...]:
+def undistorted_frames() -> tuple[Frame, ...]:
     """The undistorted frames of the cameras of `small_yard`."""
     found = []
     for camera in small_yard().cameras:
@@ -49,9 +49,9 @@ def straight_frames() -> tuple[Frame, ...]:
 
 
 def grid_points(left: Features, right: Features, left_frame: Frame, right_frame: Frame, *, step_px: int = 6) -> Matches:
-    """Sparse matcher: true matches of a grid of points in the left frame (of `straight_frames`); it uses no keypoints."""
+    """Sparse matcher: true matches of a grid of points in the left frame (of `undistorted_frames`); it uses no keypoints."""
     one, two = (
-        next(c for c, known in zip(small_yard().cameras, straight_frames(), strict=True) if known is frame)
+        next(c for c, known in zip(small_yard().cameras, undistorted_frames(), strict=True) if known is frame)
         for frame in (left_frame, right_frame)
     )
     height, width = one.depth.shape

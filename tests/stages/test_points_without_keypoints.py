@@ -7,7 +7,7 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from tests.helpers.plug_ins import straight_frames
+from tests.helpers.plug_ins import undistorted_frames
 from tests.helpers.synthetic_site import small_yard
 from wbflow_stages.core.cameras import relative_pose
 from wbflow_stages.core.rotations import angle_between_deg
@@ -28,7 +28,7 @@ def geometries() -> dict[Pair, Geometry]:
     """Geometries of all pairs of three cameras."""
     found = {}
     for a, b in combinations(range(1, 4), 2):
-        left, right = straight_frames()[a], straight_frames()[b]
+        left, right = undistorted_frames()[a], undistorted_frames()[b]
         f, g = detect(left, min_keypoints=1), detect(right, min_keypoints=1)
         assert isinstance(f, Features) and isinstance(g, Features)
         matches = match(f, g, left_frame=left, right_frame=right, matcher=GRID, step_px=5)
@@ -40,7 +40,7 @@ def geometries() -> dict[Pair, Geometry]:
 
 
 def test_frames_that_a_matcher_needs_but_does_not_get_are_named() -> None:
-    features = detect(straight_frames()[1], min_keypoints=1)
+    features = detect(undistorted_frames()[1], min_keypoints=1)
     assert isinstance(features, Features)
     with pytest.raises(ValueError, match="needs left_frame"):
         match(features, features, matcher=GRID)
@@ -54,10 +54,10 @@ def test_geometry_from_grid_points_agrees_with_the_true_cameras(geometries: dict
 
 
 def test_cameras_and_disparity_are_found_from_grid_points(geometries: dict[Pair, Geometry]) -> None:
-    views = {str(k): straight_frames()[k].view for k in range(1, 4)}
+    views = {str(k): undistorted_frames()[k].view for k in range(1, 4)}
     poses = solve_poses(views, {}, geometries)
     assert isinstance(poses, Poses) and len(poses.cameras) == 3
-    left, right = straight_frames()[1:3]
+    left, right = undistorted_frames()[1:3]
     rectification = rectify(geometries["1", "2"], poses.cameras["1"], poses.cameras["2"])
     assert isinstance(rectification, Rectification)
     disparity = match_dense(left, right, rectification, matcher="sgbm")

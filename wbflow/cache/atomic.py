@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import IO, Literal
 
 from ..errors import WbflowError
-from ..words import in_words
+from ..words import format_size
 
 FULL = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG})
 """Error numbers of a full disk: no space left, the user's quota exceeded, the file-size limit exceeded."""
@@ -63,7 +63,7 @@ def _replace(path: Path, fill: Callable[[IO[bytes]], object], size: int, fsync: 
         with contextlib.suppress(OSError):
             temporary.unlink()
         if isinstance(error, OSError) and error.errno in FULL:
-            words = f"the disk is full: {in_words(size)} needed, {in_words(free_bytes(path.parent))} free"
+            words = f"the disk is full: {format_size(size)} needed, {format_size(free_bytes(path.parent))} free"
             raise OSError(error.errno, words, str(path)) from None
         raise
 

@@ -54,18 +54,18 @@ class NoChecksum(Damaged):
     """The bytes carry no checksum, as in files of earlier versions; all such files but run.json are treated as missing."""
 
 
-def with_checksum(of: str, content: Mapping[str, Any], in_lines: bool = False) -> bytes:
+def dump_with_checksum(of: str, content: Mapping[str, Any], in_lines: bool = False) -> bytes:
     """Return a JSON object with its checksum and the identity of what it describes.
 
     of: the identity: stage/subject/key.json for a receipt, the name of a memo.  content: entries, none of which may be named
     "signed" or "of".  in_lines: write one entry per line, for files that people read.
     """
     entries = {"of": of, **content}
-    body = (lines_of(entries) if in_lines else json.dumps(entries, separators=(",", ":"))).encode()[1:]
+    body = (dump_in_lines(entries) if in_lines else json.dumps(entries, separators=(",", ":"))).encode()[1:]
     return _HEAD + content_digest(body).encode() + _TAIL + body
 
 
-def lines_of(content: Mapping[str, Any]) -> str:
+def dump_in_lines(content: Mapping[str, Any]) -> str:
     """Return a JSON object for people, with one entry per line, or one item per line for entries that are lists or objects.
     (`json.dumps` takes twenty times as long with indentation as without.)"""
     return "{\n " + ",\n ".join(f"{json.dumps(name)}: {_items(entry)}" for name, entry in content.items()) + "\n}"
@@ -80,7 +80,7 @@ def _items(entry: Any) -> str:
 
 
 def checked(data: bytes, of: str) -> dict[str, Any]:
-    """Return the entries of an object that `with_checksum` wrote.
+    """Return the entries of an object that `dump_with_checksum` wrote.
 
     Raises NoChecksum if it has no checksum, Damaged if the checksum is wrong or `of` does not match.
     """
@@ -97,7 +97,7 @@ def checked(data: bytes, of: str) -> dict[str, Any]:
 
 def write_checksummed(path: Path, of: str, content: Mapping[str, Any]) -> None:
     """Write a file with a checksum to the work folder, atomically.  Raises OSError."""
-    write_atomic(path, with_checksum(of, content), ours=True)
+    write_atomic(path, dump_with_checksum(of, content), ours=True)
 
 
 def read_checksummed(path: Path, of: str) -> dict[str, Any] | None:

@@ -95,7 +95,7 @@ class _Nights:
     def __init__(self, work: WorkFolder, ledger: Ledger) -> None:
         self.runs = work.run_ids()
         """Oldest first."""
-        self.shown = {run for link in work.links() if (run := work.led_to(link))} | set(self.runs[-1:])
+        self.shown = {run for link in work.links() if (run := work.link_target(link))} | set(self.runs[-1:])
         """Runs that no limit removes: the targets of links and the newest run."""
         dates = {run.run: run.date for run in ledger.runs()}
         self._dates = {run: dates.get(run, run) for run in self.runs}  # a run that the ledger lacks is a night of its own

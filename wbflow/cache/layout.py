@@ -195,7 +195,7 @@ class WorkFolder:
         """Return all links in the folder of runs."""
         return [path for path in self.runs.glob("*") if path.is_symlink()]
 
-    def led_to(self, link: Path) -> str | None:
+    def link_target(self, link: Path) -> str | None:
         """Return the id of the run that a link points to; None if there is no link, or its target is not a published run."""
         name = link.readlink().name if link.is_symlink() else None
         return name if name and self.run(name).record.is_file() else None

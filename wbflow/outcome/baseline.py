@@ -19,7 +19,7 @@ from ..records.record import CameraRecord, RunRecord
 from ..records.run_folder import newest_runs
 from ..site.models import Expected, Measure, Site
 
-FOUND_SHARE = 0.25
+LEAST_MATCHED_SHARE = 0.25
 """A camera shows something else if the share of its pairs that find common points is less than this share of the usual one."""
 SHARP_SHARE = 0.4
 """An image with less than this share of its usual sharpness is out of focus, or taken through drops or dirt."""
@@ -149,7 +149,7 @@ def _health_by_appearance(
     if shares.get("sharpness", 1.0) < SHARP_SHARE * common.get("sharpness", 1.0):
         text = f"its picture has {100 * shares['sharpness']:.0f} % of its usual sharpness"
         return Health("obscured", text, figures, base, "check its focus, and its glass for drops, dirt or fog")
-    if shares.get("matched_share", 1.0) < FOUND_SHARE:
+    if shares.get("matched_share", 1.0) < LEAST_MATCHED_SHARE:
         now, then = (f"{100 * entry['matched_share']:.0f} %" for entry in (looks, usual))
         text = f"{now} of its pairs find common points, usually {then} do: it shows another place, or has been turned"
         return Health("wrong-scene", text, figures, base, "check its picture, and where it points")

@@ -132,7 +132,7 @@ def _remedy(message: str) -> str:
 
 def check_published(work: WorkFolder) -> list[Fault]:
     """Are the published files of every run unchanged?  Those of runs that links lead to must also exist."""
-    shown = {work.led_to(link) for link in work.links()}
+    shown = {work.link_target(link) for link in work.links()}
     found = []
     for name in work.run_ids():
         remedy = f"the next  wbflow run  publishes intact ones; do not use the results of {name}"

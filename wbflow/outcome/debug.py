@@ -35,7 +35,7 @@ from pathlib import Path
 from wbflow.outcome import debug
 
 here = Path(__file__).resolve().parent
-debug.as_a_worker(here)  # one thread, as in a run
+debug.set_up_as_worker(here)  # one thread, as in a run
 from {module} import {name} as stage  # noqa: E402
 
 result = stage(**debug.inputs(here), **debug.parameters(here))
@@ -127,7 +127,7 @@ INPUTS = "inputs"
 """Folder of the task's inputs."""
 
 
-def as_a_worker(folder: Path) -> None:
+def set_up_as_worker(folder: Path) -> None:
     """Allow one thread, and make modules beside the site file importable, as in a run; call this before other imports."""
     os.environ.update(dict.fromkeys(THREADS, "1"))
     beside = _task(folder)["folder"]

@@ -23,7 +23,7 @@ from ..json_dataclass import JsonDataclass
 from ..records.findings import Verdict
 from ..records.record import RunRecord, moment
 from ..site.models import Notify
-from ..words import lasting
+from ..words import format_duration
 from .finished_run import Run
 
 Occasion = Literal["degraded", "failed", "reminder", "recovered", "heartbeat"]
@@ -78,7 +78,7 @@ def notify(how: Notify, folder: Path, run: Run) -> Occasion | None:
     elif state.reminders > last.reminders:
         occasion = "reminder"
     if occasion:
-        lasted = lasting(_seconds(state.bad_since, now)) if occasion in {"recovered", "reminder"} else ""
+        lasted = format_duration(_seconds(state.bad_since, now)) if occasion in {"recovered", "reminder"} else ""
         _call(how, folder, _message(occasion, lasted, run.place.paths, record))
     if state != last:
         write_checksummed(work.notified, _OF, state.to_json())

@@ -34,7 +34,7 @@ from ..runner.state import summary_of
 from ..site.geodesy import origin_of
 from ..site.models import Site
 from ..task import Task
-from ..words import in_words
+from ..words import format_size
 from . import acknowledge
 from .acknowledge import Acknowledgement, with_known
 from .finished_run import Run
@@ -196,7 +196,7 @@ def post_run(run: Run, site: Site, journal: Journal) -> None:
         if keep != Keep():
             over = clean(run.cache.work, keep, asked=False).over
             if over:
-                what = f"the cache holds {in_words(over)} more than keep.bytes allows"
+                what = f"the cache holds {format_size(over)} more than keep.bytes allows"
                 journal.warn(what, remedy="the newest night alone needs it: allow more, or lower `resolution`")
     except sqlite3.Error as error:
         journal.warn(f"the ledger was not written: {error}", remedy="the next run catches up")

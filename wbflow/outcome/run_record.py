@@ -18,7 +18,7 @@ from ..pipeline.stages import CALIBRATION, DENSE_PAIRS, DEPTH, DISPARITY, FRAMES
 from ..records.record import CameraRecord, CloudRecord, PairRecord, RunRecord, Seconds, TaskCounts, stamp
 from ..runner.planner import Plan
 from ..runner.state import Cause, State, summary_of
-from ..site.stale_cameras import by_picture, night_by_pictures
+from ..site.stale_cameras import night_by_pictures, stale_by_image
 from ..task import Task, camera_of
 
 _ADD_UP = {"keypoints", "points"}
@@ -166,7 +166,7 @@ def _camera(plan: Plan, camera: str, whole: _SiteWide) -> CameraRecord:
 def _with_staleness(record: CameraRecord, night: str, dated: bool) -> CameraRecord:
     """Add the health of a camera whose images are of another night; dated: do the captures' names contain a date?"""
     if record.outcome in {"ok", "unsolved"} and (record.health is None or record.health.ok):
-        record = replace(record, health=by_picture(record.figures, night, dated) or record.health)
+        record = replace(record, health=stale_by_image(record.figures, night, dated) or record.health)
     return record
 
 

@@ -32,7 +32,7 @@ from .run_record import root_cause
 
 PLANNED_PAIRS = 0.5
 """Smallest share of the planned pairs that must be usable on a night without earlier ones to compare with."""
-RIGHT = 0.9
+LEAST_RIGHT = 0.9
 """Smallest share of a cloud's points that must be right, as expected from the confidence of each."""
 LEAST_CONTRAST = 2.0
 """Images with a smaller standard deviation, in grey levels, show nothing, and may be identical."""
@@ -57,7 +57,7 @@ BLURRED_BY_CODING = 2.45
 Values that a third of the cameras reach, fitted on the fountain and seven rendered scenes: 1.4 to 2.35 at quality 50, 2.6 to 4 at
 quality 20 (but 2.3 on a yard).  Judged on the entry and seven others: 1.4 to 2.2 at quality 50, but 2.8 on an apron and 2.6 on a
 car park; 2.6 to 3.7 at quality 20, but 2.0 on a solar farm (89 % of the points right)."""
-ROUGH = 2.0
+MOST_MISFIT = 2.0
 """Images count as soft if the ratio of their points' errors to the expected ones exceeds this, however they are coded.  A third
 of the cameras reach at most 1.9 at quality 50, except on an apron and a car park, and 1.9 on an unaltered car park."""
 OVEREXPOSED = 0.5
@@ -74,14 +74,14 @@ SOLVED_APART_PX = 0.5
 """Limit instead of `APART_PX` where a pose is solved, since tonight's matches determine it no better, or where dense matching
 confirms the rows of the stated cameras.  Judged on a quarry (one pose solved 0.25, all 0.3; 94 and 93 % of the points right) and
 a stadium (all 0.8, 76 %)."""
-ALONE = 2.0
+SINGLE_DIFFERENCE_FACTOR = 2.0
 """A single difference between two pairs, with no other above its limit, may exceed its own by this factor: a wrong pose shows in
 more than one view or pair.  Fitted on a harbour with exact poses: 0.3 to 0.4 px beside its water, in 6 % of one view; judged on
 the records of a solar farm, a stadium, a tank farm and a park."""
 LOOK_ALIKES_PX = 12.0
 """Larger differences between pairs are ignored: these pairs match different parts of a repeating pattern, and harm only
 themselves.  On a solar farm such differences are 19 to 96, and 7 with a camera turned by 2 degrees."""
-LIKELY = 0.8
+LEAST_PROBABILITY = 0.8
 """A pair contradicts a stated pose only if it is right with at least this probability (odds of four to one)."""
 LINES_PX, ROWS_PX = 1.0, 0.7
 """A pair agrees with stated poses if its matches lie at most `LINES_PX` from the epipolar lines (as in `orientation.pose_check`),
@@ -221,10 +221,10 @@ def _has_doubtful_pose(camera: CameraRecord, record: RunRecord) -> Finding | Non
     if issue := poses.issues_of("moved").get(camera.id):
         return finding("camera-moved", (camera.id,), reason=issue.text)
     issue = poses.issues_of("unverified").get(camera.id)
-    return finding("camera-unverified", (camera.id,), reason=issue.text) if issue and not _is_answered(issue, record) else None
+    return finding("camera-unverified", (camera.id,), reason=issue.text) if issue and not _is_refuted(issue, record) else None
 
 
-def _is_answered(issue: PoseIssue, record: RunRecord) -> bool:
+def _is_refuted(issue: PoseIssue, record: RunRecord) -> bool:
     """Do a camera's pairs agree with its stated pose after all?  Where whole surfaces match on the rows that the poses give,
     matches far from these rows are of look-alikes.  Pairs vote as in `orientation.pose_check.verified`."""
     if not record.poses or record.poses.source != "calibration" or issue.triplets:
@@ -242,7 +242,7 @@ def _agrees_with_poses(pair: PairRecord) -> bool | None:
         return None
     if figures.poses_px <= LINES_PX:
         return True
-    return False if figures.probability >= LIKELY else None
+    return False if figures.probability >= LEAST_PROBABILITY else None
 
 
 def _is_unpaired(camera: CameraRecord, record: RunRecord) -> Finding | None:
@@ -376,7 +376,7 @@ def _is_soft(camera: CameraRecord) -> bool:
 def _is_unresolved(camera: CameraRecord) -> bool:
     """Are a camera's images overexposed or faint, or less resolved, by their points' errors, than their pixels promise?"""
     figures, misfit = _soft_figures(camera), camera.figures.misfit or 0.0
-    unresolved = misfit > ROUGH or (misfit > LEAST_MISFIT and misfit * figures["detail_px"] > UNRESOLVED)
+    unresolved = misfit > MOST_MISFIT or (misfit > LEAST_MISFIT and misfit * figures["detail_px"] > UNRESOLVED)
     badly_lit = figures["saturated"] > OVEREXPOSED or 0.0 < figures["contrast"] < FAINT
     return unresolved or misfit * figures["coarseness"] > BLURRED_BY_CODING or badly_lit
 
@@ -423,7 +423,7 @@ _CAUSES: Mapping[str, str] = {
     "upside-down": "pictures of {cameras} upside down",
 }
 """Texts for the cause that best explains matches contradicting the stated calibration, by its name in the check."""
-_EVERYBODY = {
+_ALL_CAMERAS = {
     "captures-exchanged": "all cameras, each with the next one,",
     "mirrored-frames": "all cameras",
     "upside-down": "all cameras",
@@ -438,7 +438,7 @@ def _explanation(check: CalibrationCheck) -> str:
     amount = check.amount or (0.0,)
     size, scale = math.hypot(*amount), math.expm1(amount[0])
     words = _CAUSES[check.cause].format(
-        cameras=" and ".join(check.cameras) or _EVERYBODY.get(check.cause, ""),
+        cameras=" and ".join(check.cameras) or _ALL_CAMERAS.get(check.cause, ""),
         longer=f"{100 * abs(scale):.1f} % {'longer' if scale > 0 else 'shorter'}",
         first=amount[0],
         factor=1 + amount[0],
@@ -459,7 +459,7 @@ def check_poses(record: RunRecord, facts: Facts) -> Iterator[Finding]:
     if not poses.contradiction:  # whose finding explains these, too
         for reason in dict.fromkeys(issue.text for issue in contradicted.values()):
             issues = [issue for issue in contradicted.values() if issue.text == reason]
-            if not all(_is_answered(issue, record) for issue in issues):
+            if not all(_is_refuted(issue, record) for issue in issues):
                 yield finding("poses-contradicted", tuple(issue.camera for issue in issues), reason=reason)
     if found := poses.issues_of("uncertain"):
         row_px = max(issue.row_px or 0.0 for issue in found.values())
@@ -488,7 +488,7 @@ def check_depths(record: RunRecord, facts: Facts) -> Iterator[Finding]:
     agree = poses is not None and poses.rows_agree
     apart = [(cameras, px, SOLVED_APART_PX if agree or cameras & solved else APART_PX) for cameras, px in found]
     beyond = sorted((px / limit, px, limit) for _, px, limit in apart if px > limit)
-    if not beyond or (len(beyond) == 1 and beyond[0][0] <= ALONE):
+    if not beyond or (len(beyond) == 1 and beyond[0][0] <= SINGLE_DIFFERENCE_FACTOR):
         return
     _, most, limit = beyond[-1]
     against: Counter[str] = Counter()
@@ -545,9 +545,9 @@ def check_tasks(record: RunRecord, facts: Facts) -> Iterator[Finding]:
 def check_cloud(record: RunRecord, facts: Facts) -> Iterator[Finding]:
     """Is enough of the cloud right, as estimated from its own cameras?"""
     cloud = record.cloud
-    if cloud and cloud.right is not None and cloud.right < RIGHT:
-        figures, expected = {"right": cloud.right}, {"right": RIGHT}
-        yield finding("cloud-doubtful", (), figures, expected, percent=100 * cloud.right, limit=100 * RIGHT)
+    if cloud and cloud.right is not None and cloud.right < LEAST_RIGHT:
+        figures, expected = {"right": cloud.right}, {"right": LEAST_RIGHT}
+        yield finding("cloud-doubtful", (), figures, expected, percent=100 * cloud.right, limit=100 * LEAST_RIGHT)
 
 
 def check_amounts(record: RunRecord, facts: Facts) -> Iterator[Finding]:

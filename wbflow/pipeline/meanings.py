@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from ..words import spoken
+from ..words import format_value
 
 _MOST_NAMED = 8
 """Largest number of a figure's parts to list; those with the largest values are listed."""
@@ -95,7 +95,7 @@ def meaning(figure: str) -> Meaning:
 def shown(figures: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
     """Yield title and formatted value of a stage's figures."""
     for name, value in figures.items():
-        title, written = titled(name), _percent if meaning(name).share else spoken
+        title, written = titled(name), _percent if meaning(name).share else format_value
         if isinstance(value, Mapping) and value and all(isinstance(entry, int | float) for entry in value.values()):
             ordered = sorted(value.items(), key=lambda entry: -entry[1])
             less = f"; {len(ordered) - _MOST_NAMED} others less" if len(ordered) > _MOST_NAMED else ""

@@ -2,7 +2,7 @@
 
 Nodes are views; edges carry the evidence from `Overlap`.  The graph is first connected (maximum spanning tree), then made
 robust (edges across weak cuts), then filled with the best edges up to `degree` at each view.  No view gets more than
-`MOST_AT_A_CAMERA` pairs, not even by `include`.
+`MOST_PAIRS_PER_VIEW` pairs, not even by `include`.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ Known = tuple[float, float, float]
 Evidence = Mapping[Pair, Known]
 
 MOST_CANDIDATES = 96
-"""Largest number of candidate pairs per view, by descending worth; at most a third of them are taken (`MOST_AT_A_CAMERA`)."""
+"""Largest number of candidate pairs per view, by descending worth; at most a third of them are taken (`MOST_PAIRS_PER_VIEW`)."""
 ALL_KNOWN = 32
 """Up to this number of views, `Overlap` has a row for each pair; with more views, pairs that share nothing may have none."""
 _LESS_ALIKE, _AIM_DEG = 0.047, 12.0
@@ -124,7 +124,7 @@ def _apart_enough(overlap: Any) -> np.ndarray:
     return shared
 
 
-MOST_AT_A_CAMERA = 32
+MOST_PAIRS_PER_VIEW = 32
 """Largest number of pairs per view: its depth map is fused from no more."""
 
 _LEAST_OF_VIEWS = 0.04
@@ -134,7 +134,7 @@ _LEAST_OF_BEST = 0.5
 not the shared part of the views, and correct pairs of wide views have a similarity of a few hundredths."""
 
 
-def of_little_use(evidence: Evidence) -> set[Pair]:
+def low_worth_pairs(evidence: Evidence) -> set[Pair]:
     """Pairs with a view of a multi-view camera whose worth is too low (`_LEAST_OF_VIEWS`, `_LEAST_OF_BEST`)."""
     of_views = {pair: cameras for pair in evidence if (cameras := cameras_of(pair)) != {*pair}}
     best: dict[frozenset[str], float] = {}
@@ -178,7 +178,7 @@ def choose(candidates: nx.Graph, degree: int, forced: list[Pair], little: Collec
             graph.add_edge(u, v)
             whole.add_edge(camera_of(u), camera_of(v))
 
-    def has_room(u: str, v: str, most: int = MOST_AT_A_CAMERA) -> bool:
+    def has_room(u: str, v: str, most: int = MOST_PAIRS_PER_VIEW) -> bool:
         return bool(max(graph.degree(u), graph.degree(v)) < most)
 
     for pair in forced:
@@ -212,14 +212,14 @@ def choose(candidates: nx.Graph, degree: int, forced: list[Pair], little: Collec
             take(best[2], best[3], f"covers the weak cut {bridge[0]}--{bridge[1]}")
     for u, v, _ in ranked:
         useful = (u, v) not in little and (v, u) not in little
-        if not graph.has_edge(u, v) and useful and has_room(u, v, min(degree, MOST_AT_A_CAMERA)):
+        if not graph.has_edge(u, v) and useful and has_room(u, v, min(degree, MOST_PAIRS_PER_VIEW)):
             closes = len(set(graph[u]) & set(graph[v]))
             take(u, v, f"closes {closes} triangle{'s' * (closes != 1)}" if closes else "among the best of its cameras")
     return chosen
 
 
 MOST_NAMED = 8
-"""Largest number of left-out views named in the note about a view with `MOST_AT_A_CAMERA` pairs."""
+"""Largest number of left-out views named in the note about a view with `MOST_PAIRS_PER_VIEW` pairs."""
 
 
 @dataclass(frozen=True)
@@ -250,7 +250,7 @@ class PairGraph:
     untold: int = 0
     """Number of dropped pairs that are not among the edges."""
     crowded: Mapping[str, str] = field(default_factory=dict)
-    """By view with `MOST_AT_A_CAMERA` pairs: a note that names candidates which were left out."""
+    """By view with `MOST_PAIRS_PER_VIEW` pairs: a note that names candidates which were left out."""
 
 
 def select_pairs(
@@ -296,7 +296,7 @@ def select_pairs(
             reasons[pair] = why
         else:
             candidates.add_edge(*pair, weight=promise, order=next(orders))
-    little = of_little_use(evidence)
+    little = low_worth_pairs(evidence)
     chosen = choose(candidates, degree, [p for p in evidence if p in forced and cameras_of(p) not in banned], little)
     counts = Counter(camera for pair in chosen for camera in pair)
     listed = _listed(evidence, chosen)
@@ -306,7 +306,7 @@ def select_pairs(
             reason = chosen.get(pair) or reasons.get(pair) or _why_not(pair, little, counts, degree)
             edges.append(Edge(*pair, kept=pair in chosen, reason=reason, angle_deg=angle, shared=shared))
     kept = tuple((edge.left, edge.right) for edge in edges if edge.kept)
-    full = {view: _left_out(view, candidates, chosen) for view in candidates if counts[view] >= MOST_AT_A_CAMERA}
+    full = {view: _left_out(view, candidates, chosen) for view in candidates if counts[view] >= MOST_PAIRS_PER_VIEW}
     crowded = {view: note for view, note in full.items() if note}
     return PairGraph(kept, tuple(edges), groups(overlap.cameras, kept), unseen + len(evidence) - len(edges), crowded)
 
@@ -314,8 +314,8 @@ def select_pairs(
 def _why_not(pair: Pair, little: Collection[Pair], counts: Mapping[str, int], degree: int) -> str:
     if pair in little:
         return "other views of their cameras share more"
-    if crowded := next((view for view in pair if counts[view] >= MOST_AT_A_CAMERA), None):
-        return f"{crowded} has {MOST_AT_A_CAMERA} better pairs, the most that a view can have"
+    if crowded := next((view for view in pair if counts[view] >= MOST_PAIRS_PER_VIEW), None):
+        return f"{crowded} has {MOST_PAIRS_PER_VIEW} better pairs, the most that a view can have"
     return f"both cameras have better pairs already (degree {degree})"
 
 
@@ -326,7 +326,7 @@ def _left_out(view: str, candidates: nx.Graph, chosen: Collection[Pair]) -> str:
     if not missed:
         return ""
     named = ", ".join(missed[:MOST_NAMED]) + (f" and {len(missed) - MOST_NAMED} more" if len(missed) > MOST_NAMED else "")
-    return f"it has {MOST_AT_A_CAMERA} pairs, the most that a view can have; left out: those with {named}"
+    return f"it has {MOST_PAIRS_PER_VIEW} pairs, the most that a view can have; left out: those with {named}"
 
 
 def groups(views: Sequence[str], pairs: Collection[Pair]) -> tuple[tuple[str, ...], ...]:
@@ -403,14 +403,14 @@ def select_dense_pairs(
 
     placed, others = _matched_too(shared, pairs, set(rules.pairs))
     for pair, angle, share in placed:
-        if max(counts[view] for view in pair) < min(degree, MOST_AT_A_CAMERA):
+        if max(counts[view] for view in pair) < min(degree, MOST_PAIRS_PER_VIEW):
             take(pair, angle, share, "matched, and both cameras have room for it")
     for pair, angle, share in placed:
         fewest, most = sorted(counts[view] for view in pair)
-        if not fewest and most < MOST_AT_A_CAMERA and pair not in taken:
+        if not fewest and most < MOST_PAIRS_PER_VIEW and pair not in taken:
             take(pair, angle, share, "matched, and the only pair of a camera")
     for pair in others:
-        if max(counts[view] for view in pair) < MOST_AT_A_CAMERA:
+        if max(counts[view] for view in pair) < MOST_PAIRS_PER_VIEW:
             take(pair, math.nan, 0.0, "matched; its cameras are not both placed")
     edges = [taken.get((edge.left, edge.right), edge) for edge in rules.edges]
     listed = {(edge.left, edge.right) for edge in edges}

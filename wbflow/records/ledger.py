@@ -16,9 +16,9 @@ from ..cache.store import Cache, Receipt
 from .record import RunRecord
 from .run_folder import NoSuchRun, RunFolder
 
-_FORM = 4
+_FORMAT = 4
 """Format version, stored last (SQLite's user_version): a ledger with another one, or an incomplete one, is rebuilt."""
-_PATIENCE_S = 5.0
+_BUSY_TIMEOUT_S = 5.0
 """Seconds to wait for another process that is writing."""
 _MOST = 20_000
 """Largest number of tasks, newest first, from which costs are estimated."""
@@ -131,18 +131,18 @@ class Ledger:
         """Open the ledger on disk, or build one in memory; raises sqlite3.DatabaseError if it is damaged or of another format."""
         if mode != "memory" and any(os.path.lexists(path) and not path.is_file() for path in self._work.ledger_files()):
             raise sqlite3.DatabaseError("it is no file")
-        self._db = sqlite3.connect(f"{self._work.ledger.resolve().as_uri()}?mode={mode}", uri=True, timeout=_PATIENCE_S)
+        self._db = sqlite3.connect(f"{self._work.ledger.resolve().as_uri()}?mode={mode}", uri=True, timeout=_BUSY_TIMEOUT_S)
         try:
             (form,), (whole,) = (self._db.execute(f"pragma {name}").fetchone() for name in ("user_version", "quick_check"))
-            if whole != "ok" or form not in ({_FORM} if mode == "ro" else {0, _FORM}):
+            if whole != "ok" or form not in ({_FORMAT} if mode == "ro" else {0, _FORMAT}):
                 raise sqlite3.DatabaseError(f"form {form}" if whole == "ok" else whole)
             if mode == "rwc":
                 self._db.executescript("pragma journal_mode = wal; pragma synchronous = normal")
-            if form != _FORM:
+            if form != _FORMAT:
                 self._db.executescript(_SCHEMA)
                 self.record_artifacts(Cache(self._work).receipts())
                 self.catch_up()
-                self._db.execute(f"pragma user_version = {_FORM}")
+                self._db.execute(f"pragma user_version = {_FORMAT}")
         except (sqlite3.Error, OSError):
             self._db.close()
             raise

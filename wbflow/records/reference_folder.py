@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from ..cache.atomic import copy_atomic, write_atomic
-from ..cache.checksum import Damaged, read_checksummed, with_checksum
+from ..cache.checksum import Damaged, dump_with_checksum, read_checksummed
 from ..cache.layout import WorkFolder
 from ..cache.store import Cache, Receipt
 from ..errors import WbflowError
@@ -124,7 +124,7 @@ def write_reference(cache: Cache, reference: Reference, receipts: Iterable[Recei
             copy_atomic(path, work.pinned(path), fsync="none")
             kept.add(work.pinned(path))
     os.sync()  # one sync for all copies, before the record is written
-    data = with_checksum(_OF, reference.to_json(), in_lines=True)
+    data = dump_with_checksum(_OF, reference.to_json(), in_lines=True)
     for path in (work.reference_twin, work.reference_record):
         write_atomic(path, data, ours=True)
     if anew:

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..cache.atomic import sync_folder, write_atomic
-from ..cache.checksum import NoChecksum, checked, sha256_of, with_checksum
+from ..cache.checksum import NoChecksum, checked, dump_with_checksum, sha256_of
 from ..cache.layout import RunPaths, WorkFolder, run_id, started_by
 from ..cache.lock import hold
 from ..cache.untrusted import read_untrusted
@@ -81,7 +81,7 @@ class RunFolder:
             raise NoSuchRun(f"{work.root} has no runs yet", remedy="wbflow run SITE.yaml  makes one")
         if name == work.latest_good.name:
             newest_first = (RunFolder(work.run(run)) for run in reversed(known))
-            shown = work.led_to(work.latest_good) or next((run.id for run in newest_first if run.is_good()), None)
+            shown = work.link_target(work.latest_good) or next((run.id for run in newest_first if run.is_good()), None)
             if shown is None:
                 raise NoSuchRun("no run has made a cloud yet", remedy=f"the last run is {known[-1]}: its report says why")
             return RunFolder(work.run(shown))
@@ -201,12 +201,12 @@ class UnfinishedRun:
         """
         write_atomic(self.paths.report, report.encode(errors="backslashreplace"))
         write_atomic(self.paths.log, log_of(events))
-        write_atomic(self.paths.record, with_checksum(_OF, record.to_json(), in_lines=True))
+        write_atomic(self.paths.record, dump_with_checksum(_OF, record.to_json(), in_lines=True))
         write_atomic(self.paths.metrics, metrics.encode(errors="backslashreplace"))
         final = self.work.run(self.name)
         self.paths.folder.rename(final.folder)
         sync_folder(self.work.runs)
-        turn_links(self.work)
+        update_links(self.work)
         return RunFolder(final)
 
     @property
@@ -215,13 +215,13 @@ class UnfinishedRun:
         return self.work.unfinished_run(self.name)
 
 
-def turn_links(work: WorkFolder) -> None:
+def update_links(work: WorkFolder) -> None:
     """Point each link to the newest run that it may show.  Called after a run is published, and before the next run, in case the
     process was killed in between.  Raises OSError."""
     may_show: dict[Path, Callable[[RunFolder], bool]] = {work.latest: lambda run: True, work.latest_good: RunFolder.is_good}
     runs = [RunFolder(work.run(name)) for name in reversed(work.run_ids())]
     for link, suits in may_show.items():
-        shown = work.led_to(link)
+        shown = work.link_target(link)
         for run in runs:
             if run.id == shown:
                 break
@@ -264,12 +264,12 @@ def hold_to_write(work: WorkFolder, wait: bool) -> Iterator[Mirror | None]:
     """
     with hold(work.lock, wait):
         if work.start_writing():
-            turn_links(work)
+            update_links(work)
         if work.store:
             from ..remote import writing  # imported here: few work folders are mirrors
 
             with writing(work, wait) as mirror:
-                turn_links(work)
+                update_links(work)
                 yield mirror
         else:
             yield None
@@ -282,7 +282,7 @@ def refresh(work: WorkFolder) -> None:
         from ..remote import pull_to_read
 
         pull_to_read(work)
-        turn_links(work)
+        update_links(work)
 
 
 def new_run(work: WorkFolder) -> tuple[str, datetime.datetime]:

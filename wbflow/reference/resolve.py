@@ -114,7 +114,9 @@ class Resolver:
         for camera in task.subject:
             if self.state_of(camera) in USELESS:
                 raise self.unfit((camera,))
-        if not self._enough_stand() or any(stage_named(name).reuse.shifted for name in self._forced & ancestors(stage.name)):
+        if not self._enough_poses_known() or any(
+            stage_named(name).reuse.shifted for name in self._forced & ancestors(stage.name)
+        ):
             return None
         decision = self._decision(stage.reuse, task)
         if decision == "reuse":
@@ -231,7 +233,7 @@ class Resolver:
             return _TURNED
         return _STILL if state == "ok" else _LOST
 
-    def _enough_stand(self) -> bool:
+    def _enough_poses_known(self) -> bool:
         """Are the poses of enough cameras known from the reference?  Raises Waiting."""
         if self._enough is None:
             self._enough = len({camera_of(c) for c in self.cameras if self._standing(c) != _LOST}) >= FEWEST

@@ -21,7 +21,7 @@ from ..plugins import load
 from ..records.events import TaskEvent, WarningEvent
 from ..records.record import RunRecord, moment
 from ..site.models import Site
-from ..words import counted, spoken
+from ..words import counted, format_value
 from . import render, sections
 from .charts import camera_bars, tasks_of_stages, timetable, trends
 from .data import ReportData
@@ -87,7 +87,7 @@ def _content(data: ReportData, points: list[Points]) -> dict[str, Any]:
         "record": record,
         "nights": data.nights,
         "meaning": meaning,
-        "spoken": spoken,
+        "format_value": format_value,
         "headline": sections.headline(data),
         "facts": list(sections.facts(data)),
         "findings": sections.findings(data, album),
@@ -154,7 +154,7 @@ def _pose_notes(record: RunRecord) -> Iterator[str]:
     if record.poses is None:
         return
     plain = {name: value for name, value in vars(record.poses).items() if isinstance(value, str | int | float) and value != ""}
-    words = (f"{name.replace('_', ' ')} {spoken(value)}" for name, value in plain.items())
+    words = (f"{name.replace('_', ' ')} {format_value(value)}" for name, value in plain.items())
     yield f"Positions of the cameras: {', '.join(words)}."
     yield from record.poses.notes
     yield from record.poses.joins

@@ -18,7 +18,7 @@ from ..records.record import CameraRecord, PairRecord, RunRecord
 from ..runner.state import Cause
 from ..site.models import Measure
 from ..task import Task
-from ..words import counted, spoken
+from ..words import counted, format_value
 from .data import Comparison, ReportData, since_last_good, state_of
 from .pictures import Picture, Pictures
 
@@ -197,7 +197,7 @@ def camera_figures(data: ReportData, camera: CameraRecord) -> tuple[list[tuple[s
     points, pairs = numbers.pop("points", None), data.record.pairs_of(camera.id)
     main = [("used pairs", "of its pairs, those matched densely", f"{sum(p.ok for p in pairs)} of {len(pairs)}")]
     if points is not None:
-        main.append((meaning("points").title, meaning("points").words, spoken(points)))
+        main.append((meaning("points").title, meaning("points").words, format_value(points)))
     for result in data.record.results.values():
         for name, value in vars(result).items():
             if isinstance(value, Mapping) and isinstance(share := value.get(camera.id), float):
@@ -245,7 +245,7 @@ def _step_figures(stage: Stage, receipt: Receipt) -> Iterator[str]:
     made = stage.summary if receipt.outcome != "rejected" else None
     figures = vars(made.from_json(receipt.figures)) if made else receipt.figures
     numbers = [(n, v) for n, v in figures.items() if isinstance(v, int | float) and not isinstance(v, bool) and v == v]
-    yield from (f"{meaning(name).title} {spoken(value)}" for name, value in numbers[:_MOST_FIGURES])
+    yield from (f"{meaning(name).title} {format_value(value)}" for name, value in numbers[:_MOST_FIGURES])
 
 
 def pair_pictures(data: ReportData, album: Pictures) -> list[tuple[str, list[Picture]]]:

@@ -10,7 +10,7 @@ from ..cache.layout import WorkFolder
 from ..cache.memo import Digests, EarlierCaptures
 from ..cache.store import Cache
 from ..records.reference_folder import BadReference, Reference, read_reference
-from ..site.captures import as_now, expected, find_captures, find_named, in_motion, list_store, night, when_complete
+from ..site.captures import expected, find_captures, find_named, in_motion, list_store, night, when_complete, with_current_digest
 from ..site.models import Site
 from ..site.stale_cameras import find_stale
 from .options import Options
@@ -40,10 +40,10 @@ class RunContext:
         self.digests.forget(path)
         self.plan.relist()
         for files in self.plan.captures.values():
-            files[:] = [as_now(file, self.digests) if file.path == path else file for file in files]
+            files[:] = [with_current_digest(file, self.digests) if file.path == path else file for file in files]
         for name, file in self.plan.named.items():
             if file.path == path:
-                self.plan.named[name] = as_now(file, self.digests)
+                self.plan.named[name] = with_current_digest(file, self.digests)
 
     def captures_in_motion(self) -> tuple[dict[str, list[str]], dict[str, list[str]]]:
         """Captures that have changed since the run began, by camera: first harmful changes, then harmless ones.

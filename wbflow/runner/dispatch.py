@@ -20,7 +20,7 @@ from ..records.events import StartedEvent
 from ..records.ledger import TaskCosts, read_costs
 from ..task import Task
 from ..words import printable
-from .executors import Cluster, OtherCode, Processes, WorkerLost
+from .executors import Cluster, CodeMismatch, Processes, WorkerLost
 from .journal import Journal
 from .limits import Limits, disk_shortage, machine_memory
 from .options import Options, worker_roots
@@ -148,7 +148,7 @@ class Dispatcher:
                 yield done
         elif isinstance(error, WorkerLost):
             yield from self._lost(chain, error)
-        elif isinstance(error, OtherCode) and isinstance(self._executor, Cluster):
+        elif isinstance(error, CodeMismatch) and isinstance(self._executor, Cluster):
             self._executor.refuse(error)  # the plan submits the chain again
         elif isinstance(error, WbflowError):
             raise error

@@ -24,7 +24,7 @@ from ..errors import WbflowError
 from ..pipeline.binding import bind
 from ..pipeline.functions import FunctionReader
 from ..pipeline.stages import stage_named
-from ..words import in_words
+from ..words import format_size
 from .spec import TaskSpec
 from .state import Cause
 
@@ -130,9 +130,9 @@ class Processes(Executor):
         chosen.end_group()
         with suppress(ValueError):
             self._workers.remove(chosen)
-        why, cause, held = _ending(error), Cause.WORKER_LOST, in_words(chosen.most)
+        why, cause, held = _ending(error), Cause.WORKER_LOST, format_size(chosen.most)
         if chosen.over:
-            together = f"all workers together held more than the limit of {in_words(self._memory)}"
+            together = f"all workers together held more than the limit of {format_size(self._memory)}"
             why, cause = f"ran out of memory: it held {held}, and {together}", Cause.OUT_OF_MEMORY
         elif "SIGKILL" in why and self._memory and chosen.most > self._memory / 2:  # probably by the kernel's OOM killer
             why, cause = f"{why} (out of memory? it held {held})", Cause.OUT_OF_MEMORY
@@ -231,7 +231,7 @@ def _ending(error: BaseException) -> str:
     return f"lost its worker process, which was killed by {name if name != 'UNKNOWN' else f'signal {code[1:]}'}"
 
 
-class OtherCode(Exception):
+class CodeMismatch(Exception):
     """A worker of a cluster has different code from the run: the cache keys of its results would be wrong."""
 
     def __init__(self, worker: str, names: str) -> None:
@@ -266,12 +266,12 @@ class Cluster(Executor):
         """Number of submitted calls that keeps all workers busy: two per thread."""
         return 2 * int(sum(self._client.nthreads().values()))
 
-    def refuse(self, other: OtherCode) -> None:
+    def refuse(self, other: CodeMismatch) -> None:
         """Submit no more calls to a worker."""
         self._refused[other.worker] = other.names
 
     def submit(self, function: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
-        """Call a function, whose first argument is a chain, in a worker not yet refused.  The future may raise `OtherCode`."""
+        """Call a function, whose first argument is a chain, in a worker not yet refused.  The future may raise `CodeMismatch`."""
         workers = [address for address in self._client.nthreads() if address not in self._refused]
         if self._refused and not workers:
             why = "; ".join(f"the {names} of {address}" for address, names in sorted(self._refused.items()))
@@ -293,7 +293,7 @@ def _in_cluster(roots: Mapping[Path, Path], version: str, function: Callable[...
     chain, *rest = moved(args, roots)
     other = [spec.function for spec in chain if not _same_code(spec)] + (["wbflow"] if version != __version__ else [])
     if other:
-        raise OtherCode(importlib.import_module("distributed").get_worker().address, ", ".join(dict.fromkeys(other)))
+        raise CodeMismatch(importlib.import_module("distributed").get_worker().address, ", ".join(dict.fromkeys(other)))
     return moved(function(chain, *rest, **kwargs), {there: here for here, there in roots.items()})
 
 

@@ -11,9 +11,9 @@ from pathlib import Path
 from ..cache.atomic import free_bytes
 from ..records.ledger import TaskCosts
 from ..task import Task
-from ..words import in_words
+from ..words import format_size
 
-LEAST_SECONDS, MOST_SECONDS, TIMES_MEDIAN = 600.0, 6 * 3600.0, 20.0
+LEAST_SECONDS, MOST_WAIT_SECONDS, TIMES_MEDIAN = 600.0, 6 * 3600.0, 20.0
 """Time limit of a task: TIMES_MEDIAN times the median of its stage, within the two bounds (seconds); the upper one if unknown."""
 DISK_RESERVE, DISK_MARGIN = 16_000_000, 1.2
 """Bytes of disk space kept free so that the run can be published; factor by which tasks may need more space than earlier ones."""
@@ -38,7 +38,7 @@ class Limits:
         if self.seconds is not None:
             return self.seconds
         before = self.costs.stages.get(stage)
-        return MOST_SECONDS if before is None else min(max(LEAST_SECONDS, TIMES_MEDIAN * before), MOST_SECONDS)
+        return MOST_WAIT_SECONDS if before is None else min(max(LEAST_SECONDS, TIMES_MEDIAN * before), MOST_WAIT_SECONDS)
 
     def learn(self, stage: str, mb: float) -> None:
         """Record the peak memory of a task in this run, MB."""
@@ -73,4 +73,4 @@ def disk_shortage(root: Path, costs: TaskCosts, tasks: Iterable[Task]) -> str:
     need = round(DISK_MARGIN * sum(costs.stages_bytes.get(task.stage, 0.0) for task in tasks)) + DISK_RESERVE
     if (free := free_bytes(root)) >= need:
         return ""
-    return f"the disk is nearly full: about {in_words(need)} needed to go on, {in_words(free)} free in {root}"
+    return f"the disk is nearly full: about {format_size(need)} needed to go on, {format_size(free)} free in {root}"

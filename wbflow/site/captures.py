@@ -34,9 +34,9 @@ class CaptureFile:
 
 ANSWER_SECONDS = 120.0
 """Timeout for listing and reading a camera's folder: if it takes longer, its mount is considered dead."""
-STILL_SECONDS, MOST_SECONDS, _POLL_SECONDS = 0.5, 10.0, 0.05
-"""A capture is complete when it has not changed for `STILL_SECONDS`; at most `MOST_SECONDS` are spent waiting for all of them."""
-LATER_SECONDS = 5.0
+QUIET_SECONDS, MOST_WAIT_SECONDS, _POLL_SECONDS = 0.5, 10.0, 0.05
+"""A capture is complete when it has not changed for `QUIET_SECONDS`; at most `MOST_WAIT_SECONDS` are waited for all."""
+REDUCED_ANSWER_SECONDS = 5.0
 """Timeout instead of `ANSWER_SECONDS` once another camera's folder has timed out: most cameras share one mount."""
 T = TypeVar("T")
 
@@ -87,7 +87,7 @@ def _answers(reads: Iterable[tuple[str, Callable[[], T]]]) -> Iterator[tuple[str
             try:
                 answer = reader.next(seconds)
             except TimeoutError as error:
-                answer, seconds = error, LATER_SECONDS
+                answer, seconds = error, REDUCED_ANSWER_SECONDS
                 reader = _Reader(read for _, read in cameras[number:]) if reader.stopped else reader
             yield camera, answer
     finally:
@@ -222,7 +222,7 @@ def _digested(name: str, path: Path, digests: Digests) -> CaptureFile:
         return CaptureFile(printable(name), path, "", printable(why))
 
 
-def as_now(file: CaptureFile, digests: Digests) -> CaptureFile:
+def with_current_digest(file: CaptureFile, digests: Digests) -> CaptureFile:
     """The file with its present digest; "" if it is gone."""
     try:
         return replace(file, digest=digests.of(file.path))
@@ -233,25 +233,25 @@ def as_now(file: CaptureFile, digests: Digests) -> CaptureFile:
 def when_complete(
     captures: Mapping[str, list[CaptureFile]], digests: Digests
 ) -> tuple[dict[str, list[CaptureFile]], frozenset[Path]]:
-    """Return captures once they are completely written, and the paths of those still being written after `MOST_SECONDS`.
+    """Return captures once they are completely written, and the paths of those still being written after `MOST_WAIT_SECONDS`.
 
-    A capture counts as complete when nothing was written to it for `STILL_SECONDS`.
+    A capture counts as complete when nothing was written to it for `QUIET_SECONDS`.
     """
-    end = time.monotonic() + MOST_SECONDS
+    end = time.monotonic() + MOST_WAIT_SECONDS
     waited: set[Path] = set()
     files = [file for mine in captures.values() for file in mine if file.digest]
     while (growing := {file.path for file in files if _is_written(file.path)}) and time.monotonic() < end:
         waited |= growing
         files = [file for file in files if file.path in growing]
         time.sleep(_POLL_SECONDS)
-    now = {name: [as_now(f, digests) if f.path in waited else f for f in mine] for name, mine in captures.items()}
+    now = {name: [with_current_digest(f, digests) if f.path in waited else f for f in mine] for name, mine in captures.items()}
     return now, frozenset(growing)
 
 
 def _is_written(path: Path) -> bool:
     """Was a file written to just now?  A time in the future does not count: it comes from a disk with another clock."""
     try:
-        return 0 <= time.time() - path.stat().st_mtime < STILL_SECONDS
+        return 0 <= time.time() - path.stat().st_mtime < QUIET_SECONDS
     except OSError:
         return False
 
@@ -265,7 +265,7 @@ def in_motion(captures: Mapping[str, list[CaptureFile]], replaced: Collection[Pa
     """
 
     def moved(files: list[CaptureFile]) -> list[str]:
-        now = {f.name: as_now(f, digests).digest or f.digest for f in files if f.digest}
+        now = {f.name: with_current_digest(f, digests).digest or f.digest for f in files if f.digest}
         return [f.name for f in files if f.digest and (f.path in replaced or now[f.name] != f.digest)]
 
     answers = _answers((camera, functools.partial(moved, files)) for camera, files in captures.items())

@@ -14,7 +14,7 @@ from pydantic import BaseModel, ValidationError
 from ..cache.layout import WorkFolder
 from ..cache.untrusted import is_folder
 from ..pipeline.functions import FunctionReader
-from ..pipeline.pairs import MOST_AT_A_CAMERA
+from ..pipeline.pairs import MOST_PAIRS_PER_VIEW
 from ..remote import is_url
 from ..words import printable
 from .calibration.calibrated import LENS_MODELS
@@ -151,9 +151,9 @@ def _prepared(data: Any, problems: Problems, location: Location = ()) -> Any:
 
 
 def _check_pairs(file: SiteFile, problems: Problems, notes: Problems) -> None:
-    if file.pairs.degree > MOST_AT_A_CAMERA:
-        what = f"a view takes {MOST_AT_A_CAMERA} pairs at most, its best, not {file.pairs.degree}"
-        notes.add(("pairs", "degree"), what, f"write {MOST_AT_A_CAMERA} or less, e.g. degree: 6")
+    if file.pairs.degree > MOST_PAIRS_PER_VIEW:
+        what = f"a view takes {MOST_PAIRS_PER_VIEW} pairs at most, its best, not {file.pairs.degree}"
+        notes.add(("pairs", "degree"), what, f"write {MOST_PAIRS_PER_VIEW} or less, e.g. degree: 6")
     ids, pairs = [camera.id for camera in file.cameras], file.pairs
     if pairs.min_angle >= pairs.max_angle:
         remedy = "min_angle must be below max_angle, both in degrees"
@@ -184,7 +184,7 @@ _REMEDIES = {
     "bounds": "give two corners of the box that matters, in metres: bounds: [[-20, -30, 0], [20, 30, 12]]",
     "zones": "give name, three corners or more and, if you like, a least size in metres: zones: [{name: quay, polygon: [[0, 0], "
     "[20, 0], [20, 8]], least_m: 0.5}]",
-    "degree": f"give a whole number from 1 to {MOST_AT_A_CAMERA}, e.g. degree: 6",
+    "degree": f"give a whole number from 1 to {MOST_PAIRS_PER_VIEW}, e.g. degree: 6",
     "min_angle": "give degrees, e.g. min_angle: 4",
     "max_angle": "give degrees, e.g. max_angle: 60",
     "keep": "for example keep: {nights: 7, bytes: 50GB, clouds: all, reports: 365}",

@@ -1,7 +1,7 @@
 """Are a camera's captures from tonight?  A frozen camera repeats old ones; a wrong clock gives captures of another night.
 
 `find_stale` uses only digests, file names and the digests of earlier nights.  Evidence from the images themselves comes with the
-summary of the frame task (`by_picture`).
+summary of the frame task (`stale_by_image`).
 """
 
 from __future__ import annotations
@@ -23,14 +23,14 @@ NIGHT_HOURS = 36.0
 """A capture belongs to another night if it was taken further than this from noon of the night's date."""
 SAME_PIXELS = 0.98
 """A camera is frozen if a larger share of its pixels is identical in all captures: noise keeps a live sensor below this."""
-_OF_NOTHING = content_digest(b"")
+_EMPTY_FILE_DIGEST = content_digest(b"")
 """Digest of an empty file: repeated empty files are no evidence of a frozen image."""
 _REMEDY = "restart the camera, or the job that fetches its pictures; it is used again as soon as its captures are new"
 _CLOCK = "set the camera's clock, or check the job that fetches and names its pictures"
 
 
 @dataclass
-class Delivered:
+class FreshCaptures:
     """The night's captures after the search for stale ones."""
 
     captures: dict[str, list[CaptureFile]]
@@ -47,7 +47,7 @@ def find_stale(
     captures: Mapping[str, list[CaptureFile]],
     digests: Digests,
     remembered: EarlierCaptures,
-) -> Delivered:
+) -> FreshCaptures:
     """Leave out repeated captures, and find the cameras that are stale.
 
     Parameters
@@ -59,7 +59,7 @@ def find_stale(
     digests, remembered : Digests, EarlierCaptures
         Digests of files, for the night before; digests of earlier nights by camera, to which tonight's are added.
     """
-    delivered = Delivered({camera: list(files) for camera, files in captures.items()})
+    delivered = FreshCaptures({camera: list(files) for camera, files in captures.items()})
     repeated: dict[str, Health] = {}
     for camera in site.cameras:
         files = delivered.captures[camera.id]
@@ -89,9 +89,9 @@ def _earlier(site: Site, camera: Camera, date: datetime.date, digests: Digests, 
     return known
 
 
-def _repeats(camera: str, files: list[CaptureFile], earlier: Mapping[str, str], delivered: Delivered) -> Health | None:
+def _repeats(camera: str, files: list[CaptureFile], earlier: Mapping[str, str], delivered: FreshCaptures) -> Health | None:
     """The finding for a frozen camera; single repeated captures are left out of `delivered`.  earlier: night by digest."""
-    readable = [file for file in files if file.digest not in {"", _OF_NOTHING}]
+    readable = [file for file in files if file.digest not in {"", _EMPTY_FILE_DIGEST}]
     if not readable:
         return None
     different = {file.digest: file for file in reversed(readable)}
@@ -155,7 +155,7 @@ def night_by_pictures(frames: Iterable[FrameSummary]) -> str:
     return str(middle.date())
 
 
-def by_picture(frame: FrameSummary, night: str, in_order: bool) -> Health | None:
+def stale_by_image(frame: FrameSummary, night: str, in_order: bool) -> Health | None:
     """The finding for a camera whose images are frozen, or whose capture times are of another night or out of order.
 
     night: ISO 8601, "" if unknown.  in_order: do file names give the order in which captures were taken?

@@ -11,8 +11,8 @@ from wbflow_stages.core.residual_distortion import (
     distorted_pixels,
     residual_distortion,
     residual_px,
-    straight_frame,
-    straight_frames,
+    undistorted_frame,
+    undistorted_frames,
     without_distortion,
 )
 from wbflow_stages.rectification.warping import warp, warp_with_mask
@@ -50,7 +50,7 @@ def test_removing_distortion_inverts_adding_it() -> None:
 
 
 def test_a_distorted_frame_becomes_a_pinhole_image() -> None:
-    frame = straight_frame(bent_frame(), BENT)
+    frame = undistorted_frame(bent_frame(), BENT)
     assert largest_error(bent_frame().image, painted(x, y), frame.mask) > 40
     assert largest_error(frame.image, painted(x, y), frame.mask) <= 3
     assert 0.9 < frame.mask.mean() <= 1.0
@@ -59,13 +59,13 @@ def test_a_distorted_frame_becomes_a_pinhole_image() -> None:
 @pytest.mark.parametrize("radial", [(0.0, 0.0), (-0.002, 0.0)])
 def test_a_frame_with_negligible_distortion_stays_unchanged(radial: tuple[float, float]) -> None:
     frame, camera = bent_frame(), replace(BENT, radial=radial)
-    assert straight_frame(frame, camera) is frame
+    assert undistorted_frame(frame, camera) is frame
     frames = {"gate": frame}
-    assert straight_frames(frames, {"gate": camera, "roof": BENT}) is frames
+    assert undistorted_frames(frames, {"gate": camera, "roof": BENT}) is frames
 
 
 def test_frames_are_straightened_when_they_are_accessed() -> None:
-    frames = straight_frames({"gate": bent_frame(), "roof": bent_frame()}, {"gate": BENT})
+    frames = undistorted_frames({"gate": bent_frame(), "roof": bent_frame()}, {"gate": BENT})
     assert list(frames) == ["gate", "roof"] and len(frames) == 2
     assert largest_error(frames["gate"].image, painted(x, y), frames["gate"].mask) <= 3
     assert np.array_equal(frames["roof"].image, bent_frame().image)

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from wbflow_stages.fusion.posterior import noisiness, posterior, surest
+from wbflow_stages.fusion.posterior import most_probable, noisiness, posterior
 from wbflow_stages.fusion.visibility import CrossCheck
 from wbflow_stages.types import DepthMap, Float32s, Frame, View
 
@@ -48,7 +48,7 @@ def test_noise_never_makes_a_depth_more_probable() -> None:
 
 @given(arrays(np.float32, st.integers(1, 200), elements=st.floats(0.5, 1.0, width=32)), st.floats(0.5, 1.0))
 def test_the_least_probable_points_are_removed_and_no_more_than_necessary(probability: np.ndarray, share: float) -> None:
-    kept = surest(probability, share)
+    kept = most_probable(probability, share)
     assert kept.any()
     if kept.all():
         return
@@ -61,7 +61,7 @@ def test_the_least_probable_points_are_removed_and_no_more_than_necessary(probab
 def test_a_cloud_is_thinned_only_if_too_few_of_its_points_are_right() -> None:
     rng = np.random.default_rng(0)
     good, poor = rng.uniform(0.85, 1.0, 1000), rng.uniform(0.5, 1.0, 1000)
-    assert surest(good.astype(np.float32), 0.9).all()
-    kept = surest(poor.astype(np.float32), 0.8)
+    assert most_probable(good.astype(np.float32), 0.9).all()
+    kept = most_probable(poor.astype(np.float32), 0.8)
     assert 0.55 < kept.mean() < 0.85
     assert abs(poor[kept].mean() - 0.8) < 0.002

@@ -66,5 +66,5 @@ def test_views_oppose_a_depth_as_strongly_as_they_trust_their_own(own: float, ag
 @pytest.mark.parametrize(("own", "wrong"), [(5.0, 3.0), (-2.0, 0.4)])
 def test_pairs_are_doubted_as_strongly_as_the_contradicting_view_is_trusted(own: float, wrong: float) -> None:
     check = check_of(*views(4, 0.0, off=-0.5), own=own)
-    assert np.allclose(check.doubted[PATCH], wrong, atol=0.05)
-    assert (check.doubted[:20] == 0).all()
+    assert np.allclose(check.expected_wrong[PATCH], wrong, atol=0.05)
+    assert (check.expected_wrong[:20] == 0).all()

@@ -15,7 +15,7 @@ from wbflow_stages.stereo.census import match_census_sgm
 from wbflow_stages.stereo.matcher import DenseMatches, RectifiedPair, halved, mirrored
 from wbflow_stages.stereo.patchmatch import match_patchmatch
 from wbflow_stages.stereo.plane_filter import doubt, smoothed
-from wbflow_stages.stereo.rectified import quietened, with_coarse_range
+from wbflow_stages.stereo.rectified import denoised_if_noisy, with_coarse_range
 from wbflow_stages.stereo.sgbm import blocks, match_in_one_piece, match_sgbm
 
 Matcher = Callable[[RectifiedPair], DenseMatches]
@@ -256,13 +256,13 @@ def test_noise_is_distinguished_from_texture(level: float) -> None:
 def test_noisy_pictures_are_smoothed_before_matching_and_others_unchanged() -> None:
     left, right = (cv2.GaussianBlur(image, (0, 0), 1.5).astype(np.float32) for image in stereo_pair(160, 256))
     valid = np.ones(left.shape, dtype=bool)
-    np.testing.assert_array_equal(quietened(left, valid), left)
+    np.testing.assert_array_equal(denoised_if_noisy(left, valid), left)
     rng = np.random.default_rng(0)
     noisy = [(image + rng.normal(0, 6, image.shape)).astype(np.float32) for image in (left, right)]
     truth = true_disparity(160, 256)
     as_given, smoothed = (
         np.abs(match_patchmatch(pair_of(images[0], images[1], 16, 48)).left - truth)[well_inside(truth)]
-        for images in (noisy, [quietened(image, valid) for image in noisy])
+        for images in (noisy, [denoised_if_noisy(image, valid) for image in noisy])
     )
     assert np.mean(smoothed < 0.5) > np.mean(as_given < 0.5) + 0.03
 

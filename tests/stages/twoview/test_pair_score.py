@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from wbflow_stages.geometry import estimate_geometry
 from wbflow_stages.matches import match
-from wbflow_stages.twoview.pair_score import PairEvidence, pair_score, probability, tells_the_site
+from wbflow_stages.twoview.pair_score import PairEvidence, informs_about_site, pair_score, probability
 from wbflow_stages.types import Features, Geometry, Matches, Rejected, View
 
 K = np.array([[800.0, 0, 500], [0, 800, 333], [0, 0, 1]])
@@ -99,4 +99,4 @@ def test_a_pair_with_almost_no_baseline_is_reported_to_the_site(
     cells: int, agreement: float, angle_deg: float, reported: bool
 ) -> None:
     """Either they are at one place, or the scene looks the same from two sides: other pairs decide."""
-    assert tells_the_site(replace(GOOD, distinct_cells=cells, agreement=agreement, angle_deg=angle_deg)) is reported
+    assert informs_about_site(replace(GOOD, distinct_cells=cells, agreement=agreement, angle_deg=angle_deg)) is reported

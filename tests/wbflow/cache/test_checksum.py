@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from wbflow.cache.checksum import Damaged, NoChecksum, checked, read_checksummed, with_checksum, write_checksummed
+from wbflow.cache.checksum import Damaged, NoChecksum, checked, dump_with_checksum, read_checksummed, write_checksummed
 
 CONTENT = {"points": 12, "names": ["gate", "roof"]}
 
@@ -16,12 +16,12 @@ def test_it_is_read_as_it_was_written_by_anybody(tmp_path: Path) -> None:
     write_checksummed(tmp_path / "memo.json", "memo", CONTENT)
     assert read_checksummed(tmp_path / "memo.json", "memo") == CONTENT
     assert json.loads((tmp_path / "memo.json").read_bytes())["points"] == 12
-    assert checked(with_checksum("memo", CONTENT, in_lines=True), "memo") == CONTENT
-    assert with_checksum("memo", CONTENT) == with_checksum("memo", CONTENT)
+    assert checked(dump_with_checksum("memo", CONTENT, in_lines=True), "memo") == CONTENT
+    assert dump_with_checksum("memo", CONTENT) == dump_with_checksum("memo", CONTENT)
 
 
 def test_no_single_changed_byte_is_believed() -> None:
-    data = with_checksum("memo", CONTENT)
+    data = dump_with_checksum("memo", CONTENT)
     for place in range(len(data)):
         changed = bytearray(data)
         changed[place] ^= 1
@@ -32,12 +32,12 @@ def test_no_single_changed_byte_is_believed() -> None:
 @pytest.mark.parametrize("length", [0, 1, 30, 60])
 def test_a_file_that_was_cut_short_is_not_believed(length: int) -> None:
     with pytest.raises(Damaged):
-        checked(with_checksum("memo", CONTENT)[:length], "memo")
+        checked(dump_with_checksum("memo", CONTENT)[:length], "memo")
 
 
 def test_what_belongs_to_something_else_is_not_believed() -> None:
     with pytest.raises(Damaged, match="belongs to frames/gate"):
-        checked(with_checksum("frames/gate", CONTENT), "frames/roof")
+        checked(dump_with_checksum("frames/gate", CONTENT), "frames/roof")
 
 
 def test_what_is_not_there_or_of_an_earlier_version_is_no_damage(tmp_path: Path) -> None:

@@ -11,7 +11,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from wbflow.pipeline.pairs import MOST_AT_A_CAMERA, PairGraph, select_pairs
+from wbflow.pipeline.pairs import MOST_PAIRS_PER_VIEW, PairGraph, select_pairs
 from wbflow_stages.types import Overlap
 
 
@@ -83,11 +83,11 @@ def test_degree_bounds_what_is_added_beyond_the_tree() -> None:
 def test_a_hub_gets_no_more_pairs_than_a_view_takes_and_says_what_is_left_out() -> None:
     """Sixty cameras that share something with the hub only, and `degree: 40` where all of 45 cameras share something."""
     hub = select_pairs(overlap(61, {(0, k): 0.5 for k in range(1, 61)}), degree=40)
-    assert len(hub.pairs) == MOST_AT_A_CAMERA
+    assert len(hub.pairs) == MOST_PAIRS_PER_VIEW
     assert any("the most that a view can have" in edge.reason for edge in hub.edges if not edge.kept)
     assert set(hub.crowded) == {"c0"} and "those with c33, c34," in hub.crowded["c0"] and "and 20 more" in hub.crowded["c0"]
     crowd = select_pairs(overlap(45, dict.fromkeys(combinations(range(45), 2), 0.5)), degree=40)
-    assert max(dict(graph(crowd).degree).values()) == MOST_AT_A_CAMERA
+    assert max(dict(graph(crowd).degree).values()) == MOST_PAIRS_PER_VIEW
     assert len(crowd.components) == 1
     assert crowd.untold + len(crowd.edges) == 45 * 44 // 2
     assert crowd.crowded

@@ -74,7 +74,7 @@ def test_who_only_reads_changes_nothing(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("writes", [False, True])
 def test_a_ledger_that_somebody_holds_is_never_removed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, writes: bool) -> None:
-    monkeypatch.setattr("wbflow.records.ledger._PATIENCE_S", 0.05)
+    monkeypatch.setattr("wbflow.records.ledger._BUSY_TIMEOUT_S", 0.05)
     work = WorkFolder(tmp_path)
     full_ledger(work)
     inode = work.ledger.stat().st_ino

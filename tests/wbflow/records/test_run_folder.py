@@ -13,7 +13,7 @@ from tests.wbflow.records.test_record import some_record
 from wbflow.cache.layout import WorkFolder, run_id
 from wbflow.records.events import Event, TaskEvent, WarningEvent, event_from_json, event_to_json
 from wbflow.records.findings import Level, Verdict
-from wbflow.records.run_folder import NoSuchRun, RunFolder, UnfinishedRun, new_run, turn_links
+from wbflow.records.run_folder import NoSuchRun, RunFolder, UnfinishedRun, new_run, update_links
 from wbflow.task import Task
 
 REJECTED = TaskEvent(
@@ -93,7 +93,7 @@ def test_a_kill_before_the_link_was_turned_is_mended_and_costs_no_published_file
         work.turn(link, "20261120T031500Z")  # its state at the time of the kill
     work.unfinished_run(work.latest.name).folder.symlink_to(newest.folder.name)
     assert work.start_writing(), "somebody was killed"
-    turn_links(work)
+    update_links(work)
     assert {path.name: path.read_bytes() for path in newest.folder.iterdir()} == files
     assert sorted(path.name for path in work.runs.iterdir()) == [
         "20261120T031500Z",
@@ -120,7 +120,7 @@ def test_a_link_that_leads_nowhere_is_turned_to_the_newest_run(tmp_path: Path) -
     work = WorkFolder(tmp_path)
     publish(work, "20261120T031500Z")
     work.turn(work.latest, "20261121T031500Z")
-    turn_links(work)
+    update_links(work)
     assert work.latest.resolve().name == "20261120T031500Z"
 
 

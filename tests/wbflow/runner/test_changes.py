@@ -84,7 +84,7 @@ def test_what_is_replaced_after_it_was_read_is_named_with_the_bytes_that_were_us
 
 
 def test_a_capture_that_is_being_written_is_waited_for(toy: ToySite, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(captures, "STILL_SECONDS", 0.2)
+    monkeypatch.setattr(captures, "QUIET_SECONDS", 0.2)
     looks = iter(range(4))
     still = captures._is_written
 
@@ -102,7 +102,7 @@ def test_a_capture_that_is_being_written_is_waited_for(toy: ToySite, monkeypatch
 def test_one_that_grows_for_ever_is_waited_for_no_longer_than_is_stated_and_degrades_the_night(
     toy: ToySite, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(captures, "MOST_SECONDS", 0.3)
+    monkeypatch.setattr(captures, "MOST_WAIT_SECONDS", 0.3)
     monkeypatch.setattr(captures, "_is_written", lambda path: path == toy.capture("roof"))
     work = loop.run_tasks
 

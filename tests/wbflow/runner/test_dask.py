@@ -12,7 +12,7 @@ from tests.helpers.toy_site import HELPERS, ToySite
 from wbflow.cache.layout import WorkFolder
 from wbflow.cache.store import Cache
 from wbflow.errors import UsageError, WbflowError
-from wbflow.runner.executors import Cluster, OtherCode, moved
+from wbflow.runner.executors import Cluster, CodeMismatch, moved
 from wbflow.runner.options import worker_roots
 from wbflow.runner.spec import Files, Input, Joined, Stored, TaskSpec
 from wbflow.site.captures import CaptureFile
@@ -104,9 +104,9 @@ def test_a_worker_that_was_refused_is_given_nothing_more(monkeypatch: pytest.Mon
     spec = TaskSpec(Task("matches", ("a", "b")), "toy_stages:match", "code", {}, {})
     cluster = Cluster("tcp://somewhere")
     cluster.submit(print, [spec])
-    cluster.refuse(OtherCode("old", "matcher"))
+    cluster.refuse(CodeMismatch("old", "matcher"))
     cluster.submit(print, [spec])
     assert client.asked == [None, ["new"]]
-    cluster.refuse(OtherCode("new", "matcher"))
+    cluster.refuse(CodeMismatch("new", "matcher"))
     with pytest.raises(WbflowError, match="no worker of the cluster runs the same code"):
         cluster.submit(print, [spec])

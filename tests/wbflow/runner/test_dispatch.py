@@ -185,7 +185,7 @@ def test_a_tasks_time_is_reported_by_what_its_stage_took_before() -> None:
     known = Limits(costs=past)
     assert known.seconds_for("quick") == limits.LEAST_SECONDS
     assert known.seconds_for("slow") == limits.TIMES_MEDIAN * 300
-    assert known.seconds_for("endless") == known.seconds_for("new") == limits.MOST_SECONDS
+    assert known.seconds_for("endless") == known.seconds_for("new") == limits.MOST_WAIT_SECONDS
     assert Limits(seconds=5.0, costs=past).seconds_for("slow") == 5
 
 

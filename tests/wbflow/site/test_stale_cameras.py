@@ -13,7 +13,7 @@ from wbflow.pipeline.summaries import FrameSummary
 from wbflow.site.captures import find_captures
 from wbflow.site.load import load_site
 from wbflow.site.models import Site
-from wbflow.site.stale_cameras import Delivered, by_picture, find_stale, night_by_pictures
+from wbflow.site.stale_cameras import FreshCaptures, find_stale, night_by_pictures, stale_by_image
 
 NIGHT = datetime.date(2026, 11, 19)
 DAY = datetime.timedelta(days=1)
@@ -35,7 +35,7 @@ def a_site(folder: Path, pattern: str = PATTERN) -> Site:
     return load_site(folder)
 
 
-def looked_at(site: Site, night: datetime.date, seen: EarlierCaptures) -> Delivered:
+def looked_at(site: Site, night: datetime.date, seen: EarlierCaptures) -> FreshCaptures:
     digests = Digests(None)
     return find_stale(site, night, find_captures(site, night, digests), digests, seen)
 
@@ -117,7 +117,7 @@ def test_names_without_a_date_are_stale_only_where_others_are_new(tmp_path: Path
     ],
 )
 def test_pictures_themselves_say_that_they_are_of_another_time(figures: dict[str, object], words: str | None) -> None:
-    health = by_picture(FrameSummary.from_json(figures), "2026-11-19", in_order=True)
+    health = stale_by_image(FrameSummary.from_json(figures), "2026-11-19", in_order=True)
     assert (health is None) == (words is None)
     assert health is None or (health.state == "stale" and words is not None and words in health.text)
 
@@ -130,9 +130,9 @@ def test_photographs_without_a_date_in_their_names_are_of_the_night_that_most_sa
     week = photographed(*(f"2010-10-{day}T12:00:00" for day in range(10, 17)))
     one_day = photographed("2010-10-12T09:00:00", "2010-10-12T17:00:00", "2010-10-12T23:30:00", "2026-11-24T09:00:00")
     assert night_by_pictures(one_day) == "2010-10-12"
-    assert [by_picture(figures, "2010-10-12", in_order=False) is None for figures in one_day] == [True, True, True, False]
+    assert [stale_by_image(figures, "2010-10-12", in_order=False) is None for figures in one_day] == [True, True, True, False]
     assert night_by_pictures(week) == "", "taken over a week: none of them is wrong"
-    assert all(by_picture(figures, "", in_order=False) is None for figures in week)
+    assert all(stale_by_image(figures, "", in_order=False) is None for figures in week)
     assert night_by_pictures([FrameSummary(), FrameSummary(taken_first="")]) == ""
 
 
