@@ -55,6 +55,9 @@ class Scene:
     fitted: bool
 
 
+PAVILION = [f"c{k:03}" for k in (76, 81, 86, 91, 96, 1, 6)]
+"""Seven neighbours of the twenty cameras around the hall."""
+
 SCENES = {
     "yard": Scene({"scene": "yard"}, 0.2, fitted=True),
     "carpark": Scene({"scene": "carpark"}, 0.2, fitted=True),
@@ -78,6 +81,7 @@ SCENES = {
     "construction": Scene({"scene": "construction", "cameras": 5}, 0.3, fitted=False),
     "substation": Scene({"scene": "substation", "cameras": 5}, 0.3, fitted=False),
     "fountain": Scene({"photographs": "fountain", "cameras": [f"{k:04}" for k in range(0, 11, 2)]}, 0.1, fitted=False),
+    "pavilion": Scene({"photographs": "pavilion", "cameras": PAVILION}, 0.08, fitted=False),
     "entry": Scene({"photographs": "entry", "cameras": [f"{k:04}" for k in range(0, 9, 2)]}, 0.2, fitted=False),
 }
 

@@ -28,6 +28,8 @@ from wbflow_stages.types import Bools, Camera, Float32s, Float64s, Uint8s
 DATA = Path(os.environ.get("WBFLOW_DATA") or Path(__file__).resolve().parents[2] / "shared" / "data")
 LENS = np.array([-0.12, 0.02, 0.0003, -0.0002, 0.0])
 WIDTH, WIDTH_OF_TRUTH = 480, 768
+FROM_CORNER = {"pavilion"}
+"""Data sets whose principal points are counted from the corner of the first pixel: dense matches show it by 25 sigmas."""
 
 
 def write_photographs(folder: Path, photographs: str, cameras: Sequence[str], nights: Sequence[str]) -> None:
@@ -38,7 +40,7 @@ def write_photographs(folder: Path, photographs: str, cameras: Sequence[str], ni
     source, calibration, rng = DATA / photographs, {}, np.random.default_rng(1)
     every = true_cameras(source)
     for name in cameras:
-        picture = read_rgb(source / "images" / f"{name}.jpg")
+        picture = read_rgb(picture_file(source, name))
         camera = resized(every[name], WIDTH)
         seen = through_lens(picture, every[name], camera)
         darker = np.clip(0.95 * seen + rng.normal(0, 2, seen.shape), 0, 255).astype(np.uint8)
@@ -65,8 +67,15 @@ def true_cameras(source: Path) -> dict[str, Camera]:
     cameras = {}
     for name, of in json.loads((source / "cameras.json").read_text()).items():
         K, R, C = (np.array(of[key], np.float64) for key in "KRC")
+        K[:2, 2] -= 0.5 * (source.name in FROM_CORNER)
         cameras[Path(name).stem] = Camera(K, R, C, of["width"], of["height"])
     return cameras
+
+
+def picture_file(source: Path, name: str) -> Path:
+    """The photograph of a camera; the first of several nights."""
+    photograph = source / "images" / f"{name}.jpg"
+    return photograph if photograph.exists() else min((source / "captures" / name).iterdir())
 
 
 def resized(camera: Camera, width: int) -> Camera:
@@ -98,7 +107,7 @@ def write_truth(truth: Path, source: Path, every: dict[str, Camera], cameras: di
     """Write cameras.json, depth/ of these cameras if the laser has it, and reference.ply, in the demo's formats."""
     (truth / "depth").mkdir(parents=True)
     (truth / "cameras.json").write_text(json.dumps({name: entry(camera) for name, camera in cameras.items()}))
-    X, lit = photographed_surface(source, list(every)), []
+    X, lit = photographed_surface(source, every), []
     for name in every if (source / "depth").exists() else ():
         with np.load(source / "depth" / f"{name}.npz") as file:
             depth: Float32s = file["depth"]
@@ -112,12 +121,18 @@ def write_truth(truth: Path, source: Path, every: dict[str, Camera], cameras: di
     (truth / "reference.ply").write_bytes(ply_bytes(dict(zip("xyz", points.T, strict=True))))
 
 
-def photographed_surface(source: Path, names: Sequence[str]) -> Float64s:
+def photographed_surface(source: Path, every: dict[str, Camera]) -> Float64s:
     """(n, 3) the cloud of a run on all photographs with their true cameras."""
     with tempfile.TemporaryDirectory() as folder:
-        captures = {"root": str(source / "images"), "pattern": "{camera}.jpg"}
-        site = {"site": "truth", "captures": captures, "cameras": list(names), "resolution": WIDTH_OF_TRUTH}
-        (Path(folder) / "site.yaml").write_text(yaml.safe_dump(site | {"calibration": str(source / "cameras.json")}))
+        (Path(folder) / "cameras.json").write_text(json.dumps({name: entry(camera) for name, camera in every.items()}))
+        cameras = [{"id": name, "images": [str(picture_file(source, name))]} for name in every]
+        site = {
+            "site": "truth",
+            "captures": {"root": ".", "pattern": "{camera}"},
+            "cameras": cameras,
+            "calibration": "cameras.json",
+        }
+        (Path(folder) / "site.yaml").write_text(yaml.safe_dump(site | {"resolution": WIDTH_OF_TRUTH}))
         subprocess.run([sys.executable, "-m", "wbflow", "run", folder, "-q"], check=True)
         table = read_ply(next(Path(folder).glob(".wbflow/*/runs/latest/cloud.ply")))
     return np.stack([np.asarray(table[axis], np.float64) for axis in "xyz"], axis=1)
