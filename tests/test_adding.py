@@ -53,7 +53,7 @@ def apply(diff: str, tree: Path) -> None:
         assert done.returncode == 0, f"a diff in stages/README.md no longer fits:\n{part}\n{done.stderr}"
 
 
-def pass_their_tests(tree: Path, diff: str) -> None:
+def run_tests_of(tree: Path, diff: str) -> None:
     tests = [file for file in files_of(diff) if file.startswith("tests/")]
     command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "--noconftest", "-c", os.devnull, *tests]
     done = subprocess.run(
@@ -81,7 +81,7 @@ def record(site: CopiedSite) -> dict[str, list[dict[str, object]]]:
     return found
 
 
-def test_a_matcher_touches_two_files(tree: Path) -> None:
+def test_adding_a_matcher_touches_at_most_two_files(tree: Path) -> None:
     assert len(files_of(MATCHER)) <= 2
     apply(MATCHER, tree)
     site = toy(tree, matches={"matcher": "nearby", "radius_px": 500.0, "min_matches": 1})
@@ -90,10 +90,10 @@ def test_a_matcher_touches_two_files(tree: Path) -> None:
     assert "mutual, kdtree, nearby, onnx" in site.wbflow("check").stderr
 
 
-def test_an_export_touches_three_files(tree: Path) -> None:
+def test_adding_an_export_touches_at_most_three_files(tree: Path) -> None:
     assert len(files_of(EXPORT)) <= 3
     apply(EXPORT, tree)
-    pass_their_tests(tree, EXPORT)
+    run_tests_of(tree, EXPORT)
     site = toy(tree)
     record(site)
     assert "--xyz" in site.wbflow("export", "--help").stdout
@@ -102,16 +102,16 @@ def test_an_export_touches_three_files(tree: Path) -> None:
     assert re.fullmatch(r"(-?\d+\.\d{4} -?\d+\.\d{4} -?\d+\.\d{4}\n)+", (site.folder / "out" / "cloud.xyz").read_text())
 
 
-def test_a_stage_touches_five_files(tree: Path) -> None:
+def test_adding_a_stage_touches_at_most_five_files(tree: Path) -> None:
     """The files of the diff, and stages/README.md, which gets a paragraph."""
     assert len(files_of(STAGE)) + 1 <= 5
     apply(STAGE, tree)
-    pass_their_tests(tree, STAGE)
+    run_tests_of(tree, STAGE)
     site = toy(tree, shadows={"darkest": 0.8})
     cameras = record(site)["cameras"]
     assert all(0 < float(str(camera["shadow"])) < 1 for camera in cameras)
     assert len(list((site.work / "cache" / "shadows").glob("*/*.json"))) == len(cameras)
-    message = subprocess.run(site.command("stages", "shadows"), env=site.env(), capture_output=True, text=True, check=True).stdout
-    assert "darkest = 0.3" in message
+    listed = subprocess.run(site.command("stages", "shadows"), env=site.env(), capture_output=True, text=True, check=True).stdout
+    assert "darkest = 0.3" in listed
     change_stages(site, shadows=False)
     assert "shadows" not in site.wbflow("status").stdout

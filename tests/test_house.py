@@ -20,7 +20,7 @@ SOURCES = sorted(file for folder in (ENGINE, VISION, DEMO) for file in folder.gl
 ENGINE_FILES = [file for file in SOURCES if file.is_relative_to(ENGINE)]
 EVERY_FILE = sorted([*SOURCES, *ROOT.glob("scripts/*.py"), *ROOT.glob("tests/**/*.py")])
 
-FLOORS = [
+VISION_LAYERS = [
     {"types", "reasons", "core"},
     {"twoview", "matching", "io"},
     {"capture", "rectification", "stereo", "sfm", "orientation", "mvs", "fusion", "change"},
@@ -29,7 +29,7 @@ FLOORS = [
 ]
 """Packages of the vision code in layers, lowest first: each imports only from its own and lower ones.  "stages": stage files."""
 
-LAYERS = (
+ENGINE_LAYERS = (
     {"errors", "task", "words", "json_dataclass", "plugins"},
     {"cache", "records", "pipeline", "remote"},
     {"site"},
@@ -39,7 +39,7 @@ LAYERS = (
     {"cli"},
 )
 """Packages and modules of the engine in layers, lowest first: each imports only from its own layer and lower ones."""
-LAYER_OF = {room: floor for floor, rooms in enumerate(LAYERS) for room in rooms}
+LAYER_OF = {room: layer for layer, rooms in enumerate(ENGINE_LAYERS) for room in rooms}
 PATHS = r"""(?x)^(
     cache | runs | latest | latest-good | reference\.json | quarantine | lock | \.writing | \.wbflow
     | run\.json | metrics\.prom | notified\.json
@@ -98,13 +98,15 @@ def imports(file: Path, types_too: bool = False) -> Iterator[str]:
             yield from (f"{path}.{alias.name}" if f"{path}.{alias.name}" in NAMES else path for alias in node.names)
 
 
-def floor(name: str) -> int | None:
+def layer(name: str) -> int | None:
     """Layer of a module of the vision code; None for the package itself, which may import anything, and for other modules."""
     package, _, rest = name.partition(".")
     if package != "stages" or not rest:
         return None
     room = rest.split(".")[0]
-    return next(k for k, rooms in enumerate(FLOORS) if (room if any(room in r for r in FLOORS) else "stages") in rooms)
+    return next(
+        k for k, rooms in enumerate(VISION_LAYERS) if (room if any(room in r for r in VISION_LAYERS) else "stages") in rooms
+    )
 
 
 def test_every_package_is_listed_for_installation() -> None:
@@ -114,7 +116,7 @@ def test_every_package_is_listed_for_installation() -> None:
 
 
 @pytest.mark.parametrize("file", SOURCES, ids=name_of)
-def test_the_engine_sees_no_pixel_and_the_vision_no_engine(file: Path) -> None:
+def test_engine_vision_and_demo_have_no_forbidden_imports(file: Path) -> None:
     pixels = {"cv2", "open3d", "numba", "poselib", "pycolmap"}
     banned = {
         ENGINE: {*pixels, "wbflow_stages", "wbflow_demo"},
@@ -125,17 +127,17 @@ def test_the_engine_sees_no_pixel_and_the_vision_no_engine(file: Path) -> None:
     assert not {name.split(".")[0] for name in imports(file)} & banned[folder]
 
 
-def test_nothing_is_pickled() -> None:
+def test_no_module_imports_a_pickle_library() -> None:
     banned = {"pickle", "shelve", "marshal", "dill", "cloudpickle"}
     assert not [file for file in SOURCES if {name.split(".")[0] for name in imports(file)} & banned]
 
 
-def test_imports_of_the_vision_run_one_way() -> None:
+def test_vision_code_imports_only_from_its_own_and_lower_layers() -> None:
     upward = []
     for name, file in NAMES.items():
-        here = floor(name)
+        here = layer(name)
         for other in imports(file) if here is not None else ():
-            there = floor(other)
+            there = layer(other)
             if here is not None and there is not None and there > here:
                 upward.append(f"{name} imports {other}")
     assert not upward
@@ -148,12 +150,12 @@ def rooms(file: Path) -> set[str]:
 
 
 @pytest.mark.parametrize("file", [f for f in ENGINE_FILES if f.parent != ENGINE or f.stem in LAYER_OF], ids=name_of)
-def test_imports_of_the_engine_run_one_way(file: Path) -> None:
+def test_the_engine_imports_only_from_its_own_and_lower_layers(file: Path) -> None:
     room = file.relative_to(ENGINE).parts[0].removesuffix(".py")
     assert [name for name in rooms(file) & LAYER_OF.keys() if LAYER_OF[name] > LAYER_OF[room]] == []
 
 
-def test_no_imports_run_in_circles() -> None:
+def test_there_are_no_circular_imports() -> None:
     graph = networkx.DiGraph()
     modules = {name for name, file in NAMES.items() if file.name != "__init__.py"}  # packages import lazily
     for name in modules:
@@ -194,7 +196,7 @@ ON_THEIR_OWN = {
 
 
 @pytest.mark.parametrize("room", ROOMS)
-def test_no_room_is_deeper_than_four_levels(room: str) -> None:
+def test_packages_do_not_exceed_their_number_of_levels(room: str) -> None:
     assert levels(room) <= DEEPER.get(room, MOST_LEVELS)
 
 
@@ -203,12 +205,12 @@ TWICE = {"stages": {"cameras", "ground", "health", "matcher", "propagation", "wo
 
 
 @pytest.mark.parametrize("package", ["wbflow", "stages", "sites"])
-def test_no_two_modules_of_a_package_have_one_base_name(package: str) -> None:
+def test_modules_of_a_package_have_distinct_base_names(package: str) -> None:
     names = Counter(name.rpartition(".")[2] for name in MODULES if name.partition(".")[0] == package)
     assert {name for name, count in names.items() if count > 1} <= TWICE.get(package, set())
 
 
-def test_table() -> None:
+def test_table_of_packages_shows_no_unlisted_small_module() -> None:
     """Print sizes and levels of all packages: `python -m pytest tests/test_house.py -k table -s` shows them."""
     lines = {name: len(NAMES[name].read_text().splitlines()) for name in MODULES}
     importers = Counter(other for found in IMPORTED.values() for other in found)
@@ -227,12 +229,12 @@ def test_table() -> None:
 
 def literals(tree: ast.Module) -> Iterator[str]:
     """Strings in a module, without docstrings."""
-    reported = set()
+    docstrings = set()
     for node in ast.walk(tree):
         if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant):
-            reported.add(node.value)
+            docstrings.add(node.value)
     for node in ast.walk(tree):
-        if isinstance(node, ast.Constant) and isinstance(node.value, str) and node not in reported:
+        if isinstance(node, ast.Constant) and isinstance(node.value, str) and node not in docstrings:
             yield node.value
 
 
@@ -251,11 +253,11 @@ def spelled(source: str) -> set[str]:
         ("'''of runs'''\nx = 'the cache of runs'", set()),
     ],
 )
-def test_a_path_that_is_spelled_is_found(source: str, found: set[str]) -> None:
+def test_paths_spelled_in_source_are_found(source: str, found: set[str]) -> None:
     assert spelled(source) == found
 
 
-def test_one_file_spells_the_paths_of_the_work_folder() -> None:
+def test_only_the_layout_module_spells_paths_of_the_work_folder() -> None:
     assert len(spelled(LAYOUT.read_text())) > 10
     elsewhere = {
         file.relative_to(ENGINE): found
@@ -265,7 +267,7 @@ def test_one_file_spells_the_paths_of_the_work_folder() -> None:
     assert elsewhere == {}
 
 
-def test_everything_is_caught_in_few_places_only() -> None:
+def test_only_a_few_places_catch_all_exceptions() -> None:
     """All exceptions are caught only around a task, its picture, the report, libraries of object stores (their errors have no
     common base class), one of several sites, and the whole command line."""
     broad = [
@@ -305,7 +307,7 @@ def public_functions(body: list[ast.stmt], owner: str = "") -> Iterator[tuple[st
             yield f"{owner}{node.name}", node
 
 
-def test_functions_with_more_than_three_parameters_explain_them() -> None:
+def test_functions_with_more_than_three_parameters_document_them() -> None:
     """Exempt are kernels (their file explains them), commands (their options do), and the demo (its scenes share parameters)."""
     silent = []
     for file in (file for file in SOURCES if not file.is_relative_to(DEMO)):
@@ -317,7 +319,7 @@ def test_functions_with_more_than_three_parameters_explain_them() -> None:
     assert silent == []
 
 
-def test_whoever_is_reported_that_something_cannot_be_meant_is_reported_what_to_type() -> None:
+def test_every_usage_error_has_a_remedy() -> None:
     raised = [
         (file, node.lineno, {word.arg for word in node.keywords})
         for file in ENGINE_FILES

@@ -25,14 +25,14 @@ def blocks(guide: str, language: str) -> list[str]:
     return re.findall(rf"^```{language}\n(.*?)^```$", (ROOT / guide).read_text(), re.MULTILINE | re.DOTALL)
 
 
-def wbflow_says(*arguments: str | Path) -> str:
+def wbflow_output(*arguments: str | Path) -> str:
     """The output of a command, which has to succeed."""
     result = CliRunner().invoke(main, [str(argument) for argument in arguments])
     assert result.exit_code == 0, result.output
     return result.output
 
 
-def works_through(*arguments: str | Path) -> None:
+def run_night(*arguments: str | Path) -> None:
     """Run a night of four photographs, 320 pixels wide; the only finding has to be that they do not determine their lenses,
     which are 5 to 10 pixels off at the border."""
     result = CliRunner().invoke(main, ["run", *(str(argument) for argument in arguments), "--jobs", "1", "--json"])
@@ -53,31 +53,33 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (folder / "site.yaml").write_text(typed)
     for name, camera in zip(yaml.safe_load(typed)["cameras"], small_yard().cameras, strict=True):
         cv2.imwrite(str(folder / f"{name}.jpg"), camera.captures[0][..., ::-1])
-    works_through(folder)
+    run_night(folder)
     return folder
 
 
-def test_nine_lines_and_four_photographs_make_a_cloud(folder: Path) -> None:
+def test_a_nine_line_site_file_and_four_photographs_make_a_cloud(folder: Path) -> None:
     run = wbflow.open_run(folder)
     assert len(run.cloud.points) > 20_000
     assert {camera.outcome for camera in run.cameras.values()} == {"ok"}
 
 
 @pytest.mark.parametrize("layout", ["{}.jpg", "{}/1.jpg"])
-def test_a_site_file_that_init_writes_makes_one_too(folder: Path, tmp_path: Path, layout: str) -> None:
+def test_a_site_file_written_by_init_makes_a_cloud(folder: Path, tmp_path: Path, layout: str) -> None:
     for photograph in folder.glob("*.jpg"):
         place = tmp_path / layout.format(photograph.stem)
         place.parent.mkdir(exist_ok=True)
         place.write_bytes(photograph.read_bytes())
-    wbflow_says("init", tmp_path)
+    wbflow_output("init", tmp_path)
     written = (tmp_path / "site.yaml").read_text()
     (tmp_path / "site.yaml").write_text(re.sub(r"^site: .*", "site: yard", written, flags=re.MULTILINE))
-    works_through(tmp_path, "--work", work(folder))  # equal results come from the cache
+    run_night(tmp_path, "--work", work(folder))  # equal results come from the cache
     run = wbflow.open_run(wbflow.load_site(tmp_path, work(folder)))
     assert len(run.cloud.points) > 20_000
 
 
-def test_from_python(folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_python_example_of_the_readme_works(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     (typed,) = blocks("README.md", "python")
     (folder / "typed.py").write_text(typed.replace("jobs=2", "jobs=1"))
     monkeypatch.chdir(folder)
@@ -86,14 +88,14 @@ def test_from_python(folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pyte
     assert "gate--roof ok" in capsys.readouterr().out
 
 
-def test_a_matcher_of_ones_own_beside_the_site_file(folder: Path) -> None:
+def test_the_user_matcher_of_the_guide_works_beside_the_site_file(folder: Path) -> None:
     _, typed = blocks("stages/README.md", "python")
     named, _ = blocks("stages/README.md", "yaml")  # the other block is about a network
     (folder / "orb.py").write_text(typed)
     site = folder / "orb.yaml"
     site.write_text((folder / "site.yaml").read_text() + named)
-    wbflow_says("check", site)
-    wbflow_says("run", site, "--jobs", "1", "--until", "geometry")
+    wbflow_output("check", site)
+    wbflow_output("run", site, "--jobs", "1", "--until", "geometry")
     run = wbflow.open_run(site)
     found = [pair for pair in run.pairs.values() if pair.outcome == "ok"]
     assert len(found) >= 3, "neighbours have a geometry"
@@ -102,7 +104,7 @@ def test_a_matcher_of_ones_own_beside_the_site_file(folder: Path) -> None:
     assert matches.i1 is None, "points that are no keypoints"
 
 
-def test_two_photographs_to_disparity(
+def test_the_guide_computes_disparity_from_two_photographs_in_ten_lines(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     typed, _ = blocks("stages/README.md", "python")
@@ -117,7 +119,7 @@ def test_two_photographs_to_disparity(
 
 
 @pytest.mark.parametrize("guide", ["README.md", "wbflow/README.md", "stages/README.md", "scripts/README.md", "sites/README.md"])
-def test_what_guides_point_to_is_there(guide: str) -> None:
+def test_links_and_paths_in_the_guides_exist(guide: str) -> None:
     text = (ROOT / guide).read_text()
     links = re.findall(r"\]\((?!http)([^)#]+)\)", text)
     assert not [link for link in links if not (ROOT / guide).parent.joinpath(link).exists()]

@@ -36,8 +36,8 @@ def file(name: str) -> bytes:
 
 
 def nights() -> list[dict[str, Any]]:
-    reported: list[dict[str, Any]] = json.loads(file("truth/nights.json"))["nights"]
-    return reported
+    truth: list[dict[str, Any]] = json.loads(file("truth/nights.json"))["nights"]
+    return truth
 
 
 def frames(camera: str, night: int) -> list[bytes]:
@@ -55,7 +55,7 @@ def test_every_camera_has_its_frames_every_night() -> None:
     assert {len(frames(camera, night)) for camera in cameras for night in range(1, NIGHTS + 1)} == {2}
 
 
-def test_a_frozen_camera_repeats_the_bytes_of_the_night_before_and_no_other_does() -> None:
+def test_only_the_frozen_camera_repeats_a_picture_of_the_night_before() -> None:
     every = {(c, n): frames(c, n) for n in range(1, NIGHTS + 1) for c in nights()[n - 1]["cameras"]}
     for (camera, night), found in every.items():
         frozen = nights()[night - 1]["cameras"][camera]["event"] == "frozen"
@@ -66,7 +66,7 @@ def test_a_frozen_camera_repeats_the_bytes_of_the_night_before_and_no_other_does
     assert len({data for found in every.values() for data in found}) == len(every) * 2 - 2
 
 
-def test_each_night_has_its_own_light() -> None:
+def test_one_night_is_at_dusk_and_one_in_rain() -> None:
     mean = [np.mean([decoded(f).mean() for f in frames("crane-1", n)]) for n in range(1, NIGHTS + 1)]
     assert nights()[3]["light"] == "dusk"
     assert mean[3] < 0.8 * mean[0]
@@ -74,23 +74,23 @@ def test_each_night_has_its_own_light() -> None:
 
 
 @pytest.mark.parametrize(("night", "camera"), [(3, "crane-2"), (5, "mast-2")])
-def test_a_turned_camera_sees_the_yard_where_its_true_pose_says(night: int, camera: str) -> None:
-    reported, stated = nights()[night - 1]["cameras"][camera], json.loads(file("cameras.json"))[camera]
-    R, K = np.array(reported["R"]), np.array(stated["K"])
+def test_the_pictures_of_a_turned_camera_are_shifted_as_its_pose_says(night: int, camera: str) -> None:
+    truth, stated = nights()[night - 1]["cameras"][camera], json.loads(file("cameras.json"))[camera]
+    R, K = np.array(truth["R"]), np.array(stated["K"])
     assert np.allclose(R @ np.array(stated["R"]).T, turned_axes(event_of(night, camera), K[0, 0]))
     angle = np.degrees(np.linalg.norm(cv2.Rodrigues(R @ np.array(stated["R"]).T)[0]))
-    assert angle == pytest.approx(reported["angle_deg"], abs=1e-5)
+    assert angle == pytest.approx(truth["angle_deg"], abs=1e-5)
     before, now = (Camera(K, r, np.array(stated["C"]), 96, 54) for r in (np.array(stated["R"]), R))
     ahead = (before.C + 10 * before.R[2])[None]
     moved = project(now, ahead)[0] - project(before, ahead)[0]
-    assert np.allclose(moved[0], reported["shift_px"], atol=1e-3)
-    assert np.linalg.norm(moved) == pytest.approx(3.0, abs=0.01) or reported["angle_deg"] == pytest.approx(0.5, abs=1e-5)
+    assert np.allclose(moved[0], truth["shift_px"], atol=1e-3)
+    assert np.linalg.norm(moved) == pytest.approx(3.0, abs=0.01) or truth["angle_deg"] == pytest.approx(0.5, abs=1e-5)
     if camera == "mast-2":  # same light as on the second night, so the shift can be measured in the pictures, too
         first, second = (np.median([decoded(f).mean(axis=2) for f in frames(camera, n)], axis=0) for n in (2, 5))
         window = cv2.createHanningWindow((96, 44), cv2.CV_32F)
         first, second = (cv2.Laplacian(image[10:].astype(np.float32), cv2.CV_32F) for image in (first, second))
         shift, _ = cv2.phaseCorrelate(first, second, window)
-        assert np.hypot(*(np.array(shift) - reported["shift_px"])) < 0.8
+        assert np.hypot(*(np.array(shift) - truth["shift_px"])) < 0.8
 
 
 def test_changes_are_where_the_depth_has_changed() -> None:

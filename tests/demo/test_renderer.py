@@ -37,7 +37,7 @@ def floor(texture: Texture) -> PreparedScene:
     return PreparedScene(scene, OVERCAST, build_atlas(scene.textures))
 
 
-def test_faces_of_a_box_look_outward() -> None:
+def test_the_normals_of_all_shapes_point_outward() -> None:
     build = SceneBuilder()
     texture = build.add_texture(checker(0.1))
     build.box((1.0, 2.0, 0.0), (2.0, 3.0, 4.0), texture, yaw=0.3)
@@ -57,7 +57,7 @@ def test_faces_of_a_box_look_outward() -> None:
     assert (np.einsum("ni,ni->n", outward, scene.normals) > 0).all()
 
 
-def test_near_a_texture_is_sharp_and_far_away_it_is_its_mean() -> None:
+def test_a_texture_is_sharp_when_near_and_averaged_when_far() -> None:
     near = render_view(floor(checker(0.1)), above(1.0), None)
     far = render_view(floor(checker(0.03)), above(300.0, focal=2000.0), None)[20:60, 20:60]  # 15 cm per pixel
     assert near.max() > 10 * near.min()
@@ -65,7 +65,7 @@ def test_near_a_texture_is_sharp_and_far_away_it_is_its_mean() -> None:
     assert far.mean() == pytest.approx(near.mean(), rel=0.1)
 
 
-def test_texture_lies_where_its_coordinates_say() -> None:
+def test_a_texture_appears_where_its_coordinates_say() -> None:
     """A white spot 1.2 m to the right of and 0.7 m below the top left corner of a floor appears there."""
     spot = np.full((80, 80, 3), 0.02, np.float32)
     spot[5:9, 10:14] = 0.9
@@ -76,7 +76,7 @@ def test_texture_lies_where_its_coordinates_say() -> None:
     assert y == pytest.approx(39.5 + 10 * (-4 + 0.7), abs=0.6)
 
 
-def test_depth_is_measured_along_the_axis() -> None:
+def test_depth_is_measured_along_the_optical_axis() -> None:
     depth, normals = true_depth(floor(checker(0.1)), above(3.0))
     assert depth == pytest.approx(3.0, abs=3e-3)
     assert normals[..., 2] == pytest.approx(1.0)

@@ -31,7 +31,7 @@ def angle_deg(a: np.ndarray, b: np.ndarray) -> float:
 
 
 @pytest.mark.parametrize("name", [name for name in SCENES if name != "yard"])
-def test_depth_of_one_camera_is_what_another_sees_there(name: str) -> None:
+def test_the_depth_maps_of_different_cameras_agree(name: str) -> None:
     """A point may be hidden behind what another camera sees, but not lie in front of it."""
     site = tiny(name)
     left = site.cameras[0]
@@ -50,7 +50,7 @@ def test_depth_of_one_camera_is_what_another_sees_there(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", [name for name in SCENES if name != "yard"])
-def test_something_moves_between_captures_and_most_stays(name: str) -> None:
+def test_a_small_part_of_some_picture_moves_between_captures(name: str) -> None:
     shares = []
     for camera in tiny(name).cameras:
         first, second = (cv2.GaussianBlur(c, (0, 0), 1.0).astype(np.float32) for c in camera.captures[:2])
@@ -70,7 +70,7 @@ def test_the_same_arguments_give_the_same_bytes_and_another_seed_another_scene()
     assert not np.array_equal(first.cameras[0].captures[0], other.cameras[0].captures[0])
 
 
-def test_the_squares_ground_is_flat_at_zero() -> None:
+def test_the_ground_of_the_square_is_flat_at_height_zero() -> None:
     camera = tiny("square").cameras[0]
     v, u = np.nonzero(camera.depth[70:] > 0)  # the lowest rows, which show little but tiles
     points = backproject(camera.camera, np.column_stack([u, v + 70]).astype(float), camera.depth[v + 70, u].astype(float))
@@ -78,14 +78,14 @@ def test_the_squares_ground_is_flat_at_zero() -> None:
     assert (np.abs(points[:, 2]) < 1e-3).mean() > 0.7
 
 
-def test_the_squares_first_three_cameras_are_42_56_and_98_degrees_apart_and_2_5_m_up() -> None:
+def test_the_first_three_cameras_of_the_square_stand_at_the_stated_places() -> None:
     centres = [np.array(v.centre) for v in square.viewpoints()]
     assert all(c[2] == 2.5 for c in centres)
     flat = [c[:2] / np.linalg.norm(c[:2]) for c in centres]
     assert [round(angle_deg(flat[i], flat[j])) for i, j in ((0, 1), (1, 2), (0, 2))] == [42, 56, 98]
 
 
-def test_tiles_repeat_to_the_bit() -> None:
+def test_tiles_repeat_exactly() -> None:
     pixels = repeating_tiles(np.random.default_rng(3), 0.8, 8, 0.0125).pixels
     period = len(pixels) // 8
     assert period == 64
@@ -94,7 +94,7 @@ def test_tiles_repeat_to_the_bit() -> None:
     assert not np.array_equal(pixels, np.roll(pixels, period // 2, axis=0))
 
 
-def test_the_square_looks_the_same_one_tile_on() -> None:
+def test_the_square_looks_the_same_from_one_tile_further() -> None:
     """Two views straight down, one tile apart, differ only by the noise of filtering; half a tile apart, they differ clearly."""
     build = SceneBuilder()
     square._ground(build, np.random.default_rng(0), 0.05)
@@ -108,7 +108,7 @@ def test_the_square_looks_the_same_one_tile_on() -> None:
     assert np.abs(views[0] - views[2]).mean() > 0.5 * views[0].std()
 
 
-def test_dark_is_night_without_lamps_and_a_camera_still_sees_something() -> None:
+def test_a_dark_scene_has_no_lamps_but_its_pictures_show_structure() -> None:
     assert light_of("night", [(0.0, 0.0, 5.0)]).lamps
     assert not light_of("dark", [(0.0, 0.0, 5.0)]).lamps
     day, dark = (render("yard", cameras=1, size=(320, 180), captures=1, light=light).cameras[0] for light in ("day", "dark"))
@@ -119,11 +119,11 @@ def test_dark_is_night_without_lamps_and_a_camera_still_sees_something() -> None
     assert np.corrcoef(np.stack(fine))[0, 1] > 0.25
 
 
-def test_an_unknown_scene_is_refused_with_the_names_that_there_are() -> None:
+def test_an_unknown_scene_is_refused_with_a_list_of_scenes() -> None:
     with pytest.raises(ValueError, match=r"no scene 'moon'; there are yard, square, carpark"):
         render("moon")
 
 
-def test_more_cameras_than_there_are_are_refused() -> None:
+def test_more_cameras_than_a_scene_has_are_refused() -> None:
     with pytest.raises(ValueError, match="1 to 6 cameras, not 7"):
         render("square", cameras=7, small=True)

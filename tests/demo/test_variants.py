@@ -19,7 +19,7 @@ def yard(lenses: str) -> DemoSite:
     return render("yard", size=SIZE, cameras=2, captures=1, lenses=lenses)
 
 
-def test_a_fisheye_sees_180_degrees_and_its_truth_is_that_of_its_neighbour() -> None:
+def test_a_fisheye_sees_180_degrees_and_its_depth_agrees_with_a_neighbour() -> None:
     site = yard("fisheye")
     pinhole, wide = site.cameras
     height, width = wide.captures[0].shape[:2]
@@ -40,14 +40,14 @@ def test_a_fisheye_sees_180_degrees_and_its_truth_is_that_of_its_neighbour() -> 
     assert len(site.reference.points) > 5000
 
 
-def test_a_strongly_bent_lens_sees_100_degrees() -> None:
+def test_a_strongly_distorted_lens_sees_100_degrees() -> None:
     _, lens = camera_at(with_lenses(MOUNTS[0], 0, "brown"), SIZE)
     assert lens.K is not None
     edges = np.array([[-0.5, lens.K[1, 2]], [SIZE[0] - 0.5, lens.K[1, 2]]])
     assert np.degrees(off_axis(lens_rays(lens, edges))).sum() == pytest.approx(100, abs=1.0)
 
 
-def test_neighbours_of_mixed_cameras_differ_fourfold() -> None:
+def test_neighbouring_mixed_cameras_differ_fourfold_in_width() -> None:
     small, large = (with_lenses(MOUNTS[k], k, "mixed").size(SIZE)[0] for k in range(2))
     assert large == 4 * small
 

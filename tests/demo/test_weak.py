@@ -13,14 +13,14 @@ from wbflow_demo.render.scene import SceneBuilder
 from wbflow_demo.scenes import render
 
 
-def test_weak_surfaces_stand_where_the_yards_do() -> None:
+def test_weak_surfaces_have_the_geometry_of_the_yard() -> None:
     usual, weak = (
         render("yard", size=(96, 54), cameras=1, captures=1, surfaces=kind).cameras[0] for kind in ("standard", "weak")
     )
     assert np.isclose(usual.depth, weak.depth, rtol=1e-4).mean() > 0.9, "crates and drums stand elsewhere"
 
 
-def test_there_is_little_to_see_on_plaster_snow_and_asphalt() -> None:
+def test_plaster_snow_and_wet_asphalt_have_little_contrast() -> None:
     contrast = []
     for paint in (white_plaster, snow, wet_asphalt, cobbles):
         pixels = paint(np.random.default_rng(0), 4.0, 4.0, 0.05).pixels.astype(float)
@@ -29,12 +29,12 @@ def test_there_is_little_to_see_on_plaster_snow_and_asphalt() -> None:
 
 
 @pytest.mark.parametrize(("surfaces", "scene"), [("muddy", "yard"), ("weak", "square")])
-def test_surfaces_that_no_scene_has_are_refused(surfaces: str, scene: str) -> None:
+def test_surfaces_that_a_scene_does_not_have_are_refused(surfaces: str, scene: str) -> None:
     with pytest.raises(ValueError, match="surfaces"):
         render(scene, small=True, surfaces=surfaces)
 
 
-def test_wet_ground_is_bright_where_it_is_seen_low_and_dark_from_above() -> None:
+def test_wet_ground_is_brighter_at_grazing_angles_than_from_above() -> None:
     build = SceneBuilder()
     paving = build.add_texture(wet_asphalt(np.random.default_rng(0), 2.0, 2.0, 0.1))
     build.quad((-50.0, 50.0, 0.0), (100.0, 0.0, 0.0), (0.0, -100.0, 0.0), paving)

@@ -48,7 +48,7 @@ def test_depth_of_one_camera_agrees_with_what_its_neighbour_sees() -> None:
 
 
 @pytest.mark.parametrize("mount", MOUNTS, ids=lambda m: m.name)
-def test_lenses_distort_as_opencv_says(mount: Viewpoint) -> None:
+def test_lenses_distort_as_in_opencv(mount: Viewpoint) -> None:
     camera, lens = camera_at(mount, (320, 180))
     y, x = (grid.ravel().astype(float) for grid in np.mgrid[0:180:20, 0:320:20])
     rays = pixel_rays(camera, lens, x, y).astype(float)
@@ -61,7 +61,7 @@ def test_lenses_distort_as_opencv_says(mount: Viewpoint) -> None:
     assert np.abs(straight - np.column_stack([x, y])).max() > 2  # the distortion is not negligible
 
 
-def test_pictures_lens_poses_and_depth_belong_together() -> None:
+def test_pictures_agree_with_lenses_poses_and_depth() -> None:
     """Warped by the true depth, one view resembles its neighbour; with 3 % error of the depth, it does not."""
     left, right = small_yard().cameras[1:3]
     one, other = (cv2.cvtColor(background(c), cv2.COLOR_RGB2GRAY).astype(np.float32) for c in (left, right))
@@ -83,7 +83,7 @@ def test_pictures_lens_poses_and_depth_belong_together() -> None:
     assert likeness(0.0) > likeness(-0.03) + 0.2
 
 
-def test_something_moves_between_captures_and_everything_else_stays() -> None:
+def test_a_small_part_of_every_picture_moves_between_captures() -> None:
     for camera in small_yard().cameras:
         first, second = (cv2.GaussianBlur(c, (0, 0), 1.5).astype(np.float32) for c in camera.captures[:2])
         gain = np.median((first + 1) / (second + 1))
@@ -91,7 +91,7 @@ def test_something_moves_between_captures_and_everything_else_stays() -> None:
         assert 0.002 < changed.mean() < 0.25
 
 
-def test_the_clock_is_written_where_the_mask_says() -> None:
+def test_the_burned_in_clock_lies_in_the_masked_area() -> None:
     camera = small_yard().cameras[0]
     differs = np.abs(np.diff([c.astype(int).max(axis=-1) for c in camera.captures[:2]], axis=0))[0] > 100
     assert differs[~camera.mask].any()
@@ -99,7 +99,7 @@ def test_the_clock_is_written_where_the_mask_says() -> None:
     assert 0.01 < 1 - camera.mask.mean() < 0.04
 
 
-def test_reference_points_lie_on_what_two_cameras_see() -> None:
+def test_reference_points_lie_on_surfaces_that_two_cameras_see() -> None:
     site = small_yard()
     cloud, votes = site.reference, np.zeros(len(site.reference.points), int)
     for c in site.cameras:
@@ -135,7 +135,7 @@ def test_night_is_dark_and_noisy_and_has_the_same_geometry() -> None:
     assert noise(night) > 2 * noise(day)
 
 
-def test_neighbours_have_plenty_of_true_sift_matches_and_the_windows_give_false_ones() -> None:
+def test_neighbours_have_many_true_sift_matches_and_some_false_ones() -> None:
     left, right = single_pair().cameras
     sift = cv2.SIFT.create(3000, contrastThreshold=0.02)
     found = []
@@ -167,6 +167,6 @@ def test_neighbours_share_most_of_what_they_see() -> None:
         (Shots(1, 1, (64, 36), light=cast(Any, "noon")), "noon"),
     ],
 )
-def test_what_is_impossible_is_refused(asked: Shots, words: str) -> None:
+def test_impossible_arguments_are_refused(asked: Shots, words: str) -> None:
     with pytest.raises(ValueError, match=words):
         yard(asked)

@@ -11,7 +11,7 @@ from wbflow_stages.types import Camera
 WHOLE = Camera(np.array([[900.0, 0, 640.5], [0, 905.0, 420.0], [0, 0, 1]]), np.eye(3), np.zeros(3), 1280, 860)
 
 
-def test_a_capture_without_its_stated_distortion_is_the_photograph_made_smaller() -> None:
+def test_undistorting_a_capture_gives_the_photograph_at_a_smaller_size() -> None:
     camera = resized(WHOLE, 320)
     v, u = np.mgrid[0:860, 0:1280]
     waves = np.stack([128 + 60 * np.sin(u / 40), 128 + 60 * np.sin(v / 40), 128 + 60 * np.cos((u + v) / 50)], axis=2)
@@ -20,11 +20,11 @@ def test_a_capture_without_its_stated_distortion_is_the_photograph_made_smaller(
     small = cv2.resize(picture, (camera.width, camera.height), interpolation=cv2.INTER_AREA)
     inner = np.s_[20:-20, 20:-20]
     assert np.abs(straight[inner].astype(float) - small[inner]).max() < 6
-    bent = through_lens(picture, WHOLE, camera)
-    assert np.abs(bent[inner].astype(float) - small[inner]).max() > 40
+    distorted = through_lens(picture, WHOLE, camera)
+    assert np.abs(distorted[inner].astype(float) - small[inner]).max() > 40
 
 
-def test_depth_of_a_smaller_camera_is_that_of_the_same_rays() -> None:
+def test_the_depth_map_of_a_smaller_camera_is_sampled_along_the_same_rays() -> None:
     camera = resized(WHOLE, 320)
     v, u = np.mgrid[0:860, 0:1280].astype(np.float32)
     plane = (5 + 0.002 * u + 0.001 * v).astype(np.float32)
@@ -33,7 +33,7 @@ def test_depth_of_a_smaller_camera_is_that_of_the_same_rays() -> None:
     np.testing.assert_allclose(small, 5 + 0.002 * (4 * u + 1.5) + 0.001 * (4 * v + 1.5), atol=0.002)
 
 
-def test_the_laser_knows_the_pixels_that_it_has_hit() -> None:
+def test_points_are_known_only_where_the_laser_has_measured_depth() -> None:
     depth = np.zeros((860, 1280), np.float32)
     depth[420, 640] = 5.0
     X = np.array([[0.0, 0.0, 3.0], [1.0, 0.0, 3.0], [0.0, 0.0, -3.0], [90.0, 0.0, 3.0]])

@@ -5,11 +5,11 @@ from __future__ import annotations
 import results
 
 
-def test_the_page_is_written_from_the_tables() -> None:
+def test_the_page_of_results_matches_the_stored_tables() -> None:
     assert results.PAGE.read_text() == results.markdown(results.read_tables())
 
 
-def test_every_row_has_a_cell_for_each_column() -> None:
+def test_every_row_of_a_table_has_a_cell_for_each_column() -> None:
     tables = results.read_tables()
     assert tables
     for table in tables.values():

@@ -23,7 +23,7 @@ def angle_deg(a: np.ndarray, b: np.ndarray) -> float:
 
 
 @pytest.mark.parametrize(("symmetry", "turn", "same"), [(4, 3, True), (4, 6, True), (2, 6, True), (2, 3, False), (1, 3, False)])
-def test_the_hall_looks_the_same_from_another_side(symmetry: int, turn: int, same: bool) -> None:
+def test_the_hall_looks_the_same_only_after_turns_of_its_symmetry(symmetry: int, turn: int, same: bool) -> None:
     """With this symmetry, camera k + 3 (a quarter turn) or k + 6 (half a turn) sees the same as k, light and shadow included."""
     prepared = hall_stage(symmetry)
     views = hall.viewpoints()
@@ -46,7 +46,7 @@ def hall_stage(symmetry: int) -> PreparedScene:
     return PreparedScene(scene, overcast_of("night", hall.LAMPS), build_atlas(scene.textures), hall.even_sky(scene))
 
 
-def test_the_masts_cameras_hang_together_and_look_far() -> None:
+def test_the_cameras_of_the_mast_are_close_together_and_look_far() -> None:
     centres = np.array([v.centre for v in mast.viewpoints()])
     apart = np.linalg.norm(centres[:, None] - centres, axis=2)[~np.eye(len(centres), dtype=bool)]
     assert 0.25 < apart.min() < 0.4
@@ -56,6 +56,6 @@ def test_the_masts_cameras_hang_together_and_look_far() -> None:
 
 
 @pytest.mark.parametrize("name", scenes.NAMES)
-def test_each_renders(name: str) -> None:
+def test_every_bench_scene_can_be_rendered(name: str) -> None:
     (camera,) = render(name, cameras=1, size=(64, 36), captures=1).cameras
     assert (camera.depth > 0).mean() > 0.3

@@ -52,7 +52,7 @@ def test_a_cloud_equal_to_the_reference_is_perfect() -> None:
 
 @given(st.floats(0.003, 0.3))
 @settings(max_examples=25, deadline=None)
-def test_a_cloud_at_a_distance_is_right_from_that_tolerance_on(distance: float) -> None:
+def test_a_shifted_cloud_is_right_only_at_tolerances_above_its_shift(distance: float) -> None:
     score = compare_clouds(raised(PLANE, distance), PLANE, [0.99 * distance, 1.01 * distance], voxel=0)
     assert score.accuracy.tolist() == [0, 1]
     assert score.completeness.tolist() == [0, 1]
@@ -72,12 +72,12 @@ def test_wrong_points_cost_accuracy_unless_they_lie_far_outside() -> None:
     assert compare_clouds(np.vstack([PLANE, far]), PLANE, [0.05]).accuracy[0] == 1
 
 
-def test_density_does_not_weigh() -> None:
+def test_scores_do_not_depend_on_the_density_of_points() -> None:
     many = np.vstack([PLANE, np.repeat(raised(PLANE[:100], 0.2), 200, axis=0)])
     assert compare_clouds(many, PLANE, [0.05]).accuracy[0] > 0.95
 
 
-def test_points_without_coordinates_are_left_out_and_an_empty_cloud_scores_nothing() -> None:
+def test_points_without_coordinates_are_ignored_and_an_empty_cloud_scores_zero() -> None:
     with_nan = np.vstack([PLANE, np.full((10, 3), np.nan)])
     assert compare_clouds(with_nan, PLANE, [0.01]).accuracy[0] == 1
     nothing = compare_clouds(np.zeros((0, 3)), PLANE, [0.01, 0.1])
@@ -92,7 +92,7 @@ def test_thinning_keeps_one_mean_for_each_cell() -> None:
     assert sorted(map(tuple, thin.round(6))) == [(-0.1, 0, 0), (0.2, 0.1, 0.1), (1.5, 0, 0)]
 
 
-def test_pose_errors_are_those_that_were_made() -> None:
+def test_pose_errors_equal_the_errors_that_were_introduced() -> None:
     truth = {f"c{k}": looking((k - 1.5, -2 - k % 2, 1 + 0.3 * k)) for k in range(4)}
     turn = Rotation.from_rotvec([0, np.radians(0.7), 0]).as_matrix()
     wrong = {n: Camera(c.K, turn @ c.R, c.C + np.array([0, 0, 0.02]), c.width, c.height) for n, c in truth.items()}
@@ -102,7 +102,7 @@ def test_pose_errors_are_those_that_were_made() -> None:
     assert errors.cameras == ("c0", "c1", "c2", "c3")
 
 
-def test_errors_of_the_centres_do_not_count_as_turns() -> None:
+def test_turn_errors_ignore_errors_of_the_centres() -> None:
     truth = {f"c{k}": looking((k - 1.5, -2 + 1e-3 * k**2, 1)) for k in range(4)}  # almost collinear
     shifted = {n: Camera(c.K, c.R, c.C + np.array([0, 0, 2e-3 * (n == "c1")]), c.width, c.height) for n, c in truth.items()}
     assert pose_errors(shifted, truth, aligned=True).rotation_deg.min() > 1
@@ -134,7 +134,7 @@ def test_true_correspondences_satisfy_the_true_epipolar_geometry_and_no_other() 
         epipolar_errors(np.eye(3), x1[:0], x2[:0])
 
 
-def test_matches_are_judged_by_depth() -> None:
+def test_matches_are_checked_against_the_true_depth() -> None:
     left, right = looking((-0.5, -1.5, 1.2)), looking((1.5, -1.2, 1.0))
     depth = plane_depth(left)
     x1, x2 = true_correspondences(left, depth, right, plane_depth(right), step=4)
@@ -143,7 +143,7 @@ def test_matches_are_judged_by_depth() -> None:
     assert not correct_matches(x1, x2, left, np.zeros_like(depth), right).any()
 
 
-def test_a_point_is_seen_where_it_lies_on_the_visible_surface() -> None:
+def test_only_points_on_the_visible_surface_count_as_seen() -> None:
     cameras = [looking((0.5, -2.0, 1.0)), looking((0.5, 3.0, 1.0)), looking((3.0, 0.5, 1.0))]
     depths = [plane_depth(c) for c in cameras]
     points = np.array([[0.5, 0.5, 0.0], [0.5, 0.5, -0.2], [0.5, 0.5, 0.2], [0.5, -50.0, 0.0]])

@@ -21,7 +21,7 @@ from wbflow.records.run_folder import NoSuchRun
 from wbflow.task import Task
 
 
-def test_ten_lines_from_a_site_to_its_cloud_and_any_artifact(toy: ToySite) -> None:
+def test_a_site_can_be_loaded_run_and_read_in_python(toy: ToySite) -> None:
     site = wbflow.load_site(toy.file)
     run = wbflow.run(site, jobs=1)
     assert run.record.exit_code == 0
@@ -37,7 +37,7 @@ def test_ten_lines_from_a_site_to_its_cloud_and_any_artifact(toy: ToySite) -> No
     assert wbflow.open_run(toy.file).id == wbflow.open_run(run.folder).id == wbflow.open_run(site, "latest").id == run.id
 
 
-def test_a_run_says_shortly_what_it_is(toy: ToySite) -> None:
+def test_a_run_without_a_cloud_has_a_short_repr(toy: ToySite) -> None:
     run = wbflow.run(toy.file, jobs=1, until="frames")
     assert repr(run) == f"Run({run.id!r}, site 'toy', exit 0, no cloud (not requested))"
     assert set(run.tasks) == {Task("frames", (camera,)) for camera in toy.cameras}
@@ -45,7 +45,7 @@ def test_a_run_says_shortly_what_it_is(toy: ToySite) -> None:
         _ = run.cloud
 
 
-def test_an_artifact_that_is_not_there_is_explained(toy: ToySite) -> None:
+def test_a_missing_artifact_is_explained_in_the_error(toy: ToySite) -> None:
     toy.capture("roof").write_text("broken")
     run = wbflow.run(toy.file, jobs=1)
     assert run.calibration["gate"]["K"]
@@ -57,14 +57,14 @@ def test_an_artifact_that_is_not_there_is_explained(toy: ToySite) -> None:
         run.artifact("coffee gate")
 
 
-def test_the_listener_hears_of_every_task(toy: ToySite) -> None:
+def test_the_listener_receives_every_event_of_a_run(toy: ToySite) -> None:
     heard: list[Event | Signal] = []
     run = wbflow.run(toy.file, jobs=1, listen=heard.append)
     assert [event for event in heard if isinstance(event, TaskEvent | WarningEvent)] == run.events
     assert {event.task for event in heard if isinstance(event, TaskEvent)} == set(run.tasks)
 
 
-def test_wrong_use_and_a_held_work_folder_are_exceptions(toy: ToySite) -> None:
+def test_wrong_usage_and_a_locked_work_folder_raise_exceptions(toy: ToySite) -> None:
     with pytest.raises(UsageError, match="there is no such stage"):
         wbflow.run(toy.file, until="coffee")
     with pytest.raises(NoSuchRun, match="has no runs yet"):
@@ -74,8 +74,8 @@ def test_wrong_use_and_a_held_work_folder_are_exceptions(toy: ToySite) -> None:
     )
     with hold(WorkFolder(toy.work).lock, wait=False):
         command = [sys.executable, "-c", code, str(toy.file)]
-        reported = subprocess.run(command, env=toy.env(), capture_output=True, text=True, check=True).stdout
-    assert reported.strip() == Locked.__name__
+        printed = subprocess.run(command, env=toy.env(), capture_output=True, text=True, check=True).stdout
+    assert printed.strip() == Locked.__name__
 
 
 def test_importing_wbflow_imports_nothing_heavy() -> None:
@@ -83,7 +83,7 @@ def test_importing_wbflow_imports_nothing_heavy() -> None:
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.strip() == "[]"
 
 
-def test_a_report_that_cannot_be_built_is_reported_of(toy: ToySite, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_a_report_that_cannot_be_built_gives_a_warning(toy: ToySite, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     def broken(*_: object) -> str:
         raise KeyError("ink")
 
@@ -95,7 +95,7 @@ def test_a_report_that_cannot_be_built_is_reported_of(toy: ToySite, monkeypatch:
     assert "ink" in (warning.trace or "")
 
 
-def test_a_ledger_that_is_no_file_is_reported_of_and_made_again(toy: ToySite) -> None:
+def test_a_folder_in_place_of_the_ledger_is_reported_and_replaced(toy: ToySite) -> None:
     toy.work.mkdir(parents=True)
     WorkFolder(toy.work).ledger.mkdir()
     run = wbflow.run(toy.file, jobs=1)
@@ -105,7 +105,7 @@ def test_a_ledger_that_is_no_file_is_reported_of_and_made_again(toy: ToySite) ->
     assert toy.wbflow("run", "-q").stderr == ""
 
 
-def test_a_ledger_that_cannot_be_written_is_reported_of(toy: ToySite, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_ledger_that_cannot_be_written_gives_a_warning(toy: ToySite, monkeypatch: pytest.MonkeyPatch) -> None:
     def broken(*_: object) -> None:
         raise sqlite3.OperationalError("disk I/O error")
 
@@ -116,7 +116,7 @@ def test_a_ledger_that_cannot_be_written_is_reported_of(toy: ToySite, monkeypatc
     assert warning.what == "the ledger was not written: disk I/O error"
 
 
-def test_a_damaged_artifact_that_was_made_again_is_reported_of(toy: ToySite) -> None:
+def test_a_damaged_artifact_is_made_again_with_a_warning(toy: ToySite) -> None:
     wbflow.run(toy.file, jobs=1)
     victim = next(WorkFolder(toy.work).task(Task("fuse")).glob("*.ply"))
     victim.write_bytes(victim.read_bytes()[:-1] + b"x")

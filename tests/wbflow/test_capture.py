@@ -60,7 +60,7 @@ def taken(folder: Path, camera: str) -> list[Path]:
     return sorted((folder / "captures" / camera).glob("*.jpg"))
 
 
-def test_all_kinds_of_cameras_at_once(tmp_path: Path, http: str, rtsp: str) -> None:
+def test_cameras_of_all_kinds_are_captured_at_once(tmp_path: Path, http: str, rtsp: str) -> None:
     (tmp_path / "ftp").mkdir()
     urls = {"gate": rtsp, "roof": rtsp, "mast": f"{http}/digest", "crane": f"{http}/mjpeg", "quay": f"file://{tmp_path}/ftp"}
     begun = time.time()
@@ -87,7 +87,7 @@ def test_all_kinds_of_cameras_at_once(tmp_path: Path, http: str, rtsp: str) -> N
         ("down", "cannot be reached"),
     ],
 )
-def test_a_broken_camera_is_named_and_costs_itself(tmp_path: Path, http: str, way: str, words: str) -> None:
+def test_a_broken_camera_is_named_and_the_others_are_captured(tmp_path: Path, http: str, way: str, words: str) -> None:
     broken = {"missing-login": f"{http}/basic", "down": "http://127.0.0.1:9/snapshot"}.get(way, f"{http}/{way}")
     keys: dict[str, Any] = {"credentials": None} if way == "missing-login" else {}
     result = capture(tmp_path, {"gate": f"{http}/snapshot", "roof": broken}, **keys)
@@ -97,7 +97,7 @@ def test_a_broken_camera_is_named_and_costs_itself(tmp_path: Path, http: str, wa
     assert words in next(line for line in result.output.splitlines() if line.startswith("roof"))
 
 
-def test_the_night_in_one_line_names_a_broken_camera_and_keeps_passwords(tmp_path: Path, http: str, rtsp: str) -> None:
+def test_a_run_with_capture_names_a_broken_camera_and_reveals_no_password(tmp_path: Path, http: str, rtsp: str) -> None:
     site, outside = tmp_path / "yard", tmp_path / "secret.yaml"
     site.mkdir()
     urls = {"gate": rtsp, "roof": f"{http}/digest", "mast": f"{http}/mjpeg", "crane": f"{http}/half"}
@@ -117,14 +117,14 @@ def test_the_night_in_one_line_names_a_broken_camera_and_keeps_passwords(tmp_pat
     assert not [path for path in files if any(secret in path.read_bytes() for secret in secrets)]
 
 
-def test_a_stream_without_its_password_is_named_without_any(tmp_path: Path, rtsp: str) -> None:
+def test_a_stream_that_needs_a_password_fails_without_credentials(tmp_path: Path, rtsp: str) -> None:
     result = capture(tmp_path, {"gate": rtsp}, credentials=None)
     assert result.exit_code == 1
     assert "cannot be opened" in result.output
 
 
 @pytest.mark.parametrize("kind", ["http", "rtsp"])
-def test_a_cameras_own_clock_is_believed_when_it_is_near(tmp_path: Path, kind: str) -> None:
+def test_the_clock_of_a_camera_is_used_only_if_it_is_nearly_right(tmp_path: Path, kind: str) -> None:
     serve, path = (http_camera, "/snapshot") if kind == "http" else (rtsp_camera, "")
     for ahead, words in ((20.0, "by the camera"), (7200.0, r"by this machine, its clock is (1:59|2:00):\d\d ahead")):
         folder = tmp_path / str(ahead)
@@ -133,8 +133,8 @@ def test_a_cameras_own_clock_is_believed_when_it_is_near(tmp_path: Path, kind: s
             result = capture(folder, {"gate": f"{url}{path}"}, frames=1)
         assert re.search(words, result.output)
         (file,) = taken(folder, "gate")
-        believed = ahead if ahead < 60 else 0.0
-        assert file.stat().st_mtime == pytest.approx(time.time() + believed, abs=8)
+        expected = ahead if ahead < 60 else 0.0
+        assert file.stat().st_mtime == pytest.approx(time.time() + expected, abs=8)
 
 
 @pytest.mark.parametrize(
@@ -145,7 +145,7 @@ def test_a_cameras_own_clock_is_believed_when_it_is_near(tmp_path: Path, kind: s
         ("**/{date:%Y}/{camera}.jpg", "2026/gate.jpg"),
     ],
 )
-def test_new_captures_are_called_as_a_run_looks_for_them(pattern: str, name: str, tmp_path: Path) -> None:
+def test_new_captures_get_names_that_a_run_finds(pattern: str, name: str, tmp_path: Path) -> None:
     named, moment = Pattern(tmp_path, pattern), datetime.datetime(2026, 11, 10, 3, 4, 5)
     path = named.name("gate", moment)
     assert path == tmp_path / name
@@ -154,13 +154,13 @@ def test_new_captures_are_called_as_a_run_looks_for_them(pattern: str, name: str
     assert named.files("gate", moment.date()) == [path]
 
 
-def test_names_that_do_not_tell_pictures_apart_are_refused(tmp_path: Path, http: str) -> None:
+def test_a_pattern_that_gives_several_pictures_one_name_is_refused(tmp_path: Path, http: str) -> None:
     result = capture(tmp_path, {"gate": f"{http}/snapshot"}, "{camera}/{date}.jpg")
     assert result.exit_code == 2
     assert "2 pictures would have 1 name" in result.output
 
 
-def test_a_pattern_that_names_nothing_is_refused(tmp_path: Path, http: str) -> None:
+def test_a_pattern_with_single_character_wildcards_is_refused(tmp_path: Path, http: str) -> None:
     result = capture(tmp_path, {"gate": f"{http}/snapshot"}, "{camera}/{date}_?.jpg")
     assert result.exit_code == 2
     assert "? or [" in result.output
@@ -172,7 +172,7 @@ def test_a_password_in_the_site_file_is_refused(tmp_path: Path) -> None:
     assert "captures.credentials" in result.output
 
 
-def test_a_faulty_file_of_credentials_is_named_without_its_words(tmp_path: Path, http: str) -> None:
+def test_a_faulty_credentials_file_is_named_without_its_content(tmp_path: Path, http: str) -> None:
     capture(tmp_path, {"gate": f"{http}/snapshot"})
     (tmp_path / "secret.yaml").write_text("gate: swordfish")
     result = CliRunner().invoke(main, ["capture", str(tmp_path / "site.yaml")])

@@ -38,41 +38,41 @@ def test_help_names_every_command_and_loads_nothing_heavy() -> None:
 
 
 @pytest.mark.parametrize("command", sorted(main.commands))
-def test_every_help_shows_what_to_type(command: str) -> None:
-    message = CliRunner().invoke(main, [command, "--help"]).output
-    assert re.search(rf"^  wbflow {command}\b", message, re.MULTILINE)
+def test_the_help_of_every_command_shows_what_to_type(command: str) -> None:
+    text = CliRunner().invoke(main, [command, "--help"]).output
+    assert re.search(rf"^  wbflow {command}\b", text, re.MULTILINE)
 
 
-def test_defaults_are_shown() -> None:
-    message = " ".join(CliRunner().invoke(main, ["run", "--help"]).output.split())
-    assert "[default: processes]" in message
-    assert "(all cores)" in message
+def test_the_help_of_run_shows_defaults() -> None:
+    text = " ".join(CliRunner().invoke(main, ["run", "--help"]).output.split())
+    assert "[default: processes]" in text
+    assert "(all cores)" in text
 
 
 def test_every_export_of_the_table_is_an_option_with_its_help() -> None:
-    message = " ".join(CliRunner().invoke(main, ["export", "--help"], terminal_width=200).output.split())
+    text = " ".join(CliRunner().invoke(main, ["export", "--help"], terminal_width=200).output.split())
     assert EXPORTS
-    assert all(f"--{row.name} {row.help}" in message for row in EXPORTS)
+    assert all(f"--{row.name} {row.help}" in text for row in EXPORTS)
 
 
-def test_a_command_that_there_is_not_is_reported_with_the_nearest() -> None:
+def test_an_unknown_command_is_refused_with_a_suggestion() -> None:
     result = CliRunner().invoke(main, ["histroy", "site.yaml"])
     assert result.exit_code == 2
     assert "did you mean  wbflow history?" in result.output
 
 
-def test_check_knows_what_is_no_site_and_what_a_folder_is_called(toy: ToySite) -> None:
+def test_check_reports_too_few_cameras_and_misspelt_names(toy: ToySite) -> None:
     toy.cameras[:] = ["door"]
     toy.write()
     assert "1 camera: a cloud needs two or more" in toy.wbflow("check").stdout
     toy.cameras[:] = ["gat", "roof"]
     toy.write()
-    message = toy.wbflow("check").stdout
-    assert "camera gat: there is no capture" in message
-    assert "did you mean 'gate'? There are captures of it" in message
+    printed = toy.wbflow("check").stdout
+    assert "camera gat: there is no capture" in printed
+    assert "did you mean 'gate'? There are captures of it" in printed
 
 
-def test_a_run_that_finds_everything_cached_loads_no_vision(toy: ToySite) -> None:
+def test_a_run_that_finds_everything_cached_loads_no_vision_libraries(toy: ToySite) -> None:
     toy.run()
     code = (
         "import sys; from wbflow.cli.main import main\n"
@@ -120,14 +120,14 @@ def test_an_old_name_in_the_site_file_is_reported_on_screen_and_in_the_log(toy: 
     site = json.loads(toy.file.read_text())
     site["stages"]["features"] = {"keypoints": 500}
     toy.file.write_text(json.dumps(site, indent=1))
-    message = toy.wbflow("run", "--until", "frames", "--jobs", "1").stderr
-    assert message.count("'keypoints' is written 'max_keypoints' now") == 1
+    printed = toy.wbflow("run", "--until", "frames", "--jobs", "1").stderr
+    assert printed.count("'keypoints' is written 'max_keypoints' now") == 1
     log = toy.work / "runs" / "latest" / "log.jsonl"
     warnings = [event for line in log.read_text().splitlines() if (event := json.loads(line))["event"] == "warning"]
     assert [f"{toy.file}:" in event["what"] and "write max_keypoints" in event["remedy"] for event in warnings] == [True]
 
 
-def test_what_is_wrong_with_one_of_several_sites_costs_the_others_nothing(toy: ToySite, tmp_path: Path) -> None:
+def test_an_error_in_one_of_several_sites_does_not_stop_the_others(toy: ToySite, tmp_path: Path) -> None:
     wrong, locked = ToySite(tmp_path / "wrong", ["gate"], keys={"cameras": 5}), ToySite(tmp_path / "locked", ["gate"])
     runner = CliRunner()
     with hold_to_write(WorkFolder(locked.work), wait=False):
@@ -150,7 +150,7 @@ def test_json_prints_the_record_and_nothing_else(toy: ToySite) -> None:
     assert json.loads((toy.work / "runs" / record["run"] / "run.json").read_text()) == record
 
 
-def test_a_night_goes_on_when_nobody_reads_what_it_says(toy: ToySite) -> None:
+def test_a_run_goes_on_if_its_output_pipe_is_closed(toy: ToySite) -> None:
     process = subprocess.Popen(
         toy.command("run", str(toy.file), "--jobs", "1", "-v"),
         env=toy.env(),
@@ -165,7 +165,7 @@ def test_a_night_goes_on_when_nobody_reads_what_it_says(toy: ToySite) -> None:
     assert (toy.work / "runs" / "latest-good" / "cloud.ply").exists()
 
 
-def test_failures_are_named_on_screen_without_a_traceback_unless_asked(toy: ToySite) -> None:
+def test_failures_are_named_on_screen_with_a_traceback_only_if_verbose(toy: ToySite) -> None:
     toy.capture("roof").write_text("broken")
     plain = toy.wbflow("run", "--jobs", "1")
     assert "roof.txt is not an image" in plain.stderr
@@ -173,7 +173,7 @@ def test_failures_are_named_on_screen_without_a_traceback_unless_asked(toy: ToyS
     assert "Traceback" in toy.wbflow("run", "--jobs", "1", "-v").stderr
 
 
-def test_nothing_to_do_costs_little(toy: ToySite, tmp_path: Path) -> None:
+def test_a_fully_cached_run_takes_less_than_a_second_of_cpu_time(toy: ToySite, tmp_path: Path) -> None:
     """If everything is cached, a run takes less than 1 s of CPU time; the engine is compiled already, as after a first call."""
     import resource
 
@@ -187,7 +187,7 @@ def test_nothing_to_do_costs_little(toy: ToySite, tmp_path: Path) -> None:
     assert (after.ru_utime + after.ru_stime) - (before.ru_utime + before.ru_stime) < 1.0
 
 
-def test_an_unwritable_work_folder_is_reported_plainly(toy: ToySite) -> None:
+def test_a_work_folder_that_cannot_be_created_gives_no_traceback(toy: ToySite) -> None:
     (toy.folder / "file").write_text("")
     result = toy.wbflow("run", "--work", str(toy.folder / "file" / "work"))
     assert result.returncode == 1
@@ -195,7 +195,7 @@ def test_an_unwritable_work_folder_is_reported_plainly(toy: ToySite) -> None:
     assert "Not a directory" in result.stderr
 
 
-def test_check_finds_what_is_wrong_with_captures_and_where(tmp_path: Path) -> None:
+def test_check_reports_faulty_captures_with_their_cameras(tmp_path: Path) -> None:
     import cv2
     import numpy as np
 
@@ -228,7 +228,7 @@ def test_report_is_one_file_that_shows_every_camera_and_pair(toy: ToySite) -> No
     assert (toy.work / "runs" / record["run"] / "report.html").exists()
 
 
-def test_wait_waits_for_the_other_run(toy: ToySite) -> None:
+def test_the_option_wait_waits_for_the_other_run(toy: ToySite) -> None:
     toy.fault("slow", "0.1")
     first = subprocess.Popen(toy.command("run", str(toy.file), "--jobs", "1"), env=toy.env(), stdout=subprocess.DEVNULL)
     end = time.monotonic() + 20
@@ -242,7 +242,7 @@ def test_wait_waits_for_the_other_run(toy: ToySite) -> None:
 
 @pytest.mark.parametrize("command", [["report"], ["clean", "--keep", "3"]])
 @pytest.mark.parametrize("number", [errno.EACCES, errno.EROFS])
-def test_a_work_folder_that_may_not_be_written_is_a_plain_error(
+def test_a_read_only_work_folder_is_a_plain_error(
     toy: ToySite, monkeypatch: pytest.MonkeyPatch, command: list[str], number: int
 ) -> None:
     toy.run()

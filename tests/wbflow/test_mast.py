@@ -13,7 +13,7 @@ from wbflow.cli.main import main
 from wbflow.outcome.demo import write_demo
 
 
-def test_cameras_on_one_mast_make_no_cloud_and_the_reason_says_why(tmp_path: Path) -> None:
+def test_cameras_on_one_mast_make_no_cloud_for_lack_of_a_baseline(tmp_path: Path) -> None:
     folder = tmp_path / "mast"
     write_demo(folder, scene="mast", small=True, cameras=3, captures=1, seed=3)
     cameras = json.loads((folder / "cameras.json").read_text())

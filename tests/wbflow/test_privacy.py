@@ -83,7 +83,7 @@ def pictures_below(folder: Path) -> Iterator[tuple[str, npt.NDArray[np.uint8]]]:
 
 
 @pytest.mark.parametrize("private", [True, False], ids=["private", "open"])
-def test_what_is_private_is_in_no_picture_artifact_or_report(tmp_path: Path, private: bool) -> None:
+def test_private_pixels_are_in_no_picture_artifact_or_report(tmp_path: Path, private: bool) -> None:
     site = site_with_a_secret(tmp_path, private)
     run = wbflow.run(site, jobs=1, backend="threading", until="features")
     found = dict(pictures_below(tmp_path / ".wbflow"))
@@ -95,7 +95,7 @@ def test_what_is_private_is_in_no_picture_artifact_or_report(tmp_path: Path, pri
         assert any(secret_share(pixels) > 0.1 for pixels in found.values()), "it can be found where it is"
 
 
-def test_nothing_that_a_night_leaves_depends_on_what_is_private(tmp_path: Path) -> None:
+def test_no_product_of_a_night_depends_on_private_pixels(tmp_path: Path) -> None:
     """With other colours in the polygon, all frames and so all products of the night have the same bytes.  This is stronger than
     a search for the colours, which drawn lines and colour maps contain, too."""
     first = wbflow.run(site_with_a_secret(tmp_path, True, SECRET), jobs=1, backend="threading")

@@ -50,7 +50,7 @@ class Mirrored(ToySite):
     def machine(self, name: str) -> None:
         os.environ["WBFLOW_CACHE"] = str(self.caches / name)
 
-    def reported(self, *arguments: str) -> tuple[int, str]:
+    def invoke(self, *arguments: str) -> tuple[int, str]:
         """Exit code and output of a command that runs in this process."""
         command = [arguments[0], str(self.file), *arguments[1:]]
         more = ["--backend", self.backend, "--jobs", "1"] if arguments[0] == "run" else []
@@ -119,7 +119,7 @@ def requests(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, str]]:
 
 def on_disk(site: Mirrored, tmp_path: Path) -> bytes:
     """The cloud that the same site produces in an ordinary work folder on disk."""
-    assert site.reported("run", "--work", str(tmp_path / "disk"))[0] == 0
+    assert site.invoke("run", "--work", str(tmp_path / "disk"))[0] == 0
     return (tmp_path / "disk" / "runs" / "latest" / "cloud.ply").read_bytes()
 
 
@@ -139,7 +139,7 @@ def claim(minutes: float) -> bytes:
     return json.dumps({"token": "t", "host": "crane-pc", "pid": 7, "seen": time.time() - 60 * minutes}).encode()
 
 
-def test_a_night_is_killed_and_another_machine_goes_on_with_what_has_gone_up(
+def test_another_machine_continues_a_killed_night_from_the_store(
     made: Callable[[str], Mirrored], s3: str, tmp_path: Path
 ) -> None:
     site = made(f"{s3}/killed")
@@ -169,7 +169,7 @@ def test_a_night_is_killed_and_another_machine_goes_on_with_what_has_gone_up(
     assert 2 < len(there) < TASKS
     site.fault("slow", "0")
     site.machine("second")  # the first machine is lost, together with its folder
-    assert site.reported("run")[0] == ExitCode.LOCKED
+    assert site.invoke("run")[0] == ExitCode.LOCKED
     store.write(HELD, claim(minutes=61))
     record = site.run()
     assert record["tasks"] == {"cached": len(there), "ran": TASKS - len(there), "rejected": 0, "failed": 0, "skipped": 0}
@@ -177,7 +177,7 @@ def test_a_night_is_killed_and_another_machine_goes_on_with_what_has_gone_up(
     assert site.cloud == expected
 
 
-def test_a_night_with_nothing_to_do_fetches_no_artifact(
+def test_a_night_with_nothing_to_do_transfers_no_artifact(
     made: Callable[[str], Mirrored], s3: str, requests: list[tuple[str, str]]
 ) -> None:
     site = made(f"{s3}/again")
@@ -190,7 +190,7 @@ def test_a_night_with_nothing_to_do_fetches_no_artifact(
     assert not [name for method, name in requests if method == "put_object" and "/cache/" in name]
 
 
-def test_machines_take_turns(site: Mirrored) -> None:
+def test_two_machines_can_take_turns_with_one_store(site: Mirrored) -> None:
     first = site.run()
     site.machine("second")
     site.capture("gate").write_text("another view from gate")
@@ -201,13 +201,13 @@ def test_machines_take_turns(site: Mirrored) -> None:
     site.machine("first")
     third = site.run()
     assert third["tasks"]["ran"] == 0 and site.cloud == cloud
-    shown = [line.split()[0] for line in site.reported("history")[1].splitlines()[1:]]
+    shown = [line.split()[0] for line in site.invoke("history")[1].splitlines()[1:]]
     assert {first["run"], second["run"], third["run"]} <= set(shown) | {p.name for p in (site.work / "runs").iterdir()}
     assert (site.work / "runs" / "latest").readlink().name == third["run"]
     assert ObjectStore(site.url).read("runs/latest") == third["run"].encode()
 
 
-def test_what_the_store_has_lost_is_made_anew_and_named(site: Mirrored, tmp_path: Path) -> None:
+def test_objects_lost_or_damaged_in_the_store_are_made_again_and_reported(site: Mirrored, tmp_path: Path) -> None:
     site.run()
     cloud = site.cloud
     objects = sorted((tmp_path / "store" / "cache").rglob("*.wbf"))
@@ -234,22 +234,22 @@ def test_a_store_that_has_lost_everything_is_filled_again(site: Mirrored, tmp_pa
     assert site.run()["tasks"]["cached"] == TASKS and site.cloud == cloud
 
 
-def test_a_store_that_is_out_of_reach_is_said_before_anything_is_done(made: Callable[[str], Mirrored], s3: str) -> None:
+def test_an_unreachable_store_is_reported_before_any_work_is_done(made: Callable[[str], Mirrored], s3: str) -> None:
     site = made("s3://no-such-bucket/toy")
-    assert "only what is on this machine" in site.reported("status")[1]
-    code, words = site.reported("run")
+    assert "only what is on this machine" in site.invoke("status")[1]
+    code, words = site.invoke("run")
     assert code == ExitCode.FAILED
     assert "s3://no-such-bucket/toy" in words and "AWS_ENDPOINT_URL" in words
     assert not (site.work / "runs").exists()
 
 
-def test_an_extra_that_is_missing_is_named(site: Mirrored, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_missing_extra_is_named_with_what_to_install(site: Mirrored, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "fsspec.core", None)
-    code, words = site.reported("run")
+    code, words = site.invoke("run")
     assert code == ExitCode.USAGE and "pip install 'wbflow[cloud]'" in words
 
 
-def test_a_store_that_goes_away_costs_no_night_and_gets_it_later(site: Mirrored, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_night_during_an_outage_of_the_store_is_uploaded_later(site: Mirrored, monkeypatch: pytest.MonkeyPatch) -> None:
     def away(*asked: object) -> None:
         raise StoreError(f"{site.url} does not answer")
 
@@ -270,7 +270,7 @@ def test_two_machines_do_not_write_at_once(site: Mirrored, monkeypatch: pytest.M
     site.run("--until", "frames")
     store = ObjectStore(site.url)
     store.write(HELD, claim(minutes=59))
-    code, words = site.reported("run")
+    code, words = site.invoke("run")
     assert code == ExitCode.LOCKED and "crane-pc" in words and site.url in words and "--wait" in words
     assert json.loads(store.read(HELD) or b"")["token"] == "t"
     store.write(HELD, claim(minutes=61))
@@ -278,28 +278,28 @@ def test_two_machines_do_not_write_at_once(site: Mirrored, monkeypatch: pytest.M
     assert store.read(HELD) is None
 
 
-def test_who_waits_has_the_store_once_it_is_free(site: Mirrored, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_waiting_run_starts_once_the_store_is_free(site: Mirrored, monkeypatch: pytest.MonkeyPatch) -> None:
     store = ObjectStore(site.url)
     store.write(HELD, claim(minutes=1))
     monkeypatch.setattr("wbflow.remote.time.sleep", lambda seconds: store.remove([HELD]))
-    assert site.reported("run", "--wait")[0] == ExitCode.GOOD
+    assert site.invoke("run", "--wait")[0] == ExitCode.GOOD
 
 
-def test_what_a_killed_run_of_this_machine_holds_is_taken_over_at_once(site: Mirrored) -> None:
+def test_the_lock_of_a_killed_run_on_this_machine_is_taken_over_at_once(site: Mirrored) -> None:
     site.run("--until", "frames")
     killed = remote.Mirror(WorkFolder(site.work, site.url))
     killed.hold(wait=False)
     assert site.run()["exit_code"] == ExitCode.GOOD
 
 
-def test_only_one_of_two_makes_the_same_object(s3: str, tmp_path: Path) -> None:
+def test_an_object_can_be_created_only_once(s3: str, tmp_path: Path) -> None:
     for url in (f"{s3}/one", f"file://{tmp_path}/one"):
         store = ObjectStore(url)
         assert store.write("held", b"mine", new=True) and not store.write("held", b"yours", new=True)
         assert store.read("held") == b"mine" and store.read("nobody") is None
 
 
-def test_who_was_taken_over_sends_nothing_more(site: Mirrored, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_run_whose_lock_was_taken_over_stops_uploading(site: Mirrored, monkeypatch: pytest.MonkeyPatch) -> None:
     store = ObjectStore(site.url)
 
     def listen(event: object) -> None:
@@ -316,21 +316,21 @@ def test_who_was_taken_over_sends_nothing_more(site: Mirrored, monkeypatch: pyte
     assert json.loads(store.read(HELD) or b"")["token"] == "t"
 
 
-def test_what_is_cleaned_away_goes_from_the_store_and_what_is_removed_by_hand_comes_back(site: Mirrored, tmp_path: Path) -> None:
+def test_clean_removes_artifacts_from_the_store_and_manual_deletion_does_not(site: Mirrored, tmp_path: Path) -> None:
     site.run()
     before = set((tmp_path / "store").rglob("*.wbf"))
     shutil.rmtree(site.work / "cache" / "matches")
     site.capture("gate").write_text("another view from gate")
     site.run()
     assert before <= set((tmp_path / "store").rglob("*.wbf"))
-    assert site.reported("pin", "--drop")[0] == 0
-    assert site.reported("clean", "--keep", "1")[0] == 0
+    assert site.invoke("pin", "--drop")[0] == 0
+    assert site.invoke("clean", "--keep", "1")[0] == 0
     assert not before <= set((tmp_path / "store").rglob("*.wbf"))
     site.machine("second")
     assert site.run()["tasks"]["cached"] == TASKS
 
 
-def test_captures_come_from_a_store_and_each_once(site: Mirrored, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_captures_are_fetched_from_a_store_only_once(site: Mirrored, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     site.run("--work", str(tmp_path / "disk"))
     cloud = (tmp_path / "disk" / "runs" / "latest" / "cloud.ply").read_bytes()
     delivered = tmp_path / "delivered"
@@ -375,7 +375,7 @@ def test_only_captures_of_the_night_are_fetched(site: Mirrored, tmp_path: Path) 
     assert all(bool(size) == ("2026-11-01" in name) for name, size in sizes.items())
 
 
-def test_a_bucket_is_shown_as_a_folder_whatever_else_it_holds(s3: str, tmp_path: Path) -> None:
+def test_odd_object_names_in_a_bucket_do_not_prevent_fetching_captures(s3: str, tmp_path: Path) -> None:
     store, root = ObjectStore(f"{s3}/delivered"), tmp_path / "here"
     for name, data in {"yard/": b"", "yard/gate.txt": b"a view", "yard/gate.txt/odd": b"?", "../out": b"?"}.items():
         store.write(name, data)

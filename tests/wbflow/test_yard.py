@@ -73,7 +73,7 @@ def test_the_report_shows_the_inliers_of_every_pair_on_its_frames(yard: Path) ->
         assert base64.b64encode(picture.tobytes()).decode() in page
 
 
-def test_what_is_measured_in_the_page_is_within_its_standard_deviation_of_the_truth(yard: Path) -> None:
+def test_distances_measured_in_the_page_agree_with_their_standard_deviations(yard: Path) -> None:
     """Points are clicked all over the 3-D view; the true place of each is its projection onto the nearest true surface."""
     webdriver = pytest.importorskip("selenium.webdriver")
     with chromium(1000, 800) as browser:
@@ -101,12 +101,12 @@ def test_what_is_measured_in_the_page_is_within_its_standard_deviation_of_the_tr
     assert np.mean(error < 2) > 0.95
 
 
-def test_neither_the_number_of_workers_nor_what_is_compiled_already_changes_a_byte(yard: Path) -> None:
+def test_the_cloud_does_not_depend_on_workers_or_compiled_kernels(yard: Path) -> None:
     run(yard, "--jobs", "1", "--work", str(yard / "alone"))
     assert cloud(yard).read_bytes() == cloud(yard, "alone").read_bytes()
 
 
-def test_a_page_shows_two_runs_in_one_view(yard: Path, tmp_path: Path) -> None:
+def test_compare_writes_a_page_with_two_runs_in_one_view(yard: Path, tmp_path: Path) -> None:
     first, second = (run(yard)["run"] for _ in range(2))
     page = tmp_path / "both.html"
     result = CliRunner().invoke(main, ["compare", str(yard), first, second, "--page", str(page)])
@@ -121,7 +121,7 @@ def test_a_page_shows_two_runs_in_one_view(yard: Path, tmp_path: Path) -> None:
     assert result.exit_code == 2 and "needs the site" in result.output
 
 
-def test_between_two_runs_of_one_night_nothing_was_gained_or_lost(yard: Path) -> None:
+def test_comparing_a_run_with_itself_finds_no_changes(yard: Path) -> None:
     folder = str(wbflow.open_run(yard).folder)
     result = CliRunner().invoke(main, ["compare", folder, folder, "--changes", "--json"])
     assert result.exit_code == 0, result.output
@@ -130,7 +130,7 @@ def test_between_two_runs_of_one_night_nothing_was_gained_or_lost(yard: Path) ->
     assert found["cut_fill"]["area"] > 200
 
 
-def test_the_cloud_has_the_columns_that_others_rely_on(yard: Path) -> None:
+def test_the_cloud_has_the_columns_that_other_programs_rely_on(yard: Path) -> None:
     table = read_ply(cloud(yard))
     wanted = ["x", "y", "z", "nx", "ny", "nz", "red", "green", "blue", "confidence", "views"]
     assert list(table)[: len(wanted)] == wanted
@@ -141,7 +141,7 @@ def test_the_cloud_has_the_columns_that_others_rely_on(yard: Path) -> None:
     assert len(open3d.io.read_point_cloud(str(cloud(yard))).points) == len(table["x"])
 
 
-def test_captures_at_fault_cost_only_their_cameras(yard: Path, tmp_path: Path) -> None:
+def test_faulty_captures_cost_only_their_cameras(yard: Path, tmp_path: Path) -> None:
     folder = tmp_path / "faulty"
     shutil.copytree(yard, folder, ignore=shutil.ignore_patterns(".wbflow", "alone", "truth"))
     first, second, *_ = sorted(path.name for path in (folder / "captures").iterdir())
@@ -161,7 +161,7 @@ def test_captures_at_fault_cost_only_their_cameras(yard: Path, tmp_path: Path) -
     assert record["cloud"]["points"] > 1000
 
 
-def test_a_camera_that_has_been_turned_is_named_with_how_far_and_the_others_stay(yard: Path, tmp_path: Path) -> None:
+def test_a_turned_camera_is_named_with_its_angle_and_the_others_stay(yard: Path, tmp_path: Path) -> None:
     cameras = json.loads((yard / "cameras.json").read_text())
     name, entry = sorted(cameras.items())[1]
     angle = np.radians(3.0)
@@ -183,7 +183,7 @@ def test_a_camera_that_has_been_turned_is_named_with_how_far_and_the_others_stay
     assert all(np.allclose(solved[camera]["C"], cameras[camera]["C"]) for camera in cameras if camera != name)
 
 
-def test_one_task_of_each_stage_can_be_done_alone_and_gives_the_same_bytes(yard: Path, tmp_path: Path) -> None:
+def test_debug_scripts_of_every_stage_reproduce_the_bytes_in_the_cache(yard: Path, tmp_path: Path) -> None:
     """The scripts that `wbflow debug` writes run in one process, so that libraries are loaded only once."""
     run(yard)  # so that the newest run has all stages
     tasks = {task.stage: str(task) for task in wbflow.open_run(yard).tasks}

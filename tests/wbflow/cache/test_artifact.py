@@ -17,7 +17,7 @@ arrays = hnp.arrays(
 
 
 @given(arrays, arrays, st.text(max_size=20))
-def test_what_goes_in_comes_out(image: np.ndarray, mask: np.ndarray, note: str) -> None:
+def test_a_decoded_artifact_equals_what_was_encoded(image: np.ndarray, mask: np.ndarray, note: str) -> None:
     frame = Frame(image, mask, View(3, 2, np.eye(3), focal_known=False), notes=(note,))
     data = artifact.encode(frame)
     back = artifact.decode(data)
@@ -35,7 +35,7 @@ def poses(x: float) -> Poses:
     return Poses(cameras, {}, {}, metric=True, source="calibration")
 
 
-def test_mappings_and_their_parts() -> None:
+def test_digests_of_parts_of_a_mapping_change_only_with_their_entries() -> None:
     before, after = artifact.parts(poses(1.0)), artifact.parts(poses(2.0))
     assert before["cameras[a]"] == after["cameras[a]"]
     assert before["cameras[b]"] != after["cameras[b]"]
@@ -43,7 +43,7 @@ def test_mappings_and_their_parts() -> None:
     assert artifact.decode(artifact.encode(poses(1.0))).cameras["b"].C[0] == 1.0
 
 
-def test_arrays_in_another_order_of_memory_give_the_same_bytes() -> None:
+def test_memory_order_and_byte_order_of_arrays_do_not_change_the_bytes() -> None:
     a = np.arange(12, dtype=np.float64).reshape(3, 4)
     assert artifact.encode(View(1, 1, a)) == artifact.encode(View(1, 1, np.asfortranarray(a)))
     assert artifact.encode(View(1, 1, a)) == artifact.encode(View(1, 1, a.astype(">f8")))

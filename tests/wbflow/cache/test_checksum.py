@@ -12,7 +12,7 @@ from wbflow.cache.checksum import Damaged, NoChecksum, checked, dump_with_checks
 CONTENT = {"points": 12, "names": ["gate", "roof"]}
 
 
-def test_it_is_read_as_it_was_written_by_anybody(tmp_path: Path) -> None:
+def test_checksummed_content_is_read_as_it_was_written(tmp_path: Path) -> None:
     write_checksummed(tmp_path / "memo.json", "memo", CONTENT)
     assert read_checksummed(tmp_path / "memo.json", "memo") == CONTENT
     assert json.loads((tmp_path / "memo.json").read_bytes())["points"] == 12
@@ -20,7 +20,7 @@ def test_it_is_read_as_it_was_written_by_anybody(tmp_path: Path) -> None:
     assert dump_with_checksum("memo", CONTENT) == dump_with_checksum("memo", CONTENT)
 
 
-def test_no_single_changed_byte_is_believed() -> None:
+def test_any_single_changed_byte_is_found() -> None:
     data = dump_with_checksum("memo", CONTENT)
     for place in range(len(data)):
         changed = bytearray(data)
@@ -30,17 +30,17 @@ def test_no_single_changed_byte_is_believed() -> None:
 
 
 @pytest.mark.parametrize("length", [0, 1, 30, 60])
-def test_a_file_that_was_cut_short_is_not_believed(length: int) -> None:
+def test_a_truncated_file_is_refused(length: int) -> None:
     with pytest.raises(Damaged):
         checked(dump_with_checksum("memo", CONTENT)[:length], "memo")
 
 
-def test_what_belongs_to_something_else_is_not_believed() -> None:
+def test_content_of_another_subject_is_refused() -> None:
     with pytest.raises(Damaged, match="belongs to frames/gate"):
         checked(dump_with_checksum("frames/gate", CONTENT), "frames/roof")
 
 
-def test_what_is_not_there_or_of_an_earlier_version_is_no_damage(tmp_path: Path) -> None:
+def test_missing_files_and_files_of_earlier_versions_are_not_damaged(tmp_path: Path) -> None:
     assert read_checksummed(tmp_path / "none.json", "memo") is None
     (tmp_path / "old.json").write_text(json.dumps(CONTENT))
     assert read_checksummed(tmp_path / "old.json", "memo") is None

@@ -35,7 +35,7 @@ def bytes_under(folder: Path) -> int:
     return sum(-(-size // 4096) * 4096 for size in sizes.values())  # st_blocks includes space preallocated for new files
 
 
-def test_thirty_nights_take_no_more_than_ten(small: ToySite) -> None:
+def test_thirty_nights_take_no_more_space_than_ten(small: ToySite) -> None:
     sizes = {}
     for day in range(1, 31):
         night(small, day, nights=7)
@@ -47,7 +47,7 @@ def test_thirty_nights_take_no_more_than_ten(small: ToySite) -> None:
     assert small.run("--date", "2026-11-30")["tasks"]["ran"] == 0
 
 
-def test_a_night_in_which_nothing_ran_costs_next_to_nothing(toy: ToySite) -> None:
+def test_a_night_in_which_nothing_ran_takes_almost_no_space(toy: ToySite) -> None:
     toy.run()
     before = bytes_under(toy.work)
     toy.run()
@@ -68,7 +68,7 @@ def test_identical_products_share_their_bytes_and_no_later_write_changes_both(to
     assert first.read_bytes() == second.read_bytes() == cloud
 
 
-def test_a_published_cloud_that_was_damaged_is_not_shared(toy: ToySite) -> None:
+def test_a_damaged_published_cloud_is_not_shared_with_the_next_run(toy: ToySite) -> None:
     first = toy.work / "runs" / toy.run()["run"] / "cloud.ply"
     cloud = first.read_bytes()
     first.chmod(0o644)
@@ -77,7 +77,7 @@ def test_a_published_cloud_that_was_damaged_is_not_shared(toy: ToySite) -> None:
     assert toy.cloud == cloud
 
 
-def test_clean_leaves_what_is_published(small: ToySite) -> None:
+def test_clean_removes_published_clouds_and_reports_only_on_request(small: ToySite) -> None:
     runs = [night(small, day) for day in (1, 2, 3)]
     reported = small.wbflow("clean", "--keep", "1").stdout
     assert "and 0 runs" in reported
@@ -94,7 +94,7 @@ def test_clean_leaves_what_is_published(small: ToySite) -> None:
     assert ".html" in left[runs[1]]
 
 
-def test_bytes_are_a_limit_that_the_newest_run_alone_may_pass(small: ToySite) -> None:
+def test_only_the_newest_run_may_exceed_the_limit_in_bytes(small: ToySite) -> None:
     small.keys = {"pin": "none"}  # a reference would keep its artifacts, too
     small.write()
     night(small, 1)
@@ -109,14 +109,14 @@ def test_bytes_are_a_limit_that_the_newest_run_alone_may_pass(small: ToySite) ->
     assert small.run("--date", "2026-11-03")["tasks"]["ran"] == 0
 
 
-def test_clouds_and_reports_stay_as_long_as_the_site_file_says(small: ToySite) -> None:
+def test_clouds_and_reports_are_kept_as_long_as_the_site_file_says(small: ToySite) -> None:
     runs = [night(small, day, nights=1, clouds="all", reports=2) for day in (1, 2, 3)]
     left = {run: {path.suffix for path in (small.work / "runs" / run).glob("*")} for run in runs}
     assert all(".ply" in suffixes for suffixes in left.values())
     assert [".html" in left[run] for run in runs] == [False, True, True]
 
 
-def test_the_last_good_run_stays_with_all_that_it_uses(small: ToySite) -> None:
+def test_the_last_good_run_is_kept_with_all_that_it_uses(small: ToySite) -> None:
     good = night(small, 1, view="the same", nights=1, clouds=1, reports=1)
     small.capture("gate").write_text("broken")
     for day in (2, 3):
@@ -126,7 +126,7 @@ def test_the_last_good_run_stays_with_all_that_it_uses(small: ToySite) -> None:
     assert small.run("--date", "2026-11-04")["tasks"]["ran"] == 0
 
 
-def test_what_no_receipt_belongs_to_goes_too(small: ToySite) -> None:
+def test_artifacts_without_a_receipt_are_removed(small: ToySite) -> None:
     night(small, 1)
     orphan = small.work / "cache" / "frames" / "gate" / f"{'0' * 32}.wbf"
     orphan.write_bytes(b"left by an earlier version")

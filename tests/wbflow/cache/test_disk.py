@@ -12,7 +12,7 @@ from tests.helpers.toy_site import ToySite
 from wbflow.cache.atomic import write_atomic
 
 
-def test_the_error_says_how_much_is_needed_and_how_much_is_free(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_full_disk_error_states_the_needed_and_the_free_space(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def full(descriptor: int) -> None:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
@@ -24,7 +24,7 @@ def test_the_error_says_how_much_is_needed_and_how_much_is_free(tmp_path: Path, 
     assert list(tmp_path.iterdir()) == []
 
 
-def test_no_task_is_begun_without_room_for_what_it_leaves(toy: ToySite, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_no_task_starts_without_disk_space_for_its_results(toy: ToySite, monkeypatch: pytest.MonkeyPatch) -> None:
     toy.run()
     cloud = toy.cloud
     toy.parameters = {"disparity": {"tolerance": 2.0}}
@@ -40,7 +40,7 @@ def test_no_task_is_begun_without_room_for_what_it_leaves(toy: ToySite, monkeypa
     assert toy.cloud != cloud
 
 
-def test_a_disk_that_fills_up_on_the_way_loses_nothing_that_is_finished(toy: ToySite, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_finished_results_survive_a_disk_that_fills_up_during_a_run(toy: ToySite, monkeypatch: pytest.MonkeyPatch) -> None:
     toy.run()
     cloud = toy.cloud
     toy.run("--force", "frames")

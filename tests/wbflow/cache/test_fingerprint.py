@@ -53,23 +53,23 @@ def package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Package:
     return found
 
 
-def test_a_renamed_function_keeps_it(package: Package) -> None:
+def test_a_renamed_function_keeps_its_fingerprint(package: Package) -> None:
     before = package.code("stage:work")
     package.write(stage=STAGE.replace("def work", "def labour"))
     assert package.code("stage:labour") == before
 
 
-def test_a_moved_file_keeps_it_however_it_names_its_helpers(package: Package) -> None:
+def test_a_moved_file_keeps_the_fingerprints_of_its_functions(package: Package) -> None:
     before = package.code("stage:work")
     package.write(room__stage=STAGE.replace("from .helper", "from ..rooms.helper"), rooms__helper="HALF = 0.5\n")
     assert package.code("room.stage:work") == before
 
 
-def test_two_functions_of_one_module_differ(package: Package) -> None:
+def test_two_functions_of_one_module_have_different_fingerprints(package: Package) -> None:
     assert package.code("stage:work") != package.code("stage:other")
 
 
-def test_a_function_that_calls_itself_keeps_it_too(package: Package) -> None:
+def test_a_renamed_recursive_function_keeps_its_fingerprint(package: Package) -> None:
     text = "def down(n):\n    return down(n - 1) if n else 0\n"
     package.write(stage=text)
     before = package.code("stage:down")
@@ -77,14 +77,14 @@ def test_a_function_that_calls_itself_keeps_it_too(package: Package) -> None:
     assert package.code("stage:under") == before
 
 
-def test_the_same_names_from_another_helper_are_other_code(package: Package) -> None:
+def test_importing_a_name_from_another_helper_changes_the_fingerprint(package: Package) -> None:
     package.write(quarter="HALF = 0.25\n", stage=STAGE + "from . import quarter\n")
     before = package.code("stage:work")
     package.write(stage=STAGE.replace("from .helper", "from .quarter") + "from . import quarter\nfrom .helper import HALF as H\n")
     assert package.code("stage:work") != before
 
 
-def test_helpers_that_swap_what_is_in_them_are_other_code(package: Package) -> None:
+def test_swapping_the_contents_of_two_helpers_changes_the_fingerprint(package: Package) -> None:
     text = "from .a import f as g\nfrom .b import f as h\n\ndef work(x):\n    return g(x) - h(x)\n"
     package.write(a="def f(x):\n    return x\n", b="def f(x):\n    return 2 * x\n", stage=text)
     before = package.code("stage:work")
@@ -92,20 +92,20 @@ def test_helpers_that_swap_what_is_in_them_are_other_code(package: Package) -> N
     assert package.code("stage:work") != before
 
 
-def test_modules_that_import_each_other_have_one(package: Package) -> None:
+def test_a_change_in_a_circularly_imported_module_changes_the_fingerprint(package: Package) -> None:
     package.write(helper="from . import stage\nHALF = 0.5\n")
     before = package.code("stage:work")
     package.write(helper="from . import stage\nHALF = 0.6\n")
     assert package.code("stage:work") != before
 
 
-def test_comments_and_docstrings_of_attributes_do_not_count(package: Package) -> None:
+def test_comments_and_attribute_docstrings_do_not_change_the_fingerprint(package: Package) -> None:
     before = package.code("stage:work")
     package.write(helper='HALF = 0.5\n"""Half of it."""\n# indeed\n')
     assert package.code("stage:work") == before
 
 
-def test_another_method_in_the_table_changes_nothing(package: Package) -> None:
+def test_a_method_added_to_the_table_does_not_change_the_fingerprint(package: Package) -> None:
     table = '\nTABLE = {"a": "m:f"}\n"""Methods."""\n'
     package.write(stage=STAGE + table)
     with_table, read = package.code("stage:work", "stage:TABLE"), package.code("stage:work")
@@ -114,7 +114,7 @@ def test_another_method_in_the_table_changes_nothing(package: Package) -> None:
     assert package.code("stage:work") != read
 
 
-def test_a_change_in_the_stages_counts_for_whoever_imports_them(package: Package) -> None:
+def test_modules_of_the_stages_that_a_function_imports_are_part_of_its_code(package: Package) -> None:
     package.write(
         stage="from wbflow_stages.matching.nearest_neighbour import match_mutual\n\ndef work(left):\n    return match_mutual\n"
     )
@@ -122,7 +122,7 @@ def test_a_change_in_the_stages_counts_for_whoever_imports_them(package: Package
     assert Modules().file("wbflow_stages.matching.nearest_neighbour") in files
 
 
-def test_any_library_that_the_code_imports_counts_by_its_minor_version(
+def test_the_fingerprint_depends_on_minor_versions_of_imported_libraries(
     package: Package, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """This includes libraries that are imported by another name than their package's, and imports within a helper's functions."""
@@ -146,7 +146,7 @@ def test_any_library_that_the_code_imports_counts_by_its_minor_version(
     assert found["2.1.0"] == found["2.1.7"] != found["2.2.0"]
 
 
-def test_the_standard_library_does_not_count(package: Package) -> None:
+def test_the_standard_library_is_not_among_the_libraries_of_a_function(package: Package) -> None:
     package.write(stage="import json\nfrom os import path\n\ndef work(left):\n    return json, path\n")
     assert read_code(Modules(), f"{package.root.name}.stage:work").libraries == ()
 

@@ -43,13 +43,13 @@ def test_a_renamed_site_is_accepted_once_the_record_is_removed(work: WorkFolder,
     assert claim(work, "new", tmp_path / "site.yaml") is None
 
 
-def test_a_moved_folder_and_a_renamed_site_file_stay_usable(work: WorkFolder, tmp_path: Path) -> None:
+def test_a_moved_work_folder_and_a_renamed_site_file_are_accepted(work: WorkFolder, tmp_path: Path) -> None:
     claim(work, "yard", tmp_path / "site.yaml")
     shutil.move(work.root, tmp_path / "elsewhere")
     assert claim(WorkFolder(tmp_path / "elsewhere"), "yard", tmp_path / "renamed.yaml") is None
 
 
-def test_two_files_of_one_site_name_are_warned_of(work: WorkFolder, tmp_path: Path) -> None:
+def test_two_site_files_with_the_same_site_name_give_a_warning(work: WorkFolder, tmp_path: Path) -> None:
     for name in ("one.yaml", "two.yaml"):
         (tmp_path / name).touch()
     assert claim(work, "yard", tmp_path / "one.yaml") is None
@@ -58,7 +58,7 @@ def test_two_files_of_one_site_name_are_warned_of(work: WorkFolder, tmp_path: Pa
     assert claim(work, "yard", tmp_path / "one.yaml") is None
 
 
-def test_a_folder_written_by_a_newer_version_is_refused_in_a_sentence(
+def test_a_folder_written_by_a_newer_version_is_refused_with_a_remedy(
     work: WorkFolder, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(lock, "FORMAT", lock.FORMAT + 1)
@@ -68,7 +68,7 @@ def test_a_folder_written_by_a_newer_version_is_refused_in_a_sentence(
         claim(work, "yard", tmp_path / "site.yaml")
 
 
-def test_a_damaged_record_is_written_again(work: WorkFolder, tmp_path: Path) -> None:
+def test_a_damaged_owner_record_is_written_again(work: WorkFolder, tmp_path: Path) -> None:
     claim(work, "yard", tmp_path / "site.yaml")
     whole = work.owner.read_bytes()
     work.owner.write_bytes(whole[:-9])

@@ -29,7 +29,7 @@ def some_cloud(origin: tuple[float, float, float]) -> Cloud:
 @pytest.mark.parametrize(
     ("origin", "kind"), [((0.0, 0.0, 0.0), "float32"), ((565000.0, 5930000.0, 30.0), "float64")], ids=["local", "utm"]
 )
-def test_coordinates_keep_their_millimetres(tmp_path: Path, origin: tuple[float, float, float], kind: str) -> None:
+def test_coordinates_are_exact_to_half_a_millimetre(tmp_path: Path, origin: tuple[float, float, float], kind: str) -> None:
     cloud = some_cloud(origin)
     (tmp_path / "cloud.ply").write_bytes(ply_bytes(cloud_columns(cloud)))
     table = read_ply(tmp_path / "cloud.ply")
@@ -38,7 +38,7 @@ def test_coordinates_keep_their_millimetres(tmp_path: Path, origin: tuple[float,
     assert np.abs(read - cloud.points).max() < 0.0005
 
 
-def test_an_empty_cloud_is_a_file_too(tmp_path: Path) -> None:
+def test_an_empty_cloud_can_be_written_and_read(tmp_path: Path) -> None:
     whole = some_cloud((0.0, 0.0, 0.0))
     empty = Cloud(*(getattr(whole, name)[:0] for name in ("points", "normals", "colors", "confidence", "views", "sigma_mm")))
     (tmp_path / "cloud.ply").write_bytes(ply_bytes(cloud_columns(empty)))

@@ -13,13 +13,13 @@ from wbflow.cache.untrusted import Unreadable, find_untrusted, read_untrusted
 from wbflow.words import printable
 
 
-def test_a_file_is_read_whole(tmp_path: Path) -> None:
+def test_files_and_links_to_files_are_read_whole(tmp_path: Path) -> None:
     (tmp_path / "a").write_bytes(b"abc")
     (tmp_path / "link").symlink_to("a")
     assert read_untrusted(tmp_path / "a") == read_untrusted(tmp_path / "link") == b"abc"
 
 
-def test_what_is_no_file_is_named_and_nobody_waits_for_it(tmp_path: Path) -> None:
+def test_pipes_devices_folders_and_link_loops_are_refused_at_once(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "pipe")
     (tmp_path / "device").symlink_to("/dev/zero")
     (tmp_path / "loop").symlink_to("loop")
@@ -52,7 +52,7 @@ def test_a_search_finds_what_glob_finds(tmp_path: Path, pattern: str) -> None:
     assert set(map(Path, find_untrusted(str(tmp_path / pattern)))) == known
 
 
-def test_links_that_lead_back_are_followed_once(tmp_path: Path) -> None:
+def test_files_are_found_once_despite_links_to_parent_folders(tmp_path: Path) -> None:
     (tmp_path / "a").mkdir()
     (tmp_path / "a" / "x.jpg").touch()
     for name in ("here", "again", "a/up"):
@@ -60,7 +60,7 @@ def test_links_that_lead_back_are_followed_once(tmp_path: Path) -> None:
     assert list(find_untrusted(f"{tmp_path}/**/*.jpg")) == [f"{tmp_path}/a/x.jpg"]
 
 
-def test_words_from_outside_are_fit_for_a_screen() -> None:
+def test_text_from_outside_is_made_printable() -> None:
     assert printable("gate\x1b[2J\r\x07") == r"gate\x1b[2J\x0d\x07"
     assert printable(os.fsdecode(b"caf\xe9.jpg")) == r"caf\xe9.jpg"
     assert printable("Gästehaus, 北門\n\tzwei") == "Gästehaus, 北門\n\tzwei"
@@ -69,7 +69,7 @@ def test_words_from_outside_are_fit_for_a_screen() -> None:
     assert len(cut) < 600 and "(5,000,000 characters)" in cut
 
 
-def test_a_name_that_is_no_text_loses_neither_the_night_nor_the_report(toy: ToySite) -> None:
+def test_a_file_name_that_is_not_valid_text_harms_neither_run_nor_report(toy: ToySite) -> None:
     toy.capture("roof").write_text("broken")
     toy.capture("roof").rename(toy.folder / "captures" / os.fsdecode(b"roof\xe9\x1b[2J.txt"))
     toy.file.write_text(toy.file.read_text().replace("{camera}.txt", "{camera}*.txt"))
@@ -81,7 +81,7 @@ def test_a_name_that_is_no_text_loses_neither_the_night_nor_the_report(toy: ToyS
     assert r"roof\xe9\x1b[2J.txt" in (newest / "report.html").read_text()
 
 
-def test_a_mask_that_cannot_be_read_costs_its_camera_only(toy: ToySite) -> None:
+def test_an_unreadable_mask_costs_only_its_camera(toy: ToySite) -> None:
     (toy.folder / "mask.png").touch()
     os.truncate(toy.folder / "mask.png", 20_000_000_000)
     toy.file.write_text(toy.file.read_text().replace('"roof"', '{"id": "roof", "mask": "mask.png"}', 1))
@@ -90,7 +90,7 @@ def test_a_mask_that_cannot_be_read_costs_its_camera_only(toy: ToySite) -> None:
     assert [cameras[name]["outcome"] for name in ("gate", "mast-1", "crane")] == ["ok"] * 3
 
 
-def test_a_night_of_devices_folders_sparse_files_and_links_that_lead_back(toy: ToySite) -> None:
+def test_devices_folders_huge_files_and_link_loops_cost_only_their_cameras(toy: ToySite) -> None:
     for name in ("roof", "mast-1", "crane"):
         toy.capture(name).unlink()
     toy.capture("roof").symlink_to("/dev/zero")
@@ -107,7 +107,7 @@ def test_a_night_of_devices_folders_sparse_files_and_links_that_lead_back(toy: T
     assert cameras["crane"]["outcome"] == "failed"
 
 
-def test_a_pipe_where_a_capture_should_be_costs_its_camera_only(toy: ToySite) -> None:
+def test_a_pipe_in_place_of_a_capture_costs_only_its_camera(toy: ToySite) -> None:
     toy.capture("roof").unlink()
     os.mkfifo(toy.capture("roof"))
     cameras = {camera["id"]: camera for camera in toy.run("--until", "features", code=3)["cameras"]}

@@ -43,7 +43,7 @@ def on_a_terminal(toy: ToySite, *arguments: str, **environment: str) -> tuple[st
     return "".join(piece for piece, _ in pieces), pieces
 
 
-def test_a_terminal_shows_stages_totals_and_running_tasks_before_the_first_task_has_ended(toy: ToySite) -> None:
+def test_a_terminal_shows_progress_before_the_first_task_has_ended(toy: ToySite) -> None:
     toy.fault("slow", "0.8")
     toy.capture("roof").write_text("broken")
     written, pieces = on_a_terminal(toy)
@@ -58,7 +58,7 @@ def test_a_terminal_shows_stages_totals_and_running_tasks_before_the_first_task_
     assert written.rfind("\x1b[?25h") > written.rfind("\x1b[?25l")
 
 
-def test_a_first_night_tells_what_there_is_before_it_looks_at_the_code(toy: ToySite, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_first_planned_event_comes_before_the_code_is_read(toy: ToySite, monkeypatch: pytest.MonkeyPatch) -> None:
     heard: list[object] = []
     refresh = Plan.refresh
 
@@ -73,13 +73,13 @@ def test_a_first_night_tells_what_there_is_before_it_looks_at_the_code(toy: ToyS
     assert heard[1] == "looked at"
 
 
-def test_no_colour_where_none_is_wanted(toy: ToySite) -> None:
+def test_no_color_disables_colours(toy: ToySite) -> None:
     written, _ = on_a_terminal(toy, "--until", "features", NO_COLOR="1")
     assert "features" in written
     assert not re.search(r"\x1b\[[0-9;]*3[0-9][;m]", written)
 
 
-def test_without_a_terminal_each_stage_has_one_line_with_its_time_and_no_control_characters(toy: ToySite) -> None:
+def test_without_a_terminal_each_stage_has_one_plain_line_with_its_time(toy: ToySite) -> None:
     toy.capture("roof").write_text("broken")
     result = toy.wbflow("run", "--jobs", "2")
     ended = [LINE.match(line) for line in result.stdout.splitlines()]
@@ -103,7 +103,7 @@ def test_without_a_terminal_each_stage_has_one_line_with_its_time_and_no_control
     assert not re.search(r"[\x00-\x09\x0b-\x1f\x7f]", result.stdout + result.stderr)
 
 
-def test_quiet_says_what_went_wrong_and_json_is_nothing_else(toy: ToySite) -> None:
+def test_quiet_prints_only_problems_and_json_only_the_record(toy: ToySite) -> None:
     toy.capture("roof").write_text("broken")
     quiet = toy.wbflow("run", "--jobs", "1", "-q")
     assert quiet.stdout == ""
@@ -112,12 +112,12 @@ def test_quiet_says_what_went_wrong_and_json_is_nothing_else(toy: ToySite) -> No
     assert json.loads(toy.wbflow("run", "--jobs", "1", "--json").stdout)["exit_code"] == 3
 
 
-def test_v_says_every_task_with_its_seconds(toy: ToySite) -> None:
-    message = toy.wbflow("run", "--jobs", "1", "-v").stdout
-    assert re.search(r"gate +frames +ran +\d+\.\d s", message)
+def test_v_prints_every_task_with_its_seconds(toy: ToySite) -> None:
+    printed = toy.wbflow("run", "--jobs", "1", "-v").stdout
+    assert re.search(r"gate +frames +ran +\d+\.\d s", printed)
 
 
-def test_a_log_file_gets_a_line_from_time_to_time_while_a_stage_goes_on(
+def test_a_log_file_gets_progress_lines_while_a_stage_runs(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("wbflow.cli.display.PROGRESS_SECONDS", 0.0)
@@ -127,7 +127,7 @@ def test_a_log_file_gets_a_line_from_time_to_time_while_a_stage_goes_on(
     assert re.search(r"T[\d:]+ 0 of 4 tasks done; running: frames gate$", capsys.readouterr().out.strip())
 
 
-def test_a_stage_is_reported_once_when_it_and_those_before_it_have_ended(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_stage_is_reported_once_after_it_and_all_earlier_ones_have_ended(capsys: pytest.CaptureFixture[str]) -> None:
     lines = LogLines("harbour")
     tasks = [Task(stage, (name,)) for stage in ("frames", "features") for name in ("gate", "roof")]
     for k, task in enumerate(tasks):
@@ -141,7 +141,7 @@ def test_a_stage_is_reported_once_when_it_and_those_before_it_have_ended(capsys:
     ]
 
 
-def test_nothing_is_reported_of_what_comes_from_the_cache(capsys: pytest.CaptureFixture[str]) -> None:
+def test_cached_tasks_are_counted_but_not_reported(capsys: pytest.CaptureFixture[str]) -> None:
     lines = LogLines("harbour")
     for name in ("gate", "roof"):
         lines.receive(TaskEvent(Task("frames", (name,)), "cached", "t"))

@@ -102,7 +102,7 @@ def page(browser: Any, tmp_path: Path) -> Iterator[Page]:
         browser.get("about:blank")
 
 
-def test_it_loads_nothing_from_elsewhere_and_complains_of_nothing(page: Page) -> None:
+def test_the_page_loads_only_local_content_and_logs_no_errors(page: Page) -> None:
     page.to("shed")
     messages = [json.loads(entry["message"])["message"] for entry in page.browser.get_log("performance")]
     asked = {m["params"]["request"]["url"] for m in messages if m["method"] == "Network.requestWillBeSent"}
@@ -135,7 +135,7 @@ def test_a_privacy_polygon_is_drawn_undone_drawn_again_and_saved(page: Page) -> 
     page.until("return mine().privacy.length === 1")
 
 
-def test_escape_drops_what_was_begun(page: Page) -> None:
+def test_escape_discards_an_unfinished_polygon(page: Page) -> None:
     page.tool("mask")
     page.click((100, 60), (160, 60))
     page.keys(Keys.ESCAPE)
@@ -143,7 +143,7 @@ def test_escape_drops_what_was_begun(page: Page) -> None:
     assert not page.browser.find_element("css selector", "[data-do=save]").is_enabled()
 
 
-def test_a_mask_is_painted_and_its_corner_dragged(page: Page) -> None:
+def test_a_mask_is_drawn_and_its_corner_dragged(page: Page) -> None:
     page.to("shed")
     page.tool("mask")
     page.click((200, 40), (300, 40), (300, 100))
@@ -157,7 +157,7 @@ def test_a_mask_is_painted_and_its_corner_dragged(page: Page) -> None:
     assert page.data["cameras"][3] == {"id": "shed", "mask": "masks/shed.png"}
 
 
-def test_a_control_point_is_clicked_in_three_pictures_by_its_guides_with_residuals(page: Page) -> None:
+def test_a_control_point_is_placed_in_three_pictures_by_guides_with_residuals(page: Page) -> None:
     X = [-1.5, 0.5, 0.8]
     page.tool("point")
     x, y = edit_site.seen("gate", X)
@@ -189,17 +189,17 @@ def test_a_control_point_is_clicked_in_three_pictures_by_its_guides_with_residua
     assert sorted(written["pixels"]) == ["gate", "mast", "roof"]
 
 
-def test_a_point_without_coordinates_is_refused_and_the_page_says_where(page: Page) -> None:
+def test_a_control_point_without_coordinates_is_refused_with_its_place(page: Page) -> None:
     page.tool("point")
     page.click((100, 90))
-    said = page.save()
-    assert "site.yaml:25:5: control_points[1]: 'position' is missing" in said
+    message = page.save()
+    assert "site.yaml:25:5: control_points[1]: 'position' is missing" in message
     assert page.file.read_text() == edit_site.SITE
     page.keys(Keys.DELETE)
     page.until("return edit.marks.points.length === 1")
 
 
-def test_a_zone_is_drawn_on_the_ground_and_seen_in_the_other_pictures(page: Page) -> None:
+def test_a_zone_is_drawn_on_the_ground_and_shown_in_the_other_pictures(page: Page) -> None:
     page.to("roof")
     corners = [[-2.0, -2.0], [2.0, -2.0], [2.0, 1.0]]
     page.tool("zone")
@@ -234,6 +234,6 @@ def test_the_picture_is_zoomed_and_moved_without_drawing(page: Page) -> None:
     assert page.run("return edit.at.scale") == pytest.approx(before)
 
 
-def test_done_ends_it(page: Page) -> None:
+def test_the_done_button_ends_the_editor(page: Page) -> None:
     page.browser.find_element("css selector", "[data-do=done]").click()
     page.until("return document.body.textContent.includes('has ended')")

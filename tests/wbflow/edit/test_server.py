@@ -72,7 +72,7 @@ def changed(file: Path) -> list[str]:
 
 
 @pytest.mark.parametrize("path", ["", "edit.js", "state", "picture/gate", "shade/gate"])
-def test_only_who_knows_the_token_and_calls_this_machine_by_its_name_is_answered(server: EditServer, path: str) -> None:
+def test_requests_are_answered_only_with_the_token_and_a_local_host_name(server: EditServer, path: str) -> None:
     assert ask(server, path)[0] == 200
     assert ask(server, path, host=f"localhost:{server.server_port}")[0] == 200
     for token in ("", "wrong", server.token[:-1], server.token + "x", "%00", "%C3%BC"):
@@ -82,7 +82,7 @@ def test_only_who_knows_the_token_and_calls_this_machine_by_its_name_is_answered
         assert ask(server, path, host=host)[0] == 403
 
 
-def test_writing_needs_the_token_and_the_host_too(server: EditServer, file: Path) -> None:
+def test_saving_needs_the_token_a_local_host_name_and_json(server: EditServer, file: Path) -> None:
     there = state(server)
     body = {"marks": {"cameras": {}, "zones": [], "points": []}, "version": there["version"]}
     assert ask(server, "save", body, token="wrong")[0] == 403
@@ -93,14 +93,14 @@ def test_writing_needs_the_token_and_the_host_too(server: EditServer, file: Path
 
 
 @pytest.mark.parametrize("method", ["HEAD", "OPTIONS", "PUT", "DELETE", "CONNECT", "TRACE", "PATCH"])
-def test_other_methods_learn_nothing_either(server: EditServer, method: str) -> None:
+def test_other_http_methods_are_refused_without_the_token(server: EditServer, method: str) -> None:
     connection = http.client.HTTPConnection("127.0.0.1", server.server_port, timeout=30)
     connection.request(method, "/wrong/state")
     with connection.getresponse() as reply:
         assert reply.status == 403
 
 
-def test_it_listens_on_this_machine_alone_and_the_page_may_load_nothing_from_elsewhere(server: EditServer) -> None:
+def test_the_server_is_local_and_its_page_loads_nothing_from_elsewhere(server: EditServer) -> None:
     assert server.server_address[0] == "127.0.0.1"
     assert len(server.token) >= 32
     _, page, headers = ask(server, "")
@@ -112,17 +112,17 @@ def test_it_listens_on_this_machine_alone_and_the_page_may_load_nothing_from_els
 
 
 @pytest.mark.parametrize("path", ["../../etc/passwd", "picture/../site.yaml", "state/x", "save", "edit.html", "picture/none"])
-def test_other_paths_lead_nowhere(server: EditServer, path: str) -> None:
+def test_unknown_paths_are_refused(server: EditServer, path: str) -> None:
     assert ask(server, path)[0] in {404, 409}
 
 
-def test_what_was_not_drawn_changes_nothing(server: EditServer, file: Path) -> None:
+def test_saving_without_drawing_leaves_the_site_file_unchanged(server: EditServer, file: Path) -> None:
     there = state(server)
     assert save(server, marks(there), there["version"])[0] == 200
     assert file.read_text() == edit_site.SITE
 
 
-def test_what_is_drawn_is_written_and_every_other_line_stays(server: EditServer, file: Path) -> None:
+def test_saving_changes_only_the_lines_of_what_was_drawn(server: EditServer, file: Path) -> None:
     there = state(server)
     drawn = marks(there)
     drawn["cameras"]["gate"]["privacy"].append({"was": None, "corners": [[10, 20], [60, 20], [60, 50.5]]})
@@ -157,7 +157,7 @@ def test_what_is_drawn_is_written_and_every_other_line_stays(server: EditServer,
     assert len(changed(file)) == 12
 
 
-def test_what_is_taken_away_goes_with_its_line(server: EditServer, file: Path) -> None:
+def test_deleted_marks_are_removed_from_the_site_file(server: EditServer, file: Path) -> None:
     there = state(server)
     drawn = marks(there)
     drawn["cameras"]["gate"]["privacy"] = []
@@ -170,7 +170,7 @@ def test_what_is_taken_away_goes_with_its_line(server: EditServer, file: Path) -
     assert "# Long side that stages work at." in text
 
 
-def test_masks_are_painted_and_named(server: EditServer, file: Path) -> None:
+def test_masks_are_painted_into_files_that_the_site_file_names(server: EditServer, file: Path) -> None:
     there = state(server)
     drawn = marks(there)
     square = [[100, 100], [139, 100], [139, 139], [100, 139]]
@@ -193,7 +193,7 @@ def test_masks_are_painted_and_named(server: EditServer, file: Path) -> None:
     assert np.count_nonzero(gate == 0) == 20 * 60, "areas that were taken back are gone"
 
 
-def test_what_would_be_invalid_is_refused_with_its_line(server: EditServer, file: Path) -> None:
+def test_invalid_marks_are_refused_with_their_line_in_the_site_file(server: EditServer, file: Path) -> None:
     there = state(server)
     drawn = marks(there)
     drawn["points"].append({"was": None, "id": "door", "position": None, "pixels": {"gate": [5, 6], "mast": [7, 8]}})
@@ -205,7 +205,7 @@ def test_what_would_be_invalid_is_refused_with_its_line(server: EditServer, file
     assert not (file.parent / "masks" / "shed.png").exists()
 
 
-def test_a_file_that_somebody_else_has_changed_is_not_written_over(server: EditServer, file: Path) -> None:
+def test_a_site_file_changed_meanwhile_is_not_overwritten(server: EditServer, file: Path) -> None:
     there = state(server)
     file.write_text(edit_site.SITE + "# and so on\n")
     status, body = save(server, marks(there), there["version"])
@@ -214,11 +214,11 @@ def test_a_file_that_somebody_else_has_changed_is_not_written_over(server: EditS
 
 
 @pytest.mark.parametrize("body", [{}, {"marks": {"zones": 3}, "version": "x"}, {"marks": {}, "version": "x", "path": "/etc"}])
-def test_what_is_not_understood_is_refused(server: EditServer, body: dict[str, Any]) -> None:
+def test_malformed_requests_are_refused(server: EditServer, body: dict[str, Any]) -> None:
     assert ask(server, "save", body)[0] == 400
 
 
-def test_line_ends_and_the_mark_of_windows_stay(tmp_path: Path) -> None:
+def test_windows_line_ends_and_the_byte_order_mark_are_kept(tmp_path: Path) -> None:
     file = edit_site.write(tmp_path / "harbour")
     file.write_bytes(b"\xef\xbb\xbf" + edit_site.SITE.replace("\n", "\r\n").encode())
     with edit_site.served(file) as server:
@@ -230,7 +230,7 @@ def test_line_ends_and_the_mark_of_windows_stay(tmp_path: Path) -> None:
     assert file.read_bytes() == b"\xef\xbb\xbf" + wanted.encode()
 
 
-def test_one_click_gives_a_line_two_give_a_place_and_residuals_follow(server: EditServer) -> None:
+def test_guides_are_lines_from_one_click_and_places_from_two_with_residuals(server: EditServer) -> None:
     X = [0.5, 1.0, 0.0]
     exact = {camera: edit_site.seen(camera, X) for camera in edit_site.PLACES}
 
@@ -255,7 +255,7 @@ def test_one_click_gives_a_line_two_give_a_place_and_residuals_follow(server: Ed
     assert 2 < off_px["mast"] < 6
 
 
-def test_zones_are_drawn_where_the_ground_is_seen(server: EditServer) -> None:
+def test_zones_are_placed_where_the_rays_of_pixels_meet_the_ground(server: EditServer) -> None:
     corner = [3.0, -3.0]
     pixel = edit_site.seen("roof", [*corner, 0.0])
     found = json.loads(ask(server, "ground", {"camera": "roof", "pixel": pixel, "ground": 0.0})[1])
@@ -269,7 +269,7 @@ def test_zones_are_drawn_where_the_ground_is_seen(server: EditServer) -> None:
 
 
 @pytest.mark.parametrize("ends", ["done", "interrupt"])
-def test_the_command_prints_the_address_and_ends_when_somebody_is_done(file: Path, ends: str) -> None:
+def test_the_command_prints_its_address_and_ends_on_done_or_interrupt(file: Path, ends: str) -> None:
     command = [sys.executable, "-m", "wbflow", "edit", str(file)]
     # tests started in the background of a shell ignore SIGINT, and their child processes would inherit this
     heeds = partial(signal.signal, signal.SIGINT, signal.SIG_DFL)
@@ -292,7 +292,7 @@ def test_the_command_prints_the_address_and_ends_when_somebody_is_done(file: Pat
             process.kill()
 
 
-def test_without_stated_poses_those_of_the_last_run_are_used_and_its_ground(tmp_path: Path) -> None:
+def test_poses_and_ground_of_the_last_run_are_used_if_none_are_stated(tmp_path: Path) -> None:
     plain = "site: harbour\ncaptures: {root: captures, pattern: '{camera}.png'}\ncameras: [gate, roof, mast, shed]\n"
     file = edit_site.write(tmp_path / "harbour", plain)
     with edit_site.served(file) as server:

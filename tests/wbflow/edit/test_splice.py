@@ -19,7 +19,7 @@ def lines(before: str, after: str) -> list[str]:
     return [line for line in difflib.ndiff(before.splitlines(), after.splitlines()) if line[0] in "-+"]
 
 
-def test_a_new_item_stands_below_the_last_one_and_the_next_heading_stays_where_it_is() -> None:
+def test_a_new_item_is_appended_directly_below_the_last_one() -> None:
     text = "points:\n  - {id: a}   # first\n\n# What follows is of another section.\nresolution: 1600\n"
     assert append(text, ("points",), {"id": "b"}) == text.replace("# first\n", "# first\n  - {id: b}\n")
 
@@ -39,7 +39,7 @@ def test_a_new_item_stands_below_the_last_one_and_the_next_heading_stays_where_i
         ("12: {x: 1}\n", ("12", "x"), 2, "12: {x: 2}\n"),
     ],
 )
-def test_a_value_is_put(text: str, location: tuple[str | int, ...], value: Any, expected: str) -> None:
+def test_putting_a_value_changes_only_that_value(text: str, location: tuple[str | int, ...], value: Any, expected: str) -> None:
     assert put(text, location, value) == expected
 
 
@@ -54,11 +54,11 @@ def test_a_value_is_put(text: str, location: tuple[str | int, ...], value: Any, 
         ("a:\n  - - 2\n    - 3\n\n# b\nb: 1\n", ("a", 0), "a: []\n\n# b\nb: 1\n"),
     ],
 )
-def test_an_item_is_removed(text: str, location: tuple[str | int, ...], expected: str) -> None:
+def test_removing_an_item_keeps_everything_else(text: str, location: tuple[str | int, ...], expected: str) -> None:
     assert remove(text, location) == expected
 
 
-def test_what_an_alias_shares_is_not_changed_behind_its_back() -> None:
+def test_values_shared_by_an_alias_are_not_editable() -> None:
     text = "a: &shared [1, 2]\nb: *shared\n"
     with pytest.raises(NotEditable, match="alias"):
         append(text, ("b",), 3)
@@ -66,7 +66,7 @@ def test_what_an_alias_shares_is_not_changed_behind_its_back() -> None:
         put(text, ("a", 0), 7)
 
 
-def test_of_the_template_only_the_line_of_what_was_changed_differs() -> None:
+def test_edits_of_the_template_change_only_their_own_lines() -> None:
     text = TEMPLATE.read_text()
     data = yaml.safe_load(text)
     for k, point in enumerate(data["control_points"]):

@@ -30,7 +30,7 @@ def events(site: ToySite) -> list[str]:
     return calls.read_text().split() if calls.exists() else []
 
 
-def test_a_known_finding_neither_degrades_a_night_nor_notifies(site: ToySite) -> None:
+def test_an_acknowledged_finding_neither_degrades_a_night_nor_notifies(site: ToySite) -> None:
     site.run("--date", "2026-11-01", code=3)
     assert "camera-lost crane" in site.wbflow("acknowledge").stdout
     done = site.wbflow("acknowledge", *LOST, "--until", "2026-11-02", "--note", "new cable")
@@ -48,7 +48,7 @@ def test_a_known_finding_neither_degrades_a_night_nor_notifies(site: ToySite) ->
     assert events(site)[-1] == "degraded"
 
 
-def test_what_is_dropped_counts_again(site: ToySite) -> None:
+def test_a_finding_counts_again_when_its_acknowledgement_is_dropped(site: ToySite) -> None:
     site.wbflow("acknowledge", *LOST)
     site.run("--date", "2026-11-01", code=0)
     assert site.wbflow("acknowledge", *LOST, "--drop").returncode == 0
@@ -60,13 +60,15 @@ def test_what_is_dropped_counts_again(site: ToySite) -> None:
     ("words", "remedy"),
     [(("no-cloud",), "camera-lost"), (("camera-gone", "gate"), "camera-lost"), (("camera-lost", "tower"), "its cameras are")],
 )
-def test_what_cannot_be_acknowledged_is_refused(site: ToySite, words: tuple[str, ...], remedy: str) -> None:
+def test_findings_that_cannot_be_acknowledged_are_refused_with_a_remedy(
+    site: ToySite, words: tuple[str, ...], remedy: str
+) -> None:
     done = site.wbflow("acknowledge", *words)
     assert done.returncode == 2
     assert remedy in done.stderr
 
 
-def test_a_faulty_file_costs_the_acknowledgements_not_the_night(site: ToySite) -> None:
+def test_a_faulty_file_of_acknowledgements_is_ignored_with_a_warning(site: ToySite) -> None:
     (site.folder / "site.acknowledged").write_text(json.dumps({"finding": 3}))
     record = site.run("--date", "2026-11-01", code=3)
     assert record["verdict"]["findings"]

@@ -36,11 +36,11 @@ from wbflow.records.run_folder import UnfinishedRun
         (None, 5, True),
     ],
 )
-def test_noise_is_no_difference(a: Any, b: Any, differs: bool) -> None:
+def test_small_deviations_of_figures_do_not_count_as_differences(a: Any, b: Any, differs: bool) -> None:
     assert Row("figure", a, b).differs is differs
 
 
-def test_what_a_lost_camera_takes_along_is_reported_with_percentages() -> None:
+def test_a_lost_camera_is_listed_with_its_pairs_and_the_share_of_points() -> None:
     good = night("2026-11-19")
     poor = night(cameras=[*map(camera, NAMES[:3]), lost("roof")], pairs=without("roof"), points=55_000)
     lines = [str(row).split(maxsplit=1) for row in differing(compare(good, poor))]
@@ -51,7 +51,7 @@ def test_what_a_lost_camera_takes_along_is_reported_with_percentages() -> None:
     assert not names & {"gate", "crane--gate"}
 
 
-def test_what_site_wide_stages_tell_is_compared_too() -> None:
+def test_results_of_site_wide_stages_are_compared() -> None:
     changes = ChangesSummary(compared=True, count=2)
     seen = [{"coverage": CoverageSummary(seen_by_two=share), "changes": changes} for share in (0.8, 0.6)]
     a, b = (replace(night("2026-11-19"), results=results) for results in seen)
@@ -59,7 +59,7 @@ def test_what_site_wide_stages_tell_is_compared_too() -> None:
     assert [(row.what, row.a, row.b) for row in rows] == [("coverage: seen by two", 0.8, 0.6)]
 
 
-def test_two_nights_that_are_alike() -> None:
+def test_no_differences_are_listed_for_two_similar_nights() -> None:
     assert len(differing(compare(night("2026-11-19"), night(points=99_000)))) == 3
 
 
@@ -83,7 +83,7 @@ def past(tmp_path: Path) -> Callable[..., str]:
     return command
 
 
-def test_nights_are_named_by_date_by_id_or_not_at_all(past: Callable[..., str]) -> None:
+def test_nights_to_compare_are_given_by_date_by_id_or_by_default(past: Callable[..., str]) -> None:
     by_date = past("compare", "2026-11-19", "2026-11-20")
     assert "-60 %" in by_date
     assert past("compare") == by_date, "the newest, and the last good one before it"
@@ -92,13 +92,13 @@ def test_nights_are_named_by_date_by_id_or_not_at_all(past: Callable[..., str]) 
     assert "no run has worked on the night of 2026-11-01" in past("compare", "2026-11-01", "latest", code=2)
 
 
-def test_the_comparison_for_programs(past: Callable[..., str]) -> None:
+def test_a_comparison_is_available_as_json(past: Callable[..., str]) -> None:
     data = json.loads(past("compare", "--json"))
     (row,) = [row for row in data["rows"] if row["what"] == "points"]
     assert row == {"what": "points", "a": 101_000, "b": 40_000, "change": -0.604, "differs": True}
 
 
-def test_history_says_what_each_night_came_to(past: Callable[..., str]) -> None:
+def test_history_lists_the_verdict_of_each_night(past: Callable[..., str]) -> None:
     lines = past("history").splitlines()
     assert lines[0].endswith("verdict")
     assert lines[1].endswith("0  good")
@@ -107,21 +107,21 @@ def test_history_says_what_each_night_came_to(past: Callable[..., str]) -> None:
     assert [entry["verdict"]["level"] for entry in entries] == ["good", "good", "degraded"]
 
 
-def test_a_run_whose_folder_is_gone_says_so(toy: ToySite) -> None:
+def test_history_marks_runs_whose_folder_was_removed(toy: ToySite) -> None:
     runs = [toy.run()["run"] for _ in range(2)]
     shutil.rmtree(toy.work / "runs" / runs[0])
-    message = toy.wbflow("history").stdout.splitlines()
-    assert [line.split()[-1] for line in message[1:]] == ["cleaned", "good"]
+    lines = toy.wbflow("history").stdout.splitlines()
+    assert [line.split()[-1] for line in lines[1:]] == ["cleaned", "good"]
 
 
-def test_status_counts_and_estimates(toy: ToySite) -> None:
+def test_status_counts_tasks_and_estimates_cpu_time(toy: ToySite) -> None:
     first = json.loads(toy.wbflow("status", "--json").stdout)
     assert first["pairs_to_come"]
     assert first["cpu_seconds"] is None
     record = toy.run()
     toy.capture("roof").write_text("another view")
-    message = json.loads(toy.wbflow("status", "--json").stdout)
-    assert sum(message["totals"].values()) == len(message["tasks"])
-    assert {task["task"] for task in message["tasks"] if task["state"] == "would run"} >= {"frames roof"}
-    assert message["cpu_seconds"] is not None
+    second = json.loads(toy.wbflow("status", "--json").stdout)
+    assert sum(second["totals"].values()) == len(second["tasks"])
+    assert {task["task"] for task in second["tasks"] if task["state"] == "would run"} >= {"frames roof"}
+    assert second["cpu_seconds"] is not None
     assert toy.wbflow("status").stdout.splitlines()[-1].startswith(f"night of {record['date']}: ")

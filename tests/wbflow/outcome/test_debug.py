@@ -20,35 +20,35 @@ def debug(toy: ToySite, *words: str, code: int = 0) -> str:
     return result.output
 
 
-def alone(toy: ToySite) -> str:
+def script_output(toy: ToySite) -> str:
     script = toy.folder / "look" / "run.py"
     assert len(script.read_text().splitlines()) <= 12
     done = subprocess.run([sys.executable, str(script)], env=toy.env(), capture_output=True, text=True, check=False)
     return done.stdout + done.stderr
 
 
-def test_the_script_gives_the_bytes_that_the_cache_has(toy: ToySite) -> None:
+def test_the_script_reproduces_the_bytes_in_the_cache(toy: ToySite) -> None:
     toy.run()
-    message = debug(toy, "fuse")
-    assert f"now try  python {toy.folder / 'look' / 'run.py'}" in message
-    assert "the same bytes as the cache has" in alone(toy)
+    printed = debug(toy, "fuse")
+    assert f"now try  python {toy.folder / 'look' / 'run.py'}" in printed
+    assert "the same bytes as the cache has" in script_output(toy)
     assert (toy.folder / "look" / "result.ply").read_bytes() == toy.cloud
 
 
-def test_a_changed_parameter_gives_other_bytes(toy: ToySite) -> None:
+def test_the_script_gives_other_bytes_for_a_changed_parameter(toy: ToySite) -> None:
     toy.run()
     debug(toy, "disparity", "gate--roof")
-    reported = toy.folder / "look" / "task.json"
-    reported.write_text(reported.read_text().replace('"tolerance": 1.0', '"tolerance": 2.0'))
-    assert "other bytes than the cache has" in alone(toy)
+    file = toy.folder / "look" / "task.json"
+    file.write_text(file.read_text().replace('"tolerance": 1.0', '"tolerance": 2.0'))
+    assert "other bytes than the cache has" in script_output(toy)
 
 
-def test_a_task_that_failed_fails_again_where_it_can_be_looked_at(toy: ToySite) -> None:
+def test_the_script_of_a_failed_task_raises_the_same_error(toy: ToySite) -> None:
     toy.capture("roof").write_text("broken")
     toy.run(code=3)
     debug(toy, "frames roof")
     assert (toy.folder / "look" / "inputs" / "captures.0.roof.txt").read_text() == "broken"
-    assert "ValueError: roof.txt is not an image" in alone(toy)
+    assert "ValueError: roof.txt is not an image" in script_output(toy)
 
 
 @pytest.mark.parametrize(
@@ -61,21 +61,21 @@ def test_a_task_that_failed_fails_again_where_it_can_be_looked_at(toy: ToySite) 
         ((), "name a task"),
     ],
 )
-def test_what_cannot_be_written_is_reported_with_what_to_type(toy: ToySite, words: tuple[str, ...], message: str) -> None:
+def test_tasks_that_cannot_be_debugged_are_refused_with_a_remedy(toy: ToySite, words: tuple[str, ...], message: str) -> None:
     toy.run("--until", "frames")
     assert message in debug(toy, *words, code=2)
 
 
-def test_runs_say_where_everything_lies(toy: ToySite) -> None:
+def test_the_runs_command_lists_paths_of_cloud_and_report(toy: ToySite) -> None:
     record = toy.run()
     result = CliRunner().invoke(main, ["runs", str(toy.file), "--json"])
-    (reported,) = json.loads(result.stdout)
-    assert (reported["site"], reported["run"], reported["level"]) == ("toy", record["run"], "good")
-    assert Path(reported["cloud"]).read_bytes() == toy.cloud
-    assert Path(reported["report"]).is_file()
+    (listed,) = json.loads(result.stdout)
+    assert (listed["site"], listed["run"], listed["level"]) == ("toy", record["run"], "good")
+    assert Path(listed["cloud"]).read_bytes() == toy.cloud
+    assert Path(listed["report"]).is_file()
 
 
-def test_one_page_shows_all_sites_of_a_folder_the_worst_first(toy: ToySite) -> None:
+def test_the_site_report_lists_all_sites_of_a_folder_the_worst_first(toy: ToySite) -> None:
     toy.run()
     (toy.folder.parent / "other").mkdir()
     (toy.folder.parent / "other" / "site.yaml").write_text(

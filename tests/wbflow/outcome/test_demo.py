@@ -74,7 +74,7 @@ def test_captures_and_masks_have_the_stated_size(written: Path) -> None:
         assert np.array_equal(mask > 0, small_yard()[camera.id].mask)
 
 
-def test_the_truth_is_written_beside(written: Path) -> None:
+def test_the_truth_is_written_beside_the_site(written: Path) -> None:
     cloud = read_ply(written / "truth" / "reference.ply")
     reference = small_yard().reference
     assert np.array_equal(np.column_stack([cloud["x"], cloud["y"], cloud["z"]]), reference.points)
@@ -86,7 +86,7 @@ def test_the_truth_is_written_beside(written: Path) -> None:
     assert (written / "truth" / "cameras.json").read_bytes() == (written / "cameras.json").read_bytes()
 
 
-def test_writing_again_gives_the_same_bytes_and_keeps_what_else_is_there(written: Path) -> None:
+def test_writing_again_gives_the_same_bytes_and_keeps_other_files(written: Path) -> None:
     work = written / ".wbflow" / "yard" / "ledger.sqlite"
     work.parent.mkdir(parents=True, exist_ok=True)
     work.write_text("a run was here")
@@ -95,7 +95,7 @@ def test_writing_again_gives_the_same_bytes_and_keeps_what_else_is_there(written
     assert {p: hashlib.sha256(p.read_bytes()).digest() for p in written.rglob("*") if p.is_file()} == before
 
 
-def test_files_of_an_earlier_demo_that_are_not_written_again_go_away(tmp_path: Path) -> None:
+def test_files_of_an_earlier_demo_that_are_not_written_again_are_removed(tmp_path: Path) -> None:
     write_demo(tmp_path / "demo", small=True, captures=3)
     write_demo(tmp_path / "demo", small=True, captures=2)
     assert sorted(p.name for p in (tmp_path / "demo" / "captures" / "mast-2").iterdir()) == [
@@ -118,7 +118,7 @@ def test_a_demo_that_was_interrupted_can_be_written_again(tmp_path: Path, monkey
     assert load_site(tmp_path / "demo").posed
 
 
-def test_other_peoples_folders_are_left_alone(tmp_path: Path) -> None:
+def test_folders_with_other_files_are_refused_and_left_unchanged(tmp_path: Path) -> None:
     (tmp_path / "thesis.txt").write_text("years of work")
     with pytest.raises(UsageError, match="contains other files"):
         write_demo(tmp_path, small=True)
@@ -128,7 +128,7 @@ def test_other_peoples_folders_are_left_alone(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["site.yaml", "cameras.json"])
-def test_what_was_edited_is_not_overwritten(tmp_path: Path, name: str) -> None:
+def test_edited_files_of_the_demo_are_not_overwritten(tmp_path: Path, name: str) -> None:
     write_demo(tmp_path / "demo", small=True)
     file = tmp_path / "demo" / name
     edited = file.read_text() + "\n"
@@ -138,9 +138,7 @@ def test_what_was_edited_is_not_overwritten(tmp_path: Path, name: str) -> None:
     assert file.read_text() == edited
 
 
-def test_another_scene_is_a_site_of_its_own_and_the_yards_manifest_names_none(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_only_demos_of_other_scenes_name_their_scene_in_the_manifest(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("wbflow_demo.square.square", rendered)
     write_demo(tmp_path / "square", scene="square", small=True, captures=2)
     assert load_site(tmp_path / "square").name == "square"

@@ -61,7 +61,7 @@ def test_laspy_reads_the_points_of_the_cloud(site: Path, exported: Path) -> None
     assert las.header.parse_crs() is None
 
 
-def test_colmap_reads_the_cameras_where_they_stand(site: Path, exported: Path) -> None:
+def test_colmap_reads_the_exported_cameras_and_points(site: Path, exported: Path) -> None:
     model = pycolmap.Reconstruction(exported / "colmap" / "sparse")
     truth = json.loads((site / "truth" / "cameras.json").read_text())
     assert {image.name for image in model.images.values()} == {f"{name}.png" for name in truth}
@@ -75,10 +75,10 @@ def test_colmap_reads_the_cameras_where_they_stand(site: Path, exported: Path) -
 
 
 def test_depth_maps_are_close_to_the_truth(site: Path, exported: Path) -> None:
-    reported = json.loads((exported / "depth" / "depth.json").read_text())
-    assert reported["unit"] == "m"
-    assert len(reported["cameras"]) == 4
-    for name, entry in reported["cameras"].items():
+    index = json.loads((exported / "depth" / "depth.json").read_text())
+    assert index["unit"] == "m"
+    assert len(index["cameras"]) == 4
+    for name, entry in index["cameras"].items():
         truth = np.load(site / "truth" / "depth" / f"{name}.npz")["depth"]
         png = read_image(exported / "depth" / f"{name}.png", cv2.IMREAD_UNCHANGED)
         known = (png > 0) & (truth > 0)
@@ -96,11 +96,11 @@ def test_the_mesh_lies_on_the_cloud(site: Path, exported: Path) -> None:
 
 
 def test_heights_agree_with_the_cloud(site: Path, exported: Path) -> None:
-    reported = json.loads((exported / "heights.json").read_text())
+    header = json.loads((exported / "heights.json").read_text())
     png = read_image(exported / "heights.png", cv2.IMREAD_UNCHANGED)
     cloud = read_ply(work(site) / "runs" / "latest-good" / "cloud.ply")
-    heights = np.where(png > 0, (png - 1.0) / reported["png_steps_per_unit"] + reported["png_lowest"], np.nan)
-    row, column = (reported["top"] - cloud["y"]) / reported["cell"], (cloud["x"] - reported["left"]) / reported["cell"]
+    heights = np.where(png > 0, (png - 1.0) / header["png_steps_per_unit"] + header["png_lowest"], np.nan)
+    row, column = (header["top"] - cloud["y"]) / header["cell"], (cloud["x"] - header["left"]) / header["cell"]
     assert 0.88 < share_below(heights, row, column, cloud["z"]) < 0.97
 
 
@@ -114,14 +114,14 @@ def share_below(heights: np.ndarray, row: np.ndarray, column: np.ndarray, z: np.
     return float(np.mean(z[inside] <= there + 1e-3))
 
 
-def test_the_same_run_gives_the_same_bytes(site: Path, exported: Path, tmp_path: Path) -> None:
+def test_exporting_a_run_twice_gives_the_same_bytes(site: Path, exported: Path, tmp_path: Path) -> None:
     assert wbflow_export(site, tmp_path, *ALL).exit_code == 0
     files = [path.relative_to(exported) for path in exported.rglob("*") if path.is_file()]
     assert len(files) > 10
     assert [f for f in files if (tmp_path / f).read_bytes() != (exported / f).read_bytes()] == []
 
 
-def test_a_site_on_the_map_gives_a_laz_and_a_geotiff_with_their_place(site: Path, tmp_path: Path) -> None:
+def test_exports_of_a_georeferenced_site_have_its_coordinate_system(site: Path, tmp_path: Path) -> None:
     laspy, rasterio = pytest.importorskip("laspy"), pytest.importorskip("rasterio")
     on_map = placed_on_the_map(site, tmp_path / "site")
     result = wbflow_export(on_map, tmp_path / "out", "--laz", "--copc", "--heights", "--orthophoto")
@@ -145,7 +145,7 @@ def test_a_site_on_the_map_gives_a_laz_and_a_geotiff_with_their_place(site: Path
     assert np.median(np.abs(there[:3] - written)) < 20, "of walls only the upper edge is seen"
 
 
-def test_cameras_of_a_site_on_the_map_are_geojson_and_of_others_are_refused(site: Path, tmp_path: Path) -> None:
+def test_cameras_are_exported_as_geojson_only_if_georeferenced(site: Path, tmp_path: Path) -> None:
     pytest.importorskip("pyproj")
     pyogrio = pytest.importorskip("pyogrio")
     assert "not on the map" in wbflow_export(site, tmp_path / "no", "--geojson").output
@@ -184,7 +184,7 @@ def placed_on_the_map(site: Path, copy: Path) -> Path:
     return copy
 
 
-def test_a_camera_that_was_not_refined_gives_the_depth_of_its_pairs(site: Path, exported: Path, tmp_path: Path) -> None:
+def test_depth_maps_of_unrefined_cameras_come_from_their_pairs(site: Path, exported: Path, tmp_path: Path) -> None:
     shutil.copytree(site, tmp_path / "site", symlinks=True)
     log = (work(tmp_path / "site") / "runs" / "latest-good").resolve() / "log.jsonl"
     log.write_text("".join(line for line in log.read_text().splitlines(keepends=True) if '"stage": "refine"' not in line))
@@ -205,7 +205,9 @@ def test_a_camera_that_was_not_refined_gives_the_depth_of_its_pairs(site: Path, 
         (("19990101T000000Z", "--laz"), 2, "there is no run"),
     ],
 )
-def test_wrong_usage(site: Path, tmp_path: Path, arguments: tuple[str, ...], code: int, message: str) -> None:
+def test_wrong_arguments_are_refused_and_nothing_is_written(
+    site: Path, tmp_path: Path, arguments: tuple[str, ...], code: int, message: str
+) -> None:
     result = wbflow_export(site, tmp_path / "out", *arguments)
     assert (result.exit_code, message in result.output) == (code, True)
     assert not (tmp_path / "out").exists()
@@ -256,7 +258,7 @@ def test_a_scan_that_cannot_be_compared_is_refused_and_nothing_is_written(site: 
     assert not (tmp_path / "out").exists()
 
 
-def test_what_the_cache_lost_is_said(site: Path, tmp_path: Path) -> None:
+def test_a_missing_cache_entry_is_named_in_the_error(site: Path, tmp_path: Path) -> None:
     shutil.copytree(site, tmp_path / "site", symlinks=True)
     shutil.rmtree(work(tmp_path / "site") / "cache" / "frames")
     result = wbflow_export(tmp_path / "site", tmp_path / "out", "--colmap")
@@ -264,7 +266,7 @@ def test_what_the_cache_lost_is_said(site: Path, tmp_path: Path) -> None:
     assert "the cache no longer holds 'frames " in result.output
 
 
-def test_a_run_without_a_cloud(site: Path, tmp_path: Path) -> None:
+def test_exporting_a_mesh_without_a_cloud_fails_with_a_message(site: Path, tmp_path: Path) -> None:
     shutil.copytree(site, tmp_path / "site", symlinks=True)
     (work(tmp_path / "site") / "runs" / "latest-good" / "cloud.ply").unlink()
     result = wbflow_export(tmp_path / "site", tmp_path / "out", "--mesh")

@@ -70,7 +70,7 @@ def test_a_change_is_followed_from_its_first_night_to_its_last(tmp_path: Path) -
     ]
 
 
-def test_the_history_for_people_is_a_table(tmp_path: Path) -> None:
+def test_the_history_of_changes_is_printed_as_a_table(tmp_path: Path) -> None:
     rows_of(tmp_path, of_night("2026-11-18", pile(2.0)))
     lines = CliRunner().invoke(main, ["history", str(tmp_path), "--changes"]).output.splitlines()
     assert len({len(line[:62]) for line in lines}) == 1
@@ -78,7 +78,7 @@ def test_the_history_for_people_is_a_table(tmp_path: Path) -> None:
     assert "2.0 ± 0.2" in lines[-1]
 
 
-def test_volumes_are_gauges_by_zone() -> None:
+def test_the_metrics_contain_volumes_by_zone() -> None:
     gauges = metrics(of_night("2026-11-18", pile(2.0))).splitlines()
     assert 'wbflow_volume_cubic_metres{site="yard",change="gained"} 2' in gauges
     assert 'wbflow_volume_sigma_cubic_metres{site="yard",zone="quay",change="gained"} 0.3' in gauges

@@ -79,7 +79,7 @@ def test_the_site_file_is_accepted_and_finds_each_photograph(
     assert len((tmp_path / "site.yaml").read_text().splitlines()) <= 9 + len(found)
 
 
-def test_many_cameras_are_listed_one_a_line(tmp_path: Path) -> None:
+def test_the_lines_of_a_site_file_with_many_cameras_are_short(tmp_path: Path) -> None:
     for number in range(30):
         photograph(tmp_path / f"camera-of-the-yard-{number:02d}.jpg")
     assert init(tmp_path).exit_code == 0
@@ -105,7 +105,7 @@ def test_a_site_file_is_never_overwritten(tmp_path: Path) -> None:
         (["gate.jpg", "roof/1.jpg"], "keep one kind"),
     ],
 )
-def test_what_cannot_be_a_site_is_said_and_nothing_written(tmp_path: Path, files: list[str], message: str) -> None:
+def test_unsuitable_folders_are_refused_and_nothing_is_written(tmp_path: Path, files: list[str], message: str) -> None:
     for name in files:
         photograph(tmp_path / name)
     result = init(tmp_path)
@@ -114,7 +114,7 @@ def test_what_cannot_be_a_site_is_said_and_nothing_written(tmp_path: Path, files
     assert not (tmp_path / "site.yaml").exists()
 
 
-def test_a_folder_that_is_not_there(tmp_path: Path) -> None:
+def test_a_missing_folder_is_refused(tmp_path: Path) -> None:
     result = init(tmp_path / "nowhere")
     assert result.exit_code == 2
     assert "there is no such folder" in result.output
@@ -126,7 +126,7 @@ def test_help_shows_both_layouts() -> None:
     assert "photographs/gate/1.jpg" in text
 
 
-def test_old_photographs_are_no_fault_and_name_their_night(tmp_path: Path) -> None:
+def test_old_photographs_are_accepted_unless_one_is_of_another_date(tmp_path: Path) -> None:
     for number in range(10):
         photograph(file := tmp_path / f"castle-{number}.jpg")
         file.write_bytes(with_exif(file.read_bytes(), f"2010:10:12 14:{number:02d}:00"))

@@ -54,7 +54,7 @@ def known_of(folder: Path, record: RunRecord) -> dict[str, str]:
     return {number: change.acknowledged for number, change in changes_of(with_known(record, there)).items()}
 
 
-def test_a_change_that_is_acknowledged_is_known_on_later_nights_under_any_number(folder: Path) -> None:
+def test_an_acknowledged_change_is_recognised_under_any_number(folder: Path) -> None:
     assert "change 2: new at 9.2, 15.3, 1.3" in wbflow(folder).output
     result = wbflow(folder, "change", "2", "--note", "for the winter", "--until", "2026-12-24")
     assert result.exit_code == 0, result.output
@@ -65,7 +65,7 @@ def test_a_change_that_is_acknowledged_is_known_on_later_nights_under_any_number
     assert not any(known_of(folder, of_night("2026-12-25", CONTAINER)).values()), "it has expired"
 
 
-def test_it_is_taken_back_by_number_or_by_name(folder: Path) -> None:
+def test_an_acknowledgement_is_dropped_by_number_or_by_name(folder: Path) -> None:
     for words in (("change", "2"), ("change new at 9.2,15.3,1.3",)):
         wbflow(folder, "change", "2")
         assert "change new at 9.2,15.3,1.3: acknowledged by" in wbflow(folder).output
@@ -73,7 +73,7 @@ def test_it_is_taken_back_by_number_or_by_name(folder: Path) -> None:
         assert acknowledge.read(load_site(folder)) == ()
 
 
-def test_a_change_that_has_shifted_a_little_keeps_its_name(folder: Path) -> None:
+def test_a_slightly_shifted_change_keeps_its_name(folder: Path) -> None:
     wbflow(folder, "change", "2")
     record = of_night("2026-11-20", replace(CONTAINER, x=9.6))
     UnfinishedRun(WorkFolder.beside(folder / "site.yaml", "yard"), record.run).publish(record, [], "")
@@ -84,19 +84,19 @@ def test_a_change_that_has_shifted_a_little_keeps_its_name(folder: Path) -> None
 
 
 @pytest.mark.parametrize("words", [("change", "7"), ("change",), ("change", "old", "at", "1,2,3", "x")])
-def test_a_change_that_is_not_there_is_refused_with_those_that_are(folder: Path, words: tuple[str, ...]) -> None:
+def test_an_unknown_change_is_refused_with_a_list_of_changes(folder: Path, words: tuple[str, ...]) -> None:
     result = wbflow(folder, *words)
     assert result.exit_code == 2
     assert "its changes: change 1: new; change 2: new" in result.output
 
 
-def test_run_json_keeps_what_is_known(folder: Path) -> None:
+def test_run_json_contains_the_acknowledgements_of_changes(folder: Path) -> None:
     record = with_known(of_night("2026-11-20", CONTAINER), [Acknowledgement(CONTAINERS_NAME, "Ben", "2026-11-19")])
     again = RunRecord.from_json(record.to_json())
     assert changes_of(again)["1"].acknowledged == "acknowledged by Ben on 2026-11-19"
 
 
-def test_on_the_page_known_changes_come_last_grey_and_are_counted_apart(tmp_path: Path) -> None:
+def test_the_page_lists_acknowledged_changes_last_and_counts_them_apart(tmp_path: Path) -> None:
     record = made_up_run.record(made_up_run.names(3), verdict=Verdict("good"), exit_code=0)
     changes = ChangesSummary(compared=True, count=2, changes={"1": CONTAINER, "2": VAN})
     known = [Acknowledgement(CONTAINERS_NAME, "Ben", "2026-12-01", note="for the winter")]
@@ -108,9 +108,7 @@ def test_on_the_page_known_changes_come_last_grey_and_are_counted_apart(tmp_path
     assert page.count('class="card thing known"') == 1
 
 
-def test_a_run_writes_what_is_known_and_another_number_the_next_night_is_known_too(
-    toy: ToySite, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_run_records_acknowledged_changes_that_have_another_number(toy: ToySite, monkeypatch: pytest.MonkeyPatch) -> None:
     """The toy site compares nothing, so its nights get made-up changes when they are judged."""
     toy.backend = "threading"
     nights = iter([(VAN, CONTAINER), (replace(CONTAINER, x=9.5), VAN)])

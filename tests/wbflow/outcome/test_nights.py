@@ -13,7 +13,7 @@ def kinds(record: dict[str, Any]) -> list[tuple[str, list[str]]]:
     return [(finding["kind"], finding["subject"]) for finding in record["verdict"]["findings"]]
 
 
-def test_two_cameras_down_for_a_night(toy: ToySite) -> None:
+def test_two_cameras_lost_for_a_night_degrade_only_that_night(toy: ToySite) -> None:
     first = toy.run()
     assert first["verdict"] == {"level": "good", "findings": []}
     for name in ("crane", "roof"):
@@ -37,7 +37,7 @@ def test_two_cameras_down_for_a_night(toy: ToySite) -> None:
     assert {"frames crane", "frames roof", "matches crane--mast-1"} & toy.ran()
 
 
-def test_the_morning_after_a_night_without_any_camera(toy: ToySite) -> None:
+def test_a_night_of_broken_captures_fails_and_reports_every_camera(toy: ToySite) -> None:
     good = toy.run()
     for name in toy.cameras:
         toy.capture(name).write_text("broken")
@@ -55,7 +55,7 @@ def test_the_morning_after_a_night_without_any_camera(toy: ToySite) -> None:
     assert (runs / "latest-good").resolve().name == good["run"]
 
 
-def test_the_morning_after_a_night_that_brought_no_files(toy: ToySite) -> None:
+def test_a_night_without_files_fails_and_names_the_folder_of_captures(toy: ToySite) -> None:
     for name in toy.cameras:
         toy.capture(name).unlink()
     toy.backend = "threading"
@@ -66,7 +66,7 @@ def test_the_morning_after_a_night_that_brought_no_files(toy: ToySite) -> None:
     assert others == [f"no capture: there is no file {name}.txt; left out tonight" for name in toy.cameras]
 
 
-def test_quiet_says_nothing_of_a_good_night_and_the_findings_of_another(toy: ToySite) -> None:
+def test_quiet_prints_only_the_findings_of_a_bad_night(toy: ToySite) -> None:
     result = toy.wbflow("run", "-q", "--jobs", "1")
     assert (result.returncode, result.stdout, result.stderr) == (0, "", "")
     toy.capture("roof").write_text("broken")
@@ -76,7 +76,7 @@ def test_quiet_says_nothing_of_a_good_night_and_the_findings_of_another(toy: Toy
     assert "it is used again as soon as it delivers usable captures" in result.stderr
 
 
-def test_what_is_expected_stands_in_the_site_file(toy: ToySite) -> None:
+def test_expectations_in_the_site_file_are_applied_and_checked(toy: ToySite) -> None:
     toy.run()
     toy.capture("roof").write_text("broken")
     site = json.loads(toy.file.read_text())
@@ -86,7 +86,7 @@ def test_what_is_expected_stands_in_the_site_file(toy: ToySite) -> None:
     assert "did you mean 'points'?" in toy.wbflow("run").stderr
 
 
-def test_a_copy_of_a_work_folder_without_links_takes_the_next_night(toy: ToySite) -> None:
+def test_a_work_folder_copied_without_links_can_be_used(toy: ToySite) -> None:
     """`cp -rL` turns the links `latest` and `latest-good` into folders."""
     first = toy.run()
     for name in ("latest", "latest-good"):

@@ -44,11 +44,11 @@ class Site:
         self.how = Notify(command=[sys.executable, "listen.py"], **settings)
         self.folder = folder
 
-    def tell(self, record: RunRecord) -> str | None:
+    def send(self, record: RunRecord) -> str | None:
         return notify(self.how, self.folder, Run(RunFolder(self.work.run(record.run)), record, {}, Cache(self.work)))
 
     @property
-    def reported(self) -> list[dict[str, Any]]:
+    def received(self) -> list[dict[str, Any]]:
         return [json.loads(line) for line in self.file.read_text().splitlines()] if self.file.exists() else []
 
 
@@ -65,12 +65,12 @@ def all_down(date: str = "2026-11-20") -> RunRecord:
 def test_each_state_is_reported_once_and_so_is_recovery(tmp_path: Path) -> None:
     site = Site(tmp_path)
     nights = [night(), down("roof"), down("roof"), down("roof", "mast"), all_down(), all_down(), night(), night()]
-    occasions = [site.tell(record) for record in nights]
+    occasions = [site.send(record) for record in nights]
     assert occasions == [None, "degraded", None, "degraded", "failed", None, "recovered", None]
-    assert [entry["stdin"]["event"] for entry in site.reported] == ["degraded", "degraded", "failed", "recovered"]
+    assert [entry["stdin"]["event"] for entry in site.received] == ["degraded", "degraded", "failed", "recovered"]
 
 
-def test_each_sort_of_bad_night_is_reported_in_its_own_words(tmp_path: Path) -> None:
+def test_the_summary_names_the_first_finding_of_each_sort_of_bad_night(tmp_path: Path) -> None:
     site = Site(tmp_path)
     knocked = replace(camera("crane"), health=Health("moved", "turned by 1.9 degrees", remedy="look at its mount"))
     foreign = replace(camera("mast"), health=Health("wrong-scene", "it shows another place", remedy="look at its picture"))
@@ -83,8 +83,8 @@ def test_each_sort_of_bad_night_is_reported_in_its_own_words(tmp_path: Path) -> 
         night(),
     ]
     for record in [*nights[:2], *nights[1:]]:  # the second one twice
-        site.tell(record)
-    assert [entry["env"]["WBFLOW_SUMMARY"] for entry in site.reported] == [
+        site.send(record)
+    assert [entry["env"]["WBFLOW_SUMMARY"] for entry in site.received] == [
         "yard 2026-11-20: degraded: roof: roof.jpg is empty (0 bytes); left out tonight",
         "yard 2026-11-20: degraded: crane: turned by 1.9 degrees (and 1 more)",
         "yard 2026-11-20: failed: no cloud: only camera gate has a usable capture (and 4 more)",
@@ -93,23 +93,23 @@ def test_each_sort_of_bad_night_is_reported_in_its_own_words(tmp_path: Path) -> 
     ]
 
 
-def test_what_is_reported(tmp_path: Path) -> None:
+def test_a_notification_contains_findings_report_summary_and_event(tmp_path: Path) -> None:
     site = Site(tmp_path)
     record = down("roof")
-    site.tell(record)
-    (reported,) = site.reported
+    site.send(record)
+    (entry,) = site.received
     assert record.verdict
-    assert reported["stdin"]["findings"] == record.verdict.to_json()["findings"]
-    assert reported["stdin"]["report"] == reported["env"]["WBFLOW_REPORT"] == str(site.work.run(record.run).report)
+    assert entry["stdin"]["findings"] == record.verdict.to_json()["findings"]
+    assert entry["stdin"]["report"] == entry["env"]["WBFLOW_REPORT"] == str(site.work.run(record.run).report)
     words = "yard 2026-11-20: degraded: roof: roof.jpg is empty (0 bytes); left out tonight"
-    assert reported["env"]["WBFLOW_SUMMARY"] == words
-    assert (reported["env"]["WBFLOW_EVENT"], reported["env"]["WBFLOW_EXIT_CODE"]) == ("degraded", "3")
+    assert entry["env"]["WBFLOW_SUMMARY"] == words
+    assert (entry["env"]["WBFLOW_EVENT"], entry["env"]["WBFLOW_EXIT_CODE"]) == ("degraded", "3")
 
 
-def test_a_heartbeat_is_heard_every_night(tmp_path: Path) -> None:
+def test_a_heartbeat_is_sent_on_every_night_without_another_event(tmp_path: Path) -> None:
     site = Site(tmp_path, heartbeat=True)
     nights = [night(), night(), down("roof"), down("roof"), night()]
-    assert [site.tell(record) for record in nights] == ["heartbeat", "heartbeat", "degraded", "heartbeat", "recovered"]
+    assert [site.send(record) for record in nights] == ["heartbeat", "heartbeat", "degraded", "heartbeat", "recovered"]
 
 
 def later(record: RunRecord, hours: float) -> RunRecord:
@@ -118,7 +118,7 @@ def later(record: RunRecord, hours: float) -> RunRecord:
     return replace(record, finished=stamp(ended))
 
 
-def test_a_state_that_lasts_is_brought_to_mind_and_recovery_says_for_how_long_it_was_bad(tmp_path: Path) -> None:
+def test_reminders_and_recovery_state_how_long_a_bad_state_has_lasted(tmp_path: Path) -> None:
     site = Site(tmp_path, remind=["1h", "1d"])
     after = {
         0: down("roof"),
@@ -129,16 +129,16 @@ def test_a_state_that_lasts_is_brought_to_mind_and_recovery_says_for_how_long_it
         48: down("roof"),
         51: night(),
     }
-    occasions = [site.tell(later(record, hours)) for hours, record in after.items()]
+    occasions = [site.send(later(record, hours)) for hours, record in after.items()]
     assert occasions == ["degraded", None, "reminder", None, "reminder", None, "recovered"]
-    summaries = [entry["env"]["WBFLOW_SUMMARY"] for entry in site.reported]
+    summaries = [entry["env"]["WBFLOW_SUMMARY"] for entry in site.received]
     assert summaries[1].startswith("yard 2026-11-20: degraded, for 1 h: roof: ")
     assert summaries[2].startswith("yard 2026-11-20: degraded, for 25 h: roof: ")
     assert summaries[3] == "yard 2026-11-20: good, back after 2 days"
-    assert [entry["stdin"]["lasted"] for entry in site.reported] == ["", "1 h", "25 h", "2 days"]
+    assert [entry["stdin"]["lasted"] for entry in site.received] == ["", "1 h", "25 h", "2 days"]
 
 
-def test_a_reminder_is_of_the_present_state_but_recovery_of_all_of_them(tmp_path: Path) -> None:
+def test_reminders_count_from_the_present_state_and_recovery_from_the_first(tmp_path: Path) -> None:
     site = Site(tmp_path, remind=["1h"])
     after = {
         0: down("roof"),
@@ -148,21 +148,21 @@ def test_a_reminder_is_of_the_present_state_but_recovery_of_all_of_them(tmp_path
         3: night(),
         9: night(),
     }
-    occasions = [site.tell(later(record, hours)) for hours, record in after.items()]
+    occasions = [site.send(later(record, hours)) for hours, record in after.items()]
     assert occasions == ["degraded", "degraded", None, "reminder", "recovered", None]
-    assert site.reported[-1]["env"]["WBFLOW_SUMMARY"] == "yard 2026-11-20: good, back after 3 h"
+    assert site.received[-1]["env"]["WBFLOW_SUMMARY"] == "yard 2026-11-20: good, back after 3 h"
 
 
-def test_a_state_that_an_older_version_has_reported_lasts_from_now_on(tmp_path: Path) -> None:
+def test_a_state_recorded_by_an_older_version_counts_from_now_on(tmp_path: Path) -> None:
     site = Site(tmp_path, remind=["1h"])
-    site.tell(down("roof"))
+    site.send(down("roof"))
     known = read_checksummed(site.work.notified, "notified") or {}
     write_checksummed(site.work.notified, "notified", {"state": known["state"]})
-    assert [site.tell(later(down("roof"), hours)) for hours in (30, 30.5, 31)] == [None, None, "reminder"]
+    assert [site.send(later(down("roof"), hours)) for hours in (30, 30.5, 31)] == [None, None, "reminder"]
 
 
 @pytest.mark.parametrize("length", ["1 hour", "0h", "60", "-1d"])
-def test_what_is_no_length_of_time_is_refused(tmp_path: Path, length: str) -> None:
+def test_an_invalid_reminder_interval_is_refused_with_its_place(tmp_path: Path, length: str) -> None:
     (tmp_path / "site.yaml").write_text(
         f"site: s\ncaptures: {{pattern: '{{camera}}'}}\ncameras: [a]\nnotify: {{command: x, remind: [{length}]}}\n"
     )
@@ -178,23 +178,23 @@ def test_what_is_no_length_of_time_is_refused(tmp_path: Path, length: str) -> No
         (["no-such-program"], "could not be started"),
     ],
 )
-def test_what_could_not_be_reported_is_reported_the_next_night(tmp_path: Path, command: str | list[str], message: str) -> None:
+def test_a_failed_notification_is_sent_again_the_next_night(tmp_path: Path, command: str | list[str], message: str) -> None:
     site = Site(tmp_path)
     how, site.how = site.how, Notify(command=command, seconds=0.2 if message.startswith("had") else 30)
     with pytest.raises(NotifyFailed, match=message):
-        site.tell(down("roof"))
+        site.send(down("roof"))
     site.how = how
-    assert site.tell(down("roof")) == "degraded"
+    assert site.send(down("roof")) == "degraded"
 
 
-def test_where_nobody_knows_what_was_reported_it_is_reported_once_more(tmp_path: Path) -> None:
+def test_a_state_is_reported_again_if_the_memo_is_damaged(tmp_path: Path) -> None:
     site = Site(tmp_path)
-    site.tell(down("roof"))
+    site.send(down("roof"))
     memo = site.work.notified
     memo.write_text(memo.read_text().replace("camera-lost", "camera-last"))
-    assert [site.tell(record) for record in (down("roof"), down("roof"), night())] == ["degraded", None, "recovered"]
+    assert [site.send(record) for record in (down("roof"), down("roof"), night())] == ["degraded", None, "recovered"]
     memo.write_text("{")
-    assert site.tell(night()) is None
+    assert site.send(night()) is None
 
 
 def test_a_summary_is_one_line_of_bounded_length() -> None:
@@ -203,22 +203,22 @@ def test_a_summary_is_one_line_of_bounded_length() -> None:
     assert words.isprintable()
 
 
-def test_a_failing_command_costs_the_night_nothing_and_stands_in_the_log(toy: ToySite) -> None:
+def test_a_failing_notify_command_is_logged_and_does_not_harm_the_run(toy: ToySite) -> None:
     site = json.loads(toy.file.read_text())
     toy.file.write_text(json.dumps(site | {"notify": {"command": "cat > told.json; exit 1", "seconds": 20}}))
     toy.run()
     assert not (toy.folder / "told.json").exists()
     toy.capture("roof").write_text("broken")
     record = toy.run(code=3)
-    reported = json.loads((toy.folder / "told.json").read_text())
-    assert reported["findings"] == record["verdict"]["findings"]
-    assert Path(reported["cloud"]).is_file()
+    received = json.loads((toy.folder / "told.json").read_text())
+    assert received["findings"] == record["verdict"]["findings"]
+    assert Path(received["cloud"]).is_file()
     last = json.loads((toy.work / "runs" / "latest" / "log.jsonl").read_text().splitlines()[-1])
     assert "ended with 1: no output" in last["what"]
 
 
 @pytest.mark.parametrize("command", ["5", "[]", "[a, 5]", "''"])
-def test_what_is_no_command_is_refused_with_its_place(tmp_path: Path, command: str) -> None:
+def test_an_invalid_command_is_refused_with_its_place(tmp_path: Path, command: str) -> None:
     (tmp_path / "site.yaml").write_text(
         f"site: s\ncaptures: {{pattern: '{{camera}}'}}\ncameras: [a]\nnotify: {{command: {command}}}\n"
     )
@@ -226,7 +226,7 @@ def test_what_is_no_command_is_refused_with_its_place(tmp_path: Path, command: s
         load_site(tmp_path)
 
 
-def test_a_run_as_prometheus_reads_it() -> None:
+def test_metrics_describe_a_run_in_the_format_of_prometheus() -> None:
     lines = metrics(down("roof")).splitlines()
     assert 'wbflow_verdict{site="yard",level="degraded"} 1' in lines
     assert 'wbflow_verdict{site="yard",level="good"} 0' in lines

@@ -53,7 +53,7 @@ def test_two_photographs_give_matches_geometry_rectified_images_and_disparity(
     assert shapes == {height}, "the same rows in both"
 
 
-def test_a_second_time_comes_from_the_cache(photographs: tuple[Path, Path], tmp_path: Path) -> None:
+def test_a_repeated_pair_comes_from_the_cache(photographs: tuple[Path, Path], tmp_path: Path) -> None:
     command = ["pair", *map(str, photographs), "--out", str(tmp_path), "--jobs", "1"]
     assert CliRunner().invoke(main, command).exit_code == 0
     before = (tmp_path / "left-disparity.png").read_bytes()
@@ -64,13 +64,13 @@ def test_a_second_time_comes_from_the_cache(photographs: tuple[Path, Path], tmp_
     assert json.loads((runs[-1] / "run.json").read_text())["tasks"]["ran"] == 0
 
 
-def test_a_photograph_that_is_not_there(photographs: tuple[Path, Path], tmp_path: Path) -> None:
+def test_a_missing_photograph_is_refused(photographs: tuple[Path, Path], tmp_path: Path) -> None:
     result = CliRunner().invoke(main, ["pair", str(photographs[0]), str(tmp_path / "none.jpg"), "--out", str(tmp_path / "out")])
     assert result.exit_code == 2
     assert "none.jpg" in result.output
 
 
-def test_two_photographs_of_different_things_end_with_1_and_a_reason(photographs: tuple[Path, Path], tmp_path: Path) -> None:
+def test_unrelated_photographs_end_with_code_1_and_a_reason(photographs: tuple[Path, Path], tmp_path: Path) -> None:
     noise = np.random.default_rng(1).integers(0, 255, (180, 320, 3)).astype(np.uint8)
     cv2.imwrite(str(tmp_path / "noise.png"), cv2.GaussianBlur(noise, (0, 0), 2))
     command = ["pair", str(photographs[0]), str(tmp_path / "noise.png"), "--out", str(tmp_path / "out"), "--jobs", "1"]

@@ -61,7 +61,7 @@ def latest(toy: ToySite) -> Path:
     return toy.work / "runs" / "latest"
 
 
-def test_files_and_figures_stand_beside_the_cloud(toy_with_files: ToySite) -> None:
+def test_files_and_figures_of_a_stage_are_published_with_the_cloud(toy_with_files: ToySite) -> None:
     record = toy_with_files.run()
     assert (latest(toy_with_files) / "toy.txt").read_bytes() == b"first"
     assert record[ROW.name] == {"source": None, "files": ["toy.txt"], "reason": None}
@@ -70,14 +70,14 @@ def test_files_and_figures_stand_beside_the_cloud(toy_with_files: ToySite) -> No
     assert "href='toy.txt'" in page
 
 
-def test_what_cannot_be_made_is_reported_and_the_night_is_not_lost(toy_with_files: ToySite) -> None:
+def test_a_failure_to_make_files_is_logged_and_the_run_goes_on(toy_with_files: ToySite) -> None:
     write(toy_with_files, "third", fails=True)
     toy_with_files.run()
     assert (latest(toy_with_files) / "toy.txt").is_file()
     assert "no map has the place" in (latest(toy_with_files) / "log.jsonl").read_text()
 
 
-def test_of_a_figure_of_many_cameras_those_that_count_are_named() -> None:
+def test_a_figure_of_many_cameras_names_only_the_largest_values() -> None:
     ((title, words),) = shown({"lost_without": {f"c{k:02d}": 0.01 * k for k in range(12)}})
     assert title == "lost without"
     assert words == "c11 11 %, c10 10 %, c09 9.0 %, c08 8.0 %, c07 7.0 %, c06 6.0 %, c05 5.0 %, c04 4.0 %; 4 others less"

@@ -11,7 +11,7 @@ import pytest
 from tests.helpers.toy_site import ToySite
 
 
-def test_the_units_run_the_site_and_systemd_takes_them(toy: ToySite) -> None:
+def test_the_systemd_units_run_the_site_and_are_valid(toy: ToySite) -> None:
     done = toy.wbflow("init", "--systemd")
     assert done.returncode == 0, done.stderr
     service, timer = (toy.folder / f"wbflow-toy.{kind}" for kind in ("service", "timer"))
@@ -24,7 +24,7 @@ def test_the_units_run_the_site_and_systemd_takes_them(toy: ToySite) -> None:
     assert not mine, checked.stderr
 
 
-def test_the_container_is_non_root_and_checks_itself() -> None:
+def test_the_container_is_not_root_and_runs_a_demo_when_it_is_built() -> None:
     lines = (Path(__file__).parents[3] / "scripts/container/Containerfile").read_text().splitlines()
     assert "USER wbflow" in lines
     assert any(line.startswith("RUN wbflow demo") and "wbflow run" in line for line in lines[lines.index("USER wbflow") :])

@@ -91,18 +91,18 @@ def without(name: str) -> list[PairRecord]:
     return [pair(*names) for names in PAIRS if name not in names]
 
 
-def test_a_night_with_nothing_to_look_at_is_good() -> None:
+def test_a_night_without_findings_is_good() -> None:
     first = night()
     assert (verdict_of(first), first.exit_code) == (Verdict("good"), ExitCode.GOOD)
     assert verdict_of(night("2026-11-21", points=90_000, past=[first])) == Verdict("good")
 
 
-def test_a_pair_that_finds_nothing_is_a_result() -> None:
+def test_a_single_rejected_pair_does_not_degrade_a_night() -> None:
     pairs = [pair("crane", "gate", "rejected", matched=False), *(pair(*names) for names in PAIRS[1:])]
     assert night(pairs=pairs).exit_code == ExitCode.GOOD
 
 
-def test_a_camera_that_is_down_is_counted_over_the_nights_and_comes_back_by_itself() -> None:
+def test_nights_of_a_lost_camera_are_counted_until_it_is_back() -> None:
     cameras = [*map(camera, NAMES[:3]), lost("roof")]
     nights: list[RunRecord] = [night("2026-11-16")]
     for date in ("2026-11-17", "2026-11-18", "2026-11-19"):
@@ -120,7 +120,7 @@ def test_a_camera_that_is_down_is_counted_over_the_nights_and_comes_back_by_itse
     assert back.cameras[3].down is None
 
 
-def test_what_is_usual_outlives_any_number_of_bad_nights() -> None:
+def test_bad_nights_do_not_change_what_is_usual() -> None:
     nights = [night("2026-11-01")]
     for day in range(2, 25):
         nights = [night(f"2026-11-{day:02}", points=50_000, past=nights), *nights][:14]
@@ -130,7 +130,7 @@ def test_what_is_usual_outlives_any_number_of_bad_nights() -> None:
     assert (finding.figures, finding.expected) == ({"points": 50_000}, {"points": 100_000})
 
 
-def test_fewer_pairs_than_usual() -> None:
+def test_fewer_pairs_than_usual_are_a_finding() -> None:
     good = [night("2026-11-19")]
     record = night(cameras=[*map(camera, NAMES[:3]), lost("roof")], pairs=without("roof"), past=good)
     assert [str(finding) for finding in verdict_of(record).findings] == [
@@ -139,13 +139,13 @@ def test_fewer_pairs_than_usual() -> None:
     ]
 
 
-def test_without_an_earlier_night_the_plan_says_how_many_pairs_there_should_be() -> None:
+def test_without_an_earlier_night_pairs_are_compared_with_the_planned_ones() -> None:
     pairs = [pair(*names, *(("ok",) if i in {0, 5} else ("rejected", False))) for i, names in enumerate(PAIRS)]
     assert only(night(pairs=pairs)).text == "only 2 of 6 pairs could be used; most of the others: 23 inliers, 30 needed"
 
 
 @pytest.mark.parametrize("before", [0, 1, 7])
-def test_a_night_that_is_poor_in_pairs_is_no_good_night_though_every_camera_takes_part(before: int) -> None:
+def test_a_night_with_few_pairs_is_degraded_though_every_camera_is_paired(before: int) -> None:
     """21 pairs are rejected, yet every camera is in a pair, and there is a cloud."""
     names = [f"camera-{k}" for k in range(10)]
     kept = [*zip(names[::2], names[1::2], strict=True), ("camera-1", "camera-2")]
@@ -160,7 +160,7 @@ def test_a_night_that_is_poor_in_pairs_is_no_good_night_though_every_camera_take
     assert "fewer-pairs" in {finding.kind for finding in verdict_of(record).findings}
 
 
-def test_other_settings_have_other_usual_nights() -> None:
+def test_nights_with_other_settings_do_not_count_as_usual() -> None:
     past = [night("2026-11-19", settings="at full resolution")]
     assert night(points=40_000, past=past).exit_code == ExitCode.GOOD
 
@@ -175,18 +175,18 @@ def test_other_settings_have_other_usual_nights() -> None:
         (Expected(since="2026-11-20"), 50_000, []),
     ],
 )
-def test_the_site_file_says_what_is_expected(expected: Expected, points: int, kinds: list[str]) -> None:
+def test_expectations_of_the_site_file_decide_about_findings(expected: Expected, points: int, kinds: list[str]) -> None:
     record = night(points=points, past=[night("2026-11-19")], expected=expected)
     assert [finding.kind for finding in verdict_of(record).findings] == kinds
 
 
-def test_a_site_that_may_do_without_a_camera_names_it_and_is_good() -> None:
+def test_a_lost_camera_that_the_site_may_lack_is_named_on_a_good_night() -> None:
     record = night(cameras=[*map(camera, NAMES[:3]), lost("roof")], pairs=without("roof"), expected=Expected(cameras=0.75))
     assert record.exit_code == ExitCode.GOOD
     assert only(record).subject == ("roof",)
 
 
-def test_a_camera_that_is_far_darker_than_usual() -> None:
+def test_a_camera_far_darker_than_usual_is_obscured() -> None:
     cameras = [camera("crane", brightness=9.9), *map(camera, NAMES[1:])]
     record = night(cameras=cameras, past=[night("2026-11-19")])
     finding = only(record)
@@ -196,17 +196,17 @@ def test_a_camera_that_is_far_darker_than_usual() -> None:
     assert night(cameras=cameras).exit_code == ExitCode.GOOD, "nobody knows how bright it should be"
 
 
-def test_a_dark_night_is_no_fault_of_the_cameras() -> None:
+def test_a_night_on_which_all_cameras_are_dark_is_good() -> None:
     cameras = [camera(name, brightness=12.0) for name in NAMES]
     assert night(cameras=cameras, past=[night("2026-11-19")]).exit_code == ExitCode.GOOD
 
 
-def test_a_camera_that_is_out_of_focus() -> None:
+def test_a_camera_less_sharp_than_usual_is_a_finding() -> None:
     cameras = [camera("crane", sharpness=0.07), *map(camera, NAMES[1:])]
     assert only(night(cameras=cameras, past=[night("2026-11-19")])).text == "its picture has 26 % of its usual sharpness"
 
 
-def test_a_camera_that_shows_another_place_though_known_poses_let_its_pairs_go_on() -> None:
+def test_a_camera_whose_pairs_find_no_common_points_shows_a_wrong_scene() -> None:
     pairs = [pair(*names, matched="crane" not in names) for names in PAIRS]
     record = night(pairs=pairs, past=[night("2026-11-19")])
     finding = only(record)
@@ -214,7 +214,7 @@ def test_a_camera_that_shows_another_place_though_known_poses_let_its_pairs_go_o
     assert finding.text.startswith("0 % of its pairs find common points, usually 100 % do")
 
 
-def test_a_camera_is_not_blamed_for_its_partners_that_are_down() -> None:
+def test_the_matched_share_of_a_camera_ignores_its_lost_partners() -> None:
     pairs = [pair(*names, matched="crane" not in names) for names in PAIRS]
     cameras = [camera("crane"), *(lost(name) for name in NAMES if name != "crane")]
     assert "matched_share" not in appearance_of(night(cameras=cameras, pairs=pairs))["crane"]
@@ -222,20 +222,20 @@ def test_a_camera_is_not_blamed_for_its_partners_that_are_down() -> None:
     assert appearance_of(night(cameras=others, pairs=pairs))["crane"]["matched_share"] == 0
 
 
-def test_what_somebody_else_found_out_about_a_camera_is_a_finding() -> None:
+def test_the_health_of_a_camera_becomes_a_finding() -> None:
     health = Health("stale", "its picture is yesterday's", {"age_h": 26.0}, {"age_h": 2.0}, "look at its recorder")
     record = night(cameras=[replace(camera("crane"), health=health), *map(camera, NAMES[1:])])
     assert only(record).kind == "camera-stale"
     assert only(record).remedy == "look at its recorder"
 
 
-def test_a_camera_that_is_left_out_for_its_health_is_called_by_it() -> None:
+def test_a_camera_left_out_for_its_health_is_reported_with_that_state() -> None:
     blind = replace(lost("roof"), outcome="skipped", health=Health("obscured", "98 % of the picture show nothing"))
     finding = verdict_of(night(cameras=[*map(camera, NAMES[:3]), blind], pairs=without("roof"))).findings[0]
     assert (finding.kind, finding.text) == ("camera-obscured", "98 % of the picture show nothing; left out tonight")
 
 
-def test_a_reason_that_names_every_file_is_cut() -> None:
+def test_a_long_reason_is_shortened_in_the_finding() -> None:
     reason = "; ".join(f"roof_{number}.jpg is empty (0 bytes)" for number in range(99))
     cameras = [*map(camera, NAMES[:3]), replace(lost("roof"), reason=reason)]
     record = night(cameras=cameras, pairs=without("roof"))
@@ -244,13 +244,13 @@ def test_a_reason_that_names_every_file_is_cut() -> None:
     assert record.cameras[3].reason == reason
 
 
-def test_a_camera_whose_stated_pose_the_pictures_contradict_has_been_moved() -> None:
+def test_a_camera_whose_stated_pose_is_contradicted_is_reported_as_moved() -> None:
     world = PosesSummary(issues=(PoseIssue("moved", "mast", text="seems to be turned by 3.1 degrees. Has it been moved?"),))
     record = judge(replace(night(), poses=world), Facts())
     assert (only(record).kind, only(record).subject) == ("camera-moved", ("mast",))
 
 
-def test_a_camera_that_all_contradictions_have_in_common_is_named_though_it_stays_in_use() -> None:
+def test_a_camera_common_to_all_contradictions_is_reported_as_unverified() -> None:
     world = PosesSummary(
         issues=(PoseIssue("unverified", "mast", text="2 of its 2 pairs contradict its known pose by up to 33.8 px"),)
     )
@@ -269,7 +269,7 @@ def test_a_camera_that_all_contradictions_have_in_common_is_named_though_it_stay
     ],
     ids=["two rows are right", "the rows are off, too", "three cameras contradict it, too", "one is right", "unlikely pairs"],
 )
-def test_matches_of_look_alikes_blame_no_pose_on_whose_rows_surfaces_are_found(
+def test_surfaces_found_on_the_rows_outweigh_matches_against_a_pose(
     dense: int, rows_px: float, probability: float, triplets: bool, kinds: list[str]
 ) -> None:
     far = {"poses_px": 19.4, "probability": probability}
@@ -282,7 +282,7 @@ def test_matches_of_look_alikes_blame_no_pose_on_whose_rows_surfaces_are_found(
     assert [found.kind for found in verdict_of(record).findings] == kinds
 
 
-def test_poses_that_are_not_known_well_enough_are_one_finding_though_there_is_a_cloud() -> None:
+def test_uncertain_poses_of_several_cameras_are_one_finding() -> None:
     world = PosesSummary(
         issues=(
             PoseIssue("uncertain", "mast", row_px=4.07),
@@ -294,7 +294,7 @@ def test_poses_that_are_not_known_well_enough_are_one_finding_though_there_is_a_
     assert "up to 4.1 px off the row" in only(record).text
 
 
-def test_lenses_that_the_pictures_do_not_tell_are_one_finding_that_says_how_to_know_them() -> None:
+def test_undetermined_lenses_are_one_finding_with_a_remedy() -> None:
     world = PosesSummary(
         issues=tuple(PoseIssue("lens-undetermined", name, focal=0.031, border_px=2.24) for name in ("mast", "gate"))
     )
@@ -305,7 +305,7 @@ def test_lenses_that_the_pictures_do_not_tell_are_one_finding_that_says_how_to_k
     assert found.remedy is not None and "wbflow calibrate" in found.remedy
 
 
-def test_solved_poses_that_look_alikes_have_a_say_in_are_a_finding() -> None:
+def test_inconsistent_solved_poses_are_a_finding() -> None:
     world = PosesSummary(
         issues=(
             PoseIssue("inconsistent", "gate", strain=21.7),
@@ -321,43 +321,43 @@ def test_solved_poses_that_look_alikes_have_a_say_in_are_a_finding() -> None:
 
 
 @pytest.mark.parametrize("known", ["stated", "solved"])
-def test_a_camera_whose_pairs_give_nothing_where_its_pose_puts_them_may_stand_elsewhere(known: str) -> None:
+def test_the_remedy_for_a_camera_without_a_pair_doubts_only_a_stated_pose(known: str) -> None:
     tried = [replace(p, outcome="rejected", figures=PairFigures(known=known)) if "roof" in p.cameras else p for p in EVERY_PAIR]
     finding = next(f for f in verdict_of(night(pairs=tried)).findings if f.kind == "camera-no-usable-pair")
     assert finding.subject == ("roof",)
     assert ("its pose is not the one in the site file" in finding.remedy) is (known == "stated")
 
 
-def rows(left: str, right: str, given: float, beside: float) -> PairRecord:
+def rejected_pair(left: str, right: str, given: float, beside: float) -> PairRecord:
     """A pair with stated poses, rejected by dense matching; given, beside: shares that match on the stated rows and eight off."""
     figures = PairFigures(known="stated", row_share=given, row_chance=beside)
     return PairRecord(left, right, "rejected", "dense matching does not confirm the cameras", matched=True, figures=figures)
 
 
-def test_of_two_cameras_without_a_pair_the_one_that_explains_the_others_is_named() -> None:
-    wide = rows("crane", "roof", 0.026, 0.024)  # no evidence: about as much matches eight rows off
-    tried = [pair("crane", "gate"), rows("crane", "mast", 0.03, 0.1), rows("gate", "mast", 0.01, 0.012), wide]
+def test_only_the_camera_that_explains_the_rejected_pairs_is_named() -> None:
+    wide = rejected_pair("crane", "roof", 0.026, 0.024)  # no evidence: about as much matches eight rows off
+    tried = [pair("crane", "gate"), rejected_pair("crane", "mast", 0.03, 0.1), rejected_pair("gate", "mast", 0.01, 0.012), wide]
     (fruitless,) = (
         f
-        for f in verdict_of(night(pairs=[*tried, rows("mast", "roof", 0.1, 0.16)])).findings
+        for f in verdict_of(night(pairs=[*tried, rejected_pair("mast", "roof", 0.1, 0.16)])).findings
         if f.kind == "camera-no-usable-pair"
     )
     assert fruitless.subject == ("mast",)
     assert "roof has no conclusive pair" in fruitless.text and "measure it again" in fruitless.remedy
 
 
-def test_two_cameras_with_as_many_pairs_against_them_are_both_named() -> None:
+def test_two_cameras_with_equally_many_rejected_pairs_are_both_named() -> None:
     tried = [
         pair("crane", "gate"),
-        rows("crane", "mast", 0.03, 0.1),
-        rows("gate", "roof", 0.03, 0.1),
-        rows("mast", "roof", 0.1, 0.16),
+        rejected_pair("crane", "mast", 0.03, 0.1),
+        rejected_pair("gate", "roof", 0.03, 0.1),
+        rejected_pair("mast", "roof", 0.1, 0.16),
     ]
     found = verdict_of(night(pairs=tried)).findings
     assert [f.subject for f in found if f.kind == "camera-no-usable-pair"] == [("mast",), ("roof",)]
 
 
-def test_a_camera_in_no_pair_gives_nothing() -> None:
+def test_a_camera_in_no_pair_is_a_finding() -> None:
     assert only(night(pairs=without("roof"))).kind == "camera-unpaired"
 
 
@@ -375,18 +375,18 @@ def test_no_cloud_is_a_failure_unless_none_was_asked_for() -> None:
     assert night(points=0, facts=Facts(product=False)).exit_code == ExitCode.GOOD
 
 
-def test_what_was_asked_for_instead_of_a_cloud_and_is_not_there_is_a_failure() -> None:
+def test_a_missing_requested_result_other_than_a_cloud_is_a_failure() -> None:
     record = night(points=0, facts=Facts(product=False, missing=("poses", "of 11 pairs none is more likely right than wrong")))
     assert (only(record).kind, verdict_of(record).level, record.exit_code) == ("no-result", "failed", ExitCode.FAILED)
 
 
-def test_an_interrupted_night_says_so_and_is_never_usual() -> None:
+def test_an_interrupted_night_is_reported_and_never_counts_as_usual() -> None:
     record = night(points=0, facts=Facts(interrupted=True))
     assert (only(record).kind, record.exit_code) == ("interrupted", ExitCode.INTERRUPTED)
     assert Baseline((record,)).usual("as ever") is None
 
 
-def test_less_of_the_ground_than_usual() -> None:
+def test_less_ground_seen_than_usual_is_a_finding() -> None:
     seen = [
         replace(night(date), poses=PosesSummary(), results={"coverage": CoverageSummary(area_m2=400.0, seen_by_two=share)})
         for date, share in (("2026-11-19", 0.8), ("2026-11-20", 0.3))
@@ -395,7 +395,7 @@ def test_less_of_the_ground_than_usual() -> None:
     assert only(record).text == "120 m² seen by two cameras, 38 % of the usual 320"
 
 
-def test_usual_is_the_median() -> None:
+def test_usual_figures_are_medians() -> None:
     usual = usual_of([night(points=points) for points in (90_000, 100_000, 250_000)])
     assert (usual.nights, usual.figures) == (3, {"points": 100_000, "pairs": 6})
     assert usual.cameras["gate"] == {**LOOKS, "matched_share": 1.0}
@@ -409,7 +409,7 @@ def test_captures_that_change_during_the_run_are_named() -> None:
     assert "gate.jpg" in finding.text
 
 
-def test_cameras_that_deliver_one_picture_are_named_unless_it_shows_nothing() -> None:
+def test_cameras_that_deliver_the_same_picture_are_named_unless_it_is_blank() -> None:
     def showing(name: str, contrast: float) -> CameraRecord:
         return CameraRecord(name, "ok", figures=CameraFigures(picture_digest="a" if name != "roof" else "b", contrast=contrast))
 
@@ -423,7 +423,7 @@ def test_cameras_that_deliver_one_picture_are_named_unless_it_shows_nothing() ->
     ("detail_px", "misfit", "soft"),
     [(1.0, 0.9, False), (3.0, 0.9, False), (1.0, 2.0, False), (2.2, 1.6, True), (3.6, 1.2, True)],
 )
-def test_pictures_without_detail_are_soft_where_their_points_show_it(detail_px: float, misfit: float, soft: bool) -> None:
+def test_pictures_that_lack_detail_are_soft_if_their_points_fit_badly(detail_px: float, misfit: float, soft: bool) -> None:
     figures = CameraFigures(detail_px=detail_px, misfit=misfit)
     found = verdict_of(night(cameras=[CameraRecord(name, "ok", figures=figures) for name in NAMES])).findings
     assert [finding.kind for finding in found] == (["pictures-soft"] if soft else [])
@@ -433,14 +433,14 @@ def test_pictures_without_detail_are_soft_where_their_points_show_it(detail_px: 
     ("coarseness", "misfit", "soft"),
     [(1.4, 0.9, False), (1.4, 1.5, False), (1.0, 1.8, False), (1.45, 1.8, True), (1.0, 2.1, True)],
 )
-def test_coarsely_coded_pictures_are_soft_where_their_points_show_it(coarseness: float, misfit: float, soft: bool) -> None:
+def test_badly_fitting_pictures_are_soft_sooner_if_coarsely_coded(coarseness: float, misfit: float, soft: bool) -> None:
     figures = CameraFigures(coarseness=coarseness, misfit=misfit)
     found = verdict_of(night(cameras=[CameraRecord(name, "ok", figures=figures) for name in NAMES])).findings
     assert [finding.kind for finding in found] == (["pictures-soft"] if soft else [])
 
 
 @pytest.mark.parametrize(("saturated", "blinded", "degraded"), [(0.45, 4, False), (0.6, 1, False), (0.6, 4, True)])
-def test_pictures_that_are_white_for_the_most_part_are_no_measure(saturated: float, blinded: int, degraded: bool) -> None:
+def test_mostly_white_pictures_of_several_cameras_degrade_the_night(saturated: float, blinded: int, degraded: bool) -> None:
     cameras = [camera(name) for name in NAMES]
     cameras[:blinded] = [replace(one, figures=CameraFigures(saturated=saturated)) for one in cameras[:blinded]]
     found = verdict_of(night(cameras=cameras)).findings
@@ -448,7 +448,7 @@ def test_pictures_that_are_white_for_the_most_part_are_no_measure(saturated: flo
 
 
 @pytest.mark.parametrize(("contrast", "faint", "degraded"), [(17.0, 4, False), (8.8, 1, False), (8.8, 4, True)])
-def test_pictures_of_a_fog_that_leaves_a_few_grey_levels_are_no_measure(contrast: float, faint: int, degraded: bool) -> None:
+def test_low_contrast_in_pictures_of_several_cameras_degrades_the_night(contrast: float, faint: int, degraded: bool) -> None:
     cameras = [camera(name) for name in NAMES]
     cameras[:faint] = [replace(one, figures=CameraFigures(contrast=contrast)) for one in cameras[:faint]]
     found = verdict_of(night(cameras=cameras)).findings
@@ -456,20 +456,20 @@ def test_pictures_of_a_fog_that_leaves_a_few_grey_levels_are_no_measure(contrast
 
 
 @pytest.mark.parametrize("figures", [CameraFigures(blur_px=4.0), CameraFigures(noise_left=14.0), CameraFigures(coarseness=1.8)])
-def test_one_camera_out_of_focus_is_named_however_many_there_are(figures: CameraFigures) -> None:
+def test_a_single_blurred_noisy_or_coarse_camera_is_named(figures: CameraFigures) -> None:
     cameras = [camera(name) for name in NAMES]
     cameras[1] = replace(cameras[1], figures=figures)
     finding = only(night(cameras=cameras))
     assert (finding.kind, finding.subject) == ("pictures-soft", (NAMES[1],))
 
 
-def test_points_of_one_camera_say_nothing_of_its_pictures() -> None:
+def test_detail_and_misfit_of_a_single_camera_are_not_a_finding() -> None:
     cameras = [camera(name) for name in NAMES]
     cameras[1] = replace(cameras[1], figures=CameraFigures(detail_px=2.0, misfit=3.0))
     assert night(cameras=cameras).exit_code == ExitCode.GOOD
 
 
-def test_depths_that_differ_with_the_pair_name_the_camera_that_all_of_them_have_in_common() -> None:
+def test_a_camera_common_to_all_disagreeing_depths_is_named() -> None:
     def dense(name: str, **apart_px: float) -> CameraRecord:
         return CameraRecord(name, "ok", figures=CameraFigures(apart_px={p.replace("_", "--"): px for p, px in apart_px.items()}))
 
@@ -500,7 +500,7 @@ def test_depths_that_differ_with_the_pair_name_the_camera_that_all_of_them_have_
 
 
 @pytest.mark.parametrize(("right", "good"), [(None, True), (0.93, True), (0.85, False)])
-def test_a_cloud_of_whose_points_too_few_are_expected_to_be_right_degrades_the_night(right: float | None, good: bool) -> None:
+def test_a_cloud_with_too_few_probably_right_points_degrades_the_night(right: float | None, good: bool) -> None:
     record = night()
     assert record.cloud
     record = judge(replace(record, cloud=replace(record.cloud, right=right)), Facts())
@@ -509,7 +509,7 @@ def test_a_cloud_of_whose_points_too_few_are_expected_to_be_right_degrades_the_n
         assert only(record).kind == "cloud-doubtful" and "85.0 % of the cloud's points" in only(record).text
 
 
-def test_a_stated_camera_without_matches_has_no_usable_pair_only_where_dense_matching_was_tried() -> None:
+def test_a_stated_camera_without_matches_is_reported_only_after_dense_matching() -> None:
     cameras = [replace(one, figures=replace(one.figures, pose_from="stated")) for one in map(camera, NAMES)]
     tried = [pair(*names, outcome="rejected" if "mast" in names else "ok", matched="mast" not in names) for names in PAIRS]
     until_poses = verdict_of(night(cameras=cameras, pairs=tried, facts=Facts(product=False))).findings
@@ -536,7 +536,7 @@ CONTRADICTED = tuple(PoseIssue("contradicted", name, "by 5.0 degrees") for name 
         ({"units_off": {"nearest": (8200.0, 1000.0)}}, "units-implausible", (), "millimetres"),
     ],
 )
-def test_what_is_stated_and_contradicted_degrades_the_night(
+def test_contradicted_statements_of_the_site_file_degrade_the_night(
     figures: dict[str, Any], kind: str, subject: tuple[str, ...], words: str
 ) -> None:
     record = judge(replace(night(), poses=PosesSummary(**figures)), Facts())
@@ -551,23 +551,23 @@ def dense_rows(sigmas: float, contradicted: bool = False) -> CalibrationCheck:
     )
 
 
-def test_dense_matches_beside_their_rows_contradict_the_calibration() -> None:
+def test_dense_matches_off_their_rows_contradict_the_calibration() -> None:
     finding = only(judge(replace(night(), poses=PosesSummary(rows=dense_rows(5.0, True))), Facts()))
     assert finding.kind == "calibration-contradicted"
     assert "5 standard deviations off their predicted rows; all focal lengths 0.5 % shorter or more" in finding.text
 
 
 @pytest.mark.parametrize(("sigmas", "good"), [(2.0, True), (6.0, False)])
-def test_where_dense_matches_lie_on_their_rows_look_alikes_blame_nothing(sigmas: float, good: bool) -> None:
+def test_dense_matches_on_their_rows_outweigh_a_slight_contradiction(sigmas: float, good: bool) -> None:
     alike = CalibrationCheck(164, 5, True, 1.9, True)
     poses = PosesSummary(calibration=alike, rows=dense_rows(sigmas))
     assert (judge(replace(night(), poses=poses), Facts()).exit_code == ExitCode.GOOD) == good
     apart = [CameraRecord("gate", "ok", figures=CameraFigures(apart_px={"crane--mast": 0.4, "mast--roof": 0.3}))]
-    told = replace(night(cameras=apart), poses=PosesSummary(rows=dense_rows(sigmas)))
-    assert (judge(told, Facts()).exit_code == ExitCode.GOOD) == good
+    record = replace(night(cameras=apart), poses=PosesSummary(rows=dense_rows(sigmas)))
+    assert (judge(record, Facts()).exit_code == ExitCode.GOOD) == good
 
 
-def test_a_clear_contradiction_stays_whatever_rows_say() -> None:
+def test_a_clear_contradiction_of_the_calibration_stays_despite_good_rows() -> None:
     for clear in (
         CalibrationCheck(164, 5, True, 5.0, True),
         CalibrationCheck(9, 5, True, 2.0, True, cause="pixel-shape"),
@@ -576,12 +576,12 @@ def test_a_clear_contradiction_stays_whatever_rows_say() -> None:
         assert only(record).kind == "calibration-contradicted"
 
 
-def test_a_reference_may_hold_a_cause_that_only_an_older_version_named() -> None:
+def test_a_cause_that_only_an_older_version_used_is_still_accepted() -> None:
     check = CalibrationCheck(164, 5, True, 5.0, True, cause="poses")
     assert only(judge(replace(night(), poses=PosesSummary(calibration=check)), Facts())).kind == "calibration-contradicted"
 
 
-def test_a_calibration_that_nothing_could_check_is_unverified_and_no_fault() -> None:
+def test_a_calibration_that_could_not_be_checked_is_unverified_but_no_finding() -> None:
     world = PosesSummary(source="calibration")
     assert world.unverified and judge(replace(night(), poses=world), Facts()).exit_code == ExitCode.GOOD
     assert not PosesSummary(source="solved").unverified

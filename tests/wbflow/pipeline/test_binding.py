@@ -49,13 +49,13 @@ def bound(reader: FunctionReader, **values: object) -> Binding:
     return bind(ROW, None, values, reader)
 
 
-def test_the_parameters_are_the_stage_s_and_the_chosen_method_s(reader: FunctionReader) -> None:
+def test_parameters_are_those_of_the_stage_and_of_the_chosen_method(reader: FunctionReader) -> None:
     assert bound(reader).defaults() == {"how": "plain", "least": 8, "ratio": 0.8}
     assert list(bound(reader, how="rich").parameters) == ["how", "least", "depth"]
     assert bound(reader, how="rich").left_to_function() == {"depth": "default SIZE"}
 
 
-def test_an_offer_is_handed_over_only_when_the_method_asks(reader: FunctionReader) -> None:
+def test_an_offered_input_is_bound_only_if_the_method_takes_it(reader: FunctionReader) -> None:
     assert set(bound(reader).inputs) == {"left", "right"}
     assert set(bound(reader, how="rich").inputs) == {"left", "right", "frame"}
 
@@ -65,28 +65,28 @@ def test_each_method_has_a_fingerprint_of_its_own(reader: FunctionReader, tmp_pa
     assert bound(reader).code == bound(reader, how="beside:plain").code
 
 
-def test_a_method_of_one_s_own_comes_by_its_dotted_name(reader: FunctionReader, tmp_path: Path) -> None:
+def test_a_user_method_is_found_by_its_dotted_name(reader: FunctionReader, tmp_path: Path) -> None:
     (tmp_path / "mine.py").write_text("def method(right, *, depth: int = 3):\n    return right\n")
     assert "depth" in bound(reader, how="mine:method").parameters
 
 
-def test_a_name_that_is_in_no_table_is_refused_with_those_that_are(reader: FunctionReader) -> None:
+def test_an_unknown_method_is_refused_with_a_list_of_known_ones(reader: FunctionReader) -> None:
     with pytest.raises(FunctionError, match="'magic' is not one of plain, rich"):
         bound(reader, how="magic")
 
 
-def test_a_method_that_asks_for_what_is_not_there_is_reported(reader: FunctionReader) -> None:
+def test_a_method_that_takes_an_unavailable_input_is_reported(reader: FunctionReader) -> None:
     assert bound(reader).faults() == []
     (fault,) = bound(reader, how="beside:wrong").faults()
     assert "has the required argument 'picture', which is not an available input; toy can provide frame, left, right" in fault
 
 
-def test_who_reads_a_parameter_can_be_reported(reader: FunctionReader) -> None:
+def test_the_parameters_of_every_method_of_a_stage_are_listed(reader: FunctionReader) -> None:
     readers = method_parameters(ROW, reader)
     assert {name: list(parameters) for name, parameters in readers.items()} == {"plain": ["ratio"], "rich": ["depth"]}
 
 
-def test_a_table_that_is_no_literal_is_refused(tmp_path: Path) -> None:
+def test_a_method_table_that_is_not_a_literal_is_refused(tmp_path: Path) -> None:
     (tmp_path / "beside.py").write_text(STAGE.replace('METHODS = {"plain": "beside:plain",', 'METHODS = {"plain": str(1),'))
     with pytest.raises(FunctionError, match="has no dictionary literal METHODS"):
         bind(ROW, None, {}, FunctionReader(folder=tmp_path))

@@ -24,30 +24,30 @@ def names(graph: PairGraph) -> set[str]:
     return {left + right for left, right in graph.pairs}
 
 
-def test_placed_cameras_have_the_pairs_that_they_would_have_had() -> None:
+def test_dense_pairs_of_placed_cameras_are_those_of_select_pairs() -> None:
     evidence = shared("abcdef")
     found = select_dense_pairs(evidence, matched("ab", "bc", "cd", "de", "ef"), degree=3)
     assert found.pairs == select_pairs(evidence, degree=3).pairs
 
 
-def test_a_pair_that_the_cameras_contradict_does_not_come_back() -> None:
+def test_a_matched_pair_that_shares_nothing_is_dropped_even_if_included() -> None:
     found = select_dense_pairs(shared("abc", without=("ac",)), matched("ab", "ac"), include=[["a", "c"]])
     assert names(found) == {"ab", "bc"}
 
 
-def test_a_matched_pair_comes_in_where_there_is_room_whatever_its_angle() -> None:
+def test_matched_pairs_are_added_where_there_is_room_at_any_angle() -> None:
     evidence = shared("abc", angle=80.0)
     assert names(select_dense_pairs(evidence, matched("ab", "bc"), max_angle=60.0)) == {"ab", "bc"}
     assert names(select_dense_pairs(evidence, matched("ab"), max_angle=60.0)) == {"ab"}
 
 
-def test_no_camera_has_more_pairs_than_wanted_for_what_was_matched() -> None:
+def test_adding_matched_pairs_does_not_exceed_the_degree() -> None:
     every = [a + b for a, b in combinations("abcdefgh", 2)]
     found = select_dense_pairs(shared("abcdefgh", angle=80.0), matched(*every), degree=3, max_angle=60.0)
     assert set(Counter("".join(names(found))).values()) <= {2, 3}
 
 
-def test_pairs_of_a_camera_that_is_not_placed_stay() -> None:
+def test_matched_pairs_of_a_camera_without_a_pose_are_kept() -> None:
     found = select_dense_pairs(shared("abc"), matched("ab", "cd"))
     assert names(found) == {"ab", "ac", "bc", "cd"}
     assert next(edge.reason for edge in found.edges if edge.right == "d") == "matched; its cameras are not both placed"

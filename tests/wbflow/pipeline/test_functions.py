@@ -34,7 +34,7 @@ def code(package: Path) -> str:
     return FunctionReader().read(f"{package.name}.stage:work").code
 
 
-def test_parameters_with_types_choices_and_defaults(package: Path) -> None:
+def test_parameters_have_defaults_and_are_checked_by_type_and_choice(package: Path) -> None:
     parameters = FunctionReader().read(f"{package.name}.stage:work").signature.parameters
     assert {name: p.default for name, p in parameters.items()} == {"mode": "fast", "n": 3, "share": None, "flag": True}
     assert parameters["mode"].problem("good") is None
@@ -69,13 +69,13 @@ def test_a_remembered_module_is_read_again_when_it_changes(package: Path, tmp_pa
 
 
 @pytest.mark.parametrize("dotted", ["nowhere:f", "json:", "wbflow_stages.frames:no_such"])
-def test_a_name_that_leads_nowhere(dotted: str) -> None:
+def test_a_function_that_does_not_exist_is_refused(dotted: str) -> None:
     with pytest.raises(FunctionError):
         FunctionReader().read(dotted)
 
 
 @pytest.mark.parametrize("stage", STAGES, ids=lambda s: s.name)
-def test_every_stage_function_takes_what_the_table_gives_it(stage: object) -> None:
+def test_every_stage_function_takes_the_inputs_listed_in_the_table(stage: object) -> None:
     import importlib
     import inspect
 

@@ -30,7 +30,7 @@ def graph(result: PairGraph) -> Any:
 
 @settings(deadline=None)  # on a busy machine loading networkx alone is slow
 @given(st.integers(2, 12), st.integers(1, 5), st.randoms(use_true_random=False))
-def test_whatever_the_evidence_all_that_can_be_connected_is(n: int, degree: int, random: Any) -> None:
+def test_all_views_that_can_be_connected_are_connected(n: int, degree: int, random: Any) -> None:
     shared = {p: random.uniform(0.01, 1.0) for p in combinations(range(n), 2) if random.random() < 0.6}
     candidates = nx.Graph()
     candidates.add_nodes_from(range(n))
@@ -54,7 +54,7 @@ def test_a_weak_cut_is_covered_before_strong_neighbours_are_added() -> None:
     assert reasons["c1", "c5"] == "covers the weak cut c0--c4"
 
 
-def test_angles_outside_of_the_bounds_are_dropped_with_the_figure() -> None:
+def test_pairs_with_angles_out_of_bounds_are_dropped_with_a_reason() -> None:
     full = dict.fromkeys(combinations(range(3), 2), 0.5)
     result = select_pairs(overlap(3, full, {(0, 1): 2.0, (0, 2): 71.0, (1, 2): 20.0}), min_angle=4.0, max_angle=60.0)
     reasons = {(e.left, e.right): e.reason for e in result.edges}
@@ -64,7 +64,7 @@ def test_angles_outside_of_the_bounds_are_dropped_with_the_figure() -> None:
     assert result.components == (("c1", "c2"), ("c0",))
 
 
-def test_include_and_exclude_have_the_last_word() -> None:
+def test_include_and_exclude_override_the_selection() -> None:
     full = dict.fromkeys(combinations(range(4), 2), 0.5)
     result = select_pairs(overlap(4, full, {(0, 3): 100.0}), include=[["c3", "c0"]], exclude=[["c0", "c1"]])
     reasons = {(e.left, e.right): (e.kept, e.reason) for e in result.edges}
@@ -72,7 +72,7 @@ def test_include_and_exclude_have_the_last_word() -> None:
     assert reasons["c0", "c1"] == (False, "excluded by the site file")
 
 
-def test_degree_bounds_what_is_added_beyond_the_tree() -> None:
+def test_degree_limits_the_pairs_that_are_added_to_the_tree() -> None:
     full = {p: 0.5 + 0.01 * p[0] for p in combinations(range(10), 2)}
     result = select_pairs(overlap(10, full), degree=4)
     needed = nx.Graph([(e.left, e.right) for e in result.edges if e.kept and ("tree" in e.reason or "weak cut" in e.reason)])
@@ -80,7 +80,7 @@ def test_degree_bounds_what_is_added_beyond_the_tree() -> None:
     assert any("have better pairs" in e.reason for e in result.edges if not e.kept)
 
 
-def test_a_hub_gets_no_more_pairs_than_a_view_takes_and_says_what_is_left_out() -> None:
+def test_a_hub_gets_a_limited_number_of_pairs_and_names_those_left_out() -> None:
     """Sixty cameras that share something with the hub only, and `degree: 40` where all of 45 cameras share something."""
     hub = select_pairs(overlap(61, {(0, k): 0.5 for k in range(1, 61)}), degree=40)
     assert len(hub.pairs) == MOST_PAIRS_PER_VIEW
@@ -93,7 +93,7 @@ def test_a_hub_gets_no_more_pairs_than_a_view_takes_and_says_what_is_left_out() 
     assert crowd.crowded
 
 
-def test_of_very_many_pairs_the_best_are_thought_over_and_nothing_falls_apart() -> None:
+def test_preselecting_among_very_many_pairs_keeps_the_graph_connected() -> None:
     """Two dense groups of 110 views, connected only by one weak pair that ranks low at both of its cameras."""
     n, half = 220, 110
     pairs = np.array([(i, j) for i, j in combinations(range(n), 2) if (i < half) == (j < half)] + [(3, 200)], np.int32)
@@ -107,7 +107,7 @@ def test_of_very_many_pairs_the_best_are_thought_over_and_nothing_falls_apart() 
     assert result.untold + len(result.edges) == len(pairs) + 1
 
 
-def test_views_of_one_camera_are_never_a_pair_and_their_camera_is_named_in_pairs() -> None:
+def test_views_of_a_camera_are_never_paired_and_can_be_named_by_the_camera() -> None:
     names = ("gate@1", "gate@2", "gate@3", "roof", "mast@1", "mast@2")
     pairs = list(combinations(range(6), 2))
     shared = np.array([0.9 if {names[i], names[j]} in ({"gate@2", "roof"}, {"gate@1", "mast@1"}) else 0.3 for i, j in pairs])
@@ -122,7 +122,7 @@ def test_views_of_one_camera_are_never_a_pair_and_their_camera_is_named_in_pairs
     assert reasons["gate@1", "roof"] != "included by the site file"
 
 
-def test_wide_views_that_look_a_little_alike_are_matched_though_pairs_of_posed_views_that_share_so_little_are_not() -> None:
+def test_weakly_similar_wide_views_are_matched_unless_their_poses_are_known() -> None:
     """Correct pairs of wide views have similarities of a few hundredths: here 0.035 between first views, 0.01 between others."""
     cameras, views = ("a", "b", "c", "d", "e"), 3
     names = tuple(f"{camera}@{k}" for camera in cameras for k in range(1, views + 1))

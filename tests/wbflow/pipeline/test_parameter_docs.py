@@ -28,7 +28,7 @@ def test_every_parameter_of_every_stage_has_a_meaning(stage: Stage) -> None:
     assert [doc.parameter.name for doc in docs if not doc.meaning and doc.parameter.name != "component"] == []
 
 
-def test_units_come_from_the_docstring_or_the_name() -> None:
+def test_units_of_parameters_are_listed() -> None:
     assert "  tolerance_px = 2.0 [pixels]" in describe(stage_named(DISPARITY), FunctionReader())
 
 
@@ -42,7 +42,7 @@ def test_methods_are_listed_with_parameters_of_their_own() -> None:
     assert [any(line.startswith("  ratio = ") for line in lines) for lines in of_own] == [False, True]
 
 
-def test_the_command_prints_one_stage_or_all_and_refuses_others() -> None:
+def test_the_stages_command_prints_one_stage_or_all_and_refuses_others() -> None:
     one = CliRunner().invoke(main, ["stages", STAGES[0].name])
     assert one.exit_code == 0
     assert "max_captures = 15" in one.output
@@ -51,7 +51,7 @@ def test_the_command_prints_one_stage_or_all_and_refuses_others() -> None:
     assert CliRunner().invoke(main, ["stages", "coffee"]).exit_code == 2
 
 
-def test_no_vision_is_imported_for_it() -> None:
+def test_the_stages_command_imports_no_vision_libraries() -> None:
     code = (
         "import sys\nfrom wbflow.cli.main import main\ntry: main(['stages'])\nexcept SystemExit: pass\n"
         "print([m for m in ('cv2', 'numpy', 'scipy', 'numba', 'open3d') if m in sys.modules], file=sys.stderr)"

@@ -22,14 +22,14 @@ def signature(folder: Path, text: str, **others: str) -> Signature:
     ("default", "value"),
     [("3", 3), ("-1.5", -1.5), ("[[1]]", [[1]]), ("LIMIT", 7), ("FAR", 9), ("None", None), ('{"a": 1}', {"a": 1})],
 )
-def test_literals_are_known_by_value(tmp_path: Path, default: str, value: object) -> None:
+def test_literal_defaults_are_known_by_value(tmp_path: Path, default: str, value: object) -> None:
     text = f"from away import FAR\nLIMIT: int = 7\ndef f(*, x={default}):\n    pass\n"
     parameter = signature(tmp_path, text, away="FAR = 9\n").parameters["x"]
     assert (parameter.default, parameter.source) == (value, "")
 
 
 @pytest.mark.parametrize("default", ["BASE * 2", "TWICE", "(1, 2)", "float('nan')", "SOMETIMES", "object()"])
-def test_all_else_is_left_to_the_function(tmp_path: Path, default: str) -> None:
+def test_defaults_that_are_not_literals_are_left_to_the_function(tmp_path: Path, default: str) -> None:
     text = "BASE = 1\nTWICE = 1\nTWICE = 2\nif BASE:\n    SOMETIMES = 3\n" + f"def f(*, x={default}):\n    pass\n"
     assert signature(tmp_path, text).parameters["x"].source == default
 
@@ -48,14 +48,14 @@ def test_all_else_is_left_to_the_function(tmp_path: Path, default: str) -> None:
         ("if 1:\n    from typing import Literal as Only", "Only['a', 'b']"),
     ],
 )
-def test_choices_are_known_wherever_they_are_written(tmp_path: Path, head: str, annotation: str) -> None:
+def test_choices_are_known_wherever_they_are_defined(tmp_path: Path, head: str, annotation: str) -> None:
     away = 'from typing import Literal\nMode = Literal["a", "b"]\n'
     text = f"{head}\ndef f(*, x: {annotation} = 'a'):\n    pass\n"
     parameter = signature(tmp_path, text, away=away, again="from away import Mode as Mode\n").parameters["x"]
     assert parameter.choices == ("a", "b")
 
 
-def test_modules_that_import_a_name_from_each_other_end_in_anything(tmp_path: Path) -> None:
+def test_a_circularly_imported_annotation_accepts_any_value(tmp_path: Path) -> None:
     text = "from away import Mode\ndef f(*, x: Mode = 1):\n    pass\n"
     parameter = signature(tmp_path, text, away="from again import Mode\n", again="from away import Mode\n").parameters["x"]
     assert parameter.problem("whatever") is None
@@ -71,7 +71,7 @@ def test_modules_that_import_a_name_from_each_other_end_in_anything(tmp_path: Pa
         ("Path", "a", None),
     ],
 )
-def test_values_are_checked_all_through_and_a_class_of_one_s_own_accepts_anything(
+def test_nested_values_are_checked_and_classes_accept_any_value(
     tmp_path: Path, annotation: str, fits: object, does_not: object
 ) -> None:
     head = "from pathlib import Path\nfrom collections.abc import Sequence\n"
@@ -80,7 +80,7 @@ def test_values_are_checked_all_through_and_a_class_of_one_s_own_accepts_anythin
     assert (parameter.problem(does_not) is None) == (annotation == "Path")
 
 
-def test_a_choice_beside_a_type_accepts_both() -> None:
+def test_a_union_of_a_type_and_choices_accepts_both() -> None:
     parameter = Parameter("x", "auto", annotation="float | Literal['auto']")
     assert parameter.problem("auto") is None
     assert parameter.problem(0.5) is None
@@ -96,7 +96,7 @@ def test_a_value_fits_its_own_type_and_no_other(value: object) -> None:
             assert (Parameter("x", annotation=kind).problem(value) is None) == fits
 
 
-def test_what_was_learnt_is_forgotten_when_an_imported_choice_changes(tmp_path: Path) -> None:
+def test_a_remembered_signature_is_read_again_if_an_imported_choice_changes(tmp_path: Path) -> None:
     text = "from away import Mode\ndef f(*, x: Mode = 'a'):\n    pass\n"
     signature(tmp_path, text, away='from typing import Literal\nMode = Literal["a", "b"]\n')
     memo = tmp_path / "memo.json"

@@ -12,7 +12,7 @@ from wbflow.cache.layout import WorkFolder
 from wbflow.records.ledger import Ledger
 
 
-def test_a_lost_ledger_is_made_again_from_what_it_indexes(tmp_path: Path) -> None:
+def test_a_lost_ledger_is_rebuilt_from_the_run_folders(tmp_path: Path) -> None:
     work = WorkFolder(tmp_path)
     publish(work, "20261120T031500Z")
     with Ledger(work) as ledger:
@@ -21,7 +21,7 @@ def test_a_lost_ledger_is_made_again_from_what_it_indexes(tmp_path: Path) -> Non
         assert ledger.faults == []
 
 
-def test_a_damaged_ledger_is_made_again_and_says_so(tmp_path: Path) -> None:
+def test_a_damaged_ledger_is_rebuilt_and_reported(tmp_path: Path) -> None:
     work = WorkFolder(tmp_path)
     publish(work, "20261120T031500Z")
     work.ledger.write_bytes(b"not a database" * 1000)
@@ -46,7 +46,7 @@ def damage_pages(work: WorkFolder) -> None:
     work.ledger.write_bytes(data)
 
 
-def test_damaged_pages_are_found_when_they_are_read_and_made_again(tmp_path: Path) -> None:
+def test_damaged_pages_are_found_when_read_and_the_ledger_is_rebuilt(tmp_path: Path) -> None:
     work = WorkFolder(tmp_path)
     full_ledger(work)
     damage_pages(work)
@@ -57,7 +57,7 @@ def test_damaged_pages_are_found_when_they_are_read_and_made_again(tmp_path: Pat
         assert (len(ledger.runs()), ledger.faults) == (3, [])
 
 
-def test_who_only_reads_changes_nothing(tmp_path: Path) -> None:
+def test_a_reader_does_not_change_the_ledger(tmp_path: Path) -> None:
     work = WorkFolder(tmp_path)
     publish(work, "20261119T031500Z")
     with Ledger(work) as ledger:
@@ -73,7 +73,9 @@ def test_who_only_reads_changes_nothing(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("writes", [False, True])
-def test_a_ledger_that_somebody_holds_is_never_removed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, writes: bool) -> None:
+def test_a_ledger_locked_by_another_process_is_never_removed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, writes: bool
+) -> None:
     monkeypatch.setattr("wbflow.records.ledger._BUSY_TIMEOUT_S", 0.05)
     work = WorkFolder(tmp_path)
     full_ledger(work)
@@ -93,7 +95,7 @@ def test_a_ledger_that_somebody_holds_is_never_removed(tmp_path: Path, monkeypat
     holder.close()
 
 
-def test_a_run_whose_process_was_killed_before_it_was_indexed_is_caught_up_with(tmp_path: Path) -> None:
+def test_a_run_that_was_not_indexed_because_of_a_kill_is_added_later(tmp_path: Path) -> None:
     work = WorkFolder(tmp_path)
     full_ledger(work)
     publish(work, "20261129T031500Z")
@@ -102,7 +104,7 @@ def test_a_run_whose_process_was_killed_before_it_was_indexed_is_caught_up_with(
         assert [run.run for run in ledger.runs()][-1] == "20261129T031500Z"
 
 
-def test_a_run_that_cannot_be_read_is_left_out_and_named(tmp_path: Path) -> None:
+def test_an_unreadable_run_is_left_out_and_reported_once(tmp_path: Path) -> None:
     work = WorkFolder(tmp_path)
     publish(work, "20261120T031500Z")
     publish(work, "20261121T031500Z").paths.record.write_text("{")

@@ -36,7 +36,7 @@ def some_record() -> RunRecord:
     )
 
 
-def test_the_keys_of_the_contract() -> None:
+def test_the_record_has_the_keys_of_the_contract() -> None:
     data = json.loads(json.dumps(some_record().to_json()))
     head = ["run", "site", "version", "date", "started", "finished", "exit_code", "tasks", "seconds", "peak_rss_mb", "cameras"]
     assert list(data)[: len(head) + 6] == [*head, "pairs", "cloud", "other_clouds", "poses", "reason", "code"]
@@ -52,12 +52,12 @@ def test_the_keys_of_the_contract() -> None:
     assert data["poses"]["reprojection_px"] == 0.5123
 
 
-def test_what_is_read_is_written_again() -> None:
+def test_a_record_that_is_read_is_written_unchanged() -> None:
     data = json.loads(json.dumps(some_record().to_json()))
     assert json.loads(json.dumps(RunRecord.from_json(data).to_json())) == data
 
 
-def test_keys_of_later_versions_do_no_harm() -> None:
+def test_keys_of_later_versions_are_ignored() -> None:
     data = json.loads(json.dumps(some_record().to_json()))
     data["weather"] = {"wind": "strong"}
     data["cameras"][0] |= {"sharpness": 0.7, "fog": "some"}
@@ -70,14 +70,14 @@ def test_keys_of_later_versions_do_no_harm() -> None:
 
 
 @pytest.mark.parametrize("key", ["run", "tasks", "cameras", "seconds"])
-def test_what_is_no_record_is_refused(key: str) -> None:
+def test_a_record_without_a_required_key_is_refused(key: str) -> None:
     data = some_record().to_json()
     del data[key]
     with pytest.raises(ValueError, match=key):
         RunRecord.from_json(data)
 
 
-def test_records_say_shortly_what_they_are() -> None:
+def test_records_have_a_short_repr() -> None:
     record = some_record()
     assert repr(record) == "RunRecord('20261120T031500Z', site 'yard', exit 3, 1,843,201 points)"
     assert repr(record.cameras[1]) == "CameraRecord('roof', failed: is dark)"
@@ -94,13 +94,13 @@ def with_verdict() -> RunRecord:
     return replace(some_record(), verdict=verdict, cameras=(quay,), usual=usual, settings="abc")
 
 
-def test_the_verdict_of_the_contract() -> None:
+def test_the_verdict_has_the_keys_of_the_contract() -> None:
     data = json.loads(json.dumps(with_verdict().to_json()))
-    reported = {"figures": {"shared": 0.0212}, "expected": {"shared": 0.6}, "remedy": "look where it points"}
-    finding = {"kind": "camera-wrong-scene", "subject": ["quay"], "text": "shows another place", **reported}
+    details = {"figures": {"shared": 0.0212}, "expected": {"shared": 0.6}, "remedy": "look where it points"}
+    finding = {"kind": "camera-wrong-scene", "subject": ["quay"], "text": "shows another place", **details}
     finding["alias"] = "camera-foreign"
     assert data["verdict"] == {"level": "degraded", "findings": [finding]}
-    assert data["cameras"][0]["health"] == {"state": "wrong-scene", "text": "shows another place", **reported}
+    assert data["cameras"][0]["health"] == {"state": "wrong-scene", "text": "shows another place", **details}
     assert json.loads(json.dumps(RunRecord.from_json(data).to_json())) == data
 
 
@@ -113,12 +113,12 @@ def test_a_run_of_an_earlier_version_has_no_verdict() -> None:
 
 
 @pytest.mark.parametrize("verdict", [{"level": "superb"}, {"level": "good", "findings": [{"kind": "odd"}]}])
-def test_what_is_no_verdict_is_refused(verdict: dict[str, Any]) -> None:
+def test_an_invalid_verdict_is_refused(verdict: dict[str, Any]) -> None:
     with pytest.raises((KeyError, ValueError)):
         RunRecord.from_json(some_record().to_json() | {"verdict": verdict})
 
 
-def test_a_finding_is_one_line() -> None:
+def test_a_finding_is_printed_as_one_line() -> None:
     finding = Finding("camera-lost", ("quay",), "is dark")
     assert str(finding) == "quay: is dark"
     assert str(replace(finding, subject=())) == "is dark"

@@ -55,7 +55,7 @@ def test_a_published_run_is_read_as_it_was_written(tmp_path: Path) -> None:
     assert RunFolder.of(work, "latest").id == RunFolder.of(work, "latest-good").id == RunFolder.of(work).id == folder.id
 
 
-def test_until_it_is_published_nobody_sees_it(tmp_path: Path) -> None:
+def test_an_unpublished_run_is_not_listed_and_is_removed_if_abandoned(tmp_path: Path) -> None:
     work = WorkFolder(tmp_path)
     publish(work, "20261120T031500Z")
     UnfinishedRun(work, "20261121T031500Z").write("cloud.ply", b"half")
@@ -66,7 +66,7 @@ def test_until_it_is_published_nobody_sees_it(tmp_path: Path) -> None:
     assert not work.unfinished_run("20261121T031500Z").folder.exists()
 
 
-def test_latest_shows_tonight_whatever_came_of_it_and_latest_good_the_last_cloud(tmp_path: Path) -> None:
+def test_latest_is_the_newest_run_and_latest_good_the_last_good_one(tmp_path: Path) -> None:
     work = WorkFolder(tmp_path)
     publish(work, "20261120T031500Z")
     publish(work, "20261121T031500Z", level="failed")
@@ -75,7 +75,7 @@ def test_latest_shows_tonight_whatever_came_of_it_and_latest_good_the_last_cloud
     assert work.latest_good.resolve().name == RunFolder.of(work, "latest-good").id == "20261120T031500Z"
 
 
-def test_work_folders_of_an_earlier_version_have_no_link_to_the_last_cloud(tmp_path: Path) -> None:
+def test_the_last_good_run_is_found_without_the_link_latest_good(tmp_path: Path) -> None:
     work = WorkFolder(tmp_path)
     publish(work, "20261120T031500Z", level=None)
     publish(work, "20261121T031500Z", cloud=False, level=None)
@@ -83,7 +83,7 @@ def test_work_folders_of_an_earlier_version_have_no_link_to_the_last_cloud(tmp_p
     assert RunFolder.of(work, "latest-good").id == "20261120T031500Z"
 
 
-def test_a_kill_before_the_link_was_turned_is_mended_and_costs_no_published_file(tmp_path: Path) -> None:
+def test_links_are_repaired_after_a_kill_and_published_files_are_kept(tmp_path: Path) -> None:
     work = WorkFolder(tmp_path)
     publish(work, "20261120T031500Z")
     newest = publish(work, "20261121T031500Z").paths
@@ -104,7 +104,7 @@ def test_a_kill_before_the_link_was_turned_is_mended_and_costs_no_published_file
     assert {link.resolve().name for link in (work.latest, work.latest_good)} == {"20261121T031500Z"}
 
 
-def test_what_a_kill_left_half_written_is_cleared_away_wherever_it_lies(tmp_path: Path) -> None:
+def test_half_written_files_left_by_a_kill_are_removed_everywhere(tmp_path: Path) -> None:
     work = WorkFolder(tmp_path)
     publish(work, "20261120T031500Z")
     work.start_writing()
@@ -116,7 +116,7 @@ def test_what_a_kill_left_half_written_is_cleared_away_wherever_it_lies(tmp_path
     assert not [path for folder in folders for path in folder.glob(".*.tmp")]
 
 
-def test_a_link_that_leads_nowhere_is_turned_to_the_newest_run(tmp_path: Path) -> None:
+def test_a_dangling_link_is_updated_to_the_newest_run(tmp_path: Path) -> None:
     work = WorkFolder(tmp_path)
     publish(work, "20261120T031500Z")
     work.turn(work.latest, "20261121T031500Z")
@@ -124,7 +124,7 @@ def test_a_link_that_leads_nowhere_is_turned_to_the_newest_run(tmp_path: Path) -
     assert work.latest.resolve().name == "20261120T031500Z"
 
 
-def test_ids_go_on_where_the_clock_was_set_back(tmp_path: Path) -> None:
+def test_run_ids_increase_even_if_the_clock_is_set_back(tmp_path: Path) -> None:
     work = WorkFolder(tmp_path)
     publish(work, "20991231T235959Z")
     (work.runs / "copy-of-mine").mkdir()
@@ -133,7 +133,7 @@ def test_ids_go_on_where_the_clock_was_set_back(tmp_path: Path) -> None:
     assert moment.year < 2099
 
 
-def test_what_happens_later_can_be_added_to_the_log(tmp_path: Path) -> None:
+def test_later_events_can_be_added_to_the_log(tmp_path: Path) -> None:
     folder = publish(WorkFolder(tmp_path), "20261120T031500Z")
     later = WarningEvent("the disk is slow", "t")
     folder.add(later)
@@ -143,12 +143,12 @@ def test_what_happens_later_can_be_added_to_the_log(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("name", "message"), [(None, "has no runs yet"), ("19990101T000000Z", "has no runs yet"), ("latest", "has no runs yet")]
 )
-def test_there_is_no_run(tmp_path: Path, name: str | None, message: str) -> None:
+def test_opening_a_run_of_an_empty_work_folder_fails_with_a_message(tmp_path: Path, name: str | None, message: str) -> None:
     with pytest.raises(NoSuchRun, match=message):
         RunFolder.of(WorkFolder(tmp_path), name)
 
 
-def test_runs_that_cannot_be_read_are_named(tmp_path: Path) -> None:
+def test_missing_and_unreadable_runs_are_named_in_the_error(tmp_path: Path) -> None:
     work = WorkFolder(tmp_path)
     folder = publish(work, "20261120T031500Z", cloud=False)
     with pytest.raises(NoSuchRun, match="no run has made a cloud yet"):
@@ -163,17 +163,17 @@ def test_runs_that_cannot_be_read_are_named(tmp_path: Path) -> None:
         folder.events()
 
 
-def test_events_of_later_versions_are_passed_over() -> None:
+def test_unknown_events_and_keys_of_later_versions_are_ignored() -> None:
     assert event_from_json({"event": "pinned", "at": "t", "who": "me"}) is None
     line = json.loads(json.dumps(event_to_json(REJECTED)))
     assert event_from_json(line | {"more": 1}) == REJECTED
 
 
-def test_a_warning_in_words() -> None:
+def test_a_warning_is_printed_with_its_task_and_remedy() -> None:
     assert str(EVENTS[1]) == "frames gate: picture not drawn; install more"
 
 
-def test_no_run_id_is_given_twice(tmp_path: Path) -> None:
+def test_no_run_id_is_used_twice(tmp_path: Path) -> None:
     work = WorkFolder(tmp_path)
     first, moment = new_run(work)
     publish(work, first)

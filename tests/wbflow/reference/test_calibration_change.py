@@ -44,7 +44,7 @@ def change(folder: Path, now: dict[str, Any]) -> str:
     return calibration_change(calibration(), load_site(folder))
 
 
-def test_the_same_calibration_has_not_changed_nor_has_one_in_other_units(tmp_path: Path) -> None:
+def test_an_equal_calibration_in_any_scale_has_not_changed(tmp_path: Path) -> None:
     assert change(tmp_path, calibration()) == ""
     assert change(tmp_path, calibration(scale=7.0)) == "", "the frame and scale of a pinned world are its own"
 
@@ -59,11 +59,11 @@ def test_the_same_calibration_has_not_changed_nor_has_one_in_other_units(tmp_pat
         (calibration(turned_deg=3.0), "poses by up to 3.0 degrees"),
     ],
 )
-def test_what_has_changed_is_named_with_its_amount(tmp_path: Path, now: dict[str, Any], words: str) -> None:
+def test_a_change_of_the_calibration_is_described_with_its_amount(tmp_path: Path, now: dict[str, Any], words: str) -> None:
     assert words in change(tmp_path, now)
 
 
-def test_a_night_with_another_calibration_than_the_reference_is_degraded_until_it_is_pinned(toy: ToySite, tmp_path: Path) -> None:
+def test_a_changed_calibration_degrades_nights_until_it_is_pinned(toy: ToySite, tmp_path: Path) -> None:
     site = ToySite(tmp_path / "watched", ["gate", "roof", "mast"], watched=True, dated=True, backend="threading")
     site.keys["calibration"] = "cameras.json"
     (site.folder / "cameras.json").write_text(json.dumps(calibration()))

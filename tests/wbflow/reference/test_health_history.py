@@ -35,7 +35,7 @@ def work_with(folder: Path, records: list[RunRecord]) -> WorkFolder:
     return work
 
 
-def test_shifts_are_those_of_the_last_nights_and_few_records_are_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_shifts_come_from_the_last_nights_and_few_records_are_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     other = night(19, 77.0, reference="another")
     work = work_with(tmp_path, [*(night(k, float(k)) for k in range(19)), other, night(20, 99.0)])
     read: list[RunPaths] = []

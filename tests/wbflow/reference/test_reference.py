@@ -55,7 +55,7 @@ def camera(record: dict[str, Any], name: str) -> dict[str, Any]:
     return found
 
 
-def test_the_first_good_run_is_pinned_and_says_so(toy: ToySite) -> None:
+def test_the_first_good_run_is_pinned_automatically_and_listed(toy: ToySite) -> None:
     pinned = json.loads(record_of(toy).read_text())
     assert pinned["date"] == FIRST
     assert pinned["pinned"] == "automatically"
@@ -65,7 +65,7 @@ def test_the_first_good_run_is_pinned_and_says_so(toy: ToySite) -> None:
     assert "a--b" in listed
 
 
-def test_a_second_night_works_no_geometry_out(toy: ToySite) -> None:
+def test_a_second_night_runs_no_geometry(toy: ToySite) -> None:
     toy.night(SECOND)
     record = toy.run("--date", SECOND)
     assert ran(toy) == set()
@@ -74,13 +74,13 @@ def test_a_second_night_works_no_geometry_out(toy: ToySite) -> None:
     assert camera(record, "a")["health"]["state"] == "ok"
 
 
-def test_the_reference_s_own_night_run_again_does_nothing(toy: ToySite) -> None:
+def test_repeating_the_night_of_the_reference_runs_nothing(toy: ToySite) -> None:
     cloud = toy.cloud
     assert toy.run("--date", FIRST)["tasks"]["ran"] == 0
     assert toy.cloud == cloud
 
 
-def test_a_nudge_is_corrected_and_only_its_pairs_are_rectified_anew(toy: ToySite) -> None:
+def test_a_shifted_camera_is_solved_anew_and_only_its_pairs_are_rectified(toy: ToySite) -> None:
     toy.night(SECOND, b="shifted")
     toy.run("--date", SECOND, code=None)
     assert ran(toy) == {"poses", "geometry a--b", "geometry b--c", "rectify a--b", "rectify b--c"}
@@ -95,7 +95,7 @@ def test_a_moved_camera_is_matched_with_the_others_and_solved_anew(toy: ToySite)
 
 
 @pytest.mark.parametrize("state", ["obscured", "wrong-scene"])
-def test_a_camera_that_shows_nothing_of_the_site_gives_nothing_and_costs_no_other(toy: ToySite, state: str) -> None:
+def test_an_obscured_camera_or_a_wrong_scene_loses_only_its_own_pairs(toy: ToySite, state: str) -> None:
     toy.night(SECOND, c=state)
     record = toy.run("--date", SECOND, code=3)
     assert ran(toy) == set()
@@ -106,7 +106,7 @@ def test_a_camera_that_shows_nothing_of_the_site_gives_nothing_and_costs_no_othe
     assert record["cloud"]["points"] > 0
 
 
-def test_nights_out_of_order_and_twice_do_not_change_the_reference_or_each_other(toy: ToySite) -> None:
+def test_the_order_and_repetition_of_nights_change_no_reference_and_no_cloud(toy: ToySite) -> None:
     before = record_of(toy).read_bytes()
     clouds: dict[str, bytes] = {}
     for date in (THIRD, SECOND, FIRST, SECOND, THIRD):
@@ -116,7 +116,7 @@ def test_nights_out_of_order_and_twice_do_not_change_the_reference_or_each_other
     assert record_of(toy).read_bytes() == before
 
 
-def test_nights_that_are_killed_and_run_again_are_those_that_were_not(toy: ToySite) -> None:
+def test_killed_and_repeated_nights_make_the_same_clouds_and_reference(toy: ToySite) -> None:
     dates = (FIRST, SECOND, THIRD)
     whole = []
     for date in dates:
@@ -146,7 +146,7 @@ def _artifacts(toy: ToySite) -> Mapping[Task, reference.PinnedArtifact]:
     return pinned.artifacts if pinned else {}
 
 
-def test_earlier_nights_tell_what_is_usual(toy: ToySite) -> None:
+def test_the_health_of_a_camera_uses_earlier_nights(toy: ToySite) -> None:
     seen = []
     for date in (SECOND, THIRD):
         toy.night(date)
@@ -154,14 +154,14 @@ def test_earlier_nights_tell_what_is_usual(toy: ToySite) -> None:
     assert seen == [0, 1]
 
 
-def test_the_reference_outlives_the_cache(toy: ToySite) -> None:
+def test_the_reference_is_used_even_if_the_cache_was_deleted(toy: ToySite) -> None:
     shutil.rmtree(toy.work / "cache")
     toy.night(SECOND)
     toy.run("--date", SECOND)
     assert ran(toy) == set()
 
 
-def test_cleaning_up_leaves_the_reference_whole(toy: ToySite) -> None:
+def test_clean_leaves_the_reference_usable(toy: ToySite) -> None:
     for date in (SECOND, THIRD):
         toy.night(date)
         toy.run("--date", date)
@@ -171,7 +171,7 @@ def test_cleaning_up_leaves_the_reference_whole(toy: ToySite) -> None:
     assert ran(toy) == set()
 
 
-def test_a_damaged_artifact_of_the_reference_is_done_without(toy: ToySite) -> None:
+def test_a_night_makes_a_cloud_despite_a_damaged_reference_artifact(toy: ToySite) -> None:
     work = WorkFolder(toy.work)
     pinned = reference.read_reference(work)
     assert pinned is not None
@@ -184,7 +184,7 @@ def test_a_damaged_artifact_of_the_reference_is_done_without(toy: ToySite) -> No
     assert toy.run("--date", SECOND)["cloud"]["points"] > 0
 
 
-def test_with_other_settings_the_reference_is_not_used_and_the_run_says_so(toy: ToySite) -> None:
+def test_a_reference_with_other_settings_is_not_used_and_this_is_logged(toy: ToySite) -> None:
     toy.parameters["matches"] = {"shift": 2.0}
     toy.write()
     toy.night(SECOND)
@@ -194,7 +194,7 @@ def test_with_other_settings_the_reference_is_not_used_and_the_run_says_so(toy: 
     assert "matches.shift 1.0" in newest.log.read_text()
 
 
-def test_settings_of_what_is_not_pinned_do_not_matter(toy: ToySite) -> None:
+def test_changed_settings_of_unpinned_stages_keep_the_reference_in_use(toy: ToySite) -> None:
     toy.parameters["disparity"] = {"tolerance": 2.0}
     toy.write()
     toy.night(SECOND)
@@ -202,13 +202,13 @@ def test_settings_of_what_is_not_pinned_do_not_matter(toy: ToySite) -> None:
     assert ran(toy) == set()
 
 
-def test_what_is_forced_is_worked_out_all_the_same(toy: ToySite) -> None:
+def test_forced_tasks_run_despite_the_reference(toy: ToySite) -> None:
     toy.night(SECOND)
     toy.run("--date", SECOND, "--force", "rectify")
     assert ran(toy) == {"rectify a--b", "rectify a--c", "rectify b--c"}
 
 
-def test_pin_none_switches_it_off(tmp_path: Path) -> None:
+def test_pin_none_disables_the_reference(tmp_path: Path) -> None:
     site = ToySite(tmp_path, ["a", "b"], watched=True, dated=True, keys={"pin": "none"})
     for date in (FIRST, SECOND):
         site.night(date)
@@ -231,7 +231,7 @@ def test_another_run_is_pinned_by_hand_and_dropped(toy: ToySite) -> None:
     assert not WorkFolder(toy.work).reference.exists()
 
 
-def test_nights_are_pooled_into_the_surface_of_the_reference(toy: ToySite) -> None:
+def test_refine_pools_the_depth_of_several_nights_into_the_reference(toy: ToySite) -> None:
     early = toy.wbflow("pin", "--refine")
     assert early.returncode == 2
     assert "fewer than 3 nights" in early.stderr
@@ -251,7 +251,7 @@ def test_nights_are_pooled_into_the_surface_of_the_reference(toy: ToySite) -> No
     assert ran(toy) == set()
 
 
-def test_pooling_in_any_order_of_nights_twice_or_after_a_kill_makes_the_same_reference(
+def test_pooling_in_any_order_twice_or_after_a_kill_makes_the_same_reference(
     toy: ToySite, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     from wbflow.reference.aggregate import aggregate_nights
@@ -285,7 +285,7 @@ def test_pooling_in_any_order_of_nights_twice_or_after_a_kill_makes_the_same_ref
         assert reference.read_reference(work) == (new if last == 1000 else old)
 
 
-def test_what_single_nights_have_too_little_of_many_have_enough_of(tmp_path: Path) -> None:
+def test_matches_too_few_on_single_nights_suffice_when_pooled(tmp_path: Path) -> None:
     """Camera c is not placed, since its pairs need three matches and have one per night; three nights together have three."""
     lens = {"fx": 9, "fy": 9, "cx": 4, "cy": 4, "width": 8, "height": 8}
     stand = {"look_at": [0, 9, 0]}
@@ -301,9 +301,9 @@ def test_what_single_nights_have_too_little_of_many_have_enough_of(tmp_path: Pat
     for date, state in ((SECOND, "ok"), (THIRD, "moved"), ("2026-11-04", "ok")):
         toy.night(date, c=state)
         toy.run("--date", date, code=3)
-    message = toy.wbflow("pin", "--refine").stdout
-    assert "matches a--c: pooled from 3 nights" in message, "what c saw from elsewhere is no evidence"
-    assert "geometry b--c: pooled from 3 nights" in message
+    printed = toy.wbflow("pin", "--refine").stdout
+    assert "matches a--c: pooled from 3 nights" in printed, "what c saw from elsewhere is no evidence"
+    assert "geometry b--c: pooled from 3 nights" in printed
     for date, state, matches in (("2026-11-05", "ok", 3), ("2026-11-06", "moved", 1)):
         toy.night(date, c=state)
         record = toy.run("--date", date, code=None)
@@ -354,7 +354,7 @@ def _dying(function: Any, steps: Any, last: int) -> Any:
 
 
 @pytest.mark.parametrize("victim", ["reference.json", "reference-twin.json", "a pinned result", "the same in the cache"])
-def test_what_is_damaged_of_the_reference_heals_by_itself(toy: ToySite, victim: str) -> None:
+def test_damaged_files_of_the_reference_are_repaired(toy: ToySite, victim: str) -> None:
     work = WorkFolder(toy.work)
     pinned = _artifacts(toy)[Task("features", ("a",))]
     in_cache = work.artifact(pinned.task, pinned.key, ".wbf")
@@ -370,7 +370,7 @@ def test_what_is_damaged_of_the_reference_heals_by_itself(toy: ToySite, victim: 
     assert not toy.run("--date", SECOND)["repaired"]
 
 
-def test_a_pipe_in_place_of_the_record_is_not_waited_for_and_gives_way_to_its_twin(toy: ToySite) -> None:
+def test_a_pipe_in_place_of_the_reference_record_is_replaced_by_its_twin(toy: ToySite) -> None:
     file = WorkFolder(toy.work).reference_record
     before = file.read_bytes()
     file.unlink()
@@ -381,7 +381,7 @@ def test_a_pipe_in_place_of_the_record_is_not_waited_for_and_gives_way_to_its_tw
     assert file.read_bytes() == before
 
 
-def test_a_reference_whose_record_is_lost_altogether_is_pinned_anew_without_anybody_s_help(toy: ToySite) -> None:
+def test_the_next_good_night_is_pinned_if_the_reference_record_is_lost(toy: ToySite) -> None:
     work = WorkFolder(toy.work)
     for path in (work.reference_record, work.reference_twin):
         path.write_bytes(path.read_bytes().replace(b"2026", b"2025", 1))

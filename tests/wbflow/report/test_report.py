@@ -65,7 +65,7 @@ def settled(browser: Any, does: Callable[[], object]) -> tuple[int, int]:
     return drawn, total
 
 
-def test_it_asks_nobody_and_complains_of_nothing(browser: Any, page: Path) -> None:
+def test_the_page_makes_no_requests_and_logs_no_errors(browser: Any, page: Path) -> None:
     messages = [json.loads(entry["message"])["message"] for entry in browser.get_log("performance")]
     asked = {m["params"]["request"]["url"] for m in messages if m["method"] == "Network.requestWillBeSent"}
     assert {url for url in asked if not url.startswith("data:")} == {page.as_uri()}
@@ -73,14 +73,14 @@ def test_it_asks_nobody_and_complains_of_nothing(browser: Any, page: Path) -> No
     assert "taken" not in browser.title
 
 
-def test_what_is_hidden_is_not_shown(browser: Any) -> None:
+def test_hidden_elements_are_not_displayed(browser: Any) -> None:
     make = "const image = document.createElement('img'); image.hidden = true; document.body.append(image);"
     assert browser.execute_script(f"{make} return getComputedStyle(image).display") == "none", "a layer of the map, for one"
     shown = "return [...document.querySelectorAll('[hidden]')].filter(e => getComputedStyle(e).display !== 'none').length"
     assert browser.execute_script(shown) == 0
 
 
-def test_the_cloud_is_drawn_and_turns_under_the_pointer(browser: Any) -> None:
+def test_the_cloud_is_drawn_and_turned_with_the_pointer(browser: Any) -> None:
     drawn, first = settled(browser, lambda: None)
     assert drawn > 500
     pose = browser.execute_script(POSE)
@@ -93,7 +93,7 @@ def test_the_cloud_is_drawn_and_turns_under_the_pointer(browser: Any) -> None:
     assert back == first
 
 
-def test_colours_switch_and_have_a_scale(browser: Any) -> None:
+def test_colour_modes_look_different_and_have_legends(browser: Any) -> None:
     looks = set()
     for button in browser.find_elements("css selector", "[data-mode]"):
         looks.add(settled(browser, partial(browser.execute_script, "arguments[0].click()", button)))
@@ -104,7 +104,7 @@ def test_colours_switch_and_have_a_scale(browser: Any) -> None:
     browser.execute_script("document.querySelector('[data-mode=photograph]').click()")
 
 
-def test_a_click_on_a_camera_flies_to_it(browser: Any) -> None:
+def test_a_click_on_a_camera_moves_the_view_to_it(browser: Any) -> None:
     at = browser.execute_script("const s = view.spots.find(s => s.cam.id === 'gate'); return [s.x, s.y, ...view.size]")
     canvas = browser.find_element("css selector", "#view canvas.over")
     across, down = (round(at[k] - at[2 + k] / 2) for k in (0, 1))
@@ -121,7 +121,7 @@ def press(browser: Any, does: str) -> None:
     browser.execute_script(f"document.querySelector('[data-do={does}]').click()")
 
 
-def test_clicked_points_give_distance_height_and_area_and_a_link_brings_them_back(browser: Any, page: Path) -> None:
+def test_clicked_points_are_measured_and_restored_from_a_link(browser: Any, page: Path) -> None:
     settled(browser, lambda: browser.execute_script("Object.assign(view, view.home); view.draw()"))
     press(browser, "measure")
     canvas = browser.find_element("css selector", "#view canvas.over")
@@ -168,7 +168,7 @@ def test_clicked_points_give_distance_height_and_area_and_a_link_brings_them_bac
     browser.execute_script("history.replaceState(null, '', location.pathname); Object.assign(view, view.home); view.draw()")
 
 
-def test_only_what_lies_between_two_heights_is_drawn(browser: Any) -> None:
+def test_points_below_the_clipping_height_are_not_drawn(browser: Any) -> None:
     whole, _ = settled(browser, lambda: browser.execute_script("Object.assign(view, view.home); view.draw()"))
     move = "const s = document.querySelector('[data-clip=low]'); s.value = arguments[0]; s.dispatchEvent(new Event('input'))"
     upper, _ = settled(browser, lambda: browser.execute_script(move, 400))
@@ -177,7 +177,7 @@ def test_only_what_lies_between_two_heights_is_drawn(browser: Any) -> None:
     assert again == whole
 
 
-def test_every_camera_pair_and_finding_stands_there_as_text(browser: Any, night: RunRecord) -> None:
+def test_the_page_lists_every_camera_pair_and_finding_as_text(browser: Any, night: RunRecord) -> None:
     def texts(selector: str) -> list[str]:
         script = "return [...document.querySelectorAll(arguments[0])].map(e => e.textContent)"
         found: list[str] = browser.execute_script(script, selector)
@@ -188,16 +188,16 @@ def test_every_camera_pair_and_finding_stands_there_as_text(browser: Any, night:
     assert texts("#map .dot > text") == ids
     assert texts("table.pairs tbody td:first-child") == [pair.name for pair in night.pairs]
     assert len(texts("#map line.pair")) == len(night.pairs)
-    reported = "\n".join(texts(".finding"))
+    listed = "\n".join(texts(".finding"))
     assert night.verdict
     for finding in night.verdict.findings:
-        assert finding.text in reported and finding.remedy in reported
+        assert finding.text in listed and finding.remedy in listed
     assert texts(".verdict strong") == ["2 cameras to look at"]
     assert texts(".tried li") == ["geometry rejected: 12 inliers, 30 needed"]
     assert browser.execute_script("return view.scene.cameras.map(c => c.id)") == ids
 
 
-def test_a_picture_opens_as_large_as_it_is_with_what_was_found_in_it(browser: Any) -> None:
+def test_a_picture_opens_in_full_size_with_its_keypoints_and_inliers(browser: Any) -> None:
     browser.execute_script("document.querySelector('#camera-1 .shot').click()")
     over = "const c = document.querySelector('#large canvas'); return [...c.getContext('2d').getImageData(%s, 1, 1).data]"
     middle, corner = "c.width / 2, c.height / 2", "0, 0"
@@ -213,7 +213,7 @@ def test_a_picture_opens_as_large_as_it_is_with_what_was_found_in_it(browser: An
     browser.execute_script("document.querySelector('#large').close()")
 
 
-def test_pairs_are_sorted_by_any_figure(browser: Any) -> None:
+def test_pairs_are_sorted_by_the_column_that_is_clicked(browser: Any) -> None:
     head = next(th for th in browser.find_elements("css selector", "table.pairs th button") if "inliers" in th.text)
     browser.execute_script("arguments[0].click()", head)
     rows = "return [...document.querySelectorAll('table.pairs tbody tr')].map(r => r.className)"
@@ -226,8 +226,8 @@ def test_pairs_are_sorted_by_any_figure(browser: Any) -> None:
 def test_nothing_overflows_on_a_phone(browser: Any, scheme: str) -> None:
     size = {"width": 390, "height": 844, "deviceScaleFactor": 1, "mobile": True}
     browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
-    reported = {"features": [{"name": "prefers-color-scheme", "value": scheme}]}
-    browser.execute_cdp_cmd("Emulation.setEmulatedMedia", reported)
+    media = {"features": [{"name": "prefers-color-scheme", "value": scheme}]}
+    browser.execute_cdp_cmd("Emulation.setEmulatedMedia", media)
     browser.execute_script("for (const fold of document.querySelectorAll('details')) fold.open = true")
     out = """return [...document.querySelectorAll('body *')].filter(e => !e.closest('svg'))
         .filter(e => e.getBoundingClientRect().right > 390.5).map(e => e.outerHTML.slice(0, 80))"""
@@ -238,29 +238,29 @@ def test_nothing_overflows_on_a_phone(browser: Any, scheme: str) -> None:
     browser.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
 
 
-def test_a_hundred_cameras_have_room(tmp_path: Path) -> None:
+def test_the_page_of_a_hundred_cameras_is_complete_and_below_15_mb(tmp_path: Path) -> None:
     night = made_up_run.record(made_up_run.names(100))
     file = made_up_run.page(tmp_path, night, points=20_000, pictures=(480, 270), nights=1)
-    reported = file.read_text()
+    text = file.read_text()
     assert file.stat().st_size < 15_000_000
-    assert reported.count('<article class="card') == 100 + sum(pair.ok for pair in night.pairs)
-    assert reported.count('<g class="dot') == 100
-    assert all(html.escape(pair.name) in reported for pair in night.pairs)
-    assert "98 cameras as they should be" in reported, "two to look at stand before them"
-    assert 'class="elsewhere" href="../../cache/' in reported, "what has no room is led to"
+    assert text.count('<article class="card') == 100 + sum(pair.ok for pair in night.pairs)
+    assert text.count('<g class="dot') == 100
+    assert all(html.escape(pair.name) in text for pair in night.pairs)
+    assert "98 cameras as they should be" in text, "two to look at stand before them"
+    assert 'class="elsewhere" href="../../cache/' in text, "what has no room is led to"
 
 
-def test_a_night_without_any_camera_says_so_and_shows_where_they_stood(tmp_path: Path) -> None:
+def test_a_night_without_a_cloud_shows_the_last_known_camera_positions(tmp_path: Path) -> None:
     night = made_up_run.record(made_up_run.names(3), cloud=None, pairs=(), verdict=None, exit_code=1)
-    reported = made_up_run.page(tmp_path, night, nights=1).read_text()
-    assert reported.count('<g class="dot') == 3
-    assert "position on 2026-11-01" in reported
-    assert "No cloud this night" in reported
-    assert "No two cameras were matched." in reported
-    assert '<script type="application/octet-stream"' not in reported
+    text = made_up_run.page(tmp_path, night, nights=1).read_text()
+    assert text.count('<g class="dot') == 3
+    assert "position on 2026-11-01" in text
+    assert "No cloud this night" in text
+    assert "No two cameras were matched." in text
+    assert '<script type="application/octet-stream"' not in text
 
 
-def test_a_night_without_a_cloud_lies_as_the_night_before(tmp_path: Path) -> None:
+def test_a_night_without_a_cloud_is_oriented_as_the_night_before(tmp_path: Path) -> None:
     ids = made_up_run.names(5)
     before = made_up_run.record(ids)
     lost = [Finding("camera-lost", (name,), "no capture", remedy="see that it delivers") for name in ids]
@@ -273,18 +273,18 @@ def test_a_night_without_a_cloud_lies_as_the_night_before(tmp_path: Path) -> Non
         assert one == pytest.approx(other, abs=0.05)
 
 
-def test_what_is_wrong_with_all_cameras_is_reported_once_and_what_compares_nothing_shows_nothing(tmp_path: Path) -> None:
+def test_common_findings_are_merged_and_empty_comparisons_show_no_figures(tmp_path: Path) -> None:
     ids = made_up_run.names(5)
     lost = [Finding("camera-lost", (name,), f"no capture of {name}", remedy="see that it delivers") for name in ids]
     night = made_up_run.record(ids, cloud=None, pairs=(), verdict=Verdict("failed", tuple(lost)), exit_code=1)
     night = replace(night, results={"changes": ChangesSummary(compared=False, count=0, noise=1.0)})
-    reported = made_up_run.page(tmp_path, night, nights=0).read_text()
-    assert "The same is wrong with every camera." in reported
-    assert f"4 more like these: {', '.join(ids[1:])}" in reported
-    assert "There was nothing to compare this night with." in reported and "<dt>noise</dt>" not in reported
+    text = made_up_run.page(tmp_path, night, nights=0).read_text()
+    assert "The same is wrong with every camera." in text
+    assert f"4 more like these: {', '.join(ids[1:])}" in text
+    assert "There was nothing to compare this night with." in text and "<dt>noise</dt>" not in text
 
 
-def test_a_good_night_with_changes_names_their_number_and_kinds_first(tmp_path: Path) -> None:
+def test_the_page_of_a_good_night_begins_with_its_changes_by_kind(tmp_path: Path) -> None:
     night = made_up_run.record(made_up_run.names(3), verdict=Verdict("good"), exit_code=0)
     kinds = enumerate(("new", "new", "vanished"), 1)
     things = {str(k): Change(kind, 1.0, 2.0, 0.0, length=2.0) for k, kind in kinds}

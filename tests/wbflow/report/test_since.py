@@ -20,7 +20,7 @@ VAN = Change("new", 28.3, 16.3, 1.2, length=4.7, width=2.3, volume=17.4)
 STACK = Change("vanished", 6.8, 20.8, 4.2, length=1.8, width=0.7, volume=3.8)
 
 
-def reported(record: RunRecord, things: dict[str, Change], reference: str = "20261101T031500Z") -> RunRecord:
+def with_changes(record: RunRecord, things: dict[str, Change], reference: str = "20261101T031500Z") -> RunRecord:
     return replace(record, reference=reference, results={"changes": ChangesSummary(compared=True, changes=things)})
 
 
@@ -31,11 +31,11 @@ def compared(tonight: RunRecord, *earlier: RunRecord) -> Comparison | None:
     return since_last_good(data, "changes")
 
 
-def test_what_was_there_on_the_last_good_night_is_distinguished_from_what_is_new_and_what_is_over() -> None:
+def test_changes_since_the_last_good_night_are_known_new_or_gone() -> None:
     nudged = replace(CONTAINER, x=9.5, volume=38.7)
-    good = reported(night("2026-11-18"), {"1": nudged, "2": STACK})
-    bad = replace(reported(night("2026-11-19"), {"1": VAN}), verdict=Verdict("degraded"))
-    tonight = reported(night("2026-11-20"), {"1": CONTAINER, "2": VAN})
+    good = with_changes(night("2026-11-18"), {"1": nudged, "2": STACK})
+    bad = replace(with_changes(night("2026-11-19"), {"1": VAN}), verdict=Verdict("degraded"))
+    tonight = with_changes(night("2026-11-20"), {"1": CONTAINER, "2": VAN})
     since = compared(tonight, bad, good)
     assert since is not None
     assert since.date == "2026-11-18", "the night before was not good"
@@ -43,22 +43,22 @@ def test_what_was_there_on_the_last_good_night_is_distinguished_from_what_is_new
     assert since.gone == {"2": STACK}
 
 
-def test_since_the_reference_s_own_night_everything_is_new() -> None:
+def test_every_change_since_the_night_of_the_reference_is_new() -> None:
     first = replace(night("2026-11-01"), reference=None)
-    tonight = reported(night("2026-11-20"), {"1": CONTAINER}, reference=first.run)
+    tonight = with_changes(night("2026-11-20"), {"1": CONTAINER}, reference=first.run)
     since = compared(tonight, first)
     assert since is not None
     assert (since.known, since.gone) == ({}, {})
 
 
-def test_nothing_is_said_where_another_reference_was_compared_with_or_there_was_no_good_night() -> None:
-    other = reported(night("2026-11-18"), {"1": CONTAINER}, reference="20261002T031500Z")
-    tonight = reported(night("2026-11-20"), {"1": CONTAINER})
+def test_there_is_no_comparison_without_a_good_night_of_the_same_reference() -> None:
+    other = with_changes(night("2026-11-18"), {"1": CONTAINER}, reference="20261002T031500Z")
+    tonight = with_changes(night("2026-11-20"), {"1": CONTAINER})
     assert compared(tonight, other) is None
     assert compared(tonight) is None
 
 
-def test_a_night_that_is_run_again_knows_nothing_of_later_ones(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_night_that_is_run_again_ignores_later_nights(monkeypatch: pytest.MonkeyPatch) -> None:
     made = [night(date) for date in ("2026-11-22", "2026-11-18", "2026-11-20", "2026-11-19")]
     monkeypatch.setattr("wbflow.report.data.newest_runs", lambda work, before: ((None, record) for record in made))
     cache = cast(Any, SimpleNamespace(work=None))

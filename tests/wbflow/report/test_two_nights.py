@@ -51,7 +51,7 @@ def test_the_slider_wipes_from_one_night_to_the_other(browser: Any) -> None:
     assert browser.execute_script(shown) == ["2026-12-09"]
 
 
-def test_the_nights_take_turns_until_that_is_ended(browser: Any) -> None:
+def test_the_nights_blink_until_the_button_is_clicked_again(browser: Any) -> None:
     button = browser.find_element("css selector", "[data-do=blink]")
     browser.execute_script("arguments[0].focus()", button)
     button.send_keys(Keys.SPACE)
@@ -62,7 +62,7 @@ def test_the_nights_take_turns_until_that_is_ended(browser: Any) -> None:
     assert button.get_attribute("aria-pressed") == "false"
 
 
-def test_what_is_higher_than_on_the_other_night_is_red(browser: Any) -> None:
+def test_the_difference_mode_shows_height_differences_between_the_nights(browser: Any) -> None:
     browser.find_element("css selector", "[data-mode=difference]").click()
     settled(browser, lambda: None)
     found = browser.execute_script("""
@@ -76,7 +76,7 @@ def test_what_is_higher_than_on_the_other_night_is_red(browser: Any) -> None:
     assert browser.find_element("css selector", ".legend").is_displayed()
 
 
-def test_a_link_brings_both_nights_back(browser: Any) -> None:
+def test_a_link_restores_the_slider_and_the_colour_mode(browser: Any) -> None:
     slider(browser).send_keys(Keys.END, *[Keys.ARROW_LEFT] * 30)
     browser.find_element("css selector", "[data-mode=difference]").click()
     browser.execute_script("document.querySelector('[data-do=link]').click()")
@@ -87,7 +87,7 @@ def test_a_link_brings_both_nights_back(browser: Any) -> None:
     assert slider(browser).get_attribute("value") == "70"
 
 
-def test_a_cameras_pictures_lie_over_each_other(browser: Any) -> None:
+def test_the_pictures_of_a_camera_are_overlaid_and_aligned(browser: Any) -> None:
     card = browser.find_element("css selector", "#camera-1")
     summary = card.find_element("css selector", "details:has(.both) summary")
     browser.execute_script("arguments[0].scrollIntoView({block: 'center'})", summary)

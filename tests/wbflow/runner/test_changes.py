@@ -24,7 +24,7 @@ def notes_of(record: dict[str, Any], name: str) -> list[str]:
 
 
 @pytest.fixture
-def after_looking(monkeypatch: pytest.MonkeyPatch) -> Callable[[Path, int], None]:
+def replace_after_hashing(monkeypatch: pytest.MonkeyPatch) -> Callable[[Path, int], None]:
     """Makes a file be replaced right after its digest was taken, the first `times` times."""
 
     def arrange(path: Path, times: int) -> None:
@@ -42,11 +42,11 @@ def after_looking(monkeypatch: pytest.MonkeyPatch) -> Callable[[Path, int], None
     return arrange
 
 
-def test_what_it_holds_now_is_used_and_kept_under_its_own_digest(
-    toy: ToySite, after_looking: Callable[[Path, int], None], monkeypatch: pytest.MonkeyPatch
+def test_a_capture_replaced_after_hashing_is_cached_under_its_new_digest(
+    toy: ToySite, replace_after_hashing: Callable[[Path, int], None], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     before = toy.capture("roof").read_text()
-    after_looking(toy.capture("roof"), 1)
+    replace_after_hashing(toy.capture("roof"), 1)
     assert notes_of(toy.run(), "roof") == [OVERWRITTEN]
     replaced = toy.cloud
     monkeypatch.undo()
@@ -60,7 +60,7 @@ def test_what_it_holds_now_is_used_and_kept_under_its_own_digest(
 
 
 @pytest.mark.parametrize("dated", [True, False])
-def test_what_is_replaced_after_it_was_read_is_named_with_the_bytes_that_were_used(
+def test_a_capture_replaced_after_reading_is_recorded_with_the_digest_used(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, dated: bool
 ) -> None:
     """It degrades the night only if file names contain the date; without dates, cameras overwrite their captures all the time."""
@@ -99,9 +99,7 @@ def test_a_capture_that_is_being_written_is_waited_for(toy: ToySite, monkeypatch
     assert (toy.capture("roof").read_text().count("more of it"), notes_of(record, "roof")) == (4, [])
 
 
-def test_one_that_grows_for_ever_is_waited_for_no_longer_than_is_stated_and_degrades_the_night(
-    toy: ToySite, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_capture_that_grows_for_ever_degrades_the_night(toy: ToySite, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(captures, "MOST_WAIT_SECONDS", 0.3)
     monkeypatch.setattr(captures, "_is_written", lambda path: path == toy.capture("roof"))
     work = loop.run_tasks
@@ -116,8 +114,10 @@ def test_one_that_grows_for_ever_is_waited_for_no_longer_than_is_stated_and_degr
     assert (finding["kind"], finding["subject"]) == ("captures-in-motion", ["roof"])
 
 
-def test_a_file_that_keeps_changing_costs_its_camera_only(toy: ToySite, after_looking: Callable[[Path, int], None]) -> None:
-    after_looking(toy.capture("roof"), 100)
+def test_a_capture_that_keeps_changing_costs_only_its_camera(
+    toy: ToySite, replace_after_hashing: Callable[[Path, int], None]
+) -> None:
+    replace_after_hashing(toy.capture("roof"), 100)
     record = toy.run(code=3)
     roof = next(camera for camera in record["cameras"] if camera["id"] == "roof")
     assert "keeps changing" in roof["reason"]

@@ -21,7 +21,7 @@ from wbflow.task import Task
 distributed = pytest.importorskip("distributed", reason="the extra wbflow[dask] is not installed")
 
 
-def test_three_worker_processes_of_a_cluster_make_the_same_cloud_though_one_is_killed(
+def test_a_cluster_makes_the_same_cloud_though_a_worker_is_killed(
     toy: ToySite, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     toy.run()
@@ -39,7 +39,7 @@ def test_three_worker_processes_of_a_cluster_make_the_same_cloud_though_one_is_k
     assert toy.cloud == cloud
 
 
-def test_a_cluster_without_workers_and_one_that_is_not_there_are_distinguished() -> None:
+def test_a_cluster_without_workers_and_a_missing_one_give_different_errors() -> None:
     with distributed.LocalCluster(n_workers=0, processes=True, dashboard_address=None) as cluster:
         with pytest.raises(WbflowError, match="has no workers"):
             Cluster(cluster.scheduler_address)
@@ -83,7 +83,7 @@ class _Client:
         self.asked.append(workers)
 
 
-def test_paths_are_those_of_the_workers_and_back(tmp_path: Path) -> None:
+def test_paths_are_translated_to_those_of_the_workers_and_back(tmp_path: Path) -> None:
     captures = (CaptureFile("gate.png", tmp_path / "gate.png", "d1g35t"), CaptureFile("roof.png", Path("/other/roof.png"), ""))
     files = Files(captures)
     here = Stored(Task("frames", ("gate",)), file="frame.wbf")
@@ -98,7 +98,7 @@ def test_paths_are_those_of_the_workers_and_back(tmp_path: Path) -> None:
         worker_roots(("/srv",))
 
 
-def test_a_worker_that_was_refused_is_given_nothing_more(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_refused_worker_is_given_no_more_tasks(monkeypatch: pytest.MonkeyPatch) -> None:
     client = _Client()
     monkeypatch.setattr(distributed, "Client", lambda *positional, **named: client)
     spec = TaskSpec(Task("matches", ("a", "b")), "toy_stages:match", "code", {}, {})

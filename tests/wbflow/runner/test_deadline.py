@@ -22,7 +22,7 @@ def run_late(toy: ToySite, *force: str, until: str | None = None) -> wbflow.Run:
     return wbflow.run(toy.file, backend="threading", jobs=1, force=force, until=until, stop_at=over)
 
 
-def test_what_is_there_is_put_together_and_the_rest_is_said(toy: ToySite) -> None:
+def test_a_stopped_run_makes_a_cloud_of_finished_pairs_and_names_the_rest(toy: ToySite) -> None:
     wbflow.run(toy.file, backend="threading", jobs=1, until="disparity")
     run = run_late(toy, "disparity a--b")
     assert run.record.exit_code == 3
@@ -34,7 +34,7 @@ def test_what_is_there_is_put_together_and_the_rest_is_said(toy: ToySite) -> Non
     assert run.pairs["b--c"].ok
 
 
-def test_nothing_there_is_no_cloud_with_the_reason(toy: ToySite) -> None:
+def test_a_run_stopped_before_any_result_has_no_cloud_and_can_be_resumed(toy: ToySite) -> None:
     run = run_late(toy)
     assert run.record.exit_code == 1
     assert run.record.cloud is None
@@ -44,7 +44,7 @@ def test_nothing_there_is_no_cloud_with_the_reason(toy: ToySite) -> None:
     assert again.record.exit_code == 0, "and the next run goes on from there"
 
 
-def test_a_night_that_is_done_in_time_is_not_touched(toy: ToySite) -> None:
+def test_a_stop_time_does_not_affect_a_run_that_ends_before_it(toy: ToySite) -> None:
     later = datetime.datetime.now() + datetime.timedelta(hours=1)
     run = wbflow.run(toy.file, backend="threading", jobs=1, stop_at=later)
     assert run.record.exit_code == 0

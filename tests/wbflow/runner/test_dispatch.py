@@ -87,14 +87,14 @@ def reason_of(record: dict[str, Any]) -> str:
         ("fill", "ran out of memory: it held", ("--jobs", "2", "--memory", "500MB")),
     ],
 )
-def test_a_task_at_fault_costs_itself_and_the_reason_is_said(
+def test_a_misbehaving_task_fails_alone_and_its_reason_is_reported(
     wicked: ToySite, what: str, message: str, options: tuple[str, ...]
 ) -> None:
     behave(wicked, what)
     assert message in reason_of(wicked.run(*options, code=3))
 
 
-def test_of_quick_chains_handed_out_together_one_loses_its_worker_and_the_others_are_done_once(tmp_path: Path) -> None:
+def test_only_the_chain_that_ends_its_worker_is_repeated(tmp_path: Path) -> None:
     site = ToySite(tmp_path / "toy", [f"c{k:02d}" for k in range(11)] + ["roof"])
     (site.folder / "wicked_stage.py").write_text(WICKED)
     described = json.loads(site.file.read_text())
@@ -108,7 +108,7 @@ def test_of_quick_chains_handed_out_together_one_loses_its_worker_and_the_others
     assert done == [1] * 11 + [2], "once more alone, and nobody else for its sake"
 
 
-def test_five_megabytes_of_escape_codes_are_a_short_reason(wicked: ToySite) -> None:
+def test_a_huge_exception_text_with_escape_codes_becomes_a_short_reason(wicked: ToySite) -> None:
     behave(wicked, "shout")
     result = wicked.wbflow("run", "--jobs", "1")
     assert result.returncode == 3
@@ -118,7 +118,7 @@ def test_five_megabytes_of_escape_codes_are_a_short_reason(wicked: ToySite) -> N
     assert all(len(file.read_bytes()) < 500_000 for file in newest.iterdir())
 
 
-def test_what_a_chain_had_finished_before_its_worker_was_lost_is_kept(toy: ToySite) -> None:
+def test_a_lost_worker_is_reported_with_the_task_that_it_was_running(toy: ToySite) -> None:
     toy.fault("once", "geometry")
     result = toy.wbflow("run", "--jobs", "1")
     assert result.returncode == 0, result.stderr
@@ -128,7 +128,7 @@ def test_what_a_chain_had_finished_before_its_worker_was_lost_is_kept(toy: ToySi
 
 
 @pytest.mark.skipif(not Path("/proc").is_dir(), reason="looks for processes in /proc")
-def test_workers_end_with_the_run_however_it_ends(toy: ToySite) -> None:
+def test_workers_end_when_their_run_is_killed(toy: ToySite) -> None:
     toy.fault("slow", "30")
     process = subprocess.Popen(toy.command("run", str(toy.file), "--jobs", "2"), env=toy.env(), start_new_session=True)
     working = toy.folder / "faults"
@@ -142,7 +142,7 @@ def test_workers_end_with_the_run_however_it_ends(toy: ToySite) -> None:
     until(lambda: not [path for path in Path("/dev/shm").glob("*") if theirs & set(re.findall(r"\d+", path.name))])
 
 
-def test_what_nobody_had_read_of_when_a_run_was_interrupted_is_kept_and_nothing_half_written_is_left(
+def test_an_interrupted_run_keeps_finished_results_and_no_half_written_files(
     toy: ToySite, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     toy.fault("slow", "0.1")
@@ -180,7 +180,7 @@ def test_a_night_with_nothing_to_do_starts_no_worker(toy: ToySite, monkeypatch: 
     assert toy.run()["tasks"]["ran"] == 0
 
 
-def test_a_tasks_time_is_reported_by_what_its_stage_took_before() -> None:
+def test_the_time_limit_of_a_task_depends_on_earlier_times_of_its_stage() -> None:
     past = TaskCosts({"quick": 0.1, "slow": 300.0, "endless": 1e5})
     known = Limits(costs=past)
     assert known.seconds_for("quick") == limits.LEAST_SECONDS
@@ -189,7 +189,7 @@ def test_a_tasks_time_is_reported_by_what_its_stage_took_before() -> None:
     assert Limits(seconds=5.0, costs=past).seconds_for("slow") == 5
 
 
-def test_tasks_that_do_not_fit_side_by_side_are_done_one_after_the_other(wicked: ToySite) -> None:
+def test_tasks_that_together_exceed_the_memory_run_one_after_the_other(wicked: ToySite) -> None:
     behave(wicked, "hold")
     wicked.run("--jobs", "1", "--until", "features")
     held = [json.loads(path.read_text())["peak_rss_mb"] for path in (wicked.work / "cache" / "features").glob("*/*.json")]
@@ -200,7 +200,7 @@ def test_tasks_that_do_not_fit_side_by_side_are_done_one_after_the_other(wicked:
     assert len((wicked.folder / "faults" / "did").read_text().split()) == len(held), "nobody was ended for another's sake"
 
 
-def test_what_tasks_held_before_and_tonight_tells_what_fits() -> None:
+def test_memory_used_before_and_tonight_decides_which_tasks_fit() -> None:
     fuse, gate, roof = Task("fuse"), Task("depth", ("gate",)), Task("depth", ("roof",))
     past = TaskCosts(stages_mb={"fuse": 900.0, "depth": 100.0}, tasks_mb={str(gate): 300.0})
     holding = Limits(memory=1000 * 2**20, costs=past)
@@ -211,7 +211,7 @@ def test_what_tasks_held_before_and_tonight_tells_what_fits() -> None:
     assert not holding.fits([[Task("new", ("roof",))]], [Task("new", ("gate",))])
 
 
-def test_a_limit_of_memory_that_is_no_size_is_refused(toy: ToySite) -> None:
+def test_an_invalid_memory_limit_is_refused(toy: ToySite) -> None:
     result = toy.wbflow("run", "--memory", "4 apples")
     assert result.returncode == 2
     assert "--memory: '4 apples' is not a size" in result.stderr

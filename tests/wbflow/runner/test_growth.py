@@ -49,7 +49,7 @@ def exponent(counts: tuple[int, int], tasks: tuple[int, int]) -> float:
     return math.log(counts[1] / counts[0]) / math.log(tasks[1] / tasks[0])
 
 
-def test_what_the_engine_does_grows_with_the_number_of_tasks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_calls_and_syncs_grow_linearly_with_the_number_of_tasks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.syspath_prepend(HELPERS)
     counted, found = Counted(monkeypatch), []
     for cameras in (FEW, MANY):

@@ -19,13 +19,13 @@ def subjects(cameras: str, pairs: list[str]) -> Subjects:
     return Subjects(cast(Any, site), {Task(graph.name): State("ran", receipt=receipt)})
 
 
-def test_near_a_camera_are_its_partners_and_theirs() -> None:
+def test_cameras_near_a_camera_are_its_partners_and_their_partners() -> None:
     row = subjects("abcde", ["ab", "bc", "cd", "de"])
     assert row.around("a") == ["b"] and row.near("a") == ["b", "c"]
     assert row.near("c") == ["a", "b", "d", "e"]
 
 
-def test_near_a_camera_are_eight_at_most_but_for_its_partners() -> None:
+def test_all_partners_are_near_a_camera_and_others_up_to_eight_in_all() -> None:
     hub = subjects("abcdefghijkl", [f"a{c}" for c in "bcdefghijkl"])
     assert len(hub.near("a")) == 11, "all its partners"
     assert hub.near("l") == list("abcdefgh"), "of those that share as many partners the first"

@@ -55,13 +55,13 @@ def test_every_pair_has_a_picture_of_its_inliers(toy: ToySite) -> None:
     assert all(data[:2] == b"\xff\xd8" for data in found.values())
 
 
-def test_a_picture_gets_the_frames_rather_than_the_features(toy: ToySite, painter: Path) -> None:
+def test_a_picture_function_gets_the_frames_rather_than_the_features(toy: ToySite, painter: Path) -> None:
     toy.run()
     assert all(data.startswith(b"first") for data in pictures(toy, "geometry").values())
     forget("painter")
 
 
-def test_another_picture_function_reruns_nothing(toy: ToySite, painter: Path) -> None:
+def test_a_changed_picture_function_reruns_nothing(toy: ToySite, painter: Path) -> None:
     toy.run()
     before = pictures(toy, "geometry")
     forget("painter")
@@ -71,7 +71,7 @@ def test_another_picture_function_reruns_nothing(toy: ToySite, painter: Path) ->
     forget("painter")
 
 
-def test_a_picture_that_cannot_be_drawn_costs_nothing_else(toy: ToySite, painter: Path) -> None:
+def test_a_picture_that_cannot_be_drawn_costs_only_a_warning(toy: ToySite, painter: Path) -> None:
     painter.write_text("def show(geometry, left, right):\n    raise RuntimeError('no paint')\n")
     record = toy.run()
     assert record["tasks"]["failed"] == 0
@@ -95,7 +95,7 @@ def test_a_picture_that_is_lost_or_damaged_is_left_out_of_the_report(toy: ToySit
     assert report.read_text().count("data:image/jpeg") == whole - 1
 
 
-def test_a_task_without_its_receipt_is_drawn_again(toy: ToySite) -> None:
+def test_the_picture_of_a_task_without_a_receipt_is_drawn_again(toy: ToySite) -> None:
     """A killed worker may leave a result without a receipt, which is written last, after the artifact and its pictures."""
     toy.keys = {"pin": "none"}  # no reference restores the receipt
     toy.write()
@@ -108,13 +108,13 @@ def test_a_task_without_its_receipt_is_drawn_again(toy: ToySite) -> None:
     assert pictures(toy, "fuse") == before
 
 
-def test_the_points_of_the_page_are_packed_with_the_cloud(toy: ToySite) -> None:
+def test_the_report_contains_the_points_that_were_packed_with_the_cloud(toy: ToySite) -> None:
     toy.run()
     (kept,) = (toy.work / "cache" / "fuse").rglob("*.view")
     assert base64.b64encode(kept.read_bytes()) in (toy.work / "runs" / "latest" / "report.html").read_bytes()
 
 
-def test_points_that_cannot_be_packed_cost_only_themselves(toy: ToySite, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_failure_to_pack_points_costs_neither_cloud_nor_report(toy: ToySite, monkeypatch: pytest.MonkeyPatch) -> None:
     def fail(cloud: object) -> bytes:
         raise MemoryError
 

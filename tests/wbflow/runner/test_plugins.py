@@ -73,7 +73,7 @@ def problem(toy: ToySite, command: str = "check") -> str:
 
 
 @pytest.mark.parametrize("jobs", ["1", "2"])
-def test_a_module_beside_the_site_file_is_found_in_workers_too(toy: ToySite, jobs: str) -> None:
+def test_a_module_beside_the_site_file_is_found_in_worker_processes(toy: ToySite, jobs: str) -> None:
     write(toy, "left, right, *, shift: float = 1.0", x1="one * shift")
     matcher(toy, shift=5.0)
     done = toy.wbflow("run", "--jobs", jobs)
@@ -97,7 +97,7 @@ def test_a_change_in_a_helper_beside_the_site_file_runs_the_stage_again(toy: Toy
     assert "matches gate--roof" in toy.ran()
 
 
-def test_a_default_that_is_no_literal_keeps_its_value_and_is_part_of_the_key(toy: ToySite) -> None:
+def test_a_default_that_is_not_a_literal_applies_and_is_part_of_the_key(toy: ToySite) -> None:
     write(toy, "left, right, *, ratio: float = BASE * 0.4", extra="BASE = 2.0", x1="one * ratio")
     matcher(toy)
     assert toy.wbflow("run", "--jobs", "1").returncode == 0
@@ -108,7 +108,7 @@ def test_a_default_that_is_no_literal_keeps_its_value_and_is_part_of_the_key(toy
     assert "matches gate--roof" in toy.ran()
 
 
-def test_such_a_parameter_can_be_set_and_is_checked(toy: ToySite) -> None:
+def test_a_parameter_without_a_literal_default_can_be_set_and_is_checked(toy: ToySite) -> None:
     write(toy, "left, right, *, ratio: float = BASE * 0.4", extra="BASE = 2.0", x1="one * ratio")
     matcher(toy, ratio=7.0)
     assert toy.wbflow("run", "--jobs", "1").returncode == 0
@@ -127,7 +127,7 @@ def test_such_a_parameter_can_be_set_and_is_checked(toy: ToySite) -> None:
         ("from modes import Mode", '"Mode"'),
     ],
 )
-def test_a_choice_that_is_imported_is_checked(toy: ToySite, line: str, annotation: str) -> None:
+def test_imported_choices_of_a_parameter_are_checked(toy: ToySite, line: str, annotation: str) -> None:
     (toy.folder / "modes.py").write_text('from typing import Literal\nMode = Literal["fast", "good"]\n')
     write(toy, f'left, right, *, mode: {annotation} = "fast"', extra=line)
     matcher(toy, mode="best")
@@ -136,7 +136,7 @@ def test_a_choice_that_is_imported_is_checked(toy: ToySite, line: str, annotatio
     assert toy.wbflow("status").returncode == 0
 
 
-def test_a_matcher_may_ask_for_the_frames_alone(toy: ToySite) -> None:
+def test_a_matcher_may_take_only_the_frames(toy: ToySite) -> None:
     write(toy, "left_frame, right_frame", x1="one * left_frame.image[0, 0, 0]", sides="left_frame right_frame")
     matcher(toy)
     done = toy.wbflow("run", "--jobs", "1")
@@ -149,7 +149,7 @@ def test_a_matcher_may_ask_for_the_frames_alone(toy: ToySite) -> None:
     assert "matches gate--crane" not in toy.ran()
 
 
-def test_a_method_of_one_s_own_gets_the_frames_through_the_stage(toy: ToySite) -> None:
+def test_a_user_method_gets_the_frames_from_the_stage(toy: ToySite) -> None:
     write(toy, "left_frame, right_frame, *, shift: float = STEP * 2", "STEP = 1.0", "one * shift", "left_frame right_frame")
     site = json.loads(toy.file.read_text())
     site["stages"]["matches"] = {"matcher": "plugin:find", "min_matches": 1}
@@ -173,7 +173,7 @@ def test_a_method_of_one_s_own_gets_the_frames_through_the_stage(toy: ToySite) -
         ("left, right, *, shift", "has 'shift' without a default"),
     ],
 )
-def test_a_wrong_signature_is_refused_at_its_place(toy: ToySite, arguments: str, message: str) -> None:
+def test_a_wrong_signature_is_refused_with_its_place_in_the_site_file(toy: ToySite, arguments: str, message: str) -> None:
     write(toy, arguments)
     matcher(toy)
     reported = problem(toy)
@@ -182,7 +182,7 @@ def test_a_wrong_signature_is_refused_at_its_place(toy: ToySite, arguments: str,
     assert "stages.matches.use: " in reported
 
 
-def test_a_function_that_is_missing_and_a_module_that_is_no_python_are_named(toy: ToySite) -> None:
+def test_missing_functions_and_invalid_modules_are_named_in_the_error(toy: ToySite) -> None:
     write(toy, "left, right")
     matcher(toy, "plugin:search")
     assert "module 'plugin' has no function 'search'; it has find" in problem(toy)
@@ -204,7 +204,7 @@ def test_a_renamed_function_in_a_moved_file_keeps_the_cache(toy: ToySite) -> Non
     assert toy.ran() == set()
 
 
-def test_frames_are_looked_at_for_poses_only_where_these_are_stated_roughly(toy: ToySite) -> None:
+def test_the_pose_stage_gets_frames_only_if_a_stated_pose_is_rough(toy: ToySite) -> None:
     (toy.folder / "plugin.py").write_text(
         "def solve(views, placements, geometries, survey, frames_if_rough):\n"
         "    raise ValueError(f'frames of {sorted(frames_if_rough)}')\n"
@@ -221,7 +221,7 @@ def test_frames_are_looked_at_for_poses_only_where_these_are_stated_roughly(toy:
         assert f"frames of {frames}" in (toy.work / "runs" / run / "log.jsonl").read_text()
 
 
-def test_what_is_in_a_model_decides_whether_matches_are_found_anew(toy: ToySite) -> None:
+def test_matches_are_made_again_only_if_the_content_of_the_model_changes(toy: ToySite) -> None:
     write(toy, "left, right, model", x1="one * model.data.sum()")
     model, moved = toy.folder / "one.onnx", toy.folder / "two.onnx"
     model.write_bytes(bytes([3, 4]))
@@ -241,7 +241,7 @@ def test_what_is_in_a_model_decides_whether_matches_are_found_anew(toy: ToySite)
     assert "stages.matches.model: there is no file" in problem(toy)
 
 
-def test_with_another_model_the_reference_no_longer_answers_for_matches(toy: ToySite) -> None:
+def test_status_reports_that_the_reference_was_pinned_with_another_model(toy: ToySite) -> None:
     write(toy, "left, right, model", x1="one * model.data.sum()")
     (toy.folder / "one.onnx").write_bytes(bytes([3, 4]))
     matcher(toy, model="one.onnx")

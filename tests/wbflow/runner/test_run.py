@@ -31,7 +31,7 @@ def test_a_run_leaves_cloud_cameras_report_and_record(toy: ToySite) -> None:
     assert all(pair["outcome"] == "ok" and pair["density"] == 1.0 for pair in record["pairs"])
 
 
-def test_a_cloud_on_the_map_says_in_its_header_where_it_is(toy: ToySite) -> None:
+def test_the_header_of_a_georeferenced_cloud_states_its_coordinates(toy: ToySite) -> None:
     toy.run()
     assert b"comment crs" not in toy.cloud
     site = json.loads(toy.file.read_text())
@@ -74,13 +74,13 @@ def test_a_changed_parameter_runs_exactly_what_depends_on_it(toy: ToySite) -> No
     assert {task.split()[0] for task in toy.ran()} == {"disparity", "depth", "fuse"}
 
 
-def test_an_upstream_rerun_that_gives_the_same_bytes_stops_there(toy: ToySite) -> None:
+def test_tasks_after_a_rerun_with_the_same_result_do_not_run(toy: ToySite) -> None:
     toy.run()
     toy.run("--force", "matches")
     assert {task.split()[0] for task in toy.ran()} == {"matches"}
 
 
-def test_force_one_task(toy: ToySite) -> None:
+def test_force_reruns_a_single_task(toy: ToySite) -> None:
     toy.run()
     toy.run("--force", "matches gate--roof")
     assert toy.ran() == {"matches gate--roof"}
@@ -108,7 +108,7 @@ def test_a_broken_and_a_missing_capture_cost_only_their_cameras(toy: ToySite) ->
     assert [(p["left"], p["right"]) for p in record["pairs"]] == [("gate", "mast-1")]
 
 
-def test_no_capture_at_all_makes_no_cloud_tonight_and_leaves_the_last_one_published(toy: ToySite) -> None:
+def test_without_captures_there_is_no_cloud_and_the_last_one_stays_published(toy: ToySite) -> None:
     good = toy.run()
     for camera in toy.cameras:
         toy.capture(camera).write_text("broken")
@@ -118,7 +118,7 @@ def test_no_capture_at_all_makes_no_cloud_tonight_and_leaves_the_last_one_publis
     assert (toy.work / "runs" / "latest").resolve().name == record["run"]
 
 
-def test_each_group_of_cameras_that_share_a_world_gets_a_cloud_of_its_own(toy: ToySite) -> None:
+def test_each_component_of_cameras_gets_a_cloud_of_its_own(toy: ToySite) -> None:
     toy.parameters = {"poses": {"worlds": 2}}
     toy.write()
     record = toy.run()
@@ -127,13 +127,13 @@ def test_each_group_of_cameras_that_share_a_world_gets_a_cloud_of_its_own(toy: T
     assert toy.run()["tasks"]["ran"] == 0
 
 
-def test_one_usable_camera_is_said_to_be_too_few(toy: ToySite) -> None:
+def test_a_run_with_one_usable_camera_fails_with_a_reason(toy: ToySite) -> None:
     for camera in toy.cameras[1:]:
         toy.capture(camera).write_text("broken")
     assert "only camera gate has a usable capture" in toy.run(code=1)["reason"]
 
 
-def test_a_run_without_a_cloud_says_what_that_goes_back_to(toy: ToySite) -> None:
+def test_a_run_without_a_cloud_names_the_first_cause(toy: ToySite) -> None:
     toy.parameters = {"rectify": {"reject": True}}
     toy.write()
     record = toy.run(code=1)
@@ -141,7 +141,7 @@ def test_a_run_without_a_cloud_says_what_that_goes_back_to(toy: ToySite) -> None
     assert "skipped" not in record["reason"]
 
 
-def test_what_failed_is_tried_again_and_what_was_rejected_is_not(toy: ToySite) -> None:
+def test_failed_and_rejected_tasks_cause_no_work_in_the_next_run(toy: ToySite) -> None:
     toy.capture("roof").write_text("broken")
     toy.run(code=3)
     toy.run(code=3)
@@ -156,7 +156,7 @@ def test_what_failed_is_tried_again_and_what_was_rejected_is_not(toy: ToySite) -
     assert toy.ran() == set()
 
 
-def test_a_camera_none_of_whose_pairs_came_to_anything_is_named(toy: ToySite) -> None:
+def test_a_camera_without_a_usable_pair_is_reported(toy: ToySite) -> None:
     toy.parameters = {"matches": {"reject": str(_first_pixel(b"a view from gate"))}}
     toy.write()
     (finding,) = toy.run(code=3)["verdict"]["findings"]
@@ -164,7 +164,7 @@ def test_a_camera_none_of_whose_pairs_came_to_anything_is_named(toy: ToySite) ->
     assert "none of its 3 pairs could be used" in finding["text"]
 
 
-def test_jobs_do_not_change_a_byte(toy: ToySite) -> None:
+def test_the_number_of_jobs_does_not_change_the_cloud(toy: ToySite) -> None:
     toy.run("--jobs", "1")
     one = toy.cloud
     shutil.rmtree(toy.work)
@@ -186,7 +186,7 @@ def test_a_damaged_artifact_is_quarantined_and_made_again(toy: ToySite) -> None:
     assert any((toy.work / "quarantine").iterdir())
 
 
-def test_a_flipped_bit_in_the_published_artifact_is_noticed_even_when_nothing_runs(toy: ToySite) -> None:
+def test_a_damaged_cloud_artifact_is_repaired_even_when_nothing_else_runs(toy: ToySite) -> None:
     toy.keys = {"pin": "none"}  # a reference would restore its copy instead
     toy.write()
     toy.run()
@@ -200,7 +200,7 @@ def test_a_flipped_bit_in_the_published_artifact_is_noticed_even_when_nothing_ru
     assert toy.ran() == {"fuse"}
 
 
-def test_the_ledger_can_be_lost(toy: ToySite) -> None:
+def test_losing_the_ledger_loses_no_history(toy: ToySite) -> None:
     first = toy.run()
     for file in toy.work.glob("ledger.sqlite*"):
         file.unlink()
@@ -211,13 +211,13 @@ def test_the_ledger_can_be_lost(toy: ToySite) -> None:
     assert second["run"] in history
 
 
-def test_until_stops_there_without_a_cloud(toy: ToySite) -> None:
+def test_until_stops_after_the_given_stage_without_a_cloud(toy: ToySite) -> None:
     record = toy.run("--until", "geometry")
     assert record["cloud"] is None
     assert {task.split()[0] for task in toy.ran()} == {"frames", "features", "overlap", "pairs", "matches", "geometry"}
 
 
-def test_until_a_stage_that_leaves_nothing_is_no_good_night(toy: ToySite) -> None:
+def test_a_run_until_a_stage_without_a_result_fails(toy: ToySite) -> None:
     for camera in toy.cameras[1:]:
         toy.capture(camera).unlink()
     record = toy.run("--until", "poses", code=1)
@@ -225,7 +225,7 @@ def test_until_a_stage_that_leaves_nothing_is_no_good_night(toy: ToySite) -> Non
     assert record["verdict"]["level"] == "failed" and found["text"].startswith("no poses: ")
 
 
-def test_dry_run_writes_nothing_and_says_why(toy: ToySite) -> None:
+def test_dry_run_writes_nothing_and_gives_reasons(toy: ToySite) -> None:
     assert "never run" in toy.wbflow("run", "--dry-run").stdout
     assert not toy.work.exists()
     toy.run()
@@ -270,7 +270,7 @@ def test_an_interrupted_run_keeps_what_is_finished(toy: ToySite, sent: signal.Si
     assert record["tasks"]["ran"] > 0
 
 
-def test_kill_nine_at_any_moment_costs_only_time(toy: ToySite) -> None:
+def test_kills_at_any_moment_do_not_change_the_cloud(toy: ToySite) -> None:
     toy.run()
     cloud = toy.cloud
     shutil.rmtree(toy.work)
@@ -288,13 +288,13 @@ def test_kill_nine_at_any_moment_costs_only_time(toy: ToySite) -> None:
     assert not list((toy.work / "runs").glob(".*"))
 
 
-def test_a_worker_killed_once_is_forgiven(toy: ToySite) -> None:
+def test_a_task_whose_worker_is_killed_once_is_repeated(toy: ToySite) -> None:
     toy.fault("once", "matches")
     result = toy.wbflow("run", "--jobs", "2")
     assert result.returncode == 0, result.stderr
 
 
-def test_a_task_that_always_kills_its_worker_has_failed_and_the_rest_goes_on(toy: ToySite) -> None:
+def test_a_task_that_always_kills_its_worker_fails_and_other_results_are_kept(toy: ToySite) -> None:
     toy.fault("die", "poses")
     result = toy.wbflow("run", "--jobs", "2")
     assert result.returncode == 1

@@ -29,7 +29,7 @@ def latest(site: ToySite, name: str) -> Any:
     return json.loads((site.work / "runs" / "latest" / name).read_text())
 
 
-def test_one_camera_is_reported_of_and_views_are_worked_on(tmp_path: Path) -> None:
+def test_a_camera_with_views_is_processed_by_view_and_reported_as_one(tmp_path: Path) -> None:
     site = toy(tmp_path)
     record = site.run()
     assert [camera["id"] for camera in record["cameras"]] == ["gate", "wide", "roof"]
@@ -44,7 +44,7 @@ def test_one_camera_is_reported_of_and_views_are_worked_on(tmp_path: Path) -> No
     assert "wide@" not in (site.work / "runs" / "latest" / "metrics.prom").read_text()
 
 
-def test_what_came_of_a_view_can_be_opened_by_its_name(tmp_path: Path) -> None:
+def test_artifacts_of_a_view_are_opened_by_its_name(tmp_path: Path) -> None:
     site = toy(tmp_path)
     site.run()
     run = wbflow.open_run(site.work / "runs" / "latest")
@@ -52,7 +52,7 @@ def test_what_came_of_a_view_can_be_opened_by_its_name(tmp_path: Path) -> None:
     assert run.cameras["wide"].ok
 
 
-def test_a_wide_camera_without_a_capture_is_one_lost_camera(tmp_path: Path) -> None:
+def test_a_wide_camera_without_a_capture_is_reported_as_one_lost_camera(tmp_path: Path) -> None:
     site = toy(tmp_path)
     site.capture("wide").unlink()
     record = site.run(code=3)
@@ -62,7 +62,7 @@ def test_a_wide_camera_without_a_capture_is_one_lost_camera(tmp_path: Path) -> N
 
 
 @pytest.mark.parametrize(
-    ("states", "message", "used"),
+    ("states", "state", "used"),
     [
         ("ok/obscured/ok", "ok", {"wide@1", "wide@3"}),
         ("shifted/ok/ok", "shifted", set(VIEWS)),
@@ -70,18 +70,18 @@ def test_a_wide_camera_without_a_capture_is_one_lost_camera(tmp_path: Path) -> N
         ("obscured/ok/shifted", "shifted", {"wide@2", "wide@3"}),
     ],
 )
-def test_a_camera_is_as_its_views_that_see_anything(tmp_path: Path, states: str, message: str, used: set[str]) -> None:
+def test_the_health_of_a_camera_is_that_of_its_unobscured_views(tmp_path: Path, states: str, state: str, used: set[str]) -> None:
     site = toy(tmp_path, watched=True, dated=True)
     site.night("2026-11-01")
     site.run("--date", "2026-11-01")
     site.night("2026-11-02", wide=states)
-    record = site.run("--date", "2026-11-02", code=0 if message == "ok" else 3)
-    assert [camera["health"]["state"] for camera in record["cameras"]] == ["ok", message, "ok"]
+    record = site.run("--date", "2026-11-02", code=0 if state == "ok" else 3)
+    assert [camera["health"]["state"] for camera in record["cameras"]] == ["ok", state, "ok"]
     there = {view for pair in record["pairs"] if pair["outcome"] == "ok" for view in (pair["left"], pair["right"])}
     assert there & set(VIEWS) == used
 
 
-def test_a_camera_that_is_forced_is_done_again_view_by_view(tmp_path: Path) -> None:
+def test_forcing_a_camera_reruns_all_its_views(tmp_path: Path) -> None:
     site = toy(tmp_path, backend="threading")
     site.run("--until", "features")
     site.run("--until", "features", "--force", "frames wide")

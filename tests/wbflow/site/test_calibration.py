@@ -21,7 +21,7 @@ def colmap(folder: Path, camera: str, image: str) -> Path:
     return folder
 
 
-def test_a_colmap_text_model(tmp_path: Path) -> None:
+def test_lens_and_pose_are_read_from_a_colmap_text_model(tmp_path: Path) -> None:
     """A quarter turn about z, a principal point that is shifted by half a pixel, and C = -R^T t."""
     half = 0.5**0.5
     model = colmap(
@@ -36,7 +36,7 @@ def test_a_colmap_text_model(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("key", "value"), [("rotation_sigma_deg", 0.3), ("position_sigma_m", "wide"), ("position_sigma_m", -1)])
-def test_a_sigma_of_nothing_or_that_is_none_is_refused(tmp_path: Path, key: str, value: object) -> None:
+def test_a_sigma_that_is_invalid_or_of_a_missing_rotation_is_refused(tmp_path: Path, key: str, value: object) -> None:
     entry = {"K": [[500, 0, 320], [0, 500, 240], [0, 0, 1]], "width": 640, "height": 480, "C": [1, 2, 3], key: value}
     (tmp_path / "cameras.json").write_text(json.dumps({"gate": entry}))
     with pytest.raises(CalibrationError, match=f"gate.{key}"):
@@ -50,7 +50,7 @@ def test_a_sigma_of_nothing_or_that_is_none_is_refused(tmp_path: Path, key: str,
         ("1 PINHOLE 640 480 500 500 320 240", "1 1 0 0 0 0 0 a.jpg", "images.txt:2: not an image line"),
     ],
 )
-def test_a_colmap_model_that_cannot_be_used_says_where(tmp_path: Path, camera: str, image: str, message: str) -> None:
+def test_an_unusable_colmap_model_is_refused_with_file_and_line(tmp_path: Path, camera: str, image: str, message: str) -> None:
     with pytest.raises(CalibrationError, match=message):
         read_calibration(colmap(tmp_path, camera, image))
 
@@ -59,14 +59,14 @@ angles = st.floats(-179, 179)
 
 
 @given(angles, st.floats(-89, 89), angles)
-def test_yaw_pitch_roll_is_a_rotation_that_looks_where_it_says(yaw: float, pitch: float, roll: float) -> None:
+def test_yaw_pitch_roll_gives_a_rotation_with_the_stated_pitch(yaw: float, pitch: float, roll: float) -> None:
     R = np.array(yaw_pitch_roll(yaw, pitch, roll))
     assert np.allclose(R @ R.T, np.eye(3), atol=1e-12)
     assert np.linalg.det(R) == pytest.approx(1)
     assert R[2, 2] == pytest.approx(np.sin(np.radians(pitch)), abs=1e-12)
 
 
-def test_headings_are_those_of_a_compass() -> None:
+def test_yaw_is_a_compass_heading() -> None:
     assert np.allclose(yaw_pitch_roll(0, 0, 0), [[1, 0, 0], [0, 0, -1], [0, 1, 0]])
     assert np.allclose(np.array(yaw_pitch_roll(90, 0, 0))[2], [1, 0, 0])
 
@@ -75,9 +75,7 @@ points = st.tuples(*[st.floats(-50, 50)] * 3)
 
 
 @given(points, points)
-def test_look_at_puts_the_target_on_the_optical_axis_and_keeps_the_camera_upright(
-    position: tuple[float, ...], target: tuple[float, ...]
-) -> None:
+def test_look_at_centres_the_target_and_keeps_the_camera_upright(position: tuple[float, ...], target: tuple[float, ...]) -> None:
     across = np.hypot(target[0] - position[0], target[1] - position[1])
     if across < 0.1:
         return

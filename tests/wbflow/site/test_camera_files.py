@@ -63,7 +63,9 @@ def file_storage(path: Path, coefficients: list[float], **more: int) -> Path:
 
 @pytest.mark.parametrize("suffix", [".yaml", ".json"])
 @pytest.mark.parametrize(("coefficients", "model"), [(BROWN, "brown"), (RATIONAL, "rational"), (FISHEYE, "fisheye")])
-def test_opencv(tmp_path: Path, suffix: str, coefficients: list[float], model: str) -> None:
+def test_calibrations_of_opencv_give_the_pixels_of_opencv(
+    tmp_path: Path, suffix: str, coefficients: list[float], model: str
+) -> None:
     fisheye = model == "fisheye"
     path = file_storage(tmp_path / f"gate{suffix}", coefficients, **({"fisheye_model": 1} if fisheye else {}))
     camera = read_calibration(path)["gate"]
@@ -72,7 +74,7 @@ def test_opencv(tmp_path: Path, suffix: str, coefficients: list[float], model: s
 
 
 @pytest.mark.parametrize("written", ["0.7", "!!opencv-matrix {rows: 1, cols: 1, dt: d, data: [1.2]}"])
-def test_opencvs_omnidir(tmp_path: Path, written: str) -> None:
+def test_omnidir_calibrations_of_opencv_are_read_as_omni_lenses(tmp_path: Path, written: str) -> None:
     path = file_storage(tmp_path / "gate.yaml", BROWN[:4])
     path.write_text(path.read_text() + f"xi: {written}\n")
     camera = read_calibration(path)["gate"]
@@ -81,7 +83,7 @@ def test_opencvs_omnidir(tmp_path: Path, written: str) -> None:
     assert np.abs(opencv_pixels(sphere, BROWN[:4]) - GRID).max() < ALMOST
 
 
-def test_json_as_people_dump_it(tmp_path: Path) -> None:
+def test_json_with_mtx_and_dist_gives_the_pixels_of_opencv(tmp_path: Path) -> None:
     data = {"mtx": K.tolist(), "dist": [BROWN], "image_size": [WIDTH, HEIGHT]}
     (tmp_path / "gate.json").write_text(json.dumps(data))
     camera = read_calibration(tmp_path / "gate.json")["gate"]
@@ -102,7 +104,7 @@ rectification_matrix: {{rows: 3, cols: 3, data: [1, 0, 0, 0, 1, 0, 0, 0, 1]}}
 @pytest.mark.parametrize(
     ("model", "coefficients"), [("plumb_bob", BROWN), ("rational_polynomial", RATIONAL), ("equidistant", FISHEYE)]
 )
-def test_ros(tmp_path: Path, model: str, coefficients: list[float]) -> None:
+def test_calibrations_of_ros_give_the_pixels_of_opencv(tmp_path: Path, model: str, coefficients: list[float]) -> None:
     text = ROS.format(width=WIDTH, height=HEIGHT, K=K.ravel().tolist(), model=model, count=len(coefficients), D=coefficients)
     (tmp_path / "ost.yaml").write_text(text)
     camera = read_calibration(tmp_path / "ost.yaml")["narrow"]
@@ -124,7 +126,7 @@ roi: {{x_offset: {x}, y_offset: {y}, height: {height}, width: {width}, do_rectif
 
 
 @pytest.mark.parametrize("message", ["", "roi reaches beyond"])
-def test_a_message_that_ros_echoes_with_a_part_of_the_sensor(tmp_path: Path, message: str) -> None:
+def test_an_echoed_ros_message_with_a_region_of_interest_is_read(tmp_path: Path, message: str) -> None:
     whole = np.add(K, [[0, 0, 100], [0, 0, 50], [0, 0, 0]]).ravel().tolist()
     text = ECHO.format(D=BROWN, K=whole, x=200 if message else 100, y=50, width=WIDTH, height=HEIGHT)
     (tmp_path / "gate.yaml").write_text(text)
@@ -161,7 +163,7 @@ cam2:
 """
 
 
-def test_kalibr(tmp_path: Path) -> None:
+def test_a_camera_chain_of_kalibr_is_read(tmp_path: Path) -> None:
     (tmp_path / "camchain.yaml").write_text(KALIBR)
     cameras = read_calibration(tmp_path / "camchain.yaml")
     assert np.abs(opencv_pixels(rays_of(cameras["cam0"]), BROWN[:4]) - GRID).max() < ALMOST
@@ -198,7 +200,7 @@ def unprojected(model: str, shape: list[float], m: Float64s) -> Float64s:
 
 
 @pytest.mark.parametrize(
-    ("model", "shape", "bent"),
+    ("model", "shape", "distortion"),
     [
         ("omni", [(0.3, 2.2)], "none"),
         ("omni", [(0.3, 2.2)], "radtan"),
@@ -206,14 +208,16 @@ def unprojected(model: str, shape: list[float], m: Float64s) -> Float64s:
         ("ds", [(-0.3, 0.3), (0.3, 0.7)], "none"),
     ],
 )
-def test_drawn_lenses_of_kalibr(tmp_path: Path, model: str, shape: list[tuple[float, float]], bent: str) -> None:
-    rng = np.random.default_rng(len(model) + len(bent))
+def test_random_lenses_of_kalibr_agree_with_the_published_models(
+    tmp_path: Path, model: str, shape: list[tuple[float, float]], distortion: str
+) -> None:
+    rng = np.random.default_rng(len(model) + len(distortion))
     for _ in range(12):
         drawn = [float(rng.uniform(*ends)) for ends in shape]
-        coefficients = [float(rng.uniform(-most, most)) for most in (0.1, 0.02, 0.002, 0.002)] if bent == "radtan" else []
+        coefficients = [float(rng.uniform(-most, most)) for most in (0.1, 0.02, 0.002, 0.002)] if distortion == "radtan" else []
         focal = float(rng.uniform(500, 900))
         entry = {"camera_model": model, "intrinsics": [*drawn, focal, 0.99 * focal, 318.2, 243.7], "resolution": [WIDTH, HEIGHT]}
-        entry |= {"distortion_model": bent, "distortion_coeffs": coefficients}
+        entry |= {"distortion_model": distortion, "distortion_coeffs": coefficients}
         (tmp_path / "camchain.yaml").write_text(json.dumps({"cam0": entry}))
         camera = read_calibration(tmp_path / "camchain.yaml")["cam0"]
         m = (GRID - [318.2, 243.7]) / [focal, 0.99 * focal]
@@ -259,7 +263,7 @@ def params_of(name: str) -> list[float]:
 
 
 @pytest.mark.parametrize("name", sorted(pycolmap.CameraModelId.__members__.keys() - {"INVALID"}))
-def test_every_model_of_colmap(tmp_path: Path, name: str) -> None:
+def test_every_camera_model_of_colmap_gives_the_pixels_of_colmap(tmp_path: Path, name: str) -> None:
     params = params_of(name)
     words = " ".join(map(repr, params))
     (tmp_path / "cameras.txt").write_text(f"1 {name} {WIDTH} {HEIGHT} {words}\n")
@@ -281,7 +285,7 @@ DRAWN = {name: [(c - 0.1 * abs(c), c + 0.1 * abs(c)) for c in given if abs(c) < 
 
 
 @pytest.mark.parametrize("name", sorted(COLMAP.keys() - {"EQUIRECTANGULAR"}))
-def test_drawn_lenses_of_colmap(tmp_path: Path, name: str) -> None:
+def test_random_lenses_of_colmap_give_the_pixels_of_colmap(tmp_path: Path, name: str) -> None:
     rng = np.random.default_rng(len(name))
     (tmp_path / "images.txt").write_text("1 1 0 0 0 0 0 0 1 gate.jpg\n\n")
     focals = len(COLMAP[name]) - len(DRAWN[name])
@@ -301,7 +305,7 @@ def test_drawn_lenses_of_colmap(tmp_path: Path, name: str) -> None:
 
 
 @pytest.mark.parametrize(("count", "fisheye"), [(4, True), (4, False), (5, False), (8, False), (12, False), (14, False)])
-def test_drawn_lenses_of_opencv(tmp_path: Path, count: int, fisheye: bool) -> None:
+def test_random_lenses_of_opencv_give_the_pixels_of_opencv(tmp_path: Path, count: int, fisheye: bool) -> None:
     rng = np.random.default_rng(count)
     spread = [0.06, 0.02, 0.005, 0.001] if fisheye else [0.25, 0.05, 0.002, 0.002, 0.01, 0.25, 0.05, 0.01, *[0.003] * 4, 0.03]
     for _ in range(4):
@@ -331,7 +335,7 @@ def binary(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def test_colmaps_binary_model_is_read_as_its_text(tmp_path: Path, binary: Path) -> None:
+def test_a_binary_colmap_model_is_read_as_its_text_model(tmp_path: Path, binary: Path) -> None:
     pycolmap.Reconstruction(str(binary)).write_text(str(tmp_path))
     text, found = read_calibration(tmp_path), read_calibration(binary)
     assert len(found) == len(COLMAP) == len(pycolmap.CameraModelId.__members__) - 1
@@ -364,7 +368,7 @@ def test_colmaps_binary_model_is_read_as_its_text(tmp_path: Path, binary: Path) 
         ("images.bin", lambda data: data[:12] + b"\0" * 32 + data[44:], "image 1: its quaternion is zero"),
     ],
 )
-def test_a_damaged_binary_model_is_named(
+def test_a_damaged_binary_colmap_model_is_refused_with_a_message(
     tmp_path: Path, binary: Path, name: str, spoilt: Callable[[bytes], bytes], message: str
 ) -> None:
     for file in ("cameras.bin", "images.bin"):
@@ -374,7 +378,7 @@ def test_a_damaged_binary_model_is_named(
         read_calibration(tmp_path)
 
 
-def test_opencvs_whole_model_with_thin_prism_and_a_tilted_sensor(tmp_path: Path) -> None:
+def test_opencv_lenses_with_thin_prism_and_tilted_sensor_are_supported(tmp_path: Path) -> None:
     coefficients = [*RATIONAL, 0.001, 0.002, 0.003, -0.001, 0.03, -0.02]
     camera = read_calibration(file_storage(tmp_path / "gate.yaml", coefficients))["gate"]
     assert np.abs(opencv_pixels(rays_of(camera), coefficients) - GRID).max() < ALMOST
@@ -391,7 +395,7 @@ def test_opencvs_whole_model_with_thin_prism_and_a_tilted_sensor(tmp_path: Path)
         (("camera_matrix", "matrix"), "holds no calibration"),
     ],
 )
-def test_what_is_wrong_is_said_with_its_place(tmp_path: Path, changed: tuple[str, str], message: str) -> None:
+def test_a_faulty_calibration_file_is_refused_with_its_place(tmp_path: Path, changed: tuple[str, str], message: str) -> None:
     text = ROS.format(width=WIDTH, height=HEIGHT, K=K.ravel().tolist(), model="plumb_bob", count=5, D=BROWN)
     (tmp_path / "gate.yaml").write_text(text.replace(*changed))
     with pytest.raises(CalibrationError) as error:
@@ -399,7 +403,7 @@ def test_what_is_wrong_is_said_with_its_place(tmp_path: Path, changed: tuple[str
     assert re.search(message, f"{error.value.where}: {error.value.what}")
 
 
-def test_a_site_takes_a_file_for_each_camera_or_a_folder_of_them(tmp_path: Path) -> None:
+def test_a_site_reads_calibrations_from_single_files_or_a_folder(tmp_path: Path) -> None:
     (tmp_path / "lenses").mkdir()
     file_storage(tmp_path / "lenses" / "gate.yaml", FISHEYE, fisheye_model=1)
     file_storage(tmp_path / "lenses" / "roof.yaml", BROWN)

@@ -31,7 +31,7 @@ def names(s: Site, date: datetime.date | None = None) -> dict[str, list[str]]:
     return {camera: [file.name for file in files] for camera, files in found.items()}
 
 
-def test_one_file_a_camera(tmp_path: Path) -> None:
+def test_a_pattern_finds_the_file_of_each_camera(tmp_path: Path) -> None:
     assert names(site(tmp_path, "{camera}.jpg", ["gate.jpg", "other.jpg"])) == {"gate": ["gate.jpg"], "roof": []}
 
 
@@ -44,14 +44,14 @@ def test_one_file_a_camera(tmp_path: Path) -> None:
         ("**/{camera}_{date:%Y%m%d}T*.jpg", "a/b/gate_20261118T0300.jpg", "c/gate_20261119T0300.jpg"),
     ],
 )
-def test_the_newest_night_is_tonight_and_another_can_be_asked_for(tmp_path: Path, pattern: str, old: str, new: str) -> None:
+def test_the_newest_night_is_the_default_and_others_can_be_chosen(tmp_path: Path, pattern: str, old: str, new: str) -> None:
     s = site(tmp_path, pattern, [old, new])
     assert night(s, None) == datetime.date(2026, 11, 19)
     assert names(s)["gate"] == [new]
     assert names(s, datetime.date(2026, 11, 18))["gate"] == [old]
 
 
-def test_photographs_whose_names_tell_no_date_are_of_the_night_when_they_were_written(tmp_path: Path) -> None:
+def test_photographs_without_a_date_in_their_names_are_dated_by_their_files(tmp_path: Path) -> None:
     s = site(tmp_path, "{camera}.jpg", ["gate.jpg", "roof.jpg"])
     assert night(s, None) == s.today()
     for name, day in (("gate", 11), ("roof", 12)):
@@ -60,18 +60,18 @@ def test_photographs_whose_names_tell_no_date_are_of_the_night_when_they_were_wr
     assert night(s, datetime.date(2010, 10, 11)) == datetime.date(2010, 10, 11)
 
 
-def test_several_frames_of_a_night_in_the_order_of_their_names(tmp_path: Path) -> None:
+def test_frames_of_a_night_are_in_the_order_of_their_names(tmp_path: Path) -> None:
     files = [f"gate/2026-11-19_{i}.jpg" for i in (3, 1, 2)]
     assert names(site(tmp_path, "{camera}/{date}_*.jpg", files))["gate"] == sorted(files)
 
 
-def test_special_characters_of_a_shell_in_a_path_mean_nothing(tmp_path: Path) -> None:
+def test_shell_wildcards_in_the_path_of_a_site_are_literal(tmp_path: Path) -> None:
     folder = tmp_path / "odd [1] *"
     folder.mkdir()
     assert names(site(folder, "{camera}.jpg", ["gate.jpg"]))["gate"] == ["gate.jpg"]
 
 
-def test_listed_images_are_taken_as_they_are(tmp_path: Path) -> None:
+def test_listed_images_are_captures_even_if_they_are_missing(tmp_path: Path) -> None:
     s = site(tmp_path, "x", ["a.jpg"], "[{id: gate, images: [a.jpg, none.jpg]}]")
     (found,) = find_captures(s, night(s, None), Digests(None)).values()
     assert [bool(file.digest) for file in found] == [True, False]
@@ -90,13 +90,13 @@ def test_digests_are_remembered_for_settled_files_only(tmp_path: Path) -> None:
     assert not (tmp_path / "memo.json").exists(), "too young to be remembered"
 
 
-def test_times_in_names_give_the_order_and_must_be_times(tmp_path: Path) -> None:
+def test_captures_are_ordered_by_the_valid_times_in_their_names(tmp_path: Path) -> None:
     files = [f"gate/2026-11-19/{i}_{t}.jpg" for i, t in ((1, "235501"), (2, "071500"), (3, "235459"), (4, "999999"))]
     s = site(tmp_path, "{camera}/{date:%Y-%m-%d}/*_{time:%H%M%S}.jpg", files)
     assert [Path(name).name for name in names(s)["gate"]] == ["4_999999.jpg", "2_071500.jpg", "3_235459.jpg", "1_235501.jpg"]
 
 
-def test_a_name_of_days_to_come_does_not_make_the_night(tmp_path: Path) -> None:
+def test_future_dates_in_names_do_not_define_the_night_if_others_exist(tmp_path: Path) -> None:
     today = datetime.date.today()
     s = site(tmp_path, "{camera}_{date}.jpg", [f"gate_{today - datetime.timedelta(days=2)}.jpg", "roof_2199-01-01.jpg"])
     assert night(s, None) == today - datetime.timedelta(days=2)
@@ -104,7 +104,7 @@ def test_a_name_of_days_to_come_does_not_make_the_night(tmp_path: Path) -> None:
     assert night(alone, None) == datetime.date(2199, 1, 1)
 
 
-def test_a_backlog_is_the_nights_that_have_captures_in_order(tmp_path: Path) -> None:
+def test_a_backlog_is_the_ordered_list_of_nights_with_captures(tmp_path: Path) -> None:
     s = site(tmp_path, "{camera}_{date}.jpg", ["gate_2026-11-12.jpg", "gate_2026-11-10.jpg", "roof_2026-11-11.jpg"])
     since = datetime.date(2026, 11, 11)
     assert backlog(s, since) == [since, datetime.date(2026, 11, 12)]
@@ -114,7 +114,7 @@ def test_a_backlog_is_the_nights_that_have_captures_in_order(tmp_path: Path) -> 
         backlog(site(tmp_path / "other", "{camera}.jpg", []), since)
 
 
-def test_what_was_remembered_of_a_replaced_file_is_not_believed(tmp_path: Path) -> None:
+def test_a_forgotten_digest_is_computed_again(tmp_path: Path) -> None:
     file = tmp_path / "a"
     file.write_text("one")
     digests = Digests(tmp_path / "memo.json")
@@ -124,7 +124,7 @@ def test_what_was_remembered_of_a_replaced_file_is_not_believed(tmp_path: Path) 
     assert digests.of(file) != first
 
 
-def test_the_memo_does_not_grow_for_ever(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_memo_of_digests_is_limited_in_size(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("wbflow.cache.memo._SETTLED_NS", -(10**18))
     monkeypatch.setattr("wbflow.cache.memo._FORMER", 5)
     for day in range(20):
@@ -136,7 +136,7 @@ def test_the_memo_does_not_grow_for_ever(tmp_path: Path, monkeypatch: pytest.Mon
     assert len(json.loads((tmp_path / "memo.json").read_bytes())["files"]) == 6
 
 
-def test_what_grows_during_the_run_is_in_motion_and_what_is_tidied_up_is_not(tmp_path: Path) -> None:
+def test_growing_captures_are_in_motion_and_removed_ones_are_not(tmp_path: Path) -> None:
     s, digests = site(tmp_path, "{camera}.jpg", ["gate.jpg", "roof.jpg"]), Digests(None)
     found = find_captures(s, night(s, None), digests)
     assert in_motion(found, set(), digests) == {}

@@ -20,7 +20,7 @@ def hostile(monkeypatch: pytest.MonkeyPatch) -> Any:
     return importlib.import_module("hostile_inputs")
 
 
-SAID = {
+MESSAGES = {
     "an alias bomb": "site.yaml:6:5: not valid YAML: aliases that stand for more than",
     "an alias bomb of mappings": "site.yaml:17:6: not valid YAML: aliases that stand for more than",
     "100,000 brackets": "site.yaml:3:49: not valid YAML: values are nested more than 40 levels deep",
@@ -49,11 +49,11 @@ SAID = {
 """Error messages for files that once hung or crashed wbflow, or were accepted; by case."""
 
 
-def test_what_once_crashed_is_refused_at_its_place_and_the_good_file_is_not(hostile: Any, tmp_path: Path) -> None:
+def test_files_that_once_crashed_are_refused_with_their_place(hostile: Any, tmp_path: Path) -> None:
     hostile.write_base(tmp_path)
     file = tmp_path / "site.yaml"
     assert hostile.load(file) == "", "else all others are refused for nothing of their own"
-    left = dict(SAID)
+    left = dict(MESSAGES)
     for case in (*hostile.site_cases(), *hostile.calibration_cases()):
         if message := left.pop(case.name, None):
             hostile.write_base(tmp_path)
@@ -63,7 +63,7 @@ def test_what_once_crashed_is_refused_at_its_place_and_the_good_file_is_not(host
     assert not left
 
 
-def test_what_people_have_thought_of(hostile: Any) -> None:
+def test_hand_written_hostile_files_are_refused(hostile: Any) -> None:
     counts: Counter[str] = Counter()
     site = (case for case in hostile.site_cases() if case.refused)
     calibration = (case for case in hostile.calibration_cases() if case.refused)
@@ -72,7 +72,7 @@ def test_what_people_have_thought_of(hostile: Any) -> None:
     assert counts["site refused"] > 100 and counts["calibration refused"] > 30
 
 
-def test_what_chance_makes_of_good_files(hostile: Any) -> None:
+def test_randomly_changed_files_are_accepted_or_refused_without_a_crash(hostile: Any) -> None:
     counts: Counter[str] = Counter()
     assert list(hostile.try_files("fuzzed", itertools.islice(hostile.fuzzed(100, 7), 100), counts)) == []
     assert counts["fuzzed refused"] > 50

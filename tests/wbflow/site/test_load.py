@@ -33,7 +33,7 @@ def problems(folder: Path, text: str) -> list[str]:
     return [str(p).replace(f"{folder}/", "") for p in caught.value.problems]
 
 
-def test_a_good_site_file(tmp_path: Path) -> None:
+def test_a_good_site_file_is_loaded(tmp_path: Path) -> None:
     site = load_site(site_at(tmp_path))
     assert [camera.id for camera in site.cameras] == ["gate", "roof"]
     assert site.work_folder.root == tmp_path / ".wbflow" / "yard"
@@ -48,7 +48,7 @@ def test_a_folder_stands_for_the_site_file_in_it(tmp_path: Path) -> None:
     assert load_site(tmp_path).name == "yard"
 
 
-def test_a_view_takes_so_many_pairs_and_the_site_file_is_reported(tmp_path: Path) -> None:
+def test_a_degree_above_the_limit_gives_a_note_and_an_invalid_one_an_error(tmp_path: Path) -> None:
     assert not load_site(site_at(tmp_path, GOOD + "pairs: {degree: 32}\n")).notes
     (note,) = load_site(site_at(tmp_path, GOOD + "pairs: {degree: 40}\n")).notes
     assert "pairs.degree: a view takes 32 pairs at most, its best, not 40" in str(note)
@@ -76,7 +76,7 @@ def test_unquoted_numbers_are_camera_ids_as_written(tmp_path: Path) -> None:
     assert site.settings.pairs.include == [["0000", "roof"]]
 
 
-def test_variables_expand_and_a_missing_one_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_environment_variables_expand_and_missing_ones_are_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("SITE_IMAGES", str(tmp_path / "images"))
     assert (
         load_site(site_at(tmp_path, GOOD.replace("root: images", "root: '${SITE_IMAGES}'"))).captures.root == tmp_path / "images"
@@ -167,7 +167,7 @@ CASES = {
 
 
 @pytest.mark.parametrize("name", CASES)
-def test_each_mistake_is_placed_named_and_remedied(tmp_path: Path, name: str) -> None:
+def test_each_mistake_is_reported_with_place_name_and_remedy(tmp_path: Path, name: str) -> None:
     line, message = CASES[name]
     if line.startswith("captures"):
         text = GOOD.replace('captures: {root: images, pattern: "{camera}.jpg"}', line)
@@ -195,11 +195,11 @@ def test_all_mistakes_are_reported_at_once(tmp_path: Path) -> None:
         ("site: !!python/object:os.system {}\n", "1:7: not valid YAML"),
     ],
 )
-def test_what_is_no_site_file_at_all(tmp_path: Path, text: str, message: str) -> None:
+def test_files_that_are_not_site_files_are_refused(tmp_path: Path, text: str, message: str) -> None:
     assert any(problem.startswith(f"site.yaml:{message}") for problem in problems(tmp_path, text))
 
 
-def test_a_missing_file_is_reported_plainly(tmp_path: Path) -> None:
+def test_a_missing_site_file_is_an_error(tmp_path: Path) -> None:
     with pytest.raises(SiteError, match="cannot be read"):
         load_site(tmp_path / "none.yaml")
 
@@ -209,7 +209,7 @@ def calibrated(tmp_path: Path, entries: object) -> Site:
     return load_site(site_at(tmp_path, GOOD + "calibration: cameras.json\n"))
 
 
-def test_a_calibration_gives_lens_and_pose_and_the_site_file_overrides_it(tmp_path: Path) -> None:
+def test_a_calibration_gives_lens_and_pose_unless_the_site_file_states_a_pose(tmp_path: Path) -> None:
     entry = {
         "K": [[500, 0, 320], [0, 500, 240], [0, 0, 1]],
         "width": 640,
@@ -224,7 +224,7 @@ def test_a_calibration_gives_lens_and_pose_and_the_site_file_overrides_it(tmp_pa
     assert site.cameras[1].placement.C == [0, 0, 5]
 
 
-def test_a_bare_position_gives_way_to_the_pose_that_was_solved_from_it(tmp_path: Path) -> None:
+def test_a_calibrated_pose_replaces_a_stated_position_without_rotation(tmp_path: Path) -> None:
     entry = {
         "K": [[5, 0, 3], [0, 5, 2], [0, 0, 1]],
         "width": 6,
@@ -240,7 +240,7 @@ def test_a_bare_position_gives_way_to_the_pose_that_was_solved_from_it(tmp_path:
     assert site.cameras[1].placement.metric is False
 
 
-def test_distances_and_control_points_count_cameras_by_their_place(tmp_path: Path) -> None:
+def test_distances_and_control_points_refer_to_cameras_by_index(tmp_path: Path) -> None:
     text = GOOD + (
         "distances: [[roof, gate, 7]]\ncontrol_points: [{position: [1, 2, 3], pixels: {gate: [5, 6.5], roof: [7, 8]}}]\n"
     )
@@ -250,7 +250,7 @@ def test_distances_and_control_points_count_cameras_by_their_place(tmp_path: Pat
     assert survey.observations == [[0.0, 0.0, 5, 6.5], [0.0, 1.0, 7, 8]]
 
 
-def test_how_well_a_pose_is_known_may_stand_in_the_site_file_or_in_the_calibration(tmp_path: Path) -> None:
+def test_sigmas_of_poses_come_from_the_site_file_or_the_calibration(tmp_path: Path) -> None:
     stated = "look_at: [10, 0, 0], position_sigma_m: 0.05, rotation_sigma_deg: 0.3}"
     entry = {"K": [[500, 0, 320], [0, 500, 240], [0, 0, 1]], "width": 640, "height": 480, "R": [[1, 0, 0], [0, 1, 0], [0, 0, 1]]}
     entry |= {"C": [1, 2, 3], "position_sigma_m": 0.04, "rotation_sigma_deg": 0.2}
@@ -262,12 +262,12 @@ def test_how_well_a_pose_is_known_may_stand_in_the_site_file_or_in_the_calibrati
     assert (roof.placement.sigma_m, roof.placement.sigma_deg) == (0.05, 0.3)
 
 
-def test_a_distance_between_cameras_whose_ids_are_numbers(tmp_path: Path) -> None:
+def test_distances_may_name_cameras_whose_ids_are_numbers(tmp_path: Path) -> None:
     text = GOOD.replace("- gate", "- 0000") + "distances: [[0000, roof, 7]]\n"
     assert load_site(site_at(tmp_path, text)).survey.distances == [[0.0, 1.0, 7.0]]
 
 
-def test_geodetic_positions_become_east_north_up_of_the_first(tmp_path: Path) -> None:
+def test_geodetic_positions_become_east_north_up_from_the_first_one(tmp_path: Path) -> None:
     pytest.importorskip("pyproj")
     text = GOOD[: GOOD.index("  - gate")] + (
         "  - {id: gate, pose: {latitude: 53.5, longitude: 10.0, height: 20.0}}\n"
@@ -284,7 +284,7 @@ def test_geodetic_positions_become_east_north_up_of_the_first(tmp_path: Path) ->
     assert not site.posed
 
 
-def test_local_and_geodetic_positions_do_not_mix(tmp_path: Path) -> None:
+def test_mixing_local_and_geodetic_positions_is_refused(tmp_path: Path) -> None:
     pytest.importorskip("pyproj")
     text = GOOD.replace("  - gate", "  - {id: gate, pose: {latitude: 53.5, longitude: 10.0, height: 20.0}}")
     assert any("the transformation between the two is unknown" in problem for problem in problems(tmp_path, text))
@@ -306,7 +306,7 @@ def test_local_and_geodetic_positions_do_not_mix(tmp_path: Path) -> None:
         ([], "must map image names"),
     ],
 )
-def test_a_calibration_that_cannot_be_used_says_why(tmp_path: Path, entries: object, message: str) -> None:
+def test_an_unusable_calibration_is_refused_with_a_reason(tmp_path: Path, entries: object, message: str) -> None:
     with pytest.raises(SiteError, match=r"cameras\.json") as caught:
         calibrated(tmp_path, entries)
     assert message in str(caught.value)
@@ -337,21 +337,21 @@ def test_the_template_names_every_key_and_is_valid_yaml(tmp_path: Path) -> None:
         ("site: s\ncaptures: {pattern: x}\ncameras: [a: b\n", "check indentation, colons and quotes"),
     ],
 )
-def test_what_people_often_write_wrong_is_reported_with_what_to_write(tmp_path: Path, text: str, message: str) -> None:
+def test_common_yaml_mistakes_are_reported_with_a_correction(tmp_path: Path, text: str, message: str) -> None:
     (tmp_path / "site.yaml").write_text(text)
     with pytest.raises(SiteError) as error:
         load_site(tmp_path)
     assert message in str(error.value)
 
 
-def test_a_folder_of_captures_that_is_called_nearly_so_is_named(tmp_path: Path) -> None:
+def test_a_misspelt_folder_of_captures_is_reported_with_the_right_name(tmp_path: Path) -> None:
     (tmp_path / "captures").mkdir()
     (tmp_path / "site.yaml").write_text("site: s\ncaptures: {root: captrues, pattern: '{camera}.jpg'}\ncameras: [a, b]\n")
     with pytest.raises(SiteError, match=r"there is no folder .*captrues\s+did you mean 'captures'"):
         load_site(tmp_path)
 
 
-def test_a_folder_without_a_site_file_is_reported_how_to_get_one(tmp_path: Path) -> None:
+def test_the_error_for_a_folder_without_a_site_file_suggests_wbflow_init(tmp_path: Path) -> None:
     with pytest.raises(SiteError, match=f"wbflow init {tmp_path}"):
         load_site(tmp_path)
 
@@ -367,7 +367,7 @@ cameras:
 """
 
 
-def test_a_camera_too_wide_for_one_pinhole_has_several_views_at_its_place(tmp_path: Path) -> None:
+def test_a_camera_too_wide_for_one_pinhole_is_split_into_views(tmp_path: Path) -> None:
     (tmp_path / "roof.png").write_bytes(b"")
     site = load_site(site_at(tmp_path, FISHEYE.format(f=204)))
     assert [camera.id for camera in site.cameras] == ["gate", "roof"]
@@ -384,7 +384,7 @@ def test_a_camera_too_wide_for_one_pinhole_has_several_views_at_its_place(tmp_pa
     assert across[2] > 0.8
 
 
-def test_a_camera_that_one_pinhole_shows_stays_as_it_is(tmp_path: Path) -> None:
+def test_a_camera_that_fits_one_pinhole_is_not_split(tmp_path: Path) -> None:
     (tmp_path / "roof.png").write_bytes(b"")
     site = load_site(site_at(tmp_path, FISHEYE.format(f=400)))
     assert site.views == site.cameras

@@ -23,7 +23,7 @@ def validator() -> Any:
     return jsonschema.Draft202012Validator(schema)
 
 
-def test_the_template_is_valid(validator: Any) -> None:
+def test_the_template_is_valid_by_the_schema(validator: Any) -> None:
     data = json.loads(json.dumps(yaml.safe_load(TEMPLATE.read_text()), default=str))
     assert [error.message for error in validator.iter_errors(data)] == []
 
@@ -38,7 +38,7 @@ def test_the_template_is_valid(validator: Any) -> None:
         {"keep": {"nights": "some"}},
     ],
 )
-def test_wrong_keys_and_values_are_named(validator: Any, wrong: dict[str, Any]) -> None:
+def test_wrong_keys_and_values_are_invalid(validator: Any, wrong: dict[str, Any]) -> None:
     right = {"site": "yard", "captures": {"pattern": "{camera}.jpg"}, "cameras": ["gate", "roof"]}
     assert validator.is_valid(right)
     assert not validator.is_valid(right | wrong)

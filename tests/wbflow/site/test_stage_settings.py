@@ -33,7 +33,7 @@ def problem(folder: Path, section: str) -> str:
     return str(caught.value)
 
 
-def test_a_parameter_that_the_chosen_method_does_not_read_is_an_error_that_names_who_does(tmp_path: Path) -> None:
+def test_a_parameter_of_other_methods_is_an_error_that_names_these(tmp_path: Path) -> None:
     reported = problem(tmp_path, "matches: {ratio: 0.7}")
     assert "site.yaml:6:20: stages.matches.ratio: 'ratio' is not read by the chosen matcher" in reported
     assert "leave it out, or choose matcher: hao2011-dominance or mutual or kdtree" in reported
@@ -51,7 +51,7 @@ def test_an_unknown_method_is_an_error_that_lists_the_known_ones(tmp_path: Path,
     assert "package.module:function" in reported
 
 
-def test_a_method_of_one_s_own_lies_beside_the_site_file(tmp_path: Path) -> None:
+def test_a_user_method_is_found_beside_the_site_file(tmp_path: Path) -> None:
     (tmp_path / "mine.py").write_text("def find(left_frame, right_frame, *, reach: int = 3):\n    return None\n")
     site = loaded(tmp_path, "matches: {matcher: 'mine:find', reach: 5}")
     assert site.stages["matches"].parameters == {"matcher": "mine:find", "reach": 5}
@@ -88,21 +88,21 @@ def test_methods_keep_their_old_names_as_aliases(tmp_path: Path, section: str, s
     assert len(site.notes) == 1
 
 
-def test_a_parameter_that_is_gone_stops_no_night(tmp_path: Path) -> None:
+def test_a_removed_parameter_is_ignored_with_a_note(tmp_path: Path) -> None:
     site = loaded(tmp_path, "fuse: {neighbours: 5, confidence: 0.6}")
     assert site.stages["fuse"].parameters == {"confidence": 0.6}
     (note,) = map(str, site.notes)
     assert "site.yaml:6:17: stages.fuse.neighbours: fuse has no 'neighbours' any more" in note
 
 
-def test_a_function_of_one_s_own_keeps_its_names(tmp_path: Path) -> None:
+def test_parameters_of_a_user_function_are_not_renamed(tmp_path: Path) -> None:
     (tmp_path / "mine.py").write_text("def detect(frame, *, keypoints: int = 3):\n    return None\n")
     site = loaded(tmp_path, "features: {use: 'mine:detect', keypoints: 5}")
     assert site.stages["features"].parameters == {"keypoints": 5}
     assert site.notes == ()
 
 
-def test_every_new_name_is_a_parameter(tmp_path: Path) -> None:
+def test_every_new_name_of_a_renamed_parameter_exists(tmp_path: Path) -> None:
     """New names are parameters of the stage or of one of its methods; otherwise an old name would lead nowhere."""
     from wbflow.pipeline.binding import method_parameters
     from wbflow.pipeline.functions import FunctionReader
@@ -115,14 +115,14 @@ def test_every_new_name_is_a_parameter(tmp_path: Path) -> None:
             assert row.now in known or old in known, (stage.name, old)
 
 
-def test_a_matcher_that_needs_a_model_says_so_and_where_it_is_given(tmp_path: Path) -> None:
+def test_a_missing_model_of_a_matcher_is_an_error_that_says_how_to_give_it(tmp_path: Path) -> None:
     reported = problem(tmp_path, "matches: {matcher: onnx}")
     assert "site.yaml:6:29: stages.matches.matcher: " in reported and "needs a file: model" in reported
     assert "give its path, relative to the site file: model: models/matcher.onnx" in reported
     assert "stages.matches.model: 5 is not a path" in problem(tmp_path, "matches: {matcher: onnx, model: 5}")
 
 
-def test_a_model_that_is_not_there_is_an_error_that_names_what_is_nearly_called_so(tmp_path: Path) -> None:
+def test_a_misspelt_model_file_is_an_error_that_suggests_the_right_name(tmp_path: Path) -> None:
     (tmp_path / "glue.onnx").write_bytes(b"weights")
     reported = problem(tmp_path, "matches: {matcher: onnx, model: glu.onnx}")
     assert "site.yaml:6:42: stages.matches.model: there is no file" in reported and "did you mean 'glue.onnx'?" in reported
@@ -131,6 +131,6 @@ def test_a_model_that_is_not_there_is_an_error_that_names_what_is_nearly_called_
     assert settings.parameters == {"matcher": "onnx", "min_score": 0.3}
 
 
-def test_a_model_that_the_chosen_matcher_does_not_read_is_an_error_that_names_who_does(tmp_path: Path) -> None:
+def test_a_model_of_another_matcher_is_an_error_that_names_that_matcher(tmp_path: Path) -> None:
     reported = problem(tmp_path, "matches: {model: glue.onnx}")
     assert "'model' is not read by the chosen matcher" in reported and "choose matcher: onnx" in reported

@@ -35,74 +35,74 @@ def a_site(folder: Path, pattern: str = PATTERN) -> Site:
     return load_site(folder)
 
 
-def looked_at(site: Site, night: datetime.date, seen: EarlierCaptures) -> FreshCaptures:
+def checked_captures(site: Site, night: datetime.date, seen: EarlierCaptures) -> FreshCaptures:
     digests = Digests(None)
     return find_stale(site, night, find_captures(site, night, digests), digests, seen)
 
 
-def test_what_comes_again_the_next_night_is_frozen_even_where_nothing_was_remembered(tmp_path: Path) -> None:
+def test_a_picture_repeated_from_the_night_before_is_stale_without_a_memo(tmp_path: Path) -> None:
     site, folder = a_site(tmp_path), tmp_path / "in"
     deliver(folder, NIGHT - DAY, gate=["140000", "140100=last"], roof=["140000"], mast=["140000"])
     deliver(folder, NIGHT, gate=["140000=last", "140100=last"], roof=["140000"], mast=["140000"])
-    found = looked_at(site, NIGHT, EarlierCaptures(tmp_path / "memo"))
+    found = checked_captures(site, NIGHT, EarlierCaptures(tmp_path / "memo"))
     assert found.stale.keys() == {"gate"}
     assert "2026-11-18" in found.stale["gate"].text
     assert len(found.captures["gate"]) == 1, "the same picture counts once"
 
 
-def test_what_is_remembered_is_enough_and_later_nights_do_not_count(tmp_path: Path) -> None:
+def test_remembered_pictures_make_only_later_nights_stale(tmp_path: Path) -> None:
     site, folder, seen = a_site(tmp_path), tmp_path / "in", EarlierCaptures(tmp_path / "memo")
     everyone = {"roof": ["140000"], "mast": ["140000"]}
     deliver(folder, NIGHT - 2 * DAY, gate=["140000=frozen"], **everyone)
-    looked_at(site, NIGHT - 2 * DAY, seen)
+    checked_captures(site, NIGHT - 2 * DAY, seen)
     (folder / "gate" / f"{NIGHT - 2 * DAY}_140000.jpg").unlink()
     deliver(folder, NIGHT, gate=["140000=frozen"], **everyone)
-    assert looked_at(site, NIGHT, seen).stale.keys() == {"gate"}
+    assert checked_captures(site, NIGHT, seen).stale.keys() == {"gate"}
     seen.save()
-    assert looked_at(site, NIGHT, EarlierCaptures(tmp_path / "memo")).stale.keys() == {"gate"}
+    assert checked_captures(site, NIGHT, EarlierCaptures(tmp_path / "memo")).stale.keys() == {"gate"}
     deliver(folder, NIGHT - 3 * DAY, gate=["140000=frozen"], **everyone)
-    assert not looked_at(site, NIGHT - 3 * DAY, seen).stale
+    assert not checked_captures(site, NIGHT - 3 * DAY, seen).stale
 
 
-def test_repeated_captures_count_once_and_only_nothing_else_is_stale(tmp_path: Path) -> None:
+def test_repeated_captures_count_once_and_are_stale_if_there_is_no_other(tmp_path: Path) -> None:
     site, folder = a_site(tmp_path), tmp_path / "in"
     deliver(folder, NIGHT, gate=["140000=a", "140100=a", "140200=b"], roof=["140000=r", "140100=r"], mast=["140000"])
-    found = looked_at(site, NIGHT, EarlierCaptures(tmp_path / "memo"))
+    found = checked_captures(site, NIGHT, EarlierCaptures(tmp_path / "memo"))
     assert [file.path.name[-10:] for file in found.captures["gate"]] == ["140000.jpg", "140200.jpg"]
     assert "1 of 3" in found.notes["gate"]
     assert found.stale.keys() == {"roof"}
     assert "same picture" in found.stale["roof"].text
 
 
-def test_empty_files_are_no_frozen_picture(tmp_path: Path) -> None:
+def test_repeated_empty_files_are_not_stale(tmp_path: Path) -> None:
     site, folder = a_site(tmp_path), tmp_path / "in"
     for date in (NIGHT - DAY, NIGHT):
         deliver(folder, date, gate=["140000", "140100"], roof=["140000"], mast=["140000"])
         for file in folder.rglob(f"gate/{date}_*"):
             file.write_bytes(b"")
-    found = looked_at(site, NIGHT, EarlierCaptures(tmp_path / "memo"))
+    found = checked_captures(site, NIGHT, EarlierCaptures(tmp_path / "memo"))
     assert not found.stale
     assert len(found.captures["gate"]) == 2, "whoever reads them says that they are empty"
 
 
-def test_a_clock_that_is_hours_off_is_named_whatever_midnight_does(tmp_path: Path) -> None:
+def test_a_clock_that_is_hours_off_is_found_across_midnight(tmp_path: Path) -> None:
     site, folder = a_site(tmp_path), tmp_path / "in"
     deliver(folder, NIGHT, gate=["235800"], roof=["000300"], mast=["235900"])
-    assert not looked_at(site, NIGHT, EarlierCaptures(tmp_path / "memo")).stale
+    assert not checked_captures(site, NIGHT, EarlierCaptures(tmp_path / "memo")).stale
     deliver(folder, NIGHT + DAY, gate=["040000"], roof=["235000"], mast=["235900"])
-    found = looked_at(site, NIGHT + DAY, EarlierCaptures(tmp_path / "memo"))
+    found = checked_captures(site, NIGHT + DAY, EarlierCaptures(tmp_path / "memo"))
     assert found.stale.keys() == {"gate"}
     assert found.stale["gate"].figures["hours_off"] == pytest.approx(4.1, abs=0.1)
 
 
-def test_names_without_a_date_are_stale_only_where_others_are_new(tmp_path: Path) -> None:
+def test_unchanged_undated_captures_are_stale_only_if_others_are_new(tmp_path: Path) -> None:
     site, folder, seen = a_site(tmp_path, "{camera}.jpg"), tmp_path / "in", EarlierCaptures(tmp_path / "memo")
     for camera in ("gate", "roof", "mast"):
         (folder / f"{camera}.jpg").write_text(camera)
-    looked_at(site, NIGHT, seen)
-    assert not looked_at(site, NIGHT + DAY, seen).stale, "photographs that are meant to stay"
+    checked_captures(site, NIGHT, seen)
+    assert not checked_captures(site, NIGHT + DAY, seen).stale, "photographs that are meant to stay"
     (folder / "gate.jpg").write_text("new")
-    assert looked_at(site, NIGHT + 2 * DAY, seen).stale.keys() == {"roof", "mast"}
+    assert checked_captures(site, NIGHT + 2 * DAY, seen).stale.keys() == {"roof", "mast"}
 
 
 @pytest.mark.parametrize(
@@ -116,7 +116,7 @@ def test_names_without_a_date_are_stale_only_where_others_are_new(tmp_path: Path
         ({}, None),
     ],
 )
-def test_pictures_themselves_say_that_they_are_of_another_time(figures: dict[str, object], words: str | None) -> None:
+def test_unchanged_or_wrongly_dated_pictures_are_stale(figures: dict[str, object], words: str | None) -> None:
     health = stale_by_image(FrameSummary.from_json(figures), "2026-11-19", in_order=True)
     assert (health is None) == (words is None)
     assert health is None or (health.state == "stale" and words is not None and words in health.text)
@@ -126,7 +126,7 @@ def photographed(*moments: str) -> list[FrameSummary]:
     return [FrameSummary(taken_first=moment, taken_last=moment) for moment in moments]
 
 
-def test_photographs_without_a_date_in_their_names_are_of_the_night_that_most_say() -> None:
+def test_undated_photographs_are_of_the_night_on_which_most_were_taken() -> None:
     week = photographed(*(f"2010-10-{day}T12:00:00" for day in range(10, 17)))
     one_day = photographed("2010-10-12T09:00:00", "2010-10-12T17:00:00", "2010-10-12T23:30:00", "2026-11-24T09:00:00")
     assert night_by_pictures(one_day) == "2010-10-12"
@@ -136,7 +136,7 @@ def test_photographs_without_a_date_in_their_names_are_of_the_night_that_most_sa
     assert night_by_pictures([FrameSummary(), FrameSummary(taken_first="")]) == ""
 
 
-def test_nights_are_caught_up_with_in_order_and_the_worst_decides(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_missed_nights_run_in_order_and_the_worst_decides_the_exit_code(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.syspath_prepend(str(HELPERS))
     toy = ToySite(tmp_path / "toy", ["a", "b", "c"])
     text = toy.file.read_text().replace('"{camera}.txt"', '"{camera}/{date}_{time}.txt"')

@@ -53,7 +53,7 @@ def clock(monkeypatch: pytest.MonkeyPatch, text: str) -> None:
         ("Europe/Berlin", "2026-10-25T23:00:00", "2026-10-26"),
     ],
 )
-def test_a_day_ends_at_the_sites_midnight(
+def test_a_day_ends_at_midnight_in_the_time_zone_of_the_site(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, timezone: str, moment: str, today: str
 ) -> None:
     there = site(tmp_path, timezone)
@@ -78,14 +78,14 @@ def test_a_day_ends_at_the_sites_midnight(
         ("2026-10-25T02:00:00", "2026-10-25_030000"),
     ],
 )
-def test_captures_are_called_by_the_sites_clock(tmp_path: Path, moment: str, name: str) -> None:
+def test_captures_are_named_by_the_local_time_of_the_site(tmp_path: Path, moment: str, name: str) -> None:
     there = site(tmp_path, "Europe/Berlin")
     local = there.local(at(moment))
     assert there.captures.name("gate", local) == tmp_path / "gate" / f"{name}.jpg"
     assert there.captures.moment("gate", there.captures.name("gate", local)) == local.replace(tzinfo=None, fold=0)
 
 
-def test_the_hour_that_comes_twice_writes_over_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_captures_of_a_repeated_hour_do_not_overwrite_each_other(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     there = site(tmp_path, "Europe/Berlin")
     for moment, content in (("2026-10-25T00:30:00", b"first"), ("2026-10-25T01:30:00", b"second")):
         clock(monkeypatch, moment)
@@ -95,7 +95,7 @@ def test_the_hour_that_comes_twice_writes_over_nothing(tmp_path: Path, monkeypat
     assert [file.stat().st_mtime for file in files] == [at("2026-10-25T00:30:00"), at("2026-10-25T01:30:00")]
 
 
-def test_a_pattern_without_times_of_day_still_ends(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_pattern_without_times_of_day_overwrites_the_capture(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     there = site(tmp_path, "Europe/Berlin", "{camera}/{date}.jpg")
     clock(monkeypatch, "2026-10-25T01:30:00")
     for content in (b"first", b"second"):
@@ -111,12 +111,12 @@ def test_a_pattern_without_times_of_day_still_ends(tmp_path: Path, monkeypatch: 
         ("2026-06-30", "2026-06-30 05:15 CEST to 05:16 CEST"),
     ],
 )
-def test_the_report_has_the_sites_times(tmp_path: Path, date: str, words: str) -> None:
+def test_the_report_shows_the_local_time_of_the_site(tmp_path: Path, date: str, words: str) -> None:
     data = ReportData(cast(Any, None), a_night(date), (), {}, Path(), site(tmp_path, "Europe/Berlin"))
     assert _when(data) == words
 
 
 @pytest.mark.parametrize(("name", "remedy"), [("Europe/Berln", "did you mean 'Europe/Berlin'"), ("Europe", ""), ("3", "such as")])
-def test_what_is_no_time_zone_is_refused_with_its_line(tmp_path: Path, name: str, remedy: str) -> None:
+def test_an_unknown_time_zone_is_refused_with_its_line(tmp_path: Path, name: str, remedy: str) -> None:
     with pytest.raises(SiteError, match=rf"site.yaml:2:11: timezone: .*is not a time zone.*{remedy}"):
         site(tmp_path, name)
