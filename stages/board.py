@@ -26,12 +26,12 @@ from .core.lenses import MODELS, lens_rays, reach
 from .types import Capture, Float32s, Float64s, Lens, Uint8s
 
 _LEAST_PICTURES, _LEAST_CORNERS = 5, 8
-_VIDEO_STEP, _MOST_OF_A_VIDEO = 15, 60
+_VIDEO_STEP, _MOST_PER_VIDEO = 15, 60
 _CELLS = (8, 6)
 """Columns and rows of the grid of cells over the picture in which corners are counted."""
 _GOOD_PX, _BAD_PX = 0.3, 1.0
 """Residuals in pixels: up to the first a corner is drawn green, from the second on red."""
-_POOR_PX = 1.0
+_WARNING_PX = 1.0
 """RMS residual in pixels above which the report warns: the lens is of another model, or the board is not flat."""
 
 
@@ -51,7 +51,7 @@ class Board:
 
 
 @dataclass(frozen=True)
-class _Seen:
+class _BoardView:
     """The corners detected in one picture."""
 
     name: str
@@ -75,99 +75,97 @@ def board_files(
     board : fields of `Board` by name.
     model : "brown" or "rational" (fitted by OpenCV), or a key of `STARTS`.
     """
-    what, seen, size, notes = Board(**board), [], (0, 0), []  # type: ignore[arg-type]
+    spec, views, size, notes = Board(**board), [], (0, 0), []  # type: ignore[arg-type]
     for name, data in pictures_of_it.items():
         try:
-            found = list(all_pictures(Capture(name, np.frombuffer(data, np.uint8)), _VIDEO_STEP, _MOST_OF_A_VIDEO))
+            pictures = list(all_pictures(Capture(name, np.frombuffer(data, np.uint8)), _VIDEO_STEP, _MOST_PER_VIDEO))
         except BadCapture as error:
             notes.append(str(error))
             continue
-        for each, image in found:
+        for picture_name, image in pictures:
             if size not in {(0, 0), (image.shape[1], image.shape[0])}:
-                notes.append(f"{each} is not the same size as the first picture")
+                notes.append(f"{picture_name} is not the same size as the first picture")
                 continue
             size = image.shape[1], image.shape[0]
-            corners = _corners(each, np.asarray(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), dtype=np.uint8), what)
-            seen += [corners] if corners else []
-            notes += [] if corners else [f"{each}: no board is found"]
-    if len(seen) < _LEAST_PICTURES:
-        raise ValueError(f"the board is seen in {len(seen)} pictures, {_LEAST_PICTURES} are needed: are columns and rows right?")
-    K, distortion, residuals = _fitted(seen, size, model)
+            view = _detect_corners(picture_name, np.asarray(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), dtype=np.uint8), spec)
+            views += [view] if view else []
+            notes += [] if view else [f"{picture_name}: no board is found"]
+    if len(views) < _LEAST_PICTURES:
+        raise ValueError(f"the board is seen in {len(views)} pictures, {_LEAST_PICTURES} are needed: are columns and rows right?")
+    K, distortion, residuals = _fit(views, size, model)
     rms = [float(np.sqrt((r**2).sum(axis=1).mean())) for r in residuals]
-    covered = _covered(seen, size)
+    covered = _covered_share(views, size)
     entry = {
         "K": K.tolist(),
         "width": size[0],
         "height": size[1],
         "model": model,
         "distortion": distortion.tolist(),
-        "residuals_px": {each.name: round(value, 4) for each, value in zip(seen, rms, strict=True)},
+        "residuals_px": {v.name: round(value, 4) for v, value in zip(views, rms, strict=True)},
         "covered": round(covered, 3),
     }
-    whole = float(np.sqrt(np.mean(np.concatenate([(r**2).sum(axis=1) for r in residuals]))))
-    words = [f"{len(seen)} pictures, {whole:.2f} px rms, corners in {100 * covered:.0f} % of the picture's cells", *notes]
-    if whole > _POOR_PX:
-        words.append(f"{whole:.1f} px rms is high: another --model may fit this lens better, or the board is not flat")
-    plot = cv2.imencode(".png", _plot(seen, residuals, size))[1].tobytes()
-    return {f"{camera}.json": json.dumps({camera: entry}, indent=1).encode(), f"{camera}-coverage.png": plot}, words
+    overall = float(np.sqrt(np.mean(np.concatenate([(r**2).sum(axis=1) for r in residuals]))))
+    messages = [f"{len(views)} pictures, {overall:.2f} px rms, corners in {100 * covered:.0f} % of the picture's cells", *notes]
+    if overall > _WARNING_PX:
+        messages.append(f"{overall:.1f} px rms is high: another --model may fit this lens better, or the board is not flat")
+    plot = cv2.imencode(".png", _plot(views, residuals, size))[1].tobytes()
+    return {f"{camera}.json": json.dumps({camera: entry}, indent=1).encode(), f"{camera}-coverage.png": plot}, messages
 
 
-def _corners(name: str, grey: Uint8s, board: Board) -> _Seen | None:
+def _detect_corners(name: str, grey: Uint8s, board: Board) -> _BoardView | None:
     size = board.columns, board.rows
     if board.marker:
-        table = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, f"DICT_{board.dictionary}"))
-        pattern = cv2.aruco.CharucoBoard(size, board.square, board.marker, table)
+        markers = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, f"DICT_{board.dictionary}"))
+        pattern = cv2.aruco.CharucoBoard(size, board.square, board.marker, markers)
         corners, ids, _, _ = cv2.aruco.CharucoDetector(pattern).detectBoard(grey)
         if ids is None or len(ids) < _LEAST_CORNERS:
             return None
         points = np.asarray(pattern.getChessboardCorners(), np.float32)[np.asarray(ids).ravel()]
-        return _Seen(name, points, np.asarray(corners, np.float32).reshape(-1, 2))
+        return _BoardView(name, points, np.asarray(corners, np.float32).reshape(-1, 2))
     flags = cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_ACCURACY
-    found, corners = cv2.findChessboardCornersSB(grey, size, flags=flags)
-    if not found:
+    is_found, corners = cv2.findChessboardCornersSB(grey, size, flags=flags)
+    if not is_found:
         return None
     grid = np.mgrid[0 : board.columns, 0 : board.rows].T.reshape(-1, 2) * board.square
     points = np.column_stack([grid, np.zeros(len(grid))]).astype(np.float32)
-    return _Seen(name, points, np.asarray(corners, np.float32).reshape(-1, 2))
+    return _BoardView(name, points, np.asarray(corners, np.float32).reshape(-1, 2))
 
 
-def _fitted(seen: Sequence[_Seen], size: tuple[int, int], model: str) -> tuple[Float64s, Float64s, list[Float64s]]:
+def _fit(views: Sequence[_BoardView], size: tuple[int, int], model: str) -> tuple[Float64s, Float64s, list[Float64s]]:
     """K, distortion coefficients, and residuals (n, 2) of each picture, pixels."""
     if model in STARTS:
-        return fit_lens(
-            [each.board.astype(np.float64) for each in seen], [each.image.astype(np.float64) for each in seen], size, model
-        )
-    board: list[Any] = [each.board[:, None] for each in seen]
-    image: list[Any] = [each.image[:, None] for each in seen]
+        return fit_lens([v.board.astype(np.float64) for v in views], [v.image.astype(np.float64) for v in views], size, model)
+    board: list[Any] = [v.board[:, None] for v in views]
+    image: list[Any] = [v.image[:, None] for v in views]
     flags = cv2.CALIB_RATIONAL_MODEL if model == "rational" else 0
     try:
-        _, K, D, turns, shifts = cv2.calibrateCamera(board, image, size, np.eye(3), np.zeros(5), flags=flags)
+        _, K, D, rotations, translations = cv2.calibrateCamera(board, image, size, np.eye(3), np.zeros(5), flags=flags)
     except cv2.error as error:
         raise ValueError(f"these pictures do not determine a {model} lens: {error.err}") from None
     D = np.asarray(D, dtype=np.float64).ravel()[: {"brown": 5, "rational": 8}[model]]
     residuals = []
-    for X, x, turn, shift in zip(board, image, turns, shifts, strict=True):
-        there = cv2.projectPoints(X.astype(np.float64), turn, shift, K, D)[0]
-        residuals.append(np.asarray(x.reshape(-1, 2) - there.reshape(-1, 2), dtype=np.float64))
+    for X, x, rotation, translation in zip(board, image, rotations, translations, strict=True):
+        projected = cv2.projectPoints(X.astype(np.float64), rotation, translation, K, D)[0]
+        residuals.append(np.asarray(x.reshape(-1, 2) - projected.reshape(-1, 2), dtype=np.float64))
     return np.asarray(K, dtype=np.float64), D, residuals
 
 
-def _covered(seen: Sequence[_Seen], size: tuple[int, int]) -> float:
+def _covered_share(views: Sequence[_BoardView], size: tuple[int, int]) -> float:
     """Share of the picture's cells that contain a corner: in the others the lens is extrapolated."""
-    x = np.concatenate([each.image for each in seen]) / size
+    x = np.concatenate([v.image for v in views]) / size
     cells = np.clip((x * _CELLS).astype(int), 0, np.array(_CELLS) - 1)
     return len(np.unique(cells, axis=0)) / (_CELLS[0] * _CELLS[1])
 
 
-def _plot(seen: Sequence[_Seen], residuals: Sequence[Float64s], size: tuple[int, int]) -> Uint8s:
+def _plot(views: Sequence[_BoardView], residuals: Sequence[Float64s], size: tuple[int, int]) -> Uint8s:
     """(h, w, 3) BGR: every corner where it was detected, from green (small residual) to red (large)."""
     scale = min(1.0, 1280 / max(size))
     plot = np.full((round(size[1] * scale), round(size[0] * scale), 3), 255, np.uint8)
     plot[:, [plot.shape[1] * k // _CELLS[0] for k in range(1, _CELLS[0])]] = 225
     plot[[plot.shape[0] * k // _CELLS[1] for k in range(1, _CELLS[1])]] = 225
-    for each, off in zip(seen, residuals, strict=True):
-        badness = np.clip((np.linalg.norm(off, axis=1) - _GOOD_PX) / (_BAD_PX - _GOOD_PX), 0, 1)
-        for (x, y), bad in zip(each.image * scale, badness, strict=True):
+    for view, differences in zip(views, residuals, strict=True):
+        badness = np.clip((np.linalg.norm(differences, axis=1) - _GOOD_PX) / (_BAD_PX - _GOOD_PX), 0, 1)
+        for (x, y), bad in zip(view.image * scale, badness, strict=True):
             cv2.circle(plot, (round(float(x)), round(float(y))), 3, (60, 160 * (1 - bad), 60 + 160 * bad), -1, cv2.LINE_AA)
     return plot
 
@@ -184,13 +182,13 @@ STARTS: dict[str, tuple[float, ...]] = {
 _HALF_FIELDS_DEG = (20.0, 30.0, 40.0, 52.0, 65.0, 80.0, 95.0)
 """Half fields of view to start from, in degrees between the centre of the picture and its nearer edges."""
 _STEPS = 60
-_LOST_PX = 100.0
+_RESIDUAL_LIMIT_PX = 100.0
 """Residual in pixels of a corner that the lens does not image, and upper limit of all residuals."""
-_DIFFERENCE = 1e-6
+_DERIVATIVE_STEP = 1e-6
 
 
 @dataclass(frozen=True)
-class _Guess:
+class _Estimate:
     """An estimate of the lens and of the board poses."""
 
     intrinsics: Float64s
@@ -212,44 +210,44 @@ def fit_lens(
     size : (width, height) of the pictures.
     model : a key of `STARTS`.
     """
-    starts = [start for half in _HALF_FIELDS_DEG if (start := _start(boards, corners, size, model, half))]
+    starts = [start for half_deg in _HALF_FIELDS_DEG if (start := _start(boards, corners, size, model, half_deg))]
     if not starts:
         raise ValueError(f"these pictures do not determine a {model} lens: no field of view fits them")
-    first = min(starts, key=lambda guess: _cost(guess, boards, corners, model))
+    best_start = min(starts, key=lambda estimate: _cost(estimate, boards, corners, model))
     try:
         equations = partial(_equations, boards=boards, corners=corners, model=model)
-        _, found = levenberg_marquardt(first, equations, _moved, steps=_STEPS, damping=1e-3, relative_tolerance=1e-10)
+        _, estimate = levenberg_marquardt(best_start, equations, _with_step, steps=_STEPS, damping=1e-3, relative_tolerance=1e-10)
     except np.linalg.LinAlgError:
         raise ValueError(f"these pictures do not determine a {model} lens: its parameters are not independent") from None
-    fx, fy, cx, cy, *coefficients = found.intrinsics
+    fx, fy, cx, cy, *coefficients = estimate.intrinsics
     K = np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
-    residuals = [_residuals(found, k, X, x, model) for k, (X, x) in enumerate(zip(boards, corners, strict=True))]
+    residuals = [_residuals(estimate, k, X, x, model) for k, (X, x) in enumerate(zip(boards, corners, strict=True))]
     return K, np.array(coefficients), residuals
 
 
 def _start(
     boards: Sequence[Float64s], corners: Sequence[Float64s], size: tuple[int, int], model: str, half_deg: float
-) -> _Guess | None:
+) -> _Estimate | None:
     coefficients = np.array(STARTS[model])
-    ahead = np.array([[np.sin(np.deg2rad(half_deg)), 0.0, np.cos(np.deg2rad(half_deg))]])
+    edge_ray = np.array([[np.sin(np.deg2rad(half_deg)), 0.0, np.cos(np.deg2rad(half_deg))]])
     with np.errstate(all="ignore"):
-        out = MODELS[model].project(np.concatenate([coefficients, np.zeros(14)]), ahead)[0, 0]
-    if not (np.isfinite(out) and out > 0):
+        edge_radius = MODELS[model].project(np.concatenate([coefficients, np.zeros(14)]), edge_ray)[0, 0]
+    if not (np.isfinite(edge_radius) and edge_radius > 0):
         return None
-    focal = 0.5 * min(size) / out
-    middle = 0.5 * (np.array(size) - 1.0)
-    K = np.array([[focal, 0.0, middle[0]], [0.0, focal, middle[1]], [0.0, 0.0, 1.0]])
+    focal = 0.5 * min(size) / edge_radius
+    centre = 0.5 * (np.array(size) - 1.0)
+    K = np.array([[focal, 0.0, centre[0]], [0.0, focal, centre[1]], [0.0, 0.0, 1.0]])
     lens = Lens(K=K, distortion=coefficients, model=model)
     if np.rad2deg(reach(lens)) < half_deg:
         return None
-    poses = [_placed(X, lens_rays(lens, x)) for X, x in zip(boards, corners, strict=True)]
+    poses = [_board_pose(X, lens_rays(lens, x)) for X, x in zip(boards, corners, strict=True)]
     known = [pose for pose in poses if pose is not None]
     if len(known) < len(poses):
         return None
-    return _Guess(np.array([focal, focal, *middle, *coefficients]), np.array([np.concatenate(pose) for pose in known]))
+    return _Estimate(np.array([focal, focal, *centre, *coefficients]), np.array([np.concatenate(pose) for pose in known]))
 
 
-def _placed(board: Float64s, rays: Float64s) -> tuple[Float64s, Float64s] | None:
+def _board_pose(board: Float64s, rays: Float64s) -> tuple[Float64s, Float64s] | None:
     """Rotation vector and translation of a board whose corners lie on rays (n, 3); None if fewer than six rays are known."""
     known = np.isfinite(rays).all(axis=1)
     if known.sum() < 6:
@@ -257,8 +255,8 @@ def _placed(board: Float64s, rays: Float64s) -> tuple[Float64s, Float64s] | None
     scale = float(np.abs(board).max())
     plane, rays = np.column_stack([board[known, :2] / scale, np.ones(known.sum())]), rays[known]
     x, y, z = (rays[:, k, None] * plane for k in range(3))
-    nothing = np.zeros_like(plane)
-    rows = np.concatenate([np.hstack([nothing, -z, y]), np.hstack([z, nothing, -x]), np.hstack([-y, x, nothing])])
+    zeros = np.zeros_like(plane)
+    rows = np.concatenate([np.hstack([zeros, -z, y]), np.hstack([z, zeros, -x]), np.hstack([-y, x, zeros])])
     H = np.linalg.svd(rows)[2][-1].reshape(3, 3)
     if ((plane @ H.T) * rays).sum() < 0:  # choose the sign that puts the corners on the rays, not on their extensions backwards
         H = -H
@@ -268,52 +266,52 @@ def _placed(board: Float64s, rays: Float64s) -> tuple[Float64s, Float64s] | None
     return np.asarray(cv2.Rodrigues(u @ vt)[0], dtype=np.float64).ravel(), H[:, 2] * scale
 
 
-def _moved(guess: _Guess, step: Float64s) -> _Guess:
-    count = len(guess.intrinsics)
-    return _Guess(guess.intrinsics + step[:count], guess.poses + step[count:].reshape(-1, 6))
+def _with_step(estimate: _Estimate, step: Float64s) -> _Estimate:
+    n_intrinsics = len(estimate.intrinsics)
+    return _Estimate(estimate.intrinsics + step[:n_intrinsics], estimate.poses + step[n_intrinsics:].reshape(-1, 6))
 
 
-def _residuals(guess: _Guess, picture: int, board: Float64s, corners: Float64s, model: str) -> Float64s:
+def _residuals(estimate: _Estimate, picture: int, board: Float64s, corners: Float64s, model: str) -> Float64s:
     """(n, 2) detected minus projected corners, pixels."""
-    return corners - _pixels(guess.intrinsics, guess.poses[picture], board, model)
+    return corners - _project(estimate.intrinsics, estimate.poses[picture], board, model)
 
 
-def _pixels(intrinsics: Float64s, pose: Float64s, board: Float64s, model: str) -> Float64s:
+def _project(intrinsics: Float64s, pose: Float64s, board: Float64s, model: str) -> Float64s:
     R = np.asarray(cv2.Rodrigues(pose[:3])[0], dtype=np.float64)
     rays = board @ R.T + pose[3:]
     with np.errstate(all="ignore"):
-        unit = rays / np.linalg.norm(rays, axis=1, keepdims=True)
-        bent = MODELS[model].project(np.concatenate([intrinsics[4:], np.zeros(14)]), unit)
-    return np.asarray(bent * intrinsics[:2] + intrinsics[2:4], dtype=np.float64)
+        unit_rays = rays / np.linalg.norm(rays, axis=1, keepdims=True)
+        projected = MODELS[model].project(np.concatenate([intrinsics[4:], np.zeros(14)]), unit_rays)
+    return np.asarray(projected * intrinsics[:2] + intrinsics[2:4], dtype=np.float64)
 
 
 def _bounded(residuals: Float64s) -> Float64s:
-    return np.clip(np.nan_to_num(residuals, nan=_LOST_PX), -_LOST_PX, _LOST_PX)
+    return np.clip(np.nan_to_num(residuals, nan=_RESIDUAL_LIMIT_PX), -_RESIDUAL_LIMIT_PX, _RESIDUAL_LIMIT_PX)
 
 
-def _cost(guess: _Guess, boards: Sequence[Float64s], corners: Sequence[Float64s], model: str) -> float:
-    off = (_residuals(guess, k, X, x, model) for k, (X, x) in enumerate(zip(boards, corners, strict=True)))
-    return float(sum((_bounded(each) ** 2).sum() for each in off))
+def _cost(estimate: _Estimate, boards: Sequence[Float64s], corners: Sequence[Float64s], model: str) -> float:
+    residuals = (_residuals(estimate, k, X, x, model) for k, (X, x) in enumerate(zip(boards, corners, strict=True)))
+    return float(sum((_bounded(r) ** 2).sum() for r in residuals))
 
 
 def _equations(
-    guess: _Guess, boards: Sequence[Float64s], corners: Sequence[Float64s], model: str
+    estimate: _Estimate, boards: Sequence[Float64s], corners: Sequence[Float64s], model: str
 ) -> tuple[float, Float64s, Float64s]:
     """Cost, normal matrix and right-hand side; boards, corners, model: see `fit_lens`."""
-    count = len(guess.intrinsics)
-    whole = count + 6 * len(boards)
-    normal, right, cost = np.zeros((whole, whole)), np.zeros(whole), 0.0
+    n_intrinsics = len(estimate.intrinsics)
+    n_parameters = n_intrinsics + 6 * len(boards)
+    normal, rhs, cost = np.zeros((n_parameters, n_parameters)), np.zeros(n_parameters), 0.0
     for k, (X, x) in enumerate(zip(boards, corners, strict=True)):
-        state = np.concatenate([guess.intrinsics, guess.poses[k]])
+        state = np.concatenate([estimate.intrinsics, estimate.poses[k]])
         columns = []
         for i in range(len(state)):
             step = np.zeros(len(state))
-            step[i] = _DIFFERENCE * max(1.0, abs(state[i]))
-            ends = [_pixels(moved[:count], moved[count:], X, model) for moved in (state + step, state - step)]
-            columns.append(np.nan_to_num((ends[0] - ends[1]).ravel() / (2 * step[i])))
-        J, off = -np.column_stack(columns), _bounded(_residuals(guess, k, X, x, model)).ravel()
-        at = np.concatenate([np.arange(count), count + 6 * k + np.arange(6)])
-        normal[np.ix_(at, at)] += J.T @ J
-        right[at] += J.T @ off
-        cost += float(off @ off)
-    return cost, normal, right
+            step[i] = _DERIVATIVE_STEP * max(1.0, abs(state[i]))
+            pixels = [_project(s[:n_intrinsics], s[n_intrinsics:], X, model) for s in (state + step, state - step)]
+            columns.append(np.nan_to_num((pixels[0] - pixels[1]).ravel() / (2 * step[i])))
+        J, residuals = -np.column_stack(columns), _bounded(_residuals(estimate, k, X, x, model)).ravel()
+        indices = np.concatenate([np.arange(n_intrinsics), n_intrinsics + 6 * k + np.arange(6)])
+        normal[np.ix_(indices, indices)] += J.T @ J
+        rhs[indices] += J.T @ residuals
+        cost += float(residuals @ residuals)
+    return cost, normal, rhs

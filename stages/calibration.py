@@ -14,5 +14,5 @@ def check_calibration(poses: Poses, disparities: Mapping[Pair, Disparity]) -> Ca
     The result has 0 pairs if too few of them have measurements.
     """
     stated = {n: c for n, c in poses.main_cameras().items() if poses.sources.get(n) != "solved" and n not in poses.focals}
-    rows = {pair: found.rows for pair, found in disparities.items() if found.rows is not None and set(pair) <= set(stated)}
+    rows = {pair: d.rows for pair, d in disparities.items() if d.rows is not None and set(pair) <= set(stated)}
     return check_rows(stated, rows) or CalibrationCheck(matches=0, pairs=0, confirmed=False, misfit=1.0)

@@ -40,19 +40,19 @@ from .types import (
     Uint8s,
 )
 
-_TOP = 0.9
+_TOP_QUANTILE = 0.9
 """Quantile of the heights in a cell that counts as the height of its surface."""
 _LEAST_AREA = 300.0
 """Smallest surface area of a change in squared point spacings, unless `least_area_m2` is given."""
-_SAME_PLACE = 0.01
+_MOST_DISPLACEMENT = 0.01
 """Largest median displacement of the cameras, as a share of the site's size, at which two nights share a world."""
 _CELL = 2.0
 """Smallest edge of a cell, in point spacings, unless `cell_m` is given."""
-_SOME = 8
+_STEP = 8
 """Step through the points from which the extent of the ground is found."""
-_SEEN = 0.2
+_LEAST_SEEN_SHARE = 0.2
 """A camera sees a change if it sees at least this share of the change's points."""
-_CROP = 240
+_CROP_PX = 240
 """Height of the pictures of a change, pixels."""
 
 
@@ -98,40 +98,40 @@ def find_changes(
     plane = scene.ground if scene is not None else None
     axes = ground_axes(cameras.values(), plane)
     if reference_poses is None or reference_cloud is None or not len(reference_cloud.points) or not len(cloud.points):
-        return _nothing(axes, poses)
+        return _no_changes(axes, poses)
     old = reference_poses.main_cameras()
     if not _same_world(cameras, old, cloud):
-        return _nothing(axes, poses)
-    then = Epoch(
+        return _no_changes(axes, poses)
+    pinned = Epoch(
         reference_cloud, old, undistorted_frames(reference_frames or {}, old), reference_depths or {}, reference_refined or {}
     )
-    spacing = max(spacing_of(tonight.points), spacing_of(then.points))
-    grid = grid_over(np.vstack([n.points[::_SOME] for n in (tonight, then)]), axes, cell_m or preferred_above(_CELL * spacing))
-    sides = compare_nights(tonight, then, spacing, registration_m)
-    noise = noise_of(*sides)
+    spacing = max(spacing_of(tonight.points), spacing_of(pinned.points))
+    grid = grid_over(np.vstack([n.points[::_STEP] for n in (tonight, pinned)]), axes, cell_m or preferred_above(_CELL * spacing))
+    raw = compare_nights(tonight, pinned, spacing, registration_m)
+    noise = noise_of(*raw)
     limits = {"noise": noise, "sigmas": sigmas, "alike": alike}
-    now, before = judged(sides[0], tonight, then, spacing, **limits), judged(sides[1], then, tonight, spacing, **limits)
+    new_side, old_side = judged(raw[0], tonight, pinned, spacing, **limits), judged(raw[1], pinned, tonight, spacing, **limits)
     least = _LEAST_AREA * spacing**2 if least_area_m2 is None else least_area_m2
     clusters: list[ChangeCluster] = []
-    ground = [over_ground(grid, night.points) for night in (tonight, then)]
-    for side, own, other in ((now, tonight, ground[1]), (before, then, ground[0])):
-        colors = own.cloud.colors[side.rows].astype(np.float64)
-        clusters += find_clusters(side, colors, grid, other, of_then=own is then, spacing=spacing, least_area=least, alike=alike)
-    kept = sorted(paired([b for b in clusters if b.confirmed]), key=lambda pair: -pair[0].change.volume)
-    placed = [(_in_zone(a, zones, axes), b) for a, b in kept]
-    tops = [_tops(grid, of) for of in ground]
-    found = _put_together(grid, tops[0] - tops[1], now, before, (tonight, then), [(a, b) for a, b in placed if a])
-    detection = detection_of(now, before, sigmas=sigmas, registration=registration_m, least_area=least)
-    counted = [part for pair in kept for part in pair if part] + [b for b in clusters if not b.confirmed]
-    whole, by_zone = volumes(grid, tops, counted, zones or [], detection)
-    return replace(found, cut_fill=whole, zones=by_zone, noise=noise, metric=poses.metric, crs=poses.crs)
+    ground = [over_ground(grid, night.points) for night in (tonight, pinned)]
+    for side, own, other in ((new_side, tonight, ground[1]), (old_side, pinned, ground[0])):
+        rgb = own.cloud.colors[side.rows].astype(np.float64)
+        clusters += find_clusters(side, rgb, grid, other, of_then=own is pinned, spacing=spacing, least_area=least, alike=alike)
+    pairs = sorted(paired([b for b in clusters if b.confirmed]), key=lambda p: -p[0].change.volume)
+    in_zones = [(_in_zone(a, zones, axes), b) for a, b in pairs]
+    tops = [_surface_heights(grid, over) for over in ground]
+    result = _assembled(grid, tops[0] - tops[1], new_side, old_side, (tonight, pinned), [(a, b) for a, b in in_zones if a])
+    detection = detection_of(new_side, old_side, sigmas=sigmas, registration=registration_m, least_area=least)
+    counted = [part for pair in pairs for part in pair if part] + [b for b in clusters if not b.confirmed]
+    total, by_zone = volumes(grid, tops, counted, zones or [], detection)
+    return replace(result, cut_fill=total, zones=by_zone, noise=noise, metric=poses.metric, crs=poses.crs)
 
 
-def _same_world(cameras: Mapping[str, Camera], old: Mapping[str, Camera], cloud: Cloud) -> bool:
+def _same_world(cameras: Mapping[str, Camera], old_cameras: Mapping[str, Camera], cloud: Cloud) -> bool:
     """Are most cameras at their old positions?  Otherwise tonight's world was solved anew, and its frame is another one."""
-    off = [float(np.linalg.norm(cameras[name].C - old[name].C)) for name in cameras if name in old]
-    size = float(np.linalg.norm(np.ptp(np.quantile(cloud.points.astype(np.float64), [0.05, 0.95], axis=0), axis=0)))
-    return bool(off) and float(np.median(off)) <= _SAME_PLACE * size
+    displacements = [float(np.linalg.norm(cameras[name].C - old_cameras[name].C)) for name in cameras if name in old_cameras]
+    extent = float(np.linalg.norm(np.ptp(np.quantile(cloud.points.astype(np.float64), [0.05, 0.95], axis=0), axis=0)))
+    return bool(displacements) and float(np.median(displacements)) <= _MOST_DISPLACEMENT * extent
 
 
 def _in_zone(cluster: ChangeCluster, zones: list[dict[str, Any]] | None, axes: Float64s) -> ChangeCluster | None:
@@ -146,62 +146,62 @@ def _in_zone(cluster: ChangeCluster, zones: list[dict[str, Any]] | None, axes: F
     return None
 
 
-def _put_together(
+def _assembled(
     grid: GroundGrid,
     difference: Float32s,
-    now: Evidence,
-    before: Evidence,
+    new: Evidence,
+    old: Evidence,
     nights: tuple[Epoch, Epoch],
-    found: list[tuple[ChangeCluster, ChangeCluster | None]],
+    clusters: list[tuple[ChangeCluster, ChangeCluster | None]],
 ) -> Changes:
     """`Changes` with the points of both nights; the reference's only where they have vanished or are unknown tonight."""
-    blob_of = [np.zeros(len(side.core), np.uint16) for side in (now, before)]
+    blobs = [np.zeros(len(side.core), np.uint16) for side in (new, old)]
     changes, crops = {}, {}
-    for k, (cluster, source) in enumerate(found, 1):
+    for k, (cluster, source) in enumerate(clusters, 1):
         for part in (cluster, source):
             if part is not None:
-                blob_of[int(part.of_then)][part.rows] = k
-        side = before if cluster.of_then else now
-        cameras = _cameras(side, cluster, nights[int(cluster.of_then)])
-        seen_by = dict.fromkeys(camera_id(name, nights[int(cluster.of_then)].cameras[name]) for name in cameras)
-        changes[str(k)] = replace(cluster.change, cameras=",".join(seen_by))
+                blobs[int(part.of_then)][part.rows] = k
+        side = old if cluster.of_then else new
+        cameras = _seeing_cameras(side, cluster, nights[int(cluster.of_then)])
+        camera_ids = dict.fromkeys(camera_id(name, nights[int(cluster.of_then)].cameras[name]) for name in cameras)
+        changes[str(k)] = replace(cluster.change, cameras=",".join(camera_ids))
         if cameras:
             crops[str(k)] = _crop(side.core[cluster.rows], cameras[0], nights)
-    gone = blob_of[1] > 0
-    reported = gone | (before.unknown & ~before.changed)
-    labels = np.where(blob_of[0] > 0, NEW, np.where(now.unknown, UNKNOWN, SAME)), np.where(gone, VANISHED, UNKNOWN)[reported]
-    clouds = [night.cloud.colors[side.rows] for night, side in zip(nights, (now, before), strict=True)]
-    compared = int((~now.unknown).sum() + gone.sum())
-    changed = int((blob_of[0] > 0).sum() + gone.sum())
+    vanished = blobs[1] > 0
+    reported = vanished | (old.unknown & ~old.changed)
+    labels = np.where(blobs[0] > 0, NEW, np.where(new.unknown, UNKNOWN, SAME)), np.where(vanished, VANISHED, UNKNOWN)[reported]
+    colors = [night.cloud.colors[side.rows] for night, side in zip(nights, (new, old), strict=True)]
+    compared = int((~new.unknown).sum() + vanished.sum())
+    changed = int((blobs[0] > 0).sum() + vanished.sum())
     return Changes(
         True,
         changes,
-        np.vstack([now.core, before.core[reported]]),
-        np.vstack([clouds[0], clouds[1][reported]]),
-        np.concatenate([now.distance, before.distance[reported]]).astype(np.float32),
-        np.concatenate([now.sigma, before.sigma[reported]]).astype(np.float32),
-        np.concatenate([now.significance, before.significance[reported]]).astype(np.float32),
+        np.vstack([new.core, old.core[reported]]),
+        np.vstack([colors[0], colors[1][reported]]),
+        np.concatenate([new.distance, old.distance[reported]]).astype(np.float32),
+        np.concatenate([new.sigma, old.sigma[reported]]).astype(np.float32),
+        np.concatenate([new.significance, old.significance[reported]]).astype(np.float32),
         np.concatenate(labels).astype(np.uint8),
-        np.concatenate([blob_of[0], blob_of[1][reported]]),
+        np.concatenate([blobs[0], blobs[1][reported]]),
         grid,
         difference,
         crops,
         count=len(changes),
         changed_share=changed / max(1, compared),
-        unknown_share=float(np.mean(before.unknown)),
+        unknown_share=float(np.mean(old.unknown)),
     )
 
 
-def _cameras(side: Evidence, cluster: ChangeCluster, night: Epoch) -> list[str]:
+def _seeing_cameras(side: Evidence, cluster: ChangeCluster, night: Epoch) -> list[str]:
     """The cameras that see a change, the one that shows it largest first."""
     X, sigma = side.core[cluster.rows], night.sigma[side.rows[cluster.rows]]
-    found = []
+    candidates = []
     for name in night.seeing:
-        seen = seen_by(X, sigma, night, name)
-        if seen.mean() >= _SEEN:
-            x, _ = project(night.cameras[name], X[seen])
-            found.append((float(np.prod(np.ptp(x, axis=0) + 1)) * float(seen.mean()), name))
-    return [name for _, name in sorted(found, key=lambda entry: (-entry[0], entry[1]))]
+        visible = seen_by(X, sigma, night, name)
+        if visible.mean() >= _LEAST_SEEN_SHARE:
+            x, _ = project(night.cameras[name], X[visible])
+            candidates.append((float(np.prod(np.ptp(x, axis=0) + 1)) * float(visible.mean()), name))
+    return [name for _, name in sorted(candidates, key=lambda entry: (-entry[0], entry[1]))]
 
 
 def _crop(X: Float64s, name: str, nights: tuple[Epoch, Epoch]) -> Uint8s:
@@ -216,22 +216,22 @@ def _crop(X: Float64s, name: str, nights: tuple[Epoch, Epoch]) -> Uint8s:
         size = np.array([image.shape[1], image.shape[0]])
         (left, top), (right, bottom) = np.clip(low - margin, 0, size - 2).astype(int), np.clip(high + margin, 2, size).astype(int)
         part = image[top : max(bottom, top + 1), left : max(right, left + 1)]
-        width = int(np.clip(round(part.shape[1] * _CROP / part.shape[0]), 1, 4 * _CROP))
-        parts += [cv2.resize(part, (width, _CROP), interpolation=cv2.INTER_AREA), np.full((_CROP, 4, 3), 255, np.uint8)]
+        width = int(np.clip(round(part.shape[1] * _CROP_PX / part.shape[0]), 1, 4 * _CROP_PX))
+        parts += [cv2.resize(part, (width, _CROP_PX), interpolation=cv2.INTER_AREA), np.full((_CROP_PX, 4, 3), 255, np.uint8)]
     return np.asarray(np.hstack(parts[:-1]), dtype=np.uint8) if parts else np.zeros((1, 1, 3), np.uint8)
 
 
-def _tops(grid: GroundGrid, night: Over) -> Float32s:
+def _surface_heights(grid: GroundGrid, night: Over) -> Float32s:
     """(rows, columns) heights of a night's surface; nan where unknown."""
-    heights = quantile_by_cell(night.cells, night.levels, grid.rows * grid.columns, _TOP)
+    heights = quantile_by_cell(night.cells, night.levels, grid.rows * grid.columns, _TOP_QUANTILE)
     return heights.reshape(grid.rows, grid.columns).astype(np.float32)
 
 
-def _nothing(axes: Float64s, poses: Poses) -> Changes:
-    none = np.zeros(0, np.float32)
-    labels, clusters = np.zeros(0, np.uint8), np.zeros(0, np.uint16)
+def _no_changes(axes: Float64s, poses: Poses) -> Changes:
+    values = np.zeros(0, np.float32)
+    labels, blobs = np.zeros(0, np.uint8), np.zeros(0, np.uint16)
     grid, empty = GroundGrid(axes, 0.0, 0.0, 1.0, 0, 0), np.zeros((0, 0), np.float32)
-    colors = np.zeros((0, 3), np.uint8)
+    rgb = np.zeros((0, 3), np.uint8)
     return Changes(
-        False, {}, np.zeros((0, 3)), colors, none, none, none, labels, clusters, grid, empty, metric=poses.metric, crs=poses.crs
+        False, {}, np.zeros((0, 3)), rgb, values, values, values, labels, blobs, grid, empty, metric=poses.metric, crs=poses.crs
     )

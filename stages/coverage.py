@@ -20,15 +20,15 @@ from .core.residual_distortion import undistorted_frames
 from .reasons import Reason, Rejected
 from .types import Bools, Camera, Coverage, DepthMap, Float64s, Frame, GroundGrid, Poses, Scene
 
-_ACROSS = 320
+_LEAST_SAMPLES = 320
 """Smallest number of samples per row of a depth map from which the surface is made."""
-_REACH = 1.5
+_FILL_CELLS = 1.5
 """A cell without points takes the height of the nearest cell with points, up to this distance in cells."""
 _CELLS = 250
 """Approximate number of cells along the longer side of the ground."""
-_LOWEST = 0.1
+_LOWEST_QUANTILE = 0.1
 """Quantile of the heights in a cell that counts as its lowest: a single wrong point must not make a pit."""
-_ON_GROUND = 0.2
+_LOW_SHARE = 0.2
 """Share of the heights that may lie below the fitted ground plane."""
 
 
@@ -56,14 +56,14 @@ def find_coverage(
     noise_px : expected error of a match in pixels, standard deviation.
     min_angle_deg, max_angle_deg : two cameras measure depth where their rays meet at an angle between these limits.
     """
-    better = refined or {}
-    placed = poses.main_cameras()
-    source = {name: better if name in better else depths for name in placed if name in better or name in depths}
-    cameras = {name: placed[name] for name in source}
+    preferred = refined or {}
+    posed = poses.main_cameras()
+    source_of = {name: preferred if name in preferred else depths for name in posed if name in preferred or name in depths}
+    cameras = {name: posed[name] for name in source_of}
     frames = undistorted_frames(frames, cameras)
-    points = [_surface(cameras[name], depth_of[name]) for name, depth_of in source.items()]
+    points = [_surface(cameras[name], source[name]) for name, source in source_of.items()]
     if not sum(map(len, points)):
-        return Rejected(Reason.NO_DEPTH, {"cameras": float(len(placed))})
+        return Rejected(Reason.NO_DEPTH, {"cameras": float(len(posed))})
     surface = np.concatenate(points)
     plane = scene.ground if scene is not None else None
     axes = ground_axes(cameras.values(), plane)
@@ -74,15 +74,15 @@ def find_coverage(
     known = np.flatnonzero(np.isfinite(X).all(axis=1))
     seen = np.zeros((len(cameras), len(known)), bool)
     for k, (name, camera) in enumerate(cameras.items()):
-        seen[k] = _sees(camera, frames.get(name), source[name][name], X[known], grid.cell)
+        seen[k] = _sees(camera, frames.get(name), source_of[name][name], X[known], grid.cell)
     ids = [camera_id(name, camera) for name, camera in cameras.items()]
-    whole = {name: np.flatnonzero(np.array(ids) == name) for name in ids}  # the views of each camera; most cameras have one
-    seen = np.stack([seen[rows].any(axis=0) for rows in whole.values()])
-    firsts = [list(cameras.values())[rows[0]] for rows in whole.values()]
-    limits = np.cos(np.radians([min_angle_deg, max_angle_deg]))
-    focals = np.array([camera.K[0, 0] for camera in firsts]) / noise_px
-    angle, error = _best_pairs(X[known], seen, np.stack([c.C for c in firsts]), focals, limits[0], limits[1])
-    return _coverage(poses, list(whole), grid, heights, known, seen, angle, error)
+    views_of = {name: np.flatnonzero(np.array(ids) == name) for name in ids}  # the views of each camera; most cameras have one
+    seen = np.stack([seen[rows].any(axis=0) for rows in views_of.values()])
+    first_views = [list(cameras.values())[rows[0]] for rows in views_of.values()]
+    cos_limits = np.cos(np.radians([min_angle_deg, max_angle_deg]))
+    focals = np.array([camera.K[0, 0] for camera in first_views]) / noise_px
+    angle, error = _best_pairs(X[known], seen, np.stack([c.C for c in first_views]), focals, cos_limits[0], cos_limits[1])
+    return _coverage(poses, list(views_of), grid, heights, known, seen, angle, error)
 
 
 def _coverage(
@@ -96,33 +96,33 @@ def _coverage(
     error: Float64s,
 ) -> Coverage:
     views = seen.sum(axis=0)
-    alone = {name: float(np.mean((views == 2) & seen[k])) for k, name in enumerate(names)}
+    lost_without = {name: float(np.mean((views == 2) & seen[k])) for k, name in enumerate(names)}
 
-    def spread(values: np.ndarray, nothing: float, kind: type[np.generic]) -> np.ndarray:
-        full: np.ndarray = np.full(heights.size, nothing, kind)
-        full[known] = values
-        return full.reshape(heights.shape)
+    def to_grid(values: np.ndarray, fill: float, dtype: type[np.generic]) -> np.ndarray:
+        cells: np.ndarray = np.full(heights.size, fill, dtype)
+        cells[known] = values
+        return cells.reshape(heights.shape)
 
-    paired = np.isfinite(error)
+    measured = np.isfinite(error)
     return Coverage(
         grid,
         heights.astype(np.float32),
-        spread(np.minimum(views, 255), 0, np.uint8),
-        spread(np.degrees(angle), np.nan, np.float32),
-        spread(error, np.nan, np.float32),
+        to_grid(np.minimum(views, 255), 0, np.uint8),
+        to_grid(np.degrees(angle), np.nan, np.float32),
+        to_grid(error, np.nan, np.float32),
         area=float(len(known) * grid.cell**2),
         seen_by_one=float(np.mean(views >= 1)),
         seen_by_two=float(np.mean(views >= 2)),
-        median_angle_deg=float(np.degrees(np.median(angle[paired]))) if paired.any() else -1.0,
-        median_error=float(np.median(error[paired])) if paired.any() else -1.0,
-        lost_without=alone,
+        median_angle_deg=float(np.degrees(np.median(angle[measured]))) if measured.any() else -1.0,
+        median_error=float(np.median(error[measured])) if measured.any() else -1.0,
+        lost_without=lost_without,
         metric=poses.metric,
         crs=poses.crs,
     )
 
 
 def _surface(camera: Camera, depth: DepthMap) -> Float64s:
-    step = max(1, camera.width // _ACROSS)
+    step = max(1, camera.width // _LEAST_SAMPLES)
     z = depth.depth[step // 2 :: step, step // 2 :: step]
     y, x = np.nonzero(np.isfinite(z))
     pixels = np.column_stack([x, y]).astype(np.float64) * step + step // 2
@@ -131,10 +131,10 @@ def _surface(camera: Camera, depth: DepthMap) -> Float64s:
 
 def _heights(grid: GroundGrid, surface: Float64s, plane: Float64s | None) -> Float64s:
     """(rows, columns) heights of the surface within its convex hull: the lowest in each cell, else the ground plane."""
-    found = quantile_by_cell(cells_of(grid, surface), surface @ grid.axes[2], grid.rows * grid.columns, _LOWEST)
-    heights = found.reshape(grid.rows, grid.columns)
-    away, nearest = distance_transform_edt(~np.isfinite(heights), return_indices=True)
-    heights = np.where(away <= _REACH, heights[tuple(nearest)], np.nan)
+    lowest = quantile_by_cell(cells_of(grid, surface), surface @ grid.axes[2], grid.rows * grid.columns, _LOWEST_QUANTILE)
+    heights = lowest.reshape(grid.rows, grid.columns)
+    distance, nearest = distance_transform_edt(~np.isfinite(heights), return_indices=True)
+    heights = np.where(distance <= _FILL_CELLS, heights[tuple(nearest)], np.nan)
     y, x = np.nonzero(np.isfinite(heights))
     area = np.zeros(heights.shape, np.uint8)
     hull = cv2.convexHull(np.column_stack([x, y]).astype(np.int32))
@@ -143,42 +143,42 @@ def _heights(grid: GroundGrid, surface: Float64s, plane: Float64s | None) -> Flo
     if holes.any():
         flat = cell_centres(grid, np.zeros_like(heights))
         if plane is None:
-            plane = _low_plane(flat, heights.ravel(), grid.axes[2])
+            plane = _ground_plane(flat, heights.ravel(), grid.axes[2])
         level = -(flat @ plane[:3] + plane[3]) / float(plane[:3] @ grid.axes[2])
         heights[holes] = level.reshape(heights.shape)[holes]
     return heights
 
 
-def _low_plane(flat: Float64s, heights: Float64s, up: Float64s) -> Float64s:
+def _ground_plane(flat: Float64s, heights: Float64s, up: Float64s) -> Float64s:
     """(4,) the plane below most of the heights (n,) at the places `flat` (n, 3): things that stand on the ground are above it.
 
-    Quantile regression at `_ON_GROUND`, by iteratively reweighted least squares (Koenker & Bassett 1978).
+    Quantile regression at `_LOW_SHARE`, by iteratively reweighted least squares (Koenker & Bassett 1978).
     """
     known = np.isfinite(heights)
-    across = np.linalg.svd(up[None])[2][1:]
-    A = np.column_stack([flat[known] @ across.T, np.ones(int(known.sum()))])
-    wanted, weights = heights[known], np.ones(int(known.sum()))
+    horizontal = np.linalg.svd(up[None])[2][1:]
+    A = np.column_stack([flat[known] @ horizontal.T, np.ones(int(known.sum()))])
+    y, weights = heights[known], np.ones(int(known.sum()))
     for _ in range(30):
-        found = np.linalg.lstsq(A * weights[:, None], wanted * weights, rcond=None)[0]
-        off = wanted - A @ found
-        weights = np.sqrt(np.where(off > 0, _ON_GROUND, 1 - _ON_GROUND) / np.maximum(np.abs(off), 1e-3 * np.ptp(wanted) + 1e-12))
-    normal = up - found[:2] @ across
-    return np.append(normal, -found[2])
+        coefficients = np.linalg.lstsq(A * weights[:, None], y * weights, rcond=None)[0]
+        error = y - A @ coefficients
+        weights = np.sqrt(np.where(error > 0, _LOW_SHARE, 1 - _LOW_SHARE) / np.maximum(np.abs(error), 1e-3 * np.ptp(y) + 1e-12))
+    normal = up - coefficients[:2] @ horizontal
+    return np.append(normal, -coefficients[2])
 
 
 def _sees(camera: Camera, frame: Frame | None, depth: DepthMap, X: Float64s, cell: float) -> Bools:
     """(n,) bool: which points X (n, 3) are in a camera's image, unmasked and not occluded?"""
     x, z = project(camera, X)
     inside = (z > 0) & (x > -0.5).all(axis=1) & (x[:, 0] < camera.width - 0.5) & (x[:, 1] < camera.height - 0.5)
-    at = np.rint(x[inside]).astype(np.intp)
-    free = np.ones(len(at), bool)
+    pixels = np.rint(x[inside]).astype(np.intp)
+    visible = np.ones(len(pixels), bool)
     if frame is not None:
-        free &= frame.mask[at[:, 1], at[:, 0]]
-    there, sigma = depth.depth[at[:, 1], at[:, 0]], depth.sigma[at[:, 1], at[:, 0]]
+        visible &= frame.mask[pixels[:, 1], pixels[:, 0]]
+    surface_z, sigma = depth.depth[pixels[:, 1], pixels[:, 0]], depth.sigma[pixels[:, 1], pixels[:, 0]]
     tolerance = 3.0 * sigma + 0.02 * z[inside] + cell
-    free &= ~(there < z[inside] - tolerance)  # a pixel without depth (nan) occludes nothing
+    visible &= ~(surface_z < z[inside] - tolerance)  # a pixel without depth (nan) occludes nothing
     seen = np.zeros(len(X), bool)
-    seen[inside] = free
+    seen[inside] = visible
     return seen
 
 

@@ -32,24 +32,24 @@ def view_depth(
     noise_px : assumed error of a disparity in pixels, standard deviation.
     """
     noise = NoiseModel(noise_px=noise_px)
-    found: dict[str, tuple[Float32s, Float32s]] = {}
-    pixels: dict[str, int] = {}
+    estimates: dict[str, tuple[Float32s, Float32s]] = {}
+    usable_pixels: dict[str, int] = {}
     left_out: list[str] = []
     for pair in disparities:
         side: Side = 1 if pair[1] in cameras else 2
-        other = pair[2 - side]
-        if pair not in rectifications or other not in cameras or cameras[other].component != camera.component:
+        partner = pair[2 - side]
+        if pair not in rectifications or partner not in cameras or cameras[partner].component != camera.component:
             continue
-        found[other] = pair_depth(camera, cameras[other], rectifications[pair], disparities[pair], side)
+        estimates[partner] = pair_depth(camera, cameras[partner], rectifications[pair], disparities[pair], side)
         if len(disparities) > MOST_PARTNERS:
-            pixels[other] = int(np.count_nonzero(noise.usable(*found[other])))
-        if len(found) > MOST_PARTNERS:
-            left_out.append(min(found, key=pixels.__getitem__))
-            del found[left_out[-1]]
-    if found:
-        partners, (depths, gains) = list(found), ([each[k] for each in found.values()] for k in (0, 1))
+            usable_pixels[partner] = int(np.count_nonzero(noise.usable(*estimates[partner])))
+        if len(estimates) > MOST_PARTNERS:
+            left_out.append(min(estimates, key=usable_pixels.__getitem__))
+            del estimates[left_out[-1]]
+    if estimates:
+        partners, (depths, gains) = list(estimates), ([estimate[k] for estimate in estimates.values()] for k in (0, 1))
         fused = fuse_pairs(camera, depths, gains, partners, noise)
         if np.isfinite(fused.depth).any():
-            apart = {f"{partners[a]}--{partners[b]}": px for (a, b), px in apart_px(depths, gains, noise).items()}
-            return replace(fused, left_out=tuple(left_out), apart_px=apart)
+            differences = {f"{partners[a]}--{partners[b]}": px for (a, b), px in apart_px(depths, gains, noise).items()}
+            return replace(fused, left_out=tuple(left_out), apart_px=differences)
     return Rejected(Reason.NO_PAIR_DEPTH, {"pairs": len(disparities)})

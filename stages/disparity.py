@@ -65,57 +65,57 @@ def match_dense(
     if rectification.disparity_max_px - rectification.disparity_min_px > _WIDEST_RANGE_PX:
         return Rejected(Reason.RANGE_TOO_WIDE, {"disparity_max_px": rectification.disparity_max_px})
     pair = with_coarse_range(rectified_pair(left, right, rectification))
-    if reference_disparity is not None and reference_rectification is not None and _alike(rectification, reference_rectification):
+    if reference_disparity is not None and reference_rectification is not None and _equal(rectification, reference_rectification):
         maps = reference_disparity.left, reference_disparity.right
-        before, before_right = (_known(stored, reference_disparity.offset_px, pair.left.shape[1]) for stored in maps)
-        pair = replace(pair, reference_left=before, reference_right=before_right)
+        left_start, right_start = (_in_pixels(stored, reference_disparity.offset_px, pair.left.shape[1]) for stored in maps)
+        pair = replace(pair, reference_left=left_start, reference_right=right_start)
     inputs = {"pair": pair, "left": left, "right": right, "rectification": rectification}
     matches: DenseMatches | Rejected = bind(MATCHERS, matcher, inputs, options)()
     if isinstance(matches, Rejected):
         return matches
     offset = round((pair.disparity_min + pair.disparity_max) / 2)
     speckle_px = round(speckle_share * pair.left.size)
-    kept = [_kept(pair, matches, side, sign, tolerance_px, speckle_px, offset) for side, sign in _SIDES]
+    views = [_checked(pair, matches, side, sign, tolerance_px, speckle_px, offset) for side, sign in _SIDES]
     common_px = int(pair.within_reach().sum())
-    density = float(np.sum(kept[0][0] != INVALID) / max(common_px, 1))
+    density = float(np.sum(views[0][0] != INVALID) / max(common_px, 1))
     if density < min_density:
         return Rejected(Reason.NO_DENSE_MATCHES, {"density": density, "common_px": float(common_px)})
     widths = rectification.size1[0], rectification.size2[0]
-    (left_map, sure1), (right_map, sure2) = ((a[:, :w].copy(), b[:, :w].copy()) for w, (a, b) in zip(widths, kept, strict=True))
-    x1, x2, sigma_px = measure_y_parallax(pair, _known(kept[0][0], offset, pair.left.shape[1]), rectification.angle_deg)
+    (left_map, conf1), (right_map, conf2) = ((a[:, :w].copy(), b[:, :w].copy()) for w, (a, b) in zip(widths, views, strict=True))
+    x1, x2, sigma_px = measure_y_parallax(pair, _in_pixels(views[0][0], offset, pair.left.shape[1]), rectification.angle_deg)
     rows = RowMatches(from_rectified(rectification, 1, x1), from_rectified(rectification, 2, x2), sigma_px / rectification.scale)
-    return Disparity(left_map, right_map, sure1, sure2, offset, density, rows)
+    return Disparity(left_map, right_map, conf1, conf2, offset, density, rows)
 
 
-def _alike(one: Rectification, two: Rectification) -> bool:
+def _equal(first: Rectification, second: Rectification) -> bool:
     """Do two rectifications resample the images in the same way, by homographies?"""
-    if one.H1 is None or one.H2 is None or two.H1 is None or two.H2 is None:
+    if first.H1 is None or first.H2 is None or second.H1 is None or second.H2 is None:
         return False
-    sizes = one.size1 == two.size1 and one.size2 == two.size2
-    return sizes and np.array_equal(one.H1, two.H1) and np.array_equal(one.H2, two.H2)
+    sizes = first.size1 == second.size1 and first.size2 == second.size2
+    return sizes and np.array_equal(first.H1, second.H1) and np.array_equal(first.H2, second.H2)
 
 
-def _known(stored: Int16s, offset: int, width: int) -> Float32s:
+def _in_pixels(stored: Int16s, offset: int, width: int) -> Float32s:
     """(h, width) disparity in pixels; nan where unknown, and in the columns that pad the image to `width`."""
     disparity = np.where(stored == INVALID, np.float32(np.nan), stored / np.float32(16) + offset).astype(np.float32)
     return np.pad(disparity, ((0, 0), (0, width - stored.shape[1])), constant_values=np.nan)
 
 
-def _kept(
+def _checked(
     pair: RectifiedPair, matches: DenseMatches, side: Side, sign: int, tolerance_px: float, speckle_px: int, offset: int
 ) -> tuple[Int16s, Uint8s]:
     """The disparities of one view that pass all checks: as stored, and their confidence."""
-    one, other, certain = matches.left, matches.right, matches.confidence_left
+    disparity, other, confidence = matches.left, matches.right, matches.confidence_left
     valid, valid_other = pair.valid_left, pair.valid_right
     if side == 2:
-        one, other, certain = other, one, matches.confidence_right
+        disparity, other, confidence = other, disparity, matches.confidence_right
         valid, valid_other = valid_other, valid
-    one = (np.rint((one - offset) * 16) / 16 + offset).astype(np.float32)  # the checks see the values as stored
-    agreed = valid & (certain > 0) & agreeing(one, other, sign, tolerance_px) & lands_on(valid_other, one, sign)
-    kept = without_speckles(np.where(agreed, one, np.float32(np.nan)), speckle_px)
-    known = ~np.isnan(kept)
-    stored = np.full(one.shape, INVALID, dtype=np.int16)
-    stored[known] = np.rint((kept[known] - offset) * 16).astype(np.int16)
-    difference = disagreement(one, other, sign)
-    sure = certain * (1 - 0.5 * np.minimum(difference, tolerance_px) / tolerance_px)
-    return stored, np.where(stored == INVALID, 0, np.clip(np.rint(255 * sure), 1, 255)).astype(np.uint8)
+    disparity = (np.rint((disparity - offset) * 16) / 16 + offset).astype(np.float32)  # the checks see the values as stored
+    accepted = valid & (confidence > 0) & agreeing(disparity, other, sign, tolerance_px) & lands_on(valid_other, disparity, sign)
+    filtered = without_speckles(np.where(accepted, disparity, np.float32(np.nan)), speckle_px)
+    known = ~np.isnan(filtered)
+    stored = np.full(disparity.shape, INVALID, dtype=np.int16)
+    stored[known] = np.rint((filtered[known] - offset) * 16).astype(np.int16)
+    difference = disagreement(disparity, other, sign)
+    reduced = confidence * (1 - 0.5 * np.minimum(difference, tolerance_px) / tolerance_px)
+    return stored, np.where(stored == INVALID, 0, np.clip(np.rint(255 * reduced), 1, 255)).astype(np.uint8)

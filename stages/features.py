@@ -61,7 +61,7 @@ def detect(
     min_keypoints : reject the frame if the plain view has fewer.
     """
     grey = grey_levels(frame.image)
-    equalise = preprocessing == "clahe" or (preprocessing == "auto" and _low_contrast(grey, frame.mask))
+    equalise = preprocessing == "clahe" or (preprocessing == "auto" and _has_low_contrast(grey, frame.mask))
     if equalise:
         grey = _equalised(grey)
     plain = _detect_view(grey, contrast_threshold, frame.mask, max_keypoints, grid_columns, crowding)
@@ -73,16 +73,16 @@ def detect(
         views.append(_detect_tilted(grey, contrast_threshold, frame.mask, tilted_keypoints, grid_columns, crowding))
     xy, frames, descriptors, responses = (np.concatenate(parts) for parts in zip(*views, strict=True))
     tilts = np.repeat(np.arange(len(views), dtype=np.uint8), [len(v[0]) for v in views])
-    count, made = len(plain[0]), "clahe" if equalise else "none"
+    count, prepared = len(plain[0]), "clahe" if equalise else "none"
     lookalikes = nearest_lookalike(plain[2], plain[0], count)
-    return Features(xy, frames, descriptors, responses, tilts, frame.view, lookalikes, count, made)
+    return Features(xy, frames, descriptors, responses, tilts, frame.view, lookalikes, count, prepared)
 
 
-_View = tuple[Float64s, Float64s, Float32s, Float32s]
+_Keypoints = tuple[Float64s, Float64s, Float32s, Float32s]
 """xy, frames, descriptors and responses of one view's keypoints."""
 
 
-def _low_contrast(grey: Uint8s, mask: Bools) -> bool:
+def _has_low_contrast(grey: Uint8s, mask: Bools) -> bool:
     """True for a dark image (night, lamps), or one with a narrow range of grey levels (fog)."""
     if not mask.any():
         return False
@@ -99,29 +99,29 @@ def _equalised(grey: Uint8s) -> Uint8s:
     return np.asarray(cv2.createCLAHE(clipLimit=2.0, tileGridSize=(8, 8)).apply(smooth), dtype=np.uint8)
 
 
-def _detect_view(grey: Uint8s, contrast: float, mask: Bools, wanted: int, grid_columns: int, crowding: float) -> _View:
+def _detect_view(grey: Uint8s, contrast: float, mask: Bools, quota: int, grid_columns: int, crowding: float) -> _Keypoints:
     bands = _bands(*grey.shape)
     octaves: Pyramid = ()
-    found, band_of = [], []
+    found_blobs, band_numbers = [], []
     for number, (start, top, bottom, stop) in enumerate(bands):
         octaves = pyramid(grey[start:stop])
         blobs = find_blobs(octaves, contrast).lower_by(start)
-        found.append(blobs.at((blobs.y >= top) & (blobs.y < bottom)) if len(bands) > 1 else blobs)
-        band_of.append(np.full(len(found[-1].x), number))
-    blobs, band = Blobs.joined(found), np.concatenate(band_of)
-    chosen = _spread(blobs, _usable(blobs, mask), grey.shape, wanted, grid_columns, crowding)
+        found_blobs.append(blobs.at((blobs.y >= top) & (blobs.y < bottom)) if len(bands) > 1 else blobs)
+        band_numbers.append(np.full(len(found_blobs[-1].x), number))
+    blobs, band = Blobs.joined(found_blobs), np.concatenate(band_numbers)
+    chosen = _spread(blobs, _usable(blobs, mask), grey.shape, quota, grid_columns, crowding)
     blobs, band = blobs.at(chosen), band[chosen]
     angles, descriptors = np.empty(len(chosen)), np.empty((len(chosen), LENGTH), np.float32)
     for number, (start, _, _, stop) in enumerate(bands):
         octaves = pyramid(grey[start:stop]) if len(bands) > 1 else octaves
-        mine = blobs.at(band == number).lower_by(-start)
-        angles[band == number] = angle = main_directions(octaves, mine, np.radians(ANGLE_SEAM_DEG))
-        descriptors[band == number] = describe(octaves, mine, angle)
+        band_blobs = blobs.at(band == number).lower_by(-start)
+        angles[band == number] = angle = main_directions(octaves, band_blobs, np.radians(ANGLE_SEAM_DEG))
+        descriptors[band == number] = describe(octaves, band_blobs, angle)
     c, s = 2 * blobs.sigma * np.cos(angles), 2 * blobs.sigma * np.sin(angles)
     frames = np.stack([np.stack([c, -s], axis=1), np.stack([s, c], axis=1)], axis=1)
     # RootSIFT: unit length follows from the L1 normalisation
-    root = np.sqrt(descriptors / np.maximum(descriptors.sum(axis=1, keepdims=True), 1e-12)).astype(np.float32)
-    return np.column_stack([blobs.x, blobs.y]), frames, root, blobs.response.astype(np.float32)
+    root_sift = np.sqrt(descriptors / np.maximum(descriptors.sum(axis=1, keepdims=True), 1e-12)).astype(np.float32)
+    return np.column_stack([blobs.x, blobs.y]), frames, root_sift, blobs.response.astype(np.float32)
 
 
 def _bands(height: int, width: int) -> list[tuple[int, int, int, int]]:
@@ -134,14 +134,14 @@ def _bands(height: int, width: int) -> list[tuple[int, int, int, int]]:
     ]
 
 
-def _detect_tilted(grey: Uint8s, contrast: float, mask: Bools, wanted: int, grid_columns: int, crowding: float) -> _View:
+def _detect_tilted(grey: Uint8s, contrast: float, mask: Bools, quota: int, grid_columns: int, crowding: float) -> _Keypoints:
     """Keypoints of the frame compressed by 2 in x (smoothed first, so that nothing aliases), mapped back into the frame."""
     h, w = grey.shape
     size = (max(w // 2, 1), h)
     smooth = cv2.GaussianBlur(grey, (0, 0), sigmaX=1.2, sigmaY=1e-3)
     narrow = np.asarray(cv2.resize(smooth, size, interpolation=cv2.INTER_LINEAR), dtype=np.uint8)
     narrow_mask = cv2.resize(mask.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST) > 0
-    xy, frames, descriptors, responses = _detect_view(narrow, contrast, narrow_mask, wanted, max(grid_columns // 2, 1), crowding)
+    xy, frames, descriptors, responses = _detect_view(narrow, contrast, narrow_mask, quota, max(grid_columns // 2, 1), crowding)
     stretch = np.array([w / size[0], 1.0])
     return (xy + 0.5) * stretch - 0.5, stretch[:, None] * frames, descriptors, responses
 
@@ -157,17 +157,17 @@ def _usable(blobs: Blobs, mask: Bools) -> Bools:
     return np.asarray(clearance[y, x] > blobs.sigma)
 
 
-def _spread(blobs: Blobs, usable: Bools, shape: tuple[int, ...], wanted: int, grid_columns: int, crowding: float) -> Int64s:
+def _spread(blobs: Blobs, usable: Bools, shape: tuple[int, ...], quota: int, grid_columns: int, crowding: float) -> Int64s:
     """Rows of the keypoints to keep, strongest first; keypoints beyond `crowding` times a cell's even share come last.
 
     A more even spread finds more matches at 50 to 60 degrees but loses a tenth elsewhere: weak keypoints are not found again.
     """
     order = np.lexsort((blobs.sigma, blobs.y, blobs.x, -blobs.response))
     order = order[usable[order]]
-    if len(order) <= wanted:
+    if len(order) <= quota:
         return np.asarray(order)
     cell = shape[1] / grid_columns
     cells = (blobs.y[order] // cell).astype(np.int64) * (grid_columns + 1) + (blobs.x[order] // cell).astype(np.int64)
-    share = wanted * cell * cell / (shape[0] * shape[1])
+    share = quota * cell * cell / (shape[0] * shape[1])
     crowded = rank_within(cells, np.arange(len(cells))) >= crowding * share
-    return np.asarray(order[np.sort(np.lexsort((np.arange(len(order)), crowded))[:wanted])])
+    return np.asarray(order[np.sort(np.lexsort((np.arange(len(order)), crowded))[:quota])])

@@ -65,50 +65,50 @@ def clean_frame(
     """
     if not captures:
         raise EmptyCapture("no capture was found for this night")
-    clean: list[_Clean] = []
+    pictures: list[_Picture] = []
     faults: list[BadCapture] = []
     camera: Straight | None = None
-    for capture in (chosen := _spread(captures, max_captures)):
+    for capture in (chosen := _evenly_chosen(captures, max_captures)):
         try:
             for name, image in all_pictures(capture, video_step, max_captures, lens):
                 if camera is None or lens.K is None or image.shape[:2] != (camera.height, camera.width):
-                    camera = Straight.of(image, _as_written(lens, capture, image), name, whole_field)
-                clean.append(_cleaned(image, camera, name, privacy, resolution))
+                    camera = Straight.of(image, _lens_with_exif(lens, capture, image), name, whole_field)
+                pictures.append(_cleaned(image, camera, name, privacy, resolution))
         except BadCapture as error:
             if len(captures) == 1:
                 raise
             faults.append(error)
-    if not clean:
-        raise BadCapture(f"none of this night's captures can be used: {_listed(faults)}")
+    if not pictures:
+        raise BadCapture(f"none of this night's captures can be used: {_summary(faults)}")
     notes = [f"{fault}; left out" for fault in faults]
-    clean = _spread(_most_common_size(clean, notes), max_captures)
-    used = [f"{max_captures} of {len(captures)} captures used"] if len(captures) > max_captures else []
-    return _one_frame(clean, mask, (overlays, denoise), chosen, [*notes, *clean[0].camera.lost(), *used])
+    pictures = _evenly_chosen(_of_common_size(pictures, notes), max_captures)
+    usage_notes = [f"{max_captures} of {len(captures)} captures used"] if len(captures) > max_captures else []
+    return _merged_frame(pictures, mask, (overlays, denoise), chosen, [*notes, *pictures[0].camera.lost(), *usage_notes])
 
 
-def _listed(faults: Sequence[BadCapture]) -> str:
+def _summary(faults: Sequence[BadCapture]) -> str:
     """The faults as one message, with one example of each kind."""
-    alike: dict[type, list[BadCapture]] = {}
+    by_kind: dict[type, list[BadCapture]] = {}
     for fault in faults:
-        alike.setdefault(type(fault), []).append(fault)
-    return "; ".join(f"{first}{f' (and {len(more)} more like it)' if more else ''}" for first, *more in alike.values())
+        by_kind.setdefault(type(fault), []).append(fault)
+    return "; ".join(f"{first}{f' (and {len(others)} more like it)' if others else ''}" for first, *others in by_kind.values())
 
 
-def _one_frame(
-    clean: Sequence[_Clean], mask: Capture | None, asked: tuple[bool, bool], captures: Sequence[Capture], notes: list[str]
+def _merged_frame(
+    pictures: Sequence[_Picture], mask: Capture | None, options: tuple[bool, bool], captures: Sequence[Capture], notes: list[str]
 ) -> Frame:
-    """The frame from clean pictures of one size; asked: whether to mask overlays, and whether to denoise."""
-    overlays, denoise = asked
-    camera, images, names = clean[0].camera, [each.image for each in clean], [each.name for each in clean]
+    """The frame from clean pictures of one size; options: whether to mask overlays, and whether to denoise."""
+    overlays, denoise = options
+    camera, images, names = pictures[0].camera, [p.image for p in pictures], [p.name for p in pictures]
     height, width = images[0].shape[:2]
-    usable = _usable(camera, mask, width, height)
-    private = _seen_privately(clean[0], width, height)
+    usable = _usable_pixels(camera, mask, width, height)
+    private = _private_pixels(pictures[0], width, height)
     allowed = usable & ~private
-    weights, words = weigh(images, names, allowed)
+    weights, weight_notes = weigh(images, names, allowed)
     background = merge(images, weights)
-    signal = Signal.median([each.signal for each in clean])
-    for repair in dict.fromkeys(each.repair for each in clean if each.repair):
-        notes.append(f"{sum(each.repair == repair for each in clean)} of {len(clean)} captures are combed: {repair}")
+    signal = Signal.median([p.signal for p in pictures])
+    for repair in dict.fromkeys(p.repair for p in pictures if p.repair):
+        notes.append(f"{sum(p.repair == repair for p in pictures)} of {len(pictures)} captures are combed: {repair}")
     notes.extend(signal.words())
     if len(images) == 2:
         notes.append(f"two captures have no majority: only {names[1]} is used")
@@ -117,11 +117,11 @@ def _one_frame(
         notes.append(f"a clock or logo is masked: {overlaid:,} pixels")
         trusted &= ~background.overlaid
     if overlays and (clock := running_clock(images, trusted)):
-        x, y, wide, high = clock
-        notes.append(f"a clock runs in its picture ({wide} x {high} px at {x}, {y}): name a mask for it")
+        x, y, clock_width, clock_height = clock
+        notes.append(f"a clock runs in its picture ({clock_width} x {clock_height} px at {x}, {y}): name a mask for it")
     if not trusted.any():
         raise BadCapture("mask, privacy polygons and moving things leave no pixel to use")
-    taken = taken_at(captures)
+    times = taken_at(captures)
     noise = remaining_noise(signal.noise, len(images), width / camera.width)
     image = background.image
     if denoise and noise >= NOISY:
@@ -131,25 +131,25 @@ def _one_frame(
         blanked(image, private if private.any() else None),
         trusted,
         camera.view(width, height),
-        (*notes, *words),
+        (*notes, *weight_notes),
         **vars(image_statistics(background.image, allowed)),
         **vars(signal),
         blur_px=blur_px(background.image, allowed),
         detail_px=detail_px(background.image, allowed, noise),
         noise_left=noise,
         coarseness=1 + (signal.blocking - 1) * width / camera.width,
-        frames_used=len(images) - len(words),
+        frames_used=len(images) - len(weight_notes),
         doubtful=float((background.doubtful & allowed).mean()),
         unchanged=background.unchanged,
-        taken_first=taken[0].isoformat() if taken else "",
-        taken_last=taken[-1].isoformat() if taken else "",
-        taken_in_order=list(taken) == sorted(taken),
-        picture_digest=clean[-1].digest,
+        taken_first=times[0].isoformat() if times else "",
+        taken_last=times[-1].isoformat() if times else "",
+        taken_in_order=list(times) == sorted(times),
+        picture_digest=pictures[-1].digest,
     )
 
 
 @dataclass(frozen=True)
-class _Clean:
+class _Picture:
     """A picture ready to be merged."""
 
     camera: Straight
@@ -166,24 +166,24 @@ class _Clean:
     """First 32 hex digits of the SHA-256 of the capture's pixels, private areas blanked."""
 
 
-def _cleaned(image: Uint8s, camera: Straight, name: str, privacy: Privacy | None, resolution: int | None) -> _Clean:
+def _cleaned(image: Uint8s, camera: Straight, name: str, privacy: Privacy | None, resolution: int | None) -> _Picture:
     area = private_area(privacy, camera.width, camera.height, name)
     image = blanked(image, area)  # first: no figure may depend on what is private
     digest = hashlib.sha256(image.tobytes()).hexdigest()[:32]
     signal, (image, repair) = signal_of(image), repaired(image)
-    straight = _resized(camera.undistort(image), *camera.working_size(resolution))
-    return _Clean(camera, name, straight, area, signal, repair, digest)
+    undistorted = _resized(camera.undistort(image), *camera.working_size(resolution))
+    return _Picture(camera, name, undistorted, area, signal, repair, digest)
 
 
-def _seen_privately(clean: _Clean, width: int, height: int) -> Bools:
+def _private_pixels(picture: _Picture, width: int, height: int) -> Bools:
     """(height, width) bool, True where a pixel of the frame lies in or near a private area."""
-    if clean.private is None:
+    if picture.private is None:
         return np.zeros((height, width), np.bool_)
-    area = _resized(clean.camera.undistort(around(clean.private).astype(np.uint8) * np.uint8(255)), width, height)
+    area = _resized(picture.camera.undistort(around(picture.private).astype(np.uint8) * np.uint8(255)), width, height)
     return np.asarray(area > 0, np.bool_)
 
 
-def _as_written(lens: Lens, capture: Capture, image: Uint8s) -> Lens:
+def _lens_with_exif(lens: Lens, capture: Capture, image: Uint8s) -> Lens:
     """The lens, with the field of view from the capture's EXIF data if the site states neither K nor a field of view."""
     if lens.K is not None or lens.hfov_deg is not None:
         return lens
@@ -192,20 +192,20 @@ def _as_written(lens: Lens, capture: Capture, image: Uint8s) -> Lens:
     return lens if focal is None else replace(lens, hfov_deg=2 * degrees(atan(0.5 * width / (focal * max(width, height)))))
 
 
-def _spread(found: Sequence[_T], count: int) -> list[_T]:
-    if len(found) <= count:
-        return list(found)
-    return [found[i] for i in np.linspace(0, len(found) - 1, count).round().astype(int)]
+def _evenly_chosen(items: Sequence[_T], count: int) -> list[_T]:
+    if len(items) <= count:
+        return list(items)
+    return [items[i] for i in np.linspace(0, len(items) - 1, count).round().astype(int)]
 
 
-def _most_common_size(clean: Sequence[_Clean], notes: list[str]) -> list[_Clean]:
+def _of_common_size(pictures: Sequence[_Picture], notes: list[str]) -> list[_Picture]:
     """The captures of the most common size (that of the latest among equals); a note is added for each other one."""
-    sizes = [(each.camera.width, each.camera.height) for each in clean]
+    sizes = [(p.camera.width, p.camera.height) for p in pictures]
     width, height = max(reversed(sizes), key=sizes.count)
-    for each, size in zip(clean, sizes, strict=True):
+    for p, size in zip(pictures, sizes, strict=True):
         if size != (width, height):
-            notes.append(f"{each.name} has {size[0]} x {size[1]} pixels, most have {width} x {height}; left out")
-    return [each for each, size in zip(clean, sizes, strict=True) if size == (width, height)]
+            notes.append(f"{p.name} has {size[0]} x {size[1]} pixels, most have {width} x {height}; left out")
+    return [p for p, size in zip(pictures, sizes, strict=True) if size == (width, height)]
 
 
 def _resized(image: Uint8s, width: int, height: int) -> Uint8s:
@@ -214,7 +214,7 @@ def _resized(image: Uint8s, width: int, height: int) -> Uint8s:
     return np.asarray(cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA), dtype=np.uint8)
 
 
-def _usable(camera: Straight, mask: Capture | None, width: int, height: int) -> Bools:
+def _usable_pixels(camera: Straight, mask: Capture | None, width: int, height: int) -> Bools:
     """(height, width) bool: covered by the sensor after undistortion, and allowed by the mask."""
     allowed = np.full((camera.height, camera.width), 255, np.uint8) if mask is None else _decode_mask(mask, camera)
     allowed = _resized(camera.undistort(allowed, nearest=True), width, height)
@@ -230,9 +230,9 @@ def _decode_mask(mask: Capture, camera: Straight) -> Uint8s:
     if mask.data.size == 0:
         raise EmptyCapture(f"mask {mask.name} is empty (0 bytes)")
     refuse_truncated(f"mask {mask.name}", mask.data.tobytes())
-    promised = picture_size(mask.data.tobytes())
-    if promised and sorted(promised) != sorted((camera.width, camera.height)):
-        raise _wrong_mask(mask.name, *promised, camera)
+    stated_size = picture_size(mask.data.tobytes())
+    if stated_size and sorted(stated_size) != sorted((camera.width, camera.height)):
+        raise _wrong_mask(mask.name, *stated_size, camera)
     image = decoded(f"mask {mask.name}", np.ascontiguousarray(mask.data), cv2.IMREAD_GRAYSCALE)
     height, width = image.shape
     if (width, height) != (camera.width, camera.height):

@@ -60,100 +60,100 @@ def fuse(
     confidence : smallest probability that a point is right; higher values trade completeness for accuracy.
     right : share of the points that is expected to be right, by their probabilities: the least probable are left out until it
         is reached, but never more than half.  With poor pictures the true share is lower by 0.01 to 0.02.
-    check_views : number of other views that each view is compared with: those that see most of the same.
+    check_views : number of other views that each view is compared with: those that share most with it.
     """
-    better, frames = refined or {}, undistorted_frames(frames, cameras)
-    cameras = {k: camera for k, camera in cameras.items() if camera.component == component and (k in depths or k in better)}
+    preferred, frames = refined or {}, undistorted_frames(frames, cameras)
+    cameras = {k: camera for k, camera in cameras.items() if camera.component == component and (k in depths or k in preferred)}
 
     largest = max((camera.width * camera.height for camera in cameras.values()), default=1)
-    kept = max(_IN_MEMORY, _IN_MEMORY_PX // largest)
+    cache_size = max(_IN_MEMORY, _IN_MEMORY_PX // largest)
 
-    @lru_cache(kept)
-    def loaded(name: str) -> TrustedDepth:
-        found = [source[name] for source in (better, depths) if name in source]
-        usable = believed(frames[name], found[-1])  # judged by the pairs' depth: refinement fits planes to the sky, too
-        return likelier([TrustedDepth(depth, own_logit(depth, usable)) for depth in found])
+    @lru_cache(cache_size)
+    def load_view(name: str) -> TrustedDepth:
+        maps = [source[name] for source in (preferred, depths) if name in source]
+        usable = believed(frames[name], maps[-1])  # judged by the pairs' depth: refinement fits planes to the sky, too
+        return likelier([TrustedDepth(depth, own_logit(depth, usable)) for depth in maps])
 
     loading = Lock()  # otherwise two threads that need the same view would both load it
 
     def view_of(name: str) -> TrustedDepth:
         with loading:
-            return loaded(name)
+            return load_view(name)
 
-    small = dict(zip(cameras, parallel_map(lambda name: subsample(frames[name], view_of(name).depth), cameras), strict=True))
-    if not any(np.isfinite(view.depth).any() for view in small.values()):
+    subsampled = dict(zip(cameras, parallel_map(lambda name: subsample(frames[name], view_of(name).depth), cameras), strict=True))
+    if not any(np.isfinite(view.depth).any() for view in subsampled.values()):
         return Rejected(Reason.NO_DEPTH, {"cameras": float(len(cameras))})
-    near = {name: nearest_views(name, cameras, small, check_views) for name in cameras}
-    gains = exposure_gains(cameras, small, near)
-    edge = voxel_m or natural_voxel(cameras, small)
+    neighbours = {name: nearest_views(name, cameras, subsampled, check_views) for name in cameras}
+    gains = exposure_gains(cameras, subsampled, neighbours)
+    edge = voxel_m or natural_voxel(cameras, subsampled)
     centre = np.mean([camera.C for camera in cameras.values()], axis=0)
     grid = VoxelGrid(edge, edge * np.round(centre / edge))  # a multiple: cells don't depend on the cameras that took part
 
     def view_points(name: str, grid: VoxelGrid) -> tuple[Float32s, VoxelSums]:
-        check = cross_check(name, near[name], cameras, view_of)
-        others = np.array([cameras[other].C for other in near[name]]).reshape(-1, 3)
+        check = cross_check(name, neighbours[name], cameras, view_of)
+        other_centres = np.array([cameras[other].C for other in neighbours[name]]).reshape(-1, 3)
         limits = (min_consistent_pairs, confidence)
-        samples = _samples(frames[name], cameras[name], view_of(name), check, others, gains[name], limits)
+        samples = _samples(frames[name], cameras[name], view_of(name), check, other_centres, gains[name], limits)
         return samples.variance * samples.weight, grid.sums_of(samples)
 
-    given, misfits = _collected(grid, list(cameras), view_points)
-    loaded.cache_clear()
+    sample_counts, misfits = _collect(grid, list(cameras), view_points)
+    load_view.cache_clear()
     parts = [_cloud(samples) for samples in grid.merged()]
     del grid
     if not parts:
         return Rejected(Reason.NO_SUPPORTED_POINT, {"cameras": len(cameras), "min_consistent_pairs": min_consistent_pairs})
-    return _joined(parts, given, misfits, right)
+    return _join(parts, sample_counts, misfits, right)
 
 
-def _collected(
+def _collect(
     grid: VoxelGrid, names: Sequence[str], points_of: Callable[[str, VoxelGrid], tuple[Float32s, VoxelSums]]
 ) -> tuple[dict[str, int], dict[str, float]]:
     """Add the points of all views to the grid, in order, since sums depend on it; returns `Cloud.given` and `Cloud.misfits`.
 
     points_of: squared misfits (n,) of a view's points, and their voxel sums.
     """
-    given, misfits = {}, {}
-    for name, (squared, sums) in zip(names, parallel_map(lambda name: points_of(name, grid), names), strict=True):
-        given[name] = len(squared)
-        if len(squared):
-            misfits[name] = float(np.sqrt(np.median(squared)))
+    sample_counts, misfits = {}, {}
+    for name, (squared_misfits, sums) in zip(names, parallel_map(lambda name: points_of(name, grid), names), strict=True):
+        sample_counts[name] = len(squared_misfits)
+        if len(squared_misfits):
+            misfits[name] = float(np.sqrt(np.median(squared_misfits)))
         grid.add(sums)
-    return given, misfits
+    return sample_counts, misfits
 
 
 def _samples(
-    frame: Frame, camera: Camera, view: TrustedDepth, check: CrossCheck, others: Float64s, gains: Float64s,
+    frame: Frame, camera: Camera, view: TrustedDepth, check: CrossCheck, other_centres: Float64s, gains: Float64s,
     limits: tuple[int, float],
 ) -> Samples:  # fmt: skip
     """The points of one view that are probable enough.  limits: `min_consistent_pairs` and `confidence` of `fuse`."""
     depth, (min_pairs, confidence) = view.depth, limits
-    right = posterior(depth, frame, view.own, check)
-    accepted = (right > 0) & (right >= confidence) & (check.pairs >= min_pairs)
+    probability = posterior(depth, frame, view.own, check)
+    accepted = (probability > 0) & (probability >= confidence) & (check.pairs >= min_pairs)
     if min_pairs > 1:
         accepted &= check.agreeing >= min_pairs
     y, x = np.nonzero(accepted)
     z, sigma = depth.depth[y, x].astype(np.float64), depth.sigma[y, x].astype(np.float64)
     points, normals = backproject(camera, np.column_stack([x, y]).astype(np.float64), z), world_normals(camera, depth, y, x)
-    pixel, variance = (z / camera.K[0, 0]).astype(np.float32), depth_variance(depth, check, y, x)
+    pixel_size, variance = (z / camera.K[0, 0]).astype(np.float32), depth_variance(depth, check, y, x)
     return Samples(
         points,
         normals.astype(np.float32),
         (frame.image[y, x] * gains).clip(0, 255).astype(np.float32),
         (1.0 / sigma**2).astype(np.float32),
-        right[y, x],
+        probability[y, x],
         check.cameras[y, x].astype(np.float32),
-        pixel,
-        along_nearest_rays(variance, camera, others, check.nearest[y, x], points, normals).astype(np.float32),
+        pixel_size,
+        along_nearest_rays(variance, camera, other_centres, check.nearest[y, x], points, normals).astype(np.float32),
     )
 
 
-def _joined(parts: Sequence[Cloud], given: dict[str, int], misfits: dict[str, float], right: float) -> Cloud:
-    """The most probable points of a cloud given in parts; given, misfits, right: see `Cloud` and `fuse`."""
+def _join(parts: Sequence[Cloud], sample_counts: dict[str, int], misfits: dict[str, float], right: float) -> Cloud:
+    """The most probable points of a cloud given in parts; sample_counts (`given`), misfits: see `Cloud`; right: see `fuse`."""
     names = [field.name for field in fields(Cloud) if field.name not in ("given", "misfits", "right")]
     arrays: dict[str, Any] = {name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
-    kept = most_probable(arrays["confidence"], right)
-    expected = round(float(arrays["confidence"][kept].mean(dtype=np.float64)), 4)
-    return Cloud(**{name: values[kept] for name, values in arrays.items()}, given=given, misfits=misfits, right=expected)
+    rows = most_probable(arrays["confidence"], right)
+    expected = round(float(arrays["confidence"][rows].mean(dtype=np.float64)), 4)
+    return Cloud(**{name: values[rows] for name, values in arrays.items()}, given=sample_counts, misfits=misfits, right=expected)
 
 
 def _cloud(merged: Samples) -> Cloud:

@@ -46,7 +46,7 @@ fewer than `min_inliers`: the rest may be chance."""
 
 
 @dataclass(frozen=True)
-class _How:
+class _Options:
     """Parameters shared by all estimates of one pair, see `estimate_geometry`."""
 
     threshold_px: float
@@ -91,44 +91,44 @@ def estimate_geometry(
 
     References: Hartley & Zisserman, Multiple View Geometry, 2nd ed., chapters 9 to 11.
     """
-    how = _How(threshold_px, use_intrinsics, seed)
+    options = _Options(threshold_px, use_intrinsics, seed)
     if matches.i1 is not None:
         matches = replace(matches, searched=searched_view_pairs(matches, left, right))
-    before, found = matches, _solve(matches, _sizes(matches, left, right), how)
-    night = None if found is None else _of_one_night(matches, found, left, right)
-    if guided and found is not None and (night is not None or matches.i1 is not None):
-        matches, found = _guided_round(matches, found, night, left, right, how)
-    found, noise, lenses = _weighted(matches, found, _sizes(matches, left, right), how)
-    count = 0 if found is None else int(found.inliers.sum())
-    if found is None or count < min_inliers:
-        return Rejected(Reason.TOO_FEW_INLIERS, {"matches": len(before.x1), "inliers": count, "needed": min_inliers})
-    inliers = at_rows(matches, found.inliers)
-    support = _support(inliers, found, how)
-    figures = {"matches": float(len(before.x1)), **support.figures()}
+    raw_matches, model = matches, _solve(matches, _keypoint_sizes(matches, left, right), options)
+    night = None if model is None else _one_night_matches(matches, model, left, right)
+    if guided and model is not None and (night is not None or matches.i1 is not None):
+        matches, model = _guided_round(matches, model, night, left, right, options)
+    model, noise, lenses = _refined(matches, model, _keypoint_sizes(matches, left, right), options)
+    count = 0 if model is None else int(model.inliers.sum())
+    if model is None or count < min_inliers:
+        return Rejected(Reason.TOO_FEW_INLIERS, {"matches": len(raw_matches.x1), "inliers": count, "needed": min_inliers})
+    inliers = at_rows(matches, model.inliers)
+    support = _support(inliers, model, options)
+    figures = {"matches": float(len(raw_matches.x1)), **support.figures()}
     degenerate = _degenerate(support, min_area, min_inliers)
     if degenerate is not None:
         return Rejected(degenerate, figures | {"needed_share": min_area})
 
-    contradicted = found.R is None and use_intrinsics and _known(matches.view1) and _known(matches.view2)
-    evidence = _evidence(before, inliers, night, found, left, right, how)
+    contradicted = model.R is None and use_intrinsics and _has_known_lens(matches.view1) and _has_known_lens(matches.view2)
+    evidence = _evidence(raw_matches, inliers, night, model, left, right, options)
     score = pair_score(evidence, contradicted)
     figures |= {"score": score, "distinct_cells": float(evidence.distinct_cells), "agreement": evidence.agreement}
     if score < min_score and not informs_about_site(evidence):
         return Rejected(Reason.WRONG_MATCHES, figures | {"cells": GRID_COLUMNS * GRID_ROWS})
     warnings = _warnings(support, contradicted, few_inliers, small_area, min_inliers)
-    accepted = _accepted(inliers, found, support, evidence, score)
+    accepted = _accepted(inliers, model, support, evidence, score)
     if lenses is not None:
         accepted = replace(accepted, lens1=lenses.K1, lens2=lenses.K2, implausibility=lenses.implausibility)
-    return replace(accepted, matches=len(before.x1), noise_px=noise[found.inliers].astype(np.float32), warnings=warnings)
+    return replace(accepted, matches=len(raw_matches.x1), noise_px=noise[model.inliers].astype(np.float32), warnings=warnings)
 
 
-def _accepted(inliers: Matches, found: TwoView, support: _Support, evidence: PairEvidence, score: float) -> Geometry:
-    R, t = found.R, found.t
+def _accepted(inliers: Matches, model: TwoView, support: _Support, evidence: PairEvidence, score: float) -> Geometry:
+    R, t = model.R, model.t
     if R is None:  # the pose nearest to F, if there is some K to derive it with
-        R, t = pose_of_fundamental(found.F, inliers.x1, inliers.x2, inliers.view1, inliers.view2) or (None, None)
+        R, t = pose_of_fundamental(model.F, inliers.x1, inliers.x2, inliers.view1, inliers.view2) or (None, None)
     rival = evidence.rival
     return Geometry(
-        F=found.F,
+        F=model.F,
         x1=inliers.x1,
         x2=inliers.x2,
         i1=inliers.i1,
@@ -140,8 +140,8 @@ def _accepted(inliers: Matches, found: TwoView, support: _Support, evidence: Pai
         cam2_t_cam1=t,
         matches=len(inliers.x1),
         inliers=len(inliers.x1),
-        model="F" if found.R is None else "E",
-        epipolar_px=float(np.median(symmetric_epipolar_distance(found.F, inliers.x1, inliers.x2))),
+        model="F" if model.R is None else "E",
+        epipolar_px=float(np.median(symmetric_epipolar_distance(model.F, inliers.x1, inliers.x2))),
         angle_deg=ray_angle_deg(inliers.x1, inliers.x2, inliers.view1, inliers.view2, R),
         homography_share=support.plane_share,
         score=score,
@@ -157,22 +157,22 @@ def _accepted(inliers: Matches, found: TwoView, support: _Support, evidence: Pai
     )
 
 
-def _of_one_night(matches: Matches, found: TwoView, left: Features, right: Features) -> Matches | None:
+def _one_night_matches(matches: Matches, model: TwoView, left: Features, right: Features) -> Matches | None:
     """One night's keypoint matches around a geometry pooled over many nights; None if it is not pooled."""
     if matches.nights == 1 or matches.i1 is not None or not min(len(left.xy), len(right.xy)):
         return None
-    return matches_of_night(at_rows(matches, found.inliers), found.F, left, right)
+    return matches_of_night(at_rows(matches, model.inliers), model.F, left, right)
 
 
 def _evidence(
-    before: Matches, inliers: Matches, night: Matches | None, found: TwoView, left: Features, right: Features, how: _How
+    raw: Matches, inliers: Matches, night: Matches | None, model: TwoView, left: Features, right: Features, options: _Options
 ) -> PairEvidence:
     """Evidence for the pair: from the descriptors where the matches have keypoints, from those of one night where they are
     pooled over nights, else from the matcher's probabilities."""
     if inliers.i1 is not None and inliers.i2 is not None:
-        return pair_evidence(left, right, searched_view_pairs(inliers, left, right), inliers.i1, inliers.i2, found, how.seed)
-    own = point_evidence(before, inliers, found, how.seed)
-    return own if night is None else pooled_evidence(own, night, found, left, right, how.threshold_px, how.seed)
+        return pair_evidence(left, right, searched_view_pairs(inliers, left, right), inliers.i1, inliers.i2, model, options.seed)
+    evidence = point_evidence(raw, inliers, model, options.seed)
+    return evidence if night is None else pooled_evidence(evidence, night, model, left, right, options.threshold_px, options.seed)
 
 
 @dataclass(frozen=True)
@@ -186,20 +186,20 @@ class _Support:
     turned_share: float | None
 
     def figures(self) -> dict[str, float]:
-        turned = {} if self.turned_share is None else {"rotation_share": self.turned_share}
-        return {"inliers": float(self.inliers), "area_share": self.area, "homography_share": self.plane_share, **turned}
+        rotation = {} if self.turned_share is None else {"rotation_share": self.turned_share}
+        return {"inliers": float(self.inliers), "area_share": self.area, "homography_share": self.plane_share, **rotation}
 
     def explained(self, share: float, min_inliers: int) -> bool:
         """Can the inliers that the model does not explain be chance?"""
         return self.inliers * (1 - share) < max(min_inliers, (1 - PLANAR_SHARE) * self.inliers)
 
 
-def _support(inliers: Matches, found: TwoView, how: _How) -> _Support:
+def _support(inliers: Matches, model: TwoView, options: _Options) -> _Support:
     x1, x2, view1, view2 = inliers.x1, inliers.x2, inliers.view1, inliers.view2
-    limit = INLIER_FACTOR * how.threshold_px
-    turned = None if found.R is None else rotation_support(x1, x2, view1, view2, found.R, limit)
-    plane = float(homography_support(x1, x2, how.threshold_px, how.seed).mean())
-    return _Support(len(x1), min(_hull_share(x1, view1), _hull_share(x2, view2)), plane, turned)
+    limit = INLIER_FACTOR * options.threshold_px
+    turned_share = None if model.R is None else rotation_support(x1, x2, view1, view2, model.R, limit)
+    plane_share = float(homography_support(x1, x2, options.threshold_px, options.seed).mean())
+    return _Support(len(x1), min(_hull_share(x1, view1), _hull_share(x2, view2)), plane_share, turned_share)
 
 
 def _degenerate(support: _Support, min_area: float, min_inliers: int) -> Reason | None:
@@ -211,89 +211,89 @@ def _degenerate(support: _Support, min_area: float, min_inliers: int) -> Reason 
 
 
 def _warnings(support: _Support, contradicted: bool, few_inliers: int, small_area: float, min_inliers: int) -> tuple[str, ...]:
-    found = []
+    warnings = []
     if support.inliers < few_inliers:
-        found.append(f"few inliers: {support.inliers}")
+        warnings.append(f"few inliers: {support.inliers}")
     if support.area < small_area:
-        found.append(f"clustered: inliers on {100 * support.area:.1f} % of the image")
+        warnings.append(f"clustered: inliers on {100 * support.area:.1f} % of the image")
     if support.explained(support.plane_share, min_inliers):
-        found.append(f"planar scene: one homography explains {100 * support.plane_share:.0f} % of the inliers")
+        warnings.append(f"planar scene: one homography explains {100 * support.plane_share:.0f} % of the inliers")
     if contradicted:
-        found.append("the intrinsics contradict the matches: F kept instead of E")
-    return tuple(found)
+        warnings.append("the intrinsics contradict the matches: F kept instead of E")
+    return tuple(warnings)
 
 
-def _solve(matches: Matches, size: Float64s, how: _How) -> TwoView | None:
+def _solve(matches: Matches, size: Float64s, options: _Options) -> TwoView | None:
     """F and, where both K are known, E; the one that `ESSENTIAL_SUPPORT` prefers.  size: (n,) of the matched keypoints."""
     x1, x2, view1, view2 = matches.x1, matches.x2, matches.view1, matches.view2
-    if not (how.use_intrinsics and _known(view1) and _known(view2)):
-        bare = estimate_fundamental(x1, x2, how.threshold_px, how.seed)
-        return None if bare is None else _plausible(matches, bare, size, how)
-    calibrated = estimate_essential(x1, x2, view1, view2, how.threshold_px, how.seed)
+    if not (options.use_intrinsics and _has_known_lens(view1) and _has_known_lens(view2)):
+        uncalibrated = estimate_fundamental(x1, x2, options.threshold_px, options.seed)
+        return None if uncalibrated is None else _with_plausible_lenses(matches, uncalibrated, size, options)
+    calibrated = estimate_essential(x1, x2, view1, view2, options.threshold_px, options.seed)
     if calibrated is not None and calibrated.inliers.sum() >= ESSENTIAL_SUPPORT * len(x1):
         return calibrated  # even an F with all matches as inliers would not be preferred
-    bare = estimate_fundamental(x1, x2, how.threshold_px, how.seed)
-    if bare is None or calibrated is None:
-        return calibrated or bare
-    return calibrated if calibrated.inliers.sum() >= ESSENTIAL_SUPPORT * bare.inliers.sum() else bare
+    uncalibrated = estimate_fundamental(x1, x2, options.threshold_px, options.seed)
+    if uncalibrated is None or calibrated is None:
+        return calibrated or uncalibrated
+    return calibrated if calibrated.inliers.sum() >= ESSENTIAL_SUPPORT * uncalibrated.inliers.sum() else uncalibrated
 
 
 def _guided_round(
-    matches: Matches, found: TwoView, night: Matches | None, left: Features, right: Features, how: _How
+    matches: Matches, model: TwoView, night: Matches | None, left: Features, right: Features, options: _Options
 ) -> tuple[Matches, TwoView]:
     """Matches and their geometry after the guided round, or those passed in if they have more inliers.
 
     night: one night's keypoint matches around the geometry, if the matches are pooled over nights.
     """
-    inside = at_rows(matches, found.inliers)
-    again = with_night(matches, night) if night is not None else match_guided(inside, left, right, found.F)
-    again = replace(again, view1=matches.view1, view2=matches.view2, matcher=matches.matcher)
-    inliers = supporters(found.F, again.x1, again.x2, how.threshold_px)
-    return (again, replace(found, inliers=inliers)) if inliers.sum() >= found.inliers.sum() else (matches, found)
+    inlier_matches = at_rows(matches, model.inliers)
+    guided = with_night(matches, night) if night is not None else match_guided(inlier_matches, left, right, model.F)
+    guided = replace(guided, view1=matches.view1, view2=matches.view2, matcher=matches.matcher)
+    inliers = supporters(model.F, guided.x1, guided.x2, options.threshold_px)
+    return (guided, replace(model, inliers=inliers)) if inliers.sum() >= model.inliers.sum() else (matches, model)
 
 
-def _weighted(
-    matches: Matches, found: TwoView | None, size: Float64s, how: _How
+def _refined(
+    matches: Matches, model: TwoView | None, size: Float64s, options: _Options
 ) -> tuple[TwoView | None, Float64s, TwoCameras | None]:
     """The geometry refined with weights by keypoint size; the noise (n,) of each match in pixels; and the lenses that go with
     F where they are not known."""
-    if found is None:
+    if model is None:
         return None, size, None
     x1, x2, view1, view2 = matches.x1, matches.x2, matches.view1, matches.view2
-    inside = found.inliers
-    if found.R is not None and view1.K is not None and view2.K is not None:
-        F, noise = refine_two_view(found.F, x1[inside], x2[inside], size[inside], (view1.K, view2.K))
-        pose = pose_of_fundamental(F, x1[inside], x2[inside], view1, view2)
-        inliers = supporters(F, x1, x2, how.threshold_px)
-        better = None if pose is None or inliers.sum() < 8 else TwoView(F, inliers, *pose)
-        return better or found, size * (noise[0] / size[inside][0]), None
-    F, noise = refine_two_view(found.F, x1[inside], x2[inside], size[inside])
+    previous = model.inliers
+    if model.R is not None and view1.K is not None and view2.K is not None:
+        F, noise = refine_two_view(model.F, x1[previous], x2[previous], size[previous], (view1.K, view2.K))
+        pose = pose_of_fundamental(F, x1[previous], x2[previous], view1, view2)
+        inliers = supporters(F, x1, x2, options.threshold_px)
+        refined = None if pose is None or inliers.sum() < 8 else TwoView(F, inliers, *pose)
+        return refined or model, size * (noise[0] / size[previous][0]), None
+    F, noise = refine_two_view(model.F, x1[previous], x2[previous], size[previous])
     lenses = None
-    if not (_known(view1) and _known(view2)):
+    if not (_has_known_lens(view1) and _has_known_lens(view2)):
         lenses = refine_with_plausible_intrinsics(
-            [F], x1[inside], x2[inside], noise, *_lenses_to_use(matches, how.use_intrinsics)
+            [F], x1[previous], x2[previous], noise, *_lenses_to_use(matches, options.use_intrinsics)
         )
     if lenses is not None and lenses.implausibility <= MOST_IMPLAUSIBLE:
         F = lenses.F
-    inliers = supporters(F, x1, x2, how.threshold_px)
-    better = None if inliers.sum() < 8 else TwoView(F, inliers)
-    return better or found, size * (noise[0] / size[inside][0]), lenses
+    inliers = supporters(F, x1, x2, options.threshold_px)
+    refined = None if inliers.sum() < 8 else TwoView(F, inliers)
+    return refined or model, size * (noise[0] / size[previous][0]), lenses
 
 
-def _plausible(matches: Matches, bare: TwoView, size: Float64s, how: _How) -> TwoView:
+def _with_plausible_lenses(matches: Matches, bare: TwoView, size: Float64s, options: _Options) -> TwoView:
     """F with plausible lenses for both cameras; the bare F if there are none, or if too many inliers would be lost."""
     x1, x2 = matches.x1, matches.x2
-    views = _lenses_to_use(matches, how.use_intrinsics)
-    one = estimate_with_one_lens(x1, x2, *views, how.threshold_px, how.seed)
-    candidates = [bare] if one is None else [bare, one]
-    either = np.any([c.inliers for c in candidates], axis=0)
+    views = _lenses_to_use(matches, options.use_intrinsics)
+    one_lens = estimate_with_one_lens(x1, x2, *views, options.threshold_px, options.seed)
+    candidates = [bare] if one_lens is None else [bare, one_lens]
+    any_inlier = np.any([c.inliers for c in candidates], axis=0)
     noise = noise_px(bare.F, x1[bare.inliers], x2[bare.inliers], size[bare.inliers])
-    noise = size[either] * (noise[0] / size[bare.inliers][0])
-    found = refine_with_plausible_intrinsics([c.F for c in candidates], x1[either], x2[either], noise, *views)
-    if found is None or found.implausibility > MOST_IMPLAUSIBLE:
+    noise = size[any_inlier] * (noise[0] / size[bare.inliers][0])
+    plausible = refine_with_plausible_intrinsics([c.F for c in candidates], x1[any_inlier], x2[any_inlier], noise, *views)
+    if plausible is None or plausible.implausibility > MOST_IMPLAUSIBLE:
         return bare
-    inliers = supporters(found.F, x1, x2, how.threshold_px)
-    return TwoView(found.F, inliers) if inliers.sum() >= max(ESSENTIAL_SUPPORT * bare.inliers.sum(), 8) else bare
+    inliers = supporters(plausible.F, x1, x2, options.threshold_px)
+    return TwoView(plausible.F, inliers) if inliers.sum() >= max(ESSENTIAL_SUPPORT * bare.inliers.sum(), 8) else bare
 
 
 def _lenses_to_use(matches: Matches, use_intrinsics: bool) -> tuple[View, View]:
@@ -303,19 +303,19 @@ def _lenses_to_use(matches: Matches, use_intrinsics: bool) -> tuple[View, View]:
     return View(view1.width, view1.height), View(view2.width, view2.height)
 
 
-def _sizes(matches: Matches, left: Features, right: Features) -> Float64s:
+def _keypoint_sizes(matches: Matches, left: Features, right: Features) -> Float64s:
     """(n,) size of the coarser keypoint of each match, pixels; 1 without keypoints: only ratios of sizes matter."""
     if matches.i1 is None or matches.i2 is None:
         return np.ones(len(matches.x1))
-    return np.asarray(np.maximum(_size(left.frames[matches.i1]), _size(right.frames[matches.i2])), dtype=np.float64)
+    return np.asarray(np.maximum(_frame_sizes(left.frames[matches.i1]), _frame_sizes(right.frames[matches.i2])), dtype=np.float64)
 
 
-def _size(frames: Float64s) -> Float64s:
+def _frame_sizes(frames: Float64s) -> Float64s:
     """(n,) size of keypoints in pixels of the frame, from their local frames (n, 2, 2)."""
     return np.asarray(np.sqrt(np.abs(np.linalg.det(frames))), dtype=np.float64)
 
 
-def _known(view: View) -> bool:
+def _has_known_lens(view: View) -> bool:
     return view.K is not None and view.focal_known
 
 

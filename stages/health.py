@@ -16,25 +16,25 @@ from .twoview.registration import Found, Turn, corners, find_again, fit_turn
 from .types import Camera, CameraHealth, Float64s, Frame, Uint8s, Usual
 
 _TILE_PX = 16
-_FLAT = 2.5
+_FLAT_SIGMA = 2.5
 """Standard deviation in grey levels of a smoothed tile; tiles below this show nothing."""
 _SATURATED, _COLOURLESS = 250, 0.03
 """Grey level from which a pixel is saturated; median saturation below which a picture counts as infrared."""
-_NIGHT = 60.0
+_NIGHT_LEVEL = 60.0
 """Median grey level below which it is night."""
-_USUAL_NIGHTS = 5
+_FEWEST_NIGHTS = 5
 """Fewest earlier nights from which the usual sway of a camera is measured."""
 _GUESSED_FOCAL = 1.2
 """Focal length in image widths, assumed if nothing is known: a turn in pixels does not depend on it."""
 _SIGMAS = 3.0
 _TURNED_SHARE = 0.5
 """Smallest share of the patches found again that must agree with a turn for it to explain the picture."""
-_ZOOMED = 0.003
+_MOST_ZOOM = 0.003
 """Largest change of zoom (relative) that still counts as a turn: with more, the lens was touched."""
 
 
 @dataclass(frozen=True)
-class _Looks:
+class _Statistics:
     """Statistics of a single picture."""
 
     brightness: float
@@ -52,14 +52,14 @@ class _Looks:
     def flat(self) -> float:
         """Share of the picture's tiles that show nothing."""
         tiles = self.structured[np.isfinite(self.structured)]
-        return float((tiles < _FLAT).mean()) if tiles.size else 1.0
+        return float((tiles < _FLAT_SIGMA).mean()) if tiles.size else 1.0
 
     @property
     def mode(self) -> str:
         """Kind of light: "infrared", "night" or "day"."""
         if self.saturation < _COLOURLESS:
             return "infrared"
-        return "night" if self.brightness < _NIGHT else "day"
+        return "night" if self.brightness < _NIGHT_LEVEL else "day"
 
 
 @dataclass
@@ -102,35 +102,35 @@ def examine(
     flat : a picture counts as obscured if a larger share of it shows nothing (covered, fog, no light).
     dark : a picture also counts as obscured if its contrast (5 to 95 %) is lower, in grey levels of 255.
     """
-    now = _looks(frame)
+    new = _statistics(frame)
     case = _Case(
-        {"brightness": now.brightness, "contrast": now.contrast, "flat": now.flat, "blinded": now.blinded, "mode": now.mode}
+        {"brightness": new.brightness, "contrast": new.contrast, "flat": new.flat, "blinded": new.blinded, "mode": new.mode}
     )
     case.expected |= {"flat": flat, "contrast": dark}
-    if now.flat > flat or now.contrast < dark:
-        light = "no light" if now.brightness < _NIGHT / 2 else "covered, dirty, or in fog"
-        what = f"{100 * now.flat:.0f} % of the picture show nothing ({light})"
-        return case.closed("obscured", what, "check that the lens is clear and that a lamp is on")
+    if new.flat > flat or new.contrast < dark:
+        light = "no light" if new.brightness < _NIGHT_LEVEL / 2 else "covered, dirty, or in fog"
+        text = f"{100 * new.flat:.0f} % of the picture show nothing ({light})"
+        return case.closed("obscured", text, "check that the lens is clear and that a lamp is on")
     if pinned_frame is None:
         return case.closed("ok", "nothing to compare with")
     if pinned_frame.image.shape != frame.image.shape:
         sizes = [f"{f.image.shape[1]}x{f.image.shape[0]}" for f in (pinned_frame, frame)]
         return case.closed("moved", f"its pictures have another size: {sizes[1]}, were {sizes[0]}", "pin a new reference")
-    then = _looks(pinned_frame)
-    case.figures["covered"] = _covered(then, now)
+    old = _statistics(pinned_frame)
+    case.figures["covered"] = _covered_share(old, new)
     K = _intrinsics(frame, pinned_camera)
     grey1, grey2 = grey_levels(pinned_frame.image), grey_levels(frame.image)
     searched = corners(grey1, pinned_frame.mask & frame.mask)
-    found = find_again(grey1, grey2, searched)
-    case.figures["found_again"] = len(found.x1) / max(len(searched), 1)
-    case.turn = fit_turn(found, K, grey1.shape[1], grey1.shape[0])
+    matches = find_again(grey1, grey2, searched)
+    case.figures["found_again"] = len(matches.x1) / max(len(searched), 1)
+    case.turn = fit_turn(matches, K, grey1.shape[1], grey1.shape[0])
     if case.turn is None:
-        return _far(case, grey1, grey2, pinned_frame, frame, K)
-    case.figures["sharpness"] = _sharpness(grey1, grey2, found, case.turn)
-    return _turned(case, case.turn, usual, nudged_px, moved_deg)
+        return _unregistered_state(case, grey1, grey2, pinned_frame, frame, K)
+    case.figures["sharpness"] = _relative_sharpness(grey1, grey2, matches, case.turn)
+    return _registered_state(case, case.turn, usual, nudged_px, moved_deg)
 
 
-def _turned(case: _Case, turn: Turn, usual: Usual | None, nudged_px: float, moved_deg: float) -> CameraHealth:
+def _registered_state(case: _Case, turn: Turn, usual: Usual | None, nudged_px: float, moved_deg: float) -> CameraHealth:
     limit = max(nudged_px, _sway(usual))
     case.figures |= {
         "motion_px": turn.motion_px,
@@ -145,84 +145,84 @@ def _turned(case: _Case, turn: Turn, usual: Usual | None, nudged_px: float, move
         "patches": float(turn.inliers.sum()),
     }
     case.expected |= {"motion_px": limit}
-    zoomed = abs(turn.zoom - 1) > _ZOOMED
+    zoomed = abs(turn.zoom - 1) > _MOST_ZOOM
     sigma = float(np.linalg.norm(turn.shift_sigma))
-    how = f"turned by {turn.angle_deg:.3f} ± {turn.angle_sigma_deg:.3f} degrees ({turn.motion_px:.1f} px)"
+    text = f"turned by {turn.angle_deg:.3f} ± {turn.angle_sigma_deg:.3f} degrees ({turn.motion_px:.1f} px)"
     if turn.motion_px <= max(limit, _SIGMAS * sigma):
         note = f"; {100 * float(case.figures['covered']):.0f} % of it covered" if float(case.figures["covered"]) > 0.3 else ""
         return case.closed("ok", f"where it was, within {turn.motion_px:.2f} px{note}")
     if zoomed or turn.angle_deg > moved_deg:
-        also = f", zoomed by {100 * (turn.zoom - 1):+.1f} %" if zoomed else ""
+        zoom_text = f", zoomed by {100 * (turn.zoom - 1):+.1f} %" if zoomed else ""
         case.expected["turn_deg"] = moved_deg
         agreeing = bool(turn.inliers.mean() >= _TURNED_SHARE)  # else near and far things disagree: it was displaced, too
-        turned = agreeing and not zoomed
-        how += also + (": corrected" if turned else "")
-        return case.closed("moved", how, "turn it back, or pin a new reference", turned)
-    return case.closed("shifted", f"{how}: corrected", "fasten it; if it stays so, pin a new reference", True)
+        only_turned = agreeing and not zoomed
+        text += zoom_text + (": corrected" if only_turned else "")
+        return case.closed("moved", text, "turn it back, or pin a new reference", only_turned)
+    return case.closed("shifted", f"{text}: corrected", "fasten it; if it stays so, pin a new reference", True)
 
 
-def _far(case: _Case, grey1: Uint8s, grey2: Uint8s, pinned: Frame, frame: Frame, K: Float64s) -> CameraHealth:
+def _unregistered_state(case: _Case, grey1: Uint8s, grey2: Uint8s, pinned: Frame, frame: Frame, K: Float64s) -> CameraHealth:
     """The state of a camera whose picture cannot be registered near its old place."""
-    wide = search_globally(grey1, grey2, pinned.mask, frame.mask, K)
-    case.figures |= {"matches": float(wide.matches), "agreeing": float(wide.agreeing)}
-    if wide.turn_deg is not None:
-        case.figures["turn_deg"] = wide.turn_deg
-        return case.closed("moved", f"turned by {wide.turn_deg:.2f} degrees", "turn it back, or pin a new reference")
-    if wide.shared:
+    search = search_globally(grey1, grey2, pinned.mask, frame.mask, K)
+    case.figures |= {"matches": float(search.matches), "agreeing": float(search.agreeing)}
+    if search.turn_deg is not None:
+        case.figures["turn_deg"] = search.turn_deg
+        return case.closed("moved", f"turned by {search.turn_deg:.2f} degrees", "turn it back, or pin a new reference")
+    if search.shared:
         return case.closed("moved", "it sees the same things from another position", "move it back, or pin a new reference")
-    then, now = _looks(pinned), _looks(frame)
-    if wide.distinct and now.mode == then.mode and now.contrast > 0.5 * then.contrast:
-        text = f"it shows another place: of {wide.keypoints} features, {wide.agreeing} agree with the reference"
+    old, new = _statistics(pinned), _statistics(frame)
+    if search.distinct and new.mode == old.mode and new.contrast > 0.5 * old.contrast:
+        text = f"it shows another place: of {search.keypoints} features, {search.agreeing} agree with the reference"
         return case.closed(
             "wrong-scene", text, "is it the right camera on this input? If it was moved for good, pin a new reference"
         )
-    return case.closed("ok", f"unverified: too little of the reference is recognised ({now.mode})")
+    return case.closed("ok", f"unverified: too little of the reference is recognised ({new.mode})")
 
 
 def _sway(usual: Usual | None) -> float:
     """Three robust standard deviations of the shifts of earlier nights, pixels; 0 if there are too few nights."""
-    if usual is None or len(usual.shift_x_px) < _USUAL_NIGHTS:
+    if usual is None or len(usual.shift_x_px) < _FEWEST_NIGHTS:
         return 0.0
     shifts = np.stack([usual.shift_x_px, usual.shift_y_px])
-    off = np.linalg.norm(shifts - np.median(shifts, axis=1, keepdims=True), axis=0)
-    return float(_SIGMAS * 1.4826 * np.median(off))
+    distances = np.linalg.norm(shifts - np.median(shifts, axis=1, keepdims=True), axis=0)
+    return float(_SIGMAS * 1.4826 * np.median(distances))
 
 
-def _looks(frame: Frame) -> _Looks:
-    grey, seen = grey_levels(frame.image), frame.mask
-    if not seen.any():
-        return _Looks(0.0, 0.0, 0.0, 0.0, np.full((1, 1), np.nan))
-    low, middle, high = np.percentile(grey[seen], [5, 50, 95])
+def _statistics(frame: Frame) -> _Statistics:
+    grey, mask = grey_levels(frame.image), frame.mask
+    if not mask.any():
+        return _Statistics(0.0, 0.0, 0.0, 0.0, np.full((1, 1), np.nan))
+    low, median, high = np.percentile(grey[mask], [5, 50, 95])
     highest, lowest = frame.image.max(axis=2).astype(np.float32), frame.image.min(axis=2).astype(np.float32)
-    saturation = float(np.median((highest - lowest)[seen] / np.maximum(highest[seen], 1)))
+    saturation = float(np.median((highest - lowest)[mask] / np.maximum(highest[mask], 1)))
     smooth = cv2.GaussianBlur(grey, (0, 0), 2.0).astype(np.float64)
     h, w = (side // _TILE_PX * _TILE_PX for side in grey.shape)
-    tiles = [a[:h, :w].reshape(h // _TILE_PX, _TILE_PX, w // _TILE_PX, _TILE_PX) for a in (smooth, seen)]
+    tiles = [a[:h, :w].reshape(h // _TILE_PX, _TILE_PX, w // _TILE_PX, _TILE_PX) for a in (smooth, mask)]
     structured = tiles[0].std(axis=(1, 3))
     structured[~tiles[1].all(axis=(1, 3))] = np.nan
-    return _Looks(float(middle), float(high - low), saturation, float((grey[seen] >= _SATURATED).mean()), structured)
+    return _Statistics(float(median), float(high - low), saturation, float((grey[mask] >= _SATURATED).mean()), structured)
 
 
-def _covered(then: _Looks, now: _Looks) -> float:
+def _covered_share(old: _Statistics, new: _Statistics) -> float:
     """Share of the tiles with clear structure in the reference that show nothing now."""
-    if then.structured.shape != now.structured.shape:
+    if old.structured.shape != new.structured.shape:
         return 0.0
-    clear = np.nan_to_num(then.structured) > 2 * _FLAT
-    return float((now.structured[clear] < _FLAT).mean()) if clear.any() else 0.0
+    clear = np.nan_to_num(old.structured) > 2 * _FLAT_SIGMA
+    return float((new.structured[clear] < _FLAT_SIGMA).mean()) if clear.any() else 0.0
 
 
-def _sharpness(grey1: Uint8s, grey2: Uint8s, found: Found, turn: Turn) -> float:
+def _relative_sharpness(grey1: Uint8s, grey2: Uint8s, matches: Found, turn: Turn) -> float:
     """Strength of the finest detail relative to the contrast around it: median ratio of tonight to the reference."""
-    measured = []
-    for grey, at in ((grey1, found.x1), (grey2, found.x2)):
+    ratios = []
+    for grey, points in ((grey1, matches.x1), (grey2, matches.x2)):
         fine = np.abs(cv2.Laplacian(cv2.GaussianBlur(grey, (0, 0), 0.7), cv2.CV_32F))
         values = np.asarray(grey, dtype=np.float32)
         mean = cv2.blur(values, (15, 15))
         spread = np.sqrt(np.maximum(cv2.blur(values * values, (15, 15)) - mean * mean, 1.0))
         ratio = cv2.blur(fine, (15, 15)) / spread
-        x, y = np.rint(at[turn.inliers]).astype(int).T
-        measured.append(ratio[y.clip(0, grey.shape[0] - 1), x.clip(0, grey.shape[1] - 1)])
-    return float(np.median(measured[1] / np.maximum(measured[0], 1e-6)))
+        x, y = np.rint(points[turn.inliers]).astype(int).T
+        ratios.append(ratio[y.clip(0, grey.shape[0] - 1), x.clip(0, grey.shape[1] - 1)])
+    return float(np.median(ratios[1] / np.maximum(ratios[0], 1e-6)))
 
 
 def _intrinsics(frame: Frame, camera: Camera | None) -> Float64s:

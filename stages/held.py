@@ -12,7 +12,7 @@ from .poses import solve_poses, stated_calibration
 from .reasons import Reason, Rejected
 from .types import Bools, Camera, CameraHealth, Float64s, Geometry, Pair, Placement, Poses, Survey, View, at_rows
 
-_ITSELF: Float64s = np.eye(3)
+_IDENTITY: Float64s = np.eye(3)
 
 
 def turn_geometry(pinned: Geometry | None, left: CameraHealth, right: CameraHealth) -> Geometry | Rejected:
@@ -25,8 +25,8 @@ def turn_geometry(pinned: Geometry | None, left: CameraHealth, right: CameraHeal
     if pinned is None:
         return Rejected(Reason.NOTHING_KNOWN)
     (H1, R1), (H2, R2) = _motion(left), _motion(right)
-    x1, inside1 = _moved(pinned.x1, H1, pinned.view1)
-    x2, inside2 = _moved(pinned.x2, H2, pinned.view2)
+    x1, inside1 = _mapped(pinned.x1, H1, pinned.view1)
+    x2, inside2 = _mapped(pinned.x2, H2, pinned.view2)
     keep = inside1 & inside2
     F = np.linalg.inv(H2).T @ pinned.F @ np.linalg.inv(H1)
     R, t = pinned.cam2_R_cam1, pinned.cam2_t_cam1
@@ -67,82 +67,82 @@ def hold_poses(
     """
     if pinned is None:
         return Rejected(Reason.NOTHING_KNOWN)
-    healths = _shared(healths, views)
-    lost = [n for n, health in healths.items() if _lost(health) or n not in pinned.cameras]
-    cameras = {n: _turned(camera, healths.get(n)) for n, camera in pinned.cameras.items() if n not in lost}
+    healths = _with_shared_turns(healths, views)
+    free = [n for n, health in healths.items() if _is_free(health) or n not in pinned.cameras]  # cameras to solve
+    cameras = {n: _turned(camera, healths.get(n)) for n, camera in pinned.cameras.items() if n not in free}
     turned = [n for n in cameras if n in healths and healths[n].corrected]
     sources = {n: "corrected" if n in turned else source for n, source in pinned.sources.items() if n in cameras}
-    notes = tuple(f"{name}: {healths[name].text}" for name in (*turned, *(n for n in lost if n in pinned.cameras)))
+    notes = tuple(f"{name}: {healths[name].text}" for name in (*turned, *(n for n in free if n in pinned.cameras)))
     held = replace(pinned, cameras=cameras, sources=sources, notes=(*notes, *pinned.notes))
-    if not lost:
+    if not free:
         return held
-    around = {pair: g for pair, g in geometries.items() if set(pair) & set(lost) and set(pair) <= {*cameras, *lost}}
+    relevant = {pair: g for pair, g in geometries.items() if set(pair) & set(free) and set(pair) <= {*cameras, *free}}
     stated = {n: camera for n, camera in pinned.cameras.items() if n in views and pinned.sources.get(n) in {"stated", "refined"}}
-    still = {n: cameras[n] for n in stated if n in cameras}
-    held = replace(held, calibration=stated_calibration(stated, still, {*stated} - {*still}, geometries))
-    known = {n: replace(view, K=pinned.cameras[n].K, focal_known=True) for n, view in views.items() if n in pinned.cameras}
-    main = {n: camera for n, camera in cameras.items() if camera.component == 0 and n in views}
-    placements = {n: Placement(camera.R, camera.C, metric=pinned.metric) for n, camera in main.items()}
-    asked = {n: known.get(n, view) for n, view in views.items() if n in main or n in lost}
-    if not around:
-        return _with_solved(held, Rejected(Reason.NO_POSED_CAMERA), lost)
-    found = solve_poses(
-        asked,
+    unmoved = {n: cameras[n] for n in stated if n in cameras}
+    held = replace(held, calibration=stated_calibration(stated, unmoved, {*stated} - {*unmoved}, geometries))
+    known_views = {n: replace(view, K=pinned.cameras[n].K, focal_known=True) for n, view in views.items() if n in pinned.cameras}
+    main_cameras = {n: camera for n, camera in cameras.items() if camera.component == 0 and n in views}
+    placements = {n: Placement(camera.R, camera.C, metric=pinned.metric) for n, camera in main_cameras.items()}
+    solver_views = {n: known_views.get(n, view) for n, view in views.items() if n in main_cameras or n in free}
+    if not relevant:
+        return _with_solved(held, Rejected(Reason.NO_POSED_CAMERA), free)
+    poses = solve_poses(
+        solver_views,
         placements,
-        around,
+        relevant,
         survey,
         max_rotation_error_deg=max_rotation_error_deg,
         max_epipolar_px=max_epipolar_px,
         min_angle_deg=min_angle_deg,
     )
-    return _with_solved(held, found, lost)
+    return _with_solved(held, poses, free)
 
 
-def _shared(healths: Mapping[str, CameraHealth], views: Mapping[str, View]) -> dict[str, CameraHealth]:
+def _with_shared_turns(healths: Mapping[str, CameraHealth], views: Mapping[str, View]) -> dict[str, CameraHealth]:
     """The healths, but with the same turn for all views of one camera: that of the view with the most patches found again."""
-    found = dict(healths)
+    shared = dict(healths)
     usable = {n: health for n, health in healths.items() if n in views and health.state not in {"obscured", "wrong-scene"}}
     for name in usable:
-        own = views[name].lens
-        alike = [n for n in usable if same_camera(views[name], views[n])]
+        own_lens = views[name].lens
+        group = [n for n in usable if same_camera(views[name], views[n])]
         best = max(
-            alike, key=lambda n: (usable[n].corrected or _lost(usable[n]), usable[n].figures.get("patches", 0.0)), default=name
+            group, key=lambda n: (usable[n].corrected or _is_free(usable[n]), usable[n].figures.get("patches", 0.0)), default=name
         )
-        theirs, turn = views[best].lens, usable[best].turn
-        if best != name and own and theirs and own.turn is not None and theirs.turn is not None:
-            to_own = own.turn @ theirs.turn.T
+        best_lens, turn = views[best].lens, usable[best].turn
+        if best != name and own_lens and best_lens and own_lens.turn is not None and best_lens.turn is not None:
+            to_own = own_lens.turn @ best_lens.turn.T
             turned = None if turn is None else to_own @ turn @ to_own.T
-            found[name] = replace(usable[best], turn=turned, homography=usable[name].homography)
-    return found
+            shared[name] = replace(usable[best], turn=turned, homography=usable[name].homography)
+    return shared
 
 
-def _with_solved(held: Poses, found: Poses | Rejected, lost: list[str]) -> Poses:
-    """The held cameras, and those of the lost ones that could be solved in the same world."""
-    theirs = {name: check for name, check in held.pair_checks.items() if not set(name.split("--")) & set(lost)}
-    others = {name: reason for name, reason in held.unsolved.items() if name not in lost}
-    components = tuple(tuple(n for n in group if n not in lost) for group in held.components) or ((),)
-    if isinstance(found, Rejected):
-        why = dict.fromkeys(lost, f"moved, and not solved: {found.reason}")
-        return replace(held, pair_checks=theirs, unsolved=others | why, components=components)
-    solved = {name: found.cameras[name] for name in lost if name in found.cameras and found.cameras[name].component == 0}
-    unsolved = {n: f"moved, and not solved: {found.unsolved.get(n, 'its pairs do not connect it with the others')}" for n in lost}
+def _with_solved(held: Poses, poses: Poses | Rejected, free: list[str]) -> Poses:
+    """The held cameras, and those of the free ones that could be solved in the same world."""
+    checks = {name: check for name, check in held.pair_checks.items() if not set(name.split("--")) & set(free)}
+    other_reasons = {name: reason for name, reason in held.unsolved.items() if name not in free}
+    components = tuple(tuple(n for n in group if n not in free) for group in held.components) or ((),)
+    if isinstance(poses, Rejected):
+        reasons = dict.fromkeys(free, f"moved, and not solved: {poses.reason}")
+        return replace(held, pair_checks=checks, unsolved=other_reasons | reasons, components=components)
+    solved = {name: poses.cameras[name] for name in free if name in poses.cameras and poses.cameras[name].component == 0}
+    unsolved = {n: f"moved, and not solved: {poses.unsolved.get(n, 'its pairs do not connect it with the others')}" for n in free}
     return replace(
         held,
         cameras={**held.cameras, **solved},
-        unsolved=others | {name: why for name, why in unsolved.items() if name not in solved},
-        pair_checks={**theirs, **{name: check for name, check in found.pair_checks.items() if set(name.split("--")) & set(lost)}},
+        unsolved=other_reasons | {name: reason for name, reason in unsolved.items() if name not in solved},
+        pair_checks={**checks, **{name: check for name, check in poses.pair_checks.items() if set(name.split("--")) & set(free)}},
         components=((*components[0], *solved), *components[1:]),
         sources={**held.sources, **dict.fromkeys(solved, "solved")},
         source="mixed",
-        points=found.points,
-        reprojection_px=found.reprojection_px,
+        points=poses.points,
+        reprojection_px=poses.reprojection_px,
     )
 
 
 def _motion(health: CameraHealth) -> tuple[Float64s, Float64s]:
     """Homography from old to new pixels, and rotation from old to new axes; identities if the camera has not turned."""
     if not health.corrected or health.homography is None or health.turn is None:
-        return _ITSELF, _ITSELF
+        return _IDENTITY, _IDENTITY
     return health.homography, health.turn
 
 
@@ -150,14 +150,14 @@ def _turned(camera: Camera, health: CameraHealth | None) -> Camera:
     return camera if health is None or not health.corrected or health.turn is None else replace(camera, R=health.turn @ camera.R)
 
 
-def _lost(health: CameraHealth) -> bool:
+def _is_free(health: CameraHealth) -> bool:
     return health.state == "moved" and not health.corrected
 
 
-def _moved(points: Float64s, H: Float64s, view: View) -> tuple[Float64s, Bools]:
+def _mapped(points: Float64s, H: Float64s, view: View) -> tuple[Float64s, Bools]:
     """Points (n, 2) mapped by a homography, and whether they are still in the picture."""
-    if H is _ITSELF:
+    if H is _IDENTITY:
         return points, np.ones(len(points), dtype=bool)
-    at = np.column_stack([points, np.ones(len(points))]) @ H.T
-    at = at[:, :2] / at[:, 2:]
-    return at, np.asarray((at >= -0.5).all(axis=1) & (at < [view.width - 0.5, view.height - 0.5]).all(axis=1))
+    mapped = np.column_stack([points, np.ones(len(points))]) @ H.T
+    mapped = mapped[:, :2] / mapped[:, 2:]
+    return mapped, np.asarray((mapped >= -0.5).all(axis=1) & (mapped < [view.width - 0.5, view.height - 0.5]).all(axis=1))

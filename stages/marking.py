@@ -14,8 +14,8 @@ from .types import Capture, Lens, Uint8s
 
 LARGE = 2560
 """Long side in pixels of a picture to draw on."""
-_QUALITY = 88
-_SHADE = (230, 60, 60, 130)
+_JPEG_QUALITY = 88
+_SHADE_RGBA = (230, 60, 60, 130)
 """Colour over what a mask leaves out: red, green, blue, opacity."""
 
 Area = tuple[bool, list[list[float]]]
@@ -29,14 +29,14 @@ def shown(name: str, data: bytes) -> tuple[int, int, bytes]:
     """
     image = one_picture(Capture(name, np.frombuffer(data, np.uint8)))
     height, width = image.shape[:2]
-    return width, height, jpeg(_reduced(image), _QUALITY).tobytes()
+    return width, height, jpeg(_reduced(image), _JPEG_QUALITY).tobytes()
 
 
 def shade(name: str, mask: bytes) -> bytes:
     """A PNG that is red where a mask leaves pixels out, and transparent elsewhere.  Raises BadCapture."""
-    small = _reduced(_read(name, mask))
+    small = _reduced(_decode(name, mask))
     picture = np.zeros((*small.shape[:2], 4), np.uint8)
-    picture[small == 0] = _SHADE
+    picture[small == 0] = _SHADE_RGBA
     return png(picture)
 
 
@@ -52,7 +52,7 @@ def painted(name: str, mask: bytes | None, size: tuple[int, int], areas: Sequenc
     areas : the areas to paint, in order.
     """
     width, height = size
-    image = np.full((height, width), 255, np.uint8) if mask is None else _read(name, mask).copy()
+    image = np.full((height, width), 255, np.uint8) if mask is None else _decode(name, mask).copy()
     if image.shape != (height, width):
         raise wrong_size(name, image.shape[1], image.shape[0], Lens(width=width, height=height))
     for use, corners in areas:
@@ -62,7 +62,7 @@ def painted(name: str, mask: bytes | None, size: tuple[int, int], areas: Sequenc
     return png(image)
 
 
-def _read(name: str, mask: bytes) -> Uint8s:
+def _decode(name: str, mask: bytes) -> Uint8s:
     return decoded(f"mask {name}", np.frombuffer(mask, np.uint8), cv2.IMREAD_GRAYSCALE)
 
 

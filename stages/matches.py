@@ -49,9 +49,9 @@ def match(
     References: W. Hao, wide-baseline stereo, 2011, chapter 3.
     """
     inputs = {"left": left, "right": right, "left_frame": left_frame, "right_frame": right_frame}
-    found: Matches | Rejected = bind(MATCHERS, matcher, inputs, options)()
-    if isinstance(found, Rejected):
-        return found
-    if len(found.x1) < min_matches:
-        return Rejected(Reason.TOO_FEW_MATCHES, {"matches": len(found.x1), "needed": min_matches})
-    return replace(found, matcher=matcher)
+    matches: Matches | Rejected = bind(MATCHERS, matcher, inputs, options)()
+    if isinstance(matches, Rejected):
+        return matches
+    if len(matches.x1) < min_matches:
+        return Rejected(Reason.TOO_FEW_MATCHES, {"matches": len(matches.x1), "needed": min_matches})
+    return replace(matches, matcher=matcher)

@@ -24,11 +24,11 @@ from .matching.appearance import most_alike
 from .twoview.shared_ground import shared_ground
 from .types import Bools, Camera, Features, Float32s, Float64s, Int32s, Int64s, Overlap, Placement, View
 
-_FEW = 32
+_MOST_FOR_ALL_PAIRS = 32
 """Up to this many views all pairs are compared."""
-_UNEQUAL = 2.0
+_UNEQUAL_RATIO = 2.0
 """Ratio of the areas seen by two views from which only keypoints of a size that both may have are compared."""
-_LARGEST = 0.98
+_LARGEST_QUANTILE = 0.98
 """Quantile that counts as the largest keypoint size of a view: a few keypoints are as large as the picture."""
 
 
@@ -60,32 +60,32 @@ def estimate_overlap(
     cameras = {i: camera for i, name in enumerate(names) if (camera := _camera(views[name], placements.get(name))) is not None}
     posed = np.array(list(cameras), np.int64)
     pairs, angle, shared = shared_ground(list(cameras.values()))
-    by_pose = _different(views, posed[pairs])
-    pairs, angle, shared = posed[pairs][by_pose], angle[by_pose], shared[by_pose]
-    seen = {i: _Seen.of(features[name], view) for i, (name, view) in enumerate(views.items()) if name in features}
-    alike = _to_compare({i: view.largest(descriptors) for i, view in seen.items()}, cameras, candidates)
-    alike = alike[_different(views, alike)]
-    likeness = np.array([_likeness(seen[i], seen[j], descriptors, ratio) for i, j in alike.tolist()], np.float64)
-    source = "mixed" if len(pairs) and len(alike) else "poses" if len(pairs) else "appearance"
-    every = np.concatenate([pairs, alike])
-    order = np.lexsort(every.T[::-1])
-    angle, shared = np.concatenate([angle, np.full(len(alike), np.nan)]), np.concatenate([shared, likeness])
-    return Overlap(names, every[order].astype(np.int32), np.degrees(angle[order]), shared[order], source)
+    different = _of_two_cameras(views, posed[pairs])
+    pairs, angle, shared = posed[pairs][different], angle[different], shared[different]
+    keypoints = {i: _Keypoints.of(features[name], view) for i, (name, view) in enumerate(views.items()) if name in features}
+    to_compare = _pairs_to_compare({i: view.largest(descriptors) for i, view in keypoints.items()}, cameras, candidates)
+    to_compare = to_compare[_of_two_cameras(views, to_compare)]
+    likeness = np.array([_likeness(keypoints[i], keypoints[j], descriptors, ratio) for i, j in to_compare.tolist()], np.float64)
+    source = "mixed" if len(pairs) and len(to_compare) else "poses" if len(pairs) else "appearance"
+    all_pairs = np.concatenate([pairs, to_compare])
+    order = np.lexsort(all_pairs.T[::-1])
+    angle, shared = np.concatenate([angle, np.full(len(to_compare), np.nan)]), np.concatenate([shared, likeness])
+    return Overlap(names, all_pairs[order].astype(np.int32), np.degrees(angle[order]), shared[order], source)
 
 
-def _different(views: Mapping[str, View], pairs: Int64s) -> Bools:
+def _of_two_cameras(views: Mapping[str, View], pairs: Int64s) -> Bools:
     """(m,) which pairs (m, 2) of positions are of two cameras: two views of one camera give no depth."""
     camera = np.array([camera_id(name, view) for name, view in views.items()])
     return np.asarray(camera[pairs[:, 0]] != camera[pairs[:, 1]])
 
 
-def _to_compare(seen: Mapping[int, Float32s], posed: Mapping[int, Camera], candidates: int) -> Int64s:
+def _pairs_to_compare(descriptors: Mapping[int, Float32s], posed: Mapping[int, Camera], candidates: int) -> Int64s:
     """(m, 2) positions of the views to compare by appearance: pairs without both poses, among many views the most alike."""
-    if len(seen) <= _FEW:
-        pairs: Sequence[tuple[int, int]] = list(combinations(seen, 2))
+    if len(descriptors) <= _MOST_FOR_ALL_PAIRS:
+        pairs: Sequence[tuple[int, int]] = list(combinations(descriptors, 2))
     else:
-        which = list(seen)
-        pairs = [(which[i], which[j]) for i, j in most_alike([seen[i] for i in which], candidates)]
+        positions = list(descriptors)
+        pairs = [(positions[i], positions[j]) for i, j in most_alike([descriptors[i] for i in positions], candidates)]
     return np.array([(i, j) for i, j in pairs if not (i in posed and j in posed)], np.int64).reshape(-1, 2)
 
 
@@ -96,7 +96,7 @@ def _camera(view: View, placement: Placement | None) -> Camera | None:
 
 
 @dataclass(frozen=True)
-class _Seen:
+class _Keypoints:
     """The keypoints of a view that is not tilted, the largest first."""
 
     descriptors: Float32s
@@ -106,12 +106,12 @@ class _Seen:
     view: View
 
     @classmethod
-    def of(cls, features: Features, view: View) -> _Seen:
-        plain = np.flatnonzero(features.tilts == 0)
-        area = np.abs(np.linalg.det(features.frames[plain]))
+    def of(cls, features: Features, view: View) -> _Keypoints:
+        untilted = np.flatnonzero(features.tilts == 0)
+        area = np.abs(np.linalg.det(features.frames[untilted]))
         order = np.argsort(-area, kind="stable")
-        pixel = 1.0 if view.K is None else 1 / float(view.K[0, 0])
-        return cls(features.descriptors[plain[order]], np.sqrt(area[order]) * pixel, view)
+        pixel_size = 1.0 if view.K is None else 1 / float(view.K[0, 0])
+        return cls(features.descriptors[untilted[order]], np.sqrt(area[order]) * pixel_size, view)
 
     def largest(self, count: float, below: float = np.inf) -> Float32s:
         """(m, d) descriptors of the `count` largest keypoints that are smaller than `below`."""
@@ -119,13 +119,13 @@ class _Seen:
         return self.descriptors[first : first + round(count)]
 
 
-def _likeness(left: _Seen, right: _Seen, count: int, ratio: float) -> float:
+def _likeness(left: _Keypoints, right: _Keypoints, count: int, ratio: float) -> float:
     """Share of the keypoints comparable in both views that resemble each other, 0 to 1."""
-    more = field_ratio(left.view, right.view)
-    if 1 / _UNEQUAL < more < _UNEQUAL or not min(len(left.size), len(right.size)):
+    factor = field_ratio(left.view, right.view)
+    if 1 / _UNEQUAL_RATIO < factor < _UNEQUAL_RATIO or not min(len(left.size), len(right.size)):
         return _resemblance(left.largest(count), right.largest(count), ratio)
-    below = min(float(np.quantile(seen.size, _LARGEST)) for seen in (left, right))
-    return _resemblance(left.largest(count * max(more, 1), below), right.largest(count * max(1 / more, 1), below), ratio)
+    limit = min(float(np.quantile(keypoints.size, _LARGEST_QUANTILE)) for keypoints in (left, right))
+    return _resemblance(left.largest(count * max(factor, 1), limit), right.largest(count * max(1 / factor, 1), limit), ratio)
 
 
 def _resemblance(left: Float32s, right: Float32s, ratio: float) -> float:

@@ -15,7 +15,7 @@ from .core.ordering import rank_within
 from .sfm.tracks import joined_places
 from .types import MOST_PARTNERS, Bools, DepthMap, Float64s, Int64s, Matches, View
 
-_FLOOR = 0.75
+_LEAST_SIGMA_SHARE = 0.75
 """Least pooled standard deviation, as a share of the best night's: the nights' errors at a pixel with the same partners
 correlate.  Seven nights of the demo yard, in different light: median error 0.76 of one night's where all know the pixel."""
 _FIELDS = (12, 8)
@@ -36,21 +36,21 @@ def pool_matches(nights: Mapping[str, Matches], *, same_px: float = 1.5, most_pe
         wrong matches a geometry finds inliers by chance: 13 to 19 with 0.6 per row, up to 21 with 1.7, and 20 make a pair.
     """
     newest = list(nights.values())[-1]
-    ends = np.concatenate([np.hstack([night.x1, night.x2]) for night in nights.values()])
+    positions = np.concatenate([np.hstack([night.x1, night.x2]) for night in nights.values()])
     probability = np.concatenate([night.probability for night in nights.values()])
-    likeliest = np.argsort(-probability, kind="stable")
-    ends, probability = ends[likeliest], probability[likeliest]
-    _, owner = joined_places(ends, same_px)
-    count = np.bincount(owner)
-    place = np.column_stack([np.bincount(owner, column) / count for column in ends.T]).reshape(-1, 4)
-    likely = np.bincount(owner, probability) / count
-    keep = _spread(place[:, :2], likely, newest.view1, int(most_per_row * newest.view1.height))
+    order = np.argsort(-probability, kind="stable")
+    positions, probability = positions[order], probability[order]
+    _, place_index = joined_places(positions, same_px)
+    count = np.bincount(place_index)
+    places = np.column_stack([np.bincount(place_index, column) / count for column in positions.T]).reshape(-1, 4)
+    mean_probability = np.bincount(place_index, probability) / count
+    rows = _spread_rows(places[:, :2], mean_probability, newest.view1, int(most_per_row * newest.view1.height))
     return Matches(
-        place[keep, :2],
-        place[keep, 2:],
+        places[rows, :2],
+        places[rows, 2:],
         None,
         None,
-        likely[keep].astype(np.float32),
+        mean_probability[rows].astype(np.float32),
         None,
         newest.view1,
         newest.view2,
@@ -60,12 +60,12 @@ def pool_matches(nights: Mapping[str, Matches], *, same_px: float = 1.5, most_pe
     )
 
 
-def _spread(x: Float64s, likely: Float64s, view: View, most: int) -> Int64s:
+def _spread_rows(x: Float64s, probability: Float64s, view: View, max_count: int) -> Int64s:
     """Rows of the points (n, 2) to keep: the most probable of each field of the view, then the second of each, and so on."""
     size, fields = np.array([view.width, view.height]), np.array(_FIELDS)
     column, row = np.clip(x * fields / size, 0, fields - 1).astype(np.int64).T
     field = row * _FIELDS[0] + column
-    return np.sort(np.lexsort((-likely, rank_within(field, -likely)))[:most])
+    return np.sort(np.lexsort((-probability, rank_within(field, -probability)))[:max_count])
 
 
 def pool_depths(nights: Mapping[str, DepthMap], *, agree: float = 3.0, least_share: float = 0.5) -> DepthMap:
@@ -84,24 +84,24 @@ def pool_depths(nights: Mapping[str, DepthMap], *, agree: float = 3.0, least_sha
     inverse = np.stack([1.0 / depth.depth.astype(np.float64) for depth in maps])
     sigma = np.stack([depth.sigma / depth.depth.astype(np.float64) ** 2 for depth in maps])
     known = np.isfinite(inverse) & np.isfinite(sigma) & (sigma > 0)
-    middle = _median(inverse, known)
-    spread = 1.4826 * _median(np.abs(inverse - middle), known)
-    agreeing = known & (np.abs(inverse - middle) <= agree * np.maximum(sigma, spread))
+    median = _median(inverse, known)
+    scatter = 1.4826 * _median(np.abs(inverse - median), known)
+    agreeing = known & (np.abs(inverse - median) <= agree * np.maximum(sigma, scatter))
     weights = np.where(agreeing, 1.0 / np.where(agreeing, sigma, 1.0) ** 2, 0.0)
     total = weights.sum(axis=0)
     count = known.sum(axis=0)
     usable = (agreeing.sum(axis=0) > least_share * count) & (total > 0)
     pooled = _mean(inverse, weights, total, usable)
-    best = np.where(agreeing, sigma, np.inf).min(axis=0)
-    error = np.maximum(1.0 / np.sqrt(np.where(usable, total, np.nan)), _FLOOR * best)
+    best_sigma = np.where(agreeing, sigma, np.inf).min(axis=0)
+    error = np.maximum(1.0 / np.sqrt(np.where(usable, total, np.nan)), _LEAST_SIGMA_SHARE * best_sigma)
     slope_x, slope_y = (
-        _mean(np.nan_to_num(np.stack(fields)).astype(np.float64), weights, total, usable)
-        for fields in ([depth.slope_x for depth in maps], [depth.slope_y for depth in maps])
+        _mean(np.nan_to_num(np.stack(slopes)).astype(np.float64), weights, total, usable)
+        for slopes in ([depth.slope_x for depth in maps], [depth.slope_y for depth in maps])
     )
     partners = tuple(dict.fromkeys(partner for depth in maps for partner in depth.partners))[:MOST_PARTNERS]
-    supports = [np.where(agree_k, depth.support_of(partners), 0) for depth, agree_k in zip(maps, agreeing, strict=True)]
+    supports = [np.where(agrees, depth.support_of(partners), 0) for depth, agrees in zip(maps, agreeing, strict=True)]
     support = np.bitwise_or.reduce(supports)
-    sure = np.any([depth.sure & agree_k for depth, agree_k in zip(maps, agreeing, strict=True)], axis=0)
+    sure = np.any([depth.sure & agrees for depth, agrees in zip(maps, agreeing, strict=True)], axis=0)
     return DepthMap(
         (1.0 / pooled).astype(np.float32),
         (error / pooled**2).astype(np.float32),
@@ -116,9 +116,9 @@ def pool_depths(nights: Mapping[str, DepthMap], *, agree: float = 3.0, least_sha
 def _median(values: Float64s, known: Bools) -> Float64s:
     """Median over the nights that know a pixel, nan where none does; the lower of two in the middle."""
     ordered = np.sort(np.where(known, values, np.inf), axis=0)
-    at = np.maximum(known.sum(axis=0) - 1, 0) // 2
-    found = np.take_along_axis(ordered, at[None], axis=0)[0]
-    return np.where(np.isfinite(found), found, np.nan)
+    index = np.maximum(known.sum(axis=0) - 1, 0) // 2
+    medians = np.take_along_axis(ordered, index[None], axis=0)[0]
+    return np.where(np.isfinite(medians), medians, np.nan)
 
 
 def _mean(values: Float64s, weights: Float64s, total: Float64s, usable: Bools) -> Float64s:

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
 
-_LOOPS = (
+_LOOP_FIGURES = (
     " (score {score:.1f}, {distinct_cells:.0f} cells with distinctive matches, {closed:.0f} of {triangles:.0f} triangles close)"
 )
 
@@ -73,18 +73,18 @@ class Reason(StrEnum):
         "that the rays of the matches meet at {angle_deg:.2f} degrees at most, {needed_deg:g} needed",
     )
 
-    UNCONFIRMED = "unconfirmed", "possible look-alike: no third camera confirms it" + _LOOPS
-    LOOK_ALIKE = "look-alike", "possible look-alike: other pairs contradict it" + _LOOPS
-    AMBIGUOUS = "ambiguous", "ambiguous: another pose fits equally well" + _LOOPS
+    UNCONFIRMED = "unconfirmed", "possible look-alike: no third camera confirms it" + _LOOP_FIGURES
+    LOOK_ALIKE = "look-alike", "possible look-alike: other pairs contradict it" + _LOOP_FIGURES
+    AMBIGUOUS = "ambiguous", "ambiguous: another pose fits equally well" + _LOOP_FIGURES
     SAME_FROM_OTHER_SIDES = (
         "same-from-other-sides",
-        "ambiguous: the scene looks the same from several sides, and no distinctive match decides" + _LOOPS,
+        "ambiguous: the scene looks the same from several sides, and no distinctive match decides" + _LOOP_FIGURES,
     )
     SAME_ALONG_A_ROW = (
         "same-along-a-row",
-        "ambiguous: the scene repeats along a row, and no distinctive match decides" + _LOOPS,
+        "ambiguous: the scene repeats along a row, and no distinctive match decides" + _LOOP_FIGURES,
     )
-    NOT_BELIEVED = "not-believed", "wrong" + _LOOPS
+    NOT_BELIEVED = "not-believed", "wrong" + _LOOP_FIGURES
     TURNED = "turned", "wrong: turned by {turned_deg:.1f} degrees relative to the most probable pairs"
     CONTRADICTS_ROTATIONS = "contradicts-rotations", "contradicts the other pairs: its rotation is off by {off_deg:.0f} degrees"
     CONTRADICTS_CAMERAS = (

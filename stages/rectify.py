@@ -44,7 +44,7 @@ _LEAST_PARALLAX = 0.01
 _LEAST_GROUND_IN_REACH = 0.5
 """Smallest share of the ground seen by two known cameras that the disparity range covers; if it covers less, the matches have
 not shown where the scene lies."""
-_BENEATH = 0.05
+_BELOW_GROUND = 0.05
 """Depth under the ground, as a share of the lower camera's height above it, below which nothing is searched: matches there
 come from repeating stones."""
 _FEWEST_POINTS = 50
@@ -103,33 +103,33 @@ def rectify(
     if geometry is not None and left is not None and right is not None:
         geometry = replace(geometry, x1=undistorted_points(left, geometry.x1), x2=undistorted_points(right, geometry.x2))
 
-    def fitted(pair: MatchedPair) -> Placed | Rejected:
+    def fit(pair: MatchedPair) -> Placed | Rejected:
         inputs = {"pair": pair, "geometry": geometry, "left": left, "right": right}
         return placed(pair, method, bind(METHODS, method, inputs, options), fallback)
 
     limits = min_matches, max_row_error_px, min_angle_deg, range_margin
-    by_matches, matches = _by_matches(geometry, left, right, check, fitted, limits)
-    enough = matches >= few_matches if isinstance(by_matches, Rectification) else by_matches.code == Reason.NO_BASELINE
+    by_matches, match_count = _from_matches(geometry, left, right, check, fit, limits)
+    enough = match_count >= few_matches if isinstance(by_matches, Rectification) else by_matches.code == Reason.NO_BASELINE
     if enough or left is None or right is None or left_frame is None or right_frame is None:
-        return _bent(_reaching_ground(by_matches, geometry, (left, right), scene, fitted), left, right)
-    by_cameras = _from_cameras((left, right), (left_frame, right_frame), scene, fitted, min_angle_deg)
-    usable = by_matches if isinstance(by_cameras, Rejected) and isinstance(by_matches, Rectification) else by_cameras
-    return _bent(usable, left, right)
+        return _with_distortion(_reaching_ground(by_matches, geometry, (left, right), scene, fit), left, right)
+    by_cameras = _from_cameras((left, right), (left_frame, right_frame), scene, fit, min_angle_deg)
+    result = by_matches if isinstance(by_cameras, Rejected) and isinstance(by_matches, Rectification) else by_cameras
+    return _with_distortion(result, left, right)
 
 
-def _bent(found: Rectification | Rejected, left: Camera | None, right: Camera | None) -> Rectification | Rejected:
+def _with_distortion(result: Rectification | Rejected, left: Camera | None, right: Camera | None) -> Rectification | Rejected:
     """The rectification, with the distortion that remains in the frames of two known cameras."""
-    if isinstance(found, Rejected) or left is None or right is None:
-        return found
-    return replace(found, bend1=residual_distortion(left), bend2=residual_distortion(right))
+    if isinstance(result, Rejected) or left is None or right is None:
+        return result
+    return replace(result, bend1=residual_distortion(left), bend2=residual_distortion(right))
 
 
-def _by_matches(
+def _from_matches(
     geometry: Geometry | None,
     left: Camera | None,
     right: Camera | None,
     check: PairCheck | None,
-    fitted: Callable[[MatchedPair], Placed | Rejected],
+    fit: Callable[[MatchedPair], Placed | Rejected],
     limits: tuple[int, float, float, float],
 ) -> tuple[Rectification | Rejected, int]:
     """The rectification from the matches, and how many of them agree with F.  limits: `min_matches`, `max_row_error_px`,
@@ -137,20 +137,20 @@ def _by_matches(
     if geometry is None:
         return Rejected(Reason.NOTHING_KNOWN), 0
     min_matches, max_row_error_px, min_angle_deg, range_margin = limits
-    pair = _obeying(geometry, left, right)
+    pair = _agreeing_matches(geometry, left, right)
     contradicted = None if check is None or check.kept else Rejected(Reason(check.code), words=check.reason)
-    refusal = contradicted or _unbelievable(geometry, pair, min_angle_deg)
-    found = refusal or _unusable(len(geometry.x1), pair, min_matches, min_angle_deg) or fitted(pair)
-    if isinstance(found, Rejected):
-        return found, len(pair.x1)
-    return finished(*found, pair, geometry, max_row_error_px, range_margin), len(pair.x1)
+    refusal = contradicted or _implausible(geometry, pair, min_angle_deg)
+    layout = refusal or _unusable(len(geometry.x1), pair, min_matches, min_angle_deg) or fit(pair)
+    if isinstance(layout, Rejected):
+        return layout, len(pair.x1)
+    return finished(*layout, pair, geometry, max_row_error_px, range_margin), len(pair.x1)
 
 
 def _from_cameras(
     cameras: tuple[Camera, Camera],
     frames: tuple[Frame, Frame],
     scene: Scene | None,
-    fitted: Callable[[MatchedPair], Placed | Rejected],
+    fit: Callable[[MatchedPair], Placed | Rejected],
     min_angle_deg: float,
 ) -> Rectification | Rejected:
     """The rectification from two cameras, laid out for the scene that both should see; dense matching must confirm it, and
@@ -158,65 +158,65 @@ def _from_cameras(
     expected = predict(*cameras, scene)
     if expected is None:
         return Rejected(Reason.NOTHING_IN_COMMON)
-    ground = _ground(cameras, scene)
-    first = fitted(_known_pair(cameras, expected.x1, expected.x2, np.ones(len(expected.x1), np.float32)))
-    if isinstance(first, Rejected):
-        return first
-    reach = to_rectified(first[0], 1, expected.ends1)[:, 0] - to_rectified(first[0], 2, expected.ends2)[:, 0]
-    low, high = percentiles(reach[np.isfinite(reach)], 2, 98)
-    likely = replace(first[0], disparity_min_px=float(np.floor(low)), disparity_max_px=float(np.ceil(high)), ground=ground)
-    rows, x1, x2, sure = verify_rows(
-        *frames, replace(likely, bend1=residual_distortion(cameras[0]), bend2=residual_distortion(cameras[1]))
+    ground = _ground_of_pair(cameras, scene)
+    draft = fit(_known_pair(cameras, expected.x1, expected.x2, np.ones(len(expected.x1), np.float32)))
+    if isinstance(draft, Rejected):
+        return draft
+    disparities = to_rectified(draft[0], 1, expected.ends1)[:, 0] - to_rectified(draft[0], 2, expected.ends2)[:, 0]
+    low, high = percentiles(disparities[np.isfinite(disparities)], 2, 98)
+    predicted = replace(draft[0], disparity_min_px=float(np.floor(low)), disparity_max_px=float(np.ceil(high)), ground=ground)
+    rows, x1, x2, probability = verify_rows(
+        *frames, replace(predicted, bend1=residual_distortion(cameras[0]), bend2=residual_distortion(cameras[1]))
     )
     if not rows.confirmed or len(x1) < _FEWEST_POINTS:
         return Rejected(Reason.ROWS_NOT_CONFIRMED, {"row_share": rows.share, "row_chance": rows.chance})
-    pair = replace(_known_pair(cameras, x1, x2, sure), around=(expected.x1, expected.x2))
+    pair = replace(_known_pair(cameras, x1, x2, probability), around=(expected.x1, expected.x2))
     if pair.angle_deg < min_angle_deg:
         return Rejected(Reason.NO_BASELINE, {"angle_deg": pair.angle_deg, "needed_deg": min_angle_deg})
-    second = fitted(pair)
-    if isinstance(second, Rejected):
-        return second
-    found = finished(*second, pair, None, float("inf"), _MARGIN_OF_POINTS)
-    if isinstance(found, Rejected):
-        return found
+    layout = fit(pair)
+    if isinstance(layout, Rejected):
+        return layout
+    result = finished(*layout, pair, None, float("inf"), _MARGIN_OF_POINTS)
+    if isinstance(result, Rejected):
+        return result
     return replace(
-        found, verified="dense", row_share=rows.share, row_chance=rows.chance, row_error_px=rows.row_error_px, ground=ground
+        result, verified="dense", row_share=rows.share, row_chance=rows.chance, row_error_px=rows.row_error_px, ground=ground
     )
 
 
 def _reaching_ground(
-    found: Rectification | Rejected,
+    result: Rectification | Rejected,
     geometry: Geometry | None,
     views: tuple[Camera | None, Camera | None],
     scene: Scene | None,
-    fitted: Callable[[MatchedPair], Placed | Rejected],
+    fit: Callable[[MatchedPair], Placed | Rejected],
 ) -> Rectification | Rejected:
     """The rectification from the matches, laid out anew if most of the ground is outside its disparity range: the façades
     around a square match, but the repetitive paving at their feet does not."""
     left, right = views
-    if left is None or right is None or isinstance(found, Rejected) or geometry is None or scene is None or scene.ground is None:
-        return found
+    if left is None or right is None or isinstance(result, Rejected) or geometry is None or scene is None or scene.ground is None:
+        return result
     cameras = left, right
     x1, x2 = ground_in_both(*cameras, scene.ground)
-    if len(x1) < _FEWEST_POINTS or _in_reach(found, x1, x2) >= _LEAST_GROUND_IN_REACH:
-        return found
-    matched = _obeying(geometry, *cameras)
-    above = _not_beneath(_lowered(scene.ground, cameras), cameras, matched.x1, matched.x2)
+    if len(x1) < _FEWEST_POINTS or _share_in_reach(result, x1, x2) >= _LEAST_GROUND_IN_REACH:
+        return result
+    matched = _agreeing_matches(geometry, *cameras)
+    above = _above_plane(_lowered(scene.ground, cameras), cameras, matched.x1, matched.x2)
     x1, x2 = np.concatenate([matched.x1[above], x1]), np.concatenate([matched.x2[above], x2])
     pair = _known_pair(cameras, x1, x2, np.ones(len(x1), np.float32))
-    laid_out = fitted(pair)
-    if isinstance(laid_out, Rejected):
-        return found
-    wider = finished(*laid_out, pair, None, float("inf"), _MARGIN_OF_POINTS)
-    return found if isinstance(wider, Rejected) else replace(wider, ground=_ground(cameras, scene))
+    layout = fit(pair)
+    if isinstance(layout, Rejected):
+        return result
+    wider = finished(*layout, pair, None, float("inf"), _MARGIN_OF_POINTS)
+    return result if isinstance(wider, Rejected) else replace(wider, ground=_ground_of_pair(cameras, scene))
 
 
-def _in_reach(found: Rectification, x1: Float64s, x2: Float64s) -> float:
+def _share_in_reach(result: Rectification, x1: Float64s, x2: Float64s) -> float:
     """Share of points (n, 2), (n, 2) of the frames that both rectified images show within the disparity range."""
-    y1, y2 = to_rectified(found, 1, x1), to_rectified(found, 2, x2)
-    shown = [((y > -0.5) & (y < np.array(size) - 0.5)).all(axis=1) for y, size in ((y1, found.size1), (y2, found.size2))]
+    y1, y2 = to_rectified(result, 1, x1), to_rectified(result, 2, x2)
+    shown = [((y > -0.5) & (y < np.array(size) - 0.5)).all(axis=1) for y, size in ((y1, result.size1), (y2, result.size2))]
     disparity = y1[:, 0] - y2[:, 0]
-    near = (disparity >= found.disparity_min_px) & (disparity <= found.disparity_max_px)
+    near = (disparity >= result.disparity_min_px) & (disparity <= result.disparity_max_px)
     return float(np.mean(shown[0] & shown[1] & near))
 
 
@@ -228,7 +228,7 @@ def _known_pair(cameras: tuple[Camera, Camera], x1: Float64s, x2: Float64s, prob
     return MatchedPair(F, x1, x2, probability, *sizes, left, right, convergence_deg(left, right, x1, x2))
 
 
-def _ground(cameras: tuple[Camera, Camera], scene: Scene | None) -> GroundOfPair | None:
+def _ground_of_pair(cameras: tuple[Camera, Camera], scene: Scene | None) -> GroundOfPair | None:
     if scene is None or scene.ground is None:
         return None
     lines = (inverse_depth_line(camera, scene.ground) for camera in cameras)
@@ -240,17 +240,17 @@ def _ground(cameras: tuple[Camera, Camera], scene: Scene | None) -> GroundOfPair
 def _lowered(ground: Float64s, cameras: tuple[Camera, Camera]) -> Float64s:
     """(4,) the plane under the ground below which nothing is searched."""
     height = min(float(ground[:3] @ camera.C + ground[3]) for camera in cameras)
-    return np.asarray(ground + np.array([0.0, 0.0, 0.0, _BENEATH * height]), dtype=np.float64)
+    return np.asarray(ground + np.array([0.0, 0.0, 0.0, _BELOW_GROUND * height]), dtype=np.float64)
 
 
-def _not_beneath(plane: Float64s, cameras: tuple[Camera, Camera], x1: Float64s, x2: Float64s) -> Bools:
+def _above_plane(plane: Float64s, cameras: tuple[Camera, Camera], x1: Float64s, x2: Float64s) -> Bools:
     """(n,) bool: which matches lie above a plane (4,)."""
     depth, _ = triangulate_depth(*cameras, x1, x2)
     line = inverse_depth_line(cameras[0], plane)
     return np.asarray(1 / depth >= x1 @ line[:2] + line[2])
 
 
-def _obeying(geometry: Geometry, left: Camera | None, right: Camera | None) -> MatchedPair:
+def _agreeing_matches(geometry: Geometry, left: Camera | None, right: Camera | None) -> MatchedPair:
     """F from the cameras where both are known, and the matches that agree with it."""
     sizes = (geometry.view1.width, geometry.view1.height), (geometry.view2.width, geometry.view2.height)
     if left is None or right is None:
@@ -261,7 +261,7 @@ def _obeying(geometry: Geometry, left: Camera | None, right: Camera | None) -> M
     return MatchedPair(F, x1, x2, geometry.probability[keep], *sizes, left, right, convergence_deg(left, right, x1, x2))
 
 
-def _unbelievable(geometry: Geometry, pair: MatchedPair, min_angle_deg: float) -> Rejected | None:
+def _implausible(geometry: Geometry, pair: MatchedPair, min_angle_deg: float) -> Rejected | None:
     if pair.camera1 is None and geometry.angle_deg < min_angle_deg and hardly_converging(geometry.angle_deg, geometry.agreement):
         return Rejected(Reason.NO_BASELINE, {"angle_deg": geometry.angle_deg, "needed_deg": min_angle_deg})
     if pair.camera1 is None and geometry.score <= 0:
@@ -272,11 +272,11 @@ def _unbelievable(geometry: Geometry, pair: MatchedPair, min_angle_deg: float) -
     return None
 
 
-def _unusable(given: int, pair: MatchedPair, min_matches: int, min_angle_deg: float) -> Rejected | None:
+def _unusable(match_count: int, pair: MatchedPair, min_matches: int, min_angle_deg: float) -> Rejected | None:
     """Reasons that hold for every method: too few of the given matches left, cameras that contradict them, no baseline."""
     n = len(pair.x1)
-    if n < min_matches <= given or n < 0.5 * given:
-        return Rejected(Reason.CAMERAS_CONTRADICT_MATCHES, {"matches": given, "agreeing": n})
+    if n < min_matches <= match_count or n < 0.5 * match_count:
+        return Rejected(Reason.CAMERAS_CONTRADICT_MATCHES, {"matches": match_count, "agreeing": n})
     if n < min_matches:
         return Rejected(Reason.TOO_FEW_MATCHES, {"matches": n, "needed": min_matches})
     if pair.angle_deg < min_angle_deg:

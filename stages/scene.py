@@ -29,7 +29,7 @@ def find_scene(
     """
     known = {name: camera for name, camera in cameras.items() if camera.component == 0 and name in frames}
     box = None if bounds is None else np.sort(np.array(bounds, dtype=np.float64), axis=0)
-    straight = undistorted_frames(frames, known)
-    grey = {name: grey_levels(straight[name].image).astype(np.float32) for name in known} if ground and len(known) > 1 else {}
+    undistorted = undistorted_frames(frames, known)
+    grey = {name: grey_levels(undistorted[name].image).astype(np.float32) for name in known} if ground and len(known) > 1 else {}
     plane = find_ground(grey, known) if grey else None
     return Scene(box, plane)

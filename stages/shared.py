@@ -20,17 +20,17 @@ def find_shared(poses: Poses) -> Overlap:
     """
     names = tuple(poses.cameras)
     cameras = list(poses.cameras.values())
-    number: dict[str, int] = {}
-    own = np.array([number.setdefault(camera_id(*named), len(number)) for named in poses.cameras.items()], np.int64)
-    frame = np.array([camera.component for camera in cameras], np.int64)
-    found = []
-    for component in np.unique(frame):
-        among = np.flatnonzero(frame == component)
-        pairs, angle, shared = shared_ground([cameras[k] for k in among])
-        found.append((among[pairs], angle, shared))
-    every, angle, shared = (np.concatenate(columns) for columns in zip(*found, strict=True))
-    wrong = {pair for pair, check in poses.pair_checks.items() if not check.kept}
-    right = np.array([f"{names[i]}--{names[j]}" not in wrong for i, j in every.tolist()], bool)
-    keep = right & (own[every[:, 0]] != own[every[:, 1]])
-    order = np.flatnonzero(keep)[np.lexsort(every[keep].T[::-1])]
-    return Overlap(names, every[order].astype(np.int32), np.degrees(angle[order]), shared[order], "poses")
+    numbers: dict[str, int] = {}
+    camera_numbers = np.array([numbers.setdefault(camera_id(*item), len(numbers)) for item in poses.cameras.items()], np.int64)
+    components = np.array([camera.component for camera in cameras], np.int64)
+    parts = []
+    for component in np.unique(components):
+        members = np.flatnonzero(components == component)
+        pairs, angle, shared = shared_ground([cameras[k] for k in members])
+        parts.append((members[pairs], angle, shared))
+    all_pairs, angle, shared = (np.concatenate(columns) for columns in zip(*parts, strict=True))
+    wrong_pairs = {pair for pair, check in poses.pair_checks.items() if not check.kept}
+    is_right = np.array([f"{names[i]}--{names[j]}" not in wrong_pairs for i, j in all_pairs.tolist()], bool)
+    keep = is_right & (camera_numbers[all_pairs[:, 0]] != camera_numbers[all_pairs[:, 1]])
+    order = np.flatnonzero(keep)[np.lexsort(all_pairs[keep].T[::-1])]
+    return Overlap(names, all_pairs[order].astype(np.int32), np.degrees(angle[order]), shared[order], "poses")

@@ -16,7 +16,7 @@ Pixel = list[float]
 
 _NEAR, _FAR, _STEPS = 0.02, 2000.0, 600
 """The part of a ray that is drawn in other pictures, from and to, in units of the baseline; and its number of points."""
-_EDGE = 24
+_EDGE_POINTS = 24
 """Points along each edge of an outline, since lenses bend straight lines."""
 _MARGIN = 0.5
 """Margin around a picture, as a share of its size, within which lines are still drawn."""
@@ -69,20 +69,20 @@ class Sights:
         the distance of the click from the projection of that (else the stated) place; "metres" from the stated place, or None.
         """
         places = self._places([pixels for pixels, _ in points])
-        found: list[dict[str, Any]] = []
+        results: list[dict[str, Any]] = []
         for place, (_, stated) in zip(places, points, strict=True):
-            apart = None if place is None or stated is None else float(np.linalg.norm(place - stated))
-            found.append({"place": None if place is None else place.tolist(), "pixels": {}, "metres": apart})
-        against = [place if place is not None else stated for place, (_, stated) in zip(places, points, strict=True)]
+            metres = None if place is None or stated is None else float(np.linalg.norm(place - stated))
+            results.append({"place": None if place is None else place.tolist(), "pixels": {}, "metres": metres})
+        expected = [place if place is not None else stated for place, (_, stated) in zip(places, points, strict=True)]
         for name, sight in self._sights.items():
-            seen = [k for k, (pixels, _) in enumerate(points) if name in pixels and against[k] is not None]
-            if not seen:
+            clicked = [k for k, (pixels, _) in enumerate(points) if name in pixels and expected[k] is not None]
+            if not clicked:
                 continue
-            at = sight.pixels(np.array([against[k] for k in seen], dtype=np.float64))
-            off = np.linalg.norm(at - np.array([points[k][0][name] for k in seen]), axis=1)
-            for k, pixels_off in zip(seen, off.tolist(), strict=True):
-                found[k]["pixels"][name] = pixels_off if np.isfinite(pixels_off) else None
-        return found
+            projected = sight.pixels(np.array([expected[k] for k in clicked], dtype=np.float64))
+            distances = np.linalg.norm(projected - np.array([points[k][0][name] for k in clicked]), axis=1)
+            for k, distance in zip(clicked, distances.tolist(), strict=True):
+                results[k]["pixels"][name] = distance if np.isfinite(distance) else None
+        return results
 
     def guide(self, camera: str, pixels: Mapping[str, Pixel], stated: Sequence[float] | None) -> dict[str, Any]:
         """Where a point should be in one camera's picture, by the clicks in others: "at": its pixel, from two clicks or more;
@@ -90,35 +90,35 @@ class Sights:
         if (sight := self._sights.get(camera)) is None:
             return {}
         others = {name: pixel for name, pixel in pixels.items() if name in self._sights and name != camera}
-        found: dict[str, Any] = {}
+        guides: dict[str, Any] = {}
         (place,) = self._places([others])
         if place is not None:
-            found["at"] = _plain(sight.pixels(place[None])[0])
+            guides["at"] = _rounded(sight.pixels(place[None])[0])
         elif others:
             other, pixel = next(iter(others.items()))
-            there = self._sights[other]
-            along = np.geomspace(_NEAR, _FAR, _STEPS)[:, None] * max(float(np.linalg.norm(sight.C - there.C)), 1e-6)
-            found["lines"] = sight.drawn(there.C + along * there.rays([pixel]))
+            other_sight = self._sights[other]
+            distances = np.geomspace(_NEAR, _FAR, _STEPS)[:, None] * max(float(np.linalg.norm(sight.C - other_sight.C)), 1e-6)
+            guides["lines"] = sight.drawn(other_sight.C + distances * other_sight.rays([pixel]))
         if stated is not None:
-            found["stated"] = _plain(sight.pixels(np.array([stated], dtype=np.float64))[0])
-        return found
+            guides["stated"] = _rounded(sight.pixels(np.array([stated], dtype=np.float64))[0])
+        return guides
 
     def on_ground(self, camera: str, pixel: Pixel, height: float) -> Pixel | None:
         """x, y of the point at a given height that a pixel shows; None above the horizon."""
         sight = self._sights[camera]
         (ray,) = sight.rays([pixel])
-        along = (height - sight.C[2]) / ray[2] if abs(ray[2]) > 1e-9 else np.nan
-        return np.round((sight.C + along * ray)[:2], 3).tolist() if along > 0 else None
+        distance = (height - sight.C[2]) / ray[2] if abs(ray[2]) > 1e-9 else np.nan
+        return np.round((sight.C + distance * ray)[:2], 3).tolist() if distance > 0 else None
 
     def outline(self, camera: str, corners: Sequence[Pixel], height: float) -> dict[str, Any]:
         """A polygon on the ground in a camera's picture: "lines", and "corners" (None for one that is not seen)."""
         if (sight := self._sights.get(camera)) is None:
             return {"lines": [], "corners": [None] * len(corners)}
-        at = np.column_stack([np.array(corners, dtype=np.float64).reshape(-1, 2), np.full(len(corners), height)])
-        share = np.linspace(0, 1, _EDGE)[:, None]
-        edges = [a + share * (b - a) for a, b in zip(at, np.roll(at, -1, axis=0), strict=True)]
+        points = np.column_stack([np.array(corners, dtype=np.float64).reshape(-1, 2), np.full(len(corners), height)])
+        fractions = np.linspace(0, 1, _EDGE_POINTS)[:, None]
+        edges = [a + fractions * (b - a) for a, b in zip(points, np.roll(points, -1, axis=0), strict=True)]
         lines = [line for edge in edges for line in sight.drawn(edge)]
-        return {"lines": lines, "corners": [_plain(pixel) for pixel in sight.pixels(at)]}
+        return {"lines": lines, "corners": [_rounded(pixel) for pixel in sight.pixels(points)]}
 
     def _places(self, points: Sequence[Mapping[str, Pixel]]) -> list[Float64s | None]:
         """(3,) the position of each point from clicks in two cameras or more; None if it is not determined."""
@@ -128,28 +128,28 @@ class Sights:
             directions = sight.rays([points[k][name] for k in clicked]) if clicked else ()
             for k, direction in zip(clicked, directions, strict=True):
                 rays[k].append((sight.C, direction, sight.focal))
-        return [_meeting(mine) for mine in rays]
+        return [_intersection(point_rays) for point_rays in rays]
 
 
 _Ray = tuple[Float64s, Float64s, float]
 """Origin, unit direction, and pixels per radian."""
 _ROUNDS = 5
-_PARALLEL = 1e10
+_MOST_CONDITION = 1e10
 """Condition number of the equations above which the rays are parallel and have no intersection."""
 
 
-def _meeting(rays: Sequence[_Ray]) -> Float64s | None:
+def _intersection(rays: Sequence[_Ray]) -> Float64s | None:
     """(3,) the point closest to all rays by least squares of distances in pixels (focal length times distance / range)."""
     if len(rays) < 2:
         return None
-    across = [np.eye(3) - np.outer(direction, direction) for _, direction, _ in rays]
+    projectors = [np.eye(3) - np.outer(direction, direction) for _, direction, _ in rays]
     weights = np.ones(len(rays))
     place = np.zeros(3)
     for _ in range(_ROUNDS):
-        A = np.sum([w * a for w, a in zip(weights, across, strict=True)], axis=0)
-        if not np.isfinite(A).all() or np.linalg.cond(A) > _PARALLEL:
+        A = np.sum([w * a for w, a in zip(weights, projectors, strict=True)], axis=0)
+        if not np.isfinite(A).all() or np.linalg.cond(A) > _MOST_CONDITION:
             return None
-        place = np.linalg.solve(A, np.sum([w * a @ C for w, a, (C, _, _) in zip(weights, across, rays, strict=True)], axis=0))
+        place = np.linalg.solve(A, np.sum([w * a @ C for w, a, (C, _, _) in zip(weights, projectors, rays, strict=True)], axis=0))
         distances = np.array([np.linalg.norm(place - C) for C, _, _ in rays])
         weights = (np.array([focal for _, _, focal in rays]) / np.maximum(distances, 1e-9)) ** 2
     return np.asarray(place, dtype=np.float64)
@@ -167,5 +167,5 @@ def _sight(entry: Mapping[str, Any]) -> Sight:
     return Sight(lens, np.array(entry["R"], dtype=np.float64), np.array(entry["C"], dtype=np.float64))
 
 
-def _plain(pixel: Float64s) -> Pixel | None:
+def _rounded(pixel: Float64s) -> Pixel | None:
     return np.round(pixel, 2).tolist() if np.isfinite(pixel).all() else None

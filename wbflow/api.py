@@ -97,13 +97,13 @@ def run(
     """
     site = site if isinstance(site, Site) else load_site(site)
     workers, roots = jobs or os.cpu_count() or 1, tuple(worker_roots)
-    limits = _bytes(memory), time_limit, stop_at
+    limits = _parse_memory(memory), time_limit, stop_at
     options = Options(date, workers, until, tuple(force), wait, backend, scheduler, roots, *limits, not_captured or {})
     options.check(site)
-    return _run(site, options, listen or (lambda event: None))
+    return _run_night(site, options, listen or (lambda event: None))
 
 
-def _bytes(memory: str | None) -> int | None:
+def _parse_memory(memory: str | None) -> int | None:
     try:
         return bytes_of(memory) if memory else None
     except ValueError as error:
@@ -129,17 +129,17 @@ def open_run(where: Site | str | Path, run_id: str | None = None) -> Run:
     """
     if not isinstance(where, Site) and run_id is None and RunFolder.is_one(Path(where)):
         return Run.at(RunFolder.at(Path(where)))
-    place = (where if isinstance(where, Site) else load_site(where)).work_folder
-    refresh(place)
-    return Run.open(place, run_id)
+    work_folder = (where if isinstance(where, Site) else load_site(where)).work_folder
+    refresh(work_folder)
+    return Run.open(work_folder, run_id)
 
 
-def _run(site: Site, options: Options, listen: Listener) -> Run:
-    place = site.work_folder
+def _run_night(site: Site, options: Options, listen: Listener) -> Run:
+    work_folder = site.work_folder
     try:
-        with hold_to_write(place, options.wait) as mirror, terminate_as_interrupt():
-            warning = claim(place, site.name, site.file)
-            name, started = new_run(place)
+        with hold_to_write(work_folder, options.wait) as mirror, terminate_as_interrupt():
+            warning = claim(work_folder, site.name, site.file)
+            name, started = new_run(work_folder)
             journal = Journal(mirror.listening(listen) if mirror else listen, started)
             if mirror:
                 journal.behind = mirror.behind
@@ -147,7 +147,7 @@ def _run(site: Site, options: Options, listen: Listener) -> Run:
                 journal.warn(warning, remedy="give each site file a work folder of its own (work: FOLDER)")
             for note in site.notes:
                 journal.warn(str(dataclasses.replace(note, remedy="")), remedy=note.remedy)
-            mend_ledger(place, journal)
+            mend_ledger(work_folder, journal)
             context = plan_run(site, options)
             for damage in filter(None, (context.digests.damage, context.earlier_captures.damage, site.reader.damage)):
                 journal.repaired(damage)
@@ -157,4 +157,4 @@ def _run(site: Site, options: Options, listen: Listener) -> Run:
                 finished.place.add(journal.events[-1])
             return finished
     except OSError as error:
-        raise disk_fault(error, place.root) from error
+        raise disk_fault(error, work_folder.root) from error

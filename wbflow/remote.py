@@ -46,12 +46,12 @@ UPLOAD_SECONDS = 10.0
 _WAIT_SECONDS = 5.0
 _URL = re.compile(r"[a-z][a-z0-9+.-]*://")
 _INSTALL = "pip install 'wbflow[cloud]'  (for gs:// also gcsfs, for abfs:// adlfs)"
-_REACH = "check that it exists and can be reached, and the credentials (for S3: AWS_PROFILE, AWS_ENDPOINT_URL)"
+_CHECK_ACCESS = "check that it exists and can be reached, and the credentials (for S3: AWS_PROFILE, AWS_ENDPOINT_URL)"
 _OPTIONS: dict[str, dict[str, Any]] = {
     "file": {"auto_mkdir": True},
     "s3": {"config_kwargs": {"retries": {"max_attempts": 1}}},  # s3fs itself already tries five times
 }
-_AT_ONCE = 16  # parallel transfers
+_TRANSFERS = 16  # parallel transfers
 
 
 class StoreError(WbflowError):
@@ -81,10 +81,10 @@ class ObjectStore:
 
     def listing(self) -> dict[str, Entry]:
         """Return size and mark of every object, by name."""
-        system, top = self._opened
+        system, root = self._opened
         with self._errors("listing"):
-            found = {str(path)[len(top) + 1 :]: info for path, info in system.find(top, detail=True).items()}
-            return {name: _entry(info) for name, info in found.items() if info["type"] == "file" and not name.endswith("/")}
+            objects = {str(path)[len(root) + 1 :]: info for path, info in system.find(root, detail=True).items()}
+            return {name: _entry(info) for name, info in objects.items() if info["type"] == "file" and not name.endswith("/")}
 
     def read(self, name: str) -> bytes | None:
         """Return an object's bytes; None if it does not exist."""
@@ -108,20 +108,20 @@ class ObjectStore:
     def fetch(self, names: Sequence[str], root: Path) -> None:
         """Download objects to files of the same names, each by rename; objects that no longer exist are skipped."""
 
-        def one(name: str) -> None:
+        def fetch_one(name: str) -> None:
             temporary = WorkFolder.unfinished(root / name)
             temporary.parent.mkdir(parents=True, exist_ok=True)
             with contextlib.suppress(FileNotFoundError):
                 self._opened[0].get_file(self._path(name), str(temporary))
                 temporary.replace(root / name)
 
-        with self._errors("download"), ThreadPoolExecutor(_AT_ONCE) as threads:
-            list(threads.map(one, names))
+        with self._errors("download"), ThreadPoolExecutor(_TRANSFERS) as threads:
+            list(threads.map(fetch_one, names))
 
     def put(self, names: Sequence[str], root: Path) -> None:
         """Upload files to objects of the same names.  After an error, some may be uploaded and others not."""
         with self._errors("upload"):
-            self._opened[0].put([str(root / name) for name in names], [self._path(name) for name in names], batch_size=_AT_ONCE)
+            self._opened[0].put([str(root / name) for name in names], [self._path(name) for name in names], batch_size=_TRANSFERS)
 
     def remove(self, names: Iterable[str]) -> None:
         """Remove objects; those that no longer exist are ignored."""
@@ -138,12 +138,12 @@ class ObjectStore:
         try:
             from fsspec.core import url_to_fs  # optional dependency
 
-            system, top = url_to_fs(self.url, use_listings_cache=False, **_OPTIONS.get(self.url.partition("://")[0], {}))
+            system, root = url_to_fs(self.url, use_listings_cache=False, **_OPTIONS.get(self.url.partition("://")[0], {}))
         except ImportError as error:
             raise NoSuchStore(f"{self.url}: object stores need more packages: {printable(error)}", remedy=_INSTALL) from None
         except ValueError as error:
             raise NoSuchStore(f"{self.url}: {printable(error)}", remedy="write it as s3://bucket/prefix") from None
-        return system, str(top).rstrip("/")
+        return system, str(root).rstrip("/")
 
     @contextlib.contextmanager
     def _errors(self, name: str) -> Iterator[None]:
@@ -155,7 +155,7 @@ class ObjectStore:
             if isinstance(error, OSError) and error.errno in FULL:
                 raise
             what = f"{self.url} cannot be used ({name}): {type(error).__name__}: {printable(error)}"
-            raise StoreError(what, remedy=_REACH) from error
+            raise StoreError(what, remedy=_CHECK_ACCESS) from error
 
 
 def _entry(info: Mapping[str, Any]) -> Entry:
@@ -175,58 +175,58 @@ class Mirror:
         self.work, self.store = work, ObjectStore(work.store)
         self._token = os.urandom(8).hex()
         """Identifies this folder in held.json."""
-        self._agreed: dict[str, tuple[str, Stamp]] = {}
+        self._synced: dict[str, tuple[str, Stamp]] = {}
         """By name: mark in the store ("" if not known yet) and local stamp when both sides last had the same bytes."""
-        self._waiting: list[tuple[Task, str]] = []
+        self._pending: list[tuple[Task, str]] = []
         self._fault: str | None = None
         self.holds = False
-        self._sent = time.monotonic()
+        self._last_upload = time.monotonic()
         with contextlib.suppress(Damaged, KeyError, TypeError, ValueError):  # without the memo, files are downloaded again
             memo = read_checksummed(work.mirror_memo, "mirror") or {}
             if memo["url"] == self.store.url:
                 self._token = str(memo["token"])
-                self._agreed = {name: (mark, (size, mtime)) for name, (mark, size, mtime) in memo["files"].items()}
+                self._synced = {name: (mark, (size, mtime)) for name, (mark, size, mtime) in memo["files"].items()}
 
     def pull(self) -> None:
         """Download what other machines have changed since the last synchronization.  Raises StoreError, OSError."""
-        there, here = {name: e for name, e in self.store.listing().items() if self._belongs(name)}, self._stamps(self._files())
-        if not there:  # a new store, or one that has lost everything: the next push uploads all local files
-            self._agreed = {}
-        missing = []
-        for name, (size, mark) in there.items():
-            agreed, stamp = self._agreed.get(name, ("", None))
-            same_key = name.startswith(f"{self.work.cache.name}/") and here.get(name, (-1,))[0] == size
-            if name in here and (agreed == mark or (not agreed and same_key)):
-                self._agreed[name] = mark, stamp or here[name]
+        remote, local = {name: e for name, e in self.store.listing().items() if self._belongs(name)}, self._stamps(self._files())
+        if not remote:  # a new store, or one that has lost everything: the next push uploads all local files
+            self._synced = {}
+        outdated = []
+        for name, (size, mark) in remote.items():
+            synced_mark, stamp = self._synced.get(name, ("", None))
+            is_same_artifact = name.startswith(f"{self.work.cache.name}/") and local.get(name, (-1,))[0] == size
+            if name in local and (synced_mark == mark or (not synced_mark and is_same_artifact)):
+                self._synced[name] = mark, stamp or local[name]
             else:
-                missing.append(name)
-        for names in self._in_order(missing):
+                outdated.append(name)
+        for names in self._in_order(outdated):
             self.store.fetch(names, self.work.root)
-        fetched = self._stamps(self.work.root / name for name in missing)
-        self._agreed.update({name: (there[name][1], stamp) for name, stamp in fetched.items()})
-        for name in self._agreed.keys() - there.keys():  # another machine has removed it
-            if self._agreed.pop(name)[1] == here.get(name):
+        new_stamps = self._stamps(self.work.root / name for name in outdated)
+        self._synced.update({name: (remote[name][1], stamp) for name, stamp in new_stamps.items()})
+        for name in self._synced.keys() - remote.keys():  # another machine has removed it
+            if self._synced.pop(name)[1] == local.get(name):
                 (self.work.root / name).unlink(missing_ok=True)
         self._save()
 
     def push(self, some: Iterable[Path] | None = None) -> None:
         """Upload local changes; `some`: of these files only.  Raises StoreError; the next push uploads the rest."""
-        here = self._stamps(self._files() if some is None else some)
-        fresh = [name for name, stamp in here.items() if self._agreed.get(name, ("", None))[1] != stamp]
-        for names in self._in_order(fresh):
+        local = self._stamps(self._files() if some is None else some)
+        changed = [name for name, stamp in local.items() if self._synced.get(name, ("", None))[1] != stamp]
+        for names in self._in_order(changed):
             self.store.put(names, self.work.root)
-            self._agreed.update({name: ("", here[name]) for name in names})
+            self._synced.update({name: ("", local[name]) for name in names})
         if some is not None:
             return
-        for names in reversed(list(self._in_order(self._agreed.keys() - here.keys()))):
+        for names in reversed(list(self._in_order(self._synced.keys() - local.keys()))):
             self.store.remove(names)
             for name in names:
-                del self._agreed[name]
+                del self._synced[name]
         for link in self.work.links():  # for people who browse the store: an object named like the link contains the run's id
             if run := self.work.link_target(link):
                 self.store.write(f"{self.work.runs.name}/{link.name}", run.encode())
-        there = self.store.listing() if fresh else {}
-        self._agreed.update({name: (there[name][1], here[name]) for name in fresh if name in there})
+        remote = self.store.listing() if changed else {}
+        self._synced.update({name: (remote[name][1], local[name]) for name in changed if name in remote})
         self._save()
 
     def listening(self, listen: Listener) -> Listener:
@@ -235,8 +235,8 @@ class Mirror:
         def receive(event: Event | Signal) -> None:
             listen(event)
             if isinstance(event, TaskEvent) and event.fresh and event.key:
-                self._waiting.append((event.task, event.key))
-                if time.monotonic() - self._sent > UPLOAD_SECONDS:
+                self._pending.append((event.task, event.key))
+                if time.monotonic() - self._last_upload > UPLOAD_SECONDS:
                     self._send(everything=False)
 
         return receive
@@ -260,9 +260,9 @@ class Mirror:
             if holder["token"] in {self._token, ""} or time.time() - holder["seen"] > ABANDONED_SECONDS:
                 self.store.remove([HELD])
             elif not wait:
-                who = f"process {holder['pid']} on {holder['host']}"
-                gone = f"a run that was killed counts as gone after {counted(ABANDONED_SECONDS / 60, 'minute')}"
-                raise Locked(f"another run holds {self.store.url}: {who}", remedy=f"wait for it (--wait), or stop it; {gone}")
+                writer = f"process {holder['pid']} on {holder['host']}"
+                hint = f"a run that was killed counts as gone after {counted(ABANDONED_SECONDS / 60, 'minute')}"
+                raise Locked(f"another run holds {self.store.url}: {writer}", remedy=f"wait for it (--wait), or stop it; {hint}")
             else:
                 time.sleep(_WAIT_SECONDS)
         self.holds = True
@@ -280,12 +280,12 @@ class Mirror:
             if holder["token"] not in {self._token, ""}:
                 raise StoreError(f"{self.store.url} was taken over by process {holder['pid']} on {holder['host']}")
             self.store.write(HELD, self._claim())
-            self.push(None if everything else [path for one in self._waiting for path in self.work.of_key(*one)])
-            self._waiting, self._fault = [], None
+            self.push(None if everything else [path for task_key in self._pending for path in self.work.of_key(*task_key)])
+            self._pending, self._fault = [], None
         except (StoreError, OSError) as error:
             what = error.what if isinstance(error, WbflowError) else str(error)
             self._fault = f"tonight's last results were not uploaded; only this machine has them: {what}"
-        self._sent = time.monotonic()
+        self._last_upload = time.monotonic()
 
     def _claim(self) -> bytes:
         return json.dumps({"token": self._token, "host": os.uname().nodename, "pid": os.getpid(), "seen": time.time()}).encode()
@@ -298,37 +298,37 @@ class Mirror:
             return {"token": ""}
 
     def _save(self) -> None:
-        files = {name: [mark, *stamp] for name, (mark, stamp) in self._agreed.items()}
+        files = {name: [mark, *stamp] for name, (mark, stamp) in self._synced.items()}
         write_checksummed(self.work.mirror_memo, "mirror", {"url": self.store.url, "token": self._token, "files": files})
 
     def _files(self) -> Iterator[Path]:
         """Yield every local file that belongs in the store."""
-        start = len(f"{self.work.root}/")
-        return (path for path in self.work.root.rglob("*") if self._belongs(str(path)[start:]))
+        prefix_length = len(f"{self.work.root}/")
+        return (path for path in self.work.root.rglob("*") if self._belongs(str(path)[prefix_length:]))
 
     def _belongs(self, name: str) -> bool:
         """Return whether a file belongs in the store; files of this machine alone, and those that can be rebuilt, do not."""
         work, parts = self.work, PurePosixPath(name).parts
-        fewest = {work.cache.name: 4, work.reference.name: 2, work.runs.name: 3}
-        fewest |= {path.name: 1 for path in (work.delivered_memo, work.notified, work.owner)}
-        return len(parts) >= fewest.get(parts[0], len(parts) + 1) and not any(part.startswith(".") for part in parts)
+        fewest_parts = {work.cache.name: 4, work.reference.name: 2, work.runs.name: 3}
+        fewest_parts |= {path.name: 1 for path in (work.delivered_memo, work.notified, work.owner)}
+        return len(parts) >= fewest_parts.get(parts[0], len(parts) + 1) and not any(part.startswith(".") for part in parts)
 
     def _in_order(self, names: Iterable[str]) -> Iterator[list[str]]:
         """Group names in order of upload: artifacts, then receipts and other JSON, then the records of runs and the reference."""
-        last = {self.work.reference_record.name, RunPaths(self.work.root).record.name}
+        last_names = {self.work.reference_record.name, RunPaths(self.work.root).record.name}
 
         def rank(name: str) -> int:
-            return 2 if PurePosixPath(name).name in last else int(name.endswith(".json"))
+            return 2 if PurePosixPath(name).name in last_names else int(name.endswith(".json"))
 
         return (list(group) for _, group in itertools.groupby(sorted(names, key=rank), key=rank))
 
     def _stamps(self, paths: Iterable[Path]) -> dict[str, Stamp]:
-        start, found = len(f"{self.work.root}/"), {}
+        prefix_length, stamps = len(f"{self.work.root}/"), {}
         for path in paths:
             if not path.name.startswith(".") and path.is_file():
                 status = path.stat()
-                found[str(path)[start:]] = status.st_size, status.st_mtime_ns
-        return found
+                stamps[str(path)[prefix_length:]] = status.st_size, status.st_mtime_ns
+        return stamps
 
 
 @contextlib.contextmanager

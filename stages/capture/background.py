@@ -21,7 +21,7 @@ _SPECK_PX, _MARGIN_PX = 5, 2
 """Disagreeing areas thinner than the first are swaying edges and are ignored; the second is the margin around the others."""
 _MOST_DOUBTFUL = 0.25
 """If a larger share of the pixels is doubtful, the images differ by more than moving things, and no pixel is marked."""
-_STRIP = 64
+_STRIP_ROWS = 64
 
 
 @dataclass(frozen=True)
@@ -43,47 +43,47 @@ def merge(images: Sequence[Uint8s], weights: Float64s | None = None) -> Backgrou
 
     Two images have no majority: the later one is used, and pixels where they differ are doubtful.  weights: (n,); None: equal.
     """
-    nothing = np.zeros(images[0].shape[:2], np.bool_)
+    no_pixels = np.zeros(images[0].shape[:2], np.bool_)
     if len(images) == 1:
-        return Background(images[0], nothing, nothing, 0.0)
+        return Background(images[0], no_pixels, no_pixels, 0.0)
     weights = np.ones(len(images)) if weights is None else weights
-    small = np.stack([cv2.resize(image, (96, 64), interpolation=cv2.INTER_AREA) for image in images]).astype(np.float32)
-    reference = np.median(small[weights == weights.max()], axis=0) if len(images) > 2 else small[-1]
-    gains = [_gain(thumbnail, reference) for thumbnail in small]
+    thumbnails = np.stack([cv2.resize(image, (96, 64), interpolation=cv2.INTER_AREA) for image in images]).astype(np.float32)
+    reference = np.median(thumbnails[weights == weights.max()], axis=0) if len(images) > 2 else thumbnails[-1]
+    gains = [_channel_gains(thumbnail, reference) for thumbnail in thumbnails]
     stack = [with_gain(image, gain) for image, gain in zip(images, gains, strict=True)]
     merged = _medians(stack, weights) if len(images) > 2 else images[-1]
-    agreeing = _agreeing(stack, merged, weights)
-    moved = cv2.morphologyEx((agreeing <= 0.5 + 1e-9).astype(np.uint8), cv2.MORPH_OPEN, _disc(_SPECK_PX))
-    doubtful = np.asarray(cv2.dilate(moved, _disc(2 * _MARGIN_PX + 1)), np.bool_)
+    agreement = _agreement(stack, merged, weights)
+    disagreeing = cv2.morphologyEx((agreement <= 0.5 + 1e-9).astype(np.uint8), cv2.MORPH_OPEN, _disc(_SPECK_PX))
+    doubtful = np.asarray(cv2.dilate(disagreeing, _disc(2 * _MARGIN_PX + 1)), np.bool_)
     if doubtful.mean() > _MOST_DOUBTFUL:
-        doubtful = nothing
-    same = np.logical_and.reduce([(image == images[0]).all(axis=2) for image in images[1:]])
-    return Background(merged, doubtful, _overlaid(images, np.array(gains), merged), float(same.mean()))
+        doubtful = no_pixels
+    identical = np.logical_and.reduce([(image == images[0]).all(axis=2) for image in images[1:]])
+    return Background(merged, doubtful, _overlaid(images, np.array(gains), merged), float(identical.mean()))
 
 
 def _medians(stack: Sequence[Uint8s], weights: Float64s) -> Uint8s:
     merged = np.empty_like(stack[0])
     middle = len(stack) // 2
-    equal = bool((weights == weights[0]).all())
-    for top in range(0, len(merged), _STRIP):  # in strips: only one uint8 copy of the stack is in memory
-        strip = np.stack([image[top : top + _STRIP] for image in stack])
-        if equal:
-            merged[top : top + _STRIP] = np.partition(strip, middle, axis=0)[middle]
+    equal_weights = bool((weights == weights[0]).all())
+    for top in range(0, len(merged), _STRIP_ROWS):  # in strips: only one uint8 copy of the stack is in memory
+        strip = np.stack([image[top : top + _STRIP_ROWS] for image in stack])
+        if equal_weights:
+            merged[top : top + _STRIP_ROWS] = np.partition(strip, middle, axis=0)[middle]
             continue
         order = np.argsort(strip, axis=0, kind="stable")
-        reached = np.cumsum(weights[order], axis=0) > 0.5 * weights.sum() - 1e-9
-        chosen = np.take_along_axis(order, reached.argmax(axis=0)[None], axis=0)
-        merged[top : top + _STRIP] = np.take_along_axis(strip, chosen, axis=0)[0]
+        past_middle = np.cumsum(weights[order], axis=0) > 0.5 * weights.sum() - 1e-9
+        chosen = np.take_along_axis(order, past_middle.argmax(axis=0)[None], axis=0)
+        merged[top : top + _STRIP_ROWS] = np.take_along_axis(strip, chosen, axis=0)[0]
     return merged
 
 
-def _agreeing(stack: Sequence[Uint8s], merged: Uint8s, weights: Float64s) -> Float64s:
+def _agreement(stack: Sequence[Uint8s], merged: Uint8s, weights: Float64s) -> Float64s:
     """(h, w) share of the images' weight that agrees with the background."""
     share = np.zeros(merged.shape[:2])
     for image, weight in zip(stack, weights, strict=True):
-        off = cv2.absdiff(image, merged).max(axis=2)
-        sigma = 1.4826 * float(np.median(off[::4, ::4]))
-        share += weight * (off <= max(_LEAST_TOLERANCE, _SIGMAS * sigma))
+        difference = cv2.absdiff(image, merged).max(axis=2)
+        sigma = 1.4826 * float(np.median(difference[::4, ::4]))
+        share += weight * (difference <= max(_LEAST_TOLERANCE, _SIGMAS * sigma))
     return np.asarray(share / weights.sum(), np.float64)
 
 
@@ -97,36 +97,36 @@ def _overlaid(images: Sequence[Uint8s], gains: Float64s, merged: Uint8s) -> Bool
     It is detected only where the exposure has changed enough to move a pixel by some grey levels.  Strokes are joined to lines
     of text, which then include the changing digits.
     """
-    nothing = np.zeros(merged.shape[:2], np.bool_)
-    overall = gains.mean(axis=1)
-    first, last = int(overall.argmin()), int(overall.argmax())
-    ratio = float(overall[last] / overall[first])
+    no_pixels = np.zeros(merged.shape[:2], np.bool_)
+    mean_gains = gains.mean(axis=1)
+    brightest, darkest = int(mean_gains.argmin()), int(mean_gains.argmax())
+    ratio = float(mean_gains[darkest] / mean_gains[brightest])
     if ratio < 1.06:
-        return nothing
-    low, high = images[first].max(axis=2).astype(np.float32), images[last].max(axis=2).astype(np.float32)
-    spread = np.abs(low - high)
-    expected = np.minimum(low, high) * (ratio - 1)
-    stays = (expected >= 8) & (spread <= 0.25 * expected) & (np.maximum(low, high) <= 251)
+        return no_pixels
+    bright, dark = images[brightest].max(axis=2).astype(np.float32), images[darkest].max(axis=2).astype(np.float32)
+    difference = np.abs(bright - dark)
+    expected = np.minimum(bright, dark) * (ratio - 1)
+    is_constant = (expected >= 8) & (difference <= 0.25 * expected) & (np.maximum(bright, dark) <= 251)
     edges = np.abs(cv2.Laplacian(grey_levels(merged), cv2.CV_32F))
-    strokes = (stays & (cv2.dilate(edges, _disc(3)) > 60)).astype(np.uint8)
+    strokes = (is_constant & (cv2.dilate(edges, _disc(3)) > 60)).astype(np.uint8)
     strokes[cv2.blur(strokes.astype(np.float32), (9, 9)) < 0.12] = 0  # isolated pixels, left by noise
     width = merged.shape[1]
-    gathered = cv2.morphologyEx(strokes, cv2.MORPH_CLOSE, np.ones((5, max(width // 20, 5) | 1), np.uint8))
-    out = np.zeros_like(gathered)
-    _, _, boxes, _ = cv2.connectedComponentsWithStats(gathered, connectivity=8)
+    text_lines = cv2.morphologyEx(strokes, cv2.MORPH_CLOSE, np.ones((5, max(width // 20, 5) | 1), np.uint8))
+    overlay = np.zeros_like(text_lines)
+    _, _, boxes, _ = cv2.connectedComponentsWithStats(text_lines, connectivity=8)
     for x, y, w, h, _ in boxes[1:].tolist():
-        inside = int(strokes[y : y + h, x : x + w].sum())
-        if w >= 8 and h >= 4 and inside >= max(12, 0.08 * w * h):
-            out[max(y - 2, 0) : y + h + 2, max(x - 2, 0) : x + w + 2] = 1
-    return np.asarray(out, np.bool_)
+        stroke_pixels = int(strokes[y : y + h, x : x + w].sum())
+        if w >= 8 and h >= 4 and stroke_pixels >= max(12, 0.08 * w * h):
+            overlay[max(y - 2, 0) : y + h + 2, max(x - 2, 0) : x + w + 2] = 1
+    return np.asarray(overlay, np.bool_)
 
 
-def _gain(thumbnail: np.ndarray, reference: np.ndarray) -> Float64s:
+def _channel_gains(thumbnail: np.ndarray, reference: np.ndarray) -> Float64s:
     """(3,) gains that bring a thumbnail's channels to the reference's exposure: robust to motion, clipped pixels left out."""
     usable = (thumbnail > 8) & (thumbnail < 247) & (reference > 8) & (reference < 247)
     gains = np.ones(3)
-    for c in range(3):
-        ratios = reference[..., c][usable[..., c]] / thumbnail[..., c][usable[..., c]]
+    for channel in range(3):
+        ratios = reference[..., channel][usable[..., channel]] / thumbnail[..., channel][usable[..., channel]]
         if ratios.size >= 50:
-            gains[c] = np.median(ratios)
+            gains[channel] = np.median(ratios)
     return gains

@@ -57,9 +57,9 @@ def decode(capture: Capture, lens: Lens | None = None) -> Uint8s:
     data = np.ascontiguousarray(capture.data)
     if data.size == 0:
         raise EmptyCapture(f"{capture.name} is empty (0 bytes)")
-    written = data.tobytes()
-    refuse_truncated(capture.name, written)
-    _refuse_size(capture.name, written, lens)
+    file_bytes = data.tobytes()
+    refuse_truncated(capture.name, file_bytes)
+    _refuse_size(capture.name, file_bytes, lens)
     image = decoded(capture.name, data, cv2.IMREAD_COLOR)
     refuse_unfinished(capture.name, image)
     refuse_featureless(capture.name, image)
@@ -75,9 +75,9 @@ def wrong_size(name: str, width: int, height: int, lens: Lens) -> WrongSize:
     width, height : of the image, pixels.
     lens : states the expected size.
     """
-    turned = (height, width) == (lens.width, lens.height)
+    is_turned = (height, width) == (lens.width, lens.height)
     remedy = "state the intrinsics for the size captured, or set the camera back"
-    if turned:
+    if is_turned:
         remedy = "is the camera turned, or the EXIF orientation wrong?"
     return WrongSize(f"{name} has {width} x {height} pixels, the intrinsics are for {lens.width} x {lens.height}: {remedy}")
 
@@ -90,27 +90,27 @@ def _refuse_size(name: str, data: bytes, lens: Lens | None) -> None:
     if (size := picture_size(data)) is None:
         return
     width, height = size
-    stated = bool(lens and lens.width and lens.height)
-    if stated and lens and sorted(size) != sorted((lens.width, lens.height)):
+    size_stated = bool(lens and lens.width and lens.height)
+    if size_stated and lens and sorted(size) != sorted((lens.width, lens.height)):
         raise wrong_size(name, width, height, lens)
     if data[:2] == b"\xff\xd8" and width * height > max(FEW_PIXELS, len(data) * MOST_JPEG_PIXELS_A_BYTE):
         raise OversizedImage(f"{name} promises {width} x {height} pixels, which {len(data):,} bytes cannot hold")
-    most = MOST_PIXELS if stated else MOST_UNSTATED_PIXELS
-    if width * height > most:
-        how = "" if stated else " as long as its intrinsics do not state its size"
-        raise OversizedImage(f"{name} has {width} x {height} pixels, {most // 10**6} million are the most that are decoded{how}")
+    limit = MOST_PIXELS if size_stated else MOST_UNSTATED_PIXELS
+    if width * height > limit:
+        how = "" if size_stated else " as long as its intrinsics do not state its size"
+        raise OversizedImage(f"{name} has {width} x {height} pixels, {limit // 10**6} million are the most that are decoded{how}")
 
 
 def refuse_truncated(name: str, data: bytes) -> None:
     """Raises TruncatedImage for JPEG without end marker or PNG without last chunk: decoders pad them with grey and only warn."""
     if data[:3] == b"\xff\xd8\xff":
         scan = next((start for marker, start, _ in jpeg_segments(data) if marker == SCAN), None)
-        whole = scan is not None and data.find(b"\xff\xd9", scan) >= 0
+        is_complete = scan is not None and data.find(b"\xff\xd9", scan) >= 0
     elif data[:8] == b"\x89PNG\r\n\x1a\n":
-        whole = data.rfind(b"IEND") >= 0
+        is_complete = data.rfind(b"IEND") >= 0
     else:
         return
-    if not whole:
+    if not is_complete:
         raise TruncatedImage(f"{name} ends after {len(data):,} bytes: the image is truncated")
 
 
@@ -120,11 +120,11 @@ def refuse_unfinished(name: str, image: Uint8s) -> None:
     Black and white are exempt (letter box, night, sky), and so is a colour that the upper edge has as well: the background of a
     drawing.
     """
-    last = image[-1, -1]
-    if last.max() < 24 or last.min() > 231 or (image[0] == last).all():
+    last_pixel = image[-1, -1]
+    if last_pixel.max() < 24 or last_pixel.min() > 231 or (image[0] == last_pixel).all():
         return
-    whole = next((row for row in range(len(image) - 1, -1, -1) if (image[row] != last).any()), None)
-    missing = 0.0 if whole is None else 1.0 - (whole + 1) / len(image)  # one colour everywhere: see `refuse_featureless`
+    last_row = next((row for row in range(len(image) - 1, -1, -1) if (image[row] != last_pixel).any()), None)
+    missing = 0.0 if last_row is None else 1.0 - (last_row + 1) / len(image)  # one colour everywhere: see `refuse_featureless`
     if missing > MOST_MISSING:
         raise TruncatedImage(f"{name} is unfinished: the lower {100 * missing:.0f} % of it are of one colour")
 

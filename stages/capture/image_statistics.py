@@ -17,15 +17,15 @@ POOR = 0.25
 _BLURRED, _DARK, _BRIGHT, _BLINDED = 0.6, 0.5, 1.8, 0.12
 """Limits of poor frames: shares of the night's median sharpness and brightness, and excess share of saturated pixels."""
 _LONG_SIDE = 640
-_PREPARED_PX = 0.5
+_PRESMOOTHING_PX = 0.5
 """Sigma of the Gaussian that suppresses noise before edges are detected, pixels."""
 _SCALES, _SMOOTH = (1.0, 0.5, 0.25, 0.125), 1.5
 """Scales at which pixel differences are measured, and ratio of successive ones below which there is detail.  Fitted on a yard,
 fountain and entry at 768 pixels (0.9 to 1.44; enlarged or smeared: 1.6 to 1.9).  Validated on stadium, apron, hall, houses,
 yard by night, belvedere, square, pavilion: 1 pixel as they are, 1.6 and more if enlarged three times or smeared by 9 px."""
-_SOME = 7
+_SAMPLE_STEP = 7
 """Step of the samples from which the threshold for strong slopes is taken."""
-_FAINT, _FEWEST_EDGES = 24.0, 15
+_FAINT_SLOPE, _FEWEST_EDGES = 24.0, 15
 """Sobel slopes below the first are noise; with fewer edge pixels than the second there is no estimate.  A quarter of 160 x 90
 pixels has 50 to 120, and 15 to 30 if it is out of focus."""
 
@@ -65,27 +65,27 @@ def blur_px(image: Uint8s, usable: Bools) -> float:
 
     References: Zhuo, Sim, Defocus map estimation from a single image, Pattern Recognition 44, 2011.
     """
-    grey = cv2.GaussianBlur(grey_levels(image).astype(np.float32), (0, 0), _PREPARED_PX)
-    slope, again = (_slope(grey), _slope(cv2.GaussianBlur(grey, (0, 0), 1.0)))
+    grey = cv2.GaussianBlur(grey_levels(image).astype(np.float32), (0, 0), _PRESMOOTHING_PX)
+    slope, reblurred = (_slope(grey), _slope(cv2.GaussianBlur(grey, (0, 0), 1.0)))
     inside = cv2.erode(usable.astype(np.uint8), np.ones((9, 9), np.uint8)).astype(bool)
-    (h, w), whole = usable.shape, slice(None)
+    (h, w), full = usable.shape, slice(None)
     quarters = [(y, x) for y in (slice(h // 2), slice(h // 2, None)) for x in (slice(w // 2), slice(w // 2, None))]
-    thirds = [(slice(h // 3), whole), (slice(-(h // 3), None), whole), (whole, slice(w // 3)), (whole, slice(-(w // 3), None))]
-    found = [_blur_px(slope[part], again[part], inside[part]) for part in (*quarters, *thirds, (whole, whole))]
-    return max((blur for blur in found if np.isfinite(blur)), default=float("nan"))
+    thirds = [(slice(h // 3), full), (slice(-(h // 3), None), full), (full, slice(w // 3)), (full, slice(-(w // 3), None))]
+    blurs = [_blur_px(slope[part], reblurred[part], inside[part]) for part in (*quarters, *thirds, (full, full))]
+    return max((blur for blur in blurs if np.isfinite(blur)), default=float("nan"))
 
 
-def _blur_px(slope: Float32s, again: Float32s, inside: Bools) -> float:
+def _blur_px(slope: Float32s, reblurred: Float32s, inside: Bools) -> float:
     """Blur of a part of an image, from the slopes (h, w) of its grey levels before and after blurring it again."""
     if not inside.any():
         return float("nan")
-    strong = inside & (slope > max(float(np.percentile(slope[inside][::_SOME], 95)), _FAINT))
+    strong = inside & (slope > max(float(np.percentile(slope[inside][::_SAMPLE_STEP], 95)), _FAINT_SLOPE))
     edge = strong & (cv2.dilate(slope, np.ones((5, 5), np.uint8)) == slope)
     if int(edge.sum()) < _FEWEST_EDGES:
         return float("nan")
-    ratio = slope[edge] / np.maximum(again[edge], 1e-3)
+    ratio = slope[edge] / np.maximum(reblurred[edge], 1e-3)
     total = float(np.percentile(1 / np.sqrt(np.maximum(ratio**2 - 1, 1e-2)), 25))
-    return float(np.sqrt(max(total**2 - _PREPARED_PX**2, 0.0)))
+    return float(np.sqrt(max(total**2 - _PRESMOOTHING_PX**2, 0.0)))
 
 
 def _slope(grey: cv2.typing.MatLike) -> Float32s:
@@ -101,28 +101,28 @@ def detail_px(image: Uint8s, usable: Bools, noise: float) -> float:
     (h, w); noise: standard deviation in grey levels, which is subtracted.
     """
     grey = grey_levels(image).astype(np.float32)
-    found = []
+    distances = []
     for axis in (0, 1):
-        steps = [
-            _step(cv2.resize(grey, None, fx=f, fy=f, interpolation=cv2.INTER_AREA), usable, axis, noise * f) for f in _SCALES
+        differences = [
+            _rms_step(cv2.resize(grey, None, fx=f, fy=f, interpolation=cv2.INTER_AREA), usable, axis, noise * f) for f in _SCALES
         ]
-        ratios = [min(far / max(near, 1e-3), 2.0) for near, far in pairwise(steps)]
-        below = next((k for k, ratio in enumerate(ratios) if ratio < _SMOOTH), len(ratios))
-        if below == 0:
-            found.append(1.0)
-        elif below == len(ratios):
-            found.append(2.0**below)
+        ratios = [min(coarse / max(fine, 1e-3), 2.0) for fine, coarse in pairwise(differences)]
+        scale = next((k for k, ratio in enumerate(ratios) if ratio < _SMOOTH), len(ratios))
+        if scale == 0:
+            distances.append(1.0)
+        elif scale == len(ratios):
+            distances.append(2.0**scale)
         else:
-            found.append(float(2 ** (below - 1 + (ratios[below - 1] - _SMOOTH) / (ratios[below - 1] - ratios[below]))))
-    return max(found)
+            distances.append(float(2 ** (scale - 1 + (ratios[scale - 1] - _SMOOTH) / (ratios[scale - 1] - ratios[scale]))))
+    return max(distances)
 
 
-def _step(grey: cv2.typing.MatLike, usable: Bools, axis: int, noise: float) -> float:
+def _rms_step(grey: cv2.typing.MatLike, usable: Bools, axis: int, noise: float) -> float:
     """Root mean square difference of neighbouring pixels of an image (h, w) along an axis, without the noise's part."""
     h, w = grey.shape
     inside = cv2.resize(usable.astype(np.uint8), (w, h), interpolation=cv2.INTER_NEAREST).astype(np.bool_)
-    both = (inside[1:] & inside[:-1]) if axis == 0 else (inside[:, 1:] & inside[:, :-1])
-    squares = np.diff(grey, axis=axis)[both] ** 2
+    pairs_inside = (inside[1:] & inside[:-1]) if axis == 0 else (inside[:, 1:] & inside[:, :-1])
+    squares = np.diff(grey, axis=axis)[pairs_inside] ** 2
     return float(np.sqrt(max(float(squares.mean()) - 2 * noise**2, 0.0))) if len(squares) else 0.0
 
 
@@ -137,20 +137,20 @@ def weigh(images: Sequence[Uint8s], names: Sequence[str], usable: Bools) -> tupl
     weights = np.ones(len(images))
     if len(images) < 3 or not small.any():
         return weights, []
-    found = [image_statistics(np.asarray(cv2.resize(i, size, interpolation=cv2.INTER_AREA), np.uint8), small) for i in images]
-    usual = ImageStatistics(*(float(np.median([getattr(f, n) for f in found])) for n in ImageStatistics.__dataclass_fields__))
-    words = []
-    for k, (name, one) in enumerate(zip(names, found, strict=True)):
-        if one.saturated > usual.saturated + _BLINDED:
-            what = f"blinded ({100 * one.saturated:.0f} % saturated, usually {100 * usual.saturated:.0f} %)"
-        elif one.sharpness < _BLURRED * usual.sharpness:
-            what = f"blurred (sharpness {one.sharpness:.3f}, usually {usual.sharpness:.3f})"
-        elif one.brightness < _DARK * usual.brightness:
-            what = f"too dark (brightness {one.brightness:.0f}, usually {usual.brightness:.0f})"
-        elif one.brightness > _BRIGHT * usual.brightness:
-            what = f"too bright (brightness {one.brightness:.0f}, usually {usual.brightness:.0f})"
+    measured = [image_statistics(np.asarray(cv2.resize(i, size, interpolation=cv2.INTER_AREA), np.uint8), small) for i in images]
+    usual = ImageStatistics(*(float(np.median([getattr(f, n) for f in measured])) for n in ImageStatistics.__dataclass_fields__))
+    messages = []
+    for k, (name, frame) in enumerate(zip(names, measured, strict=True)):
+        if frame.saturated > usual.saturated + _BLINDED:
+            problem = f"blinded ({100 * frame.saturated:.0f} % saturated, usually {100 * usual.saturated:.0f} %)"
+        elif frame.sharpness < _BLURRED * usual.sharpness:
+            problem = f"blurred (sharpness {frame.sharpness:.3f}, usually {usual.sharpness:.3f})"
+        elif frame.brightness < _DARK * usual.brightness:
+            problem = f"too dark (brightness {frame.brightness:.0f}, usually {usual.brightness:.0f})"
+        elif frame.brightness > _BRIGHT * usual.brightness:
+            problem = f"too bright (brightness {frame.brightness:.0f}, usually {usual.brightness:.0f})"
         else:
             continue
         weights[k] = POOR
-        words.append(f"{name} is {what}: counts a quarter")
-    return weights, words
+        messages.append(f"{name} is {problem}: counts a quarter")
+    return weights, messages

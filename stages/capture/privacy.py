@@ -12,7 +12,7 @@ from .files import BadCapture
 
 GREY = 128
 """Grey level that replaces private pixels."""
-_MARGIN = 3
+_MARGIN_PX = 3
 """Width in pixels of the margin around a polygon that is not used: the edge of a grey area is not a feature of the site."""
 
 
@@ -54,12 +54,12 @@ def blanked(image: Uint8s, area: Bools | None) -> Uint8s:
 
 def around(area: Bools) -> Bools:
     """The area with a margin around it."""
-    kernel = np.ones((2 * _MARGIN + 1, 2 * _MARGIN + 1), np.uint8)
+    kernel = np.ones((2 * _MARGIN_PX + 1, 2 * _MARGIN_PX + 1), np.uint8)
     return np.asarray(cv2.dilate(area.astype(np.uint8), kernel), np.bool_)
 
 
 def _polygons(privacy: Privacy, width: int, height: int) -> Iterator[Float64s]:
     """Corners (n, 2) of each polygon in pixels; corners that all lie within 0 to 1 are shares of width and height."""
     for corners in np.split(privacy.corners, np.cumsum(privacy.counts.astype(int)))[:-1]:
-        shares = bool((corners >= 0).all() and (corners <= 1).all())
-        yield corners * (width, height) - 0.5 if shares else corners
+        are_shares = bool((corners >= 0).all() and (corners <= 1).all())
+        yield corners * (width, height) - 0.5 if are_shares else corners

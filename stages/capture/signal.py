@@ -18,22 +18,22 @@ from ..core.luminance import block_means, grey_levels, noise_level
 from ..types import Float32s, Uint8s
 
 _TILE_PX = 16
-_STRUCTURED = 3.0
+_LEAST_STRUCTURE = 3.0
 """Mean grey-level difference of neighbouring pixels of a row above which a tile is tested for combing."""
-_COMBED = 1.3
+_COMBED_RATIO = 1.3
 """Smallest ratio of the difference between adjacent rows to that between rows two apart for a tile to count as combed."""
 _MOST_COMBED = 0.1
 """Share of combed tiles from which on only one field is used."""
-_LEAST_PX, _FARTHEST_PX = 0.3, 6.0
+_LEAST_SHIFT_PX, _MOST_SHIFT_PX = 0.3, 6.0
 """Range of horizontal shifts of the second field that are corrected, in pixels; images without combing measure below 0.03."""
-_SHIFTED = 0.8
+_ACCEPTED_RATIO = 0.8
 """Largest ratio of row-to-row differences after a shift to those before it for the shift to be accepted."""
 _MIDDLE_PX = 1024
 """Side of the central part of an image that is analysed."""
 _BLOCK_PX = 8
-_BLOCKY = 1.5
+_BLOCKY_RATIO = 1.5
 """Ratio of the steps at block borders to those within blocks above which coarse coding is reported: it hides the scene."""
-_CAST = 1.7
+_CAST_RATIO = 1.7
 """Ratio of the strongest to the weakest mean channel above which a colour cast is reported; usual lamps stay below."""
 _COLOURLESS = 0.05
 """Median saturation, after removal of a colour cast, below which an image is reported as without colour."""
@@ -52,25 +52,25 @@ class Signal:
     @classmethod
     def median(cls, several: Sequence[Signal]) -> Signal:
         """The median of each field over several images."""
-        return cls(*(float(np.median([getattr(one, name) for one in several])) for name in cls.__dataclass_fields__))
+        return cls(*(float(np.median([getattr(signal, name) for signal in several])) for name in cls.__dataclass_fields__))
 
     def words(self) -> list[str]:
         """Warnings for the operator."""
-        found = []
-        if self.blocking > _BLOCKY:
-            found.append(
+        warnings = []
+        if self.blocking > _BLOCKY_RATIO:
+            warnings.append(
                 f"coded coarsely: blocks of 8 pixels stand out {self.blocking:.1f}-fold; have it recorded at a higher quality"
             )
         if self.colour < _COLOURLESS:
-            found.append("without colour: infrared light, or a grey camera")
-        elif self.cast > _CAST:
-            found.append(f"a cast of colour: one is {self.cast:.1f} times another; look at its white balance")
-        return found
+            warnings.append("without colour: infrared light, or a grey camera")
+        elif self.cast > _CAST_RATIO:
+            warnings.append(f"a cast of colour: one is {self.cast:.1f} times another; look at its white balance")
+        return warnings
 
 
 def signal_of(image: Uint8s) -> Signal:
     """Signal statistics of an image (h, w, 3) as it comes from the camera."""
-    image = _middle(image)
+    image = _central_part(image)
     grey = np.asarray(grey_levels(image), np.float32)
     means = np.maximum(np.array(cv2.mean(image)[:3]), 1.0)
     balanced = image[::4, ::4].astype(np.float32) * (means.mean() / means).astype(np.float32)
@@ -79,7 +79,7 @@ def signal_of(image: Uint8s) -> Signal:
     return Signal(_combing(grey), _blocking(grey), float(means.max() / means.min()), saturation, capture_noise(grey))
 
 
-def _middle(image: Uint8s) -> Uint8s:
+def _central_part(image: Uint8s) -> Uint8s:
     """The centre of an image, cut at an even row so that each row stays in its field."""
     top, left = ((side - _MIDDLE_PX) // 2 // 2 * 2 if side > _MIDDLE_PX else 0 for side in image.shape[:2])
     return image[top : top + _MIDDLE_PX, left : left + _MIDDLE_PX]
@@ -88,23 +88,23 @@ def _middle(image: Uint8s) -> Uint8s:
 def _combing(grey: Float32s) -> float:
     """Share of the tiles with structure along their rows in which adjacent rows of (h, w) differ more than rows two apart."""
     near, far, along = (np.abs(grey[2:] - grey[1:-1]), np.abs(grey[2:] - grey[:-2]), np.abs(np.diff(grey, axis=1))[2:])
-    near_tiles, far_tiles, along_tiles = (block_means(each, _TILE_PX) for each in (near[:, 1:], far[:, 1:], along))
-    structured = along_tiles > _STRUCTURED
+    near_tiles, far_tiles, along_tiles = (block_means(steps, _TILE_PX) for steps in (near[:, 1:], far[:, 1:], along))
+    structured = along_tiles > _LEAST_STRUCTURE
     if structured.sum() < 8:
         return 0.0
-    return float((near_tiles > _COMBED * far_tiles)[structured].mean())
+    return float((near_tiles > _COMBED_RATIO * far_tiles)[structured].mean())
 
 
 def _blocking(grey: Float32s) -> float:
     """Ratio of steps at block borders to the median step, the lower of both directions; blocks may begin at any pixel (crops)."""
-    found = []
+    ratios = []
     for steps in (np.abs(np.diff(grey, axis=1)).mean(axis=0), np.abs(np.diff(grey, axis=0)).mean(axis=1)):
         count = len(steps) // _BLOCK_PX * _BLOCK_PX
         if count < 4 * _BLOCK_PX:
             return 1.0
         phases = steps[:count].reshape(-1, _BLOCK_PX).mean(axis=0)
-        found.append(float(phases.max() / max(np.median(phases), 0.1)))
-    return min(found)
+        ratios.append(float(phases.max() / max(np.median(phases), 0.1)))
+    return min(ratios)
 
 
 def repaired(image: Uint8s) -> tuple[Uint8s, str]:
@@ -112,44 +112,44 @@ def repaired(image: Uint8s) -> tuple[Uint8s, str]:
 
     If the second field is shifted as a whole, it is shifted back; otherwise its rows are interpolated from the first field.
     """
-    grey = np.asarray(grey_levels(_middle(image)), np.float32)
+    grey = np.asarray(grey_levels(_central_part(image)), np.float32)
     shift = _field_shift(grey)
-    if _LEAST_PX < abs(shift) <= _FARTHEST_PX:
+    if _LEAST_SHIFT_PX < abs(shift) <= _MOST_SHIFT_PX:
         shifted = image.copy()
-        shifted[1::2] = _shifted(image[1::2], shift)
-        now = np.asarray(grey_levels(_middle(shifted)), np.float32)
-        if _combing(now) < 0.5 * _MOST_COMBED and _across_rows(now) < _SHIFTED * _across_rows(grey):
+        shifted[1::2] = _shift_left(image[1::2], shift)
+        new_grey = np.asarray(grey_levels(_central_part(shifted)), np.float32)
+        if _combing(new_grey) < 0.5 * _MOST_COMBED and _row_difference(new_grey) < _ACCEPTED_RATIO * _row_difference(grey):
             return shifted, "every second row is displaced, and is shifted back"
     if _combing(grey) < _MOST_COMBED:
         return image, ""
-    first = image[::2]
-    below = np.concatenate([first[1:], first[-1:]])[: len(image) // 2]
-    single = image.copy()
-    single[1::2] = cv2.addWeighted(first[: len(below)], 0.5, below, 0.5, 0)
-    return single, "every second row is from another moment (interlaced), and is not used"
+    first_field = image[::2]
+    next_rows = np.concatenate([first_field[1:], first_field[-1:]])[: len(image) // 2]
+    interpolated = image.copy()
+    interpolated[1::2] = cv2.addWeighted(first_field[: len(next_rows)], 0.5, next_rows, 0.5, 0)
+    return interpolated, "every second row is from another moment (interlaced), and is not used"
 
 
-def _across_rows(grey: Float32s) -> float:
+def _row_difference(grey: Float32s) -> float:
     return float(np.abs(np.diff(grey, axis=0)).mean())
 
 
 def _field_shift(grey: Float32s) -> float:
     """Shift of the second field to the right, against the mean of its neighbouring rows, pixels (Lucas and Kanade, 1981)."""
-    first, second = grey[::2], grey[1::2]
+    first_field, second_field = grey[::2], grey[1::2]
     if min(grey.shape) < 32:
         return 0.0
-    rows = min(len(first) - 1, len(second))
-    between, there = 0.5 * (first[:rows] + first[1 : rows + 1]), second[:rows]
-    starts = np.arange(-_FARTHEST_PX, _FARTHEST_PX + 1)  # whole pixels; the fraction is found from there
-    off = [np.abs(np.roll(between, int(start), axis=1) - there)[:, 8:-8].mean() for start in starts]
-    best = float(starts[np.argmin(off)])
-    moved = np.roll(between, int(best), axis=1)
-    slope = 0.5 * (np.roll(moved, -1, axis=1) - np.roll(moved, 1, axis=1))
+    rows = min(len(first_field) - 1, len(second_field))
+    expected, actual = 0.5 * (first_field[:rows] + first_field[1 : rows + 1]), second_field[:rows]
+    shifts = np.arange(-_MOST_SHIFT_PX, _MOST_SHIFT_PX + 1)  # whole pixels; the fraction is found from there
+    differences = [np.abs(np.roll(expected, int(shift), axis=1) - actual)[:, 8:-8].mean() for shift in shifts]
+    best_shift = float(shifts[np.argmin(differences)])
+    shifted = np.roll(expected, int(best_shift), axis=1)
+    slope = 0.5 * (np.roll(shifted, -1, axis=1) - np.roll(shifted, 1, axis=1))
     inner = (slice(None), slice(8, -8))
-    return best - float((slope * (there - moved))[inner].sum() / max((slope * slope)[inner].sum(), 1e-6))
+    return best_shift - float((slope * (actual - shifted))[inner].sum() / max((slope * slope)[inner].sum(), 1e-6))
 
 
-def _shifted(rows: Uint8s, shift: float) -> Uint8s:
+def _shift_left(rows: Uint8s, shift: float) -> Uint8s:
     """(h, w, 3) rows moved to the left by a shift in pixels."""
     x, y = np.meshgrid(np.arange(rows.shape[1], dtype=np.float32) + np.float32(shift), np.arange(len(rows), dtype=np.float32))
     return np.asarray(cv2.remap(rows, x, y, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE), np.uint8)
@@ -160,10 +160,10 @@ NOISY = 2.0
 _DARKEST, _BRIGHTEST = 12.0, 243.0
 """Range of the local mean grey level in which noise is measured: clipped areas have none."""
 _SURROUNDINGS_PX = 16
-_MIXED = 0.67
+_INTERPOLATED_NOISE = 0.67
 """Share of the standard deviation of white noise that bilinear interpolation leaves: 2/3, the mean over all fractions."""
 _PATCH_PX, _SEARCH_PX = 7, 21
-_KEPT = 0.35
+_KEPT_NOISE = 0.35
 """Share of the noise that is kept.  Without it, uniform surfaces show only denoising artefacts, alike in all views by chance:
 in the study without light it raises the points within 5 cm from 61 to 77 % (of more points); 0.2 gives 71 %, 0.5 76 %."""
 _COLOUR_PX = 2.0
@@ -183,7 +183,7 @@ def remaining_noise(noise: float, captures: int, scale: float) -> float:
     Statistics, 2003; within 1 % from three on).  Of two captures one is used.  scale: side of the frame over that of a capture.
     """
     merged = 1.0 if captures < 3 else float(np.sqrt(np.pi / (2 * captures + np.pi - 2)))
-    return noise * _MIXED * merged * min(scale, 1.0)
+    return noise * _INTERPOLATED_NOISE * merged * min(scale, 1.0)
 
 
 def denoised(image: Uint8s, noise: float) -> Uint8s:
@@ -193,7 +193,7 @@ def denoised(image: Uint8s, noise: float) -> Uint8s:
     35.5 with it, 34.7 with a Gaussian of 1 px, and 32.8 without denoising.
     """
     luma, red, blue = cv2.split(cv2.cvtColor(image, cv2.COLOR_RGB2YCrCb))
-    quiet = cv2.fastNlMeansDenoising(luma, None, h=noise, templateWindowSize=_PATCH_PX, searchWindowSize=_SEARCH_PX)
-    luma = cv2.addWeighted(quiet, 1 - _KEPT, luma, _KEPT, 0)
+    denoised_luma = cv2.fastNlMeansDenoising(luma, None, h=noise, templateWindowSize=_PATCH_PX, searchWindowSize=_SEARCH_PX)
+    luma = cv2.addWeighted(denoised_luma, 1 - _KEPT_NOISE, luma, _KEPT_NOISE, 0)
     red, blue = (cv2.GaussianBlur(colour, (0, 0), _COLOUR_PX) for colour in (red, blue))
     return np.asarray(cv2.cvtColor(cv2.merge([luma, red, blue]), cv2.COLOR_YCrCb2RGB), np.uint8)

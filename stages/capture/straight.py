@@ -51,9 +51,9 @@ class Straight:
         if lens.width and lens.height and (width, height) != (lens.width, lens.height):
             raise wrong_size(name, width, height, lens)
         K, known = _intrinsics(lens, width, height)
-        if lens.K is None or not _bends(lens, whole_field):
+        if lens.K is None or not _changes_intrinsics(lens, whole_field):
             return cls(width, height, K, known, lens, (width, height))
-        return cls(width, height, *_framed(lens, width, height, name))
+        return cls(width, height, *_covering_pinhole(lens, width, height, name))
 
     @property
     def own(self) -> bool:
@@ -65,8 +65,8 @@ class Straight:
         if self.K is None or (self.own and not np.any(self.lens.distortion)):
             return image
         # of a mask in a view of another size, pixels that mix with the black outside count as not seen
-        how = cv2.INTER_NEAREST if nearest and self.own else cv2.INTER_LINEAR
-        return np.asarray(cv2.remap(image, *self._maps, how, borderMode=cv2.BORDER_CONSTANT, borderValue=0), dtype=np.uint8)
+        filtering = cv2.INTER_NEAREST if nearest and self.own else cv2.INTER_LINEAR
+        return np.asarray(cv2.remap(image, *self._maps, filtering, borderMode=cv2.BORDER_CONSTANT, borderValue=0), dtype=np.uint8)
 
     def working_size(self, resolution: int | None) -> tuple[int, int]:
         """(width, height) of the frame, at the scale of captures resized to a long side of `resolution`."""
@@ -82,19 +82,19 @@ class Straight:
         known = self.focal_known and K is not None
         if not self.own:
             return View(width, height, K, known, self.width, self.height, lens=self.lens)
-        removed = np.zeros(5) if K is None else self.lens.distortion
-        return View(width, height, K, known, self.width, self.height, removed)
+        distortion = np.zeros(5) if K is None else self.lens.distortion
+        return View(width, height, K, known, self.width, self.height, distortion)
 
     def lost(self) -> tuple[str, ...]:
         """A note on the part of the lens's field that no pinhole shows; () if there is none."""
         if self.own or self.K is None or self.lens.turn is not None:
             return ()
-        left, right, up, low = sides_deg(self.lens, self.width, self.height)
-        across, down = left + right, up + low
-        if max(across, down) < WIDEST_DEG + 2:
+        left, right, upper, lower = sides_deg(self.lens, self.width, self.height)
+        width_deg, height_deg = left + right, upper + lower
+        if max(width_deg, height_deg) < WIDEST_DEG + 2:
             return ()
-        shown = f"{min(across, WIDEST_DEG):.0f} x {min(down, WIDEST_DEG):.0f}"
-        return (f"the lens sees {across:.0f} x {down:.0f} degrees; only the {shown} in its middle are used",)
+        used = f"{min(width_deg, WIDEST_DEG):.0f} x {min(height_deg, WIDEST_DEG):.0f}"
+        return (f"the lens sees {width_deg:.0f} x {height_deg:.0f} degrees; only the {used} in its middle are used",)
 
     @cached_property
     def _maps(self) -> tuple[Float32s, Float32s]:
@@ -105,14 +105,14 @@ class Straight:
             return np.asarray(maps[0], np.float32), np.asarray(maps[1], np.float32)
         width, height = self.size
         x, y = np.empty((height, width), np.float32), np.empty((height, width), np.float32)
-        back = np.linalg.inv(self.K).T
-        for first in range(0, height, _ROWS):
-            rows = np.arange(first, min(first + _ROWS, height))
+        to_rays = np.linalg.inv(self.K).T
+        for first in range(0, height, _ROWS_AT_ONCE):
+            rows = np.arange(first, min(first + _ROWS_AT_ONCE, height))
             pixels = np.stack([*np.meshgrid(np.arange(width), rows), np.ones((len(rows), width))], axis=-1)
-            rays: Float64s = pixels.reshape(-1, 3).astype(np.float64) @ back
-            found = lens_pixels(self.lens, rays if self.lens.turn is None else rays @ self.lens.turn)
+            rays: Float64s = pixels.reshape(-1, 3).astype(np.float64) @ to_rays
+            sources = lens_pixels(self.lens, rays if self.lens.turn is None else rays @ self.lens.turn)
             # pixels that the lens does not see are mapped to far outside the capture
-            x[rows], y[rows] = (np.nan_to_num(found[:, k], nan=-1e4).reshape(len(rows), width) for k in (0, 1))
+            x[rows], y[rows] = (np.nan_to_num(sources[:, k], nan=-1e4).reshape(len(rows), width) for k in (0, 1))
         return x, y
 
 
@@ -126,13 +126,13 @@ def working_size(width: int, height: int, resolution: int | None) -> tuple[int, 
     return max(1, round(width * scale)), max(1, round(height * scale))
 
 
-_ROWS = 128
+_ROWS_AT_ONCE = 128
 """Rows of the maps that are computed at once, to bound memory."""
 _GRID_DEG = 0.25
 """Angular step of the search for the limits of a view."""
 
 
-def _bends(lens: Lens, whole_field: bool) -> bool:
+def _changes_intrinsics(lens: Lens, whole_field: bool) -> bool:
     """Does the undistorted image get another K and size than the lens's own?"""
     return (whole_field and bool(np.any(lens.distortion))) if lens.model == "brown" else lens.model != "pinhole"
 
@@ -147,33 +147,33 @@ def _intrinsics(lens: Lens, width: int, height: int) -> tuple[Float64s | None, b
     return np.array([[f, 0.0, 0.5 * (width - 1)], [0.0, f, 0.5 * (height - 1)], [0.0, 0.0, 1.0]]), False
 
 
-def _framed(lens: Lens, width: int, height: int, name: str) -> tuple[Float64s, bool, Lens, tuple[int, int]]:
-    """K, that it is known, the lens, and the size of the view."""
-    axes = [_slopes(lens, 0), _slopes(lens, 2)]
+def _covering_pinhole(lens: Lens, width: int, height: int, name: str) -> tuple[Float64s, bool, Lens, tuple[int, int]]:
+    """K, True as it is known, the lens, and the size of the view."""
+    axes = [_tangents(lens, 0), _tangents(lens, 2)]
     x, y = np.meshgrid(*axes)
     rays = np.stack([x, y, np.ones_like(x)], axis=-1).reshape(-1, 3)
-    at = lens_pixels(lens, rays if lens.turn is None else rays @ lens.turn)
-    seen = np.all((at > -0.5) & (at < (width - 0.5, height - 0.5)), axis=1).reshape(x.shape)
-    if not seen.any():
+    pixels = lens_pixels(lens, rays if lens.turn is None else rays @ lens.turn)
+    visible = np.all((pixels > -0.5) & (pixels < (width - 0.5, height - 0.5)), axis=1).reshape(x.shape)
+    if not visible.any():
         raise BadCapture(f"{name}: according to its intrinsics, the lens sees nothing in front of it")
     spans = []
-    for axis, slopes in enumerate(axes):
-        found = np.flatnonzero(seen.any(axis=axis))
-        spans.append((slopes[max(found[0] - 1, 0)], slopes[min(found[-1] + 1, len(slopes) - 1)]))
-    f = _scale(lens)
+    for axis, tangents in enumerate(axes):
+        visible_steps = np.flatnonzero(visible.any(axis=axis))
+        spans.append((tangents[max(visible_steps[0] - 1, 0)], tangents[min(visible_steps[-1] + 1, len(tangents) - 1)]))
+    f = _central_scale(lens)
     size = tuple(max(1, round(f * (high - low))) for low, high in spans)
     K = np.array([[f, 0.0, -f * spans[0][0] - 0.5], [0.0, f, -f * spans[1][0] - 0.5], [0.0, 0.0, 1.0]])
     return K, True, lens, (size[0], size[1])
 
 
-def _slopes(lens: Lens, first: int) -> Float64s:
+def _tangents(lens: Lens, start: int) -> Float64s:
     """Tangents of the angles along one axis of a view, from one end to the other."""
-    half = 0.5 * WIDEST_DEG
-    low, high = (-half, half) if lens.window is None else np.rad2deg(np.arctan(lens.window[first : first + 2]))
+    half_deg = 0.5 * WIDEST_DEG
+    low, high = (-half_deg, half_deg) if lens.window is None else np.rad2deg(np.arctan(lens.window[start : start + 2]))
     return np.asarray(np.tan(np.deg2rad(np.arange(low, high + 1e-9, _GRID_DEG))), dtype=np.float64)
 
 
-def _scale(lens: Lens) -> float:
+def _central_scale(lens: Lens) -> float:
     """Pixels of the capture per radian at the centre of the lens."""
     step = 1e-4
     x = lens_pixels(lens, np.array([[step, 0, 1], [-step, 0, 1], [0, step, 1], [0, -step, 1]]))

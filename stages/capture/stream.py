@@ -31,11 +31,11 @@ def stream_pictures(url: str, moments: Sequence[float], patience: float) -> Iter
                     break
             else:
                 raise OSError("the stream has ended")
-            whole, image = video.retrieve()
-            if not whole or image is None:
+            is_complete, image = video.retrieve()
+            if not is_complete or image is None:
                 raise OSError("the stream sends what cannot be decoded")
-            began = video.get(cv2.CAP_PROP_STREAM_OPEN_TIME_USEC)  # from the sender's report; meaningless until that has arrived
-            sent = (began / 1e6 + video.get(cv2.CAP_PROP_POS_MSEC) / 1e3) if began > _YEAR_2000_US else None
-            yield cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])[1].tobytes(), sent
+            opened = video.get(cv2.CAP_PROP_STREAM_OPEN_TIME_USEC)  # from the sender's report; meaningless until that has arrived
+            sent_at = (opened / 1e6 + video.get(cv2.CAP_PROP_POS_MSEC) / 1e3) if opened > _YEAR_2000_US else None
+            yield cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])[1].tobytes(), sent_at
     finally:
         video.release()

@@ -28,21 +28,21 @@ def pictures(capture: Capture, step: int, most: int) -> Iterator[tuple[str, Uint
     """
     if capture.data.size == 0:
         raise EmptyCapture(f"{capture.name} is empty (0 bytes)")
-    taken = 0
+    count = 0
     with _opened(capture) as video:
         length = int(video.get(cv2.CAP_PROP_FRAME_COUNT))
         step = max(step, -(-length // most)) if 0 < length < MOST_FRAMES else step
         for number in range(MOST_FRAMES):
-            if taken >= most or not video.grab():
+            if count >= most or not video.grab():
                 break
             if number % step:
                 continue
-            whole, image = video.retrieve()
-            if whole and image is not None and image.ndim == 3:
-                taken += 1
+            is_complete, image = video.retrieve()
+            if is_complete and image is not None and image.ndim == 3:
+                count += 1
                 name = f"{capture.name} frame {number}"
                 yield name, np.asarray(cv2.cvtColor(np.asarray(image), cv2.COLOR_BGR2RGB), dtype=np.uint8)
-    if not taken:
+    if not count:
         raise NotAnImage(f"{capture.name} holds no picture that can be decoded ({capture.data.size:,} bytes)")
 
 

@@ -12,19 +12,19 @@ import numpy as np
 from ..core.lenses import WIDEST_DEG, lens_pixels, sides_deg
 from ..types import Float64s, Lens
 
-_SPARED_DEG = 2.0
+_TOLERATED_DEG = 2.0
 """A lens whose field of view exceeds `WIDEST_DEG` by at most this keeps a single view."""
-_THREE_FROM_DEG = 150.0
+_THREE_VIEWS_DEG = 150.0
 """A field of view wider than this is split into three views, the middle and both sides, instead of two."""
 _MIDDLE_DEG = 45.0
 """Half the width of a middle view."""
 _OVERLAP_DEG = 3.0
 """Overlap: each of two views reaches this far over their border; of three, the side views reach this far into the middle one."""
-_FARTHEST_DEG = 95.0
+_MOST_OFF_AXIS_DEG = 95.0
 """Largest angle off the axis that is used: beyond it wide lenses see their own housing, and calibration is worst."""
-_CORNERS_DEG = 10.0
+_BORDER_DEG = 10.0
 """How much farther a view may reach at the border of the image, whose corners lie farther out than the middles of its sides."""
-_LEAST_SHARE = 0.05
+_LEAST_VISIBLE = 0.05
 """A view is left out if the lens sees less than this share of it."""
 
 Span = tuple[float, float]
@@ -41,37 +41,37 @@ def views_of_lens(
     K, distortion, width, height, model : as of `Lens`.
     """
     lens = Lens(np.array(K, dtype=np.float64), np.array(distortion, dtype=np.float64), None, width, height, model)
-    left, right, up, down = np.minimum(sides_deg(lens, width, height), _FARTHEST_DEG).tolist()
-    across, along = left + right, up + down
-    if max(across, along) <= WIDEST_DEG + _SPARED_DEG:
+    left, right, up, down = np.minimum(sides_deg(lens, width, height), _MOST_OFF_AXIS_DEG).tolist()
+    width_deg, height_deg = left + right, up + down
+    if max(width_deg, height_deg) <= WIDEST_DEG + _TOLERATED_DEG:
         return []
-    found = []
+    views = []
     for x, y in _layout((-left, right), (-up, down)):
-        turn, window = _turn(0.5 * (x[0] + x[1]), 0.5 * (y[0] + y[1])), [*_slopes(x, (-left, right)), *_slopes(y, (-up, down))]
-        if _share(lens, turn, window) >= _LEAST_SHARE:
-            found.append((turn.tolist(), window))
-    found.sort(key=lambda view: -round(view[0][2][2], 6))
-    return found if len(found) > 1 else []
+        turn, window = _turn(0.5 * (x[0] + x[1]), 0.5 * (y[0] + y[1])), [*_borders(x, (-left, right)), *_borders(y, (-up, down))]
+        if _visible_share(lens, turn, window) >= _LEAST_VISIBLE:
+            views.append((turn.tolist(), window))
+    views.sort(key=lambda view: -round(view[0][2][2], 6))
+    return views if len(views) > 1 else []
 
 
 def _layout(x: Span, y: Span) -> list[tuple[Span, Span]]:
     """Horizontal and vertical span of each view: from left to right and from top to bottom, or the middle first in a cross."""
-    columns, rows = _parts(x), _parts(y)
+    columns, rows = _split_span(x), _split_span(y)
     if min(len(columns), len(rows)) == 1 or len(columns) == len(rows) == 2:
-        return [(a, b) for b in rows for a in columns]
-    half = 0.5 * WIDEST_DEG
+        return [(column, row) for row in rows for column in columns]
+    half_deg = 0.5 * WIDEST_DEG
     middle = (max(x[0], -_MIDDLE_DEG), min(x[1], _MIDDLE_DEG)), (max(y[0], -_MIDDLE_DEG), min(y[1], _MIDDLE_DEG))
     inner = _MIDDLE_DEG - _OVERLAP_DEG
-    tall, broad = (max(y[0], -half), min(y[1], half)), (max(x[0], -half), min(x[1], half))
-    sides = [((x[0], -inner), tall), ((inner, x[1]), tall), (broad, (y[0], -inner)), (broad, (inner, y[1]))]
+    full_y, full_x = (max(y[0], -half_deg), min(y[1], half_deg)), (max(x[0], -half_deg), min(x[1], half_deg))
+    sides = [((x[0], -inner), full_y), ((inner, x[1]), full_y), (full_x, (y[0], -inner)), (full_x, (inner, y[1]))]
     return [middle, *sides]
 
 
-def _parts(span: Span) -> list[Span]:
+def _split_span(span: Span) -> list[Span]:
     low, high = span
     if high - low <= WIDEST_DEG:
         return [span]
-    if high - low <= _THREE_FROM_DEG:
+    if high - low <= _THREE_VIEWS_DEG:
         middle = 0.5 * (low + high)
         return [(low, middle + _OVERLAP_DEG), (middle - _OVERLAP_DEG, high)]
     inner = _MIDDLE_DEG - _OVERLAP_DEG
@@ -86,15 +86,15 @@ def _turn(right_deg: float, down_deg: float) -> Float64s:
     return np.asarray(about_x @ about_y, dtype=np.float64)
 
 
-def _slopes(span: Span, whole: Span) -> list[float]:
-    """Tangents at both borders of a view that looks at the middle of its span, which `_CORNERS_DEG` extends at borders of the
-    image."""
-    half, most = 0.5 * (span[1] - span[0]), 0.5 * WIDEST_DEG
-    low, high = (min(half + (_CORNERS_DEG if edge in whole else 0.0), most) for edge in span)
+def _borders(span: Span, lens_span: Span) -> list[float]:
+    """Tangents at both borders of a view that looks at the middle of its span, to which `_BORDER_DEG` is added at borders of
+    the image (`lens_span`)."""
+    half_deg, most_deg = 0.5 * (span[1] - span[0]), 0.5 * WIDEST_DEG
+    low, high = (min(half_deg + (_BORDER_DEG if edge in lens_span else 0.0), most_deg) for edge in span)
     return [-float(np.tan(np.deg2rad(low))), float(np.tan(np.deg2rad(high)))]
 
 
-def _share(lens: Lens, turn: Float64s, window: list[float]) -> float:
+def _visible_share(lens: Lens, turn: Float64s, window: list[float]) -> float:
     x, y = np.meshgrid(np.linspace(window[0], window[1], 24), np.linspace(window[2], window[3], 24))
-    found = lens_pixels(lens, np.column_stack([x.ravel(), y.ravel(), np.ones(x.size)]) @ turn)
-    return float(((found > -0.5) & (found < (lens.width - 0.5, lens.height - 0.5))).all(axis=1).mean())
+    pixels = lens_pixels(lens, np.column_stack([x.ravel(), y.ravel(), np.ones(x.size)]) @ turn)
+    return float(((pixels > -0.5) & (pixels < (lens.width - 0.5, lens.height - 0.5))).all(axis=1).mean())

@@ -76,11 +76,11 @@ def cloud_distances(
     registration : standard deviation of the position of one cloud relative to the other.
     least : smallest number of points of each cloud in a cylinder; with fewer the distance is nan.
     """
-    along = [_in_cylinders(core, normals, cloud, radius, reach) for cloud in (first, second)]
-    (mean1, variance1, count1), (mean2, variance2, count2) = along
-    enough = (count1 >= least) & (count2 >= least)
+    measured = [_in_cylinders(core, normals, cloud, radius, reach) for cloud in (first, second)]
+    (mean1, variance1, count1), (mean2, variance2, count2) = measured
+    has_enough = (count1 >= least) & (count2 >= least)
     sigma = np.sqrt(variance1 + variance2 + registration**2)
-    return Distances(np.where(enough, mean2 - mean1, np.nan), np.where(enough, sigma, np.nan), count1, count2)
+    return Distances(np.where(has_enough, mean2 - mean1, np.nan), np.where(has_enough, sigma, np.nan), count1, count2)
 
 
 def _in_cylinders(
@@ -90,31 +90,31 @@ def _in_cylinders(
     mean, variance, count = np.full(len(core), np.nan), np.full(len(core), np.nan), np.zeros(len(core), np.int64)
     if len(cloud.points) and len(core):
         index = cloud.index or index_points(cloud.points, 2.0 * radius)
-        squared = cloud.sigma[index.order] ** 2
-        _measure(
-            *(core, normals, np.ascontiguousarray(index.points.T), squared, index.starts, index.low, index.edge, index.shape),
+        sigma_sq = cloud.sigma[index.order] ** 2
+        _measure_cylinders(
+            *(core, normals, np.ascontiguousarray(index.points.T), sigma_sq, index.starts, index.low, index.edge, index.shape),
             *(radius, reach, mean, variance, count),
         )
     return mean, variance, count
 
 
 @kernel
-def _measure(
-    core: Float64s, normals: Float64s, points: Float64s, squared: Float64s, starts: Int64s, low: Float64s, edge: float,
+def _measure_cylinders(
+    core: Float64s, normals: Float64s, points: Float64s, sigma_sq: Float64s, starts: Int64s, low: Float64s, edge: float,
     shape: Int64s, radius: float, reach: float, mean: Float64s, variance: Float64s, count: Int64s,
 ) -> None:  # fmt: skip
     """points: (3, n)."""
-    near = (radius + 0.8661 * edge) ** 2  # plus half a cell's diagonal: cells farther from the axis hold no point of the cylinder
+    near_sq = (radius + 0.8661 * edge) ** 2  # plus half a cell's diagonal: cells farther away hold no point of the cylinder
     first, last, scratch = np.empty(3, np.int64), np.empty(3, np.int64), np.empty(2 * _BLOCK)
     for q in range(len(core)):
         n0, n1, n2 = normals[q]
         if not np.isfinite(n0):
             continue
         for a in range(3):
-            half = abs(normals[q, a]) * reach + radius
-            first[a] = max(int(np.floor((core[q, a] - half - low[a]) / edge)), 0)
-            last[a] = min(int(np.floor((core[q, a] + half - low[a]) / edge)), shape[a] - 1)
-        total, noise, found = 0.0, 0.0, 0
+            half_extent = abs(normals[q, a]) * reach + radius
+            first[a] = max(int(np.floor((core[q, a] - half_extent - low[a]) / edge)), 0)
+            last[a] = min(int(np.floor((core[q, a] + half_extent - low[a]) / edge)), shape[a] - 1)
+        t_sum, sigma_sq_sum, inside_count = 0.0, 0.0, 0
         for i in range(first[0], last[0] + 1):
             x = low[0] + (i + 0.5) * edge - core[q, 0]
             for j in range(first[1], last[1] + 1):
@@ -124,7 +124,7 @@ def _measure(
                 for k in range(first[2], last[2] + 1):
                     z = low[2] + (k + 0.5) * edge - core[q, 2]
                     t = x * n0 + y * n1 + z * n2
-                    if x * x + y * y + z * z - t * t <= near:
+                    if x * x + y * y + z * z - t * t <= near_sq:
                         begin = starts[column + k] if begin < 0 else begin
                         end = starts[column + k + 1]
                 for p0 in range(begin, end, _BLOCK):
@@ -137,13 +137,13 @@ def _measure(
                         scratch[p] = 1.0 if inside else 0.0
                         scratch[_BLOCK + p] = t if inside else 0.0
                     for p in range(n):
-                        total += scratch[_BLOCK + p]
-                        noise += scratch[p] * squared[p0 + p]
-                        found += int(scratch[p])
-        count[q] = found
-        if found:
-            mean[q] = total / found
-            variance[q] = noise / found / found
+                        t_sum += scratch[_BLOCK + p]
+                        sigma_sq_sum += scratch[p] * sigma_sq[p0 + p]
+                        inside_count += int(scratch[p])
+        count[q] = inside_count
+        if inside_count:
+            mean[q] = t_sum / inside_count
+            variance[q] = sigma_sq_sum / inside_count / inside_count
 
 
 _MOST_CELLS = 40_000_000
@@ -168,7 +168,7 @@ class PointIndex:
 
 def index_points(points: Float64s, edge: float) -> PointIndex:
     """Sorts points (n, 3), at least one, into cells of about `edge`, or larger ones if there were more than `_MOST_CELLS`."""
-    low, high = (np.array([side(points[:, axis]) for axis in range(3)]) for side in (np.min, np.max))
+    low, high = (np.array([extreme(points[:, axis]) for axis in range(3)]) for extreme in (np.min, np.max))
     while np.prod(np.floor((high - low) / edge) + 1) > _MOST_CELLS:
         edge *= 1.5
     shape = np.floor((high - low) / edge).astype(np.int64) + 1
@@ -179,10 +179,10 @@ def index_points(points: Float64s, edge: float) -> PointIndex:
 
 def one_of_each_cell(points: Float64s, edge: float) -> Int64s:
     """Indices (m,) of the first point in each cell of a grid anchored at 0, in the order of the points."""
-    at = np.floor(points / edge).astype(np.int64)
-    at -= at.min(axis=0)
-    span = at.max(axis=0) + 1
-    _, first = np.unique((at[:, 0] * span[1] + at[:, 1]) * span[2] + at[:, 2], return_index=True)
+    cells = np.floor(points / edge).astype(np.int64)
+    cells -= cells.min(axis=0)
+    cell_counts = cells.max(axis=0) + 1
+    _, first = np.unique((cells[:, 0] * cell_counts[1] + cells[:, 1]) * cell_counts[2] + cells[:, 2], return_index=True)
     return np.sort(first)
 
 
@@ -220,10 +220,10 @@ def _mean_normals(
         nx, ny, nz = 0.0, 0.0, 0.0
         for i in range(first[0], last[0] + 1):
             for j in range(first[1], last[1] + 1):
-                row = (i * shape[1] + j) * shape[2]
+                column = (i * shape[1] + j) * shape[2]
                 if last[2] < first[2]:
                     continue
-                for k in range(starts[row + first[2]], starts[row + last[2] + 1]):
+                for k in range(starts[column + first[2]], starts[column + last[2] + 1]):
                     dx, dy, dz = points[k, 0] - queries[q, 0], points[k, 1] - queries[q, 1], points[k, 2] - queries[q, 2]
                     if dx * dx + dy * dy + dz * dz <= radius * radius:
                         nx += normals[k, 0]

@@ -17,27 +17,27 @@ from ..types import Bools, Change, Float64s, GroundGrid, Int64s
 from .evidence import CORE, Evidence
 from .footprint import OPEN, Footprint, covered
 
-_TOP = 0.9
+_TOP_QUANTILE = 0.9
 """Quantile of the heights in a cell that counts as its surface: one wrong point must not raise a roof."""
 _SAME_VOLUME, _SAME_HEIGHT, _SAME_LENGTH = 0.3, 0.25, 0.2
 """Largest difference in volume, height and length of a moved thing, as shares of the larger one.  On the yard (eight cameras),
 lengths differ by up to 7 % for one thing, 28 % or more for two; volumes alone (four cameras) took a vehicle for a stack."""
 _SAME_COLOUR = 0.05
 """Largest difference between a moved thing's colours at both places, as shares of red and green."""
-_FOOT = 0.25
+_FOOT_SHARE = 0.25
 """Cells where a change has less than this share of its height are its foot, and are not part of its footprint."""
-_UPPER = 0.1
+_UPPER_SHARE = 0.1
 """Points lower than the highest nearby by more than this share of the change's height are its sides and cover no ground."""
 _LEAST_MEASURED = 0.5
 """A change is judged by measured distances if more than this share of its points has one."""
-_CLEAR = 3.0
+_CLEAR_SIGMAS = 3.0
 """Smallest height of a change (0.9 quantile over its cells), in standard deviations of its points."""
-_CLEARED, _LIKELY = 0.75, 0.5
+_LEAST_CLEARED, _LEAST_CLEARED_POSSIBLE = 0.75, 0.5
 """Smallest mean of `Evidence.cleared` over a change's points: for a confirmed change, and for a possible one (nights that lost
 half of their cameras).  Points below the first do not count for the area of a confirmed change."""
-_CERTAIN, _EDGE = 6.0, 0.5
-"""Smallest ratio of a change's volume to its error from surface noise and edges that are off by `_EDGE` spacings.  The volume's
-standard deviation takes a whole spacing: edges of matched surfaces are off by about a pixel, alike all around."""
+_CERTAIN_RATIO, _EDGE_SPACINGS = 6.0, 0.5
+"""Smallest ratio of a change's volume to its error from surface noise and from edges that are wrong by `_EDGE_SPACINGS`.  The
+volume's standard deviation takes a whole spacing: edges of matched surfaces are off by about a pixel, equally all around."""
 
 
 @dataclass(frozen=True)
@@ -81,63 +81,63 @@ def find_clusters(
     alike : median correlation of the images from which on a place has not changed.
     """
     cells = np.where(side.changed, cells_of(grid, side.core), -1)
-    covered = np.zeros(grid.rows * grid.columns, bool)
-    covered[cells[cells >= 0]] = True
-    closed = ndimage.binary_closing(np.pad(covered.reshape(grid.rows, grid.columns), 3), iterations=2)[3:-3, 3:-3]
-    labels, count = ndimage.label(closed | covered.reshape(closed.shape), np.ones((3, 3)))
+    occupied = np.zeros(grid.rows * grid.columns, bool)
+    occupied[cells[cells >= 0]] = True
+    closed = ndimage.binary_closing(np.pad(occupied.reshape(grid.rows, grid.columns), 3), iterations=2)[3:-3, 3:-3]
+    labels, count = ndimage.label(closed | occupied.reshape(closed.shape), np.ones((3, 3)))
     label_of = np.where(cells >= 0, labels.ravel()[cells], 0)
-    still = cells_of(grid, side.core[side.measured & ~side.changed])
-    same = np.bincount(still[still >= 0], minlength=covered.size).reshape(closed.shape) > 0
-    found = []
+    unchanged_cells = cells_of(grid, side.core[side.measured & ~side.changed])
+    unchanged = np.bincount(unchanged_cells[unchanged_cells >= 0], minlength=occupied.size).reshape(closed.shape) > 0
+    clusters = []
     for number in range(1, count + 1):
         rows = np.flatnonzero(label_of == number)
         surface = len(rows) * (CORE * spacing) ** 2
         if surface < least_area:
             continue
-        known = side.ncc[rows][np.isfinite(side.ncc[rows])]
-        likeness, cleared = float(np.median(known)) if len(known) else -2.0, float(np.nanmean(side.cleared[rows]))
-        if likeness >= alike or not cleared >= _LIKELY:
+        correlations = side.ncc[rows][np.isfinite(side.ncc[rows])]
+        likeness, cleared = float(np.median(correlations)) if len(correlations) else -2.0, float(np.nanmean(side.cleared[rows]))
+        if likeness >= alike or not cleared >= _LEAST_CLEARED_POSSIBLE:
             continue
-        confirmed = cleared >= _CLEARED
-        footprint = _footprint(side, rows, labels == number, same, grid, other, spacing, trimmed=confirmed)
+        confirmed = cleared >= _LEAST_CLEARED
+        footprint = _footprint(side, rows, labels == number, unchanged, grid, other, spacing, trimmed=confirmed)
         if footprint is None:
             continue
-        far = side.measured[rows].mean() <= _LEAST_MEASURED  # too few distances for the volume that the surface has swept
-        swept = np.inf if far else surface * float(side.distance[rows][side.measured[rows]].mean())
-        change = _described(side, rows, footprint, grid, spacing, swept)
+        too_few = side.measured[rows].mean() <= _LEAST_MEASURED  # too few distances for the volume that the surface has swept
+        swept_volume = np.inf if too_few else surface * float(side.distance[rows][side.measured[rows]].mean())
+        change = _describe(side, rows, footprint, grid, spacing, swept_volume)
         if change is not None:
-            shares = colors[rows].mean(axis=0)
-            colour = shares[:2] / max(float(shares.sum()), 1.0)
+            mean_color = colors[rows].mean(axis=0)
+            colour = mean_color[:2] / max(float(mean_color.sum()), 1.0)
             change = replace(change, kind="vanished" if of_then else "new", likeness=likeness)
-            found.append(ChangeCluster(change, footprint, rows, of_then, confirmed, colour))
-    return found
+            clusters.append(ChangeCluster(change, footprint, rows, of_then, confirmed, colour))
+    return clusters
 
 
 def paired(clusters: list[ChangeCluster]) -> list[tuple[ChangeCluster, ChangeCluster | None]]:
     """Moved things as pairs of a new and a vanished change, assigned by closest volume first; all other changes with None."""
-    new, gone = [b for b in clusters if not b.of_then], [b for b in clusters if b.of_then]
-    ways = sorted(
-        (abs(a.change.volume - b.change.volume), i, j) for i, a in enumerate(new) for j, b in enumerate(gone) if _alike(a, b)
+    new, vanished = [b for b in clusters if not b.of_then], [b for b in clusters if b.of_then]
+    candidates = sorted(
+        (abs(a.change.volume - b.change.volume), i, j) for i, a in enumerate(new) for j, b in enumerate(vanished) if _match(a, b)
     )
-    came_from: dict[int, int] = {}
-    for _, i, j in ways:
-        if i not in came_from and j not in came_from.values():
-            came_from[i] = j
-    moved = [(_moved(new[i], gone[j]), gone[j]) for i, j in sorted(came_from.items())]
-    left = [b for i, b in enumerate(new) if i not in came_from] + [b for j, b in enumerate(gone) if j not in came_from.values()]
-    return [*moved, *((cluster, None) for cluster in left)]
+    origins: dict[int, int] = {}
+    for _, i, j in candidates:
+        if i not in origins and j not in origins.values():
+            origins[i] = j
+    moved = [(_with_origin(new[i], vanished[j]), vanished[j]) for i, j in sorted(origins.items())]
+    single = [b for i, b in enumerate(new) if i not in origins] + [b for j, b in enumerate(vanished) if j not in origins.values()]
+    return [*moved, *((cluster, None) for cluster in single)]
 
 
-def _alike(one: ChangeCluster, two: ChangeCluster) -> bool:
-    a, b = one.change, two.change
+def _match(cluster1: ChangeCluster, cluster2: ChangeCluster) -> bool:
+    a, b = cluster1.change, cluster2.change
     sizes = ((a.volume, b.volume, _SAME_VOLUME), (a.height, b.height, _SAME_HEIGHT), (a.length, b.length, _SAME_LENGTH))
-    same = all(abs(x - y) <= share * max(x, y) for x, y, share in sizes)
-    return same and bool(np.abs(one.colour - two.colour).max() <= _SAME_COLOUR)
+    same_size = all(abs(x - y) <= share * max(x, y) for x, y, share in sizes)
+    return same_size and bool(np.abs(cluster1.colour - cluster2.colour).max() <= _SAME_COLOUR)
 
 
-def _moved(new: ChangeCluster, gone: ChangeCluster) -> ChangeCluster:
-    was = gone.change
-    return replace(new, change=replace(new.change, kind="moved", from_x=was.x, from_y=was.y, from_z=was.z))
+def _with_origin(new: ChangeCluster, vanished: ChangeCluster) -> ChangeCluster:
+    origin = vanished.change
+    return replace(new, change=replace(new.change, kind="moved", from_x=origin.x, from_y=origin.y, from_z=origin.z))
 
 
 @dataclass(frozen=True)
@@ -158,83 +158,83 @@ def over_ground(grid: GroundGrid, points: Float64s) -> Over:
 
 
 def _footprint(
-    side: Evidence, rows: Int64s, around: Bools, same: Bools, grid: GroundGrid, other: Over, spacing: float, *, trimmed: bool
+    side: Evidence, rows: Int64s, area: Bools, unchanged: Bools, grid: GroundGrid, other: Over, spacing: float, *, trimmed: bool
 ) -> Footprint | None:
     """The ground that changed points cover; None if the surface below is unknown, or if they hardly rise above it.
 
-    rows: of the evidence; around, same: (rows, columns) cells of the change, and cells known to be unchanged; trimmed: leave
+    rows: of the evidence; area, unchanged: (rows, columns) cells of the change, and cells known to be unchanged; trimmed: leave
     out points that too few cameras saw through.
     """
     points, count = side.core[rows], grid.rows * grid.columns
     levels, cells = points @ grid.axes[2], cells_of(grid, points)
-    near = ndimage.binary_dilation(around, iterations=4)
-    below = np.flatnonzero(near.ravel()[other.cells])
-    below = below[other.levels[below] <= levels.max() + 2 * spacing]
-    if not len(below):
+    near = ndimage.binary_dilation(area, iterations=4)
+    lower = np.flatnonzero(near.ravel()[other.cells])
+    lower = lower[other.levels[lower] <= levels.max() + 2 * spacing]
+    if not len(lower):
         return None
-    base = _filled(quantile_by_cell(other.cells[below], other.levels[below], count, _TOP).reshape(near.shape), near)
-    top = quantile_by_cell(cells, levels, count, _TOP).reshape(near.shape)
-    noise, typical = float(np.median(side.sigma[rows])), float(np.nanquantile(top - base, 0.9))
-    if typical <= _CLEAR * noise:  # a wall whose upper edge is noisy
+    base = _fill_gaps(quantile_by_cell(other.cells[lower], other.levels[lower], count, _TOP_QUANTILE).reshape(near.shape), near)
+    top = quantile_by_cell(cells, levels, count, _TOP_QUANTILE).reshape(near.shape)
+    noise, typical_height = float(np.median(side.sigma[rows])), float(np.nanquantile(top - base, 0.9))
+    if typical_height <= _CLEAR_SIGMAS * noise:  # a wall whose upper edge is noisy
         return None
     highest = ndimage.maximum_filter(np.nan_to_num(top, nan=-np.inf), 3).ravel()[cells]
-    upper = levels >= highest - max(_UPPER * typical, _CLEAR * noise)
-    cleared = upper & ~(side.cleared[rows] < _CLEARED) if trimmed else upper
-    if not cleared.any():
+    is_upper = levels >= highest - max(_UPPER_SHARE * typical_height, _CLEAR_SIGMAS * noise)
+    is_cleared = is_upper & ~(side.cleared[rows] < _LEAST_CLEARED) if trimmed else is_upper
+    if not is_cleared.any():
         return None
 
-    def over(chosen: Bools) -> tuple[Int64s, Float64s, Float64s, Float64s]:
+    def ground_under(chosen: Bools) -> tuple[Int64s, Float64s, Float64s, Float64s]:
         """Cells that the chosen points cover, shares, heights, and the volume inferred where there are no points."""
-        share, unseen = (part.ravel() for part in covered(grid, points[chosen], same, CORE * spacing))
-        surface = _filled(quantile_by_cell(cells[chosen], levels[chosen], count, _TOP).reshape(near.shape), near)
+        share, unseen = (part.ravel() for part in covered(grid, points[chosen], unchanged, CORE * spacing))
+        surface = _fill_gaps(quantile_by_cell(cells[chosen], levels[chosen], count, _TOP_QUANTILE).reshape(near.shape), near)
         height = (surface - base).ravel()
-        found = np.flatnonzero((share > 0) & (height > _FOOT * typical))
-        return found, share[found], height[found], unseen[found] * height[found] * grid.cell**2
+        ground_cells = np.flatnonzero((share > 0) & (height > _FOOT_SHARE * typical_height))
+        return ground_cells, share[ground_cells], height[ground_cells], unseen[ground_cells] * height[ground_cells] * grid.cell**2
 
-    found, share, height, unseen = over(cleared)
-    if not len(found):
+    ground_cells, share, height, unseen = ground_under(is_cleared)
+    if not len(ground_cells):
         return None
     most_share, most_height = share, height
-    if np.any(upper & ~cleared):
-        _, most_share, most_height, unseen = over(upper)
+    if np.any(is_upper & ~is_cleared):
+        _, most_share, most_height, unseen = ground_under(is_upper)
     left_out = abs(float(most_share @ most_height - share @ height)) * grid.cell**2
-    doubt = OPEN * float(np.hypot(unseen.sum(), left_out))
-    return Footprint(found, share, base.ravel()[found], height, doubt)
+    volume_sigma = OPEN * float(np.hypot(unseen.sum(), left_out))
+    return Footprint(ground_cells, share, base.ravel()[ground_cells], height, volume_sigma)
 
 
-def _described(
+def _describe(
     side: Evidence, rows: Int64s, footprint: Footprint, grid: GroundGrid, spacing: float, swept_volume: float
 ) -> Change | None:
     """Place, size and volume of a change; None if the volume is hardly more than its error.
 
     swept_volume: volume between both nights' surfaces along the normals; for a strip of wall it is less than by heights.
     """
-    covers = np.zeros((grid.rows, grid.columns), bool)
-    covers.ravel()[footprint.cells] = True
+    is_covered = np.zeros((grid.rows, grid.columns), bool)
+    is_covered.ravel()[footprint.cells] = True
     noise = float(np.median(side.sigma[rows]))
     volume = float((footprint.share * footprint.height).sum() * grid.cell**2)
-    edge = float((covers & ~ndimage.binary_erosion(covers)).sum() * grid.cell)
-    tall = float(np.quantile(footprint.height, 0.9))
+    rim_length = float((is_covered & ~ndimage.binary_erosion(is_covered)).sum() * grid.cell)
+    height = float(np.quantile(footprint.height, 0.9))
     area = float(footprint.share.sum() * grid.cell**2)
-    rim, surface = spacing * edge * tall, area * noise
-    if min(volume, swept_volume) < _CERTAIN * np.hypot(_EDGE * rim, surface):
+    rim_error, surface_error = spacing * rim_length * height, area * noise
+    if min(volume, swept_volume) < _CERTAIN_RATIO * np.hypot(_EDGE_SPACINGS * rim_error, surface_error):
         return None
     row, column = np.divmod(footprint.cells, grid.columns)
     middle, sides, _ = cv2.minAreaRect(np.column_stack([column, row]).astype(np.float32))
-    level = float(np.median(footprint.base)) + 0.5 * tall
-    place = np.array([grid.left + (middle[0] + 0.5) * grid.cell, grid.top - (middle[1] + 0.5) * grid.cell, level]) @ grid.axes
+    level = float(np.median(footprint.base)) + 0.5 * height
+    centre = np.array([grid.left + (middle[0] + 0.5) * grid.cell, grid.top - (middle[1] + 0.5) * grid.cell, level]) @ grid.axes
     sides = sorted(float(max(v, 1) * grid.cell) for v in sides)  # cells at the rim are half covered
     return Change(
         kind="new",
-        x=float(place[0]),
-        y=float(place[1]),
-        z=float(place[2]),
+        x=float(centre[0]),
+        y=float(centre[1]),
+        z=float(centre[2]),
         length=sides[1],
         width=sides[0],
-        height=tall,
+        height=height,
         area=area,
         volume=volume,
-        volume_sigma=float(np.linalg.norm([rim, surface, footprint.doubt])),
+        volume_sigma=float(np.linalg.norm([rim_error, surface_error, footprint.doubt])),
         significance=float(np.median(side.significance[rows])),
         likeness=-2.0,
         points=len(rows),
@@ -242,8 +242,8 @@ def _described(
     )
 
 
-def _filled(values: Float64s, within: Bools) -> Float64s:
-    """Values (rows, columns), with the nearest known value of the cells inside `within` wherever these have none."""
-    known = np.isfinite(values) & within
+def _fill_gaps(values: Float64s, inside: Bools) -> Float64s:
+    """Values (rows, columns), with the nearest known value of the cells `inside` wherever these have none."""
+    known = np.isfinite(values) & inside
     nearest = ndimage.distance_transform_edt(~known, return_distances=False, return_indices=True)
     return np.asarray(values[tuple(nearest)], dtype=np.float64)

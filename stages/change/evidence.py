@@ -1,6 +1,6 @@
 """Evidence of change at each point of a night's surface, compared with the other night.
 
-A point of tonight is new if it lies in front of the earlier surface by more than the uncertainty of both, or if cameras of then
+A point of tonight is new if it lies in front of the earlier surface by more than the uncertainty of both, or if earlier cameras
 saw through its place; an earlier point has vanished by the same rule with the nights swapped.  Where no camera of the other
 night could see, the state is unknown.  A place that looks the same to a fixed camera has not changed, whatever the depths.
 """
@@ -22,14 +22,14 @@ from .ncc import Photograph, ncc
 
 RADIUS, REACH, CORE = 3.0, 15.0, 2.0
 """Radius and half length of the M3C2 cylinders, and distance of core points, in spacings of the cloud."""
-_THROUGH = 2.0
+_THROUGH_RATIO = 2.0
 """A place counts as free if the cameras that see through it are more than this many times those that see a surface there."""
-_UNCHANGED, _NORMAL = 0.9, 1.645
+_UNCHANGED_SHARE, _NORMAL_SIGMAS = 0.9, 1.645
 """Share of the surface that is assumed unchanged, and the standard deviations that hold this share of normal errors."""
 _MOST_NOISE = 3.0
 """Largest factor by which distances may exceed their standard deviations (`noise_of`); if they seem to exceed them by more, the
 site has changed as a whole (nights of the demo yard: 1.4 to 1.7)."""
-_APART_PX = 2.0
+_LEAST_SHIFT_PX = 2.0
 """Smallest displacement of a surface in the image, in pixels, at which its old place no longer looks the same."""
 _NEAR = 4.0
 """Core points closer than this many spacings are neighbours."""
@@ -84,11 +84,11 @@ def compare_nights(tonight: Epoch, then: Epoch, spacing: float, registration: fl
     """
     edge = 2.0 * RADIUS * spacing
     clouds = [MeasuredCloud(night.points, night.sigma, index_points(night.points, edge)) for night in (tonight, then)]
-    now = _gathered(tonight, clouds[0], then, clouds[1], spacing, registration)
-    return now, _gathered(then, clouds[1], tonight, clouds[0], spacing, registration)
+    evidence_tonight = _evidence_on(tonight, clouds[0], then, clouds[1], spacing, registration)
+    return evidence_tonight, _evidence_on(then, clouds[1], tonight, clouds[0], spacing, registration)
 
 
-def _gathered(
+def _evidence_on(
     own: Epoch, cloud: MeasuredCloud, other: Epoch, other_cloud: MeasuredCloud, spacing: float, registration: float
 ) -> Evidence:
     """Evidence on one night's surface from the other night; both clouds are indexed."""
@@ -97,11 +97,11 @@ def _gathered(
     core = cloud.points[rows]
     radius, reach = RADIUS * spacing, REACH * spacing
     normals = mean_normals(core, cloud.index, own.cloud.normals, radius)
-    found = cloud_distances(core, normals, other_cloud, cloud, radius=radius, reach=reach, registration=registration)
+    distances = cloud_distances(core, normals, other_cloud, cloud, radius=radius, reach=reach, registration=registration)
     sight = look_at(core, cloud.sigma[rows], other.cameras, other.seeing, other.depth)
-    measured = np.isfinite(found.distance)
-    nothing, unasked = np.zeros(len(core), bool), np.full(len(core), np.nan, np.float32)
-    return Evidence(core, normals, rows, found.distance, found.sigma, sight, measured, unasked, unasked, nothing)
+    measured = np.isfinite(distances.distance)
+    no_changes, missing = np.zeros(len(core), bool), np.full(len(core), np.nan, np.float32)
+    return Evidence(core, normals, rows, distances.distance, distances.sigma, sight, measured, missing, missing, no_changes)
 
 
 def noise_of(*sides: Evidence) -> float:
@@ -111,7 +111,7 @@ def noise_of(*sides: Evidence) -> float:
     Where most of the surface has moved (the front of a glacier), this would take the change for noise: hence `_MOST_NOISE`.
     """
     ratios = np.concatenate([side.distance[side.measured] / side.sigma[side.measured] for side in sides])
-    noise = float(np.quantile(np.abs(ratios), _UNCHANGED)) / _NORMAL if len(ratios) else 1.0
+    noise = float(np.quantile(np.abs(ratios), _UNCHANGED_SHARE)) / _NORMAL_SIGMAS if len(ratios) else 1.0
     return float(np.clip(noise, 1.0, _MOST_NOISE))
 
 
@@ -129,30 +129,30 @@ def judged(side: Evidence, own: Epoch, other: Epoch, spacing: float, *, noise: f
     """
     sight, sigma = side.sight, side.sigma * noise
     nearer = side.measured & (side.distance > sigmas * sigma)
-    same = side.measured & (np.abs(side.distance) <= CONFIDENCE * sigma)
+    agrees = side.measured & (np.abs(side.distance) <= CONFIDENCE * sigma)
     informative = sight.through.astype(int) + sight.agreeing + sight.hidden
     needed = np.minimum(2, np.maximum(informative, 1))
-    free = (sight.through >= needed) & (sight.through > _THROUGH * sight.agreeing) & ~same
+    free = (sight.through >= needed) & (sight.through > _THROUGH_RATIO * sight.agreeing) & ~agrees
     with np.errstate(invalid="ignore"):
         free &= sight.gap > sigmas * noise * sight.doubt
     by_sight = free & ~nearer
     distance = np.where(by_sight, sight.gap, side.distance)
     sigma = np.where(by_sight, noise * sight.doubt, sigma)
     changed = _with_neighbours(side.core, nearer | free, spacing)
-    like = np.full(len(side.core), np.nan, np.float32)
+    correlation = np.full(len(side.core), np.nan, np.float32)
     rows = np.flatnonzero(changed)
     offset = np.where((side.measured & ~by_sight)[rows, None], side.distance[rows, None] * side.normals[rows], np.nan)
-    like[rows] = _likeness(side.core[rows], offset, own.sigma[side.rows[rows]], own, other, alike)
+    correlation[rows] = _median_correlation(side.core[rows], offset, own.sigma[side.rows[rows]], own, other, alike)
     with np.errstate(invalid="ignore"):
-        changed &= ~(like > alike)
+        changed &= ~(correlation > alike)
     changed = _with_neighbours(side.core, changed, spacing)
     cleared, rows = np.full(len(side.core), np.nan, np.float32), np.flatnonzero(changed)
-    cleared[rows] = _cleared(side.core[rows], own.sigma[side.rows[rows]], nearer[rows], own, other)
+    cleared[rows] = _cleared_share(side.core[rows], own.sigma[side.rows[rows]], nearer[rows], own, other)
     measured = side.measured & ~by_sight
-    return replace(side, distance=distance, sigma=sigma, measured=measured, ncc=like, cleared=cleared, changed=changed)
+    return replace(side, distance=distance, sigma=sigma, measured=measured, ncc=correlation, cleared=cleared, changed=changed)
 
 
-def _cleared(X: Float64s, sigma: Float64s, measured: Bools, own: Epoch, other: Epoch) -> Float32s:
+def _cleared_share(X: Float64s, sigma: Float64s, measured: Bools, own: Epoch, other: Epoch) -> Float32s:
     """(n,) of the cameras that saw points X and could look there on the other night, the share that saw through.
 
     measured (n,): the distance comes from both clouds, so both nights saw a surface nearby.  There, only cameras that saw
@@ -161,14 +161,14 @@ def _cleared(X: Float64s, sigma: Float64s, measured: Bools, own: Epoch, other: E
     Elsewhere a camera without depth counts as not having seen through: matching windows on lattices and thin things also show
     what is behind, and each night other cameras confuse the two.
     """
-    saw, through = np.zeros(len(X), np.float32), np.zeros(len(X), np.float32)
-    asked = set(other.seeing) & set(other.cameras)
-    for name in (n for n in own.seeing if n in asked):
+    could_look, saw_through = np.zeros(len(X), np.float32), np.zeros(len(X), np.float32)
+    usable = set(other.seeing) & set(other.cameras)
+    for name in (n for n in own.seeing if n in usable):
         sight = look_at(X, sigma, other.cameras, [name], other.depth)
-        looked = seen_by(X, sigma, own, name) & (sight.hidden == 0) & ~(measured & (sight.through == 0))
-        saw += looked
-        through += looked & (sight.through > 0)
-    return np.where(measured & (saw == 0), np.float32(1), through / np.maximum(saw, 1)).astype(np.float32)
+        can_look = seen_by(X, sigma, own, name) & (sight.hidden == 0) & ~(measured & (sight.through == 0))
+        could_look += can_look
+        saw_through += can_look & (sight.through > 0)
+    return np.where(measured & (could_look == 0), np.float32(1), saw_through / np.maximum(could_look, 1)).astype(np.float32)
 
 
 def seen_by(X: Float64s, sigma: Float64s, epoch: Epoch, name: str) -> Bools:
@@ -183,38 +183,38 @@ def seen_by(X: Float64s, sigma: Float64s, epoch: Epoch, name: str) -> Bools:
     return np.asarray(sight.agreeing > 0)
 
 
-def _likeness(X: Float64s, offset: Float64s, sigma: Float64s, own: Epoch, other: Epoch, alike: float) -> Float32s:
+def _median_correlation(X: Float64s, offset: Float64s, sigma: Float64s, own: Epoch, other: Epoch, alike: float) -> Float32s:
     """(n,) median correlation over the cameras that see a point; nan if none is conclusive.
 
     offset (n, 3): displacement of the surface between the nights, nan if it is another surface.  If this is hardly a pixel in a
     camera's image, high correlation there is inconclusive: a surface that has moved slightly looks the same.
     """
-    both = [name for name in own.seeing if name in other.cameras and name in own.frames and name in other.frames]
-    if not both or not len(X):
+    shared = [name for name in own.seeing if name in other.cameras and name in own.frames and name in other.frames]
+    if not shared or not len(X):
         return np.full(len(X), np.nan, np.float32)
-    similarities = np.stack([ncc(X, seen_by(X, sigma, own, n), own.photograph(n), other.photograph(n)) for n in both])
-    for row, name in zip(similarities, both, strict=True):
-        (here, _), (there, _) = project(own.cameras[name], X), project(own.cameras[name], X - offset)
+    correlations = np.stack([ncc(X, seen_by(X, sigma, own, n), own.photograph(n), other.photograph(n)) for n in shared])
+    for row, name in zip(correlations, shared, strict=True):
+        (x1, _), (x2, _) = project(own.cameras[name], X), project(own.cameras[name], X - offset)
         with np.errstate(invalid="ignore"):
-            row[(row > alike) & (np.linalg.norm(here - there, axis=1) < _APART_PX)] = np.nan
-    known = np.isfinite(similarities).any(axis=0)
-    found = np.full(len(X), np.nan, np.float32)
-    found[known] = np.nanmedian(similarities[:, known], axis=0)
-    return found
+            row[(row > alike) & (np.linalg.norm(x1 - x2, axis=1) < _LEAST_SHIFT_PX)] = np.nan
+    known = np.isfinite(correlations).any(axis=0)
+    medians = np.full(len(X), np.nan, np.float32)
+    medians[known] = np.nanmedian(correlations[:, known], axis=0)
+    return medians
 
 
 def _with_neighbours(core: Float64s, changed: Bools, spacing: float) -> Bools:
     """Changed points that have at least three neighbours and at least half of whose neighbourhood has changed."""
     if not changed.any():
         return changed
-    asked = core[changed]
-    around, like = (cKDTree(of).query_ball_point(asked, _NEAR * spacing, return_length=True) for of in (core, asked))
-    found = changed.copy()
-    found[changed] = (2 * like >= around) & (around > 3)
-    return found
+    queries = core[changed]
+    n_near, n_changed = (cKDTree(X).query_ball_point(queries, _NEAR * spacing, return_length=True) for X in (core, queries))
+    supported = changed.copy()
+    supported[changed] = (2 * n_changed >= n_near) & (n_near > 3)
+    return supported
 
 
-_IN_MEMORY, _IN_MEMORY_PX = 4, 6_000_000
+_CACHED_MAPS, _CACHED_PX = 4, 6_000_000
 """Cache of a night's depth maps, each read several times: smallest number of maps, and pixels up to which it grows."""
 
 
@@ -241,7 +241,7 @@ class Epoch:
         """Gives the depth map of a camera by its id, from a cache."""
         largest = max((camera.width * camera.height for camera in self.cameras.values()), default=1)
 
-        @lru_cache(maxsize=max(_IN_MEMORY, _IN_MEMORY_PX // largest))
+        @lru_cache(maxsize=max(_CACHED_MAPS, _CACHED_PX // largest))
         def depth_of(name: str) -> DepthMap:
             return self.refined[name] if name in self.refined else self.depths[name]
 

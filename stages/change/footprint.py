@@ -11,14 +11,14 @@ from scipy import ndimage
 from ..core.ground_grid import cells_of
 from ..types import Bools, Float64s, GroundGrid, Int64s, Uint8s
 
-_SOLID = 0.5
+_SOLID_SHARE = 0.5
 """A footprint that covers more than this share of its convex hull is extended to all of it except unchanged cells: of most
 things only the sides that face the cameras are seen."""
-_PARTS = 8
+_SUBCELLS = 8
 """Subdivisions of a cell's edge: with whole cells of 10 cm, the sides of a container make up 2 of its 38 m³."""
-_NARROW = 0.75
+_NARROW_CELLS = 0.75
 """Radius, in cells, of the opening that removes narrow parts (errors beyond the edges of a thing), unless nothing is left."""
-_BEYOND = 0.25
+_EXTENSION_SPACINGS = 0.25
 """Distance by which a surface extends beyond its outermost points, in point spacings.  It would be 0.5 if matched surfaces did
 not reach over their edges: with 0, boxes of exact points lose 8 % of their volume; with 0.4, things on the yard gain 8 %."""
 
@@ -51,23 +51,23 @@ def covered(grid: GroundGrid, points: Float64s, same: Bools, apart: float) -> tu
     same : (rows, columns) cells that are known to be unchanged.
     apart : distance of neighbouring points: gaps up to twice as wide are closed.
     """
-    fine = replace(grid, cell=grid.cell / _PARTS, rows=grid.rows * _PARTS, columns=grid.columns * _PARTS)
-    places = np.divmod(cells_of(fine, points), fine.columns)
-    first = np.maximum(np.min(places, axis=1) // _PARTS - 1, 0)
-    last = np.minimum(np.max(places, axis=1) // _PARTS + 2, same.shape)
+    fine = replace(grid, cell=grid.cell / _SUBCELLS, rows=grid.rows * _SUBCELLS, columns=grid.columns * _SUBCELLS)
+    fine_cells = np.divmod(cells_of(fine, points), fine.columns)
+    first = np.maximum(np.min(fine_cells, axis=1) // _SUBCELLS - 1, 0)
+    last = np.minimum(np.max(fine_cells, axis=1) // _SUBCELLS + 2, same.shape)
     reach = int(np.ceil(apart / fine.cell))
-    mask = np.zeros((last - first) * _PARTS + 2 * reach, np.uint8)
-    mask[tuple(place - start * _PARTS + reach for place, start in zip(places, first, strict=True))] = 1
+    mask = np.zeros((last - first) * _SUBCELLS + 2 * reach, np.uint8)
+    mask[tuple(fine_cell - start * _SUBCELLS + reach for fine_cell, start in zip(fine_cells, first, strict=True))] = 1
     closed = cv2.morphologyEx(mask, cv2.MORPH_CLOSE, _disk(reach))
     closed = ndimage.binary_fill_holes(closed).astype(np.uint8)
-    opened = cv2.morphologyEx(closed, cv2.MORPH_OPEN, _disk(round(_NARROW * _PARTS)))
+    opened = cv2.morphologyEx(closed, cv2.MORPH_OPEN, _disk(round(_NARROW_CELLS * _SUBCELLS)))
     outside = (opened if opened.any() else closed)[reach:-reach, reach:-reach] == 0
-    solid = ndimage.distance_transform_edt(outside) <= _BEYOND * apart / fine.cell
+    solid = ndimage.distance_transform_edt(outside) <= _EXTENSION_SPACINGS * apart / fine.cell
     window = slice(first[0], last[0]), slice(first[1], last[1])
-    whole = _filled_out(solid, np.kron(same[window], np.ones((_PARTS, _PARTS), bool)))
+    extended = _extend_to_hull(solid, np.kron(same[window], np.ones((_SUBCELLS, _SUBCELLS), bool)))
     shares = np.zeros((2, *same.shape))
-    for share, part in zip(shares, (whole, whole & ~solid), strict=True):
-        share[window] = part.reshape(last[0] - first[0], _PARTS, last[1] - first[1], _PARTS).mean(axis=(1, 3))
+    for share, part in zip(shares, (extended, extended & ~solid), strict=True):
+        share[window] = part.reshape(last[0] - first[0], _SUBCELLS, last[1] - first[1], _SUBCELLS).mean(axis=(1, 3))
     return shares[0], shares[1]
 
 
@@ -75,9 +75,9 @@ def _disk(radius: int) -> Uint8s:
     return np.asarray(cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * radius + 1, 2 * radius + 1)), dtype=np.uint8)
 
 
-def _filled_out(footprint: Bools, same: Bools) -> Bools:
-    """The footprint, extended to its convex hull except for unchanged cells if it covers more than `_SOLID` of the hull."""
+def _extend_to_hull(footprint: Bools, same: Bools) -> Bools:
+    """The footprint, extended to its convex hull except for unchanged cells if it covers more than `_SOLID_SHARE` of the hull."""
     row, column = np.nonzero(footprint)
     hull = np.zeros(footprint.shape, np.uint8)
     cv2.fillConvexPoly(hull, cv2.convexHull(np.column_stack([column, row]).astype(np.int32)), 1)
-    return footprint | ((hull > 0) & ~same) if footprint.sum() > _SOLID * hull.sum() else footprint
+    return footprint | ((hull > 0) & ~same) if footprint.sum() > _SOLID_SHARE * hull.sum() else footprint

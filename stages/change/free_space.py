@@ -15,9 +15,9 @@ from ..core.jit import kernel
 from ..types import Camera, DepthMap, Float32s, Float64s, Uint8s
 
 _SIGMAS = 3.0
-_RELATIVE = 0.002
-"""A depth agrees with a point within `_SIGMAS` standard deviations of both plus `_RELATIVE` times the depth."""
-_CLEARLY = 2.0
+_RELATIVE_TOLERANCE = 0.002
+"""A depth agrees with a point within `_SIGMAS` standard deviations of both plus `_RELATIVE_TOLERANCE` times the depth."""
+_CLEAR_FACTOR = 2.0
 """A camera sees through a point if its depth lies behind it by more than this many times the tolerance for agreement."""
 
 
@@ -54,8 +54,8 @@ def look_at(
     counts = np.zeros((3, n), np.uint8)
     gap, doubt = np.full(n, np.inf, np.float32), np.full(n, np.nan, np.float32)
     for name in names:
-        camera, seen = cameras[name], depth_of(name)
-        _look(X, sigma, camera.K @ camera.R, camera.K @ camera.R @ camera.C, seen.depth, seen.sigma, counts, gap, doubt)
+        camera, depth_map = cameras[name], depth_of(name)
+        _look(X, sigma, camera.K @ camera.R, camera.K @ camera.R @ camera.C, depth_map.depth, depth_map.sigma, counts, gap, doubt)
     return Sight(counts[0], counts[1], counts[2], np.where(np.isfinite(gap), gap, np.float32(np.nan)), doubt)
 
 
@@ -76,19 +76,19 @@ def _look(
         i, j = int(u + 0.5), int(v + 0.5)
         if np.isnan(depth[j, i]):
             continue
-        nearest, farthest, worst = np.inf, 0.0, 0.0
+        nearest, farthest, worst_sigma = np.inf, 0.0, 0.0
         for y in range(max(j - 1, 0), min(j + 2, h)):
             for x in range(max(i - 1, 0), min(i + 2, w)):
                 if not np.isnan(depth[y, x]):
                     nearest, farthest = min(nearest, depth[y, x]), max(farthest, depth[y, x])
-                    worst = max(worst, depth_sigma[y, x])
-        s = np.sqrt(worst * worst + sigma[k] * sigma[k])
-        tolerance = _SIGMAS * s + _RELATIVE * z
+                    worst_sigma = max(worst_sigma, depth_sigma[y, x])
+        total_sigma = np.sqrt(worst_sigma * worst_sigma + sigma[k] * sigma[k])
+        tolerance = _SIGMAS * total_sigma + _RELATIVE_TOLERANCE * z
         if z > farthest + tolerance:
             counts[2, k] += 1
         elif z >= nearest - tolerance:
             counts[1, k] += 1
-        elif z < nearest - _CLEARLY * tolerance:
+        elif z < nearest - _CLEAR_FACTOR * tolerance:
             counts[0, k] += 1
             if nearest - z < gap[k]:
-                gap[k], doubt[k] = nearest - z, s
+                gap[k], doubt[k] = nearest - z, total_sigma

@@ -9,13 +9,13 @@ from ..core.jit import kernel
 from ..core.luminance import grey_levels
 from ..types import Bools, Camera, Float32s, Float64s, Frame
 
-_RADIUS = 3
+_RADIUS_PX = 3
 """Radius of patches, in pixels of an image 768 pixels wide."""
-_CONTRAST = 2.5
+_LEAST_CONTRAST = 2.5
 """Standard deviation of grey levels (0 to 255) below which a patch shows nothing."""
 _CLEAR_CONTRAST = 9.0
 """Two patches differ (correlation 0) if one has at least this standard deviation and the other shows nothing."""
-_LIT = 40.0
+_LIT_LEVEL = 40.0
 """Smallest mean grey level of both patches for a patch that shows nothing to count as different: dark ones hide everything."""
 
 
@@ -34,20 +34,20 @@ def ncc(X: Float64s, seen: Bools, tonight: Photograph, then: Photograph) -> Floa
     seen : (n,) bool, the points that are compared.
     tonight, then : the same camera on both nights; images of different sizes give nan.
     """
-    found = np.full(len(X), np.nan, np.float32)
-    (camera, frame), (_, frame_then) = tonight, then
-    if frame.image.shape != frame_then.image.shape:
-        return found
+    correlations = np.full(len(X), np.nan, np.float32)
+    (camera, frame1), (_, frame2) = tonight, then
+    if frame1.image.shape != frame2.image.shape:
+        return correlations
     rows = np.flatnonzero(seen)
-    (x1, z1), (x2, z2) = (project(p[0], X[rows]) for p in (tonight, then))
-    ahead = (z1 > 0) & (z2 > 0) & np.isfinite(x1).all(axis=1) & np.isfinite(x2).all(axis=1)
-    rows, x1, x2 = rows[ahead], x1[ahead], x2[ahead]
+    (x1, z1), (x2, z2) = (project(photograph[0], X[rows]) for photograph in (tonight, then))
+    in_front = (z1 > 0) & (z2 > 0) & np.isfinite(x1).all(axis=1) & np.isfinite(x2).all(axis=1)
+    rows, x1, x2 = rows[in_front], x1[in_front], x2[in_front]
     step = max(1, round(camera.width / 768))
     out = np.full(len(rows), np.nan, np.float32)
-    image1, image2 = (grey_levels(side.image).astype(np.float32) for side in (frame, frame_then))
-    _correlate(image1, image2, frame.mask, frame_then.mask, x1, x2, step, out)
-    found[rows] = out
-    return found
+    image1, image2 = (grey_levels(frame.image).astype(np.float32) for frame in (frame1, frame2))
+    _correlate(image1, image2, frame1.mask, frame2.mask, x1, x2, step, out)
+    correlations[rows] = out
+    return correlations
 
 
 @kernel
@@ -55,38 +55,38 @@ def _correlate(
     image1: Float32s, image2: Float32s, mask1: Bools, mask2: Bools, x1: Float64s, x2: Float64s, step: int, out: Float32s
 ) -> None:
     h, w = image1.shape
-    radius = _RADIUS
+    radius = _RADIUS_PX
     reach = radius * step + 1
     n = float((2 * radius + 1) ** 2)
     for k in range(len(x1)):
         if not (abs(x1[k, 0]) < 1e6 and abs(x1[k, 1]) < 1e6 and abs(x2[k, 0]) < 1e6 and abs(x2[k, 1]) < 1e6):
             continue
-        a, b = int(np.floor(x1[k, 0] + 0.5)), int(np.floor(x1[k, 1] + 0.5))
-        c, d = int(np.floor(x2[k, 0] + 0.5)), int(np.floor(x2[k, 1] + 0.5))
-        if min(a, b, c, d) < reach or max(a, c) >= w - reach or max(b, d) >= h - reach or not (mask1[b, a] and mask2[d, c]):
+        u, v = int(np.floor(x1[k, 0] + 0.5)), int(np.floor(x1[k, 1] + 0.5))
+        u2, v2 = int(np.floor(x2[k, 0] + 0.5)), int(np.floor(x2[k, 1] + 0.5))
+        if min(u, v, u2, v2) < reach or max(u, u2) >= w - reach or max(v, v2) >= h - reach or not (mask1[v, u] and mask2[v2, u2]):
             continue
         s1, s11 = 0.0, 0.0
         for y in range(-radius, radius + 1):
             for x in range(-radius, radius + 1):
-                here = image1[b + y * step, a + x * step]
-                s1 += here
-                s11 += here * here
+                value1 = image1[v + y * step, u + x * step]
+                s1 += value1
+                s11 += value1 * value1
         spread1 = np.sqrt(max(s11 / n - (s1 / n) ** 2, 0.0))
-        best, widest, darkest = -2.0, 0.0, s1 / n
+        best, most_spread, least_mean = -2.0, 0.0, s1 / n
         for dy in range(-1, 2):
             for dx in range(-1, 2):
                 s2, s22, s12 = 0.0, 0.0, 0.0
                 for y in range(-radius, radius + 1):
                     for x in range(-radius, radius + 1):
-                        there = image2[d + dy + y * step, c + dx + x * step]
-                        s2 += there
-                        s22 += there * there
-                        s12 += there * image1[b + y * step, a + x * step]
+                        value2 = image2[v2 + dy + y * step, u2 + dx + x * step]
+                        s2 += value2
+                        s22 += value2 * value2
+                        s12 += value2 * image1[v + y * step, u + x * step]
                 spread2 = np.sqrt(max(s22 / n - (s2 / n) ** 2, 0.0))
-                widest, darkest = max(widest, spread2), min(darkest, s2 / n)
-                if spread1 >= _CONTRAST and spread2 >= _CONTRAST:
+                most_spread, least_mean = max(most_spread, spread2), min(least_mean, s2 / n)
+                if spread1 >= _LEAST_CONTRAST and spread2 >= _LEAST_CONTRAST:
                     best = max(best, (s12 / n - s1 * s2 / n / n) / (spread1 * spread2))
         if best >= -1.0:
             out[k] = best
-        elif max(spread1, widest) >= _CLEAR_CONTRAST and darkest >= _LIT:
+        elif max(spread1, most_spread) >= _CLEAR_CONTRAST and least_mean >= _LIT_LEVEL:
             out[k] = 0.0

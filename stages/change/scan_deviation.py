@@ -17,15 +17,15 @@ from .cloud_distance import MeasuredCloud, cloud_distances, one_of_each_cell, sp
 
 LEAST_OVERLAP = 0.5
 """Smallest share of the cloud that a scan must cover for a comparison."""
-_FAR = 0.05
+_MOST_MISALIGNMENT = 0.05
 """Largest misalignment of a scan before its registration, as a share of the site's size."""
-_STEPS = (1.0, 0.25, 0.06)
+_STEP_SHARES = (1.0, 0.25, 0.06)
 """Largest distance of corresponding points in each step of the registration, as shares of the largest misalignment."""
-_REACH = 0.02
+_MOST_DEVIATION = 0.02
 """Largest deviation that is measured, as a share of the site's size."""
-_DENSE = 5.0
+_RADIUS_SPACINGS = 5.0
 """Radius of a cylinder, in spacings of the coarser of the two clouds."""
-_MOST = 200_000
+_MOST_POINTS = 200_000
 """Points of each cloud that the registration uses: fewer than twice this number."""
 
 
@@ -57,51 +57,51 @@ def deviation_from_scan(cloud: Cloud, scan: Float64s) -> ScanDeviation:
     points = cloud.points.astype(np.float64)
     low, high = np.quantile(points, [0.01, 0.99], axis=0)
     size = float(np.linalg.norm(high - low))
-    far = _FAR * size
-    near = np.all((scan > low - 2 * far) & (scan < high + 2 * far), axis=1)
+    misalignment = _MOST_MISALIGNMENT * size
+    near = np.all((scan > low - 2 * misalignment) & (scan < high + 2 * misalignment), axis=1)
     if not near.any():
-        lies = " ".join(f"{value:,.0f}" for value in np.median(scan, axis=0))
-        raise ValueError(f"the scan has no point near the site: its centre is at {lies} in the site's world")
+        centre = " ".join(f"{value:,.0f}" for value in np.median(scan, axis=0))
+        raise ValueError(f"the scan has no point near the site: its centre is at {centre} in the site's world")
     scan = scan[near]
-    transform = _registered(cloud, scan, far)
+    transform = _register(cloud, scan, misalignment)
     scan = scan @ transform[:3, :3].T + transform[:3, 3]
-    radius = _DENSE * max(spacing_of(points), spacing_of(scan))
+    radius = _RADIUS_SPACINGS * max(spacing_of(points), spacing_of(scan))
     first = MeasuredCloud(scan, np.zeros(len(scan)))
     second = MeasuredCloud(points, cloud.sigma_mm.astype(np.float64) / 1000)
     normals = cloud.normals.astype(np.float64)
-    found = cloud_distances(points, normals, first, second, radius=radius, reach=_REACH * size)
-    there = np.isfinite(found.distance)
-    overlap = float(there.mean())
+    measured = cloud_distances(points, normals, first, second, radius=radius, reach=_MOST_DEVIATION * size)
+    covered = np.isfinite(measured.distance)
+    overlap = float(covered.mean())
     if overlap < LEAST_OVERLAP:
         raise ValueError(f"the scan covers {overlap:.0%} of the cloud, {LEAST_OVERLAP:.0%} are needed: {_REMEDY}")
-    registration = _unevenness(points[there], found.distance[there], found.detectable[there])
-    sigma = np.sqrt(found.sigma**2 + registration**2)
-    agrees = there & (np.abs(found.distance) <= 2 * sigma)
-    residual = float(np.median(np.abs(found.distance[agrees]))) if agrees.any() else float("nan")
-    return ScanDeviation(found.distance, sigma, transform, overlap, residual, float(agrees.sum() / there.sum()), registration)
+    registration = _unevenness(points[covered], measured.distance[covered], measured.detectable[covered])
+    sigma = np.sqrt(measured.sigma**2 + registration**2)
+    agree = covered & (np.abs(measured.distance) <= 2 * sigma)
+    residual = float(np.median(np.abs(measured.distance[agree]))) if agree.any() else float("nan")
+    return ScanDeviation(measured.distance, sigma, transform, overlap, residual, float(agree.sum() / covered.sum()), registration)
 
 
 _REMEDY = "align it with the site first, to within some metres (CloudCompare: Align)"
 
 
-def _registered(cloud: Cloud, scan: Float64s, far: float) -> Float64s:
+def _register(cloud: Cloud, scan: Float64s, misalignment: float) -> Float64s:
     """Return the rigid transform (4, 4) that registers a scan to the cloud: point to plane, with ever stricter Tukey weights."""
     target = point_cloud(cloud)
-    target = target.uniform_down_sample(max(1, len(target.points) // _MOST))
-    kept = one_of_each_cell(scan, max(spacing_of(scan), far / 200))
-    source = open3d.geometry.PointCloud(open3d.utility.Vector3dVector(scan[kept[:: max(1, len(kept) // _MOST)]]))
-    ways, transform = open3d.pipelines.registration, np.eye(4)
-    for step in _STEPS:
-        distance = far * step
-        plane = ways.TransformationEstimationPointToPlane(ways.TukeyLoss(k=distance / 2))
-        done = ways.registration_icp(source, target, distance, transform, plane, ways.ICPConvergenceCriteria(max_iteration=60))
-        transform = np.asarray(done.transformation, np.float64)
+    target = target.uniform_down_sample(max(1, len(target.points) // _MOST_POINTS))
+    sample = one_of_each_cell(scan, max(spacing_of(scan), misalignment / 200))
+    source = open3d.geometry.PointCloud(open3d.utility.Vector3dVector(scan[sample[:: max(1, len(sample) // _MOST_POINTS)]]))
+    icp, transform = open3d.pipelines.registration, np.eye(4)
+    for step in _STEP_SHARES:
+        distance = misalignment * step
+        method = icp.TransformationEstimationPointToPlane(icp.TukeyLoss(k=distance / 2))
+        result = icp.registration_icp(source, target, distance, transform, method, icp.ICPConvergenceCriteria(max_iteration=60))
+        transform = np.asarray(result.transformation, np.float64)
     return np.round(transform, 9)  # multithreaded sums differ in the last digits
 
 
 def _unevenness(points: Float64s, distance: Float64s, detectable: Float64s) -> float:
     """Return the root mean square, over the eight octants of the site, of the median deviation of unchanged points."""
     octant = (points > np.median(points, axis=0)) @ np.array([1, 2, 4])
-    same = np.abs(distance - np.median(distance)) <= np.maximum(detectable, np.median(np.abs(distance)))
-    medians = [float(np.median(distance[same & (octant == k)])) for k in range(8) if np.any(same & (octant == k))]
+    unchanged = np.abs(distance - np.median(distance)) <= np.maximum(detectable, np.median(np.abs(distance)))
+    medians = [float(np.median(distance[unchanged & (octant == k)])) for k in range(8) if np.any(unchanged & (octant == k))]
     return float(np.sqrt(np.mean(np.square(medians))))

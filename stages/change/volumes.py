@@ -47,8 +47,8 @@ def detection_of(now: Evidence, before: Evidence, *, sigmas: float, registration
     sigmas, registration, least_area : as of `changes.find_changes`.
     """
     sigma = np.concatenate([side.sigma[side.measured] for side in (now, before)])
-    apart = [sign * side.distance[side.measured & ~side.changed] for sign, side in ((1.0, now), (-1.0, before))]
-    shift = float(np.median(np.concatenate(apart))) if len(sigma) else 0.0
+    offsets = [sign * side.distance[side.measured & ~side.changed] for sign, side in ((1.0, now), (-1.0, before))]
+    shift = float(np.median(np.concatenate(offsets))) if len(sigma) else 0.0
     level = sigmas * float(np.median(sigma)) if len(sigma) else 0.0
     return Detection(level, float(np.hypot(registration, shift)), least_area)
 
@@ -75,42 +75,42 @@ def volumes(
     zones : see `find_changes`.
     detection : detection limits of the comparison.
     """
-    seen = [np.pad(np.isfinite(heights), _GAP + 1) for heights in tops]
-    tonight, then = (ndimage.binary_closing(known, iterations=_GAP)[_GAP + 1 : -_GAP - 1, _GAP + 1 : -_GAP - 1] for known in seen)
-    both = tonight & then
+    padded = [np.pad(np.isfinite(heights), _GAP + 1) for heights in tops]
+    seen1, seen2 = (ndimage.binary_closing(mask, iterations=_GAP)[_GAP + 1 : -_GAP - 1, _GAP + 1 : -_GAP - 1] for mask in padded)
+    seen = seen1 & seen2
     if not zones:
-        everywhere = np.ones(both.shape, bool)
-        return _cut_and_fill(grid, everywhere, both, (tonight ^ then).sum() * grid.cell**2, clusters, detection), {}
-    insides = [cells_inside(grid, zone["polygon"]) for zone in zones]
-    parts = {
+        everywhere = np.ones(seen.shape, bool)
+        return _cut_and_fill(grid, everywhere, seen, (seen1 ^ seen2).sum() * grid.cell**2, clusters, detection), {}
+    zone_masks = [cells_inside(grid, zone["polygon"]) for zone in zones]
+    by_zone = {
         str(zone["name"]): _cut_and_fill(
-            grid, inside, both, _unseen(grid, zone, inside, both), [c for c in clusters if counts(c, zone)], detection
+            grid, inside, seen, _unseen_area(grid, zone, inside, seen), [c for c in clusters if counts(c, zone)], detection
         )
-        for zone, inside in zip(zones, insides, strict=True)
+        for zone, inside in zip(zones, zone_masks, strict=True)
     }
-    any_zone = [c for c in clusters if any(counts(c, zone) for zone in zones)]
-    unseen = sum(part.unseen for part in parts.values())
-    return _cut_and_fill(grid, np.any(insides, axis=0), both, unseen, any_zone, detection), parts
+    large_enough = [c for c in clusters if any(counts(c, zone) for zone in zones)]
+    unseen = sum(part.unseen for part in by_zone.values())
+    return _cut_and_fill(grid, np.any(zone_masks, axis=0), seen, unseen, large_enough, detection), by_zone
 
 
-def _unseen(grid: GroundGrid, zone: Mapping[str, Any], inside: Bools, seen: Bools) -> float:
+def _unseen_area(grid: GroundGrid, zone: Mapping[str, Any], inside: Bools, seen: Bools) -> float:
     """Area of a zone, including any part beyond the grid, that was not seen on both nights."""
     corners = np.array(zone["polygon"], np.float32)
     low, high = (grid.left, grid.top - grid.rows * grid.cell), (grid.left + grid.columns * grid.cell, grid.top)
-    reaches_beyond = bool(np.any(corners < low) or np.any(corners > high))
-    beyond = cv2.contourArea(corners) - inside.sum() * grid.cell**2 if reaches_beyond else 0.0
-    return max(0.0, beyond) + float((inside & ~seen).sum() * grid.cell**2)
+    exceeds_grid = bool(np.any(corners < low) or np.any(corners > high))
+    area_outside = cv2.contourArea(corners) - inside.sum() * grid.cell**2 if exceeds_grid else 0.0
+    return max(0.0, area_outside) + float((inside & ~seen).sum() * grid.cell**2)
 
 
 def _cut_and_fill(
-    grid: GroundGrid, within: Bools, seen: Bools, unseen: float, clusters: Sequence[ChangeCluster], detection: Detection
+    grid: GroundGrid, inside: Bools, seen: Bools, unseen: float, clusters: Sequence[ChangeCluster], detection: Detection
 ) -> CutFill:
-    gained, lost = (_volume([c for c in clusters if c.of_then is gone], within, grid, detection) for gone in (False, True))
-    area = float((seen & within).sum() * grid.cell**2)
+    gained, lost = (_volume([c for c in clusters if c.of_then is earlier], inside, grid, detection) for earlier in (False, True))
+    area = float((seen & inside).sum() * grid.cell**2)
     return CutFill(*gained, *lost, detection.level, detection.common_sigma, area, float(unseen))
 
 
-def _volume(clusters: Sequence[ChangeCluster], within: Bools, grid: GroundGrid, detection: Detection) -> tuple[float, float]:
+def _volume(clusters: Sequence[ChangeCluster], inside: Bools, grid: GroundGrid, detection: Detection) -> tuple[float, float]:
     """Volume of the parts of changes that lie inside, and its standard deviation: at least the smallest detectable change.
 
     An unconfirmed change adds no volume, but uncertainty: it may be real, wholly or in part, or not.
@@ -118,12 +118,12 @@ def _volume(clusters: Sequence[ChangeCluster], within: Bools, grid: GroundGrid, 
     volume, area, variance = 0.0, 0.0, (detection.least_area * detection.level) ** 2
     for cluster in clusters:
         footprint, change = cluster.footprint, cluster.change
-        share = np.where(within.ravel()[footprint.cells], footprint.share, 0.0)
-        part = float((share * footprint.height).sum() * grid.cell**2)
+        share = np.where(inside.ravel()[footprint.cells], footprint.share, 0.0)
+        part_volume = float((share * footprint.height).sum() * grid.cell**2)
         if not cluster.confirmed:
-            variance += (OPEN * part) ** 2
+            variance += (OPEN * part_volume) ** 2
             continue
-        volume += part
+        volume += part_volume
         area += float(share.sum() * grid.cell**2)
-        variance += (change.volume_sigma * part / max(change.volume, 1e-9)) ** 2
+        variance += (change.volume_sigma * part_volume / max(change.volume, 1e-9)) ** 2
     return volume, float(np.sqrt(variance + (area * detection.common_sigma) ** 2))

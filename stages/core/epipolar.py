@@ -85,6 +85,6 @@ def triangulate_depth(camera1: Camera, camera2: Camera, x1: Float64s, x2: Float6
         w = z * A[:, 2] + b[2]
         du = (A[:, 0] * w - (z * A[:, 0] + b[0]) * A[:, 2]) / w**2
         dv = (A[:, 1] * w - (z * A[:, 1] + b[1]) * A[:, 2]) / w**2
-        gain = 1.0 / np.sqrt(du * du + dv * dv)
+        dz_dpixel = 1.0 / np.sqrt(du * du + dv * dv)
     visible = (z > 0) & (w > 0)
-    return np.where(visible, z, np.nan), np.where(visible, gain, np.nan)
+    return np.where(visible, z, np.nan), np.where(visible, dz_dpixel, np.nan)

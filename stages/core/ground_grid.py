@@ -10,7 +10,7 @@ import numpy as np
 from ..types import Bools, Camera, Float64s, GroundGrid, Int64s
 from .ordering import by_cell
 
-_MARGIN = 0.1
+_MARGIN_SHARE = 0.1
 """Margin of a grid beyond the percentiles that bound its points (`extent`), as a share of the distance between them."""
 
 
@@ -45,7 +45,7 @@ def grid_over(points: Float64s, axes: Float64s, cell: float) -> GroundGrid:
 def extent(xy: Float64s, percent: float) -> tuple[Float64s, Float64s]:
     """Lower and upper corner (2,) around points (n, 2), ignoring `percent` of them at each end if these lie far outside."""
     low, high = np.percentile(xy, [percent, 100 - percent], axis=0)
-    margin = _MARGIN * (high - low)
+    margin = _MARGIN_SHARE * (high - low)
     return np.maximum(low - margin, xy.min(axis=0)), np.minimum(high + margin, xy.max(axis=0))
 
 
@@ -95,11 +95,11 @@ def quantile_by_cell(cells: Int64s, values: Float64s, count: int, quantile: floa
     cells, values = cells[inside], values[inside]
     ascending = np.argsort(values)
     order, starts = by_cell(cells[ascending], count)
-    size = np.diff(starts)
-    some = np.flatnonzero(size)
-    found = np.full(count, np.nan)
-    found[some] = values[ascending[order[starts[some] + np.rint(quantile * (size[some] - 1)).astype(np.int64)]]]
-    return found
+    counts = np.diff(starts)
+    occupied = np.flatnonzero(counts)
+    filled = np.full(count, np.nan)
+    filled[occupied] = values[ascending[order[starts[occupied] + np.rint(quantile * (counts[occupied] - 1)).astype(np.int64)]]]
+    return filled
 
 
 def preferred_above(value: float) -> float:

@@ -36,54 +36,54 @@ Scalar = np.float32
 
 def kernel(function: Function) -> Function:
     """Compile `function` at its first call; the compiled form releases the GIL and divides by zero as numpy does."""
-    return _compiled(function)
+    return _compile(function)
 
 
 def helper(function: Function) -> Function:
     """Compile a function that only other kernels call, without the wrapper for calls from Python.  Compiling that wrapper takes
     about as long as a small kernel itself (14 instead of 33 ms with one number, 66 instead of 126 ms with six arrays).  Python
     must never call such a function; a test checks this."""
-    return _compiled(function, no_cpython_wrapper=True)
+    return _compile(function, no_cpython_wrapper=True)
 
 
-def _compiled(function: Function, **more: bool) -> Function:
-    options: Any = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True, **more}  # never called from C
+def _compile(function: Function, **extra_options: bool) -> Function:
+    options: Any = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True, **extra_options}  # never called from C
     try:
-        return cast(Function, _once_between_processes(numba.njit(cache=True, **options)(function)))
+        return cast(Function, _compile_once(numba.njit(cache=True, **options)(function)))
     except RuntimeError:  # no writable cache: a read-only installation and no home folder, as under cron
         return cast(Function, numba.njit(**options)(function))
 
 
-def _once_between_processes(dispatcher: Any) -> Any:
+def _compile_once(dispatcher: Any) -> Any:
     """Let only one process at a time compile a kernel, or read it from the disk.
 
     Each kernel has its own lock.  The locks of the kernels that it calls are taken while it holds its own; since kernels never
     call each other in a circle, this cannot deadlock.  Within a process, numba's own compiler lock is taken first.
     """
-    compiled = dispatcher.compile
+    compile_kernel = dispatcher.compile
 
-    def compiled_alone(signature: Any) -> Any:
-        with global_compiler_lock, _alone(dispatcher), _without_collecting():
-            return compiled(signature)
+    def compile_locked(signature: Any) -> Any:
+        with global_compiler_lock, _locked(dispatcher), _without_gc():
+            return compile_kernel(signature)
 
-    dispatcher.compile = compiled_alone
+    dispatcher.compile = compile_locked
     return dispatcher
 
 
 @contextmanager
-def _without_collecting() -> Iterator[None]:
+def _without_gc() -> Iterator[None]:
     """Disable the garbage collector: scanning the many objects that a compiler keeps until it ends takes a tenth of its time."""
-    collecting = gc.isenabled()
+    was_enabled = gc.isenabled()
     gc.disable()
     try:
         yield
     finally:
-        if collecting:
+        if was_enabled:
             gc.enable()
 
 
 @contextmanager
-def _alone(dispatcher: Any) -> Iterator[None]:
+def _locked(dispatcher: Any) -> Iterator[None]:
     """Hold the kernel's lock file, so that no other process compiles it; without locking where files cannot be locked."""
     folder, function = dispatcher.stats.cache_path, dispatcher.py_func
     name = f"{function.__module__}.{function.__qualname__}.lock".replace("<locals>", "")

@@ -41,19 +41,19 @@ def levenberg_marquardt(
 
     References: Marquardt, SIAM Journal on Applied Mathematics, 1963.
     """
-    cost, normal, right = equations(state)
+    cost, normal, gradient = equations(state)
     for _ in range(steps):
         damped = normal + damping * np.diag(np.diag(normal) + floor * np.trace(normal))
-        ahead = moved(state, np.asarray(np.linalg.solve(damped, -right), dtype=np.float64))
-        new_cost, new_normal, new_right = equations(ahead)
+        new_state = moved(state, np.asarray(np.linalg.solve(damped, -gradient), dtype=np.float64))
+        new_cost, new_normal, new_gradient = equations(new_state)
         if not new_cost < cost:
             damping *= 10
             if damping > most_damping:
                 break
             continue
-        gain = cost - new_cost
-        state, cost, normal, right = ahead, new_cost, new_normal, new_right
+        decrease = cost - new_cost
+        state, cost, normal, gradient = new_state, new_cost, new_normal, new_gradient
         damping = max(damping / 10, least_damping)
-        if gain < tolerance + relative_tolerance * cost:
+        if decrease < tolerance + relative_tolerance * cost:
             break
     return cost, state

@@ -54,16 +54,16 @@ def lens_rays(lens: Lens, x: Float64s) -> Float64s:
         return np.column_stack([np.sin(longitude) * np.cos(latitude), np.sin(latitude), np.cos(longitude) * np.cos(latitude)])
     coefficients, project, limit = _coefficients(lens), _model(lens).project, reach(lens)
     with np.errstate(all="ignore"):
-        bent = _start(coefficients, project, limit, target)
+        angle_xy = _start(coefficients, project, limit, target)
         for _ in range(_MOST_STEPS):
-            step = _newton(coefficients, project, bent, target)
-            bent = bent - step
-            if not (np.abs(step) > _STEP).any():
+            step = _newton_step(coefficients, project, angle_xy, target)
+            angle_xy = angle_xy - step
+            if not (np.abs(step) > _LEAST_STEP).any():
                 break
-        found = _ray(bent)
-        missed = np.linalg.norm(project(coefficients, found) - target, axis=1)
-        found[~((missed < _MISSED) & (off_axis(found) <= limit + _STEP))] = np.nan
-    return found
+        rays = _ray(angle_xy)
+        error = np.linalg.norm(project(coefficients, rays) - target, axis=1)
+        rays[~((error < _MOST_ERROR) & (off_axis(rays) <= limit + _LEAST_STEP))] = np.nan
+    return rays
 
 
 def reach(lens: Lens) -> float:
@@ -71,13 +71,13 @@ def reach(lens: Lens) -> float:
     if lens.model == "equirectangular":
         return np.pi
     model, coefficients = _model(lens), _coefficients(lens)
-    angles = np.arange(_SAMPLE, model.farthest, _SAMPLE)
+    angles = np.arange(_PROFILE_STEP, model.farthest, _PROFILE_STEP)
     limit = float(angles[-1])
     with np.errstate(all="ignore"):
         for radius in _radii(coefficients, model.project, angles):
-            ends = ~(np.diff(radius, prepend=0.0) > _SAMPLE * 1e-3)
-            if ends.any():
-                limit = min(limit, float(angles[max(int(ends.argmax()) - 1, 0)]))
+            not_growing = ~(np.diff(radius, prepend=0.0) > _PROFILE_STEP * 1e-3)
+            if not_growing.any():
+                limit = min(limit, float(angles[max(int(not_growing.argmax()) - 1, 0)]))
     return limit
 
 
@@ -95,9 +95,9 @@ def sides_deg(lens: Lens, width: int, height: int) -> Float64s:
     return np.asarray(np.rad2deg(np.nan_to_num(off_axis(lens_rays(lens, edges)), nan=reach(lens))), dtype=np.float64)
 
 
-_SAMPLE = np.deg2rad(0.25)
+_PROFILE_STEP = np.deg2rad(0.25)
 """Step of the radial profile, radians."""
-_MOST_STEPS, _STEP, _MISSED = 30, 1e-13, 1e-10
+_MOST_STEPS, _LEAST_STEP, _MOST_ERROR = 30, 1e-13, 1e-10
 """Newton's method: most steps, step size (radians) at which it ends, and largest final error in normalised coordinates."""
 _DIFFERENCE = 1e-6
 """Angle to each side, in radians, of the central differences that give the derivatives."""
@@ -116,15 +116,15 @@ def _coefficients(lens: Lens) -> Float64s:
 
 def _radii(coefficients: Float64s, project: Callable[[Float64s, Float64s], Float64s], angles: Float64s) -> list[Float64s]:
     """Normalised image radii (n,) of rays at angles (n,) off the axis, in each of eight directions."""
-    towards = (np.array([np.cos(azimuth), np.sin(azimuth)]) for azimuth in np.arange(8) * (np.pi / 4))
-    return [np.linalg.norm(project(coefficients, _ray(angles[:, None] * toward)), axis=1) for toward in towards]
+    directions = (np.array([np.cos(azimuth), np.sin(azimuth)]) for azimuth in np.arange(8) * (np.pi / 4))
+    return [np.linalg.norm(project(coefficients, _ray(angles[:, None] * direction)), axis=1) for direction in directions]
 
 
-def _ray(bent: Float64s) -> Float64s:
+def _ray(angle_xy: Float64s) -> Float64s:
     """Unit rays (n, 3) from angles off the axis times their direction in the image (n, 2)."""
-    angle = np.linalg.norm(bent, axis=1)
-    across = np.sinc(angle / np.pi)  # sin(angle) / angle
-    return np.column_stack([across * bent[:, 0], across * bent[:, 1], np.cos(angle)])
+    angle = np.linalg.norm(angle_xy, axis=1)
+    sinc = np.sinc(angle / np.pi)  # sin(angle) / angle
+    return np.column_stack([sinc * angle_xy[:, 0], sinc * angle_xy[:, 1], np.cos(angle)])
 
 
 def _start(coefficients: Float64s, project: Callable[[Float64s, Float64s], Float64s], limit: float, target: Float64s) -> Float64s:
@@ -135,15 +135,15 @@ def _start(coefficients: Float64s, project: Callable[[Float64s, Float64s], Float
     return np.asarray(target * (np.interp(radius, profile, angles) / np.maximum(radius, 1e-300))[:, None], dtype=np.float64)
 
 
-def _newton(
-    coefficients: Float64s, project: Callable[[Float64s, Float64s], Float64s], bent: Float64s, target: Float64s
+def _newton_step(
+    coefficients: Float64s, project: Callable[[Float64s, Float64s], Float64s], angle_xy: Float64s, target: Float64s
 ) -> Float64s:
     """(n, 2) steps of Newton's method, to be subtracted; 0 where the model ends."""
     slopes = []
-    for axis in np.eye(2) * _DIFFERENCE:
-        slopes.append((project(coefficients, _ray(bent + axis)) - project(coefficients, _ray(bent - axis))) / (2 * _DIFFERENCE))
+    for h in np.eye(2) * _DIFFERENCE:
+        slopes.append((project(coefficients, _ray(angle_xy + h)) - project(coefficients, _ray(angle_xy - h))) / (2 * _DIFFERENCE))
     (a, c), (b, d) = slopes[0].T, slopes[1].T
-    e, f = (project(coefficients, _ray(bent)) - target).T
+    e, f = (project(coefficients, _ray(angle_xy)) - target).T
     step = np.column_stack([d * e - b * f, a * f - c * e]) / (a * d - b * c)[:, None]
     step[~np.isfinite(step).all(axis=1)] = 0.0
     return np.asarray(np.clip(step, -0.2, 0.2), dtype=np.float64)
@@ -171,21 +171,21 @@ def _brown(c: Float64s, rays: Float64s) -> Float64s:
     return np.asarray(tilted[:, :2] / tilted[:, 2:], dtype=np.float64)
 
 
-def _by_angle(rays: Float64s) -> Float64s:
+def _ideal_fisheye(rays: Float64s) -> Float64s:
     """(n, 2) angle off the axis times direction in the image: the projection of an ideal fisheye."""
     r = np.hypot(rays[:, 0], rays[:, 1])
     return np.asarray(rays[:, :2] * np.where(r > 0, off_axis(rays) / r, 1.0)[:, None], dtype=np.float64)
 
 
 def _fisheye(c: Float64s, rays: Float64s) -> Float64s:
-    x = _by_angle(rays)
+    x = _ideal_fisheye(rays)
     t2 = (x * x).sum(axis=1)
     return np.asarray(x * (1 + t2 * (c[0] + t2 * (c[1] + t2 * (c[2] + t2 * c[3]))))[:, None], dtype=np.float64)
 
 
 def _thin_prism_fisheye(c: Float64s, rays: Float64s) -> Float64s:
     """k1 k2 p1 p2 k3 k4 sx1 sy1, as COLMAP orders them."""
-    x, y = _by_angle(rays).T
+    x, y = _ideal_fisheye(rays).T
     r2 = x * x + y * y
     radial = 1 + r2 * (c[0] + r2 * (c[1] + r2 * (c[4] + r2 * c[5])))
     u = x * radial + 2 * c[2] * x * y + c[3] * (r2 + 2 * x * x) + c[6] * r2
@@ -195,7 +195,7 @@ def _thin_prism_fisheye(c: Float64s, rays: Float64s) -> Float64s:
 
 def _rad_tan_thin_prism_fisheye(c: Float64s, rays: Float64s) -> Float64s:
     """k0..k5, p0 p1, s0..s3: Project Aria's Fisheye624."""
-    x = _by_angle(rays)
+    x = _ideal_fisheye(rays)
     t2 = (x * x).sum(axis=1)
     radial = 1 + t2 * (c[0] + t2 * (c[1] + t2 * (c[2] + t2 * (c[3] + t2 * (c[4] + t2 * c[5])))))
     x = x * radial[:, None]
@@ -212,23 +212,23 @@ def _division(c: Float64s, rays: Float64s) -> Float64s:
 
 def _fov(c: Float64s, rays: Float64s) -> Float64s:
     r = np.hypot(rays[:, 0], rays[:, 1])
-    bent = np.arctan2(2 * r * np.tan(c[0] / 2), rays[:, 2]) / c[0] if c[0] else r / rays[:, 2]
+    distorted = np.arctan2(2 * r * np.tan(c[0] / 2), rays[:, 2]) / c[0] if c[0] else r / rays[:, 2]
     slope = 2 * np.tan(c[0] / 2) / c[0] if c[0] else 1.0
-    return np.asarray(rays[:, :2] * np.where(r > 1e-12, bent / r, slope)[:, None], dtype=np.float64)
+    return np.asarray(rays[:, :2] * np.where(r > 1e-12, distorted / r, slope)[:, None], dtype=np.float64)
 
 
 def _eucm(c: Float64s, rays: Float64s) -> Float64s:
     """Coefficients: alpha, beta."""
     z, distance = rays[:, 2], np.sqrt(c[1] * (rays[:, :2] ** 2).sum(axis=1) + rays[:, 2] ** 2)
-    below = c[0] * distance + (1 - c[0]) * z
+    divisor = c[0] * distance + (1 - c[0]) * z
     w = c[0] / (1 - c[0]) if c[0] <= 0.5 else (1 - c[0]) / c[0]
-    return np.asarray(rays[:, :2] / np.where((below > 0) & (z > -w * distance), below, np.nan)[:, None], dtype=np.float64)
+    return np.asarray(rays[:, :2] / np.where((divisor > 0) & (z > -w * distance), divisor, np.nan)[:, None], dtype=np.float64)
 
 
 def _omni(c: Float64s, rays: Float64s) -> Float64s:
     """Coefficients: xi, then k1 k2 p1 p2 k3 of the distortion that follows the projection by way of the unit sphere."""
-    below = rays[:, 2] + c[0]
-    sphere = np.column_stack([rays[:, :2], np.where(below > 0, below, np.nan)])
+    divisor = rays[:, 2] + c[0]
+    sphere = np.column_stack([rays[:, :2], np.where(divisor > 0, divisor, np.nan)])
     return _brown(np.concatenate([c[1:6], np.zeros(9)]), sphere)
 
 
@@ -236,11 +236,11 @@ def _double_sphere(c: Float64s, rays: Float64s) -> Float64s:
     """Coefficients: xi, alpha."""
     xi, alpha = c[:2]
     z = xi + rays[:, 2]
-    second = np.sqrt((rays[:, :2] ** 2).sum(axis=1) + z * z)
-    below = alpha * second + (1 - alpha) * z
+    d2 = np.sqrt((rays[:, :2] ** 2).sum(axis=1) + z * z)
+    divisor = alpha * d2 + (1 - alpha) * z
     w1 = alpha / (1 - alpha) if alpha <= 0.5 else (1 - alpha) / alpha
     w2 = (w1 + xi) / np.sqrt(2 * w1 * xi + xi * xi + 1)
-    return np.asarray(rays[:, :2] / np.where((below > 0) & (rays[:, 2] > -w2), below, np.nan)[:, None], dtype=np.float64)
+    return np.asarray(rays[:, :2] / np.where((divisor > 0) & (rays[:, 2] > -w2), divisor, np.nan)[:, None], dtype=np.float64)
 
 
 def _equirectangular(_: Float64s, rays: Float64s) -> Float64s:

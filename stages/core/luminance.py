@@ -40,10 +40,10 @@ def noise_level(image: Float32s, valid: Bools) -> float:
 
     The filter does not respond to intensities that vary linearly.  References: Immerkaer, CVIU 1996.
     """
-    mask = np.array([[1, -2, 1], [-2, 4, -2], [1, -2, 1]], dtype=np.float32)
-    response = np.abs(cv2.filter2D(image, -1, mask))
-    whole = block_means(valid.astype(np.float32), _BLOCK) > 0.999
-    if not whole.any():
+    kernel = np.array([[1, -2, 1], [-2, 4, -2], [1, -2, 1]], dtype=np.float32)
+    response = np.abs(cv2.filter2D(image, -1, kernel))
+    valid_blocks = block_means(valid.astype(np.float32), _BLOCK) > 0.999
+    if not valid_blocks.any():
         return 0.0
-    mean = block_means(np.asarray(response, dtype=np.float32), _BLOCK)[whole]
+    mean = block_means(np.asarray(response, dtype=np.float32), _BLOCK)[valid_blocks]
     return float(np.sqrt(np.pi / 2) / 6 * np.percentile(mean, _QUIETEST_PERCENT))

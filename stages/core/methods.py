@@ -19,17 +19,17 @@ def method(table: Mapping[str, str], name: str) -> Callable[..., Any]:
 
     Raises ValueError, with the known names, if no function is found.
     """
-    module, _, function = table.get(name, name).partition(":")
+    module_name, _, function_name = table.get(name, name).partition(":")
     try:
-        found = getattr(importlib.import_module(module), function, None) if function else None
+        function = getattr(importlib.import_module(module_name), function_name, None) if function_name else None
     except ModuleNotFoundError as error:
-        if error.name is None or not f"{module}.".startswith(f"{error.name}."):
+        if error.name is None or not f"{module_name}.".startswith(f"{error.name}."):
             raise  # the module exists, but fails to import another one
-        found = None
-    if not callable(found):
+        function = None
+    if not callable(function):
         choices = ", ".join(table)
         raise ValueError(f"there is no method {name!r}: choose {choices}, or a function of your own as package.module:function")
-    return found  # type: ignore[no-any-return]
+    return function  # type: ignore[no-any-return]
 
 
 def bind(table: Mapping[str, str], name: str, inputs: Mapping[str, object], options: Mapping[str, object]) -> Callable[[], Any]:
@@ -50,8 +50,8 @@ def bind(table: Mapping[str, str], name: str, inputs: Mapping[str, object], opti
     for argument, value in inputs.items():
         if value is None and argument in arguments and arguments[argument].default is inspect.Parameter.empty:
             raise ValueError(f"method {name!r} needs {argument}: give {argument}=")
-    own = [argument for argument in arguments if argument not in inputs]
+    parameters = [argument for argument in arguments if argument not in inputs]
     takes_any = any(argument.kind is inspect.Parameter.VAR_KEYWORD for argument in arguments.values())
-    if not takes_any and (unknown := [option for option in options if option not in own]):
-        raise TypeError(f"method {name!r} does not read {unknown[0]!r}; its parameters: {', '.join(own) or 'none'}")
+    if not takes_any and (unknown := [option for option in options if option not in parameters]):
+        raise TypeError(f"method {name!r} does not read {unknown[0]!r}; its parameters: {', '.join(parameters) or 'none'}")
     return partial(function, **{argument: inputs[argument] for argument in arguments if argument in inputs}, **options)

@@ -16,15 +16,15 @@ def by_cell(cells: Int64s, count: int) -> tuple[Int64s, Int64s]:
     starts = np.zeros(count + 1, np.int64)
     np.cumsum(np.bincount(cells, minlength=count), out=starts[1:])
     order = np.empty(len(cells), np.int64)
-    _place(cells, starts[:-1].copy(), order)
+    _fill_order(cells, starts[:-1].copy(), order)
     return order, starts
 
 
 @kernel
-def _place(cells: Int64s, free: Int64s, order: Int64s) -> None:
+def _fill_order(cells: Int64s, next_slots: Int64s, order: Int64s) -> None:
     for k in range(len(cells)):
-        order[free[cells[k]]] = k
-        free[cells[k]] += 1
+        order[next_slots[cells[k]]] = k
+        next_slots[cells[k]] += 1
 
 
 def rank_within(groups: Int64s, worth: Float64s | Int64s) -> Int64s:

@@ -17,18 +17,18 @@ Result = TypeVar("Result")
 
 THREADS = "STAGE_THREADS"
 """Environment variable with the number of threads that a stage may use; where it is not set, as in a notebook, it uses one."""
-_MOST = 4
+_MOST_THREADS = 4
 """Largest number of threads: each holds its own results in memory."""
 
 
 def parallel_map(work: Callable[[Item], Result], items: Iterable[Item]) -> Iterator[Result]:
     """Yield `work(item)` for each item, in order; at most as many results as there are threads are computed ahead."""
     stated = os.environ.get(THREADS, "")
-    threads = min(max(int(stated), 1), _MOST) if stated.isdecimal() else 1
+    threads = min(max(int(stated), 1), _MOST_THREADS) if stated.isdecimal() else 1
     if threads == 1:
         yield from map(work, items)
         return
-    waiting = iter(items)
+    remaining = iter(items)
     parallel = Parallel(n_jobs=threads, prefer="threads", return_as="generator")
-    while chunk := list(islice(waiting, threads)):
+    while chunk := list(islice(remaining, threads)):
         yield from parallel(delayed(work)(item) for item in chunk)

@@ -26,22 +26,22 @@ def without_distortion(camera: Camera, x: Float64s) -> Float64s:
     centre, f = camera.K[:2, 2], camera.K[[0, 1], [0, 1]]
     distorted = (x - centre) / f
     radius = np.linalg.norm(distorted, axis=1)
-    straight = radius.copy()
+    undistorted = radius.copy()
     k1, k2 = camera.radial
     fold = _fold(k1, k2)
     # Newton's method; the slope is bounded, as the model folds over outside the image, or inside it while k1, k2 are a wild guess
     for _ in range(20):
-        square = straight**2
+        square = undistorted**2
         slope = np.maximum(1 + 3 * k1 * square + 5 * k2 * square**2, 0.2)
-        straight = np.clip(straight - (straight * (1 + k1 * square + k2 * square**2) - radius) / slope, 0, fold)
-    return np.asarray(centre + f * distorted * (straight / np.maximum(radius, 1e-12))[:, None], dtype=np.float64)
+        undistorted = np.clip(undistorted - (undistorted * (1 + k1 * square + k2 * square**2) - radius) / slope, 0, fold)
+    return np.asarray(centre + f * distorted * (undistorted / np.maximum(radius, 1e-12))[:, None], dtype=np.float64)
 
 
 def _fold(k1: float, k2: float) -> float:
     """Normalised radius beyond which the distorted radius shrinks again (the model folds over); infinity if it never does."""
     squares = np.roots([5 * k2, 3 * k1, 1.0])  # squared radii at which the slope of the distorted radius is 0
-    ahead = [square.real for square in squares if square.imag == 0 and square.real > 0]
-    return float(np.sqrt(min(ahead))) if ahead else np.inf
+    positive = [square.real for square in squares if square.imag == 0 and square.real > 0]
+    return float(np.sqrt(min(positive))) if positive else np.inf
 
 
 def residual_px(camera: Camera) -> float:
@@ -65,8 +65,8 @@ def distorted_pixels(bend: Float64s, x: Float64s | Float32s, y: Float64s | Float
     square = a * a + b * b
     unfolded = 1 + square * (3 * k1 + 5 * k2 * square) > 0
     factor = np.where(unfolded, 1 + square * (k1 + k2 * square), np.nan)
-    there = (np.nan_to_num(of, nan=-1e4).clip(-1e4, 1e6) for of in (cx + fx * a * factor, cy + fy * b * factor))
-    u, v = (of.astype(np.float32) for of in there)
+    clipped = (np.nan_to_num(pixels, nan=-1e4).clip(-1e4, 1e6) for pixels in (cx + fx * a * factor, cy + fy * b * factor))
+    u, v = (pixels.astype(np.float32) for pixels in clipped)
     return u, v
 
 
@@ -77,12 +77,12 @@ def undistorted_points(camera: Camera | None, x: Float64s) -> Float64s:
 
 def undistorted_frame(frame: Frame, camera: Camera | None) -> Frame:
     """The undistorted frame; the frame itself if it counts as undistorted."""
-    bend = residual_distortion(camera)
-    if bend is None:
+    distortion = residual_distortion(camera)
+    if distortion is None:
         return frame
     height, width = frame.mask.shape
     x, y = np.meshgrid(np.arange(width, dtype=np.float64), np.arange(height, dtype=np.float64))
-    maps = distorted_pixels(bend, x, y)
+    maps = distorted_pixels(distortion, x, y)
     image = cv2.remap(frame.image, *maps, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT)
     mask = cv2.remap(frame.mask.astype(np.float32), *maps, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT)
     return replace(frame, image=np.asarray(image, np.uint8), mask=np.asarray(mask > 0.9999, np.bool_))

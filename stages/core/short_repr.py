@@ -16,20 +16,20 @@ class Record:
     """
 
     def __init_subclass__(cls) -> None:
-        cls.__repr__ = _shown  # type: ignore[method-assign]
+        cls.__repr__ = _record_repr  # type: ignore[method-assign]
 
 
-def _shown(self: Any) -> str:
-    shown = [f"{f.name}={_short(getattr(self, f.name))}" for f in dataclasses.fields(self) if f.repr and not _is_default(self, f)]
-    return f"{type(self).__name__}({', '.join(shown)})"
+def _record_repr(self: Any) -> str:
+    parts = [f"{f.name}={_short(getattr(self, f.name))}" for f in dataclasses.fields(self) if f.repr and not _is_default(self, f)]
+    return f"{type(self).__name__}({', '.join(parts)})"
 
 
-def _is_default(value: Any, field: dataclasses.Field[Any]) -> bool:
-    own = getattr(value, field.name)
-    if hasattr(own, "shape"):
+def _is_default(record: Any, field: dataclasses.Field[Any]) -> bool:
+    value = getattr(record, field.name)
+    if hasattr(value, "shape"):
         return False
-    made = field.default_factory() if field.default_factory is not dataclasses.MISSING else field.default
-    return bool(type(own) is type(made) and (own is made or own == made or own != own))
+    default = field.default_factory() if field.default_factory is not dataclasses.MISSING else field.default
+    return bool(type(value) is type(default) and (value is default or value == default or value != value))
 
 
 def _short(value: Any) -> str:
@@ -38,13 +38,13 @@ def _short(value: Any) -> str:
     if isinstance(value, float):
         return f"{value:.6g}"
     if isinstance(value, Mapping):
-        return f"{{{_listed([f'{key!r}: {_short(entry)}' for key, entry in value.items()])}}}"
+        return f"{{{_joined([f'{key!r}: {_short(entry)}' for key, entry in value.items()])}}}"
     if isinstance(value, tuple | list):
-        return f"({_listed([_short(entry) for entry in value])})"
+        return f"({_joined([_short(entry) for entry in value])})"
     text = repr(value)
     return text if len(text) <= _MOST_CHARACTERS or dataclasses.is_dataclass(value) else f"{text[: _MOST_CHARACTERS - 3]}..."
 
 
-def _listed(entries: list[str]) -> str:
-    more = len(entries) - _MOST_ENTRIES
-    return ", ".join(entries if more <= 0 else [*entries[:_MOST_ENTRIES], f"... {more} more"])
+def _joined(entries: list[str]) -> str:
+    left_out = len(entries) - _MOST_ENTRIES
+    return ", ".join(entries if left_out <= 0 else [*entries[:_MOST_ENTRIES], f"... {left_out} more"])

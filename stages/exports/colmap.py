@@ -39,24 +39,24 @@ def colmap_files(
     names = list(cameras)
     tracks, X = _tracks(cameras, geometries)
     model = pycolmap.Reconstruction()
-    place = np.zeros(len(tracks.track), np.int64)
+    keypoint_index = np.zeros(len(tracks.track), np.int64)
     for view, name in enumerate(names):
-        mine = np.flatnonzero(tracks.view == view)
-        place[mine] = np.arange(len(mine))
-        model.add_camera_with_trivial_rig(_lens(cameras[name], view + 1))
-        image = pycolmap.Image(name=f"{name}.png", keypoints=tracks.xy[mine] + 0.5, camera_id=view + 1, image_id=view + 1)
+        observations = np.flatnonzero(tracks.view == view)
+        keypoint_index[observations] = np.arange(len(observations))
+        model.add_camera_with_trivial_rig(_colmap_camera(cameras[name], view + 1))
+        image = pycolmap.Image(name=f"{name}.png", keypoints=tracks.xy[observations] + 0.5, camera_id=view + 1, image_id=view + 1)
         pose = np.column_stack([cameras[name].R, -cameras[name].R @ cameras[name].C])
         model.add_image_with_trivial_frame(image, pycolmap.Rigid3d(pose))
     starts = np.searchsorted(tracks.track, np.arange(tracks.count + 1)).tolist()
     colors = cloud.colors[cKDTree(cloud.points).query(X)[1]] if len(cloud.points) else np.zeros((len(X), 3), np.uint8)
     for X_track, color, start, end in zip(X, colors, starts, starts[1:], strict=False):
-        seen = pycolmap.Track()
+        track = pycolmap.Track()
         for row in range(start, end):
-            seen.add_element(int(tracks.view[row]) + 1, int(place[row]))
-        model.add_point3D(X_track, seen, color)
+            track.add_element(int(tracks.view[row]) + 1, int(keypoint_index[row]))
+        model.add_point3D(X_track, track, color)
     count = len(cloud.points)
-    kept = np.arange(count) if count <= most_points else np.arange(most_points) * count // most_points
-    for point, color in zip(cloud.points[kept].astype(np.float64), cloud.colors[kept], strict=True):
+    sample = np.arange(count) if count <= most_points else np.arange(most_points) * count // most_points
+    for point, color in zip(cloud.points[sample].astype(np.float64), cloud.colors[sample], strict=True):
         model.add_point3D(point, pycolmap.Track(), color)
     model.update_point_3d_errors()
     with tempfile.TemporaryDirectory() as folder:
@@ -66,21 +66,21 @@ def colmap_files(
 
 def _tracks(cameras: Mapping[str, Camera], geometries: Mapping[str, Geometry]) -> tuple[Tracks, Float64s]:
     """Tracks of at least two views with reprojection errors below `MAX_ERROR_PX`, and their points (count, 3)."""
-    number = {name: view for view, name in enumerate(cameras)}
-    views = {number[name]: camera for name, camera in cameras.items()}
-    ends = {name: name.split("--") for name in geometries}
-    edges = {(number[a], number[b]): geometries[name] for name, (a, b) in ends.items() if a in number and b in number}
+    view_of = {name: view for view, name in enumerate(cameras)}
+    views = {view_of[name]: camera for name, camera in cameras.items()}
+    pair_names = {name: name.split("--") for name in geometries}
+    edges = {(view_of[a], view_of[b]): geometries[name] for name, (a, b) in pair_names.items() if a in view_of and b in view_of}
     tracks = build_tracks(edges, len(views))
-    straight = straightened(tracks, views)
-    X = triangulate(views, straight, np.ones(len(tracks.track), bool), MAX_ERROR_PX / 2)
-    near = np.linalg.norm(residuals(views, straight, X), axis=1) < MAX_ERROR_PX
-    seen = np.bincount(tracks.track[near], minlength=tracks.count) >= 2
-    kept = np.flatnonzero(near & seen[tracks.track])
-    _, track = np.unique(tracks.track[kept], return_inverse=True)
-    return Tracks(track.astype(np.int32), tracks.view[kept], tracks.xy[kept], int(seen.sum())), X[seen]
+    undistorted = straightened(tracks, views)
+    X = triangulate(views, undistorted, np.ones(len(tracks.track), bool), MAX_ERROR_PX / 2)
+    accurate = np.linalg.norm(residuals(views, undistorted, X), axis=1) < MAX_ERROR_PX
+    usable = np.bincount(tracks.track[accurate], minlength=tracks.count) >= 2
+    observations = np.flatnonzero(accurate & usable[tracks.track])
+    _, track = np.unique(tracks.track[observations], return_inverse=True)
+    return Tracks(track.astype(np.int32), tracks.view[observations], tracks.xy[observations], int(usable.sum())), X[usable]
 
 
-def _lens(camera: Camera, number: int) -> pycolmap.Camera:
+def _colmap_camera(camera: Camera, number: int) -> pycolmap.Camera:
     K = camera.K
     model, params = "PINHOLE", [K[0, 0], K[1, 1], K[0, 2] + 0.5, K[1, 2] + 0.5]
     if any(camera.radial):

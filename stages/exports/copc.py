@@ -24,15 +24,15 @@ def copc_bytes(laz: bytes) -> bytes:
     with tempfile.TemporaryDirectory() as folder:  # the library reads and writes files only
         source, target = Path(folder) / "cloud.laz", Path(folder) / "cloud.copc.laz"
         source.write_bytes(laz)
-        like = copclib.LazReader(str(source)).laz_config
+        config = copclib.LazReader(str(source)).laz_config
         crs = las.header.parse_crs()
         wkt = crs.to_wkt("WKT1_GDAL") if crs else ""  # plain ASCII: the library miscounts the bytes of other characters
-        form = (like.las_header.point_format_id, like.las_header.scale, like.las_header.offset, wkt, like.extra_bytes_vlr)
-        writer = copclib.FileWriter(str(target), copclib.CopcConfigWriter(*form))
+        args = (config.las_header.point_format_id, config.las_header.scale, config.las_header.offset, wkt, config.extra_bytes_vlr)
+        writer = copclib.FileWriter(str(target), copclib.CopcConfigWriter(*args))
         low, side = points.min(axis=0), max(float(np.ptp(points, axis=0).max()), 1e-3)
         header, info = writer.copc_config.las_header, writer.copc_config.copc_info
         for name in ("min", "max", "creation_day", "creation_year", "generating_software", "system_identifier"):
-            setattr(header, name, getattr(like.las_header, name))
+            setattr(header, name, getattr(config.las_header, name))
         info.center_x, info.center_y, info.center_z = (low + side / 2).tolist()
         info.halfsize, info.spacing = side / 2, side / CELLS
         for key, rows in octree(points, low, side):

@@ -40,8 +40,8 @@ def tiles(cloud: Cloud, poses: Poses) -> Files:
     """tiles/tileset.json and the files that it names, on the globe if the site is georeferenced."""
     from .tiles import tile_files
 
-    place = _georeference(poses)
-    for name, data in tile_files(cloud, place.to_earth() if place else None):
+    georeference = _georeference(poses)
+    for name, data in tile_files(cloud, georeference.to_earth() if georeference else None):
         yield f"tiles/{name}", data
 
 
@@ -59,8 +59,8 @@ def heights(cloud: Cloud, poses: Poses) -> Files:
     points = cloud.points.astype(np.float64)
     georeference = _georeference(poses)
     if georeference is not None:
-        found, words = height_map(georeference.points(points)), ["height above the ellipsoid, metres"]
-        yield "heights.tif", geotiff(found.heights[None], found.left, found.top, found.cell, georeference.epsg, words)
+        raster, band_names = height_map(georeference.points(points)), ["height above the ellipsoid, metres"]
+        yield "heights.tif", geotiff(raster.heights[None], raster.left, raster.top, raster.cell, georeference.epsg, band_names)
         return
     files, metadata = plain_files(height_map(points))
     yield from files.items()
@@ -87,8 +87,8 @@ def mesh(cloud: Cloud, poses: Poses, frames: Mapping[str, Frame]) -> Files:
     from .mesh import mesh_bytes, object_files, poisson_mesh, textured
 
     yield "mesh.ply", mesh_bytes(poisson_mesh(cloud))
-    shown = textured(poisson_mesh(cloud, coarser=1), poses.main_cameras(), frames)
-    for name, data in object_files(shown, "mesh"):
+    textured_mesh = textured(poisson_mesh(cloud, coarser=1), poses.main_cameras(), frames)
+    for name, data in object_files(textured_mesh, "mesh"):
         yield f"mesh/{name}", data
 
 
@@ -118,8 +118,8 @@ def colmap(cloud: Cloud, poses: Poses, frames: Mapping[str, Frame], geometries: 
     from .colmap import colmap_files
 
     cameras = poses.main_cameras()
-    believed = {name: geometry for name, geometry in geometries.items() if name not in poses.dropped}
-    for name, data in colmap_files(cameras, believed, cloud).items():
+    accepted = {name: geometry for name, geometry in geometries.items() if name not in poses.dropped}
+    for name, data in colmap_files(cameras, accepted, cloud).items():
         yield f"colmap/sparse/{name}", data
     for name in cameras:
         if name not in frames:
@@ -131,10 +131,10 @@ def geojson(poses: Poses, changes: Changes | None) -> Files:
     """cameras.geojson, and changes.geojson if nights were compared: longitude, latitude, height above the ellipsoid."""
     from .map_features import camera_features, change_features, geojson_bytes
 
-    place = _on_the_map(poses)
-    yield "cameras.geojson", geojson_bytes(camera_features(poses.main_cameras()), place)
+    georeference = _required_georeference(poses)
+    yield "cameras.geojson", geojson_bytes(camera_features(poses.main_cameras()), georeference)
     if changes is not None and changes.compared:
-        yield "changes.geojson", geojson_bytes(change_features(changes.changes), place)
+        yield "changes.geojson", geojson_bytes(change_features(changes.changes), georeference)
 
 
 def gpkg(poses: Poses, changes: Changes | None, day: datetime.date) -> Files:
@@ -142,15 +142,15 @@ def gpkg(poses: Poses, changes: Changes | None, day: datetime.date) -> Files:
     from .map_features import camera_features, change_features, geopackage_bytes
 
     layers = {"cameras": camera_features(poses.main_cameras()), "changes": change_features(changes.changes if changes else {})}
-    yield "site.gpkg", geopackage_bytes(layers, _on_the_map(poses), day)
+    yield "site.gpkg", geopackage_bytes(layers, _required_georeference(poses), day)
 
 
-def _on_the_map(poses: Poses) -> Georeference:
+def _required_georeference(poses: Poses) -> Georeference:
     """Georeference of the site.  Raises ValueError if it has none."""
-    place = _georeference(poses)
-    if place is None:
+    georeference = _georeference(poses)
+    if georeference is None:
         raise ValueError("the site is not on the map: state positions by latitude, longitude and height")
-    return place
+    return georeference
 
 
 def _georeference(poses: Poses) -> Georeference | None:
@@ -171,11 +171,11 @@ def _json(data: dict[str, Any]) -> bytes:
 
 
 def depth_files(depth: DepthMap) -> tuple[dict[str, bytes], float]:
-    """Files of the sure depths, by suffix, and the steps of the PNG per unit of length.
+    """Files of the reliable depths, by suffix, and the steps of the PNG per unit of length.
 
     PNG: 0 is unknown, else depth = (value - 1) / steps.  PFM: float32, bottom row first, infinite where unknown.
     """
     # depths that need confirmation by another view are left out, as these files show one view alone
-    sure = np.where(depth.sure, depth.depth, np.nan).astype(np.float32)
-    values, steps = stepped(sure, 0.0)
-    return {".png": png(values), ".pfm": pfm(sure)}, steps
+    reliable = np.where(depth.sure, depth.depth, np.nan).astype(np.float32)
+    values, steps = stepped(reliable, 0.0)
+    return {".png": png(values), ".pfm": pfm(reliable)}, steps

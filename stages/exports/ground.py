@@ -17,8 +17,8 @@ from ..types import Camera, Changes, Coverage, CutFill, Float32s, Float64s, Grou
 
 _WIDTH = 960
 _QUALITY = 85
-_GROUND = (24, 24, 24)
-_STEPS = ((196, 60, 50), (232, 150, 50), (240, 215, 90), (150, 205, 95), (60, 170, 90), (25, 120, 110), (20, 80, 120))
+_BACKGROUND = (24, 24, 24)
+_COLOURS = ((196, 60, 50), (232, 150, 50), (240, 215, 90), (150, 205, 95), (60, 170, 90), (25, 120, 110), (20, 80, 120))
 """Colours for 0, 1, 2, ... cameras; the last one also stands for more."""
 
 
@@ -31,7 +31,7 @@ def coverage_files(coverage: Coverage) -> Iterator[tuple[str, bytes]]:
             "best angle between rays, degrees": coverage.angle_deg,
             "expected error, metres": coverage.error,
         }
-        yield "coverage.tif", _on_the_map(coverage.grid, coverage.heights, layers, coverage.crs)
+        yield "coverage.tif", _map_geotiff(coverage.grid, coverage.heights, layers, coverage.crs)
 
 
 def coverage_layer(coverage: Coverage) -> bytes:
@@ -39,15 +39,15 @@ def coverage_layer(coverage: Coverage) -> bytes:
     unknown.  The header holds three corners of the image in the world, at ground height, and the legend of its colours."""
     grid, known = coverage.grid, np.isfinite(coverage.heights)
     level = float(np.median(coverage.heights[known])) if known.any() else 0.0
-    wide, high = grid.columns * grid.cell, grid.rows * grid.cell
-    ends = [(grid.left, grid.top, level), (grid.left + wide, grid.top, level), (grid.left, grid.top - high, level)]
-    colours = np.array(_STEPS, np.uint8)[np.minimum(coverage.views, len(_STEPS) - 1)]
+    width, height = grid.columns * grid.cell, grid.rows * grid.cell
+    corners = [(grid.left, grid.top, level), (grid.left + width, grid.top, level), (grid.left, grid.top - height, level)]
+    colours = np.array(_COLOURS, np.uint8)[np.minimum(coverage.views, len(_COLOURS) - 1)]
     image = np.dstack([colours, np.where(known, 255, 0).astype(np.uint8)])
-    names = [f"{k}{' or more' if k == len(_STEPS) - 1 else ''}" for k in range(len(_STEPS))]
-    legend = [[name, f"#{r:02x}{g:02x}{b:02x}"] for name, (r, g, b) in zip(names, _STEPS, strict=True)]
-    metadata = {"corners": (np.array(ends) @ grid.axes).tolist(), "legend": legend, "words": "cameras that see the ground"}
-    head = json.dumps(metadata).encode()
-    return struct.pack("<I", len(head)) + head + png(image)
+    names = [f"{k}{' or more' if k == len(_COLOURS) - 1 else ''}" for k in range(len(_COLOURS))]
+    legend = [[name, f"#{r:02x}{g:02x}{b:02x}"] for name, (r, g, b) in zip(names, _COLOURS, strict=True)]
+    metadata = {"corners": (np.array(corners) @ grid.axes).tolist(), "legend": legend, "words": "cameras that see the ground"}
+    header = json.dumps(metadata).encode()
+    return struct.pack("<I", len(header)) + header + png(image)
 
 
 def coverage_preview(coverage: Coverage, poses: Poses | None = None) -> Uint8s:
@@ -55,7 +55,7 @@ def coverage_preview(coverage: Coverage, poses: Poses | None = None) -> Uint8s:
     return jpeg(_map(coverage, poses.main_cameras() if poses else None), _QUALITY)
 
 
-def _on_the_map(grid: GroundGrid, heights: Float32s, layers: Mapping[str, Float32s], crs: str) -> bytes:
+def _map_geotiff(grid: GroundGrid, heights: Float32s, layers: Mapping[str, Float32s], crs: str) -> bytes:
     """GeoTIFF of layers (rows, columns) by description, in the UTM zone of the site, whose local frame is `crs`.
 
     heights: (rows, columns) of the surface along the grid's up axis; their median suffices, as positions on the map hardly
@@ -80,9 +80,9 @@ def _on_the_map(grid: GroundGrid, heights: Float32s, layers: Mapping[str, Float3
 
 def _map(coverage: Coverage, cameras: Mapping[str, Camera] | None = None) -> Uint8s:
     """(h, w, 3) uint8: number of cameras as colours, the cameras, and a legend below."""
-    views = np.minimum(coverage.views, len(_STEPS) - 1)
-    colours = np.where(np.isfinite(coverage.heights)[..., None], np.array(_STEPS, np.uint8)[views], np.uint8(_GROUND[0]))
-    return _legend(drawn(coverage.grid, colours.astype(np.uint8), cameras or {}))
+    views = np.minimum(coverage.views, len(_COLOURS) - 1)
+    colours = np.where(np.isfinite(coverage.heights)[..., None], np.array(_COLOURS, np.uint8)[views], np.uint8(_BACKGROUND[0]))
+    return _with_legend(drawn(coverage.grid, colours.astype(np.uint8), cameras or {}))
 
 
 def drawn(grid: GroundGrid, colours: Uint8s, cameras: Mapping[str, Camera]) -> Uint8s:
@@ -92,43 +92,43 @@ def drawn(grid: GroundGrid, colours: Uint8s, cameras: Mapping[str, Camera]) -> U
     image = np.repeat(np.repeat(colours, scale, axis=0), scale, axis=1)
     if not cameras:
         return image
-    at = {name: _pixel(grid, camera.C, scale) for name, camera in cameras.items()}
-    every = np.array(list(at.values()))
+    pixel = {name: _grid_pixel(grid, camera.C, scale) for name, camera in cameras.items()}
+    all_pixels = np.array(list(pixel.values()))
     size = np.array([image.shape[1], image.shape[0]])
-    before = np.clip(np.ceil(20 - every.min(axis=0)), 0, size / 2).astype(int)
-    after = np.clip(np.ceil(every.max(axis=0) + 20 - size), 0, size / 2).astype(int)
-    canvas = np.full((*(size + before + after)[::-1], 3), _GROUND, np.uint8)
-    canvas[before[1] : before[1] + size[1], before[0] : before[0] + size[0]] = image
+    shift = np.clip(np.ceil(20 - all_pixels.min(axis=0)), 0, size / 2).astype(int)
+    end_margin = np.clip(np.ceil(all_pixels.max(axis=0) + 20 - size), 0, size / 2).astype(int)
+    canvas = np.full((*(size + shift + end_margin)[::-1], 3), _BACKGROUND, np.uint8)
+    canvas[shift[1] : shift[1] + size[1], shift[0] : shift[0] + size[0]] = image
     for name, camera in cameras.items():
         ahead = grid.axes[:2] @ camera.R[2] * (1.0, -1.0)
         ahead = ahead / max(float(np.linalg.norm(ahead)), 1e-9)
-        aside = np.array([-ahead[1], ahead[0]])
-        corners = at[name] + before + np.array([np.zeros(2), 22 * ahead + 10 * aside, 22 * ahead - 10 * aside])
+        across = np.array([-ahead[1], ahead[0]])
+        corners = pixel[name] + shift + np.array([np.zeros(2), 22 * ahead + 10 * across, 22 * ahead - 10 * across])
         cv2.polylines(canvas, [np.round(corners).astype(np.int32)], True, (255, 255, 255), 2, cv2.LINE_AA)
-        cv2.putText(canvas, name, tuple((at[name] + before + 6).astype(int).tolist()), 0, 0.45, (255, 255, 255), 1, cv2.LINE_AA)
+        cv2.putText(canvas, name, tuple((pixel[name] + shift + 6).astype(int).tolist()), 0, 0.45, (255, 255, 255), 1, cv2.LINE_AA)
     return np.asarray(canvas, dtype=np.uint8)
 
 
-def _pixel(grid: GroundGrid, X: Float64s, scale: int) -> Float64s:
+def _grid_pixel(grid: GroundGrid, X: Float64s, scale: int) -> Float64s:
     east, north = grid.axes[:2] @ X
     return np.array([(east - grid.left) / grid.cell * scale, (grid.top - north) / grid.cell * scale])
 
 
-def _legend(image: Uint8s) -> Uint8s:
-    wide = max(image.shape[1], 60 * len(_STEPS))
-    canvas = np.full((image.shape[0] + 34, wide, 3), _GROUND, np.uint8)
+def _with_legend(image: Uint8s) -> Uint8s:
+    width = max(image.shape[1], 60 * len(_COLOURS))
+    canvas = np.full((image.shape[0] + 34, width, 3), _BACKGROUND, np.uint8)
     canvas[: image.shape[0], : image.shape[1]] = image
-    for k, colour in enumerate(_STEPS):
+    for k, colour in enumerate(_COLOURS):
         x, y = 8 + 58 * k, image.shape[0] + 8
         cv2.rectangle(canvas, (x, y), (x + 18, y + 18), colour, -1)
-        words = f"{k}{'+' if k == len(_STEPS) - 1 else ''}"
-        cv2.putText(canvas, words, (x + 24, y + 15), 0, 0.5, (230, 230, 230), 1, cv2.LINE_AA)
+        label = f"{k}{'+' if k == len(_COLOURS) - 1 else ''}"
+        cv2.putText(canvas, label, (x + 24, y + 15), 0, 0.5, (230, 230, 230), 1, cv2.LINE_AA)
     return np.asarray(canvas, dtype=np.uint8)
 
 
-_HIGHEST = 2.0
+_FULL_COLOUR_PERCENT = 2.0
 """Height difference, in percent of the map's width, from which on the colour is full."""
-_SHOWN = 6
+_MOST_CROPS = 6
 """Number of changes whose images the report shows."""
 
 
@@ -143,7 +143,7 @@ def changes_files(changes: Changes) -> Iterator[tuple[str, bytes | Columns]]:
         yield f"change-{number}.jpg", jpeg(image, _QUALITY).tobytes()
     if changes.crs:
         layers = {"tonight's height less that of the reference, metres": changes.difference}
-        yield "changes.tif", _on_the_map(changes.grid, changes.difference, layers, changes.crs)
+        yield "changes.tif", _map_geotiff(changes.grid, changes.difference, layers, changes.crs)
 
 
 def changes_columns(changes: Changes) -> Columns:
@@ -173,9 +173,9 @@ def changes_data(changes: Changes) -> dict[str, Any]:
         row |= {"from": [round(v, 3) for v in (change.from_x, change.from_y, change.from_z)]} if change.kind == "moved" else {}
         row |= {"picture": f"change-{number}.jpg"} if number in changes.crops else {}
         rows.append(row)
-    whole = {"changed_share": changes.changed_share, "unknown_share": changes.unknown_share, "noise": changes.noise}
+    totals = {"changed_share": changes.changed_share, "unknown_share": changes.unknown_share, "noise": changes.noise}
     data: dict[str, Any] = {"unit": "m" if changes.metric else "arbitrary"}
-    data |= {name: round(value, 5) for name, value in whole.items()}
+    data |= {name: round(value, 5) for name, value in totals.items()}
     data |= {"cut_fill": _volumes(changes.cut_fill)} if changes.cut_fill else {}
     return data | {"zones": {name: _volumes(zone) for name, zone in changes.zones.items()}, "changes": rows}
 
@@ -189,15 +189,15 @@ def changes_preview(changes: Changes) -> Uint8s:
     if not changes.compared or not changes.grid.rows:
         return jpeg(np.full((40, 480, 3), 24, np.uint8), _QUALITY)
     known = np.isfinite(changes.difference)
-    most = max(0.01 * _HIGHEST * changes.grid.cell * changes.grid.columns, 1e-9)
-    share = np.clip(np.nan_to_num(changes.difference) / most, -1, 1)[..., None]
-    paper, raised, lowered = (np.array(c, np.float64) for c in ((225, 225, 225), (200, 40, 30), (30, 80, 200)))
+    full_height = max(0.01 * _FULL_COLOUR_PERCENT * changes.grid.cell * changes.grid.columns, 1e-9)
+    share = np.clip(np.nan_to_num(changes.difference) / full_height, -1, 1)[..., None]
+    paper, raised, lowered = (np.array(rgb, np.float64) for rgb in ((225, 225, 225), (200, 40, 30), (30, 80, 200)))
     colours = np.where(share > 0, paper + share * (raised - paper), paper - share * (lowered - paper))
     image = drawn(changes.grid, np.where(known[..., None], colours, 24).astype(np.uint8), {})
     _mark(image, changes)
-    shown = [_with_number(crop, number) for number, crop in list(changes.crops.items())[:_SHOWN]]
-    width = max(image.shape[1], *(crop.shape[1] for crop in shown)) if shown else image.shape[1]
-    rows = [np.pad(each, ((0, 6), (0, width - each.shape[1]), (0, 0)), constant_values=24) for each in (image, *shown)]
+    crops = [_with_number(crop, number) for number, crop in list(changes.crops.items())[:_MOST_CROPS]]
+    width = max(image.shape[1], *(crop.shape[1] for crop in crops)) if crops else image.shape[1]
+    rows = [np.pad(panel, ((0, 6), (0, width - panel.shape[1]), (0, 0)), constant_values=24) for panel in (image, *crops)]
     return jpeg(np.vstack(rows), _QUALITY)
 
 
@@ -206,13 +206,13 @@ def _mark(image: Uint8s, changes: Changes) -> None:
     for number, change in changes.changes.items():
         east, north, _ = grid.axes @ (change.x, change.y, change.z)
         x, y = (east - grid.left) / grid.cell * scale, (grid.top - north) / grid.cell * scale
-        reach = max(6.0, 0.6 * np.hypot(change.length, change.width) / grid.cell * scale)
-        cv2.circle(image, (round(x), round(y)), round(reach), (20, 20, 20), 2, cv2.LINE_AA)
-        cv2.putText(image, number, (round(x + reach), round(y - 4)), 0, 0.6, (20, 20, 20), 2, cv2.LINE_AA)
+        radius = max(6.0, 0.6 * np.hypot(change.length, change.width) / grid.cell * scale)
+        cv2.circle(image, (round(x), round(y)), round(radius), (20, 20, 20), 2, cv2.LINE_AA)
+        cv2.putText(image, number, (round(x + radius), round(y - 4)), 0, 0.6, (20, 20, 20), 2, cv2.LINE_AA)
 
 
 def _with_number(crop: Uint8s, number: str) -> Uint8s:
-    shown = crop.copy()
-    cv2.putText(shown, number, (6, 24), 0, 0.8, (0, 0, 0), 4, cv2.LINE_AA)
-    cv2.putText(shown, number, (6, 24), 0, 0.8, (255, 255, 255), 2, cv2.LINE_AA)
-    return shown
+    labelled = crop.copy()
+    cv2.putText(labelled, number, (6, 24), 0, 0.8, (0, 0, 0), 4, cv2.LINE_AA)
+    cv2.putText(labelled, number, (6, 24), 0, 0.8, (255, 255, 255), 2, cv2.LINE_AA)
+    return labelled

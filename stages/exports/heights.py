@@ -42,9 +42,9 @@ def height_map(points: Float64s, cell: float | None = None) -> HeightMap:
     x, y, z = points[inside].T
     column = np.clip(np.floor(x / edge).astype(np.int64) - first_column, 0, columns - 1)
     row = np.clip(last_row - np.floor(y / edge).astype(np.int64), 0, rows - 1)
-    number = row * columns + column
-    order = np.lexsort((z, number))
-    cells, start, count = np.unique(number[order], return_index=True, return_counts=True)
+    cell_index = row * columns + column
+    order = np.lexsort((z, cell_index))
+    cells, start, count = np.unique(cell_index[order], return_index=True, return_counts=True)
     heights = np.full(rows * columns, np.nan, np.float32)
     heights[cells] = z[order][start + np.rint(QUANTILE * (count - 1)).astype(np.int64)]
     left, top = first_column * edge, (last_row + 1) * edge
@@ -64,8 +64,8 @@ def map_cells(low: Float64s, high: Float64s, edge: float) -> tuple[float, int, i
 def spacing(points: Float64s) -> float:
     """Median distance of a point from its nearest neighbour."""
     centred = points - points.mean(axis=0)
-    asked = centred[:: max(1, len(points) // 20_000)]
-    distances, _ = cKDTree(centred).query(asked, k=2)
+    queries = centred[:: max(1, len(points) // 20_000)]
+    distances, _ = cKDTree(centred).query(queries, k=2)
     return float(np.median(distances[:, 1])) if len(points) > 1 else 1.0
 
 

@@ -37,7 +37,7 @@ def laz_bytes(cloud: Cloud, day: datetime.date, georeference: Georeference | Non
         points, normals = georeference.points(points), georeference.directions(points, normals)
         header.add_crs(pyproj.CRS.from_epsg(georeference.epsg))
     header.offsets = np.floor(points.min(axis=0))
-    header.add_extra_dims([laspy.ExtraBytesParams(name, kind, words) for name, (kind, words) in EXTRA.items()])
+    header.add_extra_dims([laspy.ExtraBytesParams(name, kind, description) for name, (kind, description) in EXTRA.items()])
     las = laspy.LasData(header)
     las.x, las.y, las.z = points.T
     las.red, las.green, las.blue = cloud.colors.T.astype(np.uint16) * 257

@@ -47,12 +47,12 @@ def change_features(changes: Mapping[str, Change]) -> list[Feature]:
 
 def geojson_bytes(features: list[Feature], place: Georeference) -> bytes:
     """Return a FeatureCollection: longitude, latitude in degrees, height in metres above the ellipsoid."""
-    rows = []
+    entries = []
     for feature in features:
         at = [round(value, digits) for value, digits in zip(place.degrees(feature.at), (8, 8, 3), strict=True)]
         point = {"type": "Point", "coordinates": at}
-        rows.append({"type": "Feature", "geometry": point, "properties": feature.properties})
-    return (json.dumps({"type": "FeatureCollection", "features": rows}, indent=1) + "\n").encode()
+        entries.append({"type": "Feature", "geometry": point, "properties": feature.properties})
+    return (json.dumps({"type": "FeatureCollection", "features": entries}, indent=1) + "\n").encode()
 
 
 def geopackage_bytes(layers: dict[str, list[Feature]], place: Georeference, day: datetime.date) -> bytes:

@@ -24,18 +24,18 @@ def octree(points: Float64s, low: Float64s, side: float) -> Iterator[tuple[Key, 
     """
     pending: list[tuple[Key, Int64s]] = [((0, 0, 0, 0), np.arange(len(points)))]
     while pending:
-        (level, *place), rows = pending.pop()
+        (level, *index), rows = pending.pop()
         edge = side / 2**level
-        at = np.clip((points[rows] - low) / edge - place, 0, 1 - 1e-9)
+        positions = np.clip((points[rows] - low) / edge - index, 0, 1 - 1e-9)
         if len(rows) > MOST_IN_LEAF:
-            i, j, k = (at * CELLS).astype(np.int64).T
-            kept = np.sort(np.unique((i * CELLS + j) * CELLS + k, return_index=True)[1])
+            i, j, k = (positions * CELLS).astype(np.int64).T
+            kept_indices = np.sort(np.unique((i * CELLS + j) * CELLS + k, return_index=True)[1])
         else:
-            kept = np.arange(len(rows))
-        yield (level, *place), rows[kept]  # type: ignore[misc]
-        left = np.setdiff1d(np.arange(len(rows)), kept, assume_unique=True)
-        half = (at[left] * 2).astype(np.int64)
-        for child in np.unique(half, axis=0):
-            inside = rows[left[(half == child).all(axis=1)]]
-            x, y, z = (2 * np.array(place) + child).tolist()
+            kept_indices = np.arange(len(rows))
+        yield (level, *index), rows[kept_indices]  # type: ignore[misc]
+        remaining = np.setdiff1d(np.arange(len(rows)), kept_indices, assume_unique=True)
+        octant = (positions[remaining] * 2).astype(np.int64)
+        for child in np.unique(octant, axis=0):
+            inside = rows[remaining[(octant == child).all(axis=1)]]
+            x, y, z = (2 * np.array(index) + child).tolist()
             pending.append(((level + 1, x, y, z), inside))

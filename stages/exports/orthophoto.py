@@ -16,7 +16,7 @@ from .mesh import NONE, Textured, cast, sampled, scene_of
 if TYPE_CHECKING:
     from .world import Georeference
 
-_STRIP = 2_000_000
+_CELLS_AT_ONCE = 2_000_000
 """Number of cells that are processed at once."""
 
 
@@ -42,30 +42,30 @@ def orthophoto(found: Textured, georeference: Georeference | None = None) -> Ort
     mesh = found.mesh
     X = georeference.points(mesh.vertices) if georeference else mesh.vertices
     low, high = X.min(axis=0), X.max(axis=0)
-    wanted = preferred_above(found.pixel or spacing(X))
-    cell, first_column, last_row, columns, rows = map_cells(low[:2], high[:2], wanted)
+    least_cell = preferred_above(found.pixel or spacing(X))
+    cell, first_column, last_row, columns, rows = map_cells(low[:2], high[:2], least_cell)
     middle = 0.5 * (low + high)
     scene = scene_of(X - middle, mesh.triangles)
     image = np.zeros((rows * columns, 4), np.uint8)
-    for start in range(0, rows * columns, _STRIP):
-        row, column = np.divmod(np.arange(start, min(start + _STRIP, rows * columns)), columns)
-        above = np.column_stack([(first_column + column + 0.5) * cell, (last_row - row + 0.5) * cell]) - middle[:2]
-        up = np.full(len(above), float(high[2] - middle[2]) + 1.0)
-        hit = cast(scene, np.column_stack([above, up]), np.broadcast_to(np.array([0.0, 0.0, -1.0]), (len(above), 3)))
-        there = np.flatnonzero(np.isfinite(hit["t_hit"]))
-        triangles, uv = hit["primitive_ids"][there].astype(np.int64), hit["primitive_uvs"][there]
-        image[start + there, :3] = _colours(found, triangles, uv.astype(np.float64))
-        image[start + there, 3] = 255
+    for start in range(0, rows * columns, _CELLS_AT_ONCE):
+        row, column = np.divmod(np.arange(start, min(start + _CELLS_AT_ONCE, rows * columns)), columns)
+        centres = np.column_stack([(first_column + column + 0.5) * cell, (last_row - row + 0.5) * cell]) - middle[:2]
+        start_z = np.full(len(centres), float(high[2] - middle[2]) + 1.0)
+        hits = cast(scene, np.column_stack([centres, start_z]), np.broadcast_to(np.array([0.0, 0.0, -1.0]), (len(centres), 3)))
+        covered = np.flatnonzero(np.isfinite(hits["t_hit"]))
+        triangles, uv = hits["primitive_ids"][covered].astype(np.int64), hits["primitive_uvs"][covered]
+        image[start + covered, :3] = _colours(found, triangles, uv.astype(np.float64))
+        image[start + covered, 3] = 255
     return Orthophoto(image.reshape(rows, columns, 4), first_column * cell, (last_row + 1) * cell, cell)
 
 
-def _colours(found: Textured, triangles: Int64s, uv: Float64s) -> Uint8s:
+def _colours(textured: Textured, triangles: Int64s, uv: Float64s) -> Uint8s:
     """(n, 3) colours of triangles at barycentric coordinates (n, 2)."""
-    corners, weights = found.mesh.triangles[triangles], np.column_stack([1 - uv.sum(axis=1), uv])
-    colours = np.einsum("nk,nkc->nc", weights, found.mesh.colors[corners].astype(np.float64))
-    points = np.einsum("nk,nkc->nc", weights, found.mesh.vertices[corners])
-    chosen = found.chosen[triangles]
+    corners, weights = textured.mesh.triangles[triangles], np.column_stack([1 - uv.sum(axis=1), uv])
+    colours = np.einsum("nk,nkc->nc", weights, textured.mesh.colors[corners].astype(np.float64))
+    points = np.einsum("nk,nkc->nc", weights, textured.mesh.vertices[corners])
+    chosen = textured.chosen[triangles]
     for number in np.unique(chosen[chosen != NONE]).tolist():
-        view, here = found.views[number], chosen == number
-        colours[here] = sampled(view.image, project(view.camera, points[here])[0])
+        view, in_view = textured.views[number], chosen == number
+        colours[in_view] = sampled(view.image, project(view.camera, points[in_view])[0])
     return np.asarray((colours + 0.5).clip(0, 255), np.uint8)

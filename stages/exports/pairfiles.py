@@ -33,10 +33,10 @@ def pair_files(
     matches : of the pair.
     geometry, rectification, disparity : later results of the pair; None if it did not get so far.
     """
-    files = {"matches.csv": _table(matches), "1-matches.jpg": bytes(matches_preview(matches, left, right, width=FULL))}
+    files = {"matches.csv": _csv_table(matches), "1-matches.jpg": bytes(matches_preview(matches, left, right, width=FULL))}
     if geometry is not None:
         rows = "\n".join(" ".join(f"{v:.12e}" for v in row) for row in geometry.F)
-        files |= {"inliers.csv": _table(geometry), "F.txt": f"{rows}\n".encode()}
+        files |= {"inliers.csv": _csv_table(geometry), "F.txt": f"{rows}\n".encode()}
         files["2-inliers.jpg"] = bytes(matches_preview(geometry, left, right, width=FULL))
     summary: dict[str, Any] = {}
     if rectification is not None:
@@ -46,10 +46,10 @@ def pair_files(
             "3-rectified.jpg": bytes(rectified_preview(rectification, left, right, width=FULL)),
         }
         names = ("method", "reason", "H1", "H2", "disparity_min_px", "disparity_max_px")
-        summary |= {f"rectification_{name}": _plain(getattr(rectification, name)) for name in names}
+        summary |= {f"rectification_{name}": _json_value(getattr(rectification, name)) for name in names}
         if disparity is not None:
-            made, offset = _disparity_files(disparity, rectification, left, right)
-            files |= made
+            new_files, offset = _disparity_files(disparity, rectification, left, right)
+            files |= new_files
             summary |= {"png_offset_px": offset, "png_steps_per_px": PNG_STEPS}
     return files, summary
 
@@ -72,14 +72,14 @@ def _disparity_files(
     return files, offset
 
 
-def _plain(value: Any) -> Any:
+def _json_value(value: Any) -> Any:
     if isinstance(value, np.ndarray):
         return value.tolist()
     return None if isinstance(value, float) and not np.isfinite(value) else value
 
 
-def _table(found: Matches | Geometry) -> bytes:
+def _csv_table(matches: Matches | Geometry) -> bytes:
     lines = ["x1,y1,x2,y2,probability"]
-    for (x1, y1), (x2, y2), p in zip(found.x1.tolist(), found.x2.tolist(), found.probability.tolist(), strict=True):
+    for (x1, y1), (x2, y2), p in zip(matches.x1.tolist(), matches.x2.tolist(), matches.probability.tolist(), strict=True):
         lines.append(f"{x1:.3f},{y1:.3f},{x2:.3f},{y2:.3f},{p:.4f}")
     return ("\n".join(lines) + "\n").encode()

@@ -42,8 +42,8 @@ def write(value: Any, folder: Path, stem: str) -> Any:
         return {"capture": value.name, "file": file}
     if dataclasses.is_dataclass(value):
         kind = type(value)
-        kept = [f.name for f in dataclasses.fields(value) if not f.metadata.get("transient")]  # transient ones are recomputed
-        fields = {name: write(getattr(value, name), folder, f"{stem}.{name}") for name in kept}
+        stored = [f.name for f in dataclasses.fields(value) if not f.metadata.get("transient")]  # transient ones are recomputed
+        fields = {name: write(getattr(value, name), folder, f"{stem}.{name}") for name in stored}
         return {"type": f"{kind.__module__}:{kind.__qualname__}", "fields": fields}
     if isinstance(value, Mapping):
         parts = {key: key if isinstance(key, tuple) else (key,) for key in value}
@@ -75,20 +75,20 @@ def read(node: Any, folder: Path) -> Any:
 
 
 def _write_array(array: Array, folder: Path, stem: str) -> dict[str, Any]:
-    kind = {"dtype": array.dtype.str, "shape": list(array.shape)}
+    node = {"dtype": array.dtype.str, "shape": list(array.shape)}
     if array.size <= MOST_INLINE:
-        return kind | {"values": array.ravel().tolist()}
-    picture = _picture(array)
-    if picture is not None:
+        return node | {"values": array.ravel().tolist()}
+    image = _png_image(array)
+    if image is not None:
         file = f"{stem}.png"
-        (folder / file).write_bytes(cv2.imencode(".png", picture)[1].tobytes())
+        (folder / file).write_bytes(cv2.imencode(".png", image)[1].tobytes())
     elif array.ndim <= 2 and array.dtype.kind in "fiub" and len(array) <= MOST_ROWS and array.size <= MOST_COLUMNS * len(array):
         file = f"{stem}.csv"
         np.savetxt(folder / file, array, _FORMATS.get(array.dtype.str[1:], "%d"), ",")
     else:
         file = f"{stem}.npy"
         np.save(folder / file, array, allow_pickle=False)
-    return kind | {"file": file}
+    return node | {"file": file}
 
 
 def _read_array(node: dict[str, Any], folder: Path) -> Array:
@@ -100,13 +100,13 @@ def _read_array(node: dict[str, Any], folder: Path) -> Array:
         data: Any = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
         return np.ascontiguousarray(data[..., ::-1] if len(shape) == 3 else data).astype(dtype).reshape(shape)
     if path.suffix == ".csv":
-        between = np.float64 if dtype.kind == "f" else np.int64
-        return np.loadtxt(path, dtype=between, delimiter=",", ndmin=1).astype(dtype).reshape(shape)
+        parsed_type = np.float64 if dtype.kind == "f" else np.int64
+        return np.loadtxt(path, dtype=parsed_type, delimiter=",", ndmin=1).astype(dtype).reshape(shape)
     loaded: Array = np.load(path, allow_pickle=False)
     return loaded
 
 
-def _picture(array: Array) -> Any:
+def _png_image(array: Array) -> Any:
     """An array in OpenCV's channel order and type if PNG can store it without loss as an image, else None."""
     if array.ndim == 3 and array.shape[2] == 3 and array.dtype == np.uint8:
         return array[..., ::-1]

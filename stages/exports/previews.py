@@ -32,8 +32,8 @@ from ..types import (
 WIDTH = 480
 QUALITY = 80
 LARGE = 1600
-_LINES = 60
-_DOTS = 500_000
+_MOST_LINES = 60
+_MOST_DOTS = 500_000
 
 
 def frame_preview(frame: Frame) -> Uint8s:
@@ -61,17 +61,17 @@ def matches_preview(
     left, right : frames of both views; None: a plain background.
     width : of the picture, at most.
     """
-    ground = [
-        np.full((view.height, view.width, 3), 48, np.uint8) if side is None else side.image
-        for side, view in ((left, matches.view1), (right, matches.view2))
+    images = [
+        np.full((view.height, view.width, 3), 48, np.uint8) if frame is None else frame.image
+        for frame, view in ((left, matches.view1), (right, matches.view2))
     ]
-    canvas, scale, offset = _side_by_side(ground[0], ground[1], width)
-    at1, at2 = (matches.x1 + 0.5) * scale - 0.5, (matches.x2 + 0.5) * scale - 0.5 + [offset, 0]
+    canvas, scale, offset = _side_by_side(images[0], images[1], width)
+    pixels1, pixels2 = (matches.x1 + 0.5) * scale - 0.5, (matches.x2 + 0.5) * scale - 0.5 + [offset, 0]
     cells = np.floor(matches.x1 / (matches.view1.width, matches.view1.height) * [10, 6]).astype(int)
-    chosen = np.unique(cells[:, 1] * 1000 + cells[:, 0], return_index=True)[1][:_LINES]  # the first in each cell
+    chosen = np.unique(cells[:, 1] * 1000 + cells[:, 0], return_index=True)[1][:_MOST_LINES]  # the first in each cell
     for k, n in enumerate(chosen):
         colour = _hue(k / max(1, len(chosen)))
-        start, end = (tuple(int(v) for v in np.round(p[n])) for p in (at1, at2))
+        start, end = (tuple(int(v) for v in np.round(p[n])) for p in (pixels1, pixels2))
         cv2.line(canvas, start, end, colour, 1, cv2.LINE_AA)
         cv2.circle(canvas, start, 2, colour, -1, cv2.LINE_AA)
         cv2.circle(canvas, end, 2, colour, -1, cv2.LINE_AA)
@@ -106,33 +106,33 @@ def disparity_preview(
     left, right, rectification : frames and rectification of the pair; the images need all three.
     width : of the picture, at most.
     """
-    shown = _disparities(disparity, width)
+    picture = _disparities(disparity, width)
     if left is None or right is None or rectification is None:
-        return jpeg(shown, QUALITY)
-    above = _rectified(rectification, left, right, width)
-    canvas = np.full((above.shape[0] + 4 + shown.shape[0], max(above.shape[1], shown.shape[1]), 3), 24, np.uint8)
-    canvas[: above.shape[0], : above.shape[1]] = above
-    canvas[above.shape[0] + 4 :, : shown.shape[1]] = shown
+        return jpeg(picture, QUALITY)
+    rectified = _rectified(rectification, left, right, width)
+    canvas = np.full((rectified.shape[0] + 4 + picture.shape[0], max(rectified.shape[1], picture.shape[1]), 3), 24, np.uint8)
+    canvas[: rectified.shape[0], : rectified.shape[1]] = rectified
+    canvas[rectified.shape[0] + 4 :, : picture.shape[1]] = picture
     return jpeg(canvas, QUALITY)
 
 
 def depth_preview(depth: DepthMap) -> Uint8s:
     """Depth of one view, near in warm colours, black where unknown, with a colour scale below."""
     coloured, low, high = _coloured((1.0 / depth.depth).astype(np.float32))
-    shown = _fit(coloured[0], WIDTH)
-    return jpeg(_with_scale(shown, f"{1 / low:.3g} away", f"{1 / high:.3g} away") if high > low > 0 else shown, QUALITY)
+    picture = _fit(coloured[0], WIDTH)
+    return jpeg(_with_scale(picture, f"{1 / low:.3g} away", f"{1 / high:.3g} away") if high > low > 0 else picture, QUALITY)
 
 
 def cloud_preview(cloud: Cloud, cameras: Mapping[str, Camera]) -> Uint8s:
     """The cloud from above, and the cameras as red triangles that open in the viewing direction."""
-    up, east, north = _directions(cameras)
+    up, east, north = _view_axes(cameras)
     plan = np.stack([east, north])
-    some = slice(None, None, 1 + len(cloud.points) // _DOTS)
-    scene, colors = cloud.points[some].astype(np.float64), cloud.colors[some]
+    sample = slice(None, None, 1 + len(cloud.points) // _MOST_DOTS)
+    scene, colors = cloud.points[sample].astype(np.float64), cloud.colors[sample]
     points = scene @ plan.T
     centres = np.array([camera.C for camera in cameras.values()]).reshape(-1, 3) @ plan.T
-    shown = [np.percentile(points, [1, 99], axis=0)] if len(points) else []  # without the outermost percent at each end
-    corners = np.vstack([*shown, centres]) if len(centres) or shown else np.zeros((1, 2))
+    bounds = [np.percentile(points, [1, 99], axis=0)] if len(points) else []  # without the outermost percent at each end
+    corners = np.vstack([*bounds, centres]) if len(centres) or bounds else np.zeros((1, 2))
     low, high = corners.min(axis=0), corners.max(axis=0)
     size = np.maximum(high - low, 1e-9)
     scale = min((WIDTH - 20) / size[0], (WIDTH - 20) / size[1])
@@ -148,8 +148,8 @@ def cloud_preview(cloud: Cloud, cameras: Mapping[str, Camera]) -> Uint8s:
     canvas[y[inside], x[inside]] = colors[order][inside]
     for centre, camera in zip(centres, cameras.values(), strict=True):
         ahead = plan @ camera.R[2]
-        aside = np.array([-ahead[1], ahead[0]])
-        corners = centre + np.array([np.zeros(2), 14 * ahead + 7 * aside, 14 * ahead - 7 * aside]) / scale
+        across = np.array([-ahead[1], ahead[0]])
+        corners = centre + np.array([np.zeros(2), 14 * ahead + 7 * across, 14 * ahead - 7 * across]) / scale
         cv2.polylines(canvas, [np.round(pixel(corners)).astype(np.int32)], True, (255, 70, 50), 1, cv2.LINE_AA)
     return jpeg(canvas, QUALITY)
 
@@ -186,24 +186,24 @@ def _disparities(disparity: Disparity, width: int) -> Uint8s:
     from ..rectification.warping import disparity_px  # imported here, as above
 
     coloured, low, high = _coloured(disparity_px(disparity, 1), disparity_px(disparity, 2))
-    shown = _side_by_side(coloured[0], coloured[1], width)[0]
-    return _with_scale(shown, f"{low:.1f} px", f"{high:.1f} px") if high > low else shown
+    picture = _side_by_side(coloured[0], coloured[1], width)[0]
+    return _with_scale(picture, f"{low:.1f} px", f"{high:.1f} px") if high > low else picture
 
 
 def _with_scale(picture: Uint8s, low: str, high: str) -> Uint8s:
     """The image with a strip below that shows the colour scale between its end values."""
-    wide = picture.shape[1]
-    size = max(0.35, 0.4 * wide / WIDTH)
-    ends = [cv2.getTextSize(words, cv2.FONT_HERSHEY_SIMPLEX, size, 1)[0][0] for words in (low, high)]
-    strip: Uint8s = np.full((round(42 * size), wide, 3), 24, np.uint8)
-    start, end = ends[0] + 12, min(wide - ends[1] - 12, ends[0] + 12 + wide // 3)
+    width = picture.shape[1]
+    font_size = max(0.35, 0.4 * width / WIDTH)
+    text_widths = [cv2.getTextSize(label, cv2.FONT_HERSHEY_SIMPLEX, font_size, 1)[0][0] for label in (low, high)]
+    strip: Uint8s = np.full((round(42 * font_size), width, 3), 24, np.uint8)
+    start, end = text_widths[0] + 12, min(width - text_widths[1] - 12, text_widths[0] + 12 + width // 3)
     if end > start:
         ramp = np.linspace(0, 255, end - start).astype(np.uint8)[None]
         bar = cv2.cvtColor(cv2.applyColorMap(ramp, cv2.COLORMAP_TURBO), cv2.COLOR_BGR2RGB)
         strip[len(strip) // 4 : 3 * len(strip) // 4, start:end] = bar
-        for words, x in ((low, 6), (high, end + 6)):
+        for label, x in ((low, 6), (high, end + 6)):
             cv2.putText(
-                strip, words, (x, round(0.7 * len(strip))), cv2.FONT_HERSHEY_SIMPLEX, size, (225, 225, 225), 1, cv2.LINE_AA
+                strip, label, (x, round(0.7 * len(strip))), cv2.FONT_HERSHEY_SIMPLEX, font_size, (225, 225, 225), 1, cv2.LINE_AA
             )
     return np.concatenate([picture, strip])
 
@@ -226,7 +226,7 @@ def _coloured(*maps: Float32s) -> tuple[list[Uint8s], float, float]:
     return pictures, float(low), float(high)
 
 
-def _directions(cameras: Mapping[str, Camera]) -> tuple[Float64s, Float64s, Float64s]:
+def _view_axes(cameras: Mapping[str, Camera]) -> tuple[Float64s, Float64s, Float64s]:
     """Unit vectors up (against the cameras' mean y axis), right, and ahead (their mean viewing direction), as seen from above."""
     if not cameras:
         return np.array([0.0, 0.0, 1.0]), np.array([1.0, 0.0, 0.0]), np.array([0.0, 1.0, 0.0])
@@ -248,19 +248,19 @@ MOST_OF_A_PAIR = 400
 
 def keypoint_marks(features: Features) -> bytes:
     """Evenly sampled keypoints of a camera: shares of width and height as little-endian uint16."""
-    return _places(features.xy[_some(len(features.xy), MOST)], features.view)
+    return _packed_pixels(features.xy[_sample(len(features.xy), MOST)], features.view)
 
 
 def inlier_marks(geometry: Geometry) -> bytes:
     """Evenly sampled inliers of a pair: positions in the left image, then as many in the right one, as in `keypoint_marks`."""
-    some = _some(len(geometry.x1), MOST_OF_A_PAIR)
-    return _places(geometry.x1[some], geometry.view1) + _places(geometry.x2[some], geometry.view2)
+    sample = _sample(len(geometry.x1), MOST_OF_A_PAIR)
+    return _packed_pixels(geometry.x1[sample], geometry.view1) + _packed_pixels(geometry.x2[sample], geometry.view2)
 
 
-def _some(count: int, most: int) -> Int64s:
+def _sample(count: int, most: int) -> Int64s:
     return np.arange(count) if count <= most else np.linspace(0, count - 1, most).astype(np.int64)
 
 
-def _places(xy: Float64s, view: View) -> bytes:
+def _packed_pixels(xy: Float64s, view: View) -> bytes:
     shares = (xy + 0.5) / (view.width, view.height)  # pixel centres are whole numbers
     return bytes(np.rint(shares.clip(0, 1) * 65535).astype("<u2").tobytes())

@@ -16,7 +16,7 @@ from ..types import Cloud, Float64s, Int64s
 from .octree import CELLS, Key, octree
 
 _HEADER = struct.Struct("<4s6I")
-_ALIGNED = 8
+_ALIGNMENT = 8
 """Tables begin at multiples of this many bytes."""
 
 
@@ -29,12 +29,12 @@ def tile_files(cloud: Cloud, to_earth: Float64s | None = None) -> Iterator[tuple
     low, side = points.min(axis=0), max(float(np.ptp(points, axis=0).max()), 1e-3)
     tiles: dict[Key, dict[str, Any]] = {}
     for key, rows in octree(points, low, side):
-        level, *place = key
+        level, *index = key
         edge, name = side / 2**level, f"{'-'.join(map(str, key))}.pnts"
-        box = [*(low + edge * (np.array(place) + 0.5)), *(np.eye(3) * edge / 2).ravel()]
+        box = [*(low + edge * (np.array(index) + 0.5)), *(np.eye(3) * edge / 2).ravel()]
         tiles[key] = {"boundingVolume": {"box": box}, "geometricError": 0.0, "content": {"uri": name}}
         if level:
-            parent = tiles[level - 1, place[0] // 2, place[1] // 2, place[2] // 2]
+            parent = tiles[level - 1, index[0] // 2, index[1] // 2, index[2] // 2]
             parent.setdefault("children", []).append(tiles[key])
             parent["geometricError"] = 2 * edge / CELLS  # the spacing of its points: viewers load children if it is too coarse
         yield name, _tile(cloud, rows)
@@ -46,22 +46,22 @@ def tile_files(cloud: Cloud, to_earth: Float64s | None = None) -> Iterator[tuple
 
 
 def _tile(cloud: Cloud, rows: Int64s) -> bytes:
-    shown = {"POSITION": cloud.points[rows].astype("<f4"), "RGB": cloud.colors[rows].astype(np.uint8)}
-    told = {"confidence": cloud.confidence[rows].astype("<f4"), "sigma_mm": cloud.sigma_mm[rows].astype("<f4")}
-    features = _table({"POINTS_LENGTH": len(rows)}, shown, {}, _HEADER.size)
-    tables = [*features, *_table({}, told, {"componentType": "FLOAT", "type": "SCALAR"}, 0)]
+    feature_columns = {"POSITION": cloud.points[rows].astype("<f4"), "RGB": cloud.colors[rows].astype(np.uint8)}
+    batch_columns = {"confidence": cloud.confidence[rows].astype("<f4"), "sigma_mm": cloud.sigma_mm[rows].astype("<f4")}
+    feature_table = _table({"POINTS_LENGTH": len(rows)}, feature_columns, {}, _HEADER.size)
+    tables = [*feature_table, *_table({}, batch_columns, {"componentType": "FLOAT", "type": "SCALAR"}, 0)]
     lengths = [len(table) for table in tables]
     return b"".join([_HEADER.pack(b"pnts", 1, _HEADER.size + sum(lengths), *lengths), *tables])
 
 
-def _table(words: dict[str, Any], columns: Mapping[str, Any], form: Mapping[str, str], begin: int) -> tuple[bytes, bytes]:
-    """The two parts of a table of columns: JSON with further `words`, and the bytes that it refers to.
+def _table(header: dict[str, Any], columns: Mapping[str, Any], column_type: Mapping[str, str], start: int) -> tuple[bytes, bytes]:
+    """The two parts of a table of columns: the JSON `header` with entries of the columns, and the bytes that these refer to.
 
-    form: number type, added to the entry of each column; begin: bytes before the table since the last multiple of `_ALIGNED`.
+    column_type: added to the entry of each column; start: bytes before the table since the last multiple of `_ALIGNMENT`.
     """
     data = b""
     for name, values in columns.items():
-        words[name] = {"byteOffset": len(data), **form}
+        header[name] = {"byteOffset": len(data), **column_type}
         data += values.tobytes()
-    text = json.dumps(words).encode()
-    return text + b" " * (-(begin + len(text)) % _ALIGNED), data + bytes(-len(data) % _ALIGNED)
+    text = json.dumps(header).encode()
+    return text + b" " * (-(start + len(text)) % _ALIGNMENT), data + bytes(-len(data) % _ALIGNMENT)

@@ -37,14 +37,14 @@ class Georeference:
 
     def to_earth(self) -> Float64s:
         """(4, 4) transform from world points to geocentric coordinates (EPSG 4978), metres."""
-        ends = pyproj.Transformer.from_pipeline(self.geocentric).transform(*np.vstack([np.eye(3), np.zeros(3)]).T)
-        *axes, origin = np.column_stack(ends)
+        geocentric_points = pyproj.Transformer.from_pipeline(self.geocentric).transform(*np.vstack([np.eye(3), np.zeros(3)]).T)
+        *axes, origin = np.column_stack(geocentric_points)
         return np.column_stack([*(np.append(axis - origin, 0.0) for axis in axes), np.append(origin, 1.0)])
 
     def points(self, X: Float64s) -> Float64s:
         """(n, 3) float64 world points as easting, northing and height above the ellipsoid, metres."""
-        moved = pyproj.Transformer.from_pipeline(self.steps).transform(*np.asarray(X, np.float64).T)
-        return np.column_stack(moved).astype(np.float64)
+        map_points = pyproj.Transformer.from_pipeline(self.steps).transform(*np.asarray(X, np.float64).T)
+        return np.column_stack(map_points).astype(np.float64)
 
     def local(self, X: Float64s, epsg: int | None = None) -> Float64s:
         """(n, 3) float64 world points of easting, northing and height; epsg: of another map system, whose heights are the same.
@@ -64,8 +64,8 @@ class Georeference:
 
     def directions(self, X: Float64s, directions: Float64s) -> Float64s:
         """(n, 3) unit vectors in map axes, from those at world points X: the map's north differs from the local frame's."""
-        moved = self.points(X + directions) - self.points(X)
-        return np.asarray(moved / np.linalg.norm(moved, axis=1, keepdims=True), dtype=np.float64)
+        map_directions = self.points(X + directions) - self.points(X)
+        return np.asarray(map_directions / np.linalg.norm(map_directions, axis=1, keepdims=True), dtype=np.float64)
 
 
 def georeference(crs: str) -> Georeference:
@@ -75,13 +75,13 @@ def georeference(crs: str) -> Georeference:
     """
     if not crs.startswith(LOCAL):
         raise ValueError(f"{crs!r} is not the coordinate system of a local frame")
-    upward = f"+proj=pipeline +step +inv {crs} +step +inv +proj=cart +ellps=WGS84"
-    unit = "+step +proj=unitconvert +xy_in=rad +xy_out=deg"
-    longitude, latitude, _ = pyproj.Transformer.from_pipeline(f"{upward} {unit}").transform(0.0, 0.0, 0.0)
+    to_geographic = f"+proj=pipeline +step +inv {crs} +step +inv +proj=cart +ellps=WGS84"
+    to_degrees = "+step +proj=unitconvert +xy_in=rad +xy_out=deg"
+    longitude, latitude, _ = pyproj.Transformer.from_pipeline(f"{to_geographic} {to_degrees}").transform(0.0, 0.0, 0.0)
     if not -80 <= latitude <= 84:
         raise ValueError(f"UTM does not reach latitude {latitude:g}")
     zone = int((longitude + 180) // 6) % 60 + 1
     south = " +south" if latitude < 0 else ""
-    steps = f"{upward} +step +proj=utm +zone={zone}{south} +ellps=WGS84"
+    steps = f"{to_geographic} +step +proj=utm +zone={zone}{south} +ellps=WGS84"
     epsg = (32700 if south else 32600) + zone
-    return Georeference(epsg, steps, f"{upward} {unit}", f"+proj=pipeline +step +inv {crs}")
+    return Georeference(epsg, steps, f"{to_geographic} {to_degrees}", f"+proj=pipeline +step +inv {crs}")

@@ -12,10 +12,10 @@ from ..core.luminance import grey_levels
 from ..types import Bools, DepthMap, Frame
 from .surface_support import surroundings_px
 
-_EVEN = 1.0
+_MOST_DETAIL = 1.0
 """A pixel is even if its grey levels differ from the mean of 3 x 3 pixels (root mean square) by less than this plus a quarter of
 the noise left in the frame: it shows nothing, or only shading."""
-_FILLED = 0.5
+_LEAST_FILLED = 0.5
 """Smallest share of a large even region that must have a depth from pairs for its depths to be used.  Skies above houses, a car
 park and a stadium reach 0 to 0.25, nearly all walls and lawns there 0.54 to 1, cars and roads that show nothing 0 to 0.02."""
 
@@ -27,10 +27,10 @@ def believed(frame: Frame, depth: DepthMap) -> Bools:
     """
     grey = grey_levels(frame.image).astype(np.float32)
     detail = cv2.blur(np.square(grey - cv2.blur(grey, (3, 3))), (3, 3))
-    even = (detail < (_EVEN + 0.25 * frame.noise_left) ** 2) & frame.mask
-    count, region = cv2.connectedComponents(even.astype(np.uint8), connectivity=4)
+    even = (detail < (_MOST_DETAIL + 0.25 * frame.noise_left) ** 2) & frame.mask
+    region_count, region = cv2.connectedComponents(even.astype(np.uint8), connectivity=4)
     pixels = np.bincount(region.ravel())
-    filled = np.bincount(region.ravel(), np.isfinite(depth.depth).ravel(), count)
-    known = (filled >= _FILLED * pixels) | (pixels < surroundings_px(frame.mask.shape))
-    known[0] = True  # label 0: pixels that are not even
-    return np.asarray(frame.mask & known[region], np.bool_)
+    filled = np.bincount(region.ravel(), np.isfinite(depth.depth).ravel(), region_count)
+    usable = (filled >= _LEAST_FILLED * pixels) | (pixels < surroundings_px(frame.mask.shape))
+    usable[0] = True  # label 0: pixels that are not even
+    return np.asarray(frame.mask & usable[region], np.bool_)

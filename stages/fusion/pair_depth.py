@@ -22,7 +22,7 @@ from ..types import MOST_PARTNERS, Bools, Camera, DepthMap, Disparity, Float32s,
 _SMOOTH_PX = 2.5
 """Neighbouring pixels whose disparities differ by no more than this lie on one surface."""
 
-_UNLIKE = 2.0
+_SCALE_RATIO = 2.0
 """`noise_px` is in rectified pixels if their side, in frame pixels, differs by more than this factor between the two frames."""
 
 _SAME_STEP = 0.3
@@ -33,9 +33,9 @@ _TILES = 5
 _TILE_PIXELS, _LEAST_SHARE = 40, 0.05
 """Fewest pixels with both depths in a tile, and smallest share of the view in such tiles: with less, a repeated pattern mistaken
 by one pair would decide (a warehouse's shelves: 7 px on 3 % of a view with exact cameras)."""
-_COMPARED = 40_000
+_COMPARED_PIXELS = 40_000
 """Approximate number of pixels at which two pairs are compared."""
-_SCATTER = 0.6
+_SCATTER_SHARE = 0.6
 """Share of the scatter within tiles that noise may leave in the tiles' medians, and that `apart_px` takes off (at most 0.65 in
 five rendered scenes with right cameras, counting differences over 0.1 px; 0.82 in a hall at night)."""
 _LONG_SIDE = 768
@@ -47,7 +47,7 @@ class NoiseModel:
     """Expected errors of depth."""
 
     noise_px: float = 0.35
-    """Standard deviation of a match in pixels of the other image; in rectified pixels between unlike views (`_UNLIKE`)."""
+    """Standard deviation of a match in pixels of the other image; in rectified pixels between unlike views (`_SCALE_RATIO`)."""
     floor: float = 0.0004
     """Relative error of depth that a higher resolution does not reduce."""
     limit: float = 0.006
@@ -81,22 +81,22 @@ def pair_depth(
     else:
         y, x = np.mgrid[0 : camera.height, 0 : camera.width].reshape(2, -1)
         pixels = np.column_stack([x, y]).astype(np.float64)
-        at = to_rectified(rectification, side, pixels)
-        at[:, 0] += sign * sample_disparity(d, at)
-        partner = from_rectified(rectification, 2 if side == 1 else 1, at)
-        _triangulate(pixels, partner, M, b, depth.ravel(), gain.ravel())
-    there = _frame_px(rectification, 2 if side == 1 else 1, other)
-    own = _frame_px(rectification, side, camera)
-    return depth, gain * np.float32(there) if max(own, there) > _UNLIKE * min(own, there) else gain
+        position = to_rectified(rectification, side, pixels)
+        position[:, 0] += sign * sample_disparity(d, position)
+        partner_pixels = from_rectified(rectification, 2 if side == 1 else 1, position)
+        _triangulate(pixels, partner_pixels, M, b, depth.ravel(), gain.ravel())
+    other_px = _frame_px(rectification, 2 if side == 1 else 1, other)
+    own_px = _frame_px(rectification, side, camera)
+    return depth, gain * np.float32(other_px) if max(own_px, other_px) > _SCALE_RATIO * min(own_px, other_px) else gain
 
 
 def _frame_px(rectification: Rectification, side: Side, camera: Camera) -> float:
     """Side of a rectified pixel in pixels of the frame, median over the part of the frame that is shown."""
     grid = frame_grid((camera.width, camera.height))
     with np.errstate(divide="ignore", invalid="ignore"):
-        x = to_rectified(rectification, side, grid)
+        position = to_rectified(rectification, side, grid)
         width, height = rectification.size1 if side == 1 else rectification.size2
-        shown = ((x > -0.5) & (x < (width - 0.5, height - 0.5))).all(axis=1)
+        shown = ((position > -0.5) & (position < (width - 0.5, height - 0.5))).all(axis=1)
         area = np.abs(resampling(rectification, side, grid[shown])[0])
     return float(1 / np.sqrt(np.median(area))) if shown.any() else 1.0
 
@@ -147,13 +147,13 @@ def _disparity_at(disparity: Float32s, x: float, y: float) -> float:
     c, d = disparity[y0 + 1, x0], disparity[y0 + 1, x0 + 1]
     if abs(a - b) <= _SMOOTH_PX and abs(c - d) <= _SMOOTH_PX:
         above, below = a * (1 - fx) + b * fx, c * (1 - fx) + d * fx
-        if abs(above - below) <= _SMOOTH_PX or _goes_on(disparity, x0 + int(fx >= 0.5), y0):
+        if abs(above - below) <= _SMOOTH_PX or _is_on_slope(disparity, x0 + int(fx >= 0.5), y0):
             return float(above * (1 - fy) + below * fy)
     return float(disparity[y0 + int(fy >= 0.5), x0 + int(fx >= 0.5)])
 
 
 @helper
-def _goes_on(disparity: Float32s, x: int, y: int) -> bool:
+def _is_on_slope(disparity: Float32s, x: int, y: int) -> bool:
     """Whether the step from row y to the next belongs to a slope: on ground seen at a low angle, steps of several pixels repeat
     from row to row; at an edge there is one."""
     step = disparity[y + 1, x] - disparity[y, x]
@@ -201,7 +201,7 @@ def fuse_pairs(
     h, w = Z.shape[1:]
     depth, sigma = np.full((h, w), np.nan, np.float32), np.full((h, w), np.nan, np.float32)
     support = np.zeros((h, w), np.uint32)
-    _agree(Z, G, noise.noise_px, noise.floor, noise.limit, depth, sigma, support)
+    _fuse_agreeing(Z, G, noise.noise_px, noise.floor, noise.limit, depth, sigma, support)
     slope_x, slope_y = inverse_depth_slopes(depth, camera.K[0, 0])
     return DepthMap(depth, sigma, slope_x, slope_y, support, tuple(partners), np.isfinite(depth))
 
@@ -219,53 +219,53 @@ def apart_px(depths: Sequence[Float32s], gains: Sequence[Float32s], noise: Noise
     noise : noise model; only pixels that are exact enough to be fused are compared.
     """
     h, w = depths[0].shape
-    step = max(1, int(np.sqrt(h * w / _COMPARED)))
-    Z, G = (np.stack([each[::step, ::step] for each in maps]) for maps in (depths, gains))
+    step = max(1, int(np.sqrt(h * w / _COMPARED_PIXELS)))
+    Z, G = (np.stack([values[::step, ::step] for values in maps]) for maps in (depths, gains))
     Z[~noise.usable(Z, G)] = np.nan
-    found = {}
+    result = {}
     for a, b in combinations(range(len(Z)), 2):
-        off = (Z[a] - Z[b]) / np.hypot(G[a], G[b])
-        tiles = [tile[np.isfinite(tile)] for rows in np.array_split(off, _TILES) for tile in np.array_split(rows, _TILES, axis=1)]
+        gap = (Z[a] - Z[b]) / np.hypot(G[a], G[b])
+        tiles = [tile[np.isfinite(tile)] for rows in np.array_split(gap, _TILES) for tile in np.array_split(rows, _TILES, axis=1)]
         tiles = [tile for tile in tiles if len(tile) >= _TILE_PIXELS]
-        if sum(map(len, tiles)) >= _LEAST_SHARE * off.size:
+        if sum(map(len, tiles)) >= _LEAST_SHARE * gap.size:
             count, median = [len(tile) for tile in tiles], [float(np.median(tile)) for tile in tiles]
             scatter = [1.4826 * float(np.median(np.abs(tile - m))) for tile, m in zip(tiles, median, strict=True)]
-            px, noise_px = (float(np.median(np.repeat(np.abs(each), count))) for each in (median, scatter))
-            found[a, b] = math.sqrt(max(0.0, px**2 - (_SCATTER * noise_px) ** 2)) * min(1.0, _LONG_SIDE / max(h, w))
-    return found
+            median_px, noise_px = (float(np.median(np.repeat(np.abs(values), count))) for values in (median, scatter))
+            result[a, b] = math.sqrt(max(0.0, median_px**2 - (_SCATTER_SHARE * noise_px) ** 2)) * min(1.0, _LONG_SIDE / max(h, w))
+    return result
 
 
 @kernel
-def _agree(
+def _fuse_agreeing(
     Z: Float32s, G: Float32s, noise: float, floor: float, limit: float, depth: Float32s, sigma: Float32s, support: Uint32s
 ) -> None:
     n, h, w = Z.shape
-    s = np.empty(n)
+    sigmas = np.empty(n)
     for y in range(h):
         for x in range(w):
             for k in range(n):
-                s[k] = np.sqrt((noise * G[k, y, x]) ** 2 + (floor * Z[k, y, x]) ** 2)
-                if not s[k] <= limit * Z[k, y, x]:
-                    s[k] = np.nan
-            best = 0.0
+                sigmas[k] = np.sqrt((noise * G[k, y, x]) ** 2 + (floor * Z[k, y, x]) ** 2)
+                if not sigmas[k] <= limit * Z[k, y, x]:
+                    sigmas[k] = np.nan
+            best_score = 0.0
             for k in range(n):
-                if np.isnan(s[k]):
+                if np.isnan(sigmas[k]):
                     continue
                 z = Z[k, y, x]
-                score, total, weights, mask = 0.0, 0.0, 0.0, np.uint32(0)
+                score, total, weights, supporters = 0.0, 0.0, 0.0, np.uint32(0)
                 for m in range(n):
-                    tolerance = min(3.0 * np.sqrt(s[k] ** 2 + s[m] ** 2), 0.016 * z)
+                    tolerance = min(3.0 * np.sqrt(sigmas[k] ** 2 + sigmas[m] ** 2), 0.016 * z)
                     if abs(Z[m, y, x] - z) <= tolerance:  # never true where s[m] is nan
-                        weight = 1.0 / s[m] ** 2
+                        weight = 1.0 / sigmas[m] ** 2
                         total += weight * Z[m, y, x]
                         weights += weight
-                        score += 1.0 + 0.1 * floor * z / s[m]  # the more exact one wins a tie
-                        mask |= np.uint32(1) << np.uint32(m)
-                if score > best:
-                    best = score
+                        score += 1.0 + 0.1 * floor * z / sigmas[m]  # the more exact one wins a tie
+                        supporters |= np.uint32(1) << np.uint32(m)
+                if score > best_score:
+                    best_score = score
                     depth[y, x] = total / weights
                     sigma[y, x] = max(1.0 / np.sqrt(weights), floor * z)
-                    support[y, x] = mask
+                    support[y, x] = supporters
 
 
 def inverse_depth_slopes(depth: Float32s, focal: float, radius: int = 3) -> tuple[Float32s, Float32s]:
@@ -290,9 +290,9 @@ def _slopes(q: Float32s, radius: int, steepest: float, slope_x: Float32s, slope_
                 if max(abs(dx), abs(dy)) == 0:
                     continue
                 first, last = max(0, -dx), min(w, w - dx)
-                here, there = q[y, first:last], q[j, first + dx : last + dx]
+                centre, neighbour = q[y, first:last], q[j, first + dx : last + dx]
                 _add_neighbour(
-                    here, there, float(dx), float(dy), steepest,
+                    centre, neighbour, float(dx), float(dy), steepest,
                     xx[first:last], yy[first:last], xy[first:last], xq[first:last], yq[first:last],
                 )  # fmt: skip
         for x in range(w):
@@ -304,8 +304,8 @@ def _slopes(q: Float32s, radius: int, steepest: float, slope_x: Float32s, slope_
 
 @helper
 def _add_neighbour(
-    here: Float32s,
-    there: Float32s,
+    centre: Float32s,
+    neighbour: Float32s,
     dx: float,
     dy: float,
     steepest: float,
@@ -316,14 +316,14 @@ def _add_neighbour(
     yq: Float64s,
 ) -> None:
     reach = max(abs(dx), abs(dy))
-    for x in range(len(here)):
-        e = there[x] - here[x]
-        near = abs(e) <= steepest * here[x] * reach  # False where either is nan
-        xx[x] += dx * dx if near else 0.0
-        yy[x] += dy * dy if near else 0.0
-        xy[x] += dx * dy if near else 0.0
-        xq[x] += dx * e if near else 0.0
-        yq[x] += dy * e if near else 0.0
+    for x in range(len(centre)):
+        difference = neighbour[x] - centre[x]
+        same_surface = abs(difference) <= steepest * centre[x] * reach  # False where either is nan
+        xx[x] += dx * dx if same_surface else 0.0
+        yy[x] += dy * dy if same_surface else 0.0
+        xy[x] += dx * dy if same_surface else 0.0
+        xq[x] += dx * difference if same_surface else 0.0
+        yq[x] += dy * difference if same_surface else 0.0
 
 
 def world_normals(camera: Camera, depth: DepthMap, rows: np.ndarray, columns: np.ndarray) -> Float64s:

@@ -35,8 +35,8 @@ def subsample(frame: Frame, depth: DepthMap) -> Subsampled:
     """A view on every 4th pixel."""
     h, w = frame.image.shape[:2]
     colors = cv2.resize(frame.image, (max(1, w // STEP), max(1, h // STEP)), interpolation=cv2.INTER_AREA)
-    cells = slice(STEP // 2, None, STEP), slice(STEP // 2, None, STEP)
-    return Subsampled(np.asarray(colors, dtype=np.uint8), depth.depth[cells].copy())
+    centres = slice(STEP // 2, None, STEP), slice(STEP // 2, None, STEP)
+    return Subsampled(np.asarray(colors, dtype=np.uint8), depth.depth[centres].copy())
 
 
 def nearest_views(name: str, cameras: Mapping[str, Camera], small: Mapping[str, Subsampled], count: int) -> list[str]:
@@ -71,13 +71,13 @@ def natural_voxel(cameras: Mapping[str, Camera], small: Mapping[str, Subsampled]
     It is rounded down to a preferred number, so that the grid stays the same when cameras fail or surfaces change from night to
     night.
     """
-    edges = [(g.depth / cameras[name].K[0, 0])[1::2, 1::2].ravel() for name, g in small.items()]
+    edges = [(view.depth / cameras[name].K[0, 0])[1::2, 1::2].ravel() for name, view in small.items()]
     median = float(np.nanmedian(np.concatenate(edges)))
     decade = 10.0 ** np.floor(np.log10(median))
-    return float(decade * max(step for step in _PREFERRED if step <= max(median / decade, 1.0)))
+    return float(decade * max(step for step in _PREFERRED_STEPS if step <= max(median / decade, 1.0)))
 
 
-_PREFERRED = (1.0, 1.25, 1.6, 2.0, 2.5, 3.2, 4.0, 5.0, 6.3, 8.0)
+_PREFERRED_STEPS = (1.0, 1.25, 1.6, 2.0, 2.5, 3.2, 4.0, 5.0, 6.3, 8.0)
 """Renard's series R10: ten steps to a decade."""
 
 
@@ -102,30 +102,30 @@ def exposure_gains(
     if not rows:
         return {name: np.ones(3) for name in names}
     w = np.array(weights)[:, None]
-    hold = 0.1 * np.eye(len(names))  # ties each set of connected cameras to a mean gain of one
-    right = np.vstack([-np.array(ratios) * w, np.zeros((len(names), 3))])
-    log_gains = np.linalg.lstsq(np.vstack([np.array(rows) * w, hold]), right, rcond=None)[0]
+    prior = 0.1 * np.eye(len(names))  # ties each set of connected cameras to a mean gain of one
+    right_side = np.vstack([-np.array(ratios) * w, np.zeros((len(names), 3))])
+    log_gains = np.linalg.lstsq(np.vstack([np.array(rows) * w, prior]), right_side, rcond=None)[0]
     return dict(zip(names, np.exp(log_gains), strict=True))
 
 
-def _ratio(camera: Camera, other: Camera, ours: Subsampled, theirs: Subsampled) -> tuple[Float64s, int]:
+def _ratio(camera: Camera, other: Camera, view1: Subsampled, view2: Subsampled) -> tuple[Float64s, int]:
     """Median log ratio (3,) of two cameras' colours on surfaces that both see, and the number of pixels that it is from."""
-    pixels, z = ours.points(2)
+    pixels, z = view1.points(2)
     M, b = transfer(camera, other)
     p = z * (pixels @ M.T) + b
     with np.errstate(divide="ignore", invalid="ignore"):
-        at = p[:, :2] / p[:, 2:]
-    inside = (p[:, 2] > 0) & (at >= 0).all(axis=1) & (at < [other.width - 1, other.height - 1]).all(axis=1)
-    pixels, at, there = pixels[inside], at[inside], p[inside, 2]
-    agrees = np.abs(_at(theirs.depth, at) - there) < 0.01 * there
-    one, two = (_at(colors, places[agrees]).astype(np.float64) for colors, places in ((ours.colors, pixels), (theirs.colors, at)))
-    usable = ((one > 10) & (one < 245) & (two > 10) & (two < 245)).all(axis=1)
+        xy2 = p[:, :2] / p[:, 2:]
+    inside = (p[:, 2] > 0) & (xy2 >= 0).all(axis=1) & (xy2 < [other.width - 1, other.height - 1]).all(axis=1)
+    pixels, xy2, z2 = pixels[inside], xy2[inside], p[inside, 2]
+    agrees = np.abs(_values(view2.depth, xy2) - z2) < 0.01 * z2
+    rgb1, rgb2 = (_values(colors, x[agrees]).astype(np.float64) for colors, x in ((view1.colors, pixels), (view2.colors, xy2)))
+    usable = ((rgb1 > 10) & (rgb1 < 245) & (rgb2 > 10) & (rgb2 < 245)).all(axis=1)
     if usable.sum() < 50:
         return np.zeros(3), 0
-    return np.median(np.log(one[usable] / two[usable]), axis=0), int(usable.sum())
+    return np.median(np.log(rgb1[usable] / rgb2[usable]), axis=0), int(usable.sum())
 
 
-def _at(values: Uint8s | Float32s, places: Float64s) -> np.ndarray:
+def _values(values: Uint8s | Float32s, places: Float64s) -> np.ndarray:
     """(n, ...) values of a subsampled view at positions in pixels of the full size."""
     h, w = values.shape[:2]
     x, y = (places[:, :2].T + 0.5).astype(int) // STEP

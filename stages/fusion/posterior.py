@@ -37,7 +37,7 @@ _AROUND = np.array([-0.75, 0.7, 2.94, -0.98])
 _PATCH_PX = 3
 """Half side of the patch of `noisiness`, in pixels of an image 768 wide (scaled for larger ones), as in `refine`."""
 
-_QUANTIZED = 1 / 12
+_ROUNDING_VARIANCE = 1 / 12
 """Variance of grey levels due to rounding alone."""
 
 _MOST_LEFT_OUT = 0.5
@@ -51,10 +51,10 @@ def most_probable(right: Float32s, share: float) -> Bools:
     """
     ranked = np.sort(right)[::-1]
     expected = np.cumsum(ranked, dtype=np.float64) / np.arange(1, len(ranked) + 1)
-    count, least = int((expected >= share).sum()), int(np.ceil((1 - _MOST_LEFT_OUT) * len(ranked)))
+    count, fewest = int((expected >= share).sum()), int(np.ceil((1 - _MOST_LEFT_OUT) * len(ranked)))
     if count == len(ranked):
         return np.ones(len(right), np.bool_)
-    return np.asarray(right > ranked[count] if count >= least else right >= ranked[least - 1])
+    return np.asarray(right > ranked[count] if count >= fewest else right >= ranked[fewest - 1])
 
 
 def own_logit(depth: DepthMap, usable: Bools) -> Float32s:
@@ -69,17 +69,17 @@ def likelier(found: Sequence[TrustedDepth]) -> TrustedDepth:
     """
     first, *others = found
     for other in others:
-        taken = ~first.depth.sure & (other.own > first.own)
-        first = TrustedDepth(_overlaid(first.depth, other.depth, taken), np.where(taken, other.own, first.own))
+        replaced = ~first.depth.sure & (other.own > first.own)
+        first = TrustedDepth(_merged(first.depth, other.depth, replaced), np.where(replaced, other.own, first.own))
     return first
 
 
-def _overlaid(depth: DepthMap, other: DepthMap, taken: Bools) -> DepthMap:
-    """Depth map of a view, with the values of another map of the same view where `taken` (h, w)."""
+def _merged(depth: DepthMap, other: DepthMap, replaced: Bools) -> DepthMap:
+    """Depth map of a view, with the values of another map of the same view where `replaced` (h, w)."""
     partners = tuple(dict.fromkeys((*depth.partners, *other.partners)))[:MOST_PARTNERS]
     names = ("depth", "sigma", "slope_x", "slope_y", "sure")
-    mixed: dict[str, Any] = {name: np.where(taken, getattr(other, name), getattr(depth, name)) for name in names}
-    return replace(depth, **mixed, support=np.where(taken, other.support_of(partners), depth.support), partners=partners)
+    values: dict[str, Any] = {name: np.where(replaced, getattr(other, name), getattr(depth, name)) for name in names}
+    return replace(depth, **values, support=np.where(replaced, other.support_of(partners), depth.support), partners=partners)
 
 
 def posterior(depth: DepthMap, frame: Frame, own: Float32s, check: CrossCheck) -> Float32s:
@@ -93,8 +93,8 @@ def posterior(depth: DepthMap, frame: Frame, own: Float32s, check: CrossCheck) -
     """
     known = frame.mask & np.isfinite(depth.depth) & (check.pairs > 0)
     logit = _logit(_OTHERS, [own, *evidence_of_others(check)], known)
-    around = surface_support(depth, known, probability(logit))
-    return probability(_logit(_AROUND, [logit, around, noisiness(frame)], known))
+    surroundings = surface_support(depth, known, probability(logit))
+    return probability(_logit(_AROUND, [logit, surroundings, noisiness(frame)], known))
 
 
 def own_evidence(depth: DepthMap, usable: Bools) -> list[Float32s]:
@@ -104,8 +104,8 @@ def own_evidence(depth: DepthMap, usable: Bools) -> list[Float32s]:
         pairs += depth.support & np.uint32(1 << k) > 0
     sure = depth.sure.astype(np.float32)
     with np.errstate(invalid="ignore"):
-        relative = np.log(depth.sigma / depth.depth)
-    return [sure, np.log1p(pairs), surface_support(depth, usable, sure), relative]
+        log_relative_sigma = np.log(depth.sigma / depth.depth)
+    return [sure, np.log1p(pairs), surface_support(depth, usable, sure), log_relative_sigma]
 
 
 def evidence_of_others(check: CrossCheck) -> list[Float32s]:
@@ -127,7 +127,7 @@ def noisiness(frame: Frame) -> Float32s:
     grey = luminance(frame.image)
     side = 2 * _PATCH_PX * spacing_px(grey.shape) + 1
     mean = cv2.blur(grey, (side, side))
-    variance = np.maximum(cv2.blur(grey * grey, (side, side)) - mean * mean, np.float32(_QUANTIZED))
+    variance = np.maximum(cv2.blur(grey * grey, (side, side)) - mean * mean, np.float32(_ROUNDING_VARIANCE))
     return np.asarray(np.log1p(np.float32(frame.noise_left**2) / variance), np.float32)
 
 

@@ -21,8 +21,8 @@ def surface_support(depth: DepthMap, usable: Bools, weight: Float32s | None = No
     inverse = np.where(usable, 1.0 / depth.depth, np.float32(np.nan)).astype(np.float32)
     relative = (depth.sigma / depth.depth).astype(np.float32)
     share = np.zeros(usable.shape, np.float32)
-    counted = usable.astype(np.float32) if weight is None else weight
-    _count(inverse, counted, depth.slope_x, depth.slope_y, relative, spacing * _REACH, spacing * _STRIDE, share)
+    weights = usable.astype(np.float32) if weight is None else weight
+    _sum_support(inverse, weights, depth.slope_x, depth.slope_y, relative, spacing * _REACH, spacing * _STRIDE, share)
     return share
 
 
@@ -37,12 +37,12 @@ def spacing_px(shape: tuple[int, ...]) -> int:
 
 
 @kernel
-def _count(
+def _sum_support(
     inverse: Float32s, weight: Float32s, slope_x: Float32s, slope_y: Float32s, relative: Float32s, reach: int, stride: int,
     share: Float32s,
 ) -> None:  # fmt: skip
     h, w = inverse.shape
-    asked = np.float32((2 * (reach // stride) + 1) ** 2 - 1)
+    neighbours = np.float32((2 * (reach // stride) + 1) ** 2 - 1)
     for y in range(h):
         for dy in range(-reach, reach + 1, stride):
             if not 0 <= y + dy < h:
@@ -51,13 +51,13 @@ def _count(
                 if dx == 0 and dy == 0:
                     continue
                 first, last = max(0, -dx), min(w, w - dx)
-                there, counts = inverse[y + dy, first + dx :], weight[y + dy, first + dx :]
-                here, a, b = inverse[y, first:], slope_x[y, first:], slope_y[y, first:]
-                sigma, count = relative[y, first:], share[y, first:]
+                neighbour, neighbour_weight = inverse[y + dy, first + dx :], weight[y + dy, first + dx :]
+                centre, a, b = inverse[y, first:], slope_x[y, first:], slope_y[y, first:]
+                sigma, total = relative[y, first:], share[y, first:]
                 fx, fy = np.float32(dx), np.float32(dy)
                 for x in range(last - first):
-                    tolerance = min(np.float32(3.0) * sigma[x] + np.float32(0.002), np.float32(0.016)) * here[x]
-                    near = abs(there[x] - here[x] - a[x] * fx - b[x] * fy) <= tolerance  # False where either is nan
-                    count[x] += counts[x] if near else np.float32(0.0)
+                    tolerance = min(np.float32(3.0) * sigma[x] + np.float32(0.002), np.float32(0.016)) * centre[x]
+                    on_plane = abs(neighbour[x] - centre[x] - a[x] * fx - b[x] * fy) <= tolerance  # False where either is nan
+                    total[x] += neighbour_weight[x] if on_plane else np.float32(0.0)
         for x in range(w):
-            share[y, x] /= asked
+            share[y, x] /= neighbours

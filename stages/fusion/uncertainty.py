@@ -25,19 +25,19 @@ from ..core.jit import kernel
 from ..types import Camera, DepthMap, Float32s, Float64s, Int64s, Uint8s
 from .visibility import ITSELF, CrossCheck
 
-_MODEL, _ROUGHNESS = 0.2, 1.5
+_MODEL_WEIGHT, _ROUGHNESS_WEIGHT = 0.2, 1.5
 """Weights of the model and of the surrounding pixels; that of the views is the square root of the number that agree."""
-_SHARED = 0.5
+_SHARED_ERROR = 0.5
 """Share of all errors that comes from shared pairs (see above; fitted on the demo's yards, apron and stadium)."""
-_NORMAL_LOG = -0.635
+_MEAN_LOG_NORMAL = -0.635
 """Mean logarithm of the absolute value of a standard normal variable."""
-_LAID = 0.05
+_LEAST_ROUGHNESS = 0.05
 """If the surroundings are this close to the plane, over the expected distance, they were put on it, and show no errors."""
-_AROUND, _PATCHES_PX = 2, 768
+_NEIGHBOUR_PX, _NOMINAL_SIDE = 2, 768
 """Distance of the surrounding pixels, in images of this long side (scaled): nearer ones were matched on nearly the same patch."""
-_OTHER_SURFACE = 0.02
+_MOST_ROUGHNESS = 0.02
 """Upper limit of distances from the plane, as a share of the depth: larger ones are of other surfaces, and are clipped."""
-_GRAZING = 0.05
+_LEAST_COSINE = 0.05
 """Lower limit of the cosine between ray and normal."""
 
 
@@ -50,13 +50,13 @@ def depth_variance(depth: DepthMap, check: CrossCheck, y: Int64s, x: Int64s) -> 
     y, x : (n,) rows and columns of pixels that have a depth.
     """
     sigma, views = depth.sigma[y, x].astype(np.float64), check.agreeing[y, x].astype(np.float64)
-    around = _AROUND * max(1, round(max(depth.depth.shape) / _PATCHES_PX))
-    rough = _roughness(depth.depth, depth.slope_x, depth.slope_y, y, x, around) * depth.depth[y, x] / sigma
-    by_pixels = np.where(rough > _LAID, _ROUGHNESS, 0.0)
-    apart = check.apart[y, x] / np.maximum(views, 1.0) - np.where(views > 0, _NORMAL_LOG, 0.0)
-    factor = np.sqrt(views) * apart + by_pixels * np.log(np.maximum(rough, _LAID))
-    seen = sigma * np.exp(factor / (_MODEL + np.sqrt(views) + by_pixels))
-    return np.asarray(seen**2 * (1.0 + _SHARED / np.maximum(views, 1.0)), dtype=np.float64)
+    distance = _NEIGHBOUR_PX * max(1, round(max(depth.depth.shape) / _NOMINAL_SIDE))
+    roughness = _roughness(depth.depth, depth.slope_x, depth.slope_y, y, x, distance) * depth.depth[y, x] / sigma
+    roughness_weight = np.where(roughness > _LEAST_ROUGHNESS, _ROUGHNESS_WEIGHT, 0.0)
+    log_ratio = check.apart[y, x] / np.maximum(views, 1.0) - np.where(views > 0, _MEAN_LOG_NORMAL, 0.0)
+    weighted_logs = np.sqrt(views) * log_ratio + roughness_weight * np.log(np.maximum(roughness, _LEAST_ROUGHNESS))
+    observed_sigma = sigma * np.exp(weighted_logs / (_MODEL_WEIGHT + np.sqrt(views) + roughness_weight))
+    return np.asarray(observed_sigma**2 * (1.0 + _SHARED_ERROR / np.maximum(views, 1.0)), dtype=np.float64)
 
 
 def along_nearest_rays(
@@ -72,27 +72,27 @@ def along_nearest_rays(
     nearest : (n,) index of the nearest camera in `others`, or `ITSELF` for the view.
     """
     centres = np.concatenate([others, camera.C[None]])
-    there = centres[np.where(nearest == ITSELF, len(others), nearest)] - points
-    own, axis = camera.C - points, (points - camera.C) @ camera.R[2]
-    across = np.abs(np.sum(own * normals, axis=1)) / axis
-    cosine = np.abs(np.sum(there * normals, axis=1)) / np.linalg.norm(there, axis=1)
-    return np.asarray(variance * (across / np.maximum(cosine, _GRAZING)) ** 2, dtype=np.float64)
+    to_nearest = centres[np.where(nearest == ITSELF, len(others), nearest)] - points
+    to_own, depth = camera.C - points, (points - camera.C) @ camera.R[2]
+    normal_share = np.abs(np.sum(to_own * normals, axis=1)) / depth
+    cosine = np.abs(np.sum(to_nearest * normals, axis=1)) / np.linalg.norm(to_nearest, axis=1)
+    return np.asarray(variance * (normal_share / np.maximum(cosine, _LEAST_COSINE)) ** 2, dtype=np.float64)
 
 
 @kernel
-def _roughness(depth: Float32s, slope_x: Float32s, slope_y: Float32s, y: Int64s, x: Int64s, around: int) -> Float32s:
+def _roughness(depth: Float32s, slope_x: Float32s, slope_y: Float32s, y: Int64s, x: Int64s, distance: int) -> Float32s:
     """(n,) mean distance of the eight pixels around one from its plane, as a share of its depth; 0 where none has a depth."""
     h, w = depth.shape
-    rough = np.zeros(len(y), np.float32)
+    roughness = np.zeros(len(y), np.float32)
     for n in range(len(y)):
-        here, total, count = depth[y[n], x[n]], 0.0, 0
-        for j in range(-around, around + 1, around):
-            for i in range(-around, around + 1, around):
+        centre, total, count = depth[y[n], x[n]], 0.0, 0
+        for j in range(-distance, distance + 1, distance):
+            for i in range(-distance, distance + 1, distance):
                 row, column = y[n] + j, x[n] + i
                 if (i == 0 and j == 0) or not (0 <= row < h and 0 <= column < w) or np.isnan(depth[row, column]):
                     continue
-                plane = 1.0 / here + slope_x[y[n], x[n]] * i + slope_y[y[n], x[n]] * j
-                total += min(abs(here / depth[row, column] - here * plane), _OTHER_SURFACE)
+                expected = 1.0 / centre + slope_x[y[n], x[n]] * i + slope_y[y[n], x[n]] * j
+                total += min(abs(centre / depth[row, column] - centre * expected), _MOST_ROUGHNESS)
                 count += 1
-        rough[n] = total / count if count else 0.0
-    return rough
+        roughness[n] = total / count if count else 0.0
+    return roughness

@@ -63,9 +63,9 @@ _FLOOR = 0.0007
 ITSELF = 255
 _MOST_TRUST = np.float32(0.995)
 """Upper limit of the probability that another view's depth is right."""
-_NORMAL = 2.5066
+_ROOT_2_PI = 2.5066
 """Square root of 2 pi, by which the normal density is divided, besides its standard deviation."""
-_LEAST_APART = 0.1
+_LEAST_GAP = 0.1
 """Lower limit of the distance between two views' surfaces over the expected one: smaller distances are due to chance."""
 
 
@@ -92,33 +92,33 @@ def cross_check(
     own = view_of(name).depth
     h, w = own.depth.shape
     numbers: dict[tuple[str, ...], int] = {}
-    pairs = _own_pairs(own.support, _numbers_of(name, own, numbers))
+    pairs = _own_pairs(own.support, _pair_numbers(name, own, numbers))
     visible, agreeing, hiding = (np.zeros((h, w), np.uint8) for _ in range(3))
-    apart, reach, opposing, expected_wrong = (np.zeros((h, w), np.float32) for _ in range(4))
+    apart, least_extra, opposing, expected_wrong = (np.zeros((h, w), np.float32) for _ in range(4))
     nearest = np.full((h, w), ITSELF, np.uint8)
-    for place, other in enumerate(others):
+    for k, other in enumerate(others):
         M, b = transfer(cameras[name], cameras[other])
         view = view_of(other)
-        seen = view.depth
-        theirs = _numbers_of(other, seen, numbers)
+        partner = view.depth
+        partner_pairs = _pair_numbers(other, partner, numbers)
         words = max(1, -(-min(len(numbers), _UNCOUNTED) // 64))  # of 64 bits each
         if words > len(pairs):
             pairs = np.concatenate([pairs, np.zeros((words - len(pairs), h, w), np.uint64)])
         # (4,) g and s: a point's squared distance to the other camera, minus that to its own, is s - depth g (x, y, 1)
-        c = cameras[name].R @ (cameras[other].C - cameras[name].C)
-        farther = np.append(2.0 * np.linalg.solve(cameras[name].K.T, c), c @ c)
-        pair, rank = min(numbers.get(tuple(sorted((name, other))), _UNCOUNTED), _UNCOUNTED), min(place, ITSELF)
-        surface = own.depth, own.sigma, M, b, seen.depth, seen.slope_x, seen.slope_y, seen.sigma, seen.support
-        found = visible, agreeing, hiding, opposing, expected_wrong, pairs
-        _compare(*surface, probability(view.own), theirs, pair, *found, rank, farther, apart, nearest, reach)
-    number: dict[str, int] = {}
-    ends = [[number.setdefault(end, len(number)) for end in two] for two in [*numbers][:_UNCOUNTED]]
+        baseline = cameras[name].R @ (cameras[other].C - cameras[name].C)
+        farther_by = np.append(2.0 * np.linalg.solve(cameras[name].K.T, baseline), baseline @ baseline)
+        pair, index = min(numbers.get(tuple(sorted((name, other))), _UNCOUNTED), _UNCOUNTED), min(k, ITSELF)
+        surface = own.depth, own.sigma, M, b, partner.depth, partner.slope_x, partner.slope_y, partner.sigma, partner.support
+        results = visible, agreeing, hiding, opposing, expected_wrong, pairs
+        _compare(*surface, probability(view.own), partner_pairs, pair, *results, index, farther_by, apart, nearest, least_extra)
+    camera_numbers: dict[str, int] = {}
+    pair_cameras = [[camera_numbers.setdefault(end, len(camera_numbers)) for end in two] for two in [*numbers][:_UNCOUNTED]]
     count, seen_by = np.zeros((h, w), np.uint8), np.zeros((h, w), np.uint16)
-    _count(pairs, np.array(ends, np.uint16).reshape(-1, 2), count, seen_by)
+    _count_pairs_and_cameras(pairs, np.array(pair_cameras, np.uint16).reshape(-1, 2), count, seen_by)
     return CrossCheck(count, seen_by, visible, agreeing, opposing, hiding, expected_wrong, apart, nearest)
 
 
-def _numbers_of(view: str, depth: DepthMap, numbers: dict[tuple[str, ...], int]) -> Uint8s:
+def _pair_numbers(view: str, depth: DepthMap, numbers: dict[tuple[str, ...], int]) -> Uint8s:
     """(n,) number of the pair with each of a view's n partners, in order of first occurrence; 255: not counted.
 
     Seventeen views with 32 pairs each could have twice as many pairs, but a point with more than a hundred needs no more.
@@ -128,32 +128,32 @@ def _numbers_of(view: str, depth: DepthMap, numbers: dict[tuple[str, ...], int])
 
 
 @kernel
-def _own_pairs(support: Uint32s, bits: Uint8s) -> Uint64s:
+def _own_pairs(support: Uint32s, pair_numbers: Uint8s) -> Uint64s:
     """(words, h, w): bit k of word m is set where pair number 64 m + k supports the depth; one word holds a view's own pairs."""
     h, w = support.shape
     pairs = np.zeros((1, h, w), np.uint64)
     for y in range(h):
         for x in range(w):
-            for k in range(len(bits)):
-                if (support[y, x] >> np.uint32(k)) & np.uint32(1) and bits[k] < 64:
-                    pairs[0, y, x] |= np.uint64(1) << np.uint64(bits[k])
+            for k in range(len(pair_numbers)):
+                if (support[y, x] >> np.uint32(k)) & np.uint32(1) and pair_numbers[k] < 64:
+                    pairs[0, y, x] |= np.uint64(1) << np.uint64(pair_numbers[k])
     return pairs
 
 
 @kernel
 def _compare(
     depth: Float32s, sigma: Float32s, M: Float64s, b: Float64s, other_depth: Float32s, slope_x: Float32s, slope_y: Float32s,
-    other_sigma: Float32s, other_support: Uint32s, trust: Float32s, bits: Uint8s, number: int, visible: Uint8s, agreeing: Uint8s,
-    hiding: Uint8s, opposing: Float32s, expected_wrong: Float32s, pairs: Uint64s, place: int, farther_by: Float64s,
-    apart: Float32s, nearest: Uint8s, reach: Float32s,
+    other_sigma: Float32s, other_support: Uint32s, trust: Float32s, pair_numbers: Uint8s, common_number: int,
+    visible: Uint8s, agreeing: Uint8s, hiding: Uint8s, opposing: Float32s, expected_wrong: Float32s, pairs: Uint64s,
+    view_index: int, farther_by: Float64s, apart: Float32s, nearest: Uint8s, least_extra: Float32s,
 ) -> None:  # fmt: skip
     h, w = depth.shape
     other_h, other_w = other_depth.shape
     m00, m01, m02, m10, m11, m12, m20, m21, m22 = M[0, 0], M[0, 1], M[0, 2], M[1, 0], M[1, 1], M[1, 2], M[2, 0], M[2, 1], M[2, 2]
     b0, b1, b2 = b
-    last = min(64 * len(pairs), _UNCOUNTED)
-    common = np.uint64(1) << np.uint64(number % 64) if number < last else np.uint64(0)
-    common_word = number // 64 if number < last else 0
+    counted = min(64 * len(pairs), _UNCOUNTED)
+    common = np.uint64(1) << np.uint64(common_number % 64) if common_number < counted else np.uint64(0)
+    common_word = common_number // 64 if common_number < counted else 0
     for y in range(h):
         for x in range(w):
             own = depth[y, x]
@@ -170,51 +170,51 @@ def _compare(
             if np.isnan(other_depth[j, i]):
                 visible[y, x] += 1
                 continue
-            there = 1.0 / (1.0 / other_depth[j, i] + slope_x[j, i] * (u - i) + slope_y[j, i] * (v - j))
-            spread = np.sqrt(sigma[y, x] ** 2 + other_sigma[j, i] ** 2) + _FLOOR * z
-            tolerance = min(3.0 * spread, _SAME_SURFACE * z)
-            if there < z - tolerance:  # the point is hidden there, so the pair with that view cannot support it
+            surface_z = 1.0 / (1.0 / other_depth[j, i] + slope_x[j, i] * (u - i) + slope_y[j, i] * (v - j))
+            sigma_z = np.sqrt(sigma[y, x] ** 2 + other_sigma[j, i] ** 2) + _FLOOR * z
+            tolerance = min(3.0 * sigma_z, _SAME_SURFACE * z)
+            if surface_z < z - tolerance:  # the point is hidden there, so the pair with that view cannot support it
                 pairs[common_word, y, x] &= ~common
                 hiding[y, x] += 1
                 continue
             visible[y, x] += 1
-            t, off = min(trust[j, i], _MOST_TRUST), (there - z) / spread
-            ratio = np.float32(np.log(1.0 - t + t * z / (_NORMAL * spread) * np.exp(-0.5 * off * off)))
+            t, deviation = min(trust[j, i], _MOST_TRUST), (surface_z - z) / sigma_z
+            ratio = np.float32(np.log(1.0 - t + t * z / (_ROOT_2_PI * sigma_z) * np.exp(-0.5 * deviation * deviation)))
             opposing[y, x] += min(ratio, np.float32(0.0))
-            if there > z + tolerance:
+            if surface_z > z + tolerance:
                 if pairs[common_word, y, x] & common:
                     expected_wrong[y, x] += t
             else:
                 n0, n1 = slope_x[j, i], slope_y[j, i]  # the other view's plane, intersected with this pixel's ray
                 n2 = 1.0 / other_depth[j, i] - n0 * i - n1 * j
                 along = own * (n0 * (m00 * x + m01 * y + m02) + n1 * (m10 * x + m11 * y + m12) + n2 * (m20 * x + m21 * y + m22))
-                farther = (1.0 - n0 * b0 - n1 * b1 - n2 * b2) / along - 1.0
+                relative_gap = (1.0 - n0 * b0 - n1 * b1 - n2 * b2) / along - 1.0
                 expected = np.sqrt((sigma[y, x] / own) ** 2 + (other_sigma[j, i] / (z * along)) ** 2)
-                apart[y, x] += np.float32(np.log(max(abs(farther) / expected, _LEAST_APART)))
-                beyond = farther_by[3] - own * (farther_by[0] * x + farther_by[1] * y + farther_by[2])
-                if beyond < reach[y, x]:
-                    reach[y, x], nearest[y, x] = beyond, place
+                apart[y, x] += np.float32(np.log(max(abs(relative_gap) / expected, _LEAST_GAP)))
+                extra_distance = farther_by[3] - own * (farther_by[0] * x + farther_by[1] * y + farther_by[2])
+                if extra_distance < least_extra[y, x]:
+                    least_extra[y, x], nearest[y, x] = extra_distance, view_index
                 agreeing[y, x] += 1
-                for k in range(len(bits)):
-                    if (other_support[j, i] >> np.uint32(k)) & np.uint32(1) and bits[k] < last:
-                        pairs[bits[k] // 64, y, x] |= np.uint64(1) << np.uint64(bits[k] % 64)
+                for k in range(len(pair_numbers)):
+                    if (other_support[j, i] >> np.uint32(k)) & np.uint32(1) and pair_numbers[k] < counted:
+                        pairs[pair_numbers[k] // 64, y, x] |= np.uint64(1) << np.uint64(pair_numbers[k] % 64)
 
 
 @kernel
-def _count(pairs: Uint64s, pair_index: Uint16s, count: Uint8s, cameras: Uint16s) -> None:
+def _count_pairs_and_cameras(pairs: Uint64s, pair_cameras: Uint16s, count: Uint8s, cameras: Uint16s) -> None:
     """Count the set bits, and the distinct cameras of the pairs that they represent."""
     words, h, w = pairs.shape
-    stamp = np.full(2 * len(pair_index) + 1, -1, np.int64)
+    stamp = np.full(2 * len(pair_cameras) + 1, -1, np.int64)
     for y in range(h):
         for x in range(w):
             for m in range(words):
                 if pairs[m, y, x] == 0:
                     continue
-                for k in range(64 * m, min(64 * m + 64, len(pair_index))):
+                for k in range(64 * m, min(64 * m + 64, len(pair_cameras))):
                     if (pairs[m, y, x] >> np.uint64(k - 64 * m)) & np.uint64(1):
                         count[y, x] += 1
                         for end in range(2):
-                            camera = pair_index[k, end]
+                            camera = pair_cameras[k, end]
                             if stamp[camera] != y * w + x:
                                 stamp[camera] = y * w + x
                                 cameras[y, x] += 1

@@ -16,13 +16,13 @@ from ..core.jit import kernel
 from ..core.parallel import parallel_map
 from ..types import Float32s, Float64s, Int64s
 
-_HALF = 1 << 19  # cells to either side of the origin, per axis
+_HALF_CELLS = 1 << 19  # cells to either side of the origin, per axis
 _LEVELS = 8
 _BLOCK = 1 << 18
-_COLUMNS, _BEST = 16, 14
+_COLUMNS, _FIRST_MAXIMUM = 16, 14
 """Columns of a voxel's sums: position and normal (times weight), colour (times confidence), weight, confidence, count, standard
-deviation times weight, variance times squared weight.  Columns from `_BEST` on hold maxima: of confidence and of cameras."""
-_IN_COMMON = 0.25
+deviation times weight, variance times squared weight.  Columns from `_FIRST_MAXIMUM` on are maxima, of confidence and cameras."""
+_CORRELATION = 0.25
 """Error correlation of a voxel's samples: views share pairs, and pixels share patches (fitted as in `fusion.uncertainty`)."""
 
 
@@ -63,32 +63,32 @@ class VoxelGrid:
         """The samples of one view, summed by voxel; those beyond half a million edges from the origin are left out."""
         doublings = np.floor(np.log2(np.maximum(samples.footprint / self.edge, 1.0)))
         level = np.clip(doublings, 0, _LEVELS - 1).astype(np.int64)
-        keys, away = np.empty(len(level), np.int64), np.empty((len(level), 3), np.float32)
-        _locate(samples.points, level, self.origin, self.edge, keys, away)
+        keys, offsets = np.empty(len(level), np.int64), np.empty((len(level), 3), np.float32)
+        _locate(samples.points, level, self.origin, self.edge, keys, offsets)
         order = np.flatnonzero(keys >= 0)
         order = order[np.argsort(keys[order], kind="stable")]
         keys = keys[order]
         starts = np.flatnonzero(np.diff(keys, prepend=-1))
         columns = np.empty((len(starts), _COLUMNS), np.float32)
-        _sum(
-            order, np.append(starts, len(order)), away, samples.normals, samples.colors,
+        _sum_by_voxel(
+            order, np.append(starts, len(order)), offsets, samples.normals, samples.colors,
             samples.weight, samples.confidence, samples.cameras, samples.variance, columns,
         )  # fmt: skip
         return VoxelSums(keys[starts], columns)
 
     def add(self, sums: VoxelSums) -> None:
         """Merge in the sums of one view, in place, so that memory never holds the known voxels twice."""
-        before = len(self._keys)
-        after = before + _count_new(self._keys, sums.keys)
-        self._keys.resize(after, refcheck=False)
-        self._sums.resize((after, _COLUMNS), refcheck=False)
-        _merge_from_the_end(self._keys, self._sums, before, sums.keys, sums.columns)
+        old_count = len(self._keys)
+        new_count = old_count + _count_new(self._keys, sums.keys)
+        self._keys.resize(new_count, refcheck=False)
+        self._sums.resize((new_count, _COLUMNS), refcheck=False)
+        _merge_from_the_end(self._keys, self._sums, old_count, sums.keys, sums.columns)
 
     def merged(self) -> Iterator[Samples]:
         """One sample for each voxel, in blocks of voxels.
 
         Position and normal are means weighted by weight, the colour by confidence; `weight` is the samples' mean; `variance` is
-        that of the position for error correlation `_IN_COMMON`; confidence and cameras are the largest of the samples.
+        that of the position for error correlation `_CORRELATION`; confidence and cameras are the largest of the samples.
         """
         count = len(self._keys)
         pieces = [slice(first, min(first + _BLOCK, count)) for first in range(0, count, _BLOCK)]
@@ -97,42 +97,42 @@ class VoxelGrid:
     def _means(self, rows: slice) -> Samples:
         keys, sums = self._keys[rows], self._sums[rows]
         w, c, n = (sums[:, k, None] for k in (9, 10, 11))
-        together, alone = (sums[:, 12] / w[:, 0]) ** 2, sums[:, 13] / w[:, 0] ** 2
+        correlated, independent = (sums[:, 12] / w[:, 0]) ** 2, sums[:, 13] / w[:, 0] ** 2
         length = np.linalg.norm(sums[:, 3:6], axis=1, keepdims=True)
-        cells = np.column_stack([keys >> shift & (2 * _HALF - 1) for shift in (40, 20, 0)]) - _HALF
-        middles = self.origin + (cells + 0.5) * (self.edge * 2.0 ** (keys >> 60))[:, None]
+        cells = np.column_stack([keys >> shift & (2 * _HALF_CELLS - 1) for shift in (40, 20, 0)]) - _HALF_CELLS
+        centres = self.origin + (cells + 0.5) * (self.edge * 2.0 ** (keys >> 60))[:, None]
         return Samples(
-            middles + sums[:, 0:3] / w,  # sums are relative to the middles, which keeps single precision exact enough
+            centres + sums[:, 0:3] / w,  # sums are relative to the centres, which keeps single precision exact enough
             np.asarray(sums[:, 3:6] / np.maximum(length, 1e-30), dtype=np.float32),
             sums[:, 6:9] / c,
             (w / n)[:, 0],
             sums[:, 14].copy(),  # an array view would keep all the block's sums in memory
             sums[:, 15].copy(),
             (self.edge * 2.0 ** (keys >> 60)).astype(np.float32),
-            _IN_COMMON * together + (1.0 - _IN_COMMON) * alone,
+            _CORRELATION * correlated + (1.0 - _CORRELATION) * independent,
         )
 
 
 @kernel
-def _locate(points: Float64s, level: Int64s, origin: Float64s, edge: float, keys: Int64s, away: Float32s) -> None:
+def _locate(points: Float64s, level: Int64s, origin: Float64s, edge: float, keys: Int64s, offsets: Float32s) -> None:
     """Write the key of each point's voxel, -1 if it is too far out, and the point's offset from the voxel's centre."""
     for n in range(len(points)):
-        size = edge * 2.0 ** level[n]
-        key, inside = level[n], True
+        edge_length = edge * 2.0 ** level[n]
+        key, is_inside = level[n], True
         for axis in range(3):
-            at = (points[n, axis] - origin[axis]) / size
-            cell = np.floor(at)
-            away[n, axis] = (at - cell - 0.5) * size
-            inside &= -_HALF <= cell < _HALF
-            key = key << 20 | (int(cell) + _HALF)
-        keys[n] = key if inside else -1
+            position = (points[n, axis] - origin[axis]) / edge_length
+            cell = np.floor(position)
+            offsets[n, axis] = (position - cell - 0.5) * edge_length
+            is_inside &= -_HALF_CELLS <= cell < _HALF_CELLS
+            key = key << 20 | (int(cell) + _HALF_CELLS)
+        keys[n] = key if is_inside else -1
 
 
 @kernel
-def _sum(
+def _sum_by_voxel(
     order: Int64s,
     starts: Int64s,
-    away: Float32s,
+    offsets: Float32s,
     normals: Float32s,
     colors: Float32s,
     weight: Float32s,
@@ -146,55 +146,55 @@ def _sum(
         row = sums[voxel]
         row[:] = 0
         for n in range(starts[voxel], starts[voxel + 1]):
-            s = order[n]
-            w, c = weight[s], confidence[s]
+            sample = order[n]
+            w, c = weight[sample], confidence[sample]
             for axis in range(3):
-                row[axis] += away[s, axis] * w
-                row[3 + axis] += normals[s, axis] * w
-                row[6 + axis] += colors[s, axis] * c
+                row[axis] += offsets[sample, axis] * w
+                row[3 + axis] += normals[sample, axis] * w
+                row[6 + axis] += colors[sample, axis] * c
             row[9] += w
             row[10] += c
             row[11] += 1
-            row[12] += w * np.sqrt(variance[s])
-            row[13] += w * w * variance[s]
+            row[12] += w * np.sqrt(variance[sample])
+            row[13] += w * w * variance[sample]
             row[14] = max(row[14], c)
-            row[15] = max(row[15], cameras[s])
+            row[15] = max(row[15], cameras[sample])
 
 
 @kernel
 def _count_new(known: Int64s, keys: Int64s) -> int:
     """Number of `keys` that are not in `known`; both are sorted."""
-    count, at = 0, 0
+    count, row = 0, 0
     for k in range(len(keys)):
-        while at < len(known) and known[at] < keys[k]:
-            at += 1
-        if at == len(known) or known[at] != keys[k]:
+        while row < len(known) and known[row] < keys[k]:
+            row += 1
+        if row == len(known) or known[row] != keys[k]:
             count += 1
     return count
 
 
 @kernel
-def _merge_from_the_end(keys: Int64s, sums: Float32s, before: int, new_keys: Int64s, new_sums: Float32s) -> None:
-    """Merge new sorted rows into an array whose first `before` rows are sorted and whose length is that of the result."""
-    a, b = before - 1, len(new_keys) - 1
-    for to in range(len(keys) - 1, -1, -1):
-        if b < 0:
+def _merge_from_the_end(keys: Int64s, sums: Float32s, old_count: int, new_keys: Int64s, new_sums: Float32s) -> None:
+    """Merge new sorted rows into an array whose first `old_count` rows are sorted and whose length is that of the result."""
+    old, new = old_count - 1, len(new_keys) - 1
+    for row in range(len(keys) - 1, -1, -1):
+        if new < 0:
             return  # the remaining rows are in place already
-        if a >= 0 and keys[a] > new_keys[b]:
-            keys[to] = keys[a]
-            for c in range(_COLUMNS):
-                sums[to, c] = sums[a, c]
-            a -= 1
-        elif a >= 0 and keys[a] == new_keys[b]:
-            keys[to] = keys[a]
-            for c in range(_BEST):
-                sums[to, c] = sums[a, c] + new_sums[b, c]
-            for c in range(_BEST, _COLUMNS):
-                sums[to, c] = max(sums[a, c], new_sums[b, c])
-            a -= 1
-            b -= 1
+        if old >= 0 and keys[old] > new_keys[new]:
+            keys[row] = keys[old]
+            for column in range(_COLUMNS):
+                sums[row, column] = sums[old, column]
+            old -= 1
+        elif old >= 0 and keys[old] == new_keys[new]:
+            keys[row] = keys[old]
+            for column in range(_FIRST_MAXIMUM):
+                sums[row, column] = sums[old, column] + new_sums[new, column]
+            for column in range(_FIRST_MAXIMUM, _COLUMNS):
+                sums[row, column] = max(sums[old, column], new_sums[new, column])
+            old -= 1
+            new -= 1
         else:
-            keys[to] = new_keys[b]
-            for c in range(_COLUMNS):
-                sums[to, c] = new_sums[b, c]
-            b -= 1
+            keys[row] = new_keys[new]
+            for column in range(_COLUMNS):
+                sums[row, column] = new_sums[new, column]
+            new -= 1

@@ -11,10 +11,10 @@ from ..types import Camera, Poses
 
 def calibration(poses: Poses) -> dict[str, Any]:
     """Cameras of the main component by id, as JSON data, in pixels of the original captures."""
-    found: dict[str, Any] = {}
+    entries: dict[str, Any] = {}
     for name, camera in poses.main_cameras().items():
-        found.setdefault(camera_id(name, camera), _entry(camera, poses.metric))
-    return found
+        entries.setdefault(camera_id(name, camera), _entry(camera, poses.metric))
+    return entries
 
 
 def calibration_file(poses: Poses) -> bytes:

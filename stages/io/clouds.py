@@ -23,9 +23,9 @@ def cloud_columns(cloud: Cloud) -> dict[str, npt.NDArray[Any]]:
     Positions are float32, or float64 where the coordinates are so large (UTM) that float32 would add to the points' own error.
     """
     farthest = max(abs(float(cloud.points.min())), abs(float(cloud.points.max()))) if len(cloud.points) else 0.0
-    coarse = farthest > 0 and float(np.spacing(np.float32(farthest))) > 0.1 * float(np.median(cloud.sigma_mm)) / 1000.0
+    needs_float64 = farthest > 0 and float(np.spacing(np.float32(farthest))) > 0.1 * float(np.median(cloud.sigma_mm)) / 1000.0
     return {
-        **{name: cloud.points[:, i].astype("f8" if coarse else "f4") for i, name in enumerate(("x", "y", "z"))},
+        **{name: cloud.points[:, i].astype("f8" if needs_float64 else "f4") for i, name in enumerate(("x", "y", "z"))},
         **{name: cloud.normals[:, i] for i, name in enumerate(("nx", "ny", "nz"))},
         **{name: cloud.colors[:, i] for i, name in enumerate(("red", "green", "blue"))},
         "confidence": cloud.confidence,
@@ -45,10 +45,10 @@ def point_cloud(cloud: Cloud) -> open3d.geometry.PointCloud:
     """The cloud for open3d: points in metres, normals, and colours from 0 to 1."""
     import open3d
 
-    made = open3d.geometry.PointCloud(open3d.utility.Vector3dVector(cloud.points.astype(np.float64)))
-    made.normals = open3d.utility.Vector3dVector(cloud.normals.astype(np.float64))
-    made.colors = open3d.utility.Vector3dVector(cloud.colors.astype(np.float64) / 255.0)
-    return made
+    converted = open3d.geometry.PointCloud(open3d.utility.Vector3dVector(cloud.points.astype(np.float64)))
+    converted.normals = open3d.utility.Vector3dVector(cloud.normals.astype(np.float64))
+    converted.colors = open3d.utility.Vector3dVector(cloud.colors.astype(np.float64) / 255.0)
+    return converted
 
 
 def cloud_figures(cloud: Cloud) -> dict[str, Any]:

@@ -20,17 +20,17 @@ def jpeg_segments(data: bytes) -> Iterator[tuple[int, int, int]]:
     start: where the segment's content begins, behind marker and length.  A thumbnail inside a segment has markers of its own:
     a search for a marker must skip whole segments.
     """
-    at = 2 if data[:2] == b"\xff\xd8" else len(data)
-    while at + 4 <= len(data) and data[at] == 0xFF:
-        marker = data[at + 1]
+    offset = 2 if data[:2] == b"\xff\xd8" else len(data)
+    while offset + 4 <= len(data) and data[offset] == 0xFF:
+        marker = data[offset + 1]
         if marker == 0xFF:  # fill byte
-            at += 1
+            offset += 1
             continue
-        end = len(data) if marker == SCAN else at + 2 + int.from_bytes(data[at + 2 : at + 4], "big")
-        yield marker, at + 4, end
+        end = len(data) if marker == SCAN else offset + 2 + int.from_bytes(data[offset + 2 : offset + 4], "big")
+        yield marker, offset + 4, end
         if marker == SCAN:
             return
-        at = end
+        offset = end
 
 
 EXIF_POINTER, FOCAL_LENGTH_35MM, TAKEN = 0x8769, 0xA405, 0x9003
@@ -45,10 +45,10 @@ def focal_in_long_sides(data: Uint8s) -> float | None:
 
 def taken_at(captures: Sequence[Capture]) -> list[datetime]:
     """When captures were taken according to the camera (EXIF DateTimeOriginal); captures without that are skipped."""
-    return [moment for capture in captures if (moment := _taken(capture.data))]
+    return [moment for capture in captures if (moment := _time_taken(capture.data))]
 
 
-def _taken(data: Uint8s) -> datetime | None:
+def _time_taken(data: Uint8s) -> datetime | None:
     tiff, start = _exif(data, TAKEN, 4)
     if start is None:
         return None
@@ -63,21 +63,21 @@ def _exif(data: Uint8s, tag: int, size: int) -> tuple[bytes, int | None]:
     head = bytes(data[:65536])
     segments = (head[start:end] for marker, start, end in jpeg_segments(head) if marker == APP1)
     tiff = next((segment[6:] for segment in segments if segment[:6] == b"Exif\0\0"), b"")
-    order: Literal["little", "big"] = "little" if tiff[:2] == b"II" else "big"
+    byte_order: Literal["little", "big"] = "little" if tiff[:2] == b"II" else "big"
 
-    def number(at: int, size: int) -> int:
-        return int.from_bytes(tiff[at : at + size], order)
+    def number(offset: int, size: int) -> int:
+        return int.from_bytes(tiff[offset : offset + size], byte_order)
 
     def entry(directory: int, tag: int) -> int | None:
         """Offset of a tag's value."""
-        for at in range(directory + 2, directory + 2 + 12 * number(directory, 2), 12):
-            if number(at, 2) == tag and at + 12 <= len(tiff):
-                return at + 8
+        for offset in range(directory + 2, directory + 2 + 12 * number(directory, 2), 12):
+            if number(offset, 2) == tag and offset + 12 <= len(tiff):
+                return offset + 8
         return None
 
     pointer = entry(number(4, 4), EXIF_POINTER)
-    at = None if pointer is None else entry(number(pointer, 4), tag)
-    return tiff, None if at is None else number(at, size)
+    offset = None if pointer is None else entry(number(pointer, 4), tag)
+    return tiff, None if offset is None else number(offset, size)
 
 
 _NO_FRAME = {0xC4, 0xC8, 0xCC}
@@ -115,18 +115,18 @@ def picture_size(data: bytes) -> tuple[int, int] | None:
 
 def _tiff_size(data: bytes) -> tuple[int, int] | None:
     """Size in the first directory (TIFF 6.0, section 2; BigTIFF has longer fields)."""
-    order = "<" if data[:2] == b"II" else ">"
-    big = data[2:4] in {b"+\0", b"\0+"}
-    (at,) = struct.unpack_from(order + ("Q" if big else "I"), data, 8 if big else 4)
-    (count,) = struct.unpack_from(order + ("Q" if big else "H"), data, at)
-    first, step, value = (at + 8, 20, 12) if big else (at + 2, 12, 8)
-    found = {}
+    byte_order = "<" if data[:2] == b"II" else ">"
+    is_bigtiff = data[2:4] in {b"+\0", b"\0+"}
+    (offset,) = struct.unpack_from(byte_order + ("Q" if is_bigtiff else "I"), data, 8 if is_bigtiff else 4)
+    (count,) = struct.unpack_from(byte_order + ("Q" if is_bigtiff else "H"), data, offset)
+    first, step, value_offset = (offset + 8, 20, 12) if is_bigtiff else (offset + 2, 12, 8)
+    values = {}
     for entry in range(first, first + step * min(count, _MOST_ENTRIES), step):
-        tag, kind = struct.unpack_from(order + "HH", data, entry)
+        tag, kind = struct.unpack_from(byte_order + "HH", data, entry)
         if tag in {_WIDTH, _HEIGHT}:
-            form = {3: "H", 4: "I", 16: "Q"}.get(kind, "I")
-            (found[tag],) = struct.unpack_from(order + form, data, entry + value)
-    return (found[_WIDTH], found[_HEIGHT]) if len(found) == 2 else None
+            field_format = {3: "H", 4: "I", 16: "Q"}.get(kind, "I")
+            (values[tag],) = struct.unpack_from(byte_order + field_format, data, entry + value_offset)
+    return (values[_WIDTH], values[_HEIGHT]) if len(values) == 2 else None
 
 
 def _webp_size(data: bytes) -> tuple[int, int] | None:

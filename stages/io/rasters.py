@@ -19,8 +19,8 @@ def png(image: Uint8s | Uint16s) -> bytes:
     """PNG of (h, w, 3) uint8 RGB, (h, w, 4) uint8 RGBA, or of (h, w) uint8 or uint16."""
     if image.ndim == 3:
         image = np.asarray(cv2.cvtColor(image, cv2.COLOR_RGB2BGR if image.shape[2] == 3 else cv2.COLOR_RGBA2BGRA), np.uint8)
-    done, data = cv2.imencode(".png", image)
-    if not done:
+    success, data = cv2.imencode(".png", image)
+    if not success:
         raise ValueError(f"no PNG can be made of {image.shape} {image.dtype}")
     return bytes(data.tobytes())
 
@@ -66,15 +66,15 @@ def geotiff(bands: npt.NDArray[Any], left: float, top: float, cell: float, epsg:
     layout = {"driver": "GTiff", "width": columns, "height": rows, "count": count, "dtype": bands.dtype.name}
     layout |= {"crs": CRS.from_epsg(epsg), "transform": Affine(cell, 0.0, left, 0.0, -cell, top)}
     picture = bands.dtype == np.uint8
-    form = {"photometric": "RGB", "predictor": 2, "tiled": True} if picture else {"nodata": float("nan"), "predictor": 3}
+    options = {"photometric": "RGB", "predictor": 2, "tiled": True} if picture else {"nodata": float("nan"), "predictor": 3}
     with MemoryFile() as memory:
-        with memory.open(**layout, **form, compress="deflate", num_threads=1) as file:
+        with memory.open(**layout, **options, compress="deflate", num_threads=1) as file:
             if picture:
                 file.colorinterp = (ColorInterp.red, ColorInterp.green, ColorInterp.blue, ColorInterp.alpha)
                 file.write(bands)
-            for k, word in enumerate(words, 1):
+            for k, description in enumerate(words, 1):
                 file.write(bands[k - 1], k)
-                file.set_band_description(k, word)
+                file.set_band_description(k, description)
         return bytes(memory.read())
 
 
@@ -87,9 +87,9 @@ def stepped(values: npt.NDArray[Any], lowest: float) -> tuple[Uint16s, float]:
     known = np.isfinite(values)
     span = float(values[known].max()) - lowest if known.any() else 0.0
     steps = _preferred_below((MOST - 2) / span) if span > 0 else 1.0
-    out = np.zeros(values.shape, np.uint16)
-    out[known] = np.round((values[known].astype(np.float64) - lowest) * steps + 1)
-    return out, steps
+    quantised = np.zeros(values.shape, np.uint16)
+    quantised[known] = np.round((values[known].astype(np.float64) - lowest) * steps + 1)
+    return quantised, steps
 
 
 def _preferred_below(value: float) -> float:

@@ -70,8 +70,8 @@ def _e57(path: Path) -> Scan:
     for k in range(file.scan_count):
         scan = file.read_scan(k, ignore_missing_fields=True)
         parts.append(np.column_stack([scan[f"cartesian{axis}"] for axis in "XYZ"]).astype(np.float64))
-    words = str(file.root["coordinateMetadata"].value()) if file.root.isDefined("coordinateMetadata") else ""
-    return Scan(np.vstack(parts), int(words[5:]) if words.startswith("EPSG:") and words[5:].isdigit() else None)
+    crs_name = str(file.root["coordinateMetadata"].value()) if file.root.isDefined("coordinateMetadata") else ""
+    return Scan(np.vstack(parts), int(crs_name[5:]) if crs_name.startswith("EPSG:") and crs_name[5:].isdigit() else None)
 
 
 def _open3d(path: Path, kind: str, spacing: float) -> Float64s:
@@ -89,7 +89,7 @@ def _read(function: Callable[[Path], Any], path: Path) -> Any:
     """Return what an open3d reader returns; raise ValueError where it only prints a message (truncated files)."""
     printed = io.StringIO()
     with contextlib.redirect_stdout(printed):
-        found = function(path)
+        result = function(path)
     if "failed" in printed.getvalue() or "Unable" in printed.getvalue():
         raise ValueError("it is damaged or cut short")
-    return found
+    return result

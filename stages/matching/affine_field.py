@@ -84,50 +84,50 @@ def _fit(
     middle = np.ones((2, _BATCH))
     w0, w, e, u, v = by_neighbour[0], by_neighbour[1], by_neighbour[2], by_neighbour[3], by_neighbour[4]
     s, t = by_neighbour[5], by_neighbour[6]
-    scale, pull, spread, agree, total = by_query[0], by_query[1], by_query[2], by_query[3], by_query[4]
-    drawn, found, sums = by_query[5:9], by_query[9:15], by_query[15:27]
+    scale, pull, spread, agreeing, total = by_query[0], by_query[1], by_query[2], by_query[3], by_query[4]
+    target, solution, sums = by_query[5:9], by_query[9:15], by_query[15:27]
     for first in range(0, len(queries), _BATCH):
         count = min(_BATCH, len(queries) - first)
         for c in range(count):
             _gather(
                 first + c, queries, distance, width, index, x1, x2, affine, weight, ridge, c,
-                w0, u, v, s, t, scale, pull, middle, drawn,
+                w0, u, v, s, t, scale, pull, middle, target,
             )  # fmt: skip
         _copy(w0, w)
         for _ in range(4):
             for a in range(12):
-                _clear(sums[a])
+                _set_zero(sums[a])
             for a in range(k):
                 _add_squares(w[a], u[a], v[a], sums[0], sums[1], sums[2], sums[3], sums[4], sums[5])
                 _add_products(w[a], u[a], v[a], s[a], sums[6], sums[7], sums[8])
                 _add_products(w[a], u[a], v[a], t[a], sums[9], sums[10], sums[11])
-            _solve(sums, pull, drawn, found)
+            _solve(sums, pull, target, solution)
             for a in range(k):
-                _residuals(u[a], v[a], s[a], t[a], found, e[a])
-            _median(e, w0, spread, agree, total)
+                _residuals(u[a], v[a], s[a], t[a], solution, e[a])
+            _median(e, w0, spread, agreeing, total)
             for a in range(k):
                 _reweigh(w0[a], e[a], spread, w[a])
-        _clear(agree)
+        _set_zero(agreeing)
         for a in range(k):
-            _add_agreeing(w0[a], e[a], spread, agree)
+            _add_agreeing(w0[a], e[a], spread, agreeing)
         for c in range(count):
             q = first + c
-            prediction[q, 0], prediction[q, 1] = middle[0, c] + found[2, c], middle[1, c] + found[5, c]
-            out[q, 0, 0], out[q, 0, 1] = found[0, c] / scale[c], found[1, c] / scale[c]
-            out[q, 1, 0], out[q, 1, 1] = found[3, c] / scale[c], found[4, c] / scale[c]
-            sigma[q], support[q] = spread[c], agree[c]
+            prediction[q, 0], prediction[q, 1] = middle[0, c] + solution[2, c], middle[1, c] + solution[5, c]
+            out[q, 0, 0], out[q, 0, 1] = solution[0, c] / scale[c], solution[1, c] / scale[c]
+            out[q, 1, 0], out[q, 1, 1] = solution[3, c] / scale[c], solution[4, c] / scale[c]
+            sigma[q], support[q] = spread[c], agreeing[c]
 
 
 @helper
-def _copy(here: Float32s, there: Float32s) -> None:
-    """Copy without `there[:] = here`, whose error for different shapes takes longer to compile than this whole function."""
-    for a in range(here.shape[0]):
-        for c in range(here.shape[1]):
-            there[a, c] = here[a, c]
+def _copy(source: Float32s, target: Float32s) -> None:
+    """Copy without `target[:] = source`, whose error for different shapes takes longer to compile than this whole function."""
+    for a in range(source.shape[0]):
+        for c in range(source.shape[1]):
+            target[a, c] = source[a, c]
 
 
 @helper
-def _clear(row: Float32s) -> None:
+def _set_zero(row: Float32s) -> None:
     for c in range(len(row)):
         row[c] = 0
 
@@ -153,10 +153,10 @@ def _gather(
     scale: Float32s,
     pull: Float32s,
     middle: Float64s,
-    drawn: Float32s,
+    target: Float32s,
 ) -> None:
     """Write the neighbours of one query into column c.  w0: weights by distance; u, v: positions from the query, in units of
-    `scale`; s, t: positions in image 2 from their mean `middle`; drawn: mean frame affine, toward which `pull` draws."""
+    `scale`; s, t: positions in image 2 from their mean `middle`; target: mean frame affine, toward which `pull` draws."""
     k = distance.shape[1]
     width = widths[q]
     unit = width + 5.0
@@ -165,23 +165,23 @@ def _gather(
     m00, m01, m10, m11 = 0.0, 0.0, 0.0, 0.0
     for a in range(k):
         j = index[q, a]
-        n = weight[j] / (1 + (distance[q, a] / width) ** 2) if distance[q, a] > 1e-6 else 0.0
-        w0[a, c] = n
+        w = weight[j] / (1 + (distance[q, a] / width) ** 2) if distance[q, a] > 1e-6 else 0.0
+        w0[a, c] = w
         u[a, c], v[a, c] = (x1[j, 0] - queries[q, 0]) / unit, (x1[j, 1] - queries[q, 1]) / unit
-        total += n
-        ms += n * x2[j, 0]
-        mt += n * x2[j, 1]
-        m00 += n * affine[j, 0, 0]
-        m01 += n * affine[j, 0, 1]
-        m10 += n * affine[j, 1, 0]
-        m11 += n * affine[j, 1, 1]
+        total += w
+        ms += w * x2[j, 0]
+        mt += w * x2[j, 1]
+        m00 += w * affine[j, 0, 0]
+        m01 += w * affine[j, 0, 1]
+        m10 += w * affine[j, 1, 0]
+        m11 += w * affine[j, 1, 1]
     ms, mt = ms / total, mt / total
     for a in range(k):
         s[a, c], t[a, c] = x2[index[q, a], 0] - ms, x2[index[q, a], 1] - mt
     middle[0, c], middle[1, c] = ms, mt
     pull[c] = 0.02 * ridge * total
-    drawn[0, c], drawn[1, c] = m00 / total * unit, m01 / total * unit
-    drawn[2, c], drawn[3, c] = m10 / total * unit, m11 / total * unit
+    target[0, c], target[1, c] = m00 / total * unit, m01 / total * unit
+    target[2, c], target[3, c] = m10 / total * unit, m11 / total * unit
 
 
 @helper
@@ -209,48 +209,48 @@ def _add_products(w: Float32s, u: Float32s, v: Float32s, s: Float32s, us: Float3
 
 
 @helper
-def _solve(sums: Float32s, pull: Float32s, drawn: Float32s, found: Float32s) -> None:
-    """The normal equations by cofactors; found: two rows (a, b, offset), s = a u + b v + offset, and the same for t."""
+def _solve(sums: Float32s, pull: Float32s, target: Float32s, solution: Float32s) -> None:
+    """The normal equations by cofactors; solution: two rows (a, b, offset), s = a u + b v + offset, and the same for t."""
     for c in range(len(pull)):
-        more = float(pull[c])
-        suu, suv, svv = sums[0, c] + more + 1e-6, float(sums[1, c]), sums[2, c] + more + 1e-6
+        ridge = float(pull[c])
+        suu, suv, svv = sums[0, c] + ridge + 1e-6, float(sums[1, c]), sums[2, c] + ridge + 1e-6
         su, sv, sw = float(sums[3, c]), float(sums[4, c]), sums[5, c] + 1e-6
         c00, c01, c02 = svv * sw - sv * sv, sv * su - suv * sw, suv * sv - svv * su
         c11, c12, c22 = suu * sw - su * su, suv * su - suu * sv, suu * svv - suv * suv
         det = suu * c00 + suv * c01 + su * c02
         for row in range(2):
-            bu, bv = sums[6 + 3 * row, c] + more * drawn[2 * row, c], sums[7 + 3 * row, c] + more * drawn[2 * row + 1, c]
+            bu, bv = sums[6 + 3 * row, c] + ridge * target[2 * row, c], sums[7 + 3 * row, c] + ridge * target[2 * row + 1, c]
             b = sums[8 + 3 * row, c]
-            found[3 * row, c] = (c00 * bu + c01 * bv + c02 * b) / det
-            found[3 * row + 1, c] = (c01 * bu + c11 * bv + c12 * b) / det
-            found[3 * row + 2, c] = (c02 * bu + c12 * bv + c22 * b) / det
+            solution[3 * row, c] = (c00 * bu + c01 * bv + c02 * b) / det
+            solution[3 * row + 1, c] = (c01 * bu + c11 * bv + c12 * b) / det
+            solution[3 * row + 2, c] = (c02 * bu + c12 * bv + c22 * b) / det
 
 
 @helper
-def _residuals(u: Float32s, v: Float32s, s: Float32s, t: Float32s, found: Float32s, e: Float32s) -> None:
+def _residuals(u: Float32s, v: Float32s, s: Float32s, t: Float32s, solution: Float32s, e: Float32s) -> None:
     for c in range(len(u)):
-        es = found[0, c] * u[c] + found[1, c] * v[c] + found[2, c] - s[c]
-        et = found[3, c] * u[c] + found[4, c] * v[c] + found[5, c] - t[c]
+        es = solution[0, c] * u[c] + solution[1, c] * v[c] + solution[2, c] - s[c]
+        et = solution[3, c] * u[c] + solution[4, c] * v[c] + solution[5, c] - t[c]
         e[c] = np.sqrt(es * es + et * et)
 
 
 @helper
-def _median(values: Float32s, weights: Float32s, high: Float32s, low: Float32s, below: Float32s) -> None:
-    """Write to `high` the weighted median of each column of values (approximately), at least 1; low, below: scratch."""
+def _median(values: Float32s, weights: Float32s, high: Float32s, low: Float32s, balance: Float32s) -> None:
+    """Write to `high` the weighted median of each column of values (approximately), at least 1; low, balance: scratch."""
     k, n = values.shape
     for c in range(n):
         low[c], high[c] = 1, np.float32(_LARGEST_SPREAD_PX)
     for _ in range(_HALVINGS):
         for c in range(n):
-            below[c] = 0
+            balance[c] = 0
         for a in range(k):
             for c in range(n):
-                inside = values[a, c] * values[a, c] <= low[c] * high[c]
-                below[c] += weights[a, c] if inside else -weights[a, c]
+                is_below = values[a, c] * values[a, c] <= low[c] * high[c]
+                balance[c] += weights[a, c] if is_below else -weights[a, c]
         for c in range(n):
             middle = np.sqrt(low[c] * high[c])
-            enough = below[c] >= np.float32(0)
-            high[c], low[c] = middle if enough else high[c], low[c] if enough else middle
+            mostly_below = balance[c] >= np.float32(0)
+            high[c], low[c] = middle if mostly_below else high[c], low[c] if mostly_below else middle
 
 
 @helper
@@ -262,6 +262,6 @@ def _reweigh(w0: Float32s, e: Float32s, spread: Float32s, w: Float32s) -> None:
 
 
 @helper
-def _add_agreeing(w0: Float32s, e: Float32s, spread: Float32s, agree: Float32s) -> None:
+def _add_agreeing(w0: Float32s, e: Float32s, spread: Float32s, agreeing: Float32s) -> None:
     for c in range(len(w0)):
-        agree[c] += w0[c] if e[c] < np.float32(3) * max(spread[c], np.float32(2)) else np.float32(0)
+        agreeing[c] += w0[c] if e[c] < np.float32(3) * max(spread[c], np.float32(2)) else np.float32(0)

@@ -17,7 +17,7 @@ from ..types import Float32s
 _WORDS = 32
 """Number of visual words: the best of 16, 32 and 64 on two photographed sites; a vocabulary of a thousand words, or votes of
 single descriptors, find no more."""
-_LEARNT_FROM, _ROUNDS = 12_000, 8
+_SAMPLE_SIZE, _ROUNDS = 12_000, 8
 """Number of descriptors that the words are clustered from, and rounds of k-means."""
 
 
@@ -26,37 +26,37 @@ def most_alike(descriptors: Sequence[Float32s], count: int) -> list[tuple[int, i
 
     descriptors: (n, d) float32 of unit length, of each view.
     """
-    whole = _whole_views(descriptors)
-    likeness = whole @ whole.T
-    np.fill_diagonal(likeness, -np.inf)
+    vectors = _view_vectors(descriptors)
+    similarity = vectors @ vectors.T
+    np.fill_diagonal(similarity, -np.inf)
     count = min(count, len(descriptors) - 1)
-    best = np.argsort(-likeness, axis=1, kind="stable")[:, :count]
+    best = np.argsort(-similarity, axis=1, kind="stable")[:, :count]
     rows = np.repeat(np.arange(len(descriptors)), count)
     pairs = np.sort(np.column_stack([rows, best.ravel()]), axis=1)
     return [(int(i), int(j)) for i, j in np.unique(pairs, axis=0)]
 
 
-def _whole_views(descriptors: Sequence[Float32s]) -> Float32s:
+def _view_vectors(descriptors: Sequence[Float32s]) -> Float32s:
     """(views, words d) vectors of unit length, 0 for views without descriptors."""
-    every = np.concatenate(descriptors)
-    words = _words(every, np.random.default_rng(0))
-    found = np.zeros((len(descriptors), *words.shape), np.float32)
-    for row, own in zip(found, descriptors, strict=True):
-        word = (own @ words.T).argmax(axis=1)
-        np.add.at(row, word, own - words[word])
+    all_descriptors = np.concatenate(descriptors)
+    words = _words(all_descriptors, np.random.default_rng(0))
+    sums = np.zeros((len(descriptors), *words.shape), np.float32)
+    for row, of_view in zip(sums, descriptors, strict=True):
+        word = (of_view @ words.T).argmax(axis=1)
+        np.add.at(row, word, of_view - words[word])
         row /= np.maximum(np.linalg.norm(row, axis=1, keepdims=True), 1e-9)
-    flat = found.reshape(len(descriptors), -1)
+    flat = sums.reshape(len(descriptors), -1)
     return np.asarray(flat / np.maximum(np.linalg.norm(flat, axis=1, keepdims=True), 1e-9), dtype=np.float32)
 
 
-def _words(every: Float32s, random: np.random.Generator) -> Float32s:
+def _words(all_descriptors: Float32s, random: np.random.Generator) -> Float32s:
     """(words, d) of unit length, by spherical k-means on a sample of the descriptors."""
-    some = every[np.sort(random.choice(len(every), min(len(every), _LEARNT_FROM), replace=False))]
-    words = some[random.choice(len(some), min(_WORDS, len(some)), replace=False)].copy()
+    sample = all_descriptors[np.sort(random.choice(len(all_descriptors), min(len(all_descriptors), _SAMPLE_SIZE), replace=False))]
+    words = sample[random.choice(len(sample), min(_WORDS, len(sample)), replace=False)].copy()
     for _ in range(_ROUNDS):
-        nearest = (some @ words.T).argmax(axis=1)
+        nearest = (sample @ words.T).argmax(axis=1)
         sums = np.zeros_like(words)
-        np.add.at(sums, nearest, some)
+        np.add.at(sums, nearest, sample)
         length = np.linalg.norm(sums, axis=1, keepdims=True)
         words = np.where(length > 0, sums / np.maximum(length, 1e-9), words)
     return words

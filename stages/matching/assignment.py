@@ -40,7 +40,7 @@ def without_repeats(x1: Float64s, x2: Float64s, probability: Float64s) -> Bools:
     if len(x1):
         order = np.argsort(-probability, kind="stable").astype(np.int32)
         cells1, cells2 = _cells(x1), _cells(x2)
-        _suppress(order, cells1, cells2, x1, x2, _heads(cells1), _heads(cells2), keep)
+        _suppress(order, cells1, cells2, x1, x2, _empty_lists(cells1), _empty_lists(cells2), keep)
     return keep
 
 
@@ -49,7 +49,7 @@ def _cells(x: Float64s) -> Int32s:
     return np.asarray(np.floor((x - x.min(axis=0)) / _TOO_NEAR_PX) + 1, dtype=np.int32)
 
 
-def _heads(cells: Int32s) -> Int32s:
+def _empty_lists(cells: Int32s) -> Int32s:
     """For each grid cell the head of its list of kept matches: -1, as the lists are empty at first."""
     columns, rows = cells.max(axis=0) + 2
     return np.full((rows, columns), -1, np.int32)
@@ -82,7 +82,7 @@ def _suppress(
     """Keep matches in order, unless one already kept is near in either image; each grid cell heads a linked list of these."""
     next1, next2 = np.full(len(x1), -1, np.int32), np.full(len(x1), -1, np.int32)
     for n in order:
-        if _taken(head1, next1, cells1, x1, n) or _taken(head2, next2, cells2, x2, n):
+        if _has_near(head1, next1, cells1, x1, n) or _has_near(head2, next2, cells2, x2, n):
             continue
         keep[n] = True
         next1[n] = head1[cells1[n, 1], cells1[n, 0]]
@@ -92,12 +92,12 @@ def _suppress(
 
 
 @helper
-def _taken(head: Int32s, following: Int32s, cells: Int32s, x: Float64s, n: int) -> bool:
+def _has_near(head: Int32s, next_match: Int32s, cells: Int32s, x: Float64s, n: int) -> bool:
     for row in range(cells[n, 1] - 1, cells[n, 1] + 2):
         for column in range(cells[n, 0] - 1, cells[n, 0] + 2):
             other = head[row, column]
             while other >= 0:
                 if (x[other, 0] - x[n, 0]) ** 2 + (x[other, 1] - x[n, 1]) ** 2 < _TOO_NEAR_PX**2:
                     return True
-                other = following[other]
+                other = next_match[other]
     return False

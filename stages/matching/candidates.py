@@ -75,15 +75,15 @@ def view_pairs(
     """
     views = [(TILTED, PLAIN), (PLAIN, TILTED)] if tilted else []
     plain = known[0] if known else _view_pair(left, right, PLAIN, PLAIN, neighbours)
-    found = [plain, *(_view_pair(left, right, a, b, neighbours) for a, b in views)]
-    return tuple(pair for pair in found if pair is not None)
+    pairs = [plain, *(_view_pair(left, right, a, b, neighbours) for a, b in views)]
+    return tuple(pair for pair in pairs if pair is not None)
 
 
 def searched_view_pairs(matches: Matches, left: Features, right: Features) -> tuple[ViewPair, ...]:
     """The view pairs that the matches come from: as handed on by their matcher, else searched again."""
-    handed_on = tuple(pair for pair in matches.searched if isinstance(pair, ViewPair))
-    if handed_on and all(pair.candidates.neighbours == NEIGHBOURS for pair in handed_on):
-        return handed_on
+    from_matcher = tuple(pair for pair in matches.searched if isinstance(pair, ViewPair))
+    if from_matcher and all(pair.candidates.neighbours == NEIGHBOURS for pair in from_matcher):
+        return from_matcher
     return view_pairs(left, right, matches.tilted)
 
 
@@ -92,8 +92,8 @@ def _view_pair(left: Features, right: Features, view1: int, view2: int, neighbou
     rows2 = np.flatnonzero(right.tilts == view2).astype(np.int32)
     if min(len(rows1), len(rows2)) <= neighbours + NOISE_RANK:
         return None
-    found = _candidates(left.descriptors[rows1], right.descriptors[rows2], neighbours)
-    return ViewPair(rows1, rows2, left.xy[rows1], right.xy[rows2], left.frames[rows1], inverses(right.frames[rows2]), found)
+    candidates = _candidates(left.descriptors[rows1], right.descriptors[rows2], neighbours)
+    return ViewPair(rows1, rows2, left.xy[rows1], right.xy[rows2], left.frames[rows1], inverses(right.frames[rows2]), candidates)
 
 
 def _candidates(descriptors1: Float32s, descriptors2: Float32s, neighbours: int) -> Candidates:
@@ -122,20 +122,20 @@ def rival_distances(left: Features, right: Features, pairs: tuple[ViewPair, ...]
     """
     rivals = np.full(len(i1), 2.0)
     for pair in pairs:
-        mine = np.flatnonzero(np.isin(i1, pair.rows1) & np.isin(i2, pair.rows2))
-        at1, at2 = np.searchsorted(pair.rows1, i1[mine]), np.searchsorted(pair.rows2, i2[mine])
+        in_pair = np.flatnonzero(np.isin(i1, pair.rows1) & np.isin(i2, pair.rows2))
+        row1, row2 = np.searchsorted(pair.rows1, i1[in_pair]), np.searchsorted(pair.rows2, i2[in_pair])
         near = pair.candidates.near
-        forward = _first_apart(pair.x2[near.rows[at1]], right.xy[i2[mine]], near.row_distance[at1])
-        backward = _first_apart(pair.x1[near.columns[at2]], left.xy[i1[mine]], near.column_distance[at2])
-        rivals[mine] = np.minimum(forward, backward)
+        forward = _first_distant(pair.x2[near.rows[row1]], right.xy[i2[in_pair]], near.row_distance[row1])
+        backward = _first_distant(pair.x1[near.columns[row2]], left.xy[i1[in_pair]], near.column_distance[row2])
+        rivals[in_pair] = np.minimum(forward, backward)
     return rivals
 
 
-def _first_apart(places: Float64s, match: Float64s, distance: Float32s) -> Float64s:
+def _first_distant(positions: Float64s, match: Float64s, distance: Float32s) -> Float64s:
     """Descriptor distance of the first neighbour, of (n, k), that is at least `APART_PX` from the match, else of the last."""
-    apart = np.linalg.norm(places - match[:, None], axis=2) >= APART_PX
-    apart[:, -1] = True
-    return np.asarray(distance[np.arange(len(distance)), apart.argmax(axis=1)], dtype=np.float64)
+    distant = np.linalg.norm(positions - match[:, None], axis=2) >= APART_PX
+    distant[:, -1] = True
+    return np.asarray(distance[np.arange(len(distance)), distant.argmax(axis=1)], dtype=np.float64)
 
 
 def near_predictions(pair: ViewPair, field: AffineField, sigma: Float64s, trust: Float64s) -> tuple[Int32s, Int32s, Float64s]:
@@ -148,25 +148,25 @@ def near_predictions(pair: ViewPair, field: AffineField, sigma: Float64s, trust:
     sigma : (n,) standard deviation of the prediction, pixels.
     trust : (n,) weight of the field there against the descriptors alone, 0 to 1.
     """
-    asking = np.flatnonzero((trust > TRUSTED) & (sigma < MAX_SIGMA_PX)).astype(np.int32)
-    radius = np.minimum(3 * sigma[asking] + 2, MAX_RADIUS_PX)
+    queries = np.flatnonzero((trust > TRUSTED) & (sigma < MAX_SIGMA_PX)).astype(np.int32)
+    radius = np.minimum(3 * sigma[queries] + 2, MAX_RADIUS_PX)
     cell = SEARCH_CELL_PX
     origin = pair.x2.min(axis=0)
-    places = ((pair.x2 - origin) / cell).astype(np.int64)
-    columns, rows = places.max(axis=0) + 1
-    order, starts = by_cell(places[:, 1] * columns + places[:, 0], columns * rows)
-    c = pair.candidates
-    first = np.searchsorted(c.i, np.arange(len(pair.x1) + 1)).astype(np.int32)
-    room = 4 * len(asking) + 16
+    cells = ((pair.x2 - origin) / cell).astype(np.int64)
+    columns, rows = cells.max(axis=0) + 1
+    order, starts = by_cell(cells[:, 1] * columns + cells[:, 0], columns * rows)
+    candidates = pair.candidates
+    row_starts = np.searchsorted(candidates.i, np.arange(len(pair.x1) + 1)).astype(np.int32)
+    capacity = 4 * len(queries) + 16
     while True:
-        i, j, q = np.empty(room, np.int32), np.empty(room, np.int32), np.empty(room)
+        i, j, q = np.empty(capacity, np.int32), np.empty(capacity, np.int32), np.empty(capacity)
         count = _search(
-            asking, radius, field.prediction, pair.x2, origin, cell, columns, rows, order, starts, first, c.j,
-            c.descriptors1, c.descriptors2, c.noise1, c.noise2, i, j, q,
+            queries, radius, field.prediction, pair.x2, origin, cell, columns, rows, order, starts, row_starts, candidates.j,
+            candidates.descriptors1, candidates.descriptors2, candidates.noise1, candidates.noise2, i, j, q,
         )  # fmt: skip
-        if count <= room:
+        if count <= capacity:
             return i[:count], j[:count], q[:count]
-        room = count
+        capacity = count
 
 
 def inverses(m: Float64s) -> Float64s:
@@ -193,7 +193,7 @@ def _relative_distance(d1: Float32s, d2: Float32s, noise1: Float32s, noise2: Flo
 
 @kernel
 def _search(
-    asking: Int32s,
+    queries: Int32s,
     radius: Float64s,
     prediction: Float64s,
     x2: Float64s,
@@ -203,7 +203,7 @@ def _search(
     rows: int,
     order: Int64s,
     starts: Int64s,
-    first: Int32s,
+    row_starts: Int32s,
     known: Int32s,
     d1: Float32s,
     d2: Float32s,
@@ -213,11 +213,11 @@ def _search(
     out_j: Int32s,
     out_q: Float64s,
 ) -> int:
-    """Write new candidates, as far as they fit: keypoints of image 2 within the radius of a keypoint in `asking`, not listed yet
+    """Write new candidates, as far as they fit: keypoints of image 2 within the radius of a keypoint in `queries`, not listed yet
     (first, known: list by row), with a small relative distance, which is written, too.  Returns how many there are."""
     count = 0
-    for n in range(len(asking)):
-        a = asking[n]
+    for n in range(len(queries)):
+        a = queries[n]
         px, py = prediction[a, 0], prediction[a, 1]
         limit = radius[n] ** 2
         left, right = (px - radius[n] - origin[0]) / cell, (px + radius[n] - origin[0]) / cell
@@ -226,15 +226,15 @@ def _search(
             continue
         for row in range(int(max(top, 0.0)), int(min(bottom, rows - 1.0)) + 1):
             for column in range(int(max(left, 0.0)), int(min(right, columns - 1.0)) + 1):
-                for at in range(starts[row * columns + column], starts[row * columns + column + 1]):
-                    b = order[at]
+                for entry in range(starts[row * columns + column], starts[row * columns + column + 1]):
+                    b = order[entry]
                     if (x2[b, 0] - px) ** 2 + (x2[b, 1] - py) ** 2 >= limit:
                         continue
-                    new = True
-                    for k in range(first[a], first[a + 1]):
+                    is_new = True
+                    for k in range(row_starts[a], row_starts[a + 1]):
                         if known[k] == b:
-                            new = False
-                    if not new:
+                            is_new = False
+                    if not is_new:
                         continue
                     q = _relative_distance(d1, d2, noise1, noise2, a, b)
                     if q >= MAX_DISTANCE:

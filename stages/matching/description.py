@@ -36,37 +36,37 @@ def main_directions(octaves: Pyramid, blobs: Blobs, seam: float) -> Float64s:
     angle = np.empty(len(blobs.x))
     for octave, levels in enumerate(octaves):
         rows = np.flatnonzero(blobs.octave == octave)
-        found = np.empty(len(rows))
-        _directions(levels, blobs.level[rows], in_octave(octave, blobs.at(rows)), seam, found)
-        angle[rows] = found
+        directions = np.empty(len(rows))
+        _directions(levels, blobs.level[rows], in_octave(octave, blobs.at(rows)), seam, directions)
+        angle[rows] = directions
     return angle
 
 
 def describe(octaves: Pyramid, blobs: Blobs, angle: Float64s) -> Float32s:
     """(n, 128) descriptors of unit length, of blobs with main directions `angle`."""
     out = np.empty((len(blobs.x), LENGTH), np.float32)
-    weight, first, share = _grid()
+    weight, first, share = _sample_weights()
     for octave, levels in enumerate(octaves):
         rows = np.flatnonzero(blobs.octave == octave)
-        found = np.empty((len(rows), out.shape[1]), np.float32)
-        where = np.column_stack([in_octave(octave, blobs.at(rows)), angle[rows]])
-        _histograms(levels, blobs.level[rows], where, weight, first, share, found)
-        out[rows] = found
+        descriptors = np.empty((len(rows), out.shape[1]), np.float32)
+        points = np.column_stack([in_octave(octave, blobs.at(rows)), angle[rows]])
+        _histograms(levels, blobs.level[rows], points, weight, first, share, descriptors)
+        out[rows] = descriptors
     return out
 
 
-def _grid() -> tuple[Float32s, Int64s, Float32s]:
+def _sample_weights() -> tuple[Float32s, Int64s, Float32s]:
     """For each sample along a side: Gaussian weight, the first of the two cells that it contributes to (0: before the patch), and
     the share of the second."""
-    at = (np.arange(SAMPLES) + 0.5) * (CELLS + 1) / SAMPLES - 0.5 * (CELLS + 1)
-    cell = at + 0.5 * CELLS + 0.5
+    position = (np.arange(SAMPLES) + 0.5) * (CELLS + 1) / SAMPLES - 0.5 * (CELLS + 1)
+    cell = position + 0.5 * CELLS + 0.5
     first = np.floor(cell).astype(np.int64)
-    return np.exp(-0.5 * (at / (0.5 * CELLS)) ** 2).astype(np.float32), first, (cell - first).astype(np.float32)
+    return np.exp(-0.5 * (position / (0.5 * CELLS)) ** 2).astype(np.float32), first, (cell - first).astype(np.float32)
 
 
 @helper
-def _angles(gx: Float32s, gy: Float32s, turn: Float32s, size: Float32s, per: float) -> None:
-    """Write the direction of each gradient, 0 to 2 pi, times `per`, and its magnitude."""
+def _gradient_directions(gx: Float32s, gy: Float32s, direction: Float32s, magnitude: Float32s, factor: float) -> None:
+    """Write the direction of each gradient, 0 to 2 pi, times `factor`, and its magnitude."""
     for k in range(len(gx)):
         x, y = gx[k], gy[k]
         ax, ay = abs(x), abs(y)
@@ -78,120 +78,120 @@ def _angles(gx: Float32s, gy: Float32s, turn: Float32s, size: Float32s, per: flo
         t = np.float32(1.5707964) - t if ay > ax else t
         t = np.float32(3.1415927) - t if x < 0 else t
         t = np.float32(6.2831853) - t if y < 0 else t
-        turn[k] = t * np.float32(per)
-        size[k] = np.sqrt(x * x + y * y)
+        direction[k] = t * np.float32(factor)
+        magnitude[k] = np.sqrt(x * x + y * y)
 
 
 @kernel
-def _directions(levels: Float32s, level: Int32s, where: Float64s, seam: float, out: Float64s) -> None:
-    """Write the first main direction of each blob; where: (n, 3) x, y and sigma in pixels of the octave."""
+def _directions(levels: Float32s, level: Int32s, points: Float64s, seam: float, out: Float64s) -> None:
+    """Write the first main direction of each blob; points: (n, 3) x, y and sigma in pixels of the octave."""
     _, h, w = levels.shape
-    gradients, along = np.empty(_GRADIENTS, np.float32), np.empty(_GRADIENTS[1], np.float32)
+    gradients, column_weight = np.empty(_GRADIENTS, np.float32), np.empty(_GRADIENTS[1], np.float32)
     histogram, smooth = np.empty(BINS), np.empty(BINS)
-    for n in range(len(where)):
+    for n in range(len(points)):
         image = levels[level[n]]
-        x, y, window = where[n, 0], where[n, 1], WINDOW * where[n, 2]
+        x, y, window = points[n, 0], points[n, 1], WINDOW * points[n, 2]
         left, right = max(int(np.ceil(x - REACH * window)), 1), min(int(np.floor(x + REACH * window)), w - 2)
         top, bottom = max(int(np.ceil(y - REACH * window)), 1), min(int(np.floor(y + REACH * window)), h - 2)
         count = max(min(right - left + 1, _GRADIENTS[1]), 0)
-        gx, gy, turn, size = gradients[0, :count], gradients[1, :count], gradients[2, :count], gradients[3, :count]
-        fall = -0.5 / window**2
+        gx, gy, direction, magnitude = gradients[0, :count], gradients[1, :count], gradients[2, :count], gradients[3, :count]
+        falloff = -0.5 / window**2
         for k in range(count):
-            along[k] = np.exp(fall * (left + k - x) ** 2)
+            column_weight[k] = np.exp(falloff * (left + k - x) ** 2)
         histogram[:] = 0.0
         for row in range(top, bottom + 1):
             for k in range(count):
                 gx[k] = image[row, left + k + 1] - image[row, left + k - 1]
                 gy[k] = image[row + 1, left + k] - image[row - 1, left + k]
-            _angles(gx, gy, turn, size, BINS / (2 * np.pi))
-            across = np.exp(fall * (row - y) ** 2)
+            _gradient_directions(gx, gy, direction, magnitude, BINS / (2 * np.pi))
+            row_weight = np.exp(falloff * (row - y) ** 2)
             for k in range(count):
-                b = int(turn[k] + np.float32(0.5))
-                histogram[b - BINS if b >= BINS else b] += across * along[k] * size[k]
+                b = int(direction[k] + np.float32(0.5))
+                histogram[b - BINS if b >= BINS else b] += row_weight * column_weight[k] * magnitude[k]
         for b in range(BINS):
-            twice = histogram[b - 2] + histogram[(b + 2) % BINS]
-            once = histogram[b - 1] + histogram[(b + 1) % BINS]
-            smooth[b] = (twice + 4 * once + 6 * histogram[b]) / 16
+            outer = histogram[b - 2] + histogram[(b + 2) % BINS]
+            inner = histogram[b - 1] + histogram[(b + 1) % BINS]
+            smooth[b] = (outer + 4 * inner + 6 * histogram[b]) / 16
         out[n] = _first_peak(smooth, seam)
 
 
 @helper
 def _first_peak(smooth: Float64s, seam: float) -> float:
     """Angle of the first strong peak from the seam on, interpolated between bins by a parabola."""
-    best, found = 7.0, seam
-    least = STRONG * smooth.max()
+    least_offset, peak = 7.0, seam
+    threshold = STRONG * smooth.max()
     for b in range(BINS):
-        v, before, after = smooth[b], smooth[b - 1], smooth[(b + 1) % BINS]
-        if v > before and v > after and v >= least:
-            angle = (b + 0.5 * (before - after) / (before - 2 * v + after)) * (2 * np.pi / BINS)
-            later = (angle - seam) % (2 * np.pi)
-            if later < best:
-                best, found = later, angle
-    return found
+        v, left, right = smooth[b], smooth[b - 1], smooth[(b + 1) % BINS]
+        if v > left and v > right and v >= threshold:
+            angle = (b + 0.5 * (left - right) / (left - 2 * v + right)) * (2 * np.pi / BINS)
+            offset = (angle - seam) % (2 * np.pi)
+            if offset < least_offset:
+                least_offset, peak = offset, angle
+    return peak
 
 
 @kernel
 def _histograms(
-    levels: Float32s, level: Int32s, where: Float64s, weight: Float32s, first: Int64s, share: Float32s, out: Float32s
+    levels: Float32s, level: Int32s, points: Float64s, weight: Float32s, first: Int64s, share: Float32s, out: Float32s
 ) -> None:
-    """Write the descriptors; where: (n, 4) x, y, sigma in pixels of the octave, direction; weight, first, share: from `_grid`."""
+    """Write the descriptors; points: (n, 4) x, y, sigma in pixels of the octave, direction; the rest: of `_sample_weights`."""
     patch = np.empty((SAMPLES + 2, SAMPLES + 2), np.float32)
-    gx, gy, turn, size = np.empty((4, SAMPLES), np.float32)
-    line = np.empty((CELLS + 2, TURNS + 1), np.float32)
-    total = np.empty((CELLS + 2, CELLS + 2, TURNS + 1), np.float32)
-    for n in range(len(where)):
-        x, y, spacing, angle = where[n, 0], where[n, 1], where[n, 2] * CELL_SIGMAS * (CELLS + 1) / SAMPLES, where[n, 3]
+    gx, gy, direction, magnitude = np.empty((4, SAMPLES), np.float32)
+    row_sums = np.empty((CELLS + 2, TURNS + 1), np.float32)
+    sums = np.empty((CELLS + 2, CELLS + 2, TURNS + 1), np.float32)
+    for n in range(len(points)):
+        x, y, spacing, angle = points[n, 0], points[n, 1], points[n, 2] * CELL_SIGMAS * (CELLS + 1) / SAMPLES, points[n, 3]
         _sample(levels[level[n]], x, y, spacing * np.cos(angle), spacing * np.sin(angle), patch)
-        total[:] = 0
+        sums[:] = 0
         for r in range(SAMPLES):
             for k in range(SAMPLES):
                 gx[k] = patch[r + 1, k + 2] - patch[r + 1, k]
                 gy[k] = patch[r + 2, k + 1] - patch[r, k + 1]
-            _angles(gx, gy, turn, size, TURNS / (2 * np.pi))
-            _add_row(turn, size, weight, first, share, line)
+            _gradient_directions(gx, gy, direction, magnitude, TURNS / (2 * np.pi))
+            _add_row(direction, magnitude, weight, first, share, row_sums)
             below = weight[r] * share[r]
             above, c = weight[r] - below, first[r]
             for i in range(CELLS + 2):
                 for o in range(TURNS + 1):
-                    total[c, i, o] += above * line[i, o]
-                    total[c + 1, i, o] += below * line[i, o]
-        _write(total, out[n])
+                    sums[c, i, o] += above * row_sums[i, o]
+                    sums[c + 1, i, o] += below * row_sums[i, o]
+        _write_descriptor(sums, out[n])
 
 
 @helper
-def _add_row(turn: Float32s, size: Float32s, weight: Float32s, first: Int64s, share: Float32s, line: Float32s) -> None:
+def _add_row(direction: Float32s, magnitude: Float32s, weight: Float32s, first: Int64s, share: Float32s, sums: Float32s) -> None:
     """Histograms (cells, turns + 1) of one row's gradients, each shared between two cells and two directions."""
-    line[:] = 0
+    sums[:] = 0
     for k in range(SAMPLES):
-        o = min(int(turn[k]), TURNS - 1)
-        part = turn[k] - np.float32(o)
-        value = size[k] * weight[k]
+        o = min(int(direction[k]), TURNS - 1)
+        fraction = direction[k] - np.float32(o)
+        value = magnitude[k] * weight[k]
         second = value * share[k]
         value -= second
-        up, up2, c = value * part, second * part, first[k]
-        line[c, o] += value - up
-        line[c, o + 1] += up
-        line[c + 1, o] += second - up2
-        line[c + 1, o + 1] += up2
+        next_value, next_second, c = value * fraction, second * fraction, first[k]
+        sums[c, o] += value - next_value
+        sums[c, o + 1] += next_value
+        sums[c + 1, o] += second - next_second
+        sums[c + 1, o + 1] += next_second
 
 
 @kernel
-def _write(total: Float32s, out: Float32s) -> None:
+def _write_descriptor(sums: Float32s, out: Float32s) -> None:
     """Write the inner cells as a vector: scaled to unit length, clipped, and scaled again."""
     k = 0
     for i in range(1, CELLS + 1):
         for j in range(1, CELLS + 1):
             for o in range(TURNS):
-                out[k] = total[i, j, o] + (total[i, j, TURNS] if o == 0 else np.float32(0))
+                out[k] = sums[i, j, o] + (sums[i, j, TURNS] if o == 0 else np.float32(0))
                 k += 1
-    for again in range(2):
+    for pass_number in range(2):
         length = np.float32(0)
         for k in range(len(out)):
             length += out[k] * out[k]
         length = np.float32(1) / max(np.sqrt(length), np.float32(1e-12))
         for k in range(len(out)):
             out[k] *= length
-            if again == 0:
+            if pass_number == 0:
                 out[k] = min(out[k], np.float32(CLIP))
 
 
@@ -211,7 +211,7 @@ def _sample(image: Float32s, x: float, y: float, c: float, s: float, patch: Floa
                 u, v = min(max(u, 0.0), w - 1.001), min(max(v, 0.0), h - 1.001)
             i, j = int(u), int(v)
             a, b = np.float32(u - i), np.float32(v - j)
-            p, q = image[j, i], image[j + 1, i]
-            p += a * (image[j, i + 1] - p)
-            q += a * (image[j + 1, i + 1] - q)
-            patch[r, k] = p + b * (q - p)
+            top, bottom = image[j, i], image[j + 1, i]
+            top += a * (image[j, i + 1] - top)
+            bottom += a * (image[j + 1, i + 1] - bottom)
+            patch[r, k] = top + b * (bottom - top)

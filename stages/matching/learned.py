@@ -30,7 +30,7 @@ _TWO_INPUTS, _TWO_OUTPUTS = ("image0", "image1"), ("kpts0", "kpts1", "matches0",
 _ONE_INPUT, _ONE_OUTPUTS = ("images",), ("keypoints", "matches", "mscores")
 _STRIDE = 32
 """Image sizes that the model leaves free are multiples of this, the largest factor by which common features downsample."""
-_WANTED = (
+_NEEDED = (
     f"a model of {', '.join(_TWO_INPUTS)} -> {', '.join(_TWO_OUTPUTS)}, or of {', '.join(_ONE_INPUT)} -> "
     f"{', '.join(_ONE_OUTPUTS)}, is wanted: features and matcher exported as one"
 )
@@ -57,14 +57,14 @@ def match_onnx(
     except ValueError as error:
         raise ValueError(f"{model.name} {error}: give the file that the model was exported to, whole") from None
     _check(model.name, interface)
-    if why := why_unreadable(data):
-        raise ValueError(f"{model.name}: {why}: export it with GELU written as (x * erf(x / sqrt(2)) + x) / 2")
-    asked = [interface.inputs.get(name, interface.inputs.get(_ONE_INPUT[0], ())) for name in _TWO_INPUTS]
-    sizes = [_size(shape, frame, long_side_px) for shape, frame in zip(asked, (left_frame, right_frame), strict=True)]
+    if problem := why_unreadable(data):
+        raise ValueError(f"{model.name}: {problem}: export it with GELU written as (x * erf(x / sqrt(2)) + x) / 2")
+    shapes = [interface.inputs.get(name, interface.inputs.get(_ONE_INPUT[0], ())) for name in _TWO_INPUTS]
+    sizes = [_size(shape, frame, long_side_px) for shape, frame in zip(shapes, (left_frame, right_frame), strict=True)]
     if len(interface.inputs) == 1:  # both in one array
         sizes[1] = sizes[0]
-    frames = zip((left_frame, right_frame), sizes, asked, strict=True)
-    x1, x2, scores = _run(model, interface, [_picture(frame.image, size, shape[1]) for frame, size, shape in frames])
+    frames = zip((left_frame, right_frame), sizes, shapes, strict=True)
+    x1, x2, scores = _run(model, interface, [_model_input(frame.image, size, shape[1]) for frame, size, shape in frames])
     x1, x2 = _in_frame(x1, sizes[0], left_frame), _in_frame(x2, sizes[1], right_frame)
     keep = (scores >= min_score) & _usable(x1, left_frame) & _usable(x2, right_frame)
     p = np.clip(scores[keep], 0, 1).astype(np.float32)
@@ -77,18 +77,18 @@ def _check(name: str, interface: ModelInterface) -> None:
     fits = any(set(interface.inputs) == set(i) and set(interface.outputs) >= set(o) for i, o in forms)
     if not fits or any(len(sizes) != 4 or sizes[1] not in {0, 1, 3} for sizes in interface.inputs.values()):
         takes = ", ".join(f"{name} {sizes}" for name, sizes in interface.inputs.items()) or "nothing"
-        raise ValueError(f"{name} takes {takes} and gives {', '.join(interface.outputs) or 'nothing'}: {_WANTED}")
+        raise ValueError(f"{name} takes {takes} and gives {', '.join(interface.outputs) or 'nothing'}: {_NEEDED}")
 
 
-def _size(asked: tuple[int, ...], frame: Frame, long_side_px: int) -> tuple[int, int]:
-    """Width and height of the image that a model gets for a frame.  asked: (n, c, h, w) of the model's input, 0 where free."""
-    _, _, height, width = asked
+def _size(shape: tuple[int, ...], frame: Frame, long_side_px: int) -> tuple[int, int]:
+    """Width and height of the image that a model gets for a frame.  shape: (n, c, h, w) of the model's input, 0 where free."""
+    _, _, height, width = shape
     scale = min(long_side_px / max(frame.view.width, frame.view.height), 1.0)
-    free = [max(round(n * scale / _STRIDE), 1) * _STRIDE for n in (frame.view.width, frame.view.height)]
-    return width or free[0], height or free[1]
+    default = [max(round(n * scale / _STRIDE), 1) * _STRIDE for n in (frame.view.width, frame.view.height)]
+    return width or default[0], height or default[1]
 
 
-def _picture(image: Uint8s, size: tuple[int, int], channels: int) -> Float32s:
+def _model_input(image: Uint8s, size: tuple[int, int], channels: int) -> Float32s:
     """Input of a model for an image: (1, c, h, w), 0 to 1."""
     smaller = size[0] < image.shape[1] and size[1] < image.shape[0]
     image = np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA if smaller else cv2.INTER_LINEAR), dtype=np.uint8)
@@ -96,17 +96,17 @@ def _picture(image: Uint8s, size: tuple[int, int], channels: int) -> Float32s:
     return np.ascontiguousarray(planes[None], dtype=np.float32) / np.float32(255)
 
 
-def _run(model: Capture, interface: ModelInterface, pictures: list[Float32s]) -> tuple[Float64s, Float64s, Float32s]:
+def _run(model: Capture, interface: ModelInterface, images: list[Float32s]) -> tuple[Float64s, Float64s, Float32s]:
     """Run a model on two images: matches (n, 2), (n, 2) in pixels of these, and scores (n,).  It uses one thread, so that every
     machine finds the same."""
-    together = len(interface.inputs) == 1
-    names = _ONE_OUTPUTS if together else _TWO_OUTPUTS
-    given = {"images": np.concatenate(pictures)} if together else dict(zip(_TWO_INPUTS, pictures, strict=True))
+    single_input = len(interface.inputs) == 1
+    names = _ONE_OUTPUTS if single_input else _TWO_OUTPUTS
+    inputs = {"images": np.concatenate(images)} if single_input else dict(zip(_TWO_INPUTS, images, strict=True))
     threads = cv2.getNumThreads()
     cv2.setNumThreads(1)
     try:
         net = cv2.dnn.readNetFromONNX(np.ascontiguousarray(model.data))
-        for name, value in given.items():
+        for name, value in inputs.items():
             net.setInput(value, name)
         outputs = [np.asarray(output) for output in net.forward(list(names))]
     except cv2.error as error:
@@ -114,10 +114,10 @@ def _run(model: Capture, interface: ModelInterface, pictures: list[Float32s]) ->
         raise ValueError(f"{model.name}: OpenCV {cv2.__version__} cannot run it: {message}") from None
     finally:
         cv2.setNumThreads(threads)
-    return _sorted_out(model.name, outputs)
+    return _parse_outputs(model.name, outputs)
 
 
-def _sorted_out(name: str, outputs: list[Any]) -> tuple[Float64s, Float64s, Float32s]:
+def _parse_outputs(name: str, outputs: list[Any]) -> tuple[Float64s, Float64s, Float32s]:
     """Matches and scores, as `_run` returns them, from a model's outputs."""
     *points, matches, scores = outputs
     points1, points2 = (np.asarray(p, dtype=np.float64).reshape(-1, 2) for p in (points if len(points) == 2 else points[0]))
@@ -127,11 +127,11 @@ def _sorted_out(name: str, outputs: list[Any]) -> tuple[Float64s, Float64s, Floa
     elif rows.size == len(points1):
         i1, i2 = np.arange(rows.size), rows.ravel()
     else:
-        raise ValueError(f"{name} gives matches of shape {rows.shape} for {len(points1)} and {len(points2)} keypoints: {_WANTED}")
+        raise ValueError(f"{name} gives matches of shape {rows.shape} for {len(points1)} and {len(points2)} keypoints: {_NEEDED}")
     if scores.size != len(i1):
-        raise ValueError(f"{name} gives {scores.size} scores for {len(i1)} matches: {_WANTED}")
-    there = (i1 >= 0) & (i1 < len(points1)) & (i2 >= 0) & (i2 < len(points2))
-    return points1[i1[there]], points2[i2[there]], np.asarray(scores, dtype=np.float32).ravel()[there]
+        raise ValueError(f"{name} gives {scores.size} scores for {len(i1)} matches: {_NEEDED}")
+    matched = (i1 >= 0) & (i1 < len(points1)) & (i2 >= 0) & (i2 < len(points2))
+    return points1[i1[matched]], points2[i2[matched]], np.asarray(scores, dtype=np.float32).ravel()[matched]
 
 
 def _in_frame(points: Float64s, size: tuple[int, int], frame: Frame) -> Float64s:
@@ -193,33 +193,33 @@ def _parts(message: memoryview, field: int) -> list[memoryview]:
 
 def _fields(message: memoryview) -> Iterator[tuple[int, int | memoryview]]:
     """Number and value of each field.  Raises IndexError or ValueError if the message is truncated or invalid."""
-    at = 0
-    while at < len(message):
-        tag, at = _varint(message, at)
+    position = 0
+    while position < len(message):
+        tag, position = _varint(message, position)
         if tag & 7 == _VARINT:
-            value, at = _varint(message, at)
+            value, position = _varint(message, position)
             yield tag >> 3, value
             continue
         length = {_EIGHT_BYTES: 8, _FOUR_BYTES: 4}.get(tag & 7, 0)
         if tag & 7 == _BYTES:
-            length, at = _varint(message, at)
+            length, position = _varint(message, position)
         elif not length:
             raise ValueError("no such wire type")
-        if at + length > len(message):
+        if position + length > len(message):
             raise IndexError
-        yield tag >> 3, message[at : at + length]
-        at += length
+        yield tag >> 3, message[position : position + length]
+        position += length
 
 
-def _varint(message: memoryview, at: int) -> tuple[int, int]:
+def _varint(message: memoryview, position: int) -> tuple[int, int]:
     """A varint, which has seven bits in each byte, and the position after it."""
     value = 0
     for shift in range(0, 70, 7):
-        byte = message[at]
-        at += 1
+        byte = message[position]
+        position += 1
         value |= (byte & 0x7F) << shift
         if byte < 0x80:
-            return value, at
+            return value, position
     raise ValueError("no number")
 
 
@@ -237,9 +237,9 @@ _LONGEST_S = 120.0
 def why_unreadable(model: bytes) -> str:
     """Why this process must not read a model, "" if it may: reading is tried in another process, which OpenCV may crash."""
     try:
-        tried = subprocess.run([sys.executable, "-c", _READ], input=model, capture_output=True, timeout=_LONGEST_S, check=False)
+        process = subprocess.run([sys.executable, "-c", _READ], input=model, capture_output=True, timeout=_LONGEST_S, check=False)
     except subprocess.TimeoutExpired:
         return f"OpenCV has not read it within {_LONGEST_S:.0f} s"
-    if tried.returncode >= 0:
+    if process.returncode >= 0:
         return ""
-    return f"OpenCV ends with {signal.Signals(-tried.returncode).name} while it reads it"
+    return f"OpenCV ends with {signal.Signals(-process.returncode).name} while it reads it"

@@ -19,12 +19,12 @@ def match_mutual(left: Features, right: Features, *, ratio: float = 0.8) -> Matc
     ratio : largest ratio of first to second descriptor distance, both ways; no unit.
     """
     rows1, rows2 = plain_rows(left), plain_rows(right)
-    near = nearest_neighbours(left.descriptors[rows1], right.descriptors[rows2], 2)
-    if near.rows.shape[1] < 2:
+    neighbours = nearest_neighbours(left.descriptors[rows1], right.descriptors[rows2], 2)
+    if neighbours.rows.shape[1] < 2:
         return keypoint_matches(left, right, rows1[:0], rows2[:0], np.zeros(0))
-    i1, i2, worse = near.mutual()
-    keep = worse < ratio
-    return keypoint_matches(left, right, rows1[i1[keep]], rows2[i2[keep]], 1 - worse[keep])
+    i1, i2, ratios = neighbours.mutual()
+    keep = ratios < ratio
+    return keypoint_matches(left, right, rows1[i1[keep]], rows2[i2[keep]], 1 - ratios[keep])
 
 
 _KDTREE, _TREES, _CHECKS = 1, 4, 200

@@ -39,11 +39,11 @@ def nearest_neighbours(descriptors1: Float32s, descriptors2: Float32s, k: int) -
     k = max(min(k, n1, n2), 0)
     rows, row_best = np.full((n1, k), -1, np.int32), np.full((n1, k), -2, np.float32)
     columns, column_best = np.full((n2, k), -1, np.int32), np.full((n2, k), -2, np.float32)
-    other, enough = np.ascontiguousarray(descriptors2.T), np.full(n2, -2, np.float32)
-    room, marks = np.empty(_BLOCK * n2, np.float32), np.zeros((n2 + 7) // 8, np.uint64)
+    transposed, column_limit = np.ascontiguousarray(descriptors2.T), np.full(n2, -2, np.float32)
+    buffer, marks = np.empty(_BLOCK * n2, np.float32), np.zeros((n2 + 7) // 8, np.uint64)
     for start in range(0, n1 if k else 0, _BLOCK):
-        similarity = _products(descriptors1[start : start + _BLOCK], other, room)
-        _keep_best(similarity, start, rows, row_best, columns, column_best, enough, marks, marks.view(np.uint8))
+        similarity = _products(descriptors1[start : start + _BLOCK], transposed, buffer)
+        _keep_best(similarity, start, rows, row_best, columns, column_best, column_limit, marks, marks.view(np.uint8))
     return Neighbours(rows, _distance(row_best), columns, _distance(column_best))
 
 
@@ -60,18 +60,18 @@ def nearest_lookalike(descriptors: Float32s, xy: Float64s, others: int, begin: i
     """
     best = np.full(len(descriptors), -2, np.float32)
     transposed = np.ascontiguousarray(descriptors[:others].T)
-    room = np.empty(_BLOCK * others, np.float32)
+    buffer = np.empty(_BLOCK * others, np.float32)
     for start in [*range(begin, others, _BLOCK), *range(others, len(descriptors), _BLOCK)]:
-        among = start < others
-        first = start if among else 0  # similarity is symmetric: each two of the first `others` are compared once
-        rows = descriptors[start : min(start + _BLOCK, others) if among else start + _BLOCK]
-        _best_elsewhere(_products(rows, transposed[:, first:], room), start, first, xy, APART_PX**2, among, best)
+        symmetric = start < others
+        first = start if symmetric else 0  # similarity is symmetric: each two of the first `others` are compared once
+        rows = descriptors[start : min(start + _BLOCK, others) if symmetric else start + _BLOCK]
+        _raise_best(_products(rows, transposed[:, first:], buffer), start, first, xy, APART_PX**2, symmetric, best)
     return _distance(np.maximum(best[begin:], -1))
 
 
-def _products(rows: Float32s, columns: Float32s, room: Float32s) -> Float32s:
-    """(n, m) products of (n, d) and (d, m), written to `room`: allocating memory for each block costs a tenth of the time."""
-    out = room[: len(rows) * columns.shape[1]].reshape(len(rows), columns.shape[1])
+def _products(rows: Float32s, columns: Float32s, buffer: Float32s) -> Float32s:
+    """(n, m) products of (n, d) and (d, m), written to `buffer`: allocating memory for each block costs a tenth of the time."""
+    out = buffer[: len(rows) * columns.shape[1]].reshape(len(rows), columns.shape[1])
     return np.asarray(np.matmul(rows, columns, out=out))
 
 
@@ -82,61 +82,61 @@ def _distance(similarity: Float32s) -> Float32s:
 
 @kernel
 def _keep_best(
-    similarity: Float32s, start: int, rows: Int32s, row_best: Float32s, columns: Int32s, column_best: Float32s, enough: Float32s,
-    marks: Uint64s, each: Uint8s,
+    similarity: Float32s, start: int, rows: Int32s, row_best: Float32s, columns: Int32s, column_best: Float32s,
+    column_limit: Float32s, marks: Uint64s, mark_bytes: Uint8s,
 ) -> None:  # fmt: skip
     """Merge a block of similarities into the best k of its rows and of all columns; of equal ones, the first index stays.
 
-    enough: (n2,) the last of each column's best k.  Few similarities enter a list: a row is scanned in spans of doubling length,
-    and in each only values above the limits valid at its start are inspected.  marks, each: the same memory, zeros at first.
+    column_limit: (n2,) the last of each column's best k.  Few similarities enter a list: a row is scanned in spans of doubling
+    length, and in each only values above the limits at its start are inspected.  marks, mark_bytes: the same memory, zeros first.
     """
     k, n = rows.shape[1], similarity.shape[1]
     for i in range(similarity.shape[0]):
         row, first, last = start + i, 0, min(_SPAN, n)
         while first < n:
-            _mark(similarity[i, first:last], row_best[row, k - 1], enough[first:last], each)
-            for eight in range((last - first + 7) // 8):
-                if marks[eight] == 0:
+            _mark(similarity[i, first:last], row_best[row, k - 1], column_limit[first:last], mark_bytes)
+            for group in range((last - first + 7) // 8):
+                if marks[group] == 0:
                     continue
-                for j in range(first + 8 * eight, min(first + 8 * eight + 8, last)):
-                    s = similarity[i, j]
-                    if s > row_best[row, k - 1]:
-                        _insert(row_best[row], rows[row], s, j)
-                    if s > enough[j]:
-                        _insert(column_best[j], columns[j], s, row)
-                        enough[j] = column_best[j, k - 1]
+                for j in range(first + 8 * group, min(first + 8 * group + 8, last)):
+                    value = similarity[i, j]
+                    if value > row_best[row, k - 1]:
+                        _insert(row_best[row], rows[row], value, j)
+                    if value > column_limit[j]:
+                        _insert(column_best[j], columns[j], value, row)
+                        column_limit[j] = column_best[j, k - 1]
             first, last = last, min(2 * last, n)
 
 
 @helper
-def _mark(values: Float32s, least: float, enough: Float32s, marks: Uint8s) -> None:
-    """Mark the values that exceed `least`, or their own entry of `enough`."""
+def _mark(values: Float32s, row_limit: float, column_limit: Float32s, marks: Uint8s) -> None:
+    """Mark the values that exceed `row_limit`, or their own entry of `column_limit`."""
     for n in range(len(values)):
-        marks[n] = np.uint8(values[n] > least) | np.uint8(values[n] > enough[n])
+        marks[n] = np.uint8(values[n] > row_limit) | np.uint8(values[n] > column_limit[n])
 
 
 @helper
-def _insert(best: Float32s, index: Int32s, value: float, at: int) -> None:
+def _insert(best: Float32s, index: Int32s, value: float, entry: int) -> None:
     """Insert a value into a list in descending order; the last value drops out."""
-    place = len(best) - 1
-    while place > 0 and value > best[place - 1]:
-        best[place] = best[place - 1]
-        index[place] = index[place - 1]
-        place -= 1
-    best[place] = value
-    index[place] = at
+    rank = len(best) - 1
+    while rank > 0 and value > best[rank - 1]:
+        best[rank] = best[rank - 1]
+        index[rank] = index[rank - 1]
+        rank -= 1
+    best[rank] = value
+    index[rank] = entry
 
 
 @kernel
-def _best_elsewhere(similarity: Float32s, start: int, first: int, xy: Float64s, limit: float, both: bool, best: Float32s) -> None:
-    """Raise the best similarity of the rows, which begin at `start`, and if `both`, of the columns, which begin at `first`."""
+def _raise_best(similarity: Float32s, top: int, left: int, xy: Float64s, limit: float, symmetric: bool, best: Float32s) -> None:
+    """Raise the best similarity of the rows, which begin at `top`, and if `symmetric`, of the columns, which begin at `left`."""
     for i in range(similarity.shape[0]):
-        row = start + i
+        row = top + i
         for j in range(similarity.shape[1]):
-            s, column = similarity[i, j], first + j
-            if s <= best[row] and not (both and s > best[column]):
+            value, column = similarity[i, j], left + j
+            if value <= best[row] and not (symmetric and value > best[column]):
                 continue
             if (xy[row, 0] - xy[column, 0]) ** 2 + (xy[row, 1] - xy[column, 1]) ** 2 >= limit:
-                best[row] = max(best[row], s)
-                if both:
-                    best[column] = max(best[column], s)
+                best[row] = max(best[row], value)
+                if symmetric:
+                    best[column] = max(best[column], value)

@@ -32,7 +32,7 @@ MOST_CURVED = 10.0
 STEPS, NEAR, FAR_PX = 5, 0.6, 1.5
 """Limits of Newton's iteration: number of steps; step at which it ends, in pixels and levels; distance from the start, pixels."""
 WHITE = 255.0
-_PIXELS_TO_ONE = 64
+_PIXELS_PER_EXTREMUM = 64
 """Memory for extrema is allocated first for one in this many pixels."""
 
 
@@ -72,14 +72,14 @@ Pyramid = Sequence[Float32s]
 def pyramid(grey: Uint8s) -> Pyramid:
     """Levels of increasing blur, in octaves of half the width and height of those before."""
     step = 2 ** (1 / LEVELS)
-    further = [FINEST_SIGMA * step**i * (step**2 - 1) ** 0.5 for i in range(LEVELS + 2)]
+    level_sigmas = [FINEST_SIGMA * step**i * (step**2 - 1) ** 0.5 for i in range(LEVELS + 2)]
     doubled = cv2.resize(grey.astype(np.float32), (2 * grey.shape[1], 2 * grey.shape[0]), interpolation=cv2.INTER_LINEAR)
     image = _smoothed(np.asarray(doubled, np.float32), (FINEST_SIGMA**2 - CAMERA_SIGMA**2) ** 0.5)
     octaves: list[Float32s] = []
     while True:
         levels = np.empty((LEVELS + 3, *image.shape), np.float32)
         levels[0] = image
-        for i, sigma in enumerate(further):
+        for i, sigma in enumerate(level_sigmas):
             _smoothed(levels[i], sigma, levels[i + 1])
         octaves.append(levels)
         if min(image.shape) < 2 * LEAST_SIDE:
@@ -101,53 +101,53 @@ def in_octave(octave: int, blobs: Blobs) -> Float64s:
 def find_blobs(octaves: Pyramid, contrast: float) -> Blobs:
     """Extrema of the differences of neighbouring levels, of at least this contrast (as OpenCV defines it: a share of the grey
     range, divided by LEVELS)."""
-    found, least = [], contrast * WHITE / LEVELS
+    parts, threshold = [], contrast * WHITE / LEVELS
     for octave, levels in enumerate(octaves):
-        x, y, scale, value = _refined(_rough(levels, 0.75 * least), levels, least).T
+        x, y, scale, value = _refined(_grid_extrema(levels, 0.75 * threshold), levels, threshold).T
         zoom = 2.0 ** (octave - 1)
         sigma = zoom * FINEST_SIGMA * 2 ** (scale / LEVELS)
         level = np.clip(np.rint(scale), 1, LEVELS).astype(np.int32)
-        where = np.full(len(x), octave, np.int32)
-        found.append(Blobs(zoom * x - 0.25, zoom * y - 0.25, sigma, value / WHITE, where, level))
-    return Blobs.joined(found)
+        octave_index = np.full(len(x), octave, np.int32)
+        parts.append(Blobs(zoom * x - 0.25, zoom * y - 0.25, sigma, value / WHITE, octave_index, level))
+    return Blobs.joined(parts)
 
 
-def _rough(levels: Float32s, least: float) -> Int64s:
+def _grid_extrema(levels: Float32s, threshold: float) -> Int64s:
     """(n, 3) x, y, level of the extrema on the grid."""
     count, _, w = levels.shape
-    out = np.empty((len(levels[0]) * w // _PIXELS_TO_ONE + 64, 3), np.int64)
+    out = np.empty((len(levels[0]) * w // _PIXELS_PER_EXTREMUM + 64, 3), np.int64)
     marks = np.zeros((w + 7) // 8, np.uint64)
     while True:
-        n = _extrema(levels, least, np.empty((3, count - 1, w), np.float32), marks, marks.view(np.uint8), out)
+        n = _extrema(levels, threshold, np.empty((3, count - 1, w), np.float32), marks, marks.view(np.uint8), out)
         if n <= len(out):
             return out[:n]
         out = np.empty((n, 3), np.int64)
 
 
 @kernel
-def _extrema(levels: Float32s, least: float, d: Float32s, marks: Uint64s, each: Uint8s, out: Int64s) -> int:
-    """Write x, y, level of the extrema of at least `least` in absolute value, among neighbours in position and scale, as far as
+def _extrema(levels: Float32s, threshold: float, differences: Float32s, marks: Uint64s, mark_bytes: Uint8s, out: Int64s) -> int:
+    """Write x, y, level of the extrema of at least `threshold` in absolute value, among neighbours in position and scale, while
     they fit, and return how many there are.
 
-    `d` keeps only three rows of differences for each scale: all would take as much memory as the pyramid.  marks, each: the same
+    `differences` keeps only three rows for each scale: all would take as much memory as the pyramid.  marks, mark_bytes: the same
     memory as groups of eight and as single bytes.
     """
     count, h, w = levels.shape
-    limit, n = np.float32(least), 0
-    for below in range(BORDER - 1, h - BORDER + 1):
+    limit, n = np.float32(threshold), 0
+    for next_y in range(BORDER - 1, h - BORDER + 1):
         for s in range(count - 1):
-            _subtract(levels[s + 1, below], levels[s, below], d[below % 3, s])
-        y = below - 1
+            _subtract(levels[s + 1, next_y], levels[s, next_y], differences[next_y % 3, s])
+        y = next_y - 1
         if y < BORDER:
             continue
-        row, above, under = d[y % 3], d[(y - 1) % 3], d[below % 3]
+        row, above, below = differences[y % 3], differences[(y - 1) % 3], differences[next_y % 3]
         for s in range(1, count - 2):
-            _mark(row[s], above[s], under[s], row[s - 1], row[s + 1], limit, each)
-            for eight in range(len(marks)):
-                if marks[eight] == 0:
+            _mark(row[s], above[s], below[s], row[s - 1], row[s + 1], limit, mark_bytes)
+            for group in range(len(marks)):
+                if marks[group] == 0:
                     continue
-                for x in range(max(8 * eight, BORDER), min(8 * eight + 8, w - BORDER)):
-                    if each[x] == 0 or not _extreme(d, row[s, x], s, x):
+                for x in range(max(8 * group, BORDER), min(8 * group + 8, w - BORDER)):
+                    if mark_bytes[x] == 0 or not _is_extremum(differences, row[s, x], s, x):
                         continue
                     if n < len(out):
                         out[n, 0], out[n, 1], out[n, 2] = x, y, s
@@ -163,26 +163,26 @@ def _subtract(coarser: Float32s, finer: Float32s, out: Float32s) -> None:
 
 @helper
 def _mark(
-    row: Float32s, above: Float32s, below: Float32s, finer: Float32s, coarser: Float32s, least: np.float32, marks: Uint8s
+    row: Float32s, above: Float32s, below: Float32s, finer: Float32s, coarser: Float32s, threshold: np.float32, marks: Uint8s
 ) -> None:
     """Mark what may be an extremum, by its nearest neighbours in position and scale."""
     for k in range(len(row) - 2):
         x = np.uint64(k + 1)
         v = row[x]
-        most = max(max(max(row[np.uint64(k)], row[np.uint64(k + 2)]), max(above[x], below[x])), max(finer[x], coarser[x]))
-        fewest = min(min(min(row[np.uint64(k)], row[np.uint64(k + 2)]), min(above[x], below[x])), min(finer[x], coarser[x]))
-        marks[x] = np.uint8((v >= max(most, least)) | (v <= min(fewest, -least)))
+        largest = max(max(max(row[np.uint64(k)], row[np.uint64(k + 2)]), max(above[x], below[x])), max(finer[x], coarser[x]))
+        smallest = min(min(min(row[np.uint64(k)], row[np.uint64(k + 2)]), min(above[x], below[x])), min(finer[x], coarser[x]))
+        marks[x] = np.uint8((v >= max(largest, threshold)) | (v <= min(smallest, -threshold)))
 
 
 @helper
-def _extreme(d: Float32s, v: np.float32, s: int, x: int) -> bool:
+def _is_extremum(differences: Float32s, v: np.float32, s: int, x: int) -> bool:
     """Is v, in the middle of the three rows, an extremum among all 26 neighbours?"""
     sign = np.float32(1.0) if v > 0 else np.float32(-1.0)
     v = sign * v
     for j in range(3):
         for i in range(s - 1, s + 2):
             for k in range(x - 1, x + 2):
-                if sign * d[j, i, k] > v:
+                if sign * differences[j, i, k] > v:
                     return False
     return True
 
@@ -197,23 +197,23 @@ def _cubic(t: float, taps: Float64s) -> None:
 
 
 @helper
-def _look(levels: Float32s, s: int, x: float, y: float, taps: Float64s, rows: Float64s, cube: Float64s) -> None:
+def _interpolate_cube(levels: Float32s, s: int, x: float, y: float, taps: Float64s, rows: Float64s, cube: Float64s) -> None:
     """Interpolate differences at x, y and one pixel around, in the scales around s: cube (3, 3, 3), by s, y, x."""
     left, top = int(np.floor(x)) - 2, int(np.floor(y)) - 2
-    across, down = taps[0], taps[1]
-    _cubic(x - np.floor(x), across)
-    _cubic(y - np.floor(y), down)
+    x_taps, y_taps = taps[0], taps[1]
+    _cubic(x - np.floor(x), x_taps)
+    _cubic(y - np.floor(y), y_taps)
     for scale in range(3):
         for r in range(6):
             coarser, finer = levels[s + scale, top + r], levels[s + scale - 1, top + r]
             for a in range(3):
                 first = left + a
-                v = across[0] * (coarser[first] - finer[first]) + across[1] * (coarser[first + 1] - finer[first + 1])
-                v += across[2] * (coarser[first + 2] - finer[first + 2]) + across[3] * (coarser[first + 3] - finer[first + 3])
+                v = x_taps[0] * (coarser[first] - finer[first]) + x_taps[1] * (coarser[first + 1] - finer[first + 1])
+                v += x_taps[2] * (coarser[first + 2] - finer[first + 2]) + x_taps[3] * (coarser[first + 3] - finer[first + 3])
                 rows[a, r] = v
         for b in range(3):
             for a in range(3):
-                v = down[0] * rows[a, b] + down[1] * rows[a, b + 1] + down[2] * rows[a, b + 2] + down[3] * rows[a, b + 3]
+                v = y_taps[0] * rows[a, b] + y_taps[1] * rows[a, b + 1] + y_taps[2] * rows[a, b + 2] + y_taps[3] * rows[a, b + 3]
                 cube[scale, b, a] = v
 
 
@@ -240,14 +240,14 @@ def _newton(c: Float64s, step: Float64s) -> bool:
     return bool(flat > 0 and (xx + yy) ** 2 * MOST_CURVED < (MOST_CURVED + 1) ** 2 * flat)
 
 
-def _refined(start: Int64s, levels: Float32s, least: float) -> Float64s:
+def _refined(start: Int64s, levels: Float32s, threshold: float) -> Float64s:
     """(n, 4) x, y, scale in levels, and absolute value of the extrema that Newton steps reach near their start."""
     out = np.empty((len(start), 4))
-    return out[: _refine(start, levels, least, out)]
+    return out[: _refine(start, levels, threshold, out)]
 
 
 @kernel
-def _refine(start: Int64s, levels: Float32s, least: float, out: Float64s) -> int:
+def _refine(start: Int64s, levels: Float32s, threshold: float, out: Float64s) -> int:
     """Write the rows of `_refined`, and return their number."""
     taps, rows, cube, step = np.empty((2, 4)), np.empty((3, 6)), np.empty((3, 3, 3)), np.empty(4)
     count = len(levels) - 1
@@ -256,13 +256,13 @@ def _refine(start: Int64s, levels: Float32s, least: float, out: Float64s) -> int
         x, y, s = float(start[k, 0]), float(start[k, 1]), start[k, 2]
         x0, y0 = x, y
         for _ in range(STEPS):
-            _look(levels, s, x, y, taps, rows, cube)
-            good = _newton(cube, step)
+            _interpolate_cube(levels, s, x, y, taps, rows, cube)
+            is_blob = _newton(cube, step)
             moved = max(abs(step[0]), abs(step[1]))
             if not moved < 4.0:
                 break
             if moved <= NEAR and abs(step[2]) <= NEAR:
-                if good and abs(step[3]) >= least:
+                if is_blob and abs(step[3]) >= threshold:
                     out[n, 0], out[n, 1], out[n, 2] = x + step[0], y + step[1], s + step[2]
                     out[n, 3] = abs(step[3])
                     n += 1

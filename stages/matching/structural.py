@@ -94,16 +94,16 @@ def match_structural(
     tilt : also match the views compressed in x: "auto" does so if the plain views give fewer than `weak_matches` matches.
     weak_matches : with fewer matches of the plain views, "auto" also matches the compressed views.
     """
-    possible = tilt != "never" and bool((left.tilts == TILTED).any() or (right.tilts == TILTED).any())
+    can_tilt = tilt != "never" and bool((left.tilts == TILTED).any() or (right.tilts == TILTED).any())
     pairs: tuple[ViewPair, ...] = ()
-    if not (possible and tilt == "always"):
+    if not (can_tilt and tilt == "always"):
         pairs = view_pairs(left, right, False, neighbours)
-        found = solve_rounds(left, right, pairs, initial_matches(pairs), dominance, rounds, None)
-        if not possible or len(found.i1) >= weak_matches:
-            return keypoint_matches(left, right, found.i1, found.i2, found.probability, searched=pairs)
+        matches = solve_rounds(left, right, pairs, initial_matches(pairs), dominance, rounds, None)
+        if not can_tilt or len(matches.i1) >= weak_matches:
+            return keypoint_matches(left, right, matches.i1, matches.i2, matches.probability, searched=pairs)
     pairs = view_pairs(left, right, True, neighbours, known=pairs)
-    found = solve_rounds(left, right, pairs, initial_matches(pairs), dominance, rounds, None)
-    return keypoint_matches(left, right, found.i1, found.i2, found.probability, tilted=True, searched=pairs)
+    matches = solve_rounds(left, right, pairs, initial_matches(pairs), dominance, rounds, None)
+    return keypoint_matches(left, right, matches.i1, matches.i2, matches.probability, tilted=True, searched=pairs)
 
 
 def match_guided(matches: Matches, left: Features, right: Features, F: Float64s) -> Matches:
@@ -120,8 +120,8 @@ def match_guided(matches: Matches, left: Features, right: Features, F: Float64s)
         raise ValueError("matches without keypoints cannot be guided")
     pairs = searched_view_pairs(matches, left, right)
     known = Correspondences(matches.i1, matches.i2, matches.probability.astype(np.float64))
-    found = solve_rounds(left, right, pairs, known, DOMINANCE, ROUNDS, F)
-    return keypoint_matches(left, right, found.i1, found.i2, found.probability, tilted=matches.tilted, searched=pairs)
+    guided = solve_rounds(left, right, pairs, known, DOMINANCE, ROUNDS, F)
+    return keypoint_matches(left, right, guided.i1, guided.i2, guided.probability, tilted=matches.tilted, searched=pairs)
 
 
 def solve_rounds(
@@ -147,16 +147,16 @@ def solve_rounds(
     for step in range(rounds):
         if len(matches.i1) < MIN_MATCHES:
             return Correspondences(matches.i1[:0], matches.i2[:0], matches.probability[:0])
-        last = step == rounds - 1
-        odds = dominance if last else 1.0
+        is_last = step == rounds - 1
+        odds = dominance if is_last else 1.0
         x1, x2 = left.xy[matches.i1], right.xy[matches.i2]
         affine = right.frames[matches.i2] @ inverses(left.frames[matches.i1])
-        found = []
+        results = []
         for pair in pairs:
             field = fit_affine_field(x1, x2, affine, matches.probability, pair.x1)
-            found.append(_expect(pair, field, odds, last, step > 0, F))
-        i1, i2, p = (np.concatenate(parts) for parts in zip(*found, strict=True))
-        if last or len(pairs) > 1:
+            results.append(_expect(pair, field, odds, is_last, step > 0, F))
+        i1, i2, p = (np.concatenate(parts) for parts in zip(*results, strict=True))
+        if is_last or len(pairs) > 1:
             keep = without_repeats(left.xy[i1], right.xy[i2], p)
             i1, i2, p = i1[keep], i2[keep], p[keep]
         matches = Correspondences(i1, i2, p)
@@ -165,17 +165,17 @@ def solve_rounds(
 
 
 def _expect(
-    pair: ViewPair, field: AffineField, odds: float, last: bool, search: bool, F: Float64s | None
+    pair: ViewPair, field: AffineField, odds: float, is_last: bool, search: bool, F: Float64s | None
 ) -> tuple[Int32s, Int32s, Float64s]:
     """Candidates whose probability exceeds `odds` times that of all rivals together, as rows of the `Features`."""
     sigma = np.maximum(field.sigma_px, MIN_SIGMA_PX)
     trust = field.support / (field.support + TRUST_HALF)
     i, j, q = pair.candidates.i, pair.candidates.j, pair.candidates.q
     if search:
-        more_i, more_j, more_q = near_predictions(pair, field, sigma, trust)
-        i, j, q = np.concatenate([i, more_i]), np.concatenate([j, more_j]), np.concatenate([q, more_q])
+        near_i, near_j, near_q = near_predictions(pair, field, sigma, trust)
+        i, j, q = np.concatenate([i, near_i]), np.concatenate([j, near_j]), np.concatenate([q, near_q])
     log_odds = np.empty(len(i))
-    coefficients = np.array(astuple(replace(EVIDENCE, growing=EVIDENCE.final) if last else EVIDENCE))
+    coefficients = np.array(astuple(replace(EVIDENCE, growing=EVIDENCE.final) if is_last else EVIDENCE))
     forward = field.affine @ pair.frames1
     _score(
         i, j, q, pair.x2, forward, _log_scale(forward), pair.unframes2, _log_scale(pair.unframes2),
@@ -183,8 +183,8 @@ def _expect(
     )  # fmt: skip
     if F is not None:
         _score_epipolar(i, j, pair.x1, pair.x2, np.ascontiguousarray(F), coefficients, log_odds)
-    rivals = log_odds > LEAST_LOG_ODDS
-    i, j, log_odds = i[rivals], j[rivals], log_odds[rivals]
+    likely = log_odds > LEAST_LOG_ODDS
+    i, j, log_odds = i[likely], j[likely], log_odds[likely]
     p = assign(i, j, log_odds, len(pair.x1), len(pair.x2))
     keep = p > odds * (1 - p)
     return pair.rows1[i[keep]], pair.rows2[j[keep]], p[keep]
@@ -272,19 +272,19 @@ def initial_matches(pairs: tuple[ViewPair, ...]) -> Correspondences:
     """Mutual nearest neighbours that are clearly nearest or confirmed by their neighbours, else the best 8; weight 1 each."""
     if not pairs:
         return Correspondences(np.zeros(0, np.int32), np.zeros(0, np.int32), np.zeros(0))
-    i1, i2, x1, x2, affine, ratio = (np.concatenate(parts) for parts in zip(*map(_clear, pairs), strict=True))
+    i1, i2, x1, x2, affine, ratio = (np.concatenate(parts) for parts in zip(*map(_clear_matches, pairs), strict=True))
     if len(pairs) > 1:
         keep = without_repeats(x1, x2, 1 - ratio)
         i1, i2, x1, x2, affine, ratio = (part[keep] for part in (i1, i2, x1, x2, affine, ratio))
     confirmed = confirmations(x1, x2, affine)
-    good = (confirmed >= 2) | ((confirmed >= 1) & (ratio < 0.75)) | (ratio < 0.55)
-    if good.sum() < 8:
-        good = np.zeros(len(ratio), dtype=bool)
-        good[np.argsort(ratio - 0.2 * confirmed, kind="stable")[:8]] = True
-    return Correspondences(i1[good], i2[good], np.ones(int(good.sum())))
+    accepted = (confirmed >= 2) | ((confirmed >= 1) & (ratio < 0.75)) | (ratio < 0.55)
+    if accepted.sum() < 8:
+        accepted = np.zeros(len(ratio), dtype=bool)
+        accepted[np.argsort(ratio - 0.2 * confirmed, kind="stable")[:8]] = True
+    return Correspondences(i1[accepted], i2[accepted], np.ones(int(accepted.sum())))
 
 
-def _clear(pair: ViewPair) -> tuple[Int32s, Int32s, Float64s, Float64s, Float64s, Float64s]:
+def _clear_matches(pair: ViewPair) -> tuple[Int32s, Int32s, Float64s, Float64s, Float64s, Float64s]:
     """Mutual nearest neighbours within `MAX_RATIO`: rows of the `Features`, positions, frame affines and ratios."""
     i, j, ratio = pair.candidates.near.mutual()
     keep = ratio < MAX_RATIO
@@ -308,14 +308,14 @@ def _count_confirmations(index: Int32s, x1: Float64s, x2: Float64s, affine: Floa
         a = affine[n]
         det = a[0, 0] * a[1, 1] - a[0, 1] * a[1, 0]
         for k in range(index.shape[1]):
-            o = index[n, k]
-            du, dv = x1[n, 0] - x1[o, 0], x1[n, 1] - x1[o, 1]
+            neighbour = index[n, k]
+            du, dv = x1[n, 0] - x1[neighbour, 0], x1[n, 1] - x1[neighbour, 1]
             if abs(du) + abs(dv) <= 1.5:
                 continue
-            b = affine[o]
-            eu = x2[o, 0] + b[0, 0] * du + b[0, 1] * dv - x2[n, 0]
-            ev = x2[o, 1] + b[1, 0] * du + b[1, 1] * dv - x2[n, 1]
-            reach = np.hypot(x2[n, 0] - x2[o, 0], x2[n, 1] - x2[o, 1])
+            b = affine[neighbour]
+            eu = x2[neighbour, 0] + b[0, 0] * du + b[0, 1] * dv - x2[n, 0]
+            ev = x2[neighbour, 1] + b[1, 0] * du + b[1, 1] * dv - x2[n, 1]
+            reach = np.hypot(x2[n, 0] - x2[neighbour, 0], x2[n, 1] - x2[neighbour, 1])
             if np.hypot(eu, ev) >= CONFIRM_PX + CONFIRM_PER_PX * reach:
                 continue
             r00 = (a[1, 1] * b[0, 0] - a[0, 1] * b[1, 0]) / det

@@ -24,8 +24,8 @@ def carried_planes(camera: Camera, cameras: Mapping[str, Camera], depths: Mappin
     planes = np.full((3, camera.height, camera.width), np.nan, np.float32)
     for name, depth in depths.items():
         if name in cameras and cameras[name].component == camera.component:
-            there, back = transfer(cameras[name], camera), transfer(camera, cameras[name])
-            _carry(depth.depth, depth.slope_x, depth.slope_y, *there, *back, planes)
+            to_view, from_view = transfer(cameras[name], camera), transfer(camera, cameras[name])
+            _carry(depth.depth, depth.slope_x, depth.slope_y, *to_view, *from_view, planes)
     return planes
 
 
@@ -57,11 +57,11 @@ def _carry(
             z = np.float64(depth[y, x])
             if np.isnan(z):
                 continue
-            there = z * (M[2, 0] * x + M[2, 1] * y + M[2, 2]) + b[2]
-            if not there > 0:
+            other_z = z * (M[2, 0] * x + M[2, 1] * y + M[2, 2]) + b[2]
+            if not other_z > 0:
                 continue
-            u = (z * (M[0, 0] * x + M[0, 1] * y + M[0, 2]) + b[0]) / there
-            v = (z * (M[1, 0] * x + M[1, 1] * y + M[1, 2]) + b[1]) / there
+            u = (z * (M[0, 0] * x + M[0, 1] * y + M[0, 2]) + b[0]) / other_z
+            v = (z * (M[1, 0] * x + M[1, 1] * y + M[1, 2]) + b[1]) / other_z
             if not (u > -0.5 and v > -0.5 and u < w - 0.5 and v < h - 0.5):
                 continue
             i, j = int(u + 0.5), int(v + 0.5)
@@ -70,6 +70,6 @@ def _carry(
             scale = 1.0 / (1.0 - n0 * b_back[0] - n1 * b_back[1] - n2 * b_back[2])
             across = scale * (n0 * M_back[0, 0] + n1 * M_back[1, 0] + n2 * M_back[2, 0])
             down = scale * (n0 * M_back[0, 1] + n1 * M_back[1, 1] + n2 * M_back[2, 1])
-            q = np.float32(1.0 / there + across * (i - u) + down * (j - v))
+            q = np.float32(1.0 / other_z + across * (i - u) + down * (j - v))
             if q > 0 and not q <= planes[0, j, i]:  # nan where there is none
                 planes[0, j, i], planes[1, j, i], planes[2, j, i] = q, across, down

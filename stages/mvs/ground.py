@@ -34,7 +34,7 @@ _LOWEST, _HIGHEST = 0.02, 1.5
 _PATCHES = 28
 """Patches across the wider side of a view."""
 _RADIUS = 4
-_LARGE_RADIUS, _VERY_ALIKE = 8, 0.9
+_LARGE_RADIUS, _LEAST_CORRELATION = 8, 0.9
 """Radius of the large patches of `very_alike`, pixels, and the correlation above which they look the same."""
 _CANDIDATES = 4
 _MOST_PAIRS = 8
@@ -63,19 +63,19 @@ def find_ground(images: Mapping[str, Float32s], cameras: Mapping[str, Camera]) -
     pairs, ups = _pairs([camera for _, camera in views]), _ups([camera for _, camera in views])
     if not pairs or not ups:
         return None
-    ways = _directed_pairs(views, pairs, ups[0])
-    found: list[tuple[Float64s, Float64s]] = []
+    directed = _directed_pairs(views, pairs, ups[0])
+    candidates: list[tuple[Float64s, Float64s]] = []
     for up in ups:
-        planes, chance = _sweep(views, pairs, ways, up)
-        for plane in parallel_map(lambda plane: _fit_nearby(views, ways, plane), planes):
-            found.append((_odds(_likenesses(ways, plane), *chance), plane))
-    odds, ground = max(found, key=lambda each: float(_gains(each[0]).max()))
+        planes, chance = _sweep(views, pairs, directed, up)
+        for plane in parallel_map(lambda plane: _fit_nearby(views, directed, plane), planes):
+            candidates.append((_odds(_likenesses(directed, plane), *chance), plane))
+    odds, ground = max(candidates, key=lambda each: float(_gains(each[0]).max()))
     share = _SHARES[int(np.argmax(_gains(odds)))]
     centre = np.mean([camera.C for _, camera in views], axis=0)
     height = float(ground[:3] @ centre + ground[3])
-    rivals = [other for other, plane in found if abs((plane[:3] @ centre + plane[3]) / height - 1) > _SAME_HEIGHT]
+    rivals = [other_odds for other_odds, plane in candidates if abs((plane[:3] @ centre + plane[3]) / height - 1) > _SAME_HEIGHT]
     alternatives = [np.ones_like(odds), *rivals]
-    return ground if all(_significance(odds, other, share) >= _SIGNIFICANT for other in alternatives) else None
+    return ground if all(_significance(odds, other_odds, share) >= _SIGNIFICANT for other_odds in alternatives) else None
 
 
 def likely_planes(views: list[tuple[Float32s, Camera]]) -> list[Float64s]:
@@ -86,16 +86,16 @@ def likely_planes(views: list[tuple[Float32s, Camera]]) -> list[Float64s]:
 
 def fit_nearby_plane(views: list[tuple[Float32s, Camera]], plane: Float64s) -> tuple[float, Float64s]:
     """Mean square of the correlations on the best plane near a given one, and that plane."""
-    ways = _directed_pairs(views, _pairs([camera for _, camera in views]), plane[:3])
-    settled = _fit_nearby(views, ways, plane)
-    return _alike(ways, settled) / sum(len(way.patches) for way in ways), settled
+    directed = _directed_pairs(views, _pairs([camera for _, camera in views]), plane[:3])
+    fitted = _fit_nearby(views, directed, plane)
+    return _score(directed, fitted) / sum(len(pair.patches) for pair in directed), fitted
 
 
 def very_alike(views: list[tuple[Float32s, Camera]], plane: Float64s) -> int:
     """Number of large patches that look the same in two views if they lie on the plane: one stone looks like another, but not
     together with its surroundings."""
-    ways = _directed_pairs(views, _pairs([camera for _, camera in views]), plane[:3])
-    return sum(int(np.sum(_likeness(way, plane, _LARGE_RADIUS) > _VERY_ALIKE)) for way in ways)
+    directed = _directed_pairs(views, _pairs([camera for _, camera in views]), plane[:3])
+    return sum(int(np.sum(_likeness(pair, plane, _LARGE_RADIUS) > _LEAST_CORRELATION)) for pair in directed)
 
 
 @dataclass(frozen=True)
@@ -116,41 +116,41 @@ def halved(image: Float32s, camera: Camera) -> tuple[Float32s, Camera]:
 
 def _ups(cameras: list[Camera]) -> list[Float64s]:
     """Possible up directions: perpendicular to all views' rows, and the world's z axis if it agrees or the rows leave it open."""
-    across = np.stack([camera.R[0] for camera in cameras])
-    values, vectors = np.linalg.eigh(across.T @ across)
+    row_axes = np.stack([camera.R[0] for camera in cameras])
+    values, vectors = np.linalg.eigh(row_axes.T @ row_axes)
     up = vectors[:, 0] * np.sign(-sum(camera.R[1] @ vectors[:, 0] for camera in cameras))
     z = np.array([0.0, 0.0, 1.0])
-    level = float(up @ z) > np.cos(np.radians(_LEVEL_DEG))
-    turned = values[1] > 0.02 * len(cameras)  # views that all face the same way do not determine their tilt
-    upright = all(-camera.R[1] @ z > 0.5 for camera in cameras)
-    return ([z] if level or (upright and not turned) else []) + ([up] if turned else [])
+    is_level = float(up @ z) > np.cos(np.radians(_LEVEL_DEG))
+    tilt_known = values[1] > 0.02 * len(cameras)  # views that all face the same way do not determine their tilt
+    is_upright = all(-camera.R[1] @ z > 0.5 for camera in cameras)
+    return ([z] if is_level or (is_upright and not tilt_known) else []) + ([up] if tilt_known else [])
 
 
 def _pairs(cameras: list[Camera]) -> list[tuple[int, int]]:
     """Pairs of views that look in about the same direction, the nearest ones first."""
-    alike = ((i, j) for i, j in combinations(range(len(cameras)), 2) if cameras[i].R[2] @ cameras[j].R[2] > -0.2)
-    found = sorted((float(np.linalg.norm(cameras[i].C - cameras[j].C)), i, j) for i, j in alike)
-    return [(i, j) for baseline, i, j in found if baseline > 0][:_MOST_PAIRS]
+    facing_alike = ((i, j) for i, j in combinations(range(len(cameras)), 2) if cameras[i].R[2] @ cameras[j].R[2] > -0.2)
+    ordered = sorted((float(np.linalg.norm(cameras[i].C - cameras[j].C)), i, j) for i, j in facing_alike)
+    return [(i, j) for baseline, i, j in ordered if baseline > 0][:_MOST_PAIRS]
 
 
 def _sweep(
-    views: list[tuple[Float32s, Camera]], pairs: list[tuple[int, int]], ways: list[_DirectedPair], up: Float64s
+    views: list[tuple[Float32s, Camera]], pairs: list[tuple[int, int]], directed: list[_DirectedPair], up: Float64s
 ) -> tuple[list[Float64s], tuple[Float64s, Float64s]]:
     """The best level planes (4,), of different heights, the best one first; and chance: mean and standard deviation (n,) of each
     patch's Fisher-transformed correlation over all heights, nan for a patch that is rarely in view."""
     lowest = min(float(camera.C @ up) for _, camera in views)
-    longest = max(float(np.linalg.norm(views[i][1].C - views[j][1].C)) for i, j in pairs)
-    below = longest * np.geomspace(_LOWEST, _HIGHEST, _HEIGHTS)
-    likeness = np.array(list(parallel_map(lambda height: _likenesses(ways, np.append(up, height - lowest)), below)))
+    longest_baseline = max(float(np.linalg.norm(views[i][1].C - views[j][1].C)) for i, j in pairs)
+    heights = longest_baseline * np.geomspace(_LOWEST, _HIGHEST, _HEIGHTS)
+    likeness = np.array(list(parallel_map(lambda height: _likenesses(directed, np.append(up, height - lowest)), heights)))
     often = np.isfinite(likeness).sum(axis=0) > 0.1 * _HEIGHTS
     mean, spread = (np.full(likeness.shape[1], np.nan) for _ in range(2))
     mean[often], spread[often] = np.nanmean(_fisher(likeness[:, often]), axis=0), np.nanstd(_fisher(likeness[:, often]), axis=0)
     gain = np.array([_gains(_odds(row, mean, spread)).max() for row in likeness])
-    best: list[float] = []
-    for height in below[np.argsort(-gain, kind="stable")]:
-        if len(best) < _CANDIDATES and all(abs(height / other - 1) > _SAME_HEIGHT for other in best):
-            best.append(float(height))
-    return [np.append(up, height - lowest) for height in best], (mean, spread)
+    best_heights: list[float] = []
+    for height in heights[np.argsort(-gain, kind="stable")]:
+        if len(best_heights) < _CANDIDATES and all(abs(height / other - 1) > _SAME_HEIGHT for other in best_heights):
+            best_heights.append(float(height))
+    return [np.append(up, height - lowest) for height in best_heights], (mean, spread)
 
 
 def _fisher(correlation: Float64s) -> Float64s:
@@ -171,45 +171,45 @@ def _gains(odds: Float64s) -> Float64s:
     return np.asarray(np.log1p(_SHARES[:, None] * (odds - 1.0)).sum(axis=1), dtype=np.float64)
 
 
-def _significance(odds: Float64s, other: Float64s, share: float) -> float:
+def _significance(odds: Float64s, other_odds: Float64s, share: float) -> float:
     """Standard errors by which one plane is more likely than another (Vuong).  The factor 2 is for pairs of views, which are
     compared in both directions and thus count twice."""
-    gain = np.log1p(share * (odds - 1.0)) - np.log1p(share * (other - 1.0))
+    gain = np.log1p(share * (odds - 1.0)) - np.log1p(share * (other_odds - 1.0))
     return float(gain.sum() / max(np.sqrt(2.0 * (gain**2).sum()), 1e-12))
 
 
 def _directed_pairs(views: list[tuple[Float32s, Camera]], pairs: list[tuple[int, int]], up: Float64s) -> list[_DirectedPair]:
-    ways = ((views[a], views[b]) for i, j in pairs for a, b in ((i, j), (j, i)))
-    return [_DirectedPair(one, two, below_horizon(one[1], up, _PATCHES)) for one, two in ways]
+    view_pairs = ((views[a], views[b]) for i, j in pairs for a, b in ((i, j), (j, i)))
+    return [_DirectedPair(one, two, below_horizon(one[1], up, _PATCHES)) for one, two in view_pairs]
 
 
-def _likenesses(ways: list[_DirectedPair], plane: Float64s) -> Float64s:
-    return np.concatenate([_likeness(way, plane) for way in ways])
+def _likenesses(directed: list[_DirectedPair], plane: Float64s) -> Float64s:
+    return np.concatenate([_likeness(pair, plane) for pair in directed])
 
 
-def _alike(ways: list[_DirectedPair], plane: Float64s) -> float:
-    return float(np.nansum(np.maximum(_likenesses(ways, plane), 0.0) ** 2))
+def _score(directed: list[_DirectedPair], plane: Float64s) -> float:
+    return float(np.nansum(np.maximum(_likenesses(directed, plane), 0.0) ** 2))
 
 
-def _fit_nearby(views: list[tuple[Float32s, Camera]], ways: list[_DirectedPair], plane: Float64s) -> Float64s:
+def _fit_nearby(views: list[tuple[Float32s, Camera]], directed: list[_DirectedPair], plane: Float64s) -> Float64s:
     """The plane near a given one, tilted and lifted a little, on which patches look most alike."""
     from scipy.optimize import minimize
 
     cameras = np.array([camera.C for _, camera in views])
     centre = cameras.mean(axis=0)
     height, radius = float(plane[:3] @ centre + plane[3]), float(np.linalg.norm(cameras - centre, axis=1).max())
-    a = np.linalg.svd(plane[None, :3])[2][1:]
-    tilt = min(np.radians(_MOST_TILT_DEG), 2.0 * _MOST_LIFT * height / radius)
+    tangents = np.linalg.svd(plane[None, :3])[2][1:]
+    most_tilt = min(np.radians(_MOST_TILT_DEG), 2.0 * _MOST_LIFT * height / radius)
 
-    def moved(change: Float64s) -> Float64s:
-        normal = plane[:3] + a.T @ (tilt * np.tanh(change[:2]))
+    def moved_plane(change: Float64s) -> Float64s:
+        normal = plane[:3] + tangents.T @ (most_tilt * np.tanh(change[:2]))
         normal /= np.linalg.norm(normal)
         return np.append(normal, height * (1.0 + _MOST_LIFT * np.tanh(change[2])) - normal @ centre)
 
     simplex = np.vstack([np.zeros(3), np.eye(3) / 3])
     options = {"initial_simplex": simplex, "maxfev": 80, "xatol": 0.003}
-    found = minimize(lambda change: -_alike(ways, moved(change)), np.zeros(3), method="Nelder-Mead", options=options)
-    return moved(np.asarray(found.x, dtype=np.float64))
+    result = minimize(lambda change: -_score(directed, moved_plane(change)), np.zeros(3), method="Nelder-Mead", options=options)
+    return moved_plane(np.asarray(result.x, dtype=np.float64))
 
 
 def below_horizon(camera: Camera, up: Float64s, across: int) -> Float64s:
@@ -221,13 +221,13 @@ def below_horizon(camera: Camera, up: Float64s, across: int) -> Float64s:
     return np.asarray(pixels[up @ direction < -0.03 * np.linalg.norm(direction, axis=0)])
 
 
-def _likeness(way: _DirectedPair, plane: Float64s, radius: int = _RADIUS) -> Float64s:
+def _likeness(pair: _DirectedPair, plane: Float64s, radius: int = _RADIUS) -> Float64s:
     """(n,) correlation of one view's patches with the other view, where the plane maps them; nan for patches not in view."""
-    (image1, camera1), (image2, camera2) = way.one, way.two
+    (image1, camera1), (image2, camera2) = pair.one, pair.two
     if plane[:3] @ camera1.C + plane[3] <= 0 or plane[:3] @ camera2.C + plane[3] <= 0:
-        return np.full(len(way.patches), np.nan)
-    out = np.empty(len(way.patches))
-    _correlate(image1, image2, way.patches, ground_homography(camera1, camera2, plane), radius, out)
+        return np.full(len(pair.patches), np.nan)
+    out = np.empty(len(pair.patches))
+    _correlate(image1, image2, pair.patches, ground_homography(camera1, camera2, plane), radius, out)
     return out
 
 
@@ -277,14 +277,14 @@ def _correlation(image1: Float32s, image2: Float32s, x: int, y: int, H: Float64s
             u, v = (H[0, 0] * i + H[0, 1] * j + H[0, 2]) / z, (H[1, 0] * i + H[1, 1] * j + H[1, 2]) / z
             a, b = int(u), int(v)
             f, g = u - a, v - b
-            there = (image2[b, a] * (1 - f) + image2[b, a + 1] * f) * (1 - g)
-            there += (image2[b + 1, a] * (1 - f) + image2[b + 1, a + 1] * f) * g
-            here = image1[j, i]
-            s1 += here
-            s2 += there
-            s11 += here * here
-            s22 += there * there
-            s12 += here * there
+            grey2 = (image2[b, a] * (1 - f) + image2[b, a + 1] * f) * (1 - g)
+            grey2 += (image2[b + 1, a] * (1 - f) + image2[b + 1, a + 1] * f) * g
+            grey1 = image1[j, i]
+            s1 += grey1
+            s2 += grey2
+            s11 += grey1 * grey1
+            s22 += grey2 * grey2
+            s12 += grey1 * grey2
     n = (2 * radius + 1) ** 2
     spread1, spread2 = s11 / n - (s1 / n) ** 2, s22 / n - (s2 / n) ** 2
     return float((s12 / n - s1 * s2 / n / n) / np.sqrt((spread1 + 4.0) * (spread2 + 4.0)))

@@ -16,13 +16,13 @@ from .ground import below_horizon, ground_homography
 _PATCHES = 64
 """Patches across the wider side of a view."""
 _RADIUS = 6
-_ALIKE = 0.75
+_LEAST_CORRELATION = 0.75
 """Smallest correlation of matching patches."""
-_CLEARER = 0.12
+_LEAST_LEAD = 0.12
 """Smallest lead of the best correlation over that at any other place within reach."""
-_BESIDE_PX = 3
+_SAME_PLACE_PX = 3
 """Places within this distance of the best one do not count as others."""
-_LEAST_SPREAD = 16.0
+_LEAST_VARIANCE = 16.0
 """Smallest variance of a patch's grey levels: flatter patches look alike anywhere."""
 _MOST_STRETCH = 4.0
 """Patches that cover more than this many times more or fewer pixels in the other view are not compared."""
@@ -43,42 +43,42 @@ def ground_matches(
     if any(plane[:3] @ camera.C + plane[3] <= 0 for camera in cameras):
         return np.zeros((0, 2)), np.zeros((0, 2))
     patches = below_horizon(camera1, plane[:3], _PATCHES)
-    found = np.full((len(patches), 4), np.nan)
-    _search(*images, patches, ground_homography(camera1, camera2, plane), int(np.ceil(reach_px)), found)
-    best, second = found[:, 2], found[:, 3]
+    results = np.full((len(patches), 4), np.nan)
+    _search(*images, patches, ground_homography(camera1, camera2, plane), int(np.ceil(reach_px)), results)
+    best, second = results[:, 2], results[:, 3]
     with np.errstate(invalid="ignore"):
-        clear = (best >= _ALIKE) & (best >= second + _CLEARER)
-    return patches[clear], found[clear, :2]
+        clear = (best >= _LEAST_CORRELATION) & (best >= second + _LEAST_LEAD)
+    return patches[clear], results[clear, :2]
 
 
 @kernel
-def _search(image1: Float32s, image2: Float32s, patches: Float64s, H: Float64s, reach: int, found: Float64s) -> None:
+def _search(image1: Float32s, image2: Float32s, patches: Float64s, H: Float64s, reach: int, results: Float64s) -> None:
     """Write for each patch its position in image 2 (2 numbers), its correlation there, and that at the best other place."""
     h1, w1 = image1.shape
     h2, w2 = image2.shape
     side = 2 * _RADIUS + 1
-    u, v, here = np.empty(side * side), np.empty(side * side), np.empty(side * side)
+    u, v, patch = np.empty(side * side), np.empty(side * side), np.empty(side * side)
     scores = np.empty((2 * reach + 1, 2 * reach + 1))
     for k in range(len(patches)):
         x, y = int(patches[k, 0]), int(patches[k, 1])
         if x < _RADIUS or y < _RADIUS or x >= w1 - _RADIUS or y >= h1 - _RADIUS:
             continue
-        if not _mapped(image1, x, y, H, u, v, here):
+        if not _map_patch(image1, x, y, H, u, v, patch):
             continue
-        wide, high = u.max() - u.min(), v.max() - v.min()
-        stretched = wide * high > _MOST_STRETCH * side * side or wide * high < side * side / _MOST_STRETCH
+        width, height = u.max() - u.min(), v.max() - v.min()
+        stretched = width * height > _MOST_STRETCH * side * side or width * height < side * side / _MOST_STRETCH
         inside = u.min() >= reach and v.min() >= reach and u.max() < w2 - 1 - reach and v.max() < h2 - 1 - reach
-        if stretched or not inside or here.var() < _LEAST_SPREAD:
+        if stretched or not inside or patch.var() < _LEAST_VARIANCE:
             continue
-        _correlate(image2, u, v, here, reach, scores)
-        _best_place(scores, reach, found[k])
+        _correlate(image2, u, v, patch, reach, scores)
+        _best_place(scores, reach, results[k])
         z = H[2, 0] * x + H[2, 1] * y + H[2, 2]
-        found[k, 0] += (H[0, 0] * x + H[0, 1] * y + H[0, 2]) / z
-        found[k, 1] += (H[1, 0] * x + H[1, 1] * y + H[1, 2]) / z
+        results[k, 0] += (H[0, 0] * x + H[0, 1] * y + H[0, 2]) / z
+        results[k, 1] += (H[1, 0] * x + H[1, 1] * y + H[1, 2]) / z
 
 
 @helper
-def _mapped(image1: Float32s, x: int, y: int, H: Float64s, u: Float64s, v: Float64s, here: Float64s) -> bool:
+def _map_patch(image1: Float32s, x: int, y: int, H: Float64s, u: Float64s, v: Float64s, patch: Float64s) -> bool:
     """Write where H maps the pixels around x, y (u, v), and their grey levels; False if some are behind the camera."""
     n = 0
     for j in range(y - _RADIUS, y + _RADIUS + 1):
@@ -88,34 +88,34 @@ def _mapped(image1: Float32s, x: int, y: int, H: Float64s, u: Float64s, v: Float
                 return False
             u[n] = (H[0, 0] * i + H[0, 1] * j + H[0, 2]) / z
             v[n] = (H[1, 0] * i + H[1, 1] * j + H[1, 2]) / z
-            here[n] = image1[j, i]
+            patch[n] = image1[j, i]
             n += 1
     return True
 
 
 @helper
-def _correlate(image2: Float32s, u: Float64s, v: Float64s, here: Float64s, reach: int, scores: Float64s) -> None:
+def _correlate(image2: Float32s, u: Float64s, v: Float64s, patch: Float64s, reach: int, scores: Float64s) -> None:
     """Correlation of a patch with image 2 at each shift from its predicted position."""
-    n = len(here)
-    mean, spread = here.mean(), here.var()
-    for down in range(-reach, reach + 1):
-        for across in range(-reach, reach + 1):
+    n = len(patch)
+    mean, variance = patch.mean(), patch.var()
+    for shift_y in range(-reach, reach + 1):
+        for shift_x in range(-reach, reach + 1):
             s2, s22, s12 = 0.0, 0.0, 0.0
             for m in range(n):
                 a, b = int(u[m]), int(v[m])
                 f, g = u[m] - a, v[m] - b
-                a, b = a + across, b + down
-                there = (image2[b, a] * (1 - f) + image2[b, a + 1] * f) * (1 - g)
-                there += (image2[b + 1, a] * (1 - f) + image2[b + 1, a + 1] * f) * g
-                s2 += there
-                s22 += there * there
-                s12 += here[m] * there
-            spread2 = max(s22 / n - (s2 / n) ** 2, 0.0)
-            scores[down + reach, across + reach] = (s12 / n - mean * s2 / n) / np.sqrt((spread + 4.0) * (spread2 + 4.0))
+                a, b = a + shift_x, b + shift_y
+                grey = (image2[b, a] * (1 - f) + image2[b, a + 1] * f) * (1 - g)
+                grey += (image2[b + 1, a] * (1 - f) + image2[b + 1, a + 1] * f) * g
+                s2 += grey
+                s22 += grey * grey
+                s12 += patch[m] * grey
+            variance2 = max(s22 / n - (s2 / n) ** 2, 0.0)
+            scores[shift_y + reach, shift_x + reach] = (s12 / n - mean * s2 / n) / np.sqrt((variance + 4.0) * (variance2 + 4.0))
 
 
 @helper
-def _best_place(scores: Float64s, reach: int, found: Float64s) -> None:
+def _best_place(scores: Float64s, reach: int, result: Float64s) -> None:
     """Write the best score's shift (2), by parabolas, that score, and the best one elsewhere; nothing if it is at the border."""
     size = 2 * reach + 1
     best, row, column = -1.0, 0, 0
@@ -128,11 +128,11 @@ def _best_place(scores: Float64s, reach: int, found: Float64s) -> None:
     second = -1.0
     for r in range(size):
         for c in range(size):
-            if max(abs(r - row), abs(c - column)) > _BESIDE_PX:
+            if max(abs(r - row), abs(c - column)) > _SAME_PLACE_PX:
                 second = max(second, scores[r, c])
     curvature_x = scores[row, column - 1] - 2 * best + scores[row, column + 1]
     curvature_y = scores[row - 1, column] - 2 * best + scores[row + 1, column]
     if curvature_x < 0 and curvature_y < 0:
-        found[0] = column - reach + 0.5 * (scores[row, column - 1] - scores[row, column + 1]) / curvature_x
-        found[1] = row - reach + 0.5 * (scores[row - 1, column] - scores[row + 1, column]) / curvature_y
-        found[2], found[3] = best, second
+        result[0] = column - reach + 0.5 * (scores[row, column - 1] - scores[row, column + 1]) / curvature_x
+        result[1] = row - reach + 0.5 * (scores[row - 1, column] - scores[row + 1, column]) / curvature_y
+        result[2], result[3] = best, second

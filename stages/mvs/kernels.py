@@ -33,7 +33,7 @@ _NEAREST = 1e-6
 
 # Scratch is a flat array of rows of BLOCK at offsets known to the compiler, which then sees that they do not overlap.
 BLOCK = 128
-_U, _V, _UX, _UY, _VX, _VY, _SEEN, _START, _PLACE, _FX, _FY, _CENTRE, _MEAN, _SQUARE, _PRODUCT, _SCALE, _SCRATCH = (
+_U, _V, _UX, _UY, _VX, _VY, _DEPTH, _START, _PLACE, _FX, _FY, _CENTRE, _MEAN, _SQUARE, _PRODUCT, _SCALE, _SCRATCH = (
     i * BLOCK for i in range(17)
 )
 _Q, _A, _B, _TRIAL = (i * BLOCK for i in range(4))
@@ -102,28 +102,28 @@ def _project(
             u = (m00 * column + c0 + b0 * q) * inverse
             v = (m10 * column + c1 + b1 * q) * inverse
             wx, wy = m20 + b2 * A, m21 + b2 * B
-            mine = source[x] == k
-            s[_U + x] = u if mine else s[_U + x]
-            s[_V + x] = v if mine else s[_V + x]
-            s[_UX + x] = (m00 + b0 * A - u * wx) * inverse if mine else s[_UX + x]
-            s[_UY + x] = (m01 + b0 * B - u * wy) * inverse if mine else s[_UY + x]
-            s[_VX + x] = (m10 + b1 * A - v * wx) * inverse if mine else s[_VX + x]
-            s[_VY + x] = (m11 + b1 * B - v * wy) * inverse if mine else s[_VY + x]
-            s[_SEEN + x] = W if mine else s[_SEEN + x]
-            starts[_START + x] = start if mine else starts[_START + x]
+            in_source = source[x] == k
+            s[_U + x] = u if in_source else s[_U + x]
+            s[_V + x] = v if in_source else s[_V + x]
+            s[_UX + x] = (m00 + b0 * A - u * wx) * inverse if in_source else s[_UX + x]
+            s[_UY + x] = (m01 + b0 * B - u * wy) * inverse if in_source else s[_UY + x]
+            s[_VX + x] = (m10 + b1 * A - v * wx) * inverse if in_source else s[_VX + x]
+            s[_VY + x] = (m11 + b1 * B - v * wy) * inverse if in_source else s[_VY + x]
+            s[_DEPTH + x] = W if in_source else s[_DEPTH + x]
+            starts[_START + x] = start if in_source else starts[_START + x]
 
 
 @helper
 def _costs(
     pairs: Uint64s, height: int, width: int, M: Float32s, b: Float32s, taps: Int32s, reach: int, y: int, x0: int,
-    trial: Float32s, source: Int32s, window: Float32s, s: Float32s, taken: Uint64s, cost: Float32s,
+    trial: Float32s, source: Int32s, window: Float32s, s: Float32s, fetched: Uint64s, cost: Float32s,
 ) -> None:  # fmt: skip
     """1 - ZNCC, 0 to 1, between the patches around (x0, y), (x0 + 1, y), ... and their projections into one source each by the
     planes of `trial`; UNSEEN where there is no plane, or the patch leaves the image or lies behind the camera."""
     _project(height, width, M, b, y, x0, trial, source, s)
-    whole, place, both = s.view(np.int32), s.view(np.uint32), taken.view(np.float32)
+    ints, uints, greys = s.view(np.int32), s.view(np.uint32), fetched.view(np.float32)
     count, stride = len(taps), np.int32(width)
-    zero, right, low = np.float32(0.0), np.float32(width - 2), np.float32(height - 2)
+    zero, last_column, last_row = np.float32(0.0), np.float32(width - 2), np.float32(height - 2)
     s[_MEAN:_SCALE] = zero
     for t in range(count):
         dx, dy = np.float32(taps[t, 0]), np.float32(taps[t, 1])
@@ -131,20 +131,20 @@ def _costs(
             at_x = s[_U + x] + dx * s[_UX + x] + dy * s[_UY + x]
             at_y = s[_V + x] + dx * s[_VX + x] + dy * s[_VY + x]
             at_x, at_y = at_x if at_x > zero else zero, at_y if at_y > zero else zero  # nan, too: nothing outside is ever read
-            at_x, at_y = min(at_x, right), min(at_y, low)
+            at_x, at_y = min(at_x, last_column), min(at_y, last_row)
             i, j = np.int32(at_x), np.int32(at_y)
             s[_FX + x] = at_x - np.float32(i)
             s[_FY + x] = at_y - np.float32(j)
-            whole[_PLACE + x] = whole[_START + x] + j * stride + i
+            ints[_PLACE + x] = ints[_START + x] + j * stride + i
         for x in range(BLOCK):
-            taken[x] = pairs[place[_PLACE + x]]
+            fetched[x] = pairs[uints[_PLACE + x]]
         for x in range(BLOCK):
-            taken[BLOCK + x] = pairs[place[_PLACE + x] + np.uint32(stride)]
+            fetched[BLOCK + x] = pairs[uints[_PLACE + x] + np.uint32(stride)]
         weights, pattern = window[_TAPS + t * BLOCK :], window[_TAPS + (count + t) * BLOCK :]
         for x in range(BLOCK):
-            top, bottom = both[2 * x], both[2 * BLOCK + 2 * x]
-            top += s[_FX + x] * (both[2 * x + 1] - top)
-            bottom += s[_FX + x] * (both[2 * BLOCK + 2 * x + 1] - bottom)
+            top, bottom = greys[2 * x], greys[2 * BLOCK + 2 * x]
+            top += s[_FX + x] * (greys[2 * x + 1] - top)
+            bottom += s[_FX + x] * (greys[2 * BLOCK + 2 * x + 1] - bottom)
             s[_FX + x] = top + s[_FY + x] * (bottom - top)
         if t == 0:  # sums use differences from the centre, so that rounding does not hide weak contrast
             for x in range(BLOCK):
@@ -155,7 +155,7 @@ def _costs(
             s[_MEAN + x] += weighted
             s[_SQUARE + x] += weighted * r
             s[_PRODUCT + x] += pattern[x] * r
-    flat, flat_spread, far = np.float32(_FLAT), np.float32(_FLAT**0.5), np.float32(reach)
+    flat, flat_spread, radius = np.float32(_FLAT), np.float32(_FLAT**0.5), np.float32(reach)
     for x in range(BLOCK):
         spread = window[_SPREAD + x]
         variance = s[_SQUARE + x] - s[_MEAN + x] * s[_MEAN + x]
@@ -164,9 +164,9 @@ def _costs(
         if variance < flat or spread < flat_spread:
             c = np.float32(_FLAT_COST)
         u, v = s[_U + x], s[_V + x]
-        du, dv = far * (abs(s[_UX + x]) + abs(s[_UY + x])), far * (abs(s[_VX + x]) + abs(s[_VY + x]))
-        inside = u >= du and v >= dv and u + du < right + np.float32(0.999) and v + dv < low + np.float32(0.999)
-        if not (inside and s[_SEEN + x] > np.float32(_NEAREST) and trial[_Q + x] > zero):
+        du, dv = radius * (abs(s[_UX + x]) + abs(s[_UY + x])), radius * (abs(s[_VX + x]) + abs(s[_VY + x]))
+        inside = u >= du and v >= dv and u + du < last_column + np.float32(0.999) and v + dv < last_row + np.float32(0.999)
+        if not (inside and s[_DEPTH + x] > np.float32(_NEAREST) and trial[_Q + x] > zero):
             c = np.float32(UNSEEN)
         cost[x] = c
 
@@ -177,7 +177,7 @@ def _pixels_per_inverse_depth(
 ) -> None:
     """Pixels that the points at (x0, y), ... move per unit of q in the source where they move most; 0 where none sees them."""
     row, zero, nearest = np.float32(y), np.float32(0.0), np.float32(_NEAREST)
-    right, low = np.float32(width - 1), np.float32(height - 1)
+    last_column, last_row = np.float32(width - 1), np.float32(height - 1)
     s[_SCALE:_SCRATCH] = zero
     for k in range(len(M)):
         m00, m10, m20 = M[k, 0, 0], M[k, 1, 0], M[k, 2, 0]
@@ -191,7 +191,7 @@ def _pixels_per_inverse_depth(
             v = (m10 * column + c1 + b1 * trial[_Q + x]) * inverse
             moved_x, moved_y = (b0 - u * b2) * inverse, (b1 - v * b2) * inverse
             moved = np.sqrt(moved_x * moved_x + moved_y * moved_y)
-            inside = (u >= zero) & (v >= zero) & (u <= right) & (v <= low) & (nearest < W)
+            inside = (u >= zero) & (v >= zero) & (u <= last_column) & (v <= last_row) & (nearest < W)
             s[_SCALE + x] = max(s[_SCALE + x], moved) if inside else s[_SCALE + x]
 
 
@@ -209,15 +209,15 @@ def _planes_at(
         return
     start = x0 + dx + first
     q, a, b = planes[0, row, start:], planes[1, row, start:], planes[2, row, start:]
-    seen, here, there = best[row, start:], trial[first:], source[first:]
+    best_source, trial_here, source_here = best[row, start:], trial[first:], source[first:]
     for x in range(last - first):
         na, nb = a[x], b[x]
         nq = q[x] - na * np.float32(dx) - nb * np.float32(dy)
         usable = (nq > low) & (nq < high)  # never true where q is nan
-        here[_Q + x] = nq if usable else np.float32(0.0)
-        here[_A + x] = na if usable else np.float32(0.0)
-        here[_B + x] = nb if usable else np.float32(0.0)
-        there[x] = seen[x]
+        trial_here[_Q + x] = nq if usable else np.float32(0.0)
+        trial_here[_A + x] = na if usable else np.float32(0.0)
+        trial_here[_B + x] = nb if usable else np.float32(0.0)
+        source_here[x] = best_source[x]
 
 
 @helper
@@ -233,12 +233,12 @@ def _own_planes(planes: Float32s, y: int, x0: int, n: int, trial: Float32s) -> N
 
 
 @kernel
-def _changed(
-    noise: Float32s, at: int, shift: Scalar, turn: Scalar, low: Scalar, high: Scalar, s: Float32s, trial: Float32s
+def _perturb(
+    noise: Float32s, start: int, shift: Scalar, turn: Scalar, low: Scalar, high: Scalar, s: Float32s, trial: Float32s
 ) -> None:
     """Shift and tilt the planes of `trial` at random: by up to `shift` pixels, and `turn` pixels per pixel, in the source where
-    they move most.  noise: random numbers from -1 to 1, used from `at` on."""
-    first, second, third = noise[at:], noise[(at + BLOCK) % NOISE :], noise[(at + 2 * BLOCK) % NOISE :]
+    they move most.  noise: random numbers from -1 to 1, used from `start` on."""
+    first, second, third = noise[start:], noise[(start + BLOCK) % NOISE :], noise[(start + 2 * BLOCK) % NOISE :]
     for x in range(BLOCK):
         scale = s[_SCALE + x]
         per_pixel = np.float32(1.0) / max(scale, np.float32(1e-12))
@@ -254,12 +254,12 @@ def _keep_cheaper(
     planes: Float32s, cost: Float32s, best: Int32s, usable: Float32s, reach: int, y: int, x0: int, n: int, trial: Float32s,
     source: Int32s, trial_cost: Float32s,
 ) -> None:  # fmt: skip
-    use, c, seen = usable[y + reach, x0 + reach :], cost[y, x0:], best[y, x0:]
+    use, own_cost, best_source = usable[y + reach, x0 + reach :], cost[y, x0:], best[y, x0:]
     q, a, b = planes[0, y, x0:], planes[1, y, x0:], planes[2, y, x0:]
     for x in range(n):
-        if trial_cost[x] < c[x] and use[x] > np.float32(0.0):
-            c[x] = trial_cost[x]
-            seen[x] = source[x]
+        if trial_cost[x] < own_cost[x] and use[x] > np.float32(0.0):
+            own_cost[x] = trial_cost[x]
+            best_source[x] = source[x]
             q[x], a[x], b[x] = trial[_Q + x], trial[_A + x], trial[_B + x]
 
 
@@ -278,16 +278,16 @@ def propagate(
     count = len(M)
     window = np.zeros(_TAPS + 2 * len(taps) * BLOCK, dtype=np.float32)
     scratch = np.zeros(_SCRATCH, dtype=np.float32)
-    taken = np.zeros(2 * BLOCK, dtype=np.uint64)
+    fetched = np.zeros(2 * BLOCK, dtype=np.uint64)
     trial, trial_cost = np.zeros(_TRIAL, dtype=np.float32), np.zeros(BLOCK, dtype=np.float32)
-    source, here = np.zeros(BLOCK, dtype=np.int32), np.zeros(BLOCK, dtype=np.int32)
+    source, best_here = np.zeros(BLOCK, dtype=np.int32), np.zeros(BLOCK, dtype=np.int32)
     blocks = (w + BLOCK - 1) // BLOCK
-    back = -1 if number % 2 == 0 else 1
-    at = 0
+    step = -1 if number % 2 == 0 else 1
+    start = 0
     for i in range(h):
-        y = i if back < 0 else h - 1 - i
+        y = i if step < 0 else h - 1 - i
         for j in range(blocks):
-            x0 = (j if back < 0 else blocks - 1 - j) * BLOCK
+            x0 = (j if step < 0 else blocks - 1 - j) * BLOCK
             n = min(BLOCK, w - x0)
             if not usable[y + reach, x0 + reach : x0 + reach + n].any():
                 continue
@@ -296,35 +296,35 @@ def propagate(
                 _own_planes(planes, y, x0, n, trial)
                 for k in range(count):
                     source[:] = k
-                    _costs(pairs, height, width, M, b, taps, reach, y, x0, trial, source, window, scratch, taken, trial_cost)
+                    _costs(pairs, height, width, M, b, taps, reach, y, x0, trial, source, window, scratch, fetched, trial_cost)
                     _keep_cheaper(planes, cost, best, usable, reach, y, x0, n, trial, source, trial_cost)
-            for q in range(len(rings)):
-                dx, dy = back * rings[q, 0], back * rings[q, 1]
+            for attempt in range(len(rings)):
+                dx, dy = step * rings[attempt, 0], step * rings[attempt, 1]
                 if not 0 <= y + dy < h:
                     continue
                 _planes_at(planes, best, y, x0, n, dx, dy, low, high, trial, source)
-                _costs(pairs, height, width, M, b, taps, reach, y, x0, trial, source, window, scratch, taken, trial_cost)
+                _costs(pairs, height, width, M, b, taps, reach, y, x0, trial, source, window, scratch, fetched, trial_cost)
                 for x in range(n):
-                    here[x] = best[y, x0 + x]
+                    best_here[x] = best[y, x0 + x]
                 _keep_cheaper(planes, cost, best, usable, reach, y, x0, n, trial, source, trial_cost)
-                _costs(pairs, height, width, M, b, taps, reach, y, x0, trial, here, window, scratch, taken, trial_cost)
-                _keep_cheaper(planes, cost, best, usable, reach, y, x0, n, trial, here, trial_cost)
-                source[:] = (y + number + q) % count
-                _costs(pairs, height, width, M, b, taps, reach, y, x0, trial, source, window, scratch, taken, trial_cost)
+                _costs(pairs, height, width, M, b, taps, reach, y, x0, trial, best_here, window, scratch, fetched, trial_cost)
+                _keep_cheaper(planes, cost, best, usable, reach, y, x0, n, trial, best_here, trial_cost)
+                source[:] = (y + number + attempt) % count
+                _costs(pairs, height, width, M, b, taps, reach, y, x0, trial, source, window, scratch, fetched, trial_cost)
                 _keep_cheaper(planes, cost, best, usable, reach, y, x0, n, trial, source, trial_cost)
             _own_planes(planes, y, x0, n, trial)
             _pixels_per_inverse_depth(height, width, M, b, y, x0, trial, scratch)
             shift, turn = np.float32(0.5 / (1 << number)), np.float32(0.0)  # half a pixel first
-            for q in range(changes):
+            for attempt in range(changes):
                 _own_planes(planes, y, x0, n, trial)
-                _changed(noise, at, shift, turn, low, high, scratch, trial)
-                at = (at + 3 * BLOCK) % NOISE
+                _perturb(noise, start, shift, turn, low, high, scratch, trial)
+                start = (start + 3 * BLOCK) % NOISE
                 for x in range(n):
-                    here[x] = best[y, x0 + x]
-                _costs(pairs, height, width, M, b, taps, reach, y, x0, trial, here, window, scratch, taken, trial_cost)
-                _keep_cheaper(planes, cost, best, usable, reach, y, x0, n, trial, here, trial_cost)
-                source[:] = (y + number + q) % count
-                _costs(pairs, height, width, M, b, taps, reach, y, x0, trial, source, window, scratch, taken, trial_cost)
+                    best_here[x] = best[y, x0 + x]
+                _costs(pairs, height, width, M, b, taps, reach, y, x0, trial, best_here, window, scratch, fetched, trial_cost)
+                _keep_cheaper(planes, cost, best, usable, reach, y, x0, n, trial, best_here, trial_cost)
+                source[:] = (y + number + attempt) % count
+                _costs(pairs, height, width, M, b, taps, reach, y, x0, trial, source, window, scratch, fetched, trial_cost)
                 _keep_cheaper(planes, cost, best, usable, reach, y, x0, n, trial, source, trial_cost)
                 shift *= np.float32(0.5)
                 turn = np.float32(0.1 / (1 << number))
@@ -340,7 +340,7 @@ def judge(
     h, w = first.shape
     window = np.zeros(_TAPS + 2 * len(taps) * BLOCK, dtype=np.float32)
     scratch = np.zeros(_SCRATCH, dtype=np.float32)
-    taken = np.zeros(2 * BLOCK, dtype=np.uint64)
+    fetched = np.zeros(2 * BLOCK, dtype=np.uint64)
     trial, cost = np.zeros(_TRIAL, dtype=np.float32), np.zeros(BLOCK, dtype=np.float32)
     source = np.zeros(BLOCK, dtype=np.int32)
     for y in range(h):
@@ -350,14 +350,14 @@ def judge(
             _own_planes(planes, y, x0, n, trial)
             for k in range(len(M)):
                 source[:] = k
-                _costs(pairs, height, width, M, b, taps, reach, y, x0, trial, source, window, scratch, taken, cost)
+                _costs(pairs, height, width, M, b, taps, reach, y, x0, trial, source, window, scratch, fetched, cost)
                 b0, b1, b2 = b[k, 0], b[k, 1], b[k, 2]
                 for x in range(n):
                     c = cost[x]
                     second[y, x0 + x] = min(second[y, x0 + x], max(c, first[y, x0 + x]))
                     first[y, x0 + x] = min(first[y, x0 + x], c)
                     if c < limit:
-                        W = scratch[_SEEN + x]
+                        W = scratch[_DEPTH + x]
                         moved_x, moved_y = (b0 - scratch[_U + x] * b2) / W, (b1 - scratch[_V + x] * b2) / W
                         support[y, x0 + x] |= np.uint32(1) << np.uint32(k)
                         parallax[y, x0 + x] += moved_x * moved_x + moved_y * moved_y

@@ -26,7 +26,7 @@ _FLAT = 0.05
 """Smallest variance of a patch that counts, grey levels squared."""
 _FLOOR = 0.02
 """Added to the cost of a source in its weight: no source is better than the noise of grey levels."""
-_HELD = 0.1
+_PRIOR_CURVATURE = 0.1
 """Prior that holds the plane in place, as a curvature: squared share of a patch's contrast per squared pixel of movement."""
 _NEAREST = 1e-6
 _BLOCK = 128
@@ -36,7 +36,7 @@ _BLOCK = 128
 _Q, _A, _B, _U, _V, _UX, _UY, _VX, _VY, _DU, _DV, _SEEN, _PLACE, _FX, _FY, _CENTRE, _ROWS = (i * _BLOCK for i in range(17))
 _R, _RR, _DR, _E, _EE, _RE, _DE, _SUMS = (i * _BLOCK for i in range(8))
 _W, _D, _DD, _WEIGHTS = (i * _BLOCK for i in range(4))
-_PUSH, _STIFF, _MOVED, _VOTES = (i * _BLOCK for i in range(4))
+_GRADIENT, _CURVATURE, _MOVED, _TOTALS = (i * _BLOCK for i in range(4))
 
 
 @helper
@@ -65,7 +65,7 @@ def _window(
 @helper
 def _project(height: int, width: int, M: Float32s, b: Float32s, k: int, reach: Scalar, y: int, x0: int, s: Float32s) -> None:
     """Project the planes into source k: position, its derivatives in x, y and q, and whether the source sees the whole patch."""
-    row, zero, right, low = np.float32(y), np.float32(0.0), np.float32(width - 1.001), np.float32(height - 1.001)
+    row, zero, last_column, last_row = np.float32(y), np.float32(0.0), np.float32(width - 1.001), np.float32(height - 1.001)
     m00, m10, m20 = M[k, 0, 0], M[k, 1, 0], M[k, 2, 0]
     m01, m11, m21 = M[k, 0, 1], M[k, 1, 1], M[k, 2, 1]
     c0, c1, c2 = m01 * row + M[k, 0, 2], m11 * row + M[k, 1, 2], m21 * row + M[k, 2, 2]
@@ -83,19 +83,19 @@ def _project(height: int, width: int, M: Float32s, b: Float32s, k: int, reach: S
         s[_UX + x], s[_UY + x], s[_VX + x], s[_VY + x] = ux, uy, vx, vy
         s[_DU + x], s[_DV + x] = (b0 - u * b2) * inverse, (b1 - v * b2) * inverse
         du, dv = reach * (abs(ux) + abs(uy)), reach * (abs(vx) + abs(vy))
-        inside = (u >= du) & (v >= dv) & (u + du < right) & (v + dv < low) & (np.float32(_NEAREST) < W) & (q > zero)
+        inside = (u >= du) & (v >= dv) & (u + du < last_column) & (v + dv < last_row) & (np.float32(_NEAREST) < W) & (q > zero)
         s[_SEEN + x] = np.float32(1.0) if inside else zero
 
 
 @helper
 def _compare(
-    pairs: Uint64s, height: int, width: int, k: int, taps: Int32s, window: Float32s, s: Float32s, taken: Uint64s, sums: Float32s
+    pairs: Uint64s, height: int, width: int, k: int, taps: Int32s, window: Float32s, s: Float32s, fetched: Uint64s, sums: Float32s
 ) -> None:
     """Weighted sums over the patches' projections in source k: r, the grey level there less the centre's, its square, its product
     with the patch here; and e, the grey level's derivative in q, its square and its products with r and with the patch here."""
-    whole, place, both = s.view(np.int32), s.view(np.uint32), taken.view(np.float32)
+    ints, uints, greys = s.view(np.int32), s.view(np.uint32), fetched.view(np.float32)
     count, stride, start = len(taps), np.int32(width), np.int32(k * height * width)
-    zero, right, low = np.float32(0.0), np.float32(width - 2), np.float32(height - 2)
+    zero, last_column, last_row = np.float32(0.0), np.float32(width - 2), np.float32(height - 2)
     sums[:] = zero
     for t in range(count):
         dx, dy = np.float32(taps[t, 0]), np.float32(taps[t, 1])
@@ -103,23 +103,23 @@ def _compare(
             at_x = s[_U + x] + dx * s[_UX + x] + dy * s[_UY + x]
             at_y = s[_V + x] + dx * s[_VX + x] + dy * s[_VY + x]
             at_x, at_y = at_x if at_x > zero else zero, at_y if at_y > zero else zero  # nan, too: nothing outside is ever read
-            at_x, at_y = min(at_x, right), min(at_y, low)
+            at_x, at_y = min(at_x, last_column), min(at_y, last_row)
             i, j = np.int32(at_x), np.int32(at_y)
             s[_FX + x], s[_FY + x] = at_x - np.float32(i), at_y - np.float32(j)
-            whole[_PLACE + x] = start + j * stride + i
+            ints[_PLACE + x] = start + j * stride + i
         for x in range(_BLOCK):
-            taken[x] = pairs[place[_PLACE + x]]
+            fetched[x] = pairs[uints[_PLACE + x]]
         for x in range(_BLOCK):
-            taken[_BLOCK + x] = pairs[place[_PLACE + x] + np.uint32(stride)]
+            fetched[_BLOCK + x] = pairs[uints[_PLACE + x] + np.uint32(stride)]
         weights, values = window[_WEIGHTS + t * _BLOCK :], window[_WEIGHTS + (count + t) * _BLOCK :]
         for x in range(_BLOCK):
             fx, fy = s[_FX + x], s[_FY + x]
-            top, bottom = both[2 * x], both[2 * _BLOCK + 2 * x]
-            across, below = both[2 * x + 1] - top, both[2 * _BLOCK + 2 * x + 1] - bottom
-            top += fx * across
-            down = bottom + fx * below - top
+            top, bottom = greys[2 * x], greys[2 * _BLOCK + 2 * x]
+            across_top, across_bottom = greys[2 * x + 1] - top, greys[2 * _BLOCK + 2 * x + 1] - bottom
+            top += fx * across_top
+            down = bottom + fx * across_bottom - top
             s[_FX + x] = top + fy * down
-            s[_FY + x] = (across + fy * (below - across)) * s[_DU + x] + down * s[_DV + x]
+            s[_FY + x] = (across_top + fy * (across_bottom - across_top)) * s[_DU + x] + down * s[_DV + x]
         if t == 0:  # sums use differences from the centre, so that rounding does not hide weak contrast
             for x in range(_BLOCK):
                 s[_CENTRE + x] = s[_FX + x]
@@ -136,33 +136,33 @@ def _compare(
 
 
 @helper
-def _vote(window: Float32s, s: Float32s, sums: Float32s, votes: Float32s) -> None:
+def _add_source(window: Float32s, s: Float32s, sums: Float32s, totals: Float32s) -> None:
     """Add the contributions of a source, by its weight: gradient, curvature and (pixels per unit of q)^2."""
     zero, one, flat = np.float32(0.0), np.float32(1.0), np.float32(_FLAT)
     for x in range(_BLOCK):
         share = one / max(window[_W + x], np.float32(1e-6))
         d, r, e = share * window[_D + x], share * sums[_R + x], share * sums[_E + x]
-        here, there = share * window[_DD + x] - d * d, share * sums[_RR + x] - r * r
-        inverse = one / max(there, flat)
-        scale = np.sqrt(inverse / max(here, flat))
-        like = (share * sums[_DR + x] - d * r) * scale
-        along = (share * sums[_RE + x] - r * e) * inverse
-        gradient = (share * sums[_DE + x] - d * e) * scale - like * along
-        curvature = (share * sums[_EE + x] - e * e) * inverse - along * along
-        cost = max(one - like, zero)
-        heard = (s[_SEEN + x] > zero) & (here > flat) & (there > flat)
-        weight = one / (cost + np.float32(_FLOOR)) if heard else zero
-        votes[_PUSH + x] += weight * gradient
-        votes[_STIFF + x] += weight * curvature
-        votes[_MOVED + x] += weight * (s[_DU + x] * s[_DU + x] + s[_DV + x] * s[_DV + x])
+        variance, source_variance = share * window[_DD + x] - d * d, share * sums[_RR + x] - r * r
+        inverse = one / max(source_variance, flat)
+        scale = np.sqrt(inverse / max(variance, flat))
+        correlation = (share * sums[_DR + x] - d * r) * scale
+        projection = (share * sums[_RE + x] - r * e) * inverse
+        gradient = (share * sums[_DE + x] - d * e) * scale - correlation * projection
+        curvature = (share * sums[_EE + x] - e * e) * inverse - projection * projection
+        cost = max(one - correlation, zero)
+        is_usable = (s[_SEEN + x] > zero) & (variance > flat) & (source_variance > flat)
+        weight = one / (cost + np.float32(_FLOOR)) if is_usable else zero
+        totals[_GRADIENT + x] += weight * gradient
+        totals[_CURVATURE + x] += weight * curvature
+        totals[_MOVED + x] += weight * (s[_DU + x] * s[_DU + x] + s[_DV + x] * s[_DV + x])
 
 
 @helper
-def _move(s: Float32s, votes: Float32s) -> None:
-    """Move q by one Gauss-Newton step, damped by the prior `_HELD`."""
+def _move(s: Float32s, totals: Float32s) -> None:
+    """Move q by one Gauss-Newton step, damped by the prior `_PRIOR_CURVATURE`."""
     for x in range(_BLOCK):
-        stiff = votes[_STIFF + x] + np.float32(_HELD) * votes[_MOVED + x]
-        s[_Q + x] += votes[_PUSH + x] / max(stiff, np.float32(1e-12))
+        curvature = totals[_CURVATURE + x] + np.float32(_PRIOR_CURVATURE) * totals[_MOVED + x]
+        s[_Q + x] += totals[_GRADIENT + x] / max(curvature, np.float32(1e-12))
 
 
 @kernel
@@ -173,28 +173,28 @@ def refine_photometrically(
     """Move planes in place.  `fall` (n,): weights of a patch's pixels by their distance from its centre; all else as in
     `mvs.kernels`."""
     h, w = planes.shape[1:]
-    zero, far = np.float32(0.0), np.float32(np.abs(taps).max())
+    zero, radius = np.float32(0.0), np.float32(np.abs(taps).max())
     window = np.zeros(_WEIGHTS + 2 * len(taps) * _BLOCK, dtype=np.float32)
-    s, sums, votes = np.zeros(_ROWS, dtype=np.float32), np.zeros(_SUMS, dtype=np.float32), np.zeros(_VOTES, dtype=np.float32)
-    taken = np.zeros(2 * _BLOCK, dtype=np.uint64)
+    s, sums, totals = np.zeros(_ROWS, dtype=np.float32), np.zeros(_SUMS, dtype=np.float32), np.zeros(_TOTALS, dtype=np.float32)
+    fetched = np.zeros(2 * _BLOCK, dtype=np.uint64)
     for y in range(h):
         for x0 in range(0, w, _BLOCK):
             n = min(_BLOCK, w - x0)
             q, a, c = planes[0, y, x0:], planes[1, y, x0:], planes[2, y, x0:]
             s[:] = zero
-            known = 0
+            plane_count = 0
             for x in range(n):
-                good = q[x] > zero
-                known += good
-                s[_Q + x], s[_A + x], s[_B + x] = (q[x], a[x], c[x]) if good else (zero, zero, zero)
-            if known == 0:
+                has_plane = q[x] > zero
+                plane_count += has_plane
+                s[_Q + x], s[_A + x], s[_B + x] = (q[x], a[x], c[x]) if has_plane else (zero, zero, zero)
+            if plane_count == 0:
                 continue
             _window(image, usable, taps, fall, reach, y, x0, n, window)
-            votes[:] = zero
+            totals[:] = zero
             for k in range(len(M)):
-                _project(height, width, M, b, k, far, y, x0, s)
-                _compare(pairs, height, width, k, taps, window, s, taken, sums)
-                _vote(window, s, sums, votes)
-            _move(s, votes)
+                _project(height, width, M, b, k, radius, y, x0, s)
+                _compare(pairs, height, width, k, taps, window, s, fetched, sums)
+                _add_source(window, s, sums, totals)
+            _move(s, totals)
             for x in range(n):
                 q[x] = s[_Q + x] if q[x] > zero else q[x]

@@ -24,16 +24,16 @@ from ..types import Bools, Float32s, Frame, Int32s, Uint32s
 from .propagation import Propagation, Support
 from .textureless import NEAR_PX, RegionPlane, from_middle, planes_of_regions, textureless_regions
 
-_AROUND = 25
+_WINDOW_PX = 25
 """Half the side of the window, pixels of an image 768 wide, over which costs and supporting depths of a plane are averaged."""
-_SURE_PX = 0.5
+_MOST_SIGMA_PX = 0.5
 """Largest standard deviation of a plane where it is used, pixels of a source, without `_SHARED_PX`."""
 _SHARED_PX = 0.2
 """Standard deviation of the error that all depths of a plane have in common, pixels of a source."""
-_RELIEF = 0.045
+_RELIEF_COST = 0.045
 """Planes whose mean cost exceeds that of the depths they would replace by more than this are not used: the surface has relief.
 95 % of the textureless ones in the demo's weak yard cost less than 0.03 more, waves of 1.5 pixels 0.06, a tank's flank 0.2."""
-_SOURCES = 2.0
+_FEWEST_SOURCES = 2.0
 """Mean number of sources that must see the depths around for a plane to replace a sure depth: the error of a single source,
 calibration included, is common to all its depths."""
 _CHANCE_PX = 0.42
@@ -84,96 +84,96 @@ def apply_plane_priors(
     spacing = max(1, round(max(sure.shape) / 768))
     regions = textureless_regions(frame.image, frame.mask, spacing)
     known = np.where(sure, scale * planes[0], np.float32(np.nan))
-    found = planes_of_regions(regions, known, spacing)
-    laid = _laid(regions, found, known)
-    take = np.isfinite(laid.sigma) & (laid.planes[0] > 0)
-    if take.any():
-        trial = np.where(take, laid.planes / scale, np.float32(np.nan))
-        shown = propagation.support(trial, max_cost)
-        sources, seen = _sources_around(laid.anchors, support.sources, propagation.sources, spacing)
-        take &= ~sure | ~_relief(shown, support, take & sure, spacing)  # gaps are always filled
-        take &= ~sure | (seen >= _SOURCES) | _noisy(laid, support, scale, spacing)
-        planes[:, take] = trial[:, take]
-        support.sources[take] = (sources | shown.sources | np.where(sure, support.sources, np.uint32(0)))[take]
-    sigma = np.where(take, laid.sigma / scale, np.float32(np.nan)).astype(np.float32)
+    region_planes = planes_of_regions(regions, known, spacing)
+    laid = _laid_planes(regions, region_planes, known)
+    replaced = np.isfinite(laid.sigma) & (laid.planes[0] > 0)
+    if replaced.any():
+        trial = np.where(replaced, laid.planes / scale, np.float32(np.nan))
+        trial_support = propagation.support(trial, max_cost)
+        sources, mean_sources = _sources_nearby(laid.anchors, support.sources, propagation.sources, spacing)
+        replaced &= ~sure | ~_shows_relief(trial_support, support, replaced & sure, spacing)  # gaps are always filled
+        replaced &= ~sure | (mean_sources >= _FEWEST_SOURCES) | _noisy(laid, support, scale, spacing)
+        planes[:, replaced] = trial[:, replaced]
+        support.sources[replaced] = (sources | trial_support.sources | np.where(sure, support.sources, np.uint32(0)))[replaced]
+    sigma = np.where(replaced, laid.sigma / scale, np.float32(np.nan)).astype(np.float32)
     steep = scale * np.hypot(planes[1], planes[2]) > _STEEP_PX  # an error shifts these along the surface by a pixel at most
-    return PlanePriors(sigma, _doubted(regions, found) & ~take & ~steep)
+    return PlanePriors(sigma, _doubted(regions, region_planes) & ~replaced & ~steep)
 
 
-def _laid(regions: Int32s, found: Sequence[RegionPlane], known: Float32s) -> _Laid:
+def _laid_planes(regions: Int32s, region_planes: Sequence[RegionPlane], known: Float32s) -> _Laid:
     """The planes of a view's textureless regions.  known: (h, w) inverse depths in pixels of a source, nan for none."""
     nan = np.full((4, *known.shape), np.nan, np.float32)
     laid = _Laid(nan[:3], nan[3], np.zeros(known.shape, bool), np.zeros(known.shape, np.float32))
-    for plane in found:
-        lies = np.isin(regions, plane.regions)
-        y, x = np.nonzero(lies)
+    for plane in region_planes:
+        in_regions = np.isin(regions, plane.regions)
+        y, x = np.nonzero(in_regions)
         rows, columns = slice(y.min(), y.max() + 1), slice(x.min(), x.max() + 1)
-        _lay(laid, plane, (rows, columns), lies[rows, columns], known[rows, columns])
+        _lay_plane(laid, plane, (rows, columns), in_regions[rows, columns], known[rows, columns])
     return laid
 
 
-def _doubted(regions: Int32s, found: Sequence[RegionPlane]) -> Bools:
+def _doubted(regions: Int32s, region_planes: Sequence[RegionPlane]) -> Bools:
     """(h, w): textureless regions without a plane that is reliable in their middle."""
-    doubtful = np.arange(regions.max() + 1) > 0
+    unreliable = np.arange(regions.max() + 1) > 0
     boxes = ndimage.find_objects(regions)
-    for plane in found:
+    for plane in region_planes:
         for k in plane.regions:
-            y, x = (np.array([(along.start + along.stop) // 2]) for along in boxes[k - 1])
-            if plane.variance(from_middle(x, y, regions.shape))[0] <= _SURE_PX**2:
-                doubtful[k] = False
-    return doubtful[regions]
+            y, x = (np.array([(extent.start + extent.stop) // 2]) for extent in boxes[k - 1])
+            if plane.variance(from_middle(x, y, regions.shape))[0] <= _MOST_SIGMA_PX**2:
+                unreliable[k] = False
+    return unreliable[regions]
 
 
 def _noisy(laid: _Laid, support: Support, scale: np.float32, spacing: int) -> Bools:
     """(h, w): do single depths scatter by more than one source errs as a whole (`_CHANCE_PX`)?"""
-    moves = _around(np.where(laid.anchors, np.sqrt(support.parallax), np.float32(0)), spacing)
-    moves /= scale * np.maximum(_around(laid.anchors, spacing), 1)
+    parallax = _window_sums(np.where(laid.anchors, np.sqrt(support.parallax), np.float32(0)), spacing)
+    parallax /= scale * np.maximum(_window_sums(laid.anchors, spacing), 1)
     with np.errstate(invalid="ignore"):  # where no depth near supports a plane
-        return laid.spread * moves > _CHANCE_PX
+        return laid.spread * parallax > _CHANCE_PX
 
 
-def _relief(shown: Support, support: Support, both: Bools, spacing: int) -> Bools:
+def _shows_relief(trial_support: Support, support: Support, mask: Bools, spacing: int) -> Bools:
     """(h, w): do planes cost more than the depths around that they would replace, both in the best source and in the second best?
     A single source may fit by chance.  Where no second source sees the depth, only the best one counts."""
     first, second = (
-        np.minimum(of_plane, 1) - np.minimum(found, 1)
-        for of_plane, found in ((shown.first, support.first), (shown.second, support.second))
+        np.minimum(plane_cost, 1) - np.minimum(depth_cost, 1)
+        for plane_cost, depth_cost in ((trial_support.first, support.first), (trial_support.second, support.second))
     )
-    alone = np.minimum(shown.second, support.second) >= 1
-    least = _RELIEF * _around(both, spacing)
-    means = (_around(np.where(both, more, np.float32(0)), spacing) for more in (first, np.where(alone, first, second)))
-    return np.asarray(np.minimum(*means) > least)
+    single = np.minimum(trial_support.second, support.second) >= 1
+    limit = _RELIEF_COST * _window_sums(mask, spacing)
+    means = (_window_sums(np.where(mask, excess, np.float32(0)), spacing) for excess in (first, np.where(single, first, second)))
+    return np.asarray(np.minimum(*means) > limit)
 
 
-def _lay(laid: _Laid, plane: RegionPlane, where: tuple[slice, slice], lies: Bools, known: Float32s) -> None:
-    """Use a plane at those pixels of its regions (`lies`) where its sigma is small, and smaller than an earlier plane's."""
-    y, x = np.mgrid[where]
-    at = from_middle(x.ravel(), y.ravel(), laid.sigma.shape)
-    value = (at @ plane.plane).reshape(lies.shape)
-    sigma = np.sqrt(plane.variance(at).reshape(lies.shape) + _SHARED_PX**2)
-    take = lies & (sigma <= np.hypot(_SURE_PX, _SHARED_PX)) & ~(laid.sigma[where] <= sigma)
+def _lay_plane(laid: _Laid, plane: RegionPlane, box: tuple[slice, slice], in_regions: Bools, known: Float32s) -> None:
+    """Use a plane at those pixels of its regions (`in_regions`) where its sigma is small, and smaller than an earlier plane's."""
+    y, x = np.mgrid[box]
+    position = from_middle(x.ravel(), y.ravel(), laid.sigma.shape)
+    value = (position @ plane.plane).reshape(in_regions.shape)
+    sigma = np.sqrt(plane.variance(position).reshape(in_regions.shape) + _SHARED_PX**2)
+    replaced = in_regions & (sigma <= np.hypot(_MOST_SIGMA_PX, _SHARED_PX)) & ~(laid.sigma[box] <= sigma)
     for layer, values in zip(laid.planes, (value, plane.plane[1], plane.plane[2]), strict=True):
-        layer[where] = np.where(take, values, layer[where])
-    laid.sigma[where] = np.where(take, sigma, laid.sigma[where])
-    laid.spread[where] = np.where(take, plane.spread, laid.spread[where])
+        layer[box] = np.where(replaced, values, layer[box])
+    laid.sigma[box] = np.where(replaced, sigma, laid.sigma[box])
+    laid.spread[box] = np.where(replaced, plane.spread, laid.spread[box])
     with np.errstate(invalid="ignore"):
-        laid.anchors[where] |= take & (np.abs(known - value) <= NEAR_PX)
+        laid.anchors[box] |= replaced & (np.abs(known - value) <= NEAR_PX)
 
 
-def _around(values: Bools | Float32s, spacing: int) -> Float32s:
+def _window_sums(values: Bools | Float32s, spacing: int) -> Float32s:
     """(h, w) sums over the window around each pixel."""
-    side = 2 * _AROUND * spacing + 1
+    side = 2 * _WINDOW_PX * spacing + 1
     sums = cv2.boxFilter(values.astype(np.float32), -1, (side, side), normalize=False, borderType=cv2.BORDER_CONSTANT)
     return np.asarray(sums, dtype=np.float32)
 
 
-def _sources_around(anchors: Bools, sources: Uint32s, count: int, spacing: int) -> tuple[Uint32s, Float32s]:
+def _sources_nearby(anchors: Bools, sources: Uint32s, count: int, spacing: int) -> tuple[Uint32s, Float32s]:
     """(h, w) bits of the sources that see anchors around, and the mean number of sources that see an anchor."""
-    anchored = np.maximum(_around(anchors, spacing), 1)
-    bits, seen = np.zeros(anchors.shape, np.uint32), np.zeros(anchors.shape, np.float32)
+    anchored = np.maximum(_window_sums(anchors, spacing), 1)
+    bits, mean_sources = np.zeros(anchors.shape, np.uint32), np.zeros(anchors.shape, np.float32)
     for k in range(count):
         bit = np.uint32(1 << k)
-        share = _around(anchors & ((sources & bit) > 0), spacing) / anchored
+        share = _window_sums(anchors & ((sources & bit) > 0), spacing) / anchored
         bits[share > 0] |= bit
-        seen += share
-    return bits, seen
+        mean_sources += share
+    return bits, mean_sources

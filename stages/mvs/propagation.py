@@ -44,11 +44,11 @@ class Propagation:
 
     def __init__(self, image: Float32s, usable: Bools, sources: Float32s, M: Float64s, b: Float64s, taps: Int32s) -> None:
         self.taps, self.reach, self.sources = taps, int(np.abs(taps).max()), len(sources)
-        own = np.pad(image, self.reach, mode="edge"), np.pad(usable.astype(np.float32), self.reach)
-        beside = np.concatenate([sources[..., 1:], sources[..., -1:]], axis=-1)
-        pairs = np.stack([sources, beside], axis=-1).view(np.uint64).ravel()  # one access fetches two neighbours
+        padded = np.pad(image, self.reach, mode="edge"), np.pad(usable.astype(np.float32), self.reach)
+        shifted = np.concatenate([sources[..., 1:], sources[..., -1:]], axis=-1)
+        pairs = np.stack([sources, shifted], axis=-1).view(np.uint64).ravel()  # one access fetches two neighbours
         height, width = sources.shape[1:]
-        self.views = *own, pairs, height, width, M.astype(np.float32), b.astype(np.float32)  # as all kernels take them
+        self.views = *padded, pairs, height, width, M.astype(np.float32), b.astype(np.float32)  # as all kernels take them
 
     def improve(self, planes: Float32s, sweeps: int, far: int, low: float, high: float, *, again: bool = False) -> Float32s:
         """Improve planes in place, holes (nan) included, by propagation from neighbours and ever smaller random changes.  Returns
@@ -84,6 +84,6 @@ class Propagation:
         """Evidence of the sources for planes (3, h, w); a source supports a plane that costs less than `limit` in it."""
         shape = planes.shape[1:]
         first, second = np.full(shape, UNSEEN, np.float32), np.full(shape, UNSEEN, np.float32)
-        found = Support(first, second, np.zeros(shape, np.uint32), np.zeros(shape, np.float32))
-        judge(*self.views, self.taps, self.reach, Scalar(limit), planes, *vars(found).values())
-        return found
+        result = Support(first, second, np.zeros(shape, np.uint32), np.zeros(shape, np.float32))
+        judge(*self.views, self.taps, self.reach, Scalar(limit), planes, *vars(result).values())
+        return result

@@ -17,19 +17,19 @@ import numpy as np
 
 from ..types import Bools, Float32s, Float64s, Int32s, Int64s, Uint8s
 
-_EVEN = 6
+_MOST_CONTRAST = 6
 """Grey levels: 3x3 pixels that differ by no more than this in every colour channel have no edge."""
-_BESIDE, _ALIKE = 3, 10
+_JOIN_DISTANCE, _JOIN_DIFFERENCE = 3, 10
 """Largest distance (in an image 768 wide) and difference (grey levels) from a region's nearest pixel for pixels to join it."""
-_SMALLEST = 40
+_LEAST_PIXELS = 40
 """Fewest pixels of a region, in an image 768 wide."""
-_FEWEST = 15
+_FEWEST_DEPTHS = 15
 """Fewest depths of a region that can define a plane or join one."""
 _TRIALS = 64
 """Planes that RANSAC tries."""
 _ROUNDS = 4
 """Rounds of fitting a plane and joining regions."""
-_AGAIN = 0.2
+_SECOND_SHARE = 0.2
 """Smallest share of a region's depths, off its first plane, that may define a second: a box before a wall of the same colour."""
 _JOIN_PX = 0.1
 """Largest median distance of a region from a plane that it joins, beyond what noise explains, pixels."""
@@ -64,23 +64,23 @@ def textureless_regions(image: Uint8s, usable: Bools, spacing: int) -> Int32s:
     spacing : pixels for each pixel of an image 768 wide.
     """
     square = np.ones((3, 3), np.uint8)
-    differ = (cv2.dilate(image, square) - cv2.erode(image, square)).max(axis=2)
-    even = ((differ <= _EVEN) & usable).astype(np.uint8)
-    _, found, stats, _ = cv2.connectedComponentsWithStats(even, connectivity=4)
-    kept = stats[:, cv2.CC_STAT_AREA] >= _SMALLEST * spacing**2
-    kept[0] = False
-    number = np.asarray((np.cumsum(kept) * kept)[found], dtype=np.int32)
-    if not kept.any():
+    contrast = (cv2.dilate(image, square) - cv2.erode(image, square)).max(axis=2)
+    even = ((contrast <= _MOST_CONTRAST) & usable).astype(np.uint8)
+    _, label, stats, _ = cv2.connectedComponentsWithStats(even, connectivity=4)
+    kept_regions = stats[:, cv2.CC_STAT_AREA] >= _LEAST_PIXELS * spacing**2
+    kept_regions[0] = False
+    number = np.asarray((np.cumsum(kept_regions) * kept_regions)[label], dtype=np.int32)
+    if not kept_regions.any():
         return number
     outside = (number == 0).astype(np.uint8)
-    away, nearest = cv2.distanceTransformWithLabels(outside, cv2.DIST_C, 3, labelType=cv2.DIST_LABEL_PIXEL)
-    places = np.flatnonzero(number)
-    place = np.zeros(int(nearest.max()) + 1, np.int64)
-    place[nearest.ravel()[places]] = places
-    there = place[nearest]  # flat index of the nearest pixel of a region
-    unlike = np.abs(image.astype(np.int16) - image.reshape(-1, 3)[there].astype(np.int16)).max(axis=2)
-    belongs = usable & ((away <= 1) | ((away <= _BESIDE * spacing) & (unlike <= _ALIKE)))
-    return np.asarray(np.where(belongs, number.ravel()[there], 0), dtype=np.int32)
+    distance, nearest = cv2.distanceTransformWithLabels(outside, cv2.DIST_C, 3, labelType=cv2.DIST_LABEL_PIXEL)
+    region_pixels = np.flatnonzero(number)
+    pixel_of_label = np.zeros(int(nearest.max()) + 1, np.int64)
+    pixel_of_label[nearest.ravel()[region_pixels]] = region_pixels
+    nearest_pixel = pixel_of_label[nearest]  # flat index of the nearest pixel of a region
+    difference = np.abs(image.astype(np.int16) - image.reshape(-1, 3)[nearest_pixel].astype(np.int16)).max(axis=2)
+    belongs = usable & ((distance <= 1) | ((distance <= _JOIN_DISTANCE * spacing) & (difference <= _JOIN_DIFFERENCE)))
+    return np.asarray(np.where(belongs, number.ravel()[nearest_pixel], 0), dtype=np.int32)
 
 
 def planes_of_regions(regions: Int32s, known: Float32s, spacing: int) -> list[RegionPlane]:
@@ -89,31 +89,31 @@ def planes_of_regions(regions: Int32s, known: Float32s, spacing: int) -> list[Re
     known: (h, w) inverse depths in pixels of a source, nan where there is no reliable one; spacing: as in `textureless_regions`.
     """
     rng = np.random.default_rng(1)
-    known_there = (regions > 0) & np.isfinite(known)
-    y, x = (spacing * among for among in np.nonzero(known_there[::spacing, ::spacing]))
-    of = regions[y, x]
-    order = np.argsort(of, kind="stable")
-    y, x, of = y[order], x[order], of[order]
-    at, d = from_middle(x, y, known.shape), known[y, x].astype(np.float64)
-    ends = np.searchsorted(of, np.arange(1, regions.max() + 2))
+    has_depth = (regions > 0) & np.isfinite(known)
+    y, x = (spacing * index for index in np.nonzero(has_depth[::spacing, ::spacing]))
+    region = regions[y, x]
+    order = np.argsort(region, kind="stable")
+    y, x, region = y[order], x[order], region[order]
+    points, d = from_middle(x, y, known.shape), known[y, x].astype(np.float64)
+    ends = np.searchsorted(region, np.arange(1, regions.max() + 2))
     free = {k: np.arange(ends[k - 1], ends[k]) for k in range(1, len(ends))}
-    free = {k: mine for k, mine in free.items() if len(mine) >= _FEWEST}
-    enough = {k: max(_FEWEST, int(_AGAIN * len(mine))) for k, mine in free.items()}
+    free = {k: rows for k, rows in free.items() if len(rows) >= _FEWEST_DEPTHS}
+    fewest = {k: max(_FEWEST_DEPTHS, int(_SECOND_SHARE * len(rows))) for k, rows in free.items()}
     seeds = sorted(free, key=lambda k: (-len(free[k]), k))
-    found = []
+    planes = []
     for seed in (k for k in seeds for _ in range(2)):
-        if len(free.get(seed, ())) < enough[seed]:
+        if len(free.get(seed, ())) < fewest[seed]:
             continue
-        plane = _grown(at, d, free, seed, rng)
+        plane = _grow(points, d, free, seed, rng)
         if plane is None:
             continue
-        found.append(plane)
+        planes.append(plane)
         for k in plane.regions:
-            left = free.pop(k)
-            left = left[np.abs(d[left] - at[left] @ plane.plane) > NEAR_PX]
-            if len(left) >= enough[k]:
-                free[k] = left
-    return found
+            remaining = free.pop(k)
+            remaining = remaining[np.abs(d[remaining] - points[remaining] @ plane.plane) > NEAR_PX]
+            if len(remaining) >= fewest[k]:
+                free[k] = remaining
+    return planes
 
 
 def from_middle(x: Int64s, y: Int64s, shape: tuple[int, ...]) -> Float64s:
@@ -121,44 +121,44 @@ def from_middle(x: Int64s, y: Int64s, shape: tuple[int, ...]) -> Float64s:
     return np.column_stack([np.ones(len(x)), x - shape[1] / 2, y - shape[0] / 2])
 
 
-def _grown(at: Float64s, d: Float64s, free: dict[int, Int64s], seed: int, rng: np.random.Generator) -> RegionPlane | None:
-    mine = free[seed]
-    start = _tried(at[mine], d[mine], rng)
-    plane = None if start is None else _fitted(at[mine], d[mine], start, (seed,))
+def _grow(points: Float64s, d: Float64s, free: dict[int, Int64s], seed: int, rng: np.random.Generator) -> RegionPlane | None:
+    rows = free[seed]
+    start = _ransac_plane(points[rows], d[rows], rng)
+    plane = None if start is None else _fit_plane(points[rows], d[rows], start, (seed,))
     for _ in range(_ROUNDS):
         if plane is None:
             return None
-        members = {seed} | {k for k, i in free.items() if _joins(at[i], d[i], plane)}
+        members = {seed} | {k for k, i in free.items() if _lies_on(points[i], d[i], plane)}
         if members == set(plane.regions):
             break
         i = np.concatenate([free[k] for k in sorted(members)])
-        plane = _fitted(at[i], d[i], plane.plane, tuple(sorted(members)))
+        plane = _fit_plane(points[i], d[i], plane.plane, tuple(sorted(members)))
     return plane
 
 
-def _tried(at: Float64s, d: Float64s, rng: np.random.Generator) -> Float64s | None:
+def _ransac_plane(points: Float64s, d: Float64s, rng: np.random.Generator) -> Float64s | None:
     """(3,) the best of random planes through three depths each; None if all triples are nearly collinear."""
     triples = rng.integers(0, len(d), (_TRIALS, 3))
-    triples = triples[np.abs(np.linalg.det(at[triples])) > 0.02 * len(d)]  # no thin triangles
+    triples = triples[np.abs(np.linalg.det(points[triples])) > 0.02 * len(d)]  # no thin triangles
     if not len(triples):
         return None
-    planes = np.linalg.solve(at[triples], d[triples][..., None])[..., 0]
-    off = np.abs(at @ planes.T - d[:, None])
-    return np.asarray(planes[np.minimum(off, NEAR_PX).sum(axis=0).argmin()], dtype=np.float64)
+    planes = np.linalg.solve(points[triples], d[triples][..., None])[..., 0]
+    error = np.abs(points @ planes.T - d[:, None])
+    return np.asarray(planes[np.minimum(error, NEAR_PX).sum(axis=0).argmin()], dtype=np.float64)
 
 
-def _fitted(at: Float64s, d: Float64s, plane: Float64s, regions: tuple[int, ...]) -> RegionPlane | None:
+def _fit_plane(points: Float64s, d: Float64s, plane: Float64s, regions: tuple[int, ...]) -> RegionPlane | None:
     """Least squares with Tukey's weights, from a first plane; None if too few depths lie near it."""
     inverse, spread = np.eye(3), 0.0
     for _ in range(5):
-        off = d - at @ plane
-        near = np.abs(off) <= NEAR_PX
-        if near.sum() < min(_FEWEST, len(d) / 3):
+        error = d - points @ plane
+        near = np.abs(error) <= NEAR_PX
+        if near.sum() < min(_FEWEST_DEPTHS, len(d) / 3):
             return None
-        spread = float(1.4826 * np.median(np.abs(off[near])))
-        u = np.clip(off / max(4.685 * spread, 1e-3), -1, 1)
-        weighted = at * ((1 - u * u) ** 2)[:, None]
-        normal = np.einsum("ni,nj->ij", weighted, at)
+        spread = float(1.4826 * np.median(np.abs(error[near])))
+        u = np.clip(error / max(4.685 * spread, 1e-3), -1, 1)
+        weighted = points * ((1 - u * u) ** 2)[:, None]
+        normal = np.einsum("ni,nj->ij", weighted, points)
         if np.linalg.matrix_rank(normal) < 3:
             return None
         inverse = np.linalg.inv(normal)
@@ -166,9 +166,9 @@ def _fitted(at: Float64s, d: Float64s, plane: Float64s, regions: tuple[int, ...]
     return RegionPlane(plane, spread**2 * CORRELATED * inverse, spread, regions)
 
 
-def _joins(at: Float64s, d: Float64s, plane: RegionPlane) -> bool:
+def _lies_on(points: Float64s, d: Float64s, plane: RegionPlane) -> bool:
     """Do depths (n,) at positions (n, 3) lie on a plane to within noise?"""
-    off = d - at @ plane.plane
-    variance = float(plane.variance(at.mean(axis=0)[None])[0])
+    error = d - points @ plane.plane
+    variance = float(plane.variance(points.mean(axis=0)[None])[0])
     noise = np.sqrt(variance + plane.spread**2 * min(1.0, CORRELATED / len(d)))
-    return bool(abs(np.median(off)) <= noise + _JOIN_PX and np.median(np.abs(off)) <= 1.2 * plane.spread + _JOIN_PX)
+    return bool(abs(np.median(error)) <= noise + _JOIN_PX and np.median(np.abs(error)) <= 1.2 * plane.spread + _JOIN_PX)

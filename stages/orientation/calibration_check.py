@@ -98,7 +98,7 @@ class _Matches:
 
 
 @dataclass(frozen=True)
-class _Seen:
+class _CheckedView:
     """A camera, and what is wrong with the distortion that was removed from its frames."""
 
     camera: Camera
@@ -117,15 +117,15 @@ class _Seen:
         return np.asarray(K[:2, 2] + ray * (1 - self.k1 * (ray**2).sum(axis=1, keepdims=True)) * focal, dtype=np.float64)
 
 
-def _undistorted_otherwise(x: Float64s, stated: Camera, right: Camera) -> Float64s:
+def _undistorted_otherwise(x: Float64s, stated: Camera, actual: Camera) -> Float64s:
     """Normalised coordinates (n, 2), by the right camera, of pixels that were undistorted with the stated one."""
     ray = np.column_stack([(x - stated.K[:2, 2]) / stated.K[[0, 1], [0, 1]], np.ones(len(x))])
     captured = cv2.projectPoints(ray, np.zeros(3), np.zeros(3), stated.K, stated.distortion)[0]
-    return np.asarray(cv2.undistortPoints(captured, right.K, right.distortion)[:, 0], dtype=np.float64)
+    return np.asarray(cv2.undistortPoints(captured, actual.K, actual.distortion)[:, 0], dtype=np.float64)
 
 
-_World = Mapping[str, _Seen]
-_Change = Callable[[_Seen, Float64s], _Seen]
+_World = Mapping[str, _CheckedView]
+_Change = Callable[[_CheckedView, Float64s], _CheckedView]
 
 
 @dataclass(frozen=True)
@@ -157,14 +157,14 @@ def check_calibration(cameras: Mapping[str, Camera], geometries: Mapping[Pair, G
     """
     if len(cameras) < 2:
         return None
-    stated = {name: _Seen(camera) for name, camera in cameras.items()}
-    confirmed, others = _evidence(stated, geometries)
-    if not confirmed and not others:
+    stated = {name: _CheckedView(camera) for name, camera in cameras.items()}
+    confirmed, other_matches = _evidence(stated, geometries)
+    if not confirmed and not other_matches:
         return None
-    found = _checked(stated, confirmed, others)
-    if not found.contradicted and others:
-        found = _with_cause_of_most(found, stated, [*confirmed, *others])
-    return found
+    check = _check(stated, confirmed, other_matches)
+    if not check.contradicted and other_matches:
+        check = _with_majority_cause(check, stated, [*confirmed, *other_matches])
+    return check
 
 
 def misfit_without_cause(cameras: Mapping[str, Camera], geometries: Mapping[Pair, Geometry]) -> float:
@@ -172,10 +172,10 @@ def misfit_without_cause(cameras: Mapping[str, Camera], geometries: Mapping[Pair
 
     cameras, geometries: as for `check_calibration`.
     """
-    stated = {name: _Seen(camera) for name, camera in cameras.items()}
+    stated = {name: _CheckedView(camera) for name, camera in cameras.items()}
     confirmed, _ = _evidence(stated, geometries)
-    shared = [cause for cause in _causes(stated, confirmed, alone=False) if cause.about and not cause.cameras]
-    return min(_fit(cause, stated, confirmed).loss for cause in shared) / _mean(confirmed, [m.own_loss for m in confirmed])
+    shared_causes = [cause for cause in _causes(stated, confirmed, unconfirmed=False) if cause.about and not cause.cameras]
+    return min(_fit(cause, stated, confirmed).loss for cause in shared_causes) / _mean(confirmed, [m.own_loss for m in confirmed])
 
 
 def check_rows(cameras: Mapping[str, Camera], rows: Mapping[Pair, RowMatches]) -> CalibrationCheck | None:
@@ -186,102 +186,102 @@ def check_rows(cameras: Mapping[str, Camera], rows: Mapping[Pair, RowMatches]) -
     cameras : by id.  rows : of pairs of them.
     """
     evidence = [
-        _Matches(pair, found.x1, found.x2, found.sigma_px, 0.0) for pair, found in rows.items() if len(found.x1) >= FEWEST_TILES
+        _Matches(pair, tiles.x1, tiles.x2, tiles.sigma_px, 0.0) for pair, tiles in rows.items() if len(tiles.x1) >= FEWEST_TILES
     ]
     if len(evidence) < FEWEST_PAIRS:
         return None
-    stated = {name: _Seen(camera) for name, camera in cameras.items()}
+    stated = {name: _CheckedView(camera) for name, camera in cameras.items()}
     loss, count = _loss(stated, evidence), sum(min(len(m.x1), COUNTED) for m in evidence)
-    best = _simplest([_fit(cause, stated, evidence) for cause in _causes(stated, evidence, alone=False)], loss, slack=0.0)
-    half = _fit(_Cause(CORNER, lambda world, a: _of_all(_shifted_px, world, a * CORNER_PX), ("",)), stated, evidence)
-    explains = best.cause.name == "principal-points" and loss - half.loss >= LEAST_SHARE_UNCONFIRMED * (loss - best.loss)
-    if explains and 0.25 <= half.amount[0] <= 1.25:  # matches found by dense matching are biased toward the rows
-        best = half
-    gained, tiles = max(count * (loss - best.loss), 0.0), sum(len(m.x1) for m in evidence)
-    found = CalibrationCheck(tiles, len(evidence), True, misfit=loss / max(best.loss, 1e-9), sigmas=sqrt(gained))
-    return _named(found, best, stated, evidence) if gained >= LEAST_GAIN and _matters(best, stated, evidence) else found
+    best = _simplest([_fit(cause, stated, evidence) for cause in _causes(stated, evidence, unconfirmed=False)], loss, slack=0.0)
+    corner = _fit(_Cause(CORNER, lambda world, a: _for_all(_shifted_px, world, a * CORNER_PX), ("",)), stated, evidence)
+    is_corner = best.cause.name == "principal-points" and loss - corner.loss >= LEAST_SHARE_UNCONFIRMED * (loss - best.loss)
+    if is_corner and 0.25 <= corner.amount[0] <= 1.25:  # matches found by dense matching are biased toward the rows
+        best = corner
+    gain, tile_count = max(count * (loss - best.loss), 0.0), sum(len(m.x1) for m in evidence)
+    check = CalibrationCheck(tile_count, len(evidence), True, misfit=loss / max(best.loss, 1e-9), sigmas=sqrt(gain))
+    return _with_cause(check, best, stated, evidence) if gain >= LEAST_GAIN and _exceeds_usual(best, stated, evidence) else check
 
 
-def _matters(best: _Explanation, stated: _World, evidence: list[_Matches]) -> bool:
+def _exceeds_usual(best: _Explanation, stated: _World, evidence: list[_Matches]) -> bool:
     """Does a cause exceed the errors that surveys and lenses always have?"""
     name = best.cause.name
     if name == CORNER:
         return True  # however small its effect: it is half a pixel or nothing
     if best.cause.cameras:
-        return _off_px(stated, best.world, evidence) >= LEAST_MOTION_OF_ONE * next(iter(stated.values())).camera.width
-    return (name not in STRETCHED or abs(best.amount[0]) >= LEAST_STRETCH) and _is_felt(stated, best.world, evidence)
+        return _moved_px(stated, best.world, evidence) >= LEAST_MOTION_OF_ONE * next(iter(stated.values())).camera.width
+    return (name not in STRETCHED or abs(best.amount[0]) >= LEAST_STRETCH) and _is_noticeable(stated, best.world, evidence)
 
 
 def _evidence(stated: _World, geometries: Mapping[Pair, Geometry]) -> tuple[list[_Matches], list[_Matches]]:
     """Confirmed matches of pairs of stated cameras, and all matches of the pairs with too few confirmed ones."""
-    enough = {pair: geometry for pair, geometry in geometries.items() if len(geometry.x1) >= MIN_SHARED}
-    believed = {pair: geometry for pair, geometry in enough.items() if geometry.good_probability >= LEAST_PROBABILITY}
-    mine = {pair: some for pair, some in consistent_matches(believed).items() if set(pair) <= set(stated)}
-    known = {pair: some for pair, some in mine.items() if len(some.x1) >= FEWEST_CONFIRMED}
-    confirmed = [_matches(pair, some, geometries[pair]) for pair, some in known.items()]
-    return confirmed, [_matches(pair, geometries[pair], geometries[pair]) for pair in mine if pair not in known]
+    large_pairs = {pair: geometry for pair, geometry in geometries.items() if len(geometry.x1) >= MIN_SHARED}
+    probable = {pair: geometry for pair, geometry in large_pairs.items() if geometry.good_probability >= LEAST_PROBABILITY}
+    consistent = {pair: geometry for pair, geometry in consistent_matches(probable).items() if set(pair) <= set(stated)}
+    sufficient = {pair: geometry for pair, geometry in consistent.items() if len(geometry.x1) >= FEWEST_CONFIRMED}
+    confirmed = [_sampled(pair, geometry, geometries[pair]) for pair, geometry in sufficient.items()]
+    return confirmed, [_sampled(pair, geometries[pair], geometries[pair]) for pair in consistent if pair not in sufficient]
 
 
-def _checked(stated: _World, confirmed: list[_Matches], others: list[_Matches]) -> CalibrationCheck:
+def _check(stated: _World, confirmed: list[_Matches], other_matches: list[_Matches]) -> CalibrationCheck:
     """Check by confirmed matches; by the others if there are none."""
-    evidence = confirmed or others
-    loss, own = _loss(stated, evidence), _mean(evidence, [m.own_loss for m in evidence])
+    evidence = confirmed or other_matches
+    loss, own_loss = _loss(stated, evidence), _mean(evidence, [m.own_loss for m in evidence])
     count = sum(len(m.x1) for m in evidence)
-    found = CalibrationCheck(matches=count, pairs=len(evidence), confirmed=bool(confirmed), misfit=loss / max(own, 1e-9))
+    check = CalibrationCheck(matches=count, pairs=len(evidence), confirmed=bool(confirmed), misfit=loss / max(own_loss, 1e-9))
     excess = _excess(stated, evidence)
-    if excess <= LEAST_LOSS_RATIO * own:
-        return found
-    beyond_noise = found.confirmed and excess > CONTRADICTED * own
-    best = _explanation(stated, evidence, own, alone=not confirmed)
+    if excess <= LEAST_LOSS_RATIO * own_loss:
+        return check
+    exceeds_noise = check.confirmed and excess > CONTRADICTED * own_loss
+    best = _best_explanation(stated, evidence, own_loss, unconfirmed=not confirmed)
     if (best is None or best.cause.name in ("turned", "moved")) and _excess(
-        stated, evidence, errors=FITS
-    ) <= LEAST_LOSS_RATIO * own:
-        best, beyond_noise = None, False  # few matches, most of which agree: a changed pose merely fits look-alikes
-    named = replace(found, contradicted=beyond_noise) if best is None else _named(found, best, stated, evidence)
-    return named if beyond_noise or named.off_px >= HARMFUL_PX else found
+        stated, evidence, tolerance=FITS
+    ) <= LEAST_LOSS_RATIO * own_loss:
+        best, exceeds_noise = None, False  # few matches, most of which agree: a changed pose merely fits look-alikes
+    named = replace(check, contradicted=exceeds_noise) if best is None else _with_cause(check, best, stated, evidence)
+    return named if exceeds_noise or named.off_px >= HARMFUL_PX else check
 
 
-def _named(found: CalibrationCheck, best: _Explanation, stated: _World, evidence: list[_Matches]) -> CalibrationCheck:
+def _with_cause(check: CalibrationCheck, best: _Explanation, stated: _World, evidence: list[_Matches]) -> CalibrationCheck:
     """The result with the cause of the contradiction."""
-    cause, amount, better = best.cause, tuple(float(a) for a in best.amount), _loss(stated, evidence) / best.loss
-    off_px = _off_px(stated, best.world, evidence)
-    return replace(found, contradicted=True, cause=cause.name, cameras=cause.cameras, amount=amount, better=better, off_px=off_px)
+    cause, amount, ratio = best.cause, tuple(float(a) for a in best.amount), _loss(stated, evidence) / best.loss
+    off_px = _moved_px(stated, best.world, evidence)
+    return replace(check, contradicted=True, cause=cause.name, cameras=cause.cameras, amount=amount, better=ratio, off_px=off_px)
 
 
-def _with_cause_of_most(found: CalibrationCheck, stated: _World, evidence: list[_Matches]) -> CalibrationCheck:
+def _with_majority_cause(check: CalibrationCheck, stated: _World, evidence: list[_Matches]) -> CalibrationCheck:
     """Name the cause that brings most pairs back to the lines of the stated cameras, if that is more than chance."""
-    before = np.array([_median(stated, m) for m in evidence])
-    strayed = before > STRAYED_SIGMAS
-    if strayed.sum() < FEWEST_RECOVERED:
-        return found
-    causes = [_fit(cause, stated, evidence) for cause in _causes(stated, evidence, alone=False)]
-    after = np.array([[_median(explanation.world, m) for m in evidence] for explanation in causes])
-    good = after <= STRAYED_SIGMAS
-    back = (strayed & good & (2 * after <= before)).sum(axis=1)
-    able = (back >= FEWEST_RECOVERED) & (2 * back >= strayed.sum()) & (good | strayed).all(axis=1)
-    if not able.any():
-        return found
-    most = good[able].sum(axis=1).max()
-    equal = [k for k in np.flatnonzero(able) if good[k].sum() == most]
-    pairs = good[min(equal, key=lambda k: causes[k].loss)]
-    mine = [m for m, one in zip(evidence, pairs, strict=True) if one]
-    loss, own = _loss(stated, mine), _mean(mine, [m.own_loss for m in mine])
-    best = _simplest([replace(causes[k], loss=_loss(causes[k].world, mine)) for k in equal], loss)
-    if not _explains(best, loss, own, mine, alone=False):
-        return found
-    asked = replace(found, matches=sum(len(m.x1) for m in mine), pairs=len(mine), misfit=loss / max(own, 1e-9))
-    named = _named(asked, best, stated, mine)
-    return found if named.off_px < HARMFUL_PX else named
+    stated_medians = np.array([_median_distance(stated, m) for m in evidence])
+    has_strayed = stated_medians > STRAYED_SIGMAS
+    if has_strayed.sum() < FEWEST_RECOVERED:
+        return check
+    explanations = [_fit(cause, stated, evidence) for cause in _causes(stated, evidence, unconfirmed=False)]
+    medians = np.array([[_median_distance(explanation.world, m) for m in evidence] for explanation in explanations])
+    is_near = medians <= STRAYED_SIGMAS
+    recovered = (has_strayed & is_near & (2 * medians <= stated_medians)).sum(axis=1)
+    is_eligible = (recovered >= FEWEST_RECOVERED) & (2 * recovered >= has_strayed.sum()) & (is_near | has_strayed).all(axis=1)
+    if not is_eligible.any():
+        return check
+    most_near = is_near[is_eligible].sum(axis=1).max()
+    ties = [k for k in np.flatnonzero(is_eligible) if is_near[k].sum() == most_near]
+    near_pairs = is_near[min(ties, key=lambda k: explanations[k].loss)]
+    near = [m for m, fits in zip(evidence, near_pairs, strict=True) if fits]
+    loss, own_loss = _loss(stated, near), _mean(near, [m.own_loss for m in near])
+    best = _simplest([replace(explanations[k], loss=_loss(explanations[k].world, near)) for k in ties], loss)
+    if not _explains(best, loss, own_loss, near, unconfirmed=False):
+        return check
+    checked = replace(check, matches=sum(len(m.x1) for m in near), pairs=len(near), misfit=loss / max(own_loss, 1e-9))
+    named = _with_cause(checked, best, stated, near)
+    return check if named.off_px < HARMFUL_PX else named
 
 
-def _matches(pair: Pair, some: Geometry, whole: Geometry) -> _Matches:
-    """A sample of some matches of a pair; the noise is estimated from all of them (`whole`)."""
-    off = np.abs(sampson_distance(whole.F, whole.x1, whole.x2))
-    noise_px = max(1.4826 * float(np.median(off)), LEAST_NOISE_PX)
-    rows = np.linspace(0, len(some.x1) - 1, min(SAMPLE, len(some.x1))).astype(np.int64)
-    x1, x2 = some.x1[rows], some.x2[rows]
-    own = float(_cauchy(sampson_distance(whole.F, x1, x2) / noise_px).mean())
-    return _Matches(pair, x1, x2, noise_px, own)
+def _sampled(pair: Pair, chosen: Geometry, full: Geometry) -> _Matches:
+    """A sample of some matches of a pair; the noise is estimated from all of them (`full`)."""
+    distance = np.abs(sampson_distance(full.F, full.x1, full.x2))
+    noise_px = max(1.4826 * float(np.median(distance)), LEAST_NOISE_PX)
+    rows = np.linspace(0, len(chosen.x1) - 1, min(SAMPLE, len(chosen.x1))).astype(np.int64)
+    x1, x2 = chosen.x1[rows], chosen.x2[rows]
+    own_loss = float(_cauchy(sampson_distance(full.F, x1, x2) / noise_px).mean())
+    return _Matches(pair, x1, x2, noise_px, own_loss)
 
 
 def _cauchy(residuals: Float64s) -> Float64s:
@@ -296,7 +296,7 @@ def _residuals(world: _World, matches: _Matches) -> Float64s:
     return sampson_distance(F, left.straight(matches.x1), right.straight(matches.x2)) / matches.noise_px
 
 
-def _median(world: _World, matches: _Matches) -> float:
+def _median_distance(world: _World, matches: _Matches) -> float:
     """Median distance of the matches to the epipolar lines, in standard deviations."""
     return float(np.median(np.abs(_residuals(world, matches))))
 
@@ -310,45 +310,45 @@ def _loss(world: _World, evidence: list[_Matches]) -> float:
     return _mean(evidence, [float(_cauchy(_residuals(world, m)).mean()) for m in evidence])
 
 
-def _excess(world: _World, evidence: list[_Matches], errors: float = 0.0) -> float:
+def _excess(world: _World, evidence: list[_Matches], tolerance: float = 0.0) -> float:
     """The loss, except that pairs which agree with the world count with the loss under their own geometry.
 
-    errors: tolerance of agreement, in standard errors of the median.
+    tolerance: of the agreement, in standard errors of the median.
     """
-    most = [AGREEING + errors * MEDIAN_ERROR / sqrt(len(m.x1)) for m in evidence]
-    agrees = [_median(world, m) <= limit for m, limit in zip(evidence, most, strict=True)]
-    return _mean(evidence, [m.own_loss if same else _loss(world, [m]) for m, same in zip(evidence, agrees, strict=True)])
+    limits = [AGREEING + tolerance * MEDIAN_ERROR / sqrt(len(m.x1)) for m in evidence]
+    agrees = [_median_distance(world, m) <= limit for m, limit in zip(evidence, limits, strict=True)]
+    return _mean(evidence, [m.own_loss if agreeing else _loss(world, [m]) for m, agreeing in zip(evidence, agrees, strict=True)])
 
 
-def _explains(best: _Explanation, loss: float, own: float, evidence: list[_Matches], alone: bool) -> bool:
+def _explains(best: _Explanation, loss: float, own_loss: float, evidence: list[_Matches], unconfirmed: bool) -> bool:
     """Does a cause restore the fit that the matches have under their own geometry?"""
-    times, share = (LEAST_LOSS_RATIO_UNCONFIRMED, LEAST_SHARE_UNCONFIRMED) if alone else (LEAST_LOSS_RATIO, LEAST_SHARE)
-    gained, count = loss - best.loss, sum(min(len(m.x1), COUNTED) for m in evidence)
-    return loss > times * best.loss and gained >= share * (loss - min(own, best.loss)) and gained * count >= LEAST_LOSS
+    ratio, share = (LEAST_LOSS_RATIO_UNCONFIRMED, LEAST_SHARE_UNCONFIRMED) if unconfirmed else (LEAST_LOSS_RATIO, LEAST_SHARE)
+    gain, count = loss - best.loss, sum(min(len(m.x1), COUNTED) for m in evidence)
+    return loss > ratio * best.loss and gain >= share * (loss - min(own_loss, best.loss)) and gain * count >= LEAST_LOSS
 
 
-def _off_px(stated: _World, right: _World, evidence: list[_Matches]) -> float:
+def _moved_px(stated: _World, fixed: _World, evidence: list[_Matches]) -> float:
     """Motion of points along the epipolar lines between two worlds, and towards these lines, in pixels: median over the matches
     of the pairs that change; `FARTHEST_PX` for points behind a camera."""
-    found = []
+    motions = []
     for matches in evidence:
-        if all(stated[name] is right[name] for name in matches.pair):
+        if all(stated[name] is fixed[name] for name in matches.pair):
             continue
-        (z, gain), (other, _) = (_depths(world, matches) for world in (stated, right))
-        before, after = (np.abs(_residuals(world, matches)) * matches.noise_px for world in (stated, right))
+        (z, gain), (fixed_z, _) = (_depths(world, matches) for world in (stated, fixed))
+        stated_px, fixed_px = (np.abs(_residuals(world, matches)) * matches.noise_px for world in (stated, fixed))
         with np.errstate(invalid="ignore", divide="ignore"):
-            along = np.minimum(np.nan_to_num(np.abs(z - other) / gain, nan=FARTHEST_PX), FARTHEST_PX)
-        found.append(np.hypot(along, before - after))
-    return float(np.median(np.concatenate(found))) if found else 0.0
+            along = np.minimum(np.nan_to_num(np.abs(z - fixed_z) / gain, nan=FARTHEST_PX), FARTHEST_PX)
+        motions.append(np.hypot(along, stated_px - fixed_px))
+    return float(np.median(np.concatenate(motions))) if motions else 0.0
 
 
-def _is_felt(stated: _World, right: _World, evidence: list[_Matches]) -> bool:
+def _is_noticeable(stated: _World, fixed: _World, evidence: list[_Matches]) -> bool:
     """Do points move noticeably in another world, along their rays or because these turn?"""
-    seen = [(stated[name], right[name], x) for m in evidence for name, x in zip(m.pair, (m.x1, m.x2), strict=True)]
-    turns = [ray_angles(*(rays(each.camera, each.straight(x)).T for each in two)) * two[0].camera.K[0, 0] for *two, x in seen]
-    width = np.mean([one.camera.width for one, *_ in seen])
+    views = [(stated[name], fixed[name], x) for m in evidence for name, x in zip(m.pair, (m.x1, m.x2), strict=True)]
+    turns = [ray_angles(*(rays(view.camera, view.straight(x)).T for view in both)) * both[0].camera.K[0, 0] for *both, x in views]
+    width = np.mean([view.camera.width for view, *_ in views])
     return bool(
-        _off_px(stated, right, evidence) >= LEAST_MOTION_ALONG * width or np.median(np.concatenate(turns)) >= LEAST_TURN * width
+        _moved_px(stated, fixed, evidence) >= LEAST_MOTION_ALONG * width or np.median(np.concatenate(turns)) >= LEAST_TURN * width
     )
 
 
@@ -357,44 +357,44 @@ def _depths(world: _World, matches: _Matches) -> tuple[Float64s, Float64s]:
     return triangulate_depth(left.camera, right.camera, left.straight(matches.x1), right.straight(matches.x2))
 
 
-def _explanation(stated: _World, evidence: list[_Matches], own: float, alone: bool) -> _Explanation | None:
+def _best_explanation(stated: _World, evidence: list[_Matches], own_loss: float, unconfirmed: bool) -> _Explanation | None:
     """The cause that explains the matches best, or the simplest of those about as good; None if it explains too little."""
-    found = [_fit(cause, stated, evidence) for cause in _causes(stated, evidence, alone)]
+    explanations = [_fit(cause, stated, evidence) for cause in _causes(stated, evidence, unconfirmed)]
     loss = _loss(stated, evidence)
-    best = _simplest(found, loss)
-    return best if _explains(best, loss, own, evidence, alone) else None
+    best = _simplest(explanations, loss)
+    return best if _explains(best, loss, own_loss, evidence, unconfirmed) else None
 
 
-def _simplest(found: list[_Explanation], loss: float, slack: float = 0.1) -> _Explanation:
+def _simplest(explanations: list[_Explanation], loss: float, slack: float = 0.1) -> _Explanation:
     """The simplest of the causes that explain about as much of a loss as any; slack: tolerated share of the remaining loss."""
-    least = min(explanation.loss for explanation in found)
-    enough = least + max(slack * least, 0.05 * (loss - least))
-    return min(found, key=lambda e: (e.loss > enough, len(e.cause.about), e.loss))
+    least_loss = min(explanation.loss for explanation in explanations)
+    limit = least_loss + max(slack * least_loss, 0.05 * (loss - least_loss))
+    return min(explanations, key=lambda e: (e.loss > limit, len(e.cause.about), e.loss))
 
 
 def _fit(cause: _Cause, stated: _World, evidence: list[_Matches]) -> _Explanation:
     """The amount of a cause that fits the matches best, by Gauss-Newton steps on a loss whose scale tightens."""
-    mine = [m for m in evidence if not cause.cameras or set(cause.cameras) & set(m.pair)]
+    affected = [m for m in evidence if not cause.cameras or set(cause.cameras) & set(m.pair)]
     amount, damping, scale = np.zeros(len(cause.about)), 1e-3, np.inf
 
-    def residuals(at: Float64s, about: str = "") -> list[Float64s]:
-        world = cause.change(stated, at)
-        return [_residuals(world, m) if not about or about in m.pair else off[k] for k, m in enumerate(mine)]
+    def residuals(amounts: Float64s, about: str = "") -> list[Float64s]:
+        world = cause.change(stated, amounts)
+        return [_residuals(world, m) if not about or about in m.pair else current[k] for k, m in enumerate(affected)]
 
-    off: list[Float64s] = []
-    off = residuals(amount)
+    current: list[Float64s] = []
+    current = residuals(amount)
     for _ in range(STEPS if len(amount) else 0):
-        all_off = np.concatenate(off)
-        scale = min(scale, max(OUTLIER, 1.5 * float(np.median(np.abs(all_off)))))
-        cost = float(np.log1p((all_off / scale) ** 2).sum())
-        rows = zip(cause.about, 1e-6 * np.eye(len(amount)), strict=True)
-        slope = np.stack([(np.concatenate(residuals(amount + row, about)) - all_off) / 1e-6 for about, row in rows], axis=1)
-        weight = 1 / (1 + (all_off / scale) ** 2)
-        normal, right = slope.T @ (slope * weight[:, None]), slope.T @ (weight * all_off)
-        step = np.linalg.solve(normal + np.diag(damping * np.diag(normal) + 1e-9), -right)
-        ahead = residuals(amount + step)
-        if float(np.log1p((np.concatenate(ahead) / scale) ** 2).sum()) < cost:
-            amount, off, damping = amount + step, ahead, max(damping / 10, 1e-9)
+        stacked = np.concatenate(current)
+        scale = min(scale, max(OUTLIER, 1.5 * float(np.median(np.abs(stacked)))))
+        cost = float(np.log1p((stacked / scale) ** 2).sum())
+        deltas = zip(cause.about, 1e-6 * np.eye(len(amount)), strict=True)
+        J = np.stack([(np.concatenate(residuals(amount + delta, about)) - stacked) / 1e-6 for about, delta in deltas], axis=1)
+        weight = 1 / (1 + (stacked / scale) ** 2)
+        normal, gradient = J.T @ (J * weight[:, None]), J.T @ (weight * stacked)
+        step = np.linalg.solve(normal + np.diag(damping * np.diag(normal) + 1e-9), -gradient)
+        trial = residuals(amount + step)
+        if float(np.log1p((np.concatenate(trial) / scale) ** 2).sum()) < cost:
+            amount, current, damping = amount + step, trial, max(damping / 10, 1e-9)
         elif (damping := damping * 10) > 1e3:
             break
         if np.linalg.norm(step) < 1e-7 and scale <= OUTLIER:
@@ -403,122 +403,122 @@ def _fit(cause: _Cause, stated: _World, evidence: list[_Matches]) -> _Explanatio
     return _Explanation(cause, amount, world, _loss(world, evidence))
 
 
-def _causes(stated: _World, evidence: list[_Matches], alone: bool) -> Iterator[_Cause]:
+def _causes(stated: _World, evidence: list[_Matches], unconfirmed: bool) -> Iterator[_Cause]:
     """Possible causes, the likeliest first."""
-    seen = sorted({name for m in evidence for name in m.pair})
-    size, still = _size(stated, evidence), np.zeros(3)
+    names = sorted({name for m in evidence for name in m.pair})
+    baseline, zero = _median_baseline(stated, evidence), np.zeros(3)
 
     def of_all(name: str, unknowns: int, change: _Change) -> _Cause:
-        return _Cause(name, lambda w, a: _of_all(change, w, a), ("",) * unknowns)
+        return _Cause(name, lambda w, a: _for_all(change, w, a), ("",) * unknowns)
 
     def of_one(name: str, unknowns: int, change: _Change, camera: str) -> _Cause:
         return _Cause(name, lambda w, a: {**w, camera: change(w[camera], a)}, (camera,) * unknowns, (camera,))
 
     def of_two(name: str, keys: tuple[str, ...], one: str, other: str) -> _Cause:
         return _Cause(
-            name, lambda w, a: {**w, one: _like(w[one], w[other], keys), other: _like(w[other], w[one], keys)}, (), (one, other)
+            name, lambda w, a: {**w, one: _mixed(w[one], w[other], keys), other: _mixed(w[other], w[one], keys)}, (), (one, other)
         )
 
     yield of_all("focal-lengths", 1, _zoomed)
     yield of_all("distortion", 1, _distorted)
-    if any(_has_distortion(one.camera) for one in stated.values()):
+    if any(_has_distortion(view.camera) for view in stated.values()):
         yield of_all("distortion-factor", 1, _distortion_scaled)
-    if alone:
+    if unconfirmed:
         return
-    yield of_all("pixel-shape", 1, lambda one, a: _zoomed(one, np.append(a, 0.0)))
-    yield of_all("pixel-height", 1, lambda one, a: _zoomed(one, np.append(0.0, a)))
-    yield of_all(CORNER, 0, lambda one, _: _shifted_px(one, CORNER_PX))
+    yield of_all("pixel-shape", 1, lambda view, a: _zoomed(view, np.append(a, 0.0)))
+    yield of_all("pixel-height", 1, lambda view, a: _zoomed(view, np.append(0.0, a)))
+    yield of_all(CORNER, 0, lambda view, _: _shifted_px(view, CORNER_PX))
     yield of_all("principal-points", 2, _shifted)
-    yield of_all("focal-lengths-and-distortion", 2, lambda one, a: _distorted(_zoomed(one, a[:1]), a[1:]))
+    yield of_all("focal-lengths-and-distortion", 2, lambda view, a: _distorted(_zoomed(view, a[:1]), a[1:]))
     for axis, name in enumerate(STRETCHED):
-        yield of_all(name, 1, lambda one, a, axis=axis: _stretched(one, axis, a))  # type: ignore[misc]
+        yield of_all(name, 1, lambda view, a, axis=axis: _stretched(view, axis, a))  # type: ignore[misc]
     for name, change in CONVENTIONS.items():
-        yield of_all(name, 0, lambda one, a, c=change: replace(one, camera=c(one.camera)))  # type: ignore[misc]
-    for name in seen:
+        yield of_all(name, 0, lambda view, a, c=change: replace(view, camera=c(view.camera)))  # type: ignore[misc]
+    for name in names:
         if len({m.pair for m in evidence if name in m.pair}) < 2:  # matches of one pair may be look-alikes
             continue
         yield of_one("focal-length", 1, _zoomed, name)
         yield of_one("distortion-of-one", 1, _distorted, name)
-        yield of_one("turned", 3, lambda one, a: _posed(one, np.append(a, still), size), name)
-        yield of_one("moved", 3, lambda one, a: _posed(one, np.append(still, a), size), name)
+        yield of_one("turned", 3, lambda view, a: _posed(view, np.append(a, zero), baseline), name)
+        yield of_one("moved", 3, lambda view, a: _posed(view, np.append(zero, a), baseline), name)
         for convention in ("mirrored-frames", "upside-down"):
-            yield of_one(convention, 0, lambda one, a, c=convention: replace(one, camera=CONVENTIONS[c](one.camera)), name)  # type: ignore[misc]
-    if len(seen) <= LARGEST_SITE:
+            yield of_one(convention, 0, lambda view, a, c=convention: replace(view, camera=CONVENTIONS[c](view.camera)), name)  # type: ignore[misc]
+    if len(names) <= LARGEST_SITE:
         for step in (1, -1) if len(stated) > 2 else ():
-            yield _Cause("captures-exchanged", lambda w, _, step=step: _moved_on(w, step))  # type: ignore[misc]
-        for one, other in combinations(seen, 2):
+            yield _Cause("captures-exchanged", lambda w, _, step=step: _assigned_to_next(w, step))  # type: ignore[misc]
+        for one, other in combinations(names, 2):
             for name, keys in EXCHANGED.items():
                 yield of_two(name, keys, one, other)
 
 
-def _moved_on(world: _World, step: int) -> _World:
+def _assigned_to_next(world: _World, step: int) -> _World:
     """Each camera takes the place of the next one, as when a recorder numbers its inputs from another start."""
     names = list(world)
-    others = [names[(k + step) % len(names)] for k in range(len(names))]
+    next_names = [names[(k + step) % len(names)] for k in range(len(names))]
     keys = EXCHANGED["captures-exchanged"]
-    return {name: _like(world[name], world[other], keys) for name, other in zip(names, others, strict=True)}
+    return {name: _mixed(world[name], world[next_name], keys) for name, next_name in zip(names, next_names, strict=True)}
 
 
-def _size(stated: _World, evidence: list[_Matches]) -> float:
+def _median_baseline(stated: _World, evidence: list[_Matches]) -> float:
     """Median distance between the two cameras of a pair."""
     return float(np.median([np.linalg.norm(stated[a].camera.C - stated[b].camera.C) for a, b in (m.pair for m in evidence)]))
 
 
-def _posed(one: _Seen, amount: Float64s, size: float) -> _Seen:
-    """The camera rotated and shifted; amount: rotation vector (3), and shift (3) in units of `size`."""
-    camera = one.camera
-    return replace(one, camera=replace(camera, R=rotation_matrix(amount[:3]) @ camera.R, C=camera.C + size * amount[3:]))
+def _posed(view: _CheckedView, amount: Float64s, baseline: float) -> _CheckedView:
+    """The camera rotated and shifted; amount: rotation vector (3), and shift (3) in units of `baseline`."""
+    camera = view.camera
+    return replace(view, camera=replace(camera, R=rotation_matrix(amount[:3]) @ camera.R, C=camera.C + baseline * amount[3:]))
 
 
-def _zoomed(one: _Seen, logs: Float64s) -> _Seen:
+def _zoomed(view: _CheckedView, logs: Float64s) -> _CheckedView:
     """The camera with scaled focal lengths; logs: log factor of both, or of the horizontal and the vertical one."""
-    K = one.camera.K.copy()
+    K = view.camera.K.copy()
     K[[0, 1], [0, 1]] *= np.exp(np.clip(logs, -LARGEST_ZOOM, LARGEST_ZOOM))
-    return replace(one, camera=replace(one.camera, K=K))
+    return replace(view, camera=replace(view.camera, K=K))
 
 
-def _distorted(one: _Seen, k1: Float64s) -> _Seen:
-    return replace(one, k1=float(k1[0]))
+def _distorted(view: _CheckedView, k1: Float64s) -> _CheckedView:
+    return replace(view, k1=float(k1[0]))
 
 
 def _has_distortion(camera: Camera) -> bool:
     return camera.lens is None and bool(camera.distortion.any())
 
 
-def _distortion_scaled(one: _Seen, more: Float64s) -> _Seen:
-    """The camera with the stated distortion times 1 + `more`."""
-    camera = one.camera
-    bent = replace(camera, distortion=camera.distortion * (1 + more[0]))
-    return replace(one, camera=bent, stated=camera) if _has_distortion(camera) else one
+def _distortion_scaled(view: _CheckedView, extra: Float64s) -> _CheckedView:
+    """The camera with the stated distortion times 1 + `extra`."""
+    camera = view.camera
+    scaled = replace(camera, distortion=camera.distortion * (1 + extra[0]))
+    return replace(view, camera=scaled, stated=camera) if _has_distortion(camera) else view
 
 
-def _shifted(one: _Seen, share: Float64s) -> _Seen:
+def _shifted(view: _CheckedView, share: Float64s) -> _CheckedView:
     """The camera with a shifted principal point; share: of the width."""
-    K = one.camera.K.copy()
-    K[:2, 2] += share * one.camera.width
-    return replace(one, camera=replace(one.camera, K=K))
+    K = view.camera.K.copy()
+    K[:2, 2] += share * view.camera.width
+    return replace(view, camera=replace(view.camera, K=K))
 
 
-def _shifted_px(one: _Seen, pixels: Float64s) -> _Seen:
-    return _shifted(one, pixels / one.camera.width)
+def _shifted_px(view: _CheckedView, pixels: Float64s) -> _CheckedView:
+    return _shifted(view, pixels / view.camera.width)
 
 
-def _of_all(change: _Change, world: _World, amount: Float64s) -> _World:
-    return {name: change(one, amount) for name, one in world.items()}
+def _for_all(change: _Change, world: _World, amount: Float64s) -> _World:
+    return {name: change(view, amount) for name, view in world.items()}
 
 
-def _like(one: _Seen, other: _Seen, keys: tuple[str, ...]) -> _Seen:
+def _mixed(view: _CheckedView, other: _CheckedView, keys: tuple[str, ...]) -> _CheckedView:
     """The camera with parts of another one."""
-    was, alike = one.camera, replace(one.camera, **{key: getattr(other.camera, key) for key in keys})
-    bent = "distortion" in keys and was.lens is None and other.camera.lens is None
-    return replace(one, camera=alike, stated=was if bent and (_has_distortion(was) or _has_distortion(other.camera)) else None)
+    old, new = view.camera, replace(view.camera, **{key: getattr(other.camera, key) for key in keys})
+    swapped = "distortion" in keys and old.lens is None and other.camera.lens is None
+    return replace(view, camera=new, stated=old if swapped and (_has_distortion(old) or _has_distortion(other.camera)) else None)
 
 
-def _stretched(one: _Seen, axis: int, log: Float64s) -> _Seen:
+def _stretched(view: _CheckedView, axis: int, log: Float64s) -> _CheckedView:
     """The camera with its position stretched along an axis; log: logarithm of the factor."""
-    C = one.camera.C.copy()
+    C = view.camera.C.copy()
     C[axis] *= np.exp(np.clip(log[0], -LARGEST_ZOOM, LARGEST_ZOOM))
-    return replace(one, camera=replace(one.camera, C=C))
+    return replace(view, camera=replace(view.camera, C=C))
 
 
 def _flipped(camera: Camera, axes: int) -> Camera:
@@ -529,7 +529,7 @@ def _flipped(camera: Camera, axes: int) -> Camera:
     return replace(camera, K=K)
 
 
-_DOWN = np.diag([1.0, -1.0, -1.0])
+_FROM_OPENGL = np.diag([1.0, -1.0, -1.0])
 CONVENTIONS: Mapping[str, Callable[[Camera], Camera]] = {
     "mirrored-x": lambda c: replace(c, C=c.C * (-1, 1, 1)),
     "mirrored-y": lambda c: replace(c, C=c.C * (1, -1, 1)),
@@ -537,8 +537,8 @@ CONVENTIONS: Mapping[str, Callable[[Camera], Camera]] = {
     "axes-exchanged": lambda c: replace(c, C=c.C[[1, 0, 2]]),
     "t-for-positions": lambda c: replace(c, C=-c.R.T @ c.C),
     "rotations-transposed": lambda c: replace(c, R=c.R.T),
-    "rotations-opengl": lambda c: replace(c, R=_DOWN @ c.R),
-    "rotations-transposed-opengl": lambda c: replace(c, R=_DOWN @ c.R.T),
+    "rotations-opengl": lambda c: replace(c, R=_FROM_OPENGL @ c.R),
+    "rotations-transposed-opengl": lambda c: replace(c, R=_FROM_OPENGL @ c.R.T),
     "mirrored-frames": lambda c: _flipped(c, 1),
     "upside-down": lambda c: _flipped(c, 2),
 }

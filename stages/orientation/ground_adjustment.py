@@ -30,13 +30,13 @@ _FINE_REACH_PX = 6.0
 _REACH_SIGMAS, _WIDEST_REACH_PX = 2.0, 24.0
 """Search radius for patches in standard deviations, and its limit in pixels: the wider the search, the fewer patches have no
 look-alike within it."""
-_BENEATH = 0.1
+_BELOW_SHARE = 0.1
 """Matches farther below the plane than this share of the camera's height above it are look-alikes."""
-_ROUGH, _FINE = 80, 200
+_ROUGH_MATCHES, _FINE_MATCHES = 80, 200
 """Largest number of matches of a pair in the rough and in the fine adjustment."""
-_FEWEST = 12
+_FEWEST_PATCHES = 12
 """Fewest large patches that must look the same on the ground."""
-_CLEARER, _CLEARER_FOR_TWO = 1.5, 3.0
+_LEAST_RATIO, _LEAST_RATIO_FOR_TWO = 1.5, 3.0
 """Smallest ratio of alike large patches on the ground to those on any other plane: for more than two views, and for two."""
 
 
@@ -62,17 +62,17 @@ def adjust_to_ground(
     pairs : pairs of these cameras, with their keypoint matches.
     """
     site = _Site({name: images[name] for name in known if name in images}, known, sigmas, pairs)
-    rough = []
+    rough_fits = []
     for plane in _planes(site):
-        if matches := site.matches(known, plane, 1, _ROUGH):
-            rough.append(_fitted(site, matches, plane))
-    fits = [_finely(site, fit) for fit in _different(sorted(rough, key=lambda fit: -fit.share), known)[:_MOST_PLANES]]
+        if matches := site.matches(known, plane, 1, _ROUGH_MATCHES):
+            rough_fits.append(_fit_to(site, matches, plane))
+    fits = [_fit_finely(site, fit) for fit in _distinct(sorted(rough_fits, key=lambda fit: -fit.share), known)[:_MOST_PLANES]]
     if not fits:
         return None
     counts = [very_alike(site.views(fit.adjusted.cameras, 2), fit.plane) for fit in fits]
-    best, *others = sorted(counts, reverse=True)
-    clearer = _CLEARER if len(site.images) > 2 else _CLEARER_FOR_TWO
-    return fits[counts.index(best)].adjusted if best >= max(_FEWEST, clearer * max(others, default=0)) else None
+    best, *other_counts = sorted(counts, reverse=True)
+    least_ratio = _LEAST_RATIO if len(site.images) > 2 else _LEAST_RATIO_FOR_TWO
+    return fits[counts.index(best)].adjusted if best >= max(_FEWEST_PATCHES, least_ratio * max(other_counts, default=0)) else None
 
 
 @dataclass(frozen=True)
@@ -84,35 +84,35 @@ class _Site:
 
     def views(self, cameras: Mapping[str, Camera], times: int) -> list[tuple[Float32s, Camera]]:
         """Images and cameras, halved `times` times."""
-        found = [(image, cameras[name]) for name, image in self.images.items()]
+        halved_views = [(image, cameras[name]) for name, image in self.images.items()]
         for _ in range(times):
-            found = [halved(*view) for view in found]
-        return found
+            halved_views = [halved(*view) for view in halved_views]
+        return halved_views
 
     def matches(
         self, cameras: Mapping[str, Camera], plane: Float64s, times: int, most: int, reach_px: float | None = None
     ) -> dict[Pair, Geometry]:
         """Matches of the pairs on a plane, in images halved `times` times; reach_px: search radius, None to use the sigmas."""
         views = dict(zip(self.images, self.views(cameras, times), strict=True))
-        found = {}
+        matched = {}
         for pair, geometry in self.pairs.items():
             if set(pair) <= set(views):
                 (image1, camera1), (image2, camera2) = (views[name] for name in pair)
                 reach = reach_px or self._reach_px(pair, plane)
                 x1, x2 = ground_matches((image1, image2), (camera1, camera2), plane, reach / 2**times)
-                some = _some(len(x1), most)
-                if len(some) >= MIN_MATCHES:
-                    found[pair] = _of(geometry, *(2.0**times * x[some] + 0.5 * (2**times - 1) for x in (x1, x2)))
-        return found
+                rows = _thinned_rows(len(x1), most)
+                if len(rows) >= MIN_MATCHES:
+                    matched[pair] = _with_matches(geometry, *(2.0**times * x[rows] + 0.5 * (2**times - 1) for x in (x1, x2)))
+        return matched
 
     def _reach_px(self, pair: Pair, plane: Float64s) -> float:
         """Search radius in pixels for patches of a plane, at four times the camera's height above it."""
-        square = 0.0
+        variance = 0.0
         for name in pair:
             camera, sigma = self.known[name], self.sigmas.get(name, Sigma())
-            away = 4.0 * abs(float(plane[:3] @ camera.C + plane[3]))
-            square += (camera.K[0, 0] * (np.radians(sigma.degrees) + sigma.metres / away)) ** 2
-        return min(_REACH_SIGMAS * float(np.sqrt(square)), _WIDEST_REACH_PX)
+            distance = 4.0 * abs(float(plane[:3] @ camera.C + plane[3]))
+            variance += (camera.K[0, 0] * (np.radians(sigma.degrees) + sigma.metres / distance)) ** 2
+        return min(_REACH_SIGMAS * float(np.sqrt(variance)), _WIDEST_REACH_PX)
 
 
 def _planes(site: _Site) -> list[Float64s]:
@@ -120,12 +120,12 @@ def _planes(site: _Site) -> list[Float64s]:
     planes: list[Float64s] = []
     for times in (1, 2):
         for plane in likely_planes(site.views(site.known, times)):
-            if all(_apart(plane, other, site.known) > 0.5 * _SAME_HEIGHT for other in planes):
+            if all(_height_difference(plane, earlier, site.known) > 0.5 * _SAME_HEIGHT for earlier in planes):
                 planes.append(plane)
     return planes
 
 
-def _apart(plane: Float64s, other: Float64s, cameras: Mapping[str, Camera]) -> float:
+def _height_difference(plane: Float64s, other: Float64s, cameras: Mapping[str, Camera]) -> float:
     """Height difference of two planes, as a share of the height of the lowest camera above the first."""
     height = min(float(plane[:3] @ camera.C + plane[3]) for camera in cameras.values())
     centre = np.mean([camera.C for camera in cameras.values()], axis=0)
@@ -133,48 +133,48 @@ def _apart(plane: Float64s, other: Float64s, cameras: Mapping[str, Camera]) -> f
     return abs(difference) / max(height, 1e-9)
 
 
-def _different(fits: Iterable[_Fit], cameras: Mapping[str, Camera]) -> list[_Fit]:
+def _distinct(fits: Iterable[_Fit], cameras: Mapping[str, Camera]) -> list[_Fit]:
     """The fits without those whose plane has become the same as an earlier one's."""
-    found: list[_Fit] = []
+    distinct: list[_Fit] = []
     for fit in fits:
-        if all(_apart(fit.plane, other.plane, cameras) > _SAME_HEIGHT for other in found):
-            found.append(fit)
-    return found
+        if all(_height_difference(fit.plane, earlier.plane, cameras) > _SAME_HEIGHT for earlier in distinct):
+            distinct.append(fit)
+    return distinct
 
 
-def _finely(site: _Site, fit: _Fit) -> _Fit:
+def _fit_finely(site: _Site, fit: _Fit) -> _Fit:
     """The cameras adjusted to patches of the full images, and to the keypoints that are not below the plane."""
     cameras = fit.adjusted.cameras
-    found = site.matches(cameras, fit.plane, 0, _FINE, _FINE_REACH_PX)
-    both: dict[Pair, Geometry] = {}
+    patches = site.matches(cameras, fit.plane, 0, _FINE_MATCHES, _FINE_REACH_PX)
+    combined: dict[Pair, Geometry] = {}
     for pair, geometry in site.pairs.items():
-        x1, x2 = _not_beneath(geometry, cameras[pair[0]], cameras[pair[1]], fit.plane)
-        if pair in found:
-            x1, x2 = np.concatenate([x1, found[pair].x1]), np.concatenate([x2, found[pair].x2])
+        x1, x2 = _not_below(geometry, cameras[pair[0]], cameras[pair[1]], fit.plane)
+        if pair in patches:
+            x1, x2 = np.concatenate([x1, patches[pair].x1]), np.concatenate([x2, patches[pair].x2])
         if len(x1):
-            both[pair] = _of(geometry, x1, x2)
-    return _fitted(site, both, fit.plane)
+            combined[pair] = _with_matches(geometry, x1, x2)
+    return _fit_to(site, combined, fit.plane)
 
 
-def _fitted(site: _Site, matches: Mapping[Pair, Geometry], plane: Float64s) -> _Fit:
+def _fit_to(site: _Site, matches: Mapping[Pair, Geometry], plane: Float64s) -> _Fit:
     adjusted = adjust_within_priors(site.known, site.sigmas, matches, trusted=True)
-    share, settled = fit_nearby_plane(site.views(adjusted.cameras, 1), plane)
-    return _Fit(adjusted, settled, share)
+    share, nearby_plane = fit_nearby_plane(site.views(adjusted.cameras, 1), plane)
+    return _Fit(adjusted, nearby_plane, share)
 
 
-def _not_beneath(geometry: Geometry, left: Camera, right: Camera, plane: Float64s) -> tuple[Float64s, Float64s]:
+def _not_below(geometry: Geometry, left: Camera, right: Camera, plane: Float64s) -> tuple[Float64s, Float64s]:
     """Some of the matches of a pair that are not below a plane."""
     depth, _ = triangulate_depth(left, right, geometry.x1, geometry.x2)
-    above = backproject(left, geometry.x1, depth) @ plane[:3] + plane[3] > -_BENEATH * (plane[:3] @ left.C + plane[3])
+    above = backproject(left, geometry.x1, depth) @ plane[:3] + plane[3] > -_BELOW_SHARE * (plane[:3] @ left.C + plane[3])
     rows = np.flatnonzero(above & (depth > 0))
-    rows = rows[_some(len(rows), _FINE)]
+    rows = rows[_thinned_rows(len(rows), _FINE_MATCHES)]
     return geometry.x1[rows], geometry.x2[rows]
 
 
-def _some(count: int, most: int) -> Int64s:
-    return np.unique(np.linspace(0, count - 1, min(most, count)).astype(np.int64))
+def _thinned_rows(count: int, limit: int) -> Int64s:
+    return np.unique(np.linspace(0, count - 1, min(limit, count)).astype(np.int64))
 
 
-def _of(geometry: Geometry, x1: Float64s, x2: Float64s) -> Geometry:
-    sure = np.ones(len(x1), dtype=np.float32)
-    return replace(geometry, x1=x1, x2=x2, i1=None, i2=None, probability=sure, good_probability=1.0)
+def _with_matches(geometry: Geometry, x1: Float64s, x2: Float64s) -> Geometry:
+    certain = np.ones(len(x1), dtype=np.float32)
+    return replace(geometry, x1=x1, x2=x2, i1=None, i2=None, probability=certain, good_probability=1.0)

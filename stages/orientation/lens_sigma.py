@@ -34,13 +34,13 @@ RAYLEIGH = 1.1774
 """Ratio of the median length of a 2-D normal error to the standard deviation of one coordinate."""
 _POSE, _LENS = 6, 5
 """Number of parameters of a pose (rotation, centre), and of a lens (cx, cy, f, k1, k2)."""
-_LOOSE = 1e-10
+_REGULARISATION = 1e-10
 """Relative regularisation that fixes the gauge: position, rotation and scale of the world are undetermined."""
-_AT_ONCE = 256
+_BATCH_POINTS = 256
 """Number of points processed together, which bounds memory."""
 _HALVINGS = 3
 """Halvings of the scene, into eight parts of equal size: fewer estimate a variance badly, and smaller ones are correlated."""
-_KEPT = 1e-3
+_KEPT_SHARE = 1e-3
 """Share of its weight that a left-out part keeps, so that parameters which no other part determines stay solvable."""
 _LONG_SIDE = 768
 """For larger frames, uncertainty from wrong matches or principal points is scaled down to this size: their pixels show less."""
@@ -81,10 +81,10 @@ def with_principal_points(model: Model) -> Model:
     if not _can_estimate(model):
         return model
     cameras = dict(model.cameras)
-    for first, found in _principal_points(model, _equations(model), CENTRE_SIGMA).items():
-        for view in [view for view in cameras if model.lenses.get(view) == model.lenses[first]]:
+    for first_view, correction in _principal_points(model, _equations(model), CENTRE_SIGMA).items():
+        for view in [view for view in cameras if model.lenses.get(view) == model.lenses[first_view]]:
             K = cameras[view].K.copy()
-            K[:2, 2] += found.step
+            K[:2, 2] += correction.step
             cameras[view] = replace(cameras[view], K=K)
     return refine(replace(model, cameras=cameras), rounds=3)
 
@@ -98,15 +98,15 @@ def lens_sigmas(model: Model, centre_sigma: float = CENTRE_SIGMA) -> dict[int, L
         return {}
     equations = _equations(model)
     covariances = _covariances(equations, _principal_points(model, equations, centre_sigma))
-    found = {}
+    sigmas = {}
     for view in [view for view in equations.at if view in model.lenses]:
-        lens, camera = equations.at[view][_POSE:], model.cameras[view]
-        share = min(1.0, _LONG_SIDE / max(camera.width, camera.height))
-        noise, parts, centre = (_border_px(camera, covariance[np.ix_(lens, lens)]) for covariance in covariances)
-        noise_f, parts_f, centre_f = (float(np.sqrt(covariance[lens[2], lens[2]])) for covariance in covariances)
-        focal = np.hypot(max(noise_f, parts_f), centre_f) / camera.K[0, 0]
-        found[view] = LensSigma(float(focal), float(np.hypot(max(noise, share * parts), share * centre)))
-    return found
+        columns, camera = equations.at[view][_POSE:], model.cameras[view]
+        shrinkage = min(1.0, _LONG_SIDE / max(camera.width, camera.height))
+        noise_px, parts_px, centre_px = (_border_px(camera, covariance[np.ix_(columns, columns)]) for covariance in covariances)
+        noise_f, parts_f, centre_f = (float(np.sqrt(covariance[columns[2], columns[2]])) for covariance in covariances)
+        focal_sigma = np.hypot(max(noise_f, parts_f), centre_f) / camera.K[0, 0]
+        sigmas[view] = LensSigma(float(focal_sigma), float(np.hypot(max(noise_px, shrinkage * parts_px), shrinkage * centre_px)))
+    return sigmas
 
 
 def _can_estimate(model: Model) -> bool:
@@ -116,17 +116,17 @@ def _can_estimate(model: Model) -> bool:
 def _principal_points(model: Model, equations: _Equations, centre_sigma: float) -> dict[int, _PrincipalPoint]:
     """Correction of the principal point of each solved lens from the prior and the images, by the first view of the lens."""
     columns = np.concatenate([equations.solved, *equations.centres.values()])
-    by_noise, without, step = _left_out(equations, columns)
-    found = {}
+    by_noise, without, step = _solve_columns(equations, columns)
+    corrections = {}
     for view, at in equations.centres.items():
         by_parts = without[:, at].T @ without[:, at]
-        told = max(by_noise[np.ix_(at, at)], by_parts, key=np.trace)
-        before = np.eye(2) * (centre_sigma * model.cameras[view].width) ** 2
-        gain = before @ np.linalg.inv(before + told)
-        ungained = np.eye(2) - gain
-        of_noise, left = gain @ by_noise[np.ix_(at, at)] @ gain.T, ungained @ before @ ungained.T
-        found[view] = _PrincipalPoint(gain @ step[at], without[:, at] @ gain.T, of_noise, left)
-    return found
+        measured = max(by_noise[np.ix_(at, at)], by_parts, key=np.trace)
+        prior = np.eye(2) * (centre_sigma * model.cameras[view].width) ** 2
+        gain = prior @ np.linalg.inv(prior + measured)
+        prior_share = np.eye(2) - gain
+        noise_covariance, left = gain @ by_noise[np.ix_(at, at)] @ gain.T, prior_share @ prior @ prior_share.T
+        corrections[view] = _PrincipalPoint(gain @ step[at], without[:, at] @ gain.T, noise_covariance, left)
+    return corrections
 
 
 def _border_px(camera: Camera, covariance: Float64s) -> float:
@@ -134,95 +134,95 @@ def _border_px(camera: Camera, covariance: Float64s) -> float:
     x, y = np.linspace(0.02, 0.98, 17) * (camera.width - 1), np.linspace(0.02, 0.98, 11) * (camera.height - 1)
     grid = np.stack(np.meshgrid(x, y), axis=-1)
     border = np.concatenate([grid[0], grid[-1], grid[1:-1, 0], grid[1:-1, -1]])
-    (turn, of), (turn_b, of_b) = (_slopes_at(camera, pixels) for pixels in (grid.reshape(-1, 2), border))
-    undone = of_b - turn_b @ np.linalg.lstsq(turn, of, rcond=None)[0]
-    return float(np.sqrt(max(np.einsum("ni,ij,nj->", undone, covariance, undone) / len(border), 0.0)))
+    (turn, lens), (border_turn, border_lens) = (_derivatives_at(camera, pixels) for pixels in (grid.reshape(-1, 2), border))
+    remaining = border_lens - border_turn @ np.linalg.lstsq(turn, lens, rcond=None)[0]
+    return float(np.sqrt(max(np.einsum("ni,ij,nj->", remaining, covariance, remaining) / len(border), 0.0)))
 
 
-def _slopes_at(camera: Camera, x: Float64s) -> tuple[Float64s, Float64s]:
+def _derivatives_at(camera: Camera, x: Float64s) -> tuple[Float64s, Float64s]:
     """Derivatives of pixels (n, 2) by a rotation of the camera (2n, 3), and by cx, cy, f, k1, k2 (2n, 5)."""
-    straight = without_distortion(camera, x)
-    Y = np.column_stack([(straight - camera.K[:2, 2]) / camera.K[0, 0], np.ones(len(x))])
+    undistorted = without_distortion(camera, x)
+    Y = np.column_stack([(undistorted - camera.K[:2, 2]) / camera.K[0, 0], np.ones(len(x))])
     lens = np.tile([camera.K[0, 0], *camera.radial], (len(x), 1))
-    D, L = _slopes(Y, lens)
-    turn = np.stack([(D @ np.cross(np.eye(3)[axis], Y)[:, :, None])[:, :, 0] for axis in range(3)], axis=2)
-    centre = np.tile(np.eye(2), (len(x), 1, 1))
-    return turn.reshape(-1, 3), np.concatenate([centre, L], axis=2).reshape(-1, 5)
+    by_point, by_lens = _derivatives(Y, lens)
+    by_rotation = np.stack([(by_point @ np.cross(np.eye(3)[axis], Y)[:, :, None])[:, :, 0] for axis in range(3)], axis=2)
+    by_centre = np.tile(np.eye(2), (len(x), 1, 1))
+    return by_rotation.reshape(-1, 3), np.concatenate([by_centre, by_lens], axis=2).reshape(-1, 5)
 
 
-def _slopes(Y: Float64s, lens: Float64s) -> tuple[Float64s, Float64s]:
+def _derivatives(Y: Float64s, lens: Float64s) -> tuple[Float64s, Float64s]:
     """Derivatives of pixels by points (n, 3) in camera axes, (n, 2, 3), and by their lenses f, k1, k2, (n, 2, 3)."""
     f, k1, k2 = lens.T
     x = Y[:, :2] / Y[:, 2:]
     r2 = (x * x).sum(axis=1)
-    factor, rise = 1 + r2 * (k1 + r2 * k2), k1 + 2 * r2 * k2
-    by_x = f[:, None, None] * (factor[:, None, None] * np.eye(2) + 2 * rise[:, None, None] * x[:, :, None] * x[:, None, :])
-    to_x = np.concatenate([np.tile(np.eye(2), (len(Y), 1, 1)), -x[:, :, None]], axis=2) / Y[:, 2][:, None, None]
-    by_lens = np.stack([factor[:, None] * x, (f * r2)[:, None] * x, (f * r2 * r2)[:, None] * x], axis=2)
-    return by_x @ to_x, by_lens
+    factor, slope = 1 + r2 * (k1 + r2 * k2), k1 + 2 * r2 * k2
+    px_by_x = f[:, None, None] * (factor[:, None, None] * np.eye(2) + 2 * slope[:, None, None] * x[:, :, None] * x[:, None, :])
+    x_by_point = np.concatenate([np.tile(np.eye(2), (len(Y), 1, 1)), -x[:, :, None]], axis=2) / Y[:, 2][:, None, None]
+    px_by_lens = np.stack([factor[:, None] * x, (f * r2)[:, None] * x, (f * r2 * r2)[:, None] * x], axis=2)
+    return px_by_x @ x_by_point, px_by_lens
 
 
 def _equations(model: Model) -> _Equations:
     """The normal equations of an adjusted model with its points eliminated."""
     rows = np.flatnonzero(model.use)
-    names = np.unique(model.tracks.view[rows]).tolist()
-    owners = [model.lenses.get(name, -1 - name) for name in names]
-    lenses = {lens: k for k, lens in enumerate(dict.fromkeys(owners))}
-    start, size = _POSE * len(names), _POSE * len(names) + _LENS * len(lenses)
-    lens = start + _LENS * np.array([lenses[owner] for owner in owners])[:, None] + np.arange(_LENS)
-    at = np.column_stack([_POSE * np.arange(len(names))[:, None] + np.arange(_POSE), lens])
-    of = np.searchsorted(names, model.tracks.view[rows])
-    points, point = np.unique(model.tracks.track[rows], return_inverse=True)
+    views = np.unique(model.tracks.view[rows]).tolist()
+    lens_ids = [model.lenses.get(view, -1 - view) for view in views]
+    lens_index = {lens_id: k for k, lens_id in enumerate(dict.fromkeys(lens_ids))}
+    lens_start, size = _POSE * len(views), _POSE * len(views) + _LENS * len(lens_index)
+    lens_columns = lens_start + _LENS * np.array([lens_index[lens_id] for lens_id in lens_ids])[:, None] + np.arange(_LENS)
+    at = np.column_stack([_POSE * np.arange(len(views))[:, None] + np.arange(_POSE), lens_columns])
+    view_of = np.searchsorted(views, model.tracks.view[rows])
+    points, point_of = np.unique(model.tracks.track[rows], return_inverse=True)
     noise = max(float(np.median(model.error_px()[rows])) / RAYLEIGH, 1e-6)
-    J, P, r = _linearised(model, names, rows, of)
-    off = model.error_px()[rows] / noise
-    weight = np.sqrt(1 / (1 + off**2 / LOSS**2)) / noise
+    J, P, r = _linearised(model, views, rows, view_of)
+    error = model.error_px()[rows] / noise
+    weight = np.sqrt(1 / (1 + error**2 / LOSS**2)) / noise
     J, P, r = J * weight[:, None, None], P * weight[:, None, None], r * weight[:, None]
     V = np.zeros((len(points), 3, 3))  # normal matrix of each point alone
-    np.add.at(V, point, np.einsum("nki,nkj->nij", P, P))
-    inverse = np.linalg.inv(V + _LOOSE * np.trace(V, axis1=1, axis2=2)[:, None, None] * np.eye(3))
+    np.add.at(V, point_of, np.einsum("nki,nkj->nij", P, P))
+    inverse = np.linalg.inv(V + _REGULARISATION * np.trace(V, axis1=1, axis2=2)[:, None, None] * np.eye(3))
     part = _parts(model.X[points])
-    H, pulls = np.zeros((1 << _HALVINGS, size, size)), _pulls(J, P, r, inverse, at[of], point, part, size)
+    H, pulls = np.zeros((1 << _HALVINGS, size, size)), _pulls(J, P, r, inverse, at[view_of], point_of, part, size)
     for k in range(len(H)):
-        mine, own = part[point] == k, np.flatnonzero(part == k)
-        H[k] = _reduced(J[mine], P[mine], inverse[own], at[of[mine]], np.searchsorted(own, point[mine]), size)
-    poses = [at[k, :_POSE] for k, name in enumerate(names) if name not in model.held]
-    first = {owner: k for k, owner in reversed([*enumerate(owners)]) if names[k] in model.lenses}
-    solved = np.concatenate([*poses, *(at[k, _POSE + 2 :] for k in first.values())])
-    centres = {names[k]: at[k, _POSE : _POSE + 2] for k in first.values()}
-    return _Equations(H, pulls, {name: at[k] for k, name in enumerate(names)}, solved, centres)
+        mask, members = part[point_of] == k, np.flatnonzero(part == k)
+        H[k] = _reduced(J[mask], P[mask], inverse[members], at[view_of[mask]], np.searchsorted(members, point_of[mask]), size)
+    pose_columns = [at[k, :_POSE] for k, view in enumerate(views) if view not in model.held]
+    first_views = {lens_id: k for k, lens_id in reversed([*enumerate(lens_ids)]) if views[k] in model.lenses}
+    solved = np.concatenate([*pose_columns, *(at[k, _POSE + 2 :] for k in first_views.values())])
+    centres = {views[k]: at[k, _POSE : _POSE + 2] for k in first_views.values()}
+    return _Equations(H, pulls, {view: at[k] for k, view in enumerate(views)}, solved, centres)
 
 
 def _covariances(equations: _Equations, centres: dict[int, _PrincipalPoint]) -> tuple[Float64s, Float64s, Float64s]:
     """Covariances (n, n) of all cameras and lenses: from the noise, from the parts of the scene, and from the remaining
     uncertainty of the principal points."""
-    by_noise, without, _ = _left_out(equations, equations.solved)
-    by_centre, whole, without = np.zeros_like(by_noise), equations.H.sum(axis=0), without.copy()
+    by_noise, without, _ = _solve_columns(equations, equations.solved)
+    by_centre, total, without = np.zeros_like(by_noise), equations.H.sum(axis=0), without.copy()
     solved = by_noise
     for view, centre in centres.items():
-        moved = -solved @ whole[:, equations.centres[view]]
-        moved[equations.centres[view]] = np.eye(2)
-        by_noise = by_noise + moved @ centre.by_noise @ moved.T
-        without += centre.without @ moved.T
-        by_centre += moved @ centre.left @ moved.T
+        sensitivity = -solved @ total[:, equations.centres[view]]
+        sensitivity[equations.centres[view]] = np.eye(2)
+        by_noise = by_noise + sensitivity @ centre.by_noise @ sensitivity.T
+        without += centre.without @ sensitivity.T
+        by_centre += sensitivity @ centre.left @ sensitivity.T
     return by_noise, without.T @ without, by_centre
 
 
-def _left_out(equations: _Equations, columns: Int64s) -> tuple[Float64s, Float64s, Float64s]:
+def _solve_columns(equations: _Equations, columns: Int64s) -> tuple[Float64s, Float64s, Float64s]:
     """Solve some of the parameters, given by their columns: their covariance (n, n); their changes (parts, n) without each part,
     scaled so that squares add up to variances; and the step (n,) that they would still take."""
     H, pulls = equations.H[:, columns[:, None], columns], equations.pulls[:, columns]
-    whole = H.sum(axis=0)
-    whole[np.diag_indices_from(whole)] *= 1 + _LOOSE
-    scale = 1 / np.sqrt(np.maximum(np.diag(whole), 1e-300))
+    total = H.sum(axis=0)
+    total[np.diag_indices_from(total)] *= 1 + _REGULARISATION
+    scale = 1 / np.sqrt(np.maximum(np.diag(total), 1e-300))
     scale = scale[:, None] * scale
-    C = np.linalg.inv(whole * scale) * scale
-    step = C @ pulls.sum(axis=0)
-    without = np.linalg.inv((whole - (1 - _KEPT) * H) * scale) * scale
-    moved = (1 - _KEPT) * (without @ (pulls - H @ step)[:, :, None])[:, :, 0]
+    covariance = np.linalg.inv(total * scale) * scale
+    step = covariance @ pulls.sum(axis=0)
+    without = np.linalg.inv((total - (1 - _KEPT_SHARE) * H) * scale) * scale
+    change = (1 - _KEPT_SHARE) * (without @ (pulls - H @ step)[:, :, None])[:, :, 0]
     by_noise, moves, steps = (np.zeros_like(equations.H[0]), np.zeros_like(equations.pulls), np.zeros_like(equations.pulls[0]))
-    by_noise[np.ix_(columns, columns)] = C
-    moves[:, columns] = moved * np.sqrt((len(H) - 1) / len(H))
+    by_noise[np.ix_(columns, columns)] = covariance
+    moves[:, columns] = change * np.sqrt((len(H) - 1) / len(H))
     steps[columns] = step
     return by_noise, moves, steps
 
@@ -231,63 +231,63 @@ def _parts(X: Float64s) -> Int64s:
     """(n,) the part of the scene that each point is in: repeatedly halved across its longest side."""
     part = np.zeros(len(X), np.int64)
     for _ in range(_HALVINGS):
-        beyond = np.zeros(len(X), bool)
+        in_upper_half = np.zeros(len(X), bool)
         for k in np.unique(part).tolist():
-            own = np.flatnonzero(part == k)
-            low, high = np.percentile(X[own], [10, 90], axis=0)
-            along = X[own, int((high - low).argmax())]
-            beyond[own] = along > np.median(along)
-        part = 2 * part + beyond
+            members = np.flatnonzero(part == k)
+            low, high = np.percentile(X[members], [10, 90], axis=0)
+            coordinate = X[members, int((high - low).argmax())]
+            in_upper_half[members] = coordinate > np.median(coordinate)
+        part = 2 * part + in_upper_half
     return part
 
 
 def _pulls(
-    J: Float64s, P: Float64s, r: Float64s, inverse: Float64s, at: Int64s, point: Int64s, part: Int64s, size: int
+    J: Float64s, P: Float64s, r: Float64s, inverse: Float64s, at: Int64s, point_of: Int64s, part: Int64s, size: int
 ) -> Float64s:
     """(parts, size) right sides: the pull of the points of each part of the scene on cameras and lenses, with the points at their
     optimum; the parts add up to zero."""
-    pulled = np.zeros((len(inverse), 3))
-    np.add.at(pulled, point, np.einsum("nki,nk->ni", P, r))
-    left = r - np.einsum("nki,nij,nj->nk", P, inverse[point], pulled[point])
+    gradient = np.zeros((len(inverse), 3))
+    np.add.at(gradient, point_of, np.einsum("nki,nk->ni", P, r))
+    left = r - np.einsum("nki,nij,nj->nk", P, inverse[point_of], gradient[point_of])
     pulls = np.zeros((1 << _HALVINGS, size))
-    np.add.at(pulls, (part[point][:, None], at), np.einsum("nki,nk->ni", J, left))
+    np.add.at(pulls, (part[point_of][:, None], at), np.einsum("nki,nk->ni", J, left))
     return pulls
 
 
-def _linearised(model: Model, names: list[int], rows: Int64s, of: Int64s) -> tuple[Float64s, Float64s, Float64s]:
+def _linearised(model: Model, views: list[int], rows: Int64s, view_of: Int64s) -> tuple[Float64s, Float64s, Float64s]:
     """Derivatives of the pixels by rotation, centre, principal point and lens (n, 2, 11), and by the point (n, 2, 3); and the
     residuals (n, 2), observed minus projected."""
-    cameras = [model.cameras[name] for name in names]
-    R = np.array([camera.R for camera in cameras])[of]
-    C = np.array([camera.C for camera in cameras])[of]
-    lens = np.array([[camera.K[0, 0], *camera.radial] for camera in cameras])[of]
+    cameras = [model.cameras[view] for view in views]
+    R = np.array([camera.R for camera in cameras])[view_of]
+    C = np.array([camera.C for camera in cameras])[view_of]
+    lens = np.array([[camera.K[0, 0], *camera.radial] for camera in cameras])[view_of]
     Y = np.einsum("nij,nj->ni", R, model.X[model.tracks.track[rows]] - C)
-    D, L = _slopes(Y, lens)
-    turn = np.stack([np.einsum("nij,nj->ni", D, np.cross(np.eye(3)[axis], Y)) for axis in range(3)], axis=2)
-    P = D @ R
+    by_point, by_lens = _derivatives(Y, lens)
+    by_rotation = np.stack([np.einsum("nij,nj->ni", by_point, np.cross(np.eye(3)[axis], Y)) for axis in range(3)], axis=2)
+    P = by_point @ R
     x = Y[:, :2] / Y[:, 2:]
     r2 = (x * x).sum(axis=1)
-    aspect = np.array([[1.0, camera.K[1, 1] / camera.K[0, 0]] for camera in cameras])[of]
-    bent = (lens[:, 0] * (1 + r2 * (lens[:, 1] + r2 * lens[:, 2])))[:, None] * aspect * x
-    off = model.tracks.xy[rows] - np.array([camera.K[:2, 2] for camera in cameras])[of] - bent
-    return np.concatenate([turn, -P, np.tile(np.eye(2), (len(rows), 1, 1)), L], axis=2), P, off
+    aspect = np.array([[1.0, camera.K[1, 1] / camera.K[0, 0]] for camera in cameras])[view_of]
+    distorted = (lens[:, 0] * (1 + r2 * (lens[:, 1] + r2 * lens[:, 2])))[:, None] * aspect * x
+    error = model.tracks.xy[rows] - np.array([camera.K[:2, 2] for camera in cameras])[view_of] - distorted
+    return np.concatenate([by_rotation, -P, np.tile(np.eye(2), (len(rows), 1, 1)), by_lens], axis=2), P, error
 
 
-def _reduced(J: Float64s, P: Float64s, inverse: Float64s, at: Int64s, point: Int64s, size: int) -> Float64s:
+def _reduced(J: Float64s, P: Float64s, inverse: Float64s, at: Int64s, point_of: Int64s, size: int) -> Float64s:
     """The normal matrix of cameras and lenses (size, size) with the points eliminated.
 
     Points with equally many observations are processed together, and touch only the cameras that see them.
     """
     H, count = np.zeros(size * size), len(inverse)
     np.add.at(H, (at[:, :, None] * size + at[:, None, :]).ravel(), np.einsum("nki,nkj->nij", J, J).ravel())
-    between = np.einsum("nki,nkj->nij", J, P)
-    first, seen = np.searchsorted(point, np.arange(count)), np.bincount(point, minlength=count)
-    for many in np.unique(seen).tolist():
-        alike = np.flatnonzero(seen == many)
-        for k in range(0, len(alike), _AT_ONCE):
-            part = alike[k : k + _AT_ONCE]
-            rows = first[part][:, None] + np.arange(many)
-            W, where = between[rows].reshape(len(part), -1, 3), at[rows].reshape(len(part), -1)
-            lost = W @ inverse[part] @ np.swapaxes(W, 1, 2)
-            np.subtract.at(H, (where[:, :, None] * size + where[:, None, :]).ravel(), lost.ravel())
+    coupling = np.einsum("nki,nkj->nij", J, P)
+    first_row, sightings = np.searchsorted(point_of, np.arange(count)), np.bincount(point_of, minlength=count)
+    for n in np.unique(sightings).tolist():
+        points = np.flatnonzero(sightings == n)
+        for k in range(0, len(points), _BATCH_POINTS):
+            batch = points[k : k + _BATCH_POINTS]
+            rows = first_row[batch][:, None] + np.arange(n)
+            W, columns = coupling[rows].reshape(len(batch), -1, 3), at[rows].reshape(len(batch), -1)
+            eliminated = W @ inverse[batch] @ np.swapaxes(W, 1, 2)
+            np.subtract.at(H, (columns[:, :, None] * size + columns[:, None, :]).ravel(), eliminated.ravel())
     return H.reshape(size, size)

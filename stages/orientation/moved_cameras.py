@@ -47,78 +47,78 @@ def find_moved_cameras(cameras: Mapping[str, Camera], constraints: PoseConstrain
     constraints against the new pose.  If either of two cameras may have moved, neither counts as moved; if half of all cameras
     or more would count, none does.
     """
-    found: dict[str, NewPose] = {}
-    passed: set[str] = set()
+    moved: dict[str, NewPose] = {}
+    ambiguous: set[str] = set()
     while True:
-        among = constraints.without(set(found))
-        open_ = [name for name in cameras if name not in found and name not in passed]
-        candidates = {name: new for name in open_ if (new := _agreed(name, cameras, among)) is not None}
+        remaining = constraints.without(set(moved))
+        undecided = [name for name in cameras if name not in moved and name not in ambiguous]
+        candidates = {name: new_pose for name in undecided if (new_pose := _agreed_pose(name, cameras, remaining)) is not None}
         if not candidates:
-            return found if 2 * len(found) < len(cameras) else {}
+            return moved if 2 * len(moved) < len(cameras) else {}
         name = min(candidates, key=lambda n: (candidates[n].left, -candidates[n].support))
-        rivals = [n for n, new in candidates.items() if n != name and new.left <= candidates[name].left]
-        alone = among.without({name})
-        if doubles := [rival for rival in rivals if _agreed(rival, cameras, alone) is None]:
-            passed |= {name, *doubles}
+        rivals = [n for n, new_pose in candidates.items() if n != name and new_pose.left <= candidates[name].left]
+        without_it = remaining.without({name})
+        if ambiguous_rivals := [rival for rival in rivals if _agreed_pose(rival, cameras, without_it) is None]:
+            ambiguous |= {name, *ambiguous_rivals}
         else:
-            found[name] = candidates[name]
+            moved[name] = candidates[name]
 
 
-def _agreed(name: str, cameras: Mapping[str, Camera], constraints: PoseConstraints) -> NewPose | None:
+def _agreed_pose(name: str, cameras: Mapping[str, Camera], constraints: PoseConstraints) -> NewPose | None:
     """The pose of a camera that its partners agree on against the stated one; None if there is none."""
     stated = {e.cameras: e for e in constraints.evidence(cameras, name)}
-    against = {key: e for key, e in stated.items() if e.contradicts and _distinctive(key, constraints.pairs)}
-    triplets = [triplet for triplet in constraints.triplets if triplet.cameras in against]
-    pairs = {pair: geometry for pair, geometry in constraints.pairs.items() if pair in against}
+    contradicting = {key: e for key, e in stated.items() if e.contradicts and _is_distinctive(key, constraints.pairs)}
+    triplets = [triplet for triplet in constraints.triplets if triplet.cameras in contradicting]
+    pairs = {pair: geometry for pair, geometry in constraints.pairs.items() if pair in contradicting}
     if len(pairs) < 2 and not triplets:
         return None
     best: NewPose | None = None
-    others = sum(e.contradicts for e in constraints.evidence(cameras)) - sum(e.contradicts for e in stated.values())
-    for start, those, three in _starts(name, cameras, pairs, triplets):
-        camera = _fitted(name, start, cameras, those, three)
-        moved = {e.cameras: e for e in constraints.evidence({**cameras, name: camera}, name)}
-        left = sum(e.contradicts for e in moved.values())
-        agreeing = [key for key, old in stated.items() if old.contradicts and key in moved and not moved[key].contradicts]
-        supporters = [key for key in agreeing if CLEARER * moved[key].excess <= stated[key].excess]
+    other_contradictions = sum(e.contradicts for e in constraints.evidence(cameras)) - sum(e.contradicts for e in stated.values())
+    for start, start_pairs, start_triplets in _initial_poses(name, cameras, pairs, triplets):
+        camera = _fitted(name, start, cameras, start_pairs, start_triplets)
+        revised = {e.cameras: e for e in constraints.evidence({**cameras, name: camera}, name)}
+        left = sum(e.contradicts for e in revised.values())
+        resolved = [key for key, e in stated.items() if e.contradicts and key in revised and not revised[key].contradicts]
+        supporters = [key for key in resolved if CLEARER * revised[key].excess <= stated[key].excess]
         partners = {other for key in supporters if len(key) == 2 for other in key if other != name}
         if (len(partners) < 2 and not any(len(key) == 3 for key in supporters)) or len(supporters) <= left:
             continue
-        if best is None or (others + left, -len(supporters)) < (best.left, -best.support):
-            agree = tuple(pair for pair in pairs if pair in supporters)
-            best = NewPose(camera, len(supporters), others + left, agree)
+        if best is None or (other_contradictions + left, -len(supporters)) < (best.left, -best.support):
+            supporting_pairs = tuple(pair for pair in pairs if pair in supporters)
+            best = NewPose(camera, len(supporters), other_contradictions + left, supporting_pairs)
             if left == 0:
                 break
     return best
 
 
-def _distinctive(key: tuple[str, ...], pairs: Mapping[Pair, Geometry]) -> bool:
+def _is_distinctive(key: tuple[str, ...], pairs: Mapping[Pair, Geometry]) -> bool:
     return all(geometry.distinct_cells >= MIN_CELLS for pair, geometry in pairs.items() if set(pair) <= set(key))
 
 
-def _starts(
+def _initial_poses(
     name: str, cameras: Mapping[str, Camera], pairs: Mapping[Pair, Geometry], triplets: list[Triplet]
 ) -> Iterator[tuple[Camera, Mapping[Pair, Geometry], list[Triplet]]]:
     """Yield initial poses, each with the constraints that determine it."""
-    views = {pair: view for pair, g in pairs.items() if (view := _from(name, cameras, pair, g)) is not None}
-    for a, b in combinations(views, 2):
-        if angle_between_deg(views[a][0], views[b][0]) <= AGREE_DEG:
-            C = _crossing(cameras[name], *views[a][1:], *views[b][1:])
+    pair_poses = {pair: pose for pair, g in pairs.items() if (pose := _pose(name, cameras, pair, g)) is not None}
+    for a, b in combinations(pair_poses, 2):
+        if angle_between_deg(pair_poses[a][0], pair_poses[b][0]) <= AGREE_DEG:
+            C = _crossing(cameras[name], *pair_poses[a][1:], *pair_poses[b][1:])
             if C is not None:
-                three = [triplet for triplet in triplets if {*a, *b} == set(triplet.cameras)]
-                yield replace(cameras[name], R=views[a][0], C=C), {pair: pairs[pair] for pair in (a, b)}, three
+                shared_triplets = [triplet for triplet in triplets if {*a, *b} == set(triplet.cameras)]
+                yield replace(cameras[name], R=pair_poses[a][0], C=C), {pair: pairs[pair] for pair in (a, b)}, shared_triplets
     for triplet in triplets:
         yield cameras[name], {pair: g for pair, g in pairs.items() if set(pair) <= set(triplet.cameras)}, [triplet]
 
 
-def _from(name: str, cameras: Mapping[str, Camera], pair: Pair, geometry: Geometry) -> tuple[Float64s, Float64s, Float64s] | None:
+def _pose(name: str, cameras: Mapping[str, Camera], pair: Pair, geometry: Geometry) -> tuple[Float64s, Float64s, Float64s] | None:
     """R of a camera according to a pair, the partner's centre, and the direction (3,) from there to the camera."""
     R, t = geometry.cam2_R_cam1, geometry.cam2_t_cam1
     if R is None or t is None:
         return None
     if pair[1] == name:
         partner = cameras[pair[0]]
-        own = R @ partner.R
-        return own, partner.C, -own.T @ t
+        own_R = R @ partner.R
+        return own_R, partner.C, -own_R.T @ t
     partner = cameras[pair[1]]
     return R.T @ partner.R, partner.C, partner.R.T @ t
 
@@ -138,20 +138,20 @@ def _fitted(
     from scipy.optimize import least_squares  # imported here, since nights with right poses do not need it
 
     scale = min(float(np.linalg.norm(start.C - camera.C)) for other, camera in cameras.items() if other != name) or 1.0
-    sights = [(pair, g.x1[_some(len(g.x1))], g.x2[_some(len(g.x1))]) for pair, g in pairs.items()]
-    points = [(x[_some(len(x))], X[_some(len(x))]) for triplet in triplets for x, X in [seen_points(cameras, triplet, name)]]
+    matches = [(pair, g.x1[_thin(len(g.x1))], g.x2[_thin(len(g.x1))]) for pair, g in pairs.items()]
+    points = [(x[_thin(len(x))], X[_thin(len(x))]) for triplet in triplets for x, X in [seen_points(cameras, triplet, name)]]
 
-    def at(step: Float64s) -> Camera:
+    def pose_after(step: Float64s) -> Camera:
         return replace(start, R=rotation_matrix(step[:3]) @ start.R, C=start.C + scale * step[3:])
 
     def errors(step: Float64s) -> Float64s:
-        moved = {**cameras, name: at(step)}
-        off = [sampson_distance(fundamental_from_cameras(moved[a], moved[b]), x1, x2) / PAIR_PX for (a, b), x1, x2 in sights]
-        off += [np.nan_to_num((project(moved[name], X)[0] - x) / TRIPLET_PX).ravel() for x, X in points]
-        return np.concatenate([*off, np.zeros(6)])
+        trial = {**cameras, name: pose_after(step)}
+        parts = [sampson_distance(fundamental_from_cameras(trial[a], trial[b]), x1, x2) / PAIR_PX for (a, b), x1, x2 in matches]
+        parts += [np.nan_to_num((project(trial[name], X)[0] - x) / TRIPLET_PX).ravel() for x, X in points]
+        return np.concatenate([*parts, np.zeros(6)])
 
-    return at(least_squares(errors, np.zeros(6), loss="cauchy", max_nfev=60).x)
+    return pose_after(least_squares(errors, np.zeros(6), loss="cauchy", max_nfev=60).x)
 
 
-def _some(count: int) -> slice:
+def _thin(count: int) -> slice:
     return slice(None, None, max(1, count // SAMPLE))

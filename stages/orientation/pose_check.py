@@ -94,10 +94,10 @@ class PoseConstraints:
     @classmethod
     def of(cls, names: tuple[str, ...], geometries: Mapping[Pair, Geometry]) -> PoseConstraints:
         """Constraints among the named cameras; pairs have only the matches that third cameras confirm, if these are enough."""
-        known = set(names)
-        pairs = {p: g for p, g in geometries.items() if set(p) <= known and g.good_probability >= LEAST_PROBABILITY}
+        known_names = set(names)
+        pairs = {p: g for p, g in geometries.items() if set(p) <= known_names and g.good_probability >= LEAST_PROBABILITY}
         pairs = {p: g for p, g in pairs.items() if len(g.x1) >= MIN_SHARED}
-        triplets = [triplet for three in triangles_of(pairs) if (triplet := _triplet(three, pairs)) is not None]
+        triplets = [triplet for triangle in triangles_of(pairs) if (triplet := _triplet(triangle, pairs)) is not None]
         return cls(consistent_matches(pairs, MIN_SHARED), tuple(triplets))
 
     def without(self, names: set[str]) -> PoseConstraints:
@@ -108,11 +108,11 @@ class PoseConstraints:
     def evidence(self, cameras: Mapping[str, Camera], about: str = "") -> list[Evidence]:
         """Evidence from all constraints, or from those that involve the camera `about`."""
         pairs = {pair: geometry for pair, geometry in self.pairs.items() if not about or about in pair}
-        found = [Evidence(pair, epipolar_error_px(cameras, pair, geometry), PAIR_PX) for pair, geometry in pairs.items()]
+        collected = [Evidence(pair, epipolar_error_px(cameras, pair, geometry), PAIR_PX) for pair, geometry in pairs.items()]
         for triplet in self.triplets:
             if (not about or about in triplet.cameras) and (error := triplet_error_px(cameras, triplet)) is not None:
-                found.append(Evidence(triplet.cameras, error, TRIPLET_PX))
-        return found
+                collected.append(Evidence(triplet.cameras, error, TRIPLET_PX))
+        return collected
 
 
 def slack_px(cameras: Mapping[str, Camera], sigmas: Mapping[str, Sigma], pair: Pair, geometry: Geometry) -> float:
@@ -125,33 +125,33 @@ def slack_px(cameras: Mapping[str, Camera], sigmas: Mapping[str, Sigma], pair: P
     """
     if all(sigmas.get(name, Sigma()).exact for name in pair):
         return 0.0
-    X = _meet(cameras[pair[0]], cameras[pair[1]], geometry.x1, geometry.x2)
+    X = _intersections(cameras[pair[0]], cameras[pair[1]], geometry.x1, geometry.x2)
     X = X[np.isfinite(X[:, 0])]
-    square = 0.0
+    variance = 0.0
     for name in pair:
         camera, sigma = cameras[name], sigmas.get(name, Sigma())
-        away = float(np.linalg.norm(cameras[pair[0]].C - cameras[pair[1]].C))
+        distance = float(np.linalg.norm(cameras[pair[0]].C - cameras[pair[1]].C))
         if len(X):
-            away = float(np.median(np.linalg.norm(X - camera.C, axis=1)))
-        square += (camera.K[0, 0] * (np.radians(sigma.degrees) + sigma.metres / away)) ** 2
-    return DEVIATIONS * float(np.sqrt(square))
+            distance = float(np.median(np.linalg.norm(X - camera.C, axis=1)))
+        variance += (camera.K[0, 0] * (np.radians(sigma.degrees) + sigma.metres / distance)) ** 2
+    return DEVIATIONS * float(np.sqrt(variance))
 
 
 def check_cameras(
     cameras: Mapping[str, Camera], geometries: Mapping[Pair, Geometry], evidence: list[Evidence]
 ) -> dict[str, PoseCheck]:
     """The check of each camera that has a probable pair with another one."""
-    found: dict[str, PoseCheck] = {}
+    checks: dict[str, PoseCheck] = {}
     ids = {name: camera_id(name, camera) for name, camera in cameras.items()}
     for name in cameras:
-        mine = {pair: g for pair, g in geometries.items() if name in pair and set(pair) <= set(cameras)}
-        mine = {pair: g for pair, g in mine.items() if g.good_probability >= LEAST_PROBABILITY}
-        if mine:
-            errors = [epipolar_error_px(cameras, pair, g) for pair, g in mine.items()]
-            inliers = sum(g.inliers for g in mine.values())
-            sure = verified({view for view in cameras if ids[view] == ids[name]}, evidence)
-            found[name] = PoseCheck(len(mine), inliers, float(np.median(errors)), verified=sure)
-    return found
+        own_pairs = {pair: g for pair, g in geometries.items() if name in pair and set(pair) <= set(cameras)}
+        own_pairs = {pair: g for pair, g in own_pairs.items() if g.good_probability >= LEAST_PROBABILITY}
+        if own_pairs:
+            errors = [epipolar_error_px(cameras, pair, g) for pair, g in own_pairs.items()]
+            inliers = sum(g.inliers for g in own_pairs.values())
+            is_verified = verified({view for view in cameras if ids[view] == ids[name]}, evidence)
+            checks[name] = PoseCheck(len(own_pairs), inliers, float(np.median(errors)), verified=is_verified)
+    return checks
 
 
 def verified(views: Set[str], evidence: list[Evidence]) -> bool:
@@ -161,9 +161,9 @@ def verified(views: Set[str], evidence: list[Evidence]) -> bool:
     Look-alikes contradict poses that are right.  Two pairs do not agree with a wrong pose; a single pair may, if the camera was
     moved along its epipolar lines.
     """
-    mine = [e for e in evidence if not views.isdisjoint(e.cameras)]
-    agree, contradict = (sum(e.contradicts == no for e in mine if len(e.cameras) == 2) for no in (False, True))
-    votes = sum(-1 if e.contradicts else 1 for e in mine if len(e.cameras) == 3)
+    own_evidence = [e for e in evidence if not views.isdisjoint(e.cameras)]
+    agree, contradict = (sum(e.contradicts == outcome for e in own_evidence if len(e.cameras) == 2) for outcome in (False, True))
+    votes = sum(-1 if e.contradicts else 1 for e in own_evidence if len(e.cameras) == 3)
     return (agree > contradict or agree == contradict >= 2) and votes >= 0
 
 
@@ -193,10 +193,10 @@ def triplet_error_px(cameras: Mapping[str, Camera], triplet: Triplet) -> float |
         x, X = seen_points(cameras, triplet, third)
         if len(x) < MIN_SHARED:
             continue
-        one, two = (X - cameras[name].C for name in triplet.cameras if name != third)
-        width = float(np.median(ray_angles(one, two)))
-        if best is None or width > best[0]:
-            best = width, float(np.median(np.linalg.norm(project(cameras[third], X)[0] - x, axis=1)))
+        rays1, rays2 = (X - cameras[name].C for name in triplet.cameras if name != third)
+        angle = float(np.median(ray_angles(rays1, rays2)))
+        if best is None or angle > best[0]:
+            best = angle, float(np.median(np.linalg.norm(project(cameras[third], X)[0] - x, axis=1)))
     return best and best[1]
 
 
@@ -204,33 +204,33 @@ def seen_points(cameras: Mapping[str, Camera], triplet: Triplet, name: str) -> t
     """(n, 2) pixels of one camera of a triplet, and (n, 3) the points triangulated from the other two."""
     k = triplet.cameras.index(name)
     i, j = (n for n in range(3) if n != k)
-    X = _meet(cameras[triplet.cameras[i]], cameras[triplet.cameras[j]], triplet.x[i], triplet.x[j])
+    X = _intersections(cameras[triplet.cameras[i]], cameras[triplet.cameras[j]], triplet.x[i], triplet.x[j])
     good = np.isfinite(X[:, 0])
     return triplet.x[k][good], X[good]
 
 
-def _triplet(three: tuple[str, str, str], pairs: Mapping[Pair, Geometry]) -> Triplet | None:
+def _triplet(names: tuple[str, str, str], pairs: Mapping[Pair, Geometry]) -> Triplet | None:
     """Points whose matches close around the triangle: a wrong match passes only with consistent errors in both other pairs."""
-    a, b, c = three
+    a, b, c = names
     ab, bc, ac = pairs[a, b], pairs[b, c], pairs[a, c]
-    first, second = _joined(ab.i2, ab.x2, bc.i1, bc.x1)  # rows of a--b and of b--c that share a keypoint of b
-    third, row = _joined(ac.i1, ac.x1, None if ab.i1 is None else ab.i1[first], ab.x1[first])
-    first, second = first[row], second[row]
-    closes = np.linalg.norm(ac.x2[third] - bc.x2[second], axis=1) < 1.5
-    if closes.sum() < MIN_SHARED:
+    ab_rows, bc_rows = _common_rows(ab.i2, ab.x2, bc.i1, bc.x1)  # rows of a--b and of b--c that share a keypoint of b
+    ac_rows, kept_rows = _common_rows(ac.i1, ac.x1, None if ab.i1 is None else ab.i1[ab_rows], ab.x1[ab_rows])
+    ab_rows, bc_rows = ab_rows[kept_rows], bc_rows[kept_rows]
+    closed = np.linalg.norm(ac.x2[ac_rows] - bc.x2[bc_rows], axis=1) < 1.5
+    if closed.sum() < MIN_SHARED:
         return None
-    return Triplet(three, (ab.x1[first[closes]], ab.x2[first[closes]], bc.x2[second[closes]]))
+    return Triplet(names, (ab.x1[ab_rows[closed]], ab.x2[ab_rows[closed]], bc.x2[bc_rows[closed]]))
 
 
-def _joined(i: Int32s | None, x: Float64s, j: Int32s | None, y: Float64s) -> tuple[Int64s, Int64s]:
+def _common_rows(i: Int32s | None, x: Float64s, j: Int32s | None, y: Float64s) -> tuple[Int64s, Int64s]:
     """Rows of two lists of points of one view that are the same keypoint, or at the same place if there are no keypoints."""
     if i is None or j is None:
         return same_places(x, y)
-    _, rows, others = np.intersect1d(i, j, return_indices=True)
-    return rows, others
+    _, rows, other_rows = np.intersect1d(i, j, return_indices=True)
+    return rows, other_rows
 
 
-def _meet(left: Camera, right: Camera, x1: Float64s, x2: Float64s) -> Float64s:
+def _intersections(left: Camera, right: Camera, x1: Float64s, x2: Float64s) -> Float64s:
     """(n, 3) world points of matches, nan if the rays are too parallel."""
     X = backproject(left, x1, triangulate_depth(left, right, x1, x2)[0])
     X[~(ray_angles(X - left.C, X - right.C) > MIN_ANGLE)] = np.nan
@@ -256,10 +256,10 @@ def without_baseline(
     """
     angles = {}
     for pair, geometry in geometries.items():
-        matched = geometry.good_probability >= LEAST_PROBABILITY or hardly_converging(geometry.angle_deg, geometry.agreement)
-        if matched and len(geometry.x1) >= MIN_SHARED:
-            both = set(pair) <= set(known)
-            angle = _angle_deg(known[pair[0]], known[pair[1]], geometry) if both else geometry.angle_deg
+        is_matched = geometry.good_probability >= LEAST_PROBABILITY or hardly_converging(geometry.angle_deg, geometry.agreement)
+        if is_matched and len(geometry.x1) >= MIN_SHARED:
+            are_known = set(pair) <= set(known)
+            angle = _angle_deg(known[pair[0]], known[pair[1]], geometry) if are_known else geometry.angle_deg
             if np.isfinite(angle):
                 angles[pair] = angle
     if {name for pair in angles for name in pair} != set(names) or max(angles.values()) >= min_angle_deg:
@@ -273,9 +273,9 @@ def without_baseline(
     if not metric or not set(widest) <= set(known):
         return Rejected(Reason.NO_USABLE_BASELINE, figures)
     left, right = (known[name] for name in widest)
-    seen = rays(left, geometries[widest].x1)
-    ahead = (seen / np.linalg.norm(seen, axis=0)).mean(axis=1)
-    across = np.cross(right.C - left.C, ahead / np.linalg.norm(ahead))
+    rays1 = rays(left, geometries[widest].x1)
+    direction = (rays1 / np.linalg.norm(rays1, axis=0)).mean(axis=1)
+    across = np.cross(right.C - left.C, direction / np.linalg.norm(direction))
     figures["baseline_m"] = float(np.linalg.norm(right.C - left.C))
     figures["distance_m"] = float(np.linalg.norm(across)) * figures["baselines"]
     return Rejected(Reason.NO_USABLE_BASELINE_M, figures)

@@ -52,7 +52,7 @@ def adjust_within_priors(
     trusted : whether the matches contain no look-alikes: each pair then has the weight of a confirmed one.
     """
     names = tuple(cameras)
-    number = {name: k for k, name in enumerate(names)}
+    view_number = {name: k for k, name in enumerate(names)}
     edges: dict[Edge, Geometry] = {}
     for pair, geometry in geometries.items():
         if geometry.good_probability < LEAST_PROBABILITY or not set(pair) <= set(cameras):
@@ -61,40 +61,40 @@ def adjust_within_priors(
         slack = slack_px(cameras, sigmas, pair, geometry)
         near = symmetric_epipolar_distance(F, geometry.x1, geometry.x2) <= 3 * PAIR_PX + slack
         if near.sum() >= max(MIN_MATCHES, (MIN_SHARE_OF_TRUSTED if trusted else MIN_SHARE) * len(near)):
-            edges[number[pair[0]], number[pair[1]]] = at_rows(geometry, near)
-    loose = [name for name in names if not sigmas.get(name, Sigma()).exact]
-    stated_only = AdjustedPoses.as_stated(cameras, {name: sigmas[name] for name in loose})
-    if not edges or not loose:
+            edges[view_number[pair[0]], view_number[pair[1]]] = at_rows(geometry, near)
+    adjustable = [name for name in names if not sigmas.get(name, Sigma()).exact]
+    stated_only = AdjustedPoses.as_stated(cameras, {name: sigmas[name] for name in adjustable})
+    if not edges or not adjustable:
         return stated_only
     tracks = build_tracks(edges, len(names))
-    stated = {number[name]: camera for name, camera in cameras.items()}
-    known = {number[name]: sigmas[name] for name in loose}
+    stated = {view_number[name]: camera for name, camera in cameras.items()}
+    sigma_of = {view_number[name]: sigmas[name] for name in adjustable}
     triplets = PoseConstraints.of(names, {(names[i], names[j]): geometry for (i, j), geometry in edges.items()}).triplets
-    confirmed = {frozenset(pair) for triplet in triplets for pair in combinations(triplet.cameras, 2)}
+    confirmed_pairs = {frozenset(pair) for triplet in triplets for pair in combinations(triplet.cameras, 2)}
     while True:
-        weight = sum(CONFIRMED if trusted or {names[i], names[j]} in confirmed else ALONE for i, j in edges)
-        found, problem = _most_probable(stated, known, tracks, weight)
-        strayed = {view: far for view, sigma in known.items() if (far := _strays(found[view], stated[view], sigma)) > 1}
+        weight = sum(CONFIRMED if trusted or {names[i], names[j]} in confirmed_pairs else ALONE for i, j in edges)
+        solved, problem = _most_probable(stated, sigma_of, tracks, weight)
+        strayed = {view: ratio for view, sigma in sigma_of.items() if (ratio := _excess(solved[view], stated[view], sigma)) > 1}
         if not strayed:
-            adjusted = {name: found[number[name]] for name in names}
-            return stated_only if problem is None else stated_only.with_images(adjusted, *problem.covariance_of(found, names))
+            adjusted = {name: solved[view_number[name]] for name in names}
+            return stated_only if problem is None else stated_only.with_images(adjusted, *problem.covariance_of(solved, names))
         worst = max(strayed, key=strayed.__getitem__)  # it stays as stated, and no longer influences the others
-        gone = {view for view in stated if view == worst or same_camera(stated[view], stated[worst])}
-        known = {view: sigma for view, sigma in known.items() if view not in gone}
-        edges = {edge: geometry for edge, geometry in edges.items() if not gone & {*edge}}
+        dropped = {view for view in stated if view == worst or same_camera(stated[view], stated[worst])}
+        sigma_of = {view: sigma for view, sigma in sigma_of.items() if view not in dropped}
+        edges = {edge: geometry for edge, geometry in edges.items() if not dropped & {*edge}}
         tracks = build_tracks(edges, len(names))
 
 
-def _strays(found: Camera, stated: Camera, sigma: Sigma) -> float:
+def _excess(adjusted: Camera, stated: Camera, sigma: Sigma) -> float:
     """Distance of a camera from its stated pose, as a share of what its standard deviations allow."""
-    metres = float(np.linalg.norm(found.C - stated.C))
-    degrees = float(np.degrees(np.linalg.norm(rotation_vector(found.R @ stated.R.T))))
+    metres = float(np.linalg.norm(adjusted.C - stated.C))
+    degrees = float(np.degrees(np.linalg.norm(rotation_vector(adjusted.R @ stated.R.T))))
     limit = DEVIATIONS * float(np.sqrt(3))  # three coordinates together
     return max(metres / (limit * sigma.metres + 1e-9), degrees / (limit * sigma.degrees + 1e-9))
 
 
 def _most_probable(
-    stated: Mapping[int, Camera], known: Mapping[int, Sigma], tracks: Tracks, weight: float
+    stated: Mapping[int, Camera], sigmas: Mapping[int, Sigma], tracks: Tracks, weight: float
 ) -> tuple[dict[int, Camera], _Problem | None]:
     """Rounds of least squares over cameras and points, each with the inliers and the noise found so far; also returns the
     last of these problems.
@@ -115,18 +115,18 @@ def _most_probable(
         if not use.any():
             return cameras, problem
         points = len(np.unique(tracks.track[use]))
-        mine = Tracks(tracks.track[use], tracks.view[use], tracks.xy[use], tracks.count)
-        problem = _Problem(stated, known, mine, noise, min(1.0, weight * noise**2 / points))
+        inliers = Tracks(tracks.track[use], tracks.view[use], tracks.xy[use], tracks.count)
+        problem = _Problem(stated, sigmas, inliers, noise, min(1.0, weight * noise**2 / points))
         _, cameras = levenberg_marquardt(
             cameras, problem.equations, problem.moved, steps=20, damping=1e-3, least_damping=1e-9, relative_tolerance=1e-6
         )
-        left = np.linalg.norm(residuals(cameras, mine, problem.points(cameras)), axis=1)
-        noise = max(LEAST_NOISE_PX, float(np.nanmedian(left)) / 1.1774)
+        remaining_px = np.linalg.norm(residuals(cameras, inliers, problem.points(cameras)), axis=1)
+        noise = max(LEAST_NOISE_PX, float(np.nanmedian(remaining_px)) / 1.1774)
     return cameras, problem
 
 
 class _Problem:
-    """Least squares over the loose cameras; each point is at its optimum, so that steps contain cameras only."""
+    """Least squares over the adjustable cameras; each point is at its optimum, so that steps contain cameras only."""
 
     def __init__(
         self, stated: Mapping[int, Camera], known: Mapping[int, Sigma], tracks: Tracks, noise: float, share: float
@@ -135,7 +135,7 @@ class _Problem:
         self.stated, self.known, self.tracks, self.noise, self.share = stated, known, tracks, noise, share
         rigs = {view: views[0] for views in rigs_of({v: stated[v] for v in known}).values() for view in views}
         self.first = {view: rigs.get(view, view) for view in known}
-        """The first view of each one's camera, with which it moves."""
+        """For each view, the first view of its camera, with which it moves."""
         blocks = {view: 6 * k for k, view in enumerate(dict.fromkeys(self.first.values()))}
         self.place = {view: blocks[first] for view, first in self.first.items()}
         self.size = 6 * len(blocks)
@@ -146,22 +146,22 @@ class _Problem:
         return triangulate(cameras, self.tracks, np.ones(len(self.tracks.track), bool), NOISES * self.noise)
 
     def moved(self, cameras: Mapping[int, Camera], step: Float64s) -> dict[int, Camera]:
-        """The cameras after a step: for each loose one a rotation in its own axes, and a shift."""
-        found = dict(cameras)
+        """The cameras after a step: for each adjustable one a rotation in its own axes, and a shift."""
+        stepped = dict(cameras)
         for view, k in self.place.items():
             camera = cameras[view]
             turn = step[k : k + 3] if view not in self.turns else self.turns[view] @ step[k : k + 3]
-            found[view] = replace(camera, R=rotation_matrix(turn) @ camera.R, C=camera.C + step[k + 3 : k + 6])
-        return found
+            stepped[view] = replace(camera, R=rotation_matrix(turn) @ camera.R, C=camera.C + step[k + 3 : k + 6])
+        return stepped
 
     def covariance_of(self, cameras: Mapping[int, Camera], names: tuple[str, ...]) -> tuple[dict[str, Place], Float64s]:
         """Indices of the cameras' rotations and shifts in the covariance (n, n), and the covariance by the equations."""
-        whole = np.eye(3)
-        places = {names[view]: Place(k, self.turns.get(view, whole)) for view, k in self.place.items()}
+        identity = np.eye(3)
+        places = {names[view]: Place(k, self.turns.get(view, identity)) for view, k in self.place.items()}
         covariance = np.asarray(np.linalg.inv(self.equations(cameras)[1]), dtype=np.float64)
         for view, k in self.place.items():
-            for first, known in ((0, self.known[view].degrees), (3, self.known[view].metres)):
-                if known == 0 and view not in self.turns:
+            for first, sigma in ((0, self.known[view].degrees), (3, self.known[view].metres)):
+                if sigma == 0 and view not in self.turns:
                     covariance[k + first : k + first + 3], covariance[:, k + first : k + first + 3] = 0.0, 0.0
         return places, covariance
 
@@ -169,34 +169,34 @@ class _Problem:
         """Cauchy loss of the pixels in standard deviations, plus the priors; normal equations with the points eliminated."""
         tracks, size = self.tracks, self.size
         X = self.points(cameras)
-        off = residuals(cameras, tracks, X) / self.noise
-        seen = np.isfinite(off).all(axis=1)
-        off[~seen] = 4 * NOISES
-        square = (off**2).sum(axis=1)
-        cost = 0.5 * NOISES**2 * float(np.log1p(square / NOISES**2).sum())
-        weight = np.where(seen, 1 / (1 + square / NOISES**2), 0.0)
+        error = residuals(cameras, tracks, X) / self.noise
+        visible = np.isfinite(error).all(axis=1)
+        error[~visible] = 4 * NOISES
+        squared = (error**2).sum(axis=1)
+        cost = 0.5 * NOISES**2 * float(np.log1p(squared / NOISES**2).sum())
+        weight = np.where(visible, 1 / (1 + squared / NOISES**2), 0.0)
         J_camera, J_point = self._jacobians(cameras, X)
-        normal, right = np.zeros((size, size)), np.zeros(size)
+        normal, gradient = np.zeros((size, size)), np.zeros(size)
         H = np.zeros((tracks.count, 3, 3))
         g = np.zeros((tracks.count, 3))
         weighted = weight[:, None, None] * J_point
         np.add.at(H, tracks.track, weighted.transpose(0, 2, 1) @ J_point)
-        np.add.at(g, tracks.track, np.einsum("nki,nk->ni", weighted, off))
+        np.add.at(g, tracks.track, np.einsum("nki,nk->ni", weighted, error))
         trace = np.trace(H, axis1=1, axis2=2)[:, None, None]
         inverse = np.linalg.inv(H + (1e-9 * trace + 1e-12) * np.eye(3))
         W = np.zeros((len(self.place), tracks.count, 6, 3))
-        for place, (view, k) in enumerate(self.place.items()):
+        for block, (view, k) in enumerate(self.place.items()):
             rows = tracks.view == view
             A = weight[rows, None, None] * J_camera[rows]
             normal[k : k + 6, k : k + 6] += np.tensordot(A, J_camera[rows], ((0, 1), (0, 1)))
-            right[k : k + 6] += np.tensordot(A, off[rows], ((0, 1), (0, 1)))
-            W[place, tracks.track[rows]] = A.transpose(0, 2, 1) @ J_point[rows]
+            gradient[k : k + 6] += np.tensordot(A, error[rows], ((0, 1), (0, 1)))
+            W[block, tracks.track[rows]] = A.transpose(0, 2, 1) @ J_point[rows]
         WH = W @ inverse
         for a, k in enumerate(self.place.values()):
-            right[k : k + 6] -= np.tensordot(WH[a], g, ((0, 2), (0, 1)))
+            gradient[k : k + 6] -= np.tensordot(WH[a], g, ((0, 2), (0, 1)))
             for b, m in enumerate(self.place.values()):
                 normal[k : k + 6, m : m + 6] -= np.tensordot(WH[a], W[b], ((0, 2), (0, 2)))
-        return self._with_priors(cameras, cost, normal, right)
+        return self._with_priors(cameras, cost, normal, gradient)
 
     def _jacobians(self, cameras: Mapping[int, Camera], X: Float64s) -> tuple[Float64s, Float64s]:
         """Derivatives of observed minus projected by rotation and shift of the camera (n, 2, 6), and by the point (n, 2, 3)."""
@@ -204,34 +204,34 @@ class _Problem:
         J_camera, J_point = np.zeros((len(tracks.track), 2, 6)), np.zeros((len(tracks.track), 2, 3))
         for view, camera in cameras.items():
             rows = np.flatnonzero(tracks.view == view)
-            x = (np.nan_to_num(X[tracks.track[rows]]) - camera.C) @ camera.R.T
-            z = np.where(x[:, 2] > 0, x[:, 2], 1.0)
-            p = x @ camera.K.T / z[:, None]
-            D = (camera.K[None, :2] - p[:, :2, None] * camera.K[None, 2:]) / z[:, None, None]  # pixels by camera axes
-            J_camera[rows, :, :3] = np.cross(D, x[:, None]) / self.noise
+            in_camera = (np.nan_to_num(X[tracks.track[rows]]) - camera.C) @ camera.R.T
+            z = np.where(in_camera[:, 2] > 0, in_camera[:, 2], 1.0)
+            pixels = in_camera @ camera.K.T / z[:, None]
+            D = (camera.K[None, :2] - pixels[:, :2, None] * camera.K[None, 2:]) / z[:, None, None]  # pixels by camera axes
+            J_camera[rows, :, :3] = np.cross(D, in_camera[:, None]) / self.noise
             if view in self.turns:
                 J_camera[rows, :, :3] = J_camera[rows, :, :3] @ self.turns[view]
             J_point[rows] = -D @ camera.R / self.noise
             J_camera[rows, :, 3:] = -J_point[rows]
         return J_camera, J_point
 
-    def _with_priors(self, cameras: Mapping[int, Camera], cost: float, normal: Float64s, right: Float64s) -> Equations:
-        cost, normal, right = self.share * cost, self.share * normal, self.share * right
+    def _with_priors(self, cameras: Mapping[int, Camera], cost: float, normal: Float64s, gradient: Float64s) -> Equations:
+        cost, normal, gradient = self.share * cost, self.share * normal, self.share * gradient
         for view, k in self.place.items():
             if view in self.turns:
                 continue
             sigma, camera, stated = self.known[view], cameras[view], self.stated[view]
-            turned = rotation_vector(camera.R @ stated.R.T)
-            for first, off, known in ((0, turned, np.radians(sigma.degrees)), (3, camera.C - stated.C, sigma.metres)):
-                own = slice(k + first, k + first + 3)
-                if known == 0:  # exact: stays fixed
-                    normal[own], normal[:, own], right[own] = 0.0, 0.0, 0.0
-                    normal[own, own] = np.eye(3)
+            turn = rotation_vector(camera.R @ stated.R.T)
+            for first, deviation, prior_sigma in ((0, turn, np.radians(sigma.degrees)), (3, camera.C - stated.C, sigma.metres)):
+                rows = slice(k + first, k + first + 3)
+                if prior_sigma == 0:  # exact: stays fixed
+                    normal[rows], normal[:, rows], gradient[rows] = 0.0, 0.0, 0.0
+                    normal[rows, rows] = np.eye(3)
                     continue
-                cost += 0.5 * float(off @ off) / known**2
-                normal[own, own] += np.eye(3) / known**2
-                right[own] += off / known**2
-        return cost, normal, right
+                cost += 0.5 * float(deviation @ deviation) / prior_sigma**2
+                normal[rows, rows] += np.eye(3) / prior_sigma**2
+                gradient[rows] += deviation / prior_sigma**2
+        return cost, normal, gradient
 
 
 @dataclass(frozen=True)
@@ -258,37 +258,37 @@ class AdjustedPoses:
     @classmethod
     def as_stated(cls, cameras: Mapping[str, Camera], sigmas: Mapping[str, Sigma]) -> AdjustedPoses:
         """The stated cameras, without information from the images; sigmas: of those that are not exact."""
-        own = [(np.radians(sigma.degrees),) * 3 + (sigma.metres,) * 3 for sigma in sigmas.values()]
+        rows = [(np.radians(sigma.degrees),) * 3 + (sigma.metres,) * 3 for sigma in sigmas.values()]
         places = {name: Place(6 * k, np.eye(3)) for k, name in enumerate(sigmas)}
-        return cls(dict(cameras), places, np.diag(np.square(np.array(own, dtype=np.float64).reshape(-1))))
+        return cls(dict(cameras), places, np.diag(np.square(np.array(rows, dtype=np.float64).reshape(-1))))
 
     def with_images(self, cameras: dict[str, Camera], places: Mapping[str, Place], covariance: Float64s) -> AdjustedPoses:
         """The adjusted `cameras`, with the covariance that the images give those in `places`."""
         n = len(self.covariance)
-        both = np.zeros((n + len(covariance),) * 2)
-        both[:n, :n], both[n:, n:] = self.covariance, covariance
+        combined = np.zeros((n + len(covariance),) * 2)
+        combined[:n, :n], combined[n:, n:] = self.covariance, covariance
         adjusted = {name: Place(n + place.first, place.turn) for name, place in places.items()}
-        return AdjustedPoses(cameras, {**self.places, **adjusted}, both)
+        return AdjustedPoses(cameras, {**self.places, **adjusted}, combined)
 
     def row_sigmas_px(self, pair: Pair, x1: Float64s, x2: Float64s) -> Float64s:
         """(n,) standard deviation of the distance of points x1, x2 (n, 2) of a pair to the epipolar lines, to first order."""
         firsts = {self.places[name].first for name in pair if name in self.places}
         rows = [first + k for first in sorted(firsts) for k in range(6)]
         values, vectors = np.linalg.eigh(self.covariance[np.ix_(rows, rows)])
-        off = self._off_lines(pair, x1, x2, {})
-        square = np.zeros(len(x1))
+        distances = self._line_distances(pair, x1, x2, {})
+        variance = np.zeros(len(x1))
         for value, vector in zip(values, vectors.T, strict=True):
             step = dict(zip(rows, np.sqrt(max(value, 0.0)) * vector, strict=True))
-            square += (self._off_lines(pair, x1, x2, step) - off) ** 2
-        return np.sqrt(square)
+            variance += (self._line_distances(pair, x1, x2, step) - distances) ** 2
+        return np.sqrt(variance)
 
-    def _off_lines(self, pair: Pair, x1: Float64s, x2: Float64s, step: Mapping[int, float]) -> Float64s:
+    def _line_distances(self, pair: Pair, x1: Float64s, x2: Float64s, step: Mapping[int, float]) -> Float64s:
         """(n,) signed distances of x2 to the epipolar lines of x1, after a step."""
-        left, right = (self._moved(name, step) for name in pair)
+        left, right = (self._stepped(name, step) for name in pair)
         lines = homogeneous(x1) @ fundamental_from_cameras(left, right).T
         return np.asarray(np.sum(lines * homogeneous(x2), axis=1) / np.linalg.norm(lines[:, :2], axis=1), dtype=np.float64)
 
-    def _moved(self, name: str, step: Mapping[int, float]) -> Camera:
+    def _stepped(self, name: str, step: Mapping[int, float]) -> Camera:
         camera, place = self.cameras[name], self.places.get(name)
         if not step or place is None:
             return camera

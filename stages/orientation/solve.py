@@ -48,40 +48,40 @@ def solve_from_pairs(
     usual : statistics of scenes that do not repeat, for the check of the site's loops.
     """
     exact = {n: camera for n, camera in stated.items() if placements[n].sigma_m == 0 and placements[n].sigma_deg == 0}
-    graph = ViewGraph.of(views, _obeying(exact, geometries, max_epipolar_px))
+    graph = ViewGraph.of(views, _consistent(exact, geometries, max_epipolar_px))
     trusted, dropped = graph.consistent(max_rotation_error_deg, usual)
-    number = {name: view for view, name in enumerate(graph.names)}
-    held = {number[name]: camera for name, camera in exact.items()}
-    believed = {edge: graph.geometries[edge] for edge in trusted}
-    models, out = _refined(graph.models(trusted, held), believed, max_epipolar_px)
-    strains = ((model, strain) for model in models if (strain := inconsistency(model, believed)) > MOST_INCONSISTENCY)
-    inconsistent = {graph.names[view]: strain for model, strain in strains for view in model.cameras}
+    view_number = {name: view for view, name in enumerate(graph.names)}
+    held = {view_number[name]: camera for name, camera in exact.items()}
+    accepted = {edge: graph.geometries[edge] for edge in trusted}
+    models, removed = _refined(graph.models(trusted, held), accepted, max_epipolar_px)
+    strained = ((model, strain) for model in models if (strain := inconsistency(model, accepted)) > MOST_INCONSISTENCY)
+    inconsistent = {graph.names[view]: strain for model, strain in strained for view in model.cameras}
     if inconsistent:
-        confirmed = replace(graph, geometries={**graph.geometries, **consistent_matches(believed, FEWEST)})
-        again, gone = _refined(confirmed.models(trusted, held), believed, max_epipolar_px)
-        models, out = (again, gone) if again else (models, out)
+        confirmed_graph = replace(graph, geometries={**graph.geometries, **consistent_matches(accepted, FEWEST)})
+        retried, retried_removed = _refined(confirmed_graph.models(trusted, held), accepted, max_epipolar_px)
+        models, removed = (retried, retried_removed) if retried else (models, removed)
     if not models:
         return graph.why_nothing(trusted, dropped)
     worlds = [to_world(graph, model, placements, survey) for model in models]
     metric = all(placements[name].metric for name in exact)
-    found = _collect(graph, worlds, stated, exact, metric, dropped, {graph.names[view] for view in out}, max_epipolar_px, survey)
+    poses = _collect(graph, worlds, stated, exact, metric, dropped, {graph.names[v] for v in removed}, max_epipolar_px, survey)
     sigmas = {graph.names[view]: sigma for world in worlds for view, sigma in lens_sigmas(world.model).items()}
-    unsure = [name for name in graph.names if name in sigmas and not sigmas[name].border_px <= MOST_SIGMA_PX]
-    issues = [PoseIssue("lens-undetermined", name, **vars(sigmas[name])) for name in unsure]
+    uncertain = [name for name in graph.names if name in sigmas and not sigmas[name].border_px <= MOST_SIGMA_PX]
+    issues = [PoseIssue("lens-undetermined", name, **vars(sigmas[name])) for name in uncertain]
     issues += [PoseIssue("inconsistent", name, strain=strain) for name, strain in inconsistent.items()]
-    return replace(found, issues=(*found.issues, *issues))
+    return replace(poses, issues=(*poses.issues, *issues))
 
 
-def _refined(grown: Sequence[Model], believed: Mapping[Edge, Geometry], max_epipolar_px: float) -> tuple[list[Model], list[int]]:
+def _refined(grown: Sequence[Model], accepted: Mapping[Edge, Geometry], max_epipolar_px: float) -> tuple[list[Model], list[int]]:
     """The models after adjustment, without unsupported views; and the views that were removed."""
     adjusted = [with_principal_points(refine(model, rounds=3)) for model in grown]
-    supported = [without_unsupported(model, believed, max_epipolar_px) for model in adjusted]
-    return [model for model, _ in supported if model.use.any()], [view for _, out in supported for view in out]
+    supported = [without_unsupported(model, accepted, max_epipolar_px) for model in adjusted]
+    return [model for model, _ in supported if model.use.any()], [view for _, removed in supported for view in removed]
 
 
-def _obeying(exact: Mapping[str, Camera], geometries: Mapping[Pair, Geometry], max_epipolar_px: float) -> dict[Pair, Geometry]:
-    """The geometries without pairs of known cameras that contradict these, and with the known poses of the other such pairs."""
-    found = {}
+def _consistent(exact: Mapping[str, Camera], geometries: Mapping[Pair, Geometry], max_epipolar_px: float) -> dict[Pair, Geometry]:
+    """The geometries without pairs that contradict their known cameras; other pairs of known cameras get their known pose."""
+    consistent = {}
     for pair, geometry in geometries.items():
         if set(pair) <= set(exact):
             if not epipolar_error_px(exact, pair, geometry) <= max_epipolar_px:
@@ -90,8 +90,8 @@ def _obeying(exact: Mapping[str, Camera], geometries: Mapping[Pair, Geometry], m
                 R, t = relative_pose(*(exact[name] for name in pair))
                 t /= np.linalg.norm(t)
                 geometry = replace(confirmed(geometry), cam2_R_cam1=R, cam2_t_cam1=t)
-        found[pair] = geometry
-    return found
+        consistent[pair] = geometry
+    return consistent
 
 
 def _collect(
@@ -114,10 +114,10 @@ def _collect(
     groups: list[list[str]] = [list(cameras)]
     for world in worlds:
         solved = {graph.names[view]: camera for view, camera in world.model.cameras.items()}
-        mine = [name for name in solved if name not in cameras]
+        new_names = [name for name in solved if name not in cameras]
         if not world.placed and groups[0]:
             groups.append([])
-        for name in mine:
+        for name in new_names:
             cameras[name] = replace(solved[name], component=len(groups) - 1)
             groups[-1].append(name)
     suspects = {name: reason for world in worlds for name, reason in world.suspects.items()}
@@ -127,17 +127,17 @@ def _collect(
             if name not in cameras:
                 cameras[name] = camera
                 groups[0].append(name)
-    order = [name for name in graph.names if name in cameras]
+    ordered = [name for name in graph.names if name in cameras]
     checks = {graph.pair(edge): _check(graph, edge, cameras, dropped.get(edge), max_epipolar_px) for edge in graph.geometries}
     unsolved = {name: _why_unsolved(graph, name, dropped, unsupported) for name in graph.names if name not in cameras}
-    if bent := {name: px for name in order if (px := residual_px(cameras[name])) > STRAIGHT_PX}:
-        what = f"the lenses of {', '.join(bent)} bend straight lines (corners by up to {max(bent.values()):.1f} px)"
+    if distorted := {name: px for name in ordered if (px := residual_px(cameras[name])) > STRAIGHT_PX}:
+        message = f"the lenses of {', '.join(distorted)} bend straight lines (corners by up to {max(distorted.values()):.1f} px)"
         notes.append(
-            f"{what}: later stages are corrected for it; matching is, too, once these solved cameras are the calibration"
+            f"{message}: later stages are corrected for it; matching is, too, once these solved cameras are the calibration"
         )
     errors = np.concatenate([world.model.error_px()[world.model.use] for world in worlds])
     return Poses(
-        cameras={name: cameras[name] for name in order},
+        cameras={name: cameras[name] for name in ordered},
         unsolved=unsolved,
         dropped={pair: check.reason for pair, check in checks.items() if not check.kept},
         metric=main.metric,
@@ -149,7 +149,7 @@ def _collect(
             *(PoseIssue("contradicted", name, reason) for world in worlds for name, reason in world.contradicting.items()),
         ),
         focals=tuple(name for view, name in enumerate(graph.names) if view in graph.lenses.solved and name in cameras),
-        components=tuple(tuple(name for name in order if name in group) for group in groups),
+        components=tuple(tuple(name for name in ordered if name in group) for group in groups),
         joins=_joins(graph, groups),
         scale=main.scale,
         crs=survey.crs if main.placed else "",
@@ -160,48 +160,48 @@ def _collect(
 
 
 def _check(
-    graph: ViewGraph, edge: Edge, cameras: Mapping[str, Camera], why: Rejected | None, max_epipolar_px: float
+    graph: ViewGraph, edge: Edge, cameras: Mapping[str, Camera], rejection: Rejected | None, max_epipolar_px: float
 ) -> PairCheck:
     geometry = graph.geometries[edge]
-    own = float(np.median(symmetric_epipolar_distance(geometry.F, geometry.x1, geometry.x2)))
+    own_px = float(np.median(symmetric_epipolar_distance(geometry.F, geometry.x1, geometry.x2)))
     left, right = (cameras.get(graph.names[view]) for view in edge)
     if left is None or right is None:
-        unplaced = why or Rejected(Reason.CAMERA_NOT_PLACED)
-        return PairCheck(why is None, unplaced.reason, unplaced.code, own)
+        unplaced = rejection or Rejected(Reason.CAMERA_NOT_PLACED)
+        return PairCheck(rejection is None, unplaced.reason, unplaced.code, own_px)
     if left.component != right.component:
-        apart = why or Rejected(Reason.CAMERAS_APART)
-        return PairCheck(False, apart.reason, apart.code, own)
+        separate = rejection or Rejected(Reason.CAMERAS_APART)
+        return PairCheck(False, separate.reason, separate.code, own_px)
     F = fundamental_from_cameras(left, right)
-    adjusted = float(np.median(symmetric_epipolar_distance(F, geometry.x1, geometry.x2)))
-    straight = straight_error_px(left, right, geometry)
+    adjusted_px = float(np.median(symmetric_epipolar_distance(F, geometry.x1, geometry.x2)))
+    undistorted_px = straight_error_px(left, right, geometry)
     R = graph.rotations.get(edge)
-    off = float("nan") if R is None else angle_between_deg(R, relative_pose(left, right)[0])
-    if straight <= max_epipolar_px:
-        why = None  # cameras that were solved without this pair agree with it after all
-    elif why is None:
-        why = Rejected(Reason.CONTRADICTS_CAMERAS, {"epipolar_px": straight})
-    flagged = adjusted > max(WORSE * own, own + WORSE_PX)
-    note = f"adjusted epipolar error {adjusted:.2f} px, {own:.2f} px before" if flagged else ""
-    if why is not None:
-        return PairCheck(False, why.reason, why.code, own, adjusted, off, flagged, "solved")
-    return PairCheck(True, note, "", own, adjusted, off, flagged, "solved")
+    rotation_error = float("nan") if R is None else angle_between_deg(R, relative_pose(left, right)[0])
+    if undistorted_px <= max_epipolar_px:
+        rejection = None  # cameras that were solved without this pair agree with it after all
+    elif rejection is None:
+        rejection = Rejected(Reason.CONTRADICTS_CAMERAS, {"epipolar_px": undistorted_px})
+    is_worse = adjusted_px > max(WORSE * own_px, own_px + WORSE_PX)
+    note = f"adjusted epipolar error {adjusted_px:.2f} px, {own_px:.2f} px before" if is_worse else ""
+    if rejection is not None:
+        return PairCheck(False, rejection.reason, rejection.code, own_px, adjusted_px, rotation_error, is_worse, "solved")
+    return PairCheck(True, note, "", own_px, adjusted_px, rotation_error, is_worse, "solved")
 
 
 def _why_unsolved(graph: ViewGraph, name: str, dropped: Mapping[Edge, Rejected], unsupported: set[str]) -> str:
     view = graph.names.index(name)
-    mine = [edge for edge in graph.geometries if view in edge]
+    own_edges = [edge for edge in graph.geometries if view in edge]
     if view not in graph.lenses.K:
         return "no focal length: none is given, and none can be estimated from its pairs"
-    if not mine:
+    if not own_edges:
         return "no pair with it has a geometry"
-    if all(edge in dropped for edge in mine):
-        unbacked = (Reason.UNCONFIRMED, Reason.NOT_BELIEVED)  # lack of evidence: without triangles, nothing contradicts a pair
-        if all(dropped[edge].why in unbacked and not dropped[edge].figures["triangles"] for edge in mine):
-            which = f"none of its {len(mine)} pairs" if len(mine) > 1 else "its only pair"
-            believed = "is" if len(mine) > 1 else "is not"
-            return f"{which} {believed} reliable: too few distinctive matches, and no third camera confirms them"
-        which = f"each of its {len(mine)} pairs" if len(mine) > 1 else "its only pair"
-        return f"{which} contradicts the others"
+    if all(edge in dropped for edge in own_edges):
+        no_proof = (Reason.UNCONFIRMED, Reason.NOT_BELIEVED)  # lack of evidence: without triangles, nothing contradicts a pair
+        if all(dropped[edge].why in no_proof and not dropped[edge].figures["triangles"] for edge in own_edges):
+            which_pairs = f"none of its {len(own_edges)} pairs" if len(own_edges) > 1 else "its only pair"
+            verb = "is" if len(own_edges) > 1 else "is not"
+            return f"{which_pairs} {verb} reliable: too few distinctive matches, and no third camera confirms them"
+        which_pairs = f"each of its {len(own_edges)} pairs" if len(own_edges) > 1 else "its only pair"
+        return f"{which_pairs} contradicts the others"
     if name in unsupported:
         return "the pose from its shared points contradicts the pairs with the most matches"
     return "too few points in common with the solved cameras"
@@ -218,8 +218,8 @@ def _joins(graph: ViewGraph, groups: list[list[str]]) -> tuple[str, ...]:
         return sum(geometry.inliers for edge, geometry in graph.geometries.items() if view in edge)
 
     best = [max(group, key=lambda name: (strength(name), name)) for group in groups]
-    order = {name: k for k, name in enumerate(graph.names)}
-    return tuple("--".join(sorted((best[0], other), key=order.__getitem__)) for other in best[1:])
+    position = {name: k for k, name in enumerate(graph.names)}
+    return tuple("--".join(sorted((best[0], other), key=position.__getitem__)) for other in best[1:])
 
 
 def straight_error_px(left: Camera, right: Camera, geometry: Geometry) -> float:
@@ -235,7 +235,7 @@ def without_unsupported(model: Model, geometries: Mapping[Edge, Geometry], max_e
     rejects the right ones: the rest agrees, although the pair with most matches does not.  Known cameras stay.  A pair agrees
     up to a median distance of `max_epipolar_px` to the epipolar lines of its cameras.
     """
-    out: list[int] = []
+    removed: list[int] = []
     first_of = {view: first for first, views in rigs_of(model.cameras).items() for view in views}  # removed together
     while len(model.cameras) > 2:
         balance = dict.fromkeys((first_of.get(view, view) for view in model.cameras if view not in model.held), 0)
@@ -247,8 +247,8 @@ def without_unsupported(model: Model, geometries: Mapping[Edge, Geometry], max_e
         worst = min(balance, key=lambda view: (balance[view], view), default=None)
         if worst is None or balance[worst] >= 0:
             break
-        gone = [view for view in model.cameras if first_of.get(view, view) == worst]
-        out += gone
-        cameras = {view: camera for view, camera in model.cameras.items() if view not in gone}
-        model = refine(replace(model, cameras=cameras, use=model.use & ~np.isin(model.tracks.view, gone)), rounds=3)
-    return model, out
+        worst_views = [view for view in model.cameras if first_of.get(view, view) == worst]
+        removed += worst_views
+        cameras = {view: camera for view, camera in model.cameras.items() if view not in worst_views}
+        model = refine(replace(model, cameras=cameras, use=model.use & ~np.isin(model.tracks.view, worst_views)), rounds=3)
+    return model, removed

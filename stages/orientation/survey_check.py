@@ -39,19 +39,19 @@ def check_survey(poses: Poses, views: Mapping[str, View], placements: Mapping[st
     for i, j, stated in survey.distances:
         a, b = survey.cameras[int(i)], survey.cameras[int(j)]
         if a in centres and b in centres:
-            found = float(np.linalg.norm(centres[a] - centres[b]))
-            if abs(found - stated) > DISTANCE_SHARE * min(stated, found) + np.sqrt(2) * sigma:
-                distances[f"{a}--{b}"] = float(stated), found
+            measured = float(np.linalg.norm(centres[a] - centres[b]))
+            if abs(measured - stated) > DISTANCE_SHARE * min(stated, measured) + np.sqrt(2) * sigma:
+                distances[f"{a}--{b}"] = float(stated), measured
     if len(survey.points):
         from .world import control_landmarks  # imported here: few sites have control points, and it loads the pose solver
 
         names = list(views)
-        numbered = {names.index(name): camera for name, camera in cameras.items()}
-        for mark in control_landmarks(numbered, names, list(views.values()), survey):
-            off = float(np.linalg.norm(mark.model_X - mark.world_X))
-            away = float(np.median([np.linalg.norm(C - mark.world_X) for C in centres.values()]))
-            if off > (tolerated := POINT_SHARE * away + sigma):
-                points[mark.name] = off, tolerated
+        solved = {names.index(name): camera for name, camera in cameras.items()}
+        for landmark in control_landmarks(solved, names, list(views.values()), survey):
+            error = float(np.linalg.norm(landmark.model_X - landmark.world_X))
+            distance = float(np.median([np.linalg.norm(C - landmark.world_X) for C in centres.values()]))
+            if error > (tolerated := POINT_SHARE * distance + sigma):
+                points[landmark.name] = error, tolerated
     if not survey.crs and len(centres) > 1 and not NEAREST_M[0] <= (nearest := _nearest(centres)) <= NEAREST_M[1]:
         units["nearest"] = nearest, NEAREST_M[nearest > 1]
     return replace(poses, distances_off=distances, points_off=points, units_off=units)

@@ -42,31 +42,31 @@ def inconsistency(model: Model, geometries: Mapping[Edge, Geometry]) -> float:
 
     model: as it was solved from all matches; geometries: the accepted pairs.
     """
-    mine = {edge: geometry for edge, geometry in geometries.items() if edge[0] in model.cameras and edge[1] in model.cameras}
-    tracks = build_tracks(consistent_matches(mine), 1 + max(model.cameras))
-    asked = {view: camera for view, camera in model.cameras.items() if (tracks.view == view).sum() >= FEWEST}
-    if len(asked) < 3:
+    pairs = {edge: geometry for edge, geometry in geometries.items() if edge[0] in model.cameras and edge[1] in model.cameras}
+    tracks = build_tracks(consistent_matches(pairs), 1 + max(model.cameras))
+    checked = {view: camera for view, camera in model.cameras.items() if (tracks.view == view).sum() >= FEWEST}
+    if len(checked) < 3:
         return float("nan")
-    nowhere, unused = np.full((tracks.count, 3), np.nan), np.zeros(len(tracks.track), bool)
-    own = refine(replace(model, cameras=asked, tracks=tracks, X=nowhere, use=unused), rounds=3, rough=True)
-    if not own.use.any():
+    no_points, none_used = np.full((tracks.count, 3), np.nan), np.zeros(len(tracks.track), bool)
+    refit = refine(replace(model, cameras=checked, tracks=tracks, X=no_points, use=none_used), rounds=3, rough=True)
+    if not refit.use.any():
         return float("nan")
-    apart, together = (_errors(own, cameras) for cameras in (own.cameras, asked))
-    finite = np.isfinite(apart) & np.isfinite(together)
+    refit_errors, model_errors = (_errors(refit, cameras) for cameras in (refit.cameras, checked))
+    finite = np.isfinite(refit_errors) & np.isfinite(model_errors)
     if not finite.any():
         return float("nan")
-    sigma = max(float(np.median(apart[finite])) / RAYLEIGH, LEAST_PX)
+    sigma = max(float(np.median(refit_errors[finite])) / RAYLEIGH, LEAST_PX)
     scale = OUTLIER * sigma
-    loss = 2 * OUTLIER**2 * (np.hypot(1, together[finite] / scale) - np.hypot(1, apart[finite] / scale))
-    loss -= (LENS_SHARE * max(max(camera.width, camera.height) for camera in asked.values()) / sigma) ** 2
-    free = [view for view in own.cameras if view not in own.held]
-    frame = 7 if len(own.held) == 0 else 1 if len(own.held) == 1 else 0  # free parameters of the frame that all poses share
-    freedoms = 6 * len(free) - frame + 3 * len({own.lenses[view] for view in free if view in own.lenses})
+    loss = 2 * OUTLIER**2 * (np.hypot(1, model_errors[finite] / scale) - np.hypot(1, refit_errors[finite] / scale))
+    loss -= (LENS_SHARE * max(max(camera.width, camera.height) for camera in checked.values()) / sigma) ** 2
+    free_views = [view for view in refit.cameras if view not in refit.held]
+    frame = 7 if len(refit.held) == 0 else 1 if len(refit.held) == 1 else 0  # free parameters of the frame that all poses share
+    freedoms = 6 * len(free_views) - frame + 3 * len({refit.lenses[view] for view in free_views if view in refit.lenses})
     return float(max(loss.sum(), 0.0)) / max(1, freedoms)
 
 
 def _errors(model: Model, cameras: Mapping[int, Camera]) -> Float64s:
     """(n,) errors in pixels of a model's observations with these cameras, and with points triangulated for them."""
-    other = replace(model, cameras=dict(cameras))
-    X = triangulate(other.cameras, other.straight, model.use, 1.0)
-    return replace(other, X=X).error_px()[model.use]
+    posed = replace(model, cameras=dict(cameras))
+    X = triangulate(posed.cameras, posed.straight, model.use, 1.0)
+    return replace(posed, X=X).error_px()[model.use]

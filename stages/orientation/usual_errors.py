@@ -42,29 +42,29 @@ def correct_usual_errors(
     cameras : by id, as stated.
     geometries : of all pairs.
     """
-    stated, found = dict(cameras), check_calibration(cameras, geometries)
-    if found is None or not found.confirmed or found.misfit < 1 + LEAST_GAIN or found.cause not in _POSES:
-        return stated, found
-    seen = PoseConstraints.of(tuple(cameras), geometries).pairs
-    better = adjust_within_priors(cameras, _usual(cameras, seen), seen).cameras
-    left = check_calibration(better, geometries)
-    if left is None or left.misfit > LEFT:
-        return stated, found
-    gain = found.misfit - left.misfit
-    if gain < LEAST_GAIN or gain * found.matches < LEAST_WEIGHT:
-        return stated, found
-    shared = found.misfit - misfit_without_cause(cameras, geometries)
-    return (better, left) if shared < MOST_SHARED * gain else (stated, found)
+    stated, check = dict(cameras), check_calibration(cameras, geometries)
+    if check is None or not check.confirmed or check.misfit < 1 + LEAST_GAIN or check.cause not in _POSES:
+        return stated, check
+    pairs = PoseConstraints.of(tuple(cameras), geometries).pairs
+    corrected = adjust_within_priors(cameras, _usual_sigmas(cameras, pairs), pairs).cameras
+    corrected_check = check_calibration(corrected, geometries)
+    if corrected_check is None or corrected_check.misfit > LEFT:
+        return stated, check
+    gain = check.misfit - corrected_check.misfit
+    if gain < LEAST_GAIN or gain * check.matches < LEAST_WEIGHT:
+        return stated, check
+    shared_gain = check.misfit - misfit_without_cause(cameras, geometries)
+    return (corrected, corrected_check) if shared_gain < MOST_SHARED * gain else (stated, check)
 
 
-def _usual(cameras: Mapping[str, Camera], geometries: Mapping[Pair, Geometry]) -> dict[str, Sigma]:
+def _usual_sigmas(cameras: Mapping[str, Camera], geometries: Mapping[Pair, Geometry]) -> dict[str, Sigma]:
     """The usual errors of cameras that have matches, from the median distance to these."""
-    found: dict[str, list[float]] = {}
+    camera_depths: dict[str, list[float]] = {}
     for pair, geometry in geometries.items():
-        one, other = (cameras[name] for name in pair)
+        left, right = (cameras[name] for name in pair)
         for name, depth in (
-            (pair[0], triangulate_depth(one, other, geometry.x1, geometry.x2)[0]),
-            (pair[1], triangulate_depth(other, one, geometry.x2, geometry.x1)[0]),
+            (pair[0], triangulate_depth(left, right, geometry.x1, geometry.x2)[0]),
+            (pair[1], triangulate_depth(right, left, geometry.x2, geometry.x1)[0]),
         ):
-            found.setdefault(name, []).extend(depth[depth > 0])
-    return {name: Sigma(USUAL_SHARE * float(np.median(depths)), USUAL_DEG) for name, depths in found.items() if depths}
+            camera_depths.setdefault(name, []).extend(depth[depth > 0])
+    return {name: Sigma(USUAL_SHARE * float(np.median(depths)), USUAL_DEG) for name, depths in camera_depths.items() if depths}

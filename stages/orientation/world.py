@@ -56,9 +56,9 @@ def to_world(graph: ViewGraph, model: Model, placements: Mapping[str, Placement]
     placements, survey : known poses by id; known distances and control points.
     """
     cameras = model.cameras
-    beside = {view for views in rigs_of(cameras).values() for view in views[1:]}  # their positions add no information
-    firsts = [view for view in cameras if view not in beside]
-    placed = {view: placements[name] for view in firsts if (name := graph.names[view]) in placements}
+    further_views = {view for views in rigs_of(cameras).values() for view in views[1:]}  # their positions add no information
+    first_views = [view for view in cameras if view not in further_views]
+    placed = {view: placements[name] for view in first_views if (name := graph.names[view]) in placements}
     landmarks = [
         Landmark(graph.names[view], cameras[view].C, p.C, cameras[view].R if p.R is not None else None, p.R, p.sigma_m)
         for view, p in placed.items()
@@ -66,56 +66,56 @@ def to_world(graph: ViewGraph, model: Model, placements: Mapping[str, Placement]
     ]
     landmarks += control_landmarks(cameras, graph.names, graph.views, survey)
     metric = all(p.metric for p in placed.values() if p.C is not None)
-    up = upward([replace(cameras[view], R=whole_R(cameras[view])) for view in firsts])
+    up = upward([replace(cameras[view], R=whole_R(cameras[view])) for view in first_views])
     depth = _median_depth(model)
     scale = _scale_of_distances(graph, cameras, survey)
     known_scale = scale is not None
-    why = "known distances" if known_scale else "none: the median baseline is set to 1, and the cloud is not metric"
+    scale_source = "known distances" if known_scale else "none: the median baseline is set to 1, and the cloud is not metric"
     alignment = align(landmarks, up, depth, scale if len(landmarks) < 2 else None) if landmarks else None
     if alignment is None:
-        model = _moved(model, _own_frame(graph, cameras, landmarks, up, scale))
-        again = {graph.names[view] for views in rigs_of(dict(enumerate(graph.views))).values() for view in views[1:]}
-        count = sum(p.C is not None for name, p in placements.items() if name not in again)
-        alone = count == 1  # without a scale, a model cannot be placed relative to several known positions
-        return World(model, bool(landmarks) and (known_scale or alone), known_scale, why, {})
+        model = _transformed(model, _own_frame(graph, cameras, landmarks, up, scale))
+        further_names = {graph.names[view] for views in rigs_of(dict(enumerate(graph.views))).values() for view in views[1:]}
+        known_count = sum(p.C is not None for name, p in placements.items() if name not in further_names)
+        is_single = known_count == 1  # without a scale, a model cannot be placed relative to several known positions
+        return World(model, bool(landmarks) and (known_scale or is_single), known_scale, scale_source, {})
     trusted, doubted = alignment.trusted, alignment.doubted
-    unplaced, model = model, _moved(model, alignment.similarity)
-    exact = [view for view, p in placed.items() if p.R is not None and p.C is not None and max(p.sigma_m, p.sigma_deg) == 0]
-    number = {name: view for view, name in enumerate(graph.names)}
-    held = [number[name] for name in trusted if (p := placements.get(name)) and p.R is not None and p.sigma_m == 0]
-    if len(held) < 2 <= len(exact):  # fewer than two known poses agree with the model, so these cannot place it
-        names = " and ".join(graph.names[view] for view in exact)
-        why_apart = f"the model of {len(cameras)} cameras contradicts the known poses of {names}: it stays separate, unverified"
-        apart = {graph.names[view]: why_apart for view in exact}
-        model = _moved(unplaced, _own_frame(graph, cameras, [], up, scale))
-        return World(model, False, known_scale, why, {}, contradicting=apart)
+    unplaced, model = model, _transformed(model, alignment.similarity)
+    exact_views = [view for view, p in placed.items() if p.R is not None and p.C is not None and max(p.sigma_m, p.sigma_deg) == 0]
+    view_number = {name: view for view, name in enumerate(graph.names)}
+    held = [view_number[name] for name in trusted if (p := placements.get(name)) and p.R is not None and p.sigma_m == 0]
+    if len(held) < 2 <= len(exact_views):  # fewer than two known poses agree with the model, so these cannot place it
+        names = " and ".join(graph.names[view] for view in exact_views)
+        reason = f"the model of {len(cameras)} cameras contradicts the known poses of {names}: it stays separate, unverified"
+        reasons = {graph.names[view]: reason for view in exact_views}
+        model = _transformed(unplaced, _own_frame(graph, cameras, [], up, scale))
+        return World(model, False, known_scale, scale_source, {}, contradicting=reasons)
     if len(held) >= 2:
         held = [view for view in cameras if any(view == h or same_camera(cameras[view], cameras[h]) for h in held)]
-        stated = {view: _at(model.cameras[view], placements[graph.names[view]]) for view in held}
+        stated = {view: _at_stated_pose(model.cameras[view], placements[graph.names[view]]) for view in held}
         model = refine(replace_cameras(model, {**model.cameras, **stated}), held)
     else:
-        measured = {number[name]: placements[name] for name in trusted if name in number}
+        measured = {view_number[name]: placements[name] for name in trusted if name in view_number}
         distance = depth * alignment.similarity.scale
         positions = {view: (p.C, max(p.sigma_m, EXACT_SHARE * distance)) for view, p in measured.items() if p.C is not None}
         if len(positions) >= 3 and min(sigma for _, sigma in positions.values()) < LOOSE_SHARE * distance:
             model = refine(model, positions=positions)
-    known = {graph.names[view] for view in exact}
-    suspects = {name: _suspicion(name, *off) for name, off in doubted.items() if name not in known}
+    exact_names = {graph.names[view] for view in exact_views}
+    suspects = {name: _suspect_message(name, *deviation) for name, deviation in doubted.items() if name not in exact_names}
     doubtful = {
-        name: f"the model of the others has it {off[0]:.3g} m away from its known pose. It stays in use: has it been moved?"
-        for name, off in doubted.items()
-        if name in known
+        name: f"the model of the others has it {deviation[0]:.3g} m away from its known pose. It stays in use: has it been moved?"
+        for name, deviation in doubted.items()
+        if name in exact_names
     }
     source = "known distances" if len(landmarks) < 2 else _source(trusted, len(landmarks))
     return World(model, True, metric or known_scale, source, suspects, doubtful)
 
 
-def _source(trusted: tuple[str, ...], known: int) -> str:
+def _source(trusted: tuple[str, ...], known_count: int) -> str:
     if not trusted:
-        return f"{known} known positions, which the images contradict"
+        return f"{known_count} known positions, which the images contradict"
     points = sum(name.startswith("control point") for name in trusted)
     parts = [(len(trusted) - points, "known positions"), (points, "control points")]
-    return " and ".join(f"{count} {what}" for count, what in parts if count)
+    return " and ".join(f"{count} {kind}" for count, kind in parts if count)
 
 
 def _scale_of_distances(graph: ViewGraph, cameras: Mapping[int, Camera], survey: Survey) -> float | None:
@@ -135,13 +135,13 @@ def _own_frame(
     """Frame with z up and x to the right of the first camera, which is at the origin (or at its known position).  Without a
     scale, the median baseline of the matched pairs becomes 1."""
     if scale is None:
-        lengths = [np.linalg.norm(cameras[i].C - cameras[j].C) for i, j in graph.geometries if i in cameras and j in cameras]
-        scale = 1 / float(np.median(lengths))
-    first = cameras[min(cameras)]
-    right = whole_R(first)[0] - (whole_R(first)[0] @ up) * up
+        baselines = [np.linalg.norm(cameras[i].C - cameras[j].C) for i, j in graph.geometries if i in cameras and j in cameras]
+        scale = 1 / float(np.median(baselines))
+    first_camera = cameras[min(cameras)]
+    right = whole_R(first_camera)[0] - (whole_R(first_camera)[0] @ up) * up
     right /= np.linalg.norm(right)
     R = np.array([right, np.cross(up, right), up])
-    origin, target = first.C, np.zeros(3)
+    origin, target = first_camera.C, np.zeros(3)
     if landmarks:
         origin, target = landmarks[0].model_X, landmarks[0].world_X
         if landmarks[0].world_R is not None and landmarks[0].model_R is not None:
@@ -149,12 +149,12 @@ def _own_frame(
     return Similarity(scale, R, target - scale * R @ origin)
 
 
-def _at(camera: Camera, placement: Placement) -> Camera:
+def _at_stated_pose(camera: Camera, placement: Placement) -> Camera:
     assert placement.R is not None and placement.C is not None
     return replace(camera, R=placement.R, C=placement.C)
 
 
-def _moved(model: Model, similarity: Similarity) -> Model:
+def _transformed(model: Model, similarity: Similarity) -> Model:
     cameras = {view: similarity.camera(camera) for view, camera in model.cameras.items()}
     return replace(model, cameras=cameras, X=similarity.points(model.X))
 
@@ -167,10 +167,10 @@ def _median_depth(model: Model) -> float:
     return float(np.median(np.concatenate(depths)))
 
 
-def _suspicion(name: str, length: float, degrees: float) -> str:
-    turned = "" if np.isnan(degrees) else f" and {degrees:.1f} degrees"
-    what = name if name.startswith("control point") else f"the known pose of {name}"
-    return f"{what} contradicts the images: it seems off by {length:.3g} m{turned}; left out"
+def _suspect_message(name: str, length: float, degrees: float) -> str:
+    rotation = "" if np.isnan(degrees) else f" and {degrees:.1f} degrees"
+    subject = name if name.startswith("control point") else f"the known pose of {name}"
+    return f"{subject} contradicts the images: it seems off by {length:.3g} m{rotation}; left out"
 
 
 TOLERANCE = 0.01
@@ -221,45 +221,45 @@ def align(landmarks: Sequence[Landmark], up: Float64s, depth: float, scale: floa
     """
 
     def agreement(similarity: Similarity) -> tuple[int, float]:
-        errors = [_error(similarity, landmark, depth) for landmark in landmarks]
+        errors = [_relative_deviation(similarity, landmark, depth) for landmark in landmarks]
         return sum(e <= 1 for e in errors), -float(np.sum(np.minimum(errors, 1)))
 
-    possible = (fit_similarity(subset, up, scale) for subset in _subsets(landmarks, scale))
-    similarity = max(filter(None, possible), key=agreement, default=None)
+    candidates = (fit_similarity(subset, up, scale) for subset in _subsets(landmarks, scale))
+    similarity = max(filter(None, candidates), key=agreement, default=None)
     if similarity is None:
         return None
     for _ in range(3):
-        trusted = [landmark for landmark in landmarks if _error(similarity, landmark, depth) <= 1]
-        better = fit_similarity(trusted, up, scale) if trusted else None
-        if better is None:
+        trusted = [landmark for landmark in landmarks if _relative_deviation(similarity, landmark, depth) <= 1]
+        refitted = fit_similarity(trusted, up, scale) if trusted else None
+        if refitted is None:
             break
-        similarity = better
-    names = tuple(landmark.name for landmark in landmarks if _error(similarity, landmark, depth) <= 1)
-    return Alignment(similarity, names, {mark.name: _off(similarity, mark) for mark in landmarks if mark.name not in names})
+        similarity = refitted
+    names = tuple(landmark.name for landmark in landmarks if _relative_deviation(similarity, landmark, depth) <= 1)
+    return Alignment(similarity, names, {mark.name: _deviation(similarity, mark) for mark in landmarks if mark.name not in names})
 
 
 def fit_similarity(landmarks: Sequence[Landmark], up: Float64s, scale: float | None = None) -> Similarity | None:
     """Least squares over landmarks (Wahba's problem over baselines and known rotations, solved by SVD); None without a scale."""
     sigmas = np.array([landmark.sigma for landmark in landmarks])
-    known = sigmas[sigmas > 0]  # exact landmarks get a tenth of the smallest sigma
-    weight = 1 / np.where(sigmas > 0, sigmas, 0.1 * known.min() if len(known) else 1.0) ** 2
+    known_sigmas = sigmas[sigmas > 0]  # exact landmarks get a tenth of the smallest sigma
+    weight = 1 / np.where(sigmas > 0, sigmas, 0.1 * known_sigmas.min() if len(known_sigmas) else 1.0) ** 2
     weight /= weight.sum()
     source = np.array([landmark.model_X for landmark in landmarks])
     target = np.array([landmark.world_X for landmark in landmarks])
-    a_mean, b_mean = weight @ source, weight @ target
-    a, b = source - a_mean, target - b_mean
-    spread_a, spread_b = np.sqrt(weight @ (a**2).sum(1)), np.sqrt(weight @ (b**2).sum(1))
-    size = np.abs(b_mean).max() + np.abs(a_mean).max() + 1e-300
-    wide = spread_a > 1e-12 * size and spread_b > 1e-12 * size
-    if not wide and scale is None:
+    source_mean, target_mean = weight @ source, weight @ target
+    centred_source, centred_target = source - source_mean, target - target_mean
+    source_spread, target_spread = np.sqrt(weight @ (centred_source**2).sum(1)), np.sqrt(weight @ (centred_target**2).sum(1))
+    size = np.abs(target_mean).max() + np.abs(source_mean).max() + 1e-300
+    has_extent = source_spread > 1e-12 * size and target_spread > 1e-12 * size
+    if not has_extent and scale is None:
         return None
-    noise = np.mean([landmark.sigma**2 for landmark in landmarks]) / spread_b**2 if wide else 0.0
+    noise = np.mean([landmark.sigma**2 for landmark in landmarks]) / target_spread**2 if has_extent else 0.0
     M = (UP_WEIGHT + noise) * np.outer([0.0, 0.0, 1.0], up)
-    if wide:
-        M += np.einsum("n,ni,nj->ij", weight, b, a) / (spread_a * spread_b)
-    turned = [mark.world_R.T @ mark.model_R for mark in landmarks if mark.world_R is not None and mark.model_R is not None]
-    if turned:
-        M += np.mean(turned, axis=0)
+    if has_extent:
+        M += np.einsum("n,ni,nj->ij", weight, centred_target, centred_source) / (source_spread * target_spread)
+    rotations = [mark.world_R.T @ mark.model_R for mark in landmarks if mark.world_R is not None and mark.model_R is not None]
+    if rotations:
+        M += np.mean(rotations, axis=0)
     return with_rotation(nearest_rotation(M), source, target, weight, scale)
 
 
@@ -276,23 +276,23 @@ def upward(cameras: Sequence[Camera]) -> Float64s:
 
 def _subsets(landmarks: Sequence[Landmark], scale: float | None) -> list[Sequence[Landmark]]:
     """The minimal sets that fix a similarity, after the set of all landmarks, which thus wins if nothing contradicts it."""
-    turned = [landmark for landmark in landmarks if landmark.world_R is not None]
+    oriented = [landmark for landmark in landmarks if landmark.world_R is not None]
     subsets: list[Sequence[Landmark]] = [landmarks]
     if scale is not None:
-        subsets += [[landmark] for landmark in turned]
+        subsets += [[landmark] for landmark in oriented]
     subsets += islice((pair for pair in combinations(landmarks, 2) if any(m.world_R is not None for m in pair)), MOST_TRIALS)
     subsets += islice(combinations(landmarks, 3), MOST_TRIALS)
     return [subset for subset in subsets if subset]
 
 
-def _error(similarity: Similarity, landmark: Landmark, depth: float) -> float:
+def _relative_deviation(similarity: Similarity, landmark: Landmark, depth: float) -> float:
     """Deviation of a landmark, as a share of the tolerance."""
-    length, degrees = _off(similarity, landmark)
+    length, degrees = _deviation(similarity, landmark)
     tolerated = 3 * landmark.sigma + TOLERANCE * depth * similarity.scale
     return max(length / tolerated, 0.0 if np.isnan(degrees) else degrees / TOLERANCE_DEG)
 
 
-def _off(similarity: Similarity, landmark: Landmark) -> tuple[float, float]:
+def _deviation(similarity: Similarity, landmark: Landmark) -> tuple[float, float]:
     """Deviation of a landmark from the model: length, degrees (nan if its rotation is unknown)."""
     length = float(np.linalg.norm(similarity.points(landmark.model_X[None])[0] - landmark.world_X))
     if landmark.model_R is None or landmark.world_R is None:
@@ -314,10 +314,10 @@ def control_landmarks(
     ids = {view: camera_id(names[view], views[view]) for view in sorted(cameras)}
     rows = []
     for point, camera, x, y in survey.observations:
-        mine = [view for view, name in ids.items() if name == survey.cameras[int(camera)]]
-        for view in mine:
+        camera_views = [view for view, name in ids.items() if name == survey.cameras[int(camera)]]
+        for view in camera_views:
             u, v = _in_frame(np.array([[x, y]]), views[view], cameras[view])[0]
-            if (len(mine) == 1 and np.isfinite(u)) or (0 <= u < views[view].width and 0 <= v < views[view].height):
+            if (len(camera_views) == 1 and np.isfinite(u)) or (0 <= u < views[view].width and 0 <= v < views[view].height):
                 rows.append((int(point), view, u, v))
                 break
     rows.sort(key=lambda row: row[:2])
@@ -330,15 +330,15 @@ def control_landmarks(
         count=len(survey.points),
     )
     X = triangulate(cameras, tracks, np.ones(len(rows), bool), 1.0)
-    seen = np.flatnonzero(np.isfinite(X[:, 0]))
-    return [Landmark(f"control point {k + 1}", X[k], survey.points[k]) for k in seen.tolist()]
+    triangulated = np.flatnonzero(np.isfinite(X[:, 0]))
+    return [Landmark(f"control point {k + 1}", X[k], survey.points[k]) for k in triangulated.tolist()]
 
 
 def _in_frame(x: Float64s, view: View, camera: Camera) -> Float64s:
     """(n, 2) pixels of the capture, mapped to the undistorted frame."""
     if view.lens is not None:
-        seen = lens_rays(view.lens, x)
-        rays = (seen if view.lens.turn is None else seen @ view.lens.turn.T) @ camera.K.T
+        lens_directions = lens_rays(view.lens, x)
+        rays = (lens_directions if view.lens.turn is None else lens_directions @ view.lens.turn.T) @ camera.K.T
         return np.asarray(rays[:, :2] / np.where(rays[:, 2:] > 0, rays[:, 2:], np.nan), dtype=np.float64)
     scale = np.array([view.width / (view.captured_width or view.width), view.height / (view.captured_height or view.height)])
     x = (x + 0.5) * scale - 0.5

@@ -61,33 +61,33 @@ def placed(
         attempts["hartley"] = partial(hartley, pair)
     for name, attempt in attempts.items():
         try:
-            found = attempt()
+            images = attempt()
         except ValueError as error:
             reason = str(error)
             continue
-        if isinstance(found, PolarImages):
-            return _by_rows(pair, found, name, reason)
-        placed = _by_homographies(pair, found, name, reason, torn_too=not fallback)
+        if isinstance(images, PolarImages):
+            return _by_polar_rows(pair, images, name, reason)
+        placed = _by_homographies(pair, images, name, reason, allow_torn=not fallback)
         if not isinstance(placed, str):
             return placed
         reason = placed
-    return _by_rows(pair, polar(pair), "polar", reason)
+    return _by_polar_rows(pair, polar(pair), "polar", reason)
 
 
-def _by_homographies(pair: MatchedPair, found: Homographies, method: str, reason: str, torn_too: bool) -> Placed | str:
-    H1, H2 = found
+def _by_homographies(pair: MatchedPair, homographies: Homographies, method: str, reason: str, allow_torn: bool) -> Placed | str:
+    H1, H2 = homographies
     shown1, shown2 = pair.shown()
-    near1, near2 = _third(H1, shown1) > 0, _third(H2, shown2) > 0
-    if min(near1.mean(), near2.mean()) < 0.98 or not np.isfinite([H1, H2]).all():
+    in_front1, in_front2 = _third_coordinate(H1, shown1) > 0, _third_coordinate(H2, shown2) > 0
+    if min(in_front1.mean(), in_front2.mean()) < 0.98 or not np.isfinite([H1, H2]).all():
         return "an epipole lies among the matches"
-    x1, x2 = (np.compress(near1 & near2, x, axis=0) for x in (shown1, shown2))  # 5 times as fast as x[...]
+    x1, x2 = (np.compress(in_front1 & in_front2, x, axis=0) for x in (shown1, shown2))  # 5 times as fast as x[...]
     H1, H2, size1, size2 = place(H1, H2, x1, x2, pair.size1, pair.size2)
     result = Rectification(method, reason, H1, H2, size1, size2, 0.0, 0.0, 0.0, 0.0, float("nan"))
     footprints = [_footprint(result, pair, side) for side in _SIDES]
     for footprint, H in zip(footprints, (H1, H2), strict=True):
-        if len(footprint.points) == 0 or _third(H, footprint.points).min() <= 0:
+        if len(footprint.points) == 0 or _third_coordinate(H, footprint.points).min() <= 0:
             return "the line sent to infinity crosses the image"
-        if torn_too:
+        if allow_torn:
             continue
         low, high = np.sqrt(percentiles(np.abs(footprint.area), 5, 95))
         if high > 4 * low:
@@ -98,21 +98,21 @@ def _by_homographies(pair: MatchedPair, found: Homographies, method: str, reason
     return result, footprints
 
 
-def _third(H: Float64s, x: Float64s) -> Float64s:
+def _third_coordinate(H: Float64s, x: Float64s) -> Float64s:
     """(n,): third homogeneous coordinate of the images of points x (n, 2); 0 on the line sent to infinity."""
     return np.asarray(x @ H[2, :2] + H[2, 2], dtype=np.float64)
 
 
-def _by_rows(pair: MatchedPair, images: PolarImages, method: str, reason: str) -> Placed | Rejected:
+def _by_polar_rows(pair: MatchedPair, images: PolarImages, method: str, reason: str) -> Placed | Rejected:
     rows1, rows2, size1, size2, agreement = images
     if agreement < 0.98:
         return Rejected(Reason.EPIPOLE_AMONG_MATCHES, {"same_side": agreement})
     too_few = Rejected(Reason.TOO_FEW_EPIPOLAR_LINES, {"rows": size1[1], "columns": size1[0]})
     if min(*size1, *size2) < _SMALLEST_SIDE_PX:
         return too_few
-    found = Rectification(method, reason, None, None, size1, size2, 0.0, 0.0, 0.0, 0.0, float("nan"), rows1, rows2)
-    footprints = [_footprint(found, pair, side) for side in _SIDES]
-    return too_few if min(footprint.share for footprint in footprints) == 0 else (found, footprints)
+    result = Rectification(method, reason, None, None, size1, size2, 0.0, 0.0, 0.0, 0.0, float("nan"), rows1, rows2)
+    footprints = [_footprint(result, pair, side) for side in _SIDES]
+    return too_few if min(footprint.share for footprint in footprints) == 0 else (result, footprints)
 
 
 def finished(
@@ -189,9 +189,9 @@ def _row_uncertainty_px(
     """
     if pair.camera1 is not None or geometry is None:
         return 0.0
-    r = to_rectified(rectification, 1, shown)
-    r[:, 0] -= (y1[:, 0] - y2[:, 0])[nearest_points(y1, r, 1)[1][:, 0]]
-    partner = from_rectified(rectification, 2, r)
+    rectified = to_rectified(rectification, 1, shown)
+    rectified[:, 0] -= (y1[:, 0] - y2[:, 0])[nearest_points(y1, rectified, 1)[1][:, 0]]
+    partner = from_rectified(rectification, 2, rectified)
     inside = ((partner >= -0.5) & (partner <= np.array(pair.size2) - 0.5)).all(axis=1)
     if not inside.any():
         return 0.0
@@ -210,6 +210,6 @@ def _depth_resolution(pair: MatchedPair, scale: float) -> float:
     """Median relative error of the depth due to one rectified pixel of disparity; nan without cameras."""
     if pair.camera1 is None or pair.camera2 is None:
         return float("nan")
-    depth, per_pixel = triangulate_depth(pair.camera1, pair.camera2, pair.x1, pair.x2)
+    depth, error_per_px = triangulate_depth(pair.camera1, pair.camera2, pair.x1, pair.x2)
     known = np.isfinite(depth)
-    return np.median(per_pixel[known] / depth[known]) / scale if known.any() else float("nan")
+    return np.median(error_per_px[known] / depth[known]) / scale if known.any() else float("nan")

@@ -29,14 +29,14 @@ def place(
     x1, x2 : (n, 2) matches, pixels, on the near side of the line that H1, H2 send to infinity.
     size1, size2 : width and height of the images, pixels.
     """
-    (box1, lengths1), (box2, lengths2) = _sent(H1, x1), _sent(H2, x2)
-    wide, high = np.concatenate([lengths1, lengths2], axis=1)
-    scale = 1 / np.array([np.median(wide), np.median(high)])
+    (box1, lengths1), (box2, lengths2) = _mapped(H1, x1), _mapped(H2, x2)
+    widths, heights = np.concatenate([lengths1, lengths2], axis=1)
+    scale = 1 / np.array([np.median(widths), np.median(heights)])
     S = np.diag([*scale, 1.0])
     H1, H2 = S @ H1, S @ H2
     margin = MARGIN_OF_WIDTH * max(size1[0], size2[0])
-    low1, high1 = _crop(scale * box1, _reach(H1, size1), margin)
-    low2, high2 = _crop(scale * box2, _reach(H2, size2), margin)
+    low1, high1 = _crop(scale * box1, _visible_box(H1, size1), margin)
+    low2, high2 = _crop(scale * box2, _visible_box(H2, size2), margin)
     top, bottom = max(low1[1], low2[1]), min(high1[1], high2[1])
     height = int(min(max(bottom - top + 1, 1), LARGEST * max(size1[1], size2[1])))
     width1 = int(min(max(high1[0] - low1[0] + 1, 1), LARGEST * size1[0]))
@@ -44,19 +44,19 @@ def place(
     return _shift(low1[0], top) @ H1, _shift(low2[0], top) @ H2, (width1, height), (width2, height)
 
 
-def _sent(H: Float64s, x: Float64s) -> tuple[Float64s, Float64s]:
+def _mapped(H: Float64s, x: Float64s) -> tuple[Float64s, Float64s]:
     """Smallest and largest coordinates (2, 2) of points x (n, 2) mapped by H, and width and height (2, n) that a pixel at each
     point gets, in rectified pixels."""
     u, v, w = (a * x[:, 0] + b * x[:, 1] + c for a, b, c in H)
-    at = np.stack([u, v]) * (1 / w)
-    lengths = np.sqrt((H[:2, :1] - at * H[2, 0]) ** 2 + (H[:2, 1:2] - at * H[2, 1]) ** 2) * np.abs(1 / w)
-    return np.stack([at.min(axis=1), at.max(axis=1)]), lengths
+    mapped = np.stack([u, v]) * (1 / w)
+    lengths = np.sqrt((H[:2, :1] - mapped * H[2, 0]) ** 2 + (H[:2, 1:2] - mapped * H[2, 1]) ** 2) * np.abs(1 / w)
+    return np.stack([mapped.min(axis=1), mapped.max(axis=1)]), lengths
 
 
-def _crop(box: Float64s, reach: Float64s, margin: float) -> tuple[Float64s, Float64s]:
-    """Whole-pixel corners (2,), (2,) of a `box` with margins, no larger than the box `reach` (2, 2)."""
-    around = MARGIN_SHARE * (box[1] - box[0]) + margin
-    return np.floor(np.maximum(box[0] - around, reach[0])), np.ceil(np.minimum(box[1] + around, reach[1]))
+def _crop(box: Float64s, limits: Float64s, margin: float) -> tuple[Float64s, Float64s]:
+    """Whole-pixel corners (2,), (2,) of a `box` with margins, no larger than the box `limits` (2, 2)."""
+    margins = MARGIN_SHARE * (box[1] - box[0]) + margin
+    return np.floor(np.maximum(box[0] - margins, limits[0])), np.ceil(np.minimum(box[1] + margins, limits[1]))
 
 
 @lru_cache(maxsize=8)
@@ -68,12 +68,12 @@ def frame_grid(size: Size, steps: int = 25) -> Float64s:
     return grid
 
 
-def _reach(H: Float64s, size: Size) -> Float64s:
+def _visible_box(H: Float64s, size: Size) -> Float64s:
     """The box (2, 2) of the visible part of a frame: of points well on the near side of the line sent to infinity."""
     grid = frame_grid(size)
     z = grid @ H[2, :2] + H[2, 2]
     typical = np.median(z)
-    return _sent(H, np.compress(z * typical > 0.05 * typical * typical, grid, axis=0))[0]
+    return _mapped(H, np.compress(z * typical > 0.05 * typical * typical, grid, axis=0))[0]
 
 
 def _shift(x: float, y: float) -> Float64s:

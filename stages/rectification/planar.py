@@ -20,7 +20,7 @@ from .method import Homographies, MatchedPair
 COLUMNS = 24
 """Columns of square cells that hold one control point each."""
 _ITERATIONS = 10
-_SETTLED = 1e-6
+_CONVERGED = 1e-6
 """Iterations end when no coefficient changes by more than this share of the largest."""
 
 
@@ -68,9 +68,9 @@ def _fit_edges(design: Float64s, target: Float64s, edges: Int32s, robust: bool) 
         for _ in range(_ITERATIONS if robust else 1):  # with two well-scaled columns, normal equations are exact enough
             a, b = weights * D1, weights * D2
             aa, ab, bb, ad, bd = (np.cumsum(terms)[-1] for terms in (a * D1, a * D2, b * D2, a * d, b * d))
-            before = x, y
+            previous = x, y
             x, y = (bb * ad - ab * bd) / (aa * bb - ab * ab), (aa * bd - ab * ad) / (aa * bb - ab * ab)
-            if max(abs(x - before[0]), abs(y - before[1])) <= _SETTLED * max(abs(x), abs(y)):
+            if max(abs(x - previous[0]), abs(y - previous[1])) <= _CONVERGED * max(abs(x), abs(y)):
                 break
             residuals = abs(D1 * x + D2 * y - d)
             s = 1.4826 * np.median(residuals) + 1e-6
@@ -85,8 +85,8 @@ def _fit(F: Float64s, x1: Float64s, x2: Float64s, size: tuple[int, int], robust:
     half = max(size) / 2  # pixels to about -1..1, so that the three coordinates weigh alike in the linear algebra
     N = np.array([[1 / half, 0.0, -(size[0] - 1) / 2 / half], [0.0, 1 / half, -(size[1] - 1) / 2 / half], [0.0, 0.0, 1.0]])
     row3_n = row3 @ np.linalg.inv(N)
-    m = homogeneous(x1) @ N.T
-    points = m / (m @ row3_n)[:, None]
+    normalised = homogeneous(x1) @ N.T
+    points = normalised / (normalised @ row3_n)[:, None]
     # row1 = B ab + c row3: row3 maps every point to 1, so edges do not depend on c, and B spans the rest
     B = np.linalg.svd(row3_n[None])[2][1:].T
     ab = _fit_edges(points @ B, target[:, 0], net_edges(target), robust)
@@ -125,8 +125,8 @@ def hartley(pair: MatchedPair) -> Homographies:
     """The homographies that minimise the sum of squared disparities of the matches."""
     H2 = send_epipole_to_infinity(pair.F, pair.size2)
     row2, row3 = rows_fixed_by(pair.F, H2, pair.x1)
-    m = homogeneous(pair.x1)
-    design = m / (m @ row3)[:, None]
+    points = homogeneous(pair.x1)
+    design = points / (points @ row3)[:, None]
     scale = np.abs(design).max(axis=0)
     row1 = np.linalg.lstsq(design / scale, apply_homography(H2, pair.x2)[:, 0], rcond=None)[0] / scale
     return Homographies(np.stack([row1, row2, row3]), H2)

@@ -14,7 +14,7 @@ from .method import MatchedPair, PolarImages
 from .placement import MARGIN_OF_WIDTH, MARGIN_SHARE, Size, frame_grid
 from .quality import order_agreement
 
-_FAR = 1e6
+_MOST_DIAGONALS = 1e6
 """Farther epipoles are moved to this many image diagonals: their lines then differ from parallels by less than 1e-4 px."""
 _SAMPLES_PER_PIXEL = 2
 """Directions sampled to lay out the rows, for each pixel of the frame's border: more of them would change only the first and the
@@ -30,23 +30,23 @@ def polar(pair: MatchedPair) -> PolarImages:
     F, size1, size2 = pair.F, pair.size1, pair.size2
     x1, x2 = pair.shown()
     e1, e2 = (_finite(e, size) for e, size in zip(epipoles(F), (size1, size2), strict=True))
-    away1, away2 = x1 - e1, x2 - e2
+    offset1, offset2 = x1 - e1, x2 - e2
     lines = homogeneous(x1) @ F.T  # all have the sign of F, so that right matches agree in `forward`
-    along = np.column_stack([lines[:, 1], -lines[:, 0]]) / np.hypot(lines[:, 0], lines[:, 1])[:, None]
-    forward = np.sum(along * away2, axis=1) > 0
+    line_direction = np.column_stack([lines[:, 1], -lines[:, 0]]) / np.hypot(lines[:, 0], lines[:, 1])[:, None]
+    forward = np.sum(line_direction * offset2, axis=1) > 0
     side = 1.0 if forward.mean() >= 0.5 else -1.0
     agreement = float(np.mean(forward == (side > 0)))
-    radius1, radius2 = np.hypot(*away1.T), np.hypot(*away2.T)
+    radius1, radius2 = np.hypot(*offset1.T), np.hypot(*offset2.T)
 
-    cut = _largest_gap(np.arctan2(away1[:, 1], away1[:, 0]))
-    seen = (np.arctan2(away1[:, 1], away1[:, 0]) - cut) % (2 * np.pi)
-    step = MARGIN_OF_WIDTH * max(size1[0], size2[0]) / float(np.median(radius1)) + MARGIN_SHARE * float(np.ptp(seen))
-    theta = cut + np.linspace(max(seen.min() - step, 0.0), min(seen.max() + step, 2 * np.pi), _SAMPLES_PER_PIXEL * 2 * sum(size1))
+    cut = _largest_gap(np.arctan2(offset1[:, 1], offset1[:, 0]))
+    angle = (np.arctan2(offset1[:, 1], offset1[:, 0]) - cut) % (2 * np.pi)
+    pad = MARGIN_OF_WIDTH * max(size1[0], size2[0]) / float(np.median(radius1)) + MARGIN_SHARE * float(np.ptp(angle))
+    theta = cut + np.linspace(max(angle.min() - pad, 0.0), min(angle.max() + pad, 2 * np.pi), _SAMPLES_PER_PIXEL * 2 * sum(size1))
     radii1, radii2 = _radius_range(radius1, e1, size1), _radius_range(radius2, e2, size2)
     angles1, angles2 = _rows(F, e1, e2, side, theta, size1, size2, radii1[1], radii2[1])
 
-    direction1 = 1 if float(np.median(away1[:, 0])) >= 0 else -1
-    opposed = order_agreement(np.column_stack([radius1, seen]), np.column_stack([radius2, seen])) < 0
+    direction1 = 1 if float(np.median(offset1[:, 0])) >= 0 else -1
+    opposed = order_agreement(np.column_stack([radius1, angle]), np.column_stack([radius2, angle])) < 0
     direction2 = -direction1 if opposed else direction1
     if direction1 < 0:  # keep the image's handedness: leftward rays go with descending angles
         angles1, angles2 = angles1[::-1], angles2[::-1]
@@ -57,23 +57,23 @@ def polar(pair: MatchedPair) -> PolarImages:
 
 def _finite(epipole: Float64s, size: Size) -> Float64s:
     centre = np.array([(size[0] - 1) / 2, (size[1] - 1) / 2])
-    away = epipole[:2] - epipole[2] * centre
-    limit = _FAR * float(np.hypot(*size))
-    if np.hypot(*away) > limit * abs(epipole[2]):
-        return np.asarray(centre + limit * away / np.hypot(*away), dtype=np.float64)
+    offset = epipole[:2] - epipole[2] * centre
+    limit = _MOST_DIAGONALS * float(np.hypot(*size))
+    if np.hypot(*offset) > limit * abs(epipole[2]):
+        return np.asarray(centre + limit * offset / np.hypot(*offset), dtype=np.float64)
     return np.asarray(epipole[:2] / epipole[2], dtype=np.float64)
 
 
 def _angle_in_image2(F: Float64s, e1: Float64s, e2: Float64s, side: float, theta: Float64s, size1: Size, size2: Size) -> Float64s:
     """Angles (n,) at e2 of the half lines that correspond to the directions theta (n,) at e1, unwrapped."""
     centre1, centre2 = (np.array([(w - 1) / 2, (h - 1) / 2]) for w, h in (size1, size2))
-    reach = max(float(np.hypot(*(centre1 - e1))), float(np.hypot(*size1)))
-    points = e1[:, None] + reach * np.stack([np.cos(theta), np.sin(theta)])
+    distance = max(float(np.hypot(*(centre1 - e1))), float(np.hypot(*size1)))
+    points = e1[:, None] + distance * np.stack([np.cos(theta), np.sin(theta)])
     a, b, c = F[:, :2] @ points + F[:, 2:]  # their lines; phi is the direction of a far point on each
     norm = np.sqrt(a * a + b * b)
     foot = (a * centre2[0] + b * centre2[1] + c) / (norm * norm)
-    along = side * 2 * np.hypot(*size2) / norm
-    phi = np.arctan2(centre2[1] - foot * b - along * a - e2[1], centre2[0] - foot * a + along * b - e2[0])
+    step = side * 2 * np.hypot(*size2) / norm
+    phi = np.arctan2(centre2[1] - foot * b - step * a - e2[1], centre2[0] - foot * a + step * b - e2[0])
     phi[1:] -= 2 * np.pi * np.cumsum(np.round(np.diff(phi) / (2 * np.pi)))
     return np.asarray(phi, dtype=np.float64)
 
@@ -87,10 +87,10 @@ def _rows(
     arc = np.fmax(np.minimum(end1, far1), np.minimum(end2, far2) * np.abs(np.gradient(phi, theta)))
     arc = np.where((end1 > 0) & (end2 > 0), arc, 0.0)  # directions that one image doesn't see get no rows
     row = np.concatenate([[0.0], np.cumsum(0.5 * (arc[1:] + arc[:-1]) * np.diff(theta))])
-    seen = np.flatnonzero(arc > 0)
-    if len(seen) < 2:
+    shown = np.flatnonzero(arc > 0)
+    if len(shown) < 2:
         return theta[:2], phi[:2]
-    angles1 = np.interp(np.arange(np.ceil(row[seen[0]]), np.floor(row[seen[-1]]) + 1), row[seen], theta[seen])
+    angles1 = np.interp(np.arange(np.ceil(row[shown[0]]), np.floor(row[shown[-1]]) + 1), row[shown], theta[shown])
     return angles1, _angle_in_image2(F, e1, e2, side, angles1, size1, size2)
 
 
@@ -98,9 +98,9 @@ def _ray_end(epipole: Float64s, angle: Float64s, size: Size) -> Float64s:
     """Distance (n,) from the epipole at which each ray leaves the frame; 0 for rays that miss it."""
     with np.errstate(divide="ignore", invalid="ignore"):
         enter, leave = np.zeros(len(angle)), np.full(len(angle), np.inf)
-        for k, along in enumerate((np.cos(angle), np.sin(angle))):
-            a, b = (-0.5 - epipole[k]) / along, (size[k] - 0.5 - epipole[k]) / along
-            enter, leave = np.fmax(enter, np.fmin(a, b)), np.fmin(leave, np.fmax(a, b))
+        for k, component in enumerate((np.cos(angle), np.sin(angle))):
+            low, high = (-0.5 - epipole[k]) / component, (size[k] - 0.5 - epipole[k]) / component
+            enter, leave = np.fmax(enter, np.fmin(low, high)), np.fmin(leave, np.fmax(low, high))
     return np.where(leave > enter, leave, 0.0)
 
 

@@ -12,7 +12,7 @@ from ..core.ordering import percentiles
 from ..twoview.refinement import tangent
 from ..types import Float64s, Int64s
 
-_ENOUGH = 1000
+_MOST_MATCHES = 1000
 """Matches, at most, from which order and homography are estimated: more do not improve them."""
 _BANDS, _ACROSS, _DOWN = 12, 4, 3
 """Bands of rows in which order along x is compared; columns and rows of the parts of an image that are left out in turn."""
@@ -21,7 +21,7 @@ _BANDS, _ACROSS, _DOWN = 12, 4, 3
 def order_agreement(y1: Float64s, y2: Float64s) -> float:
     """Spearman's rank correlation of x within bands of rows of rectified matches y1, y2 (n, 2): near 1 if right, any value if F
     is wrong.  All bands hold equally many; up to 11 matches of the last rows are left over."""
-    step = max(1, -(-len(y1) // _ENOUGH))
+    step = max(1, -(-len(y1) // _MOST_MATCHES))
     y1, y2 = y1[::step], y2[::step]
     count = max(1, min(_BANDS, len(y1) // 8))
     n = len(y1) // count
@@ -35,7 +35,7 @@ def order_agreement(y1: Float64s, y2: Float64s) -> float:
 
 def parallax_px(x1: Float64s, x2: Float64s) -> float:
     """Distance of matches (n, 2) from one homography, pixels (95 %): near 0 without baseline or relief, inf if none is found."""
-    step = max(1, -(-len(x1) // _ENOUGH))
+    step = max(1, -(-len(x1) // _MOST_MATCHES))
     H, _ = cv2.findHomography(x1[::step], x2[::step], cv2.RANSAC, 2.0, maxIters=2000, confidence=0.999)
     if H is None:
         return float("inf")
@@ -77,27 +77,27 @@ def line_uncertainty(
     Fn = Fn / length
     if freedoms is None:
         directions = tangent(Fn, None if essential is None else (N @ essential[0], N @ essential[1]))
-        known = np.zeros((directions.shape[1], directions.shape[1]))
+        prior = np.zeros((directions.shape[1], directions.shape[1]))
     else:
         directions = (Ni.T @ freedoms[0].T.reshape(-1, 3, 3) @ Ni).reshape(-1, 9).T / length
         directions = directions - np.outer(Fn.ravel(), Fn.ravel() @ directions)
-        known = freedoms[1]
-    both = np.column_stack([Fn.ravel(), directions])  # the derivative along F itself is the residual
-    rows = _derivatives(Fn, x1 / half - 1, x2 / half - 1, half) @ both
+        prior = freedoms[1]
+    basis = np.column_stack([Fn.ravel(), directions])  # the derivative along F itself is the residual
+    rows = _derivatives(Fn, x1 / half - 1, x2 / half - 1, half) @ basis
     residual, rows = rows[:, 0], np.ascontiguousarray(rows[:, 1:])
-    elsewhere = _derivatives(Fn, at1 / half - 1, at2 / half - 1, half) @ directions
+    evaluated = _derivatives(Fn, at1 / half - 1, at2 / half - 1, half) @ directions
     if noise is None:
         noise = np.full(len(x1), max(1.4826 * np.median(np.abs(residual)), 0.1))
     residual, rows = residual / noise, rows / noise[:, None]
-    each = 1 / np.sqrt(np.sum(rows * rows, axis=0) + np.diag(known))  # scales turns and lenses to similar units
-    rows, elsewhere, known = rows * each, elsewhere * each, known * np.outer(each, each)
+    scale = 1 / np.sqrt(np.sum(rows * rows, axis=0) + np.diag(prior))  # scales turns and lenses to similar units
+    rows, evaluated, prior = rows * scale, evaluated * scale, prior * np.outer(scale, scale)
 
-    values, vectors = np.linalg.eigh(rows.T @ rows + known)
+    values, vectors = np.linalg.eigh(rows.T @ rows + prior)
     spread = vectors / np.sqrt(np.maximum(values, 1e-12 * values.max()))
-    moves = _moves_without_each_part(rows, residual, known, _parts(x1))
-    moves = (moves - moves.mean(axis=0)) * np.sqrt((len(moves) - 1) / len(moves))
-    parts = np.concatenate([elsewhere @ spread, elsewhere @ moves.T], axis=1)
-    return np.asarray(np.linalg.norm(parts, axis=1), dtype=np.float64)
+    changes = _changes_without_each_part(rows, residual, prior, _parts(x1))
+    changes = (changes - changes.mean(axis=0)) * np.sqrt((len(changes) - 1) / len(changes))
+    components = np.concatenate([evaluated @ spread, evaluated @ changes.T], axis=1)
+    return np.asarray(np.linalg.norm(components, axis=1), dtype=np.float64)
 
 
 def _parts(x: Float64s) -> Int64s:
@@ -115,17 +115,17 @@ def _split(order: Int64s, count: int) -> list[Int64s]:
     return [order[first:last] for first, last in pairwise(bounds)]
 
 
-def _moves_without_each_part(rows: Float64s, residual: Float64s, known: Float64s, part: Int64s) -> Float64s:
+def _changes_without_each_part(rows: Float64s, residual: Float64s, prior: Float64s, part: Int64s) -> Float64s:
     """(parts, k): the Gauss-Newton step of the robust fit when each part is left out; all in units of the noise."""
     k = rows.shape[1]
-    normals, rights = np.zeros((part.max() + 1, k, k)), np.zeros((part.max() + 1, k))
+    normals, right_sides = np.zeros((part.max() + 1, k, k)), np.zeros((part.max() + 1, k))
     weighted = (1 / (1 + (residual / 2) ** 2))[:, None] * rows
-    np.add.at(rights, part, weighted * residual[:, None])
+    np.add.at(right_sides, part, weighted * residual[:, None])
     np.add.at(normals, part, weighted[:, :, None] * rows[:, None])
-    normal = normals.sum(axis=0) + known
-    without = normal + 1e-9 * np.trace(normal) * np.eye(k) - normals
-    change = rights.sum(axis=0) - rights
-    return np.asarray(-np.linalg.solve(without, change[..., None])[..., 0], dtype=np.float64)
+    normal = normals.sum(axis=0) + prior
+    reduced = normal + 1e-9 * np.trace(normal) * np.eye(k) - normals
+    change = right_sides.sum(axis=0) - right_sides
+    return np.asarray(-np.linalg.solve(reduced, change[..., None])[..., 0], dtype=np.float64)
 
 
 def _derivatives(F: Float64s, x1: Float64s, x2: Float64s, px: float) -> Float64s:

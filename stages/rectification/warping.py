@@ -18,9 +18,9 @@ from ..types import INVALID, Bools, Disparity, Float32s, Float64s, PolarRows, Re
 
 Side = Literal[1, 2]
 Pixels = TypeVar("Pixels", np.uint8, np.float32)
-_COARSE_PX, _SOME = 2.0, 16
+_COARSE_PX, _SAMPLE_STEP = 2.0, 16
 """A frame is smoothed first if rectified pixels lie farther apart in it than `_COARSE_PX` (its camera sees finer than its
-partner); their distance is measured at every `_SOME`-th rectified pixel."""
+partner); their distance is measured at every `_SAMPLE_STEP`-th rectified pixel."""
 
 
 def rectified_size(rectification: Rectification, side: Side) -> tuple[int, int]:
@@ -33,9 +33,9 @@ def to_rectified(rectification: Rectification, side: Side, x: Float64s) -> Float
     polar, H = _maps(rectification, side)
     if polar is None:
         return apply_homography(H, x)
-    away = x - polar.epipole
-    radius = np.hypot(away[:, 0], away[:, 1])
-    return np.column_stack([polar.direction * radius - polar.start_px, _row_of_angle(polar, np.arctan2(away[:, 1], away[:, 0]))])
+    ray = x - polar.epipole
+    radius = np.hypot(ray[:, 0], ray[:, 1])
+    return np.column_stack([polar.direction * radius - polar.start_px, _row_of_angle(polar, np.arctan2(ray[:, 1], ray[:, 0]))])
 
 
 def from_rectified(rectification: Rectification, side: Side, x: Float64s) -> Float64s:
@@ -50,7 +50,7 @@ def from_rectified(rectification: Rectification, side: Side, x: Float64s) -> Flo
 
 def warp(rectification: Rectification, side: Side, image: npt.NDArray[Pixels]) -> npt.NDArray[Pixels]:
     """Resample an image (h, w) or (h, w, 3) of the frame, uint8 or float32, by linear interpolation; 0 outside the frame."""
-    return _looked_up(image, _source_of_pixels(rectification, side))
+    return _smoothed_and_resampled(image, _source_of_pixels(rectification, side))
 
 
 def warp_with_mask(
@@ -64,10 +64,10 @@ def warp_with_mask(
     image, mask : (h, w) or (h, w, 3) of that side, and (h, w) pixels of it that may be used.
     """
     source = _source_of_pixels(rectification, side)
-    return _looked_up(image, source), np.asarray(_resampled(mask.astype(np.float32), source) > 0.9999)
+    return _smoothed_and_resampled(image, source), np.asarray(_resampled(mask.astype(np.float32), source) > 0.9999)
 
 
-def _looked_up(image: npt.NDArray[Pixels], source: tuple[Float32s, Float32s]) -> npt.NDArray[Pixels]:
+def _smoothed_and_resampled(image: npt.NDArray[Pixels], source: tuple[Float32s, Float32s]) -> npt.NDArray[Pixels]:
     """The image resampled, smoothed first if it has finer detail than the rectified pixels can show."""
     step = _step_px(source, image.shape[1], image.shape[0])
     if step > _COARSE_PX:
@@ -78,12 +78,12 @@ def _looked_up(image: npt.NDArray[Pixels], source: tuple[Float32s, Float32s]) ->
 def _step_px(source: tuple[Float32s, Float32s], width: int, height: int) -> float:
     """Median distance from one rectified pixel to the next, in pixels of the frame."""
     x, y = source
-    rows, columns = slice(0, max(x.shape[0] - 1, 0), _SOME), slice(0, max(x.shape[1] - 1, 0), _SOME)
+    rows, columns = slice(0, max(x.shape[0] - 1, 0), _SAMPLE_STEP), slice(0, max(x.shape[1] - 1, 0), _SAMPLE_STEP)
     inside = ((x > 0) & (x < width - 1) & (y > 0) & (y < height - 1))[rows, columns]
     if not inside.any():
         return 1.0
-    along, down = ([np.roll(of, -1, axis)[rows, columns] - of[rows, columns] for of in (x, y)] for axis in (1, 0))
-    steps = np.maximum(np.hypot(*along), np.hypot(*down))[inside]
+    right, down = ([np.roll(values, -1, axis)[rows, columns] - values[rows, columns] for values in (x, y)] for axis in (1, 0))
+    steps = np.maximum(np.hypot(*right), np.hypot(*down))[inside]
     return float(np.median(steps))
 
 
@@ -101,13 +101,13 @@ def resampling(rectification: Rectification, side: Side, x: Float64s) -> tuple[F
         u, v = u * inverse, v * inverse
         a, b = (H[0, 0] - u * H[2, 0]) * inverse, (H[0, 1] - u * H[2, 1]) * inverse
         c, d = (H[1, 0] - v * H[2, 0]) * inverse, (H[1, 1] - v * H[2, 1]) * inverse
-        together, apart = np.sqrt((a + d) ** 2 + (c - b) ** 2), np.sqrt((a - d) ** 2 + (c + b) ** 2)
-        return a * d - b * c, 0.5 * (together + apart), 0.5 * np.abs(together - apart)
-    away_x, away_y = (x - polar.epipole).T
-    k = np.floor(_row_of_angle(polar, np.arctan2(away_y, away_x))).astype(np.int64)
+        singular_sum, singular_difference = np.sqrt((a + d) ** 2 + (c - b) ** 2), np.sqrt((a - d) ** 2 + (c + b) ** 2)
+        return a * d - b * c, 0.5 * (singular_sum + singular_difference), 0.5 * np.abs(singular_sum - singular_difference)
+    ray_x, ray_y = (x - polar.epipole).T
+    k = np.floor(_row_of_angle(polar, np.arctan2(ray_y, ray_x))).astype(np.int64)
     k = np.clip(k, 0, len(polar.angles) - 2)
     # pixels keep their length along a row; the other singular value is that across the row
-    rows_per_px = polar.direction / (np.hypot(away_x, away_y) * (polar.angles[k + 1] - polar.angles[k]))
+    rows_per_px = polar.direction / (np.hypot(ray_x, ray_y) * (polar.angles[k + 1] - polar.angles[k]))
     across = np.abs(rows_per_px)
     return rows_per_px, np.maximum(across, 1), np.minimum(across, 1)
 
@@ -129,10 +129,10 @@ def _maps(rectification: Rectification, side: Side) -> tuple[PolarRows | None, F
 
 def _row_of_angle(polar: PolarRows, angle: Float64s) -> Float64s:
     """Fractional row of each angle; the circle is cut opposite to the middle of the rows' range."""
-    sense = 1.0 if polar.angles[-1] > polar.angles[0] else -1.0
-    table = sense * polar.angles
+    sign = 1.0 if polar.angles[-1] > polar.angles[0] else -1.0
+    table = sign * polar.angles
     middle = 0.5 * (table[0] + table[-1])
-    unwrapped = middle + (sense * angle - middle + np.pi) % (2 * np.pi) - np.pi
+    unwrapped = middle + (sign * angle - middle + np.pi) % (2 * np.pi) - np.pi
     k = np.clip(np.searchsorted(table, unwrapped) - 1, 0, len(table) - 2)  # the end segments extrapolate
     return np.asarray(k + (unwrapped - table[k]) / (table[k + 1] - table[k]), dtype=np.float64)
 
@@ -144,12 +144,12 @@ def _angle_of_row(polar: PolarRows, row: Float64s) -> Float64s:
 
 def _source_of_pixels(rectification: Rectification, side: Side) -> tuple[Float32s, Float32s]:
     """Frame coordinates (h, w) of every pixel of the rectified image, float32; far outside the frame where there is none."""
-    x, y = _straight_source(rectification, side)
-    bend = rectification.bend1 if side == 1 else rectification.bend2
-    return (x, y) if bend is None else distorted_pixels(bend, x, y)
+    x, y = _undistorted_source(rectification, side)
+    distortion = rectification.bend1 if side == 1 else rectification.bend2
+    return (x, y) if distortion is None else distorted_pixels(distortion, x, y)
 
 
-def _straight_source(rectification: Rectification, side: Side) -> tuple[Float32s, Float32s]:
+def _undistorted_source(rectification: Rectification, side: Side) -> tuple[Float32s, Float32s]:
     """As `_source_of_pixels`, in the undistorted frame."""
     width, height = rectified_size(rectification, side)
     polar, H = _maps(rectification, side)
@@ -161,13 +161,13 @@ def _straight_source(rectification: Rectification, side: Side) -> tuple[Float32s
         x, y, z = (inverse[k, 0] * columns + (inverse[k, 1] * rows + inverse[k, 2])[:, None] for k in range(3))
         with np.errstate(divide="ignore", invalid="ignore"):
             visible = z > 0
-            return _or_outside(x / z, visible), _or_outside(y / z, visible)
+            return _clipped_or_outside(x / z, visible), _clipped_or_outside(y / z, visible)
     radius = polar.direction * (columns + polar.start_px)
     angle = _angle_of_row(polar, rows)[:, None]
     visible = np.broadcast_to(radius >= 0, (height, width))
     x, y = polar.epipole[0] + radius * np.cos(angle), polar.epipole[1] + radius * np.sin(angle)
-    return _or_outside(x, visible), _or_outside(y, visible)
+    return _clipped_or_outside(x, visible), _clipped_or_outside(y, visible)
 
 
-def _or_outside(x: Float64s, visible: Bools) -> Float32s:
+def _clipped_or_outside(x: Float64s, visible: Bools) -> Float32s:
     return np.where(visible, np.clip(x, -1e4, 1e6), -1e4).astype(np.float32)

@@ -61,17 +61,17 @@ def adjust(
     options = _options(loss_px, tolerance, iterations, bool(focals))
     if positions:
         priors = [_prior(model, view, C, sigma) for view, (C, sigma) in positions.items() if rig_of.get(view, view) == view]
-        with_priors = pycolmap.PosePriorBundleAdjustmentOptions()
-        with_priors.alignment_ransac.random_seed = 0
-        solver = pycolmap.create_pose_prior_bundle_adjuster(options, with_priors, config, priors, model)
+        prior_options = pycolmap.PosePriorBundleAdjustmentOptions()
+        prior_options.alignment_ransac.random_seed = 0
+        solver = pycolmap.create_pose_prior_bundle_adjuster(options, prior_options, config, priors, model)
     else:
         if not held:
             config.fix_gauge(pycolmap.BundleAdjustmentGauge.TWO_CAMS_FROM_WORLD)
         solver = pycolmap.create_default_bundle_adjuster(options, config, model)
     solver.solve()
-    moved = X.copy()
-    moved[points] = [model.point3D(i + 1).xyz for i in range(len(points))]
-    return {view: _read(model, view, camera, view in focals, view in held) for view, camera in cameras.items()}, moved
+    new_X = X.copy()
+    new_X[points] = [model.point3D(i + 1).xyz for i in range(len(points))]
+    return {view: _solved_camera(model, view, camera, view in focals, view in held) for view, camera in cameras.items()}, new_X
 
 
 def _model(
@@ -86,26 +86,26 @@ def _model(
     first_of = {view: first for first, views in rigs.items() for view in views}
     for views in rigs.values():
         _add_rig(model, {view: cameras[view] for view in views})
-    place = np.zeros(len(tracks.track), np.int64)
+    keypoint = np.zeros(len(tracks.track), np.int64)
     lenses: dict[int, int] = {}
     for view, camera in cameras.items():
         lens = lenses.setdefault(focals[view], view + 1) if view in focals else view + 1
         if lens == view + 1 and view not in first_of:
             model.add_camera_with_trivial_rig(_lens(camera, lens, view in focals))
-        mine = rows[tracks.view[rows] == view]
-        place[mine] = np.arange(len(mine))
-        image = pycolmap.Image(name=str(view), keypoints=tracks.xy[mine], camera_id=lens, image_id=view + 1)
+        view_rows = rows[tracks.view[rows] == view]
+        keypoint[view_rows] = np.arange(len(view_rows))
+        image = pycolmap.Image(name=str(view), keypoints=tracks.xy[view_rows], camera_id=lens, image_id=view + 1)
         if view in first_of:
             image.frame_id = first_of[view] + 1
             model.add_image(image)
         else:
             model.add_image_with_trivial_frame(image, _rigid(camera))
     points, starts = np.unique(tracks.track[rows], return_index=True)
-    views, places = (tracks.view[rows] + 1).tolist(), place[rows].tolist()
+    views, keypoints = (tracks.view[rows] + 1).tolist(), keypoint[rows].tolist()
     for point, start, end in zip(points.tolist(), starts.tolist(), [*starts.tolist()[1:], len(rows)], strict=True):
         track = pycolmap.Track()
         for k in range(start, end):
-            track.add_element(views[k], places[k])
+            track.add_element(views[k], keypoints[k])
         model.add_point3D(X[point], track)
     return model, points
 
@@ -170,7 +170,7 @@ def _options(loss_px: float, tolerance: float, iterations: int, refine_focal: bo
     return options
 
 
-def _read(model: pycolmap.Reconstruction, view: int, camera: Camera, solved: bool, fixed: bool) -> Camera:
+def _solved_camera(model: pycolmap.Reconstruction, view: int, camera: Camera, solved: bool, fixed: bool) -> Camera:
     image = model.image(view + 1)
     if solved:
         f, _, _, k1, k2 = model.camera(image.camera_id).params

@@ -28,16 +28,16 @@ def consistent_matches(geometries: Mapping[tuple[View, View], Geometry], fewest:
     votes = {edge: np.zeros(len(geometry.x1), np.int64) for edge, geometry in geometries.items()}
 
     @cache
-    def first(edge: tuple[View, View]) -> cKDTree:
+    def tree(edge: tuple[View, View]) -> cKDTree:
         return cKDTree(geometries[edge].x1)
 
     for a, b, c in triangles_of([edge for edge, geometry in geometries.items() if len(geometry.x1)]):
         ab, bc, ac = (a, b), (b, c), (a, c)
-        from_b, k = first(bc).query(geometries[ab].x2)
-        from_a, m = first(ac).query(geometries[ab].x1)
-        met = (from_b < SAME_PX) & (from_a < SAME_PX)
-        off = np.linalg.norm(geometries[bc].x2[k] - geometries[ac].x2[m], axis=1)
-        for rows, vote in ((met & (off < SAME_PX), 1), (met & (off > ELSEWHERE_PX), -1)):
+        distance_b, k = tree(bc).query(geometries[ab].x2)
+        distance_a, m = tree(ac).query(geometries[ab].x1)
+        is_chained = (distance_b < SAME_PX) & (distance_a < SAME_PX)
+        gap = np.linalg.norm(geometries[bc].x2[k] - geometries[ac].x2[m], axis=1)
+        for rows, vote in ((is_chained & (gap < SAME_PX), 1), (is_chained & (gap > ELSEWHERE_PX), -1)):
             np.add.at(votes[ab], np.flatnonzero(rows), vote)
             np.add.at(votes[bc], k[rows], vote)
             np.add.at(votes[ac], m[rows], vote)

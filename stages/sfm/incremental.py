@@ -106,15 +106,15 @@ def grow(
     model = _from_known(known or {}, tracks, lenses or {}) or _from_best_pair(cameras, tracks, geometries, lenses or {})
     if model is None:
         return None
-    adjusted = len(model.cameras)
+    adjusted_count = len(model.cameras)
     failed: dict[int, int] = {}
-    while following := _next_view(model, cameras, geometries, failed):
-        view, camera = following
+    while next_view := _next_view(model, cameras, geometries, failed):
+        view, camera = next_view
         model = replace_cameras(model, {**model.cameras, view: camera})
-        if len(model.cameras) >= GROWN * adjusted:
-            model, adjusted = _sketched(model), len(model.cameras)
+        if len(model.cameras) >= GROWN * adjusted_count:
+            model, adjusted_count = _sketched(model), len(model.cameras)
         else:
-            model = _fitted(model, view)
+            model = _with_view_fitted(model, view)
     return _with_own_lenses(_sketched(model))
 
 
@@ -126,32 +126,32 @@ def _next_view(
 
     failed: number of points seen by each view that could not be placed; it is tried again only with more.
     """
-    for view, bare in cameras.items():
-        if view not in model.cameras and (camera := beside(bare, model.cameras)):
+    for view, unposed in cameras.items():
+        if view not in model.cameras and (camera := beside(unposed, model.cameras)):
             return view, camera
     tracks = model.tracks
-    seen = np.bincount(tracks.view[np.isfinite(model.X[tracks.track, 0])], minlength=max(cameras) + 1)
-    waiting = [view for view in cameras if view not in model.cameras and seen[view] >= max(MIN_SHARED, failed.get(view, 0) + 1)]
-    for view in sorted(waiting, key=lambda v: (-seen[v], v)):
-        bare = _with_lens(cameras[view], view, model)
-        camera = _resect(bare, view, model) or _attached(bare, view, model, geometries)
+    counts = np.bincount(tracks.view[np.isfinite(model.X[tracks.track, 0])], minlength=max(cameras) + 1)
+    waiting = [view for view in cameras if view not in model.cameras and counts[view] >= max(MIN_SHARED, failed.get(view, 0) + 1)]
+    for view in sorted(waiting, key=lambda v: (-counts[v], v)):
+        unposed = _with_lens(cameras[view], view, model)
+        camera = _resect(unposed, view, model) or _attached_to_pair(unposed, view, model, geometries)
         if camera is not None:
             return view, camera
-        failed[view] = int(seen[view])
+        failed[view] = int(counts[view])
     return None
 
 
 def _sketched(model: Model) -> Model:
     """The growing model after a quick adjustment, of some of the tracks in a few steps, that suffices for adding views."""
     model = _retriangulated(model)
-    focals = _lenses(model) if len(model.cameras) >= FOCALS_FROM else {}
-    args = model.cameras, model.tracks, model.X, _spread(model)
+    focals = _solved_lenses(model) if len(model.cameras) >= FOCALS_FROM else {}
+    args = model.cameras, model.tracks, model.X, _spread_use(model)
     held = model.held
     cameras, _ = adjust(*args, held=held, focals=focals, loss_px=COARSE_PX, tolerance=ROUGH, iterations=SKETCH_STEPS)
     return _retriangulated(replace(model, cameras=cameras))
 
 
-def _fitted(model: Model, view: int) -> Model:
+def _with_view_fitted(model: Model, view: int) -> Model:
     """The model with this one camera fitted; the other cameras, and points that it does not see, stay fixed."""
     tracks = model.tracks
     seen = np.zeros(tracks.count, bool)
@@ -161,26 +161,26 @@ def _fitted(model: Model, view: int) -> Model:
     others = {v: camera for v, camera in model.cameras.items() if v != view}
     rows = seen[tracks.track]
     number = np.cumsum(seen, dtype=np.int32) - 1
-    theirs = Tracks(number[tracks.track[rows]], tracks.view[rows], tracks.xy[rows], int(seen.sum()))
-    around = {v: model.cameras[v] for v in np.unique(theirs.view).tolist() if v in model.cameras}
-    part = _retriangulated(Model(around, theirs, model.X[seen], model.use[rows], model.lenses))
+    part_tracks = Tracks(number[tracks.track[rows]], tracks.view[rows], tracks.xy[rows], int(seen.sum()))
+    part_cameras = {v: model.cameras[v] for v in np.unique(part_tracks.view).tolist() if v in model.cameras}
+    part = _retriangulated(Model(part_cameras, part_tracks, model.X[seen], model.use[rows], model.lenses))
     if part.use.any() and beside(model.cameras[view], others) is None:
-        lenses = _lenses(model)
-        own = {view: lenses[view]} if list(lenses.values()).count(lenses.get(view, -1)) == 1 else {}
-        args, held = (around, theirs, part.X, _spread(part)), [v for v in around if v != view]
-        cameras, _ = adjust(*args, held=held, focals=own, loss_px=COARSE_PX, tolerance=ROUGH, iterations=SKETCH_STEPS)
+        lenses = _solved_lenses(model)
+        own_lens = {view: lenses[view]} if list(lenses.values()).count(lenses.get(view, -1)) == 1 else {}
+        args, held = (part_cameras, part_tracks, part.X, _spread_use(part)), [v for v in part_cameras if v != view]
+        cameras, _ = adjust(*args, held=held, focals=own_lens, loss_px=COARSE_PX, tolerance=ROUGH, iterations=SKETCH_STEPS)
         part = _retriangulated(replace(part, cameras=cameras))
     X, use = model.X.copy(), model.use.copy()
     X[seen], use[rows] = part.X, part.use
     return replace(model, cameras=model.cameras | part.cameras, X=X, use=use)
 
 
-def _spread(model: Model) -> Bools:
+def _spread_use(model: Model) -> Bools:
     """(n,) observations in use of a subset of the tracks that still covers every view."""
     return np.asarray(model.use & spread_tracks(model.tracks, model.use, SKETCH)[model.tracks.track])
 
 
-def _lenses(model: Model) -> dict[int, int]:
+def _solved_lenses(model: Model) -> dict[int, int]:
     """The solved lenses of the views that the model has."""
     return {view: lens for view, lens in model.lenses.items() if view in model.cameras}
 
@@ -202,19 +202,19 @@ def refine(
     rough : use the loss and the tolerance of a growing model.
     positions : known centres (3,) of at least three views, with standard deviations, in the world frame of the model.
     """
-    free = _lenses(model) if len(model.cameras) >= FOCALS_FROM or known or model.held else {}
+    free_lenses = _solved_lenses(model) if len(model.cameras) >= FOCALS_FROM or known or model.held else {}
     held = [view for view in model.cameras if view in known or view in model.held]
-    adjusted = np.zeros_like(model.use)
+    adjusted_use = np.zeros_like(model.use)
     for _ in range(rounds):
         model = _retriangulated(model)
-        if (model.use != adjusted).sum() <= SETTLED * model.use.sum():
+        if (model.use != adjusted_use).sum() <= SETTLED * model.use.sum():
             break
-        adjusted = model.use
+        adjusted_use = model.use
         noise = max(_noise(model.error_px()[model.use]), 4e-4)
-        weighed = {view: (C, sigma / noise) for view, (C, sigma) in (positions or {}).items()}
+        weighted = {view: (C, sigma / noise) for view, (C, sigma) in (positions or {}).items()}
         loss, tolerance = (COARSE_PX, ROUGH) if rough else (FINE * noise, EXACT)
         args = model.cameras, model.tracks, model.X, model.use
-        cameras, X = adjust(*args, held=held, focals=free, positions=weighed, loss_px=loss, tolerance=tolerance)
+        cameras, X = adjust(*args, held=held, focals=free_lenses, positions=weighted, loss_px=loss, tolerance=tolerance)
         model = _filtered(replace(model, cameras=cameras, X=X))
     return model
 
@@ -228,11 +228,11 @@ def _from_known(known: Mapping[int, Camera], tracks: Tracks, lenses: Mapping[int
     """A model of the known cameras and the points that they share; None if too few points agree with them."""
     if len(known) < 2:
         return None
-    nowhere, unused = np.full((tracks.count, 3), np.nan), np.zeros(len(tracks.track), bool)
-    model = _retriangulated(Model(dict(known), tracks, nowhere, unused, lenses, tuple(known)))
-    found = int(np.isfinite(model.X[:, 0]).sum())
-    shared = int((np.bincount(tracks.track[posed(known, tracks)], minlength=tracks.count) >= 2).sum())
-    return model if found >= max(MIN_POINTS, KNOWN_SHARE * shared) else None
+    no_points, none_used = np.full((tracks.count, 3), np.nan), np.zeros(len(tracks.track), bool)
+    model = _retriangulated(Model(dict(known), tracks, no_points, none_used, lenses, tuple(known)))
+    point_count = int(np.isfinite(model.X[:, 0]).sum())
+    shared_count = int((np.bincount(tracks.track[posed(known, tracks)], minlength=tracks.count) >= 2).sum())
+    return model if point_count >= max(MIN_POINTS, KNOWN_SHARE * shared_count) else None
 
 
 def _from_best_pair(
@@ -240,7 +240,7 @@ def _from_best_pair(
 ) -> Model | None:
     """A model of the pair with most points at a good angle; points that other views share count twice: those come next."""
     best: tuple[float, dict[int, Camera]] | None = None
-    lengths = np.bincount(tracks.track, minlength=tracks.count)
+    track_lengths = np.bincount(tracks.track, minlength=tracks.count)
     rows = {view: np.flatnonzero(tracks.view == view) for view in cameras}
     for (i, j), geometry in geometries.items():
         R, t = geometry.cam2_R_cam1, geometry.cam2_t_cam1
@@ -248,14 +248,14 @@ def _from_best_pair(
             continue
         pair = {i: replace(cameras[i], R=np.eye(3), C=np.zeros(3)), j: replace(cameras[j], R=R, C=-R.T @ t)}
         shared, a, b = np.intersect1d(tracks.track[rows[i]], tracks.track[rows[j]], return_indices=True)
-        wide = _angles_of_pair(pair[i], pair[j], tracks.xy[rows[i][a]], tracks.xy[rows[j][b]])
-        worth = float((np.minimum(wide / np.radians(15), 1) * (1 + (lengths[shared] > 2))).sum())
+        angle = _angles_of_pair(pair[i], pair[j], tracks.xy[rows[i][a]], tracks.xy[rows[j][b]])
+        worth = float((np.minimum(angle / np.radians(15), 1) * (1 + (track_lengths[shared] > 2))).sum())
         if best is None or worth > best[0]:
             best = worth, pair
     if best is None:
         return None
-    nowhere, unused = np.full((tracks.count, 3), np.nan), np.zeros(len(tracks.track), bool)
-    model = _retriangulated(Model(best[1], tracks, nowhere, unused, lenses))
+    no_points, none_used = np.full((tracks.count, 3), np.nan), np.zeros(len(tracks.track), bool)
+    model = _retriangulated(Model(best[1], tracks, no_points, none_used, lenses))
     if np.isfinite(model.X[:, 0]).sum() < MIN_POINTS:
         return None
     model = refine(model, rounds=2, rough=True)
@@ -267,16 +267,16 @@ def _angles_of_pair(left: Camera, right: Camera, x1: Float64s, x2: Float64s) -> 
     X = backproject(left, x1, triangulate_depth(left, right, x1, x2)[0])
     projected, depth = project(right, X)
     with np.errstate(invalid="ignore"):
-        meet = (np.linalg.norm(projected - x2, axis=1) < LOOSE_PX) & (depth > 0)
+        meets = (np.linalg.norm(projected - x2, axis=1) < LOOSE_PX) & (depth > 0)
     angle = ray_angles(X - left.C, X - right.C)
-    return np.where(meet & np.isfinite(angle), angle, 0.0)
+    return np.where(meets & np.isfinite(angle), angle, 0.0)
 
 
 def _with_lens(camera: Camera, view: int, model: Model) -> Camera:
     """The camera with the focal length and distortion that other views of its lens have in the model."""
-    for other, found in model.cameras.items():
+    for other, solved in model.cameras.items():
         if view in model.lenses and model.lenses.get(other) == model.lenses[view]:
-            return replace(camera, K=found.K, radial=found.radial)
+            return replace(camera, K=solved.K, radial=solved.radial)
     return camera
 
 
@@ -286,65 +286,65 @@ def _resect(camera: Camera, view: int, model: Model) -> Camera | None:
     rows = np.flatnonzero((tracks.view == view) & np.isfinite(model.X[tracks.track, 0]))
     x, X = without_distortion(camera, tracks.xy[rows]), model.X[tracks.track[rows]]
     options = {"max_reproj_error": LOOSE_PX, "max_iterations": 10000, "min_iterations": 200, "seed": 0}
-    pose, found = poselib.estimate_absolute_pose(x, X, pinhole(camera), options, {})
-    if found["num_inliers"] < max(MIN_POINTS, 0.25 * len(rows)):
+    pose, statistics = poselib.estimate_absolute_pose(x, X, pinhole(camera), options, {})
+    if statistics["num_inliers"] < max(MIN_POINTS, 0.25 * len(rows)):
         return None
     R, t = np.asarray(pose.R), np.asarray(pose.t)
     return replace(camera, R=R, C=-R.T @ t)
 
 
-def _attached(camera: Camera, view: int, model: Model, geometries: Mapping[Edge, Geometry]) -> Camera | None:
+def _attached_to_pair(camera: Camera, view: int, model: Model, geometries: Mapping[Edge, Geometry]) -> Camera | None:
     """The view's pose from its pair with a solved view; points of the model determine only the length of the baseline.
 
     This serves views so far apart that too few points are seen by three of them.
     """
     best: tuple[int, Camera] | None = None
     tracks = model.straight
-    mine = np.flatnonzero((tracks.view == view) & np.isfinite(model.X[tracks.track, 0]))
+    rows = np.flatnonzero((tracks.view == view) & np.isfinite(model.X[tracks.track, 0]))
     for edge, geometry in geometries.items():
         other = edge[1] if edge[0] == view else edge[0]
         R, t = geometry.cam2_R_cam1, geometry.cam2_t_cam1
         if view not in edge or other not in model.cameras or R is None or t is None:
             continue
         base = model.cameras[other]
-        R, step = (R.T @ base.R, base.R.T @ t) if edge[0] == view else (R @ base.R, -base.R.T @ R.T @ t)
-        theirs = np.flatnonzero(tracks.view == other)
-        _, a, b = np.intersect1d(tracks.track[theirs], tracks.track[mine], return_indices=True)
-        x_base, x = tracks.xy[theirs[a]], without_distortion(camera, tracks.xy[mine[b]])
-        unit, _ = triangulate_depth(base, replace(camera, R=R, C=base.C + step), x_base, x)
-        lengths = ((model.X[tracks.track[mine[b]]] - base.C) @ base.R[2]) / unit
+        R, direction = (R.T @ base.R, base.R.T @ t) if edge[0] == view else (R @ base.R, -base.R.T @ R.T @ t)
+        base_rows = np.flatnonzero(tracks.view == other)
+        _, a, b = np.intersect1d(tracks.track[base_rows], tracks.track[rows], return_indices=True)
+        x_base, x = tracks.xy[base_rows[a]], without_distortion(camera, tracks.xy[rows[b]])
+        unit_depth, _ = triangulate_depth(base, replace(camera, R=R, C=base.C + direction), x_base, x)
+        lengths = ((model.X[tracks.track[rows[b]]] - base.C) @ base.R[2]) / unit_depth
         lengths = lengths[np.isfinite(lengths) & (lengths > 0)]
         if len(lengths) < MIN_SHARED:
             continue
         length = float(np.median(lengths))
-        agree = int((np.abs(lengths / length - 1) < SAME_LENGTH).sum())
-        if agree >= max(MIN_SHARED, 0.5 * len(x)) and (best is None or agree > best[0]):
-            best = agree, replace(camera, R=R, C=base.C + length * step)
+        agreeing = int((np.abs(lengths / length - 1) < SAME_LENGTH).sum())
+        if agreeing >= max(MIN_SHARED, 0.5 * len(x)) and (best is None or agreeing > best[0]):
+            best = agreeing, replace(camera, R=R, C=base.C + length * direction)
     return None if best is None else best[1]
 
 
 def _with_own_lenses(model: Model) -> Model:
     """The model with a lens for each view instead of shared ones, if these differ clearly and lower the errors."""
-    lens_of = _lenses(model)
-    members = [[view for view, lens in lens_of.items() if lens == each] for each in set(lens_of.values())]
+    lens_of = _solved_lenses(model)
+    members = [[view for view, lens in lens_of.items() if lens == number] for number in set(lens_of.values())]
     if all(len(views) == 1 for views in members):
         return model
     model = refine(model, rounds=4, rough=True)
-    own = refine(replace(model, lenses={view: view for view in model.lenses}), rounds=4, rough=True)
-    focal = {view: np.log(camera.K[0, 0]) for view, camera in own.cameras.items()}
-    spread = max(np.ptp([focal[view] for view in views]) for views in members)
-    gain = np.median(own.error_px()[own.use]) / np.median(model.error_px()[model.use])
-    return own if spread > LENSES_DIFFER and gain < OWN_LENS_GAIN else model
+    separate = refine(replace(model, lenses={view: view for view in model.lenses}), rounds=4, rough=True)
+    log_focal = {view: np.log(camera.K[0, 0]) for view, camera in separate.cameras.items()}
+    spread = max(np.ptp([log_focal[view] for view in views]) for views in members)
+    gain = np.median(separate.error_px()[separate.use]) / np.median(model.error_px()[model.use])
+    return separate if spread > LENSES_DIFFER and gain < OWN_LENS_GAIN else model
 
 
 def _retriangulated(model: Model) -> Model:
     """The model with all points triangulated again from all observations, then without outliers."""
     tracks = model.straight
-    everything = posed(model.cameras, tracks)
-    X = triangulate(model.cameras, tracks, everything, 1.0)
-    first = _filtered(replace(model, X=X, use=everything))
-    X = triangulate(model.cameras, tracks, first.use, 1.0)
-    return _filtered(replace(model, X=X, use=everything))
+    all_posed = posed(model.cameras, tracks)
+    X = triangulate(model.cameras, tracks, all_posed, 1.0)
+    filtered = _filtered(replace(model, X=X, use=all_posed))
+    X = triangulate(model.cameras, tracks, filtered.use, 1.0)
+    return _filtered(replace(model, X=X, use=all_posed))
 
 
 def _filtered(model: Model) -> Model:
@@ -361,5 +361,5 @@ def _filtered(model: Model) -> Model:
 
 def _noise(error: Float64s) -> float:
     """Standard deviation of one coordinate, from the median of errors below `LOOSE_PX` (Rayleigh)."""
-    fits = error[error < LOOSE_PX]
-    return float(np.median(fits)) / 1.1774 if len(fits) else LOOSE_PX
+    inlier_error = error[error < LOOSE_PX]
+    return float(np.median(inlier_error)) / 1.1774 if len(inlier_error) else LOOSE_PX

@@ -52,9 +52,9 @@ class Shares:
 
     def log_odds(self, other: Shares, kind: AmbiguityKind) -> float:
         """Log likelihood ratio of this scene over the other, given the kind of one pair's rival."""
-        return log(self._of(kind) / other._of(kind))
+        return log(self._share_of(kind) / other._share_of(kind))
 
-    def _of(self, kind: AmbiguityKind) -> float:
+    def _share_of(self, kind: AmbiguityKind) -> float:
         return 1 - self.turned - self.side - self.row if kind is AmbiguityKind.NONE else float(getattr(self, kind.value))
 
 
@@ -71,14 +71,14 @@ def ambiguity_kind(geometry: Geometry) -> AmbiguityKind | None:
     if not isfinite(turned):
         return None
     share = geometry.rival_elsewhere / max(geometry.inliers, 1)
-    if share >= TURNED_RIVAL_SHARE and _part_of_a_turn(turned):
+    if share >= TURNED_RIVAL_SHARE and _is_part_of_turn(turned):
         return AmbiguityKind.SIDE
     if share >= ROW_SHARE and geometry.rival_elsewhere >= ROW_INLIERS and turned < SAME_ROTATION_DEG:
         return AmbiguityKind.ROW
     return AmbiguityKind.TURNED if share >= TURNED_RIVAL_SHARE and turned > TURNED_DEG else AmbiguityKind.NONE
 
 
-def _part_of_a_turn(degrees: float) -> bool:
+def _is_part_of_turn(degrees: float) -> bool:
     return min(abs(degrees - part) for part in PARTS_DEG) <= PART_WITHIN_DEG
 
 
@@ -90,13 +90,13 @@ def distinct_copies(posed: Mapping[Pair, Geometry], triangles: Iterable[tuple[st
     """
     turned = []
     for a, b, c in triangles:
-        sides = [posed[pair] for pair in ((a, b), (b, c), (a, c))]
-        first, second, direct = (g.cam2_R_cam1 for g in sides)
-        if first is None or second is None or direct is None or min(g.distinct_cells for g in sides) < DISTINCT_CELLS:
+        pairs = [posed[pair] for pair in ((a, b), (b, c), (a, c))]
+        first, second, direct = (g.cam2_R_cam1 for g in pairs)
+        if first is None or second is None or direct is None or min(g.distinct_cells for g in pairs) < DISTINCT_CELLS:
             continue
         degrees = angle_between_deg(direct, second @ first)
         if degrees > TURNED_DEG:
-            turned.append(_part_of_a_turn(degrees))
+            turned.append(_is_part_of_turn(degrees))
     return 2 * turned.count(True) > len(turned)
 
 
@@ -108,8 +108,8 @@ def why_ambiguous(geometries: Iterable[Geometry], usual: Shares) -> Reason | Non
         Reason.SAME_FROM_OTHER_SIDES: prior + sum(FROM_OTHER_SIDES.log_odds(usual, kind) for kind in kinds),
         Reason.SAME_ALONG_A_ROW: prior + sum(IN_A_ROW.log_odds(usual, kind) for kind in kinds),
     }
-    likely = max(odds, key=lambda reason: odds[reason])
-    return likely if odds[likely] > 0 else None
+    likeliest = max(odds, key=lambda reason: odds[reason])
+    return likeliest if odds[likeliest] > 0 else None
 
 
 STANDS_ALONE = log(19)
@@ -171,55 +171,55 @@ def check_loops(
     """
     posed = {pair: g for pair, g in geometries.items() if g.cam2_R_cam1 is not None and g.cam2_t_cam1 is not None}
     triangles = triangles_of(posed)
-    unsure = unsure_deg or {}
-    slack = [max(unsure.get(side, 0.0) for side in ((a, b), (b, c), (a, c))) for a, b, c in triangles]
-    closed = np.array([closes(posed, *three, usual, most) for three, most in zip(triangles, slack, strict=True)], dtype=bool)
+    uncertainty = unsure_deg or {}
+    slack = [max(uncertainty.get(side, 0.0) for side in ((a, b), (b, c), (a, c))) for a, b, c in triangles]
+    closed = np.array([closes(posed, *names, usual, extra) for names, extra in zip(triangles, slack, strict=True)], dtype=bool)
     pairs = list(geometries)
     index = {pair: k for k, pair in enumerate(pairs)}
     members = np.array([[index[a, b], index[b, c], index[a, c]] for a, b, c in triangles], dtype=np.int64).reshape(-1, 3)
     prior = np.array([float(np.clip(geometries[pair].score, -6, 6)) - PRIOR_SHIFT for pair in pairs])
-    belief = (_exact_beliefs if len(pairs) <= FEW_PAIRS else _beliefs)(prior, members, closed, usual)
-    count = np.bincount(members.ravel(), minlength=len(pairs))
+    log_odds = (_exact_log_odds if len(pairs) <= FEW_PAIRS else _approximate_log_odds)(prior, members, closed, usual)
+    total = np.bincount(members.ravel(), minlength=len(pairs))
     closing = np.bincount(members[closed].ravel(), minlength=len(pairs))
     figures: dict[Pair, dict[str, float]] = {}
     for k, (pair, g) in enumerate(geometries.items()):
-        loops = {"closed": int(closing[k]), "triangles": int(count[k])}
-        figures[pair] = {"score": g.score, "distinct_cells": g.distinct_cells, **loops}
-    why = {pair: _refusal(geometries[pair], float(belief[k]), figures[pair]) for k, pair in enumerate(pairs)}
-    for pair, code in _unsupported({p for p in posed if why[p] is None}, geometries, triangles, closed).items():
-        why[pair] = Rejected(code, figures[pair])
-    believed = {pair: float(belief[index[pair]]) for pair in posed if why[pair] is None}
-    for pair, degrees in _against_tree(posed, believed, unsure, usual.rotation_deg).items():
-        why[pair] = Rejected(Reason.TURNED, {"turned_deg": degrees})
+        counts = {"closed": int(closing[k]), "triangles": int(total[k])}
+        figures[pair] = {"score": g.score, "distinct_cells": g.distinct_cells, **counts}
+    rejections = {pair: _rejection(geometries[pair], float(log_odds[k]), figures[pair]) for k, pair in enumerate(pairs)}
+    for pair, reason in _unsupported({p for p in posed if rejections[p] is None}, geometries, triangles, closed).items():
+        rejections[pair] = Rejected(reason, figures[pair])
+    accepted = {pair: float(log_odds[index[pair]]) for pair in posed if rejections[pair] is None}
+    for pair, degrees in _against_tree(posed, accepted, uncertainty, usual.rotation_deg).items():
+        rejections[pair] = Rejected(Reason.TURNED, {"turned_deg": degrees})
     copies = Reason.SAME_FROM_OTHER_SIDES if distinct_copies(posed, triangles) else None
     if repeats := copies or why_ambiguous(posed.values(), usual.rivals):
         for pair in posed:
-            why[pair] = why[pair] or Rejected(repeats, figures[pair])
+            rejections[pair] = rejections[pair] or Rejected(repeats, figures[pair])
     checks = {}
     for k, pair in enumerate(pairs):
-        p = probability(float(belief[k]))
-        checks[pair] = LoopCheck(p if why[pair] is None else min(p, 0.5), why[pair], int(count[k]), int(closing[k]))
+        p = probability(float(log_odds[k]))
+        checks[pair] = LoopCheck(p if rejections[pair] is None else min(p, 0.5), rejections[pair], int(total[k]), int(closing[k]))
     return checks
 
 
-def _refusal(geometry: Geometry, belief: float, figures: dict[str, float]) -> Rejected | None:
-    """Why a pair is rejected, None if it is accepted; belief: its posterior log odds."""
-    if figures["triangles"] == 0 and 0 < geometry.score <= _alone(geometry):
+def _rejection(geometry: Geometry, log_odds: float, figures: dict[str, float]) -> Rejected | None:
+    """Why a pair is rejected, None if it is accepted; log_odds: its posterior log odds."""
+    if figures["triangles"] == 0 and 0 < geometry.score <= _least_score_alone(geometry):
         return Rejected(Reason.UNCONFIRMED, figures)
-    if belief > 0:
+    if log_odds > 0:
         return None
     if geometry.score > 0:
         return Rejected(Reason.LOOK_ALIKE, figures)
     return Rejected(Reason.AMBIGUOUS if geometry.score == 0 else Reason.NOT_BELIEVED, figures)
 
 
-def _alone(geometry: Geometry) -> float:
+def _least_score_alone(geometry: Geometry) -> float:
     """The score that this pair needs if no other confirms it."""
     return STANDS_ALONE if isfinite(geometry.rival_turned_deg) else STANDS_ALONE_BARE
 
 
 def _unsupported(
-    believed: set[Pair], geometries: Mapping[Pair, Geometry], triangles: list[tuple[str, str, str]], closed: Bools
+    accepted: set[Pair], geometries: Mapping[Pair, Geometry], triangles: list[tuple[str, str, str]], closed: Bools
 ) -> dict[Pair, Reason]:
     """Accepted pairs that must not place any camera.
 
@@ -227,27 +227,27 @@ def _unsupported(
     contradict each other, with scores like those of right pairs.  So at least as many of a pair's triangles of accepted pairs
     must be closed as open; if none is closed, the pair needs the score of an unconfirmed one.
     """
-    agree, object_ = dict.fromkeys(believed, 0), dict.fromkeys(believed, 0)
+    closed_count, open_count = dict.fromkeys(accepted, 0), dict.fromkeys(accepted, 0)
     for (a, b, c), closes in zip(triangles, closed.tolist(), strict=True):
         sides = ((a, b), (b, c), (a, c))
-        if believed.issuperset(sides):
+        if accepted.issuperset(sides):
             for side in sides:
-                (agree if closes else object_)[side] += 1
-    found = {}
-    for pair in believed:
-        if object_[pair] > agree[pair]:
-            found[pair] = Reason.LOOK_ALIKE
-        elif agree[pair] == 0 and geometries[pair].score <= _alone(geometries[pair]):
-            found[pair] = Reason.UNCONFIRMED
-    return found
+                (closed_count if closes else open_count)[side] += 1
+    unsupported = {}
+    for pair in accepted:
+        if open_count[pair] > closed_count[pair]:
+            unsupported[pair] = Reason.LOOK_ALIKE
+        elif closed_count[pair] == 0 and geometries[pair].score <= _least_score_alone(geometries[pair]):
+            unsupported[pair] = Reason.UNCONFIRMED
+    return unsupported
 
 
 def triangles_of(pairs: Collection[tuple[View, View]]) -> list[tuple[View, View, View]]:
     """Triangles (a, b, c) with pairs a--b, b--c and a--c, in the order of the cameras."""
-    after: dict[View, set[View]] = {}
+    successors: dict[View, set[View]] = {}
     for a, b in pairs:
-        after.setdefault(a, set()).add(b)
-    return [(a, b, c) for a, b in pairs for c in sorted(after.get(b, set()) & after[a])]
+        successors.setdefault(a, set()).add(b)
+    return [(a, b, c) for a, b in pairs for c in sorted(successors.get(b, set()) & successors[a])]
 
 
 def closes(posed: Mapping[Pair, Geometry], a: str, b: str, c: str, usual: LoopStatistics = USUAL, slack_deg: float = 0.0) -> bool:
@@ -263,15 +263,15 @@ def closes(posed: Mapping[Pair, Geometry], a: str, b: str, c: str, usual: LoopSt
     (R_ab, t_ab), (R_bc, t_bc), (R_ac, t_ac) = (_pose(posed[pair]) for pair in ((a, b), (b, c), (a, c)))
     if angle_between_deg(R_ac, R_bc @ R_ab) > usual.rotation_deg + slack_deg:
         return False
-    to_b, onward, to_c = -R_ab.T @ t_ab, -R_ab.T @ (R_bc.T @ t_bc), -R_ac.T @ t_ac  # directions in the axes of a
-    normal = np.cross(to_b, onward)
+    to_b, b_to_c, to_c = -R_ab.T @ t_ab, -R_ab.T @ (R_bc.T @ t_bc), -R_ac.T @ t_ac  # directions in the axes of a
+    normal = np.cross(to_b, b_to_c)
     if np.linalg.norm(normal) >= 0.05:
         normal /= np.linalg.norm(normal)
-        flat = to_c - (to_c @ normal) * normal
-        weights = np.linalg.lstsq(np.column_stack([to_b, onward]), flat, rcond=None)[0]
+        in_plane = to_c - (to_c @ normal) * normal
+        weights = np.linalg.lstsq(np.column_stack([to_b, b_to_c]), in_plane, rcond=None)[0]
         if (weights >= 0).all():
             return bool(abs(to_c @ normal) < np.sin(np.radians(usual.direction_deg + slack_deg)))
-    nearest = max(to_c @ to_b, to_c @ onward)
+    nearest = max(to_c @ to_b, to_c @ b_to_c)
     return bool(nearest > np.cos(np.radians(usual.direction_deg + slack_deg)))
 
 
@@ -280,47 +280,47 @@ def _pose(geometry: Geometry) -> tuple[Float64s, Float64s]:
     return geometry.cam2_R_cam1, geometry.cam2_t_cam1
 
 
-def _exact_beliefs(prior: Float64s, members: Int64s, closed: Bools, usual: LoopStatistics) -> Float64s:
+def _exact_log_odds(prior: Float64s, members: Int64s, closed: Bools, usual: LoopStatistics) -> Float64s:
     """Posterior log odds of each pair, over all combinations of right and wrong pairs.
 
     For few pairs, the approximation would let two wrong pairs that agree reinforce each other: views from the opposite side, each
     turned by half a turn, close triangles with right pairs.
     """
-    right = (np.arange(1 << len(prior))[:, None] >> np.arange(len(prior)) & 1).astype(bool)
-    likelihood = np.zeros(len(right))
-    for one, odds in zip(right.T, prior.tolist(), strict=True):
-        likelihood[one] += odds
-    for sides, closes in zip(members, closed.tolist(), strict=True):
-        of_right, of_wrong = usual.closed_right, usual.closed_wrong
-        chances = (of_right, of_wrong) if closes else (1 - of_right, 1 - of_wrong)
-        likelihood += np.where(right[:, sides].all(axis=1), *np.log(chances))
+    is_right = (np.arange(1 << len(prior))[:, None] >> np.arange(len(prior)) & 1).astype(bool)
+    likelihood = np.zeros(len(is_right))
+    for column, odds in zip(is_right.T, prior.tolist(), strict=True):
+        likelihood[column] += odds
+    for triangle, closes in zip(members, closed.tolist(), strict=True):
+        p_right, p_wrong = usual.closed_right, usual.closed_wrong
+        probabilities = (p_right, p_wrong) if closes else (1 - p_right, 1 - p_wrong)
+        likelihood += np.where(is_right[:, triangle].all(axis=1), *np.log(probabilities))
     weight = np.exp(likelihood - likelihood.max())
-    share = [(weight[one].sum() + 1e-12) / (weight[~one].sum() + 1e-12) for one in right.T]
-    return np.asarray(np.log(share), dtype=np.float64)
+    ratios = [(weight[column].sum() + 1e-12) / (weight[~column].sum() + 1e-12) for column in is_right.T]
+    return np.asarray(np.log(ratios), dtype=np.float64)
 
 
-def _beliefs(prior: Float64s, members: Int64s, closed: Bools, usual: LoopStatistics) -> Float64s:
+def _approximate_log_odds(prior: Float64s, members: Int64s, closed: Bools, usual: LoopStatistics) -> Float64s:
     """Approximate posterior log odds of each pair, after 15 damped rounds of mean-field messages from the triangles."""
-    belief, right, wrong = prior.copy(), usual.closed_right, usual.closed_wrong
+    log_odds, p_right, p_wrong = prior.copy(), usual.closed_right, usual.closed_wrong
     for _ in range(15 if len(members) else 0):
-        p = 1 / (1 + np.exp(-belief))
-        up, down = np.zeros(len(prior)), np.zeros(len(prior))
+        p = 1 / (1 + np.exp(-log_odds))
+        support, opposition = np.zeros(len(prior)), np.zeros(len(prior))
         for side in range(3):
-            others = p[members[:, (side + 1) % 3]] * p[members[:, (side + 2) % 3]]
-            closes = np.log((others * right + (1 - others) * wrong) / wrong)
-            opens = np.log((others * (1 - right) + (1 - others) * (1 - wrong)) / (1 - wrong))
-            np.add.at(up, members[closed, side], closes[closed])
-            np.add.at(down, members[~closed, side], opens[~closed])
-        loops = np.minimum(LOOP_WEIGHT * up, LOOP_CAP) + np.maximum(LOOP_WEIGHT * down, -LOOP_CAP)
-        belief = 0.5 * belief + 0.5 * (prior + loops)
-    return belief
+            p_others = p[members[:, (side + 1) % 3]] * p[members[:, (side + 2) % 3]]
+            closes = np.log((p_others * p_right + (1 - p_others) * p_wrong) / p_wrong)
+            opens = np.log((p_others * (1 - p_right) + (1 - p_others) * (1 - p_wrong)) / (1 - p_wrong))
+            np.add.at(support, members[closed, side], closes[closed])
+            np.add.at(opposition, members[~closed, side], opens[~closed])
+        evidence = np.minimum(LOOP_WEIGHT * support, LOOP_CAP) + np.maximum(LOOP_WEIGHT * opposition, -LOOP_CAP)
+        log_odds = 0.5 * log_odds + 0.5 * (prior + evidence)
+    return log_odds
 
 
 def _against_tree(
-    posed: Mapping[Pair, Geometry], believed: Mapping[Pair, float], unsure_deg: Mapping[Pair, float], most_deg: float
+    posed: Mapping[Pair, Geometry], accepted: Mapping[Pair, float], unsure_deg: Mapping[Pair, float], limit_deg: float
 ) -> dict[Pair, float]:
-    """Accepted pairs whose rotation is off by more than `most_deg` from the maximum spanning tree's, and by how much."""
-    relative = {pair: _pose(posed[pair])[0] for pair in believed}
-    world = rotations_along_tree(relative, believed)
-    off = {(a, b): angle_between_deg(R, world[b] @ world[a].T) for (a, b), R in relative.items()}
-    return {pair: degrees for pair, degrees in off.items() if degrees > most_deg + unsure_deg.get(pair, 0.0)}
+    """Accepted pairs whose rotation is off by more than `limit_deg` from the maximum spanning tree's, and by how much."""
+    relative = {pair: _pose(posed[pair])[0] for pair in accepted}
+    world = rotations_along_tree(relative, accepted)
+    errors_deg = {(a, b): angle_between_deg(R, world[b] @ world[a].T) for (a, b), R in relative.items()}
+    return {pair: degrees for pair, degrees in errors_deg.items() if degrees > limit_deg + unsure_deg.get(pair, 0.0)}

@@ -11,13 +11,13 @@ from ..types import Camera, Float64s, Lens, View
 
 def rigs_of(cameras: Mapping[int, Camera] | Mapping[int, View]) -> dict[int, list[int]]:
     """The views of each camera that has more than one of them, by its first view; views by number."""
-    found: dict[int, list[int]] = {}
+    views_of: dict[int, list[int]] = {}
     first_of: dict[str, int] = {}
     for view in sorted(cameras):
         lens = cameras[view].lens
         if lens and lens.camera:
-            found.setdefault(first_of.setdefault(lens.camera, view), []).append(view)
-    return {first: views for first, views in found.items() if len(views) > 1}
+            views_of.setdefault(first_of.setdefault(lens.camera, view), []).append(view)
+    return {first: views for first, views in views_of.items() if len(views) > 1}
 
 
 def between(one: Lens | None, other: Lens | None) -> Float64s:

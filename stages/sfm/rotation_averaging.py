@@ -36,19 +36,19 @@ def average_rotations(relative: Mapping[Edge, Float64s], weights: Mapping[Edge, 
     edges = list(relative)
     i = np.array([number[edge[0]] for edge in edges], np.int64)
     j = np.array([number[edge[1]] for edge in edges], np.int64)
-    given = np.array([relative[edge] for edge in edges]).reshape(-1, 3, 3)
-    found = np.array([R[view] for view in views])
+    measured = np.array([relative[edge] for edge in edges]).reshape(-1, 3, 3)
+    rotations = np.array([R[view] for view in views])
     for k in range(ROUNDS):
         # the rotation that remains for each pair, in the axes of its second view
-        off = rotation_vector(given @ found[i] @ np.swapaxes(found[j], 1, 2))
-        size = np.linalg.norm(off, axis=1)
+        residuals = rotation_vector(measured @ rotations[i] @ np.swapaxes(rotations[j], 1, 2))
+        angles = np.linalg.norm(residuals, axis=1)
         scale = np.radians(max(3.0, 30.0 * 0.8**k))
-        weight = 1 / np.maximum(size, np.radians(0.1)) if k < ROUNDS // 4 else (scale**2 / (scale**2 + size**2)) ** 2
-        turn = _least_squares(i, j, given, off, weight, len(views))
-        found = np.array([rotation_matrix(v) @ R_view for v, R_view in zip(turn, found, strict=True)])
-        if np.abs(turn).max(initial=0) < 1e-10:
+        weight = 1 / np.maximum(angles, np.radians(0.1)) if k < ROUNDS // 4 else (scale**2 / (scale**2 + angles**2)) ** 2
+        steps = _least_squares(i, j, measured, residuals, weight, len(views))
+        rotations = np.array([rotation_matrix(v) @ R_view for v, R_view in zip(steps, rotations, strict=True)])
+        if np.abs(steps).max(initial=0) < 1e-10:
             break
-    return dict(zip(views, found, strict=True))
+    return dict(zip(views, rotations, strict=True))
 
 
 def components(edges: list[Edge], views: list[int]) -> list[list[int]]:
@@ -81,10 +81,10 @@ def rotations_along_tree(
     return world
 
 
-def _least_squares(i: Int64s, j: Int64s, given: Float64s, off: Float64s, weight: Float64s, count: int) -> Float64s:
-    """(count, 3) small rotations of the views that best satisfy `turn_j - given turn_i = off`."""
+def _least_squares(i: Int64s, j: Int64s, measured: Float64s, residuals: Float64s, weight: Float64s, count: int) -> Float64s:
+    """(count, 3) small rotations of the views that best satisfy `step_j - measured step_i = residual`."""
     H, g = np.zeros((count, 3, count, 3)), np.zeros((count, 3))
-    for a, b, M, r, w in zip(i, j, given, off, weight, strict=True):
+    for a, b, M, r, w in zip(i, j, measured, residuals, weight, strict=True):
         H[a, :, a] += w * np.eye(3)
         H[b, :, b] += w * np.eye(3)
         H[a, :, b] -= w * M.T
@@ -92,5 +92,5 @@ def _least_squares(i: Int64s, j: Int64s, given: Float64s, off: Float64s, weight:
         g[b] += w * r
         g[a] -= w * M.T @ r
     # the common rotation of a connected part is free: the regularisation selects the smallest solution
-    turns = np.linalg.solve(H.reshape(3 * count, 3 * count) + 1e-9 * np.eye(3 * count), g.ravel())
-    return np.asarray(turns.reshape(count, 3), dtype=np.float64)
+    steps = np.linalg.solve(H.reshape(3 * count, 3 * count) + 1e-9 * np.eye(3 * count), g.ravel())
+    return np.asarray(steps.reshape(count, 3), dtype=np.float64)

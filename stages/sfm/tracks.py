@@ -59,10 +59,10 @@ def build_tracks(geometries: Mapping[Edge, Geometry], views: int) -> Tracks:
     order = np.argsort(-probability, kind="stable")
     root = _join(ends[order], view, len(xy))
     _, track, sizes = np.unique(root, return_inverse=True, return_counts=True)
-    keep = np.flatnonzero(sizes[track] >= 2)
-    _, track = np.unique(track[keep], return_inverse=True)
-    keep, track = keep[order := np.lexsort((view[keep], track))], track[order]
-    return Tracks(track.astype(np.int32), view[keep].astype(np.int32), xy[keep], int(track.max(initial=-1)) + 1)
+    rows = np.flatnonzero(sizes[track] >= 2)
+    _, track = np.unique(track[rows], return_inverse=True)
+    rows, track = rows[order := np.lexsort((view[rows], track))], track[order]
+    return Tracks(track.astype(np.int32), view[rows].astype(np.int32), xy[rows], int(track.max(initial=-1)) + 1)
 
 
 def spread_tracks(tracks: Tracks, use: Bools, wanted: int) -> Bools:
@@ -80,61 +80,61 @@ def spread_tracks(tracks: Tracks, use: Bools, wanted: int) -> Bools:
 @kernel
 def _needed(order: Int64s, first: Int64s, field: Int64s, use: Bools, wanted: int) -> Bools:
     """The tracks that some field needs, chosen in the given order."""
-    there = np.zeros(field.max() + 1, np.int64)
+    counts = np.zeros(field.max() + 1, np.int64)
     needed = np.zeros(len(order), np.bool_)
     for t in order:
         for k in range(first[t], first[t + 1]):
-            needed[t] |= use[k] and there[field[k]] < wanted
+            needed[t] |= use[k] and counts[field[k]] < wanted
         for k in range(first[t], first[t + 1]):
-            there[field[k]] += needed[t] and use[k]
+            counts[field[k]] += needed[t] and use[k]
     return needed
 
 
 def _nodes(geometries: Mapping[Edge, Geometry], views: int) -> tuple[dict[Edge, list[Int64s]], Float64s, Int64s]:
     """For each pair the node numbers of its matches in both images; pixels and view of each node."""
     nodes: dict[Edge, list[Int64s]] = {edge: [np.zeros(0, np.int64)] * 2 for edge in geometries}
-    places, owners, start = [np.zeros((0, 2))], [np.zeros(0, np.int64)], 0
+    positions, node_views, start = [np.zeros((0, 2))], [np.zeros(0, np.int64)], 0
     for view in range(views):
         sides = [(edge, edge.index(view)) for edge in geometries if view in edge]
         if not sides:
             continue
         points = np.concatenate([(geometries[edge].x1, geometries[edge].x2)[side] for edge, side in sides])
-        _, first, number = np.unique(np.round(points, 3), axis=0, return_index=True, return_inverse=True)
+        _, first_row, node = np.unique(np.round(points, 3), axis=0, return_index=True, return_inverse=True)
         if any(geometries[edge].i1 is None for edge, _ in sides):
-            kept, nearest = joined_places(points[first], SAME_PX)
-            first, number = first[kept], nearest[number.ravel()]
-        number = number.ravel() + start
+            kept_rows, merged_into = joined_places(points[first_row], SAME_PX)
+            first_row, node = first_row[kept_rows], merged_into[node.ravel()]
+        node = node.ravel() + start
         for edge, side in sides:
             n = len(geometries[edge].x1)
-            nodes[edge][side], number = number[:n], number[n:]
-        places.append(points[first])
-        owners.append(np.full(len(first), view, np.int64))
-        start += len(first)
-    return nodes, np.concatenate(places), np.concatenate(owners)
+            nodes[edge][side], node = node[:n], node[n:]
+        positions.append(points[first_row])
+        node_views.append(np.full(len(first_row), view, np.int64))
+        start += len(first_row)
+    return nodes, np.concatenate(positions), np.concatenate(node_views)
 
 
 def joined_places(points: Float64s, reach: float) -> tuple[Int64s, Int64s]:
     """Merge points (n, d) within reach of an earlier one, since without keypoints none is found twice at exactly the same place.
     Returns the rows (k,) of the points that stay, and which of these (n,) each point belongs to."""
     owner = np.full(len(points), -1)
-    near = cKDTree(points).query_ball_point(points, reach, return_sorted=True)
-    kept: list[int] = []
-    for k, others in enumerate(near):
+    neighbours = cKDTree(points).query_ball_point(points, reach, return_sorted=True)
+    kept_rows: list[int] = []
+    for k, nearby in enumerate(neighbours):
         if owner[k] < 0:
-            free = np.array([other for other in others if owner[other] < 0])
-            owner[free] = len(kept)
-            kept.append(k)
-    return np.array(kept, dtype=np.int64), owner
+            free_rows = np.array([row for row in nearby if owner[row] < 0])
+            owner[free_rows] = len(kept_rows)
+            kept_rows.append(k)
+    return np.array(kept_rows, dtype=np.int64), owner
 
 
 def same_places(x: Float64s, y: Float64s) -> tuple[Int64s, Int64s]:
     """Rows of points x (n, 2) and y (m, 2) of one view that show the same: mutual nearest neighbours within `SAME_PX`."""
     if min(len(x), len(y)) == 0:
         return np.zeros(0, np.int64), np.zeros(0, np.int64)
-    away, of_y = cKDTree(y).query(x)
-    _, of_x = cKDTree(x).query(y)
-    rows = np.flatnonzero((away <= SAME_PX) & (of_x[of_y] == np.arange(len(x))))
-    return rows, of_y[rows]
+    distance, nearest_y = cKDTree(y).query(x)
+    _, nearest_x = cKDTree(x).query(y)
+    rows = np.flatnonzero((distance <= SAME_PX) & (nearest_x[nearest_y] == np.arange(len(x))))
+    return rows, nearest_y[rows]
 
 
 @kernel
@@ -166,8 +166,8 @@ def _join(ends: Int64s, view: Int64s, count: int) -> Int64s:
             following[last[a]] = b
             last[a] = last[b]
     for i in range(count):
-        r = i
-        while parent[r] != r:
-            r = parent[r]
-        parent[i] = r
+        root = i
+        while parent[root] != root:
+            root = parent[root]
+        parent[i] = root
     return parent

@@ -40,9 +40,9 @@ def residuals(cameras: Mapping[int, Camera], tracks: Tracks, X: Float64s) -> Flo
     KR, C = _stacked(cameras, tracks)
     p = np.einsum("nij,nj->ni", KR[tracks.view], X[tracks.track] - C[tracks.view])
     with np.errstate(divide="ignore", invalid="ignore"):
-        found = np.where(p[:, 2:] > 0, tracks.xy - p[:, :2] / p[:, 2:], np.nan)
-    found[~posed(cameras, tracks)] = np.inf
-    return np.asarray(found, dtype=np.float64)
+        difference = np.where(p[:, 2:] > 0, tracks.xy - p[:, :2] / p[:, 2:], np.nan)
+    difference[~posed(cameras, tracks)] = np.inf
+    return np.asarray(difference, dtype=np.float64)
 
 
 def angles(cameras: Mapping[int, Camera], tracks: Tracks, X: Float64s, use: Bools) -> Float64s:
@@ -71,21 +71,21 @@ def posed(cameras: Mapping[int, Camera], tracks: Tracks) -> Bools:
 
 def rays(cameras: Mapping[int, Camera], tracks: Tracks) -> Float64s:
     """(n, 3) unit ray directions of the observations in the world; zeros if the view has no camera."""
-    back = np.zeros((_views(cameras, tracks), 3, 3))
+    ray_matrices = np.zeros((_view_count(cameras, tracks), 3, 3))
     for view, camera in cameras.items():
-        back[view] = camera.R.T @ np.linalg.inv(camera.K)
-    M = back[tracks.view]
-    d = np.einsum("nij,nj->ni", M[:, :, :2], tracks.xy) + M[:, :, 2]
+        ray_matrices[view] = camera.R.T @ np.linalg.inv(camera.K)
+    matrices = ray_matrices[tracks.view]
+    d = np.einsum("nij,nj->ni", matrices[:, :, :2], tracks.xy) + matrices[:, :, 2]
     return np.asarray(d / np.maximum(np.linalg.norm(d, axis=1, keepdims=True), 1e-300), dtype=np.float64)
 
 
-def _views(cameras: Mapping[int, Camera], tracks: Tracks) -> int:
+def _view_count(cameras: Mapping[int, Camera], tracks: Tracks) -> int:
     return 1 + max(int(tracks.view.max(initial=-1)), max(cameras, default=-1))
 
 
 def _stacked(cameras: Mapping[int, Camera], tracks: Tracks) -> tuple[Float64s, Float64s]:
     """K R (views, 3, 3) and C (views, 3) by view number, zeros if there is no camera."""
-    KR, C = np.zeros((_views(cameras, tracks), 3, 3)), np.zeros((_views(cameras, tracks), 3))
+    KR, C = np.zeros((_view_count(cameras, tracks), 3, 3)), np.zeros((_view_count(cameras, tracks), 3))
     for view, camera in cameras.items():
         KR[view], C[view] = camera.K @ camera.R, camera.C
     return KR, C
@@ -99,11 +99,11 @@ def _points(
     X = np.full((len(first) - 1, 3), np.nan)
     H, g, J, step = np.zeros((3, 3)), np.zeros(3), np.zeros((2, 3)), np.zeros(3)
     for t in range(len(first) - 1):
-        H[:], g[:], seen = 0, 0, 0
+        H[:], g[:], count = 0, 0, 0
         for k in range(first[t], first[t + 1]):
             if not use[k]:
                 continue
-            seen += 1
+            count += 1
             c = C[view[k]]
             along = d[k, 0] * c[0] + d[k, 1] * c[1] + d[k, 2] * c[2]
             for i in range(3):
@@ -112,7 +112,7 @@ def _points(
                 for j in range(3):
                     H[i, j] -= d[k, i] * d[k, j]
         # two of the three eigenvalues are about the number of rays, so the determinant measures the smallest one
-        if seen < 2 or _solve(H, g, step) < PARALLEL * seen**2:
+        if count < 2 or _solve(H, g, step) < PARALLEL * count**2:
             continue
         X[t] = step
         for _ in range(POLISH):

@@ -58,42 +58,42 @@ class ViewGraph:
 
     def consistent(self, tolerance_deg: float, usual: LoopStatistics = USUAL) -> tuple[list[Edge], dict[Edge, Rejected]]:
         """The pairs that the site as a whole supports and whose rotations agree, and why the others are left out."""
-        unsure = {(self.names[i], self.names[j]): degrees for (i, j), degrees in unsure_deg(self.geometries, self.lenses).items()}
-        named = {(self.names[i], self.names[j]): geometry for (i, j), geometry in self.geometries.items()}
-        judged = check_loops(named, unsure, usual)
-        checks = {edge: judged[self.names[edge[0]], self.names[edge[1]]] for edge in self.geometries}
+        uncertain = {(self.names[i], self.names[j]): deg for (i, j), deg in unsure_deg(self.geometries, self.lenses).items()}
+        named_pairs = {(self.names[i], self.names[j]): geometry for (i, j), geometry in self.geometries.items()}
+        loop_checks = check_loops(named_pairs, uncertain, usual)
+        checks = {edge: loop_checks[self.names[edge[0]], self.names[edge[1]]] for edge in self.geometries}
         dropped = {edge: check.rejected for edge, check in checks.items() if check.rejected is not None}
-        believed = {edge: R for edge, R in self.rotations.items() if edge not in dropped}
-        weights = {edge: checks[edge].good_probability for edge in believed} | dict.fromkeys(self.tied, _CERTAIN)
-        averaged = average_rotations(believed | self.tied if believed else {}, weights)
+        accepted = {edge: R for edge, R in self.rotations.items() if edge not in dropped}
+        weights = {edge: checks[edge].good_probability for edge in accepted} | dict.fromkeys(self.tied, _CERTAIN)
+        averaged = average_rotations(accepted | self.tied if accepted else {}, weights)
         trusted = []
-        for edge, R in believed.items():
-            off_deg = angle_between_deg(R, averaged[edge[1]] @ averaged[edge[0]].T)
-            if off_deg <= tolerance_deg:
+        for edge, R in accepted.items():
+            error_deg = angle_between_deg(R, averaged[edge[1]] @ averaged[edge[0]].T)
+            if error_deg <= tolerance_deg:
                 trusted.append(edge)
             else:
-                dropped[edge] = Rejected(Reason.CONTRADICTS_ROTATIONS, {"off_deg": off_deg})
+                dropped[edge] = Rejected(Reason.CONTRADICTS_ROTATIONS, {"off_deg": error_deg})
         return trusted, dropped
 
     def models(self, trusted: list[Edge], known: Mapping[int, Camera]) -> list[Model]:
         """A model of every connected part, largest first; known cameras stay fixed."""
-        found = []
+        grown = []
         tied = list(self.tied)
         waiting = [part for part in components([*trusted, *tied], _views([*trusted, *tied])) if {*part} & {*_views(trusted)}]
         while waiting:
             part = waiting.pop(0)
             edges = {edge: self.geometries[edge] for edge in trusted if edge[0] in part and edge[1] in part}
             tracks = build_tracks(edges, len(self.names))
-            bare = {view: self.lenses.camera(view) for view in part}
-            there = {view: known[view] for view in part if view in known}
-            model = grow(bare, tracks, edges, lenses=self.lenses.solved, known=there)
+            unposed = {view: self.lenses.camera(view) for view in part}
+            known_here = {view: known[view] for view in part if view in known}
+            model = grow(unposed, tracks, edges, lenses=self.lenses.solved, known=known_here)
             if model is None:
                 continue
-            found.append(model)
-            left = [view for view in part if view not in model.cameras]
-            theirs = [e for e in (*edges, *tied) if e[0] in left and e[1] in left]
-            waiting += [p for p in components(theirs, left) if len(p) > 1]
-        return sorted(found, key=lambda model: (-len(model.cameras), min(model.cameras)))
+            grown.append(model)
+            unplaced = [view for view in part if view not in model.cameras]
+            unplaced_edges = [e for e in (*edges, *tied) if e[0] in unplaced and e[1] in unplaced]
+            waiting += [p for p in components(unplaced_edges, unplaced) if len(p) > 1]
+        return sorted(grown, key=lambda model: (-len(model.cameras), min(model.cameras)))
 
     def why_nothing(self, trusted: list[Edge], dropped: Mapping[Edge, Rejected]) -> Rejected:
         """Why not even two views can be placed: the reason that most pairs share."""
@@ -102,15 +102,15 @@ class ViewGraph:
             return Rejected(Reason.NO_GEOMETRY, figures)
         if trusted:
             return Rejected(Reason.TOO_FEW_POINTS, figures)
-        codes = [why.why for why in dropped.values()]
-        figures["unconfirmed"] = float(codes.count(Reason.UNCONFIRMED))
-        figures["ambiguous"] = float(sum(code in _AMBIGUOUS for code in codes))
-        if figures["ambiguous"] > 0.5 * len(codes):
+        reasons = [rejection.why for rejection in dropped.values()]
+        figures["unconfirmed"] = float(reasons.count(Reason.UNCONFIRMED))
+        figures["ambiguous"] = float(sum(reason in _AMBIGUOUS for reason in reasons))
+        if figures["ambiguous"] > 0.5 * len(reasons):
             return Rejected(Reason.NOTHING_DISTINCT, figures)
-        if figures["unconfirmed"] > 0.5 * len(codes):
+        if figures["unconfirmed"] > 0.5 * len(reasons):
             return Rejected(Reason.NOTHING_CONFIRMED, figures)
-        nobody = codes.count(Reason.NOT_BELIEVED) > 0.5 * len(codes)
-        return Rejected(Reason.NOTHING_BELIEVED if nobody else Reason.PAIRS_CONTRADICT, figures)
+        mostly_improbable = reasons.count(Reason.NOT_BELIEVED) > 0.5 * len(reasons)
+        return Rejected(Reason.NOTHING_BELIEVED if mostly_improbable else Reason.PAIRS_CONTRADICT, figures)
 
 
 def _views(edges: list[Edge]) -> list[int]:
@@ -156,21 +156,21 @@ def guess_lenses(views: tuple[View, ...], geometries: Mapping[Edge, Geometry]) -
     groups: dict[tuple[int, int, float], list[int]] = {}
     for k, view in enumerate(views):
         if k not in K and any(k in edge for edge in geometries):
-            start = 0.0 if view.K is None else round(float(np.log(view.K[0, 0])), 2)
-            groups.setdefault((view.width, view.height, start), []).append(k)
-    shared = {k: members[0] for members in groups.values() for k in members}
-    focal = _vote(views, geometries, K, shared)
-    alone = _vote(views, geometries, K, {k: k for k in shared}, focal)
+            guess = 0.0 if view.K is None else round(float(np.log(view.K[0, 0])), 2)
+            groups.setdefault((view.width, view.height, guess), []).append(k)
+    shared_lens = {k: members[0] for members in groups.values() for k in members}
+    focal = _vote_focals(views, geometries, K, shared_lens)
+    own_focal = _vote_focals(views, geometries, K, {k: k for k in shared_lens}, focal)
     lenses: dict[int, int] = {}
     for members in groups.values():
-        off = np.abs(np.log([alone[k] / focal[k] for k in members]))
-        lenses |= dict.fromkeys(members, members[0]) if np.median(off) < ONE_LENS else {k: k for k in members}
+        log_ratios = np.abs(np.log([own_focal[k] / focal[k] for k in members]))
+        lenses |= dict.fromkeys(members, members[0]) if np.median(log_ratios) < ONE_LENS else {k: k for k in members}
     for k, lens in lenses.items():
-        K[k] = _centred(views[k], focal[k] if lenses[lens] == shared[k] else alone[k])
+        K[k] = _centred_K(views[k], focal[k] if lenses[lens] == shared_lens[k] else own_focal[k])
     return Lenses(views, dict(sorted(K.items())), lenses)
 
 
-def _vote(
+def _vote_focals(
     views: tuple[View, ...],
     geometries: Mapping[Edge, Geometry],
     known: Mapping[int, Float64s],
@@ -181,10 +181,10 @@ def _vote(
 
     The cost of a pair is the relative difference of its essential matrix's two singular values.  Iterated until none changes.
     """
-    first = {k: FIRST * view.width if view.K is None else float(view.K[0, 0]) for k, view in enumerate(views)}
-    focal = {k: (start or {}).get(k) or first[k] for k in lenses}
+    initial = {k: FIRST * view.width if view.K is None else float(view.K[0, 0]) for k, view in enumerate(views)}
+    focal = {k: (start or {}).get(k) or initial[k] for k in lenses}
     for _ in range(SWEEPS):
-        before = dict(focal)
+        previous = dict(focal)
         for lens in sorted(set(lenses.values())):
             members = [k for k in lenses if lenses[k] == lens]
             guess = views[lens].K
@@ -195,11 +195,11 @@ def _vote(
                     continue
                 K1 = _candidates(views[i], grid if i in members else None, known.get(i), focal.get(i))
                 K2 = _candidates(views[j], grid if j in members else None, known.get(j), focal.get(j))
-                singular = np.linalg.svd(np.swapaxes(K2, 1, 2) @ geometry.F @ K1, compute_uv=False)
-                unequal = 1 - singular[:, 1] / singular[:, 0]
-                cost = cost + np.sqrt(geometry.inliers) * np.minimum(unequal, MOST_UNEQUAL)
+                singular_values = np.linalg.svd(np.swapaxes(K2, 1, 2) @ geometry.F @ K1, compute_uv=False)
+                inequality = 1 - singular_values[:, 1] / singular_values[:, 0]
+                cost = cost + np.sqrt(geometry.inliers) * np.minimum(inequality, MOST_UNEQUAL)
             focal |= dict.fromkeys(members, float(grid[np.argmin(cost)]))
-        if focal == before:
+        if focal == previous:
             break
     return focal
 
@@ -207,14 +207,14 @@ def _vote(
 def _candidates(view: View, grid: Float64s | None, known: Float64s | None, focal: float | None) -> Float64s:
     """(n, 3, 3) intrinsics for each focal length of the grid, or (1, 3, 3) the known or current ones."""
     if grid is not None:
-        return np.array([_centred(view, f) for f in grid])
+        return np.array([_centred_K(view, f) for f in grid])
     if known is not None:
         return known[None]
     assert focal is not None
-    return _centred(view, focal)[None]
+    return _centred_K(view, focal)[None]
 
 
-def _centred(view: View, focal: float) -> Float64s:
+def _centred_K(view: View, focal: float) -> Float64s:
     K = view.K
     cx, cy = (0.5 * (view.width - 1), 0.5 * (view.height - 1)) if K is None else (K[0, 2], K[1, 2])
     return np.array([[focal, 0.0, cx], [0.0, focal, cy], [0.0, 0.0, 1.0]])
@@ -222,7 +222,7 @@ def _centred(view: View, focal: float) -> Float64s:
 
 def relative_rotations(geometries: Mapping[Edge, Geometry], lenses: Lenses) -> dict[Edge, Geometry]:
     """The geometries of pairs whose lenses are known or guessed, with relative poses for these lenses."""
-    found = {}
+    posed = {}
     for (i, j), geometry in geometries.items():
         if i not in lenses.K or j not in lenses.K:
             continue
@@ -232,18 +232,18 @@ def relative_rotations(geometries: Mapping[Edge, Geometry], lenses: Lenses) -> d
             if pose is None:
                 continue
             geometry = replace(geometry, cam2_R_cam1=pose[0], cam2_t_cam1=pose[1])
-        found[i, j] = geometry
-    return found
+        posed[i, j] = geometry
+    return posed
 
 
 def unsure_deg(geometries: Mapping[Edge, Geometry], lenses: Lenses) -> dict[Edge, float]:
     """By how much (degrees) the rotation of each pair changes if the guessed focal lengths grow by `GUESS_SIGMA`."""
-    longer = np.diag([1 + GUESS_SIGMA, 1 + GUESS_SIGMA, 1.0])
-    longer_lenses = replace(lenses, K={k: K @ longer if k in lenses.solved else K for k, K in lenses.K.items()})
+    scale = np.diag([1 + GUESS_SIGMA, 1 + GUESS_SIGMA, 1.0])
+    scaled_lenses = replace(lenses, K={k: K @ scale if k in lenses.solved else K for k, K in lenses.K.items()})
     guessed = {edge: g for edge, g in geometries.items() if (edge[0] in lenses.solved or edge[1] in lenses.solved)}
-    found = {}
-    for edge, other in relative_rotations(guessed, longer_lenses).items():
+    changes = {}
+    for edge, changed in relative_rotations(guessed, scaled_lenses).items():
         R = geometries[edge].cam2_R_cam1
-        if R is not None and other.cam2_R_cam1 is not None:
-            found[edge] = angle_between_deg(other.cam2_R_cam1, R)
-    return found
+        if R is not None and changed.cam2_R_cam1 is not None:
+            changes[edge] = angle_between_deg(changed.cam2_R_cam1, R)
+    return changes

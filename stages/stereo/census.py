@@ -12,10 +12,10 @@ from ..core.jit import kernel
 from ..types import Bools, Float32s, Uint8s, Uint16s, Uint64s
 from .matcher import DenseMatches, RectifiedPair
 
-_SMALL_STEP = 12
-_LARGE_STEP, _LARGE_STEP_AT_LEAST = 100.0, 20.0
+_STEP_PENALTY = 12
+_JUMP_PENALTY, _LEAST_JUMP_PENALTY = 100.0, 20.0
 """Penalties for a change of disparity by 1 and by more; the latter falls with the image gradient, down to its minimum."""
-_GRADIENT = 0.1
+_GRADIENT_WEIGHT = 0.1
 _UNKNOWN_COST = 35
 """Cost of a partner that may not be matched: slightly above the cost of unrelated texture."""
 
@@ -27,12 +27,12 @@ def match_census_sgm(pair: RectifiedPair) -> DenseMatches:
 
 def semi_global(pair: RectifiedPair, volume: Uint8s) -> DenseMatches:
     """Disparity of both views from any cost volume (h, w, disparities), uint8, on the scale of `census_costs`."""
-    large = _large_steps(pair.left)
+    penalties = _jump_penalties(pair.left)
     summed = np.zeros(volume.shape, dtype=np.uint16)
     for backward in (False, True):
-        _aggregate(volume, large, np.uint16(_SMALL_STEP), backward, summed)
-    left, right, distinct1, distinct2 = _best(summed, pair.disparity_min)
-    return DenseMatches(left, right, distinct1, distinct2)
+        _aggregate(volume, penalties, np.uint16(_STEP_PENALTY), backward, summed)
+    left, right, confidence1, confidence2 = _best_disparities(summed, pair.disparity_min)
+    return DenseMatches(left, right, confidence1, confidence2)
 
 
 def census_costs(pair: RectifiedPair) -> Uint8s:
@@ -43,16 +43,16 @@ def census_costs(pair: RectifiedPair) -> Uint8s:
     return _costs(census1, census2, pair.valid_right, pair.disparity_min, count, np.uint8(_UNKNOWN_COST))
 
 
-def _large_steps(image: Float32s) -> Uint16s:
+def _jump_penalties(image: Float32s) -> Uint16s:
     """(4, h, w) uint16: penalty of a jump between a pixel and its neighbour to the left, upper left, above, upper right."""
     height, width = image.shape
     border = np.pad(image, 1, mode="edge")
-    steps = np.empty((4, height, width), dtype=np.uint16)
+    penalties = np.empty((4, height, width), dtype=np.uint16)
     for k, (dy, dx) in enumerate(((0, -1), (-1, -1), (-1, 0), (-1, 1))):
         neighbour = border[1 + dy : 1 + dy + height, 1 + dx : 1 + dx + width]
-        penalty = _LARGE_STEP / (1 + _GRADIENT * np.abs(image - neighbour))
-        steps[k] = np.maximum(penalty, _LARGE_STEP_AT_LEAST)
-    return steps
+        penalty = _JUMP_PENALTY / (1 + _GRADIENT_WEIGHT * np.abs(image - neighbour))
+        penalties[k] = np.maximum(penalty, _LEAST_JUMP_PENALTY)
+    return penalties
 
 
 @kernel
@@ -73,12 +73,12 @@ def _census(image: Float32s) -> Uint64s:
 
 
 @kernel
-def _costs(census1: Uint64s, census2: Uint64s, valid2: Bools, low: int, count: int, unknown: np.uint8) -> Uint8s:
-    """(h, w, count) uint8: Hamming distance of the censuses, `unknown` where the partner is invalid or outside the image."""
+def _costs(census1: Uint64s, census2: Uint64s, valid2: Bools, low: int, count: int, unknown_cost: np.uint8) -> Uint8s:
+    """(h, w, count) uint8: Hamming distance of the censuses, `unknown_cost` where the partner is invalid or outside the image."""
     height, width = census1.shape
     m1, m2, m4 = np.uint64(0x5555555555555555), np.uint64(0x3333333333333333), np.uint64(0x0F0F0F0F0F0F0F0F)
     ones = np.uint64(0x0101010101010101)
-    volume = np.full((height, width, count), unknown, dtype=np.uint8)
+    volume = np.full((height, width, count), unknown_cost, dtype=np.uint8)
     partners, usable = np.empty(width, dtype=np.uint64), np.empty(width, dtype=np.bool_)
     for y in range(height):
         for x in range(width):  # reversed: in the order of increasing disparity
@@ -89,85 +89,85 @@ def _costs(census1: Uint64s, census2: Uint64s, valid2: Bools, low: int, count: i
                 continue
             own = census1[y, x]
             start = width - 1 - (x - low - first)
-            others, known, costs = partners[start:], usable[start:], volume[y, x, first:last]
+            candidates, matchable, costs = partners[start:], usable[start:], volume[y, x, first:last]
             for k in range(last - first):
-                v = own ^ others[k]
+                v = own ^ candidates[k]
                 v = v - ((v >> np.uint64(1)) & m1)
                 v = (v & m2) + ((v >> np.uint64(2)) & m2)
                 v = (v + (v >> np.uint64(4))) & m4
-                costs[k] = np.uint8((v * ones) >> np.uint64(56)) if known[k] else unknown
+                costs[k] = np.uint8((v * ones) >> np.uint64(56)) if matchable[k] else unknown_cost
     return volume
 
 
 @kernel
-def _path(
-    costs: Uint8s, before: Uint16s, least: np.uint16, large: np.uint16, small: np.uint16, after: Uint16s, total: Uint16s
+def _advance(
+    costs: Uint8s, previous: Uint16s, least: np.uint16, jump: np.uint16, step: np.uint16, current: Uint16s, total: Uint16s
 ) -> np.uint16:
-    """One step along one path; returns the least of `after`.  `before`, `after`: (count + 2,) with sentinels at both ends."""
+    """One step along one path; returns the least of `current`.  `previous`, `current`: (count + 2,), sentinels at both ends."""
     count = costs.shape[0]
-    limit = np.uint16(least + large)
+    limit = np.uint16(least + jump)
     smallest = np.uint16(65535)
     for k in range(count):
-        straight = before[k + 1]
-        beside = np.uint16(min(before[k], before[k + 2]) + small)
-        best = min(min(straight, beside), limit)
-        value = np.uint16(np.uint16(costs[k]) + np.uint16(best - least))
-        after[k + 1] = value
+        unchanged = previous[k + 1]
+        shifted = np.uint16(min(previous[k], previous[k + 2]) + step)
+        cheapest = min(min(unchanged, shifted), limit)
+        value = np.uint16(np.uint16(costs[k]) + np.uint16(cheapest - least))
+        current[k + 1] = value
         total[k] = np.uint16(total[k] + value)
         smallest = min(smallest, value)
     return smallest
 
 
 @kernel
-def _aggregate(volume: Uint8s, large: Uint16s, small: np.uint16, backward: bool, summed: Uint16s) -> None:
+def _aggregate(volume: Uint8s, jump_penalties: Uint16s, step_penalty: np.uint16, backward: bool, summed: Uint16s) -> None:
     """Add four of the eight paths to `summed`: those that come from the left and above, or from the right and below."""
     height, width, count = volume.shape
-    wall = np.uint16(30000)
-    rows = np.full((2, 3, width + 2, count + 2), wall, dtype=np.uint16)
-    rows[:, :, :, 1 : count + 1] = np.uint16(0)
+    sentinel = np.uint16(30000)
+    paths = np.full((2, 3, width + 2, count + 2), sentinel, dtype=np.uint16)
+    paths[:, :, :, 1 : count + 1] = np.uint16(0)
     least = np.zeros((2, 3, width + 2), dtype=np.uint16)
-    line = np.full((2, count + 2), wall, dtype=np.uint16)
+    row_costs = np.full((2, count + 2), sentinel, dtype=np.uint16)
     for i in range(height):
         y = height - 1 - i if backward else i
-        now, past = i & 1, 1 - (i & 1)
-        line[:, 1 : count + 1] = np.uint16(0)
-        least_line = np.uint16(0)
-        turn = 0
+        new, old = i & 1, 1 - (i & 1)
+        row_costs[:, 1 : count + 1] = np.uint16(0)
+        row_least = np.uint16(0)
+        slot = 0
         for j in range(width):
             x = width - 1 - j if backward else j
             costs, total = volume[y, x], summed[y, x]
             # the penalty of a step is stored at the pixel right of or below it
-            jump = large[0, y, min(x + 1, width - 1)] if backward else large[0, y, x]
-            least_line = _path(costs, line[turn], least_line, jump, small, line[1 - turn], total)
-            turn = 1 - turn
-            for r in range(3):
+            penalty = jump_penalties[0, y, min(x + 1, width - 1)] if backward else jump_penalties[0, y, x]
+            row_least = _advance(costs, row_costs[slot], row_least, penalty, step_penalty, row_costs[1 - slot], total)
+            slot = 1 - slot
+            for k in range(3):
                 if backward:
-                    below, beside = min(y + 1, height - 1), min(max(x + r - 1, 0), width - 1)
-                    jump = large[3 - r, below, beside]
+                    row, column = min(y + 1, height - 1), min(max(x + k - 1, 0), width - 1)
+                    penalty = jump_penalties[3 - k, row, column]
                 else:
-                    jump = large[1 + r, y, x]
-                least[now, r, x + 1] = _path(
-                    costs, rows[past, r, x + r], least[past, r, x + r], jump, small, rows[now, r, x + 1], total
+                    penalty = jump_penalties[1 + k, y, x]
+                least[new, k, x + 1] = _advance(
+                    costs, paths[old, k, x + k], least[old, k, x + k], penalty, step_penalty, paths[new, k, x + 1], total
                 )
 
 
 @kernel
-def _best(summed: Uint16s, low: int) -> tuple[Float32s, Float32s, Float32s, Float32s]:
+def _best_disparities(summed: Uint16s, low: int) -> tuple[Float32s, Float32s, Float32s, Float32s]:
     """Disparity of least summed cost for both views, and confidence: relative lead over the next best; 1 in the right view."""
     height, width, count = summed.shape
     left = np.empty((height, width), dtype=np.float32)
     right = np.full((height, width), np.nan, dtype=np.float32)
-    distinct1 = np.zeros((height, width), dtype=np.float32)
-    distinct2 = np.zeros((height, width), dtype=np.float32)
-    none = np.uint16(65535)
+    confidence1 = np.zeros((height, width), dtype=np.float32)
+    confidence2 = np.zeros((height, width), dtype=np.float32)
+    unset = np.uint16(65535)
     least2 = np.empty(width, dtype=np.uint16)  # by pixel of the right view, reversed as in `_costs`
     best2 = np.empty(width, dtype=np.int32)  # and its column in the left view
     for y in range(height):
-        least2[:] = none
+        least2[:] = unset
         best2[:] = -1
         for x in range(width):
             sums = summed[y, x]
-            least = none
+            least = unset
             for k in range(count):
                 least = min(least, sums[k])
             best = 0
@@ -175,30 +175,30 @@ def _best(summed: Uint16s, low: int) -> tuple[Float32s, Float32s, Float32s, Floa
                 best += 1
             offset = 0.0
             if 0 < best < count - 1:
-                before, after = np.float32(sums[best - 1]) - least, np.float32(sums[best + 1]) - least
-                steep = max(before, after)
-                if steep > 0:
-                    offset = float(0.5 * (before - after) / steep)
+                lower, upper = np.float32(sums[best - 1]) - least, np.float32(sums[best + 1]) - least
+                slope = max(lower, upper)
+                if slope > 0:
+                    offset = float(0.5 * (lower - upper) / slope)
             left[y, x] = low + best + offset
-            rival = none
+            rival = unset
             for k in range(best - 1):
                 rival = min(rival, sums[k])
             for k in range(best + 2, count):
                 rival = min(rival, sums[k])
             lead = (np.float32(rival) - np.float32(least)) / (np.float32(least) + np.float32(1.0))
-            distinct1[y, x] = min(np.float32(1.0), lead)
+            confidence1[y, x] = min(np.float32(1.0), lead)
             first, last = max(0, x - low - width + 1), min(count, x - low + 1)
             if first >= last:
                 continue
             start = width - 1 - (x - low - first)
-            seen, least_seen, best_seen = sums[first:last], least2[start:], best2[start:]
+            candidates, partner_least, partner_best = sums[first:last], least2[start:], best2[start:]
             for k in range(last - first):
-                cheaper = seen[k] < least_seen[k]
-                least_seen[k] = seen[k] if cheaper else least_seen[k]
-                best_seen[k] = x if cheaper else best_seen[k]
-        for there in range(width):
-            if best2[there] >= 0:
-                partner = width - 1 - there
-                right[y, partner] = best2[there] - partner
-                distinct2[y, partner] = 1.0
-    return left, right, distinct1, distinct2
+                is_cheaper = candidates[k] < partner_least[k]
+                partner_least[k] = candidates[k] if is_cheaper else partner_least[k]
+                partner_best[k] = x if is_cheaper else partner_best[k]
+        for position in range(width):
+            if best2[position] >= 0:
+                partner = width - 1 - position
+                right[y, partner] = best2[position] - partner
+                confidence2[y, partner] = 1.0
+    return left, right, confidence1, confidence2

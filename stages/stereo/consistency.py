@@ -8,7 +8,7 @@ import numpy as np
 from ..core.jit import kernel
 from ..types import Bools, Float32s
 
-_STEEP = 0.15
+_STEEPNESS_WEIGHT = 0.15
 """The tolerance of `agreeing` is divided by 1 + this times the range of disparities around the pixel."""
 _STEP_X, _STEP_Y = 1.5, 4.0
 """Largest difference, in pixels, between the disparities of connected neighbours within a row and between rows: ground seen at a
@@ -27,15 +27,15 @@ def disagreement(one: Float32s, other: Float32s, sign: int) -> Float32s:
         for x in range(width):
             column = np.rint(np.float32(x) + np.float32(sign) * one[y, x])
             if 0 <= column < width:  # False for nan, too
-                away = abs(other[y, int(column)] - one[y, x])
-                if not np.isnan(away):
-                    difference[y, x] = away
+                distance = abs(other[y, int(column)] - one[y, x])
+                if not np.isnan(distance):
+                    difference[y, x] = distance
     return difference
 
 
 def agreeing(one: Float32s, other: Float32s, sign: int, tolerance_px: float) -> Bools:
     """(h, w) bool: the other view agrees within `tolerance_px`, and more closely where disparity is steep or torn: the
-    tolerance is divided by 1 + `_STEEP` times the range of disparities within 5x5 pixels.
+    tolerance is divided by 1 + `_STEEPNESS_WEIGHT` times the range of disparities within 5x5 pixels.
 
     There, errors exceed the disagreement between the views, because both stretch the same edge over the background.
 
@@ -50,7 +50,7 @@ def agreeing(one: Float32s, other: Float32s, sign: int, tolerance_px: float) -> 
     window = np.ones((5, 5), dtype=np.uint8)
     highest = cv2.dilate(np.where(known, one, np.float32(-1e6)), window)
     lowest = cv2.erode(np.where(known, one, np.float32(1e6)), window)
-    return np.asarray(known & (difference * (1 + _STEEP * (highest - lowest)) <= tolerance_px))
+    return np.asarray(known & (difference * (1 + _STEEPNESS_WEIGHT * (highest - lowest)) <= tolerance_px))
 
 
 def lands_on(valid_other: Bools, disparity: Float32s, sign: int) -> Bools:
@@ -86,13 +86,13 @@ def without_speckles(disparity: Float32s, smallest_px: int) -> Float32s:
 @kernel
 def _drop_speckles(disparity: Float32s, smallest_px: int, step_x: float, step_y: float) -> None:
     height, width = disparity.shape
-    seen = np.isnan(disparity)
+    visited = np.isnan(disparity)
     piece = np.empty(height * width, dtype=np.int32)
     for y0 in range(height):
         for x0 in range(width):
-            if seen[y0, x0]:
+            if visited[y0, x0]:
                 continue
-            seen[y0, x0] = True
+            visited[y0, x0] = True
             piece[0] = y0 * width + x0
             count = 1
             k = 0
@@ -100,13 +100,13 @@ def _drop_speckles(disparity: Float32s, smallest_px: int, step_x: float, step_y:
                 y, x = divmod(piece[k], width)
                 k += 1
                 d = disparity[y, x]
-                for q in range(4):
-                    ny = y + (1 if q == 0 else -1 if q == 1 else 0)
-                    nx = x + (1 if q == 2 else -1 if q == 3 else 0)
-                    if not (0 <= ny < height and 0 <= nx < width) or seen[ny, nx]:
+                for direction in range(4):
+                    ny = y + (1 if direction == 0 else -1 if direction == 1 else 0)
+                    nx = x + (1 if direction == 2 else -1 if direction == 3 else 0)
+                    if not (0 <= ny < height and 0 <= nx < width) or visited[ny, nx]:
                         continue
-                    if abs(disparity[ny, nx] - d) <= (step_y if q < 2 else step_x):
-                        seen[ny, nx] = True
+                    if abs(disparity[ny, nx] - d) <= (step_y if direction < 2 else step_x):
+                        visited[ny, nx] = True
                         piece[count] = ny * width + nx
                         count += 1
             if count < smallest_px:
@@ -121,8 +121,8 @@ def fill_along_rows(disparity: Float32s, nearer: int) -> Float32s:
     nearer: 1 where larger disparities are nearer, -1 where smaller ones are.  Rows without any value stay nan.
     """
     width, known = disparity.shape[1], ~np.isnan(disparity)
-    before = np.maximum.accumulate(np.where(known, np.arange(width), -1), axis=1)
-    after = np.minimum.accumulate(np.where(known, np.arange(width), width)[:, ::-1], axis=1)[:, ::-1]
+    previous_known = np.maximum.accumulate(np.where(known, np.arange(width), -1), axis=1)
+    next_known = np.minimum.accumulate(np.where(known, np.arange(width), width)[:, ::-1], axis=1)[:, ::-1]
     bordered = np.pad(disparity, ((0, 0), (1, 1)), constant_values=np.nan)
-    ends = (np.take_along_axis(bordered, column + 1, axis=1) for column in (before, after))
+    ends = (np.take_along_axis(bordered, column + 1, axis=1) for column in (previous_known, next_known))
     return np.asarray((np.fmin if nearer > 0 else np.fmax)(*ends), dtype=np.float32)

@@ -65,8 +65,8 @@ def mirrored(pair: RectifiedPair) -> RectifiedPair:
         image = getattr(pair, name)
         return None if image is None else np.ascontiguousarray(image[:, ::-1])
 
-    sides = [(f"{what}left", f"{what}right") for what in ("", "valid_", "prior_", "floor_", "reference_")]
-    return replace(pair, **{one: flipped(other) for left, right in sides for one, other in ((left, right), (right, left))})
+    sides = [(f"{prefix}left", f"{prefix}right") for prefix in ("", "valid_", "prior_", "floor_", "reference_")]
+    return replace(pair, **{name: flipped(other) for left, right in sides for name, other in ((left, right), (right, left))})
 
 
 def halved(pair: RectifiedPair) -> RectifiedPair:
@@ -93,6 +93,6 @@ def _half_disparity(disparity: Float32s | None) -> Float32s | None:
 
 
 def _half(image: Float32s) -> Float32s:
-    whole = np.pad(image, ((0, image.shape[0] % 2), (0, image.shape[1] % 2)), mode="edge")
-    small = cv2.resize(whole, (whole.shape[1] // 2, whole.shape[0] // 2), interpolation=cv2.INTER_AREA)
+    padded = np.pad(image, ((0, image.shape[0] % 2), (0, image.shape[1] % 2)), mode="edge")
+    small = cv2.resize(padded, (padded.shape[1] // 2, padded.shape[0] // 2), interpolation=cv2.INTER_AREA)
     return np.asarray(small, dtype=np.float32)

@@ -24,15 +24,15 @@ from .sgbm import match_sgbm
 _ROUNDS = 2
 _MOST_COST = 0.6
 """Planes with a higher cost are no matches."""
-_DOUBTFUL = 2.5
+_MOST_DOUBT = 2.5
 """Confidence is 0 where `doubt` in a pixel's plane exceeds this."""
 _DIRECT_PX = 1.0e6
 """Pairs with more pixels than this start from PatchMatch at half the size, smaller ones from SGM at half the size."""
-_LIKELY = 0.1
+_PRIOR_ADVANTAGE = 0.1
 """The prior surface replaces a found plane if its cost is higher by at most this much."""
-_BEYOND = 0.5
+_RANGE_MARGIN = 0.5
 """Planes may leave the disparity range by this share of its width, since they spread to where the start did not search."""
-_AGAIN = Trials(np.array([(0, 1), (1, 0), (8, 0)]), changes=3, shift_px=0.8, turn=0.2)
+_REFERENCE_TRIALS = Trials(np.array([(0, 1), (1, 0), (8, 0)]), changes=3, shift_px=0.8, turn=0.2)
 """Trials where another night provides the start: its planes are nearly right, and already smoothed."""
 _BLOCK = 128
 _XX, _YY, _XY, _XD, _YD = (i * _BLOCK for i in range(5))
@@ -61,8 +61,8 @@ class _View:
         self.cost = np.ones(pair.left.shape, dtype=np.float32)
 
     def propagation(self) -> Propagation:
-        beyond = _BEYOND * (self.pair.disparity_max - self.pair.disparity_min)
-        low, high = self.pair.disparity_min - beyond, self.pair.disparity_max + beyond
+        margin = _RANGE_MARGIN * (self.pair.disparity_max - self.pair.disparity_min)
+        low, high = self.pair.disparity_min - margin, self.pair.disparity_max + margin
         return Propagation(self.pair.left, self.pair.right, self.pair.valid_left, low, high)
 
     def prefer_prior(self, propagation: Propagation) -> None:
@@ -75,11 +75,11 @@ class _View:
         planes = np.stack([prior, along_x, along_y]).astype(np.float32)
         cost = propagation.costs(planes)
         known = np.isfinite(planes).all(axis=0)
-        likely = known & (cost < _MOST_COST) & (cost <= self.cost + _LIKELY)
+        preferred = known & (cost < _MOST_COST) & (cost <= self.cost + _PRIOR_ADVANTAGE)
         if (floor := self.pair.floor_left) is not None:
-            likely |= known & ((floor - self.planes[0]) * (prior - floor) > 0)
-        self.planes[:, likely] = planes[:, likely]
-        self.cost[likely] = cost[likely]
+            preferred |= known & ((floor - self.planes[0]) * (prior - floor) > 0)
+        self.planes[:, preferred] = planes[:, preferred]
+        self.cost[preferred] = cost[preferred]
 
     def smoothed(self, rounds: int) -> Float32s:
         """Smoothed planes (3, h, w), nan where the cost is too high."""
@@ -92,64 +92,64 @@ class _View:
 
     def confidence(self, other: Float32s) -> Float32s:
         """(h, w) confidence of smoothed planes, given the `other` view's disparity in the orientation of this view's pair."""
-        sure = doubt(self.planes, disagreement(self.planes[0], other, -1)) <= _DOUBTFUL
-        return np.where(sure, 1 - self.cost, 0).astype(np.float32)
+        reliable = doubt(self.planes, disagreement(self.planes[0], other, -1)) <= _MOST_DOUBT
+        return np.where(reliable, 1 - self.cost, 0).astype(np.float32)
 
 
 def _matched_views(pair: RectifiedPair) -> tuple[_View, _View]:
     """Matched views: of the left image, and of the right image, which is the left one of the mirrored pair."""
     if pair.reference_left is not None and pair.reference_right is not None:
-        return _matched_again(pair)
-    large, small = pair.left.size > _DIRECT_PX, halved(pair)
-    views = _matched_views(small) if large else _propagated(small, _as_planes(small, match_census_sgm(small)), 1)
-    return _propagated(pair, [_doubled(view.settled(), pair.left.shape) for view in views], 1 if large else _ROUNDS)
+        return _matched_from_reference(pair)
+    is_large, small = pair.left.size > _DIRECT_PX, halved(pair)
+    views = _matched_views(small) if is_large else _propagated(small, _as_planes(small, match_census_sgm(small)), 1)
+    return _propagated(pair, [_doubled(view.settled(), pair.left.shape) for view in views], 1 if is_large else _ROUNDS)
 
 
-def _matched_again(pair: RectifiedPair) -> tuple[_View, _View]:
+def _matched_from_reference(pair: RectifiedPair) -> tuple[_View, _View]:
     """Matched views, started from another night's disparity: SGM over the whole range at half the size finds what is new, and one
     round of PatchMatch chooses between the two."""
     views = _View(pair, _planes_of_reference(pair)), _View(mirrored(pair), _planes_of_reference(mirrored(pair)))
     small = halved(pair)
     for view, coarse in zip(views, _as_planes(small, match_sgbm(small)), strict=True):
-        propagation, searched = view.propagation(), _doubled(coarse, pair.left.shape)
-        view.planes = np.where(np.isnan(view.planes), searched, view.planes)
+        propagation, new_planes = view.propagation(), _doubled(coarse, pair.left.shape)
+        view.planes = np.where(np.isnan(view.planes), new_planes, view.planes)
         view.cost = propagation.costs(view.planes)
-        propagation.round(0, view.planes, view.cost, searched, _AGAIN)
+        propagation.round(0, view.planes, view.cost, new_planes, _REFERENCE_TRIALS)
         view.prefer_prior(propagation)
     return views
 
 
 def _planes_of_reference(pair: RectifiedPair) -> Float32s:
     """(3, h, w) planes of the left view by the other night's disparity, nan where it had none."""
-    then = pair.reference_left
-    assert then is not None
-    return np.stack([then, *_slopes(then)])
+    reference = pair.reference_left
+    assert reference is not None
+    return np.stack([reference, *_slopes(reference)])
 
 
 def _propagated(pair: RectifiedPair, start: Sequence[Float32s], rounds: int) -> tuple[_View, _View]:
     views = _View(pair, start[0]), _View(mirrored(pair), start[1])
     propagations = [view.propagation() for view in views]
     for number in range(rounds):
-        proposals = [_seen_from_other(v.planes, v.cost) for v in views[::-1]] if number else [view.planes for view in views]
-        for view, propagation, proposed in zip(views, propagations, proposals, strict=True):
-            propagation.round(number, view.planes, view.cost, proposed)
+        proposals = [_in_other_view(v.planes, v.cost) for v in views[::-1]] if number else [view.planes for view in views]
+        for view, propagation, proposal in zip(views, propagations, proposals, strict=True):
+            propagation.round(number, view.planes, view.cost, proposal)
             view.prefer_prior(propagation)
     return views
 
 
-def _as_planes(pair: RectifiedPair, found: DenseMatches) -> tuple[Float32s, Float32s]:
+def _as_planes(pair: RectifiedPair, matches: DenseMatches) -> tuple[Float32s, Float32s]:
     """Planes (3, h, w) of both views from a matcher's disparity, with holes filled; the right view's are mirrored."""
-    planes1 = _planes_of(found.left, found.right, pair.valid_left, -1)
-    planes2 = _planes_of(found.right, found.left, pair.valid_right, 1)
+    planes1 = _planes_of(matches.left, matches.right, pair.valid_left, -1)
+    planes2 = _planes_of(matches.right, matches.left, pair.valid_right, 1)
     return planes1, planes2[:, :, ::-1] * np.array([[[1]], [[-1]], [[1]]], dtype=np.float32)
 
 
-def _planes_of(one: Float32s, other: Float32s, valid: Bools, sign: int) -> Float32s:
-    agreed = cross_checked(one, other, valid, sign, 60)
+def _planes_of(disparity: Float32s, other_disparity: Float32s, valid: Bools, sign: int) -> Float32s:
+    agreed = cross_checked(disparity, other_disparity, valid, sign, 60)
     filled = fill_along_rows(agreed, -sign)
     median = np.nanmedian(agreed) if np.isfinite(agreed).any() else 0.0
-    whole = cv2.medianBlur(np.where(np.isnan(filled), median, filled).astype(np.float32), 5)
-    return np.stack([whole, *_slopes(np.asarray(whole, dtype=np.float32))])
+    smooth = cv2.medianBlur(np.where(np.isnan(filled), median, filled).astype(np.float32), 5)
+    return np.stack([smooth, *_slopes(np.asarray(smooth, dtype=np.float32))])
 
 
 @kernel
@@ -162,7 +162,7 @@ def _slopes(disparity: Float32s) -> tuple[Float32s, Float32s]:
     for y in range(height):
         for x in range(width):
             bordered[y + 5, x + 5] = disparity[y, x]
-    s = np.empty(5 * _BLOCK, dtype=np.float64)
+    sums = np.empty(5 * _BLOCK, dtype=np.float64)
     for y in range(height):
         for x0 in range(0, width, _BLOCK):
             n = min(_BLOCK, width - x0)
@@ -172,24 +172,24 @@ def _slopes(disparity: Float32s) -> tuple[Float32s, Float32s]:
             if known == 0:
                 continue
             for x in range(5 * _BLOCK):
-                s[x] = 1.0 if x < _XY else 0.0
+                sums[x] = 1.0 if x < _XY else 0.0
             for dy in range(-5, 6, 2):
                 for dx in range(-5, 6, 2):
-                    there = bordered[y + dy + 5, x0 + dx + 5 :]
-                    furthest = np.float32(1.0 + abs(dx) + 3.0 * abs(dy))
+                    neighbours = bordered[y + dy + 5, x0 + dx + 5 :]
+                    most_rise = np.float32(1.0 + abs(dx) + 3.0 * abs(dy))
                     across, down = np.float64(dx), np.float64(dy)
                     for x in range(_BLOCK):
-                        rise = there[x] - centre[x]
-                        near = abs(rise) <= furthest  # False for nan, as outside the image
-                        one = np.float64(1.0) if near else np.float64(0.0)
-                        up = np.float64(rise) if near else np.float64(0.0)
-                        s[_XX + x] += across * across * one
-                        s[_YY + x] += down * down * one
-                        s[_XY + x] += across * down * one
-                        s[_XD + x] += across * up
-                        s[_YD + x] += down * up
+                        rise = neighbours[x] - centre[x]
+                        is_near = abs(rise) <= most_rise  # False for nan, as outside the image
+                        weight = np.float64(1.0) if is_near else np.float64(0.0)
+                        weighted_rise = np.float64(rise) if is_near else np.float64(0.0)
+                        sums[_XX + x] += across * across * weight
+                        sums[_YY + x] += down * down * weight
+                        sums[_XY + x] += across * down * weight
+                        sums[_XD + x] += across * weighted_rise
+                        sums[_YD + x] += down * weighted_rise
             for x in range(n):
-                xx, yy, xy, xd, yd = s[_XX + x], s[_YY + x], s[_XY + x], s[_XD + x], s[_YD + x]
+                xx, yy, xy, xd, yd = sums[_XX + x], sums[_YY + x], sums[_XY + x], sums[_XD + x], sums[_YD + x]
                 det = xx * yy - xy * xy
                 along_x[y, x0 + x] = (xd * yy - yd * xy) / det
                 along_y[y, x0 + x] = (yd * xx - xd * xy) / det
@@ -205,10 +205,10 @@ def _doubled(coarse: Float32s, shape: tuple[int, int]) -> Float32s:
 
 
 @kernel
-def _seen_from_other(planes: Float32s, cost: Float32s) -> Float32s:
+def _in_other_view(planes: Float32s, cost: Float32s) -> Float32s:
     """(3, h, w) planes of one view in the other, mirrored one; nan where none lands, the cheapest where several do."""
     height, width = cost.shape
-    seen = np.full((3, height, width), np.nan, dtype=np.float32)
+    transferred = np.full((3, height, width), np.nan, dtype=np.float32)
     cheapest = np.full(width, np.inf, dtype=np.float32)
     for y in range(height):
         cheapest[:] = np.inf
@@ -217,12 +217,12 @@ def _seen_from_other(planes: Float32s, cost: Float32s) -> Float32s:
             column = np.int64(np.rint(x - d))
             if not 0 <= column < width:
                 continue
-            there = width - 1 - column
-            if cost[y, x] >= cheapest[there]:
+            mirrored_column = width - 1 - column
+            if cost[y, x] >= cheapest[mirrored_column]:
                 continue
-            cheapest[there] = cost[y, x]
-            steeper = 1 / (1 - a)
-            seen[0, y, there] = d + a * steeper * (column - (x - d))
-            seen[1, y, there] = -a * steeper
-            seen[2, y, there] = b * steeper
-    return seen
+            cheapest[mirrored_column] = cost[y, x]
+            stretch = 1 / (1 - a)
+            transferred[0, y, mirrored_column] = d + a * stretch * (column - (x - d))
+            transferred[1, y, mirrored_column] = -a * stretch
+            transferred[2, y, mirrored_column] = b * stretch
+    return transferred

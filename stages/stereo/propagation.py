@@ -13,22 +13,22 @@ import numpy as np
 from ..core.jit import Scalar, helper, kernel
 from ..types import Bools, Float32s, Int64s, Uint64s
 
-_LIKENESS = 8.0
+_SIMILARITY_SCALE = 8.0
 """Grey-level difference from the centre at which a pixel of the window gets half the weight."""
 _RADIUS, _STRIDE = 3, 2
-_ACROSS = 2 * _RADIUS // _STRIDE + 1
-_TAPS = _ACROSS**2
+_TAPS_ACROSS = 2 * _RADIUS // _STRIDE + 1
+_TAPS = _TAPS_ACROSS**2
 _LEAST_VARIANCE = 0.05
 _FLAT_COST = 0.9
-_STEEPEST, _SHEAREST = -6.0, 6.0
+_MIN_SLOPE_X, _MAX_SLOPE_Y = -6.0, 6.0
 _INVALID_DISPARITY = 1.0e6
 """Disparity of a plane that must not be tried: it leads out of the image, where the cost is 1."""
 
 # Scratch is one flat array, in rows of _BLOCK at constant offsets: so the compiler can prove that the rows do not overlap.
 _BLOCK = 128
 _MIDDLE, _STEP, _MEAN, _SQUARE, _PRODUCT, _VALUES = (i * _BLOCK for i in range(6))
-_PLACES = _VALUES + _ACROSS * _BLOCK
-_SCRATCH = _PLACES + _ACROSS * _BLOCK
+_COLUMNS = _VALUES + _TAPS_ACROSS * _BLOCK
+_SCRATCH = _COLUMNS + _TAPS_ACROSS * _BLOCK
 _D, _A, _B = (i * _BLOCK for i in range(3))
 _WEIGHTS, _PATTERN = 0, _TAPS * _BLOCK
 _SPREAD, _SCALE, _CENTRE = ((2 * _TAPS + i) * _BLOCK for i in range(3))
@@ -60,8 +60,8 @@ class Propagation:
     def __init__(self, left: Float32s, right: Float32s, valid_left: Bools, low: float, high: float) -> None:
         self.left = np.pad(left, _RADIUS, mode="edge")
         self.valid = np.pad(valid_left.astype(np.float32), _RADIUS, mode="edge")
-        beside = np.concatenate([right[:, 1:], right[:, -1:]], axis=1)
-        self.pairs = np.stack([right, beside], axis=2).view(np.uint64)[:, :, 0]
+        next_pixels = np.concatenate([right[:, 1:], right[:, -1:]], axis=1)
+        self.pairs = np.stack([right, next_pixels], axis=2).view(np.uint64)[:, :, 0]
         self.range = Scalar(low), Scalar(high)
 
     def round(self, number: int, planes: Float32s, cost: Float32s, proposals: Float32s, trials: Trials = TRIALS) -> None:
@@ -90,18 +90,18 @@ class Propagation:
 def _windows(left: Float32s, valid: Float32s, y: int, x0: int, n: int, window: Float32s) -> None:
     """Fill `window` for `n` pixels from (x0, y) on: weights, which sum to 1; weights times (grey minus the window's mean), which
     sum to 0; the standard deviation of the window.  `left` and `valid` have a border of _RADIUS."""
-    soft = np.float32(1.0 / _LIKENESS)
+    inverse_scale = np.float32(1.0 / _SIMILARITY_SCALE)
     window[_SPREAD:_WINDOW] = np.float32(0.0)
     mean = _SPREAD  # overwritten by the standard deviation later
-    for q in range(_ACROSS):
-        for k in range(_ACROSS):
-            tap = (q * _ACROSS + k) * _BLOCK
-            grey, use = left[y + q * _STRIDE, x0 + k * _STRIDE :], valid[y + q * _STRIDE, x0 + k * _STRIDE :]
+    for j in range(_TAPS_ACROSS):
+        for k in range(_TAPS_ACROSS):
+            tap = (j * _TAPS_ACROSS + k) * _BLOCK
+            grey, validity = left[y + j * _STRIDE, x0 + k * _STRIDE :], valid[y + j * _STRIDE, x0 + k * _STRIDE :]
             centre = left[y + _RADIUS, x0 + _RADIUS :]
             for x in range(n):
                 v = grey[x]
-                e = (v - centre[x]) * soft
-                w = use[x] / (np.float32(1.0) + e * e)
+                e = (v - centre[x]) * inverse_scale
+                w = validity[x] / (np.float32(1.0) + e * e)
                 window[_WEIGHTS + tap + x] = w
                 window[_PATTERN + tap + x] = v
                 window[_SCALE + x] += w
@@ -124,62 +124,62 @@ def _windows(left: Float32s, valid: Float32s, y: int, x0: int, n: int, window: F
 
 @helper
 def _costs(
-    pairs: Uint64s, y: int, x0: int, trial: Float32s, window: Float32s, s: Float32s, taken: Uint64s, cost: Float32s
+    pairs: Uint64s, y: int, x0: int, trial: Float32s, window: Float32s, scratch: Float32s, loaded: Uint64s, cost: Float32s
 ) -> None:
     """1 - ZNCC between the windows around (x0, y), (x0 + 1, y), ... and the right image under the planes of `trial`."""
     height, width = pairs.shape
     limit = np.float32(width - 2)
-    whole, place, both = s.view(np.int32), s.view(np.uint32), taken.view(np.float32)
+    as_int, as_uint, loaded_values = scratch.view(np.int32), scratch.view(np.uint32), loaded.view(np.float32)
     for x in range(_BLOCK):
-        s[_MIDDLE + x] = np.float32(np.int32(x0) + np.int32(x)) - trial[_D + x]
-        s[_STEP + x] = np.float32(1.0) - trial[_A + x]
-    s[_MEAN:_VALUES] = np.float32(0.0)
-    for q in range(_ACROSS):
-        dy = q * _STRIDE - _RADIUS
+        scratch[_MIDDLE + x] = np.float32(np.int32(x0) + np.int32(x)) - trial[_D + x]
+        scratch[_STEP + x] = np.float32(1.0) - trial[_A + x]
+    scratch[_MEAN:_VALUES] = np.float32(0.0)
+    for j in range(_TAPS_ACROSS):
+        dy = j * _STRIDE - _RADIUS
         row = pairs[min(max(y + dy, 0), height - 1)]
         for x in range(_BLOCK):
-            middle, step = s[_MIDDLE + x] - trial[_B + x] * np.float32(dy), s[_STEP + x]
-            for k in range(_ACROSS):
-                at = middle + np.float32(k * _STRIDE - _RADIUS) * step
-                at = at if at > np.float32(0.0) else np.float32(0.0)  # nan becomes 0, too: nothing outside the row is ever read
-                s[_VALUES + k * _BLOCK + x] = at if at < limit else limit
-        for x in range(_ACROSS * _BLOCK):
-            at = s[_VALUES + x]
-            i = np.int32(at)
-            s[_VALUES + x] = at - np.float32(i)
-            whole[_PLACES + x] = i
-        for x in range(_ACROSS * _BLOCK):
-            taken[x] = row[place[_PLACES + x]]
-        for x in range(_ACROSS * _BLOCK):
-            v = both[2 * x]
-            s[_VALUES + x] = v + s[_VALUES + x] * (both[2 * x + 1] - v)
-        tap = q * _ACROSS * _BLOCK
+            middle, step = scratch[_MIDDLE + x] - trial[_B + x] * np.float32(dy), scratch[_STEP + x]
+            for k in range(_TAPS_ACROSS):
+                position = middle + np.float32(k * _STRIDE - _RADIUS) * step
+                position = position if position > np.float32(0.0) else np.float32(0.0)  # nan becomes 0, too: stay in the row
+                scratch[_VALUES + k * _BLOCK + x] = position if position < limit else limit
+        for x in range(_TAPS_ACROSS * _BLOCK):
+            position = scratch[_VALUES + x]
+            whole_part = np.int32(position)
+            scratch[_VALUES + x] = position - np.float32(whole_part)
+            as_int[_COLUMNS + x] = whole_part
+        for x in range(_TAPS_ACROSS * _BLOCK):
+            loaded[x] = row[as_uint[_COLUMNS + x]]
+        for x in range(_TAPS_ACROSS * _BLOCK):
+            v = loaded_values[2 * x]
+            scratch[_VALUES + x] = v + scratch[_VALUES + x] * (loaded_values[2 * x + 1] - v)
+        tap = j * _TAPS_ACROSS * _BLOCK
         for x in range(_BLOCK):
-            mean, square, product = s[_MEAN + x], s[_SQUARE + x], s[_PRODUCT + x]
-            for k in range(_ACROSS):
-                v = s[_VALUES + k * _BLOCK + x]
+            mean, square, product = scratch[_MEAN + x], scratch[_SQUARE + x], scratch[_PRODUCT + x]
+            for k in range(_TAPS_ACROSS):
+                v = scratch[_VALUES + k * _BLOCK + x]
                 weighted = window[_WEIGHTS + tap + k * _BLOCK + x] * v
                 mean += weighted
                 square += weighted * v
                 product += window[_PATTERN + tap + k * _BLOCK + x] * v
-            s[_MEAN + x], s[_SQUARE + x], s[_PRODUCT + x] = mean, square, product
-    flat = np.float32(_LEAST_VARIANCE)
+            scratch[_MEAN + x], scratch[_SQUARE + x], scratch[_PRODUCT + x] = mean, square, product
+    flat_variance = np.float32(_LEAST_VARIANCE)
     flat_spread = np.float32(_LEAST_VARIANCE**0.5)
     for x in range(_BLOCK):
         spread = window[_SPREAD + x]
-        variance = s[_SQUARE + x] - s[_MEAN + x] * s[_MEAN + x]
-        c = np.float32(1.0) - s[_PRODUCT + x] / (max(spread, flat_spread) * np.sqrt(max(variance, flat)))
-        c = min(max(c, np.float32(0.0)), np.float32(1.0))
-        if variance < flat or spread < flat_spread:
-            c = np.float32(_FLAT_COST)
-        reach = np.float32(_RADIUS) * (abs(s[_STEP + x]) + abs(trial[_B + x]))
-        if s[_MIDDLE + x] - reach < np.float32(0.0) or s[_MIDDLE + x] + reach >= np.float32(width - 1):
-            c = np.float32(1.0)
-        cost[x] = c
+        variance = scratch[_SQUARE + x] - scratch[_MEAN + x] * scratch[_MEAN + x]
+        pixel_cost = np.float32(1.0) - scratch[_PRODUCT + x] / (max(spread, flat_spread) * np.sqrt(max(variance, flat_variance)))
+        pixel_cost = min(max(pixel_cost, np.float32(0.0)), np.float32(1.0))
+        if variance < flat_variance or spread < flat_spread:
+            pixel_cost = np.float32(_FLAT_COST)
+        reach = np.float32(_RADIUS) * (abs(scratch[_STEP + x]) + abs(trial[_B + x]))
+        if scratch[_MIDDLE + x] - reach < np.float32(0.0) or scratch[_MIDDLE + x] + reach >= np.float32(width - 1):
+            pixel_cost = np.float32(1.0)
+        cost[x] = pixel_cost
 
 
 @helper
-def _neighbours(
+def _extrapolate(
     source: Float32s, valid: Float32s, y: int, x0: int, n: int, dx: int, dy: int, low: Scalar, high: Scalar, trial: Float32s
 ) -> None:
     """Extrapolate the planes of `source` at (x0 + dx, y + dy), ... to (x0, y), ...; unusable ones become `_INVALID_DISPARITY`."""
@@ -189,15 +189,15 @@ def _neighbours(
     if first >= last:
         return
     d, a, b = source[0, row, x0 + dx + first :], source[1, row, x0 + dx + first :], source[2, row, x0 + dx + first :]
-    use = valid[row + _RADIUS, _RADIUS + x0 + dx + first :]
-    here = trial[first:]
+    validity = valid[row + _RADIUS, _RADIUS + x0 + dx + first :]
+    target = trial[first:]
     for x in range(last - first):
         na, nb = a[x], b[x]
         nd = d[x] - na * np.float32(dx) - nb * np.float32(dy)
-        usable = (low <= nd) & (nd <= high) & (use[x] > np.float32(0.0))
-        here[_D + x] = nd if usable else np.float32(_INVALID_DISPARITY)
-        here[_A + x] = na if usable else np.float32(0.0)
-        here[_B + x] = nb if usable else np.float32(0.0)
+        usable = (low <= nd) & (nd <= high) & (validity[x] > np.float32(0.0))
+        target[_D + x] = nd if usable else np.float32(_INVALID_DISPARITY)
+        target[_A + x] = na if usable else np.float32(0.0)
+        target[_B + x] = nb if usable else np.float32(0.0)
 
 
 @helper
@@ -211,7 +211,7 @@ def _random(x: np.uint32, seed: np.uint32) -> np.float32:
 
 
 @kernel
-def _changed(
+def _perturb(
     planes: Float32s, y: int, x0: int, n: int, seed: int, shift: Scalar, turn: Scalar, low: Scalar, high: Scalar, trial: Float32s
 ) -> None:
     """The planes at (x0, y), ... with random changes of disparity and slopes."""
@@ -222,7 +222,7 @@ def _changed(
         nd = d[x] + _random(column, seed1) * shift
         na = a[x] + _random(column, seed2) * turn
         nb = b[x] + _random(column, seed3) * turn
-        usable = low <= nd <= high and np.float32(_STEEPEST) <= na <= np.float32(0.9) and abs(nb) <= np.float32(_SHEAREST)
+        usable = low <= nd <= high and np.float32(_MIN_SLOPE_X) <= na <= np.float32(0.9) and abs(nb) <= np.float32(_MAX_SLOPE_Y)
         trial[_D + x] = nd if usable else np.float32(_INVALID_DISPARITY)
         trial[_A + x], trial[_B + x] = na, nb
 
@@ -231,11 +231,11 @@ def _changed(
 def _keep_cheaper(
     planes: Float32s, cost: Float32s, valid: Float32s, y: int, x0: int, n: int, trial: Float32s, trial_cost: Float32s
 ) -> None:
-    use, c = valid[y + _RADIUS, x0 + _RADIUS :], cost[y, x0:]
+    validity, current_cost = valid[y + _RADIUS, x0 + _RADIUS :], cost[y, x0:]
     for x in range(n):
-        better = trial_cost[x] < c[x] and use[x] > np.float32(0.0)
-        if better:
-            c[x] = trial_cost[x]
+        is_better = trial_cost[x] < current_cost[x] and validity[x] > np.float32(0.0)
+        if is_better:
+            current_cost[x] = trial_cost[x]
             planes[0, y, x0 + x] = trial[_D + x]
             planes[1, y, x0 + x] = trial[_A + x]
             planes[2, y, x0 + x] = trial[_B + x]
@@ -244,37 +244,37 @@ def _keep_cheaper(
 @kernel
 def _propagate(
     left: Float32s, pairs: Uint64s, valid: Float32s, planes: Float32s, cost: Float32s, proposals: Float32s,
-    number: int, low: Scalar, high: Scalar, amplitude: Scalar, tilt: Scalar, neighbours: Int64s, changes: int,
+    number: int, low: Scalar, high: Scalar, largest_shift: Scalar, largest_turn: Scalar, neighbours: Int64s, changes: int,
 ) -> None:  # fmt: skip
     height, width = cost.shape
     window = np.zeros(_WINDOW, dtype=np.float32)
     scratch = np.zeros(_SCRATCH, dtype=np.float32)
-    taken = np.zeros(_ACROSS * _BLOCK, dtype=np.uint64)
+    loaded = np.zeros(_TAPS_ACROSS * _BLOCK, dtype=np.uint64)
     trial, trial_cost = np.zeros(3 * _BLOCK, dtype=np.float32), np.zeros(_BLOCK, dtype=np.float32)
     blocks = (width + _BLOCK - 1) // _BLOCK
-    back = -1 if number % 2 == 0 else 1
+    against_sweep = -1 if number % 2 == 0 else 1
     for i in range(height):
-        y = i if back < 0 else height - 1 - i
+        y = i if against_sweep < 0 else height - 1 - i
         for j in range(blocks):
-            x0 = (j if back < 0 else blocks - 1 - j) * _BLOCK
+            x0 = (j if against_sweep < 0 else blocks - 1 - j) * _BLOCK
             n = min(_BLOCK, width - x0)
             if not valid[y + _RADIUS, x0 + _RADIUS : x0 + _RADIUS + n].any():
                 continue
             _windows(left, valid, y, x0, n, window)
-            _neighbours(proposals, valid, y, x0, n, 0, 0, low, high, trial)
-            _costs(pairs, y, x0, trial, window, scratch, taken, trial_cost)
+            _extrapolate(proposals, valid, y, x0, n, 0, 0, low, high, trial)
+            _costs(pairs, y, x0, trial, window, scratch, loaded, trial_cost)
             _keep_cheaper(planes, cost, valid, y, x0, n, trial, trial_cost)
-            for q in range(len(neighbours)):
-                dx, dy = back * neighbours[q, 0], back * neighbours[q, 1]
+            for k in range(len(neighbours)):
+                dx, dy = against_sweep * neighbours[k, 0], against_sweep * neighbours[k, 1]
                 if not 0 <= y + dy < height:
                     continue
-                _neighbours(planes, valid, y, x0, n, dx, dy, low, high, trial)
-                _costs(pairs, y, x0, trial, window, scratch, taken, trial_cost)
+                _extrapolate(planes, valid, y, x0, n, dx, dy, low, high, trial)
+                _costs(pairs, y, x0, trial, window, scratch, loaded, trial_cost)
                 _keep_cheaper(planes, cost, valid, y, x0, n, trial, trial_cost)
-            shift, turn = amplitude, tilt
-            for q in range(changes):
-                _changed(planes, y, x0, n, (number * changes + q) * height + y, shift, turn, low, high, trial)
-                _costs(pairs, y, x0, trial, window, scratch, taken, trial_cost)
+            shift, turn = largest_shift, largest_turn
+            for k in range(changes):
+                _perturb(planes, y, x0, n, (number * changes + k) * height + y, shift, turn, low, high, trial)
+                _costs(pairs, y, x0, trial, window, scratch, loaded, trial_cost)
                 _keep_cheaper(planes, cost, valid, y, x0, n, trial, trial_cost)
                 shift *= np.float32(0.35)
                 turn *= np.float32(0.45)
@@ -287,7 +287,7 @@ def _evaluate(
     height, width = cost.shape
     window = np.zeros(_WINDOW, dtype=np.float32)
     scratch = np.zeros(_SCRATCH, dtype=np.float32)
-    taken = np.zeros(_ACROSS * _BLOCK, dtype=np.uint64)
+    loaded = np.zeros(_TAPS_ACROSS * _BLOCK, dtype=np.uint64)
     trial, trial_cost = np.zeros(3 * _BLOCK, dtype=np.float32), np.zeros(_BLOCK, dtype=np.float32)
     for y in range(height):
         for x0 in range(0, width, _BLOCK):
@@ -295,7 +295,7 @@ def _evaluate(
             if not valid[y + _RADIUS, x0 + _RADIUS : x0 + _RADIUS + n].any():
                 continue
             _windows(left, valid, y, x0, n, window)
-            _neighbours(planes, valid, y, x0, n, 0, 0, low, high, trial)
-            _costs(pairs, y, x0, trial, window, scratch, taken, trial_cost)
+            _extrapolate(planes, valid, y, x0, n, 0, 0, low, high, trial)
+            _costs(pairs, y, x0, trial, window, scratch, loaded, trial_cost)
             for x in range(n):
                 cost[y, x0 + x] = trial_cost[x]

@@ -18,7 +18,7 @@ from .matcher import RectifiedPair
 from .sgbm import match_in_one_piece
 
 _SIDES: tuple[Side, ...] = (1, 2)
-_WHOLE_PX = 32
+_WIDTH_MULTIPLE = 32
 
 
 def rectified_pair(left: Frame, right: Frame, rectification: Rectification) -> RectifiedPair:
@@ -26,7 +26,7 @@ def rectified_pair(left: Frame, right: Frame, rectification: Rectification) -> R
 
     The width is even at every size that matchers go down to, so that halving and mirroring can be done in either order.
     """
-    width = -(-max(rectification.size1[0], rectification.size2[0]) // _WHOLE_PX) * _WHOLE_PX
+    width = -(-max(rectification.size1[0], rectification.size2[0]) // _WIDTH_MULTIPLE) * _WIDTH_MULTIPLE
     images, masks = [], []
     for frame, side in zip((left, right), _SIDES, strict=True):
         grey, mask = denoised_if_noisy(_grey(frame.image), frame.mask), frame.mask & ~_saturated(frame.image)
@@ -54,15 +54,15 @@ def _plane_disparity(
     plane: (3, 3) homography of the plane, frame 1 to frame 2.
     """
     y, x = np.mgrid[0 : shape[0], 0 : shape[1]].reshape(2, -1)
-    at = np.column_stack([x, y]).astype(np.float64)
+    points = np.column_stack([x, y]).astype(np.float64)
     H = plane if side == 1 else np.linalg.inv(plane)
-    pixels = from_rectified(rectification, side, at)
+    pixels = from_rectified(rectification, side, points)
     X, Y, z = H[:, :2] @ pixels.T + H[:, 2:]
-    line = ground.inverse_depth1 if side == 1 else ground.inverse_depth2
+    inverse_depth = ground.inverse_depth1 if side == 1 else ground.inverse_depth2
     with np.errstate(divide="ignore", invalid="ignore"):
-        there = to_rectified(rectification, 2 if side == 1 else 1, np.column_stack([X / z, Y / z]))
-        disparity = at[:, 0] - there[:, 0] if side == 1 else there[:, 0] - at[:, 0]
-    known = (pixels @ line[:2] + line[2] > 0) & (z > 0) & (np.abs(there[:, 1] - at[:, 1]) < 1.0)
+        partners = to_rectified(rectification, 2 if side == 1 else 1, np.column_stack([X / z, Y / z]))
+        disparity = points[:, 0] - partners[:, 0] if side == 1 else partners[:, 0] - points[:, 0]
+    known = (pixels @ inverse_depth[:2] + inverse_depth[2] > 0) & (z > 0) & (np.abs(partners[:, 1] - points[:, 1]) < 1.0)
     return np.where(known, disparity, np.nan).astype(np.float32).reshape(shape)
 
 
@@ -79,7 +79,7 @@ def _saturated(image: Uint8s) -> Bools:
 
 NOISY = 3.0
 """Images with at least this noise (standard deviation, grey levels) are smoothed before matching: lamp light, high gain.  An
-image with fine texture everywhere reads as 2."""
+image with fine texture everywhere measures 2."""
 
 
 def denoised_if_noisy(image: Float32s, valid: Bools) -> Float32s:
@@ -90,13 +90,13 @@ def denoised_if_noisy(image: Float32s, valid: Bools) -> Float32s:
 
 
 _SHRINK = 4
-_WIDER = 1.0
+_EXTENSION = 1.0
 """The coarse match extends the range of the keypoint matches by this share on both sides."""
 _LEAST_SHARE = 0.002
 """Less than this share of the agreeing pixels is cut off as outliers at each end of the range."""
-_PAYS = 0.02
+_EXTENSION_SHARE = 0.02
 """Extending the range by its own width requires this share of the agreeing pixels: small pieces of look-alikes agree, too."""
-_ENOUGH = 0.1
+_LEAST_AGREED_SHARE = 0.1
 """Smallest share of the common area that must agree for the coarse match to be used."""
 _COARSE_PX, _FINE_CONTRAST = 10.0, 8.0
 
@@ -104,43 +104,43 @@ _COARSE_PX, _FINE_CONTRAST = 10.0, 8.0
 def with_coarse_range(pair: RectifiedPair) -> RectifiedPair:
     """The pair with the disparity range found by a coarse match, and with both images at equal brightness and contrast."""
     small = _shrunk(pair)
-    found = match_in_one_piece(_flattened(small))
-    agreed = ~np.isnan(cross_checked(found.left, found.right, small.valid_left, -1, max(small.left.size // 2000, 4)))
-    if agreed.sum() < max(_ENOUGH * small.within_reach().sum(), 50):
+    matches = match_in_one_piece(_flattened(small))
+    agreed = ~np.isnan(cross_checked(matches.left, matches.right, small.valid_left, -1, max(small.left.size // 2000, 4)))
+    if agreed.sum() < max(_LEAST_AGREED_SHARE * small.within_reach().sum(), 50):
         return _flattened(pair)
-    near = _reach(found.left[agreed], small.disparity_min, small.disparity_max)
-    far = -_reach(-found.left[agreed], -small.disparity_max, -small.disparity_min)
+    near = _range_end(matches.left[agreed], small.disparity_min, small.disparity_max)
+    far = -_range_end(-matches.left[agreed], -small.disparity_max, -small.disparity_min)
     margin = 2 * _SHRINK + 0.05 * (pair.disparity_max - pair.disparity_min)
     low, high = int(np.floor(_SHRINK * near - margin)), int(np.ceil(_SHRINK * far + margin))
-    return replace(_with_equal_exposure(pair, small, found.left, agreed), disparity_min=low, disparity_max=high)
+    return replace(_with_equal_exposure(pair, small, matches.left, agreed), disparity_min=low, disparity_max=high)
 
 
-def _reach(disparity: Float32s, lowest: int, highest: int) -> float:
+def _range_end(disparity: Float32s, lowest: int, highest: int) -> float:
     """Smallest of the disparities (n,) with enough others at or below it; the search went from `lowest` to `highest`."""
     ordered = np.sort(disparity)
-    matches = (highest - lowest) / (1 + 2 * _WIDER)
-    beyond = (lowest + _WIDER * matches - ordered) / matches  # in widths of the matches' range
+    matches_width = (highest - lowest) / (1 + 2 * _EXTENSION)
+    excess = (lowest + _EXTENSION * matches_width - ordered) / matches_width  # in widths of the matches' range
     share = np.arange(1, len(ordered) + 1) / len(ordered)
-    return float(ordered[np.argmax(share >= np.maximum(_LEAST_SHARE, _PAYS * beyond))])
+    return float(ordered[np.argmax(share >= np.maximum(_LEAST_SHARE, _EXTENSION_SHARE * excess))])
 
 
 def _shrunk(pair: RectifiedPair) -> RectifiedPair:
-    reach = _WIDER * (pair.disparity_max - pair.disparity_min)
+    extension = _EXTENSION * (pair.disparity_max - pair.disparity_min)
     return RectifiedPair(
         left=_quarter(pair.left),
         right=_quarter(pair.right),
         valid_left=_quarter(pair.valid_left.astype(np.float32)) > 0.99,
         valid_right=_quarter(pair.valid_right.astype(np.float32)) > 0.99,
-        disparity_min=int(np.floor((pair.disparity_min - reach) / _SHRINK)),
-        disparity_max=int(np.ceil((pair.disparity_max + reach) / _SHRINK)),
+        disparity_min=int(np.floor((pair.disparity_min - extension) / _SHRINK)),
+        disparity_max=int(np.ceil((pair.disparity_max + extension) / _SHRINK)),
     )
 
 
 def _quarter(image: Float32s) -> Float32s:
     """(h / 4, w / 4) means of 4x4 pixels; the image is padded with zeros to whole blocks."""
     height, width = image.shape
-    whole = np.pad(image, ((0, -height % _SHRINK), (0, -width % _SHRINK)))
-    small = cv2.resize(whole, (whole.shape[1] // _SHRINK, whole.shape[0] // _SHRINK), interpolation=cv2.INTER_AREA)
+    padded = np.pad(image, ((0, -height % _SHRINK), (0, -width % _SHRINK)))
+    small = cv2.resize(padded, (padded.shape[1] // _SHRINK, padded.shape[0] // _SHRINK), interpolation=cv2.INTER_AREA)
     return np.asarray(small, dtype=np.float32)
 
 

@@ -29,17 +29,17 @@ _SPECKLE_SHARE = 5e-4
 """Connected pieces smaller than this share of the image are removed: they match anywhere."""
 _SAME_PX = 0.75
 """Largest difference between disparities of the same surface, in pixels of the halved images."""
-_ACROSS, _SMALLEST, _LARGEST = 12, 12, 32
+_CELLS_ACROSS, _SMALLEST_CELL, _LARGEST_CELL = 12, 12, 32
 """Cells in a row of the halved images, and the smallest and largest side of a cell, pixels: several windows of the matcher, whose
 results are correlated, yet enough cells in images of 320 pixels (an apron: 5 of 7 right pairs confirmed, 2 with 32)."""
-_IN_COMMON, _DIFFERENT = 0.3, 0.1
-"""A cell counts if both images show at least `_IN_COMMON` of it, and its numbers of matches on the given and the shifted rows
-differ by at least `_DIFFERENT` of what both show."""
-_BY_CHANCE, _IF_RIGHT = 1.0 / 3.0, 0.9
+_LEAST_COMMON, _LEAST_DIFFERENCE = 0.3, 0.1
+"""A cell counts if both images show at least `_LEAST_COMMON` of it, and its numbers of matches on the given and the shifted rows
+differ by at least `_LEAST_DIFFERENCE` of what both show."""
+_CHANCE_SHARE, _RIGHT_SHARE = 1.0 / 3.0, 0.9
 """Share of the counting cells in which the given rows match most: if they are wrong (one of three), and if they are right (a
 small yard, a hall and a pavilion by night)."""
-_ENOUGH = 5.0
-"""Rows are confirmed if the log-likelihood ratio reaches this: six cells of six, seven of eight."""
+_LEAST_LOG_RATIO = 5.0
+"""Rows are confirmed if the log-likelihood ratio reaches this: six cells out of six, or seven out of eight."""
 
 
 @dataclass(frozen=True)
@@ -54,8 +54,8 @@ class Cells:
     @property
     def confirm(self) -> bool:
         """Are the rows right, by the likelihood ratio?"""
-        right, wrong = np.log(_IF_RIGHT / _BY_CHANCE), np.log((1.0 - _IF_RIGHT) / (1.0 - _BY_CHANCE))
-        return bool(right * self.better.sum() + wrong * self.worse.sum() >= _ENOUGH)
+        better_weight, worse_weight = np.log(_RIGHT_SHARE / _CHANCE_SHARE), np.log((1.0 - _RIGHT_SHARE) / (1.0 - _CHANCE_SHARE))
+        return bool(better_weight * self.better.sum() + worse_weight * self.worse.sum() >= _LEAST_LOG_RATIO)
 
 
 @dataclass(frozen=True)
@@ -87,19 +87,19 @@ def match_rows(pair: RectifiedPair) -> tuple[RowAgreement, Float32s, Float32s]:
     small = halved(pair)
     common = small.within_reach()
     disparity, confidence = _matched(small)
-    shifted = {rows: _matched(_shifted(small, rows))[0] for rows in (_SMALL_SHIFT, -_SMALL_SHIFT, _LARGE_SHIFT, -_LARGE_SHIFT)}
-    shifted[0] = disparity if small.prior_left is None else _matched(_shifted(small, 0))[0]  # without prior, as the others
-    shares = {rows: float(np.isfinite(found).sum() / max(common.sum(), 1)) for rows, found in shifted.items()}
+    by_shift = {rows: _matched(_shifted(small, rows))[0] for rows in (_SMALL_SHIFT, -_SMALL_SHIFT, _LARGE_SHIFT, -_LARGE_SHIFT)}
+    by_shift[0] = disparity if small.prior_left is None else _matched(_shifted(small, 0))[0]  # without prior, as the others
+    shares = {rows: float(np.isfinite(matched).sum() / max(common.sum(), 1)) for rows, matched in by_shift.items()}
     below, here, above = (shares[rows] for rows in (_SMALL_SHIFT, 0, -_SMALL_SHIFT))
-    error = 2.0 * _SMALL_SHIFT * (below - above) / max(above + here + below, 1e-9)
-    best = max((0, _SMALL_SHIFT, -_SMALL_SHIFT), key=shares.__getitem__)
-    cells = _compared(common, *(np.isfinite(shifted[rows]) for rows in (best, _LARGE_SHIFT, -_LARGE_SHIFT)))
+    row_error = 2.0 * _SMALL_SHIFT * (below - above) / max(above + here + below, 1e-9)
+    best_shift = max((0, _SMALL_SHIFT, -_SMALL_SHIFT), key=shares.__getitem__)
+    cells = _compared(common, *(np.isfinite(by_shift[rows]) for rows in (best_shift, _LARGE_SHIFT, -_LARGE_SHIFT)))
     ground = None
     if small.prior_left is not None:
-        lying = (np.abs(shifted[rows] - small.prior_left) <= _SAME_PX for rows in (0, _LARGE_SHIFT, -_LARGE_SHIFT))
-        ground = _compared(common, *lying)
+        on_ground = (np.abs(by_shift[rows] - small.prior_left) <= _SAME_PX for rows in (0, _LARGE_SHIFT, -_LARGE_SHIFT))
+        ground = _compared(common, *on_ground)
     return (
-        RowAgreement(shares[best], max(shares[_LARGE_SHIFT], shares[-_LARGE_SHIFT]), error, cells, ground),
+        RowAgreement(shares[best_shift], max(shares[_LARGE_SHIFT], shares[-_LARGE_SHIFT]), row_error, cells, ground),
         disparity,
         confidence,
     )
@@ -107,18 +107,18 @@ def match_rows(pair: RectifiedPair) -> tuple[RowAgreement, Float32s, Float32s]:
 
 def _compared(common: Bools, given: Bools, *shifted: Bools) -> Cells:
     """Compare the pixels that match on the given rows and on shifted ones, each (h, w), cell by cell."""
-    side = int(np.clip(common.shape[1] // _ACROSS, _SMALLEST, _LARGEST))
-    shown, chance = _by_cell(common, side), np.max([_by_cell(found, side) for found in shifted], axis=0)
-    gain, clear = _by_cell(given, side) - chance, _DIFFERENT * shown
-    speaks = shown >= _IN_COMMON * side**2
-    return Cells(speaks & (gain >= clear), speaks & (-gain >= clear))
+    side = int(np.clip(common.shape[1] // _CELLS_ACROSS, _SMALLEST_CELL, _LARGEST_CELL))
+    common_count, chance = _by_cell(common, side), np.max([_by_cell(matching, side) for matching in shifted], axis=0)
+    gain, least_gain = _by_cell(given, side) - chance, _LEAST_DIFFERENCE * common_count
+    counted = common_count >= _LEAST_COMMON * side**2
+    return Cells(counted & (gain >= least_gain), counted & (-gain >= least_gain))
 
 
-def _by_cell(counted: Bools, side: int) -> Int64s:
-    """(n, m) number of pixels of each cell that are `counted`."""
-    height, width = counted.shape
-    whole = np.pad(counted, ((0, -height % side), (0, -width % side)))
-    return np.asarray(whole.reshape(-(-height // side), side, -1, side).sum(axis=(1, 3)), dtype=np.int64)
+def _by_cell(pixels: Bools, side: int) -> Int64s:
+    """(n, m) number of the `pixels` that lie in each cell."""
+    height, width = pixels.shape
+    padded = np.pad(pixels, ((0, -height % side), (0, -width % side)))
+    return np.asarray(padded.reshape(-(-height // side), side, -1, side).sum(axis=(1, 3)), dtype=np.int64)
 
 
 def _shifted(pair: RectifiedPair, rows: int) -> RectifiedPair:
@@ -127,8 +127,8 @@ def _shifted(pair: RectifiedPair, rows: int) -> RectifiedPair:
     if rows:
         valid[slice(rows) if rows > 0 else slice(rows, None)] = False
     right = np.roll(pair.right, rows, axis=0)
-    blind = replace(pair, prior_left=None, prior_right=None, floor_left=None, floor_right=None)
-    return replace(blind, right=right, valid_right=valid)
+    without_prior = replace(pair, prior_left=None, prior_right=None, floor_left=None, floor_right=None)
+    return replace(without_prior, right=right, valid_right=valid)
 
 
 def _matched(pair: RectifiedPair) -> tuple[Float32s, Float32s]:
@@ -147,9 +147,9 @@ def verify_rows(left: Frame, right: Frame, rectification: Rectification) -> tupl
     matches, evenly spread: pixels (n, 2) of either frame, and confidence (n,), 0 to 1."""
     rows, disparity, confidence = match_rows(with_coarse_range(rectified_pair(left, right, rectification)))
     y, x = np.nonzero(np.isfinite(disparity))
-    some = slice(None, None, max(1, len(x) // _MOST_POINTS))
-    y, x = y[some], x[some]
-    at1 = np.column_stack([2 * x + 0.5, 2 * y + 0.5])
-    at2 = at1 - np.column_stack([2 * disparity[y, x].astype(np.float64), np.zeros(len(x))])
-    x1, x2 = from_rectified(rectification, 1, at1), from_rectified(rectification, 2, at2)
+    subset = slice(None, None, max(1, len(x) // _MOST_POINTS))
+    y, x = y[subset], x[subset]
+    points1 = np.column_stack([2 * x + 0.5, 2 * y + 0.5])
+    points2 = points1 - np.column_stack([2 * disparity[y, x].astype(np.float64), np.zeros(len(x))])
+    x1, x2 = from_rectified(rectification, 1, points1), from_rectified(rectification, 2, points2)
     return rows, x1, x2, confidence[y, x]

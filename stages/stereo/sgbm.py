@@ -17,42 +17,42 @@ from .consistency import cross_checked
 from .matcher import DenseMatches, RectifiedPair, halved, mirrored
 
 _BLOCK = 3
-_NARROW = 160
+_NARROW_RANGE = 160
 """Ranges of up to this many disparities are searched in one piece, which takes no longer than blocks."""
 
 
 def match_sgbm(pair: RectifiedPair) -> DenseMatches:
     """Disparity of both views, each matched separately; wide ranges are searched in blocks, by a match at half the size."""
-    if pair.disparity_max - pair.disparity_min < _NARROW:
+    if pair.disparity_max - pair.disparity_min < _NARROW_RANGE:
         return match_in_one_piece(pair)
     small = halved(pair)
-    seen, smallest = match_sgbm(small), max(small.left.size // 2000, 4)
-    left = _in_blocks(pair, cross_checked(seen.left, seen.right, small.valid_left, -1, smallest))
-    seen_right = cross_checked(seen.right, seen.left, small.valid_right, 1, smallest)
-    right = np.ascontiguousarray(_in_blocks(mirrored(pair), seen_right[:, ::-1])[:, ::-1])
+    coarse, smallest = match_sgbm(small), max(small.left.size // 2000, 4)
+    left = _in_blocks(pair, cross_checked(coarse.left, coarse.right, small.valid_left, -1, smallest))
+    coarse_right = cross_checked(coarse.right, coarse.left, small.valid_right, 1, smallest)
+    right = np.ascontiguousarray(_in_blocks(mirrored(pair), coarse_right[:, ::-1])[:, ::-1])
     return DenseMatches(left, right, np.ones_like(left), np.ones_like(right))
 
 
 def match_in_one_piece(pair: RectifiedPair) -> DenseMatches:
     """Disparity of both views, with the whole range searched in the whole image."""
-    left = _whole(pair)
-    right = np.ascontiguousarray(_whole(mirrored(pair))[:, ::-1])
+    left = _match_whole(pair)
+    right = np.ascontiguousarray(_match_whole(mirrored(pair))[:, ::-1])
     return DenseMatches(left, right, np.ones_like(left), np.ones_like(right))
 
 
-def _in_blocks(pair: RectifiedPair, seen: Float32s) -> Float32s:
+def _in_blocks(pair: RectifiedPair, coarse: Float32s) -> Float32s:
     left, right = _eight_bit(pair.left), _eight_bit(pair.right)
     disparity = np.full(left.shape, np.nan, dtype=np.float32)
-    for block in blocks(seen, pair.disparity_min, pair.disparity_max):
+    for block in blocks(coarse, pair.disparity_min, pair.disparity_max):
         top, start = max(block.top - CONTEXT_PX, 0), max(block.left - CONTEXT_PX, 0)
         rows, columns = slice(top, block.bottom + BELOW_PX), slice(start, block.right + CONTEXT_PX)
-        found = _searched(left[rows, columns], right[rows], start, block.low, block.high)
+        part = _searched(left[rows, columns], right[rows], start, block.low, block.high)
         inner = slice(block.top, block.bottom), slice(block.left, block.right)
-        disparity[inner] = found[block.top - top : block.bottom - top, block.left - start : block.right - start]
+        disparity[inner] = part[block.top - top : block.bottom - top, block.left - start : block.right - start]
     return disparity
 
 
-def _whole(pair: RectifiedPair) -> Float32s:
+def _match_whole(pair: RectifiedPair) -> Float32s:
     """Disparity (h, w) of the left image, without the columns in which no pixel may be matched."""
     disparity = np.full(pair.left.shape, np.nan, dtype=np.float32)
     used = np.flatnonzero(pair.valid_left.any(axis=0))
@@ -81,8 +81,8 @@ def _searched(left: Uint8s, right: Uint8s, start: int, low: int, high: int) -> F
         mode=cv2.STEREO_SGBM_MODE_SGBM_3WAY,
     )
     columns = np.clip(np.arange(left.shape[1]) - (count + low - start), 0, right.shape[1] - 1)  # replicates the border columns
-    found = matcher.compute(left, np.ascontiguousarray(right[:, columns]))[:, count:]
-    return np.where(found < 0, np.float32(np.nan), found.astype(np.float32) / 16 + low).astype(np.float32)
+    sixteenths = matcher.compute(left, np.ascontiguousarray(right[:, columns]))[:, count:]
+    return np.where(sixteenths < 0, np.float32(np.nan), sixteenths.astype(np.float32) / 16 + low).astype(np.float32)
 
 
 def _eight_bit(image: Float32s) -> Uint8s:
@@ -125,81 +125,81 @@ def blocks(seen: Float32s, low: int, high: int) -> list[Block]:
     Only the range from `low` to `high` is searched, and only near what was seen.  A block is split in two where the parts, with
     their contexts, cost less.
     """
-    least, most = _ranges(seen)
-    least = np.maximum(np.floor(2 * least - _MARGIN_PX), np.float32(low))
-    most = np.minimum(np.ceil(2 * most + _MARGIN_PX), np.float32(high))
-    near = cv2.dilate((least <= most).astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
-    whole = _piece(least, most, near, 0, near.shape[0], 0, near.shape[1])
-    found = _cheapest(least, most, near, whole)
+    lowest, highest = _ranges(seen)
+    lowest = np.maximum(np.floor(2 * lowest - _MARGIN_PX), np.float32(low))
+    highest = np.minimum(np.ceil(2 * highest + _MARGIN_PX), np.float32(high))
+    searched = cv2.dilate((lowest <= highest).astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
+    piece = _piece(lowest, highest, searched, 0, searched.shape[0], 0, searched.shape[1])
+    pieces = _cheapest(lowest, highest, searched, piece)
     return [
         Block(CELL_PX * top, CELL_PX * bottom, CELL_PX * left, CELL_PX * right, max(least_d, low), min(most_d, high))
-        for top, bottom, left, right, least_d, most_d, _ in found
+        for top, bottom, left, right, least_d, most_d, _ in pieces
     ]
 
 
-def _ranges(seen: Float32s) -> tuple[Float32s, Float32s]:
+def _ranges(disparity: Float32s) -> tuple[Float32s, Float32s]:
     """Smallest and largest disparity of each cell; inf and -inf where it has none."""
-    size = CELL_PX // 2
-    whole = np.pad(seen, ((0, -seen.shape[0] % size), (0, -seen.shape[1] % size)), constant_values=np.nan)
-    rows, columns = whole.shape[0] // size, whole.shape[1] // size
-    cells = whole.reshape(rows, size, columns, size).transpose(0, 2, 1, 3).reshape(rows, columns, size * size)
+    side = CELL_PX // 2
+    padded = np.pad(disparity, ((0, -disparity.shape[0] % side), (0, -disparity.shape[1] % side)), constant_values=np.nan)
+    rows, columns = padded.shape[0] // side, padded.shape[1] // side
+    cells = padded.reshape(rows, side, columns, side).transpose(0, 2, 1, 3).reshape(rows, columns, side * side)
     unknown = np.isnan(cells)
-    least = np.where(unknown, np.float32(np.inf), cells).min(axis=2)
-    return least, np.where(unknown, np.float32(-np.inf), cells).max(axis=2)
+    lowest = np.where(unknown, np.float32(np.inf), cells).min(axis=2)
+    return lowest, np.where(unknown, np.float32(-np.inf), cells).max(axis=2)
 
 
-def _cheapest(least: Float32s, most: Float32s, near: Bools, piece: _Piece) -> list[_Piece]:
+def _cheapest(lowest: Float32s, highest: Float32s, searched: Bools, piece: _Piece) -> list[_Piece]:
     """The piece, or its parts (split further in the same way) where these cost less; nothing for an empty piece.
 
-    least, most: (rows, columns) ranges of the cells, empty where nothing was seen; near: cells that are to be searched.
+    lowest, highest: (rows, columns) ranges of the cells, empty where nothing was seen; searched: cells to search.
     """
     if piece[-1] == 0:
         return []
-    parts = _best_split(least, most, near, *piece[:4])
+    parts = _best_split(lowest, highest, searched, *piece[:4])
     if parts[0][-1] == np.inf:
         return [piece]
-    found = [smaller for part in parts for smaller in _cheapest(least, most, near, part)]
-    return found if sum(smaller[-1] for smaller in found) < piece[-1] else [piece]
+    pieces = [smaller for part in parts for smaller in _cheapest(lowest, highest, searched, part)]
+    return pieces if sum(smaller[-1] for smaller in pieces) < piece[-1] else [piece]
 
 
 @kernel
-def _piece(least: Float32s, most: Float32s, near: Bools, top: int, bottom: int, left: int, right: int) -> _Piece:
+def _piece(lowest: Float32s, highest: Float32s, searched: Bools, top: int, bottom: int, left: int, right: int) -> _Piece:
     """The smallest piece around the cells that are to be searched within a rectangle of cells."""
-    first, last, start, stop = bottom, top, right, left
+    row0, row1, column0, column1 = bottom, top, right, left
     for y in range(top, bottom):
         for x in range(left, right):
-            if near[y, x]:
-                first, last = min(first, y), max(last, y + 1)
-                start, stop = min(start, x), max(stop, x + 1)
-    if first >= last:
+            if searched[y, x]:
+                row0, row1 = min(row0, y), max(row1, y + 1)
+                column0, column1 = min(column0, x), max(column1, x + 1)
+    if row0 >= row1:
         return top, top, left, left, 0, 0, 0.0
     low, high = np.inf, -np.inf
-    for y in range(max(first - 1, 0), min(last + 1, near.shape[0])):
-        for x in range(max(start - 1, 0), min(stop + 1, near.shape[1])):
-            if least[y, x] <= most[y, x]:
-                low, high = min(low, least[y, x]), max(high, most[y, x])
-    height = (last - first) * CELL_PX + CONTEXT_PX + BELOW_PX
-    width = (stop - start) * CELL_PX + 2 * CONTEXT_PX
-    spare = max(_LEAST_RANGE - (high - low + 1), 0.0)
-    low, high = low - np.floor(spare / 2), high + np.ceil(spare / 2)
-    return first, last, start, stop, int(low), int(high), height * width * (_PIXEL_COST + high - low + 1) + _BLOCK_COST
+    for y in range(max(row0 - 1, 0), min(row1 + 1, searched.shape[0])):
+        for x in range(max(column0 - 1, 0), min(column1 + 1, searched.shape[1])):
+            if lowest[y, x] <= highest[y, x]:
+                low, high = min(low, lowest[y, x]), max(high, highest[y, x])
+    height = (row1 - row0) * CELL_PX + CONTEXT_PX + BELOW_PX
+    width = (column1 - column0) * CELL_PX + 2 * CONTEXT_PX
+    widening = max(_LEAST_RANGE - (high - low + 1), 0.0)
+    low, high = low - np.floor(widening / 2), high + np.ceil(widening / 2)
+    return row0, row1, column0, column1, int(low), int(high), height * width * (_PIXEL_COST + high - low + 1) + _BLOCK_COST
 
 
 @kernel
 def _best_split(
-    least: Float32s, most: Float32s, near: Bools, top: int, bottom: int, left: int, right: int
+    lowest: Float32s, highest: Float32s, searched: Bools, top: int, bottom: int, left: int, right: int
 ) -> tuple[_Piece, _Piece]:
     """The cheapest two parts of a rectangle of cells, above and below or side by side; cost inf if it is too small to split."""
-    best = np.inf
+    least_cost = np.inf
     parts = (top, top, left, left, 0, 0, np.inf), (top, top, left, left, 0, 0, np.inf)
     for y in range(top + _LEAST_CELLS, bottom - _LEAST_CELLS + 1):
-        upper = _piece(least, most, near, top, y, left, right)
-        lower = _piece(least, most, near, y, bottom, left, right)
-        if upper[-1] + lower[-1] < best:
-            best, parts = upper[-1] + lower[-1], (upper, lower)
+        upper = _piece(lowest, highest, searched, top, y, left, right)
+        lower = _piece(lowest, highest, searched, y, bottom, left, right)
+        if upper[-1] + lower[-1] < least_cost:
+            least_cost, parts = upper[-1] + lower[-1], (upper, lower)
     for x in range(left + _LEAST_CELLS, right - _LEAST_CELLS + 1):
-        before = _piece(least, most, near, top, bottom, left, x)
-        after = _piece(least, most, near, top, bottom, x, right)
-        if before[-1] + after[-1] < best:
-            best, parts = before[-1] + after[-1], (before, after)
+        left_part = _piece(lowest, highest, searched, top, bottom, left, x)
+        right_part = _piece(lowest, highest, searched, top, bottom, x, right)
+        if left_part[-1] + right_part[-1] < least_cost:
+            least_cost, parts = left_part[-1] + right_part[-1], (left_part, right_part)
     return parts

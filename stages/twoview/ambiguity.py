@@ -80,19 +80,19 @@ def find_ambiguity(
     seed : random seed.
     """
     assert accepted.R is not None and accepted.t is not None
-    others = (_without(pairs[0], left, right, i1, i2),) if pairs else ()
-    found = solve_rounds(left, right, others, _first(others[0]), DOMINANCE, ROUNDS, None) if others else None
-    if found is None or len(found.i1) < FEWEST:
+    pruned = (_without_explained(pairs[0], left, right, i1, i2),) if pairs else ()
+    rivals = solve_rounds(left, right, pruned, _initial(pruned[0]), DOMINANCE, ROUNDS, None) if pruned else None
+    if rivals is None or len(rivals.i1) < FEWEST:
         return Ambiguity()
-    x1, x2 = left.xy[found.i1], right.xy[found.i2]
-    every = _one_pose(x1, x2, left.view, right.view, accepted.R, accepted.t, seed)
-    off = symmetric_epipolar_distance(accepted.F, x1, x2) > OFF_LINES_PX
+    x1, x2 = left.xy[rivals.i1], right.xy[rivals.i2]
+    overall = _strongest_pose(x1, x2, left.view, right.view, accepted.R, accepted.t, seed)
+    is_off_lines = symmetric_epipolar_distance(accepted.F, x1, x2) > OFF_LINES_PX
     elsewhere = _Pose()
-    if off.sum() >= TURNED_RIVAL_SHARE * len(i1):  # fewer cannot make the pair ambiguous
-        elsewhere = _one_pose(x1[off], x2[off], left.view, right.view, accepted.R, accepted.t, seed)
-    if every.turned_deg < SAME_ROTATION_DEG and every.step_deg > ANOTHER_STEP_DEG and every.inliers > elsewhere.inliers:
-        elsewhere = every
-    return Ambiguity(every.inliers, elsewhere.inliers, elsewhere.turned_deg)
+    if is_off_lines.sum() >= TURNED_RIVAL_SHARE * len(i1):  # fewer cannot make the pair ambiguous
+        elsewhere = _strongest_pose(x1[is_off_lines], x2[is_off_lines], left.view, right.view, accepted.R, accepted.t, seed)
+    if overall.turned_deg < SAME_ROTATION_DEG and overall.step_deg > ANOTHER_STEP_DEG and overall.inliers > elsewhere.inliers:
+        elsewhere = overall
+    return Ambiguity(overall.inliers, elsewhere.inliers, elsewhere.turned_deg)
 
 
 class _Pose(NamedTuple):
@@ -103,42 +103,42 @@ class _Pose(NamedTuple):
     step_deg: float = 0.0
 
 
-def _one_pose(x1: Float64s, x2: Float64s, view1: View, view2: View, R: Float64s, t: Float64s, seed: int) -> _Pose:
+def _strongest_pose(x1: Float64s, x2: Float64s, view1: View, view2: View, R: Float64s, t: Float64s, seed: int) -> _Pose:
     """The pose that most matches agree with, compared with R and the unit vector t."""
     if len(x1) < FEWEST:
         return _Pose()
-    some = slice(None, None, -(-len(x1) // MOST_POSED))
-    pose = estimate_essential(x1[some], x2[some], view1, view2, 1.0, seed, max_iterations=1000)
+    sample = slice(None, None, -(-len(x1) // MOST_POSED))
+    pose = estimate_essential(x1[sample], x2[sample], view1, view2, 1.0, seed, max_iterations=1000)
     if pose is None or pose.R is None or pose.t is None:
         return _Pose()
     inliers = supporters(pose.F, x1, x2, 1.0)
     sides = ((x1, view1), (x2, view2))
     if min(places(x[inliers], (view.width, view.height)) for x, view in sides) <= FREEDOMS:
         return _Pose()
-    step = np.degrees(np.arccos(np.clip(np.ravel(pose.t) @ np.ravel(t), -1, 1)))
-    return _Pose(int(inliers.sum()), angle_between_deg(pose.R, R), float(step))
+    baseline_deg = np.degrees(np.arccos(np.clip(np.ravel(pose.t) @ np.ravel(t), -1, 1)))
+    return _Pose(int(inliers.sum()), angle_between_deg(pose.R, R), float(baseline_deg))
 
 
-def _without(pair: ViewPair, left: Features, right: Features, i1: Int32s, i2: Int32s) -> ViewPair:
+def _without_explained(pair: ViewPair, left: Features, right: Features, i1: Int32s, i2: Int32s) -> ViewPair:
     """The view pair without the candidates near the positions that the accepted matches predict."""
     x1, x2 = left.xy[i1], right.xy[i2]
     affine = right.frames[i2] @ inverses(left.frames[i1])
     field = fit_affine_field(x1, x2, affine, np.ones(len(i1)), pair.x1)
     c = pair.candidates
     reach = EXPLAINED_PX + 2 * np.minimum(field.sigma_px, 2 * EXPLAINED_PX)
-    away = np.linalg.norm(pair.x2[c.j] - field.prediction[c.i], axis=1) > reach[c.i]
-    placed = np.full((len(left.xy), 2), np.inf)
-    placed[i1] = x2
-    mine = placed[pair.rows1]
-    away &= ~(np.linalg.norm(pair.x2[c.j] - mine[c.i], axis=1) <= EXPLAINED_PX)
-    return replace(pair, candidates=replace(c, i=c.i[away], j=c.j[away], q=c.q[away]))
+    unexplained = np.linalg.norm(pair.x2[c.j] - field.prediction[c.i], axis=1) > reach[c.i]
+    accepted_x2 = np.full((len(left.xy), 2), np.inf)
+    accepted_x2[i1] = x2
+    own_x2 = accepted_x2[pair.rows1]
+    unexplained &= ~(np.linalg.norm(pair.x2[c.j] - own_x2[c.i], axis=1) <= EXPLAINED_PX)
+    return replace(pair, candidates=replace(c, i=c.i[unexplained], j=c.j[unexplained], q=c.q[unexplained]))
 
 
-def _first(pair: ViewPair) -> Correspondences:
+def _initial(pair: ViewPair) -> Correspondences:
     """Initial matches: candidates that are mutually nearest among the remaining ones, confirmed by their neighbours."""
-    c = pair.candidates
-    mutual = np.flatnonzero(_best(c.i, c.q) & _best(c.j, c.q))
-    i, j, q = c.i[mutual], c.j[mutual], c.q[mutual]
+    candidates = pair.candidates
+    mutual = np.flatnonzero(_is_nearest(candidates.i, candidates.q) & _is_nearest(candidates.j, candidates.q))
+    i, j, q = candidates.i[mutual], candidates.j[mutual], candidates.q[mutual]
     x1, x2 = pair.x1[i], pair.x2[j]
     affine = np.linalg.inv(pair.unframes2[j]) @ inverses(pair.frames1[i])
     good = confirmations(x1, x2, affine) >= CONFIRMED
@@ -147,9 +147,9 @@ def _first(pair: ViewPair) -> Correspondences:
     return Correspondences(rows1[keep], rows2[keep], np.ones(int(keep.sum())))
 
 
-def _best(keypoint: Int32s, distance: Float64s) -> Bools:
+def _is_nearest(keypoint: Int32s, distance: Float64s) -> Bools:
     """(n,) which candidates are the nearest of their keypoint."""
     order = np.lexsort((distance, keypoint))  # the first of equally near ones
-    best = np.zeros(len(keypoint), bool)
-    best[order[np.unique(keypoint[order], return_index=True)[1]]] = True
-    return best
+    nearest = np.zeros(len(keypoint), bool)
+    nearest[order[np.unique(keypoint[order], return_index=True)[1]]] = True
+    return nearest

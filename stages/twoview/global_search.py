@@ -15,16 +15,16 @@ from ..types import Bools, Float32s, Float64s, Uint8s
 from .image_grid import places
 
 _LONG_SIDE = 1000
-_KEYPOINTS = 2500
-_RATIO = 0.75
-_AGREE_PX = 3.0
+_MOST_KEYPOINTS = 2500
+_MOST_RATIO = 0.75
+_INLIER_PX = 3.0
 _FEWEST = 20
 """Fewest matches that must agree with a homography; twice as many with a fundamental matrix."""
-_SHARE = 0.25
+_LEAST_SHARE = 0.25
 """Smallest share of the matches that must agree with a homography; twice as much with a fundamental matrix."""
-_CELLS = 5
+_FEWEST_CELLS = 5
 """Fewest cells of a 6 x 4 grid that must hold them: a clock burnt into the picture covers one or two."""
-_DISTINCT = 300
+_DETAILED = 300
 """Pictures with this many keypoints have enough detail for shared content to be found."""
 
 
@@ -55,34 +55,34 @@ def search_globally(grey1: Uint8s, grey2: Uint8s, mask1: Bools, mask2: Bools, K:
     K : (3, 3) intrinsics of both, pixels.
     """
     scale = min(1.0, _LONG_SIDE / max(grey1.shape))
-    sides = [_keypoints(grey, mask, scale) for grey, mask in ((grey1, mask1), (grey2, mask2))]
-    (xy1, d1), (xy2, d2) = sides
-    distinct = min(len(xy1), len(xy2)) >= _DISTINCT
+    features = [_keypoints(grey, mask, scale) for grey, mask in ((grey1, mask1), (grey2, mask2))]
+    (xy1, d1), (xy2, d2) = features
+    distinct = min(len(xy1), len(xy2)) >= _DETAILED
     x1, x2 = _matched(xy1, d1, xy2, d2)
     n = len(x1)
     if n < _FEWEST:
         return GlobalMatch(len(xy2), n, 0, None, False, distinct)
-    needed = max(_FEWEST, _SHARE * n)
-    H, agree = _fit(cv2.findHomography, x1, x2)
-    if H is not None and agree.sum() >= needed and _spread(x1[agree], grey1.shape):
-        turn = np.linalg.inv(K) @ H @ K
-        U, _, Vt = np.linalg.svd(turn / np.cbrt(np.linalg.det(turn)))
+    needed = max(_FEWEST, _LEAST_SHARE * n)
+    H, H_inliers = _fit(cv2.findHomography, x1, x2)
+    if H is not None and H_inliers.sum() >= needed and _spread(x1[H_inliers], grey1.shape):
+        rotation = np.linalg.inv(K) @ H @ K
+        U, _, Vt = np.linalg.svd(rotation / np.cbrt(np.linalg.det(rotation)))
         R = U @ np.diag([1.0, 1.0, np.sign(np.linalg.det(U @ Vt))]) @ Vt
         angle = float(np.degrees(np.arccos(np.clip((np.trace(R) - 1) / 2, -1.0, 1.0))))
-        return GlobalMatch(len(xy2), n, int(agree.sum()), angle, True, distinct)
-    F, obey = _fit(cv2.findFundamentalMat, x1, x2)
-    shared = F is not None and obey.sum() >= max(2 * _FEWEST, 2 * _SHARE * n) and _spread(x1[obey], grey1.shape)
-    return GlobalMatch(len(xy2), n, int(max(agree.sum(), obey.sum() if shared else 0)), None, bool(shared), distinct)
+        return GlobalMatch(len(xy2), n, int(H_inliers.sum()), angle, True, distinct)
+    F, F_inliers = _fit(cv2.findFundamentalMat, x1, x2)
+    shared = F is not None and F_inliers.sum() >= max(2 * _FEWEST, 2 * _LEAST_SHARE * n) and _spread(x1[F_inliers], grey1.shape)
+    return GlobalMatch(len(xy2), n, int(max(H_inliers.sum(), F_inliers.sum() if shared else 0)), None, bool(shared), distinct)
 
 
 def _keypoints(grey: Uint8s, mask: Bools, scale: float) -> tuple[Float64s, Float32s]:
     small = cv2.resize(grey, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
     allowed = cv2.resize(mask.astype(np.uint8), (small.shape[1], small.shape[0]), interpolation=cv2.INTER_NEAREST)
     equalised = cv2.createCLAHE(clipLimit=2.0, tileGridSize=(8, 8)).apply(small)
-    found, descriptors = cv2.SIFT.create(nfeatures=_KEYPOINTS).detectAndCompute(equalised, allowed)
+    points, descriptors = cv2.SIFT.create(nfeatures=_MOST_KEYPOINTS).detectAndCompute(equalised, allowed)
     if descriptors is None:
         return np.zeros((0, 2)), np.zeros((0, 128), np.float32)
-    return np.array([point.pt for point in found], dtype=np.float64) / scale, np.asarray(descriptors, dtype=np.float32)
+    return np.array([point.pt for point in points], dtype=np.float64) / scale, np.asarray(descriptors, dtype=np.float32)
 
 
 def _matched(xy1: Float64s, d1: Float32s, xy2: Float64s, d2: Float32s) -> tuple[Float64s, Float64s]:
@@ -90,25 +90,25 @@ def _matched(xy1: Float64s, d1: Float32s, xy2: Float64s, d2: Float32s) -> tuple[
     if min(len(d1), len(d2)) < 2:
         return np.zeros((0, 2)), np.zeros((0, 2))
     matcher = cv2.BFMatcher(cv2.NORM_L2)
-    back = {m.queryIdx: m.trainIdx for m in matcher.match(d2, d1)}
+    reverse = {m.queryIdx: m.trainIdx for m in matcher.match(d2, d1)}
     pairs = [
         (best.queryIdx, best.trainIdx)
         for best, next_best in matcher.knnMatch(d1, d2, k=2)
-        if best.distance < _RATIO * next_best.distance and back[best.trainIdx] == best.queryIdx
+        if best.distance < _MOST_RATIO * next_best.distance and reverse[best.trainIdx] == best.queryIdx
     ]
     rows = np.array(pairs, dtype=np.int64).reshape(-1, 2)
     return xy1[rows[:, 0]], xy2[rows[:, 1]]
 
 
-def _fit(fit: object, x1: Float64s, x2: Float64s) -> tuple[Float64s | None, Bools]:
+def _fit(estimator: object, x1: Float64s, x2: Float64s) -> tuple[Float64s | None, Bools]:
     """A matrix and the matches that agree with it, by USAC with a fixed seed."""
     settings = cv2.UsacParams()
-    settings.threshold = _AGREE_PX
+    settings.threshold = _INLIER_PX
     settings.confidence = 0.999
     settings.maxIterations = 5000
     settings.randomGeneratorState = 0
-    assert callable(fit)
-    matrix, mask = fit(x1, x2, settings)
+    assert callable(estimator)
+    matrix, mask = estimator(x1, x2, settings)
     if matrix is None or mask is None or matrix.shape != (3, 3):
         return None, np.zeros(len(x1), dtype=bool)
     return np.asarray(matrix, dtype=np.float64), np.asarray(mask).ravel() > 0
@@ -116,4 +116,4 @@ def _fit(fit: object, x1: Float64s, x2: Float64s) -> tuple[Float64s | None, Bool
 
 def _spread(points: Float64s, shape: tuple[int, ...]) -> bool:
     """Do the points lie in several parts of the picture?"""
-    return places(points, (shape[1], shape[0]), 0.25) >= _CELLS
+    return places(points, (shape[1], shape[0]), 0.25) >= _FEWEST_CELLS

@@ -14,7 +14,7 @@ def places(x: Float64s, size: tuple[int, int], more: float = 1.0) -> int:
 
     more: number of cells of the grid, as a multiple of `GRID_COLUMNS` x `GRID_ROWS`.
     """
-    finer = np.sqrt(more)
-    column = (x[:, 0] * GRID_COLUMNS * finer / size[0]).astype(np.int64)
-    row = (x[:, 1] * GRID_ROWS * finer / size[1]).astype(np.int64)
+    scale = np.sqrt(more)
+    column = (x[:, 0] * GRID_COLUMNS * scale / size[0]).astype(np.int64)
+    row = (x[:, 1] * GRID_ROWS * scale / size[1]).astype(np.int64)
     return len(np.unique(column * 100_000 + row))

@@ -91,23 +91,23 @@ def refine_with_plausible_intrinsics(
     """
     unit = float(max(view1.width, view1.height))
     T1, T2 = (_frame_of(view, unit) for view in (view1, view2))
-    mean, sigma = _expected_of_both(view1, view2, unit)
+    mean, sigma = _prior_of_both(view1, view2, unit)
     matches = _Matches((x1 - T1[:2, 2]) / unit, (x2 - T2[:2, 2]) / unit, unit / (noise * CAUCHY), mean, sigma)
     best: tuple[float, _State] | None = None
     for F, factor in product(candidates, STARTS):
         lens = mean + np.array([np.log(factor), np.log(factor), 0, 0, 0, 0])
         K1, K2 = _intrinsics(lens)
-        seen = (View(view.width, view.height, T @ K) for view, T, K in ((view1, T1, K1), (view2, T2, K2)))
-        pose = pose_of_fundamental(F, x1, x2, *seen)
+        centred_views = (View(view.width, view.height, T @ K) for view, T, K in ((view1, T1, K1), (view2, T2, K2)))
+        pose = pose_of_fundamental(F, x1, x2, *centred_views)
         if pose is not None:
-            found = _descend(_State(pose[0], pose[1] / np.linalg.norm(pose[1]), lens), matches, FIRST_STEPS)
-            best = found if best is None or found[0] < best[0] else best
+            refined = _descend(_State(pose[0], pose[1] / np.linalg.norm(pose[1]), lens), matches, FIRST_STEPS)
+            best = refined if best is None or refined[0] < best[0] else best
     if best is None:
         return None
     _, state = _descend(best[1], matches, LAST_STEPS)
     K1, K2 = _intrinsics(state.lens)
-    inside = np.linalg.inv(T2).T @ _fundamental(state) @ np.linalg.inv(T1)
-    return TwoCameras(inside / np.linalg.norm(inside), T1 @ K1, T2 @ K2, _information(state.lens, mean, sigma)[2])
+    centred_F = np.linalg.inv(T2).T @ _fundamental(state) @ np.linalg.inv(T1)
+    return TwoCameras(centred_F / np.linalg.norm(centred_F), T1 @ K1, T2 @ K2, _information(state.lens, mean, sigma)[2])
 
 
 def freedoms(F: Float64s, K1: Float64s, K2: Float64s, view1: View, view2: View) -> tuple[Float64s, Float64s]:
@@ -122,16 +122,16 @@ def freedoms(F: Float64s, K1: Float64s, K2: Float64s, view1: View, view2: View) 
     """
     unit = float(max(view1.width, view1.height))
     T1, T2 = (_frame_of(view, unit) for view in (view1, view2))
-    mean, sigma = _expected_of_both(view1, view2, unit)
+    mean, sigma = _prior_of_both(view1, view2, unit)
     L1, L2 = np.linalg.inv(T1) @ K1, np.linalg.inv(T2) @ K2
     lens = np.array([np.log(L1[0, 0]), np.log(L2[0, 0]), L1[0, 2], L1[1, 2], L2[0, 2], L2[1, 2]])
     left, right = np.linalg.inv(L2).T, np.linalg.inv(L1)
     E = L2.T @ (T2.T @ F @ T1) @ L1
-    first, second = _lens_changes(L1), _lens_changes(L2)
-    one, two = [left @ E @ d for d in first], [d.T @ E @ right for d in second]
-    turns = [left @ M @ right for axis in np.eye(3) for M in (skew(axis) @ E, E @ skew(axis))]
-    inside = np.stack([*turns, one[0], two[0], one[1], one[2], two[1], two[2]])
-    directions = np.linalg.inv(T2).T @ inside @ np.linalg.inv(T1)
+    changes1, changes2 = _lens_changes(L1), _lens_changes(L2)
+    by_lens1, by_lens2 = [left @ E @ d for d in changes1], [d.T @ E @ right for d in changes2]
+    by_rotations = [left @ M @ right for axis in np.eye(3) for M in (skew(axis) @ E, E @ skew(axis))]
+    changes = np.stack([*by_rotations, by_lens1[0], by_lens2[0], by_lens1[1], by_lens1[2], by_lens2[1], by_lens2[2]])
+    directions = np.linalg.inv(T2).T @ changes @ np.linalg.inv(T1)
     information = np.zeros((12, 12))
     information[6:, 6:] = TOGETHER**2 * _information(lens, mean, sigma)[0]
     return directions.reshape(12, 9).T, information
@@ -142,13 +142,13 @@ def _frame_of(view: View, unit: float) -> Float64s:
     return np.array([[unit, 0.0, (view.width - 1) / 2], [0.0, unit, (view.height - 1) / 2], [0.0, 0.0, 1.0]])
 
 
-def _expected_of_both(view1: View, view2: View, unit: float) -> tuple[Float64s, Float64s]:
+def _prior_of_both(view1: View, view2: View, unit: float) -> tuple[Float64s, Float64s]:
     """Mean and standard deviation (6,) of the prior on `_State.lens`."""
-    means, sigmas = (np.array(both) for both in zip(_expected(view1, unit), _expected(view2, unit), strict=True))
+    means, sigmas = (np.array(values) for values in zip(_prior(view1, unit), _prior(view2, unit), strict=True))
     return np.append(means[:, 0], means[:, 1:]), np.append(sigmas[:, 0], sigmas[:, 1:])
 
 
-def _expected(view: View, unit: float) -> tuple[Float64s, Float64s]:
+def _prior(view: View, unit: float) -> tuple[Float64s, Float64s]:
     """Mean and standard deviation (3,) of the prior on log f, cx, cy."""
     side = max(view.width, view.height)
     if view.K is None:
@@ -172,7 +172,7 @@ def _fundamental(state: _State) -> Float64s:
     return np.asarray(np.linalg.inv(K2).T @ skew(state.t) @ state.R @ np.linalg.inv(K1), dtype=np.float64)
 
 
-def _across(t: Float64s) -> Float64s:
+def _tangents(t: Float64s) -> Float64s:
     """(3, 2) tangent directions of the unit vector t."""
     return np.asarray(np.linalg.svd(t[None])[2][1:].T, dtype=np.float64)
 
@@ -183,10 +183,10 @@ def _directions(state: _State) -> Float64s:
     right, left = np.linalg.inv(K1), np.linalg.inv(K2).T
     E = skew(state.t) @ state.R
     changes = [left @ skew(state.t) @ skew(axis) @ state.R @ right for axis in np.eye(3)]
-    changes += [left @ skew(axis) @ state.R @ right for axis in _across(state.t).T]
-    first, second = _lens_changes(K1), _lens_changes(K2)
-    one, two = [left @ E @ d for d in first], [d.T @ E @ right for d in second]
-    changes += [one[0], two[0], one[1], one[2], two[1], two[2]]
+    changes += [left @ skew(axis) @ state.R @ right for axis in _tangents(state.t).T]
+    changes1, changes2 = _lens_changes(K1), _lens_changes(K2)
+    by_lens1, by_lens2 = [left @ E @ d for d in changes1], [d.T @ E @ right for d in changes2]
+    changes += [by_lens1[0], by_lens2[0], by_lens1[1], by_lens1[2], by_lens2[1], by_lens2[2]]
     return np.stack([c.ravel() for c in changes], axis=1)
 
 
@@ -201,30 +201,30 @@ def _lens_changes(K: Float64s) -> list[Float64s]:
 
 def _information(lens: Float64s, mean: Float64s, sigma: Float64s) -> tuple[Float64s, Float64s, float]:
     """The lens prior as normal equations (6, 6), (6,), and the implausibility of `lens` in squared standard deviations."""
-    off = (lens - mean) / sigma
+    deviation = (lens - mean) / sigma
     ratio = (lens[0] - mean[0] - lens[1] + mean[1]) / RATIO_SIGMA
-    along = np.array([1.0, -1.0, 0, 0, 0, 0]) / RATIO_SIGMA
+    direction = np.array([1.0, -1.0, 0, 0, 0, 0]) / RATIO_SIGMA
     weight = 1 / (1 + ratio**2)
-    normal = np.diag(sigma**-2.0) + weight * np.outer(along, along)
-    return normal, off / sigma + weight * ratio * along, float(off @ off + np.log1p(ratio**2))
+    normal = np.diag(sigma**-2.0) + weight * np.outer(direction, direction)
+    return normal, deviation / sigma + weight * ratio * direction, float(deviation @ deviation + np.log1p(ratio**2))
 
 
 def _equations(state: _State, matches: _Matches) -> tuple[float, Float64s, Float64s]:
     """Cost, normal matrix (11, 11) and right side (11,) of the matches and the lens prior together."""
-    cost, normal, right = normal_equations(_fundamental(state), matches.x1, matches.x2, matches.scale, _directions(state))
-    share = (CAUCHY / TOGETHER) ** 2
-    prior_normal, prior_right, implausibility = _information(state.lens, matches.mean, matches.sigma)
-    normal, right = share * normal, share * right
+    cost, normal, gradient = normal_equations(_fundamental(state), matches.x1, matches.x2, matches.scale, _directions(state))
+    match_weight = (CAUCHY / TOGETHER) ** 2
+    prior_normal, prior_gradient, implausibility = _information(state.lens, matches.mean, matches.sigma)
+    normal, gradient = match_weight * normal, match_weight * gradient
     normal[5:, 5:] += prior_normal
-    right[5:] += prior_right
-    return share * cost + implausibility, normal, right
+    gradient[5:] += prior_gradient
+    return match_weight * cost + implausibility, normal, gradient
 
 
 def _descend(state: _State, matches: _Matches, steps: int) -> tuple[float, _State]:
     equations = partial(_equations, matches=matches)
-    return levenberg_marquardt(state, equations, _moved, steps=steps, damping=1e-3, least_damping=1e-9, tolerance=1e-5)
+    return levenberg_marquardt(state, equations, _stepped, steps=steps, damping=1e-3, least_damping=1e-9, tolerance=1e-5)
 
 
-def _moved(state: _State, step: Float64s) -> _State:
-    t = state.t + _across(state.t) @ step[3:5]
+def _stepped(state: _State, step: Float64s) -> _State:
+    t = state.t + _tangents(state.t) @ step[3:5]
     return _State(rotation_matrix(step[:3]) @ state.R, t / np.linalg.norm(t), state.lens + step[5:])

@@ -92,13 +92,13 @@ def pair_evidence(
     x1, x2 = left.xy[i1], right.xy[i2]
     dots = np.einsum("nd,nd->n", left.descriptors[i1], right.descriptors[i2]).astype(np.float64)
     distance = np.sqrt(np.maximum(2 - 2 * dots, 1e-9))
-    rivalry = distance / np.maximum(rival_distances(left, right, pairs, i1, i2), 1e-6)
-    likeness = distance / np.maximum(np.minimum(_lookalikes(left, i1), _lookalikes(right, i2)), 1e-6)
-    distinct = (rivalry < DISTINCT_FROM_RIVALS) & (likeness < DISTINCT_FROM_LOOKALIKES)
+    rival_ratio = distance / np.maximum(rival_distances(left, right, pairs, i1, i2), 1e-6)
+    lookalike_ratio = distance / np.maximum(np.minimum(_lookalike_distances(left, i1), _lookalike_distances(right, i2)), 1e-6)
+    distinct = (rival_ratio < DISTINCT_FROM_RIVALS) & (lookalike_ratio < DISTINCT_FROM_LOOKALIKES)
     return PairEvidence(
         inliers=len(i1),
         distinct_cells=_distinct_cells(x1[distinct], x2[distinct], left.view, right.view),
-        distinct_share=float((likeness < DISTINCT_FROM_LOOKALIKES).mean()),
+        distinct_share=float((lookalike_ratio < DISTINCT_FROM_LOOKALIKES).mean()),
         agreement=_agreement(pairs, found.F),
         half_rotation_deg=_half_rotation_deg(x1, x2, left.view, right.view, seed),
         stretch=_stretch(x1, x2, right.frames[i2] @ np.linalg.inv(left.frames[i1])),
@@ -134,19 +134,19 @@ def point_evidence(before: Matches, inliers: Matches, found: TwoView, seed: int 
     )
 
 
-def _lookalikes(features: Features, rows: Int32s) -> Float32s:
+def _lookalike_distances(features: Features, rows: Int32s) -> Float32s:
     """Descriptor distance (n,) of keypoints, given by their rows, to the most similar one elsewhere in their own image."""
     known = features.lookalikes
     if not len(known):
         return nearest_lookalike(features.descriptors, features.xy, len(features.xy))[rows]
-    plain = rows < len(known)
-    found = np.empty(len(rows), np.float32)
-    found[plain] = known[rows[plain]]
-    if plain.all():
-        return found
-    asking = np.concatenate([np.arange(len(known)), rows[~plain]])
-    found[~plain] = nearest_lookalike(features.descriptors[asking], features.xy[asking], len(known), begin=len(known))
-    return found
+    is_known = rows < len(known)
+    distances = np.empty(len(rows), np.float32)
+    distances[is_known] = known[rows[is_known]]
+    if is_known.all():
+        return distances
+    queried = np.concatenate([np.arange(len(known)), rows[~is_known]])
+    distances[~is_known] = nearest_lookalike(features.descriptors[queried], features.xy[queried], len(known), begin=len(known))
+    return distances
 
 
 def pair_score(evidence: PairEvidence, contradicted: bool = False) -> float:
@@ -192,9 +192,9 @@ def _distinct_cells(x1: Float64s, x2: Float64s, view1: View, view2: View) -> int
 
     The wider view gets more cells, by the ratio of the fields of view: a long lens covers few of its cells, but all of its own.
     """
-    more = field_ratio(view1, view2)
+    ratio = field_ratio(view1, view2)
     size1, size2 = (view1.width, view1.height), (view2.width, view2.height)
-    return min(places(x1, size1, max(more, 1.0)), places(x2, size2, max(1 / more, 1.0)))
+    return min(places(x1, size1, max(ratio, 1.0)), places(x2, size2, max(1 / ratio, 1.0)))
 
 
 def _agreement(pairs: tuple[ViewPair, ...], F: Float64s) -> float:
@@ -228,9 +228,9 @@ def _half_rotation_deg(x1: Float64s, x2: Float64s, view1: View, view2: View, see
     if view1.K is None or view2.K is None or not (view1.focal_known and view2.focal_known):
         return float("nan")
     centred = x1 - x1.mean(axis=0)
-    along = centred @ np.linalg.svd(centred, full_matrices=False)[2][0]  # along the largest spread
-    first = along < np.median(along)
-    poses = [estimate_essential(x1[h], x2[h], view1, view2, 1.0, seed, max_iterations=300) for h in (first, ~first)]
+    coordinate = centred @ np.linalg.svd(centred, full_matrices=False)[2][0]  # along the largest spread
+    is_first = coordinate < np.median(coordinate)
+    poses = [estimate_essential(x1[h], x2[h], view1, view2, 1.0, seed, max_iterations=300) for h in (is_first, ~is_first)]
     if poses[0] is None or poses[1] is None or poses[0].R is None or poses[1].R is None:
         return 180.0
     return angle_between_deg(poses[1].R, poses[0].R)

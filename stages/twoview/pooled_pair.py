@@ -41,21 +41,21 @@ def matches_of_night(inliers: Matches, F: Float64s, left: Features, right: Featu
     i1, i2 = _keypoint_at(left, inliers.x1), _keypoint_at(right, inliers.x2)
     known = (i1 >= 0) & (i2 >= 0)
     pairs = view_pairs(left, right, inliers.tilted)
-    likely = inliers.probability[known].astype(np.float64)
-    seeds = keypoint_matches(left, right, i1[known], i2[known], likely, tilted=inliers.tilted, searched=pairs)
+    probability = inliers.probability[known].astype(np.float64)
+    seeds = keypoint_matches(left, right, i1[known], i2[known], probability, tilted=inliers.tilted, searched=pairs)
     return match_guided(seeds, left, right, F)
 
 
 def with_night(pooled: Matches, night: Matches) -> Matches:
     """The pooled matches, and those of a night that are new."""
     ends = np.hstack([night.x1, night.x2])
-    away, _ = cKDTree(np.hstack([pooled.x1, pooled.x2])).query(ends) if len(ends) else (np.zeros(0), None)
-    more = away > SAME_PX
+    distance, _ = cKDTree(np.hstack([pooled.x1, pooled.x2])).query(ends) if len(ends) else (np.zeros(0), None)
+    is_new = distance > SAME_PX
     return replace(
         pooled,
-        x1=np.vstack([pooled.x1, night.x1[more]]),
-        x2=np.vstack([pooled.x2, night.x2[more]]),
-        probability=np.concatenate([pooled.probability, night.probability[more]]),
+        x1=np.vstack([pooled.x1, night.x1[is_new]]),
+        x2=np.vstack([pooled.x2, night.x2[is_new]]),
+        probability=np.concatenate([pooled.probability, night.probability[is_new]]),
     )
 
 
@@ -78,9 +78,9 @@ def pooled_evidence(
         return replace(own, distinct_cells=0, distinct_share=0.0, agreement=0.0)
     pairs = searched_view_pairs(night, left, right)
     evidence = pair_evidence(left, right, pairs, night.i1[keep], night.i2[keep], found, seed)
-    rival, more = evidence.rival, own.inliers / evidence.inliers
+    rival, ratio = evidence.rival, own.inliers / evidence.inliers
     if rival is not None:
-        rival = replace(rival, inliers=round(more * rival.inliers), elsewhere=round(more * rival.elsewhere))
+        rival = replace(rival, inliers=round(ratio * rival.inliers), elsewhere=round(ratio * rival.elsewhere))
     return replace(evidence, inliers=own.inliers, half_rotation_deg=own.half_rotation_deg, angle_deg=own.angle_deg, rival=rival)
 
 

@@ -21,7 +21,7 @@ CAUCHY = 1.5
 """Residual, in standard deviations, at which the weight of a match is halved."""
 LEAST_NOISE_PX = 0.02
 ITERATIONS = 12
-_TURNS = np.stack([skew(axis) for axis in np.eye(3)])
+_GENERATORS = np.stack([skew(axis) for axis in np.eye(3)])
 """(3, 3, 3) generators of small rotations about each axis."""
 
 
@@ -34,8 +34,8 @@ def noise_px(F: Float64s, x1: Float64s, x2: Float64s, size: Float64s) -> Float64
     x1, x2 : (n, 2) pixels of the matches.
     size : (n,) size of the coarser keypoint of each match, in any unit.
     """
-    measured = 1.4826 * float(np.median(np.abs(sampson_distance(F, x1, x2)) / size))
-    return np.asarray(size * max(measured, LEAST_NOISE_PX / float(np.median(size))), dtype=np.float64)
+    ratio = 1.4826 * float(np.median(np.abs(sampson_distance(F, x1, x2)) / size))
+    return np.asarray(size * max(ratio, LEAST_NOISE_PX / float(np.median(size))), dtype=np.float64)
 
 
 def refine_two_view(
@@ -55,12 +55,12 @@ def refine_two_view(
     """
     half = max(float(np.abs(np.concatenate([x1, x2])).max()) / 2, 1.0)
     N = np.array([[1 / half, 0.0, -1.0], [0.0, 1 / half, -1.0], [0.0, 0.0, 1.0]])
-    Ni = np.linalg.inv(N)
+    N_inverse = np.linalg.inv(N)
     lenses = None if intrinsics is None else (N @ intrinsics[0], N @ intrinsics[1])
     for _ in range(2):
         scale = half / noise_px(F, x1, x2, size)
-        inside = _descend(unit_norm(Ni.T @ F @ Ni), x1 / half - 1, x2 / half - 1, scale / CAUCHY, lenses)
-        F = unit_norm(N.T @ inside @ N)
+        normalised_F = _descend(unit_norm(N_inverse.T @ F @ N_inverse), x1 / half - 1, x2 / half - 1, scale / CAUCHY, lenses)
+        F = unit_norm(N.T @ normalised_F @ N)
     return F, noise_px(F, x1, x2, size)
 
 
@@ -70,13 +70,13 @@ def _descend(F: Float64s, x1: Float64s, x2: Float64s, scale: Float64s, lenses: I
     def equations(state: tuple[Float64s, Float64s]) -> Equations:
         return normal_equations(state[0], x1, x2, scale, state[1])
 
-    def moved(state: tuple[Float64s, Float64s], step: Float64s) -> tuple[Float64s, Float64s]:
+    def stepped(state: tuple[Float64s, Float64s], step: Float64s) -> tuple[Float64s, Float64s]:
         F = _nearest(state[0] + (state[1] @ step).reshape(3, 3), lenses)
         return F, tangent(F, lenses)
 
     F = _nearest(F, lenses)
     _, (F, _) = levenberg_marquardt(
-        *((F, tangent(F, lenses)), equations, moved),
+        *((F, tangent(F, lenses)), equations, stepped),
         steps=ITERATIONS,
         damping=1e-4,
         most_damping=1e3,
@@ -103,8 +103,8 @@ def tangent(F: Float64s, lenses: Intrinsics | None) -> Float64s:
         return np.asarray(np.linalg.svd(np.stack([F.ravel(), np.outer(e2, e1).ravel()]))[2][2:].T, dtype=np.float64)
     K1, K2 = lenses
     E = K2.T @ F @ K1
-    moves = np.concatenate([_TURNS @ E, E @ _TURNS])  # rotations of either camera about an axis
-    changes = (np.linalg.inv(K2).T @ moves @ np.linalg.inv(K1)).reshape(6, 9)
+    rotations = np.concatenate([_GENERATORS @ E, E @ _GENERATORS])  # rotations of either camera about an axis
+    changes = (np.linalg.inv(K2).T @ rotations @ np.linalg.inv(K1)).reshape(6, 9)
     changes = changes - np.outer(changes @ F.ravel(), F.ravel())
     return np.asarray(np.linalg.svd(changes, full_matrices=False)[2][:5].T, dtype=np.float64)
 
@@ -123,8 +123,8 @@ def normal_equations(
     directions : (9, k) in which F may change.
     """
     k = directions.shape[1]
-    cost, normal, right = 0.0, np.zeros((k, k)), np.zeros(k)
-    row, change = np.empty(9), np.empty(k)
+    cost, normal, gradient = 0.0, np.zeros((k, k)), np.zeros(k)
+    by_F, change = np.empty(9), np.empty(k)
     for n in range(len(x1)):
         u1, v1 = x1[n, 0], x1[n, 1]
         u2, v2 = x2[n, 0], x2[n, 1]
@@ -134,18 +134,18 @@ def normal_equations(
         algebraic = u1 * ax + v1 * ay + u2 * F[0, 2] + v2 * F[1, 2] + F[2, 2]
         r = algebraic * inverse * scale[n]
         q = algebraic * inverse * inverse  # accounts for the changing length of the gradient
-        row[0], row[1], row[2] = u2 * u1 - q * (bx * u1 + u2 * ax), u2 * v1 - q * (bx * v1 + u2 * ay), u2 - q * bx
-        row[3], row[4], row[5] = v2 * u1 - q * (by * u1 + v2 * ax), v2 * v1 - q * (by * v1 + v2 * ay), v2 - q * by
-        row[6], row[7], row[8] = u1 - q * ax, v1 - q * ay, 1.0
+        by_F[0], by_F[1], by_F[2] = u2 * u1 - q * (bx * u1 + u2 * ax), u2 * v1 - q * (bx * v1 + u2 * ay), u2 - q * bx
+        by_F[3], by_F[4], by_F[5] = v2 * u1 - q * (by * u1 + v2 * ax), v2 * v1 - q * (by * v1 + v2 * ay), v2 - q * by
+        by_F[6], by_F[7], by_F[8] = u1 - q * ax, v1 - q * ay, 1.0
         for i in range(k):
             total = 0.0
             for j in range(9):
-                total += row[j] * directions[j, i]
+                total += by_F[j] * directions[j, i]
             change[i] = total * inverse * scale[n]
         weight = 1 / (1 + r * r)
         cost += np.log(1 + r * r)
         for i in range(k):
-            right[i] += weight * r * change[i]
+            gradient[i] += weight * r * change[i]
             for j in range(k):
                 normal[i, j] += weight * change[i] * change[j]
-    return cost, normal, right
+    return cost, normal, gradient

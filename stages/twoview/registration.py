@@ -25,9 +25,9 @@ _LEAST_CORRELATION = 0.6
 _LEAST_STD = 2.0
 """Patches with a lower standard deviation, in grey levels, are not searched."""
 _TRIALS = 400
-_AGREE_PX = 1.5
+_INLIER_PX = 1.5
 """Largest distance of an inlier from the position that the rotation predicts, in pixels."""
-_FEWEST, _FEWEST_CELLS, _SHARE = 10, 8, 0.1
+_FEWEST_INLIERS, _FEWEST_CELLS, _LEAST_SHARE = 10, 8, 0.1
 """Fewest inliers, fewest grid cells that hold them, and their smallest share of all patches.  Chance agreement, or a clock burnt
 into the picture, stays below these."""
 _ROUNDS = 5
@@ -77,20 +77,20 @@ def corners(image: Uint8s, mask: Bools) -> Float64s:
     usable[:margin], usable[-margin:], usable[:, :margin], usable[:, -margin:] = 0, 0, 0, 0
     strength = np.asarray(cv2.cornerMinEigenVal(cv2.GaussianBlur(image, (0, 0), 1.0), 5), dtype=np.float32)
     strength[usable == 0] = 0
-    found = []
+    positions = []
     for row in range(GRID_ROWS):
         for column in range(GRID_COLUMNS):
             y0, y1 = h * row // GRID_ROWS, h * (row + 1) // GRID_ROWS
             x0, x1 = w * column // GRID_COLUMNS, w * (column + 1) // GRID_COLUMNS
             cell = strength[y0:y1, x0:x1].copy()
-            apart = max(min(cell.shape) // 5, 2)
+            spacing = max(min(cell.shape) // 5, 2)
             for _ in range(_PER_CELL):
                 y, x = np.unravel_index(int(cell.argmax()), cell.shape)
                 if cell[y, x] <= 0:
                     break
-                found.append((x0 + x, y0 + y))
-                cell[max(y - apart, 0) : y + apart + 1, max(x - apart, 0) : x + apart + 1] = 0
-    return np.array(found, dtype=np.float64).reshape(-1, 2)
+                positions.append((x0 + x, y0 + y))
+                cell[max(y - spacing, 0) : y + spacing + 1, max(x - spacing, 0) : x + spacing + 1] = 0
+    return np.array(positions, dtype=np.float64).reshape(-1, 2)
 
 
 def patch_radius(width: int) -> int:
@@ -104,54 +104,54 @@ def find_again(image1: Uint8s, image2: Uint8s, points: Float64s) -> Found:
     reach = REACH_PX // 2
     half1, half2 = _padded(_halved(image1), radius), _padded(_halved(image2), radius + reach)
     coarse, _ = _search(half1, half2, points / 2, points / 2, radius, reach)
-    found, score = _search(_padded(image1, radius), _padded(image2, radius + 3), points, coarse * 2, radius, 3)
-    inside = (found >= 0).all(axis=1) & (found < [image1.shape[1], image1.shape[0]]).all(axis=1)
+    positions, score = _search(_padded(image1, radius), _padded(image2, radius + 3), points, coarse * 2, radius, 3)
+    inside = (positions >= 0).all(axis=1) & (positions < [image1.shape[1], image1.shape[0]]).all(axis=1)
     keep = (score >= _LEAST_CORRELATION) & inside
-    return Found(points[keep], found[keep])
+    return Found(points[keep], positions[keep])
 
 
 def _halved(image: Uint8s) -> Uint8s:
     return np.asarray(cv2.resize(image, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA), dtype=np.uint8)
 
 
-def _padded(image: Uint8s, by: int) -> tuple[Float32s, int]:
-    return np.asarray(cv2.copyMakeBorder(image, by, by, by, by, cv2.BORDER_REPLICATE), dtype=np.float32), by
+def _padded(image: Uint8s, margin: int) -> tuple[Float32s, int]:
+    return np.asarray(cv2.copyMakeBorder(image, margin, margin, margin, margin, cv2.BORDER_REPLICATE), dtype=np.float32), margin
 
 
 def _search(
-    first: tuple[Float32s, int], second: tuple[Float32s, int], points: Float64s, near: Float64s, radius: int, reach: int
+    source: tuple[Float32s, int], target: tuple[Float32s, int], points: Float64s, near: Float64s, radius: int, reach: int
 ) -> tuple[Float64s, Float64s]:
     """Best position (n, 2) and correlation (n,) of each patch within `reach` of `near`; nan and -1 if there is none."""
-    image1, pad1 = first
-    image2, pad2 = second
-    at_best, scores = np.full(points.shape, np.nan), np.full(len(points), -1.0)
+    image1, pad1 = source
+    image2, pad2 = target
+    positions, scores = np.full(points.shape, np.nan), np.full(len(points), -1.0)
     for k, (point, centre) in enumerate(zip(points, near, strict=True)):
         if not np.isfinite(centre).all():
             continue
         x, y = np.rint(point).astype(int) + pad1
         u, v = np.rint(centre).astype(int) + pad2
-        size = radius + reach
+        half_window = radius + reach
         patch = image1[y - radius : y + radius + 1, x - radius : x + radius + 1]
-        window = image2[max(v - size, 0) : v + size + 1, max(u - size, 0) : u + size + 1]
+        window = image2[max(v - half_window, 0) : v + half_window + 1, max(u - half_window, 0) : u + half_window + 1]
         if min(window.shape) < 2 * radius + 1 or patch.shape != (2 * radius + 1,) * 2 or patch.std() < _LEAST_STD:
             continue
         surface = np.asarray(cv2.matchTemplate(window, patch, cv2.TM_CCOEFF_NORMED), dtype=np.float32)
         row, column = np.unravel_index(int(surface.argmax()), surface.shape)
-        at = np.array([_peak(surface[row], column), _peak(surface[:, column], row)])
-        corner = np.array([max(u - size, 0), max(v - size, 0)])
-        at_best[k] = corner + radius + at - pad2 + (point - np.rint(point))
+        peak = np.array([_peak(surface[row], column), _peak(surface[:, column], row)])
+        corner = np.array([max(u - half_window, 0), max(v - half_window, 0)])
+        positions[k] = corner + radius + peak - pad2 + (point - np.rint(point))
         scores[k] = surface[row, column]
-    return at_best, scores
+    return positions, scores
 
 
-def _peak(values: Float32s, at: np.intp) -> float:
+def _peak(values: Float32s, index: np.intp) -> float:
     """Position of the vertex of the parabola through a maximum and its two neighbours."""
-    k = int(at)
+    k = int(index)
     if not 0 < k < len(values) - 1:
         return float(k)
     a, b, c = float(values[k - 1]), float(values[k]), float(values[k + 1])
-    curve = a - 2 * b + c
-    return k + (0.5 * (a - c) / curve if curve < 0 else 0.0)
+    curvature = a - 2 * b + c
+    return k + (0.5 * (a - c) / curvature if curvature < 0 else 0.0)
 
 
 def fit_turn(found: Found, K: Float64s, width: int, height: int) -> Turn | None:
@@ -163,21 +163,21 @@ def fit_turn(found: Found, K: Float64s, width: int, height: int) -> Turn | None:
     K : (3, 3) intrinsics, pixels.
     width, height : size of the pictures.
     """
-    if len(found.x1) < _FEWEST:
+    if len(found.x1) < _FEWEST_INLIERS:
         return None
-    inliers = _agreeing(found)
+    inliers = _similarity_inliers(found)
     parameters = np.zeros(4)
     rays = np.column_stack([found.x1, np.ones(len(found.x1))]) @ np.linalg.inv(K).T
     for _ in range(_ROUNDS):
-        if inliers.sum() < _FEWEST:
+        if inliers.sum() < _FEWEST_INLIERS:
             return None
         residual, jacobian = _residuals(parameters, rays[inliers], found.x2[inliers], K)
         step = np.linalg.lstsq(jacobian, -residual.ravel(), rcond=None)[0]
         parameters = parameters + step
         residual = _residuals(parameters, rays, found.x2, K)[0]
-        inliers = np.linalg.norm(residual, axis=1) <= _AGREE_PX
+        inliers = np.linalg.norm(residual, axis=1) <= _INLIER_PX
     cells = places(found.x1[inliers], (width, height))
-    if inliers.sum() < max(_FEWEST, _SHARE * len(inliers)) or cells < _FEWEST_CELLS:
+    if inliers.sum() < max(_FEWEST_INLIERS, _LEAST_SHARE * len(inliers)) or cells < _FEWEST_CELLS:
         return None
     residual, jacobian = _residuals(parameters, rays[inliers], found.x2[inliers], K)
     # errors within a cell are correlated (a shadow, one object that moved): its patches count as one
@@ -188,8 +188,8 @@ def fit_turn(found: Found, K: Float64s, width: int, height: int) -> Turn | None:
     H[:2, 2] = K[:2, 2]
     H = H @ R @ np.linalg.inv(K)
     middle = np.array([(width - 1) / 2, (height - 1) / 2, 1.0])
-    _, at_middle = _residuals(parameters, (np.linalg.inv(K) @ middle)[None], middle[None, :2], K)
-    shift_covariance = at_middle @ covariance @ at_middle.T
+    _, middle_jacobian = _residuals(parameters, (np.linalg.inv(K) @ middle)[None], middle[None, :2], K)
+    shift_covariance = middle_jacobian @ covariance @ middle_jacobian.T
     grid = np.stack(np.meshgrid(np.linspace(0, width - 1, 9), np.linspace(0, height - 1, 7), [1.0]), axis=-1).reshape(-1, 3)
     moved = grid @ H.T
     motion = np.linalg.norm(moved[:, :2] / moved[:, 2:] - grid[:, :2], axis=1)
@@ -210,7 +210,7 @@ def fit_turn(found: Found, K: Float64s, width: int, height: int) -> Turn | None:
     )
 
 
-def _agreeing(found: Found) -> Bools:
+def _similarity_inliers(found: Found) -> Bools:
     """The inliers of the best of many similarities, each through two random patches."""
     n = len(found.x1)
     rng = np.random.default_rng(0)
@@ -219,13 +219,13 @@ def _agreeing(found: Found) -> Bools:
     base = z1[pairs[:, 1]] - z1[pairs[:, 0]]
     usable = np.abs(base) > 0.05 * np.abs(z1 - z1.mean()).max()
     pairs, base = pairs[usable], base[usable]
-    a = (z2[pairs[:, 1]] - z2[pairs[:, 0]]) / base
-    plausible = (np.abs(np.abs(a) - 1) < 0.05) & (np.abs(np.angle(a)) < 0.2)
+    similarity = (z2[pairs[:, 1]] - z2[pairs[:, 0]]) / base
+    plausible = (np.abs(np.abs(similarity) - 1) < 0.05) & (np.abs(np.angle(similarity)) < 0.2)
     if not plausible.any():
         return np.zeros(n, dtype=bool)
-    a, first = a[plausible], pairs[plausible, 0]
-    off = np.abs(a[:, None] * (z1[None] - z1[first][:, None]) + z2[first][:, None] - z2[None])
-    return np.asarray(off[int((off <= _AGREE_PX).sum(axis=1).argmax())] <= _AGREE_PX)
+    similarity, first = similarity[plausible], pairs[plausible, 0]
+    errors = np.abs(similarity[:, None] * (z1[None] - z1[first][:, None]) + z2[first][:, None] - z2[None])
+    return np.asarray(errors[int((errors <= _INLIER_PX).sum(axis=1).argmax())] <= _INLIER_PX)
 
 
 def _residuals(parameters: Float64s, rays: Float64s, x2: Float64s, K: Float64s) -> tuple[Float64s, Float64s]:
@@ -234,9 +234,9 @@ def _residuals(parameters: Float64s, rays: Float64s, x2: Float64s, K: Float64s) 
     X = rays @ R.T
     f = np.array([K[0, 0], K[1, 1]]) * zoom
     plane = X[:, :2] / X[:, 2:]
-    at = plane * f + K[:2, 2]
+    projected = plane * f + K[:2, 2]
     u, v = plane.T
-    one = np.ones_like(u)
-    du = f[0] * np.stack([-u * v, one + u * u, -v, u], axis=1)
-    dv = f[1] * np.stack([-(one + v * v), u * v, u, v], axis=1)
-    return at - x2, np.stack([du, dv], axis=1).reshape(-1, 4)
+    ones = np.ones_like(u)
+    du = f[0] * np.stack([-u * v, ones + u * u, -v, u], axis=1)
+    dv = f[1] * np.stack([-(ones + v * v), u * v, u, v], axis=1)
+    return projected - x2, np.stack([du, dv], axis=1).reshape(-1, 4)

@@ -52,12 +52,12 @@ def estimate_fundamental(x1: Float64s, x2: Float64s, threshold_px: float, seed: 
     if len(x1) < 8:
         return None
     try:
-        found, _ = cv2.findFundamentalMat(x1, x2, _usac(threshold_px, seed, MAX_ITERATIONS))
+        matrix, _ = cv2.findFundamentalMat(x1, x2, _usac(threshold_px, seed, MAX_ITERATIONS))
     except cv2.error:  # degenerate input: repeated or collinear points
         return None
-    if found is None or found.shape != (3, 3) or not np.isfinite(found).all():
+    if matrix is None or matrix.shape != (3, 3) or not np.isfinite(matrix).all():
         return None
-    F = unit_norm(np.asarray(found, dtype=np.float64))
+    F = unit_norm(np.asarray(matrix, dtype=np.float64))
     for _ in range(2):
         inliers = supporters(F, x1, x2, threshold_px)
         if inliers.sum() < 8:
@@ -99,9 +99,9 @@ def estimate_essential(
     return TwoView(F, inliers, R, t) if inliers.sum() >= 8 else None
 
 
-def _lo_ransac(threshold_px: float, seed: int, most: int) -> dict[str, Any]:
-    times = {"max_iterations": most, "min_iterations": min(MIN_ITERATIONS, most)}
-    return {"max_epipolar_error": INLIER_FACTOR * threshold_px, "seed": seed, **times}
+def _lo_ransac(threshold_px: float, seed: int, limit: int) -> dict[str, Any]:
+    iterations = {"max_iterations": limit, "min_iterations": min(MIN_ITERATIONS, limit)}
+    return {"max_epipolar_error": INLIER_FACTOR * threshold_px, "seed": seed, **iterations}
 
 
 def estimate_with_one_lens(
@@ -126,8 +126,8 @@ def estimate_with_one_lens(
     )
     centred1, centred2 = ((x - T[:2, 2]) / T[0, 0] for x, T in ((x1, T1), (x2, T2)))
     options = _lo_ransac(threshold_px, seed, MAX_ITERATIONS)
-    found, _ = poselib.estimate_shared_focal_relative_pose(centred1, centred2, np.zeros(2), options, {})
-    f, R, t = float(found.camera1.focal()), np.asarray(found.pose.R), np.asarray(found.pose.t)
+    estimate, _ = poselib.estimate_shared_focal_relative_pose(centred1, centred2, np.zeros(2), options, {})
+    f, R, t = float(estimate.camera1.focal()), np.asarray(estimate.pose.R), np.asarray(estimate.pose.t)
     if not np.isfinite([f, *t]).all() or f <= 0 or np.linalg.norm(t) < 1e-12:
         return None
     K = np.diag([f, f, 1.0])
@@ -147,11 +147,11 @@ def pose_of_fundamental(F: Float64s, x1: Float64s, x2: Float64s, view1: View, vi
     """
     if view1.K is None or view2.K is None:
         return None
-    some = slice(None, None, max(-(-len(x1) // MOST_POSED), 1))
-    n1 = (homogeneous(x1[some]) @ np.linalg.inv(view1.K).T)[:, :2]
-    n2 = (homogeneous(x2[some]) @ np.linalg.inv(view2.K).T)[:, :2]
-    front, R, t, _ = cv2.recoverPose(view2.K.T @ F @ view1.K, n1, n2, np.eye(3))
-    return (np.asarray(R, dtype=np.float64), np.asarray(t, dtype=np.float64).ravel()) if front >= 8 else None
+    sample = slice(None, None, max(-(-len(x1) // MOST_POSED), 1))
+    n1 = (homogeneous(x1[sample]) @ np.linalg.inv(view1.K).T)[:, :2]
+    n2 = (homogeneous(x2[sample]) @ np.linalg.inv(view2.K).T)[:, :2]
+    in_front, R, t, _ = cv2.recoverPose(view2.K.T @ F @ view1.K, n1, n2, np.eye(3))
+    return (np.asarray(R, dtype=np.float64), np.asarray(t, dtype=np.float64).ravel()) if in_front >= 8 else None
 
 
 def rotation_support(x1: Float64s, x2: Float64s, view1: View, view2: View, R: Float64s, threshold_px: float) -> float:
@@ -187,17 +187,17 @@ def homography_support(x1: Float64s, x2: Float64s, threshold_px: float, seed: in
     threshold_px : noise of a correct match, pixels.
     seed : random seed.
     """
-    none = np.zeros(len(x1), dtype=bool)
+    no_inliers = np.zeros(len(x1), dtype=bool)
     if len(x1) < 8:
-        return none
+        return no_inliers
     try:
-        found, _ = cv2.findHomography(x1, x2, _usac(threshold_px, seed, 2000))
+        matrix, _ = cv2.findHomography(x1, x2, _usac(threshold_px, seed, 2000))
     except cv2.error:
-        return none
-    H = np.zeros((0, 0)) if found is None else np.array(found, dtype=np.float64)
+        return no_inliers
+    H = np.zeros((0, 0)) if matrix is None else np.array(matrix, dtype=np.float64)
     if H.shape != (3, 3) or abs(np.linalg.det(H)) < 1e-15:
-        return none
-    residual = np.maximum(_transfer(H, x1, x2), _transfer(np.linalg.inv(H).astype(np.float64), x2, x1))
+        return no_inliers
+    residual = np.maximum(_transfer_errors(H, x1, x2), _transfer_errors(np.linalg.inv(H).astype(np.float64), x2, x1))
     return np.asarray(residual < INLIER_FACTOR * threshold_px)
 
 
@@ -238,7 +238,7 @@ def supporters(F: Float64s, x1: Float64s, x2: Float64s, threshold_px: float) -> 
     return np.asarray(np.abs(sampson_distance(F, x1, x2)) < INLIER_FACTOR * threshold_px)
 
 
-def _transfer(H: Float64s, x1: Float64s, x2: Float64s) -> Float64s:
+def _transfer_errors(H: Float64s, x1: Float64s, x2: Float64s) -> Float64s:
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.asarray(np.nan_to_num(np.linalg.norm(apply_homography(H, x1) - x2, axis=1), nan=np.inf), dtype=np.float64)
 

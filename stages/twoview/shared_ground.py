@@ -37,42 +37,42 @@ def shared_ground(cameras: list[Camera]) -> tuple[Int64s, Float64s, Float64s]:
         return np.zeros((0, 2), np.int64), np.zeros(0), np.zeros(0)
     distances = _scene_distances(cameras)
     if len(cameras) > FEW:
-        return _of_many(cameras, distances)
+        return _shared_by_many(cameras, distances)
     n = len(cameras)
-    angle, seen = np.full((n, n), np.nan), np.zeros((n, n))
+    angle, overlap = np.full((n, n), np.nan), np.zeros((n, n))
     for i, camera in enumerate(cameras):
-        points = _probes(camera, distances[i], _FINE)
+        points = _samples(camera, distances[i], _FINE)
         for j, other in enumerate(cameras):
             if i != j:
                 x, depth = project(other, points)
                 inside = (x >= -0.5).all(axis=1) & (x < (other.width - 0.5, other.height - 0.5)).all(axis=1)
                 visible = inside & (depth > 0)
-                seen[i, j] = visible.mean()
-                some = points[visible] if visible.any() else points
-                angle[i, j] = np.median(ray_angles(some - camera.C, some - other.C))
+                overlap[i, j] = visible.mean()
+                shared = points[visible] if visible.any() else points
+                angle[i, j] = np.median(ray_angles(shared - camera.C, shared - other.C))
     pairs = np.array(list(combinations(range(n), 2)), np.int64)
     i, j = pairs.T
-    return pairs, 0.5 * (angle[i, j] + angle[j, i]), 0.5 * (seen[i, j] + seen[j, i])
+    return pairs, 0.5 * (angle[i, j] + angle[j, i]), 0.5 * (overlap[i, j] + overlap[j, i])
 
 
-def _of_many(cameras: list[Camera], distances: Float64s) -> tuple[Int64s, Float64s, Float64s]:
+def _shared_by_many(cameras: list[Camera], distances: Float64s) -> tuple[Int64s, Float64s, Float64s]:
     """The result of `shared_ground` for many views.  If only one view of a pair has visible samples, its angle is used alone."""
     n = len(cameras)
     C = np.stack([camera.C for camera in cameras])
     sides = np.concatenate([_frustum(camera) for camera in cameras]).astype(np.float32)
-    angle, seen = np.full((n, n), np.nan, np.float32), np.zeros((n, n), np.float32)
+    angle, overlap = np.full((n, n), np.nan, np.float32), np.zeros((n, n), np.float32)
     for i, camera in enumerate(cameras):
-        rays, apart = (_probes(camera, distances[i], _COARSE) - C[i]).astype(np.float32), (C - C[i]).astype(np.float32)
-        beyond = np.einsum("ak,ak->a", sides, np.repeat(apart, 4, axis=0))
-        visible = (sides @ rays.T > beyond[:, None]).reshape(n, 4, -1).all(axis=1)
+        rays, offsets = (_samples(camera, distances[i], _COARSE) - C[i]).astype(np.float32), (C - C[i]).astype(np.float32)
+        limits = np.einsum("ak,ak->a", sides, np.repeat(offsets, 4, axis=0))
+        visible = (sides @ rays.T > limits[:, None]).reshape(n, 4, -1).all(axis=1)
         visible[i] = False
         others = np.flatnonzero(visible.any(axis=1))
-        seen[i, others] = visible[others].mean(axis=1)
-        angle[i, others] = _median_angles(rays, apart[others], visible[others])
-    left, right = np.nonzero(np.triu((seen > 0) | (seen.T > 0), 1))
-    one, other = angle[left, right].astype(np.float64), angle[right, left].astype(np.float64)
-    mean = np.where(np.isnan(one), other, np.where(np.isnan(other), one, 0.5 * (one + other)))
-    return np.column_stack([left, right]), mean, 0.5 * (seen[left, right].astype(np.float64) + seen[right, left])
+        overlap[i, others] = visible[others].mean(axis=1)
+        angle[i, others] = _median_angles(rays, offsets[others], visible[others])
+    left, right = np.nonzero(np.triu((overlap > 0) | (overlap.T > 0), 1))
+    angle1, angle2 = angle[left, right].astype(np.float64), angle[right, left].astype(np.float64)
+    mean_angle = np.where(np.isnan(angle1), angle2, np.where(np.isnan(angle2), angle1, 0.5 * (angle1 + angle2)))
+    return np.column_stack([left, right]), mean_angle, 0.5 * (overlap[left, right].astype(np.float64) + overlap[right, left])
 
 
 def _frustum(camera: Camera) -> Float64s:
@@ -83,14 +83,14 @@ def _frustum(camera: Camera) -> Float64s:
     return np.asarray(lines @ camera.K @ camera.R, dtype=np.float64)
 
 
-def _median_angles(rays: Float32s, apart: Float32s, visible: Bools) -> Float32s:
-    """(m,) median angle in radians between the rays to points (p, 3) from the origin and from each position in `apart` (m, 3),
+def _median_angles(rays: Float32s, offsets: Float32s, visible: Bools) -> Float32s:
+    """(m,) median angle in radians between the rays to points (p, 3) from the origin and from each position in `offsets` (m, 3),
     over the visible points (m, p) only: at least one in each row."""
-    along = apart @ rays.T
-    square = np.einsum("pk,pk->p", rays, rays)
-    there = np.einsum("mk,mk->m", apart, apart)[:, None] + square - 2 * along
+    dot = offsets @ rays.T
+    squared = np.einsum("pk,pk->p", rays, rays)
+    squared_distance = np.einsum("mk,mk->m", offsets, offsets)[:, None] + squared - 2 * dot
     with np.errstate(divide="ignore", invalid="ignore"):
-        cosine = (square - along) / np.sqrt(square * there)
+        cosine = (squared - dot) / np.sqrt(squared * squared_distance)
     cosine[~visible] = np.inf
     cosine.sort(axis=1)  # invisible points (inf) come last
     count, rows = visible.sum(axis=1), np.arange(len(visible))
@@ -106,26 +106,26 @@ def _scene_distances(cameras: list[Camera]) -> Float64s:
     """
     C = np.stack([camera.C for camera in cameras])
     axes = np.stack([camera.R[2] for camera in cameras])
-    between = C[None, :, :] - C[:, None, :]
+    offsets = C[None, :, :] - C[:, None, :]
     cosine = axes @ axes.T
-    along = np.einsum("ijk,ik->ij", between, axes)
-    along_other = np.einsum("ijk,jk->ij", between, axes)
+    own_along = np.einsum("ijk,ik->ij", offsets, axes)
+    other_along = np.einsum("ijk,jk->ij", offsets, axes)
     with np.errstate(divide="ignore", invalid="ignore"):
-        at = (along - cosine * along_other) / (1.0 - cosine**2)
-        at_other = (cosine * along - along_other) / (1.0 - cosine**2)
-    meets = (at > 0) & (at_other > 0) & (np.abs(cosine) < np.cos(radians(2.0)))
-    baseline = np.linalg.norm(between, axis=2)
+        own_depth = (own_along - cosine * other_along) / (1.0 - cosine**2)
+        other_depth = (cosine * own_along - other_along) / (1.0 - cosine**2)
+    meets = (own_depth > 0) & (other_depth > 0) & (np.abs(cosine) < np.cos(radians(2.0)))
+    baseline = np.linalg.norm(offsets, axis=2)
     if len(cameras) > FEW:
         meets &= baseline <= np.partition(baseline, FEW, axis=1)[:, FEW : FEW + 1]
-    distances = np.array([np.median(at[i, meets[i]]) if meets[i].any() else np.nan for i in range(len(cameras))])
-    nearest = np.where(baseline > 0, baseline, np.inf).min(axis=1)
-    nearest = nearest[np.isfinite(nearest)]
-    fallback = 5.0 * float(np.median(nearest)) if nearest.size else 1.0
+    distances = np.array([np.median(own_depth[i, meets[i]]) if meets[i].any() else np.nan for i in range(len(cameras))])
+    nearest_baseline = np.where(baseline > 0, baseline, np.inf).min(axis=1)
+    nearest_baseline = nearest_baseline[np.isfinite(nearest_baseline)]
+    fallback = 5.0 * float(np.median(nearest_baseline)) if nearest_baseline.size else 1.0
     known = np.isfinite(distances)
     return np.where(known, distances, float(np.median(distances[known])) if known.any() else fallback)
 
 
-def _probes(camera: Camera, distance: float, grid: _Grid) -> Float64s:
+def _samples(camera: Camera, distance: float, grid: _Grid) -> Float64s:
     """(n, 3) world points on a grid of rays, at depths from half to twice the scene's distance."""
     columns, rows, steps = grid
     x = (np.arange(columns) + 0.5) / columns * camera.width - 0.5

@@ -103,7 +103,7 @@ Found = TypeVar("Found", Matches, Geometry)
 def at_rows(found: Found, rows: Bools | Int64s) -> Found:
     """The matches or geometry, with some of its matches only.  rows: (n,) bool, or row numbers."""
     names = ("x1", "x2", "i1", "i2", "probability", "affine", "noise_px")
-    return replace(found, **{name: of[rows] for name in names if (of := getattr(found, name, None)) is not None})
+    return replace(found, **{name: values[rows] for name in names if (values := getattr(found, name, None)) is not None})
 
 
 @dataclass(frozen=True)

@@ -31,9 +31,9 @@ class ArtifactError(WbflowError, ValueError):
 def bytes_and_facts(result: Any, stage: str, key: str) -> tuple[bytes | bytearray, dict[str, Any]]:
     """Return the bytes of a result, and the fields of its receipt that describe them."""
     data = result_bytes(result, stage)
-    more = load(CLOUD_FIGURES)(result) if stage == FUSE else {}
+    cloud_figures = load(CLOUD_FIGURES)(result) if stage == FUSE else {}
     facts = {"digest": content_digest(data), "parts": parts(result), "file": f"{key}{suffix_of(stage)}", "bytes": len(data)}
-    return data, {**facts, "figures": figures(result) | more}
+    return data, {**facts, "figures": figures(result) | cloud_figures}
 
 
 def suffix_of(stage: str) -> str:
@@ -59,7 +59,7 @@ def encode(value: Any) -> bytes:
     import zstandard
 
     frames: list[bytes] = []
-    header = json.dumps(_tree(value, frames, zstandard.ZstdCompressor(level=1).compress), separators=(",", ":")).encode()
+    header = json.dumps(_to_tree(value, frames, zstandard.ZstdCompressor(level=1).compress), separators=(",", ":")).encode()
     return b"".join([MAGIC, len(header).to_bytes(4, "little"), header, *frames])
 
 
@@ -77,7 +77,7 @@ def decode(data: bytes) -> Any:
         raise ArtifactError(f"unreadable header: {error}") from error
     frames = io.BytesIO(data)
     frames.seek(end)
-    return _untree(tree, frames)
+    return _from_tree(tree, frames)
 
 
 def parts(value: Any) -> dict[str, str]:
@@ -85,39 +85,39 @@ def parts(value: Any) -> dict[str, str]:
 
     A task that needs only `frames.view` or `poses.cameras[gate]` is not run again when other parts of the artifact change.
     """
-    found: dict[str, str] = {}
+    digests: dict[str, str] = {}
     for name in _fields_of(value):
         field = getattr(value, name)
         if dataclasses.is_dataclass(field):
-            found[name] = content_digest(encode(field))
+            digests[name] = content_digest(encode(field))
         elif isinstance(field, Mapping):
-            found |= {
+            digests |= {
                 f"{name}[{key}]": content_digest(encode(entry)) for key, entry in field.items() if dataclasses.is_dataclass(entry)
             }
-            found[name] = content_digest(json.dumps([(_key(k), found.get(f"{name}[{k}]", "")) for k in field]).encode())
-    return found
+            digests[name] = content_digest(json.dumps([(_json_key(k), digests.get(f"{name}[{k}]", "")) for k in field]).encode())
+    return digests
 
 
 def figures(value: Any) -> dict[str, Any]:
     """Return the plain fields of a dataclass by name: scalars, tuples, small dataclasses, mappings and tuples of them.  An array
     gives its number of rows as `<field>_count`.  Fields with `figure=False` in their metadata are left out."""
-    found: dict[str, Any] = {}
-    left_out = {field.name for field in dataclasses.fields(value) if not field.metadata.get("figure", True)}
+    values: dict[str, Any] = {}
+    excluded = {field.name for field in dataclasses.fields(value) if not field.metadata.get("figure", True)}
     for name in _fields_of(value):
         field = getattr(value, name)
-        if name in left_out:
+        if name in excluded:
             continue
         if _is_plain(field):
-            found[name] = field
+            values[name] = field
         elif isinstance(field, tuple) and all(map(_is_small, field)):
-            found[name] = [figures(entry) for entry in field]
+            values[name] = [figures(entry) for entry in field]
         elif isinstance(field, Mapping) and all(map(_is_small, field.values())):
-            found[name] = {key: figures(entry) for key, entry in field.items()}
+            values[name] = {key: figures(entry) for key, entry in field.items()}
         elif dataclasses.is_dataclass(field) and all(_is_plain(getattr(field, f.name)) for f in dataclasses.fields(field)):
-            found[name] = figures(field)
+            values[name] = figures(field)
         elif hasattr(field, "shape") and field.shape:
-            found[f"{name}_count"] = int(field.shape[0])
-    return found
+            values[f"{name}_count"] = int(field.shape[0])
+    return values
 
 
 def _fields_of(value: Any) -> tuple[str, ...]:
@@ -139,27 +139,27 @@ def _is_plain(value: Any) -> bool:
     return value is None or isinstance(value, (bool, int, str)) or (isinstance(value, float) and math.isfinite(value))
 
 
-def _tree(value: Any, frames: list[bytes], compress: Callable[[bytes], bytes]) -> Any:
+def _to_tree(value: Any, frames: list[bytes], compress: Callable[[bytes], bytes]) -> Any:
     if value is None or isinstance(value, _SCALARS):
         return value
     if hasattr(value, "dtype"):
-        return _array_tree(value, frames, compress)
+        return _array_to_tree(value, frames, compress)
     if dataclasses.is_dataclass(value):
         kind = type(value)
-        fields = {name: _tree(getattr(value, name), frames, compress) for name in _fields_of(value)}
+        fields = {name: _to_tree(getattr(value, name), frames, compress) for name in _fields_of(value)}
         return {"type": f"{kind.__module__}:{kind.__qualname__}", "fields": fields}
     if isinstance(value, Mapping):
-        return {"map": [[_key(key), _tree(entry, frames, compress)] for key, entry in value.items()]}
+        return {"map": [[_json_key(key), _to_tree(entry, frames, compress)] for key, entry in value.items()]}
     if isinstance(value, tuple | list):
-        return {"tuple": [_tree(item, frames, compress) for item in value]}
+        return {"tuple": [_to_tree(item, frames, compress) for item in value]}
     raise TypeError(f"{type(value).__name__} cannot be kept in an artifact")
 
 
-def _key(key: Any) -> Any:
+def _json_key(key: Any) -> Any:
     return list(key) if isinstance(key, tuple) else key
 
 
-def _array_tree(array: Any, frames: list[bytes], compress: Callable[[bytes], bytes]) -> Any:
+def _array_to_tree(array: Any, frames: list[bytes], compress: Callable[[bytes], bytes]) -> Any:
     import numpy as np
 
     shape = list(array.shape)
@@ -172,7 +172,7 @@ def _array_tree(array: Any, frames: list[bytes], compress: Callable[[bytes], byt
     return {"array": array.dtype.str, "shape": shape, "bytes": len(frames[-1])}
 
 
-def _array(node: Mapping[str, Any], frames: IO[bytes]) -> Any:
+def _array_from_tree(node: Mapping[str, Any], frames: IO[bytes]) -> Any:
     """Return the array that a node of the header describes; `frames` holds the arrays in header order."""
     import numpy as np
     import zstandard  # imported here: objects without arrays need neither
@@ -184,22 +184,22 @@ def _array(node: Mapping[str, Any], frames: IO[bytes]) -> Any:
         raise ArtifactError(f"damaged array: {error}") from error
 
 
-def _untree(node: Any, frames: IO[bytes]) -> Any:
+def _from_tree(node: Any, frames: IO[bytes]) -> Any:
     """Rebuild the value of a header node, depth first: the frames were written in this order."""
     if not isinstance(node, dict):
         return node
     if "array" in node:
-        return _array(node, frames)
+        return _array_from_tree(node, frames)
     if "tuple" in node:
-        return tuple(_untree(item, frames) for item in node["tuple"])
+        return tuple(_from_tree(item, frames) for item in node["tuple"])
     if "map" in node:
-        return {tuple(key) if isinstance(key, list) else key: _untree(entry, frames) for key, entry in node["map"]}
+        return {tuple(key) if isinstance(key, list) else key: _from_tree(entry, frames) for key, entry in node["map"]}
     try:
         kind: Any = load(node["type"])
     except ValueError:
         raise ArtifactError(f"{node['type']} is no name of a class") from None
     if not (isinstance(kind, type) and dataclasses.is_dataclass(kind)):
         raise ArtifactError(f"{node['type']} is not a dataclass")
-    fields = {name: _untree(tree, frames) for name, tree in node["fields"].items()}
-    known = {field.name for field in dataclasses.fields(kind)}
-    return kind(**{name: value for name, value in fields.items() if name in known})
+    fields = {name: _from_tree(tree, frames) for name, tree in node["fields"].items()}
+    field_names = {field.name for field in dataclasses.fields(kind)}
+    return kind(**{name: value for name, value in fields.items() if name in field_names})

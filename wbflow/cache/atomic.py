@@ -63,8 +63,8 @@ def _replace(path: Path, fill: Callable[[IO[bytes]], object], size: int, fsync: 
         with contextlib.suppress(OSError):
             temporary.unlink()
         if isinstance(error, OSError) and error.errno in FULL:
-            words = f"the disk is full: {format_size(size)} needed, {format_size(free_bytes(path.parent))} free"
-            raise OSError(error.errno, words, str(path)) from None
+            message = f"the disk is full: {format_size(size)} needed, {format_size(free_bytes(path.parent))} free"
+            raise OSError(error.errno, message, str(path)) from None
         raise
 
 

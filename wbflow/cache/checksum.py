@@ -20,7 +20,7 @@ from .atomic import write_atomic
 from .untrusted import MOST_CAPTURE_BYTES, Unreadable, open_untrusted, read_untrusted
 
 _HEAD, _TAIL = b'{"signed":"', b'",'  # the entry keeps the name that the first version gave it
-_BODY = len(_HEAD) + 32 + len(_TAIL)
+_BODY_START = len(_HEAD) + 32 + len(_TAIL)
 
 
 def content_digest(data: bytes | bytearray | memoryview) -> str:
@@ -41,8 +41,8 @@ def sha256_of(path: Path) -> str:
         return ""
 
 
-def _sha256(path: Path, most: int) -> str:
-    with os.fdopen(open_untrusted(path, most), "rb") as file:
+def _sha256(path: Path, most_bytes: int) -> str:
+    with os.fdopen(open_untrusted(path, most_bytes), "rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
@@ -68,10 +68,10 @@ def dump_with_checksum(of: str, content: Mapping[str, Any], in_lines: bool = Fal
 def dump_in_lines(content: Mapping[str, Any]) -> str:
     """Return a JSON object for people, with one entry per line, or one item per line for entries that are lists or objects.
     (`json.dumps` takes twenty times as long with indentation as without.)"""
-    return "{\n " + ",\n ".join(f"{json.dumps(name)}: {_items(entry)}" for name, entry in content.items()) + "\n}"
+    return "{\n " + ",\n ".join(f"{json.dumps(name)}: {_entry_lines(entry)}" for name, entry in content.items()) + "\n}"
 
 
-def _items(entry: Any) -> str:
+def _entry_lines(entry: Any) -> str:
     if isinstance(entry, Mapping) and entry:
         return "{\n  " + ",\n  ".join(f"{json.dumps(name)}: {json.dumps(item)}" for name, item in entry.items()) + "\n }"
     if isinstance(entry, list | tuple) and entry:
@@ -84,14 +84,14 @@ def checked(data: bytes, of: str) -> dict[str, Any]:
 
     Raises NoChecksum if it has no checksum, Damaged if the checksum is wrong or `of` does not match.
     """
-    body = data[_BODY:]
+    body = data[_BODY_START:]
     if not data.startswith(_HEAD):
         raise NoChecksum("carries no checksum")
-    if data[len(_HEAD) : _BODY] != content_digest(body).encode() + _TAIL:
+    if data[len(_HEAD) : _BODY_START] != content_digest(body).encode() + _TAIL:
         raise Damaged("is damaged")
     content: dict[str, Any] = json.loads(b"{" + body)
-    if (whose := content.pop("of", None)) != of:
-        raise Damaged(f"belongs to {whose}")
+    if (identity := content.pop("of", None)) != of:
+        raise Damaged(f"belongs to {identity}")
     return content
 
 

@@ -63,30 +63,30 @@ def clean(work: WorkFolder, keep: Keep, *, dry_run: bool = False, asked: bool = 
     """
     with Ledger(work, writes=True) as ledger:
         nights = _Nights(work, ledger)
-        older = nights.runs[: len(nights.runs) - keep.runs] if keep.runs is not None else []
-        unused = nights.beyond(keep.nights) | set(older) - nights.shown  # runs whose artifacts are removed
-        doomed, keys, over = _artifacts(work, keep, nights, unused)
-        damaged = [path for path in work.quarantine.glob("*") if path.is_file()]
-        doomed += sorted(damaged, key=lambda path: path.stat().st_ctime_ns, reverse=True)[0 if asked else _QUARANTINED :]
+        old_runs = nights.runs[: len(nights.runs) - keep.runs] if keep.runs is not None else []
+        unused_runs = nights.beyond(keep.nights) | set(old_runs) - nights.shown  # runs whose artifacts are removed
+        surplus, keys, over = _unneeded_artifacts(work, keep, nights, unused_runs)
+        quarantined = [path for path in work.quarantine.glob("*") if path.is_file()]
+        surplus += sorted(quarantined, key=lambda path: path.stat().st_ctime_ns, reverse=True)[0 if asked else _QUARANTINED :]
         clouds, reports = nights.beyond(keep.clouds), nights.beyond(keep.reports)
         folders = clouds & reports
-        doomed += [path for run in sorted(clouds - folders) for path in work.run(run).clouds()]
-        logs = (reports if keep.keeps_artifacts else reports & unused) - folders  # a log lists the artifacts that a run used
+        surplus += [path for run in sorted(clouds - folders) for path in work.run(run).clouds()]
+        logs = (reports if keep.keeps_artifacts else reports & unused_runs) - folders  # a log lists the artifacts that a run used
         pages = [*(work.run(run).report for run in sorted(reports - folders)), *(work.run(run).log for run in sorted(logs))]
-        doomed += [path for path in pages if path.is_file()]
-        inside = [path for run in sorted(folders) for path in work.run(run).folder.glob("*")]
-        size = _size([*doomed, *inside])
+        surplus += [path for path in pages if path.is_file()]
+        run_files = [path for run in sorted(folders) for path in work.run(run).folder.glob("*")]
+        size = _freed_bytes([*surplus, *run_files])
         if not dry_run:
-            for path in doomed:
+            for path in surplus:
                 path.unlink(missing_ok=True)
             for run in sorted(folders):  # once renamed it is no run any more; if this process is killed, the next run removes it
-                out = work.unfinished_run(run).folder
-                work.run(run).folder.rename(out)
-                shutil.rmtree(out)
+                renamed = work.unfinished_run(run).folder
+                work.run(run).folder.rename(renamed)
+                shutil.rmtree(renamed)
             if keys:
                 ledger.forget(keys)
-            _remove_empty(work, doomed)
-    return Cleaning(len(doomed) + len(inside), size, tuple(sorted(folders)), over)
+            _remove_empty(work, surplus)
+    return Cleaning(len(surplus) + len(run_files), size, tuple(sorted(folders)), over)
 
 
 class _Nights:
@@ -104,32 +104,32 @@ class _Nights:
         """Return the runs of all but the newest `count` nights, without those in `shown`; the empty set for None."""
         if count is None:
             return set()
-        newest = list(dict.fromkeys(self._dates[run] for run in reversed(self.runs)))[:count]
-        return {run for run in self.runs if self._dates[run] not in newest} - self.shown
+        newest_nights = list(dict.fromkeys(self._dates[run] for run in reversed(self.runs)))[:count]
+        return {run for run in self.runs if self._dates[run] not in newest_nights} - self.shown
 
 
-def _artifacts(work: WorkFolder, keep: Keep, nights: _Nights, unused: set[str]) -> tuple[list[Path], set[str], int]:
-    """Return the cache files to remove, their keys, and the bytes still over the limit.  unused: runs whose artifacts may go."""
+def _unneeded_artifacts(work: WorkFolder, keep: Keep, nights: _Nights, unused_runs: set[str]) -> tuple[list[Path], set[str], int]:
+    """Return the cache files to remove, their keys, and the bytes still over the limit.  `unused_runs` need no artifacts."""
     if keep.keeps_artifacts:
         return [], set(), 0
     files: dict[str, list[Path]] = defaultdict(list)
     for path in work.cached():
         files[path.name.partition(".")[0]].append(path)
-    used = {run: _keys(work, run) for run in nights.runs if run not in unused}
-    newest = {key: run for run in used for key in used[run]}
+    used_keys = {run: _used_keys(work, run) for run in nights.runs if run not in unused_runs}
+    newest_run = {key: run for run in used_keys for key in used_keys[run]}
     pinned = _pinned_keys(work)
-    gone = files.keys() - newest.keys() - pinned
+    surplus = files.keys() - newest_run.keys() - pinned
     over = 0
     if keep.bytes is not None:
-        sizes = {key: _size(files[key]) for key in files.keys() & newest.keys() - pinned}
+        sizes = {key: _freed_bytes(files[key]) for key in files.keys() & newest_run.keys() - pinned}
         over = sum(sizes.values()) - keep.bytes
-        for key in sorted(sizes, key=lambda key: (newest[key], -sizes[key])):
-            if over > 0 and not any(key in used.get(run, ()) for run in nights.shown):
+        for key in sorted(sizes, key=lambda key: (newest_run[key], -sizes[key])):
+            if over > 0 and not any(key in used_keys.get(run, ()) for run in nights.shown):
                 over -= sizes[key]
-                gone.add(key)
+                surplus.add(key)
     # receipts first: an artifact without a receipt is never used
-    ordered = (path for key in sorted(gone) for path in sorted(files[key], key=lambda path: path != work.receipt_beside(path)))
-    return list(ordered), gone, max(over, 0)
+    ordered = (path for key in sorted(surplus) for path in sorted(files[key], key=lambda path: path != work.receipt_beside(path)))
+    return list(ordered), surplus, max(over, 0)
 
 
 def _pinned_keys(work: WorkFolder) -> set[str]:
@@ -141,30 +141,30 @@ def _pinned_keys(work: WorkFolder) -> set[str]:
     return {pinned.key for pinned in reference.artifacts.values()} if reference else set()
 
 
-def _keys(work: WorkFolder, run: str) -> set[str]:
+def _used_keys(work: WorkFolder, run: str) -> set[str]:
     """Return the keys of the artifacts that a run used, from its log."""
     try:
         return {event.key for event in RunFolder.of(work, run).events() if isinstance(event, TaskEvent) and event.key}
-    except NoSuchRun:  # what it used is unknown, and is made again when needed
+    except NoSuchRun:  # its artifacts are unknown; they are made again when needed
         return set()
 
 
 def _remove_empty(work: WorkFolder, removed: Iterable[Path]) -> None:
     for folder in sorted({path.parent for path in removed}):
-        for place in (folder, folder.parent):
-            if place.is_relative_to(work.cache) and place != work.cache:
+        for candidate in (folder, folder.parent):
+            if candidate.is_relative_to(work.cache) and candidate != work.cache:
                 with contextlib.suppress(OSError):  # not empty
-                    place.rmdir()
+                    candidate.rmdir()
 
 
-def _size(paths: Iterable[Path]) -> int:
+def _freed_bytes(paths: Iterable[Path]) -> int:
     """Return the bytes that removing files frees: a file with several hard links counts only if all of them are in `paths`."""
     total = 0
-    seen: dict[tuple[int, int], int] = defaultdict(int)
+    links_seen: dict[tuple[int, int], int] = defaultdict(int)
     for path in paths:
         with contextlib.suppress(OSError):
             status = path.stat()
-            seen[status.st_dev, status.st_ino] += 1
-            if seen[status.st_dev, status.st_ino] == status.st_nlink:
+            links_seen[status.st_dev, status.st_ino] += 1
+            if links_seen[status.st_dev, status.st_ino] == status.st_nlink:
                 total += status.st_size
     return total

@@ -38,7 +38,7 @@ class Modules:
     folder: Path | None = None
     """The folder of the site file; modules that Python finds elsewhere take precedence."""
     _files: dict[str, Path | None] = field(default_factory=dict)
-    _tops: dict[str, ModuleSpec | None] = field(default_factory=dict)
+    _top_specs: dict[str, ModuleSpec | None] = field(default_factory=dict)
     """Specs of top-level packages and modules by name; None if Python does not find one."""
     _codes: dict[Path, _ModuleCode] = field(default_factory=dict)
     _trees: dict[Path, ast.Module] = field(default_factory=dict)
@@ -87,8 +87,8 @@ class Modules:
         module, _, name = dotted.partition(":")
         path = self.file(module)
         if path is None or not name:
-            wanted = name or "a function"
-            raise FunctionError(f"there is no module {module!r} to take {wanted} from; write package.module:function")
+            target = name or "a function"
+            raise FunctionError(f"there is no module {module!r} to take {target} from; write package.module:function")
         functions = {node.name: node for node in self.tree(path).body if isinstance(node, ast.FunctionDef)}
         if name not in functions:
             known = ", ".join(sorted(functions)) or "none"
@@ -97,20 +97,20 @@ class Modules:
 
     def _find(self, module: str) -> Path | None:
         top, *rest = module.split(".")
-        if top not in self._tops:
+        if top not in self._top_specs:
             try:
-                self._tops[top] = importlib.util.find_spec(top)
+                self._top_specs[top] = importlib.util.find_spec(top)
             except (ImportError, ValueError):
-                self._tops[top] = None
-        spec = self._tops[top]
+                self._top_specs[top] = None
+        spec = self._top_specs[top]
         if spec is None or is_site_module(spec.origin or "/"):
-            return self._below([str(self.folder)], [top, *rest]) if self.folder else None
+            return self._source_below([str(self.folder)], [top, *rest]) if self.folder else None
         if not rest:
             return Path(spec.origin) if spec.origin and spec.origin.endswith(".py") else None
-        return self._below(list(spec.submodule_search_locations or ()), rest)
+        return self._source_below(list(spec.submodule_search_locations or ()), rest)
 
     @staticmethod
-    def _below(roots: list[str], steps: list[str]) -> Path | None:
+    def _source_below(roots: list[str], steps: list[str]) -> Path | None:
         for root in roots:
             stem = Path(root, *steps)
             for candidate in (stem.with_name(f"{stem.name}.py"), stem / "__init__.py"):
@@ -142,21 +142,21 @@ def read_code(modules: Modules, dotted: str, table: str = "") -> Code:
     chosen method has its own fingerprint.
     """
     first, path, function = modules.function(dotted)
-    found = {first: path}
+    paths = {first: path}
     numbers = {first: 0}  # modules are numbered in the order in which they are met, so that their names do not enter
     texts, libraries = [], set[str]()
-    waiting = [first]
-    for module in waiting:
+    queue = [first]
+    for module in queue:
         code = (
-            _module_code(modules, module, path, function.name, table) if module == first else modules.code(module, found[module])
+            _module_code(modules, module, path, function.name, table) if module == first else modules.code(module, paths[module])
         )
         libraries |= code.libraries
         for name in code.imports:
             if name not in numbers and (file := modules.file(name)) is not None:
-                numbers[name], found[name] = len(numbers), file
-                waiting.append(name)
+                numbers[name], paths[name] = len(numbers), file
+                queue.append(name)
         texts.append(f"{code.digest} {[numbers.get(name) for name in code.imports]}")
-    return Code(_digest("\n".join(texts)), tuple(sorted(libraries)), tuple(found.values()))
+    return Code(_digest("\n".join(texts)), tuple(sorted(libraries)), tuple(paths.values()))
 
 
 @dataclass(frozen=True)
@@ -173,8 +173,8 @@ class _ModuleCode:
 def _module_code(modules: Modules, module: str, path: Path, function: str = "", table: str = "") -> _ModuleCode:
     """Read a module, without the name of the given function and without the given table of methods."""
     tree = modules.parsed(path)
-    bare = _Bare(modules, module, path)
-    bare.visit(tree)
+    stripper = _CodeStripper(modules, module, path)
+    stripper.visit(tree)
     tree.body = [node for node in tree.body if not table or table not in assigned(node)]
     for node in tree.body:
         if function and isinstance(node, ast.FunctionDef) and node.name == function:
@@ -182,10 +182,10 @@ def _module_code(modules: Modules, module: str, path: Path, function: str = "", 
     for inner in ast.walk(tree) if function else ():
         if isinstance(inner, ast.Name) and inner.id == function:
             inner.id = "<this function>"
-    return _ModuleCode(_digest(ast.dump(tree)), tuple(bare.imports), frozenset(bare.libraries))
+    return _ModuleCode(_digest(ast.dump(tree)), tuple(stripper.imports), frozenset(stripper.libraries))
 
 
-class _Bare(ast.NodeTransformer):
+class _CodeStripper(ast.NodeTransformer):
     """Strips a module of docstrings and of the names of followed modules in `from` imports, and collects what it imports."""
 
     def __init__(self, modules: Modules, module: str, path: Path) -> None:
@@ -200,19 +200,19 @@ class _Bare(ast.NodeTransformer):
 
     def visit_Import(self, node: ast.Import) -> ast.AST:
         for alias in node.names:
-            self._imported(alias.name)
+            self._add_import(alias.name)
         return node
 
     def visit_ImportFrom(self, node: ast.ImportFrom) -> ast.AST:
         origin = origin_of(node, self.module, self.path)
-        if not self._imported(origin):
+        if not self._add_import(origin):
             return node
         for alias in node.names:
             if self.modules.file(name := f"{origin}.{alias.name}") is not None:
                 self.imports[name] = None
         return ast.ImportFrom(module="", names=node.names, level=0)
 
-    def _imported(self, name: str) -> bool:
+    def _add_import(self, name: str) -> bool:
         """Record an imported module; return whether it enters the fingerprint."""
         top = name.partition(".")[0]
         followed = self.modules.follows(name, self.module)

@@ -75,7 +75,7 @@ class WorkFolder:
         """Digests of captures, kept between runs."""
         self.functions_memo = self.cache / "functions.json"
         """Signatures and code fingerprints of the stages' functions, kept between runs."""
-        self._writing = self.cache / ".writing"
+        self._writing_mark = self.cache / ".writing"
         """Exists while a process writes; if it exists when a run starts, the previous writer was killed or failed."""
         self.runs = self.root / "runs"
         """runs/<run id>/: the published results of each run, for people and programs."""
@@ -109,9 +109,9 @@ class WorkFolder:
     @staticmethod
     def mirroring(url: str, site: str) -> WorkFolder:
         """Return this machine's mirror of a work folder in an object store: in WBFLOW_CACHE, else in the user's cache folder."""
-        caches = os.environ.get("WBFLOW_CACHE") or Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "wbflow"
-        mark = hashlib.sha256(url.rstrip("/").encode()).hexdigest()[:12]
-        return WorkFolder(Path(caches).absolute() / f"{site}-{mark}", url.rstrip("/"))
+        cache_root = os.environ.get("WBFLOW_CACHE") or Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "wbflow"
+        url_digest = hashlib.sha256(url.rstrip("/").encode()).hexdigest()[:12]
+        return WorkFolder(Path(cache_root).absolute() / f"{site}-{url_digest}", url.rstrip("/"))
 
     @staticmethod
     def beside(site_file: Path, site: str) -> WorkFolder:
@@ -146,8 +146,8 @@ class WorkFolder:
 
     def of_key(self, task: Task, key: str) -> list[Path]:
         """Return all files of a task under a key, the receipt first."""
-        first = self.receipt(task, key)
-        return [first, *(p for p in sorted(self.task(task).glob(f"{key}.*")) if p != first)]
+        receipt = self.receipt(task, key)
+        return [receipt, *(p for p in sorted(self.task(task).glob(f"{key}.*")) if p != receipt)]
 
     def half_written(self, task: Task) -> list[Path]:
         """Return the temporary files of a task: writes that have not finished."""
@@ -206,35 +206,35 @@ class WorkFolder:
         Nothing is ever written or removed through the link.  If a folder is in its place, as in a copy of the work folder, it is
         moved to the quarantine.  Raises OSError.
         """
-        fresh = self.unfinished_run(link.name).folder
-        clear(fresh)
+        new_link = self.unfinished_run(link.name).folder
+        clear(new_link)
         if link.is_dir() and not link.is_symlink():
             self.quarantine.mkdir(parents=True, exist_ok=True)
             places = (self.quarantine / f"{link.name}-{number}" for number in itertools.count(1))
             link.rename(next(place for place in places if not place.exists()))
-        fresh.symlink_to(run)
-        fresh.replace(link)
+        new_link.symlink_to(run)
+        new_link.replace(link)
         sync_folder(self.runs)
 
     def ledger_files(self) -> list[Path]:
         """Return the paths of the ledger and of SQLite's auxiliary files."""
-        return [self.ledger.with_name(self.ledger.name + end) for end in ("", "-wal", "-shm")]
+        return [self.ledger.with_name(self.ledger.name + suffix) for suffix in ("", "-wal", "-shm")]
 
     def start_writing(self) -> bool:
         """Remove what a killed run left half-written, and mark the folder as being written.  The caller holds the lock.
 
         Returns whether the previous writer was killed or failed.
         """
-        killed = self._writing.exists()
+        killed = self._writing_mark.exists()
         beside = f".*{_UNFINISHED}"
         if killed:
-            left = [*self.cache.rglob(beside), *self.reference.rglob(beside), *self.root.glob(beside)]
-            for path in [*left, *self.runs.glob(beside), *self.runs.glob(f"*/{beside}")]:
+            leftovers = [*self.cache.rglob(beside), *self.reference.rglob(beside), *self.root.glob(beside)]
+            for path in [*leftovers, *self.runs.glob(beside), *self.runs.glob(f"*/{beside}")]:
                 clear(path)  # never through a link: its target is a published run
-        self._writing.parent.mkdir(parents=True, exist_ok=True)
-        self._writing.touch()
+        self._writing_mark.parent.mkdir(parents=True, exist_ok=True)
+        self._writing_mark.touch()
         return killed
 
     def done_writing(self) -> None:
         """Remove the mark of `start_writing`: every write has finished."""
-        self._writing.unlink(missing_ok=True)
+        self._writing_mark.unlink(missing_ok=True)

@@ -34,7 +34,7 @@ class Locked(WbflowError):
 def hold(path: Path, wait: bool) -> Iterator[None]:
     """Hold the lock file while the block runs.  Raises Locked if another process holds it and `wait` is False."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    with _held(path, wait) as file:
+    with _open_locked(path, wait) as file:
         since = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
         with contextlib.suppress(OSError):  # on a full disk the lock is held, but its file stays empty
             file.truncate(0)
@@ -45,7 +45,7 @@ def hold(path: Path, wait: bool) -> Iterator[None]:
             file.truncate(0)
 
 
-def _held(path: Path, wait: bool) -> IO[str]:
+def _open_locked(path: Path, wait: bool) -> IO[str]:
     """Open and lock the file.  Anything else at its path (a folder, a dangling link, a pipe) is removed, unless it is locked."""
     while True:
         if path.is_dir() or (path.is_symlink() and not path.exists()):
@@ -62,8 +62,8 @@ def _held(path: Path, wait: bool) -> IO[str]:
             continue
         status = os.fstat(descriptor)
         with contextlib.suppress(FileNotFoundError):
-            there = path.stat()
-            if (there.st_dev, there.st_ino) == (status.st_dev, status.st_ino):  # the file was not replaced meanwhile
+            current = path.stat()
+            if (current.st_dev, current.st_ino) == (status.st_dev, status.st_ino):  # the file was not replaced meanwhile
                 if stat.S_ISREG(status.st_mode):
                     return os.fdopen(descriptor, "r+")
                 clear(path)
@@ -72,15 +72,15 @@ def _held(path: Path, wait: bool) -> IO[str]:
 
 def _holder(path: Path) -> str:
     try:
-        who = json.loads(read_untrusted(path))
-        return f"process {who['pid']} on {who['host']} since {who['since']}"
+        holder = json.loads(read_untrusted(path))
+        return f"process {holder['pid']} on {holder['host']} since {holder['since']}"
     except (OSError, ValueError, KeyError):
         return "which process holds it is unknown"
 
 
 FORMAT = 1
 """Format version of the work folder; it is increased when wbflow starts to write what older versions cannot use."""
-_OF = "work folder"
+_IDENTITY = "work folder"
 
 
 def claim(work: WorkFolder, site: str, file: Path) -> str | None:
@@ -90,21 +90,21 @@ def claim(work: WorkFolder, site: str, file: Path) -> str | None:
     file may be moved or renamed.  Raises UsageError if the folder belongs to another site or was written by a newer version of
     wbflow; OSError.
     """
-    mine = {"site": site, "file": str(file.resolve()), "format": FORMAT, "version": __version__}
+    claimed = {"site": site, "file": str(file.resolve()), "format": FORMAT, "version": __version__}
     try:
-        owner = read_checksummed(work.owner, _OF) or {}
+        owner = read_checksummed(work.owner, _IDENTITY) or {}
     except Damaged:
         owner = {}
     if owner.get("format", FORMAT) > FORMAT:
-        what = f"{work.root} was written by wbflow {owner.get('version')}, and this is wbflow {mine['version']}"
+        what = f"{work.root} was written by wbflow {owner.get('version')}, and this is wbflow {claimed['version']}"
         raise UsageError(what, remedy="update wbflow, or name another work folder in the site file (work: FOLDER)")
     if owner.get("site", site) != site:
         what = f"{work.root} belongs to the site {owner['site']!r} of {owner.get('file')}, not to {site!r}"
         remedy = f"name another work folder in the site file (work: FOLDER); after renaming a site, remove {work.owner}"
         raise UsageError(what, where=str(file), remedy=remedy)
-    if owner != mine:
-        write_checksummed(work.owner, _OF, mine)
-    other = owner.get("file", mine["file"])
-    if other == mine["file"] or not Path(other).is_file():
+    if owner != claimed:
+        write_checksummed(work.owner, _IDENTITY, claimed)
+    previous_file = owner.get("file", claimed["file"])
+    if previous_file == claimed["file"] or not Path(previous_file).is_file():
         return None
-    return f"{other} has used this work folder, too: tonight is compared with its nights as well"
+    return f"{previous_file} has used this work folder, too: tonight is compared with its nights as well"

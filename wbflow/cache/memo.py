@@ -17,7 +17,7 @@ from .checksum import Damaged, file_digest, read_checksummed, write_checksummed
 _SETTLED_NS = 2_000_000_000
 """Digests of files younger than this (nanoseconds) are not reused: see the module's docstring."""
 _FORMER = 2000
-"""Number of files that this run has not looked up whose digests are kept all the same."""
+"""Number of digests that are kept for files which this run has not looked up."""
 NIGHTS = 60
 """Number of nights whose captures are remembered, per camera."""
 
@@ -67,10 +67,10 @@ class Digests(Memo):
         """Return the content digest of a file.  Raises OSError."""
         name, status = str(path), path.stat()
         self._used[name] = None
-        before, known = _stamp(status), self._files.get(name)
+        before, known_entry = _stamp(status), self._files.get(name)
         settled = time.time_ns() - max(status.st_mtime_ns, status.st_ctime_ns) > _SETTLED_NS
-        if known and known[:-1] == before and settled:
-            return str(known[-1])
+        if known_entry and known_entry[:-1] == before and settled:
+            return str(known_entry[-1])
         digest = file_digest(path)
         if settled and _stamp(path.stat()) == before:  # unchanged while it was read
             self._files[name] = [*before, digest]
@@ -82,16 +82,16 @@ class Digests(Memo):
         self._changed |= self._files.pop(str(path), None) is not None
 
     def save(self) -> None:
-        former = [name for name in self._files if name not in self._used][-_FORMER:]
-        kept = [*former, *(name for name in self._used if name in self._files)]
-        self._files = self.entries["files"] = {name: self._files[name] for name in kept}
+        unused = [name for name in self._files if name not in self._used][-_FORMER:]
+        kept_names = [*unused, *(name for name in self._used if name in self._files)]
+        self._files = self.entries["files"] = {name: self._files[name] for name in kept_names}
         super().save()
 
 
 def file_stamp(path: Path | str) -> list[int] | None:
     """Return a stamp that differs once a file has been modified or replaced; None if there is no file."""
     try:
-        return _stamp(os.stat(path))  # noqa: PTH116 (a string where many are looked at)
+        return _stamp(os.stat(path))  # noqa: PTH116 (strings are accepted, too: faster for many files)
     except OSError:
         return None
 
@@ -111,14 +111,14 @@ class EarlierCaptures(Memo):
 
     def before(self, camera: str, night: str) -> dict[str, str]:
         """Return, for each digest that a camera delivered before `night`, the newest such night."""
-        earlier = sorted((date, found) for date, found in self._cameras.get(camera, {}).items() if date < night)
-        return {digest: date for date, found in earlier for digest in found}
+        earlier = sorted((date, digests) for date, digests in self._cameras.get(camera, {}).items() if date < night)
+        return {digest: date for date, digests in earlier for digest in digests}
 
     def note(self, camera: str, night: str, digests: Iterable[str]) -> None:
         """Remember what a camera delivered in a night.  If the night is run again, the new digests replace the old ones."""
         nights = self._cameras.setdefault(camera, {})
-        found = sorted({digest for digest in digests if digest})
-        if found and nights.get(night) != found:
-            nights[night] = found
+        delivered = sorted({digest for digest in digests if digest})
+        if delivered and nights.get(night) != delivered:
+            nights[night] = delivered
             self._cameras[camera] = {date: nights[date] for date in sorted(nights)[-NIGHTS:]}
             self._changed = True

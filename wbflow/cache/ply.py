@@ -25,8 +25,8 @@ def ply_bytes(columns: Columns, comments: tuple[str, ...] = ()) -> bytes | bytea
     count = len(next(iter(columns.values())))
     dtype = np.dtype([(name, "<" + column.dtype.str[1:]) for name, column in columns.items()])
     properties = [f"property {_TYPES[column.dtype.str[1:]]} {name}" for name, column in columns.items()]
-    head = ["ply", "format binary_little_endian 1.0", *(f"comment {c}" for c in comments), f"element vertex {count}"]
-    start = "\n".join([*head, *properties, "end_header", ""]).encode()
+    header = ["ply", "format binary_little_endian 1.0", *(f"comment {c}" for c in comments), f"element vertex {count}"]
+    start = "\n".join([*header, *properties, "end_header", ""]).encode()
     data = bytearray(len(start) + count * dtype.itemsize)  # filled in place: a cloud can take as much memory as all else
     data[: len(start)] = start
     table = np.frombuffer(data, dtype, count, len(start))
@@ -55,9 +55,9 @@ def columns_of(data: bytes) -> dict[str, npt.NDArray[Any]]:
     if lines[:2] != ["ply", "format binary_little_endian 1.0"]:
         raise ValueError("not a binary little-endian PLY file")
     sizes = {kind: code for code, kind in _TYPES.items()}
-    words = [line.split() for line in lines]
-    count = next(int(w[2]) for w in words if w[:2] == ["element", "vertex"])
-    dtype: np.dtype[Any] = np.dtype([(w[2], "<" + sizes[w[1]]) for w in words if w and w[0] == "property"])
+    header_words = [line.split() for line in lines]
+    count = next(int(w[2]) for w in header_words if w[:2] == ["element", "vertex"])
+    dtype: np.dtype[Any] = np.dtype([(w[2], "<" + sizes[w[1]]) for w in header_words if w and w[0] == "property"])
     start = end + len(b"end_header\n")
     if len(data) - start < count * dtype.itemsize:
         raise ValueError(f"ends after {len(data):,} bytes, {count:,} points were promised")
@@ -69,5 +69,5 @@ def with_comments(ply: bytes, comments: tuple[str, ...]) -> bytes:
     """Return the PLY with further comments at the end of those in its header."""
     if not comments:
         return ply
-    at = ply.index(b"element vertex")
-    return b"".join([ply[:at], *(f"comment {comment}\n".encode() for comment in comments), memoryview(ply)[at:]])
+    position = ply.index(b"element vertex")
+    return b"".join([ply[:position], *(f"comment {comment}\n".encode() for comment in comments), memoryview(ply)[position:]])

@@ -68,8 +68,8 @@ class Preimage:
 
     def key(self) -> str:
         """Return the cache key: 32 hexadecimal digits.  The function enters by its code, not by its name."""
-        determines = {name: value for name, value in vars(self).items() if name != "function"}
-        return content_digest(json.dumps(determines, sort_keys=True, separators=(",", ":")).encode())
+        hashed = {name: value for name, value in vars(self).items() if name != "function"}
+        return content_digest(json.dumps(hashed, sort_keys=True, separators=(",", ":")).encode())
 
 
 @dataclass(frozen=True)
@@ -119,13 +119,13 @@ class Cache:
 
     def by_key(self, task: Task, key: str) -> Receipt | None:
         """Return the receipt of a finished task, or None.  Checks the artifact's presence and size; `read` checks its digest."""
-        receipt_file, artifact_file, then, receipt = self._known.get((task, key), ("", "", [], None))
-        if receipt and file_stamp(receipt_file) == then and not (artifact_file and _wrong_size(artifact_file, receipt.bytes)):
+        receipt_file, artifact_file, stamp, receipt = self._known.get((task, key), ("", "", [], None))
+        if receipt and file_stamp(receipt_file) == stamp and not (artifact_file and _size_fault(artifact_file, receipt.bytes)):
             return receipt
         path = self.work.receipt(task, key)
-        found = file_stamp(path)
-        if (receipt := self._receipt(task, path)) and found:
-            self._known[task, key] = str(path), f"{path.parent}/{receipt.file}" if receipt.file else "", found, receipt
+        new_stamp = file_stamp(path)
+        if (receipt := self._receipt(task, path)) and new_stamp:
+            self._known[task, key] = str(path), f"{path.parent}/{receipt.file}" if receipt.file else "", new_stamp, receipt
         return receipt
 
     def newest(self, task: Task) -> Receipt | None:
@@ -143,9 +143,9 @@ class Cache:
 
     def damages(self) -> list[Damage]:
         """Return the damage noted since the last call."""
-        found = self._damages[:]
-        del self._damages[: len(found)]
-        return found
+        noted = self._damages[:]
+        del self._damages[: len(noted)]
+        return noted
 
     def path(self, receipt: Receipt) -> Path:
         """Return the artifact's path.  Raises ValueError for a rejected task, which has none."""
@@ -165,13 +165,13 @@ class Cache:
                 data = b""
             if content_digest(data) == digest:
                 return data
-        gone = not path.exists()
+        missing = not path.exists()
         clear(self.work.receipt_beside(path))  # the receipt goes first; the file is kept for investigation
         if path.exists():
             target = self.work.quarantined(path)
             target.parent.mkdir(parents=True, exist_ok=True)
             path.replace(target)
-        raise DamagedArtifact(task, path, gone)
+        raise DamagedArtifact(task, path, missing)
 
     def load(self, task: Task, receipt: Receipt) -> Any:
         """Return the result that an artifact holds.  Raises DamagedArtifact, ArtifactError."""
@@ -200,9 +200,9 @@ class Cache:
 
     def tidy(self, tasks: Iterable[Task]) -> None:
         """Remove temporary files that a dead worker left of some tasks."""
-        for left in (path for task in tasks for path in self.work.half_written(task)):
+        for leftover in (path for task in tasks for path in self.work.half_written(task)):
             with suppress(OSError):
-                left.unlink()
+                leftover.unlink()
 
     def _receipt(self, task: Task | None, path: Path) -> Receipt | None:
         """Return a receipt; None if it is missing or damaged.  Damage is noted, and the task runs again."""
@@ -217,8 +217,8 @@ class Cache:
             return None
         except (TypeError, KeyError):  # written by another version
             return None
-        if receipt.file and (wrong := _wrong_size(f"{path.parent}/{receipt.file}", receipt.bytes)):
-            self.note(wrong, task)
+        if receipt.file and (fault := _size_fault(f"{path.parent}/{receipt.file}", receipt.bytes)):
+            self.note(fault, task)
             return None
         return receipt
 
@@ -234,7 +234,7 @@ class OnDemand(UserDict[Any, Any]):
         return self._load(self.data[key])
 
 
-def _wrong_size(path: Path | str, expected: int) -> str | None:
+def _size_fault(path: Path | str, expected: int) -> str | None:
     """Return, in words, whether an artifact is missing or has the wrong size; None if neither."""
     try:
         size = os.stat(path).st_size  # noqa: PTH116

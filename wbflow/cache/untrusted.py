@@ -52,14 +52,14 @@ def read_untrusted(path: Path | str, most: int = MOST_CAPTURE_BYTES) -> bytes:
 def open_untrusted(path: Path | str, most: int = MOST_CAPTURE_BYTES) -> int:
     """Return a file descriptor, which the caller closes.  Raises Unreadable, as `read_untrusted` does."""
     try:
-        _check(os.stat(path), most)  # noqa: PTH116  (before it is opened: opening some devices does something)
+        _check_file(os.stat(path), most)  # noqa: PTH116  (before it is opened: opening some devices has side effects)
         descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC | os.O_NOCTTY)
     except (OSError, ValueError) as error:
         if isinstance(error, Unreadable):
             raise
         raise Unreadable(f"cannot be read: {getattr(error, 'strerror', None) or error}") from None
     try:
-        _check(os.fstat(descriptor), most)  # the file may have been replaced since the first check
+        _check_file(os.fstat(descriptor), most)  # the file may have been replaced since the first check
     except Unreadable:
         os.close(descriptor)
         raise
@@ -87,7 +87,7 @@ class _Search:
     """One search; counts the directory entries that it visits."""
 
     def __init__(self) -> None:
-        self._looked_at = 0
+        self._entry_count = 0
 
     def below(self, folder: str, parts: tuple[str, ...]) -> Iterator[str]:
         """Yield the paths in a folder that match the remaining parts of a pattern."""
@@ -99,8 +99,8 @@ class _Search:
         if first == "**":
             for inner, files in self._folders(folder):
                 yield from self.below(inner, rest) if rest else (inner, *files)
-        elif not any(mark in first for mark in "*?["):
-            yield from self.below(os.path.join(folder, first), rest)  # noqa: PTH118  (names may be no text)
+        elif not any(wildcard in first for wildcard in "*?["):
+            yield from self.below(os.path.join(folder, first), rest)  # noqa: PTH118  (names need not be valid text)
         else:
             matches = re.compile(fnmatch.translate(first)).match
             for entry in self._entries(folder):
@@ -114,9 +114,9 @@ class _Search:
     def _folders(self, top: str) -> Iterator[tuple[str, list[str]]]:
         """Yield a folder and all folders below it, each once, and the files in each.  Symbolic links are followed last."""
         seen: set[tuple[int, int]] = set()
-        waiting = [[top], []]
-        while waiting[0] or waiting[1]:
-            folder = (waiting[0] or waiting[1]).pop(0)
+        queues = [[top], []]
+        while queues[0] or queues[1]:
+            folder = (queues[0] or queues[1]).pop(0)
             try:
                 status = os.stat(folder or ".")  # noqa: PTH116
             except OSError:
@@ -129,19 +129,19 @@ class _Search:
                 if entry.name.startswith("."):
                     continue
                 if _is_dir(entry):
-                    waiting[entry.is_symlink()].append(entry.path)
+                    queues[entry.is_symlink()].append(entry.path)
                 else:
                     files.append(entry.path)
             yield folder, files
 
     def _entries(self, folder: str) -> list[os.DirEntry[str]]:
         try:
-            with os.scandir(folder or ".") as found:
-                entries = sorted(found, key=lambda entry: entry.name)
+            with os.scandir(folder or ".") as iterator:
+                entries = sorted(iterator, key=lambda entry: entry.name)
         except OSError:
             return []
-        self._looked_at += len(entries)
-        if self._looked_at > MOST_ENTRIES:
+        self._entry_count += len(entries)
+        if self._entry_count > MOST_ENTRIES:
             remedy = "name the folders in captures.pattern instead of using ** or *"
             raise Unreadable(f"more than {MOST_ENTRIES:,} files would have to be looked at", where=folder, remedy=remedy)
         return entries
@@ -154,8 +154,8 @@ def _is_dir(entry: os.DirEntry[str]) -> bool:
         return False
 
 
-def _check(status: os.stat_result, most: int) -> None:
+def _check_file(status: os.stat_result, most_bytes: int) -> None:
     if not stat.S_ISREG(status.st_mode):
         raise Unreadable(f"is {_KINDS.get(stat.S_IFMT(status.st_mode), 'no file')}, not a file")
-    if status.st_size > most:
-        raise Unreadable(f"has {status.st_size:,} bytes, {most:,} are the most that such a file may have")
+    if status.st_size > most_bytes:
+        raise Unreadable(f"has {status.st_size:,} bytes, {most_bytes:,} are the most that such a file may have")

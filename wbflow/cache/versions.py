@@ -18,8 +18,8 @@ _DISTRIBUTIONS = {
 
 def installed_versions() -> dict[str, str]:
     """Return the versions of Python and of the installed `LIBRARIES`, by name."""
-    found = {name: installed_version(name) for name in LIBRARIES}
-    return {"python": platform.python_version(), **{name: version for name, version in found.items() if version != "absent"}}
+    versions = {name: installed_version(name) for name in LIBRARIES}
+    return {"python": platform.python_version(), **{name: version for name, version in versions.items() if version != "absent"}}
 
 
 @functools.cache
@@ -29,11 +29,11 @@ def installed_version(library: str) -> str:
 
     for distribution in _DISTRIBUTIONS.get(library, (library,)):
         try:
-            return _minor(metadata.version(distribution))
+            return _major_minor(metadata.version(distribution))
         except metadata.PackageNotFoundError:
             continue
-    found = sorted(set(_provided().get(library, ())))
-    return " ".join(f"{name} {_minor(metadata.version(name))}" for name in found) or "absent"
+    distributions = sorted(set(_provided().get(library, ())))
+    return " ".join(f"{name} {_major_minor(metadata.version(name))}" for name in distributions) or "absent"
 
 
 @functools.cache
@@ -44,5 +44,5 @@ def _provided() -> dict[str, list[str]]:
     return dict(metadata.packages_distributions())
 
 
-def _minor(version: str) -> str:
+def _major_minor(version: str) -> str:
     return ".".join(version.split(".")[:2])

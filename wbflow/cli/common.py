@@ -26,9 +26,9 @@ Day = datetime.date | int
 
 def day(text: str) -> Day:
     """Parse a day: 2026-11-19, today, yesterday, or -1 (yesterday), -2, ..."""
-    named = {"today": 0, "yesterday": -1}
-    if text in named or re.fullmatch(r"-\d{1,5}", text):
-        return named[text] if text in named else int(text)
+    offsets = {"today": 0, "yesterday": -1}
+    if text in offsets or re.fullmatch(r"-\d{1,5}", text):
+        return offsets[text] if text in offsets else int(text)
     try:
         return datetime.date.fromisoformat(text)
     except ValueError:
@@ -105,8 +105,8 @@ def echo(text: object, err: bool = False) -> None:
     try:
         click.echo(printable(text, LONGEST_TEXT), err=err)
     except BrokenPipeError:
-        with Path(os.devnull).open("w") as nowhere:
-            os.dup2(nowhere.fileno(), (sys.stderr if err else sys.stdout).fileno())
+        with Path(os.devnull).open("w") as null_file:
+            os.dup2(null_file.fileno(), (sys.stderr if err else sys.stdout).fileno())
 
 
 def echo_json(data: Any) -> None:

@@ -72,13 +72,13 @@ class Display:
         """By name, in the order of the pipeline."""
         self.running: dict[Task, None] = {}
         self._verbose, self._quiet = verbose, quiet
-        self._rejected: Counter[str] = Counter()
+        self._rejections: Counter[str] = Counter()
 
     def receive(self, event: Event | Signal) -> None:
         """Show an event."""
-        ended: list[StageProgress] = []
+        ended_stages: list[StageProgress] = []
         if isinstance(event, PlannedEvent):
-            ended = self._plan(event)
+            ended_stages = self._plan(event)
         elif isinstance(event, StartedEvent):
             self.running[event.task] = None
         elif isinstance(event, TaskEvent):
@@ -89,7 +89,7 @@ class Display:
             stage.cpu += (event.cpu or 0.0) if event.fresh else 0.0
         for line, is_fault in self._messages(event):
             self.print(line, is_fault)
-        for stage in ended:
+        for stage in ended_stages:
             self.stage_ended(stage)
         self.update()
 
@@ -111,14 +111,14 @@ class Display:
     def _plan(self, event: PlannedEvent) -> list[StageProgress]:
         """Update the number of tasks; return the stages that have ended since the last call and had work to do in this run."""
         self.stages = {name: self.stages.get(name, StageProgress(name)) for name in event.tasks}
-        ended, earlier_ended = [], True  # all tasks of a stage are known only once the stages before it have ended
+        ended_stages, earlier_ended = [], True  # all tasks of a stage are known only once the stages before it have ended
         for name, stage in self.stages.items():
             stage.tasks = event.tasks[name]
             earlier_ended = earlier_ended and stage.done >= stage.tasks
             if stage.fresh and earlier_ended:
                 stage.fresh = False
-                ended.append(stage)
-        return ended
+                ended_stages.append(stage)
+        return ended_stages
 
     def _messages(self, event: Event | Signal) -> list[tuple[str, bool]]:
         """Return the lines to print for an event, and for each whether it reports a fault."""
@@ -126,8 +126,8 @@ class Display:
             lines = [(f"warning: {event}", True)]
         elif isinstance(event, TaskEvent) and self._is_printed(event):
             subject = "--".join(event.task.subject) or self.site
-            took = f"{event.cpu:.1f} s" if self._verbose and event.cpu is not None else ""
-            line = f"{subject:20} {event.task.stage:10} {event.outcome:9} {event.reason or took}"
+            duration = f"{event.cpu:.1f} s" if self._verbose and event.cpu is not None else ""
+            line = f"{subject:20} {event.task.stage:10} {event.outcome:9} {event.reason or duration}"
             lines = [(line.rstrip(), event.outcome == "failed")]
         else:
             return []
@@ -137,8 +137,8 @@ class Display:
         if self._verbose or self._quiet:
             return self._verbose
         if event.outcome == "rejected":
-            self._rejected[event.task.stage] += 1
-            return self._rejected[event.task.stage] <= MOST_REJECTED
+            self._rejections[event.task.stage] += 1
+            return self._rejections[event.task.stage] <= MOST_REJECTED
         return event.outcome == "failed"
 
 
@@ -147,17 +147,17 @@ class LogLines(Display):
 
     def __init__(self, site: str, verbose: bool = False) -> None:
         super().__init__(site, verbose)
-        self._printed = time.monotonic()
+        self._last_output = time.monotonic()
 
     def print(self, line: str, is_fault: bool = False) -> None:
         echo(f"{datetime.datetime.now():%Y-%m-%dT%H:%M:%S} {line}", err=is_fault)
-        self._printed = time.monotonic()
+        self._last_output = time.monotonic()
 
     def stage_ended(self, stage: StageProgress) -> None:
         self.print(f"{stage.name}: {stage.done} of {stage.tasks} done: {stage.counts()}; {stage.cpu:.1f} CPU s")
 
     def update(self) -> None:
-        if time.monotonic() - self._printed >= PROGRESS_SECONDS:
+        if time.monotonic() - self._last_output >= PROGRESS_SECONDS:
             done, tasks = self.totals
             self.print(f"{done} of {tasks} tasks done; running: {', '.join(map(str, self.running))}")
 
@@ -171,15 +171,15 @@ class LiveTable(Display):
         from rich.table import Column
 
         super().__init__(site, verbose)
-        name, text = TextColumn("{task.description}", markup=False), Column(no_wrap=True, overflow="ellipsis", ratio=1)
-        more = TextColumn("{task.fields[text]}", style="dim", markup=False, table_column=text)
-        columns = (name, BarColumn(16, table_column=Column(min_width=16)), MofNCompleteColumn(), TimeElapsedColumn(), more)
+        name, one_line = TextColumn("{task.description}", markup=False), Column(no_wrap=True, overflow="ellipsis", ratio=1)
+        text_column = TextColumn("{task.fields[text]}", style="dim", markup=False, table_column=one_line)
+        columns = (name, BarColumn(16, table_column=Column(min_width=16)), MofNCompleteColumn(), TimeElapsedColumn(), text_column)
         self._console = Console(stderr=True, highlight=False)
         self._bars = Progress(
             *columns, console=self._console, transient=True, redirect_stdout=False, redirect_stderr=False, expand=True
         )
         self._rows: dict[str, TaskID] = {}
-        self._all = self._bars.add_task(printable(site), total=None, text="planning the run")
+        self._overall = self._bars.add_task(printable(site), total=None, text="planning the run")
 
     def __enter__(self) -> LiveTable:
         self._bars.start()
@@ -203,4 +203,4 @@ class LiveTable(Display):
         if self.stages:
             done, tasks = self.totals
             running = printable(", ".join(map(str, self.running)))
-            self._bars.update(self._all, total=tasks, completed=done, text="publishing the run" if done >= tasks else running)
+            self._bars.update(self._overall, total=tasks, completed=done, text="publishing the run" if done >= tasks else running)

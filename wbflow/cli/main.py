@@ -23,8 +23,8 @@ class _Commands(click.Group):
 
     def resolve_command(self, ctx: click.Context, args: list[str]) -> tuple[str | None, click.Command | None, list[str]]:
         """Return the named command; for an unknown one, suggest the most similar."""
-        if args[0] not in self.commands and (close := difflib.get_close_matches(args[0], self.commands, 1)):
-            ctx.fail(f"No such command {args[0]!r}; did you mean  wbflow {close[0]}?")
+        if args[0] not in self.commands and (similar := difflib.get_close_matches(args[0], self.commands, 1)):
+            ctx.fail(f"No such command {args[0]!r}; did you mean  wbflow {similar[0]}?")
         return super().resolve_command(ctx, args)
 
     def invoke(self, ctx: click.Context) -> object:

@@ -62,19 +62,19 @@ def history(site: Path, as_json: bool, changes: bool, csv: bool, work: str | Non
         return
     from ..outcome.history import history as entries
 
-    found = entries(loaded.work_folder) if loaded.work_folder.run_ids() else []
+    past_runs = entries(loaded.work_folder) if loaded.work_folder.run_ids() else []
     if as_json:
-        echo_json([entry.to_json() for entry in found])
+        echo_json([entry.to_json() for entry in past_runs])
         return
-    if not found:
+    if not past_runs:
         stop(ExitCode.GOOD, f"{loaded.name} has no runs yet: wbflow run {site}")
     head = f"{'wall s':>8} {'CPU s':>8} {'cached':>6} {'ran':>5} {'rejected':>8} {'failed':>6}"
     echo(f"{'run':17} {'night':10} {head} {'points':>11} exit  verdict")
-    for entry in found:
-        r = entry.run
-        points = f"{r.points:,}" if r.points else "-"
-        figures = f"{r.wall:8.1f} {r.cpu:8.1f} {r.cached:6} {r.ran:5} {r.rejected:8} {r.failed:6}"
-        echo(f"{r.run:17} {r.date:10} {figures} {points:>11} {r.exit_code:4}  {entry.words}".rstrip())
+    for entry in past_runs:
+        row = entry.run
+        points = f"{row.points:,}" if row.points else "-"
+        figures = f"{row.wall:8.1f} {row.cpu:8.1f} {row.cached:6} {row.ran:5} {row.rejected:8} {row.failed:6}"
+        echo(f"{row.run:17} {row.date:10} {figures} {points:>11} {row.exit_code:4}  {entry.words}".rstrip())
 
 
 def _print_growth(site: Site, *, as_json: bool, as_table: bool) -> None:
@@ -101,11 +101,11 @@ def runs(sites: tuple[Path, ...], as_json: bool) -> None:
     """
     from ..outcome.history import places
 
-    found = [(site, entry) for path in sites for site in [load(path, None)] for entry in places(site.work_folder)]
+    site_runs = [(site, entry) for path in sites for site in [load(path, None)] for entry in places(site.work_folder)]
     if as_json:
-        echo_json([{"site": site.name, **entry} for site, entry in found])
+        echo_json([{"site": site.name, **entry} for site, entry in site_runs])
         return
-    for site, entry in found:
+    for site, entry in site_runs:
         points = f"{entry['points']:,}" if entry["points"] else "-"
         cleaned = "" if entry["folder"] else "  cleaned"
         level = entry["level"] or "-"
@@ -140,20 +140,20 @@ def compare(nights: tuple[Path, ...], out: Path, page: Path | None, changes: boo
     a, b = _two_runs(nights, work)
     rows = rows_of(a.record(), b.record())
     runs = [Run.at(run) for run in (a, b)]
-    between = changes_between(*runs) if changes or page else None
+    differences = changes_between(*runs) if changes or page else None
     if page:
-        _write_comparison(nights, work, runs, between, page)
-    found = data_of(between) if between else None
+        _write_comparison(nights, work, runs, differences, page)
+    change_data = data_of(differences) if differences else None
     if as_json:
         data = {"a": a.id, "b": b.id, "rows": [row.to_json() for row in rows]}
-        echo_json(data | {"changes": found} if found else data)
+        echo_json(data | {"changes": change_data} if change_data else data)
         return
     for row in differing(rows):
         echo(row)
     if len(differing(rows)) == 3:
         echo("nothing else differs by more than noise")
-    if found:
-        echo("\n".join(lines_of(found)))
+    if change_data:
+        echo("\n".join(lines_of(change_data)))
 
 
 def _write_comparison(nights: tuple[Path, ...], work: str | None, runs: list[Run], changes: Any, page: Path) -> None:
@@ -162,8 +162,8 @@ def _write_comparison(nights: tuple[Path, ...], work: str | None, runs: list[Run
     from ..cache.atomic import write_atomic
     from ..report.page import build_comparison
 
-    then, tonight = runs
-    write_atomic(page, build_comparison(load(nights[0], work), tonight, then, changes).encode(errors="backslashreplace"))
+    earlier, later = runs
+    write_atomic(page, build_comparison(load(nights[0], work), later, earlier, changes).encode(errors="backslashreplace"))
     echo(page, err=True)
 
 
@@ -187,15 +187,15 @@ def _compare_with_scan(site: Site, night: str | None, scan: Path, out: Path, as_
 
     folder = site.work_folder
     run = Run.open(folder, night or folder.latest_good.name)
-    found = compare_with_scan(run, scan, out)
+    result = compare_with_scan(run, scan, out)
     if as_json:
-        echo_json(found)
+        echo_json(result)
         return
-    echo(f"night of {found['night']} against {found['scan']}: the scan covers {found['overlap']:.0%} of the cloud")
-    echo(f"they agree on {found['agreeing']:.0%} of that, to {1000 * found['residual']:.0f} mm (median)")
-    beyond = f"{found['beyond_detection']:.0%} deviate by more than can be noise"
-    median, most = 1000 * found["median_deviation"], 1000 * found["p90_unsigned"]
-    echo(f"deviation: median {median:+.0f} mm, nine in ten within {most:.0f} mm; {beyond}")
+    echo(f"night of {result['night']} against {result['scan']}: the scan covers {result['overlap']:.0%} of the cloud")
+    echo(f"they agree on {result['agreeing']:.0%} of that, to {1000 * result['residual']:.0f} mm (median)")
+    significant = f"{result['beyond_detection']:.0%} deviate by more than can be noise"
+    median, p90 = 1000 * result["median_deviation"], 1000 * result["p90_unsigned"]
+    echo(f"deviation: median {median:+.0f} mm, nine in ten within {p90:.0f} mm; {significant}")
     for name in ("deviation.ply", "deviation.json"):
         echo(out / name)
 
@@ -226,13 +226,13 @@ def acknowledge(site: Path, words: tuple[str, ...], until: Day | None, note: str
         echo(f"{finding}: {known.add(loaded, finding, date_at(loaded, until), note).words}; from the next run on")
     else:
         newest = next((record for _, record in newest_runs(loaded.work_folder)), None)
-        for found in newest.verdict.findings if newest and newest.verdict else ():
-            echo(f"{known.name_of(found)}: {found.text}")
+        for reported in newest.verdict.findings if newest and newest.verdict else ():
+            echo(f"{known.name_of(reported)}: {reported.text}")
         for number, change in known.changes_of(newest).items() if newest else ():
             if not change.acknowledged:
                 echo(f"{known.CHANGE} {number}: {change.kind} at {change.x:.1f}, {change.y:.1f}, {change.z:.1f}")
-        for one in known.read(loaded):
-            echo(f"{one.finding}: {one.words}")
+        for acknowledged in known.read(loaded):
+            echo(f"{acknowledged.finding}: {acknowledged.words}")
 
 
 @click.command()
@@ -268,12 +268,12 @@ def pin(site: Path, run_id: str | None, listed: bool, drop: bool, refine: bool, 
         if drop:
             echo("the reference is dropped" if drop_reference(folder) else f"{loaded.name} has no reference")
         elif refine:
-            _refine(loaded)
+            _refine_reference(loaded)
         else:
-            _create(loaded, run_id)
+            _pin_run(loaded, run_id)
 
 
-def _create(site: Site, run_id: str | None) -> None:
+def _pin_run(site: Site, run_id: str | None) -> None:
     from ..cache.store import Cache
     from ..reference import create
 
@@ -284,7 +284,7 @@ def _create(site: Site, run_id: str | None) -> None:
         echo("the site file says `pin: none`: nothing is compared with it until that is changed", err=True)
 
 
-def _refine(site: Site) -> None:
+def _refine_reference(site: Site) -> None:
     from ..cache.store import Cache
     from ..records.reference_folder import read_reference
     from ..reference.aggregate import aggregate_nights
@@ -351,10 +351,10 @@ def debug(words: tuple[str, ...], out: Path, date: Day | None, work: str | None)
     from ..outcome.finished_run import task_named
     from ..pipeline.stages import STAGES
 
-    named = " ".join(words).split(" ")
-    site_is_here = named[0] in {row.name for row in STAGES}
+    split_words = " ".join(words).split(" ")
+    site_is_here = split_words[0] in {row.name for row in STAGES}
     site = Path() if site_is_here else Path(words[0])
-    task = " ".join(named if site_is_here else words[1:])
+    task = " ".join(split_words if site_is_here else words[1:])
     if not task:
         raise UsageError("name a task", remedy=f"for example: wbflow debug {site} 'frames CAMERA' --out {out}")
     loaded = load(site, work)
@@ -384,9 +384,9 @@ def clean(site: Path, keep: int, clouds: int | None, reports: int | None, dry_ru
     from ..records.run_folder import hold_to_write
 
     with hold_to_write(folder, wait=False):
-        done = remove(folder, Keep(runs=keep, clouds=clouds, reports=reports), dry_run=dry_run)
+        cleaning = remove(folder, Keep(runs=keep, clouds=clouds, reports=reports), dry_run=dry_run)
     verb = "would remove" if dry_run else "removed"
-    echo(f"{verb} {counted(done.files, 'file')}, {done.bytes / 1e6:,.1f} MB, and {counted(len(done.runs), 'run')}")
+    echo(f"{verb} {counted(cleaning.files, 'file')}, {cleaning.bytes / 1e6:,.1f} MB, and {counted(len(cleaning.runs), 'run')}")
 
 
 @click.command("site-report")

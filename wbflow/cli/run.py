@@ -101,31 +101,31 @@ def run(
 
     def run_site(path: Path) -> int:
         site = load(path, work, for_run=not dry_run)
-        taken = _capture(site, quiet) if capture_first else []
-        faults = {each.camera: each.fault for each in taken if each.fault}
-        first, codes = date_at(site, since), list[int]()
-        nights = [*backlog(site, first)] if first else [date_at(site, date)]
+        captured = _capture(site, quiet) if capture_first else []
+        faults = {result.camera: result.fault for result in captured if result.fault}
+        first_night, exit_codes = date_at(site, since), list[int]()
+        nights = [*backlog(site, first_night)] if first_night else [date_at(site, date)]
         if dry_run:
             for night in nights:
                 _print_status(_status(site, night, options["until"], options["force"]))
             return ExitCode.GOOD
         for night in nights:
-            if codes and stop_at and stop_at <= datetime.datetime.now():
-                left = counted(len(nights) - len(codes), "night")
-                echo(f"{left} not begun: --stop-at {stop_at:%H:%M}", err=True)
-                codes.append(ExitCode.DEGRADED)
+            if exit_codes and stop_at and stop_at <= datetime.datetime.now():
+                remaining = counted(len(nights) - len(exit_codes), "night")
+                echo(f"{remaining} not begun: --stop-at {stop_at:%H:%M}", err=True)
+                exit_codes.append(ExitCode.DEGRADED)
                 break
-            with display(site.name, verbose, quiet) as shown:
-                finished = run_night(site, date=night, listen=shown.receive, not_captured=faults, **options)
-            codes.append(finished.record.exit_code)
+            with display(site.name, verbose, quiet) as progress:
+                finished = run_night(site, date=night, listen=progress.receive, not_captured=faults, **options)
+            exit_codes.append(finished.record.exit_code)
             if as_json:
                 records.append(json.loads(finished.place.paths.record.read_bytes()))
             _print_run(finished, several, quiet)
-            if codes[-1] == ExitCode.INTERRUPTED:
+            if exit_codes[-1] == ExitCode.INTERRUPTED:
                 break
         if not quiet:
             echo(f"next    {next_command(finished, path)}")
-        return worst(codes)
+        return worst(exit_codes)
 
     code = for_each(sites, run_site)
     if as_json and not dry_run:
@@ -140,19 +140,19 @@ def for_each(sites: Sequence[Path], work: Callable[[Path], int]) -> int:
     """
     if len(sites) == 1:
         return work(sites[0])
-    codes = []
+    exit_codes = []
     for site in sites:
         try:
-            codes.append(work(site))
+            exit_codes.append(work(site))
         except WbflowError as error:
             echo(f"{site}: {error}", err=True)
-            codes.append(error.exit_code)
+            exit_codes.append(error.exit_code)
         except Exception as error:  # a bug in wbflow
             echo(f"{site}: wbflow itself failed: {type(error).__name__}: {error}\n  wbflow run {site} -v  shows where", err=True)
-            codes.append(ExitCode.FAILED)
-        if codes[-1] == ExitCode.INTERRUPTED:
+            exit_codes.append(ExitCode.FAILED)
+        if exit_codes[-1] == ExitCode.INTERRUPTED:
             break
-    return worst(codes)
+    return worst(exit_codes)
 
 
 def _print_run(finished: Run, several: bool, quiet: bool) -> None:
@@ -177,25 +177,25 @@ def print_findings(record: RunRecord) -> None:
     if verdict is None or (verdict.good and not verdict.findings):
         return
     echo(f"{record.site}, night of {record.date}: {LEVELS[verdict.level]}", err=True)
-    texts = list(_texts(verdict.findings))
+    texts = list(_finding_texts(verdict.findings))
     printed = texts[:MOST_FINDINGS]
     for (text, remedy), (_, following) in zip_longest(printed, printed[1:], fillvalue=("", "")):
         echo(f"  {text}", err=True)
         if remedy and remedy != following:  # once, after the last of consecutive findings with this remedy
             echo(f"    {remedy}", err=True)
-    if (left := len(texts) - MOST_FINDINGS) > 0:
-        echo(f"  and {left} more: the report has them", err=True)
+    if (omitted := len(texts) - MOST_FINDINGS) > 0:
+        echo(f"  and {omitted} more: the report has them", err=True)
 
 
-def _texts(found: Iterable[Finding]) -> Iterator[tuple[str, str]]:
+def _finding_texts(findings: Iterable[Finding]) -> Iterator[tuple[str, str]]:
     """Yield text and remedy of each finding; for a large group of the same kind, the first ones and the subjects of the rest."""
-    for _, alike in groupby(found, key=lambda finding: (finding.kind, finding.remedy)):
-        group = list(alike)
-        few = len(group) <= MOST_ALIKE or not all(finding.subject for finding in group)
-        yield from ((str(finding), finding.remedy) for finding in (group if few else group[: MOST_ALIKE - 1]))
-        if not few:
-            rest = [finding.about for finding in group[MOST_ALIKE - 1 :]]
-            yield f"and {len(rest)} more like these: {', '.join(rest)}", group[-1].remedy
+    for _, similar in groupby(findings, key=lambda finding: (finding.kind, finding.remedy)):
+        group = list(similar)
+        print_all = len(group) <= MOST_ALIKE or not all(finding.subject for finding in group)
+        yield from ((str(finding), finding.remedy) for finding in (group if print_all else group[: MOST_ALIKE - 1]))
+        if not print_all:
+            subjects = [finding.about for finding in group[MOST_ALIKE - 1 :]]
+            yield f"and {len(subjects)} more like these: {', '.join(subjects)}", group[-1].remedy
 
 
 def next_command(finished: Run, site: Path) -> str:
@@ -203,9 +203,9 @@ def next_command(finished: Run, site: Path) -> str:
     record, file = finished.record, shlex.quote(str(site))
     if record.exit_code == ExitCode.INTERRUPTED:
         return f"wbflow run {file}"
-    faults = [event.task for event in finished.ended.values() if event.outcome == "failed" and event.code in DEBUGGABLE]
-    if faults:
-        return f"wbflow debug {file} {shlex.quote(str(faults[0]))} --out debug"
+    failed_tasks = [event.task for event in finished.ended.values() if event.outcome == "failed" and event.code in DEBUGGABLE]
+    if failed_tasks:
+        return f"wbflow debug {file} {shlex.quote(str(failed_tasks[0]))} --out debug"
     if record.exit_code:
         return f"wbflow check {file}"
     return f"wbflow compare {file}" if len(finished.cache.work.run_ids()) > 1 else f"wbflow export {file} --mesh --out mesh"
@@ -221,10 +221,10 @@ def capture(site: Path, quiet: bool) -> None:
     wbflow capture site.yaml
     wbflow run site.yaml --capture -q             both, for cron
     """
-    found = _capture(load(site, None), quiet)
-    if not any(taken.files for taken in found):
+    captured = _capture(load(site, None), quiet)
+    if not any(taken.files for taken in captured):
         sys.exit(ExitCode.FAILED)
-    sys.exit(ExitCode.DEGRADED if any(taken.fault for taken in found) else ExitCode.GOOD)
+    sys.exit(ExitCode.DEGRADED if any(taken.fault for taken in captured) else ExitCode.GOOD)
 
 
 def _capture(site: Site, quiet: bool) -> list[Taken]:
@@ -251,11 +251,11 @@ def status(site: Path, date: Day | None, work: str | None, until: str | None, as
     wbflow status site.yaml --date -1 --json
     """
     loaded = load(site, work)
-    status_of = _status(loaded, date_at(loaded, date), until)
+    night_status = _status(loaded, date_at(loaded, date), until)
     if as_json:
-        echo_json(asdict(status_of))
+        echo_json(asdict(night_status))
     else:
-        _print_status(status_of)
+        _print_status(night_status)
 
 
 def _status(site: Site, date: datetime.date | None, until: str | None, force: tuple[str, ...] = ()) -> Status:
@@ -277,8 +277,8 @@ def _print_status(status: Status) -> None:
         echo(f"{line.task:32} {line.state}{': ' + line.why if line.why else ''}")
     if status.pairs_to_come:
         echo("(tasks of pairs are listed once the pair graph is known)")
-    about = f"; about {status.cpu_seconds:.0f} CPU s, as far as is known" if status.cpu_seconds is not None else ""
-    echo(f"night of {status.night}: {', '.join(f'{count} {state}' for state, count in status.totals.items())}{about}")
+    estimate = f"; about {status.cpu_seconds:.0f} CPU s, as far as is known" if status.cpu_seconds is not None else ""
+    echo(f"night of {status.night}: {', '.join(f'{count} {state}' for state, count in status.totals.items())}{estimate}")
 
 
 @click.command()

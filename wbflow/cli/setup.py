@@ -10,7 +10,7 @@ import click
 from ..errors import ExitCode, UsageError
 from .common import PATH, echo, echo_json, jobs_option, load, site_argument, stop, verbose_option, work_option
 
-_PLAIN = ("yard", "day", "standard", "standard")
+_DEFAULTS = ("yard", "day", "standard", "standard")
 """Scene, light, lenses and surfaces that --nights requires, which are the defaults."""
 
 
@@ -42,7 +42,7 @@ def demo(folder: Path, nights: int | None, frames: int, **options: Any) -> None:
 
     if nights is None:
         write_demo(folder, **options)
-    elif (options.pop("scene"), options.pop("light"), options.pop("lenses"), options.pop("surfaces")) != _PLAIN:
+    elif (options.pop("scene"), options.pop("light"), options.pop("lenses"), options.pop("surfaces")) != _DEFAULTS:
         remedy = "leave out --scene, --light, --lenses and --surfaces"
         raise UsageError("--nights renders the yard, each night in its own light", remedy=remedy)
     else:
@@ -123,12 +123,12 @@ def pair(left: Path, right: Path, out: Path, resolution: int, jobs: int, verbose
     from .display import display
 
     site = pair_site(left, right, out, resolution)
-    with display(site.name, verbose) as shown:
-        finished = run(site, jobs=jobs, until=LAST_STAGE, listen=shown.receive)
+    with display(site.name, verbose) as progress:
+        finished = run(site, jobs=jobs, until=LAST_STAGE, listen=progress.receive)
     for file in write_pair(finished, out):
         echo(file)
-    if why := failure(finished):
-        stop(ExitCode.FAILED, f"no disparity: {why}")
+    if reason := failure(finished):
+        stop(ExitCode.FAILED, f"no disparity: {reason}")
 
 
 @click.command()
@@ -165,14 +165,14 @@ def calibrate(
     """
     from ..outcome.init import write_calibration
 
-    columns, cross, rows = board.partition("x")
-    if not (cross and columns.isdigit() and rows.isdigit() and 2 < int(columns) < 100 and 2 < int(rows) < 100):
+    columns, separator, rows = board.partition("x")
+    if not (separator and columns.isdigit() and rows.isdigit() and 2 < int(columns) < 100 and 2 < int(rows) < 100):
         raise UsageError(f"{board!r} is not a board", remedy="give columns x rows, such as --board 9x6")
     if marker >= square:
         raise UsageError(f"a marker of {marker:g} does not fit in a square of {square:g}", remedy="give both in the same unit")
     fields: dict[str, float | str] = {"columns": int(columns), "rows": int(rows), "square": square, "marker": marker}
-    written, words = write_calibration(camera, pictures, fields | {"dictionary": dictionary}, model, out)
-    echo("\n".join([*map(str, written), *words]))
+    files, notes = write_calibration(camera, pictures, fields | {"dictionary": dictionary}, model, out)
+    echo("\n".join([*map(str, files), *notes]))
 
 
 @click.command()

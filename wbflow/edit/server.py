@@ -22,7 +22,7 @@ from .session import GroundRequest, GuideRequest, Refused, SaveRequest, Session
 
 _MOST_BYTES = 10_000_000
 """Largest size of a request's body."""
-_SECONDS = 30
+_TIMEOUT_SECONDS = 30
 """Timeout of an idle connection."""
 _ASSETS = {"": ("edit.html", "text/html"), "edit.js": ("edit.js", "text/javascript"), "edit.css": ("edit.css", "text/css")}
 _HEADERS = {
@@ -59,7 +59,7 @@ class EditServer(ThreadingHTTPServer):
 
 class _Handler(BaseHTTPRequestHandler):
     server: EditServer
-    timeout = _SECONDS
+    timeout = _TIMEOUT_SECONDS
     server_version, sys_version = "wbflow", ""
 
     def parse_request(self) -> bool:
@@ -74,17 +74,17 @@ class _Handler(BaseHTTPRequestHandler):
         return False
 
     def do_GET(self) -> None:
-        self._answer(self._get)
+        self._respond(self._get)
 
     def do_POST(self) -> None:
-        self._answer(self._post)
+        self._respond(self._post)
         if self.server.done:
             self.server.shutdown()
 
-    def _answer(self, make: Callable[[str], Answer]) -> None:
+    def _respond(self, respond: Callable[[str], Answer]) -> None:
         path = self.path.removeprefix("/").partition("/")[2]
         try:
-            return self._send(HTTPStatus.OK, *make(path))
+            return self._send(HTTPStatus.OK, *respond(path))
         except KeyError:
             return self._send(HTTPStatus.NOT_FOUND, "text/plain", b"not found\n", {})
         except ValidationError as error:
@@ -93,32 +93,32 @@ class _Handler(BaseHTTPRequestHandler):
             return self._send(HTTPStatus.CONFLICT, "text/plain", str(error).encode(), {})
 
     def _get(self, path: str) -> Answer:
-        session, (what, _, name) = self.server.session, unquote(path).partition("/")
-        if not name and what in _ASSETS:
-            file, kind = _ASSETS[what]
+        session, (resource, _, name) = self.server.session, unquote(path).partition("/")
+        if not name and resource in _ASSETS:
+            file, kind = _ASSETS[resource]
             return f"{kind}; charset=utf-8", (files(__package__) / "assets" / file).read_bytes(), {}
-        if what == "picture":
-            head, jpeg = session.picture(name)
-            return "image/jpeg", jpeg, {"X-Picture": json.dumps(head)}
-        if what == "shade":
+        if resource == "picture":
+            info, jpeg = session.picture(name)
+            return "image/jpeg", jpeg, {"X-Picture": json.dumps(info)}
+        if resource == "shade":
             return "image/png", session.shade(name), {}
-        return _json({"state": session.state}[path]())
+        return _json_answer({"state": session.state}[path]())
 
     def _post(self, path: str) -> Answer:
-        session, body = self.server.session, self._body()
+        session, body = self.server.session, self._read_body()
         if path == "look":
-            return _json(session.posed.guides(GuideRequest.model_validate_json(body)))
+            return _json_answer(session.posed.guides(GuideRequest.model_validate_json(body)))
         if path == "ground":
-            return _json(session.posed.on_ground(GroundRequest.model_validate_json(body)))
+            return _json_answer(session.posed.on_ground(GroundRequest.model_validate_json(body)))
         if path == "save":
             save = SaveRequest.model_validate_json(body)
-            return _json(session.save(save.marks, save.version))
+            return _json_answer(session.save(save.marks, save.version))
         if path == "done":
             self.server.done = True
-            return _json({})
+            return _json_answer({})
         raise KeyError(path)
 
-    def _body(self) -> bytes:
+    def _read_body(self) -> bytes:
         length = self.headers.get("Content-Length", "")
         if self.headers.get_content_type() != "application/json" or not length.isdigit() or int(length) > _MOST_BYTES:
             raise Refused(f"a request is JSON of at most {_MOST_BYTES:,} bytes")
@@ -135,5 +135,5 @@ class _Handler(BaseHTTPRequestHandler):
         """Log nothing, since addresses contain the token."""
 
 
-def _json(data: Any) -> Answer:
+def _json_answer(data: Any) -> Answer:
     return "application/json", json.dumps(data).encode(), {}

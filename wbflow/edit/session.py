@@ -123,7 +123,7 @@ class PosedCameras:
     """The posed cameras of a site: as its last run solved them, else as the site file states them."""
 
     def __init__(self, site: Site) -> None:
-        self.poses: Mapping[str, Mapping[str, Any]] = _stated(site)
+        self.poses: Mapping[str, Mapping[str, Any]] = _stated_cameras(site)
         """Cameras by id, in the format of `cameras.json`."""
         self.ground = 0.0
         """The height (z) at which zones are drawn at first."""
@@ -136,7 +136,7 @@ class PosedCameras:
         except (NoSuchRun, OSError, ValueError, LookupError):
             pass  # there is no run yet, or its files are gone
         self._frame = local_frame(site.settings, Problems(site.document))
-        self._tied = _is_tied(site) and all(entry.get("metric", True) for entry in self.poses.values())
+        self._in_stated_frame = _is_in_stated_frame(site) and all(entry.get("metric", True) for entry in self.poses.values())
         self.upright = bool(self.poses) and all(entry["R"][1][2] < -0.5 for entry in self.poses.values())
         """Does the world's z axis point up in all cameras?  Otherwise zones have no place."""
 
@@ -147,11 +147,11 @@ class PosedCameras:
     def guides(self, asked: GuideRequest) -> dict[str, Any]:
         """Return residuals of the control points, and guides and zone outlines for one camera's picture."""
         camera, marks, chosen = asked.camera, asked.marks, asked.chosen
-        stated = [self._world(point.position) for point in marks.points]
-        residuals = self._sights.residuals([(p.pixels, where) for p, where in zip(marks.points, stated, strict=True)])
+        places = [self._world(point.position) for point in marks.points]
+        residuals = self._sights.residuals([(p.pixels, place) for p, place in zip(marks.points, places, strict=True)])
         guide = {}
-        if chosen is not None and 0 <= chosen < len(stated):
-            guide = self._sights.guide(camera, marks.points[chosen].pixels, stated[chosen])
+        if chosen is not None and 0 <= chosen < len(places):
+            guide = self._sights.guide(camera, marks.points[chosen].pixels, places[chosen])
         zones = [self._sights.outline(camera, zone.corners, asked.ground) for zone in marks.zones] if self.upright else []
         return {"residuals": residuals, "guide": guide, "zones": zones}
 
@@ -159,26 +159,26 @@ class PosedCameras:
         """Return x, y of the ground that a pixel shows; None above the horizon, or if the camera has no pose."""
         if asked.camera not in self.poses or not self.upright:
             return None
-        found: list[float] | None = self._sights.on_ground(asked.camera, list(asked.pixel), asked.ground)
-        return found
+        place: list[float] | None = self._sights.on_ground(asked.camera, list(asked.pixel), asked.ground)
+        return place
 
     def _world(self, position: Sequence[float] | None) -> list[float] | None:
         """Return stated coordinates in the cameras' world; None if not stated, or if that world is not tied to them."""
-        if position is None or not self._tied:
+        if position is None or not self._in_stated_frame:
             return None
         return list(position) if self._frame is None else self._frame.metres(*position)
 
 
-def _stated(site: Site) -> dict[str, dict[str, Any]]:
+def _stated_cameras(site: Site) -> dict[str, dict[str, Any]]:
     """Return the cameras whose lens and pose the site file or a calibration file states."""
-    given = (camera for camera in site.cameras if camera.given and camera.lens.width and camera.lens.height)
-    return {camera.id: {**vars(camera.lens), **vars(camera.placement)} for camera in given}
+    stated = (camera for camera in site.cameras if camera.given and camera.lens.width and camera.lens.height)
+    return {camera.id: {**vars(camera.lens), **vars(camera.placement)} for camera in stated}
 
 
-def _is_tied(site: Site) -> bool:
+def _is_in_stated_frame(site: Site) -> bool:
     """Is the cameras' world the coordinate system of stated coordinates?  Stated distances alone fix only its scale."""
-    placed = sum(camera.placement.C is not None for camera in site.cameras)
-    return site.some_given or bool(site.survey.crs) or max(placed, len(site.settings.control_points)) >= _FEWEST_PLACES
+    placed_count = sum(camera.placement.C is not None for camera in site.cameras)
+    return site.some_given or bool(site.survey.crs) or max(placed_count, len(site.settings.control_points)) >= _FEWEST_PLACES
 
 
 class Session:
@@ -193,9 +193,9 @@ class Session:
         """Width and height of the captures, for cameras that were shown."""
         self._masks = {camera.id: read_untrusted(camera.mask) for camera in site.cameras if camera.mask}
         """The original masks: each save paints all areas over these."""
-        self._painted: set[str] = set()
+        self._painted_cameras: set[str] = set()
         """Cameras whose masks this session has written."""
-        self._known = self._digests()
+        self._last_digests = self._digests()
 
     def state(self) -> dict[str, Any]:
         """Return the content of the site file for the page, and which cameras have a pose."""
@@ -204,7 +204,7 @@ class Session:
         return {
             "site": self.site.name,
             "file": str(self.site.file),
-            "version": self._known[self.site.file],
+            "version": self._last_digests[self.site.file],
             "night": str(self._night),
             "geodetic": bool(self.site.survey.crs),
             "ground": self.posed.ground,
@@ -220,8 +220,8 @@ class Session:
         files = captures_of(self.site, camera, self._night, Digests(None))
         usable = [file for file in files if file.digest]
         if not usable:
-            words = f"{files[0].name} {files[0].fault}" if files else f"no capture: {expected(self.site, camera, self._night)}"
-            raise Refused(words)
+            message = f"{files[0].name} {files[0].fault}" if files else f"no capture: {expected(self.site, camera, self._night)}"
+            raise Refused(message)
         file = usable[len(usable) // 2]
         try:
             width, height, jpeg = load("wbflow_stages.marking:shown")(file.name, read_untrusted(file.path))
@@ -245,7 +245,7 @@ class Session:
         version: that of the state on which they were drawn.  Raises Refused if the file would be invalid, or has changed since.
         """
         with self._lock:
-            if version != self._known[self.site.file] or self._known != self._digests():
+            if version != self._last_digests[self.site.file] or self._last_digests != self._digests():
                 remedy = "open the page again: what is drawn there now has not been saved"
                 raise Refused("was changed on disk meanwhile; nothing was written", where=str(self.site.file), remedy=remedy)
             masks = dict(self._new_masks(marks))
@@ -254,7 +254,7 @@ class Session:
             for name in added:  # the site file is valid only if the masks that it names exist
                 write_atomic(files[name], masks[name])
             try:
-                text, site = self._edited(marks, {name: str(files[name].relative_to(self.site.folder)) for name in added})
+                text, site = self._edited_site(marks, {name: str(files[name].relative_to(self.site.folder)) for name in added})
             except Refused:
                 for name in added:
                     files[name].unlink()
@@ -262,13 +262,13 @@ class Session:
             for name, file in files.items():
                 write_atomic(file, masks[name])
             write_atomic(self.site.file.resolve(), text)
-            self.site, self._painted = site, self._painted | masks.keys()
-            self._known = self._digests()
+            self.site, self._painted_cameras = site, self._painted_cameras | masks.keys()
+            self._last_digests = self._digests()
             return self.state()
 
     def _new_masks(self, marks: Marks) -> Iterable[tuple[str, bytes]]:
         for name, drawn in marks.cameras.items():
-            if not drawn.mask and name not in self._painted:
+            if not drawn.mask and name not in self._painted_cameras:
                 continue
             if name not in self._sizes:
                 self.picture(name)
@@ -278,24 +278,24 @@ class Session:
             except ValueError as error:
                 raise Refused(str(error)) from None
 
-    def _edited(self, marks: Marks, masks: dict[str, str]) -> tuple[bytes, Site]:
+    def _edited_site(self, marks: Marks, masks: dict[str, str]) -> tuple[bytes, Site]:
         """Return the bytes of the site file with the marks, and the site loaded from them.  Raises Refused."""
         raw = read_untrusted(self.site.file, MOST_TEXT_BYTES)
-        before, mark = raw.decode("utf-8-sig"), BOM_UTF8 if raw.startswith(BOM_UTF8) else b""
-        ends = "\r\n" if "\r\n" in before else "\n"
+        old_text, bom = raw.decode("utf-8-sig"), BOM_UTF8 if raw.startswith(BOM_UTF8) else b""
+        line_end = "\r\n" if "\r\n" in old_text else "\n"
         try:
-            text = _with_marks(before.replace("\r\n", "\n"), self.site, marks, masks)
+            text = _with_marks(old_text.replace("\r\n", "\n"), self.site, marks, masks)
             site = site_of(parse_yaml(text, self.site.file), self.site.work_folder.root)
         except NotEditable as error:
             raise Refused(str(error), where=str(self.site.file), remedy="change this by hand") from None
         except SiteError as error:
             raise Refused(str(error)) from None
-        return mark + text.replace("\n", ends).encode(), site
+        return bom + text.replace("\n", line_end).encode(), site
 
     def _mask_file(self, camera: Camera) -> Path:
         """Return where to write a camera's mask: its own file if that is a PNG of this camera alone, else a new file."""
-        others = {other.mask for other in self.site.cameras if other.id != camera.id}
-        if camera.mask and camera.mask.suffix.lower() == ".png" and camera.mask not in others:
+        other_masks = {other.mask for other in self.site.cameras if other.id != camera.id}
+        if camera.mask and camera.mask.suffix.lower() == ".png" and camera.mask not in other_masks:
             return camera.mask
         folder, number = self.site.folder / "masks", 1
         while (file := folder / f"{camera.id}{f'-{number}' if number > 1 else ''}.png").exists():
@@ -315,78 +315,78 @@ class Session:
 
 def _with_marks(text: str, site: Site, marks: Marks, masks: Mapping[str, str]) -> str:
     """Return the text of a site file with the marks.  masks: paths of new masks, by camera.  Raises NotEditable."""
-    file, geodetic = site.settings, bool(site.survey.crs)
-    for k, camera in enumerate(file.cameras):
+    settings, geodetic = site.settings, bool(site.survey.crs)
+    for k, camera in enumerate(settings.cameras):
         if (drawn := marks.cameras.get(camera.id)) is None:
             continue
-        at: Location = ("cameras", k)
+        location: Location = ("cameras", k)
         changes: dict[str, Any] = {"mask": masks[camera.id]} if camera.id in masks else {}
         polygons = [(mark.was, mark.corners) for mark in drawn.privacy]
         if not isinstance(site.document.data["cameras"][k], dict):  # the entry is a camera's id alone
-            changes |= {"privacy": _numbers([corners for _, corners in polygons])} if polygons else {}
-            text = put(text, at, {"id": camera.id, **changes}) if changes else text
+            changes |= {"privacy": _with_integers([corners for _, corners in polygons])} if polygons else {}
+            text = put(text, location, {"id": camera.id, **changes}) if changes else text
             continue
         for key, value in changes.items():
-            text = put(text, (*at, key), value)
-        text = _listed(text, (*at, "privacy"), camera.privacy, polygons)
+            text = put(text, (*location, key), value)
+        text = _with_list(text, (*location, "privacy"), camera.privacy, polygons)
     zones, points = _marks_of(site)
-    text = _listed(text, ("zones",), [*map(_zone, zones)], [(mark.was, _zone(mark)) for mark in marks.zones])
-    before = [_point(mark, point.geodetic is not None) for mark, point in zip(points, file.control_points, strict=True)]
-    return _listed(text, ("control_points",), before, [(mark.was, _point(mark, geodetic)) for mark in marks.points])
+    text = _with_list(text, ("zones",), [*map(_zone_entry, zones)], [(mark.was, _zone_entry(mark)) for mark in marks.zones])
+    stated = [_point_entry(mark, point.geodetic is not None) for mark, point in zip(points, settings.control_points, strict=True)]
+    return _with_list(text, ("control_points",), stated, [(mark.was, _point_entry(mark, geodetic)) for mark in marks.points])
 
 
 def _marks_of(site: Site) -> tuple[list[ZoneMark], list[PointMark]]:
-    file = site.settings
-    zones = [ZoneMark(was=k, name=z.name, corners=z.polygon, least_m=z.least_m) for k, z in enumerate(file.zones or ())]
-    places = [point.position if point.geodetic is None else list(point.geodetic) for point in file.control_points]
-    points = enumerate(zip(file.control_points, places, strict=True))
+    settings = site.settings
+    zones = [ZoneMark(was=k, name=z.name, corners=z.polygon, least_m=z.least_m) for k, z in enumerate(settings.zones or ())]
+    places = [point.position if point.geodetic is None else list(point.geodetic) for point in settings.control_points]
+    points = enumerate(zip(settings.control_points, places, strict=True))
     return zones, [PointMark(was=k, id=p.id or "", position=place, pixels=p.pixels) for k, (p, place) in points]
 
 
-def _listed(text: str, location: Location, there: Sequence[Any], wanted: Sequence[tuple[int | None, Any]]) -> str:
-    """Return the text with a list changed to the wanted one: items that remain keep their text, except for values that differ."""
-    kept = {was: value for was, value in wanted if was is not None and was < len(there)}
-    for k, before in enumerate(there):
-        if k in kept:
-            text = _changed(text, (*location, k), before, kept[k])
-    for k in reversed(range(len(there))):
-        if k not in kept:
+def _with_list(text: str, location: Location, old_items: Sequence[Any], new_items: Sequence[tuple[int | None, Any]]) -> str:
+    """Return the text with a list changed to `new_items`: items that remain keep their text, except for values that differ."""
+    kept_items = {was: value for was, value in new_items if was is not None and was < len(old_items)}
+    for k, old_value in enumerate(old_items):
+        if k in kept_items:
+            text = _with_value(text, (*location, k), old_value, kept_items[k])
+    for k in reversed(range(len(old_items))):
+        if k not in kept_items:
             text = remove(text, (*location, k))
-    new = [value for was, value in wanted if was is None or was >= len(there)]
-    if new and not kept:
-        return put(text, location, _numbers(new))
-    for value in new:
-        text = append(text, location, _numbers(value))
+    added = [value for was, value in new_items if was is None or was >= len(old_items)]
+    if added and not kept_items:
+        return put(text, location, _with_integers(added))
+    for value in added:
+        text = append(text, location, _with_integers(value))
     return text
 
 
-def _changed(text: str, location: Location, before: Any, after: Any) -> str:
-    if before == after:
+def _with_value(text: str, location: Location, old: Any, new: Any) -> str:
+    if old == new:
         return text
-    if isinstance(before, dict) and before.keys() <= after.keys():
-        for key, value in after.items():
-            text = _changed(text, (*location, key), before.get(key), value)
+    if isinstance(old, dict) and old.keys() <= new.keys():
+        for key, value in new.items():
+            text = _with_value(text, (*location, key), old.get(key), value)
         return text
-    return put(text, location, _numbers(after))
+    return put(text, location, _with_integers(new))
 
 
-def _zone(mark: ZoneMark) -> dict[str, Any]:
-    least = {"least_m": mark.least_m} if mark.least_m else {}
-    return {"name": mark.name, "polygon": mark.corners, **least}
+def _zone_entry(mark: ZoneMark) -> dict[str, Any]:
+    limit = {"least_m": mark.least_m} if mark.least_m else {}
+    return {"name": mark.name, "polygon": mark.corners, **limit}
 
 
-def _point(mark: PointMark, geodetic: bool) -> dict[str, Any]:
+def _point_entry(mark: PointMark, geodetic: bool) -> dict[str, Any]:
     names = ("latitude", "longitude", "height")
-    where: dict[str, Any] = {}
+    place: dict[str, Any] = {}
     if mark.position is not None:
-        where = dict(zip(names, mark.position, strict=True)) if geodetic else {"position": mark.position}
-    return {**({"id": mark.id} if mark.id else {}), **where, "pixels": mark.pixels}
+        place = dict(zip(names, mark.position, strict=True)) if geodetic else {"position": mark.position}
+    return {**({"id": mark.id} if mark.id else {}), **place, "pixels": mark.pixels}
 
 
-def _numbers(value: Any) -> Any:
+def _with_integers(value: Any) -> Any:
     """Return a value with whole-numbered floats as int, so that 2.0 is written as 2."""
     if isinstance(value, dict):
-        return {key: _numbers(inner) for key, inner in value.items()}
+        return {key: _with_integers(inner) for key, inner in value.items()}
     if isinstance(value, list):
-        return [_numbers(inner) for inner in value]
+        return [_with_integers(inner) for inner in value]
     return int(value) if isinstance(value, float) and value.is_integer() else value

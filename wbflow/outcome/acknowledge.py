@@ -84,7 +84,7 @@ def read(site: Site) -> tuple[Acknowledgement, ...]:
 def add(site: Site, finding: str, until: datetime.date | None, note: str) -> Acknowledgement:
     """Acknowledge a finding or a change, replacing an earlier acknowledgement of it.
 
-    Raises UsageError where there is no such finding, change or camera, or the finding is one of failed nights.
+    Raises UsageError where there is no such finding, change or camera, or where the finding is one that fails a night.
 
     Parameters
     ----------
@@ -104,19 +104,19 @@ def add(site: Site, finding: str, until: datetime.date | None, note: str) -> Ack
     if unknown := sorted(set(subject) - cameras):
         raise UsageError(f"the site has no camera {unknown[0]!r}", remedy=f"its cameras are {', '.join(sorted(cameras))}")
     today = site.today().isoformat()
-    made = Acknowledgement(name, getpass.getuser(), today, until.isoformat() if until else "", note)
-    _write(site, [*(one for one in read(site) if one.finding != made.finding), made])
-    return made
+    added = Acknowledgement(name, getpass.getuser(), today, until.isoformat() if until else "", note)
+    _write(site, [*(entry for entry in read(site) if entry.finding != added.finding), added])
+    return added
 
 
 def drop(site: Site, finding: str) -> None:
     """Remove an acknowledgement.  Raises UsageError where there is none."""
-    there = read(site)
+    entries = read(site)
     name = _named(site, finding)
-    if all(one.finding != name for one in there):
-        known = ", ".join(one.finding for one in there) or "none"
+    if all(entry.finding != name for entry in entries):
+        known = ", ".join(entry.finding for entry in entries) or "none"
         raise UsageError(f"{name!r} is not acknowledged", remedy=f"acknowledged: {known}")
-    _write(site, (one for one in there if one.finding != name))
+    _write(site, (entry for entry in entries if entry.finding != name))
 
 
 def _named(site: Site, finding: str) -> str:
@@ -125,19 +125,19 @@ def _named(site: Site, finding: str) -> str:
     if name.split(" ")[0] != CHANGE or _place(name):
         return name
     newest = next((record for _, record in newest_runs(site.work_folder)), None)
-    there = changes_of(newest) if newest else {}
-    if (number := name.removeprefix(CHANGE).strip()) not in there:
-        known = "; ".join(f"{CHANGE} {name}: {change.kind}" for name, change in there.items()) or "none"
+    changes = changes_of(newest) if newest else {}
+    if (number := name.removeprefix(CHANGE).strip()) not in changes:
+        known = "; ".join(f"{CHANGE} {name}: {change.kind}" for name, change in changes.items()) or "none"
         raise UsageError(f"the newest run has no change {number!r}", remedy=f"its changes: {known}")
-    change = there[number]
-    same = (one.finding for one in read(site) if (place := _place(one.finding)) and change.is_same(place))
-    return next(same, f"{CHANGE} {change.kind} at {change.x:.1f},{change.y:.1f},{change.z:.1f}")
+    change = changes[number]
+    earlier_names = (entry.finding for entry in read(site) if (place := _place(entry.finding)) and change.is_same(place))
+    return next(earlier_names, f"{CHANGE} {change.kind} at {change.x:.1f},{change.y:.1f},{change.z:.1f}")
 
 
 def _place(name: str) -> Change | None:
     """Return kind and position of a change from its name; None for any other name."""
-    found = _NAME.fullmatch(name)
-    return Change(found[1], float(found[2]), float(found[3]), float(found[4])) if found else None
+    parts = _NAME.fullmatch(name)
+    return Change(parts[1], float(parts[2]), float(parts[3]), float(parts[4])) if parts else None
 
 
 def changes_of(record: RunRecord) -> Mapping[str, Change]:
@@ -147,7 +147,7 @@ def changes_of(record: RunRecord) -> Mapping[str, Change]:
 
 def with_known(record: RunRecord, known: Iterable[Acknowledgement]) -> RunRecord:
     """Return the record with its acknowledged changes marked."""
-    places = [(place, one.words) for one in known if one.holds(record.date) and (place := _place(one.finding))]
+    places = [(place, entry.words) for entry in known if entry.holds(record.date) and (place := _place(entry.finding))]
 
     def marked(changes: Mapping[str, Change]) -> Iterator[tuple[str, Change]]:
         for number, change in changes.items():
@@ -166,17 +166,17 @@ def split(
     findings: Iterable[Finding], known: Iterable[Acknowledgement], night: str
 ) -> tuple[tuple[Finding, ...], tuple[Finding, ...]]:
     """Return the findings of a night that count, and the acknowledged ones, each with its acknowledgement as the remedy."""
-    by_name = {one.finding: one for one in known if one.holds(night)}
-    counts, acknowledged = list[Finding](), list[Finding]()
+    by_name = {entry.finding: entry for entry in known if entry.holds(night)}
+    effective, acknowledged = list[Finding](), list[Finding]()
     for finding in findings:
-        one = by_name.get(name_of(finding))
-        if one is None or FINDINGS[finding.kind].level == "failed":
-            counts.append(finding)
+        entry = by_name.get(name_of(finding))
+        if entry is None or FINDINGS[finding.kind].level == "failed":
+            effective.append(finding)
         else:
-            acknowledged.append(replace(finding, remedy=one.words))
-    return tuple(counts), tuple(acknowledged)
+            acknowledged.append(replace(finding, remedy=entry.words))
+    return tuple(effective), tuple(acknowledged)
 
 
 def _write(site: Site, entries: Iterable[Acknowledgement]) -> None:
-    data = [{name: value for name, value in vars(one).items() if value} for one in entries]
-    write_atomic(file_of(site), (_HEAD + yaml.safe_dump(data, sort_keys=False, allow_unicode=True)).encode())
+    items = [{name: value for name, value in vars(entry).items() if value} for entry in entries]
+    write_atomic(file_of(site), (_HEAD + yaml.safe_dump(items, sort_keys=False, allow_unicode=True)).encode())

@@ -36,22 +36,22 @@ class Baseline:
     @staticmethod
     def before(work: WorkFolder, run: str, date: str) -> Baseline:
         """The runs before `run`, of nights up to `date`; records that cannot be read are skipped."""
-        found: dict[str, RunRecord] = {}
+        by_date: dict[str, RunRecord] = {}
         for _, record in islice(newest_runs(work, before=run), MOST_RUNS):
-            if record.date <= date and (record.date not in found or not _whole(found[record.date])):
-                found[record.date] = record
-        return Baseline(tuple(sorted(found.values(), key=lambda record: (record.date, record.run), reverse=True)))
+            if record.date <= date and (record.date not in by_date or not _is_complete(by_date[record.date])):
+                by_date[record.date] = record
+        return Baseline(tuple(sorted(by_date.values(), key=lambda record: (record.date, record.run), reverse=True)))
 
     def usual(self, settings: str, since: str = "") -> Usual | None:
         """Medians of good nights with the same settings; without such a night, what the newest of these runs was compared with.
 
         settings: digest of tonight's.  since: nights before this one (ISO 8601) don't count.
         """
-        alike = [record for record in self.runs if record.settings == settings and record.date >= since]
-        good = [record for record in alike if record.verdict and record.verdict.good and record.cloud]
+        comparable = [record for record in self.runs if record.settings == settings and record.date >= since]
+        good = [record for record in comparable if record.verdict and record.verdict.good and record.cloud]
         if good:
             return usual_of(good)
-        return next((record.usual for record in alike if record.usual), None)
+        return next((record.usual for record in comparable if record.usual), None)
 
     def camera(self, name: str) -> tuple[str, CameraRecord] | None:
         """The last night that a camera took part in, and its record."""
@@ -67,24 +67,24 @@ def usual_of(records: Sequence[RunRecord]) -> Usual:
     """The medians of the figures of some nights."""
     cameras = list(dict.fromkeys(camera.id for record in records for camera in record.cameras))
     appearances = [appearance_of(record) for record in records]
-    looks = {name: [of.get(name, {}) for of in appearances] for name in cameras}
+    by_camera = {name: [appearance.get(name, {}) for appearance in appearances] for name in cameras}
     return Usual(
         len(records),
         _medians([figures_of(record) for record in records]),
-        {name: medians for name in cameras if (medians := _medians(looks[name]))},
+        {name: medians for name in cameras if (medians := _medians(by_camera[name]))},
     )
 
 
 def figures_of(record: RunRecord) -> dict[str, float]:
     """The figures of a whole night that are compared with the usual ones, by name."""
-    found: dict[str, float] = {Measure.POINTS: float(record.cloud.points) if record.cloud else 0.0}
+    figures: dict[str, float] = {Measure.POINTS: float(record.cloud.points) if record.cloud else 0.0}
     if record.pairs:
-        found[Measure.PAIRS] = float(sum(pair.ok for pair in record.pairs))
+        figures[Measure.PAIRS] = float(sum(pair.ok for pair in record.pairs))
     for stage in STAGES if record.poses and record.poses.metric else ():  # else units differ between nights
         result = record.results.get(stage.name)
         if result and result.amount is not None:
-            found[stage.name] = result.amount
-    return found
+            figures[stage.name] = result.amount
+    return figures
 
 
 def appearance_of(record: RunRecord) -> dict[str, dict[str, float]]:
@@ -92,19 +92,19 @@ def appearance_of(record: RunRecord) -> dict[str, dict[str, float]]:
     of its pairs that found common points."""
     names = [field.name for field in fields(FrameSummary)]
     matched: dict[str, list[bool]] = {}
-    well = {camera.id for camera in record.cameras if camera.ok}  # pairs with a lost camera don't count
+    usable = {camera.id for camera in record.cameras if camera.ok}  # pairs with a lost camera don't count
     for pair in record.pairs:
-        if {*pair.cameras} <= well and pair.matched is not None:
+        if {*pair.cameras} <= usable and pair.matched is not None:
             for name in pair.cameras:
                 matched.setdefault(name, []).append(pair.matched)
-    found = {}
+    appearances = {}
     for camera in record.cameras:
-        if camera.ok and camera.id not in found:
-            looks = {name: float(value) for name in names if isinstance(value := getattr(camera.figures, name), int | float)}
+        if camera.ok and camera.id not in appearances:
+            figures = {name: float(value) for name in names if isinstance(value := getattr(camera.figures, name), int | float)}
             if shares := matched.get(camera.id):
-                looks["matched_share"] = sum(shares) / len(shares)
-            found[camera.id] = looks
-    return found
+                figures["matched_share"] = sum(shares) / len(shares)
+            appearances[camera.id] = figures
+    return appearances
 
 
 def with_appearance(record: RunRecord, expected: Expected) -> RunRecord:
@@ -114,35 +114,35 @@ def with_appearance(record: RunRecord, expected: Expected) -> RunRecord:
     earlier stage has found unhealthy keeps that health.
     """
     usual = record.usual.cameras if record.usual else {}
-    looks, common = appearance_of(record), _common_shares(record)
+    appearances, common = appearance_of(record), _common_shares(record)
 
-    def judged(camera: CameraRecord) -> CameraRecord:
+    def with_health(camera: CameraRecord) -> CameraRecord:
         if not camera.ok or not usual.get(camera.id) or (camera.health and not camera.health.ok):
             return camera
-        health = _health_by_appearance(looks.get(camera.id, {}), usual[camera.id], common, expected)
+        health = _health_by_appearance(appearances.get(camera.id, {}), usual[camera.id], common, expected)
         return camera if camera.health and health.ok else replace(camera, health=health)
 
-    return replace(record, cameras=tuple(map(judged, record.cameras)))
+    return replace(record, cameras=tuple(map(with_health, record.cameras)))
 
 
 def _common_shares(record: RunRecord) -> dict[str, float]:
     """Return the medians over the cameras of tonight's figures as shares of the usual ones, at most 1."""
     shares: dict[str, list[float]] = {}
-    for name, looks in appearance_of(record).items():
+    for name, figures in appearance_of(record).items():
         usual = record.usual.cameras.get(name, {}) if record.usual else {}
-        for figure in looks.keys() & usual.keys():
+        for figure in figures.keys() & usual.keys():
             if usual[figure] > 0:
-                shares.setdefault(figure, []).append(looks[figure] / usual[figure])
-    return {figure: min(median(found), 1.0) for figure, found in shares.items()}
+                shares.setdefault(figure, []).append(figures[figure] / usual[figure])
+    return {figure: min(median(values), 1.0) for figure, values in shares.items()}
 
 
 def _health_by_appearance(
-    looks: Mapping[str, float], usual: Mapping[str, float], common: Mapping[str, float], expected: Expected
+    tonight: Mapping[str, float], usual: Mapping[str, float], common: Mapping[str, float], expected: Expected
 ) -> Health:
     """Return the health of a camera from its figures tonight, the usual ones, and what all cameras have in common."""
-    shared = [name for name in looks if name in usual]
-    figures, base = {name: looks[name] for name in shared}, {name: usual[name] for name in shared}
-    shares = {name: looks[name] / usual[name] for name in shared if usual[name] > 0}
+    shared = [name for name in tonight if name in usual]
+    figures, base = {name: tonight[name] for name in shared}, {name: usual[name] for name in shared}
+    shares = {name: tonight[name] / usual[name] for name in shared if usual[name] > 0}
     if shares.get(Measure.BRIGHTNESS, 1.0) < expected.limit(Measure.BRIGHTNESS) * common.get(Measure.BRIGHTNESS, 1.0):
         text = f"its picture has {100 * shares[Measure.BRIGHTNESS]:.0f} % of its usual brightness"
         return Health("obscured", text, figures, base, "check its lighting and exposure, and whether something blocks its view")
@@ -150,8 +150,8 @@ def _health_by_appearance(
         text = f"its picture has {100 * shares['sharpness']:.0f} % of its usual sharpness"
         return Health("obscured", text, figures, base, "check its focus, and its glass for drops, dirt or fog")
     if shares.get("matched_share", 1.0) < LEAST_MATCHED_SHARE:
-        now, then = (f"{100 * entry['matched_share']:.0f} %" for entry in (looks, usual))
-        text = f"{now} of its pairs find common points, usually {then} do: it shows another place, or has been turned"
+        share, usual_share = (f"{100 * entry['matched_share']:.0f} %" for entry in (tonight, usual))
+        text = f"{share} of its pairs find common points, usually {usual_share} do: it shows another place, or has been turned"
         return Health("wrong-scene", text, figures, base, "check its picture, and where it points")
     return Health("ok", figures=figures, expected=base)
 
@@ -165,11 +165,11 @@ def settings_of(site: Site) -> str:
             bound = bind(stage, settings.use, settings.parameters, site.reader)
             stages.append([stage.name, bound.function.dotted, bound.code, {**bound.defaults(), **settings.parameters}])
     cameras = [[camera.id, asdict(camera.lens), asdict(camera.placement)] for camera in site.cameras]
-    words = [stages, cameras, dict(site.settings.pairs), site.settings.resolution, site.settings.bounds, asdict(site.survey)]
-    return hashlib.sha256(json.dumps(words, sort_keys=True, default=str).encode()).hexdigest()[:16]
+    content = [stages, cameras, dict(site.settings.pairs), site.settings.resolution, site.settings.bounds, asdict(site.survey)]
+    return hashlib.sha256(json.dumps(content, sort_keys=True, default=str).encode()).hexdigest()[:16]
 
 
-def _whole(record: RunRecord) -> bool:
+def _is_complete(record: RunRecord) -> bool:
     """Did the run do the whole night's work, and not only a part of it?"""
     return record.cloud is not None or record.exit_code not in (0, 130)
 
@@ -179,4 +179,4 @@ def _medians(figures: Iterable[dict[str, float]]) -> dict[str, float]:
     for entry in figures:
         for name, value in entry.items():
             values.setdefault(name, []).append(value)
-    return {name: median(found) for name, found in values.items()}
+    return {name: median(samples) for name, samples in values.items()}

@@ -66,34 +66,34 @@ def exit_code(findings: Iterable[Fault]) -> ExitCode:
 
 def check_captures(site: Site, context: RunContext) -> list[Fault]:
     """Is every capture there, whole, and of the size that its intrinsics are for?"""
-    found = []
+    faults = []
     if len(site.cameras) < 2:
         what = f"{site.file}: {len(site.cameras)} camera: a cloud needs two or more that see the same things"
-        found.append(Fault("error", what, "list the others under cameras:", ExitCode.FAILED))
+        faults.append(Fault("error", what, "list the others under cameras:", ExitCode.FAILED))
     for camera in site.cameras:
-        place = site.document.problem(camera.location, "")
-        where = f"{site.file}:{place.line}:{place.column}: camera {camera.id}"
+        position = site.document.problem(camera.location, "")
+        where = f"{site.file}:{position.line}:{position.column}: camera {camera.id}"
         files = context.plan.captures[camera.id]
         if not files:
             what = f"{where}: there is no capture {expected(site, camera, context.date)}"
-            found.append(Fault("error", what, _remedy_of_missing(site, camera), ExitCode.DEGRADED))
+            faults.append(Fault("error", what, _remedy_of_missing(site, camera), ExitCode.DEGRADED))
         for file in files:
             size, problem = _size_of(file)
-            stated = (camera.lens.width, camera.lens.height)
+            stated_size = (camera.lens.width, camera.lens.height)
             if problem:
-                found.append(Fault("error", f"{where}: {problem}", "the run continues without it", ExitCode.DEGRADED))
-            elif stated[0] and size != stated:
-                what = f"{where}: {file.name} is {size[0]}x{size[1]}, its intrinsics are for {stated[0]}x{stated[1]}"
-                found.append(Fault("error", what, "calibrate for this size, or correct width and height", ExitCode.DEGRADED))
-    return found
+                faults.append(Fault("error", f"{where}: {problem}", "the run continues without it", ExitCode.DEGRADED))
+            elif stated_size[0] and size != stated_size:
+                what = f"{where}: {file.name} is {size[0]}x{size[1]}, its intrinsics are for {stated_size[0]}x{stated_size[1]}"
+                faults.append(Fault("error", what, "calibrate for this size, or correct width and height", ExitCode.DEGRADED))
+    return faults
 
 
 def _remedy_of_missing(site: Site, camera: Camera) -> str:
     """What to do about a camera without captures; the files' names may spell its id otherwise."""
-    there = site.captures.cameras() - {other.id for other in site.cameras} if camera.images is None else set()
-    close = difflib.get_close_matches(camera.id, there, 1)
-    if close:
-        return f"did you mean {printable(close[0])!r}? There are captures of it"
+    capture_names = site.captures.cameras() - {other.id for other in site.cameras} if camera.images is None else set()
+    similar = difflib.get_close_matches(camera.id, capture_names, 1)
+    if similar:
+        return f"did you mean {printable(similar[0])!r}? There are captures of it"
     return "check captures.root and pattern, or the camera itself"
 
 
@@ -113,16 +113,16 @@ def _size_of(file: CaptureFile) -> tuple[tuple[int, int], str | None]:
 
 def check_machine() -> list[Fault]:
     """Can every library be imported?"""
-    found = []
+    faults = []
     for name in ("numpy", "cv2", "scipy", "numba", "networkx", "poselib", "open3d"):
         try:
             importlib.import_module(name)
         except (ImportError, OSError) as error:
-            found.append(Fault("error", f"{name} cannot be imported: {error}", _remedy(str(error)), ExitCode.FAILED))
-    return found
+            faults.append(Fault("error", f"{name} cannot be imported: {error}", _import_remedy(str(error)), ExitCode.FAILED))
+    return faults
 
 
-def _remedy(message: str) -> str:
+def _import_remedy(message: str) -> str:
     library = re.search(r"lib[\w.+-]+\.so[.\d]*", message)
     package = DEBIAN_PACKAGES.get(library.group(0)) if library else None
     return (
@@ -132,24 +132,24 @@ def _remedy(message: str) -> str:
 
 def check_published(work: WorkFolder) -> list[Fault]:
     """Are the published files of every run unchanged?  Those of runs that links lead to must also exist."""
-    shown = {work.link_target(link) for link in work.links()}
-    found = []
+    linked = {work.link_target(link) for link in work.links()}
+    faults = []
     for name in work.run_ids():
         remedy = f"the next  wbflow run  publishes intact ones; do not use the results of {name}"
         try:
-            for path in RunFolder.of(work, name).damaged(missing=name in shown):
+            for path in RunFolder.of(work, name).damaged(missing=name in linked):
                 what = "is damaged" if path.exists() else "is gone"
-                found.append(Fault("error", f"{path} {what}", remedy, ExitCode.DEGRADED))
+                faults.append(Fault("error", f"{path} {what}", remedy, ExitCode.DEGRADED))
         except NoSuchRun as error:
-            found.append(Fault("error", error.what, remedy, ExitCode.DEGRADED))
-    return found
+            faults.append(Fault("error", error.what, remedy, ExitCode.DEGRADED))
+    return faults
 
 
 def _disk(site: Site) -> list[Fault]:
     free = free_bytes(site.work_folder.root)
     width = site.settings.resolution or 4000
-    need = len(site.cameras) * width * width * 2 // 3 * BYTES_PER_PIXEL
-    if free > need:
+    needed = len(site.cameras) * width * width * 2 // 3 * BYTES_PER_PIXEL
+    if free > needed:
         return []
-    what = f"{site.work_folder.root} has {free / 1e9:.1f} GB free; a night of this site takes about {need / 1e9:.1f} GB"
+    what = f"{site.work_folder.root} has {free / 1e9:.1f} GB free; a night of this site takes about {needed / 1e9:.1f} GB"
     return [Fault("warning", what, "free some space: wbflow clean SITE.yaml --keep 3", ExitCode.FAILED)]

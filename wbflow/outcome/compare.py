@@ -62,7 +62,7 @@ class Row:
 
     def __str__(self) -> str:
         change = f"{100 * self.change:+.0f} %" if self.change is not None and self.differs else ""
-        return f"{self.what:32} {_words(self.a):>24}   {_words(self.b):24} {change}".rstrip()
+        return f"{self.what:32} {_formatted(self.a):>24}   {_formatted(self.b):24} {change}".rstrip()
 
     def to_json(self) -> dict[str, Any]:
         change = None if self.change is None else round(self.change, 4)
@@ -75,14 +75,14 @@ def compare(a: RunRecord, b: RunRecord) -> list[Row]:
     rows += [Row("points", *(r.cloud.points if r.cloud else 0 for r in (a, b)))]
     rows += [Row("cameras", sum(c.ok for c in a.cameras), sum(c.ok for c in b.cameras), 0.0)]
     rows += [Row("pairs of cameras", sum(p.ok for p in a.pairs), sum(p.ok for p in b.pairs), 0.0)]
-    rows += _of_site(a, b)
+    rows += _site_rows(a, b)
     rows += [Row("wall seconds", round(a.seconds.wall, 1), round(b.seconds.wall, 1), NOISE_OF_TIME)]
     rows += [Row("CPU seconds", round(a.seconds.cpu, 1), round(b.seconds.cpu, 1), NOISE_OF_TIME)]
     counts = vars(a.tasks), vars(b.tasks)
     rows += [Row(f"tasks {name}", counts[0][name], counts[1][name], noise=0.0) for name in counts[0]]
-    for ours, theirs in ((_by_name(a.cameras), _by_name(b.cameras)), (_by_name(a.pairs), _by_name(b.pairs))):
-        for name in dict.fromkeys([*ours, *theirs]):
-            rows += _of_subject(name, ours.get(name), theirs.get(name))
+    for records_a, records_b in ((_by_name(a.cameras), _by_name(b.cameras)), (_by_name(a.pairs), _by_name(b.pairs))):
+        for name in dict.fromkeys([*records_a, *records_b]):
+            rows += _subject_rows(name, records_a.get(name), records_b.get(name))
     return rows
 
 
@@ -108,21 +108,21 @@ def _by_name(records: tuple[CameraRecord, ...] | tuple[PairRecord, ...]) -> Mapp
     return {record.id if isinstance(record, CameraRecord) else record.name: record for record in records}
 
 
-def _of_site(a: RunRecord, b: RunRecord) -> Iterator[Row]:
+def _site_rows(a: RunRecord, b: RunRecord) -> Iterator[Row]:
     for stage in (stage for stage in a.results if stage in b.results):
-        ours, theirs = vars(a.results[stage]), vars(b.results[stage])
-        yield from (Row(f"{stage}: {titled(name)}", ours[name], theirs[name]) for name in _shared(ours, theirs))
-        parts = a.results[stage].volumes, b.results[stage].volumes
-        for zone, what in itertools.product((zone for zone in parts[0] if zone in parts[1]), ("gained", "lost")):
-            yield Row(f"{stage}: {what}{f' in {zone}' if zone else ''}", *(getattr(each[zone], what) for each in parts))
+        figures_a, figures_b = vars(a.results[stage]), vars(b.results[stage])
+        yield from (Row(f"{stage}: {titled(name)}", figures_a[name], figures_b[name]) for name in _common(figures_a, figures_b))
+        volumes = a.results[stage].volumes, b.results[stage].volumes
+        for zone, what in itertools.product((zone for zone in volumes[0] if zone in volumes[1]), ("gained", "lost")):
+            yield Row(f"{stage}: {what}{f' in {zone}' if zone else ''}", *(getattr(by_zone[zone], what) for by_zone in volumes))
 
 
-def _of_subject(name: str, a: CameraRecord | PairRecord | None, b: CameraRecord | PairRecord | None) -> list[Row]:
+def _subject_rows(name: str, a: CameraRecord | PairRecord | None, b: CameraRecord | PairRecord | None) -> list[Row]:
     """The outcome of a camera or pair, and its figures where both runs used it."""
     rows = [Row(name, _outcome(a), _outcome(b))]
     if a and b and a.ok and b.ok:
-        ours, theirs = vars(a.figures), vars(b.figures)
-        rows += [Row(f"{name} {figure}", ours[figure], theirs[figure]) for figure in _shared(ours, theirs)]
+        figures_a, figures_b = vars(a.figures), vars(b.figures)
+        rows += [Row(f"{name} {figure}", figures_a[figure], figures_b[figure]) for figure in _common(figures_a, figures_b)]
     return rows
 
 
@@ -134,16 +134,16 @@ def _outcome(record: CameraRecord | PairRecord | None) -> str:
     return "ok" if record.ok else f"{record.outcome}: {record.reason}"
 
 
-def _shared(ours: Mapping[str, Any], theirs: Mapping[str, Any]) -> list[str]:
+def _common(figures_a: Mapping[str, Any], figures_b: Mapping[str, Any]) -> list[str]:
     """Return the names of numbers and texts that both have."""
-    return [name for name in ours if _plain(ours[name]) and _plain(theirs.get(name))]
+    return [name for name in figures_a if _is_comparable(figures_a[name]) and _is_comparable(figures_b.get(name))]
 
 
-def _plain(value: object) -> bool:
+def _is_comparable(value: object) -> bool:
     return isinstance(value, int | float | str) and not isinstance(value, bool)
 
 
-def _words(value: Value) -> str:
+def _formatted(value: Value) -> str:
     if isinstance(value, float):
         return f"{value:,.2f}"
     return f"{value:,}" if isinstance(value, int) else str(value)
@@ -178,21 +178,21 @@ def changes_between(then: Run, tonight: Run) -> Any:
     receipt = tonight.receipt(Task(CHANGES))
     if receipt is None:
         raise WbflowError(f"run {tonight.id} did not look for changes", remedy="its log.jsonl says why")
-    used = receipt.preimage
-    found = load(used.function)(**_surface(tonight), **_surface(then, "reference_"), **used.parameters)
-    if not found.compared:
+    preimage = receipt.preimage
+    changes = load(preimage.function)(**_surface(tonight), **_surface(then, "reference_"), **preimage.parameters)
+    if not changes.compared:
         raise WbflowError(
             f"runs {then.id} and {tonight.id} have nothing in common", remedy="their cameras are at different places"
         )
-    return found
+    return changes
 
 
 def _surface(run: Run, prefix: str = "") -> Mapping[str, Any]:
     poses = run.made(POSES)
     if poses is None:
         raise Gone(f"run {run.id} placed no cameras: {run.record.reason or 'the run was not meant to'}")
-    of_cameras = {"frames": FRAMES, "depths": DEPTH, "refined": REFINE}
-    values = {"poses": poses, "cloud": run.cloud_table(), **{name: run.of_cameras(stage) for name, stage in of_cameras.items()}}
+    by_camera = {"frames": FRAMES, "depths": DEPTH, "refined": REFINE}
+    values = {"poses": poses, "cloud": run.cloud_table(), **{name: run.of_cameras(stage) for name, stage in by_camera.items()}}
     return {prefix + name: value for name, value in values.items()}
 
 

@@ -65,10 +65,10 @@ def write_task(site: Site, task: Task, out: Path, date: datetime.date | None = N
     (out / INPUTS).mkdir(parents=True, exist_ok=True)
     make_importable(spec.folder)
     values = arguments_of(spec, plan.cache)
-    nodes = {name: _write(spec.inputs[name], value, out / INPUTS, name, plan.cache) for name, value in values.items()}
+    nodes = {name: _write_input(spec.inputs[name], value, out / INPUTS, name, plan.cache) for name, value in values.items()}
     state = plan.states.get(task)
-    ended = state and ("the night uses the reference's" if state.receipt else state.outcome)
-    otherwise = ended or "not run"  # for a task without a receipt for these inputs
+    state_outcome = state and ("the night uses the reference's" if state.receipt else state.outcome)
+    default_outcome = state_outcome or "not run"  # for a task without a receipt for these inputs
     receipt = Cache(plan.cache.work).by_key(task, spec.preimage().key())
     description: dict[str, Any] = {
         "stage": task.stage,
@@ -77,7 +77,7 @@ def write_task(site: Site, task: Task, out: Path, date: datetime.date | None = N
         "function": spec.function,
         "parameters": spec.parameters,
         "inputs": nodes,
-        "outcome": receipt.outcome if receipt else otherwise,
+        "outcome": receipt.outcome if receipt else default_outcome,
         "reason": receipt.reason if receipt else state.reason if state else None,
         "digest": receipt.digest if receipt and receipt.file else None,
         "folder": str(spec.folder) if spec.folder else None,
@@ -91,32 +91,32 @@ def write_task(site: Site, task: Task, out: Path, date: datetime.date | None = N
 def _spec(plan: Plan, task: Task) -> TaskSpec:
     known = [*plan.states, *plan.ready, *plan.waiting]
     if stage_named(task.stage).scope == "pair" and not plan.pairs_known(stage_named(task.stage)):
-        first = DENSE_PAIRS if plan.pairs_known(stage_named(PAIRS)) else PAIRS
-        raise _waits(plan, task, Task(first))
+        needed = DENSE_PAIRS if plan.pairs_known(stage_named(PAIRS)) else PAIRS
+        raise _waiting_error(plan, task, Task(needed))
     if task not in known:
-        of_stage = [str(t) for t in known if t.stage == task.stage]
-        there = ", ".join(of_stage[:20]) or f"there is none of the stage {task.stage}"
-        remedy = did_you_mean(str(task), of_stage, f"there are: {there}")
+        stage_tasks = [str(t) for t in known if t.stage == task.stage]
+        listed = ", ".join(stage_tasks[:20]) or f"there is none of the stage {task.stage}"
+        remedy = did_you_mean(str(task), stage_tasks, f"there are: {listed}")
         raise UsageError(f"the night of {plan.night} has no task '{task}'", remedy=remedy)
     try:
         return plan.spec_of(task)
     except Waiting as waiting:
-        raise _waits(plan, task, waiting.task or Task(PAIRS)) from None
+        raise _waiting_error(plan, task, waiting.task or Task(PAIRS)) from None
     except Impossible as impossible:
         remedy = f"wbflow status {plan.site.file}  says what each task waits for"
         raise UsageError(f"'{task}' has nothing to work on: {impossible}", remedy=remedy) from None
 
 
-def _waits(plan: Plan, task: Task, first: Task) -> UsageError:
-    remedy = f"first: wbflow run {plan.site.file} --date {plan.night} --until {first.stage}"
-    return UsageError(f"'{task}' waits for '{first}', which has not been made yet", remedy=remedy)
+def _waiting_error(plan: Plan, task: Task, needed: Task) -> UsageError:
+    remedy = f"first: wbflow run {plan.site.file} --date {plan.night} --until {needed.stage}"
+    return UsageError(f"'{task}' waits for '{needed}', which has not been made yet", remedy=remedy)
 
 
-def _write(how: Input, value: Any, folder: Path, name: str, cache: Cache) -> Any:
+def _write_input(source: Input, value: Any, folder: Path, name: str, cache: Cache) -> Any:
     """Write an input; a cloud, which the cache keeps as a file that people can open, is copied."""
-    if isinstance(how, Stored) and not how.part and how.file and how.task.stage == FUSE:
+    if isinstance(source, Stored) and not source.part and source.file and source.task.stage == FUSE:
         file = f"{name}{suffix_of(FUSE)}"
-        shutil.copyfile(cache.work.task(how.task) / how.file, folder / file)
+        shutil.copyfile(cache.work.task(source.task) / source.file, folder / file)
         return {"cloud": file}
     return load("wbflow_stages.exports.plain:write")(value, folder, name)
 
@@ -130,44 +130,44 @@ INPUTS = "inputs"
 def set_up_as_worker(folder: Path) -> None:
     """Allow one thread, and make modules beside the site file importable, as in a run; call this before other imports."""
     os.environ.update(dict.fromkeys(THREADS, "1"))
-    beside = _task(folder)["folder"]
-    make_importable(Path(beside) if beside else None)
+    module_folder = _description(folder)["folder"]
+    make_importable(Path(module_folder) if module_folder else None)
 
 
 def inputs(folder: Path) -> dict[str, Any]:
     """The arguments of the function that are inputs, by name."""
-    return {name: _input(node, folder / INPUTS) for name, node in _task(folder)["inputs"].items()}
+    return {name: _read_input(node, folder / INPUTS) for name, node in _description(folder)["inputs"].items()}
 
 
 def parameters(folder: Path) -> dict[str, Any]:
     """The parameters of the function: change them in task.json, and run the script again."""
-    found: dict[str, Any] = _task(folder)["parameters"]
-    return found
+    values: dict[str, Any] = _description(folder)["parameters"]
+    return values
 
 
 def keep(folder: Path, result: Any) -> str:
     """Write the result beside the script, and return in words how it compares with the result in the cache."""
-    task = _task(folder)
-    before = task["outcome"], task["reason"]
-    nothing: Any = load(REJECTED)
-    if isinstance(result, nothing):
-        same = before == ("rejected", str(result.reason))
-        return f"rejected, {'as in the cache' if same else f'in the cache: {before[0]}'}"
+    task = _description(folder)
+    recorded = task["outcome"], task["reason"]
+    rejection: Any = load(REJECTED)
+    if isinstance(result, rejection):
+        is_same = recorded == ("rejected", str(result.reason))
+        return f"rejected, {'as in the cache' if is_same else f'in the cache: {recorded[0]}'}"
     data = result_bytes(result, task["stage"])
     file = folder / f"result{suffix_of(task['stage'])}"
     file.write_bytes(data)
     if task["digest"] is None:
-        return f"{file} (the cache has none: {before[0]}{f', {before[1]}' if before[1] else ''})"
-    same = content_digest(data) == task["digest"]
-    return f"{file}: {'the same bytes as the cache has' if same else 'other bytes than the cache has'}"
+        return f"{file} (the cache has none: {recorded[0]}{f', {recorded[1]}' if recorded[1] else ''})"
+    is_same = content_digest(data) == task["digest"]
+    return f"{file}: {'the same bytes as the cache has' if is_same else 'other bytes than the cache has'}"
 
 
-def _input(node: Any, folder: Path) -> Any:
+def _read_input(node: Any, folder: Path) -> Any:
     if isinstance(node, dict) and "cloud" in node:
         return result_of((folder / node["cloud"]).read_bytes(), FUSE)
     return load("wbflow_stages.exports.plain:read")(node, folder)
 
 
-def _task(folder: Path) -> dict[str, Any]:
-    found: dict[str, Any] = json.loads((folder / TASK_FILE).read_text())
-    return found
+def _description(folder: Path) -> dict[str, Any]:
+    description: dict[str, Any] = json.loads((folder / TASK_FILE).read_text())
+    return description

@@ -14,7 +14,7 @@ from ..plugins import load
 
 MANIFEST = "demo.json"
 EDITABLE = ("site.yaml", "cameras.json")
-_ELSEWHERE = "name a new or an empty folder"
+_FOLDER_REMEDY = "name a new or an empty folder"
 
 
 def write_demo(folder: Path, *, scene: str = "yard", nights: int | None = None, **options: Any) -> None:
@@ -25,44 +25,44 @@ def write_demo(folder: Path, *, scene: str = "yard", nights: int | None = None, 
     holds something other than a demo, or a demo whose site file or calibration was edited; for an unknown scene or light, and for
     no captures.
     """
-    known = _claim(folder)
+    existing = _existing_digests(folder)
     try:
-        files = "wbflow_demo.files:demo_files" if nights is None else "wbflow_demo.files:demo_nights"
-        demo = load(files)(scene if nights is None else nights, **options)
+        function = "wbflow_demo.files:demo_files" if nights is None else "wbflow_demo.files:demo_nights"
+        demo = load(function)(scene if nights is None else nights, **options)
     except ValueError as error:
         raise UsageError(str(error), remedy="wbflow demo --help  says what there is") from error
     # an interrupted demo can be written again: the manifest comes first, its digests last
-    write_atomic(folder / MANIFEST, _json({"files": known}))
+    write_atomic(folder / MANIFEST, _json({"files": existing}))
     digests = {}
     for name, content in demo.files:
         data = content if isinstance(content, bytes) else bytes(ply_bytes(content.columns, content.comments))
         write_atomic(folder / name, data)
         digests[name] = hashlib.sha256(data).hexdigest()
-    for name in known.keys() - digests.keys():
+    for name in existing.keys() - digests.keys():
         (folder / name).unlink(missing_ok=True)
     write_atomic(folder / MANIFEST, _json({**demo.manifest, "files": digests}))
 
 
-def _claim(folder: Path) -> dict[str, str]:
+def _existing_digests(folder: Path) -> dict[str, str]:
     """Digests by name of the files of the demo that `folder` already holds.  Raises UsageError where it must not be written."""
     if not folder.exists():
         return {}
     if not folder.is_dir():
-        raise UsageError(f"{folder} is a file", remedy=_ELSEWHERE)
+        raise UsageError(f"{folder} is a file", remedy=_FOLDER_REMEDY)
     manifest = folder / MANIFEST
     if not manifest.is_file():
         if any(folder.iterdir()):
-            raise UsageError(f"{folder} contains other files", remedy=_ELSEWHERE)
+            raise UsageError(f"{folder} contains other files", remedy=_FOLDER_REMEDY)
         return {}
     try:
-        known = {str(name): str(digest) for name, digest in json.loads(manifest.read_bytes())["files"].items()}
+        digests = {str(name): str(digest) for name, digest in json.loads(manifest.read_bytes())["files"].items()}
     except (ValueError, KeyError, TypeError, AttributeError):
-        raise UsageError(f"{manifest} was not written by wbflow demo", remedy=_ELSEWHERE) from None
+        raise UsageError(f"{manifest} was not written by wbflow demo", remedy=_FOLDER_REMEDY) from None
     for name in EDITABLE:
         file = folder / name
-        if file.is_file() and name in known and hashlib.sha256(file.read_bytes()).hexdigest() != known[name]:
+        if file.is_file() and name in digests and hashlib.sha256(file.read_bytes()).hexdigest() != digests[name]:
             raise UsageError(f"{file} was edited since the demo was written", remedy="move it away, or name another folder")
-    return known
+    return digests
 
 
 def _json(data: dict[str, Any]) -> bytes:

@@ -135,9 +135,7 @@ class Run:
         views: dict[str, list[str]] = {camera.id: [] for camera in self.record.cameras}
         for view in (task.subject[0] for task in self.ended if task.stage == FRAMES):
             views.setdefault(camera_of(view), []).append(view)
-        names = [
-            view for camera, found in views.items() for view in sorted(found, key=lambda name: (len(name), name)) or [camera]
-        ]
+        names = [view for camera, ids in views.items() for view in sorted(ids, key=lambda name: (len(name), name)) or [camera]]
         return self._on_demand({name: (name,) for name in names}, stages)
 
     def of_pairs(self, *stages: str) -> Mapping[str, Any]:

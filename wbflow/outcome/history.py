@@ -61,13 +61,13 @@ def _verdict_of(folder: RunFolder) -> Verdict | None:
 
 def places(work: WorkFolder) -> list[dict[str, Any]]:
     """Return where the files of every run are, oldest run first, for programs: paths are None where files are gone."""
-    found = []
+    rows = []
     for entry in history(work) if work.root.exists() else ():
         run, paths, level = entry.run, work.run(entry.run.run), entry.verdict.level if entry.verdict else None
-        known = {"run": run.run, "night": run.date, "exit_code": run.exit_code, "level": level, "points": run.points}
+        data = {"run": run.run, "night": run.date, "exit_code": run.exit_code, "level": level, "points": run.points}
         files = {"folder": paths.folder, "cloud": paths.cloud, "report": paths.report}
-        found.append(known | {name: str(path) if path.exists() else None for name, path in files.items()})
-    return found
+        rows.append(data | {name: str(path) if path.exists() else None for name, path in files.items()})
+    return rows
 
 
 @dataclass(frozen=True)
@@ -105,8 +105,8 @@ class GrowthRow(JsonDataclass):
             for value, sigma in ((self.gained, self.gained_sigma), (self.lost, self.lost_sigma))
         )
         grown = f"{self.growth:+.1f}" if self.growth is not None else ""
-        rest = f"{self.begin} to {self.end or 'now'}" if self.begin else f"{self.area:.0f} m² seen, {self.unseen:.0f} m² not"
-        return f"{self.night} {self.what:6} {self.name:16} {self.kind:9} {gained:>14} {lost:>14} {grown:>7}  {rest}"
+        extent = f"{self.begin} to {self.end or 'now'}" if self.begin else f"{self.area:.0f} m² seen, {self.unseen:.0f} m² not"
+        return f"{self.night} {self.what:6} {self.name:16} {self.kind:9} {gained:>14} {lost:>14} {grown:>7}  {extent}"
 
 
 HEAD = f"{'night':10} {'what':6} {'name':16} {'kind':9} {'gained':>14} {'lost':>14} {'growth':>7}  nights, or ground"
@@ -114,7 +114,7 @@ HEAD = f"{'night':10} {'what':6} {'name':16} {'kind':9} {'gained':>14} {'lost':>
 
 
 @dataclass
-class _Followed:
+class _Track:
     """A change, followed through the nights with the same reference."""
 
     number: int
@@ -123,24 +123,24 @@ class _Followed:
     end: str = ""
 
     def rows(self) -> Iterator[GrowthRow]:
-        before: float | None = None
+        previous: float | None = None
         for record, change in self.seen:
             volume, sigma = change.volume or 0.0, change.volume_sigma
             row = {name: getattr(change, name) for name in ("kind", "zone", "area", "x", "y", "z")}
             row |= {"gained": volume, "gained_sigma": sigma} if change.kind != "vanished" else {}
             row |= {"lost": volume, "lost_sigma": sigma} if change.kind != "new" else {}
-            row |= {"growth": None if before is None else volume - before, "begin": self.seen[0][0].date, "end": self.end}
+            row |= {"growth": None if previous is None else volume - previous, "begin": self.seen[0][0].date, "end": self.end}
             yield GrowthRow(record.date, record.run, "change", str(self.number), **row)
-            before = volume
+            previous = volume
 
 
 def growth(work: WorkFolder) -> list[GrowthRow]:
     """Return the volumes of the site and its zones, night by night, then each change from its first night to its last."""
     nights = last_of_nights(newest_runs(work))
-    return [*_parts(nights), *(row for change in _follow(nights) for row in change.rows())]
+    return [*_volume_rows(nights), *(row for change in _follow(nights) for row in change.rows())]
 
 
-def _parts(nights: Iterable[RunRecord]) -> Iterator[GrowthRow]:
+def _volume_rows(nights: Iterable[RunRecord]) -> Iterator[GrowthRow]:
     for record in nights:
         for zone, part in ((zone, part) for result in record.results.values() for zone, part in result.volumes.items()):
             volumes = part.gained, part.gained_sigma, part.lost, part.lost_sigma
@@ -148,20 +148,20 @@ def _parts(nights: Iterable[RunRecord]) -> Iterator[GrowthRow]:
             yield GrowthRow(record.date, record.run, what, zone or record.site, "", zone, *volumes, None, part.area, part.unseen)
 
 
-def _follow(nights: Iterable[RunRecord]) -> list[_Followed]:
+def _follow(nights: Iterable[RunRecord]) -> list[_Track]:
     """Return every change with the nights on which it was seen; one that is hidden for a night stays the same change."""
-    found: list[_Followed] = []
+    all_tracks: list[_Track] = []
     for record in (night for night in nights if any(result.volumes for result in night.results.values())):
-        open_ones = [one for one in found if one.reference == record.reference]
+        tracks = [track for track in all_tracks if track.reference == record.reference]
         for change in (change for result in record.results.values() for change in result.objects.values()):
-            one = next((one for one in open_ones if one.seen[-1][0] is not record and change.is_same(one.seen[-1][1])), None)
-            if one is None:
-                one = _Followed(len(found) + 1, record.reference)
-                found.append(one)
-            one.seen.append((record, change))
-        for one in found:
-            one.end = "" if one.seen[-1][0] is record else one.end or record.date
-    return found
+            track = next((t for t in tracks if t.seen[-1][0] is not record and change.is_same(t.seen[-1][1])), None)
+            if track is None:
+                track = _Track(len(all_tracks) + 1, record.reference)
+                all_tracks.append(track)
+            track.seen.append((record, change))
+        for track in all_tracks:
+            track.end = "" if track.seen[-1][0] is record else track.end or record.date
+    return all_tracks
 
 
 def as_csv(rows: Iterable[GrowthRow]) -> str:

@@ -34,12 +34,12 @@ def write_site(folder: Path) -> tuple[Path, list[str], str]:
         raise UsageError(f"{folder}: there is no such folder", remedy="name the folder that holds the photographs")
     if file.exists():
         raise UsageError(f"{file} is there already", remedy="move it away to have a new one written")
-    found = _cameras(folder)
-    ids = _ids(name for name, _ in found)
-    renamed = [f"{identity}: {name}" for identity, (name, _) in zip(ids, found, strict=True) if identity != name]
-    cameras = dict(zip(ids, (photographs for _, photographs in found), strict=True))
+    named = _cameras(folder)
+    ids = _unique_ids(name for name, _ in named)
+    renamed = [f"{identity}: {name}" for identity, (name, _) in zip(ids, named, strict=True) if identity != name]
+    cameras = dict(zip(ids, (photographs for _, photographs in named), strict=True))
     pattern = None if renamed else _pattern([name for names in cameras.values() for name in names])
-    write_atomic(file, _text(_id(folder.resolve().name) or "site", cameras, pattern).encode())
+    write_atomic(file, _site_text(_as_id(folder.resolve().name) or "site", cameras, pattern).encode())
     return file, ids, f"ids were made from names: {', '.join(renamed)}" if renamed else ""
 
 
@@ -51,11 +51,11 @@ def _cameras(folder: Path) -> list[tuple[str, list[str]]]:
     if single and folders:
         what = f"{folder} holds photographs ({single[0][1][0]}) and folders of photographs ({folders[0][0]}/)"
         raise UsageError(what, remedy="keep one kind: one photograph of each camera, or one folder for each camera")
-    found = single or folders
-    if len(found) < 2:
-        have = f"one camera only ({found[0][0]})" if found else f"no photographs ({', '.join(sorted(PHOTOGRAPHS))})"
-        raise UsageError(f"{folder} holds {have}", remedy="two cameras that see the same things are the least")
-    return found
+    cameras = single or folders
+    if len(cameras) < 2:
+        contents = f"one camera only ({cameras[0][0]})" if cameras else f"no photographs ({', '.join(sorted(PHOTOGRAPHS))})"
+        raise UsageError(f"{folder} holds {contents}", remedy="two cameras that see the same things are the least")
+    return cameras
 
 
 def _photographs(folder: Path) -> list[Path]:
@@ -63,38 +63,38 @@ def _photographs(folder: Path) -> list[Path]:
     return sorted(path for path in files if path.suffix.lower() in PHOTOGRAPHS)
 
 
-def _id(name: str) -> str:
+def _as_id(name: str) -> str:
     """A name as an id: anything other than letters, digits, `_`, `.` and `-` becomes `-`."""
     return re.sub(r"[^A-Za-z0-9_.-]+", "-", name).strip("-.")[:90]
 
 
-def _ids(names: Iterable[str]) -> list[str]:
-    found: list[str] = []
+def _unique_ids(names: Iterable[str]) -> list[str]:
+    ids: list[str] = []
     for position, name in enumerate(names, 1):
-        base = identity = _id(name) or f"camera-{position}"
+        base = identity = _as_id(name) or f"camera-{position}"
         number = 1
-        while identity in found:
+        while identity in ids:
             number += 1
             identity = f"{base}-{number}"
-        found.append(identity)
-    return found
+        ids.append(identity)
+    return ids
 
 
 def _pattern(photographs: list[str]) -> str | None:
     """Return a pattern that finds exactly each camera's photographs, or None where their suffixes differ."""
     suffixes = {Path(name).suffix for name in photographs}
-    inside = "/*" if "/" in photographs[0] else ""
-    return f"{{camera}}{inside}{suffixes.pop()}" if len(suffixes) == 1 else None
+    below = "/*" if "/" in photographs[0] else ""
+    return f"{{camera}}{below}{suffixes.pop()}" if len(suffixes) == 1 else None
 
 
-def _text(site: str, cameras: dict[str, list[str]], pattern: str | None) -> str:
-    listed = f" [{', '.join(map(json.dumps, cameras))}]"
+def _site_text(site: str, cameras: dict[str, list[str]], pattern: str | None) -> str:
+    camera_list = f" [{', '.join(map(json.dumps, cameras))}]"
     if pattern is None:
         files = {name: json.dumps(photographs, ensure_ascii=False) for name, photographs in cameras.items()}
-        listed = "".join(f"\n  - {{id: {json.dumps(name)}, images: {images}}}" for name, images in files.items())
-    elif len(listed) > 112:
-        listed = "".join(f"\n  - {json.dumps(name)}" for name in cameras)
-    return _SITE.format(site=json.dumps(site), pattern=json.dumps(pattern or "{camera}"), cameras=listed)
+        camera_list = "".join(f"\n  - {{id: {json.dumps(name)}, images: {images}}}" for name, images in files.items())
+    elif len(camera_list) > 112:
+        camera_list = "".join(f"\n  - {json.dumps(name)}" for name in cameras)
+    return _SITE.format(site=json.dumps(site), pattern=json.dumps(pattern or "{camera}"), cameras=camera_list)
 
 
 _SITE = """\
@@ -135,13 +135,13 @@ def write_calibration(
     except Unreadable as error:
         raise UsageError(f"{pictures}: {error.what}", remedy="name a folder of photographs, or a video") from None
     try:
-        made, words = load("wbflow_stages.board:board_files")(camera, data, board, model)
+        contents, lines = load("wbflow_stages.board:board_files")(camera, data, board, model)
     except ValueError as error:
         remedy = "5 sharp pictures and more, with the board near, far, turned, and in every corner of the picture"
         raise UsageError(f"{pictures}: {error}", remedy=remedy) from None
-    for name, content in made.items():
+    for name, content in contents.items():
         write_atomic(out / name, content)
-    return [out / name for name in made], words
+    return [out / name for name in contents], lines
 
 
 _SERVICE = """\
@@ -182,8 +182,8 @@ def write_units(site: Site) -> list[Path]:
     """Write a systemd service and a timer beside the site file; returns their paths.  Raises OSError."""
     captures = any(entry.url for entry in site.settings.cameras)
     file = '"' + str(site.file.resolve()).replace("%", "%%").replace('"', '\\"') + '"'
-    filled = {"name": site.name, "user": getpass.getuser(), "python": sys.executable, "file": file}
-    units = {"service": _SERVICE.format(**filled, capture=" --capture" if captures else ""), "timer": _TIMER.format(**filled)}
+    values = {"name": site.name, "user": getpass.getuser(), "python": sys.executable, "file": file}
+    units = {"service": _SERVICE.format(**values, capture=" --capture" if captures else ""), "timer": _TIMER.format(**values)}
     paths = [site.folder / f"wbflow-{site.name}.{kind}" for kind in units]
     for path, text in zip(paths, units.values(), strict=True):
         write_atomic(path, text.encode())

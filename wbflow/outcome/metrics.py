@@ -17,7 +17,7 @@ def metrics(record: RunRecord) -> str:
     levels: Rows = [
         ({"level": level}, int(verdict is not None and verdict.level == level)) for level in ("good", "degraded", "failed")
     ]
-    compared: Rows = [({"of": of}, value) for of, value in usual.figures.items()] if usual else []
+    usual_rows: Rows = [({"of": name}, value) for name, value in usual.figures.items()] if usual else []
     cameras = [({"camera": c.id}, int(c.ok and c.down is None), c.down.nights if c.down else 0) for c in record.cameras]
     pairs: Rows = [({"outcome": outcome}, count) for outcome, count in Counter(pair.outcome for pair in record.pairs).items()]
     volumes, sigmas, areas = _volumes(record)
@@ -28,9 +28,9 @@ def metrics(record: RunRecord) -> str:
         ("finished_timestamp_seconds", "When the run ended.", [({}, moment(record.finished).timestamp())]),
         ("night_timestamp_seconds", "The night of the captures.", [({}, moment(f"{record.date}T00:00:00Z").timestamp())]),
         ("points", "Points of the main cloud.", [({}, record.cloud.points if record.cloud else 0)]),
-        ("usual", "Usual values: medians of the last good nights.", compared),
-        ("camera_ok", "1 for a camera that is in use and well.", [(of, ok) for of, ok, _ in cameras]),
-        ("camera_nights_down", "Nights for which the camera has been down.", [(of, nights) for of, _, nights in cameras]),
+        ("usual", "Usual values: medians of the last good nights.", usual_rows),
+        ("camera_ok", "1 for a camera that is in use and well.", [(labels, ok) for labels, ok, _ in cameras]),
+        ("camera_nights_down", "Nights for which the camera has been down.", [(labels, nights) for labels, _, nights in cameras]),
         ("camera_pairs", "Pairs of cameras by outcome.", pairs),
         ("volume_cubic_metres", "Volumes gained and lost since the reference, by zone (none: the whole site).", volumes),
         ("volume_sigma_cubic_metres", "Standard deviation of the volumes.", sigmas),
@@ -51,8 +51,8 @@ def metrics(record: RunRecord) -> str:
 def _volumes(record: RunRecord) -> tuple[Rows, Rows, Rows]:
     """Return volumes, their standard deviations, and areas; nothing for a site without a metric scale."""
     volumes, sigmas, areas = Rows(), Rows(), Rows()
-    known = record.results.values() if record.poses and record.poses.metric else ()
-    for zone, part in ((zone, part) for result in known for zone, part in result.volumes.items()):
+    results = record.results.values() if record.poses and record.poses.metric else ()
+    for zone, part in ((zone, part) for result in results for zone, part in result.volumes.items()):
         labels = {"zone": zone} if zone else {}
         volumes += [({**labels, "change": "gained"}, part.gained), ({**labels, "change": "lost"}, part.lost)]
         sigmas += [({**labels, "change": "gained"}, part.gained_sigma), ({**labels, "change": "lost"}, part.lost_sigma)]

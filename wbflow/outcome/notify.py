@@ -31,7 +31,7 @@ Occasion = Literal["degraded", "failed", "reminder", "recovered", "heartbeat"]
 MOST_WORDS = 300
 """Longest summary, in characters."""
 
-_OF = "notified"
+_FILE_KIND = "notified"
 """Kind of the checksummed file with the last reported state."""
 
 
@@ -52,12 +52,12 @@ class _Reported(JsonDataclass):
     """Number of reminders of this state that have been sent."""
 
 
-_KNOWN = "acknowledged"
+_ACKNOWLEDGED = "acknowledged"
 """Takes the place of a good night's level if it has acknowledged findings: the site is neither degraded nor recovered."""
 
 
-def _state(verdict: Verdict) -> tuple[str, ...]:
-    level, findings = (_KNOWN, verdict.acknowledged) if verdict.good else (verdict.level, verdict.findings)
+def _state_of(verdict: Verdict) -> tuple[str, ...]:
+    level, findings = (_ACKNOWLEDGED, verdict.acknowledged) if verdict.good else (verdict.level, verdict.findings)
     return (level, *sorted({" ".join((f.kind, *f.subject)) for f in findings})) if findings else ()
 
 
@@ -68,40 +68,40 @@ def notify(how: Notify, folder: Path, run: Run) -> Occasion | None:
     """
     work, record = run.cache.work, run.record
     assert record.verdict
-    last, now = _last(work), record.finished
-    state = _next(last, _state(record.verdict), now, how)
+    last, now = _last_reported(work), record.finished
+    state = _next_reported(last, _state_of(record.verdict), now, how)
     occasion: Occasion | None = "heartbeat" if how.heartbeat else None
     if state.state != last.state and not record.verdict.good:
         occasion = "failed" if record.verdict.level == "failed" else "degraded"
-    elif last.state and not state.state and (last.state[0] != _KNOWN or last.bad_since):
+    elif last.state and not state.state and (last.state[0] != _ACKNOWLEDGED or last.bad_since):
         occasion = "recovered"
     elif state.reminders > last.reminders:
         occasion = "reminder"
     if occasion:
-        lasted = format_duration(_seconds(state.bad_since, now)) if occasion in {"recovered", "reminder"} else ""
-        _call(how, folder, _message(occasion, lasted, run.place.paths, record))
+        duration = format_duration(_seconds(state.bad_since, now)) if occasion in {"recovered", "reminder"} else ""
+        _call(how, folder, _message(occasion, duration, run.place.paths, record))
     if state != last:
-        write_checksummed(work.notified, _OF, state.to_json())
+        write_checksummed(work.notified, _FILE_KIND, state.to_json())
     return occasion
 
 
-def _next(last: _Reported, state: tuple[str, ...], now: str, how: Notify) -> _Reported:
+def _next_reported(last: _Reported, state: tuple[str, ...], now: str, config: Notify) -> _Reported:
     """Return the state to remember after a night, from the last reported one."""
-    known = state[:1] == (_KNOWN,)
-    bad_since = (last.bad_since if last.state else "") or ("" if known else now)
+    is_acknowledged = state[:1] == (_ACKNOWLEDGED,)
+    bad_since = (last.bad_since if last.state else "") or ("" if is_acknowledged else now)
     if state != last.state:
         return _Reported(state, now, bad_since)
-    if not state or known:
+    if not state or is_acknowledged:
         return last
     since = last.since or now
-    due = sum(_seconds(since, now) >= seconds for seconds in how.remind)
+    due = sum(_seconds(since, now) >= seconds for seconds in config.remind)
     return _Reported(state, since, bad_since, max(due, last.reminders))
 
 
-def _last(work: WorkFolder) -> _Reported:
+def _last_reported(work: WorkFolder) -> _Reported:
     try:
-        return _Reported.from_json(read_checksummed(work.notified, _OF) or {})
-    except (Damaged, ValueError):  # unknown what was reported: report the state again
+        return _Reported.from_json(read_checksummed(work.notified, _FILE_KIND) or {})
+    except (Damaged, ValueError):  # what was reported is unknown: report the state again
         return _Reported()
 
 
@@ -114,30 +114,30 @@ def summary(record: RunRecord, lasted: str = "") -> str:
     verdict = record.verdict or Verdict("good")
     time = f", {'back after' if verdict.good else 'for'} {lasted}" if lasted else ""
     head = f"{record.site} {record.date}: {verdict.level}{time}"
-    more = f" (and {len(verdict.findings) - 1} more)" if len(verdict.findings) > 1 else ""
-    words = f"{head}: {verdict.findings[0]}{more}" if verdict.findings else head
-    return _on_a_line(words)
+    others = f" (and {len(verdict.findings) - 1} more)" if len(verdict.findings) > 1 else ""
+    line = f"{head}: {verdict.findings[0]}{others}" if verdict.findings else head
+    return _on_a_line(line)
 
 
-def _message(occasion: Occasion, lasted: str, run: RunPaths, record: RunRecord) -> dict[str, Any]:
+def _message(occasion: Occasion, duration: str, run: RunPaths, record: RunRecord) -> dict[str, Any]:
     head = {"event": occasion, "site": record.site, "date": record.date, "run": record.run}
-    head |= {"summary": summary(record, lasted), "lasted": lasted}
-    came_to = {**(record.verdict.to_json() if record.verdict else {}), "exit_code": int(record.exit_code)}
+    head |= {"summary": summary(record, duration), "lasted": duration}
+    outcome = {**(record.verdict.to_json() if record.verdict else {}), "exit_code": int(record.exit_code)}
     cloud = str(run.folder / record.cloud.path) if record.cloud else None
     points = record.cloud.points if record.cloud else 0
-    return {**head, **came_to, "points": points, "report": str(run.report), "record": str(run.record), "cloud": cloud}
+    return {**head, **outcome, "points": points, "report": str(run.report), "record": str(run.record), "cloud": cloud}
 
 
-def _call(how: Notify, folder: Path, message: dict[str, Any]) -> None:
-    plain = {name: value for name, value in message.items() if isinstance(value, str | int)}
-    environment = os.environ | {f"WBFLOW_{name.upper()}": str(value) for name, value in plain.items()}
+def _call(config: Notify, folder: Path, message: dict[str, Any]) -> None:
+    scalars = {name: value for name, value in message.items() if isinstance(value, str | int)}
+    environment = os.environ | {f"WBFLOW_{name.upper()}": str(value) for name, value in scalars.items()}
     with tempfile.TemporaryFile() as stdin, tempfile.TemporaryFile() as output:  # a child that outlives it could hold pipes open
         stdin.write(json.dumps(message).encode())
         stdin.seek(0)
         try:
             process = subprocess.Popen(
-                how.command,
-                shell=isinstance(how.command, str),
+                config.command,
+                shell=isinstance(config.command, str),
                 stdin=stdin,
                 stdout=output,
                 stderr=output,
@@ -146,11 +146,11 @@ def _call(how: Notify, folder: Path, message: dict[str, Any]) -> None:
                 start_new_session=True,
             )
         except (OSError, ValueError) as error:
-            raise NotifyFailed(f"notify: {_shown(how)} could not be started: {error}") from error
+            raise NotifyFailed(f"notify: {_command(config)} could not be started: {error}") from error
         try:
-            code = process.wait(timeout=how.seconds)
+            code = process.wait(timeout=config.seconds)
         except subprocess.TimeoutExpired:
-            raise NotifyFailed(f"notify: {_shown(how)} had not ended after {how.seconds:g} s, and was killed") from None
+            raise NotifyFailed(f"notify: {_command(config)} had not ended after {config.seconds:g} s, and was killed") from None
         finally:
             if process.poll() is None:  # kill its child processes, too
                 os.killpg(process.pid, signal.SIGKILL)
@@ -158,11 +158,11 @@ def _call(how: Notify, folder: Path, message: dict[str, Any]) -> None:
         if code:
             output.seek(0)
             lines = output.read(100_000).decode(errors="replace").strip().splitlines() or ["no output"]
-            raise NotifyFailed(f"notify: {_shown(how)} ended with {code}: {_on_a_line(lines[-1])}")
+            raise NotifyFailed(f"notify: {_command(config)} ended with {code}: {_on_a_line(lines[-1])}")
 
 
-def _shown(how: Notify) -> str:
-    command = how.command if isinstance(how.command, str) else how.command[0]
+def _command(config: Notify) -> str:
+    command = config.command if isinstance(config.command, str) else config.command[0]
     return repr(command if len(command) < 60 else f"{command[:57]}...")
 
 

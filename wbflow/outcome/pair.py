@@ -57,16 +57,16 @@ def write_pair(run: Run, out: Path) -> tuple[Path, ...]:
     results = {name: run.made(stage, PAIR) for name, stage in stages.items()}
     if left is None or right is None or next(iter(results.values())) is None:
         return ()
-    made, summary = load("wbflow_stages.exports.pairfiles:pair_files")(left, right, **results)
+    files, summary = load("wbflow_stages.exports.pairfiles:pair_files")(left, right, **results)
     figures = run.record.pairs[0].to_json() | summary
-    pictures = [(name, name[2:].rpartition(".")[0]) for name in made if guess_type(name)[0] == "image/jpeg"]
+    pictures = [(name, name[2:].rpartition(".")[0]) for name in files if guess_type(name)[0] == "image/jpeg"]
     rows = [(name.replace("_", " "), value) for name, value in figures.items() if isinstance(value, str | int | float)]
-    others = sorted({*made} - {name for name, _ in pictures})
-    made["index.html"] = render("pair.html", pictures=pictures, rows=rows, others=others).encode()
-    made["pair.json"] = json.dumps(figures, indent=1).encode()
-    for name, data in made.items():
+    other_files = sorted({*files} - {name for name, _ in pictures})
+    files["index.html"] = render("pair.html", pictures=pictures, rows=rows, others=other_files).encode()
+    files["pair.json"] = json.dumps(figures, indent=1).encode()
+    for name, data in files.items():
         write_atomic(out / name, data)
-    return tuple(out / name for name in made)
+    return tuple(out / name for name in files)
 
 
 def failure(run: Run) -> str | None:

@@ -75,16 +75,16 @@ def _publish(run: str, context: RunContext, products: dict[Task, bytes] | None, 
 
     products: None where the run was interrupted.  own_process: did the tasks run in this process?
     """
-    made = products or {}
-    plan, place = context.plan, context.plan.cache.work
-    unfinished = UnfinishedRun(place, run)
-    posed = Task(POSES) in made
-    cameras = _cameras(plan, made[Task(POSES)]) if posed else {}
-    comments = _place_comments(summary_of(plan.states[Task(POSES)], PosesSummary).crs) if posed else ()
-    for task, product in made.items():
+    artifacts = products or {}
+    plan, work = context.plan, context.plan.cache.work
+    unfinished = UnfinishedRun(work, run)
+    has_poses = Task(POSES) in artifacts
+    cameras = _cameras(plan, artifacts[Task(POSES)]) if has_poses else {}
+    comments = _place_comments(summary_of(plan.states[Task(POSES)], PosesSummary).crs) if has_poses else ()
+    for task, product in artifacts.items():
         if task.stage == FUSE:
             unfinished.write(cloud_name(task.subject), with_comments(product, () if task.subject else comments))
-    if posed:
+    if has_poses:
         unfinished.write_cameras(cameras)
     files: dict[str, list[str]] = {}
     for stage, name, data in _files(plan, journal):
@@ -93,9 +93,9 @@ def _publish(run: str, context: RunContext, products: dict[Task, bytes] | None, 
     record = run_record(run, plan, journal.started, journal.seconds(own_process), journal.peak_rss_mb, files)
     harmful, harmless = context.captures_in_motion()
     record = replace(record, cameras=tuple(_with_motion(camera, harmful, harmless) for camera in record.cameras))
-    known = _acknowledged(plan.site, journal)
-    facts = replace(Facts.from_plan(plan, products is None), behind=journal.behind(), acknowledged=known)
-    record = with_known(judge_run(record, plan, facts), known)
+    acknowledged = _acknowledged(plan.site, journal)
+    facts = replace(Facts.from_plan(plan, products is None), behind=journal.behind(), acknowledged=acknowledged)
+    record = with_known(judge_run(record, plan, facts), acknowledged)
     record = replace(record, repaired=tuple(journal.repairs), files=unfinished.files)
     page = _report(plan, record, journal, cameras, unfinished)
     folder = unfinished.publish(record, journal.events, page, metrics(record))
@@ -106,18 +106,18 @@ def _publish(run: str, context: RunContext, products: dict[Task, bytes] | None, 
 
 
 def _with_motion(camera: CameraRecord, harmful: Mapping[str, list[str]], harmless: Mapping[str, list[str]]) -> CameraRecord:
-    replaced = [
+    overwritten = [
         f"{name} was overwritten during the run; it was read as a whole, and `captures` has the digest of what was used"
         for name in harmless.get(camera.id, ())
     ]
-    return replace(camera, captures_in_motion=tuple(harmful.get(camera.id, ())), notes=(*camera.notes, *replaced))
+    return replace(camera, captures_in_motion=tuple(harmful.get(camera.id, ())), notes=(*camera.notes, *overwritten))
 
 
 def _cameras(plan: Plan, poses: bytes) -> dict[str, Any]:
     """Return the solved cameras in the form of a calibration, by id.  poses: the artifact, used if the cache has no such form."""
     receipt = plan.states[Task(POSES)].receipt
-    kept = plan.cache.drawing(Task(POSES), receipt.key, "cameras") if receipt else None
-    cameras: dict[str, Any] = json.loads(kept or load(stage_named(POSES).products.drawings["cameras"])(artifact.decode(poses)))
+    drawing = plan.cache.drawing(Task(POSES), receipt.key, "cameras") if receipt else None
+    cameras: dict[str, Any] = json.loads(drawing or load(stage_named(POSES).products.drawings["cameras"])(artifact.decode(poses)))
     return cameras
 
 
@@ -128,8 +128,8 @@ def _place_comments(crs: str) -> tuple[str, ...]:
     origin = origin_of(crs)
     if origin is None:
         return (f"crs {crs}",)
-    words = "latitude {!r} longitude {!r} height {!r}".format(*origin)
-    return f"crs {crs}", f"x y z are metres east, north and up of {words} (WGS 84)"
+    position = "latitude {!r} longitude {!r} height {!r}".format(*origin)
+    return f"crs {crs}", f"x y z are metres east, north and up of {position} (WGS 84)"
 
 
 def _files(plan: Plan, journal: Journal) -> Iterator[tuple[str, str, bytes]]:
@@ -184,24 +184,24 @@ def mend_ledger(place: WorkFolder, journal: Journal) -> None:
 
 def post_run(run: Run, site: Site, journal: Journal) -> None:
     """Index the run, pin the first good one, and clean up.  The night is already published, so faults are only warnings."""
-    before = len(journal.events)
+    earlier = len(journal.events)
     try:
         with Ledger(run.cache.work, writes=True) as ledger:
-            fresh = (task for task, event in run.ended.items() if event.outcome in {"ran", "rejected"})
-            ledger.record_artifacts(receipt for task in fresh if (receipt := run.receipt(task)))
+            new_tasks = (task for task, event in run.ended.items() if event.outcome in {"ran", "rejected"})
+            ledger.record_artifacts(receipt for task in new_tasks if (receipt := run.receipt(task)))
             ledger.record_run(run.record)
         if site.settings.pin == "auto" and not run.cache.work.reference_record.exists() and fit_to_pin(run.record):
             pin(run.cache, run.place, automatic=True)
         keep = site.settings.keep.limits()
         if keep != Keep():
-            over = clean(run.cache.work, keep, asked=False).over
-            if over:
-                what = f"the cache holds {format_size(over)} more than keep.bytes allows"
+            excess = clean(run.cache.work, keep, asked=False).over
+            if excess:
+                what = f"the cache holds {format_size(excess)} more than keep.bytes allows"
                 journal.warn(what, remedy="the newest night alone needs it: allow more, or lower `resolution`")
     except sqlite3.Error as error:
         journal.warn(f"the ledger was not written: {error}", remedy="the next run catches up")
     except (OSError, WbflowError) as error:
         journal.warn(f"after the run: {error}", remedy="no result is lost; the next run tries again")
     with contextlib.suppress(OSError):  # a full disk, of which a warning has been given
-        for event in journal.events[before:]:
+        for event in journal.events[earlier:]:
             run.place.add(event)

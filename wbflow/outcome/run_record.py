@@ -21,7 +21,7 @@ from ..runner.state import Cause, State, summary_of
 from ..site.stale_cameras import night_by_pictures, stale_by_image
 from ..task import Task, camera_of
 
-_ADD_UP = {"keypoints", "points"}
+_SUMMED = {"keypoints", "points"}
 """Figures that are summed over a camera's views; the others are averaged."""
 
 
@@ -41,15 +41,15 @@ def run_record(
     files : mapping
         Names of the files that are published beside the cloud, by stage.
     """
-    whole = _SiteWide.from_plan(plan)
+    site_wide = _SiteWide.from_plan(plan)
     views: dict[str, list[CameraRecord]] = {}
     for view in plan.site.views:
-        views.setdefault(view.camera, []).append(_camera(plan, view.id, whole))
-    cameras = tuple(map(_of_views, views.values()))
+        views.setdefault(view.camera, []).append(_camera_record(plan, view.id, site_wide))
+    cameras = tuple(map(_joined_views, views.values()))
     dated = plan.site.captures.dated
     night = plan.night if dated else night_by_pictures(camera.figures for camera in cameras)
-    main = plan.states.get(Task(FUSE))
-    others = (_cloud(task, state) for task, state in plan.states.items() if task.stage == FUSE and task.subject)
+    main_state = plan.states.get(Task(FUSE))
+    other_clouds = (_cloud_record(task, state) for task, state in plan.states.items() if task.stage == FUSE and task.subject)
     return RunRecord(
         run,
         plan.site.name,
@@ -62,12 +62,12 @@ def run_record(
         seconds,
         round(peak_rss_mb),
         tuple(_with_staleness(camera, night, dated) for camera in cameras),
-        tuple(_pair(plan, pair, whole) for pair in _pairs(plan)),
-        cloud=_cloud(Task(FUSE), main) if main else None,
-        other_clouds=tuple(cloud for cloud in others if cloud),
-        poses=_by_camera(whole.poses) if _is_usable(plan, POSES) else None,
-        reason=root_cause(plan, Task(FUSE)) if main and not main.usable else None,
-        code=main.code if main and not main.usable else None,
+        tuple(_pair_record(plan, pair, site_wide) for pair in _pairs(plan)),
+        cloud=_cloud_record(Task(FUSE), main_state) if main_state else None,
+        other_clouds=tuple(cloud for cloud in other_clouds if cloud),
+        poses=_by_camera(site_wide.poses) if _is_usable(plan, POSES) else None,
+        reason=root_cause(plan, Task(FUSE)) if main_state and not main_state.usable else None,
+        code=main_state.code if main_state and not main_state.usable else None,
         versions=installed_versions(),
         reference=plan.reference.run if plan.reference else None,
         results=dict(_results(plan, files)),
@@ -82,23 +82,23 @@ def root_cause(plan: Plan, task: Task) -> str | None:
     state = plan.states[task]
     if state.outcome != "skipped" or "skipped" not in (state.reason or ""):
         return state.reason
-    waiting, seen, roots = [task], {task}, []
-    while waiting:
-        at = waiting.pop(0)
-        above = [up for up in plan.upstreams(at) if (s := plan.states.get(up)) and not s.usable]
-        if plan.states[at].outcome != "skipped" or not above:
-            roots.append(at)
+    queue, visited, roots = [task], {task}, []
+    while queue:
+        current = queue.pop(0)
+        causes = [upstream for upstream in plan.upstreams(current) if (s := plan.states.get(upstream)) and not s.usable]
+        if plan.states[current].outcome != "skipped" or not causes:
+            roots.append(current)
             continue
-        new = [up for up in dict.fromkeys(above) if up not in seen]
-        seen.update(new)
-        waiting += new
+        unvisited = [upstream for upstream in dict.fromkeys(causes) if upstream not in visited]
+        visited.update(unvisited)
+        queue += unvisited
     kinds = Counter((root.stage, plan.states[root].code) for root in roots)
     kind, count = kinds.most_common(1)[0]
     if kind[0] == FRAMES:  # too few cameras: the reason says how many there are
         return state.reason
-    first = next(root for root in roots if (root.stage, plan.states[root].code) == kind)
-    more = f" (and {count - 1} more like it)" if count > 1 else ""
-    return f"{first}: {plan.states[first].reason}{more}"
+    example = next(root for root in roots if (root.stage, plan.states[root].code) == kind)
+    suffix = f" (and {count - 1} more like it)" if count > 1 else ""
+    return f"{example}: {plan.states[example].reason}{suffix}"
 
 
 @dataclass(frozen=True)
@@ -126,41 +126,41 @@ class _SiteWide:
                 summary = summary_of(state, summaries.FuseSummary)
                 points |= summary.given
                 misfits |= summary.misfits
-            elif task.stage == DEPTH and (found := summary_of(state, summaries.DepthSummary).apart_px):
-                apart_px[task.subject[0]] = found
+            elif task.stage == DEPTH and (differences := summary_of(state, summaries.DepthSummary).apart_px):
+                apart_px[task.subject[0]] = differences
         pairs, dense = (summary_of(plan.states.get(Task(stage)), summaries.PairsSummary) for stage in (PAIRS, DENSE_PAIRS))
         poses = summary_of(plan.states.get(Task(POSES)), summaries.PosesSummary)
-        if (rows := plan.states.get(Task(CALIBRATION))) and rows.usable:
-            poses = replace(poses, rows=summary_of(rows, summaries.CalibrationCheck))
+        if (row_check := plan.states.get(Task(CALIBRATION))) and row_check.usable:
+            poses = replace(poses, rows=summary_of(row_check, summaries.CalibrationCheck))
         return _SiteWide(
             poses, points, misfits, apart_px, {**pairs.crowded, **dense.crowded}, frozenset(_usable_pairs(plan, DENSE_PAIRS))
         )
 
 
-def _camera(plan: Plan, camera: str, whole: _SiteWide) -> CameraRecord:
+def _camera_record(plan: Plan, camera: str, site_wide: _SiteWide) -> CameraRecord:
     captures = {file.name: file.digest for file in plan.captures[camera_of(camera)]}
     figures: dict[str, Any] = {}
     notes: list[str] = []
-    ended: dict[str, Any] = {"outcome": "ok"}
-    for stage, kind in _parts_of(summaries.CameraFigures):
+    outcome: dict[str, Any] = {"outcome": "ok"}
+    for stage, kind in _stages_in(summaries.CameraFigures):
         state = plan.states.get(Task(stage.name, (camera,)))
         if state and not state.usable:
-            ended = {"outcome": state.outcome, "reason": state.reason, "code": state.code}
+            outcome = {"outcome": state.outcome, "reason": state.reason, "code": state.code}
             break
         if state:
             notes += summary_of(state, summaries.Notes).notes
             figures |= _not_none(summary_of(state, kind))
     else:
-        poses = whole.poses
-        check, points, misfit = poses.pose_checks.get(camera), whole.points.get(camera), whole.misfits.get(camera)
+        poses = site_wide.poses
+        check, points, misfit = poses.pose_checks.get(camera), site_wide.points.get(camera), site_wide.misfits.get(camera)
         figures |= {"pose": check, "verified": check.get("verified") if check else None, "pose_from": poses.sources.get(camera)}
-        figures |= {"points": points, "misfit": misfit, "apart_px": whole.apart_px.get(camera)}
-        crowded, moved = whole.crowded.get(camera), poses.issues_of("moved").get(camera)
+        figures |= {"points": points, "misfit": misfit, "apart_px": site_wide.apart_px.get(camera)}
+        crowded, moved = site_wide.crowded.get(camera), poses.issues_of("moved").get(camera)
         notes += [*([crowded] if crowded else []), *([moved.text] if moved else [])]
         if camera in poses.unsolved:
-            ended = {"outcome": "unsolved", "reason": poses.unsolved[camera], "code": Cause.UNSOLVED}
-    shown, health = summaries.CameraFigures(**figures), plan.resolver.health(camera)
-    return CameraRecord(camera, **ended, health=health, captures=captures, notes=tuple(notes), figures=shown)
+            outcome = {"outcome": "unsolved", "reason": poses.unsolved[camera], "code": Cause.UNSOLVED}
+    camera_figures, health = summaries.CameraFigures(**figures), plan.resolver.health(camera)
+    return CameraRecord(camera, **outcome, health=health, captures=captures, notes=tuple(notes), figures=camera_figures)
 
 
 def _with_staleness(record: CameraRecord, night: str, dated: bool) -> CameraRecord:
@@ -170,27 +170,27 @@ def _with_staleness(record: CameraRecord, night: str, dated: bool) -> CameraReco
     return record
 
 
-def _pair(plan: Plan, pair: tuple[str, str], whole: _SiteWide) -> PairRecord:
+def _pair_record(plan: Plan, pair: tuple[str, str], site_wide: _SiteWide) -> PairRecord:
     figures: dict[str, Any] = {}
-    well: dict[str, Any] = {"outcome": "ok"}
-    ended = well
-    for stage, kind in _parts_of(summaries.PairFigures):
+    success: dict[str, Any] = {"outcome": "ok"}
+    outcome = success
+    for stage, kind in _stages_in(summaries.PairFigures):
         state = plan.states.get(Task(stage.name, pair))
         if state is None:
             continue
         figures |= _not_none(summary_of(state, kind))
         if state.usable and stage.name == DISPARITY:
-            ended = well
-        elif not state.usable and (ended is well or state.outcome != "skipped"):
-            ended = {"outcome": state.outcome, "reason": state.reason, "code": state.code, "stage": stage.name}
-    found = plan.states.get(Task(GEOMETRY, pair))
-    if check := whole.poses.pair_checks.get("--".join(pair)):
+            outcome = success
+        elif not state.usable and (outcome is success or state.outcome != "skipped"):
+            outcome = {"outcome": state.outcome, "reason": state.reason, "code": state.code, "stage": stage.name}
+    geometry = plan.states.get(Task(GEOMETRY, pair))
+    if check := site_wide.poses.pair_checks.get("--".join(pair)):
         figures |= {"poses_px": check.adjusted_px, "known": check.known}
-    matched, dense = found.usable if found else None, pair in whole.dense if whole.dense else None
-    return PairRecord(*pair, **ended, matched=matched, dense=dense, figures=summaries.PairFigures(**figures))
+    matched, dense = geometry.usable if geometry else None, pair in site_wide.dense if site_wide.dense else None
+    return PairRecord(*pair, **outcome, matched=matched, dense=dense, figures=summaries.PairFigures(**figures))
 
 
-def _parts_of(figures: type[summaries.Summary]) -> list[tuple[Stage, type[summaries.Summary]]]:
+def _stages_in(figures: type[summaries.Summary]) -> list[tuple[Stage, type[summaries.Summary]]]:
     """Return the stages whose summaries are part of the figures of a camera or pair, in the order of the pipeline."""
     return [(stage, stage.summary) for stage in STAGES if stage.summary and issubclass(figures, stage.summary)]
 
@@ -202,8 +202,8 @@ def _not_none(summary: summaries.Summary) -> dict[str, Any]:
 def _pairs(plan: Plan) -> list[tuple[str, str]]:
     """Pairs that are matched or made dense, in the order of the site file where the latter were chosen separately."""
     matched, dense = _usable_pairs(plan, PAIRS), _usable_pairs(plan, DENSE_PAIRS)
-    place = {view.id: k for k, view in enumerate(plan.site.views)}
-    return sorted({*matched, *dense}, key=lambda pair: [place[view] for view in pair]) if dense else matched
+    position = {view.id: k for k, view in enumerate(plan.site.views)}
+    return sorted({*matched, *dense}, key=lambda pair: [position[view] for view in pair]) if dense else matched
 
 
 def _usable_pairs(plan: Plan, stage: str) -> list[tuple[str, str]]:
@@ -215,7 +215,7 @@ def _is_usable(plan: Plan, stage: str) -> bool:
     return state is not None and state.usable
 
 
-def _cloud(task: Task, state: State) -> CloudRecord | None:
+def _cloud_record(task: Task, state: State) -> CloudRecord | None:
     cloud = summary_of(state, summaries.FuseSummary)
     return CloudRecord(cloud_name(task.subject), cloud.points, cloud.bounds, cloud.right) if state.usable else None
 
@@ -224,33 +224,33 @@ def _results(plan: Plan, files: Mapping[str, Collection[str]]) -> Iterator[tuple
     for stage in plan.stages:
         if stage.summary and issubclass(stage.summary, summaries.SiteSummary):
             state = plan.states.get(Task(stage.name))
-            found = summary_of(state, stage.summary) if state and state.usable else stage.summary()
+            summary = summary_of(state, stage.summary) if state and state.usable else stage.summary()
             reason = state.reason if state and not state.usable else None
-            yield stage.name, replace(found, files=tuple(sorted(files.get(stage.name, ()))), reason=reason)
+            yield stage.name, replace(summary, files=tuple(sorted(files.get(stage.name, ()))), reason=reason)
 
 
-def _of_views(views: Sequence[CameraRecord]) -> CameraRecord:
+def _joined_views(views: Sequence[CameraRecord]) -> CameraRecord:
     """Return the record of a camera from those of its views: it is ok if one of them is, and its notes name lost ones."""
     if len(views) == 1:
         return views[0]
-    well = [view for view in views if view.ok]
-    used = well or list(views)
-    lost = tuple(f"{view.id}: {view.reason or view.outcome}" for view in views if well and not view.ok)
+    usable = [view for view in views if view.ok]
+    used = usable or list(views)
+    lost = tuple(f"{view.id}: {view.reason or view.outcome}" for view in views if usable and not view.ok)
     notes = tuple(dict.fromkeys(note for view in views for note in view.notes))
     names = [field.name for field in dataclasses.fields(summaries.CameraFigures)]
-    joined = {name: _figure([getattr(view.figures, name) for view in used], name in _ADD_UP) for name in names}
+    joined = {name: _joined_figure([getattr(view.figures, name) for view in used], name in _SUMMED) for name in names}
     figures = summaries.CameraFigures(**joined)
     return replace(used[0], id=camera_of(views[0].id), notes=(*notes, *lost), figures=figures)
 
 
-def _figure(values: Sequence[Any], adds: bool) -> Any:
+def _joined_figure(values: Sequence[Any], is_summed: bool) -> Any:
     known = [value for value in values if value is not None]
     if not known:
         return None
     if all(isinstance(value, bool) for value in known):
         return all(known)
     if all(isinstance(value, int | float) for value in known):
-        if adds:
+        if is_summed:
             return sum(known)
         mean = sum(known) / len(known)
         return round(mean) if all(isinstance(value, int) for value in known) else mean
@@ -261,20 +261,20 @@ def _by_camera(poses: summaries.PosesSummary) -> summaries.PosesSummary:
     """Return the summary with camera ids where the poses have the ids of views."""
     issues = {(issue.kind, _camera_name(issue.camera)): issue for issue in reversed(poses.issues)}
     named = [replace(issue, camera=camera) for (_, camera), issue in reversed(issues.items())]
-    return replace(poses, **{name: _of_cameras(value) for name, value in vars(poses).items()} | {"issues": tuple(named)})
+    return replace(poses, **{name: _with_camera_names(value) for name, value in vars(poses).items()} | {"issues": tuple(named)})
 
 
-def _of_cameras(value: Any) -> Any:
+def _with_camera_names(value: Any) -> Any:
     """Replace views by their cameras, keeping each camera's first entry; pairs are of views, and keep their names."""
     if isinstance(value, Mapping):
-        found: dict[str, Any] = {}
+        by_camera: dict[str, Any] = {}
         for name, entry in value.items():
-            found.setdefault(_camera_name(name), entry)
-        return found
+            by_camera.setdefault(_camera_name(name), entry)
+        return by_camera
     if isinstance(value, tuple):
         if all(isinstance(entry, str) for entry in value):
             return tuple(dict.fromkeys(map(_camera_name, value)))
-        return tuple(_of_cameras(entry) for entry in value)
+        return tuple(_with_camera_names(entry) for entry in value)
     return value
 
 

@@ -11,7 +11,7 @@ from ..runner.planner import Plan
 from ..runner.spec import TaskSpec
 from ..task import Task
 
-_MOST_NAMED = 3
+_MOST_NAMED_INPUTS = 3
 """Number of changed inputs that are named."""
 
 
@@ -50,17 +50,17 @@ def explain(plan: Plan) -> Status:
     for task, state in plan.states.items():
         if state.receipt:
             costs.setdefault(task.stage, []).append(state.receipt.cpu)
-    whys = {task: _why(plan, spec) for task, spec in plan.ready.items()} | {task: _pending(plan, task) for task in plan.waiting}
-    for task, why in whys.items():
-        last, others = plan.cache.newest(task), costs.get(task.stage)
-        seconds = last.cpu if last else sum(others) / len(others) if others else None
+    causes = {task: _why(plan, spec) for task, spec in plan.ready.items()} | {task: _pending(plan, task) for task in plan.waiting}
+    for task, why in causes.items():
+        last, stage_costs = plan.cache.newest(task), costs.get(task.stage)
+        seconds = last.cpu if last else sum(stage_costs) / len(stage_costs) if stage_costs else None
         lines[task] = Line(str(task), "would run", why, seconds)
     order = {stage.name: i for i, stage in enumerate(plan.stages)}
     ordered = tuple(lines[task] for task in sorted(lines, key=lambda t: order[t.stage]))
-    known = [line.seconds for line in ordered if line.seconds is not None]
+    expected = [line.seconds for line in ordered if line.seconds is not None]
     pairs_to_come = not plan.pairs_known() and stage_named(PAIRS) in plan.stages
     totals = dict(Counter(line.state for line in ordered))
-    return Status(plan.site.name, plan.night, ordered, totals, sum(known) if known else None, pairs_to_come)
+    return Status(plan.site.name, plan.night, ordered, totals, sum(expected) if expected else None, pairs_to_come)
 
 
 def _why(plan: Plan, spec: TaskSpec) -> str:
@@ -85,22 +85,22 @@ def _pending(plan: Plan, task: Task) -> str:
 
 def difference(last: Receipt, now: Preimage) -> str:
     """What has changed since a receipt, in words."""
-    before = last.preimage
-    found = []
-    if before.code != now.code:
-        renamed = before.function != now.function
-        found.append(f"function {before.function} → {now.function}" if renamed else "its code, or a library's version, changed")
-    for name in sorted(before.parameters.keys() | now.parameters.keys()):
-        old, new = before.parameters.get(name), now.parameters.get(name)
+    previous = last.preimage
+    parts = []
+    if previous.code != now.code:
+        renamed = previous.function != now.function
+        parts.append(f"function {previous.function} → {now.function}" if renamed else "its code, or a library's version, changed")
+    for name in sorted(previous.parameters.keys() | now.parameters.keys()):
+        old, new = previous.parameters.get(name), now.parameters.get(name)
         if old != new:
-            found.append(f"parameter {now.stage}.{name} {old} → {new}")
+            parts.append(f"parameter {now.stage}.{name} {old} → {new}")
     changed = [
-        name for name in sorted(before.inputs.keys() | now.inputs.keys()) if before.inputs.get(name) != now.inputs.get(name)
+        name for name in sorted(previous.inputs.keys() | now.inputs.keys()) if previous.inputs.get(name) != now.inputs.get(name)
     ]
     if len(changed) == 1:
-        found.append(f"input {changed[0]} changed")
+        parts.append(f"input {changed[0]} changed")
     elif changed:
-        named = ", ".join(changed[:_MOST_NAMED])
-        more = ", ..." if len(changed) > _MOST_NAMED else ""
-        found.append(f"{len(changed)} of {len(now.inputs)} inputs changed: {named}{more}")
-    return "; ".join(found)
+        named = ", ".join(changed[:_MOST_NAMED_INPUTS])
+        suffix = ", ..." if len(changed) > _MOST_NAMED_INPUTS else ""
+        parts.append(f"{len(changed)} of {len(now.inputs)} inputs changed: {named}{suffix}")
+    return "; ".join(parts)

@@ -45,8 +45,8 @@ scenes; quality 20 gives 1.48 on a yard, where 87 % of the points are right."""
 NOISY = 10.0
 """Images count as soft if more noise than this is left (grey levels): with 13, 86 % of a yard's points are right, with 6, 95
 %."""
-_SOFT: Mapping[str, float] = {"blur_px": SOFT_PX, "coarseness": COARSE, "noise_left": NOISY}
-_SHOWN = ("detail_px", "saturated", "contrast")
+_SOFT_LIMITS: Mapping[str, float] = {"blur_px": SOFT_PX, "coarseness": COARSE, "noise_left": NOISY}
+_SHOWN_FIGURES = ("detail_px", "saturated", "contrast")
 LEAST_MISFIT, UNRESOLVED = 1.1, 2.2
 """Images count as soft if the ratio of their points' errors to the expected ones exceeds `LEAST_MISFIT`, and this ratio times the
 pixels between details exceeds `UNRESOLVED`.  The product, fitted on a yard and a stadium: smeared by 5 px 2.0 (92 % of the points
@@ -138,8 +138,8 @@ def judge_run(record: RunRecord, plan: Plan, facts: Facts) -> RunRecord:
         with suppress(NoSuchRun):  # removed since
             pinned = RunFolder.of(work, plan.reference.run).record()
             if pinned.settings == settings and pinned.cloud:
-                found = usual_of([pinned])
-                usual = Usual(1, found.figures, usual.cameras if usual else found.cameras, pinned.run)
+                pinned_usual = usual_of([pinned])
+                usual = Usual(1, pinned_usual.figures, usual.cameras if usual else pinned_usual.cameras, pinned.run)
     facts = replace(facts, expected=expected, baseline=baseline)
     return judge(replace(record, settings=settings, usual=usual), facts)
 
@@ -148,18 +148,18 @@ def judge(record: RunRecord, facts: Facts) -> RunRecord:
     """Return a record, whose usual figures are set, with the health of its cameras, its verdict and its exit code."""
     record = with_appearance(record, facts.expected)
     record = replace(record, cameras=tuple(_with_down(camera, record, facts.baseline) for camera in record.cameras))
-    every = (finding for check in CHECKS for finding in check(record, facts))
-    found, acknowledged = split(every, facts.acknowledged, record.date)
-    levels = {FINDINGS[one.kind].level for one in found if not _is_tolerated(one, record, facts)}
+    all_findings = (entry for check in CHECKS for entry in check(record, facts))
+    findings, acknowledged = split(all_findings, facts.acknowledged, record.date)
+    levels = {FINDINGS[entry.kind].level for entry in findings if not _is_tolerated(entry, record, facts)}
     level: Level = "failed" if "failed" in levels else "degraded" if "degraded" in levels else "good"
     code = ExitCode.INTERRUPTED if facts.interrupted else _EXIT_CODES[level]
-    return replace(record, verdict=Verdict(level, found, acknowledged), exit_code=code)
+    return replace(record, verdict=Verdict(level, findings, acknowledged), exit_code=code)
 
 
-def _is_tolerated(found: Finding, record: RunRecord, facts: Facts) -> bool:
+def _is_tolerated(entry: Finding, record: RunRecord, facts: Facts) -> bool:
     """Is it about a camera, on a site that may do without some of its cameras?"""
     limit = facts.expected.limit(Measure.CAMERAS)
-    if not found.kind.startswith("camera-") or limit >= 1:
+    if not entry.kind.startswith("camera-") or limit >= 1:
         return False
     cameras = record.cameras
     return sum(camera.down is None for camera in cameras) >= limit * len(cameras)
@@ -183,24 +183,24 @@ def check_end(record: RunRecord, facts: Facts) -> Iterator[Finding]:
 def check_cameras(record: RunRecord, facts: Facts) -> Iterator[Finding]:
     """Is each camera in use, and as it should be?  At most one finding each, with the number of nights that it has lasted."""
     blamed = blame(record)
-    excused = {name for others in blamed.values() for name in others}
+    excused = {name for excused_names in blamed.values() for name in excused_names}
     for camera in record.cameras:
-        trouble = _trouble(camera, record)
+        trouble = _camera_finding(camera, record)
         if trouble and trouble.kind == "camera-no-usable-pair":
             may_be_dense = not facts.product and camera.figures.pose_from == "stated"  # on rows that its pose predicts
-            trouble = None if camera.id in excused or may_be_dense else _blamed(trouble, blamed.get(camera.id))
+            trouble = None if camera.id in excused or may_be_dense else _with_blame(trouble, blamed.get(camera.id))
         if trouble:
             down = camera.down
-            lasted = f"; {down.words(left_out=not camera.ok)}" if down and down.nights > 1 else ""
+            duration = f"; {down.words(left_out=not camera.ok)}" if down and down.nights > 1 else ""
             figures = {"since": down.since, "nights": down.nights} if down else {}
-            yield replace(trouble, text=trouble.text + lasted, figures={**trouble.figures, **figures})
+            yield replace(trouble, text=trouble.text + duration, figures={**trouble.figures, **figures})
 
 
-def _trouble(camera: CameraRecord, record: RunRecord) -> Finding | None:
-    return next((found for check in _CAMERA_CHECKS if (found := check(camera, record))), None)
+def _camera_finding(camera: CameraRecord, record: RunRecord) -> Finding | None:
+    return next((result for check in _CAMERA_CHECKS if (result := check(camera, record))), None)
 
 
-def _is_unhealthy(camera: CameraRecord, record: RunRecord) -> Finding | None:
+def _health_finding(camera: CameraRecord, record: RunRecord) -> Finding | None:
     health = camera.health
     if health is None or health.ok:
         return None
@@ -209,14 +209,14 @@ def _is_unhealthy(camera: CameraRecord, record: RunRecord) -> Finding | None:
     return finding(f"camera-{health.state}", (camera.id,), health.figures, health.expected, remedy, reason=reason)
 
 
-def _is_left_out(camera: CameraRecord, record: RunRecord) -> Finding | None:
+def _left_out_finding(camera: CameraRecord, record: RunRecord) -> Finding | None:
     if camera.ok:
         return None
     code = "camera-unsolved" if camera.code == Cause.UNSOLVED else "camera-lost"
     return finding(code, (camera.id,), remedy=_remedy_of_lost(camera), reason=shortened(camera.reason or camera.outcome))
 
 
-def _has_doubtful_pose(camera: CameraRecord, record: RunRecord) -> Finding | None:
+def _pose_finding(camera: CameraRecord, record: RunRecord) -> Finding | None:
     poses = record.poses or PosesSummary()
     if issue := poses.issues_of("moved").get(camera.id):
         return finding("camera-moved", (camera.id,), reason=issue.text)
@@ -245,25 +245,25 @@ def _agrees_with_poses(pair: PairRecord) -> bool | None:
     return False if figures.probability >= LEAST_PROBABILITY else None
 
 
-def _is_unpaired(camera: CameraRecord, record: RunRecord) -> Finding | None:
+def _unpaired_finding(camera: CameraRecord, record: RunRecord) -> Finding | None:
     return finding("camera-unpaired", (camera.id,)) if record.pairs and not record.pairs_of(camera.id) else None
 
 
-def _has_no_usable_pair(camera: CameraRecord, record: RunRecord) -> Finding | None:
+def _unusable_pairs_finding(camera: CameraRecord, record: RunRecord) -> Finding | None:
     pairs = record.pairs_of(camera.id)
     tried = [pair for pair in pairs if pair.outcome != "skipped" and pair.dense is not False]
     if not tried or any(pair.ok for pair in tried):
         return None
-    which = f"none of its {len(tried)} pairs could" if len(tried) > 1 else "its only pair could not"
+    count_text = f"none of its {len(tried)} pairs could" if len(tried) > 1 else "its only pair could not"
     remedy = FINDINGS["camera-no-usable-pair"].remedy
     if any(pair.figures.known == "stated" for pair in tried):
         remedy += "; or its pose is not the one in the site file: measure it again, or leave it out to have it solved"
-    reason = f"{which} be used: {_most_common(tried)}"
+    reason = f"{count_text} be used: {_most_common_reason(tried)}"
     usable, planned = {str(Measure.PAIRS): 0}, {str(Measure.PAIRS): len(tried)}
     return finding("camera-no-usable-pair", (camera.id,), usable, planned, remedy, reason=reason)
 
 
-_CAMERA_CHECKS = (_is_unhealthy, _is_left_out, _has_doubtful_pose, _is_unpaired, _has_no_usable_pair)
+_CAMERA_CHECKS = (_health_finding, _left_out_finding, _pose_finding, _unpaired_finding, _unusable_pairs_finding)
 
 
 def _remedy_of_lost(camera: CameraRecord) -> str:
@@ -275,13 +275,13 @@ def _remedy_of_lost(camera: CameraRecord) -> str:
 
 def _with_down(camera: CameraRecord, record: RunRecord, baseline: Baseline) -> CameraRecord:
     """Count for how many nights a camera has been down; add a note to one that is well again."""
-    before = baseline.camera(camera.id)
-    last = before[1].down if before else None
-    if _trouble(camera, record):
-        nights = last.nights + (before is not None and before[0] != record.date) if last else 1
-        return replace(camera, down=Down(last.since if last else record.date, nights))
-    if last:
-        note = f"back after {counted(last.nights, 'night')}: it was down since {last.since}"
+    previous = baseline.camera(camera.id)
+    last_down = previous[1].down if previous else None
+    if _camera_finding(camera, record):
+        nights = last_down.nights + (previous is not None and previous[0] != record.date) if last_down else 1
+        return replace(camera, down=Down(last_down.since if last_down else record.date, nights))
+    if last_down:
+        note = f"back after {counted(last_down.nights, 'night')}: it was down since {last_down.since}"
         return replace(camera, notes=(*camera.notes, note))
     return camera
 
@@ -293,37 +293,37 @@ def blame(record: RunRecord) -> Mapping[str, tuple[str, ...]]:
     contradicts nothing.  Of the cameras without a usable pair, the one with most of these pairs explains them, then the one
     with most of the remaining ones.  If two have equally many, neither is more likely, and neither is blamed.
     """
-    usable = {name for pair in record.pairs if pair.ok for name in pair.cameras}
-    left = [pair for pair in record.pairs if _contradicts_poses(pair)]
-    against = {name: {pair.name for pair in left if name in pair.cameras} for name in _counts(left) if name not in usable}
-    found: dict[str, set[str]] = {}
-    while (name := _commonest(left, against)) is not None:
-        found[name] = {pair.name for pair in left if name in pair.cameras}
-        left = [pair for pair in left if name not in pair.cameras]
-    explained = set().union(*found.values())
-    excused = {name for name, pairs in against.items() if name not in found and pairs <= explained}
-    return {name: tuple(sorted(n for n in excused if against[n] & pairs)) for name, pairs in found.items()}
+    used = {name for pair in record.pairs if pair.ok for name in pair.cameras}
+    remaining = [pair for pair in record.pairs if _contradicts_poses(pair)]
+    against = {name: {pair.name for pair in remaining if name in pair.cameras} for name in _counts(remaining) if name not in used}
+    blamed: dict[str, set[str]] = {}
+    while (name := _most_frequent(remaining, against)) is not None:
+        blamed[name] = {pair.name for pair in remaining if name in pair.cameras}
+        remaining = [pair for pair in remaining if name not in pair.cameras]
+    explained = set().union(*blamed.values())
+    excused = {name for name, pairs in against.items() if name not in blamed and pairs <= explained}
+    return {name: tuple(sorted(n for n in excused if against[n] & pairs)) for name, pairs in blamed.items()}
 
 
 def _contradicts_poses(pair: PairRecord) -> bool:
-    given, beside = pair.figures.row_share, pair.figures.row_chance
-    return not pair.ok and pair.figures.known == "stated" and given is not None and beside is not None and beside > given
+    share, chance = pair.figures.row_share, pair.figures.row_chance
+    return not pair.ok and pair.figures.known == "stated" and share is not None and chance is not None and chance > share
 
 
 def _counts(pairs: Iterable[PairRecord]) -> Counter[str]:
     return Counter(name for pair in pairs for name in pair.cameras)
 
 
-def _commonest(pairs: Iterable[PairRecord], cameras: Iterable[str]) -> str | None:
+def _most_frequent(pairs: Iterable[PairRecord], cameras: Iterable[str]) -> str | None:
     """Return the one of these cameras that is in most pairs; None if it is in one pair only, or another of them is in as many."""
-    among = set(cameras)
-    counts = [(name, count) for name, count in _counts(pairs).most_common() if name in among]
+    candidates = set(cameras)
+    counts = [(name, count) for name, count in _counts(pairs).most_common() if name in candidates]
     if not counts or counts[0][1] < 2 or (len(counts) > 1 and counts[1][1] == counts[0][1]):
         return None
     return counts[0][0]
 
 
-def _blamed(trouble: Finding, excused: tuple[str, ...] | None) -> Finding:
+def _with_blame(trouble: Finding, excused: tuple[str, ...] | None) -> Finding:
     """Add that the stated pose of the camera is at fault, and which others have no usable pair because of it."""
     if excused is None:
         return trouble
@@ -337,10 +337,10 @@ def _blamed(trouble: Finding, excused: tuple[str, ...] | None) -> Finding:
 
 def check_captures(record: RunRecord, facts: Facts) -> Iterator[Finding]:
     """Did captures change during the run, and does each camera deliver images of its own?"""
-    moved = {camera.id: names for camera in record.cameras if (names := camera.captures_in_motion)}
-    if moved:
-        files = [name for names in moved.values() for name in names]
-        yield finding("captures-in-motion", tuple(moved), {"captures": len(files)}, captures=_names(files))
+    in_motion = {camera.id: names for camera in record.cameras if (names := camera.captures_in_motion)}
+    if in_motion:
+        files = [name for names in in_motion.values() for name in names]
+        yield finding("captures-in-motion", tuple(in_motion), {"captures": len(files)}, captures=_names(files))
     for names in _same_pictures(record.cameras):
         yield finding("cameras-alike", names, cameras=_names(names))
 
@@ -348,8 +348,8 @@ def check_captures(record: RunRecord, facts: Facts) -> Iterator[Finding]:
 def _same_pictures(cameras: Iterable[CameraRecord]) -> Iterator[tuple[str, ...]]:
     groups: dict[str, list[str]] = {}
     for camera in cameras:
-        if (camera.figures.contrast or 0.0) > LEAST_CONTRAST and (found := camera.figures.picture_digest):
-            groups.setdefault(found, []).append(camera.id)
+        if (camera.figures.contrast or 0.0) > LEAST_CONTRAST and (digest := camera.figures.picture_digest):
+            groups.setdefault(digest, []).append(camera.id)
     yield from (tuple(names) for names in groups.values() if len(names) > 1)
 
 
@@ -358,19 +358,19 @@ def check_pictures(record: RunRecord, facts: Facts) -> Iterator[Finding]:
     used = [camera for camera in record.cameras if camera.ok]
     soft = {camera.id: _soft_figures(camera) for camera in used if _is_soft(camera) or _is_unresolved(camera)}
     if any(map(_is_soft, used)) or (soft and len(soft) >= SOFT_SHARE * len(used)):
-        worst = {name: max(figures[name] for figures in soft.values()) for name in (*_SOFT, *_SHOWN)}
+        worst = {name: max(figures[name] for figures in soft.values()) for name in (*_SOFT_LIMITS, *_SHOWN_FIGURES)}
         worst["contrast"] = min(figures["contrast"] for figures in soft.values())
         yield finding("pictures-soft", tuple(soft), worst, None, None, cameras=_names(soft), **worst)
 
 
 def _soft_figures(camera: CameraRecord) -> dict[str, float]:
-    return {name: float(getattr(camera.figures, name) or 0.0) for name in (*_SOFT, *_SHOWN)}
+    return {name: float(getattr(camera.figures, name) or 0.0) for name in (*_SOFT_LIMITS, *_SHOWN_FIGURES)}
 
 
 def _is_soft(camera: CameraRecord) -> bool:
     """Is a camera out of focus, noisy or coarsely coded, by its images alone?"""
     figures = _soft_figures(camera)
-    return any(figures[name] > limit for name, limit in _SOFT.items())
+    return any(figures[name] > limit for name, limit in _SOFT_LIMITS.items())
 
 
 def _is_unresolved(camera: CameraRecord) -> bool:
@@ -433,11 +433,11 @@ _ALL_CAMERAS = {
 
 def _explanation(check: CalibrationCheck) -> str:
     misfit = f"they lie {math.sqrt(check.misfit):.1f} times as far from their epipolar lines as noise explains"
-    if check.cause not in _CAUSES:  # none, or one that only an older version named, kept with the reference
+    if check.cause not in _CAUSES:  # none, or one from an older version, kept with the reference
         return f"{misfit}; neither the lenses nor a single camera explain that"
     amount = check.amount or (0.0,)
     size, scale = math.hypot(*amount), math.expm1(amount[0])
-    words = _CAUSES[check.cause].format(
+    cause = _CAUSES[check.cause].format(
         cameras=" and ".join(check.cameras) or _ALL_CAMERAS.get(check.cause, ""),
         longer=f"{100 * abs(scale):.1f} % {'longer' if scale > 0 else 'shorter'}",
         first=amount[0],
@@ -447,60 +447,60 @@ def _explanation(check: CalibrationCheck) -> str:
         degrees=math.degrees(size),
     )
     if check.sigmas:
-        more = "" if check.cause == "principal-points-corner" else " or more"
-        return f"dense matches are {check.sigmas:.0f} standard deviations off their predicted rows; {words}{more} explain that"
-    return f"{misfit}; {words} would fit {check.better:.1f} times better"
+        suffix = "" if check.cause == "principal-points-corner" else " or more"
+        return f"dense matches are {check.sigmas:.0f} standard deviations off their predicted rows; {cause}{suffix} explain that"
+    return f"{misfit}; {cause} would fit {check.better:.1f} times better"
 
 
 def check_poses(record: RunRecord, facts: Facts) -> Iterator[Finding]:
     """Are poses and lenses known well enough?  Even wrong ones may fit the images."""
     poses = record.poses or PosesSummary()
     contradicted = poses.issues_of("contradicted")
-    if not poses.contradiction:  # whose finding explains these, too
+    if not poses.contradiction:  # the finding on a contradiction explains these, too
         for reason in dict.fromkeys(issue.text for issue in contradicted.values()):
             issues = [issue for issue in contradicted.values() if issue.text == reason]
             if not all(_is_refuted(issue, record) for issue in issues):
                 yield finding("poses-contradicted", tuple(issue.camera for issue in issues), reason=reason)
-    if found := poses.issues_of("uncertain"):
-        row_px = max(issue.row_px or 0.0 for issue in found.values())
-        yield finding("poses-uncertain", tuple(found), {"row_px": row_px}, row_px=row_px, cameras=_names(found))
-    if found := poses.issues_of("inconsistent"):
-        strain = max(issue.strain or 0.0 for issue in found.values())
-        yield finding("poses-inconsistent", tuple(found), {"strain": strain}, factor=strain, cameras=_names(found))
-    if found := poses.issues_of("lens-undetermined"):
-        focal, border = (max(getattr(issue, name) or 0.0 for issue in found.values()) for name in ("focal", "border_px"))
-        words = {"cameras": _names(found), "focal_percent": 100 * focal, "border_px": border}
-        yield finding("lens-undetermined", tuple(found), {"focal": focal, "border_px": border}, None, None, **words)
+    if affected := poses.issues_of("uncertain"):
+        row_px = max(issue.row_px or 0.0 for issue in affected.values())
+        yield finding("poses-uncertain", tuple(affected), {"row_px": row_px}, row_px=row_px, cameras=_names(affected))
+    if affected := poses.issues_of("inconsistent"):
+        strain = max(issue.strain or 0.0 for issue in affected.values())
+        yield finding("poses-inconsistent", tuple(affected), {"strain": strain}, factor=strain, cameras=_names(affected))
+    if affected := poses.issues_of("lens-undetermined"):
+        focal, border = (max(getattr(issue, name) or 0.0 for issue in affected.values()) for name in ("focal", "border_px"))
+        words = {"cameras": _names(affected), "focal_percent": 100 * focal, "border_px": border}
+        yield finding("lens-undetermined", tuple(affected), {"focal": focal, "border_px": border}, None, None, **words)
 
 
 def check_depths(record: RunRecord, facts: Facts) -> Iterator[Finding]:
     """Do pairs agree on depths?  A wrong pose or lens can shift depths along epipolar lines, where matches do not reveal it."""
     poses = record.poses
     if poses and poses.contradiction:
-        return  # whose finding explains wrong depths, too
+        return  # the finding on a contradiction explains wrong depths, too
     solved = {camera.id for camera in record.cameras if camera.figures.pose_from == "solved"}
-    found = [
+    differences = [
         ({camera.id, *map(camera_of, pair.split("--"))}, px)
         for camera in record.cameras
         for pair, px in (camera.figures.apart_px or {}).items()
         if px <= LOOK_ALIKES_PX
     ]
     agree = poses is not None and poses.rows_agree
-    apart = [(cameras, px, SOLVED_APART_PX if agree or cameras & solved else APART_PX) for cameras, px in found]
-    beyond = sorted((px / limit, px, limit) for _, px, limit in apart if px > limit)
-    if not beyond or (len(beyond) == 1 and beyond[0][0] <= SINGLE_DIFFERENCE_FACTOR):
+    with_limits = [(cameras, px, SOLVED_APART_PX if agree or cameras & solved else APART_PX) for cameras, px in differences]
+    above_limit = sorted((px / limit, px, limit) for _, px, limit in with_limits if px > limit)
+    if not above_limit or (len(above_limit) == 1 and above_limit[0][0] <= SINGLE_DIFFERENCE_FACTOR):
         return
-    _, most, limit = beyond[-1]
-    against: Counter[str] = Counter()
-    for cameras, px, tolerated in apart:
-        against.update(dict.fromkeys(cameras, 1 if px > tolerated else -1))
-    worst = max(against.values())
-    suspects = tuple(camera for camera, votes in against.items() if votes == worst >= 0)
+    _, largest, limit = above_limit[-1]
+    balances: Counter[str] = Counter()
+    for cameras, px, tolerated in with_limits:
+        balances.update(dict.fromkeys(cameras, 1 if px > tolerated else -1))
+    worst = max(balances.values())
+    suspects = tuple(camera for camera, votes in balances.items() if votes == worst >= 0)
     cause = "no single camera explains it; all may be slightly off"
     if suspects:
         cause = f"the pose or lens of {' or '.join(suspects)} is probably wrong"
-    words = {"px": most, "limit": limit, "cause": cause}
-    yield finding("pairs-disagree", suspects, {"apart_px": most}, {"apart_px": limit}, None, **words)
+    words = {"px": largest, "limit": limit, "cause": cause}
+    yield finding("pairs-disagree", suspects, {"apart_px": largest}, {"apart_px": limit}, None, **words)
 
 
 def check_survey(record: RunRecord, facts: Facts) -> Iterator[Finding]:
@@ -509,13 +509,13 @@ def check_survey(record: RunRecord, facts: Facts) -> Iterator[Finding]:
     if poses is None:
         return
     if poses.distances_off:
-        pair, (stated, found) = max(poses.distances_off.items(), key=lambda entry: abs(math.log(entry[1][1] / entry[1][0])))
-        more = f"; {others} more distances are off as well" if (others := len(poses.distances_off) - 1) else ""
-        words = {"pair": pair, "stated": stated, "found": found, "more": more}
-        yield finding("distances-contradicted", tuple(pair.split("--")), {"metres": found}, {"metres": stated}, None, **words)
+        pair, (stated, measured) = max(poses.distances_off.items(), key=lambda entry: abs(math.log(entry[1][1] / entry[1][0])))
+        suffix = f"; {others} more distances are off as well" if (others := len(poses.distances_off) - 1) else ""
+        words = {"pair": pair, "stated": stated, "found": measured, "more": suffix}
+        yield finding("distances-contradicted", tuple(pair.split("--")), {"metres": measured}, {"metres": stated}, None, **words)
     if poses.points_off:
-        off, tolerated = max(poses.points_off.values())
-        figures, words = {"off_m": off}, {"off": off, "points": _names(poses.points_off)}
+        error, tolerated = max(poses.points_off.values())
+        figures, words = {"off_m": error}, {"off": error, "points": _names(poses.points_off)}
         yield finding("control-contradicted", (), figures, {"off_m": tolerated}, None, tolerated=tolerated, **words)
     if "nearest" in poses.units_off:
         nearest, limit = poses.units_off["nearest"]
@@ -537,9 +537,9 @@ def check_tasks(record: RunRecord, facts: Facts) -> Iterator[Finding]:
             groups.setdefault((task.stage, state.code), []).append((task, state))
     for (_, code), tasks in groups.items():
         task, state = tasks[0]
-        more = f" (and {len(tasks) - 1} more tasks with the same cause)" if len(tasks) > 1 else ""
+        suffix = f" (and {len(tasks) - 1} more tasks with the same cause)" if len(tasks) > 1 else ""
         reason, remedy = shortened(state.reason or ""), None if code == Cause.FAULT else ""
-        yield finding("task-failed", task.subject, {"tasks": len(tasks)}, remedy=remedy, task=task, reason=reason, more=more)
+        yield finding("task-failed", task.subject, {"tasks": len(tasks)}, remedy=remedy, task=task, reason=reason, more=suffix)
 
 
 def check_cloud(record: RunRecord, facts: Facts) -> Iterator[Finding]:
@@ -557,42 +557,42 @@ def check_amounts(record: RunRecord, facts: Facts) -> Iterator[Finding]:
     usual = record.usual or Usual(0, {})
     figures = figures_of(record) | {Measure.CAMERAS: float(sum(camera.ok for camera in record.cameras))}
     for name, value in figures.items():
-        limit, amount, base = facts.expected.limit(name), _amount(name, value), usual.figures.get(name)
+        limit, amount, typical = facts.expected.limit(name), _amount_text(name, value), usual.figures.get(name)
         if limit > 1:
             if value < limit:
-                yield _fewer(name, value, limit, f"{amount}; at least {limit:,.0f} are expected")
+                yield _fewer_finding(name, value, limit, f"{amount}; at least {limit:,.0f} are expected")
         elif name == Measure.CAMERAS:
             continue  # each lost camera has a finding of its own
-        elif base is not None and value < limit * base:
-            whose = "the reference's" if usual.reference else "the usual"
-            yield _fewer(name, value, base, f"{amount}, {100 * value / base:.0f} % of {whose} {base:,.0f}")
-        elif base is None and name == Measure.PAIRS and value < PLANNED_PAIRS * len(record.pairs):
+        elif typical is not None and value < limit * typical:
+            source = "the reference's" if usual.reference else "the usual"
+            yield _fewer_finding(name, value, typical, f"{amount}, {100 * value / typical:.0f} % of {source} {typical:,.0f}")
+        elif typical is None and name == Measure.PAIRS and value < PLANNED_PAIRS * len(record.pairs):
             planned = float(len(record.pairs))
             text = f"only {value:.0f} of {planned:.0f} pairs could be used; most of the others: {_why_few(record)}"
-            yield _fewer(name, value, planned, text)
+            yield _fewer_finding(name, value, planned, text)
 
 
-def _amount(name: str, value: float) -> str:
+def _amount_text(name: str, value: float) -> str:
     units = {s.name: " ".join(s.summary.AMOUNT) for s in STAGES if s.summary and issubclass(s.summary, SiteSummary)}
     things: dict[str, str] = {Measure.POINTS: "point", Measure.PAIRS: "pair", Measure.CAMERAS: "camera"}
     return f"{value:,.0f} {units[name]}" if name in units else counted(value, things[name])
 
 
-def _fewer(name: str, value: float, base: float, text: str) -> Finding:
+def _fewer_finding(name: str, value: float, base: float, text: str) -> Finding:
     return finding(f"fewer-{name}", (), {name: round(value)}, {name: round(base)}, reason=text)
 
 
-def _most_common(pairs: Iterable[PairRecord]) -> str:
+def _most_common_reason(pairs: Iterable[PairRecord]) -> str:
     return shortened(Counter(str(pair.reason) for pair in pairs).most_common(1)[0][0])
 
 
 def _why_few(record: RunRecord) -> str:
     unused = [pair for pair in record.pairs if not pair.ok]
-    gone = {camera.id for camera in record.cameras if not camera.ok}
-    theirs = [pair for pair in unused if gone & {camera_of(pair.left), camera_of(pair.right)}]
-    if 2 * len(theirs) > len(unused):
-        return f"include cameras that are left out ({_names(sorted(gone))})"
-    return _most_common(unused)
+    left_out = {camera.id for camera in record.cameras if not camera.ok}
+    with_left_out = [pair for pair in unused if left_out & {camera_of(pair.left), camera_of(pair.right)}]
+    if 2 * len(with_left_out) > len(unused):
+        return f"include cameras that are left out ({_names(sorted(left_out))})"
+    return _most_common_reason(unused)
 
 
 def shortened(reason: str) -> str:

@@ -48,11 +48,11 @@ class Binding:
     def faults(self) -> list[str]:
         """What is wrong with the signatures, in words."""
         offered = {*self.stage.inputs, *self.stage.offers}
-        found = _faults(self.function, self.stage, offered)
+        faults = _signature_faults(self.function, self.stage, offered)
         if self.method and self.stage.method:
-            handed_on = _handed_on(self.function.signature, self.stage)
-            found += _faults(self.method, self.stage, handed_on | set(self.stage.method.given))
-        return found
+            passed = _passed_to_method(self.function.signature, self.stage)
+            faults += _signature_faults(self.method, self.stage, passed | set(self.stage.method.given))
+        return faults
 
 
 def bind(stage: Stage, use: str | None, values: Mapping[str, Any], reader: FunctionReader) -> Binding:
@@ -67,19 +67,19 @@ def bind(stage: Stage, use: str | None, values: Mapping[str, Any], reader: Funct
     values : mapping
         Parameters that the site file sets, by name.
     """
-    chooser = stage.method if use is None else None
-    function = reader.read(use or stage.function, chooser.table if chooser else "")
+    choice = stage.method if use is None else None
+    function = reader.read(use or stage.function, choice.table if choice else "")
     inputs = {**stage.inputs, **stage.offers}
-    own = function.signature
-    parameters = {name: p for name, p in own.parameters.items() if name not in inputs}
-    if chooser is None:
-        asked = _asked(own) | (set(stage.inputs) if own.takes_any else set())
-        return Binding(stage, function, None, _wanted(inputs, asked, own), parameters)
-    method = reader.read(_chosen(stage, values, parameters, reader))
-    given = {*inputs, *chooser.given}
-    parameters |= {n: p for n, p in method.signature.parameters.items() if n not in given and n not in parameters}
-    asked = (_asked(own) & set(stage.inputs)) | (_asked(method.signature) & _handed_on(own, stage))
-    return Binding(stage, function, method, _wanted(inputs, asked, own), parameters)
+    signature = function.signature
+    parameters = {name: p for name, p in signature.parameters.items() if name not in inputs}
+    if choice is None:
+        requested = _names_of(signature) | (set(stage.inputs) if signature.takes_any else set())
+        return Binding(stage, function, None, _select_inputs(inputs, requested, signature), parameters)
+    method = reader.read(_chosen_method(stage, values, parameters, reader))
+    provided = {*inputs, *choice.given}
+    parameters |= {n: p for n, p in method.signature.parameters.items() if n not in provided and n not in parameters}
+    requested = (_names_of(signature) & set(stage.inputs)) | (_names_of(method.signature) & _passed_to_method(signature, stage))
+    return Binding(stage, function, method, _select_inputs(inputs, requested, signature), parameters)
 
 
 def method_parameters(stage: Stage, reader: FunctionReader) -> dict[str, dict[str, Parameter]]:
@@ -95,55 +95,55 @@ def method_parameters(stage: Stage, reader: FunctionReader) -> dict[str, dict[st
 
 def methods_with_file(stage: Stage, name: str, reader: FunctionReader) -> list[str]:
     """The methods of a stage's table that take the file input `name`.  Raises FunctionError."""
-    need = stage.offers.get(name)
-    if stage.method is None or need is None or need.kind != "file":
+    source = stage.offers.get(name)
+    if stage.method is None or source is None or source.kind != "file":
         return []
-    return [method for method, dotted in reader.table(stage.method.table).items() if name in _asked(reader.signature(dotted))]
+    return [method for method, dotted in reader.table(stage.method.table).items() if name in _names_of(reader.signature(dotted))]
 
 
-def _chosen(stage: Stage, values: Mapping[str, Any], parameters: Mapping[str, Parameter], reader: FunctionReader) -> str:
+def _chosen_method(stage: Stage, values: Mapping[str, Any], parameters: Mapping[str, Parameter], reader: FunctionReader) -> str:
     """Dotted name of the method that the site file or else the default selects."""
     assert stage.method
     name = stage.method.parameter
-    wanted = values.get(name, parameters[name].default)
+    choice = values.get(name, parameters[name].default)
     table = reader.table(stage.method.table)
-    if isinstance(wanted, str) and wanted in table:
-        return table[wanted]
-    if isinstance(wanted, str) and ":" in wanted:
-        return wanted
-    raise FunctionError(f"{wanted!r} is not one of {', '.join(table)}, and not a package.module:function")
+    if isinstance(choice, str) and choice in table:
+        return table[choice]
+    if isinstance(choice, str) and ":" in choice:
+        return choice
+    raise FunctionError(f"{choice!r} is not one of {', '.join(table)}, and not a package.module:function")
 
 
-def _handed_on(own: Signature, stage: Stage) -> set[str]:
+def _passed_to_method(signature: Signature, stage: Stage) -> set[str]:
     """Inputs that a stage's function passes on to its method: those among its own arguments, and files if it has `**parameters`,
     through which files are passed."""
-    files = {name for name, need in stage.offers.items() if need.kind == "file"} if own.takes_any else set()
-    return (_asked(own) & {*stage.inputs, *stage.offers}) | files
+    files = {name for name, source in stage.offers.items() if source.kind == "file"} if signature.takes_any else set()
+    return (_names_of(signature) & {*stage.inputs, *stage.offers}) | files
 
 
-def _asked(signature: Signature) -> set[str]:
+def _names_of(signature: Signature) -> set[str]:
     return {a.name for a in signature.arguments} | set(signature.parameters)
 
 
-def _wanted(inputs: Mapping[str, Source], names: set[str], own: Signature) -> dict[str, Source]:
-    """The inputs with these names.  One for which `own` has no default is required, even if its source has an `unless`."""
-    required = {argument.name for argument in own.arguments if argument.required}
-    found = {name: need for name, need in inputs.items() if name in names}
-    for name in required & set(found):
-        need = found[name]
-        if need.unless:
-            found[name] = replace(need, unless=())
-    return found
+def _select_inputs(inputs: Mapping[str, Source], names: set[str], signature: Signature) -> dict[str, Source]:
+    """The inputs with these names.  One for which `signature` has no default is required, even if its source has an `unless`."""
+    required = {argument.name for argument in signature.arguments if argument.required}
+    selected = {name: source for name, source in inputs.items() if name in names}
+    for name in required & set(selected):
+        source = selected[name]
+        if source.unless:
+            selected[name] = replace(source, unless=())
+    return selected
 
 
-def _faults(info: FunctionInfo, stage: Stage, offered: set[str]) -> list[str]:
-    found = []
+def _signature_faults(info: FunctionInfo, stage: Stage, offered: set[str]) -> list[str]:
+    faults = []
     inputs = f"{stage.name} can provide {', '.join(sorted(offered))}"
     for argument in info.signature.arguments:
         if not argument.by_name:
-            found.append(f"{info.dotted} takes {argument.name!r} by position only: remove the '/': inputs are passed by name")
+            faults.append(f"{info.dotted} takes {argument.name!r} by position only: remove the '/': inputs are passed by name")
         elif argument.name not in offered and argument.required:
-            found.append(f"{info.dotted} has the required argument {argument.name!r}, which is not an available input; {inputs}")
+            faults.append(f"{info.dotted} has the required argument {argument.name!r}, which is not an available input; {inputs}")
         elif argument.name not in offered:
-            found.append(f"{info.dotted} has {argument.name!r} among its inputs; {inputs}; parameters must come after a bare *")
-    return found
+            faults.append(f"{info.dotted} has {argument.name!r} among its inputs; {inputs}; parameters must come after a bare *")
+    return faults

@@ -25,11 +25,11 @@ from pydantic import ConfigDict, TypeAdapter, ValidationError
 from ..cache.fingerprint import Code, FunctionError, Modules, assigned, origin_of, read_code
 from ..cache.memo import Memo, file_stamp
 
-_FORM = f"3, Python {sys.version_info.major}.{sys.version_info.minor}"
+_FORMAT = f"3, Python {sys.version_info.major}.{sys.version_info.minor}"
 """Version of the memo's format; a memo with another version is ignored."""
 
-_TYPING = {"typing", "typing_extensions", "collections.abc"}
-_DEEPEST = 10  # limit of the chain of modules through which an imported name is followed
+_TYPING_MODULES = {"typing", "typing_extensions", "collections.abc"}
+_MOST_DEPTH = 10  # limit of the chain of modules through which an imported name is followed
 
 
 @dataclass(frozen=True)
@@ -52,23 +52,23 @@ class FunctionReader(Memo):
         super().__init__(memo, "signatures of functions", "functions are read again")
         self.modules = Modules(folder)
         files = self.entries.get("files", {})
-        if self.entries.get("form") != _FORM or any(file_stamp(file) != then for file, then in files.items()):
-            self.entries = {"form": _FORM, "files": {}, "known": {}}
+        if self.entries.get("form") != _FORMAT or any(file_stamp(file) != stamp for file, stamp in files.items()):
+            self.entries = {"form": _FORMAT, "files": {}, "known": {}}
 
     def read(self, dotted: str, table: str = "") -> FunctionInfo:
         """Return the signature and fingerprint of "package.module:function".  Raises FunctionError if something is missing.
 
         table: dotted name of the table from which the function chooses its method; its contents do not enter the fingerprint.
         """
-        home, _, own_table = table.partition(":")
-        left_out = own_table if home == dotted.partition(":")[0] else ""
+        table_module, _, own_table = table.partition(":")
+        excluded = own_table if table_module == dotted.partition(":")[0] else ""
 
         def read() -> tuple[dict[str, Any], Iterable[Path]]:
-            code = read_code(self.modules, dotted, left_out)
+            code = read_code(self.modules, dotted, excluded)
             return {"digest": code.digest, "libraries": code.libraries}, code.files
 
-        known = self._remembered(f"code {left_out}", dotted, read)
-        code = Code(known["digest"], tuple(known["libraries"]), ())
+        entry = self._from_memo(f"code {excluded}", dotted, read)
+        code = Code(entry["digest"], tuple(entry["libraries"]), ())
         return FunctionInfo(dotted, self.signature(dotted), code.fingerprint)
 
     def signature(self, dotted: str) -> Signature:
@@ -78,24 +78,24 @@ class FunctionReader(Memo):
             signature, files = read_signature(self.modules, dotted)
             return asdict(signature), files
 
-        known = self._remembered("signature", dotted, read)
-        arguments = tuple(Argument(**argument) for argument in known["arguments"])
-        return Signature(arguments, {name: Parameter(**row) for name, row in known["parameters"].items()}, known["takes_any"])
+        entry = self._from_memo("signature", dotted, read)
+        arguments = tuple(Argument(**argument) for argument in entry["arguments"])
+        return Signature(arguments, {name: Parameter(**row) for name, row in entry["parameters"].items()}, entry["takes_any"])
 
     def table(self, dotted: str) -> dict[str, str]:
         """Return a table of methods: method name -> dotted function name.  Raises FunctionError."""
-        found: dict[str, str] = self._remembered("table", dotted, lambda: read_table(self.modules, dotted))
-        return found
+        methods: dict[str, str] = self._from_memo("table", dotted, lambda: read_table(self.modules, dotted))
+        return methods
 
-    def _remembered(self, what: str, dotted: str, read: Callable[[], tuple[Any, Iterable[Path]]]) -> Any:
+    def _from_memo(self, kind: str, dotted: str, read: Callable[[], tuple[Any, Iterable[Path]]]) -> Any:
         """Return what the memo has of a dotted name; else read it, and remember it with its source files."""
-        entry = f"{what} {dotted} {self.modules.file(dotted.partition(':')[0])}"  # the same name in another file is another entry
-        known = self.entries["known"]
-        if entry not in known:
-            known[entry], files = read()
+        name = f"{kind} {dotted} {self.modules.file(dotted.partition(':')[0])}"  # the same name in another file is another entry
+        entries = self.entries["known"]
+        if name not in entries:
+            entries[name], files = read()
             self.entries["files"] |= {str(file): file_stamp(str(file)) for file in files}
             self._changed = True
-        return known[entry]
+        return entries[name]
 
 
 @dataclass(frozen=True)
@@ -125,9 +125,9 @@ class Parameter:
         """Return what is wrong with a value from the site file, as text; None if it is valid."""
         try:
             # strict validation of JSON accepts a list for a tuple and an integer for a float, but no other conversion
-            TypeAdapter(self._type, config=_AS_IT_IS).validate_json(json.dumps(value))
+            TypeAdapter(self._type, config=_STRICT).validate_json(json.dumps(value))
         except (ValidationError, TypeError):
-            kinds = [_words(kind) for kind in _alternatives(self._type) if not isinstance(kind, _LITERAL)]
+            kinds = [_type_name(kind) for kind in _alternatives(self._type) if not isinstance(kind, _LITERAL)]
             choices = ", ".join(map(str, self.choices))
             if not set(kinds) - {"None"} and choices:
                 return f"{value!r} is not one of {choices}"
@@ -142,7 +142,7 @@ class Parameter:
             return Any
 
 
-_AS_IT_IS = ConfigDict(strict=True, arbitrary_types_allowed=True)
+_STRICT = ConfigDict(strict=True, arbitrary_types_allowed=True)
 _LITERAL = type(typing.Literal[0])
 
 
@@ -150,7 +150,7 @@ def _alternatives(kind: Any) -> tuple[Any, ...]:
     return typing.get_args(kind) if typing.get_origin(kind) in {typing.Union, types.UnionType} else (kind,)
 
 
-def _words(kind: Any) -> str:
+def _type_name(kind: Any) -> str:
     if kind is type(None):
         return "None"
     return kind.__name__ if isinstance(kind, type) and not typing.get_args(kind) else str(kind).replace("typing.", "")
@@ -181,13 +181,13 @@ def read_signature(modules: Modules, dotted: str) -> tuple[Signature, set[Path]]
     module, path, node = modules.function(dotted)
     scope = _Scope(modules, module, path)
     args = node.args
-    first = len(args.posonlyargs) + len(args.args) - len(args.defaults)
+    required_count = len(args.posonlyargs) + len(args.args) - len(args.defaults)
     arguments = tuple(
-        Argument(a.arg, k < first, k >= len(args.posonlyargs)) for k, a in enumerate([*args.posonlyargs, *args.args])
+        Argument(a.arg, k < required_count, k >= len(args.posonlyargs)) for k, a in enumerate([*args.posonlyargs, *args.args])
     )
     parameters = {}
     for argument, default in zip(args.kwonlyargs, args.kw_defaults, strict=True):
-        annotation = ast.unparse(_Inlined(scope).visit(argument.annotation)) if argument.annotation else "Any"
+        annotation = ast.unparse(_InlineAliases(scope).visit(argument.annotation)) if argument.annotation else "Any"
         try:
             value, source = (None, "") if default is None else (scope.literal(default), "")
         except ValueError:
@@ -234,31 +234,31 @@ class _Scope:
     @cached_property
     def defined(self) -> dict[str, ast.expr]:
         """Value of each name that is assigned once, at the top level."""
-        stored = Counter(n.id for n in ast.walk(self.tree) if isinstance(n, ast.Name) and not isinstance(n.ctx, ast.Load))
+        store_counts = Counter(n.id for n in ast.walk(self.tree) if isinstance(n, ast.Name) and not isinstance(n.ctx, ast.Load))
         values = [(node, getattr(node, "value", None)) for node in self.tree.body]
-        found = {name: value for node, value in values if value for name in assigned(node) if stored[name] == 1}
+        definitions = {name: value for node, value in values if value for name in assigned(node) if store_counts[name] == 1}
         # Python 3.12: type Mode = ...
-        return found | {node.name.id: node.value for node in self.tree.body if type(node).__name__ == "TypeAlias"}  # type: ignore[attr-defined]
+        return definitions | {node.name.id: node.value for node in self.tree.body if type(node).__name__ == "TypeAlias"}  # type: ignore[attr-defined]
 
     @cached_property
     def imported(self) -> dict[str, tuple[str, str]]:
         """By imported name: its module and its name there, "" for a module itself; "*" is the key of a star import."""
-        found: dict[str, tuple[str, str]] = {}
+        origins: dict[str, tuple[str, str]] = {}
         for node in ast.walk(self.tree):
             if isinstance(node, ast.ImportFrom):
                 origin = origin_of(node, self.module, self.path)
-                found |= {alias.asname or alias.name: (origin, alias.name) for alias in node.names}
+                origins |= {alias.asname or alias.name: (origin, alias.name) for alias in node.names}
             elif isinstance(node, ast.Import):
-                found |= {alias.asname or alias.name: (alias.name, "") for alias in node.names}
-        return found
+                origins |= {alias.asname or alias.name: (alias.name, "") for alias in node.names}
+        return origins
 
     def literal(self, node: ast.expr) -> Any:
         """Return the value of a literal, or of a name bound to one.  Raises ValueError, also if JSON cannot represent it."""
         if isinstance(node, ast.Name):
-            found = self.find(node.id)
-            if isinstance(found, str):
+            definition = self.find(node.id)
+            if isinstance(definition, str):
                 raise ValueError(node.id)
-            value, scope = found
+            value, scope = definition
             return scope.literal(value)
         try:
             value = ast.literal_eval(node)
@@ -272,20 +272,20 @@ class _Scope:
         """Return the definition of a name and the scope it is in; for a name from `typing`, its name there; "" if unknown."""
         if name in self.defined:
             return self.defined[name], self
-        origin, there = self.imported.get(name) or self.imported.get("*", ("", ""))
-        return self.within(origin, name if there == "*" else there) if there else ""
+        origin, original = self.imported.get(name) or self.imported.get("*", ("", ""))
+        return self.within(origin, name if original == "*" else original) if original else ""
 
     def within(self, origin: str, name: str) -> tuple[ast.expr, _Scope] | str:
         """Return what `find` returns, for a name in the module `origin`."""
-        if origin in _TYPING:
+        if origin in _TYPING_MODULES:
             return name
         path = self.modules.file(origin) if origin and self.modules.follows(origin, self.module) else None
-        if path is None or self.depth > _DEEPEST:
+        if path is None or self.depth > _MOST_DEPTH:
             return ""
         return _Scope(self.modules, origin, path, self.read, self.depth + 1).find(name)
 
 
-class _Inlined(ast.NodeTransformer):
+class _InlineAliases(ast.NodeTransformer):
     """Rewrites an annotation with names of `typing` and built-ins only: type aliases are replaced by their definitions, and all
     other names by Any."""
 
@@ -299,14 +299,14 @@ class _Inlined(ast.NodeTransformer):
             return _ANY
 
     def visit_Name(self, node: ast.Name) -> Any:
-        found = self.scope.find(node.id)
-        if not found and hasattr(builtins, node.id):
+        definition = self.scope.find(node.id)
+        if not definition and hasattr(builtins, node.id):
             return node
-        return self._written(found)
+        return self._resolved(definition)
 
     def visit_Attribute(self, node: ast.Attribute) -> Any:
         origin, name = self.scope.imported.get(node.value.id, ("", "")) if isinstance(node.value, ast.Name) else ("", "")
-        return self._written(self.scope.within(f"{origin}.{name}" if name else origin, node.attr))
+        return self._resolved(self.scope.within(f"{origin}.{name}" if name else origin, node.attr))
 
     def visit_Subscript(self, node: ast.Subscript) -> Any:
         head: Any = self.visit(node.value)
@@ -320,11 +320,11 @@ class _Inlined(ast.NodeTransformer):
     def visit_Call(self, node: ast.Call) -> ast.AST:
         return _ANY
 
-    def _written(self, found: tuple[ast.expr, _Scope] | str) -> Any:
-        if isinstance(found, str):
-            return ast.Name(found, ast.Load()) if hasattr(typing, found) else _ANY
-        definition, scope = found
-        return _Inlined(scope).visit(definition)
+    def _resolved(self, definition: tuple[ast.expr, _Scope] | str) -> Any:
+        if isinstance(definition, str):
+            return ast.Name(definition, ast.Load()) if hasattr(typing, definition) else _ANY
+        expression, scope = definition
+        return _InlineAliases(scope).visit(expression)
 
 
 _ANY = ast.Name("Any", ast.Load())

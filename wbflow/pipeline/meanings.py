@@ -95,13 +95,13 @@ def meaning(figure: str) -> Meaning:
 def shown(figures: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
     """Yield title and formatted value of a stage's figures."""
     for name, value in figures.items():
-        title, written = titled(name), _percent if meaning(name).share else format_value
+        title, format_figure = titled(name), _percent if meaning(name).share else format_value
         if isinstance(value, Mapping) and value and all(isinstance(entry, int | float) for entry in value.values()):
             ordered = sorted(value.items(), key=lambda entry: -entry[1])
-            less = f"; {len(ordered) - _MOST_NAMED} others less" if len(ordered) > _MOST_NAMED else ""
-            yield title, ", ".join(f"{key} {written(number)}" for key, number in ordered[:_MOST_NAMED]) + less
+            remainder = f"; {len(ordered) - _MOST_NAMED} others less" if len(ordered) > _MOST_NAMED else ""
+            yield title, ", ".join(f"{key} {format_figure(number)}" for key, number in ordered[:_MOST_NAMED]) + remainder
         elif isinstance(value, int | float):
-            yield title, written(value)
+            yield title, format_figure(value)
 
 
 def titled(name: str) -> str:

@@ -171,8 +171,8 @@ CLOUD_FIGURES = "wbflow_stages.io.clouds:cloud_figures"
 COMPONENT = "component"
 """The parameter of `fuse` with the number of the component of cameras; each component has a task."""
 
-_SIDES = {"left": left("features"), "right": right("features")}
-_FRAMES = {"left": left("frames"), "right": right("frames")}
+_SIDE_FEATURES = {"left": left("features"), "right": right("features")}
+_SIDE_FRAMES = {"left": left("frames"), "right": right("frames")}
 _PAIR_FRAMES = {"left_frame": left("frames"), "right_frame": right("frames")}
 _PAIR_FEATURES = {"left_features": left("features"), "right_features": right("features")}
 _VIEWS = every("frames", part="view")
@@ -190,9 +190,9 @@ _REFERENCE_SURFACE = {
     "reference_refined": reference("refine", of="every"),
 }
 _PAIR_KEYS = ("pairs.degree", "pairs.min_angle", "pairs.max_angle", "pairs.include", "pairs.exclude")
-_ALWAYS = Reuse(shifted="reuse", moved="reuse")
+_ALWAYS_REUSED = Reuse(shifted="reuse", moved="reuse")
 """For results that do not depend on the orientation of single cameras."""
-_FEATURES = Reuse(shifted="reuse", moved="recompute")
+_UNLESS_MOVED = Reuse(shifted="reuse", moved="recompute")
 _TURNED_GEOMETRY = Adapt(
     "wbflow_stages.held:turn_geometry", {"pinned": reference("geometry"), "left": left("health"), "right": right("health")}
 )
@@ -251,7 +251,7 @@ STAGES: tuple[Stage, ...] = (
         scope="camera",
         function="wbflow_stages.features:detect",
         inputs={"frame": own("frames")},
-        reuse=_FEATURES,
+        reuse=_UNLESS_MOVED,
         products=Products({"marks": "wbflow_stages.exports.previews:keypoint_marks"}),
         summary=summaries.FeaturesSummary,
     ),
@@ -265,7 +265,7 @@ STAGES: tuple[Stage, ...] = (
             "features": every("features", needed_if=_some_unposed),
         },
         offers={"frames": every("frames")},
-        reuse=_ALWAYS,
+        reuse=_ALWAYS_REUSED,
     ),
     Stage(
         "pairs",
@@ -273,14 +273,14 @@ STAGES: tuple[Stage, ...] = (
         function="wbflow.pipeline.pairs:select_pairs",
         inputs={"overlap": own("overlap")},
         site_keys=_PAIR_KEYS,
-        reuse=_ALWAYS,
+        reuse=_ALWAYS_REUSED,
         summary=summaries.PairsSummary,
     ),
     Stage(
         "matches",
         scope="pair",
         function="wbflow_stages.matches:match",
-        inputs=_SIDES,
+        inputs=_SIDE_FEATURES,
         offers={**_PAIR_FRAMES, "model": Source("file", "model")},
         method=Method("matcher", "wbflow_stages.matches:MATCHERS"),
         reuse=Reuse(
@@ -295,12 +295,12 @@ STAGES: tuple[Stage, ...] = (
         "geometry",
         scope="pair",
         function="wbflow_stages.geometry:estimate_geometry",
-        inputs={"matches": own("matches"), **_SIDES},
+        inputs={"matches": own("matches"), **_SIDE_FEATURES},
         offers=_PAIR_FRAMES,
         reuse=Reuse(shifted=_TURNED_GEOMETRY, moved="recompute"),
         products=Products(
             {"picture": "wbflow_stages.exports.previews:matches_preview", "marks": "wbflow_stages.exports.previews:inlier_marks"},
-            picture_inputs=_FRAMES,
+            picture_inputs=_SIDE_FRAMES,
         ),
         summary=summaries.GeometrySummary,
     ),
@@ -328,7 +328,7 @@ STAGES: tuple[Stage, ...] = (
         inputs={"frames": every("frames"), "cameras": own("poses", part="cameras")},
         optional=True,
         site_keys=("bounds",),
-        reuse=_ALWAYS,
+        reuse=_ALWAYS_REUSED,
     ),
     Stage(
         "shared",
@@ -336,7 +336,7 @@ STAGES: tuple[Stage, ...] = (
         function="wbflow_stages.shared:find_shared",
         inputs={"poses": own("poses")},
         optional=_some_unposed,
-        reuse=_ALWAYS,
+        reuse=_ALWAYS_REUSED,
     ),
     Stage(
         "dense_pairs",
@@ -345,7 +345,7 @@ STAGES: tuple[Stage, ...] = (
         inputs={"shared": own("shared"), "pairs": own("pairs")},
         optional=_some_unposed,
         site_keys=_PAIR_KEYS,
-        reuse=_ALWAYS,
+        reuse=_ALWAYS_REUSED,
         summary=summaries.PairsSummary,
     ),
     Stage(
@@ -372,7 +372,7 @@ STAGES: tuple[Stage, ...] = (
         dense=True,
         function="wbflow_stages.disparity:match_dense",
         inputs={
-            **_FRAMES,
+            **_SIDE_FRAMES,
             "rectification": own("rectify"),
             "reference_rectification": reference("rectify"),
             "reference_disparity": reference("disparity"),
@@ -381,7 +381,7 @@ STAGES: tuple[Stage, ...] = (
         method=Method("matcher", "wbflow_stages.disparity:MATCHERS", given=("pair",)),
         products=Products(
             {"picture": "wbflow_stages.exports.previews:disparity_preview"},
-            picture_inputs={**_FRAMES, "rectification": own("rectify")},
+            picture_inputs={**_SIDE_FRAMES, "rectification": own("rectify")},
         ),
         summary=summaries.DisparitySummary,
     ),
@@ -484,15 +484,15 @@ def stage_named(name: str) -> Stage:
 
 def ancestors(name: str) -> set[str]:
     """Return the names of a stage and of all stages that it needs, directly or not."""
-    found: set[str] = set()
-    waiting = [name]
-    while waiting:
-        stage = stage_named(waiting.pop())
-        if stage.name not in found:
-            found.add(stage.name)
-            waiting += [source.name for source in stage.inputs.values() if source.kind == "stage"]
+    names: set[str] = set()
+    pending = [name]
+    while pending:
+        stage = stage_named(pending.pop())
+        if stage.name not in names:
+            names.add(stage.name)
+            pending += [source.name for source in stage.inputs.values() if source.kind == "stage"]
             if stage.scope == "pair":
-                waiting.append(DENSE_PAIRS if stage.dense else PAIRS)
+                pending.append(DENSE_PAIRS if stage.dense else PAIRS)
             if stage.reuse.shifted:
-                waiting.append(HEALTH)
-    return found
+                pending.append(HEALTH)
+    return names

@@ -24,13 +24,13 @@ class Summary(JsonDataclass):
     @classmethod
     def _read(cls, data: Any, read: Any) -> Self:
         try:
-            made: Self = read(data)
+            summary: Self = read(data)
         except ValidationError:  # the result of another version, or of a function of the site's own
             return cls()
-        return made
+        return summary
 
 
-def _named(*names: str) -> Any:
+def _read_from(*names: str) -> Any:
     """Alternative names of a field, in results and in run.json; the first that is present is read."""
     return Field(validation_alias=AliasChoices(*names))
 
@@ -73,7 +73,7 @@ class FrameSummary(Summary):
 class FeaturesSummary(Summary):
     """Keypoints of a camera."""
 
-    keypoints: Annotated[int | None, _named("xy_count", "keypoints")] = None
+    keypoints: Annotated[int | None, _read_from("xy_count", "keypoints")] = None
 
 
 @dataclass(frozen=True)
@@ -113,17 +113,17 @@ class PairsSummary(Summary):
 class MatchesSummary(Summary):
     """Matches of a pair."""
 
-    matches: Annotated[int | None, _named("x1_count", "matches")] = None
+    matches: Annotated[int | None, _read_from("x1_count", "matches")] = None
 
 
 @dataclass(frozen=True)
 class GeometrySummary(Summary):
     """The epipolar geometry of a pair; for a rejected pair, the figures behind the rejection."""
 
-    inliers: Annotated[int | None, _named("x1_count", "inliers")] = None
+    inliers: Annotated[int | None, _read_from("x1_count", "inliers")] = None
     angle_deg: float | None = None
     epipolar_px: float | None = None
-    probability: Annotated[float | None, _named("good_probability", "probability")] = None
+    probability: Annotated[float | None, _read_from("good_probability", "probability")] = None
 
 
 @dataclass(frozen=True)
@@ -193,7 +193,7 @@ class PoseIssue(Summary):
     border_px: float | None = None
 
 
-_ROWS_AGREE, _LOOK_ALIKES = 3.5, 3.0
+_MOST_ROW_SIGMAS, _LEAST_MISFIT = 3.5, 3.0
 """Rows agree with the cameras up to this many `CalibrationCheck.sigmas` (140 unharmed nights: 3.2 at most).  Below this `misfit`,
 keypoints may contradict correct cameras only because of look-alikes (a workshop: 1.9 to 2.8; wrong poses there: 3.2 and more)."""
 
@@ -242,19 +242,19 @@ class PosesSummary(Summary):
     @property
     def unverified(self) -> bool:
         """Are lenses and poses stated, but were there too few matches to check them?"""
-        told = self.calibration is not None or (self.rows is not None and self.rows.pairs > 0)
-        return self.source in {"calibration", "mixed"} and not told
+        was_checked = self.calibration is not None or (self.rows is not None and self.rows.pairs > 0)
+        return self.source in {"calibration", "mixed"} and not was_checked
 
     @property
     def rows_agree(self) -> bool:
         """Do the row offsets that dense matching measures agree with the stated cameras?"""
-        return self.rows is not None and self.rows.pairs > 0 and self.rows.sigmas <= _ROWS_AGREE
+        return self.rows is not None and self.rows.pairs > 0 and self.rows.sigmas <= _MOST_ROW_SIGMAS
 
     @property
     def contradiction(self) -> CalibrationCheck | None:
         """The check that contradicts the stated calibration; a weak one by keypoints without a cause is ignored if rows agree."""
         by_keypoints, by_rows = (check if check and check.contradicted else None for check in (self.calibration, self.rows))
-        if by_keypoints and self.rows_agree and not by_keypoints.cause and by_keypoints.misfit < _LOOK_ALIKES:
+        if by_keypoints and self.rows_agree and not by_keypoints.cause and by_keypoints.misfit < _LEAST_MISFIT:
             return None
         return by_keypoints or by_rows
 
@@ -285,7 +285,7 @@ class DepthSummary(Summary):
 class FuseSummary(Summary):
     """A point cloud."""
 
-    points: Annotated[int, _named("points_count")] = 0
+    points: Annotated[int, _read_from("points_count")] = 0
     bounds: tuple[tuple[float, ...], tuple[float, ...]] = ((), ())
     """Two opposite corners of its bounding box."""
     given: Mapping[str, int] = field(default_factory=dict)
@@ -330,11 +330,11 @@ class CoverageSummary(SiteSummary):
 
     AMOUNT = ("m²", "seen by two cameras")
 
-    area_m2: Annotated[float | None, _named("area", "area_m2")] = None
+    area_m2: Annotated[float | None, _read_from("area", "area_m2")] = None
     seen_by_one: float | None = None
     seen_by_two: float | None = None
-    angle_deg: Annotated[float | None, _named("median_angle_deg", "angle_deg")] = None
-    error_m: Annotated[float | None, _named("median_error", "error_m")] = None
+    angle_deg: Annotated[float | None, _read_from("median_angle_deg", "angle_deg")] = None
+    error_m: Annotated[float | None, _read_from("median_error", "error_m")] = None
     lost_without: Mapping[str, float] | None = None
 
     @property
@@ -342,7 +342,7 @@ class CoverageSummary(SiteSummary):
         return None if self.area_m2 is None or self.seen_by_two is None else self.area_m2 * self.seen_by_two
 
 
-_SAME_PLACE = 0.5
+_SAME_PLACE_SHARE = 0.5
 """Two changes of one kind are the same thing if their centres are nearer than this share of the larger one's length."""
 
 
@@ -372,13 +372,13 @@ class Change(Summary):
     """Who has acknowledged the change, until when, and why; "" if it is not acknowledged."""
 
     @model_serializer(mode="wrap")
-    def _named_where_known(self, write: Any) -> dict[str, Any]:
+    def _without_empty(self, write: Any) -> dict[str, Any]:
         return {name: value for name, value in write(self).items() if value or name != "acknowledged"}
 
     def is_same(self, other: Change) -> bool:
         """Is it the same thing on another night, compared with the same reference?"""
-        apart = math.dist((self.x, self.y, self.z), (other.x, other.y, other.z))
-        return self.kind == other.kind and apart <= _SAME_PLACE * max(self.length or 0.0, other.length or 0.0)
+        distance = math.dist((self.x, self.y, self.z), (other.x, other.y, other.z))
+        return self.kind == other.kind and distance <= _SAME_PLACE_SHARE * max(self.length or 0.0, other.length or 0.0)
 
 
 @dataclass(frozen=True)

@@ -97,13 +97,13 @@ _KINDS: dict[str, type[Event]] = {"task": TaskEvent, "warning": WarningEvent}
 def event_to_json(event: Event) -> dict[str, Any]:
     """Return an event as a line of the log, before JSON encoding."""
     task = event.task
-    whose = {"task": str(task), "stage": task.stage, "subject": task.subject} if task else {}
-    return {"event": next(name for name, kind in _KINDS.items() if isinstance(event, kind)), **vars(event), **whose}
+    task_fields = {"task": str(task), "stage": task.stage, "subject": task.subject} if task else {}
+    return {"event": next(name for name, kind in _KINDS.items() if isinstance(event, kind)), **vars(event), **task_fields}
 
 
 def event_from_json(line: Mapping[str, Any]) -> Event | None:
     """Return the event of a log line; None for a kind that only later versions know.  Raises KeyError, TypeError."""
     if (kind := _KINDS.get(line["event"])) is None:
         return None
-    known = {field.name: line[field.name] for field in fields(kind) if field.name in line}
-    return kind(**known | {"task": Task(line["stage"], tuple(line["subject"])) if "stage" in line else None})
+    values = {field.name: line[field.name] for field in fields(kind) if field.name in line}
+    return kind(**values | {"task": Task(line["stage"], tuple(line["subject"])) if "stage" in line else None})

@@ -30,19 +30,19 @@ FINDING_ALIASES = {
     "poses-strained": "poses-inconsistent",
 }
 """Finding codes of versions before 0.2: still read for one more version, and written in addition to the new ones as `alias`."""
-_FORMER = {new: old for old, new in FINDING_ALIASES.items()}
+_FORMER_CODES = {new: old for old, new in FINDING_ALIASES.items()}
 
 
-def _current(aliases: Mapping[str, str]) -> BeforeValidator:
+def _with_current_names(aliases: Mapping[str, str]) -> BeforeValidator:
     """Return a validator that replaces names of earlier versions with the current ones."""
-    return BeforeValidator(lambda word: aliases.get(word, word) if isinstance(word, str) else word)
+    return BeforeValidator(lambda name: aliases.get(name, name) if isinstance(name, str) else name)
 
 
 @dataclass(frozen=True)
 class Finding(JsonDataclass):
     """A problem that the operator should look at."""
 
-    kind: Annotated[str, _current(FINDING_ALIASES)]
+    kind: Annotated[str, _with_current_names(FINDING_ALIASES)]
     """Its code in `FINDINGS`: camera-lost, fewer-pairs, task-failed, ..."""
     subject: tuple[str, ...]
     """() for the site, (camera,), (left, right), or all cameras concerned."""
@@ -65,7 +65,7 @@ class Finding(JsonDataclass):
 
     @model_serializer(mode="wrap")
     def _with_alias(self, write: Any) -> dict[str, Any]:
-        return {**write(self), **({"alias": _FORMER[self.kind]} if self.kind in _FORMER else {})}
+        return {**write(self), **({"alias": _FORMER_CODES[self.kind]} if self.kind in _FORMER_CODES else {})}
 
 
 @dataclass(frozen=True)
@@ -83,7 +83,7 @@ class FindingType:
     """Level of a night with this finding, unless the site file tolerates it."""
 
 
-_BACK = "it is used again as soon as it delivers usable captures"
+_USED_AGAIN = "it is used again as soon as it delivers usable captures"
 _COMPARE = "run wbflow compare SITE.yaml to see what is missing; if it is meant to stay like this, set expect: {since: DATE}"
 
 FINDINGS: Mapping[str, FindingType] = {
@@ -124,7 +124,7 @@ FINDINGS: Mapping[str, FindingType] = {
         FindingType(
             "camera-lost",
             "A camera has no capture, or none that can be read.",
-            f"check the camera: {_BACK}",
+            f"check the camera: {_USED_AGAIN}",
             "{reason}; left out tonight",
         ),
         FindingType(
@@ -326,7 +326,7 @@ class Verdict(JsonDataclass):
         return self.level == "good"
 
     @model_serializer(mode="wrap")
-    def _without_nothing(self, write: Any) -> dict[str, Any]:
+    def _without_empty(self, write: Any) -> dict[str, Any]:
         return {name: value for name, value in write(self).items() if value or name != "acknowledged"}
 
 
@@ -334,7 +334,7 @@ class Verdict(JsonDataclass):
 class Health(JsonDataclass):
     """Condition of a camera, compared with earlier nights; fields with the same names as in `Finding` have the same meaning."""
 
-    state: Annotated[HealthState, _current(STATE_ALIASES)]
+    state: Annotated[HealthState, _with_current_names(STATE_ALIASES)]
     """shifted: turned slightly, still in use; moved; obscured: too dark, dirty or out of focus; stale: its pictures are not from
     tonight; wrong-scene: it shows another place."""
     text: str = ""

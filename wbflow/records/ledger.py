@@ -20,7 +20,7 @@ _FORMAT = 4
 """Format version, stored last (SQLite's user_version): a ledger with another one, or an incomplete one, is rebuilt."""
 _BUSY_TIMEOUT_S = 5.0
 """Seconds to wait for another process that is writing."""
-_MOST = 20_000
+_MOST_TASKS = 20_000
 """Largest number of tasks, newest first, from which costs are estimated."""
 
 
@@ -87,9 +87,9 @@ class Ledger:
     def record_run(self, record: RunRecord) -> None:
         """Index a run."""
         seconds, points = record.seconds, record.cloud.points if record.cloud else None
-        times = (record.started, record.finished, round(seconds.wall, 2), round(seconds.cpu, 2))
-        ended = (*astuple(record.tasks), points, int(record.exit_code))
-        row = astuple(LedgerRun(record.run, record.date, *times, *ended))
+        times_taken = (record.started, record.finished, round(seconds.wall, 2), round(seconds.cpu, 2))
+        outcome = (*astuple(record.tasks), points, int(record.exit_code))
+        row = astuple(LedgerRun(record.run, record.date, *times_taken, *outcome))
         with self._db:
             self._db.execute(f"insert or replace into runs values ({','.join('?' * len(row))})", row)
 
@@ -109,7 +109,7 @@ class Ledger:
 
     def costs(self) -> TaskCosts:
         """Return the time, memory and disk space that the newest tasks took."""
-        query = f"select stage, task, wall, peak_mb, bytes from artifacts order by finished desc limit {_MOST}"
+        query = f"select stage, task, wall, peak_mb, bytes from artifacts order by finished desc limit {_MOST_TASKS}"
         costs, seconds, sizes = TaskCosts(), defaultdict[str, list[float]](list), defaultdict[str, list[int]](list)
         for stage, task, wall, held, size in self._db.execute(query):
             seconds[stage].append(wall)
@@ -118,7 +118,7 @@ class Ledger:
             costs.tasks_mb.setdefault(task, held)
             costs.stages_mb[stage] = max(held, costs.stages_mb.get(stage, 0.0))
         costs.stages.update({stage: median(walls) for stage, walls in seconds.items()})
-        costs.stages_bytes.update({stage: fmean(of_stage) for stage, of_stage in sizes.items()})
+        costs.stages_bytes.update({stage: fmean(stage_sizes) for stage, stage_sizes in sizes.items()})
         return costs
 
     def forget(self, keys: Iterable[str]) -> None:
@@ -133,12 +133,12 @@ class Ledger:
             raise sqlite3.DatabaseError("it is no file")
         self._db = sqlite3.connect(f"{self._work.ledger.resolve().as_uri()}?mode={mode}", uri=True, timeout=_BUSY_TIMEOUT_S)
         try:
-            (form,), (whole,) = (self._db.execute(f"pragma {name}").fetchone() for name in ("user_version", "quick_check"))
-            if whole != "ok" or form not in ({_FORMAT} if mode == "ro" else {0, _FORMAT}):
-                raise sqlite3.DatabaseError(f"form {form}" if whole == "ok" else whole)
+            (version,), (check,) = (self._db.execute(f"pragma {name}").fetchone() for name in ("user_version", "quick_check"))
+            if check != "ok" or version not in ({_FORMAT} if mode == "ro" else {0, _FORMAT}):
+                raise sqlite3.DatabaseError(f"form {version}" if check == "ok" else check)
             if mode == "rwc":
                 self._db.executescript("pragma journal_mode = wal; pragma synchronous = normal")
-            if form != _FORMAT:
+            if version != _FORMAT:
                 self._db.executescript(_SCHEMA)
                 self.record_artifacts(Cache(self._work).receipts())
                 self.catch_up()

@@ -192,11 +192,11 @@ class RunRecord(JsonDataclass):
 
     @cached_property
     def _pairs_of(self) -> dict[str, list[PairRecord]]:
-        found: dict[str, list[PairRecord]] = {}
+        by_camera: dict[str, list[PairRecord]] = {}
         for pair in self.pairs:
             for camera in pair.cameras:
-                found.setdefault(camera, []).append(pair)
-        return found
+                by_camera.setdefault(camera, []).append(pair)
+        return by_camera
 
     def __repr__(self) -> str:
         points = f"{self.cloud.points:,} points" if self.cloud else f"no cloud ({self.reason or 'not requested'})"
@@ -207,6 +207,6 @@ class RunRecord(JsonDataclass):
 
     @classmethod
     def from_json(cls, data: Any) -> Self:
-        made = {s.name: s.summary.from_json(data[s.name]) for s in STAGES if s.summary and isinstance(data.get(s.name), Mapping)}
-        results = {stage: result for stage, result in made.items() if isinstance(result, SiteSummary)}
+        read = {s.name: s.summary.from_json(data[s.name]) for s in STAGES if s.summary and isinstance(data.get(s.name), Mapping)}
+        results = {stage: result for stage, result in read.items() if isinstance(result, SiteSummary)}
         return super().from_json({**data, "results": results})

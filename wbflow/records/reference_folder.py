@@ -23,9 +23,9 @@ from ..cache.store import Cache, Receipt
 from ..errors import WbflowError
 from ..task import Task
 
-_OF = "reference"
+_IDENTITY = "reference"
 
-_ANEW = "wbflow pin SITE.yaml  creates it again from the last good run; so does the next good night"
+_PIN_AGAIN = "wbflow pin SITE.yaml  creates it again from the last good run; so does the next good night"
 
 
 class BadReference(WbflowError):
@@ -66,14 +66,14 @@ class Reference:
     def lines(self) -> list[str]:
         """Return what is pinned as text lines."""
         how = "automatically" if self.automatic else "by hand"
-        found = [f"run {self.run}, night of {self.date}, pinned {how}"]
+        lines = [f"run {self.run}, night of {self.date}, pinned {how}"]
         for subject in dict.fromkeys(task.subject for task in self.artifacts):
             pinned = [p for t, p in self.artifacts.items() if t.subject == subject]
-            kept = ", ".join(p.task.stage for p in pinned if p.outcome != "rejected")
-            lost = ", ".join(p.task.stage for p in pinned if p.outcome == "rejected")
+            usable = ", ".join(p.task.stage for p in pinned if p.outcome != "rejected")
+            rejected = ", ".join(p.task.stage for p in pinned if p.outcome == "rejected")
             unsolved = " (not placed)" if subject and subject[0] in self.cameras and not self.cameras[subject[0]] else ""
-            found.append(f"  {'--'.join(subject) or 'site':24} {kept}{f'; rejected: {lost}' if lost else ''}{unsolved}")
-        return found
+            lines.append(f"  {'--'.join(subject) or 'site':24} {usable}{f'; rejected: {rejected}' if rejected else ''}{unsolved}")
+        return lines
 
     def to_json(self) -> dict[str, Any]:
         """Return the content of reference.json."""
@@ -83,7 +83,7 @@ class Reference:
 
     @staticmethod
     def from_json(data: Mapping[str, Any]) -> Reference:
-        """Return the reference of such content.  Raises KeyError, TypeError or ValueError if it is not from a reference.json."""
+        """Return the reference that such content describes.  Raises KeyError, TypeError or ValueError for any other content."""
         artifacts = {}
         for entry in data["artifacts"]:
             stage, subject = entry["task"]
@@ -104,12 +104,12 @@ def read_reference(work: WorkFolder) -> Reference | None:
 
 def read_record(path: Path) -> Reference | None:
     try:
-        data = read_checksummed(path, _OF)
+        data = read_checksummed(path, _IDENTITY)
         return Reference.from_json(data) if data else None
     except Damaged as damage:
-        raise BadReference(damage.what, remedy=_ANEW) from None
+        raise BadReference(damage.what, remedy=_PIN_AGAIN) from None
     except (ValueError, KeyError, TypeError, AttributeError) as error:
-        raise BadReference(f"{path} cannot be read: {type(error).__name__}: {error}", remedy=_ANEW) from None
+        raise BadReference(f"{path} cannot be read: {type(error).__name__}: {error}", remedy=_PIN_AGAIN) from None
 
 
 def write_reference(cache: Cache, reference: Reference, receipts: Iterable[Receipt]) -> None:
@@ -118,37 +118,37 @@ def write_reference(cache: Cache, reference: Reference, receipts: Iterable[Recei
     receipts: those of the reference's artifacts, which must be in the cache.
     """
     work = cache.work
-    kept, anew = {work.reference_record, work.reference_twin}, work.reference.exists()
+    new_files, is_replaced = {work.reference_record, work.reference_twin}, work.reference.exists()
     for receipt in receipts:
         for path in files_of(cache, receipt):
             copy_atomic(path, work.pinned(path), fsync="none")
-            kept.add(work.pinned(path))
+            new_files.add(work.pinned(path))
     os.sync()  # one sync for all copies, before the record is written
-    data = dump_with_checksum(_OF, reference.to_json(), in_lines=True)
+    data = dump_with_checksum(_IDENTITY, reference.to_json(), in_lines=True)
     for path in (work.reference_twin, work.reference_record):
         write_atomic(path, data, ours=True)
-    if anew:
-        _remove_all_but(work.reference, kept)
+    if is_replaced:
+        _remove_all_but(work.reference, new_files)
 
 
-def _remove_all_but(reference: Path, kept: set[Path]) -> None:
+def _remove_all_but(reference: Path, new_files: set[Path]) -> None:
     """Remove the files of an earlier reference."""
     for path in sorted(reference.rglob("*"), reverse=True):  # the content of a folder before the folder
         if path.is_dir() and not path.is_symlink():
             with contextlib.suppress(OSError):  # not empty
                 path.rmdir()
-        elif path not in kept:
+        elif path not in new_files:
             path.unlink()
 
 
 def drop_reference(work: WorkFolder) -> bool:
     """Remove the reference; return False if there is none.  The caller holds the lock."""
-    there = work.reference_record.exists() or work.reference_twin.exists()
+    existed = work.reference_record.exists() or work.reference_twin.exists()
     for path in (work.reference_twin, work.reference_record):
         path.unlink(missing_ok=True)
     if work.reference.exists():
         shutil.rmtree(work.reference)
-    return there
+    return existed
 
 
 def files_of(cache: Cache, receipt: Receipt) -> list[Path]:

@@ -28,11 +28,11 @@ from .record import RunRecord
 if TYPE_CHECKING:
     from ..remote import Mirror
 
-_OF = "run"
-_NIGHT = re.compile(r"\d{4}-\d{2}-\d{2}")
+_IDENTITY = "run"
+_NIGHT_PATTERN = re.compile(r"\d{4}-\d{2}-\d{2}")
 
 
-def _link(path: Path, earlier: Path | None, data: bytes) -> bool:
+def _hard_link(path: Path, earlier: Path | None, data: bytes) -> bool:
     """Hard-link `path` to an earlier file with these bytes; return False if there is none, or linking fails."""
     try:
         if earlier is None or earlier.stat().st_size != len(data) or read_untrusted(earlier, most=sys.maxsize) != data:
@@ -76,23 +76,23 @@ class RunFolder:
         "latest-good" is the newest run with a cloud whose verdict is good or degraded, "latest" (or None) the newest.
         Raises NoSuchRun.
         """
-        known = work.run_ids()
-        if not known:
+        ids = work.run_ids()
+        if not ids:
             raise NoSuchRun(f"{work.root} has no runs yet", remedy="wbflow run SITE.yaml  makes one")
         if name == work.latest_good.name:
-            newest_first = (RunFolder(work.run(run)) for run in reversed(known))
-            shown = work.link_target(work.latest_good) or next((run.id for run in newest_first if run.is_good()), None)
-            if shown is None:
-                raise NoSuchRun("no run has made a cloud yet", remedy=f"the last run is {known[-1]}: its report says why")
-            return RunFolder(work.run(shown))
+            newest_first = (RunFolder(work.run(run)) for run in reversed(ids))
+            target = work.link_target(work.latest_good) or next((run.id for run in newest_first if run.is_good()), None)
+            if target is None:
+                raise NoSuchRun("no run has made a cloud yet", remedy=f"the last run is {ids[-1]}: its report says why")
+            return RunFolder(work.run(target))
         name = None if name == work.latest.name else name
-        if name is not None and _NIGHT.fullmatch(name):
-            if found := next((folder for folder, record in newest_runs(work) if record.date == name), None):
-                return found
+        if name is not None and _NIGHT_PATTERN.fullmatch(name):
+            if folder_of_night := next((folder for folder, record in newest_runs(work) if record.date == name), None):
+                return folder_of_night
             raise NoSuchRun(f"no run has worked on the night of {name}", remedy="wbflow history SITE.yaml  lists all runs")
-        if name is not None and name not in known:
-            raise NoSuchRun(f"there is no run {name!r}; the last ones are {', '.join(known[-3:])}")
-        return RunFolder(work.run(name or known[-1]))
+        if name is not None and name not in ids:
+            raise NoSuchRun(f"there is no run {name!r}; the last ones are {', '.join(ids[-3:])}")
+        return RunFolder(work.run(name or ids[-1]))
 
     @property
     def id(self) -> str:
@@ -105,7 +105,7 @@ class RunFolder:
         """Return the content of run.json.  Raises NoSuchRun if it cannot be read."""
         try:
             status = self.paths.record.stat()
-            return _read(self.paths.record, (status.st_ino, status.st_mtime_ns, status.st_size))
+            return _read_record(self.paths.record, (status.st_ino, status.st_mtime_ns, status.st_size))
         except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
             what = f"{self.paths.folder} is not the folder of a run: {type(error).__name__}: {error}"
             raise NoSuchRun(what) from None
@@ -130,10 +130,10 @@ class RunFolder:
         try:
             if not os.path.lexists(self.paths.cameras):
                 return {}
-            found: dict[str, Any] = json.loads(read_untrusted(self.paths.cameras))
+            solved: dict[str, Any] = json.loads(read_untrusted(self.paths.cameras))
         except (OSError, ValueError) as error:
             raise NoSuchRun(f"{self.paths.cameras} cannot be read: {error}") from None
-        return found
+        return solved
 
     def damaged(self, missing: bool) -> list[Path]:
         """Return the products of the run that differ from what was published.  Raises NoSuchRun if run.json itself is damaged.
@@ -182,8 +182,8 @@ class UnfinishedRun:
         Products are read-only, so that no program changes one run's file through the name in another run's folder; wbflow itself
         only replaces files, and never writes into them.  Raises OSError.
         """
-        path, earlier = self.paths.folder / name, (self.work.run(run).folder / name for run in reversed(self.work.run_ids()))
-        if not _link(path, next((place for place in earlier if place.is_file()), None), data):
+        path, copies = self.paths.folder / name, (self.work.run(run).folder / name for run in reversed(self.work.run_ids()))
+        if not _hard_link(path, next((copy for copy in copies if copy.is_file()), None), data):
             write_atomic(path, data)
         with contextlib.suppress(OSError):  # some file systems have no permissions, and nothing depends on them
             path.chmod(0o444)
@@ -201,7 +201,7 @@ class UnfinishedRun:
         """
         write_atomic(self.paths.report, report.encode(errors="backslashreplace"))
         write_atomic(self.paths.log, log_of(events))
-        write_atomic(self.paths.record, dump_with_checksum(_OF, record.to_json(), in_lines=True))
+        write_atomic(self.paths.record, dump_with_checksum(_IDENTITY, record.to_json(), in_lines=True))
         write_atomic(self.paths.metrics, metrics.encode(errors="backslashreplace"))
         final = self.work.run(self.name)
         self.paths.folder.rename(final.folder)
@@ -218,14 +218,14 @@ class UnfinishedRun:
 def update_links(work: WorkFolder) -> None:
     """Point each link to the newest run that it may show.  Called after a run is published, and before the next run, in case the
     process was killed in between.  Raises OSError."""
-    may_show: dict[Path, Callable[[RunFolder], bool]] = {work.latest: lambda run: True, work.latest_good: RunFolder.is_good}
+    conditions: dict[Path, Callable[[RunFolder], bool]] = {work.latest: lambda run: True, work.latest_good: RunFolder.is_good}
     runs = [RunFolder(work.run(name)) for name in reversed(work.run_ids())]
-    for link, suits in may_show.items():
-        shown = work.link_target(link)
+    for link, may_point_to in conditions.items():
+        target = work.link_target(link)
         for run in runs:
-            if run.id == shown:
+            if run.id == target:
                 break
-            if suits(run):
+            if may_point_to(run):
                 work.turn(link, run.id)
                 break
 
@@ -248,12 +248,12 @@ def newest_runs(work: WorkFolder, before: str = "", after: str = "") -> Iterator
 
 def last_of_nights(runs: Iterable[tuple[RunFolder, RunRecord]], most: int = sys.maxsize) -> list[RunRecord]:
     """Return the last run of each of the `most` latest nights, in order of date.  runs: newest first."""
-    found: dict[str, RunRecord] = {}
+    by_date: dict[str, RunRecord] = {}
     for _, record in runs:
-        found.setdefault(record.date, record)
-        if len(found) == most:
+        by_date.setdefault(record.date, record)
+        if len(by_date) == most:
             break
-    return [record for _, record in sorted(found.items())]
+    return [record for _, record in sorted(by_date.items())]
 
 
 @contextlib.contextmanager
@@ -293,27 +293,27 @@ def new_run(work: WorkFolder) -> tuple[str, datetime.datetime]:
     """
     now = datetime.datetime.now(datetime.UTC).replace(microsecond=0)
     newest = max((moment for name in work.run_ids() if (moment := started_by(name))), default=None)
-    free = now if newest is None else max(now, newest + datetime.timedelta(seconds=1))
-    while work.run(run_id(free)).folder.exists():
-        free += datetime.timedelta(seconds=1)
-    return run_id(free), now
+    free_second = now if newest is None else max(now, newest + datetime.timedelta(seconds=1))
+    while work.run(run_id(free_second)).folder.exists():
+        free_second += datetime.timedelta(seconds=1)
+    return run_id(free_second), now
 
 
 @functools.lru_cache(maxsize=32)
-def _read(path: Path, stamp: tuple[int, int, int]) -> RunRecord:
+def _read_record(path: Path, stamp: tuple[int, int, int]) -> RunRecord:
     """Return a record, cached because verdict, health and report read the same earlier nights."""
-    return RunRecord.from_json(_entries(read_untrusted(path)))
+    return RunRecord.from_json(_record_entries(read_untrusted(path)))
 
 
-def _entries(data: bytes) -> dict[str, Any]:
+def _record_entries(data: bytes) -> dict[str, Any]:
     """Return the entries of run.json, which has no checksum in earlier versions.  Raises ValueError, AttributeError."""
     try:
-        return checked(data, _OF)
+        return checked(data, _IDENTITY)
     except NoChecksum:
-        found: dict[str, Any] = json.loads(data)
-        if found.get("of") == _OF:
+        entries: dict[str, Any] = json.loads(data)
+        if entries.get("of") == _IDENTITY:
             raise
-        return found
+        return entries
 
 
 def log_of(events: Iterable[Event]) -> bytes:
