@@ -37,7 +37,7 @@ TRIES = 3
 _BETWEEN_TRIES, _LEAD = 2.0, 2.0
 """Seconds of pause before a failed camera is tried again, and of lead time before the first picture, to connect."""
 _SECONDS_OF_AN_HOUR = 3600
-_MOST_OFF = 60.0
+_MOST_CLOCK_ERROR = 60.0
 """If a camera's clock differs from this machine's by more seconds than this, its times are not used."""
 PATIENCE = 15.0
 """Timeout of a camera's answer, seconds."""
@@ -45,7 +45,7 @@ LARGEST = 100_000_000
 """Largest picture that is read, bytes."""
 _STREAM = "wbflow_stages.capture.stream:stream_pictures"
 _STILL_SECONDS = 0.5
-_COMPLETE = {b"\xff\xd8": b"\xff\xd9", b"\x89P": b"IEND\xaeB`\x82"}
+_END_MARKERS = {b"\xff\xd8": b"\xff\xd9", b"\x89P": b"IEND\xaeB`\x82"}
 """By the first two bytes of a file (JPEG, PNG): the bytes at the end of a complete one."""
 
 
@@ -73,7 +73,7 @@ class Taken:
     own_clock: bool = True
     """Are all times from the camera's own clock?"""
     off: float = 0.0
-    """Seconds by which its clock is ahead of this machine's, if by more than `_MOST_OFF`; else 0."""
+    """Seconds by which its clock is ahead of this machine's, if by more than `_MOST_CLOCK_ERROR`; else 0."""
 
     def __str__(self) -> str:
         off = datetime.timedelta(seconds=round(abs(self.off)))
@@ -104,9 +104,9 @@ def capture(site: Site, listen: Callable[[Taken], None] = lambda taken: None) ->
     def take(camera: str) -> Taken:
         taken = Taken(camera, len(moments))
         login = logins.get(camera) or logins.get("*")
-        work = functools.partial(_take, site, taken, urls[camera], login, moments)
+        call = functools.partial(_take, site, taken, urls[camera], login, moments)
         try:
-            answered(work, moments[-1] - time.time() + TRIES * (PATIENCE + _BETWEEN_TRIES))
+            answered(call, moments[-1] - time.time() + TRIES * (PATIENCE + _BETWEEN_TRIES))
         except TimeoutError:
             taken.fault = "did not complete its response in time"
         except (OSError, ValueError) as error:
@@ -133,12 +133,12 @@ def _take(site: Site, taken: Taken, url: str, login: Login | None, moments: list
 
 
 def _write(site: Site, taken: Taken, shot: Shot) -> None:
-    (data, at), now = shot, time.time()
-    off = 0.0 if at is None else at - now
-    believed = at is not None and abs(off) <= _MOST_OFF
-    taken.own_clock = taken.own_clock and believed
-    taken.off = taken.off if believed else off
-    moment = at if believed and at is not None else now
+    (data, camera_time), now = shot, time.time()
+    off = 0.0 if camera_time is None else camera_time - now
+    accepted = camera_time is not None and abs(off) <= _MOST_CLOCK_ERROR
+    taken.own_clock = taken.own_clock and accepted
+    taken.off = taken.off if accepted else off
+    moment = camera_time if accepted and camera_time is not None else now
     path = _free_name(site, taken.camera, site.local(moment))
     write_atomic(path, data)
     os.utime(path, (moment, moment))
@@ -169,10 +169,10 @@ def _check_names(site: Site, camera: str, moments: list[float]) -> None:
 
 def _logins(site: Site) -> dict[str, Login]:
     """Read user and password by camera; "*" is for all others."""
-    named = site.settings.captures.credentials or os.environ.get(CREDENTIALS)
-    if not named:
+    file_name = site.settings.captures.credentials or os.environ.get(CREDENTIALS)
+    if not file_name:
         return {}
-    path = site.file.parent / named
+    path = site.file.parent / file_name
     remedy = "a line for each camera, or '*' for all:  gate: {user: viewer, password: secret}"
     try:
         data = yaml.safe_load(read_untrusted(path, MOST_TEXT_BYTES))
@@ -189,9 +189,9 @@ def shots(url: str, login: Login | None, moments: Sequence[float]) -> Iterator[S
         if url.startswith("rtsp"):
             yield from load(_STREAM)(_with_login(url, login), moments, PATIENCE)
         elif url.startswith("file:"):
-            yield from _of_folder(Path(urllib.parse.unquote(url.partition("://")[2])), moments)
+            yield from _folder_shots(Path(urllib.parse.unquote(url.partition("://")[2])), moments)
         else:
-            yield from _of_server(url, login, moments)
+            yield from _server_shots(url, login, moments)
     except urllib.error.HTTPError as error:
         why = f"{error.code} {error.reason}"
         raise CaptureFailed(
@@ -200,9 +200,9 @@ def shots(url: str, login: Login | None, moments: Sequence[float]) -> Iterator[S
     except TimeoutError:
         raise CaptureFailed(f"does not answer within {PATIENCE:.0f} s") from None
     except urllib.error.URLError as error:
-        late = isinstance(error.reason, TimeoutError)
+        timed_out = isinstance(error.reason, TimeoutError)
         raise CaptureFailed(
-            f"does not answer within {PATIENCE:.0f} s" if late else f"cannot be reached: {error.reason}"
+            f"does not answer within {PATIENCE:.0f} s" if timed_out else f"cannot be reached: {error.reason}"
         ) from None
     except http.client.IncompleteRead as error:
         raise CaptureFailed(f"sent an incomplete picture ({len(error.partial):,} bytes)") from None
@@ -210,60 +210,60 @@ def shots(url: str, login: Login | None, moments: Sequence[float]) -> Iterator[S
         raise CaptureFailed(str(error) or type(error).__name__) from None
 
 
-def _of_server(url: str, login: Login | None, moments: Sequence[float]) -> Iterator[Shot]:
+def _server_shots(url: str, login: Login | None, moments: Sequence[float]) -> Iterator[Shot]:
     """Request each picture, or read all of them from one endless response (Motion JPEG)."""
     opener = urllib.request.build_opener()
     if login:
-        known = urllib.request.HTTPPasswordMgrWithDefaultRealm()
-        known.add_password(None, url, *login)
-        opener.add_handler(urllib.request.HTTPBasicAuthHandler(known))
-        opener.add_handler(urllib.request.HTTPDigestAuthHandler(known))
+        passwords = urllib.request.HTTPPasswordMgrWithDefaultRealm()
+        passwords.add_password(None, url, *login)
+        opener.add_handler(urllib.request.HTTPBasicAuthHandler(passwords))
+        opener.add_handler(urllib.request.HTTPDigestAuthHandler(passwords))
     for k, moment in enumerate(moments):
         _wait_until(moment)
-        with opener.open(url, timeout=PATIENCE) as answer:
-            if answer.headers.get_content_maintype() == "multipart":
-                yield from _of_parts(answer, moments[k:])
+        with opener.open(url, timeout=PATIENCE) as response:
+            if response.headers.get_content_maintype() == "multipart":
+                yield from _mjpeg_shots(response, moments[k:])
                 return
-            data = answer.read(LARGEST)
-            yield _whole(data), _date(answer.headers.get("Date"))
+            data = response.read(LARGEST)
+            yield _checked(data), _parse_date(response.headers.get("Date"))
 
 
-def _of_parts(answer: IO[bytes], moments: Sequence[float]) -> Iterator[Shot]:
+def _mjpeg_shots(response: IO[bytes], moments: Sequence[float]) -> Iterator[Shot]:
     """Read Motion JPEG: parts with a header each; yield the first part at or after each moment."""
-    due = iter(moments)
-    moment = next(due, None)
+    remaining = iter(moments)
+    moment = next(remaining, None)
     while moment is not None:
-        head = http.client.parse_headers(_SkipToHead(answer))
-        length = head.get("Content-Length", "")
-        data = answer.read(min(int(length), LARGEST)) if length.isdecimal() else _until_end(answer)
+        headers = http.client.parse_headers(_SkipToHead(response))
+        length = headers.get("Content-Length", "")
+        data = response.read(min(int(length), LARGEST)) if length.isdecimal() else _read_until_end(response)
         if not data:
             raise OSError("the camera closed the connection")
         if time.time() < moment:
             continue
-        stamp = head.get("X-Timestamp", "")
-        yield _whole(data), float(stamp) if re.fullmatch(r"\d+(\.\d+)?", stamp) else _date(head.get("Date"))
-        moment = next(due, None)
+        stamp = headers.get("X-Timestamp", "")
+        yield _checked(data), float(stamp) if re.fullmatch(r"\d+(\.\d+)?", stamp) else _parse_date(headers.get("Date"))
+        moment = next(remaining, None)
 
 
 class _SkipToHead:
     """The header lines of a multipart part, without what precedes them."""
 
     def __init__(self, answer: IO[bytes]) -> None:
-        self._answer = answer
-        self._within = False
+        self._response = answer
+        self._past_boundary = False
 
     def readline(self, most: int = -1) -> bytes:
-        line = self._answer.readline(most)
-        while line and not self._within:
-            self._within = line.startswith(b"--")
-            line = self._answer.readline(most)
+        line = self._response.readline(most)
+        while line and not self._past_boundary:
+            self._past_boundary = line.startswith(b"--")
+            line = self._response.readline(most)
         return line
 
 
-def _until_end(answer: IO[bytes]) -> bytes:
+def _read_until_end(response: IO[bytes]) -> bytes:
     """Read a JPEG file of unknown length."""
     data = bytearray()
-    while len(data) < LARGEST and (line := answer.readline()):
+    while len(data) < LARGEST and (line := response.readline()):
         data += line
         end = data.rfind(b"\xff\xd9")
         if end >= 0 and data[end + 2 :].strip(b"\r\n") == b"":
@@ -271,34 +271,34 @@ def _until_end(answer: IO[bytes]) -> bytes:
     return bytes(data)
 
 
-def _of_folder(folder: Path, moments: Sequence[float]) -> Iterator[Shot]:
+def _folder_shots(folder: Path, moments: Sequence[float]) -> Iterator[Shot]:
     """Yield at each moment the newest file that arrives in a folder from now on; give up `PATIENCE` s after the last moment."""
-    begun, used = time.time(), set[Path]()
+    start, used = time.time(), set[Path]()
     for moment in moments:
         while True:
             _wait_until(moment)
-            new = [path for path in folder.iterdir() if path.is_file() and path not in used and path.stat().st_mtime >= begun - 1]
+            new = [path for path in folder.iterdir() if path.is_file() and path not in used and path.stat().st_mtime >= start - 1]
             latest = max(new, key=lambda path: path.stat().st_mtime, default=None)
             if latest and time.time() - latest.stat().st_mtime > _STILL_SECONDS:  # the camera has finished writing it
                 used.add(latest)
-                yield _whole(read_untrusted(latest)), latest.stat().st_mtime
+                yield _checked(read_untrusted(latest)), latest.stat().st_mtime
                 break
             if time.time() > moments[-1] + PATIENCE:
                 raise OSError(f"nothing new arrives in {folder}")
             time.sleep(_STILL_SECONDS)
 
 
-def _whole(data: bytes) -> bytes:
+def _checked(data: bytes) -> bytes:
     """Return a picture's bytes unchanged.  Raises OSError if the end is missing, or if it is neither JPEG nor PNG."""
-    ends = _COMPLETE.get(data[:2])
-    if ends is None:
+    end_marker = _END_MARKERS.get(data[:2])
+    if end_marker is None:
         raise OSError(f"sends something else than a picture ({len(data):,} bytes)" if data else "sends an empty picture")
-    if ends not in data[-4096:]:
+    if end_marker not in data[-4096:]:
         raise OSError(f"sent an incomplete picture ({len(data):,} bytes)")
     return data
 
 
-def _date(text: str | None) -> float | None:
+def _parse_date(text: str | None) -> float | None:
     try:
         return email.utils.parsedate_to_datetime(text).timestamp() if text else None
     except ValueError:
@@ -308,9 +308,9 @@ def _date(text: str | None) -> float | None:
 def _with_login(url: str, login: Login | None) -> str:
     if login is None:
         return url
-    scheme, _, rest = url.partition("://")
-    user, password = (urllib.parse.quote(word, safe="") for word in login)
-    return f"{scheme}://{user}:{password}@{rest}"
+    scheme, _, address = url.partition("://")
+    user, password = (urllib.parse.quote(part, safe="") for part in login)
+    return f"{scheme}://{user}:{password}@{address}"
 
 
 def _wait_until(moment: float) -> None:

@@ -25,8 +25,8 @@ class JsonDataclass:
     def from_json(cls, data: Any) -> Self:
         """Return the dataclass with these fields.  Raises ValueError if the data does not fit."""
         kind: Any = cls
-        made: Self = _adapter(kind).validate_python(data)
-        return made
+        result: Self = _adapter(kind).validate_python(data)
+        return result
 
 
 class FlatJsonDataclass(JsonDataclass):

@@ -8,18 +8,18 @@ Subject = tuple[str, ...]
 """What a task works on: () for the site, (camera,) or (left, right).  If a camera is too wide for one pinhole camera, it is split
 into views, and each view counts as a camera here; texts for people name the camera (`camera_of`)."""
 
-_VIEW = "@"
+_VIEW_SEPARATOR = "@"
 """Separates a camera's id, which cannot contain it, from the number of one of its views."""
 
 
 def view_name(camera: str, number: int) -> str:
     """The name, as a subject, of one view of a camera that has several: gate@1 is the first view of gate."""
-    return f"{camera}{_VIEW}{number}"
+    return f"{camera}{_VIEW_SEPARATOR}{number}"
 
 
 def camera_of(view: str) -> str:
     """The id of a view's camera; most cameras have a single view, which has the camera's id."""
-    return view.partition(_VIEW)[0]
+    return view.partition(_VIEW_SEPARATOR)[0]
 
 
 class Task(NamedTuple):

@@ -9,7 +9,7 @@ LONGEST = 500
 """Longest reason or name from outside, in characters."""
 LONGEST_TRACE = 8000
 """Longest traceback, in characters."""
-_UNFIT = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u200e\u200f\u2028-\u202e\u2066-\u2069\ud800-\udfff]")
+_UNPRINTABLE = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u200e\u200f\u2028-\u202e\u2066-\u2069\ud800-\udfff]")
 """Characters to escape: controls other than newline and tab, line separators and bidirectional marks, and lone surrogates."""
 
 
@@ -23,7 +23,7 @@ def printable(text: object, most: int = LONGEST) -> str:
     if len(words) > most:
         half = most // 2
         words = f"{words[:half]} ... ({len(words):,} characters) ... {words[-half:]}"
-    return words if words.isprintable() else _UNFIT.sub(_escaped, words)
+    return words if words.isprintable() else _UNPRINTABLE.sub(_escape, words)
 
 
 def counted(number: float, thing: str) -> str:
@@ -33,10 +33,10 @@ def counted(number: float, thing: str) -> str:
 
 def bytes_of(text: str) -> int:
     """Parse a size such as 4GB, 1.5G, 800 MB or 2GiB into bytes.  Raises ValueError."""
-    found = re.fullmatch(r"\s*(\d+(?:\.\d+)?)\s*([KMGT]?)(i?)B?\s*", text, re.IGNORECASE)
-    if not found or not float(found[1]):
+    match = re.fullmatch(r"\s*(\d+(?:\.\d+)?)\s*([KMGT]?)(i?)B?\s*", text, re.IGNORECASE)
+    if not match or not float(match[1]):
         raise ValueError(f"{text!r} is not a size; write for example 50GB or 800MB")
-    return int(float(found[1]) * (1024 if found[3] else 1000) ** " KMGT".index(found[2].upper() or " "))
+    return int(float(match[1]) * (1024 if match[3] else 1000) ** " KMGT".index(match[2].upper() or " "))
 
 
 def format_size(size: float) -> str:
@@ -71,8 +71,8 @@ def number(value: float) -> str:
     return f"{value:.3g}"
 
 
-def _escaped(found: re.Match[str]) -> str:
-    code = ord(found.group())
+def _escape(match: re.Match[str]) -> str:
+    code = ord(match.group())
     if 0xDC80 <= code <= 0xDCFF:  # an undecodable byte of a file name (PEP 383)
         return f"\\x{code - 0xDC00:02x}"
     return f"\\x{code:02x}" if code < 0x100 else f"\\u{code:04x}"

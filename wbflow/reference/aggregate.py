@@ -37,62 +37,62 @@ def aggregate_nights(work: WorkFolder, reference: Reference, site: Site) -> dict
     The caller holds the lock.  Raises CannotPin if too few nights were compared with the reference; OSError.
     """
     cache = Cache(work)
-    nights = _nights(work, reference)
-    made: dict[Task, tuple[Receipt, int]] = {}
-    then = _reference_s_night(cache, reference, site)
+    nights = _keys_by_night(work, reference)
+    pooled: dict[Task, tuple[Receipt, int]] = {}
+    reference_plan = _reference_plan(cache, reference, site)
     for stage in (stage for stage in STAGES if stage.reuse.aggregate):
-        for subject in _poor(cache, reference, stage) if stage.scope == "pair" else [(camera,) for camera in reference.placed]:
+        for subject in _rejected_pairs(cache, reference, stage) if stage.scope == "pair" else [(c,) for c in reference.placed]:
             task = Task(stage.name, subject)
-            receipts = _alike(cache, reference, stage, task, nights)
-            if len(receipts) < FEWEST_NIGHTS or not (receipt := _aggregate(cache, stage, task, receipts, site.reader)):
+            receipts = _comparable_receipts(cache, reference, stage, task, nights)
+            if len(receipts) < FEWEST_NIGHTS or not (receipt := _pool(cache, stage, task, receipts, site.reader)):
                 continue
-            more = _made_of(receipt, stage, then) if stage.scope == "pair" else []
-            if more is not None:
-                made |= {one.preimage.task: (one, len(receipts)) for one in (receipt, *more)}
-    if not made:
+            derived = _derived_results(receipt, stage, reference_plan) if stage.scope == "pair" else []
+            if derived is not None:
+                pooled |= {result.preimage.task: (result, len(receipts)) for result in (receipt, *derived)}
+    if not pooled:
         remedy = "a few more nights, and again: wbflow history SITE.yaml lists them"
         raise CannotPin(
             f"fewer than {FEWEST_NIGHTS} nights have measured the same from the cameras' present places", remedy=remedy
         )
-    new = {task: PinnedArtifact(task, receipt.key, receipt.outcome, receipt.digest) for task, (receipt, _) in made.items()}
-    better = dataclasses.replace(reference, artifacts={**reference.artifacts, **new})
-    kept = [cache.by_key(task, pinned.key) for task, pinned in better.artifacts.items()]
-    write_reference(cache, better, [receipt for receipt in kept if receipt])
+    results = {task: PinnedArtifact(task, receipt.key, receipt.outcome, receipt.digest) for task, (receipt, _) in pooled.items()}
+    updated = dataclasses.replace(reference, artifacts={**reference.artifacts, **results})
+    all_receipts = [cache.by_key(task, pinned.key) for task, pinned in updated.artifacts.items()]
+    write_reference(cache, updated, [receipt for receipt in all_receipts if receipt])
     site.reader.save()
-    return {task: count for task, (_, count) in made.items()}
+    return {task: count for task, (_, count) in pooled.items()}
 
 
-def _nights(work: WorkFolder, reference: Reference) -> dict[str, dict[Task, str]]:
+def _keys_by_night(work: WorkFolder, reference: Reference) -> dict[str, dict[Task, str]]:
     """Cache keys of the newest run of each night, by date and task, for cameras that had not moved."""
-    found: dict[str, dict[Task, str]] = {}
+    nights: dict[str, dict[Task, str]] = {}
     for folder, record in newest_runs(work):
-        if reference.run not in {folder.id, record.reference} or record.date in found:
+        if reference.run not in {folder.id, record.reference} or record.date in nights:
             continue
-        still = {camera.id for camera in record.cameras if camera.health is None or camera.health.ok}
+        unmoved = {camera.id for camera in record.cameras if camera.health is None or camera.health.ok}
         try:
             tasks = folder.tasks()
         except NoSuchRun:  # do without this night
             continue
-        used = {task: event.key for task, event in tasks.items() if event.usable and event.key and task.subject}
-        found[record.date] = {task: key for task, key in used.items() if set(map(camera_of, task.subject)) <= still}
-        if folder.id == reference.run or len(found) == MOST_NIGHTS:
+        keys = {task: event.key for task, event in tasks.items() if event.usable and event.key and task.subject}
+        nights[record.date] = {task: key for task, key in keys.items() if set(map(camera_of, task.subject)) <= unmoved}
+        if folder.id == reference.run or len(nights) == MOST_NIGHTS:
             break
-    return dict(sorted(found.items()))
+    return dict(sorted(nights.items()))
 
 
-def _poor(cache: Cache, reference: Reference, stage: Stage) -> list[Subject]:
+def _rejected_pairs(cache: Cache, reference: Reference, stage: Stage) -> list[Subject]:
     """The pairs that the reference's own night rejected with one of the codes `too_little`."""
-    of_pairs = {stage.name, *(other.name for other in _resting_on(stage))}
-    rejected = [pinned for task, pinned in reference.artifacts.items() if pinned.outcome == "rejected" and task.stage in of_pairs]
+    names = {stage.name, *(dependent.name for dependent in _dependents(stage))}
+    rejected = [pinned for task, pinned in reference.artifacts.items() if pinned.outcome == "rejected" and task.stage in names]
     codes = {pinned.task.subject: receipt.code for pinned in rejected if (receipt := cache.by_key(pinned.task, pinned.key))}
     return [subject for subject, code in codes.items() if code in stage.reuse.too_little]
 
 
-def _resting_on(stage: Stage) -> list[Stage]:
+def _dependents(stage: Stage) -> list[Stage]:
     return [other for other in STAGES if other.scope == "pair" and stage.name in other.needed()]
 
 
-def _reference_s_night(cache: Cache, reference: Reference, site: Site) -> Plan:
+def _reference_plan(cache: Cache, reference: Reference, site: Site) -> Plan:
     """A plan of the reference's night in which all stored results are committed."""
     plan = Plan(site, {}, reference.date, cache)
     for task, pinned in reference.artifacts.items():
@@ -101,47 +101,47 @@ def _reference_s_night(cache: Cache, reference: Reference, site: Site) -> Plan:
     return plan
 
 
-def _made_of(aggregated: Receipt, stage: Stage, then: Plan) -> list[Receipt] | None:
+def _derived_results(aggregated: Receipt, stage: Stage, plan: Plan) -> list[Receipt] | None:
     """Run the pair stages that need a pooled result, with other inputs of the reference's night; None if one yields nothing."""
     pair = aggregated.preimage.task.subject
-    then.commit(aggregated.preimage.task, cached_state(aggregated))
+    plan.commit(aggregated.preimage.task, cached_state(aggregated))
     try:
-        done = [done for other in _resting_on(stage) for done in run_chain([then.spec_of(Task(other.name, pair))], then.cache)]
+        done = [done for other in _dependents(stage) for done in run_chain([plan.spec_of(Task(other.name, pair))], plan.cache)]
     except (Waiting, Impossible):
         return None
-    made = [one.state.receipt for one in done if one.state.receipt and one.state.receipt.outcome == "ran"]
-    return made if len(made) == len(done) else None
+    receipts = [ended.state.receipt for ended in done if ended.state.receipt and ended.state.receipt.outcome == "ran"]
+    return receipts if len(receipts) == len(done) else None
 
 
-def _alike(
+def _comparable_receipts(
     cache: Cache, reference: Reference, stage: Stage, task: Task, nights: Mapping[str, Mapping[Task, str]]
 ) -> dict[str, Receipt]:
     """A task's receipts by night, if they rest on the poses of the reference; a result that nights share counts once."""
-    same = [n for n, source in stage.inputs.items() if (source.kind, source.name, source.of) == ("stage", POSES, "own")]
+    pose_inputs = [n for n, source in stage.inputs.items() if (source.kind, source.name, source.of) == ("stage", POSES, "own")]
     pinned = reference.artifacts.get(task)
-    base = cache.by_key(task, pinned.key) if pinned else None
-    own = {keys[task]: date for date, keys in nights.items() if task in keys}
-    found = {date: cache.by_key(task, key) for key, date in own.items()}
+    pinned_receipt = cache.by_key(task, pinned.key) if pinned else None
+    date_of_key = {keys[task]: date for date, keys in nights.items() if task in keys}
+    receipts = {date: cache.by_key(task, key) for key, date in date_of_key.items()}
     return {
         date: receipt
-        for date, receipt in found.items()
+        for date, receipt in receipts.items()
         if receipt
-        and base
+        and pinned_receipt
         and receipt.preimage.function != stage.reuse.aggregate
-        and all(receipt.preimage.inputs.get(n) == base.preimage.inputs.get(n) for n in same)
+        and all(receipt.preimage.inputs.get(n) == pinned_receipt.preimage.inputs.get(n) for n in pose_inputs)
     }
 
 
-def _aggregate(cache: Cache, stage: Stage, task: Task, receipts: Mapping[str, Receipt], reader: FunctionReader) -> Receipt | None:
+def _pool(cache: Cache, stage: Stage, task: Task, receipts: Mapping[str, Receipt], reader: FunctionReader) -> Receipt | None:
     """Pool the results of nights, and store the result in the cache; None if one of them is damaged."""
     function = reader.read(stage.reuse.aggregate)
-    any_one = next(iter(receipts.values()))
-    own = {name: digest for name, digest in any_one.preimage.inputs.items() if name in stage.inputs}
-    inputs = {**own, **{f"night {date}": receipt.digest for date, receipt in receipts.items()}}
-    preimage = Preimage(task.stage, task.subject, function.dotted, function.code, any_one.preimage.parameters, inputs)
+    first = next(iter(receipts.values()))
+    stage_inputs = {name: digest for name, digest in first.preimage.inputs.items() if name in stage.inputs}
+    inputs = {**stage_inputs, **{f"night {date}": receipt.digest for date, receipt in receipts.items()}}
+    preimage = Preimage(task.stage, task.subject, function.dotted, function.code, first.preimage.parameters, inputs)
     key = preimage.key()
-    if known := cache.by_key(task, key):
-        return known
+    if existing := cache.by_key(task, key):
+        return existing
     try:
         result = load(function.dotted)({date: cache.load(task, receipt) for date, receipt in receipts.items()})
     except DamagedArtifact:

@@ -32,48 +32,48 @@ def incompatibility(reference: Reference, plan: Plan) -> str:
     """
     site = plan.site
     ids = {camera.id for camera in site.cameras}
-    if other := sorted(ids ^ set(reference.cameras)):
-        return f"cameras have come or gone since it was pinned: {', '.join(other)}"
+    if differing := sorted(ids ^ set(reference.cameras)):
+        return f"cameras have come or gone since it was pinned: {', '.join(differing)}"
     for stage in plan.stages:
         if not (stage.reuse.shifted or stage.name == FRAMES):
             continue
-        bound = plan.bound(stage)
+        binding = plan.bound(stage)
         files = {
-            name: plan.named.get(file_of_stage(stage.name, name)) for name, need in bound.inputs.items() if need.kind == "file"
+            name: plan.named.get(file_of_stage(stage.name, name)) for name, need in binding.inputs.items() if need.kind == "file"
         }
         tasks = [task for task in reference.artifacts if task.stage == stage.name]
         for task in tasks if stage.scope == "camera" else tasks[:1]:
             receipt = plan.cache.by_key(task, reference.artifacts[task].key)
-            if receipt and (why := _changed(receipt, stage, site, bound, plan.settings(stage, task))):
-                return f"it was pinned with other settings: {why}"
+            if receipt and (change := _settings_change(receipt, stage, site, binding, plan.settings(stage, task))):
+                return f"it was pinned with other settings: {change}"
             for name, file in files.items():
                 if receipt and file and receipt.preimage.inputs.get(name) != Files((file,)).digest():
                     return f"it was pinned with another {name} in {stage.name}"
     return ""
 
 
-def _changed(receipt: Receipt, stage: Stage, site: Site, bound: Binding, settings: Mapping[str, Any]) -> str:
-    then, task = receipt.preimage, receipt.preimage.task
-    if any(isinstance(how, Adapt) and how.function == then.function for how in (stage.reuse.shifted, stage.reuse.moved)):
+def _settings_change(receipt: Receipt, stage: Stage, site: Site, binding: Binding, settings: Mapping[str, Any]) -> str:
+    pinned, task = receipt.preimage, receipt.preimage.task
+    if any(isinstance(rule, Adapt) and rule.function == pinned.function for rule in (stage.reuse.shifted, stage.reuse.moved)):
         return ""  # it was derived from the result of an earlier reference
-    if then.function not in {bound.function.dotted, stage.reuse.aggregate}:
-        return f"{stage.name}: function {then.function} → {bound.function.dotted}"
-    now = {**bound.defaults(), **settings}
-    for name, value in now.items():
-        new = name not in then.parameters
-        if (new and name in settings) or (not new and json.dumps(value) != json.dumps(then.parameters[name])):
-            return f"parameter {stage.name}.{name} {then.parameters.get(name)} → {value}"
-    for name, need in bound.inputs.items():
+    if pinned.function not in {binding.function.dotted, stage.reuse.aggregate}:
+        return f"{stage.name}: function {pinned.function} → {binding.function.dotted}"
+    current = {**binding.defaults(), **settings}
+    for name, value in current.items():
+        is_new = name not in pinned.parameters
+        if (is_new and name in settings) or (not is_new and json.dumps(value) != json.dumps(pinned.parameters[name])):
+            return f"parameter {stage.name}.{name} {pinned.parameters.get(name)} → {value}"
+    for name, need in binding.inputs.items():
         if need.kind == "site" and need.name in _COMPARED:
-            now_given: Value | Joined
+            site_value: Value | Joined
             if need.of == "every" or need.name == "survey":
-                now_given = site_inputs(site, need.name)
+                site_value = site_inputs(site, need.name)
             elif view := next((view for view in site.views if view.id == task.subject[0]), None):
-                now_given = site_input(view, need.name)
+                site_value = site_input(view, need.name)
             else:
                 return f"the views of camera {camera_of(task.subject[0])}"
-            for entry, digest in input_digests({name: now_given}).items():
-                if then.inputs.get(entry) != digest:
+            for entry, digest in input_digests({name: site_value}).items():
+                if pinned.inputs.get(entry) != digest:
                     return f"what the site file says of {entry}"
     return ""
 
@@ -93,67 +93,67 @@ def calibration_change(pinned: Mapping[str, Mapping[str, Any]], site: Site) -> s
     standard deviations were refined by the pinned run, and are not compared.
     """
     lenses = {c.id: (c.lens, pinned[c.id]) for c in site.cameras if c.lens.K is not None and pinned.get(c.id, {}).get("K")}
-    focals = {name: share for name, (lens, then) in lenses.items() if abs(share := _longer(lens, then)) > LEAST_FOCAL}
-    borders = {name: share for name, (lens, then) in lenses.items() if (share := _bent(lens, then)) > LEAST_BORDER}
-    found = []
+    focals = {name: share for name, (lens, old) in lenses.items() if abs(share := _focal_change(lens, old)) > LEAST_FOCAL}
+    borders = {name: share for name, (lens, old) in lenses.items() if (share := _corner_shift(lens, old)) > LEAST_BORDER}
+    texts = []
     if focals:
         least, most = 100 * min(focals.values()), 100 * max(focals.values())
-        by = f"{most:+.1f} %" if most - least < 0.1 else f"{least:+.1f} to {most:+.1f} %"
-        found.append(f"focal lengths of {_named(focals, site)} by {by}")
+        amount = f"{most:+.1f} %" if most - least < 0.1 else f"{least:+.1f} to {most:+.1f} %"
+        texts.append(f"focal lengths of {_names_of(focals, site)} by {amount}")
     if borders:
-        out = " (there is none any more)" if not any(any(lenses[name][0].distortion) for name in borders) else ""
-        found.append(f"distortion of {_named(borders, site)} by up to {100 * max(borders.values()):.1f} % of the width{out}")
+        note = " (there is none any more)" if not any(any(lenses[name][0].distortion) for name in borders) else ""
+        texts.append(f"distortion of {_names_of(borders, site)} by up to {100 * max(borders.values()):.1f} % of the width{note}")
     exact = {c.id: c.placement for c in site.cameras if max(c.placement.sigma_m, c.placement.sigma_deg) == 0}
     posed = {name: place for name, place in exact.items() if place.R and place.C and pinned.get(name, {}).get("R")}
-    before = {name: (pinned[name]["R"], pinned[name]["C"]) for name in posed}
-    turned, moved = _poses_apart(before, {name: (place.R, place.C) for name, place in posed.items()})
-    if turned > LEAST_DEG or moved > LEAST_DISTANCE:
-        found.append(f"poses by up to {turned:.1f} degrees and {100 * moved:.1f} % of the distance between cameras")
-    return "; ".join(found)
+    old_poses = {name: (pinned[name]["R"], pinned[name]["C"]) for name in posed}
+    turn, shift = _pose_change(old_poses, {name: (place.R, place.C) for name, place in posed.items()})
+    if turn > LEAST_DEG or shift > LEAST_DISTANCE:
+        texts.append(f"poses by up to {turn:.1f} degrees and {100 * shift:.1f} % of the distance between cameras")
+    return "; ".join(texts)
 
 
-def _named(cameras: Mapping[str, float], site: Site) -> str:
+def _names_of(cameras: Mapping[str, float], site: Site) -> str:
     return "all cameras" if len(cameras) == len(site.cameras) else ", ".join(cameras)
 
 
-def _longer(lens: Lens, then: Mapping[str, Any]) -> float:
+def _focal_change(lens: Lens, old: Mapping[str, Any]) -> float:
     assert lens.K is not None
-    width, before = lens.width or then["width"], then["width"]
-    return float(lens.K[0][0]) / width / (float(then["K"][0][0]) / float(before)) - 1
+    width, old_width = lens.width or old["width"], old["width"]
+    return float(lens.K[0][0]) / width / (float(old["K"][0][0]) / float(old_width)) - 1
 
 
-def _bent(lens: Lens, then: Mapping[str, Any]) -> float:
+def _corner_shift(lens: Lens, old: Mapping[str, Any]) -> float:
     """Return how far the image corner moves, as a share of the width; 1 if the model or a non-Brown coefficient differs."""
-    K, width, height = then["K"], float(then["width"]), float(then["height"])
-    if lens.model != str(then.get("model") or "brown"):
+    K, width, height = old["K"], float(old["width"]), float(old["height"])
+    if lens.model != str(old.get("model") or "brown"):
         return 1.0
     if lens.model != "brown":
-        return float(list(lens.distortion) != list(then.get("distortion") or lens.distortion))
+        return float(list(lens.distortion) != list(old.get("distortion") or lens.distortion))
     radius = math.hypot(width, height) / 2 / float(K[0][0])
-    off = _radial(lens.distortion, radius) - _radial(then.get("distortion") or (), radius)
-    return abs(off) * float(K[0][0]) / width
+    shift = _radial_shift(lens.distortion, radius) - _radial_shift(old.get("distortion") or (), radius)
+    return abs(shift) * float(K[0][0]) / width
 
 
-def _radial(distortion: Sequence[float], radius: float) -> float:
+def _radial_shift(distortion: Sequence[float], radius: float) -> float:
     """Return the shift of a ray at a radius by the radial terms of k1 k2 p1 p2 k3, in units of the focal length."""
     k1, k2, _, _, k3 = [*distortion, 0.0, 0.0, 0.0, 0.0, 0.0][:5]
     return radius**3 * (k1 + radius**2 * (k2 + radius**2 * k3))
 
 
-def _poses_apart(before: Mapping[str, Any], now: Mapping[str, Any]) -> tuple[float, float]:
+def _pose_change(old_poses: Mapping[str, Any], new_poses: Mapping[str, Any]) -> tuple[float, float]:
     """Return the largest change between two cameras: of the relative rotation in degrees; of distance over the mean distance."""
-    pairs = list(combinations(now, 2))
+    pairs = list(combinations(new_poses, 2))
     if not pairs:
         return 0.0, 0.0
-    between = [[product(poses[b][0], [*zip(*poses[a][0], strict=True)]) for a, b in pairs] for poses in (before, now)]
-    turned = max(map(_degrees, *between))
-    lengths = [[math.dist(poses[a][1], poses[b][1]) for a, b in pairs] for poses in (before, now)]
-    means = [sum(each) / len(each) or 1.0 for each in lengths]
-    moved = max(abs(new / means[1] - old / means[0]) for old, new in zip(*lengths, strict=True)) if len(pairs) > 1 else 0.0
-    return turned, moved
+    rotations = [[product(poses[b][0], [*zip(*poses[a][0], strict=True)]) for a, b in pairs] for poses in (old_poses, new_poses)]
+    turn = max(map(_angle_between, *rotations))
+    lengths = [[math.dist(poses[a][1], poses[b][1]) for a, b in pairs] for poses in (old_poses, new_poses)]
+    means = [sum(distances) / len(distances) or 1.0 for distances in lengths]
+    change = max(abs(new / means[1] - old / means[0]) for old, new in zip(*lengths, strict=True)) if len(pairs) > 1 else 0.0
+    return turn, change
 
 
-def _degrees(one: list[list[float]], other: list[list[float]]) -> float:
+def _angle_between(first: list[list[float]], second: list[list[float]]) -> float:
     """Return the angle between two rotations, degrees."""
-    trace = sum(x * y for row, line in zip(one, other, strict=True) for x, y in zip(row, line, strict=True))
+    trace = sum(x * y for row_a, row_b in zip(first, second, strict=True) for x, y in zip(row_a, row_b, strict=True))
     return math.degrees(math.acos(max(-1.0, min(1.0, (trace - 1) / 2))))

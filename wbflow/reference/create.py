@@ -24,8 +24,8 @@ def pin(cache: Cache, run: RunFolder, automatic: bool = False) -> Reference:
     """
     record = run.record()
     if record.cloud is None:
-        why = record.reason or "the run was not meant to"
-        raise CannotPin(f"run {run.id} made no cloud: {why}", remedy="pin a run that did: wbflow history SITE.yaml")
+        reason = record.reason or "the run was not meant to"
+        raise CannotPin(f"run {run.id} made no cloud: {reason}", remedy="pin a run that did: wbflow history SITE.yaml")
     receipts = _receipts(cache, run)
     artifacts = {
         receipt.preimage.task: PinnedArtifact(receipt.preimage.task, receipt.key, receipt.outcome, receipt.digest)
@@ -51,20 +51,20 @@ def good_run(work: WorkFolder, name: str | None = None) -> RunFolder:
 
 def fit_to_pin(record: RunRecord) -> bool:
     """Is a run good enough to be pinned without being named?"""
-    known = record.verdict.acknowledged if record.verdict else ()
-    return record.exit_code == ExitCode.GOOD and record.cloud is not None and not known
+    acknowledged = record.verdict.acknowledged if record.verdict else ()
+    return record.exit_code == ExitCode.GOOD and record.cloud is not None and not acknowledged
 
 
 def _receipts(cache: Cache, run: RunFolder) -> list[Receipt]:
     """Receipts of all results and rejections of a run that the reference keeps."""
-    kept = {stage.name for stage in STAGES if stage.reuse.stored}
-    found = []
+    stored_stages = {stage.name for stage in STAGES if stage.reuse.stored}
+    receipts = []
     for task, event in run.tasks().items():
-        if task.stage not in kept or event.key is None:
+        if task.stage not in stored_stages or event.key is None:
             continue
         receipt = cache.by_key(task, event.key)
         if receipt is None:
             remedy = f"run its night again (wbflow run SITE.yaml --date {run.record().date}), and pin that run"
             raise CannotPin(f"the cache no longer holds '{task}' of run {run.id}", remedy=remedy)
-        found.append(receipt)
-    return found
+        receipts.append(receipt)
+    return receipts

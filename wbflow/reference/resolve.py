@@ -50,12 +50,12 @@ def shift_history(work: WorkFolder, night: str, reference: str) -> dict[str, dic
     """
     runs = islice(newest_runs(work, after=reference), MOST_RUNS)
     nights = last_of_nights((run for run in runs if run[1].date < night and run[1].reference == reference), MOST_NIGHTS)
-    found: dict[str, dict[str, list[float]]] = {}
+    history: dict[str, dict[str, list[float]]] = {}
     for camera in (camera for record in nights for camera in record.cameras):
         figures = camera.health.figures if camera.health else {}
         for name in SHIFTS if all(name in figures for name in SHIFTS) else ():
-            found.setdefault(camera.id, {}).setdefault(name, []).append(float(figures[name]))
-    return found
+            history.setdefault(camera.id, {}).setdefault(name, []).append(float(figures[name]))
+    return history
 
 
 @dataclass
@@ -70,7 +70,7 @@ class Resolver:
     """Views that show nothing of the site, as far as is known."""
     _own_frames: set[str] = field(default_factory=set, repr=False)
     """Views whose frame tonight is the reference's own (same cache key)."""
-    _enough: bool | None = field(default=None, repr=False)
+    _poses_suffice: bool | None = field(default=None, repr=False)
     """Are the poses of at least `FEWEST` cameras known from the reference?  None until the health of all is known."""
 
     def __post_init__(self) -> None:
@@ -81,26 +81,26 @@ class Resolver:
 
     def input(self, need: Source, task: Task) -> Input:
         """An input from the reference; absent if tonight's frames are the reference's own.  Raises Waiting."""
-        everywhere = need.of == "every"
+        of_every = need.of == "every"
         if self.plan.reference is None or self._own_frames.issuperset(task.subject or self.cameras):
-            return Joined({}) if everywhere else Absent()
+            return Joined({}) if of_every else Absent()
         origin = stage_named(need.name)
-        if everywhere and origin.scope != "site":
+        if of_every and origin.scope != "site":
             tasks = [t for t in self.plan.reference.artifacts if t.stage == origin.name]
-            found = {t.subject: self._stored(need, t, False) for t in tasks}
-            return Joined({subject: item for subject, item in found.items() if isinstance(item, Stored)})
-        whole = origin.scope != "site" or stage_named(task.stage).scope == "site"
+            stored = {t.subject: self._stored(need, t, False) for t in tasks}
+            return Joined({subject: item for subject, item in stored.items() if isinstance(item, Stored)})
+        whole_artifact = origin.scope != "site" or stage_named(task.stage).scope == "site"
         subject = subject_of(origin, need, task)
-        return self._stored(need, Task(origin.name, subject), not whole, task.subject)
+        return self._stored(need, Task(origin.name, subject), not whole_artifact, task.subject)
 
     def history_input(self, need: Source, task: Task) -> Input:
         """The shifts of a camera on earlier nights.  Raises Waiting."""
         if self.plan.reference is None or self._own_frames.issuperset(task.subject):
             return Absent()
-        return Value(SHIFTS_TYPE, self._past.get(camera_of(task.subject[0]), {}))
+        return Value(SHIFTS_TYPE, self._shift_history.get(camera_of(task.subject[0]), {}))
 
     @cached_property
-    def _past(self) -> dict[str, dict[str, list[float]]]:
+    def _shift_history(self) -> dict[str, dict[str, list[float]]]:
         reference = self.plan.reference
         return shift_history(self.plan.cache.work, self.plan.night, reference.run) if reference else {}
 
@@ -127,9 +127,9 @@ class Resolver:
         """The state of a view: its own if it shows nothing of the site, else that of its camera.  Raises Waiting."""
         if health := self.plan.stale.get(camera_of(camera)):
             return health.state
-        own = self._own_state(camera)
-        others = [self._own_state(view) for view in self._views_of(camera) if view != camera] if own not in USELESS else []
-        return next((state for state in (own, *others) if state not in USELESS | {"ok"}), own)
+        own_state = self._own_state(camera)
+        others = [self._own_state(view) for view in self._views_of(camera) if view != camera] if own_state not in USELESS else []
+        return next((state for state in (own_state, *others) if state not in USELESS | {"ok"}), own_state)
 
     def _own_state(self, view: str) -> str:
         """The state of a view, without that of other views of its camera.  Raises Waiting."""
@@ -147,11 +147,11 @@ class Resolver:
 
         Of several views, the first that shows the site and is not ok decides, else the first that shows it, else the first.
         """
-        if known := self.plan.stale.get(camera_of(camera)):
-            return known
-        found = [self._healths[view] for view in self._views_of(camera) if view in self._healths]
-        of_use = [health for health in found if health.state not in USELESS]
-        return next((health for health in of_use if not health.ok), next(iter(of_use or found), None))
+        if stale := self.plan.stale.get(camera_of(camera)):
+            return stale
+        healths = [self._healths[view] for view in self._views_of(camera) if view in self._healths]
+        useful = [health for health in healths if health.state not in USELESS]
+        return next((health for health in useful if not health.ok), next(iter(useful or healths), None))
 
     def _views_of(self, camera: str) -> Sequence[str]:
         """The views of a camera, or of the camera of a view; most cameras have one."""
@@ -159,10 +159,10 @@ class Resolver:
 
     @cached_property
     def _views(self) -> dict[str, list[str]]:
-        found: dict[str, list[str]] = {}
+        views: dict[str, list[str]] = {}
         for view in self.cameras:
-            found.setdefault(camera_of(view), []).append(view)
-        return found
+            views.setdefault(camera_of(view), []).append(view)
+        return views
 
     def useless(self) -> Set[str]:
         """The views that are known to show nothing of the site tonight."""
@@ -177,20 +177,20 @@ class Resolver:
         return because(frame, self.plan.states[frame])
 
     def task_ended(self, task: Task) -> None:
-        """Note the health of a camera, if a task that has ended found it."""
+        """Record the health of a camera, if the task that has ended determined it."""
         state = self.plan.states[task]
         if task.stage == HEALTH and state.usable:
             self._healths[task.subject[0]] = health = summary_of(state, HealthSummary)
             self._useless |= set(task.subject) if health.state in USELESS else set()
 
     def note_frame(self, subject: Subject, key: str) -> None:
-        """Note whether a camera's frame tonight, by its cache key, is the reference's own."""
+        """Record whether a camera's frame tonight, by its cache key, is the reference's own."""
         pinned = self.plan.reference.artifacts.get(Task(FRAMES, subject)) if self.plan.reference else None
         (self._own_frames.update if pinned and pinned.key == key else self._own_frames.difference_update)(subject)
 
     def artifact_lost(self, task: Task) -> None:
         """Handle a damaged artifact: if it is the reference's, restore it from its copy, or else drop it from the reference."""
-        self._enough = None
+        self._poses_suffice = None
         if task.stage == HEALTH:
             self._healths.pop(task.subject[0], None)
             if camera_of(task.subject[0]) not in self.plan.stale:
@@ -199,20 +199,20 @@ class Resolver:
         if reference and (pinned := reference.artifacts.get(task)) and not cache.by_key(task, pinned.key):
             if put_back(cache.work, pinned):
                 return
-            left = {t: p for t, p in reference.artifacts.items() if t != task}
-            self.plan.reference = dataclasses.replace(reference, artifacts=left)
+            remaining = {t: p for t, p in reference.artifacts.items() if t != task}
+            self.plan.reference = dataclasses.replace(reference, artifacts=remaining)
             self._own_frames -= set(task.subject) if task.stage == FRAMES else set()
 
     def _decision(self, reuse: Reuse, task: Task) -> Any:
         if len(self._own_frames) == len(self.cameras):
             return "reuse"
         cameras = task.subject or [c for c in self.cameras if self.state_of(c) not in USELESS]
-        standing = {self._standing(c) for c in cameras}
-        if _LOST in standing:
-            return "reuse" if self._of_many_nights(task) and {self.state_of(c) for c in cameras} == {"ok"} else reuse.moved
-        return reuse.shifted if _TURNED in standing else "reuse"
+        pose_states = {self._pose_state(c) for c in cameras}
+        if _LOST in pose_states:
+            return "reuse" if self._is_pooled(task) and {self.state_of(c) for c in cameras} == {"ok"} else reuse.moved
+        return reuse.shifted if _TURNED in pose_states else "reuse"
 
-    def _of_many_nights(self, task: Task) -> bool:
+    def _is_pooled(self, task: Task) -> bool:
         """Is the reference's result of a pair pooled from many nights, or derived from one that is?
 
         Such a result can be reused even if its cameras are not placed, as long as they have not moved.
@@ -224,7 +224,7 @@ class Resolver:
                 return pooled.digest in {receipt.digest, *receipt.preimage.inputs.values()}
         return False
 
-    def _standing(self, camera: str) -> str:
+    def _pose_state(self, camera: str) -> str:
         """Is a camera's pose that of the reference, derived from it, or unknown?  Raises Waiting."""
         if self.plan.reference is None or camera_of(camera) not in self.plan.reference.placed:
             return _LOST
@@ -235,19 +235,19 @@ class Resolver:
 
     def _enough_poses_known(self) -> bool:
         """Are the poses of enough cameras known from the reference?  Raises Waiting."""
-        if self._enough is None:
-            self._enough = len({camera_of(c) for c in self.cameras if self._standing(c) != _LOST}) >= FEWEST
-        return self._enough
+        if self._poses_suffice is None:
+            self._poses_suffice = len({camera_of(c) for c in self.cameras if self._pose_state(c) != _LOST}) >= FEWEST
+        return self._poses_suffice
 
     def _receipt(self, task: Task) -> Receipt | None:
         pinned = self.plan.reference.artifacts.get(task) if self.plan.reference else None
         return self.plan.cache.by_key(task, pinned.key) if pinned else None
 
-    def _stored(self, need: Source, upstream: Task, entry: bool, subject: Subject = ()) -> Input:
+    def _stored(self, need: Source, upstream: Task, one_entry: bool, subject: Subject = ()) -> Input:
         receipt = self._receipt(upstream)
         if receipt is None or receipt.outcome == "rejected":
             return Absent()
-        part = Part(need.part, "--".join(subject) if entry else None) if need.part else None
+        part = Part(need.part, "--".join(subject) if one_entry else None) if need.part else None
         if part and str(part) not in receipt.parts:
             return Absent()
         return Stored(upstream, part).resolved(receipt)

@@ -32,9 +32,9 @@ def prepare(context: RunContext, journal: Journal) -> None:
     if plan.reference is None:
         return
     to_cache, copied, lost = restore(plan.cache, plan.reference)
-    for tasks, how in ((to_cache, "put back from the reference"), (copied, "copied to the reference again")):
+    for tasks, action in ((to_cache, "put back from the reference"), (copied, "copied to the reference again")):
         if tasks:
-            journal.repaired(f"{len(tasks)} results of the reference were missing ({tasks[0]}, ...): {how}")
+            journal.repaired(f"{len(tasks)} results of the reference were missing ({tasks[0]}, ...): {action}")
     for task in lost:
         what = f"'{task}' of the reference is damaged, or gone"
         journal.warn(what, remedy="the run continues without it; wbflow pin SITE.yaml  creates a complete reference")
@@ -47,24 +47,24 @@ def mend_record(work: WorkFolder) -> str | None:
     Raises OSError.
     """
     record, twin = work.reference_record, work.reference_twin
-    whole, fault = None, None
+    intact, fault = None, None
     for path in (record, twin):
         try:
-            whole = whole or (path if read_record(path) else None)
-        except BadReference as bad:
-            fault = bad.what
-    if whole is None:
+            intact = intact or (path if read_record(path) else None)
+        except BadReference as error:
+            fault = error.what
+    if intact is None:
         for path in (record, twin):
             clear(path)
         return f"{fault}, and so is its twin: the next good night becomes the reference" if fault else None
-    other, data = (twin if whole is record else record), read_untrusted(whole)
+    counterpart, data = (twin if intact is record else record), read_untrusted(intact)
     with contextlib.suppress(Unreadable):
-        if read_untrusted(other) == data:
+        if read_untrusted(counterpart) == data:
             return None
-    fault = fault or f"{other} is {'not as it was' if os.path.lexists(other) else 'gone'}"
-    clear(other)
-    write_atomic(other, data)
-    return f"{fault}: taken from {whole.name}"
+    fault = fault or f"{counterpart} is {'not as it was' if os.path.lexists(counterpart) else 'gone'}"
+    clear(counterpart)
+    write_atomic(counterpart, data)
+    return f"{fault}: taken from {intact.name}"
 
 
 def restore(cache: Cache, reference: Reference) -> tuple[list[Task], list[Task], list[Task]]:
@@ -80,7 +80,7 @@ def restore(cache: Cache, reference: Reference) -> tuple[list[Task], list[Task],
         receipt = cache.by_key(task, pinned.key)
         if receipt is None:
             (to_cache if put_back(work, pinned) else lost).append(task)
-        elif _differs(cache, receipt) and (receipt.file is None or sha256_of(cache.path(receipt))[:32] == receipt.digest):
+        elif _copy_differs(cache, receipt) and (receipt.file is None or sha256_of(cache.path(receipt))[:32] == receipt.digest):
             for path in files_of(cache, receipt):
                 clear(work.pinned(path))
                 copy_atomic(path, work.pinned(path))
@@ -97,17 +97,17 @@ def put_back(work: WorkFolder, pinned: PinnedArtifact) -> bool:
     copies = sorted(work.pinned(receipt).parent.glob(f"{pinned.key}.*"), key=lambda p: p.suffix == receipt.suffix)
     artifacts = [copy for copy in copies if copy.suffix != receipt.suffix]
     try:
-        whole = read_checksummed(work.pinned(receipt), work.place(receipt)) is not None
+        is_intact = read_checksummed(work.pinned(receipt), work.place(receipt)) is not None
     except Damaged:
-        whole = False
-    if not whole or (pinned.digest and [sha256_of(copy)[:32] for copy in artifacts if copy.is_file()] != [pinned.digest]):
+        is_intact = False
+    if not is_intact or (pinned.digest and [sha256_of(copy)[:32] for copy in artifacts if copy.is_file()] != [pinned.digest]):
         return False
     for copy in copies:  # the receipt last
         copy_atomic(copy, receipt.with_suffix(copy.suffix))
     return True
 
 
-def _differs(cache: Cache, receipt: Receipt) -> bool:
+def _copy_differs(cache: Cache, receipt: Receipt) -> bool:
     """Quick check: is the reference's copy of a receipt or an artifact gone, or of another size?"""
     record = cache.work.receipt(receipt.preimage.task, receipt.key)
     copies = str(cache.work.pinned(record.parent))  # as text, which is faster: every night checks all of them

@@ -12,11 +12,11 @@ def render(template: str, **content: Any) -> str:
     from jinja2 import Environment, FileSystemBytecodeCache, FunctionLoader, StrictUndefined  # here: only pages need it
     from markupsafe import Markup
 
-    compiled = None
+    template_cache = None
     with contextlib.suppress(RuntimeError, OSError):  # without a cache folder, templates are compiled each time
-        compiled = FileSystemBytecodeCache()
+        template_cache = FileSystemBytecodeCache()
     environment = Environment(
-        loader=FunctionLoader(_asset), autoescape=True, bytecode_cache=compiled, undefined=StrictUndefined, trim_blocks=True
+        loader=FunctionLoader(_asset), autoescape=True, bytecode_cache=template_cache, undefined=StrictUndefined, trim_blocks=True
     )
     environment.globals["asset"] = lambda name: Markup(_asset(name))
     return environment.get_template(template).render(content)

@@ -25,25 +25,25 @@ _MOST_ROWS = 64
 
 def trends(data: ReportData) -> list[dict[str, Any]]:
     """Return a chart for each figure of the whole night."""
-    nights, found = data.nights, list[dict[str, Any] | None]()
+    nights, charts = data.nights, list[dict[str, Any] | None]()
     titles = {str(Measure.POINTS): "points in the cloud", str(Measure.PAIRS): "pairs that were used"}
     names = dict.fromkeys(name for night in nights for name in figures_of(night))
     for name in (name for name in names if name not in {stage.name for stage in STAGES}):  # stages follow, with own titles
-        found.append(_chart(data, titles.get(name, name), [figures_of(night).get(name) for night in nights]))
+        charts.append(_chart(data, titles.get(name, name), [figures_of(night).get(name) for night in nights]))
     fields = {(stage, name): None for night in nights for stage, result in night.results.items() for name in vars(result)}
     for stage, name in fields:
-        values = [_number(getattr(night.results.get(stage), name, None)) for night in nights]
+        values = [_as_number(getattr(night.results.get(stage), name, None)) for night in nights]
         scale, unit = (100, "%") if meaning(name).share else (1, "")
-        found.append(_chart(data, titled(name), [None if value is None else scale * value for value in values], unit))
+        charts.append(_chart(data, titled(name), [None if value is None else scale * value for value in values], unit))
     zones = {(stage, zone): None for night in nights for stage, result in night.results.items() for zone in result.volumes}
-    for (stage, zone), what in itertools.product(zones, ("gained", "lost")):
-        parts = [result.volumes.get(zone) if (result := night.results.get(stage)) else None for night in nights]
-        values = [None if part is None else float(getattr(part, what)) for part in parts]
-        found.append(_chart(data, f"volume {what}{f', {zone}' if zone else ''}", values, "m³"))
-    found.append(_chart(data, "time", [night.seconds.wall for night in nights], "s"))
-    found.append(_chart(data, "CPU", [night.seconds.cpu for night in nights], "s"))
-    found.append(_chart(data, "size of the night's files", [_megabytes(data, night) for night in nights], "MB"))
-    return [chart for chart in found if chart]
+    for (stage, zone), change in itertools.product(zones, ("gained", "lost")):
+        volumes = [result.volumes.get(zone) if (result := night.results.get(stage)) else None for night in nights]
+        values = [None if part is None else float(getattr(part, change)) for part in volumes]
+        charts.append(_chart(data, f"volume {change}{f', {zone}' if zone else ''}", values, "m³"))
+    charts.append(_chart(data, "time", [night.seconds.wall for night in nights], "s"))
+    charts.append(_chart(data, "CPU", [night.seconds.cpu for night in nights], "s"))
+    charts.append(_chart(data, "size of the night's files", [_megabytes(data, night) for night in nights], "MB"))
+    return [chart for chart in charts if chart]
 
 
 def _chart(data: ReportData, title: str, values: Sequence[float | None], unit: str = "") -> dict[str, Any] | None:
@@ -61,7 +61,7 @@ def _chart(data: ReportData, title: str, values: Sequence[float | None], unit: s
     def y(value: float) -> float:
         return HEIGHT - EDGE - (value - low) / spread * (HEIGHT - 2 * EDGE)
 
-    def words(value: float) -> str:
+    def format_label(value: float) -> str:
         return f"{number(value)} {unit}".strip()
 
     points = []
@@ -69,13 +69,13 @@ def _chart(data: ReportData, title: str, values: Sequence[float | None], unit: s
         if value is not None:
             link = "" if night.run == data.record.run else data.report_of(night.run)
             state = night.verdict.level if night.verdict else ""
-            points.append((EDGE + k * step, y(value), state, f"{night.date}: {words(value)}", link))
+            points.append((EDGE + k * step, y(value), state, f"{night.date}: {format_label(value)}", link))
     median, last = sorted(known)[len(known) // 2], values[-1]
-    now = "–" if last is None else words(last)
-    return {"title": title, "now": now, "median": words(median), "median_y": y(median), "points": points}
+    latest = "–" if last is None else format_label(last)
+    return {"title": title, "now": latest, "median": format_label(median), "median_y": y(median), "points": points}
 
 
-def _number(value: object) -> float | None:
+def _as_number(value: object) -> float | None:
     return float(value) if isinstance(value, int | float) and not isinstance(value, bool) else None
 
 
@@ -95,12 +95,12 @@ def camera_bars(data: ReportData) -> dict[str, list[tuple[str, float, str]]]:
         for camera in night.cameras:
             if camera.id in bars:
                 share = figures.get(camera.id, {}).get("matched_share", 1.0 if camera.ok else 0.0)
-                words = f"{night.date}: {_camera_words(camera, share)}"
-                bars[camera.id].append((state_of(camera, night), max(0.12, share), words))
+                label = f"{night.date}: {_camera_label(camera, share)}"
+                bars[camera.id].append((state_of(camera, night), max(0.12, share), label))
     return bars
 
 
-def _camera_words(camera: CameraRecord, share: float) -> str:
+def _camera_label(camera: CameraRecord, share: float) -> str:
     if not camera.ok:
         return camera.reason or camera.outcome
     health = camera.health.state if camera.health and not camera.health.ok else "as it should be"
@@ -133,16 +133,16 @@ def timetable(data: ReportData) -> dict[str, Any] | None:
     ran.sort(key=lambda entry: entry[0])
     first, last = ran[0][0], max(end for _, end, _ in ran)
     span = max(last - first, 1e-3)
-    free: list[float] = []
+    row_ends: list[float] = []
     bars = []
     for begin, end, task in ran:
-        row = next((k for k, until in enumerate(free) if until <= begin + 0.02), len(free))
+        row = next((k for k, row_end in enumerate(row_ends) if row_end <= begin + 0.02), len(row_ends))
         if row >= _MOST_ROWS:
             continue
-        free[row : row + 1] = [end]
+        row_ends[row : row + 1] = [end]
         title = f"{task}: {end - begin:.1f} s, from {begin - first:.1f} s on"
         width = max(1.0, (end - begin) / span * TIMETABLE_WIDTH)
         bars.append((numbers[task.stage], row, (begin - first) / span * TIMETABLE_WIDTH, width, title))
-    shown = {stage for stage, *_ in bars}
-    stages = [(k, stage.name) for k, stage in enumerate(STAGES) if k in shown]
-    return {"bars": bars, "seconds": span, "rows": len(free), "stages": stages}
+    shown_stages = {stage for stage, *_ in bars}
+    stages = [(k, stage.name) for k, stage in enumerate(STAGES) if k in shown_stages]
+    return {"bars": bars, "seconds": span, "rows": len(row_ends), "stages": stages}

@@ -57,8 +57,8 @@ class ReportData:
 
     def frame(self, camera: str) -> Task:
         """Return the task of a camera's frame; if it has several views, that of the first one, which shows the middle."""
-        whole, first = (Task(FRAMES, (name,)) for name in (camera, view_name(camera, 1)))
-        return first if first in self.tasks else whole
+        camera_frame, first_view = (Task(FRAMES, (name,)) for name in (camera, view_name(camera, 1)))
+        return first_view if first_view in self.tasks else camera_frame
 
     @cached_property
     def earlier(self) -> list[RunRecord]:
@@ -111,8 +111,8 @@ class ReportData:
             yield self._reference.cameras, f"position on {self._reference.date}"
         yield self._earlier_cameras[0], f"position on {self._earlier_cameras[1]}"
         placed = (camera for camera in self.site.cameras if camera.placement.C is not None)
-        stated = {c.id: {**vars(c.placement), "K": c.lens.K, "width": c.lens.width, "height": c.lens.height} for c in placed}
-        yield stated, "position from the site file"
+        from_site = {c.id: {**vars(c.placement), "K": c.lens.K, "width": c.lens.width, "height": c.lens.height} for c in placed}
+        yield from_site, "position from the site file"
 
     def placement(self, camera: str) -> tuple[Mapping[str, Any], str] | None:
         """Return a camera's entry, as in cameras.json, and a note on its source ("" for tonight); None if its C is unknown."""
@@ -128,10 +128,10 @@ def state_of(camera: CameraRecord, record: RunRecord) -> str:
     """Return the state of a camera: good, warn (usable, but something is wrong with it) or bad (no usable result)."""
     if not camera.ok:
         return "bad"
-    health = camera.health is None or camera.health.ok
+    is_healthy = camera.health is None or camera.health.ok
     poses = record.poses
-    suspect = poses is not None and any(issue.camera == camera.id for issue in poses.issues)
-    return "good" if health and not suspect and camera.down is None else "warn"
+    is_suspect = poses is not None and any(issue.camera == camera.id for issue in poses.issues)
+    return "good" if is_healthy and not is_suspect and camera.down is None else "warn"
 
 
 @dataclass(frozen=True)
@@ -150,13 +150,13 @@ def since_last_good(data: ReportData, stage: str) -> Comparison | None:
     record, good = data.record, data.last_good
     if good is None or record.reference is None or record.reference not in {good.reference, good.run}:
         return None
-    then = objects_of(good, stage) if good.run != record.reference else {}
+    old_objects = objects_of(good, stage) if good.run != record.reference else {}
     known: dict[str, str] = {}
-    for name, thing in objects_of(record, stage).items():
-        same = next((n for n, other in then.items() if n not in known.values() and thing.is_same(other)), None)
-        if same is not None:
-            known[name] = same
-    return Comparison(good.date, known, {name: thing for name, thing in then.items() if name not in known.values()})
+    for name, change in objects_of(record, stage).items():
+        match = next((n for n, old_change in old_objects.items() if n not in known.values() and change.is_same(old_change)), None)
+        if match is not None:
+            known[name] = match
+    return Comparison(good.date, known, {name: change for name, change in old_objects.items() if name not in known.values()})
 
 
 def objects_of(record: RunRecord, stage: str) -> Mapping[str, Change]:

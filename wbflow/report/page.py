@@ -73,15 +73,15 @@ def build_comparison(site: Site, tonight: Run, then: Run, changes: Any) -> str:
     if [stream.kind for stream in content["points"]] != ["product", "change", "then"]:
         raise Gone("the cloud of one of the runs no longer exists", remedy="run the night again")
     title = counted(len(summary.objects), "change") if summary.objects else "Nothing has changed"
-    first = {"headline": ("good", title, f"{then.record.date} beside {record.date}"), "facts": list(sections.volume_facts(shown))}
-    return render("page.html", **{**content, **first, "files": [], "other_nights": [], "warnings": []}, beside=True)
+    head = {"headline": ("good", title, f"{then.record.date} beside {record.date}"), "facts": list(sections.volume_facts(shown))}
+    return render("page.html", **{**content, **head, "files": [], "other_nights": [], "warnings": []}, beside=True)
 
 
 def _content(data: ReportData, points: list[Points]) -> dict[str, Any]:
     record, album = data.record, Pictures(data)
-    other = other_night(data, record.reference)
+    reference_night = other_night(data, record.reference)
     scene = scene_of(data, [tuple(p) for p in points[0].head["sample"]] if points else [])
-    drawn = Map(scene) if scene else None
+    site_map = Map(scene) if scene else None
     columns = sections.pair_columns(data)
     content = {
         "record": record,
@@ -94,8 +94,8 @@ def _content(data: ReportData, points: list[Points]) -> dict[str, Any]:
         "parts": sections.parts(data, album),
         "points": points,
         "scene": scene,
-        "map": drawn,
-        "layers": layers_of(data, drawn) if drawn else [],
+        "map": site_map,
+        "layers": layers_of(data, site_map) if site_map else [],
         "warnings": [event for event in data.events if isinstance(event, WarningEvent)],
         "cameras": sections.cameras(data),
         "camera_pictures": {camera.id: album.of_frame(camera.id, camera.id) for camera in record.cameras},
@@ -114,29 +114,29 @@ def _content(data: ReportData, points: list[Points]) -> dict[str, Any]:
         "settings": sections.settings(data),
         "notes": list(_pose_notes(record)),
         "other_nights": list(_other_nights(data)),
-        "other": other,
-        "then_pictures": then_pictures(data, album, other) if other else {},
+        "other": reference_night,
+        "then_pictures": then_pictures(data, album, reference_night) if reference_night else {},
         "last_cloud": next(((night.date, data.report_of(night.run)) for night in data.earlier if night.cloud), None),
         "when": _when(data),
         "files": list(_files(data)),
     }
-    rows = _ROW_BYTES * (len(record.cameras) + len(record.pairs))
-    then = points_of_other(other) if other and points else []
-    room = MOST_BYTES - rows - _base64(album.held + sum(len(stream.data) for stream in points))
-    then = then if sum(_base64(len(stream.data)) for stream in then) <= room else []
-    room -= sum(_base64(len(stream.data)) for stream in then)
-    return {**content, "points": [*points, *then], "large_pictures": large_pictures(data, room)}
+    row_bytes = _ROW_BYTES * (len(record.cameras) + len(record.pairs))
+    other_points = points_of_other(reference_night) if reference_night and points else []
+    bytes_left = MOST_BYTES - row_bytes - _base64_size(album.held + sum(len(stream.data) for stream in points))
+    other_points = other_points if sum(_base64_size(len(stream.data)) for stream in other_points) <= bytes_left else []
+    bytes_left -= sum(_base64_size(len(stream.data)) for stream in other_points)
+    return {**content, "points": [*points, *other_points], "large_pictures": large_pictures(data, bytes_left)}
 
 
-def _base64(size: int) -> int:
+def _base64_size(size: int) -> int:
     return size * 4 // 3
 
 
 def _other_nights(data: ReportData) -> Iterator[tuple[str, str]]:
     if data.earlier:
-        before = data.earlier[0]
-        yield f"← {before.date}", data.report_of(before.run)
-        if data.last_good and data.last_good.run != before.run:
+        previous = data.earlier[0]
+        yield f"← {previous.date}", data.report_of(previous.run)
+        if data.last_good and data.last_good.run != previous.run:
             yield f"last good night, {data.last_good.date}", data.report_of(data.last_good.run)
     later = [run for run in data.work.run_ids() if run > data.record.run]
     if later:
@@ -153,9 +153,9 @@ def _pose_notes(record: RunRecord) -> Iterator[str]:
     """Yield how the cameras' poses were found, with residuals of distances and control points."""
     if record.poses is None:
         return
-    plain = {name: value for name, value in vars(record.poses).items() if isinstance(value, str | int | float) and value != ""}
-    words = (f"{name.replace('_', ' ')} {format_value(value)}" for name, value in plain.items())
-    yield f"Positions of the cameras: {', '.join(words)}."
+    values = {name: value for name, value in vars(record.poses).items() if isinstance(value, str | int | float) and value != ""}
+    texts = (f"{name.replace('_', ' ')} {format_value(value)}" for name, value in values.items())
+    yield f"Positions of the cameras: {', '.join(texts)}."
     yield from record.poses.notes
     yield from record.poses.joins
 
@@ -165,7 +165,7 @@ def _files(data: ReportData) -> Iterator[tuple[str, str]]:
     for cloud in (record.cloud, *record.other_clouds):
         if cloud:
             yield f"{cloud.path} ({cloud.points:,} points)", cloud.path
-    named = {name for result in record.results.values() for name in result.files}
-    places = [paths.cameras.name] if data.cameras else []
-    for name in (*places, *sorted(named), paths.record.name, paths.log.name):
+    product_files = {name for result in record.results.values() for name in result.files}
+    pose_files = [paths.cameras.name] if data.cameras else []
+    for name in (*pose_files, *sorted(product_files), paths.record.name, paths.log.name):
         yield name, name

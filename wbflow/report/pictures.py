@@ -25,7 +25,7 @@ from .data import ReportData
 
 Matrix = Sequence[Sequence[float]]
 
-_STILL = 5e-4
+_LEAST_SHIFT = 5e-4
 """Pictures of two nights whose corners differ by less than this share of their size are overlaid without a homography."""
 ROOM = 6_000_000
 """Most bytes of small pictures in a page; further pictures are links to their files."""
@@ -63,31 +63,31 @@ class OtherNight:
         return stream if all(self.is_as_private(frame) for frame in self.keys if frame.stage == FRAMES) else None
 
     def is_as_private(self, frame: Task) -> bool:
-        """Return whether a camera's picture of that night hides all that is private now: same polygons then, or none now."""
-        stated = next((view for view in self.page.site.views if (view.id,) == frame.subject), None)
-        if stated is None or not stated.privacy:
+        """Return whether a camera's picture of that night hides all that is private now: the same polygons, or none now."""
+        site_view = next((view for view in self.page.site.views if (view.id,) == frame.subject), None)
+        if site_view is None or not site_view.privacy:
             return True
-        both = self.keys.get(frame), self.page.keys.get(frame)
-        then, now = (self.page.cache.by_key(frame, key) if key else None for key in both)
+        frame_keys = self.keys.get(frame), self.page.keys.get(frame)
+        old, new = (self.page.cache.by_key(frame, key) if key else None for key in frame_keys)
         private = [name for name, need in stage_named(FRAMES).inputs.items() if (need.kind, need.name) == ("site", "privacy")]
-        if then is None or now is None:
+        if old is None or new is None:
             return False
-        return all(then.preimage.inputs.get(name) == now.preimage.inputs.get(name) for name in private)
+        return all(old.preimage.inputs.get(name) == new.preimage.inputs.get(name) for name in private)
 
     def onto(self, camera: str) -> str:
         """Return the homography of the unit square, row by row, that maps a camera's picture of that night onto this night's.
 
         "" if the camera has not turned, or its poses are unknown.
         """
-        then, now = self.cameras.get(camera), self.page.cameras.get(camera)
-        if not then or not now or not all(one.get("R") and one.get("K") for one in (then, now)):
+        old, new = self.cameras.get(camera), self.page.cameras.get(camera)
+        if not old or not new or not all(entry.get("R") and entry.get("K") for entry in (old, new)):
             return ""
-        turn = product(now["R"], list(zip(*then["R"], strict=True)))
-        matrix = product(product(_to_unit(now), turn), _from_unit(then))
+        rotation = product(new["R"], list(zip(*old["R"], strict=True)))
+        matrix = product(product(_to_unit(new), rotation), _from_unit(old))
         rows = [[value / matrix[2][2] for value in row] for row in matrix]
-        corners = [_seen(rows, x, y) for x, y in ((0.0, 0.0), (1.0, 0.0), (0.0, 1.0), (1.0, 1.0))]
-        still = all(abs(x - k % 2) < _STILL and abs(y - k // 2) < _STILL for k, (x, y) in enumerate(corners))
-        return "" if still else " ".join(f"{value:.7g}" for row in rows for value in row)
+        corners = [_project(rows, x, y) for x, y in ((0.0, 0.0), (1.0, 0.0), (0.0, 1.0), (1.0, 1.0))]
+        is_still = all(abs(x - k % 2) < _LEAST_SHIFT and abs(y - k // 2) < _LEAST_SHIFT for k, (x, y) in enumerate(corners))
+        return "" if is_still else " ".join(f"{value:.7g}" for row in rows for value in row)
 
 
 def other_night(data: ReportData, run: str | None) -> OtherNight | None:
@@ -113,7 +113,7 @@ class Pictures:
     def of_task(self, task: Task, alt: str) -> Picture | None:
         """Return the picture of a result of this run."""
         event = self.data.tasks.get(task)
-        return self._of_result(task, event.key, alt) if event and event.key else None
+        return self._from_result(task, event.key, alt) if event and event.key else None
 
     def of_frame(self, camera: str, alt: str) -> Picture | None:
         """Return a camera's picture of this night."""
@@ -122,25 +122,25 @@ class Pictures:
     def of_last_good(self, camera: str) -> Picture | None:
         """Return a camera's picture of the last night on which it was in good state."""
         good = self.data.last_good_of(camera)
-        other = other_night(self.data, good.run) if good else None
-        return self.of_other_night(other, camera, f"{camera} on {good.date}, when it was well") if good and other else None
+        night = other_night(self.data, good.run) if good else None
+        return self.of_other_night(night, camera, f"{camera} on {good.date}, when it was well") if good and night else None
 
     def of_other_night(self, night: OtherNight, camera: str, alt: str) -> Picture | None:
         """Return a camera's picture of another night."""
         task = self.data.frame(camera)
         key = night.keys.get(task)
-        return self._of_result(task, key, alt) if key and night.is_as_private(task) else None
+        return self._from_result(task, key, alt) if key and night.is_as_private(task) else None
 
     def of_product(self, name: str, alt: str) -> Picture | None:
         """Return a picture that the run publishes."""
         path = self.data.files / name
-        return self._of(path, alt, lambda: read_untrusted(path), link=name)
+        return self._from_file(path, alt, lambda: read_untrusted(path), link=name)
 
-    def _of_result(self, task: Task, key: str, alt: str) -> Picture | None:
+    def _from_result(self, task: Task, key: str, alt: str) -> Picture | None:
         path, cache = self.data.work.drawing(task, key, "picture"), self.data.cache
-        return self._of(path, alt, lambda: cache.drawing(task, key, "picture"))
+        return self._from_file(path, alt, lambda: cache.drawing(task, key, "picture"))
 
-    def _of(self, path: Path, alt: str, read: Callable[[], bytes | None], link: str = "") -> Picture | None:
+    def _from_file(self, path: Path, alt: str, read: Callable[[], bytes | None], link: str = "") -> Picture | None:
         """Return the picture in a file; None if there is none.  link: path to a product, relative to the report."""
         if path in self._ids:
             return Picture(self._ids[path], alt)
@@ -161,8 +161,8 @@ class Pictures:
 def then_pictures(data: ReportData, album: Pictures, night: OtherNight) -> dict[str, tuple[Picture, str]]:
     """Return, by camera, its picture of another night, and the homography that maps it onto the picture of this night."""
     ids = [camera.id for camera in data.record.cameras]
-    found = {name: album.of_other_night(night, name, f"{name} on {night.date}") for name in ids}
-    return {name: (picture, night.onto(name)) for name, picture in found.items() if picture and not picture.link}
+    pictures = {name: album.of_other_night(night, name, f"{name} on {night.date}") for name in ids}
+    return {name: (picture, night.onto(name)) for name, picture in pictures.items() if picture and not picture.link}
 
 
 def data_url(content: bytes, kind: str = "image/jpeg") -> str:
@@ -203,8 +203,8 @@ def points_of_other(night: OtherNight) -> list[Points]:
 
 def points_of(data: ReportData) -> list[Points]:
     """Return the points of the night's results, in the order of the stages: the product's come first."""
-    found = ((stage.name, data.drawing(Task(stage.name), "view")) for stage in STAGES)
-    return [Points(name, split(stream)[0], stream) for name, stream in found if stream]
+    streams = ((stage.name, data.drawing(Task(stage.name), "view")) for stage in STAGES)
+    return [Points(name, split(stream)[0], stream) for name, stream in streams if stream]
 
 
 def split(data: bytes) -> tuple[dict[str, Any], bytes]:
@@ -223,63 +223,63 @@ def large_pictures(data: ReportData, room: int) -> list[tuple[int, str, str]]:
     in_findings = {name for finding in record.verdict.findings for name in finding.subject} if record.verdict else set()
     numbers = {camera.id: k for k, camera in enumerate(record.cameras, 1)}
     inliers = _inliers(data)
-    found: list[tuple[int, str, str]] = []
+    pictures: list[tuple[int, str, str]] = []
     for camera in sorted(numbers, key=lambda name: (name not in in_findings, numbers[name])):
         frame = data.frame(camera)
         if picture := data.drawing(frame, "large"):
             view = frame.subject[0]
             marks = _keypoints(data, view), inliers.get(view, b"")
-            words = " ".join(base64.b64encode(part).decode() or "-" for part in (picture, *marks))
-            if len(words) > room:
+            encoded = " ".join(base64.b64encode(part).decode() or "-" for part in (picture, *marks))
+            if len(encoded) > room:
                 break
-            room -= len(words)
-            found.append((numbers[camera], words, _keypoint_note(data, frame) if any(marks) else ""))
-    return sorted(found)
+            room -= len(encoded)
+            pictures.append((numbers[camera], encoded, _keypoint_note(data, frame) if any(marks) else ""))
+    return sorted(pictures)
 
 
 def _keypoints(data: ReportData, view: str) -> bytes:
-    found = (
+    drawings = (
         data.drawing(Task(stage.name, (view,)), "marks")
         for stage in STAGES
         if "marks" in stage.products.drawings and stage.scope == "camera"
     )
-    return b"".join(filter(None, found))
+    return b"".join(filter(None, drawings))
 
 
 def _inliers(data: ReportData) -> Mapping[str, bytes]:
     """Return the inliers of each view; the first half of a pair's inliers is in the left image, the second in the right one."""
-    found: dict[str, bytes] = defaultdict(bytes)
+    inliers: dict[str, bytes] = defaultdict(bytes)
     for stage in (stage for stage in STAGES if "marks" in stage.products.drawings and stage.scope == "pair"):
         for pair in data.record.pairs:
-            both = data.drawing(Task(stage.name, (pair.left, pair.right)), "marks") or b""
-            found[pair.left] += both[: len(both) // 2]
-            found[pair.right] += both[len(both) // 2 :]
-    return found
+            pair_inliers = data.drawing(Task(stage.name, (pair.left, pair.right)), "marks") or b""
+            inliers[pair.left] += pair_inliers[: len(pair_inliers) // 2]
+            inliers[pair.right] += pair_inliers[len(pair_inliers) // 2 :]
+    return inliers
 
 
 def _keypoint_note(data: ReportData, frame: Task) -> str:
     """Return a note if the keypoints come from the reference's picture, as they do for a camera that has not moved; else ""."""
     cache = data.cache
-    shown = cache.by_key(frame, data.keys[frame])
+    frame_receipt = cache.by_key(frame, data.keys[frame])
     for stage in STAGES:
         task = Task(stage.name, frame.subject)
-        made = cache.by_key(task, data.keys[task]) if "marks" in stage.products.drawings and task in data.keys else None
-        if made and shown and shown.digest not in made.preimage.inputs.values():
-            when = f" of {data.reference_date}" if data.reference_date else ""
-            return f"found in the reference's picture{when}: the camera has not moved"
+        receipt = cache.by_key(task, data.keys[task]) if "marks" in stage.products.drawings and task in data.keys else None
+        if receipt and frame_receipt and frame_receipt.digest not in receipt.preimage.inputs.values():
+            night_note = f" of {data.reference_date}" if data.reference_date else ""
+            return f"found in the reference's picture{night_note}: the camera has not moved"
     return ""
 
 
 def _to_unit(camera: Mapping[str, Any]) -> Matrix:
-    K, wide, high = camera["K"], camera["width"], camera["height"]
-    return [[value / wide for value in K[0]], [value / high for value in K[1]], [0.0, 0.0, 1.0]]
+    K, width, height = camera["K"], camera["width"], camera["height"]
+    return [[value / width for value in K[0]], [value / height for value in K[1]], [0.0, 0.0, 1.0]]
 
 
 def _from_unit(camera: Mapping[str, Any]) -> Matrix:
-    K, wide, high = camera["K"], camera["width"], camera["height"]
-    return [[wide / K[0][0], 0.0, -K[0][2] / K[0][0]], [0.0, high / K[1][1], -K[1][2] / K[1][1]], [0.0, 0.0, 1.0]]
+    K, width, height = camera["K"], camera["width"], camera["height"]
+    return [[width / K[0][0], 0.0, -K[0][2] / K[0][0]], [0.0, height / K[1][1], -K[1][2] / K[1][1]], [0.0, 0.0, 1.0]]
 
 
-def _seen(rows: Matrix, x: float, y: float) -> tuple[float, float]:
+def _project(rows: Matrix, x: float, y: float) -> tuple[float, float]:
     u, v, w = (row[0] * x + row[1] * y + row[2] for row in rows)
     return u / w, v / w

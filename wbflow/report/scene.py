@@ -15,9 +15,9 @@ from .data import ReportData, objects_of, since_last_good, state_of
 Vector = tuple[float, float, float]
 Matrix = Sequence[Sequence[float]]
 
-_UPRIGHT = 0.5
+_LEAST_UPRIGHT = 0.5
 """The world's z axis is up if the cosine of its angle with the upward (-y) axis of every camera is above this."""
-_TRIMMED, _GROWN = 0.1, 0.13
+_TRIMMED_SHARE, _MARGIN_SHARE = 0.1, 0.13
 """Share of points left out of the extent at each end of an axis (far ones would shrink the site), and the margin then added."""
 
 
@@ -64,7 +64,7 @@ class Scene:
 
     def to(self, point: Sequence[float]) -> Vector:
         """Return a world point in the frame of the page."""
-        return _times(self.rows, _minus(point, self.origin))
+        return _rotate(self.rows, _minus(point, self.origin))
 
     def to_json(self) -> dict[str, Any]:
         """Return the input of the 3-D view."""
@@ -87,17 +87,17 @@ def scene_of(data: ReportData, sample: list[Vector]) -> Scene | None:
     centres: list[Vector] = [tuple(entry["C"]) for entry, _ in placed.values()]
     rotations: list[Matrix] = [entry["R"] for entry, _ in placed.values() if entry.get("R")]
     points = sample or _last_cloud(data)
-    around = points or centres
+    box_points = points or centres
     origin = _sum(points, 1 / len(points)) if points and not sample else _median(sample or centres)
     crs = record.poses.crs if record.poses else ""
     rows = _axes(_up(rotations), centres, origin, [R[2] for R in rotations], on_map=bool(crs))
     cameras = tuple(_camera(data, camera, placed[camera.id], rows, origin) for camera in record.cameras if camera.id in placed)
     objects = tuple(_objects(data, rows, origin))
-    low, high = _box([_times(rows, _minus(point, origin)) for point in around], _TRIMMED if sample else 0.0)
+    low, high = _box([_rotate(rows, _minus(point, origin)) for point in box_points], _TRIMMED_SHARE if sample else 0.0)
     middle, radius = _sum((low, high), 0.5), max(math.dist(low, high) / 2, 1e-6)
-    everything = list(zip(low, high, *(c.C for c in cameras), *(thing["at"] for thing in objects), strict=True))
+    coordinates = list(zip(low, high, *(c.C for c in cameras), *(item["at"] for item in objects), strict=True))
     unit = "m" if not record.poses or record.poses.metric else ""
-    extent = _vector(map(min, everything)), _vector(map(max, everything))
+    extent = _vector(map(min, coordinates)), _vector(map(max, coordinates))
     return Scene(rows, origin, cameras, objects, *extent, middle, radius, unit, "N" if crs else "y", origin_of(crs))
 
 
@@ -110,23 +110,23 @@ def _last_cloud(data: ReportData) -> list[Vector]:
 
 
 def _up(rotations: Sequence[Matrix]) -> Vector:
-    if all(-R[1][2] > _UPRIGHT for R in rotations):
+    if all(-R[1][2] > _LEAST_UPRIGHT for R in rotations):
         return 0.0, 0.0, 1.0
     total = _sum([R[1] for R in rotations], -1.0)
     return _unit(total if math.hypot(*total) > 1e-6 else _sum([rotations[0][1]], -1.0))
 
 
 def _axes(
-    up: Vector, centres: Sequence[Vector], middle: Vector, looks: Sequence[Sequence[float]], on_map: bool
+    up: Vector, centres: Sequence[Vector], middle: Vector, view_axes: Sequence[Sequence[float]], on_map: bool
 ) -> tuple[Vector, Vector, Vector]:
     """Return right, away and up: away points from the cameras to the middle, else where they look, else along y."""
-    ways = [_minus(middle, C) for C in centres]
-    spread = sum(math.hypot(*way) for way in ways)
+    to_middle = [_minus(middle, C) for C in centres]
+    spread = sum(math.hypot(*vector) for vector in to_middle)
     away: Vector = (1.0, 0.0, 0.0)
-    for way, enough in ((_sum(ways), 0.25 * spread), (_sum(looks), 0.1 * len(looks)), ((0.0, 1.0, 0.0), 0.0)):
-        level = _minus(way, _sum([up], _dot(way, up)))
-        if math.hypot(*level) > max(enough, 1e-6):
-            away = _unit(level)
+    for vector, least in ((_sum(to_middle), 0.25 * spread), (_sum(view_axes), 0.1 * len(view_axes)), ((0.0, 1.0, 0.0), 0.0)):
+        horizontal = _minus(vector, _sum([up], _dot(vector, up)))
+        if math.hypot(*horizontal) > max(least, 1e-6):
+            away = _unit(horizontal)
             break
     if on_map:
         x, y, _ = away
@@ -139,7 +139,7 @@ def _camera(
     data: ReportData, camera: CameraRecord, place: tuple[Mapping[str, Any], str], rows: Matrix, origin: Vector
 ) -> SceneCamera:
     entry, note = place
-    C, state = _times(rows, _minus(entry["C"], origin)), state_of(camera, data.record)
+    C, state = _rotate(rows, _minus(entry["C"], origin)), state_of(camera, data.record)
     words = "; ".join(filter(None, (camera.reason or (camera.health.text if camera.health else ""), note)))
     if not entry.get("R"):
         return SceneCamera(camera.id, C, (), (0.0, 1.0, 0.0), 0.0, state, note, words)
@@ -148,25 +148,25 @@ def _camera(
     fx, fy, cx, cy = (K[0][0], K[1][1], K[0][2], K[1][2]) if K else (width, width, width / 2, height / 2)
     corners = ((0, 0), (width, 0), (width, height), (0, height))
     columns = list(zip(*R, strict=True))
-    rays = tuple(_times(rows, _times(columns, ((x - cx) / fx, (y - cy) / fy, 1.0))) for x, y in corners)
-    return SceneCamera(camera.id, C, rays, _times(rows, R[2]), 2 * math.atan(height / 2 / fy), state, note, words)
+    rays = tuple(_rotate(rows, _rotate(columns, ((x - cx) / fx, (y - cy) / fy, 1.0))) for x, y in corners)
+    return SceneCamera(camera.id, C, rays, _rotate(rows, R[2]), 2 * math.atan(height / 2 / fy), state, note, words)
 
 
 def _objects(data: ReportData, rows: Matrix, origin: Vector) -> Iterator[dict[str, Any]]:
     for stage in data.record.results:
-        since = since_last_good(data, stage)
-        for name, thing in objects_of(data.record, stage).items():
-            at = _times(rows, _minus((thing.x, thing.y, thing.z), origin))
-            size = math.hypot(thing.length or 0.0, thing.width or 0.0)
-            known = since is not None and name in since.known
-            yield {"name": name, "kind": thing.kind, "at": at, "size": size, "known": known}
+        comparison = since_last_good(data, stage)
+        for name, entry in objects_of(data.record, stage).items():
+            at = _rotate(rows, _minus((entry.x, entry.y, entry.z), origin))
+            size = math.hypot(entry.length or 0.0, entry.width or 0.0)
+            known = comparison is not None and name in comparison.known
+            yield {"name": name, "kind": entry.kind, "at": at, "size": size, "known": known}
 
 
-def _box(points: Sequence[Vector], trimmed: float) -> tuple[Vector, Vector]:
+def _box(points: Sequence[Vector], share: float) -> tuple[Vector, Vector]:
     """Return two corners of the box around points; if a share is trimmed at each end of the axes, a margin is added."""
-    ordered, skipped = [sorted(values) for values in zip(*points, strict=True)], int(trimmed * (len(points) - 1))
+    ordered, skipped = [sorted(values) for values in zip(*points, strict=True)], int(share * (len(points) - 1))
     low, high = (_vector(values[k] for values in ordered) for k in (skipped, len(points) - 1 - skipped))
-    margin = _sum([_minus(high, low)], _GROWN if trimmed else 0.0)
+    margin = _sum([_minus(high, low)], _MARGIN_SHARE if share else 0.0)
     return _minus(low, margin), _sum((high, margin))
 
 
@@ -174,7 +174,7 @@ def _dot(a: Sequence[float], b: Sequence[float]) -> float:
     return sum(x * y for x, y in zip(a, b, strict=True))
 
 
-def _times(rows: Matrix, point: Sequence[float]) -> Vector:
+def _rotate(rows: Matrix, point: Sequence[float]) -> Vector:
     return _vector(_dot(row, point) for row in rows)
 
 
@@ -182,8 +182,8 @@ def _minus(a: Sequence[float], b: Sequence[float]) -> Vector:
     return _vector(x - y for x, y in zip(a, b, strict=True))
 
 
-def _sum(vectors: Sequence[Sequence[float]], times: float = 1.0) -> Vector:
-    return _vector(times * sum(vector[k] for vector in vectors) for k in range(3))
+def _sum(vectors: Sequence[Sequence[float]], factor: float = 1.0) -> Vector:
+    return _vector(factor * sum(vector[k] for vector in vectors) for k in range(3))
 
 
 def _median(points: Sequence[Vector]) -> Vector:

@@ -39,25 +39,25 @@ def headline(data: ReportData) -> tuple[str, str, str]:
     level = verdict.level if verdict else "good" if record.exit_code == 0 else "degraded" if record.cloud else "failed"
     findings = verdict.findings if verdict else ()
     cameras = [finding for finding in findings if finding.kind.startswith("camera-")]
-    changes = _changes(data)
+    changes = _changes_sentence(data)
     if level == "good":
-        rest = "The findings below may wait." if findings else f"There is nothing to {'repair' if changes else 'do'}."
-        return level, "A good night", f"{changes} {rest}".strip()
+        advice = "The findings below may wait." if findings else f"There is nothing to {'repair' if changes else 'do'}."
+        return level, "A good night", f"{changes} {advice}".strip()
     if level == "degraded":
         title = f"{counted(len(cameras), 'camera')} to look at" if cameras else f"{counted(len(findings), 'thing')} to look at"
         cloud = "There is a cloud, but it is not as good as it should be. " if record.cloud else ""
         return level, title, f"{cloud}{_first_remedy(findings)} {changes}".strip()
     title = "Interrupted" if any(finding.kind == "interrupted" for finding in findings) else "No cloud this night"
-    return level, title, _shared(record, cameras) or _first_remedy(findings) or "The reasons are below."
+    return level, title, _same_fault(record, cameras) or _first_remedy(findings) or "The reasons are below."
 
 
-def _shared(record: RunRecord, cameras: list[Finding]) -> str:
+def _same_fault(record: RunRecord, cameras: list[Finding]) -> str:
     """Return what to do if nearly all cameras have the same fault, whose cause is then common to them; else ""."""
     kinds = {finding.kind for finding in cameras}
     if len(kinds) != 1 or len(cameras) < max(3, 0.8 * len(record.cameras)):
         return ""
-    whose = "every camera" if len(cameras) == len(record.cameras) else f"{len(cameras)} of {len(record.cameras)} cameras"
-    return f"The same is wrong with {whose}. Check first what they have in common: power, network, the folder of the captures."
+    affected = "every camera" if len(cameras) == len(record.cameras) else f"{len(cameras)} of {len(record.cameras)} cameras"
+    return f"The same is wrong with {affected}. Check first what they have in common: power, network, the folder of the captures."
 
 
 def _first_remedy(findings: tuple[Finding, ...]) -> str:
@@ -72,46 +72,46 @@ def _first_remedy(findings: tuple[Finding, ...]) -> str:
 def facts(data: ReportData) -> Iterator[Fact]:
     """Yield the main figures."""
     record = data.record
-    usual, now = record.usual.figures if record.usual else {}, figures_of(record)
-    whose = "reference" if record.usual and record.usual.reference else "usual"
+    usual, values = record.usual.figures if record.usual else {}, figures_of(record)
+    base_name = "reference" if record.usual and record.usual.reference else "usual"
 
-    def measured(name: str, unit: str, words: str) -> Fact:
+    def measured_fact(name: str, unit: str, label: str) -> Fact:
         base = usual.get(name)
-        compared = f"{whose}: {base:,.0f} {unit}".rstrip() if base else ""
-        return f"{now[name]:,.0f} {unit}".rstrip(), words, compared, _grade(now[name], base)
+        comparison = f"{base_name}: {base:,.0f} {unit}".rstrip() if base else ""
+        return f"{values[name]:,.0f} {unit}".rstrip(), label, comparison, _grade(values[name], base)
 
-    well, good = sum(camera.ok for camera in record.cameras), sum(pair.ok for pair in record.pairs)
-    yield f"{well} of {len(record.cameras)}", "cameras", "", "" if well == len(record.cameras) else "bad"
-    if most := max(len(record.pairs), round(usual.get(Measure.PAIRS, 0))):
-        yield f"{good} of {most}", "pairs of cameras", "", _grade(good, usual.get(Measure.PAIRS))
+    usable_cameras, usable_pairs = sum(camera.ok for camera in record.cameras), sum(pair.ok for pair in record.pairs)
+    yield f"{usable_cameras} of {len(record.cameras)}", "cameras", "", "" if usable_cameras == len(record.cameras) else "bad"
+    if expected_pairs := max(len(record.pairs), round(usual.get(Measure.PAIRS, 0))):
+        yield f"{usable_pairs} of {expected_pairs}", "pairs of cameras", "", _grade(usable_pairs, usual.get(Measure.PAIRS))
     if record.cloud:
-        yield measured(Measure.POINTS, "", "points")
+        yield measured_fact(Measure.POINTS, "", "points")
     if record.poses and record.poses.unverified:
         yield "unverified", "calibration: too few matches to check it", "", "fair"
     for stage, result in record.results.items():
-        if stage in now:
-            yield measured(stage, *result.AMOUNT)
+        if stage in values:
+            yield measured_fact(stage, *result.AMOUNT)
         if (count := _change_count(result)) is not None:
-            since, words = since_last_good(data, stage), f"change{'s' * (count != 1)} since the reference"
-            known = _acknowledged(result)
+            since, label = since_last_good(data, stage), f"change{'s' * (count != 1)} since the reference"
+            acknowledged = _acknowledged_count(result)
             notes = [
-                f"{_newer(count, result, since)} since {since.date}" if since else "",
-                f"{known} acknowledged" if known else "",
+                f"{_new_count(count, result, since)} since {since.date}" if since else "",
+                f"{acknowledged} acknowledged" if acknowledged else "",
             ]
-            yield str(count), words, ", ".join(filter(None, notes)) if count else "", ""
+            yield str(count), label, ", ".join(filter(None, notes)) if count else "", ""
     seconds = record.seconds.wall
-    took = f"{seconds / 60:.0f} min" if seconds >= 100 else f"{seconds:.0f} s"
-    yield took, "from captures to cloud" if record.cloud else "until the run ended", "", ""
+    duration = f"{seconds / 60:.0f} min" if seconds >= 100 else f"{seconds:.0f} s"
+    yield duration, "from captures to cloud" if record.cloud else "until the run ended", "", ""
 
 
 def volume_facts(data: ReportData) -> Iterator[Fact]:
     """Yield the volumes that changed, as main figures."""
     unit = "m" if data.record.poses is None or data.record.poses.metric else ""
     for result in data.record.results.values():
-        for ground, gained, lost, seen, unseen in _volumes(result, unit):
+        for ground, gained, lost, seen_area, unseen_area in _volumes(result, unit):
             yield gained, f"gained, {ground}", "", ""
             yield lost, f"lost, {ground}", "", ""
-            yield seen, "seen on both nights", f"not seen: {unseen}", ""
+            yield seen_area, "seen on both nights", f"not seen: {unseen_area}", ""
 
 
 def _change_count(result: SiteSummary) -> int | None:
@@ -119,26 +119,26 @@ def _change_count(result: SiteSummary) -> int | None:
     return result.count if isinstance(result, ChangesSummary) and result.compared else None
 
 
-def _acknowledged(result: SiteSummary) -> int:
+def _acknowledged_count(result: SiteSummary) -> int:
     """Return how many of a stage's objects are acknowledged."""
-    return sum(bool(thing.acknowledged) for thing in result.objects.values())
+    return sum(bool(entry.acknowledged) for entry in result.objects.values())
 
 
-def _newer(count: int, result: SiteSummary, since: Comparison) -> int:
+def _new_count(count: int, result: SiteSummary, since: Comparison) -> int:
     """Return how many objects were not there on the last good night and are not acknowledged."""
-    return count - len(since.known) - sum(bool(o.acknowledged) and n not in since.known for n, o in result.objects.items())
+    return count - len(since.known) - sum(bool(item.acknowledged) and n not in since.known for n, item in result.objects.items())
 
 
-def _changes(data: ReportData) -> str:
+def _changes_sentence(data: ReportData) -> str:
     """Return a sentence with the number and kinds of changes since the reference; "" if there are none."""
     for stage, result in data.record.results.items():
         if count := _change_count(result):
-            kinds = Counter(thing.kind or "other" for thing in result.objects.values())
+            kinds = Counter(entry.kind or "other" for entry in result.objects.values())
             named = ", ".join(f"{number} {kind}" for kind, number in kinds.most_common())
             since = since_last_good(data, stage)
-            newer = f"; {_newer(count, result, since) or 'none'} of them since {since.date}" if since else ""
-            known = f"; {_acknowledged(result)} acknowledged" if _acknowledged(result) else ""
-            return f"{counted(count, 'change')} since the reference{f' ({named})' if named else ''}{newer}{known}."
+            new_text = f"; {_new_count(count, result, since) or 'none'} of them since {since.date}" if since else ""
+            acknowledged = f"; {_acknowledged_count(result)} acknowledged" if _acknowledged_count(result) else ""
+            return f"{counted(count, 'change')} since the reference{f' ({named})' if named else ''}{new_text}{acknowledged}."
     return ""
 
 
@@ -157,28 +157,28 @@ def findings(data: ReportData, album: Pictures) -> list[dict[str, Any]]:
     """
     record = data.record
     numbers = {camera.id: k for k, camera in enumerate(record.cameras, 1)}
-    absent = {camera.id for camera in record.cameras if camera.code == Cause.NO_CAPTURE}
-    found: list[dict[str, Any]] = []
-    kinds, stated = Counter[str](), record.verdict.findings if record.verdict else ()
-    most = 1 if _shared(record, [finding for finding in stated if finding.kind.startswith("camera-")]) else _MOST_OF_A_KIND
-    for finding in stated:
-        kinds[finding.kind] += 1
-        folded, number = kinds[finding.kind] > most, numbers.get(finding.about, 0)
+    without_capture = {camera.id for camera in record.cameras if camera.code == Cause.NO_CAPTURE}
+    rows: list[dict[str, Any]] = []
+    counts, reported = Counter[str](), record.verdict.findings if record.verdict else ()
+    limit = 1 if _same_fault(record, [finding for finding in reported if finding.kind.startswith("camera-")]) else _MOST_OF_A_KIND
+    for finding in reported:
+        counts[finding.kind] += 1
+        folded, number = counts[finding.kind] > limit, numbers.get(finding.about, 0)
         pictures = () if folded else tuple(_pictures(data, album, finding, number))
-        missing = "no picture arrived" if finding.about in absent else "no picture could be read"
-        shown = {"finding": finding, "number": number, "pictures": pictures}
-        found.append({**shown, "missing": missing, "folded": folded})
-    return found
+        missing = "no picture arrived" if finding.about in without_capture else "no picture could be read"
+        row = {"finding": finding, "number": number, "pictures": pictures}
+        rows.append({**row, "missing": missing, "folded": folded})
+    return rows
 
 
 def _pictures(data: ReportData, album: Pictures, finding: Finding, number: int) -> Iterator[tuple[Picture | None, str]]:
     name = finding.about
     if number:
-        tonight, then = album.of_frame(name, f"{name} on {data.record.date}"), album.of_last_good(name)
-        if tonight or then:
-            yield tonight, f"this night, {data.record.date}"
-        if then:
-            yield then, then.alt
+        tonight_picture, good_picture = album.of_frame(name, f"{name} on {data.record.date}"), album.of_last_good(name)
+        if tonight_picture or good_picture:
+            yield tonight_picture, f"this night, {data.record.date}"
+        if good_picture:
+            yield good_picture, good_picture.alt
     elif len(finding.subject) == 2:
         of_pair = (album.of_task(Task(stage.name, finding.subject), name) for stage in STAGES if stage.scope == "pair")
         yield from [(picture, name) for picture in of_pair if picture][:2]
@@ -187,38 +187,38 @@ def _pictures(data: ReportData, album: Pictures, finding: Finding, number: int) 
 def cameras(data: ReportData) -> list[tuple[str, int, CameraRecord]]:
     """Return state, number in the site file (from 1), and record of each camera: "bad" ones first, then "warn" ones, otherwise in
     the order of the site file."""
-    found = [(state_of(camera, data.record), k, camera) for k, camera in enumerate(data.record.cameras, 1)]
-    return sorted(found, key=lambda entry: ("bad", "warn", "good").index(entry[0]))
+    rows = [(state_of(camera, data.record), k, camera) for k, camera in enumerate(data.record.cameras, 1)]
+    return sorted(rows, key=lambda entry: ("bad", "warn", "good").index(entry[0]))
 
 
 def camera_figures(data: ReportData, camera: CameraRecord) -> tuple[list[tuple[str, str, str]], dict[str, float]]:
     """Return title, explanation and value of a camera's main figures, and its other numbers by name."""
     numbers = {name: v for name, v in vars(camera.figures).items() if isinstance(v, int | float) and not isinstance(v, bool)}
     points, pairs = numbers.pop("points", None), data.record.pairs_of(camera.id)
-    main = [("used pairs", "of its pairs, those matched densely", f"{sum(p.ok for p in pairs)} of {len(pairs)}")]
+    main_figures = [("used pairs", "of its pairs, those matched densely", f"{sum(p.ok for p in pairs)} of {len(pairs)}")]
     if points is not None:
-        main.append((meaning("points").title, meaning("points").words, format_value(points)))
+        main_figures.append((meaning("points").title, meaning("points").words, format_value(points)))
     for result in data.record.results.values():
         for name, value in vars(result).items():
             if isinstance(value, Mapping) and isinstance(share := value.get(camera.id), float):
-                main.append((meaning(name).title, meaning(name).words, f"{100 * share:.1f} %"))
-    return main, numbers
+                main_figures.append((meaning(name).title, meaning(name).words, f"{100 * share:.1f} %"))
+    return main_figures, numbers
 
 
 def keypoints(data: ReportData, camera: CameraRecord) -> str:
     """Return how many keypoints and inliers a camera's picture has."""
-    points, agreed = camera.figures.keypoints, [p.figures.inliers for p in data.record.pairs_of(camera.id) if p.matched]
-    known = [count for count in agreed if count]
-    words = [f"{points:,} keypoints"] if points else []
-    return ", ".join([*words, *([f"{sum(known):,} inliers in {len(known)} pairs"] if known else [])])
+    points, inliers = camera.figures.keypoints, [p.figures.inliers for p in data.record.pairs_of(camera.id) if p.matched]
+    nonzero = [count for count in inliers if count]
+    texts = [f"{points:,} keypoints"] if points else []
+    return ", ".join([*texts, *([f"{sum(nonzero):,} inliers in {len(nonzero)} pairs"] if nonzero else [])])
 
 
 def camera_words(data: ReportData, camera: CameraRecord) -> str:
     """Return the state of a camera in words; "" if it is well on a night without a reference."""
-    alone = data.record.reference is None
-    health = camera.health.text if camera.health and not (alone and camera.health.ok) else ""
-    words = health if camera.ok else camera.reason or camera.outcome
-    return "; ".join(filter(None, (words, camera.down.words(left_out=not camera.ok) if camera.down else "")))
+    without_reference = data.record.reference is None
+    health = camera.health.text if camera.health and not (without_reference and camera.health.ok) else ""
+    text = health if camera.ok else camera.reason or camera.outcome
+    return "; ".join(filter(None, (text, camera.down.words(left_out=not camera.ok) if camera.down else "")))
 
 
 def pair_columns(data: ReportData) -> list[str]:
@@ -236,77 +236,77 @@ def tried(data: ReportData, pair: PairRecord) -> Iterator[tuple[str, str, str]]:
         receipt = data.cache.by_key(event.task, event.key) if event.key else None
         method = receipt.preimage.parameters.get(stage.method.parameter) if stage.method and receipt else None
         figures = ", ".join(_step_figures(stage, receipt)) if receipt else ""
-        words = "; ".join(filter(None, (f"by {method}" if method else "", event.reason, figures)))
-        yield stage.name, "done" if event.usable else event.outcome, words
+        details = "; ".join(filter(None, (f"by {method}" if method else "", event.reason, figures)))
+        yield stage.name, "done" if event.usable else event.outcome, details
 
 
 def _step_figures(stage: Stage, receipt: Receipt) -> Iterator[str]:
     """Yield the numbers of a result, named as in run.json; for a rejection, the figures that led to it."""
-    made = stage.summary if receipt.outcome != "rejected" else None
-    figures = vars(made.from_json(receipt.figures)) if made else receipt.figures
+    summary = stage.summary if receipt.outcome != "rejected" else None
+    figures = vars(summary.from_json(receipt.figures)) if summary else receipt.figures
     numbers = [(n, v) for n, v in figures.items() if isinstance(v, int | float) and not isinstance(v, bool) and v == v]
     yield from (f"{meaning(name).title} {format_value(value)}" for name, value in numbers[:_MOST_FIGURES])
 
 
 def pair_pictures(data: ReportData, album: Pictures) -> list[tuple[str, list[Picture]]]:
     """Return the pictures of each pair that has any."""
-    drawn = [stage.name for stage in STAGES if stage.scope == "pair" and "picture" in stage.products.drawings]
-    tasks = {pair.name: [Task(name, (pair.left, pair.right)) for name in drawn] for pair in data.record.pairs}
-    found = [(name, [p for task in each if (p := album.of_task(task, str(task)))]) for name, each in tasks.items()]
-    return [(name, pictures) for name, pictures in found if pictures]
+    stages = [stage.name for stage in STAGES if stage.scope == "pair" and "picture" in stage.products.drawings]
+    tasks = {pair.name: [Task(name, (pair.left, pair.right)) for name in stages] for pair in data.record.pairs}
+    by_pair = [(name, [p for task in pair_tasks if (p := album.of_task(task, str(task)))]) for name, pair_tasks in tasks.items()]
+    return [(name, pictures) for name, pictures in by_pair if pictures]
 
 
 def parts(data: ReportData, album: Pictures) -> list[dict[str, Any]]:
     """Return the results of each site-wide stage in run.json; objects that are not acknowledged come first."""
-    found = []
+    rows = []
     unit = "m" if data.record.poses is None or data.record.poses.metric else ""
     for stage in STAGES:
         if result := data.record.results.get(stage.name):
             part: dict[str, Any] = {"title": stage.products.title, "reason": result.reason or "", "files": result.files}
             if isinstance(result, ChangesSummary) and result.compared is False:
-                nothing = {"since": "There was nothing to compare this night with.", "picture": None}
-                found.append({**part, **nothing, "rows": (), "volumes": (), "things": ()})
+                empty = {"since": "There was nothing to compare this night with.", "picture": None}
+                rows.append({**part, **empty, "rows": (), "volumes": (), "things": ()})
                 continue
             since = since_last_good(data, stage.name)
-            things = sorted(_things(result, album, since, unit), key=lambda thing: bool(thing["known"]))
-            gone = [f"{thing.kind or 'something'} ({_dimensions(thing, unit)})" for thing in since.gone.values()] if since else []
-            differed = f"Differed on {since.date}, the last good night, and are as in the reference again:" if since else ""
+            objects = sorted(_object_rows(result, album, since, unit), key=lambda entry: bool(entry["known"]))
+            gone = [f"{entry.kind or 'something'} ({_dimensions(entry, unit)})" for entry in since.gone.values()] if since else []
+            intro = f"Differed on {since.date}, the last good night, and are as in the reference again:" if since else ""
             picture = album.of_task(Task(stage.name), stage.products.title)
-            shows = {"since": f"{differed} {', '.join(gone)}." if gone else "", "picture": picture}
+            extras = {"since": f"{intro} {', '.join(gone)}." if gone else "", "picture": picture}
             tables = {"rows": list(shown(vars(result))), "volumes": list(_volumes(result, unit))}
-            found.append({**part, **shows, **tables, "things": tuple(things)})
-    return found
+            rows.append({**part, **extras, **tables, "things": tuple(objects)})
+    return rows
 
 
-def _things(result: SiteSummary, album: Pictures, since: Comparison | None, unit: str) -> Iterator[dict[str, Any]]:
+def _object_rows(result: SiteSummary, album: Pictures, since: Comparison | None, unit: str) -> Iterator[dict[str, Any]]:
     for name, entry in result.objects.items():
         file = next((f for f in result.files if f.rpartition(".")[0].endswith(f"-{name}") and is_picture(f)), None)
         title = f"{name}: {entry.kind}".rstrip(": ")
         figures = {key.replace("_", " "): value for key, value in vars(entry).items() if key not in {"kind", "acknowledged"}}
         picture = album.of_product(file, f"{title}: then and this night") if file else None
-        known = since.known.get(name) if since else None
-        when = "" if since is None else f"already so on {since.date}" if known else f"since {since.date}, the last good night"
-        words = {"name": name, "title": title, "size": _dimensions(entry, unit), "since": when, "known": entry.acknowledged}
-        yield {**words, "picture": picture, "figures": figures}
+        old_name = since.known.get(name) if since else None
+        when = "" if since is None else f"already so on {since.date}" if old_name else f"since {since.date}, the last good night"
+        texts = {"name": name, "title": title, "size": _dimensions(entry, unit), "since": when, "known": entry.acknowledged}
+        yield {**texts, "picture": picture, "figures": figures}
 
 
 def _volumes(result: SiteSummary, unit: str) -> Iterator[tuple[str, ...]]:
-    def words(value: float, sigma: float | None, power: str) -> str:
-        uncertain = f" ± {sigma:.1f}" if sigma is not None else ""
-        return f"{value:,.1f}{uncertain} {f'{unit}{power}' if unit else ''}".strip()
+    def quantity(value: float, sigma: float | None, power: str) -> str:
+        sigma_text = f" ± {sigma:.1f}" if sigma is not None else ""
+        return f"{value:,.1f}{sigma_text} {f'{unit}{power}' if unit else ''}".strip()
 
     for zone, part in result.volumes.items():
-        volumes = words(part.gained, part.gained_sigma, "³"), words(part.lost, part.lost_sigma, "³")
-        yield zone or "whole site", *volumes, words(part.area, None, "²"), words(part.unseen, None, "²")
+        volumes = quantity(part.gained, part.gained_sigma, "³"), quantity(part.lost, part.lost_sigma, "³")
+        yield zone or "whole site", *volumes, quantity(part.area, None, "²"), quantity(part.unseen, None, "²")
 
 
 def _dimensions(entry: Change, unit: str) -> str:
     """Return the size, volume and place of an object, as far as they are known."""
     size = " × ".join(f"{side:.1f}" for side in (entry.length, entry.width, entry.height) if side is not None)
     volume, sigma = entry.volume, entry.volume_sigma
-    room = f"{volume:.1f}" + (f" ± {sigma:.1f}" if sigma else "") + (f" {unit}³" if unit else "") if volume else ""
-    where = f"at {entry.x:.1f}, {entry.y:.1f}, {entry.z:.1f}"
-    return "; ".join(filter(None, (f"{size} {unit}".strip(), room and f"volume {room}", where)))
+    volume_text = f"{volume:.1f}" + (f" ± {sigma:.1f}" if sigma else "") + (f" {unit}³" if unit else "") if volume else ""
+    place_text = f"at {entry.x:.1f}, {entry.y:.1f}, {entry.z:.1f}"
+    return "; ".join(filter(None, (f"{size} {unit}".strip(), volume_text and f"volume {volume_text}", place_text)))
 
 
 def is_picture(file: str) -> bool:
@@ -316,8 +316,8 @@ def is_picture(file: str) -> bool:
 
 def settings(data: ReportData) -> list[tuple[str, Preimage]]:
     """Return the function, code and parameters of each stage."""
-    found: dict[str, Preimage] = {}
+    preimages: dict[str, Preimage] = {}
     for task, event in data.tasks.items():
-        if task.stage not in found and event.key and (receipt := data.cache.by_key(task, event.key)):
-            found[task.stage] = receipt.preimage
-    return [(stage.name, found[stage.name]) for stage in STAGES if stage.name in found]
+        if task.stage not in preimages and event.key and (receipt := data.cache.by_key(task, event.key)):
+            preimages[task.stage] = receipt.preimage
+    return [(stage.name, preimages[stage.name]) for stage in STAGES if stage.name in preimages]

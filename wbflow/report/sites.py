@@ -50,19 +50,19 @@ class SiteRow:
 
 def site_files(places: Sequence[Path]) -> list[Path]:
     """Return the named site files; for a folder its site.yaml, else all site files in it and each site.yaml one level below."""
-    found: list[Path] = []
+    files: list[Path] = []
     for place in places:
-        own = place / "site.yaml"
-        if not place.is_dir() or own.is_file():
-            found.append(own if place.is_dir() else place)
+        site_yaml = place / "site.yaml"
+        if not place.is_dir() or site_yaml.is_file():
+            files.append(site_yaml if place.is_dir() else place)
         else:
-            found += [path for path in sorted([*place.glob("*.yaml"), *place.glob("*/site.yaml")]) if _describes_site(path)]
-    return list(dict.fromkeys(found))
+            files += [path for path in sorted([*place.glob("*.yaml"), *place.glob("*/site.yaml")]) if _describes_site(path)]
+    return list(dict.fromkeys(files))
 
 
 def sites_page(places: Sequence[Path], out: Path) -> str:
     """Return the HTML page of all sites.  out: the file it will be written to; links are relative to it."""
-    rows = sorted((_row(file, out.resolve().parent) for file in site_files(places)), key=lambda row: row.order)
+    rows = sorted((_site_row(file, out.resolve().parent) for file in site_files(places)), key=lambda row: row.order)
     return render("sites.html", rows=rows)
 
 
@@ -75,24 +75,24 @@ def _describes_site(file: Path) -> bool:
     return re.search(r"""^[{\s]*["']?site["']?\s*:""", text, re.MULTILINE) is not None
 
 
-def _row(file: Path, folder: Path) -> SiteRow:
+def _site_row(file: Path, folder: Path) -> SiteRow:
     try:
         site = load_site(file)
         work = site.work_folder
         by_night = {entry.run.date: entry for entry in (history(work) if work.run_ids() else [])}
     except WbflowError as error:
         return SiteRow(file.parent.name, file, fault=str(error))
-    nights = [_night(work, by_night[date], folder) for date in sorted(by_night)[-NIGHTS:]]
-    return SiteRow(site.name, site.file, "", tuple(nights), _picture(work))
+    nights = [_night_row(work, by_night[date], folder) for date in sorted(by_night)[-NIGHTS:]]
+    return SiteRow(site.name, site.file, "", tuple(nights), _picture_url(work))
 
 
-def _night(work: WorkFolder, entry: Entry, folder: Path) -> tuple[Entry, str, str]:
+def _night_row(work: WorkFolder, entry: Entry, folder: Path) -> tuple[Entry, str, str]:
     report = work.run(entry.run.run).report
     href = Path(os.path.relpath(report, folder)).as_posix() if report.is_file() else ""
     return entry, entry.verdict.level if entry.verdict else "", href
 
 
-def _picture(work: WorkFolder) -> str:
+def _picture_url(work: WorkFolder) -> str:
     task = Task(FUSE)
     try:
         event = RunFolder.of(work, work.latest_good.name).tasks().get(task)

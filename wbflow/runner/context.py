@@ -65,30 +65,30 @@ def plan_run(site: Site, options: Options) -> RunContext:
     work = site.work_folder
     digests, earlier_captures = Digests(work.captures_memo), EarlierCaptures(work.delivered_memo)
     list_store(site)
-    found_date = night(site, options.date)
-    found, growing = when_complete(find_captures(site, found_date, digests), digests)
-    delivered = find_stale(site, found_date, found, digests, earlier_captures)
-    lost = [camera for camera in site.cameras if not delivered.captures[camera.id]]
-    named = {camera.id: expected(site, camera, found_date).replace(f"{site.captures.root}/", "") for camera in lost}
-    reference, incompatible = _reference(site, work)
+    run_date = night(site, options.date)
+    captures, growing = when_complete(find_captures(site, run_date, digests), digests)
+    fresh = find_stale(site, run_date, captures, digests, earlier_captures)
+    missing = [camera for camera in site.cameras if not fresh.captures[camera.id]]
+    expected_names = {camera.id: expected(site, camera, run_date).replace(f"{site.captures.root}/", "") for camera in missing}
+    reference, incompatible = _load_reference(site, work)
     plan = Plan(
         site,
-        delivered.captures,
-        str(found_date),
+        fresh.captures,
+        str(run_date),
         Cache(work),
         find_named(site, digests),
-        {camera.id: options.not_captured.get(camera.id) or f"there is no file {named[camera.id]}" for camera in lost},
+        {camera.id: options.not_captured.get(camera.id) or f"there is no file {expected_names[camera.id]}" for camera in missing},
         options.until,
         frozenset(options.force),
         reference=reference,
         incompatible=incompatible,
-        stale=delivered.stale,
+        stale=fresh.stale,
         night_given=options.date is not None,
     )
-    return RunContext(found_date, digests, earlier_captures, delivered.notes, plan, growing=growing)
+    return RunContext(run_date, digests, earlier_captures, fresh.notes, plan, growing=growing)
 
 
-def _reference(site: Site, work: WorkFolder) -> tuple[Reference | None, str]:
+def _load_reference(site: Site, work: WorkFolder) -> tuple[Reference | None, str]:
     """The reference, and why it cannot be read ("" if it can, or if there is none)."""
     try:
         return (read_reference(work) if site.settings.pin != "none" else None), ""

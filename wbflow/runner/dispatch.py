@@ -55,8 +55,8 @@ class _Submitted:
         *_, last = [None, *re.finditer(r"^begun (\d+)\n", text, re.MULTILINE)]
         if last is None:
             return False, printable(text)
-        before, self.at_work = self.at_work, int(last[1])
-        return self.at_work != before, printable(text[last.end() :])
+        previous, self.at_work = self.at_work, int(last[1])
+        return self.at_work != previous, printable(text[last.end() :])
 
 
 class Dispatcher:
@@ -73,7 +73,7 @@ class Dispatcher:
         self._executor: Executor | None = None
         self._limits = Limits()
         self._queue: list[tuple[bool, float, int, list[TaskSpec]]] = []
-        self._at_work: dict[Future[list[Done]], _Submitted] = {}
+        self._running: dict[Future[list[Done]], _Submitted] = {}
         self._losses: Counter[Task] = Counter()
         self._numbers = itertools.count()
 
@@ -91,7 +91,7 @@ class Dispatcher:
         if self._executor is None:  # only now: a run without work starts no worker
             memory = self._options.memory or machine_memory()
             self._limits = Limits(memory, self._options.time_limit, self._costs)
-            self._executor = _executor(self._options, memory)
+            self._executor = _make_executor(self._options, memory)
             self._cache.work.progress.mkdir(parents=True, exist_ok=True)
         for chain in chains:
             expected = sum(self._costs.expected(spec.task.stage, str(spec.task)) for spec in chain)
@@ -101,83 +101,83 @@ class Dispatcher:
     def wait(self) -> tuple[list[Done], list[list[TaskSpec]]]:
         """Wait until a chain ends, at most `PROGRESS_SECONDS`; return the tasks and the chains that have ended."""
         self._begin()
-        over, _ = wait(self._at_work, timeout=PROGRESS_SECONDS, return_when=FIRST_COMPLETED)
-        for chain in self._at_work.values():
+        finished, _ = wait(self._running, timeout=PROGRESS_SECONDS, return_when=FIRST_COMPLETED)
+        for chain in self._running.values():
             if chain.read_progress()[0]:
                 self._journal.listen(StartedEvent(chain.tasks[chain.at_work]))
-        ended = [(self._at_work.pop(future), future) for future in over]
-        return [done for chain, future in ended for done in self._ended(chain, future)], [chain.specs for chain, _ in ended]
+        ended = [(self._running.pop(future), future) for future in finished]
+        return [done for chain, future in ended for done in self._outcomes(chain, future)], [chain.specs for chain, _ in ended]
 
     def stop(self) -> None:
         """End all running chains, and remove their half-written files."""
         if self._executor:
             self._executor.shutdown(wait=True, cancel_futures=True)
         self._executor = None
-        self._cache.tidy(task for chain in self._at_work.values() for task in chain.tasks)
-        self._at_work, self._queue = {}, []
+        self._cache.tidy(task for chain in self._running.values() for task in chain.tasks)
+        self._running, self._queue = {}, []
         with suppress(OSError):
             shutil.rmtree(self._cache.work.progress)
 
     def _begin(self) -> None:
         while self._queue and self._executor:
             suspect, *_, specs = self._queue[0]
-            begun = [chain.tasks for chain in self._at_work.values()]
-            alone = suspect or any(self._losses[task] for tasks in begun for task in tasks)
-            room = self._executor.room if isinstance(self._executor, Cluster) else self._options.jobs
-            fits = len(begun) < room and self._limits.fits(begun, [spec.task for spec in specs])
-            if begun and (alone or not fits):
+            running = [chain.tasks for chain in self._running.values()]
+            runs_alone = suspect or any(self._losses[task] for tasks in running for task in tasks)
+            slots = self._executor.room if isinstance(self._executor, Cluster) else self._options.jobs
+            fits = len(running) < slots and self._limits.fits(running, [spec.task for spec in specs])
+            if running and (runs_alone or not fits):
                 return
             heapq.heappop(self._queue)
             chain = _Submitted(specs, self._cache.work.progress / str(next(self._numbers)))
             seconds = {spec.task.stage: self._limits.seconds_for(spec.task.stage) for spec in specs}
             own_process = isinstance(self._executor, Processes)
             future = self._executor.submit(run_chain, specs, self._cache, chain.progress, seconds if own_process else None)
-            self._at_work[future] = chain
+            self._running[future] = chain
 
-    def _ended(self, chain: _Submitted, future: Future[list[Done]]) -> Iterator[Done]:
+    def _outcomes(self, chain: _Submitted, future: Future[list[Done]]) -> Iterator[Done]:
         """How the tasks of a chain ended; if its worker was lost, only the running one: finished ones are in the cache."""
         error = future.exception()
         if error is None:
             for done in future.result():
-                for what in done.warnings:
-                    self._journal.warn(what, task=done.task)
+                for warning in done.warnings:
+                    self._journal.warn(warning, task=done.task)
                 for damage in done.damages:
                     self._journal.repaired(f"{damage.what}: made again", task=damage.task)
                 if done.state.receipt:
                     self._limits.learn(done.task.stage, done.state.receipt.peak_rss_mb)
                 yield done
         elif isinstance(error, WorkerLost):
-            yield from self._lost(chain, error)
+            yield from self._outcomes_of_loss(chain, error)
         elif isinstance(error, CodeMismatch) and isinstance(self._executor, Cluster):
             self._executor.refuse(error)  # the plan submits the chain again
         elif isinstance(error, WbflowError):
             raise error
         else:  # Dask has lost its workers repeatedly; during which task of the chain is unknown
             names = ", ".join(map(str, chain.tasks))
-            why = printable(f"{names}: {type(error).__name__}: {error}")
-            yield Done(chain.tasks[0], State("failed", why, Cause.WORKER_LOST, fresh=True))
+            reason = printable(f"{names}: {type(error).__name__}: {error}")
+            yield Done(chain.tasks[0], State("failed", reason, Cause.WORKER_LOST, fresh=True))
         chain.progress.unlink(missing_ok=True)
 
-    def _lost(self, chain: _Submitted, error: WorkerLost) -> Iterator[Done]:
+    def _outcomes_of_loss(self, chain: _Submitted, error: WorkerLost) -> Iterator[Done]:
         self._cache.tidy(chain.tasks)
-        _, words = chain.read_progress()
+        _, trace = chain.read_progress()
         task = chain.tasks[max(0, chain.at_work)]
-        if "Timeout (" in words:
-            before = self._limits.costs.stages.get(task.stage)
-            usual = f" ({task.stage} takes {_time(before)} as a rule)" if before is not None else ""
+        if "Timeout (" in trace:
+            median = self._limits.costs.stages.get(task.stage)
+            usual = f" ({task.stage} takes {_time(median)} as a rule)" if median is not None else ""
             why = f"took longer than {_time(self._limits.seconds_for(task.stage))}{usual} and was ended; --time-limit gives more"
-            yield Done(task, State("failed", why, Cause.TOO_SLOW, trace=words, fresh=True))
+            yield Done(task, State("failed", why, Cause.TOO_SLOW, trace=trace, fresh=True))
             return
         self._losses[task] += 1
         if self._losses[task] == 1:
-            self._journal.warn(f"it {error}: it is tried again, alone", task=task, trace=words or None)
+            self._journal.warn(f"it {error}: it is tried again, alone", task=task, trace=trace or None)
             return
-        memory = error.cause is Cause.OUT_OF_MEMORY
-        remedy = "lower `resolution`, or allow more with --memory" if memory else "check the function of the stage"
-        yield Done(task, State("failed", f"{error}, twice; {remedy}", error.cause, trace=words or None, fresh=True))
+        out_of_memory = error.cause is Cause.OUT_OF_MEMORY
+        remedy = "lower `resolution`, or allow more with --memory" if out_of_memory else "check the function of the stage"
+        yield Done(task, State("failed", f"{error}, twice; {remedy}", error.cause, trace=trace or None, fresh=True))
 
 
-def _executor(options: Options, memory: int) -> Executor:
+def _make_executor(options: Options, memory: int) -> Executor:
     if options.backend == "threading":  # threads start at once, but a crash in a stage ends the run
         return ThreadPoolExecutor(options.jobs)
     if options.backend == "dask":

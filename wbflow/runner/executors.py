@@ -68,18 +68,18 @@ class Processes(Executor):
 
     def submit(self, function: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
         """Call a function in a worker.  The future raises `WorkerLost` if the process ends instead."""
-        outcome: Future[Any] = Future()
-        outcome.set_running_or_notify_cancel()
-        chosen = self._idle.pop() if self._idle else self._start()
-        chosen.started.add_done_callback(lambda _: self._begin(chosen, outcome, functools.partial(function, *args, **kwargs)))
-        return outcome
+        future: Future[Any] = Future()
+        future.set_running_or_notify_cancel()
+        worker = self._idle.pop() if self._idle else self._start()
+        worker.started.add_done_callback(lambda _: self._begin(worker, future, functools.partial(function, *args, **kwargs)))
+        return future
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
         """End all workers and their child processes."""
         self._closed.set()
         self._watcher.join()
-        for each in list(self._workers):
-            each.end()
+        for worker in list(self._workers):
+            worker.end()
         self._workers, self._idle = [], []
 
     def _start(self) -> _Worker:
@@ -89,71 +89,71 @@ class Processes(Executor):
         preset = {name: value for name, value in PIXELS.items() if name not in os.environ}
         environment = preset | dict.fromkeys(THREADS, "1") | {ALL_CORES: str(self._jobs)}
         # the terminal sends Ctrl-C to all processes, but not to those that start while it is blocked: the run ends workers itself
-        before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+        old_mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
         try:
             pool = ProcessPoolExecutor(
                 1, context=get_context("loky"), initializer=_start_worker, initargs=(os.getpid(),), env=environment
             )
             started = pool.submit(os.getpid)
         except (OSError, ImportError, NotImplementedError) as error:
-            raise _not_started(str(error)) from None
+            raise _start_error(str(error)) from None
         finally:
-            signal.pthread_sigmask(signal.SIG_SETMASK, before)
+            signal.pthread_sigmask(signal.SIG_SETMASK, old_mask)
         self._workers.append(_Worker(pool, started))
         return self._workers[-1]
 
-    def _begin(self, chosen: _Worker, outcome: Future[Any], call: Callable[[], Any]) -> None:
+    def _begin(self, worker: _Worker, future: Future[Any], call: Callable[[], Any]) -> None:
         """Submit a call to a worker that has started: loky would wait forever for one that dies before it reads a long call."""
-        if failure := chosen.started.exception():
-            outcome.set_exception(_not_started(_ending(failure)))
+        if failure := worker.started.exception():
+            future.set_exception(_start_error(_describe_end(failure)))
             return
-        chosen.most = 0
+        worker.most = 0
         try:
-            chosen.pool.submit(call).add_done_callback(lambda inner: self._end(chosen, outcome, inner))
+            worker.pool.submit(call).add_done_callback(lambda loky_future: self._finish(worker, future, loky_future))
         except RuntimeError as error:  # its process has ended since its last call
-            self._lost(chosen, outcome, error)
+            self._report_loss(worker, future, error)
 
-    def _end(self, chosen: _Worker, outcome: Future[Any], inner: Future[Any]) -> None:
+    def _finish(self, worker: _Worker, future: Future[Any], loky_future: Future[Any]) -> None:
         from joblib.externals.loky.process_executor import BrokenProcessPool
 
-        error = inner.exception()
+        error = loky_future.exception()
         if isinstance(error, BrokenProcessPool):
-            self._lost(chosen, outcome, error)
+            self._report_loss(worker, future, error)
             return
-        self._idle.append(chosen)
+        self._idle.append(worker)
         if error:
-            outcome.set_exception(error)
+            future.set_exception(error)
         else:
-            outcome.set_result(inner.result())
+            future.set_result(loky_future.result())
 
-    def _lost(self, chosen: _Worker, outcome: Future[Any], error: BaseException) -> None:
-        chosen.end_group()
+    def _report_loss(self, worker: _Worker, future: Future[Any], error: BaseException) -> None:
+        worker.end_group()
         with suppress(ValueError):
-            self._workers.remove(chosen)
-        why, cause, held = _ending(error), Cause.WORKER_LOST, format_size(chosen.most)
-        if chosen.over:
-            together = f"all workers together held more than the limit of {format_size(self._memory)}"
-            why, cause = f"ran out of memory: it held {held}, and {together}", Cause.OUT_OF_MEMORY
-        elif "SIGKILL" in why and self._memory and chosen.most > self._memory / 2:  # probably by the kernel's OOM killer
-            why, cause = f"{why} (out of memory? it held {held})", Cause.OUT_OF_MEMORY
-        outcome.set_exception(WorkerLost(why, cause))
+            self._workers.remove(worker)
+        text, cause, memory = _describe_end(error), Cause.WORKER_LOST, format_size(worker.most)
+        if worker.over:
+            total = f"all workers together held more than the limit of {format_size(self._memory)}"
+            text, cause = f"ran out of memory: it held {memory}, and {total}", Cause.OUT_OF_MEMORY
+        elif "SIGKILL" in text and self._memory and worker.most > self._memory / 2:  # probably by the kernel's OOM killer
+            text, cause = f"{text} (out of memory? it held {memory})", Cause.OUT_OF_MEMORY
+        future.set_exception(WorkerLost(text, cause))
 
     def _watch(self) -> None:
         """Run in a thread: measure the memory of all workers, and while it exceeds the limit, end idle ones, then the largest."""
         while not self._closed.wait(MEASURE_SECONDS):
-            held = {each: each.holds() for each in list(self._workers)}
-            if not self._memory or sum(held.values()) <= self._memory:
+            memory = {worker: worker.holds() for worker in list(self._workers)}
+            if not self._memory or sum(memory.values()) <= self._memory:
                 continue
-            for idle in [each for each in held if each in self._idle]:
+            for idle in [worker for worker in memory if worker in self._idle]:
                 with suppress(ValueError):  # the worker has just received a call
                     self._idle.remove(idle)
                     self._workers.remove(idle)
                     idle.end()
-                    del held[idle]
-            if sum(held.values()) > self._memory:
-                fullest = max(held, key=lambda each: held[each])
-                fullest.over = True
-                fullest.end_group()
+                    del memory[idle]
+            if sum(memory.values()) > self._memory:
+                largest = max(memory, key=lambda worker: memory[worker])
+                largest.over = True
+                largest.end_group()
 
 
 @dataclass(eq=False)
@@ -178,8 +178,8 @@ class _Worker:
             info = psutil.Process(self.started.result()).memory_info()
         except psutil.Error:
             return 0
-        self.most = max(self.most, held := int(info.rss - getattr(info, "shared", 0)))
-        return held
+        self.most = max(self.most, memory := int(info.rss - getattr(info, "shared", 0)))
+        return memory
 
     def end(self) -> None:
         """End the worker process, its child processes, and the pool."""
@@ -211,21 +211,21 @@ def _start_worker(parent: int) -> None:
 _PR_SET_PDEATHSIG = 1  # prctl(2)
 
 
-def _not_started(why: str) -> WbflowError:
+def _start_error(reason: str) -> WbflowError:
     """The error for a worker process that does not start; checks the right to execute, which a broken pipe does not reveal."""
     remedy = "its output says why; is wbflow installed for this Python?"
     if not os.access(sys.executable, os.X_OK):
-        why = f"this user may not execute {sys.executable}"
+        reason = f"this user may not execute {sys.executable}"
         remedy = "allow it (chmod), or use another installation of Python;"
-    return WbflowError(f"no worker process can be started: {why}", remedy=f"{remedy} or try --backend threading")
+    return WbflowError(f"no worker process can be started: {reason}", remedy=f"{remedy} or try --backend threading")
 
 
-def _ending(error: BaseException) -> str:
+def _describe_end(error: BaseException) -> str:
     """How a worker process ended, as text; loky reports exit codes as `{SIGKILL(-9)}` or `{EXIT(3)}`."""
-    found = re.search(r"\{(\w+)\((-?\d+)\)", str(error))
-    if found is None:
+    match = re.search(r"\{(\w+)\((-?\d+)\)", str(error))
+    if match is None:
         return "lost its worker process"
-    name, code = found.groups()
+    name, code = match.groups()
     if int(code) >= 0:
         return f"ended its worker process with exit code {code}"
     return f"lost its worker process, which was killed by {name if name != 'UNKNOWN' else f'signal {code[1:]}'}"
@@ -274,11 +274,11 @@ class Cluster(Executor):
         """Call a function, whose first argument is a chain, in a worker not yet refused.  The future may raise `CodeMismatch`."""
         workers = [address for address in self._client.nthreads() if address not in self._refused]
         if self._refused and not workers:
-            why = "; ".join(f"the {names} of {address}" for address, names in sorted(self._refused.items()))
-            raise WbflowError(f"no worker of the cluster runs the same code: {why} differ", remedy="install the same on all")
-        only = workers if self._refused else None
+            details = "; ".join(f"the {names} of {address}" for address, names in sorted(self._refused.items()))
+            raise WbflowError(f"no worker of the cluster runs the same code: {details} differ", remedy="install the same on all")
+        allowed = workers if self._refused else None
         call = functools.partial(_in_cluster, self._roots, __version__, function, *args, **kwargs)
-        future: Future[Any] = self._executor.submit(call, workers=only)
+        future: Future[Any] = self._executor.submit(call, workers=allowed)
         return future
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
@@ -290,11 +290,11 @@ class Cluster(Executor):
 def _in_cluster(roots: Mapping[Path, Path], version: str, function: Callable[..., Any], *args: Any, **kwargs: Any) -> Any:
     """Run in a worker of the cluster: check its code, and call a function with paths translated to this machine."""
     os.environ |= PIXELS | dict.fromkeys(THREADS, "1")  # OpenCV and Numba read them when the first task imports them
-    chain, *rest = moved(args, roots)
-    other = [spec.function for spec in chain if not _same_code(spec)] + (["wbflow"] if version != __version__ else [])
-    if other:
-        raise CodeMismatch(importlib.import_module("distributed").get_worker().address, ", ".join(dict.fromkeys(other)))
-    return moved(function(chain, *rest, **kwargs), {there: here for here, there in roots.items()})
+    chain, *other_args = moved(args, roots)
+    mismatched = [spec.function for spec in chain if not _same_code(spec)] + (["wbflow"] if version != __version__ else [])
+    if mismatched:
+        raise CodeMismatch(importlib.import_module("distributed").get_worker().address, ", ".join(dict.fromkeys(mismatched)))
+    return moved(function(chain, *other_args, **kwargs), {remote: local for local, remote in roots.items()})
 
 
 def _same_code(spec: TaskSpec) -> bool:
@@ -316,7 +316,7 @@ def _reader(folder: Path | None) -> FunctionReader:
 def moved(value: Any, roots: Mapping[Path, Path]) -> Any:
     """Return a value with all paths in it, also in containers and dataclasses, translated by `roots` (folder -> folder)."""
     if isinstance(value, Path):
-        return next((there / value.relative_to(here) for here, there in roots.items() if value.is_relative_to(here)), value)
+        return next((remote / value.relative_to(local) for local, remote in roots.items() if value.is_relative_to(local)), value)
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
         changed = {f.name: moved(getattr(value, f.name), roots) for f in dataclasses.fields(value) if f.init}
         return dataclasses.replace(value, **changed)

@@ -19,7 +19,7 @@ from .state import Cause, Impossible, State, Waiting, because, summary_of
 if TYPE_CHECKING:
     from .planner import Plan
 
-_NEAR = 8
+_MOST_NEAR = 8
 """`Subjects.near` adds cameras up to this number: they show more of the surface, but each is one more image to read."""
 
 
@@ -72,9 +72,9 @@ class Subjects:
         """The cameras around a camera and, if these are fewer than eight, those that make dense pairs with the most of them; in
         the order of the site file."""
         partners = self.around(camera)
-        shared = Counter(other for partner in partners for other in self.around(partner))
-        more = sorted(shared.keys() - {camera, *partners}, key=lambda other: (-shared[other], self._position[other]))
-        return sorted([*partners, *more[: max(0, _NEAR - len(partners))]], key=self._position.__getitem__)
+        counts = Counter(other for partner in partners for other in self.around(partner))
+        candidates = sorted(counts.keys() - {camera, *partners}, key=lambda other: (-counts[other], self._position[other]))
+        return sorted([*partners, *candidates[: max(0, _MOST_NEAR - len(partners))]], key=self._position.__getitem__)
 
     def joined(self, origin: Stage, need: Source, task: Task) -> list[Task]:
         """The tasks whose artifacts, or entries of one, form a mapping input."""
@@ -136,26 +136,26 @@ class Inputs:
 
         made: tasks earlier in the same chain; inputs from these are not resolved yet.
         """
-        found: dict[str, Input] = {}
-        impossible: dict[str, Impossible] = {}
+        inputs: dict[str, Input] = {}
+        faults: dict[str, Impossible] = {}
         for name, need in needs.items():
             try:
-                found[name] = self.one(task, need, made)
+                inputs[name] = self.one(task, need, made)
             except Impossible as error:
                 if not need.unless:
                     raise
-                found[name], impossible[name] = Absent(), error
-        for name, why in impossible.items():
-            if any(isinstance(found.get(other, Absent()), Absent) for other in needs[name].unless):
-                raise why
-        return found
+                inputs[name], faults[name] = Absent(), error
+        for name, fault in faults.items():
+            if any(isinstance(inputs.get(other, Absent()), Absent) for other in needs[name].unless):
+                raise fault
+        return inputs
 
     def one(self, task: Task, need: Source, made: set[Task]) -> Input:
         """One input of a task; parameters and exceptions as for `of`."""
         if need.kind == "site":
             return self._from_site(need, task)
         if need.kind == "file":
-            return self._named(need.name, file_of_stage(task.stage, need.name))
+            return self._named_file(need.name, file_of_stage(task.stage, need.name))
         if need.kind == "reference":
             return self.plan.resolver.input(need, task)
         if need.kind == "history":
@@ -172,17 +172,17 @@ class Inputs:
 
     def upstreams(self, task: Task, needs: Mapping[str, Source]) -> list[Task]:
         """The tasks that provide the inputs of a task, as far as they are listed yet."""
-        found: list[Task] = []
+        upstreams: list[Task] = []
         for need in needs.values():
-            needless = need.kind != "stage" or (need.needed_if and not need.needed_if(self.plan.site))
-            if needless or (need.may_lack(self.plan.site) and need.name not in self.stages):
+            not_needed = need.kind != "stage" or (need.needed_if and not need.needed_if(self.plan.site))
+            if not_needed or (need.may_lack(self.plan.site) and need.name not in self.stages):
                 continue
             origin = stage_named(need.name)
             if need.joins and origin.scope != "site":
-                found += self.plan.subjects.joined(origin, need, task)
+                upstreams += self.plan.subjects.joined(origin, need, task)
             else:
-                found.append(Task(origin.name, subject_of(origin, need, task)))
-        return list(dict.fromkeys(found))
+                upstreams.append(Task(origin.name, subject_of(origin, need, task)))
+        return list(dict.fromkeys(upstreams))
 
     def _stored(self, upstream: Task, need: Source, part: Part | None, made: set[Task] | None = None) -> Input:
         if made and upstream in made:
@@ -228,58 +228,58 @@ class Inputs:
             else:
                 faults.append(because(upstream, state))
         if not items and not need.may_lack(self.plan.site):
-            raise self._nothing(origin, faults)
+            raise self._why_empty(origin, faults)
         return Joined(items)
 
     def _entries(self, origin: Stage, need: Source, joined: list[Task]) -> Input:
         """The entries for some cameras in a mapping from a site-wide stage."""
-        optional, whole = replace(need, optional=True), Task(origin.name)
-        found = {task.subject: self._stored(whole, optional, Part(need.part, task.subject[0])) for task in joined}
-        items: dict[Subject, Value | Stored] = {subject: item for subject, item in found.items() if isinstance(item, Stored)}
+        optional, site_task = replace(need, optional=True), Task(origin.name)
+        inputs = {task.subject: self._stored(site_task, optional, Part(need.part, task.subject[0])) for task in joined}
+        items: dict[Subject, Value | Stored] = {subject: item for subject, item in inputs.items() if isinstance(item, Stored)}
         if not items:
-            raise because(whole, self.plan.states[whole])
+            raise because(site_task, self.plan.states[site_task])
         return Joined(items)
 
-    def _nothing(self, origin: Stage, faults: list[Impossible]) -> Impossible:
+    def _why_empty(self, origin: Stage, faults: list[Impossible]) -> Impossible:
         """Why a mapping input has no entries."""
-        first = f": {faults[0]}" if faults else ""
+        first_fault = f": {faults[0]}" if faults else ""
         frames = {view.id: self.plan.states.get(Task(FRAMES, (view.id,))) for view in self.plan.site.views}
         usable = list(dict.fromkeys(view.camera for view in self.plan.site.views if (state := frames[view.id]) and state.usable))
         if len(usable) < 2:
-            why = f"no camera has a usable capture{first}"
+            reason = f"no camera has a usable capture{first_fault}"
             if usable:
-                why = f"only camera {usable[0]} has a usable capture, a cloud needs two that see the same things{first}"
+                reason = f"only camera {usable[0]} has a usable capture, a cloud needs two that see the same things{first_fault}"
             elif all(state and state.code == Cause.NO_CAPTURE for state in frames.values()):
-                why = f"no camera has a usable capture: there is none of this night in {self.plan.site.captures.root}"
-            return Impossible(why, Cause.TOO_FEW_CAMERAS)
+                reason = f"no camera has a usable capture: there is none of this night in {self.plan.site.captures.root}"
+            return Impossible(reason, Cause.TOO_FEW_CAMERAS)
         pairs = self.plan.states.get(Task(PAIRS))
         if origin.scope == "pair" and not faults:
             if pairs and not pairs.usable:
                 return because(Task(PAIRS), pairs)
             return Impossible("no two cameras see enough in common to be matched", Cause.NO_PAIRS)
-        return Impossible(f"no {origin.name} to work on{first}", faults[0].code if faults else Cause.UPSTREAM)
+        return Impossible(f"no {origin.name} to work on{first_fault}", faults[0].code if faults else Cause.UPSTREAM)
 
     def _from_site(self, need: Source, task: Task) -> Input:
-        what = need.name
-        if what == "survey" or need.of == "every":
-            return site_inputs(self.plan.site, what)
+        name = need.name
+        if name == "survey" or need.of == "every":
+            return site_inputs(self.plan.site, name)
         camera = self.plan.subjects.camera(task.subject[0])
-        if what == "mask":
-            return self._named("mask", camera.camera)
-        if what == "privacy" and not camera.privacy:
+        if name == "mask":
+            return self._named_file("mask", camera.camera)
+        if name == "privacy" and not camera.privacy:
             return Absent()
-        if what == "captures":
-            return Files(self._captured(camera))
-        return site_input(camera, what)
+        if name == "captures":
+            return Files(self._readable_captures(camera))
+        return site_input(camera, name)
 
-    def _named(self, words: str, key: str) -> Input:
-        """A file that the site file names.  words: its kind, for the message; key: its key in `Plan.named`."""
+    def _named_file(self, kind: str, key: str) -> Input:
+        """A file that the site file names.  kind: such as "mask", for the message; key: its key in `Plan.named`."""
         file = self.plan.named.get(key)
         if file and not file.digest:
-            raise Impossible(f"{words} {file.name} {file.fault}", Cause.BAD_INPUT)
+            raise Impossible(f"{kind} {file.name} {file.fault}", Cause.BAD_INPUT)
         return Files((file,), single=True) if file else Absent()
 
-    def _captured(self, camera: Camera) -> tuple[CaptureFile, ...]:
+    def _readable_captures(self, camera: Camera) -> tuple[CaptureFile, ...]:
         files = self.plan.captures[camera.camera]
         if not files:
             raise Impossible(f"no capture: {self.plan.missing.get(camera.camera, 'there is no file for it')}", Cause.NO_CAPTURE)

@@ -32,19 +32,19 @@ class Journal:
     peak_rss_mb: float = 0.0
     """Peak memory of the largest worker, MB (2^20 bytes)."""
     _stages: dict[str, StageSeconds] = field(default_factory=dict)
-    _wall: float = field(default_factory=time.perf_counter)
-    _cpu: float = field(default_factory=time.process_time)
+    _wall_start: float = field(default_factory=time.perf_counter)
+    _cpu_start: float = field(default_factory=time.process_time)
 
     def add_ended(self, plan: Plan) -> None:
         """Add an event for each task that has ended since the last call, and for damage that was found in the cache."""
         for damage in plan.cache.damages():
             self.repaired(f"{damage.what}: made again", task=damage.task)
         for task, state in plan.news():
-            self._add(_event(task, state))
+            self._add(_task_event(task, state))
             if state.fresh and state.receipt:
-                before, receipt = self._stages.get(task.stage, StageSeconds(0.0, 0.0, 0)), state.receipt
-                wall, cpu = before.wall + receipt.wall, before.cpu + receipt.cpu
-                self._stages[task.stage] = StageSeconds(wall, cpu, before.tasks + 1)
+                previous, receipt = self._stages.get(task.stage, StageSeconds(0.0, 0.0, 0)), state.receipt
+                wall, cpu = previous.wall + receipt.wall, previous.cpu + receipt.cpu
+                self._stages[task.stage] = StageSeconds(wall, cpu, previous.tasks + 1)
                 self.peak_rss_mb = max(self.peak_rss_mb, receipt.peak_rss_mb)
 
     def warn(self, what: str, *, task: Task | None = None, remedy: str = "", trace: str | None = None) -> None:
@@ -67,7 +67,7 @@ class Journal:
 
     def seconds(self, own_process: bool) -> Seconds:
         """Return the costs of the run until now.  own_process: tasks ran in this process, whose CPU time includes theirs."""
-        wall, cpu = time.perf_counter() - self._wall, time.process_time() - self._cpu
+        wall, cpu = time.perf_counter() - self._wall_start, time.process_time() - self._cpu_start
         if not own_process:
             cpu += sum(stage.cpu for stage in self._stages.values())
         return Seconds(wall, cpu, self._stages)
@@ -77,7 +77,7 @@ class Journal:
         self.listen(event)
 
 
-def _event(task: Task, state: State) -> TaskEvent:
+def _task_event(task: Task, state: State) -> TaskEvent:
     receipt = state.receipt
     return TaskEvent(
         task,

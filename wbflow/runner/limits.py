@@ -37,8 +37,8 @@ class Limits:
         """Return the time limit of a stage's tasks, seconds."""
         if self.seconds is not None:
             return self.seconds
-        before = self.costs.stages.get(stage)
-        return MOST_WAIT_SECONDS if before is None else min(max(LEAST_SECONDS, TIMES_MEDIAN * before), MOST_WAIT_SECONDS)
+        median = self.costs.stages.get(stage)
+        return MOST_WAIT_SECONDS if median is None else min(max(LEAST_SECONDS, TIMES_MEDIAN * median), MOST_WAIT_SECONDS)
 
     def learn(self, stage: str, mb: float) -> None:
         """Record the peak memory of a task in this run, MB."""
@@ -46,31 +46,31 @@ class Limits:
 
     def fits(self, begun: Iterable[Iterable[Task]], chain: Iterable[Task]) -> bool:
         """Return whether memory suffices for one more chain; an unknown chain counts as 0: if lost, it is retried alone."""
-        return not self.memory or sum(map(self._most_mb, [*begun, chain])) * 2**20 <= self.memory
+        return not self.memory or sum(map(self._peak_mb, [*begun, chain])) * 2**20 <= self.memory
 
-    def _most_mb(self, chain: Iterable[Task]) -> float:
+    def _peak_mb(self, chain: Iterable[Task]) -> float:
         return max((self.costs.held(task.stage, str(task), self.measured_mb.get(task.stage, 0.0)) for task in chain), default=0.0)
 
 
 def machine_memory() -> int:
     """Return the default limit of the memory of all workers together, bytes; 0 if the machine's memory is unknown."""
-    groups, known = Path("/sys/fs/cgroup"), []
+    groups, limits = Path("/sys/fs/cgroup"), []
     files = [groups / "memory" / "memory.limit_in_bytes"]
     with suppress(OSError, StopIteration):
-        own = next(line for line in Path("/proc/self/cgroup").read_text().splitlines() if line.startswith("0::"))
-        group = groups / own.removeprefix("0::").lstrip("/")
+        own_line = next(line for line in Path("/proc/self/cgroup").read_text().splitlines() if line.startswith("0::"))
+        group = groups / own_line.removeprefix("0::").lstrip("/")
         files += [folder / "memory.max" for folder in (group, *group.parents) if folder.is_relative_to(groups)]
     for file in files:
         with suppress(OSError, ValueError):  # "max": there is no limit
-            known.append(int(file.read_text()))
+            limits.append(int(file.read_text()))
     with suppress(ValueError, OSError):
-        known.append(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES"))
-    return int(SHARE * min(known, default=0))
+        limits.append(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES"))
+    return int(SHARE * min(limits, default=0))
 
 
 def disk_shortage(root: Path, costs: TaskCosts, tasks: Iterable[Task]) -> str:
     """A message if the disk of a work folder has too little space for some tasks; "" if it has enough."""
-    need = round(DISK_MARGIN * sum(costs.stages_bytes.get(task.stage, 0.0) for task in tasks)) + DISK_RESERVE
-    if (free := free_bytes(root)) >= need:
+    needed = round(DISK_MARGIN * sum(costs.stages_bytes.get(task.stage, 0.0) for task in tasks)) + DISK_RESERVE
+    if (free := free_bytes(root)) >= needed:
         return ""
-    return f"the disk is nearly full: about {format_size(need)} needed to go on, {format_size(free)} free in {root}"
+    return f"the disk is nearly full: about {format_size(needed)} needed to go on, {format_size(free)} free in {root}"

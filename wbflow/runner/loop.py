@@ -96,7 +96,7 @@ class _Loop:
         for chain in chains:
             self.context.plan.release(spec.task for spec in chain)
 
-    def _stop(self, at: datetime.datetime) -> None:
+    def _stop(self, stop_time: datetime.datetime) -> None:
         """End running tasks, and skip ready ones, except depth maps and site-wide stages, which join existing results."""
         plan = self.context.plan
         if not self.stopped:
@@ -106,7 +106,7 @@ class _Loop:
             plan.refresh()
         while given_up := [t for t in plan.ready if stage_named(t.stage).scope != "site" and t.stage != DEPTH]:
             for task in given_up:
-                plan.commit(task, State("skipped", f"the run was to stop at {at:%H:%M}", Cause.STOPPED))
+                plan.commit(task, State("skipped", f"the run was to stop at {stop_time:%H:%M}", Cause.STOPPED))
             plan.refresh()
 
     def _make_again(self, task: Task, reason: str) -> None:
@@ -116,8 +116,8 @@ class _Loop:
             return
         self._attempts[task] += 1
         if self._attempts[task] > MOST_ATTEMPTS:
-            why = f"{reason}; damaged {MOST_ATTEMPTS} times: is the disk failing?"
-            plan.commit(task, State("failed", why, Cause.DAMAGED))
+            explanation = f"{reason}; damaged {MOST_ATTEMPTS} times: is the disk failing?"
+            plan.commit(task, State("failed", explanation, Cause.DAMAGED))
         else:
             self.journal.repaired(f"{reason}; made again", task=task)
             plan.forget(task)
@@ -126,19 +126,19 @@ class _Loop:
         """Continue the plan with the present content of a capture, mask or model that was replaced since it was read."""
         self._attempts[file] += 1
         if self._attempts[file] > MOST_ATTEMPTS:
-            why = f"{file} keeps changing: is it still being written?"
-            self.context.plan.commit(task, State("failed", why, Cause.BAD_INPUT))
+            explanation = f"{file} keeps changing: is it still being written?"
+            self.context.plan.commit(task, State("failed", explanation, Cause.BAD_INPUT))
             return
         self.journal.warn(f"{reason}; its present content is used", task=task)
         self.context.reread(file)
 
     def _products(self) -> dict[Task, bytes]:
         """The artifacts to publish: poses and clouds.  Raises DamagedArtifact."""
-        cache, found = self.context.plan.cache, {}
+        cache, products = self.context.plan.cache, {}
         for task, state in self.context.plan.states.items():
             if task.stage in {POSES, FUSE} and state.usable and state.receipt:
-                found[task] = cache.read(task, cache.path(state.receipt), state.receipt.digest)
-        return found
+                products[task] = cache.read(task, cache.path(state.receipt), state.receipt.digest)
+        return products
 
 
 @contextmanager
@@ -151,10 +151,10 @@ def terminate_as_interrupt() -> Iterator[None]:
     if threading.current_thread() is not threading.main_thread():  # only the main thread can set signal handlers
         yield
         return
-    caught = [s for s in (signal.SIGTERM, signal.SIGHUP) if signal.getsignal(s) is not signal.SIG_IGN]  # nohup ignores SIGHUP
-    before = {each: signal.signal(each, interrupt) for each in caught}
+    signals = [s for s in (signal.SIGTERM, signal.SIGHUP) if signal.getsignal(s) is not signal.SIG_IGN]  # nohup ignores SIGHUP
+    old_handlers = {number: signal.signal(number, interrupt) for number in signals}
     try:
         yield
     finally:
-        for each, handler in before.items():
-            signal.signal(each, handler)
+        for number, handler in old_handlers.items():
+            signal.signal(number, handler)

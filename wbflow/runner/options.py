@@ -38,11 +38,11 @@ class Options:
         """Raises UsageError for impossible options."""
         names = [stage.name for stage in STAGES]
         if self.until and self.until not in names:
-            raise UsageError(f"--until {self.until}: there is no such stage", remedy=_stages(self.until, names))
+            raise UsageError(f"--until {self.until}: there is no such stage", remedy=_stages_remedy(self.until, names))
         for name in self.force:
             if name.split(" ")[0] not in names:
                 what = f"--force {name!r}: name a stage, or a task such as 'matches gate--roof'"
-                raise UsageError(what, remedy=_stages(name, names))
+                raise UsageError(what, remedy=_stages_remedy(name, names))
             self._check_subject(site, name)
         if self.worker_roots and self.backend != "dask":
             raise UsageError("--worker-root is of workers on other machines", remedy="with --backend dask")
@@ -59,26 +59,26 @@ class Options:
         views = [name for view in site.views for name in dict.fromkeys((view.id, camera_of(view.id)))]
         pairs = {"--".join(pair) for pair in itertools.combinations(dict.fromkeys(views), 2)} if subject else set()
         subjects = {"camera": set(views), "pair": pairs, "site": {component_name(k) for k in range(1, len(views))}}
-        there = subjects[stage_named(stage).scope]
-        if subject and subject not in there:
-            turned = "--".join(reversed(subject.split("--")))
-            close = [turned] if turned in there else difflib.get_close_matches(subject, sorted(there)[:20_000], n=1)
-            remedy = f"did you mean '{stage} {close[0]}'?" if close else "wbflow status SITE.yaml  lists the night's tasks"
+        existing = subjects[stage_named(stage).scope]
+        if subject and subject not in existing:
+            swapped = "--".join(reversed(subject.split("--")))
+            similar = [swapped] if swapped in existing else difflib.get_close_matches(subject, sorted(existing)[:20_000], n=1)
+            remedy = f"did you mean '{stage} {similar[0]}'?" if similar else "wbflow status SITE.yaml  lists the night's tasks"
             raise UsageError(f"--force {name!r}: the site has no such task", remedy=remedy)
 
 
-def _stages(named: str, names: list[str]) -> str:
-    close = difflib.get_close_matches(named.split(" ")[0], names, n=1)
-    return f"{f'did you mean {close[0]}? ' if close else ''}stages are {', '.join(names)}"
+def _stages_remedy(name: str, names: list[str]) -> str:
+    similar = difflib.get_close_matches(name.split(" ")[0], names, n=1)
+    return f"{f'did you mean {similar[0]}? ' if similar else ''}stages are {', '.join(names)}"
 
 
 def worker_roots(texts: tuple[str, ...]) -> dict[Path, Path]:
     """Return the workers' paths by folder of this machine, parsed from texts HERE=THERE.  Raises UsageError."""
     roots = {}
     for text in texts:
-        here, _, there = text.partition("=")
-        if not here or not there.startswith("/"):
+        local, _, remote = text.partition("=")
+        if not local or not remote.startswith("/"):
             what = f"--worker-root {text!r}: write HERE=THERE, a folder of this machine and its path on the workers"
             raise UsageError(what, remedy="for example: --worker-root /srv=/mnt/srv")
-        roots[Path(here).resolve()] = Path(there)
+        roots[Path(local).resolve()] = Path(remote)
     return roots

@@ -26,7 +26,7 @@ from .inputs import Inputs, Subjects
 from .spec import Absent, Drawing, Input, TaskSpec
 from .state import Impossible, State, Waiting, cached_state
 
-_DECIDE = frozenset(Task(name) for name in (PAIRS, POSES, DENSE_PAIRS))
+_DECISIVE = frozenset(Task(name) for name in (PAIRS, POSES, DENSE_PAIRS))
 """Tasks whose results determine which other tasks exist."""
 
 
@@ -59,27 +59,27 @@ class Plan:
     """Health of the cameras whose captures are not of tonight."""
     night_given: bool = False
     """Did the user give the night?  Otherwise dates in the pictures may determine it, if file names contain none."""
-    _anew: bool = True
+    _must_relist: bool = True
     """Must the tasks be listed again?"""
     _due: deque[Task] = field(default_factory=deque)
     """Tasks whose states must be derived."""
     _dependents: dict[Task | None, list[Task]] = field(default_factory=dict)
     """Waiting tasks, by the task that they wait for."""
-    _news: dict[Task, None] = field(default_factory=dict)
+    _newly_ended: dict[Task, None] = field(default_factory=dict)
     """Tasks that have ended since the last call of `news`."""
-    _listed: Counter[str] = field(default_factory=Counter)
+    _task_counts: Counter[str] = field(default_factory=Counter)
     """Number of tasks by stage, ended ones included."""
     _bindings: dict[str, Binding] = field(default_factory=dict)
     """Bindings by stage, or by the `Adapt` function that replaces that of the stage."""
 
     def __post_init__(self) -> None:
-        wanted = ancestors(self.until) if self.until else {stage.name for stage in STAGES}
-        off = {name for name, stage in self.site.stages.items() if not stage.enabled}
-        off |= {stage.name for stage in STAGES if callable(stage.optional) and not stage.optional(self.site)}
-        for stage in STAGES:  # in order, so that an optional stage is off whenever one that it needs is, directly or not
-            off |= {stage.name} if stage.optional and off & stage.needed() else set()
+        requested = ancestors(self.until) if self.until else {stage.name for stage in STAGES}
+        disabled = {name for name, stage in self.site.stages.items() if not stage.enabled}
+        disabled |= {stage.name for stage in STAGES if callable(stage.optional) and not stage.optional(self.site)}
+        for stage in STAGES:  # in order, so that an optional stage is disabled whenever one that it needs is, directly or not
+            disabled |= {stage.name} if stage.optional and disabled & stage.needed() else set()
         self._folder = self.site.folder
-        self.stages = [stage for stage in STAGES if stage.name in wanted - off]
+        self.stages = [stage for stage in STAGES if stage.name in requested - disabled]
         """The stages that take part tonight."""
         names = frozenset(stage.name for stage in self.stages)
         self.subjects = Subjects(self.site, self.states, DENSE_PAIRS in names)
@@ -92,8 +92,8 @@ class Plan:
 
     def refresh(self) -> None:
         """Find which tasks are cached, ready or waiting; only those that may have changed are examined."""
-        while self._anew or self._due:
-            if self._anew:
+        while self._must_relist or self._due:
+            if self._must_relist:
                 self._list()
             elif (task := self._due.popleft()) not in self.states and task not in self.running and task not in self.ready:
                 self._derive(stage_named(task.stage), task)
@@ -105,19 +105,19 @@ class Plan:
         self.waiting.pop(task, None)
         self.force -= {str(task)}
         self.resolver.task_ended(task)
-        self._news[task] = None
+        self._newly_ended[task] = None
         self._due.extend(self._dependents.pop(task, ()))
-        self._anew = self._anew or task in _DECIDE
+        self._must_relist = self._must_relist or task in _DECISIVE
 
     def forget(self, task: Task) -> None:
         """Drop the state of a task that has ended, because its artifact is damaged."""
         self.states.pop(task, None)
         self.resolver.artifact_lost(task)
-        self._anew = True
+        self._must_relist = True
 
     def relist(self) -> None:
         """Have the states of all tasks that have not ended derived again, because a file has changed."""
-        self._anew = True
+        self._must_relist = True
 
     def begin(self, chains: Iterable[list[TaskSpec]]) -> None:
         """Mark the tasks of chains as running."""
@@ -134,8 +134,8 @@ class Plan:
 
     def news(self) -> list[tuple[Task, State]]:
         """The tasks that have ended since the last call."""
-        found, self._news = self._news, {}
-        return [(task, state) for task in found if (state := self.states.get(task))]
+        ended, self._newly_ended = self._newly_ended, {}
+        return [(task, state) for task in ended if (state := self.states.get(task))]
 
     def chains(self) -> list[list[TaskSpec]]:
         """The ready tasks, each with the tasks of the same subject that can follow it in the same worker call."""
@@ -143,9 +143,9 @@ class Plan:
 
     def counts(self) -> dict[str, int]:
         """The number of tasks of each stage that are listed so far."""
-        if self._anew:
+        if self._must_relist:
             self._list()
-        return {stage.name: self._listed[stage.name] for stage in self.stages}
+        return {stage.name: self._task_counts[stage.name] for stage in self.stages}
 
     def pairs_known(self, stage: Stage | None = None) -> bool:
         """Are the pairs known that a stage works on, so that its tasks are listed?  None: for all stages."""
@@ -168,10 +168,10 @@ class Plan:
 
     def _list(self) -> None:
         """List all known tasks, to be examined in the order of the pipeline."""
-        self._anew = False
+        self._must_relist = False
         self.ready, self.waiting, self._dependents = {}, {}, {}
         self._due = deque(task for stage in self.stages for task in self.subjects.tasks(stage))
-        self._listed = Counter(task.stage for task in self._due)
+        self._task_counts = Counter(task.stage for task in self._due)
 
     def _derive(self, stage: Stage, task: Task) -> None:
         try:
@@ -198,26 +198,26 @@ class Plan:
             self.ready[task] = spec
 
     def _chain(self, first: TaskSpec) -> list[TaskSpec]:
-        chain, made = [first], {first.task}
+        chain, earlier = [first], {first.task}
         for stage in self.stages if first.task.subject else ():
             follower = Task(stage.name, first.task.subject)
             if follower in self.waiting:
                 try:
                     replacement = self.resolver.replacement(stage, follower)
                     if not isinstance(replacement, Receipt):
-                        chain.append(self._spec(stage, follower, made, replacement))
-                        made.add(follower)
+                        chain.append(self._spec(stage, follower, earlier, replacement))
+                        earlier.add(follower)
                 except (Waiting, Impossible):
                     continue
-        return [self._with_drawings(spec, made) for spec in chain]
+        return [self._with_drawings(spec, earlier) for spec in chain]
 
-    def _spec(self, stage: Stage, task: Task, made: Iterable[Task] = (), adapt: Adapt | None = None) -> TaskSpec:
+    def _spec(self, stage: Stage, task: Task, earlier: Iterable[Task] = (), adapt: Adapt | None = None) -> TaskSpec:
         """The spec of a task with the stage's function or the `adapt` function; raises Waiting, Impossible.
 
-        made: tasks earlier in the same chain; inputs from these are not resolved yet.
+        earlier: tasks earlier in the same chain; inputs from these are not resolved yet.
         """
         bound = self.bound(stage, adapt)
-        inputs = self._inputs.of(task, bound.inputs, set(made))
+        inputs = self._inputs.of(task, bound.inputs, set(earlier))
         parameters = self._parameters(stage, task, adapt)
         return TaskSpec(
             task,
@@ -230,15 +230,15 @@ class Plan:
             folder=self._folder,
         )
 
-    def _with_drawings(self, spec: TaskSpec, made: set[Task]) -> TaskSpec:
-        """A spec with the drawings to make of its result.  made: as for `_spec`."""
+    def _with_drawings(self, spec: TaskSpec, earlier: set[Task]) -> TaskSpec:
+        """A spec with the drawings to make of its result.  earlier: as for `_spec`."""
         stage = stage_named(spec.task.stage)
         drawings = []
         for name, function in stage.products.drawings.items():
             inputs: dict[str, Input] = {}
             for argument, need in stage.products.picture_inputs.items() if name == "picture" else ():
                 try:
-                    inputs[argument] = self._inputs.one(spec.task, need, made)
+                    inputs[argument] = self._inputs.one(spec.task, need, earlier)
                 except (Waiting, Impossible):
                     inputs[argument] = Absent()
             drawings.append(Drawing(name, function, inputs))
@@ -268,5 +268,5 @@ class Plan:
         if stage.name == FUSE:
             numbers = range(1, self.subjects.components())
             values[COMPONENT] = next((k for k in numbers if task.subject == (component_name(k),)), 0)
-        known = self.bound(stage).parameters
-        return {name: v for name, v in values.items() if name in known} | self.site.stage_settings(stage.name).parameters
+        accepted = self.bound(stage).parameters
+        return {name: v for name, v in values.items() if name in accepted} | self.site.stage_settings(stage.name).parameters

@@ -98,5 +98,5 @@ class Impossible(Exception):
 
 def because(task: Task, state: State) -> Impossible:
     """The exception for a task that needs `task`, which has ended without an artifact in the given state."""
-    ended = state.outcome if state.outcome == "failed" else f"was {state.outcome}"
-    return Impossible(f"{task} {ended}: {state.reason}" if state.reason else f"{task} {ended}", state.code or Cause.UPSTREAM)
+    outcome = state.outcome if state.outcome == "failed" else f"was {state.outcome}"
+    return Impossible(f"{task} {outcome}: {state.reason}" if state.reason else f"{task} {outcome}", state.code or Cause.UPSTREAM)

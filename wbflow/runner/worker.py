@@ -59,12 +59,12 @@ class Progress:
 
     def __init__(self, path: Path | None, time_limits: Mapping[str, float] | None) -> None:
         """time_limits: seconds by stage; None if the process also does other work, and must not be ended."""
-        nowhere = Path(os.devnull)
+        devnull = Path(os.devnull)
         self._file: TextIO
         try:
-            self._file = (path or nowhere).open("w")
+            self._file = (path or devnull).open("w")
         except OSError:  # a full disk; the tasks report it themselves
-            self._file = nowhere.open("w")
+            self._file = devnull.open("w")
         self._limits = time_limits
 
     def __enter__(self) -> Progress:
@@ -117,9 +117,9 @@ def run_chain(
     make_importable(specs[0].folder)
     chain = _Results(cache, time.process_time if time_limits is not None else time.thread_time)
     ended: list[Done] = []
-    with Progress(progress, time_limits) as notes:
+    with Progress(progress, time_limits) as reporter:
         for number, spec in enumerate(specs):
-            notes.begun(number, spec.task.stage)
+            reporter.begun(number, spec.task.stage)
             done = _attempt(spec, chain)
             ended.append(dataclasses.replace(done, damages=tuple(cache.damages())))
             if not done.state.usable or done.state.receipt is None:
@@ -143,7 +143,7 @@ def _attempt(spec: TaskSpec, chain: _Results) -> Done:
         key = preimage.key()
         if not spec.force and (receipt := chain.cache.by_key(spec.task, key)):
             return Done(spec.task, cached_state(receipt))
-        return _do(resolved, preimage, key, chain)
+        return _execute(resolved, preimage, key, chain)
     except DamagedArtifact as damage:
         return Done(spec.task, State("failed", damage.what), damaged=damage.task)
     except ChangedFile as change:
@@ -157,46 +157,46 @@ def _failure(spec: TaskSpec, error: BaseException) -> State:
 
     An OSError, or a ValueError of a task that reads files from outside, is blamed on the input; others on the function.
     """
-    words = printable("".join(traceback.format_exception_only(error)).strip())
+    message = printable("".join(traceback.format_exception_only(error)).strip())
     trace = printable("".join(traceback.format_exception(error)), LONGEST_TRACE)
     if isinstance(error, MemoryError):
         why = "ran out of memory: lower `resolution`, or run with fewer --jobs"
         return State("failed", why, Cause.OUT_OF_MEMORY, fresh=True)
     if isinstance(error, OSError) and error.errno in FULL:
         return State("failed", f"{error.strerror}; {REMEDY}", Cause.DISK_FULL, fresh=True)
-    reads = any(isinstance(value, Files) for value in spec.inputs.values())
-    if isinstance(error, OSError) or (reads and isinstance(error, ValueError) and type(error).__name__ != "LinAlgError"):
-        why = words.partition(": ")[2] or words
+    reads_files = any(isinstance(value, Files) for value in spec.inputs.values())
+    if isinstance(error, OSError) or (reads_files and isinstance(error, ValueError) and type(error).__name__ != "LinAlgError"):
+        why = message.partition(": ")[2] or message
         return State("failed", why, Cause.BAD_INPUT, trace=trace, fresh=True)
     if isinstance(error, SystemExit):
-        words = printable(f"it ended the program (sys.exit({error.code!r}))")
-    why = f"the function of {spec.task.stage} failed: {words}; to run it alone: wbflow debug SITE.yaml '{spec.task}' --out DIR"
+        message = printable(f"it ended the program (sys.exit({error.code!r}))")
+    why = f"the function of {spec.task.stage} failed: {message}; to run it alone: wbflow debug SITE.yaml '{spec.task}' --out DIR"
     return State("failed", why, Cause.FAULT, trace=trace, fresh=True)
 
 
-def _do(spec: TaskSpec, preimage: Preimage, key: str, chain: _Results) -> Done:
+def _execute(spec: TaskSpec, preimage: Preimage, key: str, chain: _Results) -> Done:
     """Load the inputs, call the function, write the artifact, then the receipt."""
     reset_peak()
-    wall, cpu = time.perf_counter(), chain.clock()
+    wall_start, cpu_start = time.perf_counter(), chain.clock()
     arguments = {name: _load(value, chain) for name, value in spec.inputs.items()}
     result = load(spec.function)(**arguments, **spec.parameters)
-    nothing: Any = load(REJECTED)
-    if rejected := isinstance(result, nothing):
+    rejected_class: Any = load(REJECTED)
+    if rejected := isinstance(result, rejected_class):
         code = getattr(result, "code", None)
         data, drawings, warnings = None, dict[str, bytes](), tuple[str, ...]()
-        known: dict[str, Any] = {"reason": printable(result.reason), "code": None if code is None else str(code)}
-        known["figures"] = dict(result.figures)
+        facts: dict[str, Any] = {"reason": printable(result.reason), "code": None if code is None else str(code)}
+        facts["figures"] = dict(result.figures)
     else:
-        data, known = bytes_and_facts(result, spec.task.stage, key)
+        data, facts = bytes_and_facts(result, spec.task.stage, key)
         drawings, warnings = _draw(spec, result, chain)
     receipt = Receipt(
         str(spec.task),
         key,
         "rejected" if rejected else "ran",
         preimage,
-        **{"digest": "", **known},
-        wall=time.perf_counter() - wall,
-        cpu=chain.clock() - cpu,
+        **{"digest": "", **facts},
+        wall=time.perf_counter() - wall_start,
+        cpu=chain.clock() - cpu_start,
         peak_rss_mb=peak() / 2**20,
         finished=datetime.datetime.now(datetime.UTC).isoformat(),
         drawings={name: content_digest(drawing) for name, drawing in drawings.items()},
@@ -240,11 +240,11 @@ def _load(value: Input, chain: _Results, keep: bool = True) -> Any:
     if isinstance(value, Value):
         return _from_plain(value)
     if isinstance(value, Files):
-        captures = [_capture(file) for file in value.files]
+        captures = [_load_capture(file) for file in value.files]
         return captures[0] if value.single else captures
     result = chain.results.get(value.file_digest)
-    if result is None and value.part and not value.task.subject:  # many chains need a part each of a site-wide artifact
-        return copy.deepcopy(value.part.of(_decoded(chain.cache, value.task, value.file, value.file_digest)))
+    if result is None and value.part and not value.task.subject:  # many chains each need a part of a site-wide artifact
+        return copy.deepcopy(value.part.of(_read_cached(chain.cache, value.task, value.file, value.file_digest)))
     if result is None:
         result = _read(chain.cache, value.task, value.file, value.file_digest)
         if keep:
@@ -257,7 +257,7 @@ def _read(cache: Cache, task: Task, file: str, digest: str) -> Any:
     return result_of(data, task.stage)
 
 
-_decoded = functools.lru_cache(4)(_read)
+_read_cached = functools.lru_cache(4)(_read)
 
 
 def _from_plain(value: Value) -> Any:
@@ -267,7 +267,7 @@ def _from_plain(value: Value) -> Any:
     return load(value.kind)(**fields)
 
 
-def _capture(file: CaptureFile) -> Any:
+def _load_capture(file: CaptureFile) -> Any:
     import numpy as np
 
     data = read_untrusted(file.path)

@@ -29,23 +29,23 @@ def read_cameras(file: SiteFile, frame: LocalFrame | None, problems: Problems) -
 
     frame: the local frame for positions given by latitude and longitude; None if there are none.
     """
-    calibrated = _calibrated(file.calibration, ("calibration",), problems)
+    calibrated = _calibrated_cameras(file.calibration, ("calibration",), problems)
     _check_ids([camera.id for camera in file.cameras], problems)
-    found = []
+    cameras = []
     for i, camera in enumerate(file.cameras):
         location: Location = ("cameras", i)
         entry = _own_entry(camera, location, problems) or find_camera(calibrated, camera.id)
         if calibrated and entry is None and camera.intrinsics is None:
-            what = f"{file.calibration} has no camera {camera.id!r}; it has {_shown(calibrated)}"
+            what = f"{file.calibration} has no camera {camera.id!r}; it has {_name_list(calibrated)}"
             problems.add(location, what, "correct the id, add the camera to that file, or give its intrinsics here")
         mask = beside(camera.mask, (*location, "mask"), problems) if camera.mask else None
         if mask and not is_file(mask):
             remedy = "give the path of an image of the capture's size, white where pixels may be used"
             problems.add((*location, "mask"), f"there is no file {printable(mask)}", remedy)
-        lens, placement = _lens(camera, entry), _placement(camera, entry, frame)
+        lens, placement = _merged_lens(camera, entry), _merged_placement(camera, entry, frame)
         images = tuple(camera.images) if camera.images is not None else None
-        found.append(Camera(camera.id, lens, placement, mask, camera.privacy, images, location))
-    return found
+        cameras.append(Camera(camera.id, lens, placement, mask, camera.privacy, images, location))
+    return cameras
 
 
 def views_of(camera: Camera) -> tuple[Camera, ...]:
@@ -57,9 +57,9 @@ def views_of(camera: Camera) -> tuple[Camera, ...]:
     if lens.K is None or lens.model in _OWN_PINHOLE or not (lens.width and lens.height):
         return (camera,)
     try:
-        found = load("wbflow_stages.capture.wide:views_of_lens")(lens.K, lens.distortion, lens.width, lens.height, lens.model)
+        views = load("wbflow_stages.capture.wide:views_of_lens")(lens.K, lens.distortion, lens.width, lens.height, lens.model)
     except (ValueError, ArithmeticError):  # impossible lens: the camera's frame task reports it
-        found = []
+        views = []
     R = camera.placement.R
     return tuple(
         dataclasses.replace(
@@ -68,35 +68,35 @@ def views_of(camera: Camera) -> tuple[Camera, ...]:
             lens=dataclasses.replace(lens, camera=camera.id, turn=turn, window=window),
             placement=dataclasses.replace(camera.placement, R=R and product(turn, R)),
         )
-        for number, (turn, window) in enumerate(found, 1)
+        for number, (turn, window) in enumerate(views, 1)
     ) or (camera,)
 
 
-def _calibrated(given: str | None, location: Location, problems: Problems) -> dict[str, Calibrated]:
+def _calibrated_cameras(path: str | None, location: Location, problems: Problems) -> dict[str, Calibrated]:
     """The cameras of the calibration that the site file names at a location; none if it has problems."""
-    if not given:
+    if not path:
         return {}
     try:
-        file = beside(given, location, problems)
-        found = read_calibration(file)
-        if not found:
+        file = beside(path, location, problems)
+        cameras = read_calibration(file)
+        if not cameras:
             raise CalibrationError("holds no camera", where=str(file), remedy="add the cameras, or leave calibration out")
     except CalibrationError as error:
         remedy = error.remedy or "give the path of cameras.json, of a COLMAP model, or of what OpenCV, ROS or Kalibr wrote"
         problems.add(location, f"{error.where}: {error.what}", remedy)
         return {}
-    return found
+    return cameras
 
 
 def _own_entry(camera: CameraEntry, location: Location, problems: Problems) -> Calibrated | None:
     """A camera's entry in its own calibration file: the only camera in that file, or the one with the same name."""
     location = (*location, "calibration")
-    found = _calibrated(camera.calibration, location, problems)
-    if not found:
+    entries = _calibrated_cameras(camera.calibration, location, problems)
+    if not entries:
         return None
-    entry = next(iter(found.values())) if len(found) == 1 else find_camera(found, camera.id)
+    entry = next(iter(entries.values())) if len(entries) == 1 else find_camera(entries, camera.id)
     if entry is None:
-        what = f"{camera.calibration} has no camera {camera.id!r}; it has {_shown(found)}"
+        what = f"{camera.calibration} has no camera {camera.id!r}; it has {_name_list(entries)}"
         problems.add(location, what, "rename the camera as in that file, or name another file")
     return entry
 
@@ -113,52 +113,52 @@ def _check_ids(ids: list[str], problems: Problems) -> None:
     dashed = [k for k, name in enumerate(ids) if "--" in name or name.startswith("-") or name.endswith("-")]
     pairs: dict[str, tuple[str, str]] = {}
     for left, right in itertools.combinations(dict.fromkeys(ids), 2) if dashed else ():
-        other = pairs.setdefault(f"{left}--{right}", (left, right))
-        if other != (left, right):
-            what = f"the pairs {other[0]!r}, {other[1]!r} and {left!r}, {right!r} would both be called {left}--{right}"
+        same_name = pairs.setdefault(f"{left}--{right}", (left, right))
+        if same_name != (left, right):
+            what = f"the pairs {same_name[0]!r}, {same_name[1]!r} and {left!r}, {right!r} would both be called {left}--{right}"
             problems.add(("cameras", dashed[0]), what, "use ids without '--', and without '-' at their ends")
             return
 
 
-def _shown(names: dict[str, Any], most: int = 5) -> str:
+def _name_list(names: dict[str, Any], most: int = 5) -> str:
     listed = list(names)[:most]
     return ", ".join(listed) + (f" and {len(names) - most} more" if len(names) > most else "")
 
 
-def _lens(camera: CameraEntry, entry: Calibrated | None) -> Lens:
+def _merged_lens(camera: CameraEntry, entry: Calibrated | None) -> Lens:
     """Merge both: the site file's intrinsics and distortion take precedence, but a calibration precedes a mere field of view."""
     lens = entry.lens if entry else Lens()
     if (own := camera.intrinsics) and not (entry and own.hfov is not None):
         lens = dataclasses.replace(lens, K=own.K, hfov_deg=own.hfov, width=own.width or 0, height=own.height or 0)
     if camera.distortion is not None or camera.model is not None:
-        given = camera.distortion or []
-        distortion = given + [0.0] * (5 - len(given))
+        coefficients = camera.distortion or []
+        distortion = coefficients + [0.0] * (5 - len(coefficients))
         lens = dataclasses.replace(lens, distortion=distortion, model=camera.model or "brown")
     return lens
 
 
-def _placement(camera: CameraEntry, entry: Calibrated | None, frame: LocalFrame | None) -> Placement:
+def _merged_placement(camera: CameraEntry, entry: Calibrated | None, frame: LocalFrame | None) -> Placement:
     """Merge both: the site file's pose takes precedence, but a complete calibrated pose precedes a rough or incomplete one."""
-    pose, solved = camera.pose, entry.placement if entry else Placement()
+    pose, calibrated = camera.pose, entry.placement if entry else Placement()
     if pose is None:
-        return solved
-    if solved.R and solved.C and (pose.R is None or pose.sigma_m > 0 or pose.sigma_deg > 0):
-        return solved
+        return calibrated
+    if calibrated.R and calibrated.C and (pose.R is None or pose.sigma_m > 0 or pose.sigma_deg > 0):
+        return calibrated
     C = frame.metres(*pose.geodetic) if frame and pose.geodetic else pose.position
     return Placement(pose.R, C, pose.sigma_m, pose.sigma_deg)
 
 
 def read_survey(file: SiteFile, frame: LocalFrame | None, problems: Problems) -> Survey:
     """Distances and control points, with cameras by number; their faults are added to `problems`."""
-    number = {camera.id: k for k, camera in reversed(list(enumerate(file.cameras)))}
+    index_of = {camera.id: k for k, camera in reversed(list(enumerate(file.cameras)))}
 
     def camera_at(location: Location, camera: Any) -> int:
-        if not isinstance(camera, str) or camera not in number:
+        if not isinstance(camera, str) or camera not in index_of:
             problems.add(location, f"there is no camera {camera!r}", "use ids from 'cameras'")
             return 0
-        return number[camera]
+        return index_of[camera]
 
-    rows = []
+    distances = []
     for k, (left, right, metres) in enumerate(file.distances):
         i, j = camera_at(("distances", k, 0), left), camera_at(("distances", k, 1), right)
         if not isinstance(metres, int | float) or isinstance(metres, bool) or not 0 < metres < math.inf:
@@ -166,7 +166,7 @@ def read_survey(file: SiteFile, frame: LocalFrame | None, problems: Problems) ->
         elif i == j:
             problems.add(("distances", k), "a camera has no distance from itself", "name two cameras")
         else:
-            rows.append([float(i), float(j), float(metres)])
+            distances.append([float(i), float(j), float(metres)])
     observations = []
     for k, point in enumerate(file.control_points):
         if len(point.pixels) < 2:
@@ -175,4 +175,4 @@ def read_survey(file: SiteFile, frame: LocalFrame | None, problems: Problems) ->
         for camera, (x, y) in point.pixels.items():
             observations.append([float(k), float(camera_at(("control_points", k, "pixels", camera), camera)), x, y])
     points = [frame.metres(*p.geodetic) if frame and p.geodetic else p.position or [0.0] * 3 for p in file.control_points]
-    return Survey(tuple(camera.id for camera in file.cameras), rows, points, observations, frame.crs if frame else "")
+    return Survey(tuple(camera.id for camera in file.cameras), distances, points, observations, frame.crs if frame else "")

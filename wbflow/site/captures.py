@@ -77,7 +77,7 @@ def answered(read: Callable[[], T], seconds: float) -> T:
     return _Reader([read]).next(seconds)
 
 
-def _answers(reads: Iterable[tuple[str, Callable[[], T]]]) -> Iterator[tuple[str, T | TimeoutError]]:
+def _results_by_camera(reads: Iterable[tuple[str, Callable[[], T]]]) -> Iterator[tuple[str, T | TimeoutError]]:
     """The result of each camera's read, or a TimeoutError if its disk hangs; the other cameras are still read."""
     cameras, seconds = list(reads), ANSWER_SECONDS
     reader = _Reader(read for _, read in cameras)
@@ -98,11 +98,11 @@ def nights(site: Site, since: datetime.date | None = None) -> list[datetime.date
     """The nights, from the file names, for which any camera has a capture, in order."""
     if not site.captures.dated:
         return []
-    named = (c.id for c in site.cameras if c.images is None)
-    answers = _answers((name, functools.partial(lambda name: set(site.captures.dates(name)), name)) for name in named)
+    ids = (c.id for c in site.cameras if c.images is None)
+    answers = _results_by_camera((name, functools.partial(lambda name: set(site.captures.dates(name)), name)) for name in ids)
     # `find_captures` reports the cameras that time out
-    found = {date for _, dates in answers if not isinstance(dates, TimeoutError) for date in dates}
-    return sorted(date for date in found if since is None or date >= since)
+    all_dates = {date for _, dates in answers if not isinstance(dates, TimeoutError) for date in dates}
+    return sorted(date for date in all_dates if since is None or date >= since)
 
 
 def list_store(site: Site) -> None:
@@ -122,8 +122,8 @@ def night(site: Site, date: datetime.date | None) -> datetime.date:
     today = site.today()
     if date is not None:
         return date
-    found = nights(site) if site.captures.dated else sorted(_days_written(site, today))
-    return max((d for d in found if d <= today + datetime.timedelta(days=1)), default=max(found, default=today))
+    candidates = nights(site) if site.captures.dated else sorted(_days_written(site, today))
+    return max((d for d in candidates if d <= today + datetime.timedelta(days=1)), default=max(candidates, default=today))
 
 
 def _days_written(site: Site, today: datetime.date) -> set[datetime.date]:
@@ -135,7 +135,7 @@ def _days_written(site: Site, today: datetime.date) -> set[datetime.date]:
 
     if site.captures.store:  # these files' times are those of their download
         return set()
-    answers = _answers((camera.id, functools.partial(read, camera)) for camera in site.cameras)
+    answers = _results_by_camera((camera.id, functools.partial(read, camera)) for camera in site.cameras)
     return {date for _, dates in answers if not isinstance(dates, TimeoutError) for date in dates}
 
 
@@ -155,10 +155,10 @@ def backlog(site: Site, since: datetime.date) -> list[datetime.date]:
         what = "--since needs {date} in captures.pattern: the names of captures don't say which night they are of"
         raise UsageError(what, remedy="for example: pattern: '{camera}/{date:%Y-%m-%d}.jpg'; or run without --since")
     list_store(site)
-    found = nights(site, since)
-    if not found:
+    dates = nights(site, since)
+    if not dates:
         raise UsageError(f"there are no captures since {since}", remedy="check captures.root and pattern, or the cameras")
-    return found
+    return dates
 
 
 def find_captures(site: Site, date: datetime.date, digests: Digests) -> dict[str, list[CaptureFile]]:
@@ -167,13 +167,13 @@ def find_captures(site: Site, date: datetime.date, digests: Digests) -> dict[str
     digests: remembers the digests of files.
     """
     reads = ((camera.id, functools.partial(captures_of, site, camera, date, digests)) for camera in site.cameras)
-    found = {}
-    for camera, (name, files) in zip(site.cameras, _answers(reads), strict=True):
+    captures = {}
+    for camera, (name, files) in zip(site.cameras, _results_by_camera(reads), strict=True):
         if isinstance(files, TimeoutError):
-            called = expected(site, camera, date)
-            files = [CaptureFile(printable(called), Path(called), "", str(files))]
-        found[name] = files
-    return found
+            expected_name = expected(site, camera, date)
+            files = [CaptureFile(printable(expected_name), Path(expected_name), "", str(files))]
+        captures[name] = files
+    return captures
 
 
 def captures_of(site: Site, camera: Camera, date: datetime.date, digests: Digests) -> list[CaptureFile]:
@@ -191,7 +191,7 @@ def captures_of(site: Site, camera: Camera, date: datetime.date, digests: Digest
         from ..remote import fetch_captures
 
         fetch_captures(site.captures.root, site.captures.store, paths)
-    return [_digested(str(path).removeprefix(f"{site.captures.root}/"), path, digests) for path in paths]
+    return [_with_digest(str(path).removeprefix(f"{site.captures.root}/"), path, digests) for path in paths]
 
 
 def expected(site: Site, camera: Camera, date: datetime.date) -> str:
@@ -205,7 +205,7 @@ def find_named(site: Site, digests: Digests) -> dict[str, CaptureFile]:
     paths |= {
         file_of_stage(stage, name): path for stage, settings in site.stages.items() for name, path in settings.files.items()
     }
-    return {named: _digested(path.name, path, digests) for named, path in paths.items()}
+    return {key: _with_digest(path.name, path, digests) for key, path in paths.items()}
 
 
 def file_of_stage(stage: str, name: str) -> str:
@@ -213,20 +213,20 @@ def file_of_stage(stage: str, name: str) -> str:
     return f"{stage} {name}"
 
 
-def _digested(name: str, path: Path, digests: Digests) -> CaptureFile:
+def _with_digest(name: str, path: Path, digests: Digests) -> CaptureFile:
     """A file with its digest, or with the fault that kept it from being read.  name: untrusted, so made printable here."""
     try:
         return CaptureFile(printable(name), path, digests.of(path))
     except (OSError, ValueError) as error:
-        why = error.what if isinstance(error, WbflowError) else getattr(error, "strerror", None) or str(error)
-        return CaptureFile(printable(name), path, "", printable(why))
+        reason = error.what if isinstance(error, WbflowError) else getattr(error, "strerror", None) or str(error)
+        return CaptureFile(printable(name), path, "", printable(reason))
 
 
 def with_current_digest(file: CaptureFile, digests: Digests) -> CaptureFile:
     """The file with its present digest; "" if it is gone."""
     try:
         return replace(file, digest=digests.of(file.path))
-    except OSError:  # gone since
+    except OSError:  # deleted since then
         return replace(file, digest="")
 
 
@@ -239,12 +239,12 @@ def when_complete(
     """
     end = time.monotonic() + MOST_WAIT_SECONDS
     waited: set[Path] = set()
-    files = [file for mine in captures.values() for file in mine if file.digest]
+    files = [file for group in captures.values() for file in group if file.digest]
     while (growing := {file.path for file in files if _is_written(file.path)}) and time.monotonic() < end:
         waited |= growing
         files = [file for file in files if file.path in growing]
         time.sleep(_POLL_SECONDS)
-    now = {name: [with_current_digest(f, digests) if f.path in waited else f for f in mine] for name, mine in captures.items()}
+    now = {name: [with_current_digest(f, digests) if f.path in waited else f for f in group] for name, group in captures.items()}
     return now, frozenset(growing)
 
 
@@ -264,10 +264,10 @@ def in_motion(captures: Mapping[str, list[CaptureFile]], replaced: Collection[Pa
     replaced: files already known to have been replaced.
     """
 
-    def moved(files: list[CaptureFile]) -> list[str]:
-        now = {f.name: with_current_digest(f, digests).digest or f.digest for f in files if f.digest}
-        return [f.name for f in files if f.digest and (f.path in replaced or now[f.name] != f.digest)]
+    def changed_names(files: list[CaptureFile]) -> list[str]:
+        digests_now = {f.name: with_current_digest(f, digests).digest or f.digest for f in files if f.digest}
+        return [f.name for f in files if f.digest and (f.path in replaced or digests_now[f.name] != f.digest)]
 
-    answers = _answers((camera, functools.partial(moved, files)) for camera, files in captures.items())
+    answers = _results_by_camera((camera, functools.partial(changed_names, files)) for camera, files in captures.items())
     # a mount that has died since is no evidence of a change
     return {camera: names for camera, names in answers if names and not isinstance(names, TimeoutError)}

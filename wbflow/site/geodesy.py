@@ -31,8 +31,8 @@ class LocalFrame:
 
 def origin_of(crs: str) -> list[float] | None:
     """Latitude, longitude and height of the origin of a coordinate system; None for a local one."""
-    named = dict(word.lstrip("+").split("=", 1) for word in crs.split() if "=" in word)
-    return [float(named[key]) for key in ("lat_0", "lon_0", "h_0")] if {"lat_0", "lon_0", "h_0"} <= set(named) else None
+    parameters = dict(word.lstrip("+").split("=", 1) for word in crs.split() if "=" in word)
+    return [float(parameters[key]) for key in ("lat_0", "lon_0", "h_0")] if {"lat_0", "lon_0", "h_0"} <= set(parameters) else None
 
 
 def local_frame(file: SiteFile, problems: Problems) -> LocalFrame | None:

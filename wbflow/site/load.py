@@ -45,7 +45,7 @@ def site_of(document: Document, work: str | Path | None = None) -> Site:
     reader = FunctionReader(work_folder.functions_memo, document.path.resolve().parent)
     stages, notes = read_stages(file.stages, reader, problems)
     _check_pairs(file, problems, notes)
-    captures = _captures(file.captures, problems)
+    captures = _captures_pattern(file.captures, problems)
     if not is_name(file.site):
         remedy = "use letters, digits, '_', '.', '-' (not dots alone), at most 100"
         problems.add(("site",), f"{file.site!r} is not a name", remedy)
@@ -91,35 +91,35 @@ def _validated(document: Document, problems: Problems) -> SiteFile:
         return SiteFile.model_validate(data)
     except ValidationError as error:
         problems.found.extend(explained(error, document))
-        rest = without_faults(data, error)
-        if rest is None:
+        valid_part = without_faults(data, error)
+        if valid_part is None:
             raise SiteError(sorted(problems.found, key=lambda p: (p.line, p.column))) from None
-        return rest
+        return valid_part
 
 
-def _work_folder(asked: str, file: SiteFile, problems: Problems) -> WorkFolder:
-    """Return the work folder.  asked: takes precedence over the file's own key."""
-    given, name = asked or file.work or "", file.site if is_name(file.site) else "site"
-    if is_url(given):
-        return WorkFolder.mirroring(given, name)
-    if asked:
-        return WorkFolder(Path(asked).resolve())
-    return WorkFolder(beside(given, ("work",), problems)) if given else WorkFolder.beside(problems.document.path, name)
+def _work_folder(requested: str, file: SiteFile, problems: Problems) -> WorkFolder:
+    """Return the work folder.  requested: takes precedence over the file's own key."""
+    work, name = requested or file.work or "", file.site if is_name(file.site) else "site"
+    if is_url(work):
+        return WorkFolder.mirroring(work, name)
+    if requested:
+        return WorkFolder(Path(requested).resolve())
+    return WorkFolder(beside(work, ("work",), problems)) if work else WorkFolder.beside(problems.document.path, name)
 
 
-def _captures(given: Captures, problems: Problems) -> Pattern:
+def _captures_pattern(settings: Captures, problems: Problems) -> Pattern:
     """The captures' pattern, with the folder they are in, or the local mirror of their object store."""
-    if is_url(given.root):
-        mirror = WorkFolder.mirroring(given.root, "captures")
-        return Pattern(mirror.root, given.pattern, mirror.store)
-    root = beside(given.root, ("captures", "root"), problems)
+    if is_url(settings.root):
+        mirror = WorkFolder.mirroring(settings.root, "captures")
+        return Pattern(mirror.root, settings.pattern, mirror.store)
+    root = beside(settings.root, ("captures", "root"), problems)
     if not is_folder(root):
         remedy = similar(root) or "check the path and the variables in it; it is relative to the site file"
         problems.add(("captures", "root"), f"there is no folder {printable(root)}", remedy)
-    return Pattern(root, given.pattern)
+    return Pattern(root, settings.pattern)
 
 
-_IDS = re.compile(r"site|cameras\.\d+(\.id)?|pairs\.(include|exclude)\.\d+\.\d+|distances\.\d+\.[01]")
+_NAME_LOCATIONS = re.compile(r"site|cameras\.\d+(\.id)?|pairs\.(include|exclude)\.\d+\.\d+|distances\.\d+\.[01]")
 """Locations of site and camera names."""
 
 
@@ -130,7 +130,7 @@ def _prepared(data: Any, problems: Problems, location: Location = ()) -> Any:
         return {str(key): _prepared(value, problems, (*location, str(key))) for key, value in data.items()}
     if isinstance(data, list):
         return [_prepared(value, problems, (*location, i)) for i, value in enumerate(data)]
-    if data is not None and _IDS.fullmatch(".".join(map(str, location))):
+    if data is not None and _NAME_LOCATIONS.fullmatch(".".join(map(str, location))):
         data = problems.document.texts.get(location, data)
     if not isinstance(data, str):
         return data
@@ -140,12 +140,12 @@ def _prepared(data: Any, problems: Problems, location: Location = ()) -> Any:
 
     def value(match: re.Match[str]) -> str:
         name, default = match.group(1), match.group(2)
-        found = os.environ.get(name) or default
-        if found is None:
+        content = os.environ.get(name) or default
+        if content is None:
             remedy = f"set it, or write a default: ${{{name}:-/path}}"
             problems.add(location, f"the environment variable {name} is not set", remedy)
             return ""
-        return found
+        return content
 
     return re.sub(r"\$\{(\w+)(?::-([^}]*))?\}", value, data)
 
@@ -197,31 +197,31 @@ _REMEDIES = {
 
 def explained(error: ValidationError, document: Document) -> list[SiteProblem]:
     """The errors that pydantic found, as problems in the terms of a site file."""
-    found = []
+    problems = []
     errors = error.errors()
-    misspelt = {(*e["loc"][:-1], _close(str(e["loc"][-1]), e["loc"][:-1])) for e in errors if e["type"] == "extra_forbidden"}
+    misspelt = {(*e["loc"][:-1], _close_key(str(e["loc"][-1]), e["loc"][:-1])) for e in errors if e["type"] == "extra_forbidden"}
     for item in errors:
         location: Location = tuple(item["loc"])
-        kind, last = item["type"], str(location[-1]) if location else ""
+        kind, key = item["type"], str(location[-1]) if location else ""
         section = next((str(step) for step in reversed(location) if step in _REMEDIES), "")
         remedy = _REMEDIES.get(section, "see sites/template.yaml")
         if kind == "extra_forbidden":
-            close = _close(last, location[:-1])
-            remedy = f"did you mean {close!r}?" if close else f"known here: {', '.join(_keys_at(location[:-1]))}"
-            found.append(document.problem(location, f"unknown key {last!r}", remedy, key=True))
+            suggestion = _close_key(key, location[:-1])
+            remedy = f"did you mean {suggestion!r}?" if suggestion else f"known here: {', '.join(_keys_at(location[:-1]))}"
+            problems.append(document.problem(location, f"unknown key {key!r}", remedy, key=True))
         elif kind == "missing":
             if location not in misspelt:  # otherwise it is present but misspelt
-                found.append(document.problem(location[:-1], f"{last!r} is missing", remedy))
-        elif last == "pattern" and isinstance(item["input"], dict):
+                problems.append(document.problem(location[:-1], f"{key!r} is missing", remedy))
+        elif key == "pattern" and isinstance(item["input"], dict):
             what = "is not a text: without quotes, YAML takes {camera} for a mapping"
-            found.append(document.problem(location, what, "put it in quotes: pattern: '{camera}.jpg'"))
+            problems.append(document.problem(location, what, "put it in quotes: pattern: '{camera}.jpg'"))
         else:
             what = item["msg"]
             if kind != CUSTOM:
                 shown = f", not {item['input']!r}" if not isinstance(item["input"], dict | list) else ""
                 what = f"{what[0].lower()}{what[1:]}{shown}"
-            found.append(document.problem(location, what, remedy))
-    return found
+            problems.append(document.problem(location, what, remedy))
+    return problems
 
 
 def without_faults(data: dict[str, Any], error: ValidationError) -> SiteFile | None:
@@ -229,10 +229,10 @@ def without_faults(data: dict[str, Any], error: ValidationError) -> SiteFile | N
     cameras = data.get("cameras")
     data = {**data, "cameras": list(cameras) if isinstance(cameras, list) else []}
     for item in error.errors():
-        section, *rest = item["loc"] or ("",)
-        if section == "cameras" and rest and isinstance(rest[0], int):
-            camera = data["cameras"][rest[0]]
-            data["cameras"][rest[0]] = (
+        section, *steps = item["loc"] or ("",)
+        if section == "cameras" and steps and isinstance(steps[0], int):
+            camera = data["cameras"][steps[0]]
+            data["cameras"][steps[0]] = (
                 {"id": camera.get("id"), "intrinsics": {"hfov": 60.0}} if isinstance(camera, dict) else None
             )
         else:
@@ -243,7 +243,7 @@ def without_faults(data: dict[str, Any], error: ValidationError) -> SiteFile | N
         return None
 
 
-def _close(key: str, location: Location) -> str:
+def _close_key(key: str, location: Location) -> str:
     """Return the known key most similar to a misspelt one; "" if none is similar."""
     return next(iter(difflib.get_close_matches(key, _keys_at(location), 1)), "")
 

@@ -37,7 +37,7 @@ CameraPair = Annotated[list[str], Field(min_length=2, max_length=2)]
 
 GEODETIC_SIGMA_M = 3.0
 """Standard deviation, in metres, of a geodetic position that is given without one: that of a plain satellite receiver."""
-_GEODETIC = ("latitude", "longitude", "height")
+_GEODETIC_FIELDS = ("latitude", "longitude", "height")
 
 CUSTOM = "site"
 """Type of validation errors whose message is shown as it is, without the input value appended."""
@@ -66,7 +66,7 @@ class Captures(Section):
 
     @field_validator("pattern")
     @classmethod
-    def _known_fields(cls, pattern: str) -> str:
+    def _check_fields(cls, pattern: str) -> str:
         unknown = [f for f in re.findall(r"\{(\w*)", pattern) if f not in {"camera", "date", "time"}]
         if unknown:
             raise _error(f"{{{unknown[0]}}} is not known; use {{camera}}, {{date:%Y-%m-%d}}, {{time:%H%M%S}}, * and **")
@@ -85,7 +85,7 @@ class Intrinsics(Section):
     hfov: float | None = Field(default=None, gt=1, lt=179)
 
     @model_validator(mode="after")
-    def _complete(self) -> Intrinsics:
+    def _check_complete(self) -> Intrinsics:
         if self.hfov is not None:
             if self.fx is not None or self.fy is not None:
                 raise _error("'hfov' and 'fx', 'fy' are both given: keep one of them")
@@ -112,14 +112,14 @@ class Position(Section):
     height: float | None = None
 
     @model_validator(mode="after")
-    def _one_position(self) -> Position:
-        given = [name for name in _GEODETIC if getattr(self, name) is not None]
+    def _check_position(self) -> Position:
+        given = [name for name in _GEODETIC_FIELDS if getattr(self, name) is not None]
         if self.position is not None and given:
             raise _error(f"'position' and '{given[0]}' are both given: keep one of them")
         if self.position is None and not given:
             raise _error("'position' is missing")
         if given and len(given) < 3:
-            raise _error(f"'{next(name for name in _GEODETIC if name not in given)}' is missing")
+            raise _error(f"'{next(name for name in _GEODETIC_FIELDS if name not in given)}' is missing")
         return self
 
     @property
@@ -147,7 +147,7 @@ class Pose(Position):
     yaw_pitch_roll: Vector3 | None = None
 
     @model_validator(mode="after")
-    def _one_direction(self) -> Pose:
+    def _check_direction(self) -> Pose:
         given = [n for n in ("rotation", "look_at", "yaw_pitch_roll") if getattr(self, n) is not None]
         if len(given) > 1:
             raise _error(f"{' and '.join(given)} are both given")
@@ -201,7 +201,7 @@ class CameraEntry(Section):
 
     @field_validator("url")
     @classmethod
-    def _without_password(cls, url: str | None) -> str | None:
+    def _check_url(cls, url: str | None) -> str | None:
         if url is None:
             return None
         if not re.match("(https?|rtsps?|file)://.", url):
@@ -211,19 +211,19 @@ class CameraEntry(Section):
         return url
 
     @model_validator(mode="after")
-    def _lens(self) -> CameraEntry:
+    def _check_lens(self) -> CameraEntry:
         if self.distortion is None and self.model is None:
             return self
         if fault := lens_fault(self.model or "brown", self.distortion):
             raise _error(fault)
-        bends = self.model not in {None, "pinhole", "brown"}
-        if bends and self.calibration is None and (self.intrinsics is None or self.intrinsics.K is None):
+        needs_matrix = self.model not in {None, "pinhole", "brown"}
+        if needs_matrix and self.calibration is None and (self.intrinsics is None or self.intrinsics.K is None):
             raise _error(f"a {self.model} lens needs 'intrinsics' with fx, fy, cx, cy, width, height")
         return self
 
     @field_validator("privacy")
     @classmethod
-    def _areas(cls, polygons: list[Matrix]) -> list[Matrix]:
+    def _check_polygons(cls, polygons: list[Matrix]) -> list[Matrix]:
         for polygon in polygons:
             if len(polygon) < 3:
                 raise _error("a polygon has three corners or more: [[x, y], [x, y], [x, y]]")
@@ -242,7 +242,7 @@ class Pairs(Section):
     exclude: list[CameraPair] = []
 
 
-def _nights(value: Any) -> int | None:
+def _parse_nights(value: Any) -> int | None:
     if value is None or value == "all":
         return None
     if not isinstance(value, int) or isinstance(value, bool) or value < 1:
@@ -250,21 +250,21 @@ def _nights(value: Any) -> int | None:
     return value
 
 
-def _bytes(value: Any) -> int | None:
+def _parse_bytes(value: Any) -> int | None:
     try:
         return None if value is None or value == "all" else bytes_of(str(value))
     except ValueError as error:
         raise _error(str(error)) from None
 
 
-Nights = Annotated[int | None, BeforeValidator(_nights, json_schema_input_type=int | Literal["all"] | None)]
+Nights = Annotated[int | None, BeforeValidator(_parse_nights, json_schema_input_type=int | Literal["all"] | None)]
 
 
 class KeepEntry(Section):
     """What is kept on disk after a run."""
 
     nights: Nights = None
-    bytes: Annotated[int | None, BeforeValidator(_bytes, json_schema_input_type=int | str | None)] = None
+    bytes: Annotated[int | None, BeforeValidator(_parse_bytes, json_schema_input_type=int | str | None)] = None
     clouds: Nights = None
     reports: Nights = None
 
@@ -286,7 +286,7 @@ class Measure(StrEnum):
     BRIGHTNESS = "brightness"
 
 
-def _date(value: Any) -> str:
+def _parse_date(value: Any) -> str:
     if isinstance(value, datetime.date):
         return value.isoformat()
     try:
@@ -303,12 +303,12 @@ class Expected(Section):
     coverage: float = Field(default=0.7, ge=0)
     cameras: float = Field(default=1.0, ge=0)
     brightness: float = Field(default=0.35, ge=0, le=1)
-    since: Annotated[str, BeforeValidator(_date)] = ""
+    since: Annotated[str, BeforeValidator(_parse_date)] = ""
     """Nights before this date (ISO 8601) do not contribute to the usual values; "": all nights do."""
 
     @model_validator(mode="before")
     @classmethod
-    def _stated(cls, data: Any) -> Any:
+    def _drop_empty(cls, data: Any) -> Any:
         """Drop keys without a value, so that their defaults apply."""
         return {key: value for key, value in data.items() if value is not None} if isinstance(data, dict) else data
 
@@ -318,15 +318,15 @@ class Expected(Section):
         return value
 
 
-def _seconds(value: Any) -> float:
+def _parse_duration(value: Any) -> float:
     units = {"min": 60.0, "h": 3600.0, "d": 86400.0}
-    found = re.fullmatch(r"(\d+(?:\.\d+)?) ?(min|h|d)", value) if isinstance(value, str) else None
-    if not found or not float(found[1]):
+    match = re.fullmatch(r"(\d+(?:\.\d+)?) ?(min|h|d)", value) if isinstance(value, str) else None
+    if not match or not float(match[1]):
         raise _error(f"{value!r} is not a duration; write for example 30min, 1h or 1d")
-    return float(found[1]) * units[found[2]]
+    return float(match[1]) * units[match[2]]
 
 
-Duration = Annotated[float, BeforeValidator(_seconds, json_schema_input_type=str)]
+Duration = Annotated[float, BeforeValidator(_parse_duration, json_schema_input_type=str)]
 """Seconds; written 30min, 1h or 1d in the file."""
 
 
@@ -344,7 +344,7 @@ class Notify(Section):
 
     @field_validator("command", mode="before")
     @classmethod
-    def _command(cls, command: object) -> object:
+    def _check_command(cls, command: object) -> object:
         words = [command] if isinstance(command, str) else command
         if not isinstance(words, list) or not words or not all(isinstance(word, str) and word for word in words):
             raise _error("a command is a text for the shell, or a list of program and arguments")
@@ -368,21 +368,21 @@ class Zone(Section):
     least_m: float = Field(default=0.0, ge=0)
 
 
-def _zone(name: Any) -> Any:
+def _check_timezone(name: Any) -> Any:
     try:
         if isinstance(name, str) and zoneinfo.ZoneInfo(name):
             return name
     except (zoneinfo.ZoneInfoNotFoundError, ValueError, OSError):  # OSError: the name of a folder of zones, such as "Europe"
         pass
-    near = did_you_mean(str(name), zoneinfo.available_timezones(), "write one such as Europe/Berlin")
-    raise _error(f"{name!r} is not a time zone; {near}")
+    suggestion = did_you_mean(str(name), zoneinfo.available_timezones(), "write one such as Europe/Berlin")
+    raise _error(f"{name!r} is not a time zone; {suggestion}")
 
 
 class SiteFile(Section):
     """The whole site file."""
 
     site: str
-    timezone: Annotated[str | None, BeforeValidator(lambda name: name and _zone(name))] = None
+    timezone: Annotated[str | None, BeforeValidator(lambda name: name and _check_timezone(name))] = None
     captures: Captures
     cameras: Annotated[list[CameraEntry], Field(min_length=1)]
     calibration: str | None = None
@@ -501,7 +501,7 @@ class Site:
         return self.settings.site
 
     @cached_property
-    def _plain(self) -> dict[str, Any]:
+    def _plain_settings(self) -> dict[str, Any]:
         return self.settings.model_dump(include={"resolution", "bounds", "pairs", "health", "zones"})
 
     def stage_settings(self, stage: str) -> StageSettings:
@@ -510,15 +510,15 @@ class Site:
 
     def setting(self, key: str) -> Any:
         """The value of a key outside `stages` that sets a parameter of a stage, such as "resolution" or "pairs.degree"."""
-        return reduce(getitem, key.split("."), self._plain)
+        return reduce(getitem, key.split("."), self._plain_settings)
 
     @cached_property
-    def _zone(self) -> zoneinfo.ZoneInfo | None:
+    def _timezone(self) -> zoneinfo.ZoneInfo | None:
         return zoneinfo.ZoneInfo(self.settings.timezone) if self.settings.timezone else None
 
     def local(self, seconds: float) -> datetime.datetime:
         """Local time at the site at a moment (seconds since 1970), in `timezone` or else in this machine's time zone."""
-        return datetime.datetime.fromtimestamp(seconds, datetime.UTC).astimezone(self._zone)
+        return datetime.datetime.fromtimestamp(seconds, datetime.UTC).astimezone(self._timezone)
 
     def today(self) -> datetime.date:
         """The present date at the site."""

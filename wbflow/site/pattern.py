@@ -47,30 +47,30 @@ class Pattern:
 
     def files(self, camera: str, date: datetime.date) -> list[Path]:
         """A camera's captures of a night, ordered by the times in their names, or by name if these contain no time."""
-        moment = self._reader(camera)
-        found = [path for path in map(Path, find_untrusted(self._wild(camera, date))) if not path.is_dir()]
-        return sorted(found, key=lambda path: (moment(str(path)) or datetime.datetime.min, path))
+        moment = self._moment_reader(camera)
+        paths = [path for path in map(Path, find_untrusted(self._glob_pattern(camera, date))) if not path.is_dir()]
+        return sorted(paths, key=lambda path: (moment(str(path)) or datetime.datetime.min, path))
 
     def moment(self, camera: str, path: Path) -> datetime.datetime | None:
         """When a capture was taken, from its name; None if the name contains no time of day."""
-        return self._reader(camera)(str(path)) if "time" in self._fields else None
+        return self._moment_reader(camera)(str(path)) if "time" in self._fields else None
 
     def dates(self, camera: str) -> Iterator[datetime.date]:
         """The night of each file of a camera; a night with several files is repeated."""
-        moment = self._reader(camera)
-        for name in find_untrusted(self._wild(camera)):
-            if found := moment(name):
-                yield found.date()
+        moment = self._moment_reader(camera)
+        for name in find_untrusted(self._glob_pattern(camera)):
+            if taken := moment(name):
+                yield taken.date()
 
     def cameras(self) -> set[str]:
         """The values of `{camera}` for which there are files, of any night."""
         if "{camera}" not in self.text:
             return set()
-        wild = self._in_root(self._filled(None).replace("{camera}", "*"))
-        first, *rest = self._expression("\0").split("\0")
-        expression = re.compile(first + "(?P<camera>[^/]+?)" + "(?P=camera)".join(rest))
-        found = (expression.fullmatch(name) for name in find_untrusted(wild))
-        return {match["camera"] for match in found if match}
+        wildcards = self._in_root(self._filled(None).replace("{camera}", "*"))
+        start, *others = self._regex("\0").split("\0")
+        expression = re.compile(start + "(?P<camera>[^/]+?)" + "(?P=camera)".join(others))
+        matches = (expression.fullmatch(name) for name in find_untrusted(wildcards))
+        return {match["camera"] for match in matches if match}
 
     def expected(self, camera: str, date: datetime.date) -> str:
         """The path, with wildcards, of a camera's captures of a night, for messages."""
@@ -88,7 +88,7 @@ class Pattern:
         text = text.replace("*", "" if "time" in self._fields else f"{moment:%H%M%S}", 1).replace("*", "")
         return self.root / text.replace("{camera}", camera)
 
-    def _wild(self, camera: str, date: datetime.date | None = None) -> str:
+    def _glob_pattern(self, camera: str, date: datetime.date | None = None) -> str:
         """A `glob` pattern for the files of one night, or of all nights (`date` None)."""
         return self._in_root(self._filled(date).replace("{camera}", glob.escape(camera)))
 
@@ -98,18 +98,18 @@ class Pattern:
     def _filled(self, date: datetime.date | None) -> str:
         """The pattern with the date filled in; fields without a known value become wildcards."""
 
-        def of(match: re.Match[str]) -> str:
-            form = match.group(2) or _FORMATS[match.group(1)]
+        def fill(match: re.Match[str]) -> str:
+            time_format = match.group(2) or _FORMATS[match.group(1)]
             if match.group(1) == "date" and date is not None:
-                return datetime.datetime.combine(date, datetime.time()).strftime(form)
-            return re.sub(r"\*+", "*", re.sub(r"%[a-zA-Z]", "*", form))
+                return datetime.datetime.combine(date, datetime.time()).strftime(time_format)
+            return re.sub(r"\*+", "*", re.sub(r"%[a-zA-Z]", "*", time_format))
 
-        return _FIELD.sub(of, self.text)
+        return _FIELD.sub(fill, self.text)
 
-    def _reader(self, camera: str) -> Callable[[str], datetime.datetime | None]:
+    def _moment_reader(self, camera: str) -> Callable[[str], datetime.datetime | None]:
         """A function that reads date and time from a path; it returns None for a path that does not match."""
         formats = "|".join(match.group(2) or _FORMATS[match.group(1)] for match in _FIELD.finditer(self.text))
-        expression = re.compile(self._expression(re.escape(camera)))
+        expression = re.compile(self._regex(re.escape(camera)))
 
         def moment(path: str) -> datetime.datetime | None:
             match = expression.fullmatch(path) if formats else None
@@ -120,18 +120,18 @@ class Pattern:
 
         return moment
 
-    def _expression(self, camera: str) -> str:
+    def _regex(self, camera: str) -> str:
         """A regular expression for a capture's path with one group per {date} and {time}; `camera` replaces {camera}."""
-        out = []
+        pieces = []
         for part in re.split(r"(\{(?:date|time)(?::[^}]*)?\}|\{camera\}|\*\*/?|\*)", str(self.root / self.text)):
             if field := _FIELD.fullmatch(part):
                 directives = re.split(r"(%[a-zA-Z])", field.group(2) or _FORMATS[field.group(1)])
-                inner = "".join(_DIRECTIVES.get(d[1:], ".+?") if d.startswith("%") else re.escape(d) for d in directives)
-                out.append(f"({inner})")
+                field_regex = "".join(_DIRECTIVES.get(d[1:], ".+?") if d.startswith("%") else re.escape(d) for d in directives)
+                pieces.append(f"({field_regex})")
             elif part == "{camera}":
-                out.append(camera)
+                pieces.append(camera)
             elif part.startswith("**"):
-                out.append("(?:.*/)?" if part.endswith("/") else ".*")
+                pieces.append("(?:.*/)?" if part.endswith("/") else ".*")
             else:
-                out.append("[^/]*" if part == "*" else re.escape(part))
-        return "".join(out)
+                pieces.append("[^/]*" if part == "*" else re.escape(part))
+        return "".join(pieces)

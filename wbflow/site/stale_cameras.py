@@ -26,7 +26,7 @@ SAME_PIXELS = 0.98
 _EMPTY_FILE_DIGEST = content_digest(b"")
 """Digest of an empty file: repeated empty files are no evidence of a frozen image."""
 _REMEDY = "restart the camera, or the job that fetches its pictures; it is used again as soon as its captures are new"
-_CLOCK = "set the camera's clock, or check the job that fetches and names its pictures"
+_CLOCK_REMEDY = "set the camera's clock, or check the job that fetches and names its pictures"
 
 
 @dataclass
@@ -59,88 +59,88 @@ def find_stale(
     digests, remembered : Digests, EarlierCaptures
         Digests of files, for the night before; digests of earlier nights by camera, to which tonight's are added.
     """
-    delivered = FreshCaptures({camera: list(files) for camera, files in captures.items()})
+    fresh = FreshCaptures({camera: list(files) for camera, files in captures.items()})
     repeated: dict[str, Health] = {}
     for camera in site.cameras:
-        files = delivered.captures[camera.id]
-        earlier = _earlier(site, camera, date, digests, remembered) if any(file.digest for file in files) else {}
+        files = fresh.captures[camera.id]
+        earlier = _old_nights(site, camera, date, digests, remembered) if any(file.digest for file in files) else {}
         remembered.note(camera.id, str(date), [file.digest for file in files])
-        health = _repeats(camera.id, files, earlier, delivered)
+        health = _find_repeats(camera.id, files, earlier, fresh)
         if health:
             repeated[camera.id] = health
     if not site.captures.dated and all(health.figures["earlier"] for health in repeated.values()):
         # names without a date: if no camera has a new capture, the same pictures are processed again on purpose
         with_files = [camera for camera, files in captures.items() if files]
         repeated = {} if set(with_files) <= set(repeated) else repeated
-    delivered.stale = {**_far_off(site, delivered.captures), **repeated}
-    return delivered
+    fresh.stale = {**_find_far_off(site, fresh.captures), **repeated}
+    return fresh
 
 
-def _earlier(site: Site, camera: Camera, date: datetime.date, digests: Digests, remembered: EarlierCaptures) -> dict[str, str]:
+def _old_nights(site: Site, camera: Camera, date: datetime.date, digests: Digests, remembered: EarlierCaptures) -> dict[str, str]:
     """The night of each digest of a camera's earlier captures: remembered ones, and those of the last earlier night on disk."""
     if camera.images is not None:  # the site file lists them, so repeating them is intended
         return {}
-    known = remembered.before(camera.id, str(date))
+    night_of = remembered.before(camera.id, str(date))
     pattern = site.captures
     if pattern.dated:
-        before = max((night for night in pattern.dates(camera.id) if night < date), default=None)
-        if before is not None and str(before) not in known.values():
-            known |= {file.digest: str(before) for file in captures_of(site, camera, before, digests) if file.digest}
-    return known
+        previous = max((night for night in pattern.dates(camera.id) if night < date), default=None)
+        if previous is not None and str(previous) not in night_of.values():
+            night_of |= {file.digest: str(previous) for file in captures_of(site, camera, previous, digests) if file.digest}
+    return night_of
 
 
-def _repeats(camera: str, files: list[CaptureFile], earlier: Mapping[str, str], delivered: FreshCaptures) -> Health | None:
-    """The finding for a frozen camera; single repeated captures are left out of `delivered`.  earlier: night by digest."""
+def _find_repeats(camera: str, files: list[CaptureFile], earlier: Mapping[str, str], fresh: FreshCaptures) -> Health | None:
+    """The finding for a frozen camera; single repeated captures are left out of `fresh`.  earlier: night by digest."""
     readable = [file for file in files if file.digest not in {"", _EMPTY_FILE_DIGEST}]
     if not readable:
         return None
-    different = {file.digest: file for file in reversed(readable)}
-    old = [found for found in different if found in earlier]
-    figures = {"captures": len(readable), "different": len(different), "earlier": len(old)}
-    kept = [file for file in readable if different[file.digest] is file and file.digest not in earlier]
-    if not kept:
-        when = max(earlier[found] for found in old)
-        delivered.captures[camera] = [file for file in readable if different[file.digest] is file]
-        text = f"its captures are the same as those of {when}: the picture is frozen"
+    distinct = {file.digest: file for file in reversed(readable)}
+    old_digests = [digest for digest in distinct if digest in earlier]
+    figures = {"captures": len(readable), "different": len(distinct), "earlier": len(old_digests)}
+    kept_files = [file for file in readable if distinct[file.digest] is file and file.digest not in earlier]
+    if not kept_files:
+        last_night = max(earlier[digest] for digest in old_digests)
+        fresh.captures[camera] = [file for file in readable if distinct[file.digest] is file]
+        text = f"its captures are the same as those of {last_night}: the picture is frozen"
         return Health("stale", text, figures, {"earlier": 0}, _REMEDY)
-    delivered.captures[camera] = [file for file in files if file not in readable or file in kept]
-    if len(different) == 1 and len(readable) > 1:
+    fresh.captures[camera] = [file for file in files if file not in readable or file in kept_files]
+    if len(distinct) == 1 and len(readable) > 1:
         text = f"all {len(readable)} captures of the night are the same picture: it is frozen"
         return Health("stale", text, figures, {"different": len(readable)}, _REMEDY)
-    if len(kept) < len(readable):
-        what = f"{len(readable) - len(kept)} of {len(readable)} captures come again, or are of an earlier night; left out"
-        delivered.notes[camera] = what
+    if len(kept_files) < len(readable):
+        what = f"{len(readable) - len(kept_files)} of {len(readable)} captures come again, or are of an earlier night; left out"
+        fresh.notes[camera] = what
     return None
 
 
-def _far_off(site: Site, captures: Mapping[str, list[CaptureFile]]) -> dict[str, Health]:
+def _find_far_off(site: Site, captures: Mapping[str, list[CaptureFile]]) -> dict[str, Health]:
     """Cameras whose captures, by the times in their names, were taken at another time of day than the other cameras'."""
     pattern = site.captures
     hours: dict[str, float] = {}
     for camera, files in captures.items():
         moments = [moment for file in files if (moment := pattern.moment(camera, file.path))]
         if moments:
-            hours[camera] = _middle([m.hour + m.minute / 60 + m.second / 3600 for m in moments])
+            hours[camera] = _median_hour([m.hour + m.minute / 60 + m.second / 3600 for m in moments])
     if len(hours) < 3:
         return {}
-    found = {}
-    usual = _middle(list(hours.values()))
-    for camera, own in hours.items():
-        off = _apart(own, usual)
-        if abs(off) > FAR_OFF_HOURS:
-            text = f"its captures were taken {abs(off):.1f} hours {'after' if off > 0 else 'before'} those of the other cameras"
-            found[camera] = Health("stale", text, {"hours_off": off}, {"hours_off": FAR_OFF_HOURS}, _CLOCK)
-    return found
+    healths = {}
+    usual = _median_hour(list(hours.values()))
+    for camera, camera_hour in hours.items():
+        lag = _hour_difference(camera_hour, usual)
+        if abs(lag) > FAR_OFF_HOURS:
+            text = f"its captures were taken {abs(lag):.1f} hours {'after' if lag > 0 else 'before'} those of the other cameras"
+            healths[camera] = Health("stale", text, {"hours_off": lag}, {"hours_off": FAR_OFF_HOURS}, _CLOCK_REMEDY)
+    return healths
 
 
-def _apart(hour: float, other: float) -> float:
+def _hour_difference(hour: float, other: float) -> float:
     """Signed hours from `other` to `hour`, the shorter way across midnight."""
     return (hour - other + 12) % 24 - 12
 
 
-def _middle(hours: list[float]) -> float:
+def _median_hour(hours: list[float]) -> float:
     """The median time of day: the one with the smallest sum of distances to all others."""
-    return min(hours, key=lambda hour: sum(abs(_apart(hour, other)) for other in hours))
+    return min(hours, key=lambda hour: sum(abs(_hour_difference(hour, other)) for other in hours))
 
 
 def night_by_pictures(frames: Iterable[FrameSummary]) -> str:
@@ -148,11 +148,11 @@ def night_by_pictures(frames: Iterable[FrameSummary]) -> str:
 
     Used if names contain no date: then old photographs are not stale, only those that differ from the majority.
     """
-    moments = sorted(taken[-1] for frame in frames if (taken := _taken(frame)))
-    middle = moments[len(moments) // 2] if moments else None
-    if middle is None or 2 * sum(abs(_hours(moment - middle)) <= NIGHT_HOURS for moment in moments) <= len(moments):
+    moments = sorted(times[-1] for frame in frames if (times := _capture_times(frame)))
+    median = moments[len(moments) // 2] if moments else None
+    if median is None or 2 * sum(abs(_in_hours(moment - median)) <= NIGHT_HOURS for moment in moments) <= len(moments):
         return ""
-    return str(middle.date())
+    return str(median.date())
 
 
 def stale_by_image(frame: FrameSummary, night: str, in_order: bool) -> Health | None:
@@ -164,27 +164,27 @@ def stale_by_image(frame: FrameSummary, night: str, in_order: bool) -> Health | 
     if unchanged is not None and unchanged > SAME_PIXELS:
         text = f"{100 * unchanged:.1f} % of the pixels are the same in all captures of the night: the picture is frozen"
         return Health("stale", text, {"unchanged": unchanged}, {"unchanged": SAME_PIXELS}, _REMEDY)
-    taken = _taken(frame)
-    if not taken or not night:
+    times = _capture_times(frame)
+    if not times or not night:
         return None
     noon = datetime.datetime.combine(datetime.date.fromisoformat(night), datetime.time(12))
-    off = max((_hours(moment - noon) for moment in taken), key=abs)
-    if abs(off) > NIGHT_HOURS:
-        text = f"its captures say that they were taken on {taken[0]:%Y-%m-%d %H:%M}; the night is that of {night}"
-        return Health("stale", text, {"hours_off": off}, {"hours_off": NIGHT_HOURS}, _CLOCK)
+    lag = max((_in_hours(moment - noon) for moment in times), key=abs)
+    if abs(lag) > NIGHT_HOURS:
+        text = f"its captures say that they were taken on {times[0]:%Y-%m-%d %H:%M}; the night is that of {night}"
+        return Health("stale", text, {"hours_off": lag}, {"hours_off": NIGHT_HOURS}, _CLOCK_REMEDY)
     if in_order and frame.taken_in_order is False:
         text = "its captures say that they were taken in another order than their names"
-        return Health("stale", text, {}, {}, _CLOCK)
+        return Health("stale", text, {}, {}, _CLOCK_REMEDY)
     return None
 
 
-def _taken(frame: FrameSummary) -> list[datetime.datetime]:
+def _capture_times(frame: FrameSummary) -> list[datetime.datetime]:
     """When the first and the last capture of a camera were taken; [] if unknown."""
     try:
-        return [datetime.datetime.fromisoformat(at or "") for at in (frame.taken_first, frame.taken_last)]
+        return [datetime.datetime.fromisoformat(text or "") for text in (frame.taken_first, frame.taken_last)]
     except ValueError:
         return []
 
 
-def _hours(between: datetime.timedelta) -> float:
-    return between.total_seconds() / 3600
+def _in_hours(difference: datetime.timedelta) -> float:
+    return difference.total_seconds() / 3600

@@ -27,13 +27,13 @@ Loader = _Loader
 Location = tuple[str | int, ...]
 """Path to a value: keys and list indices from the top."""
 
-_DEEPEST = 40
+_MOST_LEVELS = 40
 """Largest nesting depth that is accepted; a site file needs eight levels."""
 _MOST_VALUES = 500_000
 """Largest number of values once aliases are expanded; a site with a thousand cameras has 30,000."""
-_INLINE = re.compile(r"[-?:] +(?=[-?])")
+_NESTED_INLINE = re.compile(r"[-?:] +(?=[-?])")
 """Matches block collections that are nested on one line."""
-_LARGEST = 10**15
+_LARGEST_INTEGER = 10**15
 """Largest magnitude of an integer that is accepted."""
 
 
@@ -107,11 +107,11 @@ class Document:
             What is wrong, and how to fix it.
         """
         marks = self.key_marks if key else self.marks
-        at = location
-        while at and at not in marks:
-            at = at[:-1]
-        line, column = marks.get(at, (1, 1))
-        return SiteProblem(self.path, line, column, _spelled(location), what, remedy)
+        nearest = location
+        while nearest and nearest not in marks:
+            nearest = nearest[:-1]
+        line, column = marks.get(nearest, (1, 1))
+        return SiteProblem(self.path, line, column, _location_text(location), what, remedy)
 
 
 @dataclass(frozen=True)
@@ -132,7 +132,7 @@ class Problems:
         self.found.append(self.document.problem(location, what, remedy, key))
 
 
-def _spelled(location: Location) -> str:
+def _location_text(location: Location) -> str:
     """A location as text: `cameras[3].intrinsics`."""
     return "".join(f"[{step}]" if isinstance(step, int) else f".{step}" for step in location).removeprefix(".")
 
@@ -149,18 +149,18 @@ def is_name(name: str) -> bool:
 def beside(path: str, location: Location, problems: Problems) -> Path:
     """A path from the site file, resolved relative to that file; an invalid path is added to `problems` at its location."""
     try:
-        given = Path(path).expanduser()
+        expanded = Path(path).expanduser()
     except (RuntimeError, ValueError) as error:
         remedy = "write a path relative to the site file, or from the root: /srv/captures"
         problems.add(location, f"{path!r} is not a path: {printable(error)}", remedy)
-        given = Path(path)
-    return Path(os.path.normpath(problems.document.path.resolve().parent / given))
+        expanded = Path(path)
+    return Path(os.path.normpath(problems.document.path.resolve().parent / expanded))
 
 
 def did_you_mean(word: str, known: Iterable[str], otherwise: str) -> str:
     """A remedy that suggests the known word most similar to `word`, or `otherwise` if none is similar."""
-    close = difflib.get_close_matches(word, known, 1)
-    return f"did you mean {printable(close[0])!r}?" if close else otherwise
+    matches = difflib.get_close_matches(word, known, 1)
+    return f"did you mean {printable(matches[0])!r}?" if matches else otherwise
 
 
 def similar(path: Path) -> str:
@@ -197,10 +197,10 @@ def parse_yaml(text: str, path: Path) -> Document:
     loader = None
     try:
         _refuse_depth(text)
-        loader = _Careful(text)
+        loader = _CheckingLoader(text)
         node = loader.get_single_node()
         if "&" in text and "*" in text:
-            _refuse_bomb(node)
+            _refuse_alias_bomb(node)
         data = loader.construct_document(node) if node is not None else None
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
@@ -215,7 +215,7 @@ def parse_yaml(text: str, path: Path) -> Document:
     document = Document(path, data)
     problems: list[SiteProblem] = []
     if node is not None:
-        _mark(node, (), document, problems)
+        _record_marks(node, (), document, problems)
     if problems:
         raise SiteError(problems)
     return document
@@ -224,35 +224,35 @@ def parse_yaml(text: str, path: Path) -> Document:
 def _remedy_at(text: str, line: int) -> str:
     """A remedy for invalid YAML near a line, from the most frequent mistakes."""
     lines = text.splitlines()
-    near = lines[max(0, line - 2) : line]
-    if any("\t" in each[: len(each) - len(each.lstrip())] for each in near):
+    nearby = lines[max(0, line - 2) : line]
+    if any("\t" in text_line[: len(text_line) - len(text_line.lstrip())] for text_line in nearby):
         return "indent with spaces: YAML allows no tabs there"
-    if any(re.search(r"[:\[,-]\s+\{(camera|date|time)\b", each) for each in near):
+    if any(re.search(r"[:\[,-]\s+\{(camera|date|time)\b", text_line) for text_line in nearby):
         return "put what has {camera} or {date} in it in quotes: pattern: '{camera}.jpg'"
     return "check indentation, colons and quotes around this place"
 
 
-class _Careful(Loader):
+class _CheckingLoader(Loader):
     """A loader that reports the location of values that are malformed (`!!int x`, `2026-99-99`) or too large."""
 
     def construct_object(self, node: Any, deep: bool = False) -> Any:
         try:
             value = super().construct_object(node, deep=deep)
         except (ValueError, OverflowError, TypeError, KeyError, IndexError, AttributeError) as error:
-            what = f"{_shown(node)} cannot be read: {printable(error, 80)}"
+            what = f"{_excerpt(node)} cannot be read: {printable(error, 80)}"
             raise ConstructorError(None, None, what, node.start_mark) from None
-        if isinstance(value, int) and abs(value) > _LARGEST:
-            raise ConstructorError(None, None, f"{_shown(node)} is too large a number", node.start_mark)
+        if isinstance(value, int) and abs(value) > _LARGEST_INTEGER:
+            raise ConstructorError(None, None, f"{_excerpt(node)} is too large a number", node.start_mark)
         return value
 
 
-def _shown(node: Any) -> str:
+def _excerpt(node: Any) -> str:
     return printable(node.value if isinstance(node, yaml.ScalarNode) else "this", 40)
 
 
 def _refuse_depth(text: str) -> None:
     """Refuse deep nesting from the parser's events: recursive construction would overflow the stack.  Raises MarkedYAMLError."""
-    if text.count("[") + text.count("{") + len(_INLINE.findall(text)) < _DEEPEST and " " * _DEEPEST not in text:
+    if text.count("[") + text.count("{") + len(_NESTED_INLINE.findall(text)) < _MOST_LEVELS and " " * _MOST_LEVELS not in text:
         return
     try:
         _count_depth(Loader(text))
@@ -267,13 +267,13 @@ def _count_depth(loader: Any) -> None:
         depth = 0
         while (event := loader.get_event()) is not None:
             depth += isinstance(event, CollectionStartEvent) - isinstance(event, CollectionEndEvent)
-            if depth > _DEEPEST:
-                raise ConstructorError(None, None, f"values are nested more than {_DEEPEST} levels deep", event.start_mark)
+            if depth > _MOST_LEVELS:
+                raise ConstructorError(None, None, f"values are nested more than {_MOST_LEVELS} levels deep", event.start_mark)
     finally:
         loader.dispose()
 
 
-def _refuse_bomb(node: Any) -> None:
+def _refuse_alias_bomb(node: Any) -> None:
     """Refuse aliases that expand to more values than a machine can hold.  Raises YAMLError."""
     sizes: dict[int, int] = {}
 
@@ -295,7 +295,7 @@ def _refuse_bomb(node: Any) -> None:
         size(node)
 
 
-def _mark(node: Any, location: Location, document: Document, problems: list[SiteProblem]) -> None:
+def _record_marks(node: Any, location: Location, document: Document, problems: list[SiteProblem]) -> None:
     """Record the places of a value and of everything in it; duplicate keys are added to `problems`."""
     document.marks[location] = (node.start_mark.line + 1, node.start_mark.column + 1)
     if isinstance(node, yaml.MappingNode):
@@ -304,11 +304,11 @@ def _mark(node: Any, location: Location, document: Document, problems: list[Site
             mark = (key.start_mark.line + 1, key.start_mark.column + 1)
             if inner in document.key_marks:
                 what = f"{key.value!r} is already given on line {document.key_marks[inner][0]}"
-                problems.append(SiteProblem(document.path, *mark, _spelled(inner), what, "keep one of them"))
+                problems.append(SiteProblem(document.path, *mark, _location_text(inner), what, "keep one of them"))
             document.key_marks[inner] = mark
-            _mark(value, inner, document, problems)
+            _record_marks(value, inner, document, problems)
     elif isinstance(node, yaml.SequenceNode):
         for position, item in enumerate(node.value):
-            _mark(item, (*location, position), document, problems)
+            _record_marks(item, (*location, position), document, problems)
     else:
         document.texts[location] = node.value

@@ -33,11 +33,11 @@ def read_calibration(path: Path) -> dict[str, Calibrated]:
         raise CalibrationError.from_site_error(error) from None
     if path.suffix.lower() == ".json" or text.lstrip().startswith(("{", "[")):
         return _read_json(path, text)
-    found = _camera_file(_document_of(path, text))
-    if found is None:
+    cameras = _cameras_in(_parse_document(path, text))
+    if cameras is None:
         what = "holds no calibration: neither OpenCV's camera_matrix, nor ROS's camera_info, nor Kalibr's cam0"
         raise CalibrationError(what, where=f"{path}:1:1", remedy=OWN_REMEDY)
-    return found
+    return cameras
 
 
 def find_camera(cameras: dict[str, Calibrated], camera: str) -> Calibrated | None:
@@ -57,12 +57,12 @@ def _read_folder(folder: Path) -> dict[str, Calibrated]:
     files = sorted(file for file in folder.iterdir() if file.suffix.lower() in SUFFIXES and is_file(file))
     if not files:
         return read_colmap(folder)  # it reports what is missing
-    found: dict[str, Calibrated] = {}
+    cameras: dict[str, Calibrated] = {}
     for file in files:
-        inside = read_calibration(file)
+        entries = read_calibration(file)
         # a file with one camera has the camera's name; a name inside it comes from the calibration program
-        found |= {file.stem: next(iter(inside.values()))} if len(inside) == 1 else inside
-    return found
+        cameras |= {file.stem: next(iter(entries.values()))} if len(entries) == 1 else entries
+    return cameras
 
 
 def _read_json(path: Path, text: str) -> dict[str, Calibrated]:
@@ -78,21 +78,21 @@ def _read_json(path: Path, text: str) -> dict[str, Calibrated]:
         what = "must map image names to K, width, height and, where known, R and C"
         raise CalibrationError(what, where=f"{path}:1:1", remedy=OWN_REMEDY)
     if not all(isinstance(entry, dict) and "K" in entry for entry in entries.values()):
-        foreign = _camera_file(_document_of(path, text))
+        foreign = _cameras_in(_parse_document(path, text))
         if foreign is not None:
             return foreign
-    found = {}
+    cameras = {}
     for name, entry in entries.items():
         try:
             if not isinstance(entry, dict):
                 raise Faulty(f"{name} must hold K, width and height", (name,))
-            found[str(name)] = calibrated(entry, location=(name,))
+            cameras[str(name)] = calibrated(entry, location=(name,))
         except Faulty as fault:
-            raise CalibrationError(fault.what, where=_mark(path, text, fault.location), remedy=OWN_REMEDY) from None
-    return found
+            raise CalibrationError(fault.what, where=_place_of(path, text, fault.location), remedy=OWN_REMEDY) from None
+    return cameras
 
 
-def _mark(path: Path, text: str, location: Location) -> str:
+def _place_of(path: Path, text: str, location: Location) -> str:
     """The file, with line and column of a value if these can be found by parsing the JSON as YAML (nearly a superset)."""
     try:
         return parse_yaml(text, path).problem(location, "").mark
@@ -100,7 +100,7 @@ def _mark(path: Path, text: str, location: Location) -> str:
         return str(path)
 
 
-def _document_of(path: Path, text: str) -> Document:
+def _parse_document(path: Path, text: str) -> Document:
     """A YAML or JSON file, without OpenCV's own first line and tags, which YAML parsers reject.  Raises CalibrationError."""
     if text.lstrip().startswith("<"):
         raise CalibrationError("is XML, which is not read", where=str(path), remedy="save it as .yaml or .json")
@@ -113,7 +113,7 @@ def _document_of(path: Path, text: str) -> Document:
         raise CalibrationError.from_site_error(error, REMEDY) from None
 
 
-def _camera_file(document: Document) -> dict[str, Calibrated] | None:
+def _cameras_in(document: Document) -> dict[str, Calibrated] | None:
     """The cameras of a file of OpenCV, ROS or Kalibr; None if it is of another kind.  Raises CalibrationError."""
     data = document.data
     if not isinstance(data, dict):

@@ -33,7 +33,7 @@ LENS_MODELS: Mapping[str, tuple[tuple[int, ...], str]] = {
 }
 """For each lens model (`wbflow_stages.core.lenses`): the valid numbers of coefficients, and their order."""
 
-_LARGEST = 1e12
+_MOST_MAGNITUDE = 1e12
 """Limit on the magnitude of any number in a calibration (metres, pixels): larger ones, and NaN, are refused."""
 _MOST_PIXELS_A_SIDE = 1_000_000
 """Largest width or height of an image in a calibration."""
@@ -47,8 +47,8 @@ def lens_fault(model: str, distortion: list[float] | None) -> str:
     count = len(distortion or [])
     if count in counts or (counts == (0,) and not any(distortion or [])):
         return ""
-    wanted = f"{' or '.join(map(str, counts))} coefficients" + (f" ({order})" if order else "")
-    return f"a {model} lens has {wanted}, not {count}; give them in that order, or another model"
+    expected = f"{' or '.join(map(str, counts))} coefficients" + (f" ({order})" if order else "")
+    return f"a {model} lens has {expected}, not {count}; give them in that order, or another model"
 
 
 @dataclass(frozen=True)
@@ -89,20 +89,20 @@ class Placement:
     """C is in metres; otherwise its scale is unknown."""
 
 
-def _number(value: Any) -> Any:
-    if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) < _LARGEST:  # nor NaN
+def _check_number(value: Any) -> Any:
+    if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) < _MOST_MAGNITUDE:  # nor NaN
         raise ValueError
     return value
 
 
-Number = Annotated[float, PlainValidator(_number)]
+Number = Annotated[float, PlainValidator(_check_number)]
 """A number kept as it is written (int or float), so that digests computed from it do not change."""
 Vector3 = Annotated[list[Number], Field(min_length=3, max_length=3)]
 Matrix3 = Annotated[list[Vector3], Field(min_length=3, max_length=3)]
 Pixels = Annotated[int, Field(gt=0, le=_MOST_PIXELS_A_SIDE)]
 Sigma = Annotated[Number, Field(ge=0)]
 
-_MUST = {
+_REQUIREMENTS = {
     "K": "must be 3x3 numbers",
     "R": "must be 3x3 numbers",
     "C": "must be 3 numbers",
@@ -137,38 +137,38 @@ class Calibrated(BaseModel):
 
     @field_validator("K")
     @classmethod
-    def _projects(cls, K: Matrix) -> Matrix:
+    def _check_camera_matrix(cls, K: Matrix) -> Matrix:
         if K[0][0] <= 0 or K[1][1] <= 0 or K[2] != [0, 0, 1]:
             raise ValueError("must be [[fx, s, cx], [0, fy, cy], [0, 0, 1]] with positive focal lengths")
         return K
 
     @field_validator("R")
     @classmethod
-    def _turns(cls, R: Matrix | None) -> Matrix | None:
+    def _check_rotation(cls, R: Matrix | None) -> Matrix | None:
         if R and (fault := rotation_fault(R)):
             raise ValueError(fault)
         return R
 
     @field_validator("distortion")
     @classmethod
-    def _bends(cls, distortion: list[float] | None, info: ValidationInfo) -> list[float] | None:
+    def _check_distortion(cls, distortion: list[float] | None, info: ValidationInfo) -> list[float] | None:
         if "model" in info.data and (fault := lens_fault(info.data["model"], distortion)):
             raise ValueError(f"does not fit: {fault}")
         return distortion
 
     @field_validator("position_sigma_m", "rotation_sigma_deg")
     @classmethod
-    def _of_something(cls, sigma: float | None, info: ValidationInfo) -> float | None:
-        known = "C" if info.field_name == "position_sigma_m" else "R"
-        if sigma is not None and info.data.get(known, ()) is None:
-            raise ValueError(f"is the uncertainty of {known}, which is not given")
+    def _check_sigma(cls, sigma: float | None, info: ValidationInfo) -> float | None:
+        quantity = "C" if info.field_name == "position_sigma_m" else "R"
+        if sigma is not None and info.data.get(quantity, ()) is None:
+            raise ValueError(f"is the uncertainty of {quantity}, which is not given")
         return sigma
 
     @property
     def lens(self) -> Lens:
         """The camera's lens; coefficients missing from a short "brown" list are 0."""
-        given = self.distortion or []
-        padded = given + [0.0] * (5 - len(given)) if self.model == "brown" or not given else given
+        coefficients = self.distortion or []
+        padded = coefficients + [0.0] * (5 - len(coefficients)) if self.model == "brown" or not coefficients else coefficients
         return Lens(K=self.K, distortion=padded, width=self.width, height=self.height, model=self.model)
 
     @property
@@ -202,7 +202,7 @@ def calibrated(fields: Mapping[str, Any], shown: Mapping[str, str] | None = None
         if first["type"] == "missing":
             raise Faulty(" ".join([*map(str, location), f"lacks {name}"]), location) from None
         cause = str(first.get("ctx", {}).get("error", ""))
-        what = ".".join([*map(str, location), f"{name} {cause or _MUST[str(first['loc'][0])]}"])
+        what = ".".join([*map(str, location), f"{name} {cause or _REQUIREMENTS[str(first['loc'][0])]}"])
         raise Faulty(what, (*location, name)) from None
 
 

@@ -64,18 +64,18 @@ def read_colmap(folder: Path) -> dict[str, Calibrated]:
             lenses[number] = _lens(model, *size, parameters)
             calibrated(lenses[number])
         except (IndexError, ValueError) as error:
-            why = "it lacks numbers" if isinstance(error, IndexError) else error
-            raise CalibrationError(f"{what}{why}", where=where, remedy=_REMEDY) from None
-    found: dict[str, Calibrated] = {}
+            reason = "it lacks numbers" if isinstance(error, IndexError) else error
+            raise CalibrationError(f"{what}{reason}", where=where, remedy=_REMEDY) from None
+    by_image: dict[str, Calibrated] = {}
     for where, what, name, number, pose in images:
         if number not in lenses:
             raise CalibrationError(f"{what} is of camera {number}, which {file} lacks", where=where, remedy=_REMEDY)
         try:
             R = _quaternion_to_rotation(*pose[:4])
-            found[name] = calibrated({**lenses[number], "R": R, "C": centre(R, pose[4:])})
+            by_image[name] = calibrated({**lenses[number], "R": R, "C": centre(R, pose[4:])})
         except (TypeError, IndexError, ValueError) as error:
             raise CalibrationError(f"{what}: {error}", where=where, remedy=_REMEDY) from None
-    return found
+    return by_image
 
 
 _REMEDY = "have COLMAP write the model again: model_converter --output_type TXT"
@@ -167,19 +167,19 @@ class _Binary:
             raise CalibrationError("ends too early (COLMAP's binary model)", where=str(self.path), remedy=_REMEDY)
 
 
-def _lens(name: str, width: int, height: int, p: list[float]) -> dict[str, Any]:
+def _lens(name: str, width: int, height: int, parameters: list[float]) -> dict[str, Any]:
     """The lens of a camera.  COLMAP's origin is the *corner* of the top-left pixel, so 0.5 is subtracted from cx and cy."""
     if name not in _LAYOUTS:
         raise ValueError(f"camera model {name} is not supported; use one of {', '.join(_LAYOUTS)}")
     model, focals, count = _LAYOUTS[name]
     if model == "equirectangular":
-        p = [width / (2 * math.pi), height / math.pi, width / 2, height / 2]
+        parameters = [width / (2 * math.pi), height / math.pi, width / 2, height / 2]
         focals = 2
-    fx, fy, cx, cy = p[0], p[focals - 1], p[focals], p[focals + 1]
+    fx, fy, cx, cy = parameters[0], parameters[focals - 1], parameters[focals], parameters[focals + 1]
     if min(fx, fy) <= 0:
         raise ValueError("a focal length must be positive")
     K = [[fx, 0.0, cx - 0.5], [0.0, fy, cy - 0.5], [0.0, 0.0, 1.0]]
-    coefficients = [p[focals + 2 + i] for i in range(count)]
+    coefficients = [parameters[focals + 2 + i] for i in range(count)]
     if model == "fisheye":  # coefficients that COLMAP's model lacks are 0
         coefficients += [0.0] * (4 - count)
     model = "brown" if model == "pinhole" else model

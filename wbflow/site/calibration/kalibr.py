@@ -18,52 +18,52 @@ _PROJECTIONS = {"pinhole": ("", 0), "omni": ("omni", 1), "eucm": ("eucm", 2), "d
 
 def read_chain(data: dict[str, Any]) -> dict[str, Calibrated]:
     """A chain of cameras: each has a pose relative to the one before it, so the first camera's axes become the world's."""
-    found: dict[str, Calibrated] = {}
+    cameras: dict[str, Calibrated] = {}
     R: Matrix | None = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
     t = [0.0, 0.0, 0.0]
     for k, (name, entry) in enumerate(data.items()):
         if not isinstance(entry, dict):
             continue
         if k and R is not None:
-            R, t = _chained(name, entry, R, t)
+            R, t = _next_pose(name, entry, R, t)
         pose = {"R": R, "C": centre(R, t)} if R and len(data) > 1 else {}
-        found[str(name)] = camera = _camera(str(name), entry, pose)
+        cameras[str(name)] = camera = _camera(str(name), entry, pose)
         if topic := text_of(entry.get("rostopic")).strip("/"):
-            found[topic] = camera
-    return found
+            cameras[topic] = camera
+    return cameras
 
 
-def _chained(name: str, entry: dict[str, Any], R: Matrix, t: list[float]) -> tuple[Matrix | None, list[float]]:
+def _next_pose(name: str, entry: dict[str, Any], R: Matrix, t: list[float]) -> tuple[Matrix | None, list[float]]:
     """The pose of a camera, x = R X + t, from the pose of the one before it; R is None if the file lacks it."""
     if "T_cn_cnm1" not in entry:
         return None, t
     T = rows_of(numbers_of(entry["T_cn_cnm1"], "T_cn_cnm1", (name,)), 4)
-    turn = [row[:3] for row in T[:3]]
-    if [*map(len, T)] != [4] * 4 or rotation_fault(turn):
+    rotation = [row[:3] for row in T[:3]]
+    if [*map(len, T)] != [4] * 4 or rotation_fault(rotation):
         raise Faulty(f"{name}.T_cn_cnm1 must be 4x4: a rotation and a translation", (name, "T_cn_cnm1"))
-    return product(turn, R), [sum(row[k] * t[k] for k in range(3)) + row[3] for row in T[:3]]
+    return product(rotation, R), [sum(row[k] * t[k] for k in range(3)) + row[3] for row in T[:3]]
 
 
 def _camera(name: str, entry: dict[str, Any], pose: dict[str, Any]) -> Calibrated:
     projection = text_of(entry.get("camera_model")).lower()
     if projection not in _PROJECTIONS:
         raise Faulty(f"{name}.camera_model must be one of {', '.join(_PROJECTIONS)}", (name, "camera_model"))
-    named, first = _PROJECTIONS[projection]
+    lens_model, offset = _PROJECTIONS[projection]
     intrinsics = numbers_of(entry.get("intrinsics"), "intrinsics", (name,))
-    if len(intrinsics) != first + 4:
-        what = f"{name}.intrinsics of a {projection} camera has {first + 4} numbers, not {len(intrinsics)}"
+    if len(intrinsics) != offset + 4:
+        what = f"{name}.intrinsics of a {projection} camera has {offset + 4} numbers, not {len(intrinsics)}"
         raise Faulty(what, (name, "intrinsics"))
-    bent = text_of(entry.get("distortion_model")).lower() or "none"
-    distortion = [] if bent == "none" else numbers_of(entry.get("distortion_coeffs", []), "distortion_coeffs", (name,))
-    model = "brown" if bent == "none" else MODEL_NAMES.get(bent, bent)
-    if named:
-        if model != "brown" or (named != "omni" and any(distortion)):
-            what = f"{name}: {projection} with {bent} distortion is not known"
-            remedy = f"calibrate with {projection}-{'radtan' if named == 'omni' else 'none'}"
+    distortion_type = text_of(entry.get("distortion_model")).lower() or "none"
+    distortion = [] if distortion_type == "none" else numbers_of(entry.get("distortion_coeffs", []), "distortion_coeffs", (name,))
+    model = "brown" if distortion_type == "none" else MODEL_NAMES.get(distortion_type, distortion_type)
+    if lens_model:
+        if model != "brown" or (lens_model != "omni" and any(distortion)):
+            what = f"{name}: {projection} with {distortion_type} distortion is not known"
+            remedy = f"calibrate with {projection}-{'radtan' if lens_model == 'omni' else 'none'}"
             raise Faulty(what, (name, "distortion_model"), remedy)
-        model = named
-        distortion = [*intrinsics[:first], *([*distortion, 0.0, 0.0, 0.0, 0.0, 0.0][:5] if named == "omni" else [])]
-    fx, fy, cx, cy = intrinsics[first:]
+        model = lens_model
+        distortion = [*intrinsics[:offset], *([*distortion, 0.0, 0.0, 0.0, 0.0, 0.0][:5] if lens_model == "omni" else [])]
+    fx, fy, cx, cy = intrinsics[offset:]
     K = [[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]]
     fields = {"K": K, **size_of(entry, (name,)), "distortion": distortion, "model": model, **pose}
     return calibrated(fields, {"K": "intrinsics", "distortion": "distortion_coeffs"}, (name,))

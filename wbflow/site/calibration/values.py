@@ -8,9 +8,9 @@ from typing import Any
 from ..yaml_document import Location
 from .calibrated import Faulty, Matrix
 
-_WIDTH = ("image_width", "image_Width", "width")
-_HEIGHT = ("image_height", "image_Height", "height")
-_SIZE = ("image_size", "imageSize", "resolution")
+_WIDTH_KEYS = ("image_width", "image_Width", "width")
+_HEIGHT_KEYS = ("image_height", "image_Height", "height")
+_SIZE_KEYS = ("image_size", "imageSize", "resolution")
 
 MODEL_NAMES = {
     "plumb_bob": "brown",
@@ -29,10 +29,10 @@ MODEL_NAMES = {
 
 def size_of(data: dict[str, Any], location: Location = ()) -> dict[str, Any]:
     """Width and height of the images that a calibration is for.  Raises Faulty if it does not contain them."""
-    keys = first_key(data, _WIDTH), first_key(data, _HEIGHT)
+    keys = first_key(data, _WIDTH_KEYS), first_key(data, _HEIGHT_KEYS)
     if keys[0] and keys[1]:
         return {"width": data[keys[0]], "height": data[keys[1]]}
-    size = data[key] if (key := first_key(data, _SIZE)) else []
+    size = data[key] if (key := first_key(data, _SIZE_KEYS)) else []
     if not isinstance(size, list) or len(size) != 2:
         what = " ".join([*map(str, location), "lacks the size of the pictures"])
         raise Faulty(what, location, "add image_width and image_height, in pixels")
@@ -48,21 +48,21 @@ def numbers_of(value: Any, key: str, location: Location = ()) -> list[float]:
     """All numbers of a matrix, given as nested lists or as OpenCV's and ROS's rows, cols and data.  Raises Faulty."""
     if isinstance(value, dict):
         rows, columns = value.get("rows"), value.get("cols")
-        flat = list(_flat(value.get("data")))
+        flat = list(_flattened(value.get("data")))
         if isinstance(rows, int) and isinstance(columns, int) and rows * columns != len(flat):
             raise Faulty(f"{key} says {rows} x {columns}, and holds {len(flat)} numbers", (*location, key))
     else:
-        flat = list(_flat(value))
+        flat = list(_flattened(value))
     try:
         return [float(str(number)) for number in flat]  # strings too (YAML 1.1 reads 1e-05 as one), but not booleans
     except (TypeError, ValueError, OverflowError):
         raise Faulty(f"{key} must hold numbers", (*location, key)) from None
 
 
-def _flat(value: Any) -> Iterable[Any]:
+def _flattened(value: Any) -> Iterable[Any]:
     if isinstance(value, list):
         for item in value:
-            yield from _flat(item)
+            yield from _flattened(item)
     else:
         yield value
 
