@@ -97,8 +97,8 @@ def main() -> None:
     parser.add_argument("cloud", type=Path)
     parser.add_argument("truth", type=Path, nargs="?")
     parser.add_argument("--then", type=Path, nargs="+", metavar="CLOUD")
-    parser.add_argument("--days", type=float, nargs="+", metavar="D", help="from the first date to each of the others")
-    parser.add_argument("--camera", type=float, nargs=3, metavar=("X", "Y", "Z"), help="where all were seen from")
+    parser.add_argument("--days", type=float, nargs="+", metavar="D", help="days from the first date to each other")
+    parser.add_argument("--camera", type=float, nargs=3, metavar=("X", "Y", "Z"), help="where all clouds were seen from")
     options = parser.parse_args()
     if (options.truth is None) == (options.then is None) or (options.then is not None and options.camera is None):
         parser.error("either TRUTH, or --then and --camera")
@@ -130,7 +130,7 @@ def of_dates(clouds: Sequence[Path], days: Sequence[float] | None, centre: Float
     if days is not None and len(found) > 2 and np.isfinite(squares).all():
         apart = np.array([(since[j] - since[i]) ** 2 for i, j in found])
         at_once = np.linalg.lstsq(np.column_stack([np.ones(len(apart)), apart]), np.array(squares), rcond=None)[0][0]
-        print("no days apart, where what moves does so evenly:", *(f"{np.sqrt(max(square, 0.0)):.2f}" for square in at_once))
+        print("extrapolated to zero days, for steady motion:", *(f"{np.sqrt(max(square, 0.0)):.2f}" for square in at_once))
 
 
 def tenths(sigma: Float64s) -> Float64s:

@@ -60,10 +60,10 @@ class Row:
 
 
 def night_of(folder: Path) -> Night:
-    """Load a night from the folder of its run and the cache.  Raises Gone."""
+    """Load a night from the folder of its run and the cache.  Raises MissingResult."""
     run = wbflow.open_run(folder)
     of = {role: dict(run.of_cameras(role)) for role in (FRAMES, DEPTH, REFINE)}
-    return Night(run.made(POSES), run.cloud_table(), of[FRAMES], of[DEPTH], of[REFINE])
+    return Night(run.result_of(POSES), run.cloud_table(), of[FRAMES], of[DEPTH], of[REFINE])
 
 
 def flat_places(night: Night, size: float, count: int) -> Float64s:
@@ -160,7 +160,7 @@ def main() -> None:
     arguments = parser.parse_args()
     then, tonight = night_of(arguments.then), night_of(arguments.tonight)
     plain = find_changes(**tonight.arguments(), **then.arguments("reference_"))
-    print(f"as they are: {plain.count} changes on {plain.changed_share:.3%} of the surface; noise {plain.noise:.2f}")
+    print(f"without added steps: {plain.count} changes on {plain.changed_share:.3%} of the surface; noise {plain.noise:.2f}")
     rows = []
     print(f"{'size':>6} {'step':>6} {'patches':>8} {'found':>6} {'volume off':>11} {'elsewhere':>10}")
     for size in SIZES_M:

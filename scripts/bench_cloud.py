@@ -199,10 +199,6 @@ def score(
     return Row(what, cameras, size, poses, len(points), accuracy, completeness, F, colour, cpu, peak_mb, stages)
 
 
-def percent(shares: Float64s) -> list[float]:
-    return [round(100 * float(share), 2) for share in shares]
-
-
 def colour_error(points: Float64s, colors: Uint8s, cameras: str) -> float:
     """Mean absolute difference from the photographs of all cameras of the set that see the point according to laser depth."""
     chosen = np.linspace(0, len(points) - 1, min(len(points), 100_000)).astype(int)

@@ -179,13 +179,13 @@ def noisy(frame: Frame, variance: float, seed: int) -> Frame:
     return replace(frame, image=np.clip(np.rint(frame.image + noise), 0, 255).astype(np.uint8))
 
 
-def whole(pixels: Uint8s) -> Frame:
+def full_frame(pixels: Uint8s) -> Frame:
     """A frame without mask or lens."""
     height, width = pixels.shape[:2]
     return Frame(pixels, np.ones((height, width), dtype=bool), View(width, height))
 
 
-def as_it_is(size: tuple[int, int], widest: float) -> Rectification:
+def identity_rectification(size: tuple[int, int], widest: float) -> Rectification:
     """A rectification that leaves already rectified images unchanged."""
     return Rectification("hartley", "rectified already", np.eye(3), np.eye(3), size, size, 0.0, widest, 0.0, 0.0, float("nan"))
 
@@ -200,8 +200,8 @@ def middlebury(matchers: list[str], noise: float) -> Iterator[Row]:
         known = truth > 0
         frames = []
         for seed, file in enumerate((left_file, right_file)):
-            frames.append(noisy(whole(read_rgb(folder / file)), noise, seed))
-        given = as_it_is((truth.shape[1], truth.shape[0]), widest)
+            frames.append(noisy(full_frame(read_rgb(folder / file)), noise, seed))
+        given = identity_rectification((truth.shape[1], truth.shape[0]), widest)
         for matcher in matchers:
             found, seconds = matched(frames[0], frames[1], given, matcher)
             values: Float32s = np.full(truth.shape, np.nan, np.float32) if found is None else disparity_px(found, 1)
@@ -281,7 +281,7 @@ def warm_up(matchers: list[str]) -> None:
     image = np.random.default_rng(0).integers(0, 255, (64, 480, 3)).astype(np.uint8)
     for matcher in matchers:
         for widest in (8.0, 240.0):  # wide disparity ranges take another code path
-            matched(whole(image), whole(image), as_it_is((480, 64), widest), matcher)
+            matched(full_frame(image), full_frame(image), identity_rectification((480, 64), widest), matcher)
 
 
 def main() -> int:
@@ -289,10 +289,10 @@ def main() -> int:
     parser.add_argument("--scenes", nargs="+", default=["middlebury", "fountain"], choices=["middlebury", "fountain"])
     parser.add_argument("--pairs", nargs="+", default=SWEEP.split(), help="fountain pairs such as 5-4")
     parser.add_argument("--matchers", nargs="+", default=list(DEFAULT), choices=sorted(disparity.MATCHERS))
-    parser.add_argument("--width", type=int, default=768, help="working width of fountain, pixels")
+    parser.add_argument("--width", type=int, default=768, help="width to which the fountain pictures are reduced, pixels")
     parser.add_argument("--noise", type=float, nargs="+", default=[0.0], help="variances of Gaussian noise added to both images")
     parser.add_argument("--json", type=Path, help="write the rows as JSON objects")
-    parser.add_argument("--plot", type=Path, help="draw curves, SVG")
+    parser.add_argument("--plot", type=Path, help="draw the errors as curves into this SVG file")
     parser.add_argument("--check", action="store_true")
     given = parser.parse_args()
     cv2.setNumThreads(1)

@@ -50,7 +50,7 @@ class Row:
 
 
 @dataclass(frozen=True)
-class Subject:
+class Workflow:
     """A workflow that can be run."""
 
     system: str
@@ -60,8 +60,8 @@ class Subject:
     folder: Path
     capture: Path
     """The capture that is changed between runs."""
-    left: Callable[[], int]
-    """Counts the tasks that have left a result."""
+    count_finished: Callable[[], int]
+    """Counts the finished tasks."""
 
     def run(self) -> tuple[float, float]:
         """Run it, and return CPU seconds and wall-clock seconds."""
@@ -83,18 +83,18 @@ class Subject:
             stderr=subprocess.DEVNULL,
             start_new_session=True,
         )
-        while process.poll() is None and self.left() < tasks / 2:
+        while process.poll() is None and self.count_finished() < tasks / 2:
             time.sleep(0.05)
         with contextlib.suppress(ProcessLookupError):
             os.killpg(process.pid, signal.SIGKILL)
         process.wait()
 
 
-def toy(cameras: int, folder: Path) -> Subject:
+def toy_workflow(cameras: int, folder: Path) -> Workflow:
     """wbflow on a toy site."""
     site = ToySite(folder / "toy", [f"c{k:04d}" for k in range(cameras)])
     command = [sys.executable, "-m", "wbflow", "run", str(site.file), "-q", *ONE_JOB]
-    return Subject("wbflow", cameras, command, site.env(), folder, site.capture("c0001"), lambda: _receipts(site.work))
+    return Workflow("wbflow", cameras, command, site.env(), folder, site.capture("c0001"), lambda: _receipts(site.work))
 
 
 def _receipts(work: Path) -> int:
@@ -103,7 +103,7 @@ def _receipts(work: Path) -> int:
     return sum(name.endswith(".json") for names in within for name in names)
 
 
-def snakemake(cameras: int, pairs: Sequence[tuple[str, str]], python: str, folder: Path) -> Subject:
+def snakemake_workflow(cameras: int, pairs: Sequence[tuple[str, str]], python: str, folder: Path) -> Workflow:
     """Snakemake on the same graph: a rule for each stage, whose jobs write a hash of their inputs.
 
     Parameters
@@ -125,10 +125,10 @@ def snakemake(cameras: int, pairs: Sequence[tuple[str, str]], python: str, folde
     (folder / "Snakefile").write_text(f"CAMERAS = {names}\nPAIRS = {['--'.join(pair) for pair in pairs]}\n{_HEAD}{rules}")
     command = [python, "-m", "snakemake", "--cores", "1", "--quiet", "all", "--rerun-incomplete", "--nolock"]
 
-    def left() -> int:
+    def count_finished() -> int:
         return sum(len(names) for _, _, names in os.walk(folder / "made"))
 
-    return Subject("snakemake", cameras, command, dict(os.environ), folder, folder / "captures" / "c0001.txt", left)
+    return Workflow("snakemake", cameras, command, dict(os.environ), folder, folder / "captures" / "c0001.txt", count_finished)
 
 
 _HEAD = """
@@ -168,14 +168,14 @@ _RULES = (
 """Stage, wildcard of its jobs ("" for a single job), and its inputs, as in the toy stages of the tests."""
 
 
-def measured(subject: Subject, fresh: Subject, rows: list[Row], count: Callable[[], int], work: Path | None = None) -> None:
+def measure(subject: Workflow, fresh: Workflow, rows: list[Row], count: Callable[[], int], work: Path | None = None) -> None:
     """Measure a workflow and add its rows.
 
     Parameters
     ----------
-    subject : Subject
+    subject : Workflow
         Is run in full, with nothing to do, and after one capture has changed.
-    fresh : Subject
+    fresh : Workflow
         The same workflow, not run yet: is killed half way, then run to its end.
     rows : list of Row
         The list that receives the new rows.
@@ -185,7 +185,7 @@ def measured(subject: Subject, fresh: Subject, rows: list[Row], count: Callable[
         Work folder of wbflow; if given, prints the CPU time per task without that of the stages.
     """
 
-    def add(what: str, of: Subject, tasks: int) -> None:
+    def add(what: str, of: Workflow, tasks: int) -> None:
         cpu, wall = of.run()
         rows.append(Row(of.system, of.cameras, what, tasks or count(), round(cpu, 3), round(wall, 3)))
         print(
@@ -196,7 +196,7 @@ def measured(subject: Subject, fresh: Subject, rows: list[Row], count: Callable[
     tasks = rows[-1].tasks
     if work:
         own = 1000 * (rows[-1].cpu_s - _of_stages(work)) / tasks
-        print(f"{subject.system:10} {subject.cameras:5} cameras  {own:.2f} ms a task beyond its stage")
+        print(f"{subject.system:10} {subject.cameras:5} cameras  {own:.2f} ms per task, stages not counted")
     add("noop", subject, tasks)
     subject.capture.write_text("another view")
     add("change", subject, tasks)
@@ -207,8 +207,8 @@ def measured(subject: Subject, fresh: Subject, rows: list[Row], count: Callable[
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--cameras", type=int, nargs="+", default=[20, 100, 300, 1000])
-    parser.add_argument("--snakemake", metavar="PYTHON", help="a Python that has Snakemake; without it wbflow stands alone")
-    parser.add_argument("--most", type=int, default=300, help="cameras up to which Snakemake takes part")
+    parser.add_argument("--snakemake", metavar="PYTHON", help="a Python that has Snakemake; without it only wbflow is measured")
+    parser.add_argument("--most", type=int, default=300, help="largest number of cameras for Snakemake")
     parser.add_argument("--json", type=Path)
     asked = parser.parse_args()
     os.environ.pop("PYTHONDONTWRITEBYTECODE", None)  # with it, both systems would compile their modules at each start
@@ -216,21 +216,22 @@ def main() -> None:
     # Remove nothing before the end: ext4 does not reuse inodes that were freed in the last five minutes, and each creation of a
     # file has to search past them.
     with tempfile.TemporaryDirectory() as name:
-        print(f"a folder with two files takes {_file_system(Path(name)):.0f} us here")
+        print(f"creating a folder with two files takes {_file_system(Path(name)):.0f} us of CPU time here")
         for cameras in asked.cameras:
             folder = Path(name) / str(cameras)
             for part in ("full", "killed"):
                 (folder / part).mkdir(parents=True)
-            subject, fresh = toy(cameras, folder / "full"), toy(cameras, folder / "killed")
+            subject, fresh = toy_workflow(cameras, folder / "full"), toy_workflow(cameras, folder / "killed")
             work = folder / "full" / "toy" / ".wbflow" / "toy"
-            measured(subject, fresh, rows, subject.left, work)
+            measure(subject, fresh, rows, subject.count_finished, work)
             if asked.snakemake and cameras <= asked.most:
-                rival, again = (snakemake(cameras, _pairs(work), asked.snakemake, folder / f"snakemake-{k}") for k in range(2))
-                measured(rival, again, rows, rival.left)
+                folders = (folder / f"snakemake-{k}" for k in range(2))
+                rival, again = (snakemake_workflow(cameras, _pairs(work), asked.snakemake, f) for f in folders)
+                measure(rival, again, rows, rival.count_finished)
             if asked.json:
                 write_rows(rows, KEYS, asked.json)
     for what, exponent in growth(rows):
-        print(f"wbflow, {what}: grows with the number of tasks to the power of {exponent:.2f}")
+        print(f"wbflow, {what}: CPU time grows with the number of tasks to the power of {exponent:.2f}")
 
 
 def _file_system(folder: Path, many: int = 500) -> float:

@@ -79,9 +79,9 @@ def main() -> None:
     wrong = int(np.isinf(away).sum())
     ground = cells(both[np.abs(both[:, 2]) < ON_M])
     deeper, covered = int((points[:, 2] < -NEAR_M).sum()), len(ground & cells(near[on])) / len(ground)
-    print(f"{len(near):,} of {len(points):,} points within {NEAR_M:g} m of the ground, {deeper:,} deeper")
-    print(f"within {ON_M:g} m of it: {on.mean():.3f}; of a perfect cloud {(np.abs(both[:, 2]) < ON_M).mean():.3f}")
-    print(f"on no true surface: {wrong:,}; on the ground, of it and these: {on.sum() / max(on.sum() + wrong, 1):.3f}")
+    print(f"{len(near):,} of {len(points):,} points within {NEAR_M:g} m of the ground, {deeper:,} below it")
+    print(f"share within {ON_M:g} m of it: {on.mean():.3f}; of a perfect cloud: {(np.abs(both[:, 2]) < ON_M).mean():.3f}")
+    print(f"points on no true surface: {wrong:,}; on the ground, as a share of both: {on.sum() / max(on.sum() + wrong, 1):.3f}")
     print(f"ground that two cameras see: {len(ground) * CELL_M**2:.0f} m2, covered: {covered:.3f}")
 
 

@@ -33,8 +33,8 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("plain", type=Path)
     parser.add_argument("others", type=Path, nargs="+")
-    parser.add_argument("--withhold", action="store_true", help="poses")
-    parser.add_argument("--work", type=Path, help="where runs are kept, and taken up again")
+    parser.add_argument("--withhold", action="store_true", help="leave the poses out of the site file")
+    parser.add_argument("--work", type=Path, help="folder in which runs are kept and resumed")
     options = parser.parse_args()
     print(f"{'':24}{'exit':>5}{'placed':>8}{'pairs':>6}{'CPU s':>7}   F at 5, 10, 20 cm; accuracy; completeness")
     with tempfile.TemporaryDirectory() as scratch:

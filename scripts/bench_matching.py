@@ -222,7 +222,7 @@ def check(rows: list[Row]) -> list[str]:
     return faults
 
 
-def there(names: list[str], model: Path | None) -> list[str]:
+def available(names: list[str], model: Path | None) -> list[str]:
     """The matchers that can be measured here; prints why the others cannot."""
     absent = {"lightglue": lightglue_rival.why_absent(), "onnx": "" if model else "no --onnx MODEL"}
     for name in names:
@@ -243,14 +243,14 @@ def main() -> int:
     parser.add_argument("--seeds", type=int, default=3, help="random seeds to average over")
     parser.add_argument("--json", type=Path, help="write the rows as JSON objects")
     parser.add_argument("--plot", type=Path, help="write Hao's three figures on these pairs, as SVG")
-    parser.add_argument("--check", action="store_true", help="a few pairs with thresholds; exit code 1 when one is missed")
+    parser.add_argument("--check", action="store_true", help="test a few pairs against limits; exit code 1 if one is exceeded")
     given = parser.parse_args()
     on_one_thread()
     if given.check:
         pairs, given.seeds, given.matchers = {k: pairs_of(k, v.split()) for k, v in CHECK.items()}, 1, CHECKED
     else:
         pairs = {scene: pairs_of(scene, given.pairs) for scene in given.scenes}
-    given.matchers = there(given.matchers, given.onnx)
+    given.matchers = available(given.matchers, given.onnx)
     warm_up(given.width, given.matchers)
     rows: list[Row] = []
     print(HEAD)

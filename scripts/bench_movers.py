@@ -2,7 +2,7 @@
 """What share of a cloud lies on objects that moved between frames?    bench_movers.py DEMO CLOUD.ply [CLOUD.ply ...]
 
 DEMO is a folder made by `wbflow demo --nights N --frames K`; the clouds are of its first night, from all frames or from the first
-one alone.  A point lies on a mover if a mover's surface is within `NEAR` (0.15 m) of it in any frame, and if the nearest static
+one alone.  A point lies on a mover if a mover's surface is within `NEAR_M` (0.15 m) of it in any frame, and if the nearest static
 surface is farther away than that mover and than one voxel of the truth.
 """
 
@@ -17,14 +17,14 @@ from scipy.spatial import cKDTree
 
 from wbflow.cache.ply import read_ply
 from wbflow_demo.files import NIGHT_LARGE, NIGHT_SMALL
-from wbflow_demo.nights import moving
+from wbflow_demo.nights import traffic_scenes
 from wbflow_demo.render.photograph import Shots
 from wbflow_demo.render.scene import Scene
 from wbflow_stages.types import Float64s
 
-NEAR = 0.15
+NEAR_M = 0.15
 """A point lies on a mover only if the mover's surface is closer than this, metres."""
-STEP = 0.03
+STEP_M = 0.03
 """Largest spacing of the points that sample a mover's surface, metres."""
 
 
@@ -34,11 +34,11 @@ def points_of(file: Path) -> Float64s:
 
 
 def surface(scene: Scene) -> Float64s:
-    """(n, 3) points on all triangles, at most `STEP` apart."""
+    """(n, 3) points on all triangles, at most `STEP_M` apart."""
     corners = scene.vertices.astype(np.float64).reshape(-1, 3, 3)
     found = []
     for a, b, c in corners:
-        steps = int(np.ceil(max(np.linalg.norm(b - a), np.linalg.norm(c - a)) / STEP)) + 1
+        steps = int(np.ceil(max(np.linalg.norm(b - a), np.linalg.norm(c - a)) / STEP_M)) + 1
         u, v = np.meshgrid(np.linspace(0, 1, steps), np.linspace(0, 1, steps))
         inside = u + v <= 1 + 1e-9
         found.append(a + u[inside][:, None] * (b - a) + v[inside][:, None] * (c - a))
@@ -53,12 +53,12 @@ def main() -> None:
     reported = json.loads((arguments.demo / "demo.json").read_text())
     frames = int(reported["frames"])
     shots = Shots(int(reported["cameras"]), frames, NIGHT_SMALL if reported["small"] else NIGHT_LARGE, int(reported["seed"]))
-    moves = cKDTree(np.vstack([surface(scene) for scene in moving(int(reported["nights"]), shots)[:frames]]))
+    moves = cKDTree(np.vstack([surface(scene) for scene in traffic_scenes(int(reported["nights"]), shots)[:frames]]))
     still = cKDTree(points_of(arguments.demo / "truth" / "reference.ply"))
     cell = float(json.loads((arguments.demo / "truth" / "reference.json").read_text())["voxel_m"])
     for file in arguments.clouds:
         cloud = points_of(file)
-        away, standing = moves.query(cloud, distance_upper_bound=NEAR)[0], still.query(cloud)[0]
+        away, standing = moves.query(cloud, distance_upper_bound=NEAR_M)[0], still.query(cloud)[0]
         on = np.isfinite(away) & (standing > np.maximum(away, cell))
         print(f"{file}: {on.sum():,} of {len(cloud):,} points on movers of {frames} frames, {on.mean():.3%}")
 

@@ -130,11 +130,15 @@ def growth(width: int, until: str, memory: str) -> Iterator[Row]:
 
 def first(jobs: int, site: Path) -> Iterator[Row]:
     """Measure two full runs of a rendered site: the first without compiled kernels, the second with them."""
+    from wbflow import load_site
+    from wbflow.words import counted
+
+    cameras = len(load_site(site).cameras)
     with tempfile.TemporaryDirectory() as name:
         for k, what in enumerate(("first", "second")):
             arguments = ("run", site, "--jobs", str(jobs), "--work", Path(name) / str(k))
             cpu, wall = _wbflow(*arguments, kernels=Path(name) / "kernels")
-            yield Row(jobs, f"{what} run, {jobs} jobs", 0, cpu, wall)
+            yield Row(cameras, f"{what} run, {counted(jobs, 'job')}", 0, cpu, wall)
 
 
 def _wbflow(command: str, *arguments: object, kernels: Path | None = None) -> tuple[float, float]:
@@ -161,9 +165,9 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("what", choices=["plan", "overlap", "growth", "first"])
     parser.add_argument("--cameras", type=int, nargs="+", default=[100, 300, 1000])
-    parser.add_argument("--width", type=int, default=640, help="of the rendered pictures, in pixels")
+    parser.add_argument("--width", type=int, default=640, help="width of the rendered pictures, in pixels")
     parser.add_argument("--until", default="fuse", help="the last stage of the rendered site")
-    parser.add_argument("--memory", default="2GB", help="of the rendered site")
+    parser.add_argument("--memory", default="2GB", help="memory limit for runs of the rendered site")
     parser.add_argument("--jobs", type=int, nargs="+", default=[1, 2])
     parser.add_argument("--site", type=Path, help="a rendered site, for `first`: wbflow demo DIR --small")
     parser.add_argument("--json", type=Path)

@@ -49,11 +49,11 @@ class Truth:
     angle_deg: float
     """Median angle between their rays."""
 
-    def at(self, scale: float) -> Truth:
+    def scaled(self, scale: float) -> Truth:
         """The same correspondences in images scaled by this factor."""
         return replace(self, x1=(self.x1 + 0.5) * scale - 0.5, x2=(self.x2 + 0.5) * scale - 0.5)
 
-    def words(self, found: Geometry | Rejected) -> str:
+    def describe(self, found: Geometry | Rejected) -> str:
         """Describe the error of a geometry, or why it was rejected."""
         if isinstance(found, Rejected):
             return f"rejected: {found.reason} { ({k: round(v, 2) for k, v in found.figures.items()}) }"
@@ -91,7 +91,7 @@ def truth_of(one: Camera, depth: Float32s, two: Camera, other: Float32s) -> Trut
     return Truth(x1[same], x2[same], angle)
 
 
-def of_runs(demo: Path, runs: list[Path], pairs: list[str]) -> None:
+def report_runs(demo: Path, runs: list[Path], pairs: list[str]) -> None:
     """Report pairs over the nights of a demo."""
     cameras = cameras_of(demo)
     nights = [wbflow.open_run(folder).of_cameras(FRAMES) for folder in runs]
@@ -99,15 +99,15 @@ def of_runs(demo: Path, runs: list[Path], pairs: list[str]) -> None:
         left, right = pair.split("--")
         truth = truth_of(cameras[left], _depth(demo, left), cameras[right], _depth(demo, right))
         scale = nights[0][left].view.width / cameras[left].width
-        reported(pair, truth.at(scale), [(frames[left], frames[right]) for frames in nights])
+        report_pair(pair, truth.scaled(scale), [(frames[left], frames[right]) for frames in nights])
 
 
-def of_the_dark(size: tuple[int, int], nights: int, pairs: list[str]) -> None:
+def report_dark_nights(size: tuple[int, int], nights: int, pairs: list[str]) -> None:
     """Report pairs over nights of the yard without lamps, one capture per night."""
     site = render("yard", cameras=8, size=size, captures=nights, light="dark")
     for pair in pairs:
         left, right = (site[name] for name in pair.split("--"))
-        reported(
+        report_pair(
             pair,
             truth_of(left.camera, left.depth, right.camera, right.depth),
             [(frame(left, k), frame(right, k)) for k in range(nights)],
@@ -120,7 +120,7 @@ def frame(camera: DemoCamera, night: int) -> Frame:
     return clean_frame([Capture("picture.jpg", picture)], camera.lens, Capture("mask.png", mask), resolution=None)
 
 
-def reported(pair: str, truth: Truth, frames: list[tuple[Frame, Frame]]) -> None:
+def report_pair(pair: str, truth: Truth, frames: list[tuple[Frame, Frame]]) -> None:
     """Print the error of F from each night alone, and from all nights up to it together."""
     print(f"{pair}: {truth.angle_deg:.1f} degrees, {len(truth.x1)} true correspondences")
     matched: list[Matches] = []
@@ -133,11 +133,11 @@ def reported(pair: str, truth: Truth, frames: list[tuple[Frame, Frame]]) -> None
         if isinstance(found, Rejected):
             print(f"  night {number}: {found.reason}")
             continue
-        print(f"  night {number}: {truth.words(estimate_geometry(found, first, second))}", flush=True)
+        print(f"  night {number}: {truth.describe(estimate_geometry(found, first, second))}", flush=True)
         matched.append(found)
         if len(matched) > 1:
             together = estimate_geometry(pool_matches({str(k): night for k, night in enumerate(matched)}), first, second)
-            print(f"  {number} nights: {truth.words(together)}", flush=True)
+            print(f"  {number} nights: {truth.describe(together)}", flush=True)
 
 
 def main() -> None:
@@ -150,9 +150,9 @@ def main() -> None:
     arguments = parser.parse_args()
     if arguments.dark:
         width, _, height = arguments.dark.partition("x")
-        of_the_dark((int(width), int(height)), arguments.nights, arguments.pairs)
+        report_dark_nights((int(width), int(height)), arguments.nights, arguments.pairs)
     elif arguments.demo:
-        of_runs(arguments.demo, arguments.runs, arguments.pairs)
+        report_runs(arguments.demo, arguments.runs, arguments.pairs)
     else:
         parser.error("DEMO with its runs, or --dark")
 

@@ -81,7 +81,7 @@ class Row:
     to_whole_deg: float = float("nan")
 
 
-WHOLE: dict[tuple[str, int, bool, str], dict[str, Camera]] = {}
+SCENE_SOLUTIONS: dict[tuple[str, int, bool, str], dict[str, Camera]] = {}
 """Solutions of whole scenes so far, by scene, width, whether intrinsics were known, and program."""
 
 
@@ -90,7 +90,7 @@ def main() -> None:
     parser.add_argument("--sets", nargs="+", default=list(SETS), metavar="SCENE:IMAGES")
     parser.add_argument("--width", type=int, default=1536)
     parser.add_argument("--unknown", action="store_true", help="withhold the intrinsics too")
-    parser.add_argument("--ours", action="store_true", help="leave pycolmap's pipeline out")
+    parser.add_argument("--ours", action="store_true", help="measure wbflow only, without pycolmap's pipeline")
     parser.add_argument("--json", type=Path)
     parser.add_argument("--check", action="store_true")
     options = parser.parse_args()
@@ -103,7 +103,7 @@ def main() -> None:
         f"{'turn':>7} {'to whole':>8}"
     )
     for images in options.sets:
-        for program in (ours,) if options.ours else (ours, theirs):
+        for program in (measure_wbflow,) if options.ours else (measure_wbflow, measure_pycolmap):
             row = program(images, options.width, not options.unknown)
             rows.append(row)
             print(
@@ -118,13 +118,13 @@ def main() -> None:
 
 def check() -> None:
     """Exit with code 1 if the poses of four cameras are worse than the limits."""
-    row = ours("fountain:1-4-7-10", 768, True)
+    row = measure_wbflow("fountain:1-4-7-10", 768, True)
     print(row)
     if row.solved < 4 or row.rotation_deg > 0.10 or row.centre_cm > 0.8:
         sys.exit("poses are worse than promised: 4 cameras, 0.10 degrees, 0.8 cm")
 
 
-def ours(images: str, width: int, known: bool) -> Row:
+def measure_wbflow(images: str, width: int, known: bool) -> Row:
     """The stages one after the other, as the engine would run them."""
     if images in RENDERED:
         frames, truth = RENDERED[images]()
@@ -152,7 +152,7 @@ def ours(images: str, width: int, known: bool) -> Row:
     return row_of(images, width, known, "wbflow", cameras, truth, process_time() - start, process_time() - before)
 
 
-def theirs(images: str, width: int, known: bool, *, mapper: Literal["incremental", "global"] = "incremental") -> Row:
+def measure_pycolmap(images: str, width: int, known: bool, *, mapper: Literal["incremental", "global"] = "incremental") -> Row:
     """pycolmap's pipeline on the same photographs at the same size."""
     import pycolmap
 
@@ -289,13 +289,13 @@ def row_of(
     rotation = centre = centre_max = focal = turned = to_whole = float("nan")
     scene, _, part = images.partition(":")
     if part == "all":
-        WHOLE[scene, width, known, program] = cameras
+        SCENE_SOLUTIONS[scene, width, known, program] = cameras
     if len(cameras) >= 3:
         errors = pose_errors(cameras, truth, aligned=True)
         rotation, centre, centre_max = errors.rotation_deg.mean(), 100 * errors.position.mean(), 100 * errors.position.max()
         focal = max(abs(c.K[0, 0] / c.width / (truth[name].K[0, 0] / truth[name].width) - 1) * 100 for name, c in cameras.items())
         turned = turn_errors_deg(cameras, truth).mean()
-        whole = WHOLE.get((scene, width, known, program), {})
+        whole = SCENE_SOLUTIONS.get((scene, width, known, program), {})
         if part != "all" and set(cameras) <= set(whole):
             to_whole = turn_errors_deg(cameras, whole).mean()
     lenses = "known" if known else "unknown"

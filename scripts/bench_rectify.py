@@ -194,10 +194,10 @@ def main() -> int:
     parser.add_argument("--pairs", nargs="+", default=SWEEP.split(), help="such as 5-4, or all")
     parser.add_argument("--methods", nargs="+", default=list(METHODS), choices=METHODS)
     parser.add_argument("--width", type=int, default=768)
-    parser.add_argument("--dense", default="sgbm", choices=[*MATCHERS, "none"], help="the matcher that judges the pair")
-    parser.add_argument("--cameras", choices=("own", "true"), default="own", help="F and poses from the matches, or true")
+    parser.add_argument("--dense", default="sgbm", choices=[*MATCHERS, "none"], help="the dense matcher for the pairs")
+    parser.add_argument("--cameras", choices=("own", "true"), default="own", help="F and poses: from the matches, or true")
     parser.add_argument("--json", type=Path, help="write the rows as JSON objects")
-    parser.add_argument("--plot", type=Path, help="draw the tables as curves, SVG")
+    parser.add_argument("--plot", type=Path, help="draw the tables as curves into this SVG file")
     parser.add_argument("--check", action="store_true")
     given = parser.parse_args()
     on_one_thread()
@@ -207,7 +207,7 @@ def main() -> int:
     rows: list[Row] = []
     pairs = true_pairs(names, given.width)
     first = [measure(pair, method, "none", given.cameras).cpu_ms for pair in pairs[:1] for method in given.methods]
-    print(f"first calls, which compile code or read it from disk and aren't counted: {sum(first):.0f} ms")
+    print(f"first calls, which compile code or read it from disk and are not counted: {sum(first):.0f} ms")
     print(HEAD)
     for pair in pairs:
         for method in given.methods:

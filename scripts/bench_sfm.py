@@ -22,7 +22,7 @@ from time import monotonic, process_time
 import cv2
 import numpy as np
 from bench_files import write_rows
-from bench_poses import RENDERED, Row, ours, photographs, row_of, theirs
+from bench_poses import RENDERED, Row, measure_pycolmap, measure_wbflow, photographs, row_of
 from bench_poses import SETS as POSE_SETS
 from pairs_with_truth import on_one_thread, read_rgb
 
@@ -62,7 +62,7 @@ def main() -> None:
     options = parser.parse_args()
     os.environ["RAYON_NUM_THREADS"] = "1"
     on_one_thread()
-    ours("fountain:0-5-10", 384, True)  # kernels are compiled before anything is timed
+    measure_wbflow("fountain:0-5-10", 384, True)  # kernels are compiled before anything is timed
     rows = []
     print(f"{'set':24} {'system':15} {'solved':>7} {'turn deg':>9} {'rot deg':>8} {'cm':>7} {'max cm':>7} {'CPU s':>7} {'s':>7}")
     for images in options.sets:
@@ -124,10 +124,10 @@ def _written(images: str, width: int, folder: Path) -> tuple[dict[str, Camera], 
 
 
 SYSTEMS: dict[str, Callable[[str, int], Row]] = {
-    "wbflow": lambda images, width: ours(images, width, True),
+    "wbflow": lambda images, width: measure_wbflow(images, width, True),
     "openmvg": openmvg,
-    "colmap": lambda images, width: theirs(images, width, True),
-    "colmap-global": lambda images, width: theirs(images, width, True, mapper="global"),
+    "colmap": lambda images, width: measure_pycolmap(images, width, True),
+    "colmap-global": lambda images, width: measure_pycolmap(images, width, True, mapper="global"),
 }
 
 if __name__ == "__main__":

@@ -998,10 +998,10 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path)
     parser.add_argument("--scenes", nargs="*", default=[*SCENES], choices=[*SCENES])
-    parser.add_argument("--only", nargs="*", default=[], help="words of the names of variations")
+    parser.add_argument("--only", nargs="*", default=[], help="only variations whose names contain one of these words")
     parser.add_argument("--quick", action="store_true")
-    parser.add_argument("--everywhere", action="store_true", help="each variation on all of these scenes, not just on its own")
-    parser.add_argument("--table", action="store_true", help="only print what is there")
+    parser.add_argument("--everywhere", action="store_true", help="apply each variation to all scenes, not just to its own")
+    parser.add_argument("--table", action="store_true", help="only print the results of earlier runs")
     parser.add_argument("--json", type=Path)
     given = parser.parse_args()
     kept = given.folder / "results"

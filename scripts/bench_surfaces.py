@@ -19,7 +19,7 @@ from wbflow.cache.ply import read_ply
 from wbflow_stages.types import Float64s
 
 TAUS = (0.05, 0.10)
-ON = 0.02
+ON_PLANE_M = 0.02
 """True points closer to a plane than this belong to it (metres)."""
 PLANES = (
     # name, axis normal to the plane, its coordinate on that axis, and the limits along the other two axes (metres)
@@ -41,7 +41,7 @@ def surfaces_of(truth: Float64s) -> np.ndarray:
     """(n,) index into `PLANES` of the plane that each point lies on, -1 for none."""
     found = np.full(len(truth), -1)
     for k, (_, axis, where, limits) in enumerate(PLANES):
-        on = np.abs(truth[:, axis] - where) < ON
+        on = np.abs(truth[:, axis] - where) < ON_PLANE_M
         for other, (low, high) in zip([a for a in range(3) if a != axis], limits, strict=True):
             on &= (truth[:, other] > low) & (truth[:, other] < high)
         found[on] = k
@@ -69,7 +69,7 @@ def main() -> None:
             if name in NAMES:
                 error = np.concatenate([np.abs(cloud[of == k, PLANES[k][1]] - PLANES[k][2]) for k in rows])
             scores = [f"{100 * (missing[mine] <= tau).mean():5.1f} {100 * (error <= tau).mean():5.1f}" for tau in TAUS]
-            print(f"  {name:14} {';  '.join(scores)}   ({mine.sum():,} points of truth, {len(error):,} of the cloud)")
+            print(f"  {name:14} {';  '.join(scores)}   ({mine.sum():,} true points, {len(error):,} points of the cloud)")
 
 
 if __name__ == "__main__":

@@ -119,7 +119,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--scenes", nargs="+", default=["fountain", "entry"], choices=["fountain", "entry"])
     parser.add_argument("--kinds", nargs="+", default=list(KINDS), choices=list(KINDS), metavar="KIND")
-    parser.add_argument("--resolution", type=int, default=1024, help="long side that stages work at")
+    parser.add_argument("--resolution", type=int, default=1024, help="long side of the pictures that stages work on, pixels")
     options = parser.parse_args()
     print(f"{'scene':10}{'kind':10}{'exit':>5}{'placed':>8}{'pairs':>6}   cm: median  most   degrees: median  most   CPU s")
     for scene in options.scenes:

@@ -31,7 +31,7 @@ from verdict_table import leave_one_out
 from wbflow_stages.core.rotations import angle_between_deg
 from wbflow_stages.geometry import estimate_geometry
 from wbflow_stages.matches import match
-from wbflow_stages.sfm.loops import STANDS_ALONE, check_loops
+from wbflow_stages.sfm.loops import LEAST_SCORE_UNCONFIRMED, check_loops
 from wbflow_stages.twoview.robust import pose_of_fundamental
 from wbflow_stages.types import Frame, Geometry, Matches, Pair
 
@@ -126,12 +126,12 @@ def measure(name: str, cache: Path) -> tuple[Result, list[Judged]]:
     seconds = (process_time() - start) / max(len(pairs), 1)
     judged = [j for j in found if j is not None]
     checks = check_loops({j.pair: j.geometry for j in judged}) if related else {}
-    believed = {pair for pair, check in checks.items() if check.rejected is None}
+    accepted = {pair for pair, check in checks.items() if check.rejected is None}
     right, wrong = [j for j in judged if j.right], [j for j in judged if not j.right]
     result = Result(
         name, len(pairs), len(right), sum(j.geometry.score > 0 for j in right), len(wrong),
-        sum(j.geometry.score > 0 for j in wrong), sum(j.geometry.score > STANDS_ALONE for j in wrong),
-        sum(j.pair in believed for j in right), sum(j.pair in believed for j in wrong), seconds,
+        sum(j.geometry.score > 0 for j in wrong), sum(j.geometry.score > LEAST_SCORE_UNCONFIRMED for j in wrong),
+        sum(j.pair in accepted for j in right), sum(j.pair in accepted for j in wrong), seconds,
     )  # fmt: skip
     return result, judged
 
@@ -157,18 +157,18 @@ def small_sites(name: str, judged: list[Judged], views: dict[str, TrueView], dra
                 break
             chosen = set(rng.choice(list(views), size, replace=False).tolist())
             mine = {pair: g for pair, g in geometries.items() if set(pair) <= chosen}
-            believed = {pair for pair, check in check_loops(mine).items() if check.rejected is None}
+            accepted = {pair for pair, check in check_loops(mine).items() if check.rejected is None}
             sites += 1
-            turned += worst_turn_deg(believed, geometries, views) > MAX_ROTATION_DEG
+            turned += worst_turn_deg(accepted, geometries, views) > MAX_ROTATION_DEG
             usable += len(right & set(mine))
-            lost += len((right & set(mine)) - believed)
+            lost += len((right & set(mine)) - accepted)
         print(f"{name}, {size} cameras: {turned} of {sites} sites with a turned camera; {lost} of {usable} usable pairs lost")
 
 
-def worst_turn_deg(believed: set[Pair], geometries: dict[Pair, Geometry], views: dict[str, TrueView]) -> float:
+def worst_turn_deg(accepted: set[Pair], geometries: dict[Pair, Geometry], views: dict[str, TrueView]) -> float:
     """The largest rotation error of an accepted pair: any accepted pair may determine a camera's rotation."""
     errors = [0.0]
-    for a, b in believed:
+    for a, b in accepted:
         R = geometries[a, b].cam2_R_cam1
         if R is not None:
             true_R = views[b].camera.R @ views[a].camera.R.T
@@ -178,11 +178,11 @@ def worst_turn_deg(believed: set[Pair], geometries: dict[Pair, Geometry], views:
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--sets", nargs="+", choices=list(SETS), help="judge these by the weights as they are, instead")
+    parser.add_argument("--sets", nargs="+", choices=list(SETS), help="only measure these, with the current weights")
     parser.add_argument("--cache", type=Path, default=Path(tempfile.gettempdir()) / "wbflow-bench")
     parser.add_argument("--json", type=Path, help="write the rows as JSON objects")
     parser.add_argument("--plot", type=Path, help="draw the reliability of the probability into this PNG")
-    parser.add_argument("--check", action="store_true", help="exit 1 unless what is promised holds on every scene")
+    parser.add_argument("--check", action="store_true", help="exit 1 unless all limits are met on every scene")
     given = parser.parse_args()
     on_one_thread()
     if not given.sets:

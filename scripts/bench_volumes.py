@@ -56,7 +56,7 @@ def truth_of(folder: Path) -> dict[str, dict[str, float]]:
     }
 
 
-def between(then: dict[str, float], tonight: dict[str, float]) -> tuple[float, float]:
+def true_volumes(then: dict[str, float], tonight: dict[str, float]) -> tuple[float, float]:
     """Volumes gained and lost between two nights."""
     steps = [tonight.get(name, 0.0) - then.get(name, 0.0) for name in {**then, **tonight}]
     return sum(step for step in steps if step > 0), -sum(step for step in steps if step < 0)
@@ -82,7 +82,7 @@ def main() -> None:
     groups: dict[str, list[tuple[Volume, Volume]]] = {}
     for then, tonight in itertools.combinations(sorted(runs), 2):
         found = changes_between(runs[then], runs[tonight]).cut_fill
-        gained, gone = between(truth[then], truth[tonight])
+        gained, gone = true_volumes(truth[then], truth[tonight])
         pair = Volume(found.gained, found.gained_sigma, gained), Volume(found.lost, found.lost_sigma, gone)
         if not gained and not gone:
             what = "nothing changed"

@@ -29,8 +29,8 @@ from faults import CAMPAIGN, Bench, Row  # noqa: E402
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--reduced", action="store_true", help="a few of each: under three minutes")
-    parser.add_argument("--only", action="append", metavar="NAME", help=f"of {', '.join(CAMPAIGN)}")
+    parser.add_argument("--reduced", action="store_true", help="try only a few faults of each kind: under three minutes")
+    parser.add_argument("--only", action="append", metavar="NAME", help=f"only this kind of fault: {', '.join(CAMPAIGN)}")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--json", type=Path, metavar="FILE")
     options = parser.parse_args()
@@ -48,7 +48,7 @@ def main() -> None:
             rows.append(row)
             print(f"{row}   {row.cpu_s:6.0f} CPU s, {time.monotonic() - began:.0f} s", flush=True)
         print(
-            f"in all {sum(row.tries for row in rows):,} tries, {sum(len(row.losses) for row in rows)} losses, {_busy():.0f} CPU s"
+            f"total: {sum(row.tries for row in rows):,} tries, {sum(len(row.losses) for row in rows)} losses, {_busy():.0f} CPU s"
         )
     if options.json:
         options.json.write_text(json.dumps([row.to_json() for row in rows], indent=1))

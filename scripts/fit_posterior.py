@@ -32,10 +32,10 @@ from wbflow_stages.types import Bools, Camera, DepthMap, Float32s, Float64s
 RIGHT_PX = 2.0
 """A depth is right if its point lies within this many pixel widths of the true surface."""
 
-MOST = 12_000
+MOST_SAMPLES = 12_000
 """Largest number of pixels sampled from each view."""
 
-HOLD = 2e-5
+RIDGE_PENALTY = 2e-5
 """Ridge penalty on the coefficients, which keeps them finite."""
 
 
@@ -89,17 +89,17 @@ class Scene:
     def compare_views(self) -> None:
         """Keeps the likelier depth of each pixel, as fusion does, and gathers the evidence of the other views."""
         found = {name: [kind[name] for kind in self.kinds if name in kind] for name in self.cameras}
-        trusted = {name: P.likelier([TrustedDepth(v.depth, v.logit) for v in views]) for name, views in found.items()}
+        trusted = {name: P.merge_likelier([TrustedDepth(v.depth, v.logit) for v in views]) for name, views in found.items()}
         kept = {name: self._view(name, view.depth) for name, view in trusted.items()}
         for name, view in kept.items():
-            view.logit = trusted[name].own
+            view.logit = trusted[name].own_logit
             check = cross_check(name, self.near[name], self.cameras, trusted.__getitem__)
             view.evidence = [view.logit, *P.evidence_of_others(check)]
             view.known &= check.pairs > 0  # depths without pairs never enter a cloud
             view.judged &= view.known
         self.kinds = [kept]
 
-    def look_around(self) -> None:
+    def measure_support(self) -> None:
         for name, view in self.kinds[0].items():
             around = surface_support(view.depth, view.known, probability(view.logit))
             view.evidence = [view.logit, around, P.noisiness(self.frames[name])]
@@ -144,7 +144,7 @@ def _parts(scene: Scene, rng: np.random.Generator) -> Iterator[tuple[Any, ...]]:
     views = list(scene.views())
     for view in views:
         at = np.flatnonzero(view.judged)
-        at = rng.choice(at, min(len(at), MOST), replace=False)
+        at = rng.choice(at, min(len(at), MOST_SAMPLES), replace=False)
         rows = np.column_stack([np.ones(len(at)), *(values.ravel()[at] for values in view.evidence)])
         logit = view.logit.ravel()[at] if len(view.logit) else np.zeros(len(at))
         yield rows, view.right.ravel()[at].astype(float), np.full(len(at), 1 / max(len(at), 1) / len(views)), logit
@@ -156,8 +156,8 @@ def fitted(scenes: list[Scene]) -> Float64s:
     weight, b = weight / weight.sum(), np.zeros(X.shape[1])
     for _ in range(40):
         p = 1 / (1 + np.exp(-X @ b))
-        H = (X * (weight * p * (1 - p))[:, None]).T @ X + HOLD * np.eye(len(b))
-        b -= np.linalg.solve(H, X.T @ (weight * (p - right)) + HOLD * b)
+        H = (X * (weight * p * (1 - p))[:, None]).T @ X + RIDGE_PENALTY * np.eye(len(b))
+        b -= np.linalg.solve(H, X.T @ (weight * (p - right)) + RIDGE_PENALTY * b)
     return b.round(2)
 
 
@@ -181,7 +181,7 @@ def main() -> None:
     parser.add_argument("--judge", action="store_true")
     given = parser.parse_args()
     scenes = [Scene(folder) for folder in given.folders]
-    steps = {"_OWN": lambda scene: None, "_OTHERS": Scene.compare_views, "_AROUND": Scene.look_around}
+    steps = {"_OWN": lambda scene: None, "_OTHERS": Scene.compare_views, "_AROUND": Scene.measure_support}
     for name, step in steps.items():
         for scene in scenes:
             step(scene)

@@ -23,7 +23,19 @@ from typing import Any
 
 ROOT = Path(__file__).resolve().parent.parent
 DATA = Path(os.environ.get("WBFLOW_DATA", ROOT.parent / "shared" / "data"))
-OF_THE_MOMENT = {"run", "started", "finished", "seconds", "peak_rss_mb", "version", "usual", "settings", "reference", "later"}
+VARYING_ENTRIES = {
+    "signed",
+    "run",
+    "started",
+    "finished",
+    "seconds",
+    "peak_rss_mb",
+    "version",
+    "usual",
+    "settings",
+    "reference",
+    "later",
+}
 """Entries of run.json that differ from run to run, and are not compared."""
 
 FOUNTAIN = """
@@ -61,8 +73,8 @@ def run_of(site: Path, *arguments: str) -> dict[str, Any]:
     """Run a site: its plan, exit code and record, and the digests of its products and artifacts."""
     planned = wbflow("status", site, *arguments, "--json")
     plan = json.loads(planned[1]) if planned[0] == 0 else {}
-    code, said, _ = wbflow("run", site, *arguments, "--json")
-    record = json.loads(said) if said.strip() else {}
+    code, output, _ = wbflow("run", site, *arguments, "--json")
+    record = json.loads(output) if output.strip() else {}
     work = next((site.parent / ".wbflow").glob("*/cache")).parent
     folder = (work / "runs" / "latest").resolve()
     artifacts = {
@@ -77,7 +89,7 @@ def run_of(site: Path, *arguments: str) -> dict[str, Any]:
             file.name: sha256(file) for file in [*sorted(folder.glob("*.ply")), folder / "cameras.json"] if file.is_file()
         },
         "artifacts": artifacts,
-        "record": {key: value for key, value in record.items() if key not in OF_THE_MOMENT},
+        "record": {key: value for key, value in record.items() if key not in VARYING_ENTRIES},
     }
 
 
@@ -124,8 +136,8 @@ def wrong(folder: Path) -> dict[str, Any]:
     """A site file with mistakes: the messages about them."""
     folder.mkdir()
     (folder / "site.yaml").write_text(WRONG)
-    code, _, said = wbflow("run", folder)
-    return {"exit": code, "said": said.replace(str(folder), "").splitlines()}
+    code, _, errors = wbflow("run", folder)
+    return {"exit": code, "said": errors.replace(str(folder), "").splitlines()}
 
 
 SCENES: dict[str, Callable[[Path], dict[str, Any]]] = {

@@ -29,14 +29,14 @@ class Hostile:
     name: str
     make: Make
     refused: bool = True
-    said: str = ""
+    reason: str = ""
     """Text that the reason of the refusal must contain."""
     stated: bool = True
     """Does the site file state the size of its captures?"""
     mask: Make | None = None
 
 
-def lay(folder: Path, cases: list[Hostile]) -> Path:
+def write_site(folder: Path, cases: list[Hostile]) -> Path:
     """Write a site with a camera for each case and the good cameras; returns the site file."""
     captures = folder / "captures"
     captures.mkdir()
@@ -98,18 +98,18 @@ def capture_cases() -> list[Hostile]:
     """All hostile captures and masks."""
     good_png, good_jpg = encoded(".png"), encoded(".jpg")
     return [
-        Hostile("pipe", os.mkfifo, said="a pipe"),
-        Hostile("socket", _socket, said="a socket"),
-        Hostile("device", _link("/dev/zero"), said="a device"),
-        Hostile("device-without-end", _link("/dev/urandom"), said="a device"),
+        Hostile("pipe", os.mkfifo, reason="a pipe"),
+        Hostile("socket", _socket, reason="a socket"),
+        Hostile("device", _link("/dev/zero"), reason="a device"),
+        Hostile("device-without-end", _link("/dev/urandom"), reason="a device"),
         Hostile("folder", Path.mkdir),
         Hostile("link-to-itself", lambda p: p.symlink_to(p.name)),
         Hostile("link-to-nothing", _link("nothing")),
         Hostile("link-to-proc", _link("/proc/self/environ")),
         Hostile("link-to-memory", _link("/proc/self/mem")),
-        Hostile("sparse-20-GB", _sparse(20_000_000_000), said="20,000,000,000 bytes"),
+        Hostile("sparse-20-GB", _sparse(20_000_000_000), reason="20,000,000,000 bytes"),
         Hostile("sparse-200-MB", _sparse(200_000_000)),
-        Hostile("empty", _bytes(b""), said="0 bytes"),
+        Hostile("empty", _bytes(b""), reason="0 bytes"),
         Hostile("one-byte", _bytes(b"x")),
         Hostile("text", _bytes(b"404 not found")),
         Hostile("html", _bytes(b"<html><body>" + b"x" * 10_000)),
@@ -119,34 +119,39 @@ def capture_cases() -> list[Hostile]:
         Hostile("zip", _bytes(b"PK\x03\x04" + bytes(1000))),
         Hostile("gzip-bomb", _bytes(zlib.compress(bytes(10_000_000)))),
         Hostile("svg", _bytes(b'<svg xmlns="http://www.w3.org/2000/svg" width="100000" height="100000"/>')),
-        Hostile("png-900-Mpx", _bytes(png(30_000, 30_000, 30_000)), said="30000"),
-        Hostile("png-900-Mpx-unstated", _bytes(png(30_000, 30_000, 10)), said="pixels", stated=False),
-        Hostile("png-4-Gpx-unstated", _bytes(png(65_000, 65_000, 2)), said="pixels", stated=False),
+        Hostile("png-900-Mpx", _bytes(png(30_000, 30_000, 30_000)), reason="30000"),
+        Hostile("png-900-Mpx-unstated", _bytes(png(30_000, 30_000, 10)), reason="pixels", stated=False),
+        Hostile("png-4-Gpx-unstated", _bytes(png(65_000, 65_000, 2)), reason="pixels", stated=False),
         Hostile("png-2-billion-wide", _bytes(png(2**31 - 1, 1, 0)), stated=False),
         Hostile("png-of-nothing", _bytes(png(0, 0, 0)), stated=False),
         Hostile("png-too-few-rows", _bytes(png(WIDE, HIGH, 3))),
         Hostile("png-16-bit-bomb", _bytes(png(20_000, 20_000, 5, bits=16)), stated=False),
-        Hostile("png-black", _bytes(png(WIDE, HIGH, HIGH)), said="black"),
-        Hostile("png-12-Mpx-of-black", _bytes(png(4000, 3000, 3000, colour=0)), said="black", stated=False),
-        *(Hostile(f"{k}-other-size", _bytes(encoded(f".{k}", 2, 640, 360)), said="640 x 360") for k in FORMS),
-        Hostile("jpg-65500", _bytes(_jpeg_claims(good_jpg, 65_500, 65_500)), said="65500"),
-        Hostile("jpg-65500-unstated", _bytes(_jpeg_claims(good_jpg, 65_500, 65_500)), said="pixels", stated=False),
-        Hostile("jpg-14000-unstated", _bytes(_jpeg_claims(good_jpg, 14_000, 14_000)), said="cannot hold", stated=False),
+        Hostile("png-black", _bytes(png(WIDE, HIGH, HIGH)), reason="black"),
+        Hostile("png-12-Mpx-of-black", _bytes(png(4000, 3000, 3000, colour=0)), reason="black", stated=False),
+        *(Hostile(f"{k}-other-size", _bytes(encoded(f".{k}", 2, 640, 360)), reason="640 x 360") for k in FORMS),
+        Hostile("jpg-65500", _bytes(_jpeg_claims(good_jpg, 65_500, 65_500)), reason="65500"),
+        Hostile("jpg-65500-unstated", _bytes(_jpeg_claims(good_jpg, 65_500, 65_500)), reason="pixels", stated=False),
+        Hostile("jpg-14000-unstated", _bytes(_jpeg_claims(good_jpg, 14_000, 14_000)), reason="cannot hold", stated=False),
         Hostile("jpg-10000-padded", _bytes(_jpeg_claims(good_jpg, 10_000, 10_000) + bytes(200_000)), refused=False, stated=False),
-        Hostile("jpg-12000-padded", _bytes(_jpeg_claims(good_jpg, 12_000, 12_000) + bytes(200_000)), said="state", stated=False),
+        Hostile(
+            "jpg-12000-padded", _bytes(_jpeg_claims(good_jpg, 12_000, 12_000) + bytes(200_000)), reason="state", stated=False
+        ),
         Hostile("jpg-of-nothing", _bytes(_jpeg_claims(good_jpg, 0, 0)), stated=False),
-        Hostile("tiff-billions", _bytes(tiff(60_000, 60_000)), said="pixels", stated=False),
+        Hostile("tiff-billions", _bytes(tiff(60_000, 60_000)), reason="pixels", stated=False),
         Hostile("tiff-of-nothing", _bytes(tiff(0, 0)), stated=False),
         Hostile("tiff-loop", _bytes(b"II*\0" + struct.pack("<IH", 8, 0) + struct.pack("<I", 8)), stated=False),
         Hostile("tiff-far-away", _bytes(b"II*\0" + struct.pack("<I", 0xFFFFFFF0)), stated=False),
-        Hostile("bmp-billions", _bytes(_bmp(60_000, 60_000)), said="pixels", stated=False),
+        Hostile("bmp-billions", _bytes(_bmp(60_000, 60_000)), reason="pixels", stated=False),
         Hostile("bmp-negative", _bytes(_bmp(-5, -5)), stated=False),
-        Hostile("ppm-billions", _bytes(b"P6 60000 60000 255\n" + bytes(100)), said="pixels", stated=False),
+        Hostile("ppm-billions", _bytes(b"P6 60000 60000 255\n" + bytes(100)), reason="pixels", stated=False),
         Hostile("pfm-billions", _bytes(b"PF\n60000 60000\n-1.0\n" + bytes(100)), stated=False),
         Hostile("hdr-billions", _bytes(b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y 60000 +X 60000\n" + bytes(100)), stated=False),
         Hostile("ras-billions", _bytes(struct.pack(">8I", 0x59A66A95, 60_000, 60_000, 24, 0, 1, 0, 0)), stated=False),
         Hostile(
-            "webp-billions", _bytes(b"RIFF\xff\xff\xff\x00WEBPVP8X\x0a\0\0\0\0\0\0\0" + b"\xff" * 6), said="pixels", stated=False
+            "webp-billions",
+            _bytes(b"RIFF\xff\xff\xff\x00WEBPVP8X\x0a\0\0\0\0\0\0\0" + b"\xff" * 6),
+            reason="pixels",
+            stated=False,
         ),
         Hostile("gif", _bytes(b"GIF89a" + struct.pack("<HH", 60_000, 60_000) + bytes(100)), stated=False),
         Hostile("jp2", _bytes(b"\0\0\0\x0cjP  \r\n\x87\n" + bytes(100)), stated=False),
@@ -156,11 +161,17 @@ def capture_cases() -> list[Hostile]:
         *(Hostile(f"jpg-cut-{k}", _bytes(good_jpg[: len(good_jpg) * k // 6])) for k in range(1, 6)),
         *(Hostile(f"png-flipped-{k}", _bytes(_flipped(good_png, k)), refused=False) for k in range(3)),
         *(Hostile(f"jpg-flipped-{k}", _bytes(_flipped(good_jpg, k)), refused=False) for k in range(6)),
-        Hostile("mask-sparse", _bytes(good_png), mask=_sparse(20_000_000_000), said="20,000,000,000 bytes"),
-        Hostile("mask-empty", _bytes(good_png), mask=_bytes(b""), said="0 bytes"),
-        Hostile("mask-text", _bytes(good_png), mask=_bytes(b"no mask"), said="mask"),
-        Hostile("mask-900-Mpx", _bytes(good_png), mask=_bytes(png(30_000, 30_000, 10)), said="mask"),
-        Hostile("mask-black", _bytes(good_png), mask=_bytes(png(WIDE, HIGH, HIGH)), said="no pixel"),
+        *_mask_cases(good_png),
+    ]
+
+
+def _mask_cases(good_png: bytes) -> list[Hostile]:
+    return [
+        Hostile("mask-sparse", _bytes(good_png), mask=_sparse(20_000_000_000), reason="20,000,000,000 bytes"),
+        Hostile("mask-empty", _bytes(good_png), mask=_bytes(b""), reason="0 bytes"),
+        Hostile("mask-text", _bytes(good_png), mask=_bytes(b"no mask"), reason="mask"),
+        Hostile("mask-900-Mpx", _bytes(good_png), mask=_bytes(png(30_000, 30_000, 10)), reason="mask"),
+        Hostile("mask-black", _bytes(good_png), mask=_bytes(png(WIDE, HIGH, HIGH)), reason="no pixel"),
     ]
 
 

@@ -26,7 +26,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from hostile_captures import GOOD, Hostile, capture_cases, lay
+from hostile_captures import GOOD, Hostile, capture_cases, write_site
 from hostile_files import Case, calibration_cases, fuzzed, site_cases, write_base
 
 from wbflow.errors import ExitCode, WbflowError
@@ -46,14 +46,14 @@ class Fault:
     kind: str
     name: str
     what: str
-    loss: str = "wrong exit"
+    column: str = "wrong exit"
     """The column of the fault campaign's table in which it counts."""
 
     def __str__(self) -> str:
         return f"{self.kind:12} {self.name:48} {self.what[:300]!r}"
 
 
-def patience() -> float:
+def time_limit() -> float:
     """The time limit in wall-clock seconds: `SECONDS`, scaled by the machine's present load."""
     return SECONDS * max(1.0, os.getloadavg()[0] / (os.cpu_count() or 1))
 
@@ -81,7 +81,7 @@ def within(seconds: float) -> Iterator[None]:
 def load(file: Path) -> str:
     """An empty string if a site file is accepted, else the message of its refusal.  Any other exception is a fault."""
     try:
-        with within(patience()):
+        with within(time_limit()):
             own_work = b'"work"' in file.read_bytes()
             site = load_site(file, None if own_work else file.parent / "work")  # all cases share its functions memo
             plan_run(site, Options()).plan.refresh()
@@ -105,31 +105,31 @@ def try_files(kind: str, cases: Iterator[Case], counts: Counter[str]) -> Iterato
                 (base / name).write_bytes(data)
             counts[f"{kind} tried"] += 1
             try:
-                said = load(base / "site.yaml")
+                message = load(base / "site.yaml")
             except (Exception, TooSlow) as error:
-                loss = "hang" if isinstance(error, TooSlow) else "traceback"
-                yield Fault(kind, case.name, f"{type(error).__name__}: {error}", loss)
+                column = "hang" if isinstance(error, TooSlow) else "traceback"
+                yield Fault(kind, case.name, f"{type(error).__name__}: {error}", column)
                 continue
-            counts[f"{kind} {'refused' if said else 'used'}"] += 1
-            if case.refused and not said:
+            counts[f"{kind} {'refused' if message else 'used'}"] += 1
+            if case.refused and not message:
                 yield Fault(kind, case.name, "is used")
-            elif said and not re.search(r"\.(yaml|json|txt|py)(:\d+){1,2}: |cannot be read|must hold|not JSON that", said):
-                yield Fault(kind, case.name, f"no place: {said}")
-            elif "\x1b" in said or len(said) > 20_000:
-                yield Fault(kind, case.name, "its words are not fit for a screen")
+            elif message and not re.search(r"\.(yaml|json|txt|py)(:\d+){1,2}: |cannot be read|must hold|not JSON that", message):
+                yield Fault(kind, case.name, f"no place: {message}")
+            elif "\x1b" in message or len(message) > 20_000:
+                yield Fault(kind, case.name, "the message cannot be shown on a screen")
 
 
 def try_captures(cases: list[Hostile], counts: Counter[str]) -> Iterator[Fault]:
     """Run a site with a camera for each case and two good ones, through the command line."""
     with tempfile.TemporaryDirectory() as folder:
-        site = lay(Path(folder), cases)
+        site = write_site(Path(folder), cases)
         command = [sys.executable, "-m", "wbflow", "run", str(site), "--until", "frames", "--json", "--jobs", "2"]
         try:
             done = subprocess.run(
-                command, capture_output=True, text=True, errors="replace", timeout=len(cases) * patience() / 3, check=False
+                command, capture_output=True, text=True, errors="replace", timeout=len(cases) * time_limit() / 3, check=False
             )
         except subprocess.TimeoutExpired:
-            yield Fault("captures", "all", "still at work", "hang")
+            yield Fault("captures", "all", "still running", "hang")
             return
         if "Traceback" in done.stderr or "itself failed" in done.stderr or "\x1b" in done.stderr + done.stdout:
             yield Fault("captures", "all", done.stderr[-300:], "traceback")
@@ -159,23 +159,23 @@ def _judge(record: dict[str, object], cases: list[Hostile], counts: Counter[str]
         counts[f"captures {'refused' if camera['outcome'] == 'failed' else 'used'}"] += 1
         if case.refused and camera["outcome"] != "failed":
             yield Fault("captures", case.name, f"is {camera['outcome']}")
-        elif case.refused and case.said not in str(camera["reason"]):
-            yield Fault("captures", case.name, f"{case.said!r} is not said: {camera['reason']}")
+        elif case.refused and case.reason not in str(camera["reason"]):
+            yield Fault("captures", case.name, f"{case.reason!r} is not in the reason: {camera['reason']}")
 
 
 def try_loops() -> Iterator[Fault]:
     """Two symbolic links to their own folder, and `**` in the pattern: the captures must be found nevertheless."""
     with tempfile.TemporaryDirectory() as folder:
-        site = lay(Path(folder), [])
+        site = write_site(Path(folder), [])
         captures = Path(folder) / "captures"
         for name in ("again", "and-again"):
             (captures / name).symlink_to(".")
         site.write_text(site.read_text().replace("{camera}.*", "**/{camera}.*"))
         command = [sys.executable, "-m", "wbflow", "status", str(site)]
         try:
-            done = subprocess.run(command, capture_output=True, text=True, timeout=patience(), check=False)
+            done = subprocess.run(command, capture_output=True, text=True, timeout=time_limit(), check=False)
         except subprocess.TimeoutExpired:
-            yield Fault("captures", "two links to . and **", "still at work", "hang")
+            yield Fault("captures", "two links to . and **", "still running", "hang")
             return
         if done.returncode:
             yield Fault("captures", "two links to . and **", done.stderr)
@@ -183,7 +183,7 @@ def try_loops() -> Iterator[Fault]:
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--fuzz", type=int, default=5000, metavar="N", help="fuzzed site files and calibrations")
+    parser.add_argument("--fuzz", type=int, default=5000, metavar="N", help="number of fuzzed site files and calibrations")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--no-captures", action="store_true")
     asked = parser.parse_args()
@@ -198,7 +198,7 @@ def main() -> int:
         figures = {what: counts[f"{kind} {what}"] for what in ("tried", "refused", "used")}
         wrong = sum(fault.kind == kind for fault in faults)
         print(f"{kind:12} {figures['tried']:6} tried {figures['refused']:6} refused {figures['used']:6} used {wrong:4} faults")
-    print(f"the fullest worker of the captures held {counts['captures MB']} MB")
+    print(f"peak memory of a worker that read the captures: {counts['captures MB']} MB")
     for fault in faults:
         print(fault)
     return 1 if faults else 0

@@ -30,14 +30,14 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("page", type=Path)
     parser.add_argument("--out", type=Path, default=Path("shots"), help="folder of the pictures (default: shots)")
-    parser.add_argument("--size", default="1440x900", help="of the window (default: 1440x900); 390x844 is a phone")
+    parser.add_argument("--size", default="1440x900", help="size of the window (default: 1440x900); 390x844 is that of a phone")
     parser.add_argument("--dark", action="store_true")
     options = parser.parse_args()
     width, height = map(int, options.size.split("x"))
     options.out.mkdir(parents=True, exist_ok=True)
     browser = opened(options.page, width, height, options.dark)
     try:
-        for words, every in (("every point", True), ("as many as a moving view takes", False)):
+        for words, every in (("every point", True), ("as many as the view draws while it moves", False)):
             frames = browser.execute_async_script(TURN, every)
             drawn = browser.execute_script("return view.root.dataset.drawn")
             print(

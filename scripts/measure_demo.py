@@ -29,7 +29,7 @@ def main() -> None:
     score = compare_clouds(points, reference, taus=(0.02, 0.05, 0.10, 0.20))
     columns = zip(score.tau.tolist(), score.accuracy.tolist(), score.completeness.tolist(), score.F.tolist(), strict=True)
     rows = [dict(zip(("tau_m", "accuracy", "completeness", "F"), row, strict=True)) for row in columns]
-    print(f"{cloud}\nagainst the rendered truth ({score.reference_points:,} points that at least two cameras see):")
+    print(f"{cloud}\ncompared with the rendered truth ({score.reference_points:,} points that at least two cameras see):")
     print(f"{'within':>8} {'accuracy':>9} {'completeness':>13} {'F':>7}")
     for row in rows:
         print(f"{row['tau_m'] * 100:5.0f} cm {row['accuracy']:9.1%} {row['completeness']:13.1%} {row['F']:7.1%}")

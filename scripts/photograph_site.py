@@ -116,7 +116,7 @@ def write_truth(truth: Path, source: Path, every: dict[str, Camera], cameras: di
         v, u = np.nonzero(depth[::2, ::2])
         pixels = np.column_stack([2 * u, 2 * v]).astype(np.float64)
         lit.append(backproject(every[name], pixels, depth[2 * v, 2 * u].astype(np.float64)))
-        X = X[~knows(depth, every[name], X)]
+        X = X[~has_depth(depth, every[name], X)]
     points = np.concatenate([X, voxel_means(np.concatenate(lit), 0.01)] if lit else [X]).astype(np.float32)
     (truth / "reference.ply").write_bytes(ply_bytes(dict(zip("xyz", points.T, strict=True))))
 
@@ -147,7 +147,7 @@ def sampled(depth: Float32s, whole: Camera, camera: Camera) -> Float32s:
     return np.asarray(depth[x[:, 1], x[:, 0]].reshape(camera.height, camera.width), np.float32)
 
 
-def knows(depth: Float32s, camera: Camera, X: Float64s) -> Bools:
+def has_depth(depth: Float32s, camera: Camera, X: Float64s) -> Bools:
     """(n,) bool: does the depth map have a value at each point's pixel?"""
     x, z = project(camera, X)
     with np.errstate(invalid="ignore"):

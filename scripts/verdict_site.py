@@ -29,21 +29,21 @@ from wbflow_stages.types import Bools, Camera, Float64s, Geometry, Pair, Placeme
 
 LEAST_SCORE = -4.0
 """Pairs with a lower score are passed to the site only if they carry information about it (`informs_about_site`)."""
-WITHIN = ((3.0, 10.0), (6.0, 15.0), (9.0, 25.0))
+TOLERANCES_DEG = ((3.0, 10.0), (6.0, 15.0), (9.0, 25.0))
 """Tolerances that are tried for the closure of triangles: degrees of rotation and of direction."""
 MAX_ROTATION_ERROR_DEG, MAX_EPIPOLAR_PX = 4.0, 2.0
 """Default parameters of `solve_poses`."""
-AT_LEAST = 0.01
+LEAST_SHARE = 0.01
 """Lower bound on each estimated share: there are too few pairs to measure smaller ones."""
 
 
-def believed(pairs: list[LabelledPair], scores: Float64s, usual: LoopStatistics) -> Bools:
+def site_accepts(pairs: list[LabelledPair], scores: Float64s, usual: LoopStatistics) -> Bools:
     """(n,) which pairs the site's check accepts."""
     checks = check_loops(_geometries(pairs, scores), None, usual)
     return np.array([(p.left, p.right) in checks and checks[p.left, p.right].rejected is None for p in pairs], bool)
 
 
-def count_habits(sets: Mapping[str, list[LabelledPair]]) -> LoopStatistics:
+def loop_statistics(sets: Mapping[str, list[LabelledPair]]) -> LoopStatistics:
     """Statistics of the scenes that do not repeat, each scene with the same weight; tolerances by largest likelihood."""
     plain: dict[str, list[list[LabelledPair]]] = {}
     for name, pairs in sets.items():
@@ -51,12 +51,12 @@ def count_habits(sets: Mapping[str, list[LabelledPair]]) -> LoopStatistics:
             plain.setdefault(scene_of(name), []).append(pairs)
     kinds = [[ambiguity_kind(g) for pairs in some for g in _geometries(pairs).values()] for some in plain.values()]
     shares = {
-        kind: max(AT_LEAST, float(np.mean([[k is kind for k in scene].count(True) / len(scene) for scene in kinds])))
+        kind: max(LEAST_SHARE, float(np.mean([[k is kind for k in scene].count(True) / len(scene) for scene in kinds])))
         for kind in (AmbiguityKind.TURNED, AmbiguityKind.SIDE, AmbiguityKind.ROW)
     }
     rivals = Shares(shares[AmbiguityKind.TURNED], shares[AmbiguityKind.SIDE], shares[AmbiguityKind.ROW])
     best: tuple[float, LoopStatistics] | None = None
-    for rotation, direction in WITHIN:
+    for rotation, direction in TOLERANCES_DEG:
         tried = replace(USUAL, rotation_deg=rotation, direction_deg=direction, rivals=rivals)
         right, wrong = (_share_closed(plain, tried, wrong=wrong) for wrong in (False, True))
         likelihood = sum(p * np.log(p) + (1 - p) * np.log(1 - p) for p in (right, wrong))
@@ -67,7 +67,7 @@ def count_habits(sets: Mapping[str, list[LabelledPair]]) -> LoopStatistics:
 
 
 def _share_closed(plain: Mapping[str, list[list[LabelledPair]]], usual: LoopStatistics, *, wrong: bool) -> float:
-    """Share of closed triangles among those of usable pairs, or those with a wrong pair; from `AT_LEAST` to 1 - `AT_LEAST`."""
+    """Share of closed triangles among those of usable pairs, or those with a wrong pair, kept `LEAST_SHARE` away from 0 and 1."""
     shares = []
     for sets in plain.values():
         closed = []
@@ -80,10 +80,10 @@ def _share_closed(plain: Mapping[str, list[list[LabelledPair]]], usual: LoopStat
                     closed.append(closes(geometries, a, b, c, usual))
         if closed:
             shares.append(np.mean(closed))
-    return float(np.clip(np.mean(shares), AT_LEAST, 1 - AT_LEAST))
+    return float(np.clip(np.mean(shares), LEAST_SHARE, 1 - LEAST_SHARE))
 
 
-def solved(pairs: list[LabelledPair], scores: Float64s, usual: LoopStatistics) -> Poses | None:
+def solved_poses(pairs: list[LabelledPair], scores: Float64s, usual: LoopStatistics) -> Poses | None:
     """The cameras of a site as `poses` solves them from known intrinsics and nothing else; None if it solves none."""
     geometries = _geometries(pairs, scores)
     seen = {name: view for p in pairs for name, view in ((p.left, p.geometry.view1), (p.right, p.geometry.view2))}

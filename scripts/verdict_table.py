@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 from verdict_fit import TERMS, LabelledPair, LabelledSet, Weights, fit, is_usable
 from verdict_scenes import SETS, labelled, scene_of, symmetry
-from verdict_site import LEAST_SCORE, averaged_turn_deg, believed, count_habits, in_use, solved, solved_turn_deg
+from verdict_site import LEAST_SCORE, averaged_turn_deg, in_use, loop_statistics, site_accepts, solved_poses, solved_turn_deg
 
 from wbflow_stages.sfm.loops import LoopStatistics
 from wbflow_stages.twoview.pair_score import probability
@@ -19,8 +19,8 @@ from wbflow_stages.types import Float64s
 
 MOST_WRONG, LEAST_KEPT = 0.01, 0.9
 """`--check` limits for each set: largest share of wrong pairs in the solved site, smallest share of usable pairs kept in it."""
-RELIABLE, BIN_OF = 0.05, 30
-"""`--check` limit for p: largest difference of its mean to the share of right pairs, in bins with at least `BIN_OF` pairs."""
+MOST_BIN_ERROR, LEAST_BIN_PAIRS = 0.05, 30
+"""`--check` limit for p: largest difference of its mean to the share of right pairs, in bins of at least `LEAST_BIN_PAIRS`."""
 TURNED_DEG = 3.0
 DRAWS, SITE_SIZES = 20, (2, 3, 4, 6)
 
@@ -48,7 +48,7 @@ class Row:
     site_accepted: int
     site_wrong: int
 
-    def holds(self) -> bool:
+    def meets_limits(self) -> bool:
         return self.site_wrong <= MOST_WRONG * self.site_accepted and self.site_kept >= LEAST_KEPT * self.usable
 
 
@@ -57,20 +57,20 @@ def leave_one_out(cache: Path, to_json: Path | None, plot: Path | None, check: b
     all_of = {name: labelled(name, cache) for name in SETS}
     sets = {name: list(one.pairs) for name, one in all_of.items()}
     others = {scene: fitted({n: p for n, p in sets.items() if scene_of(n) != scene}) for scene in {scene_of(n) for n in sets}}
-    rows, said = [], []
+    rows, probabilities = [], []
     print("set               pairs usable  kept  wrong accepted(wrong)  site: kept accepted(wrong)")
     for name, pairs in sets.items():
         row = _row(name, all_of[name], others[scene_of(name)])
         rows.append(row)
-        said += [probability(s) for s in others[scene_of(name)].weights.scores(pairs)]
+        probabilities += [probability(s) for s in others[scene_of(name)].weights.scores(pairs)]
         print(
             f"{row.name:18}{row.pairs:5}{row.usable:7}{row.kept:6}{row.wrong:7}{row.accepted:9} ({row.wrong_accepted:2})"
             f"{row.site_kept:16}{row.site_accepted:9} ({row.site_wrong:2})", flush=True,
         )  # fmt: skip
-    bins = reliability(np.array(said), [pair for pairs in sets.values() for pair in pairs])
-    print("\np         pairs  said  right  (with copies of a building counted as right)")
+    bins = reliability(np.array(probabilities), [pair for pairs in sets.values() for pair in pairs])
+    print("\np         pairs  mean  right  (with copies of a building counted as right)")
     for b in bins:
-        print(f"{b.begins:.1f} to {b.begins + 0.1:.1f}{b.pairs:6}{b.said:6.2f}{b.right:7.2f}{b.right_or_copy:7.2f}")
+        print(f"{b.begins:.1f} to {b.begins + 0.1:.1f}{b.pairs:6}{b.mean_probability:6.2f}{b.right:7.2f}{b.right_or_copy:7.2f}")
     print(f"\n{DRAWS} random sites of some cameras: with a camera turned by over {TURNED_DEG:g} degrees (of them: where each")
     print("camera is an exact copy of the true one, so that the images are those of a right site), and without any camera")
     turned = {name: small_sites(name, all_of[name], others[scene_of(name)]) for name in sets if name != "nothing"}
@@ -79,19 +79,20 @@ def leave_one_out(cache: Path, to_json: Path | None, plot: Path | None, check: b
         to_json.write_text(json.dumps([vars(row) for row in rows], indent=1))
     if plot:
         draw(bins, plot)
-    missed = [r for r in rows if not r.holds()]
-    broken = [f"{r.name}: {r.site_wrong} wrong of {r.site_accepted}, {r.site_kept} of {r.usable} kept" for r in missed]
-    broken += [f"p from {b.begins:.1f}: said {b.said:.2f}, right {b.right:.2f}" for b in bins if not b.holds()]
-    broken += [f"{name}: {count} small sites with a turned camera" for name, count in turned.items() if count]
+    missed = [r for r in rows if not r.meets_limits()]
+    exceeded = [f"{r.name}: {r.site_wrong} wrong of {r.site_accepted}, {r.site_kept} of {r.usable} kept" for r in missed]
+    off = [b for b in bins if not b.meets_limits()]
+    exceeded += [f"p from {b.begins:.1f}: mean {b.mean_probability:.2f}, right {b.right:.2f}" for b in off]
+    exceeded += [f"{name}: {count} small sites with a turned camera" for name, count in turned.items() if count]
     if check:
-        print("\nbroken promises:" if broken else "\nall promises hold", *broken, sep="\n  ")
-    return int(check and bool(broken))
+        print("\nlimits exceeded:" if exceeded else "\nall limits are met", *exceeded, sep="\n  ")
+    return int(check and bool(exceeded))
 
 
 def fitted(sets: Mapping[str, list[LabelledPair]]) -> Fitted:
     """Fit weights and statistics on these sets."""
     weights = fit([pair for pairs in sets.values() for pair in pairs])
-    return Fitted(weights, count_habits(sets))
+    return Fitted(weights, loop_statistics(sets))
 
 
 def _print_fit(found: Fitted) -> None:
@@ -103,7 +104,7 @@ def _row(name: str, of: LabelledSet, by: Fitted) -> Row:
     pairs = list(of.pairs)
     scores = by.weights.scores(pairs)
     usable, wrong, accepted = np.array([p.usable for p in pairs]), np.array([p.wrong for p in pairs]), scores > 0
-    poses = None if name == "nothing" else solved(pairs, scores, by.usual)
+    poses = None if name == "nothing" else solved_poses(pairs, scores, by.usual)
     kept, kept_wrong = in_use(pairs, poses, of.cameras)
     counts = (usable, usable & accepted, wrong, accepted, wrong & accepted, usable & kept, kept, kept_wrong)
     return Row(name, len(pairs), *(int(c.sum()) for c in counts))
@@ -125,10 +126,10 @@ def small_sites(name: str, of: LabelledSet, by: Fitted) -> int:
             chosen = set(rng.choice(cameras, size, replace=False).tolist())
             mine = [p for p in of.pairs if {p.left, p.right} <= chosen]
             scores = by.weights.scores(mine)
-            kept = believed(mine, scores, by.usual)
+            kept = site_accepts(mine, scores, by.usual)
             some = [p for p, yes in zip(mine, kept, strict=True) if yes]
             empty += not some
-            if averaged_turn_deg(some, of.cameras) <= TURNED_DEG or (poses := solved(mine, scores, by.usual)) is None:
+            if averaged_turn_deg(some, of.cameras) <= TURNED_DEG or (poses := solved_poses(mine, scores, by.usual)) is None:
                 continue
             if solved_turn_deg(poses, of.cameras, turns[:1]) > TURNED_DEG:
                 turned += 1
@@ -145,24 +146,24 @@ class Bin:
 
     begins: float
     pairs: int
-    said: float
+    mean_probability: float
     right: float
     right_or_copy: float
 
-    def holds(self) -> bool:
-        return self.pairs < BIN_OF or abs(self.said - self.right) <= RELIABLE
+    def meets_limits(self) -> bool:
+        return self.pairs < LEAST_BIN_PAIRS or abs(self.mean_probability - self.right) <= MOST_BIN_ERROR
 
 
-def reliability(said: Float64s, pairs: list[LabelledPair]) -> list[Bin]:
+def reliability(probabilities: Float64s, pairs: list[LabelledPair]) -> list[Bin]:
     """The tenths of p that contain pairs; pairs with scores below `LEAST_SCORE` are left out."""
-    tenth = np.minimum((said * 10).astype(int), 9)
+    tenth = np.minimum((probabilities * 10).astype(int), 9)
     right = np.array([[p.usable, is_usable(p.error_of_copy_deg)] for p in pairs])
-    seen = said >= probability(LEAST_SCORE)
+    seen = probabilities >= probability(LEAST_SCORE)
     found = []
     for k in np.unique(tenth[seen]).tolist():
         mine = seen & (tenth == k)
         strict, copies = right[mine].mean(axis=0).tolist()
-        found.append(Bin(k / 10, int(mine.sum()), float(said[mine].mean()), strict, copies))
+        found.append(Bin(k / 10, int(mine.sum()), float(probabilities[mine].mean()), strict, copies))
     return found
 
 
@@ -173,11 +174,11 @@ def draw(bins: list[Bin], file: Path, size: int = 480) -> None:
     def at(p: float, share: float) -> tuple[int, int]:
         return round(p * (size - 1)), round((1 - share) * (size - 1))
 
-    band = [at(0, -RELIABLE), at(1, 1 - RELIABLE), at(1, 1 + RELIABLE), at(0, RELIABLE)]
+    band = [at(0, -MOST_BIN_ERROR), at(1, 1 - MOST_BIN_ERROR), at(1, 1 + MOST_BIN_ERROR), at(0, MOST_BIN_ERROR)]
     cv2.fillPoly(picture, [np.array(band, np.int32)], (220, 220, 220))
     for k in range(11):
         cv2.line(picture, at(k / 10, 0), at(k / 10, 0.015), (0, 0, 0))
         cv2.line(picture, at(0, k / 10), at(0.015, k / 10), (0, 0, 0))
     for each in bins:
-        cv2.circle(picture, at(each.said, each.right), 3 + round(each.pairs**0.5), (160, 60, 0), -1, cv2.LINE_AA)
+        cv2.circle(picture, at(each.mean_probability, each.right), 3 + round(each.pairs**0.5), (160, 60, 0), -1, cv2.LINE_AA)
     cv2.imwrite(str(file), picture)

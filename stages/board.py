@@ -22,7 +22,7 @@ import numpy as np
 from .capture.files import BadCapture
 from .capture.video import all_pictures
 from .core.least_squares import levenberg_marquardt
-from .core.lenses import MODELS, lens_rays, reach
+from .core.lenses import MODELS, lens_rays, usable_angle
 from .types import Capture, Float32s, Float64s, Lens, Uint8s
 
 _LEAST_PICTURES, _LEAST_CORNERS = 5, 8
@@ -238,7 +238,7 @@ def _start(
     centre = 0.5 * (np.array(size) - 1.0)
     K = np.array([[focal, 0.0, centre[0]], [0.0, focal, centre[1]], [0.0, 0.0, 1.0]])
     lens = Lens(K=K, distortion=coefficients, model=model)
-    if np.rad2deg(reach(lens)) < half_deg:
+    if np.rad2deg(usable_angle(lens)) < half_deg:
         return None
     poses = [_board_pose(X, lens_rays(lens, x)) for X, x in zip(boards, corners, strict=True)]
     known = [pose for pose in poses if pose is not None]

@@ -16,9 +16,9 @@ import cv2
 import numpy as np
 
 from .change.cloud_distance import spacing_of
-from .change.clusters import ChangeCluster, Over, find_clusters, over_ground, paired
-from .change.evidence import Epoch, Evidence, compare_nights, judged, noise_of, seen_by
-from .change.volumes import counts, detection_of, volumes
+from .change.clusters import ChangeCluster, GroundPoints, find_clusters, paired, points_over_ground
+from .change.evidence import Epoch, Evidence, compare_nights, mark_changed, noise_of, seen_by
+from .change.volumes import detection_of, is_large_for, volumes
 from .core.cameras import camera_id, project
 from .core.ground_grid import grid_over, ground_axes, inside_polygon, preferred_above, quantile_by_cell
 from .core.residual_distortion import undistorted_frames
@@ -110,16 +110,17 @@ def find_changes(
     raw = compare_nights(tonight, pinned, spacing, registration_m)
     noise = noise_of(*raw)
     limits = {"noise": noise, "sigmas": sigmas, "alike": alike}
-    new_side, old_side = judged(raw[0], tonight, pinned, spacing, **limits), judged(raw[1], pinned, tonight, spacing, **limits)
+    new_side = mark_changed(raw[0], tonight, pinned, spacing, **limits)
+    old_side = mark_changed(raw[1], pinned, tonight, spacing, **limits)
     least = _LEAST_AREA * spacing**2 if least_area_m2 is None else least_area_m2
     clusters: list[ChangeCluster] = []
-    ground = [over_ground(grid, night.points) for night in (tonight, pinned)]
+    ground = [points_over_ground(grid, night.points) for night in (tonight, pinned)]
     for side, own, other in ((new_side, tonight, ground[1]), (old_side, pinned, ground[0])):
         rgb = own.cloud.colors[side.rows].astype(np.float64)
-        clusters += find_clusters(side, rgb, grid, other, of_then=own is pinned, spacing=spacing, least_area=least, alike=alike)
+        clusters += find_clusters(side, rgb, grid, other, vanished=own is pinned, spacing=spacing, least_area=least, alike=alike)
     pairs = sorted(paired([b for b in clusters if b.confirmed]), key=lambda p: -p[0].change.volume)
     in_zones = [(_in_zone(a, zones, axes), b) for a, b in pairs]
-    tops = [_surface_heights(grid, over) for over in ground]
+    tops = [_surface_heights(grid, points) for points in ground]
     result = _assembled(grid, tops[0] - tops[1], new_side, old_side, (tonight, pinned), [(a, b) for a, b in in_zones if a])
     detection = detection_of(new_side, old_side, sigmas=sigmas, registration=registration_m, least_area=least)
     counted = [part for pair in pairs for part in pair if part] + [b for b in clusters if not b.confirmed]
@@ -141,7 +142,7 @@ def _in_zone(cluster: ChangeCluster, zones: list[dict[str, Any]] | None, axes: F
     change = cluster.change
     x, y = axes[:2] @ (change.x, change.y, change.z)
     for zone in zones:
-        if inside_polygon(zone["polygon"], x, y) and counts(cluster, zone):
+        if inside_polygon(zone["polygon"], x, y) and is_large_for(cluster, zone):
             return replace(cluster, change=replace(change, zone=str(zone.get("name", ""))))
     return None
 
@@ -160,10 +161,10 @@ def _assembled(
     for k, (cluster, source) in enumerate(clusters, 1):
         for part in (cluster, source):
             if part is not None:
-                blobs[int(part.of_then)][part.rows] = k
-        side = old if cluster.of_then else new
-        cameras = _seeing_cameras(side, cluster, nights[int(cluster.of_then)])
-        camera_ids = dict.fromkeys(camera_id(name, nights[int(cluster.of_then)].cameras[name]) for name in cameras)
+                blobs[int(part.vanished)][part.rows] = k
+        side = old if cluster.vanished else new
+        cameras = _seeing_cameras(side, cluster, nights[int(cluster.vanished)])
+        camera_ids = dict.fromkeys(camera_id(name, nights[int(cluster.vanished)].cameras[name]) for name in cameras)
         changes[str(k)] = replace(cluster.change, cameras=",".join(camera_ids))
         if cameras:
             crops[str(k)] = _crop(side.core[cluster.rows], cameras[0], nights)
@@ -221,7 +222,7 @@ def _crop(X: Float64s, name: str, nights: tuple[Epoch, Epoch]) -> Uint8s:
     return np.asarray(np.hstack(parts[:-1]), dtype=np.uint8) if parts else np.zeros((1, 1, 3), np.uint8)
 
 
-def _surface_heights(grid: GroundGrid, night: Over) -> Float32s:
+def _surface_heights(grid: GroundGrid, night: GroundPoints) -> Float32s:
     """(rows, columns) heights of a night's surface; nan where unknown."""
     heights = quantile_by_cell(night.cells, night.levels, grid.rows * grid.columns, _TOP_QUANTILE)
     return heights.reshape(grid.rows, grid.columns).astype(np.float32)

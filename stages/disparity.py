@@ -76,7 +76,7 @@ def match_dense(
     offset = round((pair.disparity_min + pair.disparity_max) / 2)
     speckle_px = round(speckle_share * pair.left.size)
     views = [_checked(pair, matches, side, sign, tolerance_px, speckle_px, offset) for side, sign in _SIDES]
-    common_px = int(pair.within_reach().sum())
+    common_px = int(pair.matchable_pixels().sum())
     density = float(np.sum(views[0][0] != INVALID) / max(common_px, 1))
     if density < min_density:
         return Rejected(Reason.NO_DENSE_MATCHES, {"density": density, "common_px": float(common_px)})

@@ -19,9 +19,9 @@ from .capture.background import merge
 from .capture.clock import running_clock
 from .capture.files import BadCapture, EmptyCapture, WrongSize, decoded, refuse_truncated
 from .capture.image_statistics import blur_px, detail_px, image_statistics, weigh
-from .capture.privacy import around, blanked, private_area
+from .capture.privacy import blanked, private_area, with_margin
 from .capture.signal import NOISY, Signal, denoised, remaining_noise, repaired, signal_of
-from .capture.straight import Straight
+from .capture.straight import CapturePinhole
 from .capture.video import all_pictures
 from .io.image_headers import focal_in_long_sides, picture_size, taken_at
 from .types import Bools, Capture, Frame, Lens, Privacy, Uint8s
@@ -67,12 +67,12 @@ def clean_frame(
         raise EmptyCapture("no capture was found for this night")
     pictures: list[_Picture] = []
     faults: list[BadCapture] = []
-    camera: Straight | None = None
+    camera: CapturePinhole | None = None
     for capture in (chosen := _evenly_chosen(captures, max_captures)):
         try:
             for name, image in all_pictures(capture, video_step, max_captures, lens):
                 if camera is None or lens.K is None or image.shape[:2] != (camera.height, camera.width):
-                    camera = Straight.of(image, _lens_with_exif(lens, capture, image), name, whole_field)
+                    camera = CapturePinhole.of(image, _lens_with_exif(lens, capture, image), name, whole_field)
                 pictures.append(_cleaned(image, camera, name, privacy, resolution))
         except BadCapture as error:
             if len(captures) == 1:
@@ -83,7 +83,7 @@ def clean_frame(
     notes = [f"{fault}; left out" for fault in faults]
     pictures = _evenly_chosen(_of_common_size(pictures, notes), max_captures)
     usage_notes = [f"{max_captures} of {len(captures)} captures used"] if len(captures) > max_captures else []
-    return _merged_frame(pictures, mask, (overlays, denoise), chosen, [*notes, *pictures[0].camera.lost(), *usage_notes])
+    return _merged_frame(pictures, mask, (overlays, denoise), chosen, [*notes, *pictures[0].camera.loss_notes(), *usage_notes])
 
 
 def _summary(faults: Sequence[BadCapture]) -> str:
@@ -152,7 +152,7 @@ def _merged_frame(
 class _Picture:
     """A picture ready to be merged."""
 
-    camera: Straight
+    camera: CapturePinhole
     name: str
     image: Uint8s
     """At working resolution, undistorted, private areas blanked."""
@@ -166,7 +166,7 @@ class _Picture:
     """First 32 hex digits of the SHA-256 of the capture's pixels, private areas blanked."""
 
 
-def _cleaned(image: Uint8s, camera: Straight, name: str, privacy: Privacy | None, resolution: int | None) -> _Picture:
+def _cleaned(image: Uint8s, camera: CapturePinhole, name: str, privacy: Privacy | None, resolution: int | None) -> _Picture:
     area = private_area(privacy, camera.width, camera.height, name)
     image = blanked(image, area)  # first: no figure may depend on what is private
     digest = hashlib.sha256(image.tobytes()).hexdigest()[:32]
@@ -179,7 +179,7 @@ def _private_pixels(picture: _Picture, width: int, height: int) -> Bools:
     """(height, width) bool, True where a pixel of the frame lies in or near a private area."""
     if picture.private is None:
         return np.zeros((height, width), np.bool_)
-    area = _resized(picture.camera.undistort(around(picture.private).astype(np.uint8) * np.uint8(255)), width, height)
+    area = _resized(picture.camera.undistort(with_margin(picture.private).astype(np.uint8) * np.uint8(255)), width, height)
     return np.asarray(area > 0, np.bool_)
 
 
@@ -214,7 +214,7 @@ def _resized(image: Uint8s, width: int, height: int) -> Uint8s:
     return np.asarray(cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA), dtype=np.uint8)
 
 
-def _usable_pixels(camera: Straight, mask: Capture | None, width: int, height: int) -> Bools:
+def _usable_pixels(camera: CapturePinhole, mask: Capture | None, width: int, height: int) -> Bools:
     """(height, width) bool: covered by the sensor after undistortion, and allowed by the mask."""
     allowed = np.full((camera.height, camera.width), 255, np.uint8) if mask is None else _decode_mask(mask, camera)
     allowed = _resized(camera.undistort(allowed, nearest=True), width, height)
@@ -225,7 +225,7 @@ def _usable_pixels(camera: Straight, mask: Capture | None, width: int, height: i
     return usable
 
 
-def _decode_mask(mask: Capture, camera: Straight) -> Uint8s:
+def _decode_mask(mask: Capture, camera: CapturePinhole) -> Uint8s:
     """(h, w) uint8 of the captured size, 255 where pixels may be used."""
     if mask.data.size == 0:
         raise EmptyCapture(f"mask {mask.name} is empty (0 bytes)")
@@ -240,7 +240,7 @@ def _decode_mask(mask: Capture, camera: Straight) -> Uint8s:
     return np.where(image > 0, 255, 0).astype(np.uint8)
 
 
-def _wrong_mask(name: str, width: int, height: int, camera: Straight) -> WrongSize:
+def _wrong_mask(name: str, width: int, height: int, camera: CapturePinhole) -> WrongSize:
     return WrongSize(
         f"mask {name} has {width} x {height} pixels, the captures {camera.width} x {camera.height}: "
         "draw the mask over a capture as it comes from the camera"

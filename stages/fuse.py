@@ -19,10 +19,10 @@ import numpy as np
 from .core.cameras import backproject
 from .core.parallel import parallel_map
 from .core.residual_distortion import undistorted_frames
-from .fusion.even_regions import believed
+from .fusion.even_regions import usable_pixels
 from .fusion.pair_depth import world_normals
 from .fusion.planning import exposure_gains, natural_voxel, nearest_views, subsample
-from .fusion.posterior import likelier, most_probable, own_logit, posterior
+from .fusion.posterior import merge_likelier, most_probable, own_logit, posterior
 from .fusion.uncertainty import along_nearest_rays, depth_variance
 from .fusion.visibility import CrossCheck, TrustedDepth, cross_check
 from .fusion.voxels import Samples, VoxelGrid, VoxelSums
@@ -71,8 +71,8 @@ def fuse(
     @lru_cache(cache_size)
     def load_view(name: str) -> TrustedDepth:
         maps = [source[name] for source in (preferred, depths) if name in source]
-        usable = believed(frames[name], maps[-1])  # judged by the pairs' depth: refinement fits planes to the sky, too
-        return likelier([TrustedDepth(depth, own_logit(depth, usable)) for depth in maps])
+        usable = usable_pixels(frames[name], maps[-1])  # judged by the pairs' depth: refinement fits planes to the sky, too
+        return merge_likelier([TrustedDepth(depth, own_logit(depth, usable)) for depth in maps])
 
     loading = Lock()  # otherwise two threads that need the same view would both load it
 
@@ -127,7 +127,7 @@ def _samples(
 ) -> Samples:  # fmt: skip
     """The points of one view that are probable enough.  limits: `min_consistent_pairs` and `confidence` of `fuse`."""
     depth, (min_pairs, confidence) = view.depth, limits
-    probability = posterior(depth, frame, view.own, check)
+    probability = posterior(depth, frame, view.own_logit, check)
     accepted = (probability > 0) & (probability >= confidence) & (check.pairs >= min_pairs)
     if min_pairs > 1:
         accepted &= check.agreeing >= min_pairs

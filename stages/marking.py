@@ -22,7 +22,7 @@ Area = tuple[bool, list[list[float]]]
 """Whether its pixels may be used, and its corners in pixels of a capture (pixel centres are whole numbers)."""
 
 
-def shown(name: str, data: bytes) -> tuple[int, int, bytes]:
+def as_jpeg(name: str, data: bytes) -> tuple[int, int, bytes]:
     """Width and height of a capture (upright, as for masks and polygons), and a JPEG of it that browsers show.
 
     Raises BadCapture, naming the file, if it is not a usable picture.
@@ -32,7 +32,7 @@ def shown(name: str, data: bytes) -> tuple[int, int, bytes]:
     return width, height, jpeg(_reduced(image), _JPEG_QUALITY).tobytes()
 
 
-def shade(name: str, mask: bytes) -> bytes:
+def mask_overlay(name: str, mask: bytes) -> bytes:
     """A PNG that is red where a mask leaves pixels out, and transparent elsewhere.  Raises BadCapture."""
     small = _reduced(_decode(name, mask))
     picture = np.zeros((*small.shape[:2], 4), np.uint8)
@@ -40,7 +40,7 @@ def shade(name: str, mask: bytes) -> bytes:
     return png(picture)
 
 
-def painted(name: str, mask: bytes | None, size: tuple[int, int], areas: Sequence[Area]) -> bytes:
+def paint_mask(name: str, mask: bytes | None, size: tuple[int, int], areas: Sequence[Area]) -> bytes:
     """A mask, as a PNG, with areas painted over it, one after the other.
 
     Raises BadCapture if the mask cannot be read, has another size, or would leave no pixel to use.

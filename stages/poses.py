@@ -36,7 +36,7 @@ from .orientation.survey_check import check_survey
 from .orientation.usual_errors import correct_usual_errors
 from .reasons import Reason, Rejected
 from .rectification.predicted import predict
-from .sfm.rigs import beside
+from .sfm.rigs import posed_by_sibling
 from .types import (
     CalibrationCheck,
     Camera,
@@ -224,7 +224,7 @@ def _with_other_views(cameras: Mapping[str, Camera], moved: Mapping[str, NewPose
     new_poses = dict(moved)
     for name, camera in cameras.items():
         for new_pose in moved.values() if name not in moved else ():
-            if (placed_view := beside(camera, {0: new_pose.camera})) is not None:
+            if (placed_view := posed_by_sibling(camera, {0: new_pose.camera})) is not None:
                 new_poses[name] = replace(new_pose, camera=placed_view, pairs=())
     return new_poses
 

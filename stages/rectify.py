@@ -18,7 +18,7 @@ from .core.ordering import percentiles
 from .core.residual_distortion import residual_distortion, undistorted_points
 from .mvs.ground import ground_homography, inverse_depth_line
 from .reasons import Reason, Rejected
-from .rectification.fitting import Placed, finished, placed
+from .rectification.fitting import Layout, finish_layout, fit_layout
 from .rectification.method import MatchedPair
 from .rectification.predicted import ground_in_both, predict
 from .rectification.quality import parallax_px
@@ -103,9 +103,9 @@ def rectify(
     if geometry is not None and left is not None and right is not None:
         geometry = replace(geometry, x1=undistorted_points(left, geometry.x1), x2=undistorted_points(right, geometry.x2))
 
-    def fit(pair: MatchedPair) -> Placed | Rejected:
+    def fit(pair: MatchedPair) -> Layout | Rejected:
         inputs = {"pair": pair, "geometry": geometry, "left": left, "right": right}
-        return placed(pair, method, bind(METHODS, method, inputs, options), fallback)
+        return fit_layout(pair, method, bind(METHODS, method, inputs, options), fallback)
 
     limits = min_matches, max_row_error_px, min_angle_deg, range_margin
     by_matches, match_count = _from_matches(geometry, left, right, check, fit, limits)
@@ -129,7 +129,7 @@ def _from_matches(
     left: Camera | None,
     right: Camera | None,
     check: PairCheck | None,
-    fit: Callable[[MatchedPair], Placed | Rejected],
+    fit: Callable[[MatchedPair], Layout | Rejected],
     limits: tuple[int, float, float, float],
 ) -> tuple[Rectification | Rejected, int]:
     """The rectification from the matches, and how many of them agree with F.  limits: `min_matches`, `max_row_error_px`,
@@ -143,14 +143,14 @@ def _from_matches(
     layout = refusal or _unusable(len(geometry.x1), pair, min_matches, min_angle_deg) or fit(pair)
     if isinstance(layout, Rejected):
         return layout, len(pair.x1)
-    return finished(*layout, pair, geometry, max_row_error_px, range_margin), len(pair.x1)
+    return finish_layout(*layout, pair, geometry, max_row_error_px, range_margin), len(pair.x1)
 
 
 def _from_cameras(
     cameras: tuple[Camera, Camera],
     frames: tuple[Frame, Frame],
     scene: Scene | None,
-    fit: Callable[[MatchedPair], Placed | Rejected],
+    fit: Callable[[MatchedPair], Layout | Rejected],
     min_angle_deg: float,
 ) -> Rectification | Rejected:
     """The rectification from two cameras, laid out for the scene that both should see; dense matching must confirm it, and
@@ -170,13 +170,13 @@ def _from_cameras(
     )
     if not rows.confirmed or len(x1) < _FEWEST_POINTS:
         return Rejected(Reason.ROWS_NOT_CONFIRMED, {"row_share": rows.share, "row_chance": rows.chance})
-    pair = replace(_known_pair(cameras, x1, x2, probability), around=(expected.x1, expected.x2))
+    pair = replace(_known_pair(cameras, x1, x2, probability), extra_points=(expected.x1, expected.x2))
     if pair.angle_deg < min_angle_deg:
         return Rejected(Reason.NO_BASELINE, {"angle_deg": pair.angle_deg, "needed_deg": min_angle_deg})
     layout = fit(pair)
     if isinstance(layout, Rejected):
         return layout
-    result = finished(*layout, pair, None, float("inf"), _MARGIN_OF_POINTS)
+    result = finish_layout(*layout, pair, None, float("inf"), _MARGIN_OF_POINTS)
     if isinstance(result, Rejected):
         return result
     return replace(
@@ -189,7 +189,7 @@ def _reaching_ground(
     geometry: Geometry | None,
     views: tuple[Camera | None, Camera | None],
     scene: Scene | None,
-    fit: Callable[[MatchedPair], Placed | Rejected],
+    fit: Callable[[MatchedPair], Layout | Rejected],
 ) -> Rectification | Rejected:
     """The rectification from the matches, laid out anew if most of the ground is outside its disparity range: the façades
     around a square match, but the repetitive paving at their feet does not."""
@@ -207,7 +207,7 @@ def _reaching_ground(
     layout = fit(pair)
     if isinstance(layout, Rejected):
         return result
-    wider = finished(*layout, pair, None, float("inf"), _MARGIN_OF_POINTS)
+    wider = finish_layout(*layout, pair, None, float("inf"), _MARGIN_OF_POINTS)
     return result if isinstance(wider, Rejected) else replace(wider, ground=_ground_of_pair(cameras, scene))
 
 

@@ -112,7 +112,7 @@ def _refined(
         planes = np.where(np.isfinite(planes[0]), planes, _planes_of(reference))
     planes = with_carried(planes, carried, propagation, max_cost)
     nearest, farthest = np.percentile(planes[0][np.isfinite(planes[0])], [99.8, 0.2])
-    cost = propagation.improve(planes, sweeps, ring_px, 0.9 * farthest, 1.1 * nearest, again=reference is not None)
+    cost = propagation.improve(planes, sweeps, ring_px, 0.9 * farthest, 1.1 * nearest, nearly_right=reference is not None)
     scale = _pixels_per_inverse_depth(M, b, planes[0])
     propagation.refine_photometrically(planes, radius)
     planes[0] = smoothed(image, scale * planes, cost, max_cost, spacing)[0] / scale

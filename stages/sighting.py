@@ -44,7 +44,7 @@ class Sight:
         assert self.lens.K is not None
         return float(self.lens.K[0, 0])
 
-    def drawn(self, X: Float64s) -> list[list[Pixel]]:
+    def line_pieces(self, X: Float64s) -> list[list[Pixel]]:
         """The pieces of a line through points (n, 3) of the world that are in or near the picture."""
         pixels = self.pixels(X)
         size = np.array([self.lens.width, self.lens.height])
@@ -98,7 +98,7 @@ class Sights:
             other, pixel = next(iter(others.items()))
             other_sight = self._sights[other]
             distances = np.geomspace(_NEAR, _FAR, _STEPS)[:, None] * max(float(np.linalg.norm(sight.C - other_sight.C)), 1e-6)
-            guides["lines"] = sight.drawn(other_sight.C + distances * other_sight.rays([pixel]))
+            guides["lines"] = sight.line_pieces(other_sight.C + distances * other_sight.rays([pixel]))
         if stated is not None:
             guides["stated"] = _rounded(sight.pixels(np.array([stated], dtype=np.float64))[0])
         return guides
@@ -117,7 +117,7 @@ class Sights:
         points = np.column_stack([np.array(corners, dtype=np.float64).reshape(-1, 2), np.full(len(corners), height)])
         fractions = np.linspace(0, 1, _EDGE_POINTS)[:, None]
         edges = [a + fractions * (b - a) for a, b in zip(points, np.roll(points, -1, axis=0), strict=True)]
-        lines = [line for edge in edges for line in sight.drawn(edge)]
+        lines = [line for edge in edges for line in sight.line_pieces(edge)]
         return {"lines": lines, "corners": [_rounded(pixel) for pixel in sight.pixels(points)]}
 
     def _places(self, points: Sequence[Mapping[str, Pixel]]) -> list[Float64s | None]:

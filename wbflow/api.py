@@ -19,7 +19,7 @@ from .cache.atomic import disk_fault
 from .cache.lock import claim
 from .errors import UsageError
 from .outcome.finished_run import Run as Run
-from .outcome.publish import mend_ledger, run_pipeline
+from .outcome.publish import repair_ledger, run_pipeline
 from .records.events import Listener
 from .records.run_folder import RunFolder, hold_to_write, new_run, refresh
 from .runner.context import plan_run
@@ -127,7 +127,7 @@ def open_run(where: Site | str | Path, run_id: str | None = None) -> Run:
     SiteError
         The site file cannot be used.
     """
-    if not isinstance(where, Site) and run_id is None and RunFolder.is_one(Path(where)):
+    if not isinstance(where, Site) and run_id is None and RunFolder.is_run_folder(Path(where)):
         return Run.at(RunFolder.at(Path(where)))
     work_folder = (where if isinstance(where, Site) else load_site(where)).work_folder
     refresh(work_folder)
@@ -140,21 +140,21 @@ def _run_night(site: Site, options: Options, listen: Listener) -> Run:
         with hold_to_write(work_folder, options.wait) as mirror, terminate_as_interrupt():
             warning = claim(work_folder, site.name, site.file)
             name, started = new_run(work_folder)
-            journal = Journal(mirror.listening(listen) if mirror else listen, started)
+            journal = Journal(mirror.wrap_listener(listen) if mirror else listen, started)
             if mirror:
-                journal.behind = mirror.behind
+                journal.upload = mirror.upload_finding
             if warning:
                 journal.warn(warning, remedy="give each site file a work folder of its own (work: FOLDER)")
             for note in site.notes:
                 journal.warn(str(dataclasses.replace(note, remedy="")), remedy=note.remedy)
-            mend_ledger(work_folder, journal)
+            repair_ledger(work_folder, journal)
             context = plan_run(site, options)
             for damage in filter(None, (context.digests.damage, context.earlier_captures.damage, site.reader.damage)):
-                journal.repaired(damage)
+                journal.note_repair(damage)
             finished = run_pipeline(name, context, options, journal)
             if mirror and (fault := mirror.finish()):
                 journal.warn(fault)
-                finished.place.add(journal.events[-1])
+                finished.run_folder.add(journal.events[-1])
             return finished
     except OSError as error:
         raise disk_fault(error, work_folder.root) from error

@@ -27,7 +27,7 @@ from .cache.atomic import write_atomic
 from .cache.untrusted import MOST_TEXT_BYTES, read_untrusted
 from .errors import UsageError, WbflowError
 from .plugins import load
-from .site.captures import answered
+from .site.captures import read_with_timeout
 from .site.models import Site
 from .words import counted, printable
 
@@ -39,9 +39,9 @@ _BETWEEN_TRIES, _LEAD = 2.0, 2.0
 _SECONDS_OF_AN_HOUR = 3600
 _MOST_CLOCK_ERROR = 60.0
 """If a camera's clock differs from this machine's by more seconds than this, its times are not used."""
-PATIENCE = 15.0
+TIMEOUT_SECONDS = 15.0
 """Timeout of a camera's answer, seconds."""
-LARGEST = 100_000_000
+MOST_PICTURE_BYTES = 100_000_000
 """Largest picture that is read, bytes."""
 _STREAM = "wbflow_stages.capture.stream:stream_pictures"
 _STILL_SECONDS = 0.5
@@ -62,7 +62,7 @@ Shot = tuple[bytes, float | None]
 
 
 @dataclass
-class Taken:
+class Delivery:
     """What a camera has delivered."""
 
     camera: str
@@ -72,20 +72,20 @@ class Taken:
     """Why pictures are missing; "" if none are."""
     own_clock: bool = True
     """Are all times from the camera's own clock?"""
-    off: float = 0.0
+    clock_error_s: float = 0.0
     """Seconds by which its clock is ahead of this machine's, if by more than `_MOST_CLOCK_ERROR`; else 0."""
 
     def __str__(self) -> str:
-        off = datetime.timedelta(seconds=round(abs(self.off)))
-        clock = f", its clock is {off} {'ahead' if self.off > 0 else 'behind'}" if self.off else ""
+        off = datetime.timedelta(seconds=round(abs(self.clock_error_s)))
+        clock = f", its clock is {off} {'ahead' if self.clock_error_s > 0 else 'behind'}" if self.clock_error_s else ""
         times = f"; times by {'the camera' if self.own_clock else 'this machine'}{clock}" if self.files else ""
         return f"{len(self.files)} of {counted(self.wanted, 'picture')}{times}{': ' if self.fault else ''}{self.fault}"
 
 
-def capture(site: Site, listen: Callable[[Taken], None] = lambda taken: None) -> list[Taken]:
+def capture(site: Site, listen: Callable[[Delivery], None] = lambda delivery: None) -> list[Delivery]:
     """Take pictures with every camera that has a `url`, all at the same moments.
 
-    The site's `captures` set how many, over how many seconds, and the file names.  listen: called with each camera's `Taken`.
+    The site's `captures` set how many, over how many seconds, and the file names.  listen: called with each camera's `Delivery`.
 
     Raises UsageError if no camera has a `url`, the credentials file cannot be read, two pictures would get the same name, or the
     captures are in an object store.
@@ -101,48 +101,48 @@ def capture(site: Site, listen: Callable[[Taken], None] = lambda taken: None) ->
     moments = [start + k * settings.seconds / max(settings.frames - 1, 1) for k in range(settings.frames)]
     _check_names(site, next(iter(urls)), moments)
 
-    def take(camera: str) -> Taken:
-        taken = Taken(camera, len(moments))
+    def take(camera: str) -> Delivery:
+        delivery = Delivery(camera, len(moments))
         login = logins.get(camera) or logins.get("*")
-        call = functools.partial(_take, site, taken, urls[camera], login, moments)
+        call = functools.partial(_take, site, delivery, urls[camera], login, moments)
         try:
-            answered(call, moments[-1] - time.time() + TRIES * (PATIENCE + _BETWEEN_TRIES))
+            read_with_timeout(call, moments[-1] - time.time() + TRIES * (TIMEOUT_SECONDS + _BETWEEN_TRIES))
         except TimeoutError:
-            taken.fault = "did not complete its response in time"
+            delivery.fault = "did not complete its response in time"
         except (OSError, ValueError) as error:
-            taken.fault = printable(error)
-        listen(taken)
-        return taken
+            delivery.fault = printable(error)
+        listen(delivery)
+        return delivery
 
     with ThreadPoolExecutor(len(urls)) as pool:
         return list(pool.map(take, urls))
 
 
-def _take(site: Site, taken: Taken, url: str, login: Login | None, moments: list[float]) -> None:
+def _take(site: Site, delivery: Delivery, url: str, login: Login | None, moments: list[float]) -> None:
     """Write a camera's pictures; retry if it fails."""
     for attempt in range(TRIES):
         if attempt:
             time.sleep(_BETWEEN_TRIES)
         try:
-            for shot in shots(url, login, moments[len(taken.files) :]):
-                _write(site, taken, shot)
-            taken.fault = ""
+            for shot in shots(url, login, moments[len(delivery.files) :]):
+                _write(site, delivery, shot)
+            delivery.fault = ""
             return
         except CaptureFailed as error:
-            taken.fault = printable(error.what)
+            delivery.fault = printable(error.what)
 
 
-def _write(site: Site, taken: Taken, shot: Shot) -> None:
+def _write(site: Site, delivery: Delivery, shot: Shot) -> None:
     (data, camera_time), now = shot, time.time()
     off = 0.0 if camera_time is None else camera_time - now
     accepted = camera_time is not None and abs(off) <= _MOST_CLOCK_ERROR
-    taken.own_clock = taken.own_clock and accepted
-    taken.off = taken.off if accepted else off
+    delivery.own_clock = delivery.own_clock and accepted
+    delivery.clock_error_s = delivery.clock_error_s if accepted else off
     moment = camera_time if accepted and camera_time is not None else now
-    path = _free_name(site, taken.camera, site.local(moment))
+    path = _free_name(site, delivery.camera, site.local(moment))
     write_atomic(path, data)
     os.utime(path, (moment, moment))
-    taken.files.append(path)
+    delivery.files.append(path)
 
 
 def _free_name(site: Site, camera: str, local: datetime.datetime) -> Path:
@@ -187,7 +187,7 @@ def shots(url: str, login: Login | None, moments: Sequence[float]) -> Iterator[S
     """Yield a camera's picture at each moment (Unix times, in order).  Raises CaptureFailed if the camera delivers none."""
     try:
         if url.startswith("rtsp"):
-            yield from load(_STREAM)(_with_login(url, login), moments, PATIENCE)
+            yield from load(_STREAM)(_with_login(url, login), moments, TIMEOUT_SECONDS)
         elif url.startswith("file:"):
             yield from _folder_shots(Path(urllib.parse.unquote(url.partition("://")[2])), moments)
         else:
@@ -198,11 +198,11 @@ def shots(url: str, login: Login | None, moments: Sequence[float]) -> Iterator[S
             f"{why}: check its user and password in the file of credentials" if error.code in {401, 403} else why
         ) from None
     except TimeoutError:
-        raise CaptureFailed(f"does not answer within {PATIENCE:.0f} s") from None
+        raise CaptureFailed(f"does not answer within {TIMEOUT_SECONDS:.0f} s") from None
     except urllib.error.URLError as error:
         timed_out = isinstance(error.reason, TimeoutError)
         raise CaptureFailed(
-            f"does not answer within {PATIENCE:.0f} s" if timed_out else f"cannot be reached: {error.reason}"
+            f"does not answer within {TIMEOUT_SECONDS:.0f} s" if timed_out else f"cannot be reached: {error.reason}"
         ) from None
     except http.client.IncompleteRead as error:
         raise CaptureFailed(f"sent an incomplete picture ({len(error.partial):,} bytes)") from None
@@ -220,11 +220,11 @@ def _server_shots(url: str, login: Login | None, moments: Sequence[float]) -> It
         opener.add_handler(urllib.request.HTTPDigestAuthHandler(passwords))
     for k, moment in enumerate(moments):
         _wait_until(moment)
-        with opener.open(url, timeout=PATIENCE) as response:
+        with opener.open(url, timeout=TIMEOUT_SECONDS) as response:
             if response.headers.get_content_maintype() == "multipart":
                 yield from _mjpeg_shots(response, moments[k:])
                 return
-            data = response.read(LARGEST)
+            data = response.read(MOST_PICTURE_BYTES)
             yield _checked(data), _parse_date(response.headers.get("Date"))
 
 
@@ -235,7 +235,7 @@ def _mjpeg_shots(response: IO[bytes], moments: Sequence[float]) -> Iterator[Shot
     while moment is not None:
         headers = http.client.parse_headers(_SkipToHead(response))
         length = headers.get("Content-Length", "")
-        data = response.read(min(int(length), LARGEST)) if length.isdecimal() else _read_until_end(response)
+        data = response.read(min(int(length), MOST_PICTURE_BYTES)) if length.isdecimal() else _read_until_end(response)
         if not data:
             raise OSError("the camera closed the connection")
         if time.time() < moment:
@@ -263,7 +263,7 @@ class _SkipToHead:
 def _read_until_end(response: IO[bytes]) -> bytes:
     """Read a JPEG file of unknown length."""
     data = bytearray()
-    while len(data) < LARGEST and (line := response.readline()):
+    while len(data) < MOST_PICTURE_BYTES and (line := response.readline()):
         data += line
         end = data.rfind(b"\xff\xd9")
         if end >= 0 and data[end + 2 :].strip(b"\r\n") == b"":
@@ -272,7 +272,7 @@ def _read_until_end(response: IO[bytes]) -> bytes:
 
 
 def _folder_shots(folder: Path, moments: Sequence[float]) -> Iterator[Shot]:
-    """Yield at each moment the newest file that arrives in a folder from now on; give up `PATIENCE` s after the last moment."""
+    """Yield at each moment the newest file that arrives in a folder from now on; give up `TIMEOUT_SECONDS` after the last one."""
     start, used = time.time(), set[Path]()
     for moment in moments:
         while True:
@@ -283,7 +283,7 @@ def _folder_shots(folder: Path, moments: Sequence[float]) -> Iterator[Shot]:
                 used.add(latest)
                 yield _checked(read_untrusted(latest)), latest.stat().st_mtime
                 break
-            if time.time() > moments[-1] + PATIENCE:
+            if time.time() > moments[-1] + TIMEOUT_SECONDS:
                 raise OSError(f"nothing new arrives in {folder}")
             time.sleep(_STILL_SECONDS)
 

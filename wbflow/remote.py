@@ -28,7 +28,7 @@ from functools import cached_property
 from pathlib import Path, PurePosixPath
 from typing import Any
 
-from .cache.atomic import FULL
+from .cache.atomic import DISK_FULL_ERRORS
 from .cache.checksum import Damaged, read_checksummed, write_checksummed
 from .cache.layout import RunPaths, WorkFolder
 from .cache.lock import Locked, hold
@@ -38,7 +38,7 @@ from .records.findings import Finding, finding
 from .task import Task
 from .words import counted, printable
 
-HELD = "held.json"
+LOCK_NAME = "held.json"
 ABANDONED_SECONDS = 3600.0
 """A writer that has not renewed `held.json` for this many seconds counts as gone."""
 UPLOAD_SECONDS = 10.0
@@ -152,7 +152,7 @@ class ObjectStore:
         except StoreError:
             raise
         except Exception as error:  # each store's library has its own errors: BotoCoreError, ClientError, FSTimeoutError, ...
-            if isinstance(error, OSError) and error.errno in FULL:
+            if isinstance(error, OSError) and error.errno in DISK_FULL_ERRORS:
                 raise
             what = f"{self.url} cannot be used ({name}): {type(error).__name__}: {printable(error)}"
             raise StoreError(what, remedy=_CHECK_ACCESS) from error
@@ -179,7 +179,7 @@ class Mirror:
         """By name: mark in the store ("" if not known yet) and local stamp when both sides last had the same bytes."""
         self._pending: list[tuple[Task, str]] = []
         self._fault: str | None = None
-        self.holds = False
+        self.holds_store = False
         self._last_upload = time.monotonic()
         with contextlib.suppress(Damaged, KeyError, TypeError, ValueError):  # without the memo, files are downloaded again
             memo = read_checksummed(work.mirror_memo, "mirror") or {}
@@ -209,14 +209,14 @@ class Mirror:
                 (self.work.root / name).unlink(missing_ok=True)
         self._save()
 
-    def push(self, some: Iterable[Path] | None = None) -> None:
-        """Upload local changes; `some`: of these files only.  Raises StoreError; the next push uploads the rest."""
-        local = self._stamps(self._files() if some is None else some)
+    def push(self, paths: Iterable[Path] | None = None) -> None:
+        """Upload local changes; of these files only, if given.  Raises StoreError; the next push uploads the rest."""
+        local = self._stamps(self._files() if paths is None else paths)
         changed = [name for name, stamp in local.items() if self._synced.get(name, ("", None))[1] != stamp]
         for names in self._in_order(changed):
             self.store.put(names, self.work.root)
             self._synced.update({name: ("", local[name]) for name in names})
-        if some is not None:
+        if paths is not None:
             return
         for names in reversed(list(self._in_order(self._synced.keys() - local.keys()))):
             self.store.remove(names)
@@ -229,7 +229,7 @@ class Mirror:
         self._synced.update({name: (remote[name][1], local[name]) for name in changed if name in remote})
         self._save()
 
-    def listening(self, listen: Listener) -> Listener:
+    def wrap_listener(self, listen: Listener) -> Listener:
         """Return a listener that passes events on to `listen`, and uploads results as tasks finish."""
 
         def receive(event: Event | Signal) -> None:
@@ -241,45 +241,45 @@ class Mirror:
 
         return receive
 
-    def behind(self) -> Finding | None:
+    def upload_finding(self) -> Finding | None:
         """Upload finished results; return a finding if that fails."""
         self._send(everything=False)
         return finding("store-behind", reason=self._fault) if self._fault else None
 
     def finish(self) -> str | None:
         """Upload everything and release the store; return what went wrong, in words, or None."""
-        if self.holds:
+        if self.holds_store:
             self._send(everything=True)
             self.release()
         return self._fault
 
     def hold(self, wait: bool) -> None:
         """Become the only writer.  Raises Locked if another folder holds the store and `wait` is False; StoreError."""
-        while not self.store.write(HELD, self._claim(), new=True):
+        while not self.store.write(LOCK_NAME, self._claim(), new=True):
             holder = self._holder()
             if holder["token"] in {self._token, ""} or time.time() - holder["seen"] > ABANDONED_SECONDS:
-                self.store.remove([HELD])
+                self.store.remove([LOCK_NAME])
             elif not wait:
                 writer = f"process {holder['pid']} on {holder['host']}"
                 hint = f"a run that was killed counts as gone after {counted(ABANDONED_SECONDS / 60, 'minute')}"
                 raise Locked(f"another run holds {self.store.url}: {writer}", remedy=f"wait for it (--wait), or stop it; {hint}")
             else:
                 time.sleep(_WAIT_SECONDS)
-        self.holds = True
+        self.holds_store = True
 
     def release(self) -> None:
         """Release the store.  If it does not answer, others can write after `ABANDONED_SECONDS`."""
-        self.holds = False
+        self.holds_store = False
         with contextlib.suppress(StoreError):
             if self._holder()["token"] == self._token:
-                self.store.remove([HELD])
+                self.store.remove([LOCK_NAME])
 
     def _send(self, everything: bool) -> None:
         try:
             holder = self._holder()
             if holder["token"] not in {self._token, ""}:
                 raise StoreError(f"{self.store.url} was taken over by process {holder['pid']} on {holder['host']}")
-            self.store.write(HELD, self._claim())
+            self.store.write(LOCK_NAME, self._claim())
             self.push(None if everything else [path for task_key in self._pending for path in self.work.of_key(*task_key)])
             self._pending, self._fault = [], None
         except (StoreError, OSError) as error:
@@ -293,7 +293,7 @@ class Mirror:
     def _holder(self) -> dict[str, Any]:
         """Return the holder of the store; its token is "" if there is none, or held.json is invalid."""
         try:
-            return {"token": "", "host": "?", "pid": "?", "seen": 0.0, **json.loads(self.store.read(HELD) or b"{}")}
+            return {"token": "", "host": "?", "pid": "?", "seen": 0.0, **json.loads(self.store.read(LOCK_NAME) or b"{}")}
         except (ValueError, TypeError):
             return {"token": ""}
 
@@ -340,7 +340,7 @@ def writing(work: WorkFolder, wait: bool) -> Iterator[Mirror]:
     try:
         mirror.pull()
         yield mirror
-        if mirror.holds and (fault := mirror.finish()):
+        if mirror.holds_store and (fault := mirror.finish()):
             raise StoreError(fault)
     finally:
         mirror.release()
@@ -371,7 +371,7 @@ def list_captures(root: Path, url: str) -> None:
                 path.unlink(missing_ok=True)
                 path.touch()
         except OSError as error:
-            if error.errno in FULL:
+            if error.errno in DISK_FULL_ERRORS:
                 raise  # any other error: no local file can have this name, at least not together with the others
     for name in known.keys() - files.keys():
         (root / name).unlink(missing_ok=True)

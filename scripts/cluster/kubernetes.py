@@ -18,12 +18,12 @@ from typing import Any
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("sites", nargs="+", help="site files")
-    parser.add_argument("--image", required=True, help="with the same wbflow and libraries as here: others are refused by name")
+    parser.add_argument("--image", required=True, help="an image with the same wbflow and libraries as here; others are refused")
     parser.add_argument("--claim", required=True, help="persistent volume claim that holds captures and work folders")
-    parser.add_argument("--here", required=True, help="what the volume is called on this machine")
-    parser.add_argument("--there", required=True, help="what the pods call it")
-    parser.add_argument("--workers", type=int, default=16, help="one processor each")
-    parser.add_argument("--memory", default="4Gi", help="of each worker")
+    parser.add_argument("--here", required=True, help="folder of the volume on this machine")
+    parser.add_argument("--there", required=True, help="folder of the volume in the pods")
+    parser.add_argument("--workers", type=int, default=16, help="number of workers, one processor each")
+    parser.add_argument("--memory", default="4Gi", help="memory of each worker")
     asked = parser.parse_args()
     operator: Any = importlib.import_module("dask_kubernetes.operator")
     spec = operator.make_cluster_spec(

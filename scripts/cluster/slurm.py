@@ -14,12 +14,12 @@ from typing import Any
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("sites", nargs="+", help="site files, on a folder that all nodes have")
-    parser.add_argument("--workers", type=int, default=16, help="one processor each")
-    parser.add_argument("--memory", default="4GB", help="of each worker")
-    parser.add_argument("--walltime", default="06:00:00", help="after which Slurm may end a worker")
+    parser.add_argument("sites", nargs="+", help="site files, in a folder that all nodes can read")
+    parser.add_argument("--workers", type=int, default=16, help="number of workers, one processor each")
+    parser.add_argument("--memory", default="4GB", help="memory of each worker")
+    parser.add_argument("--walltime", default="06:00:00", help="time after which Slurm may end a worker")
     parser.add_argument("--partition", help="Slurm's partition (queue)")
-    parser.add_argument("--show", action="store_true", help="print the job that Slurm would be given, and end")
+    parser.add_argument("--show", action="store_true", help="only print the job that would be given to Slurm")
     asked = parser.parse_args()
     jobqueue: Any = importlib.import_module("dask_jobqueue")
     with jobqueue.SLURMCluster(

@@ -19,9 +19,9 @@ from wbflow.cache.layout import WorkFolder
 from wbflow.pipeline.functions import FunctionReader
 
 from .operations import arm
-from .processes import Ended, Started, forked, started_anew
+from .processes import Ended, Started, fork, start_interpreter
 
-QUICK = ("--jobs", "1", "--backend", "threading")
+ONE_PROCESS = ("--jobs", "1", "--backend", "threading")
 """Options that keep a run in one process, so that a fault strikes that process."""
 
 
@@ -40,7 +40,7 @@ class Row:
 
     HEAD: ClassVar[str] = f"{'fault':38} {'tries':>6}  {'  '.join(KINDS)}"
 
-    def lost(self, kind: str, what: str) -> None:
+    def add_loss(self, kind: str, what: str) -> None:
         self.counts[kind] += 1
         print(f"    {kind}: {what}", flush=True)
         self.losses.append(f"{kind}: {what}")
@@ -72,14 +72,14 @@ class Bench:
         self._functions = _import_all(folder)
         self._made = 0
 
-    def site(self, cameras: int = 2, unread: bool = False, watched: bool = False, **settings: Any) -> ToySite:
+    def site(self, cameras: int = 2, without_memo: bool = False, watched: bool = False, **settings: Any) -> ToySite:
         """A new site.
 
         Parameters
         ----------
         cameras : int
             Number of cameras.
-        unread : bool
+        without_memo : bool
             Without the functions memo.
         watched : bool
             Captures are dated, and cameras are compared with the reference.
@@ -91,7 +91,7 @@ class Bench:
         toy = ToySite(self.folder / f"site-{self._made}", ids, watched=watched, dated=watched)
         site = json.loads(toy.file.read_text())
         toy.file.write_text(json.dumps({**site, **settings}))
-        if not unread and "work" not in settings:
+        if not without_memo and "work" not in settings:
             memo = WorkFolder(toy.work).functions_memo
             memo.parent.mkdir(parents=True)
             shutil.copyfile(self._functions, memo)
@@ -122,31 +122,31 @@ class Bench:
             set_parameters(toy, **parameters)
             self.night(toy, view)
             ended = self.run(toy)
-            assert ended.code == 0, ended.said
+            assert ended.code == 0, ended.output
             self.clouds[name] = toy.cloud
             self.discard(toy)
         return self.clouds[name]
 
     def run(self, toy: ToySite, *arguments: str, strike: Strike | None = None, command: str = "run") -> Ended:
         """Run a command in a child process, forked from this one, which has already imported everything."""
-        quick = QUICK if command == "run" and "--jobs" not in arguments else ()
-        return self._forked(toy, [command, str(toy.file), *quick, *arguments], strike).wait()
+        options = ONE_PROCESS if command == "run" and "--jobs" not in arguments else ()
+        return self._forked(toy, [command, str(toy.file), *options, *arguments], strike).wait()
 
     def operations(self, toy: ToySite, *arguments: str, command: str = "run") -> int:
         """Number of file operations of a command."""
         self.run(toy, *arguments, strike=Strike(0), command=command)
         return self._counter.stat().st_size
 
-    def start(self, toy: ToySite, *arguments: str, anew: bool = False) -> Started:
-        """Start a run with any number of processes; anew: as a new interpreter instead of a fork of this process."""
-        if not anew:
+    def start(self, toy: ToySite, *arguments: str, new_interpreter: bool = False) -> Started:
+        """Start a run with any number of processes; new_interpreter: instead of a fork of this process."""
+        if not new_interpreter:
             return self._forked(toy, ["run", str(toy.file), *arguments], None)
         environment = {**toy.env(), "PYTHONDONTWRITEBYTECODE": "1"}
-        return started_anew(toy.command("run", str(toy.file), *arguments), environment, self._output())
+        return start_interpreter(toy.command("run", str(toy.file), *arguments), environment, self._output())
 
     def _forked(self, toy: ToySite, arguments: list[str], strike: Strike | None) -> Started:
         self._counter.write_bytes(b"")
-        return forked(lambda: _run(toy, arguments, strike, self._counter), self._output())
+        return fork(lambda: _run(toy, arguments, strike, self._counter), self._output())
 
     @property
     def _counter(self) -> Path:
@@ -154,9 +154,9 @@ class Bench:
 
     def _output(self) -> Path:
         self._made += 1
-        return self.folder / f"said-{self._made}"
+        return self.folder / f"output-{self._made}"
 
-    def recovered(self, row: Row, toy: ToySite, cloud: bytes, what: str, code: int = 0, at_most: int | None = None) -> None:
+    def check_recovery(self, row: Row, toy: ToySite, cloud: bytes, what: str, code: int = 0, at_most: int | None = None) -> None:
         """Check that after a fault a plain run gives the expected cloud, without manual steps.
 
         Parameters
@@ -175,27 +175,27 @@ class Bench:
             Largest number of tasks that may run, since finished tasks must not be repeated.
         """
         ended = self.run(toy)
-        self.sane(row, ended, what, {code})
+        self.check_exit(row, ended, what, {code})
         if ended.code != code:
-            row.lost("manual step", f"{what}: the next run ends with {ended.code}: {ended.said[-300:]}")
+            row.add_loss("manual step", f"{what}: the next run ends with {ended.code}: {ended.output[-300:]}")
             return
         if toy.cloud != cloud:
-            row.lost("wrong cloud", what)
+            row.add_loss("wrong cloud", what)
         record = json.loads((toy.work / "runs" / "latest" / "run.json").read_bytes())
         if at_most is not None and record["tasks"]["ran"] > at_most:
-            row.lost("done twice", f"{what}: {record['tasks']['ran']} tasks ran, {at_most} were missing")
+            row.add_loss("done twice", f"{what}: {record['tasks']['ran']} tasks ran, {at_most} were missing")
         left = [str(path) for path in toy.work.rglob("*.tmp")]
         if left:
-            row.lost("manual step", f"{what}: left behind: {left[:3]}")
+            row.add_loss("manual step", f"{what}: left behind: {left[:3]}")
 
-    def sane(self, row: Row, ended: Ended, what: str, codes: set[int]) -> None:
+    def check_exit(self, row: Row, ended: Ended, what: str, codes: set[int]) -> None:
         """Check that a process ended with one of the exit codes `codes`, without hanging and without a traceback."""
         if ended.hung:
-            row.lost("hang", what)
+            row.add_loss("hang", what)
         elif ended.code not in codes:
-            row.lost("wrong exit", f"{what}: {ended.code}: {ended.said[-300:]}")
-        if "Traceback" in ended.said or "itself failed" in ended.said:
-            row.lost("traceback", f"{what}: {ended.said[-500:]}")
+            row.add_loss("wrong exit", f"{what}: {ended.code}: {ended.output[-300:]}")
+        if "Traceback" in ended.output or "itself failed" in ended.output:
+            row.add_loss("traceback", f"{what}: {ended.output[-500:]}")
 
     def receipts(self, toy: ToySite) -> set[str]:
         """Paths of the receipts of all finished tasks."""
@@ -216,7 +216,7 @@ def _run(toy: ToySite, arguments: list[str], strike: Strike | None, counter: Pat
     from wbflow.cache import memo
     from wbflow.cli.main import main
 
-    memo._SETTLED_NS = -(10**18)  # reuse the digests of new captures, too
+    memo._STABLE_NS = -(10**18)  # reuse the digests of new captures, too
     if strike:
         arm(counter, strike.at, strike.kind)
     main.main(args=arguments, prog_name="wbflow", standalone_mode=True)
@@ -224,18 +224,18 @@ def _run(toy: ToySite, arguments: list[str], strike: Strike | None, counter: Pat
 
 def _read_once() -> None:
     """Let the campaign read source files and the report's template only once: this takes longer than the rest of a toy run."""
-    remembered = FunctionReader._remembered
+    from_memo = FunctionReader._from_memo
     known: dict[tuple[str, str], Any] = {}
 
-    def read_once(self: FunctionReader, what: str, dotted: str, read: Callable[[], Any]) -> Any:
+    def read_once(self: FunctionReader, kind: str, dotted: str, read: Callable[[], Any]) -> Any:
         def once() -> Any:
-            if (what, dotted) not in known:
-                known[what, dotted] = read()
-            return known[what, dotted]
+            if (kind, dotted) not in known:
+                known[kind, dotted] = read()
+            return known[kind, dotted]
 
-        return remembered(self, what, dotted, once)
+        return from_memo(self, kind, dotted, once)
 
-    FunctionReader._remembered = read_once  # type: ignore[method-assign]
+    FunctionReader._from_memo = read_once  # type: ignore[method-assign]
     compile_now = Environment.compile
     compiled: dict[str, Any] = {}
 
@@ -257,7 +257,7 @@ def _import_all(folder: Path) -> Path:
 
     from wbflow.cli.main import main
 
-    for command in (["run", str(toy.file), *QUICK], ["history", str(toy.file)], ["status", str(toy.file)]):
+    for command in (["run", str(toy.file), *ONE_PROCESS], ["history", str(toy.file)], ["status", str(toy.file)]):
         ended = CliRunner().invoke(main, command)
         assert ended.exit_code == 0, ended.output
     os.environ.clear()

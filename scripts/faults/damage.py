@@ -114,7 +114,7 @@ def references(bench: Bench, reduced: bool) -> Row:
         row.tries += 1
         for date in later:
             twin.night(date)
-            bench.recovered(row, twin, expected[date], f"{way}: {file.relative_to(made.work)}, night of {date}")
+            bench.check_recovery(row, twin, expected[date], f"{way}: {file.relative_to(made.work)}, night of {date}")
         bench.discard(twin)
     return row
 
@@ -131,13 +131,13 @@ def _three_nights(bench: Bench, pin: str = "auto") -> ToySite:
 
 def _still_right(bench: Bench, row: Row, toy: ToySite, what: str) -> None:
     row.tries += 1
-    bench.recovered(row, toy, bench.cloud(2, "one"), what)
+    bench.check_recovery(row, toy, bench.cloud(2, "one"), what)
     set_parameters(toy, **OTHER)
-    bench.recovered(row, toy, bench.cloud(2, "one", **OTHER), f"{what}, and other parameters")
+    bench.check_recovery(row, toy, bench.cloud(2, "one", **OTHER), f"{what}, and other parameters")
     bench.night(toy, "three")
-    bench.recovered(row, toy, bench.cloud(2, "three", **OTHER), f"{what}, and an earlier night's captures")
+    bench.check_recovery(row, toy, bench.cloud(2, "three", **OTHER), f"{what}, and an earlier night's captures")
     for command in ("history", "status") if row.tries % 5 == 0 else ():
-        bench.sane(row, bench.run(toy, command=command), f"{what}: {command}", {0})
+        bench.check_exit(row, bench.run(toy, command=command), f"{what}: {command}", {0})
     bench.discard(toy)
 
 

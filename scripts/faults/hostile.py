@@ -19,7 +19,7 @@ STEP = 20
 
 def _noted(row: Row, faults: Iterable[Fault], counts: Counter[str], kind: str) -> Row:
     for fault in faults:
-        row.lost(fault.loss, f"{fault.name}: {fault.what}")
+        row.add_loss(fault.column, f"{fault.name}: {fault.what}")
     row.tries += counts[f"{kind} tried"]
     return row
 

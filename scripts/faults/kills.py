@@ -28,7 +28,7 @@ class Scene:
 
 def first_night(bench: Bench) -> Scene:
     """A first night: nothing is cached."""
-    toy = bench.site(unread=True)
+    toy = bench.site(without_memo=True)
     bench.night(toy, "one")
     return Scene("first night", toy, bench.cloud(2, "one"))
 
@@ -92,9 +92,9 @@ def kills_in(make: Callable[[Bench], Scene], together: int) -> Callable[[Bench, 
                 if ended.code == -signal.SIGKILL:
                     row.tries += 1
                 else:  # earlier commands of the group left it fewer operations than `at`
-                    bench.sane(row, ended, what, {0})
+                    bench.check_exit(row, ended, what, {0})
             missing = len(receipts - bench.receipts(twin)) if scene.command == "run" else 0
-            bench.recovered(row, twin, scene.cloud, what, at_most=missing)
+            bench.check_recovery(row, twin, scene.cloud, what, at_most=missing)
             bench.discard(twin)
         return row
 
@@ -109,18 +109,18 @@ def parents(bench: Bench, reduced: bool) -> Row:
         toy = bench.site(3)
         bench.night(toy, "one")
         toy.fault("slow", "0.05")
-        anew = k % 10 > 7
-        process = bench.start(toy, "--jobs", "2", anew=anew)
-        time.sleep(bench.random.uniform(0.3, 3.0) if anew else bench.random.uniform(0.05, 1.0))
+        is_new = k % 10 > 7
+        process = bench.start(toy, "--jobs", "2", new_interpreter=is_new)
+        time.sleep(bench.random.uniform(0.3, 3.0) if is_new else bench.random.uniform(0.05, 1.0))
         alone = k % 2 == 1
         (os.kill if alone else os.killpg)(process.pid, signal.SIGKILL)
         process.wait()
         row.tries += 1
         what = f"{'parent alone' if alone else 'all processes'}, try {k}"
         if alone and (left := _left(process.pid, 10.0)):
-            row.lost("hang", f"{what}: {left} workers live on")
+            row.add_loss("hang", f"{what}: {left} workers live on")
         (toy.folder / "faults" / "slow").unlink()
-        bench.recovered(row, toy, cloud, what)
+        bench.check_recovery(row, toy, cloud, what)
         bench.discard(toy)
     return row
 
@@ -137,10 +137,10 @@ def workers(bench: Bench, reduced: bool) -> Row:
             toy.fault(fault, stage)
             what = f"{stage}, {'every time' if fault == 'die' else 'once'}"
             row.tries += 1
-            ended = bench.start(toy, "--jobs", str(1 + k % 3), "-q", anew=k % 20 == 19).wait()
-            bench.sane(row, ended, what, {1, 3} if fault == "die" else {0})
+            ended = bench.start(toy, "--jobs", str(1 + k % 3), "-q", new_interpreter=k % 20 == 19).wait()
+            bench.check_exit(row, ended, what, {1, 3} if fault == "die" else {0})
             (toy.folder / "faults" / fault).unlink(missing_ok=True)
-            bench.recovered(row, toy, cloud, what)
+            bench.check_recovery(row, toy, cloud, what)
             bench.discard(toy)
     return row
 

@@ -25,10 +25,10 @@ def full_disks(bench: Bench, reduced: bool) -> Row:
         ended = bench.run(twin, strike=Strike(at, "full"))
         what = f"full from operation {at} of {count}"
         row.tries += 1
-        bench.sane(row, ended, what, {0, 1, 3})
-        if ended.code == 1 and "disk is full" not in ended.said and "No space" not in ended.said:
-            row.lost("wrong exit", f"{what}: it does not say so: {ended.said[-300:]}")
-        bench.recovered(row, twin, cloud, what, at_most=len(receipts - bench.receipts(twin)))
+        bench.check_exit(row, ended, what, {0, 1, 3})
+        if ended.code == 1 and "disk is full" not in ended.output and "No space" not in ended.output:
+            row.add_loss("wrong exit", f"{what}: it does not say so: {ended.output[-300:]}")
+        bench.check_recovery(row, twin, cloud, what, at_most=len(receipts - bench.receipts(twin)))
         bench.discard(twin)
     for size in () if reduced else (8_000_000, 15_000_000, 16_100_000, 16_200_000):
         place = bench.folder / f"disk-{size}"
@@ -40,11 +40,11 @@ def full_disks(bench: Bench, reduced: bool) -> Row:
             small = bench.site(2, work=str(place / "work"))
             bench.night(small, "one")
             row.tries += 1
-            bench.sane(row, bench.run(small), f"a disk of {size} bytes", {1})
+            bench.check_exit(row, bench.run(small), f"a disk of {size} bytes", {1})
             subprocess.run(["mount", "-o", "remount,size=64000000", str(place)], check=True)
             small.folder.joinpath(".wbflow").mkdir(exist_ok=True)
             small.work.symlink_to(place / "work")
-            bench.recovered(row, small, cloud, f"a disk of {size} bytes that has grown")
+            bench.check_recovery(row, small, cloud, f"a disk of {size} bytes that has grown")
         finally:
             subprocess.run(["umount", "-l", str(place)], check=False)
     return row
@@ -66,10 +66,10 @@ def overlaps(bench: Bench, reduced: bool) -> Row:
         second = bench.run(toy, *(["--wait"] if waits else []))
         what = f"the second {'waits' if waits else 'does not wait'}"
         row.tries += 1
-        bench.sane(row, second, what, {0} if waits else {4})
-        bench.sane(row, first.wait(), "the first", {-9} if k % 4 == 3 else {0})
+        bench.check_exit(row, second, what, {0} if waits else {4})
+        bench.check_exit(row, first.wait(), "the first", {-9} if k % 4 == 3 else {0})
         (toy.folder / "faults" / "slow").unlink()
-        bench.recovered(row, toy, cloud, what, at_most=0)
+        bench.check_recovery(row, toy, cloud, what, at_most=0)
         bench.discard(toy)
     return row
 
@@ -87,9 +87,9 @@ def signals(bench: Bench, reduced: bool) -> Row:
         process.send(signal.SIGINT if k % 2 else signal.SIGTERM)
         row.tries += 1
         what = f"{'SIGINT' if k % 2 else 'SIGTERM'}, try {k}"
-        bench.sane(row, process.wait(), what, {130})
+        bench.check_exit(row, process.wait(), what, {130})
         (toy.folder / "faults" / "slow").unlink()
-        bench.recovered(row, toy, cloud, what)
+        bench.check_recovery(row, toy, cloud, what)
         bench.discard(toy)
     return row
 
@@ -113,9 +113,9 @@ def clocks(bench: Bench, reduced: bool) -> Row:
             moment = time.time() + (10**9 if k % 3 else -(10**9))
             os.utime(toy.capture(camera), (moment, moment))
         row.tries += 1
-        bench.recovered(row, toy, bench.cloud(2, "one"), f"a run of {name[:4]}")
+        bench.check_recovery(row, toy, bench.cloud(2, "one"), f"a run of {name[:4]}")
         if (runs / "latest").resolve().name == name:
-            row.lost("manual step", f"a run of {name[:4]}: latest still shows it")
+            row.add_loss("manual step", f"a run of {name[:4]}: latest still shows it")
         bench.discard(toy)
     return row
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import NoReturn
 
-from hostile_inputs import patience
+from hostile_inputs import time_limit
 
 
 @dataclass(frozen=True)
@@ -21,7 +21,7 @@ class Ended:
 
     code: int
     """Exit code; if negative, the signal that killed it."""
-    said: str
+    output: str
     hung: bool = False
 
 
@@ -42,9 +42,9 @@ class Started:
             os.killpg(self.pid, signal.SIGKILL)
 
     def wait(self) -> Ended:
-        """Wait until it ends; kill it if it exceeds `patience`."""
+        """Wait until it ends; kill it if it exceeds `time_limit`."""
         began, pause = time.monotonic(), 0.002
-        while time.monotonic() - began < patience():
+        while time.monotonic() - began < time_limit():
             done, status = os.waitpid(self.pid, os.WNOHANG)
             if done:
                 self.kill_all()
@@ -56,26 +56,26 @@ class Started:
         return self._ended(-9, hung=True)
 
     def _ended(self, code: int, hung: bool = False) -> Ended:
-        said = self._output.read_text(errors="replace")
+        text = self._output.read_text(errors="replace")
         self._output.unlink()
-        return Ended(code, said, hung)
+        return Ended(code, text, hung)
 
 
-def started_anew(command: list[str], environment: dict[str, str], output: Path) -> Started:
+def start_interpreter(command: list[str], environment: dict[str, str], output: Path) -> Started:
     """Start a new process, which imports everything itself."""
     pid = os.fork()
     if pid == 0:
-        _speak_to(output)
+        _redirect_output(output)
         signal.signal(signal.SIGINT, signal.SIG_DFL)
         os.execvpe(command[0], command, environment)
     return Started(pid, output)
 
 
-def forked(work: Callable[[], object], output: Path) -> Started:
+def fork(work: Callable[[], object], output: Path) -> Started:
     """Fork a child of this process that calls `work` and ends with the exit code that the interpreter would give."""
     pid = os.fork()
     if pid == 0:
-        _speak_to(output)
+        _redirect_output(output)
         signal.signal(signal.SIGINT, signal.default_int_handler)
         _end_with(work)
     return Started(pid, output)
@@ -98,7 +98,7 @@ def _end_with(work: Callable[[], object]) -> NoReturn:
         os._exit(code)
 
 
-def _speak_to(output: Path) -> None:
+def _redirect_output(output: Path) -> None:
     os.setsid()
     descriptor = os.open(output, os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
     os.dup2(descriptor, 1)

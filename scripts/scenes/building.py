@@ -79,7 +79,7 @@ def _walls(build: SceneBuilder, rng: Rng, texel_m: float) -> None:
     facade(build, np.array([-10.0, 9.0, 4.9]), np.array([1.0, 0.0, 0.0]), (20.0, 4.5), wall, openings, sill)
     for k in range(8):
         high = float(rng.uniform(0.15, 0.9))
-        build.box((-8.75 + 2.5 * k, 9.2, 4.9), (2.5, 0.3, high), wall, at=2.5 * k)
+        build.box((-8.75 + 2.5 * k, 9.2, 4.9), (2.5, 0.3, high), wall, offset=2.5 * k)
     side = build.add_texture(paint.brick_wall(rng, 9.0, 3.5, texel_m))
     facade(build, np.array([9.5, 9.0, 3.4]), np.array([0.0, -1.0, 0.0]), (9.0, 3.0), side,
            [Opening(3.0, 0.6, 1.2, 1.6, hole)], sill)  # fmt: skip

@@ -77,7 +77,11 @@ def _material(build: SceneBuilder, rng: Rng, texel_m: float, look: tuple[int, in
         size = ((3.4, 1.1), (1.1, 1.0), (2.2, 1.2))[k % 3]
         build.box((x, y, 0.0), (size[0], size[1], 0.14), wood, yaw=0.05 * (k % 4))
         build.box(
-            (x, y, 0.14), (*size, float(rng.uniform(0.4, 1.1))), (wood, bricks, tar)[k % 3], yaw=0.05 * (k % 4), at=1.1 * (k % 4)
+            (x, y, 0.14),
+            (*size, float(rng.uniform(0.4, 1.1))),
+            (wood, bricks, tar)[k % 3],
+            yaw=0.05 * (k % 4),
+            offset=1.1 * (k % 4),
         )
     for k, level in ((k, high) for high in range(3) for k in range(5 - high)):
         y, z = -3.4 + 0.52 * (k + 0.5 * level), 0.26 + 0.45 * level

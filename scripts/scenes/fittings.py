@@ -35,7 +35,7 @@ def bench(build: SceneBuilder, rng: Rng, texel_m: float, look: Look, skin: Skin)
     wood = build.add_texture(paint.planks(rng, 2.4, 0.8, texel_m, (0.38, 0.27, 0.16)))
     part.box((0.0, 0.0, 0.84), (2.4, 0.8, 0.06), wood)
     for x in (-0.8, 0.8):
-        part.box((x, 0.0, 0.0), (0.7, 0.7, 0.84), coat, at=x + 0.9)
+        part.box((x, 0.0, 0.0), (0.7, 0.7, 0.84), coat, offset=x + 0.9)
     part.box((0.0, 0.38, 0.9), (2.3, 0.05, 0.9), build.add_texture(tool_board(rng, texel_m)))
     part.box((-0.9, -0.25, 0.9), (0.2, 0.35, 0.22), look.dark)
     for k in range(7):

@@ -49,7 +49,7 @@ def hedge(
 ) -> None:
     """Add a clipped hedge: a core covered with 45 cards per square metre; at: east, north and yaw; size in metres."""
     (x, y, yaw), (long, wide, high) = at, size
-    build.box((x, y, 0.0), (long - 0.1, wide - 0.1, high - 0.06), leaves[0], yaw=yaw, at=float(rng.uniform(0, 2)))
+    build.box((x, y, 0.0), (long - 0.1, wide - 0.1, high - 0.06), leaves[0], yaw=yaw, offset=float(rng.uniform(0, 2)))
     count = int(45 * (long * wide + 2 * (long + wide) * high))
     unit = rng.uniform(-0.5, 0.5, (count, 3))
     face = rng.choice(

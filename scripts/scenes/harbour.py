@@ -66,7 +66,9 @@ def static_harbour(rng: Rng, texel_m: float) -> Scene:
     for k, (x, y) in enumerate(product((-13.0, -10.8, 8.6, 10.9, 13.2), (6.0, 9.4))):
         for level in range(int(rng.integers(1, 4))):
             size = (1.6 + 0.3 * float(rng.random()), 2.8 + 0.4 * float(rng.random()), 0.62)
-            build.box((x, y + float(rng.normal(0, 0.15)), 0.72 * level), size, wood[k % 2], yaw=float(rng.normal(0, 0.05)), at=k)
+            build.box(
+                (x, y + float(rng.normal(0, 0.15)), 0.72 * level), size, wood[k % 2], yaw=float(rng.normal(0, 0.05)), offset=k
+            )
     for x, y, rows in ((-6.0, 9.5, 4), (2.5, 12.0, 3), (15.0, 1.2, 2), (-16.0, 0.5, 2), (-4.0, -17.5, 3), (9.0, -18.5, 2)):
         crates(build, rng, (x, y), wood, rows=rows, levels=3)
     barrels(build, rng, (6.4, 1.2), [steel, rust], count=7)

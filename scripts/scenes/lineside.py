@@ -24,7 +24,7 @@ def rails(build: SceneBuilder, path: Float64s, steel: int) -> None:
     for gauge in (-0.75, 0.75):
         line = np.column_stack([path + gauge * across, np.full(len(path), 0.05)])
         for start, end in pairwise(line):
-            build.beam(start, end, 0.1, steel, at=float(start[0] % 5))
+            build.beam(start, end, 0.1, steel, offset=float(start[0] % 5))
 
 
 def lever(build: SceneBuilder, at: tuple[float, float], look: Look) -> None:

@@ -63,13 +63,13 @@ def pit(build: SceneBuilder, rng: Rng, look: tuple[int, int, int, int]) -> None:
         for corners in (np.array([a, b, c]), np.array([a, c, d])):
             build.triangle(corners, (1, 0, 0), (0, -1, 0), soil, (a[0] + WIDE / 2, DEEP / 2 - a[1]))
     for k, at in enumerate((-5.6, -3.4, -1.0)):
-        build.box((-0.3, at, FLOOR - 0.1), (9.4, 0.9, 0.6), raw, at=1.7 * k)
+        build.box((-0.3, at, FLOOR - 0.1), (9.4, 0.9, 0.6), raw, offset=1.7 * k)
         for step in range(15):
             for side in (-0.25, 0.25):
                 build.beam((-4.6 + 0.6 * step, at + side, FLOOR + 0.5), (-4.6 + 0.6 * step, at + side, FLOOR + 1.2), 0.035, rust)
-    build.box((-0.3, -1.0, FLOOR + 0.5), (5.0, 0.3, 1.9), raw, at=4.0)
+    build.box((-0.3, -1.0, FLOOR + 0.5), (5.0, 0.3, 1.9), raw, offset=4.0)
     for k in range(9):
-        build.box((-2.6 + 0.56 * k, -1.22, FLOOR + 0.5), (0.5, 0.06, 2.0), wood, at=0.7 * k)
+        build.box((-2.6 + 0.56 * k, -1.22, FLOOR + 0.5), (0.5, 0.06, 2.0), wood, offset=0.7 * k)
         build.beam((-2.6 + 0.56 * k, -1.25, FLOOR + 1.9), (-2.6 + 0.56 * k, -2.3, FLOOR), 0.08, wood)
 
 
@@ -81,17 +81,23 @@ def frame(build: SceneBuilder, rng: Rng, texel_m: float, look: tuple[int, ...]) 
     for level in range(3):
         z = 0.1 + STOREY * level
         build.box(
-            ((west + east) / 2, (south + north) / 2, z - 0.1), (east - west, north - south, 0.3), slab, sides=raw, at=0.3 * level
+            ((west + east) / 2, (south + north) / 2, z - 0.1),
+            (east - west, north - south, 0.3),
+            slab,
+            sides=raw,
+            offset=0.3 * level,
         )
         for x, y in product(np.linspace(west + 0.4, east - 0.4, 5), np.linspace(south + 0.5, north - 0.5, 3)):
-            build.box((x, y, z + 0.2), (0.4, 0.4, STOREY - 0.3 if level < 2 else 1.6 if x < 0 else 0.3), raw, at=float(x - west))
+            build.box(
+                (x, y, z + 0.2), (0.4, 0.4, STOREY - 0.3 if level < 2 else 1.6 if x < 0 else 0.3), raw, offset=float(x - west)
+            )
             for a, b in product((-0.14, 0.14), repeat=2):
                 build.beam((x + a, y + b, z + 0.2), (x + a, y + b, z + (0.3 if level < 2 else 2.6)), 0.035, rust)
         if level:
             for up, (left, back) in product((0.8, 1.3), ((west, south), (east, north))):
                 build.beam((left, back, z + up), (east, south, z + up), 0.1, wood)
-    build.box((1.4, 12.2, 0.3), (3.4, 3.6, 8.2), raw, at=2.0)
-    build.box((-6.0, north - 0.2, 0.3), (8.0, 0.25, 2 * STOREY - 0.3), raw, at=5.0)
+    build.box((1.4, 12.2, 0.3), (3.4, 3.6, 8.2), raw, offset=2.0)
+    build.box((-6.0, north - 0.2, 0.3), (8.0, 0.25, 2 * STOREY - 0.3), raw, offset=5.0)
     for x, y in product(np.arange(west + 1.2, east - 1.0, 1.4), (south + 0.4, south + 2.0, south + 3.6)):
         rod(build, (x, y, STOREY + 0.3), (x, y, 2 * STOREY), 0.05, red, sides=6)
     standards = [(west - e, y) for e in (0.4, 1.3) for y in np.arange(south - 0.9, north, 2.1)]

@@ -59,7 +59,7 @@ def stall(build: SceneBuilder, rng: Rng, texel_m: float, colour: Colour, looks: 
     part.box((0.0, -0.7, 0.0), (3.2, 0.9, 0.85), wood, sides=cloth)
     for k in range(6):
         load, x = goods[int(rng.integers(len(goods)))], -1.35 + 0.54 * k + float(rng.normal(0, 0.02))
-        part.box((x, -0.75, 0.85), (0.5, 0.75, float(rng.uniform(0.12, 0.3))), load, sides=wood, at=float(rng.uniform(0, 1)))
+        part.box((x, -0.75, 0.85), (0.5, 0.75, float(rng.uniform(0.12, 0.3))), load, sides=wood, offset=float(rng.uniform(0, 1)))
         if rng.random() < 0.75:
             high = float(rng.choice((0.28, 0.46, 0.62)))
             part.box(

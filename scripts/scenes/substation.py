@@ -79,7 +79,7 @@ def static_substation(rng: Rng, texel_m: float) -> Scene:
     build.quad((-WIDE / 2, WIDE / 2, 0.0), (WIDE, 0, 0), (0, -WIDE, 0), gravel)
     slabs = build.add_texture(ground.concrete(rng, 40.0, 4.0, texel_m, slab_m=1.6))
     for k, (x, y, wide, deep) in enumerate(PATHS):
-        build.box((x, y, 0.0), (max(wide, deep), min(wide, deep), 0.06), slabs, yaw=np.pi / 2 * (deep > wide), at=0.3 * k)
+        build.box((x, y, 0.0), (max(wide, deep), min(wide, deep), 0.06), slabs, yaw=np.pi / 2 * (deep > wide), offset=0.3 * k)
     raw = build.add_texture(cast(rng, 12.0, 6.0, texel_m))
     zinc, grey, brown = (build.add_texture(paint.painted_steel(rng, 6.0, 4.0, texel_m, tone))
                          for tone in ((0.40, 0.42, 0.43), (0.25, 0.30, 0.29), (0.20, 0.085, 0.05)))  # fmt: skip
@@ -90,7 +90,7 @@ def static_substation(rng: Rng, texel_m: float) -> Scene:
             build.stamp(apparatus(build, (zinc, brown, raw, grey), kind if k % 3 else 2), (x, y + 0.04 * (k % 2), 0.0))
     for k, x in enumerate((-8.2, 0.0, 8.2)):
         build.stamp(transformer(build, rng, texel_m, (grey, brown, raw), f"T{k + 1}"), (x, 9.4, 0.0))
-        build.box((x + 4.1, 9.4, 0.0), (0.35, 6.0, 4.2), raw, at=2.3 * k)
+        build.box((x + 4.1, 9.4, 0.0), (0.35, 6.0, 4.2), raw, offset=2.3 * k)
     _control_house(build, rng, texel_m, zinc)
     _around(build, rng, texel_m, (zinc, grey, slabs))
     return build.build()
@@ -116,9 +116,9 @@ def _around(build: SceneBuilder, rng: Rng, texel_m: float, look: tuple[int, int,
     """Cabinets, cable drums, covers of a trench, a fence with signs, a hedge behind it, masts."""
     zinc, grey, slabs = look
     for k in range(24):
-        build.box((-11.4 + 1.0 * k, -6.9, 0.0), (0.94, 0.7, 0.08 + 0.03 * (k % 3 == 0)), slabs, at=1.7 * k % 30)
+        build.box((-11.4 + 1.0 * k, -6.9, 0.0), (0.94, 0.7, 0.08 + 0.03 * (k % 3 == 0)), slabs, offset=1.7 * k % 30)
     for k, (x, y) in enumerate(((-2.4, -3.4), (1.8, -1.2), (-10.6, -11.0), (3.6, 2.9), (-4.4, 2.8), (10.8, -11.2))):
-        build.box((x, y, 0.0), (1.1, 0.6, 1.5), grey, at=0.9 * k, yaw=float(rng.normal(0, 0.03)))
+        build.box((x, y, 0.0), (1.1, 0.6, 1.5), grey, offset=0.9 * k, yaw=float(rng.normal(0, 0.03)))
     wood = build.add_texture(paint.planks(rng, 6.0, 3.0, texel_m))
     for x, y, yaw in ((-16.8, 2.0, 0.4), (-16.2, 5.0, -0.2), (8.6, -13.4, 1.0), (-6.6, -13.8, 0.3)):
         ahead = np.array([np.cos(yaw), np.sin(yaw), 0.0])

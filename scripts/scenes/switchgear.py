@@ -21,7 +21,7 @@ def gantries(build: SceneBuilder, look: tuple[int, int, int, int]) -> None:
     zinc, brown, wire, raw = look
     rows = (0.4, 6.8)
     for y, x in product(rows, (-12.2, -4.1, 4.1, 12.2)):
-        build.box((x, y, 0.0), (0.9, 0.9, 0.25), raw, at=x + 12.0)
+        build.box((x, y, 0.0), (0.9, 0.9, 0.25), raw, offset=x + 12.0)
         for a, b in product((-1, 1), repeat=2):
             build.beam((x + 0.35 * a, y + 0.35 * b, 0.2), (x + 0.15 * a, y + 0.15 * b, 7.4), 0.09, zinc)
         for k in range(8):
@@ -60,7 +60,7 @@ def apparatus(build: SceneBuilder, look: tuple[int, int, int, int], kind: int) -
     """Return apparatus on a stand; kind: disconnector of two columns (0), breaker of two columns (1), current transformer (2)."""
     zinc, brown, raw, grey = look
     part = build.with_same_textures()
-    part.box((0.0, 0.0, 0.0), (0.9, 1.5, 0.25), raw, at=3.0 * kind)
+    part.box((0.0, 0.0, 0.0), (0.9, 1.5, 0.25), raw, offset=3.0 * kind)
     for y in (-0.5, 0.5):
         part.beam((0.0, y, 0.2), (0.0, y, 2.2), 0.18, zinc)
     part.box((0.0, 0.0, 2.2), (0.3, 1.5, 0.14), zinc)
@@ -85,7 +85,7 @@ def transformer(build: SceneBuilder, rng: Rng, texel_m: float, look: tuple[int, 
     part.box((0.0, 0.0, 0.0), (6.0, 4.6, 0.35), raw)
     part.box((0.0, 0.0, 0.5), (4.0, 1.9, 2.5), grey, sides=skin)
     for x, side in product(np.linspace(-1.7, 1.7, 12), (-1, 1)):
-        part.box((x, 1.35 * side, 0.8), (0.09, 0.7, 1.7), grey, at=x + 2.0)
+        part.box((x, 1.35 * side, 0.8), (0.09, 0.7, 1.7), grey, offset=x + 2.0)
     rod(part, (-1.8, 0.9, 3.6), (1.4, 0.9, 3.6), 0.35, grey, sides=14)
     for x in (-1.2, 0.0, 1.2):
         part.beam((x, 0.9, 3.0), (x, 0.9, 3.4), 0.12, grey)

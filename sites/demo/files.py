@@ -19,7 +19,7 @@ from .render.cameras import VARIANTS
 from .render.photograph import DemoCamera, DemoSite, Shots
 from .render.sensor import jpeg, png
 from .scenes import SCENES, render
-from .script import FOREVER, HOURS, Stay, date_of, event_of, stays, turned_axes, weather_of
+from .script import CONDITIONS, FOREVER, Stay, date_of, event_of, stays, turned_axes, weather_of
 
 
 @dataclass(frozen=True)
@@ -170,7 +170,7 @@ def _night(site: NightsSite, number: int) -> dict[str, Any]:
         "night": number,
         "date": date_of(number).isoformat(),
         "light": weather_of(number),
-        "rain": HOURS[weather_of(number)].rain,
+        "rain": CONDITIONS[weather_of(number)].rain,
         "depth": _depth_folder(epoch),
         "cameras": {each.camera.name: _camera(each, number) for each in site.cameras},
         "changes": list(_changes(number, site.extents)),

@@ -36,7 +36,7 @@ from .render.reference import TrueView, reference_cloud
 from .render.renderer import Hits, PreparedScene, build_atlas, ray_scene, tensor
 from .render.scene import STATIC, Scene, SceneBuilder, joined
 from .render.sensor import burn_clock, clock_mask, develop, jpeg, sensor_of
-from .script import HOURS, CameraEvent, Hour, Stay, event_of, frame_time, stays, turned_axes, weather_of
+from .script import CONDITIONS, CameraEvent, Conditions, Stay, event_of, frame_time, stays, turned_axes, weather_of
 from .yard import static_yard
 
 RASTER_M = 0.01
@@ -73,10 +73,10 @@ class Things:
         lid = add(paint.planks(rng, 5.0, 1.5, texel_m))
         self._parts["crate"].box((0.0, 0.0, 0.0), (1.6, 1.2, 1.3), lid, sides=sides)
 
-    def scene(self, there: Mapping[str, Stay]) -> Scene:
-        """Return the things of a night as a scene; `there` must contain at least one."""
+    def scene(self, places: Mapping[str, Stay]) -> Scene:
+        """Return the things of a night as a scene; `places` must contain at least one."""
         build = self._all.with_same_textures()
-        for name, stay in there.items():
+        for name, stay in places.items():
             build.stamp(self._parts[name], (*stay.at, 0.0), yaw=stay.yaw)
         return build.build()
 
@@ -130,7 +130,7 @@ class _NightScene:
     number: int
     epoch: int
     """The first night since which the same things have been at the same places."""
-    hour: Hour
+    conditions: Conditions
     still: PreparedScene
     frames: tuple[Frame, ...]
 
@@ -153,7 +153,7 @@ def yard_nights(nights: int, shots: Shots) -> NightsSite:
     return NightsSite(tuple(done), reference_cloud([each.view for each in done], voxel_m), voxel_m, extents)
 
 
-def moving(nights: int, shots: Shots) -> list[Scene]:
+def traffic_scenes(nights: int, shots: Shots) -> list[Scene]:
     """Return the people and vehicles of each frame of the first night, then of the second, and so on."""
     return movers(shots.random(2), max(_texel_m(shots), 0.02), nights * shots.captures, people=PEOPLE, vehicles=VEHICLES)
 
@@ -165,18 +165,18 @@ def _texel_m(shots: Shots) -> float:
 def _scenes(things: Things, nights: int, shots: Shots) -> Iterator[_NightScene]:
     """Yield the yard on each night, without traffic and at each frame; all share textures and sky visibility."""
     yard = static_yard(shots.random(1), _texel_m(shots))
-    traffic = moving(nights, shots)
+    traffic = traffic_scenes(nights, shots)
     atlas = build_atlas(yard.textures + things.scene(stays(1)).textures + traffic[0].textures)
-    sky = PreparedScene(yard, HOURS["noon"].light, atlas).sky
-    there: dict[str, Stay] = {}
+    sky = PreparedScene(yard, CONDITIONS["noon"].light, atlas).sky
+    places: dict[str, Stay] = {}
     epoch = 1
     for night in range(1, nights + 1):
-        if stays(night) != there:
-            there, epoch = stays(night), night
-        hour = HOURS[weather_of(night)]
-        empty = PreparedScene(joined(yard, things.scene(there)), hour.light, atlas, sky)
+        if stays(night) != places:
+            places, epoch = stays(night), night
+        conditions = CONDITIONS[weather_of(night)]
+        empty = PreparedScene(joined(yard, things.scene(places)), conditions.light, atlas, sky)
         tonight = traffic[(night - 1) * shots.captures : night * shots.captures]
-        yield _NightScene(night, epoch, hour, empty, frames_of(empty, tonight))
+        yield _NightScene(night, epoch, conditions, empty, frames_of(empty, tonight))
 
 
 def _camera_nights(nights: Sequence[_NightScene], shots: Shots, viewpoint: Viewpoint) -> CameraNights:
@@ -219,11 +219,11 @@ def _images(night: _NightScene, shots: Shots, event: CameraEvent, camera: Camera
         return [_tarpaulin(folds, shots.size, rng) for rng in rngs]
     if event.what != "none":
         seen = trace_pixels(night.still, camera, lens, np.arange(camera.width * camera.height))
-    sensor = sensor_of(np.random.default_rng(_seed(shots, event.camera)), night.hour.sensor)
-    if night.hour.rain:
+    sensor = sensor_of(np.random.default_rng(_seed(shots, event.camera)), night.conditions.sensor)
+    if night.conditions.rain:
         sensor = replace(sensor, gain=1.4 * sensor.gain, full_well=sensor.full_well / 4)
     still = shade_pixels(night.still, seen).reshape(camera.height, camera.width, 3)
-    return captures(still, night.frames, rngs, camera, lens, sensor, night.hour.rain)
+    return captures(still, night.frames, rngs, camera, lens, sensor, night.conditions.rain)
 
 
 def _tarpaulin(folds: Float64s, size: tuple[int, int], rng: Rng) -> Uint8s:

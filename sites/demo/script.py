@@ -15,7 +15,7 @@ from .render.light import Light, light_of, overcast_of
 from .yard import LAMPS
 
 FIRST_NIGHT = date(2026, 11, 10)
-BETWEEN_FRAMES = timedelta(seconds=97)
+FRAME_INTERVAL = timedelta(seconds=97)
 Weather = Literal["afternoon", "noon", "overcast", "rain", "dusk", "lamps"]
 NIGHTS: tuple[Weather, ...] = (
     "afternoon", "noon", "overcast", "dusk", "noon", "rain", "afternoon", "lamps", "overcast", "dusk",
@@ -70,7 +70,7 @@ THINGS: Mapping[str, tuple[Stay, ...]] = {
 
 
 @dataclass(frozen=True)
-class Hour:
+class Conditions:
     """The light of a night."""
 
     sensor: str
@@ -81,13 +81,13 @@ class Hour:
 
 
 _DAY, _GREY = light_of("day", LAMPS), overcast_of("day", LAMPS)
-HOURS: Mapping[Weather, Hour] = {
-    "afternoon": Hour("day", time(14, 2, 11), _DAY),
-    "noon": Hour("day", time(12, 7, 40), replace(_DAY, sun_direction=(0.105, -0.640, 0.761), sun=(1.62, 1.56, 1.44))),
-    "overcast": Hour("day", time(11, 15, 2), _GREY),
-    "rain": Hour("day", time(10, 31, 55), replace(_GREY, sky=(0.75, 0.77, 0.80), ground=(0.33, 0.32, 0.31)), rain=True),
-    "dusk": Hour("dusk", time(16, 41, 5), light_of("dusk", LAMPS)),
-    "lamps": Hour("night", time(22, 14, 37), light_of("night", LAMPS)),
+CONDITIONS: Mapping[Weather, Conditions] = {
+    "afternoon": Conditions("day", time(14, 2, 11), _DAY),
+    "noon": Conditions("day", time(12, 7, 40), replace(_DAY, sun_direction=(0.105, -0.640, 0.761), sun=(1.62, 1.56, 1.44))),
+    "overcast": Conditions("day", time(11, 15, 2), _GREY),
+    "rain": Conditions("day", time(10, 31, 55), replace(_GREY, sky=(0.75, 0.77, 0.80), ground=(0.33, 0.32, 0.31)), rain=True),
+    "dusk": Conditions("dusk", time(16, 41, 5), light_of("dusk", LAMPS)),
+    "lamps": Conditions("night", time(22, 14, 37), light_of("night", LAMPS)),
 }
 
 
@@ -103,8 +103,8 @@ def date_of(night: int) -> date:
 
 def frame_time(night: int, frame: int, late_s: int) -> datetime:
     """Return the time of a frame (from 0) of a camera that is `late_s` seconds behind the schedule of the night."""
-    begins = datetime.combine(date_of(night), HOURS[weather_of(night)].begins)
-    return begins + frame * BETWEEN_FRAMES + timedelta(seconds=late_s)
+    begins = datetime.combine(date_of(night), CONDITIONS[weather_of(night)].begins)
+    return begins + frame * FRAME_INTERVAL + timedelta(seconds=late_s)
 
 
 def event_of(night: int, camera: str) -> CameraEvent:

@@ -52,7 +52,7 @@ def blanked(image: Uint8s, area: Bools | None) -> Uint8s:
     return out
 
 
-def around(area: Bools) -> Bools:
+def with_margin(area: Bools) -> Bools:
     """The area with a margin around it."""
     kernel = np.ones((2 * _MARGIN_PX + 1, 2 * _MARGIN_PX + 1), np.uint8)
     return np.asarray(cv2.dilate(area.astype(np.uint8), kernel), np.bool_)

@@ -16,7 +16,7 @@ from .files import BadCapture, wrong_size
 
 
 @dataclass(frozen=True)
-class Straight:
+class CapturePinhole:
     """Size and intrinsics of captures, and of the undistorted pinhole image that is made of them.
 
     For a `pinhole` or `brown` lens that image has the K and size of the captures, and pixels without a source are black.
@@ -35,7 +35,7 @@ class Straight:
     """(width, height) of the undistorted image, at the scale of captures."""
 
     @classmethod
-    def of(cls, image: Uint8s, lens: Lens, name: str, whole_field: bool = False) -> Straight:
+    def of(cls, image: Uint8s, lens: Lens, name: str, whole_field: bool = False) -> CapturePinhole:
         """The pinhole for a capture.
 
         Raises BadCapture if its size differs from that of the lens, or if the lens sees nothing in the direction of the view.
@@ -56,16 +56,16 @@ class Straight:
         return cls(width, height, *_covering_pinhole(lens, width, height, name))
 
     @property
-    def own(self) -> bool:
+    def keeps_intrinsics(self) -> bool:
         """Does the undistorted image have the captures' own K and size?"""
         return self.lens.K is None or self.K is self.lens.K
 
     def undistort(self, image: Uint8s, nearest: bool = False) -> Uint8s:
         """Undistort (h, w, ...) of the captures' size; pixels without a source become 0."""
-        if self.K is None or (self.own and not np.any(self.lens.distortion)):
+        if self.K is None or (self.keeps_intrinsics and not np.any(self.lens.distortion)):
             return image
         # of a mask in a view of another size, pixels that mix with the black outside count as not seen
-        filtering = cv2.INTER_NEAREST if nearest and self.own else cv2.INTER_LINEAR
+        filtering = cv2.INTER_NEAREST if nearest and self.keeps_intrinsics else cv2.INTER_LINEAR
         return np.asarray(cv2.remap(image, *self._maps, filtering, borderMode=cv2.BORDER_CONSTANT, borderValue=0), dtype=np.uint8)
 
     def working_size(self, resolution: int | None) -> tuple[int, int]:
@@ -80,14 +80,14 @@ class Straight:
         """The `View` of a frame of this size."""
         K = None if self.K is None else scaled_intrinsics(self.K, width / self.size[0], height / self.size[1])
         known = self.focal_known and K is not None
-        if not self.own:
+        if not self.keeps_intrinsics:
             return View(width, height, K, known, self.width, self.height, lens=self.lens)
         distortion = np.zeros(5) if K is None else self.lens.distortion
         return View(width, height, K, known, self.width, self.height, distortion)
 
-    def lost(self) -> tuple[str, ...]:
+    def loss_notes(self) -> tuple[str, ...]:
         """A note on the part of the lens's field that no pinhole shows; () if there is none."""
-        if self.own or self.K is None or self.lens.turn is not None:
+        if self.keeps_intrinsics or self.K is None or self.lens.turn is not None:
             return ()
         left, right, upper, lower = sides_deg(self.lens, self.width, self.height)
         width_deg, height_deg = left + right, upper + lower
@@ -100,7 +100,7 @@ class Straight:
     def _maps(self) -> tuple[Float32s, Float32s]:
         """Column and row in the capture of each pixel of the undistorted image."""
         assert self.K is not None
-        if self.own:
+        if self.keeps_intrinsics:
             maps = cv2.initUndistortRectifyMap(self.K, self.lens.distortion, None, self.K, self.size, cv2.CV_32FC1)
             return np.asarray(maps[0], np.float32), np.asarray(maps[1], np.float32)
         width, height = self.size

@@ -20,8 +20,8 @@ MOST_FRAMES = 100_000
 """Largest number of frames that are read, in case a file claims to be endless."""
 
 
-def pictures(capture: Capture, step: int, most: int) -> Iterator[tuple[str, Uint8s]]:
-    """Every `step`-th frame of a video as name and image (h, w, 3) uint8 RGB, at most `most`.
+def pictures(capture: Capture, step: int, most_pictures: int) -> Iterator[tuple[str, Uint8s]]:
+    """Every `step`-th frame of a video as name and image (h, w, 3) uint8 RGB, at most `most_pictures`.
 
     If the video's length is known, the step grows so that the images cover all of it.  Raises BadCapture if the file is empty
     or nothing in it can be decoded.
@@ -31,9 +31,9 @@ def pictures(capture: Capture, step: int, most: int) -> Iterator[tuple[str, Uint
     count = 0
     with _opened(capture) as video:
         length = int(video.get(cv2.CAP_PROP_FRAME_COUNT))
-        step = max(step, -(-length // most)) if 0 < length < MOST_FRAMES else step
+        step = max(step, -(-length // most_pictures)) if 0 < length < MOST_FRAMES else step
         for number in range(MOST_FRAMES):
-            if count >= most or not video.grab():
+            if count >= most_pictures or not video.grab():
                 break
             if number % step:
                 continue
@@ -46,17 +46,17 @@ def pictures(capture: Capture, step: int, most: int) -> Iterator[tuple[str, Uint
         raise NotAnImage(f"{capture.name} holds no picture that can be decoded ({capture.data.size:,} bytes)")
 
 
-def all_pictures(capture: Capture, step: int, most: int, lens: Lens | None = None) -> Iterator[tuple[str, Uint8s]]:
+def all_pictures(capture: Capture, step: int, most_pictures: int, lens: Lens | None = None) -> Iterator[tuple[str, Uint8s]]:
     """A capture's images (h, w, 3) uint8 RGB with their names: one, or several of a video.  Raises BadCapture.
 
     Parameters
     ----------
     capture : an image file or a video.
-    step, most : for a video, see `pictures`.
+    step, most_pictures : for a video, see `pictures`.
     lens : see `files.decode`.
     """
     if PurePath(capture.name).suffix.lower() in SUFFIXES:
-        yield from pictures(capture, step, most)
+        yield from pictures(capture, step, most_pictures)
     else:
         yield capture.name, decode(capture, lens)
 

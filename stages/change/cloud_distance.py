@@ -64,7 +64,7 @@ def cloud_distances(
     radius: float,
     reach: float,
     registration: float = 0.0,
-    least: int = 4,
+    fewest_points: int = 4,
 ) -> Distances:
     """Distances from the first cloud to the second.
 
@@ -74,11 +74,11 @@ def cloud_distances(
     first, second : the clouds.
     radius, reach : radius and half length of the cylinder, whose middle is the core point.
     registration : standard deviation of the position of one cloud relative to the other.
-    least : smallest number of points of each cloud in a cylinder; with fewer the distance is nan.
+    fewest_points : smallest number of points of each cloud in a cylinder; with fewer the distance is nan.
     """
     measured = [_in_cylinders(core, normals, cloud, radius, reach) for cloud in (first, second)]
     (mean1, variance1, count1), (mean2, variance2, count2) = measured
-    has_enough = (count1 >= least) & (count2 >= least)
+    has_enough = (count1 >= fewest_points) & (count2 >= fewest_points)
     sigma = np.sqrt(variance1 + variance2 + registration**2)
     return Distances(np.where(has_enough, mean2 - mean1, np.nan), np.where(has_enough, sigma, np.nan), count1, count2)
 

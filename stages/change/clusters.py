@@ -15,7 +15,7 @@ from scipy import ndimage
 from ..core.ground_grid import cells_of, quantile_by_cell
 from ..types import Bools, Change, Float64s, GroundGrid, Int64s
 from .evidence import CORE, Evidence
-from .footprint import OPEN, Footprint, covered
+from .footprint import UNKNOWN_SHARE_SIGMA, Footprint, covered_shares
 
 _TOP_QUANTILE = 0.9
 """Quantile of the heights in a cell that counts as its surface: one wrong point must not raise a roof."""
@@ -48,7 +48,7 @@ class ChangeCluster:
     footprint: Footprint
     rows: Int64s
     """Rows of the evidence."""
-    of_then: bool
+    vanished: bool
     """True if the points are of the earlier night: the thing has vanished."""
     confirmed: bool
     """True if enough cameras saw through its place for a report; otherwise its volume only adds uncertainty."""
@@ -60,9 +60,9 @@ def find_clusters(
     side: Evidence,
     colors: Float64s,
     grid: GroundGrid,
-    other: Over,
+    other: GroundPoints,
     *,
-    of_then: bool,
+    vanished: bool,
     spacing: float,
     least_area: float,
     alike: float,
@@ -75,7 +75,7 @@ def find_clusters(
     ----------
     side, colors : evidence on one night's surface, and the colours (n, 3) of its core points.
     grid, other : cells of the ground, and the other night's cloud over them.
-    of_then : True if that night is the earlier one, so that its changes have vanished.
+    vanished : True if that night is the earlier one, so that its changes have vanished.
     spacing : of the points.
     least_area : smallest surface area of a change.
     alike : median correlation of the images from which on a place has not changed.
@@ -108,14 +108,14 @@ def find_clusters(
         if change is not None:
             mean_color = colors[rows].mean(axis=0)
             colour = mean_color[:2] / max(float(mean_color.sum()), 1.0)
-            change = replace(change, kind="vanished" if of_then else "new", likeness=likeness)
-            clusters.append(ChangeCluster(change, footprint, rows, of_then, confirmed, colour))
+            change = replace(change, kind="vanished" if vanished else "new", likeness=likeness)
+            clusters.append(ChangeCluster(change, footprint, rows, vanished, confirmed, colour))
     return clusters
 
 
 def paired(clusters: list[ChangeCluster]) -> list[tuple[ChangeCluster, ChangeCluster | None]]:
     """Moved things as pairs of a new and a vanished change, assigned by closest volume first; all other changes with None."""
-    new, vanished = [b for b in clusters if not b.of_then], [b for b in clusters if b.of_then]
+    new, vanished = [b for b in clusters if not b.vanished], [b for b in clusters if b.vanished]
     candidates = sorted(
         (abs(a.change.volume - b.change.volume), i, j) for i, a in enumerate(new) for j, b in enumerate(vanished) if _match(a, b)
     )
@@ -141,7 +141,7 @@ def _with_origin(new: ChangeCluster, vanished: ChangeCluster) -> ChangeCluster:
 
 
 @dataclass(frozen=True)
-class Over:
+class GroundPoints:
     """Points over the cells of the ground grid; points outside it are left out."""
 
     cells: Int64s
@@ -150,16 +150,17 @@ class Over:
     """(n,) heights, world units."""
 
 
-def over_ground(grid: GroundGrid, points: Float64s) -> Over:
+def points_over_ground(grid: GroundGrid, points: Float64s) -> GroundPoints:
     """The points (n, 3) that lie over the ground grid."""
     cells = cells_of(grid, points)
     inside = cells >= 0
-    return Over(cells[inside], points[inside] @ grid.axes[2])
+    return GroundPoints(cells[inside], points[inside] @ grid.axes[2])
 
 
 def _footprint(
-    side: Evidence, rows: Int64s, area: Bools, unchanged: Bools, grid: GroundGrid, other: Over, spacing: float, *, trimmed: bool
-) -> Footprint | None:
+    side: Evidence, rows: Int64s, area: Bools, unchanged: Bools, grid: GroundGrid, other: GroundPoints, spacing: float, *,
+    trimmed: bool,
+) -> Footprint | None:  # fmt: skip
     """The ground that changed points cover; None if the surface below is unknown, or if they hardly rise above it.
 
     rows: of the evidence; area, unchanged: (rows, columns) cells of the change, and cells known to be unchanged; trimmed: leave
@@ -185,7 +186,7 @@ def _footprint(
 
     def ground_under(chosen: Bools) -> tuple[Int64s, Float64s, Float64s, Float64s]:
         """Cells that the chosen points cover, shares, heights, and the volume inferred where there are no points."""
-        share, unseen = (part.ravel() for part in covered(grid, points[chosen], unchanged, CORE * spacing))
+        share, unseen = (part.ravel() for part in covered_shares(grid, points[chosen], unchanged, CORE * spacing))
         surface = _fill_gaps(quantile_by_cell(cells[chosen], levels[chosen], count, _TOP_QUANTILE).reshape(near.shape), near)
         height = (surface - base).ravel()
         ground_cells = np.flatnonzero((share > 0) & (height > _FOOT_SHARE * typical_height))
@@ -198,7 +199,7 @@ def _footprint(
     if np.any(is_upper & ~is_cleared):
         _, most_share, most_height, unseen = ground_under(is_upper)
     left_out = abs(float(most_share @ most_height - share @ height)) * grid.cell**2
-    volume_sigma = OPEN * float(np.hypot(unseen.sum(), left_out))
+    volume_sigma = UNKNOWN_SHARE_SIGMA * float(np.hypot(unseen.sum(), left_out))
     return Footprint(ground_cells, share, base.ravel()[ground_cells], height, volume_sigma)
 
 
@@ -234,7 +235,7 @@ def _describe(
         height=height,
         area=area,
         volume=volume,
-        volume_sigma=float(np.linalg.norm([rim_error, surface_error, footprint.doubt])),
+        volume_sigma=float(np.linalg.norm([rim_error, surface_error, footprint.volume_sigma])),
         significance=float(np.median(side.significance[rows])),
         likeness=-2.0,
         points=len(rows),

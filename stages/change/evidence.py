@@ -57,8 +57,7 @@ class Evidence:
     """Median correlation of both nights' images over the cameras that see the point; nan if not computed, or if no camera shows
     texture there."""
     cleared: Float32s
-    """Of the cameras that saw the point and could look there on the other night, the share that saw through it then; nan if not
-    computed."""
+    """Share of the cameras seeing the point that saw through it on the other night, if they could; nan if not computed."""
     changed: Bools
     """The verdict from all evidence."""
 
@@ -73,19 +72,19 @@ class Evidence:
         return np.asarray(~self.measured & (self.sight.through == 0) & (self.sight.agreeing == 0), dtype=np.bool_)
 
 
-def compare_nights(tonight: Epoch, then: Epoch, spacing: float, registration: float) -> tuple[Evidence, Evidence]:
+def compare_nights(tonight: Epoch, reference: Epoch, spacing: float, registration: float) -> tuple[Evidence, Evidence]:
     """Distances and visibility of both nights' surfaces, each compared with the other's; `changed` is still False everywhere.
 
     Parameters
     ----------
-    tonight, then : the nights.
+    tonight, reference : the nights.
     spacing : of the points of the coarser cloud.
     registration : standard deviation of the position of one night's world relative to the other's.
     """
     edge = 2.0 * RADIUS * spacing
-    clouds = [MeasuredCloud(night.points, night.sigma, index_points(night.points, edge)) for night in (tonight, then)]
-    evidence_tonight = _evidence_on(tonight, clouds[0], then, clouds[1], spacing, registration)
-    return evidence_tonight, _evidence_on(then, clouds[1], tonight, clouds[0], spacing, registration)
+    clouds = [MeasuredCloud(night.points, night.sigma, index_points(night.points, edge)) for night in (tonight, reference)]
+    evidence_tonight = _evidence_on(tonight, clouds[0], reference, clouds[1], spacing, registration)
+    return evidence_tonight, _evidence_on(reference, clouds[1], tonight, clouds[0], spacing, registration)
 
 
 def _evidence_on(
@@ -115,41 +114,43 @@ def noise_of(*sides: Evidence) -> float:
     return float(np.clip(noise, 1.0, _MOST_NOISE))
 
 
-def judged(side: Evidence, own: Epoch, other: Epoch, spacing: float, *, noise: float, sigmas: float, alike: float) -> Evidence:
+def mark_changed(
+    evidence: Evidence, night: Epoch, other: Epoch, spacing: float, *, noise: float, sigmas: float, alike: float
+) -> Evidence:
     """The evidence with its verdict, and the distances, correlations and shares on which that rests.
 
     Parameters
     ----------
-    side : evidence on one night's surface.
-    own, other : that night, and the other.
+    evidence : evidence on one night's surface.
+    night, other : that night, and the other.
     spacing : of the points.
     noise : factor on the standard deviations of distances between clouds.
     sigmas : number of standard deviations from which on a distance is a change.
     alike : correlation above which images show the same surface.
     """
-    sight, sigma = side.sight, side.sigma * noise
-    nearer = side.measured & (side.distance > sigmas * sigma)
-    agrees = side.measured & (np.abs(side.distance) <= CONFIDENCE * sigma)
+    sight, sigma = evidence.sight, evidence.sigma * noise
+    nearer = evidence.measured & (evidence.distance > sigmas * sigma)
+    agrees = evidence.measured & (np.abs(evidence.distance) <= CONFIDENCE * sigma)
     informative = sight.through.astype(int) + sight.agreeing + sight.hidden
     needed = np.minimum(2, np.maximum(informative, 1))
     free = (sight.through >= needed) & (sight.through > _THROUGH_RATIO * sight.agreeing) & ~agrees
     with np.errstate(invalid="ignore"):
-        free &= sight.gap > sigmas * noise * sight.doubt
+        free &= sight.gap > sigmas * noise * sight.gap_sigma
     by_sight = free & ~nearer
-    distance = np.where(by_sight, sight.gap, side.distance)
-    sigma = np.where(by_sight, noise * sight.doubt, sigma)
-    changed = _with_neighbours(side.core, nearer | free, spacing)
-    correlation = np.full(len(side.core), np.nan, np.float32)
+    distance = np.where(by_sight, sight.gap, evidence.distance)
+    sigma = np.where(by_sight, noise * sight.gap_sigma, sigma)
+    changed = _with_neighbours(evidence.core, nearer | free, spacing)
+    correlation = np.full(len(evidence.core), np.nan, np.float32)
     rows = np.flatnonzero(changed)
-    offset = np.where((side.measured & ~by_sight)[rows, None], side.distance[rows, None] * side.normals[rows], np.nan)
-    correlation[rows] = _median_correlation(side.core[rows], offset, own.sigma[side.rows[rows]], own, other, alike)
+    offset = np.where((evidence.measured & ~by_sight)[rows, None], evidence.distance[rows, None] * evidence.normals[rows], np.nan)
+    correlation[rows] = _median_correlation(evidence.core[rows], offset, night.sigma[evidence.rows[rows]], night, other, alike)
     with np.errstate(invalid="ignore"):
         changed &= ~(correlation > alike)
-    changed = _with_neighbours(side.core, changed, spacing)
-    cleared, rows = np.full(len(side.core), np.nan, np.float32), np.flatnonzero(changed)
-    cleared[rows] = _cleared_share(side.core[rows], own.sigma[side.rows[rows]], nearer[rows], own, other)
-    measured = side.measured & ~by_sight
-    return replace(side, distance=distance, sigma=sigma, measured=measured, ncc=correlation, cleared=cleared, changed=changed)
+    changed = _with_neighbours(evidence.core, changed, spacing)
+    cleared, rows = np.full(len(evidence.core), np.nan, np.float32), np.flatnonzero(changed)
+    cleared[rows] = _cleared_share(evidence.core[rows], night.sigma[evidence.rows[rows]], nearer[rows], night, other)
+    measured = evidence.measured & ~by_sight
+    return replace(evidence, distance=distance, sigma=sigma, measured=measured, ncc=correlation, cleared=cleared, changed=changed)
 
 
 def _cleared_share(X: Float64s, sigma: Float64s, measured: Bools, own: Epoch, other: Epoch) -> Float32s:

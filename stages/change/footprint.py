@@ -34,38 +34,38 @@ class Footprint:
     """Height of the surface below on the other night, world units."""
     height: Float64s
     """Height of the change above `base`, world units."""
-    doubt: float
+    volume_sigma: float
     """Standard deviation of the volume from cells that are covered but were not seen, and from seen points that are left out."""
 
 
-OPEN = 3.0**-0.5
+UNKNOWN_SHARE_SIGMA = 3.0**-0.5
 """Standard deviation of an unknown share, 0 to 1, relative to the end at which it is assumed to be (0 or 1)."""
 
 
-def covered(grid: GroundGrid, points: Float64s, same: Bools, apart: float) -> tuple[Float64s, Float64s]:
+def covered_shares(grid: GroundGrid, points: Float64s, unchanged: Bools, spacing: float) -> tuple[Float64s, Float64s]:
     """(rows, columns) share of each cell that a surface covers, and the part of this share where there are no points.
 
     Parameters
     ----------
     grid, points : the cells, and the points (n, 3) of the surface, which lie over them.
-    same : (rows, columns) cells that are known to be unchanged.
-    apart : distance of neighbouring points: gaps up to twice as wide are closed.
+    unchanged : (rows, columns) cells that are known to be unchanged.
+    spacing : distance of neighbouring points: gaps up to twice as wide are closed.
     """
     fine = replace(grid, cell=grid.cell / _SUBCELLS, rows=grid.rows * _SUBCELLS, columns=grid.columns * _SUBCELLS)
     fine_cells = np.divmod(cells_of(fine, points), fine.columns)
     first = np.maximum(np.min(fine_cells, axis=1) // _SUBCELLS - 1, 0)
-    last = np.minimum(np.max(fine_cells, axis=1) // _SUBCELLS + 2, same.shape)
-    reach = int(np.ceil(apart / fine.cell))
+    last = np.minimum(np.max(fine_cells, axis=1) // _SUBCELLS + 2, unchanged.shape)
+    reach = int(np.ceil(spacing / fine.cell))
     mask = np.zeros((last - first) * _SUBCELLS + 2 * reach, np.uint8)
     mask[tuple(fine_cell - start * _SUBCELLS + reach for fine_cell, start in zip(fine_cells, first, strict=True))] = 1
     closed = cv2.morphologyEx(mask, cv2.MORPH_CLOSE, _disk(reach))
     closed = ndimage.binary_fill_holes(closed).astype(np.uint8)
     opened = cv2.morphologyEx(closed, cv2.MORPH_OPEN, _disk(round(_NARROW_CELLS * _SUBCELLS)))
     outside = (opened if opened.any() else closed)[reach:-reach, reach:-reach] == 0
-    solid = ndimage.distance_transform_edt(outside) <= _EXTENSION_SPACINGS * apart / fine.cell
+    solid = ndimage.distance_transform_edt(outside) <= _EXTENSION_SPACINGS * spacing / fine.cell
     window = slice(first[0], last[0]), slice(first[1], last[1])
-    extended = _extend_to_hull(solid, np.kron(same[window], np.ones((_SUBCELLS, _SUBCELLS), bool)))
-    shares = np.zeros((2, *same.shape))
+    extended = _extend_to_hull(solid, np.kron(unchanged[window], np.ones((_SUBCELLS, _SUBCELLS), bool)))
+    shares = np.zeros((2, *unchanged.shape))
     for share, part in zip(shares, (extended, extended & ~solid), strict=True):
         share[window] = part.reshape(last[0] - first[0], _SUBCELLS, last[1] - first[1], _SUBCELLS).mean(axis=(1, 3))
     return shares[0], shares[1]
@@ -75,9 +75,9 @@ def _disk(radius: int) -> Uint8s:
     return np.asarray(cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * radius + 1, 2 * radius + 1)), dtype=np.uint8)
 
 
-def _extend_to_hull(footprint: Bools, same: Bools) -> Bools:
+def _extend_to_hull(footprint: Bools, unchanged: Bools) -> Bools:
     """The footprint, extended to its convex hull except for unchanged cells if it covers more than `_SOLID_SHARE` of the hull."""
     row, column = np.nonzero(footprint)
     hull = np.zeros(footprint.shape, np.uint8)
     cv2.fillConvexPoly(hull, cv2.convexHull(np.column_stack([column, row]).astype(np.int32)), 1)
-    return footprint | ((hull > 0) & ~same) if footprint.sum() > _SOLID_SHARE * hull.sum() else footprint
+    return footprint | ((hull > 0) & ~unchanged) if footprint.sum() > _SOLID_SHARE * hull.sum() else footprint

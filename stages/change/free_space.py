@@ -33,7 +33,7 @@ class Sight:
     """Number of cameras that saw something in front of the point."""
     gap: Float32s
     """Depth of the surface behind minus that of the point, smallest over the cameras that saw through; nan if none did."""
-    doubt: Float32s
+    gap_sigma: Float32s
     """Standard deviation of `gap`."""
 
 
@@ -52,17 +52,17 @@ def look_at(
     """
     n = len(X)
     counts = np.zeros((3, n), np.uint8)
-    gap, doubt = np.full(n, np.inf, np.float32), np.full(n, np.nan, np.float32)
+    gap, gap_sigma = np.full(n, np.inf, np.float32), np.full(n, np.nan, np.float32)
     for name in names:
-        camera, depth_map = cameras[name], depth_of(name)
-        _look(X, sigma, camera.K @ camera.R, camera.K @ camera.R @ camera.C, depth_map.depth, depth_map.sigma, counts, gap, doubt)
-    return Sight(counts[0], counts[1], counts[2], np.where(np.isfinite(gap), gap, np.float32(np.nan)), doubt)
+        camera, depths = cameras[name], depth_of(name)
+        _look(X, sigma, camera.K @ camera.R, camera.K @ camera.R @ camera.C, depths.depth, depths.sigma, counts, gap, gap_sigma)
+    return Sight(counts[0], counts[1], counts[2], np.where(np.isfinite(gap), gap, np.float32(np.nan)), gap_sigma)
 
 
 @kernel
 def _look(
     X: Float64s, sigma: Float64s, A: Float64s, b: Float64s, depth: Float32s, depth_sigma: Float32s, counts: Uint8s,
-    gap: Float32s, doubt: Float32s,
+    gap: Float32s, gap_sigma: Float32s,
 ) -> None:  # fmt: skip
     h, w = depth.shape
     for k in range(len(X)):
@@ -91,4 +91,4 @@ def _look(
         elif z < nearest - _CLEAR_FACTOR * tolerance:
             counts[0, k] += 1
             if nearest - z < gap[k]:
-                gap[k], doubt[k] = nearest - z, total_sigma
+                gap[k], gap_sigma[k] = nearest - z, total_sigma

@@ -23,7 +23,7 @@ Photograph = tuple[Camera, Frame]
 """A camera and its frame on one night."""
 
 
-def ncc(X: Float64s, seen: Bools, tonight: Photograph, then: Photograph) -> Float32s:
+def ncc(X: Float64s, seen: Bools, tonight: Photograph, reference: Photograph) -> Float32s:
     """(n,) correlation, -1 to 1, of the patches around points in both images, the best of nine shifts by a pixel.
 
     nan where a patch shows nothing, is masked or lies outside.
@@ -32,14 +32,14 @@ def ncc(X: Float64s, seen: Bools, tonight: Photograph, then: Photograph) -> Floa
     ----------
     X : (n, 3) points in the world.
     seen : (n,) bool, the points that are compared.
-    tonight, then : the same camera on both nights; images of different sizes give nan.
+    tonight, reference : the same camera on both nights; images of different sizes give nan.
     """
     correlations = np.full(len(X), np.nan, np.float32)
-    (camera, frame1), (_, frame2) = tonight, then
+    (camera, frame1), (_, frame2) = tonight, reference
     if frame1.image.shape != frame2.image.shape:
         return correlations
     rows = np.flatnonzero(seen)
-    (x1, z1), (x2, z2) = (project(photograph[0], X[rows]) for photograph in (tonight, then))
+    (x1, z1), (x2, z2) = (project(photograph[0], X[rows]) for photograph in (tonight, reference))
     in_front = (z1 > 0) & (z2 > 0) & np.isfinite(x1).all(axis=1) & np.isfinite(x2).all(axis=1)
     rows, x1, x2 = rows[in_front], x1[in_front], x2[in_front]
     step = max(1, round(camera.width / 768))

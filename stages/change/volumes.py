@@ -20,7 +20,7 @@ from ..core.ground_grid import cells_inside
 from ..types import Bools, CutFill, Float32s, GroundGrid
 from .clusters import ChangeCluster
 from .evidence import Evidence
-from .footprint import OPEN
+from .footprint import UNKNOWN_SHARE_SIGMA
 
 _GAP = 2
 """Unseen cells within this many cells of seen ones, on either side, are gaps between points and count as seen."""
@@ -38,22 +38,22 @@ class Detection:
     """Smallest area of a change that is reported."""
 
 
-def detection_of(now: Evidence, before: Evidence, *, sigmas: float, registration: float, least_area: float) -> Detection:
+def detection_of(tonight: Evidence, reference: Evidence, *, sigmas: float, registration: float, least_area: float) -> Detection:
     """Detection limits of a comparison, from the places that both nights measured.
 
     Parameters
     ----------
-    now, before : the judged evidence of both nights.
+    tonight, reference : the evidence of both nights, with its changes marked.
     sigmas, registration, least_area : as of `changes.find_changes`.
     """
-    sigma = np.concatenate([side.sigma[side.measured] for side in (now, before)])
-    offsets = [sign * side.distance[side.measured & ~side.changed] for sign, side in ((1.0, now), (-1.0, before))]
+    sigma = np.concatenate([side.sigma[side.measured] for side in (tonight, reference)])
+    offsets = [sign * side.distance[side.measured & ~side.changed] for sign, side in ((1.0, tonight), (-1.0, reference))]
     shift = float(np.median(np.concatenate(offsets))) if len(sigma) else 0.0
     level = sigmas * float(np.median(sigma)) if len(sigma) else 0.0
     return Detection(level, float(np.hypot(registration, shift)), least_area)
 
 
-def counts(cluster: ChangeCluster, zone: Mapping[str, Any]) -> bool:
+def is_large_for(cluster: ChangeCluster, zone: Mapping[str, Any]) -> bool:
     """Is a change large enough for a zone (`least_m`)?"""
     return max(cluster.change.length, cluster.change.height) >= float(zone.get("least_m", 0.0))
 
@@ -84,11 +84,11 @@ def volumes(
     zone_masks = [cells_inside(grid, zone["polygon"]) for zone in zones]
     by_zone = {
         str(zone["name"]): _cut_and_fill(
-            grid, inside, seen, _unseen_area(grid, zone, inside, seen), [c for c in clusters if counts(c, zone)], detection
+            grid, inside, seen, _unseen_area(grid, zone, inside, seen), [c for c in clusters if is_large_for(c, zone)], detection
         )
         for zone, inside in zip(zones, zone_masks, strict=True)
     }
-    large_enough = [c for c in clusters if any(counts(c, zone) for zone in zones)]
+    large_enough = [c for c in clusters if any(is_large_for(c, zone) for zone in zones)]
     unseen = sum(part.unseen for part in by_zone.values())
     return _cut_and_fill(grid, np.any(zone_masks, axis=0), seen, unseen, large_enough, detection), by_zone
 
@@ -105,7 +105,7 @@ def _unseen_area(grid: GroundGrid, zone: Mapping[str, Any], inside: Bools, seen:
 def _cut_and_fill(
     grid: GroundGrid, inside: Bools, seen: Bools, unseen: float, clusters: Sequence[ChangeCluster], detection: Detection
 ) -> CutFill:
-    gained, lost = (_volume([c for c in clusters if c.of_then is earlier], inside, grid, detection) for earlier in (False, True))
+    gained, lost = (_volume([c for c in clusters if c.vanished is earlier], inside, grid, detection) for earlier in (False, True))
     area = float((seen & inside).sum() * grid.cell**2)
     return CutFill(*gained, *lost, detection.level, detection.common_sigma, area, float(unseen))
 
@@ -121,7 +121,7 @@ def _volume(clusters: Sequence[ChangeCluster], inside: Bools, grid: GroundGrid, 
         share = np.where(inside.ravel()[footprint.cells], footprint.share, 0.0)
         part_volume = float((share * footprint.height).sum() * grid.cell**2)
         if not cluster.confirmed:
-            variance += (OPEN * part_volume) ** 2
+            variance += (UNKNOWN_SHARE_SIGMA * part_volume) ** 2
             continue
         volume += part_volume
         area += float(share.sum() * grid.cell**2)

@@ -34,9 +34,9 @@ def camera_of(view: View, K: Float64s, R: Float64s, C: Float64s) -> Camera:
     return Camera(K, R, C, view.width, view.height, 0, (0.0, 0.0), *captured, view.distortion, view.lens)
 
 
-def same_camera(one: View | Camera, other: View | Camera) -> bool:
+def same_camera(camera1: View | Camera, camera2: View | Camera) -> bool:
     """Are both of them views of the same physical camera, with the same position and the same captures?"""
-    return bool(one.lens and other.lens and one.lens.camera and one.lens.camera == other.lens.camera)
+    return bool(camera1.lens and camera2.lens and camera1.lens.camera and camera1.lens.camera == camera2.lens.camera)
 
 
 def camera_id(name: str, view: View | Camera) -> str:

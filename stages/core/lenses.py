@@ -40,7 +40,7 @@ def lens_pixels(lens: Lens, rays: Float64s) -> Float64s:
     unit = rays / np.linalg.norm(rays, axis=1, keepdims=True)
     with np.errstate(all="ignore"):
         x = _model(lens).project(_coefficients(lens), unit)
-    x[off_axis(unit) > reach(lens)] = np.nan
+    x[off_axis(unit) > usable_angle(lens)] = np.nan
     return np.asarray(x @ lens.K[:2, :2].T + lens.K[:2, 2], dtype=np.float64)
 
 
@@ -52,7 +52,7 @@ def lens_rays(lens: Lens, x: Float64s) -> Float64s:
     if lens.model == "equirectangular":
         longitude, latitude = target.T
         return np.column_stack([np.sin(longitude) * np.cos(latitude), np.sin(latitude), np.cos(longitude) * np.cos(latitude)])
-    coefficients, project, limit = _coefficients(lens), _model(lens).project, reach(lens)
+    coefficients, project, limit = _coefficients(lens), _model(lens).project, usable_angle(lens)
     with np.errstate(all="ignore"):
         angle_xy = _start(coefficients, project, limit, target)
         for _ in range(_MOST_STEPS):
@@ -66,7 +66,7 @@ def lens_rays(lens: Lens, x: Float64s) -> Float64s:
     return rays
 
 
-def reach(lens: Lens) -> float:
+def usable_angle(lens: Lens) -> float:
     """Angle off the axis, in radians, up to which image radii grow with the angle: beyond it the model folds over or ends."""
     if lens.model == "equirectangular":
         return np.pi
@@ -87,12 +87,12 @@ def off_axis(rays: Float64s) -> Float64s:
 
 
 def sides_deg(lens: Lens, width: int, height: int) -> Float64s:
-    """(4,) degrees from the axis to the left, right, upper and lower side, through the principal point; at most `reach`."""
+    """(4,) degrees from the axis to the left, right, upper and lower side through the principal point; at most `usable_angle`."""
     if lens.K is None:
         raise ValueError("a lens without intrinsics has no rays")
     x, y = lens.K[:2, 2]
     edges = np.array([[-0.5, y], [width - 0.5, y], [x, -0.5], [x, height - 0.5]])
-    return np.asarray(np.rad2deg(np.nan_to_num(off_axis(lens_rays(lens, edges)), nan=reach(lens))), dtype=np.float64)
+    return np.asarray(np.rad2deg(np.nan_to_num(off_axis(lens_rays(lens, edges)), nan=usable_angle(lens))), dtype=np.float64)
 
 
 _PROFILE_STEP = np.deg2rad(0.25)

@@ -15,7 +15,7 @@ import numpy as np
 from ..types import Camera, Float32s, Float64s, Frame
 from .on_demand import OnDemand
 
-STRAIGHT_PX = 1.0
+UNDISTORTED_PX = 1.0
 """A frame counts as undistorted if the solved distortion moves its corners by at most this, in pixels."""
 
 
@@ -51,16 +51,16 @@ def residual_px(camera: Camera) -> float:
 
 
 def residual_distortion(camera: Camera | None) -> Float64s | None:
-    """(6,) fx fy cx cy k1 k2 of a camera whose frame is distorted; None if it counts as undistorted (`STRAIGHT_PX`)."""
-    if camera is None or not any(camera.radial) or residual_px(camera) <= STRAIGHT_PX:
+    """(6,) fx fy cx cy k1 k2 of a camera whose frame is distorted; None if it counts as undistorted (`UNDISTORTED_PX`)."""
+    if camera is None or not any(camera.radial) or residual_px(camera) <= UNDISTORTED_PX:
         return None
     K = camera.K
     return np.array([K[0, 0], K[1, 1], K[0, 2], K[1, 2], *camera.radial])
 
 
-def distorted_pixels(bend: Float64s, x: Float64s | Float32s, y: Float64s | Float32s) -> tuple[Float32s, Float32s]:
+def distorted_pixels(distortion: Float64s, x: Float64s | Float32s, y: Float64s | Float32s) -> tuple[Float32s, Float32s]:
     """Pixels in the distorted frame of pixels x, y of the undistorted one; far outside where the model folds over."""
-    fx, fy, cx, cy, k1, k2 = (np.float64(number) for number in bend)
+    fx, fy, cx, cy, k1, k2 = (np.float64(number) for number in distortion)
     a, b = (x - cx) / fx, (y - cy) / fy
     square = a * a + b * b
     unfolded = 1 + square * (3 * k1 + 5 * k2 * square) > 0

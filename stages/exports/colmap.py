@@ -16,7 +16,7 @@ import numpy as np
 import pycolmap
 from scipy.spatial import cKDTree
 
-from ..sfm.tracks import Tracks, build_tracks, straightened
+from ..sfm.tracks import Tracks, build_tracks, undistort_tracks
 from ..sfm.triangulation import residuals, triangulate
 from ..types import Camera, Cloud, Float64s, Geometry
 
@@ -71,7 +71,7 @@ def _tracks(cameras: Mapping[str, Camera], geometries: Mapping[str, Geometry]) -
     pair_names = {name: name.split("--") for name in geometries}
     edges = {(view_of[a], view_of[b]): geometries[name] for name, (a, b) in pair_names.items() if a in view_of and b in view_of}
     tracks = build_tracks(edges, len(views))
-    undistorted = straightened(tracks, views)
+    undistorted = undistort_tracks(tracks, views)
     X = triangulate(views, undistorted, np.ones(len(tracks.track), bool), MAX_ERROR_PX / 2)
     accurate = np.linalg.norm(residuals(views, undistorted, X), axis=1) < MAX_ERROR_PX
     usable = np.bincount(tracks.track[accurate], minlength=tracks.count) >= 2

@@ -82,10 +82,10 @@ def _map(coverage: Coverage, cameras: Mapping[str, Camera] | None = None) -> Uin
     """(h, w, 3) uint8: number of cameras as colours, the cameras, and a legend below."""
     views = np.minimum(coverage.views, len(_COLOURS) - 1)
     colours = np.where(np.isfinite(coverage.heights)[..., None], np.array(_COLOURS, np.uint8)[views], np.uint8(_BACKGROUND[0]))
-    return _with_legend(drawn(coverage.grid, colours.astype(np.uint8), cameras or {}))
+    return _with_legend(draw_plan(coverage.grid, colours.astype(np.uint8), cameras or {}))
 
 
-def drawn(grid: GroundGrid, colours: Uint8s, cameras: Mapping[str, Camera]) -> Uint8s:
+def draw_plan(grid: GroundGrid, colours: Uint8s, cameras: Mapping[str, Camera]) -> Uint8s:
     """Image of the cells (rows, columns, 3) as squares, and of cameras as triangles that open in the viewing direction; it is
     extended to hold the cameras with a margin."""
     scale = max(1, _WIDTH // max(grid.columns, grid.rows))
@@ -193,7 +193,7 @@ def changes_preview(changes: Changes) -> Uint8s:
     share = np.clip(np.nan_to_num(changes.difference) / full_height, -1, 1)[..., None]
     paper, raised, lowered = (np.array(rgb, np.float64) for rgb in ((225, 225, 225), (200, 40, 30), (30, 80, 200)))
     colours = np.where(share > 0, paper + share * (raised - paper), paper - share * (lowered - paper))
-    image = drawn(changes.grid, np.where(known[..., None], colours, 24).astype(np.uint8), {})
+    image = draw_plan(changes.grid, np.where(known[..., None], colours, 24).astype(np.uint8), {})
     _mark(image, changes)
     crops = [_with_number(crop, number) for number, crop in list(changes.crops.items())[:_MOST_CROPS]]
     width = max(image.shape[1], *(crop.shape[1] for crop in crops)) if crops else image.shape[1]

@@ -24,7 +24,7 @@ from .world import Georeference
 class Feature:
     """A world point with its properties."""
 
-    at: Float64s
+    position: Float64s
     """(3,) in the world."""
     properties: dict[str, str | float | int]
     """Values by name; all features of a layer have the same names."""
@@ -49,7 +49,7 @@ def geojson_bytes(features: list[Feature], place: Georeference) -> bytes:
     """Return a FeatureCollection: longitude, latitude in degrees, height in metres above the ellipsoid."""
     entries = []
     for feature in features:
-        at = [round(value, digits) for value, digits in zip(place.degrees(feature.at), (8, 8, 3), strict=True)]
+        at = [round(value, digits) for value, digits in zip(place.degrees(feature.position), (8, 8, 3), strict=True)]
         point = {"type": "Point", "coordinates": at}
         entries.append({"type": "Feature", "geometry": point, "properties": feature.properties})
     return (json.dumps({"type": "FeatureCollection", "features": entries}, indent=1) + "\n").encode()
@@ -69,7 +69,7 @@ def geopackage_bytes(layers: dict[str, list[Feature]], place: Georeference, day:
         for layer, features in layers.items():
             if not features:
                 continue
-            points = place.points(np.array([feature.at for feature in features]))
+            points = place.points(np.array([feature.position for feature in features]))
             names = list(features[0].properties)
             columns: list[Any] = [np.array([feature.properties[name] for feature in features]) for name in names]
             columns = [column.astype(object) if column.dtype.kind == "U" else column for column in columns]

@@ -25,9 +25,9 @@ from ..io.rasters import jpeg, png
 from ..types import Bools, Camera, Cloud, Float32s, Float64s, Frame, Int32s, Int64s, Uint8s
 from .heights import spacing
 
-DEEPEST = 11
+MOST_DEPTH = 11
 """Largest depth of the octree: 2048 cells along the longest side, several gigabytes."""
-SPARSEST = 2.0
+SPARSER_LEVELS = 2.0
 """The surface is cut where the points are sparser than the median by more than this many octree levels (a factor of two each)."""
 
 
@@ -51,12 +51,12 @@ def poisson_mesh(cloud: Cloud, coarser: int = 0) -> Mesh:
     points = cloud.points.astype(np.float64)
     middle = points.mean(axis=0)
     span = float(np.ptp(points, axis=0).max()) * 1.1
-    depth = int(np.clip(np.ceil(np.log2(span / spacing(points))), 5, DEEPEST)) - coarser
+    depth = int(np.clip(np.ceil(np.log2(span / spacing(points))), 5, MOST_DEPTH)) - coarser
     source = point_cloud(replace(cloud, points=points - middle))
     # one thread keeps the order of sums, and so the bytes, reproducible
     surface, levels = open3d.geometry.TriangleMesh.create_from_point_cloud_poisson(source, depth=depth, n_threads=1)
     octree_levels = np.asarray(levels)
-    surface.remove_vertices_by_mask(octree_levels < np.median(octree_levels) - SPARSEST)
+    surface.remove_vertices_by_mask(octree_levels < np.median(octree_levels) - SPARSER_LEVELS)
     colors = (np.asarray(surface.vertex_colors) * 255 + 0.5).clip(0, 255).astype(np.uint8)
     return Mesh(np.asarray(surface.vertices) + middle, colors, np.asarray(surface.triangles).astype(np.int32))
 
@@ -73,7 +73,7 @@ def mesh_bytes(mesh: Mesh) -> bytes:
     return "\n".join(header).encode() + vertices.tobytes() + faces.tobytes()
 
 
-NONE = -1
+NO_VIEW = -1
 """Index of the view of a triangle that no camera sees."""
 _OCCLUSION_TOLERANCE = 0.01
 """A vertex is hidden if it is farther away than the surface that a camera sees by more than this share of the depth."""
@@ -104,8 +104,8 @@ class Textured:
 
     mesh: Mesh
     views: tuple[View, ...]
-    chosen: Int32s
-    """(m,) index of the view of each triangle, or `NONE`."""
+    view_of_triangle: Int32s
+    """(m,) index of the view of each triangle, or `NO_VIEW`."""
     pixel: float
     """Median width on the surface of a pixel of the triangle's view; 0 if no camera sees a triangle."""
 
@@ -192,7 +192,7 @@ def _choose_views(mesh: Mesh, visible: list[_Visible]) -> Int32s:
     best_area = np.zeros(count, np.float32)
     for view in visible:
         best_area[view.triangles] = np.maximum(best_area[view.triangles], view.area)
-    vertex_count, best_share, chosen = len(mesh.vertices), np.zeros(count, np.float32), np.full(count, NONE, np.int32)
+    vertex_count, best_share, chosen = len(mesh.vertices), np.zeros(count, np.float32), np.full(count, NO_VIEW, np.int32)
     triangle_counts = np.maximum(np.bincount(mesh.triangles.ravel(), minlength=vertex_count), 1)
     for number, view in enumerate(visible):
         share = np.zeros(count)
@@ -252,11 +252,11 @@ def object_files(found: Textured, name: str) -> Iterator[tuple[str, bytes]]:
 
     Triangles that no camera sees have the cloud's colours, one pixel each in a separate image.
     """
-    shown = [number for number in range(len(found.views)) if (found.chosen == number).any()]
+    shown = [number for number in range(len(found.views)) if (found.view_of_triangle == number).any()]
     pictures = {found.views[number].name: f"{name}_{found.views[number].name}.jpg" for number in shown}  # by material
     for number in shown:
         yield pictures[found.views[number].name], jpeg(found.views[number].image, 92).tobytes()
-    unseen = np.flatnonzero(found.chosen == NONE)
+    unseen = np.flatnonzero(found.view_of_triangle == NO_VIEW)
     if len(unseen):
         side = _square_side(len(unseen))
         pixels = np.zeros((side * side, 3), np.uint8)
@@ -273,7 +273,7 @@ def _object_parts(textured_mesh: Textured, name: str, shown: list[int], unseen: 
     yield f"# made by wbflow\nmtllib {name}.mtl\n".encode()
     yield _text_lines("v %.4f %.4f %.4f", mesh.vertices)
     for number in shown:
-        view, triangles = textured_mesh.views[number], mesh.triangles[textured_mesh.chosen == number]
+        view, triangles = textured_mesh.views[number], mesh.triangles[textured_mesh.view_of_triangle == number]
         corners, uv_index = np.unique(triangles, return_inverse=True)
         uv = (project(view.camera, mesh.vertices[corners])[0] + 0.5) / (view.camera.width, view.camera.height)
         yield _text_lines("vt %.6f %.6f", np.column_stack([uv[:, 0], 1 - uv[:, 1]]))

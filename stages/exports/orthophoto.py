@@ -11,7 +11,7 @@ from ..core.cameras import project
 from ..core.ground_grid import preferred_above
 from ..types import Float64s, Int64s, Uint8s
 from .heights import map_cells, spacing
-from .mesh import NONE, Textured, cast, sampled, scene_of
+from .mesh import NO_VIEW, Textured, cast, sampled, scene_of
 
 if TYPE_CHECKING:
     from .world import Georeference
@@ -64,8 +64,8 @@ def _colours(textured: Textured, triangles: Int64s, uv: Float64s) -> Uint8s:
     corners, weights = textured.mesh.triangles[triangles], np.column_stack([1 - uv.sum(axis=1), uv])
     colours = np.einsum("nk,nkc->nc", weights, textured.mesh.colors[corners].astype(np.float64))
     points = np.einsum("nk,nkc->nc", weights, textured.mesh.vertices[corners])
-    chosen = textured.chosen[triangles]
-    for number in np.unique(chosen[chosen != NONE]).tolist():
+    chosen = textured.view_of_triangle[triangles]
+    for number in np.unique(chosen[chosen != NO_VIEW]).tolist():
         view, in_view = textured.views[number], chosen == number
         colours[in_view] = sampled(view.image, project(view.camera, points[in_view])[0])
     return np.asarray((colours + 0.5).clip(0, 255), np.uint8)

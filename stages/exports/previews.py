@@ -241,19 +241,19 @@ def _view_axes(cameras: Mapping[str, Camera]) -> tuple[Float64s, Float64s, Float
     return up, np.cross(ahead, up), ahead
 
 
-MOST = 3000
+MOST_KEYPOINTS = 3000
 """Largest number of keypoints that are shown in an image: more would hide it."""
-MOST_OF_A_PAIR = 400
+MOST_MATCHES = 400
 
 
 def keypoint_marks(features: Features) -> bytes:
     """Evenly sampled keypoints of a camera: shares of width and height as little-endian uint16."""
-    return _packed_pixels(features.xy[_sample(len(features.xy), MOST)], features.view)
+    return _packed_pixels(features.xy[_sample(len(features.xy), MOST_KEYPOINTS)], features.view)
 
 
 def inlier_marks(geometry: Geometry) -> bytes:
     """Evenly sampled inliers of a pair: positions in the left image, then as many in the right one, as in `keypoint_marks`."""
-    sample = _sample(len(geometry.x1), MOST_OF_A_PAIR)
+    sample = _sample(len(geometry.x1), MOST_MATCHES)
     return _packed_pixels(geometry.x1[sample], geometry.view1) + _packed_pixels(geometry.x2[sample], geometry.view2)
 
 

@@ -18,7 +18,7 @@ import numpy as np
 
 from ..types import NEW, VANISHED, Bools, Changes, Cloud, Float32s, Float64s, Int64s, Uint8s
 
-MOST = 600_000
+MOST_POINTS = 600_000
 """Largest number of points in a stream: a browser can turn them without a graphics card."""
 _SAMPLED_PER_POINT = 2
 """Larger clouds are sampled at regular steps, to about this many points for each one that is shown."""
@@ -46,7 +46,7 @@ class Layer(NamedTuple):
 Layers = dict[str, Layer]
 
 
-def cloud_view(cloud: Cloud, most: int = MOST) -> bytes:
+def cloud_view(cloud: Cloud, most: int = MOST_POINTS) -> bytes:
     """The stream of a cloud: one mean point for each voxel, the smallest voxels that leave at most `most` points."""
     sampled = slice(None, None, max(1, len(cloud.points) // (_SAMPLED_PER_POINT * most)))
     columns = (cloud.colors, cloud.confidence, cloud.views, cloud.sigma_mm)
@@ -68,7 +68,7 @@ def changes_view(changes: Changes) -> bytes:
     points = changes.points[chosen].astype(np.float64)
     kind = (changes.label[chosen] == VANISHED).astype(np.float32)
     values = np.column_stack([changes.colors[chosen], kind]).astype(np.float32)
-    points, values, voxel = _thinned(points, values, MOST // 6)
+    points, values, voxel = _thinned(points, values, MOST_POINTS // 6)
     return _stream(points, np.rint(values[:, :3]).astype(np.uint8), {"kind": Layer(values[:, 3], "")}, voxel, int(chosen.sum()))
 
 

@@ -20,7 +20,7 @@ _LEAST_FILLED = 0.5
 park and a stadium reach 0 to 0.25, nearly all walls and lawns there 0.54 to 1, cars and roads that show nothing 0 to 0.02."""
 
 
-def believed(frame: Frame, depth: DepthMap) -> Bools:
+def usable_pixels(frame: Frame, depth: DepthMap) -> Bools:
     """(h, w) pixels of a frame's mask whose depths may be used: all but large even regions in which too few pixels have one.
 
     Even regions smaller than the neighbourhood of `surface_support` are kept.  depth: the view's, from its pairs if it has any.

@@ -62,15 +62,15 @@ def own_logit(depth: DepthMap, usable: Bools) -> Float32s:
     return _logit(_OWN, own_evidence(depth, usable), usable & np.isfinite(depth.depth))
 
 
-def likelier(found: Sequence[TrustedDepth]) -> TrustedDepth:
+def merge_likelier(depths: Sequence[TrustedDepth]) -> TrustedDepth:
     """The first of one or two depth maps of a view, replaced by the second where it is not sure and the second is likelier.
 
     Refined depths are finer than those of pairs, which a probability of being right to two pixels does not show: sure ones stay.
     """
-    first, *others = found
+    first, *others = depths
     for other in others:
-        replaced = ~first.depth.sure & (other.own > first.own)
-        first = TrustedDepth(_merged(first.depth, other.depth, replaced), np.where(replaced, other.own, first.own))
+        replaced = ~first.depth.sure & (other.own_logit > first.own_logit)
+        first = TrustedDepth(_merged(first.depth, other.depth, replaced), np.where(replaced, other.own_logit, first.own_logit))
     return first
 
 
@@ -114,9 +114,9 @@ def evidence_of_others(check: CrossCheck) -> list[Float32s]:
     is left out, because their pairs are the independent evidence."""
     visible = check.visible.astype(np.float32)
     missing = (visible - check.agreeing) / (visible + np.float32(1.0))
-    hiding = check.hiding / (visible + check.hiding + np.float32(1.0))
+    occluding = check.occluding / (visible + check.occluding + np.float32(1.0))
     pairs = np.maximum(check.pairs - check.expected_wrong, np.float32(0.0))
-    return [check.opposing, np.log1p(pairs), missing, hiding]
+    return [check.opposing, np.log1p(pairs), missing, occluding]
 
 
 def noisiness(frame: Frame) -> Float32s:

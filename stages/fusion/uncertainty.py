@@ -53,7 +53,7 @@ def depth_variance(depth: DepthMap, check: CrossCheck, y: Int64s, x: Int64s) -> 
     distance = _NEIGHBOUR_PX * max(1, round(max(depth.depth.shape) / _NOMINAL_SIDE))
     roughness = _roughness(depth.depth, depth.slope_x, depth.slope_y, y, x, distance) * depth.depth[y, x] / sigma
     roughness_weight = np.where(roughness > _LEAST_ROUGHNESS, _ROUGHNESS_WEIGHT, 0.0)
-    log_ratio = check.apart[y, x] / np.maximum(views, 1.0) - np.where(views > 0, _MEAN_LOG_NORMAL, 0.0)
+    log_ratio = check.log_gap_sum[y, x] / np.maximum(views, 1.0) - np.where(views > 0, _MEAN_LOG_NORMAL, 0.0)
     weighted_logs = np.sqrt(views) * log_ratio + roughness_weight * np.log(np.maximum(roughness, _LEAST_ROUGHNESS))
     observed_sigma = sigma * np.exp(weighted_logs / (_MODEL_WEIGHT + np.sqrt(views) + roughness_weight))
     return np.asarray(observed_sigma**2 * (1.0 + _SHARED_ERROR / np.maximum(views, 1.0)), dtype=np.float64)

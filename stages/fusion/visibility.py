@@ -27,12 +27,12 @@ class CrossCheck:
     opposing: Float32s
     """Sum of the log-likelihood ratios, right depth to wrong depth, of the views for which it is negative: they look through the
     point, and count by the probability that their own depth is right."""
-    hiding: Uint8s
+    occluding: Uint8s
     """Number of other views that have something in front of the point."""
     expected_wrong: Float32s
     """Expected number of wrong pairs among `pairs`: the sum, over pairs whose other view looks through the point, of the
     probability that the other view's depth is right."""
-    apart: Float32s
+    log_gap_sum: Float32s
     """Sum over the agreeing views of the logarithm of a ratio: distance between the two surfaces along this view's ray, over the
     standard deviation expected from the sigmas of both depths."""
     nearest: Uint8s
@@ -44,7 +44,7 @@ class TrustedDepth:
     """The depth of a view, and how reliable it is without the other views."""
 
     depth: DepthMap
-    own: Float32s
+    own_logit: Float32s
     """(h, w) log-odds that the depth is right, from the view's own evidence alone."""
 
 
@@ -93,13 +93,13 @@ def cross_check(
     h, w = own.depth.shape
     numbers: dict[tuple[str, ...], int] = {}
     pairs = _own_pairs(own.support, _pair_numbers(name, own, numbers))
-    visible, agreeing, hiding = (np.zeros((h, w), np.uint8) for _ in range(3))
-    apart, least_extra, opposing, expected_wrong = (np.zeros((h, w), np.float32) for _ in range(4))
+    visible, agreeing, occluding = (np.zeros((h, w), np.uint8) for _ in range(3))
+    log_gap_sum, least_extra, opposing, expected_wrong = (np.zeros((h, w), np.float32) for _ in range(4))
     nearest = np.full((h, w), ITSELF, np.uint8)
     for k, other in enumerate(others):
         M, b = transfer(cameras[name], cameras[other])
         view = view_of(other)
-        partner = view.depth
+        partner, trust = view.depth, probability(view.own_logit)
         partner_pairs = _pair_numbers(other, partner, numbers)
         words = max(1, -(-min(len(numbers), _UNCOUNTED) // 64))  # of 64 bits each
         if words > len(pairs):
@@ -109,13 +109,13 @@ def cross_check(
         farther_by = np.append(2.0 * np.linalg.solve(cameras[name].K.T, baseline), baseline @ baseline)
         pair, index = min(numbers.get(tuple(sorted((name, other))), _UNCOUNTED), _UNCOUNTED), min(k, ITSELF)
         surface = own.depth, own.sigma, M, b, partner.depth, partner.slope_x, partner.slope_y, partner.sigma, partner.support
-        results = visible, agreeing, hiding, opposing, expected_wrong, pairs
-        _compare(*surface, probability(view.own), partner_pairs, pair, *results, index, farther_by, apart, nearest, least_extra)
+        results = visible, agreeing, occluding, opposing, expected_wrong, pairs
+        _compare(*surface, trust, partner_pairs, pair, *results, index, farther_by, log_gap_sum, nearest, least_extra)
     camera_numbers: dict[str, int] = {}
     pair_cameras = [[camera_numbers.setdefault(end, len(camera_numbers)) for end in two] for two in [*numbers][:_UNCOUNTED]]
     count, seen_by = np.zeros((h, w), np.uint8), np.zeros((h, w), np.uint16)
     _count_pairs_and_cameras(pairs, np.array(pair_cameras, np.uint16).reshape(-1, 2), count, seen_by)
-    return CrossCheck(count, seen_by, visible, agreeing, opposing, hiding, expected_wrong, apart, nearest)
+    return CrossCheck(count, seen_by, visible, agreeing, opposing, occluding, expected_wrong, log_gap_sum, nearest)
 
 
 def _pair_numbers(view: str, depth: DepthMap, numbers: dict[tuple[str, ...], int]) -> Uint8s:
@@ -144,8 +144,8 @@ def _own_pairs(support: Uint32s, pair_numbers: Uint8s) -> Uint64s:
 def _compare(
     depth: Float32s, sigma: Float32s, M: Float64s, b: Float64s, other_depth: Float32s, slope_x: Float32s, slope_y: Float32s,
     other_sigma: Float32s, other_support: Uint32s, trust: Float32s, pair_numbers: Uint8s, common_number: int,
-    visible: Uint8s, agreeing: Uint8s, hiding: Uint8s, opposing: Float32s, expected_wrong: Float32s, pairs: Uint64s,
-    view_index: int, farther_by: Float64s, apart: Float32s, nearest: Uint8s, least_extra: Float32s,
+    visible: Uint8s, agreeing: Uint8s, occluding: Uint8s, opposing: Float32s, expected_wrong: Float32s, pairs: Uint64s,
+    view_index: int, farther_by: Float64s, log_gap_sum: Float32s, nearest: Uint8s, least_extra: Float32s,
 ) -> None:  # fmt: skip
     h, w = depth.shape
     other_h, other_w = other_depth.shape
@@ -175,7 +175,7 @@ def _compare(
             tolerance = min(3.0 * sigma_z, _SAME_SURFACE * z)
             if surface_z < z - tolerance:  # the point is hidden there, so the pair with that view cannot support it
                 pairs[common_word, y, x] &= ~common
-                hiding[y, x] += 1
+                occluding[y, x] += 1
                 continue
             visible[y, x] += 1
             t, deviation = min(trust[j, i], _MOST_TRUST), (surface_z - z) / sigma_z
@@ -190,7 +190,7 @@ def _compare(
                 along = own * (n0 * (m00 * x + m01 * y + m02) + n1 * (m10 * x + m11 * y + m12) + n2 * (m20 * x + m21 * y + m22))
                 relative_gap = (1.0 - n0 * b0 - n1 * b1 - n2 * b2) / along - 1.0
                 expected = np.sqrt((sigma[y, x] / own) ** 2 + (other_sigma[j, i] / (z * along)) ** 2)
-                apart[y, x] += np.float32(np.log(max(abs(relative_gap) / expected, _LEAST_GAP)))
+                log_gap_sum[y, x] += np.float32(np.log(max(abs(relative_gap) / expected, _LEAST_GAP)))
                 extra_distance = farther_by[3] - own * (farther_by[0] * x + farther_by[1] * y + farther_by[2])
                 if extra_distance < least_extra[y, x]:
                     least_extra[y, x], nearest[y, x] = extra_distance, view_index

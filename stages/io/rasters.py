@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from ..types import Float32s, Uint8s, Uint16s
 
-MOST = 65535
+LARGEST_VALUE = 65535
 """The largest value of a 16-bit image."""
 
 
@@ -86,7 +86,7 @@ def stepped(values: npt.NDArray[Any], lowest: float) -> tuple[Uint16s, float]:
     """
     known = np.isfinite(values)
     span = float(values[known].max()) - lowest if known.any() else 0.0
-    steps = _preferred_below((MOST - 2) / span) if span > 0 else 1.0
+    steps = _preferred_below((LARGEST_VALUE - 2) / span) if span > 0 else 1.0
     quantised = np.zeros(values.shape, np.uint16)
     quantised[known] = np.round((values[known].astype(np.float64) - lowest) * steps + 1)
     return quantised, steps

@@ -13,7 +13,7 @@ from ..core.jit import helper, kernel
 from ..core.ordering import by_cell
 from ..types import PLAIN, TILTED, Features, Float32s, Float64s, Int32s, Int64s, Matches
 from .affine_field import AffineField
-from .neighbours import APART_PX, Neighbours, nearest_neighbours
+from .neighbours import LEAST_DISTANCE_PX, Neighbours, nearest_neighbours
 
 NEIGHBOURS = 7
 """Candidates that each keypoint proposes, by default."""
@@ -53,7 +53,7 @@ class ViewPair:
     x1: Float64s
     x2: Float64s
     frames1: Float64s
-    unframes2: Float64s
+    inverse_frames2: Float64s
     candidates: Candidates
 
 
@@ -111,8 +111,9 @@ def _candidates(descriptors1: Float32s, descriptors2: Float32s, neighbours: int)
 
 
 def rival_distances(left: Features, right: Features, pairs: tuple[ViewPair, ...], i1: Int32s, i2: Int32s) -> Float64s:
-    """(n,) descriptor distance of each match's nearest rival: a neighbour of one of its keypoints, at least `APART_PX` from the
-    other in the image.  Only the nearest few are searched: if all lie at the match itself, the last of them counts.
+    """(n,) descriptor distance of each match's nearest rival: a neighbour of one of its keypoints, at least
+    `LEAST_DISTANCE_PX` from the other in the image.  Only the nearest few are searched: if all lie at the match itself, the last
+    of them counts.
 
     Parameters
     ----------
@@ -132,8 +133,8 @@ def rival_distances(left: Features, right: Features, pairs: tuple[ViewPair, ...]
 
 
 def _first_distant(positions: Float64s, match: Float64s, distance: Float32s) -> Float64s:
-    """Descriptor distance of the first neighbour, of (n, k), that is at least `APART_PX` from the match, else of the last."""
-    distant = np.linalg.norm(positions - match[:, None], axis=2) >= APART_PX
+    """Descriptor distance of the first neighbour, of (n, k), at least `LEAST_DISTANCE_PX` from the match, else of the last."""
+    distant = np.linalg.norm(positions - match[:, None], axis=2) >= LEAST_DISTANCE_PX
     distant[:, -1] = True
     return np.asarray(distance[np.arange(len(distance)), distant.argmax(axis=1)], dtype=np.float64)
 

@@ -16,15 +16,15 @@ BINS = 36
 """Bins of the histogram of directions."""
 WINDOW, REACH = 1.5, 3.0
 """Gaussian weight in the histogram of directions: its sigma in sigmas of the keypoint, and its reach in its own sigmas."""
-STRONG = 0.8
+STRONG_SHARE = 0.8
 """Peaks of at least this share of the strongest one are main directions, too."""
-CELLS, TURNS = 4, 8
+CELLS, DIRECTIONS = 4, 8
 """Histograms along each side of the patch, and directions in each."""
 CELL_SIGMAS = 3.0
 """Width of a histogram's cell in sigmas of the keypoint."""
 SAMPLES = 20
 """Samples along the patch, which reaches half a cell beyond the histograms."""
-LENGTH = CELLS * CELLS * TURNS
+LENGTH = CELLS * CELLS * DIRECTIONS
 CLIP = 0.2
 """Upper limit of an element of a descriptor of unit length."""
 _GRADIENTS = 4, 64
@@ -119,7 +119,7 @@ def _directions(levels: Float32s, level: Int32s, points: Float64s, seam: float, 
 def _first_peak(smooth: Float64s, seam: float) -> float:
     """Angle of the first strong peak from the seam on, interpolated between bins by a parabola."""
     least_offset, peak = 7.0, seam
-    threshold = STRONG * smooth.max()
+    threshold = STRONG_SHARE * smooth.max()
     for b in range(BINS):
         v, left, right = smooth[b], smooth[b - 1], smooth[(b + 1) % BINS]
         if v > left and v > right and v >= threshold:
@@ -137,8 +137,8 @@ def _histograms(
     """Write the descriptors; points: (n, 4) x, y, sigma in pixels of the octave, direction; the rest: of `_sample_weights`."""
     patch = np.empty((SAMPLES + 2, SAMPLES + 2), np.float32)
     gx, gy, direction, magnitude = np.empty((4, SAMPLES), np.float32)
-    row_sums = np.empty((CELLS + 2, TURNS + 1), np.float32)
-    sums = np.empty((CELLS + 2, CELLS + 2, TURNS + 1), np.float32)
+    row_sums = np.empty((CELLS + 2, DIRECTIONS + 1), np.float32)
+    sums = np.empty((CELLS + 2, CELLS + 2, DIRECTIONS + 1), np.float32)
     for n in range(len(points)):
         x, y, spacing, angle = points[n, 0], points[n, 1], points[n, 2] * CELL_SIGMAS * (CELLS + 1) / SAMPLES, points[n, 3]
         _sample(levels[level[n]], x, y, spacing * np.cos(angle), spacing * np.sin(angle), patch)
@@ -147,12 +147,12 @@ def _histograms(
             for k in range(SAMPLES):
                 gx[k] = patch[r + 1, k + 2] - patch[r + 1, k]
                 gy[k] = patch[r + 2, k + 1] - patch[r, k + 1]
-            _gradient_directions(gx, gy, direction, magnitude, TURNS / (2 * np.pi))
+            _gradient_directions(gx, gy, direction, magnitude, DIRECTIONS / (2 * np.pi))
             _add_row(direction, magnitude, weight, first, share, row_sums)
             below = weight[r] * share[r]
             above, c = weight[r] - below, first[r]
             for i in range(CELLS + 2):
-                for o in range(TURNS + 1):
+                for o in range(DIRECTIONS + 1):
                     sums[c, i, o] += above * row_sums[i, o]
                     sums[c + 1, i, o] += below * row_sums[i, o]
         _write_descriptor(sums, out[n])
@@ -163,7 +163,7 @@ def _add_row(direction: Float32s, magnitude: Float32s, weight: Float32s, first: 
     """Histograms (cells, turns + 1) of one row's gradients, each shared between two cells and two directions."""
     sums[:] = 0
     for k in range(SAMPLES):
-        o = min(int(direction[k]), TURNS - 1)
+        o = min(int(direction[k]), DIRECTIONS - 1)
         fraction = direction[k] - np.float32(o)
         value = magnitude[k] * weight[k]
         second = value * share[k]
@@ -181,8 +181,8 @@ def _write_descriptor(sums: Float32s, out: Float32s) -> None:
     k = 0
     for i in range(1, CELLS + 1):
         for j in range(1, CELLS + 1):
-            for o in range(TURNS):
-                out[k] = sums[i, j, o] + (sums[i, j, TURNS] if o == 0 else np.float32(0))
+            for o in range(DIRECTIONS):
+                out[k] = sums[i, j, o] + (sums[i, j, DIRECTIONS] if o == 0 else np.float32(0))
                 k += 1
     for pass_number in range(2):
         length = np.float32(0)

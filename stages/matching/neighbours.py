@@ -10,7 +10,7 @@ from ..core.jit import helper, kernel
 from ..types import Float32s, Float64s, Int32s, Int64s, Uint8s, Uint64s
 
 _BLOCK, _SPAN = 512, 32
-APART_PX = 6.0
+LEAST_DISTANCE_PX = 6.0
 """Keypoints nearer to each other than this in an image count as the same thing."""
 
 
@@ -48,8 +48,8 @@ def nearest_neighbours(descriptors1: Float32s, descriptors2: Float32s, k: int) -
 
 
 def nearest_lookalike(descriptors: Float32s, xy: Float64s, others: int, begin: int = 0) -> Float32s:
-    """(n - begin,) distance of each descriptor to the most similar one, among the first `others`, at least `APART_PX` away in the
-    image.
+    """(n - begin,) distance of each descriptor to the most similar one, among the first `others`, at least `LEAST_DISTANCE_PX`
+    away in the image.
 
     Parameters
     ----------
@@ -65,7 +65,7 @@ def nearest_lookalike(descriptors: Float32s, xy: Float64s, others: int, begin: i
         symmetric = start < others
         first = start if symmetric else 0  # similarity is symmetric: each two of the first `others` are compared once
         rows = descriptors[start : min(start + _BLOCK, others) if symmetric else start + _BLOCK]
-        _raise_best(_products(rows, transposed[:, first:], buffer), start, first, xy, APART_PX**2, symmetric, best)
+        _raise_best(_products(rows, transposed[:, first:], buffer), start, first, xy, LEAST_DISTANCE_PX**2, symmetric, best)
     return _distance(np.maximum(best[begin:], -1))
 
 

@@ -37,19 +37,19 @@ Tilt = Literal["auto", "never", "always"]
 class Evidence:
     """Log odds of a candidate against "no partner", in nats.
 
-    Without a field: `alone - alone_slope q`, q = descriptor distance over the local noise level of descriptors.
-    With a field: `growing` (`final` in the last round) `- slope q` minus penalties `weight ln(1 + (error/scale)^2)` of the
-    distance to the prediction (over its sigma), of the log scale (over 0.25) and of the angle (over 0.25 rad), and minus
+    Without a field: `descriptor_base - descriptor_slope q`, q = descriptor distance over the local noise level of descriptors.
+    With a field: `field_base` (`final_base` in the last round) `- slope q` minus penalties `weight ln(1 + (error/scale)^2)` of
+    the distance to the prediction (over its sigma), of the log scale (over 0.25) and of the angle (over 0.25 rad), and minus
     `sigma_weight ln(sigma / 2 px)`: a Student density of the distance, which is lower where it is wider.
     With an epipolar line: `epipolar - epipolar_weight ln(1 + e^2)`, e in pixels.
     Fitted by maximum likelihood on the candidates of half of 68 pairs (photographed and rendered, truth by depth), so that p is a
-    probability; `final` is below the best fit, for precision.
+    probability; `final_base` is below the best fit, for precision.
     """
 
-    alone: float = 15.0
-    alone_slope: float = 14.2
-    growing: float = 17.0
-    final: float = 9.2
+    descriptor_base: float = 15.0
+    descriptor_slope: float = 14.2
+    field_base: float = 17.0
+    final_base: float = 9.2
     slope: float = 5.5
     distance_weight: float = 1.4
     sigma_weight: float = 1.7
@@ -175,10 +175,10 @@ def _expect(
         near_i, near_j, near_q = near_predictions(pair, field, sigma, trust)
         i, j, q = np.concatenate([i, near_i]), np.concatenate([j, near_j]), np.concatenate([q, near_q])
     log_odds = np.empty(len(i))
-    coefficients = np.array(astuple(replace(EVIDENCE, growing=EVIDENCE.final) if is_last else EVIDENCE))
+    coefficients = np.array(astuple(replace(EVIDENCE, field_base=EVIDENCE.final_base) if is_last else EVIDENCE))
     forward = field.affine @ pair.frames1
     _score(
-        i, j, q, pair.x2, forward, _log_scale(forward), pair.unframes2, _log_scale(pair.unframes2),
+        i, j, q, pair.x2, forward, _log_scale(forward), pair.inverse_frames2, _log_scale(pair.inverse_frames2),
         field.prediction, sigma, np.log(sigma / MIN_SIGMA_PX), trust, coefficients, log_odds,
     )  # fmt: skip
     if F is not None:
@@ -198,7 +198,7 @@ def _score(
     x2: Float64s,
     forward: Float64s,
     log_scale1: Float64s,
-    unframes2: Float64s,
+    inverse_frames2: Float64s,
     log_scale2: Float64s,
     prediction: Float64s,
     sigma: Float64s,
@@ -212,16 +212,16 @@ def _score(
     forward: keypoint frames of image 1 as the field maps them into image 2; log_scale1, log_scale2: log scale of these and of the
     inverse frames of image 2; log_sigma: ln(sigma / MIN_SIGMA_PX).
     """
-    alone, alone_slope, base, _, slope, by_distance, by_sigma, by_scale, by_angle = coefficients[:9]
+    descriptor_base, descriptor_slope, base, _, slope, by_distance, by_sigma, by_scale, by_angle = coefficients[:9]
     for c in range(len(i)):
         a, b = i[c], j[c]
         r2 = (x2[b, 0] - prediction[a, 0]) ** 2 + (x2[b, 1] - prediction[a, 1]) ** 2
         t = trust[a]
         penalty = by_distance * np.log(1 + r2 / sigma[a] ** 2) + by_sigma * log_sigma[a]
-        log_odds[c] = (1 - t) * (alone - alone_slope * q[c]) + t * (base - slope * q[c] - penalty)
+        log_odds[c] = (1 - t) * (descriptor_base - descriptor_slope * q[c]) + t * (base - slope * q[c] - penalty)
         if log_odds[c] < LEAST_LOG_ODDS - EPIPOLAR:
             continue
-        W, N = forward[a], unframes2[b]
+        W, N = forward[a], inverse_frames2[b]
         q00, q01 = N[0, 0] * W[0, 0] + N[0, 1] * W[1, 0], N[0, 0] * W[0, 1] + N[0, 1] * W[1, 1]
         q10, q11 = N[1, 0] * W[0, 0] + N[1, 1] * W[1, 0], N[1, 0] * W[0, 1] + N[1, 1] * W[1, 1]
         zoom = log_scale1[a] + log_scale2[b]
@@ -289,7 +289,7 @@ def _clear_matches(pair: ViewPair) -> tuple[Int32s, Int32s, Float64s, Float64s, 
     i, j, ratio = pair.candidates.near.mutual()
     keep = ratio < MAX_RATIO
     i, j = i[keep], j[keep]
-    affine = np.linalg.inv(pair.unframes2[j]) @ inverses(pair.frames1[i])
+    affine = np.linalg.inv(pair.inverse_frames2[j]) @ inverses(pair.frames1[i])
     return pair.rows1[i], pair.rows2[j], pair.x1[i], pair.x2[j], affine, ratio[keep]
 
 

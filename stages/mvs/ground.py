@@ -35,7 +35,7 @@ _PATCHES = 28
 """Patches across the wider side of a view."""
 _RADIUS = 4
 _LARGE_RADIUS, _LEAST_CORRELATION = 8, 0.9
-"""Radius of the large patches of `very_alike`, pixels, and the correlation above which they look the same."""
+"""Radius of the large patches of `count_alike_patches`, pixels, and the correlation above which they look the same."""
 _CANDIDATES = 4
 _MOST_PAIRS = 8
 _LEAST_SPREAD = 0.15
@@ -91,7 +91,7 @@ def fit_nearby_plane(views: list[tuple[Float32s, Camera]], plane: Float64s) -> t
     return _score(directed, fitted) / sum(len(pair.patches) for pair in directed), fitted
 
 
-def very_alike(views: list[tuple[Float32s, Camera]], plane: Float64s) -> int:
+def count_alike_patches(views: list[tuple[Float32s, Camera]], plane: Float64s) -> int:
     """Number of large patches that look the same in two views if they lie on the plane: one stone looks like another, but not
     together with its surroundings."""
     directed = _directed_pairs(views, _pairs([camera for _, camera in views]), plane[:3])

@@ -331,7 +331,7 @@ def propagate(
 
 
 @kernel
-def judge(
+def evaluate(
     image: Float32s, usable: Float32s, pairs: Uint64s, height: int, width: int, M: Float32s, b: Float32s, taps: Int32s,
     reach: int, limit: Scalar, planes: Float32s, first: Float32s, second: Float32s, support: Uint32s, parallax: Float32s,
 ) -> None:  # fmt: skip

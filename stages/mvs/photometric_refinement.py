@@ -41,7 +41,7 @@ _GRADIENT, _CURVATURE, _MOVED, _TOTALS = (i * _BLOCK for i in range(4))
 
 @helper
 def _window(
-    image: Float32s, usable: Float32s, taps: Int32s, fall: Float32s, reach: int, y: int, x0: int, n: int, window: Float32s
+    image: Float32s, usable: Float32s, taps: Int32s, tap_weights: Float32s, reach: int, y: int, x0: int, n: int, window: Float32s
 ) -> None:
     """The patches of `n` pixels from (x0, y) on: sums of weights, of weighted differences from the centre, and of their weighted
     squares; then each tap's weights, and its differences."""
@@ -50,7 +50,7 @@ def _window(
     centre = image[y + reach, x0 + reach :]
     for t in range(count):
         j, i = y + reach + taps[t, 1], x0 + reach + taps[t, 0]
-        grey, use, share = image[j, i:], usable[j, i:], fall[t]
+        grey, use, share = image[j, i:], usable[j, i:], tap_weights[t]
         weights, values = window[_WEIGHTS + t * _BLOCK :], window[_WEIGHTS + (count + t) * _BLOCK :]
         for x in range(n):
             d = grey[x] - centre[x]
@@ -168,9 +168,9 @@ def _move(s: Float32s, totals: Float32s) -> None:
 @kernel
 def refine_photometrically(
     image: Float32s, usable: Float32s, pairs: Uint64s, height: int, width: int, M: Float32s, b: Float32s, taps: Int32s,
-    fall: Float32s, reach: int, planes: Float32s,
+    tap_weights: Float32s, reach: int, planes: Float32s,
 ) -> None:  # fmt: skip
-    """Move planes in place.  `fall` (n,): weights of a patch's pixels by their distance from its centre; all else as in
+    """Move planes in place.  `tap_weights` (n,): weights of a patch's pixels by their distance from its centre; all else as in
     `mvs.kernels`."""
     h, w = planes.shape[1:]
     zero, radius = np.float32(0.0), np.float32(np.abs(taps).max())
@@ -189,7 +189,7 @@ def refine_photometrically(
                 s[_Q + x], s[_A + x], s[_B + x] = (q[x], a[x], c[x]) if has_plane else (zero, zero, zero)
             if plane_count == 0:
                 continue
-            _window(image, usable, taps, fall, reach, y, x0, n, window)
+            _window(image, usable, taps, tap_weights, reach, y, x0, n, window)
             totals[:] = zero
             for k in range(len(M)):
                 _project(height, width, M, b, k, radius, y, x0, s)

@@ -8,7 +8,7 @@ import numpy as np
 
 from ..core.jit import Scalar
 from ..types import Bools, Float32s, Float64s, Int32s, Uint32s
-from .kernels import BLOCK, NOISE, UNSEEN, judge, propagate
+from .kernels import BLOCK, NOISE, UNSEEN, evaluate, propagate
 from .photometric_refinement import refine_photometrically
 
 
@@ -26,9 +26,9 @@ class Support:
     """Sum of |dpixel/dq|^2 over these sources: the information on q per squared pixel of noise."""
 
 
-_CHANGES, _CHANGES_AGAIN = 3, 2
-"""Random changes that a pixel tries: at first, and `again`.  Where planes are nearly right, the cheapest of many changes is so by
-chance only: fewer changes give a better surface, in less time."""
+_CHANGES, _CHANGES_NEARLY_RIGHT = 3, 2
+"""Random changes that a pixel tries: at first, and if `nearly_right`.  There, the cheapest of many changes is so by chance only:
+fewer changes give a better surface, in less time."""
 
 
 class Propagation:
@@ -50,7 +50,9 @@ class Propagation:
         height, width = sources.shape[1:]
         self.views = *padded, pairs, height, width, M.astype(np.float32), b.astype(np.float32)  # as all kernels take them
 
-    def improve(self, planes: Float32s, sweeps: int, far: int, low: float, high: float, *, again: bool = False) -> Float32s:
+    def improve(
+        self, planes: Float32s, sweeps: int, ring_px: int, low: float, high: float, *, nearly_right: bool = False
+    ) -> Float32s:
         """Improve planes in place, holes (nan) included, by propagation from neighbours and ever smaller random changes.  Returns
         their cost (h, w) float32.
 
@@ -58,16 +60,16 @@ class Propagation:
         ----------
         planes : (3, h, w) float32: q, A, B.
         sweeps : passes over the image, alternately down and up.
-        far : distance of the second ring of neighbours, pixels.
+        ring_px : distance of the second ring of neighbours, pixels.
         low, high : limits of q.
-        again : the planes are nearly right: do at most one pass, with fewer neighbours and changes.
+        nearly_right : the planes are nearly right: do at most one pass, with fewer neighbours and changes.
         """
-        cost = np.full(planes.shape[1:], UNSEEN, np.float32)
-        best = np.zeros(planes.shape[1:], np.int32)
+        cost, best = np.full(planes.shape[1:], UNSEEN, np.float32), np.zeros(planes.shape[1:], np.int32)
         noise = np.random.default_rng(1).uniform(-1, 1, NOISE + BLOCK).astype(np.float32)
-        rings = np.array([(0, 1), (1, 0), (far, 0)] if again else [(0, 1), (1, 0), (0, far), (far, 0), (2, 3), (-2, 3)])
-        limits, changes = (Scalar(low), Scalar(high)), _CHANGES_AGAIN if again else _CHANGES
-        for sweep in range(min(sweeps, 1) if again else sweeps):
+        far_rings = [(ring_px, 0)] if nearly_right else [(0, ring_px), (ring_px, 0), (2, 3), (-2, 3)]
+        rings = np.array([(0, 1), (1, 0), *far_rings])
+        limits, changes = (Scalar(low), Scalar(high)), _CHANGES_NEARLY_RIGHT if nearly_right else _CHANGES
+        for sweep in range(min(sweeps, 1) if nearly_right else sweeps):
             propagate(*self.views, self.taps, self.reach, noise, sweep, rings, changes, *limits, planes, cost, best)
         return cost
 
@@ -77,13 +79,13 @@ class Propagation:
         """
         near = range(-radius, radius + 1)
         offsets = np.array(sorted(((i, j) for j in near for i in near), key=lambda at: at != (0, 0)), np.int32)
-        fall = np.exp(-2 * (offsets**2).sum(axis=1) / radius**2).astype(np.float32)
-        refine_photometrically(*self.views, offsets, fall, self.reach, planes)
+        tap_weights = np.exp(-2 * (offsets**2).sum(axis=1) / radius**2).astype(np.float32)
+        refine_photometrically(*self.views, offsets, tap_weights, self.reach, planes)
 
     def support(self, planes: Float32s, limit: float) -> Support:
         """Evidence of the sources for planes (3, h, w); a source supports a plane that costs less than `limit` in it."""
         shape = planes.shape[1:]
         first, second = np.full(shape, UNSEEN, np.float32), np.full(shape, UNSEEN, np.float32)
         result = Support(first, second, np.zeros(shape, np.uint32), np.zeros(shape, np.float32))
-        judge(*self.views, self.taps, self.reach, Scalar(limit), planes, *vars(result).values())
+        evaluate(*self.views, self.taps, self.reach, Scalar(limit), planes, *vars(result).values())
         return result

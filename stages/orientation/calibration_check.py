@@ -39,13 +39,13 @@ LEAST_NOISE_PX = 0.2
 """Smallest noise of matches: no image locates points better."""
 OUTLIER = 3.0
 """Scale of the loss, in standard deviations."""
-AGREEING = 0.8
+AGREEING_SIGMAS = 0.8
 """A pair agrees with the stated cameras if the median distance of its matches from the stated epipolar lines is below this (in
 standard deviations); its distant matches are then look-alikes, even confirmed ones (right cameras: 0.15 to 0.76, in a car park
 0.69 with a quarter of the matches elsewhere; focal lengths 3 % too long: 0.8 to 7.6)."""
 MEDIAN_ERROR = 0.79
 """Standard error of the median absolute value of normal deviates, times the square root of their number."""
-CONTRADICTED = 1.6
+CONTRADICTED_RATIO = 1.6
 """Confirmed matches contradict the stated cameras if their loss under these exceeds this multiple of that under their own F."""
 LEAST_LOSS_RATIO, LEAST_LOSS_RATIO_UNCONFIRMED = 1.12, 1.5
 """Smallest ratio of the loss under the stated cameras to the loss under a cause for it to be named: with confirmed matches, and
@@ -53,8 +53,8 @@ with unconfirmed ones.  Up to the first times the loss under their own F, matche
 LEAST_SHARE, LEAST_SHARE_UNCONFIRMED = 0.6, 0.8
 """A cause must remove this share of the loss beyond that under the matches' own F: if these are confirmed, and if not."""
 LEAST_LOSS = 30.0
-"""A cause must remove this total loss, in squared standard deviations (a pair counts as at most `COUNTED` matches)."""
-COUNTED = 50
+"""A cause must remove this total loss, in squared standard deviations (a pair counts as at most `MOST_COUNTED` matches)."""
+MOST_COUNTED = 50
 STRAYED_SIGMAS, FEWEST_RECOVERED = 1.6, 2
 """Some unconfirmed pairs match look-alikes, which no cause brings back to the lines.  A pair has strayed if its median distance
 exceeds the first, in standard deviations.  A cause is named if it brings at least `FEWEST_RECOVERED` pairs, and half of those
@@ -73,8 +73,8 @@ harbour, all of whose poses are right, yield 0.009."""
 CORNER = "principal-points-corner"
 CORNER_PX = np.array([-0.5, -0.5])
 """Correction of principal points that are counted from the corner of the first pixel instead of its centre."""
-FITS = 3.0
-"""Standard errors of the median added to `AGREEING` if no cause, or only a turned or moved camera, explains the matches."""
+SLACK_ERRORS = 3.0
+"""Standard errors of the median added to `AGREEING_SIGMAS` if no cause, or only a turned or moved camera, explains matches."""
 FEWEST_PAIRS = 4
 """Fewest pairs whose rows are compared: fewer show too little of a common cause."""
 FEWEST_TILES, LEAST_GAIN = 4, 15.0
@@ -107,7 +107,7 @@ class _CheckedView:
     stated: Camera | None = None
     """Camera whose K and distortion were used for the removal instead of the camera's own; None if the right ones were."""
 
-    def straight(self, x: Float64s) -> Float64s:
+    def undistort(self, x: Float64s) -> Float64s:
         """Pixels with the distortion removed correctly."""
         if self.k1 == 0 and self.stated is None:
             return x
@@ -134,7 +134,7 @@ class _Cause:
 
     name: str
     change: Callable[[_World, Float64s], _World]
-    about: tuple[str, ...] = ()
+    camera_of_unknown: tuple[str, ...] = ()
     """For each unknown, the camera that it concerns; "" for all."""
     cameras: tuple[str, ...] = ()
     """The cameras that the cause concerns; () for all."""
@@ -174,7 +174,7 @@ def misfit_without_cause(cameras: Mapping[str, Camera], geometries: Mapping[Pair
     """
     stated = {name: _CheckedView(camera) for name, camera in cameras.items()}
     confirmed, _ = _evidence(stated, geometries)
-    shared_causes = [cause for cause in _causes(stated, confirmed, unconfirmed=False) if cause.about and not cause.cameras]
+    shared_causes = [c for c in _causes(stated, confirmed, unconfirmed=False) if c.camera_of_unknown and not c.cameras]
     return min(_fit(cause, stated, confirmed).loss for cause in shared_causes) / _mean(confirmed, [m.own_loss for m in confirmed])
 
 
@@ -191,7 +191,7 @@ def check_rows(cameras: Mapping[str, Camera], rows: Mapping[Pair, RowMatches]) -
     if len(evidence) < FEWEST_PAIRS:
         return None
     stated = {name: _CheckedView(camera) for name, camera in cameras.items()}
-    loss, count = _loss(stated, evidence), sum(min(len(m.x1), COUNTED) for m in evidence)
+    loss, count = _loss(stated, evidence), sum(min(len(m.x1), MOST_COUNTED) for m in evidence)
     best = _simplest([_fit(cause, stated, evidence) for cause in _causes(stated, evidence, unconfirmed=False)], loss, slack=0.0)
     corner = _fit(_Cause(CORNER, lambda world, a: _for_all(_shifted_px, world, a * CORNER_PX), ("",)), stated, evidence)
     is_corner = best.cause.name == "principal-points" and loss - corner.loss >= LEAST_SHARE_UNCONFIRMED * (loss - best.loss)
@@ -231,10 +231,10 @@ def _check(stated: _World, confirmed: list[_Matches], other_matches: list[_Match
     excess = _excess(stated, evidence)
     if excess <= LEAST_LOSS_RATIO * own_loss:
         return check
-    exceeds_noise = check.confirmed and excess > CONTRADICTED * own_loss
+    exceeds_noise = check.confirmed and excess > CONTRADICTED_RATIO * own_loss
     best = _best_explanation(stated, evidence, own_loss, unconfirmed=not confirmed)
     if (best is None or best.cause.name in ("turned", "moved")) and _excess(
-        stated, evidence, tolerance=FITS
+        stated, evidence, tolerance=SLACK_ERRORS
     ) <= LEAST_LOSS_RATIO * own_loss:
         best, exceeds_noise = None, False  # few matches, most of which agree: a changed pose merely fits look-alikes
     named = replace(check, contradicted=exceeds_noise) if best is None else _with_cause(check, best, stated, evidence)
@@ -293,7 +293,7 @@ def _residuals(world: _World, matches: _Matches) -> Float64s:
     """Distances (n,) of matches to the epipolar lines, in standard deviations."""
     left, right = (world[name] for name in matches.pair)
     F = fundamental_from_cameras(left.camera, right.camera)
-    return sampson_distance(F, left.straight(matches.x1), right.straight(matches.x2)) / matches.noise_px
+    return sampson_distance(F, left.undistort(matches.x1), right.undistort(matches.x2)) / matches.noise_px
 
 
 def _median_distance(world: _World, matches: _Matches) -> float:
@@ -302,8 +302,8 @@ def _median_distance(world: _World, matches: _Matches) -> float:
 
 
 def _mean(evidence: list[_Matches], values: list[float]) -> float:
-    """Mean over pairs, weighted by their number of matches, up to `COUNTED`."""
-    return float(np.average(values, weights=[min(len(m.x1), COUNTED) for m in evidence]))
+    """Mean over pairs, weighted by their number of matches, up to `MOST_COUNTED`."""
+    return float(np.average(values, weights=[min(len(m.x1), MOST_COUNTED) for m in evidence]))
 
 
 def _loss(world: _World, evidence: list[_Matches]) -> float:
@@ -315,7 +315,7 @@ def _excess(world: _World, evidence: list[_Matches], tolerance: float = 0.0) -> 
 
     tolerance: of the agreement, in standard errors of the median.
     """
-    limits = [AGREEING + tolerance * MEDIAN_ERROR / sqrt(len(m.x1)) for m in evidence]
+    limits = [AGREEING_SIGMAS + tolerance * MEDIAN_ERROR / sqrt(len(m.x1)) for m in evidence]
     agrees = [_median_distance(world, m) <= limit for m, limit in zip(evidence, limits, strict=True)]
     return _mean(evidence, [m.own_loss if agreeing else _loss(world, [m]) for m, agreeing in zip(evidence, agrees, strict=True)])
 
@@ -323,7 +323,7 @@ def _excess(world: _World, evidence: list[_Matches], tolerance: float = 0.0) -> 
 def _explains(best: _Explanation, loss: float, own_loss: float, evidence: list[_Matches], unconfirmed: bool) -> bool:
     """Does a cause restore the fit that the matches have under their own geometry?"""
     ratio, share = (LEAST_LOSS_RATIO_UNCONFIRMED, LEAST_SHARE_UNCONFIRMED) if unconfirmed else (LEAST_LOSS_RATIO, LEAST_SHARE)
-    gain, count = loss - best.loss, sum(min(len(m.x1), COUNTED) for m in evidence)
+    gain, count = loss - best.loss, sum(min(len(m.x1), MOST_COUNTED) for m in evidence)
     return loss > ratio * best.loss and gain >= share * (loss - min(own_loss, best.loss)) and gain * count >= LEAST_LOSS
 
 
@@ -345,7 +345,7 @@ def _moved_px(stated: _World, fixed: _World, evidence: list[_Matches]) -> float:
 def _is_noticeable(stated: _World, fixed: _World, evidence: list[_Matches]) -> bool:
     """Do points move noticeably in another world, along their rays or because these turn?"""
     views = [(stated[name], fixed[name], x) for m in evidence for name, x in zip(m.pair, (m.x1, m.x2), strict=True)]
-    turns = [ray_angles(*(rays(view.camera, view.straight(x)).T for view in both)) * both[0].camera.K[0, 0] for *both, x in views]
+    turns = [ray_angles(*(rays(v.camera, v.undistort(x)).T for v in both)) * both[0].camera.K[0, 0] for *both, x in views]
     width = np.mean([view.camera.width for view, *_ in views])
     return bool(
         _moved_px(stated, fixed, evidence) >= LEAST_MOTION_ALONG * width or np.median(np.concatenate(turns)) >= LEAST_TURN * width
@@ -354,7 +354,7 @@ def _is_noticeable(stated: _World, fixed: _World, evidence: list[_Matches]) -> b
 
 def _depths(world: _World, matches: _Matches) -> tuple[Float64s, Float64s]:
     left, right = (world[name] for name in matches.pair)
-    return triangulate_depth(left.camera, right.camera, left.straight(matches.x1), right.straight(matches.x2))
+    return triangulate_depth(left.camera, right.camera, left.undistort(matches.x1), right.undistort(matches.x2))
 
 
 def _best_explanation(stated: _World, evidence: list[_Matches], own_loss: float, unconfirmed: bool) -> _Explanation | None:
@@ -369,17 +369,17 @@ def _simplest(explanations: list[_Explanation], loss: float, slack: float = 0.1)
     """The simplest of the causes that explain about as much of a loss as any; slack: tolerated share of the remaining loss."""
     least_loss = min(explanation.loss for explanation in explanations)
     limit = least_loss + max(slack * least_loss, 0.05 * (loss - least_loss))
-    return min(explanations, key=lambda e: (e.loss > limit, len(e.cause.about), e.loss))
+    return min(explanations, key=lambda e: (e.loss > limit, len(e.cause.camera_of_unknown), e.loss))
 
 
 def _fit(cause: _Cause, stated: _World, evidence: list[_Matches]) -> _Explanation:
     """The amount of a cause that fits the matches best, by Gauss-Newton steps on a loss whose scale tightens."""
     affected = [m for m in evidence if not cause.cameras or set(cause.cameras) & set(m.pair)]
-    amount, damping, scale = np.zeros(len(cause.about)), 1e-3, np.inf
+    amount, damping, scale = np.zeros(len(cause.camera_of_unknown)), 1e-3, np.inf
 
-    def residuals(amounts: Float64s, about: str = "") -> list[Float64s]:
+    def residuals(amounts: Float64s, camera: str = "") -> list[Float64s]:
         world = cause.change(stated, amounts)
-        return [_residuals(world, m) if not about or about in m.pair else current[k] for k, m in enumerate(affected)]
+        return [_residuals(world, m) if not camera or camera in m.pair else current[k] for k, m in enumerate(affected)]
 
     current: list[Float64s] = []
     current = residuals(amount)
@@ -387,8 +387,8 @@ def _fit(cause: _Cause, stated: _World, evidence: list[_Matches]) -> _Explanatio
         stacked = np.concatenate(current)
         scale = min(scale, max(OUTLIER, 1.5 * float(np.median(np.abs(stacked)))))
         cost = float(np.log1p((stacked / scale) ** 2).sum())
-        deltas = zip(cause.about, 1e-6 * np.eye(len(amount)), strict=True)
-        J = np.stack([(np.concatenate(residuals(amount + delta, about)) - stacked) / 1e-6 for about, delta in deltas], axis=1)
+        deltas = zip(cause.camera_of_unknown, 1e-6 * np.eye(len(amount)), strict=True)
+        J = np.stack([(np.concatenate(residuals(amount + delta, camera)) - stacked) / 1e-6 for camera, delta in deltas], axis=1)
         weight = 1 / (1 + (stacked / scale) ** 2)
         normal, gradient = J.T @ (J * weight[:, None]), J.T @ (weight * stacked)
         step = np.linalg.solve(normal + np.diag(damping * np.diag(normal) + 1e-9), -gradient)

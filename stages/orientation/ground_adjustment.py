@@ -15,7 +15,7 @@ import numpy as np
 
 from ..core.cameras import backproject
 from ..core.epipolar import triangulate_depth
-from ..mvs.ground import fit_nearby_plane, halved, likely_planes, very_alike
+from ..mvs.ground import count_alike_patches, fit_nearby_plane, halved, likely_planes
 from ..mvs.ground_prior import ground_matches
 from ..types import Camera, Float32s, Float64s, Geometry, Int64s, Pair
 from .pose_check import Sigma
@@ -69,7 +69,7 @@ def adjust_to_ground(
     fits = [_fit_finely(site, fit) for fit in _distinct(sorted(rough_fits, key=lambda fit: -fit.share), known)[:_MOST_PLANES]]
     if not fits:
         return None
-    counts = [very_alike(site.views(fit.adjusted.cameras, 2), fit.plane) for fit in fits]
+    counts = [count_alike_patches(site.views(fit.adjusted.cameras, 2), fit.plane) for fit in fits]
     best, *other_counts = sorted(counts, reverse=True)
     least_ratio = _LEAST_RATIO if len(site.images) > 2 else _LEAST_RATIO_FOR_TWO
     return fits[counts.index(best)].adjusted if best >= max(_FEWEST_PATCHES, least_ratio * max(other_counts, default=0)) else None

@@ -54,7 +54,7 @@ class _Equations:
     """(parts, n, n) normal matrices: rotation and centre of each view, then cx, cy, f, k1, k2 of each lens."""
     pulls: Float64s
     """(parts, n) right sides of the equations."""
-    at: dict[int, Int64s]
+    columns: dict[int, Int64s]
     """(11,) indices of each view's parameters."""
     solved: Int64s
     """Indices of the solved parameters."""
@@ -68,11 +68,11 @@ class _PrincipalPoint:
 
     step: Float64s
     """(2,) correction."""
-    without: Float64s
+    jackknife: Float64s
     """(parts, 2) further correction if a part of the scene is left out; the squares of all parts add up to variances."""
     by_noise: Float64s
     """(2, 2) covariance due to the noise."""
-    left: Float64s
+    prior_covariance: Float64s
     """(2, 2) covariance that remains from the prior."""
 
 
@@ -99,8 +99,8 @@ def lens_sigmas(model: Model, centre_sigma: float = CENTRE_SIGMA) -> dict[int, L
     equations = _equations(model)
     covariances = _covariances(equations, _principal_points(model, equations, centre_sigma))
     sigmas = {}
-    for view in [view for view in equations.at if view in model.lenses]:
-        columns, camera = equations.at[view][_POSE:], model.cameras[view]
+    for view in [view for view in equations.columns if view in model.lenses]:
+        columns, camera = equations.columns[view][_POSE:], model.cameras[view]
         shrinkage = min(1.0, _LONG_SIDE / max(camera.width, camera.height))
         noise_px, parts_px, centre_px = (_border_px(camera, covariance[np.ix_(columns, columns)]) for covariance in covariances)
         noise_f, parts_f, centre_f = (float(np.sqrt(covariance[columns[2], columns[2]])) for covariance in covariances)
@@ -116,16 +116,16 @@ def _can_estimate(model: Model) -> bool:
 def _principal_points(model: Model, equations: _Equations, centre_sigma: float) -> dict[int, _PrincipalPoint]:
     """Correction of the principal point of each solved lens from the prior and the images, by the first view of the lens."""
     columns = np.concatenate([equations.solved, *equations.centres.values()])
-    by_noise, without, step = _solve_columns(equations, columns)
+    by_noise, jackknife, step = _solve_columns(equations, columns)
     corrections = {}
-    for view, at in equations.centres.items():
-        by_parts = without[:, at].T @ without[:, at]
-        measured = max(by_noise[np.ix_(at, at)], by_parts, key=np.trace)
+    for view, centre in equations.centres.items():
+        by_parts = jackknife[:, centre].T @ jackknife[:, centre]
+        measured = max(by_noise[np.ix_(centre, centre)], by_parts, key=np.trace)
         prior = np.eye(2) * (centre_sigma * model.cameras[view].width) ** 2
         gain = prior @ np.linalg.inv(prior + measured)
         prior_share = np.eye(2) - gain
-        noise_covariance, left = gain @ by_noise[np.ix_(at, at)] @ gain.T, prior_share @ prior @ prior_share.T
-        corrections[view] = _PrincipalPoint(gain @ step[at], without[:, at] @ gain.T, noise_covariance, left)
+        noise_covariance, from_prior = gain @ by_noise[np.ix_(centre, centre)] @ gain.T, prior_share @ prior @ prior_share.T
+        corrections[view] = _PrincipalPoint(gain @ step[centre], jackknife[:, centre] @ gain.T, noise_covariance, from_prior)
     return corrections
 
 
@@ -170,7 +170,7 @@ def _equations(model: Model) -> _Equations:
     lens_index = {lens_id: k for k, lens_id in enumerate(dict.fromkeys(lens_ids))}
     lens_start, size = _POSE * len(views), _POSE * len(views) + _LENS * len(lens_index)
     lens_columns = lens_start + _LENS * np.array([lens_index[lens_id] for lens_id in lens_ids])[:, None] + np.arange(_LENS)
-    at = np.column_stack([_POSE * np.arange(len(views))[:, None] + np.arange(_POSE), lens_columns])
+    columns = np.column_stack([_POSE * np.arange(len(views))[:, None] + np.arange(_POSE), lens_columns])
     view_of = np.searchsorted(views, model.tracks.view[rows])
     points, point_of = np.unique(model.tracks.track[rows], return_inverse=True)
     noise = max(float(np.median(model.error_px()[rows])) / RAYLEIGH, 1e-6)
@@ -182,30 +182,30 @@ def _equations(model: Model) -> _Equations:
     np.add.at(V, point_of, np.einsum("nki,nkj->nij", P, P))
     inverse = np.linalg.inv(V + _REGULARISATION * np.trace(V, axis1=1, axis2=2)[:, None, None] * np.eye(3))
     part = _parts(model.X[points])
-    H, pulls = np.zeros((1 << _HALVINGS, size, size)), _pulls(J, P, r, inverse, at[view_of], point_of, part, size)
+    H, pulls = np.zeros((1 << _HALVINGS, size, size)), _pulls(J, P, r, inverse, columns[view_of], point_of, part, size)
     for k in range(len(H)):
-        mask, members = part[point_of] == k, np.flatnonzero(part == k)
-        H[k] = _reduced(J[mask], P[mask], inverse[members], at[view_of[mask]], np.searchsorted(members, point_of[mask]), size)
-    pose_columns = [at[k, :_POSE] for k, view in enumerate(views) if view not in model.held]
+        own, members = part[point_of] == k, np.flatnonzero(part == k)
+        H[k] = _reduced(J[own], P[own], inverse[members], columns[view_of[own]], np.searchsorted(members, point_of[own]), size)
+    pose_columns = [columns[k, :_POSE] for k, view in enumerate(views) if view not in model.held]
     first_views = {lens_id: k for k, lens_id in reversed([*enumerate(lens_ids)]) if views[k] in model.lenses}
-    solved = np.concatenate([*pose_columns, *(at[k, _POSE + 2 :] for k in first_views.values())])
-    centres = {views[k]: at[k, _POSE : _POSE + 2] for k in first_views.values()}
-    return _Equations(H, pulls, {view: at[k] for k, view in enumerate(views)}, solved, centres)
+    solved = np.concatenate([*pose_columns, *(columns[k, _POSE + 2 :] for k in first_views.values())])
+    centres = {views[k]: columns[k, _POSE : _POSE + 2] for k in first_views.values()}
+    return _Equations(H, pulls, {view: columns[k] for k, view in enumerate(views)}, solved, centres)
 
 
 def _covariances(equations: _Equations, centres: dict[int, _PrincipalPoint]) -> tuple[Float64s, Float64s, Float64s]:
     """Covariances (n, n) of all cameras and lenses: from the noise, from the parts of the scene, and from the remaining
     uncertainty of the principal points."""
-    by_noise, without, _ = _solve_columns(equations, equations.solved)
-    by_centre, total, without = np.zeros_like(by_noise), equations.H.sum(axis=0), without.copy()
+    by_noise, jackknife, _ = _solve_columns(equations, equations.solved)
+    by_centre, total, jackknife = np.zeros_like(by_noise), equations.H.sum(axis=0), jackknife.copy()
     solved = by_noise
     for view, centre in centres.items():
         sensitivity = -solved @ total[:, equations.centres[view]]
         sensitivity[equations.centres[view]] = np.eye(2)
         by_noise = by_noise + sensitivity @ centre.by_noise @ sensitivity.T
-        without += centre.without @ sensitivity.T
-        by_centre += sensitivity @ centre.left @ sensitivity.T
-    return by_noise, without.T @ without, by_centre
+        jackknife += centre.jackknife @ sensitivity.T
+        by_centre += sensitivity @ centre.prior_covariance @ sensitivity.T
+    return by_noise, jackknife.T @ jackknife, by_centre
 
 
 def _solve_columns(equations: _Equations, columns: Int64s) -> tuple[Float64s, Float64s, Float64s]:
@@ -218,8 +218,8 @@ def _solve_columns(equations: _Equations, columns: Int64s) -> tuple[Float64s, Fl
     scale = scale[:, None] * scale
     covariance = np.linalg.inv(total * scale) * scale
     step = covariance @ pulls.sum(axis=0)
-    without = np.linalg.inv((total - (1 - _KEPT_SHARE) * H) * scale) * scale
-    change = (1 - _KEPT_SHARE) * (without @ (pulls - H @ step)[:, :, None])[:, :, 0]
+    part_inverse = np.linalg.inv((total - (1 - _KEPT_SHARE) * H) * scale) * scale
+    change = (1 - _KEPT_SHARE) * (part_inverse @ (pulls - H @ step)[:, :, None])[:, :, 0]
     by_noise, moves, steps = (np.zeros_like(equations.H[0]), np.zeros_like(equations.pulls), np.zeros_like(equations.pulls[0]))
     by_noise[np.ix_(columns, columns)] = covariance
     moves[:, columns] = change * np.sqrt((len(H) - 1) / len(H))
@@ -242,15 +242,15 @@ def _parts(X: Float64s) -> Int64s:
 
 
 def _pulls(
-    J: Float64s, P: Float64s, r: Float64s, inverse: Float64s, at: Int64s, point_of: Int64s, part: Int64s, size: int
+    J: Float64s, P: Float64s, r: Float64s, inverse: Float64s, columns: Int64s, point_of: Int64s, part: Int64s, size: int
 ) -> Float64s:
     """(parts, size) right sides: the pull of the points of each part of the scene on cameras and lenses, with the points at their
     optimum; the parts add up to zero."""
     gradient = np.zeros((len(inverse), 3))
     np.add.at(gradient, point_of, np.einsum("nki,nk->ni", P, r))
-    left = r - np.einsum("nki,nij,nj->nk", P, inverse[point_of], gradient[point_of])
+    remaining = r - np.einsum("nki,nij,nj->nk", P, inverse[point_of], gradient[point_of])
     pulls = np.zeros((1 << _HALVINGS, size))
-    np.add.at(pulls, (part[point_of][:, None], at), np.einsum("nki,nk->ni", J, left))
+    np.add.at(pulls, (part[point_of][:, None], columns), np.einsum("nki,nk->ni", J, remaining))
     return pulls
 
 
@@ -273,13 +273,13 @@ def _linearised(model: Model, views: list[int], rows: Int64s, view_of: Int64s) -
     return np.concatenate([by_rotation, -P, np.tile(np.eye(2), (len(rows), 1, 1)), by_lens], axis=2), P, error
 
 
-def _reduced(J: Float64s, P: Float64s, inverse: Float64s, at: Int64s, point_of: Int64s, size: int) -> Float64s:
+def _reduced(J: Float64s, P: Float64s, inverse: Float64s, columns: Int64s, point_of: Int64s, size: int) -> Float64s:
     """The normal matrix of cameras and lenses (size, size) with the points eliminated.
 
     Points with equally many observations are processed together, and touch only the cameras that see them.
     """
     H, count = np.zeros(size * size), len(inverse)
-    np.add.at(H, (at[:, :, None] * size + at[:, None, :]).ravel(), np.einsum("nki,nkj->nij", J, J).ravel())
+    np.add.at(H, (columns[:, :, None] * size + columns[:, None, :]).ravel(), np.einsum("nki,nkj->nij", J, J).ravel())
     coupling = np.einsum("nki,nkj->nij", J, P)
     first_row, sightings = np.searchsorted(point_of, np.arange(count)), np.bincount(point_of, minlength=count)
     for n in np.unique(sightings).tolist():
@@ -287,7 +287,7 @@ def _reduced(J: Float64s, P: Float64s, inverse: Float64s, at: Int64s, point_of: 
         for k in range(0, len(points), _BATCH_POINTS):
             batch = points[k : k + _BATCH_POINTS]
             rows = first_row[batch][:, None] + np.arange(n)
-            W, columns = coupling[rows].reshape(len(batch), -1, 3), at[rows].reshape(len(batch), -1)
+            W, coupled = coupling[rows].reshape(len(batch), -1, 3), columns[rows].reshape(len(batch), -1)
             eliminated = W @ inverse[batch] @ np.swapaxes(W, 1, 2)
-            np.subtract.at(H, (columns[:, :, None] * size + columns[:, None, :]).ravel(), eliminated.ravel())
+            np.subtract.at(H, (coupled[:, :, None] * size + coupled[:, None, :]).ravel(), eliminated.ravel())
     return H.reshape(size, size)

@@ -16,7 +16,7 @@ from .pose_check import PAIR_PX, TRIPLET_PX, PoseConstraints, Triplet, seen_poin
 
 AGREE_DEG = 1.5
 """Largest difference between the rotations that two pairs give a camera for one pose to be fitted to both."""
-CLEARER = 2.0
+CLEARER_RATIO = 2.0
 """A constraint supports a new pose if it fits that this many times better than the stated one."""
 MIN_CELLS = 8
 """Fewest grid cells of the image (of 96) that the distinctive matches of a constraint must cover."""
@@ -33,7 +33,7 @@ class NewPose:
     camera: Camera
     support: int
     """Number of constraints that contradict the stated pose and support this one."""
-    left: int
+    contradictions: int
     """Number of contradictions that remain with it among all cameras."""
     pairs: tuple[Pair, ...]
     """Pairs that support it."""
@@ -55,8 +55,8 @@ def find_moved_cameras(cameras: Mapping[str, Camera], constraints: PoseConstrain
         candidates = {name: new_pose for name in undecided if (new_pose := _agreed_pose(name, cameras, remaining)) is not None}
         if not candidates:
             return moved if 2 * len(moved) < len(cameras) else {}
-        name = min(candidates, key=lambda n: (candidates[n].left, -candidates[n].support))
-        rivals = [n for n, new_pose in candidates.items() if n != name and new_pose.left <= candidates[name].left]
+        name = min(candidates, key=lambda n: (candidates[n].contradictions, -candidates[n].support))
+        rivals = [n for n, pose in candidates.items() if n != name and pose.contradictions <= candidates[name].contradictions]
         without_it = remaining.without({name})
         if ambiguous_rivals := [rival for rival in rivals if _agreed_pose(rival, cameras, without_it) is None]:
             ambiguous |= {name, *ambiguous_rivals}
@@ -77,16 +77,16 @@ def _agreed_pose(name: str, cameras: Mapping[str, Camera], constraints: PoseCons
     for start, start_pairs, start_triplets in _initial_poses(name, cameras, pairs, triplets):
         camera = _fitted(name, start, cameras, start_pairs, start_triplets)
         revised = {e.cameras: e for e in constraints.evidence({**cameras, name: camera}, name)}
-        left = sum(e.contradicts for e in revised.values())
+        remaining_count = sum(e.contradicts for e in revised.values())
         resolved = [key for key, e in stated.items() if e.contradicts and key in revised and not revised[key].contradicts]
-        supporters = [key for key in resolved if CLEARER * revised[key].excess <= stated[key].excess]
+        supporters = [key for key in resolved if CLEARER_RATIO * revised[key].excess <= stated[key].excess]
         partners = {other for key in supporters if len(key) == 2 for other in key if other != name}
-        if (len(partners) < 2 and not any(len(key) == 3 for key in supporters)) or len(supporters) <= left:
+        if (len(partners) < 2 and not any(len(key) == 3 for key in supporters)) or len(supporters) <= remaining_count:
             continue
-        if best is None or (other_contradictions + left, -len(supporters)) < (best.left, -best.support):
+        if best is None or (other_contradictions + remaining_count, -len(supporters)) < (best.contradictions, -best.support):
             supporting_pairs = tuple(pair for pair in pairs if pair in supporters)
-            best = NewPose(camera, len(supporters), other_contradictions + left, supporting_pairs)
-            if left == 0:
+            best = NewPose(camera, len(supporters), other_contradictions + remaining_count, supporting_pairs)
+            if remaining_count == 0:
                 break
     return best
 

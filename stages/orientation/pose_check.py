@@ -27,8 +27,7 @@ from ..types import Camera, Float64s, Geometry, Int32s, Int64s, Pair, PoseCheck
 MIN_SHARED = 20
 """Fewest matches of a pair, or points of three cameras, that count as evidence."""
 PAIR_PX, TRIPLET_PX = 1.0, 4.0
-"""Larger median errors contradict exact poses: of a pair, and of three cameras, where the errors of points and of matches add
-up."""
+"""Larger median errors contradict exact poses: of a pair, and of three cameras, where errors of points and matches add up."""
 DEVIATIONS = 3.0
 """Tolerance of poses with standard deviations, as a multiple of these."""
 TURNED_DEG = 0.5
@@ -105,12 +104,12 @@ class PoseConstraints:
         pairs = {pair: g for pair, g in self.pairs.items() if not set(pair) & names}
         return PoseConstraints(pairs, tuple(t for t in self.triplets if not set(t.cameras) & names))
 
-    def evidence(self, cameras: Mapping[str, Camera], about: str = "") -> list[Evidence]:
-        """Evidence from all constraints, or from those that involve the camera `about`."""
-        pairs = {pair: geometry for pair, geometry in self.pairs.items() if not about or about in pair}
+    def evidence(self, cameras: Mapping[str, Camera], camera: str = "") -> list[Evidence]:
+        """Evidence from all constraints, or from those that involve `camera`."""
+        pairs = {pair: geometry for pair, geometry in self.pairs.items() if not camera or camera in pair}
         collected = [Evidence(pair, epipolar_error_px(cameras, pair, geometry), PAIR_PX) for pair, geometry in pairs.items()]
         for triplet in self.triplets:
-            if (not about or about in triplet.cameras) and (error := triplet_error_px(cameras, triplet)) is not None:
+            if (not camera or camera in triplet.cameras) and (error := triplet_error_px(cameras, triplet)) is not None:
                 collected.append(Evidence(triplet.cameras, error, TRIPLET_PX))
         return collected
 

@@ -14,7 +14,7 @@ from ..core.cameras import same_camera
 from ..core.epipolar import fundamental_from_cameras, homogeneous, symmetric_epipolar_distance
 from ..core.least_squares import Equations, levenberg_marquardt
 from ..core.rotations import rotation_matrix, rotation_vector
-from ..sfm.rigs import between, rigs_of
+from ..sfm.rigs import rigs_of, rotation_between
 from ..sfm.tracks import Edge, Tracks, build_tracks
 from ..sfm.triangulation import angles, residuals, triangulate
 from ..types import Camera, Float64s, Geometry, Pair, at_rows
@@ -28,7 +28,7 @@ MIN_SHARE_OF_TRUSTED = 0.3
 """Replaces `MIN_SHARE` for matches that contain no look-alikes."""
 LEAST_NOISE_PX = 0.2
 """Smallest standard deviation of the matches: errors within a pair are correlated, however small the residuals."""
-ALONE, CONFIRMED = 4.0, 400.0
+WEIGHT_UNCONFIRMED, WEIGHT_CONFIRMED = 4.0, 400.0
 """Largest weight of a pair's matches, as a number of independent matches with a noise of one pixel: correlated errors do not
 average out.  The first is for pairs alone, which may contain look-alikes within the standard deviations (on a tiled square, a
 third of the matches, 6 px off), the second for pairs that a third camera confirms, which contain none."""
@@ -70,9 +70,9 @@ def adjust_within_priors(
     stated = {view_number[name]: camera for name, camera in cameras.items()}
     sigma_of = {view_number[name]: sigmas[name] for name in adjustable}
     triplets = PoseConstraints.of(names, {(names[i], names[j]): geometry for (i, j), geometry in edges.items()}).triplets
-    confirmed_pairs = {frozenset(pair) for triplet in triplets for pair in combinations(triplet.cameras, 2)}
+    confirmed = {frozenset(pair) for triplet in triplets for pair in combinations(triplet.cameras, 2)}
     while True:
-        weight = sum(CONFIRMED if trusted or {names[i], names[j]} in confirmed_pairs else ALONE for i, j in edges)
+        weight = sum(WEIGHT_CONFIRMED if trusted or {names[i], names[j]} in confirmed else WEIGHT_UNCONFIRMED for i, j in edges)
         solved, problem = _most_probable(stated, sigma_of, tracks, weight)
         strayed = {view: ratio for view, sigma in sigma_of.items() if (ratio := _excess(solved[view], stated[view], sigma)) > 1}
         if not strayed:
@@ -139,7 +139,7 @@ class _Problem:
         blocks = {view: 6 * k for k, view in enumerate(dict.fromkeys(self.first.values()))}
         self.place = {view: blocks[first] for view, first in self.first.items()}
         self.size = 6 * len(blocks)
-        self.turns = {v: between(stated[first].lens, stated[v].lens) for v, first in self.first.items() if first != v}
+        self.turns = {v: rotation_between(stated[first].lens, stated[v].lens) for v, first in self.first.items() if first != v}
 
     def points(self, cameras: Mapping[int, Camera]) -> Float64s:
         """(count, 3) points triangulated from the observations."""

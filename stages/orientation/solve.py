@@ -9,7 +9,7 @@ import numpy as np
 
 from ..core.cameras import relative_pose
 from ..core.epipolar import fundamental_from_cameras, symmetric_epipolar_distance
-from ..core.residual_distortion import STRAIGHT_PX, residual_px, without_distortion
+from ..core.residual_distortion import UNDISTORTED_PX, residual_px, without_distortion
 from ..core.rotations import angle_between_deg
 from ..reasons import Reason, Rejected
 from ..sfm.consistent_matches import consistent_matches
@@ -24,7 +24,7 @@ from .pose_check import LEAST_PROBABILITY, confirmed, epipolar_error_px
 from .triplet_consistency import FEWEST, MOST_INCONSISTENCY, inconsistency
 from .world import World, to_world
 
-WORSE = 1.25
+WORSE_RATIO = 1.25
 """A pair is flagged if its inliers fit the adjusted F worse than its own F by this factor and by `WORSE_PX`."""
 WORSE_PX = 0.1
 
@@ -130,7 +130,7 @@ def _collect(
     ordered = [name for name in graph.names if name in cameras]
     checks = {graph.pair(edge): _check(graph, edge, cameras, dropped.get(edge), max_epipolar_px) for edge in graph.geometries}
     unsolved = {name: _why_unsolved(graph, name, dropped, unsupported) for name in graph.names if name not in cameras}
-    if distorted := {name: px for name in ordered if (px := residual_px(cameras[name])) > STRAIGHT_PX}:
+    if distorted := {name: px for name in ordered if (px := residual_px(cameras[name])) > UNDISTORTED_PX}:
         message = f"the lenses of {', '.join(distorted)} bend straight lines (corners by up to {max(distorted.values()):.1f} px)"
         notes.append(
             f"{message}: later stages are corrected for it; matching is, too, once these solved cameras are the calibration"
@@ -173,14 +173,14 @@ def _check(
         return PairCheck(False, separate.reason, separate.code, own_px)
     F = fundamental_from_cameras(left, right)
     adjusted_px = float(np.median(symmetric_epipolar_distance(F, geometry.x1, geometry.x2)))
-    undistorted_px = straight_error_px(left, right, geometry)
+    undistorted_px = undistorted_error_px(left, right, geometry)
     R = graph.rotations.get(edge)
     rotation_error = float("nan") if R is None else angle_between_deg(R, relative_pose(left, right)[0])
     if undistorted_px <= max_epipolar_px:
         rejection = None  # cameras that were solved without this pair agree with it after all
     elif rejection is None:
         rejection = Rejected(Reason.CONTRADICTS_CAMERAS, {"epipolar_px": undistorted_px})
-    is_worse = adjusted_px > max(WORSE * own_px, own_px + WORSE_PX)
+    is_worse = adjusted_px > max(WORSE_RATIO * own_px, own_px + WORSE_PX)
     note = f"adjusted epipolar error {adjusted_px:.2f} px, {own_px:.2f} px before" if is_worse else ""
     if rejection is not None:
         return PairCheck(False, rejection.reason, rejection.code, own_px, adjusted_px, rotation_error, is_worse, "solved")
@@ -222,7 +222,7 @@ def _joins(graph: ViewGraph, groups: list[list[str]]) -> tuple[str, ...]:
     return tuple("--".join(sorted((best[0], other), key=position.__getitem__)) for other in best[1:])
 
 
-def straight_error_px(left: Camera, right: Camera, geometry: Geometry) -> float:
+def undistorted_error_px(left: Camera, right: Camera, geometry: Geometry) -> float:
     """Median distance of a pair's inliers, with radial distortion removed, to the epipolar lines of its cameras."""
     x1, x2 = without_distortion(left, geometry.x1), without_distortion(right, geometry.x2)
     return float(np.median(symmetric_epipolar_distance(fundamental_from_cameras(left, right), x1, x2)))
@@ -241,7 +241,7 @@ def without_unsupported(model: Model, geometries: Mapping[Edge, Geometry], max_e
         balance = dict.fromkeys((first_of.get(view, view) for view in model.cameras if view not in model.held), 0)
         for (i, j), geometry in geometries.items():
             if i in model.cameras and j in model.cameras:
-                agrees = straight_error_px(model.cameras[i], model.cameras[j], geometry) <= max_epipolar_px
+                agrees = undistorted_error_px(model.cameras[i], model.cameras[j], geometry) <= max_epipolar_px
                 for view in balance.keys() & {first_of.get(i, i), first_of.get(j, j)}:
                     balance[view] += geometry.inliers if agrees else -geometry.inliers
         worst = min(balance, key=lambda view: (balance[view], view), default=None)

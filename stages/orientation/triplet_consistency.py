@@ -68,5 +68,5 @@ def inconsistency(model: Model, geometries: Mapping[Edge, Geometry]) -> float:
 def _errors(model: Model, cameras: Mapping[int, Camera]) -> Float64s:
     """(n,) errors in pixels of a model's observations with these cameras, and with points triangulated for them."""
     posed = replace(model, cameras=dict(cameras))
-    X = triangulate(posed.cameras, posed.straight, model.use, 1.0)
+    X = triangulate(posed.cameras, posed.undistorted_tracks, model.use, 1.0)
     return replace(posed, X=X).error_px()[model.use]

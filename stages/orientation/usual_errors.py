@@ -22,7 +22,7 @@ USUAL_DEG, USUAL_SHARE = 0.03, 5e-4
 """Standard deviations of usual surveys: of rotations, degrees, and of positions, as a share of the distance to the scene."""
 LEAST_GAIN, LEAST_WEIGHT = 0.1, 100.0
 """Smallest reduction of the misfit by corrected poses, and smallest value of that times the number of matches."""
-LEFT = 1.05
+MOST_MISFIT = 1.05
 """Largest misfit under corrected poses.  Fountain and entry with errors of 0.005 to 0.04 degrees or 5 to 10 mm: from 1.17 to 6.5
 down to at most 1.03.  One of 438 faults on twelve rendered scenes, which does little harm, is mistaken for such errors."""
 MOST_SHARED = 0.8
@@ -48,7 +48,7 @@ def correct_usual_errors(
     pairs = PoseConstraints.of(tuple(cameras), geometries).pairs
     corrected = adjust_within_priors(cameras, _usual_sigmas(cameras, pairs), pairs).cameras
     corrected_check = check_calibration(corrected, geometries)
-    if corrected_check is None or corrected_check.misfit > LEFT:
+    if corrected_check is None or corrected_check.misfit > MOST_MISFIT:
         return stated, check
     gain = check.misfit - corrected_check.misfit
     if gain < LEAST_GAIN or gain * check.matches < LEAST_WEIGHT:

@@ -16,7 +16,7 @@ from ..core.lenses import lens_rays
 from ..core.residual_distortion import without_distortion
 from ..core.rotations import Similarity, angle_between_deg, nearest_rotation, with_rotation
 from ..sfm.incremental import Model, refine, replace_cameras
-from ..sfm.rigs import rigs_of, whole_R
+from ..sfm.rigs import camera_R, rigs_of
 from ..sfm.tracks import Tracks
 from ..sfm.triangulation import triangulate
 from ..sfm.view_graph import ViewGraph
@@ -58,15 +58,15 @@ def to_world(graph: ViewGraph, model: Model, placements: Mapping[str, Placement]
     cameras = model.cameras
     further_views = {view for views in rigs_of(cameras).values() for view in views[1:]}  # their positions add no information
     first_views = [view for view in cameras if view not in further_views]
-    placed = {view: placements[name] for view in first_views if (name := graph.names[view]) in placements}
+    known = {view: placements[name] for view in first_views if (name := graph.names[view]) in placements}
     landmarks = [
         Landmark(graph.names[view], cameras[view].C, p.C, cameras[view].R if p.R is not None else None, p.R, p.sigma_m)
-        for view, p in placed.items()
+        for view, p in known.items()
         if p.C is not None
     ]
     landmarks += control_landmarks(cameras, graph.names, graph.views, survey)
-    metric = all(p.metric for p in placed.values() if p.C is not None)
-    up = upward([replace(cameras[view], R=whole_R(cameras[view])) for view in first_views])
+    metric = all(p.metric for p in known.values() if p.C is not None)
+    up = upward([replace(cameras[view], R=camera_R(cameras[view])) for view in first_views])
     depth = _median_depth(model)
     scale = _scale_of_distances(graph, cameras, survey)
     known_scale = scale is not None
@@ -78,9 +78,9 @@ def to_world(graph: ViewGraph, model: Model, placements: Mapping[str, Placement]
         known_count = sum(p.C is not None for name, p in placements.items() if name not in further_names)
         is_single = known_count == 1  # without a scale, a model cannot be placed relative to several known positions
         return World(model, bool(landmarks) and (known_scale or is_single), known_scale, scale_source, {})
-    trusted, doubted = alignment.trusted, alignment.doubted
+    trusted, deviations = alignment.trusted, alignment.deviations
     unplaced, model = model, _transformed(model, alignment.similarity)
-    exact_views = [view for view, p in placed.items() if p.R is not None and p.C is not None and max(p.sigma_m, p.sigma_deg) == 0]
+    exact_views = [view for view, p in known.items() if p.R is not None and p.C is not None and max(p.sigma_m, p.sigma_deg) == 0]
     view_number = {name: view for view, name in enumerate(graph.names)}
     held = [view_number[name] for name in trusted if (p := placements.get(name)) and p.R is not None and p.sigma_m == 0]
     if len(held) < 2 <= len(exact_views):  # fewer than two known poses agree with the model, so these cannot place it
@@ -100,10 +100,10 @@ def to_world(graph: ViewGraph, model: Model, placements: Mapping[str, Placement]
         if len(positions) >= 3 and min(sigma for _, sigma in positions.values()) < LOOSE_SHARE * distance:
             model = refine(model, positions=positions)
     exact_names = {graph.names[view] for view in exact_views}
-    suspects = {name: _suspect_message(name, *deviation) for name, deviation in doubted.items() if name not in exact_names}
+    suspects = {name: _suspect_message(name, *deviation) for name, deviation in deviations.items() if name not in exact_names}
     doubtful = {
         name: f"the model of the others has it {deviation[0]:.3g} m away from its known pose. It stays in use: has it been moved?"
-        for name, deviation in doubted.items()
+        for name, deviation in deviations.items()
         if name in exact_names
     }
     source = "known distances" if len(landmarks) < 2 else _source(trusted, len(landmarks))
@@ -121,11 +121,11 @@ def _source(trusted: tuple[str, ...], known_count: int) -> str:
 def _scale_of_distances(graph: ViewGraph, cameras: Mapping[int, Camera], survey: Survey) -> float | None:
     """Metres for each unit of the model, from the known distances; None without any."""
     ratios = []
-    placed = {camera_id(graph.names[view], camera): camera.C for view, camera in cameras.items()}
+    centre_of = {camera_id(graph.names[view], camera): camera.C for view, camera in cameras.items()}
     for i, j, metres in survey.distances:
         a, b = survey.cameras[int(i)], survey.cameras[int(j)]
-        if a in placed and b in placed:
-            ratios.append(metres / np.linalg.norm(placed[a] - placed[b]))
+        if a in centre_of and b in centre_of:
+            ratios.append(metres / np.linalg.norm(centre_of[a] - centre_of[b]))
     return float(np.median(ratios)) if ratios else None
 
 
@@ -138,7 +138,7 @@ def _own_frame(
         baselines = [np.linalg.norm(cameras[i].C - cameras[j].C) for i, j in graph.geometries if i in cameras and j in cameras]
         scale = 1 / float(np.median(baselines))
     first_camera = cameras[min(cameras)]
-    right = whole_R(first_camera)[0] - (whole_R(first_camera)[0] @ up) * up
+    right = camera_R(first_camera)[0] - (camera_R(first_camera)[0] @ up) * up
     right /= np.linalg.norm(right)
     R = np.array([right, np.cross(up, right), up])
     origin, target = first_camera.C, np.zeros(3)
@@ -205,7 +205,7 @@ class Alignment:
     """Model to world."""
     trusted: tuple[str, ...]
     """Names of the landmarks that agree with it."""
-    doubted: dict[str, tuple[float, float]]
+    deviations: dict[str, tuple[float, float]]
     """Deviations of the other landmarks, by name: length in the world, degrees (nan if no rotation is known)."""
 
 
@@ -264,8 +264,7 @@ def fit_similarity(landmarks: Sequence[Landmark], up: Float64s, scale: float | N
 
 
 def upward(cameras: Sequence[Camera]) -> Float64s:
-    """(3,) the direction that is most likely up: cameras are mounted level, so their x axes are horizontal and their y axes point
-    down."""
+    """(3,) the most likely upward direction: cameras are mounted level, so x axes are horizontal and y axes point down."""
     x = np.array([camera.R[0] for camera in cameras])
     down = np.mean([camera.R[1] for camera in cameras], axis=0)
     down /= np.linalg.norm(down) + 1e-300

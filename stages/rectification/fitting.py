@@ -41,12 +41,12 @@ class Footprint(NamedTuple):
     shorter: Float64s
 
 
-Placed = tuple[Rectification, list[Footprint]]
+Layout = tuple[Rectification, list[Footprint]]
 
 
-def placed(
+def fit_layout(
     pair: MatchedPair, method: str, rectifier: Callable[[], Homographies | PolarImages], fallback: bool
-) -> Placed | Rejected:
+) -> Layout | Rejected:
     """The rectification by the method; if that fails, by Hartley's homographies, which bend x least; else polar.
 
     Parameters
@@ -67,14 +67,14 @@ def placed(
             continue
         if isinstance(images, PolarImages):
             return _by_polar_rows(pair, images, name, reason)
-        placed = _by_homographies(pair, images, name, reason, allow_torn=not fallback)
-        if not isinstance(placed, str):
-            return placed
-        reason = placed
+        layout = _by_homographies(pair, images, name, reason, allow_torn=not fallback)
+        if not isinstance(layout, str):
+            return layout
+        reason = layout
     return _by_polar_rows(pair, polar(pair), "polar", reason)
 
 
-def _by_homographies(pair: MatchedPair, homographies: Homographies, method: str, reason: str, allow_torn: bool) -> Placed | str:
+def _by_homographies(pair: MatchedPair, homographies: Homographies, method: str, reason: str, allow_torn: bool) -> Layout | str:
     H1, H2 = homographies
     shown1, shown2 = pair.shown()
     in_front1, in_front2 = _third_coordinate(H1, shown1) > 0, _third_coordinate(H2, shown2) > 0
@@ -103,7 +103,7 @@ def _third_coordinate(H: Float64s, x: Float64s) -> Float64s:
     return np.asarray(x @ H[2, :2] + H[2, 2], dtype=np.float64)
 
 
-def _by_polar_rows(pair: MatchedPair, images: PolarImages, method: str, reason: str) -> Placed | Rejected:
+def _by_polar_rows(pair: MatchedPair, images: PolarImages, method: str, reason: str) -> Layout | Rejected:
     rows1, rows2, size1, size2, agreement = images
     if agreement < 0.98:
         return Rejected(Reason.EPIPOLE_AMONG_MATCHES, {"same_side": agreement})
@@ -115,7 +115,7 @@ def _by_polar_rows(pair: MatchedPair, images: PolarImages, method: str, reason: 
     return too_few if min(footprint.share for footprint in footprints) == 0 else (result, footprints)
 
 
-def finished(
+def finish_layout(
     found: Rectification,
     footprints: list[Footprint],
     pair: MatchedPair,

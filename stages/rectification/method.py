@@ -30,14 +30,14 @@ class MatchedPair:
     camera2: Camera | None
     angle_deg: float
     """Median angle between the two rays of a match; nan if neither cameras nor geometry give it."""
-    around: Points = None
+    extra_points: Points = None
     """Further points (m, 2), (m, 2) that the rectified images must show, although they are not matched."""
 
     def shown(self) -> tuple[Float64s, Float64s]:
         """Points in both images around which the rectified images are cropped."""
-        if self.around is None:
+        if self.extra_points is None:
             return self.x1, self.x2
-        return np.concatenate([self.x1, self.around[0]]), np.concatenate([self.x2, self.around[1]])
+        return np.concatenate([self.x1, self.extra_points[0]]), np.concatenate([self.x2, self.extra_points[1]])
 
 
 class Homographies(NamedTuple):

@@ -10,7 +10,7 @@ import numpy as np
 import pycolmap
 
 from ..types import Bools, Camera, Float64s
-from .rigs import between, rigs_of
+from .rigs import rigs_of, rotation_between
 from .tracks import Tracks
 
 pycolmap.logging.minloglevel = pycolmap.logging.Level.FATAL.value  # rejected steps of Ceres are no cause for concern
@@ -120,7 +120,7 @@ def _add_rig(model: pycolmap.Reconstruction, cameras: Mapping[int, Camera]) -> N
         if view == first:
             rig.add_ref_sensor(sensor)
         else:
-            turn = np.column_stack([between(cameras[first].lens, camera.lens), np.zeros(3)])
+            turn = np.column_stack([rotation_between(cameras[first].lens, camera.lens), np.zeros(3)])
             rig.add_sensor(sensor, pycolmap.Rigid3d(turn))
         frame.add_data_id(pycolmap.data_t(sensor, view + 1))
     model.add_rig(rig)

@@ -17,8 +17,8 @@ from ..core.residual_distortion import without_distortion
 from ..twoview.robust import pinhole
 from ..types import Bools, Camera, Float64s, Geometry
 from .bundle import adjust
-from .rigs import beside
-from .tracks import Edge, Tracks, spread_tracks, straightened
+from .rigs import posed_by_sibling
+from .tracks import Edge, Tracks, spread_tracks, undistort_tracks
 from .triangulation import angles, posed, residuals, triangulate
 
 LOOSE_PX = 4.0
@@ -28,7 +28,7 @@ NOISES = 20.0
 the noise is that of the many small keypoints: large keypoints scatter more, and they connect wide views."""
 COARSE_PX = 1.0
 """Scale of the robust loss while views are still being added."""
-FINE = 10.0
+FINE_SIGMAS = 10.0
 """Scale of the robust loss in the final adjustment, in standard deviations of the noise."""
 MIN_ANGLE = np.radians(1.0)
 """Rays that meet at less than this (radians) yield no point."""
@@ -40,14 +40,14 @@ KNOWN_SHARE = 0.5
 """A model starts from known cameras if these agree on this share of the points that at least two of them see."""
 SAME_LENGTH = 0.1
 """Points agree on a baseline if the lengths they imply differ from the median by less than this share; half of them must."""
-SETTLED = 1e-3
+LEAST_CHANGED = 1e-3
 """Rounds end when no more than this share of the observations enters or leaves."""
-ROUGH, EXACT = 1e-5, 1e-6
+ROUGH_GAIN, EXACT_GAIN = 1e-5, 1e-6
 """An adjustment ends when a step lowers its cost by no more than this share: of a growing model, and of the final one.  Long rows
 of cameras need the exact one, as bending them costs almost nothing: with 1e-5, one of 100 cameras ended four times as far off."""
-GROWN = 1.25
+GROWTH_FACTOR = 1.25
 """All cameras are adjusted again when their number has grown by this factor since the last time."""
-SKETCH, SKETCH_STEPS = 5, 10
+SKETCH_OBSERVATIONS, SKETCH_STEPS = 5, 10
 """Observations in each grid field of a view, and steps, of an adjustment while the model grows."""
 FOCALS_FROM = 3
 """Focal lengths are solved from this number of views on: two views leave them nearly free."""
@@ -75,13 +75,13 @@ class Model:
     """Views whose cameras are known and stay fixed."""
 
     @property
-    def straight(self) -> Tracks:
+    def undistorted_tracks(self) -> Tracks:
         """The observations with the radial distortion of the cameras removed."""
-        return straightened(self.tracks, self.cameras)
+        return undistort_tracks(self.tracks, self.cameras)
 
     def error_px(self) -> Float64s:
         """(n,) distance of each observation to its projected point; nan or inf if there is none."""
-        return np.asarray(np.linalg.norm(residuals(self.cameras, self.straight, self.X), axis=1), dtype=np.float64)
+        return np.asarray(np.linalg.norm(residuals(self.cameras, self.undistorted_tracks, self.X), axis=1), dtype=np.float64)
 
 
 def grow(
@@ -111,7 +111,7 @@ def grow(
     while next_view := _next_view(model, cameras, geometries, failed):
         view, camera = next_view
         model = replace_cameras(model, {**model.cameras, view: camera})
-        if len(model.cameras) >= GROWN * adjusted_count:
+        if len(model.cameras) >= GROWTH_FACTOR * adjusted_count:
             model, adjusted_count = _sketched(model), len(model.cameras)
         else:
             model = _with_view_fitted(model, view)
@@ -127,7 +127,7 @@ def _next_view(
     failed: number of points seen by each view that could not be placed; it is tried again only with more.
     """
     for view, unposed in cameras.items():
-        if view not in model.cameras and (camera := beside(unposed, model.cameras)):
+        if view not in model.cameras and (camera := posed_by_sibling(unposed, model.cameras)):
             return view, camera
     tracks = model.tracks
     counts = np.bincount(tracks.view[np.isfinite(model.X[tracks.track, 0])], minlength=max(cameras) + 1)
@@ -147,7 +147,7 @@ def _sketched(model: Model) -> Model:
     focals = _solved_lenses(model) if len(model.cameras) >= FOCALS_FROM else {}
     args = model.cameras, model.tracks, model.X, _spread_use(model)
     held = model.held
-    cameras, _ = adjust(*args, held=held, focals=focals, loss_px=COARSE_PX, tolerance=ROUGH, iterations=SKETCH_STEPS)
+    cameras, _ = adjust(*args, held=held, focals=focals, loss_px=COARSE_PX, tolerance=ROUGH_GAIN, iterations=SKETCH_STEPS)
     return _retriangulated(replace(model, cameras=cameras))
 
 
@@ -164,11 +164,11 @@ def _with_view_fitted(model: Model, view: int) -> Model:
     part_tracks = Tracks(number[tracks.track[rows]], tracks.view[rows], tracks.xy[rows], int(seen.sum()))
     part_cameras = {v: model.cameras[v] for v in np.unique(part_tracks.view).tolist() if v in model.cameras}
     part = _retriangulated(Model(part_cameras, part_tracks, model.X[seen], model.use[rows], model.lenses))
-    if part.use.any() and beside(model.cameras[view], others) is None:
+    if part.use.any() and posed_by_sibling(model.cameras[view], others) is None:
         lenses = _solved_lenses(model)
         own_lens = {view: lenses[view]} if list(lenses.values()).count(lenses.get(view, -1)) == 1 else {}
         args, held = (part_cameras, part_tracks, part.X, _spread_use(part)), [v for v in part_cameras if v != view]
-        cameras, _ = adjust(*args, held=held, focals=own_lens, loss_px=COARSE_PX, tolerance=ROUGH, iterations=SKETCH_STEPS)
+        cameras, _ = adjust(*args, held=held, focals=own_lens, loss_px=COARSE_PX, tolerance=ROUGH_GAIN, iterations=SKETCH_STEPS)
         part = _retriangulated(replace(part, cameras=cameras))
     X, use = model.X.copy(), model.use.copy()
     X[seen], use[rows] = part.X, part.use
@@ -177,7 +177,7 @@ def _with_view_fitted(model: Model, view: int) -> Model:
 
 def _spread_use(model: Model) -> Bools:
     """(n,) observations in use of a subset of the tracks that still covers every view."""
-    return np.asarray(model.use & spread_tracks(model.tracks, model.use, SKETCH)[model.tracks.track])
+    return np.asarray(model.use & spread_tracks(model.tracks, model.use, SKETCH_OBSERVATIONS)[model.tracks.track])
 
 
 def _solved_lenses(model: Model) -> dict[int, int]:
@@ -207,12 +207,12 @@ def refine(
     adjusted_use = np.zeros_like(model.use)
     for _ in range(rounds):
         model = _retriangulated(model)
-        if (model.use != adjusted_use).sum() <= SETTLED * model.use.sum():
+        if (model.use != adjusted_use).sum() <= LEAST_CHANGED * model.use.sum():
             break
         adjusted_use = model.use
         noise = max(_noise(model.error_px()[model.use]), 4e-4)
         weighted = {view: (C, sigma / noise) for view, (C, sigma) in (positions or {}).items()}
-        loss, tolerance = (COARSE_PX, ROUGH) if rough else (FINE * noise, EXACT)
+        loss, tolerance = (COARSE_PX, ROUGH_GAIN) if rough else (FINE_SIGMAS * noise, EXACT_GAIN)
         args = model.cameras, model.tracks, model.X, model.use
         cameras, X = adjust(*args, held=held, focals=free_lenses, positions=weighted, loss_px=loss, tolerance=tolerance)
         model = _filtered(replace(model, cameras=cameras, X=X))
@@ -299,7 +299,7 @@ def _attached_to_pair(camera: Camera, view: int, model: Model, geometries: Mappi
     This serves views so far apart that too few points are seen by three of them.
     """
     best: tuple[int, Camera] | None = None
-    tracks = model.straight
+    tracks = model.undistorted_tracks
     rows = np.flatnonzero((tracks.view == view) & np.isfinite(model.X[tracks.track, 0]))
     for edge, geometry in geometries.items():
         other = edge[1] if edge[0] == view else edge[0]
@@ -339,7 +339,7 @@ def _with_own_lenses(model: Model) -> Model:
 
 def _retriangulated(model: Model) -> Model:
     """The model with all points triangulated again from all observations, then without outliers."""
-    tracks = model.straight
+    tracks = model.undistorted_tracks
     all_posed = posed(model.cameras, tracks)
     X = triangulate(model.cameras, tracks, all_posed, 1.0)
     filtered = _filtered(replace(model, X=X, use=all_posed))

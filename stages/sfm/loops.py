@@ -26,7 +26,7 @@ from .rotation_averaging import View, rotations_along_tree
 
 PARTS_DEG = (180.0, 120.0, 90.0, 60.0)
 """Rotations between equal sides of a building, as parts of a full turn: two, three, four and six sides."""
-PART_WITHIN_DEG = 2.0
+PART_TOLERANCE_DEG = 2.0
 ROW_SHARE, ROW_INLIERS = 0.2, 20
 """A rival with the same rotation indicates a row from this share of the accepted inliers, and this many matches, on."""
 
@@ -79,7 +79,7 @@ def ambiguity_kind(geometry: Geometry) -> AmbiguityKind | None:
 
 
 def _is_part_of_turn(degrees: float) -> bool:
-    return min(abs(degrees - part) for part in PARTS_DEG) <= PART_WITHIN_DEG
+    return min(abs(degrees - part) for part in PARTS_DEG) <= PART_TOLERANCE_DEG
 
 
 def distinct_copies(posed: Mapping[Pair, Geometry], triangles: Iterable[tuple[str, str, str]]) -> bool:
@@ -112,10 +112,10 @@ def why_ambiguous(geometries: Iterable[Geometry], usual: Shares) -> Reason | Non
     return likeliest if odds[likeliest] > 0 else None
 
 
-STANDS_ALONE = log(19)
+LEAST_SCORE_UNCONFIRMED = log(19)
 """Log odds that a pair needs if no third camera confirms it: one in twenty such pairs may be wrong.  A confirmed pair need only
 be more likely right than wrong."""
-STANDS_ALONE_BARE = 1.0
+LEAST_SCORE_WITHOUT_SEARCH = 1.0
 """Score that an unconfirmed pair needs if no rival was searched for."""
 
 
@@ -158,20 +158,20 @@ PRIOR_SHIFT = 0.5
 
 
 def check_loops(
-    geometries: Mapping[Pair, Geometry], unsure_deg: Mapping[Pair, float] | None = None, usual: LoopStatistics = USUAL
+    geometries: Mapping[Pair, Geometry], uncertainty_deg: Mapping[Pair, float] | None = None, usual: LoopStatistics = USUAL
 ) -> dict[Pair, LoopCheck]:
     """Judge all pairs of a site together: which of them may be used for solving poses.
 
     The triangles of cameras give posterior log odds (exact for few pairs, else mean-field).  Then pairs that disagree with the
     rotations along the maximum spanning tree of the accepted pairs are dropped.  Pairs without a relative pose are judged by
-    their score alone; a pair in no triangle needs a score above `STANDS_ALONE` (or `STANDS_ALONE_BARE`).
+    their score alone; a pair in no triangle needs a score above `LEAST_SCORE_UNCONFIRMED` (or `LEAST_SCORE_WITHOUT_SEARCH`).
 
-    unsure_deg: additional tolerance for the rotations of pairs whose lenses are only guessed: a triangle that a wrong focal
+    uncertainty_deg: additional tolerance for the rotations of pairs whose lenses are only guessed: a triangle that a wrong focal
     length may keep open is no evidence against its pairs.
     """
     posed = {pair: g for pair, g in geometries.items() if g.cam2_R_cam1 is not None and g.cam2_t_cam1 is not None}
     triangles = triangles_of(posed)
-    uncertainty = unsure_deg or {}
+    uncertainty = uncertainty_deg or {}
     slack = [max(uncertainty.get(side, 0.0) for side in ((a, b), (b, c), (a, c))) for a, b, c in triangles]
     closed = np.array([closes(posed, *names, usual, extra) for names, extra in zip(triangles, slack, strict=True)], dtype=bool)
     pairs = list(geometries)
@@ -215,7 +215,7 @@ def _rejection(geometry: Geometry, log_odds: float, figures: dict[str, float]) -
 
 def _least_score_alone(geometry: Geometry) -> float:
     """The score that this pair needs if no other confirms it."""
-    return STANDS_ALONE if isfinite(geometry.rival_turned_deg) else STANDS_ALONE_BARE
+    return LEAST_SCORE_UNCONFIRMED if isfinite(geometry.rival_turned_deg) else LEAST_SCORE_WITHOUT_SEARCH
 
 
 def _unsupported(
@@ -228,11 +228,11 @@ def _unsupported(
     must be closed as open; if none is closed, the pair needs the score of an unconfirmed one.
     """
     closed_count, open_count = dict.fromkeys(accepted, 0), dict.fromkeys(accepted, 0)
-    for (a, b, c), closes in zip(triangles, closed.tolist(), strict=True):
+    for (a, b, c), is_closed in zip(triangles, closed.tolist(), strict=True):
         sides = ((a, b), (b, c), (a, c))
         if accepted.issuperset(sides):
             for side in sides:
-                (closed_count if closes else open_count)[side] += 1
+                (closed_count if is_closed else open_count)[side] += 1
     unsupported = {}
     for pair in accepted:
         if open_count[pair] > closed_count[pair]:
@@ -290,9 +290,9 @@ def _exact_log_odds(prior: Float64s, members: Int64s, closed: Bools, usual: Loop
     likelihood = np.zeros(len(is_right))
     for column, odds in zip(is_right.T, prior.tolist(), strict=True):
         likelihood[column] += odds
-    for triangle, closes in zip(members, closed.tolist(), strict=True):
+    for triangle, is_closed in zip(members, closed.tolist(), strict=True):
         p_right, p_wrong = usual.closed_right, usual.closed_wrong
-        probabilities = (p_right, p_wrong) if closes else (1 - p_right, 1 - p_wrong)
+        probabilities = (p_right, p_wrong) if is_closed else (1 - p_right, 1 - p_wrong)
         likelihood += np.where(is_right[:, triangle].all(axis=1), *np.log(probabilities))
     weight = np.exp(likelihood - likelihood.max())
     ratios = [(weight[column].sum() + 1e-12) / (weight[~column].sum() + 1e-12) for column in is_right.T]
@@ -307,20 +307,20 @@ def _approximate_log_odds(prior: Float64s, members: Int64s, closed: Bools, usual
         support, opposition = np.zeros(len(prior)), np.zeros(len(prior))
         for side in range(3):
             p_others = p[members[:, (side + 1) % 3]] * p[members[:, (side + 2) % 3]]
-            closes = np.log((p_others * p_right + (1 - p_others) * p_wrong) / p_wrong)
-            opens = np.log((p_others * (1 - p_right) + (1 - p_others) * (1 - p_wrong)) / (1 - p_wrong))
-            np.add.at(support, members[closed, side], closes[closed])
-            np.add.at(opposition, members[~closed, side], opens[~closed])
+            if_closed = np.log((p_others * p_right + (1 - p_others) * p_wrong) / p_wrong)
+            if_open = np.log((p_others * (1 - p_right) + (1 - p_others) * (1 - p_wrong)) / (1 - p_wrong))
+            np.add.at(support, members[closed, side], if_closed[closed])
+            np.add.at(opposition, members[~closed, side], if_open[~closed])
         evidence = np.minimum(LOOP_WEIGHT * support, LOOP_CAP) + np.maximum(LOOP_WEIGHT * opposition, -LOOP_CAP)
         log_odds = 0.5 * log_odds + 0.5 * (prior + evidence)
     return log_odds
 
 
 def _against_tree(
-    posed: Mapping[Pair, Geometry], accepted: Mapping[Pair, float], unsure_deg: Mapping[Pair, float], limit_deg: float
+    posed: Mapping[Pair, Geometry], accepted: Mapping[Pair, float], uncertainty_deg: Mapping[Pair, float], limit_deg: float
 ) -> dict[Pair, float]:
     """Accepted pairs whose rotation is off by more than `limit_deg` from the maximum spanning tree's, and by how much."""
     relative = {pair: _pose(posed[pair])[0] for pair in accepted}
     world = rotations_along_tree(relative, accepted)
     errors_deg = {(a, b): angle_between_deg(R, world[b] @ world[a].T) for (a, b), R in relative.items()}
-    return {pair: degrees for pair, degrees in errors_deg.items() if degrees > limit_deg + unsure_deg.get(pair, 0.0)}
+    return {pair: degrees for pair, degrees in errors_deg.items() if degrees > limit_deg + uncertainty_deg.get(pair, 0.0)}

@@ -20,21 +20,22 @@ def rigs_of(cameras: Mapping[int, Camera] | Mapping[int, View]) -> dict[int, lis
     return {first: views for first, views in views_of.items() if len(views) > 1}
 
 
-def between(one: Lens | None, other: Lens | None) -> Float64s:
+def rotation_between(lens1: Lens | None, lens2: Lens | None) -> Float64s:
     """(3, 3) rotation from the axes of one view to those of another view of the same camera."""
-    assert one is not None and other is not None and one.turn is not None and other.turn is not None
-    return other.turn @ one.turn.T
+    assert lens1 is not None and lens2 is not None and lens1.turn is not None and lens2.turn is not None
+    return lens2.turn @ lens1.turn.T
 
 
-def whole_R(camera: Camera) -> Float64s:
+def camera_R(camera: Camera) -> Float64s:
     """(3, 3) rotation from world axes to those of the camera that a view belongs to; most views have their camera's own axes."""
     return camera.R if camera.lens is None or camera.lens.turn is None else camera.lens.turn.T @ camera.R
 
 
-def beside(bare: Camera, cameras: Mapping[int, Camera]) -> Camera | None:
-    """The view `bare`, of which only the intrinsics are used, posed by another view of its camera among `cameras`; None if there
-    is none."""
-    for placed in cameras.values():
-        if same_camera(bare, placed):
-            return replace(bare, R=between(placed.lens, bare.lens) @ placed.R, C=placed.C, component=placed.component)
+def posed_by_sibling(unposed: Camera, cameras: Mapping[int, Camera]) -> Camera | None:
+    """The view `unposed`, of which only the intrinsics are used, posed by another view of its camera among `cameras`; None if
+    there is none."""
+    for sibling in cameras.values():
+        if same_camera(unposed, sibling):
+            R = rotation_between(sibling.lens, unposed.lens) @ sibling.R
+            return replace(unposed, R=R, C=sibling.C, component=sibling.component)
     return None

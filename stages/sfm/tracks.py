@@ -38,7 +38,7 @@ class Tracks:
     """Number of tracks."""
 
 
-def straightened(tracks: Tracks, cameras: Mapping[int, Camera]) -> Tracks:
+def undistort_tracks(tracks: Tracks, cameras: Mapping[int, Camera]) -> Tracks:
     """The tracks with the radial distortion of the cameras removed."""
     xy = tracks.xy.copy()
     for view, camera in cameras.items():

@@ -11,7 +11,7 @@ from ..core.jit import helper, kernel
 from ..types import Bools, Camera, Float64s, Int32s, Int64s
 from .tracks import Tracks
 
-POLISH, SETTLED = 4, 1e-6
+POLISHING_STEPS, LEAST_STEP = 4, 1e-6
 """Largest number of Gauss-Newton steps on the reprojection error after the linear solution; none follows a step that gains less
 than the second, in squared pixels."""
 PARALLEL = 1e-9
@@ -115,7 +115,7 @@ def _points(
         if count < 2 or _solve(H, g, step) < PARALLEL * count**2:
             continue
         X[t] = step
-        for _ in range(POLISH):
+        for _ in range(POLISHING_STEPS):
             H[:], g[:] = 0, 0
             for k in range(first[t], first[t + 1]):
                 if use[k]:
@@ -127,7 +127,7 @@ def _points(
             if _solve(H, g, step) > 0 and np.isfinite(step.sum()):
                 X[t] += step
                 gain = g[0] * step[0] + g[1] * step[1] + g[2] * step[2]
-            if gain < SETTLED:
+            if gain < LEAST_STEP:
                 break
     return X
 

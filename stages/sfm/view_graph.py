@@ -18,7 +18,7 @@ from ..twoview.robust import pose_of_fundamental
 from ..types import Camera, Float64s, Geometry, Pair, View
 from .incremental import Model, grow
 from .loops import USUAL, LoopStatistics, check_loops
-from .rigs import between, rigs_of
+from .rigs import rigs_of, rotation_between
 from .rotation_averaging import average_rotations, components
 from .tracks import Edge, build_tracks
 
@@ -48,24 +48,26 @@ class ViewGraph:
         return cls(names, tuple(views.values()), lenses, edges, rotations)
 
     @cached_property
-    def tied(self) -> dict[Edge, Float64s]:
+    def fixed_rotations(self) -> dict[Edge, Float64s]:
         """Rotations from the first view of each camera to its other views."""
         views = dict(enumerate(self.views))
-        return {(a, b): between(views[a].lens, views[b].lens) for a, (_, *others) in rigs_of(views).items() for b in others}
+        siblings = [(a, b) for a, (_, *others) in rigs_of(views).items() for b in others]
+        return {(a, b): rotation_between(views[a].lens, views[b].lens) for a, b in siblings}
 
     def pair(self, edge: Edge) -> str:
         return f"{self.names[edge[0]]}--{self.names[edge[1]]}"
 
     def consistent(self, tolerance_deg: float, usual: LoopStatistics = USUAL) -> tuple[list[Edge], dict[Edge, Rejected]]:
         """The pairs that the site as a whole supports and whose rotations agree, and why the others are left out."""
-        uncertain = {(self.names[i], self.names[j]): deg for (i, j), deg in unsure_deg(self.geometries, self.lenses).items()}
+        uncertainty_deg = rotation_uncertainty_deg(self.geometries, self.lenses)
+        uncertain = {(self.names[i], self.names[j]): degrees for (i, j), degrees in uncertainty_deg.items()}
         named_pairs = {(self.names[i], self.names[j]): geometry for (i, j), geometry in self.geometries.items()}
         loop_checks = check_loops(named_pairs, uncertain, usual)
         checks = {edge: loop_checks[self.names[edge[0]], self.names[edge[1]]] for edge in self.geometries}
         dropped = {edge: check.rejected for edge, check in checks.items() if check.rejected is not None}
         accepted = {edge: R for edge, R in self.rotations.items() if edge not in dropped}
-        weights = {edge: checks[edge].good_probability for edge in accepted} | dict.fromkeys(self.tied, _CERTAIN)
-        averaged = average_rotations(accepted | self.tied if accepted else {}, weights)
+        weights = {edge: checks[edge].good_probability for edge in accepted} | dict.fromkeys(self.fixed_rotations, _CERTAIN)
+        averaged = average_rotations(accepted | self.fixed_rotations if accepted else {}, weights)
         trusted = []
         for edge, R in accepted.items():
             error_deg = angle_between_deg(R, averaged[edge[1]] @ averaged[edge[0]].T)
@@ -78,8 +80,8 @@ class ViewGraph:
     def models(self, trusted: list[Edge], known: Mapping[int, Camera]) -> list[Model]:
         """A model of every connected part, largest first; known cameras stay fixed."""
         grown = []
-        tied = list(self.tied)
-        waiting = [part for part in components([*trusted, *tied], _views([*trusted, *tied])) if {*part} & {*_views(trusted)}]
+        fixed = list(self.fixed_rotations)
+        waiting = [part for part in components([*trusted, *fixed], _views([*trusted, *fixed])) if {*part} & {*_views(trusted)}]
         while waiting:
             part = waiting.pop(0)
             edges = {edge: self.geometries[edge] for edge in trusted if edge[0] in part and edge[1] in part}
@@ -91,7 +93,7 @@ class ViewGraph:
                 continue
             grown.append(model)
             unplaced = [view for view in part if view not in model.cameras]
-            unplaced_edges = [e for e in (*edges, *tied) if e[0] in unplaced and e[1] in unplaced]
+            unplaced_edges = [e for e in (*edges, *fixed) if e[0] in unplaced and e[1] in unplaced]
             waiting += [p for p in components(unplaced_edges, unplaced) if len(p) > 1]
         return sorted(grown, key=lambda model: (-len(model.cameras), min(model.cameras)))
 
@@ -236,7 +238,7 @@ def relative_rotations(geometries: Mapping[Edge, Geometry], lenses: Lenses) -> d
     return posed
 
 
-def unsure_deg(geometries: Mapping[Edge, Geometry], lenses: Lenses) -> dict[Edge, float]:
+def rotation_uncertainty_deg(geometries: Mapping[Edge, Geometry], lenses: Lenses) -> dict[Edge, float]:
     """By how much (degrees) the rotation of each pair changes if the guessed focal lengths grow by `GUESS_SIGMA`."""
     scale = np.diag([1 + GUESS_SIGMA, 1 + GUESS_SIGMA, 1.0])
     scaled_lenses = replace(lenses, K={k: K @ scale if k in lenses.solved else K for k, K in lenses.K.items()})

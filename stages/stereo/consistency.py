@@ -16,24 +16,24 @@ low angle changes by several pixels from row to row, but never along a row."""
 
 
 @kernel
-def disagreement(one: Float32s, other: Float32s, sign: int) -> Float32s:
+def disagreement(disparity: Float32s, other_disparity: Float32s, sign: int) -> Float32s:
     """(h, w) float32: difference between a view's disparity and that of the pixel it points to, inf where either is unknown.
 
-    sign: -1 when `one` belongs to the left view (x2 = x1 - d), 1 for the right view.
+    sign: -1 when `disparity` belongs to the left view (x2 = x1 - d), 1 for the right view.
     """
-    height, width = one.shape
+    height, width = disparity.shape
     difference = np.full((height, width), np.inf, dtype=np.float32)
     for y in range(height):
         for x in range(width):
-            column = np.rint(np.float32(x) + np.float32(sign) * one[y, x])
+            column = np.rint(np.float32(x) + np.float32(sign) * disparity[y, x])
             if 0 <= column < width:  # False for nan, too
-                distance = abs(other[y, int(column)] - one[y, x])
+                distance = abs(other_disparity[y, int(column)] - disparity[y, x])
                 if not np.isnan(distance):
                     difference[y, x] = distance
     return difference
 
 
-def agreeing(one: Float32s, other: Float32s, sign: int, tolerance_px: float) -> Bools:
+def agreeing(disparity: Float32s, other_disparity: Float32s, sign: int, tolerance_px: float) -> Bools:
     """(h, w) bool: the other view agrees within `tolerance_px`, and more closely where disparity is steep or torn: the
     tolerance is divided by 1 + `_STEEPNESS_WEIGHT` times the range of disparities within 5x5 pixels.
 
@@ -41,15 +41,15 @@ def agreeing(one: Float32s, other: Float32s, sign: int, tolerance_px: float) -> 
 
     Parameters
     ----------
-    one, other : (h, w) disparity of the view and of the other one, nan where unknown.
+    disparity, other_disparity : (h, w) disparity of the view and of the other one, nan where unknown.
     sign : -1 for the left view, 1 for the right one.
     tolerance_px : on flat surfaces, pixels.
     """
-    difference = disagreement(one, other, sign)
+    difference = disagreement(disparity, other_disparity, sign)
     known = difference <= tolerance_px
     window = np.ones((5, 5), dtype=np.uint8)
-    highest = cv2.dilate(np.where(known, one, np.float32(-1e6)), window)
-    lowest = cv2.erode(np.where(known, one, np.float32(1e6)), window)
+    highest = cv2.dilate(np.where(known, disparity, np.float32(-1e6)), window)
+    lowest = cv2.erode(np.where(known, disparity, np.float32(1e6)), window)
     return np.asarray(known & (difference * (1 + _STEEPNESS_WEIGHT * (highest - lowest)) <= tolerance_px))
 
 
@@ -62,18 +62,18 @@ def lands_on(valid_other: Bools, disparity: Float32s, sign: int) -> Bools:
     return np.asarray(inside & np.take_along_axis(valid_other, np.clip(column, 0, width - 1), axis=1), dtype=np.bool_)
 
 
-def cross_checked(one: Float32s, other: Float32s, valid: Bools, sign: int, smallest_px: int) -> Float32s:
+def cross_checked(disparity: Float32s, other_disparity: Float32s, valid: Bools, sign: int, smallest_px: int) -> Float32s:
     """Disparity of one view where the other view agrees within one pixel, without speckles; nan elsewhere.
 
     Parameters
     ----------
-    one, other : (h, w) disparity of the view and of the other one, nan where unknown.
+    disparity, other_disparity : (h, w) disparity of the view and of the other one, nan where unknown.
     valid : (h, w) pixels of the view that may be used.
     sign : -1 for the left view, 1 for the right one.
     smallest_px : connected pieces of fewer pixels are removed.
     """
-    agreed = valid & (disagreement(one, other, sign) <= 1)
-    return without_speckles(np.where(agreed, one, np.float32(np.nan)), smallest_px)
+    agreed = valid & (disagreement(disparity, other_disparity, sign) <= 1)
+    return without_speckles(np.where(agreed, disparity, np.float32(np.nan)), smallest_px)
 
 
 def without_speckles(disparity: Float32s, smallest_px: int) -> Float32s:

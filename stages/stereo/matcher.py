@@ -35,7 +35,7 @@ class RectifiedPair:
     floor_right: Float32s | None = None
     """(h, w) disparity of a surface behind the prior one, beyond which there is nothing; None without such a limit."""
 
-    def within_reach(self) -> Bools:
+    def matchable_pixels(self) -> Bools:
         """(h, w) bool: valid pixels of the left image that have at least one valid partner within the range."""
         height, width = self.valid_left.shape
         count = np.zeros((height, width + 1), dtype=np.int32)

@@ -17,15 +17,15 @@ from ..types import Bools, Float32s
 from .census import match_census_sgm
 from .consistency import cross_checked, disagreement, fill_along_rows
 from .matcher import DenseMatches, RectifiedPair, halved, mirrored
-from .plane_filter import doubt, smoothed
+from .plane_filter import plane_deviation, smoothed
 from .propagation import Propagation, Trials
 from .sgbm import match_sgbm
 
 _ROUNDS = 2
 _MOST_COST = 0.6
 """Planes with a higher cost are no matches."""
-_MOST_DOUBT = 2.5
-"""Confidence is 0 where `doubt` in a pixel's plane exceeds this."""
+_MOST_DEVIATION = 2.5
+"""Confidence is 0 where the `plane_deviation` of a pixel exceeds this."""
 _DIRECT_PX = 1.0e6
 """Pairs with more pixels than this start from PatchMatch at half the size, smaller ones from SGM at half the size."""
 _PRIOR_ADVANTAGE = 0.1
@@ -85,14 +85,14 @@ class _View:
         """Smoothed planes (3, h, w), nan where the cost is too high."""
         return smoothed(self.pair.left, self.planes, self.cost, _MOST_COST, rounds=rounds)
 
-    def settled(self) -> Float32s:
+    def starting_planes(self) -> Float32s:
         """Planes (3, h, w) from which the next size starts: smoothed, or as found where the cost is too high."""
         planes = self.smoothed(rounds=1)
         return np.where(np.isnan(planes[0]), self.planes, planes)
 
     def confidence(self, other: Float32s) -> Float32s:
         """(h, w) confidence of smoothed planes, given the `other` view's disparity in the orientation of this view's pair."""
-        reliable = doubt(self.planes, disagreement(self.planes[0], other, -1)) <= _MOST_DOUBT
+        reliable = plane_deviation(self.planes, disagreement(self.planes[0], other, -1)) <= _MOST_DEVIATION
         return np.where(reliable, 1 - self.cost, 0).astype(np.float32)
 
 
@@ -102,7 +102,7 @@ def _matched_views(pair: RectifiedPair) -> tuple[_View, _View]:
         return _matched_from_reference(pair)
     is_large, small = pair.left.size > _DIRECT_PX, halved(pair)
     views = _matched_views(small) if is_large else _propagated(small, _as_planes(small, match_census_sgm(small)), 1)
-    return _propagated(pair, [_doubled(view.settled(), pair.left.shape) for view in views], 1 if is_large else _ROUNDS)
+    return _propagated(pair, [_doubled(view.starting_planes(), pair.left.shape) for view in views], 1 if is_large else _ROUNDS)
 
 
 def _matched_from_reference(pair: RectifiedPair) -> tuple[_View, _View]:

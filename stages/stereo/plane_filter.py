@@ -1,4 +1,4 @@
-"""Filters that use the planes around a pixel: a correction of its disparity, a weighted median, and doubt.
+"""Filters that use the planes around a pixel: a correction of its disparity, a weighted median, and a deviation.
 
 Up to `_BLOCK` pixels of a row are processed at once, so that the compiler can use SIMD instructions; scratch is one flat array
 in rows of _BLOCK, so that it can prove that the rows do not overlap.
@@ -15,13 +15,13 @@ from ..types import Float32s
 _SIMILARITY_SCALE = 8.0
 """Grey-level difference at which a neighbour gets half the weight."""
 _NEAR_RADIUS = 2
-"""Radius of the neighbours that correct a plane and that enter its doubt, pixels."""
+"""Radius of the neighbours that correct a plane and that enter its deviation, pixels."""
 _MEDIAN_RADIUS, _MEDIAN_STRIDE = 6, 3
 """Radius and stride of the neighbours whose planes enter the median of a pixel's disparity, pixels."""
 _CONFIRMED_PX = 2.0
 """A pixel is confirmed if the disparities of both views differ by at most this much."""
 _UNCONFIRMED_PX = 3.0
-"""Contribution to the doubt of a neighbour that is not confirmed; also the most that any neighbour contributes."""
+"""Contribution to the deviation of a neighbour that is not confirmed; also the most that any neighbour contributes."""
 _BORDER = _MEDIAN_RADIUS
 _BLOCK = 128
 
@@ -54,15 +54,15 @@ def smoothed(image: Float32s, planes: Float32s, cost: Float32s, most_cost: float
     return out
 
 
-def doubt(planes: Float32s, difference: Float32s) -> Float32s:
-    """(h, w) doubt in each pixel's plane: the mean distance of 5x5 neighbours from it, larger where disparity is torn.
+def plane_deviation(planes: Float32s, difference: Float32s) -> Float32s:
+    """(h, w) deviation of the neighbours from each pixel's plane: mean distance of 5x5 pixels, larger where disparity is torn.
 
     Neighbours that the other view does not confirm (`difference` in pixels) count as far away: where one is wrong, those around
     it are suspect.  Infinite where the pixel itself is not confirmed."""
     confirmed = np.where(difference <= np.float32(_CONFIRMED_PX), planes[0], np.float32(np.nan))
     rows, columns = (np.convolve(np.ones(n), np.ones(2 * _NEAR_RADIUS + 1), mode="same")[:n] for n in difference.shape)
     inside = (rows[:, None] * columns).astype(np.float32)  # number of pixels of each window that lie in the image
-    return _doubt(_bordered(_BORDER, confirmed)[0], planes, inside)
+    return _plane_deviation(_bordered(_BORDER, confirmed)[0], planes, inside)
 
 
 def _bordered(border: int, *layers: Float32s) -> Float32s:
@@ -210,9 +210,9 @@ def _median_filtered(bordered: Float32s, spacing: int) -> Float32s:
 
 
 @kernel
-def _doubt(confirmed: Float32s, planes: Float32s, inside: Float32s) -> Float32s:
+def _plane_deviation(confirmed: Float32s, planes: Float32s, inside: Float32s) -> Float32s:
     height, width = inside.shape
-    doubt = np.empty((height, width), dtype=np.float32)
+    deviation = np.empty((height, width), dtype=np.float32)
     stats = np.empty(3 * _BLOCK, dtype=np.float32)
     cap = np.float32(_UNCONFIRMED_PX)
     for y in range(height):
@@ -221,7 +221,7 @@ def _doubt(confirmed: Float32s, planes: Float32s, inside: Float32s) -> Float32s:
             row, column = y + _BORDER, x0 + _BORDER
             d, a, b = confirmed[row, column:], planes[1, y, x0:], planes[2, y, x0:]
             if _all_nan(d, n):
-                _fill(doubt[y], x0, x0 + n, np.float32(np.inf))
+                _fill(deviation[y], x0, x0 + n, np.float32(np.inf))
                 continue
             _fill(stats, 0, _BLOCK, np.float32(0.0))  # sum of distances
             _fill(stats, _BLOCK, 2 * _BLOCK, np.float32(np.inf))  # the lowest disparity
@@ -240,5 +240,5 @@ def _doubt(confirmed: Float32s, planes: Float32s, inside: Float32s) -> Float32s:
                 count = inside[y, x0 + x]
                 mean_distance = (stats[x] - (np.float32((2 * _NEAR_RADIUS + 1) ** 2) - count) * cap) / count
                 torn_factor = np.float32(1.0) + np.float32(0.15) * (stats[2 * _BLOCK + x] - stats[_BLOCK + x])
-                doubt[y, x0 + x] = np.float32(np.inf) if np.isnan(d[x]) else mean_distance * torn_factor
-    return doubt
+                deviation[y, x0 + x] = np.float32(np.inf) if np.isnan(d[x]) else mean_distance * torn_factor
+    return deviation

@@ -106,7 +106,7 @@ def with_coarse_range(pair: RectifiedPair) -> RectifiedPair:
     small = _shrunk(pair)
     matches = match_in_one_piece(_flattened(small))
     agreed = ~np.isnan(cross_checked(matches.left, matches.right, small.valid_left, -1, max(small.left.size // 2000, 4)))
-    if agreed.sum() < max(_LEAST_AGREED_SHARE * small.within_reach().sum(), 50):
+    if agreed.sum() < max(_LEAST_AGREED_SHARE * small.matchable_pixels().sum(), 50):
         return _flattened(pair)
     near = _range_end(matches.left[agreed], small.disparity_min, small.disparity_max)
     far = -_range_end(-matches.left[agreed], -small.disparity_max, -small.disparity_min)

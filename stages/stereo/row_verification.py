@@ -52,7 +52,7 @@ class Cells:
     """(n, m) bool, where clearly fewer pixels match on the given rows than on the best of the shifted ones."""
 
     @property
-    def confirm(self) -> bool:
+    def confirms_rows(self) -> bool:
         """Are the rows right, by the likelihood ratio?"""
         better_weight, worse_weight = np.log(_RIGHT_SHARE / _CHANCE_SHARE), np.log((1.0 - _RIGHT_SHARE) / (1.0 - _CHANCE_SHARE))
         return bool(better_weight * self.better.sum() + worse_weight * self.worse.sum() >= _LEAST_LOG_RATIO)
@@ -76,7 +76,7 @@ class RowAgreement:
     @property
     def confirmed(self) -> bool:
         """Are the rows right, by all matches or by those on the ground?"""
-        return self.cells.confirm or (self.on_ground is not None and self.on_ground.confirm)
+        return self.cells.confirms_rows or (self.on_ground is not None and self.on_ground.confirms_rows)
 
 
 def match_rows(pair: RectifiedPair) -> tuple[RowAgreement, Float32s, Float32s]:
@@ -85,7 +85,7 @@ def match_rows(pair: RectifiedPair) -> tuple[RowAgreement, Float32s, Float32s]:
     Also returns the left image's disparity on the given rows, nan where nothing matches, and confidence, both (h / 2, w / 2).
     """
     small = halved(pair)
-    common = small.within_reach()
+    common = small.matchable_pixels()
     disparity, confidence = _matched(small)
     by_shift = {rows: _matched(_shifted(small, rows))[0] for rows in (_SMALL_SHIFT, -_SMALL_SHIFT, _LARGE_SHIFT, -_LARGE_SHIFT)}
     by_shift[0] = disparity if small.prior_left is None else _matched(_shifted(small, 0))[0]  # without prior, as the others
@@ -134,7 +134,7 @@ def _shifted(pair: RectifiedPair, rows: int) -> RectifiedPair:
 def _matched(pair: RectifiedPair) -> tuple[Float32s, Float32s]:
     """Disparity of the left image where both views agree on it, else nan; and its confidence."""
     matches = match_patchmatch(pair)
-    usable = pair.within_reach() & (matches.confidence_left > 0)
+    usable = pair.matchable_pixels() & (matches.confidence_left > 0)
     smallest = max(60, round(_SPECKLE_SHARE * usable.size))
     return cross_checked(matches.left, matches.right, usable, -1, smallest), matches.confidence_left
 

@@ -119,13 +119,13 @@ class Block:
     high: int
 
 
-def blocks(seen: Float32s, low: int, high: int) -> list[Block]:
-    """Blocks of an image from disparities `seen` at half its size: (h, w), in pixels of that size, nan where unknown.
+def blocks(coarse_disparity: Float32s, low: int, high: int) -> list[Block]:
+    """Blocks of an image from the `coarse_disparity` at half its size: (h, w), in pixels of that size, nan where unknown.
 
     Only the range from `low` to `high` is searched, and only near what was seen.  A block is split in two where the parts, with
     their contexts, cost less.
     """
-    lowest, highest = _ranges(seen)
+    lowest, highest = _ranges(coarse_disparity)
     lowest = np.maximum(np.floor(2 * lowest - _MARGIN_PX), np.float32(low))
     highest = np.minimum(np.ceil(2 * highest + _MARGIN_PX), np.float32(high))
     searched = cv2.dilate((lowest <= highest).astype(np.uint8), np.ones((3, 3), np.uint8)) > 0

@@ -19,12 +19,12 @@ from ..matching.assignment import without_repeats
 from ..matching.candidates import ViewPair, inverses
 from ..matching.structural import DOMINANCE, ROUNDS, Correspondences, confirmations, solve_rounds
 from ..types import Bools, Features, Float64s, Int32s, View
-from .image_grid import places
+from .image_grid import covered_cells
 from .robust import MOST_POSED, TwoView, estimate_essential, supporters
 
 EXPLAINED_PX = 12.0
 """A candidate at most this far from where the accepted matches predict its keypoint is no rival."""
-CONFIRMED = 2
+FEWEST_CONFIRMING = 2
 """Neighbours that must confirm an initial match of the rival."""
 FEWEST = 8
 FREEDOMS = 5
@@ -113,7 +113,7 @@ def _strongest_pose(x1: Float64s, x2: Float64s, view1: View, view2: View, R: Flo
         return _Pose()
     inliers = supporters(pose.F, x1, x2, 1.0)
     sides = ((x1, view1), (x2, view2))
-    if min(places(x[inliers], (view.width, view.height)) for x, view in sides) <= FREEDOMS:
+    if min(covered_cells(x[inliers], (view.width, view.height)) for x, view in sides) <= FREEDOMS:
         return _Pose()
     baseline_deg = np.degrees(np.arccos(np.clip(np.ravel(pose.t) @ np.ravel(t), -1, 1)))
     return _Pose(int(inliers.sum()), angle_between_deg(pose.R, R), float(baseline_deg))
@@ -140,8 +140,8 @@ def _initial(pair: ViewPair) -> Correspondences:
     mutual = np.flatnonzero(_is_nearest(candidates.i, candidates.q) & _is_nearest(candidates.j, candidates.q))
     i, j, q = candidates.i[mutual], candidates.j[mutual], candidates.q[mutual]
     x1, x2 = pair.x1[i], pair.x2[j]
-    affine = np.linalg.inv(pair.unframes2[j]) @ inverses(pair.frames1[i])
-    good = confirmations(x1, x2, affine) >= CONFIRMED
+    affine = np.linalg.inv(pair.inverse_frames2[j]) @ inverses(pair.frames1[i])
+    good = confirmations(x1, x2, affine) >= FEWEST_CONFIRMING
     rows1, rows2 = pair.rows1[i[good]], pair.rows2[j[good]]
     keep = without_repeats(x1[good], x2[good], -q[good])
     return Correspondences(rows1[keep], rows2[keep], np.ones(int(keep.sum())))

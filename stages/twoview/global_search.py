@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 
 from ..types import Bools, Float32s, Float64s, Uint8s
-from .image_grid import places
+from .image_grid import covered_cells
 
 _LONG_SIDE = 1000
 _MOST_KEYPOINTS = 2500
@@ -116,4 +116,4 @@ def _fit(estimator: object, x1: Float64s, x2: Float64s) -> tuple[Float64s | None
 
 def _spread(points: Float64s, shape: tuple[int, ...]) -> bool:
     """Do the points lie in several parts of the picture?"""
-    return places(points, (shape[1], shape[0]), 0.25) >= _FEWEST_CELLS
+    return covered_cells(points, (shape[1], shape[0]), 0.25) >= _FEWEST_CELLS

@@ -9,12 +9,12 @@ from ..types import Float64s
 GRID_COLUMNS, GRID_ROWS = 12, 8
 
 
-def places(x: Float64s, size: tuple[int, int], more: float = 1.0) -> int:
+def covered_cells(x: Float64s, size: tuple[int, int], cells_factor: float = 1.0) -> int:
     """Number of grid cells that hold at least one of the points x (n, 2), pixels, in an image of this size (width, height).
 
-    more: number of cells of the grid, as a multiple of `GRID_COLUMNS` x `GRID_ROWS`.
+    cells_factor: number of cells of the grid, as a multiple of `GRID_COLUMNS` x `GRID_ROWS`.
     """
-    scale = np.sqrt(more)
+    scale = np.sqrt(cells_factor)
     column = (x[:, 0] * GRID_COLUMNS * scale / size[0]).astype(np.int64)
     row = (x[:, 1] * GRID_ROWS * scale / size[1]).astype(np.int64)
     return len(np.unique(column * 100_000 + row))

@@ -27,7 +27,7 @@ RATIO_SIGMA = 0.1
 """Scale of the Cauchy prior on the log ratio of both focal lengths: most pairs share one lens, some do not."""
 CENTRE_SIGMA = 0.01
 """Standard deviation of the principal point, as a share of the long side."""
-TOGETHER = 2.5
+CORRELATION_FACTOR = 2.5
 """Factor by which the noise of the matches is taken to exceed their residuals, because errors of matches are correlated (on
 photographs, true errors exceed those expected of independent matches by this factor)."""
 MOST_IMPLAUSIBLE = 4.0
@@ -133,7 +133,7 @@ def freedoms(F: Float64s, K1: Float64s, K2: Float64s, view1: View, view2: View) 
     changes = np.stack([*by_rotations, by_lens1[0], by_lens2[0], by_lens1[1], by_lens1[2], by_lens2[1], by_lens2[2]])
     directions = np.linalg.inv(T2).T @ changes @ np.linalg.inv(T1)
     information = np.zeros((12, 12))
-    information[6:, 6:] = TOGETHER**2 * _information(lens, mean, sigma)[0]
+    information[6:, 6:] = CORRELATION_FACTOR**2 * _information(lens, mean, sigma)[0]
     return directions.reshape(12, 9).T, information
 
 
@@ -212,7 +212,7 @@ def _information(lens: Float64s, mean: Float64s, sigma: Float64s) -> tuple[Float
 def _equations(state: _State, matches: _Matches) -> tuple[float, Float64s, Float64s]:
     """Cost, normal matrix (11, 11) and right side (11,) of the matches and the lens prior together."""
     cost, normal, gradient = normal_equations(_fundamental(state), matches.x1, matches.x2, matches.scale, _directions(state))
-    match_weight = (CAUCHY / TOGETHER) ** 2
+    match_weight = (CAUCHY / CORRELATION_FACTOR) ** 2
     prior_normal, prior_gradient, implausibility = _information(state.lens, matches.mean, matches.sigma)
     normal, gradient = match_weight * normal, match_weight * gradient
     normal[5:, 5:] += prior_normal

@@ -23,7 +23,7 @@ from ..matching.candidates import ViewPair, rival_distances
 from ..matching.neighbours import nearest_lookalike
 from ..types import Features, Float32s, Float64s, Int32s, Matches, View
 from .ambiguity import Ambiguity, find_ambiguity
-from .image_grid import places
+from .image_grid import covered_cells
 from .robust import TwoView, estimate_essential
 
 DISTINCT_FROM_RIVALS, DISTINCT_FROM_LOOKALIKES = 0.85, 0.95
@@ -33,7 +33,7 @@ CLEAR_RATIO, CLEAR_PX = 0.9, 2.0
 DISTINCT_CELLS = 20
 """Distinctive matches in this many grid cells show the same structure in both images, if perhaps at another place: in scenes
 without repetition, no three such pairs contradict each other (`scripts/bench_verdict.py`: at most 7 cells, in 484 triangles)."""
-LIKELY = 0.5
+LEAST_PROBABILITY = 0.5
 """Probability from which a match without keypoints counts as distinctive, and as clear."""
 
 
@@ -120,8 +120,8 @@ def point_evidence(before: Matches, inliers: Matches, found: TwoView, seed: int 
     seed : random seed.
     """
     x1, x2 = inliers.x1, inliers.x2
-    distinct = inliers.probability >= LIKELY
-    clear = before.probability >= LIKELY
+    distinct = inliers.probability >= LEAST_PROBABILITY
+    clear = before.probability >= LEAST_PROBABILITY
     distance = symmetric_epipolar_distance(found.F, before.x1[clear], before.x2[clear])
     return PairEvidence(
         inliers=len(x1),
@@ -194,7 +194,7 @@ def _distinct_cells(x1: Float64s, x2: Float64s, view1: View, view2: View) -> int
     """
     ratio = field_ratio(view1, view2)
     size1, size2 = (view1.width, view1.height), (view2.width, view2.height)
-    return min(places(x1, size1, max(ratio, 1.0)), places(x2, size2, max(1 / ratio, 1.0)))
+    return min(covered_cells(x1, size1, max(ratio, 1.0)), covered_cells(x2, size2, max(1 / ratio, 1.0)))
 
 
 def _agreement(pairs: tuple[ViewPair, ...], F: Float64s) -> float:

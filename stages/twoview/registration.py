@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 
 from ..types import Bools, Float32s, Float64s, Uint8s
-from .image_grid import GRID_COLUMNS, GRID_ROWS, places
+from .image_grid import GRID_COLUMNS, GRID_ROWS, covered_cells
 
 REACH_PX = 40
 """Search radius around a patch's old position, in pixels."""
@@ -176,7 +176,7 @@ def fit_turn(found: Found, K: Float64s, width: int, height: int) -> Turn | None:
         parameters = parameters + step
         residual = _residuals(parameters, rays, found.x2, K)[0]
         inliers = np.linalg.norm(residual, axis=1) <= _INLIER_PX
-    cells = places(found.x1[inliers], (width, height))
+    cells = covered_cells(found.x1[inliers], (width, height))
     if inliers.sum() < max(_FEWEST_INLIERS, _LEAST_SHARE * len(inliers)) or cells < _FEWEST_CELLS:
         return None
     residual, jacobian = _residuals(parameters, rays[inliers], found.x2[inliers], K)

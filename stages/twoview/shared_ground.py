@@ -13,15 +13,15 @@ import numpy as np
 from ..core.cameras import backproject, project, ray_angles
 from ..types import Bools, Camera, Float32s, Float64s, Int64s
 
-FEW = 32
+FEW_VIEWS = 32
 """Up to this many views, every pair is sampled on the fine grid, and the axes of all views enter the scene distances.  For more
 views, the grid is coarse (a quarter of a million pairs of 500 views take a second), and a view's scene distance comes from the
-axes of its `FEW` nearest views only: on a large site, the axes of most other views cross far behind what the view shows."""
+axes of its `FEW_VIEWS` nearest views only: on a large site, the axes of most other views cross far behind what the view shows."""
 
 _Grid = tuple[int, int, int]
 _FINE: _Grid = (8, 6, 5)
 _COARSE: _Grid = (6, 4, 3)
-"""Sample points up to and above `FEW` views: rays across an image, rays down it, and depths on each ray."""
+"""Sample points up to and above `FEW_VIEWS` views: rays across an image, rays down it, and depths on each ray."""
 
 
 def shared_ground(cameras: list[Camera]) -> tuple[Int64s, Float64s, Float64s]:
@@ -29,14 +29,14 @@ def shared_ground(cameras: list[Camera]) -> tuple[Int64s, Float64s, Float64s]:
 
     Returns
     -------
-    pairs : (m, 2) indices into `cameras`, in ascending order.  Above `FEW` views, only pairs that share something.
+    pairs : (m, 2) indices into `cameras`, in ascending order.  Above `FEW_VIEWS` views, only pairs that share something.
     angle : (m,) angle in radians between the two views' rays to shared samples (all if none is); the mean of both medians.
     shared : (m,) share of one view's sample points that the other sees, 0 to 1; the mean of both directions.
     """
     if len(cameras) < 2:
         return np.zeros((0, 2), np.int64), np.zeros(0), np.zeros(0)
     distances = _scene_distances(cameras)
-    if len(cameras) > FEW:
+    if len(cameras) > FEW_VIEWS:
         return _shared_by_many(cameras, distances)
     n = len(cameras)
     angle, overlap = np.full((n, n), np.nan), np.zeros((n, n))
@@ -115,8 +115,8 @@ def _scene_distances(cameras: list[Camera]) -> Float64s:
         other_depth = (cosine * own_along - other_along) / (1.0 - cosine**2)
     meets = (own_depth > 0) & (other_depth > 0) & (np.abs(cosine) < np.cos(radians(2.0)))
     baseline = np.linalg.norm(offsets, axis=2)
-    if len(cameras) > FEW:
-        meets &= baseline <= np.partition(baseline, FEW, axis=1)[:, FEW : FEW + 1]
+    if len(cameras) > FEW_VIEWS:
+        meets &= baseline <= np.partition(baseline, FEW_VIEWS, axis=1)[:, FEW_VIEWS : FEW_VIEWS + 1]
     distances = np.array([np.median(own_depth[i, meets[i]]) if meets[i].any() else np.nan for i in range(len(cameras))])
     nearest_baseline = np.where(baseline > 0, baseline, np.inf).min(axis=1)
     nearest_baseline = nearest_baseline[np.isfinite(nearest_baseline)]

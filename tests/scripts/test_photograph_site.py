@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
-from photograph_site import LENS, knows, resized, sampled, through_lens
+from photograph_site import LENS, has_depth, resized, sampled, through_lens
 
 from wbflow_stages.types import Camera
 
@@ -37,4 +37,4 @@ def test_points_are_known_only_where_the_laser_has_measured_depth() -> None:
     depth = np.zeros((860, 1280), np.float32)
     depth[420, 640] = 5.0
     X = np.array([[0.0, 0.0, 3.0], [1.0, 0.0, 3.0], [0.0, 0.0, -3.0], [90.0, 0.0, 3.0]])
-    np.testing.assert_array_equal(knows(depth, WHOLE, X), [True, False, False, False])
+    np.testing.assert_array_equal(has_depth(depth, WHOLE, X), [True, False, False, False])

@@ -26,7 +26,7 @@ from wbflow.site.pattern import Pattern
 
 @pytest.fixture(autouse=True)
 def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(taking, "PATIENCE", 1.5)
+    monkeypatch.setattr(taking, "TIMEOUT_SECONDS", 1.5)
     monkeypatch.setattr(taking, "_BETWEEN_TRIES", 0.1)
     monkeypatch.delenv(taking.CREDENTIALS, raising=False)
 

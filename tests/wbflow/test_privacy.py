@@ -100,10 +100,10 @@ def test_no_product_of_a_night_depends_on_private_pixels(tmp_path: Path) -> None
     a search for the colours, which drawn lines and colour maps contain, too."""
     first = wbflow.run(site_with_a_secret(tmp_path, True, SECRET), jobs=1, backend="threading")
     assert first.record.cloud is not None, first.record.reason
-    pictures = PICTURE.findall(first.place.paths.report.read_text())
+    pictures = PICTURE.findall(first.run_folder.paths.report.read_text())
     second = wbflow.run(site_with_a_secret(tmp_path, True, ANOTHER), jobs=1, backend="threading")
-    assert {task.stage for task, event in second.ended.items() if event.outcome == "ran"} == {"frames"}
-    one, two = first.place.paths, second.place.paths
+    assert {task.stage for task, event in second.task_events.items() if event.outcome == "ran"} == {"frames"}
+    one, two = first.run_folder.paths, second.run_folder.paths
     with_times = {one.record.name, one.log.name, one.report.name, one.metrics.name}
     folders = [paths.cloud.parent for paths in (one, two)]
     published = [{p.name: p.read_bytes() for p in folder.iterdir() if p.name not in with_times} for folder in folders]

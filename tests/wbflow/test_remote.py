@@ -24,7 +24,7 @@ from wbflow import remote
 from wbflow.cache.layout import WorkFolder
 from wbflow.cli.main import main
 from wbflow.errors import ExitCode
-from wbflow.remote import HELD, ObjectStore, StoreError
+from wbflow.remote import LOCK_NAME, ObjectStore, StoreError
 
 pytest.importorskip("fsspec", reason="object stores need the extra: pip install 'wbflow[cloud]'")
 
@@ -135,7 +135,7 @@ def receipts_here(site: Mirrored) -> set[str]:
 
 
 def claim(minutes: float) -> bytes:
-    """The content of the store's lock (`HELD`) as another machine wrote it `minutes` ago."""
+    """The content of the store's lock (`LOCK_NAME`) as another machine wrote it `minutes` ago."""
     return json.dumps({"token": "t", "host": "crane-pc", "pid": 7, "seen": time.time() - 60 * minutes}).encode()
 
 
@@ -170,7 +170,7 @@ def test_another_machine_continues_a_killed_night_from_the_store(
     site.fault("slow", "0")
     site.machine("second")  # the first machine is lost, together with its folder
     assert site.invoke("run")[0] == ExitCode.LOCKED
-    store.write(HELD, claim(minutes=61))
+    store.write(LOCK_NAME, claim(minutes=61))
     record = site.run()
     assert record["tasks"] == {"cached": len(there), "ran": TASKS - len(there), "rejected": 0, "failed": 0, "skipped": 0}
     assert not site.ran() & there
@@ -269,19 +269,19 @@ def test_a_night_during_an_outage_of_the_store_is_uploaded_later(site: Mirrored,
 def test_two_machines_do_not_write_at_once(site: Mirrored, monkeypatch: pytest.MonkeyPatch) -> None:
     site.run("--until", "frames")
     store = ObjectStore(site.url)
-    store.write(HELD, claim(minutes=59))
+    store.write(LOCK_NAME, claim(minutes=59))
     code, words = site.invoke("run")
     assert code == ExitCode.LOCKED and "crane-pc" in words and site.url in words and "--wait" in words
-    assert json.loads(store.read(HELD) or b"")["token"] == "t"
-    store.write(HELD, claim(minutes=61))
+    assert json.loads(store.read(LOCK_NAME) or b"")["token"] == "t"
+    store.write(LOCK_NAME, claim(minutes=61))
     assert site.run()["exit_code"] == ExitCode.GOOD
-    assert store.read(HELD) is None
+    assert store.read(LOCK_NAME) is None
 
 
 def test_a_waiting_run_starts_once_the_store_is_free(site: Mirrored, monkeypatch: pytest.MonkeyPatch) -> None:
     store = ObjectStore(site.url)
-    store.write(HELD, claim(minutes=1))
-    monkeypatch.setattr("wbflow.remote.time.sleep", lambda seconds: store.remove([HELD]))
+    store.write(LOCK_NAME, claim(minutes=1))
+    monkeypatch.setattr("wbflow.remote.time.sleep", lambda seconds: store.remove([LOCK_NAME]))
     assert site.invoke("run", "--wait")[0] == ExitCode.GOOD
 
 
@@ -303,7 +303,7 @@ def test_a_run_whose_lock_was_taken_over_stops_uploading(site: Mirrored, monkeyp
     store = ObjectStore(site.url)
 
     def listen(event: object) -> None:
-        store.write(HELD, claim(minutes=0))
+        store.write(LOCK_NAME, claim(minutes=0))
 
     import wbflow
 
@@ -313,7 +313,7 @@ def test_a_run_whose_lock_was_taken_over_stops_uploading(site: Mirrored, monkeyp
         run = wbflow.run(site.file, backend="threading", jobs=1, listen=listen)
     assert run.record.exit_code == ExitCode.DEGRADED and run.record.verdict
     assert "taken over" in run.record.verdict.findings[0].text
-    assert json.loads(store.read(HELD) or b"")["token"] == "t"
+    assert json.loads(store.read(LOCK_NAME) or b"")["token"] == "t"
 
 
 def test_clean_removes_artifacts_from_the_store_and_manual_deletion_does_not(site: Mirrored, tmp_path: Path) -> None:

@@ -65,7 +65,7 @@ def test_the_cloud_is_near_the_truth_and_the_next_run_does_nothing(yard: Path) -
 
 def test_the_report_shows_the_inliers_of_every_pair_on_its_frames(yard: Path) -> None:
     found = wbflow.open_run(yard)
-    page = found.place.paths.report.read_text()
+    page = found.run_folder.paths.report.read_text()
     assert len(found.pairs) == 6
     for pair in found.pairs.values():
         frames = (found.artifact(f"frames {camera}") for camera in (pair.left, pair.right))
@@ -77,7 +77,7 @@ def test_distances_measured_in_the_page_agree_with_their_standard_deviations(yar
     """Points are clicked all over the 3-D view; the true place of each is its projection onto the nearest true surface."""
     webdriver = pytest.importorskip("selenium.webdriver")
     with chromium(1000, 800) as browser:
-        browser.get(wbflow.open_run(yard).place.paths.report.as_uri())
+        browser.get(wbflow.open_run(yard).run_folder.paths.report.as_uri())
         until(browser, "return document.querySelector('#view').dataset.state === 'ready'")
         browser.execute_script("document.querySelector('[data-do=measure]').click()")
         canvas = browser.find_element("css selector", "#view canvas.over")

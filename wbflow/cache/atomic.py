@@ -13,16 +13,16 @@ from typing import IO, Literal
 from ..errors import WbflowError
 from ..words import format_size
 
-FULL = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG})
+DISK_FULL_ERRORS = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG})
 """Error numbers of a full disk: no space left, the user's quota exceeded, the file-size limit exceeded."""
-REMEDY = "free some space (wbflow clean SITE.yaml --keep 3), or limit what is kept (`keep:` in the site file)"
+DISK_FULL_REMEDY = "free some space (wbflow clean SITE.yaml --keep 3), or limit what is kept (`keep:` in the site file)"
 
 Fsync = Literal["folder", "file", "none"]
 """What survives a power cut after the write.  "folder": the file under its name.  "file": its bytes, but perhaps not its name (if
 another file is written to the same folder right after).  "none": neither (if the file is checked on reading and dispensable)."""
 
 
-def write_atomic(path: Path, data: bytes | bytearray, *, fsync: Fsync = "folder", ours: bool = False) -> None:
+def write_atomic(path: Path, data: bytes | bytearray, *, fsync: Fsync = "folder", own_path: bool = False) -> None:
     """Write a file so that a reader sees either all of it or the old one: temporary name, fsync, rename.
 
     Parameters
@@ -31,21 +31,21 @@ def write_atomic(path: Path, data: bytes | bytearray, *, fsync: Fsync = "folder"
         The file and its content.
     fsync : str
         What a power cut preserves: see `Fsync`.
-    ours : bool
+    own_path : bool
         The path is one of the work folder's own names: a folder in its place is removed.
 
     Raises OSError; for a full disk, its message states the space needed and the space free.
     """
-    _replace(path, lambda file: file.write(data), len(data), fsync, ours)
+    _replace(path, lambda file: file.write(data), len(data), fsync, own_path)
 
 
 def copy_atomic(source: Path, path: Path, *, fsync: Fsync = "folder") -> None:
-    """Copy a file to one of the work folder's own paths, as `write_atomic` does with `ours`.  Raises OSError."""
+    """Copy a file to one of the work folder's own paths, as `write_atomic` does with `own_path`.  Raises OSError."""
     with source.open("rb") as original:
-        _replace(path, lambda file: shutil.copyfileobj(original, file, 1 << 20), source.stat().st_size, fsync, ours=True)
+        _replace(path, lambda file: shutil.copyfileobj(original, file, 1 << 20), source.stat().st_size, fsync, own_path=True)
 
 
-def _replace(path: Path, fill: Callable[[IO[bytes]], object], size: int, fsync: Fsync, ours: bool) -> None:
+def _replace(path: Path, fill: Callable[[IO[bytes]], object], size: int, fsync: Fsync, own_path: bool) -> None:
     temporary = path.with_name(f".{path.name}.{os.urandom(8).hex()}.tmp")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -54,7 +54,7 @@ def _replace(path: Path, fill: Callable[[IO[bytes]], object], size: int, fsync: 
             if fsync != "none":
                 file.flush()
                 os.fsync(file.fileno())
-        if ours and path.is_dir() and not path.is_symlink():
+        if own_path and path.is_dir() and not path.is_symlink():
             clear(path)
         temporary.replace(path)
         if fsync == "folder":
@@ -62,7 +62,7 @@ def _replace(path: Path, fill: Callable[[IO[bytes]], object], size: int, fsync: 
     except BaseException as error:
         with contextlib.suppress(OSError):
             temporary.unlink()
-        if isinstance(error, OSError) and error.errno in FULL:
+        if isinstance(error, OSError) and error.errno in DISK_FULL_ERRORS:
             message = f"the disk is full: {format_size(size)} needed, {format_size(free_bytes(path.parent))} free"
             raise OSError(error.errno, message, str(path)) from None
         raise
@@ -94,5 +94,5 @@ def free_bytes(folder: Path) -> int:
 
 def disk_fault(error: OSError, place: Path | str) -> WbflowError:
     """Return the error to show to the user when a file or folder cannot be read or written."""
-    remedy = REMEDY if error.errno in FULL else "check the rights on the work folder and its file system"
+    remedy = DISK_FULL_REMEDY if error.errno in DISK_FULL_ERRORS else "check the rights on the work folder and its file system"
     return WbflowError(f"{error.filename or place}: {error.strerror or error}", remedy=remedy)

@@ -79,7 +79,7 @@ def _entry_lines(entry: Any) -> str:
     return json.dumps(entry)
 
 
-def checked(data: bytes, of: str) -> dict[str, Any]:
+def parse_checksummed(data: bytes, of: str) -> dict[str, Any]:
     """Return the entries of an object that `dump_with_checksum` wrote.
 
     Raises NoChecksum if it has no checksum, Damaged if the checksum is wrong or `of` does not match.
@@ -97,7 +97,7 @@ def checked(data: bytes, of: str) -> dict[str, Any]:
 
 def write_checksummed(path: Path, of: str, content: Mapping[str, Any]) -> None:
     """Write a file with a checksum to the work folder, atomically.  Raises OSError."""
-    write_atomic(path, dump_with_checksum(of, content), ours=True)
+    write_atomic(path, dump_with_checksum(of, content), own_path=True)
 
 
 def read_checksummed(path: Path, of: str) -> dict[str, Any] | None:
@@ -106,7 +106,7 @@ def read_checksummed(path: Path, of: str) -> dict[str, Any] | None:
     Raises Damaged, which names the file, if the checksum is wrong, `of` does not match, or the file cannot be read.
     """
     try:
-        return checked(read_untrusted(path), of)
+        return parse_checksummed(read_untrusted(path), of)
     except NoChecksum:
         return None
     except Unreadable as error:

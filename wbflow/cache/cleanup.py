@@ -47,27 +47,27 @@ class Cleaning:
     bytes: int = 0
     runs: tuple[str, ...] = ()
     """Ids of the runs whose folders are removed."""
-    over: int = 0
+    excess_bytes: int = 0
     """Bytes by which the cache still exceeds its limit, because the artifacts left are needed."""
 
 
-def clean(work: WorkFolder, keep: Keep, *, dry_run: bool = False, asked: bool = True) -> Cleaning:
+def clean(work: WorkFolder, keep: Keep, *, dry_run: bool = False, requested: bool = True) -> Cleaning:
     """Remove everything that exceeds the limits.  The caller holds the lock.
 
     Parameters
     ----------
     work, keep : WorkFolder, Keep
         The folder and its limits; the newest run and the targets of links always stay, with all artifacts that they use.
-    dry_run, asked : bool
-        Only report what would be removed; the user requested the cleanup, so all quarantined files are removed, too.
+    dry_run, requested : bool
+        Only report what would be removed; the user asked for the cleanup, so all quarantined files are removed, too.
     """
     with Ledger(work, writes=True) as ledger:
         nights = _Nights(work, ledger)
         old_runs = nights.runs[: len(nights.runs) - keep.runs] if keep.runs is not None else []
         unused_runs = nights.beyond(keep.nights) | set(old_runs) - nights.shown  # runs whose artifacts are removed
-        surplus, keys, over = _unneeded_artifacts(work, keep, nights, unused_runs)
+        surplus, keys, excess_bytes = _unneeded_artifacts(work, keep, nights, unused_runs)
         quarantined = [path for path in work.quarantine.glob("*") if path.is_file()]
-        surplus += sorted(quarantined, key=lambda path: path.stat().st_ctime_ns, reverse=True)[0 if asked else _QUARANTINED :]
+        surplus += sorted(quarantined, key=lambda path: path.stat().st_ctime_ns, reverse=True)[0 if requested else _QUARANTINED :]
         clouds, reports = nights.beyond(keep.clouds), nights.beyond(keep.reports)
         folders = clouds & reports
         surplus += [path for run in sorted(clouds - folders) for path in work.run(run).clouds()]
@@ -86,7 +86,7 @@ def clean(work: WorkFolder, keep: Keep, *, dry_run: bool = False, asked: bool = 
             if keys:
                 ledger.forget(keys)
             _remove_empty(work, surplus)
-    return Cleaning(len(surplus) + len(run_files), size, tuple(sorted(folders)), over)
+    return Cleaning(len(surplus) + len(run_files), size, tuple(sorted(folders)), excess_bytes)
 
 
 class _Nights:
@@ -113,23 +113,23 @@ def _unneeded_artifacts(work: WorkFolder, keep: Keep, nights: _Nights, unused_ru
     if keep.keeps_artifacts:
         return [], set(), 0
     files: dict[str, list[Path]] = defaultdict(list)
-    for path in work.cached():
+    for path in work.cache_files():
         files[path.name.partition(".")[0]].append(path)
     used_keys = {run: _used_keys(work, run) for run in nights.runs if run not in unused_runs}
     newest_run = {key: run for run in used_keys for key in used_keys[run]}
     pinned = _pinned_keys(work)
     surplus = files.keys() - newest_run.keys() - pinned
-    over = 0
+    excess_bytes = 0
     if keep.bytes is not None:
         sizes = {key: _freed_bytes(files[key]) for key in files.keys() & newest_run.keys() - pinned}
-        over = sum(sizes.values()) - keep.bytes
+        excess_bytes = sum(sizes.values()) - keep.bytes
         for key in sorted(sizes, key=lambda key: (newest_run[key], -sizes[key])):
-            if over > 0 and not any(key in used_keys.get(run, ()) for run in nights.shown):
-                over -= sizes[key]
+            if excess_bytes > 0 and not any(key in used_keys.get(run, ()) for run in nights.shown):
+                excess_bytes -= sizes[key]
                 surplus.add(key)
     # receipts first: an artifact without a receipt is never used
-    ordered = (path for key in sorted(surplus) for path in sorted(files[key], key=lambda path: path != work.receipt_beside(path)))
-    return list(ordered), surplus, max(over, 0)
+    ordered = (path for key in sorted(surplus) for path in sorted(files[key], key=lambda path: path != work.receipt_of(path)))
+    return list(ordered), surplus, max(excess_bytes, 0)
 
 
 def _pinned_keys(work: WorkFolder) -> set[str]:

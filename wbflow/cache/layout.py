@@ -114,7 +114,7 @@ class WorkFolder:
         return WorkFolder(Path(cache_root).absolute() / f"{site}-{url_digest}", url.rstrip("/"))
 
     @staticmethod
-    def beside(site_file: Path, site: str) -> WorkFolder:
+    def default_for(site_file: Path, site: str) -> WorkFolder:
         """Return the default work folder, for a site file that names none."""
         return WorkFolder(site_file.resolve().parent / ".wbflow" / site)
 
@@ -153,11 +153,11 @@ class WorkFolder:
         """Return the temporary files of a task: writes that have not finished."""
         return sorted(self.task(task).glob(f".*{_UNFINISHED}"))
 
-    def receipt_beside(self, artifact: Path) -> Path:
+    def receipt_of(self, artifact: Path) -> Path:
         """Return the path of the receipt of an artifact file."""
         return artifact.with_suffix(".json")
 
-    def place(self, path: Path) -> str:
+    def identity_of(self, path: Path) -> str:
         """Return the identity of a cache file, independent of where the work folder lies: stage/subject/key.suffix."""
         return "/".join(path.parts[-3:])
 
@@ -165,7 +165,7 @@ class WorkFolder:
         """Return the receipts of a task, or of all tasks, sorted by name."""
         return sorted(self.task(task).glob("*.json") if task else self.cache.glob("*/*/*.json"))
 
-    def cached(self) -> Iterator[Path]:
+    def cache_files(self) -> Iterator[Path]:
         """Yield every file of every task, whatever its key."""
         return (path for path in self.cache.glob("*/*/*") if not path.name.startswith("."))
 
@@ -200,7 +200,7 @@ class WorkFolder:
         name = link.readlink().name if link.is_symlink() else None
         return name if name and self.run(name).record.is_file() else None
 
-    def turn(self, link: Path, run: str) -> None:
+    def point_link(self, link: Path, run: str) -> None:
         """Point a link such as `latest` to a run with one rename, so that a reader sees either the old run or the new one.
 
         Nothing is ever written or removed through the link.  If a folder is in its place, as in a copy of the work folder, it is
@@ -226,10 +226,10 @@ class WorkFolder:
         Returns whether the previous writer was killed or failed.
         """
         killed = self._writing_mark.exists()
-        beside = f".*{_UNFINISHED}"
+        pattern = f".*{_UNFINISHED}"
         if killed:
-            leftovers = [*self.cache.rglob(beside), *self.reference.rglob(beside), *self.root.glob(beside)]
-            for path in [*leftovers, *self.runs.glob(beside), *self.runs.glob(f"*/{beside}")]:
+            leftovers = [*self.cache.rglob(pattern), *self.reference.rglob(pattern), *self.root.glob(pattern)]
+            for path in [*leftovers, *self.runs.glob(pattern), *self.runs.glob(f"*/{pattern}")]:
                 clear(path)  # never through a link: its target is a published run
         self._writing_mark.parent.mkdir(parents=True, exist_ok=True)
         self._writing_mark.touch()

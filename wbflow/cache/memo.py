@@ -14,7 +14,7 @@ from typing import Any
 from ..errors import WbflowError
 from .checksum import Damaged, file_digest, read_checksummed, write_checksummed
 
-_SETTLED_NS = 2_000_000_000
+_STABLE_NS = 2_000_000_000
 """Digests of files younger than this (nanoseconds) are not reused: see the module's docstring."""
 _FORMER = 2000
 """Number of digests that are kept for files which this run has not looked up."""
@@ -68,11 +68,11 @@ class Digests(Memo):
         name, status = str(path), path.stat()
         self._used[name] = None
         before, known_entry = _stamp(status), self._files.get(name)
-        settled = time.time_ns() - max(status.st_mtime_ns, status.st_ctime_ns) > _SETTLED_NS
-        if known_entry and known_entry[:-1] == before and settled:
+        is_stable = time.time_ns() - max(status.st_mtime_ns, status.st_ctime_ns) > _STABLE_NS
+        if known_entry and known_entry[:-1] == before and is_stable:
             return str(known_entry[-1])
         digest = file_digest(path)
-        if settled and _stamp(path.stat()) == before:  # unchanged while it was read
+        if is_stable and _stamp(path.stat()) == before:  # unchanged while it was read
             self._files[name] = [*before, digest]
             self._changed = True
         return digest
@@ -109,7 +109,7 @@ class EarlierCaptures(Memo):
         super().__init__(memo, "captures of earlier nights", cost)
         self._cameras: dict[str, dict[str, list[str]]] = self.entries.setdefault("cameras", {})
 
-    def before(self, camera: str, night: str) -> dict[str, str]:
+    def last_delivered(self, camera: str, night: str) -> dict[str, str]:
         """Return, for each digest that a camera delivered before `night`, the newest such night."""
         earlier = sorted((date, digests) for date, digests in self._cameras.get(camera, {}).items() if date < night)
         return {digest: date for date, digests in earlier for digest in digests}

@@ -29,15 +29,15 @@ from .untrusted import read_untrusted
 class DamagedArtifact(WbflowError):
     """The bytes on disk do not match the digest in the receipt; the file, if there is one, has been moved to quarantine."""
 
-    def __init__(self, task: Task, path: Path, gone: bool = False) -> None:
-        what = f"{path} is gone" if gone else f"{path} is damaged: moved to quarantine"
+    def __init__(self, task: Task, path: Path, is_missing: bool = False) -> None:
+        what = f"{path} is gone" if is_missing else f"{path} is damaged: moved to quarantine"
         super().__init__(what, remedy="the next  wbflow run  makes it again")
         self.task = task
         self.path = path
-        self.gone = gone
+        self.is_missing = is_missing
 
     def __reduce__(self) -> tuple[Any, ...]:  # worker processes send it back pickled
-        return type(self), (self.task, self.path, self.gone)
+        return type(self), (self.task, self.path, self.is_missing)
 
 
 @dataclass(frozen=True)
@@ -166,7 +166,7 @@ class Cache:
             if content_digest(data) == digest:
                 return data
         missing = not path.exists()
-        clear(self.work.receipt_beside(path))  # the receipt goes first; the file is kept for investigation
+        clear(self.work.receipt_of(path))  # the receipt goes first; the file is kept for investigation
         if path.exists():
             target = self.work.quarantined(path)
             target.parent.mkdir(parents=True, exist_ok=True)
@@ -192,11 +192,11 @@ class Cache:
         """Write an artifact and its drawings, and the receipt last.  Raises OSError."""
         task = receipt.preimage.task
         for name, drawing in (drawings or {}).items():
-            write_atomic(self.work.drawing(task, receipt.key, name), drawing, fsync="none", ours=True)
+            write_atomic(self.work.drawing(task, receipt.key, name), drawing, fsync="none", own_path=True)
         if data is not None:
-            write_atomic(self.path(receipt), data, fsync="file", ours=True)
+            write_atomic(self.path(receipt), data, fsync="file", own_path=True)
         path = self.work.receipt(task, receipt.key)
-        write_checksummed(path, self.work.place(path), {**vars(receipt), "preimage": vars(receipt.preimage)})
+        write_checksummed(path, self.work.identity_of(path), {**vars(receipt), "preimage": vars(receipt.preimage)})
 
     def tidy(self, tasks: Iterable[Task]) -> None:
         """Remove temporary files that a dead worker left of some tasks."""
@@ -207,7 +207,7 @@ class Cache:
     def _receipt(self, task: Task | None, path: Path) -> Receipt | None:
         """Return a receipt; None if it is missing or damaged.  Damage is noted, and the task runs again."""
         try:
-            if (fields := read_checksummed(path, self.work.place(path))) is None:
+            if (fields := read_checksummed(path, self.work.identity_of(path))) is None:
                 return None
             preimage = fields["preimage"]
             preimage["subject"] = tuple(preimage["subject"])

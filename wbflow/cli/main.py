@@ -10,7 +10,7 @@ import traceback
 import click
 
 from .. import __version__
-from ..cache.atomic import FULL, disk_fault
+from ..cache.atomic import DISK_FULL_ERRORS, disk_fault
 from ..errors import ExitCode, WbflowError
 from . import results, run, setup
 from .common import stop
@@ -41,7 +41,7 @@ class _Commands(click.Group):
         except Exception as error:
             if _wants_tracebacks():
                 raise
-            if isinstance(error, OSError) and error.errno in _UNWRITABLE | FULL:
+            if isinstance(error, OSError) and error.errno in _UNWRITABLE | DISK_FULL_ERRORS:
                 stop(ExitCode.FAILED, str(disk_fault(error, "the work folder")))
             stop(ExitCode.FAILED, f"wbflow itself failed: {type(error).__name__}: {error}\n  again with -v shows where")
 
@@ -49,14 +49,14 @@ class _Commands(click.Group):
 @click.group(cls=_Commands, context_settings={"help_option_names": ["-h", "--help"], "show_default": True})
 @click.version_option(__version__, prog_name="wbflow")
 def main() -> None:
-    """A metric, coloured point cloud of a site, every night, from fixed cameras far apart.
+    """Make a metric, coloured point cloud of a site every night, from fixed cameras far apart.
 
     Exit codes: 0 good; 1 no cloud could be made; 2 wrong usage or site file; 3 degraded: a cloud, but look at the findings;
     4 another run holds the work folder; 130 interrupted (everything finished is kept).
 
     \b
-    wbflow init photographs                a site file from a folder of photographs
-    wbflow check photographs               faults of the file and of the captures
+    wbflow init photographs                write a site file for a folder of photographs
+    wbflow check photographs               check the file and the captures
     wbflow run photographs                 the night's work
     """
 

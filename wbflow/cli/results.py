@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 @common.run_argument
 @common.work_option
 def report(site: Path, run_id: str | None, work: str | None) -> None:
-    """(Re)build a run's report.
+    """Build a run's report again.
 
     \b
     wbflow report site.yaml                       of the newest run
@@ -37,7 +37,7 @@ def report(site: Path, run_id: str | None, work: str | None) -> None:
     from ..report.page import rebuild_report
 
     run = Run.open(loaded.work_folder, run_id)
-    echo(run.place.write_report(rebuild_report(loaded, run)))
+    echo(run.run_folder.write_report(rebuild_report(loaded, run)))
 
 
 @click.command()
@@ -47,7 +47,7 @@ def report(site: Path, run_id: str | None, work: str | None) -> None:
 @click.option("--csv", is_flag=True, help="The same as a table for spreadsheets.")
 @common.work_option
 def history(site: Path, as_json: bool, changes: bool, csv: bool, work: str | None) -> None:
-    """Runs: when, how long, cached/ran/failed, cloud size, exit code, verdict and first finding.
+    """List all runs.  Each with time, duration, tasks cached/ran/failed, cloud size, exit code, verdict and first finding.
 
     \b
     wbflow history site.yaml
@@ -93,7 +93,7 @@ def _print_growth(site: Site, *, as_json: bool, as_table: bool) -> None:
 @common.sites_argument
 @common.json_option
 def runs(sites: tuple[Path, ...], as_json: bool) -> None:
-    """Where the runs of one or several sites lie, for programs: folder, night, verdict, cloud, report.
+    """List the runs of sites, for programs.  Each with folder, night, verdict, cloud and report.
 
     \b
     wbflow runs site.yaml --json
@@ -120,12 +120,12 @@ def runs(sites: tuple[Path, ...], as_json: bool) -> None:
 @common.json_option
 @common.work_option
 def compare(nights: tuple[Path, ...], out: Path, page: Path | None, changes: bool, as_json: bool, work: str | None) -> None:
-    """Two nights side by side: what differs by more than noise; or a night and a scan.
+    """Compare two nights, or a night with a scan.  Prints what differs by more than noise.
 
     \b
     wbflow compare SITE.yaml                           the newest run, and the newest good one before it
     wbflow compare SITE.yaml 2026-11-18 2026-11-19     runs by night, by id, or latest, latest-good
-    wbflow compare RUN_A RUN_B                         folders of two runs, of whatever sites
+    wbflow compare RUN_A RUN_B                         folders of two runs, of any sites
     wbflow compare SITE.yaml --changes                 also cut and fill between them
     wbflow compare SITE.yaml latest-good latest --page both.html
     wbflow compare SITE.yaml [RUN] scan.laz            the cloud's deviation from a scan or model
@@ -207,7 +207,7 @@ def _compare_with_scan(site: Site, night: str | None, scan: Path, out: Path, as_
 @click.option("--note", default="", metavar="TEXT", help="Why.")
 @click.option("--drop", is_flag=True, help="Withdraw the acknowledgement.")
 def acknowledge(site: Path, words: tuple[str, ...], until: Day | None, note: str, drop: bool) -> None:
-    """A finding that somebody knows of no longer degrades a night, nor notifies; it stays in the report, as a known change does.
+    """Acknowledge a finding or a change.  It stays in the report, but no longer degrades a night or sends notifications.
 
     \b
     wbflow acknowledge site.yaml                  lists what is found, and what is acknowledged
@@ -243,9 +243,9 @@ def acknowledge(site: Path, words: tuple[str, ...], until: Day | None, note: str
 @click.option("--refine", is_flag=True, help="Refine the reference with the measurements of later nights.")
 @common.work_option
 def pin(site: Path, run_id: str | None, listed: bool, drop: bool, refine: bool, work: str | None) -> None:
-    """Make a run the reference that later nights are compared with; the newest good one, if no RUN is named.
+    """Make a run the reference of later nights.  Without RUN, the newest good run is taken.
 
-    The first good run becomes it by itself, unless the site file says `pin: none`.
+    The first good run is pinned automatically, unless the site file says `pin: none`.
 
     \b
     wbflow pin site.yaml                          the newest good run
@@ -312,7 +312,7 @@ def _export_options(command: Callable[..., None]) -> Callable[..., None]:
 @_export_options
 @common.work_option
 def export(site: Path, run_id: str | None, out: Path, work: str | None, **wanted: bool) -> None:
-    """A run's results for other programs; of the newest run with a cloud, if no RUN is named.
+    """Write a run's results for other programs.  Without RUN, those of the newest run with a cloud.
 
     \b
     wbflow export site.yaml --laz --heights --out maps
@@ -337,15 +337,15 @@ def export(site: Path, run_id: str | None, out: Path, work: str | None, **wanted
 @common.date_option
 @common.work_option
 def debug(words: tuple[str, ...], out: Path, date: Day | None, work: str | None) -> None:
-    """One task's inputs as ordinary files, its parameters, and a short script that runs it alone.
+    """Write one task's inputs as ordinary files.  With its parameters, and a short script that runs it alone.
 
     A task is a stage and its subject. Images are PNG, tables CSV, clouds PLY, other arrays npy; task.json says where each is.
-    The site is the one in this folder, if none is named.
+    Without SITE.yaml, the site file in this folder is used.
 
     \b
     wbflow debug site.yaml 'disparity gate--roof' --out look
     wbflow debug site.yaml frames gate --date yesterday --out look
-    python look/run.py          what it makes, and whether the cache has the same bytes
+    python look/run.py          prints the result, and whether the cache has the same bytes
     """
     from ..outcome.debug import write_task
     from ..outcome.finished_run import task_named
@@ -372,10 +372,10 @@ def debug(words: tuple[str, ...], out: Path, date: Day | None, work: str | None)
 @click.option("--dry-run", is_flag=True, help="Only print how much would be removed.")
 @common.work_option
 def clean(site: Path, keep: int, clouds: int | None, reports: int | None, dry_run: bool, work: str | None) -> None:
-    """Remove artifacts that the last N runs don't use.  What has been published stays, unless it is named.
+    """Remove artifacts that the last N runs do not use.  Published clouds and reports stay, unless an option says otherwise.
 
     \b
-    wbflow clean site.yaml --keep 7 --dry-run     how much that is
+    wbflow clean site.yaml --keep 7 --dry-run     print how much would be removed
     wbflow clean site.yaml --keep 7 --clouds 30
     """
     folder = load(site, work).work_folder
@@ -393,9 +393,9 @@ def clean(site: Path, keep: int, clouds: int | None, reports: int | None, dry_ru
 @common.sites_argument
 @click.option("--out", type=common.PATH, default=Path("sites.html"), metavar="FILE", help="The page.")
 def site_report(sites: tuple[Path, ...], out: Path) -> None:
-    """One page over several sites and their last nights, with links to the reports.
+    """Make one page about several sites.  It shows their last nights, with links to the reports.
 
-    SITE.yaml may be a folder: then all site files in it, and in the folders in it, are meant.
+    If SITE.yaml is a folder, all site files in it and in its subfolders are used.
 
     \b
     wbflow site-report /srv/sites --out /srv/www/sites.html

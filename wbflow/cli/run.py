@@ -22,7 +22,7 @@ from .display import display
 
 if TYPE_CHECKING:
     from ..api import Run
-    from ..capture import Taken
+    from ..capture import Delivery
     from ..outcome.status import Status
     from ..records.findings import Finding
     from ..records.record import RunRecord
@@ -73,10 +73,10 @@ def run(
     quiet: bool,
     **options: Any,
 ) -> None:
-    """The night's work: from captures to cloud and report.  What has not changed is taken from the cache.
+    """Do the night's work, from captures to cloud and report.  What has not changed comes from the cache.
 
-    Several sites run one after the other; a fault of one costs the others nothing.  With --since, each missed night gets
-    a run of its own.  The exit code is that of the worst run.
+    Several sites run one after the other; a fault of one does not affect the others. With --since, each missed night gets a
+    run of its own.  The exit code is that of the worst run.
 
     \b
     wbflow run site.yaml                          the newest night
@@ -119,7 +119,7 @@ def run(
                 finished = run_night(site, date=night, listen=progress.receive, not_captured=faults, **options)
             exit_codes.append(finished.record.exit_code)
             if as_json:
-                records.append(json.loads(finished.place.paths.record.read_bytes()))
+                records.append(json.loads(finished.run_folder.paths.record.read_bytes()))
             _print_run(finished, several, quiet)
             if exit_codes[-1] == ExitCode.INTERRUPTED:
                 break
@@ -156,7 +156,7 @@ def for_each(sites: Sequence[Path], work: Callable[[Path], int]) -> int:
 
 
 def _print_run(finished: Run, several: bool, quiet: bool) -> None:
-    record, paths = finished.record, finished.place.paths
+    record, paths = finished.record, finished.run_folder.paths
     if not quiet:
         if several:
             echo(f"{record.site}, night {record.date}, run {record.run}:")
@@ -203,7 +203,8 @@ def next_command(finished: Run, site: Path) -> str:
     record, file = finished.record, shlex.quote(str(site))
     if record.exit_code == ExitCode.INTERRUPTED:
         return f"wbflow run {file}"
-    failed_tasks = [event.task for event in finished.ended.values() if event.outcome == "failed" and event.code in DEBUGGABLE]
+    failed = (event for event in finished.task_events.values() if event.outcome == "failed")
+    failed_tasks = [event.task for event in failed if event.code in DEBUGGABLE]
     if failed_tasks:
         return f"wbflow debug {file} {shlex.quote(str(failed_tasks[0]))} --out debug"
     if record.exit_code:
@@ -215,26 +216,26 @@ def next_command(finished: Run, site: Path) -> str:
 @common.site_argument
 @click.option("-q", "--quiet", is_flag=True, help="Print only what went wrong.")
 def capture(site: Path, quiet: bool) -> None:
-    """Pictures of all cameras that have a `url`, at once, under the names that `run` looks for.
+    """Take pictures with all cameras that have a `url`.  All at the same time; `run` finds them by their names.
 
     \b
     wbflow capture site.yaml
     wbflow run site.yaml --capture -q             both, for cron
     """
     captured = _capture(load(site, None), quiet)
-    if not any(taken.files for taken in captured):
+    if not any(delivery.files for delivery in captured):
         sys.exit(ExitCode.FAILED)
-    sys.exit(ExitCode.DEGRADED if any(taken.fault for taken in captured) else ExitCode.GOOD)
+    sys.exit(ExitCode.DEGRADED if any(delivery.fault for delivery in captured) else ExitCode.GOOD)
 
 
-def _capture(site: Site, quiet: bool) -> list[Taken]:
+def _capture(site: Site, quiet: bool) -> list[Delivery]:
     from ..capture import capture
 
-    def print_taken(taken: Taken) -> None:
-        if taken.fault or not quiet:
-            echo(f"{taken.camera:10} {taken}", err=bool(taken.fault))
+    def print_delivery(delivery: Delivery) -> None:
+        if delivery.fault or not quiet:
+            echo(f"{delivery.camera:10} {delivery}", err=bool(delivery.fault))
 
-    return capture(site, print_taken)
+    return capture(site, print_delivery)
 
 
 @click.command()
@@ -244,7 +245,7 @@ def _capture(site: Site, quiet: bool) -> list[Taken]:
 @common.until_option
 @common.json_option
 def status(site: Path, date: Day | None, work: str | None, until: str | None, as_json: bool) -> None:
-    """What is cached, what would run, and why.
+    """Show what is cached, what would run, and why.
 
     \b
     wbflow status site.yaml
@@ -286,7 +287,7 @@ def _print_status(status: Status) -> None:
 @common.date_option
 @common.work_option
 def check(site: Path, date: Day | None, work: str | None) -> None:
-    """Site, captures and machine examined without running; every finding, with its remedy.
+    """Check site file, captures and machine.  Prints each problem with its remedy, and runs nothing.
 
     \b
     wbflow check site.yaml

@@ -54,7 +54,7 @@ def demo(folder: Path, nights: int | None, frames: int, **options: Any) -> None:
 @click.argument("folder", metavar="[FOLDER]", type=PATH, default=Path())
 @click.option("--systemd", is_flag=True, help="For an existing site: write a systemd service and timer that run it every night.")
 def init(folder: Path, systemd: bool) -> None:
-    """Write a site file from a folder of photographs.
+    """Write a site file for a folder of photographs.
 
     FOLDER (this one, if none is named) holds one photograph of each camera, or one folder for each camera with its photographs
     (several are several captures of one night). The site file is FOLDER/site.yaml; one that exists is left alone.
@@ -84,14 +84,14 @@ def init(folder: Path, systemd: bool) -> None:
 @site_argument
 @work_option
 def edit(site: Path, work: str | None) -> None:
-    """Draw masks, privacy polygons and zones, and click control points, in a page on this machine.
+    """Draw masks, polygons, zones and control points.  The page is served on this machine only.
 
-    Open the address that is printed: only who knows it gets the page.  The page writes the site file, with its comments, when you
-    save.  It shows captures as they are, private areas too.
+    Open the address that is printed; the page is not accessible without it.  It writes the site file, with its comments, when you
+    save, and shows captures unmasked, including private areas.
 
     \b
     wbflow edit site.yaml
-    ssh -L PORT:127.0.0.1:PORT station     from afar, with the port of the address
+    ssh -L PORT:127.0.0.1:PORT station     from another machine, with the port of the address
     """
     import contextlib
 
@@ -112,7 +112,7 @@ def edit(site: Path, work: str | None) -> None:
 @jobs_option
 @verbose_option
 def pair(left: Path, right: Path, out: Path, resolution: int, jobs: int, verbose: bool) -> None:
-    """Two photographs and nothing else: matches, F, rectified pair, disparity, and a page with a picture of each step.
+    """Process two photographs without a site.  Writes matches, F, rectified pair, disparity, and a page that shows each step.
 
     \b
     wbflow pair left.jpg right.jpg --out pair
@@ -154,7 +154,7 @@ def pair(left: Path, right: Path, out: Path, resolution: int, jobs: int, verbose
 def calibrate(
     camera: str, pictures: Path, board: str, square: float, marker: float, dictionary: str, model: str, out: Path
 ) -> None:
-    """Find the lens of CAMERA from PICTURES of a board: a folder of photographs, or a video.
+    """Calibrate a lens from pictures of a board.  PICTURES is a folder of photographs, or a video.
 
     Writes CAMERA.json, which a site file's `calibration:` takes, with the residuals of each picture, and a plot of where corners
     were seen: the model holds only there.
@@ -178,7 +178,7 @@ def calibrate(
 @click.command()
 @click.argument("stage", metavar="[STAGE]", required=False)
 def stages(stage: str | None) -> None:
-    """Every parameter of every stage, with default, unit and meaning; of one stage, if it is named.
+    """List the parameters of stages.  Each with default, unit and meaning.
 
     \b
     wbflow stages
@@ -198,7 +198,7 @@ def stages(stage: str | None) -> None:
 
 @click.command()
 def schema() -> None:
-    """The JSON schema of a site file: editors complete and check keys by it.
+    """Print the JSON schema of a site file.  Editors complete and check keys with it.
 
     \b
     wbflow schema > site.schema.json

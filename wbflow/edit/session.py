@@ -34,14 +34,14 @@ _FEWEST_PLACES = 3
 Corners = list[Vector2]
 
 
-class Drawn(Section):
+class DrawnMark(Section):
     """A mark that may already be in the site file."""
 
     was: int | None = None
     """Its index in the site file's list; None if it is new."""
 
 
-class PolygonMark(Drawn):
+class PolygonMark(DrawnMark):
     """A privacy polygon."""
 
     corners: Corners
@@ -54,7 +54,7 @@ class MaskArea(Section):
     corners: Annotated[Corners, Field(min_length=3)]
 
 
-class ZoneMark(Drawn):
+class ZoneMark(DrawnMark):
     """A zone."""
 
     name: str
@@ -62,7 +62,7 @@ class ZoneMark(Drawn):
     least_m: float = 0.0
 
 
-class PointMark(Drawn):
+class PointMark(DrawnMark):
     """A control point."""
 
     id: str = ""
@@ -144,22 +144,22 @@ class PosedCameras:
     def _sights(self) -> Any:
         return load("wbflow_stages.sighting:Sights")(self.poses)
 
-    def guides(self, asked: GuideRequest) -> dict[str, Any]:
+    def guides(self, request: GuideRequest) -> dict[str, Any]:
         """Return residuals of the control points, and guides and zone outlines for one camera's picture."""
-        camera, marks, chosen = asked.camera, asked.marks, asked.chosen
+        camera, marks, chosen = request.camera, request.marks, request.chosen
         places = [self._world(point.position) for point in marks.points]
         residuals = self._sights.residuals([(p.pixels, place) for p, place in zip(marks.points, places, strict=True)])
         guide = {}
         if chosen is not None and 0 <= chosen < len(places):
             guide = self._sights.guide(camera, marks.points[chosen].pixels, places[chosen])
-        zones = [self._sights.outline(camera, zone.corners, asked.ground) for zone in marks.zones] if self.upright else []
+        zones = [self._sights.outline(camera, zone.corners, request.ground) for zone in marks.zones] if self.upright else []
         return {"residuals": residuals, "guide": guide, "zones": zones}
 
-    def on_ground(self, asked: GroundRequest) -> list[float] | None:
+    def on_ground(self, request: GroundRequest) -> list[float] | None:
         """Return x, y of the ground that a pixel shows; None above the horizon, or if the camera has no pose."""
-        if asked.camera not in self.poses or not self.upright:
+        if request.camera not in self.poses or not self.upright:
             return None
-        place: list[float] | None = self._sights.on_ground(asked.camera, list(asked.pixel), asked.ground)
+        place: list[float] | None = self._sights.on_ground(request.camera, list(request.pixel), request.ground)
         return place
 
     def _world(self, position: Sequence[float] | None) -> list[float] | None:
@@ -178,7 +178,7 @@ def _stated_cameras(site: Site) -> dict[str, dict[str, Any]]:
 def _is_in_stated_frame(site: Site) -> bool:
     """Is the cameras' world the coordinate system of stated coordinates?  Stated distances alone fix only its scale."""
     placed_count = sum(camera.placement.C is not None for camera in site.cameras)
-    return site.some_given or bool(site.survey.crs) or max(placed_count, len(site.settings.control_points)) >= _FEWEST_PLACES
+    return site.has_given_poses or bool(site.survey.crs) or max(placed_count, len(site.settings.control_points)) >= _FEWEST_PLACES
 
 
 class Session:
@@ -224,7 +224,7 @@ class Session:
             raise Refused(message)
         file = usable[len(usable) // 2]
         try:
-            width, height, jpeg = load("wbflow_stages.marking:shown")(file.name, read_untrusted(file.path))
+            width, height, jpeg = load("wbflow_stages.marking:as_jpeg")(file.name, read_untrusted(file.path))
         except (ValueError, OSError) as error:
             raise Refused(str(error)) from None
         self._sizes[name] = width, height
@@ -235,7 +235,7 @@ class Session:
         if (mask := self._masks.get(self._camera(name).id)) is None:
             raise Refused(f"{name} has no mask")
         try:
-            return bytes(load("wbflow_stages.marking:shade")(name, mask))
+            return bytes(load("wbflow_stages.marking:mask_overlay")(name, mask))
         except ValueError as error:
             raise Refused(str(error)) from None
 
@@ -274,7 +274,7 @@ class Session:
                 self.picture(name)
             areas = [(area.use, area.corners) for area in drawn.mask]
             try:
-                yield name, load("wbflow_stages.marking:painted")(name, self._masks.get(name), self._sizes[name], areas)
+                yield name, load("wbflow_stages.marking:paint_mask")(name, self._masks.get(name), self._sizes[name], areas)
             except ValueError as error:
                 raise Refused(str(error)) from None
 

@@ -34,7 +34,7 @@ class Baseline:
     runs: tuple[RunRecord, ...] = ()
 
     @staticmethod
-    def before(work: WorkFolder, run: str, date: str) -> Baseline:
+    def of_earlier_runs(work: WorkFolder, run: str, date: str) -> Baseline:
         """The runs before `run`, of nights up to `date`; records that cannot be read are skipped."""
         by_date: dict[str, RunRecord] = {}
         for _, record in islice(newest_runs(work, before=run), MOST_RUNS):

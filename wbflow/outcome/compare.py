@@ -20,7 +20,7 @@ from ..records.record import CameraRecord, PairRecord, RunRecord
 from ..records.run_folder import NoSuchRun, RunFolder, newest_runs
 from ..task import Task
 from .export import MissingExtra
-from .finished_run import Gone, Run
+from .finished_run import MissingResult, Run
 
 NOISE = 0.05
 """Smaller relative differences are ignored: keypoints, inliers and points vary this much from night to night."""
@@ -153,12 +153,12 @@ def compare_with_scan(run: Run, scan: Path, out: Path) -> dict[str, Any]:
     """Write the deviations of a run's cloud from a scan into `out`; return the figures.
 
     Raises UsageError for a scan that cannot be read, or lies elsewhere, or covers less than half of the cloud; MissingExtra
-    where packages that read such files are not installed; Gone where the run has no cloud.
+    where packages that read such files are not installed; MissingResult where the run has no cloud.
     """
     if not scan.is_file():
         raise UsageError(f"{scan}: there is no such file", remedy="wbflow compare SITE.yaml SCAN.laz --out DIR")
     try:
-        files, figures = load("wbflow_stages.exports.deviation:scan_files")(run.cloud_table(), run.made(POSES), scan)
+        files, figures = load("wbflow_stages.exports.deviation:scan_files")(run.cloud_table(), run.result_of(POSES), scan)
     except ImportError as error:
         extra = "e57" if scan.suffix.lower() == ".e57" else "las"
         raise MissingExtra(f"{scan.suffix} needs {error.name}: pip install 'wbflow[{extra}]'") from None
@@ -169,28 +169,28 @@ def compare_with_scan(run: Run, scan: Path, out: Path) -> dict[str, Any]:
     return {**figures, "run": run.id, "night": run.record.date}
 
 
-def changes_between(then: Run, tonight: Run) -> Any:
+def changes_between(reference: Run, tonight: Run) -> Any:
     """Return what changed (`wbflow_stages.types.Changes`), by the function and the parameters of the later run.
 
-    Raises Gone where a run placed no cameras or the cache no longer holds its results; WbflowError where the later run did not
-    look for changes, or the runs have nothing in common.
+    Raises MissingResult where a run placed no cameras or the cache no longer holds its results; WbflowError where the later
+    run did not look for changes, or the runs have nothing in common.
     """
     receipt = tonight.receipt(Task(CHANGES))
     if receipt is None:
         raise WbflowError(f"run {tonight.id} did not look for changes", remedy="its log.jsonl says why")
     preimage = receipt.preimage
-    changes = load(preimage.function)(**_surface(tonight), **_surface(then, "reference_"), **preimage.parameters)
+    changes = load(preimage.function)(**_surface(tonight), **_surface(reference, "reference_"), **preimage.parameters)
     if not changes.compared:
         raise WbflowError(
-            f"runs {then.id} and {tonight.id} have nothing in common", remedy="their cameras are at different places"
+            f"runs {reference.id} and {tonight.id} have nothing in common", remedy="their cameras are at different places"
         )
     return changes
 
 
 def _surface(run: Run, prefix: str = "") -> Mapping[str, Any]:
-    poses = run.made(POSES)
+    poses = run.result_of(POSES)
     if poses is None:
-        raise Gone(f"run {run.id} placed no cameras: {run.record.reason or 'the run was not meant to'}")
+        raise MissingResult(f"run {run.id} placed no cameras: {run.record.reason or 'the run was not meant to'}")
     by_camera = {"frames": FRAMES, "depths": DEPTH, "refined": REFINE}
     values = {"poses": poses, "cloud": run.cloud_table(), **{name: run.of_cameras(stage) for name, stage in by_camera.items()}}
     return {prefix + name: value for name, value in values.items()}

@@ -23,7 +23,7 @@ from ..runner.spec import Input, Stored, TaskSpec
 from ..runner.state import Impossible, Waiting
 from ..runner.worker import arguments_of
 from ..site.models import Site
-from ..site.yaml_document import did_you_mean
+from ..site.yaml_document import suggest
 from ..task import Task
 
 SCRIPT = "run.py"
@@ -96,7 +96,7 @@ def _spec(plan: Plan, task: Task) -> TaskSpec:
     if task not in known:
         stage_tasks = [str(t) for t in known if t.stage == task.stage]
         listed = ", ".join(stage_tasks[:20]) or f"there is none of the stage {task.stage}"
-        remedy = did_you_mean(str(task), stage_tasks, f"there are: {listed}")
+        remedy = suggest(str(task), stage_tasks, f"there are: {listed}")
         raise UsageError(f"the night of {plan.night} has no task '{task}'", remedy=remedy)
     try:
         return plan.spec_of(task)

@@ -57,4 +57,4 @@ def _result(run: Run, stages: tuple[str, ...]) -> Any:
     if stages == (FUSE,):
         return run.cloud_table()
     scope = stage_named(stages[0]).scope
-    return run.made(stages[0]) if scope == "site" else run.of_pairs(*stages) if scope == "pair" else run.of_cameras(*stages)
+    return run.result_of(stages[0]) if scope == "site" else run.of_pairs(*stages) if scope == "pair" else run.of_cameras(*stages)

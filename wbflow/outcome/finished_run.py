@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     import open3d
 
 
-class Gone(WbflowError):
+class MissingResult(WbflowError):
     """A result is not there: it was removed, or the run never made it."""
 
 
@@ -31,9 +31,9 @@ class Gone(WbflowError):
 class Run:
     """A finished run, and all its results."""
 
-    place: RunFolder
+    run_folder: RunFolder
     record: RunRecord
-    ended: Mapping[Task, TaskEvent]
+    task_events: Mapping[Task, TaskEvent]
     cache: Cache
 
     @staticmethod
@@ -53,17 +53,17 @@ class Run:
     @property
     def id(self) -> str:
         """Its start, UTC: 20261120T031500Z."""
-        return self.place.id
+        return self.run_folder.id
 
     @property
     def folder(self) -> Path:
         """The folder of its files: run.json, cloud.ply, cameras.json, report.html, log.jsonl."""
-        return self.place.paths.folder
+        return self.run_folder.paths.folder
 
     @property
     def events(self) -> list[Event]:
         """Its events, in order."""
-        return self.place.events()
+        return self.run_folder.events()
 
     @cached_property
     def cameras(self) -> Mapping[str, CameraRecord]:
@@ -78,7 +78,7 @@ class Run:
     @cached_property
     def calibration(self) -> Mapping[str, Any]:
         """The cameras behind the cloud, by id: K, R, C, width, height, as a site file's `calibration` takes them."""
-        return self.place.cameras()
+        return self.run_folder.cameras()
 
     @cached_property
     def cloud(self) -> open3d.geometry.PointCloud:
@@ -89,7 +89,7 @@ class Run:
     @property
     def tasks(self) -> list[Task]:
         """The tasks that made an artifact."""
-        return [task for task, event in self.ended.items() if event.usable]
+        return [task for task, event in self.task_events.items() if event.usable]
 
     def artifact(self, task: Task | str) -> Any:
         """Return the result of a task: a dataclass of `wbflow_stages.types`.
@@ -98,9 +98,9 @@ class Run:
         made nothing; WbflowError where the cache does not hold it any more.
         """
         task = task_named(task) if isinstance(task, str) else task
-        event = self.ended.get(task)
+        event = self.task_events.get(task)
         if event is None:
-            known = ", ".join(dict.fromkeys(str(t) for t in self.ended if t.stage == task.stage)) or "none of this stage"
+            known = ", ".join(dict.fromkeys(str(t) for t in self.task_events if t.stage == task.stage)) or "none of this stage"
             raise UsageError(f"run {self.id} had no task '{task}'", remedy=f"it had {known}")
         if not event.usable:
             what = f"'{task}' made nothing: {event.outcome}{f': {event.reason}' if event.reason else ''}"
@@ -108,24 +108,24 @@ class Run:
         return self.load(task)
 
     def receipt(self, task: Task) -> Receipt | None:
-        """The receipt of a task that made a result in this run, or None.  Raises Gone where the cache has lost it."""
-        event = self.ended.get(task)
+        """The receipt of a task that made a result in this run, or None.  Raises MissingResult where the cache has lost it."""
+        event = self.task_events.get(task)
         if event is None or not event.usable or event.key is None:
             return None
         receipt = self.cache.by_key(task, event.key)
         if receipt is None:
-            raise Gone(f"the cache no longer holds '{task}' of run {self.id}", remedy="run the night again")
+            raise MissingResult(f"the cache no longer holds '{task}' of run {self.id}", remedy="run the night again")
         return receipt
 
     def load(self, task: Task) -> Any:
         """The result of a task (a dataclass of `wbflow_stages.types`), or None where it made nothing.
 
-        Raises Gone where the cache no longer holds it, DamagedArtifact where the disk has lost a part of it.
+        Raises MissingResult where the cache no longer holds it, DamagedArtifact where the disk has lost a part of it.
         """
         receipt = self.receipt(task)
         return self.cache.load(task, receipt) if receipt else None
 
-    def made(self, stage: str, subject: Subject = ()) -> Any:
+    def result_of(self, stage: str, subject: Subject = ()) -> Any:
         """The result of a stage for a subject, or None."""
         return self.load(Task(stage, subject))
 
@@ -133,7 +133,7 @@ class Run:
         """The results of the first of these stages that made something, by camera, or by view where a camera has views; each is
         read when it is accessed."""
         views: dict[str, list[str]] = {camera.id: [] for camera in self.record.cameras}
-        for view in (task.subject[0] for task in self.ended if task.stage == FRAMES):
+        for view in (task.subject[0] for task in self.task_events if task.stage == FRAMES):
             views.setdefault(camera_of(view), []).append(view)
         names = [view for camera, ids in views.items() for view in sorted(ids, key=lambda name: (len(name), name)) or [camera]]
         return self._on_demand({name: (name,) for name in names}, stages)
@@ -143,20 +143,20 @@ class Run:
         return self._on_demand({pair.name: (pair.left, pair.right) for pair in self.record.pairs}, stages)
 
     def _on_demand(self, subjects: Mapping[str, Subject], stages: tuple[str, ...]) -> Mapping[str, Any]:
-        usable = {task for task, event in self.ended.items() if event.usable}
+        usable = {task for task, event in self.task_events.items() if event.usable}
         made = {name: [t for stage in stages if (t := Task(stage, subject)) in usable] for name, subject in subjects.items()}
         return OnDemand({name: tasks[0] for name, tasks in made.items() if tasks}, self.load)
 
     def cloud_table(self) -> Any:
-        """The main cloud as it was published.  Raises Gone where there is none, or it cannot be read."""
+        """The main cloud as it was published.  Raises MissingResult where there is none, or it cannot be read."""
         cloud = self.record.cloud
         path = self.folder / cloud.path if cloud else None
         if path is None or not path.is_file():
-            raise Gone(f"run {self.id} made no cloud: {self.record.reason or 'the run was not meant to'}")
+            raise MissingResult(f"run {self.id} made no cloud: {self.record.reason or 'the run was not meant to'}")
         try:
             return load(RESTORE_CLOUD)(read_ply(path))
         except ValueError as error:
-            raise Gone(str(error), remedy="run the night again") from None
+            raise MissingResult(str(error), remedy="run the night again") from None
 
 
 def task_named(name: str) -> Task:

@@ -61,7 +61,7 @@ def _state_of(verdict: Verdict) -> tuple[str, ...]:
     return (level, *sorted({" ".join((f.kind, *f.subject)) for f in findings})) if findings else ()
 
 
-def notify(how: Notify, folder: Path, run: Run) -> Occasion | None:
+def notify(config: Notify, folder: Path, run: Run) -> Occasion | None:
     """Call the command for a published run; returns the occasion, or None where there is none.
 
     folder: where the command runs, the site file's.  Raises NotifyFailed, with the last line of the command's output.
@@ -69,8 +69,8 @@ def notify(how: Notify, folder: Path, run: Run) -> Occasion | None:
     work, record = run.cache.work, run.record
     assert record.verdict
     last, now = _last_reported(work), record.finished
-    state = _next_reported(last, _state_of(record.verdict), now, how)
-    occasion: Occasion | None = "heartbeat" if how.heartbeat else None
+    state = _next_reported(last, _state_of(record.verdict), now, config)
+    occasion: Occasion | None = "heartbeat" if config.heartbeat else None
     if state.state != last.state and not record.verdict.good:
         occasion = "failed" if record.verdict.level == "failed" else "degraded"
     elif last.state and not state.state and (last.state[0] != _ACKNOWLEDGED or last.bad_since):
@@ -79,7 +79,7 @@ def notify(how: Notify, folder: Path, run: Run) -> Occasion | None:
         occasion = "reminder"
     if occasion:
         duration = format_duration(_seconds(state.bad_since, now)) if occasion in {"recovered", "reminder"} else ""
-        _call(how, folder, _message(occasion, duration, run.place.paths, record))
+        _call(config, folder, _message(occasion, duration, run.run_folder.paths, record))
     if state != last:
         write_checksummed(work.notified, _FILE_KIND, state.to_json())
     return occasion
@@ -109,10 +109,10 @@ def _seconds(begin: str, end: str) -> float:
     return (moment(end) - moment(begin)).total_seconds()
 
 
-def summary(record: RunRecord, lasted: str = "") -> str:
-    """A run in one line, for the subject of a message.  lasted: how long the site has been, or was, degraded or failed."""
+def summary(record: RunRecord, duration: str = "") -> str:
+    """A run in one line, for the subject of a message.  duration: how long the site has been, or was, degraded or failed."""
     verdict = record.verdict or Verdict("good")
-    time = f", {'back after' if verdict.good else 'for'} {lasted}" if lasted else ""
+    time = f", {'back after' if verdict.good else 'for'} {duration}" if duration else ""
     head = f"{record.site} {record.date}: {verdict.level}{time}"
     others = f" (and {len(verdict.findings) - 1} more)" if len(verdict.findings) > 1 else ""
     line = f"{head}: {verdict.findings[0]}{others}" if verdict.findings else head

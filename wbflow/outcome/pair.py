@@ -51,10 +51,10 @@ def pair_site(left: Path, right: Path, out: Path, resolution: int | None) -> Sit
 
 
 def write_pair(run: Run, out: Path) -> tuple[Path, ...]:
-    """Write the results of a pair's run into `out`; returns the files, if any.  Raises Gone, DamagedArtifact."""
-    left, right = (run.made(FRAMES, (name,)) for name in PAIR)
+    """Write the results of a pair's run into `out`; returns the files, if any.  Raises MissingResult, DamagedArtifact."""
+    left, right = (run.result_of(FRAMES, (name,)) for name in PAIR)
     stages = {"matches": MATCHES, "geometry": GEOMETRY, "rectification": RECTIFY, "disparity": DISPARITY}
-    results = {name: run.made(stage, PAIR) for name, stage in stages.items()}
+    results = {name: run.result_of(stage, PAIR) for name, stage in stages.items()}
     if left is None or right is None or next(iter(results.values())) is None:
         return ()
     files, summary = load("wbflow_stages.exports.pairfiles:pair_files")(left, right, **results)
@@ -71,5 +71,5 @@ def write_pair(run: Run, out: Path) -> tuple[Path, ...]:
 
 def failure(run: Run) -> str | None:
     """Why there is no disparity, if there is none."""
-    ended = (event for event in run.ended.values() if event.outcome in {"failed", "rejected"})
+    ended = (event for event in run.task_events.values() if event.outcome in {"failed", "rejected"})
     return next((f"{event.task} {event.outcome}: {event.reason}" for event in ended), None)

@@ -66,7 +66,7 @@ def run_pipeline(run: str, context: RunContext, options: Options, journal: Journ
             notify(site.settings.notify, site.folder, finished)
         except (NotifyFailed, OSError) as error:  # the night itself is not affected
             journal.warn(str(error), remedy="the command is called again after the next run")
-            finished.place.add(journal.events[-1])
+            finished.run_folder.add(journal.events[-1])
     return finished
 
 
@@ -94,7 +94,7 @@ def _publish(run: str, context: RunContext, products: dict[Task, bytes] | None, 
     harmful, harmless = context.captures_in_motion()
     record = replace(record, cameras=tuple(_with_motion(camera, harmful, harmless) for camera in record.cameras))
     acknowledged = _acknowledged(plan.site, journal)
-    facts = replace(Facts.from_plan(plan, products is None), behind=journal.behind(), acknowledged=acknowledged)
+    facts = replace(Facts.from_plan(plan, products is None), upload_finding=journal.upload(), acknowledged=acknowledged)
     record = with_known(judge_run(record, plan, facts), acknowledged)
     record = replace(record, repaired=tuple(journal.repairs), files=unfinished.files)
     page = _report(plan, record, journal, cameras, unfinished)
@@ -171,13 +171,13 @@ def _report(plan: Plan, record: RunRecord, journal: Journal, cameras: Mapping[st
         return f"<!doctype html><title>wbflow</title><p>No report: {escape(repr(error))}"
 
 
-def mend_ledger(place: WorkFolder, journal: Journal) -> None:
+def repair_ledger(place: WorkFolder, journal: Journal) -> None:
     """Rebuild the ledger where it is damaged, before it is read."""
     try:
         with Ledger(place, writes=True) as ledger:
             ledger.catch_up()
             for fault in ledger.faults:
-                journal.repaired(fault)
+                journal.note_repair(fault)
     except (OSError, sqlite3.Error) as error:
         journal.warn(f"the ledger cannot be used: {error}", remedy="the run continues without it; the next run tries again")
 
@@ -187,14 +187,14 @@ def post_run(run: Run, site: Site, journal: Journal) -> None:
     earlier = len(journal.events)
     try:
         with Ledger(run.cache.work, writes=True) as ledger:
-            new_tasks = (task for task, event in run.ended.items() if event.outcome in {"ran", "rejected"})
+            new_tasks = (task for task, event in run.task_events.items() if event.outcome in {"ran", "rejected"})
             ledger.record_artifacts(receipt for task in new_tasks if (receipt := run.receipt(task)))
             ledger.record_run(run.record)
         if site.settings.pin == "auto" and not run.cache.work.reference_record.exists() and fit_to_pin(run.record):
-            pin(run.cache, run.place, automatic=True)
+            pin(run.cache, run.run_folder, automatic=True)
         keep = site.settings.keep.limits()
         if keep != Keep():
-            excess = clean(run.cache.work, keep, asked=False).over
+            excess = clean(run.cache.work, keep, requested=False).excess_bytes
             if excess:
                 what = f"the cache holds {format_size(excess)} more than keep.bytes allows"
                 journal.warn(what, remedy="the newest night alone needs it: allow more, or lower `resolution`")
@@ -204,4 +204,4 @@ def post_run(run: Run, site: Site, journal: Journal) -> None:
         journal.warn(f"after the run: {error}", remedy="no result is lost; the next run tries again")
     with contextlib.suppress(OSError):  # a full disk, of which a warning has been given
         for event in journal.events[earlier:]:
-            run.place.add(event)
+            run.run_folder.add(event)

@@ -67,13 +67,13 @@ FAINT = 10.0
 """Images count as soft if their grey levels have a smaller standard deviation: eight bits and JPEG leave little detail.  Fitted
 on six scenes in thick fog or underexposed: 4.2 to 8.8 (82 to 90 % of the points right, 90 to 95 unaltered); in thinner fog 10.5
 and more.  Judged on a solar farm and a stadium: 6.8 to 9.1 (87 to 90 %).  Photographs by day and night have 17 to 76."""
-APART_PX = 0.25
+MOST_DIFFERENCE_PX = 0.25
 """Largest overall difference tolerated between the depths that two pairs give to one view.  Right cameras give 0.02 to 0.16
 (yard, apron, stadium, fountain, entry), a camera moved by half a metre or turned by half a degree 0.38 to 2.1."""
-SOLVED_APART_PX = 0.5
-"""Limit instead of `APART_PX` where a pose is solved, since tonight's matches determine it no better, or where dense matching
-confirms the rows of the stated cameras.  Judged on a quarry (one pose solved 0.25, all 0.3; 94 and 93 % of the points right) and
-a stadium (all 0.8, 76 %)."""
+MOST_DIFFERENCE_SOLVED_PX = 0.5
+"""Limit instead of `MOST_DIFFERENCE_PX` where a pose is solved, since tonight's matches determine it no better, or where dense
+matching confirms the rows of the stated cameras.  Judged on a quarry (one pose solved 0.25, all 0.3; 94 and 93 % of the points
+right) and a stadium (all 0.8, 76 %)."""
 SINGLE_DIFFERENCE_FACTOR = 2.0
 """A single difference between two pairs, with no other above its limit, may exceed its own by this factor: a wrong pose shows in
 more than one view or pair.  Fitted on a harbour with exact poses: 0.3 to 0.4 px beside its water, in 6 % of one view; judged on
@@ -106,7 +106,7 @@ class Facts:
     interrupted: bool = False
     stopped: tuple[State, ...] = ()
     """States of the tasks that were not started because the time was over."""
-    behind: Finding | None = None
+    upload_finding: Finding | None = None
     """A finding on what the object store does not have yet."""
     calibration_change: str = ""
     """How lenses and poses differ from those of the reference, which is therefore not used."""
@@ -132,7 +132,7 @@ class Facts:
 def judge_run(record: RunRecord, plan: Plan, facts: Facts) -> RunRecord:
     """Return the record with the figures it is compared with, the health of its cameras, its verdict and its exit code."""
     expected, settings, work = plan.site.settings.expect, settings_of(plan.site), plan.cache.work
-    baseline = Baseline.before(work, record.run, record.date)
+    baseline = Baseline.of_earlier_runs(work, record.run, record.date)
     usual = baseline.usual(settings, expected.since)
     if plan.reference and not plan.reference.automatic:  # pinned by an operator: its figures count as usual
         with suppress(NoSuchRun):  # removed since
@@ -176,8 +176,8 @@ def check_end(record: RunRecord, facts: Facts) -> Iterator[Finding]:
         yield finding("no-result", stage=facts.missing[0], reason=shortened(facts.missing[1]))
     elif facts.product and not record.cloud:
         yield finding("no-cloud", reason=shortened(record.reason or "reason unknown"))
-    if facts.behind:
-        yield facts.behind
+    if facts.upload_finding:
+        yield facts.upload_finding
 
 
 def check_cameras(record: RunRecord, facts: Facts) -> Iterator[Finding]:
@@ -486,7 +486,8 @@ def check_depths(record: RunRecord, facts: Facts) -> Iterator[Finding]:
         if px <= LOOK_ALIKES_PX
     ]
     agree = poses is not None and poses.rows_agree
-    with_limits = [(cameras, px, SOLVED_APART_PX if agree or cameras & solved else APART_PX) for cameras, px in differences]
+    limits = (MOST_DIFFERENCE_SOLVED_PX if agree or cameras & solved else MOST_DIFFERENCE_PX for cameras, _ in differences)
+    with_limits = [(cameras, px, limit) for (cameras, px), limit in zip(differences, limits, strict=True)]
     above_limit = sorted((px / limit, px, limit) for _, px, limit in with_limits if px > limit)
     if not above_limit or (len(above_limit) == 1 and above_limit[0][0] <= SINGLE_DIFFERENCE_FACTOR):
         return

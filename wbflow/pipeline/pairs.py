@@ -27,7 +27,7 @@ Evidence = Mapping[Pair, Known]
 
 MOST_CANDIDATES = 96
 """Largest number of candidate pairs per view, by descending worth; at most a third of them are taken (`MOST_PAIRS_PER_VIEW`)."""
-ALL_KNOWN = 32
+MOST_VIEWS_ALL_PAIRS = 32
 """Up to this number of views, `Overlap` has a row for each pair; with more views, pairs that share nothing may have none."""
 _SIMILARITY_LOSS, _BEST_ANGLE_DEG = 0.047, 12.0
 """Relative loss of similarity per degree between two views, and the best angle (degrees) if only similarity is known."""
@@ -49,7 +49,7 @@ def worth(angle: np.ndarray, shared: np.ndarray) -> np.ndarray:
     return reduced
 
 
-def unfit(angle: float, shared: float, angles: tuple[float, float]) -> str | None:
+def unfit_reason(angle: float, shared: float, angles: tuple[float, float]) -> str | None:
     """Why a pair is not worth matching; None if it is.  angles: smallest and largest permitted angle, degrees."""
     min_angle, max_angle = angles
     if shared <= 0:
@@ -74,7 +74,7 @@ def evidence_of(overlap: Any, angles: tuple[float, float], named: Collection[fro
     import networkx as nx
 
     best_first = sorted(all_evidence, key=lambda pair: -all_evidence[pair][2])
-    fit = [pair for pair in best_first if not unfit(*all_evidence[pair][:2], angles)]
+    fit = [pair for pair in best_first if not unfit_reason(*all_evidence[pair][:2], angles)]
     kept_pairs = _among_best(best_first, MOST_DROPPED) | _among_best(fit, MOST_CANDIDATES)
     kept_pairs |= {pair for pair in all_evidence if cameras_of(pair) in named}
     groups = nx.utils.UnionFind()
@@ -115,7 +115,7 @@ def _shared_with_baseline(overlap: Any) -> np.ndarray:
 
     shared: np.ndarray = overlap.shared.copy()
     only_similarity = np.isnan(overlap.angle_deg) & (shared > 0)
-    if len(overlap.cameras) > ALL_KNOWN and only_similarity.any():
+    if len(overlap.cameras) > MOST_VIEWS_ALL_PAIRS and only_similarity.any():
         best = np.zeros(len(overlap.cameras))
         for side in overlap.pairs[only_similarity].T:
             np.maximum.at(best, side, shared[only_similarity])
@@ -149,7 +149,7 @@ def low_worth_pairs(evidence: Evidence) -> set[Pair]:
     return low_worth
 
 
-def choose(candidates: nx.Graph, degree: int, forced: list[Pair], little: Collection[Pair]) -> dict[Pair, str]:
+def choose(candidates: nx.Graph, degree: int, forced: list[Pair], low_worth: Collection[Pair]) -> dict[Pair, str]:
     """Choose forced pairs, a spanning tree, cover for weak cuts, then the best up to `degree`; returns reasons by chosen pair.
 
     Parameters
@@ -160,7 +160,7 @@ def choose(candidates: nx.Graph, degree: int, forced: list[Pair], little: Collec
         Pairs to choose at each view.
     forced
         Pairs that are always chosen.
-    little
+    low_worth
         Pairs that are chosen only to connect cameras.
     """
     import networkx as nx
@@ -211,7 +211,7 @@ def choose(candidates: nx.Graph, degree: int, forced: list[Pair], little: Collec
         if best := min(crossing_pairs, default=None):
             take(best[2], best[3], f"covers the weak cut {bridge[0]}--{bridge[1]}")
     for u, v, _ in ranked:
-        is_useful = (u, v) not in little and (v, u) not in little
+        is_useful = (u, v) not in low_worth and (v, u) not in low_worth
         if not view_graph.has_edge(u, v) and is_useful and has_room(u, v, min(degree, MOST_PAIRS_PER_VIEW)):
             triangles = len(set(view_graph[u]) & set(view_graph[v]))
             take(u, v, f"closes {triangles} triangle{'s' * (triangles != 1)}" if triangles else "among the best of its cameras")
@@ -292,7 +292,7 @@ def select_pairs(
     for pair, (angle, shared, pair_worth) in evidence.items():
         if cameras_of(pair) in excluded:
             reasons[pair] = "excluded by the site file"
-        elif pair not in forced and (why := unfit(angle, shared, (min_angle, max_angle))):
+        elif pair not in forced and (why := unfit_reason(angle, shared, (min_angle, max_angle))):
             reasons[pair] = why
         else:
             candidates.add_edge(*pair, weight=pair_worth, order=next(orders))
@@ -356,7 +356,7 @@ def _forced_pairs(included: Collection[frozenset[str]], views: Sequence[str], ev
         cameras = cameras_of(pair)
         if cameras in included and (cameras not in forced or evidence[pair][2] > evidence[forced[cameras]][2]):
             forced[cameras] = pair
-    for cameras in [cameras for cameras in included if cameras not in forced] if len(views) > ALL_KNOWN else ():
+    for cameras in [cameras for cameras in included if cameras not in forced] if len(views) > MOST_VIEWS_ALL_PAIRS else ():
         first_views = {camera_of(view): view for view in reversed(views) if camera_of(view) in cameras}
         if len(first_views) == 2:
             left, right = sorted(first_views.values(), key=views.index)

@@ -168,11 +168,11 @@ class TaskCosts:
     stages_bytes: dict[str, float] = field(default_factory=dict)
     """Mean size of a stage's artifacts on disk, in bytes."""
 
-    def expected(self, stage: str, task: str) -> float:
+    def expected_seconds(self, stage: str, task: str) -> float:
         """Return the expected wall time of a task in seconds: that of its last run, else the median of its stage."""
         return self.tasks.get(task, self.stages.get(stage, 0.0))
 
-    def held(self, stage: str, task: str, others: float = 0.0) -> float:
+    def expected_peak_mb(self, stage: str, task: str, others: float = 0.0) -> float:
         """Return the expected peak memory of a task in MB.  others: peak of its stage's tasks in the run so far."""
         return self.tasks_mb.get(task, max(others, self.stages_mb.get(stage, 0.0)))
 

@@ -126,7 +126,7 @@ def write_reference(cache: Cache, reference: Reference, receipts: Iterable[Recei
     os.sync()  # one sync for all copies, before the record is written
     data = dump_with_checksum(_IDENTITY, reference.to_json(), in_lines=True)
     for path in (work.reference_twin, work.reference_record):
-        write_atomic(path, data, ours=True)
+        write_atomic(path, data, own_path=True)
     if is_replaced:
         _remove_all_but(work.reference, new_files)
 

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..cache.atomic import sync_folder, write_atomic
-from ..cache.checksum import NoChecksum, checked, dump_with_checksum, sha256_of
+from ..cache.checksum import NoChecksum, dump_with_checksum, parse_checksummed, sha256_of
 from ..cache.layout import RunPaths, WorkFolder, run_id, started_by
 from ..cache.lock import hold
 from ..cache.untrusted import read_untrusted
@@ -60,12 +60,12 @@ class RunFolder:
     def at(path: Path) -> RunFolder:
         """Return the run in a folder; `path` may also be its run.json.  Raises NoSuchRun if it is not the folder of a run."""
         folder = RunFolder(RunPaths((path if path.is_dir() else path.parent).resolve()))
-        if not RunFolder.is_one(path):
+        if not RunFolder.is_run_folder(path):
             raise NoSuchRun(f"{path} is not the folder of a run: it holds no {folder.paths.record.name}")
         return folder
 
     @staticmethod
-    def is_one(path: Path) -> bool:
+    def is_run_folder(path: Path) -> bool:
         """Is this the folder of a run, or the run.json in it?"""
         return path == RunPaths(path.parent).record if path.is_file() else RunPaths(path).record.is_file()
 
@@ -226,7 +226,7 @@ def update_links(work: WorkFolder) -> None:
             if run.id == target:
                 break
             if may_point_to(run):
-                work.turn(link, run.id)
+                work.point_link(link, run.id)
                 break
 
 
@@ -308,7 +308,7 @@ def _read_record(path: Path, stamp: tuple[int, int, int]) -> RunRecord:
 def _record_entries(data: bytes) -> dict[str, Any]:
     """Return the entries of run.json, which has no checksum in earlier versions.  Raises ValueError, AttributeError."""
     try:
-        return checked(data, _IDENTITY)
+        return parse_checksummed(data, _IDENTITY)
     except NoChecksum:
         entries: dict[str, Any] = json.loads(data)
         if entries.get("of") == _IDENTITY:

@@ -37,10 +37,9 @@ def incompatibility(reference: Reference, plan: Plan) -> str:
     for stage in plan.stages:
         if not (stage.reuse.shifted or stage.name == FRAMES):
             continue
-        binding = plan.bound(stage)
-        files = {
-            name: plan.named.get(file_of_stage(stage.name, name)) for name, need in binding.inputs.items() if need.kind == "file"
-        }
+        binding = plan.binding(stage)
+        names = [name for name, need in binding.inputs.items() if need.kind == "file"]
+        files = {name: plan.named_files.get(file_of_stage(stage.name, name)) for name in names}
         tasks = [task for task in reference.artifacts if task.stage == stage.name]
         for task in tasks if stage.scope == "camera" else tasks[:1]:
             receipt = plan.cache.by_key(task, reference.artifacts[task].key)

@@ -20,9 +20,9 @@ from ..pipeline.summaries import HealthSummary
 from ..records.findings import Health
 from ..records.run_folder import last_of_nights, newest_runs
 from ..runner.spec import Absent, Input, Joined, Part, Stored, Value, subject_of
-from ..runner.state import Cause, Impossible, Waiting, because, summary_of
+from ..runner.state import Cause, Impossible, Waiting, blocked_by, summary_of
 from ..task import Subject, Task, camera_of
-from .restore import put_back
+from .restore import restore_to_cache
 
 if TYPE_CHECKING:
     from ..runner.planner import Plan
@@ -113,7 +113,7 @@ class Resolver:
             return None
         for camera in task.subject:
             if self.state_of(camera) in USELESS:
-                raise self.unfit((camera,))
+                raise self.unfit_error((camera,))
         if not self._enough_poses_known() or any(
             stage_named(name).reuse.shifted for name in self._forced & ancestors(stage.name)
         ):
@@ -168,13 +168,13 @@ class Resolver:
         """The views that are known to show nothing of the site tonight."""
         return self._useless if self.plan.reference else frozenset()
 
-    def unfit(self, subject: Subject) -> Impossible:
+    def unfit_error(self, subject: Subject) -> Impossible:
         """Why a task is impossible: a camera of its subject shows nothing of the site."""
         camera = next((c for c in subject if c in self.useless()), subject[0])
         if health := self.plan.stale.get(camera_of(camera)) or self._healths.get(camera):
             return Impossible(f"camera {camera} is {health.state}: {health.text}", Cause.UNFIT)
         frame = Task(FRAMES, (camera,))
-        return because(frame, self.plan.states[frame])
+        return blocked_by(frame, self.plan.states[frame])
 
     def task_ended(self, task: Task) -> None:
         """Record the health of a camera, if the task that has ended determined it."""
@@ -197,7 +197,7 @@ class Resolver:
                 self._useless.discard(task.subject[0])
         reference, cache = self.plan.reference, self.plan.cache
         if reference and (pinned := reference.artifacts.get(task)) and not cache.by_key(task, pinned.key):
-            if put_back(cache.work, pinned):
+            if restore_to_cache(cache.work, pinned):
                 return
             remaining = {t: p for t, p in reference.artifacts.items() if t != task}
             self.plan.reference = dataclasses.replace(reference, artifacts=remaining)

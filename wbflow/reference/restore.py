@@ -22,9 +22,9 @@ if TYPE_CHECKING:
 def prepare(context: RunContext, journal: Journal) -> None:
     """Restore the results of the reference, and warn if it cannot be used.  The caller holds the lock."""
     plan, work = context.plan, context.plan.cache.work
-    fault = mend_record(work) if plan.site.settings.pin != "none" else None
+    fault = repair_record(work) if plan.site.settings.pin != "none" else None
     if fault:
-        journal.repaired(fault)
+        journal.note_repair(fault)
     if plan.incompatible and not fault:
         what = f"the reference is not used: {plan.incompatible}"
         remedy = "this night recomputes everything; wbflow pin SITE.yaml  makes a good night the reference"
@@ -34,13 +34,13 @@ def prepare(context: RunContext, journal: Journal) -> None:
     to_cache, copied, lost = restore(plan.cache, plan.reference)
     for tasks, action in ((to_cache, "put back from the reference"), (copied, "copied to the reference again")):
         if tasks:
-            journal.repaired(f"{len(tasks)} results of the reference were missing ({tasks[0]}, ...): {action}")
+            journal.note_repair(f"{len(tasks)} results of the reference were missing ({tasks[0]}, ...): {action}")
     for task in lost:
         what = f"'{task}' of the reference is damaged, or gone"
         journal.warn(what, remedy="the run continues without it; wbflow pin SITE.yaml  creates a complete reference")
 
 
-def mend_record(work: WorkFolder) -> str | None:
+def repair_record(work: WorkFolder) -> str | None:
     """Restore the record of the reference or its twin from the intact one; returns what was wrong, as text, or None.
 
     If neither is intact, both are removed, so that the next good night is pinned.  The caller holds the lock.
@@ -79,7 +79,7 @@ def restore(cache: Cache, reference: Reference) -> tuple[list[Task], list[Task],
     for task, pinned in reference.artifacts.items():
         receipt = cache.by_key(task, pinned.key)
         if receipt is None:
-            (to_cache if put_back(work, pinned) else lost).append(task)
+            (to_cache if restore_to_cache(work, pinned) else lost).append(task)
         elif _copy_differs(cache, receipt) and (receipt.file is None or sha256_of(cache.path(receipt))[:32] == receipt.digest):
             for path in files_of(cache, receipt):
                 clear(work.pinned(path))
@@ -88,7 +88,7 @@ def restore(cache: Cache, reference: Reference) -> tuple[list[Task], list[Task],
     return to_cache, copied, lost
 
 
-def put_back(work: WorkFolder, pinned: PinnedArtifact) -> bool:
+def restore_to_cache(work: WorkFolder, pinned: PinnedArtifact) -> bool:
     """Put a result of the reference back into the cache; returns False if the reference's own copy is damaged or gone.
 
     The caller holds the lock.  Raises OSError.
@@ -97,7 +97,7 @@ def put_back(work: WorkFolder, pinned: PinnedArtifact) -> bool:
     copies = sorted(work.pinned(receipt).parent.glob(f"{pinned.key}.*"), key=lambda p: p.suffix == receipt.suffix)
     artifacts = [copy for copy in copies if copy.suffix != receipt.suffix]
     try:
-        is_intact = read_checksummed(work.pinned(receipt), work.place(receipt)) is not None
+        is_intact = read_checksummed(work.pinned(receipt), work.identity_of(receipt)) is not None
     except Damaged:
         is_intact = False
     if not is_intact or (pinned.digest and [sha256_of(copy)[:32] for copy in artifacts if copy.is_file()] != [pinned.digest]):

@@ -40,11 +40,10 @@ class Map:
         self.height = min(_MOST_HEIGHT, max(360.0, height * self.scale + 2 * _MARGIN))
         self.left = (scene.low[0] + scene.high[0]) / 2 - WIDTH / 2 / self.scale
         self.top = (scene.low[1] + scene.high[1]) / 2 + self.height / 2 / self.scale
-        self.many = len(scene.cameras) > _MOST_LABELLED
-        self.standing = {camera.id: self.at(camera.C) for camera in scene.cameras}
-        self.labels = (
-            _place_labels(scene.cameras, self.standing) if self.many else dict.fromkeys(self.standing, (0.0, -14.0, "middle"))
-        )
+        self.is_crowded = len(scene.cameras) > _MOST_LABELLED
+        self.positions = {camera.id: self.at(camera.C) for camera in scene.cameras}
+        above = dict.fromkeys(self.positions, (0.0, -14.0, "middle"))
+        self.labels = _place_labels(scene.cameras, self.positions) if self.is_crowded else above
         """Offset and anchor of the name of each camera that has room for it."""
 
     def at(self, place: Sequence[float]) -> tuple[float, float]:
@@ -59,7 +58,7 @@ class Map:
         heading = math.atan2(camera.ahead[1], camera.ahead[0])
         offsets = [(math.atan2(y, x) - heading + math.pi) % (2 * math.pi) - math.pi for x, y in horizontal]
         angles = [heading + min(offsets) + (max(offsets) - min(offsets)) * k / 8 for k in range(9)]
-        reach, (x, y) = _VIEW_LENGTH * max(WIDTH, self.height), self.standing[camera.id]
+        reach, (x, y) = _VIEW_LENGTH * max(WIDTH, self.height), self.positions[camera.id]
         corners = [(x, y), *((x + reach * math.cos(a), y - reach * math.sin(a)) for a in angles)]
         return " ".join(f"{a:.1f},{b:.1f}" for a, b in corners)
 
@@ -67,7 +66,7 @@ class Map:
         """Yield the pairs whose cameras are on the map, with line width and label; usable pairs come last, so they are on top."""
         most_inliers = max((pair.figures.inliers or 0 for pair in pairs), default=0) or 1
         for pair in sorted(pairs, key=lambda pair: pair.ok):
-            if self.standing.keys() >= {*pair.cameras}:
+            if self.positions.keys() >= {*pair.cameras}:
                 count = pair.figures.inliers or 0
                 label = f"{count:,} inliers" if pair.ok else f"{pair.outcome}: {pair.reason or ''}"
                 yield pair, 1 + _MOST_EXTRA_WIDTH * math.sqrt(count / most_inliers) if pair.ok else 1.5, label
@@ -117,7 +116,7 @@ def layers_of(data: ReportData, drawn: Map) -> list[dict[str, Any]]:
     for stage in STAGES:
         if layer := data.drawing(Task(stage.name), "layer"):
             head, picture = split(layer)
-            (x, y), right, down = (drawn.at(drawn.scene.to(corner)) for corner in head["corners"])
+            (x, y), right, down = (drawn.at(drawn.scene.to_page(corner)) for corner in head["corners"])
             matrix = (right[0] - x, right[1] - y, down[0] - x, down[1] - y, x, y)
             texts = {"name": stage.name, "words": head["words"], "legend": head["legend"]}
             layers.append({**texts, "data": data_url(picture, "image/png"), "matrix": matrix})

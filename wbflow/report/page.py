@@ -13,7 +13,7 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 from ..cache.artifact import figures
-from ..outcome.finished_run import Gone, Run
+from ..outcome.finished_run import MissingResult, Run
 from ..pipeline.meanings import meaning
 from ..pipeline.stages import CHANGES, stage_named
 from ..pipeline.summaries import ChangesSummary
@@ -26,7 +26,7 @@ from . import render, sections
 from .charts import camera_bars, tasks_of_stages, timetable, trends
 from .data import ReportData
 from .map import Map, layers_of
-from .pictures import Pictures, Points, large_pictures, other_night, points_of, points_of_other, split, then_pictures
+from .pictures import Pictures, Points, large_pictures, other_night, other_pictures, points_of, points_of_other, split
 from .scene import scene_of
 
 MOST_BYTES = 14_000_000
@@ -45,14 +45,14 @@ def build_report(data: ReportData) -> str:
     return render("page.html", **_content(data, points_of(data) if data.record.cloud else []), beside=False)
 
 
-def build_comparison(site: Site, tonight: Run, then: Run, changes: Any) -> str:
+def build_comparison(site: Site, tonight: Run, reference: Run, changes: Any) -> str:
     """Return the HTML that compares two runs of a site.
 
-    Raises Gone if the points of one of them no longer exist.
+    Raises MissingResult if the points of one of them no longer exist.
 
     Parameters
     ----------
-    site, tonight, then : Site, Run, Run
+    site, tonight, reference : Site, Run, Run
         The site; its later run, and its earlier run.
     changes : wbflow_stages.types.Changes
         What changed between them.
@@ -64,16 +64,17 @@ def build_comparison(site: Site, tonight: Run, then: Run, changes: Any) -> str:
         for name, data in pictures.items():
             (Path(folder) / name).write_bytes(data)
         record = replace(
-            tonight.record, reference=then.id, verdict=None, results={CHANGES: replace(summary, files=tuple(pictures))}
+            tonight.record, reference=reference.id, verdict=None, results={CHANGES: replace(summary, files=tuple(pictures))}
         )
         events = [e for e in tonight.events if not (isinstance(e, TaskEvent) and e.task.stage == CHANGES)]
         shown = ReportData(tonight.cache, record, tuple(events), tonight.calibration, Path(folder), site)
         stream = load(products.drawings["view"])(changes)
         content = _content(shown, [*points_of(shown), Points(CHANGES, split(stream)[0], stream)])
     if [stream.kind for stream in content["points"]] != ["product", "change", "then"]:
-        raise Gone("the cloud of one of the runs no longer exists", remedy="run the night again")
+        raise MissingResult("the cloud of one of the runs no longer exists", remedy="run the night again")
     title = counted(len(summary.objects), "change") if summary.objects else "Nothing has changed"
-    head = {"headline": ("good", title, f"{then.record.date} beside {record.date}"), "facts": list(sections.volume_facts(shown))}
+    headline = "good", title, f"{reference.record.date} beside {record.date}"
+    head = {"headline": headline, "facts": list(sections.volume_facts(shown))}
     return render("page.html", **{**content, **head, "files": [], "other_nights": [], "warnings": []}, beside=True)
 
 
@@ -115,14 +116,14 @@ def _content(data: ReportData, points: list[Points]) -> dict[str, Any]:
         "notes": list(_pose_notes(record)),
         "other_nights": list(_other_nights(data)),
         "other": reference_night,
-        "then_pictures": then_pictures(data, album, reference_night) if reference_night else {},
+        "other_pictures": other_pictures(data, album, reference_night) if reference_night else {},
         "last_cloud": next(((night.date, data.report_of(night.run)) for night in data.earlier if night.cloud), None),
         "when": _when(data),
         "files": list(_files(data)),
     }
     row_bytes = _ROW_BYTES * (len(record.cameras) + len(record.pairs))
     other_points = points_of_other(reference_night) if reference_night and points else []
-    bytes_left = MOST_BYTES - row_bytes - _base64_size(album.held + sum(len(stream.data) for stream in points))
+    bytes_left = MOST_BYTES - row_bytes - _base64_size(album.embedded_bytes + sum(len(stream.data) for stream in points))
     other_points = other_points if sum(_base64_size(len(stream.data)) for stream in other_points) <= bytes_left else []
     bytes_left -= sum(_base64_size(len(stream.data)) for stream in other_points)
     return {**content, "points": [*points, *other_points], "large_pictures": large_pictures(data, bytes_left)}

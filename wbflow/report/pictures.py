@@ -27,7 +27,7 @@ Matrix = Sequence[Sequence[float]]
 
 _LEAST_SHIFT = 5e-4
 """Pictures of two nights whose corners differ by less than this share of their size are overlaid without a homography."""
-ROOM = 6_000_000
+MOST_PICTURE_BYTES = 6_000_000
 """Most bytes of small pictures in a page; further pictures are links to their files."""
 
 OTHER = "other"
@@ -41,9 +41,9 @@ class Picture:
     id: str
     alt: str
     data: str = ""
-    """A data URL; "" if the picture is already elsewhere in the page, or exceeds `ROOM`."""
+    """A data URL; "" if the picture is already elsewhere in the page, or exceeds `MOST_PICTURE_BYTES`."""
     link: str = ""
-    """Path to the file, relative to the report, if the picture exceeds `ROOM`; else ""."""
+    """Path to the file, relative to the report, if the picture exceeds `MOST_PICTURE_BYTES`; else ""."""
 
 
 @dataclass(frozen=True)
@@ -74,7 +74,7 @@ class OtherNight:
             return False
         return all(old.preimage.inputs.get(name) == new.preimage.inputs.get(name) for name in private)
 
-    def onto(self, camera: str) -> str:
+    def homography_to_page(self, camera: str) -> str:
         """Return the homography of the unit square, row by row, that maps a camera's picture of that night onto this night's.
 
         "" if the camera has not turned, or its poses are unknown.
@@ -107,7 +107,7 @@ class Pictures:
     """Provides pictures in the order of the page, and embeds each file only once."""
 
     data: ReportData
-    held: int = 0
+    embedded_bytes: int = 0
     _ids: dict[Path, str] = field(default_factory=dict)
 
     def of_task(self, task: Task, alt: str) -> Picture | None:
@@ -146,7 +146,7 @@ class Pictures:
             return Picture(self._ids[path], alt)
         name = f"picture-{len(self._ids) + 1}"
         try:
-            if self.held + path.stat().st_size > ROOM:
+            if self.embedded_bytes + path.stat().st_size > MOST_PICTURE_BYTES:
                 return Picture(name, alt, link=link or f"../../{path.relative_to(self.data.work.root)}")
             content = read()
         except OSError:
@@ -154,15 +154,15 @@ class Pictures:
         if content is None:
             return None
         self._ids[path] = name
-        self.held += len(content)
+        self.embedded_bytes += len(content)
         return Picture(name, alt, data_url(content, mimetypes.guess_type(path.name)[0] or "image/jpeg"))
 
 
-def then_pictures(data: ReportData, album: Pictures, night: OtherNight) -> dict[str, tuple[Picture, str]]:
+def other_pictures(data: ReportData, album: Pictures, night: OtherNight) -> dict[str, tuple[Picture, str]]:
     """Return, by camera, its picture of another night, and the homography that maps it onto the picture of this night."""
     ids = [camera.id for camera in data.record.cameras]
     pictures = {name: album.of_other_night(night, name, f"{name} on {night.date}") for name in ids}
-    return {name: (picture, night.onto(name)) for name, picture in pictures.items() if picture and not picture.link}
+    return {name: (picture, night.homography_to_page(name)) for name, picture in pictures.items() if picture and not picture.link}
 
 
 def data_url(content: bytes, kind: str = "image/jpeg") -> str:
@@ -213,11 +213,11 @@ def split(data: bytes) -> tuple[dict[str, Any], bytes]:
     return json.loads(data[4 : 4 + length]), data[4 + length :]
 
 
-def large_pictures(data: ReportData, room: int) -> list[tuple[int, str, str]]:
+def large_pictures(data: ReportData, bytes_left: int) -> list[tuple[int, str, str]]:
     """Return the night's pictures at full size: the camera's number in the page, their data, and a note about the keypoints.
 
     The data are three words of Base64 ("-" for none): the JPEG, keypoints, and inliers; points are pairs of unsigned 16-bit
-    numbers, as shares of width and height.  `room` limits their size in bytes; cameras with a finding have priority.
+    numbers, as shares of width and height.  `bytes_left` limits their size in bytes; cameras with a finding have priority.
     """
     record = data.record
     in_findings = {name for finding in record.verdict.findings for name in finding.subject} if record.verdict else set()
@@ -230,9 +230,9 @@ def large_pictures(data: ReportData, room: int) -> list[tuple[int, str, str]]:
             view = frame.subject[0]
             marks = _keypoints(data, view), inliers.get(view, b"")
             encoded = " ".join(base64.b64encode(part).decode() or "-" for part in (picture, *marks))
-            if len(encoded) > room:
+            if len(encoded) > bytes_left:
                 break
-            room -= len(encoded)
+            bytes_left -= len(encoded)
             pictures.append((numbers[camera], encoded, _keypoint_note(data, frame) if any(marks) else ""))
     return sorted(pictures)
 

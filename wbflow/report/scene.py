@@ -62,7 +62,7 @@ class Scene:
     place: list[float] | None
     """Latitude, longitude and height of the world's origin; None if the site is not georeferenced."""
 
-    def to(self, point: Sequence[float]) -> Vector:
+    def to_page(self, point: Sequence[float]) -> Vector:
         """Return a world point in the frame of the page."""
         return _rotate(self.rows, _minus(point, self.origin))
 

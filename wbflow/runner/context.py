@@ -10,7 +10,7 @@ from ..cache.layout import WorkFolder
 from ..cache.memo import Digests, EarlierCaptures
 from ..cache.store import Cache
 from ..records.reference_folder import BadReference, Reference, read_reference
-from ..site.captures import expected, find_captures, find_named, in_motion, list_store, night, when_complete, with_current_digest
+from ..site.captures import changes_of, expected, find_captures, find_named, list_store, night, when_complete, with_current_digest
 from ..site.models import Site
 from ..site.stale_cameras import find_stale
 from .options import Options
@@ -41,9 +41,9 @@ class RunContext:
         self.plan.relist()
         for files in self.plan.captures.values():
             files[:] = [with_current_digest(file, self.digests) if file.path == path else file for file in files]
-        for name, file in self.plan.named.items():
+        for name, file in self.plan.named_files.items():
             if file.path == path:
-                self.plan.named[name] = with_current_digest(file, self.digests)
+                self.plan.named_files[name] = with_current_digest(file, self.digests)
 
     def captures_in_motion(self) -> tuple[dict[str, list[str]], dict[str, list[str]]]:
         """Captures that have changed since the run began, by camera: first harmful changes, then harmless ones.
@@ -51,7 +51,7 @@ class RunContext:
         If the names of captures contain no date, a camera overwrites the same file again and again.  A file is read as a whole,
         so overwriting it is harmless if it was complete when the run began.
         """
-        changed = in_motion(self.plan.captures, self.replaced, self.digests)
+        changed = changes_of(self.plan.captures, self.replaced, self.digests)
         if self.plan.site.captures.dated:
             return changed, {}
         unfinished = {file.name for files in self.plan.captures.values() for file in files if file.path in self.growing}

@@ -26,7 +26,7 @@ from .limits import Limits, disk_shortage, machine_memory
 from .options import Options, worker_roots
 from .spec import TaskSpec
 from .state import Cause, State
-from .worker import Done, run_chain
+from .worker import FinishedTask, run_chain
 
 PROGRESS_SECONDS = 0.5
 """Interval at which the progress files of running chains are read."""
@@ -73,7 +73,7 @@ class Dispatcher:
         self._executor: Executor | None = None
         self._limits = Limits()
         self._queue: list[tuple[bool, float, int, list[TaskSpec]]] = []
-        self._running: dict[Future[list[Done]], _Submitted] = {}
+        self._running: dict[Future[list[FinishedTask]], _Submitted] = {}
         self._losses: Counter[Task] = Counter()
         self._numbers = itertools.count()
 
@@ -94,11 +94,11 @@ class Dispatcher:
             self._executor = _make_executor(self._options, memory)
             self._cache.work.progress.mkdir(parents=True, exist_ok=True)
         for chain in chains:
-            expected = sum(self._costs.expected(spec.task.stage, str(spec.task)) for spec in chain)
+            expected = sum(self._costs.expected_seconds(spec.task.stage, str(spec.task)) for spec in chain)
             suspect = self._losses[chain[0].task] > 0
             heapq.heappush(self._queue, (suspect, -expected, next(self._numbers), chain))
 
-    def wait(self) -> tuple[list[Done], list[list[TaskSpec]]]:
+    def wait(self) -> tuple[list[FinishedTask], list[list[TaskSpec]]]:
         """Wait until a chain ends, at most `PROGRESS_SECONDS`; return the tasks and the chains that have ended."""
         self._begin()
         finished, _ = wait(self._running, timeout=PROGRESS_SECONDS, return_when=FIRST_COMPLETED)
@@ -123,7 +123,7 @@ class Dispatcher:
             suspect, *_, specs = self._queue[0]
             running = [chain.tasks for chain in self._running.values()]
             runs_alone = suspect or any(self._losses[task] for tasks in running for task in tasks)
-            slots = self._executor.room if isinstance(self._executor, Cluster) else self._options.jobs
+            slots = self._executor.capacity if isinstance(self._executor, Cluster) else self._options.jobs
             fits = len(running) < slots and self._limits.fits(running, [spec.task for spec in specs])
             if running and (runs_alone or not fits):
                 return
@@ -134,7 +134,7 @@ class Dispatcher:
             future = self._executor.submit(run_chain, specs, self._cache, chain.progress, seconds if own_process else None)
             self._running[future] = chain
 
-    def _outcomes(self, chain: _Submitted, future: Future[list[Done]]) -> Iterator[Done]:
+    def _outcomes(self, chain: _Submitted, future: Future[list[FinishedTask]]) -> Iterator[FinishedTask]:
         """How the tasks of a chain ended; if its worker was lost, only the running one: finished ones are in the cache."""
         error = future.exception()
         if error is None:
@@ -142,7 +142,7 @@ class Dispatcher:
                 for warning in done.warnings:
                     self._journal.warn(warning, task=done.task)
                 for damage in done.damages:
-                    self._journal.repaired(f"{damage.what}: made again", task=damage.task)
+                    self._journal.note_repair(f"{damage.what}: made again", task=damage.task)
                 if done.state.receipt:
                     self._limits.learn(done.task.stage, done.state.receipt.peak_rss_mb)
                 yield done
@@ -155,10 +155,10 @@ class Dispatcher:
         else:  # Dask has lost its workers repeatedly; during which task of the chain is unknown
             names = ", ".join(map(str, chain.tasks))
             reason = printable(f"{names}: {type(error).__name__}: {error}")
-            yield Done(chain.tasks[0], State("failed", reason, Cause.WORKER_LOST, fresh=True))
+            yield FinishedTask(chain.tasks[0], State("failed", reason, Cause.WORKER_LOST, fresh=True))
         chain.progress.unlink(missing_ok=True)
 
-    def _outcomes_of_loss(self, chain: _Submitted, error: WorkerLost) -> Iterator[Done]:
+    def _outcomes_of_loss(self, chain: _Submitted, error: WorkerLost) -> Iterator[FinishedTask]:
         self._cache.tidy(chain.tasks)
         _, trace = chain.read_progress()
         task = chain.tasks[max(0, chain.at_work)]
@@ -166,7 +166,7 @@ class Dispatcher:
             median = self._limits.costs.stages.get(task.stage)
             usual = f" ({task.stage} takes {_time(median)} as a rule)" if median is not None else ""
             why = f"took longer than {_time(self._limits.seconds_for(task.stage))}{usual} and was ended; --time-limit gives more"
-            yield Done(task, State("failed", why, Cause.TOO_SLOW, trace=trace, fresh=True))
+            yield FinishedTask(task, State("failed", why, Cause.TOO_SLOW, trace=trace, fresh=True))
             return
         self._losses[task] += 1
         if self._losses[task] == 1:
@@ -174,7 +174,7 @@ class Dispatcher:
             return
         out_of_memory = error.cause is Cause.OUT_OF_MEMORY
         remedy = "lower `resolution`, or allow more with --memory" if out_of_memory else "check the function of the stage"
-        yield Done(task, State("failed", f"{error}, twice; {remedy}", error.cause, trace=trace or None, fresh=True))
+        yield FinishedTask(task, State("failed", f"{error}, twice; {remedy}", error.cause, trace=trace or None, fresh=True))
 
 
 def _make_executor(options: Options, memory: int) -> Executor:

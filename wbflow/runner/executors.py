@@ -32,11 +32,11 @@ THREADS = ("OPENCV_FOR_THREADS_NUM", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", 
 """Environment variables, read by OpenCV and the numeric libraries at import, that limit each worker to one thread."""
 ALL_CORES = "STAGE_THREADS"
 """Environment variable with the number of workers: stages that all others wait for may use this many threads."""
-PIXELS = {"OPENCV_IO_MAX_IMAGE_PIXELS": "200000000"}
+PIXEL_LIMIT = {"OPENCV_IO_MAX_IMAGE_PIXELS": "200000000"}
 """Limit of OpenCV for images whose header was not checked before."""
 MEASURE_SECONDS = 0.25
 """Interval at which the memory of workers is measured."""
-PATIENCE_SECONDS = 4
+TIMEOUT_SECONDS = 4
 """Timeout for a Dask scheduler, and again for its first worker."""
 
 
@@ -86,7 +86,7 @@ class Processes(Executor):
         from joblib.externals.loky.backend import get_context
         from joblib.externals.loky.process_executor import ProcessPoolExecutor
 
-        preset = {name: value for name, value in PIXELS.items() if name not in os.environ}
+        preset = {name: value for name, value in PIXEL_LIMIT.items() if name not in os.environ}
         environment = preset | dict.fromkeys(THREADS, "1") | {ALL_CORES: str(self._jobs)}
         # the terminal sends Ctrl-C to all processes, but not to those that start while it is blocked: the run ends workers itself
         old_mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
@@ -107,7 +107,7 @@ class Processes(Executor):
         if failure := worker.started.exception():
             future.set_exception(_start_error(_describe_end(failure)))
             return
-        worker.most = 0
+        worker.peak_bytes = 0
         try:
             worker.pool.submit(call).add_done_callback(lambda loky_future: self._finish(worker, future, loky_future))
         except RuntimeError as error:  # its process has ended since its last call
@@ -130,18 +130,18 @@ class Processes(Executor):
         worker.end_group()
         with suppress(ValueError):
             self._workers.remove(worker)
-        text, cause, memory = _describe_end(error), Cause.WORKER_LOST, format_size(worker.most)
-        if worker.over:
+        text, cause, memory = _describe_end(error), Cause.WORKER_LOST, format_size(worker.peak_bytes)
+        if worker.exceeded_limit:
             total = f"all workers together held more than the limit of {format_size(self._memory)}"
             text, cause = f"ran out of memory: it held {memory}, and {total}", Cause.OUT_OF_MEMORY
-        elif "SIGKILL" in text and self._memory and worker.most > self._memory / 2:  # probably by the kernel's OOM killer
+        elif "SIGKILL" in text and self._memory and worker.peak_bytes > self._memory / 2:  # probably by the kernel's OOM killer
             text, cause = f"{text} (out of memory? it held {memory})", Cause.OUT_OF_MEMORY
         future.set_exception(WorkerLost(text, cause))
 
     def _watch(self) -> None:
         """Run in a thread: measure the memory of all workers, and while it exceeds the limit, end idle ones, then the largest."""
         while not self._closed.wait(MEASURE_SECONDS):
-            memory = {worker: worker.holds() for worker in list(self._workers)}
+            memory = {worker: worker.memory_bytes() for worker in list(self._workers)}
             if not self._memory or sum(memory.values()) <= self._memory:
                 continue
             for idle in [worker for worker in memory if worker in self._idle]:
@@ -152,7 +152,7 @@ class Processes(Executor):
                     del memory[idle]
             if sum(memory.values()) > self._memory:
                 largest = max(memory, key=lambda worker: memory[worker])
-                largest.over = True
+                largest.exceeded_limit = True
                 largest.end_group()
 
 
@@ -163,12 +163,12 @@ class _Worker:
     pool: Any
     """A pool of loky with this process only."""
     started: Future[int]
-    most: int = 0
+    peak_bytes: int = 0
     """Largest measured memory during the present call, bytes."""
-    over: bool = False
+    exceeded_limit: bool = False
     """Was the worker ended because it held too much memory?"""
 
-    def holds(self) -> int:
+    def memory_bytes(self) -> int:
         """Present memory in bytes, without memory shared with other processes."""
         import psutil
 
@@ -178,7 +178,7 @@ class _Worker:
             info = psutil.Process(self.started.result()).memory_info()
         except psutil.Error:
             return 0
-        self.most = max(self.most, memory := int(info.rss - getattr(info, "shared", 0)))
+        self.peak_bytes = max(self.peak_bytes, memory := int(info.rss - getattr(info, "shared", 0)))
         return memory
 
     def end(self) -> None:
@@ -247,14 +247,14 @@ class Cluster(Executor):
         """roots: paths on the workers, by folder of this machine."""
         distributed: Any = importlib.import_module("distributed")
         try:
-            self._client = distributed.Client(scheduler, timeout=PATIENCE_SECONDS)
+            self._client = distributed.Client(scheduler, timeout=TIMEOUT_SECONDS)
         except (OSError, TimeoutError, ValueError) as error:
             what = f"no Dask scheduler answers at {scheduler}: {error}"
             raise WbflowError(what, remedy="start one (dask scheduler), or correct --scheduler") from None
         try:
-            self._client.wait_for_workers(1, timeout=PATIENCE_SECONDS)
+            self._client.wait_for_workers(1, timeout=TIMEOUT_SECONDS)
         except TimeoutError:
-            self._client.close(timeout=PATIENCE_SECONDS)
+            self._client.close(timeout=TIMEOUT_SECONDS)
             what = f"the Dask scheduler at {scheduler} has no workers"
             raise WbflowError(what, remedy=f"start some: dask worker {scheduler} --nthreads 1") from None
         self._executor = self._client.get_executor(pure=False)
@@ -262,7 +262,7 @@ class Cluster(Executor):
         self._refused: dict[str, str] = {}
 
     @property
-    def room(self) -> int:
+    def capacity(self) -> int:
         """Number of submitted calls that keeps all workers busy: two per thread."""
         return 2 * int(sum(self._client.nthreads().values()))
 
@@ -284,17 +284,17 @@ class Cluster(Executor):
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
         """Cancel pending calls, and disconnect from the cluster."""
         self._executor.shutdown(wait=False)
-        self._client.close(timeout=PATIENCE_SECONDS)
+        self._client.close(timeout=TIMEOUT_SECONDS)
 
 
 def _in_cluster(roots: Mapping[Path, Path], version: str, function: Callable[..., Any], *args: Any, **kwargs: Any) -> Any:
     """Run in a worker of the cluster: check its code, and call a function with paths translated to this machine."""
-    os.environ |= PIXELS | dict.fromkeys(THREADS, "1")  # OpenCV and Numba read them when the first task imports them
-    chain, *other_args = moved(args, roots)
+    os.environ |= PIXEL_LIMIT | dict.fromkeys(THREADS, "1")  # OpenCV and Numba read them when the first task imports them
+    chain, *other_args = translate_paths(args, roots)
     mismatched = [spec.function for spec in chain if not _same_code(spec)] + (["wbflow"] if version != __version__ else [])
     if mismatched:
         raise CodeMismatch(importlib.import_module("distributed").get_worker().address, ", ".join(dict.fromkeys(mismatched)))
-    return moved(function(chain, *other_args, **kwargs), {remote: local for local, remote in roots.items()})
+    return translate_paths(function(chain, *other_args, **kwargs), {remote: local for local, remote in roots.items()})
 
 
 def _same_code(spec: TaskSpec) -> bool:
@@ -313,15 +313,15 @@ def _reader(folder: Path | None) -> FunctionReader:
     return FunctionReader(folder=folder)
 
 
-def moved(value: Any, roots: Mapping[Path, Path]) -> Any:
+def translate_paths(value: Any, roots: Mapping[Path, Path]) -> Any:
     """Return a value with all paths in it, also in containers and dataclasses, translated by `roots` (folder -> folder)."""
     if isinstance(value, Path):
         return next((remote / value.relative_to(local) for local, remote in roots.items() if value.is_relative_to(local)), value)
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
-        changed = {f.name: moved(getattr(value, f.name), roots) for f in dataclasses.fields(value) if f.init}
+        changed = {f.name: translate_paths(getattr(value, f.name), roots) for f in dataclasses.fields(value) if f.init}
         return dataclasses.replace(value, **changed)
     if isinstance(value, dict):
-        return {key: moved(item, roots) for key, item in value.items()}
+        return {key: translate_paths(item, roots) for key, item in value.items()}
     if type(value) in {tuple, list}:
-        return type(value)(moved(item, roots) for item in value)
+        return type(value)(translate_paths(item, roots) for item in value)
     return value

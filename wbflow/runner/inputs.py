@@ -14,7 +14,7 @@ from ..site.captures import CaptureFile, file_of_stage
 from ..site.models import Camera, Site
 from ..task import Subject, Task, component_name
 from .spec import Absent, Files, Input, Joined, Part, Stored, Value, own_subject, site_input, site_inputs, subject_of
-from .state import Cause, Impossible, State, Waiting, because, summary_of
+from .state import Cause, Impossible, State, Waiting, blocked_by, summary_of
 
 if TYPE_CHECKING:
     from .planner import Plan
@@ -131,16 +131,16 @@ class Inputs:
     stages: Collection[str]
     """Names of the stages that take part tonight."""
 
-    def of(self, task: Task, needs: Mapping[str, Source], made: set[Task]) -> dict[str, Input]:
+    def inputs_of(self, task: Task, needs: Mapping[str, Source], earlier: set[Task]) -> dict[str, Input]:
         """All inputs of a task by argument name.  Raises Waiting if one is not ready, Impossible if one cannot be made.
 
-        made: tasks earlier in the same chain; inputs from these are not resolved yet.
+        earlier: tasks before it in the same chain; inputs from these are not resolved yet.
         """
         inputs: dict[str, Input] = {}
         faults: dict[str, Impossible] = {}
         for name, need in needs.items():
             try:
-                inputs[name] = self.one(task, need, made)
+                inputs[name] = self.input_of(task, need, earlier)
             except Impossible as error:
                 if not need.unless:
                     raise
@@ -150,8 +150,8 @@ class Inputs:
                 raise fault
         return inputs
 
-    def one(self, task: Task, need: Source, made: set[Task]) -> Input:
-        """One input of a task; parameters and exceptions as for `of`."""
+    def input_of(self, task: Task, need: Source, earlier: set[Task]) -> Input:
+        """One input of a task; parameters and exceptions as for `inputs_of`."""
         if need.kind == "site":
             return self._from_site(need, task)
         if need.kind == "file":
@@ -168,7 +168,7 @@ class Inputs:
         of_site = stage_named(task.stage).scope == "site"
         entry = "--".join(own_subject(need, task)) if origin.scope == "site" and not of_site else None
         part = Part(need.part, entry) if need.part else None
-        return self._stored(Task(origin.name, subject_of(origin, need, task)), need, part, made)
+        return self._stored(Task(origin.name, subject_of(origin, need, task)), need, part, earlier)
 
     def upstreams(self, task: Task, needs: Mapping[str, Source]) -> list[Task]:
         """The tasks that provide the inputs of a task, as far as they are listed yet."""
@@ -184,8 +184,8 @@ class Inputs:
                 upstreams.append(Task(origin.name, subject_of(origin, need, task)))
         return list(dict.fromkeys(upstreams))
 
-    def _stored(self, upstream: Task, need: Source, part: Part | None, made: set[Task] | None = None) -> Input:
-        if made and upstream in made:
+    def _stored(self, upstream: Task, need: Source, part: Part | None, earlier: set[Task] | None = None) -> Input:
+        if earlier and upstream in earlier:
             return Stored(upstream, part)
         if need.optional and upstream.stage not in self.stages:
             return Absent()
@@ -200,7 +200,7 @@ class Inputs:
             raise Impossible(f"{'--'.join(upstream.subject)} was not matched", Cause.NO_PAIRS)
         if state.usable and part:
             raise Impossible(f"{upstream} has nothing for {part.entry or part.field}", Cause.UNSOLVED)
-        raise because(upstream, state)
+        raise blocked_by(upstream, state)
 
     def _join(self, origin: Stage, need: Source, task: Task) -> Input:
         """The results of many tasks, or many entries of a site-wide result, by subject."""
@@ -222,11 +222,11 @@ class Inputs:
         for upstream in joined:
             state = self.plan.states[upstream]
             if useless & set(upstream.subject):
-                faults.append(self.plan.resolver.unfit(upstream.subject))
+                faults.append(self.plan.resolver.unfit_error(upstream.subject))
             elif state.usable and state.receipt and (part is None or str(part) in state.receipt.parts):
                 items[upstream.subject] = Stored(upstream, part).resolved(state.receipt)
             else:
-                faults.append(because(upstream, state))
+                faults.append(blocked_by(upstream, state))
         if not items and not need.may_lack(self.plan.site):
             raise self._why_empty(origin, faults)
         return Joined(items)
@@ -237,7 +237,7 @@ class Inputs:
         inputs = {task.subject: self._stored(site_task, optional, Part(need.part, task.subject[0])) for task in joined}
         items: dict[Subject, Value | Stored] = {subject: item for subject, item in inputs.items() if isinstance(item, Stored)}
         if not items:
-            raise because(site_task, self.plan.states[site_task])
+            raise blocked_by(site_task, self.plan.states[site_task])
         return Joined(items)
 
     def _why_empty(self, origin: Stage, faults: list[Impossible]) -> Impossible:
@@ -255,7 +255,7 @@ class Inputs:
         pairs = self.plan.states.get(Task(PAIRS))
         if origin.scope == "pair" and not faults:
             if pairs and not pairs.usable:
-                return because(Task(PAIRS), pairs)
+                return blocked_by(Task(PAIRS), pairs)
             return Impossible("no two cameras see enough in common to be matched", Cause.NO_PAIRS)
         return Impossible(f"no {origin.name} to work on{first_fault}", faults[0].code if faults else Cause.UPSTREAM)
 
@@ -273,8 +273,8 @@ class Inputs:
         return site_input(camera, name)
 
     def _named_file(self, kind: str, key: str) -> Input:
-        """A file that the site file names.  kind: such as "mask", for the message; key: its key in `Plan.named`."""
-        file = self.plan.named.get(key)
+        """A file that the site file names.  kind: such as "mask", for the message; key: its key in `Plan.named_files`."""
+        file = self.plan.named_files.get(key)
         if file and not file.digest:
             raise Impossible(f"{kind} {file.name} {file.fault}", Cause.BAD_INPUT)
         return Files((file,), single=True) if file else Absent()

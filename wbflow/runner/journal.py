@@ -27,7 +27,7 @@ class Journal:
     events: list[Event] = field(default_factory=list)
     repairs: dict[str, None] = field(default_factory=dict)
     """Damage on disk that was found and repaired, as text (the keys)."""
-    behind: Callable[[], Finding | None] = lambda: None
+    upload: Callable[[], Finding | None] = lambda: None
     """Uploads finished results to the object store, if the site has one; returns a finding if that fails."""
     peak_rss_mb: float = 0.0
     """Peak memory of the largest worker, MB (2^20 bytes)."""
@@ -38,8 +38,8 @@ class Journal:
     def add_ended(self, plan: Plan) -> None:
         """Add an event for each task that has ended since the last call, and for damage that was found in the cache."""
         for damage in plan.cache.damages():
-            self.repaired(f"{damage.what}: made again", task=damage.task)
-        for task, state in plan.news():
+            self.note_repair(f"{damage.what}: made again", task=damage.task)
+        for task, state in plan.newly_ended():
             self._add(_task_event(task, state))
             if state.fresh and state.receipt:
                 previous, receipt = self._stages.get(task.stage, StageSeconds(0.0, 0.0, 0)), state.receipt
@@ -59,7 +59,7 @@ class Journal:
         """
         self._add(WarningEvent(what, now(), task, remedy, trace))
 
-    def repaired(self, what: str, *, task: Task | None = None) -> None:
+    def note_repair(self, what: str, *, task: Task | None = None) -> None:
         """Add a warning of repaired damage on disk, once for each text.  task: the task whose file was damaged."""
         if what not in self.repairs:
             self.repairs[what] = None

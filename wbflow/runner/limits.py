@@ -17,7 +17,7 @@ LEAST_SECONDS, MOST_WAIT_SECONDS, TIMES_MEDIAN = 600.0, 6 * 3600.0, 20.0
 """Time limit of a task: TIMES_MEDIAN times the median of its stage, within the two bounds (seconds); the upper one if unknown."""
 DISK_RESERVE, DISK_MARGIN = 16_000_000, 1.2
 """Bytes of disk space kept free so that the run can be published; factor by which tasks may need more space than earlier ones."""
-SHARE = 0.8
+MEMORY_SHARE = 0.8
 """Share of the memory of this machine, or of the run's control group, that all workers together may hold."""
 
 
@@ -49,7 +49,8 @@ class Limits:
         return not self.memory or sum(map(self._peak_mb, [*begun, chain])) * 2**20 <= self.memory
 
     def _peak_mb(self, chain: Iterable[Task]) -> float:
-        return max((self.costs.held(task.stage, str(task), self.measured_mb.get(task.stage, 0.0)) for task in chain), default=0.0)
+        peaks = (self.costs.expected_peak_mb(task.stage, str(task), self.measured_mb.get(task.stage, 0.0)) for task in chain)
+        return max(peaks, default=0.0)
 
 
 def machine_memory() -> int:
@@ -65,7 +66,7 @@ def machine_memory() -> int:
             limits.append(int(file.read_text()))
     with suppress(ValueError, OSError):
         limits.append(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES"))
-    return int(SHARE * min(limits, default=0))
+    return int(MEMORY_SHARE * min(limits, default=0))
 
 
 def disk_shortage(root: Path, costs: TaskCosts, tasks: Iterable[Task]) -> str:

@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from ..cache.atomic import REMEDY
+from ..cache.atomic import DISK_FULL_REMEDY
 from ..cache.store import DamagedArtifact
 from ..pipeline.stages import DEPTH, FUSE, POSES, stage_named
 from ..records.events import PlannedEvent
@@ -71,7 +71,7 @@ class _Loop:
             chains = [chain[:1] if self.stopped else chain for chain in plan.chains()]
             if chains and (shortage := self.dispatcher.disk_shortage(spec.task for chain in chains for spec in chain)):
                 for first, *_ in chains:
-                    plan.commit(first.task, State("failed", f"{shortage}; {REMEDY}", Cause.DISK_FULL))
+                    plan.commit(first.task, State("failed", f"{shortage}; {DISK_FULL_REMEDY}", Cause.DISK_FULL))
                 continue
             if chains:
                 plan.begin(chains)
@@ -119,7 +119,7 @@ class _Loop:
             explanation = f"{reason}; damaged {MOST_ATTEMPTS} times: is the disk failing?"
             plan.commit(task, State("failed", explanation, Cause.DAMAGED))
         else:
-            self.journal.repaired(f"{reason}; made again", task=task)
+            self.journal.note_repair(f"{reason}; made again", task=task)
             plan.forget(task)
 
     def _reread(self, task: Task, file: Path, reason: str) -> None:

@@ -38,7 +38,7 @@ class Plan:
     captures: dict[str, list[CaptureFile]]
     night: str
     cache: Cache
-    named: dict[str, CaptureFile] = field(default_factory=dict)
+    named_files: dict[str, CaptureFile] = field(default_factory=dict)
     missing: dict[str, str] = field(default_factory=dict)
     """Why a camera has no captures, by camera."""
     until: str | None = None
@@ -66,7 +66,7 @@ class Plan:
     _dependents: dict[Task | None, list[Task]] = field(default_factory=dict)
     """Waiting tasks, by the task that they wait for."""
     _newly_ended: dict[Task, None] = field(default_factory=dict)
-    """Tasks that have ended since the last call of `news`."""
+    """Tasks that have ended since the last call of `newly_ended`."""
     _task_counts: Counter[str] = field(default_factory=Counter)
     """Number of tasks by stage, ended ones included."""
     _bindings: dict[str, Binding] = field(default_factory=dict)
@@ -132,7 +132,7 @@ class Plan:
             self.running.discard(task)
             self._due.append(task)
 
-    def news(self) -> list[tuple[Task, State]]:
+    def newly_ended(self) -> list[tuple[Task, State]]:
         """The tasks that have ended since the last call."""
         ended, self._newly_ended = self._newly_ended, {}
         return [(task, state) for task in ended if (state := self.states.get(task))]
@@ -164,7 +164,7 @@ class Plan:
 
     def upstreams(self, task: Task) -> list[Task]:
         """The tasks that provide the inputs of a task, as far as they are listed yet."""
-        return self._inputs.upstreams(task, self.bound(stage_named(task.stage)).inputs)
+        return self._inputs.upstreams(task, self.binding(stage_named(task.stage)).inputs)
 
     def _list(self) -> None:
         """List all known tasks, to be examined in the order of the pipeline."""
@@ -216,8 +216,8 @@ class Plan:
 
         earlier: tasks earlier in the same chain; inputs from these are not resolved yet.
         """
-        bound = self.bound(stage, adapt)
-        inputs = self._inputs.of(task, bound.inputs, set(earlier))
+        bound = self.binding(stage, adapt)
+        inputs = self._inputs.inputs_of(task, bound.inputs, set(earlier))
         parameters = self._parameters(stage, task, adapt)
         return TaskSpec(
             task,
@@ -238,13 +238,13 @@ class Plan:
             inputs: dict[str, Input] = {}
             for argument, need in stage.products.picture_inputs.items() if name == "picture" else ():
                 try:
-                    inputs[argument] = self._inputs.one(spec.task, need, earlier)
+                    inputs[argument] = self._inputs.input_of(spec.task, need, earlier)
                 except (Waiting, Impossible):
                     inputs[argument] = Absent()
             drawings.append(Drawing(name, function, inputs))
         return dataclasses.replace(spec, drawings=tuple(drawings))
 
-    def bound(self, stage: Stage, adapt: Adapt | None = None) -> Binding:
+    def binding(self, stage: Stage, adapt: Adapt | None = None) -> Binding:
         """The binding of a stage to the function that the site uses, or to the `adapt` function."""
         name = adapt.function if adapt else stage.name
         if name not in self._bindings:
@@ -257,7 +257,7 @@ class Plan:
 
     def _parameters(self, stage: Stage, task: Task, adapt: Adapt | None) -> dict[str, Any]:
         """Parameters of a task, without those whose defaults only its function can evaluate."""
-        bound, settings = self.bound(stage, adapt), self.settings(stage, task)
+        bound, settings = self.binding(stage, adapt), self.settings(stage, task)
         if adapt:
             settings = {name: value for name, value in settings.items() if name in bound.parameters}
         return bound.defaults() | settings
@@ -268,5 +268,5 @@ class Plan:
         if stage.name == FUSE:
             numbers = range(1, self.subjects.components())
             values[COMPONENT] = next((k for k in numbers if task.subject == (component_name(k),)), 0)
-        accepted = self.bound(stage).parameters
+        accepted = self.binding(stage).parameters
         return {name: v for name, v in values.items() if name in accepted} | self.site.stage_settings(stage.name).parameters

@@ -96,7 +96,7 @@ class Impossible(Exception):
         self.code = code
 
 
-def because(task: Task, state: State) -> Impossible:
+def blocked_by(task: Task, state: State) -> Impossible:
     """The exception for a task that needs `task`, which has ended without an artifact in the given state."""
     outcome = state.outcome if state.outcome == "failed" else f"was {state.outcome}"
     return Impossible(f"{task} {outcome}: {state.reason}" if state.reason else f"{task} {outcome}", state.code or Cause.UPSTREAM)

@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import Any, TextIO
 
 from ..cache.artifact import bytes_and_facts, result_of
-from ..cache.atomic import FULL, REMEDY
+from ..cache.atomic import DISK_FULL_ERRORS, DISK_FULL_REMEDY
 from ..cache.checksum import content_digest
 from ..cache.memo import ChangedFile
 from ..cache.store import Cache, Damage, DamagedArtifact, OnDemand, Preimage, Receipt
@@ -36,7 +36,7 @@ from .state import Cause, State, cached_state
 
 
 @dataclass(frozen=True)
-class Done:
+class FinishedTask:
     """How a task ended in a worker.  It is retried if an input was damaged or has changed."""
 
     task: Task
@@ -102,7 +102,7 @@ class _Results:
 
 def run_chain(
     specs: list[TaskSpec], cache: Cache, progress: Path | None = None, time_limits: Mapping[str, float] | None = None
-) -> list[Done]:
+) -> list[FinishedTask]:
     """Run the tasks of a chain until one leaves no artifact.  An exception in a task is not raised, but returned as its state.
 
     Parameters
@@ -116,7 +116,7 @@ def run_chain(
     """
     make_importable(specs[0].folder)
     chain = _Results(cache, time.process_time if time_limits is not None else time.thread_time)
-    ended: list[Done] = []
+    ended: list[FinishedTask] = []
     with Progress(progress, time_limits) as reporter:
         for number, spec in enumerate(specs):
             reporter.begun(number, spec.task.stage)
@@ -134,7 +134,7 @@ def arguments_of(spec: TaskSpec, cache: Cache) -> dict[str, Any]:
     return {name: _load(value, chain) for name, value in spec.inputs.items()}
 
 
-def _attempt(spec: TaskSpec, chain: _Results) -> Done:
+def _attempt(spec: TaskSpec, chain: _Results) -> FinishedTask:
     """Run one task.  This is the only broad `except`: whatever a stage raises, only its own task fails."""
     try:
         inputs = {name: _resolve(value, chain) for name, value in spec.inputs.items()}
@@ -142,14 +142,14 @@ def _attempt(spec: TaskSpec, chain: _Results) -> Done:
         preimage = resolved.preimage()
         key = preimage.key()
         if not spec.force and (receipt := chain.cache.by_key(spec.task, key)):
-            return Done(spec.task, cached_state(receipt))
+            return FinishedTask(spec.task, cached_state(receipt))
         return _execute(resolved, preimage, key, chain)
     except DamagedArtifact as damage:
-        return Done(spec.task, State("failed", damage.what), damaged=damage.task)
+        return FinishedTask(spec.task, State("failed", damage.what), damaged=damage.task)
     except ChangedFile as change:
-        return Done(spec.task, State("failed", change.what), changed=change.path)
+        return FinishedTask(spec.task, State("failed", change.what), changed=change.path)
     except BaseException as error:  # KeyboardInterrupt, too: signals go to the run, so a stage has raised it
-        return Done(spec.task, _failure(spec, error))
+        return FinishedTask(spec.task, _failure(spec, error))
 
 
 def _failure(spec: TaskSpec, error: BaseException) -> State:
@@ -162,8 +162,8 @@ def _failure(spec: TaskSpec, error: BaseException) -> State:
     if isinstance(error, MemoryError):
         why = "ran out of memory: lower `resolution`, or run with fewer --jobs"
         return State("failed", why, Cause.OUT_OF_MEMORY, fresh=True)
-    if isinstance(error, OSError) and error.errno in FULL:
-        return State("failed", f"{error.strerror}; {REMEDY}", Cause.DISK_FULL, fresh=True)
+    if isinstance(error, OSError) and error.errno in DISK_FULL_ERRORS:
+        return State("failed", f"{error.strerror}; {DISK_FULL_REMEDY}", Cause.DISK_FULL, fresh=True)
     reads_files = any(isinstance(value, Files) for value in spec.inputs.values())
     if isinstance(error, OSError) or (reads_files and isinstance(error, ValueError) and type(error).__name__ != "LinAlgError"):
         why = message.partition(": ")[2] or message
@@ -174,7 +174,7 @@ def _failure(spec: TaskSpec, error: BaseException) -> State:
     return State("failed", why, Cause.FAULT, trace=trace, fresh=True)
 
 
-def _execute(spec: TaskSpec, preimage: Preimage, key: str, chain: _Results) -> Done:
+def _execute(spec: TaskSpec, preimage: Preimage, key: str, chain: _Results) -> FinishedTask:
     """Load the inputs, call the function, write the artifact, then the receipt."""
     reset_peak()
     wall_start, cpu_start = time.perf_counter(), chain.clock()
@@ -197,14 +197,14 @@ def _execute(spec: TaskSpec, preimage: Preimage, key: str, chain: _Results) -> D
         **{"digest": "", **facts},
         wall=time.perf_counter() - wall_start,
         cpu=chain.clock() - cpu_start,
-        peak_rss_mb=peak() / 2**20,
+        peak_rss_mb=peak_bytes() / 2**20,
         finished=datetime.datetime.now(datetime.UTC).isoformat(),
         drawings={name: content_digest(drawing) for name, drawing in drawings.items()},
     )
     chain.cache.write(receipt, data, drawings)
     chain.results[receipt.digest] = result
     state = State("rejected" if rejected else "ran", receipt.reason, receipt.code, receipt, fresh=True)
-    return Done(spec.task, state, warnings=warnings)
+    return FinishedTask(spec.task, state, warnings=warnings)
 
 
 def _draw(spec: TaskSpec, result: Any, chain: _Results) -> tuple[dict[str, bytes], tuple[str, ...]]:
@@ -282,7 +282,7 @@ def reset_peak() -> None:
         Path("/proc/self/clear_refs").write_text("5")
 
 
-def peak() -> int:
+def peak_bytes() -> int:
     """Return the peak of this process's private memory since `reset_peak`, bytes; if /proc does not provide it, the peak since
     its start, including shared memory."""
     with suppress(OSError, ValueError, KeyError):

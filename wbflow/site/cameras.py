@@ -18,7 +18,7 @@ from .calibration import find_camera, read_calibration
 from .calibration.calibrated import Calibrated, Lens, Placement, product
 from .geodesy import LocalFrame
 from .models import Camera, CameraEntry, SiteFile, Survey
-from .yaml_document import CalibrationError, Location, Problems, beside, is_name
+from .yaml_document import CalibrationError, Location, Problems, is_name, resolve_path
 
 _OWN_PINHOLE = frozenset({"pinhole", "brown"})
 """Lens models whose frames keep the K of the lens, however wide it is: such a camera is never split into views."""
@@ -38,7 +38,7 @@ def read_cameras(file: SiteFile, frame: LocalFrame | None, problems: Problems) -
         if calibrated and entry is None and camera.intrinsics is None:
             what = f"{file.calibration} has no camera {camera.id!r}; it has {_name_list(calibrated)}"
             problems.add(location, what, "correct the id, add the camera to that file, or give its intrinsics here")
-        mask = beside(camera.mask, (*location, "mask"), problems) if camera.mask else None
+        mask = resolve_path(camera.mask, (*location, "mask"), problems) if camera.mask else None
         if mask and not is_file(mask):
             remedy = "give the path of an image of the capture's size, white where pixels may be used"
             problems.add((*location, "mask"), f"there is no file {printable(mask)}", remedy)
@@ -77,7 +77,7 @@ def _calibrated_cameras(path: str | None, location: Location, problems: Problems
     if not path:
         return {}
     try:
-        file = beside(path, location, problems)
+        file = resolve_path(path, location, problems)
         cameras = read_calibration(file)
         if not cameras:
             raise CalibrationError("holds no camera", where=str(file), remedy="add the cameras, or leave calibration out")

@@ -72,7 +72,7 @@ class _Reader(Generic[T]):
         return answer.result()
 
 
-def answered(read: Callable[[], T], seconds: float) -> T:
+def read_with_timeout(read: Callable[[], T], seconds: float) -> T:
     """Return what `read` returns from a disk that may hang.  Raises TimeoutError if it hangs, and what `read` raises."""
     return _Reader([read]).next(seconds)
 
@@ -256,7 +256,7 @@ def _is_written(path: Path) -> bool:
         return False
 
 
-def in_motion(captures: Mapping[str, list[CaptureFile]], replaced: Collection[Path], digests: Digests) -> dict[str, list[str]]:
+def changes_of(captures: Mapping[str, list[CaptureFile]], replaced: Collection[Path], digests: Digests) -> dict[str, list[str]]:
     """Names, by camera, of captures that were replaced or have grown since their digests were computed.
 
     A capture that has been deleted is not reported: recorders delete complete files.

@@ -23,7 +23,7 @@ from .geodesy import POSITION_REMEDY, local_frame
 from .models import CUSTOM, Captures, Site, SiteFile
 from .pattern import Pattern
 from .stage_settings import read_stages
-from .yaml_document import Document, Location, Problems, SiteError, SiteProblem, beside, did_you_mean, is_name, load_yaml, similar
+from .yaml_document import Document, Location, Problem, Problems, SiteError, is_name, load_yaml, resolve_path, similar, suggest
 
 
 def load_site(path: str | Path, work: str | Path | None = None) -> Site:
@@ -72,7 +72,7 @@ def _file_of(path: Path) -> Path:
     file = path / "site.yaml"
     if not file.exists():
         remedy = f"wbflow init {path}  writes one from the photographs in there"
-        raise SiteError([SiteProblem(file, 0, 0, "", "cannot be read: there is no such file", remedy)])
+        raise SiteError([Problem(file, 0, 0, "", "cannot be read: there is no such file", remedy)])
     return file
 
 
@@ -83,7 +83,7 @@ def _validated(document: Document, problems: Problems) -> SiteFile:
     """
     if not isinstance(document.data, dict):
         remedy = "start with 'site: NAME'; see sites/template.yaml"
-        raise SiteError([SiteProblem(document.path, 1, 1, "", "a site file is a mapping", remedy)])
+        raise SiteError([Problem(document.path, 1, 1, "", "a site file is a mapping", remedy)])
     data = _prepared(document.data, problems)
     if isinstance(data.get("cameras"), list):
         data["cameras"] = [{"id": entry} if isinstance(entry, str) else entry for entry in data["cameras"]]
@@ -104,7 +104,7 @@ def _work_folder(requested: str, file: SiteFile, problems: Problems) -> WorkFold
         return WorkFolder.mirroring(work, name)
     if requested:
         return WorkFolder(Path(requested).resolve())
-    return WorkFolder(beside(work, ("work",), problems)) if work else WorkFolder.beside(problems.document.path, name)
+    return WorkFolder(resolve_path(work, ("work",), problems)) if work else WorkFolder.default_for(problems.document.path, name)
 
 
 def _captures_pattern(settings: Captures, problems: Problems) -> Pattern:
@@ -112,7 +112,7 @@ def _captures_pattern(settings: Captures, problems: Problems) -> Pattern:
     if is_url(settings.root):
         mirror = WorkFolder.mirroring(settings.root, "captures")
         return Pattern(mirror.root, settings.pattern, mirror.store)
-    root = beside(settings.root, ("captures", "root"), problems)
+    root = resolve_path(settings.root, ("captures", "root"), problems)
     if not is_folder(root):
         remedy = similar(root) or "check the path and the variables in it; it is relative to the site file"
         problems.add(("captures", "root"), f"there is no folder {printable(root)}", remedy)
@@ -162,7 +162,7 @@ def _check_pairs(file: SiteFile, problems: Problems, notes: Problems) -> None:
         for i, row in enumerate(rows):
             for j, camera in enumerate(row):
                 if camera not in ids:
-                    remedy = did_you_mean(camera, ids, "use ids from 'cameras'")
+                    remedy = suggest(camera, ids, "use ids from 'cameras'")
                     problems.add(("pairs", name, i, j), f"there is no camera {camera!r}", remedy)
             if row[0] == row[1]:
                 problems.add(("pairs", name, i), "a camera makes no pair with itself", "name two cameras")
@@ -195,7 +195,7 @@ _REMEDIES = {
 }
 
 
-def explained(error: ValidationError, document: Document) -> list[SiteProblem]:
+def explained(error: ValidationError, document: Document) -> list[Problem]:
     """The errors that pydantic found, as problems in the terms of a site file."""
     problems = []
     errors = error.errors()

@@ -24,7 +24,7 @@ from ..pipeline.stages import STAGES
 from ..task import camera_of
 from ..words import bytes_of
 from .calibration.calibrated import Lens, Matrix, Placement, lens_fault, look_at, rotation_fault, yaw_pitch_roll
-from .yaml_document import Document, Location, SiteProblem, did_you_mean
+from .yaml_document import Document, Location, Problem, suggest
 
 if TYPE_CHECKING:
     from ..pipeline.functions import FunctionReader
@@ -374,7 +374,7 @@ def _check_timezone(name: Any) -> Any:
             return name
     except (zoneinfo.ZoneInfoNotFoundError, ValueError, OSError):  # OSError: the name of a folder of zones, such as "Europe"
         pass
-    suggestion = did_you_mean(str(name), zoneinfo.available_timezones(), "write one such as Europe/Berlin")
+    suggestion = suggest(str(name), zoneinfo.available_timezones(), "write one such as Europe/Berlin")
     raise _error(f"{name!r} is not a time zone; {suggestion}")
 
 
@@ -493,7 +493,7 @@ class Site:
     stages: dict[str, StageSettings]
     work_folder: WorkFolder
     reader: FunctionReader
-    notes: tuple[SiteProblem, ...]
+    notes: tuple[Problem, ...]
     """Remarks about entries that still work but should be written differently."""
 
     @property
@@ -539,11 +539,11 @@ class Site:
         return all(camera.posed for camera in self.cameras)
 
     @property
-    def rough(self) -> bool:
+    def has_rough_pose(self) -> bool:
         """Is the whole pose of some camera given with standard deviations?"""
         return any(camera.given and camera.placement.sigma_deg > 0 for camera in self.cameras)
 
     @property
-    def some_given(self) -> bool:
+    def has_given_poses(self) -> bool:
         """Are the intrinsics and poses of two cameras or more given, exactly or not?"""
         return sum(camera.given for camera in self.cameras) > 1

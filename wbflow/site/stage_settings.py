@@ -15,14 +15,14 @@ from ..pipeline.functions import FunctionReader
 from ..pipeline.stages import COMPONENT, FUSE, STAGES, Stage
 from ..words import printable
 from .models import StageSettings
-from .yaml_document import Location, Problems, beside, did_you_mean, similar
+from .yaml_document import Location, Problems, resolve_path, similar, suggest
 
 
 @dataclass(frozen=True)
 class Renamed:
     """A parameter with another name or other values in an earlier version; these are still accepted, with a note."""
 
-    now: str
+    current_name: str
     values: Mapping[str, str] = field(default_factory=dict)
     """Present value by old value."""
 
@@ -35,7 +35,7 @@ RENAMED: Mapping[str, Mapping[str, Renamed]] = {
     "fuse": {"strict": Renamed("min_consistent_pairs")},
 }
 """Renamed parameters by stage and old name."""
-GONE: Mapping[str, frozenset[str]] = {"fuse": frozenset({"neighbours"})}
+REMOVED: Mapping[str, frozenset[str]] = {"fuse": frozenset({"neighbours"})}
 """Parameters of earlier versions that were removed without replacement, by stage; accepted and ignored, with a note."""
 
 
@@ -50,7 +50,7 @@ def read_stages(
     for name, section in sections.items():
         location: Location = ("stages", name)
         if name not in stages:
-            remedy = did_you_mean(name, stages, f"stages are {', '.join(stages)}")
+            remedy = suggest(name, stages, f"stages are {', '.join(stages)}")
             problems.add(location, f"unknown stage {name!r}", remedy, key=True)
         elif section is False:
             if not stages[name].optional:
@@ -121,7 +121,7 @@ class _Section:
             elif not isinstance(stated, str):
                 self._add_problem(name, f"{printable(repr(stated), 80)} is not a path", _FILE.format(name=name))
             else:
-                paths[name] = beside(stated, location, self.problems)
+                paths[name] = resolve_path(stated, location, self.problems)
                 if not is_file(paths[name]):
                     remedy = similar(paths[name]) or "check the path; it is relative to the site file"
                     self._add_problem(name, f"there is no file {printable(paths[name])}", remedy)
@@ -129,7 +129,7 @@ class _Section:
 
     def _update_renamed(self, values: dict[str, Any], use: str | None) -> dict[str, str]:
         """Give parameters of earlier versions their present names and values, in place; returns present name by old name."""
-        renamed, removed = RENAMED.get(self.stage.name, {}), GONE.get(self.stage.name, frozenset())
+        renamed, removed = RENAMED.get(self.stage.name, {}), REMOVED.get(self.stage.name, frozenset())
         if not (renamed.keys() | removed) & values.keys():
             return {}
         known = set(self.reader.signature(use or self.stage.function).parameters)
@@ -139,19 +139,20 @@ class _Section:
             what = f"{self.stage.name} has no {old!r} any more; it is ignored in this version"
             self.notes.add(("stages", self.stage.name, old), what, "leave it out", key=True)
         new_names = {}
-        for old, current in renamed.items():
-            if old not in values or current.now not in known or (current.now != old and old in known):
+        for old, change in renamed.items():
+            if old not in values or change.current_name not in known or (change.current_name != old and old in known):
                 continue
             value = values[old]
-            has_new_value = isinstance(value, str) and value in current.values
-            if current.now == old and not has_new_value:
+            has_new_value = isinstance(value, str) and value in change.values
+            if change.current_name == old and not has_new_value:
                 continue
-            if current.now != old and current.now in values:
-                self._add_problem(old, f"{old!r} is the old name of {current.now!r}, which is given as well", "keep the new one")
+            if change.current_name != old and change.current_name in values:
+                what = f"{old!r} is the old name of {change.current_name!r}, which is given as well"
+                self._add_problem(old, what, "keep the new one")
             del values[old]
-            values[current.now] = current.values[value] if has_new_value else value
-            new_names[old] = current.now
-            now = f"{current.now}: {current.values[value]}" if has_new_value else current.now
+            values[change.current_name] = change.values[value] if has_new_value else value
+            new_names[old] = change.current_name
+            now = f"{change.current_name}: {change.values[value]}" if has_new_value else change.current_name
             before = f"{old}: {value}" if has_new_value else old
             location: Location = ("stages", self.stage.name, old)
             what = f"{before!r} is written {now!r} now; the old way is still understood in this version"
@@ -185,7 +186,7 @@ class _Section:
                 what = f"{key!r} is not read by the chosen {self.chooser}, {binding.method.dotted}"
                 self._add_problem(written, what, f"leave it out, or choose {self.chooser}: {' or '.join(readers)}", key=True)
                 return
-        remedy = did_you_mean(key, allowed, f"parameters of {binding.function.dotted}: {', '.join(allowed) or 'none'}")
+        remedy = suggest(key, allowed, f"parameters of {binding.function.dotted}: {', '.join(allowed) or 'none'}")
         self._add_problem(written, f"unknown parameter {key!r}", remedy, key=True)
 
     def _add_problem(self, name: str, what: str, remedy: str, *, key: bool = False) -> None:

@@ -80,7 +80,7 @@ def _old_nights(site: Site, camera: Camera, date: datetime.date, digests: Digest
     """The night of each digest of a camera's earlier captures: remembered ones, and those of the last earlier night on disk."""
     if camera.images is not None:  # the site file lists them, so repeating them is intended
         return {}
-    night_of = remembered.before(camera.id, str(date))
+    night_of = remembered.last_delivered(camera.id, str(date))
     pattern = site.captures
     if pattern.dated:
         previous = max((night for night in pattern.dates(camera.id) if night < date), default=None)

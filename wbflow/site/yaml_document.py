@@ -38,7 +38,7 @@ _LARGEST_INTEGER = 10**15
 
 
 @dataclass(frozen=True)
-class SiteProblem:
+class Problem:
     """One problem in an input file."""
 
     file: Path
@@ -65,7 +65,7 @@ class SiteError(WbflowError, ValueError):
 
     exit_code = ExitCode.USAGE
 
-    def __init__(self, problems: list[SiteProblem]) -> None:
+    def __init__(self, problems: list[Problem]) -> None:
         super().__init__("\n".join(map(str, problems)))
         self.problems = problems
 
@@ -96,7 +96,7 @@ class Document:
     texts: dict[Location, str] = field(default_factory=dict)
     """Each scalar as written."""
 
-    def problem(self, location: Location, what: str, remedy: str = "", key: bool = False) -> SiteProblem:
+    def problem(self, location: Location, what: str, remedy: str = "", key: bool = False) -> Problem:
         """A problem at a location; if the file has no such location, at the nearest enclosing one.
 
         Parameters
@@ -111,7 +111,7 @@ class Document:
         while nearest and nearest not in marks:
             nearest = nearest[:-1]
         line, column = marks.get(nearest, (1, 1))
-        return SiteProblem(self.path, line, column, _location_text(location), what, remedy)
+        return Problem(self.path, line, column, _location_text(location), what, remedy)
 
 
 @dataclass(frozen=True)
@@ -119,7 +119,7 @@ class Problems:
     """The problems of a document, collected so that all are reported at once."""
 
     document: Document
-    found: list[SiteProblem] = field(default_factory=list)
+    found: list[Problem] = field(default_factory=list)
 
     def add(self, location: Location, what: str, remedy: str, *, key: bool = False) -> None:
         """Add a problem.
@@ -146,7 +146,7 @@ def is_name(name: str) -> bool:
     return bool(ID.fullmatch(name) and name.strip("."))
 
 
-def beside(path: str, location: Location, problems: Problems) -> Path:
+def resolve_path(path: str, location: Location, problems: Problems) -> Path:
     """A path from the site file, resolved relative to that file; an invalid path is added to `problems` at its location."""
     try:
         expanded = Path(path).expanduser()
@@ -157,7 +157,7 @@ def beside(path: str, location: Location, problems: Problems) -> Path:
     return Path(os.path.normpath(problems.document.path.resolve().parent / expanded))
 
 
-def did_you_mean(word: str, known: Iterable[str], otherwise: str) -> str:
+def suggest(word: str, known: Iterable[str], otherwise: str) -> str:
     """A remedy that suggests the known word most similar to `word`, or `otherwise` if none is similar."""
     matches = difflib.get_close_matches(word, known, 1)
     return f"did you mean {printable(matches[0])!r}?" if matches else otherwise
@@ -169,7 +169,7 @@ def similar(path: Path) -> str:
         names = [entry.name for entry in path.parent.iterdir()]
     except OSError:
         return ""
-    return did_you_mean(path.name, names, "")
+    return suggest(path.name, names, "")
 
 
 def read_text(path: Path) -> str:
@@ -177,11 +177,11 @@ def read_text(path: Path) -> str:
     try:
         return read_untrusted(path, MOST_TEXT_BYTES).decode("utf-8-sig")
     except Unreadable as error:
-        raise SiteError([SiteProblem(path, 0, 0, "", error.what, "give the path of a site file")]) from None
+        raise SiteError([Problem(path, 0, 0, "", error.what, "give the path of a site file")]) from None
     except UnicodeDecodeError as error:
         line = error.object[: error.start].count(b"\n") + 1
         column = error.start - error.object.rfind(b"\n", 0, error.start)
-        raise SiteError([SiteProblem(path, line, column, "", "is not UTF-8 text", "save the file as UTF-8")]) from None
+        raise SiteError([Problem(path, line, column, "", "is not UTF-8 text", "save the file as UTF-8")]) from None
 
 
 def load_yaml(path: Path) -> Document:
@@ -206,14 +206,14 @@ def parse_yaml(text: str, path: Path) -> Document:
         mark = error.problem_mark or error.context_mark
         line, column = (mark.line + 1, mark.column + 1) if mark else (1, 1)
         what = f"not valid YAML: {printable(error.problem)}"
-        raise SiteError([SiteProblem(path, line, column, "", what, _remedy_at(text, line))]) from None
+        raise SiteError([Problem(path, line, column, "", what, _remedy_at(text, line))]) from None
     except yaml.YAMLError as error:
-        raise SiteError([SiteProblem(path, 1, 1, "", f"not valid YAML: {printable(error)}", "save it as plain text")]) from None
+        raise SiteError([Problem(path, 1, 1, "", f"not valid YAML: {printable(error)}", "save it as plain text")]) from None
     finally:
         if loader:
             loader.dispose()
     document = Document(path, data)
-    problems: list[SiteProblem] = []
+    problems: list[Problem] = []
     if node is not None:
         _record_marks(node, (), document, problems)
     if problems:
@@ -295,7 +295,7 @@ def _refuse_alias_bomb(node: Any) -> None:
         size(node)
 
 
-def _record_marks(node: Any, location: Location, document: Document, problems: list[SiteProblem]) -> None:
+def _record_marks(node: Any, location: Location, document: Document, problems: list[Problem]) -> None:
     """Record the places of a value and of everything in it; duplicate keys are added to `problems`."""
     document.marks[location] = (node.start_mark.line + 1, node.start_mark.column + 1)
     if isinstance(node, yaml.MappingNode):
@@ -304,7 +304,7 @@ def _record_marks(node: Any, location: Location, document: Document, problems: l
             mark = (key.start_mark.line + 1, key.start_mark.column + 1)
             if inner in document.key_marks:
                 what = f"{key.value!r} is already given on line {document.key_marks[inner][0]}"
-                problems.append(SiteProblem(document.path, *mark, _location_text(inner), what, "keep one of them"))
+                problems.append(Problem(document.path, *mark, _location_text(inner), what, "keep one of them"))
             document.key_marks[inner] = mark
             _record_marks(value, inner, document, problems)
     elif isinstance(node, yaml.SequenceNode):

@@ -122,7 +122,7 @@ def _ribs(
         for (a, out_a), (b, out_b) in itertools.pairwise(_PROFILE):
             x = k * pitch + a * pitch
             step = (b - a) * pitch * right + (out_b - out_a) * outward
-            build.quad(top + x * right + out_a * outward, step, down, texture, (_POST + k * pitch + a * pitch, _POST), run=right)
+            build.quad(top + x * right + out_a * outward, step, down, texture, (_POST + k * pitch + a * pitch, _POST), axis=right)
 
 
 def crane(
@@ -152,12 +152,13 @@ def _lattice(
     corners = [start + width / 2 * (i * a + j * b) for i, j in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
     bays = max(round(length / width), 1)
     for k, corner in enumerate(corners):
-        build.beam(corner, corner + length * along, 0.14, texture, at=0.3 * k)
+        build.beam(corner, corner + length * along, 0.14, texture, offset=0.3 * k)
         neighbour = corners[(k + 1) % 4]
         for bay in range(bays):
             low, high = (bay / bays) * length * along, ((bay + 1) / bays) * length * along
-            build.beam(corner + (low if bay % 2 else high), neighbour + (high if bay % 2 else low), 0.08, texture, at=0.7 * bay)
-            build.beam(corner + low, neighbour + low, 0.07, texture, at=0.5 * bay)
+            one, other = (low, high) if bay % 2 else (high, low)
+            build.beam(corner + one, neighbour + other, 0.08, texture, offset=0.7 * bay)
+            build.beam(corner + low, neighbour + low, 0.07, texture, offset=0.5 * bay)
 
 
 def crates(build: SceneBuilder, rng: Rng, place: tuple[float, float], textures: list[int], *, rows: int, levels: int) -> None:
@@ -168,9 +169,9 @@ def crates(build: SceneBuilder, rng: Rng, place: tuple[float, float], textures: 
         for _ in range(int(rng.integers(1, levels + 1))):
             size = (float(rng.uniform(0.8, 1.15)), float(rng.uniform(0.7, 1.1)), float(rng.uniform(0.45, 0.95)))
             yaw = float(rng.normal(0, 0.25))
-            build.box((x, y, z), (1.2, 1.0, 0.14), textures[0], yaw=yaw, at=float(rng.uniform(0, 2)))
+            build.box((x, y, z), (1.2, 1.0, 0.14), textures[0], yaw=yaw, offset=float(rng.uniform(0, 2)))
             texture = textures[int(rng.integers(len(textures)))]
-            build.box((x, y, z + 0.14), size, texture, yaw=yaw, at=float(rng.uniform(0, 4)))
+            build.box((x, y, z + 0.14), size, texture, yaw=yaw, offset=float(rng.uniform(0, 4)))
             z += 0.14 + size[2]
 
 

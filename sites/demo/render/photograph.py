@@ -52,10 +52,10 @@ class Shots:
     surfaces: str = "standard"
     """A name in `weak.SURFACES`."""
 
-    def check(self, there_are: int) -> None:
-        """Raise ValueError unless there is a capture, it has 16 x 16 pixels, and there are 1 to `there_are` cameras."""
-        if not 1 <= self.cameras <= there_are:
-            raise ValueError(f"this scene has 1 to {there_are} cameras, not {self.cameras}")
+    def check(self, available: int) -> None:
+        """Raise ValueError unless there is a capture, it has 16 x 16 pixels, and there are 1 to `available` cameras."""
+        if not 1 <= self.cameras <= available:
+            raise ValueError(f"this scene has 1 to {available} cameras, not {self.cameras}")
         if self.captures < 1 or min(self.size) < 16:
             wide, high = self.size
             raise ValueError(f"a camera needs at least 1 capture of 16 x 16 pixels, not {self.captures} of {wide} x {high}")

@@ -77,26 +77,26 @@ class SceneBuilder:
         right: Vector,
         down: Vector,
         texture: int,
-        at: tuple[float, float] = (0.0, 0.0),
-        run: Vector | None = None,
+        offset: tuple[float, float] = (0.0, 0.0),
+        axis: Vector | None = None,
     ) -> None:
         """Add a parallelogram seen from its front: top-left `corner`, edges `right` and `down`.
 
-        run: direction of the texture's rows, if it is not `right`."""
+        axis: direction of the texture's rows, if it is not `right`."""
         c, r, d = (np.asarray(v, np.float64) for v in (corner, right, down))
         v = d / np.linalg.norm(d)
-        if run is None:
+        if axis is None:
             u = r / np.linalg.norm(r)
             v = v - (v @ u) * u
         else:
-            u = np.asarray(run, np.float64)
+            u = np.asarray(axis, np.float64)
         for triangle in ((c, c + d, c + r), (c + r, c + d, c + r + d)):
-            self._facets.append((np.array(triangle), c, u, v, at, texture, self.kind))
+            self._facets.append((np.array(triangle), c, u, v, offset, texture, self.kind))
 
-    def triangle(self, corners: Float64s, u: Vector, v: Vector, texture: int, at: tuple[float, float] = (0.0, 0.0)) -> None:
+    def triangle(self, corners: Float64s, u: Vector, v: Vector, texture: int, offset: tuple[float, float] = (0.0, 0.0)) -> None:
         """Add one triangle, corners (3, 3) counter-clockwise from its front; texture axes u, v from its first corner."""
         c, u, v = (np.asarray(a, np.float64) for a in (corners, u, v))
-        self._facets.append((c, c[0], u, v, at, texture, self.kind))
+        self._facets.append((c, c[0], u, v, offset, texture, self.kind))
 
     def box(
         self,
@@ -107,7 +107,7 @@ class SceneBuilder:
         yaw: float = 0.0,
         sides: int | None = None,
         front: int | None = None,
-        at: float = 0.0,
+        offset: float = 0.0,
     ) -> None:
         """Add a box with its bottom centre at `base`; `sides` replaces `texture` on upright faces, `front` on the -y face."""
         width, depth, height = (float(s) for s in size)
@@ -118,14 +118,14 @@ class SceneBuilder:
             return np.asarray(foot + a * width / 2 * across + b * depth / 2 * back + c * z, np.float64)
 
         wall = texture if sides is None else sides
-        self.quad(corner(-1, -1, 1), x, -z, wall if front is None else front, (at, 0.0))
-        self.quad(corner(1, -1, 1), y, -z, wall, (at + width, 0.0))
-        self.quad(corner(1, 1, 1), -x, -z, wall, (at, 0.0))
-        self.quad(corner(-1, 1, 1), -y, -z, wall, (at + width, 0.0))
-        self.quad(corner(-1, 1, 1), x, -y, texture, (at, height))
-        self.quad(corner(-1, -1, 0), x, y, texture, (at, height))
+        self.quad(corner(-1, -1, 1), x, -z, wall if front is None else front, (offset, 0.0))
+        self.quad(corner(1, -1, 1), y, -z, wall, (offset + width, 0.0))
+        self.quad(corner(1, 1, 1), -x, -z, wall, (offset, 0.0))
+        self.quad(corner(-1, 1, 1), -y, -z, wall, (offset + width, 0.0))
+        self.quad(corner(-1, 1, 1), x, -y, texture, (offset, height))
+        self.quad(corner(-1, -1, 0), x, y, texture, (offset, height))
 
-    def beam(self, start: Vector, end: Vector, thick: float, texture: int, *, at: float = 0.0) -> None:
+    def beam(self, start: Vector, end: Vector, thickness: float, texture: int, *, offset: float = 0.0) -> None:
         """Add a square bar between two points."""
         a = np.asarray(start, np.float64)
         along = np.asarray(end, np.float64) - a
@@ -135,7 +135,7 @@ class SceneBuilder:
         other = np.cross(axis, side)
         for p, q in ((other, side), (-side, other), (-other, -side), (side, -other)):
             # seen from outside along -p, with the beam's axis pointing down the picture
-            self.quad(a + thick / 2 * p - thick / 2 * q, thick * q, along, texture, (at, at))
+            self.quad(a + thickness / 2 * p - thickness / 2 * q, thickness * q, along, texture, (offset, offset))
 
     def tube(self, base: Vector, radius: float, height: float, texture: int, *, sides: int = 14, top: bool = True) -> None:
         """Add an upright cylinder; the texture runs around it."""

@@ -189,7 +189,7 @@ def test_pyogrio_reads_cameras_and_changes_back_from_a_geopackage(tmp_path: Path
     assert list(names) == ["mast-0", "mast-1", "mast-2"]
     assert list(headings) == [90.5] * 3
     read = np.array([np.frombuffer(shape[5:], "<f8") for shape in shapes])
-    assert np.abs(read - place.points(np.array([c.at for c in cameras]))).max() < 1e-6
+    assert np.abs(read - place.points(np.array([c.position for c in cameras]))).max() < 1e-6
     about, _, _, columns = pyogrio.raw.read(path, layer="changes")
     assert [column[0] for column in columns] == ["1", "new", 2.5, 40]
     assert geopackage_bytes({"cameras": cameras, "changes": changes, "none": []}, place, DAY) == data

@@ -11,7 +11,7 @@ import open3d
 import pytest
 
 from wbflow_stages.core.cameras import project
-from wbflow_stages.exports.mesh import NONE, Mesh, object_files, textured
+from wbflow_stages.exports.mesh import NO_VIEW, Mesh, object_files, textured
 from wbflow_stages.exports.orthophoto import orthophoto
 from wbflow_stages.types import Camera, Float64s, Frame, View
 
@@ -57,8 +57,8 @@ def test_the_larger_view_is_used_and_exposures_are_equalised() -> None:
     names = np.array([view.name for view in found.views])
     middles = found.mesh.vertices[found.mesh.triangles].mean(axis=1)
     seen_near = np.abs(project(near, middles)[0] - K[:2, 2]).max(axis=1) < 100
-    assert (names[found.chosen[seen_near]] == "near").all()
-    assert (names[found.chosen[middles[:, 0] > 1]] == "far").all()
+    assert (names[found.view_of_triangle[seen_near]] == "near").all()
+    assert (names[found.view_of_triangle[middles[:, 0] > 1]] == "far").all()
     ratio = [view.image.mean() for view in found.views]
     pixels = project(far, middles[seen_near])[0].round().astype(int), project(near, middles[seen_near])[0].round().astype(int)
     levels = [found.views[k].image[x[:, 1], x[:, 0]].astype(float) for k, x in enumerate(pixels)]
@@ -79,14 +79,14 @@ def test_hidden_and_masked_ground_gets_no_texture() -> None:
     found = textured(both, {"one": camera}, {"one": replace(frame, mask=mask)})
     middles = both.vertices[both.triangles].mean(axis=1)
     below, west = (np.abs(middles[:, :2]) < 0.5).all(axis=1) & (middles[:, 2] == 0), middles[:, 0] < -1.3
-    assert (found.chosen[below | west] == NONE).all()
-    assert (found.chosen[(middles[:, 0] > 0.7)] == 0).all()
+    assert (found.view_of_triangle[below | west] == NO_VIEW).all()
+    assert (found.view_of_triangle[(middles[:, 0] > 0.7)] == 0).all()
 
 
 def test_a_camera_beneath_the_ground_gives_no_texture() -> None:
     beneath = Camera(K, np.eye(3), np.array([0.0, 0.0, -4.0]), 320, 240)
     found = textured(ground(), {"one": beneath}, {"one": photograph(camera_at(0, 4))})
-    assert (found.chosen == NONE).all()
+    assert (found.view_of_triangle == NO_VIEW).all()
 
 
 def test_open3d_reads_the_textured_mesh_with_its_colours_in_place(tmp_path: Path) -> None:
@@ -131,4 +131,4 @@ def test_infrared_frames_are_not_used_where_colour_frames_see_the_mesh() -> None
     image = cv2.cvtColor(cv2.cvtColor(grey.image, cv2.COLOR_RGB2GRAY), cv2.COLOR_GRAY2RGB)
     infrared = replace(grey, image=np.asarray(image, np.uint8), colour=0.0)
     found = textured(ground(), {"far": far, "near": near}, {"near": infrared, "far": photograph(far)})
-    assert [found.views[k].name for k in np.unique(found.chosen)] == ["far"]
+    assert [found.views[k].name for k in np.unique(found.view_of_triangle)] == ["far"]

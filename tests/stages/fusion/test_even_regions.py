@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from wbflow_stages.fusion.even_regions import believed
+from wbflow_stages.fusion.even_regions import usable_pixels
 from wbflow_stages.types import Bools, DepthMap, Frame, View
 
 HEIGHT, WIDTH = 120, 160
@@ -35,7 +35,7 @@ def known_down_from(row: int) -> Bools:
 
 
 def test_depth_in_a_band_of_sky_above_the_horizon_is_not_used() -> None:
-    kept = believed(frame(), depth_map(known_down_from(TOP - 8)))
+    kept = usable_pixels(frame(), depth_map(known_down_from(TOP - 8)))
     assert not kept[: TOP - 2].any()
     assert kept[TOP + 1 :].all()
 
@@ -43,17 +43,17 @@ def test_depth_in_a_band_of_sky_above_the_horizon_is_not_used() -> None:
 def test_depth_in_a_sky_with_a_brightness_gradient_is_not_used() -> None:
     shaded = frame()
     shaded.image[:TOP] = (210 - np.arange(WIDTH))[:, None].clip(60, 210)
-    assert not believed(shaded, depth_map(known_down_from(TOP - 8)))[: TOP - 2].any()
+    assert not usable_pixels(shaded, depth_map(known_down_from(TOP - 8)))[: TOP - 2].any()
 
 
 def test_depth_on_a_mostly_filled_wall_is_used() -> None:
-    assert believed(frame(), depth_map(known_down_from(5))).all()
+    assert usable_pixels(frame(), depth_map(known_down_from(5))).all()
 
 
 def test_depth_of_masked_pixels_is_not_used() -> None:
     masked = frame()
     masked.mask[:, :30] = False
-    kept = believed(masked, depth_map(known_down_from(0)))
+    kept = usable_pixels(masked, depth_map(known_down_from(0)))
     assert not kept[:, :30].any() and kept[:, 30:].all()
 
 
@@ -63,11 +63,11 @@ def test_unknown_depth_matters_in_large_even_patches_but_not_in_small_ones(side:
     patched.image[TOP + 10 : TOP + 10 + side, 60 : 60 + side] = 90
     known = known_down_from(0)
     known[TOP + 10 : TOP + 10 + side, 60 : 60 + side] = False
-    assert believed(patched, depth_map(known)).all() == (side == 6)
+    assert usable_pixels(patched, depth_map(known)).all() == (side == 6)
 
 
 @pytest.mark.parametrize("noise_left", [0.0, 6.0])
 def test_noise_counts_as_texture_unless_its_level_is_known(noise_left: float) -> None:
     noisy = replace(frame(noise=2.0), noise_left=noise_left)
-    sky = believed(noisy, depth_map(known_down_from(TOP - 8)))[: TOP - 8]
+    sky = usable_pixels(noisy, depth_map(known_down_from(TOP - 8)))[: TOP - 8]
     assert sky.all() if noise_left == 0 else sky.mean() < 0.1

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from tests.helpers.exact_pairs import PairSite, aligned_errors, make_pair_site, only, pair_geometry, turned_wrong
 from wbflow_stages.core.cameras import project
 from wbflow_stages.core.rotations import rotation_matrix
-from wbflow_stages.orientation.solve import straight_error_px, without_unsupported
+from wbflow_stages.orientation.solve import undistorted_error_px, without_unsupported
 from wbflow_stages.poses import solve_poses
 from wbflow_stages.sfm.incremental import Model, grow
 from wbflow_stages.sfm.tracks import Edge, build_tracks
@@ -360,7 +360,7 @@ def test_a_model_that_agrees_with_its_pairs_keeps_all_cameras() -> None:
     model, edges = solved(make_pair_site(4))
     kept, out = without_unsupported(model, edges, 2.0)
     assert kept is model and out == []
-    assert all(straight_error_px(model.cameras[i], model.cameras[j], g) < 0.01 for (i, j), g in edges.items())
+    assert all(undistorted_error_px(model.cameras[i], model.cameras[j], g) < 0.01 for (i, j), g in edges.items())
 
 
 def test_only_the_camera_that_its_strongest_pair_contradicts_is_removed() -> None:

@@ -76,7 +76,7 @@ def test_pixels_without_a_valid_partner_in_the_range_are_out_of_reach() -> None:
     other = np.zeros((1, 20), dtype=bool)
     other[0, 5] = True
     grey = np.zeros((1, 20), np.float32)
-    reach = RectifiedPair(grey, grey, valid, other, 2, 4).within_reach()
+    reach = RectifiedPair(grey, grey, valid, other, 2, 4).matchable_pixels()
     np.testing.assert_array_equal(np.flatnonzero(reach[0]), [7, 8, 9])
-    reach = mirrored(RectifiedPair(grey, grey, other, valid, 2, 4)).within_reach()[:, ::-1]
+    reach = mirrored(RectifiedPair(grey, grey, other, valid, 2, 4)).matchable_pixels()[:, ::-1]
     np.testing.assert_array_equal(np.flatnonzero(reach[0]), [1, 2, 3])

@@ -14,7 +14,7 @@ from wbflow_stages.core.luminance import noise_level
 from wbflow_stages.stereo.census import match_census_sgm
 from wbflow_stages.stereo.matcher import DenseMatches, RectifiedPair, halved, mirrored
 from wbflow_stages.stereo.patchmatch import match_patchmatch
-from wbflow_stages.stereo.plane_filter import doubt, smoothed
+from wbflow_stages.stereo.plane_filter import plane_deviation, smoothed
 from wbflow_stages.stereo.rectified import denoised_if_noisy, with_coarse_range
 from wbflow_stages.stereo.sgbm import blocks, match_in_one_piece, match_sgbm
 
@@ -200,7 +200,7 @@ def test_wrong_planes_are_filtered_and_contradicted_ones_doubted() -> None:
     assert np.abs(found - truth)[:, :200].max() < 0.25
     torn = truth + np.where((abs(y - 22) < 2) & (abs(x - 128) < 2), np.float32(9), np.float32(0))
     difference = np.where(x < 250, np.float32(0.5), np.float32(5))
-    doubts = doubt(np.stack([torn, planes[1], planes[2]]), difference)
+    doubts = plane_deviation(np.stack([torn, planes[1], planes[2]]), difference)
     assert doubts[22, 128] > 3 and np.isinf(doubts[:, 250:]).all()
     assert doubts[5:55, 5:110].max() < 0.2 and doubts[0, 0] < 0.2
 

@@ -60,8 +60,8 @@ def pavement() -> RectifiedPair:
 
 def test_repeating_stones_confirm_rows_where_the_ground_is_known() -> None:
     rows, *_ = match_rows(pavement())
-    assert rows.share > 0.3 and not rows.cells.confirm
-    assert rows.on_ground is not None and rows.on_ground.confirm
+    assert rows.share > 0.3 and not rows.cells.confirms_rows
+    assert rows.on_ground is not None and rows.on_ground.confirms_rows
 
 
 def test_repeating_stones_do_not_confirm_wrong_rows() -> None:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from wbflow.cache.checksum import Damaged, NoChecksum, checked, dump_with_checksum, read_checksummed, write_checksummed
+from wbflow.cache.checksum import Damaged, NoChecksum, dump_with_checksum, parse_checksummed, read_checksummed, write_checksummed
 
 CONTENT = {"points": 12, "names": ["gate", "roof"]}
 
@@ -16,7 +16,7 @@ def test_checksummed_content_is_read_as_it_was_written(tmp_path: Path) -> None:
     write_checksummed(tmp_path / "memo.json", "memo", CONTENT)
     assert read_checksummed(tmp_path / "memo.json", "memo") == CONTENT
     assert json.loads((tmp_path / "memo.json").read_bytes())["points"] == 12
-    assert checked(dump_with_checksum("memo", CONTENT, in_lines=True), "memo") == CONTENT
+    assert parse_checksummed(dump_with_checksum("memo", CONTENT, in_lines=True), "memo") == CONTENT
     assert dump_with_checksum("memo", CONTENT) == dump_with_checksum("memo", CONTENT)
 
 
@@ -26,18 +26,18 @@ def test_any_single_changed_byte_is_found() -> None:
         changed = bytearray(data)
         changed[place] ^= 1
         with pytest.raises(Damaged):
-            checked(bytes(changed), "memo")
+            parse_checksummed(bytes(changed), "memo")
 
 
 @pytest.mark.parametrize("length", [0, 1, 30, 60])
 def test_a_truncated_file_is_refused(length: int) -> None:
     with pytest.raises(Damaged):
-        checked(dump_with_checksum("memo", CONTENT)[:length], "memo")
+        parse_checksummed(dump_with_checksum("memo", CONTENT)[:length], "memo")
 
 
 def test_content_of_another_subject_is_refused() -> None:
     with pytest.raises(Damaged, match="belongs to frames/gate"):
-        checked(dump_with_checksum("frames/gate", CONTENT), "frames/roof")
+        parse_checksummed(dump_with_checksum("frames/gate", CONTENT), "frames/roof")
 
 
 def test_missing_files_and_files_of_earlier_versions_are_not_damaged(tmp_path: Path) -> None:
@@ -45,4 +45,4 @@ def test_missing_files_and_files_of_earlier_versions_are_not_damaged(tmp_path: P
     (tmp_path / "old.json").write_text(json.dumps(CONTENT))
     assert read_checksummed(tmp_path / "old.json", "memo") is None
     with pytest.raises(NoChecksum):
-        checked(b"{}", "memo")
+        parse_checksummed(b"{}", "memo")

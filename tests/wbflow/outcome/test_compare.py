@@ -67,7 +67,7 @@ def test_no_differences_are_listed_for_two_similar_nights() -> None:
 def past(tmp_path: Path) -> Callable[..., str]:
     """Runs a wbflow command on a site with three nights, the last of which has lost points; returns the output."""
     (tmp_path / "site.yaml").write_text("site: yard\ncaptures: {pattern: '{camera}'}\ncameras: [crane, gate, mast, roof]\n")
-    work = WorkFolder.beside(tmp_path / "site.yaml", "yard")
+    work = WorkFolder.default_for(tmp_path / "site.yaml", "yard")
     records: list[RunRecord] = []
     for date, points in (("2026-11-18", 100_000), ("2026-11-19", 101_000), ("2026-11-20", 40_000)):
         records.insert(0, night(date, points=points, past=records))

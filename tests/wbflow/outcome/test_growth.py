@@ -35,7 +35,7 @@ def of_night(date: str, *piles: Change, compared: bool = True) -> RunRecord:
 def rows_of(folder: Path, *records: RunRecord) -> list[dict[str, str]]:
     (folder / "site.yaml").write_text("site: yard\ncaptures: {pattern: '{camera}'}\ncameras: [crane, gate, mast, roof]\n")
     for record in records:
-        UnfinishedRun(WorkFolder.beside(folder / "site.yaml", "yard"), record.run).publish(record, [], "")
+        UnfinishedRun(WorkFolder.default_for(folder / "site.yaml", "yard"), record.run).publish(record, [], "")
     result = CliRunner().invoke(main, ["history", str(folder), "--changes", "--csv"])
     assert result.exit_code == 0, result.output
     return list(csv.DictReader(io.StringIO(result.output)))

@@ -40,7 +40,7 @@ def folder(tmp_path: Path) -> Path:
     """A site whose newest night has two changes."""
     (tmp_path / "site.yaml").write_text("site: yard\ncaptures: {pattern: '{camera}'}\ncameras: [crane, gate, mast, roof]\n")
     record = of_night("2026-11-19", VAN, CONTAINER)
-    UnfinishedRun(WorkFolder.beside(tmp_path / "site.yaml", "yard"), record.run).publish(record, [], "")
+    UnfinishedRun(WorkFolder.default_for(tmp_path / "site.yaml", "yard"), record.run).publish(record, [], "")
     return tmp_path
 
 
@@ -76,7 +76,7 @@ def test_an_acknowledgement_is_dropped_by_number_or_by_name(folder: Path) -> Non
 def test_a_slightly_shifted_change_keeps_its_name(folder: Path) -> None:
     wbflow(folder, "change", "2")
     record = of_night("2026-11-20", replace(CONTAINER, x=9.6))
-    UnfinishedRun(WorkFolder.beside(folder / "site.yaml", "yard"), record.run).publish(record, [], "")
+    UnfinishedRun(WorkFolder.default_for(folder / "site.yaml", "yard"), record.run).publish(record, [], "")
     wbflow(folder, "change", "1", "--note", "still there")
     (known,) = acknowledge.read(load_site(folder))
     assert known.note == "still there"

@@ -90,7 +90,7 @@ def test_links_are_repaired_after_a_kill_and_published_files_are_kept(tmp_path: 
     files = {path.name: path.read_bytes() for path in newest.folder.iterdir()}
     work.start_writing()
     for link in (work.latest, work.latest_good):
-        work.turn(link, "20261120T031500Z")  # its state at the time of the kill
+        work.point_link(link, "20261120T031500Z")  # its state at the time of the kill
     work.unfinished_run(work.latest.name).folder.symlink_to(newest.folder.name)
     assert work.start_writing(), "somebody was killed"
     update_links(work)
@@ -119,7 +119,7 @@ def test_half_written_files_left_by_a_kill_are_removed_everywhere(tmp_path: Path
 def test_a_dangling_link_is_updated_to_the_newest_run(tmp_path: Path) -> None:
     work = WorkFolder(tmp_path)
     publish(work, "20261120T031500Z")
-    work.turn(work.latest, "20261121T031500Z")
+    work.point_link(work.latest, "20261121T031500Z")
     update_links(work)
     assert work.latest.resolve().name == "20261120T031500Z"
 

@@ -166,7 +166,7 @@ def test_a_missing_artifact_is_made_again_and_reported(toy: ToySite) -> None:
 @pytest.fixture
 def settled(monkeypatch: pytest.MonkeyPatch) -> None:
     """Files count as settled from the moment that they are written, so that their digests are remembered at once."""
-    monkeypatch.setattr("wbflow.cache.memo._SETTLED_NS", -(10**18))
+    monkeypatch.setattr("wbflow.cache.memo._STABLE_NS", -(10**18))
 
 
 def test_check_finds_published_files_that_do_not_match_their_digests(toy: ToySite) -> None:

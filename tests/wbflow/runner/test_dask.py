@@ -12,7 +12,7 @@ from tests.helpers.toy_site import HELPERS, ToySite
 from wbflow.cache.layout import WorkFolder
 from wbflow.cache.store import Cache
 from wbflow.errors import UsageError, WbflowError
-from wbflow.runner.executors import Cluster, CodeMismatch, moved
+from wbflow.runner.executors import Cluster, CodeMismatch, translate_paths
 from wbflow.runner.options import worker_roots
 from wbflow.runner.spec import Files, Input, Joined, Stored, TaskSpec
 from wbflow.site.captures import CaptureFile
@@ -90,10 +90,10 @@ def test_paths_are_translated_to_those_of_the_workers_and_back(tmp_path: Path) -
     inputs: dict[str, Input] = {"files": files, "frames": Joined({("gate",): here})}
     spec = TaskSpec(Task("poses", ()), "toy_stages:solve", "code", {"folder": "as it is"}, inputs)
     roots = worker_roots((f"{tmp_path}=/mnt/site",))
-    theirs, cache = moved((spec, Cache(WorkFolder(tmp_path / "work"))), roots)
+    theirs, cache = translate_paths((spec, Cache(WorkFolder(tmp_path / "work"))), roots)
     assert cache.work.root == Path("/mnt/site/work")
     assert str(theirs).replace("/mnt/site", str(tmp_path)) == str(spec) != str(theirs)
-    assert moved(theirs, {there: here for here, there in roots.items()}) == spec
+    assert translate_paths(theirs, {there: here for here, there in roots.items()}) == spec
     with pytest.raises(UsageError, match="write HERE=THERE"):
         worker_roots(("/srv",))
 

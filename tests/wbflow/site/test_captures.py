@@ -11,7 +11,7 @@ import pytest
 
 from wbflow.cache.memo import Digests
 from wbflow.errors import UsageError
-from wbflow.site.captures import backlog, find_captures, in_motion, night
+from wbflow.site.captures import backlog, changes_of, find_captures, night
 from wbflow.site.load import load_site
 from wbflow.site.models import Site
 
@@ -125,7 +125,7 @@ def test_a_forgotten_digest_is_computed_again(tmp_path: Path) -> None:
 
 
 def test_the_memo_of_digests_is_limited_in_size(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("wbflow.cache.memo._SETTLED_NS", -(10**18))
+    monkeypatch.setattr("wbflow.cache.memo._STABLE_NS", -(10**18))
     monkeypatch.setattr("wbflow.cache.memo._FORMER", 5)
     for day in range(20):
         file = tmp_path / f"{day}.jpg"
@@ -139,9 +139,9 @@ def test_the_memo_of_digests_is_limited_in_size(tmp_path: Path, monkeypatch: pyt
 def test_growing_captures_are_in_motion_and_removed_ones_are_not(tmp_path: Path) -> None:
     s, digests = site(tmp_path, "{camera}.jpg", ["gate.jpg", "roof.jpg"]), Digests(None)
     found = find_captures(s, night(s, None), digests)
-    assert in_motion(found, set(), digests) == {}
+    assert changes_of(found, set(), digests) == {}
     with (tmp_path / "in" / "gate.jpg").open("a") as file:
         file.write("more of it")
     (tmp_path / "in" / "roof.jpg").unlink()
-    assert in_motion(found, set(), digests) == {"gate": ["gate.jpg"]}
-    assert in_motion(found, {tmp_path / "in" / "roof.jpg"}, digests)["roof"] == ["roof.jpg"], "it was replaced before"
+    assert changes_of(found, set(), digests) == {"gate": ["gate.jpg"]}
+    assert changes_of(found, {tmp_path / "in" / "roof.jpg"}, digests)["roof"] == ["roof.jpg"], "it was replaced before"

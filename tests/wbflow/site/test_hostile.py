@@ -36,7 +36,7 @@ MESSAGES = {
     "captures in nobody's home": ": captures.root: '~nosuchuser' is not a path",
     "a mask of nobody": ": cameras[0].mask: '~nosuchuser/mask.png' is not a path",
     "use: os:system": ": stages.matches.use: there is no module 'os' to take system from",
-    "use: 5": ": stages.matches.use: 5 is no function",
+    "use: 5": ": stages.matches.use: 5 is not a function",
     "a plug-in with a syntax error": "plugin.py:1: invalid syntax",
     "a lens that is no number": ": cameras[0].intrinsics.hfov: input should be a finite number, not nan",
     "a lens of 400 digits": "is too large a number",

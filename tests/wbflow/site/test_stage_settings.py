@@ -112,7 +112,7 @@ def test_every_new_name_of_a_renamed_parameter_exists(tmp_path: Path) -> None:
         known = set(reader.signature(stage.function).parameters)
         known |= {name for parameters in method_parameters(stage, reader).values() for name in parameters}
         for old, row in RENAMED.get(stage.name, {}).items():
-            assert row.now in known or old in known, (stage.name, old)
+            assert row.current_name in known or old in known, (stage.name, old)
 
 
 def test_a_missing_model_of_a_matcher_is_an_error_that_says_how_to_give_it(tmp_path: Path) -> None:

@@ -11,7 +11,7 @@ import pytest
 
 from tests.wbflow.outcome.test_verdict import night as a_night
 from wbflow import capture
-from wbflow.capture import Taken
+from wbflow.capture import Delivery
 from wbflow.cli.common import date_at, day
 from wbflow.report.data import ReportData
 from wbflow.report.page import _when
@@ -89,7 +89,7 @@ def test_captures_of_a_repeated_hour_do_not_overwrite_each_other(tmp_path: Path,
     there = site(tmp_path, "Europe/Berlin")
     for moment, content in (("2026-10-25T00:30:00", b"first"), ("2026-10-25T01:30:00", b"second")):
         clock(monkeypatch, moment)
-        capture._write(there, Taken("gate", 1), (content, at(moment)))
+        capture._write(there, Delivery("gate", 1), (content, at(moment)))
     files = there.captures.files("gate", datetime.date(2026, 10, 25))
     assert [file.read_bytes() for file in files] == [b"first", b"second"]
     assert [file.stat().st_mtime for file in files] == [at("2026-10-25T00:30:00"), at("2026-10-25T01:30:00")]
@@ -99,7 +99,7 @@ def test_a_pattern_without_times_of_day_overwrites_the_capture(tmp_path: Path, m
     there = site(tmp_path, "Europe/Berlin", "{camera}/{date}.jpg")
     clock(monkeypatch, "2026-10-25T01:30:00")
     for content in (b"first", b"second"):
-        capture._write(there, Taken("gate", 1), (content, at("2026-10-25T01:30:00")))
+        capture._write(there, Delivery("gate", 1), (content, at("2026-10-25T01:30:00")))
     (file,) = there.captures.files("gate", datetime.date(2026, 10, 25))
     assert file.read_bytes() == b"second"
 
