@@ -56,8 +56,8 @@ def _same_fault(record: RunRecord, cameras: list[Finding]) -> str:
     kinds = {finding.kind for finding in cameras}
     if len(kinds) != 1 or len(cameras) < max(3, 0.8 * len(record.cameras)):
         return ""
-    affected = "every camera" if len(cameras) == len(record.cameras) else f"{len(cameras)} of {len(record.cameras)} cameras"
-    return f"The same is wrong with {affected}. Check first what they have in common: power, network, the folder of the captures."
+    affected = "All" if len(cameras) == len(record.cameras) else f"{len(cameras)} of {len(record.cameras)}"
+    return f"{affected} cameras have the same problem. Check first what they have in common: power, network, the folder of the captures."
 
 
 def _first_remedy(findings: tuple[Finding, ...]) -> str:

@@ -279,7 +279,7 @@ def test_common_findings_are_merged_and_empty_comparisons_show_no_figures(tmp_pa
     night = made_up_run.record(ids, cloud=None, pairs=(), verdict=Verdict("failed", tuple(lost)), exit_code=1)
     night = replace(night, results={"changes": ChangesSummary(compared=False, count=0, noise=1.0)})
     text = made_up_run.page(tmp_path, night, nights=0).read_text()
-    assert "The same is wrong with every camera." in text
+    assert "All cameras have the same problem." in text
     assert f"4 more like these: {', '.join(ids[1:])}" in text
     assert "There was nothing to compare this night with." in text and "<dt>noise</dt>" not in text
 
