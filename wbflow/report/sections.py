@@ -57,7 +57,8 @@ def _same_fault(record: RunRecord, cameras: list[Finding]) -> str:
     if len(kinds) != 1 or len(cameras) < max(3, 0.8 * len(record.cameras)):
         return ""
     affected = "All" if len(cameras) == len(record.cameras) else f"{len(cameras)} of {len(record.cameras)}"
-    return f"{affected} cameras have the same problem. Check first what they have in common: power, network, the folder of the captures."
+    shared = "power, network, the folder of the captures"
+    return f"{affected} cameras have the same problem. Check first what they have in common: {shared}."
 
 
 def _first_remedy(findings: tuple[Finding, ...]) -> str:
