@@ -89,8 +89,8 @@ def find_changes(
     sigmas : a surface has changed if its distance exceeds this many standard deviations.
     registration_m : standard deviation in metres between tonight's world and the reference's; nearly 0 for fixed cameras.
     alike : places where the photographs of both nights correlate better than this have not changed, 0 to 1.
-    least_area_m2 : surface area of the smallest reported change, square metres; None: what about 300 points of the cloud
-        cover.
+    least_area_m2 : surface area of the smallest reported change, square metres; None: the area that about 300 points of the
+        cloud cover.
     cell_m : edge of the ground's cells in metres; None: twice the point spacing, rounded up to 1, 2 or 5 times a power of ten.
     """
     cameras = poses.main_cameras()
@@ -118,18 +118,18 @@ def find_changes(
     for side, own, other in ((new_side, tonight, ground[1]), (old_side, pinned, ground[0])):
         rgb = own.cloud.colors[side.rows].astype(np.float64)
         clusters += find_clusters(side, rgb, grid, other, vanished=own is pinned, spacing=spacing, least_area=least, alike=alike)
-    pairs = sorted(paired([b for b in clusters if b.confirmed]), key=lambda p: -p[0].change.volume)
-    in_zones = [(_in_zone(a, zones, axes), b) for a, b in pairs]
+    pairs = sorted(paired([c for c in clusters if c.confirmed]), key=lambda p: -p[0].change.volume)
+    in_zones = [(_in_zone(cluster, zones, axes), source) for cluster, source in pairs]
     tops = [_surface_heights(grid, points) for points in ground]
     result = _assembled(grid, tops[0] - tops[1], new_side, old_side, (tonight, pinned), [(a, b) for a, b in in_zones if a])
     detection = detection_of(new_side, old_side, sigmas=sigmas, registration=registration_m, least_area=least)
-    counted = [part for pair in pairs for part in pair if part] + [b for b in clusters if not b.confirmed]
+    counted = [part for pair in pairs for part in pair if part] + [c for c in clusters if not c.confirmed]
     total, by_zone = volumes(grid, tops, counted, zones or [], detection)
     return replace(result, cut_fill=total, zones=by_zone, noise=noise, metric=poses.metric, crs=poses.crs)
 
 
 def _same_world(cameras: Mapping[str, Camera], old_cameras: Mapping[str, Camera], cloud: Cloud) -> bool:
-    """Are most cameras at their old positions?  Otherwise tonight's world was solved anew, and its frame is another one."""
+    """Are most cameras at their old positions?  Otherwise tonight's world was solved anew, and is another one."""
     displacements = [float(np.linalg.norm(cameras[name].C - old_cameras[name].C)) for name in cameras if name in old_cameras]
     extent = float(np.linalg.norm(np.ptp(np.quantile(cloud.points.astype(np.float64), [0.05, 0.95], axis=0), axis=0)))
     return bool(displacements) and float(np.median(displacements)) <= _MOST_DISPLACEMENT * extent
@@ -155,7 +155,7 @@ def _assembled(
     nights: tuple[Epoch, Epoch],
     clusters: list[tuple[ChangeCluster, ChangeCluster | None]],
 ) -> Changes:
-    """`Changes` with the points of both nights; the reference's only where they have vanished or are unknown tonight."""
+    """`Changes` with tonight's points and the reference's vanished or unknown ones; clusters: each with its origin, if moved."""
     blobs = [np.zeros(len(side.core), np.uint16) for side in (new, old)]
     changes, crops = {}, {}
     for k, (cluster, source) in enumerate(clusters, 1):

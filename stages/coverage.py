@@ -184,7 +184,7 @@ def _sees(camera: Camera, frame: Frame | None, depth: DepthMap, X: Float64s, cel
 
 @kernel
 def _best_pairs(
-    X: Float64s, seen: Bools, centres: Float64s, focals: Float64s, cos_least: float, cos_most: float
+    X: Float64s, seen: Bools, centres: Float64s, focals: Float64s, cos_min_angle: float, cos_max_angle: float
 ) -> tuple[Float64s, Float64s]:
     """Radians between the rays of each point's best pair of cameras (n,), and the point's error (n,); nan without a pair.
 
@@ -208,7 +208,7 @@ def _best_pairs(
         for i in range(used):
             for j in range(i + 1, used):
                 cos = rays[i, 0] * rays[j, 0] + rays[i, 1] * rays[j, 1] + rays[i, 2] * rays[j, 2]
-                if cos > cos_least or cos < cos_most:
+                if cos > cos_min_angle or cos < cos_max_angle:
                     continue
                 a, b = weights[i], weights[j]
                 information = 0.5 * (a + b - np.sqrt((a - b) ** 2 + 4.0 * a * b * cos * cos))

@@ -28,7 +28,7 @@ def view_depth(
     camera : the camera of the view itself.
     cameras : the cameras of the views that form pairs with it, by id.
     rectifications, disparities : of the pairs that contain the view; loaded one at a time.  Of more than 32 pairs, those with
-        the most sufficiently exact pixels are used; `left_out` of the result names the others.
+        the most pixels that are exact enough are used; `left_out` of the result names the others.
     noise_px : assumed error of a disparity in pixels, standard deviation.
     """
     noise = NoiseModel(noise_px=noise_px)

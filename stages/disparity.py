@@ -50,8 +50,8 @@ def match_dense(
     ----------
     left, right : the frames of the pair; masked and saturated pixels are never matched.
     rectification : how the frames are resampled.
-    reference_rectification, reference_disparity : those of the reference, if there is one: an optional start for matchers,
-        used if both rectifications are alike.
+    reference_rectification, reference_disparity : the reference's, if there is one: an optional start for matchers, used
+        if its rectification has the same homographies as tonight's.
     matcher : "patchmatch": a slanted plane for each pixel, started from census semi-global matching; the most accurate.
         "sgbm": OpenCV's semi-global matching, in half the time.  "census-sgm": the start of "patchmatch" alone.  Or a function
         of your own, `package.module:function`.

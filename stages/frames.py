@@ -199,7 +199,7 @@ def _evenly_chosen(items: Sequence[_T], count: int) -> list[_T]:
 
 
 def _of_common_size(pictures: Sequence[_Picture], notes: list[str]) -> list[_Picture]:
-    """The captures of the most common size (that of the latest among equals); a note is added for each other one."""
+    """The pictures of the most common size (of equally common sizes, the latest); a note is added for each other picture."""
     sizes = [(p.camera.width, p.camera.height) for p in pictures]
     width, height = max(reversed(sizes), key=sizes.count)
     for p, size in zip(pictures, sizes, strict=True):

@@ -124,7 +124,7 @@ def estimate_geometry(
 
 def _accepted(inliers: Matches, model: TwoView, support: _Support, evidence: PairEvidence, score: float) -> Geometry:
     R, t = model.R, model.t
-    if R is None:  # the pose nearest to F, if there is some K to derive it with
+    if R is None:  # the pose nearest to F, if both K are known or guessed
         R, t = pose_of_fundamental(model.F, inliers.x1, inliers.x2, inliers.view1, inliers.view2) or (None, None)
     rival = evidence.rival
     return Geometry(
@@ -224,7 +224,7 @@ def _warnings(support: _Support, contradicted: bool, few_inliers: int, small_are
 
 
 def _solve(matches: Matches, size: Float64s, options: _Options) -> TwoView | None:
-    """F and, where both K are known, E; the one that `ESSENTIAL_SUPPORT` prefers.  size: (n,) of the matched keypoints."""
+    """F or, where both K are known and `ESSENTIAL_SUPPORT` prefers it, E.  size: (n,) sizes of the matched keypoints."""
     x1, x2, view1, view2 = matches.x1, matches.x2, matches.view1, matches.view2
     if not (options.use_intrinsics and _has_known_lens(view1) and _has_known_lens(view2)):
         uncalibrated = estimate_fundamental(x1, x2, options.threshold_px, options.seed)

@@ -95,12 +95,12 @@ def examine(
     pinned_frame, pinned_camera : the reference's frame, and the camera that took it; without them only the frame itself is
         judged.
     usual : measurements of earlier nights, so that a camera that usually sways does not count as shifted each time.
-    nudged_px : a camera counts as shifted, and its pose is corrected, if its picture has moved by more (median over the
-        picture), in pixels of the frame.  If its usual sway, three standard deviations, is larger, that is the limit.
-    moved_deg : a camera counts as moved if it has turned by more, in degrees.  Its pose is corrected if a turn explains the
-        picture; otherwise it is solved anew from the others.
-    flat : a picture counts as obscured if a larger share of it shows nothing (covered, fog, no light).
-    dark : a picture also counts as obscured if its contrast (5 to 95 %) is lower, in grey levels of 255.
+    nudged_px : a camera counts as shifted, and its pose is corrected, if its picture has moved by more than this (median
+        over the picture), in pixels of the frame.  If its usual sway, three standard deviations, is larger, that is the limit.
+    moved_deg : a camera counts as moved if it has turned by more than this, in degrees.  Its pose is corrected if a turn
+        explains the picture; otherwise it is solved anew from the others.
+    flat : a picture counts as obscured if more than this share of it shows nothing (covered, fog, no light).
+    dark : a picture also counts as obscured if its contrast (5 to 95 %) is below this, in grey levels of 255.
     """
     new = _statistics(frame)
     case = _Case(

@@ -54,7 +54,7 @@ def hold_poses(
 ) -> Poses | Rejected:
     """The cameras of the reference: those that have turned are corrected, those that were moved or are new are solved.
 
-    If none has to be solved, the matches are the reference's, and so is the calibration check; otherwise it is repeated.
+    If no camera has to be solved, matches and calibration check are the reference's; otherwise the check is repeated.
 
     Parameters
     ----------

@@ -19,7 +19,7 @@ _SHADE_RGBA = (230, 60, 60, 130)
 """Colour over what a mask leaves out: red, green, blue, opacity."""
 
 Area = tuple[bool, list[list[float]]]
-"""Whether its pixels may be used, and its corners in pixels of a capture (pixel centres are whole numbers)."""
+"""A polygon to paint: whether its pixels may be used, and its corners in pixels of a capture (pixel centres are integers)."""
 
 
 def as_jpeg(name: str, data: bytes) -> tuple[int, int, bytes]:
@@ -35,9 +35,9 @@ def as_jpeg(name: str, data: bytes) -> tuple[int, int, bytes]:
 def mask_overlay(name: str, mask: bytes) -> bytes:
     """A PNG that is red where a mask leaves pixels out, and transparent elsewhere.  Raises BadCapture."""
     small = _reduced(_decode(name, mask))
-    picture = np.zeros((*small.shape[:2], 4), np.uint8)
-    picture[small == 0] = _SHADE_RGBA
-    return png(picture)
+    overlay = np.zeros((*small.shape[:2], 4), np.uint8)
+    overlay[small == 0] = _SHADE_RGBA
+    return png(overlay)
 
 
 def paint_mask(name: str, mask: bytes | None, size: tuple[int, int], areas: Sequence[Area]) -> bytes:

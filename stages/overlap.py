@@ -27,7 +27,7 @@ from .types import Bools, Camera, Features, Float32s, Float64s, Int32s, Int64s, 
 _MOST_FOR_ALL_PAIRS = 32
 """Up to this many views all pairs are compared."""
 _UNEQUAL_RATIO = 2.0
-"""Ratio of the areas seen by two views from which only keypoints of a size that both may have are compared."""
+"""If the areas that two views see differ by at least this factor, only keypoints of sizes that both can show are compared."""
 _LARGEST_QUANTILE = 0.98
 """Quantile that counts as the largest keypoint size of a view: a few keypoints are as large as the picture."""
 
@@ -97,7 +97,7 @@ def _camera(view: View, placement: Placement | None) -> Camera | None:
 
 @dataclass(frozen=True)
 class _Keypoints:
-    """The keypoints of a view that is not tilted, the largest first."""
+    """The keypoints of a frame's plain view, the largest first."""
 
     descriptors: Float32s
     """(n, d)"""
@@ -107,14 +107,14 @@ class _Keypoints:
 
     @classmethod
     def of(cls, features: Features, view: View) -> _Keypoints:
-        untilted = np.flatnonzero(features.tilts == 0)
-        area = np.abs(np.linalg.det(features.frames[untilted]))
+        plain = np.flatnonzero(features.tilts == 0)
+        area = np.abs(np.linalg.det(features.frames[plain]))
         order = np.argsort(-area, kind="stable")
         pixel_size = 1.0 if view.K is None else 1 / float(view.K[0, 0])
-        return cls(features.descriptors[untilted[order]], np.sqrt(area[order]) * pixel_size, view)
+        return cls(features.descriptors[plain[order]], np.sqrt(area[order]) * pixel_size, view)
 
     def largest(self, count: float, below: float = np.inf) -> Float32s:
-        """(m, d) descriptors of the `count` largest keypoints that are smaller than `below`."""
+        """(m, d) descriptors of the `count` largest keypoints that are no larger than `below`."""
         first = int(np.searchsorted(-self.size, -below))
         return self.descriptors[first : first + round(count)]
 
@@ -140,7 +140,7 @@ def _resemblance(left: Float32s, right: Float32s, ratio: float) -> float:
 
 
 def _distinctive(similarity: Float32s, ratio: float) -> tuple[Int32s, Bools]:
-    """Per row the best column, and whether its distance is below `ratio` times the second's; leaves `similarity` as it was."""
+    """Per row the best column, and whether its distance is below `ratio` times the second's; leaves `similarity` unchanged."""
     rows = np.arange(len(similarity))
     best = similarity.argmax(axis=1)
     first = similarity[rows, best]

@@ -18,8 +18,8 @@ from .types import MOST_PARTNERS, Bools, DepthMap, Float64s, Int64s, Matches, Vi
 _LEAST_SIGMA_SHARE = 0.75
 """Least pooled standard deviation, as a share of the best night's: the nights' errors at a pixel with the same partners
 correlate.  Seven nights of the demo yard, in different light: median error 0.76 of one night's where all know the pixel."""
-_FIELDS = (12, 8)
-"""Columns and rows of fields into which a view is divided to spread the points."""
+_CELLS = (12, 8)
+"""Columns and rows of cells into which a view is divided to spread the points."""
 
 
 def pool_matches(nights: Mapping[str, Matches], *, same_px: float = 1.5, most_per_row: float = 0.6) -> Matches:
@@ -32,7 +32,7 @@ def pool_matches(nights: Mapping[str, Matches], *, same_px: float = 1.5, most_pe
     ----------
     nights : matches of one pair, by night.
     same_px : two matches are the same if their four coordinates differ by less (root of the sum of squares), pixels.
-    most_per_row : most matches kept for each pixel row of the left view, the most probable of each part of it.  Among many
+    most_per_row : most matches kept for each pixel row of the left view, the most probable of each cell of it.  Among many
         wrong matches a geometry finds inliers by chance: 13 to 19 with 0.6 per row, up to 21 with 1.7, and 20 make a pair.
     """
     newest = list(nights.values())[-1]
@@ -61,11 +61,11 @@ def pool_matches(nights: Mapping[str, Matches], *, same_px: float = 1.5, most_pe
 
 
 def _spread_rows(x: Float64s, probability: Float64s, view: View, max_count: int) -> Int64s:
-    """Rows of the points (n, 2) to keep: the most probable of each field of the view, then the second of each, and so on."""
-    size, fields = np.array([view.width, view.height]), np.array(_FIELDS)
-    column, row = np.clip(x * fields / size, 0, fields - 1).astype(np.int64).T
-    field = row * _FIELDS[0] + column
-    return np.sort(np.lexsort((-probability, rank_within(field, -probability)))[:max_count])
+    """Rows of the points (n, 2) to keep: the most probable of each cell of the view, then the second of each, and so on."""
+    size, cells = np.array([view.width, view.height]), np.array(_CELLS)
+    column, row = np.clip(x * cells / size, 0, cells - 1).astype(np.int64).T
+    cell = row * _CELLS[0] + column
+    return np.sort(np.lexsort((-probability, rank_within(cell, -probability)))[:max_count])
 
 
 def pool_depths(nights: Mapping[str, DepthMap], *, agree: float = 3.0, least_share: float = 0.5) -> DepthMap:

@@ -168,7 +168,7 @@ def _checked(
     contradiction = _contradiction(unclear, cameras, pairs, evidence) if unclear else ""
     moved_checks = {name: _moved_check(known[name], poses.cameras.get(name), name, pairs) for name in moved}
     messages = {name: _moved_message(name, check, poses.metric) for name, check in moved_checks.items()}
-    fits = _pair_fit(cameras, pairs, max_epipolar_px)  # replaces the checks found, but for pairs that it keeps
+    fits = _pair_fit(cameras, pairs, max_epipolar_px)  # replaces the solver's checks, except of pairs that it keeps
     kept_checks = {pair: poses.pair_checks[pair] for pair, check in fits.items() if check.kept and pair in poses.pair_checks}
     pair_checks = {**poses.pair_checks, **fits, **{pair: replace(check, known="stated") for pair, check in kept_checks.items()}}
     return replace(
@@ -277,13 +277,13 @@ def _unverified(name: str, cameras: Mapping[str, Camera], geometries: Mapping[Pa
     against = [pair for pair in own if any(e.cameras == pair and e.contradicts for e in evidence)]
     worst_px = max((epipolar_error_px(cameras, pair, own[pair]) for pair in against), default=float("nan"))
     by = f" by up to {worst_px:.1f} px" if against else ""
-    most_deg = _most_turned(cameras, {pair: own[pair] for pair in against})
+    most_deg = _most_turned_deg(cameras, {pair: own[pair] for pair in against})
     turned = f" and {most_deg:.1f} degrees" if by and most_deg > TURNED_DEG else ""
     text = f"{len(against)} of its {len(own)} pairs contradict its known pose{by}{turned}; no two others contradict each other"
     return f"{text}. It stays in use, unverified: has it been moved?"
 
 
-def _most_turned(cameras: Mapping[str, Camera], geometries: Mapping[Pair, Geometry]) -> float:
+def _most_turned_deg(cameras: Mapping[str, Camera], geometries: Mapping[Pair, Geometry]) -> float:
     return max((turned_deg(cameras, pair, geometry) for pair, geometry in geometries.items()), default=float("nan"))
 
 
@@ -293,7 +293,7 @@ def _contradiction(
     """The message for known poses that contradict each other, with what would decide which is wrong."""
     contradicting = {e.cameras for e in evidence if e.contradicts}
     pairs = {pair: geometry for pair, geometry in geometries.items() if set(pair) <= set(names)}
-    most_deg = _most_turned(cameras, {pair: g for pair, g in pairs.items() if pair in contradicting} or pairs)
+    most_deg = _most_turned_deg(cameras, {pair: g for pair, g in pairs.items() if pair in contradicting} or pairs)
     by = f" by {most_deg:.1f} degrees" if most_deg > TURNED_DEG else ""
     if len(names) == 1:
         return f"the known pose of {names[0]} is unverified: as many of its pairs contradict it{by} as agree. It stays in use."

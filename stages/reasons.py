@@ -141,7 +141,7 @@ class Rejected:
     """The message, if it was made by another stage, which knew the figures."""
 
     def __post_init__(self) -> None:
-        _ = self.reason  # fails here, where it was forgotten, if a figure of the message is missing
+        _ = self.reason  # a missing figure raises KeyError here, where it was forgotten, not where the message is shown
 
     @property
     def code(self) -> str:

@@ -40,7 +40,7 @@ METHODS = {
 ValueError, with the reason, if it cannot rectify a pair."""
 
 _LEAST_PARALLAX = 0.01
-"""Least parallax of the matches against their best homography, as a share of the width, if no camera gives the angle."""
+"""Least parallax of the matches against their best homography, as a share of the width, where the ray angle is unknown."""
 _LEAST_GROUND_IN_REACH = 0.5
 """Smallest share of the ground seen by two known cameras that the disparity range covers; if it covers less, the matches have
 not shown where the scene lies."""
@@ -139,7 +139,7 @@ def _from_matches(
     min_matches, max_row_error_px, min_angle_deg, range_margin = limits
     pair = _agreeing_matches(geometry, left, right)
     contradicted = None if check is None or check.kept else Rejected(Reason(check.code), words=check.reason)
-    refusal = contradicted or _implausible(geometry, pair, min_angle_deg)
+    refusal = contradicted or _unreliable(geometry, pair, min_angle_deg)
     layout = refusal or _unusable(len(geometry.x1), pair, min_matches, min_angle_deg) or fit(pair)
     if isinstance(layout, Rejected):
         return layout, len(pair.x1)
@@ -216,8 +216,8 @@ def _share_in_reach(result: Rectification, x1: Float64s, x2: Float64s) -> float:
     y1, y2 = to_rectified(result, 1, x1), to_rectified(result, 2, x2)
     shown = [((y > -0.5) & (y < np.array(size) - 0.5)).all(axis=1) for y, size in ((y1, result.size1), (y2, result.size2))]
     disparity = y1[:, 0] - y2[:, 0]
-    near = (disparity >= result.disparity_min_px) & (disparity <= result.disparity_max_px)
-    return float(np.mean(shown[0] & shown[1] & near))
+    in_range = (disparity >= result.disparity_min_px) & (disparity <= result.disparity_max_px)
+    return float(np.mean(shown[0] & shown[1] & in_range))
 
 
 def _known_pair(cameras: tuple[Camera, Camera], x1: Float64s, x2: Float64s, probability: Float32s) -> MatchedPair:
@@ -261,7 +261,7 @@ def _agreeing_matches(geometry: Geometry, left: Camera | None, right: Camera | N
     return MatchedPair(F, x1, x2, geometry.probability[keep], *sizes, left, right, convergence_deg(left, right, x1, x2))
 
 
-def _implausible(geometry: Geometry, pair: MatchedPair, min_angle_deg: float) -> Rejected | None:
+def _unreliable(geometry: Geometry, pair: MatchedPair, min_angle_deg: float) -> Rejected | None:
     if pair.camera1 is None and geometry.angle_deg < min_angle_deg and hardly_converging(geometry.angle_deg, geometry.agreement):
         return Rejected(Reason.NO_BASELINE, {"angle_deg": geometry.angle_deg, "needed_deg": min_angle_deg})
     if pair.camera1 is None and geometry.score <= 0:

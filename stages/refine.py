@@ -45,7 +45,7 @@ _MOST_FINENESS = 2.0
 """Views that see the surface finer than this view by more than this factor are reduced to its resolution."""
 
 _SAME_SIGMAS, _SAME_SHARE = 3.0, 0.002
-"""A depth equals that of the pairs if it differs by at most this many sigmas plus this share of itself."""
+"""Two depths count as equal if they differ by at most this many sigmas plus this share of the depth."""
 
 
 def refine(
@@ -70,7 +70,7 @@ def refine(
 
     Parameters
     ----------
-    frame, camera, depth : of the view itself; depth: where to start.
+    frame, camera, depth : of the view itself; refinement starts from its depth.
     frames, cameras : of the views around it, by id; views without a camera in the same world are ignored.
     reference_camera, reference_depth : the reference's, if there is one: the start where tonight's pairs have no depth,
         provided that the camera has not moved.
@@ -143,7 +143,7 @@ def _is_unmoved(camera: Camera, reference: Camera | None, depth: DepthMap, refer
 
 
 def _agrees_with(z: Float32s, sigma: Float32s, other: DepthMap) -> Bools:
-    """(h, w) bool: the depth equals that of the pairs, which was cross-checked between their two views."""
+    """(h, w) bool: the depth equals that of another map: the pairs', cross-checked between two views, or the reference's."""
     return np.asarray(np.abs(other.depth - z) <= _SAME_SIGMAS * sigma + _SAME_SHARE * z)
 
 
@@ -159,7 +159,7 @@ def _flattened(rough: DepthMap, q: Float32s, prior: PlanePriors) -> DepthMap:
 def _sources(
     camera: Camera, others: Mapping[str, Camera], points: Float64s, min_angle_deg: float, max_angle_deg: float
 ) -> list[str]:
-    """Views that see points (n, 3) of this view's surface from an angle within the limits, the smallest first."""
+    """Views that see points (n, 3) of this view's surface at angles within the limits, smallest first; wider ones if too few."""
     angles = []
     for name, other in others.items():
         if other.component == camera.component:

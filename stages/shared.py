@@ -14,9 +14,9 @@ from .types import Overlap, Poses
 
 
 def find_shared(poses: Poses) -> Overlap:
-    """How much of one view another sees, for all pairs of views that are placed in one frame, in the order of the views.
+    """How much of one view another sees, for all pairs of views that are placed in one world, in the order of the views.
 
-    No row for two views of one camera, for views placed in different frames, or for a pair that the cameras contradict.
+    No row for two views of one camera, for views placed in different worlds, or for a pair that the cameras contradict.
     """
     names = tuple(poses.cameras)
     cameras = list(poses.cameras.values())

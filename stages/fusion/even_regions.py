@@ -17,13 +17,13 @@ _MOST_DETAIL = 1.0
 the noise left in the frame: it shows nothing, or only shading."""
 _LEAST_FILLED = 0.5
 """Smallest share of a large even region that must have a depth from pairs for its depths to be used.  Skies above houses, a car
-park and a stadium reach 0 to 0.25, nearly all walls and lawns there 0.54 to 1, cars and roads that show nothing 0 to 0.02."""
+park and a stadium reach 0 to 0.25, nearly all walls and lawns there 0.54 to 1, cars and roads without texture 0 to 0.02."""
 
 
 def usable_pixels(frame: Frame, depth: DepthMap) -> Bools:
     """(h, w) pixels of a frame's mask whose depths may be used: all but large even regions in which too few pixels have one.
 
-    Even regions smaller than the neighbourhood of `surface_support` are kept.  depth: the view's, from its pairs if it has any.
+    Even regions smaller than the neighbourhood of `surface_support` are kept.  depth: the view's, from its pairs if any.
     """
     grey = grey_levels(frame.image).astype(np.float32)
     detail = cv2.blur(np.square(grey - cv2.blur(grey, (3, 3))), (3, 3))

@@ -36,7 +36,7 @@ by one pair would decide (a warehouse's shelves: 7 px on 3 % of a view with exac
 _COMPARED_PIXELS = 40_000
 """Approximate number of pixels at which two pairs are compared."""
 _SCATTER_SHARE = 0.6
-"""Share of the scatter within tiles that noise may leave in the tiles' medians, and that `apart_px` takes off (at most 0.65 in
+"""Share of the scatter within tiles that noise may leave in the tiles' medians, and that `apart_px` subtracts (at most 0.65 in
 five rendered scenes with right cameras, counting differences over 0.1 px; 0.82 in a hall at night)."""
 _LONG_SIDE = 768
 """Differences are scaled to frames of this long side: calibration errors are angles (fountain: 0.10 px; twice as long: 0.21)."""
@@ -91,7 +91,7 @@ def pair_depth(
 
 
 def _frame_px(rectification: Rectification, side: Side, camera: Camera) -> float:
-    """Side of a rectified pixel in pixels of the frame, median over the part of the frame that is shown."""
+    """Side of a rectified pixel in pixels of the frame, median over the part of the frame that the rectified image shows."""
     grid = frame_grid((camera.width, camera.height))
     with np.errstate(divide="ignore", invalid="ignore"):
         position = to_rectified(rectification, side, grid)
@@ -170,7 +170,7 @@ def _triangulate(pixels: Float64s, partner: Float64s, M: Float64s, b: Float64s, 
 
 @helper
 def _depth_at(x: float, y: float, u: float, v: float, M: Float64s, b: Float64s) -> tuple[float, float]:
-    """Closed-form least squares on the two linear equations of the partner (u, v); depth and |dz/dpixel|, nan behind a camera."""
+    """Closed-form least squares on the two linear equations of a match (u, v); depth and |dz/dpixel|, nan behind a camera."""
     m0 = M[0, 0] * x + M[0, 1] * y + M[0, 2]
     m1 = M[1, 0] * x + M[1, 1] * y + M[1, 2]
     m2 = M[2, 0] * x + M[2, 1] * y + M[2, 2]
@@ -178,7 +178,7 @@ def _depth_at(x: float, y: float, u: float, v: float, M: Float64s, b: Float64s) 
     a2, b2 = m1 - v * m2, b[1] - v * b[2]
     z = -(a1 * b1 + a2 * b2) / (a1 * a1 + a2 * a2)
     w = z * m2 + b[2]
-    if not (z > 0 and w > 0):  # also where the partner is nan
+    if not (z > 0 and w > 0):  # also where the partner pixel is nan
         return np.nan, np.nan
     du = (m0 * b[2] - b[0] * m2) / (w * w)
     dv = (m1 * b[2] - b[1] * m2) / (w * w)
@@ -188,7 +188,7 @@ def _depth_at(x: float, y: float, u: float, v: float, M: Float64s, b: Float64s) 
 def fuse_pairs(
     camera: Camera, depths: Sequence[Float32s], gains: Sequence[Float32s], partners: Sequence[str], noise: NoiseModel
 ) -> DepthMap:
-    """Fuse the depths of one view's pairs: per pixel the one with most supporters, averaged over these by 1 / sigma^2.
+    """Fuse the depths of one view's pairs: per pixel the depth that most pairs support, averaged over these by 1 / sigma^2.
 
     Parameters
     ----------
@@ -255,7 +255,7 @@ def _fuse_agreeing(
                 score, total, weights, supporters = 0.0, 0.0, 0.0, np.uint32(0)
                 for m in range(n):
                     tolerance = min(3.0 * np.sqrt(sigmas[k] ** 2 + sigmas[m] ** 2), 0.016 * z)
-                    if abs(Z[m, y, x] - z) <= tolerance:  # never true where s[m] is nan
+                    if abs(Z[m, y, x] - z) <= tolerance:  # never true where sigmas[m] is nan
                         weight = 1.0 / sigmas[m] ** 2
                         total += weight * Z[m, y, x]
                         weights += weight

@@ -7,7 +7,7 @@ probability that its own depth is right; and of the probability of the surroundi
 The coefficients were fitted by `scripts/fit_posterior.py` on scenes with exact truth: a small yard and a small hall by night,
 small houses by day, and four photographs of the fountain.  They are older than `CrossCheck.expected_wrong`: refitted, they trust
 single pairs more, which costs 0.3 points of F-score at 2 cm on photographs and gains nothing elsewhere.  The coefficient of noise
-was fitted on a yard and a hall without lamps, with the others held.  It comes last, so that it only ever removes points.
+was fitted on a yard and a hall without lamps, with the others fixed.  It comes last, so that it only ever removes points.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ _OTHERS = np.array([-0.03, 0.52, 0.42, 1.91, -0.39, -1.39])
 """Coefficients of: the constant 1, the logit from `_OWN`, and the four values of `evidence_of_others`."""
 
 _AROUND = np.array([-0.75, 0.7, 2.94, -0.98])
-"""Coefficients of: the constant 1, the logit from `_OTHERS`, the mean probability around it on its plane, and `noisiness`."""
+"""Coefficients of: 1, the logit from `_OTHERS`, the mean probability of the depths around on its plane, and `noisiness`."""
 
 _PATCH_PX = 3
 """Half side of the patch of `noisiness`, in pixels of an image 768 wide (scaled for larger ones), as in `refine`."""

@@ -14,7 +14,7 @@ Any two of n + 1 views share one of the n pairs behind each depth, and with it e
 errors came from pairs, they would correlate by 1 / (n + 1), and the variance would be 1 + 1 / n times the observed one.
 
 The error along a ray depends on the angle between ray and surface: it is converted to the error along the surface's normal, and
-that to the error along another camera's ray: of the cameras that have the point, the nearest.
+that to the error along another camera's ray: of the cameras that agree on the point, the nearest.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ _SHARED_ERROR = 0.5
 _MEAN_LOG_NORMAL = -0.635
 """Mean logarithm of the absolute value of a standard normal variable."""
 _LEAST_ROUGHNESS = 0.05
-"""If the surroundings are this close to the plane, over the expected distance, they were put on it, and show no errors."""
+"""Surroundings nearer to the plane than this multiple of the expected distance were put on it, and show no errors."""
 _NEIGHBOUR_PX, _NOMINAL_SIDE = 2, 768
 """Distance of the surrounding pixels, in images of this long side (scaled): nearer ones were matched on nearly the same patch."""
 _MOST_ROUGHNESS = 0.02

@@ -75,7 +75,7 @@ def cross_check(
     """Project every pixel of a view into the other views, one at a time, and compare with the depth found there.
 
     A view agrees within three combined sigmas plus 0.2 % of the depth, at most 1.6 %.  A pair does not support the point if its
-    other view has something in front of it.  If that looks through it, the pair counts as partly wrong (`expected_wrong`).
+    other view has something in front of it.  If that view looks through it, the pair counts as partly wrong (`expected_wrong`).
 
     The weight of a view's depth follows from its standard deviation and from the probability t that it is right.  If both depths
     are right, their difference is normally distributed; if either is wrong, the other view's depth may be anything up to twice
@@ -113,9 +113,9 @@ def cross_check(
         _compare(*surface, trust, partner_pairs, pair, *results, index, farther_by, log_gap_sum, nearest, least_extra)
     camera_numbers: dict[str, int] = {}
     pair_cameras = [[camera_numbers.setdefault(end, len(camera_numbers)) for end in two] for two in [*numbers][:_UNCOUNTED]]
-    count, seen_by = np.zeros((h, w), np.uint8), np.zeros((h, w), np.uint16)
-    _count_pairs_and_cameras(pairs, np.array(pair_cameras, np.uint16).reshape(-1, 2), count, seen_by)
-    return CrossCheck(count, seen_by, visible, agreeing, opposing, occluding, expected_wrong, log_gap_sum, nearest)
+    pair_count, camera_count = np.zeros((h, w), np.uint8), np.zeros((h, w), np.uint16)
+    _count_pairs_and_cameras(pairs, np.array(pair_cameras, np.uint16).reshape(-1, 2), pair_count, camera_count)
+    return CrossCheck(pair_count, camera_count, visible, agreeing, opposing, occluding, expected_wrong, log_gap_sum, nearest)
 
 
 def _pair_numbers(view: str, depth: DepthMap, numbers: dict[tuple[str, ...], int]) -> Uint8s:

@@ -1,4 +1,4 @@
-"""Points of many views merged on a grid that is coarser where the cameras see coarser.
+"""Points of many views merged on a grid that is coarser where the cameras resolve less.
 
 Each level doubles the voxels' edge: level 0 has the basic edge, and a point whose pixel covers more than two, four, ... edges
 goes to level 1, 2, ...  Sites with both near and far things thus keep the detail of both.  A depth with a large sigma gets a

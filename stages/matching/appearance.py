@@ -41,9 +41,9 @@ def _view_vectors(descriptors: Sequence[Float32s]) -> Float32s:
     all_descriptors = np.concatenate(descriptors)
     words = _words(all_descriptors, np.random.default_rng(0))
     sums = np.zeros((len(descriptors), *words.shape), np.float32)
-    for row, of_view in zip(sums, descriptors, strict=True):
-        word = (of_view @ words.T).argmax(axis=1)
-        np.add.at(row, word, of_view - words[word])
+    for row, view_descriptors in zip(sums, descriptors, strict=True):
+        nearest = (view_descriptors @ words.T).argmax(axis=1)
+        np.add.at(row, nearest, view_descriptors - words[nearest])
         row /= np.maximum(np.linalg.norm(row, axis=1, keepdims=True), 1e-9)
     flat = sums.reshape(len(descriptors), -1)
     return np.asarray(flat / np.maximum(np.linalg.norm(flat, axis=1, keepdims=True), 1e-9), dtype=np.float32)

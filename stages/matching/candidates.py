@@ -20,7 +20,7 @@ NEIGHBOURS = 7
 NOISE_RANK = 2
 """A keypoint's local noise level is its descriptor distance to the neighbour this many ranks after its last candidate."""
 TRUSTED, MAX_SIGMA_PX, MAX_RADIUS_PX = 0.5, 15.0, 40.0
-"""Keypoints near a prediction are candidates if the field's weight is above `TRUSTED` and its sigma below `MAX_SIGMA_PX`."""
+"""Keypoints near a prediction, within the third, are candidates if its trust is above the first and sigma below the second."""
 SEARCH_CELL_PX = 12.0
 MAX_DISTANCE = 1.08
 """Limit of the descriptor distance, over the noise level, of candidates near a prediction."""
@@ -215,7 +215,7 @@ def _search(
     out_q: Float64s,
 ) -> int:
     """Write new candidates, as far as they fit: keypoints of image 2 within the radius of a keypoint in `queries`, not listed yet
-    (first, known: list by row), with a small relative distance, which is written, too.  Returns how many there are."""
+    (row_starts, known: the list by row), with a small relative distance, which is written, too.  Returns how many there are."""
     count = 0
     for n in range(len(queries)):
         a = queries[n]

@@ -134,7 +134,7 @@ def _first_peak(smooth: Float64s, seam: float) -> float:
 def _histograms(
     levels: Float32s, level: Int32s, points: Float64s, weight: Float32s, first: Int64s, share: Float32s, out: Float32s
 ) -> None:
-    """Write the descriptors; points: (n, 4) x, y, sigma in pixels of the octave, direction; the rest: of `_sample_weights`."""
+    """Write the descriptors; points: (n, 4) x, y, sigma (octave pixels), direction; weight, first, share: `_sample_weights`."""
     patch = np.empty((SAMPLES + 2, SAMPLES + 2), np.float32)
     gx, gy, direction, magnitude = np.empty((4, SAMPLES), np.float32)
     row_sums = np.empty((CELLS + 2, DIRECTIONS + 1), np.float32)
@@ -160,7 +160,7 @@ def _histograms(
 
 @helper
 def _add_row(direction: Float32s, magnitude: Float32s, weight: Float32s, first: Int64s, share: Float32s, sums: Float32s) -> None:
-    """Histograms (cells, turns + 1) of one row's gradients, each shared between two cells and two directions."""
+    """Histograms (CELLS + 2, DIRECTIONS + 1) of one row's gradients, each shared between two cells and two directions."""
     sums[:] = 0
     for k in range(SAMPLES):
         o = min(int(direction[k]), DIRECTIONS - 1)

@@ -30,11 +30,11 @@ def match_hao2011(left: Features, right: Features, *, dominance: float = 0.8) ->
 
     Parameters
     ----------
-    left, right : keypoints of the pair; those of simulated views are left out.
+    left, right : keypoints of the pair; those of compressed views are left out.
     dominance : an entry of P must exceed this times the sum of the rest of its row, and of its column; no unit.
     """
     rows1, rows2, P = _permutation(left, right)
-    i1, i2 = (found.astype(np.int32) for found in np.nonzero(published_dominance(P, dominance)))
+    i1, i2 = (indices.astype(np.int32) for indices in np.nonzero(published_dominance(P, dominance)))
     return keypoint_matches(left, right, rows1[i1], rows2[i2], np.ones(len(i1)))
 
 
@@ -43,12 +43,12 @@ def match_hao2011_dominance(left: Features, right: Features, *, ratio: float = 0
 
     Parameters
     ----------
-    left, right : keypoints of the pair; those of simulated views are left out.
+    left, right : keypoints of the pair; those of compressed views are left out.
     ratio : largest ratio of the second largest to the largest entry of a row and of a column of P; no unit.
     """
     rows1, rows2, P = _permutation(left, right)
-    i1, i2, distance_ratio = nearest_dominance(P, ratio)
-    return keypoint_matches(left, right, rows1[i1], rows2[i2], 1 - distance_ratio.astype(np.float64))
+    i1, i2, second_to_best = nearest_dominance(P, ratio)
+    return keypoint_matches(left, right, rows1[i1], rows2[i2], 1 - second_to_best.astype(np.float64))
 
 
 def _permutation(left: Features, right: Features) -> tuple[Int32s, Int32s, Float32s]:
@@ -64,9 +64,9 @@ class Procrustes:
     """The relaxed permutation P = left @ right.T."""
 
     left: Float64s
-    """(m, r) of orthonormal columns."""
+    """(m, r) orthonormal columns."""
     right: Float64s
-    """(n, r) of orthonormal columns."""
+    """(n, r) orthonormal columns."""
     affine: Float64s
     """(2, 2) A of the last iteration."""
 
@@ -83,7 +83,7 @@ def feature_matrix(features: Features, rows: Int32s) -> Float64s:
 
 
 def procrustes(X: Float64s, Y: Float64s, *, max_iterations: int = 20) -> Procrustes:
-    """Alternate P and T in the thin form, from A = I, until A moves by less than a millionth of itself.
+    """Alternate P and T in the thin form, from A = I, until A changes by less than a millionth of itself.
 
     X, Y: (m, d), (n, d) from `feature_matrix`; the first two columns are coordinates.
     """
@@ -121,7 +121,7 @@ def _orthonormal(X: Float64s) -> tuple[Float64s, Float64s]:
 
 
 def published_dominance(P: Float32s, dominance: float) -> Bools:
-    """(m, n) True where an entry outweighs the absolute sum of the rest of its row, and of its column, `dominance` times."""
+    """(m, n) True where an entry exceeds `dominance` times the absolute sum of the rest of its row, and of its column."""
     weight = np.abs(P)
     rest_of_row = weight.sum(axis=1, keepdims=True) - weight
     rest_of_column = weight.sum(axis=0, keepdims=True) - weight
@@ -129,7 +129,7 @@ def published_dominance(P: Float32s, dominance: float) -> Bools:
 
 
 def nearest_dominance(P: Float32s, ratio: float) -> tuple[Int32s, Int32s, Float32s]:
-    """Rows, columns and second/best of entries that are the best of both their row and column, second/best under `ratio`."""
+    """Rows, columns and second/best of entries that are the best of both their row and column, with second/best below `ratio`."""
     if min(P.shape) < 2:
         return np.zeros(0, np.int32), np.zeros(0, np.int32), np.zeros(0, np.float32)
     j = P.argmax(axis=1)
@@ -138,9 +138,9 @@ def nearest_dominance(P: Float32s, ratio: float) -> tuple[Int32s, Int32s, Float3
     best = P[i, j]
     second = np.maximum(_second(P)[i], _second(np.ascontiguousarray(P.T))[j])
     with np.errstate(divide="ignore", invalid="ignore"):
-        distance_ratio = np.where(best > 0, second / best, np.inf).astype(np.float32)
-    keep = distance_ratio < ratio
-    return i[keep].astype(np.int32), j[keep].astype(np.int32), np.maximum(distance_ratio[keep], 0)
+        second_to_best = np.where(best > 0, second / best, np.inf).astype(np.float32)
+    keep = second_to_best < ratio
+    return i[keep].astype(np.int32), j[keep].astype(np.int32), np.maximum(second_to_best[keep], 0)
 
 
 def _second(P: Float32s) -> Float32s:

@@ -97,7 +97,7 @@ def _model_input(image: Uint8s, size: tuple[int, int], channels: int) -> Float32
 
 
 def _run(model: Capture, interface: ModelInterface, images: list[Float32s]) -> tuple[Float64s, Float64s, Float32s]:
-    """Run a model on two images: matches (n, 2), (n, 2) in pixels of these, and scores (n,).  It uses one thread, so that every
+    """Run a model on two images: matches (n, 2), (n, 2) in pixels of each, and scores (n,).  It uses one thread, so that every
     machine finds the same."""
     single_input = len(interface.inputs) == 1
     names = _ONE_OUTPUTS if single_input else _TWO_OUTPUTS

@@ -15,7 +15,7 @@ def match_mutual(left: Features, right: Features, *, ratio: float = 0.8) -> Matc
 
     Parameters
     ----------
-    left, right : keypoints of the pair; those of simulated views are left out.
+    left, right : keypoints of the pair; those of compressed views are left out.
     ratio : largest ratio of first to second descriptor distance, both ways; no unit.
     """
     rows1, rows2 = plain_rows(left), plain_rows(right)
@@ -35,7 +35,7 @@ def match_kdtree(left: Features, right: Features, *, ratio: float = 0.8, seed: i
 
     Parameters
     ----------
-    left, right : keypoints of the pair; those of simulated views are left out.
+    left, right : keypoints of the pair; those of compressed views are left out.
     ratio : largest ratio of first to second descriptor distance; no unit.
     seed : seed of the trees' random splits.
     """

@@ -70,7 +70,7 @@ Pyramid = Sequence[Float32s]
 
 
 def pyramid(grey: Uint8s) -> Pyramid:
-    """Levels of increasing blur, in octaves of half the width and height of those before."""
+    """Levels of increasing blur, in octaves; each has half the width and height of the one before."""
     step = 2 ** (1 / LEVELS)
     level_sigmas = [FINEST_SIGMA * step**i * (step**2 - 1) ** 0.5 for i in range(LEVELS + 2)]
     doubled = cv2.resize(grey.astype(np.float32), (2 * grey.shape[1], 2 * grey.shape[0]), interpolation=cv2.INTER_LINEAR)
@@ -227,7 +227,7 @@ def _newton(c: Float64s, step: Float64s) -> bool:
     xy = 0.25 * (c[1, 2, 2] - c[1, 2, 0] - c[1, 0, 2] + c[1, 0, 0])
     xs = 0.25 * (c[2, 1, 2] - c[2, 1, 0] - c[0, 1, 2] + c[0, 1, 0])
     ys = 0.25 * (c[2, 2, 1] - c[2, 0, 1] - c[0, 2, 1] + c[0, 0, 1])
-    flat = xx * yy - xy * xy
+    det_xy = xx * yy - xy * xy
     a, b, e = yy * ss - ys * ys, ys * xs - xy * ss, xy * ys - yy * xs
     det = xx * a + xy * b + xs * e
     if abs(det) < 1e-12:
@@ -235,9 +235,9 @@ def _newton(c: Float64s, step: Float64s) -> bool:
         return False
     step[0] = -(a * gx + b * gy + e * gs) / det
     step[1] = -(b * gx + (xx * ss - xs * xs) * gy + (xy * xs - xx * ys) * gs) / det
-    step[2] = -(e * gx + (xy * xs - xx * ys) * gy + flat * gs) / det
+    step[2] = -(e * gx + (xy * xs - xx * ys) * gy + det_xy * gs) / det
     step[3] = v + 0.5 * (gx * step[0] + gy * step[1] + gs * step[2])
-    return bool(flat > 0 and (xx + yy) ** 2 * MOST_CURVED < (MOST_CURVED + 1) ** 2 * flat)
+    return bool(det_xy > 0 and (xx + yy) ** 2 * MOST_CURVED < (MOST_CURVED + 1) ** 2 * det_xy)
 
 
 def _refined(start: Int64s, levels: Float32s, threshold: float) -> Float64s:

@@ -65,7 +65,7 @@ def _carry(
             if not (u > -0.5 and v > -0.5 and u < w - 0.5 and v < h - 0.5):
                 continue
             i, j = int(u + 0.5), int(v + 0.5)
-            n0, n1 = np.float64(slope_x[y, x]), np.float64(slope_y[y, x])  # its plane is linear in the pixels of both cameras
+            n0, n1 = np.float64(slope_x[y, x]), np.float64(slope_y[y, x])  # a plane is linear in the pixels of both cameras
             n2 = 1.0 / z - n0 * x - n1 * y
             scale = 1.0 / (1.0 - n0 * b_back[0] - n1 * b_back[1] - n2 * b_back[2])
             across = scale * (n0 * M_back[0, 0] + n1 * M_back[1, 0] + n2 * M_back[2, 0])

@@ -69,7 +69,7 @@ def find_ground(images: Mapping[str, Float32s], cameras: Mapping[str, Camera]) -
         planes, chance = _sweep(views, pairs, directed, up)
         for plane in parallel_map(lambda plane: _fit_nearby(views, directed, plane), planes):
             candidates.append((_odds(_likenesses(directed, plane), *chance), plane))
-    odds, ground = max(candidates, key=lambda each: float(_gains(each[0]).max()))
+    odds, ground = max(candidates, key=lambda candidate: float(_gains(candidate[0]).max()))
     share = _SHARES[int(np.argmax(_gains(odds)))]
     centre = np.mean([camera.C for _, camera in views], axis=0)
     height = float(ground[:3] @ centre + ground[3])
@@ -159,7 +159,7 @@ def _fisher(correlation: Float64s) -> Float64s:
 
 
 def _odds(likeness: Float64s, mean: Float64s, spread: Float64s) -> Float64s:
-    """(n,) how many times more likely patches look so alike on a plane than by chance; 1 where nothing is known."""
+    """(n,) odds, ground to chance, of patches that look this alike on a plane; 1 where nothing is known."""
     from scipy.special import ndtr  # imported here, because many sites need no ground
 
     above = (_fisher(likeness) - mean) / np.hypot(spread, _LEAST_SPREAD)
@@ -286,5 +286,5 @@ def _correlation(image1: Float32s, image2: Float32s, x: int, y: int, H: Float64s
             s22 += grey2 * grey2
             s12 += grey1 * grey2
     n = (2 * radius + 1) ** 2
-    spread1, spread2 = s11 / n - (s1 / n) ** 2, s22 / n - (s2 / n) ** 2
-    return float((s12 / n - s1 * s2 / n / n) / np.sqrt((spread1 + 4.0) * (spread2 + 4.0)))
+    variance1, variance2 = s11 / n - (s1 / n) ** 2, s22 / n - (s2 / n) ** 2
+    return float((s12 / n - s1 * s2 / n / n) / np.sqrt((variance1 + 4.0) * (variance2 + 4.0)))

@@ -35,7 +35,7 @@ def ground_matches(
 
     Parameters
     ----------
-    images, cameras : (h, w) float32 grey images of both views, and their cameras, as well as they are known.
+    images, cameras : (h, w) float32 grey images of both views, and their cameras, known approximately.
     plane : (4,) ground plane.
     reach_px : largest distance of patches from the positions predicted by cameras and ground, pixels.
     """

@@ -1,7 +1,7 @@
 """Depth to fractions of a pixel: each plane is moved to the best fit of all sources together.
 
 `mvs.kernels` finds planes by the one source that shows them best, on every second pixel of a patch: right to within a pixel, but
-within that the cheapest of many trials by chance.  From there a Gauss-Newton step uses the gradients of all correlations at once,
+the cheapest only by chance within it.  From there a Gauss-Newton step uses the gradients of all correlations at once,
 on every pixel of a patch whose centre has the largest weight.  With a the patch here and b its projection in a source, both with
 zero mean and unit length, 1 - ab is half of |a - b|^2: a least-squares problem in the inverse depth q, in which one source adds
 
@@ -180,13 +180,13 @@ def refine_photometrically(
     for y in range(h):
         for x0 in range(0, w, _BLOCK):
             n = min(_BLOCK, w - x0)
-            q, a, c = planes[0, y, x0:], planes[1, y, x0:], planes[2, y, x0:]
+            q, plane_a, plane_b = planes[0, y, x0:], planes[1, y, x0:], planes[2, y, x0:]
             s[:] = zero
             plane_count = 0
             for x in range(n):
                 has_plane = q[x] > zero
                 plane_count += has_plane
-                s[_Q + x], s[_A + x], s[_B + x] = (q[x], a[x], c[x]) if has_plane else (zero, zero, zero)
+                s[_Q + x], s[_A + x], s[_B + x] = (q[x], plane_a[x], plane_b[x]) if has_plane else (zero, zero, zero)
             if plane_count == 0:
                 continue
             _window(image, usable, taps, tap_weights, reach, y, x0, n, window)

@@ -1,4 +1,4 @@
-"""Even surfaces put on planes: a single patch of plaster, asphalt or snow gives no reliable depth, but a whole wall of it does.
+"""Textureless surfaces on planes: a patch of plaster, asphalt or snow gives no reliable depth, but a whole wall of it does.
 
 Where there is hardly any texture, a patch matches by its noise, and next to a window by the window: depths scatter about the
 surface by several times the expected sigma.  A plane through the depths of a whole textureless region (`mvs.textureless`)
@@ -7,7 +7,7 @@ averages their errors.  It is used where enough depths define it, unless the pho
 References
 ----------
 Planes as priors that the photographs can override: Xu, Tao, Planar Prior Assisted PatchMatch Multi-View Stereo, AAAI 2020 (ACMP).
-Pixels judged by reliable ones of their surface: Wang et al., Adaptive Patch Deformation for Textureless-Resilient Multi-View
+Pixels judged by reliable ones on the same surface: Wang et al., Adaptive Patch Deformation for Textureless-Resilient Multi-View
 Stereo, CVPR 2023 (APD).
 """
 
@@ -34,7 +34,7 @@ _RELIEF_COST = 0.045
 """Planes whose mean cost exceeds that of the depths they would replace by more than this are not used: the surface has relief.
 95 % of the textureless ones in the demo's weak yard cost less than 0.03 more, waves of 1.5 pixels 0.06, a tank's flank 0.2."""
 _FEWEST_SOURCES = 2.0
-"""Mean number of sources that must see the depths around for a plane to replace a sure depth: the error of a single source,
+"""Mean number of sources that must see the depths nearby for a plane to replace a sure depth: the error of a single source,
 calibration included, is common to all its depths."""
 _CHANCE_PX = 0.42
 """Fewer sources suffice if depths scatter about their plane by more than this, in pixels of the sources that see them: more than
@@ -128,12 +128,12 @@ def _noisy(laid: _Laid, support: Support, scale: np.float32, spacing: int) -> Bo
     """(h, w): do single depths scatter by more than one source errs as a whole (`_CHANCE_PX`)?"""
     parallax = _window_sums(np.where(laid.anchors, np.sqrt(support.parallax), np.float32(0)), spacing)
     parallax /= scale * np.maximum(_window_sums(laid.anchors, spacing), 1)
-    with np.errstate(invalid="ignore"):  # where no depth near supports a plane
+    with np.errstate(invalid="ignore"):  # where no depth nearby supports a plane
         return laid.spread * parallax > _CHANCE_PX
 
 
 def _shows_relief(trial_support: Support, support: Support, mask: Bools, spacing: int) -> Bools:
-    """(h, w): do planes cost more than the depths around that they would replace, both in the best source and in the second best?
+    """(h, w): do planes cost more than the depths nearby that they would replace, both in the best source and in the second best?
     A single source may fit by chance.  Where no second source sees the depth, only the best one counts."""
     first, second = (
         np.minimum(plane_cost, 1) - np.minimum(depth_cost, 1)
@@ -168,7 +168,7 @@ def _window_sums(values: Bools | Float32s, spacing: int) -> Float32s:
 
 
 def _sources_nearby(anchors: Bools, sources: Uint32s, count: int, spacing: int) -> tuple[Uint32s, Float32s]:
-    """(h, w) bits of the sources that see anchors around, and the mean number of sources that see an anchor."""
+    """(h, w) bits of the sources that see anchors nearby, and the mean number of sources that see an anchor."""
     anchored = np.maximum(_window_sums(anchors, spacing), 1)
     bits, mean_sources = np.zeros(anchors.shape, np.uint32), np.zeros(anchors.shape, np.float32)
     for k in range(count):

@@ -23,11 +23,11 @@ class Support:
     sources: Uint32s
     """Bit k is set where the cost in source k is below the limit."""
     parallax: Float32s
-    """Sum of |dpixel/dq|^2 over these sources: the information on q per squared pixel of noise."""
+    """Sum of |dpixel/dq|^2 over these sources: the information on q for a noise of one pixel."""
 
 
 _CHANGES, _CHANGES_NEARLY_RIGHT = 3, 2
-"""Random changes that a pixel tries: at first, and if `nearly_right`.  There, the cheapest of many changes is so by chance only:
+"""Random changes that a pixel tries: usually, and if `nearly_right`.  Then the cheapest of many changes is so by chance only, and
 fewer changes give a better surface, in less time."""
 
 
@@ -83,7 +83,7 @@ class Propagation:
         refine_photometrically(*self.views, offsets, tap_weights, self.reach, planes)
 
     def support(self, planes: Float32s, limit: float) -> Support:
-        """Evidence of the sources for planes (3, h, w); a source supports a plane that costs less than `limit` in it."""
+        """Evidence of the sources for planes (3, h, w); a source sees a plane that costs less than `limit` in it."""
         shape = planes.shape[1:]
         first, second = np.full(shape, UNSEEN, np.float32), np.full(shape, UNSEEN, np.float32)
         result = Support(first, second, np.zeros(shape, np.uint32), np.zeros(shape, np.float32))

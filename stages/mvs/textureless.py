@@ -1,4 +1,4 @@
-"""Even regions of an image, and the planes that the depths in each of them define.
+"""Textureless regions of an image, and the planes that the depths in each of them define.
 
 A region is connected and has no edges; nearby pixels of its colour belong to it, too.  Planes are found by RANSAC, from the
 largest region on, fitted with weights that fall with the error, and shared with the other regions that lie on them: the plaster
@@ -58,15 +58,15 @@ class RegionPlane:
 
 
 def textureless_regions(image: Uint8s, usable: Bools, spacing: int) -> Int32s:
-    """(h, w) numbers 1, 2, ... of the even regions of an image, 0 for none.
+    """(h, w) numbers 1, 2, ... of the textureless regions of an image, 0 for none.
 
     image, usable : (h, w, 3), and (h, w) where it may be matched.
     spacing : pixels for each pixel of an image 768 wide.
     """
     square = np.ones((3, 3), np.uint8)
     contrast = (cv2.dilate(image, square) - cv2.erode(image, square)).max(axis=2)
-    even = ((contrast <= _MOST_CONTRAST) & usable).astype(np.uint8)
-    _, label, stats, _ = cv2.connectedComponentsWithStats(even, connectivity=4)
+    textureless = ((contrast <= _MOST_CONTRAST) & usable).astype(np.uint8)
+    _, label, stats, _ = cv2.connectedComponentsWithStats(textureless, connectivity=4)
     kept_regions = stats[:, cv2.CC_STAT_AREA] >= _LEAST_PIXELS * spacing**2
     kept_regions[0] = False
     number = np.asarray((np.cumsum(kept_regions) * kept_regions)[label], dtype=np.int32)
@@ -84,7 +84,7 @@ def textureless_regions(image: Uint8s, usable: Bools, spacing: int) -> Int32s:
 
 
 def planes_of_regions(regions: Int32s, known: Float32s, spacing: int) -> list[RegionPlane]:
-    """Planes that depths in even regions define, beginning with the region that has most depths.
+    """Planes that depths in textureless regions define, beginning with the region that has most depths.
 
     known: (h, w) inverse depths in pixels of a source, nan where there is no reliable one; spacing: as in `textureless_regions`.
     """
@@ -131,8 +131,8 @@ def _grow(points: Float64s, d: Float64s, free: dict[int, Int64s], seed: int, rng
         members = {seed} | {k for k, i in free.items() if _lies_on(points[i], d[i], plane)}
         if members == set(plane.regions):
             break
-        i = np.concatenate([free[k] for k in sorted(members)])
-        plane = _fit_plane(points[i], d[i], plane.plane, tuple(sorted(members)))
+        rows = np.concatenate([free[k] for k in sorted(members)])
+        plane = _fit_plane(points[rows], d[rows], plane.plane, tuple(sorted(members)))
     return plane
 
 

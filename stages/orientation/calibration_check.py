@@ -49,9 +49,9 @@ CONTRADICTED_RATIO = 1.6
 """Confirmed matches contradict the stated cameras if their loss under these exceeds this multiple of that under their own F."""
 LEAST_LOSS_RATIO, LEAST_LOSS_RATIO_UNCONFIRMED = 1.12, 1.5
 """Smallest ratio of the loss under the stated cameras to the loss under a cause for it to be named: with confirmed matches, and
-with unconfirmed ones.  Up to the first times the loss under their own F, matches agree with the stated cameras."""
+with unconfirmed ones.  Matches agree with the stated cameras up to the first ratio times the loss under their own F."""
 LEAST_SHARE, LEAST_SHARE_UNCONFIRMED = 0.6, 0.8
-"""A cause must remove this share of the loss beyond that under the matches' own F: if these are confirmed, and if not."""
+"""A cause must remove this share of the loss beyond that under the matches' own F: for confirmed and for unconfirmed matches."""
 LEAST_LOSS = 30.0
 """A cause must remove this total loss, in squared standard deviations (a pair counts as at most `MOST_COUNTED` matches)."""
 MOST_COUNTED = 50
@@ -61,28 +61,28 @@ exceeds the first, in standard deviations.  A cause is named if it brings at lea
 that strayed, back to at most half of their distance, and makes no other pair stray."""
 HARMFUL_PX = 0.4
 """Cameras that move points by less than this (median, in pixels along and across the epipolar line) do not harm a cloud."""
-FARTHEST_PX = 1e4
+FARTHEST_PX = 1e4  # largest motion of a point that counts
 LARGEST_SITE = 12
 """Largest number of cameras among which exchanged poses are tried."""
 LARGEST_ZOOM = 3.0
 """Logarithm of the largest factor of focal lengths, and of positions, that is tried."""
 STEPS = 20
 STRETCHED, LEAST_STRETCH = ("stretched-x", "stretched-y", "stretched-z"), 0.02
-"""Smallest stretch along one axis alone (logarithm of the factor) that is blamed: surveys have no smaller ones.  The matches of a
-harbour, all of whose poses are right, yield 0.009."""
+"""Causes that stretch the site along one axis, and the smallest stretch (logarithm of the factor) that is blamed: surveys have no
+smaller ones.  The matches of a harbour, all of whose poses are right, yield 0.009."""
 CORNER = "principal-points-corner"
 CORNER_PX = np.array([-0.5, -0.5])
 """Correction of principal points that are counted from the corner of the first pixel instead of its centre."""
 SLACK_ERRORS = 3.0
-"""Standard errors of the median added to `AGREEING_SIGMAS` if no cause, or only a turned or moved camera, explains matches."""
+"""Standard errors of the median added to `AGREEING_SIGMAS` if no cause, or only one turned or moved camera, explains matches."""
 FEWEST_PAIRS = 4
 """Fewest pairs whose rows are compared: fewer show too little of a common cause."""
 FEWEST_TILES, LEAST_GAIN = 4, 15.0
 """Fewest matches of a pair for its row offsets to count, and smallest gain of a cause (in squared standard deviations) for row
 offsets to blame it.  140 correct nights of nine scenes gain at most 10, focal lengths 1.5 % too long 14 to 137."""
 LEAST_MOTION_OF_ONE, LEAST_MOTION_ALONG, LEAST_TURN = 1.25e-3, 6e-4, 2e-3
-"""Smallest effects, as shares of the width, for row offsets to blame a cause.  Motion of points: by a cause of single cameras
-(four photographs with true cameras: 6e-4), and along the lines by a cause of all.  Turn of rays: by a cause of all."""
+"""Smallest effects, as shares of the width, for row offsets to blame a cause.  Of single cameras: motion of points (the first;
+four photographs with true cameras: 6e-4).  Of all cameras: motion of points (the second) or turn of rays (the third)."""
 
 
 @dataclass(frozen=True)
@@ -249,7 +249,7 @@ def _with_cause(check: CalibrationCheck, best: _Explanation, stated: _World, evi
 
 
 def _with_majority_cause(check: CalibrationCheck, stated: _World, evidence: list[_Matches]) -> CalibrationCheck:
-    """Name the cause that brings most pairs back to the lines of the stated cameras, if that is more than chance."""
+    """Name the cause under which most pairs lie near their epipolar lines again, if that is more than chance."""
     stated_medians = np.array([_median_distance(stated, m) for m in evidence])
     has_strayed = stated_medians > STRAYED_SIGMAS
     if has_strayed.sum() < FEWEST_RECOVERED:
@@ -263,8 +263,8 @@ def _with_majority_cause(check: CalibrationCheck, stated: _World, evidence: list
         return check
     most_near = is_near[is_eligible].sum(axis=1).max()
     ties = [k for k in np.flatnonzero(is_eligible) if is_near[k].sum() == most_near]
-    near_pairs = is_near[min(ties, key=lambda k: explanations[k].loss)]
-    near = [m for m, fits in zip(evidence, near_pairs, strict=True) if fits]
+    is_near_best = is_near[min(ties, key=lambda k: explanations[k].loss)]
+    near = [m for m, fits in zip(evidence, is_near_best, strict=True) if fits]
     loss, own_loss = _loss(stated, near), _mean(near, [m.own_loss for m in near])
     best = _simplest([replace(explanations[k], loss=_loss(explanations[k].world, near)) for k in ties], loss)
     if not _explains(best, loss, own_loss, near, unconfirmed=False):
@@ -327,28 +327,28 @@ def _explains(best: _Explanation, loss: float, own_loss: float, evidence: list[_
     return loss > ratio * best.loss and gain >= share * (loss - min(own_loss, best.loss)) and gain * count >= LEAST_LOSS
 
 
-def _moved_px(stated: _World, fixed: _World, evidence: list[_Matches]) -> float:
+def _moved_px(stated: _World, corrected: _World, evidence: list[_Matches]) -> float:
     """Motion of points along the epipolar lines between two worlds, and towards these lines, in pixels: median over the matches
     of the pairs that change; `FARTHEST_PX` for points behind a camera."""
     motions = []
     for matches in evidence:
-        if all(stated[name] is fixed[name] for name in matches.pair):
+        if all(stated[name] is corrected[name] for name in matches.pair):
             continue
-        (z, gain), (fixed_z, _) = (_depths(world, matches) for world in (stated, fixed))
-        stated_px, fixed_px = (np.abs(_residuals(world, matches)) * matches.noise_px for world in (stated, fixed))
+        (z, gain), (corrected_z, _) = (_depths(world, matches) for world in (stated, corrected))
+        stated_px, corrected_px = (np.abs(_residuals(world, matches)) * matches.noise_px for world in (stated, corrected))
         with np.errstate(invalid="ignore", divide="ignore"):
-            along = np.minimum(np.nan_to_num(np.abs(z - fixed_z) / gain, nan=FARTHEST_PX), FARTHEST_PX)
-        motions.append(np.hypot(along, stated_px - fixed_px))
+            along = np.minimum(np.nan_to_num(np.abs(z - corrected_z) / gain, nan=FARTHEST_PX), FARTHEST_PX)
+        motions.append(np.hypot(along, stated_px - corrected_px))
     return float(np.median(np.concatenate(motions))) if motions else 0.0
 
 
-def _is_noticeable(stated: _World, fixed: _World, evidence: list[_Matches]) -> bool:
-    """Do points move noticeably in another world, along their rays or because these turn?"""
-    views = [(stated[name], fixed[name], x) for m in evidence for name, x in zip(m.pair, (m.x1, m.x2), strict=True)]
+def _is_noticeable(stated: _World, other: _World, evidence: list[_Matches]) -> bool:
+    """Do points move, or their rays turn, noticeably between two worlds?"""
+    views = [(stated[name], other[name], x) for m in evidence for name, x in zip(m.pair, (m.x1, m.x2), strict=True)]
     turns = [ray_angles(*(rays(v.camera, v.undistort(x)).T for v in both)) * both[0].camera.K[0, 0] for *both, x in views]
     width = np.mean([view.camera.width for view, *_ in views])
     return bool(
-        _moved_px(stated, fixed, evidence) >= LEAST_MOTION_ALONG * width or np.median(np.concatenate(turns)) >= LEAST_TURN * width
+        _moved_px(stated, other, evidence) >= LEAST_MOTION_ALONG * width or np.median(np.concatenate(turns)) >= LEAST_TURN * width
     )
 
 
@@ -522,7 +522,7 @@ def _stretched(view: _CheckedView, axis: int, log: Float64s) -> _CheckedView:
 
 
 def _flipped(camera: Camera, axes: int) -> Camera:
-    """The camera for frames that are mirrored, or with two axes turned by half a turn."""
+    """The camera for frames that are mirrored (one of the `axes` flipped), or upside down (both flipped)."""
     K, size = camera.K.copy(), (camera.width, camera.height)
     for k in range(axes):
         K[k, k], K[k, 2] = -K[k, k], size[k] - 1 - K[k, 2]

@@ -1,4 +1,4 @@
-"""Known poses adjusted within their standard deviations to the ground, where keypoints do not determine them.
+"""Stated poses adjusted within their standard deviations to the ground, where keypoints do not determine them.
 
 On repetitive paving, keypoints match wrong stones, and several such solutions are within the uncertainty of the poses.  For each
 plane that may be the ground, patches of one view are searched in the others where this plane and the poses predict them
@@ -163,7 +163,7 @@ def _fit_to(site: _Site, matches: Mapping[Pair, Geometry], plane: Float64s) -> _
 
 
 def _not_below(geometry: Geometry, left: Camera, right: Camera, plane: Float64s) -> tuple[Float64s, Float64s]:
-    """Some of the matches of a pair that are not below a plane."""
+    """A sample of the matches of a pair that are not below a plane."""
     depth, _ = triangulate_depth(left, right, geometry.x1, geometry.x2)
     above = backproject(left, geometry.x1, depth) @ plane[:3] + plane[3] > -_BELOW_SHARE * (plane[:3] @ left.C + plane[3])
     rows = np.flatnonzero(above & (depth > 0))

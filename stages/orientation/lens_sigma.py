@@ -1,15 +1,15 @@
 """Uncertainty of the lenses that were solved together with the poses of a site.
 
 It follows from the normal equations of the adjustment, reduced to cameras and lenses (Triggs et al. 2000, section 6), with Cauchy
-weights.  A principal point is not solved with the rest, since correlated wrong matches pull it far: it moves only as far as the
-images determine it better than the prior, which is the middle of the picture.  Its remaining uncertainty is propagated to all
+weights.  A principal point is not solved with the rest, since correlated wrong matches pull it far: its correction is weighted by
+how well the images determine it, compared with the prior, the image centre.  Its remaining uncertainty is propagated to all
 other parameters, in addition to the noise (consider parameters: Tapley, Schutz, Born, Statistical Orbit Determination, 2004,
 chapter 6).  All views of a lens share one principal point.  Effects that a rotation of the camera would undo are not counted.
 
 Wrong matches come in groups: reflections in wet ground, a repetitive texture.  So besides the uncertainty due to independent
 noise, this module measures how far the lenses move when parts of the scene are left out, one at a time (the jackknife of
 clusters: Bell & McCaffrey, Bias reduction in standard errors for linear regression with multi-stage samples, Survey Methodology
-2002).  The larger of both counts.
+2002).  The larger of the two counts.
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ from ..sfm.incremental import Model, refine
 from ..types import Camera, Float64s, Int64s, LensSigma
 
 MOST_SIGMA_PX = 1.0
-"""Largest standard deviation at the border of a known lens: dense matching searches no farther (as for rows of stated poses)."""
+"""Largest standard deviation of border pixels for a lens to count as known: dense matching searches no farther off its rows."""
 MOST_VIEWS = 64
 """Models with more views are not analysed: this many determine their lenses well, and larger equations take too long."""
 CENTRE_SIGMA = 0.005
-"""Prior standard deviation of a principal point around the middle of the picture, as a share of the width."""
+"""Prior standard deviation of a principal point around the image centre, as a share of the width."""
 LOSS = 2.385
 """Scale of the Cauchy loss in standard deviations of the noise: 95 % efficient (Holland & Welsch 1977)."""
 RAYLEIGH = 1.1774
@@ -43,7 +43,7 @@ _HALVINGS = 3
 _KEPT_SHARE = 1e-3
 """Share of its weight that a left-out part keeps, so that parameters which no other part determines stay solvable."""
 _LONG_SIDE = 768
-"""For larger frames, uncertainty from wrong matches or principal points is scaled down to this size: their pixels show less."""
+"""For larger frames, uncertainty from wrong matches or principal points is scaled down to this size: their pixels are finer."""
 
 
 @dataclass(frozen=True)
@@ -77,7 +77,7 @@ class _PrincipalPoint:
 
 
 def with_principal_points(model: Model) -> Model:
-    """The adjusted model with its principal points moved from the middle to likelier positions, and adjusted again."""
+    """The adjusted model with its principal points moved from the image centre to likelier positions, and adjusted again."""
     if not _can_estimate(model):
         return model
     cameras = dict(model.cameras)
@@ -124,8 +124,8 @@ def _principal_points(model: Model, equations: _Equations, centre_sigma: float) 
         prior = np.eye(2) * (centre_sigma * model.cameras[view].width) ** 2
         gain = prior @ np.linalg.inv(prior + measured)
         prior_share = np.eye(2) - gain
-        noise_covariance, from_prior = gain @ by_noise[np.ix_(centre, centre)] @ gain.T, prior_share @ prior @ prior_share.T
-        corrections[view] = _PrincipalPoint(gain @ step[centre], jackknife[:, centre] @ gain.T, noise_covariance, from_prior)
+        noise_covariance, prior_part = gain @ by_noise[np.ix_(centre, centre)] @ gain.T, prior_share @ prior @ prior_share.T
+        corrections[view] = _PrincipalPoint(gain @ step[centre], jackknife[:, centre] @ gain.T, noise_covariance, prior_part)
     return corrections
 
 

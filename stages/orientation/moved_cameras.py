@@ -17,7 +17,7 @@ from .pose_check import PAIR_PX, TRIPLET_PX, PoseConstraints, Triplet, seen_poin
 AGREE_DEG = 1.5
 """Largest difference between the rotations that two pairs give a camera for one pose to be fitted to both."""
 CLEARER_RATIO = 2.0
-"""A constraint supports a new pose if it fits that this many times better than the stated one."""
+"""A constraint supports a new pose if its error there is this many times smaller than under the stated pose."""
 MIN_CELLS = 8
 """Fewest grid cells of the image (of 96) that the distinctive matches of a constraint must cover."""
 SAMPLE = 150

@@ -1,4 +1,4 @@
-"""Known poses compared with the images: has a camera been knocked, turned or moved since it was measured?
+"""Stated poses compared with the images: has a camera been knocked, turned or moved since it was measured?
 
 A stated pose is evidence with a standard deviation.  Two kinds of evidence check it.  A pair: the distance of its inliers (only
 those that third cameras confirm, if there are enough) from the epipolar lines of the stated poses.  Three cameras: keypoints that
@@ -35,7 +35,7 @@ TURNED_DEG = 0.5
 LEAST_PROBABILITY = 0.5
 """Smallest probability of pairs that may check poses."""
 CONFIRMED_LOG_ODDS = 4.0
-"""Smallest log odds of a pair that known poses confirm."""
+"""Smallest log odds of a pair that stated poses confirm."""
 MIN_ANGLE = np.radians(3.0)
 """Smallest angle between the rays of a triangulated point, radians."""
 
@@ -167,7 +167,7 @@ def verified(views: Set[str], evidence: list[Evidence]) -> bool:
 
 
 def confirmed(geometry: Geometry) -> Geometry:
-    """A pair that known poses, or several pairs with a common new pose, confirm: its score is at least `CONFIRMED_LOG_ODDS`."""
+    """A pair that stated poses, or several pairs with a common new pose, confirm: its score is at least `CONFIRMED_LOG_ODDS`."""
     score = max(geometry.score, CONFIRMED_LOG_ODDS)
     return replace(geometry, score=score, good_probability=probability(score))
 
@@ -179,14 +179,14 @@ def epipolar_error_px(cameras: Mapping[str, Camera], pair: Pair, geometry: Geome
 
 
 def turned_deg(cameras: Mapping[str, Camera], pair: Pair, geometry: Geometry) -> float:
-    """Angle in degrees between a pair's relative rotation and that of its matches; nan if these have none."""
+    """Angle in degrees between the relative rotation of a pair's cameras and that of its matches; nan if these have none."""
     if geometry.cam2_R_cam1 is None:
         return float("nan")
     return angle_between_deg(geometry.cam2_R_cam1, relative_pose(cameras[pair[0]], cameras[pair[1]])[0])
 
 
 def triplet_error_px(cameras: Mapping[str, Camera], triplet: Triplet) -> float | None:
-    """Median distance of points from the two views at the widest angle to their pixels in the third; None if there are few."""
+    """Median distance from points of the two views at the widest angle to their pixels in the third; None if there are few."""
     best: tuple[float, float] | None = None
     for third in reversed(triplet.cameras):
         x, X = seen_points(cameras, triplet, third)

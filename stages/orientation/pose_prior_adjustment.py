@@ -1,6 +1,6 @@
-"""Adjust known poses to the images within their standard deviations: the most probable cameras given both, and their covariance.
+"""Adjust stated poses to the images within their standard deviations: the most probable cameras given both, and their covariance.
 
-The covariance gives the uncertainty of a pair's rows, which dense matching needs to about a pixel."""
+The covariance gives the uncertainty of a pair's rows: dense matching needs rows that are right to about a pixel."""
 
 from __future__ import annotations
 
@@ -30,8 +30,8 @@ LEAST_NOISE_PX = 0.2
 """Smallest standard deviation of the matches: errors within a pair are correlated, however small the residuals."""
 WEIGHT_UNCONFIRMED, WEIGHT_CONFIRMED = 4.0, 400.0
 """Largest weight of a pair's matches, as a number of independent matches with a noise of one pixel: correlated errors do not
-average out.  The first is for pairs alone, which may contain look-alikes within the standard deviations (on a tiled square, a
-third of the matches, 6 px off), the second for pairs that a third camera confirms, which contain none."""
+average out.  The first is for unconfirmed pairs, which may contain look-alikes within the standard deviations (on a tiled square,
+a third of the matches, 6 px off), the second for pairs that a third camera confirms, which contain none."""
 NOISES = 3.0
 """Scale of the Cauchy loss, in standard deviations of the noise."""
 ROUNDS = 4
@@ -47,7 +47,7 @@ def adjust_within_priors(
     Parameters
     ----------
     cameras, sigmas : stated cameras, and their standard deviations; cameras not named in `sigmas` are exact, and stay fixed.
-    geometries : matches of the pairs.  Improbable pairs are ignored, and matches that are farther from the epipolar lines than
+    geometries : matches of the pairs.  Improbable pairs are ignored, and so are matches farther from the epipolar lines than
         the standard deviations allow.
     trusted : whether the matches contain no look-alikes: each pair then has the weight of a confirmed one.
     """
@@ -155,7 +155,7 @@ class _Problem:
         return stepped
 
     def covariance_of(self, cameras: Mapping[int, Camera], names: tuple[str, ...]) -> tuple[dict[str, Place], Float64s]:
-        """Indices of the cameras' rotations and shifts in the covariance (n, n), and the covariance by the equations."""
+        """Indices of the cameras' rotations and shifts in the covariance (n, n), and this inverse of the normal equations."""
         identity = np.eye(3)
         places = {names[view]: Place(k, self.turns.get(view, identity)) for view, k in self.place.items()}
         covariance = np.asarray(np.linalg.inv(self.equations(cameras)[1]), dtype=np.float64)
@@ -241,7 +241,7 @@ class Place:
     first: int
     """Row of the first of the six."""
     turn: Float64s
-    """(3, 3) from the axes of the rotation to the camera's own: views of one camera turn with its first one."""
+    """(3, 3) from the axes of that rotation to the view's own: all views of a camera turn with its first one."""
 
 
 @dataclass(frozen=True)
@@ -263,7 +263,7 @@ class AdjustedPoses:
         return cls(dict(cameras), places, np.diag(np.square(np.array(rows, dtype=np.float64).reshape(-1))))
 
     def with_images(self, cameras: dict[str, Camera], places: Mapping[str, Place], covariance: Float64s) -> AdjustedPoses:
-        """The adjusted `cameras`, with the covariance that the images give those in `places`."""
+        """The adjusted `cameras`; `covariance` replaces the stated one of those in `places`."""
         n = len(self.covariance)
         combined = np.zeros((n + len(covariance),) * 2)
         combined[:n, :n], combined[n:, n:] = self.covariance, covariance

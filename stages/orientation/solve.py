@@ -80,7 +80,7 @@ def _refined(grown: Sequence[Model], accepted: Mapping[Edge, Geometry], max_epip
 
 
 def _consistent(exact: Mapping[str, Camera], geometries: Mapping[Pair, Geometry], max_epipolar_px: float) -> dict[Pair, Geometry]:
-    """The geometries without pairs that contradict their known cameras; other pairs of known cameras get their known pose."""
+    """The geometries without pairs of exact cameras that contradict these; other such pairs, if probable, get the stated pose."""
     consistent = {}
     for pair, geometry in geometries.items():
         if set(pair) <= set(exact):
@@ -232,7 +232,7 @@ def without_unsupported(model: Model, geometries: Mapping[Edge, Geometry], max_e
     """The refined model without cameras whose accepted pairs contradict it with more inliers than agree, and the removed views.
 
     A few points of look-alikes that three views share can place a camera as well as right ones do, and the adjustment then
-    rejects the right ones: the rest agrees, although the pair with most matches does not.  Known cameras stay.  A pair agrees
+    rejects the right points: all that remain agree, but not the pair with most matches.  Known cameras stay.  A pair agrees
     up to a median distance of `max_epipolar_px` to the epipolar lines of its cameras.
     """
     removed: list[int] = []

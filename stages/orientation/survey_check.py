@@ -16,8 +16,8 @@ DISTANCE_SHARE = 0.03
 POINT_SHARE = 0.02
 """Tolerance of a control point: this share of its distance from the cameras, plus three standard deviations of positions."""
 NEAREST_M = (0.05, 1000.0)
-"""Plausible range of the median distance from a camera to its nearest neighbour, in metres: less than two housings take, and more
-than any site of local coordinates has."""
+"""Plausible range of the median distance from a camera to its nearest neighbour, in metres: two housings are not
+nearer, and no site in local coordinates is more widely spaced."""
 
 
 def check_survey(poses: Poses, views: Mapping[str, View], placements: Mapping[str, Placement], survey: Survey) -> Poses:
@@ -25,7 +25,7 @@ def check_survey(poses: Poses, views: Mapping[str, View], placements: Mapping[st
 
     Parameters
     ----------
-    poses, views : the final cameras, and the pinhole of each one's frame.
+    poses, views : the final cameras, and the view of each.
     placements, survey : stated poses by id; stated distances and control points.
     """
     cameras = poses.main_cameras()

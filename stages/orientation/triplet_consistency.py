@@ -1,10 +1,10 @@
 """Do solved cameras fit the matches that a third camera confirms?
 
 If things repeat along a row (parked cars, windows), matches to the neighbour of the right thing agree with a pose of their own,
-and right matches of far surfaces bend to it by fractions of a pixel: every pair looks good, and so do its loops.  Three cameras
+and right matches of far surfaces fit it to fractions of a pixel: every pair looks good, and so do its loops.  Three cameras
 that are all matched with each other give more evidence: a match is confirmed if the chain of matches through the third camera
 ends at the same place.  In a car park that was solved 0.6 degrees off, 68 to 81 % of the matches of the worst pairs were right,
-and 96 to 99 % of their confirmed ones.  If confirmed matches alone place the cameras elsewhere, wrong matches have bent them.
+and 96 to 99 % of their confirmed ones.  If confirmed matches alone place the cameras elsewhere, wrong matches misled them.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ MOST_INCONSISTENCY = 16.0
 """Larger values are not noise.  Right cameras had 0.9 to 4.3 with stated lenses; with solved ones 1.7 to 5.4 (photographs), 12.6
 to 14.0 (yards 0.45 % of their size off, whose lenses k1 and k2 do not describe).  Wrong ones had 22 to 57 (car parks, houses)."""
 FEWEST = 15
-"""Fewest confirmed observations of a camera for it to be checked, and fewest confirmed matches of a pair that replace all."""
+"""Fewest confirmed observations of a camera for it to be checked, and of a pair to be used instead of all its matches."""
 LEAST_PX = 0.05
 """Smallest noise: no image locates points better."""
 LENS_SHARE = 1.2e-4
@@ -37,8 +37,8 @@ OUTLIER = 2.0
 
 
 def inconsistency(model: Model, geometries: Mapping[Edge, Geometry]) -> float:
-    """By how much confirmed observations fit cameras of their own better: the loss in squared standard deviations of their noise,
-    per degree of freedom of the cameras.  About one if all matches are consistent; nan if too few are confirmed.
+    """How much better confirmed observations fit cameras solved from them alone: the gain in squared standard deviations of their
+    noise, per degree of freedom of the cameras.  About one if all matches are consistent; nan if too few are confirmed.
 
     model: as it was solved from all matches; geometries: the accepted pairs.
     """
@@ -60,8 +60,8 @@ def inconsistency(model: Model, geometries: Mapping[Edge, Geometry]) -> float:
     loss = 2 * OUTLIER**2 * (np.hypot(1, model_errors[finite] / scale) - np.hypot(1, refit_errors[finite] / scale))
     loss -= (LENS_SHARE * max(max(camera.width, camera.height) for camera in checked.values()) / sigma) ** 2
     free_views = [view for view in refit.cameras if view not in refit.held]
-    frame = 7 if len(refit.held) == 0 else 1 if len(refit.held) == 1 else 0  # free parameters of the frame that all poses share
-    freedoms = 6 * len(free_views) - frame + 3 * len({refit.lenses[view] for view in free_views if view in refit.lenses})
+    gauge = 7 if len(refit.held) == 0 else 1 if len(refit.held) == 1 else 0  # free parameters of the frame that all poses share
+    freedoms = 6 * len(free_views) - gauge + 3 * len({refit.lenses[view] for view in free_views if view in refit.lenses})
     return float(max(loss.sum(), 0.0)) / max(1, freedoms)
 
 

@@ -1,7 +1,7 @@
 """Correct stated poses by the matches if they are off by no more than surveys usually are.
 
 A pose without standard deviations counts as exact.  On real sites it is still off by hundredths of a degree and by millimetres,
-which moves partners off the rows, and displaces surfaces where pairs meet.  So poses within such errors replace the stated ones
+which moves matches off the rows, and displaces surfaces where pairs meet.  So poses within such errors replace the stated ones
 if matches that third cameras confirm then fit as well as under the pairs' own geometry.  Such small changes explain neither
 look-alikes nor a wrong lens nor a camera that was moved: these are left to the checks of stated poses.
 """
@@ -21,7 +21,7 @@ from .pose_prior_adjustment import adjust_within_priors
 USUAL_DEG, USUAL_SHARE = 0.03, 5e-4
 """Standard deviations of usual surveys: of rotations, degrees, and of positions, as a share of the distance to the scene."""
 LEAST_GAIN, LEAST_WEIGHT = 0.1, 100.0
-"""Smallest reduction of the misfit by corrected poses, and smallest value of that times the number of matches."""
+"""Smallest reduction of the misfit by corrected poses, and smallest product of this reduction and the number of matches."""
 MOST_MISFIT = 1.05
 """Largest misfit under corrected poses.  Fountain and entry with errors of 0.005 to 0.04 degrees or 5 to 10 mm: from 1.17 to 6.5
 down to at most 1.03.  One of 438 faults on twelve rendered scenes, which does little harm, is mistaken for such errors."""
@@ -58,7 +58,7 @@ def correct_usual_errors(
 
 
 def _usual_sigmas(cameras: Mapping[str, Camera], geometries: Mapping[Pair, Geometry]) -> dict[str, Sigma]:
-    """The usual errors of cameras that have matches, from the median distance to these."""
+    """The usual errors of cameras that have matches, from the median distance to their points."""
     camera_depths: dict[str, list[float]] = {}
     for pair, geometry in geometries.items():
         left, right = (cameras[name] for name in pair)

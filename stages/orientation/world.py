@@ -1,6 +1,6 @@
 """Align a solved model with the world: known positions, poses, control points and distances fix its arbitrary frame and scale.
 
-All known data are compared with the solved model at once, and data that contradict the rest are named instead of bending it."""
+All known data are compared with the solved model at once; data that contradict the rest are reported, and do not distort it."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from ..sfm.view_graph import ViewGraph
 from ..types import Camera, Float64s, Placement, Survey, View
 
 EXACT_SHARE = 1e-4
-"""Assumed standard deviation of an exact position without a rotation, as a share of the scene's distance."""
+"""Smallest standard deviation of a known position in the adjustment, as a share of the scene's distance."""
 LOOSE_SHARE = 0.005
 """If all positions are known less well than this share of the scene's distance, they only give frame and scale: the images
 determine the shape better."""
@@ -40,7 +40,7 @@ class World:
     scale: str
     """Source of the scale."""
     suspects: dict[str, str]
-    """Known poses that the images contradict and that are left out, by id, with the reason."""
+    """Known poses and control points that the images contradict and that are left out, by name, with the reason."""
     doubtful: Mapping[str, str] = field(default_factory=dict)
     """Known poses that stay in use although the model of the others contradicts them, by id, with the reason."""
     contradicting: Mapping[str, str] = field(default_factory=dict)
@@ -217,7 +217,7 @@ def align(landmarks: Sequence[Landmark], up: Float64s, depth: float, scale: floa
     landmarks : at least two; one is enough if `scale` is given.
     up : (3,) the direction in the model that is +z in the world unless the landmarks determine another.
     depth : median distance of the scene from its cameras, in the model.
-    scale : if known otherwise; None is returned if neither this nor the landmarks determine it.
+    scale : if known from elsewhere; None is returned if neither this nor the landmarks determine it.
     """
 
     def agreement(similarity: Similarity) -> tuple[int, float]:
@@ -337,8 +337,8 @@ def _in_frame(x: Float64s, view: View, camera: Camera) -> Float64s:
     """(n, 2) pixels of the capture, mapped to the undistorted frame."""
     if view.lens is not None:
         lens_directions = lens_rays(view.lens, x)
-        rays = (lens_directions if view.lens.turn is None else lens_directions @ view.lens.turn.T) @ camera.K.T
-        return np.asarray(rays[:, :2] / np.where(rays[:, 2:] > 0, rays[:, 2:], np.nan), dtype=np.float64)
+        projected = (lens_directions if view.lens.turn is None else lens_directions @ view.lens.turn.T) @ camera.K.T
+        return np.asarray(projected[:, :2] / np.where(projected[:, 2:] > 0, projected[:, 2:], np.nan), dtype=np.float64)
     scale = np.array([view.width / (view.captured_width or view.width), view.height / (view.captured_height or view.height)])
     x = (x + 0.5) * scale - 0.5
     if np.any(view.distortion):

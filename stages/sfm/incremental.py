@@ -238,7 +238,7 @@ def _from_known(known: Mapping[int, Camera], tracks: Tracks, lenses: Mapping[int
 def _from_best_pair(
     cameras: Mapping[int, Camera], tracks: Tracks, geometries: Mapping[Edge, Geometry], lenses: Mapping[int, int]
 ) -> Model | None:
-    """A model of the pair with most points at a good angle; points that other views share count twice: those come next."""
+    """A model of the pair with most points at a good angle; points that other views see count twice: they place those."""
     best: tuple[float, dict[int, Camera]] | None = None
     track_lengths = np.bincount(tracks.track, minlength=tracks.count)
     rows = {view: np.flatnonzero(tracks.view == view) for view in cameras}

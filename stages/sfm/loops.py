@@ -28,7 +28,7 @@ PARTS_DEG = (180.0, 120.0, 90.0, 60.0)
 """Rotations between equal sides of a building, as parts of a full turn: two, three, four and six sides."""
 PART_TOLERANCE_DEG = 2.0
 ROW_SHARE, ROW_INLIERS = 0.2, 20
-"""A rival with the same rotation indicates a row from this share of the accepted inliers, and this many matches, on."""
+"""A rival with the same rotation indicates a row if it has at least this share of the accepted inliers, and this many matches."""
 
 
 class AmbiguityKind(Enum):
@@ -154,7 +154,7 @@ FEW_PAIRS = 15
 LOOP_WEIGHT, LOOP_CAP = 0.5, 6.0
 """For more pairs the result is approximate: triangles share pairs, so each counts half, and together they change the log odds by
 at most 6."""
-PRIOR_SHIFT = 0.5
+PRIOR_SHIFT = 0.5  # subtracted from the score of a pair for its log odds before loops are considered
 
 
 def check_loops(
@@ -214,7 +214,7 @@ def _rejection(geometry: Geometry, log_odds: float, figures: dict[str, float]) -
 
 
 def _least_score_alone(geometry: Geometry) -> float:
-    """The score that this pair needs if no other confirms it."""
+    """The score that this pair needs if no third camera confirms it."""
     return LEAST_SCORE_UNCONFIRMED if isfinite(geometry.rival_turned_deg) else LEAST_SCORE_WITHOUT_SEARCH
 
 
@@ -258,7 +258,7 @@ def closes(posed: Mapping[Pair, Geometry], a: str, b: str, c: str, usual: LoopSt
     posed : geometries by pair.
     a, b, c : ids of the cameras.
     usual : tolerances, as for right pairs.
-    slack_deg : additional tolerance, for other uncertainty.
+    slack_deg : additional tolerance, for lenses that are only guessed.
     """
     (R_ab, t_ab), (R_bc, t_bc), (R_ac, t_ac) = (_pose(posed[pair]) for pair in ((a, b), (b, c), (a, c)))
     if angle_between_deg(R_ac, R_bc @ R_ab) > usual.rotation_deg + slack_deg:

@@ -1,4 +1,4 @@
-"""Rotations of all views from those of the pairs, which exposes pairs that contradict the rest.
+"""Rotations of all views from the relative rotations of pairs, which exposes pairs that contradict the rest.
 
 The maximum spanning tree of the pairs gives initial rotations, and robust averaging (Chatterjee & Govindu, PAMI 2018: L1, then
 Geman-McClure) spreads the error over all pairs.  A pair that is then off by more than a few degrees is wrong, however many

@@ -128,7 +128,7 @@ def joined_places(points: Float64s, reach: float) -> tuple[Int64s, Int64s]:
 
 
 def same_places(x: Float64s, y: Float64s) -> tuple[Int64s, Int64s]:
-    """Rows of points x (n, 2) and y (m, 2) of one view that show the same: mutual nearest neighbours within `SAME_PX`."""
+    """Rows of points x (n, 2) and y (m, 2) of one view that show the same point: mutual nearest neighbours within `SAME_PX`."""
     if min(len(x), len(y)) == 0:
         return np.zeros(0, np.int64), np.zeros(0, np.int64)
     distance, nearest_y = cKDTree(y).query(x)

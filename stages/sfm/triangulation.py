@@ -12,8 +12,8 @@ from ..types import Bools, Camera, Float64s, Int32s, Int64s
 from .tracks import Tracks
 
 POLISHING_STEPS, LEAST_STEP = 4, 1e-6
-"""Largest number of Gauss-Newton steps on the reprojection error after the linear solution; none follows a step that gains less
-than the second, in squared pixels."""
+"""Largest number of Gauss-Newton steps on the reprojection error after the linear solution, and the gain of a step, in squared
+pixels, below which no other follows."""
 PARALLEL = 1e-9
 """Rays that meet at less than about the square root of this (radians) yield no point."""
 

@@ -121,7 +121,7 @@ def _views(edges: list[Edge]) -> list[int]:
 
 NARROW, WIDE, GRID = 0.35, 6.0, 143
 """Range of focal lengths tried, in image widths (fields of view from 110 to 9.5 degrees), and their number, 2 % apart."""
-FIRST = 1.0
+FIRST = 1.0  # initial focal length of an unknown lens, in image widths
 GUESS_SIGMA = 0.2
 """Relative standard deviation of a guessed focal length (from a field of view or EXIF)."""
 GUESS_WEIGHT = 0.05
@@ -152,7 +152,7 @@ def guess_lenses(views: tuple[View, ...], geometries: Mapping[Edge, Geometry]) -
     """Intrinsics of all views: the known ones, or with the focal length that best agrees with the fundamental matrices.
 
     Views of one size and one guess share a lens, unless their own pairs yield clearly different focal lengths.  The principal
-    point is that of the guess, or the centre of the image.
+    point is that of the guess, or the image centre.
     """
     K = {k: view.K for k, view in enumerate(views) if view.K is not None and view.focal_known}
     groups: dict[tuple[int, int, float], list[int]] = {}
@@ -181,7 +181,7 @@ def _vote_focals(
 ) -> dict[int, float]:
     """Focal length (pixels) of each view in `lenses`: the grid value with the lowest total cost of its pairs, bounded per pair.
 
-    The cost of a pair is the relative difference of its essential matrix's two singular values.  Iterated until none changes.
+    The cost of a pair is the relative difference of its essential matrix's two singular values.  Repeated until none changes.
     """
     initial = {k: FIRST * view.width if view.K is None else float(view.K[0, 0]) for k, view in enumerate(views)}
     focal = {k: (start or {}).get(k) or initial[k] for k in lenses}

@@ -28,7 +28,7 @@ FEWEST_CONFIRMING = 2
 """Neighbours that must confirm an initial match of the rival."""
 FEWEST = 8
 FREEDOMS = 5
-"""Degrees of freedom of E: inliers in so few grid cells fit some pose by chance, as matches of one cell count about as one."""
+"""Degrees of freedom of E: inliers in no more grid cells than this fit some pose by chance, as a cell's matches count as one."""
 OFF_LINES_PX = 3.0
 RIVAL_SHARE = 0.25
 """Any other pose makes a pair ambiguous if this share of the accepted inliers agrees with it."""
@@ -47,7 +47,7 @@ class Ambiguity:
     """Number of matches not explained by the accepted geometry that agree with one other pose."""
     elsewhere: int = 0
     """Number of matches off the accepted epipolar lines that agree with one other pose (a shift along them is another depth);
-    equals `inliers` if that pose is another step along a row, which may lead to the other side."""
+    equals `inliers` if that pose differs in its baseline only: another step along a row, perhaps to its other side."""
     turned_deg: float = 0.0
     """Angle between the accepted rotation and that of the pose of `elsewhere`."""
 
@@ -81,7 +81,7 @@ def find_ambiguity(
     """
     assert accepted.R is not None and accepted.t is not None
     pruned = (_without_explained(pairs[0], left, right, i1, i2),) if pairs else ()
-    rivals = solve_rounds(left, right, pruned, _initial(pruned[0]), DOMINANCE, ROUNDS, None) if pruned else None
+    rivals = solve_rounds(left, right, pruned, _initial_matches(pruned[0]), DOMINANCE, ROUNDS, None) if pruned else None
     if rivals is None or len(rivals.i1) < FEWEST:
         return Ambiguity()
     x1, x2 = left.xy[rivals.i1], right.xy[rivals.i2]
@@ -134,7 +134,7 @@ def _without_explained(pair: ViewPair, left: Features, right: Features, i1: Int3
     return replace(pair, candidates=replace(c, i=c.i[unexplained], j=c.j[unexplained], q=c.q[unexplained]))
 
 
-def _initial(pair: ViewPair) -> Correspondences:
+def _initial_matches(pair: ViewPair) -> Correspondences:
     """Initial matches: candidates that are mutually nearest among the remaining ones, confirmed by their neighbours."""
     candidates = pair.candidates
     mutual = np.flatnonzero(_is_nearest(candidates.i, candidates.q) & _is_nearest(candidates.j, candidates.q))

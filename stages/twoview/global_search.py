@@ -23,7 +23,7 @@ _FEWEST = 20
 _LEAST_SHARE = 0.25
 """Smallest share of the matches that must agree with a homography; twice as much with a fundamental matrix."""
 _FEWEST_CELLS = 5
-"""Fewest cells of a 6 x 4 grid that must hold them: a clock burnt into the picture covers one or two."""
+"""Fewest cells of a 6 x 4 grid that must hold the agreeing matches: a clock burnt into the picture covers one or two."""
 _DETAILED = 300
 """Pictures with this many keypoints have enough detail for shared content to be found."""
 
@@ -33,7 +33,7 @@ class GlobalMatch:
     """What two pictures have in common, at any position."""
 
     keypoints: int
-    """Number in the second picture."""
+    """Number of keypoints in the second picture."""
     matches: int
     agreeing: int
     """Matches that agree with the best homography or epipolar geometry."""

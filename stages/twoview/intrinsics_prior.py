@@ -90,7 +90,7 @@ def refine_with_plausible_intrinsics(
     view1, view2 : sizes of the frames, and known or guessed intrinsics.
     """
     unit = float(max(view1.width, view1.height))
-    T1, T2 = (_frame_of(view, unit) for view in (view1, view2))
+    T1, T2 = (_to_pixels(view, unit) for view in (view1, view2))
     mean, sigma = _prior_of_both(view1, view2, unit)
     matches = _Matches((x1 - T1[:2, 2]) / unit, (x2 - T2[:2, 2]) / unit, unit / (noise * CAUCHY), mean, sigma)
     best: tuple[float, _State] | None = None
@@ -121,15 +121,15 @@ def freedoms(F: Float64s, K1: Float64s, K2: Float64s, view1: View, view2: View) 
     view1, view2 : sizes of the frames, and known or guessed intrinsics.
     """
     unit = float(max(view1.width, view1.height))
-    T1, T2 = (_frame_of(view, unit) for view in (view1, view2))
+    T1, T2 = (_to_pixels(view, unit) for view in (view1, view2))
     mean, sigma = _prior_of_both(view1, view2, unit)
     L1, L2 = np.linalg.inv(T1) @ K1, np.linalg.inv(T2) @ K2
     lens = np.array([np.log(L1[0, 0]), np.log(L2[0, 0]), L1[0, 2], L1[1, 2], L2[0, 2], L2[1, 2]])
-    left, right = np.linalg.inv(L2).T, np.linalg.inv(L1)
+    L2_inv_T, L1_inv = np.linalg.inv(L2).T, np.linalg.inv(L1)
     E = L2.T @ (T2.T @ F @ T1) @ L1
     changes1, changes2 = _lens_changes(L1), _lens_changes(L2)
-    by_lens1, by_lens2 = [left @ E @ d for d in changes1], [d.T @ E @ right for d in changes2]
-    by_rotations = [left @ M @ right for axis in np.eye(3) for M in (skew(axis) @ E, E @ skew(axis))]
+    by_lens1, by_lens2 = [L2_inv_T @ E @ d for d in changes1], [d.T @ E @ L1_inv for d in changes2]
+    by_rotations = [L2_inv_T @ M @ L1_inv for axis in np.eye(3) for M in (skew(axis) @ E, E @ skew(axis))]
     changes = np.stack([*by_rotations, by_lens1[0], by_lens2[0], by_lens1[1], by_lens1[2], by_lens2[1], by_lens2[2]])
     directions = np.linalg.inv(T2).T @ changes @ np.linalg.inv(T1)
     information = np.zeros((12, 12))
@@ -137,7 +137,7 @@ def freedoms(F: Float64s, K1: Float64s, K2: Float64s, view1: View, view2: View) 
     return directions.reshape(12, 9).T, information
 
 
-def _frame_of(view: View, unit: float) -> Float64s:
+def _to_pixels(view: View, unit: float) -> Float64s:
     """(3, 3) transform to pixels, from coordinates in units of `unit` relative to the image's centre."""
     return np.array([[unit, 0.0, (view.width - 1) / 2], [0.0, unit, (view.height - 1) / 2], [0.0, 0.0, 1.0]])
 
@@ -153,7 +153,7 @@ def _prior(view: View, unit: float) -> tuple[Float64s, Float64s]:
     side = max(view.width, view.height)
     if view.K is None:
         return np.array([np.log(side / unit), 0.0, 0.0]), np.array([FOCAL_SIGMA, *[CENTRE_SIGMA * side / unit] * 2])
-    K = np.linalg.inv(_frame_of(view, unit)) @ view.K
+    K = np.linalg.inv(_to_pixels(view, unit)) @ view.K
     known = view.focal_known
     sigma = [KNOWN_SIGMA if known else GUESS_SIGMA, *[(0.1 if known else 1.0) * CENTRE_SIGMA * side / unit] * 2]
     return np.array([np.log(K[0, 0]), K[0, 2], K[1, 2]]), np.array(sigma)
@@ -180,12 +180,12 @@ def _tangents(t: Float64s) -> Float64s:
 def _directions(state: _State) -> Float64s:
     """(9, 11) derivative of F by a rotation of the second camera (3), by t (2), and by the lenses (6)."""
     K1, K2 = _intrinsics(state.lens)
-    right, left = np.linalg.inv(K1), np.linalg.inv(K2).T
+    K1_inv, K2_inv_T = np.linalg.inv(K1), np.linalg.inv(K2).T
     E = skew(state.t) @ state.R
-    changes = [left @ skew(state.t) @ skew(axis) @ state.R @ right for axis in np.eye(3)]
-    changes += [left @ skew(axis) @ state.R @ right for axis in _tangents(state.t).T]
+    changes = [K2_inv_T @ skew(state.t) @ skew(axis) @ state.R @ K1_inv for axis in np.eye(3)]
+    changes += [K2_inv_T @ skew(axis) @ state.R @ K1_inv for axis in _tangents(state.t).T]
     changes1, changes2 = _lens_changes(K1), _lens_changes(K2)
-    by_lens1, by_lens2 = [left @ E @ d for d in changes1], [d.T @ E @ right for d in changes2]
+    by_lens1, by_lens2 = [K2_inv_T @ E @ d for d in changes1], [d.T @ E @ K1_inv for d in changes2]
     changes += [by_lens1[0], by_lens2[0], by_lens1[1], by_lens1[2], by_lens2[1], by_lens2[2]]
     return np.stack([c.ravel() for c in changes], axis=1)
 

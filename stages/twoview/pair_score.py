@@ -190,7 +190,7 @@ def probability(score: float) -> float:
 def _distinct_cells(x1: Float64s, x2: Float64s, view1: View, view2: View) -> int:
     """Number of cells that hold a point, in the image with fewer of them.
 
-    The wider view gets more cells, by the ratio of the fields of view: a long lens covers few of its cells, but all of its own.
+    The wider view gets more cells, by the ratio of the fields of view: a long lens fills few of these, but all of its own.
     """
     ratio = field_ratio(view1, view2)
     size1, size2 = (view1.width, view1.height), (view2.width, view2.height)
@@ -198,7 +198,7 @@ def _distinct_cells(x1: Float64s, x2: Float64s, view1: View, view2: View) -> int
 
 
 def _agreement(pairs: tuple[ViewPair, ...], F: Float64s) -> float:
-    """Share of the clear matches of the untilted views that lie on their epipolar lines; shrunk toward 0 if they are few."""
+    """Share of the clear matches of the plain views that lie on their epipolar lines; shrunk toward 0 if they are few."""
     if not pairs:
         return 0.0
     i, j, ratio = pairs[0].candidates.near.mutual()

@@ -48,8 +48,8 @@ def matches_of_night(inliers: Matches, F: Float64s, left: Features, right: Featu
 
 def with_night(pooled: Matches, night: Matches) -> Matches:
     """The pooled matches, and those of a night that are new."""
-    ends = np.hstack([night.x1, night.x2])
-    distance, _ = cKDTree(np.hstack([pooled.x1, pooled.x2])).query(ends) if len(ends) else (np.zeros(0), None)
+    coordinates = np.hstack([night.x1, night.x2])
+    distance, _ = cKDTree(np.hstack([pooled.x1, pooled.x2])).query(coordinates) if len(coordinates) else (np.zeros(0), None)
     is_new = distance > SAME_PX
     return replace(
         pooled,
@@ -62,7 +62,7 @@ def with_night(pooled: Matches, night: Matches) -> Matches:
 def pooled_evidence(
     own: PairEvidence, night: Matches, found: TwoView, left: Features, right: Features, threshold_px: float, seed: int = 0
 ) -> PairEvidence:
-    """Evidence for a pooled geometry: inliers, ray angle and halves from the pool; descriptor evidence from a night's keypoints.
+    """Evidence for a pooled geometry: inliers, angle and half rotation from the pool, the rest from a night's keypoints.
 
     Parameters
     ----------

@@ -113,7 +113,7 @@ def tangent(F: Float64s, lenses: Intrinsics | None) -> Float64s:
 def normal_equations(
     F: Float64s, x1: Float64s, x2: Float64s, scale: Float64s, directions: Float64s
 ) -> tuple[float, Float64s, Float64s]:
-    """Sum of log(1 + r^2) over the scaled Sampson distances r, and weighted normal equations of their changes along (9, k).
+    """Sum of log(1 + r^2) over the scaled Sampson distances r, and weighted normal equations for steps along `directions`.
 
     Parameters
     ----------

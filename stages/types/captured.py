@@ -12,7 +12,7 @@ from .arrays import Float64s, Uint8s
 
 @dataclass(frozen=True)
 class Capture(Record):
-    """One image file as it lies on disk."""
+    """One captured file, image or video, as it is on disk."""
 
     name: str
     data: Uint8s
@@ -35,7 +35,7 @@ class Lens(Record):
     model: str = "brown"
     """Name of the lens model, see `core.lenses`."""
     camera: str = ""
-    """Id of the camera, for one of several views of a camera: these share its place and its captures."""
+    """Id of the camera if this is one of several views of it, which share its place and its captures; else ""."""
     turn: Float64s | None = None
     """(3, 3) rotation from the camera's axes to those of this view; None if the view is the camera's own."""
     window: Float64s | None = None
@@ -48,7 +48,7 @@ class Privacy(Record):
 
     corners: Float64s = field(default_factory=lambda: np.zeros((0, 2)))
     """(n, 2) corners of all polygons, one polygon after the other, in pixels of the upright capture; or as shares of width and
-    height, if all of a polygon's lie between 0 and 1."""
+    height, if all corners of a polygon lie between 0 and 1."""
     counts: Float64s = field(default_factory=lambda: np.zeros(0))
     """(polygons,) number of corners of each polygon."""
 

@@ -88,7 +88,7 @@ class Rectification(Record):
     row_chance: float = float("nan")
     """If dense matches verified the rows: the same share on rows shifted by eight, which only chance explains."""
     row_error_px: float = float("nan")
-    """Apparent shift between the rows of both images, in rows."""
+    """If dense matches verified the rows: estimated row offset between the two images, in rows, with sign."""
     ground: GroundOfPair | None = None
     """The ground in both frames, if it is known."""
     bend1: Float64s | None = None

@@ -52,7 +52,7 @@ class Coverage(Record):
     median_error: float
     """Median of `error` over the cells that have a pair; -1 if none has."""
     lost_without: Mapping[str, float] = field(default_factory=dict)
-    """By camera: share of the area that would be seen by fewer than two cameras without it."""
+    """By camera: share of the area that it and only one other camera see: without it, fewer than two would."""
     metric: bool = True
     crs: str = ""
     """`metric` and `crs`: see `Poses`."""
@@ -108,7 +108,7 @@ class CutFill(Record):
     level: float
     """Level of detection, median: surfaces closer to each other than this count as the same."""
     common_sigma: float
-    """Standard deviation of one night's heights against the other's that all places share; `gained_sigma` and `lost_sigma`
+    """Standard deviation of the height offset between both nights that all places share; `gained_sigma` and `lost_sigma`
     include it."""
     area: float
     """Area of the ground that both nights saw."""

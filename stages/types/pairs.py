@@ -81,7 +81,7 @@ class Geometry(Record):
     stretch: float = 0.0
     """Median log ratio of the axes of the local affine maps."""
     rival_inliers: int = 0
-    """Number of matches that agree with the best other hypothesis (see `twoview.ambiguity`)."""
+    """Number of matches that agree with the best rival pose (see `twoview.ambiguity`)."""
     rival_elsewhere: int = 0
     """Number of the rival's matches off the epipolar lines, or with another step along a row."""
     rival_turned_deg: float = float("nan")
@@ -90,9 +90,9 @@ class Geometry(Record):
     """(n,) standard deviation of the distance of each inlier to its epipolar line, None if unknown."""
     lens1: Float64s | None = None
     lens2: Float64s | None = None
-    """(3, 3) intrinsics that go with F if they had to be guessed, else None."""
+    """(3, 3) intrinsics that were estimated with F if a lens was not known, else None."""
     implausibility: float = float("nan")
-    """Deviation of guessed intrinsics from those of usual cameras, in squared standard deviations; nan if they are known."""
+    """Deviation of these intrinsics from those of usual cameras, in squared standard deviations; nan if they are known."""
     warnings: tuple[str, ...] = ()
     """Degenerate cases that did not reject the pair, in words."""
 

@@ -134,10 +134,10 @@ class Scene(Record):
 
 @dataclass(frozen=True)
 class Poses(Record):
-    """Cameras in one frame."""
+    """The cameras, in one world for each component."""
 
     cameras: Mapping[str, Camera]
-    """Solved cameras by id."""
+    """Cameras with a pose, stated or solved, by id."""
     unsolved: Mapping[str, str]
     """Reason why a camera is unsolved, by id."""
     dropped: Mapping[str, str]
@@ -177,7 +177,7 @@ class Poses(Record):
     calibration: CalibrationCheck | None = None
     """Check of the stated cameras as a whole against the matches; None if nothing is stated, or too little is matched."""
     sources: Mapping[str, str] = field(default_factory=dict)
-    """By id, source of the pose in use: "stated", "refined" (within its stated uncertainty) or "solved"."""
+    """By id, source of the pose in use: "stated", "refined" (within its stated uncertainty), "solved" or "corrected" (turned)."""
 
     def main_cameras(self) -> dict[str, Camera]:
         """The cameras of the main component, by id."""

@@ -54,7 +54,7 @@ def result_of(data: bytes, stage: str) -> Any:
 def encode(value: Any) -> bytes:
     """Return the bytes of a dataclass whose fields are arrays, scalars, strings, tuples, mappings or further dataclasses.
 
-    Fields marked `transient` are left out.  Raises TypeError for any other field that holds something else.
+    Fields marked `transient` are left out.  Raises TypeError if any other field holds something else.
     """
     import zstandard
 

@@ -19,7 +19,7 @@ DISK_FULL_REMEDY = "free some space (wbflow clean SITE.yaml --keep 3), or limit 
 
 Fsync = Literal["folder", "file", "none"]
 """What survives a power cut after the write.  "folder": the file under its name.  "file": its bytes, but perhaps not its name (if
-another file is written to the same folder right after).  "none": neither (if the file is checked on reading and dispensable)."""
+another file is written to the same folder right after).  "none": neither (for dispensable files that are checked on reading)."""
 
 
 def write_atomic(path: Path, data: bytes | bytearray, *, fsync: Fsync = "folder", own_path: bool = False) -> None:

@@ -22,9 +22,9 @@ class Keep:
 
     runs: int | None = None
     nights: int | None = None
-    """Number of newest runs, and of newest nights, whose artifacts are kept; with both limits, artifacts must meet both."""
+    """Number of newest runs, and of newest nights, whose artifacts are kept; with both limits, a run must be within both."""
     bytes: int | None = None
-    """Size limit of the cache, reference excluded: artifacts of old runs go first, those of the newest and last good never."""
+    """Size limit of the cache, reference excluded: oldest runs lose their artifacts first, the newest and last good run never."""
     clouds: int | None = None
     reports: int | None = None
     """Number of newest nights whose published clouds, and whose reports with their logs, are kept."""
@@ -59,7 +59,7 @@ def clean(work: WorkFolder, keep: Keep, *, dry_run: bool = False, requested: boo
     work, keep : WorkFolder, Keep
         The folder and its limits; the newest run and the targets of links always stay, with all artifacts that they use.
     dry_run, requested : bool
-        Only report what would be removed; the user asked for the cleanup, so all quarantined files are removed, too.
+        Only report what would be removed.  Did the user request the cleanup?  Then all quarantined files are removed, too.
     """
     with Ledger(work, writes=True) as ledger:
         nights = _Nights(work, ledger)

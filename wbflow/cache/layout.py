@@ -141,7 +141,7 @@ class WorkFolder:
         return self.artifact(task, key, ".json")
 
     def drawing(self, task: Task, key: str, name: str) -> Path:
-        """Return the path of an artifact's drawing for the report, by product name (see `Products.drawings`)."""
+        """Return the path of an artifact's drawing for the report; `name` as in `Products.drawings`."""
         return self.artifact(task, key, ".jpg" if name == "picture" else f".{name}")
 
     def of_key(self, task: Task, key: str) -> list[Path]:

@@ -67,13 +67,13 @@ class Digests(Memo):
         """Return the content digest of a file.  Raises OSError."""
         name, status = str(path), path.stat()
         self._used[name] = None
-        before, known_entry = _stamp(status), self._files.get(name)
+        stamp, known_entry = _stamp(status), self._files.get(name)
         is_stable = time.time_ns() - max(status.st_mtime_ns, status.st_ctime_ns) > _STABLE_NS
-        if known_entry and known_entry[:-1] == before and is_stable:
+        if known_entry and known_entry[:-1] == stamp and is_stable:
             return str(known_entry[-1])
         digest = file_digest(path)
-        if is_stable and _stamp(path.stat()) == before:  # unchanged while it was read
-            self._files[name] = [*before, digest]
+        if is_stable and _stamp(path.stat()) == stamp:  # unchanged while it was read
+            self._files[name] = [*stamp, digest]
             self._changed = True
         return digest
 

@@ -54,10 +54,10 @@ def columns_of(data: bytes) -> dict[str, npt.NDArray[Any]]:
     lines = data[:end].decode("ascii", "replace").split("\n") if end >= 0 else []
     if lines[:2] != ["ply", "format binary_little_endian 1.0"]:
         raise ValueError("not a binary little-endian PLY file")
-    sizes = {kind: code for code, kind in _TYPES.items()}
+    codes = {kind: code for code, kind in _TYPES.items()}
     header_words = [line.split() for line in lines]
     count = next(int(w[2]) for w in header_words if w[:2] == ["element", "vertex"])
-    dtype: np.dtype[Any] = np.dtype([(w[2], "<" + sizes[w[1]]) for w in header_words if w and w[0] == "property"])
+    dtype: np.dtype[Any] = np.dtype([(w[2], "<" + codes[w[1]]) for w in header_words if w and w[0] == "property"])
     start = end + len(b"end_header\n")
     if len(data) - start < count * dtype.itemsize:
         raise ValueError(f"ends after {len(data):,} bytes, {count:,} points were promised")

@@ -101,7 +101,7 @@ class Receipt:
     finished: str = ""
     """Time of completion, ISO 8601, UTC."""
     drawings: dict[str, str] = field(default_factory=dict)
-    """Digests of the result's drawings for the report, by product name."""
+    """Digests of the result's drawings for the report, by name (see `Products.drawings`)."""
 
 
 @dataclass(frozen=True)
@@ -111,8 +111,8 @@ class Cache:
     work: WorkFolder
     _damages: list[Damage] = field(default_factory=list, compare=False, repr=False)
     _known: dict[tuple[Task, str], tuple[str, str, list[int], Receipt]] = field(default_factory=dict, compare=False, repr=False)
-    """By task and key: the receipt's file, the artifact's file ("" if none), the stamp of the former when it was read, and the
-    receipt.  It saves reading files again, since a run looks up each receipt three times."""
+    """By task and key: the receipt's file, the artifact's file ("" if none), the stamp of the receipt's file when it was read,
+    and the receipt.  It saves reading files again, since a run looks up each receipt three times."""
 
     def __reduce__(self) -> tuple[Any, ...]:  # known receipts and noted damage are not sent to worker processes
         return type(self), (self.work,)

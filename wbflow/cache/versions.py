@@ -24,7 +24,7 @@ def installed_versions() -> dict[str, str]:
 
 @functools.cache
 def installed_version(library: str) -> str:
-    """Return major.minor version of a library by its import name; "absent" if no distribution provides it."""
+    """Return the major.minor version of a library by its import name; "absent" if no distribution provides it."""
     from importlib import metadata  # imported here to keep `wbflow --help` fast
 
     for distribution in _DISTRIBUTIONS.get(library, (library,)):

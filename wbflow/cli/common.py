@@ -73,7 +73,7 @@ until_option = click.option("--until", metavar="STAGE", help="Stop after this st
 def load(path: Path, work: str | None, for_run: bool = False) -> Site:
     """Load a site from its file, or from a folder with a `site.yaml`.
 
-    work: a work folder or object store that replaces the one in the file.  for_run: skip the notes on obsolete words in the file,
+    work: a work folder or object store that replaces the one in the file.  for_run: skip the notes on obsolete names in the file,
     and the download of other machines' runs from the object store, since a run does both itself.
     """
     from ..records.run_folder import refresh

@@ -51,7 +51,7 @@ class StageProgress:
     cpu: float = 0.0
     """Total CPU seconds of its tasks in this run."""
     fresh: bool = False
-    """Whether this run has worked on it and has not reported its end yet."""
+    """Whether this run has worked on the stage and has not reported its end yet."""
 
     @property
     def done(self) -> int:

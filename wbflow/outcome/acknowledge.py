@@ -37,16 +37,16 @@ class Acknowledgement(JsonDataclass):
     """A finding or change that somebody has acknowledged."""
 
     finding: str
-    """Code and subject, "camera-lost crane-2", "fewer-points"; of a change kind and position, "change new at 9.2,15.3,1.3"."""
+    """Code and subject of a finding ("camera-lost crane-2"), or kind and position of a change ("change new at 9.2,15.3,1.3")."""
     by: str
     on: str
     """ISO 8601 date."""
     until: str = ""
-    """The last night for which it holds; "" for all nights."""
+    """The last night to which it applies; "" for all nights."""
     note: str = ""
 
     def holds(self, night: str) -> bool:
-        """Does it hold for a night?"""
+        """Does it apply to a night?"""
         return not self.until or night <= self.until
 
     @property
@@ -84,16 +84,16 @@ def read(site: Site) -> tuple[Acknowledgement, ...]:
 def add(site: Site, finding: str, until: datetime.date | None, note: str) -> Acknowledgement:
     """Acknowledge a finding or a change, replacing an earlier acknowledgement of it.
 
-    Raises UsageError where there is no such finding, change or camera, or where the finding is one that fails a night.
+    Raises UsageError if there is no such finding, change or camera, or if the finding is one that fails a night.
 
     Parameters
     ----------
     site, finding
         The site; code and subject of the finding, or "change" and its number in the newest run.
     until, note
-        The last night for which it holds (None: all), and why.
+        The last night to which it applies (None: all), and why.
     """
-    name = _named(site, finding)
+    name = _full_name(site, finding)
     code, *subject = name.split()
     if code == CHANGE:
         subject = []
@@ -110,19 +110,19 @@ def add(site: Site, finding: str, until: datetime.date | None, note: str) -> Ack
 
 
 def drop(site: Site, finding: str) -> None:
-    """Remove an acknowledgement.  Raises UsageError where there is none."""
+    """Remove an acknowledgement.  Raises UsageError if there is none."""
     entries = read(site)
-    name = _named(site, finding)
+    name = _full_name(site, finding)
     if all(entry.finding != name for entry in entries):
         known = ", ".join(entry.finding for entry in entries) or "none"
         raise UsageError(f"{name!r} is not acknowledged", remedy=f"acknowledged: {known}")
     _write(site, (entry for entry in entries if entry.finding != name))
 
 
-def _named(site: Site, finding: str) -> str:
+def _full_name(site: Site, finding: str) -> str:
     """Return the name of a finding or change; a change may be given by its number in the newest run ("change 2") or by name."""
     name = " ".join(finding.split())
-    if name.split(" ")[0] != CHANGE or _place(name):
+    if name.split(" ")[0] != CHANGE or _change_named(name):
         return name
     newest = next((record for _, record in newest_runs(site.work_folder)), None)
     changes = changes_of(newest) if newest else {}
@@ -130,11 +130,11 @@ def _named(site: Site, finding: str) -> str:
         known = "; ".join(f"{CHANGE} {name}: {change.kind}" for name, change in changes.items()) or "none"
         raise UsageError(f"the newest run has no change {number!r}", remedy=f"its changes: {known}")
     change = changes[number]
-    earlier_names = (entry.finding for entry in read(site) if (place := _place(entry.finding)) and change.is_same(place))
+    earlier_names = (e.finding for e in read(site) if (old := _change_named(e.finding)) and change.is_same(old))
     return next(earlier_names, f"{CHANGE} {change.kind} at {change.x:.1f},{change.y:.1f},{change.z:.1f}")
 
 
-def _place(name: str) -> Change | None:
+def _change_named(name: str) -> Change | None:
     """Return kind and position of a change from its name; None for any other name."""
     parts = _NAME.fullmatch(name)
     return Change(parts[1], float(parts[2]), float(parts[3]), float(parts[4])) if parts else None
@@ -147,11 +147,11 @@ def changes_of(record: RunRecord) -> Mapping[str, Change]:
 
 def with_known(record: RunRecord, known: Iterable[Acknowledgement]) -> RunRecord:
     """Return the record with its acknowledged changes marked."""
-    places = [(place, entry.words) for entry in known if entry.holds(record.date) and (place := _place(entry.finding))]
+    known_changes = [(c, entry.words) for entry in known if entry.holds(record.date) and (c := _change_named(entry.finding))]
 
     def marked(changes: Mapping[str, Change]) -> Iterator[tuple[str, Change]]:
         for number, change in changes.items():
-            words = next((words for place, words in places if change.is_same(place)), "")
+            words = next((words for known_change, words in known_changes if change.is_same(known_change)), "")
             yield number, replace(change, acknowledged=words)
 
     results = {
@@ -159,7 +159,7 @@ def with_known(record: RunRecord, known: Iterable[Acknowledgement]) -> RunRecord
         for stage, result in record.results.items()
         if isinstance(result, ChangesSummary) and result.changes
     }
-    return replace(record, results={**record.results, **results}) if places else record
+    return replace(record, results={**record.results, **results}) if known_changes else record
 
 
 def split(

@@ -20,7 +20,7 @@ from ..records.run_folder import newest_runs
 from ..site.models import Expected, Measure, Site
 
 LEAST_MATCHED_SHARE = 0.25
-"""A camera shows something else if the share of its pairs that find common points is less than this share of the usual one."""
+"""A camera shows something else if the share of its pairs that find common points is below this fraction of the usual share."""
 SHARP_SHARE = 0.4
 """An image with less than this share of its usual sharpness is out of focus, or taken through drops or dirt."""
 MOST_RUNS = 14
@@ -29,7 +29,7 @@ MOST_RUNS = 14
 
 @dataclass(frozen=True)
 class Baseline:
-    """The runs before one, newest first, one for each night."""
+    """The runs before a given one, newest first, one for each night."""
 
     runs: tuple[RunRecord, ...] = ()
 
@@ -43,7 +43,7 @@ class Baseline:
         return Baseline(tuple(sorted(by_date.values(), key=lambda record: (record.date, record.run), reverse=True)))
 
     def usual(self, settings: str, since: str = "") -> Usual | None:
-        """Medians of good nights with the same settings; without such a night, what the newest of these runs was compared with.
+        """Medians of good nights with the same settings; else the usual figures that the newest run with these settings recorded.
 
         settings: digest of tonight's.  since: nights before this one (ISO 8601) don't count.
         """

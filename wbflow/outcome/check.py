@@ -54,18 +54,18 @@ class Fault:
 def check(site: Site, date: datetime.date | None) -> list[Fault]:
     """Find everything that would spoil a run, or part of one."""
     machine = check_machine()
-    if any(finding.severity == "error" for finding in machine):
+    if any(fault.severity == "error" for fault in machine):
         return machine + _disk(site)
     return [*check_captures(site, plan_run(site, Options(date))), *machine, *_disk(site), *check_published(site.work_folder)]
 
 
 def exit_code(findings: Iterable[Fault]) -> ExitCode:
     """Exit code of `wbflow check`: the worst that a run would end with."""
-    return min((finding.code for finding in findings if finding.severity == "error"), default=ExitCode.GOOD)
+    return min((fault.code for fault in findings if fault.severity == "error"), default=ExitCode.GOOD)
 
 
 def check_captures(site: Site, context: RunContext) -> list[Fault]:
-    """Is every capture there, whole, and of the size that its intrinsics are for?"""
+    """Does each camera have captures, all readable and of the size that its intrinsics are for?"""
     faults = []
     if len(site.cameras) < 2:
         what = f"{site.file}: {len(site.cameras)} camera: a cloud needs two or more that see the same things"
@@ -89,7 +89,7 @@ def check_captures(site: Site, context: RunContext) -> list[Fault]:
 
 
 def _remedy_of_missing(site: Site, camera: Camera) -> str:
-    """What to do about a camera without captures; the files' names may spell its id otherwise."""
+    """What to do about a camera without captures; the file names may spell its id differently."""
     capture_names = site.captures.cameras() - {other.id for other in site.cameras} if camera.images is None else set()
     similar = difflib.get_close_matches(camera.id, capture_names, 1)
     if similar:
@@ -131,7 +131,7 @@ def _import_remedy(message: str) -> str:
 
 
 def check_published(work: WorkFolder) -> list[Fault]:
-    """Are the published files of every run unchanged?  Those of runs that links lead to must also exist."""
+    """Are the published files of every run unchanged?  Those of runs to which links such as `latest` point must also exist."""
     linked = {work.link_target(link) for link in work.links()}
     faults = []
     for name in work.run_ids():

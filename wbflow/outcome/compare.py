@@ -37,7 +37,7 @@ class Row:
     """A figure or text of both runs."""
 
     what: str
-    """Its name, after that of its camera or pair, if it has one."""
+    """Name of the figure, preceded by the name of its camera or pair, if it has one."""
     a: Value
     b: Value
     noise: float = NOISE
@@ -45,7 +45,7 @@ class Row:
 
     @property
     def change(self) -> float | None:
-        """Relative change from a to b; None for texts, and where a is 0."""
+        """Relative change from a to b; None for texts, and if a is 0."""
         if isinstance(self.a, int | float) and isinstance(self.b, int | float) and self.a:
             return self.b / self.a - 1
         return None
@@ -92,7 +92,7 @@ def differing(rows: list[Row]) -> list[Row]:
 
 
 def last_two(work: WorkFolder) -> tuple[RunFolder, RunFolder]:
-    """The newest good run before the newest one, and the newest one.  Raises NoSuchRun where there is none."""
+    """The newest good run before the newest one, and the newest one.  Raises NoSuchRun if there is none."""
     newest = RunFolder.of(work)
     for folder, record in newest_runs(work, before=newest.id):
         if folder.is_good() and (record.verdict is None or record.verdict.good):
@@ -118,7 +118,7 @@ def _site_rows(a: RunRecord, b: RunRecord) -> Iterator[Row]:
 
 
 def _subject_rows(name: str, a: CameraRecord | PairRecord | None, b: CameraRecord | PairRecord | None) -> list[Row]:
-    """The outcome of a camera or pair, and its figures where both runs used it."""
+    """The outcome of a camera or pair, and its figures if both runs used it."""
     rows = [Row(name, _outcome(a), _outcome(b))]
     if a and b and a.ok and b.ok:
         figures_a, figures_b = vars(a.figures), vars(b.figures)
@@ -153,7 +153,7 @@ def compare_with_scan(run: Run, scan: Path, out: Path) -> dict[str, Any]:
     """Write the deviations of a run's cloud from a scan into `out`; return the figures.
 
     Raises UsageError for a scan that cannot be read, or lies elsewhere, or covers less than half of the cloud; MissingExtra
-    where packages that read such files are not installed; MissingResult where the run has no cloud.
+    if packages that read such files are not installed; MissingResult if the run has no cloud.
     """
     if not scan.is_file():
         raise UsageError(f"{scan}: there is no such file", remedy="wbflow compare SITE.yaml SCAN.laz --out DIR")
@@ -172,14 +172,14 @@ def compare_with_scan(run: Run, scan: Path, out: Path) -> dict[str, Any]:
 def changes_between(reference: Run, tonight: Run) -> Any:
     """Return what changed (`wbflow_stages.types.Changes`), by the function and the parameters of the later run.
 
-    Raises MissingResult where a run placed no cameras or the cache no longer holds its results; WbflowError where the later
+    Raises MissingResult if a run placed no cameras or the cache no longer holds its results; WbflowError if the later
     run did not look for changes, or the runs have nothing in common.
     """
     receipt = tonight.receipt(Task(CHANGES))
     if receipt is None:
         raise WbflowError(f"run {tonight.id} did not look for changes", remedy="its log.jsonl says why")
     preimage = receipt.preimage
-    changes = load(preimage.function)(**_surface(tonight), **_surface(reference, "reference_"), **preimage.parameters)
+    changes = load(preimage.function)(**_change_inputs(tonight), **_change_inputs(reference, "reference_"), **preimage.parameters)
     if not changes.compared:
         raise WbflowError(
             f"runs {reference.id} and {tonight.id} have nothing in common", remedy="their cameras are at different places"
@@ -187,7 +187,7 @@ def changes_between(reference: Run, tonight: Run) -> Any:
     return changes
 
 
-def _surface(run: Run, prefix: str = "") -> Mapping[str, Any]:
+def _change_inputs(run: Run, prefix: str = "") -> Mapping[str, Any]:
     poses = run.result_of(POSES)
     if poses is None:
         raise MissingResult(f"run {run.id} placed no cameras: {run.record.reason or 'the run was not meant to'}")

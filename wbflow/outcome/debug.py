@@ -47,7 +47,7 @@ print(debug.keep(here, result))
 def write_task(site: Site, task: Task, out: Path, date: datetime.date | None = None) -> list[Path]:
     """Write a task's inputs and parameters as they are tonight, and a script that runs it; returns the files, the script first.
 
-    Raises UsageError where there is no such task, or its inputs have not been made; DamagedArtifact.
+    Raises UsageError if there is no such task, or its inputs have not been made; DamagedArtifact.
 
     Parameters
     ----------
@@ -65,7 +65,7 @@ def write_task(site: Site, task: Task, out: Path, date: datetime.date | None = N
     (out / INPUTS).mkdir(parents=True, exist_ok=True)
     make_importable(spec.folder)
     values = arguments_of(spec, plan.cache)
-    nodes = {name: _write_input(spec.inputs[name], value, out / INPUTS, name, plan.cache) for name, value in values.items()}
+    entries = {name: _write_input(spec.inputs[name], value, out / INPUTS, name, plan.cache) for name, value in values.items()}
     state = plan.states.get(task)
     state_outcome = state and ("the night uses the reference's" if state.receipt else state.outcome)
     default_outcome = state_outcome or "not run"  # for a task without a receipt for these inputs
@@ -76,7 +76,7 @@ def write_task(site: Site, task: Task, out: Path, date: datetime.date | None = N
         "night": str(context.date),
         "function": spec.function,
         "parameters": spec.parameters,
-        "inputs": nodes,
+        "inputs": entries,
         "outcome": receipt.outcome if receipt else default_outcome,
         "reason": receipt.reason if receipt else state.reason if state else None,
         "digest": receipt.digest if receipt and receipt.file else None,
@@ -113,7 +113,7 @@ def _waiting_error(plan: Plan, task: Task, needed: Task) -> UsageError:
 
 
 def _write_input(source: Input, value: Any, folder: Path, name: str, cache: Cache) -> Any:
-    """Write an input; a cloud, which the cache keeps as a file that people can open, is copied."""
+    """Write an input, and return its entry in task.json; a cloud is copied, since the cache stores it as a PLY file."""
     if isinstance(source, Stored) and not source.part and source.file and source.task.stage == FUSE:
         file = f"{name}{suffix_of(FUSE)}"
         shutil.copyfile(cache.work.task(source.task) / source.file, folder / file)
@@ -136,7 +136,7 @@ def set_up_as_worker(folder: Path) -> None:
 
 def inputs(folder: Path) -> dict[str, Any]:
     """The arguments of the function that are inputs, by name."""
-    return {name: _read_input(node, folder / INPUTS) for name, node in _description(folder)["inputs"].items()}
+    return {name: _read_input(entry, folder / INPUTS) for name, entry in _description(folder)["inputs"].items()}
 
 
 def parameters(folder: Path) -> dict[str, Any]:
@@ -149,8 +149,8 @@ def keep(folder: Path, result: Any) -> str:
     """Write the result beside the script, and return in words how it compares with the result in the cache."""
     task = _description(folder)
     recorded = task["outcome"], task["reason"]
-    rejection: Any = load(REJECTED)
-    if isinstance(result, rejection):
+    rejected_type: Any = load(REJECTED)
+    if isinstance(result, rejected_type):
         is_same = recorded == ("rejected", str(result.reason))
         return f"rejected, {'as in the cache' if is_same else f'in the cache: {recorded[0]}'}"
     data = result_bytes(result, task["stage"])
@@ -162,10 +162,10 @@ def keep(folder: Path, result: Any) -> str:
     return f"{file}: {'the same bytes as the cache has' if is_same else 'other bytes than the cache has'}"
 
 
-def _read_input(node: Any, folder: Path) -> Any:
-    if isinstance(node, dict) and "cloud" in node:
-        return result_of((folder / node["cloud"]).read_bytes(), FUSE)
-    return load("wbflow_stages.exports.plain:read")(node, folder)
+def _read_input(entry: Any, folder: Path) -> Any:
+    if isinstance(entry, dict) and "cloud" in entry:
+        return result_of((folder / entry["cloud"]).read_bytes(), FUSE)
+    return load("wbflow_stages.exports.plain:read")(entry, folder)
 
 
 def _description(folder: Path) -> dict[str, Any]:

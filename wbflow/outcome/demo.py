@@ -21,7 +21,7 @@ def write_demo(folder: Path, *, scene: str = "yard", nights: int | None = None, 
     """Render a demo scene, or `nights` nights of the demo yard with their events; the same arguments write the same bytes.
 
     scene: "yard", "square" or "carpark".  options: those of `wbflow_demo.scenes.render` (small, light, cameras, captures, seed,
-    lenses, surfaces), or of `wbflow_demo.files.demo_nights` (frames, small, cameras, seed).  Raises UsageError where the folder
+    lenses, surfaces), or of `wbflow_demo.files.demo_nights` (frames, small, cameras, seed).  Raises UsageError if the folder
     holds something other than a demo, or a demo whose site file or calibration was edited; for an unknown scene or light, and for
     no captures.
     """
@@ -31,7 +31,7 @@ def write_demo(folder: Path, *, scene: str = "yard", nights: int | None = None, 
         demo = load(function)(scene if nights is None else nights, **options)
     except ValueError as error:
         raise UsageError(str(error), remedy="wbflow demo --help  says what there is") from error
-    # an interrupted demo can be written again: the manifest comes first, its digests last
+    # an interrupted demo can be written again: the manifest is written first with the old digests, at the end with the new ones
     write_atomic(folder / MANIFEST, _json({"files": existing}))
     digests = {}
     for name, content in demo.files:
@@ -44,7 +44,7 @@ def write_demo(folder: Path, *, scene: str = "yard", nights: int | None = None, 
 
 
 def _existing_digests(folder: Path) -> dict[str, str]:
-    """Digests by name of the files of the demo that `folder` already holds.  Raises UsageError where it must not be written."""
+    """Digests by name of the files of the demo that `folder` already holds.  Raises UsageError if it must not be written."""
     if not folder.exists():
         return {}
     if not folder.is_dir():

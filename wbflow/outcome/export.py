@@ -25,8 +25,8 @@ class MissingExtra(WbflowError):
 def export(run: Run, out: Path, forms: frozenset[str]) -> Iterator[Path]:
     """Write a run's results into `out` in some formats (names of `EXPORTS`); yields each file when it is written.
 
-    Raises MissingExtra before any file is written; WbflowError, before a format's files are, where the run lacks what it needs;
-    DamagedArtifact where the cache's disk has lost something, which the next run makes again.
+    Raises MissingExtra before any file is written; WbflowError if the run lacks what a format needs; DamagedArtifact if the disk
+    has lost a part of the cache, which the next run makes again.
     """
     if run.record.poses is None:
         raise WbflowError(f"run {run.id} solved no cameras: {run.record.reason or 'it ended before that'}")

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 
 class MissingResult(WbflowError):
-    """A result is not there: it was removed, or the run never made it."""
+    """A result does not exist: it was removed, or the run never made it."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -38,7 +38,7 @@ class Run:
 
     @staticmethod
     def open(work: WorkFolder, name: str | None = None) -> Run:
-        """A run by its name, as `RunFolder.of` takes it.  Raises NoSuchRun where there is none, or it cannot be read."""
+        """A run by its name, as `RunFolder.of` takes it.  Raises NoSuchRun if there is none, or it cannot be read."""
         folder = RunFolder.of(work, name)
         return Run(folder, folder.record(), folder.tasks(), Cache(work))
 
@@ -77,14 +77,14 @@ class Run:
 
     @cached_property
     def calibration(self) -> Mapping[str, Any]:
-        """The cameras behind the cloud, by id: K, R, C, width, height, as a site file's `calibration` takes them."""
+        """The cameras of the cloud, by id: K, R, C, width, height, as a site file's `calibration` takes them."""
         return self.run_folder.cameras()
 
     @cached_property
     def cloud(self) -> open3d.geometry.PointCloud:
-        """The cloud with normals and colours.  Raises WbflowError where the run made none."""
-        made: open3d.geometry.PointCloud = load("wbflow_stages.io.clouds:point_cloud")(self.cloud_table())
-        return made
+        """The cloud with normals and colours.  Raises WbflowError if the run made none."""
+        point_cloud: open3d.geometry.PointCloud = load("wbflow_stages.io.clouds:point_cloud")(self.cloud_table())
+        return point_cloud
 
     @property
     def tasks(self) -> list[Task]:
@@ -95,7 +95,7 @@ class Run:
         """Return the result of a task: a dataclass of `wbflow_stages.types`.
 
         task: such as "geometry gate--roof", "frames gate" or "poses".  Raises UsageError where the run had no such task, or it
-        made nothing; WbflowError where the cache does not hold it any more.
+        made nothing; WbflowError if the cache does not hold it any more.
         """
         task = task_named(task) if isinstance(task, str) else task
         event = self.task_events.get(task)
@@ -108,7 +108,7 @@ class Run:
         return self.load(task)
 
     def receipt(self, task: Task) -> Receipt | None:
-        """The receipt of a task that made a result in this run, or None.  Raises MissingResult where the cache has lost it."""
+        """The receipt of a task that made a result in this run, or None.  Raises MissingResult if the cache has lost it."""
         event = self.task_events.get(task)
         if event is None or not event.usable or event.key is None:
             return None
@@ -118,9 +118,9 @@ class Run:
         return receipt
 
     def load(self, task: Task) -> Any:
-        """The result of a task (a dataclass of `wbflow_stages.types`), or None where it made nothing.
+        """The result of a task (a dataclass of `wbflow_stages.types`), or None if it made nothing.
 
-        Raises MissingResult where the cache no longer holds it, DamagedArtifact where the disk has lost a part of it.
+        Raises MissingResult if the cache no longer holds it, DamagedArtifact if the disk has lost a part of it.
         """
         receipt = self.receipt(task)
         return self.cache.load(task, receipt) if receipt else None
@@ -130,8 +130,8 @@ class Run:
         return self.load(Task(stage, subject))
 
     def of_cameras(self, *stages: str) -> Mapping[str, Any]:
-        """The results of the first of these stages that made something, by camera, or by view where a camera has views; each is
-        read when it is accessed."""
+        """The result of the first of these stages that made one, for each camera, or for each view of a camera that has several;
+        each is read when it is accessed."""
         views: dict[str, list[str]] = {camera.id: [] for camera in self.record.cameras}
         for view in (task.subject[0] for task in self.task_events if task.stage == FRAMES):
             views.setdefault(camera_of(view), []).append(view)
@@ -139,16 +139,16 @@ class Run:
         return self._on_demand({name: (name,) for name in names}, stages)
 
     def of_pairs(self, *stages: str) -> Mapping[str, Any]:
-        """The results of the first of these stages that made something, by pair: "left--right"."""
+        """The result of the first of these stages that made one, by pair: "left--right"."""
         return self._on_demand({pair.name: (pair.left, pair.right) for pair in self.record.pairs}, stages)
 
     def _on_demand(self, subjects: Mapping[str, Subject], stages: tuple[str, ...]) -> Mapping[str, Any]:
         usable = {task for task, event in self.task_events.items() if event.usable}
-        made = {name: [t for stage in stages if (t := Task(stage, subject)) in usable] for name, subject in subjects.items()}
-        return OnDemand({name: tasks[0] for name, tasks in made.items() if tasks}, self.load)
+        tasks_of = {name: [t for stage in stages if (t := Task(stage, subject)) in usable] for name, subject in subjects.items()}
+        return OnDemand({name: tasks[0] for name, tasks in tasks_of.items() if tasks}, self.load)
 
     def cloud_table(self) -> Any:
-        """The main cloud as it was published.  Raises MissingResult where there is none, or it cannot be read."""
+        """The main cloud as it was published.  Raises MissingResult if there is none, or it cannot be read."""
         cloud = self.record.cloud
         path = self.folder / cloud.path if cloud else None
         if path is None or not path.is_file():

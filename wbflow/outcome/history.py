@@ -48,8 +48,8 @@ class Entry:
 def history(work: WorkFolder) -> list[Entry]:
     """Return every run, oldest first."""
     with Ledger(work) as ledger:
-        known = [(run, RunFolder(work.run(run.run))) for run in ledger.runs()]
-    return [Entry(run, _verdict_of(folder), cleaned=not folder.paths.record.exists()) for run, folder in known]
+        runs = [(run, RunFolder(work.run(run.run))) for run in ledger.runs()]
+    return [Entry(run, _verdict_of(folder), cleaned=not folder.paths.record.exists()) for run, folder in runs]
 
 
 def _verdict_of(folder: RunFolder) -> Verdict | None:
@@ -60,7 +60,7 @@ def _verdict_of(folder: RunFolder) -> Verdict | None:
 
 
 def places(work: WorkFolder) -> list[dict[str, Any]]:
-    """Return where the files of every run are, oldest run first, for programs: paths are None where files are gone."""
+    """Return the paths of every run's files, oldest run first, for programs; the path of a file that is gone is None."""
     rows = []
     for entry in history(work) if work.root.exists() else ():
         run, paths, level = entry.run, work.run(entry.run.run), entry.verdict.level if entry.verdict else None
@@ -104,13 +104,13 @@ class GrowthRow(JsonDataclass):
             f"{value:.1f} ± {sigma or 0.0:.1f}" if value is not None else ""
             for value, sigma in ((self.gained, self.gained_sigma), (self.lost, self.lost_sigma))
         )
-        grown = f"{self.growth:+.1f}" if self.growth is not None else ""
+        growth_text = f"{self.growth:+.1f}" if self.growth is not None else ""
         extent = f"{self.begin} to {self.end or 'now'}" if self.begin else f"{self.area:.0f} m² seen, {self.unseen:.0f} m² not"
-        return f"{self.night} {self.what:6} {self.name:16} {self.kind:9} {gained:>14} {lost:>14} {grown:>7}  {extent}"
+        return f"{self.night} {self.what:6} {self.name:16} {self.kind:9} {gained:>14} {lost:>14} {growth_text:>7}  {extent}"
 
 
 HEAD = f"{'night':10} {'what':6} {'name':16} {'kind':9} {'gained':>14} {'lost':>14} {'growth':>7}  nights, or ground"
-"""Heading of a table of such lines."""
+"""Heading of a table whose lines are `GrowthRow`s."""
 
 
 @dataclass

@@ -27,7 +27,7 @@ def write_site(folder: Path) -> tuple[Path, list[str], str]:
     """Write `site.yaml` into a folder of photographs; returns it, its camera ids, and a note on ids that differ from names.
 
     Each photograph in the folder is a camera; or each folder in it that holds photographs is a camera with several captures.
-    Raises UsageError where there is no such folder, a site file already, fewer than two cameras, or both kinds of them.
+    Raises UsageError if there is no such folder, a site file already, fewer than two cameras, or both kinds of them.
     """
     file = folder / SITE_FILE
     if not folder.is_dir():
@@ -81,7 +81,7 @@ def _unique_ids(names: Iterable[str]) -> list[str]:
 
 
 def _pattern(photographs: list[str]) -> str | None:
-    """Return a pattern that finds exactly each camera's photographs, or None where their suffixes differ."""
+    """Return a pattern that finds exactly each camera's photographs, or None if their suffixes differ."""
     suffixes = {Path(name).suffix for name in photographs}
     below = "/*" if "/" in photographs[0] else ""
     return f"{{camera}}{below}{suffixes.pop()}" if len(suffixes) == 1 else None
@@ -114,7 +114,7 @@ def write_calibration(
 ) -> tuple[list[Path], list[str]]:
     """Write the calibration of a camera and the plot of its coverage; returns the files, and lines to print.
 
-    Raises UsageError where there are no pictures, or they do not show the board well enough.
+    Raises UsageError if there are no pictures, or they do not show the board well enough.
 
     Parameters
     ----------

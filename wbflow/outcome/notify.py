@@ -1,7 +1,7 @@
 """Notification by a command of the site file, when the state of the site has changed.
 
 The command is called once for each state of degraded and failed nights (the level, and kinds and subjects of the findings),
-again when a state has lasted as long as `remind` says, and once for the first good night after them; with `heartbeat`, also
+again when a state has lasted for a duration of `remind`, and once for the first good night after them; with `heartbeat`, also
 after every other night.  A command that fails or hangs does not affect the night, and is called again after the next run.
 """
 
@@ -47,7 +47,7 @@ class _Reported(JsonDataclass):
     """The level, and kind and subject of each finding; empty for a good night without acknowledged findings."""
     since: str = ""
     bad_since: str = ""
-    """When the runs ended that found this state, and the first state since the last good night (UTC)."""
+    """When the first run in this state ended, and the first degraded or failed run since the last good night (UTC); "": none."""
     reminders: int = 0
     """Number of reminders of this state that have been sent."""
 
@@ -62,9 +62,9 @@ def _state_of(verdict: Verdict) -> tuple[str, ...]:
 
 
 def notify(config: Notify, folder: Path, run: Run) -> Occasion | None:
-    """Call the command for a published run; returns the occasion, or None where there is none.
+    """Call the command for a published run; returns the occasion, or None if there is none.
 
-    folder: where the command runs, the site file's.  Raises NotifyFailed, with the last line of the command's output.
+    folder: the site file's, in which the command runs.  Raises NotifyFailed, with the last line of the command's output.
     """
     work, record = run.cache.work, run.record
     assert record.verdict
@@ -131,7 +131,7 @@ def _message(occasion: Occasion, duration: str, run: RunPaths, record: RunRecord
 def _call(config: Notify, folder: Path, message: dict[str, Any]) -> None:
     scalars = {name: value for name, value in message.items() if isinstance(value, str | int)}
     environment = os.environ | {f"WBFLOW_{name.upper()}": str(value) for name, value in scalars.items()}
-    with tempfile.TemporaryFile() as stdin, tempfile.TemporaryFile() as output:  # a child that outlives it could hold pipes open
+    with tempfile.TemporaryFile() as stdin, tempfile.TemporaryFile() as output:  # files: its children could keep pipes open
         stdin.write(json.dumps(message).encode())
         stdin.seek(0)
         try:

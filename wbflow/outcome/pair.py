@@ -24,7 +24,7 @@ LAST_STAGE = DISPARITY
 def pair_site(left: Path, right: Path, out: Path, resolution: int | None) -> Site:
     """A site of the two photographs, written to out/site.yaml (which can be extended to a larger site).
 
-    Raises UsageError where a photograph is not there.
+    Raises UsageError if a photograph is not there.
 
     Parameters
     ----------
@@ -71,5 +71,5 @@ def write_pair(run: Run, out: Path) -> tuple[Path, ...]:
 
 def failure(run: Run) -> str | None:
     """Why there is no disparity, if there is none."""
-    ended = (event for event in run.task_events.values() if event.outcome in {"failed", "rejected"})
-    return next((f"{event.task} {event.outcome}: {event.reason}" for event in ended), None)
+    failures = (event for event in run.task_events.values() if event.outcome in {"failed", "rejected"})
+    return next((f"{event.task} {event.outcome}: {event.reason}" for event in failures), None)

@@ -71,9 +71,9 @@ def run_pipeline(run: str, context: RunContext, options: Options, journal: Journ
 
 
 def _publish(run: str, context: RunContext, products: dict[Task, bytes] | None, journal: Journal, own_process: bool) -> Run:
-    """Write the folder of a run, and make `latest` lead there.  What cannot be drawn or written as a file becomes a warning.
+    """Write the folder of a run, and point `latest` to it.  What cannot be drawn or written as a file becomes a warning.
 
-    products: None where the run was interrupted.  own_process: did the tasks run in this process?
+    products: None if the run was interrupted.  own_process: did the tasks run in this process?
     """
     artifacts = products or {}
     plan, work = context.plan, context.plan.cache.work
@@ -114,7 +114,7 @@ def _with_motion(camera: CameraRecord, harmful: Mapping[str, list[str]], harmles
 
 
 def _cameras(plan: Plan, poses: bytes) -> dict[str, Any]:
-    """Return the solved cameras in the form of a calibration, by id.  poses: the artifact, used if the cache has no such form."""
+    """Return the solved cameras in the form of a calibration, by id.  poses: the artifact, used if the cache lacks that form."""
     receipt = plan.states[Task(POSES)].receipt
     drawing = plan.cache.drawing(Task(POSES), receipt.key, "cameras") if receipt else None
     cameras: dict[str, Any] = json.loads(drawing or load(stage_named(POSES).products.drawings["cameras"])(artifact.decode(poses)))
@@ -122,7 +122,7 @@ def _cameras(plan: Plan, poses: bytes) -> dict[str, Any]:
 
 
 def _place_comments(crs: str) -> tuple[str, ...]:
-    """Return PLY comments on where the origin is on Earth: the coordinate system as PROJ reads it, its origin in words."""
+    """Return PLY comments on where the origin is on Earth: the coordinate system as PROJ reads it, and its origin in words."""
     if not crs:
         return ()
     origin = origin_of(crs)
@@ -135,7 +135,7 @@ def _place_comments(crs: str) -> tuple[str, ...]:
 def _files(plan: Plan, journal: Journal) -> Iterator[tuple[str, str, bytes]]:
     """Yield the files that stages make of their results: stage, name, content.
 
-    What cannot be made (a library is not installed, no UTM zone covers the site) becomes a warning.
+    A file that cannot be made (a library is not installed, no UTM zone covers the site) becomes a warning.
     """
     for stage in plan.stages:
         state = plan.states.get(Task(stage.name))
@@ -172,7 +172,7 @@ def _report(plan: Plan, record: RunRecord, journal: Journal, cameras: Mapping[st
 
 
 def repair_ledger(place: WorkFolder, journal: Journal) -> None:
-    """Rebuild the ledger where it is damaged, before it is read."""
+    """Rebuild the ledger if it is damaged, before it is read."""
     try:
         with Ledger(place, writes=True) as ledger:
             ledger.catch_up()
@@ -184,7 +184,7 @@ def repair_ledger(place: WorkFolder, journal: Journal) -> None:
 
 def post_run(run: Run, site: Site, journal: Journal) -> None:
     """Index the run, pin the first good one, and clean up.  The night is already published, so faults are only warnings."""
-    earlier = len(journal.events)
+    event_count = len(journal.events)
     try:
         with Ledger(run.cache.work, writes=True) as ledger:
             new_tasks = (task for task, event in run.task_events.items() if event.outcome in {"ran", "rejected"})
@@ -202,6 +202,6 @@ def post_run(run: Run, site: Site, journal: Journal) -> None:
         journal.warn(f"the ledger was not written: {error}", remedy="the next run catches up")
     except (OSError, WbflowError) as error:
         journal.warn(f"after the run: {error}", remedy="no result is lost; the next run tries again")
-    with contextlib.suppress(OSError):  # a full disk, of which a warning has been given
-        for event in journal.events[earlier:]:
+    with contextlib.suppress(OSError):  # a full disk: there is a warning already
+        for event in journal.events[event_count:]:
             run.run_folder.add(event)

@@ -77,7 +77,7 @@ def run_record(
 def root_cause(plan: Plan, task: Task) -> str | None:
     """Return why a task made nothing; if it was skipped because others were skipped, the original cause.
 
-    Of several causes, it is the one that most tasks share.
+    If there are several causes, the one that most tasks share.
     """
     state = plan.states[task]
     if state.outcome != "skipped" or "skipped" not in (state.reason or ""):
@@ -94,7 +94,7 @@ def root_cause(plan: Plan, task: Task) -> str | None:
         queue += unvisited
     kinds = Counter((root.stage, plan.states[root].code) for root in roots)
     kind, count = kinds.most_common(1)[0]
-    if kind[0] == FRAMES:  # too few cameras: the reason says how many there are
+    if kind[0] == FRAMES:  # too few cameras: the reason has their number
         return state.reason
     example = next(root for root in roots if (root.stage, plan.states[root].code) == kind)
     suffix = f" (and {count - 1} more like it)" if count > 1 else ""
@@ -114,7 +114,7 @@ class _SiteWide:
     crowded: Mapping[str, str]
     """By camera: a note on pairs that the pair graph left out."""
     dense: frozenset[tuple[str, str]]
-    """Pairs for dense matching, where these are chosen separately."""
+    """Pairs for dense matching, if these are chosen separately."""
 
     @staticmethod
     def from_plan(plan: Plan) -> _SiteWide:
@@ -200,7 +200,7 @@ def _not_none(summary: summaries.Summary) -> dict[str, Any]:
 
 
 def _pairs(plan: Plan) -> list[tuple[str, str]]:
-    """Pairs that are matched or made dense, in the order of the site file where the latter were chosen separately."""
+    """Pairs that are matched sparsely or densely; if dense pairs are chosen separately, in the order of the site file."""
     matched, dense = _usable_pairs(plan, PAIRS), _usable_pairs(plan, DENSE_PAIRS)
     position = {view.id: k for k, view in enumerate(plan.site.views)}
     return sorted({*matched, *dense}, key=lambda pair: [position[view] for view in pair]) if dense else matched
@@ -258,7 +258,7 @@ def _joined_figure(values: Sequence[Any], is_summed: bool) -> Any:
 
 
 def _by_camera(poses: summaries.PosesSummary) -> summaries.PosesSummary:
-    """Return the summary with camera ids where the poses have the ids of views."""
+    """Return the summary with camera ids instead of the ids of views."""
     issues = {(issue.kind, _camera_name(issue.camera)): issue for issue in reversed(poses.issues)}
     named = [replace(issue, camera=camera) for (_, camera), issue in reversed(issues.items())]
     return replace(poses, **{name: _with_camera_names(value) for name, value in vars(poses).items()} | {"issues": tuple(named)})

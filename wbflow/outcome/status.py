@@ -21,10 +21,10 @@ class Line:
 
     task: str
     state: str
-    """Cached, rejected, failed, skipped, would run, or waits."""
+    """The outcome of its `State` (cached, rejected, ...), or "would run"."""
     why: str
     seconds: float | None = None
-    """Expected CPU time, from its last run or the mean of its stage; None where it won't run, or neither is known."""
+    """Expected CPU time, from its last run or the mean of its stage; None if it won't run, or neither is known."""
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,7 @@ class Status:
     totals: dict[str, int]
     """How many tasks are in each state."""
     cpu_seconds: float | None
-    """Expected CPU time of all tasks that would run, as far as it is known; None where none is."""
+    """Expected CPU time of all tasks that would run, as far as it is known; None if none is."""
     pairs_to_come: bool
     """Further pairs will be matched that are not listed, because the pair graph is not known yet."""
 

@@ -38,13 +38,12 @@ LEAST_CONTRAST = 2.0
 """Images with a smaller standard deviation, in grey levels, show nothing, and may be identical."""
 SOFT_PX = 1.3
 """Images count as soft if their sharper edges are blurred by more than this (standard deviation, pixels).  The softest parts of
-photographs at 320 to 1600 pixels, and of rendered scenes by day and night, have 0.8 at most, a sensor's own pixels 1.0."""
+photographs at 320 to 1600 pixels, and of rendered scenes by day and night, have 0.8 at most, unscaled images 1.0."""
 COARSE = 1.465
 """Images count as soft above this JPEG blockiness (measured at working resolution).  Quality 50 gives 1.1 to 1.45 on sixteen
 scenes; quality 20 gives 1.48 on a yard, where 87 % of the points are right."""
 NOISY = 10.0
-"""Images count as soft if more noise than this is left (grey levels): with 13, 86 % of a yard's points are right, with 6, 95
-%."""
+"""Images count as soft if more noise than this is left (grey levels): 13 leaves 86 % of a yard's points right, 6 leaves 95 %."""
 _SOFT_LIMITS: Mapping[str, float] = {"blur_px": SOFT_PX, "coarseness": COARSE, "noise_left": NOISY}
 _SHOWN_FIGURES = ("detail_px", "saturated", "contrast")
 LEAST_MISFIT, UNRESOLVED = 1.1, 2.2
@@ -68,10 +67,10 @@ FAINT = 10.0
 on six scenes in thick fog or underexposed: 4.2 to 8.8 (82 to 90 % of the points right, 90 to 95 unaltered); in thinner fog 10.5
 and more.  Judged on a solar farm and a stadium: 6.8 to 9.1 (87 to 90 %).  Photographs by day and night have 17 to 76."""
 MOST_DIFFERENCE_PX = 0.25
-"""Largest overall difference tolerated between the depths that two pairs give to one view.  Right cameras give 0.02 to 0.16
+"""Largest overall difference tolerated between the depths that two pairs give to one view.  Right poses give 0.02 to 0.16
 (yard, apron, stadium, fountain, entry), a camera moved by half a metre or turned by half a degree 0.38 to 2.1."""
 MOST_DIFFERENCE_SOLVED_PX = 0.5
-"""Limit instead of `MOST_DIFFERENCE_PX` where a pose is solved, since tonight's matches determine it no better, or where dense
+"""Limit instead of `MOST_DIFFERENCE_PX` if a pose is solved, since tonight's matches determine it no better, or if dense
 matching confirms the rows of the stated cameras.  Judged on a quarry (one pose solved 0.25, all 0.3; 94 and 93 % of the points
 right) and a stadium (all 0.8, 76 %)."""
 SINGLE_DIFFERENCE_FACTOR = 2.0
@@ -88,7 +87,8 @@ LINES_PX, ROWS_PX = 1.0, 0.7
 or if its rows, by dense matching, are off by at most `ROWS_PX`.  On a solar farm, matches of look-alikes lie 1.5 to 20 px off,
 rows 0 to 0.65; with a stadium's camera tilted by half a degree, rows lie 1.6 and 1.7 px off."""
 SOFT_SHARE = 1 / 3
-"""Smallest share of the cameras in use whose points must show soft images: a single camera may see what is hard to measure."""
+"""Unless an image is soft by itself (`_is_soft`), soft images are reported only from this share of the cameras in use: a single
+camera may see what is hard to measure."""
 MOST_LETTERS = 200
 """Longest reason in a finding, in characters."""
 _EXIT_CODES: Mapping[Level, ExitCode] = {"good": ExitCode.GOOD, "degraded": ExitCode.DEGRADED, "failed": ExitCode.FAILED}
@@ -100,14 +100,14 @@ class Facts:
 
     failed: tuple[tuple[Task, State], ...] = ()
     product: bool = True
-    """Was the run to make a cloud?"""
+    """Was the run meant to make a cloud?"""
     missing: tuple[str, str] | None = None
-    """The stage that the run was to end with, and why it made nothing; None if it made something."""
+    """The stage that the run was meant to end with, and why it made nothing; None if it made something."""
     interrupted: bool = False
     stopped: tuple[State, ...] = ()
-    """States of the tasks that were not started because the time was over."""
+    """States of the tasks that were not started before the time of --stop-at."""
     upload_finding: Finding | None = None
-    """A finding on what the object store does not have yet."""
+    """The finding if some results are not in the object store yet."""
     calibration_change: str = ""
     """How lenses and poses differ from those of the reference, which is therefore not used."""
     acknowledged: tuple[Acknowledgement, ...] = ()
@@ -157,7 +157,7 @@ def judge(record: RunRecord, facts: Facts) -> RunRecord:
 
 
 def _is_tolerated(entry: Finding, record: RunRecord, facts: Facts) -> bool:
-    """Is it about a camera, on a site that may do without some of its cameras?"""
+    """Is it about a camera, while as many cameras are up as the site file requires?"""
     limit = facts.expected.limit(Measure.CAMERAS)
     if not entry.kind.startswith("camera-") or limit >= 1:
         return False
@@ -166,7 +166,7 @@ def _is_tolerated(entry: Finding, record: RunRecord, facts: Facts) -> bool:
 
 
 def check_end(record: RunRecord, facts: Facts) -> Iterator[Finding]:
-    """Did the run complete, did it make what it was to make, and does the object store have everything?"""
+    """Did the run complete, did it make what it was meant to make, and does the object store have everything?"""
     if facts.stopped:
         count = len(facts.stopped)
         yield finding("stopped", (), {"tasks": count}, reason=facts.stopped[0].reason, tasks=counted(count, "task"))
@@ -185,15 +185,15 @@ def check_cameras(record: RunRecord, facts: Facts) -> Iterator[Finding]:
     blamed = blame(record)
     excused = {name for excused_names in blamed.values() for name in excused_names}
     for camera in record.cameras:
-        trouble = _camera_finding(camera, record)
-        if trouble and trouble.kind == "camera-no-usable-pair":
+        entry = _camera_finding(camera, record)
+        if entry and entry.kind == "camera-no-usable-pair":
             may_be_dense = not facts.product and camera.figures.pose_from == "stated"  # on rows that its pose predicts
-            trouble = None if camera.id in excused or may_be_dense else _with_blame(trouble, blamed.get(camera.id))
-        if trouble:
+            entry = None if camera.id in excused or may_be_dense else _with_blame(entry, blamed.get(camera.id))
+        if entry:
             down = camera.down
             duration = f"; {down.words(left_out=not camera.ok)}" if down and down.nights > 1 else ""
             figures = {"since": down.since, "nights": down.nights} if down else {}
-            yield replace(trouble, text=trouble.text + duration, figures={**trouble.figures, **figures})
+            yield replace(entry, text=entry.text + duration, figures={**entry.figures, **figures})
 
 
 def _camera_finding(camera: CameraRecord, record: RunRecord) -> Finding | None:
@@ -225,7 +225,7 @@ def _pose_finding(camera: CameraRecord, record: RunRecord) -> Finding | None:
 
 
 def _is_refuted(issue: PoseIssue, record: RunRecord) -> bool:
-    """Do a camera's pairs agree with its stated pose after all?  Where whole surfaces match on the rows that the poses give,
+    """Do a camera's pairs agree with its stated pose after all?  If whole surfaces match on the rows that the poses give,
     matches far from these rows are of look-alikes.  Pairs vote as in `orientation.pose_check.verified`."""
     if not record.poses or record.poses.source != "calibration" or issue.triplets:
         return False
@@ -295,14 +295,14 @@ def blame(record: RunRecord) -> Mapping[str, tuple[str, ...]]:
     """
     used = {name for pair in record.pairs if pair.ok for name in pair.cameras}
     remaining = [pair for pair in record.pairs if _contradicts_poses(pair)]
-    against = {name: {pair.name for pair in remaining if name in pair.cameras} for name in _counts(remaining) if name not in used}
+    pairs_of = {name: {p.name for p in remaining if name in p.cameras} for name in _counts(remaining) if name not in used}
     blamed: dict[str, set[str]] = {}
-    while (name := _most_frequent(remaining, against)) is not None:
+    while (name := _most_frequent(remaining, pairs_of)) is not None:
         blamed[name] = {pair.name for pair in remaining if name in pair.cameras}
         remaining = [pair for pair in remaining if name not in pair.cameras]
     explained = set().union(*blamed.values())
-    excused = {name for name, pairs in against.items() if name not in blamed and pairs <= explained}
-    return {name: tuple(sorted(n for n in excused if against[n] & pairs)) for name, pairs in blamed.items()}
+    excused = {name for name, pairs in pairs_of.items() if name not in blamed and pairs <= explained}
+    return {name: tuple(sorted(n for n in excused if pairs_of[n] & pairs)) for name, pairs in blamed.items()}
 
 
 def _contradicts_poses(pair: PairRecord) -> bool:
@@ -323,16 +323,16 @@ def _most_frequent(pairs: Iterable[PairRecord], cameras: Iterable[str]) -> str |
     return counts[0][0]
 
 
-def _with_blame(trouble: Finding, excused: tuple[str, ...] | None) -> Finding:
+def _with_blame(entry: Finding, excused: tuple[str, ...] | None) -> Finding:
     """Add that the stated pose of the camera is at fault, and which others have no usable pair because of it."""
     if excused is None:
-        return trouble
-    text = f"{trouble.text}; a wrong stated pose of this camera explains that better than one of any other camera"
+        return entry
+    text = f"{entry.text}; a wrong stated pose of this camera explains that better than one of any other camera"
     if excused:
         have = "has" if len(excused) == 1 else "have"
         text += f"; {' and '.join(excused)} {have} no conclusive pair with another camera"
     remedy = "its pose is not the one in the site file: measure it again, or leave it out to have it solved"
-    return replace(trouble, text=text, remedy=remedy)
+    return replace(entry, text=text, remedy=remedy)
 
 
 def check_captures(record: RunRecord, facts: Facts) -> Iterator[Finding]:
@@ -485,18 +485,18 @@ def check_depths(record: RunRecord, facts: Facts) -> Iterator[Finding]:
         for pair, px in (camera.figures.apart_px or {}).items()
         if px <= LOOK_ALIKES_PX
     ]
-    agree = poses is not None and poses.rows_agree
-    limits = (MOST_DIFFERENCE_SOLVED_PX if agree or cameras & solved else MOST_DIFFERENCE_PX for cameras, _ in differences)
+    rows_agree = poses is not None and poses.rows_agree
+    limits = (MOST_DIFFERENCE_SOLVED_PX if rows_agree or cameras & solved else MOST_DIFFERENCE_PX for cameras, _ in differences)
     with_limits = [(cameras, px, limit) for (cameras, px), limit in zip(differences, limits, strict=True)]
     above_limit = sorted((px / limit, px, limit) for _, px, limit in with_limits if px > limit)
     if not above_limit or (len(above_limit) == 1 and above_limit[0][0] <= SINGLE_DIFFERENCE_FACTOR):
         return
     _, largest, limit = above_limit[-1]
-    balances: Counter[str] = Counter()
+    scores: Counter[str] = Counter()
     for cameras, px, tolerated in with_limits:
-        balances.update(dict.fromkeys(cameras, 1 if px > tolerated else -1))
-    worst = max(balances.values())
-    suspects = tuple(camera for camera, votes in balances.items() if votes == worst >= 0)
+        scores.update(dict.fromkeys(cameras, 1 if px > tolerated else -1))
+    worst = max(scores.values())
+    suspects = tuple(camera for camera, score in scores.items() if score == worst >= 0)
     cause = "no single camera explains it; all may be slightly off"
     if suspects:
         cause = f"the pose or lens of {' or '.join(suspects)} is probably wrong"
@@ -525,8 +525,8 @@ def check_survey(record: RunRecord, facts: Facts) -> Iterator[Finding]:
         yield finding("units-implausible", (), figures, {"nearest_m": limit}, None, nearest=nearest, limit=limit, unit=unit)
 
 
-def _names(cameras: Iterable[str]) -> str:
-    return shortened(", ".join(cameras))
+def _names(names: Iterable[str]) -> str:
+    return shortened(", ".join(names))
 
 
 def check_tasks(record: RunRecord, facts: Facts) -> Iterator[Finding]:
@@ -544,7 +544,7 @@ def check_tasks(record: RunRecord, facts: Facts) -> Iterator[Finding]:
 
 
 def check_cloud(record: RunRecord, facts: Facts) -> Iterator[Finding]:
-    """Is enough of the cloud right, as estimated from its own cameras?"""
+    """Is enough of the cloud right, as expected from the confidence of its points?"""
     cloud = record.cloud
     if cloud and cloud.right is not None and cloud.right < LEAST_RIGHT:
         figures, expected = {"right": cloud.right}, {"right": LEAST_RIGHT}

@@ -63,7 +63,7 @@ def bind(stage: Stage, use: str | None, values: Mapping[str, Any], reader: Funct
     stage, reader : Stage, FunctionReader
         The row of the stage, and the reader of functions.
     use : str or None
-        The function that the site file names for the stage; None for that of the row.
+        The function that the site file names for the stage; None for the one in the stage's row.
     values : mapping
         Parameters that the site file sets, by name.
     """
@@ -102,7 +102,7 @@ def methods_with_file(stage: Stage, name: str, reader: FunctionReader) -> list[s
 
 
 def _chosen_method(stage: Stage, values: Mapping[str, Any], parameters: Mapping[str, Parameter], reader: FunctionReader) -> str:
-    """Dotted name of the method that the site file or else the default selects."""
+    """Dotted name of the method that the site file selects, or else the default."""
     assert stage.method
     name = stage.method.parameter
     choice = values.get(name, parameters[name].default)

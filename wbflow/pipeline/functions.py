@@ -88,7 +88,7 @@ class FunctionReader(Memo):
         return methods
 
     def _from_memo(self, kind: str, dotted: str, read: Callable[[], tuple[Any, Iterable[Path]]]) -> Any:
-        """Return what the memo has of a dotted name; else read it, and remember it with its source files."""
+        """Return the memo's entry for a dotted name; if there is none, read it and remember it with its source files."""
         name = f"{kind} {dotted} {self.modules.file(dotted.partition(':')[0])}"  # the same name in another file is another entry
         entries = self.entries["known"]
         if name not in entries:

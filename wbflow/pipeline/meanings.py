@@ -19,9 +19,9 @@ class Meaning:
     title: str
     words: str
     good: float | None = None
-    """The limit from which on the figure is good."""
+    """Limit at and beyond which the figure is good."""
     bad: float | None = None
-    """The limit from which on it is bad; below `good` if small values are bad, above it if large ones are."""
+    """Limit at and beyond which it is bad; less than `good` if small values are bad, greater if large ones are."""
     share: bool = False
     """Is it a share, to be shown in percent?"""
 

@@ -106,10 +106,10 @@ def _among_best(best_first: Iterable[Pair], most: int) -> set[Pair]:
 
 
 def _shared_with_baseline(overlap: Any) -> np.ndarray:
-    """Return shares (m,), reduced for many views without poses if two are too similar: without a baseline there is no depth.
+    """Return shared parts (m,).  Among many views without poses, pairs that are too similar get less: they may have no baseline.
 
     The similarity of views falls with the angle between them, by 4.7 % per degree on two photographed sites.  The median of the
-    views' best similarities is taken as that at zero angle; a pair below 12 degrees counts like one as far above 12 degrees.
+    views' best similarities is taken as the one at 0 degrees; a pair at 12 - a degrees then counts like one at 12 + a degrees.
     """
     import numpy as np
 
@@ -155,7 +155,7 @@ def choose(candidates: nx.Graph, degree: int, forced: list[Pair], low_worth: Col
     Parameters
     ----------
     candidates
-        Graph of views; its edges are pairs with `weight` (worth) and `order` (of the evidence).
+        Graph of views; its edges are pairs with `weight` (worth) and `order` (position in the evidence, which breaks ties).
     degree
         Pairs to choose at each view.
     forced
@@ -347,9 +347,9 @@ def _pairs_to_list(evidence: Evidence, chosen: Collection[Pair]) -> set[Pair]:
 
 
 def _forced_pairs(included: Collection[frozenset[str]], views: Sequence[str], evidence: dict[Pair, Known]) -> set[Pair]:
-    """The pairs that are always matched: one for each two cameras in `wanted`, the best if they have several views.
+    """The pairs that are always matched: one for each two cameras in `included`, the best if they have several views.
 
-    With many views, pairs that share nothing may be missing from the evidence; wanted ones are added to it.
+    With many views, pairs that share nothing may be missing from the evidence; included ones are added to it.
     """
     forced = dict[frozenset[str], Pair]()
     for pair in evidence if included else ():
@@ -401,7 +401,7 @@ def select_dense_pairs(
         counts.update(pair)
         added[pair] = Edge(*pair, kept=True, reason=reason, angle_deg=angle, shared=share)
 
-    placed, unplaced = _other_matches(shared, pairs, set(rule_graph.pairs))
+    placed, unplaced = _other_pairs(shared, pairs, set(rule_graph.pairs))
     for pair, angle, share in placed:
         if max(counts[view] for view in pair) < min(degree, MOST_PAIRS_PER_VIEW):
             add(pair, angle, share, "matched, and both cameras have room for it")
@@ -420,9 +420,9 @@ def select_dense_pairs(
     return PairGraph(kept, tuple(edges), groups(list(views), kept), rule_graph.untold, rule_graph.crowded)
 
 
-def _other_matches(shared: Any, pairs: PairGraph, chosen: Collection[Pair]) -> tuple[list[tuple[Pair, float, float]], list[Pair]]:
-    """Matched pairs that are not among `chosen`: those of placed cameras with angle and shared part, by descending worth; and
-    those with a camera that is not placed."""
+def _other_pairs(shared: Any, pairs: PairGraph, chosen: Collection[Pair]) -> tuple[list[tuple[Pair, float, float]], list[Pair]]:
+    """Matched pairs that are not among `chosen`: first pairs of placed cameras, with angle and shared part, by descending worth;
+    then pairs with a camera that is not placed."""
     evidence = _all_evidence(shared)
     left = [pair for pair in pairs.pairs if pair not in chosen]
     best_first = sorted((pair for pair in left if pair in evidence), key=lambda pair: -evidence[pair][2])

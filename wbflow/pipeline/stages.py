@@ -47,8 +47,8 @@ class Source:
     name: str
     """Name of the stage, or of the input from the site."""
     of: Of = "own"
-    """Whose result: that of the task's own subject, or of the left or right camera of its pair; or, as a mapping, those of every
-    subject, of the camera's partners in dense pairs ("around"), or also of some partners of these ("near": `Subjects.near`)."""
+    """Whose result: the task's own subject, or the left or right camera of its pair.  Or whose results, as a mapping: every
+    subject, the camera's partners in dense pairs ("around"), or these and some of their partners ("near": `Subjects.near`)."""
     part: str = ""
     """Only this field of the result; if it is a mapping from a site-wide stage, only the entry of the task's camera or pair."""
     optional: bool | Condition = False
@@ -111,7 +111,7 @@ class Reuse:
     aggregate: str = ""
     """Dotted name of a function that pools the results of many nights (mapping by night) into one result."""
     too_little: tuple[str, ...] = ()
-    """Rejection codes, of this stage or of pair stages that need it, with which pairs are pooled: one night was too little."""
+    """Rejection codes, of this stage or of pair stages that need it: one night was too little, so many nights are pooled."""
 
 
 @dataclass(frozen=True)
@@ -119,8 +119,8 @@ class Products:
     """What people see of a stage's result: dotted names of the functions that make it from the result."""
 
     drawings: Mapping[str, str] = field(default_factory=dict)
-    """Functions, by name of the drawing, whose bytes are stored with the artifact.  `picture`: a JPEG file, drawn from the result
-    and `picture_inputs`; `large`: a JPEG of a camera's image in full size; `marks`: points in these images, of a camera or pair;
+    """Functions by name of the drawing; the bytes they return are stored with the artifact.  `picture`: a JPEG, drawn from the
+    result and `picture_inputs`; `large`: a camera's image in full size (JPEG); `marks`: a camera's or pair's points in `large`;
     `view`: points for the report's 3-D view; `layer`: an image on the report's map (see `report.pictures`); `cameras`: the
     cameras that a run publishes, as JSON in the format of a calibration."""
     picture_inputs: Mapping[str, Source] = field(default_factory=dict)
@@ -144,7 +144,7 @@ class Stage:
     offers: Mapping[str, Source] = field(default_factory=dict)
     """Further inputs, for methods and functions of a site's own that have arguments with these names."""
     optional: bool | Condition = False
-    """The site file may switch the stage off; with a condition, it also takes no part where that is false for the site."""
+    """The site file may switch the stage off; if it is a condition, the stage is off for sites that do not meet it, too."""
     dense: bool = False
     """Of a pair stage: it works on the dense pairs instead of the matched ones."""
     method: Method | None = None
@@ -153,7 +153,7 @@ class Stage:
     reuse: Reuse = Reuse()
     products: Products = Products()
     summary: type[summaries.Summary] | None = None
-    """The part of its results that the engine and run.json read."""
+    """The part of its results that the engine reads and run.json contains."""
 
     def needed(self) -> set[str]:
         """The stages whose results this one requires."""

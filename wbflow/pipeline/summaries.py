@@ -88,7 +88,7 @@ class CameraFigures(FeaturesSummary, FrameSummary):
     points: int | None = None
     misfit: float | None = None
     apart_px: Mapping[str, float] | None = None
-    """By two dense partners, as `left--right`: overall difference between the depths from their pairs, pixels."""
+    """By two of its dense partners, as `first--second`: overall difference of the depths from its pairs with them, pixels."""
 
 
 @dataclass(frozen=True)

@@ -35,7 +35,7 @@ class TaskEvent:
     cpu: float | None = None
     """CPU time in seconds, if it ran."""
     trace: str | None = None
-    """Traceback of an unexpected fault."""
+    """Traceback of an unexpected error."""
 
     @property
     def usable(self) -> bool:
@@ -45,7 +45,7 @@ class TaskEvent:
 
 @dataclass(frozen=True)
 class WarningEvent:
-    """A problem that did not stop the run but that the operator should know of: a picture that was not drawn, an artifact made
+    """A problem that did not stop the run but that the operator should know of: a failed drawing, an artifact that was made
     again, a ledger that was not written, an obsolete word in the site file."""
 
     what: str
@@ -57,7 +57,7 @@ class WarningEvent:
     remedy: str = ""
     """What to do about it; "" if nothing can be done."""
     trace: str | None = None
-    """Traceback of an unexpected fault."""
+    """Traceback of an unexpected error."""
     repaired: bool = False
     """Was it damage on disk that has been repaired?"""
 

@@ -358,7 +358,7 @@ class Down(JsonDataclass):
     """Number of such nights so far."""
 
     def words(self, left_out: bool = True) -> str:
-        """Return since when, in words.  left_out: False for a camera that is used despite its fault, and thus is not "down"."""
+        """Return since when it is down, in words.  left_out: False for a camera used despite its fault, so not "down"."""
         return f"{'down' if left_out else 'so'} since {self.since}, {self.nights} night{'s' * (self.nights != 1)}"
 
 

@@ -111,12 +111,12 @@ class Ledger:
         """Return the time, memory and disk space that the newest tasks took."""
         query = f"select stage, task, wall, peak_mb, bytes from artifacts order by finished desc limit {_MOST_TASKS}"
         costs, seconds, sizes = TaskCosts(), defaultdict[str, list[float]](list), defaultdict[str, list[int]](list)
-        for stage, task, wall, held, size in self._db.execute(query):
+        for stage, task, wall, peak_mb, size in self._db.execute(query):
             seconds[stage].append(wall)
             sizes[stage].append(size)
             costs.tasks.setdefault(task, wall)
-            costs.tasks_mb.setdefault(task, held)
-            costs.stages_mb[stage] = max(held, costs.stages_mb.get(stage, 0.0))
+            costs.tasks_mb.setdefault(task, peak_mb)
+            costs.stages_mb[stage] = max(peak_mb, costs.stages_mb.get(stage, 0.0))
         costs.stages.update({stage: median(walls) for stage, walls in seconds.items()})
         costs.stages_bytes.update({stage: fmean(stage_sizes) for stage, stage_sizes in sizes.items()})
         return costs

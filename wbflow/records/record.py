@@ -174,7 +174,7 @@ class RunRecord(JsonDataclass):
     usual: Usual | None = None
     """The usual figures that the night was compared with; None if there were none."""
     settings: str = ""
-    """Digest of everything that the site file and the version determine: only nights with equal digests are compared."""
+    """Digest of the site file's settings and the stages' code: usual figures come only from nights with the same digest."""
     repaired: tuple[str, ...] = ()
     """Damage on disk that the run found and repaired, in words."""
     files: Mapping[str, str] = field(default_factory=dict)

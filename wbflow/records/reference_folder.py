@@ -83,7 +83,7 @@ class Reference:
 
     @staticmethod
     def from_json(data: Mapping[str, Any]) -> Reference:
-        """Return the reference that such content describes.  Raises KeyError, TypeError or ValueError for any other content."""
+        """Return the reference from the content of reference.json.  Raises KeyError, TypeError or ValueError if it is invalid."""
         artifacts = {}
         for entry in data["artifacts"]:
             stage, subject = entry["task"]
@@ -115,7 +115,7 @@ def read_record(path: Path) -> Reference | None:
 def write_reference(cache: Cache, reference: Reference, receipts: Iterable[Receipt]) -> None:
     """Replace the reference of a work folder.  The caller holds the lock.  Raises OSError.
 
-    receipts: those of the reference's artifacts, which must be in the cache.
+    receipts: the receipts of the reference's artifacts, which must be in the cache.
     """
     work = cache.work
     new_files, is_replaced = {work.reference_record, work.reference_twin}, work.reference.exists()

@@ -106,11 +106,11 @@ def _derived_results(aggregated: Receipt, stage: Stage, plan: Plan) -> list[Rece
     pair = aggregated.preimage.task.subject
     plan.commit(aggregated.preimage.task, cached_state(aggregated))
     try:
-        done = [done for other in _dependents(stage) for done in run_chain([plan.spec_of(Task(other.name, pair))], plan.cache)]
+        ended = [done for other in _dependents(stage) for done in run_chain([plan.spec_of(Task(other.name, pair))], plan.cache)]
     except (Waiting, Impossible):
         return None
-    receipts = [ended.state.receipt for ended in done if ended.state.receipt and ended.state.receipt.outcome == "ran"]
-    return receipts if len(receipts) == len(done) else None
+    receipts = [done.state.receipt for done in ended if done.state.receipt and done.state.receipt.outcome == "ran"]
+    return receipts if len(receipts) == len(ended) else None
 
 
 def _comparable_receipts(

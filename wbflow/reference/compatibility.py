@@ -28,7 +28,7 @@ def incompatibility(reference: Reference, plan: Plan) -> str:
     """Return why the reference can no longer be used after changes of the site file, as text; "" if it can.
 
     Code may change: a reference survives a new version.  The site file's entries for cameras, and for the stages whose results
-    are reused from the reference, may not.  plan: that of the site as it is now.
+    are reused from the reference, may not.  plan: the plan of the site as it is now.
     """
     site = plan.site
     ids = {camera.id for camera in site.cameras}
@@ -88,8 +88,8 @@ LEAST_DEG, LEAST_DISTANCE = 0.5, 0.02
 def calibration_change(pinned: Mapping[str, Mapping[str, Any]], site: Site) -> str:
     """Return which lenses and poses have changed, as text; "" if none have.  pinned: cameras by id, as in cameras.json.
 
-    Relative poses are compared, so that the frame and the scale of the pinned world do not matter.  Poses that are stated with
-    standard deviations were refined by the pinned run, and are not compared.
+    Relative poses are compared, so that the coordinate system and scale of the pinned world do not matter.  Poses that are stated
+    with standard deviations were refined by the pinned run, and are not compared.
     """
     lenses = {c.id: (c.lens, pinned[c.id]) for c in site.cameras if c.lens.K is not None and pinned.get(c.id, {}).get("K")}
     focals = {name: share for name, (lens, old) in lenses.items() if abs(share := _focal_change(lens, old)) > LEAST_FOCAL}
@@ -140,7 +140,7 @@ def _radial_shift(distortion: Sequence[float], radius: float) -> float:
 
 
 def _pose_change(old_poses: Mapping[str, Any], new_poses: Mapping[str, Any]) -> tuple[float, float]:
-    """Return the largest change between two cameras: of the relative rotation in degrees; of distance over the mean distance."""
+    """Return the largest changes among pairs of cameras: of the relative rotation, degrees; of the distance over the mean one."""
     pairs = list(combinations(new_poses, 2))
     if not pairs:
         return 0.0, 0.0

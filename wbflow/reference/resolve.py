@@ -35,7 +35,7 @@ FEWEST = 2
 """The reference is reused only if the poses of at least this many cameras are known from it."""
 
 SHIFTS_TYPE = "wbflow_stages.types:Usual"
-"""The type as which a stage gets the shifts of earlier nights; its fields are lists with a number per night, oldest first."""
+"""The type in which a stage gets the shifts of earlier nights; its fields are lists of one number per night, oldest first."""
 SHIFTS = ("shift_x_px", "shift_y_px", "roll_deg")
 """Fields of `SHIFTS_TYPE`; the figures of a camera's health have the same names."""
 MOST_NIGHTS = 14
@@ -44,7 +44,7 @@ MOST_RUNS = 3 * MOST_NIGHTS
 
 
 def shift_history(work: WorkFolder, night: str, reference: str) -> dict[str, dict[str, list[float]]]:
-    """By camera and name: its shifts on the nights that were compared with the same reference and measured them, oldest first.
+    """By camera and field: its shifts on the nights that were compared with the same reference and measured them, oldest first.
 
     night: only older nights count, so that a repeated run finds the same history.  reference: id of the reference's run.
     """
@@ -67,7 +67,7 @@ class Resolver:
     _healths: dict[str, HealthSummary] = field(default_factory=dict, repr=False)
     """Health by view, for the views that were examined tonight."""
     _useless: set[str] = field(default_factory=set, repr=False)
-    """Views that show nothing of the site, as far as is known."""
+    """Views that are known to show nothing of the site tonight."""
     _own_frames: set[str] = field(default_factory=set, repr=False)
     """Views whose frame tonight is the reference's own (same cache key)."""
     _poses_suffice: bool | None = field(default=None, repr=False)
@@ -80,7 +80,7 @@ class Resolver:
         self._useless |= {view for view in self.cameras if (h := self.plan.stale.get(camera_of(view))) and h.state in USELESS}
 
     def input(self, need: Source, task: Task) -> Input:
-        """An input from the reference; absent if tonight's frames are the reference's own.  Raises Waiting."""
+        """An input from the reference; absent or empty without one, or if tonight's frames are the reference's own."""
         of_every = need.of == "every"
         if self.plan.reference is None or self._own_frames.issuperset(task.subject or self.cameras):
             return Joined({}) if of_every else Absent()
@@ -94,7 +94,7 @@ class Resolver:
         return self._stored(need, Task(origin.name, subject), not whole_artifact, task.subject)
 
     def history_input(self, need: Source, task: Task) -> Input:
-        """The shifts of a camera on earlier nights.  Raises Waiting."""
+        """The shifts of a camera on earlier nights; absent without a reference, or if its frame is the reference's own."""
         if self.plan.reference is None or self._own_frames.issuperset(task.subject):
             return Absent()
         return Value(SHIFTS_TYPE, self._shift_history.get(camera_of(task.subject[0]), {}))

@@ -1,4 +1,4 @@
-"""Restores what the reference or the cache has lost from the other, before a run and whenever a reader finds damage."""
+"""Restores results that the reference or the cache has lost, from the other one: before a run, and when a reader finds damage."""
 
 from __future__ import annotations
 
@@ -93,26 +93,26 @@ def restore_to_cache(work: WorkFolder, pinned: PinnedArtifact) -> bool:
 
     The caller holds the lock.  Raises OSError.
     """
-    receipt = work.receipt(pinned.task, pinned.key)
-    copies = sorted(work.pinned(receipt).parent.glob(f"{pinned.key}.*"), key=lambda p: p.suffix == receipt.suffix)
-    artifacts = [copy for copy in copies if copy.suffix != receipt.suffix]
+    path = work.receipt(pinned.task, pinned.key)
+    copies = sorted(work.pinned(path).parent.glob(f"{pinned.key}.*"), key=lambda p: p.suffix == path.suffix)
+    artifacts = [copy for copy in copies if copy.suffix != path.suffix]
     try:
-        is_intact = read_checksummed(work.pinned(receipt), work.identity_of(receipt)) is not None
+        is_intact = read_checksummed(work.pinned(path), work.identity_of(path)) is not None
     except Damaged:
         is_intact = False
     if not is_intact or (pinned.digest and [sha256_of(copy)[:32] for copy in artifacts if copy.is_file()] != [pinned.digest]):
         return False
     for copy in copies:  # the receipt last
-        copy_atomic(copy, receipt.with_suffix(copy.suffix))
+        copy_atomic(copy, path.with_suffix(copy.suffix))
     return True
 
 
 def _copy_differs(cache: Cache, receipt: Receipt) -> bool:
     """Quick check: is the reference's copy of a receipt or an artifact gone, or of another size?"""
-    record = cache.work.receipt(receipt.preimage.task, receipt.key)
-    copies = str(cache.work.pinned(record.parent))  # as text, which is faster: every night checks all of them
+    path = cache.work.receipt(receipt.preimage.task, receipt.key)
+    copies = str(cache.work.pinned(path.parent))  # as text, which is faster: every night checks all of them
     try:
-        sizes = {record.name: record.stat().st_size} | ({receipt.file: receipt.bytes} if receipt.file else {})
+        sizes = {path.name: path.stat().st_size} | ({receipt.file: receipt.bytes} if receipt.file else {})
         return any(os.stat(f"{copies}/{name}").st_size != size for name, size in sizes.items())  # noqa: PTH116
     except OSError:
         return True

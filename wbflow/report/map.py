@@ -15,14 +15,14 @@ from .scene import Scene, SceneCamera
 
 WIDTH = 1000.0
 _MOST_HEIGHT = 900.0
-"""Largest height."""
+"""Largest height of the map."""
 _MARGIN = 70.0
 _VIEW_LENGTH = 0.16
 """Length of a drawn field of view, as a share of the larger side of the map."""
 _MOST_LABELLED = 24
 """Up to this number of cameras, each camera's name is placed above it."""
 _LETTER_WIDTH, _LINE_HEIGHT = 6.0, 11.0
-"""Width of a letter and height of a line, if there are many names."""
+"""Size of a name's letters, to find names that would overlap (only if there are many cameras)."""
 _MOST_EXTRA_WIDTH = 5.0
 """Extra width of the line of the pair with the most inliers; other usable pairs get a share of it."""
 
@@ -51,7 +51,7 @@ class Map:
         return (place[0] - self.left) * self.scale, (self.top - place[1]) * self.scale
 
     def field_of_view(self, camera: SceneCamera) -> str:
-        """Return the corners of its outline, bounded by the camera's two outermost rays; "" if its direction is unknown."""
+        """Return the corners of its outline, between the camera's outermost rays; "" if the direction is unknown or too steep."""
         horizontal = [(r[0], r[1]) for r in camera.rays if math.hypot(r[0], r[1]) > 1e-9]
         if len(horizontal) < 2 or math.hypot(camera.ahead[0], camera.ahead[1]) < 0.1:
             return ""
@@ -108,7 +108,7 @@ def _place_labels(cameras: Sequence[SceneCamera], at: Mapping[str, tuple[float, 
 
 
 def layers_of(data: ReportData, drawn: Map) -> list[dict[str, Any]]:
-    """Return the pictures on the map; each head contains the top left, top right and bottom left corner in world coordinates.
+    """Return the pictures on the map; the stored head of each has its top left, top right and bottom left corner in the world.
 
     Their matrices map the unit square to the drawing, in the order of CSS: a, b, c, d, e, f.
     """

@@ -28,7 +28,7 @@ Matrix = Sequence[Sequence[float]]
 _LEAST_SHIFT = 5e-4
 """Pictures of two nights whose corners differ by less than this share of their size are overlaid without a homography."""
 MOST_PICTURE_BYTES = 6_000_000
-"""Most bytes of small pictures in a page; further pictures are links to their files."""
+"""Largest total size of small pictures in a page; further pictures are links to their files."""
 
 OTHER = "other"
 """Used instead of a stage's name for the points of another night."""
@@ -63,7 +63,7 @@ class OtherNight:
         return stream if all(self.is_as_private(frame) for frame in self.keys if frame.stage == FRAMES) else None
 
     def is_as_private(self, frame: Task) -> bool:
-        """Return whether a camera's picture of that night hides all that is private now: the same polygons, or none now."""
+        """Return whether a camera's picture of that night hides what is private now: same polygons, or none any more."""
         site_view = next((view for view in self.page.site.views if (view.id,) == frame.subject), None)
         if site_view is None or not site_view.privacy:
             return True

@@ -52,8 +52,8 @@ class Processes(Executor):
     """Worker processes of joblib's loky, kept warm.
 
     Each worker is a pool of its own, so that a call that ends its process affects no other call.  The total memory of all workers
-    is limited: above the limit, idle workers are ended first, then the one that holds most.  The caller submits at most `jobs`
-    calls at a time.
+    is limited: above the limit, idle workers are ended first, then the one that holds the most.  The caller submits at most
+    `jobs` calls at a time.
     """
 
     def __init__(self, jobs: int, memory: int) -> None:
@@ -103,7 +103,7 @@ class Processes(Executor):
         return self._workers[-1]
 
     def _begin(self, worker: _Worker, future: Future[Any], call: Callable[[], Any]) -> None:
-        """Submit a call to a worker that has started: loky would wait forever for one that dies before it reads a long call."""
+        """Submit a call to a worker that has started: loky would wait forever if the worker died before it reads a long call."""
         if failure := worker.started.exception():
             future.set_exception(_start_error(_describe_end(failure)))
             return
@@ -212,7 +212,7 @@ _PR_SET_PDEATHSIG = 1  # prctl(2)
 
 
 def _start_error(reason: str) -> WbflowError:
-    """The error for a worker process that does not start; checks the right to execute, which a broken pipe does not reveal."""
+    """The error for a worker process that does not start; checks the right to execute, since loky reports only a broken pipe."""
     remedy = "its output says why; is wbflow installed for this Python?"
     if not os.access(sys.executable, os.X_OK):
         reason = f"this user may not execute {sys.executable}"

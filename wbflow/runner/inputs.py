@@ -48,7 +48,7 @@ class Subjects:
         return [Task(stage.name), *(Task(stage.name, (component_name(k),)) for k in components)]
 
     def pairs(self, dense: bool = False) -> list[tuple[str, str]] | None:
-        """The pairs that are matched, or those of dense matching; None while they are unknown."""
+        """The pairs that are matched, or the dense pairs; None while they are unknown."""
         graph = self._graph(dense)
         return None if graph is None else graph.pairs
 
@@ -69,8 +69,8 @@ class Subjects:
         return sorted(around, key=self._position.__getitem__)
 
     def near(self, camera: str) -> list[str]:
-        """The cameras around a camera and, if these are fewer than eight, those that make dense pairs with the most of them; in
-        the order of the site file."""
+        """A camera's partners in dense pairs and, up to `_MOST_NEAR` in all, the cameras with the most dense pairs with these
+        partners; in the order of the site file."""
         partners = self.around(camera)
         counts = Counter(other for partner in partners for other in self.around(partner))
         candidates = sorted(counts.keys() - {camera, *partners}, key=lambda other: (-counts[other], self._position[other]))
@@ -165,8 +165,8 @@ class Inputs:
         origin = stage_named(need.name)
         if need.joins:
             return self._join(origin, need, task)
-        of_site = stage_named(task.stage).scope == "site"
-        entry = "--".join(own_subject(need, task)) if origin.scope == "site" and not of_site else None
+        is_site_wide = stage_named(task.stage).scope == "site"
+        entry = "--".join(own_subject(need, task)) if origin.scope == "site" and not is_site_wide else None
         part = Part(need.part, entry) if need.part else None
         return self._stored(Task(origin.name, subject_of(origin, need, task)), need, part, earlier)
 
@@ -206,8 +206,8 @@ class Inputs:
         """The results of many tasks, or many entries of a site-wide result, by subject."""
         if need.may_lack(self.plan.site) and need.name not in self.stages:
             return Joined({})
-        of_pairs = origin.scope == "pair" or need.of in {"around", "near"}
-        if of_pairs and self.plan.subjects.pairs(origin.dense or origin.scope != "pair") is None:
+        needs_pairs = origin.scope == "pair" or need.of in {"around", "near"}
+        if needs_pairs and self.plan.subjects.pairs(origin.dense or origin.scope != "pair") is None:
             raise Waiting(None)
         joined = self.plan.subjects.joined(origin, need, task)
         if origin.scope == "site":
@@ -233,8 +233,8 @@ class Inputs:
 
     def _entries(self, origin: Stage, need: Source, joined: list[Task]) -> Input:
         """The entries for some cameras in a mapping from a site-wide stage."""
-        optional, site_task = replace(need, optional=True), Task(origin.name)
-        inputs = {task.subject: self._stored(site_task, optional, Part(need.part, task.subject[0])) for task in joined}
+        optional_need, site_task = replace(need, optional=True), Task(origin.name)
+        inputs = {task.subject: self._stored(site_task, optional_need, Part(need.part, task.subject[0])) for task in joined}
         items: dict[Subject, Value | Stored] = {subject: item for subject, item in inputs.items() if isinstance(item, Stored)}
         if not items:
             raise blocked_by(site_task, self.plan.states[site_task])

@@ -55,7 +55,7 @@ class Journal:
         what, remedy : str
             The problem in one line, and what to do about it ("" if nothing can be done).
         task, trace : Task, str, optional
-            The task that it concerns, and the traceback of an unforeseen error.
+            The task that it concerns, and the traceback of an unexpected error.
         """
         self._add(WarningEvent(what, now(), task, remedy, trace))
 

@@ -14,7 +14,7 @@ from ..task import Task
 from ..words import format_size
 
 LEAST_SECONDS, MOST_WAIT_SECONDS, TIMES_MEDIAN = 600.0, 6 * 3600.0, 20.0
-"""Time limit of a task: TIMES_MEDIAN times the median of its stage, within the two bounds (seconds); the upper one if unknown."""
+"""Time limit of a task: TIMES_MEDIAN times its stage's median, within two bounds (seconds); the upper one without a median."""
 DISK_RESERVE, DISK_MARGIN = 16_000_000, 1.2
 """Bytes of disk space kept free so that the run can be published; factor by which tasks may need more space than earlier ones."""
 MEMORY_SHARE = 0.8
@@ -45,7 +45,7 @@ class Limits:
         self.measured_mb[stage] = max(mb, self.measured_mb.get(stage, 0.0))
 
     def fits(self, begun: Iterable[Iterable[Task]], chain: Iterable[Task]) -> bool:
-        """Return whether memory suffices for one more chain; an unknown chain counts as 0: if lost, it is retried alone."""
+        """Return whether memory suffices for one more chain; a task of unknown cost counts as 0, and is retried alone if lost."""
         return not self.memory or sum(map(self._peak_mb, [*begun, chain])) * 2**20 <= self.memory
 
     def _peak_mb(self, chain: Iterable[Task]) -> float:

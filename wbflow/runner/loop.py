@@ -54,7 +54,7 @@ class _Loop:
     dispatcher: Dispatcher
     journal: Journal
     stop_at: datetime.datetime | None
-    """Local time from which on only existing results are put together."""
+    """Local time after which the run computes only what joins existing results (see `_stop`)."""
     stopped: bool = False
     _attempts: Counter[Task | Path] = field(default_factory=Counter)
 

@@ -56,7 +56,7 @@ class Options:
     def _check_subject(self, site: Site, name: str) -> None:
         """Raises UsageError if `force` names a task that the site cannot have."""
         stage, _, subject = name.partition(" ")
-        views = [name for view in site.views for name in dict.fromkeys((view.id, camera_of(view.id)))]
+        views = [id_ for view in site.views for id_ in dict.fromkeys((view.id, camera_of(view.id)))]
         pairs = {"--".join(pair) for pair in itertools.combinations(dict.fromkeys(views), 2)} if subject else set()
         subjects = {"camera": set(views), "pair": pairs, "site": {component_name(k) for k in range(1, len(views))}}
         existing = subjects[stage_named(stage).scope]

@@ -70,7 +70,7 @@ class Plan:
     _task_counts: Counter[str] = field(default_factory=Counter)
     """Number of tasks by stage, ended ones included."""
     _bindings: dict[str, Binding] = field(default_factory=dict)
-    """Bindings by stage, or by the `Adapt` function that replaces that of the stage."""
+    """Bindings by stage, or by the `Adapt` function that replaces the stage's own function."""
 
     def __post_init__(self) -> None:
         requested = ancestors(self.until) if self.until else {stage.name for stage in STAGES}
@@ -152,7 +152,7 @@ class Plan:
         return all(self.subjects.pairs(dense) is not None for dense in ([stage.dense] if stage else (False, True)))
 
     def spec_of(self, task: Task) -> TaskSpec:
-        """The spec of a task, whether it has been done or not.
+        """The spec of a task, whether it has already ended or not.
 
         Raises Waiting if its inputs are not ready, Impossible if they cannot be made.
         """

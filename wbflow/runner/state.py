@@ -17,7 +17,7 @@ class Cause(StrEnum):
     """Why a task failed or was skipped, as one countable word; for a rejection, the stage defines the code."""
 
     NO_CAPTURE = "no-capture"
-    """No file of the camera is there, or none can be read."""
+    """The camera has no file, or none that can be read."""
     TOO_FEW_CAMERAS = "too-few-cameras"
     """Fewer than two cameras have a usable capture."""
     NO_PAIRS = "no-pairs"
@@ -57,7 +57,7 @@ class State:
     """The reason as one word: a `Cause`, or the stage's code for a rejection; for a skipped task, that of the upstream task."""
     receipt: Receipt | None = None
     trace: str | None = None
-    """Traceback of an unforeseen error."""
+    """Traceback of an unexpected error."""
     fresh: bool = False
     """Has this run worked on the task?"""
 

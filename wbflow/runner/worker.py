@@ -89,15 +89,15 @@ class Progress:
 
 
 @dataclass
-class _Results:
-    """The results of a chain so far, and the artifacts that its tasks have read, so that none is read twice."""
+class _ChainContext:
+    """What the tasks of a chain share: the cache, their results, and the artifacts that they have read (none is read twice)."""
 
     cache: Cache
     clock: Callable[[], float] = time.process_time
     """CPU seconds: of the process, or of the thread if other threads run tasks, too."""
     receipts: dict[Task, Receipt] = field(default_factory=dict)
     results: dict[str, Any] = field(default_factory=dict)
-    """Results by digest, not by task: a task's result of tonight and that of the reference may both be needed."""
+    """Results by digest, not by task: tonight's and the reference's result of one task may both be needed."""
 
 
 def run_chain(
@@ -115,35 +115,35 @@ def run_chain(
         Seconds by stage; None if this process is shared with other work.
     """
     make_importable(specs[0].folder)
-    chain = _Results(cache, time.process_time if time_limits is not None else time.thread_time)
+    context = _ChainContext(cache, time.process_time if time_limits is not None else time.thread_time)
     ended: list[FinishedTask] = []
     with Progress(progress, time_limits) as reporter:
         for number, spec in enumerate(specs):
             reporter.begun(number, spec.task.stage)
-            done = _attempt(spec, chain)
+            done = _attempt(spec, context)
             ended.append(dataclasses.replace(done, damages=tuple(cache.damages())))
             if not done.state.usable or done.state.receipt is None:
                 break
-            chain.receipts[spec.task] = done.state.receipt
+            context.receipts[spec.task] = done.state.receipt
     return ended
 
 
 def arguments_of(spec: TaskSpec, cache: Cache) -> dict[str, Any]:
     """The arguments of a task's function, without its parameters.  Raises DamagedArtifact, ChangedFile, OSError."""
-    chain = _Results(cache)
-    return {name: _load(value, chain) for name, value in spec.inputs.items()}
+    context = _ChainContext(cache)
+    return {name: _load(value, context) for name, value in spec.inputs.items()}
 
 
-def _attempt(spec: TaskSpec, chain: _Results) -> FinishedTask:
+def _attempt(spec: TaskSpec, context: _ChainContext) -> FinishedTask:
     """Run one task.  This is the only broad `except`: whatever a stage raises, only its own task fails."""
     try:
-        inputs = {name: _resolve(value, chain) for name, value in spec.inputs.items()}
+        inputs = {name: _resolve(value, context) for name, value in spec.inputs.items()}
         resolved = spec if inputs == spec.inputs else dataclasses.replace(spec, inputs=inputs)
         preimage = resolved.preimage()
         key = preimage.key()
-        if not spec.force and (receipt := chain.cache.by_key(spec.task, key)):
+        if not spec.force and (receipt := context.cache.by_key(spec.task, key)):
             return FinishedTask(spec.task, cached_state(receipt))
-        return _execute(resolved, preimage, key, chain)
+        return _execute(resolved, preimage, key, context)
     except DamagedArtifact as damage:
         return FinishedTask(spec.task, State("failed", damage.what), damaged=damage.task)
     except ChangedFile as change:
@@ -174,11 +174,11 @@ def _failure(spec: TaskSpec, error: BaseException) -> State:
     return State("failed", why, Cause.FAULT, trace=trace, fresh=True)
 
 
-def _execute(spec: TaskSpec, preimage: Preimage, key: str, chain: _Results) -> FinishedTask:
+def _execute(spec: TaskSpec, preimage: Preimage, key: str, context: _ChainContext) -> FinishedTask:
     """Load the inputs, call the function, write the artifact, then the receipt."""
     reset_peak()
-    wall_start, cpu_start = time.perf_counter(), chain.clock()
-    arguments = {name: _load(value, chain) for name, value in spec.inputs.items()}
+    wall_start, cpu_start = time.perf_counter(), context.clock()
+    arguments = {name: _load(value, context) for name, value in spec.inputs.items()}
     result = load(spec.function)(**arguments, **spec.parameters)
     rejected_class: Any = load(REJECTED)
     if rejected := isinstance(result, rejected_class):
@@ -188,7 +188,7 @@ def _execute(spec: TaskSpec, preimage: Preimage, key: str, chain: _Results) -> F
         facts["figures"] = dict(result.figures)
     else:
         data, facts = bytes_and_facts(result, spec.task.stage, key)
-        drawings, warnings = _draw(spec, result, chain)
+        drawings, warnings = _draw(spec, result, context)
     receipt = Receipt(
         str(spec.task),
         key,
@@ -196,18 +196,18 @@ def _execute(spec: TaskSpec, preimage: Preimage, key: str, chain: _Results) -> F
         preimage,
         **{"digest": "", **facts},
         wall=time.perf_counter() - wall_start,
-        cpu=chain.clock() - cpu_start,
+        cpu=context.clock() - cpu_start,
         peak_rss_mb=peak_bytes() / 2**20,
         finished=datetime.datetime.now(datetime.UTC).isoformat(),
         drawings={name: content_digest(drawing) for name, drawing in drawings.items()},
     )
-    chain.cache.write(receipt, data, drawings)
-    chain.results[receipt.digest] = result
+    context.cache.write(receipt, data, drawings)
+    context.results[receipt.digest] = result
     state = State("rejected" if rejected else "ran", receipt.reason, receipt.code, receipt, fresh=True)
     return FinishedTask(spec.task, state, warnings=warnings)
 
 
-def _draw(spec: TaskSpec, result: Any, chain: _Results) -> tuple[dict[str, bytes], tuple[str, ...]]:
+def _draw(spec: TaskSpec, result: Any, context: _ChainContext) -> tuple[dict[str, bytes], tuple[str, ...]]:
     """The drawings of a result for the report, by name, and warnings for those that failed, which do not affect the result.
 
     Raises DamagedArtifact.
@@ -215,7 +215,7 @@ def _draw(spec: TaskSpec, result: Any, chain: _Results) -> tuple[dict[str, bytes
     drawings, warnings = {}, []
     for drawing in spec.drawings:
         try:
-            inputs = {name: _load(_resolve(value, chain), chain) for name, value in drawing.inputs.items()}
+            inputs = {name: _load(_resolve(value, context), context) for name, value in drawing.inputs.items()}
             drawings[drawing.name] = bytes(load(drawing.function)(result, **inputs))
         except DamagedArtifact:
             raise  # the artifact is made again, then this task
@@ -224,31 +224,31 @@ def _draw(spec: TaskSpec, result: Any, chain: _Results) -> tuple[dict[str, bytes
     return drawings, tuple(warnings)
 
 
-def _resolve(value: Input, chain: _Results) -> Input:
+def _resolve(value: Input, context: _ChainContext) -> Input:
     """Resolve an input that an earlier task of this chain has made: fill in its file and digests."""
     if isinstance(value, Stored) and not value.file:
-        return value.resolved(chain.receipts[value.task])
+        return value.resolved(context.receipts[value.task])
     return value
 
 
-def _load(value: Input, chain: _Results, keep: bool = True) -> Any:
+def _load(value: Input, context: _ChainContext, keep: bool = True) -> Any:
     if isinstance(value, Absent):
         return None
     if isinstance(value, Joined):
         items = {subject[0] if len(subject) == 1 else subject: item for subject, item in value.items.items()}
-        return OnDemand(items, lambda item: _load(item, chain, keep=False))
+        return OnDemand(items, lambda item: _load(item, context, keep=False))
     if isinstance(value, Value):
         return _from_plain(value)
     if isinstance(value, Files):
         captures = [_load_capture(file) for file in value.files]
         return captures[0] if value.single else captures
-    result = chain.results.get(value.file_digest)
+    result = context.results.get(value.file_digest)
     if result is None and value.part and not value.task.subject:  # many chains each need a part of a site-wide artifact
-        return copy.deepcopy(value.part.of(_read_cached(chain.cache, value.task, value.file, value.file_digest)))
+        return copy.deepcopy(value.part.of(_read_cached(context.cache, value.task, value.file, value.file_digest)))
     if result is None:
-        result = _read(chain.cache, value.task, value.file, value.file_digest)
+        result = _read(context.cache, value.task, value.file, value.file_digest)
         if keep:
-            chain.results[value.file_digest] = result
+            context.results[value.file_digest] = result
     return value.part.of(result) if value.part else result
 
 

@@ -113,9 +113,9 @@ def _check_ids(ids: list[str], problems: Problems) -> None:
     dashed = [k for k, name in enumerate(ids) if "--" in name or name.startswith("-") or name.endswith("-")]
     pairs: dict[str, tuple[str, str]] = {}
     for left, right in itertools.combinations(dict.fromkeys(ids), 2) if dashed else ():
-        same_name = pairs.setdefault(f"{left}--{right}", (left, right))
-        if same_name != (left, right):
-            what = f"the pairs {same_name[0]!r}, {same_name[1]!r} and {left!r}, {right!r} would both be called {left}--{right}"
+        first_pair = pairs.setdefault(f"{left}--{right}", (left, right))
+        if first_pair != (left, right):
+            what = f"the pairs {first_pair[0]!r}, {first_pair[1]!r} and {left!r}, {right!r} would both be called {left}--{right}"
             problems.add(("cameras", dashed[0]), what, "use ids without '--', and without '-' at their ends")
             return
 
@@ -126,7 +126,7 @@ def _name_list(names: dict[str, Any], most: int = 5) -> str:
 
 
 def _merged_lens(camera: CameraEntry, entry: Calibrated | None) -> Lens:
-    """Merge both: the site file's intrinsics and distortion take precedence, but a calibration precedes a mere field of view."""
+    """Intrinsics and distortion in the site file take precedence, but a calibration replaces a mere field of view."""
     lens = entry.lens if entry else Lens()
     if (own := camera.intrinsics) and not (entry and own.hfov is not None):
         lens = dataclasses.replace(lens, K=own.K, hfov_deg=own.hfov, width=own.width or 0, height=own.height or 0)
@@ -138,7 +138,7 @@ def _merged_lens(camera: CameraEntry, entry: Calibrated | None) -> Lens:
 
 
 def _merged_placement(camera: CameraEntry, entry: Calibrated | None, frame: LocalFrame | None) -> Placement:
-    """Merge both: the site file's pose takes precedence, but a complete calibrated pose precedes a rough or incomplete one."""
+    """The pose in the site file takes precedence, but a complete calibrated pose replaces a rough or incomplete one."""
     pose, calibrated = camera.pose, entry.placement if entry else Placement()
     if pose is None:
         return calibrated
@@ -149,7 +149,7 @@ def _merged_placement(camera: CameraEntry, entry: Calibrated | None, frame: Loca
 
 
 def read_survey(file: SiteFile, frame: LocalFrame | None, problems: Problems) -> Survey:
-    """Distances and control points, with cameras by number; their faults are added to `problems`."""
+    """Distances and control points, with cameras by index; their faults are added to `problems`."""
     index_of = {camera.id: k for k, camera in reversed(list(enumerate(file.cameras)))}
 
     def camera_at(location: Location, camera: Any) -> int:

@@ -35,7 +35,7 @@ class CaptureFile:
 ANSWER_SECONDS = 120.0
 """Timeout for listing and reading a camera's folder: if it takes longer, its mount is considered dead."""
 QUIET_SECONDS, MOST_WAIT_SECONDS, _POLL_SECONDS = 0.5, 10.0, 0.05
-"""A capture is complete when it has not changed for `QUIET_SECONDS`; at most `MOST_WAIT_SECONDS` are waited for all."""
+"""A capture is complete when it has not changed for `QUIET_SECONDS`; all together are waited for up to `MOST_WAIT_SECONDS`."""
 REDUCED_ANSWER_SECONDS = 5.0
 """Timeout instead of `ANSWER_SECONDS` once another camera's folder has timed out: most cameras share one mount."""
 T = TypeVar("T")
@@ -63,7 +63,7 @@ class _Reader(Generic[T]):
             self._answers.put(answer)
 
     def next(self, seconds: float) -> T:
-        """Return the result of the next read.  Raises TimeoutError, and stops, if the disk hangs; else what the read raised."""
+        """Return the result of the next read.  Raises TimeoutError and stops if the disk hangs; raises what the read raised."""
         try:
             answer = self._answers.get(timeout=seconds)
         except Empty:
@@ -108,7 +108,7 @@ def nights(site: Site, since: datetime.date | None = None) -> list[datetime.date
 def list_store(site: Site) -> None:
     """Update the list of captures in the object store, if the site has one.  Raises StoreError, OSError."""
     if site.captures.store:
-        from ..remote import list_captures  # here: most captures are in folders
+        from ..remote import list_captures  # here: only sites with an object store need it
 
         list_captures(site.captures.root, site.captures.store)
 
@@ -133,7 +133,7 @@ def _days_written(site: Site, today: datetime.date) -> set[datetime.date]:
         times = [path.stat().st_mtime for path in _paths(site, camera, today) if path.exists()]
         return {site.local(max(times)).date()} if times else set()
 
-    if site.captures.store:  # these files' times are those of their download
+    if site.captures.store:  # these files have the times of their download
         return set()
     answers = _results_by_camera((camera.id, functools.partial(read, camera)) for camera in site.cameras)
     return {date for _, dates in answers if not isinstance(dates, TimeoutError) for date in dates}
@@ -249,7 +249,7 @@ def when_complete(
 
 
 def _is_written(path: Path) -> bool:
-    """Was a file written to just now?  A time in the future does not count: it comes from a disk with another clock."""
+    """Was a file changed within `QUIET_SECONDS`?  A time in the future does not count: it is of a disk with another clock."""
     try:
         return 0 <= time.time() - path.stat().st_mtime < QUIET_SECONDS
     except OSError:

@@ -27,7 +27,7 @@ from .yaml_document import Document, Location, Problem, Problems, SiteError, is_
 
 
 def load_site(path: str | Path, work: str | Path | None = None) -> Site:
-    """Read and validate a site file (or the `site.yaml` in a folder).  work: work folder or object store that replaces its own.
+    """Read and validate a site file (or the `site.yaml` in a folder).  work: replaces the work folder of the file.
 
     Raises SiteError with every problem found.
     """
@@ -77,7 +77,7 @@ def _file_of(path: Path) -> Path:
 
 
 def _validated(document: Document, problems: Problems) -> SiteFile:
-    """The validated file; faulty values are added to `problems` and left out, so that the rest is checked too.
+    """The validated file; faults are added to `problems`, and faulty values left out, so that the rest is checked too.
 
     Raises SiteError if too little is valid for that.
     """
@@ -98,7 +98,7 @@ def _validated(document: Document, problems: Problems) -> SiteFile:
 
 
 def _work_folder(requested: str, file: SiteFile, problems: Problems) -> WorkFolder:
-    """Return the work folder.  requested: takes precedence over the file's own key."""
+    """Return the work folder.  requested: takes precedence over the key `work` of the file."""
     work, name = requested or file.work or "", file.site if is_name(file.site) else "site"
     if is_url(work):
         return WorkFolder.mirroring(work, name)

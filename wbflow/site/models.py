@@ -336,9 +336,9 @@ class Notify(Section):
     command: str | list[str]
     """Text for the shell, or a list of program and arguments."""
     heartbeat: bool = False
-    """Whether it is called after every night."""
+    """Whether the command is called after every night, even if nothing has changed."""
     remind: list[Duration] = []
-    """It is called again by the first run after a state has lasted this long, for each duration."""
+    """Once a state has lasted for one of these durations, the next run calls the command again."""
     seconds: float = Field(default=60.0, gt=0, le=3600)
     """Time limit of the command, seconds."""
 
@@ -459,12 +459,12 @@ class Camera:
 
     @property
     def posed(self) -> bool:
-        """Are intrinsics and the whole pose given, and is the rotation's standard deviation given if the position has one?"""
+        """Are intrinsics and the whole pose stated, including the rotation's standard deviation if the position has one?"""
         return self.given and (not self.placement.sigma_m or self.placement.sigma_deg > 0)
 
     @property
     def given(self) -> bool:
-        """Are intrinsics and pose both given, exactly or not?"""
+        """Are intrinsics and pose both stated, exactly or not?"""
         return self.lens.K is not None and self.placement.R is not None and self.placement.C is not None
 
 
@@ -535,15 +535,15 @@ class Site:
 
     @property
     def posed(self) -> bool:
-        """Are the intrinsics and poses of all cameras given?"""
+        """Is `Camera.posed` true for all cameras?"""
         return all(camera.posed for camera in self.cameras)
 
     @property
     def has_rough_pose(self) -> bool:
-        """Is the whole pose of some camera given with standard deviations?"""
+        """Is the whole pose of some camera stated with standard deviations?"""
         return any(camera.given and camera.placement.sigma_deg > 0 for camera in self.cameras)
 
     @property
     def has_given_poses(self) -> bool:
-        """Are the intrinsics and poses of two cameras or more given, exactly or not?"""
+        """Are the intrinsics and poses of two cameras or more stated, exactly or not?"""
         return sum(camera.given for camera in self.cameras) > 1

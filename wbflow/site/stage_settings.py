@@ -152,11 +152,11 @@ class _Section:
             del values[old]
             values[change.current_name] = change.values[value] if has_new_value else value
             new_names[old] = change.current_name
-            now = f"{change.current_name}: {change.values[value]}" if has_new_value else change.current_name
-            before = f"{old}: {value}" if has_new_value else old
+            new_text = f"{change.current_name}: {change.values[value]}" if has_new_value else change.current_name
+            old_text = f"{old}: {value}" if has_new_value else old
             location: Location = ("stages", self.stage.name, old)
-            what = f"{before!r} is written {now!r} now; the old way is still understood in this version"
-            self.notes.add(location, what, f"write {now}", key=True)
+            what = f"{old_text!r} is written {new_text!r} now; the old way is still understood in this version"
+            self.notes.add(location, what, f"write {new_text}", key=True)
         return new_names
 
     def _set_elsewhere(self) -> set[str]:
@@ -180,11 +180,11 @@ class _Section:
     def _report_unknown(self, binding: Binding, key: str, written: str, allowed: list[str]) -> None:
         """Report a parameter that is unknown, or that only other methods than the chosen one read."""
         if binding.method:
-            readers = [name for name, known in method_parameters(self.stage, self.reader).items() if key in known]
-            readers += methods_with_file(self.stage, key, self.reader)
-            if readers:
+            methods = [name for name, known in method_parameters(self.stage, self.reader).items() if key in known]
+            methods += methods_with_file(self.stage, key, self.reader)
+            if methods:
                 what = f"{key!r} is not read by the chosen {self.chooser}, {binding.method.dotted}"
-                self._add_problem(written, what, f"leave it out, or choose {self.chooser}: {' or '.join(readers)}", key=True)
+                self._add_problem(written, what, f"leave it out, or choose {self.chooser}: {' or '.join(methods)}", key=True)
                 return
         remedy = suggest(key, allowed, f"parameters of {binding.function.dotted}: {', '.join(allowed) or 'none'}")
         self._add_problem(written, f"unknown parameter {key!r}", remedy, key=True)

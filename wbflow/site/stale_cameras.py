@@ -18,7 +18,7 @@ from .captures import CaptureFile, captures_of
 from .models import Camera, Site
 
 FAR_OFF_HOURS = 3.0
-"""A camera is stale if its captures' time of day is further than this from the others': other light, or a wrong clock."""
+"""A camera is stale if the time of day of its captures differs from the other cameras' by more: other light, or a wrong clock."""
 NIGHT_HOURS = 36.0
 """A capture belongs to another night if it was taken further than this from noon of the night's date."""
 SAME_PIXELS = 0.98
@@ -57,7 +57,7 @@ def find_stale(
     captures : mapping
         All files of the night, by camera.
     digests, remembered : Digests, EarlierCaptures
-        Digests of files, for the night before; digests of earlier nights by camera, to which tonight's are added.
+        Digests of files on disk; digests of earlier nights by camera, to which tonight's are added.
     """
     fresh = FreshCaptures({camera: list(files) for camera, files in captures.items()})
     repeated: dict[str, Health] = {}

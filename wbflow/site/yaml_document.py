@@ -196,7 +196,7 @@ def parse_yaml(text: str, path: Path) -> Document:
     """Parse the text of a YAML file.  Raises SiteError, as `load_yaml` does."""
     loader = None
     try:
-        _refuse_depth(text)
+        _refuse_deep_nesting(text)
         loader = _CheckingLoader(text)
         node = loader.get_single_node()
         if "&" in text and "*" in text:
@@ -250,19 +250,19 @@ def _excerpt(node: Any) -> str:
     return printable(node.value if isinstance(node, yaml.ScalarNode) else "this", 40)
 
 
-def _refuse_depth(text: str) -> None:
+def _refuse_deep_nesting(text: str) -> None:
     """Refuse deep nesting from the parser's events: recursive construction would overflow the stack.  Raises MarkedYAMLError."""
     if text.count("[") + text.count("{") + len(_NESTED_INLINE.findall(text)) < _MOST_LEVELS and " " * _MOST_LEVELS not in text:
         return
     try:
-        _count_depth(Loader(text))
+        _check_depth(Loader(text))
     except yaml.MarkedYAMLError as error:
         if "nesting depth" not in str(error.problem):
             raise
-        _count_depth(yaml.SafeLoader(text))  # libyaml's own limit marks the place where its look-ahead stopped
+        _check_depth(yaml.SafeLoader(text))  # libyaml's own limit marks the place where its look-ahead stopped
 
 
-def _count_depth(loader: Any) -> None:
+def _check_depth(loader: Any) -> None:
     try:
         depth = 0
         while (event := loader.get_event()) is not None:

@@ -1,5 +1,5 @@
 "use strict";
-// A picture in a dialog, as large as there is one; over a camera's own lies what was found in it.
+// A picture in a dialog, in the largest stored size; keypoints and inliers are drawn over a camera's picture.
 (() => {
   const large = document.querySelector("#large"), image = large.querySelector("img"), canvas = large.querySelector("canvas");
   const bar = large.querySelector(".layers"), caption = large.querySelector("figcaption");

@@ -1,6 +1,6 @@
 "use strict";
-// Measuring in the 3-D view and on the map: points that are clicked give coordinates, distances, heights, areas and a profile, each with its
-// standard deviation as far as the points have one; a link holds what is seen and measured.
+// Measuring in the 3-D view and on the map: clicked points give coordinates, distances, heights, areas and a profile, each with its
+// standard deviation if the points have one; a link stores the view and the measurement.
 
 class Measure {
   constructor(view, scene, root) {
@@ -28,7 +28,7 @@ class Measure {
       if (d < best) { best = d; found = i; }
     }
     if (found < 0 || Math.sqrt(best) > 5 * cloud.voxel) return {p, sigma: null};
-    // a place is met no closer than points lie apart
+    // the spacing of the points adds to the error
     return {p: [0, 1, 2].map(k => cloud.at[3 * found + k]), sigma: layer ? Math.hypot(valueOf(layer, layer.of[found]) / 1000, cloud.voxel / Math.sqrt(12)) : null};
   }
   below(x, y) { // the highest point of the cloud at a place of the map; null where none is near

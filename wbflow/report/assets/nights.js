@@ -1,5 +1,5 @@
 "use strict";
-// Another night beside this one: a slider that wipes from one to the other, or both in turns; heights compared; pictures overlaid.
+// Another night beside this one: a slider that wipes from one to the other, or shows both in turn; heights compared; pictures overlaid.
 
 class Nights {
   constructor(view, root) {
@@ -21,7 +21,7 @@ class Nights {
   }
 }
 
-// Gives both sets a layer: by how much the later surface, seen from above, is higher at the point's place than the earlier one.
+// Adds a layer to both sets: how much higher the later surface, seen from above, is at a point than the earlier one.
 function differences(now, then) {
   const cell = 1.5 * Math.max(now.voxel, then.voxel), low = [Infinity, Infinity], high = [-Infinity, -Infinity];
   for (let i = 0; i < now.n; i++) for (let k = 0; k < 2; k++) { const v = now.at[3 * i + k]; if (v < low[k]) low[k] = v; if (v > high[k]) high[k] = v; }

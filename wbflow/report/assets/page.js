@@ -1,9 +1,9 @@
 "use strict";
-// What the page does besides showing itself.
+// The interactive parts of the page.
 (() => {
   const $ = (q, of = document) => of.querySelector(q), $$ = (q, of = document) => [...of.querySelectorAll(q)];
 
-  for (const copy of $$("img[data-same]")) { // a picture is in the page once
+  for (const copy of $$("img[data-same]")) { // each picture is embedded only once
     const first = document.getElementById(copy.dataset.same);
     if (first?.src) copy.src = first.src; else if (first) copy.replaceWith(first.cloneNode(true)); else copy.remove();
   }
@@ -14,7 +14,7 @@
     const key = row => row.children[column].dataset.value ?? row.children[column].textContent, rows = [...table.tBodies[0].rows];
     const numbers = rows.every(r => key(r) === "" || !isNaN(key(r)));
     rows.sort((a, b) => {
-      if (key(a) === "" || key(b) === "") return (key(a) === "") - (key(b) === ""); // what is not known comes last
+      if (key(a) === "" || key(b) === "") return (key(a) === "") - (key(b) === ""); // unknown values come last
       return down * (numbers ? key(a) - key(b) : key(a).localeCompare(key(b), undefined, {numeric: true}));
     });
     for (const other of head.parentNode.children) other.setAttribute("aria-sort", "none");
@@ -23,12 +23,12 @@
   });
 
   for (const table of $$(".scroll table")) for (const row of table.tBodies[0].rows) $$("th", table).forEach((head, column) => {
-    const cell = row.children[column], words = head.firstElementChild?.title; // a figure is named and explained as its column is
+    const cell = row.children[column], words = head.firstElementChild?.title; // a figure has the name and explanation of its column
     cell.dataset.label = head.textContent;
     if (words) cell.title = words;
   });
 
-  if (matchMedia("(max-width: 700px)").matches) for (const fold of $$("details.at-length")) fold.open = false; // a phone scrolls long enough
+  if (matchMedia("(max-width: 700px)").matches) for (const fold of $$("details.at-length")) fold.open = false; // on a phone, to keep the page short
 
   addEventListener("beforeprint", () => { for (const fold of $$("details")) fold.open = true; });
 
@@ -69,7 +69,7 @@
   function copied(button, text) {
     navigator.clipboard?.writeText(text).catch(() => {}); button.dataset.copied = text; button.classList.add("done"); setTimeout(() => button.classList.remove("done"), 900);
   }
-  function clips() { // what stands between the two heights is drawn
+  function clips() { // only points between the two heights are drawn
     const cut = v => view.span[0] + (view.span[1] - view.span[0]) * v / 1000, [low, high] = [+lowest.value, +highest.value];
     view.clip = low <= 0 && high >= 1000 ? null : [low <= 0 ? -1e9 : cut(low), high >= 1000 ? 1e9 : cut(high)]; view.draw();
   }

@@ -1,6 +1,6 @@
 "use strict";
-// The points of the page: unpacked from their stream (see stages/exports/view.py) and drawn, without any help of a graphics card,
-// into the pixels of a canvas.  Half a million points take about 20 ms so; it works wherever there is a canvas.
+// The points of the page: unpacked from their stream (see stages/exports/view.py) and drawn without a graphics card
+// into the pixels of a canvas.  Half a million points take about 20 ms.
 
 async function unpackPoints(base64, axes) {
   const text = atob(base64.trim()), bytes = new Uint8Array(text.length);
@@ -12,7 +12,7 @@ async function unpackPoints(base64, axes) {
   const n = head.n;
   const at = new Float32Array(3 * n), rgb = new Uint8Array(3 * n), layers = {};
   for (const layer of head.layers) layers[layer.name] = {...layer, of: new Uint8Array(n)};
-  // neighbours on the curve are spread over the whole order, so that every beginning of it shows the whole scene
+  // neighbours on the curve are spread over the whole order, so that the first points, however few, show the whole scene
   let stride = Math.max(1, Math.round(n * 0.6180339887));
   const gcd = (a, b) => (b ? gcd(b, a % b) : a);
   while (gcd(stride, n || 1) !== 1) stride++;
@@ -51,7 +51,7 @@ const DIVERGING = Uint32Array.from({length: 256}, (_, i) => { // blue: lower tha
 const rampOf = mode => mode === "difference" ? DIVERGING : RAMP;
 const rampCss = ramp => `linear-gradient(90deg, ${[0, 64, 128, 192, 255].map(i => `rgb(${ramp[i] & 255},${ramp[i] >> 8 & 255},${ramp[i] >> 16 & 255})`).join(", ")})`;
 
-// What a layer's byte stands for, in the layer's unit.
+// The value of a layer's byte, in the layer's unit.
 const valueOf = (layer, byte) => layer.most ? layer.least * (layer.most / layer.least) ** (byte / 255) : layer.low + (layer.high - layer.low) * byte / 255;
 
 function pixelsOf(points, mode) {
@@ -68,7 +68,7 @@ function pixelsOf(points, mode) {
 }
 
 // Draws the first `count` points of a set as squares of their voxel's size, the nearest in front.
-// eye, right, up, ahead: where from, in the axes of the points; focal: pixels.
+// eye, right, up, ahead: position and axes of the viewer, in the axes of the points; focal: pixels.
 // clip: lowest and highest height that is drawn; null: all.  frame.from, frame.to: columns that are drawn into.
 function splat(frame, points, pixels, count, camera, clip, grow) {
   const {width, height, depth, image, from, to} = frame, at = points.at;
@@ -95,7 +95,7 @@ function splat(frame, points, pixels, count, camera, clip, grow) {
   }
 }
 
-// Darkens what lies behind its neighbours, so that edges and shapes are seen without any light
+// Darkens pixels that are farther away than their neighbours, so that edges and shapes show without any light
 // (eye-dome lighting: Boucheny, Interactive scientific visualization of large datasets, 2009; by ratios of depths).
 function shade(frame, strength) {
   const {width, height, depth, image} = frame, far = 2 * width;

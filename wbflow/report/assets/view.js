@@ -99,7 +99,7 @@ class CloudView {
     const many = Math.min(1, Math.sqrt(20 / Math.max(1, this.scene.cameras.length))), rank = {bad: 0, warn: 1, good: 2};
     const close = this.flown && Math.hypot(...plus(camera.eye, this.flown.C, -1)) < 0.05 * this.scene.radius;
     const order = [...this.scene.cameras].sort((a, b) => (b === this.chosen) - (a === this.chosen) || rank[a.state] - rank[b.state]);
-    if (this.showCameras) for (const cam of order) { // what needs somebody keeps its name where there is no room for all
+    if (this.showCameras) for (const cam of order) { // if there is no room for all names, cameras that need attention keep theirs
       if (close && cam === this.flown) continue;
       const tip = this.project(cam.C, camera);
       const far = 0.055 * many * this.scene.radius, corners = cam.rays.map(ray => this.project(plus(cam.C, ray, far), camera));

@@ -90,7 +90,7 @@ class Placement:
 
 
 def _check_number(value: Any) -> Any:
-    if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) < _MOST_MAGNITUDE:  # nor NaN
+    if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) < _MOST_MAGNITUDE:  # or NaN
         raise ValueError
     return value
 
