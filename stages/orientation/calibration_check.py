@@ -233,9 +233,8 @@ def _check(stated: _World, confirmed: list[_Matches], other_matches: list[_Match
         return check
     exceeds_noise = check.confirmed and excess > CONTRADICTED_RATIO * own_loss
     best = _best_explanation(stated, evidence, own_loss, unconfirmed=not confirmed)
-    if (best is None or best.cause.name in ("turned", "moved")) and _excess(
-        stated, evidence, tolerance=SLACK_ERRORS
-    ) <= LEAST_LOSS_RATIO * own_loss:
+    only_a_pose = best is None or best.cause.name in ("turned", "moved")
+    if only_a_pose and _excess(stated, evidence, tolerance=SLACK_ERRORS) <= LEAST_LOSS_RATIO * own_loss:
         best, exceeds_noise = None, False  # few matches, most of which agree: a changed pose merely fits look-alikes
     named = replace(check, contradicted=exceeds_noise) if best is None else _with_cause(check, best, stated, evidence)
     return named if exceeds_noise or named.off_px >= HARMFUL_PX else check

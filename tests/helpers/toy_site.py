@@ -113,8 +113,8 @@ class ToySite:
         record: dict[str, Any] = json.loads(result.stdout)
         return record
 
-    def ran(self) -> set[str]:
-        """The tasks that the newest run executed."""
+    def ran(self, *outcomes: str) -> set[str]:
+        """The tasks that the newest run executed, with one of these outcomes (default: those that are cached)."""
         newest = max(p for p in (self.work / "runs").iterdir() if not p.is_symlink())
         events = [json.loads(line) for line in (newest / "log.jsonl").read_text().splitlines()]
-        return {event["task"] for event in events if event.get("outcome") in {"ran", "rejected"} and event["fresh"]}
+        return {event["task"] for event in events if event.get("outcome") in (outcomes or ("ran", "rejected")) and event["fresh"]}

@@ -141,11 +141,12 @@ def test_a_run_without_a_cloud_names_the_first_cause(toy: ToySite) -> None:
     assert "skipped" not in record["reason"]
 
 
-def test_failed_and_rejected_tasks_cause_no_work_in_the_next_run(toy: ToySite) -> None:
+def test_failed_tasks_are_retried_in_the_next_run_and_rejected_ones_are_not(toy: ToySite) -> None:
     toy.capture("roof").write_text("broken")
     toy.run(code=3)
     toy.run(code=3)
     assert toy.ran() == set()
+    assert toy.ran("failed") == {"frames roof"}
     number = str(_first_pixel(b"a view from gate"))
     toy.parameters = {"matches": {"reject": number}}
     toy.write()
