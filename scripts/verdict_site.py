@@ -113,7 +113,7 @@ def averaged_turn_deg(pairs: list[LabelledPair], truth: Mapping[str, Camera]) ->
     number = {name: k for k, name in enumerate(names)}
     relative = {(number[p.left], number[p.right]): R for p in pairs if (R := p.geometry.cam2_R_cam1) is not None}
     found = average_rotations(relative, dict.fromkeys(relative, 1.0))
-    parts = [[names[k] for k in part] for part in components(list(relative), list(range(len(names))))]
+    parts = [[names[k] for k in part] for part in components(list(relative))]
     return _worst_turn_deg({names[k]: R for k, R in found.items()}, parts, truth, [np.eye(3)])
 
 

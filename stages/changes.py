@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -94,38 +94,48 @@ def find_changes(
     cell_m : edge of the ground's cells in metres; None: twice the point spacing, rounded up to 1, 2 or 5 times a power of ten.
     """
     cameras = poses.main_cameras()
-    tonight = Epoch(cloud, cameras, undistorted_frames(frames, cameras), depths, refined or {})
-    plane = scene.ground if scene is not None else None
-    axes = ground_axes(cameras.values(), plane)
+    axes = ground_axes(cameras.values(), scene.ground if scene is not None else None)
     if reference_poses is None or reference_cloud is None or not len(reference_cloud.points) or not len(cloud.points):
         return _no_changes(axes, poses)
-    old = reference_poses.main_cameras()
-    if not _same_world(cameras, old, cloud):
+    old_cameras = reference_poses.main_cameras()
+    if not _same_world(cameras, old_cameras, cloud):
         return _no_changes(axes, poses)
-    pinned = Epoch(
-        reference_cloud, old, undistorted_frames(reference_frames or {}, old), reference_depths or {}, reference_refined or {}
-    )
+    tonight = Epoch(cloud, cameras, undistorted_frames(frames, cameras), depths, refined or {})
+    old_frames = undistorted_frames(reference_frames or {}, old_cameras)
+    pinned = Epoch(reference_cloud, old_cameras, old_frames, reference_depths or {}, reference_refined or {})
     spacing = max(spacing_of(tonight.points), spacing_of(pinned.points))
     grid = grid_over(np.vstack([n.points[::_STEP] for n in (tonight, pinned)]), axes, cell_m or preferred_above(_CELL * spacing))
-    raw = compare_nights(tonight, pinned, spacing, registration_m)
-    noise = noise_of(*raw)
-    limits = {"noise": noise, "sigmas": sigmas, "alike": alike}
-    new_side = mark_changed(raw[0], tonight, pinned, spacing, **limits)
-    old_side = mark_changed(raw[1], pinned, tonight, spacing, **limits)
+    measured_new, measured_old = compare_nights(tonight, pinned, spacing, registration_m)
+    noise = noise_of(measured_new, measured_old)
+
+    def side(measured: Evidence, own: Epoch, other: Epoch) -> _Side:
+        evidence = mark_changed(measured, own, other, spacing, noise=noise, sigmas=sigmas, alike=alike)
+        return _Side(own, evidence, own.cloud.colors[evidence.rows], points_over_ground(grid, own.points))
+
+    new, old = side(measured_new, tonight, pinned), side(measured_old, pinned, tonight)
     least = _LEAST_AREA * spacing**2 if least_area_m2 is None else least_area_m2
     clusters: list[ChangeCluster] = []
-    ground = [points_over_ground(grid, night.points) for night in (tonight, pinned)]
-    for side, own, other in ((new_side, tonight, ground[1]), (old_side, pinned, ground[0])):
-        rgb = own.cloud.colors[side.rows].astype(np.float64)
-        clusters += find_clusters(side, rgb, grid, other, vanished=own is pinned, spacing=spacing, least_area=least, alike=alike)
-    pairs = sorted(paired([c for c in clusters if c.confirmed]), key=lambda p: -p[0].change.volume)
-    in_zones = [(_in_zone(cluster, zones, axes), source) for cluster, source in pairs]
-    tops = [_surface_heights(grid, points) for points in ground]
-    result = _assembled(grid, tops[0] - tops[1], new_side, old_side, (tonight, pinned), [(a, b) for a, b in in_zones if a])
-    detection = detection_of(new_side, old_side, sigmas=sigmas, registration=registration_m, least_area=least)
+    for own, other in ((new, old), (old, new)):
+        limits = {"spacing": spacing, "least_area": least, "alike": alike}
+        clusters += find_clusters(own.evidence, own.colors, grid, other.ground, vanished=own is old, **limits)
+    pairs = sorted(paired([c for c in clusters if c.confirmed]), key=lambda pair: -pair[0].change.volume)
+    tops = [_surface_heights(grid, night.ground) for night in (new, old)]
+    detection = detection_of(new.evidence, old.evidence, sigmas=sigmas, registration=registration_m, least_area=least)
     counted = [part for pair in pairs for part in pair if part] + [c for c in clusters if not c.confirmed]
     total, by_zone = volumes(grid, tops, counted, zones or [], detection)
+    reported = [(labelled, source) for cluster, source in pairs if (labelled := _in_zone(cluster, zones, axes))]
+    result = _assembled(grid, tops[0] - tops[1], (new, old), reported)
     return replace(result, cut_fill=total, zones=by_zone, noise=noise, metric=poses.metric, crs=poses.crs)
+
+
+class _Side(NamedTuple):
+    """A night, compared with the other one."""
+
+    night: Epoch
+    evidence: Evidence
+    colors: Uint8s
+    """(n, 3) colours of the evidence's points."""
+    ground: GroundPoints
 
 
 def _same_world(cameras: Mapping[str, Camera], old_cameras: Mapping[str, Camera], cloud: Cloud) -> bool:
@@ -148,54 +158,53 @@ def _in_zone(cluster: ChangeCluster, zones: list[dict[str, Any]] | None, axes: F
 
 
 def _assembled(
-    grid: GroundGrid,
-    difference: Float32s,
-    new: Evidence,
-    old: Evidence,
-    nights: tuple[Epoch, Epoch],
-    clusters: list[tuple[ChangeCluster, ChangeCluster | None]],
+    grid: GroundGrid, difference: Float32s, sides: tuple[_Side, _Side], clusters: list[tuple[ChangeCluster, ChangeCluster | None]]
 ) -> Changes:
     """`Changes` with tonight's points and the reference's vanished or unknown ones; clusters: each with its origin, if moved."""
-    blobs = [np.zeros(len(side.core), np.uint16) for side in (new, old)]
+    new, old = (side.evidence for side in sides)
+    blobs = [np.zeros(len(side.evidence.core), np.uint16) for side in sides]
     changes, crops = {}, {}
     for k, (cluster, source) in enumerate(clusters, 1):
         for part in (cluster, source):
             if part is not None:
-                blobs[int(part.vanished)][part.rows] = k
-        side = old if cluster.vanished else new
-        cameras = _seeing_cameras(side, cluster, nights[int(cluster.vanished)])
-        camera_ids = dict.fromkeys(camera_id(name, nights[int(cluster.vanished)].cameras[name]) for name in cameras)
+                blobs[part.vanished][part.rows] = k
+        side = sides[cluster.vanished]
+        names = _seeing_cameras(side, cluster)
+        camera_ids = dict.fromkeys(camera_id(name, side.night.cameras[name]) for name in names)
         changes[str(k)] = replace(cluster.change, cameras=",".join(camera_ids))
-        if cameras:
-            crops[str(k)] = _crop(side.core[cluster.rows], cameras[0], nights)
-    vanished = blobs[1] > 0
-    reported = vanished | (old.unknown & ~old.changed)
-    labels = np.where(blobs[0] > 0, NEW, np.where(new.unknown, UNKNOWN, SAME)), np.where(vanished, VANISHED, UNKNOWN)[reported]
-    colors = [night.cloud.colors[side.rows] for night, side in zip(nights, (new, old), strict=True)]
-    compared = int((~new.unknown).sum() + vanished.sum())
-    changed = int((blobs[0] > 0).sum() + vanished.sum())
+        if names:
+            crops[str(k)] = _crop(side.evidence.core[cluster.rows], names[0], sides)
+    appeared, vanished = blobs[0] > 0, blobs[1] > 0
+    shown = vanished | (old.unknown & ~old.changed)
+    new_label = np.where(appeared, NEW, np.where(new.unknown, UNKNOWN, SAME))
+
+    def joined(of_new: Any, of_old: Any, kind: type[np.generic]) -> np.ndarray:
+        """Values (n, ...) of tonight's points, then of those of the reference that are shown."""
+        return np.concatenate([of_new, of_old[shown]]).astype(kind)
+
     return Changes(
         True,
         changes,
-        np.vstack([new.core, old.core[reported]]),
-        np.vstack([colors[0], colors[1][reported]]),
-        np.concatenate([new.distance, old.distance[reported]]).astype(np.float32),
-        np.concatenate([new.sigma, old.sigma[reported]]).astype(np.float32),
-        np.concatenate([new.significance, old.significance[reported]]).astype(np.float32),
-        np.concatenate(labels).astype(np.uint8),
-        np.concatenate([blobs[0], blobs[1][reported]]),
-        grid,
-        difference,
-        crops,
+        points=joined(new.core, old.core, np.float64),
+        colors=joined(sides[0].colors, sides[1].colors, np.uint8),
+        distance=joined(new.distance, old.distance, np.float32),
+        sigma=joined(new.sigma, old.sigma, np.float32),
+        significance=joined(new.significance, old.significance, np.float32),
+        label=joined(new_label, np.where(vanished, VANISHED, UNKNOWN), np.uint8),
+        blob=joined(blobs[0], blobs[1], np.uint16),
+        grid=grid,
+        difference=difference,
+        crops=crops,
         count=len(changes),
-        changed_share=changed / max(1, compared),
+        changed_share=int(appeared.sum() + vanished.sum()) / max(1, int((~new.unknown).sum() + vanished.sum())),
         unknown_share=float(np.mean(old.unknown)),
     )
 
 
-def _seeing_cameras(side: Evidence, cluster: ChangeCluster, night: Epoch) -> list[str]:
+def _seeing_cameras(side: _Side, cluster: ChangeCluster) -> list[str]:
     """The cameras that see a change, the one that shows it largest first."""
-    X, sigma = side.core[cluster.rows], night.sigma[side.rows[cluster.rows]]
+    night, X = side.night, side.evidence.core[cluster.rows]
+    sigma = night.sigma[side.evidence.rows[cluster.rows]]
     candidates = []
     for name in night.seeing:
         visible = seen_by(X, sigma, night, name)
@@ -205,10 +214,10 @@ def _seeing_cameras(side: Evidence, cluster: ChangeCluster, night: Epoch) -> lis
     return [name for _, name in sorted(candidates, key=lambda entry: (-entry[0], entry[1]))]
 
 
-def _crop(X: Float64s, name: str, nights: tuple[Epoch, Epoch]) -> Uint8s:
+def _crop(X: Float64s, name: str, sides: tuple[_Side, _Side]) -> Uint8s:
     """(h, w, 3) the surroundings of points X in one camera, side by side: the reference's frame, then tonight's."""
     parts = []
-    for night in reversed(nights):
+    for night in (side.night for side in reversed(sides)):
         if name not in night.frames or name not in night.cameras:
             continue
         image, (x, _) = night.frames[name].image, project(night.cameras[name], X)

@@ -56,52 +56,53 @@ def find_coverage(
     noise_px : expected error of a match in pixels, standard deviation.
     min_angle_deg, max_angle_deg : two cameras measure depth where their rays meet at an angle between these limits.
     """
-    preferred = refined or {}
-    posed = poses.main_cameras()
-    source_of = {name: preferred if name in preferred else depths for name in posed if name in preferred or name in depths}
-    cameras = {name: posed[name] for name in source_of}
+    preferred, posed = refined or {}, poses.main_cameras()
+    cameras = {name: camera for name, camera in posed.items() if name in preferred or name in depths}
     frames = undistorted_frames(frames, cameras)
-    points = [_surface(cameras[name], source[name]) for name, source in source_of.items()]
-    if not sum(map(len, points)):
+
+    def depth_of(name: str) -> DepthMap:
+        return preferred[name] if name in preferred else depths[name]
+
+    surface = np.concatenate([np.zeros((0, 3)), *(_surface(camera, depth_of(name)) for name, camera in cameras.items())])
+    if not len(surface):
         return Rejected(Reason.NO_DEPTH, {"cameras": float(len(posed))})
-    surface = np.concatenate(points)
     plane = scene.ground if scene is not None else None
     axes = ground_axes(cameras.values(), plane)
     extent = float(np.ptp(np.percentile(surface @ axes[:2].T, [1, 99], axis=0), axis=0).max())
     grid = grid_over(surface, axes, cell_m or preferred_above(extent / _CELLS))
     heights = _heights(grid, surface, plane)
     X = cell_centres(grid, heights)
-    known = np.flatnonzero(np.isfinite(X).all(axis=1))
-    seen = np.zeros((len(cameras), len(known)), bool)
-    for k, (name, camera) in enumerate(cameras.items()):
-        seen[k] = _sees(camera, frames.get(name), source_of[name][name], X[known], grid.cell)
-    ids = [camera_id(name, camera) for name, camera in cameras.items()]
-    views_of = {name: np.flatnonzero(np.array(ids) == name) for name in ids}  # the views of each camera; most cameras have one
-    seen = np.stack([seen[rows].any(axis=0) for rows in views_of.values()])
-    first_views = [list(cameras.values())[rows[0]] for rows in views_of.values()]
-    cos_limits = np.cos(np.radians([min_angle_deg, max_angle_deg]))
-    focals = np.array([camera.K[0, 0] for camera in first_views]) / noise_px
-    angle, error = _best_pairs(X[known], seen, np.stack([c.C for c in first_views]), focals, cos_limits[0], cos_limits[1])
-    return _coverage(poses, list(views_of), grid, heights, known, seen, angle, error)
+    known: Bools = np.asarray(np.isfinite(X).all(axis=1))
+    seen_by: dict[str, Bools] = {}
+    first_view: dict[str, Camera] = {}
+    for name, camera in cameras.items():
+        visible = _sees(camera, frames.get(name), depth_of(name), X[known], grid.cell)
+        whole = camera_id(name, camera)  # most cameras have one view; those with several see what any of these sees
+        seen_by[whole] = seen_by[whole] | visible if whole in seen_by else visible
+        first_view.setdefault(whole, camera)
+    centres = np.stack([camera.C for camera in first_view.values()])
+    focals = np.array([camera.K[0, 0] for camera in first_view.values()]) / noise_px
+    cos_min_angle, cos_max_angle = np.cos(np.radians([min_angle_deg, max_angle_deg]))
+    angle, error = _best_pairs(X[known], np.stack([*seen_by.values()]), centres, focals, cos_min_angle, cos_max_angle)
+    return _coverage(poses, grid, heights, known.reshape(heights.shape), seen_by, angle, error)
 
 
 def _coverage(
     poses: Poses,
-    names: list[str],
     grid: GroundGrid,
     heights: Float64s,
-    known: np.ndarray,
-    seen: Bools,
+    known: Bools,
+    seen_by: Mapping[str, Bools],
     angle: Float64s,
     error: Float64s,
 ) -> Coverage:
-    views = seen.sum(axis=0)
-    lost_without = {name: float(np.mean((views == 2) & seen[k])) for k, name in enumerate(names)}
+    """known: (rows, columns) cells with a height, the n cells of the other arrays; seen_by: by camera; angle, error: of pairs."""
+    views = np.sum([*seen_by.values()], axis=0)
 
     def to_grid(values: np.ndarray, fill: float, dtype: type[np.generic]) -> np.ndarray:
-        cells: np.ndarray = np.full(heights.size, fill, dtype)
+        cells: np.ndarray = np.full(heights.shape, fill, dtype)
         cells[known] = values
-        return cells.reshape(heights.shape)
+        return cells
 
     measured = np.isfinite(error)
     return Coverage(
@@ -110,12 +111,12 @@ def _coverage(
         to_grid(np.minimum(views, 255), 0, np.uint8),
         to_grid(np.degrees(angle), np.nan, np.float32),
         to_grid(error, np.nan, np.float32),
-        area=float(len(known) * grid.cell**2),
+        area=float(np.count_nonzero(known) * grid.cell**2),
         seen_by_one=float(np.mean(views >= 1)),
         seen_by_two=float(np.mean(views >= 2)),
         median_angle_deg=float(np.degrees(np.median(angle[measured]))) if measured.any() else -1.0,
         median_error=float(np.median(error[measured])) if measured.any() else -1.0,
-        lost_without=lost_without,
+        lost_without={name: float(np.mean((views == 2) & seen)) for name, seen in seen_by.items()},
         metric=poses.metric,
         crs=poses.crs,
     )

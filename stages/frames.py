@@ -82,8 +82,10 @@ def clean_frame(
         raise BadCapture(f"none of this night's captures can be used: {_summary(faults)}")
     notes = [f"{fault}; left out" for fault in faults]
     pictures = _evenly_chosen(_of_common_size(pictures, notes), max_captures)
-    usage_notes = [f"{max_captures} of {len(captures)} captures used"] if len(captures) > max_captures else []
-    return _merged_frame(pictures, mask, (overlays, denoise), chosen, [*notes, *pictures[0].camera.loss_notes(), *usage_notes])
+    notes += pictures[0].camera.loss_notes()
+    if len(captures) > max_captures:
+        notes.append(f"{max_captures} of {len(captures)} captures used")
+    return _merged_frame(pictures, mask, chosen, notes, overlays=overlays, denoise=denoise)
 
 
 def _summary(faults: Sequence[BadCapture]) -> str:
@@ -95,10 +97,9 @@ def _summary(faults: Sequence[BadCapture]) -> str:
 
 
 def _merged_frame(
-    pictures: Sequence[_Picture], mask: Capture | None, options: tuple[bool, bool], captures: Sequence[Capture], notes: list[str]
+    pictures: list[_Picture], mask: Capture | None, captures: list[Capture], notes: list[str], *, overlays: bool, denoise: bool
 ) -> Frame:
-    """The frame from clean pictures of one size; options: whether to mask overlays, and whether to denoise."""
-    overlays, denoise = options
+    """The frame from clean pictures of one size.  captures: those that the pictures are from, for their times."""
     camera, images, names = pictures[0].camera, [p.image for p in pictures], [p.name for p in pictures]
     height, width = images[0].shape[:2]
     usable = _usable_pixels(camera, mask, width, height)
@@ -113,20 +114,16 @@ def _merged_frame(
     if len(images) == 2:
         notes.append(f"two captures have no majority: only {names[1]} is used")
     trusted = allowed & ~background.doubtful
-    if overlays and (overlaid := int((background.overlaid & allowed).sum())):
-        notes.append(f"a clock or logo is masked: {overlaid:,} pixels")
-        trusted &= ~background.overlaid
-    if overlays and (clock := running_clock(images, trusted)):
-        x, y, clock_width, clock_height = clock
-        notes.append(f"a clock runs in its picture ({clock_width} x {clock_height} px at {x}, {y}): name a mask for it")
+    if overlays:
+        trusted = _without_overlays(trusted, background.overlaid & allowed, images, notes)
     if not trusted.any():
         raise BadCapture("mask, privacy polygons and moving things leave no pixel to use")
-    times = taken_at(captures)
     noise = remaining_noise(signal.noise, len(images), width / camera.width)
     image = background.image
     if denoise and noise >= NOISY:
         image = denoised(image, noise)
         notes.append(f"noisy, {signal.noise:.0f} grey levels a capture: denoised")
+    times = taken_at(captures)
     return Frame(
         blanked(image, private if private.any() else None),
         trusted,
@@ -146,6 +143,17 @@ def _merged_frame(
         taken_in_order=list(times) == sorted(times),
         picture_digest=pictures[-1].digest,
     )
+
+
+def _without_overlays(trusted: Bools, overlaid: Bools, images: Sequence[Uint8s], notes: list[str]) -> Bools:
+    """The trusted pixels but those of overlays, which are noted, as is a running clock."""
+    if overlaid.any():
+        notes.append(f"a clock or logo is masked: {overlaid.sum():,} pixels")
+        trusted = trusted & ~overlaid
+    if clock := running_clock(images, trusted):
+        x, y, width, height = clock
+        notes.append(f"a clock runs in its picture ({width} x {height} px at {x}, {y}): name a mask for it")
+    return trusted
 
 
 @dataclass(frozen=True)

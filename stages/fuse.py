@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields
-from functools import lru_cache
+from functools import lru_cache, partial
 from threading import Lock
 from typing import Any
 
@@ -64,11 +64,50 @@ def fuse(
     """
     preferred, frames = refined or {}, undistorted_frames(frames, cameras)
     cameras = {k: camera for k, camera in cameras.items() if camera.component == component and (k in depths or k in preferred)}
+    view_of, forget_views = _loader(frames, cameras, depths, preferred)
+    subsampled = dict(zip(cameras, parallel_map(lambda name: subsample(frames[name], view_of(name).depth), cameras), strict=True))
+    if not any(np.isfinite(view.depth).any() for view in subsampled.values()):
+        return Rejected(Reason.NO_DEPTH, {"cameras": float(len(cameras))})
+    neighbours = {name: nearest_views(name, cameras, subsampled, check_views) for name in cameras}
+    gains = exposure_gains(cameras, subsampled, neighbours)
+    edge = voxel_m or natural_voxel(cameras, subsampled)
+    centre = np.mean([camera.C for camera in cameras.values()], axis=0)
+    grid = VoxelGrid(edge, edge * np.round(centre / edge))  # a multiple: cells don't depend on the cameras that took part
 
+    def voxels_of(grid: VoxelGrid, name: str) -> tuple[Float32s, VoxelSums]:
+        """Squared misfits (n,) of a view's points that are probable enough, and their sums by voxel."""
+        frame, view = frames[name], view_of(name)
+        check = cross_check(name, neighbours[name], cameras, view_of)
+        probability = posterior(view.depth, frame, view.own_logit, check)
+        accepted = (probability >= confidence) & (check.pairs >= min_consistent_pairs)
+        if min_consistent_pairs > 1:
+            accepted &= check.agreeing >= min_consistent_pairs
+        other_centres = np.array([cameras[other].C for other in neighbours[name]]).reshape(-1, 3)
+        probability = np.where(accepted, probability, np.float32(0))
+        samples = _samples(frame, cameras[name], view.depth, check, other_centres, gains[name], probability)
+        return samples.variance * samples.weight, grid.sums_of(samples)
+
+    sample_counts, misfits = {}, {}
+    for name, (squared_misfits, sums) in zip(cameras, parallel_map(partial(voxels_of, grid), cameras), strict=True):
+        sample_counts[name] = len(squared_misfits)
+        if len(squared_misfits):
+            misfits[name] = float(np.sqrt(np.median(squared_misfits)))
+        grid.add(sums)  # in the order of the views, on which the sums depend
+    forget_views()
+    parts = [_cloud(samples) for samples in grid.merged()]
+    del grid
+    if not parts:
+        return Rejected(Reason.NO_SUPPORTED_POINT, {"cameras": len(cameras), "min_consistent_pairs": min_consistent_pairs})
+    return _join(parts, sample_counts, misfits, right)
+
+
+def _loader(
+    frames: Mapping[str, Frame], cameras: Mapping[str, Camera], depths: Mapping[str, DepthMap], preferred: Mapping[str, DepthMap]
+) -> tuple[Callable[[str], TrustedDepth], Callable[[], None]]:
+    """A function that loads the depth of a view and keeps the last few in memory, and one that forgets these."""
     largest = max((camera.width * camera.height for camera in cameras.values()), default=1)
-    cache_size = max(_IN_MEMORY, _IN_MEMORY_PX // largest)
 
-    @lru_cache(cache_size)
+    @lru_cache(max(_IN_MEMORY, _IN_MEMORY_PX // largest))
     def load_view(name: str) -> TrustedDepth:
         maps = [source[name] for source in (preferred, depths) if name in source]
         usable = usable_pixels(frames[name], maps[-1])  # judged by the pairs' depth: refinement fits planes to the sky, too
@@ -80,69 +119,25 @@ def fuse(
         with loading:
             return load_view(name)
 
-    subsampled = dict(zip(cameras, parallel_map(lambda name: subsample(frames[name], view_of(name).depth), cameras), strict=True))
-    if not any(np.isfinite(view.depth).any() for view in subsampled.values()):
-        return Rejected(Reason.NO_DEPTH, {"cameras": float(len(cameras))})
-    neighbours = {name: nearest_views(name, cameras, subsampled, check_views) for name in cameras}
-    gains = exposure_gains(cameras, subsampled, neighbours)
-    edge = voxel_m or natural_voxel(cameras, subsampled)
-    centre = np.mean([camera.C for camera in cameras.values()], axis=0)
-    grid = VoxelGrid(edge, edge * np.round(centre / edge))  # a multiple: cells don't depend on the cameras that took part
-
-    def view_points(name: str, grid: VoxelGrid) -> tuple[Float32s, VoxelSums]:
-        check = cross_check(name, neighbours[name], cameras, view_of)
-        other_centres = np.array([cameras[other].C for other in neighbours[name]]).reshape(-1, 3)
-        limits = (min_consistent_pairs, confidence)
-        samples = _samples(frames[name], cameras[name], view_of(name), check, other_centres, gains[name], limits)
-        return samples.variance * samples.weight, grid.sums_of(samples)
-
-    sample_counts, misfits = _collect(grid, list(cameras), view_points)
-    load_view.cache_clear()
-    parts = [_cloud(samples) for samples in grid.merged()]
-    del grid
-    if not parts:
-        return Rejected(Reason.NO_SUPPORTED_POINT, {"cameras": len(cameras), "min_consistent_pairs": min_consistent_pairs})
-    return _join(parts, sample_counts, misfits, right)
-
-
-def _collect(
-    grid: VoxelGrid, names: Sequence[str], points_of: Callable[[str, VoxelGrid], tuple[Float32s, VoxelSums]]
-) -> tuple[dict[str, int], dict[str, float]]:
-    """Add the points of all views to the grid, in order, since sums depend on it; returns `Cloud.given` and `Cloud.misfits`.
-
-    points_of: squared misfits (n,) of a view's points, and their voxel sums.
-    """
-    sample_counts, misfits = {}, {}
-    for name, (squared_misfits, sums) in zip(names, parallel_map(lambda name: points_of(name, grid), names), strict=True):
-        sample_counts[name] = len(squared_misfits)
-        if len(squared_misfits):
-            misfits[name] = float(np.sqrt(np.median(squared_misfits)))
-        grid.add(sums)
-    return sample_counts, misfits
+    return view_of, load_view.cache_clear
 
 
 def _samples(
-    frame: Frame, camera: Camera, view: TrustedDepth, check: CrossCheck, other_centres: Float64s, gains: Float64s,
-    limits: tuple[int, float],
-) -> Samples:  # fmt: skip
-    """The points of one view that are probable enough.  limits: `min_consistent_pairs` and `confidence` of `fuse`."""
-    depth, (min_pairs, confidence) = view.depth, limits
-    probability = posterior(depth, frame, view.own_logit, check)
-    accepted = (probability > 0) & (probability >= confidence) & (check.pairs >= min_pairs)
-    if min_pairs > 1:
-        accepted &= check.agreeing >= min_pairs
-    y, x = np.nonzero(accepted)
+    frame: Frame, camera: Camera, depth: DepthMap, check: CrossCheck, other_centres: Float64s, gains: Float64s, right: Float32s
+) -> Samples:
+    """The points of one view.  right: (h, w) probability that its depths are right, 0 where they are not used."""
+    y, x = np.nonzero(right)
     z, sigma = depth.depth[y, x].astype(np.float64), depth.sigma[y, x].astype(np.float64)
     points, normals = backproject(camera, np.column_stack([x, y]).astype(np.float64), z), world_normals(camera, depth, y, x)
-    pixel_size, variance = (z / camera.K[0, 0]).astype(np.float32), depth_variance(depth, check, y, x)
+    variance = depth_variance(depth, check, y, x)
     return Samples(
         points,
         normals.astype(np.float32),
         (frame.image[y, x] * gains).clip(0, 255).astype(np.float32),
         (1.0 / sigma**2).astype(np.float32),
-        probability[y, x],
+        right[y, x],
         check.cameras[y, x].astype(np.float32),
-        pixel_size,
+        (z / camera.K[0, 0]).astype(np.float32),
         along_nearest_rays(variance, camera, other_centres, check.nearest[y, x], points, normals).astype(np.float32),
     )
 

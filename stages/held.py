@@ -10,6 +10,7 @@ import numpy as np
 from .core.cameras import same_camera
 from .poses import solve_poses, stated_calibration
 from .reasons import Reason, Rejected
+from .sfm.rigs import rotation_between
 from .types import Bools, Camera, CameraHealth, Float64s, Geometry, Pair, Placement, Poses, Survey, View, at_rows
 
 _IDENTITY: Float64s = np.eye(3)
@@ -69,26 +70,22 @@ def hold_poses(
         return Rejected(Reason.NOTHING_KNOWN)
     healths = _with_shared_turns(healths, views)
     free = [n for n, health in healths.items() if _is_free(health) or n not in pinned.cameras]  # cameras to solve
-    cameras = {n: _turned(camera, healths.get(n)) for n, camera in pinned.cameras.items() if n not in free}
-    turned = [n for n in cameras if n in healths and healths[n].corrected]
-    sources = {n: "corrected" if n in turned else source for n, source in pinned.sources.items() if n in cameras}
-    notes = tuple(f"{name}: {healths[name].text}" for name in (*turned, *(n for n in free if n in pinned.cameras)))
-    held = replace(pinned, cameras=cameras, sources=sources, notes=(*notes, *pinned.notes))
+    held = _without(free, pinned, healths)
     if not free:
         return held
-    relevant = {pair: g for pair, g in geometries.items() if set(pair) & set(free) and set(pair) <= {*cameras, *free}}
     stated = {n: camera for n, camera in pinned.cameras.items() if n in views and pinned.sources.get(n) in {"stated", "refined"}}
-    unmoved = {n: cameras[n] for n in stated if n in cameras}
-    held = replace(held, calibration=stated_calibration(stated, unmoved, {*stated} - {*unmoved}, geometries))
-    known_views = {n: replace(view, K=pinned.cameras[n].K, focal_known=True) for n, view in views.items() if n in pinned.cameras}
-    main_cameras = {n: camera for n, camera in cameras.items() if camera.component == 0 and n in views}
-    placements = {n: Placement(camera.R, camera.C, metric=pinned.metric) for n, camera in main_cameras.items()}
-    solver_views = {n: known_views.get(n, view) for n, view in views.items() if n in main_cameras or n in free}
+    unmoved = {n: held.cameras[n] for n in stated if n in held.cameras}
+    held = replace(held, calibration=stated_calibration(stated, unmoved, geometries))
+    relevant = {pair: g for pair, g in geometries.items() if set(pair) & set(free) and set(pair) <= {*held.cameras, *free}}
     if not relevant:
         return _with_solved(held, Rejected(Reason.NO_POSED_CAMERA), free)
+    fixed = {n: camera for n, camera in held.main_cameras().items() if n in views}
+    solver_views = {n: view for n, view in views.items() if n in fixed or n in free}
+    for name in solver_views.keys() & pinned.cameras.keys():
+        solver_views[name] = replace(solver_views[name], K=pinned.cameras[name].K, focal_known=True)
     poses = solve_poses(
         solver_views,
-        placements,
+        {n: Placement(camera.R, camera.C, metric=pinned.metric) for n, camera in fixed.items()},
         relevant,
         survey,
         max_rotation_error_deg=max_rotation_error_deg,
@@ -98,19 +95,27 @@ def hold_poses(
     return _with_solved(held, poses, free)
 
 
+def _without(free: list[str], pinned: Poses, healths: Mapping[str, CameraHealth]) -> Poses:
+    """The poses of the reference without the free cameras, and with the turns of those that have turned."""
+    cameras = {n: _turned(camera, healths.get(n)) for n, camera in pinned.cameras.items() if n not in free}
+    turned = [n for n in cameras if n in healths and healths[n].corrected]
+    sources = {n: "corrected" if n in turned else source for n, source in pinned.sources.items() if n in cameras}
+    notes = [f"{name}: {healths[name].text}" for name in (*turned, *(n for n in free if n in pinned.cameras))]
+    return replace(pinned, cameras=cameras, sources=sources, notes=(*notes, *pinned.notes))
+
+
 def _with_shared_turns(healths: Mapping[str, CameraHealth], views: Mapping[str, View]) -> dict[str, CameraHealth]:
     """The healths, but with the same turn for all views of one camera: that of the view with the most patches found again."""
-    shared = dict(healths)
     usable = {n: health for n, health in healths.items() if n in views and health.state not in {"obscured", "wrong-scene"}}
+
+    def evidence(name: str) -> tuple[bool, float | str]:
+        return usable[name].corrected or _is_free(usable[name]), usable[name].figures.get("patches", 0.0)
+
+    shared = dict(healths)
     for name in usable:
-        own_lens = views[name].lens
-        group = [n for n in usable if same_camera(views[name], views[n])]
-        best = max(
-            group, key=lambda n: (usable[n].corrected or _is_free(usable[n]), usable[n].figures.get("patches", 0.0)), default=name
-        )
-        best_lens, turn = views[best].lens, usable[best].turn
-        if best != name and own_lens and best_lens and own_lens.turn is not None and best_lens.turn is not None:
-            to_own = own_lens.turn @ best_lens.turn.T
+        best = max((n for n in usable if same_camera(views[name], views[n])), key=evidence, default=name)
+        if best != name:
+            to_own, turn = rotation_between(views[best].lens, views[name].lens), usable[best].turn
             turned = None if turn is None else to_own @ turn @ to_own.T
             shared[name] = replace(usable[best], turn=turned, homography=usable[name].homography)
     return shared
@@ -125,11 +130,12 @@ def _with_solved(held: Poses, poses: Poses | Rejected, free: list[str]) -> Poses
         reasons = dict.fromkeys(free, f"moved, and not solved: {poses.reason}")
         return replace(held, pair_checks=checks, unsolved=other_reasons | reasons, components=components)
     solved = {name: poses.cameras[name] for name in free if name in poses.cameras and poses.cameras[name].component == 0}
-    unsolved = {n: f"moved, and not solved: {poses.unsolved.get(n, 'its pairs do not connect it with the others')}" for n in free}
+    unconnected = "its pairs do not connect it with the others"
+    reasons = {n: f"moved, and not solved: {poses.unsolved.get(n, unconnected)}" for n in free if n not in solved}
     return replace(
         held,
         cameras={**held.cameras, **solved},
-        unsolved=other_reasons | {name: reason for name, reason in unsolved.items() if name not in solved},
+        unsolved=other_reasons | reasons,
         pair_checks={**checks, **{name: check for name, check in poses.pair_checks.items() if set(name.split("--")) & set(free)}},
         components=((*components[0], *solved), *components[1:]),
         sources={**held.sources, **dict.fromkeys(solved, "solved")},

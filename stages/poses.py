@@ -10,7 +10,7 @@ displacement, and it is solved like an unknown one.  If only one pair contradict
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -90,128 +90,142 @@ def solve_poses(
         return Rejected(Reason.ONE_CAMERA, {"cameras": len(views)})
     survey = survey or Survey()
     stated = stated_cameras(views, placements)
+    if not geometries and not stated:
+        return Rejected(Reason.NO_POSED_CAMERA, {"cameras": len(views)})
     if not geometries:
-        return _as_stated(views, placements, stated, survey)
-    sigmas = {name: Sigma(placements[name].sigma_m, placements[name].sigma_deg) for name in stated}
-    known = {name: camera for name, camera in stated.items() if sigmas[name].exact or sigmas[name].degrees > 0}
-    known_pairs = {pair: geometry for pair, geometry in geometries.items() if set(pair) <= set(known)}
-    exact = all(sigmas[name].exact for name in known)
-    corrected, calibration = correct_usual_errors(known, geometries) if exact else (known, None)
-    adjusted, moved = _adjusted_and_moved(corrected, sigmas, known_pairs, frames_if_rough or {})
-    cameras = adjusted.cameras
-    if rejected := without_baseline(views, cameras, geometries, min_angle_deg, all(placements[n].metric for n in cameras)):
+        return check_survey(_as_stated(views, placements, stated, survey), views, placements, survey)
+    known = _compared_with_images(stated, placements, geometries, frames_if_rough or {})
+    is_metric = all(placements[name].metric for name in known.cameras)
+    if rejected := without_baseline(views, known.cameras, geometries, min_angle_deg, is_metric):
         return rejected
-    evidence = PoseConstraints.of(tuple(cameras), known_pairs).evidence(cameras)
-    held_placements = {name: replace(placements[name], R=c.R, C=c.C, sigma_m=0.0, sigma_deg=0.0) for name, c in cameras.items()}
-    accepted = {name: placement for name, placement in placements.items() if name not in moved} | held_placements
-    trusted = {name: camera for name, camera in stated.items() if name not in moved} | cameras
-    if moved or not exact:
-        calibration = stated_calibration(corrected, cameras, set(moved), geometries)
-    geometries = {**geometries, **{pair: confirmed(geometries[pair]) for new in moved.values() for pair in new.pairs}}
+    trusted = {name: camera for name, camera in stated.items() if name not in known.moved} | known.cameras
+    accepted = {name: placement for name, placement in placements.items() if name not in known.moved}
+    accepted |= {n: replace(placements[n], R=c.R, C=c.C, sigma_m=0.0, sigma_deg=0.0) for n, c in known.cameras.items()}
     if len(trusted) == len(views) and all(accepted[name].sigma_m == 0 for name in trusted):
-        poses = _as_stated(views, accepted, trusted, survey)
+        poses: Poses | Rejected = _as_stated(views, accepted, trusted, survey)
     else:  # imported here, so that a night whose poses are all known and right does not wait for the solver
         from .orientation.solve import solve_from_pairs
 
-        poses = solve_from_pairs(views, accepted, geometries, survey, trusted, max_rotation_error_deg, max_epipolar_px)
+        pairs = {**geometries, **{pair: confirmed(geometries[pair]) for new in known.moved.values() for pair in new.pairs}}
+        poses = solve_from_pairs(views, accepted, pairs, survey, trusted, max_rotation_error_deg, max_epipolar_px)
         if isinstance(poses, Rejected) and len(trusted) >= 2:
             poses = _as_stated(views, accepted, trusted, survey, poses.reason)
     if isinstance(poses, Rejected):
         return poses
-    uncertain = (PoseIssue("uncertain", name, row_px=px) for name, px in _uncertain(adjusted, geometries).items())
-    poses = replace(poses, issues=(*poses.issues, *uncertain), calibration=calibration)
-    poses = check_survey(poses, views, placements, survey)
-    return _checked(poses, (known, cameras, trusted), moved, known_pairs, evidence, max_epipolar_px)
+    sources = {name: _source(camera, stated.get(name), trusted.get(name)) for name, camera in poses.cameras.items()}
+    poses = replace(poses, sources=sources, calibration=known.calibration)
+    return _checked(check_survey(poses, views, placements, survey), known, max_epipolar_px)
+
+
+@dataclass(frozen=True)
+class _KnownPoses:
+    """The poses that the images can check, compared with them."""
+
+    stated: Mapping[str, Camera]
+    """As the site states them, by id."""
+    moved: Mapping[str, NewPose]
+    """Those that the images contradict."""
+    adjusted: AdjustedPoses
+    """The others, adjusted to the images within their standard deviations."""
+    pairs: Mapping[Pair, Geometry]
+    """The pairs of stated cameras."""
+    evidence: list[Evidence]
+    """Evidence of these pairs about the adjusted cameras."""
+    calibration: CalibrationCheck | None
+
+    @property
+    def cameras(self) -> dict[str, Camera]:
+        """The cameras that have not moved, as adjusted."""
+        return self.adjusted.cameras
+
+
+def _compared_with_images(
+    stated: Mapping[str, Camera],
+    placements: Mapping[str, Placement],
+    geometries: Mapping[Pair, Geometry],
+    frames: Mapping[str, Frame],
+) -> _KnownPoses:
+    """Compare stated poses with the images, except those of which only the position is uncertain: the solver adjusts these."""
+    sigmas = {name: Sigma(placements[name].sigma_m, placements[name].sigma_deg) for name in stated}
+    known = {name: camera for name, camera in stated.items() if sigmas[name].exact or sigmas[name].degrees > 0}
+    pairs = {pair: geometry for pair, geometry in geometries.items() if set(pair) <= set(known)}
+    are_exact = all(sigmas[name].exact for name in known)
+    corrected, calibration = correct_usual_errors(known, geometries) if are_exact else (known, None)
+    adjusted = adjust_within_priors(corrected, sigmas, pairs)
+    if frames and _uncertain_px(adjusted, pairs):
+        from .orientation.ground_adjustment import adjust_to_ground  # imported here: other nights need none of its kernels
+
+        grey = {name: grey_levels(frame.image).astype(np.float32) for name, frame in frames.items()}
+        adjusted = adjust_to_ground(grey, corrected, sigmas, pairs) or adjusted
+    cameras = adjusted.cameras
+    moved = _with_other_views(cameras, find_moved_cameras(cameras, PoseConstraints.of(tuple(cameras), pairs)))
+    if moved:
+        adjusted = adjust_within_priors({n: camera for n, camera in corrected.items() if n not in moved}, sigmas, pairs)
+    if moved or not are_exact:
+        calibration = stated_calibration(corrected, adjusted.cameras, geometries)
+    evidence = PoseConstraints.of(tuple(adjusted.cameras), pairs).evidence(adjusted.cameras)
+    return _KnownPoses(known, moved, adjusted, pairs, evidence, calibration)
 
 
 def stated_calibration(
-    known: Mapping[str, Camera],
-    cameras: Mapping[str, Camera],
-    moved: set[str],
-    geometries: Mapping[Pair, Geometry],
+    known: Mapping[str, Camera], unmoved: Mapping[str, Camera], geometries: Mapping[Pair, Geometry]
 ) -> CalibrationCheck | None:
     """Check the stated calibration as a whole; a contradiction that moved cameras explain is not blamed on the others.
 
     Parameters
     ----------
-    known, cameras : cameras as stated, and as adjusted within their standard deviations, without those that were moved.
-    moved : ids of the cameras that were moved.
+    known, unmoved : all cameras as stated, and those that were not moved, as adjusted within their standard deviations.
     geometries : of all pairs.
     """
-    check = check_calibration({**known, **cameras}, geometries)
-    if moved and check is not None and check.contradicted and check.cause in ("", "turned", "moved", "poses"):
-        return check_calibration(cameras, geometries)
+    check = check_calibration({**known, **unmoved}, geometries)
+    if len(unmoved) < len(known) and check is not None and check.contradicted and check.cause in ("", "turned", "moved", "poses"):
+        return check_calibration(unmoved, geometries)
     return check
 
 
-def _checked(
-    poses: Poses,
-    camera_sets: tuple[Mapping[str, Camera], Mapping[str, Camera], Mapping[str, Camera]],
-    moved: Mapping[str, NewPose],
-    pairs: Mapping[Pair, Geometry],
-    evidence: list[Evidence],
-    max_epipolar_px: float,
-) -> Poses:
-    """The poses found, with the checks of known poses against the images.
-
-    camera_sets: known cameras as stated; those that have not moved, as adjusted; and these plus cameras that nothing checks.
-    pairs, evidence: the pairs of known cameras, and their evidence about the adjusted ones.
-    """
-    known, cameras, trusted = camera_sets
-    checks = check_cameras(cameras, pairs, evidence)
-    contradicting = [e.cameras for e in evidence if e.contradicts]
-    unclear = [name for name in cameras if any(name in group for group in contradicting) and not checks[name].verified]
-    common = [name for name in unclear if all(name in group for group in contradicting)]
-    in_triplets = {name for group in contradicting if len(group) == 3 for name in group}
-    if min(len(unclear), len(contradicting)) < 2 or len(common) > 1:  # no camera that all contradictions share
-        common = []
-    contradiction = _contradiction(unclear, cameras, pairs, evidence) if unclear else ""
-    moved_checks = {name: _moved_check(known[name], poses.cameras.get(name), name, pairs) for name in moved}
-    messages = {name: _moved_message(name, check, poses.metric) for name, check in moved_checks.items()}
-    fits = _pair_fit(cameras, pairs, max_epipolar_px)  # replaces the solver's checks, except of pairs that it keeps
-    kept_checks = {pair: poses.pair_checks[pair] for pair, check in fits.items() if check.kept and pair in poses.pair_checks}
-    pair_checks = {**poses.pair_checks, **fits, **{pair: replace(check, known="stated") for pair, check in kept_checks.items()}}
+def _checked(poses: Poses, known: _KnownPoses, max_epipolar_px: float) -> Poses:
+    """The poses found, with the checks of known poses against the images."""
+    checks = check_cameras(known.cameras, known.pairs, known.evidence)
+    moved_checks = {name: _moved_check(name, known, poses.cameras.get(name)) for name in known.moved}
+    pair_checks = dict(poses.pair_checks)
+    for pair, geometry in known.pairs.items():
+        if set(pair) <= set(known.cameras):
+            name, fit = "--".join(pair), _pair_fit(known.cameras, pair, geometry, max_epipolar_px)
+            is_solved = fit.kept and name in pair_checks
+            pair_checks[name] = replace(pair_checks[name], known="stated") if is_solved else fit
     return replace(
         poses,
         dropped={pair: check.reason for pair, check in pair_checks.items() if not check.kept},
         pair_checks=pair_checks,
         pose_checks=checks | moved_checks,
-        source="mixed" if moved else poses.source,
-        sources={name: _source(name, known, trusted, poses) for name in poses.cameras},
+        source="mixed" if known.moved else poses.source,
         issues=(
-            *(PoseIssue("moved", name, text) for name, text in messages.items()),
+            *(PoseIssue("moved", name, _moved_message(name, check, poses.metric)) for name, check in moved_checks.items()),
             *poses.issues,
-            *(PoseIssue("unverified", name, _unverified(name, cameras, pairs, evidence), name in in_triplets) for name in common),
-            *(PoseIssue("contradicted", name, contradiction, name in in_triplets) for name in (unclear if not common else ())),
+            *(PoseIssue("uncertain", name, row_px=px) for name, px in _uncertain_px(known.adjusted, known.pairs).items()),
+            *_contradictions(known, checks),
         ),
     )
 
 
-def _adjusted_and_moved(
-    known: Mapping[str, Camera], sigmas: Mapping[str, Sigma], geometries: Mapping[Pair, Geometry], frames: Mapping[str, Frame]
-) -> tuple[AdjustedPoses, dict[str, NewPose]]:
-    """Known cameras, adjusted to the images within their standard deviations, and those that have moved."""
-    adjusted = adjust_within_priors(known, sigmas, geometries)
-    if frames and _uncertain(adjusted, geometries):
-        from .orientation.ground_adjustment import adjust_to_ground  # imported here: other nights need none of its kernels
-
-        grey = {name: grey_levels(frame.image).astype(np.float32) for name, frame in frames.items()}
-        adjusted = adjust_to_ground(grey, known, sigmas, geometries) or adjusted
-    cameras = adjusted.cameras
-    moved = _with_other_views(cameras, find_moved_cameras(cameras, PoseConstraints.of(tuple(cameras), geometries)))
-    if moved:
-        adjusted = adjust_within_priors({name: camera for name, camera in known.items() if name not in moved}, sigmas, geometries)
-    return adjusted, moved
+def _contradictions(known: _KnownPoses, checks: Mapping[str, PoseCheck]) -> list[PoseIssue]:
+    """The doubts about poses that contradict each other: about one of them, if all contradictions involve it."""
+    contradicting = [e.cameras for e in known.evidence if e.contradicts]
+    in_triplets = {name for group in contradicting if len(group) == 3 for name in group}
+    unclear = [n for n in known.cameras if any(n in group for group in contradicting) and not checks[n].verified]
+    common = [name for name in unclear if all(name in group for group in contradicting)]
+    if len(common) == 1 and len(unclear) >= 2 and len(contradicting) >= 2:
+        return [PoseIssue("unverified", name, _unverified(name, known), name in in_triplets) for name in common]
+    message = _contradiction(unclear, known) if unclear else ""
+    return [PoseIssue("contradicted", name, message, name in in_triplets) for name in unclear]
 
 
-def _uncertain(adjusted: AdjustedPoses, pairs: Iterable[Pair]) -> dict[str, float]:
+def _uncertain_px(adjusted: AdjustedPoses, pairs: Iterable[Pair]) -> dict[str, float]:
     """Cameras without any pair whose rows are exact enough to match along, with the least standard deviation of their rows."""
     least_sigma: dict[str, float] = {}
     for pair in pairs:
-        if not set(pair) <= set(adjusted.cameras):
-            continue
-        expected = predict(adjusted.cameras[pair[0]], adjusted.cameras[pair[1]])
-        if expected is None:
+        left, right = (adjusted.cameras.get(name) for name in pair)
+        if left is None or right is None or (expected := predict(left, right)) is None:
             continue
         sigma = float(np.median(adjusted.row_sigmas_px(pair, expected.x1, expected.x2)))
         for name in pair:
@@ -229,38 +243,36 @@ def _with_other_views(cameras: Mapping[str, Camera], moved: Mapping[str, NewPose
     return new_poses
 
 
-def _source(name: str, known: Mapping[str, Camera], trusted: Mapping[str, Camera], poses: Poses) -> str:
-    camera = poses.cameras[name]
-    if name not in trusted or not (np.array_equal(camera.R, trusted[name].R) and np.array_equal(camera.C, trusted[name].C)):
+def _source(camera: Camera, stated: Camera | None, trusted: Camera | None) -> str:
+    """Source of a camera's pose; trusted: the camera with its pose as stated or adjusted, None if there is none or it moved."""
+    if trusted is None or not _same_pose(camera, trusted):
         return "solved"
-    is_stated = name not in known or (np.array_equal(camera.R, known[name].R) and np.array_equal(camera.C, known[name].C))
-    return "stated" if is_stated else "refined"
+    return "stated" if stated is not None and _same_pose(camera, stated) else "refined"
 
 
-def _pair_fit(cameras: Mapping[str, Camera], geometries: Mapping[Pair, Geometry], max_epipolar_px: float) -> dict[str, PairCheck]:
-    """How the matches of each pair fit known poses: a pair whose matches don't is not kept, though its cameras are known."""
-    checks = {}
-    for pair, geometry in geometries.items():
-        if not set(pair) <= set(cameras):
-            continue
-        error, rotation_deg = epipolar_error_px(cameras, pair, geometry), turned_deg(cameras, pair, geometry)
-        reason, code = f"the known poses leave an epipolar error of {error:.2f} px" if error > PAIR_PX else "", ""
-        if not (kept := error <= max_epipolar_px):
-            rejection = Rejected(Reason.MATCHES_CONTRADICT_CAMERAS, {"epipolar_px": error})
-            reason, code = rejection.reason, rejection.code
-        figures = geometry.epipolar_px, error, rotation_deg, not error <= PAIR_PX, "stated"
-        checks["--".join(pair)] = PairCheck(kept, reason, code, *figures)
-    return checks
+def _same_pose(camera: Camera, other: Camera) -> bool:
+    return np.array_equal(camera.R, other.R) and np.array_equal(camera.C, other.C)
 
 
-def _moved_check(stated: Camera, solved: Camera | None, name: str, geometries: Mapping[Pair, Geometry]) -> PoseCheck:
+def _pair_fit(cameras: Mapping[str, Camera], pair: Pair, geometry: Geometry, max_epipolar_px: float) -> PairCheck:
+    """How the matches of a pair fit known poses: a pair whose matches don't is not kept, though its cameras are known."""
+    error = epipolar_error_px(cameras, pair, geometry)
+    reason, code = f"the known poses leave an epipolar error of {error:.2f} px" if error > PAIR_PX else "", ""
+    if not (kept := error <= max_epipolar_px):
+        rejection = Rejected(Reason.MATCHES_CONTRADICT_CAMERAS, {"epipolar_px": error})
+        reason, code = rejection.reason, rejection.code
+    rotation_deg = turned_deg(cameras, pair, geometry)
+    return PairCheck(kept, reason, code, geometry.epipolar_px, error, rotation_deg, not error <= PAIR_PX, "stated")
+
+
+def _moved_check(name: str, known: _KnownPoses, solved: Camera | None) -> PoseCheck:
     """The check of a camera that is not at its stated pose, with its displacement."""
-    own_pairs = {pair: geometry for pair, geometry in geometries.items() if name in pair}
-    inliers = sum(geometry.inliers for geometry in own_pairs.values())
+    own_pairs = [geometry for pair, geometry in known.pairs.items() if name in pair]
+    check = PoseCheck(len(own_pairs), sum(geometry.inliers for geometry in own_pairs), float("nan"), True)
     if solved is None or solved.component != 0:
-        return PoseCheck(len(own_pairs), inliers, float("nan"), True)
-    length = float(np.linalg.norm(solved.C - stated.C))
-    return PoseCheck(len(own_pairs), inliers, float("nan"), True, length, angle_between_deg(solved.R, stated.R))
+        return check
+    stated = known.stated[name]
+    return replace(check, off_m=float(np.linalg.norm(solved.C - stated.C)), off_deg=angle_between_deg(solved.R, stated.R))
 
 
 def _moved_message(name: str, check: PoseCheck, metric: bool) -> str:
@@ -271,15 +283,17 @@ def _moved_message(name: str, check: PoseCheck, metric: bool) -> str:
     return f"{text}: it seems off by {length} and {check.off_deg:.2f} degrees; solved anew from the others. Has it been moved?"
 
 
-def _unverified(name: str, cameras: Mapping[str, Camera], geometries: Mapping[Pair, Geometry], evidence: list[Evidence]) -> str:
+def _unverified(name: str, known: _KnownPoses) -> str:
     """The message for a camera whose pairs contradict its known pose."""
-    own = {pair: geometry for pair, geometry in geometries.items() if name in pair}
-    against = [pair for pair in own if any(e.cameras == pair and e.contradicts for e in evidence)]
-    worst_px = max((epipolar_error_px(cameras, pair, own[pair]) for pair in against), default=float("nan"))
-    by = f" by up to {worst_px:.1f} px" if against else ""
-    most_deg = _most_turned_deg(cameras, {pair: own[pair] for pair in against})
-    turned = f" and {most_deg:.1f} degrees" if by and most_deg > TURNED_DEG else ""
-    text = f"{len(against)} of its {len(own)} pairs contradict its known pose{by}{turned}; no two others contradict each other"
+    own = {pair: geometry for pair, geometry in known.pairs.items() if name in pair}
+    contradicting = {e.cameras for e in known.evidence if e.contradicts}
+    against = {pair: geometry for pair, geometry in own.items() if pair in contradicting}
+    by = ""
+    if against:
+        by = f" by up to {max(epipolar_error_px(known.cameras, pair, g) for pair, g in against.items()):.1f} px"
+        most_deg = _most_turned_deg(known.cameras, against)
+        by += f" and {most_deg:.1f} degrees" if most_deg > TURNED_DEG else ""
+    text = f"{len(against)} of its {len(own)} pairs contradict its known pose{by}; no two others contradict each other"
     return f"{text}. It stays in use, unverified: has it been moved?"
 
 
@@ -287,19 +301,17 @@ def _most_turned_deg(cameras: Mapping[str, Camera], geometries: Mapping[Pair, Ge
     return max((turned_deg(cameras, pair, geometry) for pair, geometry in geometries.items()), default=float("nan"))
 
 
-def _contradiction(
-    names: list[str], cameras: Mapping[str, Camera], geometries: Mapping[Pair, Geometry], evidence: list[Evidence]
-) -> str:
+def _contradiction(names: list[str], known: _KnownPoses) -> str:
     """The message for known poses that contradict each other, with what would decide which is wrong."""
-    contradicting = {e.cameras for e in evidence if e.contradicts}
-    pairs = {pair: geometry for pair, geometry in geometries.items() if set(pair) <= set(names)}
-    most_deg = _most_turned_deg(cameras, {pair: g for pair, g in pairs.items() if pair in contradicting} or pairs)
+    contradicting = {e.cameras for e in known.evidence if e.contradicts}
+    pairs = {pair: geometry for pair, geometry in known.pairs.items() if set(pair) <= set(names)}
+    most_deg = _most_turned_deg(known.cameras, {pair: g for pair, g in pairs.items() if pair in contradicting} or pairs)
     by = f" by {most_deg:.1f} degrees" if most_deg > TURNED_DEG else ""
     if len(names) == 1:
         return f"the known pose of {names[0]} is unverified: as many of its pairs contradict it{by} as agree. It stays in use."
     text = f"the known poses of {_join_names(names)} contradict each other{by}: which of them is wrong is unknown."
     text += " They stay in use, unverified: the matches may be look-alikes."
-    if len(names) == len(cameras) > 2:
+    if len(names) == len(known.cameras) > 2:
         return f"{text} Is this the calibration of these captures?"
     return f"{text} If one was moved, leave out its pose to have it solved; or add a camera that sees what both see."
 
@@ -323,16 +335,13 @@ def stated_cameras(views: Mapping[str, View], placements: Mapping[str, Placement
 def _as_stated(
     views: Mapping[str, View], placements: Mapping[str, Placement], stated: dict[str, Camera], survey: Survey,
     why: str = "it has no pair from which to solve it",
-) -> Poses | Rejected:  # fmt: skip
+) -> Poses:  # fmt: skip
     """The stated cameras as poses, without solving any; `why` completes the reason given for each other camera."""
     unsolved = {}
     for name, view in views.items():
         if name not in stated:
             lacks_lens = view.K is None or not view.focal_known
             unsolved[name] = f"{'no intrinsics' if lacks_lens else 'no pose'} given, and {why}"
-    if not stated:
-        return Rejected(Reason.NO_POSED_CAMERA, {"cameras": len(views)})
     metric = all(placements[name].metric for name in stated)
     scale = "calibration" if metric else "calibration, not metric"
-    poses = Poses(stated, unsolved, {}, metric, "calibration", components=(tuple(stated),), scale=scale, crs=survey.crs)
-    return check_survey(poses, views, placements, survey)
+    return Poses(stated, unsolved, {}, metric, "calibration", components=(tuple(stated),), scale=scale, crs=survey.crs)

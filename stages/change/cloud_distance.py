@@ -10,11 +10,12 @@ References: Lague, Brodu, Leroux, Accurate 3D comparison of complex topography w
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial import cKDTree
 
-from ..core.jit import kernel
+from ..core.jit import helper, kernel
 from ..core.ordering import by_cell
 from ..types import Float32s, Float64s, Int64s
 
@@ -22,6 +23,8 @@ CONFIDENCE = 1.96
 """Number of standard deviations that holds 95 % of all errors."""
 _BLOCK = 64
 """Number of points that are processed at once, so that the compiler can vectorise."""
+_MOST_CELLS = 40_000_000
+"""Largest number of cells of an index."""
 
 
 @dataclass(frozen=True)
@@ -41,6 +44,22 @@ class Distances:
     def detectable(self) -> Float64s:
         """Level of detection, (n,): a larger distance is a change, with 95 % confidence."""
         return CONFIDENCE * self.sigma
+
+
+class PointIndex(NamedTuple):
+    """A cloud sorted by the cells of a grid."""
+
+    points: Float64s
+    """(n, 3) in the order of their cells."""
+    order: Int64s
+    """(n,) indices of the sorted points in the cloud as it was given."""
+    starts: Int64s
+    """(cells + 1,) where each cell begins."""
+    low: Float64s
+    """(3,) corner of the first cell."""
+    edge: float
+    shape: Int64s
+    """(3,) cells along each axis."""
 
 
 @dataclass(frozen=True)
@@ -90,20 +109,18 @@ def _in_cylinders(
     mean, variance, count = np.full(len(core), np.nan), np.full(len(core), np.nan), np.zeros(len(core), np.int64)
     if len(cloud.points) and len(core):
         index = cloud.index or index_points(cloud.points, 2.0 * radius)
-        sigma_sq = cloud.sigma[index.order] ** 2
-        _measure_cylinders(
-            *(core, normals, np.ascontiguousarray(index.points.T), sigma_sq, index.starts, index.low, index.edge, index.shape),
-            *(radius, reach, mean, variance, count),
-        )
+        columns, sigma_sq = np.ascontiguousarray(index.points.T), cloud.sigma[index.order] ** 2
+        _measure_cylinders(core, normals, index, columns, sigma_sq, radius, reach, mean, variance, count)
     return mean, variance, count
 
 
 @kernel
 def _measure_cylinders(
-    core: Float64s, normals: Float64s, points: Float64s, sigma_sq: Float64s, starts: Int64s, low: Float64s, edge: float,
-    shape: Int64s, radius: float, reach: float, mean: Float64s, variance: Float64s, count: Int64s,
+    core: Float64s, normals: Float64s, index: PointIndex, columns: Float64s, sigma_sq: Float64s, radius: float, reach: float,
+    mean: Float64s, variance: Float64s, count: Int64s,
 ) -> None:  # fmt: skip
-    """points: (3, n)."""
+    """columns, sigma_sq: (3, n) the index's points, and (n,) their variances."""
+    low, edge, shape, starts = index.low, index.edge, index.shape, index.starts
     near_sq = (radius + 0.8661 * edge) ** 2  # plus half a cell's diagonal: cells farther away hold no point of the cylinder
     first, last, scratch = np.empty(3, np.int64), np.empty(3, np.int64), np.empty(2 * _BLOCK)
     for q in range(len(core)):
@@ -112,8 +129,7 @@ def _measure_cylinders(
             continue
         for a in range(3):
             half_extent = abs(normals[q, a]) * reach + radius
-            first[a] = max(int(np.floor((core[q, a] - half_extent - low[a]) / edge)), 0)
-            last[a] = min(int(np.floor((core[q, a] + half_extent - low[a]) / edge)), shape[a] - 1)
+            first[a], last[a] = _cells_within(core[q, a], half_extent, low[a], edge, shape[a])
         t_sum, sigma_sq_sum, inside_count = 0.0, 0.0, 0
         for i in range(first[0], last[0] + 1):
             x = low[0] + (i + 0.5) * edge - core[q, 0]
@@ -129,7 +145,7 @@ def _measure_cylinders(
                         end = starts[column + k + 1]
                 for p0 in range(begin, end, _BLOCK):
                     n = min(_BLOCK, end - p0)
-                    px, py, pz = points[0, p0:], points[1, p0:], points[2, p0:]
+                    px, py, pz = columns[0, p0:], columns[1, p0:], columns[2, p0:]
                     for p in range(n):
                         dx, dy, dz = px[p] - core[q, 0], py[p] - core[q, 1], pz[p] - core[q, 2]
                         t = dx * n0 + dy * n1 + dz * n2
@@ -146,24 +162,11 @@ def _measure_cylinders(
             variance[q] = sigma_sq_sum / inside_count / inside_count
 
 
-_MOST_CELLS = 40_000_000
-
-
-@dataclass(frozen=True)
-class PointIndex:
-    """A cloud sorted by the cells of a grid."""
-
-    points: Float64s
-    """(n, 3) in the order of their cells."""
-    order: Int64s
-    """(n,) indices of the sorted points in the cloud as it was given."""
-    starts: Int64s
-    """(cells + 1,) where each cell begins."""
-    low: Float64s
-    """(3,) corner of the first cell."""
-    edge: float
-    shape: Int64s
-    """(3,) cells along each axis."""
+@helper
+def _cells_within(centre: float, half_extent: float, low: float, edge: float, count: int) -> tuple[int, int]:
+    """The first and the last cell, along one axis, within some distance of a centre; there is none if the last one is smaller."""
+    first, last = np.floor((centre - half_extent - low) / edge), np.floor((centre + half_extent - low) / edge)
+    return max(int(first), 0), min(int(last), count - 1)
 
 
 def index_points(points: Float64s, edge: float) -> PointIndex:
@@ -203,27 +206,23 @@ def mean_normals(queries: Float64s, index: PointIndex, normals: Float32s, radius
     """
     out = np.full((len(queries), 3), np.nan)
     ordered = normals[index.order].astype(np.float64)
-    _mean_normals(queries, index.points, ordered, index.starts, index.low, index.edge, index.shape, radius, out)
+    _mean_normals(queries, index, ordered, radius, out)
     return out
 
 
 @kernel
-def _mean_normals(
-    queries: Float64s, points: Float64s, normals: Float64s, starts: Int64s, low: Float64s, edge: float, shape: Int64s,
-    radius: float, out: Float64s,
-) -> None:  # fmt: skip
-    first, last = np.empty(3, np.int64), np.empty(3, np.int64)
+def _mean_normals(queries: Float64s, index: PointIndex, normals: Float64s, radius: float, out: Float64s) -> None:
+    points, shape, first, last = index.points, index.shape, np.empty(3, np.int64), np.empty(3, np.int64)
     for q in range(len(queries)):
         for a in range(3):
-            first[a] = max(int(np.floor((queries[q, a] - radius - low[a]) / edge)), 0)
-            last[a] = min(int(np.floor((queries[q, a] + radius - low[a]) / edge)), shape[a] - 1)
+            first[a], last[a] = _cells_within(queries[q, a], radius, index.low[a], index.edge, shape[a])
+        if last[2] < first[2]:
+            continue
         nx, ny, nz = 0.0, 0.0, 0.0
         for i in range(first[0], last[0] + 1):
             for j in range(first[1], last[1] + 1):
                 column = (i * shape[1] + j) * shape[2]
-                if last[2] < first[2]:
-                    continue
-                for k in range(starts[column + first[2]], starts[column + last[2] + 1]):
+                for k in range(index.starts[column + first[2]], index.starts[column + last[2] + 1]):
                     dx, dy, dz = points[k, 0] - queries[q, 0], points[k, 1] - queries[q, 1], points[k, 2] - queries[q, 2]
                     if dx * dx + dy * dy + dz * dz <= radius * radius:
                         nx += normals[k, 0]

@@ -13,7 +13,7 @@ import numpy as np
 from scipy import ndimage
 
 from ..core.ground_grid import cells_of, quantile_by_cell
-from ..types import Bools, Change, Float64s, GroundGrid, Int64s
+from ..types import Bools, Change, Float64s, GroundGrid, Int64s, Uint8s
 from .evidence import CORE, Evidence
 from .footprint import UNKNOWN_SHARE_SIGMA, Footprint, covered_shares
 
@@ -58,7 +58,7 @@ class ChangeCluster:
 
 def find_clusters(
     side: Evidence,
-    colors: Float64s,
+    colors: Uint8s,
     grid: GroundGrid,
     other: GroundPoints,
     *,
@@ -123,7 +123,11 @@ def paired(clusters: list[ChangeCluster]) -> list[tuple[ChangeCluster, ChangeClu
     for _, i, j in candidates:
         if i not in origins and j not in origins.values():
             origins[i] = j
-    moved = [(_with_origin(new[i], vanished[j]), vanished[j]) for i, j in sorted(origins.items())]
+    moved = []
+    for i, j in sorted(origins.items()):
+        origin = vanished[j].change
+        change = replace(new[i].change, kind="moved", from_x=origin.x, from_y=origin.y, from_z=origin.z)
+        moved.append((replace(new[i], change=change), vanished[j]))
     single = [b for i, b in enumerate(new) if i not in origins] + [b for j, b in enumerate(vanished) if j not in origins.values()]
     return [*moved, *((cluster, None) for cluster in single)]
 
@@ -133,11 +137,6 @@ def _match(cluster1: ChangeCluster, cluster2: ChangeCluster) -> bool:
     sizes = ((a.volume, b.volume, _SAME_VOLUME), (a.height, b.height, _SAME_HEIGHT), (a.length, b.length, _SAME_LENGTH))
     same_size = all(abs(x - y) <= share * max(x, y) for x, y, share in sizes)
     return same_size and bool(np.abs(cluster1.colour - cluster2.colour).max() <= _SAME_COLOUR)
-
-
-def _with_origin(new: ChangeCluster, vanished: ChangeCluster) -> ChangeCluster:
-    origin = vanished.change
-    return replace(new, change=replace(new.change, kind="moved", from_x=origin.x, from_y=origin.y, from_z=origin.z))
 
 
 @dataclass(frozen=True)

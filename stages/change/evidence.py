@@ -18,7 +18,7 @@ from ..core.cameras import project
 from ..types import Bools, Camera, Cloud, DepthMap, Float32s, Float64s, Frame, Int64s
 from .cloud_distance import CONFIDENCE, MeasuredCloud, cloud_distances, index_points, mean_normals, one_of_each_cell
 from .free_space import Sight, look_at
-from .ncc import Photograph, ncc
+from .ncc import ncc
 
 RADIUS, REACH, CORE = 3.0, 15.0, 2.0
 """Radius and half length of the M3C2 cylinders, and distance of core points, in spacings of the cloud."""
@@ -193,9 +193,11 @@ def _median_correlation(X: Float64s, offset: Float64s, sigma: Float64s, own: Epo
     shared = [name for name in own.seeing if name in other.cameras and name in own.frames and name in other.frames]
     if not shared or not len(X):
         return np.full(len(X), np.nan, np.float32)
-    correlations = np.stack([ncc(X, seen_by(X, sigma, own, n), own.photograph(n), other.photograph(n)) for n in shared])
+    correlations = np.empty((len(shared), len(X)), np.float32)
     for row, name in zip(correlations, shared, strict=True):
-        (x1, _), (x2, _) = project(own.cameras[name], X), project(own.cameras[name], X - offset)
+        camera = own.cameras[name]
+        row[:] = ncc(X, seen_by(X, sigma, own, name), camera, own.frames[name], other.cameras[name], other.frames[name])
+        (x1, _), (x2, _) = project(camera, X), project(camera, X - offset)
         with np.errstate(invalid="ignore"):
             row[(row > alike) & (np.linalg.norm(x1 - x2, axis=1) < _LEAST_SHIFT_PX)] = np.nan
     known = np.isfinite(correlations).any(axis=0)
@@ -247,10 +249,6 @@ class Epoch:
             return self.refined[name] if name in self.refined else self.depths[name]
 
         return depth_of
-
-    def photograph(self, name: str) -> Photograph:
-        """A camera with its frame."""
-        return self.cameras[name], self.frames[name]
 
     @cached_property
     def points(self) -> Float64s:

@@ -73,15 +73,13 @@ def deviation_from_scan(cloud: Cloud, scan: Float64s) -> ScanDeviation:
     covered = np.isfinite(measured.distance)
     overlap = float(covered.mean())
     if overlap < LEAST_OVERLAP:
-        raise ValueError(f"the scan covers {overlap:.0%} of the cloud, {LEAST_OVERLAP:.0%} are needed: {_REMEDY}")
+        remedy = "align it with the site first, to within some metres (CloudCompare: Align)"
+        raise ValueError(f"the scan covers {overlap:.0%} of the cloud, {LEAST_OVERLAP:.0%} are needed: {remedy}")
     registration = _unevenness(points[covered], measured.distance[covered], measured.detectable[covered])
     sigma = np.sqrt(measured.sigma**2 + registration**2)
     agree = covered & (np.abs(measured.distance) <= 2 * sigma)
     residual = float(np.median(np.abs(measured.distance[agree]))) if agree.any() else float("nan")
     return ScanDeviation(measured.distance, sigma, transform, overlap, residual, float(agree.sum() / covered.sum()), registration)
-
-
-_REMEDY = "align it with the site first, to within some metres (CloudCompare: Align)"
 
 
 def _register(cloud: Cloud, scan: Float64s, misalignment: float) -> Float64s:

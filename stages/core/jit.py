@@ -1,7 +1,7 @@
 """Compilation of loops to machine code: decorators around numba with flags that keep results identical everywhere.
 
 A kernel's compiled form is cached on disk next to its source (or in NUMBA_CACHE_DIR).  numba checks the time stamp of that one
-file only, so a kernel may call only kernels of *its own file*.
+file only, so a kernel may call only kernels of *its own file*, and take only named tuples that it defines.
 
 Processes that start at the same time compile each kernel only once: one compiles, the others wait and read the cached result.
 

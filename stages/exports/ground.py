@@ -137,26 +137,20 @@ def changes_files(changes: Changes) -> Iterator[tuple[str, bytes | Columns]]:
     if there was no night to compare with."""
     if not changes.compared:
         return
-    yield "changes.ply", changes_columns(changes)
+    yield (
+        "changes.ply",
+        {
+            **{name: changes.points[:, k] for k, name in enumerate(("x", "y", "z"))},
+            **{name: changes.colors[:, k] for k, name in enumerate(("red", "green", "blue"))},
+            **{name: getattr(changes, name) for name in ("distance", "sigma", "significance", "label", "blob")},
+        },
+    )
     yield "changes.json", (json.dumps(changes_data(changes), indent=1) + "\n").encode()
     for number, image in changes.crops.items():
         yield f"change-{number}.jpg", jpeg(image, _QUALITY).tobytes()
     if changes.crs:
         layers = {"tonight's height less that of the reference, metres": changes.difference}
         yield "changes.tif", _map_geotiff(changes.grid, changes.difference, layers, changes.crs)
-
-
-def changes_columns(changes: Changes) -> Columns:
-    """Columns by name: x y z, colours, distance, sigma, significance, label (0 same, 1 new, 2 vanished, 3 unknown), blob."""
-    return {
-        **{name: changes.points[:, k] for k, name in enumerate(("x", "y", "z"))},
-        **{name: changes.colors[:, k] for k, name in enumerate(("red", "green", "blue"))},
-        "distance": changes.distance,
-        "sigma": changes.sigma,
-        "significance": changes.significance,
-        "label": changes.label,
-        "blob": changes.blob,
-    }
 
 
 def changes_data(changes: Changes) -> dict[str, Any]:

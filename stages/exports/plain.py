@@ -41,14 +41,15 @@ def write(value: Any, folder: Path, stem: str) -> Any:
         (folder / file).write_bytes(value.data.tobytes())
         return {"capture": value.name, "file": file}
     if dataclasses.is_dataclass(value):
-        kind = type(value)
         stored = [f.name for f in dataclasses.fields(value) if not f.metadata.get("transient")]  # transient ones are recomputed
         fields = {name: write(getattr(value, name), folder, f"{stem}.{name}") for name in stored}
-        return {"type": f"{kind.__module__}:{kind.__qualname__}", "fields": fields}
+        return {"type": f"{type(value).__module__}:{type(value).__qualname__}", "fields": fields}
     if isinstance(value, Mapping):
-        parts = {key: key if isinstance(key, tuple) else (key,) for key in value}
-        files = {key: f"{stem}.{'--'.join(map(str, part))}" for key, part in parts.items()}
-        return {"map": [[list(key) if isinstance(key, tuple) else key, write(value[key], folder, files[key])] for key in value]}
+        entries = []
+        for key in value:
+            name = "--".join(map(str, key)) if isinstance(key, tuple) else key
+            entries.append([list(key) if isinstance(key, tuple) else key, write(value[key], folder, f"{stem}.{name}")])
+        return {"map": entries}
     if isinstance(value, tuple | list):
         return {type(value).__name__: [write(item, folder, f"{stem}.{i}") for i, item in enumerate(value)]}
     raise TypeError(f"{type(value).__name__} cannot be written as files")

@@ -43,9 +43,6 @@ class Layer(NamedTuple):
     """Coded logarithmically, from the least to the most."""
 
 
-Layers = dict[str, Layer]
-
-
 def cloud_view(cloud: Cloud, most: int = MOST_POINTS) -> bytes:
     """The stream of a cloud: one mean point for each voxel, the smallest voxels that leave at most `most` points."""
     sampled = slice(None, None, max(1, len(cloud.points) // (_SAMPLED_PER_POINT * most)))
@@ -54,7 +51,7 @@ def cloud_view(cloud: Cloud, most: int = MOST_POINTS) -> bytes:
     points = cloud.points[sampled]
     inside = _inside_extent(points)
     points, values, voxel = _thinned(points[inside].astype(np.float64), values[inside], most)
-    layers: Layers = {
+    layers = {
         "confidence": Layer(values[:, 3], ""),
         "views": Layer(values[:, 4], "cameras"),
         "sigma": Layer(values[:, 5], "mm", in_ratios=True),
@@ -139,7 +136,7 @@ def _curve_codes(cells: Int64s) -> Int64s:
     return code
 
 
-def _stream(points: Float64s, colors: Uint8s, layers: Layers, voxel: float, total: int) -> bytes:
+def _stream(points: Float64s, colors: Uint8s, layers: dict[str, Layer], voxel: float, total: int) -> bytes:
     low = points.min(axis=0) if len(points) else np.zeros(3)
     step = max(float((points - low).max()) if len(points) else 1.0, 1e-9) / _MOST_CODE
     coded = np.rint((points - low) / step).astype(np.uint16)

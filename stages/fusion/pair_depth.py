@@ -116,14 +116,9 @@ def _by_homographies(
                 continue
             u += sign * d
             scale = H_back[2, 0] * u + H_back[2, 1] * v + H_back[2, 2]
-            depth[y, x], gain[y, x] = _depth_at(
-                x,
-                y,
-                (H_back[0, 0] * u + H_back[0, 1] * v + H_back[0, 2]) / scale,
-                (H_back[1, 0] * u + H_back[1, 1] * v + H_back[1, 2]) / scale,
-                M,
-                b,
-            )
+            other_u = (H_back[0, 0] * u + H_back[0, 1] * v + H_back[0, 2]) / scale
+            other_v = (H_back[1, 0] * u + H_back[1, 1] * v + H_back[1, 2]) / scale
+            depth[y, x], gain[y, x] = _depth_at(x, y, other_u, other_v, M, b)
 
 
 @kernel
@@ -304,17 +299,9 @@ def _slopes(q: Float32s, radius: int, steepest: float, slope_x: Float32s, slope_
 
 @helper
 def _add_neighbour(
-    centre: Float32s,
-    neighbour: Float32s,
-    dx: float,
-    dy: float,
-    steepest: float,
-    xx: Float64s,
-    yy: Float64s,
-    xy: Float64s,
-    xq: Float64s,
-    yq: Float64s,
-) -> None:
+    centre: Float32s, neighbour: Float32s, dx: float, dy: float, steepest: float,
+    xx: Float64s, yy: Float64s, xy: Float64s, xq: Float64s, yq: Float64s,
+) -> None:  # fmt: skip
     reach = max(abs(dx), abs(dy))
     for x in range(len(centre)):
         difference = neighbour[x] - centre[x]

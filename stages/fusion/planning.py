@@ -61,8 +61,8 @@ def nearest_views(name: str, cameras: Mapping[str, Camera], small: Mapping[str, 
             u, v = p[:, 0] / p[:, 2], p[:, 1] / p[:, 2]
         inside = (p[:, 2] > 0) & (u >= 0) & (v >= 0) & (u <= cameras[other].width - 1) & (v <= cameras[other].height - 1)
         shares.append((float(inside.mean()), other))
-    order = sorted(range(len(shares)), key=lambda k: -shares[k][0])
-    return [shares[k][1] for k in order[:count] if shares[k][0] >= 0.01]
+    shares.sort(key=lambda entry: -entry[0])
+    return [other for share, other in shares[:count] if share >= 0.01]
 
 
 def natural_voxel(cameras: Mapping[str, Camera], small: Mapping[str, Subsampled]) -> float:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -12,8 +13,7 @@ from ..core.jit import kernel
 from ..types import Camera, DepthMap, Float32s, Float64s, Uint8s, Uint16s, Uint32s, Uint64s
 
 
-@dataclass(frozen=True)
-class CrossCheck:
+class CrossCheck(NamedTuple):
     """Result of the cross-check for each pixel of a view, (h, w) each."""
 
     pairs: Uint8s
@@ -89,33 +89,36 @@ def cross_check(
     cameras : cameras of all these views.
     view_of : loads a view's depth; called once for each view.
     """
-    own = view_of(name).depth
-    h, w = own.depth.shape
+    camera, own = cameras[name], view_of(name).depth
+    shape = own.depth.shape
     numbers: dict[tuple[str, ...], int] = {}
-    pairs = _own_pairs(own.support, _pair_numbers(name, own, numbers))
-    visible, agreeing, occluding = (np.zeros((h, w), np.uint8) for _ in range(3))
-    log_gap_sum, least_extra, opposing, expected_wrong = (np.zeros((h, w), np.float32) for _ in range(4))
-    nearest = np.full((h, w), ITSELF, np.uint8)
+    _pair_numbers(name, own, numbers)  # a view's own pairs come first: their numbers are those of the bits of `support`
+    pairs = own.support.astype(np.uint64)[None]
+    pair_count, visible, agreeing, occluding = (np.zeros(shape, np.uint8) for _ in range(4))
+    opposing, expected_wrong, log_gap_sum, least_extra = (np.zeros(shape, np.float32) for _ in range(4))
+    camera_count, nearest = np.zeros(shape, np.uint16), np.full(shape, ITSELF, np.uint8)
+    check = CrossCheck(pair_count, camera_count, visible, agreeing, opposing, occluding, expected_wrong, log_gap_sum, nearest)
     for k, other in enumerate(others):
-        M, b = transfer(cameras[name], cameras[other])
         view = view_of(other)
-        partner, trust = view.depth, probability(view.own_logit)
-        partner_pairs = _pair_numbers(other, partner, numbers)
-        words = max(1, -(-min(len(numbers), _UNCOUNTED) // 64))  # of 64 bits each
+        partner_pairs = _pair_numbers(other, view.depth, numbers)
+        words = -(-min(len(numbers), _UNCOUNTED) // 64)
         if words > len(pairs):
-            pairs = np.concatenate([pairs, np.zeros((words - len(pairs), h, w), np.uint64)])
-        # (4,) g and s: a point's squared distance to the other camera, minus that to its own, is s - depth g (x, y, 1)
-        baseline = cameras[name].R @ (cameras[other].C - cameras[name].C)
-        farther_by = np.append(2.0 * np.linalg.solve(cameras[name].K.T, baseline), baseline @ baseline)
-        pair, index = min(numbers.get(tuple(sorted((name, other))), _UNCOUNTED), _UNCOUNTED), min(k, ITSELF)
-        surface = own.depth, own.sigma, M, b, partner.depth, partner.slope_x, partner.slope_y, partner.sigma, partner.support
-        results = visible, agreeing, occluding, opposing, expected_wrong, pairs
-        _compare(*surface, trust, partner_pairs, pair, *results, index, farther_by, log_gap_sum, nearest, least_extra)
+            pairs = np.concatenate([pairs, np.zeros((words - len(pairs), *shape), np.uint64)])
+        M, b = transfer(camera, cameras[other])
+        baseline = camera.R @ (cameras[other].C - camera.C)
+        partner = _Partner(
+            *(M, b, view.depth.depth, view.depth.slope_x, view.depth.slope_y, view.depth.sigma, view.depth.support),
+            trust=probability(view.own_logit),
+            pair_numbers=partner_pairs,
+            common_pair=min(numbers.get(tuple(sorted((name, other))), _UNCOUNTED), _UNCOUNTED),
+            number=min(k, ITSELF),
+            farther_by=np.append(2.0 * np.linalg.solve(camera.K.T, baseline), baseline @ baseline),
+        )
+        _compare(own.depth, own.sigma, partner, check, pairs, least_extra)
     camera_numbers: dict[str, int] = {}
     pair_cameras = [[camera_numbers.setdefault(end, len(camera_numbers)) for end in two] for two in [*numbers][:_UNCOUNTED]]
-    pair_count, camera_count = np.zeros((h, w), np.uint8), np.zeros((h, w), np.uint16)
-    _count_pairs_and_cameras(pairs, np.array(pair_cameras, np.uint16).reshape(-1, 2), pair_count, camera_count)
-    return CrossCheck(pair_count, camera_count, visible, agreeing, opposing, occluding, expected_wrong, log_gap_sum, nearest)
+    _count_pairs_and_cameras(pairs, np.array(pair_cameras, np.uint16).reshape(-1, 2), check.pairs, check.cameras)
+    return check
 
 
 def _pair_numbers(view: str, depth: DepthMap, numbers: dict[tuple[str, ...], int]) -> Uint8s:
@@ -127,77 +130,89 @@ def _pair_numbers(view: str, depth: DepthMap, numbers: dict[tuple[str, ...], int
     return np.array([min(numbers.setdefault(pair, len(numbers)), _UNCOUNTED) for pair in pairs], np.uint8)
 
 
-@kernel
-def _own_pairs(support: Uint32s, pair_numbers: Uint8s) -> Uint64s:
-    """(words, h, w): bit k of word m is set where pair number 64 m + k supports the depth; one word holds a view's own pairs."""
-    h, w = support.shape
-    pairs = np.zeros((1, h, w), np.uint64)
-    for y in range(h):
-        for x in range(w):
-            for k in range(len(pair_numbers)):
-                if (support[y, x] >> np.uint32(k)) & np.uint32(1) and pair_numbers[k] < 64:
-                    pairs[0, y, x] |= np.uint64(1) << np.uint64(pair_numbers[k])
-    return pairs
+class _Partner(NamedTuple):
+    """A view with which another one is compared."""
+
+    M: Float64s
+    b: Float64s
+    """Pixel p of the compared view at depth z projects to z M p + b."""
+    depth: Float32s
+    slope_x: Float32s
+    slope_y: Float32s
+    sigma: Float32s
+    support: Uint32s
+    trust: Float32s
+    """(h, w) probability that the depth is right."""
+    pair_numbers: Uint8s
+    """Numbers of the pairs that are the bits of `support`."""
+    common_pair: int
+    """Number of the pair of both views."""
+    number: int
+    """Place among the other views."""
+    farther_by: Float64s
+    """(4,) g and s: a point's squared distance to this camera, minus that to the compared view's, is s - depth g (x, y, 1)."""
 
 
 @kernel
-def _compare(
-    depth: Float32s, sigma: Float32s, M: Float64s, b: Float64s, other_depth: Float32s, slope_x: Float32s, slope_y: Float32s,
-    other_sigma: Float32s, other_support: Uint32s, trust: Float32s, pair_numbers: Uint8s, common_number: int,
-    visible: Uint8s, agreeing: Uint8s, occluding: Uint8s, opposing: Float32s, expected_wrong: Float32s, pairs: Uint64s,
-    view_index: int, farther_by: Float64s, log_gap_sum: Float32s, nearest: Uint8s, least_extra: Float32s,
-) -> None:  # fmt: skip
+def _compare(depth: Float32s, sigma: Float32s, other: _Partner, check: CrossCheck, pairs: Uint64s, least_extra: Float32s) -> None:
+    """Add one partner to the check of a view's depth and sigma (h, w).
+
+    pairs: (words, h, w), bit k of word m is set where pair number 64 m + k supports the depth; least_extra: (h, w), a point's
+    squared distance to the nearest camera so far, minus that to the view's own.
+    """
     h, w = depth.shape
-    other_h, other_w = other_depth.shape
+    other_h, other_w = other.depth.shape
+    M, b0, b1, b2 = other.M, other.b[0], other.b[1], other.b[2]
     m00, m01, m02, m10, m11, m12, m20, m21, m22 = M[0, 0], M[0, 1], M[0, 2], M[1, 0], M[1, 1], M[1, 2], M[2, 0], M[2, 1], M[2, 2]
-    b0, b1, b2 = b
-    counted = min(64 * len(pairs), _UNCOUNTED)
-    common = np.uint64(1) << np.uint64(common_number % 64) if common_number < counted else np.uint64(0)
-    common_word = common_number // 64 if common_number < counted else 0
+    is_counted = other.common_pair < _UNCOUNTED
+    common = np.uint64(1) << np.uint64(other.common_pair % 64) if is_counted else np.uint64(0)
+    common_word = other.common_pair // 64 if is_counted else 0
     for y in range(h):
         for x in range(w):
             own = depth[y, x]
             if np.isnan(own):
                 continue
-            z = own * (m20 * x + m21 * y + m22) + b2
+            ray0, ray1, ray2 = m00 * x + m01 * y + m02, m10 * x + m11 * y + m12, m20 * x + m21 * y + m22
+            z = own * ray2 + b2
             if not z > 0:
                 continue
-            u = (own * (m00 * x + m01 * y + m02) + b0) / z
-            v = (own * (m10 * x + m11 * y + m12) + b1) / z
+            u, v = (own * ray0 + b0) / z, (own * ray1 + b1) / z
             if not (u > -0.5 and v > -0.5 and u < other_w - 0.5 and v < other_h - 0.5):
                 continue
             i, j = int(u + 0.5), int(v + 0.5)
-            if np.isnan(other_depth[j, i]):
-                visible[y, x] += 1
+            if np.isnan(other.depth[j, i]):
+                check.visible[y, x] += 1
                 continue
-            surface_z = 1.0 / (1.0 / other_depth[j, i] + slope_x[j, i] * (u - i) + slope_y[j, i] * (v - j))
-            sigma_z = np.sqrt(sigma[y, x] ** 2 + other_sigma[j, i] ** 2) + _FLOOR * z
+            slope_x, slope_y = other.slope_x[j, i], other.slope_y[j, i]
+            surface_z = 1.0 / (1.0 / other.depth[j, i] + slope_x * (u - i) + slope_y * (v - j))
+            sigma_z = np.sqrt(sigma[y, x] ** 2 + other.sigma[j, i] ** 2) + _FLOOR * z
             tolerance = min(3.0 * sigma_z, _SAME_SURFACE * z)
             if surface_z < z - tolerance:  # the point is hidden there, so the pair with that view cannot support it
                 pairs[common_word, y, x] &= ~common
-                occluding[y, x] += 1
+                check.occluding[y, x] += 1
                 continue
-            visible[y, x] += 1
-            t, deviation = min(trust[j, i], _MOST_TRUST), (surface_z - z) / sigma_z
-            ratio = np.float32(np.log(1.0 - t + t * z / (_ROOT_2_PI * sigma_z) * np.exp(-0.5 * deviation * deviation)))
-            opposing[y, x] += min(ratio, np.float32(0.0))
-            if surface_z > z + tolerance:
+            check.visible[y, x] += 1
+            trust, deviation = min(other.trust[j, i], _MOST_TRUST), (surface_z - z) / sigma_z
+            likelihood = 1.0 - trust + trust * z / (_ROOT_2_PI * sigma_z) * np.exp(-0.5 * deviation * deviation)
+            check.opposing[y, x] += min(np.float32(np.log(likelihood)), np.float32(0.0))
+            if surface_z > z + tolerance:  # the other view looks through the point
                 if pairs[common_word, y, x] & common:
-                    expected_wrong[y, x] += t
-            else:
-                n0, n1 = slope_x[j, i], slope_y[j, i]  # the other view's plane, intersected with this pixel's ray
-                n2 = 1.0 / other_depth[j, i] - n0 * i - n1 * j
-                along = own * (n0 * (m00 * x + m01 * y + m02) + n1 * (m10 * x + m11 * y + m12) + n2 * (m20 * x + m21 * y + m22))
-                relative_gap = (1.0 - n0 * b0 - n1 * b1 - n2 * b2) / along - 1.0
-                expected = np.sqrt((sigma[y, x] / own) ** 2 + (other_sigma[j, i] / (z * along)) ** 2)
-                log_gap_sum[y, x] += np.float32(np.log(max(abs(relative_gap) / expected, _LEAST_GAP)))
-                extra_distance = farther_by[3] - own * (farther_by[0] * x + farther_by[1] * y + farther_by[2])
-                if extra_distance < least_extra[y, x]:
-                    least_extra[y, x], nearest[y, x] = extra_distance, view_index
-                agreeing[y, x] += 1
-                for k in range(len(pair_numbers)):
-                    if (other_support[j, i] >> np.uint32(k)) & np.uint32(1) and pair_numbers[k] < counted:
-                        pairs[pair_numbers[k] // 64, y, x] |= np.uint64(1) << np.uint64(pair_numbers[k] % 64)
+                    check.expected_wrong[y, x] += trust
+                continue
+            check.agreeing[y, x] += 1
+            # the other view's plane, intersected with this pixel's ray
+            constant = 1.0 / other.depth[j, i] - slope_x * i - slope_y * j
+            along = own * (slope_x * ray0 + slope_y * ray1 + constant * ray2)
+            relative_gap = (1.0 - slope_x * b0 - slope_y * b1 - constant * b2) / along - 1.0
+            expected = np.sqrt((sigma[y, x] / own) ** 2 + (other.sigma[j, i] / (z * along)) ** 2)
+            check.log_gap_sum[y, x] += np.float32(np.log(max(abs(relative_gap) / expected, _LEAST_GAP)))
+            extra = other.farther_by[3] - own * (other.farther_by[0] * x + other.farther_by[1] * y + other.farther_by[2])
+            if extra < least_extra[y, x]:
+                least_extra[y, x], check.nearest[y, x] = extra, other.number
+            for k in range(len(other.pair_numbers)):
+                pair = other.pair_numbers[k]
+                if (other.support[j, i] >> np.uint32(k)) & np.uint32(1) and pair < _UNCOUNTED:
+                    pairs[pair // 64, y, x] |= np.uint64(1) << np.uint64(pair % 64)
 
 
 @kernel

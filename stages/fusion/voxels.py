@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -26,8 +27,7 @@ _CORRELATION = 0.25
 """Error correlation of a voxel's samples: views share pairs, and pixels share patches (fitted as in `fusion.uncertainty`)."""
 
 
-@dataclass(frozen=True)
-class Samples:
+class Samples(NamedTuple):
     """Points before or after merging, (n, ...): position, unit normal, colour 0 to 255, weight 1 / sigma^2 (sigma of the noise
     model), confidence 0 to 1, number of cameras, edge of the pixel's footprint in world lengths, and squared standard deviation
     along the nearest camera's ray, as observed in the images (`fusion.uncertainty`)."""
@@ -70,10 +70,7 @@ class VoxelGrid:
         keys = keys[order]
         starts = np.flatnonzero(np.diff(keys, prepend=-1))
         columns = np.empty((len(starts), _COLUMNS), np.float32)
-        _sum_by_voxel(
-            order, np.append(starts, len(order)), offsets, samples.normals, samples.colors,
-            samples.weight, samples.confidence, samples.cameras, samples.variance, columns,
-        )  # fmt: skip
+        _sum_by_voxel(order, np.append(starts, len(order)), offsets, samples, columns)
         return VoxelSums(keys[starts], columns)
 
     def add(self, sums: VoxelSums) -> None:
@@ -129,25 +126,15 @@ def _locate(points: Float64s, level: Int64s, origin: Float64s, edge: float, keys
 
 
 @kernel
-def _sum_by_voxel(
-    order: Int64s,
-    starts: Int64s,
-    offsets: Float32s,
-    normals: Float32s,
-    colors: Float32s,
-    weight: Float32s,
-    confidence: Float32s,
-    cameras: Float32s,
-    variance: Float32s,
-    sums: Float32s,
-) -> None:
+def _sum_by_voxel(order: Int64s, starts: Int64s, offsets: Float32s, samples: Samples, sums: Float32s) -> None:
     """Sum each voxel's samples, which are contiguous in `order`, from one of `starts` to the next."""
+    _, normals, colors, weight, confidence, cameras, _, variance = samples
     for voxel in range(len(sums)):
         row = sums[voxel]
         row[:] = 0
         for n in range(starts[voxel], starts[voxel + 1]):
             sample = order[n]
-            w, c = weight[sample], confidence[sample]
+            w, c, v = weight[sample], confidence[sample], variance[sample]
             for axis in range(3):
                 row[axis] += offsets[sample, axis] * w
                 row[3 + axis] += normals[sample, axis] * w
@@ -155,8 +142,8 @@ def _sum_by_voxel(
             row[9] += w
             row[10] += c
             row[11] += 1
-            row[12] += w * np.sqrt(variance[sample])
-            row[13] += w * w * variance[sample]
+            row[12] += w * np.sqrt(v)
+            row[13] += w * w * v
             row[14] = max(row[14], c)
             row[15] = max(row[15], cameras[sample])
 

@@ -7,14 +7,11 @@ surface unoccluded and alike is enough; a mean over several would penalise surfa
 
 Blocks of a row are processed at once, so that the compiler can vectorise over columns: a pixel reads finished rows, and its own
 row in the state before each step.
-
-Arguments of all kernels: `image` (h + 2 reach, w + 2 reach) grey levels of the view with a margin, `usable` of the same shape, 1
-where a pixel may be used; `pairs` neighbouring grey levels of the sources, two in a uint64, `height` and `width` of a source;
-`M` (sources, 3, 3) and `b` (sources, 3) as above; `taps` (n, 2) offsets x, y of a patch, none beyond `reach`; `planes` (3, h, w)
-q, A, B and `cost` (h, w), improved in place.
 """
 
 from __future__ import annotations
+
+from typing import NamedTuple
 
 import numpy as np
 
@@ -31,13 +28,47 @@ NOISE = 65537
 """Length of the table of random numbers; a prime, so that steps of a block reach every entry."""
 _NEAREST = 1e-6
 
-# Scratch is a flat array of rows of BLOCK at offsets known to the compiler, which then sees that they do not overlap.
 BLOCK = 128
+
+# Scratch is a flat array of rows of BLOCK at offsets known to the compiler, which then sees that they do not overlap.
 _U, _V, _UX, _UY, _VX, _VY, _DEPTH, _START, _PLACE, _FX, _FY, _CENTRE, _MEAN, _SQUARE, _PRODUCT, _SCALE, _SCRATCH = (
     i * BLOCK for i in range(17)
 )
 _Q, _A, _B, _TRIAL = (i * BLOCK for i in range(4))
 _SPREAD, _TOTAL, _OFFSET, _TAPS = (i * BLOCK for i in range(4))
+
+
+class View(NamedTuple):
+    """A view and its sources.  Helpers take the arrays one by one, since tuples cost time in each call."""
+
+    image: Float32s
+    """(h + 2 reach, w + 2 reach) grey levels, with a margin."""
+    usable: Float32s
+    """Of the same shape, 1 where a pixel may be used."""
+    pairs: Uint64s
+    """Neighbouring grey levels of the sources, two in each number."""
+    height: int
+    width: int
+    """Of a source."""
+    M: Float32s
+    b: Float32s
+    """(sources, 3, 3) and (sources, 3), as above."""
+    taps: Int32s
+    """(n, 2) offsets x, y of a patch's pixels, none beyond `reach`."""
+    reach: int
+
+
+class Support(NamedTuple):
+    """Evidence of all sources for a view's planes, (h, w) each."""
+
+    first: Float32s
+    """Lowest cost over the sources."""
+    second: Float32s
+    """Second lowest cost over the sources."""
+    sources: Uint32s
+    """Bit k is set where the cost in source k is below the limit."""
+    parallax: Float32s
+    """Sum of |dpixel/dq|^2 over these sources: the information on q for a noise of one pixel."""
 
 
 @helper
@@ -232,7 +263,7 @@ def _own_planes(planes: Float32s, y: int, x0: int, n: int, trial: Float32s) -> N
         trial[_B + x] = planes[2, y, x0 + x] if known else np.float32(0.0)
 
 
-@kernel
+@helper
 def _perturb(
     noise: Float32s, start: int, shift: Scalar, turn: Scalar, low: Scalar, high: Scalar, s: Float32s, trial: Float32s
 ) -> None:
@@ -263,24 +294,31 @@ def _keep_cheaper(
             q[x], a[x], b[x] = trial[_Q + x], trial[_A + x], trial[_B + x]
 
 
+@helper
+def _sources_here(best: Int32s, y: int, x0: int, n: int, source: Int32s) -> None:
+    for x in range(n):
+        source[x] = best[y, x0 + x]
+
+
 @kernel
 def propagate(
-    image: Float32s, usable: Float32s, pairs: Uint64s, height: int, width: int, M: Float32s, b: Float32s, taps: Int32s,
-    reach: int, noise: Float32s, number: int, rings: Int64s, changes: int, low: Scalar, high: Scalar,
-    planes: Float32s, cost: Float32s, best: Int32s,
+    view: View, noise: Float32s, number: int, rings: Int64s, changes: int, low: Scalar, high: Scalar, planes: Float32s,
+    cost: Float32s, best: Int32s,
 ) -> None:  # fmt: skip
-    """One pass, down if `number` is even, else up.  `rings` (n, 2): neighbours that planes come from, columns and rows back along
-    the direction of the pass; `changes`: random changes of its own plane that each pixel tries.
+    """One pass, down if `number` is even, else up.  `noise`: random numbers from -1 to 1; `rings` (n, 2): neighbours that planes
+    come from, columns and rows back along the direction of the pass; `changes`: random changes of its own plane that each pixel
+    tries; `low`, `high`: limits of q; `planes` (3, h, w), `cost` and `best` (h, w), the source with that cost: changed in place.
 
     A plane is tried in the source that is best here, the one that is best where the plane comes from, and one more in turn: half
     of six sources are enough."""
+    image, usable, pairs, height, width, M, b, taps, reach = view
     h, w = cost.shape
     count = len(M)
     window = np.zeros(_TAPS + 2 * len(taps) * BLOCK, dtype=np.float32)
     scratch = np.zeros(_SCRATCH, dtype=np.float32)
     fetched = np.zeros(2 * BLOCK, dtype=np.uint64)
     trial, trial_cost = np.zeros(_TRIAL, dtype=np.float32), np.zeros(BLOCK, dtype=np.float32)
-    source, best_here = np.zeros(BLOCK, dtype=np.int32), np.zeros(BLOCK, dtype=np.int32)
+    there, here, in_turn = np.zeros(BLOCK, dtype=np.int32), np.zeros(BLOCK, dtype=np.int32), np.zeros(BLOCK, dtype=np.int32)
     blocks = (w + BLOCK - 1) // BLOCK
     step = -1 if number % 2 == 0 else 1
     start = 0
@@ -295,23 +333,19 @@ def propagate(
             if number == 0:
                 _own_planes(planes, y, x0, n, trial)
                 for k in range(count):
-                    source[:] = k
-                    _costs(pairs, height, width, M, b, taps, reach, y, x0, trial, source, window, scratch, fetched, trial_cost)
-                    _keep_cheaper(planes, cost, best, usable, reach, y, x0, n, trial, source, trial_cost)
+                    in_turn[:] = k
+                    _costs(pairs, height, width, M, b, taps, reach, y, x0, trial, in_turn, window, scratch, fetched, trial_cost)
+                    _keep_cheaper(planes, cost, best, usable, reach, y, x0, n, trial, in_turn, trial_cost)
             for attempt in range(len(rings)):
                 dx, dy = step * rings[attempt, 0], step * rings[attempt, 1]
                 if not 0 <= y + dy < h:
                     continue
-                _planes_at(planes, best, y, x0, n, dx, dy, low, high, trial, source)
-                _costs(pairs, height, width, M, b, taps, reach, y, x0, trial, source, window, scratch, fetched, trial_cost)
-                for x in range(n):
-                    best_here[x] = best[y, x0 + x]
-                _keep_cheaper(planes, cost, best, usable, reach, y, x0, n, trial, source, trial_cost)
-                _costs(pairs, height, width, M, b, taps, reach, y, x0, trial, best_here, window, scratch, fetched, trial_cost)
-                _keep_cheaper(planes, cost, best, usable, reach, y, x0, n, trial, best_here, trial_cost)
-                source[:] = (y + number + attempt) % count
-                _costs(pairs, height, width, M, b, taps, reach, y, x0, trial, source, window, scratch, fetched, trial_cost)
-                _keep_cheaper(planes, cost, best, usable, reach, y, x0, n, trial, source, trial_cost)
+                _planes_at(planes, best, y, x0, n, dx, dy, low, high, trial, there)
+                _sources_here(best, y, x0, n, here)
+                in_turn[:] = (y + number + attempt) % count
+                for source in (there, here, in_turn):
+                    _costs(pairs, height, width, M, b, taps, reach, y, x0, trial, source, window, scratch, fetched, trial_cost)
+                    _keep_cheaper(planes, cost, best, usable, reach, y, x0, n, trial, source, trial_cost)
             _own_planes(planes, y, x0, n, trial)
             _pixels_per_inverse_depth(height, width, M, b, y, x0, trial, scratch)
             shift, turn = np.float32(0.5 / (1 << number)), np.float32(0.0)  # half a pixel first
@@ -319,24 +353,20 @@ def propagate(
                 _own_planes(planes, y, x0, n, trial)
                 _perturb(noise, start, shift, turn, low, high, scratch, trial)
                 start = (start + 3 * BLOCK) % NOISE
-                for x in range(n):
-                    best_here[x] = best[y, x0 + x]
-                _costs(pairs, height, width, M, b, taps, reach, y, x0, trial, best_here, window, scratch, fetched, trial_cost)
-                _keep_cheaper(planes, cost, best, usable, reach, y, x0, n, trial, best_here, trial_cost)
-                source[:] = (y + number + attempt) % count
-                _costs(pairs, height, width, M, b, taps, reach, y, x0, trial, source, window, scratch, fetched, trial_cost)
-                _keep_cheaper(planes, cost, best, usable, reach, y, x0, n, trial, source, trial_cost)
+                _sources_here(best, y, x0, n, here)
+                in_turn[:] = (y + number + attempt) % count
+                for source in (here, in_turn):
+                    _costs(pairs, height, width, M, b, taps, reach, y, x0, trial, source, window, scratch, fetched, trial_cost)
+                    _keep_cheaper(planes, cost, best, usable, reach, y, x0, n, trial, source, trial_cost)
                 shift *= np.float32(0.5)
                 turn = np.float32(0.1 / (1 << number))
 
 
 @kernel
-def evaluate(
-    image: Float32s, usable: Float32s, pairs: Uint64s, height: int, width: int, M: Float32s, b: Float32s, taps: Int32s,
-    reach: int, limit: Scalar, planes: Float32s, first: Float32s, second: Float32s, support: Uint32s, parallax: Float32s,
-) -> None:  # fmt: skip
-    """Write the lowest (`first`) and second lowest cost of each plane over the sources, `support`: a bit for each source below
-    `limit`, and `parallax`: the sum over these of (pixels per unit of inverse depth)^2, all (h, w)."""
+def evaluate(view: View, planes: Float32s, limit: Scalar, support: Support) -> None:
+    """Write the evidence of all sources for planes (3, h, w); one sees a plane that costs less than `limit` in it."""
+    image, usable, pairs, height, width, M, b, taps, reach = view
+    first, second, sources, parallax = support
     h, w = first.shape
     window = np.zeros(_TAPS + 2 * len(taps) * BLOCK, dtype=np.float32)
     scratch = np.zeros(_SCRATCH, dtype=np.float32)
@@ -359,5 +389,5 @@ def evaluate(
                     if c < limit:
                         W = scratch[_DEPTH + x]
                         moved_x, moved_y = (b0 - scratch[_U + x] * b2) / W, (b1 - scratch[_V + x] * b2) / W
-                        support[y, x0 + x] |= np.uint32(1) << np.uint32(k)
+                        sources[y, x0 + x] |= np.uint32(1) << np.uint32(k)
                         parallax[y, x0 + x] += moved_x * moved_x + moved_y * moved_y

@@ -157,21 +157,13 @@ def _add_source(window: Float32s, s: Float32s, sums: Float32s, totals: Float32s)
         totals[_MOVED + x] += weight * (s[_DU + x] * s[_DU + x] + s[_DV + x] * s[_DV + x])
 
 
-@helper
-def _move(s: Float32s, totals: Float32s) -> None:
-    """Move q by one Gauss-Newton step, damped by the prior `_PRIOR_CURVATURE`."""
-    for x in range(_BLOCK):
-        curvature = totals[_CURVATURE + x] + np.float32(_PRIOR_CURVATURE) * totals[_MOVED + x]
-        s[_Q + x] += totals[_GRADIENT + x] / max(curvature, np.float32(1e-12))
-
-
 @kernel
 def refine_photometrically(
     image: Float32s, usable: Float32s, pairs: Uint64s, height: int, width: int, M: Float32s, b: Float32s, taps: Int32s,
-    tap_weights: Float32s, reach: int, planes: Float32s,
+    reach: int, tap_weights: Float32s, planes: Float32s,
 ) -> None:  # fmt: skip
     """Move planes in place.  `tap_weights` (n,): weights of a patch's pixels by their distance from its centre; all else as in
-    `mvs.kernels`."""
+    `mvs.kernels.View`."""
     h, w = planes.shape[1:]
     zero, radius = np.float32(0.0), np.float32(np.abs(taps).max())
     window = np.zeros(_WEIGHTS + 2 * len(taps) * _BLOCK, dtype=np.float32)
@@ -195,6 +187,7 @@ def refine_photometrically(
                 _project(height, width, M, b, k, radius, y, x0, s)
                 _compare(pairs, height, width, k, taps, window, s, fetched, sums)
                 _add_source(window, s, sums, totals)
-            _move(s, totals)
-            for x in range(n):
-                q[x] = s[_Q + x] if q[x] > zero else q[x]
+            for x in range(n):  # one Gauss-Newton step, damped by the prior
+                curvature = totals[_CURVATURE + x] + np.float32(_PRIOR_CURVATURE) * totals[_MOVED + x]
+                moved = s[_Q + x] + totals[_GRADIENT + x] / max(curvature, np.float32(1e-12))
+                q[x] = moved if q[x] > zero else q[x]

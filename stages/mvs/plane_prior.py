@@ -21,7 +21,8 @@ import numpy as np
 from scipy import ndimage
 
 from ..types import Bools, Float32s, Frame, Int32s, Uint32s
-from .propagation import Propagation, Support
+from .kernels import Support
+from .propagation import Propagation
 from .textureless import NEAR_PX, RegionPlane, from_middle, planes_of_regions, textureless_regions
 
 _WINDOW_PX = 25

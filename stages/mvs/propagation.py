@@ -2,29 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from ..core.jit import Scalar
-from ..types import Bools, Float32s, Float64s, Int32s, Uint32s
-from .kernels import BLOCK, NOISE, UNSEEN, evaluate, propagate
+from ..types import Bools, Float32s, Float64s, Int32s
+from .kernels import BLOCK, NOISE, UNSEEN, Support, View, evaluate, propagate
 from .photometric_refinement import refine_photometrically
-
-
-@dataclass(frozen=True)
-class Support:
-    """Evidence of all sources for a view's planes, (h, w) each."""
-
-    first: Float32s
-    """Lowest cost over the sources."""
-    second: Float32s
-    """Second lowest cost over the sources."""
-    sources: Uint32s
-    """Bit k is set where the cost in source k is below the limit."""
-    parallax: Float32s
-    """Sum of |dpixel/dq|^2 over these sources: the information on q for a noise of one pixel."""
-
 
 _CHANGES, _CHANGES_NEARLY_RIGHT = 3, 2
 """Random changes that a pixel tries: usually, and if `nearly_right`.  Then the cheapest of many changes is so by chance only, and
@@ -43,12 +26,12 @@ class Propagation:
     """
 
     def __init__(self, image: Float32s, usable: Bools, sources: Float32s, M: Float64s, b: Float64s, taps: Int32s) -> None:
-        self.taps, self.reach, self.sources = taps, int(np.abs(taps).max()), len(sources)
-        padded = np.pad(image, self.reach, mode="edge"), np.pad(usable.astype(np.float32), self.reach)
+        self.sources, reach = len(sources), int(np.abs(taps).max())
+        padded = np.pad(image, reach, mode="edge"), np.pad(usable.astype(np.float32), reach)
         shifted = np.concatenate([sources[..., 1:], sources[..., -1:]], axis=-1)
         pairs = np.stack([sources, shifted], axis=-1).view(np.uint64).ravel()  # one access fetches two neighbours
         height, width = sources.shape[1:]
-        self.views = *padded, pairs, height, width, M.astype(np.float32), b.astype(np.float32)  # as all kernels take them
+        self.view = View(*padded, pairs, height, width, M.astype(np.float32), b.astype(np.float32), taps, reach)
 
     def improve(
         self, planes: Float32s, sweeps: int, ring_px: int, low: float, high: float, *, nearly_right: bool = False
@@ -68,9 +51,9 @@ class Propagation:
         noise = np.random.default_rng(1).uniform(-1, 1, NOISE + BLOCK).astype(np.float32)
         far_rings = [(ring_px, 0)] if nearly_right else [(0, ring_px), (ring_px, 0), (2, 3), (-2, 3)]
         rings = np.array([(0, 1), (1, 0), *far_rings])
-        limits, changes = (Scalar(low), Scalar(high)), _CHANGES_NEARLY_RIGHT if nearly_right else _CHANGES
+        changes = _CHANGES_NEARLY_RIGHT if nearly_right else _CHANGES
         for sweep in range(min(sweeps, 1) if nearly_right else sweeps):
-            propagate(*self.views, self.taps, self.reach, noise, sweep, rings, changes, *limits, planes, cost, best)
+            propagate(self.view, noise, sweep, rings, changes, Scalar(low), Scalar(high), planes, cost, best)
         return cost
 
     def refine_photometrically(self, planes: Float32s, radius: int) -> None:
@@ -80,12 +63,12 @@ class Propagation:
         near = range(-radius, radius + 1)
         offsets = np.array(sorted(((i, j) for j in near for i in near), key=lambda at: at != (0, 0)), np.int32)
         tap_weights = np.exp(-2 * (offsets**2).sum(axis=1) / radius**2).astype(np.float32)
-        refine_photometrically(*self.views, offsets, tap_weights, self.reach, planes)
+        refine_photometrically(*self.view._replace(taps=offsets), tap_weights, planes)
 
     def support(self, planes: Float32s, limit: float) -> Support:
         """Evidence of the sources for planes (3, h, w); a source sees a plane that costs less than `limit` in it."""
         shape = planes.shape[1:]
         first, second = np.full(shape, UNSEEN, np.float32), np.full(shape, UNSEEN, np.float32)
         result = Support(first, second, np.zeros(shape, np.uint32), np.zeros(shape, np.float32))
-        evaluate(*self.views, self.taps, self.reach, Scalar(limit), planes, *vars(result).values())
+        evaluate(self.view, planes, Scalar(limit), result)
         return result

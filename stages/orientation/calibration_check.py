@@ -18,6 +18,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import combinations
 from math import sqrt
 
@@ -113,15 +114,14 @@ class _CheckedView:
             return x
         K = self.camera.K
         focal = np.array([K[0, 0], K[1, 1]])
-        ray = (x - K[:2, 2]) / focal if self.stated is None else _undistorted_otherwise(x, self.stated, self.camera)
+        if self.stated is None:
+            ray = (x - K[:2, 2]) / focal
+        else:
+            stated_K = self.stated.K
+            stated_ray = np.column_stack([(x - stated_K[:2, 2]) / stated_K[[0, 1], [0, 1]], np.ones(len(x))])
+            captured = cv2.projectPoints(stated_ray, np.zeros(3), np.zeros(3), stated_K, self.stated.distortion)[0]
+            ray = np.asarray(cv2.undistortPoints(captured, K, self.camera.distortion)[:, 0], dtype=np.float64)
         return np.asarray(K[:2, 2] + ray * (1 - self.k1 * (ray**2).sum(axis=1, keepdims=True)) * focal, dtype=np.float64)
-
-
-def _undistorted_otherwise(x: Float64s, stated: Camera, actual: Camera) -> Float64s:
-    """Normalised coordinates (n, 2), by the right camera, of pixels that were undistorted with the stated one."""
-    ray = np.column_stack([(x - stated.K[:2, 2]) / stated.K[[0, 1], [0, 1]], np.ones(len(x))])
-    captured = cv2.projectPoints(ray, np.zeros(3), np.zeros(3), stated.K, stated.distortion)[0]
-    return np.asarray(cv2.undistortPoints(captured, actual.K, actual.distortion)[:, 0], dtype=np.float64)
 
 
 _World = Mapping[str, _CheckedView]
@@ -134,8 +134,7 @@ class _Cause:
 
     name: str
     change: Callable[[_World, Float64s], _World]
-    camera_of_unknown: tuple[str, ...] = ()
-    """For each unknown, the camera that it concerns; "" for all."""
+    unknowns: int = 0
     cameras: tuple[str, ...] = ()
     """The cameras that the cause concerns; () for all."""
 
@@ -174,8 +173,8 @@ def misfit_without_cause(cameras: Mapping[str, Camera], geometries: Mapping[Pair
     """
     stated = {name: _CheckedView(camera) for name, camera in cameras.items()}
     confirmed, _ = _evidence(stated, geometries)
-    shared_causes = [c for c in _causes(stated, confirmed, unconfirmed=False) if c.camera_of_unknown and not c.cameras]
-    return min(_fit(cause, stated, confirmed).loss for cause in shared_causes) / _mean(confirmed, [m.own_loss for m in confirmed])
+    shared_causes = [cause for cause in _causes(stated, confirmed, unconfirmed=False) if cause.unknowns and not cause.cameras]
+    return min(_fit(cause, stated, confirmed).loss for cause in shared_causes) / _own_loss(confirmed)
 
 
 def check_rows(cameras: Mapping[str, Camera], rows: Mapping[Pair, RowMatches]) -> CalibrationCheck | None:
@@ -185,19 +184,19 @@ def check_rows(cameras: Mapping[str, Camera], rows: Mapping[Pair, RowMatches]) -
 
     cameras : by id.  rows : of pairs of them.
     """
-    evidence = [
-        _Matches(pair, tiles.x1, tiles.x2, tiles.sigma_px, 0.0) for pair, tiles in rows.items() if len(tiles.x1) >= FEWEST_TILES
-    ]
+    sufficient = {pair: tiles for pair, tiles in rows.items() if len(tiles.x1) >= FEWEST_TILES}
+    evidence = [_Matches(pair, tiles.x1, tiles.x2, tiles.sigma_px, 0.0) for pair, tiles in sufficient.items()]
     if len(evidence) < FEWEST_PAIRS:
         return None
     stated = {name: _CheckedView(camera) for name, camera in cameras.items()}
-    loss, count = _loss(stated, evidence), sum(min(len(m.x1), MOST_COUNTED) for m in evidence)
+    loss = _loss(stated, evidence)
     best = _simplest([_fit(cause, stated, evidence) for cause in _causes(stated, evidence, unconfirmed=False)], loss, slack=0.0)
-    corner = _fit(_Cause(CORNER, lambda world, a: _for_all(_shifted_px, world, a * CORNER_PX), ("",)), stated, evidence)
+    corner = _fit(_simple(CORNER, 1, lambda view, a: _shifted_px(view, a * CORNER_PX)), stated, evidence)
     is_corner = best.cause.name == "principal-points" and loss - corner.loss >= LEAST_SHARE_UNCONFIRMED * (loss - best.loss)
     if is_corner and 0.25 <= corner.amount[0] <= 1.25:  # matches found by dense matching are biased toward the rows
         best = corner
-    gain, tile_count = max(count * (loss - best.loss), 0.0), sum(len(m.x1) for m in evidence)
+    gain = max(sum(_counts(evidence)) * (loss - best.loss), 0.0)
+    tile_count = sum(len(m.x1) for m in evidence)
     check = CalibrationCheck(tile_count, len(evidence), True, misfit=loss / max(best.loss, 1e-9), sigmas=sqrt(gain))
     return _with_cause(check, best, stated, evidence) if gain >= LEAST_GAIN and _exceeds_usual(best, stated, evidence) else check
 
@@ -225,19 +224,27 @@ def _evidence(stated: _World, geometries: Mapping[Pair, Geometry]) -> tuple[list
 def _check(stated: _World, confirmed: list[_Matches], other_matches: list[_Matches]) -> CalibrationCheck:
     """Check by confirmed matches; by the others if there are none."""
     evidence = confirmed or other_matches
-    loss, own_loss = _loss(stated, evidence), _mean(evidence, [m.own_loss for m in evidence])
-    count = sum(len(m.x1) for m in evidence)
-    check = CalibrationCheck(matches=count, pairs=len(evidence), confirmed=bool(confirmed), misfit=loss / max(own_loss, 1e-9))
-    excess = _excess(stated, evidence)
+    check = _without_cause(stated, evidence, is_confirmed=bool(confirmed))
+    excess, own_loss = _excess(stated, evidence), _own_loss(evidence)
     if excess <= LEAST_LOSS_RATIO * own_loss:
         return check
     exceeds_noise = check.confirmed and excess > CONTRADICTED_RATIO * own_loss
-    best = _best_explanation(stated, evidence, own_loss, unconfirmed=not confirmed)
-    only_a_pose = best is None or best.cause.name in ("turned", "moved")
-    if only_a_pose and _excess(stated, evidence, tolerance=SLACK_ERRORS) <= LEAST_LOSS_RATIO * own_loss:
-        best, exceeds_noise = None, False  # few matches, most of which agree: a changed pose merely fits look-alikes
-    named = replace(check, contradicted=exceeds_noise) if best is None else _with_cause(check, best, stated, evidence)
+    explanations = [_fit(cause, stated, evidence) for cause in _causes(stated, evidence, unconfirmed=not confirmed)]
+    best = _simplest(explanations, _loss(stated, evidence))
+    is_explained = _explains(best, stated, evidence, unconfirmed=not confirmed)
+    is_another_cause = is_explained and best.cause.name not in ("turned", "moved")
+    if not is_another_cause and _excess(stated, evidence, tolerance=SLACK_ERRORS) <= LEAST_LOSS_RATIO * own_loss:
+        return check  # few matches, most of which agree: a changed pose merely fits look-alikes
+    if not is_explained:
+        return replace(check, contradicted=exceeds_noise)
+    named = _with_cause(check, best, stated, evidence)
     return named if exceeds_noise or named.off_px >= HARMFUL_PX else check
+
+
+def _without_cause(stated: _World, evidence: list[_Matches], is_confirmed: bool) -> CalibrationCheck:
+    """How well the stated cameras fit."""
+    misfit = _loss(stated, evidence) / max(_own_loss(evidence), 1e-9)
+    return CalibrationCheck(sum(len(m.x1) for m in evidence), len(evidence), is_confirmed, misfit)
 
 
 def _with_cause(check: CalibrationCheck, best: _Explanation, stated: _World, evidence: list[_Matches]) -> CalibrationCheck:
@@ -253,23 +260,23 @@ def _with_majority_cause(check: CalibrationCheck, stated: _World, evidence: list
     has_strayed = stated_medians > STRAYED_SIGMAS
     if has_strayed.sum() < FEWEST_RECOVERED:
         return check
-    explanations = [_fit(cause, stated, evidence) for cause in _causes(stated, evidence, unconfirmed=False)]
-    medians = np.array([[_median_distance(explanation.world, m) for m in evidence] for explanation in explanations])
-    is_near = medians <= STRAYED_SIGMAS
-    recovered = (has_strayed & is_near & (2 * medians <= stated_medians)).sum(axis=1)
-    is_eligible = (recovered >= FEWEST_RECOVERED) & (2 * recovered >= has_strayed.sum()) & (is_near | has_strayed).all(axis=1)
-    if not is_eligible.any():
+    candidates: list[tuple[_Explanation, list[_Matches]]] = []  # with the pairs that are near their lines
+    for cause in _causes(stated, evidence, unconfirmed=False):
+        explanation = _fit(cause, stated, evidence)
+        medians = np.array([_median_distance(explanation.world, m) for m in evidence])
+        is_near = medians <= STRAYED_SIGMAS
+        recovered = (has_strayed & is_near & (2 * medians <= stated_medians)).sum()
+        if recovered >= max(FEWEST_RECOVERED, 0.5 * has_strayed.sum()) and (is_near | has_strayed).all():
+            candidates.append((explanation, [m for m, fits in zip(evidence, is_near, strict=True) if fits]))
+    if not candidates:
         return check
-    most_near = is_near[is_eligible].sum(axis=1).max()
-    ties = [k for k in np.flatnonzero(is_eligible) if is_near[k].sum() == most_near]
-    is_near_best = is_near[min(ties, key=lambda k: explanations[k].loss)]
-    near = [m for m, fits in zip(evidence, is_near_best, strict=True) if fits]
-    loss, own_loss = _loss(stated, near), _mean(near, [m.own_loss for m in near])
-    best = _simplest([replace(explanations[k], loss=_loss(explanations[k].world, near)) for k in ties], loss)
-    if not _explains(best, loss, own_loss, near, unconfirmed=False):
+    most_near = max(len(near) for _, near in candidates)
+    ties = [candidate for candidate in candidates if len(candidate[1]) == most_near]
+    _, near = min(ties, key=lambda tie: tie[0].loss)
+    best = _simplest([replace(tied, loss=_loss(tied.world, near)) for tied, _ in ties], _loss(stated, near))
+    if not _explains(best, stated, near, unconfirmed=False):
         return check
-    checked = replace(check, matches=sum(len(m.x1) for m in near), pairs=len(near), misfit=loss / max(own_loss, 1e-9))
-    named = _with_cause(checked, best, stated, near)
+    named = _with_cause(_without_cause(stated, near, check.confirmed), best, stated, near)
     return check if named.off_px < HARMFUL_PX else named
 
 
@@ -300,9 +307,18 @@ def _median_distance(world: _World, matches: _Matches) -> float:
     return float(np.median(np.abs(_residuals(world, matches))))
 
 
+def _counts(evidence: list[_Matches]) -> list[int]:
+    """Number of matches of each pair that count."""
+    return [min(len(m.x1), MOST_COUNTED) for m in evidence]
+
+
 def _mean(evidence: list[_Matches], values: list[float]) -> float:
-    """Mean over pairs, weighted by their number of matches, up to `MOST_COUNTED`."""
-    return float(np.average(values, weights=[min(len(m.x1), MOST_COUNTED) for m in evidence]))
+    """Mean over pairs, weighted by their number of matches that count."""
+    return float(np.average(values, weights=_counts(evidence)))
+
+
+def _own_loss(evidence: list[_Matches]) -> float:
+    return _mean(evidence, [m.own_loss for m in evidence])
 
 
 def _loss(world: _World, evidence: list[_Matches]) -> float:
@@ -314,16 +330,19 @@ def _excess(world: _World, evidence: list[_Matches], tolerance: float = 0.0) -> 
 
     tolerance: of the agreement, in standard errors of the median.
     """
-    limits = [AGREEING_SIGMAS + tolerance * MEDIAN_ERROR / sqrt(len(m.x1)) for m in evidence]
-    agrees = [_median_distance(world, m) <= limit for m, limit in zip(evidence, limits, strict=True)]
-    return _mean(evidence, [m.own_loss if agreeing else _loss(world, [m]) for m, agreeing in zip(evidence, agrees, strict=True)])
+    losses = []
+    for m in evidence:
+        agrees = _median_distance(world, m) <= AGREEING_SIGMAS + tolerance * MEDIAN_ERROR / sqrt(len(m.x1))
+        losses.append(m.own_loss if agrees else _loss(world, [m]))
+    return _mean(evidence, losses)
 
 
-def _explains(best: _Explanation, loss: float, own_loss: float, evidence: list[_Matches], unconfirmed: bool) -> bool:
+def _explains(best: _Explanation, stated: _World, evidence: list[_Matches], unconfirmed: bool) -> bool:
     """Does a cause restore the fit that the matches have under their own geometry?"""
     ratio, share = (LEAST_LOSS_RATIO_UNCONFIRMED, LEAST_SHARE_UNCONFIRMED) if unconfirmed else (LEAST_LOSS_RATIO, LEAST_SHARE)
-    gain, count = loss - best.loss, sum(min(len(m.x1), MOST_COUNTED) for m in evidence)
-    return loss > ratio * best.loss and gain >= share * (loss - min(own_loss, best.loss)) and gain * count >= LEAST_LOSS
+    loss = _loss(stated, evidence)
+    gain, needed = loss - best.loss, share * (loss - min(_own_loss(evidence), best.loss))
+    return loss > ratio * best.loss and gain >= needed and gain * sum(_counts(evidence)) >= LEAST_LOSS
 
 
 def _moved_px(stated: _World, corrected: _World, evidence: list[_Matches]) -> float:
@@ -356,43 +375,33 @@ def _depths(world: _World, matches: _Matches) -> tuple[Float64s, Float64s]:
     return triangulate_depth(left.camera, right.camera, left.undistort(matches.x1), right.undistort(matches.x2))
 
 
-def _best_explanation(stated: _World, evidence: list[_Matches], own_loss: float, unconfirmed: bool) -> _Explanation | None:
-    """The cause that explains the matches best, or the simplest of those about as good; None if it explains too little."""
-    explanations = [_fit(cause, stated, evidence) for cause in _causes(stated, evidence, unconfirmed)]
-    loss = _loss(stated, evidence)
-    best = _simplest(explanations, loss)
-    return best if _explains(best, loss, own_loss, evidence, unconfirmed) else None
-
-
 def _simplest(explanations: list[_Explanation], loss: float, slack: float = 0.1) -> _Explanation:
     """The simplest of the causes that explain about as much of a loss as any; slack: tolerated share of the remaining loss."""
     least_loss = min(explanation.loss for explanation in explanations)
     limit = least_loss + max(slack * least_loss, 0.05 * (loss - least_loss))
-    return min(explanations, key=lambda e: (e.loss > limit, len(e.cause.camera_of_unknown), e.loss))
+    return min(explanations, key=lambda e: (e.loss > limit, e.cause.unknowns, e.loss))
 
 
 def _fit(cause: _Cause, stated: _World, evidence: list[_Matches]) -> _Explanation:
     """The amount of a cause that fits the matches best, by Gauss-Newton steps on a loss whose scale tightens."""
     affected = [m for m in evidence if not cause.cameras or set(cause.cameras) & set(m.pair)]
-    amount, damping, scale = np.zeros(len(cause.camera_of_unknown)), 1e-3, np.inf
+    amount, damping, scale = np.zeros(cause.unknowns), 1e-3, np.inf
 
-    def residuals(amounts: Float64s, camera: str = "") -> list[Float64s]:
+    def residuals(amounts: Float64s) -> Float64s:
         world = cause.change(stated, amounts)
-        return [_residuals(world, m) if not camera or camera in m.pair else current[k] for k, m in enumerate(affected)]
+        return np.concatenate([_residuals(world, m) for m in affected])
 
-    current: list[Float64s] = []
     current = residuals(amount)
-    for _ in range(STEPS if len(amount) else 0):
-        stacked = np.concatenate(current)
-        scale = min(scale, max(OUTLIER, 1.5 * float(np.median(np.abs(stacked)))))
-        cost = float(np.log1p((stacked / scale) ** 2).sum())
-        deltas = zip(cause.camera_of_unknown, 1e-6 * np.eye(len(amount)), strict=True)
-        J = np.stack([(np.concatenate(residuals(amount + delta, camera)) - stacked) / 1e-6 for camera, delta in deltas], axis=1)
-        weight = 1 / (1 + (stacked / scale) ** 2)
-        normal, gradient = J.T @ (J * weight[:, None]), J.T @ (weight * stacked)
+    for _ in range(STEPS if cause.unknowns else 0):
+        scale = min(scale, max(OUTLIER, 1.5 * float(np.median(np.abs(current)))))
+        cost = float(np.log1p((current / scale) ** 2).sum())
+        deltas = 1e-6 * np.eye(cause.unknowns)
+        J = np.stack([(residuals(amount + delta) - current) / 1e-6 for delta in deltas], axis=1)
+        weight = 1 / (1 + (current / scale) ** 2)
+        normal, gradient = J.T @ (J * weight[:, None]), J.T @ (weight * current)
         step = np.linalg.solve(normal + np.diag(damping * np.diag(normal) + 1e-9), -gradient)
         trial = residuals(amount + step)
-        if float(np.log1p((np.concatenate(trial) / scale) ** 2).sum()) < cost:
+        if float(np.log1p((trial / scale) ** 2).sum()) < cost:
             amount, current, damping = amount + step, trial, max(damping / 10, 1e-9)
         elif (damping := damping * 10) > 1e3:
             break
@@ -404,63 +413,54 @@ def _fit(cause: _Cause, stated: _World, evidence: list[_Matches]) -> _Explanatio
 
 def _causes(stated: _World, evidence: list[_Matches], unconfirmed: bool) -> Iterator[_Cause]:
     """Possible causes, the likeliest first."""
-    names = sorted({name for m in evidence for name in m.pair})
-    baseline, zero = _median_baseline(stated, evidence), np.zeros(3)
-
-    def of_all(name: str, unknowns: int, change: _Change) -> _Cause:
-        return _Cause(name, lambda w, a: _for_all(change, w, a), ("",) * unknowns)
-
-    def of_one(name: str, unknowns: int, change: _Change, camera: str) -> _Cause:
-        return _Cause(name, lambda w, a: {**w, camera: change(w[camera], a)}, (camera,) * unknowns, (camera,))
-
-    def of_two(name: str, keys: tuple[str, ...], one: str, other: str) -> _Cause:
-        return _Cause(
-            name, lambda w, a: {**w, one: _mixed(w[one], w[other], keys), other: _mixed(w[other], w[one], keys)}, (), (one, other)
-        )
-
-    yield of_all("focal-lengths", 1, _zoomed)
-    yield of_all("distortion", 1, _distorted)
+    yield _simple("focal-lengths", 1, _zoomed)
+    yield _simple("distortion", 1, _distorted)
     if any(_has_distortion(view.camera) for view in stated.values()):
-        yield of_all("distortion-factor", 1, _distortion_scaled)
+        yield _simple("distortion-factor", 1, _distortion_scaled)
     if unconfirmed:
         return
-    yield of_all("pixel-shape", 1, lambda view, a: _zoomed(view, np.append(a, 0.0)))
-    yield of_all("pixel-height", 1, lambda view, a: _zoomed(view, np.append(0.0, a)))
-    yield of_all(CORNER, 0, lambda view, _: _shifted_px(view, CORNER_PX))
-    yield of_all("principal-points", 2, _shifted)
-    yield of_all("focal-lengths-and-distortion", 2, lambda view, a: _distorted(_zoomed(view, a[:1]), a[1:]))
+    yield _simple("pixel-shape", 1, lambda view, a: _zoomed(view, np.append(a, 0.0)))
+    yield _simple("pixel-height", 1, lambda view, a: _zoomed(view, np.append(0.0, a)))
+    yield _simple(CORNER, 0, lambda view, _: _shifted_px(view, CORNER_PX))
+    yield _simple("principal-points", 2, _shifted)
+    yield _simple("focal-lengths-and-distortion", 2, lambda view, a: _distorted(_zoomed(view, a[:1]), a[1:]))
     for axis, name in enumerate(STRETCHED):
-        yield of_all(name, 1, lambda view, a, axis=axis: _stretched(view, axis, a))  # type: ignore[misc]
-    for name, change in CONVENTIONS.items():
-        yield of_all(name, 0, lambda view, a, c=change: replace(view, camera=c(view.camera)))  # type: ignore[misc]
+        yield _simple(name, 1, partial(_stretched, axis=axis))
+    for name in CONVENTIONS:
+        yield _simple(name, 0, partial(_read_otherwise, convention=name))
+    baselines = [np.linalg.norm(stated[left].camera.C - stated[right].camera.C) for left, right in (m.pair for m in evidence)]
+    baseline, zero = float(np.median(baselines)), np.zeros(3)
+    names = sorted({name for m in evidence for name in m.pair})
     for name in names:
         if len({m.pair for m in evidence if name in m.pair}) < 2:  # matches of one pair may be look-alikes
             continue
-        yield of_one("focal-length", 1, _zoomed, name)
-        yield of_one("distortion-of-one", 1, _distorted, name)
-        yield of_one("turned", 3, lambda view, a: _posed(view, np.append(a, zero), baseline), name)
-        yield of_one("moved", 3, lambda view, a: _posed(view, np.append(zero, a), baseline), name)
+        yield _simple("focal-length", 1, _zoomed, name)
+        yield _simple("distortion-of-one", 1, _distorted, name)
+        yield _simple("turned", 3, lambda view, a: _posed(view, np.append(a, zero), baseline), name)
+        yield _simple("moved", 3, lambda view, a: _posed(view, np.append(zero, a), baseline), name)
         for convention in ("mirrored-frames", "upside-down"):
-            yield of_one(convention, 0, lambda view, a, c=convention: replace(view, camera=CONVENTIONS[c](view.camera)), name)  # type: ignore[misc]
-    if len(names) <= LARGEST_SITE:
-        for step in (1, -1) if len(stated) > 2 else ():
-            yield _Cause("captures-exchanged", lambda w, _, step=step: _assigned_to_next(w, step))  # type: ignore[misc]
-        for one, other in combinations(names, 2):
-            for name, keys in EXCHANGED.items():
-                yield of_two(name, keys, one, other)
+            yield _simple(convention, 0, partial(_read_otherwise, convention=convention), name)
+    if len(names) > LARGEST_SITE:
+        return
+    if len(stated) > 2:
+        all_names = list(stated)
+        for step in (1, -1):  # each takes the place of the next one, as when a recorder numbers its inputs from another start
+            next_names = [*all_names[step:], *all_names[:step]]
+            yield _exchange("captures-exchanged", dict(zip(all_names, next_names, strict=True)))
+    for one, other in combinations(names, 2):
+        for name in EXCHANGED:
+            yield _exchange(name, {one: other, other: one}, (one, other))
 
 
-def _assigned_to_next(world: _World, step: int) -> _World:
-    """Each camera takes the place of the next one, as when a recorder numbers its inputs from another start."""
-    names = list(world)
-    next_names = [names[(k + step) % len(names)] for k in range(len(names))]
-    keys = EXCHANGED["captures-exchanged"]
-    return {name: _mixed(world[name], world[next_name], keys) for name, next_name in zip(names, next_names, strict=True)}
+def _simple(name: str, unknowns: int, change: _Change, *cameras: str) -> _Cause:
+    """A cause that changes each of some cameras, or of all if none are given, in the same way."""
+    return _Cause(name, lambda w, a: {**w, **{n: change(w[n], a) for n in cameras or w}}, unknowns, cameras)
 
 
-def _median_baseline(stated: _World, evidence: list[_Matches]) -> float:
-    """Median distance between the two cameras of a pair."""
-    return float(np.median([np.linalg.norm(stated[a].camera.C - stated[b].camera.C) for a, b in (m.pair for m in evidence)]))
+def _exchange(name: str, sources: Mapping[str, str], cameras: tuple[str, ...] = ()) -> _Cause:
+    """A cause by which each camera in `sources` has parts of another one."""
+    keys = EXCHANGED[name]
+    return _Cause(name, lambda w, _: {**w, **{n: _mixed(w[n], w[m], keys) for n, m in sources.items()}}, cameras=cameras)
 
 
 def _posed(view: _CheckedView, amount: Float64s, baseline: float) -> _CheckedView:
@@ -502,8 +502,8 @@ def _shifted_px(view: _CheckedView, pixels: Float64s) -> _CheckedView:
     return _shifted(view, pixels / view.camera.width)
 
 
-def _for_all(change: _Change, world: _World, amount: Float64s) -> _World:
-    return {name: change(view, amount) for name, view in world.items()}
+def _read_otherwise(view: _CheckedView, _: Float64s, convention: str) -> _CheckedView:
+    return replace(view, camera=CONVENTIONS[convention](view.camera))
 
 
 def _mixed(view: _CheckedView, other: _CheckedView, keys: tuple[str, ...]) -> _CheckedView:
@@ -513,7 +513,7 @@ def _mixed(view: _CheckedView, other: _CheckedView, keys: tuple[str, ...]) -> _C
     return replace(view, camera=new, stated=old if swapped and (_has_distortion(old) or _has_distortion(other.camera)) else None)
 
 
-def _stretched(view: _CheckedView, axis: int, log: Float64s) -> _CheckedView:
+def _stretched(view: _CheckedView, log: Float64s, axis: int) -> _CheckedView:
     """The camera with its position stretched along an axis; log: logarithm of the factor."""
     C = view.camera.C.copy()
     C[axis] *= np.exp(np.clip(log[0], -LARGEST_ZOOM, LARGEST_ZOOM))

@@ -8,7 +8,7 @@ is the ground if large patches then look the same on it, and on no other plane.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -66,7 +66,11 @@ def adjust_to_ground(
     for plane in _planes(site):
         if matches := site.matches(known, plane, 1, _ROUGH_MATCHES):
             rough_fits.append(_fit_to(site, matches, plane))
-    fits = [_fit_finely(site, fit) for fit in _distinct(sorted(rough_fits, key=lambda fit: -fit.share), known)[:_MOST_PLANES]]
+    distinct: list[_Fit] = []  # the planes of some have become the same
+    for fit in sorted(rough_fits, key=lambda fit: -fit.share):
+        if _is_apart(fit.plane, [earlier.plane for earlier in distinct], known, _SAME_HEIGHT):
+            distinct.append(fit)
+    fits = [_fit_finely(site, fit) for fit in distinct[:_MOST_PLANES]]
     if not fits:
         return None
     counts = [count_alike_patches(site.views(fit.adjusted.cameras, 2), fit.plane) for fit in fits]
@@ -111,7 +115,7 @@ class _Site:
         for name in pair:
             camera, sigma = self.known[name], self.sigmas.get(name, Sigma())
             distance = 4.0 * abs(float(plane[:3] @ camera.C + plane[3]))
-            variance += (camera.K[0, 0] * (np.radians(sigma.degrees) + sigma.metres / distance)) ** 2
+            variance += sigma.pixels(camera, distance) ** 2
         return min(_REACH_SIGMAS * float(np.sqrt(variance)), _WIDEST_REACH_PX)
 
 
@@ -120,26 +124,17 @@ def _planes(site: _Site) -> list[Float64s]:
     planes: list[Float64s] = []
     for times in (1, 2):
         for plane in likely_planes(site.views(site.known, times)):
-            if all(_height_difference(plane, earlier, site.known) > 0.5 * _SAME_HEIGHT for earlier in planes):
+            if _is_apart(plane, planes, site.known, 0.5 * _SAME_HEIGHT):
                 planes.append(plane)
     return planes
 
 
-def _height_difference(plane: Float64s, other: Float64s, cameras: Mapping[str, Camera]) -> float:
-    """Height difference of two planes, as a share of the height of the lowest camera above the first."""
+def _is_apart(plane: Float64s, others: list[Float64s], cameras: Mapping[str, Camera], share: float) -> bool:
+    """Is a plane higher or lower than all others, by more than a share of the height of the lowest camera above it?"""
     height = min(float(plane[:3] @ camera.C + plane[3]) for camera in cameras.values())
     centre = np.mean([camera.C for camera in cameras.values()], axis=0)
-    difference = float((plane[:3] - other[:3]) @ centre + plane[3] - other[3])
-    return abs(difference) / max(height, 1e-9)
-
-
-def _distinct(fits: Iterable[_Fit], cameras: Mapping[str, Camera]) -> list[_Fit]:
-    """The fits without those whose plane has become the same as an earlier one's."""
-    distinct: list[_Fit] = []
-    for fit in fits:
-        if all(_height_difference(fit.plane, earlier.plane, cameras) > _SAME_HEIGHT for earlier in distinct):
-            distinct.append(fit)
-    return distinct
+    differences = [abs(float((plane[:3] - other[:3]) @ centre + plane[3] - other[3])) for other in others]
+    return all(difference / max(height, 1e-9) > share for difference in differences)
 
 
 def _fit_finely(site: _Site, fit: _Fit) -> _Fit:

@@ -20,6 +20,7 @@ import numpy as np
 
 from ..core.residual_distortion import without_distortion
 from ..sfm.incremental import Model, refine
+from ..sfm.triangulation import RAYLEIGH
 from ..types import Camera, Float64s, Int64s, LensSigma
 
 MOST_SIGMA_PX = 1.0
@@ -30,8 +31,6 @@ CENTRE_SIGMA = 0.005
 """Prior standard deviation of a principal point around the image centre, as a share of the width."""
 LOSS = 2.385
 """Scale of the Cauchy loss in standard deviations of the noise: 95 % efficient (Holland & Welsch 1977)."""
-RAYLEIGH = 1.1774
-"""Ratio of the median length of a 2-D normal error to the standard deviation of one coordinate."""
 _POSE, _LENS = 6, 5
 """Number of parameters of a pose (rotation, centre), and of a lens (cx, cy, f, k1, k2)."""
 _REGULARISATION = 1e-10
@@ -53,7 +52,7 @@ class _Equations:
     H: Float64s
     """(parts, n, n) normal matrices: rotation and centre of each view, then cx, cy, f, k1, k2 of each lens."""
     pulls: Float64s
-    """(parts, n) right sides of the equations."""
+    """(parts, n) right sides of the equations: the pull of each part's points; the parts add up to zero."""
     columns: dict[int, Int64s]
     """(11,) indices of each view's parameters."""
     solved: Int64s
@@ -182,7 +181,12 @@ def _equations(model: Model) -> _Equations:
     np.add.at(V, point_of, np.einsum("nki,nkj->nij", P, P))
     inverse = np.linalg.inv(V + _REGULARISATION * np.trace(V, axis1=1, axis2=2)[:, None, None] * np.eye(3))
     part = _parts(model.X[points])
-    H, pulls = np.zeros((1 << _HALVINGS, size, size)), _pulls(J, P, r, inverse, columns[view_of], point_of, part, size)
+    gradient = np.zeros((len(points), 3))
+    np.add.at(gradient, point_of, np.einsum("nki,nk->ni", P, r))
+    remaining = r - np.einsum("nki,nij,nj->nk", P, inverse[point_of], gradient[point_of])  # with the points at their optimum
+    pulls = np.zeros((1 << _HALVINGS, size))
+    np.add.at(pulls, (part[point_of][:, None], columns[view_of]), np.einsum("nki,nk->ni", J, remaining))
+    H = np.zeros((1 << _HALVINGS, size, size))
     for k in range(len(H)):
         own, members = part[point_of] == k, np.flatnonzero(part == k)
         H[k] = _reduced(J[own], P[own], inverse[members], columns[view_of[own]], np.searchsorted(members, point_of[own]), size)
@@ -239,19 +243,6 @@ def _parts(X: Float64s) -> Int64s:
             in_upper_half[members] = coordinate > np.median(coordinate)
         part = 2 * part + in_upper_half
     return part
-
-
-def _pulls(
-    J: Float64s, P: Float64s, r: Float64s, inverse: Float64s, columns: Int64s, point_of: Int64s, part: Int64s, size: int
-) -> Float64s:
-    """(parts, size) right sides: the pull of the points of each part of the scene on cameras and lenses, with the points at their
-    optimum; the parts add up to zero."""
-    gradient = np.zeros((len(inverse), 3))
-    np.add.at(gradient, point_of, np.einsum("nki,nk->ni", P, r))
-    remaining = r - np.einsum("nki,nij,nj->nk", P, inverse[point_of], gradient[point_of])
-    pulls = np.zeros((1 << _HALVINGS, size))
-    np.add.at(pulls, (part[point_of][:, None], columns), np.einsum("nki,nk->ni", J, remaining))
-    return pulls
 
 
 def _linearised(model: Model, views: list[int], rows: Int64s, view_of: Int64s) -> tuple[Float64s, Float64s, Float64s]:

@@ -12,7 +12,7 @@ from ..core.cameras import project
 from ..core.epipolar import fundamental_from_cameras, sampson_distance
 from ..core.rotations import angle_between_deg, rotation_matrix
 from ..types import Camera, Float64s, Geometry, Pair
-from .pose_check import PAIR_PX, TRIPLET_PX, PoseConstraints, Triplet, seen_points
+from .pose_check import PAIR_PX, TRIPLET_PX, PoseConstraints, seen_points
 
 AGREE_DEG = 1.5
 """Largest difference between the rotations that two pairs give a camera for one pose to be fitted to both."""
@@ -67,28 +67,31 @@ def find_moved_cameras(cameras: Mapping[str, Camera], constraints: PoseConstrain
 def _agreed_pose(name: str, cameras: Mapping[str, Camera], constraints: PoseConstraints) -> NewPose | None:
     """The pose of a camera that its partners agree on against the stated one; None if there is none."""
     stated = {e.cameras: e for e in constraints.evidence(cameras, name)}
-    contradicting = {key: e for key, e in stated.items() if e.contradicts and _is_distinctive(key, constraints.pairs)}
-    triplets = [triplet for triplet in constraints.triplets if triplet.cameras in contradicting]
-    pairs = {pair: geometry for pair, geometry in constraints.pairs.items() if pair in contradicting}
-    if len(pairs) < 2 and not triplets:
+    contradicting = [key for key, e in stated.items() if e.contradicts]
+    distinctive = {key for key in contradicting if _is_distinctive(key, constraints.pairs)}
+    against = PoseConstraints(
+        {pair: geometry for pair, geometry in constraints.pairs.items() if pair in distinctive},
+        tuple(triplet for triplet in constraints.triplets if triplet.cameras in distinctive),
+    )
+    if len(against.pairs) < 2 and not against.triplets:
         return None
-    best: NewPose | None = None
-    other_contradictions = sum(e.contradicts for e in constraints.evidence(cameras)) - sum(e.contradicts for e in stated.values())
-    for start, start_pairs, start_triplets in _initial_poses(name, cameras, pairs, triplets):
-        camera = _fitted(name, start, cameras, start_pairs, start_triplets)
+    contradictions_elsewhere = sum(e.contradicts for e in constraints.evidence(cameras)) - len(contradicting)
+    agreed: list[NewPose] = []
+    for start, determining in _initial_poses(name, cameras, against):
+        camera = _fitted(name, start, cameras, determining)
         revised = {e.cameras: e for e in constraints.evidence({**cameras, name: camera}, name)}
-        remaining_count = sum(e.contradicts for e in revised.values())
-        resolved = [key for key, e in stated.items() if e.contradicts and key in revised and not revised[key].contradicts]
+        remaining = sum(e.contradicts for e in revised.values())
+        resolved = [key for key in contradicting if key in revised and not revised[key].contradicts]
         supporters = [key for key in resolved if CLEARER_RATIO * revised[key].excess <= stated[key].excess]
         partners = {other for key in supporters if len(key) == 2 for other in key if other != name}
-        if (len(partners) < 2 and not any(len(key) == 3 for key in supporters)) or len(supporters) <= remaining_count:
+        if (len(partners) < 2 and not any(len(key) == 3 for key in supporters)) or len(supporters) <= remaining:
             continue
-        if best is None or (other_contradictions + remaining_count, -len(supporters)) < (best.contradictions, -best.support):
-            supporting_pairs = tuple(pair for pair in pairs if pair in supporters)
-            best = NewPose(camera, len(supporters), other_contradictions + remaining_count, supporting_pairs)
-            if remaining_count == 0:
-                break
-    return best
+        supporting_pairs = tuple(pair for pair in against.pairs if pair in supporters)
+        new_pose = NewPose(camera, len(supporters), contradictions_elsewhere + remaining, supporting_pairs)
+        if remaining == 0:
+            return new_pose
+        agreed.append(new_pose)
+    return min(agreed, key=lambda pose: (pose.contradictions, -pose.support), default=None)
 
 
 def _is_distinctive(key: tuple[str, ...], pairs: Mapping[Pair, Geometry]) -> bool:
@@ -96,18 +99,18 @@ def _is_distinctive(key: tuple[str, ...], pairs: Mapping[Pair, Geometry]) -> boo
 
 
 def _initial_poses(
-    name: str, cameras: Mapping[str, Camera], pairs: Mapping[Pair, Geometry], triplets: list[Triplet]
-) -> Iterator[tuple[Camera, Mapping[Pair, Geometry], list[Triplet]]]:
+    name: str, cameras: Mapping[str, Camera], against: PoseConstraints
+) -> Iterator[tuple[Camera, PoseConstraints]]:
     """Yield initial poses, each with the constraints that determine it."""
-    pair_poses = {pair: pose for pair, g in pairs.items() if (pose := _pose(name, cameras, pair, g)) is not None}
-    for a, b in combinations(pair_poses, 2):
-        if angle_between_deg(pair_poses[a][0], pair_poses[b][0]) <= AGREE_DEG:
-            C = _crossing(cameras[name], *pair_poses[a][1:], *pair_poses[b][1:])
-            if C is not None:
-                shared_triplets = [triplet for triplet in triplets if {*a, *b} == set(triplet.cameras)]
-                yield replace(cameras[name], R=pair_poses[a][0], C=C), {pair: pairs[pair] for pair in (a, b)}, shared_triplets
-    for triplet in triplets:
-        yield cameras[name], {pair: g for pair, g in pairs.items() if set(pair) <= set(triplet.cameras)}, [triplet]
+    pair_poses = {pair: pose for pair, g in against.pairs.items() if (pose := _pose(name, cameras, pair, g)) is not None}
+    for (a, (R_a, *to_a)), (b, (R_b, *to_b)) in combinations(pair_poses.items(), 2):
+        if angle_between_deg(R_a, R_b) <= AGREE_DEG and (C := _crossing(cameras[name], *to_a, *to_b)) is not None:
+            shared_triplets = tuple(triplet for triplet in against.triplets if {*a, *b} == set(triplet.cameras))
+            both = {pair: against.pairs[pair] for pair in (a, b)}
+            yield replace(cameras[name], R=R_a, C=C), PoseConstraints(both, shared_triplets)
+    for triplet in against.triplets:
+        within = {pair: g for pair, g in against.pairs.items() if set(pair) <= set(triplet.cameras)}
+        yield cameras[name], PoseConstraints(within, (triplet,))
 
 
 def _pose(name: str, cameras: Mapping[str, Camera], pair: Pair, geometry: Geometry) -> tuple[Float64s, Float64s, Float64s] | None:
@@ -131,15 +134,13 @@ def _crossing(camera: Camera, A: Float64s, a: Float64s, B: Float64s, b: Float64s
     return np.asarray(0.5 * (A + s * a + B + t * b), dtype=np.float64) if min(s, t) > 0 else None
 
 
-def _fitted(
-    name: str, start: Camera, cameras: Mapping[str, Camera], pairs: Mapping[Pair, Geometry], triplets: list[Triplet]
-) -> Camera:
+def _fitted(name: str, start: Camera, cameras: Mapping[str, Camera], constraints: PoseConstraints) -> Camera:
     """Return the pose that best satisfies some constraints, with the other cameras at their stated poses."""
     from scipy.optimize import least_squares  # imported here, since nights with right poses do not need it
 
     scale = min(float(np.linalg.norm(start.C - camera.C)) for other, camera in cameras.items() if other != name) or 1.0
-    matches = [(pair, g.x1[_thin(len(g.x1))], g.x2[_thin(len(g.x1))]) for pair, g in pairs.items()]
-    points = [(x[_thin(len(x))], X[_thin(len(x))]) for triplet in triplets for x, X in [seen_points(cameras, triplet, name)]]
+    matches = [(pair, *_thinned(g.x1, g.x2)) for pair, g in constraints.pairs.items()]
+    points = [_thinned(*seen_points(cameras, triplet, name)) for triplet in constraints.triplets]
 
     def pose_after(step: Float64s) -> Camera:
         return replace(start, R=rotation_matrix(step[:3]) @ start.R, C=start.C + scale * step[3:])
@@ -153,5 +154,6 @@ def _fitted(
     return pose_after(least_squares(errors, np.zeros(6), loss="cauchy", max_nfev=60).x)
 
 
-def _thin(count: int) -> slice:
-    return slice(None, None, max(1, count // SAMPLE))
+def _thinned(x: Float64s, y: Float64s) -> tuple[Float64s, Float64s]:
+    step = max(1, len(x) // SAMPLE)
+    return x[::step], y[::step]

@@ -52,6 +52,11 @@ class Sigma:
         """Is there nothing to refine?"""
         return self.metres == 0 and self.degrees == 0
 
+    def pixels(self, camera: Camera, distance: float) -> float:
+        """Standard deviation of the pixels of points at a distance (metres) from the camera."""
+        sigma_px: float = camera.K[0, 0] * (np.radians(self.degrees) + self.metres / distance)
+        return sigma_px
+
 
 @dataclass(frozen=True)
 class Evidence:
@@ -132,7 +137,7 @@ def slack_px(cameras: Mapping[str, Camera], sigmas: Mapping[str, Sigma], pair: P
         distance = float(np.linalg.norm(cameras[pair[0]].C - cameras[pair[1]].C))
         if len(X):
             distance = float(np.median(np.linalg.norm(X - camera.C, axis=1)))
-        variance += (camera.K[0, 0] * (np.radians(sigma.degrees) + sigma.metres / distance)) ** 2
+        variance += sigma.pixels(camera, distance) ** 2
     return DEVIATIONS * float(np.sqrt(variance))
 
 
@@ -187,16 +192,14 @@ def turned_deg(cameras: Mapping[str, Camera], pair: Pair, geometry: Geometry) ->
 
 def triplet_error_px(cameras: Mapping[str, Camera], triplet: Triplet) -> float | None:
     """Median distance from points of the two views at the widest angle to their pixels in the third; None if there are few."""
-    best: tuple[float, float] | None = None
+    found: list[tuple[float, float]] = []
     for third in reversed(triplet.cameras):
         x, X = seen_points(cameras, triplet, third)
-        if len(x) < MIN_SHARED:
-            continue
-        rays1, rays2 = (X - cameras[name].C for name in triplet.cameras if name != third)
-        angle = float(np.median(ray_angles(rays1, rays2)))
-        if best is None or angle > best[0]:
-            best = angle, float(np.median(np.linalg.norm(project(cameras[third], X)[0] - x, axis=1)))
-    return best and best[1]
+        if len(x) >= MIN_SHARED:
+            rays1, rays2 = (X - cameras[name].C for name in triplet.cameras if name != third)
+            error_px = float(np.median(np.linalg.norm(project(cameras[third], X)[0] - x, axis=1)))
+            found.append((float(np.median(ray_angles(rays1, rays2))), error_px))
+    return max(found, key=lambda angle_and_error: angle_and_error[0])[1] if found else None
 
 
 def seen_points(cameras: Mapping[str, Camera], triplet: Triplet, name: str) -> tuple[Float64s, Float64s]:

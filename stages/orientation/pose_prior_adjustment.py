@@ -14,9 +14,9 @@ from ..core.cameras import same_camera
 from ..core.epipolar import fundamental_from_cameras, homogeneous, symmetric_epipolar_distance
 from ..core.least_squares import Equations, levenberg_marquardt
 from ..core.rotations import rotation_matrix, rotation_vector
-from ..sfm.rigs import rigs_of, rotation_between
-from ..sfm.tracks import Edge, Tracks, build_tracks
-from ..sfm.triangulation import angles, residuals, triangulate
+from ..sfm.rigs import first_views, rotation_between
+from ..sfm.tracks import Tracks, build_tracks
+from ..sfm.triangulation import RAYLEIGH, angles, residuals, triangulate
 from ..types import Camera, Float64s, Geometry, Pair, at_rows
 from .pose_check import DEVIATIONS, LEAST_PROBABILITY, PAIR_PX, PoseConstraints, Sigma, slack_px
 
@@ -51,38 +51,45 @@ def adjust_within_priors(
         the standard deviations allow.
     trusted : whether the matches contain no look-alikes: each pair then has the weight of a confirmed one.
     """
+    pairs = _allowed_matches(cameras, sigmas, geometries, MIN_SHARE_OF_TRUSTED if trusted else MIN_SHARE)
+    adjustable = {name: sigmas[name] for name in cameras if not sigmas.get(name, Sigma()).exact}
+    stated_only = AdjustedPoses.as_stated(cameras, adjustable)
+    if not pairs or not adjustable:
+        return stated_only
     names = tuple(cameras)
-    view_number = {name: k for k, name in enumerate(names)}
-    edges: dict[Edge, Geometry] = {}
+    number = {name: k for k, name in enumerate(names)}
+    stated = {number[name]: camera for name, camera in cameras.items()}
+    triplets = PoseConstraints.of(names, pairs).triplets
+    confirmed = pairs if trusted else {pair for triplet in triplets for pair in combinations(triplet.cameras, 2)}
+    while True:
+        tracks = build_tracks({(number[a], number[b]): geometry for (a, b), geometry in pairs.items()}, len(names))
+        weight = sum(WEIGHT_CONFIRMED if pair in confirmed else WEIGHT_UNCONFIRMED for pair in pairs)
+        solved, problem = _most_probable(stated, {number[name]: sigma for name, sigma in adjustable.items()}, tracks, weight)
+        adjusted = {name: solved[number[name]] for name in names}
+        excesses = {name: _excess(adjusted[name], cameras[name], sigma) for name, sigma in adjustable.items()}
+        strayed = [name for name, excess in excesses.items() if excess > 1]
+        if not strayed:
+            return stated_only if problem is None else stated_only.with_images(adjusted, *problem.covariance_of(solved, names))
+        worst = max(strayed, key=excesses.__getitem__)  # it stays as stated, and no longer influences the others
+        dropped = {name for name in names if name == worst or same_camera(cameras[name], cameras[worst])}
+        adjustable = {name: sigma for name, sigma in adjustable.items() if name not in dropped}
+        pairs = {pair: geometry for pair, geometry in pairs.items() if not dropped & {*pair}}
+
+
+def _allowed_matches(
+    cameras: Mapping[str, Camera], sigmas: Mapping[str, Sigma], geometries: Mapping[Pair, Geometry], least_share: float
+) -> dict[Pair, Geometry]:
+    """The matches that the standard deviations allow, of the probable pairs where these are enough."""
+    allowed = {}
     for pair, geometry in geometries.items():
         if geometry.good_probability < LEAST_PROBABILITY or not set(pair) <= set(cameras):
             continue
         F = fundamental_from_cameras(cameras[pair[0]], cameras[pair[1]])
         slack = slack_px(cameras, sigmas, pair, geometry)
         near = symmetric_epipolar_distance(F, geometry.x1, geometry.x2) <= 3 * PAIR_PX + slack
-        if near.sum() >= max(MIN_MATCHES, (MIN_SHARE_OF_TRUSTED if trusted else MIN_SHARE) * len(near)):
-            edges[view_number[pair[0]], view_number[pair[1]]] = at_rows(geometry, near)
-    adjustable = [name for name in names if not sigmas.get(name, Sigma()).exact]
-    stated_only = AdjustedPoses.as_stated(cameras, {name: sigmas[name] for name in adjustable})
-    if not edges or not adjustable:
-        return stated_only
-    tracks = build_tracks(edges, len(names))
-    stated = {view_number[name]: camera for name, camera in cameras.items()}
-    sigma_of = {view_number[name]: sigmas[name] for name in adjustable}
-    triplets = PoseConstraints.of(names, {(names[i], names[j]): geometry for (i, j), geometry in edges.items()}).triplets
-    confirmed = {frozenset(pair) for triplet in triplets for pair in combinations(triplet.cameras, 2)}
-    while True:
-        weight = sum(WEIGHT_CONFIRMED if trusted or {names[i], names[j]} in confirmed else WEIGHT_UNCONFIRMED for i, j in edges)
-        solved, problem = _most_probable(stated, sigma_of, tracks, weight)
-        strayed = {view: ratio for view, sigma in sigma_of.items() if (ratio := _excess(solved[view], stated[view], sigma)) > 1}
-        if not strayed:
-            adjusted = {name: solved[view_number[name]] for name in names}
-            return stated_only if problem is None else stated_only.with_images(adjusted, *problem.covariance_of(solved, names))
-        worst = max(strayed, key=strayed.__getitem__)  # it stays as stated, and no longer influences the others
-        dropped = {view for view in stated if view == worst or same_camera(stated[view], stated[worst])}
-        sigma_of = {view: sigma for view, sigma in sigma_of.items() if view not in dropped}
-        edges = {edge: geometry for edge, geometry in edges.items() if not dropped & {*edge}}
-        tracks = build_tracks(edges, len(names))
+        if near.sum() >= max(MIN_MATCHES, least_share * len(near)):
+            allowed[pair] = at_rows(geometry, near)
+    return allowed
 
 
 def _excess(adjusted: Camera, stated: Camera, sigma: Sigma) -> float:
@@ -121,7 +128,7 @@ def _most_probable(
             cameras, problem.equations, problem.moved, steps=20, damping=1e-3, least_damping=1e-9, relative_tolerance=1e-6
         )
         remaining_px = np.linalg.norm(residuals(cameras, inliers, problem.points(cameras)), axis=1)
-        noise = max(LEAST_NOISE_PX, float(np.nanmedian(remaining_px)) / 1.1774)
+        noise = max(LEAST_NOISE_PX, float(np.nanmedian(remaining_px)) / RAYLEIGH)
     return cameras, problem
 
 
@@ -133,13 +140,12 @@ class _Problem:
     ) -> None:
         """tracks: the observations in use; share: weight of the images relative to the stated poses."""
         self.stated, self.known, self.tracks, self.noise, self.share = stated, known, tracks, noise, share
-        rigs = {view: views[0] for views in rigs_of({v: stated[v] for v in known}).values() for view in views}
-        self.first = {view: rigs.get(view, view) for view in known}
-        """For each view, the first view of its camera, with which it moves."""
-        blocks = {view: 6 * k for k, view in enumerate(dict.fromkeys(self.first.values()))}
-        self.place = {view: blocks[first] for view, first in self.first.items()}
+        first = first_views({view: stated[view] for view in known})
+        blocks = {view: 6 * k for k, view in enumerate(dict.fromkeys(first.values()))}
+        self.place = {view: blocks[first[view]] for view in known}
+        """For each view, where the step of its camera begins: all views of a camera move together."""
         self.size = 6 * len(blocks)
-        self.turns = {v: rotation_between(stated[first].lens, stated[v].lens) for v, first in self.first.items() if first != v}
+        self.turns = {v: rotation_between(stated[f].lens, stated[v].lens) for v, f in first.items() if f != v}
 
     def points(self, cameras: Mapping[int, Camera]) -> Float64s:
         """(count, 3) points triangulated from the observations."""

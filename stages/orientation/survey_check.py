@@ -9,7 +9,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from ..core.cameras import camera_id
-from ..types import Float64s, Placement, Poses, Survey, View
+from ..types import Placement, Poses, Survey, View
 
 DISTANCE_SHARE = 0.03
 """Tolerance of a stated distance: this share of it, plus three standard deviations of the camera positions."""
@@ -52,12 +52,9 @@ def check_survey(poses: Poses, views: Mapping[str, View], placements: Mapping[st
             distance = float(np.median([np.linalg.norm(C - landmark.world_X) for C in centres.values()]))
             if error > (tolerated := POINT_SHARE * distance + sigma):
                 points[landmark.name] = error, tolerated
-    if not survey.crs and len(centres) > 1 and not NEAREST_M[0] <= (nearest := _nearest(centres)) <= NEAREST_M[1]:
-        units["nearest"] = nearest, NEAREST_M[nearest > 1]
+    if not survey.crs and len(centres) > 1:
+        C = np.array([*centres.values()])
+        nearest = float(np.median(cKDTree(C).query(C, 2)[0][:, 1]))  # the first neighbour of each is itself
+        if not NEAREST_M[0] <= nearest <= NEAREST_M[1]:
+            units["nearest"] = nearest, NEAREST_M[nearest > 1]
     return replace(poses, distances_off=distances, points_off=points, units_off=units)
-
-
-def _nearest(centres: Mapping[str, Float64s]) -> float:
-    """Median distance from a camera to its nearest neighbour."""
-    C = np.array([*centres.values()])
-    return float(np.median(cKDTree(C).query(C, 2)[0][:, 1]))  # the first neighbour of each is itself

@@ -17,9 +17,8 @@ import numpy as np
 from ..sfm.consistent_matches import consistent_matches
 from ..sfm.incremental import Model, refine
 from ..sfm.tracks import Edge, build_tracks
-from ..sfm.triangulation import triangulate
+from ..sfm.triangulation import RAYLEIGH, triangulate
 from ..types import Camera, Float64s, Geometry
-from .lens_sigma import RAYLEIGH
 
 MOST_INCONSISTENCY = 16.0
 """Larger values are not noise.  Right cameras had 0.9 to 4.3 with stated lenses; with solved ones 1.7 to 5.4 (photographs), 12.6
@@ -47,8 +46,8 @@ def inconsistency(model: Model, geometries: Mapping[Edge, Geometry]) -> float:
     checked = {view: camera for view, camera in model.cameras.items() if (tracks.view == view).sum() >= FEWEST}
     if len(checked) < 3:
         return float("nan")
-    no_points, none_used = np.full((tracks.count, 3), np.nan), np.zeros(len(tracks.track), bool)
-    refit = refine(replace(model, cameras=checked, tracks=tracks, X=no_points, use=none_used), rounds=3, rough=True)
+    unfitted = replace(Model.without_points(checked, tracks, model.lenses), held=model.held)
+    refit = refine(unfitted, rounds=3, rough=True)
     if not refit.use.any():
         return float("nan")
     refit_errors, model_errors = (_errors(refit, cameras) for cameras in (refit.cameras, checked))

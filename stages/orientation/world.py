@@ -11,12 +11,12 @@ from itertools import combinations, islice
 import cv2
 import numpy as np
 
-from ..core.cameras import camera_id, same_camera
+from ..core.cameras import camera_id
 from ..core.lenses import lens_rays
 from ..core.residual_distortion import without_distortion
 from ..core.rotations import Similarity, angle_between_deg, nearest_rotation, with_rotation
 from ..sfm.incremental import Model, refine, replace_cameras
-from ..sfm.rigs import camera_R, rigs_of
+from ..sfm.rigs import camera_R, first_views
 from ..sfm.tracks import Tracks
 from ..sfm.triangulation import triangulate
 from ..sfm.view_graph import ViewGraph
@@ -39,7 +39,7 @@ class World:
     metric: bool
     scale: str
     """Source of the scale."""
-    suspects: dict[str, str]
+    suspects: Mapping[str, str] = field(default_factory=dict)
     """Known poses and control points that the images contradict and that are left out, by name, with the reason."""
     doubtful: Mapping[str, str] = field(default_factory=dict)
     """Known poses that stay in use although the model of the others contradicts them, by id, with the reason."""
@@ -56,58 +56,56 @@ def to_world(graph: ViewGraph, model: Model, placements: Mapping[str, Placement]
     placements, survey : known poses by id; known distances and control points.
     """
     cameras = model.cameras
-    further_views = {view for views in rigs_of(cameras).values() for view in views[1:]}  # their positions add no information
-    first_views = [view for view in cameras if view not in further_views]
-    known = {view: placements[name] for view in first_views if (name := graph.names[view]) in placements}
+    first = first_views(cameras)
+    first_cameras = {view: camera for view, camera in cameras.items() if first[view] == view}  # others add no information
+    known = {view: placements[name] for view in first_cameras if (name := graph.names[view]) in placements}
     landmarks = [
-        Landmark(graph.names[view], cameras[view].C, p.C, cameras[view].R if p.R is not None else None, p.R, p.sigma_m)
+        Landmark(graph.names[view], cameras[view].C, p.C, cameras[view].R, p.R, p.sigma_m)
         for view, p in known.items()
         if p.C is not None
     ]
     landmarks += control_landmarks(cameras, graph.names, graph.views, survey)
-    metric = all(p.metric for p in known.values() if p.C is not None)
-    up = upward([replace(cameras[view], R=camera_R(cameras[view])) for view in first_views])
+    up = upward([replace(camera, R=camera_R(camera)) for camera in first_cameras.values()])
     depth = _median_depth(model)
     scale = _scale_of_distances(graph, cameras, survey)
-    known_scale = scale is not None
-    scale_source = "known distances" if known_scale else "none: the median baseline is set to 1, and the cloud is not metric"
+    is_scaled = scale is not None
+    scale_source = "known distances" if is_scaled else "none: the median baseline is set to 1, and the cloud is not metric"
     alignment = align(landmarks, up, depth, scale if len(landmarks) < 2 else None) if landmarks else None
     if alignment is None:
-        model = _transformed(model, _own_frame(graph, cameras, landmarks, up, scale))
-        further_names = {graph.names[view] for views in rigs_of(dict(enumerate(graph.views))).values() for view in views[1:]}
-        known_count = sum(p.C is not None for name, p in placements.items() if name not in further_names)
+        first_of_all = first_views(dict(enumerate(graph.views)))
+        other_views = {name for view, name in enumerate(graph.names) if first_of_all[view] != view}
+        known_count = sum(p.C is not None for name, p in placements.items() if name not in other_views)
         is_single = known_count == 1  # without a scale, a model cannot be placed relative to several known positions
-        return World(model, bool(landmarks) and (known_scale or is_single), known_scale, scale_source, {})
-    trusted, deviations = alignment.trusted, alignment.deviations
-    unplaced, model = model, _transformed(model, alignment.similarity)
+        model = _transformed(model, _own_frame(graph, cameras, landmarks, up, scale))
+        return World(model, bool(landmarks) and (is_scaled or is_single), is_scaled, scale_source)
     exact_views = [view for view, p in known.items() if p.R is not None and p.C is not None and max(p.sigma_m, p.sigma_deg) == 0]
-    view_number = {name: view for view, name in enumerate(graph.names)}
-    held = [view_number[name] for name in trusted if (p := placements.get(name)) and p.R is not None and p.sigma_m == 0]
-    if len(held) < 2 <= len(exact_views):  # fewer than two known poses agree with the model, so these cannot place it
-        names = " and ".join(graph.names[view] for view in exact_views)
+    exact_names = [graph.names[view] for view in exact_views]
+    agreeing = {view: p for view, p in known.items() if graph.names[view] in alignment.trusted}
+    held = [view for view in cameras if (p := agreeing.get(first[view])) and p.R is not None and p.sigma_m == 0]
+    if len({first[view] for view in held}) < 2 <= len(exact_names):  # too few known poses agree with the model to place it
+        names = " and ".join(exact_names)
         reason = f"the model of {len(cameras)} cameras contradicts the known poses of {names}: it stays separate, unverified"
-        reasons = {graph.names[view]: reason for view in exact_views}
-        model = _transformed(unplaced, _own_frame(graph, cameras, [], up, scale))
-        return World(model, False, known_scale, scale_source, {}, contradicting=reasons)
-    if len(held) >= 2:
-        held = [view for view in cameras if any(view == h or same_camera(cameras[view], cameras[h]) for h in held)]
+        model = _transformed(model, _own_frame(graph, cameras, [], up, scale))
+        return World(model, False, is_scaled, scale_source, contradicting=dict.fromkeys(exact_names, reason))
+    model = _transformed(model, alignment.similarity)
+    if len({first[view] for view in held}) >= 2:
         stated = {view: _at_stated_pose(model.cameras[view], placements[graph.names[view]]) for view in held}
         model = refine(replace_cameras(model, {**model.cameras, **stated}), held)
     else:
-        measured = {view_number[name]: placements[name] for name in trusted if name in view_number}
         distance = depth * alignment.similarity.scale
-        positions = {view: (p.C, max(p.sigma_m, EXACT_SHARE * distance)) for view, p in measured.items() if p.C is not None}
+        positions = {view: (p.C, max(p.sigma_m, EXACT_SHARE * distance)) for view, p in agreeing.items() if p.C is not None}
         if len(positions) >= 3 and min(sigma for _, sigma in positions.values()) < LOOSE_SHARE * distance:
             model = refine(model, positions=positions)
-    exact_names = {graph.names[view] for view in exact_views}
-    suspects = {name: _suspect_message(name, *deviation) for name, deviation in deviations.items() if name not in exact_names}
-    doubtful = {
-        name: f"the model of the others has it {deviation[0]:.3g} m away from its known pose. It stays in use: has it been moved?"
-        for name, deviation in deviations.items()
-        if name in exact_names
-    }
-    source = "known distances" if len(landmarks) < 2 else _source(trusted, len(landmarks))
-    return World(model, True, metric or known_scale, source, suspects, doubtful)
+    metric = is_scaled or all(p.metric for p in known.values() if p.C is not None)
+    source = "known distances" if len(landmarks) < 2 else _source(alignment.trusted, len(landmarks))
+    suspects, doubtful = {}, {}
+    for name, (length, degrees) in alignment.deviations.items():
+        if name in exact_names:
+            off = f"{length:.3g} m away from its known pose"
+            doubtful[name] = f"the model of the others has it {off}. It stays in use: has it been moved?"
+        else:
+            suspects[name] = _suspect_message(name, length, degrees)
+    return World(model, True, metric, source, suspects, doubtful)
 
 
 def _source(trusted: tuple[str, ...], known_count: int) -> str:

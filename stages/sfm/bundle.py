@@ -10,7 +10,7 @@ import numpy as np
 import pycolmap
 
 from ..types import Bools, Camera, Float64s
-from .rigs import rigs_of, rotation_between
+from .rigs import first_views, rotation_between
 from .tracks import Tracks
 
 pycolmap.logging.minloglevel = pycolmap.logging.Level.FATAL.value  # rejected steps of Ceres are no cause for concern
@@ -55,12 +55,22 @@ def adjust(
         config.add_image(view + 1)
         if view not in focals:
             config.set_constant_cam_intrinsics(view + 1)
-    rig_of = {view: first for first, views in rigs_of(cameras).items() for view in views}
-    for frame in {rig_of.get(view, view) for view in held}:
+    first = first_views(cameras)
+    for frame in {first[view] for view in held}:
         config.set_constant_rig_from_world_pose(frame + 1)
     options = _options(loss_px, tolerance, iterations, bool(focals))
     if positions:
-        priors = [_prior(model, view, C, sigma) for view, (C, sigma) in positions.items() if rig_of.get(view, view) == view]
+        priors = [
+            pycolmap.PosePrior(
+                pose_prior_id=view + 1,
+                corr_data_id=model.image(view + 1).data_id,
+                position=C,
+                position_covariance=sigma**2 * np.eye(3),
+                coordinate_system=pycolmap.PosePriorCoordinateSystem.CARTESIAN,
+            )
+            for view, (C, sigma) in positions.items()
+            if first[view] == view
+        ]
         prior_options = pycolmap.PosePriorBundleAdjustmentOptions()
         prior_options.alignment_ransac.random_seed = 0
         solver = pycolmap.create_pose_prior_bundle_adjuster(options, prior_options, config, priors, model)
@@ -82,24 +92,28 @@ def _model(
     Pixels keep their origin: Ceres uses only differences to the principal point.  Views of one camera are one frame of a rig.
     """
     model = pycolmap.Reconstruction()
-    rigs = rigs_of(cameras)
-    first_of = {view: first for first, views in rigs.items() for view in views}
+    first = first_views(cameras)
+    rigs: dict[int, list[int]] = {}
+    for view, first_view in first.items():
+        rigs.setdefault(first_view, []).append(view)
     for views in rigs.values():
-        _add_rig(model, {view: cameras[view] for view in views})
+        if len(views) > 1:
+            _add_rig(model, {view: cameras[view] for view in views})
     keypoint = np.zeros(len(tracks.track), np.int64)
     lenses: dict[int, int] = {}
     for view, camera in cameras.items():
         lens = lenses.setdefault(focals[view], view + 1) if view in focals else view + 1
-        if lens == view + 1 and view not in first_of:
+        is_alone = len(rigs[first[view]]) == 1
+        if lens == view + 1 and is_alone:
             model.add_camera_with_trivial_rig(_lens(camera, lens, view in focals))
         view_rows = rows[tracks.view[rows] == view]
         keypoint[view_rows] = np.arange(len(view_rows))
         image = pycolmap.Image(name=str(view), keypoints=tracks.xy[view_rows], camera_id=lens, image_id=view + 1)
-        if view in first_of:
-            image.frame_id = first_of[view] + 1
-            model.add_image(image)
-        else:
+        if is_alone:
             model.add_image_with_trivial_frame(image, _rigid(camera))
+        else:
+            image.frame_id = first[view] + 1
+            model.add_image(image)
     points, starts = np.unique(tracks.track[rows], return_index=True)
     views, keypoints = (tracks.view[rows] + 1).tolist(), keypoint[rows].tolist()
     for point, start, end in zip(points.tolist(), starts.tolist(), [*starts.tolist()[1:], len(rows)], strict=True):
@@ -131,16 +145,6 @@ def _add_rig(model: pycolmap.Reconstruction, cameras: Mapping[int, Camera]) -> N
 
 def _rigid(camera: Camera) -> pycolmap.Rigid3d:
     return pycolmap.Rigid3d(np.column_stack([camera.R, -camera.R @ camera.C]))
-
-
-def _prior(model: pycolmap.Reconstruction, view: int, C: Float64s, sigma: float) -> pycolmap.PosePrior:
-    return pycolmap.PosePrior(
-        pose_prior_id=view + 1,
-        corr_data_id=model.image(view + 1).data_id,
-        position=C,
-        position_covariance=sigma**2 * np.eye(3),
-        coordinate_system=pycolmap.PosePriorCoordinateSystem.CARTESIAN,
-    )
 
 
 def _lens(camera: Camera, number: int, solved: bool) -> pycolmap.Camera:

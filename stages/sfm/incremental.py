@@ -19,7 +19,7 @@ from ..types import Bools, Camera, Float64s, Geometry
 from .bundle import adjust
 from .rigs import posed_by_sibling
 from .tracks import Edge, Tracks, spread_tracks, undistort_tracks
-from .triangulation import angles, posed, residuals, triangulate
+from .triangulation import RAYLEIGH, angles, posed, residuals, triangulate
 
 LOOSE_PX = 4.0
 """Observations farther from their point than this are outliers at any noise level; also the threshold of resection."""
@@ -73,6 +73,11 @@ class Model:
     """Views whose focal length and distortion are solved too, each with the number of its lens, which views may share."""
     held: tuple[int, ...] = ()
     """Views whose cameras are known and stay fixed."""
+
+    @classmethod
+    def without_points(cls, cameras: Mapping[int, Camera], tracks: Tracks, lenses: Mapping[int, int]) -> Model:
+        """Cameras whose points are yet to be triangulated."""
+        return cls(dict(cameras), tracks, np.full((tracks.count, 3), np.nan), np.zeros(len(tracks.track), bool), lenses)
 
     @property
     def undistorted_tracks(self) -> Tracks:
@@ -228,8 +233,7 @@ def _from_known(known: Mapping[int, Camera], tracks: Tracks, lenses: Mapping[int
     """A model of the known cameras and the points that they share; None if too few points agree with them."""
     if len(known) < 2:
         return None
-    no_points, none_used = np.full((tracks.count, 3), np.nan), np.zeros(len(tracks.track), bool)
-    model = _retriangulated(Model(dict(known), tracks, no_points, none_used, lenses, tuple(known)))
+    model = _retriangulated(replace(Model.without_points(known, tracks, lenses), held=tuple(known)))
     point_count = int(np.isfinite(model.X[:, 0]).sum())
     shared_count = int((np.bincount(tracks.track[posed(known, tracks)], minlength=tracks.count) >= 2).sum())
     return model if point_count >= max(MIN_POINTS, KNOWN_SHARE * shared_count) else None
@@ -254,8 +258,7 @@ def _from_best_pair(
             best = worth, pair
     if best is None:
         return None
-    no_points, none_used = np.full((tracks.count, 3), np.nan), np.zeros(len(tracks.track), bool)
-    model = _retriangulated(Model(best[1], tracks, no_points, none_used, lenses))
+    model = _retriangulated(Model.without_points(best[1], tracks, lenses))
     if np.isfinite(model.X[:, 0]).sum() < MIN_POINTS:
         return None
     model = refine(model, rounds=2, rough=True)
@@ -298,7 +301,7 @@ def _attached_to_pair(camera: Camera, view: int, model: Model, geometries: Mappi
 
     This serves views so far apart that too few points are seen by three of them.
     """
-    best: tuple[int, Camera] | None = None
+    best, most_agreeing = None, 0
     tracks = model.undistorted_tracks
     rows = np.flatnonzero((tracks.view == view) & np.isfinite(model.X[tracks.track, 0]))
     for edge, geometry in geometries.items():
@@ -318,9 +321,9 @@ def _attached_to_pair(camera: Camera, view: int, model: Model, geometries: Mappi
             continue
         length = float(np.median(lengths))
         agreeing = int((np.abs(lengths / length - 1) < SAME_LENGTH).sum())
-        if agreeing >= max(MIN_SHARED, 0.5 * len(x)) and (best is None or agreeing > best[0]):
-            best = agreeing, replace(camera, R=R, C=base.C + length * direction)
-    return None if best is None else best[1]
+        if agreeing >= max(MIN_SHARED, 0.5 * len(x)) and agreeing > most_agreeing:
+            best, most_agreeing = replace(camera, R=R, C=base.C + length * direction), agreeing
+    return best
 
 
 def _with_own_lenses(model: Model) -> Model:
@@ -362,4 +365,4 @@ def _filtered(model: Model) -> Model:
 def _noise(error: Float64s) -> float:
     """Standard deviation of one coordinate, from the median of errors below `LOOSE_PX` (Rayleigh)."""
     inlier_error = error[error < LOOSE_PX]
-    return float(np.median(inlier_error)) / 1.1774 if len(inlier_error) else LOOSE_PX
+    return float(np.median(inlier_error)) / RAYLEIGH if len(inlier_error) else LOOSE_PX

@@ -50,12 +50,14 @@ class Shares:
     side: float
     row: float
 
+    @property
+    def none(self) -> float:
+        """The share of the other pairs."""
+        return 1 - self.turned - self.side - self.row
+
     def log_odds(self, other: Shares, kind: AmbiguityKind) -> float:
         """Log likelihood ratio of this scene over the other, given the kind of one pair's rival."""
-        return log(self._share_of(kind) / other._share_of(kind))
-
-    def _share_of(self, kind: AmbiguityKind) -> float:
-        return 1 - self.turned - self.side - self.row if kind is AmbiguityKind.NONE else float(getattr(self, kind.value))
+        return log(getattr(self, kind.value) / getattr(other, kind.value))
 
 
 FROM_OTHER_SIDES, IN_A_ROW = Shares(turned=0.3, side=0.2, row=0.01), Shares(turned=0.1, side=0.01, row=0.5)
@@ -89,11 +91,11 @@ def distinct_copies(posed: Mapping[Pair, Geometry], triangles: Iterable[tuple[st
     By chance, a sixth of all rotations are this close to part of a turn; so most of the open triangles must be.
     """
     turned = []
-    for a, b, c in triangles:
-        pairs = [posed[pair] for pair in ((a, b), (b, c), (a, c))]
-        first, second, direct = (g.cam2_R_cam1 for g in pairs)
-        if first is None or second is None or direct is None or min(g.distinct_cells for g in pairs) < DISTINCT_CELLS:
+    for triangle in triangles:
+        pairs = [posed[side] for side in sides_of(triangle)]
+        if min(g.distinct_cells for g in pairs) < DISTINCT_CELLS:
             continue
+        first, second, direct = (_pose(g)[0] for g in pairs)
         degrees = angle_between_deg(direct, second @ first)
         if degrees > TURNED_DEG:
             turned.append(_is_part_of_turn(degrees))
@@ -171,24 +173,24 @@ def check_loops(
     """
     posed = {pair: g for pair, g in geometries.items() if g.cam2_R_cam1 is not None and g.cam2_t_cam1 is not None}
     triangles = triangles_of(posed)
+    sides = [sides_of(triangle) for triangle in triangles]
     uncertainty = uncertainty_deg or {}
-    slack = [max(uncertainty.get(side, 0.0) for side in ((a, b), (b, c), (a, c))) for a, b, c in triangles]
+    slack = [max(uncertainty.get(side, 0.0) for side in three) for three in sides]
     closed = np.array([closes(posed, *names, usual, extra) for names, extra in zip(triangles, slack, strict=True)], dtype=bool)
-    pairs = list(geometries)
-    index = {pair: k for k, pair in enumerate(pairs)}
-    members = np.array([[index[a, b], index[b, c], index[a, c]] for a, b, c in triangles], dtype=np.int64).reshape(-1, 3)
-    prior = np.array([float(np.clip(geometries[pair].score, -6, 6)) - PRIOR_SHIFT for pair in pairs])
-    log_odds = (_exact_log_odds if len(pairs) <= FEW_PAIRS else _approximate_log_odds)(prior, members, closed, usual)
-    total = np.bincount(members.ravel(), minlength=len(pairs))
-    closing = np.bincount(members[closed].ravel(), minlength=len(pairs))
+    count, index = len(geometries), {pair: k for k, pair in enumerate(geometries)}
+    members = np.array([[index[side] for side in three] for three in sides], dtype=np.int64).reshape(-1, 3)
+    prior = np.array([float(np.clip(g.score, -6, 6)) - PRIOR_SHIFT for g in geometries.values()])
+    log_odds = (_exact_log_odds if count <= FEW_PAIRS else _approximate_log_odds)(prior, members, closed, usual).tolist()
+    total = np.bincount(members.ravel(), minlength=count).tolist()
+    closing = np.bincount(members[closed].ravel(), minlength=count).tolist()
     figures: dict[Pair, dict[str, float]] = {}
+    rejections: dict[Pair, Rejected | None] = {}
     for k, (pair, g) in enumerate(geometries.items()):
-        counts = {"closed": int(closing[k]), "triangles": int(total[k])}
-        figures[pair] = {"score": g.score, "distinct_cells": g.distinct_cells, **counts}
-    rejections = {pair: _rejection(geometries[pair], float(log_odds[k]), figures[pair]) for k, pair in enumerate(pairs)}
-    for pair, reason in _unsupported({p for p in posed if rejections[p] is None}, geometries, triangles, closed).items():
+        figures[pair] = {"score": g.score, "distinct_cells": g.distinct_cells, "closed": closing[k], "triangles": total[k]}
+        rejections[pair] = _rejection(g, log_odds[k], figures[pair])
+    for pair, reason in _unsupported({p for p in posed if rejections[p] is None}, geometries, sides, closed).items():
         rejections[pair] = Rejected(reason, figures[pair])
-    accepted = {pair: float(log_odds[index[pair]]) for pair in posed if rejections[pair] is None}
+    accepted = {pair: log_odds[index[pair]] for pair in posed if rejections[pair] is None}
     for pair, degrees in _against_tree(posed, accepted, uncertainty, usual.rotation_deg).items():
         rejections[pair] = Rejected(Reason.TURNED, {"turned_deg": degrees})
     copies = Reason.SAME_FROM_OTHER_SIDES if distinct_copies(posed, triangles) else None
@@ -196,9 +198,9 @@ def check_loops(
         for pair in posed:
             rejections[pair] = rejections[pair] or Rejected(repeats, figures[pair])
     checks = {}
-    for k, pair in enumerate(pairs):
-        p = probability(float(log_odds[k]))
-        checks[pair] = LoopCheck(p if rejections[pair] is None else min(p, 0.5), rejections[pair], int(total[k]), int(closing[k]))
+    for k, (pair, rejected) in enumerate(rejections.items()):
+        p = probability(log_odds[k])
+        checks[pair] = LoopCheck(p if rejected is None else min(p, 0.5), rejected, total[k], closing[k])
     return checks
 
 
@@ -219,7 +221,7 @@ def _least_score_alone(geometry: Geometry) -> float:
 
 
 def _unsupported(
-    accepted: set[Pair], geometries: Mapping[Pair, Geometry], triangles: list[tuple[str, str, str]], closed: Bools
+    accepted: set[Pair], geometries: Mapping[Pair, Geometry], triangle_sides: list[tuple[Pair, Pair, Pair]], closed: Bools
 ) -> dict[Pair, Reason]:
     """Accepted pairs that must not place any camera.
 
@@ -228,8 +230,7 @@ def _unsupported(
     must be closed as open; if none is closed, the pair needs the score of an unconfirmed one.
     """
     closed_count, open_count = dict.fromkeys(accepted, 0), dict.fromkeys(accepted, 0)
-    for (a, b, c), is_closed in zip(triangles, closed.tolist(), strict=True):
-        sides = ((a, b), (b, c), (a, c))
+    for sides, is_closed in zip(triangle_sides, closed.tolist(), strict=True):
         if accepted.issuperset(sides):
             for side in sides:
                 (closed_count if is_closed else open_count)[side] += 1
@@ -248,6 +249,12 @@ def triangles_of(pairs: Collection[tuple[View, View]]) -> list[tuple[View, View,
     for a, b in pairs:
         successors.setdefault(a, set()).add(b)
     return [(a, b, c) for a, b in pairs for c in sorted(successors.get(b, set()) & successors[a])]
+
+
+def sides_of(triangle: tuple[View, View, View]) -> tuple[tuple[View, View], tuple[View, View], tuple[View, View]]:
+    """The pairs of a triangle."""
+    a, b, c = triangle
+    return (a, b), (b, c), (a, c)
 
 
 def closes(posed: Mapping[Pair, Geometry], a: str, b: str, c: str, usual: LoopStatistics = USUAL, slack_deg: float = 0.0) -> bool:

@@ -9,15 +9,14 @@ from ..core.cameras import same_camera
 from ..types import Camera, Float64s, Lens, View
 
 
-def rigs_of(cameras: Mapping[int, Camera] | Mapping[int, View]) -> dict[int, list[int]]:
-    """The views of each camera that has more than one of them, by its first view; views by number."""
-    views_of: dict[int, list[int]] = {}
+def first_views(cameras: Mapping[int, Camera] | Mapping[int, View]) -> dict[int, int]:
+    """For each view the first view of its camera, which is the view itself for most; views by number, sorted."""
     first_of: dict[str, int] = {}
+    first = {}
     for view in sorted(cameras):
         lens = cameras[view].lens
-        if lens and lens.camera:
-            views_of.setdefault(first_of.setdefault(lens.camera, view), []).append(view)
-    return {first: views for first, views in views_of.items() if len(views) > 1}
+        first[view] = first_of.setdefault(lens.camera, view) if lens and lens.camera else view
+    return first
 
 
 def rotation_between(lens1: Lens | None, lens2: Lens | None) -> Float64s:

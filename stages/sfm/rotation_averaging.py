@@ -51,12 +51,10 @@ def average_rotations(relative: Mapping[Edge, Float64s], weights: Mapping[Edge, 
     return dict(zip(views, rotations, strict=True))
 
 
-def components(edges: list[Edge], views: list[int]) -> list[list[int]]:
+def components(edges: list[Edge]) -> list[list[int]]:
     """Views that the edges connect; largest part first, then by the number of its first view."""
-    graph = nx.Graph()
-    graph.add_nodes_from(views)
-    graph.add_edges_from(edges)
-    return sorted((sorted(part) for part in nx.connected_components(graph)), key=lambda part: (-len(part), part[0]))
+    parts = nx.connected_components(nx.Graph(edges))
+    return sorted((sorted(part) for part in parts), key=lambda part: (-len(part), part[0]))
 
 
 def rotations_along_tree(

@@ -14,6 +14,8 @@ from .tracks import Tracks
 POLISHING_STEPS, LEAST_STEP = 4, 1e-6
 """Largest number of Gauss-Newton steps on the reprojection error after the linear solution, and the gain of a step, in squared
 pixels, below which no other follows."""
+RAYLEIGH = 1.1774
+"""Ratio of the median length of a 2-D normal error to the standard deviation of one coordinate."""
 PARALLEL = 1e-9
 """Rays that meet at less than about the square root of this (radians) yield no point."""
 
@@ -31,7 +33,12 @@ def triangulate(cameras: Mapping[int, Camera], tracks: Tracks, use: Bools, scale
     """
     KR, C = _stacked(cameras, tracks)
     first = np.searchsorted(tracks.track, np.arange(tracks.count + 1))
-    d = rays(cameras, tracks)
+    pixels_to_rays = np.zeros_like(KR)
+    for view, camera in cameras.items():
+        pixels_to_rays[view] = camera.R.T @ np.linalg.inv(camera.K)
+    matrices = pixels_to_rays[tracks.view]
+    d = np.einsum("nij,nj->ni", matrices[:, :, :2], tracks.xy) + matrices[:, :, 2]
+    d /= np.maximum(np.linalg.norm(d, axis=1, keepdims=True), 1e-300)
     return _points(first, tracks.view, tracks.xy, use & posed(cameras, tracks), d, KR, C, scale_px)
 
 
@@ -69,23 +76,10 @@ def posed(cameras: Mapping[int, Camera], tracks: Tracks) -> Bools:
     return np.isin(tracks.view, list(cameras))
 
 
-def rays(cameras: Mapping[int, Camera], tracks: Tracks) -> Float64s:
-    """(n, 3) unit ray directions of the observations in the world; zeros if the view has no camera."""
-    ray_matrices = np.zeros((_view_count(cameras, tracks), 3, 3))
-    for view, camera in cameras.items():
-        ray_matrices[view] = camera.R.T @ np.linalg.inv(camera.K)
-    matrices = ray_matrices[tracks.view]
-    d = np.einsum("nij,nj->ni", matrices[:, :, :2], tracks.xy) + matrices[:, :, 2]
-    return np.asarray(d / np.maximum(np.linalg.norm(d, axis=1, keepdims=True), 1e-300), dtype=np.float64)
-
-
-def _view_count(cameras: Mapping[int, Camera], tracks: Tracks) -> int:
-    return 1 + max(int(tracks.view.max(initial=-1)), max(cameras, default=-1))
-
-
 def _stacked(cameras: Mapping[int, Camera], tracks: Tracks) -> tuple[Float64s, Float64s]:
     """K R (views, 3, 3) and C (views, 3) by view number, zeros if there is no camera."""
-    KR, C = np.zeros((_view_count(cameras, tracks), 3, 3)), np.zeros((_view_count(cameras, tracks), 3))
+    count = 1 + max(int(tracks.view.max(initial=-1)), max(cameras, default=-1))
+    KR, C = np.zeros((count, 3, 3)), np.zeros((count, 3))
     for view, camera in cameras.items():
         KR[view], C[view] = camera.K @ camera.R, camera.C
     return KR, C

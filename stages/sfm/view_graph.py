@@ -18,7 +18,7 @@ from ..twoview.robust import pose_of_fundamental
 from ..types import Camera, Float64s, Geometry, Pair, View
 from .incremental import Model, grow
 from .loops import USUAL, LoopStatistics, check_loops
-from .rigs import rigs_of, rotation_between
+from .rigs import first_views, rotation_between
 from .rotation_averaging import average_rotations, components
 from .tracks import Edge, build_tracks
 
@@ -35,7 +35,6 @@ class ViewGraph:
     views: tuple[View, ...]
     lenses: Lenses
     geometries: Mapping[Edge, Geometry]
-    rotations: Mapping[Edge, Float64s]
 
     @classmethod
     def of(cls, views: Mapping[str, View], geometries: Mapping[Pair, Geometry]) -> ViewGraph:
@@ -43,66 +42,65 @@ class ViewGraph:
         number = {name: k for k, name in enumerate(names)}
         edges = {(number[a], number[b]): geometry for (a, b), geometry in geometries.items() if a in number and b in number}
         lenses = guess_lenses(tuple(views.values()), edges)
-        edges = relative_rotations(edges, lenses)
-        rotations = {edge: g.cam2_R_cam1 for edge, g in edges.items() if g.cam2_R_cam1 is not None}
-        return cls(names, tuple(views.values()), lenses, edges, rotations)
+        return cls(names, tuple(views.values()), lenses, relative_rotations(edges, lenses))
 
     @cached_property
     def fixed_rotations(self) -> dict[Edge, Float64s]:
         """Rotations from the first view of each camera to its other views."""
         views = dict(enumerate(self.views))
-        siblings = [(a, b) for a, (_, *others) in rigs_of(views).items() for b in others]
+        siblings = sorted((first, view) for view, first in first_views(views).items() if first != view)
         return {(a, b): rotation_between(views[a].lens, views[b].lens) for a, b in siblings}
 
-    def pair(self, edge: Edge) -> str:
-        return f"{self.names[edge[0]]}--{self.names[edge[1]]}"
+    def ids(self, edge: Edge) -> Pair:
+        return self.names[edge[0]], self.names[edge[1]]
 
-    def consistent(self, tolerance_deg: float, usual: LoopStatistics = USUAL) -> tuple[list[Edge], dict[Edge, Rejected]]:
+    def consistent(
+        self, tolerance_deg: float, usual: LoopStatistics = USUAL
+    ) -> tuple[dict[Edge, Geometry], dict[Edge, Rejected]]:
         """The pairs that the site as a whole supports and whose rotations agree, and why the others are left out."""
         uncertainty_deg = rotation_uncertainty_deg(self.geometries, self.lenses)
-        uncertain = {(self.names[i], self.names[j]): degrees for (i, j), degrees in uncertainty_deg.items()}
-        named_pairs = {(self.names[i], self.names[j]): geometry for (i, j), geometry in self.geometries.items()}
-        loop_checks = check_loops(named_pairs, uncertain, usual)
-        checks = {edge: loop_checks[self.names[edge[0]], self.names[edge[1]]] for edge in self.geometries}
+        uncertain = {self.ids(edge): degrees for edge, degrees in uncertainty_deg.items()}
+        loop_checks = check_loops({self.ids(edge): geometry for edge, geometry in self.geometries.items()}, uncertain, usual)
+        checks = {edge: loop_checks[self.ids(edge)] for edge in self.geometries}
         dropped = {edge: check.rejected for edge, check in checks.items() if check.rejected is not None}
-        accepted = {edge: R for edge, R in self.rotations.items() if edge not in dropped}
-        weights = {edge: checks[edge].good_probability for edge in accepted} | dict.fromkeys(self.fixed_rotations, _CERTAIN)
-        averaged = average_rotations(accepted | self.fixed_rotations if accepted else {}, weights)
-        trusted = []
-        for edge, R in accepted.items():
+        rotations = {e: g.cam2_R_cam1 for e, g in self.geometries.items() if g.cam2_R_cam1 is not None and e not in dropped}
+        weights = {edge: checks[edge].good_probability for edge in rotations} | dict.fromkeys(self.fixed_rotations, _CERTAIN)
+        averaged = average_rotations(rotations | self.fixed_rotations if rotations else {}, weights)
+        accepted = {}
+        for edge, R in rotations.items():
             error_deg = angle_between_deg(R, averaged[edge[1]] @ averaged[edge[0]].T)
             if error_deg <= tolerance_deg:
-                trusted.append(edge)
+                accepted[edge] = self.geometries[edge]
             else:
                 dropped[edge] = Rejected(Reason.CONTRADICTS_ROTATIONS, {"off_deg": error_deg})
-        return trusted, dropped
+        return accepted, dropped
 
-    def models(self, trusted: list[Edge], known: Mapping[int, Camera]) -> list[Model]:
-        """A model of every connected part, largest first; known cameras stay fixed."""
+    def models(self, accepted: Mapping[Edge, Geometry], known: Mapping[int, Camera]) -> list[Model]:
+        """A model of every connected part of the accepted pairs, largest first; known cameras stay fixed."""
         grown = []
         fixed = list(self.fixed_rotations)
-        waiting = [part for part in components([*trusted, *fixed], _views([*trusted, *fixed])) if {*part} & {*_views(trusted)}]
+        matched = {view for edge in accepted for view in edge}
+        waiting = [part for part in components([*accepted, *fixed]) if not matched.isdisjoint(part)]
         while waiting:
             part = waiting.pop(0)
-            edges = {edge: self.geometries[edge] for edge in trusted if edge[0] in part and edge[1] in part}
+            edges = {edge: geometry for edge, geometry in accepted.items() if edge[0] in part and edge[1] in part}
             tracks = build_tracks(edges, len(self.names))
-            unposed = {view: self.lenses.camera(view) for view in part}
+            unposed = {view: camera_of(self.views[view], self.lenses.K[view], np.eye(3), np.zeros(3)) for view in part}
             known_here = {view: known[view] for view in part if view in known}
             model = grow(unposed, tracks, edges, lenses=self.lenses.solved, known=known_here)
             if model is None:
                 continue
             grown.append(model)
-            unplaced = [view for view in part if view not in model.cameras]
-            unplaced_edges = [e for e in (*edges, *fixed) if e[0] in unplaced and e[1] in unplaced]
-            waiting += [p for p in components(unplaced_edges, unplaced) if len(p) > 1]
+            unplaced = {*part} - {*model.cameras}
+            waiting += components([edge for edge in (*edges, *fixed) if {*edge} <= unplaced])
         return sorted(grown, key=lambda model: (-len(model.cameras), min(model.cameras)))
 
-    def why_nothing(self, trusted: list[Edge], dropped: Mapping[Edge, Rejected]) -> Rejected:
+    def why_nothing(self, accepted: Mapping[Edge, Geometry], dropped: Mapping[Edge, Rejected]) -> Rejected:
         """Why not even two views can be placed: the reason that most pairs share."""
         figures = {"cameras": float(len(self.views)), "pairs": float(len(self.geometries))}
         if not self.geometries:
             return Rejected(Reason.NO_GEOMETRY, figures)
-        if trusted:
+        if accepted:
             return Rejected(Reason.TOO_FEW_POINTS, figures)
         reasons = [rejection.why for rejection in dropped.values()]
         figures["unconfirmed"] = float(reasons.count(Reason.UNCONFIRMED))
@@ -113,10 +111,6 @@ class ViewGraph:
             return Rejected(Reason.NOTHING_CONFIRMED, figures)
         mostly_improbable = reasons.count(Reason.NOT_BELIEVED) > 0.5 * len(reasons)
         return Rejected(Reason.NOTHING_BELIEVED if mostly_improbable else Reason.PAIRS_CONTRADICT, figures)
-
-
-def _views(edges: list[Edge]) -> list[int]:
-    return sorted({view for edge in edges for view in edge})
 
 
 NARROW, WIDE, GRID = 0.35, 6.0, 143
@@ -136,16 +130,10 @@ ONE_LENS = 0.1
 class Lenses:
     """Lenses of the views: known, guessed, or to be solved."""
 
-    views: tuple[View, ...]
-    """All views by number."""
     K: Mapping[int, Float64s]
     """Intrinsics of the views that have some, known or guessed."""
     solved: Mapping[int, int]
     """Views whose focal length is to be solved, each with the number of its lens, which views may share."""
-
-    def camera(self, view: int) -> Camera:
-        """A camera with the view's intrinsics, at the origin."""
-        return camera_of(self.views[view], self.K[view], np.eye(3), np.zeros(3))
 
 
 def guess_lenses(views: tuple[View, ...], geometries: Mapping[Edge, Geometry]) -> Lenses:
@@ -169,7 +157,7 @@ def guess_lenses(views: tuple[View, ...], geometries: Mapping[Edge, Geometry]) -
         lenses |= dict.fromkeys(members, members[0]) if np.median(log_ratios) < ONE_LENS else {k: k for k in members}
     for k, lens in lenses.items():
         K[k] = _centred_K(views[k], focal[k] if lenses[lens] == shared_lens[k] else own_focal[k])
-    return Lenses(views, dict(sorted(K.items())), lenses)
+    return Lenses(dict(sorted(K.items())), lenses)
 
 
 def _vote_focals(

@@ -22,7 +22,7 @@ def merged(*parts: Samples, edge: float = 0.1) -> Samples:
     for part in parts:
         grid.add(grid.sums_of(part))
     found = list(grid.merged())
-    return Samples(*(np.concatenate([getattr(part, name) for part in found]) for name in vars(found[0])))
+    return Samples(*(np.concatenate([getattr(part, name) for part in found]) for name in Samples._fields))
 
 
 def test_points_of_one_cell_become_their_weighted_mean() -> None:
@@ -46,7 +46,7 @@ def test_merging_in_blocks_equals_merging_in_one_piece(monkeypatch: pytest.Monke
     whole = merged(scattered, coarse)
     monkeypatch.setattr(voxels, "_BLOCK", 7)
     pieces = merged(scattered, coarse)
-    for name, values in vars(whole).items():
+    for name, values in whole._asdict().items():
         assert np.array_equal(values, getattr(pieces, name)), name
 
 

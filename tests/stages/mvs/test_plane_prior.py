@@ -10,7 +10,7 @@ import pytest
 from tests.helpers.exact_scene import make_yard, true_depth
 from tests.helpers.weak_wall import Relief, make_wall
 from wbflow_stages.mvs import plane_prior as flats
-from wbflow_stages.mvs.propagation import Support
+from wbflow_stages.mvs.kernels import Support
 from wbflow_stages.mvs.textureless import RegionPlane, planes_of_regions, textureless_regions
 from wbflow_stages.refine import refine
 from wbflow_stages.types import DepthMap, Float32s, Uint8s

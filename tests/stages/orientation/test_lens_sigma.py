@@ -26,7 +26,7 @@ def solve(site: PairSite) -> Poses:
 
 def adjusted(site: PairSite) -> Model:
     graph = ViewGraph.of(site.views, site.geometries)
-    (model,) = graph.models(list(graph.geometries), {})
+    (model,) = graph.models(graph.geometries, {})
     return refine(model, rounds=3)
 
 

@@ -20,7 +20,7 @@ from wbflow_stages.types import Geometry, Poses
 
 def solved(site: PairSite) -> tuple[Model, dict[Edge, Geometry]]:
     graph = ViewGraph.of(site.views, site.geometries)
-    (model,) = graph.models(list(graph.geometries), {})
+    (model,) = graph.models(graph.geometries, {})
     return refine(model, rounds=3), dict(graph.geometries)
 
 
