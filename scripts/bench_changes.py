@@ -18,6 +18,7 @@ from bench_files import Panel, draw, write_rows
 
 import wbflow
 from wbflow.pipeline.stages import DEPTH, FRAMES, POSES, REFINE
+from wbflow.task import Task
 from wbflow_stages.changes import find_changes
 from wbflow_stages.core.cameras import backproject
 from wbflow_stages.types import Camera, Changes, Cloud, DepthMap, Float64s, Frame, Poses
@@ -60,10 +61,10 @@ class Row:
 
 
 def night_of(folder: Path) -> Night:
-    """Load a night from the folder of its run and the cache.  Raises MissingResult."""
+    """Load a night from the folder of its run and the cache.  Raises WbflowError."""
     run = wbflow.open_run(folder)
     of = {role: dict(run.of_cameras(role)) for role in (FRAMES, DEPTH, REFINE)}
-    return Night(run.result_of(POSES), run.cloud_table(), of[FRAMES], of[DEPTH], of[REFINE])
+    return Night(run.load(Task(POSES)), run.cloud_table(), of[FRAMES], of[DEPTH], of[REFINE])
 
 
 def flat_places(night: Night, size: float, count: int) -> Float64s:

@@ -131,7 +131,7 @@ def open_run(where: Site | str | Path, run_id: str | None = None) -> Run:
         return Run.at(RunFolder.at(Path(where)))
     work_folder = (where if isinstance(where, Site) else load_site(where)).work_folder
     refresh(work_folder)
-    return Run.open(work_folder, run_id)
+    return Run.at(RunFolder.of(work_folder, run_id))
 
 
 def _run_night(site: Site, options: Options, listen: Listener) -> Run:

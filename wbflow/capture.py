@@ -36,14 +36,12 @@ CREDENTIALS = "WBFLOW_CREDENTIALS"
 TRIES = 3
 _BETWEEN_TRIES, _LEAD = 2.0, 2.0
 """Seconds of pause before a failed camera is tried again, and of lead time before the first picture, to connect."""
-_SECONDS_OF_AN_HOUR = 3600
 _MOST_CLOCK_ERROR = 60.0
 """If a camera's clock differs from this machine's by more seconds than this, its times are not used."""
 TIMEOUT_SECONDS = 15.0
 """Timeout of a camera's answer, seconds."""
 MOST_PICTURE_BYTES = 100_000_000
 """Largest picture that is read, bytes."""
-_STREAM = "wbflow_stages.capture.stream:stream_pictures"
 _STILL_SECONDS = 0.5
 _END_MARKERS = {b"\xff\xd8": b"\xff\xd9", b"\x89P": b"IEND\xaeB`\x82"}
 """By the first two bytes of a file (JPEG, PNG): the bytes at the end of a complete one."""
@@ -133,12 +131,12 @@ def _take(site: Site, delivery: Delivery, url: str, login: Login | None, moments
 
 
 def _write(site: Site, delivery: Delivery, shot: Shot) -> None:
-    (data, camera_time), now = shot, time.time()
-    off = 0.0 if camera_time is None else camera_time - now
-    accepted = camera_time is not None and abs(off) <= _MOST_CLOCK_ERROR
-    delivery.own_clock = delivery.own_clock and accepted
-    delivery.clock_error_s = delivery.clock_error_s if accepted else off
-    moment = camera_time if accepted and camera_time is not None else now
+    data, camera_time = shot
+    now = time.time()
+    moment = now if camera_time is None else camera_time
+    if camera_time is None or abs(camera_time - now) > _MOST_CLOCK_ERROR:
+        delivery.own_clock, delivery.clock_error_s = False, moment - now
+        moment = now
     path = _free_name(site, delivery.camera, site.local(moment))
     write_atomic(path, data)
     os.utime(path, (moment, moment))
@@ -149,7 +147,7 @@ def _free_name(site: Site, camera: str, local: datetime.datetime) -> Path:
     """The path of a capture.  When clocks are set back, an hour occurs twice: if a file of the first pass has the name, the name
     of the next free second is used, so that nothing is overwritten."""
     path = site.captures.name(camera, local)
-    for seconds in range(1, _SECONDS_OF_AN_HOUR if local.fold else 0):
+    for seconds in range(1, 3600 if local.fold else 0):
         if not path.exists():
             break
         path = site.captures.name(camera, local + datetime.timedelta(seconds=seconds))
@@ -187,27 +185,27 @@ def shots(url: str, login: Login | None, moments: Sequence[float]) -> Iterator[S
     """Yield a camera's picture at each moment (Unix times, in order).  Raises CaptureFailed if the camera delivers none."""
     try:
         if url.startswith("rtsp"):
-            yield from load(_STREAM)(_with_login(url, login), moments, TIMEOUT_SECONDS)
+            stream_pictures = load("wbflow_stages.capture.stream:stream_pictures")
+            yield from stream_pictures(_with_login(url, login), moments, TIMEOUT_SECONDS)
         elif url.startswith("file:"):
             yield from _folder_shots(Path(urllib.parse.unquote(url.partition("://")[2])), moments)
         else:
             yield from _server_shots(url, login, moments)
-    except urllib.error.HTTPError as error:
-        why = f"{error.code} {error.reason}"
-        raise CaptureFailed(
-            f"{why}: check its user and password in the file of credentials" if error.code in {401, 403} else why
-        ) from None
-    except TimeoutError:
-        raise CaptureFailed(f"does not answer within {TIMEOUT_SECONDS:.0f} s") from None
-    except urllib.error.URLError as error:
-        timed_out = isinstance(error.reason, TimeoutError)
-        raise CaptureFailed(
-            f"does not answer within {TIMEOUT_SECONDS:.0f} s" if timed_out else f"cannot be reached: {error.reason}"
-        ) from None
-    except http.client.IncompleteRead as error:
-        raise CaptureFailed(f"sent an incomplete picture ({len(error.partial):,} bytes)") from None
     except (OSError, ValueError, http.client.HTTPException) as error:  # ValueError: urllib lacks the authentication scheme
-        raise CaptureFailed(str(error) or type(error).__name__) from None
+        raise CaptureFailed(_cause(error)) from None
+
+
+def _cause(error: Exception) -> str:
+    if isinstance(error, TimeoutError) or (isinstance(error, urllib.error.URLError) and isinstance(error.reason, TimeoutError)):
+        return f"does not answer within {TIMEOUT_SECONDS:.0f} s"
+    if isinstance(error, urllib.error.HTTPError):
+        login = ": check its user and password in the file of credentials" if error.code in {401, 403} else ""
+        return f"{error.code} {error.reason}{login}"
+    if isinstance(error, urllib.error.URLError):
+        return f"cannot be reached: {error.reason}"
+    if isinstance(error, http.client.IncompleteRead):
+        return f"sent an incomplete picture ({len(error.partial):,} bytes)"
+    return str(error) or type(error).__name__
 
 
 def _server_shots(url: str, login: Login | None, moments: Sequence[float]) -> Iterator[Shot]:
@@ -233,7 +231,9 @@ def _mjpeg_shots(response: IO[bytes], moments: Sequence[float]) -> Iterator[Shot
     remaining = iter(moments)
     moment = next(remaining, None)
     while moment is not None:
-        headers = http.client.parse_headers(_SkipToHead(response))
+        while (line := response.readline()) and not line.startswith(b"--"):
+            pass  # what precedes a part's header
+        headers = http.client.parse_headers(response)
         length = headers.get("Content-Length", "")
         data = response.read(min(int(length), MOST_PICTURE_BYTES)) if length.isdecimal() else _read_until_end(response)
         if not data:
@@ -243,21 +243,6 @@ def _mjpeg_shots(response: IO[bytes], moments: Sequence[float]) -> Iterator[Shot
         stamp = headers.get("X-Timestamp", "")
         yield _checked(data), float(stamp) if re.fullmatch(r"\d+(\.\d+)?", stamp) else _parse_date(headers.get("Date"))
         moment = next(remaining, None)
-
-
-class _SkipToHead:
-    """The header lines of a multipart part, without what precedes them."""
-
-    def __init__(self, answer: IO[bytes]) -> None:
-        self._response = answer
-        self._past_boundary = False
-
-    def readline(self, most: int = -1) -> bytes:
-        line = self._response.readline(most)
-        while line and not self._past_boundary:
-            self._past_boundary = line.startswith(b"--")
-            line = self._response.readline(most)
-        return line
 
 
 def _read_until_end(response: IO[bytes]) -> bytes:

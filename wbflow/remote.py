@@ -31,7 +31,7 @@ from typing import Any
 from .cache.atomic import DISK_FULL_ERRORS
 from .cache.checksum import Damaged, read_checksummed, write_checksummed
 from .cache.layout import RunPaths, WorkFolder
-from .cache.lock import Locked, hold
+from .cache.lock import Locked
 from .errors import ExitCode, WbflowError
 from .records.events import Event, Listener, Signal, TaskEvent
 from .records.findings import Finding, finding
@@ -189,29 +189,32 @@ class Mirror:
 
     def pull(self) -> None:
         """Download what other machines have changed since the last synchronization.  Raises StoreError, OSError."""
-        remote, local = {name: e for name, e in self.store.listing().items() if self._belongs(name)}, self._stamps(self._files())
+        remote = {name: entry for name, entry in self.store.listing().items() if self._belongs(name)}
+        local = self._stamps()
         if not remote:  # a new store, or one that has lost everything: the next push uploads all local files
             self._synced = {}
         outdated = []
         for name, (size, mark) in remote.items():
-            synced_mark, stamp = self._synced.get(name, ("", None))
-            is_same_artifact = name.startswith(f"{self.work.cache.name}/") and local.get(name, (-1,))[0] == size
-            if name in local and (synced_mark == mark or (not synced_mark and is_same_artifact)):
-                self._synced[name] = mark, stamp or local[name]
+            synced_mark, synced_stamp = self._synced.get(name, ("", None))
+            stamp = local.get(name)
+            in_cache = name.startswith(f"{self.work.cache.name}/")  # names have keys: two files of one size are taken to be equal
+            if stamp and (synced_mark == mark or (not synced_mark and in_cache and stamp[0] == size)):
+                self._synced[name] = mark, synced_stamp or stamp
             else:
                 outdated.append(name)
         for names in self._in_order(outdated):
             self.store.fetch(names, self.work.root)
-        new_stamps = self._stamps(self.work.root / name for name in outdated)
-        self._synced.update({name: (remote[name][1], stamp) for name, stamp in new_stamps.items()})
+        for name, stamp in self._stamps(self.work.root / name for name in outdated).items():
+            self._synced[name] = remote[name][1], stamp
         for name in self._synced.keys() - remote.keys():  # another machine has removed it
-            if self._synced.pop(name)[1] == local.get(name):
+            _, synced_stamp = self._synced.pop(name)
+            if synced_stamp == local.get(name):
                 (self.work.root / name).unlink(missing_ok=True)
         self._save()
 
     def push(self, paths: Iterable[Path] | None = None) -> None:
         """Upload local changes; of these files only, if given.  Raises StoreError; the next push uploads the rest."""
-        local = self._stamps(self._files() if paths is None else paths)
+        local = self._stamps(paths)
         changed = [name for name, stamp in local.items() if self._synced.get(name, ("", None))[1] != stamp]
         for names in self._in_order(changed):
             self.store.put(names, self.work.root)
@@ -301,11 +304,6 @@ class Mirror:
         files = {name: [mark, *stamp] for name, (mark, stamp) in self._synced.items()}
         write_checksummed(self.work.mirror_memo, "mirror", {"url": self.store.url, "token": self._token, "files": files})
 
-    def _files(self) -> Iterator[Path]:
-        """Yield every local file that belongs in the store."""
-        prefix_length = len(f"{self.work.root}/")
-        return (path for path in self.work.root.rglob("*") if self._belongs(str(path)[prefix_length:]))
-
     def _belongs(self, name: str) -> bool:
         """Return whether a file belongs in the store; files of this machine alone, and those that can be rebuilt, do not."""
         work, parts = self.work, PurePosixPath(name).parts
@@ -322,12 +320,14 @@ class Mirror:
 
         return (list(group) for _, group in itertools.groupby(sorted(names, key=rank), key=rank))
 
-    def _stamps(self, paths: Iterable[Path]) -> dict[str, Stamp]:
-        prefix_length, stamps = len(f"{self.work.root}/"), {}
-        for path in paths:
-            if not path.name.startswith(".") and path.is_file():
+    def _stamps(self, paths: Iterable[Path] | None = None) -> dict[str, Stamp]:
+        """Return the stamps of all local files that belong in the store, by name; of these files only, if given."""
+        stamps = {}
+        for path in self.work.root.rglob("*") if paths is None else paths:
+            name = path.relative_to(self.work.root).as_posix()
+            if self._belongs(name) and path.is_file():
                 status = path.stat()
-                stamps[str(path)[prefix_length:]] = status.st_size, status.st_mtime_ns
+                stamps[name] = status.st_size, status.st_mtime_ns
         return stamps
 
 
@@ -344,12 +344,6 @@ def writing(work: WorkFolder, wait: bool) -> Iterator[Mirror]:
             raise StoreError(fault)
     finally:
         mirror.release()
-
-
-def pull_to_read(work: WorkFolder) -> None:
-    """Download other machines' changes; not while a run holds the folder, which is then current.  Raises StoreError, OSError."""
-    with contextlib.suppress(Locked), hold(work.lock, wait=False):
-        Mirror(work).pull()
 
 
 def list_captures(root: Path, url: str) -> None:

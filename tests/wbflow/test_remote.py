@@ -24,6 +24,7 @@ from wbflow import remote
 from wbflow.cache.layout import WorkFolder
 from wbflow.cli.main import main
 from wbflow.errors import ExitCode
+from wbflow.records.run_folder import refresh
 from wbflow.remote import LOCK_NAME, ObjectStore, StoreError
 
 pytest.importorskip("fsspec", reason="object stores need the extra: pip install 'wbflow[cloud]'")
@@ -126,7 +127,7 @@ def on_disk(site: Mirrored, tmp_path: Path) -> bytes:
 def receipts(url: str, scratch: Path) -> set[str]:
     """Names of the tasks whose receipts are in a store."""
     work = WorkFolder(scratch, url)
-    remote.pull_to_read(work)
+    refresh(work)
     return {json.loads(path.read_bytes())["task"] for path in work.receipts()}
 
 

@@ -86,26 +86,23 @@ def parts(value: Any) -> dict[str, str]:
     A task that needs only `frames.view` or `poses.cameras[gate]` is not run again when other parts of the artifact change.
     """
     digests: dict[str, str] = {}
-    for name in _fields_of(value):
-        field = getattr(value, name)
+    for name, field in _fields_of(value).items():
         if dataclasses.is_dataclass(field):
             digests[name] = content_digest(encode(field))
         elif isinstance(field, Mapping):
-            digests |= {
-                f"{name}[{key}]": content_digest(encode(entry)) for key, entry in field.items() if dataclasses.is_dataclass(entry)
-            }
-            digests[name] = content_digest(json.dumps([(_json_key(k), digests.get(f"{name}[{k}]", "")) for k in field]).encode())
+            entries = {key: content_digest(encode(e)) if dataclasses.is_dataclass(e) else "" for key, e in field.items()}
+            digests |= {f"{name}[{key}]": digest for key, digest in entries.items() if digest}
+            digests[name] = content_digest(json.dumps([(_json_key(key), digest) for key, digest in entries.items()]).encode())
     return digests
 
 
 def figures(value: Any) -> dict[str, Any]:
     """Return the plain fields of a dataclass by name: scalars, tuples, small dataclasses, mappings and tuples of them.  An array
     gives its number of rows as `<field>_count`.  Fields with `figure=False` in their metadata are left out."""
+    reported = {field.name for field in dataclasses.fields(value) if field.metadata.get("figure", True)}
     values: dict[str, Any] = {}
-    excluded = {field.name for field in dataclasses.fields(value) if not field.metadata.get("figure", True)}
-    for name in _fields_of(value):
-        field = getattr(value, name)
-        if name in excluded:
+    for name, field in _fields_of(value).items():
+        if name not in reported:
             continue
         if _is_plain(field):
             values[name] = field
@@ -113,22 +110,21 @@ def figures(value: Any) -> dict[str, Any]:
             values[name] = [figures(entry) for entry in field]
         elif isinstance(field, Mapping) and all(map(_is_small, field.values())):
             values[name] = {key: figures(entry) for key, entry in field.items()}
-        elif dataclasses.is_dataclass(field) and all(_is_plain(getattr(field, f.name)) for f in dataclasses.fields(field)):
+        elif dataclasses.is_dataclass(field) and all(map(_is_plain, _fields_of(field).values())):
             values[name] = figures(field)
         elif hasattr(field, "shape") and field.shape:
             values[f"{name}_count"] = int(field.shape[0])
     return values
 
 
-def _fields_of(value: Any) -> tuple[str, ...]:
-    """Return the names of a dataclass's fields, without those marked `transient`, which are recomputed when missing."""
-    return tuple(f.name for f in dataclasses.fields(value) if not f.metadata.get("transient"))
+def _fields_of(value: Any) -> dict[str, Any]:
+    """Return the fields of a dataclass by name, without those marked `transient`, which are recomputed when missing."""
+    return {f.name: getattr(value, f.name) for f in dataclasses.fields(value) if not f.metadata.get("transient")}
 
 
 def _is_small(value: Any) -> bool:
     """Is it a dataclass whose fields are all scalars or strings?"""
-    fields = [getattr(value, f.name) for f in dataclasses.fields(value)] if dataclasses.is_dataclass(value) else [()]
-    return all(isinstance(field, _SCALARS) for field in fields)
+    return dataclasses.is_dataclass(value) and all(isinstance(field, _SCALARS) for field in _fields_of(value).values())
 
 
 def _is_plain(value: Any) -> bool:
@@ -146,7 +142,7 @@ def _to_tree(value: Any, frames: list[bytes], compress: Callable[[bytes], bytes]
         return _array_to_tree(value, frames, compress)
     if dataclasses.is_dataclass(value):
         kind = type(value)
-        fields = {name: _to_tree(getattr(value, name), frames, compress) for name in _fields_of(value)}
+        fields = {name: _to_tree(field, frames, compress) for name, field in _fields_of(value).items()}
         return {"type": f"{kind.__module__}:{kind.__qualname__}", "fields": fields}
     if isinstance(value, Mapping):
         return {"map": [[_json_key(key), _to_tree(entry, frames, compress)] for key, entry in value.items()]}

@@ -6,9 +6,7 @@ import contextlib
 import errno
 import os
 import shutil
-from collections.abc import Callable
 from pathlib import Path
-from typing import IO, Literal
 
 from ..errors import WbflowError
 from ..words import format_size
@@ -17,53 +15,39 @@ DISK_FULL_ERRORS = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG})
 """Error numbers of a full disk: no space left, the user's quota exceeded, the file-size limit exceeded."""
 DISK_FULL_REMEDY = "free some space (wbflow clean SITE.yaml --keep 3), or limit what is kept (`keep:` in the site file)"
 
-Fsync = Literal["folder", "file", "none"]
-"""What survives a power cut after the write.  "folder": the file under its name.  "file": its bytes, but perhaps not its name (if
-another file is written to the same folder right after).  "none": neither (for dispensable files that are checked on reading)."""
 
-
-def write_atomic(path: Path, data: bytes | bytearray, *, fsync: Fsync = "folder", own_path: bool = False) -> None:
+def write_atomic(path: Path, data: bytes | bytearray, *, durable: bool = True, own_path: bool = False) -> None:
     """Write a file so that a reader sees either all of it or the old one: temporary name, fsync, rename.
 
     Parameters
     ----------
     path, data : Path, bytes
         The file and its content.
-    fsync : str
-        What a power cut preserves: see `Fsync`.
+    durable : bool
+        Does the file survive a power cut?  False for dispensable files that are checked on reading: they are not synced.
     own_path : bool
         The path is one of the work folder's own names: a folder in its place is removed.
 
     Raises OSError; for a full disk, its message states the space needed and the space free.
     """
-    _replace(path, lambda file: file.write(data), len(data), fsync, own_path)
-
-
-def copy_atomic(source: Path, path: Path, *, fsync: Fsync = "folder") -> None:
-    """Copy a file to one of the work folder's own paths, as `write_atomic` does with `own_path`.  Raises OSError."""
-    with source.open("rb") as original:
-        _replace(path, lambda file: shutil.copyfileobj(original, file, 1 << 20), source.stat().st_size, fsync, own_path=True)
-
-
-def _replace(path: Path, fill: Callable[[IO[bytes]], object], size: int, fsync: Fsync, own_path: bool) -> None:
     temporary = path.with_name(f".{path.name}.{os.urandom(8).hex()}.tmp")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         with temporary.open("xb") as file:
-            fill(file)
-            if fsync != "none":
+            file.write(data)
+            if durable:
                 file.flush()
                 os.fsync(file.fileno())
         if own_path and path.is_dir() and not path.is_symlink():
             clear(path)
         temporary.replace(path)
-        if fsync == "folder":
+        if durable:
             sync_folder(path.parent)
     except BaseException as error:
         with contextlib.suppress(OSError):
             temporary.unlink()
         if isinstance(error, OSError) and error.errno in DISK_FULL_ERRORS:
-            message = f"the disk is full: {format_size(size)} needed, {format_size(free_bytes(path.parent))} free"
+            message = f"the disk is full: {format_size(len(data))} needed, {format_size(free_bytes(path.parent))} free"
             raise OSError(error.errno, message, str(path)) from None
         raise
 

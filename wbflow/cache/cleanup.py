@@ -63,30 +63,39 @@ def clean(work: WorkFolder, keep: Keep, *, dry_run: bool = False, requested: boo
     """
     with Ledger(work, writes=True) as ledger:
         nights = _Nights(work, ledger)
-        old_runs = nights.runs[: len(nights.runs) - keep.runs] if keep.runs is not None else []
-        unused_runs = nights.beyond(keep.nights) | set(old_runs) - nights.shown  # runs whose artifacts are removed
-        surplus, keys, excess_bytes = _unneeded_artifacts(work, keep, nights, unused_runs)
-        quarantined = [path for path in work.quarantine.glob("*") if path.is_file()]
-        surplus += sorted(quarantined, key=lambda path: path.stat().st_ctime_ns, reverse=True)[0 if requested else _QUARANTINED :]
+        unused_runs = nights.beyond(keep.nights) | nights.runs_beyond(keep.runs)  # runs whose artifacts are removed
+        artifacts, excess_bytes = _unneeded_artifacts(work, keep, nights, unused_runs)
+        artifact_files = [path for paths in artifacts.values() for path in paths]
+
+        quarantined = sorted(filter(Path.is_file, work.quarantine.glob("*")), key=lambda path: -path.stat().st_ctime_ns)
+
         clouds, reports = nights.beyond(keep.clouds), nights.beyond(keep.reports)
+        logs = reports if keep.keeps_artifacts else reports & unused_runs  # a log lists the artifacts that a run used
         folders = clouds & reports
-        surplus += [path for run in sorted(clouds - folders) for path in work.run(run).clouds()]
-        logs = (reports if keep.keeps_artifacts else reports & unused_runs) - folders  # a log lists the artifacts that a run used
-        pages = [*(work.run(run).report for run in sorted(reports - folders)), *(work.run(run).log for run in sorted(logs))]
-        surplus += [path for path in pages if path.is_file()]
-        run_files = [path for run in sorted(folders) for path in work.run(run).folder.glob("*")]
-        size = _freed_bytes([*surplus, *run_files])
-        if not dry_run:
-            for path in surplus:
-                path.unlink(missing_ok=True)
-            for run in sorted(folders):  # once renamed it is no run any more; if this process is killed, the next run removes it
-                renamed = work.unfinished_run(run).folder
-                work.run(run).folder.rename(renamed)
-                shutil.rmtree(renamed)
-            if keys:
-                ledger.forget(keys)
-            _remove_empty(work, surplus)
-    return Cleaning(len(surplus) + len(run_files), size, tuple(sorted(folders)), excess_bytes)
+        published = [path for run in clouds - folders for path in work.run(run).clouds()]
+        published += [work.run(run).report for run in reports - folders]
+        published += [work.run(run).log for run in logs - folders]
+
+        files = [*artifact_files, *quarantined[0 if requested else _QUARANTINED :], *filter(Path.is_file, published)]
+        in_folders = [path for run in folders for path in work.run(run).folder.glob("*")]
+        size = _freed_bytes([*files, *in_folders])
+        cleaning = Cleaning(len(files) + len(in_folders), size, tuple(sorted(folders)), excess_bytes)
+        if dry_run:
+            return cleaning
+
+        for path in files:
+            path.unlink(missing_ok=True)
+        for folder in {path.parent for path in artifact_files}:
+            with contextlib.suppress(OSError):  # not empty
+                folder.rmdir()
+                folder.parent.rmdir()
+        for run in cleaning.runs:  # once renamed it is no run any more; if this process is killed, the next run removes it
+            renamed = work.unfinished_run(run).folder
+            work.run(run).folder.rename(renamed)
+            shutil.rmtree(renamed)
+        if artifacts:
+            ledger.forget(artifacts)
+    return cleaning
 
 
 class _Nights:
@@ -102,16 +111,20 @@ class _Nights:
 
     def beyond(self, count: int | None) -> set[str]:
         """Return the runs of all but the newest `count` nights, without those in `shown`; the empty set for None."""
-        if count is None:
-            return set()
         newest_nights = list(dict.fromkeys(self._dates[run] for run in reversed(self.runs)))[:count]
         return {run for run in self.runs if self._dates[run] not in newest_nights} - self.shown
 
+    def runs_beyond(self, count: int | None) -> set[str]:
+        """Return all but the newest `count` runs, without those in `shown`; the empty set for None."""
+        return set(self.runs) - set(self.runs[::-1][:count]) - self.shown
 
-def _unneeded_artifacts(work: WorkFolder, keep: Keep, nights: _Nights, unused_runs: set[str]) -> tuple[list[Path], set[str], int]:
-    """Return the cache files to remove, their keys, and the bytes still over the limit.  `unused_runs` need no artifacts."""
+
+def _unneeded_artifacts(
+    work: WorkFolder, keep: Keep, nights: _Nights, unused_runs: set[str]
+) -> tuple[dict[str, list[Path]], int]:
+    """Return the cache files to remove, by key, and the bytes still over the limit.  `unused_runs` need no artifacts."""
     if keep.keeps_artifacts:
-        return [], set(), 0
+        return {}, 0
     files: dict[str, list[Path]] = defaultdict(list)
     for path in work.cache_files():
         files[path.name.partition(".")[0]].append(path)
@@ -123,13 +136,15 @@ def _unneeded_artifacts(work: WorkFolder, keep: Keep, nights: _Nights, unused_ru
     if keep.bytes is not None:
         sizes = {key: _freed_bytes(files[key]) for key in files.keys() & newest_run.keys() - pinned}
         excess_bytes = sum(sizes.values()) - keep.bytes
-        for key in sorted(sizes, key=lambda key: (newest_run[key], -sizes[key])):
-            if excess_bytes > 0 and not any(key in used_keys.get(run, ()) for run in nights.shown):
-                excess_bytes -= sizes[key]
-                surplus.add(key)
+        needed = {key for run in nights.shown for key in used_keys.get(run, ())}
+        for key in sorted(sizes.keys() - needed, key=lambda key: (newest_run[key], -sizes[key])):
+            if excess_bytes <= 0:
+                break
+            excess_bytes -= sizes[key]
+            surplus.add(key)
     # receipts first: an artifact without a receipt is never used
-    ordered = (path for key in sorted(surplus) for path in sorted(files[key], key=lambda path: path != work.receipt_of(path)))
-    return list(ordered), surplus, max(excess_bytes, 0)
+    ordered = {key: sorted(files[key], key=lambda path: path != work.receipt_of(path)) for key in sorted(surplus)}
+    return ordered, max(excess_bytes, 0)
 
 
 def _pinned_keys(work: WorkFolder) -> set[str]:
@@ -147,14 +162,6 @@ def _used_keys(work: WorkFolder, run: str) -> set[str]:
         return {event.key for event in RunFolder.of(work, run).events() if isinstance(event, TaskEvent) and event.key}
     except NoSuchRun:  # its artifacts are unknown; they are made again when needed
         return set()
-
-
-def _remove_empty(work: WorkFolder, removed: Iterable[Path]) -> None:
-    for folder in sorted({path.parent for path in removed}):
-        for candidate in (folder, folder.parent):
-            if candidate.is_relative_to(work.cache) and candidate != work.cache:
-                with contextlib.suppress(OSError):  # not empty
-                    candidate.rmdir()
 
 
 def _freed_bytes(paths: Iterable[Path]) -> int:

@@ -14,7 +14,6 @@ import importlib.util
 import sys
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from importlib.machinery import ModuleSpec
 from pathlib import Path
 
 from ..errors import ExitCode, WbflowError
@@ -38,8 +37,6 @@ class Modules:
     folder: Path | None = None
     """The folder of the site file; modules that Python finds elsewhere take precedence."""
     _files: dict[str, Path | None] = field(default_factory=dict)
-    _top_specs: dict[str, ModuleSpec | None] = field(default_factory=dict)
-    """Specs of top-level packages and modules by name; None if Python does not find one."""
     _codes: dict[Path, _ModuleCode] = field(default_factory=dict)
     _trees: dict[Path, ast.Module] = field(default_factory=dict)
 
@@ -97,12 +94,10 @@ class Modules:
 
     def _find(self, module: str) -> Path | None:
         top, *rest = module.split(".")
-        if top not in self._top_specs:
-            try:
-                self._top_specs[top] = importlib.util.find_spec(top)
-            except (ImportError, ValueError):
-                self._top_specs[top] = None
-        spec = self._top_specs[top]
+        try:
+            spec = importlib.util.find_spec(top)
+        except (ImportError, ValueError):
+            spec = None
         if spec is None or is_site_module(spec.origin or "/"):
             return self._source_below([str(self.folder)], [top, *rest]) if self.folder else None
         if not rest:
@@ -142,21 +137,19 @@ def read_code(modules: Modules, dotted: str, table: str = "") -> Code:
     chosen method has its own fingerprint.
     """
     first, path, function = modules.function(dotted)
-    paths = {first: path}
     numbers = {first: 0}  # modules are numbered in the order in which they are met, so that their names do not enter
     texts, libraries = [], set[str]()
-    queue = [first]
-    for module in queue:
-        code = (
-            _module_code(modules, module, path, function.name, table) if module == first else modules.code(module, paths[module])
-        )
+    queue = [(first, path)]
+    for module, file in queue:
+        is_first = module == first
+        code = _module_code(modules, module, file, function.name, table) if is_first else modules.code(module, file)
         libraries |= code.libraries
         for name in code.imports:
-            if name not in numbers and (file := modules.file(name)) is not None:
-                numbers[name], paths[name] = len(numbers), file
-                queue.append(name)
+            if name not in numbers and (imported := modules.file(name)) is not None:
+                numbers[name] = len(numbers)
+                queue.append((name, imported))
         texts.append(f"{code.digest} {[numbers.get(name) for name in code.imports]}")
-    return Code(_digest("\n".join(texts)), tuple(sorted(libraries)), tuple(paths.values()))
+    return Code(_digest("\n".join(texts)), tuple(sorted(libraries)), tuple(file for _, file in queue))
 
 
 @dataclass(frozen=True)
@@ -175,11 +168,11 @@ def _module_code(modules: Modules, module: str, path: Path, function: str = "", 
     tree = modules.parsed(path)
     stripper = _CodeStripper(modules, module, path)
     stripper.visit(tree)
-    tree.body = [node for node in tree.body if not table or table not in assigned(node)]
+    tree.body = [node for node in tree.body if table not in assigned(node)]
     for node in tree.body:
-        if function and isinstance(node, ast.FunctionDef) and node.name == function:
+        if isinstance(node, ast.FunctionDef) and node.name == function:
             node.name = "<this function>"
-    for inner in ast.walk(tree) if function else ():
+    for inner in ast.walk(tree):
         if isinstance(inner, ast.Name) and inner.id == function:
             inner.id = "<this function>"
     return _ModuleCode(_digest(ast.dump(tree)), tuple(stripper.imports), frozenset(stripper.libraries))

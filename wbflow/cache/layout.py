@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import datetime
 import hashlib
 import itertools
 import os
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -104,7 +105,7 @@ class WorkFolder:
         self.lock = self.root / "lock"
         """The lock file, held while a process writes."""
         self.progress = self.root / ".progress"
-        """Current tasks of the workers (see `runner.worker.Progress`); removed at the end of a run."""
+        """Current tasks of the workers (see `runner.worker.progress_reporter`); removed at the end of a run."""
 
     @staticmethod
     def mirroring(url: str, site: str) -> WorkFolder:
@@ -130,11 +131,11 @@ class WorkFolder:
 
     def task(self, task: Task) -> Path:
         """Return the folder of all artifacts of a task, whatever their key."""
-        return self.cache / f"{task.stage}/{'--'.join(task.subject) or 'site'}"  # one join only: joining paths is slow
+        return self.cache / task.stage / ("--".join(task.subject) or "site")
 
     def artifact(self, task: Task, key: str, suffix: str) -> Path:
         """Return the path of a task's artifact; `suffix` is that of its format: .wbf or .ply."""
-        return self.cache / f"{task.stage}/{'--'.join(task.subject) or 'site'}/{key}{suffix}"
+        return self.task(task) / f"{key}{suffix}"
 
     def receipt(self, task: Task, key: str) -> Path:
         """Return the path of an artifact's receipt; an artifact without a receipt does not count."""
@@ -145,13 +146,14 @@ class WorkFolder:
         return self.artifact(task, key, ".jpg" if name == "picture" else f".{name}")
 
     def of_key(self, task: Task, key: str) -> list[Path]:
-        """Return all files of a task under a key, the receipt first."""
-        receipt = self.receipt(task, key)
-        return [receipt, *(p for p in sorted(self.task(task).glob(f"{key}.*")) if p != receipt)]
+        """Return all files of a task under a key."""
+        return list(self.task(task).glob(f"{key}.*"))
 
-    def half_written(self, task: Task) -> list[Path]:
-        """Return the temporary files of a task: writes that have not finished."""
-        return sorted(self.task(task).glob(f".*{_UNFINISHED}"))
+    def remove_half_written(self, tasks: Iterable[Task]) -> None:
+        """Remove temporary files that a dead worker left of some tasks."""
+        for leftover in (path for task in tasks for path in self.task(task).glob(f".*{_UNFINISHED}")):
+            with contextlib.suppress(OSError):
+                leftover.unlink()
 
     def receipt_of(self, artifact: Path) -> Path:
         """Return the path of the receipt of an artifact file."""
@@ -175,7 +177,7 @@ class WorkFolder:
 
     def pinned(self, path: Path) -> Path:
         """Return the path of the reference's copy of a file of the cache."""
-        return self.reference / str(path).removeprefix(f"{self.cache}/")  # one join only: joining paths is slow
+        return self.reference / path.relative_to(self.cache)
 
     def run(self, name: str) -> RunPaths:
         """Return the paths of a run."""

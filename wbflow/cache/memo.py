@@ -29,9 +29,6 @@ class ChangedFile(WbflowError):
         super().__init__(f"{path} has changed while the night was being worked on")
         self.path = path
 
-    def __reduce__(self) -> tuple[type[ChangedFile], tuple[Path]]:  # worker processes send it back pickled
-        return type(self), (self.path,)
-
 
 class Memo:
     """A dictionary that is kept between runs in a file with a checksum."""

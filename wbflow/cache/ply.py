@@ -67,7 +67,5 @@ def columns_of(data: bytes) -> dict[str, npt.NDArray[Any]]:
 
 def with_comments(ply: bytes, comments: tuple[str, ...]) -> bytes:
     """Return the PLY with further comments at the end of those in its header."""
-    if not comments:
-        return ply
     position = ply.index(b"element vertex")
     return b"".join([ply[:position], *(f"comment {comment}\n".encode() for comment in comments), memoryview(ply)[position:]])

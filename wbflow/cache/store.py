@@ -7,11 +7,9 @@ runs again and gives the same bytes, the tasks after it stay cached.
 from __future__ import annotations
 
 import json
-import os
 import sys
 from collections import UserDict
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -22,22 +20,15 @@ from . import artifact
 from .atomic import clear, write_atomic
 from .checksum import Damaged, content_digest, read_checksummed, write_checksummed
 from .layout import WorkFolder
-from .memo import file_stamp
 from .untrusted import read_untrusted
 
 
 class DamagedArtifact(WbflowError):
     """The bytes on disk do not match the digest in the receipt; the file, if there is one, has been moved to quarantine."""
 
-    def __init__(self, task: Task, path: Path, is_missing: bool = False) -> None:
-        what = f"{path} is gone" if is_missing else f"{path} is damaged: moved to quarantine"
+    def __init__(self, what: str, task: Task) -> None:
         super().__init__(what, remedy="the next  wbflow run  makes it again")
         self.task = task
-        self.path = path
-        self.is_missing = is_missing
-
-    def __reduce__(self) -> tuple[Any, ...]:  # worker processes send it back pickled
-        return type(self), (self.task, self.path, self.is_missing)
 
 
 @dataclass(frozen=True)
@@ -110,23 +101,13 @@ class Cache:
 
     work: WorkFolder
     _damages: list[Damage] = field(default_factory=list, compare=False, repr=False)
-    _known: dict[tuple[Task, str], tuple[str, str, list[int], Receipt]] = field(default_factory=dict, compare=False, repr=False)
-    """By task and key: the receipt's file, the artifact's file ("" if none), the stamp of the receipt's file when it was read,
-    and the receipt.  It saves reading files again, since a run looks up each receipt three times."""
 
-    def __reduce__(self) -> tuple[Any, ...]:  # known receipts and noted damage are not sent to worker processes
+    def __reduce__(self) -> tuple[Any, ...]:  # damage found so far is not sent to worker processes
         return type(self), (self.work,)
 
     def by_key(self, task: Task, key: str) -> Receipt | None:
         """Return the receipt of a finished task, or None.  Checks the artifact's presence and size; `read` checks its digest."""
-        receipt_file, artifact_file, stamp, receipt = self._known.get((task, key), ("", "", [], None))
-        if receipt and file_stamp(receipt_file) == stamp and not (artifact_file and _size_fault(artifact_file, receipt.bytes)):
-            return receipt
-        path = self.work.receipt(task, key)
-        new_stamp = file_stamp(path)
-        if (receipt := self._receipt(task, path)) and new_stamp:
-            self._known[task, key] = str(path), f"{path.parent}/{receipt.file}" if receipt.file else "", new_stamp, receipt
-        return receipt
+        return self._receipt(task, self.work.receipt(task, key))
 
     def newest(self, task: Task) -> Receipt | None:
         """Return the most recent receipt of a task, whatever its key."""
@@ -137,12 +118,8 @@ class Cache:
         """Yield every intact receipt."""
         return (receipt for path in self.work.receipts() if (receipt := self._receipt(None, path)))
 
-    def note(self, what: str, task: Task | None = None) -> None:
-        """Note damage that was found, for the report (see `damages`)."""
-        self._damages.append(Damage(what, task))
-
     def damages(self) -> list[Damage]:
-        """Return the damage noted since the last call."""
+        """Return the damage found since the last call."""
         noted = self._damages[:]
         del self._damages[: len(noted)]
         return noted
@@ -165,13 +142,13 @@ class Cache:
                 data = b""
             if content_digest(data) == digest:
                 return data
-        missing = not path.exists()
         clear(self.work.receipt_of(path))  # the receipt goes first; the file is kept for investigation
-        if path.exists():
-            target = self.work.quarantined(path)
-            target.parent.mkdir(parents=True, exist_ok=True)
-            path.replace(target)
-        raise DamagedArtifact(task, path, missing)
+        if not path.exists():
+            raise DamagedArtifact(f"{path} is gone", task)
+        target = self.work.quarantined(path)
+        target.parent.mkdir(parents=True, exist_ok=True)
+        path.replace(target)
+        raise DamagedArtifact(f"{path} is damaged: moved to quarantine", task)
 
     def load(self, task: Task, receipt: Receipt) -> Any:
         """Return the result that an artifact holds.  Raises DamagedArtifact, ArtifactError."""
@@ -192,17 +169,11 @@ class Cache:
         """Write an artifact and its drawings, and the receipt last.  Raises OSError."""
         task = receipt.preimage.task
         for name, drawing in (drawings or {}).items():
-            write_atomic(self.work.drawing(task, receipt.key, name), drawing, fsync="none", own_path=True)
+            write_atomic(self.work.drawing(task, receipt.key, name), drawing, durable=False, own_path=True)
         if data is not None:
-            write_atomic(self.path(receipt), data, fsync="file", own_path=True)
+            write_atomic(self.path(receipt), data, own_path=True)
         path = self.work.receipt(task, receipt.key)
         write_checksummed(path, self.work.identity_of(path), {**vars(receipt), "preimage": vars(receipt.preimage)})
-
-    def tidy(self, tasks: Iterable[Task]) -> None:
-        """Remove temporary files that a dead worker left of some tasks."""
-        for leftover in (path for task in tasks for path in self.work.half_written(task)):
-            with suppress(OSError):
-                leftover.unlink()
 
     def _receipt(self, task: Task | None, path: Path) -> Receipt | None:
         """Return a receipt; None if it is missing or damaged.  Damage is noted, and the task runs again."""
@@ -212,15 +183,24 @@ class Cache:
             preimage = fields["preimage"]
             preimage["subject"] = tuple(preimage["subject"])
             receipt = Receipt(**fields | {"preimage": Preimage(**preimage)})
+            if receipt.file:
+                _check_size(path.parent / receipt.file, receipt.bytes)
         except Damaged as damage:
-            self.note(damage.what, task)
+            self._damages.append(Damage(damage.what, task))
             return None
         except (TypeError, KeyError):  # written by another version
             return None
-        if receipt.file and (fault := _size_fault(f"{path.parent}/{receipt.file}", receipt.bytes)):
-            self.note(fault, task)
-            return None
         return receipt
+
+
+def _check_size(path: Path, expected: int) -> None:
+    """Raise Damaged if an artifact is missing or has the wrong size."""
+    try:
+        size = path.stat().st_size
+    except OSError:
+        raise Damaged(f"{path} is gone") from None
+    if size != expected:
+        raise Damaged(f"{path} has {size:,} of {expected:,} bytes")
 
 
 class OnDemand(UserDict[Any, Any]):
@@ -232,12 +212,3 @@ class OnDemand(UserDict[Any, Any]):
 
     def __getitem__(self, key: Any) -> Any:
         return self._load(self.data[key])
-
-
-def _size_fault(path: Path | str, expected: int) -> str | None:
-    """Return, in words, whether an artifact is missing or has the wrong size; None if neither."""
-    try:
-        size = os.stat(path).st_size  # noqa: PTH116
-    except OSError:
-        return f"{path} is gone"
-    return None if size == expected else f"{path} has {size:,} of {expected:,} bytes"

@@ -54,9 +54,9 @@ def open_untrusted(path: Path | str, most: int = MOST_CAPTURE_BYTES) -> int:
     try:
         _check_file(os.stat(path), most)  # noqa: PTH116  (before it is opened: opening some devices has side effects)
         descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC | os.O_NOCTTY)
+    except Unreadable:
+        raise
     except (OSError, ValueError) as error:
-        if isinstance(error, Unreadable):
-            raise
         raise Unreadable(f"cannot be read: {getattr(error, 'strerror', None) or error}") from None
     try:
         _check_file(os.fstat(descriptor), most)  # the file may have been replaced since the first check

@@ -27,8 +27,10 @@ Day = datetime.date | int
 def day(text: str) -> Day:
     """Parse a day: 2026-11-19, today, yesterday, or -1 (yesterday), -2, ..."""
     offsets = {"today": 0, "yesterday": -1}
-    if text in offsets or re.fullmatch(r"-\d{1,5}", text):
-        return offsets[text] if text in offsets else int(text)
+    if text in offsets:
+        return offsets[text]
+    if re.fullmatch(r"-\d{1,5}", text):
+        return int(text)
     try:
         return datetime.date.fromisoformat(text)
     except ValueError:

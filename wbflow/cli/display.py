@@ -76,21 +76,21 @@ class Display:
 
     def receive(self, event: Event | Signal) -> None:
         """Show an event."""
-        ended_stages: list[StageProgress] = []
         if isinstance(event, PlannedEvent):
-            ended_stages = self._plan(event)
+            self._plan(event)
         elif isinstance(event, StartedEvent):
             self.running[event.task] = None
-        elif isinstance(event, TaskEvent):
-            stage = self.stages.setdefault(event.task.stage, StageProgress(event.task.stage))
-            self.running.pop(event.task, None)
-            stage.outcomes[event.task] = event.outcome
-            stage.fresh |= event.fresh
-            stage.cpu += (event.cpu or 0.0) if event.fresh else 0.0
-        for line, is_fault in self._messages(event):
-            self.print(line, is_fault)
-        for stage in ended_stages:
-            self.stage_ended(stage)
+        elif isinstance(event, WarningEvent):
+            self.print(f"warning: {event}", is_fault=True)
+        else:
+            self._count(event)
+            if self._is_printed(event):
+                subject = "--".join(event.task.subject) or self.site
+                duration = f"{event.cpu:.1f} s" if self._verbose and event.cpu is not None else ""
+                line = f"{subject:20} {event.task.stage:10} {event.outcome:9} {event.reason or duration}"
+                self.print(line.rstrip(), is_fault=event.outcome == "failed")
+        if self._verbose and isinstance(event, Event) and event.trace:
+            self.print(event.trace, is_fault=True)
         self.update()
 
     def print(self, line: str, is_fault: bool = False) -> None:
@@ -108,30 +108,24 @@ class Display:
         """Number of finished tasks, and of all known tasks."""
         return sum(stage.done for stage in self.stages.values()), sum(stage.tasks for stage in self.stages.values())
 
-    def _plan(self, event: PlannedEvent) -> list[StageProgress]:
-        """Update the number of tasks; return the stages that have ended since the last call and had work to do in this run."""
+    def _plan(self, event: PlannedEvent) -> None:
+        """Update the number of tasks, and show the stages that have ended since the last call and had work to do in this run."""
         self.stages = {name: self.stages.get(name, StageProgress(name)) for name in event.tasks}
-        ended_stages, earlier_ended = [], True  # all tasks of a stage are known only once the stages before it have ended
+        earlier_ended = True  # all tasks of a stage are known only once the stages before it have ended
         for name, stage in self.stages.items():
             stage.tasks = event.tasks[name]
             earlier_ended = earlier_ended and stage.done >= stage.tasks
             if stage.fresh and earlier_ended:
                 stage.fresh = False
-                ended_stages.append(stage)
-        return ended_stages
+                self.stage_ended(stage)
 
-    def _messages(self, event: Event | Signal) -> list[tuple[str, bool]]:
-        """Return the lines to print for an event, and for each whether it reports a fault."""
-        if isinstance(event, WarningEvent):
-            lines = [(f"warning: {event}", True)]
-        elif isinstance(event, TaskEvent) and self._is_printed(event):
-            subject = "--".join(event.task.subject) or self.site
-            duration = f"{event.cpu:.1f} s" if self._verbose and event.cpu is not None else ""
-            line = f"{subject:20} {event.task.stage:10} {event.outcome:9} {event.reason or duration}"
-            lines = [(line.rstrip(), event.outcome == "failed")]
-        else:
-            return []
-        return [*lines, (event.trace, True)] if event.trace and self._verbose else lines
+    def _count(self, event: TaskEvent) -> None:
+        self.running.pop(event.task, None)
+        stage = self.stages.setdefault(event.task.stage, StageProgress(event.task.stage))
+        stage.outcomes[event.task] = event.outcome
+        if event.fresh:
+            stage.fresh = True
+            stage.cpu += event.cpu or 0.0
 
     def _is_printed(self, event: TaskEvent) -> bool:
         if self._verbose or self._quiet:
@@ -171,12 +165,18 @@ class LiveTable(Display):
         from rich.table import Column
 
         super().__init__(site, verbose)
-        name, one_line = TextColumn("{task.description}", markup=False), Column(no_wrap=True, overflow="ellipsis", ratio=1)
-        text_column = TextColumn("{task.fields[text]}", style="dim", markup=False, table_column=one_line)
-        columns = (name, BarColumn(16, table_column=Column(min_width=16)), MofNCompleteColumn(), TimeElapsedColumn(), text_column)
-        self._console = Console(stderr=True, highlight=False)
+        one_line = Column(no_wrap=True, overflow="ellipsis", ratio=1)
         self._bars = Progress(
-            *columns, console=self._console, transient=True, redirect_stdout=False, redirect_stderr=False, expand=True
+            TextColumn("{task.description}", markup=False),
+            BarColumn(16, table_column=Column(min_width=16)),
+            MofNCompleteColumn(),
+            TimeElapsedColumn(),
+            TextColumn("{task.fields[text]}", style="dim", markup=False, table_column=one_line),
+            console=Console(stderr=True, highlight=False),
+            transient=True,
+            redirect_stdout=False,
+            redirect_stderr=False,
+            expand=True,
         )
         self._rows: dict[str, TaskID] = {}
         self._overall = self._bars.add_task(printable(site), total=None, text="planning the run")
@@ -190,7 +190,7 @@ class LiveTable(Display):
 
     def print(self, line: str, is_fault: bool = False) -> None:
         if is_fault or sys.stdout.isatty():
-            self._console.print(printable(line, LONGEST_TEXT), markup=False, soft_wrap=True)
+            self._bars.console.print(printable(line, LONGEST_TEXT), markup=False, soft_wrap=True)
         else:
             echo(line)
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
@@ -17,7 +17,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from ..outcome.finished_run import Run
-    from ..records.run_folder import RunFolder
     from ..site.models import Site
 
 
@@ -32,11 +31,10 @@ def report(site: Path, run_id: str | None, work: str | None) -> None:
     wbflow report site.yaml                       of the newest run
     wbflow report site.yaml 20261120T031500Z
     """
-    loaded = load(site, work)
-    from ..outcome.finished_run import Run
     from ..report.page import rebuild_report
 
-    run = Run.open(loaded.work_folder, run_id)
+    loaded = load(site, work)
+    run = _run_of(loaded, run_id)
     echo(run.run_folder.write_report(rebuild_report(loaded, run)))
 
 
@@ -54,15 +52,20 @@ def history(site: Path, as_json: bool, changes: bool, csv: bool, work: str | Non
     wbflow history site.yaml --json
     wbflow history site.yaml --changes --csv      cut and fill since the reference, night after night
     """
+    from ..outcome.history import HEAD, as_csv, growth
+    from ..outcome.history import history as entries
+
     loaded = load(site, work)
     if csv and not changes:
         raise UsageError("--csv is for --changes", remedy=f"wbflow history {site} --changes --csv")
     if changes:
-        _print_growth(loaded, as_json=as_json, as_table=csv)
+        rows = growth(loaded.work_folder)
+        if as_json:
+            echo_json([row.to_json() for row in rows])
+        else:
+            echo(as_csv(rows).rstrip("\n") if csv else "\n".join([HEAD, *map(str, rows)]))
         return
-    from ..outcome.history import history as entries
-
-    past_runs = entries(loaded.work_folder) if loaded.work_folder.run_ids() else []
+    past_runs = entries(loaded.work_folder)
     if as_json:
         echo_json([entry.to_json() for entry in past_runs])
         return
@@ -77,18 +80,6 @@ def history(site: Path, as_json: bool, changes: bool, csv: bool, work: str | Non
         echo(f"{row.run:17} {row.date:10} {figures} {points:>11} {row.exit_code:4}  {entry.words}".rstrip())
 
 
-def _print_growth(site: Site, *, as_json: bool, as_table: bool) -> None:
-    from ..outcome.history import HEAD, as_csv, growth
-
-    rows = growth(site.work_folder) if site.work_folder.run_ids() else []
-    if as_json:
-        echo_json([row.to_json() for row in rows])
-    elif as_table:
-        echo(as_csv(rows).rstrip("\n"))
-    else:
-        echo("\n".join([HEAD, *map(str, rows)]))
-
-
 @click.command()
 @common.sites_argument
 @common.json_option
@@ -101,7 +92,8 @@ def runs(sites: tuple[Path, ...], as_json: bool) -> None:
     """
     from ..outcome.history import places
 
-    site_runs = [(site, entry) for path in sites for site in [load(path, None)] for entry in places(site.work_folder)]
+    loaded = [load(path, None) for path in sites]
+    site_runs = [(site, entry) for site in loaded for entry in places(site.work_folder)]
     if as_json:
         echo_json([{"site": site.name, **entry} for site, entry in site_runs])
         return
@@ -130,63 +122,63 @@ def compare(nights: tuple[Path, ...], out: Path, page: Path | None, changes: boo
     wbflow compare SITE.yaml latest-good latest --page both.html
     wbflow compare SITE.yaml [RUN] scan.laz            the cloud's deviation from a scan or model
     """
+    from ..cache.atomic import write_atomic
     from ..outcome.compare import changes_between, data_of, differing, lines_of
     from ..outcome.compare import compare as rows_of
-    from ..outcome.finished_run import Run
 
-    if len(nights) in (2, 3) and nights[-1].suffix.lower() in SCANS:
+    if len(nights) > 3:
+        raise UsageError("name two runs", remedy="wbflow compare SITE.yaml RUN_A RUN_B; wbflow history SITE.yaml  lists them")
+    if len(nights) > 1 and nights[-1].suffix.lower() in SCANS:
         _compare_with_scan(load(nights[0], work), str(nights[1]) if len(nights) == 3 else None, nights[-1], out, as_json)
         return
-    a, b = _two_runs(nights, work)
-    rows = rows_of(a.record(), b.record())
-    runs = [Run.at(run) for run in (a, b)]
-    differences = changes_between(*runs) if changes or page else None
-    if page:
-        _write_comparison(nights, work, runs, differences, page)
-    change_data = data_of(differences) if differences else None
+    site = load(nights[0], work) if len(nights) != 2 else None
+    if page and site is None:
+        raise UsageError("a page needs the site of the runs", remedy=f"wbflow compare SITE.yaml RUN_A RUN_B --page {page}")
+    earlier, later = _two_runs(site, nights)
+    rows = rows_of(earlier.record, later.record)
+    found = changes_between(earlier, later) if changes or page else None
+    if page and site:
+        from ..report.page import build_comparison
+
+        write_atomic(page, build_comparison(site, later, earlier, found).encode(errors="backslashreplace"))
+        echo(page, err=True)
+    change_data = {"changes": data_of(found)} if found else {}
     if as_json:
-        data = {"a": a.id, "b": b.id, "rows": [row.to_json() for row in rows]}
-        echo_json(data | {"changes": change_data} if change_data else data)
+        echo_json({"a": earlier.id, "b": later.id, "rows": [row.to_json() for row in rows], **change_data})
         return
     for row in differing(rows):
         echo(row)
     if len(differing(rows)) == 3:
         echo("nothing else differs by more than noise")
-    if change_data:
-        echo("\n".join(lines_of(change_data)))
+    if found:
+        echo("\n".join(lines_of(change_data["changes"])))
 
 
-def _write_comparison(nights: tuple[Path, ...], work: str | None, runs: list[Run], changes: Any, page: Path) -> None:
-    if len(nights) == 2:
-        raise UsageError("a page needs the site of the runs", remedy=f"wbflow compare SITE.yaml RUN_A RUN_B --page {page}")
-    from ..cache.atomic import write_atomic
-    from ..report.page import build_comparison
-
-    earlier, later = runs
-    write_atomic(page, build_comparison(load(nights[0], work), later, earlier, changes).encode(errors="backslashreplace"))
-    echo(page, err=True)
-
-
-def _two_runs(nights: tuple[Path, ...], work: str | None) -> tuple[RunFolder, RunFolder]:
+def _two_runs(site: Site | None, nights: tuple[Path, ...]) -> tuple[Run, Run]:
     from ..outcome.compare import last_two
+    from ..outcome.finished_run import Run
     from ..records.run_folder import RunFolder
 
-    if len(nights) == 1:
-        return last_two(load(nights[0], work).work_folder)
-    if len(nights) == 2:
-        return RunFolder.at(nights[0]), RunFolder.at(nights[1])
+    if site is None:
+        return Run.at(RunFolder.at(nights[0])), Run.at(RunFolder.at(nights[1]))
     if len(nights) == 3:
-        folder = load(nights[0], work).work_folder
-        return RunFolder.of(folder, str(nights[1])), RunFolder.of(folder, str(nights[2]))
-    raise UsageError("name two runs", remedy="wbflow compare SITE.yaml RUN_A RUN_B; wbflow history SITE.yaml  lists them")
+        return _run_of(site, str(nights[1])), _run_of(site, str(nights[2]))
+    earlier, later = last_two(site.work_folder)
+    return Run.at(earlier), Run.at(later)
+
+
+def _run_of(site: Site, name: str | None) -> Run:
+    """A run by its name, as `RunFolder.of` takes it."""
+    from ..outcome.finished_run import Run
+    from ..records.run_folder import RunFolder
+
+    return Run.at(RunFolder.of(site.work_folder, name))
 
 
 def _compare_with_scan(site: Site, night: str | None, scan: Path, out: Path, as_json: bool) -> None:
     from ..outcome.compare import compare_with_scan
-    from ..outcome.finished_run import Run
 
-    folder = site.work_folder
-    run = Run.open(folder, night or folder.latest_good.name)
+    run = _run_of(site, night or site.work_folder.latest_good.name)
     result = compare_with_scan(run, scan, out)
     if as_json:
         echo_json(result)
@@ -252,8 +244,10 @@ def pin(site: Path, run_id: str | None, listed: bool, drop: bool, refine: bool, 
     wbflow pin site.yaml 20261120T031500Z
     wbflow pin site.yaml --list
     """
+    from ..cache.store import Cache
     from ..records.reference_folder import drop_reference, read_reference
     from ..records.run_folder import hold_to_write
+    from ..reference import create
 
     if listed + drop + refine + (run_id is not None) > 1:
         remedy = "wbflow pin SITE.yaml --list  prints the reference"
@@ -270,18 +264,10 @@ def pin(site: Path, run_id: str | None, listed: bool, drop: bool, refine: bool, 
         elif refine:
             _refine_reference(loaded)
         else:
-            _pin_run(loaded, run_id)
-
-
-def _pin_run(site: Site, run_id: str | None) -> None:
-    from ..cache.store import Cache
-    from ..reference import create
-
-    folder = site.work_folder
-    reference = create.pin(Cache(folder), create.good_run(folder, run_id))
-    echo(f"run {reference.run} (night of {reference.date}) is the reference now: {folder.reference}")
-    if site.settings.pin == "none":
-        echo("the site file says `pin: none`: nothing is compared with it until that is changed", err=True)
+            reference = create.pin(Cache(folder), create.good_run(folder, run_id))
+            echo(f"run {reference.run} (night of {reference.date}) is the reference now: {folder.reference}")
+            if loaded.settings.pin == "none":
+                echo("the site file says `pin: none`: nothing is compared with it until that is changed", err=True)
 
 
 def _refine_reference(site: Site) -> None:
@@ -322,11 +308,10 @@ def export(site: Path, run_id: str | None, out: Path, work: str | None, **wanted
     if not names:
         example = f"for example: wbflow export {site} --{EXPORTS[0].name} --out {out}"
         raise UsageError(f"name what to export: {', '.join(f'--{row.name}' for row in EXPORTS)}", remedy=example)
-    folder = load(site, work).work_folder
     from ..outcome.export import export as write
-    from ..outcome.finished_run import Run
 
-    run = Run.open(folder, run_id or folder.latest_good.name)
+    loaded = load(site, work)
+    run = _run_of(loaded, run_id or loaded.work_folder.latest_good.name)
     for file in write(run, out, names):
         echo(file)
 
@@ -351,10 +336,9 @@ def debug(words: tuple[str, ...], out: Path, date: Day | None, work: str | None)
     from ..outcome.finished_run import task_named
     from ..pipeline.stages import STAGES
 
-    split_words = " ".join(words).split(" ")
-    site_is_here = split_words[0] in {row.name for row in STAGES}
-    site = Path() if site_is_here else Path(words[0])
-    task = " ".join(split_words if site_is_here else words[1:])
+    site, task = Path(words[0]), " ".join(words[1:])
+    if words[0].split(" ")[0] in {row.name for row in STAGES}:
+        site, task = Path(), " ".join(words)
     if not task:
         raise UsageError("name a task", remedy=f"for example: wbflow debug {site} 'frames CAMERA' --out {out}")
     loaded = load(site, work)
@@ -378,11 +362,11 @@ def clean(site: Path, keep: int, clouds: int | None, reports: int | None, dry_ru
     wbflow clean site.yaml --keep 7 --dry-run     print how much would be removed
     wbflow clean site.yaml --keep 7 --clouds 30
     """
-    folder = load(site, work).work_folder
     from ..cache.cleanup import Keep
     from ..cache.cleanup import clean as remove
     from ..records.run_folder import hold_to_write
 
+    folder = load(site, work).work_folder
     with hold_to_write(folder, wait=False):
         cleaning = remove(folder, Keep(runs=keep, clouds=clouds, reports=reports), dry_run=dry_run)
     verb = "would remove" if dry_run else "removed"

@@ -8,7 +8,8 @@ import shlex
 import sys
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import asdict
-from itertools import groupby, zip_longest
+from itertools import groupby
+from operator import itemgetter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -93,47 +94,55 @@ def run(
     if work and len(sites) > 1:
         what = "--work is the folder of one site, and several are named"
         raise UsageError(what, remedy="name it as `work:` in each site file")
-    from ..api import run as run_night
-    from ..site.captures import backlog
+    from .. import api
 
-    quiet, several, records = quiet or as_json, since is not None or len(sites) > 1, list[Any]()
+    quiet = quiet or as_json
+    several = since is not None or len(sites) > 1
     stop_at = options["stop_at"]
+    records: list[Any] = []
 
     def run_site(path: Path) -> int:
         site = load(path, work, for_run=not dry_run)
-        captured = _capture(site, quiet) if capture_first else []
-        faults = {result.camera: result.fault for result in captured if result.fault}
-        first_night, exit_codes = date_at(site, since), list[int]()
-        nights = [*backlog(site, first_night)] if first_night else [date_at(site, date)]
+        deliveries = _capture(site, quiet) if capture_first else []
+        not_captured = {delivery.camera: delivery.fault for delivery in deliveries if delivery.fault}
+        nights = _nights(site, date, since)
         if dry_run:
             for night in nights:
                 _print_status(_status(site, night, options["until"], options["force"]))
             return ExitCode.GOOD
+        exit_codes: list[int] = []
         for night in nights:
             if exit_codes and stop_at and stop_at <= datetime.datetime.now():
-                remaining = counted(len(nights) - len(exit_codes), "night")
-                echo(f"{remaining} not begun: --stop-at {stop_at:%H:%M}", err=True)
+                echo(f"{counted(len(nights) - len(exit_codes), 'night')} not begun: --stop-at {stop_at:%H:%M}", err=True)
                 exit_codes.append(ExitCode.DEGRADED)
                 break
             with display(site.name, verbose, quiet) as progress:
-                finished = run_night(site, date=night, listen=progress.receive, not_captured=faults, **options)
+                finished = api.run(site, date=night, not_captured=not_captured, listen=progress.receive, **options)
             exit_codes.append(finished.record.exit_code)
             if as_json:
                 records.append(json.loads(finished.run_folder.paths.record.read_bytes()))
             _print_run(finished, several, quiet)
-            if exit_codes[-1] == ExitCode.INTERRUPTED:
+            if finished.record.exit_code == ExitCode.INTERRUPTED:
                 break
         if not quiet:
-            echo(f"next    {next_command(finished, path)}")
+            echo(f"next    {_next_command(finished, path)}")
         return worst(exit_codes)
 
-    code = for_each(sites, run_site)
+    code = _for_each(sites, run_site)
     if as_json and not dry_run:
         echo_json(records if several else records[0])
     sys.exit(code)
 
 
-def for_each(sites: Sequence[Path], work: Callable[[Path], int]) -> int:
+def _nights(site: Site, date: Day | None, since: Day | None) -> Sequence[datetime.date | None]:
+    """The nights to work on; None is the newest one with captures."""
+    from ..site.captures import backlog
+
+    first_night = date_at(site, since)
+    return backlog(site, first_night) if first_night else [date_at(site, date)]
+
+
+def _for_each(sites: Sequence[Path], work: Callable[[Path], int]) -> int:
     """Call `work` for each site, and return the worst exit code.
 
     With several sites, an error of one is printed and the others go on; with a single site it is raised.
@@ -178,10 +187,10 @@ def print_findings(record: RunRecord) -> None:
         return
     echo(f"{record.site}, night of {record.date}: {LEVELS[verdict.level]}", err=True)
     texts = list(_finding_texts(verdict.findings))
-    printed = texts[:MOST_FINDINGS]
-    for (text, remedy), (_, following) in zip_longest(printed, printed[1:], fillvalue=("", "")):
-        echo(f"  {text}", err=True)
-        if remedy and remedy != following:  # once, after the last of consecutive findings with this remedy
+    for remedy, with_this_remedy in groupby(texts[:MOST_FINDINGS], key=itemgetter(1)):
+        for text, _ in with_this_remedy:
+            echo(f"  {text}", err=True)
+        if remedy:
             echo(f"    {remedy}", err=True)
     if (omitted := len(texts) - MOST_FINDINGS) > 0:
         echo(f"  and {omitted} more: the report has them", err=True)
@@ -191,22 +200,21 @@ def _finding_texts(findings: Iterable[Finding]) -> Iterator[tuple[str, str]]:
     """Yield text and remedy of each finding; for a large group of the same kind, the first ones and the subjects of the rest."""
     for _, similar in groupby(findings, key=lambda finding: (finding.kind, finding.remedy)):
         group = list(similar)
-        print_all = len(group) <= MOST_ALIKE or not all(finding.subject for finding in group)
-        yield from ((str(finding), finding.remedy) for finding in (group if print_all else group[: MOST_ALIKE - 1]))
-        if not print_all:
-            subjects = [finding.about for finding in group[MOST_ALIKE - 1 :]]
-            yield f"and {len(subjects)} more like these: {', '.join(subjects)}", group[-1].remedy
+        is_short = len(group) <= MOST_ALIKE or not all(finding.subject for finding in group)
+        in_full = group if is_short else group[: MOST_ALIKE - 1]
+        yield from ((str(finding), finding.remedy) for finding in in_full)
+        if rest := group[len(in_full) :]:
+            yield f"and {len(rest)} more like these: {', '.join(finding.about for finding in rest)}", group[-1].remedy
 
 
-def next_command(finished: Run, site: Path) -> str:
+def _next_command(finished: Run, site: Path) -> str:
     """Return the command to suggest after a run."""
     record, file = finished.record, shlex.quote(str(site))
     if record.exit_code == ExitCode.INTERRUPTED:
         return f"wbflow run {file}"
-    failed = (event for event in finished.task_events.values() if event.outcome == "failed")
-    failed_tasks = [event.task for event in failed if event.code in DEBUGGABLE]
-    if failed_tasks:
-        return f"wbflow debug {file} {shlex.quote(str(failed_tasks[0]))} --out debug"
+    for task, event in finished.task_events.items():
+        if event.outcome == "failed" and event.code in DEBUGGABLE:
+            return f"wbflow debug {file} {shlex.quote(str(task))} --out debug"
     if record.exit_code:
         return f"wbflow check {file}"
     return f"wbflow compare {file}" if len(finished.cache.work.run_ids()) > 1 else f"wbflow export {file} --mesh --out mesh"

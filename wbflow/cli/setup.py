@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Any
 
@@ -165,13 +166,15 @@ def calibrate(
     """
     from ..outcome.init import write_calibration
 
-    columns, separator, rows = board.partition("x")
-    if not (separator and columns.isdigit() and rows.isdigit() and 2 < int(columns) < 100 and 2 < int(rows) < 100):
+    corners = re.fullmatch(r"(\d+)x(\d+)", board)
+    columns, rows = map(int, corners.groups()) if corners else (0, 0)
+    if not (2 < columns < 100 and 2 < rows < 100):
         raise UsageError(f"{board!r} is not a board", remedy="give columns x rows, such as --board 9x6")
     if marker >= square:
         raise UsageError(f"a marker of {marker:g} does not fit in a square of {square:g}", remedy="give both in the same unit")
-    fields: dict[str, float | str] = {"columns": int(columns), "rows": int(rows), "square": square, "marker": marker}
-    files, notes = write_calibration(camera, pictures, fields | {"dictionary": dictionary}, model, out)
+    fields: dict[str, float | str] = {"columns": columns, "rows": rows, "square": square, "marker": marker}
+    fields["dictionary"] = dictionary
+    files, notes = write_calibration(camera, pictures, fields, model, out)
     echo("\n".join([*map(str, files), *notes]))
 
 

@@ -102,7 +102,9 @@ class _Handler(BaseHTTPRequestHandler):
             return "image/jpeg", jpeg, {"X-Picture": json.dumps(info)}
         if resource == "shade":
             return "image/png", session.shade(name), {}
-        return _json_answer({"state": session.state}[path]())
+        if path == "state":
+            return _json_answer(session.state())
+        raise KeyError(path)
 
     def _post(self, path: str) -> Answer:
         session, body = self.server.session, self._read_body()
@@ -111,8 +113,7 @@ class _Handler(BaseHTTPRequestHandler):
         if path == "ground":
             return _json_answer(session.posed.on_ground(GroundRequest.model_validate_json(body)))
         if path == "save":
-            save = SaveRequest.model_validate_json(body)
-            return _json_answer(session.save(save.marks, save.version))
+            return _json_answer(session.save(SaveRequest.model_validate_json(body)))
         if path == "done":
             self.server.done = True
             return _json_answer({})

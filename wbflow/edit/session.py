@@ -123,20 +123,25 @@ class PosedCameras:
     """The posed cameras of a site: as its last run solved them, else as the site file states them."""
 
     def __init__(self, site: Site) -> None:
-        self.poses: Mapping[str, Mapping[str, Any]] = _stated_cameras(site)
+        stated = (camera for camera in site.cameras if camera.given and camera.lens.width and camera.lens.height)
+        self.poses: dict[str, Mapping[str, Any]] = {c.id: {**vars(c.lens), **vars(c.placement)} for c in stated}
         """Cameras by id, in the format of `cameras.json`."""
         self.ground = 0.0
         """The height (z) at which zones are drawn at first."""
         try:
             run = RunFolder.of(site.work_folder)
-            self.poses = {**self.poses, **run.cameras()}
+            self.poses |= run.cameras()
             if cloud := run.record().cloud:
                 heights = sorted(read_ply(run.paths.folder / cloud.path)["z"][::97].tolist())
                 self.ground = round(heights[int(GROUND_SHARE * len(heights))], 2)
         except (NoSuchRun, OSError, ValueError, LookupError):
             pass  # there is no run yet, or its files are gone
         self._frame = local_frame(site.settings, Problems(site.document))
-        self._in_stated_frame = _is_in_stated_frame(site) and all(entry.get("metric", True) for entry in self.poses.values())
+        placed_count = sum(camera.placement.C is not None for camera in site.cameras)
+        is_fixed = max(placed_count, len(site.settings.control_points)) >= _FEWEST_PLACES
+        is_tied = site.has_given_poses or bool(site.survey.crs) or is_fixed
+        self._in_stated_frame = is_tied and all(entry.get("metric", True) for entry in self.poses.values())
+        """Is the cameras' world the coordinate system of stated coordinates?  Stated distances alone fix only its scale."""
         self.upright = bool(self.poses) and all(entry["R"][1][2] < -0.5 for entry in self.poses.values())
         """Does the world's z axis point up in all cameras?  Otherwise zones have no place."""
 
@@ -167,18 +172,6 @@ class PosedCameras:
         if position is None or not self._in_stated_frame:
             return None
         return list(position) if self._frame is None else self._frame.metres(*position)
-
-
-def _stated_cameras(site: Site) -> dict[str, dict[str, Any]]:
-    """Return the cameras whose lens and pose the site file or a calibration file states."""
-    stated = (camera for camera in site.cameras if camera.given and camera.lens.width and camera.lens.height)
-    return {camera.id: {**vars(camera.lens), **vars(camera.placement)} for camera in stated}
-
-
-def _is_in_stated_frame(site: Site) -> bool:
-    """Is the cameras' world the coordinate system of stated coordinates?  Stated distances alone fix only its scale."""
-    placed_count = sum(camera.placement.C is not None for camera in site.cameras)
-    return site.has_given_poses or bool(site.survey.crs) or max(placed_count, len(site.settings.control_points)) >= _FEWEST_PLACES
 
 
 class Session:
@@ -239,13 +232,14 @@ class Session:
         except ValueError as error:
             raise Refused(str(error)) from None
 
-    def save(self, marks: Marks, version: str) -> dict[str, Any]:
+    def save(self, request: SaveRequest) -> dict[str, Any]:
         """Write the marks to the site file and to masks, and return the new state.
 
-        version: that of the state on which they were drawn.  Raises Refused if the file would be invalid, or has changed since.
+        Raises Refused if the file would be invalid, or has changed since.
         """
+        marks = request.marks
         with self._lock:
-            if version != self._last_digests[self.site.file] or self._last_digests != self._digests():
+            if request.version != self._last_digests[self.site.file] or self._last_digests != self._digests():
                 remedy = "open the page again: what is drawn there now has not been saved"
                 raise Refused("was changed on disk meanwhile; nothing was written", where=str(self.site.file), remedy=remedy)
             masks = dict(self._new_masks(marks))
@@ -320,27 +314,27 @@ def _with_marks(text: str, site: Site, marks: Marks, masks: Mapping[str, str]) -
         if (drawn := marks.cameras.get(camera.id)) is None:
             continue
         location: Location = ("cameras", k)
-        changes: dict[str, Any] = {"mask": masks[camera.id]} if camera.id in masks else {}
-        polygons = [(mark.was, mark.corners) for mark in drawn.privacy]
-        if not isinstance(site.document.data["cameras"][k], dict):  # the entry is a camera's id alone
-            changes |= {"privacy": _with_integers([corners for _, corners in polygons])} if polygons else {}
-            text = put(text, location, {"id": camera.id, **changes}) if changes else text
-            continue
-        for key, value in changes.items():
-            text = put(text, (*location, key), value)
-        text = _with_list(text, (*location, "privacy"), camera.privacy, polygons)
+        is_id_alone = not isinstance(site.document.data["cameras"][k], dict)
+        if is_id_alone and (drawn.privacy or camera.id in masks):
+            text = put(text, location, {"id": camera.id})
+        if camera.id in masks:
+            text = put(text, (*location, "mask"), masks[camera.id])
+        text = _with_list(text, (*location, "privacy"), camera.privacy, [(mark.was, mark.corners) for mark in drawn.privacy])
     zones, points = _marks_of(site)
-    text = _with_list(text, ("zones",), [*map(_zone_entry, zones)], [(mark.was, _zone_entry(mark)) for mark in marks.zones])
-    stated = [_point_entry(mark, point.geodetic is not None) for mark, point in zip(points, settings.control_points, strict=True)]
-    return _with_list(text, ("control_points",), stated, [(mark.was, _point_entry(mark, geodetic)) for mark in marks.points])
+    new_zones = [(mark.was, _zone_entry(mark)) for mark in marks.zones]
+    text = _with_list(text, ("zones",), [_zone_entry(mark) for mark in zones], new_zones)
+    new_points = [(mark.was, _point_entry(mark, geodetic)) for mark in marks.points]
+    return _with_list(text, ("control_points",), [_point_entry(mark, geodetic) for mark in points], new_points)
 
 
 def _marks_of(site: Site) -> tuple[list[ZoneMark], list[PointMark]]:
     settings = site.settings
     zones = [ZoneMark(was=k, name=z.name, corners=z.polygon, least_m=z.least_m) for k, z in enumerate(settings.zones or ())]
-    places = [point.position if point.geodetic is None else list(point.geodetic) for point in settings.control_points]
-    points = enumerate(zip(settings.control_points, places, strict=True))
-    return zones, [PointMark(was=k, id=p.id or "", position=place, pixels=p.pixels) for k, (p, place) in points]
+    points = [
+        PointMark(was=k, id=p.id or "", position=list(p.geodetic) if p.geodetic else p.position, pixels=p.pixels)
+        for k, p in enumerate(settings.control_points)
+    ]
+    return zones, points
 
 
 def _with_list(text: str, location: Location, old_items: Sequence[Any], new_items: Sequence[tuple[int | None, Any]]) -> str:
@@ -354,9 +348,9 @@ def _with_list(text: str, location: Location, old_items: Sequence[Any], new_item
             text = remove(text, (*location, k))
     added = [value for was, value in new_items if was is None or was >= len(old_items)]
     if added and not kept_items:
-        return put(text, location, _with_integers(added))
+        return put(text, location, added)
     for value in added:
-        text = append(text, location, _with_integers(value))
+        text = append(text, location, value)
     return text
 
 
@@ -367,7 +361,7 @@ def _with_value(text: str, location: Location, old: Any, new: Any) -> str:
         for key, value in new.items():
             text = _with_value(text, (*location, key), old.get(key), value)
         return text
-    return put(text, location, _with_integers(new))
+    return put(text, location, new)
 
 
 def _zone_entry(mark: ZoneMark) -> dict[str, Any]:
@@ -381,12 +375,3 @@ def _point_entry(mark: PointMark, geodetic: bool) -> dict[str, Any]:
     if mark.position is not None:
         place = dict(zip(names, mark.position, strict=True)) if geodetic else {"position": mark.position}
     return {**({"id": mark.id} if mark.id else {}), **place, "pixels": mark.pixels}
-
-
-def _with_integers(value: Any) -> Any:
-    """Return a value with whole-numbered floats as int, so that 2.0 is written as 2."""
-    if isinstance(value, dict):
-        return {key: _with_integers(inner) for key, inner in value.items()}
-    if isinstance(value, list):
-        return [_with_integers(inner) for inner in value]
-    return int(value) if isinstance(value, float) and value.is_integer() else value

@@ -6,9 +6,7 @@ here only the text of the changed value is replaced.
 
 from __future__ import annotations
 
-import copy
 import re
-from collections.abc import Sequence
 from typing import Any
 
 import yaml
@@ -30,30 +28,31 @@ def put(text: str, location: Location, value: Any) -> str:
         splice = _new_key(text, parent, str(location[-1]), value)
     else:
         splice = _replacement(text, _node_at(text, location), value)
-    return _apply_checked(text, splice, location, lambda data: _set_value(data, location, value))
+    expected, container, key = _expected(text, location)
+    container[key] = value
+    return _apply(text, splice, expected)
 
 
 def append(text: str, location: Location, value: Any) -> str:
-    """Return the text with an item appended to the list at a location.  Raises NotEditable."""
+    """Return the text with an item appended to the list at a location, which is not empty.  Raises NotEditable."""
     node = _node_at(text, location)
-    if not isinstance(node, yaml.SequenceNode) or not node.value:
-        return put(text, location, [value])
     end = _value_end(node.value[-1])
     if node.flow_style:
         splice = end, end, f", {flow(value)}"
     else:
         line_end = _line_end(text, end)
         splice = line_end, line_end, f"\n{' ' * node.start_mark.column}- {flow(value)}"
-    return _apply_checked(text, splice, location, lambda data: _value_at(data, location).append(value))
+    expected, container, key = _expected(text, location)
+    container[key].append(value)
+    return _apply(text, splice, expected)
 
 
 def remove(text: str, location: Location) -> str:
     """Return the text without an item of a list.  Raises NotEditable."""
-    *list_location, index = location
+    node, index = _node_at(text, location[:-1]), location[-1]
     assert isinstance(index, int)
-    node = _node_at(text, tuple(list_location))
     if len(node.value) == 1:
-        return put(text, tuple(list_location), [])
+        return put(text, location[:-1], [])
     item = node.value[index]
     if not node.flow_style:
         splice = text.rfind("\n", 0, item.start_mark.index) + 1, _line_end(text, _value_end(item)) + 1, ""
@@ -61,13 +60,26 @@ def remove(text: str, location: Location) -> str:
         splice = item.start_mark.index, node.value[index + 1].start_mark.index, ""
     else:
         splice = _value_end(node.value[index - 1]), _value_end(item), ""
-    return _apply_checked(text, splice, location, lambda data: _value_at(data, tuple(list_location)).pop(index))
+    expected, container, key = _expected(text, location)
+    del container[key]
+    return _apply(text, splice, expected)
 
 
 def flow(value: Any) -> str:
     """Return a value as YAML on one line."""
-    dumped = yaml.safe_dump(value, default_flow_style=True, width=float("inf"), sort_keys=False, allow_unicode=True)
+    dumped = yaml.safe_dump(
+        _with_integers(value), default_flow_style=True, width=float("inf"), sort_keys=False, allow_unicode=True
+    )
     return str(dumped).removesuffix("...\n").strip()
+
+
+def _with_integers(value: Any) -> Any:
+    """Return a value with whole-numbered floats as int, so that 2.0 is written as 2."""
+    if isinstance(value, dict):
+        return {key: _with_integers(inner) for key, inner in value.items()}
+    if isinstance(value, list):
+        return [_with_integers(inner) for inner in value]
+    return int(value) if isinstance(value, float) and value.is_integer() else value
 
 
 def _replacement(text: str, node: Any, value: Any) -> Splice:
@@ -96,10 +108,9 @@ def _key_end(text: str, start: int) -> int:
 def _new_key(text: str, mapping: Any, key: str, value: Any) -> Splice:
     if not mapping.value:
         return mapping.start_mark.index, mapping.end_mark.index, flow({key: value})
-    end = _value_end(mapping)
+    end = _value_end(mapping.value[-1][1])
     entry = flow({key: value})[1:-1]
     if mapping.flow_style:
-        end = _value_end(mapping.value[-1][1])
         return end, end, f", {entry}"
     end = _line_end(text, end)
     return end, end, f"\n{' ' * mapping.value[0][0].start_mark.column}{entry}"
@@ -132,12 +143,10 @@ def _node_at(text: str, location: Location) -> Any:
     return node
 
 
-def _apply_checked(text: str, splice: Splice, location: Location, change: Any) -> str:
-    """Return the text with a splice applied; raise NotEditable unless it changes the data exactly as `change` does."""
+def _apply(text: str, splice: Splice, expected: Any) -> str:
+    """Return the text with a splice applied; raise NotEditable unless its data are then as expected."""
     start, end, replacement = splice
     edited = f"{text[:start]}{replacement}{text[end:]}"
-    expected = copy.deepcopy(_without_aliases(yaml.load(text, Loader)))
-    change(expected)
     try:
         is_expected = yaml.load(edited, Loader) == expected
     except yaml.YAMLError:
@@ -147,22 +156,20 @@ def _apply_checked(text: str, splice: Splice, location: Location, change: Any) -
     return edited
 
 
+def _expected(text: str, location: Location) -> tuple[Any, Any, Any]:
+    """Return the data of a text, which the caller then changes as the text should change; and the list or mapping in it that
+    contains the value at a location, with the value's index or key."""
+    container = data = _without_aliases(yaml.load(text, Loader))
+    for step in location[:-1]:
+        container = container[_actual_key(container, step)]
+    return data, container, _actual_key(container, location[-1])
+
+
 def _without_aliases(data: Any) -> Any:
     """Return a copy of the data in which values shared through aliases are separate."""
     if isinstance(data, dict):
         return {key: _without_aliases(value) for key, value in data.items()}
     return [_without_aliases(value) for value in data] if isinstance(data, list) else data
-
-
-def _value_at(data: Any, location: Sequence[str | int]) -> Any:
-    for step in location:
-        data = data[_actual_key(data, step)]
-    return data
-
-
-def _set_value(data: Any, location: Location, value: Any) -> None:
-    parent = _value_at(data, location[:-1])
-    parent[_actual_key(parent, location[-1])] = value
 
 
 def _actual_key(data: Any, step: str | int) -> Any:

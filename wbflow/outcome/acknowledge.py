@@ -9,7 +9,7 @@ from __future__ import annotations
 import datetime
 import getpass
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -61,24 +61,23 @@ def name_of(finding: Finding) -> str:
     return " ".join((finding.kind, *finding.subject))
 
 
-def file_of(site: Site) -> Path:
+def _file_of(site: Site) -> Path:
     """Return the file of a site's acknowledgements, which is beside the site file."""
     return site.file.with_suffix(".acknowledged")
 
 
 def read(site: Site) -> tuple[Acknowledgement, ...]:
     """Return the acknowledgements of a site.  Raises UsageError for a file that is not as `wbflow acknowledge` writes it."""
-    path = file_of(site)
+    path = _file_of(site)
     if not path.exists():
         return ()
     try:
         data: Any = yaml.safe_load(read_untrusted(path, MOST_TEXT_BYTES))
         return tuple(Acknowledgement.from_json(entry) for entry in data or ())
     except (OSError, ValueError, TypeError, yaml.YAMLError):
+        what = "is not as wbflow acknowledge writes it; nothing is acknowledged"
         remedy = "correct it, or remove it and acknowledge again: wbflow acknowledge SITE.yaml FINDING"
-        raise UsageError(
-            "is not as wbflow acknowledge writes it; nothing is acknowledged", where=str(path), remedy=remedy
-        ) from None
+        raise UsageError(what, where=str(path), remedy=remedy) from None
 
 
 def add(site: Site, finding: str, until: datetime.date | None, note: str) -> Acknowledgement:
@@ -147,19 +146,16 @@ def changes_of(record: RunRecord) -> Mapping[str, Change]:
 
 def with_known(record: RunRecord, known: Iterable[Acknowledgement]) -> RunRecord:
     """Return the record with its acknowledged changes marked."""
-    known_changes = [(c, entry.words) for entry in known if entry.holds(record.date) and (c := _change_named(entry.finding))]
-
-    def marked(changes: Mapping[str, Change]) -> Iterator[tuple[str, Change]]:
-        for number, change in changes.items():
-            words = next((words for known_change, words in known_changes if change.is_same(known_change)), "")
-            yield number, replace(change, acknowledged=words)
-
-    results = {
-        stage: replace(result, changes=dict(marked(result.changes)))
-        for stage, result in record.results.items()
-        if isinstance(result, ChangesSummary) and result.changes
-    }
-    return replace(record, results={**record.results, **results}) if known_changes else record
+    acknowledged = [(entry, change) for entry in known if entry.holds(record.date) and (change := _change_named(entry.finding))]
+    results = dict(record.results)
+    for stage, result in record.results.items() if acknowledged else ():
+        if isinstance(result, ChangesSummary) and result.changes:
+            changes = {}
+            for number, change in result.changes.items():
+                words = next((entry.words for entry, known_change in acknowledged if change.is_same(known_change)), "")
+                changes[number] = replace(change, acknowledged=words)
+            results[stage] = replace(result, changes=changes)
+    return replace(record, results=results)
 
 
 def split(
@@ -179,4 +175,4 @@ def split(
 
 def _write(site: Site, entries: Iterable[Acknowledgement]) -> None:
     items = [{name: value for name, value in vars(entry).items() if value} for entry in entries]
-    write_atomic(file_of(site), (_HEAD + yaml.safe_dump(items, sort_keys=False, allow_unicode=True)).encode())
+    write_atomic(_file_of(site), (_HEAD + yaml.safe_dump(items, sort_keys=False, allow_unicode=True)).encode())

@@ -23,8 +23,6 @@ from ..site.captures import CaptureFile, expected
 from ..site.models import Camera, Site
 from ..words import printable
 
-Severity = Literal["error", "warning"]
-
 DEBIAN_PACKAGES = {
     "libusb-1.0.so.0": "libusb-1.0-0",
     "libGL.so.1": "libgl1",
@@ -43,7 +41,7 @@ BYTES_PER_PIXEL = 40
 class Fault:
     """One problem that was found."""
 
-    severity: Severity
+    severity: Literal["error", "warning"]
     what: str
     """Where it is, and what it is."""
     remedy: str
@@ -54,9 +52,9 @@ class Fault:
 def check(site: Site, date: datetime.date | None) -> list[Fault]:
     """Find everything that would spoil a run, or part of one."""
     machine = check_machine()
-    if any(fault.severity == "error" for fault in machine):
+    if machine:
         return machine + _disk(site)
-    return [*check_captures(site, plan_run(site, Options(date))), *machine, *_disk(site), *check_published(site.work_folder)]
+    return [*check_captures(site, plan_run(site, Options(date))), *_disk(site), *check_published(site.work_folder)]
 
 
 def exit_code(findings: Iterable[Fault]) -> ExitCode:
@@ -70,20 +68,22 @@ def check_captures(site: Site, context: RunContext) -> list[Fault]:
     if len(site.cameras) < 2:
         what = f"{site.file}: {len(site.cameras)} camera: a cloud needs two or more that see the same things"
         faults.append(Fault("error", what, "list the others under cameras:", ExitCode.FAILED))
-    for camera in site.cameras:
-        position = site.document.problem(camera.location, "")
-        where = f"{site.file}:{position.line}:{position.column}: camera {camera.id}"
+    for number, camera in enumerate(site.cameras):
+        line, column = site.document.place(("cameras", number))
+        where = f"{site.file}:{line}:{column}: camera {camera.id}"
         files = context.plan.captures[camera.id]
         if not files:
             what = f"{where}: there is no capture {expected(site, camera, context.date)}"
             faults.append(Fault("error", what, _remedy_of_missing(site, camera), ExitCode.DEGRADED))
         for file in files:
-            size, problem = _size_of(file)
-            stated_size = (camera.lens.width, camera.lens.height)
-            if problem:
-                faults.append(Fault("error", f"{where}: {problem}", "the run continues without it", ExitCode.DEGRADED))
-            elif stated_size[0] and size != stated_size:
-                what = f"{where}: {file.name} is {size[0]}x{size[1]}, its intrinsics are for {stated_size[0]}x{stated_size[1]}"
+            try:
+                width, height = _size_of(file)
+            except (ValueError, OSError) as error:
+                faults.append(Fault("error", f"{where}: {error}", "the run continues without it", ExitCode.DEGRADED))
+                continue
+            lens = camera.lens
+            if lens.width and (width, height) != (lens.width, lens.height):
+                what = f"{where}: {file.name} is {width}x{height}, its intrinsics are for {lens.width}x{lens.height}"
                 faults.append(Fault("error", what, "calibrate for this size, or correct width and height", ExitCode.DEGRADED))
     return faults
 
@@ -97,18 +97,15 @@ def _remedy_of_missing(site: Site, camera: Camera) -> str:
     return "check captures.root and pattern, or the camera itself"
 
 
-def _size_of(file: CaptureFile) -> tuple[tuple[int, int], str | None]:
-    """(width, height) of a capture as it would be used, or what is wrong with it."""
+def _size_of(file: CaptureFile) -> tuple[int, int]:
+    """(width, height) of a capture as it would be used.  Raises ValueError, OSError if it cannot be."""
     import numpy as np
 
     if not file.digest:
-        return (0, 0), f"{file.name} {file.fault}"
-    try:
-        capture = load(SITE_TYPES["captures"])(file.name, np.frombuffer(read_untrusted(file.path), dtype=np.uint8))
-        image = load("wbflow_stages.capture.video:one_picture")(capture)
-    except (ValueError, OSError) as error:
-        return (0, 0), str(error)
-    return (image.shape[1], image.shape[0]), None
+        raise ValueError(f"{file.name} {file.fault}")
+    capture = load(SITE_TYPES["captures"])(file.name, np.frombuffer(read_untrusted(file.path), dtype=np.uint8))
+    image = load("wbflow_stages.capture.video:one_picture")(capture)
+    return image.shape[1], image.shape[0]
 
 
 def check_machine() -> list[Fault]:
@@ -125,9 +122,9 @@ def check_machine() -> list[Fault]:
 def _import_remedy(message: str) -> str:
     library = re.search(r"lib[\w.+-]+\.so[.\d]*", message)
     package = DEBIAN_PACKAGES.get(library.group(0)) if library else None
-    return (
-        f"as root: apt-get install {package}" if package else "reinstall wbflow: python -m pip install --force-reinstall wbflow"
-    )
+    if package:
+        return f"as root: apt-get install {package}"
+    return "reinstall wbflow: python -m pip install --force-reinstall wbflow"
 
 
 def check_published(work: WorkFolder) -> list[Fault]:

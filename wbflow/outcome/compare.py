@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -14,13 +13,13 @@ from ..cache.ply import ply_bytes
 from ..errors import UsageError, WbflowError
 from ..pipeline.meanings import titled
 from ..pipeline.stages import CHANGES, DEPTH, FRAMES, POSES, REFINE
-from ..pipeline.summaries import CutFill
+from ..pipeline.summaries import CutFill, Summary
 from ..plugins import load
 from ..records.record import CameraRecord, PairRecord, RunRecord
 from ..records.run_folder import NoSuchRun, RunFolder, newest_runs
 from ..task import Task
 from .export import MissingExtra
-from .finished_run import MissingResult, Run
+from .finished_run import Run
 
 NOISE = 0.05
 """Smaller relative differences are ignored: keypoints, inliers and points vary this much from night to night."""
@@ -40,7 +39,7 @@ class Row:
     """Name of the figure, preceded by the name of its camera or pair, if it has one."""
     a: Value
     b: Value
-    noise: float = NOISE
+    noise: float = field(default=NOISE, kw_only=True)
     """Figures count as equal up to this difference, as a share of the larger one."""
 
     @property
@@ -71,15 +70,19 @@ class Row:
 
 def compare(a: RunRecord, b: RunRecord) -> list[Row]:
     """All figures that two runs share: first the night as a whole, then every camera and pair."""
-    rows = [Row("run", a.run, b.run), Row("night", a.date, b.date), Row("verdict", _verdict(a), _verdict(b))]
-    rows += [Row("points", *(r.cloud.points if r.cloud else 0 for r in (a, b)))]
-    rows += [Row("cameras", sum(c.ok for c in a.cameras), sum(c.ok for c in b.cameras), 0.0)]
-    rows += [Row("pairs of cameras", sum(p.ok for p in a.pairs), sum(p.ok for p in b.pairs), 0.0)]
-    rows += _site_rows(a, b)
-    rows += [Row("wall seconds", round(a.seconds.wall, 1), round(b.seconds.wall, 1), NOISE_OF_TIME)]
-    rows += [Row("CPU seconds", round(a.seconds.cpu, 1), round(b.seconds.cpu, 1), NOISE_OF_TIME)]
-    counts = vars(a.tasks), vars(b.tasks)
-    rows += [Row(f"tasks {name}", counts[0][name], counts[1][name], noise=0.0) for name in counts[0]]
+    both = a, b
+    rows = [
+        Row("run", a.run, b.run),
+        Row("night", a.date, b.date),
+        Row("verdict", *(record.verdict.level if record.verdict else f"exit {record.exit_code}" for record in both)),
+        Row("points", *(record.cloud.points if record.cloud else 0 for record in both)),
+        Row("cameras", *(sum(camera.ok for camera in record.cameras) for record in both), noise=0.0),
+        Row("pairs of cameras", *(sum(pair.ok for pair in record.pairs) for record in both), noise=0.0),
+        *_site_rows(a, b),
+        Row("wall seconds", round(a.seconds.wall, 1), round(b.seconds.wall, 1), noise=NOISE_OF_TIME),
+        Row("CPU seconds", round(a.seconds.cpu, 1), round(b.seconds.cpu, 1), noise=NOISE_OF_TIME),
+    ]
+    rows += [Row(f"tasks {name}", count, vars(b.tasks)[name], noise=0.0) for name, count in vars(a.tasks).items()]
     for records_a, records_b in ((_by_name(a.cameras), _by_name(b.cameras)), (_by_name(a.pairs), _by_name(b.pairs))):
         for name in dict.fromkeys([*records_a, *records_b]):
             rows += _subject_rows(name, records_a.get(name), records_b.get(name))
@@ -95,13 +98,9 @@ def last_two(work: WorkFolder) -> tuple[RunFolder, RunFolder]:
     """The newest good run before the newest one, and the newest one.  Raises NoSuchRun if there is none."""
     newest = RunFolder.of(work)
     for folder, record in newest_runs(work, before=newest.id):
-        if folder.is_good() and (record.verdict is None or record.verdict.good):
+        if folder.paths.cloud.is_file() and (record.verdict is None or record.verdict.good):
             return folder, newest
     raise NoSuchRun(f"there is no good run before {newest.id}", remedy="name two: wbflow compare SITE.yaml RUN_A RUN_B")
-
-
-def _verdict(record: RunRecord) -> str:
-    return record.verdict.level if record.verdict else f"exit {record.exit_code}"
 
 
 def _by_name(records: tuple[CameraRecord, ...] | tuple[PairRecord, ...]) -> Mapping[str, CameraRecord | PairRecord]:
@@ -110,19 +109,20 @@ def _by_name(records: tuple[CameraRecord, ...] | tuple[PairRecord, ...]) -> Mapp
 
 def _site_rows(a: RunRecord, b: RunRecord) -> Iterator[Row]:
     for stage in (stage for stage in a.results if stage in b.results):
-        figures_a, figures_b = vars(a.results[stage]), vars(b.results[stage])
-        yield from (Row(f"{stage}: {titled(name)}", figures_a[name], figures_b[name]) for name in _common(figures_a, figures_b))
-        volumes = a.results[stage].volumes, b.results[stage].volumes
-        for zone, what in itertools.product((zone for zone in volumes[0] if zone in volumes[1]), ("gained", "lost")):
-            yield Row(f"{stage}: {what}{f' in {zone}' if zone else ''}", *(getattr(by_zone[zone], what) for by_zone in volumes))
+        results = a.results[stage], b.results[stage]
+        for name, values in _common_figures(*results).items():
+            yield Row(f"{stage}: {titled(name)}", *values)
+        for zone in (zone for zone in results[0].volumes if zone in results[1].volumes):
+            for what in ("gained", "lost"):
+                where = f" in {zone}" if zone else ""
+                yield Row(f"{stage}: {what}{where}", *(getattr(result.volumes[zone], what) for result in results))
 
 
 def _subject_rows(name: str, a: CameraRecord | PairRecord | None, b: CameraRecord | PairRecord | None) -> list[Row]:
     """The outcome of a camera or pair, and its figures if both runs used it."""
     rows = [Row(name, _outcome(a), _outcome(b))]
     if a and b and a.ok and b.ok:
-        figures_a, figures_b = vars(a.figures), vars(b.figures)
-        rows += [Row(f"{name} {figure}", figures_a[figure], figures_b[figure]) for figure in _common(figures_a, figures_b)]
+        rows += [Row(f"{name} {figure}", *values) for figure, values in _common_figures(a.figures, b.figures).items()]
     return rows
 
 
@@ -134,13 +134,14 @@ def _outcome(record: CameraRecord | PairRecord | None) -> str:
     return "ok" if record.ok else f"{record.outcome}: {record.reason}"
 
 
-def _common(figures_a: Mapping[str, Any], figures_b: Mapping[str, Any]) -> list[str]:
-    """Return the names of numbers and texts that both have."""
-    return [name for name in figures_a if _is_comparable(figures_a[name]) and _is_comparable(figures_b.get(name))]
-
-
-def _is_comparable(value: object) -> bool:
-    return isinstance(value, int | float | str) and not isinstance(value, bool)
+def _common_figures(a: Summary, b: Summary) -> dict[str, tuple[Value, Value]]:
+    """Return the numbers and texts that both summaries have, by name."""
+    both = {name: (value, getattr(b, name, None)) for name, value in vars(a).items()}
+    return {
+        name: values
+        for name, values in both.items()
+        if all(isinstance(value, int | float | str) and not isinstance(value, bool) for value in values)
+    }
 
 
 def _formatted(value: Value) -> str:
@@ -153,12 +154,12 @@ def compare_with_scan(run: Run, scan: Path, out: Path) -> dict[str, Any]:
     """Write the deviations of a run's cloud from a scan into `out`; return the figures.
 
     Raises UsageError for a scan that cannot be read, or lies elsewhere, or covers less than half of the cloud; MissingExtra
-    if packages that read such files are not installed; MissingResult if the run has no cloud.
+    if packages that read such files are not installed; WbflowError if the run has no cloud.
     """
     if not scan.is_file():
         raise UsageError(f"{scan}: there is no such file", remedy="wbflow compare SITE.yaml SCAN.laz --out DIR")
     try:
-        files, figures = load("wbflow_stages.exports.deviation:scan_files")(run.cloud_table(), run.result_of(POSES), scan)
+        files, figures = load("wbflow_stages.exports.deviation:scan_files")(run.cloud_table(), run.load(Task(POSES)), scan)
     except ImportError as error:
         extra = "e57" if scan.suffix.lower() == ".e57" else "las"
         raise MissingExtra(f"{scan.suffix} needs {error.name}: pip install 'wbflow[{extra}]'") from None
@@ -172,14 +173,14 @@ def compare_with_scan(run: Run, scan: Path, out: Path) -> dict[str, Any]:
 def changes_between(reference: Run, tonight: Run) -> Any:
     """Return what changed (`wbflow_stages.types.Changes`), by the function and the parameters of the later run.
 
-    Raises MissingResult if a run placed no cameras or the cache no longer holds its results; WbflowError if the later
-    run did not look for changes, or the runs have nothing in common.
+    Raises WbflowError if a run placed no cameras, the cache no longer holds its results, the later run did not look for
+    changes, or the runs have nothing in common.
     """
     receipt = tonight.receipt(Task(CHANGES))
     if receipt is None:
         raise WbflowError(f"run {tonight.id} did not look for changes", remedy="its log.jsonl says why")
-    preimage = receipt.preimage
-    changes = load(preimage.function)(**_change_inputs(tonight), **_change_inputs(reference, "reference_"), **preimage.parameters)
+    inputs = _change_inputs(tonight) | {f"reference_{name}": value for name, value in _change_inputs(reference).items()}
+    changes = load(receipt.preimage.function)(**inputs, **receipt.preimage.parameters)
     if not changes.compared:
         raise WbflowError(
             f"runs {reference.id} and {tonight.id} have nothing in common", remedy="their cameras are at different places"
@@ -187,13 +188,12 @@ def changes_between(reference: Run, tonight: Run) -> Any:
     return changes
 
 
-def _change_inputs(run: Run, prefix: str = "") -> Mapping[str, Any]:
-    poses = run.result_of(POSES)
+def _change_inputs(run: Run) -> dict[str, Any]:
+    poses = run.load(Task(POSES))
     if poses is None:
-        raise MissingResult(f"run {run.id} placed no cameras: {run.record.reason or 'the run was not meant to'}")
+        raise WbflowError(f"run {run.id} placed no cameras: {run.record.reason or 'the run was not meant to'}")
     by_camera = {"frames": FRAMES, "depths": DEPTH, "refined": REFINE}
-    values = {"poses": poses, "cloud": run.cloud_table(), **{name: run.of_cameras(stage) for name, stage in by_camera.items()}}
-    return {prefix + name: value for name, value in values.items()}
+    return {"poses": poses, "cloud": run.cloud_table(), **{name: run.of_cameras(stage) for name, stage in by_camera.items()}}
 
 
 def data_of(changes: Any) -> dict[str, Any]:

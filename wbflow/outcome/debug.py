@@ -27,6 +27,10 @@ from ..site.yaml_document import suggest
 from ..task import Task
 
 SCRIPT = "run.py"
+TASK_FILE = "task.json"
+"""Describes the task: stage, subject, function, parameters, where its inputs are, and its outcome in the cache."""
+INPUTS = "inputs"
+"""Folder of the task's inputs."""
 
 _SCRIPT = '''\
 """{task}, night of {night}, alone: what it is handed lies in inputs/, its parameters in task.json."""
@@ -66,10 +70,13 @@ def write_task(site: Site, task: Task, out: Path, date: datetime.date | None = N
     make_importable(spec.folder)
     values = arguments_of(spec, plan.cache)
     entries = {name: _write_input(spec.inputs[name], value, out / INPUTS, name, plan.cache) for name, value in values.items()}
-    state = plan.states.get(task)
-    state_outcome = state and ("the night uses the reference's" if state.receipt else state.outcome)
-    default_outcome = state_outcome or "not run"  # for a task without a receipt for these inputs
-    receipt = Cache(plan.cache.work).by_key(task, spec.preimage().key())
+    receipt, state = plan.cache.by_key(task, spec.preimage().key()), plan.states.get(task)
+    ended: dict[str, str | None] = {"outcome": "not run", "reason": None, "digest": None}
+    if receipt:
+        ended = {"outcome": receipt.outcome, "reason": receipt.reason, "digest": receipt.digest if receipt.file else None}
+    elif state:
+        outcome = "the night uses the reference's" if state.receipt else state.outcome
+        ended = {"outcome": outcome, "reason": state.reason, "digest": None}
     description: dict[str, Any] = {
         "stage": task.stage,
         "subject": list(task.subject),
@@ -77,9 +84,7 @@ def write_task(site: Site, task: Task, out: Path, date: datetime.date | None = N
         "function": spec.function,
         "parameters": spec.parameters,
         "inputs": entries,
-        "outcome": receipt.outcome if receipt else default_outcome,
-        "reason": receipt.reason if receipt else state.reason if state else None,
-        "digest": receipt.digest if receipt and receipt.file else None,
+        **ended,
         "folder": str(spec.folder) if spec.folder else None,
     }
     module, _, name = spec.function.partition(":")
@@ -90,8 +95,9 @@ def write_task(site: Site, task: Task, out: Path, date: datetime.date | None = N
 
 def _spec(plan: Plan, task: Task) -> TaskSpec:
     known = [*plan.states, *plan.ready, *plan.waiting]
-    if stage_named(task.stage).scope == "pair" and not plan.pairs_known(stage_named(task.stage)):
-        needed = DENSE_PAIRS if plan.pairs_known(stage_named(PAIRS)) else PAIRS
+    stage = stage_named(task.stage)
+    if stage.scope == "pair" and plan.subjects.pairs(stage.dense) is None:
+        needed = PAIRS if plan.subjects.pairs() is None else DENSE_PAIRS
         raise _waiting_error(plan, task, Task(needed))
     if task not in known:
         stage_tasks = [str(t) for t in known if t.stage == task.stage]
@@ -114,17 +120,11 @@ def _waiting_error(plan: Plan, task: Task, needed: Task) -> UsageError:
 
 def _write_input(source: Input, value: Any, folder: Path, name: str, cache: Cache) -> Any:
     """Write an input, and return its entry in task.json; a cloud is copied, since the cache stores it as a PLY file."""
-    if isinstance(source, Stored) and not source.part and source.file and source.task.stage == FUSE:
+    if isinstance(source, Stored) and not source.field and source.file and source.task.stage == FUSE:
         file = f"{name}{suffix_of(FUSE)}"
         shutil.copyfile(cache.work.task(source.task) / source.file, folder / file)
         return {"cloud": file}
     return load("wbflow_stages.exports.plain:write")(value, folder, name)
-
-
-TASK_FILE = "task.json"
-"""Describes the task: stage, subject, function, parameters, where its inputs are, and its outcome in the cache."""
-INPUTS = "inputs"
-"""Folder of the task's inputs."""
 
 
 def set_up_as_worker(folder: Path) -> None:

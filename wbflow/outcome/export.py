@@ -13,6 +13,7 @@ from ..errors import ExitCode, WbflowError
 from ..pipeline.exports import EXPORTS, EXTRAS, Export
 from ..pipeline.stages import FUSE, stage_named
 from ..plugins import load
+from ..task import Task
 from .finished_run import Run
 
 
@@ -32,19 +33,20 @@ def export(run: Run, out: Path, forms: frozenset[str]) -> Iterator[Path]:
         raise WbflowError(f"run {run.id} solved no cameras: {run.record.reason or 'it ended before that'}")
     rows = [row for row in EXPORTS if row.name in forms]
     for row in rows:
-        require(row, georeferenced=bool(run.record.poses.crs))
+        _require(row, georeferenced=bool(run.record.poses.crs))
     for row in rows:
-        results = {name: _result(run, stages) for name, stages in row.inputs.items()}
-        day = datetime.date.fromisoformat(run.record.date)
+        arguments = {name: _result(run, stages) for name, stages in row.inputs.items()}
+        if row.dated:
+            arguments["day"] = datetime.date.fromisoformat(run.record.date)
         try:
-            for name, data in load(row.function)(**results, **({"day": day} if row.dated else {})):
+            for name, data in load(row.function)(**arguments):
                 write_atomic(out / name, data)
                 yield out / name
         except ValueError as error:
             raise WbflowError(f"run {run.id}: {error}") from error
 
 
-def require(row: Export, *, georeferenced: bool) -> None:
+def _require(row: Export, *, georeferenced: bool) -> None:
     """Check that the packages that a format needs are installed.  Raises MissingExtra."""
     extra = row.extra or (row.extra_on_the_map if georeferenced else "")
     missing = [package for package in EXTRAS.get(extra, ()) if importlib.util.find_spec(package) is None]
@@ -57,4 +59,6 @@ def _result(run: Run, stages: tuple[str, ...]) -> Any:
     if stages == (FUSE,):
         return run.cloud_table()
     scope = stage_named(stages[0]).scope
-    return run.result_of(stages[0]) if scope == "site" else run.of_pairs(*stages) if scope == "pair" else run.of_cameras(*stages)
+    if scope == "site":
+        return run.load(Task(stages[0]))
+    return run.of_pairs(*stages) if scope == "pair" else run.of_cameras(*stages)

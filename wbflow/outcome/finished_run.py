@@ -23,10 +23,6 @@ if TYPE_CHECKING:
     import open3d
 
 
-class MissingResult(WbflowError):
-    """A result does not exist: it was removed, or the run never made it."""
-
-
 @dataclass(frozen=True, eq=False, repr=False)
 class Run:
     """A finished run, and all its results."""
@@ -35,12 +31,6 @@ class Run:
     record: RunRecord
     task_events: Mapping[Task, TaskEvent]
     cache: Cache
-
-    @staticmethod
-    def open(work: WorkFolder, name: str | None = None) -> Run:
-        """A run by its name, as `RunFolder.of` takes it.  Raises NoSuchRun if there is none, or it cannot be read."""
-        folder = RunFolder.of(work, name)
-        return Run(folder, folder.record(), folder.tasks(), Cache(work))
 
     @staticmethod
     def at(folder: RunFolder) -> Run:
@@ -108,26 +98,22 @@ class Run:
         return self.load(task)
 
     def receipt(self, task: Task) -> Receipt | None:
-        """The receipt of a task that made a result in this run, or None.  Raises MissingResult if the cache has lost it."""
+        """The receipt of a task that made a result in this run, or None.  Raises WbflowError if the cache has lost it."""
         event = self.task_events.get(task)
         if event is None or not event.usable or event.key is None:
             return None
         receipt = self.cache.by_key(task, event.key)
         if receipt is None:
-            raise MissingResult(f"the cache no longer holds '{task}' of run {self.id}", remedy="run the night again")
+            raise WbflowError(f"the cache no longer holds '{task}' of run {self.id}", remedy="run the night again")
         return receipt
 
     def load(self, task: Task) -> Any:
         """The result of a task (a dataclass of `wbflow_stages.types`), or None if it made nothing.
 
-        Raises MissingResult if the cache no longer holds it, DamagedArtifact if the disk has lost a part of it.
+        Raises WbflowError if the cache no longer holds it, DamagedArtifact if the disk has lost a part of it.
         """
         receipt = self.receipt(task)
         return self.cache.load(task, receipt) if receipt else None
-
-    def result_of(self, stage: str, subject: Subject = ()) -> Any:
-        """The result of a stage for a subject, or None."""
-        return self.load(Task(stage, subject))
 
     def of_cameras(self, *stages: str) -> Mapping[str, Any]:
         """The result of the first of these stages that made one, for each camera, or for each view of a camera that has several;
@@ -143,20 +129,20 @@ class Run:
         return self._on_demand({pair.name: (pair.left, pair.right) for pair in self.record.pairs}, stages)
 
     def _on_demand(self, subjects: Mapping[str, Subject], stages: tuple[str, ...]) -> Mapping[str, Any]:
-        usable = {task for task, event in self.task_events.items() if event.usable}
-        tasks_of = {name: [t for stage in stages if (t := Task(stage, subject)) in usable] for name, subject in subjects.items()}
-        return OnDemand({name: tasks[0] for name, tasks in tasks_of.items() if tasks}, self.load)
+        made = set(self.tasks)
+        tasks = {name: [task for stage in stages if (task := Task(stage, subject)) in made] for name, subject in subjects.items()}
+        return OnDemand({name: candidates[0] for name, candidates in tasks.items() if candidates}, self.load)
 
     def cloud_table(self) -> Any:
-        """The main cloud as it was published.  Raises MissingResult if there is none, or it cannot be read."""
+        """The main cloud as it was published.  Raises WbflowError if there is none, or it cannot be read."""
         cloud = self.record.cloud
         path = self.folder / cloud.path if cloud else None
         if path is None or not path.is_file():
-            raise MissingResult(f"run {self.id} made no cloud: {self.record.reason or 'the run was not meant to'}")
+            raise WbflowError(f"run {self.id} made no cloud: {self.record.reason or 'the run was not meant to'}")
         try:
             return load(RESTORE_CLOUD)(read_ply(path))
         except ValueError as error:
-            raise MissingResult(str(error), remedy="run the night again") from None
+            raise WbflowError(str(error), remedy="run the night again") from None
 
 
 def task_named(name: str) -> Task:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Iterable, Iterator
-from dataclasses import asdict, dataclass, field, fields
+from collections.abc import Iterable
+from dataclasses import asdict, dataclass, fields
 from typing import Any
 
 from ..cache.layout import WorkFolder
@@ -14,7 +14,7 @@ from ..pipeline.summaries import Change
 from ..records.findings import Verdict
 from ..records.ledger import Ledger, LedgerRun
 from ..records.record import RunRecord
-from ..records.run_folder import NoSuchRun, RunFolder, last_of_nights, newest_runs
+from ..records.run_folder import last_of_nights, newest_runs
 
 MOST_WORDS = 80
 """Longest text of a run's verdict in a line, in characters."""
@@ -47,22 +47,15 @@ class Entry:
 
 def history(work: WorkFolder) -> list[Entry]:
     """Return every run, oldest first."""
+    verdicts = {folder.id: record.verdict for folder, record in newest_runs(work)}
     with Ledger(work) as ledger:
-        runs = [(run, RunFolder(work.run(run.run))) for run in ledger.runs()]
-    return [Entry(run, _verdict_of(folder), cleaned=not folder.paths.record.exists()) for run, folder in runs]
-
-
-def _verdict_of(folder: RunFolder) -> Verdict | None:
-    try:
-        return folder.record().verdict
-    except NoSuchRun:
-        return None
+        return [Entry(run, verdicts.get(run.run), cleaned=not work.run(run.run).record.exists()) for run in ledger.runs()]
 
 
 def places(work: WorkFolder) -> list[dict[str, Any]]:
     """Return the paths of every run's files, oldest run first, for programs; the path of a file that is gone is None."""
     rows = []
-    for entry in history(work) if work.root.exists() else ():
+    for entry in history(work):
         run, paths, level = entry.run, work.run(entry.run.run), entry.verdict.level if entry.verdict else None
         data = {"run": run.run, "night": run.date, "exit_code": run.exit_code, "level": level, "points": run.points}
         files = {"folder": paths.folder, "cloud": paths.cloud, "report": paths.report}
@@ -113,55 +106,45 @@ HEAD = f"{'night':10} {'what':6} {'name':16} {'kind':9} {'gained':>14} {'lost':>
 """Heading of a table whose lines are `GrowthRow`s."""
 
 
-@dataclass
-class _Track:
-    """A change, followed through the nights with the same reference."""
-
-    number: int
-    reference: str | None
-    seen: list[tuple[RunRecord, Change]] = field(default_factory=list)
-    end: str = ""
-
-    def rows(self) -> Iterator[GrowthRow]:
-        previous: float | None = None
-        for record, change in self.seen:
-            volume, sigma = change.volume or 0.0, change.volume_sigma
-            row = {name: getattr(change, name) for name in ("kind", "zone", "area", "x", "y", "z")}
-            row |= {"gained": volume, "gained_sigma": sigma} if change.kind != "vanished" else {}
-            row |= {"lost": volume, "lost_sigma": sigma} if change.kind != "new" else {}
-            row |= {"growth": None if previous is None else volume - previous, "begin": self.seen[0][0].date, "end": self.end}
-            yield GrowthRow(record.date, record.run, "change", str(self.number), **row)
-            previous = volume
-
-
 def growth(work: WorkFolder) -> list[GrowthRow]:
     """Return the volumes of the site and its zones, night by night, then each change from its first night to its last."""
-    nights = last_of_nights(newest_runs(work))
-    return [*_volume_rows(nights), *(row for change in _follow(nights) for row in change.rows())]
-
-
-def _volume_rows(nights: Iterable[RunRecord]) -> Iterator[GrowthRow]:
-    for record in nights:
-        for zone, part in ((zone, part) for result in record.results.values() for zone, part in result.volumes.items()):
+    compared = [night for night in last_of_nights(newest_runs(work)) if any(result.volumes for result in night.results.values())]
+    rows = []
+    for night in compared:
+        for zone, part in ((zone, part) for result in night.results.values() for zone, part in result.volumes.items()):
+            what, name = ("zone", zone) if zone else ("site", night.site)
             volumes = part.gained, part.gained_sigma, part.lost, part.lost_sigma
-            what = "zone" if zone else "site"
-            yield GrowthRow(record.date, record.run, what, zone or record.site, "", zone, *volumes, None, part.area, part.unseen)
+            rows.append(GrowthRow(night.date, night.run, what, name, "", zone, *volumes, None, part.area, part.unseen))
+    for number, track in enumerate(_tracks(compared), 1):
+        (first, _), (last, _) = track[0], track[-1]
+        end = next((night.date for night in compared if night.date > last.date), "")
+        previous: float | None = None
+        for night, change in track:
+            volume, sigma = change.volume or 0.0, change.volume_sigma
+            row: dict[str, Any] = {name: getattr(change, name) for name in ("kind", "zone", "area", "x", "y", "z")}
+            row |= {"gained": volume, "gained_sigma": sigma} if change.kind != "vanished" else {}
+            row |= {"lost": volume, "lost_sigma": sigma} if change.kind != "new" else {}
+            row |= {"growth": None if previous is None else volume - previous, "begin": first.date, "end": end}
+            rows.append(GrowthRow(night.date, night.run, "change", str(number), **row))
+            previous = volume
+    return rows
 
 
-def _follow(nights: Iterable[RunRecord]) -> list[_Track]:
-    """Return every change with the nights on which it was seen; one that is hidden for a night stays the same change."""
-    all_tracks: list[_Track] = []
-    for record in (night for night in nights if any(result.volumes for result in night.results.values())):
-        tracks = [track for track in all_tracks if track.reference == record.reference]
-        for change in (change for result in record.results.values() for change in result.objects.values()):
-            track = next((t for t in tracks if t.seen[-1][0] is not record and change.is_same(t.seen[-1][1])), None)
+def _tracks(nights: Iterable[RunRecord]) -> list[list[tuple[RunRecord, Change]]]:
+    """Return every change on the nights on which it was seen; one that is hidden for a night stays the same change.
+
+    Changes are followed through the nights with the same reference.
+    """
+    tracks: list[list[tuple[RunRecord, Change]]] = []
+    for night in nights:
+        known = [track for track in tracks if track[0][0].reference == night.reference]
+        for change in (change for result in night.results.values() for change in result.objects.values()):
+            track = next((t for t in known if t[-1][0] is not night and change.is_same(t[-1][1])), None)
             if track is None:
-                track = _Track(len(all_tracks) + 1, record.reference)
-                all_tracks.append(track)
-            track.seen.append((record, change))
-        for track in all_tracks:
-            track.end = "" if track.seen[-1][0] is record else track.end or record.date
-    return all_tracks
+                track = []
+                tracks.append(track)
+            track.append((night, change))
+    return tracks
 
 
 def as_csv(rows: Iterable[GrowthRow]) -> str:

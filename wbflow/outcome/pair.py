@@ -13,6 +13,7 @@ from ..plugins import load
 from ..report import render
 from ..site.load import load_site
 from ..site.models import Site
+from ..task import Task
 from .finished_run import Run
 
 PAIR = ("left", "right")
@@ -51,11 +52,11 @@ def pair_site(left: Path, right: Path, out: Path, resolution: int | None) -> Sit
 
 
 def write_pair(run: Run, out: Path) -> tuple[Path, ...]:
-    """Write the results of a pair's run into `out`; returns the files, if any.  Raises MissingResult, DamagedArtifact."""
-    left, right = (run.result_of(FRAMES, (name,)) for name in PAIR)
+    """Write the results of a pair's run into `out`; returns the files, if any.  Raises WbflowError, DamagedArtifact."""
+    left, right = (run.load(Task(FRAMES, (name,))) for name in PAIR)
     stages = {"matches": MATCHES, "geometry": GEOMETRY, "rectification": RECTIFY, "disparity": DISPARITY}
-    results = {name: run.result_of(stage, PAIR) for name, stage in stages.items()}
-    if left is None or right is None or next(iter(results.values())) is None:
+    results = {name: run.load(Task(stage, PAIR)) for name, stage in stages.items()}
+    if left is None or right is None or results["matches"] is None:
         return ()
     files, summary = load("wbflow_stages.exports.pairfiles:pair_files")(left, right, **results)
     figures = run.record.pairs[0].to_json() | summary

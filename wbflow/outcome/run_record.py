@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import datetime
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
@@ -17,9 +16,9 @@ from ..pipeline import summaries
 from ..pipeline.stages import CALIBRATION, DENSE_PAIRS, DEPTH, DISPARITY, FRAMES, FUSE, GEOMETRY, PAIRS, POSES, STAGES, Stage
 from ..records.record import CameraRecord, CloudRecord, PairRecord, RunRecord, Seconds, TaskCounts, stamp
 from ..runner.planner import Plan
-from ..runner.state import Cause, State, summary_of
+from ..runner.state import Cause, summary_of
 from ..site.stale_cameras import night_by_pictures, stale_by_image
-from ..task import Task, camera_of
+from ..task import Subject, Task, camera_of
 
 _SUMMED = {"keypoints", "points"}
 """Figures that are summed over a camera's views; the others are averaged."""
@@ -45,29 +44,30 @@ def run_record(
     views: dict[str, list[CameraRecord]] = {}
     for view in plan.site.views:
         views.setdefault(view.camera, []).append(_camera_record(plan, view.id, site_wide))
-    cameras = tuple(map(_joined_views, views.values()))
+    cameras = [_joined_views(records) for records in views.values()]
     dated = plan.site.captures.dated
     night = plan.night if dated else night_by_pictures(camera.figures for camera in cameras)
-    main_state = plan.states.get(Task(FUSE))
-    other_clouds = (_cloud_record(task, state) for task, state in plan.states.items() if task.stage == FUSE and task.subject)
+    clouds = _clouds(plan)
+    fuse = plan.states.get(Task(FUSE))
+    failed_fuse = fuse if fuse and not fuse.usable else None
     return RunRecord(
-        run,
-        plan.site.name,
-        __version__,
-        plan.night if plan.night_given else night or plan.night,
-        stamp(started),
-        stamp(datetime.datetime.now(datetime.UTC)),
-        ExitCode.GOOD,
-        TaskCounts(**Counter[str](state.outcome for state in plan.states.values())),
-        seconds,
-        round(peak_rss_mb),
-        tuple(_with_staleness(camera, night, dated) for camera in cameras),
-        tuple(_pair_record(plan, pair, site_wide) for pair in _pairs(plan)),
-        cloud=_cloud_record(Task(FUSE), main_state) if main_state else None,
-        other_clouds=tuple(cloud for cloud in other_clouds if cloud),
+        run=run,
+        site=plan.site.name,
+        version=__version__,
+        date=plan.night if plan.night_given else night or plan.night,
+        started=stamp(started),
+        finished=stamp(datetime.datetime.now(datetime.UTC)),
+        exit_code=ExitCode.GOOD,
+        tasks=TaskCounts(**Counter[str](state.outcome for state in plan.states.values())),
+        seconds=seconds,
+        peak_rss_mb=round(peak_rss_mb),
+        cameras=tuple(_with_staleness(camera, night, dated) for camera in cameras),
+        pairs=tuple(_pair_record(plan, pair, site_wide) for pair in _pairs(plan)),
+        cloud=clouds.get(()),
+        other_clouds=tuple(cloud for component, cloud in clouds.items() if component),
         poses=_by_camera(site_wide.poses) if _is_usable(plan, POSES) else None,
-        reason=root_cause(plan, Task(FUSE)) if main_state and not main_state.usable else None,
-        code=main_state.code if main_state and not main_state.usable else None,
+        reason=root_cause(plan, Task(FUSE)) if failed_fuse else None,
+        code=failed_fuse.code if failed_fuse else None,
         versions=installed_versions(),
         reference=plan.reference.run if plan.reference else None,
         results=dict(_results(plan, files)),
@@ -109,8 +109,6 @@ class _SiteWide:
     points: Mapping[str, int]
     misfits: Mapping[str, float]
     """By camera: the number of its points in its cloud, and the ratio of their error to the expected one."""
-    apart_px: Mapping[str, Mapping[str, float]]
-    """By camera: overall differences between the depths from its pairs."""
     crowded: Mapping[str, str]
     """By camera: a note on pairs that the pair graph left out."""
     dense: frozenset[tuple[str, str]]
@@ -118,49 +116,47 @@ class _SiteWide:
 
     @staticmethod
     def from_plan(plan: Plan) -> _SiteWide:
-        points: dict[str, int] = {}
-        misfits: dict[str, float] = {}
-        apart_px: dict[str, Mapping[str, float]] = {}
-        for task, state in plan.states.items():
-            if task.stage == FUSE:
-                summary = summary_of(state, summaries.FuseSummary)
-                points |= summary.given
-                misfits |= summary.misfits
-            elif task.stage == DEPTH and (differences := summary_of(state, summaries.DepthSummary).apart_px):
-                apart_px[task.subject[0]] = differences
+        clouds = [summary_of(state, summaries.FuseSummary) for task, state in plan.states.items() if task.stage == FUSE]
         pairs, dense = (summary_of(plan.states.get(Task(stage)), summaries.PairsSummary) for stage in (PAIRS, DENSE_PAIRS))
         poses = summary_of(plan.states.get(Task(POSES)), summaries.PosesSummary)
         if (row_check := plan.states.get(Task(CALIBRATION))) and row_check.usable:
             poses = replace(poses, rows=summary_of(row_check, summaries.CalibrationCheck))
         return _SiteWide(
-            poses, points, misfits, apart_px, {**pairs.crowded, **dense.crowded}, frozenset(_usable_pairs(plan, DENSE_PAIRS))
+            poses,
+            points={camera: points for cloud in clouds for camera, points in cloud.given.items()},
+            misfits={camera: misfit for cloud in clouds for camera, misfit in cloud.misfits.items()},
+            crowded={**pairs.crowded, **dense.crowded},
+            dense=frozenset(_usable_pairs(plan, DENSE_PAIRS)),
         )
 
 
 def _camera_record(plan: Plan, camera: str, site_wide: _SiteWide) -> CameraRecord:
     captures = {file.name: file.digest for file in plan.captures[camera_of(camera)]}
+    record = CameraRecord(camera, "ok", captures=captures, health=plan.resolver.health(camera))
     figures: dict[str, Any] = {}
     notes: list[str] = []
-    outcome: dict[str, Any] = {"outcome": "ok"}
     for stage, kind in _stages_in(summaries.CameraFigures):
         state = plan.states.get(Task(stage.name, (camera,)))
         if state and not state.usable:
-            outcome = {"outcome": state.outcome, "reason": state.reason, "code": state.code}
+            record = replace(record, outcome=state.outcome, reason=state.reason, code=state.code)
             break
-        if state:
-            notes += summary_of(state, summaries.Notes).notes
-            figures |= _not_none(summary_of(state, kind))
+        notes += summary_of(state, summaries.Notes).notes
+        figures |= _not_none(summary_of(state, kind))
     else:
         poses = site_wide.poses
-        check, points, misfit = poses.pose_checks.get(camera), site_wide.points.get(camera), site_wide.misfits.get(camera)
-        figures |= {"pose": check, "verified": check.get("verified") if check else None, "pose_from": poses.sources.get(camera)}
-        figures |= {"points": points, "misfit": misfit, "apart_px": site_wide.apart_px.get(camera)}
-        crowded, moved = site_wide.crowded.get(camera), poses.issues_of("moved").get(camera)
-        notes += [*([crowded] if crowded else []), *([moved.text] if moved else [])]
+        pose_check, moved = poses.pose_checks.get(camera), poses.issues_of("moved").get(camera)
+        depth = summary_of(plan.states.get(Task(DEPTH, (camera,))), summaries.DepthSummary)
+        figures["pose"] = pose_check
+        figures["verified"] = pose_check.get("verified") if pose_check else None
+        figures["pose_from"] = poses.sources.get(camera)
+        figures["points"] = site_wide.points.get(camera)
+        figures["misfit"] = site_wide.misfits.get(camera)
+        figures["apart_px"] = depth.apart_px or None
+        notes += [site_wide.crowded[camera]] if camera in site_wide.crowded else []
+        notes += [moved.text] if moved else []
         if camera in poses.unsolved:
-            outcome = {"outcome": "unsolved", "reason": poses.unsolved[camera], "code": Cause.UNSOLVED}
-    camera_figures, health = summaries.CameraFigures(**figures), plan.resolver.health(camera)
-    return CameraRecord(camera, **outcome, health=health, captures=captures, notes=tuple(notes), figures=camera_figures)
+            record = replace(record, outcome="unsolved", reason=poses.unsolved[camera], code=Cause.UNSOLVED)
+    return replace(record, notes=tuple(notes), figures=summaries.CameraFigures(**figures))
 
 
 def _with_staleness(record: CameraRecord, night: str, dated: bool) -> CameraRecord:
@@ -215,9 +211,14 @@ def _is_usable(plan: Plan, stage: str) -> bool:
     return state is not None and state.usable
 
 
-def _cloud_record(task: Task, state: State) -> CloudRecord | None:
-    cloud = summary_of(state, summaries.FuseSummary)
-    return CloudRecord(cloud_name(task.subject), cloud.points, cloud.bounds, cloud.right) if state.usable else None
+def _clouds(plan: Plan) -> dict[Subject, CloudRecord]:
+    """Return the clouds by component; that of () is the main one."""
+    clouds = {}
+    for task, state in plan.states.items():
+        if task.stage == FUSE and state.usable:
+            cloud = summary_of(state, summaries.FuseSummary)
+            clouds[task.subject] = CloudRecord(cloud_name(task.subject), cloud.points, cloud.bounds, cloud.right)
+    return clouds
 
 
 def _results(plan: Plan, files: Mapping[str, Collection[str]]) -> Iterator[tuple[str, summaries.SiteSummary]]:
@@ -237,8 +238,9 @@ def _joined_views(views: Sequence[CameraRecord]) -> CameraRecord:
     used = usable or list(views)
     lost = tuple(f"{view.id}: {view.reason or view.outcome}" for view in views if usable and not view.ok)
     notes = tuple(dict.fromkeys(note for view in views for note in view.notes))
-    names = [field.name for field in dataclasses.fields(summaries.CameraFigures)]
-    joined = {name: _joined_figure([getattr(view.figures, name) for view in used], name in _SUMMED) for name in names}
+    joined = {
+        name: _joined_figure([getattr(view.figures, name) for view in used], name in _SUMMED) for name in vars(used[0].figures)
+    }
     figures = summaries.CameraFigures(**joined)
     return replace(used[0], id=camera_of(views[0].id), notes=(*notes, *lost), figures=figures)
 

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from ..cache.store import Preimage, Receipt
 from ..pipeline.stages import PAIRS, stage_named
 from ..runner.planner import Plan
-from ..runner.spec import TaskSpec
 from ..task import Task
 
 _MOST_NAMED_INPUTS = 3
@@ -45,39 +44,36 @@ class Status:
 
 def explain(plan: Plan) -> Status:
     """Return what would become of each task of a plan, and why."""
-    lines = {task: Line(str(task), state.outcome, state.reason or "") for task, state in plan.states.items()}
     costs: dict[str, list[float]] = {}
+    lines: dict[Task, Line] = {}
     for task, state in plan.states.items():
+        lines[task] = Line(str(task), state.outcome, state.reason or "")
         if state.receipt:
             costs.setdefault(task.stage, []).append(state.receipt.cpu)
-    causes = {task: _why(plan, spec) for task, spec in plan.ready.items()} | {task: _pending(plan, task) for task in plan.waiting}
-    for task, why in causes.items():
-        last, stage_costs = plan.cache.newest(task), costs.get(task.stage)
-        seconds = last.cpu if last else sum(stage_costs) / len(stage_costs) if stage_costs else None
-        lines[task] = Line(str(task), "would run", why, seconds)
-    order = {stage.name: i for i, stage in enumerate(plan.stages)}
-    ordered = tuple(lines[task] for task in sorted(lines, key=lambda t: order[t.stage]))
+    mean_costs = {stage: sum(values) / len(values) for stage, values in costs.items()}
+    for task in (*plan.ready, *plan.waiting):
+        last = plan.cache.newest(task)
+        seconds = last.cpu if last else mean_costs.get(task.stage)
+        lines[task] = Line(str(task), "would run", _why(plan, task, last), seconds)
+    order = {stage.name: number for number, stage in enumerate(plan.stages)}
+    ordered = tuple(lines[task] for task in sorted(lines, key=lambda task: order[task.stage]))
     expected = [line.seconds for line in ordered if line.seconds is not None]
-    pairs_to_come = not plan.pairs_known() and stage_named(PAIRS) in plan.stages
+    pairs_to_come = stage_named(PAIRS) in plan.stages and None in (plan.subjects.pairs(), plan.subjects.pairs(dense=True))
     totals = dict(Counter(line.state for line in ordered))
     return Status(plan.site.name, plan.night, ordered, totals, sum(expected) if expected else None, pairs_to_come)
 
 
-def _why(plan: Plan, spec: TaskSpec) -> str:
-    if spec.force:
+def _why(plan: Plan, task: Task, last: Receipt | None) -> str:
+    """Return why a task that is ready or waiting would run.  last: its newest receipt."""
+    spec = plan.ready.get(task)
+    if spec and spec.force:
         return "forced"
-    last = plan.cache.newest(spec.task)
     if last is None:
         return "never run"
-    return difference(last, spec.preimage()) or "its artifact is gone"
-
-
-def _pending(plan: Plan, task: Task) -> str:
-    """How many inputs of a waiting task will be made again (if that gives the same bytes, the task is not run)."""
-    if plan.cache.newest(task) is None:
-        return "never run"
+    if spec:
+        return difference(last, spec.preimage()) or "its artifact is gone"
     upstreams = plan.upstreams(task)
-    pending = sum(upstream not in plan.states for upstream in upstreams)
+    pending = sum(upstream not in plan.states for upstream in upstreams)  # if they give the same bytes, the task is not run
     if not pending:
         return "once the pair graph is known"
     return f"{pending} of {len(upstreams)} inputs will change" if pending > 1 else "an input may change"

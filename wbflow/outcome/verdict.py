@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 
@@ -27,7 +27,7 @@ from ..site.models import Expected, Measure
 from ..task import Task, camera_of
 from ..words import counted
 from .acknowledge import Acknowledgement, split
-from .baseline import Baseline, figures_of, settings_of, usual_of, with_appearance
+from .baseline import earlier_runs, figures_of, settings_of, usual_before, usual_of, with_appearance
 from .run_record import root_cause
 
 PLANNED_PAIRS = 0.5
@@ -91,7 +91,6 @@ SOFT_SHARE = 1 / 3
 camera may see what is hard to measure."""
 MOST_LETTERS = 200
 """Longest reason in a finding, in characters."""
-_EXIT_CODES: Mapping[Level, ExitCode] = {"good": ExitCode.GOOD, "degraded": ExitCode.DEGRADED, "failed": ExitCode.FAILED}
 
 
 @dataclass(frozen=True)
@@ -112,8 +111,9 @@ class Facts:
     """How lenses and poses differ from those of the reference, which is therefore not used."""
     acknowledged: tuple[Acknowledgement, ...] = ()
     expected: Expected = field(default_factory=Expected)
-    baseline: Baseline = field(default_factory=Baseline)
-    """What the site file expects of good nights, and the runs before this one."""
+    """What the site file expects of good nights."""
+    earlier: tuple[RunRecord, ...] = ()
+    """The runs before this one, newest first, one for each night."""
 
     @staticmethod
     def from_plan(plan: Plan, interrupted: bool) -> Facts:
@@ -123,36 +123,37 @@ class Facts:
         product = stage_named(FUSE) in plan.stages
         missing = None
         if plan.until and not product:
-            state = plan.states.get(Task(plan.until))
+            last = Task(plan.until)
+            state = plan.states.get(last)
             if state and not state.usable:
-                missing = plan.until, root_cause(plan, Task(plan.until)) or ""
-        return Facts(failed, product, missing, interrupted, stopped, calibration_change=plan.calibration_change)
+                missing = plan.until, root_cause(plan, last) or ""
+        change, expected = plan.calibration_change, plan.site.settings.expect
+        return Facts(failed, product, missing, interrupted, stopped, calibration_change=change, expected=expected)
 
 
 def judge_run(record: RunRecord, plan: Plan, facts: Facts) -> RunRecord:
     """Return the record with the figures it is compared with, the health of its cameras, its verdict and its exit code."""
-    expected, settings, work = plan.site.settings.expect, settings_of(plan.site), plan.cache.work
-    baseline = Baseline.of_earlier_runs(work, record.run, record.date)
-    usual = baseline.usual(settings, expected.since)
+    settings, work = settings_of(plan.site), plan.cache.work
+    earlier = earlier_runs(work, record.run, record.date)
+    usual = usual_before(earlier, settings, facts.expected.since)
     if plan.reference and not plan.reference.automatic:  # pinned by an operator: its figures count as usual
         with suppress(NoSuchRun):  # removed since
             pinned = RunFolder.of(work, plan.reference.run).record()
             if pinned.settings == settings and pinned.cloud:
                 pinned_usual = usual_of([pinned])
                 usual = Usual(1, pinned_usual.figures, usual.cameras if usual else pinned_usual.cameras, pinned.run)
-    facts = replace(facts, expected=expected, baseline=baseline)
-    return judge(replace(record, settings=settings, usual=usual), facts)
+    return judge(replace(record, settings=settings, usual=usual), replace(facts, earlier=earlier))
 
 
 def judge(record: RunRecord, facts: Facts) -> RunRecord:
     """Return a record, whose usual figures are set, with the health of its cameras, its verdict and its exit code."""
     record = with_appearance(record, facts.expected)
-    record = replace(record, cameras=tuple(_with_down(camera, record, facts.baseline) for camera in record.cameras))
+    record = replace(record, cameras=tuple(_with_down(camera, record, facts.earlier) for camera in record.cameras))
     all_findings = (entry for check in CHECKS for entry in check(record, facts))
     findings, acknowledged = split(all_findings, facts.acknowledged, record.date)
     levels = {FINDINGS[entry.kind].level for entry in findings if not _is_tolerated(entry, record, facts)}
     level: Level = "failed" if "failed" in levels else "degraded" if "degraded" in levels else "good"
-    code = ExitCode.INTERRUPTED if facts.interrupted else _EXIT_CODES[level]
+    code = ExitCode.INTERRUPTED if facts.interrupted else ExitCode[level.upper()]
     return replace(record, verdict=Verdict(level, findings, acknowledged), exit_code=code)
 
 
@@ -185,43 +186,51 @@ def check_cameras(record: RunRecord, facts: Facts) -> Iterator[Finding]:
     blamed = blame(record)
     excused = {name for excused_names in blamed.values() for name in excused_names}
     for camera in record.cameras:
-        entry = _camera_finding(camera, record)
-        if entry and entry.kind == "camera-no-usable-pair":
+        entry, down = _camera_finding(camera, record), camera.down
+        if entry is None or down is None:  # `down` of a camera with a finding is never None
+            continue
+        if entry.kind == "camera-no-usable-pair":
             may_be_dense = not facts.product and camera.figures.pose_from == "stated"  # on rows that its pose predicts
-            entry = None if camera.id in excused or may_be_dense else _with_blame(entry, blamed.get(camera.id))
-        if entry:
-            down = camera.down
-            duration = f"; {down.words(left_out=not camera.ok)}" if down and down.nights > 1 else ""
-            figures = {"since": down.since, "nights": down.nights} if down else {}
-            yield replace(entry, text=entry.text + duration, figures={**entry.figures, **figures})
+            if may_be_dense or camera.id in excused:
+                continue
+            if camera.id in blamed:
+                entry = _with_blame(entry, blamed[camera.id])
+        duration = f"; {down.words(left_out=not camera.ok)}" if down.nights > 1 else ""
+        figures = {**entry.figures, "since": down.since, "nights": down.nights}
+        yield replace(entry, text=entry.text + duration, figures=figures)
 
 
 def _camera_finding(camera: CameraRecord, record: RunRecord) -> Finding | None:
-    return next((result for check in _CAMERA_CHECKS if (result := check(camera, record))), None)
-
-
-def _health_finding(camera: CameraRecord, record: RunRecord) -> Finding | None:
-    health = camera.health
-    if health is None or health.ok:
+    """Return the most important finding about a camera, if there is one."""
+    subject, health, poses = (camera.id,), camera.health, record.poses or PosesSummary()
+    lost = FINDINGS["camera-unsolved" if camera.code == Cause.UNSOLVED else "camera-lost"]
+    remedy_of_lost = lost.remedy
+    if camera.code == Cause.NO_CAPTURE:
+        remedy_of_lost = remedy_of_lost.replace("check the camera", "check that it delivers")
+    if health and not health.ok:
+        reason = health.text if camera.ok else f"{shortened(health.text)}; left out tonight"
+        remedy = health.remedy or (None if camera.ok else remedy_of_lost)
+        return finding(f"camera-{health.state}", subject, health.figures, health.expected, remedy, reason=reason)
+    if not camera.ok:
+        return finding(lost.code, subject, remedy=remedy_of_lost, reason=shortened(camera.reason or camera.outcome))
+    if moved := poses.issues_of("moved").get(camera.id):
+        return finding("camera-moved", subject, reason=moved.text)
+    unverified = poses.issues_of("unverified").get(camera.id)
+    if unverified and not _is_refuted(unverified, record):
+        return finding("camera-unverified", subject, reason=unverified.text)
+    pairs = record.pairs_of(camera.id)
+    if record.pairs and not pairs:
+        return finding("camera-unpaired", subject)
+    tried = [pair for pair in pairs if pair.outcome != "skipped" and pair.dense is not False]
+    if not tried or any(pair.ok for pair in tried):
         return None
-    reason = health.text if camera.ok else f"{shortened(health.text)}; left out tonight"
-    remedy = health.remedy or (None if camera.ok else _remedy_of_lost(camera))
-    return finding(f"camera-{health.state}", (camera.id,), health.figures, health.expected, remedy, reason=reason)
-
-
-def _left_out_finding(camera: CameraRecord, record: RunRecord) -> Finding | None:
-    if camera.ok:
-        return None
-    code = "camera-unsolved" if camera.code == Cause.UNSOLVED else "camera-lost"
-    return finding(code, (camera.id,), remedy=_remedy_of_lost(camera), reason=shortened(camera.reason or camera.outcome))
-
-
-def _pose_finding(camera: CameraRecord, record: RunRecord) -> Finding | None:
-    poses = record.poses or PosesSummary()
-    if issue := poses.issues_of("moved").get(camera.id):
-        return finding("camera-moved", (camera.id,), reason=issue.text)
-    issue = poses.issues_of("unverified").get(camera.id)
-    return finding("camera-unverified", (camera.id,), reason=issue.text) if issue and not _is_refuted(issue, record) else None
+    count_text = f"none of its {len(tried)} pairs could" if len(tried) > 1 else "its only pair could not"
+    remedy = FINDINGS["camera-no-usable-pair"].remedy
+    if any(pair.figures.known == "stated" for pair in tried):
+        remedy += "; or its pose is not the one in the site file: measure it again, or leave it out to have it solved"
+    reason = f"{count_text} be used: {_most_common_reason(tried)}"
+    usable, planned = {str(Measure.PAIRS): 0}, {str(Measure.PAIRS): len(tried)}
+    return finding("camera-no-usable-pair", subject, usable, planned, remedy, reason=reason)
 
 
 def _is_refuted(issue: PoseIssue, record: RunRecord) -> bool:
@@ -245,41 +254,14 @@ def _agrees_with_poses(pair: PairRecord) -> bool | None:
     return False if figures.probability >= LEAST_PROBABILITY else None
 
 
-def _unpaired_finding(camera: CameraRecord, record: RunRecord) -> Finding | None:
-    return finding("camera-unpaired", (camera.id,)) if record.pairs and not record.pairs_of(camera.id) else None
-
-
-def _unusable_pairs_finding(camera: CameraRecord, record: RunRecord) -> Finding | None:
-    pairs = record.pairs_of(camera.id)
-    tried = [pair for pair in pairs if pair.outcome != "skipped" and pair.dense is not False]
-    if not tried or any(pair.ok for pair in tried):
-        return None
-    count_text = f"none of its {len(tried)} pairs could" if len(tried) > 1 else "its only pair could not"
-    remedy = FINDINGS["camera-no-usable-pair"].remedy
-    if any(pair.figures.known == "stated" for pair in tried):
-        remedy += "; or its pose is not the one in the site file: measure it again, or leave it out to have it solved"
-    reason = f"{count_text} be used: {_most_common_reason(tried)}"
-    usable, planned = {str(Measure.PAIRS): 0}, {str(Measure.PAIRS): len(tried)}
-    return finding("camera-no-usable-pair", (camera.id,), usable, planned, remedy, reason=reason)
-
-
-_CAMERA_CHECKS = (_health_finding, _left_out_finding, _pose_finding, _unpaired_finding, _unusable_pairs_finding)
-
-
-def _remedy_of_lost(camera: CameraRecord) -> str:
-    if camera.code == Cause.UNSOLVED:
-        return FINDINGS["camera-unsolved"].remedy
-    remedy = FINDINGS["camera-lost"].remedy
-    return remedy.replace("check the camera", "check that it delivers") if camera.code == Cause.NO_CAPTURE else remedy
-
-
-def _with_down(camera: CameraRecord, record: RunRecord, baseline: Baseline) -> CameraRecord:
+def _with_down(camera: CameraRecord, record: RunRecord, earlier: Sequence[RunRecord]) -> CameraRecord:
     """Count for how many nights a camera has been down; add a note to one that is well again."""
-    previous = baseline.camera(camera.id)
-    last_down = previous[1].down if previous else None
+    past = ((night.date, known.down) for night in earlier for known in night.cameras if known.id == camera.id)
+    last_date, last_down = next(past, ("", None))
     if _camera_finding(camera, record):
-        nights = last_down.nights + (previous is not None and previous[0] != record.date) if last_down else 1
-        return replace(camera, down=Down(last_down.since if last_down else record.date, nights))
+        if last_down is None:
+            return replace(camera, down=Down(record.date))
+        return replace(camera, down=Down(last_down.since, last_down.nights + (last_date != record.date)))
     if last_down:
         note = f"back after {counted(last_down.nights, 'night')}: it was down since {last_down.since}"
         return replace(camera, notes=(*camera.notes, note))
@@ -295,9 +277,13 @@ def blame(record: RunRecord) -> Mapping[str, tuple[str, ...]]:
     """
     used = {name for pair in record.pairs if pair.ok for name in pair.cameras}
     remaining = [pair for pair in record.pairs if _contradicts_poses(pair)]
-    pairs_of = {name: {p.name for p in remaining if name in p.cameras} for name in _counts(remaining) if name not in used}
+    suspects = {name for pair in remaining for name in pair.cameras} - used
+    pairs_of = {name: {pair.name for pair in remaining if name in pair.cameras} for name in suspects}
     blamed: dict[str, set[str]] = {}
-    while (name := _most_frequent(remaining, pairs_of)) is not None:
+    while counts := Counter(name for pair in remaining for name in pair.cameras if name in suspects).most_common(2):
+        (name, count), *others = counts
+        if count < 2 or (others and others[0][1] == count):
+            break
         blamed[name] = {pair.name for pair in remaining if name in pair.cameras}
         remaining = [pair for pair in remaining if name not in pair.cameras]
     explained = set().union(*blamed.values())
@@ -310,23 +296,8 @@ def _contradicts_poses(pair: PairRecord) -> bool:
     return not pair.ok and pair.figures.known == "stated" and share is not None and chance is not None and chance > share
 
 
-def _counts(pairs: Iterable[PairRecord]) -> Counter[str]:
-    return Counter(name for pair in pairs for name in pair.cameras)
-
-
-def _most_frequent(pairs: Iterable[PairRecord], cameras: Iterable[str]) -> str | None:
-    """Return the one of these cameras that is in most pairs; None if it is in one pair only, or another of them is in as many."""
-    candidates = set(cameras)
-    counts = [(name, count) for name, count in _counts(pairs).most_common() if name in candidates]
-    if not counts or counts[0][1] < 2 or (len(counts) > 1 and counts[1][1] == counts[0][1]):
-        return None
-    return counts[0][0]
-
-
-def _with_blame(entry: Finding, excused: tuple[str, ...] | None) -> Finding:
+def _with_blame(entry: Finding, excused: tuple[str, ...]) -> Finding:
     """Add that the stated pose of the camera is at fault, and which others have no usable pair because of it."""
-    if excused is None:
-        return entry
     text = f"{entry.text}; a wrong stated pose of this camera explains that better than one of any other camera"
     if excused:
         have = "has" if len(excused) == 1 else "have"
@@ -337,48 +308,46 @@ def _with_blame(entry: Finding, excused: tuple[str, ...] | None) -> Finding:
 
 def check_captures(record: RunRecord, facts: Facts) -> Iterator[Finding]:
     """Did captures change during the run, and does each camera deliver images of its own?"""
-    in_motion = {camera.id: names for camera in record.cameras if (names := camera.captures_in_motion)}
+    in_motion = {camera.id: camera.captures_in_motion for camera in record.cameras if camera.captures_in_motion}
     if in_motion:
         files = [name for names in in_motion.values() for name in names]
         yield finding("captures-in-motion", tuple(in_motion), {"captures": len(files)}, captures=_names(files))
-    for names in _same_pictures(record.cameras):
-        yield finding("cameras-alike", names, cameras=_names(names))
-
-
-def _same_pictures(cameras: Iterable[CameraRecord]) -> Iterator[tuple[str, ...]]:
-    groups: dict[str, list[str]] = {}
-    for camera in cameras:
-        if (camera.figures.contrast or 0.0) > LEAST_CONTRAST and (digest := camera.figures.picture_digest):
-            groups.setdefault(digest, []).append(camera.id)
-    yield from (tuple(names) for names in groups.values() if len(names) > 1)
+    alike: dict[str, list[str]] = {}
+    for camera in record.cameras:
+        if camera.figures.picture_digest and (camera.figures.contrast or 0.0) > LEAST_CONTRAST:
+            alike.setdefault(camera.figures.picture_digest, []).append(camera.id)
+    for names in alike.values():
+        if len(names) > 1:
+            yield finding("cameras-alike", tuple(names), cameras=_names(names))
 
 
 def check_pictures(record: RunRecord, facts: Facts) -> Iterator[Finding]:
     """Are images too blurred, noisy, badly lit or coarsely coded for measuring?"""
     used = [camera for camera in record.cameras if camera.ok]
-    soft = {camera.id: _soft_figures(camera) for camera in used if _is_soft(camera) or _is_unresolved(camera)}
-    if any(map(_is_soft, used)) or (soft and len(soft) >= SOFT_SHARE * len(used)):
-        worst = {name: max(figures[name] for figures in soft.values()) for name in (*_SOFT_LIMITS, *_SHOWN_FIGURES)}
-        worst["contrast"] = min(figures["contrast"] for figures in soft.values())
-        yield finding("pictures-soft", tuple(soft), worst, None, None, cameras=_names(soft), **worst)
+    soft = [camera for camera in used if _is_soft(camera) or _is_unresolved(camera)]
+    if soft and (any(map(_is_soft, soft)) or len(soft) >= SOFT_SHARE * len(used)):
+        worst = {name: max(_figure(camera, name) for camera in soft) for name in (*_SOFT_LIMITS, *_SHOWN_FIGURES)}
+        worst["contrast"] = min(_figure(camera, "contrast") for camera in soft)
+        names = tuple(camera.id for camera in soft)
+        yield finding("pictures-soft", names, worst, None, None, cameras=_names(names), **worst)
 
 
-def _soft_figures(camera: CameraRecord) -> dict[str, float]:
-    return {name: float(getattr(camera.figures, name) or 0.0) for name in (*_SOFT_LIMITS, *_SHOWN_FIGURES)}
+def _figure(camera: CameraRecord, name: str) -> float:
+    return float(getattr(camera.figures, name) or 0.0)
 
 
 def _is_soft(camera: CameraRecord) -> bool:
     """Is a camera out of focus, noisy or coarsely coded, by its images alone?"""
-    figures = _soft_figures(camera)
-    return any(figures[name] > limit for name, limit in _SOFT_LIMITS.items())
+    return any(_figure(camera, name) > limit for name, limit in _SOFT_LIMITS.items())
 
 
 def _is_unresolved(camera: CameraRecord) -> bool:
     """Are a camera's images overexposed or faint, or less resolved, by their points' errors, than their pixels promise?"""
-    figures, misfit = _soft_figures(camera), camera.figures.misfit or 0.0
-    unresolved = misfit > MOST_MISFIT or (misfit > LEAST_MISFIT and misfit * figures["detail_px"] > UNRESOLVED)
-    badly_lit = figures["saturated"] > OVEREXPOSED or 0.0 < figures["contrast"] < FAINT
-    return unresolved or misfit * figures["coarseness"] > BLURRED_BY_CODING or badly_lit
+    misfit = _figure(camera, "misfit")
+    unresolved = misfit > MOST_MISFIT or (misfit > LEAST_MISFIT and misfit * _figure(camera, "detail_px") > UNRESOLVED)
+    coarsely_coded = misfit * _figure(camera, "coarseness") > BLURRED_BY_CODING
+    badly_lit = _figure(camera, "saturated") > OVEREXPOSED or 0.0 < _figure(camera, "contrast") < FAINT
+    return unresolved or coarsely_coded or badly_lit
 
 
 def check_calibration(record: RunRecord, facts: Facts) -> Iterator[Finding]:
@@ -455,53 +424,53 @@ def _explanation(check: CalibrationCheck) -> str:
 def check_poses(record: RunRecord, facts: Facts) -> Iterator[Finding]:
     """Are poses and lenses known well enough?  Even wrong ones may fit the images."""
     poses = record.poses or PosesSummary()
-    contradicted = poses.issues_of("contradicted")
-    if not poses.contradiction:  # the finding on a contradiction explains these, too
-        for reason in dict.fromkeys(issue.text for issue in contradicted.values()):
-            issues = [issue for issue in contradicted.values() if issue.text == reason]
-            if not all(_is_refuted(issue, record) for issue in issues):
-                yield finding("poses-contradicted", tuple(issue.camera for issue in issues), reason=reason)
-    if affected := poses.issues_of("uncertain"):
-        row_px = max(issue.row_px or 0.0 for issue in affected.values())
-        yield finding("poses-uncertain", tuple(affected), {"row_px": row_px}, row_px=row_px, cameras=_names(affected))
-    if affected := poses.issues_of("inconsistent"):
-        strain = max(issue.strain or 0.0 for issue in affected.values())
-        yield finding("poses-inconsistent", tuple(affected), {"strain": strain}, factor=strain, cameras=_names(affected))
-    if affected := poses.issues_of("lens-undetermined"):
-        focal, border = (max(getattr(issue, name) or 0.0 for issue in affected.values()) for name in ("focal", "border_px"))
-        words = {"cameras": _names(affected), "focal_percent": 100 * focal, "border_px": border}
-        yield finding("lens-undetermined", tuple(affected), {"focal": focal, "border_px": border}, None, None, **words)
+    contradicted: dict[str, list[PoseIssue]] = {}
+    for issue in poses.issues_of("contradicted").values():
+        contradicted.setdefault(issue.text, []).append(issue)
+    for reason, issues in contradicted.items():
+        # a contradiction of the calibration as a whole has a finding that explains these, too
+        if not poses.contradiction and not all(_is_refuted(issue, record) for issue in issues):
+            yield finding("poses-contradicted", tuple(issue.camera for issue in issues), reason=reason)
+    if uncertain := poses.issues_of("uncertain"):
+        row_px = max(issue.row_px or 0.0 for issue in uncertain.values())
+        yield finding("poses-uncertain", tuple(uncertain), {"row_px": row_px}, row_px=row_px, cameras=_names(uncertain))
+    if inconsistent := poses.issues_of("inconsistent"):
+        strain = max(issue.strain or 0.0 for issue in inconsistent.values())
+        yield finding("poses-inconsistent", tuple(inconsistent), {"strain": strain}, factor=strain, cameras=_names(inconsistent))
+    if lenses := poses.issues_of("lens-undetermined"):
+        focal = max(issue.focal or 0.0 for issue in lenses.values())
+        border_px = max(issue.border_px or 0.0 for issue in lenses.values())
+        figures, names = {"focal": focal, "border_px": border_px}, _names(lenses)
+        words = {"focal_percent": 100 * focal, "border_px": border_px}
+        yield finding("lens-undetermined", tuple(lenses), figures, None, None, cameras=names, **words)
 
 
 def check_depths(record: RunRecord, facts: Facts) -> Iterator[Finding]:
     """Do pairs agree on depths?  A wrong pose or lens can shift depths along epipolar lines, where matches do not reveal it."""
-    poses = record.poses
-    if poses and poses.contradiction:
+    if record.poses and record.poses.contradiction:
         return  # the finding on a contradiction explains wrong depths, too
+    rows_agree = record.poses is not None and record.poses.rows_agree
     solved = {camera.id for camera in record.cameras if camera.figures.pose_from == "solved"}
-    differences = [
-        ({camera.id, *map(camera_of, pair.split("--"))}, px)
-        for camera in record.cameras
-        for pair, px in (camera.figures.apart_px or {}).items()
-        if px <= LOOK_ALIKES_PX
-    ]
-    rows_agree = poses is not None and poses.rows_agree
-    limits = (MOST_DIFFERENCE_SOLVED_PX if rows_agree or cameras & solved else MOST_DIFFERENCE_PX for cameras, _ in differences)
-    with_limits = [(cameras, px, limit) for (cameras, px), limit in zip(differences, limits, strict=True)]
-    above_limit = sorted((px / limit, px, limit) for _, px, limit in with_limits if px > limit)
-    if not above_limit or (len(above_limit) == 1 and above_limit[0][0] <= SINGLE_DIFFERENCE_FACTOR):
-        return
-    _, largest, limit = above_limit[-1]
+    too_large: list[tuple[float, float, float]] = []  # as a multiple of the limit, pixels, limit
     scores: Counter[str] = Counter()
-    for cameras, px, tolerated in with_limits:
-        scores.update(dict.fromkeys(cameras, 1 if px > tolerated else -1))
-    worst = max(scores.values())
-    suspects = tuple(camera for camera, score in scores.items() if score == worst >= 0)
+    for camera in record.cameras:
+        for pair, px in (camera.figures.apart_px or {}).items():
+            if px > LOOK_ALIKES_PX:
+                continue
+            cameras = dict.fromkeys([camera.id, *map(camera_of, pair.split("--"))])
+            limit = MOST_DIFFERENCE_SOLVED_PX if rows_agree or solved & cameras.keys() else MOST_DIFFERENCE_PX
+            if px > limit:
+                too_large.append((px / limit, px, limit))
+            scores.update(dict.fromkeys(cameras, 1 if px > limit else -1))
+    if not too_large or (len(too_large) == 1 and too_large[0][0] <= SINGLE_DIFFERENCE_FACTOR):
+        return
+    _, px, limit = max(too_large)
+    highest = max(scores.values())
+    suspects = tuple(camera for camera, score in scores.items() if score == highest >= 0)
     cause = "no single camera explains it; all may be slightly off"
     if suspects:
         cause = f"the pose or lens of {' or '.join(suspects)} is probably wrong"
-    words = {"px": largest, "limit": limit, "cause": cause}
-    yield finding("pairs-disagree", suspects, {"apart_px": largest}, {"apart_px": limit}, None, **words)
+    yield finding("pairs-disagree", suspects, {"apart_px": px}, {"apart_px": limit}, px=px, limit=limit, cause=cause)
 
 
 def check_survey(record: RunRecord, facts: Facts) -> Iterator[Finding]:
@@ -512,17 +481,17 @@ def check_survey(record: RunRecord, facts: Facts) -> Iterator[Finding]:
     if poses.distances_off:
         pair, (stated, measured) = max(poses.distances_off.items(), key=lambda entry: abs(math.log(entry[1][1] / entry[1][0])))
         suffix = f"; {others} more distances are off as well" if (others := len(poses.distances_off) - 1) else ""
-        words = {"pair": pair, "stated": stated, "found": measured, "more": suffix}
-        yield finding("distances-contradicted", tuple(pair.split("--")), {"metres": measured}, {"metres": stated}, None, **words)
+        subject, figures, expected = tuple(pair.split("--")), {"metres": measured}, {"metres": stated}
+        yield finding("distances-contradicted", subject, figures, expected, pair=pair, stated=stated, found=measured, more=suffix)
     if poses.points_off:
         error, tolerated = max(poses.points_off.values())
-        figures, words = {"off_m": error}, {"off": error, "points": _names(poses.points_off)}
-        yield finding("control-contradicted", (), figures, {"off_m": tolerated}, None, tolerated=tolerated, **words)
+        names, figures, expected = _names(poses.points_off), {"off_m": error}, {"off_m": tolerated}
+        yield finding("control-contradicted", (), figures, expected, off=error, points=names, tolerated=tolerated)
     if "nearest" in poses.units_off:
         nearest, limit = poses.units_off["nearest"]
         unit = "kilometres" if nearest < limit else "millimetres"
-        figures = {"nearest_m": nearest}
-        yield finding("units-implausible", (), figures, {"nearest_m": limit}, None, nearest=nearest, limit=limit, unit=unit)
+        figures, expected = {"nearest_m": nearest}, {"nearest_m": limit}
+        yield finding("units-implausible", (), figures, expected, nearest=nearest, limit=limit, unit=unit)
 
 
 def _names(names: Iterable[str]) -> str:

@@ -32,15 +32,6 @@ _TYPING_MODULES = {"typing", "typing_extensions", "collections.abc"}
 _MOST_DEPTH = 10  # limit of the chain of modules through which an imported name is followed
 
 
-@dataclass(frozen=True)
-class FunctionInfo:
-    """A function: its dotted name, its signature, and a fingerprint of all code that it runs."""
-
-    dotted: str
-    signature: Signature
-    code: str
-
-
 class FunctionReader(Memo):
     """Reads functions from source, and keeps the results in a memo file as long as none of the source files changes.
 
@@ -55,8 +46,8 @@ class FunctionReader(Memo):
         if self.entries.get("form") != _FORMAT or any(file_stamp(file) != stamp for file, stamp in files.items()):
             self.entries = {"form": _FORMAT, "files": {}, "known": {}}
 
-    def read(self, dotted: str, table: str = "") -> FunctionInfo:
-        """Return the signature and fingerprint of "package.module:function".  Raises FunctionError if something is missing.
+    def code(self, dotted: str, table: str = "") -> str:
+        """Return a fingerprint of all code that "package.module:function" runs.  Raises FunctionError if something is missing.
 
         table: dotted name of the table from which the function chooses its method; its contents do not enter the fingerprint.
         """
@@ -68,23 +59,18 @@ class FunctionReader(Memo):
             return {"digest": code.digest, "libraries": code.libraries}, code.files
 
         entry = self._from_memo(f"code {excluded}", dotted, read)
-        code = Code(entry["digest"], tuple(entry["libraries"]), ())
-        return FunctionInfo(dotted, self.signature(dotted), code.fingerprint)
+        return Code(entry["digest"], tuple(entry["libraries"]), ()).fingerprint
 
     def signature(self, dotted: str) -> Signature:
-        """Return the signature of a function.  Raises FunctionError."""
-
-        def read() -> tuple[dict[str, Any], Iterable[Path]]:
-            signature, files = read_signature(self.modules, dotted)
-            return asdict(signature), files
-
-        entry = self._from_memo("signature", dotted, read)
+        """Return the signature of "package.module:function".  Raises FunctionError if something is missing."""
+        entry = self._from_memo("signature", dotted, lambda: _read_signature(self.modules, dotted))
         arguments = tuple(Argument(**argument) for argument in entry["arguments"])
-        return Signature(arguments, {name: Parameter(**row) for name, row in entry["parameters"].items()}, entry["takes_any"])
+        parameters = {name: Parameter(**parameter) for name, parameter in entry["parameters"].items()}
+        return Signature(dotted, arguments, parameters, entry["takes_any"])
 
     def table(self, dotted: str) -> dict[str, str]:
         """Return a table of methods: method name -> dotted function name.  Raises FunctionError."""
-        methods: dict[str, str] = self._from_memo("table", dotted, lambda: read_table(self.modules, dotted))
+        methods: dict[str, str] = self._from_memo("table", dotted, lambda: _read_table(self.modules, dotted))
         return methods
 
     def _from_memo(self, kind: str, dotted: str, read: Callable[[], tuple[Any, Iterable[Path]]]) -> Any:
@@ -170,33 +156,40 @@ class Argument:
 class Signature:
     """The arguments and parameters of a function."""
 
+    dotted: str
+    """Name of the function, package.module:function."""
     arguments: tuple[Argument, ...]
     parameters: dict[str, Parameter]
     takes_any: bool
     """It has a `**` argument, which accepts any further keyword."""
 
+    @property
+    def names(self) -> set[str]:
+        """The names of all arguments and parameters."""
+        return {argument.name for argument in self.arguments} | self.parameters.keys()
 
-def read_signature(modules: Modules, dotted: str) -> tuple[Signature, set[Path]]:
-    """Return the signature of "package.module:function", and the source files it is from.  Raises FunctionError."""
+
+def _read_signature(modules: Modules, dotted: str) -> tuple[dict[str, Any], set[Path]]:
+    """Return the signature of "package.module:function" as plain data, and the source files it is from.  Raises FunctionError."""
     module, path, node = modules.function(dotted)
     scope = _Scope(modules, module, path)
     args = node.args
-    required_count = len(args.posonlyargs) + len(args.args) - len(args.defaults)
-    arguments = tuple(
-        Argument(a.arg, k < required_count, k >= len(args.posonlyargs)) for k, a in enumerate([*args.posonlyargs, *args.args])
-    )
+    positional = [*args.posonlyargs, *args.args]
+    first_optional = len(positional) - len(args.defaults)
+    arguments = tuple(Argument(arg.arg, k < first_optional, k >= len(args.posonlyargs)) for k, arg in enumerate(positional))
     parameters = {}
-    for argument, default in zip(args.kwonlyargs, args.kw_defaults, strict=True):
-        annotation = ast.unparse(_InlineAliases(scope).visit(argument.annotation)) if argument.annotation else "Any"
+    for arg, default in zip(args.kwonlyargs, args.kw_defaults, strict=True):
+        annotation = ast.unparse(_inlined(arg.annotation, scope)) if arg.annotation else "Any"
+        value, source = None, ""
         try:
-            value, source = (None, "") if default is None else (scope.literal(default), "")
+            value = scope.literal(default) if default else None
         except ValueError:
-            value, source = None, ast.unparse(default) if default else ""
-        parameters[argument.arg] = Parameter(argument.arg, value, source, default is None, annotation)
-    return Signature(arguments, parameters, args.kwarg is not None), scope.read
+            source = ast.unparse(default) if default else ""
+        parameters[arg.arg] = Parameter(arg.arg, value, source, default is None, annotation)
+    return asdict(Signature(dotted, arguments, parameters, args.kwarg is not None)), scope.read
 
 
-def read_table(modules: Modules, dotted: str) -> tuple[dict[str, str], set[Path]]:
+def _read_table(modules: Modules, dotted: str) -> tuple[dict[str, str], set[Path]]:
     """Return a table of methods, name -> "package.module:function", and the source files it is from.
 
     Raises FunctionError if there is no such dictionary literal.
@@ -285,46 +278,42 @@ class _Scope:
         return _Scope(self.modules, origin, path, self.read, self.depth + 1).find(name)
 
 
-class _InlineAliases(ast.NodeTransformer):
-    """Rewrites an annotation with names of `typing` and built-ins only: type aliases are replaced by their definitions, and all
-    other names by Any."""
-
-    def __init__(self, scope: _Scope) -> None:
-        self.scope = scope
-
-    def visit_Constant(self, node: ast.Constant) -> Any:
-        try:
-            return self.visit(ast.parse(node.value, mode="eval").body) if isinstance(node.value, str) else node
-        except SyntaxError:
-            return _ANY
-
-    def visit_Name(self, node: ast.Name) -> Any:
-        definition = self.scope.find(node.id)
-        if not definition and hasattr(builtins, node.id):
-            return node
-        return self._resolved(definition)
-
-    def visit_Attribute(self, node: ast.Attribute) -> Any:
-        origin, name = self.scope.imported.get(node.value.id, ("", "")) if isinstance(node.value, ast.Name) else ("", "")
-        return self._resolved(self.scope.within(f"{origin}.{name}" if name else origin, node.attr))
-
-    def visit_Subscript(self, node: ast.Subscript) -> Any:
-        head: Any = self.visit(node.value)
-        name = head.id if isinstance(head, ast.Name) else "Any"
-        if name == "Literal":
-            return ast.Subscript(head, node.slice, ast.Load())
-        if name in {"Annotated", "Final"}:
-            return self.visit(node.slice.elts[0] if isinstance(node.slice, ast.Tuple) else node.slice)
-        return _ANY if name == "Any" else ast.Subscript(head, self.visit(node.slice), ast.Load())
-
-    def visit_Call(self, node: ast.Call) -> ast.AST:
-        return _ANY
-
-    def _resolved(self, definition: tuple[ast.expr, _Scope] | str) -> Any:
-        if isinstance(definition, str):
-            return ast.Name(definition, ast.Load()) if hasattr(typing, definition) else _ANY
-        expression, scope = definition
-        return _InlineAliases(scope).visit(expression)
-
-
 _ANY = ast.Name("Any", ast.Load())
+
+
+def _inlined(node: ast.expr, scope: _Scope) -> ast.expr:
+    """An annotation with names of `typing` and built-ins only: type aliases are replaced by their definitions, all other names by
+    Any."""
+    definition: tuple[ast.expr, _Scope] | str
+    match node:
+        case ast.Constant(value=str(text)):
+            try:
+                return _inlined(ast.parse(text, mode="eval").body, scope)
+            except SyntaxError:
+                return _ANY
+        case ast.Constant():
+            return node
+        case ast.BinOp(left=left, op=op, right=right):
+            return ast.BinOp(_inlined(left, scope), op, _inlined(right, scope))
+        case ast.Tuple(elts=elements) | ast.List(elts=elements):
+            return type(node)([_inlined(element, scope) for element in elements], ast.Load())
+        case ast.Subscript(value=head, slice=inner):
+            head = _inlined(head, scope)
+            name = head.id if isinstance(head, ast.Name) else "Any"
+            if name in {"Annotated", "Final"}:
+                return _inlined(inner.elts[0] if isinstance(inner, ast.Tuple) else inner, scope)
+            return (
+                _ANY if name == "Any" else ast.Subscript(head, inner if name == "Literal" else _inlined(inner, scope), ast.Load())
+            )
+        case ast.Name(id=name):
+            definition = scope.find(name)
+            if not definition and hasattr(builtins, name):
+                return node
+        case ast.Attribute(value=ast.Name(id=module), attr=name):
+            origin, original = scope.imported.get(module, ("", ""))
+            definition = scope.within(f"{origin}.{original}" if original else origin, name)
+        case _:
+            return _ANY
+    if isinstance(definition, tuple):
+        return _inlined(*definition)
+    return ast.Name(definition, ast.Load()) if hasattr(typing, definition) else _ANY

@@ -7,126 +7,32 @@ robust (edges across weak cuts), then filled with the best edges up to `degree` 
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections import Counter
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from ..task import camera_of
 
 if TYPE_CHECKING:
-    import networkx as nx
     import numpy as np
 
 Pair = tuple[str, str]
-Known = tuple[float, float, float]
-"""Evidence of a pair: angle between the views in degrees (nan if unknown), shared part 0 to 1, and `worth`."""
-Evidence = Mapping[Pair, Known]
+"""Two views, in the order of the site file."""
 
 MOST_CANDIDATES = 96
 """Largest number of candidate pairs per view, by descending worth; at most a third of them are taken (`MOST_PAIRS_PER_VIEW`)."""
 MOST_VIEWS_ALL_PAIRS = 32
 """Up to this number of views, `Overlap` has a row for each pair; with more views, pairs that share nothing may have none."""
-_SIMILARITY_LOSS, _BEST_ANGLE_DEG = 0.047, 12.0
-"""Relative loss of similarity per degree between two views, and the best angle (degrees) if only similarity is known."""
-MOST_DROPPED = 24
-"""Largest number of dropped pairs per view that are listed with their reason, by descending worth."""
-
-
-def cameras_of(pair: Pair) -> frozenset[str]:
-    """The cameras whose views make a pair."""
-    return frozenset(map(camera_of, pair))
-
-
-def worth(angle: np.ndarray, shared: np.ndarray) -> np.ndarray:
-    """(m,) worth of pairs: the shared part, reduced outside 10 to 25 degrees: wide enough to be exact, narrow enough to match."""
-    import numpy as np
-
-    penalty = np.maximum(0.0, (10 - angle) / 10) ** 2 + np.maximum(0.0, (angle - 25) / 15) ** 2
-    reduced: np.ndarray = shared / (1 + np.nan_to_num(penalty))
-    return reduced
-
-
-def unfit_reason(angle: float, shared: float, angles: tuple[float, float]) -> str | None:
-    """Why a pair is not worth matching; None if it is.  angles: smallest and largest permitted angle, degrees."""
-    min_angle, max_angle = angles
-    if shared <= 0:
-        return "they see nothing in common"
-    if not math.isnan(angle) and not min_angle <= angle <= max_angle:
-        side, bound = ("below", min_angle) if angle < min_angle else ("above", max_angle)
-        return f"views {angle:.0f} degrees apart, {side} {bound:g}"
-    return None
-
-
-def evidence_of(overlap: Any, angles: tuple[float, float], named: Collection[frozenset[str]]) -> tuple[dict[Pair, Known], int]:
-    """Return the evidence of the pairs that may be chosen or listed, and the number of all pairs.
-
-    If views have more than `MOST_CANDIDATES` pairs on average, each keeps its best ones, and further pairs are kept to connect
-    all cameras that can be connected.
-
-    angles: smallest and largest permitted angle, degrees.  named: camera pairs in the site file; all their view pairs are kept.
-    """
-    all_evidence = _all_evidence(overlap)
-    if len(all_evidence) <= len(overlap.cameras) * MOST_CANDIDATES // 2:
-        return all_evidence, len(all_evidence)
-    import networkx as nx
-
-    best_first = sorted(all_evidence, key=lambda pair: -all_evidence[pair][2])
-    fit = [pair for pair in best_first if not unfit_reason(*all_evidence[pair][:2], angles)]
-    kept_pairs = _among_best(best_first, MOST_DROPPED) | _among_best(fit, MOST_CANDIDATES)
-    kept_pairs |= {pair for pair in all_evidence if cameras_of(pair) in named}
-    groups = nx.utils.UnionFind()
-    for left, right in sorted(fit, key=lambda pair: pair not in kept_pairs):
-        cameras = camera_of(left), camera_of(right)
-        if groups[cameras[0]] != groups[cameras[1]]:
-            groups.union(*cameras)
-            kept_pairs.add((left, right))
-    return {pair: evidence for pair, evidence in all_evidence.items() if pair in kept_pairs}, len(all_evidence)
-
-
-def _all_evidence(overlap: Any) -> dict[Pair, Known]:
-    """The evidence of all pairs.  Two views of one camera have no baseline, and are not a pair."""
-    names = overlap.cameras
-    columns = overlap.pairs, overlap.angle_deg, overlap.shared, worth(overlap.angle_deg, _shared_with_baseline(overlap))
-    rows = zip(*(column.tolist() for column in columns), strict=True)
-    evidence: dict[Pair, Known] = {(names[i], names[j]): tuple(values) for (i, j), *values in rows}
-    return {pair: values for pair, values in evidence.items() if len(cameras_of(pair)) == 2}
-
-
-def _among_best(best_first: Iterable[Pair], most: int) -> set[Pair]:
-    """The pairs that are among the best `most` of at least one of their views."""
-    best_pairs, counts = set[Pair](), Counter[str]()
-    for pair in best_first:
-        if min(counts[view] for view in pair) < most:
-            best_pairs.add(pair)
-            counts.update(pair)
-    return best_pairs
-
-
-def _shared_with_baseline(overlap: Any) -> np.ndarray:
-    """Return shared parts (m,).  Among many views without poses, pairs that are too similar get less: they may have no baseline.
-
-    The similarity of views falls with the angle between them, by 4.7 % per degree on two photographed sites.  The median of the
-    views' best similarities is taken as the one at 0 degrees; a pair at 12 - a degrees then counts like one at 12 + a degrees.
-    """
-    import numpy as np
-
-    shared: np.ndarray = overlap.shared.copy()
-    only_similarity = np.isnan(overlap.angle_deg) & (shared > 0)
-    if len(overlap.cameras) > MOST_VIEWS_ALL_PAIRS and only_similarity.any():
-        best = np.zeros(len(overlap.cameras))
-        for side in overlap.pairs[only_similarity].T:
-            np.maximum.at(best, side, shared[only_similarity])
-        target = math.exp(-_SIMILARITY_LOSS * _BEST_ANGLE_DEG) * float(np.median(best[best > 0]))
-        shared[only_similarity] = np.minimum(shared[only_similarity], target**2 / shared[only_similarity])
-    return shared
-
-
 MOST_PAIRS_PER_VIEW = 32
 """Largest number of pairs per view: its depth map is fused from no more."""
-
+MOST_DROPPED = 24
+"""Largest number of dropped pairs per view that are listed with their reason, by descending worth."""
+MOST_NAMED = 8
+"""Largest number of left-out views named in the note about a view with `MOST_PAIRS_PER_VIEW` pairs."""
+_SIMILARITY_LOSS, _BEST_ANGLE_DEG = 0.047, 12.0
+"""Relative loss of similarity per degree between two views, and the best angle (degrees) if only similarity is known."""
 _LEAST_WORTH = 0.04
 """Pairs with a view of a multi-view camera are dropped below this worth, unless they connect cameras: other views see more."""
 _LEAST_SHARE_OF_BEST = 0.5
@@ -134,92 +40,18 @@ _LEAST_SHARE_OF_BEST = 0.5
 not the shared part of the views, and correct pairs of wide views have a similarity of a few hundredths."""
 
 
-def low_worth_pairs(evidence: Evidence) -> set[Pair]:
-    """Pairs with a view of a multi-view camera whose worth is too low (`_LEAST_WORTH`, `_LEAST_SHARE_OF_BEST`)."""
-    multi_view = {pair: cameras for pair in evidence if (cameras := cameras_of(pair)) != {*pair}}
-    best: dict[frozenset[str], float] = {}
-    for pair, cameras in multi_view.items():
-        best[cameras] = max(best.get(cameras, 0.0), evidence[pair][2])
-    low_worth = set()
-    for pair, cameras in multi_view.items():
-        angle, _, worth = evidence[pair]
-        least = min(_LEAST_WORTH, _LEAST_SHARE_OF_BEST * best[cameras]) if math.isnan(angle) else _LEAST_WORTH
-        if worth < least:
-            low_worth.add(pair)
-    return low_worth
+class Evidence(NamedTuple):
+    """What is known of a pair before it is matched."""
+
+    angle_deg: float
+    """Between the views; nan if unknown."""
+    shared: float
+    """Shared part of the views, 0 to 1."""
+    worth: float
+    """The shared part, reduced outside 10 to 25 degrees: wide enough to be exact, narrow enough to match."""
 
 
-def choose(candidates: nx.Graph, degree: int, forced: list[Pair], low_worth: Collection[Pair]) -> dict[Pair, str]:
-    """Choose forced pairs, a spanning tree, cover for weak cuts, then the best up to `degree`; returns reasons by chosen pair.
-
-    Parameters
-    ----------
-    candidates
-        Graph of views; its edges are pairs with `weight` (worth) and `order` (position in the evidence, which breaks ties).
-    degree
-        Pairs to choose at each view.
-    forced
-        Pairs that are always chosen.
-    low_worth
-        Pairs that are chosen only to connect cameras.
-    """
-    import networkx as nx
-
-    position = {node: i for i, node in enumerate(candidates.nodes)}
-    view_graph, camera_graph = nx.Graph(), nx.Graph()  # of views, and of cameras: views of one camera are connected by definition
-    view_graph.add_nodes_from(candidates.nodes)
-    camera_graph.add_nodes_from(map(camera_of, candidates.nodes))
-    chosen: dict[Pair, str] = {}
-
-    def take(u: str, v: str, reason: str) -> None:
-        pair = (u, v) if position[u] < position[v] else (v, u)
-        if pair not in chosen:
-            chosen[pair] = reason
-            view_graph.add_edge(u, v)
-            camera_graph.add_edge(camera_of(u), camera_of(v))
-
-    def has_room(u: str, v: str, most: int = MOST_PAIRS_PER_VIEW) -> bool:
-        return bool(max(view_graph.degree(u), view_graph.degree(v)) < most)
-
-    for pair in forced:
-        if has_room(*pair):
-            take(*pair, "included by the site file")
-    groups = nx.utils.UnionFind(camera_graph.nodes)
-    ranked = sorted(candidates.edges(data=True), key=lambda e: (-e[2]["weight"], e[2]["order"]))
-    for u, v, _ in ranked:  # Kruskal (1956), as long as both views have room
-        cameras = camera_of(u), camera_of(v)
-        if groups[cameras[0]] != groups[cameras[1]] and (view_graph.has_edge(u, v) or has_room(u, v)):
-            groups.union(*cameras)
-            take(u, v, "in the spanning tree")
-    best_weight = {cameras_of((u, v)): data["weight"] for u, v, data in reversed(ranked)}
-    views: dict[str, list[str]] = {}
-    for node in candidates.nodes:
-        views.setdefault(camera_of(node), []).append(node)
-    weakest = sorted(nx.bridges(camera_graph), key=lambda b: (best_weight.get(frozenset(b), 0.0), b))
-    for bridge in weakest:
-        camera_graph.remove_edge(*bridge)
-        side = min((nx.node_connected_component(camera_graph, end) for end in bridge), key=len)
-        camera_graph.add_edge(*bridge)
-        crossing_pairs = (
-            (-data["weight"], data["order"], u, v)
-            for camera in side
-            for u in views[camera]
-            for v, data in candidates[u].items()
-            if camera_of(v) not in side and groups[camera] == groups[camera_of(v)]
-            if not view_graph.has_edge(u, v) and has_room(u, v)
-        )
-        if best := min(crossing_pairs, default=None):
-            take(best[2], best[3], f"covers the weak cut {bridge[0]}--{bridge[1]}")
-    for u, v, _ in ranked:
-        is_useful = (u, v) not in low_worth and (v, u) not in low_worth
-        if not view_graph.has_edge(u, v) and is_useful and has_room(u, v, min(degree, MOST_PAIRS_PER_VIEW)):
-            triangles = len(set(view_graph[u]) & set(view_graph[v]))
-            take(u, v, f"closes {triangles} triangle{'s' * (triangles != 1)}" if triangles else "among the best of its cameras")
-    return chosen
-
-
-MOST_NAMED = 8
-"""Largest number of left-out views named in the note about a view with `MOST_PAIRS_PER_VIEW` pairs."""
+_NOTHING_KNOWN = Evidence(math.nan, 0.0, 0.0)
 
 
 @dataclass(frozen=True)
@@ -279,90 +111,33 @@ def select_pairs(
     -------
     PairGraph
     """
-    import networkx as nx  # here, so that a report that only shows the graph need not import it
-
-    included, excluded = {frozenset(p) for p in include}, {frozenset(p) for p in exclude}
-    evidence, count = evidence_of(overlap, (min_angle, max_angle), included | excluded)
-    unlisted_count = count - len(evidence)
+    included, excluded = dict.fromkeys(map(frozenset, include)), set(map(frozenset, exclude))
+    all_evidence = _evidence_of(overlap)
+    unfit = {pair: why for pair, known in all_evidence.items() if (why := _unfit_reason(known, min_angle, max_angle))}
+    evidence = _preselected(all_evidence, len(overlap.cameras), unfit, included.keys() | excluded)
     forced = _forced_pairs(included, overlap.cameras, evidence)
-    candidates = nx.Graph()
-    candidates.add_nodes_from(overlap.cameras)
-    reasons: dict[Pair, str] = {}
-    orders = itertools.count()  # counting the edges each time would be quadratic
-    for pair, (angle, shared, pair_worth) in evidence.items():
-        if cameras_of(pair) in excluded:
-            reasons[pair] = "excluded by the site file"
-        elif pair not in forced and (why := unfit_reason(angle, shared, (min_angle, max_angle))):
-            reasons[pair] = why
-        else:
-            candidates.add_edge(*pair, weight=pair_worth, order=next(orders))
-    low_worth = low_worth_pairs(evidence)
-    chosen = choose(candidates, degree, [p for p in evidence if p in forced and cameras_of(p) not in excluded], low_worth)
-    counts = Counter(camera for pair in chosen for camera in pair)
-    listed = _pairs_to_list(evidence, chosen)
+    evidence = evidence | {pair: _NOTHING_KNOWN for pair in forced if pair not in evidence}
+    best_first = sorted(evidence, key=lambda pair: -evidence[pair].worth)
+
+    for pair in forced:
+        unfit.pop(pair, None)
+    unfit |= {pair: "excluded by the site file" for pair in evidence if _cameras_of(pair) in excluded}
+    candidates = {pair: evidence[pair].worth for pair in best_first if pair not in unfit}
+    low_worth = _low_worth_pairs(evidence)
+    chosen = _choose(overlap.cameras, candidates, [p for p in evidence if p in forced and p in candidates], low_worth, degree)
+
+    counts = Counter(view for pair in chosen for view in pair)
+    listed = chosen.keys() | _among_best((pair for pair in best_first if pair not in chosen), MOST_DROPPED)
     edges = []
-    for pair, (angle, shared, _) in evidence.items():
-        if pair in listed:
-            reason = chosen.get(pair) or reasons.get(pair) or _drop_reason(pair, low_worth, counts, degree)
-            edges.append(Edge(*pair, kept=pair in chosen, reason=reason, angle_deg=angle, shared=shared))
-    kept = tuple((edge.left, edge.right) for edge in edges if edge.kept)
-    notes = {view: _left_out_note(view, candidates, chosen) for view in candidates if counts[view] >= MOST_PAIRS_PER_VIEW}
-    crowded = {view: note for view, note in notes.items() if note}
-    return PairGraph(kept, tuple(edges), groups(overlap.cameras, kept), unlisted_count + len(evidence) - len(edges), crowded)
-
-
-def _drop_reason(pair: Pair, low_worth: Collection[Pair], counts: Mapping[str, int], degree: int) -> str:
-    if pair in low_worth:
-        return "other views of their cameras share more"
-    if crowded := next((view for view in pair if counts[view] >= MOST_PAIRS_PER_VIEW), None):
-        return f"{crowded} has {MOST_PAIRS_PER_VIEW} better pairs, the most that a view can have"
-    return f"both cameras have better pairs already (degree {degree})"
-
-
-def _left_out_note(view: str, candidates: nx.Graph, chosen: Collection[Pair]) -> str:
-    """A note that names the candidates left out at a full view; "" if there are none."""
-    best_first = sorted(candidates[view].items(), key=lambda other: (-other[1]["weight"], other[1]["order"]))
-    left_out = [other for other, _ in best_first if (view, other) not in chosen and (other, view) not in chosen]
-    if not left_out:
-        return ""
-    names = ", ".join(left_out[:MOST_NAMED]) + (f" and {len(left_out) - MOST_NAMED} more" if len(left_out) > MOST_NAMED else "")
-    return f"it has {MOST_PAIRS_PER_VIEW} pairs, the most that a view can have; left out: those with {names}"
-
-
-def groups(views: Sequence[str], pairs: Collection[Pair]) -> tuple[tuple[str, ...], ...]:
-    """Groups of cameras that pairs connect, largest group first."""
-    import networkx as nx
-
-    graph = nx.Graph((camera_of(left), camera_of(right)) for left, right in pairs)
-    position = {camera: i for i, camera in enumerate(dict.fromkeys(map(camera_of, views)))}
-    graph.add_nodes_from(position)
-    components = [tuple(sorted(c, key=position.__getitem__)) for c in nx.connected_components(graph)]
-    return tuple(sorted(components, key=lambda c: (-len(c), position[c[0]])))
-
-
-def _pairs_to_list(evidence: Evidence, chosen: Collection[Pair]) -> set[Pair]:
-    """Return the pairs to list: all chosen ones, and the best dropped ones of each view."""
-    dropped = (pair for pair in evidence if pair not in chosen)
-    return {*chosen, *_among_best(sorted(dropped, key=lambda pair: -evidence[pair][2]), MOST_DROPPED)}
-
-
-def _forced_pairs(included: Collection[frozenset[str]], views: Sequence[str], evidence: dict[Pair, Known]) -> set[Pair]:
-    """The pairs that are always matched: one for each two cameras in `included`, the best if they have several views.
-
-    With many views, pairs that share nothing may be missing from the evidence; included ones are added to it.
-    """
-    forced = dict[frozenset[str], Pair]()
-    for pair in evidence if included else ():
-        cameras = cameras_of(pair)
-        if cameras in included and (cameras not in forced or evidence[pair][2] > evidence[forced[cameras]][2]):
-            forced[cameras] = pair
-    for cameras in [cameras for cameras in included if cameras not in forced] if len(views) > MOST_VIEWS_ALL_PAIRS else ():
-        first_views = {camera_of(view): view for view in reversed(views) if camera_of(view) in cameras}
-        if len(first_views) == 2:
-            left, right = sorted(first_views.values(), key=views.index)
-            forced[cameras] = left, right
-            evidence[left, right] = math.nan, 0.0, 0.0
-    return set(forced.values())
+    for pair in (pair for pair in evidence if pair in listed):
+        reason = chosen.get(pair) or unfit.get(pair) or _drop_reason(pair, low_worth, counts, degree)
+        edges.append(Edge(*pair, pair in chosen, reason, evidence[pair].angle_deg, evidence[pair].shared))
+    kept = tuple(pair for pair in evidence if pair in chosen)
+    left_out = [pair for pair in candidates if pair not in chosen]
+    full_views = [view for view in overlap.cameras if counts[view] >= MOST_PAIRS_PER_VIEW]
+    crowded = {view: note for view in full_views if (note := _left_out_note(view, left_out))}
+    untold = len(all_evidence.keys() | evidence.keys()) - len(edges)
+    return PairGraph(kept, tuple(edges), _groups(overlap.cameras, kept), untold, crowded)
 
 
 def select_dense_pairs(
@@ -393,38 +168,236 @@ def select_dense_pairs(
     -------
     PairGraph
     """
-    rule_graph = select_pairs(shared, degree=degree, min_angle=min_angle, max_angle=max_angle, include=include, exclude=exclude)
-    counts = Counter(view for pair in rule_graph.pairs for view in pair)
-    added: dict[Pair, Edge] = {}
+    graph = select_pairs(shared, degree=degree, min_angle=min_angle, max_angle=max_angle, include=include, exclude=exclude)
+    evidence = _evidence_of(shared)
+    by_rules, placed_views = set(graph.pairs), set(shared.cameras)
+    others = [pair for pair in pairs.pairs if pair not in by_rules]
+    placed = sorted((pair for pair in others if pair in evidence), key=lambda pair: -evidence[pair].worth)
+    counts = Counter(view for pair in graph.pairs for view in pair)
+    added: dict[Pair, str] = {}
 
-    def add(pair: Pair, angle: float, share: float, reason: str) -> None:
+    def add(pair: Pair, reason: str) -> None:
+        added[pair] = reason
         counts.update(pair)
-        added[pair] = Edge(*pair, kept=True, reason=reason, angle_deg=angle, shared=share)
 
-    placed, unplaced = _other_pairs(shared, pairs, set(rule_graph.pairs))
-    for pair, angle, share in placed:
+    for pair in placed:
         if max(counts[view] for view in pair) < min(degree, MOST_PAIRS_PER_VIEW):
-            add(pair, angle, share, "matched, and both cameras have room for it")
-    for pair, angle, share in placed:
+            add(pair, "matched, and both cameras have room for it")
+    for pair in placed:
         fewest, most = sorted(counts[view] for view in pair)
-        if not fewest and most < MOST_PAIRS_PER_VIEW and pair not in added:
-            add(pair, angle, share, "matched, and the only pair of a camera")
-    for pair in unplaced:
-        if max(counts[view] for view in pair) < MOST_PAIRS_PER_VIEW:
-            add(pair, math.nan, 0.0, "matched; its cameras are not both placed")
-    edges = [added.get((edge.left, edge.right), edge) for edge in rule_graph.edges]
-    listed = {(edge.left, edge.right) for edge in edges}
-    edges += [edge for pair, edge in added.items() if pair not in listed]
-    kept = tuple((edge.left, edge.right) for edge in edges if edge.kept)
-    views = dict.fromkeys([*shared.cameras, *(view for pair in kept for view in pair), *(c for g in pairs.components for c in g)])
-    return PairGraph(kept, tuple(edges), groups(list(views), kept), rule_graph.untold, rule_graph.crowded)
+        if fewest == 0 and most < MOST_PAIRS_PER_VIEW:
+            add(pair, "matched, and the only pair of a camera")
+    for pair in others:
+        if not placed_views.issuperset(pair) and max(counts[view] for view in pair) < MOST_PAIRS_PER_VIEW:
+            add(pair, "matched; its cameras are not both placed")
+
+    edges = {(edge.left, edge.right): edge for edge in graph.edges}
+    for pair, reason in added.items():
+        known = evidence.get(pair, _NOTHING_KNOWN)
+        edges[pair] = Edge(*pair, True, reason, known.angle_deg, known.shared)
+    kept = tuple(pair for pair, edge in edges.items() if edge.kept)
+    views = [*shared.cameras, *(view for pair in kept for view in pair), *(camera for c in pairs.components for camera in c)]
+    return PairGraph(kept, tuple(edges.values()), _groups(views, kept), graph.untold, graph.crowded)
 
 
-def _other_pairs(shared: Any, pairs: PairGraph, chosen: Collection[Pair]) -> tuple[list[tuple[Pair, float, float]], list[Pair]]:
-    """Matched pairs that are not among `chosen`: first pairs of placed cameras, with angle and shared part, by descending worth;
-    then pairs with a camera that is not placed."""
-    evidence = _all_evidence(shared)
-    left = [pair for pair in pairs.pairs if pair not in chosen]
-    best_first = sorted((pair for pair in left if pair in evidence), key=lambda pair: -evidence[pair][2])
-    placed = set(shared.cameras)
-    return [(pair, *evidence[pair][:2]) for pair in best_first], [pair for pair in left if not placed.issuperset(pair)]
+def _cameras_of(pair: Pair) -> frozenset[str]:
+    """The cameras whose views make a pair."""
+    return frozenset(map(camera_of, pair))
+
+
+def _evidence_of(overlap: Any) -> dict[Pair, Evidence]:
+    """The evidence of all pairs.  Two views of one camera have no baseline, and are not a pair."""
+    import numpy as np
+
+    angle, shared = overlap.angle_deg, _shared_with_baseline(overlap)
+    penalty = np.maximum(0.0, (10 - angle) / 10) ** 2 + np.maximum(0.0, (angle - 25) / 15) ** 2
+    worth = shared / (1 + np.nan_to_num(penalty))
+    names = overlap.cameras
+    pairs = [(names[i], names[j]) for i, j in overlap.pairs.tolist()]
+    known = map(Evidence, angle.tolist(), overlap.shared.tolist(), worth.tolist())
+    return {pair: evidence for pair, evidence in zip(pairs, known, strict=True) if len(_cameras_of(pair)) == 2}
+
+
+def _shared_with_baseline(overlap: Any) -> np.ndarray:
+    """Return shared parts (m,).  Among many views without poses, pairs that are too similar get less: they may have no baseline.
+
+    The similarity of views falls with the angle between them, by 4.7 % per degree on two photographed sites.  The median of the
+    views' best similarities is taken as the one at 0 degrees; a pair at 12 - a degrees then counts like one at 12 + a degrees.
+    """
+    import numpy as np
+
+    shared: np.ndarray = overlap.shared.copy()
+    only_similarity = np.isnan(overlap.angle_deg) & (shared > 0)
+    if len(overlap.cameras) > MOST_VIEWS_ALL_PAIRS and only_similarity.any():
+        best = np.zeros(len(overlap.cameras))
+        for side in overlap.pairs[only_similarity].T:
+            np.maximum.at(best, side, shared[only_similarity])
+        target = math.exp(-_SIMILARITY_LOSS * _BEST_ANGLE_DEG) * float(np.median(best[best > 0]))
+        shared[only_similarity] = np.minimum(shared[only_similarity], target**2 / shared[only_similarity])
+    return shared
+
+
+def _unfit_reason(known: Evidence, min_angle: float, max_angle: float) -> str | None:
+    """Why a pair is not worth matching; None if it is.  Angles in degrees."""
+    if known.shared <= 0:
+        return "they see nothing in common"
+    if known.angle_deg < min_angle:
+        return f"views {known.angle_deg:.0f} degrees apart, below {min_angle:g}"
+    if known.angle_deg > max_angle:
+        return f"views {known.angle_deg:.0f} degrees apart, above {max_angle:g}"
+    return None
+
+
+def _preselected(
+    evidence: dict[Pair, Evidence], view_count: int, unfit: Collection[Pair], named: Collection[frozenset[str]]
+) -> dict[Pair, Evidence]:
+    """The pairs that may be chosen or listed.
+
+    If views have more than `MOST_CANDIDATES` pairs on average, each keeps its best ones, and further pairs are kept to connect
+    all cameras that can be connected.  named: camera pairs in the site file; all their view pairs are kept.
+    """
+    if len(evidence) <= view_count * MOST_CANDIDATES // 2:
+        return evidence
+    import networkx as nx
+
+    best_first = sorted(evidence, key=lambda pair: -evidence[pair].worth)
+    fit = [pair for pair in best_first if pair not in unfit]
+    kept_pairs = _among_best(best_first, MOST_DROPPED) | _among_best(fit, MOST_CANDIDATES)
+    kept_pairs |= {pair for pair in evidence if _cameras_of(pair) in named}
+    connected = nx.utils.UnionFind()
+    for pair in sorted(fit, key=lambda pair: pair not in kept_pairs):
+        left, right = map(camera_of, pair)
+        if connected[left] != connected[right]:
+            connected.union(left, right)
+            kept_pairs.add(pair)
+    return {pair: known for pair, known in evidence.items() if pair in kept_pairs}
+
+
+def _among_best(best_first: Iterable[Pair], most: int) -> set[Pair]:
+    """The pairs that are among the best `most` of at least one of their views."""
+    best_pairs, counts = set[Pair](), Counter[str]()
+    for pair in best_first:
+        if min(counts[view] for view in pair) < most:
+            best_pairs.add(pair)
+            counts.update(pair)
+    return best_pairs
+
+
+def _forced_pairs(included: Iterable[frozenset[str]], views: Sequence[str], evidence: Mapping[Pair, Evidence]) -> list[Pair]:
+    """The pairs that are always matched: one for each two cameras in `included`, the best if they have several views.
+
+    With many views, pairs that share nothing may be missing from the evidence: then it is the pair of their first views.
+    """
+    best_pairs = _best_pairs(evidence)
+    forced = []
+    for cameras in included:
+        first_views = {camera_of(view): view for view in reversed(views) if camera_of(view) in cameras}
+        if cameras in best_pairs:
+            forced.append(best_pairs[cameras])
+        elif len(first_views) == 2 and len(views) > MOST_VIEWS_ALL_PAIRS:
+            left, right = sorted(first_views.values(), key=views.index)
+            forced.append((left, right))
+    return forced
+
+
+def _best_pairs(evidence: Mapping[Pair, Evidence]) -> dict[frozenset[str], Pair]:
+    """The best pair of views of each two cameras."""
+    best: dict[frozenset[str], Pair] = {}
+    for pair in evidence:
+        best_so_far = best.get(_cameras_of(pair), pair)
+        best[_cameras_of(pair)] = max(best_so_far, pair, key=lambda pair: evidence[pair].worth)
+    return best
+
+
+def _low_worth_pairs(evidence: Mapping[Pair, Evidence]) -> set[Pair]:
+    """Pairs with a view of a multi-view camera whose worth is too low (`_LEAST_WORTH`, `_LEAST_SHARE_OF_BEST`)."""
+    best_pairs = _best_pairs(evidence)
+    low_worth = set()
+    for pair, known in evidence.items():
+        cameras, least = _cameras_of(pair), _LEAST_WORTH
+        if math.isnan(known.angle_deg):
+            least = min(least, _LEAST_SHARE_OF_BEST * evidence[best_pairs[cameras]].worth)
+        if cameras != {*pair} and known.worth < least:
+            low_worth.add(pair)
+    return low_worth
+
+
+def _choose(
+    views: Sequence[str], candidates: dict[Pair, float], forced: Iterable[Pair], low_worth: Collection[Pair], degree: int
+) -> dict[Pair, str]:
+    """Choose forced pairs, a spanning tree, cover for weak cuts, then the best up to `degree`; returns reasons by chosen pair.
+
+    candidates: worth by pair, best first.  forced: pairs that are always chosen, if their views have room.  low_worth: pairs that
+    are chosen only to connect cameras.  degree: pairs to choose at each view.
+    """
+    import networkx as nx  # here, so that a report that only shows the graph need not import it
+
+    chosen: dict[Pair, str] = {}
+    partners: dict[str, set[str]] = {view: set() for view in views}
+    camera_graph = nx.Graph()
+    camera_graph.add_nodes_from(map(camera_of, views))
+
+    def take(pair: Pair, reason: str) -> None:
+        left, right = pair
+        chosen[pair] = reason
+        partners[left].add(right)
+        partners[right].add(left)
+        camera_graph.add_edge(camera_of(left), camera_of(right))
+
+    def may_take(pair: Pair, most: int = MOST_PAIRS_PER_VIEW) -> bool:
+        return pair not in chosen and all(len(partners[view]) < most for view in pair)
+
+    for pair in forced:
+        if may_take(pair):
+            take(pair, "included by the site file")
+    connected = nx.utils.UnionFind()
+    for pair in candidates:  # Kruskal (1956), as long as both views have room
+        left, right = map(camera_of, pair)
+        if connected[left] != connected[right] and (pair in chosen or may_take(pair)):
+            connected.union(left, right)
+            if pair not in chosen:
+                take(pair, "in the spanning tree")
+    best_worth = {_cameras_of(pair): worth for pair, worth in reversed(candidates.items())}
+    for bridge in sorted(nx.bridges(camera_graph), key=lambda bridge: (best_worth[frozenset(bridge)], bridge)):
+        camera_graph.remove_edge(*bridge)
+        near, far = (nx.node_connected_component(camera_graph, camera) for camera in bridge)
+        camera_graph.add_edge(*bridge)
+        if near == far:  # a pair that covers a weaker cut covers this one, too
+            continue
+        crossing = (pair for pair in candidates if near & _cameras_of(pair) and far & _cameras_of(pair) and may_take(pair))
+        if best := next(crossing, None):
+            take(best, f"covers the weak cut {bridge[0]}--{bridge[1]}")
+    for pair in candidates:
+        if pair not in low_worth and may_take(pair, min(degree, MOST_PAIRS_PER_VIEW)):
+            triangles = len(partners[pair[0]] & partners[pair[1]])
+            closed = f"closes {triangles} triangle{'s' * (triangles != 1)}"
+            take(pair, closed if triangles else "among the best of its cameras")
+    return chosen
+
+
+def _drop_reason(pair: Pair, low_worth: Collection[Pair], counts: Mapping[str, int], degree: int) -> str:
+    if pair in low_worth:
+        return "other views of their cameras share more"
+    if full_view := next((view for view in pair if counts[view] >= MOST_PAIRS_PER_VIEW), None):
+        return f"{full_view} has {MOST_PAIRS_PER_VIEW} better pairs, the most that a view can have"
+    return f"both cameras have better pairs already (degree {degree})"
+
+
+def _left_out_note(view: str, left_out: Iterable[Pair]) -> str:
+    """A note that names the candidates left out at a full view; "" if there are none.  left_out: those of all views."""
+    others = [other for pair in left_out if view in pair for other in pair if other != view]
+    if not others:
+        return ""
+    names = ", ".join(others[:MOST_NAMED]) + (f" and {len(others) - MOST_NAMED} more" if len(others) > MOST_NAMED else "")
+    return f"it has {MOST_PAIRS_PER_VIEW} pairs, the most that a view can have; left out: those with {names}"
+
+
+def _groups(views: Iterable[str], pairs: Collection[Pair]) -> tuple[tuple[str, ...], ...]:
+    """Groups of cameras that pairs connect, largest group first."""
+    import networkx as nx
+
+    graph = nx.Graph((camera_of(left), camera_of(right)) for left, right in pairs)
+    position = {camera: i for i, camera in enumerate(dict.fromkeys(map(camera_of, views)))}
+    graph.add_nodes_from(position)
+    components = [tuple(sorted(c, key=position.__getitem__)) for c in nx.connected_components(graph)]
+    return tuple(sorted(components, key=lambda c: (-len(c), position[c[0]])))

@@ -12,6 +12,7 @@ from .binding import method_parameters
 from .functions import FunctionReader, Parameter
 from .stages import COMPONENT, FUSE, Stage
 
+_SECTION = re.compile(r"^(?:Other )?Parameters\n-+\n(.*?)(?=^[^\n]+\n-+$|\Z)", re.MULTILINE | re.DOTALL)
 _TYPES = re.compile(r"(?:int|float|bool|str|list|tuple|dict|None|optional|\{[^}]*\}|\"[^\"]*\"| |or|of|\||,|\[[^\]]*\])+")
 _UNITS = {
     "_px": "pixels",
@@ -35,6 +36,31 @@ class ParameterDoc:
     unit: str
     meaning: str
 
+    def lines(self, indent: str, where_set: str = "") -> list[str]:
+        """Its lines at a terminal.  where_set: where it is set, if not in the stage's section, as text."""
+        head = f"{indent}{self.parameter.name} = {self.parameter.shown}{where_set}{f' [{self.unit}]' if self.unit else ''}"
+        choices = [str(choice) for choice in self.parameter.choices]
+        is_complete = all(choice in self.meaning for choice in choices)
+        words = self.meaning if is_complete else f"{self.meaning} One of {', '.join(choices)}.".strip()
+        return [head, *textwrap.wrap(words, _WIDTH, initial_indent=f"{indent}    ", subsequent_indent=f"{indent}    ")]
+
+
+def describe(stage: Stage, reader: FunctionReader) -> list[str]:
+    """The lines that describe a stage and its methods at a terminal."""
+    parameters = reader.signature(stage.function).parameters
+    meaning, docs = document(stage.function, [p for name, p in parameters.items() if name not in stage.sources], reader)
+    offers = f"; a function of your own may also take {', '.join(stage.offers)}" if stage.offers else ""
+    lines = [f"{stage.name}  (each {stage.scope})  {meaning}", f"  {stage.function}, from {', '.join(stage.inputs)}{offers}"]
+    lines += [line for doc in docs for line in doc.lines("  ", _where_set(stage, doc.parameter.name))]
+    if stage.method:
+        table, own_parameters = reader.table(stage.method.table), method_parameters(stage, reader)
+        for name, dotted in table.items():
+            meaning, docs = document(dotted, own_parameters[name].values(), reader)
+            is_default = name == parameters[stage.method.parameter].default
+            lines.append(f"  {name}{' (default)' if is_default else ''}: {meaning}")
+            lines += [line for doc in docs for line in doc.lines("    ")]
+    return lines
+
 
 def document(dotted: str, parameters: Iterable[Parameter], reader: FunctionReader) -> tuple[str, list[ParameterDoc]]:
     """The first paragraph of a function's docstring in one line, and unit and meaning of parameters."""
@@ -49,26 +75,11 @@ def document(dotted: str, parameters: Iterable[Parameter], reader: FunctionReade
     return " ".join(text.split("\n\n")[0].split()), docs
 
 
-def describe(stage: Stage, reader: FunctionReader) -> list[str]:
-    """The lines that describe a stage and its methods at a terminal."""
-    parameters = reader.signature(stage.function).parameters
-    inputs = {*stage.inputs, *stage.offers}
-    meaning, docs = document(stage.function, [p for name, p in parameters.items() if name not in inputs], reader)
-    offers = f"; a function of your own may also take {', '.join(stage.offers)}" if stage.offers else ""
-    lines = [f"{stage.name}  (each {stage.scope})  {meaning}", f"  {stage.function}, from {', '.join(stage.inputs)}{offers}"]
-    lines += [line for doc in docs for line in _parameter_lines(doc, "  ", _where_set(stage, doc.parameter.name))]
-    for name, dotted in reader.table(stage.method.table).items() if stage.method else ():
-        meaning, docs = document(dotted, method_parameters(stage, reader)[name].values(), reader)
-        default = stage.method and parameters[stage.method.parameter].default
-        lines.append(f"  {name}{' (default)' if name == default else ''}: {meaning}")
-        lines += [line for doc in docs for line in _parameter_lines(doc, "    ")]
-    return lines
-
-
 def _parameter_texts(docstring: str) -> dict[str, tuple[str, str]]:
     """Unit and meaning of the parameters in the section Parameters of a docstring, by name."""
     texts: dict[str, tuple[str, str]] = {}
-    for head, body in _docstring_entries(docstring):
+    for entry in re.split(r"\n(?=\S)", "\n".join(_SECTION.findall(docstring))):
+        head, *body = [line.strip() for line in entry.splitlines() if line.strip()] or [""]
         names, _, text = head.partition(" : ") if " : " in head else head.partition(": ")
         text = text.strip()
         type_match = _TYPES.match(text)
@@ -79,32 +90,9 @@ def _parameter_texts(docstring: str) -> dict[str, tuple[str, str]]:
     return texts
 
 
-def _docstring_entries(docstring: str) -> list[tuple[str, list[str]]]:
-    """The head line and the further lines of each entry in the section Parameters."""
-    lines = docstring.splitlines()
-    entries: list[tuple[str, list[str]]] = []
-    in_section = False
-    for line, next_line in zip(lines, [*lines[1:], ""], strict=True):
-        if next_line and not next_line.strip("-") and not line.startswith(" "):
-            in_section = line.strip() in {"Parameters", "Other Parameters"}
-        elif in_section and line.strip("-") and line.startswith(" ") and entries:
-            entries[-1][1].append(line.strip())
-        elif in_section and line.strip("-"):
-            entries.append((line.strip(), []))
-    return entries
-
-
 def _where_set(stage: Stage, name: str) -> str:
     """The key of the site file that sets a parameter, as text, if it is not set in the stage's section."""
     section, _, key = stage.set_by_site().get(name, "").rpartition(".")
     if key:
         return f", set by {f'{key} in the section {section}' if section else f'{key} at the top'} of the site file"
     return ", each component in turn" if (stage.name, name) == (FUSE, COMPONENT) else ""
-
-
-def _parameter_lines(doc: ParameterDoc, indent: str, where_set: str = "") -> list[str]:
-    head = f"{indent}{doc.parameter.name} = {doc.parameter.shown}{where_set}{f' [{doc.unit}]' if doc.unit else ''}"
-    choices = [str(choice) for choice in doc.parameter.choices]
-    unlisted = [choice for choice in choices if choice not in doc.meaning]
-    words = f"{doc.meaning} One of {', '.join(choices)}.".strip() if unlisted else doc.meaning
-    return [head, *textwrap.wrap(words, _WIDTH, initial_indent=f"{indent}    ", subsequent_indent=f"{indent}    ")]

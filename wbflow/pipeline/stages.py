@@ -13,7 +13,7 @@ from typing import Any, Literal
 
 from . import summaries
 
-FRAMES, HEALTH, PAIRS, MATCHES, GEOMETRY = "frames", "health", "pairs", "matches", "geometry"
+FRAMES, HEALTH, FEATURES, PAIRS, MATCHES, GEOMETRY = "frames", "health", "features", "pairs", "matches", "geometry"
 POSES, DENSE_PAIRS, RECTIFY, DISPARITY = "poses", "dense_pairs", "rectify", "disparity"
 CALIBRATION, DEPTH, REFINE, FUSE, CHANGES = "calibration", "depth", "refine", "fuse", "changes"
 """Names of the stages that the engine refers to; it treats all others alike."""
@@ -155,6 +155,11 @@ class Stage:
     summary: type[summaries.Summary] | None = None
     """The part of its results that the engine reads and run.json contains."""
 
+    @property
+    def sources(self) -> dict[str, Source]:
+        """All inputs that it can provide to a function, by argument name."""
+        return {**self.inputs, **self.offers}
+
     def needed(self) -> set[str]:
         """The stages whose results this one requires."""
         return {source.name for source in self.inputs.values() if source.kind == "stage" and not source.optional}
@@ -192,7 +197,6 @@ _REFERENCE_SURFACE = {
 _PAIR_KEYS = ("pairs.degree", "pairs.min_angle", "pairs.max_angle", "pairs.include", "pairs.exclude")
 _ALWAYS_REUSED = Reuse(shifted="reuse", moved="reuse")
 """For results that do not depend on the orientation of single cameras."""
-_UNLESS_MOVED = Reuse(shifted="reuse", moved="recompute")
 _TURNED_GEOMETRY = Adapt(
     "wbflow_stages.held:turn_geometry", {"pinned": reference("geometry"), "left": left("health"), "right": right("health")}
 )
@@ -251,7 +255,7 @@ STAGES: tuple[Stage, ...] = (
         scope="camera",
         function="wbflow_stages.features:detect",
         inputs={"frame": own("frames")},
-        reuse=_UNLESS_MOVED,
+        reuse=Reuse(shifted="reuse", moved="recompute"),
         products=Products({"marks": "wbflow_stages.exports.previews:keypoint_marks"}),
         summary=summaries.FeaturesSummary,
     ),

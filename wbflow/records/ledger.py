@@ -87,9 +87,8 @@ class Ledger:
     def record_run(self, record: RunRecord) -> None:
         """Index a run."""
         seconds, points = record.seconds, record.cloud.points if record.cloud else None
-        times_taken = (record.started, record.finished, round(seconds.wall, 2), round(seconds.cpu, 2))
-        outcome = (*astuple(record.tasks), points, int(record.exit_code))
-        row = astuple(LedgerRun(record.run, record.date, *times_taken, *outcome))
+        times = (record.started, record.finished, round(seconds.wall, 2), round(seconds.cpu, 2))
+        row = (record.run, record.date, *times, *astuple(record.tasks), points, int(record.exit_code))
         with self._db:
             self._db.execute(f"insert or replace into runs values ({','.join('?' * len(row))})", row)
 
@@ -110,16 +109,17 @@ class Ledger:
     def costs(self) -> TaskCosts:
         """Return the time, memory and disk space that the newest tasks took."""
         query = f"select stage, task, wall, peak_mb, bytes from artifacts order by finished desc limit {_MOST_TASKS}"
-        costs, seconds, sizes = TaskCosts(), defaultdict[str, list[float]](list), defaultdict[str, list[int]](list)
-        for stage, task, wall, peak_mb, size in self._db.execute(query):
-            seconds[stage].append(wall)
-            sizes[stage].append(size)
-            costs.tasks.setdefault(task, wall)
-            costs.tasks_mb.setdefault(task, peak_mb)
-            costs.stages_mb[stage] = max(peak_mb, costs.stages_mb.get(stage, 0.0))
-        costs.stages.update({stage: median(walls) for stage, walls in seconds.items()})
-        costs.stages_bytes.update({stage: fmean(stage_sizes) for stage, stage_sizes in sizes.items()})
-        return costs
+        oldest_first = self._db.execute(query).fetchall()[::-1]
+        by_stage = defaultdict[str, list[tuple[float, float, int]]](list)
+        for stage, _, *cost in oldest_first:
+            by_stage[stage].append(tuple(cost))
+        return TaskCosts(
+            stages={stage: median(wall for wall, _, _ in costs) for stage, costs in by_stage.items()},
+            stages_mb={stage: max(peak_mb for _, peak_mb, _ in costs) for stage, costs in by_stage.items()},
+            tasks={task: wall for _, task, wall, _, _ in oldest_first},
+            tasks_mb={task: peak_mb for _, task, _, peak_mb, _ in oldest_first},
+            stages_bytes={stage: fmean(size for _, _, size in costs) for stage, costs in by_stage.items()},
+        )
 
     def forget(self, keys: Iterable[str]) -> None:
         """Remove artifacts from the index, after their files have been removed."""

@@ -16,7 +16,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from ..cache.atomic import copy_atomic, write_atomic
+from ..cache.atomic import write_atomic
 from ..cache.checksum import Damaged, dump_with_checksum, read_checksummed
 from ..cache.layout import WorkFolder
 from ..cache.store import Cache, Receipt
@@ -118,22 +118,16 @@ def write_reference(cache: Cache, reference: Reference, receipts: Iterable[Recei
     receipts: the receipts of the reference's artifacts, which must be in the cache.
     """
     work = cache.work
-    new_files, is_replaced = {work.reference_record, work.reference_twin}, work.reference.exists()
+    new_files = {work.reference_record, work.reference_twin}
     for receipt in receipts:
         for path in files_of(cache, receipt):
-            copy_atomic(path, work.pinned(path), fsync="none")
+            write_atomic(work.pinned(path), path.read_bytes(), durable=False, own_path=True)
             new_files.add(work.pinned(path))
     os.sync()  # one sync for all copies, before the record is written
     data = dump_with_checksum(_IDENTITY, reference.to_json(), in_lines=True)
     for path in (work.reference_twin, work.reference_record):
         write_atomic(path, data, own_path=True)
-    if is_replaced:
-        _remove_all_but(work.reference, new_files)
-
-
-def _remove_all_but(reference: Path, new_files: set[Path]) -> None:
-    """Remove the files of an earlier reference."""
-    for path in sorted(reference.rglob("*"), reverse=True):  # the content of a folder before the folder
+    for path in sorted(work.reference.rglob("*"), reverse=True):  # remove an earlier reference; the content of a folder first
         if path.is_dir() and not path.is_symlink():
             with contextlib.suppress(OSError):  # not empty
                 path.rmdir()

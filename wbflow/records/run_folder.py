@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import datetime
-import functools
 import hashlib
 import json
 import os
@@ -13,35 +12,21 @@ import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from ..cache.atomic import sync_folder, write_atomic
 from ..cache.checksum import NoChecksum, dump_with_checksum, parse_checksummed, sha256_of
 from ..cache.layout import RunPaths, WorkFolder, run_id, started_by
-from ..cache.lock import hold
+from ..cache.lock import Locked, hold
 from ..cache.untrusted import read_untrusted
 from ..errors import ExitCode, WbflowError
+from ..remote import Mirror, writing
 from ..task import Task
 from .events import Event, TaskEvent, event_from_json, event_to_json
 from .record import RunRecord
 
-if TYPE_CHECKING:
-    from ..remote import Mirror
-
 _IDENTITY = "run"
 _NIGHT_PATTERN = re.compile(r"\d{4}-\d{2}-\d{2}")
-
-
-def _hard_link(path: Path, earlier: Path | None, data: bytes) -> bool:
-    """Hard-link `path` to an earlier file with these bytes; return False if there is none, or linking fails."""
-    try:
-        if earlier is None or earlier.stat().st_size != len(data) or read_untrusted(earlier, most=sys.maxsize) != data:
-            return False
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.hardlink_to(earlier)
-    except OSError:
-        return False
-    return True
 
 
 class NoSuchRun(WbflowError, ValueError):
@@ -79,33 +64,39 @@ class RunFolder:
         ids = work.run_ids()
         if not ids:
             raise NoSuchRun(f"{work.root} has no runs yet", remedy="wbflow run SITE.yaml  makes one")
+        if name is None or name == work.latest.name:
+            return RunFolder(work.run(ids[-1]))
         if name == work.latest_good.name:
-            newest_first = (RunFolder(work.run(run)) for run in reversed(ids))
-            target = work.link_target(work.latest_good) or next((run.id for run in newest_first if run.is_good()), None)
-            if target is None:
-                raise NoSuchRun("no run has made a cloud yet", remedy=f"the last run is {ids[-1]}: its report says why")
-            return RunFolder(work.run(target))
-        name = None if name == work.latest.name else name
-        if name is not None and _NIGHT_PATTERN.fullmatch(name):
-            if folder_of_night := next((folder for folder, record in newest_runs(work) if record.date == name), None):
-                return folder_of_night
+            if target := work.link_target(work.latest_good):
+                return RunFolder(work.run(target))
+            for folder in (RunFolder(work.run(run)) for run in reversed(ids)):
+                if folder.is_good():
+                    return folder
+            raise NoSuchRun("no run has made a cloud yet", remedy=f"the last run is {ids[-1]}: its report says why")
+        if _NIGHT_PATTERN.fullmatch(name):
+            for folder, record in newest_runs(work):
+                if record.date == name:
+                    return folder
             raise NoSuchRun(f"no run has worked on the night of {name}", remedy="wbflow history SITE.yaml  lists all runs")
-        if name is not None and name not in ids:
-            raise NoSuchRun(f"there is no run {name!r}; the last ones are {', '.join(ids[-3:])}")
-        return RunFolder(work.run(name or ids[-1]))
+        if name in ids:
+            return RunFolder(work.run(name))
+        raise NoSuchRun(f"there is no run {name!r}; the last ones are {', '.join(ids[-3:])}")
 
     @property
     def id(self) -> str:
         return self.paths.folder.name
 
-    def __repr__(self) -> str:
-        return f"RunFolder({str(self.paths.folder)!r})"
-
     def record(self) -> RunRecord:
         """Return the content of run.json.  Raises NoSuchRun if it cannot be read."""
         try:
-            status = self.paths.record.stat()
-            return _read_record(self.paths.record, (status.st_ino, status.st_mtime_ns, status.st_size))
+            data = read_untrusted(self.paths.record)
+            try:
+                entries = parse_checksummed(data, _IDENTITY)
+            except NoChecksum:  # as in earlier versions
+                entries = json.loads(data)
+                if entries.get("of") == _IDENTITY:
+                    raise
+            return RunRecord.from_json(entries)
         except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
             what = f"{self.paths.folder} is not the folder of a run: {type(error).__name__}: {error}"
             raise NoSuchRun(what) from None
@@ -182,8 +173,10 @@ class UnfinishedRun:
         Products are read-only, so that no program changes one run's file through the name in another run's folder; wbflow itself
         only replaces files, and never writes into them.  Raises OSError.
         """
-        path, copies = self.paths.folder / name, (self.work.run(run).folder / name for run in reversed(self.work.run_ids()))
-        if not _hard_link(path, next((copy for copy in copies if copy.is_file()), None), data):
+        path = self.paths.folder / name
+        copies = (self.work.run(run).folder / name for run in reversed(self.work.run_ids()))
+        newest_copy = next((copy for copy in copies if copy.is_file()), None)
+        if newest_copy is None or not _hard_link(path, newest_copy, data):
             write_atomic(path, data)
         with contextlib.suppress(OSError):  # some file systems have no permissions, and nothing depends on them
             path.chmod(0o444)
@@ -215,19 +208,28 @@ class UnfinishedRun:
         return self.work.unfinished_run(self.name)
 
 
+def _hard_link(path: Path, earlier: Path, data: bytes) -> bool:
+    """Hard-link `path` to an earlier file if it has these bytes; return False if it does not, or linking fails."""
+    try:
+        if earlier.stat().st_size != len(data) or read_untrusted(earlier, most=sys.maxsize) != data:
+            return False
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.hardlink_to(earlier)
+    except OSError:
+        return False
+    return True
+
+
 def update_links(work: WorkFolder) -> None:
     """Point each link to the newest run that it may show.  Called after a run is published, and before the next run, in case the
     process was killed in between.  Raises OSError."""
-    conditions: dict[Path, Callable[[RunFolder], bool]] = {work.latest: lambda run: True, work.latest_good: RunFolder.is_good}
     runs = [RunFolder(work.run(name)) for name in reversed(work.run_ids())]
+    conditions: dict[Path, Callable[[RunFolder], bool]] = {work.latest: lambda run: True, work.latest_good: RunFolder.is_good}
     for link, may_point_to in conditions.items():
         target = work.link_target(link)
-        for run in runs:
-            if run.id == target:
-                break
-            if may_point_to(run):
-                work.point_link(link, run.id)
-                break
+        newest = next((run.id for run in runs if run.id == target or may_point_to(run)), None)
+        if newest and newest != target:
+            work.point_link(link, newest)
 
 
 def newest_runs(work: WorkFolder, before: str = "", after: str = "") -> Iterator[tuple[RunFolder, RunRecord]]:
@@ -253,7 +255,7 @@ def last_of_nights(runs: Iterable[tuple[RunFolder, RunRecord]], most: int = sys.
         by_date.setdefault(record.date, record)
         if len(by_date) == most:
             break
-    return [record for _, record in sorted(by_date.items())]
+    return [by_date[date] for date in sorted(by_date)]
 
 
 @contextlib.contextmanager
@@ -263,25 +265,19 @@ def hold_to_write(work: WorkFolder, wait: bool) -> Iterator[Mirror | None]:
     Raises Locked if another process holds either and `wait` is False; StoreError if the store does not answer; OSError.
     """
     with hold(work.lock, wait):
-        if work.start_writing():
-            update_links(work)
-        if work.store:
-            from ..remote import writing  # imported here: few work folders are mirrors
-
-            with writing(work, wait) as mirror:
+        was_killed = work.start_writing()
+        with writing(work, wait) if work.store else contextlib.nullcontext() as mirror:
+            if was_killed or mirror:
                 update_links(work)
-                yield mirror
-        else:
-            yield None
+            yield mirror
         work.done_writing()  # not after an exception: then there may be something to clean up
 
 
 def refresh(work: WorkFolder) -> None:
     """Download the results of other machines, if the work folder mirrors an object store.  Raises StoreError, OSError."""
     if work.store:
-        from ..remote import pull_to_read
-
-        pull_to_read(work)
+        with contextlib.suppress(Locked), hold(work.lock, wait=False):  # a run that holds the folder downloads them itself
+            Mirror(work).pull()
         update_links(work)
 
 
@@ -297,23 +293,6 @@ def new_run(work: WorkFolder) -> tuple[str, datetime.datetime]:
     while work.run(run_id(free_second)).folder.exists():
         free_second += datetime.timedelta(seconds=1)
     return run_id(free_second), now
-
-
-@functools.lru_cache(maxsize=32)
-def _read_record(path: Path, stamp: tuple[int, int, int]) -> RunRecord:
-    """Return a record, cached because verdict, health and report read the same earlier nights."""
-    return RunRecord.from_json(_record_entries(read_untrusted(path)))
-
-
-def _record_entries(data: bytes) -> dict[str, Any]:
-    """Return the entries of run.json, which has no checksum in earlier versions.  Raises ValueError, AttributeError."""
-    try:
-        return parse_checksummed(data, _IDENTITY)
-    except NoChecksum:
-        entries: dict[str, Any] = json.loads(data)
-        if entries.get("of") == _IDENTITY:
-            raise
-        return entries
 
 
 def log_of(events: Iterable[Event]) -> bytes:

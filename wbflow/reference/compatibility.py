@@ -5,21 +5,20 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping, Sequence
-from itertools import combinations
 from typing import TYPE_CHECKING, Any
 
 from ..cache.store import Receipt
-from ..pipeline.binding import Binding
 from ..pipeline.stages import FRAMES, Adapt, Stage
 from ..records.reference_folder import Reference
-from ..runner.spec import Files, Joined, Value, input_digests, site_input, site_inputs
-from ..site.calibration.calibrated import Lens, product
+from ..runner.spec import Files, input_digests, site_input
+from ..site.calibration.calibrated import Lens
 from ..site.captures import file_of_stage
 from ..site.models import Site
 from ..task import camera_of
 
 if TYPE_CHECKING:
     from ..runner.planner import Plan
+
 
 _COMPARED = {"lens", "placement", "survey"}
 
@@ -30,50 +29,45 @@ def incompatibility(reference: Reference, plan: Plan) -> str:
     Code may change: a reference survives a new version.  The site file's entries for cameras, and for the stages whose results
     are reused from the reference, may not.  plan: the plan of the site as it is now.
     """
-    site = plan.site
-    ids = {camera.id for camera in site.cameras}
+    ids = {camera.id for camera in plan.site.cameras}
     if differing := sorted(ids ^ set(reference.cameras)):
         return f"cameras have come or gone since it was pinned: {', '.join(differing)}"
     for stage in plan.stages:
         if not (stage.reuse.shifted or stage.name == FRAMES):
             continue
-        binding = plan.binding(stage)
-        names = [name for name, need in binding.inputs.items() if need.kind == "file"]
-        files = {name: plan.named_files.get(file_of_stage(stage.name, name)) for name in names}
         tasks = [task for task in reference.artifacts if task.stage == stage.name]
         for task in tasks if stage.scope == "camera" else tasks[:1]:
             receipt = plan.cache.by_key(task, reference.artifacts[task].key)
-            if receipt and (change := _settings_change(receipt, stage, site, binding, plan.settings(stage, task))):
-                return f"it was pinned with other settings: {change}"
-            for name, file in files.items():
-                if receipt and file and receipt.preimage.inputs.get(name) != Files((file,)).digest():
-                    return f"it was pinned with another {name} in {stage.name}"
+            if receipt and (change := _change_since(receipt, stage, plan)):
+                return f"it was pinned with {change}"
     return ""
 
 
-def _settings_change(receipt: Receipt, stage: Stage, site: Site, binding: Binding, settings: Mapping[str, Any]) -> str:
-    pinned, task = receipt.preimage, receipt.preimage.task
+def _change_since(receipt: Receipt, stage: Stage, plan: Plan) -> str:
+    """What a result of the reference was made with, if the site file has changed that: a function, parameter or input."""
+    pinned, binding = receipt.preimage, plan.binding(stage)
     if any(isinstance(rule, Adapt) and rule.function == pinned.function for rule in (stage.reuse.shifted, stage.reuse.moved)):
         return ""  # it was derived from the result of an earlier reference
     if pinned.function not in {binding.function.dotted, stage.reuse.aggregate}:
-        return f"{stage.name}: function {pinned.function} → {binding.function.dotted}"
-    current = {**binding.defaults(), **settings}
-    for name, value in current.items():
+        return f"other settings: {stage.name}: function {pinned.function} → {binding.function.dotted}"
+    stated = plan.settings(stage, pinned.task)
+    for name, value in {**binding.defaults(), **stated}.items():
         is_new = name not in pinned.parameters
-        if (is_new and name in settings) or (not is_new and json.dumps(value) != json.dumps(pinned.parameters[name])):
-            return f"parameter {stage.name}.{name} {pinned.parameters.get(name)} → {value}"
+        # a new parameter with its default changes nothing
+        if (is_new and name in stated) or (not is_new and json.dumps(value) != json.dumps(pinned.parameters[name])):
+            return f"other settings: parameter {stage.name}.{name} {pinned.parameters.get(name)} → {value}"
     for name, need in binding.inputs.items():
-        if need.kind == "site" and need.name in _COMPARED:
-            site_value: Value | Joined
-            if need.of == "every" or need.name == "survey":
-                site_value = site_inputs(site, need.name)
-            elif view := next((view for view in site.views if view.id == task.subject[0]), None):
-                site_value = site_input(view, need.name)
-            else:
-                return f"the views of camera {camera_of(task.subject[0])}"
-            for entry, digest in input_digests({name: site_value}).items():
+        if need.kind == "file":
+            file = plan.named_files.get(file_of_stage(stage.name, name))
+            if file and pinned.inputs.get(name) != Files((file,)).digest:
+                return f"another {name} in {stage.name}"
+        elif need.kind == "site" and need.name in _COMPARED:
+            value = site_input(plan.site, need, pinned.task)
+            if value is None:
+                return f"other settings: the views of camera {camera_of(pinned.subject[0])}"
+            for entry, digest in input_digests({name: value}).items():
                 if pinned.inputs.get(entry) != digest:
-                    return f"what the site file says of {entry}"
+                    return f"other settings: what the site file says of {entry}"
     return ""
 
 
@@ -85,6 +79,10 @@ LEAST_DEG, LEAST_DISTANCE = 0.5, 0.02
 """Poses count as changed if two cameras' relative rotation (degrees) or distance (share of the mean distance) changes by more."""
 
 
+Lenses = Mapping[str, tuple[Lens, Mapping[str, Any]]]
+"""By camera: its lens in the site file, and the pinned camera as in cameras.json."""
+
+
 def calibration_change(pinned: Mapping[str, Mapping[str, Any]], site: Site) -> str:
     """Return which lenses and poses have changed, as text; "" if none have.  pinned: cameras by id, as in cameras.json.
 
@@ -92,33 +90,40 @@ def calibration_change(pinned: Mapping[str, Mapping[str, Any]], site: Site) -> s
     with standard deviations were refined by the pinned run, and are not compared.
     """
     lenses = {c.id: (c.lens, pinned[c.id]) for c in site.cameras if c.lens.K is not None and pinned.get(c.id, {}).get("K")}
-    focals = {name: share for name, (lens, old) in lenses.items() if abs(share := _focal_change(lens, old)) > LEAST_FOCAL}
-    borders = {name: share for name, (lens, old) in lenses.items() if (share := _corner_shift(lens, old)) > LEAST_BORDER}
-    texts = []
-    if focals:
-        least, most = 100 * min(focals.values()), 100 * max(focals.values())
-        amount = f"{most:+.1f} %" if most - least < 0.1 else f"{least:+.1f} to {most:+.1f} %"
-        texts.append(f"focal lengths of {_names_of(focals, site)} by {amount}")
-    if borders:
-        note = " (there is none any more)" if not any(any(lenses[name][0].distortion) for name in borders) else ""
-        texts.append(f"distortion of {_names_of(borders, site)} by up to {100 * max(borders.values()):.1f} % of the width{note}")
     exact = {c.id: c.placement for c in site.cameras if max(c.placement.sigma_m, c.placement.sigma_deg) == 0}
     posed = {name: place for name, place in exact.items() if place.R and place.C and pinned.get(name, {}).get("R")}
-    old_poses = {name: (pinned[name]["R"], pinned[name]["C"]) for name in posed}
-    turn, shift = _pose_change(old_poses, {name: (place.R, place.C) for name, place in posed.items()})
-    if turn > LEAST_DEG or shift > LEAST_DISTANCE:
-        texts.append(f"poses by up to {turn:.1f} degrees and {100 * shift:.1f} % of the distance between cameras")
-    return "; ".join(texts)
+    old_poses = [(pinned[name]["R"], pinned[name]["C"]) for name in posed]
+    new_poses = [(place.R, place.C) for place in posed.values()]
+    texts = [_focal_changes(lenses, site), _distortion_changes(lenses, site), _pose_changes(old_poses, new_poses)]
+    return "; ".join(filter(None, texts))
 
 
 def _names_of(cameras: Mapping[str, float], site: Site) -> str:
     return "all cameras" if len(cameras) == len(site.cameras) else ", ".join(cameras)
 
 
-def _focal_change(lens: Lens, old: Mapping[str, Any]) -> float:
-    assert lens.K is not None
-    width, old_width = lens.width or old["width"], old["width"]
-    return float(lens.K[0][0]) / width / (float(old["K"][0][0]) / float(old_width)) - 1
+def _focal_changes(lenses: Lenses, site: Site) -> str:
+    percents: dict[str, float] = {}
+    for name, (lens, old) in lenses.items():
+        assert lens.K is not None
+        width, old_width = lens.width or old["width"], old["width"]
+        change = float(lens.K[0][0]) / width / (float(old["K"][0][0]) / float(old_width)) - 1
+        if abs(change) > LEAST_FOCAL:
+            percents[name] = 100 * change
+    if not percents:
+        return ""
+    least, most = min(percents.values()), max(percents.values())
+    amount = f"{most:+.1f} %" if most - least < 0.1 else f"{least:+.1f} to {most:+.1f} %"
+    return f"focal lengths of {_names_of(percents, site)} by {amount}"
+
+
+def _distortion_changes(lenses: Lenses, site: Site) -> str:
+    shifts = {name: _corner_shift(lens, old) for name, (lens, old) in lenses.items()}
+    changes = {name: shift for name, shift in shifts.items() if shift > LEAST_BORDER}
+    if not changes:
+        return ""
+    note = "" if any(any(lenses[name][0].distortion) for name in changes) else " (there is none any more)"
+    return f"distortion of {_names_of(changes, site)} by up to {100 * max(changes.values()):.1f} % of the width{note}"
 
 
 def _corner_shift(lens: Lens, old: Mapping[str, Any]) -> float:
@@ -139,20 +144,22 @@ def _radial_shift(distortion: Sequence[float], radius: float) -> float:
     return radius**3 * (k1 + radius**2 * (k2 + radius**2 * k3))
 
 
-def _pose_change(old_poses: Mapping[str, Any], new_poses: Mapping[str, Any]) -> tuple[float, float]:
-    """Return the largest changes among pairs of cameras: of the relative rotation, degrees; of the distance over the mean one."""
-    pairs = list(combinations(new_poses, 2))
-    if not pairs:
-        return 0.0, 0.0
-    rotations = [[product(poses[b][0], [*zip(*poses[a][0], strict=True)]) for a, b in pairs] for poses in (old_poses, new_poses)]
-    turn = max(map(_angle_between, *rotations))
-    lengths = [[math.dist(poses[a][1], poses[b][1]) for a, b in pairs] for poses in (old_poses, new_poses)]
-    means = [sum(distances) / len(distances) or 1.0 for distances in lengths]
-    change = max(abs(new / means[1] - old / means[0]) for old, new in zip(*lengths, strict=True)) if len(pairs) > 1 else 0.0
-    return turn, change
+def _pose_changes(old_poses: list[Any], new_poses: list[Any]) -> str:
+    """The largest changes among all pairs of cameras, as text.  Poses: (R, C) of each camera."""
+    import numpy as np
 
-
-def _angle_between(first: list[list[float]], second: list[list[float]]) -> float:
-    """Return the angle between two rotations, degrees."""
-    trace = sum(x * y for row_a, row_b in zip(first, second, strict=True) for x, y in zip(row_a, row_b, strict=True))
-    return math.degrees(math.acos(max(-1.0, min(1.0, (trace - 1) / 2))))
+    if len(new_poses) < 2:
+        return ""
+    first, second = np.triu_indices(len(new_poses), 1)
+    rotations, distances = [], []
+    for poses in (old_poses, new_poses):
+        R, C = (np.array(values, dtype=float) for values in zip(*poses, strict=True))
+        rotations.append(R[second] @ R[first].transpose(0, 2, 1))
+        lengths = np.linalg.norm(C[second] - C[first], axis=1)
+        distances.append(lengths / (lengths.mean() or 1.0))
+    cosines = (np.sum(rotations[0] * rotations[1], axis=(1, 2)) - 1) / 2
+    turn = np.degrees(np.arccos(np.clip(cosines, -1, 1))).max()
+    shift = abs(distances[1] - distances[0]).max() if len(first) > 1 else 0.0
+    if turn <= LEAST_DEG and shift <= LEAST_DISTANCE:
+        return ""
+    return f"poses by up to {turn:.1f} degrees and {100 * shift:.1f} % of the distance between cameras"

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 from ..cache.layout import WorkFolder
 from ..cache.store import Cache, Receipt
 from ..errors import ExitCode, WbflowError
@@ -9,6 +11,7 @@ from ..pipeline.stages import STAGES
 from ..records.record import RunRecord
 from ..records.reference_folder import PinnedArtifact, Reference, write_reference
 from ..records.run_folder import RunFolder, newest_runs
+from ..task import Task
 
 
 class CannotPin(WbflowError, ValueError):
@@ -26,16 +29,27 @@ def pin(cache: Cache, run: RunFolder, automatic: bool = False) -> Reference:
     if record.cloud is None:
         reason = record.reason or "the run was not meant to"
         raise CannotPin(f"run {run.id} made no cloud: {reason}", remedy="pin a run that did: wbflow history SITE.yaml")
-    receipts = _receipts(cache, run)
-    artifacts = {
-        receipt.preimage.task: PinnedArtifact(receipt.preimage.task, receipt.key, receipt.outcome, receipt.digest)
-        for receipt in receipts
-    }
+    stored_stages = {stage.name for stage in STAGES if stage.reuse.stored}
+    receipts = []
+    for task, event in run.tasks().items():
+        if task.stage not in stored_stages or event.key is None:
+            continue
+        receipt = cache.by_key(task, event.key)
+        if receipt is None:
+            remedy = f"run its night again (wbflow run SITE.yaml --date {record.date}), and pin that run"
+            raise CannotPin(f"the cache no longer holds '{task}' of run {run.id}", remedy=remedy)
+        receipts.append(receipt)
     solved = run.cameras()
     cameras = {camera.id: dict(solved.get(camera.id, {})) for camera in record.cameras}
-    reference = Reference(run.id, record.date, cameras, artifacts, automatic)
+    reference = Reference(run.id, record.date, cameras, pinned_artifacts(receipts), automatic)
     write_reference(cache, reference, receipts)
     return reference
+
+
+def pinned_artifacts(receipts: Iterable[Receipt]) -> dict[Task, PinnedArtifact]:
+    """The entries of the reference for results, by task."""
+    pinned = [PinnedArtifact(r.preimage.task, r.key, r.outcome, r.digest) for r in receipts]
+    return {artifact.task: artifact for artifact in pinned}
 
 
 def good_run(work: WorkFolder, name: str | None = None) -> RunFolder:
@@ -53,18 +67,3 @@ def fit_to_pin(record: RunRecord) -> bool:
     """Is a run good enough to be pinned without being named?"""
     acknowledged = record.verdict.acknowledged if record.verdict else ()
     return record.exit_code == ExitCode.GOOD and record.cloud is not None and not acknowledged
-
-
-def _receipts(cache: Cache, run: RunFolder) -> list[Receipt]:
-    """Receipts of all results and rejections of a run that the reference keeps."""
-    stored_stages = {stage.name for stage in STAGES if stage.reuse.stored}
-    receipts = []
-    for task, event in run.tasks().items():
-        if task.stage not in stored_stages or event.key is None:
-            continue
-        receipt = cache.by_key(task, event.key)
-        if receipt is None:
-            remedy = f"run its night again (wbflow run SITE.yaml --date {run.record().date}), and pin that run"
-            raise CannotPin(f"the cache no longer holds '{task}' of run {run.id}", remedy=remedy)
-        receipts.append(receipt)
-    return receipts

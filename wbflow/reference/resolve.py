@@ -7,11 +7,10 @@ stage `health` finds that out for each camera.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence, Set
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import islice
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Literal
 
 from ..cache.layout import WorkFolder
 from ..cache.store import Receipt
@@ -19,7 +18,7 @@ from ..pipeline.stages import FRAMES, HEALTH, STAGES, Adapt, Reuse, Source, Stag
 from ..pipeline.summaries import HealthSummary
 from ..records.findings import Health
 from ..records.run_folder import last_of_nights, newest_runs
-from ..runner.spec import Absent, Input, Joined, Part, Stored, Value, subject_of
+from ..runner.spec import Input, Joined, Stored, Value, stored_input
 from ..runner.state import Cause, Impossible, Waiting, blocked_by, summary_of
 from ..task import Subject, Task, camera_of
 from .restore import restore_to_cache
@@ -27,8 +26,6 @@ from .restore import restore_to_cache
 if TYPE_CHECKING:
     from ..runner.planner import Plan
 
-_STILL, _TURNED, _LOST = "still", "turned", "lost"
-"""A camera's pose is that of the reference, is derived from it, or is unknown."""
 USELESS = frozenset({"obscured", "stale", "wrong-scene"})
 """States of a camera that shows nothing of the site tonight."""
 FEWEST = 2
@@ -53,8 +50,10 @@ def shift_history(work: WorkFolder, night: str, reference: str) -> dict[str, dic
     history: dict[str, dict[str, list[float]]] = {}
     for camera in (camera for record in nights for camera in record.cameras):
         figures = camera.health.figures if camera.health else {}
-        for name in SHIFTS if all(name in figures for name in SHIFTS) else ():
-            history.setdefault(camera.id, {}).setdefault(name, []).append(float(figures[name]))
+        if all(name in figures for name in SHIFTS):
+            shifts = history.setdefault(camera.id, {name: [] for name in SHIFTS})
+            for name in SHIFTS:
+                shifts[name].append(float(figures[name]))
     return history
 
 
@@ -66,8 +65,6 @@ class Resolver:
     """Tonight's plan; its states and its reference change during the run."""
     _healths: dict[str, HealthSummary] = field(default_factory=dict, repr=False)
     """Health by view, for the views that were examined tonight."""
-    _useless: set[str] = field(default_factory=set, repr=False)
-    """Views that are known to show nothing of the site tonight."""
     _own_frames: set[str] = field(default_factory=set, repr=False)
     """Views whose frame tonight is the reference's own (same cache key)."""
     _poses_suffice: bool | None = field(default=None, repr=False)
@@ -75,29 +72,25 @@ class Resolver:
 
     def __post_init__(self) -> None:
         self.cameras = [view.id for view in self.plan.site.views]  # ids of all views
-        self._forced = {name.split(" ")[0] for name in self.plan.force}
-        """Stages with tasks that are forced to run again."""
-        self._useless |= {view for view in self.cameras if (h := self.plan.stale.get(camera_of(view))) and h.state in USELESS}
+        forced = {name.split(" ")[0] for name in self.plan.force}
+        self._forced = {name for name in forced if stage_named(name).reuse.shifted}
+        """Stages with tasks that are forced to run again, and whose results the reference would provide otherwise."""
 
     def input(self, need: Source, task: Task) -> Input:
-        """An input from the reference; absent or empty without one, or if tonight's frames are the reference's own."""
-        of_every = need.of == "every"
-        if self.plan.reference is None or self._own_frames.issuperset(task.subject or self.cameras):
-            return Joined({}) if of_every else Absent()
-        origin = stage_named(need.name)
-        if of_every and origin.scope != "site":
-            tasks = [t for t in self.plan.reference.artifacts if t.stage == origin.name]
-            stored = {t.subject: self._stored(need, t, False) for t in tasks}
-            return Joined({subject: item for subject, item in stored.items() if isinstance(item, Stored)})
-        whole_artifact = origin.scope != "site" or stage_named(task.stage).scope == "site"
-        subject = subject_of(origin, need, task)
-        return self._stored(need, Task(origin.name, subject), not whole_artifact, task.subject)
+        """An input from the reference or, of kind "history", the shifts of the task's camera on earlier nights.
 
-    def history_input(self, need: Source, task: Task) -> Input:
-        """The shifts of a camera on earlier nights; absent without a reference, or if its frame is the reference's own."""
-        if self.plan.reference is None or self._own_frames.issuperset(task.subject):
-            return Absent()
-        return Value(SHIFTS_TYPE, self._shift_history.get(camera_of(task.subject[0]), {}))
+        It is absent or empty without a reference, or if tonight's frames are the reference's own.
+        """
+        if self.plan.reference is None or self._own_frames.issuperset(task.subject or self.cameras):
+            return Joined({}) if need.joins else None
+        if need.kind == "history":
+            return Value(SHIFTS_TYPE, self._shift_history.get(camera_of(task.subject[0]), {}))
+        if not need.joins:
+            wanted = stored_input(need, task)
+            return wanted.resolved(self._receipt(wanted.task))
+        pinned = [pinned for pinned in self.plan.reference.artifacts if pinned.stage == need.name]
+        results = {upstream.subject: Stored(upstream, need.part).resolved(self._receipt(upstream)) for upstream in pinned}
+        return Joined({subject: result for subject, result in results.items() if result})
 
     @cached_property
     def _shift_history(self) -> dict[str, dict[str, list[float]]]:
@@ -109,27 +102,27 @@ class Resolver:
 
         Raises Waiting while the health of a camera is not known, Impossible if a camera shows nothing of the site.
         """
-        if stage.reuse.shifted is None or self.plan.reference is None or not any(s.name == HEALTH for s in self.plan.stages):
+        if stage.reuse.shifted is None or self.plan.reference is None or stage_named(HEALTH) not in self.plan.stages:
             return None
         for camera in task.subject:
             if self.state_of(camera) in USELESS:
                 raise self.unfit_error((camera,))
-        if not self._enough_poses_known() or any(
-            stage_named(name).reuse.shifted for name in self._forced & ancestors(stage.name)
-        ):
+        if not self._enough_poses_known() or self._forced & ancestors(stage.name):
             return None
-        decision = self._decision(stage.reuse, task)
-        if decision == "reuse":
-            return self._receipt(task)
-        return decision if isinstance(decision, Adapt) else None
+        use = self._use(stage.reuse, task)
+        if isinstance(use, Adapt):
+            return use
+        return self._receipt(task) if use == "reuse" else None
 
     def state_of(self, camera: str) -> str:
         """The state of a view: its own if it shows nothing of the site, else that of its camera.  Raises Waiting."""
         if health := self.plan.stale.get(camera_of(camera)):
             return health.state
         own_state = self._own_state(camera)
-        others = [self._own_state(view) for view in self._views_of(camera) if view != camera] if own_state not in USELESS else []
-        return next((state for state in (own_state, *others) if state not in USELESS | {"ok"}), own_state)
+        if own_state in USELESS:
+            return own_state
+        states = [own_state, *(self._own_state(view) for view in self._views[camera_of(camera)])]
+        return next((state for state in states if state not in USELESS | {"ok"}), "ok")
 
     def _own_state(self, view: str) -> str:
         """The state of a view, without that of other views of its camera.  Raises Waiting."""
@@ -149,29 +142,31 @@ class Resolver:
         """
         if stale := self.plan.stale.get(camera_of(camera)):
             return stale
-        healths = [self._healths[view] for view in self._views_of(camera) if view in self._healths]
+        healths = [self._healths[view] for view in self._views[camera_of(camera)] if view in self._healths]
         useful = [health for health in healths if health.state not in USELESS]
         return next((health for health in useful if not health.ok), next(iter(useful or healths), None))
 
-    def _views_of(self, camera: str) -> Sequence[str]:
-        """The views of a camera, or of the camera of a view; most cameras have one."""
-        return self._views.get(camera_of(camera), [camera])
-
     @cached_property
     def _views(self) -> dict[str, list[str]]:
+        """The views by camera; most cameras have one."""
         views: dict[str, list[str]] = {}
         for view in self.cameras:
             views.setdefault(camera_of(view), []).append(view)
         return views
 
-    def useless(self) -> Set[str]:
-        """The views that are known to show nothing of the site tonight."""
-        return self._useless if self.plan.reference else frozenset()
+    def is_useless(self, view: str) -> bool:
+        """Is it known that a view shows nothing of the site tonight?"""
+        health = self._known_health(view)
+        return self.plan.reference is not None and health is not None and health.state in USELESS
+
+    def _known_health(self, view: str) -> Health | None:
+        """The health of a view: that of its camera if this is stale, else what was found tonight; None if nothing was."""
+        return self.plan.stale.get(camera_of(view)) or self._healths.get(view)
 
     def unfit_error(self, subject: Subject) -> Impossible:
         """Why a task is impossible: a camera of its subject shows nothing of the site."""
-        camera = next((c for c in subject if c in self.useless()), subject[0])
-        if health := self.plan.stale.get(camera_of(camera)) or self._healths.get(camera):
+        camera = next((view for view in subject if self.is_useless(view)), subject[0])
+        if health := self._known_health(camera):
             return Impossible(f"camera {camera} is {health.state}: {health.text}", Cause.UNFIT)
         frame = Task(FRAMES, (camera,))
         return blocked_by(frame, self.plan.states[frame])
@@ -180,21 +175,21 @@ class Resolver:
         """Record the health of a camera, if the task that has ended determined it."""
         state = self.plan.states[task]
         if task.stage == HEALTH and state.usable:
-            self._healths[task.subject[0]] = health = summary_of(state, HealthSummary)
-            self._useless |= set(task.subject) if health.state in USELESS else set()
+            self._healths[task.subject[0]] = summary_of(state, HealthSummary)
 
     def note_frame(self, subject: Subject, key: str) -> None:
         """Record whether a camera's frame tonight, by its cache key, is the reference's own."""
         pinned = self.plan.reference.artifacts.get(Task(FRAMES, subject)) if self.plan.reference else None
-        (self._own_frames.update if pinned and pinned.key == key else self._own_frames.difference_update)(subject)
+        if pinned and pinned.key == key:
+            self._own_frames.update(subject)
+        else:
+            self._own_frames.difference_update(subject)
 
     def artifact_lost(self, task: Task) -> None:
         """Handle a damaged artifact: if it is the reference's, restore it from its copy, or else drop it from the reference."""
         self._poses_suffice = None
         if task.stage == HEALTH:
             self._healths.pop(task.subject[0], None)
-            if camera_of(task.subject[0]) not in self.plan.stale:
-                self._useless.discard(task.subject[0])
         reference, cache = self.plan.reference, self.plan.cache
         if reference and (pinned := reference.artifacts.get(task)) and not cache.by_key(task, pinned.key):
             if restore_to_cache(cache.work, pinned):
@@ -203,14 +198,16 @@ class Resolver:
             self.plan.reference = dataclasses.replace(reference, artifacts=remaining)
             self._own_frames -= set(task.subject) if task.stage == FRAMES else set()
 
-    def _decision(self, reuse: Reuse, task: Task) -> Any:
-        if len(self._own_frames) == len(self.cameras):
+    def _use(self, reuse: Reuse, task: Task) -> Literal["reuse", "recompute"] | Adapt | None:
+        """How tonight uses the reference's result of a task: the poses of its cameras, or of all useful ones, decide."""
+        if len(self._own_frames) == len(self.cameras):  # tonight is the reference's own night
             return "reuse"
-        cameras = task.subject or [c for c in self.cameras if self.state_of(c) not in USELESS]
-        pose_states = {self._pose_state(c) for c in cameras}
-        if _LOST in pose_states:
-            return "reuse" if self._is_pooled(task) and {self.state_of(c) for c in cameras} == {"ok"} else reuse.moved
-        return reuse.shifted if _TURNED in pose_states else "reuse"
+        cameras = task.subject or [camera for camera in self.cameras if self.state_of(camera) not in USELESS]
+        poses = {self._pose_state(camera) for camera in cameras}
+        if "lost" in poses:
+            none_moved = all(self.state_of(camera) == "ok" for camera in cameras)
+            return "reuse" if none_moved and self._is_pooled(task) else reuse.moved
+        return reuse.shifted if "turned" in poses else "reuse"
 
     def _is_pooled(self, task: Task) -> bool:
         """Is the reference's result of a pair pooled from many nights, or derived from one that is?
@@ -218,36 +215,29 @@ class Resolver:
         Such a result can be reused even if its cameras are not placed, as long as they have not moved.
         """
         receipt = self._receipt(task)
-        for stage in STAGES if receipt and len(task.subject) == 2 else ():
-            pooled = self._receipt(Task(stage.name, task.subject)) if stage.reuse.aggregate and stage.scope == "pair" else None
-            if pooled and receipt and pooled.preimage.function == stage.reuse.aggregate:
+        if receipt is None or len(task.subject) != 2:
+            return False
+        for stage in STAGES:
+            pooled = self._receipt(Task(stage.name, task.subject)) if stage.reuse.aggregate else None
+            if pooled and pooled.preimage.function == stage.reuse.aggregate:
                 return pooled.digest in {receipt.digest, *receipt.preimage.inputs.values()}
         return False
 
-    def _pose_state(self, camera: str) -> str:
-        """Is a camera's pose that of the reference, derived from it, or unknown?  Raises Waiting."""
+    def _pose_state(self, camera: str) -> Literal["still", "turned", "lost"]:
+        """Is a camera's pose that of the reference ("still"), derived from it, or unknown?  Raises Waiting."""
         if self.plan.reference is None or camera_of(camera) not in self.plan.reference.placed:
-            return _LOST
+            return "lost"
         state = self.state_of(camera)
-        if any(health.corrected for view in self._views_of(camera) if (health := self._healths.get(view))):
-            return _TURNED
-        return _STILL if state == "ok" else _LOST
+        if any(health.corrected for view in self._views[camera_of(camera)] if (health := self._healths.get(view))):
+            return "turned"
+        return "still" if state == "ok" else "lost"
 
     def _enough_poses_known(self) -> bool:
         """Are the poses of enough cameras known from the reference?  Raises Waiting."""
         if self._poses_suffice is None:
-            self._poses_suffice = len({camera_of(c) for c in self.cameras if self._pose_state(c) != _LOST}) >= FEWEST
+            self._poses_suffice = len({camera_of(c) for c in self.cameras if self._pose_state(c) != "lost"}) >= FEWEST
         return self._poses_suffice
 
     def _receipt(self, task: Task) -> Receipt | None:
         pinned = self.plan.reference.artifacts.get(task) if self.plan.reference else None
         return self.plan.cache.by_key(task, pinned.key) if pinned else None
-
-    def _stored(self, need: Source, upstream: Task, one_entry: bool, subject: Subject = ()) -> Input:
-        receipt = self._receipt(upstream)
-        if receipt is None or receipt.outcome == "rejected":
-            return Absent()
-        part = Part(need.part, "--".join(subject) if one_entry else None) if need.part else None
-        if part and str(part) not in receipt.parts:
-            return Absent()
-        return Stored(upstream, part).resolved(receipt)

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import contextlib
 import os
+from contextlib import suppress
 from typing import TYPE_CHECKING
 
-from ..cache.atomic import clear, copy_atomic, write_atomic
+from ..cache.atomic import clear, write_atomic
 from ..cache.checksum import Damaged, read_checksummed, sha256_of
 from ..cache.layout import WorkFolder
 from ..cache.store import Cache, Receipt
@@ -58,7 +58,7 @@ def repair_record(work: WorkFolder) -> str | None:
             clear(path)
         return f"{fault}, and so is its twin: the next good night becomes the reference" if fault else None
     counterpart, data = (twin if intact is record else record), read_untrusted(intact)
-    with contextlib.suppress(Unreadable):
+    with suppress(Unreadable):
         if read_untrusted(counterpart) == data:
             return None
     fault = fault or f"{counterpart} is {'not as it was' if os.path.lexists(counterpart) else 'gone'}"
@@ -83,7 +83,7 @@ def restore(cache: Cache, reference: Reference) -> tuple[list[Task], list[Task],
         elif _copy_differs(cache, receipt) and (receipt.file is None or sha256_of(cache.path(receipt))[:32] == receipt.digest):
             for path in files_of(cache, receipt):
                 clear(work.pinned(path))
-                copy_atomic(path, work.pinned(path))
+                write_atomic(work.pinned(path), path.read_bytes(), own_path=True)
             copied.append(task)
     return to_cache, copied, lost
 
@@ -103,16 +103,13 @@ def restore_to_cache(work: WorkFolder, pinned: PinnedArtifact) -> bool:
     if not is_intact or (pinned.digest and [sha256_of(copy)[:32] for copy in artifacts if copy.is_file()] != [pinned.digest]):
         return False
     for copy in copies:  # the receipt last
-        copy_atomic(copy, path.with_suffix(copy.suffix))
+        write_atomic(path.with_suffix(copy.suffix), copy.read_bytes(), own_path=True)
     return True
 
 
 def _copy_differs(cache: Cache, receipt: Receipt) -> bool:
     """Quick check: is the reference's copy of a receipt or an artifact gone, or of another size?"""
-    path = cache.work.receipt(receipt.preimage.task, receipt.key)
-    copies = str(cache.work.pinned(path.parent))  # as text, which is faster: every night checks all of them
     try:
-        sizes = {path.name: path.stat().st_size} | ({receipt.file: receipt.bytes} if receipt.file else {})
-        return any(os.stat(f"{copies}/{name}").st_size != size for name, size in sizes.items())  # noqa: PTH116
+        return any(cache.work.pinned(path).stat().st_size != path.stat().st_size for path in files_of(cache, receipt))
     except OSError:
         return True

@@ -5,17 +5,16 @@ from __future__ import annotations
 import datetime
 import itertools
 from collections import Counter
-from collections.abc import Iterator, Sequence
-from typing import Any
+from collections.abc import Sequence
+from dataclasses import dataclass
 
-from ..outcome.baseline import appearance_of, figures_of
+from ..outcome.baseline import appearance_of
 from ..pipeline.meanings import meaning, titled
-from ..pipeline.stages import STAGES
-from ..records.record import CameraRecord, RunRecord
-from ..site.models import Measure
+from ..pipeline.stages import CHANGES, STAGES
+from ..records.record import RunRecord
 from ..task import Task
 from ..words import number
-from .data import ReportData, state_of
+from .data import ReportData, is_number, state_of
 
 WIDTH, HEIGHT, EDGE = 260.0, 76.0, 8.0
 SPARK_NIGHTS = 14
@@ -23,34 +22,40 @@ TIMETABLE_WIDTH = 1000.0
 _MOST_ROWS = 64
 
 
-def trends(data: ReportData) -> list[dict[str, Any]]:
+@dataclass(frozen=True)
+class Chart:
+    """A figure over the last nights."""
+
+    title: str
+    now: str
+    median: str
+    median_y: float
+    points: Sequence[tuple[float, float, str, str, str]]
+    """For each night that has the figure, oldest first: x, y, verdict, label, and link to the report ("" for this night)."""
+
+
+def trends(data: ReportData) -> list[Chart]:
     """Return a chart for each figure of the whole night."""
-    nights, charts = data.nights, list[dict[str, Any] | None]()
-    titles = {str(Measure.POINTS): "points in the cloud", str(Measure.PAIRS): "pairs that were used"}
-    names = dict.fromkeys(name for night in nights for name in figures_of(night))
-    for name in (name for name in names if name not in {stage.name for stage in STAGES}):  # stages follow, with own titles
-        charts.append(_chart(data, titles.get(name, name), [figures_of(night).get(name) for night in nights]))
-    fields = {(stage, name): None for night in nights for stage, result in night.results.items() for name in vars(result)}
-    for stage, name in fields:
-        values = [_as_number(getattr(night.results.get(stage), name, None)) for night in nights]
+    nights = data.nights
+    series: list[tuple[str, str, list[float | None]]] = []  # title, unit, and the value of each night
+    series.append(("points in the cloud", "", [night.cloud.points if night.cloud else 0 for night in nights]))
+    names = dict.fromkeys((stage, name) for night in nights for stage, result in night.results.items() for name in vars(result))
+    for stage, name in names:
         scale, unit = (100, "%") if meaning(name).share else (1, "")
-        charts.append(_chart(data, titled(name), [None if value is None else scale * value for value in values], unit))
-    zones = {(stage, zone): None for night in nights for stage, result in night.results.items() for zone in result.volumes}
-    for (stage, zone), change in itertools.product(zones, ("gained", "lost")):
-        volumes = [result.volumes.get(zone) if (result := night.results.get(stage)) else None for night in nights]
-        values = [None if part is None else float(getattr(part, change)) for part in volumes]
-        charts.append(_chart(data, f"volume {change}{f', {zone}' if zone else ''}", values, "m³"))
-    charts.append(_chart(data, "time", [night.seconds.wall for night in nights], "s"))
-    charts.append(_chart(data, "CPU", [night.seconds.cpu for night in nights], "s"))
-    charts.append(_chart(data, "size of the night's files", [_megabytes(data, night) for night in nights], "MB"))
-    return [chart for chart in charts if chart]
+        values = [getattr(night.results.get(stage), name, None) for night in nights]
+        series.append((titled(name), unit, [scale * value if is_number(value) else None for value in values]))
+    volumes = [result.volumes if (result := night.results.get(CHANGES)) else {} for night in nights]
+    for zone, change in itertools.product(dict.fromkeys(itertools.chain(*volumes)), ("gained", "lost")):
+        title = f"volume {change}{f', {zone}' if zone else ''}"
+        series.append((title, "m³", [getattr(by_zone.get(zone), change, None) for by_zone in volumes]))
+    series.append(("time", "s", [night.seconds.wall for night in nights]))
+    series.append(("CPU", "s", [night.seconds.cpu for night in nights]))
+    series.append(("size of the night's files", "MB", [_megabytes(data, night) for night in nights]))
+    return [chart for title, unit, values in series if (chart := _chart(data, title, unit, values))]
 
 
-def _chart(data: ReportData, title: str, values: Sequence[float | None], unit: str = "") -> dict[str, Any] | None:
-    """Return the chart of a figure, oldest night first; None if fewer than two nights have it, or all values are 0.
-
-    Its points are, for each night: x, y, verdict, label, and link to the report ("" for this night).
-    """
+def _chart(data: ReportData, title: str, unit: str, values: Sequence[float | None]) -> Chart | None:
+    """Return the chart of a figure; None if fewer than two nights have it, or all values are 0."""
     known = [value for value in values if value is not None]
     if len(known) < 2 or not any(known):
         return None
@@ -72,11 +77,7 @@ def _chart(data: ReportData, title: str, values: Sequence[float | None], unit: s
             points.append((EDGE + k * step, y(value), state, f"{night.date}: {format_label(value)}", link))
     median, last = sorted(known)[len(known) // 2], values[-1]
     latest = "–" if last is None else format_label(last)
-    return {"title": title, "now": latest, "median": format_label(median), "median_y": y(median), "points": points}
-
-
-def _as_number(value: object) -> float | None:
-    return float(value) if isinstance(value, int | float) and not isinstance(value, bool) else None
+    return Chart(title, latest, format_label(median), y(median), points)
 
 
 def _megabytes(data: ReportData, night: RunRecord) -> float | None:
@@ -92,44 +93,39 @@ def camera_bars(data: ReportData) -> dict[str, list[tuple[str, float, str]]]:
     bars: dict[str, list[tuple[str, float, str]]] = {camera.id: [] for camera in data.record.cameras}
     for night in data.nights[-SPARK_NIGHTS:]:
         figures = appearance_of(night)
-        for camera in night.cameras:
-            if camera.id in bars:
-                share = figures.get(camera.id, {}).get("matched_share", 1.0 if camera.ok else 0.0)
-                label = f"{night.date}: {_camera_label(camera, share)}"
-                bars[camera.id].append((state_of(camera, night), max(0.12, share), label))
+        for camera in (camera for camera in night.cameras if camera.id in bars):
+            share = figures.get(camera.id, {}).get("matched_share", 1.0 if camera.ok else 0.0)
+            health = camera.health.state if camera.health and not camera.health.ok else "as it should be"
+            well = f"{health}, {100 * share:.0f} % of its pairs find common points"
+            words = well if camera.ok else camera.reason or camera.outcome
+            bars[camera.id].append((state_of(camera, night), max(0.12, share), f"{night.date}: {words}"))
     return bars
 
 
-def _camera_label(camera: CameraRecord, share: float) -> str:
-    if not camera.ok:
-        return camera.reason or camera.outcome
-    health = camera.health.state if camera.health and not camera.health.ok else "as it should be"
-    return f"{health}, {100 * share:.0f} % of its pairs find common points"
-
-
-def tasks_of_stages(data: ReportData) -> Iterator[tuple[str, Counter[str]]]:
-    """Yield the name of each stage with the counts of its tasks' outcomes: ran, cached, rejected, failed, skipped."""
+def tasks_of_stages(data: ReportData) -> list[tuple[str, Counter[str]]]:
+    """Return the name of each stage with the counts of its tasks' outcomes: ran, cached, rejected, failed, skipped."""
     counts: dict[str, Counter[str]] = {}
     for task, event in data.tasks.items():
         outcome = "cached" if event.usable and not (event.outcome == "ran" and event.fresh) else event.outcome
         counts.setdefault(task.stage, Counter())[outcome] += 1
-    yield from ((stage.name, counts[stage.name]) for stage in STAGES if stage.name in counts)
+    return [(stage.name, counts[stage.name]) for stage in STAGES if stage.name in counts]
 
 
-def timetable(data: ReportData) -> dict[str, Any] | None:
-    """Return when tasks ran this night; None if none did.  Tasks that ran at the same time are in different rows.
+def timetable(data: ReportData) -> tuple[list[tuple[int, int, float, float, str]], float]:
+    """Return a bar for each task that ran this night, and the seconds from the first begin to the last end.
 
-    Its bars are, for each task: the number of its stage, which gives the colour, row, x, width, and label.
+    A bar is the index of the stage in `STAGES`, which gives the colour, its row, x, width, and label; tasks that ran at the same
+    time are in different rows.
     """
     numbers = {stage.name: k for k, stage in enumerate(STAGES)}
     ran: list[tuple[float, float, Task]] = []
     for task, event in data.tasks.items():
-        receipt = data.cache.by_key(task, event.key) if event.fresh and event.key else None
+        receipt = data.receipt(task) if event.fresh else None
         if receipt and receipt.finished:
             end = datetime.datetime.fromisoformat(receipt.finished).timestamp()
             ran.append((end - receipt.wall, end, task))
     if not ran:
-        return None
+        return [], 0.0
     ran.sort(key=lambda entry: entry[0])
     first, last = ran[0][0], max(end for _, end, _ in ran)
     span = max(last - first, 1e-3)
@@ -143,6 +139,4 @@ def timetable(data: ReportData) -> dict[str, Any] | None:
         title = f"{task}: {end - begin:.1f} s, from {begin - first:.1f} s on"
         width = max(1.0, (end - begin) / span * TIMETABLE_WIDTH)
         bars.append((numbers[task.stage], row, (begin - first) / span * TIMETABLE_WIDTH, width, title))
-    shown_stages = {stage for stage, *_ in bars}
-    stages = [(k, stage.name) for k, stage in enumerate(STAGES) if k in shown_stages]
-    return {"bars": bars, "seconds": span, "rows": len(row_ends), "stages": stages}
+    return bars, span

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping, Set
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeGuard
 
 from ..cache.layout import WorkFolder
-from ..cache.store import Cache
-from ..pipeline.stages import FRAMES
+from ..cache.store import Cache, Receipt
+from ..pipeline.stages import CHANGES, FRAMES
 from ..pipeline.summaries import Change
 from ..records.events import Event, TaskEvent
 from ..records.record import CameraRecord, RunRecord
@@ -22,6 +22,19 @@ from ..task import Task, view_name
 
 NIGHTS = 30
 """Number of nights in the report's charts."""
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Changes since the reference, compared between tonight and the last good night."""
+
+    date: str
+    known: Set[str]
+    """Names of tonight's changes that were already there on the last good night."""
+    gone: Mapping[str, Change]
+    """Changes of the last good night that are there no more."""
+    new: int
+    """Number of changes that were not there on the last good night, and that nobody has acknowledged."""
 
 
 @dataclass(frozen=True)
@@ -51,6 +64,16 @@ class ReportData:
         """The cache key of each result."""
         return {task: event.key for task, event in self.tasks.items() if event.usable and event.key}
 
+    @cached_property
+    def numbers(self) -> dict[str, int]:
+        """The number of each camera in the page, from 1."""
+        return {camera.id: number for number, camera in enumerate(self.record.cameras, 1)}
+
+    def receipt(self, task: Task) -> Receipt | None:
+        """Return the receipt of a result, also of a rejection; None if it is gone or never existed."""
+        event = self.tasks.get(task)
+        return self.cache.by_key(task, event.key) if event and event.key else None
+
     def drawing(self, task: Task, name: str) -> bytes | None:
         """Return a drawing of a result (see `Products.drawings`); None if it is gone or never existed."""
         return self.cache.drawing(task, key, name) if (key := self.keys.get(task)) else None
@@ -76,48 +99,53 @@ class ReportData:
         """The last earlier night with a good verdict."""
         return next((night for night in self.earlier if night.verdict and night.verdict.good), None)
 
-    def last_good_of(self, camera: str) -> RunRecord | None:
-        """Return the last earlier night on which a camera's state was good."""
-        for record in self.earlier:
-            if any(entry.id == camera and state_of(entry, record) == "good" for entry in record.cameras):
-                return record
-        return None
+    @cached_property
+    def since_last_good(self) -> Comparison | None:
+        """Tonight's changes compared with those of the last good night; None if that night does not have the same reference."""
+        record, good = self.record, self.last_good
+        if good is None or record.reference is None or record.reference not in {good.reference, good.run}:
+            return None
+        gone = dict(changes_of(good)) if good.run != record.reference else {}
+        known, new = set[str](), 0
+        for name, change in changes_of(record).items():
+            if match := next((old_name for old_name, old in gone.items() if change.is_same(old)), None):
+                known.add(name)
+                del gone[match]
+            elif not change.acknowledged:
+                new += 1
+        return Comparison(good.date, known, gone, new)
 
     @cached_property
-    def _reference(self) -> Reference | None:
+    def reference(self) -> Reference | None:
+        """The reference of the work folder; None if there is none, or it cannot be read."""
         try:
             return read_reference(self.work)
         except BadReference:
             return None
 
-    @property
-    def reference_date(self) -> str:
-        """The night of the reference; "" without one."""
-        return self._reference.date if self._reference else ""
-
     @cached_property
-    def _earlier_cameras(self) -> tuple[Mapping[str, Any], str]:
-        """The cameras of the last earlier night on which their poses were found, and the date of that night."""
+    def placements(self) -> dict[str, tuple[Mapping[str, Any], str]]:
+        """The entry of each camera whose C is known, as in cameras.json, and a note on its source ("" for tonight).
+
+        Tonight's are best, then those of the reference, of the last earlier night that has any, and of the site file.
+        """
+        placed = (camera for camera in self.site.cameras if camera.placement.C is not None)
+        from_site = {c.id: {**vars(c.placement), "K": c.lens.K, "width": c.lens.width, "height": c.lens.height} for c in placed}
+        sources: list[tuple[Mapping[str, Any], str]] = [(from_site, "position from the site file")]
         for record in self.earlier:
             with suppress(NoSuchRun):
                 if cameras := RunFolder.of(self.work, record.run).cameras():
-                    return cameras, record.date
-        return {}, ""
+                    sources.append((cameras, f"position on {record.date}"))
+                    break
+        if self.reference:
+            sources.append((self.reference.cameras, f"position on {self.reference.date}"))
+        sources.append((self.cameras, ""))
+        return {name: (entry, note) for cameras, note in sources for name, entry in cameras.items() if entry.get("C")}
 
-    def _placements(self) -> Iterator[tuple[Mapping[str, Any], str]]:
-        """Yield known camera poses, the best source first, each with a note on the source ("" for tonight)."""
-        yield self.cameras, ""
-        if self._reference:
-            yield self._reference.cameras, f"position on {self._reference.date}"
-        yield self._earlier_cameras[0], f"position on {self._earlier_cameras[1]}"
-        placed = (camera for camera in self.site.cameras if camera.placement.C is not None)
-        from_site = {c.id: {**vars(c.placement), "K": c.lens.K, "width": c.lens.width, "height": c.lens.height} for c in placed}
-        yield from_site, "position from the site file"
-
-    def placement(self, camera: str) -> tuple[Mapping[str, Any], str] | None:
-        """Return a camera's entry, as in cameras.json, and a note on its source ("" for tonight); None if its C is unknown."""
-        known = ((cameras.get(camera), note) for cameras, note in self._placements())
-        return next(((entry, note) for entry, note in known if entry and entry.get("C")), None)
+    @property
+    def unit(self) -> str:
+        """The unit of lengths: m, or "" if the scale is unknown."""
+        return "m" if self.record.poses is None or self.record.poses.metric else ""
 
     def report_of(self, run: str) -> str:
         """Return the link to another run's report."""
@@ -134,32 +162,12 @@ def state_of(camera: CameraRecord, record: RunRecord) -> str:
     return "good" if is_healthy and not is_suspect and camera.down is None else "warn"
 
 
-@dataclass(frozen=True)
-class Comparison:
-    """Objects that differ from the reference, compared between tonight and the last good night."""
-
-    date: str
-    known: Mapping[str, str]
-    """Tonight's objects that were already there on the last good night, mapped to their names of that night."""
-    gone: Mapping[str, Change]
-    """Objects of the last good night that no longer differ from the reference."""
+def is_number(value: object) -> TypeGuard[float]:
+    """Return whether a value is a number, and not a bool."""
+    return isinstance(value, int | float) and not isinstance(value, bool)
 
 
-def since_last_good(data: ReportData, stage: str) -> Comparison | None:
-    """Compare a stage's objects with those of the last good night; None if that night does not have the same reference."""
-    record, good = data.record, data.last_good
-    if good is None or record.reference is None or record.reference not in {good.reference, good.run}:
-        return None
-    old_objects = objects_of(good, stage) if good.run != record.reference else {}
-    known: dict[str, str] = {}
-    for name, change in objects_of(record, stage).items():
-        match = next((n for n, old_change in old_objects.items() if n not in known.values() and change.is_same(old_change)), None)
-        if match is not None:
-            known[name] = match
-    return Comparison(good.date, known, {name: change for name, change in old_objects.items() if name not in known.values()})
-
-
-def objects_of(record: RunRecord, stage: str) -> Mapping[str, Change]:
-    """Return all objects that a stage reports, by name."""
-    result = record.results.get(stage)
+def changes_of(record: RunRecord) -> Mapping[str, Change]:
+    """Return the changes of a night since the reference, by name."""
+    result = record.results.get(CHANGES)
     return result.objects if result else {}

@@ -81,7 +81,7 @@ class Map:
     @property
     def north_deg(self) -> float:
         """Direction of the world's y axis, clockwise from the top."""
-        return math.degrees(math.atan2(self.scene.rows[0][1], self.scene.rows[1][1]))
+        return math.degrees(math.atan2(self.scene.axes.rows[0][1], self.scene.axes.rows[1][1]))
 
 
 def _place_labels(cameras: Sequence[SceneCamera], at: Mapping[str, tuple[float, float]]) -> dict[str, tuple[float, float, str]]:
@@ -116,7 +116,7 @@ def layers_of(data: ReportData, drawn: Map) -> list[dict[str, Any]]:
     for stage in STAGES:
         if layer := data.drawing(Task(stage.name), "layer"):
             head, picture = split(layer)
-            (x, y), right, down = (drawn.at(drawn.scene.to_page(corner)) for corner in head["corners"])
+            (x, y), right, down = (drawn.at(drawn.scene.axes.place(corner)) for corner in head["corners"])
             matrix = (right[0] - x, right[1] - y, down[0] - x, down[1] - y, x, y)
             texts = {"name": stage.name, "words": head["words"], "legend": head["legend"]}
             layers.append({**texts, "data": data_url(picture, "image/png"), "matrix": matrix})

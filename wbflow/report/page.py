@@ -7,13 +7,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
 from ..cache.artifact import figures
-from ..outcome.finished_run import MissingResult, Run
+from ..errors import WbflowError
+from ..outcome.finished_run import Run
 from ..pipeline.meanings import meaning
 from ..pipeline.stages import CHANGES, stage_named
 from ..pipeline.summaries import ChangesSummary
@@ -22,11 +22,10 @@ from ..records.events import TaskEvent, WarningEvent
 from ..records.record import RunRecord, moment
 from ..site.models import Site
 from ..words import counted, format_value
-from . import render, sections
-from .charts import camera_bars, tasks_of_stages, timetable, trends
+from . import charts, render, sections
 from .data import ReportData
 from .map import Map, layers_of
-from .pictures import Pictures, Points, large_pictures, other_night, other_pictures, points_of, points_of_other, split
+from .pictures import Pictures, Points, large_pictures, other_night, other_pictures, points_of, points_of_other
 from .scene import scene_of
 
 MOST_BYTES = 14_000_000
@@ -48,7 +47,7 @@ def build_report(data: ReportData) -> str:
 def build_comparison(site: Site, tonight: Run, reference: Run, changes: Any) -> str:
     """Return the HTML that compares two runs of a site.
 
-    Raises MissingResult if the points of one of them no longer exist.
+    Raises WbflowError if the points of one of them no longer exist.
 
     Parameters
     ----------
@@ -68,10 +67,9 @@ def build_comparison(site: Site, tonight: Run, reference: Run, changes: Any) -> 
         )
         events = [e for e in tonight.events if not (isinstance(e, TaskEvent) and e.task.stage == CHANGES)]
         shown = ReportData(tonight.cache, record, tuple(events), tonight.calibration, Path(folder), site)
-        stream = load(products.drawings["view"])(changes)
-        content = _content(shown, [*points_of(shown), Points(CHANGES, split(stream)[0], stream)])
+        content = _content(shown, [*points_of(shown), Points("change", load(products.drawings["view"])(changes))])
     if [stream.kind for stream in content["points"]] != ["product", "change", "then"]:
-        raise MissingResult("the cloud of one of the runs no longer exists", remedy="run the night again")
+        raise WbflowError("the cloud of one of the runs no longer exists", remedy="run the night again")
     title = counted(len(summary.objects), "change") if summary.objects else "Nothing has changed"
     headline = "good", title, f"{reference.record.date} beside {record.date}"
     head = {"headline": headline, "facts": list(sections.volume_facts(shown))}
@@ -79,54 +77,49 @@ def build_comparison(site: Site, tonight: Run, reference: Run, changes: Any) -> 
 
 
 def _content(data: ReportData, points: list[Points]) -> dict[str, Any]:
+    """Return the variables of the template.  What comes first is embedded first: small pictures, other points, large pictures."""
     record, album = data.record, Pictures(data)
-    reference_night = other_night(data, record.reference)
+    (findings, folded), parts = sections.findings(data, album), sections.parts(data, album)
+    camera_pictures = {camera.id: album.of_task(data.frame(camera.id), camera.id) for camera in record.cameras}
+    pair_pictures = sections.pair_pictures(data, album)
+    other = other_night(data, record.reference)
+    pictures_then = other_pictures(album, other) if other else {}
+    row_bytes = _ROW_BYTES * (len(record.cameras) + len(record.pairs))
+    bytes_left = MOST_BYTES - row_bytes - _base64_size(album.embedded_bytes + sum(len(stream.data) for stream in points))
+    points_then = points_of_other(data, other) if other and points else None
+    if points_then and _base64_size(len(points_then.data)) <= bytes_left:
+        points = [*points, points_then]
+        bytes_left -= _base64_size(len(points_then.data))
     scene = scene_of(data, [tuple(p) for p in points[0].head["sample"]] if points else [])
     site_map = Map(scene) if scene else None
-    columns = sections.pair_columns(data)
-    content = {
+    return {
+        "data": data,
         "record": record,
-        "nights": data.nights,
+        "sections": sections,
+        "charts": charts,
         "meaning": meaning,
         "format_value": format_value,
         "headline": sections.headline(data),
         "facts": list(sections.facts(data)),
-        "findings": sections.findings(data, album),
-        "parts": sections.parts(data, album),
+        "findings": findings,
+        "folded": folded,
+        "parts": parts,
         "points": points,
         "scene": scene,
         "map": site_map,
         "layers": layers_of(data, site_map) if site_map else [],
         "warnings": [event for event in data.events if isinstance(event, WarningEvent)],
-        "cameras": sections.cameras(data),
-        "camera_pictures": {camera.id: album.of_frame(camera.id, camera.id) for camera in record.cameras},
-        "badges": sections.BADGES,
-        "camera_words": partial(sections.camera_words, data),
-        "camera_figures": partial(sections.camera_figures, data),
-        "keypoints": partial(sections.keypoints, data),
-        "bars": camera_bars(data),
-        "columns": [meaning(name) for name in columns],
-        "pairs": [(pair, [getattr(pair.figures, name) for name in columns]) for pair in record.pairs],
-        "tried": partial(sections.tried, data),
-        "pair_pictures": sections.pair_pictures(data, album),
-        "charts": trends(data),
-        "tasks_of_stages": list(tasks_of_stages(data)),
-        "timetable": timetable(data),
-        "settings": sections.settings(data),
+        "camera_pictures": camera_pictures,
+        "pair_pictures": pair_pictures,
         "notes": list(_pose_notes(record)),
         "other_nights": list(_other_nights(data)),
-        "other": reference_night,
-        "other_pictures": other_pictures(data, album, reference_night) if reference_night else {},
+        "other": other,
+        "other_pictures": pictures_then,
         "last_cloud": next(((night.date, data.report_of(night.run)) for night in data.earlier if night.cloud), None),
         "when": _when(data),
         "files": list(_files(data)),
+        "large_pictures": large_pictures(data, bytes_left),
     }
-    row_bytes = _ROW_BYTES * (len(record.cameras) + len(record.pairs))
-    other_points = points_of_other(reference_night) if reference_night and points else []
-    bytes_left = MOST_BYTES - row_bytes - _base64_size(album.embedded_bytes + sum(len(stream.data) for stream in points))
-    other_points = other_points if sum(_base64_size(len(stream.data)) for stream in other_points) <= bytes_left else []
-    bytes_left -= sum(_base64_size(len(stream.data)) for stream in other_points)
-    return {**content, "points": [*points, *other_points], "large_pictures": large_pictures(data, bytes_left)}
 
 
 def _base64_size(size: int) -> int:

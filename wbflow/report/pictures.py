@@ -11,17 +11,18 @@ import mimetypes
 import struct
 from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 from ..cache.untrusted import read_untrusted
-from ..pipeline.stages import FRAMES, FUSE, STAGES, stage_named
+from ..pipeline.stages import FEATURES, FRAMES, FUSE, GEOMETRY, STAGES
 from ..plugins import load
 from ..records.run_folder import NoSuchRun, RunFolder
 from ..site.calibration.calibrated import product
 from ..task import Task
-from .data import ReportData
+from .data import ReportData, state_of
 
 Matrix = Sequence[Sequence[float]]
 
@@ -29,9 +30,6 @@ _LEAST_SHIFT = 5e-4
 """Pictures of two nights whose corners differ by less than this share of their size are overlaid without a homography."""
 MOST_PICTURE_BYTES = 6_000_000
 """Largest total size of small pictures in a page; further pictures are links to their files."""
-
-OTHER = "other"
-"""Used instead of a stage's name for the points of another night."""
 
 
 @dataclass(frozen=True)
@@ -46,60 +44,47 @@ class Picture:
     """Path to the file, relative to the report, if the picture exceeds `MOST_PICTURE_BYTES`; else ""."""
 
 
-@dataclass(frozen=True)
-class OtherNight:
-    """A run of another night to compare with the page's own: its points, and its pictures, overlaid on those of this night."""
-
-    date: str
-    keys: Mapping[Task, str] = field(repr=False)
-    cameras: Mapping[str, Any] = field(repr=False)
-    """The cache key of each result, and the cameras as cameras.json has them."""
-    page: ReportData = field(repr=False)
-
-    def points(self) -> bytes | None:
-        """Return the stream of its cloud; None if it is gone, or might show areas that are private now."""
-        task = Task(FUSE)
-        stream = self.page.cache.drawing(task, self.keys[task], "view") if task in self.keys else None
-        return stream if all(self.is_as_private(frame) for frame in self.keys if frame.stage == FRAMES) else None
-
-    def is_as_private(self, frame: Task) -> bool:
-        """Return whether a camera's picture of that night hides what is private now: same polygons, or none any more."""
-        site_view = next((view for view in self.page.site.views if (view.id,) == frame.subject), None)
-        if site_view is None or not site_view.privacy:
-            return True
-        frame_keys = self.keys.get(frame), self.page.keys.get(frame)
-        old, new = (self.page.cache.by_key(frame, key) if key else None for key in frame_keys)
-        private = [name for name, need in stage_named(FRAMES).inputs.items() if (need.kind, need.name) == ("site", "privacy")]
-        if old is None or new is None:
-            return False
-        return all(old.preimage.inputs.get(name) == new.preimage.inputs.get(name) for name in private)
-
-    def homography_to_page(self, camera: str) -> str:
-        """Return the homography of the unit square, row by row, that maps a camera's picture of that night onto this night's.
-
-        "" if the camera has not turned, or its poses are unknown.
-        """
-        old, new = self.cameras.get(camera), self.page.cameras.get(camera)
-        if not old or not new or not all(entry.get("R") and entry.get("K") for entry in (old, new)):
-            return ""
-        rotation = product(new["R"], list(zip(*old["R"], strict=True)))
-        matrix = product(product(_to_unit(new), rotation), _from_unit(old))
-        rows = [[value / matrix[2][2] for value in row] for row in matrix]
-        corners = [_project(rows, x, y) for x, y in ((0.0, 0.0), (1.0, 0.0), (0.0, 1.0), (1.0, 1.0))]
-        is_still = all(abs(x - k % 2) < _LEAST_SHIFT and abs(y - k // 2) < _LEAST_SHIFT for k, (x, y) in enumerate(corners))
-        return "" if is_still else " ".join(f"{value:.7g}" for row in rows for value in row)
-
-
-def other_night(data: ReportData, run: str | None) -> OtherNight | None:
+def other_night(data: ReportData, run: str | None) -> ReportData | None:
     """Return a run to compare with the page's own; None if `run` is None, cannot be read, or is the page's own."""
     if run is None or run == data.record.run:
         return None
     try:
         folder = RunFolder.of(data.work, run)
-        keys = {task: event.key for task, event in folder.tasks().items() if event.usable and event.key}
-        return OtherNight(folder.record().date, keys, folder.cameras(), data)
+        events, files = tuple(folder.events()), folder.paths.folder
+        return replace(data, record=folder.record(), events=events, cameras=folder.cameras(), files=files)
     except NoSuchRun:
         return None
+
+
+def _is_as_private(data: ReportData, other: ReportData, frame: Task) -> bool:
+    """Return whether a camera's picture of another night hides what is private now: same polygons, or none any more."""
+    site_view = next((view for view in data.site.views if (view.id,) == frame.subject), None)
+    if site_view is None or not site_view.privacy:
+        return True
+    old, new = other.receipt(frame), data.receipt(frame)
+    if old is None or new is None or frame not in data.keys:
+        return False
+    return old.preimage.inputs.get("privacy") == new.preimage.inputs.get("privacy")
+
+
+def _homography(old: Mapping[str, Any] | None, new: Mapping[str, Any] | None) -> str:
+    """Return the homography of the unit square, row by row, that maps a camera's picture of another night onto this night's.
+
+    old, new: its entries in cameras.json.  "" if the camera has not turned, or its poses are unknown.
+    """
+    if not old or not new or not all(entry.get("R") and entry.get("K") for entry in (old, new)):
+        return ""
+    rotation = product(new["R"], list(zip(*old["R"], strict=True)))
+    matrix = product(product(_to_unit(new), rotation), _from_unit(old))
+    rows = [[value / matrix[2][2] for value in row] for row in matrix]
+
+    def shift(x: float, y: float) -> float:
+        u, v, w = (row[0] * x + row[1] * y + row[2] for row in rows)
+        return max(abs(u / w - x), abs(v / w - y))
+
+    if max(shift(x, y) for x in (0.0, 1.0) for y in (0.0, 1.0)) < _LEAST_SHIFT:
+        return ""
+    return " ".join(f"{value:.7g}" for row in rows for value in row)
 
 
 @dataclass
@@ -115,21 +100,19 @@ class Pictures:
         event = self.data.tasks.get(task)
         return self._from_result(task, event.key, alt) if event and event.key else None
 
-    def of_frame(self, camera: str, alt: str) -> Picture | None:
-        """Return a camera's picture of this night."""
-        return self.of_task(self.data.frame(camera), alt)
-
     def of_last_good(self, camera: str) -> Picture | None:
         """Return a camera's picture of the last night on which it was in good state."""
-        good = self.data.last_good_of(camera)
-        night = other_night(self.data, good.run) if good else None
-        return self.of_other_night(night, camera, f"{camera} on {good.date}, when it was well") if good and night else None
+        for record in self.data.earlier:
+            if any(entry.id == camera and state_of(entry, record) == "good" for entry in record.cameras):
+                night = other_night(self.data, record.run)
+                return self.of_other_night(night, camera, f"{camera} on {record.date}, when it was well") if night else None
+        return None
 
-    def of_other_night(self, night: OtherNight, camera: str, alt: str) -> Picture | None:
+    def of_other_night(self, other: ReportData, camera: str, alt: str) -> Picture | None:
         """Return a camera's picture of another night."""
         task = self.data.frame(camera)
-        key = night.keys.get(task)
-        return self._from_result(task, key, alt) if key and night.is_as_private(task) else None
+        key = other.keys.get(task)
+        return self._from_result(task, key, alt) if key and _is_as_private(self.data, other, task) else None
 
     def of_product(self, name: str, alt: str) -> Picture | None:
         """Return a picture that the run publishes."""
@@ -158,11 +141,14 @@ class Pictures:
         return Picture(name, alt, data_url(content, mimetypes.guess_type(path.name)[0] or "image/jpeg"))
 
 
-def other_pictures(data: ReportData, album: Pictures, night: OtherNight) -> dict[str, tuple[Picture, str]]:
+def other_pictures(album: Pictures, other: ReportData) -> dict[str, tuple[Picture, str]]:
     """Return, by camera, its picture of another night, and the homography that maps it onto the picture of this night."""
-    ids = [camera.id for camera in data.record.cameras]
-    pictures = {name: album.of_other_night(night, name, f"{name} on {night.date}") for name in ids}
-    return {name: (picture, night.homography_to_page(name)) for name, picture in pictures.items() if picture and not picture.link}
+    pictures = {}
+    for camera in (camera.id for camera in album.data.record.cameras):
+        picture = album.of_other_night(other, camera, f"{camera} on {other.record.date}")
+        if picture and not picture.link:
+            pictures[camera] = picture, _homography(other.cameras.get(camera), album.data.cameras.get(camera))
+    return pictures
 
 
 def data_url(content: bytes, kind: str = "image/jpeg") -> str:
@@ -174,13 +160,13 @@ def data_url(content: bytes, kind: str = "image/jpeg") -> str:
 class Points:
     """A stream of points for the 3-D view: length of a JSON head (uint32, little-endian), the head, and packed columns."""
 
-    stage: str
-    head: Mapping[str, Any]
+    kind: str
+    """product: the night's cloud; then: that of another night; change: what has changed."""
     data: bytes = field(repr=False)
 
-    @property
-    def kind(self) -> str:
-        return {FUSE: "product", OTHER: "then"}.get(self.stage, "change")
+    @cached_property
+    def head(self) -> dict[str, Any]:
+        return split(self.data)[0]
 
     @property
     def base64(self) -> str:
@@ -191,20 +177,20 @@ MOST_POINTS = 300_000
 """Most points of another night's cloud in a page: it is only shown in alternation with the page's own cloud."""
 
 
-def points_of_other(night: OtherNight) -> list[Points]:
-    """Return at most `MOST_POINTS` points of another night's cloud; none if it is gone."""
-    stream = night.points()
-    if stream is None:
-        return []
+def points_of_other(data: ReportData, other: ReportData) -> Points | None:
+    """Return at most `MOST_POINTS` points of another night's cloud; None if it is gone, or might show what is private now."""
+    stream = other.drawing(Task(FUSE), "view")
+    if stream is None or not all(_is_as_private(data, other, frame) for frame in other.keys if frame.stage == FRAMES):
+        return None
     if split(stream)[0]["n"] > MOST_POINTS:
         stream = load("wbflow_stages.exports.view:thinned_view")(stream, MOST_POINTS)
-    return [Points(OTHER, split(stream)[0], stream)]
+    return Points("then", stream)
 
 
 def points_of(data: ReportData) -> list[Points]:
     """Return the points of the night's results, in the order of the stages: the product's come first."""
     streams = ((stage.name, data.drawing(Task(stage.name), "view")) for stage in STAGES)
-    return [Points(name, split(stream)[0], stream) for name, stream in streams if stream]
+    return [Points("product" if name == FUSE else "change", stream) for name, stream in streams if stream]
 
 
 def split(data: bytes) -> tuple[dict[str, Any], bytes]:
@@ -219,16 +205,14 @@ def large_pictures(data: ReportData, bytes_left: int) -> list[tuple[int, str, st
     The data are three words of Base64 ("-" for none): the JPEG, keypoints, and inliers; points are pairs of unsigned 16-bit
     numbers, as shares of width and height.  `bytes_left` limits their size in bytes; cameras with a finding have priority.
     """
-    record = data.record
-    in_findings = {name for finding in record.verdict.findings for name in finding.subject} if record.verdict else set()
-    numbers = {camera.id: k for k, camera in enumerate(record.cameras, 1)}
+    verdict, numbers = data.record.verdict, data.numbers
+    in_findings = {name for finding in verdict.findings for name in finding.subject} if verdict else set()
     inliers = _inliers(data)
     pictures: list[tuple[int, str, str]] = []
     for camera in sorted(numbers, key=lambda name: (name not in in_findings, numbers[name])):
         frame = data.frame(camera)
         if picture := data.drawing(frame, "large"):
-            view = frame.subject[0]
-            marks = _keypoints(data, view), inliers.get(view, b"")
+            marks = data.drawing(Task(FEATURES, frame.subject), "marks") or b"", inliers[frame.subject[0]]
             encoded = " ".join(base64.b64encode(part).decode() or "-" for part in (picture, *marks))
             if len(encoded) > bytes_left:
                 break
@@ -237,37 +221,23 @@ def large_pictures(data: ReportData, bytes_left: int) -> list[tuple[int, str, st
     return sorted(pictures)
 
 
-def _keypoints(data: ReportData, view: str) -> bytes:
-    drawings = (
-        data.drawing(Task(stage.name, (view,)), "marks")
-        for stage in STAGES
-        if "marks" in stage.products.drawings and stage.scope == "camera"
-    )
-    return b"".join(filter(None, drawings))
-
-
-def _inliers(data: ReportData) -> Mapping[str, bytes]:
+def _inliers(data: ReportData) -> defaultdict[str, bytes]:
     """Return the inliers of each view; the first half of a pair's inliers is in the left image, the second in the right one."""
-    inliers: dict[str, bytes] = defaultdict(bytes)
-    for stage in (stage for stage in STAGES if "marks" in stage.products.drawings and stage.scope == "pair"):
-        for pair in data.record.pairs:
-            pair_inliers = data.drawing(Task(stage.name, (pair.left, pair.right)), "marks") or b""
-            inliers[pair.left] += pair_inliers[: len(pair_inliers) // 2]
-            inliers[pair.right] += pair_inliers[len(pair_inliers) // 2 :]
+    inliers = defaultdict[str, bytes](bytes)
+    for pair in data.record.pairs:
+        pair_inliers = data.drawing(Task(GEOMETRY, (pair.left, pair.right)), "marks") or b""
+        inliers[pair.left] += pair_inliers[: len(pair_inliers) // 2]
+        inliers[pair.right] += pair_inliers[len(pair_inliers) // 2 :]
     return inliers
 
 
 def _keypoint_note(data: ReportData, frame: Task) -> str:
     """Return a note if the keypoints come from the reference's picture, as they do for a camera that has not moved; else ""."""
-    cache = data.cache
-    frame_receipt = cache.by_key(frame, data.keys[frame])
-    for stage in STAGES:
-        task = Task(stage.name, frame.subject)
-        receipt = cache.by_key(task, data.keys[task]) if "marks" in stage.products.drawings and task in data.keys else None
-        if receipt and frame_receipt and frame_receipt.digest not in receipt.preimage.inputs.values():
-            night_note = f" of {data.reference_date}" if data.reference_date else ""
-            return f"found in the reference's picture{night_note}: the camera has not moved"
-    return ""
+    frame_receipt, receipt = data.receipt(frame), data.receipt(Task(FEATURES, frame.subject))
+    if not receipt or not frame_receipt or frame_receipt.digest in receipt.preimage.inputs.values():
+        return ""
+    night_note = f" of {data.reference.date}" if data.reference else ""
+    return f"found in the reference's picture{night_note}: the camera has not moved"
 
 
 def _to_unit(camera: Mapping[str, Any]) -> Matrix:
@@ -278,8 +248,3 @@ def _to_unit(camera: Mapping[str, Any]) -> Matrix:
 def _from_unit(camera: Mapping[str, Any]) -> Matrix:
     K, width, height = camera["K"], camera["width"], camera["height"]
     return [[width / K[0][0], 0.0, -K[0][2] / K[0][0]], [0.0, height / K[1][1], -K[1][2] / K[1][1]], [0.0, 0.0, 1.0]]
-
-
-def _project(rows: Matrix, x: float, y: float) -> tuple[float, float]:
-    u, v, w = (row[0] * x + row[1] * y + row[2] for row in rows)
-    return u / w, v / w

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 from ..records.record import CameraRecord
 from ..site.geodesy import origin_of
-from .data import ReportData, objects_of, since_last_good, state_of
+from .data import ReportData, changes_of, state_of
 
 Vector = tuple[float, float, float]
 Matrix = Sequence[Sequence[float]]
@@ -19,6 +19,19 @@ _LEAST_UPRIGHT = 0.5
 """The world's z axis is up if the cosine of its angle with the upward (-y) axis of every camera is above this."""
 _TRIMMED_SHARE, _MARGIN_SHARE = 0.1, 0.13
 """Share of points left out of the extent at each end of an axis (far ones would shrink the site), and the margin then added."""
+
+
+@dataclass(frozen=True)
+class Axes:
+    """The coordinate frame of the page."""
+
+    rows: tuple[Vector, Vector, Vector]
+    """Right, away and up, in world coordinates."""
+    origin: Vector
+
+    def place(self, point: Sequence[float]) -> Vector:
+        """Return a world point in the frame of the page."""
+        return _rotate(self.rows, _minus(point, self.origin))
 
 
 @dataclass(frozen=True)
@@ -41,11 +54,9 @@ class SceneCamera:
 
 @dataclass(frozen=True)
 class Scene:
-    """The coordinate frame of the page, with cameras and objects in it."""
+    """Cameras and objects in the frame of the page."""
 
-    rows: tuple[Vector, Vector, Vector]
-    """Right, away and up, in world coordinates."""
-    origin: Vector
+    axes: Axes
     cameras: tuple[SceneCamera, ...]
     objects: tuple[dict[str, Any], ...]
     """Objects that stages report, such as changes; `known` means that the object was there on the last good night."""
@@ -62,14 +73,10 @@ class Scene:
     place: list[float] | None
     """Latitude, longitude and height of the world's origin; None if the site is not georeferenced."""
 
-    def to_page(self, point: Sequence[float]) -> Vector:
-        """Return a world point in the frame of the page."""
-        return _rotate(self.rows, _minus(point, self.origin))
-
     def to_json(self) -> dict[str, Any]:
         """Return the input of the 3-D view."""
         cameras = [vars(camera) for camera in self.cameras]
-        axes = {"rows": self.rows, "origin": self.origin, "unit": self.unit, "place": self.place}
+        axes = {**vars(self.axes), "unit": self.unit, "place": self.place}
         box = {"low": self.low, "high": self.high, "middle": self.middle, "radius": self.radius, "heading": -math.pi / 2}
         return {"axes": axes, **box, "north": self.north, "cameras": cameras, "marks": self.objects}
 
@@ -80,25 +87,28 @@ def scene_of(data: ReportData, sample: list[Vector]) -> Scene | None:
     Up is the world's z axis if it agrees with every camera's, else the opposite of the cameras' mean y axis.  The first view
     looks from the cameras to the points, along a world axis if the site is georeferenced.
     """
-    record = data.record
-    placed = {camera.id: place for camera in record.cameras if (place := data.placement(camera.id))}
+    record, placements = data.record, data.placements
+    placed = [camera for camera in record.cameras if camera.id in placements]
     if not (sample or placed):
         return None
-    centres: list[Vector] = [tuple(entry["C"]) for entry, _ in placed.values()]
-    rotations: list[Matrix] = [entry["R"] for entry, _ in placed.values() if entry.get("R")]
-    points = sample or _last_cloud(data)
-    box_points = points or centres
-    origin = _sum(points, 1 / len(points)) if points and not sample else _median(sample or centres)
+    entries = [placements[camera.id][0] for camera in placed]
+    centres: list[Vector] = [tuple(entry["C"]) for entry in entries]
+    rotations: list[Matrix] = [entry["R"] for entry in entries if entry.get("R")]
+    if sample:
+        points, origin = sample, _median(sample)
+    elif points := _last_cloud(data):
+        origin = _sum(points, 1 / len(points))
+    else:
+        points, origin = centres, _median(centres)
     crs = record.poses.crs if record.poses else ""
-    rows = _axes(_up(rotations), centres, origin, [R[2] for R in rotations], on_map=bool(crs))
-    cameras = tuple(_camera(data, camera, placed[camera.id], rows, origin) for camera in record.cameras if camera.id in placed)
-    objects = tuple(_objects(data, rows, origin))
-    low, high = _box([_rotate(rows, _minus(point, origin)) for point in box_points], _TRIMMED_SHARE if sample else 0.0)
+    axes = Axes(_rows(rotations, centres, origin, on_map=bool(crs)), origin)
+    cameras = tuple(_camera(data, camera, axes) for camera in placed)
+    objects = tuple(_objects(data, axes))
+    low, high = _box([axes.place(point) for point in points], _TRIMMED_SHARE if sample else 0.0)
     middle, radius = _sum((low, high), 0.5), max(math.dist(low, high) / 2, 1e-6)
     coordinates = list(zip(low, high, *(c.C for c in cameras), *(item["at"] for item in objects), strict=True))
-    unit = "m" if not record.poses or record.poses.metric else ""
     extent = _vector(map(min, coordinates)), _vector(map(max, coordinates))
-    return Scene(rows, origin, cameras, objects, *extent, middle, radius, unit, "N" if crs else "y", origin_of(crs))
+    return Scene(axes, cameras, objects, *extent, middle, radius, data.unit, "N" if crs else "y", origin_of(crs))
 
 
 def _last_cloud(data: ReportData) -> list[Vector]:
@@ -116,10 +126,9 @@ def _up(rotations: Sequence[Matrix]) -> Vector:
     return _unit(total if math.hypot(*total) > 1e-6 else _sum([rotations[0][1]], -1.0))
 
 
-def _axes(
-    up: Vector, centres: Sequence[Vector], middle: Vector, view_axes: Sequence[Sequence[float]], on_map: bool
-) -> tuple[Vector, Vector, Vector]:
+def _rows(rotations: Sequence[Matrix], centres: Sequence[Vector], middle: Vector, on_map: bool) -> tuple[Vector, Vector, Vector]:
     """Return right, away and up: away points from the cameras to the middle, else where they look, else along y."""
+    up, view_axes = _up(rotations), [R[2] for R in rotations]
     to_middle = [_minus(middle, C) for C in centres]
     spread = sum(math.hypot(*vector) for vector in to_middle)
     away: Vector = (1.0, 0.0, 0.0)
@@ -135,11 +144,9 @@ def _axes(
     return right, away, up
 
 
-def _camera(
-    data: ReportData, camera: CameraRecord, place: tuple[Mapping[str, Any], str], rows: Matrix, origin: Vector
-) -> SceneCamera:
-    entry, note = place
-    C, state = _rotate(rows, _minus(entry["C"], origin)), state_of(camera, data.record)
+def _camera(data: ReportData, camera: CameraRecord, axes: Axes) -> SceneCamera:
+    entry, note = data.placements[camera.id]
+    C, state = axes.place(entry["C"]), state_of(camera, data.record)
     words = "; ".join(filter(None, (camera.reason or (camera.health.text if camera.health else ""), note)))
     if not entry.get("R"):
         return SceneCamera(camera.id, C, (), (0.0, 1.0, 0.0), 0.0, state, note, words)
@@ -148,18 +155,15 @@ def _camera(
     fx, fy, cx, cy = (K[0][0], K[1][1], K[0][2], K[1][2]) if K else (width, width, width / 2, height / 2)
     corners = ((0, 0), (width, 0), (width, height), (0, height))
     columns = list(zip(*R, strict=True))
-    rays = tuple(_rotate(rows, _rotate(columns, ((x - cx) / fx, (y - cy) / fy, 1.0))) for x, y in corners)
-    return SceneCamera(camera.id, C, rays, _rotate(rows, R[2]), 2 * math.atan(height / 2 / fy), state, note, words)
+    rays = tuple(_rotate(axes.rows, _rotate(columns, ((x - cx) / fx, (y - cy) / fy, 1.0))) for x, y in corners)
+    return SceneCamera(camera.id, C, rays, _rotate(axes.rows, R[2]), 2 * math.atan(height / 2 / fy), state, note, words)
 
 
-def _objects(data: ReportData, rows: Matrix, origin: Vector) -> Iterator[dict[str, Any]]:
-    for stage in data.record.results:
-        comparison = since_last_good(data, stage)
-        for name, entry in objects_of(data.record, stage).items():
-            at = _rotate(rows, _minus((entry.x, entry.y, entry.z), origin))
-            size = math.hypot(entry.length or 0.0, entry.width or 0.0)
-            known = comparison is not None and name in comparison.known
-            yield {"name": name, "kind": entry.kind, "at": at, "size": size, "known": known}
+def _objects(data: ReportData, axes: Axes) -> Iterator[dict[str, Any]]:
+    since = data.since_last_good
+    for name, change in changes_of(data.record).items():
+        at, size = axes.place((change.x, change.y, change.z)), math.hypot(change.length or 0.0, change.width or 0.0)
+        yield {"name": name, "kind": change.kind, "at": at, "size": size, "known": since is not None and name in since.known}
 
 
 def _box(points: Sequence[Vector], share: float) -> tuple[Vector, Vector]:

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+import math
 import mimetypes
 from collections import Counter
-from collections.abc import Iterator, Mapping
-from dataclasses import fields
-from typing import Any
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, fields
+from typing import Any, NamedTuple
 
-from ..cache.store import Preimage, Receipt
+from ..cache.store import Preimage
 from ..outcome.baseline import figures_of
 from ..pipeline.meanings import meaning, shown
-from ..pipeline.stages import STAGES, Stage
+from ..pipeline.stages import CHANGES, STAGES
 from ..pipeline.summaries import Change, ChangesSummary, PairFigures, SiteSummary
 from ..records.findings import Finding
 from ..records.record import CameraRecord, PairRecord, RunRecord
@@ -19,7 +20,7 @@ from ..runner.state import Cause
 from ..site.models import Measure
 from ..task import Task
 from ..words import counted, format_value
-from .data import Comparison, ReportData, since_last_good, state_of
+from .data import ReportData, changes_of, is_number, state_of
 from .pictures import Picture, Pictures
 
 BADGES = {"good": "as it should be", "warn": "look at it", "bad": "down"}
@@ -29,8 +30,48 @@ _MOST_OF_A_KIND = 4
 _MOST_FIGURES = 8
 """Largest number of figures shown for a stage that a pair reached."""
 
-Fact = tuple[str, str, str, str]
-"""A main figure of the night: value, label, usual value, and "fair" or "bad" if it is clearly below the usual value, else ""."""
+
+Captioned = tuple[Picture | str, str]
+"""A picture, or the text that replaces it if it is missing; and its caption."""
+
+
+class Fact(NamedTuple):
+    """A main figure of the night."""
+
+    value: str
+    label: str
+    note: str = ""
+    grade: str = ""
+    """fair or bad if it is clearly below the usual value."""
+
+
+@dataclass(frozen=True)
+class Thing:
+    """A change since the reference."""
+
+    name: str
+    title: str
+    size: str
+    since: str
+    known: str
+    """Who has acknowledged it; "" if it is not acknowledged."""
+    picture: Picture | None
+    figures: Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class Part:
+    """The result of a site-wide stage."""
+
+    title: str
+    reason: str
+    files: tuple[str, ...]
+    since: str = ""
+    """What is different from the last good night."""
+    picture: Picture | None = None
+    rows: tuple[tuple[str, str], ...] = ()
+    volumes: tuple[tuple[str, ...], ...] = ()
+    things: tuple[Thing, ...] = ()
 
 
 def headline(data: ReportData) -> tuple[str, str, str]:
@@ -72,75 +113,67 @@ def _first_remedy(findings: tuple[Finding, ...]) -> str:
 
 def facts(data: ReportData) -> Iterator[Fact]:
     """Yield the main figures."""
-    record = data.record
-    usual, values = record.usual.figures if record.usual else {}, figures_of(record)
+    record, values = data.record, figures_of(data.record)
+    usual = record.usual.figures if record.usual else {}
     base_name = "reference" if record.usual and record.usual.reference else "usual"
 
     def measured_fact(name: str, unit: str, label: str) -> Fact:
         base = usual.get(name)
-        comparison = f"{base_name}: {base:,.0f} {unit}".rstrip() if base else ""
-        return f"{values[name]:,.0f} {unit}".rstrip(), label, comparison, _grade(values[name], base)
+        note = f"{base_name}: {base:,.0f} {unit}".rstrip() if base else ""
+        return Fact(f"{values[name]:,.0f} {unit}".rstrip(), label, note, _grade(values[name], base))
 
-    usable_cameras, usable_pairs = sum(camera.ok for camera in record.cameras), sum(pair.ok for pair in record.pairs)
-    yield f"{usable_cameras} of {len(record.cameras)}", "cameras", "", "" if usable_cameras == len(record.cameras) else "bad"
-    if expected_pairs := max(len(record.pairs), round(usual.get(Measure.PAIRS, 0))):
-        yield f"{usable_pairs} of {expected_pairs}", "pairs of cameras", "", _grade(usable_pairs, usual.get(Measure.PAIRS))
+    usable_cameras = sum(camera.ok for camera in record.cameras)
+    all_cameras = len(record.cameras)
+    yield Fact(f"{usable_cameras} of {all_cameras}", "cameras", grade="" if usable_cameras == all_cameras else "bad")
+    usable_pairs, usual_pairs = sum(pair.ok for pair in record.pairs), usual.get(Measure.PAIRS, 0)
+    if all_pairs := max(len(record.pairs), round(usual_pairs)):
+        yield Fact(f"{usable_pairs} of {all_pairs}", "pairs of cameras", grade=_grade(usable_pairs, usual_pairs))
     if record.cloud:
         yield measured_fact(Measure.POINTS, "", "points")
     if record.poses and record.poses.unverified:
-        yield "unverified", "calibration: too few matches to check it", "", "fair"
+        yield Fact("unverified", "calibration: too few matches to check it", grade="fair")
     for stage, result in record.results.items():
         if stage in values:
             yield measured_fact(stage, *result.AMOUNT)
-        if (count := _change_count(result)) is not None:
-            since, label = since_last_good(data, stage), f"change{'s' * (count != 1)} since the reference"
-            acknowledged = _acknowledged_count(result)
-            notes = [
-                f"{_new_count(count, result, since)} since {since.date}" if since else "",
-                f"{acknowledged} acknowledged" if acknowledged else "",
-            ]
-            yield str(count), label, ", ".join(filter(None, notes)) if count else "", ""
+    if _is_compared(record):
+        changes, since = changes_of(record), data.since_last_good
+        notes = [f"{since.new} since {since.date}"] if since and changes else []
+        if acknowledged := sum(bool(change.acknowledged) for change in changes.values()):
+            notes.append(f"{acknowledged} acknowledged")
+        yield Fact(str(len(changes)), f"change{'s' * (len(changes) != 1)} since the reference", ", ".join(notes))
     seconds = record.seconds.wall
     duration = f"{seconds / 60:.0f} min" if seconds >= 100 else f"{seconds:.0f} s"
-    yield duration, "from captures to cloud" if record.cloud else "until the run ended", "", ""
+    yield Fact(duration, "from captures to cloud" if record.cloud else "until the run ended")
 
 
 def volume_facts(data: ReportData) -> Iterator[Fact]:
     """Yield the volumes that changed, as main figures."""
-    unit = "m" if data.record.poses is None or data.record.poses.metric else ""
     for result in data.record.results.values():
-        for ground, gained, lost, seen_area, unseen_area in _volumes(result, unit):
-            yield gained, f"gained, {ground}", "", ""
-            yield lost, f"lost, {ground}", "", ""
-            yield seen_area, "seen on both nights", f"not seen: {unseen_area}", ""
+        for ground, gained, lost, seen_area, unseen_area in _volumes(result, data.unit):
+            yield Fact(gained, f"gained, {ground}")
+            yield Fact(lost, f"lost, {ground}")
+            yield Fact(seen_area, "seen on both nights", f"not seen: {unseen_area}")
 
 
-def _change_count(result: SiteSummary) -> int | None:
-    """Return how many objects a stage found to differ from the reference; None if it compared nothing."""
-    return result.count if isinstance(result, ChangesSummary) and result.compared else None
-
-
-def _acknowledged_count(result: SiteSummary) -> int:
-    """Return how many of a stage's objects are acknowledged."""
-    return sum(bool(entry.acknowledged) for entry in result.objects.values())
-
-
-def _new_count(count: int, result: SiteSummary, since: Comparison) -> int:
-    """Return how many objects were not there on the last good night and are not acknowledged."""
-    return count - len(since.known) - sum(bool(item.acknowledged) and n not in since.known for n, item in result.objects.items())
+def _is_compared(record: RunRecord) -> bool:
+    """Return whether the night was compared with the reference."""
+    result = record.results.get(CHANGES)
+    return isinstance(result, ChangesSummary) and result.compared is True
 
 
 def _changes_sentence(data: ReportData) -> str:
     """Return a sentence with the number and kinds of changes since the reference; "" if there are none."""
-    for stage, result in data.record.results.items():
-        if count := _change_count(result):
-            kinds = Counter(entry.kind or "other" for entry in result.objects.values())
-            named = ", ".join(f"{number} {kind}" for kind, number in kinds.most_common())
-            since = since_last_good(data, stage)
-            new_text = f"; {_new_count(count, result, since) or 'none'} of them since {since.date}" if since else ""
-            acknowledged = f"; {_acknowledged_count(result)} acknowledged" if _acknowledged_count(result) else ""
-            return f"{counted(count, 'change')} since the reference{f' ({named})' if named else ''}{new_text}{acknowledged}."
-    return ""
+    changes, since = changes_of(data.record), data.since_last_good
+    if not changes or not _is_compared(data.record):
+        return ""
+    kinds = Counter(change.kind or "other" for change in changes.values())
+    named = ", ".join(f"{number} {kind}" for kind, number in kinds.most_common())
+    parts = [f"{counted(len(changes), 'change')} since the reference ({named})"]
+    if since:
+        parts.append(f"{since.new or 'none'} of them since {since.date}")
+    if acknowledged := sum(bool(change.acknowledged) for change in changes.values()):
+        parts.append(f"{acknowledged} acknowledged")
+    return "; ".join(parts) + "."
 
 
 def _grade(value: float, base: float | None) -> str:
@@ -150,51 +183,46 @@ def _grade(value: float, base: float | None) -> str:
     return "" if value >= 0.9 * base else "fair" if value >= 0.7 * base else "bad"
 
 
-def findings(data: ReportData, album: Pictures) -> list[dict[str, Any]]:
-    """Return the findings of a night with their pictures, the most important first.
-
-    Each has the number of its camera in the page, from 1 (0 if it is about none), pictures with their captions (None for a
-    missing picture), and the text that replaces a missing picture.
-    """
-    record = data.record
-    numbers = {camera.id: k for k, camera in enumerate(record.cameras, 1)}
-    without_capture = {camera.id for camera in record.cameras if camera.code == Cause.NO_CAPTURE}
-    rows: list[dict[str, Any]] = []
-    counts, reported = Counter[str](), record.verdict.findings if record.verdict else ()
-    limit = 1 if _same_fault(record, [finding for finding in reported if finding.kind.startswith("camera-")]) else _MOST_OF_A_KIND
+def findings(data: ReportData, album: Pictures) -> tuple[list[tuple[Finding, Sequence[Captioned]]], list[Finding]]:
+    """Return the findings of a night with their pictures, the most important first; and further ones of the same kinds, which are
+    folded and have no pictures."""
+    reported = data.record.verdict.findings if data.record.verdict else ()
+    is_common = _same_fault(data.record, [finding for finding in reported if finding.kind.startswith("camera-")])
+    limit = 1 if is_common else _MOST_OF_A_KIND
+    counts, in_full, folded = Counter[str](), [], []
     for finding in reported:
         counts[finding.kind] += 1
-        folded, number = counts[finding.kind] > limit, numbers.get(finding.about, 0)
-        pictures = () if folded else tuple(_pictures(data, album, finding, number))
-        missing = "no picture arrived" if finding.about in without_capture else "no picture could be read"
-        row = {"finding": finding, "number": number, "pictures": pictures}
-        rows.append({**row, "missing": missing, "folded": folded})
-    return rows
+        if counts[finding.kind] > limit:
+            folded.append(finding)
+        else:
+            in_full.append((finding, _pictures(data, album, finding)))
+    return in_full, folded
 
 
-def _pictures(data: ReportData, album: Pictures, finding: Finding, number: int) -> Iterator[tuple[Picture | None, str]]:
-    name = finding.about
-    if number:
-        tonight_picture, good_picture = album.of_frame(name, f"{name} on {data.record.date}"), album.of_last_good(name)
-        if tonight_picture or good_picture:
-            yield tonight_picture, f"this night, {data.record.date}"
+def _pictures(data: ReportData, album: Pictures, finding: Finding) -> Sequence[Captioned]:
+    name, record = finding.about, data.record
+    if camera := next((camera for camera in record.cameras if camera.id == name), None):
+        picture, good_picture = album.of_task(data.frame(name), f"{name} on {record.date}"), album.of_last_good(name)
+        missing = "no picture arrived" if camera.code == Cause.NO_CAPTURE else "no picture could be read"
         if good_picture:
-            yield good_picture, good_picture.alt
-    elif len(finding.subject) == 2:
-        of_pair = (album.of_task(Task(stage.name, finding.subject), name) for stage in STAGES if stage.scope == "pair")
-        yield from [(picture, name) for picture in of_pair if picture][:2]
+            return [(picture or missing, f"this night, {record.date}"), (good_picture, good_picture.alt)]
+        return [(picture, f"this night, {record.date}")] if picture else []
+    if len(finding.subject) == 2:
+        of_pair = (album.of_task(Task(stage.name, finding.subject), name) for stage in STAGES)
+        return [(picture, name) for picture in of_pair if picture][:2]
+    return []
 
 
 def cameras(data: ReportData) -> list[tuple[str, int, CameraRecord]]:
     """Return state, number in the site file (from 1), and record of each camera: "bad" ones first, then "warn" ones, otherwise in
     the order of the site file."""
-    rows = [(state_of(camera, data.record), k, camera) for k, camera in enumerate(data.record.cameras, 1)]
+    rows = [(state_of(camera, data.record), data.numbers[camera.id], camera) for camera in data.record.cameras]
     return sorted(rows, key=lambda entry: ("bad", "warn", "good").index(entry[0]))
 
 
 def camera_figures(data: ReportData, camera: CameraRecord) -> tuple[list[tuple[str, str, str]], dict[str, float]]:
     """Return title, explanation and value of a camera's main figures, and its other numbers by name."""
-    numbers = {name: v for name, v in vars(camera.figures).items() if isinstance(v, int | float) and not isinstance(v, bool)}
+    numbers = {name: value for name, value in vars(camera.figures).items() if is_number(value)}
     points, pairs = numbers.pop("points", None), data.record.pairs_of(camera.id)
     main_figures = [("used pairs", "of its pairs, those matched densely", f"{sum(p.ok for p in pairs)} of {len(pairs)}")]
     if points is not None:
@@ -208,10 +236,10 @@ def camera_figures(data: ReportData, camera: CameraRecord) -> tuple[list[tuple[s
 
 def keypoints(data: ReportData, camera: CameraRecord) -> str:
     """Return how many keypoints and inliers a camera's picture has."""
-    points, inliers = camera.figures.keypoints, [p.figures.inliers for p in data.record.pairs_of(camera.id) if p.matched]
-    nonzero = [count for count in inliers if count]
-    texts = [f"{points:,} keypoints"] if points else []
-    return ", ".join([*texts, *([f"{sum(nonzero):,} inliers in {len(nonzero)} pairs"] if nonzero else [])])
+    points = camera.figures.keypoints
+    inliers = [p.figures.inliers for p in data.record.pairs_of(camera.id) if p.matched and p.figures.inliers]
+    texts = f"{points:,} keypoints" if points else "", f"{sum(inliers):,} inliers in {len(inliers)} pairs" if inliers else ""
+    return ", ".join(filter(None, texts))
 
 
 def camera_words(data: ReportData, camera: CameraRecord) -> str:
@@ -229,66 +257,67 @@ def pair_columns(data: ReportData) -> list[str]:
 
 
 def tried(data: ReportData, pair: PairRecord) -> Iterator[tuple[str, str, str]]:
-    """Yield name, outcome and figures of each stage that a pair reached."""
-    for stage in (stage for stage in STAGES if stage.scope == "pair"):
+    """Yield name, outcome and figures, named as in run.json, of each stage that a pair reached; for a rejection, the figures that
+    led to it."""
+    for stage in STAGES:
         event = data.tasks.get(Task(stage.name, (pair.left, pair.right)))
         if event is None or event.outcome == "skipped":
             continue
-        receipt = data.cache.by_key(event.task, event.key) if event.key else None
-        method = receipt.preimage.parameters.get(stage.method.parameter) if stage.method and receipt else None
-        figures = ", ".join(_step_figures(stage, receipt)) if receipt else ""
-        details = "; ".join(filter(None, (f"by {method}" if method else "", event.reason, figures)))
+        method, texts = None, list[str]()
+        if receipt := data.receipt(event.task):
+            method = receipt.preimage.parameters.get(stage.method.parameter) if stage.method else None
+            summary = stage.summary if receipt.outcome != "rejected" else None
+            figures = vars(summary.from_json(receipt.figures)) if summary else receipt.figures
+            numbers = [(name, value) for name, value in figures.items() if is_number(value) and not math.isnan(value)]
+            texts = [f"{meaning(name).title} {format_value(value)}" for name, value in numbers[:_MOST_FIGURES]]
+        details = "; ".join(filter(None, (f"by {method}" if method else "", event.reason, ", ".join(texts))))
         yield stage.name, "done" if event.usable else event.outcome, details
-
-
-def _step_figures(stage: Stage, receipt: Receipt) -> Iterator[str]:
-    """Yield the numbers of a result, named as in run.json; for a rejection, the figures that led to it."""
-    summary = stage.summary if receipt.outcome != "rejected" else None
-    figures = vars(summary.from_json(receipt.figures)) if summary else receipt.figures
-    numbers = [(n, v) for n, v in figures.items() if isinstance(v, int | float) and not isinstance(v, bool) and v == v]
-    yield from (f"{meaning(name).title} {format_value(value)}" for name, value in numbers[:_MOST_FIGURES])
 
 
 def pair_pictures(data: ReportData, album: Pictures) -> list[tuple[str, list[Picture]]]:
     """Return the pictures of each pair that has any."""
-    stages = [stage.name for stage in STAGES if stage.scope == "pair" and "picture" in stage.products.drawings]
-    tasks = {pair.name: [Task(name, (pair.left, pair.right)) for name in stages] for pair in data.record.pairs}
-    by_pair = [(name, [p for task in pair_tasks if (p := album.of_task(task, str(task)))]) for name, pair_tasks in tasks.items()]
-    return [(name, pictures) for name, pictures in by_pair if pictures]
-
-
-def parts(data: ReportData, album: Pictures) -> list[dict[str, Any]]:
-    """Return the results of each site-wide stage in run.json; objects that are not acknowledged come first."""
     rows = []
-    unit = "m" if data.record.poses is None or data.record.poses.metric else ""
-    for stage in STAGES:
-        if result := data.record.results.get(stage.name):
-            part: dict[str, Any] = {"title": stage.products.title, "reason": result.reason or "", "files": result.files}
-            if isinstance(result, ChangesSummary) and result.compared is False:
-                empty = {"since": "There was nothing to compare this night with.", "picture": None}
-                rows.append({**part, **empty, "rows": (), "volumes": (), "things": ()})
-                continue
-            since = since_last_good(data, stage.name)
-            objects = sorted(_object_rows(result, album, since, unit), key=lambda entry: bool(entry["known"]))
-            gone = [f"{entry.kind or 'something'} ({_dimensions(entry, unit)})" for entry in since.gone.values()] if since else []
-            intro = f"Differed on {since.date}, the last good night, and are as in the reference again:" if since else ""
-            picture = album.of_task(Task(stage.name), stage.products.title)
-            extras = {"since": f"{intro} {', '.join(gone)}." if gone else "", "picture": picture}
-            tables = {"rows": list(shown(vars(result))), "volumes": list(_volumes(result, unit))}
-            rows.append({**part, **extras, **tables, "things": tuple(objects)})
+    for pair in data.record.pairs:
+        tasks = [Task(stage.name, (pair.left, pair.right)) for stage in STAGES]
+        if pictures := [picture for task in tasks if (picture := album.of_task(task, str(task)))]:
+            rows.append((pair.name, pictures))
     return rows
 
 
-def _object_rows(result: SiteSummary, album: Pictures, since: Comparison | None, unit: str) -> Iterator[dict[str, Any]]:
-    for name, entry in result.objects.items():
+def parts(data: ReportData, album: Pictures) -> list[Part]:
+    """Return the results of each site-wide stage in run.json; changes that are not acknowledged come first."""
+    rows = []
+    for stage in STAGES:
+        result = data.record.results.get(stage.name)
+        if result is None:
+            continue
+        title, reason = stage.products.title, result.reason or ""
+        if isinstance(result, ChangesSummary) and result.compared is False:
+            rows.append(Part(title, reason, result.files, since="There was nothing to compare this night with."))
+            continue
+        things = sorted(_things(data, result, album), key=lambda thing: bool(thing.known))
+        picture = album.of_task(Task(stage.name), title)
+        since = data.since_last_good if stage.name == CHANGES else None
+        gone_text = ""
+        if since and since.gone:
+            gone = (f"{change.kind or 'something'} ({_dimensions(change, data.unit)})" for change in since.gone.values())
+            gone_text = f"Differed on {since.date}, the last good night, and are as in the reference again: {', '.join(gone)}."
+        figures, volumes = tuple(shown(vars(result))), tuple(_volumes(result, data.unit))
+        rows.append(Part(title, reason, result.files, gone_text, picture, figures, volumes, tuple(things)))
+    return rows
+
+
+def _things(data: ReportData, result: SiteSummary, album: Pictures) -> Iterator[Thing]:
+    since = data.since_last_good
+    for name, change in result.objects.items():
         file = next((f for f in result.files if f.rpartition(".")[0].endswith(f"-{name}") and is_picture(f)), None)
-        title = f"{name}: {entry.kind}".rstrip(": ")
-        figures = {key.replace("_", " "): value for key, value in vars(entry).items() if key not in {"kind", "acknowledged"}}
+        title = f"{name}: {change.kind}".rstrip(": ")
         picture = album.of_product(file, f"{title}: then and this night") if file else None
-        old_name = since.known.get(name) if since else None
-        when = "" if since is None else f"already so on {since.date}" if old_name else f"since {since.date}, the last good night"
-        texts = {"name": name, "title": title, "size": _dimensions(entry, unit), "since": when, "known": entry.acknowledged}
-        yield {**texts, "picture": picture, "figures": figures}
+        when = ""
+        if since:
+            when = f"already so on {since.date}" if name in since.known else f"since {since.date}, the last good night"
+        figures = {key.replace("_", " "): value for key, value in vars(change).items() if key not in {"kind", "acknowledged"}}
+        yield Thing(name, title, _dimensions(change, data.unit), when, change.acknowledged, picture, figures)
 
 
 def _volumes(result: SiteSummary, unit: str) -> Iterator[tuple[str, ...]]:
@@ -301,12 +330,12 @@ def _volumes(result: SiteSummary, unit: str) -> Iterator[tuple[str, ...]]:
         yield zone or "whole site", *volumes, quantity(part.area, None, "²"), quantity(part.unseen, None, "²")
 
 
-def _dimensions(entry: Change, unit: str) -> str:
+def _dimensions(change: Change, unit: str) -> str:
     """Return the size, volume and place of an object, as far as they are known."""
-    size = " × ".join(f"{side:.1f}" for side in (entry.length, entry.width, entry.height) if side is not None)
-    volume, sigma = entry.volume, entry.volume_sigma
+    size = " × ".join(f"{side:.1f}" for side in (change.length, change.width, change.height) if side is not None)
+    volume, sigma = change.volume, change.volume_sigma
     volume_text = f"{volume:.1f}" + (f" ± {sigma:.1f}" if sigma else "") + (f" {unit}³" if unit else "") if volume else ""
-    place_text = f"at {entry.x:.1f}, {entry.y:.1f}, {entry.z:.1f}"
+    place_text = f"at {change.x:.1f}, {change.y:.1f}, {change.z:.1f}"
     return "; ".join(filter(None, (f"{size} {unit}".strip(), volume_text and f"volume {volume_text}", place_text)))
 
 
@@ -318,7 +347,7 @@ def is_picture(file: str) -> bool:
 def settings(data: ReportData) -> list[tuple[str, Preimage]]:
     """Return the function, code and parameters of each stage."""
     preimages: dict[str, Preimage] = {}
-    for task, event in data.tasks.items():
-        if task.stage not in preimages and event.key and (receipt := data.cache.by_key(task, event.key)):
+    for task in data.tasks:
+        if task.stage not in preimages and (receipt := data.receipt(task)):
             preimages[task.stage] = receipt.preimage
     return [(stage.name, preimages[stage.name]) for stage in STAGES if stage.name in preimages]

@@ -82,14 +82,12 @@ def _site_row(file: Path, folder: Path) -> SiteRow:
         by_night = {entry.run.date: entry for entry in (history(work) if work.run_ids() else [])}
     except WbflowError as error:
         return SiteRow(file.parent.name, file, fault=str(error))
-    nights = [_night_row(work, by_night[date], folder) for date in sorted(by_night)[-NIGHTS:]]
+    nights = []
+    for _, entry in sorted(by_night.items())[-NIGHTS:]:
+        report = work.run(entry.run.run).report
+        link = os.path.relpath(report, folder) if report.is_file() else ""
+        nights.append((entry, entry.verdict.level if entry.verdict else "", link))
     return SiteRow(site.name, site.file, "", tuple(nights), _picture_url(work))
-
-
-def _night_row(work: WorkFolder, entry: Entry, folder: Path) -> tuple[Entry, str, str]:
-    report = work.run(entry.run.run).report
-    href = Path(os.path.relpath(report, folder)).as_posix() if report.is_file() else ""
-    return entry, entry.verdict.level if entry.verdict else "", href
 
 
 def _picture_url(work: WorkFolder) -> str:

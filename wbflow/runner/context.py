@@ -6,10 +6,9 @@ import datetime
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from ..cache.layout import WorkFolder
 from ..cache.memo import Digests, EarlierCaptures
 from ..cache.store import Cache
-from ..records.reference_folder import BadReference, Reference, read_reference
+from ..records.reference_folder import BadReference, read_reference
 from ..site.captures import changes_of, expected, find_captures, find_named, list_store, night, when_complete, with_current_digest
 from ..site.models import Site
 from ..site.stale_cameras import find_stale
@@ -70,7 +69,11 @@ def plan_run(site: Site, options: Options) -> RunContext:
     fresh = find_stale(site, run_date, captures, digests, earlier_captures)
     missing = [camera for camera in site.cameras if not fresh.captures[camera.id]]
     expected_names = {camera.id: expected(site, camera, run_date).replace(f"{site.captures.root}/", "") for camera in missing}
-    reference, incompatible = _load_reference(site, work)
+    reference, incompatible = None, ""
+    try:
+        reference = read_reference(work) if site.settings.pin != "none" else None
+    except BadReference as error:
+        incompatible = error.what
     plan = Plan(
         site,
         fresh.captures,
@@ -86,11 +89,3 @@ def plan_run(site: Site, options: Options) -> RunContext:
         night_given=options.date is not None,
     )
     return RunContext(run_date, digests, earlier_captures, fresh.notes, plan, growing=growing)
-
-
-def _load_reference(site: Site, work: WorkFolder) -> tuple[Reference | None, str]:
-    """The reference, and why it cannot be read ("" if it can, or if there is none)."""
-    try:
-        return (read_reference(work) if site.settings.pin != "none" else None), ""
-    except BadReference as error:
-        return None, error.what

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import heapq
+import bisect
 import itertools
 import re
 import shutil
 from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, ThreadPoolExecutor, wait
 from contextlib import suppress
 from dataclasses import dataclass
@@ -17,12 +17,12 @@ from pathlib import Path
 from ..cache.store import Cache
 from ..errors import WbflowError
 from ..records.events import StartedEvent
-from ..records.ledger import TaskCosts, read_costs
+from ..records.ledger import read_costs
 from ..task import Task
 from ..words import printable
 from .executors import Cluster, CodeMismatch, Processes, WorkerLost
 from .journal import Journal
-from .limits import Limits, disk_shortage, machine_memory
+from .limits import Limits, machine_memory
 from .options import Options, worker_roots
 from .spec import TaskSpec
 from .state import Cause, State
@@ -38,7 +38,7 @@ class _Submitted:
 
     specs: list[TaskSpec]
     progress: Path
-    """The progress file (see `worker.Progress`)."""
+    """The progress file (see `worker.progress_reporter`)."""
     at_work: int = -1
     """Position in the chain of the task that began last; -1 before the first."""
 
@@ -71,68 +71,68 @@ class Dispatcher:
         self._cache = cache
         self._journal = journal
         self._executor: Executor | None = None
-        self._limits = Limits()
-        self._queue: list[tuple[bool, float, int, list[TaskSpec]]] = []
+        self._queue: list[list[TaskSpec]] = []
         self._running: dict[Future[list[FinishedTask]], _Submitted] = {}
         self._losses: Counter[Task] = Counter()
         self._numbers = itertools.count()
 
     @cached_property
-    def _costs(self) -> TaskCosts:
-        """Costs of the tasks in earlier runs."""
-        return read_costs(self._cache.work)
-
-    def disk_shortage(self, tasks: Iterable[Task]) -> str:
-        """How much disk space is missing for some tasks, as text; "" if there is enough."""
-        return disk_shortage(self._cache.work.root, self._costs, tasks)
+    def limits(self) -> Limits:
+        """The limits for tasks, with their costs in earlier runs (which a run without work does not read)."""
+        return Limits(self._options.memory or machine_memory(), self._options.time_limit, read_costs(self._cache.work))
 
     def submit(self, chains: list[list[TaskSpec]]) -> None:
         """Queue chains."""
         if self._executor is None:  # only now: a run without work starts no worker
-            memory = self._options.memory or machine_memory()
-            self._limits = Limits(memory, self._options.time_limit, self._costs)
-            self._executor = _make_executor(self._options, memory)
+            self._executor = _make_executor(self._options, self.limits.memory)
             self._cache.work.progress.mkdir(parents=True, exist_ok=True)
         for chain in chains:
-            expected = sum(self._costs.expected_seconds(spec.task.stage, str(spec.task)) for spec in chain)
-            suspect = self._losses[chain[0].task] > 0
-            heapq.heappush(self._queue, (suspect, -expected, next(self._numbers), chain))
+            bisect.insort(self._queue, chain, key=self._priority)
 
-    def wait(self) -> tuple[list[FinishedTask], list[list[TaskSpec]]]:
-        """Wait until a chain ends, at most `PROGRESS_SECONDS`; return the tasks and the chains that have ended."""
+    def wait(self) -> list[tuple[list[TaskSpec], list[FinishedTask]]]:
+        """Wait until a chain ends, at most `PROGRESS_SECONDS`; return the chains that have ended, each with its ended tasks."""
         self._begin()
         finished, _ = wait(self._running, timeout=PROGRESS_SECONDS, return_when=FIRST_COMPLETED)
         for chain in self._running.values():
             if chain.read_progress()[0]:
                 self._journal.listen(StartedEvent(chain.tasks[chain.at_work]))
         ended = [(self._running.pop(future), future) for future in finished]
-        return [done for chain, future in ended for done in self._outcomes(chain, future)], [chain.specs for chain, _ in ended]
+        return [(chain.specs, list(self._outcomes(chain, future))) for chain, future in ended]
 
     def stop(self) -> None:
         """End all running chains, and remove their half-written files."""
         if self._executor:
             self._executor.shutdown(wait=True, cancel_futures=True)
         self._executor = None
-        self._cache.tidy(task for chain in self._running.values() for task in chain.tasks)
+        self._cache.work.remove_half_written(task for chain in self._running.values() for task in chain.tasks)
         self._running, self._queue = {}, []
         with suppress(OSError):
             shutil.rmtree(self._cache.work.progress)
 
+    def _priority(self, chain: list[TaskSpec]) -> tuple[bool, float]:
+        """The sort key of the queue: chains whose first task has lost a worker come last, else the longest comes first."""
+        expected = sum(self.limits.costs.expected_seconds(spec.task.stage, str(spec.task)) for spec in chain)
+        return self._losses[chain[0].task] > 0, -expected
+
     def _begin(self) -> None:
-        while self._queue and self._executor:
-            suspect, *_, specs = self._queue[0]
-            running = [chain.tasks for chain in self._running.values()]
-            runs_alone = suspect or any(self._losses[task] for tasks in running for task in tasks)
-            slots = self._executor.capacity if isinstance(self._executor, Cluster) else self._options.jobs
-            fits = len(running) < slots and self._limits.fits(running, [spec.task for spec in specs])
-            if running and (runs_alone or not fits):
-                return
-            heapq.heappop(self._queue)
+        """Submit the chains of the queue that can run now, in order."""
+        while self._executor and self._queue and self._can_begin(self._queue[0]):
+            specs = self._queue.pop(0)
             chain = _Submitted(specs, self._cache.work.progress / str(next(self._numbers)))
-            seconds = {spec.task.stage: self._limits.seconds_for(spec.task.stage) for spec in specs}
             own_process = isinstance(self._executor, Processes)
-            future = self._executor.submit(run_chain, specs, self._cache, chain.progress, seconds if own_process else None)
+            seconds = {spec.task.stage: self.limits.seconds_for(spec.task.stage) for spec in specs} if own_process else None
+            future = self._executor.submit(run_chain, specs, self._cache, chain.progress, seconds)
             self._running[future] = chain
+
+    def _can_begin(self, specs: list[TaskSpec]) -> bool:
+        """Is nothing running, or do workers and memory allow another chain, and has none of them lost a worker before?"""
+        running = [chain.tasks for chain in self._running.values()]
+        if not running:
+            return True
+        if self._losses[specs[0].task] or any(self._losses[task] for tasks in running for task in tasks):
+            return False
+        slots = self._executor.capacity if isinstance(self._executor, Cluster) else self._options.jobs
+        return len(running) < slots and self.limits.fits(running, [spec.task for spec in specs])
 
     def _outcomes(self, chain: _Submitted, future: Future[list[FinishedTask]]) -> Iterator[FinishedTask]:
         """How the tasks of a chain ended; if its worker was lost, only the running one: finished ones are in the cache."""
@@ -144,7 +144,7 @@ class Dispatcher:
                 for damage in done.damages:
                     self._journal.note_repair(f"{damage.what}: made again", task=damage.task)
                 if done.state.receipt:
-                    self._limits.learn(done.task.stage, done.state.receipt.peak_rss_mb)
+                    self.limits.learn(done.task.stage, done.state.receipt.peak_rss_mb)
                 yield done
         elif isinstance(error, WorkerLost):
             yield from self._outcomes_of_loss(chain, error)
@@ -159,13 +159,13 @@ class Dispatcher:
         chain.progress.unlink(missing_ok=True)
 
     def _outcomes_of_loss(self, chain: _Submitted, error: WorkerLost) -> Iterator[FinishedTask]:
-        self._cache.tidy(chain.tasks)
+        self._cache.work.remove_half_written(chain.tasks)
         _, trace = chain.read_progress()
         task = chain.tasks[max(0, chain.at_work)]
         if "Timeout (" in trace:
-            median = self._limits.costs.stages.get(task.stage)
+            median = self.limits.costs.stages.get(task.stage)
             usual = f" ({task.stage} takes {_time(median)} as a rule)" if median is not None else ""
-            why = f"took longer than {_time(self._limits.seconds_for(task.stage))}{usual} and was ended; --time-limit gives more"
+            why = f"took longer than {_time(self.limits.seconds_for(task.stage))}{usual} and was ended; --time-limit gives more"
             yield FinishedTask(task, State("failed", why, Cause.TOO_SLOW, trace=trace, fresh=True))
             return
         self._losses[task] += 1

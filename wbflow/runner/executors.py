@@ -57,7 +57,7 @@ class Processes(Executor):
     """
 
     def __init__(self, jobs: int, memory: int) -> None:
-        """memory: bytes, 0 for no limit."""
+        """memory: bytes."""
         self._jobs = jobs
         self._memory = memory
         self._workers: list[_Worker] = []
@@ -134,7 +134,7 @@ class Processes(Executor):
         if worker.exceeded_limit:
             total = f"all workers together held more than the limit of {format_size(self._memory)}"
             text, cause = f"ran out of memory: it held {memory}, and {total}", Cause.OUT_OF_MEMORY
-        elif "SIGKILL" in text and self._memory and worker.peak_bytes > self._memory / 2:  # probably by the kernel's OOM killer
+        elif "SIGKILL" in text and worker.peak_bytes > self._memory / 2:  # probably by the kernel's OOM killer
             text, cause = f"{text} (out of memory? it held {memory})", Cause.OUT_OF_MEMORY
         future.set_exception(WorkerLost(text, cause))
 
@@ -142,7 +142,7 @@ class Processes(Executor):
         """Run in a thread: measure the memory of all workers, and while it exceeds the limit, end idle ones, then the largest."""
         while not self._closed.wait(MEASURE_SECONDS):
             memory = {worker: worker.memory_bytes() for worker in list(self._workers)}
-            if not self._memory or sum(memory.values()) <= self._memory:
+            if sum(memory.values()) <= self._memory:
                 continue
             for idle in [worker for worker in memory if worker in self._idle]:
                 with suppress(ValueError):  # the worker has just received a call

@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Collection, Mapping
-from dataclasses import dataclass, field, replace
+from collections.abc import Collection, Mapping, Set
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING
 
 from ..pipeline.stages import DENSE_PAIRS, FRAMES, FUSE, HEALTH, PAIRS, POSES, Source, Stage, stage_named
 from ..pipeline.summaries import PairsSummary, PosesSummary
 from ..site.captures import CaptureFile, file_of_stage
-from ..site.models import Camera, Site
-from ..task import Subject, Task, component_name
-from .spec import Absent, Files, Input, Joined, Part, Stored, Value, own_subject, site_input, site_inputs, subject_of
+from ..site.models import Site
+from ..task import Subject, Task, camera_of, component_name
+from .spec import Files, Input, Joined, Stored, site_input, stored_input
 from .state import Cause, Impossible, State, Waiting, blocked_by, summary_of
 
 if TYPE_CHECKING:
@@ -86,10 +86,6 @@ class Subjects:
             return [Task(origin.name, pair) for pair in graph.of.get(camera, ())] if graph else []
         return [Task(origin.name, (c,)) for c in (self.near(camera) if need.of == "near" else self.around(camera))]
 
-    def camera(self, camera: str) -> Camera:
-        """The site's entry for a camera with one view, or for a view."""
-        return self.site.views[self._position[camera]]
-
     @cached_property
     def _position(self) -> dict[str, int]:
         """Position of each view in the order of the site file."""
@@ -104,22 +100,21 @@ class Subjects:
         if task.stage == DENSE_PAIRS and not state.usable:
             return self._graph(dense=False)
         if task not in self._graphs or self._graphs[task].state is not state:
-            pairs = list(summary_of(state, PairsSummary).pairs) if state.usable else []
-            self._graphs[task] = graph = _PairGraph(state, pairs)
-            for pair in pairs:
-                for camera in pair:
-                    graph.of.setdefault(camera, []).append(pair)
+            self._graphs[task] = _PairGraph(state)
         return self._graphs[task]
 
 
-@dataclass
 class _PairGraph:
-    """The pairs of a night: the matched ones, or the dense ones."""
+    """The pairs of a night, also by camera: the matched ones, or the dense ones."""
 
-    state: State
-    pairs: list[tuple[str, str]]
-    of: dict[str, list[tuple[str, str]]] = field(default_factory=dict)
-    """Pairs by camera."""
+    def __init__(self, state: State) -> None:
+        """state: of the task that chose the pairs."""
+        self.state = state
+        self.pairs = list(summary_of(state, PairsSummary).pairs) if state.usable else []
+        self.of: dict[str, list[tuple[str, str]]] = {}
+        for pair in self.pairs:
+            for camera in pair:
+                self.of.setdefault(camera, []).append(pair)
 
 
 @dataclass
@@ -131,7 +126,7 @@ class Inputs:
     stages: Collection[str]
     """Names of the stages that take part tonight."""
 
-    def inputs_of(self, task: Task, needs: Mapping[str, Source], earlier: set[Task]) -> dict[str, Input]:
+    def inputs_of(self, task: Task, needs: Mapping[str, Source], earlier: Set[Task]) -> dict[str, Input]:
         """All inputs of a task by argument name.  Raises Waiting if one is not ready, Impossible if one cannot be made.
 
         earlier: tasks before it in the same chain; inputs from these are not resolved yet.
@@ -144,145 +139,136 @@ class Inputs:
             except Impossible as error:
                 if not need.unless:
                     raise
-                inputs[name], faults[name] = Absent(), error
+                inputs[name], faults[name] = None, error
         for name, fault in faults.items():
-            if any(isinstance(inputs.get(other, Absent()), Absent) for other in needs[name].unless):
+            if any(inputs.get(other) is None for other in needs[name].unless):
                 raise fault
         return inputs
 
-    def input_of(self, task: Task, need: Source, earlier: set[Task]) -> Input:
+    def input_of(self, task: Task, need: Source, earlier: Set[Task]) -> Input:
         """One input of a task; parameters and exceptions as for `inputs_of`."""
         if need.kind == "site":
             return self._from_site(need, task)
         if need.kind == "file":
             return self._named_file(need.name, file_of_stage(task.stage, need.name))
-        if need.kind == "reference":
+        if need.kind in {"reference", "history"}:
             return self.plan.resolver.input(need, task)
-        if need.kind == "history":
-            return self.plan.resolver.history_input(need, task)
-        if need.needed_if and not need.needed_if(self.plan.site):
-            return Joined({})
-        origin = stage_named(need.name)
+        if not self._is_made(need):
+            return Joined({}) if need.joins else None
         if need.joins:
-            return self._join(origin, need, task)
-        is_site_wide = stage_named(task.stage).scope == "site"
-        entry = "--".join(own_subject(need, task)) if origin.scope == "site" and not is_site_wide else None
-        part = Part(need.part, entry) if need.part else None
-        return self._stored(Task(origin.name, subject_of(origin, need, task)), need, part, earlier)
+            return self._join(stage_named(need.name), need, task)
+        wanted = stored_input(need, task)
+        return wanted if wanted.task in earlier else self._stored(wanted, need)
 
     def upstreams(self, task: Task, needs: Mapping[str, Source]) -> list[Task]:
         """The tasks that provide the inputs of a task, as far as they are listed yet."""
-        upstreams: list[Task] = []
+        upstreams: dict[Task, None] = {}
         for need in needs.values():
-            not_needed = need.kind != "stage" or (need.needed_if and not need.needed_if(self.plan.site))
-            if not_needed or (need.may_lack(self.plan.site) and need.name not in self.stages):
+            if need.kind != "stage" or not self._is_made(need):
                 continue
             origin = stage_named(need.name)
-            if need.joins and origin.scope != "site":
-                upstreams += self.plan.subjects.joined(origin, need, task)
-            else:
-                upstreams.append(Task(origin.name, subject_of(origin, need, task)))
-        return list(dict.fromkeys(upstreams))
+            is_mapping = need.joins and origin.scope != "site"
+            tasks = self.plan.subjects.joined(origin, need, task) if is_mapping else [stored_input(need, task).task]
+            upstreams |= dict.fromkeys(tasks)
+        return list(upstreams)
 
-    def _stored(self, upstream: Task, need: Source, part: Part | None, earlier: set[Task] | None = None) -> Input:
-        if earlier and upstream in earlier:
-            return Stored(upstream, part)
-        if need.optional and upstream.stage not in self.stages:
-            return Absent()
-        state = self.plan.states.get(upstream)
-        if state is None and not self.plan.subjects.is_unmatched(upstream):
-            raise Waiting(upstream)
-        if state and state.usable and state.receipt and (part is None or str(part) in state.receipt.parts):
-            return Stored(upstream, part).resolved(state.receipt)
+    def _is_made(self, need: Source) -> bool:
+        """Does the site need this input from a stage, and does the stage take part (or must it be waited for)?"""
+        is_needed = need.needed_if is None or need.needed_if(self.plan.site)
+        return is_needed and (need.name in self.stages or not need.may_lack(self.plan.site))
+
+    def _stored(self, wanted: Stored, need: Source) -> Input:
+        state = self.plan.states.get(wanted.task)
+        if state is None and not self.plan.subjects.is_unmatched(wanted.task):
+            raise Waiting(wanted.task)
+        if state and (stored := wanted.resolved(state.receipt)):
+            return stored
         if need.may_lack(self.plan.site):
-            return Absent()
+            return None
         if state is None:
-            raise Impossible(f"{'--'.join(upstream.subject)} was not matched", Cause.NO_PAIRS)
-        if state.usable and part:
-            raise Impossible(f"{upstream} has nothing for {part.entry or part.field}", Cause.UNSOLVED)
-        raise blocked_by(upstream, state)
+            raise Impossible(f"{'--'.join(wanted.task.subject)} was not matched", Cause.NO_PAIRS)
+        if state.usable:
+            raise Impossible(f"{wanted.task} has nothing for {wanted.entry or wanted.field}", Cause.UNSOLVED)
+        raise blocked_by(wanted.task, state)
 
     def _join(self, origin: Stage, need: Source, task: Task) -> Input:
         """The results of many tasks, or many entries of a site-wide result, by subject."""
-        if need.may_lack(self.plan.site) and need.name not in self.stages:
-            return Joined({})
+        subjects, states, resolver = self.plan.subjects, self.plan.states, self.plan.resolver
         needs_pairs = origin.scope == "pair" or need.of in {"around", "near"}
-        if needs_pairs and self.plan.subjects.pairs(origin.dense or origin.scope != "pair") is None:
+        if needs_pairs and subjects.pairs(origin.dense or origin.scope != "pair") is None:
             raise Waiting(None)
-        joined = self.plan.subjects.joined(origin, need, task)
+        joined = subjects.joined(origin, need, task)
         if origin.scope == "site":
-            return self._entries(origin, need, joined)
+            return self._entries(Task(origin.name), need.part, [other.subject[0] for other in joined])
         for upstream in reversed(joined):  # the last in the list is usually the last to end
-            if upstream not in self.plan.states:
+            if upstream not in states:
                 raise Waiting(upstream)
-        items: dict[Subject, Value | Stored] = {}
+        items: dict[Subject, Stored] = {}
         faults: list[Impossible] = []
-        part = Part(need.part) if need.part else None
-        useless = self.plan.resolver.useless() if task.stage != HEALTH else frozenset()
         for upstream in joined:
-            state = self.plan.states[upstream]
-            if useless & set(upstream.subject):
-                faults.append(self.plan.resolver.unfit_error(upstream.subject))
-            elif state.usable and state.receipt and (part is None or str(part) in state.receipt.parts):
-                items[upstream.subject] = Stored(upstream, part).resolved(state.receipt)
+            if task.stage != HEALTH and any(map(resolver.is_useless, upstream.subject)):
+                faults.append(resolver.unfit_error(upstream.subject))
+            elif stored := Stored(upstream, need.part).resolved(states[upstream].receipt):
+                items[upstream.subject] = stored
             else:
-                faults.append(blocked_by(upstream, state))
+                faults.append(blocked_by(upstream, states[upstream]))
         if not items and not need.may_lack(self.plan.site):
             raise self._why_empty(origin, faults)
         return Joined(items)
 
-    def _entries(self, origin: Stage, need: Source, joined: list[Task]) -> Input:
+    def _entries(self, upstream: Task, part: str, cameras: list[str]) -> Joined:
         """The entries for some cameras in a mapping from a site-wide stage."""
-        optional_need, site_task = replace(need, optional=True), Task(origin.name)
-        inputs = {task.subject: self._stored(site_task, optional_need, Part(need.part, task.subject[0])) for task in joined}
-        items: dict[Subject, Value | Stored] = {subject: item for subject, item in inputs.items() if isinstance(item, Stored)}
+        state = self.plan.states.get(upstream)
+        if state is None:
+            raise Waiting(upstream)
+        items: dict[Subject, Stored] = {}
+        for camera in cameras:
+            if entry := Stored(upstream, part, camera).resolved(state.receipt):
+                items[camera,] = entry
         if not items:
-            raise blocked_by(site_task, self.plan.states[site_task])
+            raise blocked_by(upstream, state)
         return Joined(items)
 
     def _why_empty(self, origin: Stage, faults: list[Impossible]) -> Impossible:
         """Why a mapping input has no entries."""
         first_fault = f": {faults[0]}" if faults else ""
-        frames = {view.id: self.plan.states.get(Task(FRAMES, (view.id,))) for view in self.plan.site.views}
-        usable = list(dict.fromkeys(view.camera for view in self.plan.site.views if (state := frames[view.id]) and state.usable))
-        if len(usable) < 2:
-            reason = f"no camera has a usable capture{first_fault}"
-            if usable:
-                reason = f"only camera {usable[0]} has a usable capture, a cloud needs two that see the same things{first_fault}"
-            elif all(state and state.code == Cause.NO_CAPTURE for state in frames.values()):
-                reason = f"no camera has a usable capture: there is none of this night in {self.plan.site.captures.root}"
+        frames = [(view.camera, self.plan.states.get(Task(FRAMES, (view.id,)))) for view in self.plan.site.views]
+        usable = list(dict.fromkeys(camera for camera, state in frames if state and state.usable))
+        if not usable and all(state and state.code == Cause.NO_CAPTURE for _, state in frames):
+            reason = f"no camera has a usable capture: there is none of this night in {self.plan.site.captures.root}"
             return Impossible(reason, Cause.TOO_FEW_CAMERAS)
+        if not usable:
+            return Impossible(f"no camera has a usable capture{first_fault}", Cause.TOO_FEW_CAMERAS)
+        if len(usable) == 1:
+            reason = f"only camera {usable[0]} has a usable capture, a cloud needs two that see the same things{first_fault}"
+            return Impossible(reason, Cause.TOO_FEW_CAMERAS)
+        if faults:
+            return Impossible(f"no {origin.name} to work on{first_fault}", faults[0].code)
+        if origin.scope != "pair":
+            return Impossible(f"no {origin.name} to work on", Cause.UPSTREAM)
         pairs = self.plan.states.get(Task(PAIRS))
-        if origin.scope == "pair" and not faults:
-            if pairs and not pairs.usable:
-                return blocked_by(Task(PAIRS), pairs)
-            return Impossible("no two cameras see enough in common to be matched", Cause.NO_PAIRS)
-        return Impossible(f"no {origin.name} to work on{first_fault}", faults[0].code if faults else Cause.UPSTREAM)
+        if pairs and not pairs.usable:
+            return blocked_by(Task(PAIRS), pairs)
+        return Impossible("no two cameras see enough in common to be matched", Cause.NO_PAIRS)
 
     def _from_site(self, need: Source, task: Task) -> Input:
-        name = need.name
-        if name == "survey" or need.of == "every":
-            return site_inputs(self.plan.site, name)
-        camera = self.plan.subjects.camera(task.subject[0])
-        if name == "mask":
-            return self._named_file("mask", camera.camera)
-        if name == "privacy" and not camera.privacy:
-            return Absent()
-        if name == "captures":
-            return Files(self._readable_captures(camera))
-        return site_input(camera, name)
+        if need.name == "captures":
+            return Files(self._readable_captures(camera_of(task.subject[0])))
+        if need.name == "mask":
+            return self._named_file("mask", camera_of(task.subject[0]))
+        return site_input(self.plan.site, need, task)
 
     def _named_file(self, kind: str, key: str) -> Input:
         """A file that the site file names.  kind: such as "mask", for the message; key: its key in `Plan.named_files`."""
         file = self.plan.named_files.get(key)
         if file and not file.digest:
             raise Impossible(f"{kind} {file.name} {file.fault}", Cause.BAD_INPUT)
-        return Files((file,), single=True) if file else Absent()
+        return Files((file,), single=True) if file else None
 
-    def _readable_captures(self, camera: Camera) -> tuple[CaptureFile, ...]:
-        files = self.plan.captures[camera.camera]
+    def _readable_captures(self, camera: str) -> tuple[CaptureFile, ...]:
+        files = self.plan.captures[camera]
         if not files:
-            raise Impossible(f"no capture: {self.plan.missing.get(camera.camera, 'there is no file for it')}", Cause.NO_CAPTURE)
+            raise Impossible(f"no capture: {self.plan.missing.get(camera, 'there is no file for it')}", Cause.NO_CAPTURE)
         readable = tuple(file for file in files if file.digest)
         if not readable:
             raise Impossible(f"no capture: {files[0].name} {files[0].fault}", Cause.NO_CAPTURE)

@@ -12,7 +12,6 @@ from ..records.events import Event, Listener, TaskEvent, WarningEvent, now
 from ..records.findings import Finding
 from ..records.record import Seconds, StageSeconds
 from ..task import Task
-from .state import State
 
 if TYPE_CHECKING:
     from .planner import Plan
@@ -40,9 +39,14 @@ class Journal:
         for damage in plan.cache.damages():
             self.note_repair(f"{damage.what}: made again", task=damage.task)
         for task, state in plan.newly_ended():
-            self._add(_task_event(task, state))
-            if state.fresh and state.receipt:
-                previous, receipt = self._stages.get(task.stage, StageSeconds(0.0, 0.0, 0)), state.receipt
+            receipt = state.receipt
+            key = receipt.key if receipt else None
+            cpu = round(receipt.cpu, 3) if receipt and state.outcome == "ran" else None
+            self._add(
+                TaskEvent(task, state.outcome, now(), state.fresh, state.reason, state.code, key=key, cpu=cpu, trace=state.trace)
+            )
+            if state.fresh and receipt:
+                previous = self._stages.get(task.stage, StageSeconds(0.0, 0.0, 0))
                 wall, cpu = previous.wall + receipt.wall, previous.cpu + receipt.cpu
                 self._stages[task.stage] = StageSeconds(wall, cpu, previous.tasks + 1)
                 self.peak_rss_mb = max(self.peak_rss_mb, receipt.peak_rss_mb)
@@ -75,18 +79,3 @@ class Journal:
     def _add(self, event: Event) -> None:
         self.events.append(event)
         self.listen(event)
-
-
-def _task_event(task: Task, state: State) -> TaskEvent:
-    receipt = state.receipt
-    return TaskEvent(
-        task,
-        state.outcome,
-        now(),
-        fresh=state.fresh,
-        reason=state.reason,
-        code=state.code,
-        key=receipt.key if receipt else None,
-        cpu=round(receipt.cpu, 3) if receipt and state.outcome == "ran" else None,
-        trace=state.trace,
-    )

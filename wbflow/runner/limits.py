@@ -23,10 +23,10 @@ MEMORY_SHARE = 0.8
 
 @dataclass(frozen=True)
 class Limits:
-    """Limits of time and memory for the tasks of a run, derived from the costs of earlier tasks."""
+    """Limits for the tasks of a run."""
 
-    memory: int = 0
-    """Bytes that all workers together may hold; 0: no limit."""
+    memory: int
+    """Bytes that all workers together may hold."""
     seconds: float | None = None
     """Time limit of every task; None: derived from the stage's earlier tasks."""
     costs: TaskCosts = field(default_factory=TaskCosts)
@@ -46,7 +46,14 @@ class Limits:
 
     def fits(self, begun: Iterable[Iterable[Task]], chain: Iterable[Task]) -> bool:
         """Return whether memory suffices for one more chain; a task of unknown cost counts as 0, and is retried alone if lost."""
-        return not self.memory or sum(map(self._peak_mb, [*begun, chain])) * 2**20 <= self.memory
+        return sum(map(self._peak_mb, [*begun, chain])) * 2**20 <= self.memory
+
+    def disk_shortage(self, root: Path, tasks: Iterable[Task]) -> str:
+        """Return a message if the disk of a work folder has too little space for some tasks; "" if it has enough."""
+        needed = round(DISK_MARGIN * sum(self.costs.stages_bytes.get(task.stage, 0.0) for task in tasks)) + DISK_RESERVE
+        if (free := free_bytes(root)) >= needed:
+            return ""
+        return f"the disk is nearly full: about {format_size(needed)} needed to go on, {format_size(free)} free in {root}"
 
     def _peak_mb(self, chain: Iterable[Task]) -> float:
         peaks = (self.costs.expected_peak_mb(task.stage, str(task), self.measured_mb.get(task.stage, 0.0)) for task in chain)
@@ -54,8 +61,9 @@ class Limits:
 
 
 def machine_memory() -> int:
-    """Return the default limit of the memory of all workers together, bytes; 0 if the machine's memory is unknown."""
-    groups, limits = Path("/sys/fs/cgroup"), []
+    """Return the default limit of the memory of all workers together, bytes."""
+    limits = [os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")]
+    groups = Path("/sys/fs/cgroup")
     files = [groups / "memory" / "memory.limit_in_bytes"]
     with suppress(OSError, StopIteration):
         own_line = next(line for line in Path("/proc/self/cgroup").read_text().splitlines() if line.startswith("0::"))
@@ -64,14 +72,4 @@ def machine_memory() -> int:
     for file in files:
         with suppress(OSError, ValueError):  # "max": there is no limit
             limits.append(int(file.read_text()))
-    with suppress(ValueError, OSError):
-        limits.append(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES"))
-    return int(MEMORY_SHARE * min(limits, default=0))
-
-
-def disk_shortage(root: Path, costs: TaskCosts, tasks: Iterable[Task]) -> str:
-    """A message if the disk of a work folder has too little space for some tasks; "" if it has enough."""
-    needed = round(DISK_MARGIN * sum(costs.stages_bytes.get(task.stage, 0.0) for task in tasks)) + DISK_RESERVE
-    if (free := free_bytes(root)) >= needed:
-        return ""
-    return f"the disk is nearly full: about {format_size(needed)} needed to go on, {format_size(free)} free in {root}"
+    return int(MEMORY_SHARE * min(limits))

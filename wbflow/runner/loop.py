@@ -69,11 +69,12 @@ class _Loop:
             self.journal.add_ended(plan)
             self.journal.listen(PlannedEvent(plan.counts()))
             chains = [chain[:1] if self.stopped else chain for chain in plan.chains()]
-            if chains and (shortage := self.dispatcher.disk_shortage(spec.task for chain in chains for spec in chain)):
-                for first, *_ in chains:
-                    plan.commit(first.task, State("failed", f"{shortage}; {DISK_FULL_REMEDY}", Cause.DISK_FULL))
-                continue
             if chains:
+                tasks = [spec.task for chain in chains for spec in chain]
+                if shortage := self.dispatcher.limits.disk_shortage(plan.cache.work.root, tasks):
+                    for first, *_ in chains:
+                        plan.commit(first.task, State("failed", f"{shortage}; {DISK_FULL_REMEDY}", Cause.DISK_FULL))
+                    continue
                 plan.begin(chains)
                 self.dispatcher.submit(chains)
             if plan.running:
@@ -85,15 +86,14 @@ class _Loop:
                 self._make_again(damage.task, damage.what)
 
     def _collect(self) -> None:
-        ended, chains = self.dispatcher.wait()
-        for done in ended:
-            if done.damaged is not None:
-                self._make_again(done.damaged, done.state.reason or "")
-            elif done.changed is not None:
-                self._reread(done.task, done.changed, done.state.reason or "")
-            else:
-                self.context.plan.commit(done.task, done.state)
-        for chain in chains:
+        for chain, ended in self.dispatcher.wait():
+            for done in ended:
+                if done.damaged is not None:
+                    self._make_again(done.damaged, done.state.reason or "")
+                elif done.changed is not None:
+                    self._reread(done.task, done.changed, done.state.reason or "")
+                else:
+                    self.context.plan.commit(done.task, done.state)
             self.context.plan.release(spec.task for spec in chain)
 
     def _stop(self, stop_time: datetime.datetime) -> None:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections import Counter, deque
-from collections.abc import Iterable
+from collections.abc import Iterable, Set
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -23,7 +23,7 @@ from ..site.captures import CaptureFile
 from ..site.models import Site, StageSettings
 from ..task import Task, component_name, names_of
 from .inputs import Inputs, Subjects
-from .spec import Absent, Drawing, Input, TaskSpec
+from .spec import Drawing, Input, TaskSpec
 from .state import Impossible, State, Waiting, cached_state
 
 _DECISIVE = frozenset(Task(name) for name in (PAIRS, POSES, DENSE_PAIRS))
@@ -77,16 +77,17 @@ class Plan:
         disabled = {name for name, stage in self.site.stages.items() if not stage.enabled}
         disabled |= {stage.name for stage in STAGES if callable(stage.optional) and not stage.optional(self.site)}
         for stage in STAGES:  # in order, so that an optional stage is disabled whenever one that it needs is, directly or not
-            disabled |= {stage.name} if stage.optional and disabled & stage.needed() else set()
-        self._folder = self.site.folder
+            if stage.optional and disabled & stage.needed():
+                disabled.add(stage.name)
         self.stages = [stage for stage in STAGES if stage.name in requested - disabled]
         """The stages that take part tonight."""
         names = frozenset(stage.name for stage in self.stages)
         self.subjects = Subjects(self.site, self.states, DENSE_PAIRS in names)
         if self.reference:
             self.incompatible = incompatibility(self.reference, self)
-            self.calibration_change = calibration_change(self.reference.cameras, self.site) if self.incompatible else ""
-        self.reference = None if self.incompatible else self.reference
+            if self.incompatible:
+                self.calibration_change = calibration_change(self.reference.cameras, self.site)
+                self.reference = None
         self.resolver = Resolver(self)
         self._inputs = Inputs(self, names)
 
@@ -147,10 +148,6 @@ class Plan:
             self._list()
         return {stage.name: self._task_counts[stage.name] for stage in self.stages}
 
-    def pairs_known(self, stage: Stage | None = None) -> bool:
-        """Are the pairs known that a stage works on, so that its tasks are listed?  None: for all stages."""
-        return all(self.subjects.pairs(dense) is not None for dense in ([stage.dense] if stage else (False, True)))
-
     def spec_of(self, task: Task) -> TaskSpec:
         """The spec of a task, whether it has already ended or not.
 
@@ -158,9 +155,8 @@ class Plan:
         """
         stage = stage_named(task.stage)
         replacement = self.resolver.replacement(stage, task)
-        return self._with_drawings(
-            self._spec(stage, task, adapt=None if isinstance(replacement, Receipt) else replacement), set()
-        )
+        adapt = replacement if isinstance(replacement, Adapt) else None
+        return self._with_drawings(self._spec(stage, task, adapt), frozenset())
 
     def upstreams(self, task: Task) -> list[Task]:
         """The tasks that provide the inputs of a task, as far as they are listed yet."""
@@ -179,7 +175,7 @@ class Plan:
             if isinstance(replacement, Receipt):
                 self.commit(task, cached_state(replacement))
                 return
-            spec = self._spec(stage, task, adapt=replacement)
+            spec = self._spec(stage, task, replacement)
         except Waiting as waiting:
             self.waiting[task] = waiting.task
             self._dependents.setdefault(waiting.task, []).append(task)
@@ -201,24 +197,28 @@ class Plan:
         chain, earlier = [first], {first.task}
         for stage in self.stages if first.task.subject else ():
             follower = Task(stage.name, first.task.subject)
-            if follower in self.waiting:
-                try:
-                    replacement = self.resolver.replacement(stage, follower)
-                    if not isinstance(replacement, Receipt):
-                        chain.append(self._spec(stage, follower, earlier, replacement))
-                        earlier.add(follower)
-                except (Waiting, Impossible):
-                    continue
+            if follower not in self.waiting:
+                continue
+            try:
+                replacement = self.resolver.replacement(stage, follower)
+                if not isinstance(replacement, Receipt):
+                    chain.append(self._spec(stage, follower, replacement, earlier))
+                    earlier.add(follower)
+            except (Waiting, Impossible):
+                continue
         return [self._with_drawings(spec, earlier) for spec in chain]
 
-    def _spec(self, stage: Stage, task: Task, earlier: Iterable[Task] = (), adapt: Adapt | None = None) -> TaskSpec:
+    def _spec(self, stage: Stage, task: Task, adapt: Adapt | None, earlier: Set[Task] = frozenset()) -> TaskSpec:
         """The spec of a task with the stage's function or the `adapt` function; raises Waiting, Impossible.
 
         earlier: tasks earlier in the same chain; inputs from these are not resolved yet.
         """
         bound = self.binding(stage, adapt)
-        inputs = self._inputs.inputs_of(task, bound.inputs, set(earlier))
-        parameters = self._parameters(stage, task, adapt)
+        inputs = self._inputs.inputs_of(task, bound.inputs, earlier)
+        settings = self.settings(stage, task)
+        if adapt:
+            settings = {name: value for name, value in settings.items() if name in bound.parameters}
+        parameters = bound.defaults() | settings
         return TaskSpec(
             task,
             bound.function.dotted,
@@ -227,10 +227,10 @@ class Plan:
             inputs,
             force=bool(self.force & names_of(task)),
             left_to_function={name: text for name, text in bound.left_to_function().items() if name not in parameters},
-            folder=self._folder,
+            folder=self.site.folder,
         )
 
-    def _with_drawings(self, spec: TaskSpec, earlier: set[Task]) -> TaskSpec:
+    def _with_drawings(self, spec: TaskSpec, earlier: Set[Task]) -> TaskSpec:
         """A spec with the drawings to make of its result.  earlier: as for `_spec`."""
         stage = stage_named(spec.task.stage)
         drawings = []
@@ -240,7 +240,7 @@ class Plan:
                 try:
                     inputs[argument] = self._inputs.input_of(spec.task, need, earlier)
                 except (Waiting, Impossible):
-                    inputs[argument] = Absent()
+                    inputs[argument] = None
             drawings.append(Drawing(name, function, inputs))
         return dataclasses.replace(spec, drawings=tuple(drawings))
 
@@ -248,19 +248,11 @@ class Plan:
         """The binding of a stage to the function that the site uses, or to the `adapt` function."""
         name = adapt.function if adapt else stage.name
         if name not in self._bindings:
-            settings = self.site.stage_settings(stage.name)
+            settings = StageSettings() if adapt else self.site.stages[stage.name]
             if adapt:
-                settings = StageSettings()
                 stage = dataclasses.replace(stage, function=adapt.function, inputs=adapt.inputs, offers={}, method=None)
             self._bindings[name] = bind(stage, settings.use, settings.parameters, self.site.reader)
         return self._bindings[name]
-
-    def _parameters(self, stage: Stage, task: Task, adapt: Adapt | None) -> dict[str, Any]:
-        """Parameters of a task, without those whose defaults only its function can evaluate."""
-        bound, settings = self.binding(stage, adapt), self.settings(stage, task)
-        if adapt:
-            settings = {name: value for name, value in settings.items() if name in bound.parameters}
-        return bound.defaults() | settings
 
     def settings(self, stage: Stage, task: Task) -> dict[str, Any]:
         """Parameters of a task that the site file sets, in the stage's section or elsewhere; for `fuse`, also the component."""
@@ -269,4 +261,4 @@ class Plan:
             numbers = range(1, self.subjects.components())
             values[COMPONENT] = next((k for k in numbers if task.subject == (component_name(k),)), 0)
         accepted = self.binding(stage).parameters
-        return {name: v for name, v in values.items() if name in accepted} | self.site.stage_settings(stage.name).parameters
+        return {name: v for name, v in values.items() if name in accepted} | self.site.stages[stage.name].parameters

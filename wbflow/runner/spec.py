@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass, field
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 from ..cache.checksum import content_digest
 from ..cache.store import Preimage, Receipt
-from ..pipeline.stages import SITE_TYPES, Source, Stage
+from ..pipeline.stages import SITE_TYPES, Source, stage_named
 from ..site.captures import CaptureFile
 from ..site.models import Camera, Site, stated_fields
 from ..task import Subject, Task
@@ -24,6 +25,7 @@ class Value:
     plain: dict[str, Any]
     """The fields that are stated."""
 
+    @property
     def digest(self) -> str:
         return content_digest(json.dumps([self.kind, self.plain], sort_keys=True).encode())
 
@@ -36,62 +38,49 @@ class Files:
     single: bool = False
     """The function gets one file instead of a list."""
 
+    @property
     def digest(self) -> str:
         return content_digest(json.dumps([f.digest for f in self.files]).encode())
 
 
 @dataclass(frozen=True)
-class Part:
-    """A part of an artifact that an input can consist of (see `artifact.parts`)."""
-
-    field: str
-    """Name of a field of the artifact."""
-    entry: str | None = None
-    """Key of an entry in a mapping field: a camera's id, or "left--right"; None: the whole field."""
-
-    def __str__(self) -> str:
-        return f"{self.field}[{self.entry}]" if self.entry is not None else self.field
-
-    def of(self, result: Any) -> Any:
-        """The part of an artifact."""
-        value = getattr(result, self.field)
-        return value if self.entry is None else value[self.entry]
-
-
-@dataclass(frozen=True)
 class Stored:
-    """An input made by another task: an artifact on disk, or a part of it."""
+    """An input made by another task: an artifact on disk, or a part of it (see `artifact.parts`)."""
 
     task: Task
-    part: Part | None = None
+    field: str = ""
+    """Name of the field of the artifact that the input is; "": the whole artifact."""
+    entry: str | None = None
+    """Key of an entry in this field, a mapping: a camera's id, or "left--right"; None: the whole field."""
     file: str = ""
     """Name of the artifact's file, in the folder of the receipt; "" until an earlier task of the same chain has made it."""
     file_digest: str = ""
-    content: str = ""
+    digest: str = ""
     """Digest of the artifact, or of the part; it enters the cache key."""
 
-    def digest(self) -> str:
-        return self.content
+    def resolved(self, receipt: Receipt | None) -> Stored | None:
+        """The same input with file and digests, once its task is done; None if its artifact does not exist or lacks the part."""
+        part = self.field if self.entry is None else f"{self.field}[{self.entry}]"
+        if receipt is None or receipt.file is None or (part and part not in receipt.parts):
+            return None
+        digest = receipt.parts[part] if part else receipt.digest
+        return replace(self, file=receipt.file, file_digest=receipt.digest, digest=digest)
 
-    def resolved(self, receipt: Receipt) -> Stored:
-        """The same input with file and digests, once its task is done."""
-        content = receipt.parts[str(self.part)] if self.part else receipt.digest
-        return Stored(self.task, self.part, receipt.file or "", receipt.digest, content)
+    def part_of(self, artifact: Any) -> Any:
+        """The input itself, from the artifact that contains it."""
+        part = getattr(artifact, self.field) if self.field else artifact
+        return part if self.entry is None else part[self.entry]
 
 
 @dataclass(frozen=True)
 class Joined:
     """An input that is a mapping, by subject: a camera's id, or a pair of ids."""
 
-    items: dict[Subject, Value | Stored]
+    items: Mapping[Subject, Value | Stored]
 
 
-@dataclass(frozen=True)
-class Absent:
-    """An optional input that is missing."""
-
-
-Input = Value | Files | Stored | Joined | Absent
+Input = Value | Files | Stored | Joined | None
+"""None: an optional input that is missing."""
 
 
 @dataclass(frozen=True)
@@ -133,32 +122,39 @@ def input_digests(inputs: dict[str, Input]) -> dict[str, str]:
     digests: dict[str, str] = {}
     for name, value in inputs.items():
         if isinstance(value, Joined):
-            digests |= {f"{name} {'--'.join(subject)}": item.digest() for subject, item in value.items.items()}
+            digests |= {f"{name} {'--'.join(subject)}": item.digest for subject, item in value.items.items()}
         else:
-            digests[name] = "" if isinstance(value, Absent) else value.digest()
+            digests[name] = value.digest if value else ""
     return digests
 
 
-def site_input(camera: Camera, what: str) -> Value:
-    """The site file's entry for a camera, as an input: "lens", "privacy" or "placement"."""
-    if what == "privacy":
+def site_input(site: Site, need: Source, task: Task) -> Value | Joined | None:
+    """What the site file states: "lens", "privacy" or "placement" of the task's camera or of every camera, or the "survey"."""
+    if need.name == "survey":
+        return Value(SITE_TYPES[need.name], stated_fields(site.survey))
+    if need.of == "every":
+        return Joined({(view.id,): _stated_value(view, need.name) for view in site.views})
+    view = next((view for view in site.views if (view.id,) == task.subject), None)
+    if view is None or (need.name == "privacy" and not view.privacy):
+        return None
+    return _stated_value(view, need.name)
+
+
+def _stated_value(camera: Camera, name: str) -> Value:
+    if name == "privacy":
         corners = [corner for polygon in camera.privacy for corner in polygon]
-        return Value(SITE_TYPES[what], {"corners": corners, "counts": [float(len(polygon)) for polygon in camera.privacy]})
-    return Value(SITE_TYPES[what], stated_fields(camera.lens if what == "lens" else camera.placement))
+        return Value(SITE_TYPES[name], {"corners": corners, "counts": [float(len(polygon)) for polygon in camera.privacy]})
+    return Value(SITE_TYPES[name], stated_fields(camera.lens if name == "lens" else camera.placement))
 
 
-def site_inputs(site: Site, what: str) -> Value | Joined:
-    """The inputs `site_input` of all cameras, by id; or the "survey"."""
-    if what == "survey":
-        return Value(SITE_TYPES[what], stated_fields(site.survey))
-    return Joined({(camera.id,): site_input(camera, what) for camera in site.views})
+def stored_input(need: Source, task: Task) -> Stored:
+    """The input, not yet resolved, that is the result of one other task or, by `need.part`, a field of it.
 
-
-def subject_of(origin: Stage, need: Source, task: Task) -> Subject:
-    """The subject of an input that is not a mapping: the task's own, the left or right camera of its pair, or the site."""
-    return () if origin.scope == "site" else own_subject(need, task)
-
-
-def own_subject(need: Source, task: Task) -> Subject:
-    """The task's own subject, or the left or right camera of its pair: also the entry to take from a site-wide result."""
-    return {"left": task.subject[:1], "right": task.subject[1:]}.get(need.of, task.subject)
+    The result is that of the task's own subject, or of the left or right camera of its pair.  If it is of the whole site, a task
+    of a camera or pair gets only the entry for its subject in that field.
+    """
+    subject = {"left": task.subject[:1], "right": task.subject[1:]}.get(need.of, task.subject)
+    if stage_named(need.name).scope != "site":
+        return Stored(Task(need.name, subject), need.part)
+    takes_entry = need.part and stage_named(task.stage).scope != "site"
+    return Stored(Task(need.name), need.part, "--".join(subject) if takes_entry else None)

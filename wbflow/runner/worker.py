@@ -1,24 +1,22 @@
 """The work of a worker: run the tasks of a chain one after the other, each from its inputs to its receipt.
 
-A task that exceeds its time limit (see `runner.limits`) is ended by the worker process itself (see `Progress`).
+A task that exceeds its time limit (see `runner.limits`) is ended by the worker process itself (see `progress_reporter`).
 """
 
 from __future__ import annotations
 
-import copy
 import dataclasses
 import datetime
 import faulthandler
-import functools
 import os
 import resource
 import time
 import traceback
-from collections.abc import Callable, Mapping
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, TextIO
+from typing import Any
 
 from ..cache.artifact import bytes_and_facts, result_of
 from ..cache.atomic import DISK_FULL_ERRORS, DISK_FULL_REMEDY
@@ -31,8 +29,8 @@ from ..plugins import load, make_importable
 from ..site.captures import CaptureFile
 from ..task import Task
 from ..words import LONGEST_TRACE, printable
-from .spec import Absent, Files, Input, Joined, Stored, TaskSpec, Value
-from .state import Cause, State, cached_state
+from .spec import Files, Input, Joined, Stored, TaskSpec, Value
+from .state import Cause, Outcome, State, cached_state
 
 
 @dataclass(frozen=True)
@@ -51,41 +49,39 @@ class FinishedTask:
     """Damage in the cache that was found meanwhile."""
 
 
-class Progress:
-    """A small file in which a worker writes `begun NUMBER` for each task: the run knows the task even if the worker is lost.
+NO_FILE = Path(os.devnull)
 
-    `faulthandler` writes to the same file if the process crashes, or if a task exceeds its time limit: it then ends the process.
+
+@contextmanager
+def progress_reporter(path: Path, time_limits: Mapping[str, float] | None) -> Iterator[Callable[[int, str], None]]:
+    """A function that writes `begun NUMBER` to a small file for each task: the run knows the task even if the worker is lost.
+
+    It takes the number and the stage of a task.  `faulthandler` writes to the same file if the process crashes, or if a task
+    exceeds its time limit: it then ends the process, even if Python hangs.  time_limits: seconds by stage; None if the process
+    also does other work, and must not be ended.
     """
+    try:
+        file = path.open("w")
+    except OSError:  # a full disk; the tasks report it themselves
+        file = NO_FILE.open("w")
+    if time_limits is not None:
+        faulthandler.enable(file)
 
-    def __init__(self, path: Path | None, time_limits: Mapping[str, float] | None) -> None:
-        """time_limits: seconds by stage; None if the process also does other work, and must not be ended."""
-        devnull = Path(os.devnull)
-        self._file: TextIO
-        try:
-            self._file = (path or devnull).open("w")
-        except OSError:  # a full disk; the tasks report it themselves
-            self._file = devnull.open("w")
-        self._limits = time_limits
+    def begin(number: int, stage: str) -> None:
+        with suppress(OSError):
+            file.write(f"begun {number}\n")
+            file.flush()
+        if time_limits is not None:
+            faulthandler.dump_traceback_later(time_limits[stage], exit=True, file=file)
 
-    def __enter__(self) -> Progress:
-        if self._limits is not None:
-            faulthandler.enable(self._file)
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        if self._limits is not None:
+    try:
+        yield begin
+    finally:
+        if time_limits is not None:
             faulthandler.cancel_dump_traceback_later()
             faulthandler.disable()
         with suppress(OSError):
-            self._file.close()
-
-    def begun(self, number: int, stage: str) -> None:
-        """Note that a task has begun, and start its time limit, which takes effect even if Python hangs."""
-        with suppress(OSError):
-            self._file.write(f"begun {number}\n")
-            self._file.flush()
-        if self._limits is not None:
-            faulthandler.dump_traceback_later(self._limits[stage], exit=True, file=self._file)
+            file.close()
 
 
 @dataclass
@@ -101,7 +97,7 @@ class _ChainContext:
 
 
 def run_chain(
-    specs: list[TaskSpec], cache: Cache, progress: Path | None = None, time_limits: Mapping[str, float] | None = None
+    specs: list[TaskSpec], cache: Cache, progress: Path = NO_FILE, time_limits: Mapping[str, float] | None = None
 ) -> list[FinishedTask]:
     """Run the tasks of a chain until one leaves no artifact.  An exception in a task is not raised, but returned as its state.
 
@@ -110,16 +106,16 @@ def run_chain(
     specs, cache : list of TaskSpec, Cache
         The chain, and the cache for its results.
     progress : Path, optional
-        The progress file (see `Progress`).
+        The progress file (see `progress_reporter`).
     time_limits : mapping, optional
         Seconds by stage; None if this process is shared with other work.
     """
     make_importable(specs[0].folder)
     context = _ChainContext(cache, time.process_time if time_limits is not None else time.thread_time)
     ended: list[FinishedTask] = []
-    with Progress(progress, time_limits) as reporter:
+    with progress_reporter(progress, time_limits) as begin:
         for number, spec in enumerate(specs):
-            reporter.begun(number, spec.task.stage)
+            begin(number, spec.task.stage)
             done = _attempt(spec, context)
             ended.append(dataclasses.replace(done, damages=tuple(cache.damages())))
             if not done.state.usable or done.state.receipt is None:
@@ -181,20 +177,19 @@ def _execute(spec: TaskSpec, preimage: Preimage, key: str, context: _ChainContex
     arguments = {name: _load(value, context) for name, value in spec.inputs.items()}
     result = load(spec.function)(**arguments, **spec.parameters)
     rejected_class: Any = load(REJECTED)
-    if rejected := isinstance(result, rejected_class):
-        code = getattr(result, "code", None)
-        data, drawings, warnings = None, dict[str, bytes](), tuple[str, ...]()
-        facts: dict[str, Any] = {"reason": printable(result.reason), "code": None if code is None else str(code)}
-        facts["figures"] = dict(result.figures)
-    else:
+    outcome: Outcome = "rejected" if isinstance(result, rejected_class) else "ran"
+    if outcome == "ran":
         data, facts = bytes_and_facts(result, spec.task.stage, key)
         drawings, warnings = _draw(spec, result, context)
+    else:
+        data, drawings, warnings = None, dict[str, bytes](), list[str]()
+        facts = {"digest": "", "reason": printable(result.reason), "code": result.code, "figures": dict(result.figures)}
     receipt = Receipt(
         str(spec.task),
         key,
-        "rejected" if rejected else "ran",
+        outcome,
         preimage,
-        **{"digest": "", **facts},
+        **facts,
         wall=time.perf_counter() - wall_start,
         cpu=context.clock() - cpu_start,
         peak_rss_mb=peak_bytes() / 2**20,
@@ -203,11 +198,10 @@ def _execute(spec: TaskSpec, preimage: Preimage, key: str, context: _ChainContex
     )
     context.cache.write(receipt, data, drawings)
     context.results[receipt.digest] = result
-    state = State("rejected" if rejected else "ran", receipt.reason, receipt.code, receipt, fresh=True)
-    return FinishedTask(spec.task, state, warnings=warnings)
+    return FinishedTask(spec.task, State(outcome, receipt.reason, receipt.code, receipt, fresh=True), warnings=tuple(warnings))
 
 
-def _draw(spec: TaskSpec, result: Any, context: _ChainContext) -> tuple[dict[str, bytes], tuple[str, ...]]:
+def _draw(spec: TaskSpec, result: Any, context: _ChainContext) -> tuple[dict[str, bytes], list[str]]:
     """The drawings of a result for the report, by name, and warnings for those that failed, which do not affect the result.
 
     Raises DamagedArtifact.
@@ -221,43 +215,37 @@ def _draw(spec: TaskSpec, result: Any, context: _ChainContext) -> tuple[dict[str
             raise  # the artifact is made again, then this task
         except Exception as error:
             warnings.append(printable(f"its {drawing.name} could not be drawn: {type(error).__name__}: {error}"))
-    return drawings, tuple(warnings)
+    return drawings, warnings
 
 
 def _resolve(value: Input, context: _ChainContext) -> Input:
     """Resolve an input that an earlier task of this chain has made: fill in its file and digests."""
-    if isinstance(value, Stored) and not value.file:
-        return value.resolved(context.receipts[value.task])
-    return value
+    if not isinstance(value, Stored) or value.file:
+        return value
+    resolved = value.resolved(context.receipts[value.task])
+    assert resolved  # the chain ends at a task that leaves no artifact
+    return resolved
 
 
 def _load(value: Input, context: _ChainContext, keep: bool = True) -> Any:
-    if isinstance(value, Absent):
+    """The argument for an input.  keep: keep artifacts that are read for the later tasks of the chain."""
+    if value is None:
         return None
-    if isinstance(value, Joined):
-        items = {subject[0] if len(subject) == 1 else subject: item for subject, item in value.items.items()}
-        return OnDemand(items, lambda item: _load(item, context, keep=False))
     if isinstance(value, Value):
         return _from_plain(value)
     if isinstance(value, Files):
         captures = [_load_capture(file) for file in value.files]
         return captures[0] if value.single else captures
+    if isinstance(value, Joined):
+        items = {subject[0] if len(subject) == 1 else subject: item for subject, item in value.items.items()}
+        return OnDemand(items, lambda item: _load(item, context, keep=False))  # all together may exceed the memory
     result = context.results.get(value.file_digest)
-    if result is None and value.part and not value.task.subject:  # many chains each need a part of a site-wide artifact
-        return copy.deepcopy(value.part.of(_read_cached(context.cache, value.task, value.file, value.file_digest)))
     if result is None:
-        result = _read(context.cache, value.task, value.file, value.file_digest)
-        if keep:
+        path = context.cache.work.task(value.task) / value.file
+        result = result_of(context.cache.read(value.task, path, value.file_digest), value.task.stage)
+        if keep or not value.task.subject:  # the items of a mapping can all be parts of one site-wide artifact
             context.results[value.file_digest] = result
-    return value.part.of(result) if value.part else result
-
-
-def _read(cache: Cache, task: Task, file: str, digest: str) -> Any:
-    data = cache.read(task, cache.work.task(task) / file, digest)
-    return result_of(data, task.stage)
-
-
-_read_cached = functools.lru_cache(4)(_read)
+    return value.part_of(result)
 
 
 def _from_plain(value: Value) -> Any:

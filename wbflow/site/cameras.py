@@ -17,8 +17,8 @@ from ..words import printable
 from .calibration import find_camera, read_calibration
 from .calibration.calibrated import Calibrated, Lens, Placement, product
 from .geodesy import LocalFrame
-from .models import Camera, CameraEntry, SiteFile, Survey
-from .yaml_document import CalibrationError, Location, Problems, is_name, resolve_path
+from .models import Camera, CameraEntry, Position, SiteFile, Survey
+from .yaml_document import Location, Problems, SiteError, is_name, resolve_path
 
 _OWN_PINHOLE = frozenset({"pinhole", "brown"})
 """Lens models whose frames keep the K of the lens, however wide it is: such a camera is never split into views."""
@@ -36,15 +36,14 @@ def read_cameras(file: SiteFile, frame: LocalFrame | None, problems: Problems) -
         location: Location = ("cameras", i)
         entry = _own_entry(camera, location, problems) or find_camera(calibrated, camera.id)
         if calibrated and entry is None and camera.intrinsics is None:
-            what = f"{file.calibration} has no camera {camera.id!r}; it has {_name_list(calibrated)}"
-            problems.add(location, what, "correct the id, add the camera to that file, or give its intrinsics here")
+            remedy = "correct the id, add the camera to that file, or give its intrinsics here"
+            problems.add(location, _lacks(file.calibration, camera, calibrated), remedy)
         mask = resolve_path(camera.mask, (*location, "mask"), problems) if camera.mask else None
         if mask and not is_file(mask):
             remedy = "give the path of an image of the capture's size, white where pixels may be used"
             problems.add((*location, "mask"), f"there is no file {printable(mask)}", remedy)
         lens, placement = _merged_lens(camera, entry), _merged_placement(camera, entry, frame)
-        images = tuple(camera.images) if camera.images is not None else None
-        cameras.append(Camera(camera.id, lens, placement, mask, camera.privacy, images, location))
+        cameras.append(Camera(camera.id, lens, placement, mask, camera.privacy, camera.images))
     return cameras
 
 
@@ -76,15 +75,16 @@ def _calibrated_cameras(path: str | None, location: Location, problems: Problems
     """The cameras of the calibration that the site file names at a location; none if it has problems."""
     if not path:
         return {}
+    file = resolve_path(path, location, problems)
     try:
-        file = resolve_path(path, location, problems)
         cameras = read_calibration(file)
-        if not cameras:
-            raise CalibrationError("holds no camera", where=str(file), remedy="add the cameras, or leave calibration out")
-    except CalibrationError as error:
-        remedy = error.remedy or "give the path of cameras.json, of a COLMAP model, or of what OpenCV, ROS or Kalibr wrote"
-        problems.add(location, f"{error.where}: {error.what}", remedy)
+    except SiteError as error:
+        fault = error.problems[0]
+        remedy = fault.remedy or "give the path of cameras.json, of a COLMAP model, or of what OpenCV, ROS or Kalibr wrote"
+        problems.add(location, f"{fault.mark}: {fault.what}", remedy)
         return {}
+    if not cameras:
+        problems.add(location, f"{file}: holds no camera", "add the cameras, or leave calibration out")
     return cameras
 
 
@@ -96,8 +96,8 @@ def _own_entry(camera: CameraEntry, location: Location, problems: Problems) -> C
         return None
     entry = next(iter(entries.values())) if len(entries) == 1 else find_camera(entries, camera.id)
     if entry is None:
-        what = f"{camera.calibration} has no camera {camera.id!r}; it has {_name_list(entries)}"
-        problems.add(location, what, "rename the camera as in that file, or name another file")
+        remedy = "rename the camera as in that file, or name another file"
+        problems.add(location, _lacks(camera.calibration, camera, entries), remedy)
     return entry
 
 
@@ -107,7 +107,7 @@ def _check_ids(ids: list[str], problems: Problems) -> None:
             remedy = "use letters, digits, '_', '.', '-' (not dots alone), at most 100"
             problems.add(("cameras", i), f"{name!r} is not a camera id", remedy)
         if (first := ids.index(name)) < i:
-            line = problems.document.marks.get(("cameras", first), (0, 0))[0]
+            line, _ = problems.document.place(("cameras", first))
             problems.add(("cameras", i), f"camera {name!r} is named twice, first on line {line}", "give each camera its own id")
     # pairs are called left--right: if ids have dashes in the wrong places, two pairs can get the same name and folder
     dashed = [k for k, name in enumerate(ids) if "--" in name or name.startswith("-") or name.endswith("-")]
@@ -120,9 +120,10 @@ def _check_ids(ids: list[str], problems: Problems) -> None:
             return
 
 
-def _name_list(names: dict[str, Any], most: int = 5) -> str:
-    listed = list(names)[:most]
-    return ", ".join(listed) + (f" and {len(names) - most} more" if len(names) > most else "")
+def _lacks(file: str | None, camera: CameraEntry, entries: dict[str, Calibrated]) -> str:
+    names = list(entries)
+    more = f" and {len(names) - 5} more" if len(names) > 5 else ""
+    return f"{file} has no camera {camera.id!r}; it has {', '.join(names[:5])}{more}"
 
 
 def _merged_lens(camera: CameraEntry, entry: Calibrated | None) -> Lens:
@@ -144,35 +145,43 @@ def _merged_placement(camera: CameraEntry, entry: Calibrated | None, frame: Loca
         return calibrated
     if calibrated.R and calibrated.C and (pose.R is None or pose.sigma_m > 0 or pose.sigma_deg > 0):
         return calibrated
-    C = frame.metres(*pose.geodetic) if frame and pose.geodetic else pose.position
-    return Placement(pose.R, C, pose.sigma_m, pose.sigma_deg)
+    return Placement(pose.R, _metres(pose, frame), pose.sigma_m, pose.sigma_deg)
 
 
 def read_survey(file: SiteFile, frame: LocalFrame | None, problems: Problems) -> Survey:
     """Distances and control points, with cameras by index; their faults are added to `problems`."""
-    index_of = {camera.id: k for k, camera in reversed(list(enumerate(file.cameras)))}
-
-    def camera_at(location: Location, camera: Any) -> int:
-        if not isinstance(camera, str) or camera not in index_of:
-            problems.add(location, f"there is no camera {camera!r}", "use ids from 'cameras'")
-            return 0
-        return index_of[camera]
-
+    ids = [camera.id for camera in file.cameras]
     distances = []
     for k, (left, right, metres) in enumerate(file.distances):
-        i, j = camera_at(("distances", k, 0), left), camera_at(("distances", k, 1), right)
+        location: Location = ("distances", k)
+        i, j = _index_of(left, ids, (*location, 0), problems), _index_of(right, ids, (*location, 1), problems)
         if not isinstance(metres, int | float) or isinstance(metres, bool) or not 0 < metres < math.inf:
-            problems.add(("distances", k, 2), f"{metres!r} is not a distance in metres", "write [camera, camera, metres]")
+            problems.add((*location, 2), f"{metres!r} is not a distance in metres", "write [camera, camera, metres]")
         elif i == j:
-            problems.add(("distances", k), "a camera has no distance from itself", "name two cameras")
+            problems.add(location, "a camera has no distance from itself", "name two cameras")
         else:
             distances.append([float(i), float(j), float(metres)])
-    observations = []
+    points, observations = [], []
     for k, point in enumerate(file.control_points):
+        location = ("control_points", k)
         if len(point.pixels) < 2:
             remedy = "point at it in the captures of two cameras or more, better three"
-            problems.add(("control_points", k), "fewer than two cameras see it", remedy)
+            problems.add(location, "fewer than two cameras see it", remedy)
         for camera, (x, y) in point.pixels.items():
-            observations.append([float(k), float(camera_at(("control_points", k, "pixels", camera), camera)), x, y])
-    points = [frame.metres(*p.geodetic) if frame and p.geodetic else p.position or [0.0] * 3 for p in file.control_points]
-    return Survey(tuple(camera.id for camera in file.cameras), distances, points, observations, frame.crs if frame else "")
+            index = _index_of(camera, ids, (*location, "pixels", camera), problems)
+            observations.append([float(k), float(index), x, y])
+        points.append(_metres(point, frame) or [0.0, 0.0, 0.0])
+    return Survey(tuple(ids), distances, points, observations, frame.crs if frame else "")
+
+
+def _index_of(camera: Any, ids: list[str], location: Location, problems: Problems) -> int:
+    """The index of a camera that the file names at a location; 0, and a problem, if there is none with this id."""
+    if camera in ids:
+        return ids.index(camera)
+    problems.add(location, f"there is no camera {camera!r}", "use ids from 'cameras'")
+    return 0
+
+
+def _metres(position: Position, frame: LocalFrame | None) -> list[float] | None:
+    """x, y, z; None for a geodetic position without a local frame, for which there is a problem already."""
+    return frame.metres(*position.geodetic) if frame and position.geodetic else position.position

@@ -10,8 +10,7 @@ from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from concurrent.futures import Future
 from dataclasses import dataclass, replace
 from pathlib import Path
-from queue import Empty, SimpleQueue
-from typing import Generic, TypeVar
+from typing import TypeVar
 
 from ..cache.memo import Digests
 from ..errors import UsageError, WbflowError
@@ -41,68 +40,43 @@ REDUCED_ANSWER_SECONDS = 5.0
 T = TypeVar("T")
 
 
-class _Reader(Generic[T]):
-    """Performs reads from disks that may hang, one after the other, in a thread of its own."""
-
-    def __init__(self, reads: Iterable[Callable[[], T]]) -> None:
-        self._reads = reads
-        self._answers: SimpleQueue[Future[T]] = SimpleQueue()
-        self.stopped = False
-        # not a pool: the interpreter would wait for the pool's threads at exit
-        threading.Thread(target=self._read_all, daemon=True).start()
-
-    def _read_all(self) -> None:
-        for read in self._reads:
-            if self.stopped:
-                return
-            answer: Future[T] = Future()
-            try:
-                answer.set_result(read())
-            except (OSError, ValueError, WbflowError) as error:
-                answer.set_exception(error)
-            self._answers.put(answer)
-
-    def next(self, seconds: float) -> T:
-        """Return the result of the next read.  Raises TimeoutError and stops if the disk hangs; raises what the read raised."""
-        try:
-            answer = self._answers.get(timeout=seconds)
-        except Empty:
-            self.stopped = True
-            raise TimeoutError(f"no answer within {seconds:.0f} s: check its disk or the network") from None
-        return answer.result()
-
-
 def read_with_timeout(read: Callable[[], T], seconds: float) -> T:
     """Return what `read` returns from a disk that may hang.  Raises TimeoutError if it hangs, and what `read` raises."""
-    return _Reader([read]).next(seconds)
+    answer: Future[T] = Future()
+
+    def work() -> None:
+        try:
+            answer.set_result(read())
+        except (OSError, ValueError, WbflowError) as error:
+            answer.set_exception(error)
+
+    # not a pool: the interpreter would wait for the pool's threads at exit
+    threading.Thread(target=work, daemon=True).start()
+    try:
+        return answer.result(seconds)
+    except TimeoutError:
+        if answer.done():  # the timeout is the disk's own
+            raise
+        raise TimeoutError(f"no answer within {seconds:.0f} s: check its disk or the network") from None
 
 
 def _results_by_camera(reads: Iterable[tuple[str, Callable[[], T]]]) -> Iterator[tuple[str, T | TimeoutError]]:
     """The result of each camera's read, or a TimeoutError if its disk hangs; the other cameras are still read."""
-    cameras, seconds = list(reads), ANSWER_SECONDS
-    reader = _Reader(read for _, read in cameras)
-    try:
-        for number, (camera, _) in enumerate(cameras, 1):
-            answer: T | TimeoutError
-            try:
-                answer = reader.next(seconds)
-            except TimeoutError as error:
-                answer, seconds = error, REDUCED_ANSWER_SECONDS
-                reader = _Reader(read for _, read in cameras[number:]) if reader.stopped else reader
-            yield camera, answer
-    finally:
-        reader.stopped = True
+    seconds = ANSWER_SECONDS
+    for camera, read in reads:
+        try:
+            yield camera, read_with_timeout(read, seconds)
+        except TimeoutError as error:
+            seconds = REDUCED_ANSWER_SECONDS
+            yield camera, error
 
 
-def nights(site: Site, since: datetime.date | None = None) -> list[datetime.date]:
-    """The nights, from the file names, for which any camera has a capture, in order."""
-    if not site.captures.dated:
-        return []
+def _nights(site: Site) -> set[datetime.date]:
+    """The nights, from the file names, for which any camera has a capture."""
     ids = (c.id for c in site.cameras if c.images is None)
     answers = _results_by_camera((name, functools.partial(lambda name: set(site.captures.dates(name)), name)) for name in ids)
     # `find_captures` reports the cameras that time out
-    all_dates = {date for _, dates in answers if not isinstance(dates, TimeoutError) for date in dates}
-    return sorted(date for date in all_dates if since is None or date >= since)
+    return {date for _, dates in answers if not isinstance(dates, TimeoutError) for date in dates}
 
 
 def list_store(site: Site) -> None:
@@ -122,7 +96,7 @@ def night(site: Site, date: datetime.date | None) -> datetime.date:
     today = site.today()
     if date is not None:
         return date
-    candidates = nights(site) if site.captures.dated else sorted(_days_written(site, today))
+    candidates = _nights(site) if site.captures.dated else _days_written(site, today)
     return max((d for d in candidates if d <= today + datetime.timedelta(days=1)), default=max(candidates, default=today))
 
 
@@ -155,7 +129,7 @@ def backlog(site: Site, since: datetime.date) -> list[datetime.date]:
         what = "--since needs {date} in captures.pattern: the names of captures don't say which night they are of"
         raise UsageError(what, remedy="for example: pattern: '{camera}/{date:%Y-%m-%d}.jpg'; or run without --since")
     list_store(site)
-    dates = nights(site, since)
+    dates = sorted(date for date in _nights(site) if date >= since)
     if not dates:
         raise UsageError(f"there are no captures since {since}", remedy="check captures.root and pattern, or the cameras")
     return dates

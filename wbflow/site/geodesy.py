@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from .yaml_document import Problems
+from .yaml_document import Location, Problems
 
 if TYPE_CHECKING:
-    from .models import SiteFile
+    from .models import Position, SiteFile
 
 POSITION_REMEDY = (
     "give position: [x, y, z] in metres, or latitude, longitude (degrees, WGS 84) and height (metres above the ellipsoid)"
@@ -37,15 +37,16 @@ def origin_of(crs: str) -> list[float] | None:
 
 def local_frame(file: SiteFile, problems: Problems) -> LocalFrame | None:
     """The local frame of a site's geodetic positions; None if there are none."""
-    positions = list(file.positions())
-    geodetic = [(location, p.geodetic) for location, p in positions if p.geodetic is not None]
+    positions: dict[Location, Position] = {("cameras", k, "pose"): c.pose for k, c in enumerate(file.cameras) if c.pose}
+    positions |= {("control_points", k): point for k, point in enumerate(file.control_points)}
+    geodetic = {location: position.geodetic for location, position in positions.items() if position.geodetic}
     if not geodetic:
         return None
-    mixed = next((location for location, p in positions if p.geodetic is None), None)
-    if mixed is not None:
+    local = [location for location in positions if location not in geodetic]
+    if local:
         what = "x, y, z here, but latitude and longitude elsewhere: the transformation between the two is unknown"
-        problems.add(mixed, what, POSITION_REMEDY)
-    location, origin = geodetic[0]
+        problems.add(local[0], what, POSITION_REMEDY)
+    location, origin = next(iter(geodetic.items()))
     try:
         return LocalFrame(*origin)
     except ImportError:

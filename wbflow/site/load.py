@@ -6,6 +6,7 @@ import difflib
 import os
 import re
 import typing
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -31,7 +32,13 @@ def load_site(path: str | Path, work: str | Path | None = None) -> Site:
 
     Raises SiteError with every problem found.
     """
-    return site_of(load_yaml(_file_of(Path(path))), work)
+    path = Path(path)
+    if is_folder(path):
+        folder, path = path, path / "site.yaml"
+        if not path.exists():
+            remedy = f"wbflow init {folder}  writes one from the photographs in there"
+            raise SiteError(Problem(path, "cannot be read: there is no such file", remedy))
+    return site_of(load_yaml(path), work)
 
 
 def site_of(document: Document, work: str | Path | None = None) -> Site:
@@ -50,7 +57,7 @@ def site_of(document: Document, work: str | Path | None = None) -> Site:
         remedy = "use letters, digits, '_', '.', '-' (not dots alone), at most 100"
         problems.add(("site",), f"{file.site!r} is not a name", remedy)
     if problems.found:
-        raise SiteError(sorted(problems.found, key=lambda p: (str(p.file), p.line, p.column)))
+        raise SiteError(*problems.found)
     return Site(
         file,
         document,
@@ -65,17 +72,6 @@ def site_of(document: Document, work: str | Path | None = None) -> Site:
     )
 
 
-def _file_of(path: Path) -> Path:
-    """The site file at a path: the file itself, or the `site.yaml` in a folder."""
-    if not is_folder(path):
-        return path
-    file = path / "site.yaml"
-    if not file.exists():
-        remedy = f"wbflow init {path}  writes one from the photographs in there"
-        raise SiteError([Problem(file, 0, 0, "", "cannot be read: there is no such file", remedy)])
-    return file
-
-
 def _validated(document: Document, problems: Problems) -> SiteFile:
     """The validated file; faults are added to `problems`, and faulty values left out, so that the rest is checked too.
 
@@ -83,17 +79,15 @@ def _validated(document: Document, problems: Problems) -> SiteFile:
     """
     if not isinstance(document.data, dict):
         remedy = "start with 'site: NAME'; see sites/template.yaml"
-        raise SiteError([Problem(document.path, 1, 1, "", "a site file is a mapping", remedy)])
+        raise SiteError(Problem(document.path, "a site file is a mapping", remedy, 1, 1))
     data = _prepared(document.data, problems)
-    if isinstance(data.get("cameras"), list):
-        data["cameras"] = [{"id": entry} if isinstance(entry, str) else entry for entry in data["cameras"]]
     try:
         return SiteFile.model_validate(data)
     except ValidationError as error:
-        problems.found.extend(explained(error, document))
-        valid_part = without_faults(data, error)
+        _explain(error, problems)
+        valid_part = _without_faults(data, error)
         if valid_part is None:
-            raise SiteError(sorted(problems.found, key=lambda p: (p.line, p.column))) from None
+            raise SiteError(*problems.found) from None
         return valid_part
 
 
@@ -190,46 +184,46 @@ _REMEDIES = {
     "keep": "for example keep: {nights: 7, bytes: 50GB, clouds: all, reports: 365}",
     "expect": "give shares of what is usual, or least counts: expect: {points: 0.7, pairs: 0.7, cameras: 1.0, since: 2026-11-20}",
     "notify": "give a command, e.g. notify: {command: 'mail -s \"$WBFLOW_SUMMARY\" me@example.org'}",
+    "images": "list file names below captures.root: images: [gate/1.jpg, gate/2.jpg]",
     "include": "give two camera ids: include: [[gate, roof]]",
     "exclude": "give two camera ids: exclude: [[gate, roof]]",
 }
 
 
-def explained(error: ValidationError, document: Document) -> list[Problem]:
-    """The errors that pydantic found, as problems in the terms of a site file."""
-    problems = []
+def _explain(error: ValidationError, problems: Problems) -> None:
+    """Add the errors that pydantic found to `problems`, in the terms of a site file."""
     errors = error.errors()
-    misspelt = {(*e["loc"][:-1], _close_key(str(e["loc"][-1]), e["loc"][:-1])) for e in errors if e["type"] == "extra_forbidden"}
+    unknown = [item["loc"] for item in errors if item["type"] == "extra_forbidden"]
+    misspelt = {
+        (*section, match) for *section, key in unknown for match in difflib.get_close_matches(str(key), _keys_at(section), 1)
+    }
     for item in errors:
-        location: Location = tuple(item["loc"])
-        kind, key = item["type"], str(location[-1]) if location else ""
-        section = next((str(step) for step in reversed(location) if step in _REMEDIES), "")
-        remedy = _REMEDIES.get(section, "see sites/template.yaml")
+        location, kind = item["loc"], item["type"]
+        section, key = location[:-1], str(location[-1])
+        explained_step = next((str(step) for step in reversed(location) if step in _REMEDIES), "")
+        remedy = _REMEDIES.get(explained_step, "see sites/template.yaml")
         if kind == "extra_forbidden":
-            suggestion = _close_key(key, location[:-1])
-            remedy = f"did you mean {suggestion!r}?" if suggestion else f"known here: {', '.join(_keys_at(location[:-1]))}"
-            problems.append(document.problem(location, f"unknown key {key!r}", remedy, key=True))
+            keys = _keys_at(section)
+            problems.add(location, f"unknown key {key!r}", suggest(key, keys, f"known here: {', '.join(keys)}"), key=True)
         elif kind == "missing":
             if location not in misspelt:  # otherwise it is present but misspelt
-                problems.append(document.problem(location[:-1], f"{key!r} is missing", remedy))
+                problems.add(section, f"{key!r} is missing", remedy)
         elif key == "pattern" and isinstance(item["input"], dict):
             what = "is not a text: without quotes, YAML takes {camera} for a mapping"
-            problems.append(document.problem(location, what, "put it in quotes: pattern: '{camera}.jpg'"))
+            problems.add(location, what, "put it in quotes: pattern: '{camera}.jpg'")
+        elif kind == CUSTOM:
+            problems.add(location, item["msg"], remedy)
         else:
-            what = item["msg"]
-            if kind != CUSTOM:
-                shown = f", not {item['input']!r}" if not isinstance(item["input"], dict | list) else ""
-                what = f"{what[0].lower()}{what[1:]}{shown}"
-            problems.append(document.problem(location, what, remedy))
-    return problems
+            shown = "" if isinstance(item["input"], dict | list) else f", not {item['input']!r}"
+            problems.add(location, f"{item['msg'][0].lower()}{item['msg'][1:]}{shown}", remedy)
 
 
-def without_faults(data: dict[str, Any], error: ValidationError) -> SiteFile | None:
+def _without_faults(data: dict[str, Any], error: ValidationError) -> SiteFile | None:
     """The site file without its faulty values, so that the rest is checked in the same run; None if too little is left."""
     cameras = data.get("cameras")
     data = {**data, "cameras": list(cameras) if isinstance(cameras, list) else []}
     for item in error.errors():
-        section, *steps = item["loc"] or ("",)
+        section, *steps = item["loc"]
         if section == "cameras" and steps and isinstance(steps[0], int):
             camera = data["cameras"][steps[0]]
             data["cameras"][steps[0]] = (
@@ -243,12 +237,8 @@ def without_faults(data: dict[str, Any], error: ValidationError) -> SiteFile | N
         return None
 
 
-def _close_key(key: str, location: Location) -> str:
-    """Return the known key most similar to a misspelt one; "" if none is similar."""
-    return next(iter(difflib.get_close_matches(key, _keys_at(location), 1)), "")
-
-
-def _keys_at(location: Location) -> list[str]:
+def _keys_at(location: Iterable[str | int]) -> list[str]:
+    """The keys that the section at a location may have."""
     model: type[BaseModel] = SiteFile
     for step in location:
         if isinstance(step, str) and step in model.model_fields:

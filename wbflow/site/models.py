@@ -7,28 +7,25 @@ import datetime
 import re
 import time
 import zoneinfo
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 from enum import StrEnum
 from functools import cached_property, reduce
 from operator import getitem
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, field_validator, model_validator
 from pydantic_core import PydanticCustomError
 
 from ..cache.cleanup import Keep
 from ..cache.layout import WorkFolder
+from ..pipeline.functions import FunctionReader
 from ..pipeline.stages import STAGES
 from ..task import camera_of
 from ..words import bytes_of
 from .calibration.calibrated import Lens, Matrix, Placement, lens_fault, look_at, rotation_fault, yaw_pitch_roll
-from .yaml_document import Document, Location, Problem, suggest
-
-if TYPE_CHECKING:
-    from ..pipeline.functions import FunctionReader
-    from .pattern import Pattern
+from .pattern import Pattern
+from .yaml_document import Document, Problem, suggest
 
 Vector2 = Annotated[list[float], Field(min_length=2, max_length=2)]
 Vector3 = Annotated[list[float], Field(min_length=3, max_length=3)]
@@ -232,6 +229,14 @@ class CameraEntry(Section):
         return polygons
 
 
+def _parse_camera(entry: Any) -> Any:
+    return {"id": entry} if isinstance(entry, str) else entry
+
+
+CameraOrId = Annotated[CameraEntry, BeforeValidator(_parse_camera, json_schema_input_type=str | CameraEntry)]
+"""A camera; written as its id alone if nothing else is known of it."""
+
+
 class Pairs(Section):
     """How the pairs of cameras to match are chosen."""
 
@@ -314,8 +319,7 @@ class Expected(Section):
 
     def limit(self, name: str) -> float:
         """The minimum share, or count, of a figure on a good night; 0 if there is no limit."""
-        value: float = getattr(self, name, 0.0)
-        return value
+        return float(getattr(self, name, 0.0))
 
 
 def _parse_duration(value: Any) -> float:
@@ -384,7 +388,7 @@ class SiteFile(Section):
     site: str
     timezone: Annotated[str | None, BeforeValidator(lambda name: name and _check_timezone(name))] = None
     captures: Captures
-    cameras: Annotated[list[CameraEntry], Field(min_length=1)]
+    cameras: Annotated[list[CameraOrId], Field(min_length=1)]
     calibration: str | None = None
     distances: list[Annotated[list[Any], Field(min_length=3, max_length=3)]] = []
     control_points: list[ControlPoint] = []
@@ -400,17 +404,10 @@ class SiteFile(Section):
     keep: KeepEntry = KeepEntry()
     work: str | None = None
 
-    def positions(self) -> Iterator[tuple[Location, Position]]:
-        """Every position in the file, with its location."""
-        yield from ((("cameras", k, "pose"), camera.pose) for k, camera in enumerate(self.cameras) if camera.pose)
-        yield from ((("control_points", k), point) for k, point in enumerate(self.control_points))
-
 
 def site_schema() -> dict[str, Any]:
     """Return the JSON schema of a site file."""
     schema = SiteFile.model_json_schema()
-    cameras = schema["properties"]["cameras"]
-    cameras["items"] = {"anyOf": [{"type": "string"}, cameras["items"]]}
     schema["properties"]["stages"]["properties"] = {stage.name: {"type": ["object", "boolean"]} for stage in STAGES}
     return {"$schema": "https://json-schema.org/draft/2020-12/schema", "title": "A site of wbflow", **schema}
 
@@ -447,10 +444,8 @@ class Camera:
     mask: Path | None = None
     privacy: list[Matrix] = field(default_factory=list)
     """Polygons of a capture to be blanked for privacy: in pixels, or as shares of its width and height."""
-    images: tuple[str, ...] | None = None
+    images: list[str] | None = None
     """File names below the captures' root, if the site file lists them."""
-    location: Location = ()
-    """Location of its entry in the site file."""
 
     @property
     def camera(self) -> str:
@@ -491,6 +486,7 @@ class Site:
     """What the stages work on: the cameras, with several views instead of each camera that is too wide for one pinhole."""
     survey: Survey
     stages: dict[str, StageSettings]
+    """The settings of every stage; defaults if the file has none."""
     work_folder: WorkFolder
     reader: FunctionReader
     notes: tuple[Problem, ...]
@@ -504,21 +500,14 @@ class Site:
     def _plain_settings(self) -> dict[str, Any]:
         return self.settings.model_dump(include={"resolution", "bounds", "pairs", "health", "zones"})
 
-    def stage_settings(self, stage: str) -> StageSettings:
-        """The settings of a stage; defaults if the file has none."""
-        return self.stages.get(stage, StageSettings())
-
     def setting(self, key: str) -> Any:
         """The value of a key outside `stages` that sets a parameter of a stage, such as "resolution" or "pairs.degree"."""
         return reduce(getitem, key.split("."), self._plain_settings)
 
-    @cached_property
-    def _timezone(self) -> zoneinfo.ZoneInfo | None:
-        return zoneinfo.ZoneInfo(self.settings.timezone) if self.settings.timezone else None
-
     def local(self, seconds: float) -> datetime.datetime:
         """Local time at the site at a moment (seconds since 1970), in `timezone` or else in this machine's time zone."""
-        return datetime.datetime.fromtimestamp(seconds, datetime.UTC).astimezone(self._timezone)
+        zone = zoneinfo.ZoneInfo(self.settings.timezone) if self.settings.timezone else None
+        return datetime.datetime.fromtimestamp(seconds, datetime.UTC).astimezone(zone)
 
     def today(self) -> datetime.date:
         """The present date at the site."""

@@ -11,19 +11,14 @@ from pathlib import Path
 
 from ..cache.untrusted import find_untrusted
 
-_DIRECTIVES = {
-    "Y": r"\d{4}",
-    "m": r"\d{2}",
-    "d": r"\d{2}",
-    "H": r"\d{2}",
-    "M": r"\d{2}",
-    "S": r"\d{2}",
-    "f": r"\d{1,6}",
-    "j": r"\d{3}",
-    "y": r"\d{2}",
-}
+_DIRECTIVES = {"%Y": r"\d{4}", "%j": r"\d{3}", "%f": r"\d{1,6}"} | dict.fromkeys(("%y", "%m", "%d", "%H", "%M", "%S"), r"\d{2}")
+"""A regular expression for each directive of `strftime`."""
 _FORMATS = {"date": "%Y-%m-%d", "time": "%H%M%S"}
 _FIELD = re.compile(r"\{(date|time)(?::([^}]*))?\}")
+
+
+def _format_of(field: re.Match[str]) -> str:
+    return field.group(2) or _FORMATS[field.group(1)]
 
 
 @dataclass(frozen=True)
@@ -83,7 +78,7 @@ class Pattern:
         """
         if re.search(r"[?\[]", self.text):
             raise ValueError(f"{self.text} contains ? or [, which the name of a new capture cannot have")
-        text = _FIELD.sub(lambda match: moment.strftime(match.group(2) or _FORMATS[match.group(1)]), self.text)
+        text = _FIELD.sub(lambda match: moment.strftime(_format_of(match)), self.text)
         text = re.sub(r"\*\*/?", "", text)
         text = text.replace("*", "" if "time" in self._fields else f"{moment:%H%M%S}", 1).replace("*", "")
         return self.root / text.replace("{camera}", camera)
@@ -99,16 +94,15 @@ class Pattern:
         """The pattern with the date filled in; fields without a known value become wildcards."""
 
         def fill(match: re.Match[str]) -> str:
-            time_format = match.group(2) or _FORMATS[match.group(1)]
             if match.group(1) == "date" and date is not None:
-                return datetime.datetime.combine(date, datetime.time()).strftime(time_format)
-            return re.sub(r"\*+", "*", re.sub(r"%[a-zA-Z]", "*", time_format))
+                return datetime.datetime.combine(date, datetime.time()).strftime(_format_of(match))
+            return re.sub(r"\*+", "*", re.sub(r"%[a-zA-Z]", "*", _format_of(match)))
 
         return _FIELD.sub(fill, self.text)
 
     def _moment_reader(self, camera: str) -> Callable[[str], datetime.datetime | None]:
         """A function that reads date and time from a path; it returns None for a path that does not match."""
-        formats = "|".join(match.group(2) or _FORMATS[match.group(1)] for match in _FIELD.finditer(self.text))
+        formats = "|".join(map(_format_of, _FIELD.finditer(self.text)))
         expression = re.compile(self._regex(re.escape(camera)))
 
         def moment(path: str) -> datetime.datetime | None:
@@ -125,8 +119,8 @@ class Pattern:
         pieces = []
         for part in re.split(r"(\{(?:date|time)(?::[^}]*)?\}|\{camera\}|\*\*/?|\*)", str(self.root / self.text)):
             if field := _FIELD.fullmatch(part):
-                directives = re.split(r"(%[a-zA-Z])", field.group(2) or _FORMATS[field.group(1)])
-                field_regex = "".join(_DIRECTIVES.get(d[1:], ".+?") if d.startswith("%") else re.escape(d) for d in directives)
+                directives = re.split(r"(%[a-zA-Z])", _format_of(field))
+                field_regex = "".join(_DIRECTIVES.get(d, ".+?") if d.startswith("%") else re.escape(d) for d in directives)
                 pieces.append(f"({field_regex})")
             elif part == "{camera}":
                 pieces.append(camera)

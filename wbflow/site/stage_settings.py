@@ -42,9 +42,9 @@ REMOVED: Mapping[str, frozenset[str]] = {"fuse": frozenset({"neighbours"})}
 def read_stages(
     sections: dict[str, Any], reader: FunctionReader, problems: Problems
 ) -> tuple[dict[str, StageSettings], Problems]:
-    """The settings of each stage in the section `stages`, and notes on renamed or removed parameters; faults are added to
+    """The settings of every stage, from the section `stages`, and notes on renamed or removed parameters; faults are added to
     `problems`."""
-    settings: dict[str, StageSettings] = {}
+    settings = {stage.name: StageSettings() for stage in STAGES}
     notes = Problems(problems.document)
     stages = {stage.name: stage for stage in STAGES}
     for name, section in sections.items():
@@ -59,7 +59,8 @@ def read_stages(
             settings[name] = StageSettings(enabled=False)
         elif section is None or section is True or isinstance(section, dict):
             values = dict(section) if isinstance(section, dict) else {}
-            settings[name] = _Section(stages[name], reader, problems, notes).read(values)
+            use = values.pop("use", None)
+            settings[name] = _Section(stages[name], use, values, reader, problems, notes).read()
         else:
             remedy = f"write {name}: {{parameter: value}}"
             problems.add(location, f"{section!r} is not a mapping of parameters", remedy)
@@ -71,111 +72,110 @@ class _Section:
     """Reads the section of one stage."""
 
     stage: Stage
+    use: Any
+    """The value of the key `use`."""
+    values: dict[str, Any]
+    """All other values; while they are read, old names are replaced, and files are taken out."""
     reader: FunctionReader
     problems: Problems
     notes: Problems
 
     @property
-    def chooser(self) -> str:
-        """The parameter that selects the stage's method; "" if there is no choice."""
-        return self.stage.method.parameter if self.stage.method else ""
+    def selector(self) -> str:
+        """The key that selects the function: that of the stage's method if it has a choice, else `use`."""
+        return self.stage.method.parameter if self.stage.method and self.use is None else "use"
 
-    def read(self, values: dict[str, Any]) -> StageSettings:
+    def read(self) -> StageSettings:
         """The settings; faults and notes are added to `problems` and `notes`."""
-        use = values.pop("use", None)
-        if use is not None and not (isinstance(use, str) and use):
-            self._add_problem("use", f"{printable(repr(use), 80)} is not a function", _USE)
+        if self.use is not None and not (isinstance(self.use, str) and self.use):
+            self._add_problem("use", f"{printable(repr(self.use), 80)} is not a function", _USE)
             return StageSettings()
         try:
-            old_names = {new: old for old, new in self._update_renamed(values, use).items()}
-            binding = bind(self.stage, use, values, self.reader)
+            old_names = self._update_renamed()
+            binding = bind(self.stage, self.use, self.values, self.reader)
         except FunctionError as error:
-            key = (self.chooser if use is None else "") or "use"
-            self._add_problem(key, f"{error.where}: {error.what}" if error.where else error.what, error.remedy or _USE)
+            self._add_problem(self.selector, f"{error.where}: {error.what}" if error.where else error.what, error.remedy or _USE)
             return StageSettings()
-        key = self.chooser if binding.method else "use"
         for function in filter(None, (binding.function, binding.method)):
             if function.dotted.partition(":")[0].partition(".")[0] in sys.stdlib_module_names:
-                self._add_problem(key, f"{function.dotted} is in Python's standard library, and not a stage", _USE)
+                self._add_problem(self.selector, f"{function.dotted} is in Python's standard library, and not a stage", _USE)
                 return StageSettings()
         for fault in binding.faults():
-            self._add_problem("use" if use else self.chooser, fault, _SIGNATURE)
-        files = self._files(binding, values)
-        for key, value in values.items():
-            self._check_parameter(binding, key, value, old_names.get(key, key))
+            self._add_problem(self.selector, fault, _SIGNATURE)
+        files = self._files(binding)
+        elsewhere = self._set_elsewhere()
+        for name, value in self.values.items():
+            parameter, written = binding.parameters.get(name), old_names.get(name, name)
+            if parameter is None:
+                self._report_unknown(binding, name, written, [known for known in binding.parameters if known not in elsewhere])
+            elif name in elsewhere:
+                self._add_problem(written, f"{name!r} is not set here", elsewhere[name], key=True)
+            elif wrong := parameter.problem(value):
+                self._add_problem(written, wrong, f"the default is {parameter.shown}")
         for name, parameter in binding.parameters.items():
-            if parameter.required and name not in values and name not in self._set_elsewhere():
+            if parameter.required and name not in self.values and name not in elsewhere:
                 self._add_problem("use", f"{binding.function.dotted} has {name!r} without a default", f"set it here: {name}: ...")
-        return StageSettings(use, values, files=files)
+        return StageSettings(self.use, self.values, files=files)
 
-    def _files(self, binding: Binding, values: dict[str, Any]) -> dict[str, Path]:
+    def _update_renamed(self) -> dict[str, str]:
+        """Give parameters of earlier versions their present names and values; returns the old name by present name."""
+        renamed, removed = RENAMED.get(self.stage.name, {}), REMOVED.get(self.stage.name, frozenset())
+        if not (renamed.keys() | removed) & self.values.keys():
+            return {}
+        known = set(self.reader.signature(self.use or self.stage.function).parameters)
+        known |= {name for of_method in method_parameters(self.stage, self.reader).values() for name in of_method}
+        for old in removed & self.values.keys() - known:
+            del self.values[old]
+            what = f"{self.stage.name} has no {old!r} any more; it is ignored in this version"
+            self.notes.add(("stages", self.stage.name, old), what, "leave it out", key=True)
+        old_names = {}
+        for old, change in renamed.items():
+            new = change.current_name
+            old_is_another_parameter = old != new and old in known
+            if old not in self.values or new not in known or old_is_another_parameter:
+                continue
+            old_value = self.values[old]
+            new_value = change.values.get(old_value, old_value) if isinstance(old_value, str) else old_value
+            if (new, new_value) == (old, old_value):
+                continue
+            if old != new and new in self.values:
+                self._add_problem(old, f"{old!r} is the old name of {new!r}, which is given as well", "keep the new one")
+            del self.values[old]
+            self.values[new] = new_value
+            old_names[new] = old
+            old_text, new_text = (old, new) if new_value == old_value else (f"{old}: {old_value}", f"{new}: {new_value}")
+            what = f"{old_text!r} is written {new_text!r} now; the old way is still understood in this version"
+            self.notes.add(("stages", self.stage.name, old), what, f"write {new_text}", key=True)
+        return old_names
+
+    def _files(self, binding: Binding) -> dict[str, Path]:
         """The files that the section names; they are removed from `values`, as their content matters, not their names."""
         paths: dict[str, Path] = {}
-        function, key = binding.method or binding.function, self.chooser if binding.method else "use"
-        required = {argument.name for argument in function.signature.arguments if argument.required}
+        function = binding.method or binding.function
+        required = {argument.name for argument in function.arguments if argument.required}
         for name in [name for name, need in binding.inputs.items() if need.kind == "file"]:
-            stated, location = values.pop(name, None), ("stages", self.stage.name, name)
+            stated = self.values.pop(name, None)
             if stated is None:
                 if name in required:
-                    self._add_problem(key, f"{function.dotted} needs a file: {name}", _FILE.format(name=name))
+                    self._add_problem(self.selector, f"{function.dotted} needs a file: {name}", _FILE.format(name=name))
             elif not isinstance(stated, str):
                 self._add_problem(name, f"{printable(repr(stated), 80)} is not a path", _FILE.format(name=name))
             else:
-                paths[name] = resolve_path(stated, location, self.problems)
+                paths[name] = resolve_path(stated, ("stages", self.stage.name, name), self.problems)
                 if not is_file(paths[name]):
                     remedy = similar(paths[name]) or "check the path; it is relative to the site file"
                     self._add_problem(name, f"there is no file {printable(paths[name])}", remedy)
         return paths
 
-    def _update_renamed(self, values: dict[str, Any], use: str | None) -> dict[str, str]:
-        """Give parameters of earlier versions their present names and values, in place; returns present name by old name."""
-        renamed, removed = RENAMED.get(self.stage.name, {}), REMOVED.get(self.stage.name, frozenset())
-        if not (renamed.keys() | removed) & values.keys():
-            return {}
-        known = set(self.reader.signature(use or self.stage.function).parameters)
-        known |= {name for of_method in method_parameters(self.stage, self.reader).values() for name in of_method}
-        for old in removed & values.keys() - known:
-            del values[old]
-            what = f"{self.stage.name} has no {old!r} any more; it is ignored in this version"
-            self.notes.add(("stages", self.stage.name, old), what, "leave it out", key=True)
-        new_names = {}
-        for old, change in renamed.items():
-            if old not in values or change.current_name not in known or (change.current_name != old and old in known):
-                continue
-            value = values[old]
-            has_new_value = isinstance(value, str) and value in change.values
-            if change.current_name == old and not has_new_value:
-                continue
-            if change.current_name != old and change.current_name in values:
-                what = f"{old!r} is the old name of {change.current_name!r}, which is given as well"
-                self._add_problem(old, what, "keep the new one")
-            del values[old]
-            values[change.current_name] = change.values[value] if has_new_value else value
-            new_names[old] = change.current_name
-            new_text = f"{change.current_name}: {change.values[value]}" if has_new_value else change.current_name
-            old_text = f"{old}: {value}" if has_new_value else old
-            location: Location = ("stages", self.stage.name, old)
-            what = f"{old_text!r} is written {new_text!r} now; the old way is still understood in this version"
-            self.notes.add(location, what, f"write {new_text}", key=True)
-        return new_names
-
-    def _set_elsewhere(self) -> set[str]:
-        """The parameters that are set elsewhere in the site file, or by the plan."""
-        return {*self.stage.set_by_site(), *([COMPONENT] if self.stage.name == FUSE else [])}
-
-    def _check_parameter(self, binding: Binding, key: str, value: Any, written: str) -> None:
-        """Check one parameter.  written: its name in the file."""
-        set_elsewhere = self._set_elsewhere()
-        parameter = binding.parameters.get(key)
-        if key in set_elsewhere and parameter:
-            section = self.stage.set_by_site().get(key, "").rpartition(".")[0]
-            where = f"in the section {section}" if section else "at the top of the file"
-            remedy = f"set {key} {where}" if key != COMPONENT else "leave it out: each component is worked on in turn"
-            self._add_problem(written, f"{key!r} is not set here", remedy, key=True)
-        elif parameter is None:
-            self._report_unknown(binding, key, written, [name for name in binding.parameters if name not in set_elsewhere])
-        elif fault := parameter.problem(value):
-            self._add_problem(written, fault, f"the default is {parameter.shown}")
+    def _set_elsewhere(self) -> dict[str, str]:
+        """The parameters that the section cannot set, each with what to do instead."""
+        remedies = {}
+        for parameter, site_key in self.stage.set_by_site().items():
+            section = site_key.rpartition(".")[0]
+            remedies[parameter] = f"set {parameter} {f'in the section {section}' if section else 'at the top of the file'}"
+        if self.stage.name == FUSE:
+            remedies[COMPONENT] = "leave it out: each component is worked on in turn"
+        return remedies
 
     def _report_unknown(self, binding: Binding, key: str, written: str, allowed: list[str]) -> None:
         """Report a parameter that is unknown, or that only other methods than the chosen one read."""
@@ -183,15 +183,14 @@ class _Section:
             methods = [name for name, known in method_parameters(self.stage, self.reader).items() if key in known]
             methods += methods_with_file(self.stage, key, self.reader)
             if methods:
-                what = f"{key!r} is not read by the chosen {self.chooser}, {binding.method.dotted}"
-                self._add_problem(written, what, f"leave it out, or choose {self.chooser}: {' or '.join(methods)}", key=True)
+                what = f"{key!r} is not read by the chosen {self.selector}, {binding.method.dotted}"
+                self._add_problem(written, what, f"leave it out, or choose {self.selector}: {' or '.join(methods)}", key=True)
                 return
         remedy = suggest(key, allowed, f"parameters of {binding.function.dotted}: {', '.join(allowed) or 'none'}")
         self._add_problem(written, f"unknown parameter {key!r}", remedy, key=True)
 
     def _add_problem(self, name: str, what: str, remedy: str, *, key: bool = False) -> None:
-        location: Location = ("stages", self.stage.name, name) if name else ("stages", self.stage.name)
-        self.problems.add(location, what, remedy, key=key)
+        self.problems.add(("stages", self.stage.name, name), what, remedy, key=key)
 
 
 _USE = "write package.module:function; the module is installed, or lies beside the site file"

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import datetime
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 from ..cache.checksum import content_digest
 from ..cache.memo import Digests, EarlierCaptures
@@ -35,9 +35,9 @@ class FreshCaptures:
 
     captures: dict[str, list[CaptureFile]]
     """The captures to use, by camera."""
-    stale: dict[str, Health] = field(default_factory=dict)
+    stale: dict[str, Health]
     """Cameras that repeat old captures, or whose captures were taken at another time, with the finding."""
-    notes: dict[str, str] = field(default_factory=dict)
+    notes: dict[str, str]
     """Remarks by camera, such as how many captures were left out."""
 
 
@@ -59,19 +59,22 @@ def find_stale(
     digests, remembered : Digests, EarlierCaptures
         Digests of files on disk; digests of earlier nights by camera, to which tonight's are added.
     """
-    fresh = FreshCaptures({camera: list(files) for camera, files in captures.items()})
+    fresh = FreshCaptures({}, {}, {})
     repeated: dict[str, Health] = {}
     for camera in site.cameras:
-        files = fresh.captures[camera.id]
+        files = captures[camera.id]
         earlier = _old_nights(site, camera, date, digests, remembered) if any(file.digest for file in files) else {}
         remembered.note(camera.id, str(date), [file.digest for file in files])
-        health = _find_repeats(camera.id, files, earlier, fresh)
-        if health:
-            repeated[camera.id] = health
+        search = _search_repeats(files, earlier)
+        fresh.captures[camera.id] = search.captures
+        if search.note:
+            fresh.notes[camera.id] = search.note
+        if search.frozen:
+            repeated[camera.id] = search.frozen
     if not site.captures.dated and all(health.figures["earlier"] for health in repeated.values()):
         # names without a date: if no camera has a new capture, the same pictures are processed again on purpose
-        with_files = [camera for camera, files in captures.items() if files]
-        repeated = {} if set(with_files) <= set(repeated) else repeated
+        with_files = {camera for camera, files in captures.items() if files}
+        repeated = {} if with_files <= set(repeated) else repeated
     fresh.stale = {**_find_far_off(site, fresh.captures), **repeated}
     return fresh
 
@@ -89,28 +92,36 @@ def _old_nights(site: Site, camera: Camera, date: datetime.date, digests: Digest
     return night_of
 
 
-def _find_repeats(camera: str, files: list[CaptureFile], earlier: Mapping[str, str], fresh: FreshCaptures) -> Health | None:
-    """The finding for a frozen camera; single repeated captures are left out of `fresh`.  earlier: night by digest."""
+@dataclass(frozen=True)
+class _Search:
+    """The result of the search for repeats among a camera's captures."""
+
+    captures: list[CaptureFile]
+    """The captures to use."""
+    frozen: Health | None = None
+    note: str = ""
+
+
+def _search_repeats(files: list[CaptureFile], earlier: Mapping[str, str]) -> _Search:
+    """Leave out a camera's repeated captures, or find that it is frozen.  earlier: night by digest."""
     readable = [file for file in files if file.digest not in {"", _EMPTY_FILE_DIGEST}]
     if not readable:
-        return None
-    distinct = {file.digest: file for file in reversed(readable)}
-    old_digests = [digest for digest in distinct if digest in earlier]
-    figures = {"captures": len(readable), "different": len(distinct), "earlier": len(old_digests)}
-    kept_files = [file for file in readable if distinct[file.digest] is file and file.digest not in earlier]
-    if not kept_files:
-        last_night = max(earlier[digest] for digest in old_digests)
-        fresh.captures[camera] = [file for file in readable if distinct[file.digest] is file]
-        text = f"its captures are the same as those of {last_night}: the picture is frozen"
-        return Health("stale", text, figures, {"earlier": 0}, _REMEDY)
-    fresh.captures[camera] = [file for file in files if file not in readable or file in kept_files]
+        return _Search(files)
+    first_of = {file.digest: file for file in reversed(readable)}
+    distinct = [file for file in readable if first_of[file.digest] is file]
+    new = [file for file in distinct if file.digest not in earlier]
+    figures = {"captures": len(readable), "different": len(distinct), "earlier": len(distinct) - len(new)}
+    if not new:
+        text = f"its captures are the same as those of {max(earlier[digest] for digest in first_of)}: the picture is frozen"
+        return _Search(distinct, Health("stale", text, figures, {"earlier": 0}, _REMEDY))
+    usable = [file for file in files if file not in readable or file in new]
     if len(distinct) == 1 and len(readable) > 1:
         text = f"all {len(readable)} captures of the night are the same picture: it is frozen"
-        return Health("stale", text, figures, {"different": len(readable)}, _REMEDY)
-    if len(kept_files) < len(readable):
-        what = f"{len(readable) - len(kept_files)} of {len(readable)} captures come again, or are of an earlier night; left out"
-        fresh.notes[camera] = what
-    return None
+        return _Search(usable, Health("stale", text, figures, {"different": len(readable)}, _REMEDY))
+    if len(new) == len(readable):
+        return _Search(usable)
+    left_out = len(readable) - len(new)
+    return _Search(usable, note=f"{left_out} of {len(readable)} captures come again, or are of an earlier night; left out")
 
 
 def _find_far_off(site: Site, captures: Mapping[str, list[CaptureFile]]) -> dict[str, Health]:

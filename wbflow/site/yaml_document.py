@@ -12,7 +12,7 @@ from typing import Any
 
 import yaml
 from yaml.constructor import ConstructorError
-from yaml.events import CollectionEndEvent, CollectionStartEvent
+from yaml.events import AliasEvent, CollectionEndEvent, CollectionStartEvent, ScalarEvent
 
 from ..cache.untrusted import MOST_TEXT_BYTES, Unreadable, read_untrusted
 from ..errors import ExitCode, WbflowError
@@ -31,8 +31,6 @@ _MOST_LEVELS = 40
 """Largest nesting depth that is accepted; a site file needs eight levels."""
 _MOST_VALUES = 500_000
 """Largest number of values once aliases are expanded; a site with a thousand cameras has 30,000."""
-_NESTED_INLINE = re.compile(r"[-?:] +(?=[-?])")
-"""Matches block collections that are nested on one line."""
 _LARGEST_INTEGER = 10**15
 """Largest magnitude of an integer that is accepted."""
 
@@ -42,18 +40,19 @@ class Problem:
     """One problem in an input file."""
 
     file: Path
-    line: int
-    """From 1; 0 if the problem has no line."""
-    column: int
-    where: str
-    """The location as text: `cameras[3].intrinsics`."""
     what: str
     remedy: str = ""
+    line: int = 0
+    """From 1; 0 if the problem has no line."""
+    column: int = 0
+    """From 1; 0 if the problem has no column."""
+    where: str = ""
+    """The location as text: `cameras[3].intrinsics`."""
 
     @property
     def mark(self) -> str:
-        """File, line and column."""
-        return f"{self.file}:{self.line}:{self.column}" if self.line else f"{self.file}"
+        """File, line and column, as far as the problem has them."""
+        return ":".join(str(part) for part in (self.file, self.line, self.column) if part)
 
     def __str__(self) -> str:
         head = f"{self.mark}: {self.where}: {self.what}" if self.where else f"{self.mark}: {self.what}"
@@ -61,25 +60,13 @@ class Problem:
 
 
 class SiteError(WbflowError, ValueError):
-    """The site file, or a file that it names, cannot be used.  `problems` holds all problems found, not just the first."""
+    """The site file, or a file that it names, cannot be used.  `problems` holds all problems found, in the order of the file."""
 
     exit_code = ExitCode.USAGE
 
-    def __init__(self, problems: list[Problem]) -> None:
-        super().__init__("\n".join(map(str, problems)))
-        self.problems = problems
-
-
-class CalibrationError(WbflowError, ValueError):
-    """A calibration file cannot be used; the message contains the problem and its place."""
-
-    exit_code = ExitCode.USAGE
-
-    @classmethod
-    def from_site_error(cls, error: SiteError, remedy: str = "") -> CalibrationError:
-        """The error for a file that could not be read, made from its first problem."""
-        problem = error.problems[0]
-        return cls(problem.what, where=problem.mark, remedy=remedy)
+    def __init__(self, *problems: Problem) -> None:
+        self.problems = sorted(problems, key=lambda problem: (str(problem.file), problem.line, problem.column))
+        super().__init__("\n".join(map(str, self.problems)))
 
 
 @dataclass(frozen=True)
@@ -96,22 +83,12 @@ class Document:
     texts: dict[Location, str] = field(default_factory=dict)
     """Each scalar as written."""
 
-    def problem(self, location: Location, what: str, remedy: str = "", key: bool = False) -> Problem:
-        """A problem at a location; if the file has no such location, at the nearest enclosing one.
-
-        Parameters
-        ----------
-        location, key : Location, bool
-            Path to the value; whether to point at its key instead of the value.
-        what, remedy : str
-            What is wrong, and how to fix it.
-        """
+    def place(self, location: Location, key: bool = False) -> tuple[int, int]:
+        """(line, column) of a value, or of its key; if the file has no such location, of the nearest enclosing one."""
         marks = self.key_marks if key else self.marks
-        nearest = location
-        while nearest and nearest not in marks:
-            nearest = nearest[:-1]
-        line, column = marks.get(nearest, (1, 1))
-        return Problem(self.path, line, column, _location_text(location), what, remedy)
+        while location and location not in marks:
+            location = location[:-1]
+        return marks.get(location, (1, 1))
 
 
 @dataclass(frozen=True)
@@ -126,24 +103,18 @@ class Problems:
 
         Parameters
         ----------
-        location, what, remedy, key
-            As for `Document.problem`.
+        location, key : Location, bool
+            Path to the value; whether to point at its key instead of the value.
+        what, remedy : str
+            What is wrong, and how to fix it.
         """
-        self.found.append(self.document.problem(location, what, remedy, key))
-
-
-def _location_text(location: Location) -> str:
-    """A location as text: `cameras[3].intrinsics`."""
-    return "".join(f"[{step}]" if isinstance(step, int) else f".{step}" for step in location).removeprefix(".")
-
-
-ID = re.compile(r"[A-Za-z0-9_.-]{1,100}")
-"""Characters and length of names of cameras and sites; `is_name` also excludes names that consist of dots only."""
+        where = "".join(f"[{step}]" if isinstance(step, int) else f".{step}" for step in location).removeprefix(".")
+        self.found.append(Problem(self.document.path, what, remedy, *self.document.place(location, key), where))
 
 
 def is_name(name: str) -> bool:
     """Is this a valid name for a camera or a site?  It becomes the name of a folder."""
-    return bool(ID.fullmatch(name) and name.strip("."))
+    return bool(re.fullmatch(r"[A-Za-z0-9_.-]{1,100}", name) and name.strip("."))
 
 
 def resolve_path(path: str, location: Location, problems: Problems) -> Path:
@@ -172,16 +143,16 @@ def similar(path: Path) -> str:
     return suggest(path.name, names, "")
 
 
-def read_text(path: Path) -> str:
-    """The text of an untrusted file.  Raises SiteError if it cannot be read or is not UTF-8."""
+def read_text(path: Path, remedy: str = "") -> str:
+    """The text of an untrusted file.  Raises SiteError if it cannot be read (with this remedy) or is not UTF-8."""
     try:
         return read_untrusted(path, MOST_TEXT_BYTES).decode("utf-8-sig")
     except Unreadable as error:
-        raise SiteError([Problem(path, 0, 0, "", error.what, "give the path of a site file")]) from None
+        raise SiteError(Problem(path, error.what, remedy)) from None
     except UnicodeDecodeError as error:
         line = error.object[: error.start].count(b"\n") + 1
         column = error.start - error.object.rfind(b"\n", 0, error.start)
-        raise SiteError([Problem(path, line, column, "", "is not UTF-8 text", "save the file as UTF-8")]) from None
+        raise SiteError(Problem(path, "is not UTF-8 text", "save the file as UTF-8", line, column)) from None
 
 
 def load_yaml(path: Path) -> Document:
@@ -189,36 +160,34 @@ def load_yaml(path: Path) -> Document:
 
     Raises SiteError if it cannot be read, is not YAML, has a duplicate key or tags beyond plain data, or would exhaust memory.
     """
-    return parse_yaml(read_text(path), path)
+    return parse_yaml(read_text(path, "give the path of a site file"), path)
 
 
 def parse_yaml(text: str, path: Path) -> Document:
     """Parse the text of a YAML file.  Raises SiteError, as `load_yaml` does."""
     loader = None
     try:
-        _refuse_deep_nesting(text)
+        _refuse_bombs(text)
         loader = _CheckingLoader(text)
         node = loader.get_single_node()
-        if "&" in text and "*" in text:
-            _refuse_alias_bomb(node)
-        data = loader.construct_document(node) if node is not None else None
+        if node is None:
+            return Document(path, None)
+        data = loader.construct_document(node)
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         line, column = (mark.line + 1, mark.column + 1) if mark else (1, 1)
         what = f"not valid YAML: {printable(error.problem)}"
-        raise SiteError([Problem(path, line, column, "", what, _remedy_at(text, line))]) from None
+        raise SiteError(Problem(path, what, _remedy_at(text, line), line, column)) from None
     except yaml.YAMLError as error:
-        raise SiteError([Problem(path, 1, 1, "", f"not valid YAML: {printable(error)}", "save it as plain text")]) from None
+        raise SiteError(Problem(path, f"not valid YAML: {printable(error)}", "save it as plain text", 1, 1)) from None
     finally:
         if loader:
             loader.dispose()
-    document = Document(path, data)
-    problems: list[Problem] = []
-    if node is not None:
-        _record_marks(node, (), document, problems)
-    if problems:
-        raise SiteError(problems)
-    return document
+    problems = Problems(Document(path, data))
+    _record_marks(node, (), problems)
+    if problems.found:
+        raise SiteError(*problems.found)
+    return problems.document
 
 
 def _remedy_at(text: str, line: int) -> str:
@@ -250,65 +219,63 @@ def _excerpt(node: Any) -> str:
     return printable(node.value if isinstance(node, yaml.ScalarNode) else "this", 40)
 
 
-def _refuse_deep_nesting(text: str) -> None:
-    """Refuse deep nesting from the parser's events: recursive construction would overflow the stack.  Raises MarkedYAMLError."""
-    if text.count("[") + text.count("{") + len(_NESTED_INLINE.findall(text)) < _MOST_LEVELS and " " * _MOST_LEVELS not in text:
-        return
+def _refuse_bombs(text: str) -> None:
+    """Refuse nesting that would overflow the stack, and aliases that expand to more values than a machine can hold.
+
+    The parser's events suffice for this; nothing is constructed.  Raises YAMLError.
+    """
     try:
-        _check_depth(Loader(text))
+        _check_events(Loader(text))
     except yaml.MarkedYAMLError as error:
         if "nesting depth" not in str(error.problem):
             raise
-        _check_depth(yaml.SafeLoader(text))  # libyaml's own limit marks the place where its look-ahead stopped
+        _check_events(yaml.SafeLoader(text))  # libyaml's own limit marks the place where its look-ahead stopped
 
 
-def _check_depth(loader: Any) -> None:
+def _check_events(loader: Any) -> None:
+    open_collections: list[Any] = []
+    counts = [0]  # number of values in the document, and in each open collection
+    sizes: dict[str | None, int] = {}  # number of values that an alias stands for, by anchor
     try:
-        depth = 0
         while (event := loader.get_event()) is not None:
-            depth += isinstance(event, CollectionStartEvent) - isinstance(event, CollectionEndEvent)
-            if depth > _MOST_LEVELS:
-                raise ConstructorError(None, None, f"values are nested more than {_MOST_LEVELS} levels deep", event.start_mark)
+            if isinstance(event, CollectionStartEvent):
+                open_collections.append(event)
+                counts.append(1)
+                if len(open_collections) > _MOST_LEVELS:
+                    what = f"values are nested more than {_MOST_LEVELS} levels deep"
+                    raise ConstructorError(None, None, what, open_collections[-1].start_mark)
+            elif isinstance(event, CollectionEndEvent):
+                start, size = open_collections.pop(), counts.pop()
+                if size > _MOST_VALUES:
+                    what = f"aliases that stand for more than {_MOST_VALUES:,} values"
+                    raise ConstructorError(None, None, what, start.start_mark)
+                sizes[start.anchor] = size
+                counts[-1] += size
+            elif isinstance(event, AliasEvent):
+                around = next((start for start in open_collections if start.anchor == event.anchor), None)
+                if around:
+                    raise ConstructorError(None, None, "an alias that contains itself", around.start_mark)
+                counts[-1] += sizes.get(event.anchor, 1)
+            elif isinstance(event, ScalarEvent):
+                counts[-1] += 1
     finally:
         loader.dispose()
 
 
-def _refuse_alias_bomb(node: Any) -> None:
-    """Refuse aliases that expand to more values than a machine can hold.  Raises YAMLError."""
-    sizes: dict[int, int] = {}
-
-    def size(part: Any) -> int:
-        if isinstance(part, yaml.ScalarNode):
-            return 1
-        if id(part) in sizes:
-            if sizes[id(part)] < 0:
-                raise ConstructorError(None, None, "an alias that contains itself", part.start_mark)
-            return sizes[id(part)]
-        sizes[id(part)] = -1
-        inner = [n for entry in part.value for n in (entry if isinstance(entry, tuple) else (entry,))]
-        sizes[id(part)] = total = 1 + sum(map(size, inner))
-        if total > _MOST_VALUES:
-            raise ConstructorError(None, None, f"aliases that stand for more than {_MOST_VALUES:,} values", part.start_mark)
-        return total
-
-    if node is not None:
-        size(node)
-
-
-def _record_marks(node: Any, location: Location, document: Document, problems: list[Problem]) -> None:
-    """Record the places of a value and of everything in it; duplicate keys are added to `problems`."""
+def _record_marks(node: Any, location: Location, problems: Problems) -> None:
+    """Record the places of a value and of everything in it in the document; duplicate keys are added to `problems`."""
+    document = problems.document
     document.marks[location] = (node.start_mark.line + 1, node.start_mark.column + 1)
     if isinstance(node, yaml.MappingNode):
         for key, value in node.value:
             inner = (*location, str(key.value))
-            mark = (key.start_mark.line + 1, key.start_mark.column + 1)
-            if inner in document.key_marks:
-                what = f"{key.value!r} is already given on line {document.key_marks[inner][0]}"
-                problems.append(Problem(document.path, *mark, _location_text(inner), what, "keep one of them"))
-            document.key_marks[inner] = mark
-            _record_marks(value, inner, document, problems)
+            first_mark = document.key_marks.get(inner)
+            document.key_marks[inner] = (key.start_mark.line + 1, key.start_mark.column + 1)
+            if first_mark:
+                problems.add(inner, f"{key.value!r} is already given on line {first_mark[0]}", "keep one of them", key=True)
+            _record_marks(value, inner, problems)
     elif isinstance(node, yaml.SequenceNode):
         for position, item in enumerate(node.value):
-            _record_marks(item, (*location, position), document, problems)
+            _record_marks(item, (*location, position), problems)
     else:
         document.texts[location] = node.value

@@ -103,6 +103,7 @@ def test_only_the_newest_run_may_exceed_the_limit_in_bytes(small: ToySite) -> No
         night(small, day)
     work = WorkFolder(small.work)
     assert clean(work, Keep(bytes=10**9), dry_run=True).files == 0
+    assert clean(work, Keep(runs=5), dry_run=True).files == 0, "there are only three"
     limited = clean(work, Keep(bytes=1))
     assert limited.excess_bytes > 0
     assert bytes_under(small.work / "cache") < 1.5 * one

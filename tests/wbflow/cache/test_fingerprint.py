@@ -40,7 +40,7 @@ class Package:
 
     def code(self, function: str, table: str = "") -> str:
         name = self.root.name
-        return FunctionReader().read(f"{name}.{function}", f"{name}.{table}" if table else "").code
+        return FunctionReader().code(f"{name}.{function}", f"{name}.{table}" if table else "")
 
 
 @pytest.fixture

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from wbflow.errors import ExitCode
-from wbflow.outcome.baseline import Baseline, appearance_of, usual_of
+from wbflow.outcome.baseline import appearance_of, usual_before, usual_of
 from wbflow.outcome.verdict import Facts, judge
 from wbflow.pipeline.summaries import CalibrationCheck, CameraFigures, CoverageSummary, PairFigures, PoseIssue, PosesSummary
 from wbflow.records.findings import FINDINGS, Finding, Health, Verdict
@@ -67,10 +67,8 @@ def night(
         reason=None if points else "only camera gate has a usable capture",
         settings=settings,
     )
-    earlier = Baseline(tuple(past))
-    return judge(
-        replace(record, usual=earlier.usual(settings, expected.since)), replace(facts, baseline=earlier, expected=expected)
-    )
+    usual = usual_before(past, settings, expected.since)
+    return judge(replace(record, usual=usual), replace(facts, earlier=tuple(past), expected=expected))
 
 
 def verdict_of(record: RunRecord) -> Verdict:
@@ -383,7 +381,7 @@ def test_a_missing_requested_result_other_than_a_cloud_is_a_failure() -> None:
 def test_an_interrupted_night_is_reported_and_never_counts_as_usual() -> None:
     record = night(points=0, facts=Facts(interrupted=True))
     assert (only(record).kind, record.exit_code) == ("interrupted", ExitCode.INTERRUPTED)
-    assert Baseline((record,)).usual("as ever") is None
+    assert usual_before([record], "as ever") is None
 
 
 def test_less_ground_seen_than_usual_is_a_finding() -> None:
@@ -391,7 +389,7 @@ def test_less_ground_seen_than_usual_is_a_finding() -> None:
         replace(night(date), poses=PosesSummary(), results={"coverage": CoverageSummary(area_m2=400.0, seen_by_two=share)})
         for date, share in (("2026-11-19", 0.8), ("2026-11-20", 0.3))
     ]
-    record = judge(replace(seen[1], usual=Baseline((seen[0],)).usual("as ever")), Facts())
+    record = judge(replace(seen[1], usual=usual_before([seen[0]], "as ever")), Facts())
     assert only(record).text == "120 m² seen by two cameras, 38 % of the usual 320"
 
 

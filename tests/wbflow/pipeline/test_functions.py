@@ -31,11 +31,11 @@ def package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def code(package: Path) -> str:
-    return FunctionReader().read(f"{package.name}.stage:work").code
+    return FunctionReader().code(f"{package.name}.stage:work")
 
 
 def test_parameters_have_defaults_and_are_checked_by_type_and_choice(package: Path) -> None:
-    parameters = FunctionReader().read(f"{package.name}.stage:work").signature.parameters
+    parameters = FunctionReader().signature(f"{package.name}.stage:work").parameters
     assert {name: p.default for name, p in parameters.items()} == {"mode": "fast", "n": 3, "share": None, "flag": True}
     assert parameters["mode"].problem("good") is None
     assert "not one of fast, good" in str(parameters["mode"].problem("best"))
@@ -59,19 +59,22 @@ def test_a_remembered_module_is_read_again_when_it_changes(package: Path, tmp_pa
     memo = tmp_path / "memo.json"
     name = f"{package.name}.stage:work"
     reader = FunctionReader(memo)
-    before = reader.read(name)
+    before = reader.code(name), reader.signature(name)
     reader.save()
-    assert FunctionReader(memo).read(name) == before
+    remembered = FunctionReader(memo)
+    assert (remembered.code(name), remembered.signature(name)) == before
     (package / "stage.py").write_text("def work(*, other: int = 1):\n    return 1\n")
-    after = FunctionReader(memo).read(name)
-    assert set(after.signature.parameters) == {"other"}
-    assert after.code != before.code
+    after = FunctionReader(memo)
+    assert set(after.signature(name).parameters) == {"other"}
+    assert after.code(name) != before[0]
 
 
 @pytest.mark.parametrize("dotted", ["nowhere:f", "json:", "wbflow_stages.frames:no_such"])
 def test_a_function_that_does_not_exist_is_refused(dotted: str) -> None:
     with pytest.raises(FunctionError):
-        FunctionReader().read(dotted)
+        FunctionReader().code(dotted)
+    with pytest.raises(FunctionError):
+        FunctionReader().signature(dotted)
 
 
 @pytest.mark.parametrize("stage", STAGES, ids=lambda s: s.name)
@@ -87,6 +90,6 @@ def test_every_stage_function_takes_the_inputs_listed_in_the_table(stage: object
     keyword_only = {p.name: p.default for p in signature.parameters.values() if p.kind is inspect.Parameter.KEYWORD_ONLY}
     inputs = [p for p in signature.parameters.values() if p.kind is inspect.Parameter.POSITIONAL_OR_KEYWORD]
     assert {p.name for p in inputs if p.default is p.empty} <= set(stage.inputs) <= {p.name for p in inputs}
-    read = FunctionReader().read(stage.function).signature.parameters
+    read = FunctionReader().signature(stage.function).parameters
     assert {name: p.default for name, p in read.items()} == keyword_only
     assert set(keyword_only) & set(stage.inputs) == set()

@@ -13,7 +13,7 @@ from tests.wbflow.outcome.test_verdict import night
 from wbflow.pipeline.summaries import Change, ChangesSummary
 from wbflow.records.findings import Verdict
 from wbflow.records.record import RunRecord
-from wbflow.report.data import Comparison, ReportData, since_last_good
+from wbflow.report.data import Comparison, ReportData
 
 CONTAINER = Change("new", 9.2, 15.3, 1.3, length=6.3, width=2.7, volume=39.2)
 VAN = Change("new", 28.3, 16.3, 1.2, length=4.7, width=2.3, volume=17.4)
@@ -28,7 +28,7 @@ def compared(tonight: RunRecord, *earlier: RunRecord) -> Comparison | None:
     """Tonight's changes compared with those of earlier nights (newest first)."""
     data = ReportData(cast(Any, None), tonight, (), {}, Path(), cast(Any, None))
     vars(data)["earlier"] = list(earlier)
-    return since_last_good(data, "changes")
+    return data.since_last_good
 
 
 def test_changes_since_the_last_good_night_are_known_new_or_gone() -> None:
@@ -39,7 +39,7 @@ def test_changes_since_the_last_good_night_are_known_new_or_gone() -> None:
     since = compared(tonight, bad, good)
     assert since is not None
     assert since.date == "2026-11-18", "the night before was not good"
-    assert since.known == {"1": "1"}
+    assert since.known == {"1"}
     assert since.gone == {"2": STACK}
 
 
@@ -48,7 +48,7 @@ def test_every_change_since_the_night_of_the_reference_is_new() -> None:
     tonight = with_changes(night("2026-11-20"), {"1": CONTAINER}, reference=first.run)
     since = compared(tonight, first)
     assert since is not None
-    assert (since.known, since.gone) == ({}, {})
+    assert (since.known, since.gone) == (set(), {})
 
 
 def test_there_is_no_comparison_without_a_good_night_of_the_same_reference() -> None:

@@ -182,11 +182,11 @@ def test_a_night_with_nothing_to_do_starts_no_worker(toy: ToySite, monkeypatch: 
 
 def test_the_time_limit_of_a_task_depends_on_earlier_times_of_its_stage() -> None:
     past = TaskCosts({"quick": 0.1, "slow": 300.0, "endless": 1e5})
-    known = Limits(costs=past)
+    known = Limits(2**30, costs=past)
     assert known.seconds_for("quick") == limits.LEAST_SECONDS
     assert known.seconds_for("slow") == limits.TIMES_MEDIAN * 300
     assert known.seconds_for("endless") == known.seconds_for("new") == limits.MOST_WAIT_SECONDS
-    assert Limits(seconds=5.0, costs=past).seconds_for("slow") == 5
+    assert Limits(2**30, seconds=5.0, costs=past).seconds_for("slow") == 5
 
 
 def test_tasks_that_together_exceed_the_memory_run_one_after_the_other(wicked: ToySite) -> None:

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from wbflow.site.calibration import read_calibration
 from wbflow.site.calibration.calibrated import look_at, yaw_pitch_roll
-from wbflow.site.yaml_document import CalibrationError
+from wbflow.site.yaml_document import SiteError
 
 
 def colmap(folder: Path, camera: str, image: str) -> Path:
@@ -39,7 +39,7 @@ def test_lens_and_pose_are_read_from_a_colmap_text_model(tmp_path: Path) -> None
 def test_a_sigma_that_is_invalid_or_of_a_missing_rotation_is_refused(tmp_path: Path, key: str, value: object) -> None:
     entry = {"K": [[500, 0, 320], [0, 500, 240], [0, 0, 1]], "width": 640, "height": 480, "C": [1, 2, 3], key: value}
     (tmp_path / "cameras.json").write_text(json.dumps({"gate": entry}))
-    with pytest.raises(CalibrationError, match=f"gate.{key}"):
+    with pytest.raises(SiteError, match=f"gate.{key}"):
         read_calibration(tmp_path / "cameras.json")
 
 
@@ -51,7 +51,7 @@ def test_a_sigma_that_is_invalid_or_of_a_missing_rotation_is_refused(tmp_path: P
     ],
 )
 def test_an_unusable_colmap_model_is_refused_with_file_and_line(tmp_path: Path, camera: str, image: str, message: str) -> None:
-    with pytest.raises(CalibrationError, match=message):
+    with pytest.raises(SiteError, match=message):
         read_calibration(colmap(tmp_path, camera, image))
 
 

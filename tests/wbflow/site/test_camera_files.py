@@ -15,7 +15,7 @@ import pytest
 from wbflow.site.calibration import read_calibration
 from wbflow.site.calibration.calibrated import Calibrated
 from wbflow.site.load import load_site
-from wbflow.site.yaml_document import CalibrationError
+from wbflow.site.yaml_document import SiteError
 from wbflow_stages.core.lenses import lens_pixels, lens_rays
 from wbflow_stages.types import Float64s, Lens
 
@@ -131,7 +131,7 @@ def test_an_echoed_ros_message_with_a_region_of_interest_is_read(tmp_path: Path,
     text = ECHO.format(D=BROWN, K=whole, x=200 if message else 100, y=50, width=WIDTH, height=HEIGHT)
     (tmp_path / "gate.yaml").write_text(text)
     if message:
-        with pytest.raises(CalibrationError, match=message):
+        with pytest.raises(SiteError, match=message):
             read_calibration(tmp_path / "gate.yaml")
         return
     camera = read_calibration(tmp_path / "gate.yaml")["gate"]
@@ -374,7 +374,7 @@ def test_a_damaged_binary_colmap_model_is_refused_with_a_message(
     for file in ("cameras.bin", "images.bin"):
         data = (binary / file).read_bytes()
         (tmp_path / file).write_bytes(spoilt(data) if file == name else data)
-    with pytest.raises(CalibrationError, match=message):
+    with pytest.raises(SiteError, match=message):
         read_calibration(tmp_path)
 
 
@@ -398,9 +398,10 @@ def test_opencv_lenses_with_thin_prism_and_tilted_sensor_are_supported(tmp_path:
 def test_a_faulty_calibration_file_is_refused_with_its_place(tmp_path: Path, changed: tuple[str, str], message: str) -> None:
     text = ROS.format(width=WIDTH, height=HEIGHT, K=K.ravel().tolist(), model="plumb_bob", count=5, D=BROWN)
     (tmp_path / "gate.yaml").write_text(text.replace(*changed))
-    with pytest.raises(CalibrationError) as error:
+    with pytest.raises(SiteError) as error:
         read_calibration(tmp_path / "gate.yaml")
-    assert re.search(message, f"{error.value.where}: {error.value.what}")
+    (problem,) = error.value.problems
+    assert re.search(message, f"{problem.mark}: {problem.what}")
 
 
 def test_a_site_reads_calibrations_from_single_files_or_a_folder(tmp_path: Path) -> None:

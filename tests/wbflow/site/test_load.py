@@ -105,6 +105,11 @@ CASES = {
         "4:25: cameras[0].intrinsics: 'fx' is missing\n  give fx, fy, cx, cy, width, height in pixels, or the horizontal "
         "field of view: intrinsics: {hfov: 72}",
     ),
+    "images that are no list": (
+        "  - {id: a, images: a.jpg}",
+        "4:21: cameras[0].images: input should be a valid list, not 'a.jpg'\n  list file names below captures.root: images: "
+        "[gate/1.jpg, gate/2.jpg]",
+    ),
     "a word for a number": ("  - {id: a, intrinsics: {hfov: wide}}", "4:32: cameras[0].intrinsics.hfov: input should be"),
     "no position": ("  - {id: a, pose: {look_at: [0, 0, 0]}}", "4:19: cameras[0].pose: 'position' is missing"),
     "half a position": ("  - {id: a, pose: {latitude: 53, longitude: 9}}", "4:19: cameras[0].pose: 'height' is missing"),

@@ -197,12 +197,12 @@ def calibrated(fields: Mapping[str, Any], shown: Mapping[str, str] | None = None
         return Calibrated.model_validate(fields)
     except ValidationError as error:
         first = error.errors()[0]
-        name = str(first["loc"][0])
-        name = (shown or {}).get(name, name)
+        field_name = str(first["loc"][0])
+        name = (shown or {}).get(field_name, field_name)
         if first["type"] == "missing":
             raise Faulty(" ".join([*map(str, location), f"lacks {name}"]), location) from None
-        cause = str(first.get("ctx", {}).get("error", ""))
-        what = ".".join([*map(str, location), f"{name} {cause or _REQUIREMENTS[str(first['loc'][0])]}"])
+        cause = str(first.get("ctx", {}).get("error", "")) or _REQUIREMENTS[field_name]
+        what = ".".join([*map(str, location), f"{name} {cause}"])
         raise Faulty(what, (*location, name)) from None
 
 

@@ -10,11 +10,12 @@ from __future__ import annotations
 import math
 import struct
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from ...cache.untrusted import Unreadable, is_file, read_untrusted
-from ..yaml_document import CalibrationError, SiteError, read_text
+from ..yaml_document import Problem, SiteError, read_text
 from .calibrated import Calibrated, Matrix, calibrated, centre
 
 _LAYOUTS: dict[str, tuple[str, int, int]] = {
@@ -49,71 +50,89 @@ def is_colmap(folder: Path) -> bool:
 
 
 def read_colmap(folder: Path) -> dict[str, Calibrated]:
-    """Cameras by image name; a text model takes precedence over a binary one.  Raises CalibrationError."""
+    """Cameras by image name; a text model takes precedence over a binary one.  Raises SiteError."""
     text, binary = ([folder / f"{name}.{suffix}" for name in ("cameras", "images")] for suffix in ("txt", "bin"))
     if all(map(is_file, text)):
-        file, cameras, images = text[0].name, _text_cameras(text[0]), _text_images(text[1])
+        (camera_file, image_file), cameras, images = text, _text_cameras(text[0]), _text_images(text[1])
     elif all(map(is_file, binary)):
-        file, cameras, images = binary[0].name, _binary_cameras(binary[0]), _binary_images(binary[1])
+        (camera_file, image_file), cameras, images = binary, _binary_cameras(binary[0]), _binary_images(binary[1])
     else:
         what = "must hold cameras.txt and images.txt, or cameras.bin and images.bin (COLMAP's text or binary model)"
-        raise CalibrationError(what, where=str(folder), remedy=_REMEDY)
+        raise _refused(folder, what)
     lenses: dict[str, dict[str, Any]] = {}
-    for where, what, number, model, size, parameters in cameras:
+    for camera in cameras:
         try:
-            lenses[number] = _lens(model, *size, parameters)
-            calibrated(lenses[number])
+            lenses[camera.id] = _lens(camera)
+            calibrated(lenses[camera.id])
         except (IndexError, ValueError) as error:
             reason = "it lacks numbers" if isinstance(error, IndexError) else error
-            raise CalibrationError(f"{what}{reason}", where=where, remedy=_REMEDY) from None
+            raise _refused(camera_file, f"{camera.label}{reason}", camera.line) from None
     by_image: dict[str, Calibrated] = {}
-    for where, what, name, number, pose in images:
-        if number not in lenses:
-            raise CalibrationError(f"{what} is of camera {number}, which {file} lacks", where=where, remedy=_REMEDY)
+    for image in images:
+        if image.camera not in lenses:
+            what = f"{image.label} is of camera {image.camera}, which {camera_file.name} lacks"
+            raise _refused(image_file, what, image.line)
         try:
-            R = _quaternion_to_rotation(*pose[:4])
-            by_image[name] = calibrated({**lenses[number], "R": R, "C": centre(R, pose[4:])})
+            R = _quaternion_to_rotation(*image.pose[:4])
+            by_image[image.name] = calibrated({**lenses[image.camera], "R": R, "C": centre(R, image.pose[4:])})
         except (TypeError, IndexError, ValueError) as error:
-            raise CalibrationError(f"{what}: {error}", where=where, remedy=_REMEDY) from None
+            raise _refused(image_file, f"{image.label}: {error}", image.line) from None
     return by_image
 
 
-_REMEDY = "have COLMAP write the model again: model_converter --output_type TXT"
-_Camera = tuple[str, str, str, str, tuple[int, int], list[float]]
-"""A camera: its place in the file, a prefix for messages, its id, model, size and parameters."""
-_Image = tuple[str, str, str, str, list[float]]
-"""An image: its place in the file, a prefix for messages, its name, the id of its camera, and its pose (qw qx qy qz and t)."""
+@dataclass(frozen=True)
+class _Camera:
+    """A camera of a model.  line: in the text model; 0 in the binary one.  label: what messages about it begin with."""
+
+    line: int
+    label: str
+    id: str
+    model: str
+    width: int
+    height: int
+    parameters: list[float]
+
+
+@dataclass(frozen=True)
+class _Image:
+    """An image of a model, with the id of its camera and its pose (qw qx qy qz and t); line and label as for a camera."""
+
+    line: int
+    label: str
+    name: str
+    camera: str
+    pose: list[float]
+
+
+def _refused(path: Path, what: str, line: int = 0) -> SiteError:
+    return SiteError(Problem(path, what, "have COLMAP write the model again: model_converter --output_type TXT", line))
 
 
 def _text_cameras(path: Path) -> Iterator[_Camera]:
-    for where, line in _lines(path):
-        if line.strip():
+    for line, text in _lines(path):
+        if text.strip():
             try:
-                number, model, width, height, *parameters = line.split()
-                yield where, "", number, model, (int(width), int(height)), [*map(float, parameters)]
+                number, model, width, height, *parameters = text.split()
+                yield _Camera(line, "", number, model, int(width), int(height), [*map(float, parameters)])
             except ValueError:
-                raise CalibrationError("not a camera line of COLMAP's text model", where=where, remedy=_REMEDY) from None
+                raise _refused(path, "not a camera line of COLMAP's text model", line) from None
 
 
 def _text_images(path: Path) -> Iterator[_Image]:
     # each image takes two lines; the second, with its 2-D points (possibly empty), is not needed
-    what = "not an image line of COLMAP's text model"
-    for where, line in list(_lines(path))[::2]:
-        if line.strip():
+    label = "not an image line of COLMAP's text model"
+    for line, text in list(_lines(path))[::2]:
+        if text.strip():
             try:
-                _, *pose, number, name = line.split(maxsplit=9)
-                yield where, what, name.strip(), number, [*map(float, pose)]
+                _, *pose, number, name = text.split(maxsplit=9)
+                yield _Image(line, label, name.strip(), number, [*map(float, pose)])
             except ValueError:
-                raise CalibrationError(what, where=where, remedy=_REMEDY) from None
+                raise _refused(path, label, line) from None
 
 
-def _lines(path: Path) -> Iterator[tuple[str, str]]:
-    """The lines of a file that are not comments, each with its place (file and line number)."""
-    try:
-        lines = read_text(path).splitlines()
-    except SiteError as error:
-        raise CalibrationError.from_site_error(error) from None
-    return ((f"{path}:{number}", line) for number, line in enumerate(lines, 1) if not line.startswith("#"))
+def _lines(path: Path) -> Iterator[tuple[int, str]]:
+    """The lines of a file that are not comments, with their numbers."""
+    return ((number, line) for number, line in enumerate(read_text(path).splitlines(), 1) if not line.startswith("#"))
 
 
 def _binary_cameras(path: Path) -> Iterator[_Camera]:
@@ -122,7 +141,8 @@ def _binary_cameras(path: Path) -> Iterator[_Camera]:
         number, model, width, height = file.values("<IiQQ")
         name = list(_LAYOUTS)[model] if 0 <= model < len(_LAYOUTS) else f"number {model}"
         _, focals, count = _LAYOUTS.get(name, ("", 0, -2))
-        yield str(path), f"camera {number}: ", str(number), name, (width, height), list(file.values(f"<{focals + 2 + count}d"))
+        parameters = list(file.values(f"<{focals + 2 + count}d"))
+        yield _Camera(0, f"camera {number}: ", str(number), name, width, height, parameters)
 
 
 def _binary_images(path: Path) -> Iterator[_Image]:
@@ -130,12 +150,8 @@ def _binary_images(path: Path) -> Iterator[_Image]:
     for _ in range(file.values("<Q")[0]):
         number, *pose, camera = file.values("<I7dI")
         name = file.text()
-        file.skip(_POINT_BYTES * file.values("<Q")[0])
-        yield str(path), f"image {number}", name, str(camera), pose
-
-
-_POINT_BYTES = 24
-"""Size of a 2-D point of an image: x, y, and the id of its 3-D point."""
+        file.skip(24 * file.values("<Q")[0])  # the image's 2-D points: x, y, and the id of the 3-D point
+        yield _Image(0, f"image {number}", name, str(camera), pose)
 
 
 class _Binary:
@@ -146,7 +162,7 @@ class _Binary:
         try:
             self.data = read_untrusted(path)
         except Unreadable as error:
-            raise CalibrationError(error.what, where=str(path)) from None
+            raise SiteError(Problem(path, error.what)) from None
 
     def values(self, layout: str) -> tuple[Any, ...]:
         """The next values, in a `struct` layout."""
@@ -161,17 +177,18 @@ class _Binary:
         return self.data[start:end].decode(errors="surrogateescape")
 
     def skip(self, count: int) -> None:
-        """Skip bytes.  Raises CalibrationError if the file ends before."""
+        """Skip bytes.  Raises SiteError if the file ends before."""
         self.at += count
         if self.at > len(self.data):
-            raise CalibrationError("ends too early (COLMAP's binary model)", where=str(self.path), remedy=_REMEDY)
+            raise _refused(self.path, "ends too early (COLMAP's binary model)")
 
 
-def _lens(name: str, width: int, height: int, parameters: list[float]) -> dict[str, Any]:
+def _lens(camera: _Camera) -> dict[str, Any]:
     """The lens of a camera.  COLMAP's origin is the *corner* of the top-left pixel, so 0.5 is subtracted from cx and cy."""
-    if name not in _LAYOUTS:
-        raise ValueError(f"camera model {name} is not supported; use one of {', '.join(_LAYOUTS)}")
-    model, focals, count = _LAYOUTS[name]
+    if camera.model not in _LAYOUTS:
+        raise ValueError(f"camera model {camera.model} is not supported; use one of {', '.join(_LAYOUTS)}")
+    model, focals, count = _LAYOUTS[camera.model]
+    width, height, parameters = camera.width, camera.height, camera.parameters
     if model == "equirectangular":
         parameters = [width / (2 * math.pi), height / math.pi, width / 2, height / 2]
         focals = 2

@@ -16,12 +16,11 @@ from .values import MODEL_NAMES, first_key, numbers_of, rows_of, size_of, text_o
 MATRIX_KEYS = ("camera_matrix", "cameraMatrix", "Camera_Matrix", "intrinsic_matrix", "mtx", "K", "k")
 _DIST_KEYS = ("distortion_coefficients", "Distortion_Coefficients", "dist_coeffs", "distCoeffs", "dist", "distortion", "D", "d")
 _MODEL_KEYS = ("distortion_model", "camera_model", "model")
-_XI_KEYS = ("xi", "Xi")
 
 
 def read_camera(data: dict[str, Any]) -> Calibrated:
     """The one camera of a file.  Raises Faulty if something in it cannot be used."""
-    key, distortion_key, xi_key = first_key(data, MATRIX_KEYS), first_key(data, _DIST_KEYS), first_key(data, _XI_KEYS)
+    key, distortion_key, xi_key = first_key(data, MATRIX_KEYS), first_key(data, _DIST_KEYS), first_key(data, ("xi", "Xi"))
     assert key
     if distortion_key is None:
         raise Faulty(f"lacks the distortion ({', '.join(_DIST_KEYS[:3])} or D)", (), "add it; zeros where there is none")

@@ -46,13 +46,10 @@ def rows_of(flat: list[float], width: int) -> Matrix:
 
 def numbers_of(value: Any, key: str, location: Location = ()) -> list[float]:
     """All numbers of a matrix, given as nested lists or as OpenCV's and ROS's rows, cols and data.  Raises Faulty."""
-    if isinstance(value, dict):
-        rows, columns = value.get("rows"), value.get("cols")
-        flat = list(_flattened(value.get("data")))
-        if isinstance(rows, int) and isinstance(columns, int) and rows * columns != len(flat):
-            raise Faulty(f"{key} says {rows} x {columns}, and holds {len(flat)} numbers", (*location, key))
-    else:
-        flat = list(_flattened(value))
+    matrix = value if isinstance(value, dict) else {"data": value}
+    rows, columns, flat = matrix.get("rows"), matrix.get("cols"), list(_flattened(matrix.get("data")))
+    if isinstance(rows, int) and isinstance(columns, int) and rows * columns != len(flat):
+        raise Faulty(f"{key} says {rows} x {columns}, and holds {len(flat)} numbers", (*location, key))
     try:
         return [float(str(number)) for number in flat]  # strings too (YAML 1.1 reads 1e-05 as one), but not booleans
     except (TypeError, ValueError, OverflowError):
