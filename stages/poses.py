@@ -20,7 +20,6 @@ from .core.rotations import angle_between_deg
 from .orientation.calibration_check import check_calibration
 from .orientation.moved_cameras import NewPose, find_moved_cameras
 from .orientation.pose_check import (
-    PAIR_PX,
     TURNED_DEG,
     Evidence,
     PoseConstraints,
@@ -257,12 +256,10 @@ def _same_pose(camera: Camera, other: Camera) -> bool:
 def _pair_fit(cameras: Mapping[str, Camera], pair: Pair, geometry: Geometry, max_epipolar_px: float) -> PairCheck:
     """How the matches of a pair fit known poses: a pair whose matches don't is not kept, though its cameras are known."""
     error = epipolar_error_px(cameras, pair, geometry)
-    reason, code = f"the known poses leave an epipolar error of {error:.2f} px" if error > PAIR_PX else "", ""
-    if not (kept := error <= max_epipolar_px):
-        rejection = Rejected(Reason.MATCHES_CONTRADICT_CAMERAS, {"epipolar_px": error})
-        reason, code = rejection.reason, rejection.code
+    kept, rejection = error <= max_epipolar_px, Rejected(Reason.MATCHES_CONTRADICT_CAMERAS, {"epipolar_px": error})
+    reason, code = ("", "") if kept else (rejection.reason, rejection.code)
     rotation_deg = turned_deg(cameras, pair, geometry)
-    return PairCheck(kept, reason, code, geometry.epipolar_px, error, rotation_deg, not error <= PAIR_PX, "stated")
+    return PairCheck(kept, reason, code, geometry.epipolar_px, error, rotation_deg, "stated")
 
 
 def _moved_check(name: str, known: _KnownPoses, solved: Camera | None) -> PoseCheck:

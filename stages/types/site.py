@@ -37,7 +37,7 @@ class PairCheck(Record):
     kept: bool
     """The pair agrees with the cameras, or they provide no evidence about it."""
     reason: str = ""
-    """Why the pair is not kept, or a remark about it."""
+    """Why the pair is not kept."""
     code: str = ""
     """Code of the `Reason` if the pair is not kept."""
     estimated_px: float = float("nan")
@@ -46,8 +46,6 @@ class PairCheck(Record):
     """Median epipolar distance of its inliers to the F of the adjusted cameras."""
     rotation_off_deg: float = float("nan")
     """Angle between its own relative rotation and that of the cameras."""
-    flagged: bool = False
-    """The adjusted F is noticeably worse than the pair's own."""
     known: str = ""
     """Where the relative pose in use comes from: "stated" or "solved", "" if there is none."""
 
@@ -103,8 +101,8 @@ class PoseIssue(Record):
     "unverified": all contradictions between known poses involve this camera; the pose stays in use.
     "contradicted": known poses contradict each other, or the model of the others; which is wrong is open, and they stay in use.
     "uncertain": the images determine the known pose no better than stated, which is not enough to match along rows.
-    "inconsistent": all matches together place the camera differently from those confirmed by a third camera; it is solved from
-    the latter alone (`orientation.triplet_consistency`).
+    "inconsistent": all matches together place the camera differently from those confirmed by a third camera, and it is solved
+    from the latter alone (`orientation.triplet_consistency`); or its pairs contradict each other.
     "lens-undetermined": the lens was solved, but the images do not determine it."""
     camera: str
     """Id of the camera, or of the control point in doubt."""
@@ -116,6 +114,8 @@ class PoseIssue(Record):
     """For "uncertain": standard deviation of the rows of the camera's best pair, pixels."""
     strain: float = float("nan")
     """For "inconsistent": loss that confirmed matches would save with cameras of their own, sigma^2 per degree of freedom."""
+    excess_px: float = float("nan")
+    """For "inconsistent": how much better its pairs fit relative poses of their own, epipolar distance in pixels."""
     focal: float = float("nan")
     """For "lens-undetermined": standard deviation of the focal length, relative to it."""
     border_px: float = float("nan")

@@ -436,7 +436,12 @@ def check_poses(record: RunRecord, facts: Facts) -> Iterator[Finding]:
         yield finding("poses-uncertain", tuple(uncertain), {"row_px": row_px}, row_px=row_px, cameras=_names(uncertain))
     if inconsistent := poses.issues_of("inconsistent"):
         strain = max(issue.strain or 0.0 for issue in inconsistent.values())
-        yield finding("poses-inconsistent", tuple(inconsistent), {"strain": strain}, factor=strain, cameras=_names(inconsistent))
+        excess_px = max(issue.excess_px or 0.0 for issue in inconsistent.values())
+        figures = {name: value for name, value in (("strain", strain), ("excess_px", excess_px)) if value}
+        reason = f"they are {excess_px:.1f} px farther from the epipolar lines of all cameras than from those of each pair"
+        if strain:
+            reason = f"those confirmed by a third camera fit other poses {strain:.0f} times better than noise explains"
+        yield finding("poses-inconsistent", tuple(inconsistent), figures, cameras=_names(inconsistent), reason=reason)
     if lenses := poses.issues_of("lens-undetermined"):
         focal = max(issue.focal or 0.0 for issue in lenses.values())
         border_px = max(issue.border_px or 0.0 for issue in lenses.values())

@@ -189,6 +189,7 @@ class PoseIssue(Summary):
     triplets: bool = False
     row_px: float | None = None
     strain: float | None = None
+    excess_px: float | None = None
     focal: float | None = None
     border_px: float | None = None
 

@@ -250,9 +250,8 @@ FINDINGS: Mapping[str, FindingType] = {
             "poses-inconsistent",
             "Matches contradict each other, and the solved poses depend on some of them.",
             "state measured poses and lenses; or add a camera between those that are far apart",
-            "matches contradict each other: {cameras}; matches confirmed by a third camera fit other poses {factor:.0f} times "
-            "better than noise explains: the scene has repeating structures, or a stated lens is wrong; poses and cloud may be "
-            "distorted even though they fit the pictures",
+            "matches contradict each other: {cameras}; {reason}: the scene has repeating structures, or a stated lens is wrong; "
+            "poses and cloud may be distorted even though they fit the pictures",
         ),
         FindingType(
             "lens-undetermined",

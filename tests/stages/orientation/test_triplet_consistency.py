@@ -15,7 +15,7 @@ from wbflow_stages.sfm.consistent_matches import consistent_matches
 from wbflow_stages.sfm.incremental import Model, refine, replace_cameras
 from wbflow_stages.sfm.tracks import Edge
 from wbflow_stages.sfm.view_graph import ViewGraph
-from wbflow_stages.types import Geometry, Poses
+from wbflow_stages.types import Geometry, Placement, Poses
 
 
 def solved(site: PairSite) -> tuple[Model, dict[Edge, Geometry]]:
@@ -94,3 +94,14 @@ def test_cameras_stay_right_if_most_matches_of_neighbours_are_look_alikes(seed: 
     poses = solve_poses(site.views, {}, {**site.geometries, **misled})
     assert isinstance(poses, Poses) and set(poses.issues_of("inconsistent")) == set(site.cameras)
     assert turn_errors_deg(poses.cameras, site.cameras).max() < 0.05
+
+
+@pytest.mark.parametrize("turns", [(), (1.0, 0.0, -1.0, 0.0)])
+def test_a_new_camera_whose_pairs_with_known_ones_contradict_each_other_is_inconsistent(turns: tuple[float, ...]) -> None:
+    site = make_pair_site(5, noise_px=0.2, points=400)
+    pairs = [pair for pair in site.geometries if "c4" in pair]
+    misled = {pair: with_look_alikes(site, pair, turn, 0) for pair, turn in zip(pairs, turns, strict=False)}
+    known = {name: Placement(camera.R, camera.C) for name, camera in site.cameras.items() if name != "c4"}
+    poses = solve_poses(site.views, known, {**site.geometries, **misled})
+    assert isinstance(poses, Poses) and "c4" in poses.cameras
+    assert set(poses.issues_of("inconsistent")) == ({"c4"} if turns else set())

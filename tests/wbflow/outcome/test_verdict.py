@@ -314,6 +314,9 @@ def test_inconsistent_solved_poses_are_a_finding() -> None:
     found = only(record)
     assert (found.kind, found.subject, record.exit_code) == ("poses-inconsistent", ("gate", "mast"), ExitCode.DEGRADED)
     assert "22 times better" in found.text and found.figures == {"strain": 21.7}
+    world = PosesSummary(issues=(PoseIssue("inconsistent", "gate", excess_px=0.55),))
+    alone = only(judge(replace(night(), poses=world), Facts()))
+    assert (alone.subject, alone.figures) == (("gate",), {"excess_px": 0.55})
     many = replace(found, subject=("gate", "mast", "quay"))
     assert str(found).startswith("gate--mast: ") and str(many).startswith("3 cameras: ")
 
