@@ -20,6 +20,7 @@ from . import artifact
 from .atomic import clear, write_atomic
 from .checksum import Damaged, content_digest, read_checksummed, write_checksummed
 from .layout import WorkFolder
+from .memo import file_stamp
 from .untrusted import read_untrusted
 
 
@@ -101,13 +102,23 @@ class Cache:
 
     work: WorkFolder
     _damages: list[Damage] = field(default_factory=list, compare=False, repr=False)
+    _known: dict[tuple[Task, str], tuple[Path, list[int], Receipt]] = field(default_factory=dict, compare=False, repr=False)
+    """By task and key: a receipt's file, its stamp when it was read, and the receipt.  A run looks up each several times."""
 
-    def __reduce__(self) -> tuple[Any, ...]:  # damage found so far is not sent to worker processes
+    def __reduce__(self) -> tuple[Any, ...]:  # known receipts and damage found so far are not sent to worker processes
         return type(self), (self.work,)
 
     def by_key(self, task: Task, key: str) -> Receipt | None:
         """Return the receipt of a finished task, or None.  Checks the artifact's presence and size; `read` checks its digest."""
-        return self._receipt(task, self.work.receipt(task, key))
+        if known := self._known.get((task, key)):
+            path, stamp, receipt = known
+            if file_stamp(path) == stamp and (not receipt.file or _size(path.parent / receipt.file) == receipt.bytes):
+                return receipt
+        path = self.work.receipt(task, key)
+        new_stamp, new_receipt = file_stamp(path), self._receipt(task, path)
+        if new_receipt and new_stamp:
+            self._known[task, key] = path, new_stamp, new_receipt
+        return new_receipt
 
     def newest(self, task: Task) -> Receipt | None:
         """Return the most recent receipt of a task, whatever its key."""
@@ -195,12 +206,18 @@ class Cache:
 
 def _check_size(path: Path, expected: int) -> None:
     """Raise Damaged if an artifact is missing or has the wrong size."""
-    try:
-        size = path.stat().st_size
-    except OSError:
-        raise Damaged(f"{path} is gone") from None
+    size = _size(path)
+    if size is None:
+        raise Damaged(f"{path} is gone")
     if size != expected:
         raise Damaged(f"{path} has {size:,} of {expected:,} bytes")
+
+
+def _size(path: Path) -> int | None:
+    try:
+        return path.stat().st_size
+    except OSError:
+        return None
 
 
 class OnDemand(UserDict[Any, Any]):

@@ -109,7 +109,10 @@ def restore_to_cache(work: WorkFolder, pinned: PinnedArtifact) -> bool:
 
 def _copy_differs(cache: Cache, receipt: Receipt) -> bool:
     """Quick check: is the reference's copy of a receipt or an artifact gone, or of another size?"""
+    path = cache.work.receipt(receipt.preimage.task, receipt.key)
+    copies = cache.work.pinned(path.parent)
     try:
-        return any(cache.work.pinned(path).stat().st_size != path.stat().st_size for path in files_of(cache, receipt))
+        sizes = {path.name: path.stat().st_size} | ({receipt.file: receipt.bytes} if receipt.file else {})
+        return any((copies / name).stat().st_size != size for name, size in sizes.items())
     except OSError:
         return True

@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+import contextlib
 from typing import Any
 
 
 def render(template: str, **content: Any) -> str:
     """Return the page made from a template in `assets`; all inserted content is escaped, except the assets."""
-    from jinja2 import Environment, PackageLoader, StrictUndefined  # here: only pages need it
+    from jinja2 import Environment, FileSystemBytecodeCache, PackageLoader, StrictUndefined  # here: only pages need it
     from markupsafe import Markup
 
-    assets = PackageLoader(__package__, "assets")
-    environment = Environment(loader=assets, autoescape=True, undefined=StrictUndefined, trim_blocks=True)
+    assets, compiled = PackageLoader(__package__, "assets"), None
+    with contextlib.suppress(RuntimeError, OSError):  # without a cache folder, templates are compiled each time
+        compiled = FileSystemBytecodeCache()
+    environment = Environment(
+        loader=assets, bytecode_cache=compiled, autoescape=True, undefined=StrictUndefined, trim_blocks=True
+    )
     environment.globals["asset"] = lambda name: Markup(assets.get_source(environment, name)[0])
     return environment.get_template(template).render(content)

@@ -5,9 +5,11 @@ A task that exceeds its time limit (see `runner.limits`) is ended by the worker 
 
 from __future__ import annotations
 
+import copy
 import dataclasses
 import datetime
 import faulthandler
+import functools
 import os
 import resource
 import time
@@ -240,12 +242,21 @@ def _load(value: Input, context: _ChainContext, keep: bool = True) -> Any:
         items = {subject[0] if len(subject) == 1 else subject: item for subject, item in value.items.items()}
         return OnDemand(items, lambda item: _load(item, context, keep=False))  # all together may exceed the memory
     result = context.results.get(value.file_digest)
+    if result is None and value.field and not value.task.subject:
+        return copy.deepcopy(value.part_of(_read_site_wide(context.cache, value.task, value.file, value.file_digest)))
     if result is None:
-        path = context.cache.work.task(value.task) / value.file
-        result = result_of(context.cache.read(value.task, path, value.file_digest), value.task.stage)
-        if keep or not value.task.subject:  # the items of a mapping can all be parts of one site-wide artifact
+        result = _read(context.cache, value.task, value.file, value.file_digest)
+        if keep:
             context.results[value.file_digest] = result
     return value.part_of(result)
+
+
+def _read(cache: Cache, task: Task, file: str, digest: str) -> Any:
+    return result_of(cache.read(task, cache.work.task(task) / file, digest), task.stage)
+
+
+_read_site_wide = functools.lru_cache(4)(_read)
+"""Each chain needs its own part of a site-wide artifact: with many cameras, reading it anew would cost more than all the rest."""
 
 
 def _from_plain(value: Value) -> Any:

@@ -517,7 +517,7 @@ class Site:
     def file(self) -> Path:
         return self.document.path
 
-    @property
+    @cached_property
     def folder(self) -> Path:
         """The folder of the site file, to which its paths are relative."""
         return self.file.resolve().parent
