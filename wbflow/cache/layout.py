@@ -135,7 +135,7 @@ class WorkFolder:
 
     def artifact(self, task: Task, key: str, suffix: str) -> Path:
         """Return the path of a task's artifact; `suffix` is that of its format: .wbf or .ply."""
-        return self.cache / f"{task.stage}/{'--'.join(task.subject) or 'site'}/{key}{suffix}"
+        return self.task(task) / f"{key}{suffix}"
 
     def receipt(self, task: Task, key: str) -> Path:
         """Return the path of an artifact's receipt; an artifact without a receipt does not count."""

@@ -438,7 +438,7 @@ def check_poses(record: RunRecord, facts: Facts) -> Iterator[Finding]:
         strain = max(issue.strain or 0.0 for issue in inconsistent.values())
         excess_px = max(issue.excess_px or 0.0 for issue in inconsistent.values())
         figures = {name: value for name, value in (("strain", strain), ("excess_px", excess_px)) if value}
-        reason = f"they are {excess_px:.1f} px farther from the epipolar lines of all cameras than from those of each pair"
+        reason = f"with these poses they are {excess_px:.1f} px farther from their epipolar lines than with each pair's own F"
         if strain:
             reason = f"those confirmed by a third camera fit other poses {strain:.0f} times better than noise explains"
         yield finding("poses-inconsistent", tuple(inconsistent), figures, cameras=_names(inconsistent), reason=reason)
