@@ -27,7 +27,7 @@ from .cache.atomic import write_atomic
 from .cache.untrusted import MOST_TEXT_BYTES, read_untrusted
 from .errors import UsageError, WbflowError
 from .plugins import load
-from .site.captures import read_with_timeout
+from .site.captures import Reader
 from .site.models import Site
 from .words import counted, printable
 
@@ -103,12 +103,15 @@ def capture(site: Site, listen: Callable[[Delivery], None] = lambda delivery: No
         delivery = Delivery(camera, len(moments))
         login = logins.get(camera) or logins.get("*")
         call = functools.partial(_take, site, delivery, urls[camera], login, moments)
+        reader = Reader()
         try:
-            read_with_timeout(call, moments[-1] - time.time() + TRIES * (TIMEOUT_SECONDS + _BETWEEN_TRIES))
+            reader.read(call, moments[-1] - time.time() + TRIES * (TIMEOUT_SECONDS + _BETWEEN_TRIES))
         except TimeoutError:
             delivery.fault = "did not complete its response in time"
         except (OSError, ValueError) as error:
             delivery.fault = printable(error)
+        finally:
+            reader.close()
         listen(delivery)
         return delivery
 

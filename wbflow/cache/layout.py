@@ -36,6 +36,11 @@ def cloud_name(component: tuple[str, ...] = ()) -> str:
     return f"cloud{''.join(f'-{name}' for name in component)}.ply"
 
 
+def _folder_name(task: Task) -> str:
+    """Return the folder of a task's artifacts, relative to the cache."""
+    return f"{task.stage}/{'--'.join(task.subject) or 'site'}"
+
+
 @dataclass(unsafe_hash=True)
 class RunPaths:
     """The files in the folder of one run."""
@@ -131,11 +136,11 @@ class WorkFolder:
 
     def task(self, task: Task) -> Path:
         """Return the folder of all artifacts of a task, whatever their key."""
-        return self.cache / f"{task.stage}/{'--'.join(task.subject) or 'site'}"  # one join only: joining paths is slow
+        return self.cache / _folder_name(task)
 
     def artifact(self, task: Task, key: str, suffix: str) -> Path:
         """Return the path of a task's artifact; `suffix` is that of its format: .wbf or .ply."""
-        return self.task(task) / f"{key}{suffix}"
+        return self.cache / f"{_folder_name(task)}/{key}{suffix}"  # one join: a night of 300 cameras asks for 14,000 paths
 
     def receipt(self, task: Task, key: str) -> Path:
         """Return the path of an artifact's receipt; an artifact without a receipt does not count."""

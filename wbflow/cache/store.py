@@ -97,28 +97,42 @@ class Receipt:
 
 
 @dataclass(frozen=True)
+class _Known:
+    """A receipt that has been read."""
+
+    path: Path
+    stamp: list[int]
+    """The stamp of its file when it was read."""
+    receipt: Receipt
+    artifact: Path | None
+
+    def is_unchanged(self) -> bool:
+        """Is its file still the same, and its artifact there?"""
+        return file_stamp(self.path) == self.stamp and (self.artifact is None or _size(self.artifact) == self.receipt.bytes)
+
+
+@dataclass(frozen=True)
 class Cache:
     """The cache of a work folder.  Many processes may use it at once."""
 
     work: WorkFolder
     _damages: list[Damage] = field(default_factory=list, compare=False, repr=False)
-    _known: dict[tuple[Task, str], tuple[Path, list[int], Receipt]] = field(default_factory=dict, compare=False, repr=False)
-    """By task and key: a receipt's file, its stamp when it was read, and the receipt.  A run looks up each several times."""
+    _known: dict[tuple[Task, str], _Known] = field(default_factory=dict, compare=False, repr=False)
+    """By task and key.  A run looks up each several times."""
 
     def __reduce__(self) -> tuple[Any, ...]:  # known receipts and damage found so far are not sent to worker processes
         return type(self), (self.work,)
 
     def by_key(self, task: Task, key: str) -> Receipt | None:
         """Return the receipt of a finished task, or None.  Checks the artifact's presence and size; `read` checks its digest."""
-        if known := self._known.get((task, key)):
-            path, stamp, receipt = known
-            if file_stamp(path) == stamp and (not receipt.file or _size(path.parent / receipt.file) == receipt.bytes):
-                return receipt
+        known = self._known.get((task, key))
+        if known and known.is_unchanged():
+            return known.receipt
         path = self.work.receipt(task, key)
-        new_stamp, new_receipt = file_stamp(path), self._receipt(task, path)
-        if new_receipt and new_stamp:
-            self._known[task, key] = path, new_stamp, new_receipt
-        return new_receipt
+        stamp, receipt = file_stamp(path), self._receipt(task, path)
+        if receipt and stamp:
+            self._known[task, key] = _Known(path, stamp, receipt, self.path(receipt) if receipt.file else None)
+        return receipt
 
     def newest(self, task: Task) -> Receipt | None:
         """Return the most recent receipt of a task, whatever its key."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import datetime
+import functools
 import hashlib
 import json
 import os
@@ -18,6 +19,7 @@ from ..cache.atomic import sync_folder, write_atomic
 from ..cache.checksum import NoChecksum, dump_with_checksum, parse_checksummed, sha256_of
 from ..cache.layout import RunPaths, WorkFolder, run_id, started_by
 from ..cache.lock import Locked, hold
+from ..cache.memo import file_stamp
 from ..cache.untrusted import read_untrusted
 from ..errors import ExitCode, WbflowError
 from ..remote import Mirror, writing
@@ -89,14 +91,7 @@ class RunFolder:
     def record(self) -> RunRecord:
         """Return the content of run.json.  Raises NoSuchRun if it cannot be read."""
         try:
-            data = read_untrusted(self.paths.record)
-            try:
-                entries = parse_checksummed(data, _IDENTITY)
-            except NoChecksum:  # as in earlier versions
-                entries = json.loads(data)
-                if entries.get("of") == _IDENTITY:
-                    raise
-            return RunRecord.from_json(entries)
+            return _read_record(self.paths.record, tuple(file_stamp(self.paths.record) or ()))
         except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
             what = f"{self.paths.folder} is not the folder of a run: {type(error).__name__}: {error}"
             raise NoSuchRun(what) from None
@@ -293,6 +288,19 @@ def new_run(work: WorkFolder) -> tuple[str, datetime.datetime]:
     while work.run(run_id(free_second)).folder.exists():
         free_second += datetime.timedelta(seconds=1)
     return run_id(free_second), now
+
+
+@functools.lru_cache(maxsize=32)
+def _read_record(path: Path, stamp: tuple[int, ...]) -> RunRecord:
+    """Read a record once for each `stamp` of its file: verdict, health and report look at the same earlier nights."""
+    data = read_untrusted(path)
+    try:
+        entries = parse_checksummed(data, _IDENTITY)
+    except NoChecksum:  # as in earlier versions
+        entries = json.loads(data)
+        if entries.get("of") == _IDENTITY:
+            raise
+    return RunRecord.from_json(entries)
 
 
 def log_of(events: Iterable[Event]) -> bytes:

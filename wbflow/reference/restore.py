@@ -109,10 +109,10 @@ def restore_to_cache(work: WorkFolder, pinned: PinnedArtifact) -> bool:
 
 def _copy_differs(cache: Cache, receipt: Receipt) -> bool:
     """Quick check: is the reference's copy of a receipt or an artifact gone, or of another size?"""
-    path = cache.work.receipt(receipt.preimage.task, receipt.key)
-    copies = cache.work.pinned(path.parent)
+    work, path = cache.work, cache.work.receipt(receipt.preimage.task, receipt.key)
     try:
-        sizes = {path.name: path.stat().st_size} | ({receipt.file: receipt.bytes} if receipt.file else {})
-        return any((copies / name).stat().st_size != size for name, size in sizes.items())
+        if work.pinned(path).stat().st_size != path.stat().st_size:
+            return True
+        return receipt.file is not None and work.pinned(cache.path(receipt)).stat().st_size != receipt.bytes
     except OSError:
         return True

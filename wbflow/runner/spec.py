@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -64,7 +64,7 @@ class Stored:
         if receipt is None or receipt.file is None or (part and part not in receipt.parts):
             return None
         digest = receipt.parts[part] if part else receipt.digest
-        return replace(self, file=receipt.file, file_digest=receipt.digest, digest=digest)
+        return Stored(self.task, self.field, self.entry, receipt.file, receipt.digest, digest)
 
     def part_of(self, artifact: Any) -> Any:
         """The input itself, from the artifact that contains it."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import datetime
 import functools
+import queue
 import threading
 import time
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
@@ -40,35 +41,51 @@ REDUCED_ANSWER_SECONDS = 5.0
 T = TypeVar("T")
 
 
-def read_with_timeout(read: Callable[[], T], seconds: float) -> T:
-    """Return what `read` returns from a disk that may hang.  Raises TimeoutError if it hangs, and what `read` raises."""
-    answer: Future[T] = Future()
+class Reader:
+    """A thread that reads from disks that may hang.  Not a pool: the interpreter would wait for the pool's threads at exit."""
 
-    def work() -> None:
+    def __init__(self) -> None:
+        self._reads: queue.SimpleQueue[Callable[[], None] | None] = queue.SimpleQueue()
+        threading.Thread(target=self._work, daemon=True).start()
+
+    def _work(self) -> None:
+        while read := self._reads.get():
+            read()
+
+    def read(self, read: Callable[[], T], seconds: float) -> T:
+        """Return what `read` returns.  Raises TimeoutError if the disk hangs (then use another reader), or what `read` raises."""
+        answer: Future[T] = Future()
+
+        def work() -> None:
+            try:
+                answer.set_result(read())
+            except (OSError, ValueError, WbflowError) as error:
+                answer.set_exception(error)
+
+        self._reads.put(work)
         try:
-            answer.set_result(read())
-        except (OSError, ValueError, WbflowError) as error:
-            answer.set_exception(error)
+            return answer.result(seconds)
+        except TimeoutError:
+            if answer.done():  # the timeout is the disk's own
+                raise
+            raise TimeoutError(f"no answer within {seconds:.0f} s: check its disk or the network") from None
 
-    # not a pool: the interpreter would wait for the pool's threads at exit
-    threading.Thread(target=work, daemon=True).start()
-    try:
-        return answer.result(seconds)
-    except TimeoutError:
-        if answer.done():  # the timeout is the disk's own
-            raise
-        raise TimeoutError(f"no answer within {seconds:.0f} s: check its disk or the network") from None
+    def close(self) -> None:
+        """End the thread as soon as its disk answers."""
+        self._reads.put(None)
 
 
 def _results_by_camera(reads: Iterable[tuple[str, Callable[[], T]]]) -> Iterator[tuple[str, T | TimeoutError]]:
     """The result of each camera's read, or a TimeoutError if its disk hangs; the other cameras are still read."""
-    seconds = ANSWER_SECONDS
+    reader, seconds = Reader(), ANSWER_SECONDS
     for camera, read in reads:
         try:
-            yield camera, read_with_timeout(read, seconds)
+            yield camera, reader.read(read, seconds)
         except TimeoutError as error:
-            seconds = REDUCED_ANSWER_SECONDS
+            reader.close()
+            reader, seconds = Reader(), REDUCED_ANSWER_SECONDS
             yield camera, error
+    reader.close()
 
 
 def _nights(site: Site) -> set[datetime.date]:
