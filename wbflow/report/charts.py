@@ -39,6 +39,8 @@ def trends(data: ReportData) -> list[Chart]:
     nights = data.nights
     series: list[tuple[str, str, list[float | None]]] = []  # title, unit, and the value of each night
     series.append(("points in the cloud", "", [night.cloud.points if night.cloud else 0 for night in nights]))
+    series.append(("cameras in use", "", [sum(camera.ok for camera in night.cameras) for night in nights]))
+    series.append(("usable pairs", "", [sum(pair.ok for pair in night.pairs) for night in nights]))
     names = dict.fromkeys((stage, name) for night in nights for stage, result in night.results.items() for name in vars(result))
     for stage, name in names:
         scale, unit = (100, "%") if meaning(name).share else (1, "")

@@ -1,0 +1,23 @@
+"""The report's charts of the last nights."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, cast
+
+from tests.wbflow.outcome.test_verdict import PAIRS, night, pair, without
+from wbflow.report.charts import trends
+from wbflow.report.data import ReportData
+
+
+def test_a_night_with_fewer_pairs_shows_in_a_chart(tmp_path: Path) -> None:
+    work = SimpleNamespace(run=lambda run: SimpleNamespace(folder=tmp_path, report=tmp_path / "report.html"))
+    rejected = [pair(*names, "rejected") for names in PAIRS if "roof" in names]
+    data = ReportData(
+        cast(Any, SimpleNamespace(work=work)), night(pairs=[*without("roof"), *rejected]), (), {}, tmp_path, cast(Any, None)
+    )
+    vars(data)["earlier"] = [night("2026-11-19")]
+    pairs = next(chart for chart in trends(data) if chart.title == "usable pairs")
+    assert pairs.now == "3"
+    assert [label for *_, label, _ in pairs.points] == ["2026-11-19: 6", "2026-11-20: 3"]
