@@ -250,6 +250,10 @@ def without_poses(which: Sequence[int], wrong: Change | None = None) -> Change:
     return change
 
 
+def all_poses_but_two_withheld(site: Site) -> None:
+    without_poses(range(2, len(site.names)))(site)
+
+
 def as_t(site: Site) -> None:
     """State the t of x = R X + t instead of the position."""
     for camera in site.cameras():
@@ -677,6 +681,7 @@ NEW = ("quarry", "platform", "warehouse", "building")
 MADE = ("yard", "building")
 TWO = ("yard", "building")
 THREE = (*TWO, "stadium")
+MIXED = ("railyard", "substation", "carpark", "platform", "solar", "tankfarm", "workshop", "harbour")
 YZ = np.diag([1.0, -1.0, -1.0])
 FOCAL = ("focal-lengths", "focal-lengths-and-distortion")
 BENT = ("distortion", "distortion-factor", "focal-lengths-and-distortion")
@@ -887,6 +892,21 @@ VARIATIONS = (
     _harmless("second night: grey", pictures(grey), night=2),
     _harmless("second night: darker", pictures(levels(0.6)), night=2),
     _harmless("second night: fog", pictures(foggy), night=2),
+    # sites where a pose is stated for some cameras only
+    _harmless("first pose withheld", without_poses((0,)), MIXED),
+    _harmless("second pose withheld", without_poses((1,)), MIXED),
+    _harmless("third pose withheld", without_poses((2,)), MIXED),
+    _harmless("fourth pose withheld", without_poses((3,)), MIXED),
+    _harmless("first and third pose withheld", without_poses((0, 2)), MIXED),
+    _harmless("all poses but two withheld", all_poses_but_two_withheld, MIXED),
+    _fault("a pose withheld, another turned by 1 degree", without_poses((1,), turn((0, 1, 0), (0,))), *ONE, on=MIXED),
+    _fault("a pose withheld, another turned by .5 degrees", without_poses((3,), turn((0.5, 0, 0), (1,))), *ONE, on=MIXED),
+    _fault("a pose withheld, another moved by 1 m", without_poses((1,), move((0, 1, 0), (0,))), *ONE, on=MIXED),
+    _fault("a pose withheld, another moved by .5 m", without_poses((0,), move((0.5, 0, 0), (2,))), *ONE, on=MIXED),
+    _fault("a pose withheld, focal +3 %", without_poses((1,), focal(1.03)), *FOCAL, on=MIXED),
+    _fault("a pose withheld, its focal +5 %", without_poses((1,), focal(1.05, (1,))), "focal-length", on=MIXED),
+    _fault("a pose withheld, distortion left out", without_poses((1,), distortion(0)), *BENT, on=MIXED),
+    _fault("a pose withheld, its frames mirrored", without_poses((1,), pictures(lambda p: p[:, ::-1], (1,))), on=MIXED),
 )  # fmt: skip
 
 

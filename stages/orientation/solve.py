@@ -143,8 +143,8 @@ def _issues(
     uncertain = [name for name in graph.names if name in sigmas and not sigmas[name].border_px <= MOST_SIGMA_PX]
     return (
         *(PoseIssue("moved", name, reason) for name, reason in suspects.items()),
-        *(PoseIssue("unverified", name, reason) for world in worlds for name, reason in world.doubtful.items()),
-        *(PoseIssue("contradicted", name, reason) for world in worlds for name, reason in world.contradicting.items()),
+        *(PoseIssue("unverified", name, reason, True) for world in worlds for name, reason in world.doubtful.items()),
+        *(PoseIssue("contradicted", name, reason, True) for world in worlds for name, reason in world.contradicting.items()),
         *(PoseIssue("lens-undetermined", name, **vars(sigmas[name])) for name in uncertain),
         *(PoseIssue("inconsistent", name, strain=strain) for name, strain in strains.items()),
         *(

@@ -222,6 +222,10 @@ def _camera_finding(camera: CameraRecord, record: RunRecord) -> Finding | None:
     if record.pairs and not pairs:
         return finding("camera-unpaired", subject)
     tried = [pair for pair in pairs if pair.outcome != "skipped" and pair.dense is not False]
+    if unconfirming := _unconfirming(tried, record):
+        names = _names(pair.name for pair in unconfirming)
+        reason = f"no pair with another camera of stated pose could be used ({names}), and solved cameras adapt to a wrong pose"
+        return finding("camera-unverified", subject, reason=reason)
     if not tried or any(pair.ok for pair in tried):
         return None
     count_text = f"none of its {len(tried)} pairs could" if len(tried) > 1 else "its only pair could not"
@@ -233,12 +237,23 @@ def _camera_finding(camera: CameraRecord, record: RunRecord) -> Finding | None:
     return finding("camera-no-usable-pair", subject, usable, planned, remedy, reason=reason)
 
 
+def _unconfirming(tried: Sequence[PairRecord], record: RunRecord) -> list[PairRecord]:
+    """Return the pairs of a camera of stated pose with others of stated pose, if only pairs with solved cameras could be used."""
+    among_stated = _among_stated(tried, record)
+    return among_stated if any(pair.ok for pair in tried) and not any(pair.ok for pair in among_stated) else []
+
+
+def _among_stated(pairs: Iterable[PairRecord], record: RunRecord) -> list[PairRecord]:
+    stated = {camera.id for camera in record.cameras if camera.figures.pose_from == "stated"}
+    return [pair for pair in pairs if stated.issuperset(pair.cameras)]
+
+
 def _is_refuted(issue: PoseIssue, record: RunRecord) -> bool:
-    """Do a camera's pairs agree with its stated pose after all?  If whole surfaces match on the rows that the poses give,
-    matches far from these rows are of look-alikes.  Pairs vote as in `orientation.pose_check.verified`."""
-    if not record.poses or record.poses.source != "calibration" or issue.triplets:
+    """Do a camera's pairs with others of stated pose agree with its own after all?  If whole surfaces match on the rows that the
+    poses give, matches far from these rows are of look-alikes.  Pairs vote as in `orientation.pose_check.verified`."""
+    if issue.triplets:
         return False
-    votes = Counter(_agrees_with_poses(pair) for pair in record.pairs_of(issue.camera))
+    votes = Counter(_agrees_with_poses(pair) for pair in _among_stated(record.pairs_of(issue.camera), record))
     return votes[True] > votes[False] or votes[True] == votes[False] >= 2
 
 

@@ -161,7 +161,7 @@ FINDINGS: Mapping[str, FindingType] = {
         ),
         FindingType(
             "camera-unverified",
-            "The stated pose of a camera is probably wrong, but there is too little evidence to replace it.",
+            "The stated pose of a camera is probably wrong, or nothing confirms it; there is too little evidence to replace it.",
             "check its mount; if it has been moved, calibrate it again, or leave out its pose to have it solved",
         ),
         FindingType(

@@ -25,7 +25,7 @@ DEFAULTS, NOTHING_FAILED = Expected(), Facts()
 LOOKS = {"brightness": 110.0, "sharpness": 0.27}
 
 
-def camera(name: str, **figures: float) -> CameraRecord:
+def camera(name: str, **figures: float | str) -> CameraRecord:
     return CameraRecord(name, "ok", figures=CameraFigures.from_json(LOOKS | figures))
 
 
@@ -276,8 +276,26 @@ def test_surfaces_found_on_the_rows_outweigh_matches_against_a_pose(
     figures = dict(zip([names for names in PAIRS if "mast" in names], of_mast, strict=True))
     pairs = [replace(pair(*names), figures=figures.get(names, PairFigures())) for names in PAIRS]
     issue = PoseIssue("unverified", "mast", "3 of its 3 pairs contradict its known pose by up to 19.4 px", triplets)
-    record = judge(replace(night(pairs=pairs), poses=PosesSummary(source="calibration", issues=(issue,))), Facts())
+    stated = [camera(name, pose_from="stated") for name in NAMES]
+    record = judge(replace(night(cameras=stated, pairs=pairs), poses=PosesSummary(issues=(issue,))), Facts())
     assert [found.kind for found in verdict_of(record).findings] == kinds
+
+
+@pytest.mark.parametrize(
+    ("solved", "rejected", "kinds"),
+    [
+        ("roof", ("crane--gate", "crane--mast"), ["camera-unverified"]),
+        ("roof", ("crane--gate",), []),
+        ("", ("crane--gate", "crane--mast"), []),
+    ],
+    ids=["only a solved camera agrees", "a stated camera agrees", "all are stated"],
+)
+def test_a_stated_pose_needs_a_usable_pair_with_another_stated_pose(
+    solved: str, rejected: Sequence[str], kinds: list[str]
+) -> None:
+    cameras = [camera(name, pose_from="solved" if name == solved else "stated") for name in NAMES]
+    pairs = [pair(*names, "rejected" if "--".join(names) in rejected else "ok") for names in PAIRS]
+    assert [found.kind for found in verdict_of(night(cameras=cameras, pairs=pairs)).findings] == kinds
 
 
 def test_uncertain_poses_of_several_cameras_are_one_finding() -> None:
