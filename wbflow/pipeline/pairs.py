@@ -79,7 +79,7 @@ class PairGraph:
     """The decisions: about all kept pairs, and about the best `MOST_DROPPED` dropped ones of each view."""
     components: tuple[tuple[str, ...], ...]
     """Groups of cameras that the kept pairs connect, largest group first."""
-    untold: int = 0
+    unlisted: int = 0
     """Number of dropped pairs that are not among the edges."""
     crowded: Mapping[str, str] = field(default_factory=dict)
     """By view with `MOST_PAIRS_PER_VIEW` pairs: a note that names candidates which were left out."""
@@ -136,8 +136,8 @@ def select_pairs(
     left_out = [pair for pair in candidates if pair not in chosen]
     full_views = [view for view in overlap.cameras if counts[view] >= MOST_PAIRS_PER_VIEW]
     crowded = {view: note for view in full_views if (note := _left_out_note(view, left_out))}
-    untold = len(all_evidence.keys() | evidence.keys()) - len(edges)
-    return PairGraph(kept, tuple(edges), _groups(overlap.cameras, kept), untold, crowded)
+    unlisted = len(all_evidence.keys() | evidence.keys()) - len(edges)
+    return PairGraph(kept, tuple(edges), _groups(overlap.cameras, kept), unlisted, crowded)
 
 
 def select_dense_pairs(
@@ -197,7 +197,7 @@ def select_dense_pairs(
         edges[pair] = Edge(*pair, True, reason, known.angle_deg, known.shared)
     kept = tuple(pair for pair, edge in edges.items() if edge.kept)
     views = [*shared.cameras, *(view for pair in kept for view in pair), *(camera for c in pairs.components for camera in c)]
-    return PairGraph(kept, tuple(edges.values()), _groups(views, kept), graph.untold, graph.crowded)
+    return PairGraph(kept, tuple(edges.values()), _groups(views, kept), graph.unlisted, graph.crowded)
 
 
 def _cameras_of(pair: Pair) -> frozenset[str]:

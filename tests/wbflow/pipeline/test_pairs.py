@@ -89,7 +89,7 @@ def test_a_hub_gets_a_limited_number_of_pairs_and_names_those_left_out() -> None
     crowd = select_pairs(overlap(45, dict.fromkeys(combinations(range(45), 2), 0.5)), degree=40)
     assert max(dict(graph(crowd).degree).values()) == MOST_PAIRS_PER_VIEW
     assert len(crowd.components) == 1
-    assert crowd.untold + len(crowd.edges) == 45 * 44 // 2
+    assert crowd.unlisted + len(crowd.edges) == 45 * 44 // 2
     assert crowd.crowded
 
 
@@ -104,7 +104,7 @@ def test_preselecting_among_very_many_pairs_keeps_the_graph_connected() -> None:
     assert len(result.components) == 1 and ("c3", "c200") in result.pairs
     assert {("c0", "c109"), ("c1", "c219")} <= set(result.pairs), "asked for, though little or nothing is known of them"
     assert ("c50", "c53") in result.pairs and ("c50", "c51") not in result.pairs, "what looks most alike is seen from one place"
-    assert result.untold + len(result.edges) == len(pairs) + 1
+    assert result.unlisted + len(result.edges) == len(pairs) + 1
 
 
 def test_views_of_a_camera_are_never_paired_and_can_be_named_by_the_camera() -> None:
