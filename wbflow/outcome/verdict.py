@@ -222,7 +222,7 @@ def _camera_finding(camera: CameraRecord, record: RunRecord) -> Finding | None:
     if record.pairs and not pairs:
         return finding("camera-unpaired", subject)
     tried = [pair for pair in pairs if pair.outcome != "skipped" and pair.dense is not False]
-    if unconfirming := _unconfirming(tried, record):
+    if unconfirming := _unconfirming(camera.id, tried, record):
         names = _names(pair.name for pair in unconfirming)
         reason = f"no pair with another camera of stated pose could be used ({names}), and solved cameras adapt to a wrong pose"
         return finding("camera-unverified", subject, reason=reason)
@@ -237,10 +237,14 @@ def _camera_finding(camera: CameraRecord, record: RunRecord) -> Finding | None:
     return finding("camera-no-usable-pair", subject, usable, planned, remedy, reason=reason)
 
 
-def _unconfirming(tried: Sequence[PairRecord], record: RunRecord) -> list[PairRecord]:
-    """Return the pairs of a camera of stated pose with others of stated pose, if only pairs with solved cameras could be used."""
-    among_stated = _among_stated(tried, record)
-    return among_stated if any(pair.ok for pair in tried) and not any(pair.ok for pair in among_stated) else []
+def _unconfirming(camera: str, tried: Sequence[PairRecord], record: RunRecord) -> list[PairRecord]:
+    """Return the pairs of a camera of stated pose with others of stated pose, if only pairs with solved cameras could be used,
+    and none of these has a pose that two other probable pairs determine."""
+    among_stated, usable = _among_stated(tried, record), [pair for pair in tried if pair.ok]
+    probable = [pair for pair in record.pairs if pair.ok and (pair.figures.probability or 0.0) > 0.5]
+    counts = Counter(name for pair in probable for name in pair.cameras if name != camera)
+    is_confirmed = any(pair in probable and any(counts[name] > 2 for name in pair.cameras) for pair in usable)
+    return among_stated if usable and not is_confirmed and not any(pair.ok for pair in among_stated) else []
 
 
 def _among_stated(pairs: Iterable[PairRecord], record: RunRecord) -> list[PairRecord]:

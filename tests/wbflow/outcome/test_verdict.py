@@ -282,19 +282,21 @@ def test_surfaces_found_on_the_rows_outweigh_matches_against_a_pose(
 
 
 @pytest.mark.parametrize(
-    ("solved", "rejected", "kinds"),
+    ("solved", "rejected", "probability", "kinds"),
     [
-        ("roof", ("crane--gate", "crane--mast"), ["camera-unverified"]),
-        ("roof", ("crane--gate",), []),
-        ("", ("crane--gate", "crane--mast"), []),
+        ("roof", ("crane--gate", "crane--mast"), 0.5, ["camera-unverified"]),
+        ("roof", ("crane--gate", "crane--mast"), 0.9, []),
+        ("roof", ("crane--gate",), 0.5, []),
+        ("", ("crane--gate", "crane--mast"), 0.5, []),
     ],
-    ids=["only a solved camera agrees", "a stated camera agrees", "all are stated"],
+    ids=["only a solved camera agrees", "other pairs determine it", "a stated camera agrees", "all are stated"],
 )
 def test_a_stated_pose_needs_a_usable_pair_with_another_stated_pose(
-    solved: str, rejected: Sequence[str], kinds: list[str]
+    solved: str, rejected: Sequence[str], probability: float, kinds: list[str]
 ) -> None:
     cameras = [camera(name, pose_from="solved" if name == solved else "stated") for name in NAMES]
     pairs = [pair(*names, "rejected" if "--".join(names) in rejected else "ok") for names in PAIRS]
+    pairs = [replace(found, figures=PairFigures(probability=probability)) for found in pairs]
     assert [found.kind for found in verdict_of(night(cameras=cameras, pairs=pairs)).findings] == kinds
 
 
