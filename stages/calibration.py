@@ -11,7 +11,7 @@ from .types import CalibrationCheck, Disparity, Pair, Poses
 def check_calibration(poses: Poses, disparities: Mapping[Pair, Disparity]) -> CalibrationCheck:
     """Compare the stated cameras of the main component with the row offsets of all their dense pairs.
 
-    The result has 0 pairs if too few of them have measurements.
+    The result has 0 pairs if none has enough measurements.
     """
     stated = {n: c for n, c in poses.main_cameras().items() if poses.sources.get(n) != "solved" and n not in poses.focals}
     rows = {pair: d.rows for pair, d in disparities.items() if d.rows is not None and set(pair) <= set(stated)}

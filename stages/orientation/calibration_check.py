@@ -76,8 +76,6 @@ CORNER_PX = np.array([-0.5, -0.5])
 """Correction of principal points that are counted from the corner of the first pixel instead of its centre."""
 SLACK_ERRORS = 3.0
 """Standard errors of the median added to `AGREEING_SIGMAS` if no cause, or only one turned or moved camera, explains matches."""
-FEWEST_PAIRS = 4
-"""Fewest pairs whose rows are compared: fewer show too little of a common cause."""
 FEWEST_TILES, LEAST_GAIN = 4, 15.0
 """Fewest matches of a pair for its row offsets to count, and smallest gain of a cause (in squared standard deviations) for row
 offsets to blame it.  140 correct nights of nine scenes gain at most 10, focal lengths 1.5 % too long 14 to 137."""
@@ -178,7 +176,7 @@ def misfit_without_cause(cameras: Mapping[str, Camera], geometries: Mapping[Pair
 
 
 def check_rows(cameras: Mapping[str, Camera], rows: Mapping[Pair, RowMatches]) -> CalibrationCheck | None:
-    """Compare stated cameras with the row offsets that dense matching measures; None if there are too few pairs.
+    """Compare stated cameras with the row offsets that dense matching measures; None if no pair has enough of them.
 
     These matches are ten times as accurate as keypoints, and contain no look-alikes, so they reveal small errors.
 
@@ -186,7 +184,7 @@ def check_rows(cameras: Mapping[str, Camera], rows: Mapping[Pair, RowMatches]) -
     """
     sufficient = {pair: tiles for pair, tiles in rows.items() if len(tiles.x1) >= FEWEST_TILES}
     evidence = [_Matches(pair, tiles.x1, tiles.x2, tiles.sigma_px, 0.0) for pair, tiles in sufficient.items()]
-    if len(evidence) < FEWEST_PAIRS:
+    if not evidence:
         return None
     stated = {name: _CheckedView(camera) for name, camera in cameras.items()}
     loss = _loss(stated, evidence)

@@ -142,9 +142,18 @@ def test_rows_reveal_errors_that_are_too_small_for_keypoints(change: Change, cau
     assert (check.cause, check.contradicted) == (cause, bool(cause))
 
 
-def test_rows_of_too_few_pairs_give_no_result() -> None:
+@pytest.mark.parametrize("count", [1, 2, 3])
+@pytest.mark.parametrize(("factor", "contradicted"), [(1.0, False), (1.03, True)])
+def test_rows_of_few_pairs_reveal_wrong_focal_lengths(count: int, factor: float, contradicted: bool) -> None:
     site = make_pair_site(6, degrees=30.0)
-    assert check_rows(stated(site, zoomed(1.02)), rows_of(site, list(site.geometries)[:3])) is None
+    check = check_rows(stated(site, zoomed(factor)), rows_of(site, list(site.geometries)[:count]))
+    assert check is not None
+    assert check.contradicted == contradicted
+
+
+def test_no_rows_give_no_result() -> None:
+    site = make_pair_site(6, degrees=30.0)
+    assert check_rows(site.cameras, {}) is None
 
 
 def test_two_exchanged_poses_are_named(site: PairSite) -> None:
