@@ -74,6 +74,9 @@ smaller ones.  The matches of a harbour, all of whose poses are right, yield 0.0
 CORNER = "principal-points-corner"
 CORNER_PX = np.array([-0.5, -0.5])
 """Correction of principal points that are counted from the corner of the first pixel instead of its centre."""
+FEWEST_PAIRS_FOR_CORNER = 4
+"""Fewest pairs whose rows can blame `CORNER`, however small its effect: three pairs of photographs with true cameras give half
+of it."""
 SLACK_ERRORS = 3.0
 """Standard errors of the median added to `AGREEING_SIGMAS` if no cause, or only one turned or moved camera, explains matches."""
 FEWEST_TILES, LEAST_GAIN = 4, 15.0
@@ -190,7 +193,8 @@ def check_rows(cameras: Mapping[str, Camera], rows: Mapping[Pair, RowMatches]) -
     loss = _loss(stated, evidence)
     best = _simplest([_fit(cause, stated, evidence) for cause in _causes(stated, evidence, unconfirmed=False)], loss, slack=0.0)
     corner = _fit(_simple(CORNER, 1, lambda view, a: _shifted_px(view, a * CORNER_PX)), stated, evidence)
-    is_corner = best.cause.name == "principal-points" and loss - corner.loss >= LEAST_SHARE_UNCONFIRMED * (loss - best.loss)
+    is_corner = len(evidence) >= FEWEST_PAIRS_FOR_CORNER and best.cause.name == "principal-points"
+    is_corner = is_corner and loss - corner.loss >= LEAST_SHARE_UNCONFIRMED * (loss - best.loss)
     if is_corner and 0.25 <= corner.amount[0] <= 1.25:  # matches found by dense matching are biased toward the rows
         best = corner
     gain = max(sum(_counts(evidence)) * (loss - best.loss), 0.0)

@@ -151,6 +151,12 @@ def test_rows_of_few_pairs_reveal_wrong_focal_lengths(count: int, factor: float,
     assert check.contradicted == contradicted
 
 
+def test_three_pairs_do_not_blame_the_corner_of_the_first_pixel() -> None:
+    site = make_pair_site(6, degrees=30.0)
+    check = check_rows(stated(site, from_corner), rows_of(site, list(site.geometries)[:3]))
+    assert check is not None and check.cause != CORNER
+
+
 def test_no_rows_give_no_result() -> None:
     site = make_pair_site(6, degrees=30.0)
     assert check_rows(site.cameras, {}) is None
