@@ -75,8 +75,7 @@ CORNER = "principal-points-corner"
 CORNER_PX = np.array([-0.5, -0.5])
 """Correction of principal points that are counted from the corner of the first pixel instead of its centre."""
 FEWEST_PAIRS_FOR_CORNER = 4
-"""Fewest pairs whose rows can blame `CORNER`, however small its effect: three pairs of photographs with true cameras give half
-of it."""
+"""Fewest pairs whose rows can blame `CORNER` if they give only a part of it: three of photographs with true cameras give half."""
 SLACK_ERRORS = 3.0
 """Standard errors of the median added to `AGREEING_SIGMAS` if no cause, or only one turned or moved camera, explains matches."""
 FEWEST_TILES, LEAST_GAIN = 4, 15.0

@@ -151,10 +151,17 @@ def test_rows_of_few_pairs_reveal_wrong_focal_lengths(count: int, factor: float,
     assert check.contradicted == contradicted
 
 
-def test_three_pairs_do_not_blame_the_corner_of_the_first_pixel() -> None:
+def test_half_of_the_half_pixel_in_three_pairs_does_not_blame_the_corner() -> None:
+    def half_from_corner(name: str, camera: Camera) -> Camera:
+        return replace(camera, K=(camera.K + from_corner(name, camera).K) / 2)
+
     site = make_pair_site(6, degrees=30.0)
-    check = check_rows(stated(site, from_corner), rows_of(site, list(site.geometries)[:3]))
-    assert check is not None and check.cause != CORNER
+    causes = []
+    for count in (3, len(site.geometries)):
+        check = check_rows(stated(site, half_from_corner), rows_of(site, list(site.geometries)[:count]))
+        causes.append(check.cause if check else None)
+    assert causes[0] != CORNER
+    assert causes[1] == CORNER
 
 
 def test_no_rows_give_no_result() -> None:
