@@ -80,7 +80,8 @@ SLACK_ERRORS = 3.0
 """Standard errors of the median added to `AGREEING_SIGMAS` if no cause, or only one turned or moved camera, explains matches."""
 FEWEST_TILES, LEAST_GAIN = 4, 15.0
 """Fewest matches of a pair for its row offsets to count, and smallest gain of a cause (in squared standard deviations) for row
-offsets to blame it.  140 correct nights of nine scenes gain at most 10, focal lengths 1.5 % too long 14 to 137."""
+offsets to blame it.  140 correct nights of nine rendered scenes gain at most 10, focal lengths 1.5 % too long 14 to 137.  Two or
+three photographs with true cameras gain up to 18 at 640 pixels and 84 at 1536, from causes below the limits that follow."""
 LEAST_MOTION_OF_ONE, LEAST_MOTION_ALONG, LEAST_TURN = 1.25e-3, 6e-4, 2e-3
 """Smallest effects, as shares of the width, for row offsets to blame a cause.  Of single cameras: motion of points (the first;
 four photographs with true cameras: 6e-4).  Of all cameras: motion of points (the second) or turn of rays (the third)."""
