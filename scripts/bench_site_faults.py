@@ -89,6 +89,10 @@ SCENES = {
 }
 
 
+class TooFewCameras(Exception):
+    """A variation concerns a camera that a scene does not have."""
+
+
 class Site:
     """A copy of a site, which variations may change."""
 
@@ -110,12 +114,18 @@ class Site:
 
     def cameras(self, which: Sequence[int] | None = None) -> list[dict[str, Any]]:
         """Entries of the calibration: all, or by number."""
-        return [self.calibration[self.names[k]] for k in (range(len(self.names)) if which is None else which)]
+        return [self.calibration[name] for name in self.chosen(which)]
+
+    def chosen(self, which: Sequence[int] | None) -> list[str]:
+        """Names of cameras: all, or by number."""
+        if which and max(which) >= len(self.names):
+            raise TooFewCameras
+        return self.names if which is None else [self.names[k] for k in which]
 
     def pictures(self, change: Callable[[Uint8s], Uint8s], which: Sequence[int] | None = None, quality: int = 95) -> None:
         """Change tonight's pictures."""
-        for k in range(len(self.names)) if which is None else which:
-            for file in self.files(self.names[k]):
+        for name in self.chosen(which):
+            for file in self.files(name):
                 image = cv2.imread(str(file))
                 assert image is not None
                 cv2.imwrite(str(file), change(image.astype(np.uint8)), [cv2.IMWRITE_JPEG_QUALITY, quality])
@@ -1037,7 +1047,10 @@ def main() -> None:
             file = kept / f"{name}--{variation.name.replace(' ', '_').replace('/', '')}.json"
             if not file.exists() and not given.table:
                 prepare(given.folder / name, SCENES[name])
-                result = work_through(variation, name, given.folder, given.quick)
+                try:
+                    result = work_through(variation, name, given.folder, given.quick)
+                except TooFewCameras:
+                    continue
                 file.write_text(json.dumps(asdict(result)))
             if file.exists():
                 results.append(Result(**json.loads(file.read_text())))
