@@ -79,9 +79,8 @@ FEWEST_PAIRS_FOR_CORNER = 4
 SLACK_ERRORS = 3.0
 """Standard errors of the median added to `AGREEING_SIGMAS` if no cause, or only one turned or moved camera, explains matches."""
 FEWEST_TILES, LEAST_GAIN = 4, 15.0
-"""Fewest matches of a pair for its row offsets to count, and smallest gain of a cause (in squared standard deviations) for row
-offsets to blame it.  140 correct nights of nine rendered scenes gain at most 10, focal lengths 1.5 % too long 14 to 137.  Two or
-three photographs with true cameras gain up to 18 at 640 pixels and 84 at 1536, from causes below the limits that follow."""
+"""Fewest matches of a pair for its row offsets to count, and least gain of a cause (in squared standard deviations) to blame it.
+140 correct nights gain up to 10, focal lengths +1.5 % 14 to 137; photographs, from causes below the next limits, up to 84."""
 LEAST_MOTION_OF_ONE, LEAST_MOTION_ALONG, LEAST_TURN = 1.25e-3, 6e-4, 2e-3
 """Smallest effects, as shares of the width, for row offsets to blame a cause.  Of single cameras: motion of points (the first;
 four photographs with true cameras: 6e-4).  Of all cameras: motion of points (the second) or turn of rays (the third)."""
@@ -193,9 +192,8 @@ def check_rows(cameras: Mapping[str, Camera], rows: Mapping[Pair, RowMatches]) -
     loss = _loss(stated, evidence)
     best = _simplest([_fit(cause, stated, evidence) for cause in _causes(stated, evidence, unconfirmed=False)], loss, slack=0.0)
     corner = _fit(_simple(CORNER, 1, lambda view, a: _shifted_px(view, a * CORNER_PX)), stated, evidence)
-    is_corner = len(evidence) >= FEWEST_PAIRS_FOR_CORNER and best.cause.name == "principal-points"
-    is_corner = is_corner and loss - corner.loss >= LEAST_SHARE_UNCONFIRMED * (loss - best.loss)
-    if is_corner and 0.25 <= corner.amount[0] <= 1.25:  # matches found by dense matching are biased toward the rows
+    is_corner = best.cause.name == "principal-points" and loss - corner.loss >= LEAST_SHARE_UNCONFIRMED * (loss - best.loss)
+    if is_corner and len(evidence) >= FEWEST_PAIRS_FOR_CORNER and 0.25 <= corner.amount[0] <= 1.25:  # biased toward the rows
         best = corner
     gain = max(sum(_counts(evidence)) * (loss - best.loss), 0.0)
     tile_count = sum(len(m.x1) for m in evidence)

@@ -109,8 +109,7 @@ class PoseIssue(Record):
     text: str = ""
     """For "moved", "unverified" and "contradicted": the message, with the size of the contradiction."""
     triplets: bool = False
-    """For "unverified" and "contradicted": more than pairs contradicts the pose (triplets of cameras, or the model of the solved
-    ones); agreeing pairs do not settle that."""
+    """For "unverified" and "contradicted": triplets or the solved cameras' model contradict it, too; pairs don't settle that."""
     row_px: float = float("nan")
     """For "uncertain": standard deviation of the rows of the camera's best pair, pixels."""
     strain: float = float("nan")
