@@ -17,16 +17,7 @@ Conventions that hold everywhere:
 * A function that finds nothing usable *returns* `Rejected` with a reason and figures; bad input *raises* `ValueError`.
 * The same inputs give the same bytes: every random choice has an explicit seed.
 
-The functions exported here turn two photographs into disparity, for example in a notebook:
-
-    import wbflow_stages as wb
-    left, right = wb.read_frame("left.jpg"), wb.read_frame("right.jpg")
-    features = wb.detect(left), wb.detect(right)
-    matches = wb.match(*features)
-    geometry = wb.estimate_geometry(matches, *features)
-    rectification = wb.rectify(geometry)
-    disparity = wb.match_dense(left, right, rectification)
-    d = wb.disparity_px(disparity, 1)
+The exported functions turn two photographs into disparity: README.md has an example.
 """
 
 from __future__ import annotations

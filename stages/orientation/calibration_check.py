@@ -42,8 +42,7 @@ OUTLIER = 3.0
 """Scale of the loss, in standard deviations."""
 AGREEING_SIGMAS = 0.8
 """A pair agrees with the stated cameras if the median distance of its matches from the stated epipolar lines is below this (in
-standard deviations); its distant matches are then look-alikes, even confirmed ones (right cameras: 0.15 to 0.76, in a car park
-0.69 with a quarter of the matches elsewhere; focal lengths 3 % too long: 0.8 to 7.6)."""
+standard deviations); its distant matches are then look-alikes (right cameras: 0.15 to 0.76; focal lengths +3 %: 0.8 to 7.6)."""
 MEDIAN_ERROR = 0.79
 """Standard error of the median absolute value of normal deviates, times the square root of their number."""
 CONTRADICTED_RATIO = 1.6
@@ -57,9 +56,9 @@ LEAST_LOSS = 30.0
 """A cause must remove this total loss, in squared standard deviations (a pair counts as at most `MOST_COUNTED` matches)."""
 MOST_COUNTED = 50
 STRAYED_SIGMAS, FEWEST_RECOVERED = 1.6, 2
-"""Some unconfirmed pairs match look-alikes, which no cause brings back to the lines.  A pair has strayed if its median distance
-exceeds the first, in standard deviations.  A cause is named if it brings at least `FEWEST_RECOVERED` pairs, and half of those
-that strayed, back to at most half of their distance, and makes no other pair stray."""
+"""A pair has strayed if its median distance exceeds the first, in standard deviations: some match look-alikes, which no cause
+brings back.  A cause is named if it halves the distance of at least `FEWEST_RECOVERED` pairs, and of half of those that strayed,
+and makes no other pair stray."""
 HARMFUL_PX = 0.4
 """Cameras that move points by less than this (median, in pixels along and across the epipolar line) do not harm a cloud."""
 FARTHEST_PX = 1e4  # largest motion of a point that counts
@@ -81,6 +80,9 @@ SLACK_ERRORS = 3.0
 FEWEST_TILES, LEAST_GAIN = 4, 15.0
 """Fewest matches of a pair for its row offsets to count, and least gain of a cause (in squared standard deviations) to blame it.
 140 correct nights gain up to 10, focal lengths +1.5 % 14 to 137; photographs, from causes below the next limits, up to 84."""
+LEAST_GAIN_OF_SECOND = 4.0
+"""Least gain of the pair with the second largest one for a single camera to be blamed (houses in a row, whose rows are those of
+other houses: 0.1; cameras turned by 0.2 degrees or moved by 0.15 m: 5.5 or more)."""
 LEAST_MOTION_OF_ONE, LEAST_MOTION_ALONG, LEAST_TURN = 1.25e-3, 6e-4, 2e-3
 """Smallest effects, as shares of the width, for row offsets to blame a cause.  Of single cameras: motion of points (the first;
 four photographs with true cameras: 6e-4).  Of all cameras: motion of points (the second) or turn of rays (the third)."""
@@ -178,11 +180,9 @@ def misfit_without_cause(cameras: Mapping[str, Camera], geometries: Mapping[Pair
 
 
 def check_rows(cameras: Mapping[str, Camera], rows: Mapping[Pair, RowMatches]) -> CalibrationCheck | None:
-    """Compare stated cameras with the row offsets that dense matching measures; None if no pair has enough of them.
+    """Compare stated cameras, by id, with the row offsets that dense matching measures; None if no pair has enough of them.
 
-    These matches are ten times as accurate as keypoints, and contain no look-alikes, so they reveal small errors.
-
-    cameras : by id.  rows : of pairs of them.
+    These matches are ten times as accurate as keypoints, so they reveal small errors.  Those of a few pairs may be look-alikes.
     """
     sufficient = {pair: tiles for pair, tiles in rows.items() if len(tiles.x1) >= FEWEST_TILES}
     evidence = [_Matches(pair, tiles.x1, tiles.x2, tiles.sigma_px, 0.0) for pair, tiles in sufficient.items()]
@@ -190,15 +190,23 @@ def check_rows(cameras: Mapping[str, Camera], rows: Mapping[Pair, RowMatches]) -
         return None
     stated = {name: _CheckedView(camera) for name, camera in cameras.items()}
     loss = _loss(stated, evidence)
-    best = _simplest([_fit(cause, stated, evidence) for cause in _causes(stated, evidence, unconfirmed=False)], loss, slack=0.0)
+    explanations = [_fit(cause, stated, evidence) for cause in _causes(stated, evidence, unconfirmed=False)]
+    best = _simplest([e for e in explanations if _is_seen_by_two_pairs(e, stated, evidence)], loss, slack=0.0)
     corner = _fit(_simple(CORNER, 1, lambda view, a: _shifted_px(view, a * CORNER_PX)), stated, evidence)
     is_corner = best.cause.name == "principal-points" and loss - corner.loss >= LEAST_SHARE_UNCONFIRMED * (loss - best.loss)
     if is_corner and len(evidence) >= FEWEST_PAIRS_FOR_CORNER and 0.25 <= corner.amount[0] <= 1.25:  # biased toward the rows
         best = corner
     gain = max(sum(_counts(evidence)) * (loss - best.loss), 0.0)
-    tile_count = sum(len(m.x1) for m in evidence)
-    check = CalibrationCheck(tile_count, len(evidence), True, misfit=loss / max(best.loss, 1e-9), sigmas=sqrt(gain))
+    misfit, count = loss / max(best.loss, 1e-9), sum(len(m.x1) for m in evidence)
+    check = CalibrationCheck(count, len(evidence), True, misfit, sigmas=sqrt(gain))
     return _with_cause(check, best, stated, evidence) if gain >= LEAST_GAIN and _exceeds_usual(best, stated, evidence) else check
+
+
+def _is_seen_by_two_pairs(explanation: _Explanation, stated: _World, evidence: list[_Matches]) -> bool:
+    """Does a cause concern all cameras, or improve the fit of two pairs?  The rows of one may be those of look-alikes."""
+    pairs = [m for m in evidence if {*m.pair} & {*explanation.cause.cameras}]
+    gains = [n * (_loss(stated, [m]) - _loss(explanation.world, [m])) for m, n in zip(pairs, _counts(pairs), strict=True)]
+    return not explanation.cause.cameras or sorted([0.0, *gains])[-2] >= LEAST_GAIN_OF_SECOND
 
 
 def _exceeds_usual(best: _Explanation, stated: _World, evidence: list[_Matches]) -> bool:

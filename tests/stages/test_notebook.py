@@ -1,4 +1,4 @@
-"""From two photographs to disparity with the exports of `wbflow_stages`, as in its docstring."""
+"""From two photographs to disparity with the exports of `wbflow_stages`."""
 
 from __future__ import annotations
 
@@ -33,17 +33,6 @@ def test_two_photographs_become_disparity_with_a_few_calls(folder: Path) -> None
     assert np.isfinite(d).mean() > 0.2 and disparity.density > 0.3
     for result in (left, *features, matches, geometry, rectification, disparity):
         assert len(repr(result)) < 2000
-
-
-def test_the_example_in_the_package_docstring_works(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    assert wb.__doc__ is not None
-    lines = [line.strip() for line in wb.__doc__.splitlines() if line.startswith("    ")]
-    lines = [line.replace(".jpg", ".png").replace("rectification)", 'rectification, matcher="sgbm")') for line in lines]
-    assert len(lines) <= 10
-    monkeypatch.chdir(folder)
-    known: dict[str, object] = {}
-    exec("\n".join(lines), known)
-    assert isinstance(known["d"], np.ndarray) and np.isfinite(known["d"]).any()
 
 
 def test_a_stated_field_of_view_sets_the_focal_length(folder: Path) -> None:

@@ -240,16 +240,18 @@ def _camera_finding(camera: CameraRecord, record: RunRecord) -> Finding | None:
 def _unconfirming(camera: str, tried: Sequence[PairRecord], record: RunRecord) -> list[PairRecord]:
     """Return the pairs of a camera of stated pose with others of stated pose, if only pairs with solved cameras could be used,
     and none of these has a pose that two other probable pairs determine."""
-    among_stated, usable = _among_stated(tried, record), [pair for pair in tried if pair.ok]
+    usable = [pair for pair in tried if pair.ok]
+    among_stated = _among_stated(tried, record) if usable else []
+    if not among_stated or any(pair.ok for pair in among_stated):
+        return []
     probable = [pair for pair in record.pairs if pair.ok and (pair.figures.probability or 0.0) > 0.5]
     counts = Counter(name for pair in probable for name in pair.cameras if name != camera)
     is_confirmed = any(pair in probable and any(counts[name] > 2 for name in pair.cameras) for pair in usable)
-    return among_stated if usable and not is_confirmed and not any(pair.ok for pair in among_stated) else []
+    return [] if is_confirmed else among_stated
 
 
 def _among_stated(pairs: Iterable[PairRecord], record: RunRecord) -> list[PairRecord]:
-    stated = {camera.id for camera in record.cameras if camera.figures.pose_from == "stated"}
-    return [pair for pair in pairs if stated.issuperset(pair.cameras)]
+    return [pair for pair in pairs if record.stated.issuperset(pair.cameras)]
 
 
 def _is_refuted(issue: PoseIssue, record: RunRecord) -> bool:

@@ -191,6 +191,11 @@ class RunRecord(JsonDataclass):
         return self._pairs_of.get(camera, [])
 
     @cached_property
+    def stated(self) -> frozenset[str]:
+        """The cameras whose poses are stated."""
+        return frozenset(camera.id for camera in self.cameras if camera.figures.pose_from == "stated")
+
+    @cached_property
     def _pairs_of(self) -> dict[str, list[PairRecord]]:
         by_camera: dict[str, list[PairRecord]] = {}
         for pair in self.pairs:
