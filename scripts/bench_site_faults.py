@@ -81,6 +81,9 @@ SCENES = {
     "tankfarm-few": Scene({"scene": "tankfarm", "cameras": 3}, 0.2, fitted=False),
     "harbour-few": Scene({"scene": "harbour", "cameras": 3}, 0.3, fitted=False),
     "building-few": Scene({"scene": "building", "cameras": 3}, 0.3, fitted=False),
+    "study": Scene({"scene": "study"}, 0.1, fitted=False),
+    "containers": Scene({"scene": "containers"}, 0.2, fitted=False),
+    "houses": Scene({"scene": "houses"}, 0.3, fitted=False),
     "construction": Scene({"scene": "construction", "cameras": 5}, 0.3, fitted=False),
     "substation": Scene({"scene": "substation", "cameras": 5}, 0.3, fitted=False),
     "fountain": Scene({"photographs": "fountain", "cameras": [f"{k:04}" for k in range(0, 11, 2)]}, 0.1, fitted=False),
@@ -240,6 +243,66 @@ def rotations(change_of: Callable[[Float64s], Float64s], which: Sequence[int] | 
     def change(site: Site) -> None:
         for camera in site.cameras(which):
             camera["R"] = np.asarray(change_of(np.array(camera["R"]))).tolist()
+
+    return change
+
+
+def half_surveyed_otherwise(metres: tuple[float, float, float], degrees: float = 0.0) -> Change:
+    """Every second camera was surveyed in another frame; degrees: by which that is turned about the vertical."""
+
+    def change(site: Site) -> None:
+        which = range(0, len(site.names), 2)
+        centres(lambda C: C + metres, which)(site)
+        turned_by_compass(degrees, which)(site)
+
+    return change
+
+
+def turned_by_compass(degrees: float, which: Sequence[int] | None = None) -> Change:
+    """Rotations about the world's vertical: headings from a compass, without the declination."""
+    Q = rotation_matrix(np.radians([0.0, 0.0, degrees]))
+    return rotations(lambda R: R @ Q.T, which)
+
+
+def at_random(metres: float = 0.0, focal_share: float = 0.0) -> Change:
+    """Random errors of all positions and of all focal lengths, with these standard deviations (of positions, along each axis)."""
+
+    def change(site: Site) -> None:
+        rng = np.random.default_rng(5)
+        for k in range(len(site.names)):
+            off, factor = rng.normal(0, metres, 3), 1 + rng.normal(0, focal_share)
+            centres(lambda C, off=off: C + off, (k,))(site)  # type: ignore[misc]
+            focal(factor, (k,))(site)
+
+    return change
+
+
+def decentred(p: float, which: Sequence[int] | None = None) -> Change:
+    """Tangential distortion that is off by p."""
+
+    def change(site: Site) -> None:
+        for camera in site.cameras(which):
+            k1, k2, p1, p2, k3 = camera["distortion"]
+            camera["distortion"] = [k1, k2, p1 + p, p2 - p, k3]
+
+    return change
+
+
+def copied(keys: Sequence[str], which: Sequence[int] | None = None) -> Change:
+    """Parts of the first camera's calibration were copied to others."""
+
+    def change(site: Site) -> None:
+        first = site.cameras((0,))[0]
+        for camera in site.cameras(which):
+            camera.update({key: json.loads(json.dumps(first[key])) for key in keys})
+
+    return change
+
+
+def together(*changes: Change) -> Change:
+    def change(site: Site) -> None:
+        for one in changes:
+            one(site)
 
     return change
 
@@ -558,6 +621,41 @@ def shimmering(pixels: float) -> Callable[[Uint8s], Uint8s]:
     return change
 
 
+def shaken(pixels: float) -> Callable[[Uint8s], Uint8s]:
+    """Each frame is displaced by a random motion of this standard deviation along x and y: a mast in the wind."""
+
+    def change(image: Uint8s) -> Uint8s:
+        dx, dy = np.random.default_rng(int(image.astype(np.int64).sum()) % 2**31).normal(0, pixels, 2)
+        return shifted(dx, dy)(image)
+
+    return change
+
+
+def keystone(image: Uint8s) -> Uint8s:
+    """The recorder corrects converging verticals."""
+    h, w = image.shape[:2]
+    corners = np.array([[0, 0], [w, 0], [w, h], [0, h]], np.float32)
+    warp = cv2.getPerspectiveTransform(corners, corners + np.array([[0.04 * w, 0], [-0.04 * w, 0], [0, 0], [0, 0]], np.float32))
+    return np.asarray(cv2.warpPerspective(image, warp, (w, h), flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REFLECT), np.uint8)
+
+
+def branded(image: Uint8s) -> Uint8s:
+    """The same logo and text at the same place in the images of all cameras."""
+    h, w = image.shape[:2]
+    image = image.copy()
+    cv2.rectangle(image, (w * 7 // 10, h * 6 // 7), (w - 4, h - 4), (250, 250, 250), -1)
+    cv2.putText(image, "CAM SITE", (w * 7 // 10 + 4, h - 10), cv2.FONT_HERSHEY_SIMPLEX, h / 360, (30, 30, 160), 1)
+    cv2.putText(image, "2026-11-19 02:00", (4, 12), cv2.FONT_HERSHEY_SIMPLEX, h / 450, (255, 255, 255), 1)
+    return image
+
+
+def soft_colours(image: Uint8s) -> Uint8s:
+    """Colours at a ninth of the resolution of brightness."""
+    ycc = cv2.cvtColor(image, cv2.COLOR_BGR2YCrCb)
+    ycc[..., 1:] = cv2.blur(ycc[..., 1:], (9, 9))
+    return np.asarray(cv2.cvtColor(ycc, cv2.COLOR_YCrCb2BGR), np.uint8)
+
+
 def reflections(share: float) -> Change:
     """Each camera's window reflects the view of another camera."""
 
@@ -694,6 +792,7 @@ NEW = ("quarry", "platform", "warehouse", "building")
 MADE = ("yard", "building")
 TWO = ("yard", "building")
 THREE = (*TWO, "stadium")
+LAST = ("building", "study", "containers", "houses")
 MIXED = ("railyard", "substation", "carpark", "platform", "solar", "tankfarm", "workshop", "harbour")
 YZ = np.diag([1.0, -1.0, -1.0])
 FOCAL = ("focal-lengths", "focal-lengths-and-distortion")
@@ -856,6 +955,34 @@ VARIATIONS = (
     _fault("railings before all cameras", pictures(barred), "camera-obscured", "pictures-soft"),
     _harmless("sharpened", pictures(sharpened), TWO),
     _harmless("contrast raised by parts", pictures(equalized), TWO),
+    # errors of whole surveys, and two faults at once
+    _fault("half surveyed 1 m farther east", half_surveyed_otherwise((1, 0, 0)), "no-cause", on=LAST),
+    _fault("half surveyed .5 m higher", half_surveyed_otherwise((0, 0, 0.5)), "no-cause", on=LAST),
+    _fault("half surveyed with other headings", half_surveyed_otherwise((0, 0, 0), 0.7), "no-cause", on=LAST),
+    _fault("all headings off by 2 degrees", turned_by_compass(2.0), "no-cause", on=LAST),
+    _fault("all headings off by .6 degrees", turned_by_compass(0.6), "no-cause", on=LAST),
+    _fault("positions at random by .2 m", at_random(metres=0.2), "no-cause", on=LAST),
+    _fault("focal lengths at random by 2 %", at_random(focal_share=0.02), "no-cause", on=LAST),
+    _fault("tangential distortion of all off", decentred(0.01), "no-cause", on=LAST),
+    _fault("tangential distortion of one off", decentred(0.02, (1,)), *ONE, on=LAST),
+    _fault("lens of the first for all", copied(("K", "distortion")), "no-cause", "focal-length", on=LAST),
+    _fault("pose of the first for the second", copied(("R", "C"), (1,)), *ONE, on=LAST),
+    _fault("all shaken by 2 px", pictures(shaken(2.0)), "pictures-soft", on=LAST),
+    _fault("one shaken by 4 px", pictures(shaken(4.0), (1,)), "pictures-soft", *ONE, on=LAST),
+    _fault("keystone of one", pictures(keystone, (0,)), *ONE, on=LAST),
+    _fault("keystone of all", pictures(keystone), "no-cause", "pixel-shape", on=LAST),
+    _fault("focal +2 %, half the distortion", together(focal(1.02), distortion(0.5)), *FOCAL, *BENT, on=LAST),
+    _fault("focal +3 %, one turned by .5 degrees", together(focal(1.03), turn((0, 0.5, 0), (1,))), *FOCAL, *ONE, on=LAST),
+    _fault("one turned, another moved", together(turn((0.3, 0.4, 0), (0,)), move((0.3, 0.4, 0), (2,))), *ONE, on=LAST),
+    _fault("two turned apart", together(turn((0, 0.5, 0), (0,)), turn((0, -0.5, 0), (2,))), "no-cause", *ONE, on=LAST),
+    _fault("second night: half surveyed 1 m farther east", half_surveyed_otherwise((1, 0, 0)), "no-cause", on=LAST, night=2),
+    _harmless("a logo on all", pictures(branded), LAST),
+    _harmless("one with red for blue", pictures(lambda p: np.ascontiguousarray(p[..., ::-1]), (1,)), LAST),
+    _harmless("soft colours", pictures(soft_colours), LAST),
+    _harmless("all headings off by .02 degrees", turned_by_compass(0.02), LAST),
+    _harmless("focal lengths at random by .1 %", at_random(focal_share=0.001), LAST),
+    _harmless("positions at random by 6 mm", at_random(metres=0.006), LAST),
+    _harmless("one of gamma 1.5", pictures(levels(1, gamma=1.5), (1,)), LAST),
     # invisible
     Variation("positions x 1.1", "invisible", centres(lambda C: C * 1.1), on=TWO,
               why="x ~ K R (sX - sC) = K R (X - C): every picture of a world times s is the same"),
@@ -866,8 +993,8 @@ VARIATIONS = (
     Variation("world turned by 10 degrees", "invisible", turned_world, on=TWO,
               why="x ~ K (R Q') (Q X - Q C): every picture of a turned world is the same"),
     # harmless
-    _harmless("as it is", nothing, ALL + LIT + NEW),
-    _harmless("second night as it is", nothing, ALL, night=2),
+    _harmless("as it is", nothing, (*ALL, *LIT, *NEW, *LAST[1:])),
+    _harmless("second night as it is", nothing, (*ALL, *LAST), night=2),
     _harmless("grey", pictures(grey)),
     _harmless("one grey", pictures(grey, (1,))),
     _harmless("tinted", pictures(tinted)),
