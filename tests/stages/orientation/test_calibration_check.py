@@ -164,12 +164,11 @@ def test_half_of_the_half_pixel_in_three_pairs_does_not_blame_the_corner() -> No
     assert causes[1] == CORNER
 
 
-@pytest.mark.parametrize("metres", [0.2, 1.0])
-def test_a_pair_alone_does_not_blame_a_camera_for_its_rows(metres: float) -> None:
+def test_a_pair_alone_does_not_blame_a_camera_for_its_rows() -> None:
     """A move of c1 towards c2 leaves their epipolar lines; so only its pair with c0 speaks for it, and may match look-alikes."""
     site = make_pair_site(6, degrees=30.0)
     towards = site.cameras["c2"].C - site.cameras["c1"].C
-    moved = replace(site.cameras["c1"], C=site.cameras["c1"].C + metres * towards / np.linalg.norm(towards))
+    moved = replace(site.cameras["c1"], C=site.cameras["c1"].C + 0.2 * towards / np.linalg.norm(towards))
     rows = rows_of(site, pairwise(site.cameras))
     assert not _contradicts(site.cameras | {"c1": moved}, rows)
     assert _contradicts(site.cameras | {"c1": moved}, rows | rows_of(site, [("c1", "c3")]))
