@@ -50,11 +50,10 @@ def epipoles(F: Float64s) -> tuple[Float64s, Float64s]:
 
 def sampson_distance(F: Float64s, x1: Float64s, x2: Float64s) -> Float64s:
     """Signed first-order distance in pixels of each correspondence to the variety of F (Hartley & Zisserman, eq. 11.9)."""
-    l2 = homogeneous(x1) @ F.T
-    l1 = homogeneous(x2) @ F
-    algebraic = np.einsum("ni,ni->n", homogeneous(x2), l2)
-    gradient = np.sqrt(l2[:, 0] ** 2 + l2[:, 1] ** 2 + l1[:, 0] ** 2 + l1[:, 1] ** 2 + 1e-30)
-    return np.asarray(algebraic / gradient, dtype=np.float64)
+    a1, b1 = F[:2, :2].T @ x2.T + F[2:, :2].T
+    a2, b2, c2 = F[:, :2] @ x1.T + F[:, 2:]
+    algebraic = a2 * x2[:, 0] + b2 * x2[:, 1] + c2
+    return np.asarray(algebraic / np.sqrt(a1 * a1 + b1 * b1 + a2 * a2 + b2 * b2 + 1e-30), dtype=np.float64)
 
 
 def symmetric_epipolar_distance(F: Float64s, x1: Float64s, x2: Float64s) -> Float64s:
