@@ -43,7 +43,8 @@ from wbflow_stages.types import Float64s, Uint8s
 
 RIGHT = 0.9
 REFUTABLE = {"camera-unverified", "poses-contradicted"}
-"""Findings that dense matching may refute: with --quick, a copy that has no others after its poses is run to the end."""
+"""Findings that dense matching may refute, like a contradiction without a named cause.  With --quick, a copy that has no others
+after its poses is run to the end."""
 NIGHTS = ("2026-11-19", "2026-11-20")
 
 
@@ -1094,7 +1095,7 @@ def work_through(variation: Variation, name: str, folder: Path, quick: bool) -> 
     variation.change(site)
     site.write()
     record: dict[str, Any] = wbflow_run(copy, site.night, "--until", "poses") if quick and variation.kind == "fault" else {}
-    if record.get("exit_code", 0) == 0 or {*_kinds(record)} <= REFUTABLE:
+    if record.get("exit_code", 0) == 0 or _is_refutable(record):
         record = wbflow_run(copy, site.night)
     verdict = record.get("verdict", {})
     findings = _kinds(record)
@@ -1111,6 +1112,11 @@ def work_through(variation: Variation, name: str, folder: Path, quick: bool) -> 
         measure(result, cloud, base / "truth", SCENES[name].tolerance_m)
     shutil.rmtree(copy)
     return result
+
+
+def _is_refutable(record: dict[str, Any]) -> bool:
+    check = (record.get("poses") or {}).get("calibration") or {}
+    return {*_kinds(record)} <= REFUTABLE | ({"calibration-contradicted"} if not check.get("cause") else set())
 
 
 def _kinds(record: dict[str, Any]) -> list[str]:

@@ -23,6 +23,7 @@ from itertools import combinations
 from math import sqrt
 
 import cv2
+import networkx as nx
 import numpy as np
 
 from ..core.cameras import ray_angles, rays
@@ -198,7 +199,9 @@ def check_rows(cameras: Mapping[str, Camera], rows: Mapping[Pair, RowMatches]) -
         best = corner
     gain = max(sum(_counts(evidence)) * (loss - best.loss), 0.0)
     misfit, count = loss / max(best.loss, 1e-9), sum(len(m.x1) for m in evidence)
-    check = CalibrationCheck(count, len(evidence), True, misfit, sigmas=sqrt(gain))
+    graph = nx.Graph(list(sufficient))
+    is_confirmed = len(sufficient) >= len(cameras) == len(graph) and nx.is_connected(graph)
+    check = CalibrationCheck(count, len(evidence), is_confirmed, misfit, sigmas=sqrt(gain))
     return _with_cause(check, best, stated, evidence) if gain >= LEAST_GAIN and _exceeds_usual(best, stated, evidence) else check
 
 
@@ -316,21 +319,16 @@ def _median_distance(world: _World, matches: _Matches) -> float:
 
 
 def _counts(evidence: list[_Matches]) -> list[int]:
-    """Number of matches of each pair that count."""
+    """Number of matches of each pair that count: its weight in means over pairs."""
     return [min(len(m.x1), MOST_COUNTED) for m in evidence]
 
 
-def _mean(evidence: list[_Matches], values: list[float]) -> float:
-    """Mean over pairs, weighted by their number of matches that count."""
-    return float(np.average(values, weights=_counts(evidence)))
-
-
 def _own_loss(evidence: list[_Matches]) -> float:
-    return _mean(evidence, [m.own_loss for m in evidence])
+    return float(np.average([m.own_loss for m in evidence], weights=_counts(evidence)))
 
 
 def _loss(world: _World, evidence: list[_Matches]) -> float:
-    return _mean(evidence, [float(_cauchy(_residuals(world, m)).mean()) for m in evidence])
+    return float(np.average([_cauchy(_residuals(world, m)).mean() for m in evidence], weights=_counts(evidence)))
 
 
 def _excess(world: _World, evidence: list[_Matches], tolerance: float = 0.0) -> float:
@@ -342,7 +340,7 @@ def _excess(world: _World, evidence: list[_Matches], tolerance: float = 0.0) -> 
     for m in evidence:
         agrees = _median_distance(world, m) <= AGREEING_SIGMAS + tolerance * MEDIAN_ERROR / sqrt(len(m.x1))
         losses.append(m.own_loss if agrees else _loss(world, [m]))
-    return _mean(evidence, losses)
+    return float(np.average(losses, weights=_counts(evidence)))
 
 
 def _explains(best: _Explanation, stated: _World, evidence: list[_Matches], unconfirmed: bool) -> bool:
@@ -373,9 +371,8 @@ def _is_noticeable(stated: _World, other: _World, evidence: list[_Matches]) -> b
     views = [(stated[name], other[name], x) for m in evidence for name, x in zip(m.pair, (m.x1, m.x2), strict=True)]
     turns = [ray_angles(*(rays(v.camera, v.undistort(x)).T for v in both)) * both[0].camera.K[0, 0] for *both, x in views]
     width = np.mean([view.camera.width for view, *_ in views])
-    return bool(
-        _moved_px(stated, other, evidence) >= LEAST_MOTION_ALONG * width or np.median(np.concatenate(turns)) >= LEAST_TURN * width
-    )
+    motion, turn = _moved_px(stated, other, evidence) / width, np.median(np.concatenate(turns)) / width
+    return bool(motion >= LEAST_MOTION_ALONG or turn >= LEAST_TURN)
 
 
 def _depths(world: _World, matches: _Matches) -> tuple[Float64s, Float64s]:

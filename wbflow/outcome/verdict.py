@@ -450,7 +450,8 @@ def check_poses(record: RunRecord, facts: Facts) -> Iterator[Finding]:
         contradicted.setdefault(issue.text, []).append(issue)
     for reason, issues in contradicted.items():
         # a contradiction of the calibration as a whole has a finding that explains these, too
-        if not poses.contradiction and not all(_is_refuted(issue, record) for issue in issues):
+        is_refuted = poses.rows_confirm or all(_is_refuted(issue, record) for issue in issues)
+        if not poses.contradiction and not is_refuted:
             yield finding("poses-contradicted", tuple(issue.camera for issue in issues), reason=reason)
     if uncertain := poses.issues_of("uncertain"):
         row_px = max(issue.row_px or 0.0 for issue in uncertain.values())

@@ -194,9 +194,8 @@ class PoseIssue(Summary):
     border_px: float | None = None
 
 
-_MOST_ROW_SIGMAS, _LEAST_MISFIT = 3.5, 3.0
-"""Rows agree with the cameras up to this many `CalibrationCheck.sigmas` (140 unharmed nights: 3.2 at most).  Below this `misfit`,
-keypoints may contradict correct cameras only because of look-alikes (a workshop: 1.9 to 2.8; wrong poses there: 3.2 and more)."""
+_MOST_ROW_SIGMAS = 3.5
+"""Rows agree with the cameras up to this many `CalibrationCheck.sigmas` (140 unharmed nights: 3.2 at most)."""
 
 _FORMER_ISSUES = {
     "suspects": ("moved", "text"),
@@ -252,10 +251,15 @@ class PosesSummary(Summary):
         return self.rows is not None and self.rows.pairs > 0 and self.rows.sigmas <= _MOST_ROW_SIGMAS
 
     @property
+    def rows_confirm(self) -> bool:
+        """Do the rows of enough pairs agree to overrule keypoints?  Third cameras confirm look-alikes, too, if they see some."""
+        return self.rows is not None and self.rows.confirmed and self.rows_agree
+
+    @property
     def contradiction(self) -> CalibrationCheck | None:
-        """The check that contradicts the stated calibration; a weak one by keypoints without a cause is ignored if rows agree."""
+        """The check that contradicts the stated calibration; rows may overrule keypoints that blame no single camera."""
         by_keypoints, by_rows = (check if check and check.contradicted else None for check in (self.calibration, self.rows))
-        if by_keypoints and self.rows_agree and not by_keypoints.cause and by_keypoints.misfit < _LEAST_MISFIT:
+        if by_keypoints and self.rows_confirm and not by_keypoints.cameras:
             return None
         return by_keypoints or by_rows
 

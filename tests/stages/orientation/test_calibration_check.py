@@ -180,6 +180,16 @@ def _contradicts(cameras: dict[str, Camera], rows: dict[Pair, RowMatches]) -> bo
     return check.contradicted
 
 
+def test_rows_confirm_a_calibration_only_if_as_many_pairs_as_cameras_connect_all() -> None:
+    site = make_pair_site(6, degrees=30.0)
+    pairs = list(site.geometries)
+    checks = [
+        check_rows(site.cameras, rows_of(site, chosen))
+        for chosen in (pairs, list(pairwise(site.cameras)), [pair for pair in pairs if "c5" not in pair])
+    ]
+    assert [check is not None and check.confirmed for check in checks] == [True, False, False]
+
+
 def test_no_rows_give_no_result() -> None:
     site = make_pair_site(6, degrees=30.0)
     assert check_rows(site.cameras, {}) is None

@@ -566,10 +566,9 @@ def test_contradicted_statements_of_the_site_file_degrade_the_night(
     assert words in found.text
 
 
-def dense_rows(sigmas: float, contradicted: bool = False) -> CalibrationCheck:
-    return CalibrationCheck(
-        120, 7, True, 1.5, contradicted, "focal-lengths" if contradicted else "", (), (-0.005,), sigmas=sigmas
-    )
+def dense_rows(sigmas: float, contradicted: bool = False, confirmed: bool = False) -> CalibrationCheck:
+    cause = "focal-lengths" if contradicted else ""
+    return CalibrationCheck(120, 7, confirmed, 1.5, contradicted, cause, (), (-0.005,), sigmas=sigmas)
 
 
 def test_dense_matches_off_their_rows_contradict_the_calibration() -> None:
@@ -579,22 +578,30 @@ def test_dense_matches_off_their_rows_contradict_the_calibration() -> None:
 
 
 @pytest.mark.parametrize(("sigmas", "good"), [(2.0, True), (6.0, False)])
-def test_dense_matches_on_their_rows_outweigh_a_slight_contradiction(sigmas: float, good: bool) -> None:
-    alike = CalibrationCheck(164, 5, True, 1.9, True)
-    poses = PosesSummary(calibration=alike, rows=dense_rows(sigmas))
-    assert (judge(replace(night(), poses=poses), Facts()).exit_code == ExitCode.GOOD) == good
+def test_slightly_different_depths_are_tolerated_if_dense_matches_lie_on_their_rows(sigmas: float, good: bool) -> None:
     apart = [CameraRecord("gate", "ok", figures=CameraFigures(apart_px={"crane--mast": 0.4, "mast--roof": 0.3}))]
     record = replace(night(cameras=apart), poses=PosesSummary(rows=dense_rows(sigmas)))
     assert (judge(record, Facts()).exit_code == ExitCode.GOOD) == good
 
 
-def test_a_clear_contradiction_of_the_calibration_stays_despite_good_rows() -> None:
-    for clear in (
-        CalibrationCheck(164, 5, True, 5.0, True),
-        CalibrationCheck(9, 5, True, 2.0, True, cause="pixel-shape"),
+def test_a_camera_that_keypoints_blame_stays_a_finding_despite_good_rows() -> None:
+    blamed = CalibrationCheck(9, 5, True, 2.0, True, cause="focal-length", cameras=("gate",), amount=(0.1,))
+    poses = PosesSummary(calibration=blamed, rows=dense_rows(2.0, confirmed=True))
+    assert only(judge(replace(night(), poses=poses), Facts())).kind == "calibration-contradicted"
+
+
+@pytest.mark.parametrize(("sigmas", "confirmed", "good"), [(2.0, True, True), (2.0, False, False), (6.0, True, False)])
+def test_rows_of_pairs_that_connect_all_cameras_outweigh_contradicting_keypoints(
+    sigmas: float, confirmed: bool, good: bool
+) -> None:
+    """A hall whose sides are alike: third cameras see look-alikes, too, and confirm them."""
+    rows = dense_rows(sigmas, confirmed=confirmed)
+    for poses in (
+        PosesSummary(calibration=CalibrationCheck(217, 7, True, 3.9, True), rows=rows),
+        PosesSummary(calibration=CalibrationCheck(217, 7, True, 3.9, True, "distortion", amount=(0.1,)), rows=rows),
+        PosesSummary(issues=CONTRADICTED, rows=rows),
     ):
-        record = judge(replace(night(), poses=PosesSummary(calibration=clear, rows=dense_rows(2.0))), Facts())
-        assert only(record).kind == "calibration-contradicted"
+        assert (judge(replace(night(), poses=poses), Facts()).exit_code == ExitCode.GOOD) == good
 
 
 def test_a_cause_that_only_an_older_version_used_is_still_accepted() -> None:
