@@ -30,9 +30,11 @@ _SAME_STEP = 0.3
 
 _TILES = 5
 """`apart_px` compares two pairs in this many columns and rows of tiles."""
-_TILE_PIXELS, _LEAST_SHARE = 40, 0.05
-"""Fewest pixels with both depths in a tile, and smallest share of the view in such tiles: with less, a repeated pattern mistaken
-by one pair would decide (a warehouse's shelves: 7 px on 3 % of a view with exact cameras)."""
+_TILE_PIXELS, _LEAST_SHARE = 40, 0.02
+"""Fewest pixels with both depths in a tile, and smallest share of the view in such tiles."""
+_QUARTILE_FACTOR = 3.0
+"""The median difference counts up to this multiple of the lower quartile.  A wrong pose acts on nearly all tiles; a pattern that
+one pair mistakes for another may decide in most (a warehouse's shelves: 7 px in four of seven tiles, 3 % of a view)."""
 _COMPARED_PIXELS = 40_000
 """Approximate number of pixels at which two pairs are compared."""
 _SCATTER_SHARE = 0.6
@@ -204,9 +206,10 @@ def fuse_pairs(
 def apart_px(depths: Sequence[Float32s], gains: Sequence[Float32s], noise: NoiseModel) -> dict[tuple[int, int], float]:
     """Systematic difference between the depths of each two pairs of a view, in pixels of a frame with a long side of at most 768.
 
-    Each tile has a median difference; the result is the median of its absolute value over all pixels, less the part that scatter
-    within tiles explains.  Noise differs from patch to patch and nearly cancels in such medians.  A partner's wrong pose or lens
-    acts alike on large parts of the view; along the epipolar lines, only the depth of another pair reveals it.
+    Each tile has a median difference; the result is the median of its absolute value over all pixels (unless the lower quartile
+    is much smaller), less the part that scatter within tiles explains.  Noise differs from patch to patch and nearly cancels in
+    such medians.  A partner's wrong pose or lens acts alike on large parts of the view; along the epipolar lines, only the depth
+    of another pair reveals it.
 
     Parameters
     ----------
@@ -225,8 +228,10 @@ def apart_px(depths: Sequence[Float32s], gains: Sequence[Float32s], noise: Noise
         if sum(map(len, tiles)) >= _LEAST_SHARE * gap.size:
             count, median = [len(tile) for tile in tiles], [float(np.median(tile)) for tile in tiles]
             scatter = [1.4826 * float(np.median(np.abs(tile - m))) for tile, m in zip(tiles, median, strict=True)]
-            median_px, noise_px = (float(np.median(np.repeat(np.abs(values), count))) for values in (median, scatter))
-            result[a, b] = math.sqrt(max(0.0, median_px**2 - (_SCATTER_SHARE * noise_px) ** 2)) * min(1.0, _LONG_SIDE / max(h, w))
+            quartile_px, median_px = np.quantile(np.repeat(np.abs(median), count), (0.25, 0.5))
+            offset_px = min(median_px, _QUARTILE_FACTOR * quartile_px)
+            noise_px = _SCATTER_SHARE * np.median(np.repeat(scatter, count))
+            result[a, b] = math.sqrt(max(0.0, offset_px**2 - noise_px**2)) * min(1.0, _LONG_SIDE / max(h, w))
     return result
 
 

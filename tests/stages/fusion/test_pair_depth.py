@@ -63,5 +63,16 @@ def test_an_error_in_part_of_the_view_is_not_taken_for_an_offset_of_the_pair() -
     depths = [(50 + 0.1 * rng.normal(0, 0.35, gain.shape)).astype(np.float32) for _ in range(2)]
     depths[1][:80] += 0.7  # two of the five rows of tiles
     assert apart_px(depths, [gain, gain], NoiseModel())[0, 1] < 0.15
-    gain[:, 12:] = np.nan  # 4 % of the view is left, less than needed
+    gain[:, 5:] = np.nan  # 1.7 % of the view is left, less than needed
     assert apart_px(depths, [gain, gain], NoiseModel()) == {}
+
+
+def test_a_pattern_that_one_pair_mistakes_is_not_taken_for_an_offset() -> None:
+    rng = np.random.default_rng(1)
+    gain = np.full((200, 300), 0.1, dtype=np.float32)
+    gain[:, 12:] = np.nan  # 4 % of the view is left
+    depths = [(50 + 0.1 * rng.normal(0, 0.35, gain.shape)).astype(np.float32) for _ in range(2)]
+    depths[1][:120] += 0.7  # three of the five rows of tiles
+    assert apart_px(depths, [gain, gain], NoiseModel())[0, 1] < 0.25
+    depths[1][120:160] += 0.7
+    assert apart_px(depths, [gain, gain], NoiseModel())[0, 1] > 3
