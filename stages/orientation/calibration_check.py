@@ -199,8 +199,7 @@ def check_rows(cameras: Mapping[str, Camera], rows: Mapping[Pair, RowMatches]) -
         best = corner
     gain = max(sum(_counts(evidence)) * (loss - best.loss), 0.0)
     misfit, count = loss / max(best.loss, 1e-9), sum(len(m.x1) for m in evidence)
-    graph = nx.Graph(list(sufficient))
-    is_confirmed = len(sufficient) >= len(cameras) == len(graph) and nx.is_connected(graph)
+    is_confirmed = len(sufficient) >= len(cameras) == len(graph := nx.Graph(list(sufficient))) and nx.is_connected(graph)
     check = CalibrationCheck(count, len(evidence), is_confirmed, misfit, sigmas=sqrt(gain))
     return _with_cause(check, best, stated, evidence) if gain >= LEAST_GAIN and _exceeds_usual(best, stated, evidence) else check
 
@@ -381,10 +380,11 @@ def _depths(world: _World, matches: _Matches) -> tuple[Float64s, Float64s]:
 
 
 def _simplest(explanations: list[_Explanation], loss: float, slack: float = 0.1) -> _Explanation:
-    """The simplest of the causes that explain about as much of a loss as any; slack: tolerated share of the remaining loss."""
+    """The simplest of the causes that explain about as much of a loss as any; slack: tolerated share of the remaining loss.
+    Headings count as two unknowns, like the principal points that they imitate: the loss decides between these."""
     least_loss = min(explanation.loss for explanation in explanations)
     limit = least_loss + max(slack * least_loss, 0.05 * (loss - least_loss))
-    return min(explanations, key=lambda e: (e.loss > limit, e.cause.unknowns, e.loss))
+    return min(explanations, key=lambda e: (e.loss > limit, e.cause.unknowns + (e.cause.name == "headings"), e.loss))
 
 
 def _fit(cause: _Cause, stated: _World, evidence: list[_Matches]) -> _Explanation:
@@ -428,6 +428,8 @@ def _causes(stated: _World, evidence: list[_Matches], unconfirmed: bool) -> Iter
     yield _simple("pixel-height", 1, lambda view, a: _zoomed(view, np.append(0.0, a)))
     yield _simple(CORNER, 0, lambda view, _: _shifted_px(view, CORNER_PX))
     yield _simple("principal-points", 2, _shifted)
+    yield _simple("headings", 1, lambda view, a: _rotated(view, view.camera.R @ rotation_matrix(np.append([0.0, 0.0], a))))
+    yield _simple("rolls", 1, lambda view, a: _rotated(view, rotation_matrix(np.append([0.0, 0.0], a)) @ view.camera.R))
     yield _simple("focal-lengths-and-distortion", 2, lambda view, a: _distorted(_zoomed(view, a[:1]), a[1:]))
     for axis, name in enumerate(STRETCHED):
         yield _simple(name, 1, partial(_stretched, axis=axis))
@@ -472,6 +474,10 @@ def _posed(view: _CheckedView, amount: Float64s, baseline: float) -> _CheckedVie
     """The camera rotated and shifted; amount: rotation vector (3), and shift (3) in units of `baseline`."""
     camera = view.camera
     return replace(view, camera=replace(camera, R=rotation_matrix(amount[:3]) @ camera.R, C=camera.C + baseline * amount[3:]))
+
+
+def _rotated(view: _CheckedView, R: Float64s) -> _CheckedView:
+    return replace(view, camera=replace(view.camera, R=R))
 
 
 def _zoomed(view: _CheckedView, logs: Float64s) -> _CheckedView:

@@ -61,13 +61,7 @@ class Ambiguity:
 
 
 def find_ambiguity(
-    left: Features,
-    right: Features,
-    pairs: tuple[ViewPair, ...],
-    i1: Int32s,
-    i2: Int32s,
-    accepted: TwoView,
-    seed: int = 0,
+    left: Features, right: Features, pairs: tuple[ViewPair, ...], i1: Int32s, i2: Int32s, accepted: TwoView, seed: int = 0
 ) -> Ambiguity:
     """The strongest set of matches apart from the accepted ones.
 

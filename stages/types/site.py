@@ -65,9 +65,9 @@ class CalibrationCheck(Record):
     contradicted: bool = False
     cause: str = ""
     """The likeliest cause, "" for none.  About all cameras: "focal-lengths", "pixel-shape", "pixel-height", "distortion",
-    "distortion-factor", "focal-lengths-and-distortion", "principal-points", "principal-points-corner", "captures-exchanged",
-    "poses", a name of `CONVENTIONS` or of `STRETCHED`; about one: "focal-length", "distortion-of-one", "turned", "moved",
-    "mirrored-frames", "upside-down"; about two: a name of `EXCHANGED`."""
+    "distortion-factor", "focal-lengths-and-distortion", "principal-points", "principal-points-corner", "headings", "rolls",
+    "captures-exchanged", "poses", a name of `CONVENTIONS` or of `STRETCHED`; about one: "focal-length", "distortion-of-one",
+    "turned", "moved", "mirrored-frames", "upside-down"; about two: a name of `EXCHANGED`."""
     cameras: tuple[str, ...] = ()
     """Ids of the cameras that the cause is about; () for all."""
     amount: tuple[float, ...] = ()

@@ -391,6 +391,8 @@ _CAUSES: Mapping[str, str] = {
     "focal-lengths-and-distortion": "all focal lengths {longer} and k1 off by {last:+.3f}",
     "principal-points-corner": "principal points half a pixel less (counted from the first pixel's centre, not from its corner)",
     "principal-points": "all principal points shifted by {percent:.1f} % of the width",
+    "headings": "all headings {degrees:.2f} degrees further {way}",
+    "rolls": "all cameras rolled by {degrees:.2f} degrees",
     "focal-length": "the focal length of {cameras} {longer}",
     "turned": "{cameras} turned by {degrees:.2f} degrees",
     "moved": "{cameras} moved by {percent:.1f} % of the distance between cameras",
@@ -435,6 +437,7 @@ def _explanation(check: CalibrationCheck) -> str:
         last=amount[-1],
         percent=100 * size,
         degrees=math.degrees(size),
+        way="clockwise" if amount[0] > 0 else "counterclockwise",
     )
     if check.sigmas:
         suffix = "" if check.cause == "principal-points-corner" else " or more"

@@ -98,6 +98,8 @@ def test_a_right_calibration_is_not_contradicted(cameras: int, noise_px: float) 
         (lambda _, c: replace(c, C=c.C[[1, 0, 2]]), "axes-exchanged", None),
         (lambda _, c: replace(c, C=c.C * [1.05, 1, 1]), "stretched-x", -np.log(1.05)),
         (lambda _, c: replace(c, C=c.C * [1, 1, 1.2]), "stretched-z", -np.log(1.2)),
+        (lambda _, c: replace(c, R=c.R @ rotation_matrix(np.array([0.0, 0.0, -0.03]))), "headings", 0.03),
+        (lambda _, c: replace(c, R=rotation_matrix(np.array([0.0, 0.0, -0.03])) @ c.R), "rolls", 0.03),
     ],
 )
 def test_the_cause_of_a_wrong_calibration_is_named(site: PairSite, change: Change, cause: str, amount: float | None) -> None:

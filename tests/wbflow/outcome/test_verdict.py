@@ -584,6 +584,12 @@ def test_slightly_different_depths_are_tolerated_if_dense_matches_lie_on_their_r
     assert (judge(record, Facts()).exit_code == ExitCode.GOOD) == good
 
 
+@pytest.mark.parametrize(("amount", "words"), [(0.035, "2.01 degrees further clockwise"), (-0.035, "further counterclockwise")])
+def test_headings_that_are_off_are_named_with_the_way_to_turn_them(amount: float, words: str) -> None:
+    check = CalibrationCheck(164, 5, True, 5.0, True, cause="headings", amount=(amount,))
+    assert words in only(judge(replace(night(), poses=PosesSummary(calibration=check)), Facts())).text
+
+
 def test_a_camera_that_keypoints_blame_stays_a_finding_despite_good_rows() -> None:
     blamed = CalibrationCheck(9, 5, True, 2.0, True, cause="focal-length", cameras=("gate",), amount=(0.1,))
     poses = PosesSummary(calibration=blamed, rows=dense_rows(2.0, confirmed=True))
