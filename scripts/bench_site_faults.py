@@ -1100,9 +1100,7 @@ def work_through(variation: Variation, name: str, folder: Path, quick: bool) -> 
         record = wbflow_run(copy, site.night)
     verdict = record.get("verdict", {})
     findings = _kinds(record)
-    poses = record.get("poses") or {}
-    checks = (poses.get(source) or {} for source in ("calibration", "rows"))
-    cause = next((check["cause"] or "no-cause" for check in checks if check.get("contradicted")), "")
+    cause = _cause(record.get("poses") or {})
     text = " | ".join(finding["text"] for finding in verdict.get("findings", ())) or record.get("said", "")[-300:]
     result = Result(name, variation.name, variation.kind, record["exit_code"], None, 0, None, None, findings, cause, text=text)
     result.cpu = record.get("seconds", {}).get("cpu", 0.0)
@@ -1113,6 +1111,15 @@ def work_through(variation: Variation, name: str, folder: Path, quick: bool) -> 
         measure(result, cloud, base / "truth", SCENES[name].tolerance_m)
     shutil.rmtree(copy)
     return result
+
+
+def _cause(poses: dict[str, Any]) -> str:
+    """The cause that the finding names; "" without a contradiction."""
+    checks = (poses.get(source) or {} for source in ("calibration", "rows"))
+    keypoints, rows = (check if check.get("contradicted") else {} for check in checks)
+    if rows and not rows["cameras"] and not keypoints.get("cause"):
+        return str(rows["cause"])
+    return (keypoints or rows).get("cause") or ("no-cause" if keypoints else "")
 
 
 def _is_refutable(record: dict[str, Any]) -> bool:

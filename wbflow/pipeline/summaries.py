@@ -257,10 +257,13 @@ class PosesSummary(Summary):
 
     @property
     def contradiction(self) -> CalibrationCheck | None:
-        """The check that contradicts the stated calibration; rows may overrule keypoints that blame no single camera."""
+        """The check that contradicts the stated calibration.  Rows, which are more exact, overrule keypoints that blame no single
+        camera; and they are preferred if they alone name a cause, and all cameras share it."""
         by_keypoints, by_rows = (check if check and check.contradicted else None for check in (self.calibration, self.rows))
         if by_keypoints and self.rows_confirm and not by_keypoints.cameras:
             return None
+        if by_rows and not by_rows.cameras and not (by_keypoints and by_keypoints.cause):
+            return by_rows
         return by_keypoints or by_rows
 
     def issues_of(self, kind: str) -> dict[str, PoseIssue]:

@@ -590,6 +590,15 @@ def test_headings_that_are_off_are_named_with_the_way_to_turn_them(amount: float
     assert words in only(judge(replace(night(), poses=PosesSummary(calibration=check)), Facts())).text
 
 
+def test_rows_name_the_cause_if_keypoints_contradict_without_one() -> None:
+    keypoints, rows = CalibrationCheck(217, 7, True, 3.9, True), dense_rows(9.0, True)
+    finding = only(judge(replace(night(), poses=PosesSummary(calibration=keypoints, rows=rows)), Facts()))
+    assert "all focal lengths 0.5 % shorter or more explain that" in finding.text
+    of_one = replace(rows, cause="moved", cameras=("gate",))  # random errors of all cameras fit that, too
+    finding = only(judge(replace(night(), poses=PosesSummary(calibration=keypoints, rows=of_one)), Facts()))
+    assert finding.subject == () and "neither the lenses nor a single camera explain that" in finding.text
+
+
 def test_a_camera_that_keypoints_blame_stays_a_finding_despite_good_rows() -> None:
     blamed = CalibrationCheck(9, 5, True, 2.0, True, cause="focal-length", cameras=("gate",), amount=(0.1,))
     poses = PosesSummary(calibration=blamed, rows=dense_rows(2.0, confirmed=True))
