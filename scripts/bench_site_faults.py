@@ -38,6 +38,7 @@ from scipy.spatial import cKDTree
 
 from wbflow.cache.ply import read_ply
 from wbflow.outcome.demo import write_demo
+from wbflow.pipeline.summaries import PosesSummary
 from wbflow_stages.core.rotations import rotation_matrix
 from wbflow_stages.types import Float64s, Uint8s
 
@@ -794,7 +795,7 @@ NEW = ("quarry", "platform", "warehouse", "building")
 MADE = ("yard", "building")
 TWO = ("yard", "building")
 THREE = (*TWO, "stadium")
-FIVE = ("building", "study", "containers", "houses", "hall")
+SURVEYED = ("building", "study", "containers", "houses", "hall")
 MIXED = ("railyard", "substation", "carpark", "platform", "solar", "tankfarm", "workshop", "harbour")
 YZ = np.diag([1.0, -1.0, -1.0])
 FOCAL = ("focal-lengths", "focal-lengths-and-distortion")
@@ -958,33 +959,33 @@ VARIATIONS = (
     _harmless("sharpened", pictures(sharpened), TWO),
     _harmless("contrast raised by parts", pictures(equalized), TWO),
     # errors of whole surveys, and two faults at once
-    _fault("half surveyed 1 m farther east", half_surveyed_otherwise((1, 0, 0)), "no-cause", on=FIVE),
-    _fault("half surveyed .5 m higher", half_surveyed_otherwise((0, 0, 0.5)), "no-cause", on=FIVE),
-    _fault("half surveyed with other headings", half_surveyed_otherwise((0, 0, 0), 0.7), "no-cause", on=FIVE),
-    _fault("all headings off by 2 degrees", turned_by_compass(2.0), "headings", on=FIVE),
-    _fault("all headings off by .6 degrees", turned_by_compass(0.6), "headings", on=FIVE),
-    _fault("positions at random by .2 m", at_random(metres=0.2), "no-cause", on=FIVE),
-    _fault("focal lengths at random by 2 %", at_random(focal_share=0.02), "no-cause", on=FIVE),
-    _fault("tangential distortion of all off", decentred(0.01), "no-cause", on=FIVE),
-    _fault("tangential distortion of one off", decentred(0.02, (1,)), *ONE, on=FIVE),
-    _fault("lens of the first for all", copied(("K", "distortion")), "no-cause", "focal-length", on=FIVE),
-    _fault("pose of the first for the second", copied(("R", "C"), (1,)), *ONE, on=FIVE),
-    _fault("all shaken by 2 px", pictures(shaken(2.0)), "pictures-soft", on=FIVE),
-    _fault("one shaken by 4 px", pictures(shaken(4.0), (1,)), "pictures-soft", *ONE, on=FIVE),
-    _fault("keystone of one", pictures(keystone, (0,)), *ONE, on=FIVE),
-    _fault("keystone of all", pictures(keystone), "no-cause", "pixel-shape", on=FIVE),
-    _fault("focal +2 %, half the distortion", together(focal(1.02), distortion(0.5)), *FOCAL, *BENT, on=FIVE),
-    _fault("focal +3 %, one turned by .5 degrees", together(focal(1.03), turn((0, 0.5, 0), (1,))), *FOCAL, *ONE, on=FIVE),
-    _fault("one turned, another moved", together(turn((0.3, 0.4, 0), (0,)), move((0.3, 0.4, 0), (2,))), *ONE, on=FIVE),
-    _fault("two turned apart", together(turn((0, 0.5, 0), (0,)), turn((0, -0.5, 0), (2,))), "no-cause", *ONE, on=FIVE),
-    _fault("second night: half surveyed 1 m farther east", half_surveyed_otherwise((1, 0, 0)), "no-cause", on=FIVE, night=2),
-    _harmless("a logo on all", pictures(branded), FIVE),
-    _harmless("one with red for blue", pictures(lambda p: np.ascontiguousarray(p[..., ::-1]), (1,)), FIVE),
-    _harmless("soft colours", pictures(soft_colours), FIVE),
-    _harmless("all headings off by .02 degrees", turned_by_compass(0.02), FIVE),
-    _harmless("focal lengths at random by .1 %", at_random(focal_share=0.001), FIVE),
-    _harmless("positions at random by 6 mm", at_random(metres=0.006), FIVE),
-    _harmless("one of gamma 1.5", pictures(levels(1, gamma=1.5), (1,)), FIVE),
+    _fault("half surveyed 1 m farther east", half_surveyed_otherwise((1, 0, 0)), "no-cause", on=SURVEYED),
+    _fault("half surveyed .5 m higher", half_surveyed_otherwise((0, 0, 0.5)), "no-cause", on=SURVEYED),
+    _fault("half surveyed with other headings", half_surveyed_otherwise((0, 0, 0), 0.7), "no-cause", on=SURVEYED),
+    _fault("all headings off by 2 degrees", turned_by_compass(2.0), "headings", on=SURVEYED),
+    _fault("all headings off by .6 degrees", turned_by_compass(0.6), "headings", on=SURVEYED),
+    _fault("positions at random by .2 m", at_random(metres=0.2), "no-cause", on=SURVEYED),
+    _fault("focal lengths at random by 2 %", at_random(focal_share=0.02), "no-cause", on=SURVEYED),
+    _fault("tangential distortion of all off", decentred(0.01), "no-cause", on=SURVEYED),
+    _fault("tangential distortion of one off", decentred(0.02, (1,)), *ONE, on=SURVEYED),
+    _fault("lens of the first for all", copied(("K", "distortion")), "no-cause", "focal-length", on=SURVEYED),
+    _fault("pose of the first for the second", copied(("R", "C"), (1,)), *ONE, on=SURVEYED),
+    _fault("all shaken by 2 px", pictures(shaken(2.0)), "pictures-soft", on=SURVEYED),
+    _fault("one shaken by 4 px", pictures(shaken(4.0), (1,)), "pictures-soft", *ONE, on=SURVEYED),
+    _fault("keystone of one", pictures(keystone, (0,)), *ONE, on=SURVEYED),
+    _fault("keystone of all", pictures(keystone), "no-cause", "pixel-shape", on=SURVEYED),
+    _fault("focal +2 %, half the distortion", together(focal(1.02), distortion(0.5)), *FOCAL, *BENT, on=SURVEYED),
+    _fault("focal +3 %, one turned by .5 degrees", together(focal(1.03), turn((0, 0.5, 0), (1,))), *FOCAL, *ONE, on=SURVEYED),
+    _fault("one turned, another moved", together(turn((0.3, 0.4, 0), (0,)), move((0.3, 0.4, 0), (2,))), *ONE, on=SURVEYED),
+    _fault("two turned apart", together(turn((0, 0.5, 0), (0,)), turn((0, -0.5, 0), (2,))), "no-cause", *ONE, on=SURVEYED),
+    _fault("second night: half surveyed 1 m farther east", half_surveyed_otherwise((1, 0, 0)), "no-cause", on=SURVEYED, night=2),
+    _harmless("a logo on all", pictures(branded), SURVEYED),
+    _harmless("one with red for blue", pictures(lambda p: np.ascontiguousarray(p[..., ::-1]), (1,)), SURVEYED),
+    _harmless("soft colours", pictures(soft_colours), SURVEYED),
+    _harmless("all headings off by .02 degrees", turned_by_compass(0.02), SURVEYED),
+    _harmless("focal lengths at random by .1 %", at_random(focal_share=0.001), SURVEYED),
+    _harmless("positions at random by 6 mm", at_random(metres=0.006), SURVEYED),
+    _harmless("one of gamma 1.5", pictures(levels(1, gamma=1.5), (1,)), SURVEYED),
     # invisible
     Variation("positions x 1.1", "invisible", centres(lambda C: C * 1.1), on=TWO,
               why="x ~ K R (sX - sC) = K R (X - C): every picture of a world times s is the same"),
@@ -995,8 +996,8 @@ VARIATIONS = (
     Variation("world turned by 10 degrees", "invisible", turned_world, on=TWO,
               why="x ~ K (R Q') (Q X - Q C): every picture of a turned world is the same"),
     # harmless
-    _harmless("as it is", nothing, (*ALL, *LIT, *NEW, *FIVE[1:])),
-    _harmless("second night as it is", nothing, (*ALL, *FIVE), night=2),
+    _harmless("as it is", nothing, (*ALL, *LIT, *NEW, *SURVEYED[1:])),
+    _harmless("second night as it is", nothing, (*ALL, *SURVEYED), night=2),
     _harmless("grey", pictures(grey)),
     _harmless("one grey", pictures(grey, (1,))),
     _harmless("tinted", pictures(tinted)),
@@ -1115,11 +1116,8 @@ def work_through(variation: Variation, name: str, folder: Path, quick: bool) -> 
 
 def _cause(poses: dict[str, Any]) -> str:
     """The cause that the finding names; "" without a contradiction."""
-    checks = (poses.get(source) or {} for source in ("calibration", "rows"))
-    keypoints, rows = (check if check.get("contradicted") else {} for check in checks)
-    if rows and not rows["cameras"] and not keypoints.get("cause"):
-        return str(rows["cause"])
-    return (keypoints or rows).get("cause") or ("no-cause" if keypoints else "")
+    check = PosesSummary.from_json(poses).contradiction
+    return (check.cause or "no-cause") if check else ""
 
 
 def _is_refutable(record: dict[str, Any]) -> bool:

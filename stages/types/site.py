@@ -58,7 +58,7 @@ class CalibrationCheck(Record):
     """Number of matches compared, sampled evenly from the pairs."""
     pairs: int
     confirmed: bool
-    """Third cameras confirm these matches, else they may be look-alikes; row offsets: as many pairs as cameras connect all."""
+    """Third cameras confirm these matches.  For row offsets: at least as many pairs as cameras connect all cameras."""
     misfit: float
     """Mean robust squared distance to the epipolar lines of the stated cameras, divided by that to the lines of the pairs' own
     fundamental matrices: about one if the calibration is right."""
