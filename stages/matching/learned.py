@@ -1,4 +1,4 @@
-"""Learned matchers, for users who have the weights: an ONNX model that takes two images, run by OpenCV's dnn module.
+"""Learned matchers, for users who have the weights: an ONNX model that takes two images, run by ONNX Runtime.
 
 Two interfaces are supported, in which LightGlue and its features are published as one model (Lindenberger, Sarlin, Pollefeys,
 LightGlue: Local Feature Matching at Light Speed, ICCV 2023):
@@ -12,12 +12,8 @@ the pair and two keypoint indices, or one index for each left keypoint, negative
 
 from __future__ import annotations
 
-import functools
-import signal
-import subprocess
-import sys
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from functools import lru_cache
 from typing import Any
 
 import cv2
@@ -42,7 +38,8 @@ def match_onnx(
     """Match by an ONNX model that takes both images (features and LightGlue exported as one).
 
     The points are not keypoints of the site: geometry uses them as they are, without guided matching.  Raises ValueError, with
-    the file's name, if the file is not an ONNX model, has other inputs or outputs, or cannot be run by OpenCV.
+    the file's name, if the file is not an ONNX model, has other inputs or outputs, or cannot be run, and ModuleNotFoundError
+    without the package onnxruntime.
 
     Parameters
     ----------
@@ -51,33 +48,49 @@ def match_onnx(
     min_score : matches to which the model gives a lower score are dropped, 0 to 1.
     long_side_px : long side to which larger images are scaled if the model takes any size, pixels.
     """
-    data = model.data.tobytes()
-    try:
-        interface = read_interface(data)
-    except ValueError as error:
-        raise ValueError(f"{model.name} {error}: give the file that the model was exported to, whole") from None
-    _check(model.name, interface)
-    if problem := why_unreadable(data):
-        raise ValueError(f"{model.name}: {problem}: export it with GELU written as (x * erf(x / sqrt(2)) + x) / 2")
-    shapes = [interface.inputs.get(name, interface.inputs.get(_ONE_INPUT[0], ())) for name in _TWO_INPUTS]
+    session = _session(model.name, model.data.tobytes())
+    inputs = {value.name: tuple(n if isinstance(n, int) else 0 for n in value.shape) for value in session.get_inputs()}
+    _check(model.name, inputs, [value.name for value in session.get_outputs()])
+    shapes = [inputs.get(name, inputs.get(_ONE_INPUT[0], ())) for name in _TWO_INPUTS]
     sizes = [_size(shape, frame, long_side_px) for shape, frame in zip(shapes, (left_frame, right_frame), strict=True)]
-    if len(interface.inputs) == 1:  # both in one array
+    if len(inputs) == 1:  # both in one array
         sizes[1] = sizes[0]
     frames = zip((left_frame, right_frame), sizes, shapes, strict=True)
-    x1, x2, scores = _run(model, interface, [_model_input(frame.image, size, shape[1]) for frame, size, shape in frames])
+    x1, x2, scores = _run(model.name, session, [_model_input(frame.image, size, shape[1]) for frame, size, shape in frames])
     x1, x2 = _in_frame(x1, sizes[0], left_frame), _in_frame(x2, sizes[1], right_frame)
     keep = (scores >= min_score) & _usable(x1, left_frame) & _usable(x2, right_frame)
     p = np.clip(scores[keep], 0, 1).astype(np.float32)
     return Matches(x1[keep], x2[keep], None, None, p, None, left_frame.view, right_frame.view)
 
 
-def _check(name: str, interface: ModelInterface) -> None:
+@lru_cache(maxsize=1)
+def _session(name: str, model: bytes) -> Any:
+    """The model of a file of this name, ready to run.  It uses one thread, so that every machine finds the same."""
+    try:
+        import onnxruntime  # imported here: other matchers work without it
+    except ModuleNotFoundError:
+        raise ModuleNotFoundError("the matcher onnx needs ONNX Runtime: pip install 'wbflow[onnx]'") from None
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = options.inter_op_num_threads = 1
+    options.log_severity_level = 4
+    try:
+        return onnxruntime.InferenceSession(model, options, providers=["CPUExecutionProvider"])
+    except Exception as error:  # its exceptions have no base class of their own
+        needed = "give the file that the model was exported to, whole"
+        raise ValueError(f"{name}: ONNX Runtime cannot read it: {_shortened(error)}: {needed}") from None
+
+
+def _shortened(error: Exception) -> str:
+    return " ".join(str(error).split())[-300:]
+
+
+def _check(name: str, inputs: Mapping[str, tuple[int, ...]], outputs: Sequence[str]) -> None:
     """Raise ValueError for a model that has neither of the two interfaces."""
     forms = ((_TWO_INPUTS, _TWO_OUTPUTS), (_ONE_INPUT, _ONE_OUTPUTS))
-    fits = any(set(interface.inputs) == set(i) and set(interface.outputs) >= set(o) for i, o in forms)
-    if not fits or any(len(sizes) != 4 or sizes[1] not in {0, 1, 3} for sizes in interface.inputs.values()):
-        takes = ", ".join(f"{name} {sizes}" for name, sizes in interface.inputs.items()) or "nothing"
-        raise ValueError(f"{name} takes {takes} and gives {', '.join(interface.outputs) or 'nothing'}: {_NEEDED}")
+    fits = any(set(inputs) == set(i) and set(outputs) >= set(o) for i, o in forms)
+    if not fits or any(len(sizes) != 4 or sizes[1] not in {0, 1, 3} for sizes in inputs.values()):
+        takes = ", ".join(f"{name} {sizes}" for name, sizes in inputs.items())
+        raise ValueError(f"{name} takes {takes} and gives {', '.join(outputs)}: {_NEEDED}")
 
 
 def _size(shape: tuple[int, ...], frame: Frame, long_side_px: int) -> tuple[int, int]:
@@ -96,25 +109,15 @@ def _model_input(image: Uint8s, size: tuple[int, int], channels: int) -> Float32
     return np.ascontiguousarray(planes[None], dtype=np.float32) / np.float32(255)
 
 
-def _run(model: Capture, interface: ModelInterface, images: list[Float32s]) -> tuple[Float64s, Float64s, Float32s]:
-    """Run a model on two images: matches (n, 2), (n, 2) in pixels of each, and scores (n,).  It uses one thread, so that every
-    machine finds the same."""
-    single_input = len(interface.inputs) == 1
-    names = _ONE_OUTPUTS if single_input else _TWO_OUTPUTS
-    inputs = {"images": np.concatenate(images)} if single_input else dict(zip(_TWO_INPUTS, images, strict=True))
-    threads = cv2.getNumThreads()
-    cv2.setNumThreads(1)
+def _run(name: str, session: Any, images: list[Float32s]) -> tuple[Float64s, Float64s, Float32s]:
+    """Run a model on two images: matches (n, 2), (n, 2) in pixels of each, and scores (n,)."""
+    single_input = len(session.get_inputs()) == 1
+    inputs = {_ONE_INPUT[0]: np.concatenate(images)} if single_input else dict(zip(_TWO_INPUTS, images, strict=True))
     try:
-        net = cv2.dnn.readNetFromONNX(np.ascontiguousarray(model.data))
-        for name, value in inputs.items():
-            net.setInput(value, name)
-        outputs = [np.asarray(output) for output in net.forward(list(names))]
-    except cv2.error as error:
-        message = " ".join(str(error).split())[-300:]
-        raise ValueError(f"{model.name}: OpenCV {cv2.__version__} cannot run it: {message}") from None
-    finally:
-        cv2.setNumThreads(threads)
-    return _parse_outputs(model.name, outputs)
+        outputs = session.run([*(_ONE_OUTPUTS if single_input else _TWO_OUTPUTS)], inputs)
+    except Exception as error:  # as above
+        raise ValueError(f"{name}: ONNX Runtime cannot run it: {_shortened(error)}") from None
+    return _parse_outputs(name, outputs)
 
 
 def _parse_outputs(name: str, outputs: list[Any]) -> tuple[Float64s, Float64s, Float32s]:
@@ -146,100 +149,3 @@ def _usable(x: Float64s, frame: Frame) -> Any:
     inside = (column >= 0) & (row >= 0) & (column < frame.view.width) & (row < frame.view.height)
     inside[inside] = frame.mask[row[inside], column[inside]]
     return inside
-
-
-_VARINT, _EIGHT_BYTES, _BYTES, _FOUR_BYTES = 0, 1, 2, 5
-"""Wire types of Protocol Buffers."""
-
-
-@dataclass(frozen=True)
-class ModelInterface:
-    """Inputs and outputs of a model."""
-
-    inputs: dict[str, tuple[int, ...]]
-    """Shapes by name, 0 where the model takes any size."""
-    outputs: tuple[str, ...]
-
-
-def read_interface(model: bytes) -> ModelInterface:
-    """The interface of an ONNX model.  Raises ValueError for bytes that are not an ONNX model."""
-    try:
-        (graph,) = _parts(memoryview(model), 7)
-        weights = {_text(tensor, 8) for tensor in _parts(graph, 5)}  # old models list them as inputs, too
-        inputs = {_text(value, 1): _sizes(value) for value in _parts(graph, 11)}
-        outputs = tuple(_text(value, 1) for value in _parts(graph, 12))
-    except (IndexError, ValueError):  # UnicodeDecodeError is a ValueError
-        raise ValueError("is no ONNX model") from None
-    return ModelInterface({name: sizes for name, sizes in inputs.items() if name not in weights}, outputs)
-
-
-def _sizes(value: memoryview) -> tuple[int, ...]:
-    """The shape of an input; () if the model does not state it."""
-    for kind in _parts(value, 2):
-        for tensor in _parts(kind, 1):
-            for shape in _parts(tensor, 2):
-                return tuple(next((n for f, n in _fields(dim) if f == 1 and isinstance(n, int)), 0) for dim in _parts(shape, 1))
-    return ()
-
-
-def _text(message: memoryview, field: int) -> str:
-    return next((bytes(part).decode() for part in _parts(message, field)), "")
-
-
-def _parts(message: memoryview, field: int) -> list[memoryview]:
-    """The values of a field of strings, bytes or messages."""
-    return [value for number, value in _fields(message) if number == field and isinstance(value, memoryview)]
-
-
-def _fields(message: memoryview) -> Iterator[tuple[int, int | memoryview]]:
-    """Number and value of each field.  Raises IndexError or ValueError if the message is truncated or invalid."""
-    position = 0
-    while position < len(message):
-        tag, position = _varint(message, position)
-        if tag & 7 == _VARINT:
-            value, position = _varint(message, position)
-            yield tag >> 3, value
-            continue
-        length = {_EIGHT_BYTES: 8, _FOUR_BYTES: 4}.get(tag & 7, 0)
-        if tag & 7 == _BYTES:
-            length, position = _varint(message, position)
-        elif not length:
-            raise ValueError("no such wire type")
-        if position + length > len(message):
-            raise IndexError
-        yield tag >> 3, message[position : position + length]
-        position += length
-
-
-def _varint(message: memoryview, position: int) -> tuple[int, int]:
-    """A varint, which has seven bits in each byte, and the position after it."""
-    value = 0
-    for shift in range(0, 70, 7):
-        byte = message[position]
-        position += 1
-        value |= (byte & 0x7F) << shift
-        if byte < 0x80:
-            return value, position
-    raise ValueError("no number")
-
-
-_READ = """
-import sys, cv2, numpy
-try:
-    cv2.dnn.readNetFromONNX(numpy.frombuffer(sys.stdin.buffer.read(), numpy.uint8))
-except cv2.error:
-    pass
-"""
-_LONGEST_S = 120.0
-
-
-@functools.lru_cache(maxsize=2)
-def why_unreadable(model: bytes) -> str:
-    """Why this process must not read a model, "" if it may: reading is tried in another process, which OpenCV may crash."""
-    try:
-        process = subprocess.run([sys.executable, "-c", _READ], input=model, capture_output=True, timeout=_LONGEST_S, check=False)
-    except subprocess.TimeoutExpired:
-        return f"OpenCV has not read it within {_LONGEST_S:.0f} s"
-    if process.returncode >= 0:
-        return ""
-    return f"OpenCV ends with {signal.Signals(-process.returncode).name} while it reads it"

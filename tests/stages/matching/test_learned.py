@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
+import sys
 from typing import Any
 
-import cv2
 import numpy as np
 import pytest
 
 from tests.helpers.made_up_model import POINTS, two_pictures
 from wbflow_stages.matches import match
-from wbflow_stages.matching.learned import read_interface, why_unreadable
 from wbflow_stages.types import Capture, Features, Float64s, Frame, Matches, Rejected, View
 
 WIDTH, HEIGHT = 96, 64
@@ -68,41 +67,18 @@ def test_masked_points_and_points_of_low_score_are_not_matched() -> None:
     assert isinstance(matches, Rejected) and matches.figures == {"matches": 7, "needed": 8}
 
 
-def test_the_number_of_threads_changes_no_match_and_is_restored() -> None:
-    threads = cv2.getNumThreads()
-    try:
-        cv2.setNumThreads(2)
-        with_two = matched(dots(np.zeros(2)), dots(SHIFT), two_pictures(WIDTH, HEIGHT))
-        assert cv2.getNumThreads() == 2
-    finally:
-        cv2.setNumThreads(threads)
-    with_default = matched(dots(np.zeros(2)), dots(SHIFT), two_pictures(WIDTH, HEIGHT))
-    assert isinstance(with_two, Matches) and isinstance(with_default, Matches)
-    assert (
-        with_two.x1.tobytes() == with_default.x1.tobytes()
-        and with_two.probability.tobytes() == with_default.probability.tobytes()
-    )
-
-
-def test_names_and_sizes_of_inputs_and_outputs_are_read_from_the_model() -> None:
-    interface = read_interface(two_pictures(WIDTH, HEIGHT))
-    assert interface.inputs == {"image0": (1, 1, HEIGHT, WIDTH), "image1": (1, 1, HEIGHT, WIDTH)}
-    assert interface.outputs == ("kpts0", "kpts1", "matches0", "mscores0")
-    assert read_interface(two_pictures()).inputs["image0"] == (1, 1, 0, 0)
-
-
 @pytest.mark.parametrize(
     ("model", "words"),
     [
-        (b"no model at all", "mine.onnx is no ONNX model: give the file"),
-        (two_pictures(WIDTH, HEIGHT)[:-40], "mine.onnx is no ONNX model: give the file"),
+        (b"no model at all", "mine.onnx: ONNX Runtime cannot read it: "),
+        (two_pictures(WIDTH, HEIGHT)[:-40], "give the file that the model was exported to, whole"),
         (two_pictures(WIDTH, HEIGHT, image0="photo0"), "mine.onnx takes photo0 (1, 1, 64, 96), image1 (1, 1, 64, 96) and gives"),
         (
             two_pictures(WIDTH, HEIGHT, mscores0="somewhat"),
             "gives kpts0, kpts1, matches0, somewhat: a model of image0, image1 ->",
         ),
         (two_pictures(WIDTH, HEIGHT, channels=4), "takes image0 (1, 4, 64, 96)"),
-        (two_pictures(WIDTH, HEIGHT, Floor="Flour"), "cannot run it"),
+        (two_pictures(WIDTH, HEIGHT, Floor="Flour"), "No Op registered for Flour"),
     ],
 )
 def test_an_unsuitable_model_is_refused_with_its_inputs_and_the_wanted_ones(model: bytes, words: str) -> None:
@@ -111,19 +87,13 @@ def test_an_unsuitable_model_is_refused_with_its_inputs_and_the_wanted_ones(mode
     assert words in str(caught.value)
 
 
-@pytest.mark.parametrize(
-    ("crash", "words"), [("os.abort()", "ends with SIGABRT while it reads it"), ("time.sleep(60)", "has not read it within")]
-)
-def test_a_model_that_crashes_or_hangs_its_reader_is_refused(monkeypatch: pytest.MonkeyPatch, crash: str, words: str) -> None:
-    monkeypatch.setattr("wbflow_stages.matching.learned._READ", f"import os, time; {crash}")
-    monkeypatch.setattr("wbflow_stages.matching.learned._LONGEST_S", 0.5)
-    why_unreadable.cache_clear()
-    with pytest.raises(ValueError, match=f"mine.onnx: OpenCV {words}.*erf"):
-        matched(dots(np.zeros(2)), dots(SHIFT), two_pictures(WIDTH, HEIGHT))
-    why_unreadable.cache_clear()
-
-
 def test_the_onnx_matcher_without_a_model_is_refused() -> None:
     left = dots(np.zeros(2))
     with pytest.raises(TypeError, match="model"):
         match(no_features(left), no_features(left), left_frame=left, right_frame=left, matcher="onnx")
+
+
+def test_without_the_package_the_message_tells_how_to_install_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "onnxruntime", None)
+    with pytest.raises(ModuleNotFoundError, match=r"pip install 'wbflow\[onnx\]'"):
+        matched(dots(np.zeros(2)), dots(SHIFT), two_pictures(WIDTH + 32, HEIGHT))
