@@ -89,7 +89,10 @@ class Scene:
     def compare_views(self) -> None:
         """Keeps the likelier depth of each pixel, as fusion does, and gathers the evidence of the other views."""
         found = {name: [kind[name] for kind in self.kinds if name in kind] for name in self.cameras}
-        trusted = {name: P.merge_likelier([TrustedDepth(v.depth, v.logit) for v in views]) for name, views in found.items()}
+        trusted = {
+            name: P.merge_likelier([TrustedDepth(self.frames[name], v.depth, v.logit) for v in views])
+            for name, views in found.items()
+        }
         kept = {name: self._view(name, view.depth) for name, view in trusted.items()}
         for name, view in kept.items():
             view.logit = trusted[name].own_logit

@@ -43,7 +43,7 @@ def fuse(
     min_consistent_pairs: int = 1,
     voxel_m: float | None = None,
     confidence: float = 0.6,
-    right: float = 0.92,
+    right: float = 0.95,
     check_views: int = 16,
 ) -> Cloud | Rejected:
     """Fuse the depths of all views into one cloud.
@@ -59,7 +59,8 @@ def fuse(
     voxel_m : edge of the voxels in which points are merged, in metres; None: the footprint of a pixel.
     confidence : smallest probability that a point is right; higher values trade completeness for accuracy.
     right : share of the points that is expected to be right, by their probabilities: the least probable are left out until it
-        is reached, but never more than half.  With poor pictures the true share is lower by 0.01 to 0.02.
+        is reached, but never more than half.  The true share is 0.91 to 0.99 on twelve scenes and photographs as they are, 0.86
+        to 0.93 behind webs and railings.
     check_views : number of other views that each view is compared with: those that share most with it.
     """
     preferred, frames = refined or {}, undistorted_frames(frames, cameras)
@@ -76,15 +77,15 @@ def fuse(
 
     def voxels_of(grid: VoxelGrid, name: str) -> tuple[Float32s, VoxelSums]:
         """Squared misfits (n,) of a view's points that are probable enough, and their sums by voxel."""
-        frame, view = frames[name], view_of(name)
+        view = view_of(name)
         check = cross_check(name, neighbours[name], cameras, view_of)
-        probability = posterior(view.depth, frame, view.own_logit, check)
+        probability = posterior(view, check)
         accepted = (probability >= confidence) & (check.pairs >= min_consistent_pairs)
         if min_consistent_pairs > 1:
             accepted &= check.agreeing >= min_consistent_pairs
         other_centres = np.array([cameras[other].C for other in neighbours[name]]).reshape(-1, 3)
         probability = np.where(accepted, probability, np.float32(0))
-        samples = _samples(frame, cameras[name], view.depth, check, other_centres, gains[name], probability)
+        samples = _samples(view.frame, cameras[name], view.depth, check, other_centres, gains[name], probability)
         return samples.variance * samples.weight, grid.sums_of(samples)
 
     sample_counts, misfits = {}, {}
@@ -110,8 +111,9 @@ def _loader(
     @lru_cache(max(_IN_MEMORY, _IN_MEMORY_PX // largest))
     def load_view(name: str) -> TrustedDepth:
         maps = [source[name] for source in (preferred, depths) if name in source]
-        usable = usable_pixels(frames[name], maps[-1])  # judged by the pairs' depth: refinement fits planes to the sky, too
-        return merge_likelier([TrustedDepth(depth, own_logit(depth, usable)) for depth in maps])
+        frame = frames[name]
+        usable = usable_pixels(frame, maps[-1])  # judged by the pairs' depth: refinement fits planes to the sky, too
+        return merge_likelier([TrustedDepth(frame, depth, own_logit(depth, usable)) for depth in maps])
 
     loading = Lock()  # otherwise two threads that need the same view would both load it
 

@@ -189,6 +189,7 @@ DEEPER = {"wbflow.runner": 5}
 ON_THEIR_OWN = {
     "stages.exports.copc",
     "stages.exports.las",
+    "stages.fusion.colour_evidence",
     "stages.fusion.even_regions",
     "stages.fusion.surface_support",
 }

@@ -1,4 +1,4 @@
-"""Cross-check of one view's depth against the other views: which of them agree, and which look through it."""
+"""Cross-check of one view's depth against the other views: which of them agree, which look through it, and their colours."""
 
 from __future__ import annotations
 
@@ -10,7 +10,8 @@ import numpy as np
 
 from ..core.cameras import transfer
 from ..core.jit import kernel
-from ..types import Camera, DepthMap, Float32s, Float64s, Uint8s, Uint16s, Uint32s, Uint64s
+from ..types import Bools, Camera, DepthMap, Float32s, Float64s, Frame, Int32s, Uint8s, Uint16s, Uint32s, Uint64s
+from .colour_evidence import colour_evidence
 
 
 class CrossCheck(NamedTuple):
@@ -20,18 +21,13 @@ class CrossCheck(NamedTuple):
     """Number of distinct pairs that support the depth."""
     cameras: Uint16s
     """Number of distinct cameras in these pairs."""
-    visible: Uint8s
-    """Number of other views that have the point in their image and nothing in front of it."""
     agreeing: Uint8s
-    """Number of `visible` views whose own depth agrees."""
+    """Number of other views whose own depth agrees."""
     opposing: Float32s
     """Sum of the log-likelihood ratios, right depth to wrong depth, of the views for which it is negative: they look through the
     point, and count by the probability that their own depth is right."""
-    occluding: Uint8s
-    """Number of other views that have something in front of the point."""
-    expected_wrong: Float32s
-    """Expected number of wrong pairs among `pairs`: the sum, over pairs whose other view looks through the point, of the
-    probability that the other view's depth is right."""
+    colours: Float32s
+    """Sum of the `colour_evidence` of the views that have the point in their frame and nothing in front of it."""
     log_gap_sum: Float32s
     """Sum over the agreeing views of the logarithm of a ratio: distance between the two surfaces along this view's ray, over the
     standard deviation expected from the sigmas of both depths."""
@@ -43,6 +39,7 @@ class CrossCheck(NamedTuple):
 class TrustedDepth:
     """The depth of a view, and how reliable it is without the other views."""
 
+    frame: Frame
     depth: DepthMap
     own_logit: Float32s
     """(h, w) log-odds that the depth is right, from the view's own evidence alone."""
@@ -75,7 +72,7 @@ def cross_check(
     """Project every pixel of a view into the other views, one at a time, and compare with the depth found there.
 
     A view agrees within three combined sigmas plus 0.2 % of the depth, at most 1.6 %.  A pair does not support the point if its
-    other view has something in front of it.  If that view looks through it, the pair counts as partly wrong (`expected_wrong`).
+    other view has something in front of it.
 
     The weight of a view's depth follows from its standard deviation and from the probability t that it is right.  If both depths
     are right, their difference is normally distributed; if either is wrong, the other view's depth may be anything up to twice
@@ -89,15 +86,15 @@ def cross_check(
     cameras : cameras of all these views.
     view_of : loads a view's depth; called once for each view.
     """
-    camera, own = cameras[name], view_of(name).depth
-    shape = own.depth.shape
+    camera, own_view = cameras[name], view_of(name)
+    own, shape = own_view.depth, own_view.depth.depth.shape
     numbers: dict[tuple[str, ...], int] = {}
     _pair_numbers(name, own, numbers)  # a view's own pairs come first: their numbers are those of the bits of `support`
     pairs = own.support.astype(np.uint64)[None]
-    pair_count, visible, agreeing, occluding = (np.zeros(shape, np.uint8) for _ in range(4))
-    opposing, expected_wrong, log_gap_sum, least_extra = (np.zeros(shape, np.float32) for _ in range(4))
+    pair_count, agreeing = (np.zeros(shape, np.uint8) for _ in range(2))
+    opposing, colours, log_gap_sum, least_extra = (np.zeros(shape, np.float32) for _ in range(4))
     camera_count, nearest = np.zeros(shape, np.uint16), np.full(shape, ITSELF, np.uint8)
-    check = CrossCheck(pair_count, camera_count, visible, agreeing, opposing, occluding, expected_wrong, log_gap_sum, nearest)
+    check = CrossCheck(pair_count, camera_count, agreeing, opposing, colours, log_gap_sum, nearest)
     for k, other in enumerate(others):
         view = view_of(other)
         partner_pairs = _pair_numbers(other, view.depth, numbers)
@@ -114,7 +111,11 @@ def cross_check(
             number=min(k, ITSELF),
             farther_by=np.append(2.0 * np.linalg.solve(camera.K.T, baseline), baseline @ baseline),
         )
-        _compare(own.depth, own.sigma, partner, check, pairs, least_extra)
+        seen, agrees = np.full(shape, -1, np.int32), np.zeros(shape, np.bool_)
+        _compare(own.depth, own.sigma, partner, check, pairs, least_extra, seen, agrees)
+        points = np.flatnonzero((seen >= 0) & view.frame.mask.ravel()[seen])
+        rgb1, rgb2 = own_view.frame.image.reshape(-1, 3)[points], view.frame.image.reshape(-1, 3)[seen.ravel()[points]]
+        check.colours.ravel()[points] += colour_evidence(rgb1, rgb2, agrees.ravel()[points])
     camera_numbers: dict[str, int] = {}
     pair_cameras = [[camera_numbers.setdefault(end, len(camera_numbers)) for end in two] for two in [*numbers][:_UNCOUNTED]]
     _count_pairs_and_cameras(pairs, np.array(pair_cameras, np.uint16).reshape(-1, 2), check.pairs, check.cameras)
@@ -154,11 +155,21 @@ class _Partner(NamedTuple):
 
 
 @kernel
-def _compare(depth: Float32s, sigma: Float32s, other: _Partner, check: CrossCheck, pairs: Uint64s, least_extra: Float32s) -> None:
+def _compare(
+    depth: Float32s,
+    sigma: Float32s,
+    other: _Partner,
+    check: CrossCheck,
+    pairs: Uint64s,
+    least_extra: Float32s,
+    seen: Int32s,
+    agrees: Bools,
+) -> None:
     """Add one partner to the check of a view's depth and sigma (h, w).
 
     pairs: (words, h, w), bit k of word m is set where pair number 64 m + k supports the depth; least_extra: (h, w), a point's
-    squared distance to the nearest camera so far, minus that to the view's own.
+    squared distance to the nearest camera so far, minus that to the view's own; seen, agrees: (h, w), set to the index of the
+    partner's pixel that shows the point, unless something is in front of it, and to whether the partner's depth agrees.
     """
     h, w = depth.shape
     other_h, other_w = other.depth.shape
@@ -180,8 +191,8 @@ def _compare(depth: Float32s, sigma: Float32s, other: _Partner, check: CrossChec
             if not (u > -0.5 and v > -0.5 and u < other_w - 0.5 and v < other_h - 0.5):
                 continue
             i, j = int(u + 0.5), int(v + 0.5)
+            seen[y, x] = j * other_w + i
             if np.isnan(other.depth[j, i]):
-                check.visible[y, x] += 1
                 continue
             slope_x, slope_y = other.slope_x[j, i], other.slope_y[j, i]
             surface_z = 1.0 / (1.0 / other.depth[j, i] + slope_x * (u - i) + slope_y * (v - j))
@@ -189,17 +200,15 @@ def _compare(depth: Float32s, sigma: Float32s, other: _Partner, check: CrossChec
             tolerance = min(3.0 * sigma_z, _SAME_SURFACE * z)
             if surface_z < z - tolerance:  # the point is hidden there, so the pair with that view cannot support it
                 pairs[common_word, y, x] &= ~common
-                check.occluding[y, x] += 1
+                seen[y, x] = -1
                 continue
-            check.visible[y, x] += 1
             trust, deviation = min(other.trust[j, i], _MOST_TRUST), (surface_z - z) / sigma_z
             likelihood = 1.0 - trust + trust * z / (_ROOT_2_PI * sigma_z) * np.exp(-0.5 * deviation * deviation)
             check.opposing[y, x] += min(np.float32(np.log(likelihood)), np.float32(0.0))
             if surface_z > z + tolerance:  # the other view looks through the point
-                if pairs[common_word, y, x] & common:
-                    check.expected_wrong[y, x] += trust
                 continue
             check.agreeing[y, x] += 1
+            agrees[y, x] = True
             # the other view's plane, intersected with this pixel's ray
             constant = 1.0 / other.depth[j, i] - slope_x * i - slope_y * j
             along = own * (slope_x * ray0 + slope_y * ray1 + constant * ray2)

@@ -18,7 +18,7 @@ from wbflow_stages.fuse import fuse
 from wbflow_stages.fusion.pair_depth import inverse_depth_slopes
 from wbflow_stages.fusion.planning import natural_voxel, subsample
 from wbflow_stages.fusion.visibility import TrustedDepth, cross_check
-from wbflow_stages.types import INVALID, Cloud, DepthMap, Float32s, Frame, Rejected
+from wbflow_stages.types import INVALID, Cloud, DepthMap, Float32s, Frame, Rejected, View
 
 
 def fused(yard: Yard, **parameters: Any) -> Cloud:
@@ -95,7 +95,8 @@ def test_more_than_64_pairs_of_a_surface_are_counted() -> None:
     level, sure = np.zeros_like(flat), np.ones(flat.shape, bool)
     names = [f"v{k}" for k in range(13)]
     maps = {name: DepthMap(flat, 0.01 * flat, level, level, bits, tuple(f"{name}-{k}" for k in range(8)), sure) for name in names}
-    trusted = {name: TrustedDepth(depth, flat) for name, depth in maps.items()}
+    grey = Frame(np.zeros((12, 16, 3), np.uint8), sure, View(16, 12))
+    trusted = {name: TrustedDepth(grey, depth, flat) for name, depth in maps.items()}
     check = cross_check(names[0], names[1:], dict.fromkeys(names, camera), trusted.__getitem__)
     assert (check.pairs == 13 * 8).all()
     assert (check.cameras == 13 * 9).all()

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from wbflow_stages.fusion.posterior import most_probable, noisiness, posterior
-from wbflow_stages.fusion.visibility import CrossCheck
+from wbflow_stages.fusion.visibility import CrossCheck, TrustedDepth
 from wbflow_stages.types import DepthMap, Float32s, Frame, View
 
 HEIGHT, WIDTH, WALL = 40, 60, 30
@@ -28,8 +28,8 @@ def plane_probabilities(noise: float) -> Float32s:
     flat, none = np.full((HEIGHT, WIDTH), 10.0, np.float32), np.zeros((HEIGHT, WIDTH), np.float32)
     depth = DepthMap(flat, 0.01 * flat, none, none, np.ones(flat.shape, np.uint32), ("roof",), np.ones(flat.shape, np.bool_))
     one = np.ones(flat.shape, np.uint8)
-    check = CrossCheck(one, one.astype(np.uint16), one, one, none, 0 * one, none, none, one)
-    return posterior(depth, noisy_frame(noise), none, check)
+    check = CrossCheck(one, one.astype(np.uint16), one, none, none, none, one)
+    return posterior(TrustedDepth(noisy_frame(noise), depth, none), check)
 
 
 def test_depths_are_less_probable_where_the_picture_is_mostly_noise() -> None:

@@ -21,7 +21,7 @@ def reported_sigma(own: Float64s, others: Float64s, own_sigma: float, other_sigm
     known = np.ones((ROWS, COLUMNS), bool)
     z = (DEPTH * (1.0 + own)).astype(np.float32)
     depth = DepthMap(z, (own_sigma * z).astype(np.float32), flat, flat, known.astype(np.uint32), ("other",), known)
-    check = CrossCheck(count, count.astype(np.uint16), count, count, apart, count, apart, apart, count)
+    check = CrossCheck(count, count.astype(np.uint16), count, apart, apart, apart, count)
     return float(np.sqrt(np.median(depth_variance(depth, check, *EVERYWHERE)))) / DEPTH
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from wbflow_stages.fusion.visibility import CrossCheck, TrustedDepth, cross_check
-from wbflow_stages.types import Camera, DepthMap, Float32s
+from wbflow_stages.types import Camera, DepthMap, Float32s, Frame, View
 
 SIDE, FOCAL, WALL = 80, 200.0, 10.0
 """Side of the frame and focal length, pixels; distance of the wall, metres, at which a pixel covers 5 cm."""
@@ -44,7 +44,8 @@ def views(count: int, lean: float, off: float) -> tuple[dict[str, Camera], dict[
 
 def check_of(found: dict[str, Camera], maps: dict[str, DepthMap], own: float) -> CrossCheck:
     """Cross-check of the first view against the others; `own`: log-odds that a view's own depth is right."""
-    trusted = {name: TrustedDepth(depth, np.full(depth.depth.shape, own, np.float32)) for name, depth in maps.items()}
+    grey = Frame(np.zeros((SIDE, SIDE, 3), np.uint8), np.ones((SIDE, SIDE), np.bool_), View(SIDE, SIDE))
+    trusted = {name: TrustedDepth(grey, depth, np.full((SIDE, SIDE), own, np.float32)) for name, depth in maps.items()}
     return cross_check("c0", ["c1", "c2", "c3"], found, trusted.__getitem__)
 
 
@@ -63,8 +64,17 @@ def test_views_oppose_a_depth_as_strongly_as_they_trust_their_own(own: float, ag
     assert (seen > against).all() if own > 0 else (seen < against).all()
 
 
-@pytest.mark.parametrize(("own", "wrong"), [(5.0, 3.0), (-2.0, 0.4)])
-def test_pairs_are_doubted_as_strongly_as_the_contradicting_view_is_trusted(own: float, wrong: float) -> None:
-    check = check_of(*views(4, 0.0, off=-0.5), own=own)
-    assert np.allclose(check.expected_wrong[PATCH], wrong, atol=0.05)
-    assert (check.expected_wrong[:20] == 0).all()
+def test_colours_oppose_a_wrong_depth_even_in_views_without_a_depth() -> None:
+    """A patch 2 m in front of a painted wall, compared with a view that has no depth on its left half."""
+    found, maps = views(2, 0.0, off=-2.0)
+    paint = np.random.default_rng(3).integers(0, 256, (SIDE, 2 * SIDE, 3)).astype(np.uint8)
+    known = np.ones((SIDE, SIDE), np.bool_)
+    trusted = {}
+    for name, shift in (("c0", 0), ("c1", 6)):  # a baseline of 30 cm moves the wall by 6 px
+        frame = Frame(paint[:, shift : shift + SIDE], known, View(SIDE, SIDE))
+        trusted[name] = TrustedDepth(frame, maps[name], np.zeros((SIDE, SIDE), np.float32))
+    maps["c1"].depth[:, : SIDE // 2] = np.nan
+    colours = cross_check("c0", ["c1"], found, trusted.__getitem__).colours
+    assert (colours[PATCH] < -0.5).mean() > 0.9
+    assert (colours[:25, 10:] > 1).all()
+    assert (colours[:, :5] == 0).all()  # outside the other view's picture
