@@ -14,6 +14,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from statistics import median
 
 from ..errors import ExitCode
 from ..pipeline.stages import FUSE, STAGES, stage_named
@@ -59,6 +60,11 @@ car park; 2.6 to 3.7 at quality 20, but 2.0 on a solar farm (89 % of the points 
 MOST_MISFIT = 2.0
 """Images count as soft if the ratio of their points' errors to the expected ones exceeds this, however they are coded.  A third
 of the cameras reach at most 1.9 at quality 50, except on an apron and a car park, and 1.9 on an unaltered car park."""
+UNSTEADY = 0.9
+"""Images count as soft if the ratio of their points' errors to the expected ones, times the distance of their matches from the
+epipolar lines of their pairs' own F (median, pixels), exceeds this: hot air and shaking distort images as no F does.  Values that
+a third of the cameras reach, fitted on a yard, a tank farm, a railyard and the entry: at most 0.75 on nights as they should be,
+1.1 and 1.5 in hot air that moves pixels by 1 px (72 and 87 % of the points right).  Judged on a hall: 1.1 in hot air."""
 OVEREXPOSED = 0.5
 """Images count as soft if a larger share of their pixels is pure white.  Photographs and rendered scenes have up to 0.03; by day
 with grey levels tripled 0.4 to 0.9 (a yard 0.66, 87 % of its points right).  The sky of a grey day may be white, too."""
@@ -345,7 +351,7 @@ def check_captures(record: RunRecord, facts: Facts) -> Iterator[Finding]:
 def check_pictures(record: RunRecord, facts: Facts) -> Iterator[Finding]:
     """Are images too blurred, noisy, badly lit or coarsely coded for measuring?"""
     used = [camera for camera in record.cameras if camera.ok]
-    soft = [camera for camera in used if _is_soft(camera) or _is_unresolved(camera)]
+    soft = [camera for camera in used if _is_soft(camera) or _is_unresolved(camera) or _is_unsteady(camera, record)]
     if soft and (any(map(_is_soft, soft)) or len(soft) >= SOFT_SHARE * len(used)):
         worst = {name: max(_figure(camera, name) for camera in soft) for name in (*_SOFT_LIMITS, *_SHOWN_FIGURES)}
         worst["contrast"] = min(_figure(camera, "contrast") for camera in soft)
@@ -369,6 +375,13 @@ def _is_unresolved(camera: CameraRecord) -> bool:
     coarsely_coded = misfit * _figure(camera, "coarseness") > BLURRED_BY_CODING
     badly_lit = _figure(camera, "saturated") > OVEREXPOSED or 0.0 < _figure(camera, "contrast") < FAINT
     return unresolved or coarsely_coded or badly_lit
+
+
+def _is_unsteady(camera: CameraRecord, record: RunRecord) -> bool:
+    """Are a camera's images distorted from place to place, so that no F fits its matches?"""
+    pairs = [pair.figures for pair in record.pairs_of(camera.id) if pair.ok and (pair.figures.probability or 0.0) > 0.5]
+    off_px = median(figures.epipolar_px or 0.0 for figures in pairs) if pairs else 0.0
+    return _figure(camera, "misfit") * off_px > UNSTEADY
 
 
 def check_calibration(record: RunRecord, facts: Facts) -> Iterator[Finding]:

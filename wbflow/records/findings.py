@@ -196,9 +196,9 @@ FINDINGS: Mapping[str, FindingType] = {
         ),
         FindingType(
             "pictures-soft",
-            "Pictures are too blurred, smeared, enlarged, noisy, faint, overexposed or strongly compressed to be measured in; "
-            "`sigma_mm` may be too small.",
-            "check focus, glass, exposure time, gain and JPEG quality; or lower `resolution`",
+            "Pictures are too blurred, smeared, enlarged, shaken, noisy, faint, overexposed or strongly compressed to be "
+            "measured in, or hot air distorts them; `sigma_mm` may be too small.",
+            "check focus, glass, mount, exposure time, gain and JPEG quality; or lower `resolution`",
             "pictures are too poor to be measured in: {cameras}; worst values: smallest details {detail_px:.1f} px, edge blur "
             "{blur_px:.1f} px, JPEG blockiness {coarseness:.1f}, noise {noise_left:.0f} grey levels, {saturated:.0%} pure white, "
             "contrast {contrast:.0f} grey levels; errors of points may be larger than their sigma_mm",

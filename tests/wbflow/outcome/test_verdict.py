@@ -460,6 +460,17 @@ def test_badly_fitting_pictures_are_soft_sooner_if_coarsely_coded(coarseness: fl
     assert [finding.kind for finding in found] == (["pictures-soft"] if soft else [])
 
 
+@pytest.mark.parametrize(
+    ("epipolar_px", "misfit", "soft"), [(0.4, 1.8, False), (0.9, 0.9, False), (0.6, 1.7, True), (0.8, 1.8, True)]
+)
+def test_pictures_distorted_by_hot_air_are_soft(epipolar_px: float, misfit: float, soft: bool) -> None:
+    cameras = [replace(camera(name), figures=CameraFigures(misfit=misfit)) for name in NAMES]
+    figures = PairFigures(epipolar_px=epipolar_px, probability=0.9)
+    pairs = [replace(pair(*names), figures=figures) for names in PAIRS]
+    found = verdict_of(night(cameras=cameras, pairs=pairs)).findings
+    assert [finding.kind for finding in found] == (["pictures-soft"] if soft else [])
+
+
 @pytest.mark.parametrize(("saturated", "blinded", "degraded"), [(0.45, 4, False), (0.6, 1, False), (0.6, 4, True)])
 def test_mostly_white_pictures_of_several_cameras_degrade_the_night(saturated: float, blinded: int, degraded: bool) -> None:
     cameras = [camera(name) for name in NAMES]
