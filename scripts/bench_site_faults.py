@@ -33,6 +33,7 @@ import numpy as np
 import scenes  # noqa: F401  # adds its scenes to the table
 import yaml
 from bench_certainty import errors_along_rays
+from obstructions import barred, dirty, flared, hidden, netted, overgrown, scratched, webbed, with_drops
 from photograph_site import write_photographs
 from scipy.spatial import cKDTree
 
@@ -501,43 +502,19 @@ def drops(share: float, which: Sequence[int]) -> Change:
 
     def change(site: Site) -> None:
         for k in which:
-            site.pictures(_with_drops(share, k), (k,))
+            site.pictures(with_drops(share, k), (k,))
 
     return change
 
 
-def _with_drops(share: float, seed: int) -> Callable[[Uint8s], Uint8s]:
-    """Discs that show the image blurred and rotated by 180 degrees, at the same places in all images of a camera."""
+def obstructed(obstruction: Callable[[Uint8s, np.random.Generator], Uint8s]) -> Change:
+    """Something at the same places in all images of a camera, and at other places in those of each other camera."""
 
-    def change(image: Uint8s) -> Uint8s:
-        h, w = image.shape[:2]
-        rng, wet = np.random.default_rng(seed), np.zeros((h, w), np.uint8)
-        while wet.mean() < share:
-            cv2.circle(wet, (int(rng.uniform(0, w)), int(rng.uniform(0, h))), int(rng.uniform(0.03, 0.1) * w), 1, -1)
-        seen = cv2.GaussianBlur(image[::-1, ::-1], (0, 0), 0.02 * w)
-        return np.asarray(np.where(wet[..., None] > 0, seen, image), np.uint8)
+    def change(site: Site) -> None:
+        for k in range(len(site.names)):
+            site.pictures(lambda image, k=k: obstruction(image, np.random.default_rng(100 + k)), (k,))  # type: ignore[misc]
 
     return change
-
-
-def webbed(image: Uint8s) -> Uint8s:
-    """A spider's web in front of the glass, out of focus."""
-    h, w = image.shape[:2]
-    web, middle = np.zeros((h, w), np.uint8), (w // 2, h // 3)
-    for angle in np.linspace(0, 2 * np.pi, 14, endpoint=False):
-        cv2.line(web, middle, (int(middle[0] + w * np.cos(angle)), int(middle[1] + w * np.sin(angle))), 255, max(w // 107, 1))
-    for radius in range(w // 16, w * 5 // 8, w // 15):
-        cv2.circle(web, middle, radius, 255, max(w // 160, 1))
-    cover = 0.8 * cv2.GaussianBlur(web, (0, 0), w / 160).astype(np.float64)[..., None] / 255
-    return np.asarray(np.clip(image * (1 - cover) + 200 * cover, 0, 255), np.uint8)
-
-
-def hidden(image: Uint8s) -> Uint8s:
-    """A lorry in front of the camera hides the lower left of the image."""
-    h, w = image.shape[:2]
-    image = image.copy()
-    image[int(0.35 * h) :, : int(0.45 * w)] = (60, 40, 35)
-    return image
 
 
 def unfinished(image: Uint8s) -> Uint8s:
@@ -599,14 +576,6 @@ def half_soft(image: Uint8s) -> Uint8s:
 def higher(image: Uint8s) -> Uint8s:
     """The image resampled to a third more rows: non-square pixels."""
     return np.asarray(cv2.resize(image, (image.shape[1], image.shape[0] * 4 // 3), interpolation=cv2.INTER_AREA), np.uint8)
-
-
-def barred(image: Uint8s) -> Uint8s:
-    """A railing close in front of the camera."""
-    image, w = image.copy(), image.shape[1]
-    for x in range(w // 10, w, w // 6):
-        image[:, x : x + w // 60] = 30
-    return image
 
 
 def shimmering(pixels: float) -> Callable[[Uint8s], Uint8s]:
@@ -956,6 +925,16 @@ VARIATIONS = (
     _fault("hot air, 2 px", pictures(shimmering(2.0)), "pictures-soft"),
     _fault("reflections on all windows", reflections(0.3), "camera-obscured", "pictures-soft"),
     _fault("railings before all cameras", pictures(barred), "camera-obscured", "pictures-soft"),
+    *(
+        _fault(f"{name} before all cameras", obstructed(obstruction), "camera-obscured", "pictures-soft")
+        for name, obstruction in (
+            ("nets", netted),
+            ("dirt", dirty),
+            ("scratches", scratched),
+            ("branches", overgrown),
+            ("flares", flared),
+        )
+    ),
     _harmless("sharpened", pictures(sharpened), TWO),
     _harmless("contrast raised by parts", pictures(equalized), TWO),
     # errors of whole surveys, and two faults at once
