@@ -1,12 +1,12 @@
 #!/usr/bin/env python3
 """Fits the coefficients of `stages/fusion/posterior.py`, or measures how reliable its probabilities are.
 
-    scripts/fit_posterior.py FOLDER ... [--judge]
+    scripts/fit_posterior.py FOLDER ... [--keep NAME ...]
 
 Each FOLDER is a rendered site with its truth (`wbflow demo`, `scripts/render_scene.py`) after a run.  The depths of its newest
 good run are compared with `truth/depth/`.  `_OWN` is fitted on both refined and pair depths, `_OTHERS` and `_AROUND` on the
-likelier depth of each pixel.  With --judge, the existing coefficients are used instead of fitted ones.  At the end, the share of
-right depths in ten bins of their probability, and the area under the ROC curve, are printed for each folder.
+likelier depth of each pixel; those named by --keep are not fitted.  At the end, the share of right depths in ten bins of their
+probability, and the area under the ROC curve, are printed for each folder.
 """
 
 from __future__ import annotations
@@ -181,14 +181,14 @@ def reliability(scenes: list[Scene]) -> str:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folders", type=Path, nargs="+")
-    parser.add_argument("--judge", action="store_true")
+    parser.add_argument("--keep", nargs="*", default=[], metavar="NAME")
     given = parser.parse_args()
     scenes = [Scene(folder) for folder in given.folders]
     steps = {"_OWN": lambda scene: None, "_OTHERS": Scene.compare_views, "_AROUND": Scene.measure_support}
     for name, step in steps.items():
         for scene in scenes:
             step(scene)
-        coefficients = getattr(P, name) if given.judge else fitted(scenes)
+        coefficients = getattr(P, name) if name in given.keep else fitted(scenes)
         for scene in scenes:
             scene.apply(coefficients)
         print(f"{name} = np.array({coefficients.tolist()})")

@@ -59,8 +59,8 @@ def fuse(
     voxel_m : edge of the voxels in which points are merged, in metres; None: the footprint of a pixel.
     confidence : smallest probability that a point is right; higher values trade completeness for accuracy.
     right : share of the points that is expected to be right, by their probabilities: the least probable are left out until it
-        is reached, but never more than half.  The true share is 0.91 to 0.99 on twelve scenes and photographs as they are, 0.86
-        to 0.93 behind webs and railings.
+        is reached, but never more than half.  The true share is 0.91 to 1 on twelve scenes and two sets of photographs as they
+        are, and 0.86 to 0.94 behind webs and railings.
     check_views : number of other views that each view is compared with: those that share most with it.
     """
     preferred, frames = refined or {}, undistorted_frames(frames, cameras)
