@@ -1,6 +1,6 @@
 """What obstructs the view of a camera: drops, dirt and scratches on the glass, webs, nets, branches, railings, lorries, flares.
 
-Each function changes one image.  Those with a generator place things at random: at the same places for equal generators.
+Each function but `with_drops`, which returns one, changes one image.  Those with a generator place things at random.
 """
 
 from __future__ import annotations
@@ -35,8 +35,7 @@ def webbed(image: Uint8s) -> Uint8s:
         cv2.line(web, middle, (int(middle[0] + w * np.cos(angle)), int(middle[1] + w * np.sin(angle))), 255, max(w // 107, 1))
     for radius in range(w // 16, w * 5 // 8, w // 15):
         cv2.circle(web, middle, radius, 255, max(w // 160, 1))
-    cover = 0.8 * cv2.GaussianBlur(web, (0, 0), w / 160).astype(np.float64)[..., None] / 255
-    return np.asarray(np.clip(image * (1 - cover) + 200 * cover, 0, 255), np.uint8)
+    return _covered(image, cv2.GaussianBlur(web, (0, 0), w / 160), 0.8, (200, 200, 200))
 
 
 def hidden(image: Uint8s) -> Uint8s:

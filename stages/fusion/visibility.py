@@ -37,7 +37,7 @@ class CrossCheck(NamedTuple):
 
 @dataclass(frozen=True)
 class TrustedDepth:
-    """The depth of a view, and how reliable it is without the other views."""
+    """The frame of a view, its depth, and how reliable that is without the other views."""
 
     frame: Frame
     depth: DepthMap

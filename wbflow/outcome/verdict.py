@@ -65,7 +65,7 @@ UNSTEADY = 1.0
 epipolar lines of their pairs' own F (median, pixels), exceeds this: hot air and shaking distort images as no F does.  Values that
 a third of the cameras reach, fitted on a yard, a hall, a tank farm, a railyard and the entry: at most 0.75 on nights as they
 should be, 0.96 with a solved pose that is off, 1.1 to 1.5 in hot air that moves pixels by 1 px (72 to 87 % of the points right).
-Judged on a building: at most 0.73 in noise, 1.1 behind webs, 1.2 behind nets (67 % right)."""
+Judged on a building: at most 0.73 in noise, 1.1 behind webs."""
 OVEREXPOSED = 0.5
 """Images count as soft if a larger share of their pixels is pure white.  Photographs and rendered scenes have up to 0.03; by day
 with grey levels tripled 0.4 to 0.9 (a yard 0.66, 87 % of its points right).  The sky of a grey day may be white, too."""
@@ -355,6 +355,7 @@ def check_pictures(record: RunRecord, facts: Facts) -> Iterator[Finding]:
     soft = [camera for camera in used if _is_soft(camera) or _is_unresolved(camera) or _is_unsteady(camera, record)]
     if soft and (any(map(_is_soft, soft)) or len(soft) >= SOFT_SHARE * len(used)):
         worst = {name: max(_figure(camera, name) for camera in soft) for name in (*_SOFT_LIMITS, *_SHOWN_FIGURES)}
+        worst["off_px"] = max(_off_px(camera, record) for camera in soft)
         worst["contrast"] = min(_figure(camera, "contrast") for camera in soft)
         names = tuple(camera.id for camera in soft)
         yield finding("pictures-soft", names, worst, None, None, cameras=_names(names), **worst)
@@ -380,9 +381,13 @@ def _is_unresolved(camera: CameraRecord) -> bool:
 
 def _is_unsteady(camera: CameraRecord, record: RunRecord) -> bool:
     """Are a camera's images distorted from place to place, so that no F fits its matches?"""
+    return _figure(camera, "misfit") * _off_px(camera, record) > UNSTEADY
+
+
+def _off_px(camera: CameraRecord, record: RunRecord) -> float:
+    """Median distance of a camera's matches from the epipolar lines of its pairs' own F, pixels."""
     pairs = [pair.figures for pair in record.pairs_of(camera.id) if pair.ok and (pair.figures.probability or 0.0) > 0.5]
-    off_px = median(figures.epipolar_px or 0.0 for figures in pairs) if pairs else 0.0
-    return _figure(camera, "misfit") * off_px > UNSTEADY
+    return median(figures.epipolar_px or 0.0 for figures in pairs) if pairs else 0.0
 
 
 def check_calibration(record: RunRecord, facts: Facts) -> Iterator[Finding]:

@@ -469,6 +469,7 @@ def test_pictures_distorted_by_hot_air_are_soft(epipolar_px: float, misfit: floa
     pairs = [replace(pair(*names), figures=figures) for names in PAIRS]
     found = verdict_of(night(cameras=cameras, pairs=pairs)).findings
     assert [finding.kind for finding in found] == (["pictures-soft"] if soft else [])
+    assert all(f"matches {epipolar_px:.1f} px from their epipolar lines" in finding.text for finding in found)
 
 
 @pytest.mark.parametrize(("saturated", "blinded", "degraded"), [(0.45, 4, False), (0.6, 1, False), (0.6, 4, True)])
