@@ -77,7 +77,7 @@ class ToySite:
             stage: {"use": f"toy_stages:{name}", **self.parameters.get(stage, {})} for stage, name in STAGES.items()
         }
         stages["shared"] = False
-        stages["scene"] = stages["refine"] = stages["coverage"] = stages["changes"] = False
+        stages["scene"] = stages["refine"] = stages["coverage"] = stages["changes"] = stages["calibration"] = False
         stages["health"] = {"use": "toy_stages:examine"} if self.watched else False
         site = {
             "site": "toy",

@@ -167,19 +167,22 @@ def _module_code(modules: Modules, module: str, path: Path, function: str = "", 
     """Read a module, without the name of the given function and without the given table of methods."""
     tree = modules.parsed(path)
     stripper = _CodeStripper(modules, module, path)
-    stripper.visit(tree)
+    stripper.strip(tree.body)
     tree.body = [node for node in tree.body if table not in assigned(node)]
     for node in tree.body:
         if isinstance(node, ast.FunctionDef) and node.name == function:
             node.name = "<this function>"
-    for inner in ast.walk(tree):
+    for inner in ast.walk(tree) if function else ():
         if isinstance(inner, ast.Name) and inner.id == function:
             inner.id = "<this function>"
     return _ModuleCode(_digest(ast.dump(tree)), tuple(stripper.imports), frozenset(stripper.libraries))
 
 
-class _CodeStripper(ast.NodeTransformer):
-    """Strips a module of docstrings and of the names of followed modules in `from` imports, and collects what it imports."""
+class _CodeStripper:
+    """Strips a module of docstrings and of the names of followed modules in `from` imports, and collects what it imports.
+
+    Expressions, which contain neither, are most of a module: they are not searched.
+    """
 
     def __init__(self, modules: Modules, module: str, path: Path) -> None:
         self.modules, self.module, self.path = modules, module, path
@@ -187,16 +190,20 @@ class _CodeStripper(ast.NodeTransformer):
         """Imported modules that enter the fingerprint, in source order."""
         self.libraries: set[str] = set()
 
-    def visit_Expr(self, node: ast.Expr) -> ast.AST | None:
-        is_text = isinstance(node.value, ast.Constant) and isinstance(node.value.value, str)
-        return None if is_text else self.generic_visit(node)
+    def strip(self, block: list[ast.stmt]) -> None:
+        """Strip a list of statements, and all lists in these."""
+        kept: list[ast.stmt] = []
+        for node in block:
+            if isinstance(node, ast.Import):
+                for alias in node.names:
+                    self._add_import(alias.name)
+            if not _is_text(node):
+                kept.append(self._without_origin(node) if isinstance(node, ast.ImportFrom) else node)
+            for inner in blocks(node):
+                self.strip(inner)
+        block[:] = kept
 
-    def visit_Import(self, node: ast.Import) -> ast.AST:
-        for alias in node.names:
-            self._add_import(alias.name)
-        return node
-
-    def visit_ImportFrom(self, node: ast.ImportFrom) -> ast.AST:
+    def _without_origin(self, node: ast.ImportFrom) -> ast.ImportFrom:
         origin = origin_of(node, self.module, self.path)
         if not self._add_import(origin):
             return node
@@ -214,6 +221,29 @@ class _CodeStripper(ast.NodeTransformer):
         elif not followed and top not in sys.stdlib_module_names:
             self.libraries.add(top)
         return followed
+
+
+def blocks(node: ast.AST) -> Iterator[list[ast.stmt]]:
+    """Yield the lists of statements that a compound statement holds, in source order."""
+    for name in ("body", "handlers", "cases", "orelse", "finalbody"):
+        inner = getattr(node, name, [])
+        if name in ("handlers", "cases"):
+            yield from (part.body for part in inner)
+        elif inner:
+            yield inner
+
+
+def statements(block: list[ast.stmt]) -> Iterator[ast.stmt]:
+    """Yield each statement of a list, and those that it holds, in source order."""
+    for node in block:
+        yield node
+        for inner in blocks(node):
+            yield from statements(inner)
+
+
+def _is_text(node: ast.stmt) -> bool:
+    """Is it a string that nothing uses, such as a docstring?"""
+    return isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant) and isinstance(node.value.value, str)
 
 
 def assigned(node: ast.stmt) -> Iterator[str]:

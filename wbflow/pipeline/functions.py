@@ -22,7 +22,7 @@ from typing import Any
 
 from pydantic import ConfigDict, TypeAdapter, ValidationError
 
-from ..cache.fingerprint import Code, FunctionError, Modules, assigned, origin_of, read_code
+from ..cache.fingerprint import Code, FunctionError, Modules, assigned, origin_of, read_code, statements
 from ..cache.memo import Memo, file_stamp
 
 _FORMAT = f"3, Python {sys.version_info.major}.{sys.version_info.minor}"
@@ -225,9 +225,17 @@ class _Scope:
         return self.modules.tree(self.path)
 
     @cached_property
+    def statements(self) -> list[ast.stmt]:
+        """All statements of the module."""
+        return list(statements(self.tree.body))
+
+    @cached_property
     def defined(self) -> dict[str, ast.expr]:
         """Value of each name that is assigned once, at the top level."""
-        store_counts = Counter(n.id for n in ast.walk(self.tree) if isinstance(n, ast.Name) and not isinstance(n.ctx, ast.Load))
+        definition = (ast.FunctionDef, ast.AsyncFunctionDef, ast.ClassDef)
+        top = [inner for node in self.tree.body if not isinstance(node, definition) for inner in ast.walk(node)]
+        store_counts = Counter(n.id for n in top if isinstance(n, ast.Name) and not isinstance(n.ctx, ast.Load))
+        store_counts.update(name for node in self.statements if isinstance(node, ast.Global) for name in node.names)
         values = [(node, getattr(node, "value", None)) for node in self.tree.body]
         definitions = {name: value for node, value in values if value for name in assigned(node) if store_counts[name] == 1}
         # Python 3.12: type Mode = ...
@@ -237,7 +245,7 @@ class _Scope:
     def imported(self) -> dict[str, tuple[str, str]]:
         """By imported name: its module and its name there, "" for a module itself; "*" is the key of a star import."""
         origins: dict[str, tuple[str, str]] = {}
-        for node in ast.walk(self.tree):
+        for node in self.statements:
             if isinstance(node, ast.ImportFrom):
                 origin = origin_of(node, self.module, self.path)
                 origins |= {alias.asname or alias.name: (origin, alias.name) for alias in node.names}

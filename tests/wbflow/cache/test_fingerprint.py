@@ -122,6 +122,27 @@ def test_modules_of_the_stages_that_a_function_imports_are_part_of_its_code(pack
     assert Modules().file("wbflow_stages.matching.nearest_neighbour") in files
 
 
+@pytest.mark.parametrize(
+    "block",
+    [
+        "if x:\n    pass\nelse:\n    {}",
+        "for _ in x:\n    pass\nelse:\n    {}",
+        "while x:\n    {}",
+        "try:\n    pass\nexcept OSError:\n    {}",
+        "try:\n    pass\nfinally:\n    {}",
+        "with x:\n    {}",
+        "match x:\n    case _:\n        {}",
+        "class Inner:\n    def inner(self):\n        {}",
+    ],
+)
+def test_an_import_in_any_block_is_part_of_the_code(block: str, package: Package) -> None:
+    body = "\n    ".join(block.format("from .helper import HALF").splitlines())
+    package.write(stage=f"def work(x):\n    {body}\n")
+    before = package.code("stage:work")
+    package.write(helper="HALF = 0.25\n")
+    assert package.code("stage:work") != before
+
+
 def test_the_fingerprint_depends_on_minor_versions_of_imported_libraries(
     package: Package, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
