@@ -38,11 +38,11 @@ install_project() { # install_project EXTRAS
   echo "Installing wbflow into $VENV"
   "$VENV/bin/python" -m pip install --quiet --disable-pip-version-check --no-compile --editable ".${1:-}"
   # Every process of every run would compile the project anew where caches of it are not written: an editable install leaves it as it
-  # is.  What it needs is compiled with it, on all processors: pip would do so on one, and with the tests of all libraries.
-  local libraries
+  # is.  What it needs is compiled with it, on all processors: pip would do so on one, and with much that is never imported.
+  local libraries unused='/(tests?|plotly|fontTools|moto|pip|setuptools|selenium|lexers|mypyc?|transformers)/'
   libraries="$("$VENV/bin/python" -c 'import sysconfig; print(sysconfig.get_path("purelib"))')"
   "$VENV/bin/python" -m compileall -q wbflow stages tests
-  "$VENV/bin/python" -m compileall -q -j 0 -x '/(tests?|plotly|fontTools)/' "$libraries" >/dev/null || true # some hold what is no Python
+  "$VENV/bin/python" -m compileall -q -j 0 -x "$unused" "$libraries" >/dev/null || true # some hold what is no Python
 }
 
 install_browser() { # for the tests of the report's page alone, which are skipped without

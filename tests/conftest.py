@@ -11,15 +11,16 @@ from wbflow.site import captures
 
 SLOWEST = (
     "wbflow/test_yard.py",
-    "wbflow/test_fountain.py",
-    "wbflow/cache/test_cleanup.py",
-    "wbflow/reference/test_reference.py",
     "wbflow/runner/test_run.py",
-    "test_readme.py",
     "wbflow/outcome/test_export.py",
+    "wbflow/test_fountain.py",
+    "wbflow/runner/test_dispatch.py",
+    "wbflow/reference/test_reference.py",
     "wbflow/runner/test_plugins.py",
+    "test_fault_campaign.py",
 )
-"""Test files that take more than a minute; they start first, in this order."""
+"""Test files that take about a minute or more; they start first, in this order.  The yard compiles all kernels while the second
+file, which needs none, runs beside it; the others find them compiled."""
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
