@@ -17,7 +17,7 @@ import numpy as np
 from .core.cameras import camera_of
 from .core.luminance import grey_levels
 from .core.rotations import angle_between_deg
-from .orientation.calibration_check import check_calibration
+from .orientation.calibration_check import check_calibration, check_solved_lens
 from .orientation.moved_cameras import NewPose, find_moved_cameras
 from .orientation.pose_check import (
     TURNED_DEG,
@@ -112,7 +112,7 @@ def solve_poses(
     if isinstance(poses, Rejected):
         return poses
     sources = {name: _source(camera, stated.get(name), trusted.get(name)) for name, camera in poses.cameras.items()}
-    poses = replace(poses, sources=sources, calibration=known.calibration)
+    poses = replace(poses, sources=sources, calibration=_with_solved_lenses(known.calibration, poses, sources, geometries))
     return _checked(check_survey(poses, views, placements, survey), known, max_epipolar_px)
 
 
@@ -180,6 +180,17 @@ def stated_calibration(
     if len(unmoved) < len(known) and check is not None and check.contradicted and check.cause in ("", "turned", "moved", "poses"):
         return check_calibration(unmoved, geometries)
     return check
+
+
+def _with_solved_lenses(
+    check: CalibrationCheck | None, poses: Poses, sources: Mapping[str, str], geometries: Mapping[Pair, Geometry]
+) -> CalibrationCheck | None:
+    """The check of the stated cameras; if nothing contradicts these, but the lens of a solved one, the clearest such check."""
+    cameras = poses.main_cameras()
+    stated = {name: camera for name, camera in cameras.items() if sources[name] != "solved"}
+    solved = set() if check and check.contradicted else set(cameras) - set(stated) - set(poses.focals)
+    lenses = [check_solved_lens(name, {**stated, name: cameras[name]}, geometries) for name in sorted(solved)]
+    return max((lens for lens in lenses if lens), key=lambda lens: lens.better, default=check)
 
 
 def _checked(poses: Poses, known: _KnownPoses, max_epipolar_px: float) -> Poses:

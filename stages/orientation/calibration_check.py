@@ -169,6 +169,27 @@ def check_calibration(cameras: Mapping[str, Camera], geometries: Mapping[Pair, G
     return check
 
 
+def check_solved_lens(name: str, cameras: Mapping[str, Camera], geometries: Mapping[Pair, Geometry]) -> CalibrationCheck | None:
+    """A contradiction, if another focal length, with a pose of its own, restores the fit of a solved camera to its matches.
+
+    name: of the solved camera.  cameras: this one, and those whose poses are stated.  geometries: of all pairs.
+    """
+    probable = {p: g for p, g in geometries.items() if name in p and g.good_probability >= LEAST_PROBABILITY}
+    evidence = [_sampled(p, g, g) for p, g in probable.items() if set(p) <= set(cameras) and len(g.x1) >= MIN_SHARED]
+    if len(evidence) < 2:
+        return None
+    world = {camera: _CheckedView(stated) for camera, stated in cameras.items()}
+    baseline = _baseline(world, evidence)
+    posed = _fit(_simple("moved", 6, lambda view, a: _posed(view, a, baseline), name), world, evidence)
+    both = _simple("focal-length", 7, lambda view, a: _posed(_zoomed(view, a[6:]), a[:6], baseline), name)
+    zoomed = _fit(both, world, evidence)
+    gain, excess = posed.loss - zoomed.loss, posed.loss - min(_own_loss(evidence), zoomed.loss)
+    if gain * sum(_counts(evidence)) < LEAST_GAIN or gain < LEAST_SHARE * excess:
+        return None
+    check = _without_cause(posed.world, evidence, is_confirmed=False)
+    return _with_cause(check, replace(zoomed, amount=zoomed.amount[6:]), posed.world, evidence)
+
+
 def misfit_without_cause(cameras: Mapping[str, Camera], geometries: Mapping[Pair, Geometry]) -> float:
     """The misfit of confirmed matches that remains once the likeliest cause that all cameras share is corrected.
 
@@ -435,8 +456,7 @@ def _causes(stated: _World, evidence: list[_Matches], unconfirmed: bool) -> Iter
         yield _simple(name, 1, partial(_stretched, axis=axis))
     for name in CONVENTIONS:
         yield _simple(name, 0, partial(_read_otherwise, convention=name))
-    baselines = [np.linalg.norm(stated[left].camera.C - stated[right].camera.C) for left, right in (m.pair for m in evidence)]
-    baseline, zero = float(np.median(baselines)), np.zeros(3)
+    baseline, zero = _baseline(stated, evidence), np.zeros(3)
     names = sorted({name for m in evidence for name in m.pair})
     for name in names:
         if len({m.pair for m in evidence if name in m.pair}) < 2:  # matches of one pair may be look-alikes
@@ -457,6 +477,12 @@ def _causes(stated: _World, evidence: list[_Matches], unconfirmed: bool) -> Iter
     for one, other in combinations(names, 2):
         for name in EXCHANGED:
             yield _exchange(name, {one: other, other: one}, (one, other))
+
+
+def _baseline(world: _World, evidence: list[_Matches]) -> float:
+    """Median distance between the cameras of the pairs."""
+    ends = np.array([[world[name].camera.C for name in m.pair] for m in evidence])
+    return float(np.median(np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)))
 
 
 def _simple(name: str, unknowns: int, change: _Change, *cameras: str) -> _Cause:

@@ -14,7 +14,7 @@ from tests.helpers.exact_pairs import PairSite, make_pair_site, pair_geometry, t
 from wbflow_stages.core.cameras import project
 from wbflow_stages.core.epipolar import fundamental_from_cameras
 from wbflow_stages.core.rotations import rotation_matrix
-from wbflow_stages.orientation.calibration_check import CORNER, check_calibration, check_rows
+from wbflow_stages.orientation.calibration_check import CORNER, check_calibration, check_rows, check_solved_lens
 from wbflow_stages.poses import solve_poses
 from wbflow_stages.types import Camera, Geometry, Pair, Placement, Poses, RowMatches
 
@@ -348,6 +348,38 @@ def test_solved_poses_carry_the_calibration_check(site: PairSite) -> None:
     poses = solve_poses(views, placements, site.geometries)
     assert isinstance(poses, Poses) and poses.calibration is not None
     assert poses.calibration.cause == "focal-lengths"
+
+
+@pytest.mark.parametrize("factor", [0.95, 1.0, 1.05])
+def test_a_wrong_focal_length_of_a_solved_camera_is_named(site: PairSite, factor: float) -> None:
+    """Its pose adapts to it, so that its matches stay near their epipolar lines."""
+    views = {
+        name: replace(view, K=only_for("c2", zoomed(factor))(name, site.cameras[name]).K) for name, view in site.views.items()
+    }
+    placements = {name: Placement(camera.R, camera.C) for name, camera in site.cameras.items() if name != "c2"}
+    placements["c2"] = Placement()
+    poses = solve_poses(views, placements, site.geometries)
+    assert isinstance(poses, Poses) and poses.calibration is not None and poses.sources["c2"] == "solved"
+    check = poses.calibration
+    if factor == 1.0:
+        assert not check.contradicted
+    else:
+        assert (check.contradicted, check.cause, check.cameras) == (True, "focal-length", ("c2",))
+        assert check.amount == pytest.approx([-np.log(factor)], abs=0.005)
+
+
+def test_one_pair_does_not_blame_the_lens_of_a_solved_camera(site: PairSite) -> None:
+    cameras = {name: only_for("c1", zoomed(1.05))(name, site.cameras[name]) for name in ("c0", "c1", "c2")}
+    assert check_solved_lens("c1", cameras, site.geometries) is not None
+    del cameras["c2"]
+    assert check_solved_lens("c1", cameras, site.geometries) is None
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_look_alikes_in_one_pair_do_not_blame_the_lens_of_a_solved_camera(site: PairSite, seed: int) -> None:
+    pair = ("c1", "c2")
+    geometries = {**site.geometries, pair: turned_wrong(site, pair, seed)}
+    assert check_solved_lens("c1", site.cameras, geometries) is None
 
 
 def _fitted(geometry: Geometry) -> Geometry:
