@@ -172,22 +172,23 @@ def check_calibration(cameras: Mapping[str, Camera], geometries: Mapping[Pair, G
 def check_solved_lens(name: str, cameras: Mapping[str, Camera], geometries: Mapping[Pair, Geometry]) -> CalibrationCheck | None:
     """A contradiction, if another focal length, with a pose of its own, restores the fit of a solved camera to its matches.
 
-    name: of the solved camera.  cameras: this one, and those whose poses are stated.  geometries: of all pairs.
+    name: of the solved camera.  cameras: this one, and those whose poses are stated.  If these are only two, nothing else checks
+    their lenses: all three may have other focal lengths.  geometries: of all pairs.
     """
-    probable = {p: g for p, g in geometries.items() if name in p and g.good_probability >= LEAST_PROBABILITY}
-    evidence = [_sampled(p, g, g) for p, g in probable.items() if set(p) <= set(cameras) and len(g.x1) >= MIN_SHARED]
-    if len(evidence) < 2:
+    probable = {p: g for p, g in geometries.items() if set(p) <= set(cameras) and g.good_probability >= LEAST_PROBABILITY}
+    evidence = [_sampled(p, g, g) for p, g in probable.items() if (name in p or len(cameras) == 3) and len(g.x1) >= MIN_SHARED]
+    if sum(name in matches.pair for matches in evidence) < 2:
         return None
-    world = {camera: _CheckedView(stated) for camera, stated in cameras.items()}
-    baseline = _baseline(world, evidence)
-    posed = _fit(_simple("moved", 6, lambda view, a: _posed(view, a, baseline), name), world, evidence)
-    both = _simple("focal-length", 7, lambda view, a: _posed(_zoomed(view, a[6:]), a[:6], baseline), name)
-    zoomed = _fit(both, world, evidence)
-    gain, excess = posed.loss - zoomed.loss, posed.loss - min(_own_loss(evidence), zoomed.loss)
+    stated = {camera: _CheckedView(as_stated) for camera, as_stated in cameras.items()}
+    lenses = [_simple("focal-length", 1, _zoomed, name), *([_simple("focal-lengths", 1, _zoomed)] if len(cameras) == 3 else [])]
+    unchanged, baseline = _simple("", 0, lambda view, _: view, name), _baseline(stated, evidence)
+    posed, *zoomed = (_fit(_with_pose(lens, name, baseline), stated, evidence) for lens in (unchanged, *lenses))
+    best = min(zoomed, key=lambda explanation: explanation.loss)
+    gain, excess = posed.loss - best.loss, posed.loss - min(_own_loss(evidence), best.loss)
     if gain * sum(_counts(evidence)) < LEAST_GAIN or gain < LEAST_SHARE * excess:
         return None
-    check = _without_cause(posed.world, evidence, is_confirmed=False)
-    return _with_cause(check, replace(zoomed, amount=zoomed.amount[6:]), posed.world, evidence)
+    best = replace(best, amount=best.amount[6:])
+    return _with_cause(_without_cause(posed.world, evidence, is_confirmed=False), best, posed.world, evidence)
 
 
 def misfit_without_cause(cameras: Mapping[str, Camera], geometries: Mapping[Pair, Geometry]) -> float:
@@ -214,7 +215,7 @@ def check_rows(cameras: Mapping[str, Camera], rows: Mapping[Pair, RowMatches]) -
     loss = _loss(stated, evidence)
     explanations = [_fit(cause, stated, evidence) for cause in _causes(stated, evidence, unconfirmed=False)]
     best = _simplest([e for e in explanations if _is_seen_by_two_pairs(e, stated, evidence)], loss, slack=0.0)
-    corner = _fit(_simple(CORNER, 1, lambda view, a: _shifted_px(view, a * CORNER_PX)), stated, evidence)
+    corner = _fit(_simple(CORNER, 1, lambda view, a: _shifted(view, a * CORNER_PX / view.camera.width)), stated, evidence)
     is_corner = best.cause.name == "principal-points" and loss - corner.loss >= LEAST_SHARE_UNCONFIRMED * (loss - best.loss)
     if is_corner and len(evidence) >= FEWEST_PAIRS_FOR_CORNER and 0.25 <= corner.amount[0] <= 1.25:  # biased toward the rows
         best = corner
@@ -447,7 +448,7 @@ def _causes(stated: _World, evidence: list[_Matches], unconfirmed: bool) -> Iter
         return
     yield _simple("pixel-shape", 1, lambda view, a: _zoomed(view, np.append(a, 0.0)))
     yield _simple("pixel-height", 1, lambda view, a: _zoomed(view, np.append(0.0, a)))
-    yield _simple(CORNER, 0, lambda view, _: _shifted_px(view, CORNER_PX))
+    yield _simple(CORNER, 0, lambda view, _: _shifted(view, CORNER_PX / view.camera.width))
     yield _simple("principal-points", 2, _shifted)
     yield _simple("headings", 1, lambda view, a: _rotated(view, view.camera.R @ rotation_matrix(np.append([0.0, 0.0], a))))
     yield _simple("rolls", 1, lambda view, a: _rotated(view, rotation_matrix(np.append([0.0, 0.0], a)) @ view.camera.R))
@@ -488,6 +489,16 @@ def _baseline(world: _World, evidence: list[_Matches]) -> float:
 def _simple(name: str, unknowns: int, change: _Change, *cameras: str) -> _Cause:
     """A cause that changes each of some cameras, or of all if none are given, in the same way."""
     return _Cause(name, lambda w, a: {**w, **{n: change(w[n], a) for n in cameras or w}}, unknowns, cameras)
+
+
+def _with_pose(cause: _Cause, name: str, baseline: float) -> _Cause:
+    """A cause, together with a pose of its own for a camera; its six unknowns come first."""
+
+    def change(world: _World, amount: Float64s) -> _World:
+        changed = cause.change(world, amount[6:])
+        return {**changed, name: _posed(changed[name], amount[:6], baseline)}
+
+    return replace(cause, change=change, unknowns=6 + cause.unknowns)
 
 
 def _exchange(name: str, sources: Mapping[str, str], cameras: tuple[str, ...] = ()) -> _Cause:
@@ -533,10 +544,6 @@ def _shifted(view: _CheckedView, share: Float64s) -> _CheckedView:
     K = view.camera.K.copy()
     K[:2, 2] += share * view.camera.width
     return replace(view, camera=replace(view.camera, K=K))
-
-
-def _shifted_px(view: _CheckedView, pixels: Float64s) -> _CheckedView:
-    return _shifted(view, pixels / view.camera.width)
 
 
 def _read_otherwise(view: _CheckedView, _: Float64s, convention: str) -> _CheckedView:

@@ -68,7 +68,8 @@ def _agreed_pose(name: str, cameras: Mapping[str, Camera], constraints: PoseCons
     """The pose of a camera that its partners agree on against the stated one; None if there is none."""
     stated = {e.cameras: e for e in constraints.evidence(cameras, name)}
     contradicting = [key for key, e in stated.items() if e.contradicts]
-    distinctive = {key for key in contradicting if _is_distinctive(key, constraints.pairs)}
+    similar = [pair for pair, geometry in constraints.pairs.items() if geometry.distinct_cells < MIN_CELLS]
+    distinctive = {key for key in contradicting if not any(set(pair) <= set(key) for pair in similar)}
     against = PoseConstraints(
         {pair: geometry for pair, geometry in constraints.pairs.items() if pair in distinctive},
         tuple(triplet for triplet in constraints.triplets if triplet.cameras in distinctive),
@@ -92,10 +93,6 @@ def _agreed_pose(name: str, cameras: Mapping[str, Camera], constraints: PoseCons
             return new_pose
         agreed.append(new_pose)
     return min(agreed, key=lambda pose: (pose.contradictions, -pose.support), default=None)
-
-
-def _is_distinctive(key: tuple[str, ...], pairs: Mapping[Pair, Geometry]) -> bool:
-    return all(geometry.distinct_cells >= MIN_CELLS for pair, geometry in pairs.items() if set(pair) <= set(key))
 
 
 def _initial_poses(

@@ -260,8 +260,10 @@ def without_baseline(
     for pair, geometry in geometries.items():
         is_matched = geometry.good_probability >= LEAST_PROBABILITY or hardly_converging(geometry.angle_deg, geometry.agreement)
         if is_matched and len(geometry.x1) >= MIN_SHARED:
-            are_known = set(pair) <= set(known)
-            angle = _angle_deg(known[pair[0]], known[pair[1]], geometry) if are_known else geometry.angle_deg
+            angle = geometry.angle_deg
+            if set(pair) <= set(known):
+                directions = (rays(known[name], x).T for name, x in zip(pair, (geometry.x1, geometry.x2), strict=True))
+                angle = float(np.degrees(np.median(ray_angles(*directions))))
             if np.isfinite(angle):
                 angles[pair] = angle
     if {name for pair in angles for name in pair} != set(names) or max(angles.values()) >= min_angle_deg:
@@ -281,7 +283,3 @@ def without_baseline(
     figures["baseline_m"] = float(np.linalg.norm(right.C - left.C))
     figures["distance_m"] = float(np.linalg.norm(across)) * figures["baselines"]
     return Rejected(Reason.NO_USABLE_BASELINE_M, figures)
-
-
-def _angle_deg(left: Camera, right: Camera, geometry: Geometry) -> float:
-    return float(np.degrees(np.median(ray_angles(rays(left, geometry.x1).T, rays(right, geometry.x2).T))))

@@ -368,6 +368,16 @@ def test_a_wrong_focal_length_of_a_solved_camera_is_named(site: PairSite, factor
         assert check.amount == pytest.approx([-np.log(factor)], abs=0.005)
 
 
+@pytest.mark.parametrize("factor", [0.95, 1.0, 1.05])
+def test_one_solved_camera_beside_two_stated_ones_reveals_wrong_focal_lengths(factor: float) -> None:
+    site = make_pair_site(3, noise_px=0.3)
+    views = {name: replace(view, K=zoomed(factor)(name, site.cameras[name]).K) for name, view in site.views.items()}
+    placements = {name: Placement(camera.R, camera.C) for name, camera in site.cameras.items()} | {"c1": Placement()}
+    poses = solve_poses(views, placements, site.geometries)
+    assert isinstance(poses, Poses) and poses.calibration is not None and poses.sources["c1"] == "solved"
+    assert poses.calibration.cause == ("focal-lengths" if factor != 1.0 else "")
+
+
 def test_one_pair_does_not_blame_the_lens_of_a_solved_camera(site: PairSite) -> None:
     cameras = {name: only_for("c1", zoomed(1.05))(name, site.cameras[name]) for name in ("c0", "c1", "c2")}
     assert check_solved_lens("c1", cameras, site.geometries) is not None
