@@ -45,6 +45,22 @@ def test_parameters_have_defaults_and_are_checked_by_type_and_choice(package: Pa
     assert parameters["share"].problem(1) is None
 
 
+@pytest.mark.parametrize(
+    ("more", "default"),
+    [
+        ("def other():\n    COUNT = 4\n    return COUNT\n", 3),  # a name of its own
+        ("def other():\n    global COUNT\n    COUNT = 4\n", None),
+        ("if HALF:\n    COUNT = 4\n", None),
+        ("for COUNT in range(2):\n    pass\n", None),
+    ],
+)
+def test_a_constant_is_a_default_only_if_it_is_assigned_once(package: Path, more: str, default: int | None) -> None:
+    text = f"from .helper import HALF\nCOUNT = 3\n{more}def work(left, right, *, n: int = COUNT):\n    return n\n"
+    (package / "stage.py").write_text(text)
+    parameter = FunctionReader().signature(f"{package.name}.stage:work").parameters["n"]
+    assert (parameter.default, parameter.source) == (default, "" if default else "COUNT")
+
+
 def test_a_helper_changes_the_fingerprint_and_a_comment_does_not(package: Path) -> None:
     before = code(package)
     helper = package / "helper.py"
