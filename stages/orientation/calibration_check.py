@@ -185,10 +185,10 @@ def check_solved_lens(name: str, cameras: Mapping[str, Camera], geometries: Mapp
     posed, *zoomed = (_fit(_with_pose(lens, name, baseline), stated, evidence) for lens in (unchanged, *lenses))
     best = min(zoomed, key=lambda explanation: explanation.loss)
     gain, excess = posed.loss - best.loss, posed.loss - min(_own_loss(evidence), best.loss)
-    if gain * sum(_counts(evidence)) < LEAST_GAIN or gain < LEAST_SHARE * excess:
-        return None
     best = replace(best, amount=best.amount[6:])
-    return _with_cause(_without_cause(posed.world, evidence, is_confirmed=False), best, posed.world, evidence)
+    named = _with_cause(_without_cause(posed.world, evidence, is_confirmed=False), best, posed.world, evidence)
+    is_clear = gain * sum(_counts(evidence)) >= LEAST_GAIN and gain >= LEAST_SHARE_UNCONFIRMED * excess
+    return named if is_clear and named.off_px >= HARMFUL_PX else None
 
 
 def misfit_without_cause(cameras: Mapping[str, Camera], geometries: Mapping[Pair, Geometry]) -> float:
