@@ -72,12 +72,13 @@ def figures_of(record: RunRecord) -> dict[str, float]:
 
 
 def appearance_of(record: RunRecord) -> dict[str, dict[str, float]]:
-    """The figures of each usable camera that are compared with the usual ones, by id and name: those of its image, and the share
-    of its pairs that found common points."""
+    """The figures of each usable camera that are compared with the usual ones, by id and name: those of its image, the misfit of
+    its points, and the share of its pairs that found common points."""
     appearances: dict[str, dict[str, float]] = {}
     for camera in record.cameras:
         if camera.ok:
             values = {field.name: getattr(camera.figures, field.name) for field in fields(FrameSummary)}
+            values["misfit"] = camera.figures.misfit
             appearances[camera.id] = {name: float(value) for name, value in values.items() if isinstance(value, int | float)}
     matched: dict[str, list[bool]] = {}
     for pair in record.pairs:

@@ -201,8 +201,8 @@ FINDINGS: Mapping[str, FindingType] = {
             "check focus, glass, mount, exposure time, gain and JPEG quality; or lower `resolution`",
             "pictures are too poor to be measured in: {cameras}; worst values: smallest details {detail_px:.1f} px, edge blur "
             "{blur_px:.1f} px, JPEG blockiness {coarseness:.1f}, noise {noise_left:.0f} grey levels, {saturated:.0%} pure white, "
-            "contrast {contrast:.0f} grey levels, matches {off_px:.1f} px from their epipolar lines; errors of points may be "
-            "larger than their sigma_mm",
+            "contrast {contrast:.0f} grey levels, matches {off_px:.1f} px from their epipolar lines{fit}; errors of points may "
+            "be larger than their sigma_mm",
         ),
         FindingType(
             "calibration-changed",

@@ -472,6 +472,18 @@ def test_pictures_distorted_by_hot_air_are_soft(epipolar_px: float, misfit: floa
     assert all(f"matches {epipolar_px:.1f} px from their epipolar lines" in finding.text for finding in found)
 
 
+@pytest.mark.parametrize(("misfit", "cameras", "degraded"), [(0.7, 4, False), (0.9, 4, False), (1.5, 1, False), (1.5, 4, True)])
+def test_points_that_fit_much_worse_than_on_usual_nights_degrade_the_night(misfit: float, cameras: int, degraded: bool) -> None:
+    before = night("2026-11-19", [replace(camera(name), figures=CameraFigures(misfit=0.7)) for name in NAMES])
+    tonight = [
+        replace(camera(name), figures=CameraFigures(misfit=misfit if k < cameras else 0.7)) for k, name in enumerate(NAMES)
+    ]
+    found = verdict_of(night(cameras=tonight, past=[before])).findings
+    assert [finding.kind for finding in found] == (["pictures-soft"] if degraded else [])
+    assert all("points 1.5 times as far off as expected (usually 0.7)" in finding.text for finding in found)
+    assert verdict_of(night(cameras=tonight)).good, "a first night"
+
+
 @pytest.mark.parametrize(("saturated", "blinded", "degraded"), [(0.45, 4, False), (0.6, 1, False), (0.6, 4, True)])
 def test_mostly_white_pictures_of_several_cameras_degrade_the_night(saturated: float, blinded: int, degraded: bool) -> None:
     cameras = [camera(name) for name in NAMES]
