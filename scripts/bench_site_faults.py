@@ -914,6 +914,9 @@ VARIATIONS = (
     _fault("second night: frames shifted by 6 px", pictures(shifted(6, 0)), "camera-shifted", night=2),
     _fault("second night: captures of two exchanged", exchanged_captures(two_exchanged), "captures-exchanged", night=2),
     _fault("second night: all blurred by 2 px", pictures(blurred(2.0)), "pictures-soft", night=2),
+    _fault("second night: hot air, 1 px", pictures(shimmering(1.0)), "pictures-soft", night=2),
+    _fault("second night: webs on all pictures", pictures(webbed), "camera-obscured", "pictures-soft", night=2),
+    _fault("second night: nets before all cameras", obstructed(netted), "camera-obscured", "pictures-soft", night=2),
     # added last; limits for tilted cameras, focal lengths, distortion and fog were fitted on another yard and a quarry
     _fault("all tilted by .5 degrees", turn((0.5, 0, 0)), "no-cause", "principal-points"),
     _fault("focal +1.5 %", focal(1.015), *FOCAL),
@@ -1014,6 +1017,8 @@ VARIATIONS = (
     _harmless("second night: grey", pictures(grey), night=2),
     _harmless("second night: darker", pictures(levels(0.6)), night=2),
     _harmless("second night: fog", pictures(foggy), night=2),
+    _harmless("second night: noise of 4 levels", pictures(noisy(4)), night=2),
+    _harmless("second night: JPEG quality 50", pictures(lambda p: p, quality=50), night=2),
     # sites where a pose is stated for some cameras only
     _harmless("first pose withheld", without_poses((0,)), MIXED),
     _harmless("second pose withheld", without_poses((1,)), MIXED),
