@@ -364,9 +364,9 @@ def check_pictures(record: RunRecord, facts: Facts) -> Iterator[Finding]:
         worst["off_px"] = max(_off_px(camera, record) for camera in soft)
         worst["contrast"] = min(_figure(camera, "contrast") for camera in soft)
         names = tuple(camera.id for camera in soft)
-        fit = f", points {worst['misfit']:.1f} times as far off as expected" if worst["misfit"] else ""
         usual = max(_usual_misfit(camera, record) for camera in soft)
-        fit += f" (usually {usual:.1f})" if usual else ""
+        compared = f" (usually {usual:.1f})" if usual else ""
+        fit = f", points {worst['misfit']:.1f} times as far off as expected{compared}" if worst["misfit"] else ""
         yield finding("pictures-soft", names, worst, None, None, cameras=_names(names), fit=fit, **worst)
 
 

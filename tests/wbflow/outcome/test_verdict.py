@@ -482,6 +482,8 @@ def test_points_that_fit_much_worse_than_on_usual_nights_degrade_the_night(misfi
     assert [finding.kind for finding in found] == (["pictures-soft"] if degraded else [])
     assert all("points 1.5 times as far off as expected (usually 0.7)" in finding.text for finding in found)
     assert verdict_of(night(cameras=tonight)).good, "a first night"
+    blurred = only(night(cameras=[camera(name, blur_px=4.0) for name in NAMES], past=[before]))
+    assert "usually" not in blurred.text, "points of tonight are unknown"
 
 
 @pytest.mark.parametrize(("saturated", "blinded", "degraded"), [(0.45, 4, False), (0.6, 1, False), (0.6, 4, True)])
