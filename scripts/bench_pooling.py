@@ -29,7 +29,7 @@ from wbflow_stages.features import detect
 from wbflow_stages.frames import clean_frame
 from wbflow_stages.geometry import estimate_geometry
 from wbflow_stages.matches import match
-from wbflow_stages.pooled import pool_matches
+from wbflow_stages.other_nights import pool_matches
 from wbflow_stages.types import Camera, Capture, Float32s, Float64s, Frame, Geometry, Matches, Rejected
 
 _STEP_PX = 4

@@ -2,7 +2,7 @@
 
 To solve poses, rotations of all pairs are compared and contradictory pairs dropped; the others grow into models view by view,
 with bundle adjustment; each model is placed in the world by whatever is known of it.  A known pose is evidence with a standard
-deviation: it is kept, or adjusted within that, or within usual survey errors if none is stated.  A pose is wrong only if
+deviation: it is kept, or adjusted within that, or within typical survey errors if none is stated.  A pose is wrong only if
 several partners agree on another one (`orientation.moved_cameras`): a finding then names the camera and its apparent
 displacement, and it is solved like an unknown one.  If only one pair contradicts a pose, it stays in use, unverified.
 """
@@ -32,7 +32,7 @@ from .orientation.pose_check import (
 )
 from .orientation.pose_prior_adjustment import AdjustedPoses, adjust_within_priors
 from .orientation.survey_check import check_survey
-from .orientation.usual_errors import correct_usual_errors
+from .orientation.typical_errors import correct_typical_errors
 from .reasons import Reason, Rejected
 from .rectification.predicted import predict
 from .sfm.rigs import posed_by_sibling
@@ -76,7 +76,7 @@ def solve_poses(
     ----------
     views : the pinhole of each camera's frame, at working resolution.
     placements : R and C as the site states them, if it does.  If none has standard deviations, they are kept if the matches
-        fit them, and otherwise adjusted within usual survey errors.
+        fit them, and otherwise adjusted within typical survey errors.
     geometries : two-view geometries of the pairs.  If all poses and intrinsics are stated, they check these.
     survey : known distances and control points.
     frames_if_rough : the frames, used if keypoints determine poses no better than their stated standard deviations.
@@ -149,7 +149,7 @@ def _compared_with_images(
     known = {name: camera for name, camera in stated.items() if sigmas[name].exact or sigmas[name].degrees > 0}
     pairs = {pair: geometry for pair, geometry in geometries.items() if set(pair) <= set(known)}
     are_exact = all(sigmas[name].exact for name in known)
-    corrected, calibration = correct_usual_errors(known, geometries) if are_exact else (known, None)
+    corrected, calibration = correct_typical_errors(known, geometries) if are_exact else (known, None)
     adjusted = adjust_within_priors(corrected, sigmas, pairs)
     if frames and _uncertain_px(adjusted, pairs):
         from .orientation.ground_adjustment import adjust_to_ground  # imported here: other nights need none of its kernels
@@ -177,7 +177,7 @@ def stated_calibration(
     geometries : of all pairs.
     """
     check = check_calibration({**known, **unmoved}, geometries)
-    if len(unmoved) < len(known) and check is not None and check.contradicted and check.cause in ("", "turned", "moved", "poses"):
+    if len(unmoved) < len(known) and check is not None and check.contradicted and check.cause in ("", "turned", "moved"):
         return check_calibration(unmoved, geometries)
     return check
 

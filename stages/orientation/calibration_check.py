@@ -223,7 +223,11 @@ def check_rows(cameras: Mapping[str, Camera], rows: Mapping[Pair, RowMatches]) -
     misfit, count = loss / max(best.loss, 1e-9), sum(len(m.x1) for m in evidence)
     is_confirmed = len(sufficient) >= len(cameras) == len(graph := nx.Graph(list(sufficient))) and nx.is_connected(graph)
     check = CalibrationCheck(count, len(evidence), is_confirmed, misfit, sigmas=sqrt(gain))
-    return _with_cause(check, best, stated, evidence) if gain >= LEAST_GAIN and _exceeds_usual(best, stated, evidence) else check
+    return (
+        _with_cause(check, best, stated, evidence)
+        if gain >= LEAST_GAIN and _exceeds_typical_errors(best, stated, evidence)
+        else check
+    )
 
 
 def _is_seen_by_two_pairs(explanation: _Explanation, stated: _World, evidence: list[_Matches]) -> bool:
@@ -233,7 +237,7 @@ def _is_seen_by_two_pairs(explanation: _Explanation, stated: _World, evidence: l
     return not explanation.cause.cameras or sorted([0.0, *gains])[-2] >= LEAST_GAIN_OF_SECOND
 
 
-def _exceeds_usual(best: _Explanation, stated: _World, evidence: list[_Matches]) -> bool:
+def _exceeds_typical_errors(best: _Explanation, stated: _World, evidence: list[_Matches]) -> bool:
     """Does a cause exceed the errors that surveys and lenses always have?"""
     name = best.cause.name
     if name == CORNER:

@@ -66,7 +66,7 @@ class CalibrationCheck(Record):
     cause: str = ""
     """The likeliest cause, "" for none.  About all cameras: "focal-lengths", "pixel-shape", "pixel-height", "distortion",
     "distortion-factor", "focal-lengths-and-distortion", "principal-points", "principal-points-corner", "headings", "rolls",
-    "captures-exchanged", "poses", a name of `CONVENTIONS` or of `STRETCHED`; about one: "focal-length", "distortion-of-one",
+    "captures-exchanged", a name of `CONVENTIONS` or of `STRETCHED`; about one: "focal-length", "distortion-of-one",
     "turned", "moved", "mirrored-frames", "upside-down"; about two: a name of `EXCHANGED`."""
     cameras: tuple[str, ...] = ()
     """Ids of the cameras that the cause is about; () for all."""

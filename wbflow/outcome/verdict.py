@@ -459,7 +459,7 @@ _ALL_CAMERAS = {
 
 def _explanation(check: CalibrationCheck) -> str:
     misfit = f"they lie {math.sqrt(check.misfit):.1f} times as far from their epipolar lines as noise explains"
-    if check.cause not in _CAUSES:  # none, or one from an older version, kept with the reference
+    if not check.cause:
         return f"{misfit}; neither the lenses nor a single camera explain that"
     amount = check.amount or (0.0,)
     size, scale = math.hypot(*amount), math.expm1(amount[0])

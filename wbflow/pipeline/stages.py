@@ -198,10 +198,11 @@ _PAIR_KEYS = ("pairs.degree", "pairs.min_angle", "pairs.max_angle", "pairs.inclu
 _ALWAYS_REUSED = Reuse(shifted="reuse", moved="reuse")
 """For results that do not depend on the orientation of single cameras."""
 _TURNED_GEOMETRY = Adapt(
-    "wbflow_stages.held:turn_geometry", {"pinned": reference("geometry"), "left": left("health"), "right": right("health")}
+    "wbflow_stages.reference_reuse:turn_geometry",
+    {"pinned": reference("geometry"), "left": left("health"), "right": right("health")},
 )
 _HELD_POSES = Adapt(
-    "wbflow_stages.held:hold_poses",
+    "wbflow_stages.reference_reuse:hold_poses",
     {
         "pinned": reference("poses"),
         "healths": every("health"),
@@ -290,7 +291,7 @@ STAGES: tuple[Stage, ...] = (
         reuse=Reuse(
             shifted="reuse",
             moved="recompute",
-            aggregate="wbflow_stages.pooled:pool_matches",
+            aggregate="wbflow_stages.other_nights:pool_matches",
             too_little=("too-few-matches", "too-few-inliers", "clustered"),
         ),
         summary=summaries.MatchesSummary,
@@ -409,7 +410,7 @@ STAGES: tuple[Stage, ...] = (
             "disparities": around("disparity"),
         },
         offers={"frame": own("frames"), "frames": around("frames")},
-        reuse=Reuse(aggregate="wbflow_stages.pooled:pool_depths"),
+        reuse=Reuse(aggregate="wbflow_stages.other_nights:pool_depths"),
         summary=summaries.DepthSummary,
     ),
     Stage(
@@ -427,7 +428,7 @@ STAGES: tuple[Stage, ...] = (
             "reference_depth": reference("refine"),
         },
         optional=True,
-        reuse=Reuse(aggregate="wbflow_stages.pooled:pool_depths"),
+        reuse=Reuse(aggregate="wbflow_stages.other_nights:pool_depths"),
         products=Products({"picture": "wbflow_stages.exports.previews:depth_preview"}),
     ),
     Stage(

@@ -645,11 +645,6 @@ def test_rows_of_pairs_that_connect_all_cameras_outweigh_contradicting_keypoints
         assert (judge(replace(night(), poses=poses), Facts()).exit_code == ExitCode.GOOD) == good
 
 
-def test_a_cause_that_only_an_older_version_used_is_still_accepted() -> None:
-    check = CalibrationCheck(164, 5, True, 5.0, True, cause="poses")
-    assert only(judge(replace(night(), poses=PosesSummary(calibration=check)), Facts())).kind == "calibration-contradicted"
-
-
 def test_a_calibration_that_could_not_be_checked_is_unverified_but_no_finding() -> None:
     world = PosesSummary(source="calibration")
     assert world.unverified and judge(replace(night(), poses=world), Facts()).exit_code == ExitCode.GOOD

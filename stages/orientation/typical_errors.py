@@ -18,8 +18,8 @@ from .calibration_check import check_calibration, misfit_without_cause
 from .pose_check import PoseConstraints, Sigma
 from .pose_prior_adjustment import adjust_within_priors
 
-USUAL_DEG, USUAL_SHARE = 0.03, 5e-4
-"""Standard deviations of usual surveys: of rotations, degrees, and of positions, as a share of the distance to the scene."""
+TYPICAL_DEG, TYPICAL_SHARE = 0.03, 5e-4
+"""Standard deviations of typical surveys: of rotations, degrees, and of positions, as a share of the distance to the scene."""
 LEAST_GAIN, LEAST_WEIGHT = 0.1, 100.0
 """Smallest reduction of the misfit by corrected poses, and smallest product of this reduction and the number of matches."""
 MOST_MISFIT = 1.05
@@ -32,10 +32,10 @@ _POSES = ("", "turned", "moved")
 """Causes of a contradiction that concern only poses; "" is no cause."""
 
 
-def correct_usual_errors(
+def correct_typical_errors(
     cameras: Mapping[str, Camera], geometries: Mapping[Pair, Geometry]
 ) -> tuple[dict[str, Camera], CalibrationCheck | None]:
-    """Cameras corrected within the usual errors, or the stated ones, and the check of the calibration for them.
+    """Cameras corrected within the typical errors, or the stated ones, and the check of the calibration for them.
 
     Parameters
     ----------
@@ -46,7 +46,7 @@ def correct_usual_errors(
     if check is None or not check.confirmed or check.misfit < 1 + LEAST_GAIN or check.cause not in _POSES:
         return stated, check
     pairs = PoseConstraints.of(tuple(cameras), geometries).pairs
-    corrected = adjust_within_priors(cameras, _usual_sigmas(cameras, pairs), pairs).cameras
+    corrected = adjust_within_priors(cameras, _typical_sigmas(cameras, pairs), pairs).cameras
     corrected_check = check_calibration(corrected, geometries)
     if corrected_check is None or corrected_check.misfit > MOST_MISFIT:
         return stated, check
@@ -57,8 +57,8 @@ def correct_usual_errors(
     return (corrected, corrected_check) if shared_gain < MOST_SHARED * gain else (stated, check)
 
 
-def _usual_sigmas(cameras: Mapping[str, Camera], geometries: Mapping[Pair, Geometry]) -> dict[str, Sigma]:
-    """The usual errors of cameras that have matches, from the median distance to their points."""
+def _typical_sigmas(cameras: Mapping[str, Camera], geometries: Mapping[Pair, Geometry]) -> dict[str, Sigma]:
+    """The typical errors of cameras that have matches, from the median distance to their points."""
     camera_depths: dict[str, list[float]] = {}
     for pair, geometry in geometries.items():
         left, right = (cameras[name] for name in pair)
@@ -67,4 +67,6 @@ def _usual_sigmas(cameras: Mapping[str, Camera], geometries: Mapping[Pair, Geome
             (pair[1], triangulate_depth(right, left, geometry.x2, geometry.x1)[0]),
         ):
             camera_depths.setdefault(name, []).extend(depth[depth > 0])
-    return {name: Sigma(USUAL_SHARE * float(np.median(depths)), USUAL_DEG) for name, depths in camera_depths.items() if depths}
+    return {
+        name: Sigma(TYPICAL_SHARE * float(np.median(depths)), TYPICAL_DEG) for name, depths in camera_depths.items() if depths
+    }

@@ -10,7 +10,7 @@ from tests.helpers.exact_pairs import PairSite, make_pair_site, pair_geometry
 from wbflow_stages.core.cameras import project
 from wbflow_stages.core.epipolar import symmetric_epipolar_distance
 from wbflow_stages.core.rotations import angle_between_deg, rotation_matrix
-from wbflow_stages.held import hold_poses, turn_geometry
+from wbflow_stages.reference_reuse import hold_poses, turn_geometry
 from wbflow_stages.types import CalibrationCheck, Camera, CameraHealth, Geometry, Poses
 
 OK = CameraHealth("ok", "where it was")
