@@ -14,8 +14,8 @@ from functools import cached_property
 import numpy as np
 from scipy.optimize import minimize
 
-from wbflow_stages.twoview.ambiguity import Ambiguity
 from wbflow_stages.twoview.pair_score import PairEvidence, pair_score, terms
+from wbflow_stages.twoview.rival_pose import RivalPose
 from wbflow_stages.types import Bools, Camera, Float64s, Geometry
 
 
@@ -70,7 +70,7 @@ class LabelledPair:
     @cached_property
     def evidence(self) -> PairEvidence:
         g = self.geometry
-        rival = Ambiguity(g.rival_inliers, g.rival_elsewhere, g.rival_turned_deg) if np.isfinite(g.rival_turned_deg) else None
+        rival = RivalPose(g.rival_inliers, g.rival_elsewhere, g.rival_turned_deg) if np.isfinite(g.rival_turned_deg) else None
         return PairEvidence(
             g.inliers, g.distinct_cells, g.distinct_share, g.agreement, g.half_rotation_deg, g.stretch, g.angle_deg, rival
         )

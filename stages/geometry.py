@@ -13,15 +13,8 @@ from .matching.structural import match_guided
 from .reasons import Reason, Rejected
 from .twoview.image_grid import GRID_COLUMNS, GRID_ROWS
 from .twoview.intrinsics_prior import MOST_IMPLAUSIBLE, TwoCameras, refine_with_plausible_intrinsics
-from .twoview.pair_score import (
-    PairEvidence,
-    informs_about_site,
-    pair_evidence,
-    pair_score,
-    point_evidence,
-    probability,
-    ray_angle_deg,
-)
+from .twoview.pair_evidence import pair_evidence, point_evidence, ray_angle_deg
+from .twoview.pair_score import PairEvidence, informs_about_site, pair_score, probability
 from .twoview.pooled_pair import matches_of_night, pooled_evidence, with_night
 from .twoview.refinement import noise_px, refine_two_view
 from .twoview.robust import (

@@ -3,7 +3,7 @@
 Loops expose look-alikes that a pair's own evidence (`twoview.pair_score`) does not, and confirm pairs that it leaves undecided.
 
 If a scene looks the same from other sides, or along a row, wrong pairs may close all loops.  The ambiguity of pairs
-(`twoview.ambiguity`) shows this, by the angle between the rotations of the rival and of the accepted pose: part of a full turn
+(`twoview.rival_search`) shows this, by the angle between the rotations of the rival and of the accepted pose: part of a full turn
 if the scene looks the same from another side, none for another step along a row.  One pair may be ambiguous by chance, and few
 pairs of a repetitive scene see its repetition, so all pairs of the site decide together.  Three pairs that are as distinctive as
 right ones, yet contradict each other by part of a full turn, are proof on their own."""
@@ -19,8 +19,8 @@ import numpy as np
 
 from ..core.rotations import angle_between_deg
 from ..reasons import Reason, Rejected
-from ..twoview.ambiguity import SAME_ROTATION_DEG, TURNED_DEG, TURNED_RIVAL_SHARE
 from ..twoview.pair_score import DISTINCT_CELLS, probability
+from ..twoview.rival_pose import SAME_ROTATION_DEG, TURNED_DEG, TURNED_RIVAL_SHARE
 from ..types import Bools, Float64s, Geometry, Int64s, Pair
 from .rotation_averaging import View, rotations_along_tree
 

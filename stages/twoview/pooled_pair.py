@@ -18,7 +18,8 @@ from ..matching.candidates import searched_view_pairs, view_pairs
 from ..matching.matcher import keypoint_matches
 from ..matching.structural import match_guided
 from ..types import Features, Float64s, Int32s, Matches
-from .pair_score import PairEvidence, pair_evidence
+from .pair_evidence import pair_evidence
+from .pair_score import PairEvidence
 from .robust import TwoView, supporters
 
 NEAR_PX = 2.0

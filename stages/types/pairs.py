@@ -81,7 +81,7 @@ class Geometry(Record):
     stretch: float = 0.0
     """Median log ratio of the axes of the local affine maps."""
     rival_inliers: int = 0
-    """Number of matches that agree with the best rival pose (see `twoview.ambiguity`)."""
+    """Number of matches that agree with the best rival pose (see `twoview.rival_search`)."""
     rival_elsewhere: int = 0
     """Number of the rival's matches off the epipolar lines, or with another step along a row."""
     rival_turned_deg: float = float("nan")

@@ -9,8 +9,9 @@ from tests.stages.twoview.test_pair_score import GOOD, VIEW, K, solid_pair
 from wbflow_stages.geometry import estimate_geometry
 from wbflow_stages.matches import match
 from wbflow_stages.matching.candidates import view_pairs
-from wbflow_stages.twoview.ambiguity import Ambiguity, find_ambiguity
 from wbflow_stages.twoview.pair_score import pair_score
+from wbflow_stages.twoview.rival_pose import RivalPose
+from wbflow_stages.twoview.rival_search import find_rival
 from wbflow_stages.twoview.robust import TwoView
 from wbflow_stages.types import Features, Geometry, Matches
 
@@ -60,7 +61,7 @@ def test_the_next_house_of_a_row_is_a_rival_although_it_fits_the_epipolar_lines(
     same = np.arange(320, dtype=np.int32)
     F = np.linalg.inv(K).T @ np.array([[0, 0, 0], [0, 0, 3.0], [0, -3.0, 0]]) @ np.linalg.inv(K)
     accepted = TwoView(F / np.linalg.norm(F), np.ones(320, bool), np.eye(3), np.array([-1.0, 0, 0]))
-    rival = find_ambiguity(left, right, view_pairs(left, right, tilted=False), same, same, accepted)
+    rival = find_rival(left, right, view_pairs(left, right, tilted=False), same, same, accepted)
     assert rival.inliers > 0.25 * len(same) and rival.turned_deg < 1
     assert rival.ambiguous(len(same))
 
@@ -90,7 +91,7 @@ def test_a_duplicated_thing_is_a_rival_only_if_it_is_large(size_m: float, rivals
     same = np.arange(360, dtype=np.int32)
     F = np.linalg.inv(K).T @ np.array([[0, 0, 0], [0, 0, 3.0], [0, -3.0, 0]]) @ np.linalg.inv(K)
     accepted = TwoView(F / np.linalg.norm(F), np.ones(360, bool), np.eye(3), np.array([-1.0, 0, 0]))
-    rival = find_ambiguity(left, right, view_pairs(left, right, tilted=False), same, same, accepted)
+    rival = find_rival(left, right, view_pairs(left, right, tilted=False), same, same, accepted)
     assert rival.ambiguous(len(same)) == rivals
     assert (rival.inliers > 60) == rivals
 
@@ -113,13 +114,13 @@ def test_a_repeated_scene_has_a_rival_and_a_unique_one_has_none() -> None:
     ("elsewhere", "turned_deg", "ambiguous"), [(0, 0.0, False), (90, 0.0, True), (40, 2.0, False), (40, 90.0, True)]
 )
 def test_a_rival_with_much_support_makes_a_pair_ambiguous(elsewhere: int, turned_deg: float, ambiguous: bool) -> None:
-    rival = Ambiguity(elsewhere, elsewhere, turned_deg)
+    rival = RivalPose(elsewhere, elsewhere, turned_deg)
     assert rival.ambiguous(GOOD.inliers) == ambiguous
     score = pair_score(replace(GOOD, angle_deg=20.0, rival=rival))
     assert score == 0 if ambiguous else score > 1
 
 
 def test_more_rival_support_or_less_angle_lowers_the_score() -> None:
-    good = replace(GOOD, angle_deg=20.0, rival=Ambiguity())
-    for worse in (replace(good, rival=Ambiguity(inliers=60)), replace(good, angle_deg=2.0)):
+    good = replace(GOOD, angle_deg=20.0, rival=RivalPose())
+    for worse in (replace(good, rival=RivalPose(inliers=60)), replace(good, angle_deg=2.0)):
         assert pair_score(worse) < pair_score(good)
