@@ -72,7 +72,7 @@ def find_changes(
     zones: list[dict[str, Any]] | None = None,
     sigmas: float = 3.0,
     registration_m: float = 0.0,
-    alike: float = 0.6,
+    similar: float = 0.6,
     least_area_m2: float | None = None,
     cell_m: float | None = None,
 ) -> Changes:
@@ -88,7 +88,7 @@ def find_changes(
         ground) and least_m (smallest length or height of a change that counts, metres).
     sigmas : a surface has changed if its distance exceeds this many standard deviations.
     registration_m : standard deviation in metres between tonight's world and the reference's; nearly 0 for fixed cameras.
-    alike : places where the photographs of both nights correlate better than this have not changed, 0 to 1.
+    similar : places where the photographs of both nights correlate better than this have not changed, 0 to 1.
     least_area_m2 : surface area of the smallest reported change, square metres; None: the area that about 300 points of the
         cloud cover.
     cell_m : edge of the ground's cells in metres; None: twice the point spacing, rounded up to 1, 2 or 5 times a power of ten.
@@ -109,14 +109,14 @@ def find_changes(
     noise = noise_of(measured_new, measured_old)
 
     def side(measured: Evidence, own: Epoch, other: Epoch) -> _Side:
-        evidence = mark_changed(measured, own, other, spacing, noise=noise, sigmas=sigmas, alike=alike)
+        evidence = mark_changed(measured, own, other, spacing, noise=noise, sigmas=sigmas, similar=similar)
         return _Side(own, evidence, own.cloud.colors[evidence.rows], points_over_ground(grid, own.points))
 
     new, old = side(measured_new, tonight, pinned), side(measured_old, pinned, tonight)
     least = _LEAST_AREA * spacing**2 if least_area_m2 is None else least_area_m2
     clusters: list[ChangeCluster] = []
     for own, other in ((new, old), (old, new)):
-        limits = {"spacing": spacing, "least_area": least, "alike": alike}
+        limits = {"spacing": spacing, "least_area": least, "similar": similar}
         clusters += find_clusters(own.evidence, own.colors, grid, other.ground, vanished=own is old, **limits)
     pairs = sorted(paired([c for c in clusters if c.confirmed]), key=lambda pair: -pair[0].change.volume)
     tops = [_surface_heights(grid, night.ground) for night in (new, old)]

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from .fusion.pair_depth import NoiseModel, apart_px, fuse_pairs, pair_depth
+from .fusion.pair_depth import NoiseModel, fuse_pairs, offset_px, pair_depth
 from .reasons import Reason, Rejected
 from .rectification.warping import Side
 from .types import MOST_PARTNERS, Camera, DepthMap, Disparity, Float32s, Pair, Rectification
@@ -50,6 +50,6 @@ def view_depth(
         partners, (depths, gains) = list(estimates), ([estimate[k] for estimate in estimates.values()] for k in (0, 1))
         fused = fuse_pairs(camera, depths, gains, partners, noise)
         if np.isfinite(fused.depth).any():
-            differences = {f"{partners[a]}--{partners[b]}": px for (a, b), px in apart_px(depths, gains, noise).items()}
-            return replace(fused, left_out=tuple(left_out), apart_px=differences)
+            differences = {f"{partners[a]}--{partners[b]}": px for (a, b), px in offset_px(depths, gains, noise).items()}
+            return replace(fused, left_out=tuple(left_out), offset_px=differences)
     return Rejected(Reason.NO_PAIR_DEPTH, {"pairs": len(disparities)})

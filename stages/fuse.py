@@ -3,7 +3,7 @@
 Three steps, with few views in memory at a time: views are subsampled (`fusion.planning`) to choose the views to compare,
 exposure gains and the voxel size; each depth is compared with those of other views (`fusion.visibility`) and gets a
 probability (`fusion.posterior`); probable points are merged on a grid (`fusion.voxels`).  No threshold is a length: all follow
-from a pixel's footprint and the propagated error of depth, so a desk and a quarry are treated alike.
+from a pixel's footprint and the propagated error of depth, so a desk and a quarry are treated the same.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ def fuse(
     min_consistent_pairs: int = 1,
     voxel_m: float | None = None,
     confidence: float = 0.6,
-    right: float = 0.95,
+    correct_share: float = 0.95,
     check_views: int = 16,
 ) -> Cloud | Rejected:
     """Fuse the depths of all views into one cloud.
@@ -58,9 +58,9 @@ def fuse(
         trades completeness for accuracy.
     voxel_m : edge of the voxels in which points are merged, in metres; None: the footprint of a pixel.
     confidence : smallest probability that a point is right; higher values trade completeness for accuracy.
-    right : share of the points that is expected to be right, by their probabilities: the least probable are left out until it
-        is reached, but never more than half.  The true share is 0.91 to 1 on twelve scenes and two sets of photographs as they
-        are, and 0.86 to 0.94 behind webs and railings.
+    correct_share : share of the points that is expected to be right, by their probabilities: the least probable are left out
+        until it is reached, but never more than half.  The true share is 0.91 to 1 on twelve scenes and two sets of photographs
+        as they are, and 0.86 to 0.94 behind webs and railings.
     check_views : number of other views that each view is compared with: those that share most with it.
     """
     preferred, frames = refined or {}, undistorted_frames(frames, cameras)
@@ -99,7 +99,7 @@ def fuse(
     del grid
     if not parts:
         return Rejected(Reason.NO_SUPPORTED_POINT, {"cameras": len(cameras), "min_consistent_pairs": min_consistent_pairs})
-    return _join(parts, sample_counts, misfits, right)
+    return _join(parts, sample_counts, misfits, correct_share)
 
 
 def _loader(
@@ -125,10 +125,16 @@ def _loader(
 
 
 def _samples(
-    frame: Frame, camera: Camera, depth: DepthMap, check: CrossCheck, other_centres: Float64s, gains: Float64s, right: Float32s
+    frame: Frame,
+    camera: Camera,
+    depth: DepthMap,
+    check: CrossCheck,
+    other_centres: Float64s,
+    gains: Float64s,
+    probability: Float32s,
 ) -> Samples:
-    """The points of one view.  right: (h, w) probability that its depths are right, 0 where they are not used."""
-    y, x = np.nonzero(right)
+    """The points of one view.  probability: (h, w) probability that its depths are right, 0 where they are not used."""
+    y, x = np.nonzero(probability)
     z, sigma = depth.depth[y, x].astype(np.float64), depth.sigma[y, x].astype(np.float64)
     points, normals = backproject(camera, np.column_stack([x, y]).astype(np.float64), z), world_normals(camera, depth, y, x)
     variance = depth_variance(depth, check, y, x)
@@ -137,20 +143,21 @@ def _samples(
         normals.astype(np.float32),
         (frame.image[y, x] * gains).clip(0, 255).astype(np.float32),
         (1.0 / sigma**2).astype(np.float32),
-        right[y, x],
+        probability[y, x],
         check.cameras[y, x].astype(np.float32),
         (z / camera.K[0, 0]).astype(np.float32),
         along_nearest_rays(variance, camera, other_centres, check.nearest[y, x], points, normals).astype(np.float32),
     )
 
 
-def _join(parts: Sequence[Cloud], sample_counts: dict[str, int], misfits: dict[str, float], right: float) -> Cloud:
-    """The most probable points of a cloud given in parts; sample_counts (`given`), misfits: see `Cloud`; right: see `fuse`."""
-    names = [field.name for field in fields(Cloud) if field.name not in ("given", "misfits", "right")]
+def _join(parts: Sequence[Cloud], sample_counts: dict[str, int], misfits: dict[str, float], correct_share: float) -> Cloud:
+    """The most probable points of a cloud given in parts; sample_counts, misfits: see `Cloud`; correct_share: see `fuse`."""
+    names = [field.name for field in fields(Cloud) if field.name not in ("sample_counts", "misfits", "correct_share")]
     arrays: dict[str, Any] = {name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
-    rows = most_probable(arrays["confidence"], right)
+    rows = most_probable(arrays["confidence"], correct_share)
     expected = round(float(arrays["confidence"][rows].mean(dtype=np.float64)), 4)
-    return Cloud(**{name: values[rows] for name, values in arrays.items()}, given=sample_counts, misfits=misfits, right=expected)
+    kept = {name: values[rows] for name, values in arrays.items()}
+    return Cloud(**kept, sample_counts=sample_counts, misfits=misfits, correct_share=expected)
 
 
 def _cloud(merged: Samples) -> Cloud:

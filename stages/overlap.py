@@ -7,7 +7,7 @@ than twice as many of the strongest, since large structures survive a change of 
 between views on two photographed sites: 0.98 and 0.91 against 0.91 and 0.89).  Only mutual and distinctive resemblances count,
 since some descriptors always resemble each other.  What is large in the picture of a long lens is small in that of a short
 lens: if fields of view are unequal, the largest keypoints are chosen among those whose angular size both views can show, and
-the wider view gets more in proportion to its field.  Of many views, only those that look most alike as whole pictures are
+the wider view gets more in proportion to its field.  Of many views, only those that look most similar as whole pictures are
 compared (`matching.appearance`).
 """
 
@@ -20,7 +20,7 @@ from itertools import combinations
 import numpy as np
 
 from .core.cameras import camera_id, field_ratio
-from .matching.appearance import most_alike
+from .matching.appearance import most_similar
 from .twoview.shared_ground import shared_ground
 from .types import Bools, Camera, Features, Float32s, Float64s, Int32s, Int64s, Overlap, Placement, View
 
@@ -80,12 +80,12 @@ def _of_two_cameras(views: Mapping[str, View], pairs: Int64s) -> Bools:
 
 
 def _pairs_to_compare(descriptors: Mapping[int, Float32s], posed: Mapping[int, Camera], candidates: int) -> Int64s:
-    """(m, 2) positions of the views to compare by appearance: pairs without both poses, among many views the most alike."""
+    """(m, 2) positions of the views to compare by appearance: pairs without both poses, among many views the most similar."""
     if len(descriptors) <= _MOST_FOR_ALL_PAIRS:
         pairs: Sequence[tuple[int, int]] = list(combinations(descriptors, 2))
     else:
         positions = list(descriptors)
-        pairs = [(positions[i], positions[j]) for i, j in most_alike([descriptors[i] for i in positions], candidates)]
+        pairs = [(positions[i], positions[j]) for i, j in most_similar([descriptors[i] for i in positions], candidates)]
     return np.array([(i, j) for i, j in pairs if not (i in posed and j in posed)], np.int64).reshape(-1, 2)
 
 

@@ -25,9 +25,9 @@ from .core.cameras import backproject, project, ray_angles, scaled_intrinsics, t
 from .core.luminance import luminance
 from .core.residual_distortion import undistorted_frame, undistorted_frames
 from .fusion.pair_depth import NoiseModel
-from .mvs.carried import carried_planes, with_carried
 from .mvs.plane_prior import PlanePriors, apply_plane_priors
 from .mvs.propagation import Propagation
+from .mvs.transferred import transferred_planes, with_transferred
 from .reasons import Reason, Rejected
 from .stereo.plane_filter import smoothed
 from .types import MOST_PARTNERS, Bools, Camera, DepthMap, Float32s, Float64s, Frame, Int32s, Uint8s
@@ -92,13 +92,13 @@ def refine(
         return Rejected(Reason.NO_USEFUL_ANGLE, {"views": len(frames)})
     if not _is_unmoved(camera, reference_camera, depth, reference_depth):
         reference_depth = None
-    carried = carried_planes(camera, others, depths or {})
+    transferred = transferred_planes(camera, others, depths or {})
     views = {name: _reduced(frames[name].image, others[name], _fineness(camera, others[name], surface, z)) for name in names}
-    return _refined(frame, camera, depth, reference_depth, carried, views, radius, sweeps, max_cost, noise_px)
+    return _refined(frame, camera, depth, reference_depth, transferred, views, radius, sweeps, max_cost, noise_px)
 
 
 def _refined(
-    frame: Frame, camera: Camera, depth: DepthMap, reference: DepthMap | None, carried: Float32s,
+    frame: Frame, camera: Camera, depth: DepthMap, reference: DepthMap | None, transferred: Float32s,
     views: Mapping[str, tuple[Uint8s, Camera]], radius: int, sweeps: int, max_cost: float, noise_px: float,
 ) -> DepthMap:  # fmt: skip
     """Depth from all of these views at once, started from tonight's depth, else the reference's, else other views'."""
@@ -110,7 +110,7 @@ def _refined(
     planes = _planes_of(depth)
     if reference is not None:
         planes = np.where(np.isfinite(planes[0]), planes, _planes_of(reference))
-    planes = with_carried(planes, carried, propagation, max_cost)
+    planes = with_transferred(planes, transferred, propagation, max_cost)
     nearest, farthest = np.percentile(planes[0][np.isfinite(planes[0])], [99.8, 0.2])
     cost = propagation.improve(planes, sweeps, ring_px, 0.9 * farthest, 1.1 * nearest, nearly_right=reference is not None)
     scale = _pixels_per_inverse_depth(M, b, planes[0])

@@ -65,7 +65,7 @@ def find_clusters(
     vanished: bool,
     spacing: float,
     least_area: float,
-    alike: float,
+    similar: float,
 ) -> list[ChangeCluster]:
     """Changes that a night's changed points form, if enough cameras saw through their places and the images differ.
 
@@ -78,7 +78,7 @@ def find_clusters(
     vanished : True if that night is the earlier one, so that its changes have vanished.
     spacing : of the points.
     least_area : smallest surface area of a change.
-    alike : median correlation of the images from which on a place has not changed.
+    similar : median correlation of the images from which on a place has not changed.
     """
     cells = np.where(side.changed, cells_of(grid, side.core), -1)
     occupied = np.zeros(grid.rows * grid.columns, bool)
@@ -96,7 +96,7 @@ def find_clusters(
             continue
         correlations = side.ncc[rows][np.isfinite(side.ncc[rows])]
         likeness, cleared = float(np.median(correlations)) if len(correlations) else -2.0, float(np.nanmean(side.cleared[rows]))
-        if likeness >= alike or not cleared >= _LEAST_CLEARED_POSSIBLE:
+        if likeness >= similar or not cleared >= _LEAST_CLEARED_POSSIBLE:
             continue
         confirmed = cleared >= _LEAST_CLEARED
         footprint = _footprint(side, rows, labels == number, unchanged, grid, other, spacing, trimmed=confirmed)

@@ -115,7 +115,7 @@ def noise_of(*sides: Evidence) -> float:
 
 
 def mark_changed(
-    evidence: Evidence, night: Epoch, other: Epoch, spacing: float, *, noise: float, sigmas: float, alike: float
+    evidence: Evidence, night: Epoch, other: Epoch, spacing: float, *, noise: float, sigmas: float, similar: float
 ) -> Evidence:
     """The evidence with its verdict, and the distances, correlations and shares on which that rests.
 
@@ -126,7 +126,7 @@ def mark_changed(
     spacing : of the points.
     noise : factor on the standard deviations of distances between clouds.
     sigmas : number of standard deviations from which on a distance is a change.
-    alike : correlation above which images show the same surface.
+    similar : correlation above which images show the same surface.
     """
     sight, sigma = evidence.sight, evidence.sigma * noise
     nearer = evidence.measured & (evidence.distance > sigmas * sigma)
@@ -143,9 +143,9 @@ def mark_changed(
     correlation = np.full(len(evidence.core), np.nan, np.float32)
     rows = np.flatnonzero(changed)
     offset = np.where((evidence.measured & ~by_sight)[rows, None], evidence.distance[rows, None] * evidence.normals[rows], np.nan)
-    correlation[rows] = _median_correlation(evidence.core[rows], offset, night.sigma[evidence.rows[rows]], night, other, alike)
+    correlation[rows] = _median_correlation(evidence.core[rows], offset, night.sigma[evidence.rows[rows]], night, other, similar)
     with np.errstate(invalid="ignore"):
-        changed &= ~(correlation > alike)
+        changed &= ~(correlation > similar)
     changed = _with_neighbours(evidence.core, changed, spacing)
     cleared, rows = np.full(len(evidence.core), np.nan, np.float32), np.flatnonzero(changed)
     cleared[rows] = _cleared_share(evidence.core[rows], night.sigma[evidence.rows[rows]], nearer[rows], night, other)
@@ -184,7 +184,7 @@ def seen_by(X: Float64s, sigma: Float64s, epoch: Epoch, name: str) -> Bools:
     return np.asarray(sight.agreeing > 0)
 
 
-def _median_correlation(X: Float64s, offset: Float64s, sigma: Float64s, own: Epoch, other: Epoch, alike: float) -> Float32s:
+def _median_correlation(X: Float64s, offset: Float64s, sigma: Float64s, own: Epoch, other: Epoch, similar: float) -> Float32s:
     """(n,) median correlation over the cameras that see a point; nan if none is conclusive.
 
     offset (n, 3): displacement of the surface between the nights, nan if it is another surface.  If this is hardly a pixel in a
@@ -199,7 +199,7 @@ def _median_correlation(X: Float64s, offset: Float64s, sigma: Float64s, own: Epo
         row[:] = ncc(X, seen_by(X, sigma, own, name), camera, own.frames[name], other.cameras[name], other.frames[name])
         (x1, _), (x2, _) = project(camera, X), project(camera, X - offset)
         with np.errstate(invalid="ignore"):
-            row[(row > alike) & (np.linalg.norm(x1 - x2, axis=1) < _LEAST_SHIFT_PX)] = np.nan
+            row[(row > similar) & (np.linalg.norm(x1 - x2, axis=1) < _LEAST_SHIFT_PX)] = np.nan
     known = np.isfinite(correlations).any(axis=0)
     medians = np.full(len(X), np.nan, np.float32)
     medians[known] = np.nanmedian(correlations[:, known], axis=0)

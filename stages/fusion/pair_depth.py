@@ -29,7 +29,7 @@ _SAME_STEP = 0.3
 """Two successive disparity steps from row to row belong to one slope if they differ by no more than this share."""
 
 _TILES = 5
-"""`apart_px` compares two pairs in this many columns and rows of tiles."""
+"""`offset_px` compares two pairs in this many columns and rows of tiles."""
 _TILE_PIXELS, _LEAST_SHARE = 40, 0.02
 """Fewest pixels with both depths in a tile, and smallest share of the view in such tiles."""
 _QUARTILE_FACTOR = 3.0
@@ -38,7 +38,7 @@ one pair mistakes for another may decide in most (a warehouse's shelves: 7 px in
 _COMPARED_PIXELS = 40_000
 """Approximate number of pixels at which two pairs are compared."""
 _SCATTER_SHARE = 0.6
-"""Share of the scatter within tiles that noise may leave in the tiles' medians, and that `apart_px` subtracts (at most 0.65 in
+"""Share of the scatter within tiles that noise may leave in the tiles' medians, and that `offset_px` subtracts (at most 0.65 in
 five rendered scenes with right cameras, counting differences over 0.1 px; 0.82 in a hall at night)."""
 _LONG_SIDE = 768
 """Differences are scaled to frames of this long side: calibration errors are angles (fountain: 0.10 px; twice as long: 0.21)."""
@@ -203,7 +203,7 @@ def fuse_pairs(
     return DepthMap(depth, sigma, slope_x, slope_y, support, tuple(partners), np.isfinite(depth))
 
 
-def apart_px(depths: Sequence[Float32s], gains: Sequence[Float32s], noise: NoiseModel) -> dict[tuple[int, int], float]:
+def offset_px(depths: Sequence[Float32s], gains: Sequence[Float32s], noise: NoiseModel) -> dict[tuple[int, int], float]:
     """Systematic difference between the depths of each two pairs of a view, in pixels of a frame with a long side of at most 768.
 
     Each tile has a median difference; the result is the median of its absolute value over all pixels (unless the lower quartile

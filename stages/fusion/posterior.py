@@ -44,17 +44,17 @@ _MOST_LEFT_OUT = 0.5
 """Largest share of a cloud that `most_probable` removes: if more had to go, the cloud is too uncertain for a choice."""
 
 
-def most_probable(right: Float32s, share: float) -> Bools:
-    """(n,) points that stay when the least probable ones are removed until `share` of the rest is expected to be right.
+def most_probable(probabilities: Float32s, correct_share: float) -> Bools:
+    """(n,) points that stay when the least probable ones are removed until `correct_share` of the rest is expected to be right.
 
-    right: (n,) probabilities that the points are right.
+    probabilities: (n,) probabilities that the points are right.
     """
-    ranked = np.sort(right)[::-1]
+    ranked = np.sort(probabilities)[::-1]
     expected = np.cumsum(ranked, dtype=np.float64) / np.arange(1, len(ranked) + 1)
-    count, fewest = int((expected >= share).sum()), int(np.ceil((1 - _MOST_LEFT_OUT) * len(ranked)))
+    count, fewest = int((expected >= correct_share).sum()), int(np.ceil((1 - _MOST_LEFT_OUT) * len(ranked)))
     if count == len(ranked):
-        return np.ones(len(right), np.bool_)
-    return np.asarray(right > ranked[count] if count >= fewest else right >= ranked[fewest - 1])
+        return np.ones(len(probabilities), np.bool_)
+    return np.asarray(probabilities > ranked[count] if count >= fewest else probabilities >= ranked[fewest - 1])
 
 
 def own_logit(depth: DepthMap, usable: Bools) -> Float32s:

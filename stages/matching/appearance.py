@@ -21,7 +21,7 @@ _SAMPLE_SIZE, _ROUNDS = 12_000, 8
 """Number of descriptors that the words are clustered from, and rounds of k-means."""
 
 
-def most_alike(descriptors: Sequence[Float32s], count: int) -> list[tuple[int, int]]:
+def most_similar(descriptors: Sequence[Float32s], count: int) -> list[tuple[int, int]]:
     """Pairs (i, j) of views, i < j, in which one view is among the `count` most similar to the other; in order.
 
     descriptors: (n, d) float32 of unit length, of each view.

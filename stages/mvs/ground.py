@@ -4,8 +4,8 @@ Fixed cameras hang upright, with level rows: the up direction follows from the c
 lowest camera are tried: a plane is likely the ground if patches of one view look the same in another view when the plane maps
 them there.  Repeated tiles fit at many heights in one pair of views, but at one height only in all of them.
 
-How alike a patch looks by chance follows from the patch itself, over all heights that were tried.  A plane is the ground if its
-patches look significantly more alike than by chance, and than on any other plane.
+How similar a patch looks by chance follows from the patch itself, over all heights that were tried.  A plane is the ground if its
+patches look significantly more similar than by chance, and than on any other plane.
 
 References
 ----------
@@ -35,7 +35,7 @@ _PATCHES = 28
 """Patches across the wider side of a view."""
 _RADIUS = 4
 _LARGE_RADIUS, _LEAST_CORRELATION = 8, 0.9
-"""Radius of the large patches of `count_alike_patches`, pixels, and the correlation above which they look the same."""
+"""Radius of the large patches of `count_similar_patches`, pixels, and the correlation above which they look the same."""
 _CANDIDATES = 4
 _MOST_PAIRS = 8
 _LEAST_SPREAD = 0.15
@@ -91,7 +91,7 @@ def fit_nearby_plane(views: list[tuple[Float32s, Camera]], plane: Float64s) -> t
     return _score(directed, fitted) / sum(len(pair.patches) for pair in directed), fitted
 
 
-def count_alike_patches(views: list[tuple[Float32s, Camera]], plane: Float64s) -> int:
+def count_similar_patches(views: list[tuple[Float32s, Camera]], plane: Float64s) -> int:
     """Number of large patches that look the same in two views if they lie on the plane: one stone looks like another, but not
     together with its surroundings."""
     directed = _directed_pairs(views, _pairs([camera for _, camera in views]), plane[:3])
@@ -128,8 +128,8 @@ def _ups(cameras: list[Camera]) -> list[Float64s]:
 
 def _pairs(cameras: list[Camera]) -> list[tuple[int, int]]:
     """Pairs of views that look in about the same direction, the nearest ones first."""
-    facing_alike = ((i, j) for i, j in combinations(range(len(cameras)), 2) if cameras[i].R[2] @ cameras[j].R[2] > -0.2)
-    ordered = sorted((float(np.linalg.norm(cameras[i].C - cameras[j].C)), i, j) for i, j in facing_alike)
+    facing_similarly = ((i, j) for i, j in combinations(range(len(cameras)), 2) if cameras[i].R[2] @ cameras[j].R[2] > -0.2)
+    ordered = sorted((float(np.linalg.norm(cameras[i].C - cameras[j].C)), i, j) for i, j in facing_similarly)
     return [(i, j) for baseline, i, j in ordered if baseline > 0][:_MOST_PAIRS]
 
 
@@ -159,7 +159,7 @@ def _fisher(correlation: Float64s) -> Float64s:
 
 
 def _odds(likeness: Float64s, mean: Float64s, spread: Float64s) -> Float64s:
-    """(n,) odds, ground to chance, of patches that look this alike on a plane; 1 where nothing is known."""
+    """(n,) odds, ground to chance, of patches that look this similar on a plane; 1 where nothing is known."""
     from scipy.special import ndtr  # imported here, because many sites need no ground
 
     above = (_fisher(likeness) - mean) / np.hypot(spread, _LEAST_SPREAD)
@@ -192,7 +192,7 @@ def _score(directed: list[_DirectedPair], plane: Float64s) -> float:
 
 
 def _fit_nearby(views: list[tuple[Float32s, Camera]], directed: list[_DirectedPair], plane: Float64s) -> Float64s:
-    """The plane near a given one, tilted and lifted a little, on which patches look most alike."""
+    """The plane near a given one, tilted and lifted a little, on which patches look most similar."""
     from scipy.optimize import minimize
 
     cameras = np.array([camera.C for _, camera in views])

@@ -3,7 +3,7 @@
 A pixel's surface is a plane in inverse depth, q + A dx + B dy for its neighbours at (dx, dy): a plane in space is exactly
 linear in inverse depth.  Source s sees the pixel at the homogeneous position M_s p + b_s q, linear in q, so that a small patch
 maps affinely, with derivatives in closed form.  A plane's cost is the lowest 1 - ZNCC over the sources: one source that sees the
-surface unoccluded and alike is enough; a mean over several would penalise surfaces that are hidden from some.
+surface unoccluded and similar is enough; a mean over several would penalise surfaces that are hidden from some.
 
 Blocks of a row are processed at once, so that the compiler can vectorise over columns: a pixel reads finished rows, and its own
 row in the state before each step.

@@ -15,7 +15,7 @@ import numpy as np
 
 from ..core.cameras import backproject
 from ..core.epipolar import triangulate_depth
-from ..mvs.ground import count_alike_patches, fit_nearby_plane, halved, likely_planes
+from ..mvs.ground import count_similar_patches, fit_nearby_plane, halved, likely_planes
 from ..mvs.ground_prior import ground_matches
 from ..types import Camera, Float32s, Float64s, Geometry, Int64s, Pair
 from .pose_check import Sigma
@@ -37,7 +37,7 @@ _ROUGH_MATCHES, _FINE_MATCHES = 80, 200
 _FEWEST_PATCHES = 12
 """Fewest large patches that must look the same on the ground."""
 _LEAST_RATIO, _LEAST_RATIO_FOR_TWO = 1.5, 3.0
-"""Smallest ratio of alike large patches on the ground to those on any other plane: for more than two views, and for two."""
+"""Smallest ratio of similar large patches on the ground to those on any other plane: for more than two views, and for two."""
 
 
 @dataclass(frozen=True)
@@ -73,7 +73,7 @@ def adjust_to_ground(
     fits = [_fit_finely(site, fit) for fit in distinct[:_MOST_PLANES]]
     if not fits:
         return None
-    counts = [count_alike_patches(site.views(fit.adjusted.cameras, 2), fit.plane) for fit in fits]
+    counts = [count_similar_patches(site.views(fit.adjusted.cameras, 2), fit.plane) for fit in fits]
     best, *other_counts = sorted(counts, reverse=True)
     least_ratio = _LEAST_RATIO if len(site.images) > 2 else _LEAST_RATIO_FOR_TWO
     return fits[counts.index(best)].adjusted if best >= max(_FEWEST_PATCHES, least_ratio * max(other_counts, default=0)) else None

@@ -153,7 +153,7 @@ class DepthMap(Record):
     """(h, w) False where the depth may be used only if another view's depth agrees."""
     left_out: tuple[str, ...] = ()
     """Ids of the other cameras of pairs that were not used because there were too many."""
-    apart_px: Mapping[str, float] = field(default_factory=dict)
+    offset_px: Mapping[str, float] = field(default_factory=dict)
     """Overall difference in pixels between the depths that two partners give, by "left--right" of the partners."""
 
     def support_of(self, partners: tuple[str, ...]) -> Uint32s:
@@ -181,10 +181,10 @@ class Cloud(Record):
     """(n,) number of cameras that support the point."""
     sigma_mm: Float32s
     """(n,) standard deviation along the ray of the nearest camera that sees the point, millimetres."""
-    given: Mapping[str, int] = field(default_factory=dict)
+    sample_counts: Mapping[str, int] = field(default_factory=dict)
     """Number of samples from each camera's view before merging; empty for a cloud that was read from its file."""
     misfits: Mapping[str, float] = field(default_factory=dict)
     """By view, the median over its samples of their standard deviation, as other views and neighbouring pixels show it,
     divided by the one expected from `noise_px`."""
-    right: float | None = None
+    correct_share: float | None = None
     """Share of the points that is expected to be right: mean confidence; None for a cloud that was read from its file."""

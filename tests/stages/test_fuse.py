@@ -31,7 +31,7 @@ def test_exact_disparities_give_points_on_the_surfaces() -> None:
     yard = make_yard()
     cloud = fused(yard)
     assert len(cloud.points) > 8000
-    assert set(cloud.given) == set(yard.cameras) and sum(cloud.given.values()) > len(cloud.points), (
+    assert set(cloud.sample_counts) == set(yard.cameras) and sum(cloud.sample_counts.values()) > len(cloud.points), (
         "by view, before they are merged"
     )
     distance = yard.distance(cloud.points)

@@ -123,7 +123,7 @@ class _SiteWide:
             poses = replace(poses, rows=summary_of(row_check, summaries.CalibrationCheck))
         return _SiteWide(
             poses,
-            points={camera: points for cloud in clouds for camera, points in cloud.given.items()},
+            points={camera: points for cloud in clouds for camera, points in cloud.sample_counts.items()},
             misfits={camera: misfit for cloud in clouds for camera, misfit in cloud.misfits.items()},
             crowded={**pairs.crowded, **dense.crowded},
             dense=frozenset(_usable_pairs(plan, DENSE_PAIRS)),
@@ -151,7 +151,7 @@ def _camera_record(plan: Plan, camera: str, site_wide: _SiteWide) -> CameraRecor
         figures["pose_from"] = poses.sources.get(camera)
         figures["points"] = site_wide.points.get(camera)
         figures["misfit"] = site_wide.misfits.get(camera)
-        figures["apart_px"] = depth.apart_px or None
+        figures["offset_px"] = depth.offset_px or None
         notes += [site_wide.crowded[camera]] if camera in site_wide.crowded else []
         notes += [moved.text] if moved else []
         if camera in poses.unsolved:
@@ -217,7 +217,7 @@ def _clouds(plan: Plan) -> dict[Subject, CloudRecord]:
     for task, state in plan.states.items():
         if task.stage == FUSE and state.usable:
             cloud = summary_of(state, summaries.FuseSummary)
-            clouds[task.subject] = CloudRecord(cloud_name(task.subject), cloud.points, cloud.bounds, cloud.right)
+            clouds[task.subject] = CloudRecord(cloud_name(task.subject), cloud.points, cloud.bounds, cloud.correct_share)
     return clouds
 
 

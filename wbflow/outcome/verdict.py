@@ -33,7 +33,7 @@ from .run_record import root_cause
 
 PLANNED_PAIRS = 0.5
 """Smallest share of the planned pairs that must be usable on a night without earlier ones to compare with."""
-LEAST_RIGHT = 0.9
+LEAST_CORRECT_SHARE = 0.9
 """Smallest share of a cloud's points that must be right, as expected from the confidence of each."""
 LEAST_CONTRAST = 2.0
 """Images with a smaller standard deviation, in grey levels, show nothing, and may be identical."""
@@ -518,7 +518,7 @@ def check_depths(record: RunRecord, facts: Facts) -> Iterator[Finding]:
     too_large: list[tuple[float, float, float]] = []  # as a multiple of the limit, pixels, limit
     scores: Counter[str] = Counter()
     for camera in record.cameras:
-        for pair, px in (camera.figures.apart_px or {}).items():
+        for pair, px in (camera.figures.offset_px or {}).items():
             if px > LOOK_ALIKES_PX:
                 continue
             cameras = dict.fromkeys([camera.id, *map(camera_of, pair.split("--"))])
@@ -534,7 +534,7 @@ def check_depths(record: RunRecord, facts: Facts) -> Iterator[Finding]:
     cause = "no single camera explains it; all may be slightly off"
     if suspects:
         cause = f"the pose or lens of {' or '.join(suspects)} is probably wrong"
-    yield finding("pairs-disagree", suspects, {"apart_px": px}, {"apart_px": limit}, px=px, limit=limit, cause=cause)
+    yield finding("pairs-disagree", suspects, {"offset_px": px}, {"offset_px": limit}, px=px, limit=limit, cause=cause)
 
 
 def check_survey(record: RunRecord, facts: Facts) -> Iterator[Finding]:
@@ -579,9 +579,9 @@ def check_tasks(record: RunRecord, facts: Facts) -> Iterator[Finding]:
 def check_cloud(record: RunRecord, facts: Facts) -> Iterator[Finding]:
     """Is enough of the cloud right, as expected from the confidence of its points?"""
     cloud = record.cloud
-    if cloud and cloud.right is not None and cloud.right < LEAST_RIGHT:
-        figures, expected = {"right": cloud.right}, {"right": LEAST_RIGHT}
-        yield finding("cloud-doubtful", (), figures, expected, percent=100 * cloud.right, limit=100 * LEAST_RIGHT)
+    if cloud and cloud.correct_share is not None and cloud.correct_share < LEAST_CORRECT_SHARE:
+        figures, expected = {"correct_share": cloud.correct_share}, {"correct_share": LEAST_CORRECT_SHARE}
+        yield finding("cloud-doubtful", (), figures, expected, percent=100 * cloud.correct_share, limit=100 * LEAST_CORRECT_SHARE)
 
 
 def check_amounts(record: RunRecord, facts: Facts) -> Iterator[Finding]:

@@ -87,7 +87,7 @@ class CameraFigures(FeaturesSummary, FrameSummary):
     """stated, refined, corrected or solved."""
     points: int | None = None
     misfit: float | None = None
-    apart_px: Mapping[str, float] | None = None
+    offset_px: Mapping[str, float] | None = None
     """By two of its dense partners, as `first--second`: overall difference of the depths from its pairs with them, pixels."""
 
 
@@ -286,7 +286,7 @@ class PosesSummary(Summary):
 class DepthSummary(Summary):
     """The depth map of one view (`stages.types.DepthMap`)."""
 
-    apart_px: Mapping[str, float] = field(default_factory=dict)
+    offset_px: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -296,11 +296,11 @@ class FuseSummary(Summary):
     points: Annotated[int, _read_from("points_count")] = 0
     bounds: tuple[tuple[float, ...], tuple[float, ...]] = ((), ())
     """Two opposite corners of its bounding box."""
-    given: Mapping[str, int] = field(default_factory=dict)
+    sample_counts: Mapping[str, int] = field(default_factory=dict)
     """Number of samples that each camera contributed."""
     misfits: Mapping[str, float] = field(default_factory=dict)
     """By camera: median ratio of the samples' standard deviation to the expected one."""
-    right: float | None = None
+    correct_share: float | None = None
     """Share of the points that is expected to be right."""
 
 

@@ -140,7 +140,7 @@ class CloudRecord(JsonDataclass):
     points: int
     bounds: tuple[tuple[float, ...], tuple[float, ...]]
     """Two opposite corners of its bounding box."""
-    right: float | None = None
+    correct_share: float | None = None
     """Expected share of correct points."""
 
 

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from wbflow_stages.fusion.pair_depth import NoiseModel, apart_px, sample_disparity
+from wbflow_stages.fusion.pair_depth import NoiseModel, offset_px, sample_disparity
 
 
 @settings(deadline=None)  # the first example includes compilation
@@ -40,10 +40,10 @@ def test_a_uniform_offset_of_one_pair_is_measured_in_spite_of_noise() -> None:
     gain[40:60] = np.nan  # a band of rows is unknown
     depths = [(50 + 0.1 * (offset + rng.normal(0, 0.35, gain.shape))).astype(np.float32) for offset in (0.0, 0.0, 1.0)]
     depths[1][rng.random(gain.shape) < 0.2] = 30  # look-alikes
-    offsets = apart_px(depths, [gain, gain, gain], NoiseModel())
+    offsets = offset_px(depths, [gain, gain, gain], NoiseModel())
     assert offsets[0, 1] < 0.15
     assert offsets[0, 2] == pytest.approx(1 / np.sqrt(2), abs=0.1)
-    assert apart_px(depths, [gain, np.full_like(gain, 10), gain], NoiseModel()).keys() == {(0, 2)}, "too inexact to be fused"
+    assert offset_px(depths, [gain, np.full_like(gain, 10), gain], NoiseModel()).keys() == {(0, 2)}, "too inexact to be fused"
 
 
 def test_noise_correlated_over_patches_is_not_taken_for_an_offset() -> None:
@@ -52,9 +52,9 @@ def test_noise_correlated_over_patches_is_not_taken_for_an_offset() -> None:
     gain = np.full((200, 200), 0.1, dtype=np.float32)
     patches = [np.kron(rng.normal(0, 0.5, (10, 10)), np.ones((20, 20))) for _ in range(2)]
     depths = [(50 + 0.1 * (patch + rng.normal(0, 0.2, gain.shape))).astype(np.float32) for patch in patches]
-    assert apart_px(depths, [gain, gain], NoiseModel())[0, 1] < 0.1
+    assert offset_px(depths, [gain, gain], NoiseModel())[0, 1] < 0.1
     depths[1] += 0.1
-    assert apart_px(depths, [gain, gain], NoiseModel())[0, 1] == pytest.approx(1 / np.sqrt(2), abs=0.15)
+    assert offset_px(depths, [gain, gain], NoiseModel())[0, 1] == pytest.approx(1 / np.sqrt(2), abs=0.15)
 
 
 def test_an_error_in_part_of_the_view_is_not_taken_for_an_offset_of_the_pair() -> None:
@@ -62,9 +62,9 @@ def test_an_error_in_part_of_the_view_is_not_taken_for_an_offset_of_the_pair() -
     gain = np.full((200, 300), 0.1, dtype=np.float32)
     depths = [(50 + 0.1 * rng.normal(0, 0.35, gain.shape)).astype(np.float32) for _ in range(2)]
     depths[1][:80] += 0.7  # two of the five rows of tiles
-    assert apart_px(depths, [gain, gain], NoiseModel())[0, 1] < 0.15
+    assert offset_px(depths, [gain, gain], NoiseModel())[0, 1] < 0.15
     gain[:, 5:] = np.nan  # 1.7 % of the view is left, less than needed
-    assert apart_px(depths, [gain, gain], NoiseModel()) == {}
+    assert offset_px(depths, [gain, gain], NoiseModel()) == {}
 
 
 def test_a_pattern_that_one_pair_mistakes_is_not_taken_for_an_offset() -> None:
@@ -73,6 +73,6 @@ def test_a_pattern_that_one_pair_mistakes_is_not_taken_for_an_offset() -> None:
     gain[:, 12:] = np.nan  # 4 % of the view is left
     depths = [(50 + 0.1 * rng.normal(0, 0.35, gain.shape)).astype(np.float32) for _ in range(2)]
     depths[1][:120] += 0.7  # three of the five rows of tiles
-    assert apart_px(depths, [gain, gain], NoiseModel())[0, 1] < 0.25
+    assert offset_px(depths, [gain, gain], NoiseModel())[0, 1] < 0.25
     depths[1][120:160] += 0.7
-    assert apart_px(depths, [gain, gain], NoiseModel())[0, 1] > 3
+    assert offset_px(depths, [gain, gain], NoiseModel())[0, 1] > 3

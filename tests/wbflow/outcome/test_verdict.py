@@ -517,15 +517,17 @@ def test_detail_and_misfit_of_a_single_camera_are_not_a_finding() -> None:
 
 
 def test_a_camera_common_to_all_disagreeing_depths_is_named() -> None:
-    def dense(name: str, **apart_px: float) -> CameraRecord:
-        return CameraRecord(name, "ok", figures=CameraFigures(apart_px={p.replace("_", "--"): px for p, px in apart_px.items()}))
+    def dense(name: str, **offset_px: float) -> CameraRecord:
+        return CameraRecord(
+            name, "ok", figures=CameraFigures(offset_px={p.replace("_", "--"): px for p, px in offset_px.items()})
+        )
 
     cameras = [dense("gate", crane_mast=1.5, mast_roof=0.1), dense("mast", crane_gate=0.9), dense("roof", crane_mast=0.6)]
     finding = only(night(cameras=[*cameras, dense("crane")]))
     assert (finding.kind, finding.subject) == ("pairs-disagree", ("crane",))
     assert "1.5 px" in finding.text
     assert verdict_of(night(cameras=[dense("gate", crane_mast=0.2), *map(dense, ("crane", "mast", "roof"))])).good
-    solved = replace(dense("gate", crane_mast=0.4), figures=CameraFigures(apart_px={"crane--mast": 0.4}, pose_from="solved"))
+    solved = replace(dense("gate", crane_mast=0.4), figures=CameraFigures(offset_px={"crane--mast": 0.4}, pose_from="solved"))
     others = [*map(dense, ("crane", "mast", "roof"))]
     assert verdict_of(night(cameras=[solved, *others])).good, "matches tell its pose no better"
     assert verdict_of(night(cameras=[dense("gate", crane_mast=0.4), *others])).good, "what one view alone has, no pose explains"
@@ -546,11 +548,11 @@ def test_a_camera_common_to_all_disagreeing_depths_is_named() -> None:
     assert "half a pixel less" in finding.text and "subtract 0.5 from cx and cy" in finding.remedy
 
 
-@pytest.mark.parametrize(("right", "good"), [(None, True), (0.93, True), (0.85, False)])
-def test_a_cloud_with_too_few_probably_right_points_degrades_the_night(right: float | None, good: bool) -> None:
+@pytest.mark.parametrize(("correct_share", "good"), [(None, True), (0.93, True), (0.85, False)])
+def test_a_cloud_with_too_few_probably_right_points_degrades_the_night(correct_share: float | None, good: bool) -> None:
     record = night()
     assert record.cloud
-    record = judge(replace(record, cloud=replace(record.cloud, right=right)), Facts())
+    record = judge(replace(record, cloud=replace(record.cloud, correct_share=correct_share)), Facts())
     assert verdict_of(record).good == good
     if not good:
         assert only(record).kind == "cloud-doubtful" and "85.0 % of the cloud's points" in only(record).text
@@ -605,7 +607,7 @@ def test_dense_matches_off_their_rows_contradict_the_calibration() -> None:
 
 @pytest.mark.parametrize(("sigmas", "good"), [(2.0, True), (6.0, False)])
 def test_slightly_different_depths_are_tolerated_if_dense_matches_lie_on_their_rows(sigmas: float, good: bool) -> None:
-    apart = [CameraRecord("gate", "ok", figures=CameraFigures(apart_px={"crane--mast": 0.4, "mast--roof": 0.3}))]
+    apart = [CameraRecord("gate", "ok", figures=CameraFigures(offset_px={"crane--mast": 0.4, "mast--roof": 0.3}))]
     record = replace(night(cameras=apart), poses=PosesSummary(rows=dense_rows(sigmas)))
     assert (judge(record, Facts()).exit_code == ExitCode.GOOD) == good
 

@@ -1,7 +1,7 @@
-"""Depths of other views carried over into one view, as planes to be tried where its own pairs have none.
+"""Depths of other views transferred into one view, as planes to be tried where its own pairs have none.
 
-A pair that sees a surface well gives its position in views whose own pairs do not.  Carried depths are not evidence: a plane is
-used only where this view's own photographs confirm it.
+A pair that sees a surface well gives its position in views whose own pairs do not.  Transferred depths are not evidence: a
+plane is used only where this view's own photographs confirm it.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from ..types import Camera, DepthMap, Float32s, Float64s
 from .propagation import Propagation
 
 
-def carried_planes(camera: Camera, cameras: Mapping[str, Camera], depths: Mapping[str, DepthMap]) -> Float32s:
+def transferred_planes(camera: Camera, cameras: Mapping[str, Camera], depths: Mapping[str, DepthMap]) -> Float32s:
     """(3, h, w) planes of the surface nearest to a camera, from depths of other views; nan where these have none.
 
     cameras, depths: of the other views; cameras of another component are skipped.
@@ -25,24 +25,24 @@ def carried_planes(camera: Camera, cameras: Mapping[str, Camera], depths: Mappin
     for name, depth in depths.items():
         if name in cameras and cameras[name].component == camera.component:
             to_view, from_view = transfer(cameras[name], camera), transfer(camera, cameras[name])
-            _carry(depth.depth, depth.slope_x, depth.slope_y, *to_view, *from_view, planes)
+            _transfer(depth.depth, depth.slope_x, depth.slope_y, *to_view, *from_view, planes)
     return planes
 
 
-def with_carried(planes: Float32s, carried: Float32s, propagation: Propagation, max_cost: float) -> Float32s:
-    """Planes of a view; where it has none, the carried ones that a source sees.
+def with_transferred(planes: Float32s, transferred: Float32s, propagation: Propagation, max_cost: float) -> Float32s:
+    """Planes of a view; where it has none, the transferred ones that a source sees.
 
     Parameters
     ----------
-    planes, carried : (3, h, w) each, nan for none.
+    planes, transferred : (3, h, w) each, nan for none.
     propagation, max_cost : of the view; a source sees a plane that costs less than `max_cost`.
     """
-    trial = np.where(np.isnan(planes[0]), carried, np.float32(np.nan))
+    trial = np.where(np.isnan(planes[0]), transferred, np.float32(np.nan))
     return np.where(propagation.support(trial, max_cost).first < max_cost, trial, planes)
 
 
 @kernel
-def _carry(
+def _transfer(
     depth: Float32s, slope_x: Float32s, slope_y: Float32s, M: Float64s, b: Float64s, M_back: Float64s, b_back: Float64s,
     planes: Float32s,
 ) -> None:  # fmt: skip

@@ -9,7 +9,7 @@ import pytest
 
 from tests.helpers.exact_scene import Yard, make_yard, true_depth
 from wbflow_stages.fusion.pair_depth import inverse_depth_slopes
-from wbflow_stages.mvs.carried import carried_planes
+from wbflow_stages.mvs.transferred import transferred_planes
 from wbflow_stages.refine import refine
 from wbflow_stages.types import DepthMap
 
@@ -28,7 +28,7 @@ def exact(yard: Yard, name: str) -> DepthMap:
 
 def test_the_surface_of_one_view_becomes_candidate_planes_of_another(yard: Yard) -> None:
     name, other = list(yard.cameras)[:2]
-    planes = carried_planes(yard.cameras[name], yard.cameras, {other: exact(yard, other)})
+    planes = transferred_planes(yard.cameras[name], yard.cameras, {other: exact(yard, other)})
     error = np.abs(1 / planes[0] / true_depth(yard.cameras[name]) - 1)
     known = np.isfinite(planes[0])
     assert known.mean() > 0.5
@@ -39,7 +39,7 @@ def test_the_surface_of_one_view_becomes_candidate_planes_of_another(yard: Yard)
 def test_a_view_in_another_component_gives_no_candidate_planes(yard: Yard) -> None:
     name, other = list(yard.cameras)[:2]
     elsewhere = replace(yard.cameras[other], component=1)
-    assert np.isnan(carried_planes(yard.cameras[name], {other: elsewhere}, {other: exact(yard, other)})).all()
+    assert np.isnan(transferred_planes(yard.cameras[name], {other: elsewhere}, {other: exact(yard, other)})).all()
 
 
 def test_depth_that_only_other_views_have_is_found(yard: Yard) -> None:
