@@ -40,7 +40,7 @@ import numpy as np
 from pairs_with_truth import DATA, read_rgb
 from scores import pose_errors, turn_errors_deg
 
-from wbflow.outcome.demo import write_demo
+from wbflow.commands.demo import write_demo
 from wbflow.pipeline.pairs import select_pairs
 from wbflow_stages.features import detect
 from wbflow_stages.frames import clean_frame

@@ -38,7 +38,7 @@ from photograph_site import write_photographs
 from scipy.spatial import cKDTree
 
 from wbflow.cache.ply import read_ply
-from wbflow.outcome.demo import write_demo
+from wbflow.commands.demo import write_demo
 from wbflow.pipeline.summaries import PosesSummary
 from wbflow_stages.core.rotations import rotation_matrix
 from wbflow_stages.types import Float64s, Uint8s

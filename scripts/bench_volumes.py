@@ -16,7 +16,7 @@ from pathlib import Path
 from bench_files import write_rows
 
 import wbflow
-from wbflow.outcome.compare import changes_between
+from wbflow.commands.compare import changes_between
 
 
 @dataclass(frozen=True)

@@ -30,8 +30,8 @@ from hostile_captures import GOOD, Hostile, capture_cases, write_site
 from hostile_files import Case, calibration_cases, fuzzed, site_cases, write_base
 
 from wbflow.errors import ExitCode, WbflowError
-from wbflow.runner.context import plan_run
-from wbflow.runner.options import Options
+from wbflow.run.night import plan_run
+from wbflow.run.options import Options
 from wbflow.site.load import load_site
 
 SECONDS = 60.0

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import scenes  # noqa: F401  # adds its scenes to the table
 
-from wbflow.outcome.demo import write_demo
+from wbflow.commands.demo import write_demo
 from wbflow_demo.scenes import SCENES
 
 

@@ -33,8 +33,8 @@ ENGINE_LAYERS = (
     {"errors", "task", "words", "json_dataclass", "plugins"},
     {"cache", "records", "pipeline", "remote"},
     {"site"},
-    {"runner", "reference", "capture"},
-    {"edit", "outcome", "report"},
+    {"run", "reference", "verdict", "capture"},
+    {"edit", "commands", "report"},
     {"api"},
     {"cli"},
 )
@@ -47,8 +47,8 @@ PATHS = r"""(?x)^(
     | cloud.*\.ply | .*\.tmp | \.?jpg)$"""
 LAYOUT = ENGINE / "cache" / "layout.py"
 OTHERS = {
-    ENGINE / "outcome" / "init.py": {".jpg"},  # photographs
-    ENGINE / "outcome" / "demo.py": {"cameras.json"},  # in the demo's own folder
+    ENGINE / "commands" / "init.py": {".jpg"},  # photographs
+    ENGINE / "commands" / "demo.py": {"cameras.json"},  # in the demo's own folder
     ENGINE / "cache" / "atomic.py": {".tmp"},
 }
 """Strings that look like a path of the work folder but are none, by file."""
@@ -182,8 +182,8 @@ def levels(room: str) -> int:
 
 ROOMS = sorted({room_of(name) for name in MODULES})
 MOST_LEVELS = 4
-DEEPER = {"wbflow.runner": 5}
-"""Limits of packages that exceed `MOST_LEVELS`: in the runner, the loop imports the plan, and the plan the inputs."""
+DEEPER = {"wbflow.run": 5}
+"""Limits of packages that exceed `MOST_LEVELS`: in the run, the loop imports the plan, and the plan the inputs."""
 
 
 ON_THEIR_OWN = {
@@ -281,10 +281,10 @@ def test_only_a_few_places_catch_all_exceptions() -> None:
     assert sorted(broad) == [
         "cli/main.py",
         "cli/run.py",
-        "outcome/publish.py",
+        "run/publish.py",
         "remote.py",
-        "runner/worker.py",
-        "runner/worker.py",
+        "run/worker.py",
+        "run/worker.py",
     ]
 
 

@@ -18,14 +18,14 @@ from pathlib import Path
 from .cache.atomic import disk_fault
 from .cache.lock import claim
 from .errors import UsageError
-from .outcome.finished_run import Run as Run
-from .outcome.publish import repair_ledger, run_pipeline
 from .records.events import Listener
+from .records.finished_run import Run as Run
 from .records.run_folder import RunFolder, hold_to_write, new_run, refresh
-from .runner.context import plan_run
-from .runner.journal import Journal
-from .runner.loop import terminate_as_interrupt
-from .runner.options import Options
+from .run.journal import Journal
+from .run.loop import terminate_as_interrupt
+from .run.night import plan_run
+from .run.options import Options
+from .run.publish import repair_ledger, run_pipeline
 from .site.load import load_site as load_site
 from .site.models import Site
 from .words import bytes_of

@@ -10,7 +10,7 @@ from click.testing import CliRunner
 
 import wbflow
 from wbflow.cli.main import main
-from wbflow.outcome.demo import write_demo
+from wbflow.commands.demo import write_demo
 
 
 def test_cameras_on_one_mast_make_no_cloud_for_lack_of_a_baseline(tmp_path: Path) -> None:

@@ -22,7 +22,7 @@ from tests.helpers.browser import chromium, until
 from tests.helpers.images import read_image
 from wbflow.cache.ply import read_ply
 from wbflow.cli.main import main
-from wbflow.outcome.demo import write_demo
+from wbflow.commands.demo import write_demo
 from wbflow_stages.exports.previews import matches_preview
 
 

@@ -16,7 +16,7 @@ from .common import Day, date_at, day, echo, echo_json, load, stop
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from ..outcome.finished_run import Run
+    from ..records.finished_run import Run
     from ..site.models import Site
 
 
@@ -52,8 +52,8 @@ def history(site: Path, as_json: bool, changes: bool, csv: bool, work: str | Non
     wbflow history site.yaml --json
     wbflow history site.yaml --changes --csv      cut and fill since the reference, night after night
     """
-    from ..outcome.history import HEAD, as_csv, growth
-    from ..outcome.history import history as entries
+    from ..commands.history import HEAD, as_csv, growth
+    from ..commands.history import history as entries
 
     loaded = load(site, work)
     if csv and not changes:
@@ -90,7 +90,7 @@ def runs(sites: tuple[Path, ...], as_json: bool) -> None:
     wbflow runs site.yaml --json
     wbflow runs sites/*.yaml
     """
-    from ..outcome.history import places
+    from ..commands.history import places
 
     loaded = [load(path, None) for path in sites]
     site_runs = [(site, entry) for site in loaded for entry in places(site.work_folder)]
@@ -123,8 +123,8 @@ def compare(nights: tuple[Path, ...], out: Path, page: Path | None, changes: boo
     wbflow compare SITE.yaml [RUN] scan.laz            the cloud's deviation from a scan or model
     """
     from ..cache.atomic import write_atomic
-    from ..outcome.compare import changes_between, data_of, differing, lines_of
-    from ..outcome.compare import compare as rows_of
+    from ..commands.compare import changes_between, data_of, differing, lines_of
+    from ..commands.compare import compare as rows_of
 
     if len(nights) > 3:
         raise UsageError("name two runs", remedy="wbflow compare SITE.yaml RUN_A RUN_B; wbflow history SITE.yaml  lists them")
@@ -155,8 +155,8 @@ def compare(nights: tuple[Path, ...], out: Path, page: Path | None, changes: boo
 
 
 def _two_runs(site: Site | None, nights: tuple[Path, ...]) -> tuple[Run, Run]:
-    from ..outcome.compare import last_two
-    from ..outcome.finished_run import Run
+    from ..commands.compare import last_two
+    from ..records.finished_run import Run
     from ..records.run_folder import RunFolder
 
     if site is None:
@@ -169,14 +169,14 @@ def _two_runs(site: Site | None, nights: tuple[Path, ...]) -> tuple[Run, Run]:
 
 def _run_of(site: Site, name: str | None) -> Run:
     """A run by its name, as `RunFolder.of` takes it."""
-    from ..outcome.finished_run import Run
+    from ..records.finished_run import Run
     from ..records.run_folder import RunFolder
 
     return Run.at(RunFolder.of(site.work_folder, name))
 
 
 def _compare_with_scan(site: Site, night: str | None, scan: Path, out: Path, as_json: bool) -> None:
-    from ..outcome.compare import compare_with_scan
+    from ..commands.compare import compare_with_scan
 
     run = _run_of(site, night or site.work_folder.latest_good.name)
     result = compare_with_scan(run, scan, out)
@@ -207,8 +207,8 @@ def acknowledge(site: Path, words: tuple[str, ...], until: Day | None, note: str
     wbflow acknowledge site.yaml camera-lost crane-2 --drop
     wbflow acknowledge site.yaml change 2 --note "the crane is here for good"    a change of the newest run, by its number
     """
-    from ..outcome import acknowledge as known
     from ..records.run_folder import newest_runs
+    from ..verdict import acknowledge as known
 
     loaded, finding = load(site, None), " ".join(words)
     if finding and drop:
@@ -308,7 +308,7 @@ def export(site: Path, run_id: str | None, out: Path, work: str | None, **wanted
     if not names:
         example = f"for example: wbflow export {site} --{EXPORTS[0].name} --out {out}"
         raise UsageError(f"name what to export: {', '.join(f'--{row.name}' for row in EXPORTS)}", remedy=example)
-    from ..outcome.export import export as write
+    from ..commands.export import export as write
 
     loaded = load(site, work)
     run = _run_of(loaded, run_id or loaded.work_folder.latest_good.name)
@@ -332,9 +332,9 @@ def debug(words: tuple[str, ...], out: Path, date: Day | None, work: str | None)
     wbflow debug site.yaml frames gate --date yesterday --out look
     python look/run.py          prints the result, and whether the cache has the same bytes
     """
-    from ..outcome.debug import write_task
-    from ..outcome.finished_run import task_named
+    from ..commands.debug import write_task
     from ..pipeline.stages import STAGES
+    from ..records.finished_run import task_named
 
     site, task = Path(words[0]), " ".join(words[1:])
     if words[0].split(" ")[0] in {row.name for row in STAGES}:

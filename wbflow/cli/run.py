@@ -24,7 +24,7 @@ from .display import display
 if TYPE_CHECKING:
     from ..api import Run
     from ..capture import Delivery
-    from ..outcome.status import Status
+    from ..commands.status import Status
     from ..records.findings import Finding
     from ..records.record import RunRecord
     from ..site.models import Site
@@ -268,9 +268,9 @@ def status(site: Path, date: Day | None, work: str | None, until: str | None, as
 
 
 def _status(site: Site, date: datetime.date | None, until: str | None, force: tuple[str, ...] = ()) -> Status:
-    from ..outcome.status import explain
-    from ..runner.context import plan_run
-    from ..runner.options import Options
+    from ..commands.status import explain
+    from ..run.night import plan_run
+    from ..run.options import Options
 
     options = Options(date, until=until, force=force)
     options.check(site)
@@ -301,7 +301,7 @@ def check(site: Path, date: Day | None, work: str | None) -> None:
     wbflow check site.yaml
     wbflow check site.yaml --date yesterday
     """
-    from ..outcome import check as checks
+    from ..commands import check as checks
 
     loaded = load(site, work)
     findings = checks.check(loaded, date_at(loaded, date))

@@ -39,7 +39,7 @@ def demo(folder: Path, nights: int | None, frames: int, **options: Any) -> None:
     wbflow demo winter --surfaces weak            white walls, wet asphalt, snow
     wbflow demo harbour --nights 7 --small
     """
-    from ..outcome.demo import write_demo
+    from ..commands.demo import write_demo
 
     if nights is None:
         write_demo(folder, **options)
@@ -66,13 +66,13 @@ def init(folder: Path, systemd: bool) -> None:
     wbflow init /srv/harbour --systemd
     """
     if systemd:
-        from ..outcome.init import write_units
+        from ..commands.init import write_units
 
         units = write_units(load(folder, None))
         echo("\n".join(map(str, units)))
         echo(f"now try  sudo systemctl link {' '.join(map(str, units))}  and  sudo systemctl enable --now {units[-1].name}")
         return
-    from ..outcome.init import write_site
+    from ..commands.init import write_site
 
     file, cameras, note = write_site(folder)
     echo(f"{file}: {len(cameras)} cameras: {', '.join(cameras)}")
@@ -120,7 +120,7 @@ def pair(left: Path, right: Path, out: Path, resolution: int, jobs: int, verbose
     wbflow pair left.jpg right.jpg --out pair --resolution 2400
     """
     from ..api import run
-    from ..outcome.pair import LAST_STAGE, failure, pair_site, write_pair
+    from ..commands.pair import LAST_STAGE, failure, pair_site, write_pair
     from .display import display
 
     site = pair_site(left, right, out, resolution)
@@ -164,7 +164,7 @@ def calibrate(
     wbflow calibrate gate photographs --board 9x6 --square 0.03
     wbflow calibrate dome board.mp4 --board 8x11 --marker 0.02 --square 0.03 --model fisheye
     """
-    from ..outcome.init import write_calibration
+    from ..commands.init import write_calibration
 
     corners = re.fullmatch(r"(\d+)x(\d+)", board)
     columns, rows = map(int, corners.groups()) if corners else (0, 0)

@@ -17,9 +17,9 @@ from ..pipeline.stages import POSES, STAGES, Stage, stage_named
 from ..plugins import load
 from ..records.reference_folder import Reference, write_reference
 from ..records.run_folder import NoSuchRun, newest_runs
-from ..runner.planner import Plan
-from ..runner.state import Impossible, Waiting, cached_state
-from ..runner.worker import run_chain
+from ..run.plan import Plan
+from ..run.state import Impossible, Waiting, cached_state
+from ..run.worker import run_chain
 from ..site.models import Site
 from ..task import Task, camera_of
 from .create import CannotPin, pinned_artifacts

@@ -10,14 +10,14 @@ from typing import TYPE_CHECKING, Any
 from ..cache.store import Receipt
 from ..pipeline.stages import FRAMES, Adapt, Stage
 from ..records.reference_folder import Reference
-from ..runner.spec import Files, input_digests, site_input
+from ..run.spec import Files, input_digests, site_input
 from ..site.calibration.calibrated import Lens
 from ..site.captures import file_of_stage
 from ..site.models import Site
 from ..task import camera_of
 
 if TYPE_CHECKING:
-    from ..runner.planner import Plan
+    from ..run.plan import Plan
 
 
 _COMPARED = {"lens", "placement", "survey"}

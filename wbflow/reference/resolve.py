@@ -18,13 +18,13 @@ from ..pipeline.stages import FRAMES, HEALTH, STAGES, Adapt, Reuse, Source, Stag
 from ..pipeline.summaries import HealthSummary
 from ..records.findings import Health
 from ..records.run_folder import last_of_nights, newest_runs
-from ..runner.spec import Input, Joined, Stored, Value, stored_input
-from ..runner.state import Cause, Impossible, Waiting, blocked_by, summary_of
+from ..run.spec import Input, Joined, Stored, Value, stored_input
+from ..run.state import Cause, Impossible, Waiting, blocked_by, summary_of
 from ..task import Subject, Task, camera_of
 from .restore import restore_to_cache
 
 if TYPE_CHECKING:
-    from ..runner.planner import Plan
+    from ..run.plan import Plan
 
 USELESS = frozenset({"obscured", "stale", "wrong-scene"})
 """States of a camera that shows nothing of the site tonight."""

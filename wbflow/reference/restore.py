@@ -15,8 +15,8 @@ from ..records.reference_folder import BadReference, PinnedArtifact, Reference, 
 from ..task import Task
 
 if TYPE_CHECKING:
-    from ..runner.context import RunContext
-    from ..runner.journal import Journal
+    from ..run.journal import Journal
+    from ..run.night import RunContext
 
 
 def prepare(context: RunContext, journal: Journal) -> None:

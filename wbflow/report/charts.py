@@ -8,11 +8,11 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from ..outcome.baseline import appearance_of
 from ..pipeline.meanings import meaning, titled
 from ..pipeline.stages import CHANGES, STAGES
 from ..records.record import RunRecord
 from ..task import Task
+from ..verdict.baseline import appearance_of
 from ..words import number
 from .data import ReportData, is_number, state_of
 

@@ -13,12 +13,12 @@ from typing import Any
 
 from ..cache.artifact import figures
 from ..errors import WbflowError
-from ..outcome.finished_run import Run
 from ..pipeline.meanings import meaning
 from ..pipeline.stages import CHANGES, stage_named
 from ..pipeline.summaries import ChangesSummary
 from ..plugins import load
 from ..records.events import TaskEvent, WarningEvent
+from ..records.finished_run import Run
 from ..records.record import RunRecord, moment
 from ..site.models import Site
 from ..words import counted, format_value

@@ -10,15 +10,15 @@ from dataclasses import dataclass, fields
 from typing import Any, NamedTuple
 
 from ..cache.store import Preimage
-from ..outcome.baseline import figures_of
 from ..pipeline.meanings import meaning, shown
 from ..pipeline.stages import CHANGES, STAGES
 from ..pipeline.summaries import Change, ChangesSummary, PairFigures, SiteSummary
 from ..records.findings import Finding
 from ..records.record import CameraRecord, PairRecord, RunRecord
-from ..runner.state import Cause
+from ..run.state import Cause
 from ..site.models import Measure
 from ..task import Task
+from ..verdict.baseline import figures_of
 from ..words import counted, format_value
 from .data import ReportData, changes_of, is_number, state_of
 from .pictures import Picture, Pictures

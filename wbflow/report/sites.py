@@ -11,8 +11,8 @@ from pathlib import Path
 from ..cache.layout import WorkFolder
 from ..cache.store import Cache
 from ..cache.untrusted import MOST_TEXT_BYTES, read_untrusted
+from ..commands.history import Entry, history
 from ..errors import WbflowError
-from ..outcome.history import Entry, history
 from ..pipeline.stages import FUSE
 from ..records.findings import Finding
 from ..records.run_folder import NoSuchRun, RunFolder

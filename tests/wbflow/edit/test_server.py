@@ -20,7 +20,7 @@ import numpy as np
 import pytest
 
 from tests.helpers import edit_site
-from tests.wbflow.outcome.test_verdict import night
+from tests.wbflow.verdict.test_rules import night
 from wbflow.api import load_site
 from wbflow.cache.ply import ply_bytes
 from wbflow.edit.server import EditServer

@@ -6,7 +6,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
 
-from tests.wbflow.outcome.test_verdict import PAIRS, night, pair, without
+from tests.wbflow.verdict.test_rules import PAIRS, night, pair, without
 from wbflow.report.charts import trends
 from wbflow.report.data import ReportData
 

@@ -9,7 +9,7 @@ from typing import Any, cast
 
 import pytest
 
-from tests.wbflow.outcome.test_verdict import night
+from tests.wbflow.verdict.test_rules import night
 from wbflow.pipeline.summaries import Change, ChangesSummary
 from wbflow.records.findings import Verdict
 from wbflow.records.record import RunRecord

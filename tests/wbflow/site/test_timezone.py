@@ -9,7 +9,7 @@ from typing import Any, cast
 
 import pytest
 
-from tests.wbflow.outcome.test_verdict import night as a_night
+from tests.wbflow.verdict.test_rules import night as a_night
 from wbflow import capture
 from wbflow.capture import Delivery
 from wbflow.cli.common import date_at, day

@@ -1,0 +1,173 @@
+"""One task's inputs as ordinary files, its parameters, and a short script that runs it alone."""
+
+from __future__ import annotations
+
+import datetime
+import json
+import os
+import shutil
+from pathlib import Path
+from typing import Any
+
+from ..cache.artifact import result_bytes, result_of, suffix_of
+from ..cache.checksum import content_digest
+from ..cache.store import Cache
+from ..errors import UsageError
+from ..pipeline.stages import DENSE_PAIRS, FUSE, PAIRS, REJECTED, stage_named
+from ..plugins import load, make_importable
+from ..run.executors import THREADS
+from ..run.night import plan_run
+from ..run.options import Options
+from ..run.plan import Plan
+from ..run.spec import Input, Stored, TaskSpec
+from ..run.state import Impossible, Waiting
+from ..run.worker import arguments_of
+from ..site.models import Site
+from ..site.yaml_document import suggest
+from ..task import Task
+
+SCRIPT = "run.py"
+TASK_FILE = "task.json"
+"""Describes the task: stage, subject, function, parameters, where its inputs are, and its outcome in the cache."""
+INPUTS = "inputs"
+"""Folder of the task's inputs."""
+
+_SCRIPT = '''\
+"""{task}, night of {night}, alone: what it is handed lies in inputs/, its parameters in task.json."""
+from pathlib import Path
+
+from wbflow.commands import debug
+
+here = Path(__file__).resolve().parent
+debug.set_up_as_worker(here)  # one thread, as in a run
+from {module} import {name} as stage  # noqa: E402
+
+result = stage(**debug.inputs(here), **debug.parameters(here))
+print(result)
+print(debug.keep(here, result))
+'''
+
+
+def write_task(site: Site, task: Task, out: Path, date: datetime.date | None = None) -> list[Path]:
+    """Write a task's inputs and parameters as they are tonight, and a script that runs it; returns the files, the script first.
+
+    Raises UsageError if there is no such task, or its inputs have not been made; DamagedArtifact.
+
+    Parameters
+    ----------
+    site, task : Site, Task
+        The site, and the task to write.
+    out : Path
+        The folder for the files; it is created if missing.
+    date : date, optional
+        The night; the newest with captures, if not given.
+    """
+    context = plan_run(site, Options(date))
+    plan = context.plan
+    plan.refresh()
+    spec = _spec(plan, task)
+    (out / INPUTS).mkdir(parents=True, exist_ok=True)
+    make_importable(spec.folder)
+    values = arguments_of(spec, plan.cache)
+    entries = {name: _write_input(spec.inputs[name], value, out / INPUTS, name, plan.cache) for name, value in values.items()}
+    receipt, state = plan.cache.by_key(task, spec.preimage().key()), plan.states.get(task)
+    ended: dict[str, str | None] = {"outcome": "not run", "reason": None, "digest": None}
+    if receipt:
+        ended = {"outcome": receipt.outcome, "reason": receipt.reason, "digest": receipt.digest if receipt.file else None}
+    elif state:
+        outcome = "the night uses the reference's" if state.receipt else state.outcome
+        ended = {"outcome": outcome, "reason": state.reason, "digest": None}
+    description: dict[str, Any] = {
+        "stage": task.stage,
+        "subject": list(task.subject),
+        "night": str(context.date),
+        "function": spec.function,
+        "parameters": spec.parameters,
+        "inputs": entries,
+        **ended,
+        "folder": str(spec.folder) if spec.folder else None,
+    }
+    module, _, name = spec.function.partition(":")
+    (out / SCRIPT).write_text(_SCRIPT.format(task=task, night=context.date, module=module, name=name))
+    (out / TASK_FILE).write_text(json.dumps(description, indent=1))
+    return [out / SCRIPT, out / TASK_FILE, *sorted((out / INPUTS).iterdir())]
+
+
+def _spec(plan: Plan, task: Task) -> TaskSpec:
+    known = [*plan.states, *plan.ready, *plan.waiting]
+    stage = stage_named(task.stage)
+    if stage.scope == "pair" and plan.subjects.pairs(stage.dense) is None:
+        needed = PAIRS if plan.subjects.pairs() is None else DENSE_PAIRS
+        raise _waiting_error(plan, task, Task(needed))
+    if task not in known:
+        stage_tasks = [str(t) for t in known if t.stage == task.stage]
+        listed = ", ".join(stage_tasks[:20]) or f"there is none of the stage {task.stage}"
+        remedy = suggest(str(task), stage_tasks, f"there are: {listed}")
+        raise UsageError(f"the night of {plan.night} has no task '{task}'", remedy=remedy)
+    try:
+        return plan.spec_of(task)
+    except Waiting as waiting:
+        raise _waiting_error(plan, task, waiting.task or Task(PAIRS)) from None
+    except Impossible as impossible:
+        remedy = f"wbflow status {plan.site.file}  says what each task waits for"
+        raise UsageError(f"'{task}' has nothing to work on: {impossible}", remedy=remedy) from None
+
+
+def _waiting_error(plan: Plan, task: Task, needed: Task) -> UsageError:
+    remedy = f"first: wbflow run {plan.site.file} --date {plan.night} --until {needed.stage}"
+    return UsageError(f"'{task}' waits for '{needed}', which has not been made yet", remedy=remedy)
+
+
+def _write_input(source: Input, value: Any, folder: Path, name: str, cache: Cache) -> Any:
+    """Write an input, and return its entry in task.json; a cloud is copied, since the cache stores it as a PLY file."""
+    if isinstance(source, Stored) and not source.field and source.file and source.task.stage == FUSE:
+        file = f"{name}{suffix_of(FUSE)}"
+        shutil.copyfile(cache.work.task(source.task) / source.file, folder / file)
+        return {"cloud": file}
+    return load("wbflow_stages.exports.plain:write")(value, folder, name)
+
+
+def set_up_as_worker(folder: Path) -> None:
+    """Allow one thread, and make modules beside the site file importable, as in a run; call this before other imports."""
+    os.environ.update(dict.fromkeys(THREADS, "1"))
+    module_folder = _description(folder)["folder"]
+    make_importable(Path(module_folder) if module_folder else None)
+
+
+def inputs(folder: Path) -> dict[str, Any]:
+    """The arguments of the function that are inputs, by name."""
+    return {name: _read_input(entry, folder / INPUTS) for name, entry in _description(folder)["inputs"].items()}
+
+
+def parameters(folder: Path) -> dict[str, Any]:
+    """The parameters of the function: change them in task.json, and run the script again."""
+    values: dict[str, Any] = _description(folder)["parameters"]
+    return values
+
+
+def keep(folder: Path, result: Any) -> str:
+    """Write the result beside the script, and return in words how it compares with the result in the cache."""
+    task = _description(folder)
+    recorded = task["outcome"], task["reason"]
+    rejected_type: Any = load(REJECTED)
+    if isinstance(result, rejected_type):
+        is_same = recorded == ("rejected", str(result.reason))
+        return f"rejected, {'as in the cache' if is_same else f'in the cache: {recorded[0]}'}"
+    data = result_bytes(result, task["stage"])
+    file = folder / f"result{suffix_of(task['stage'])}"
+    file.write_bytes(data)
+    if task["digest"] is None:
+        return f"{file} (the cache has none: {recorded[0]}{f', {recorded[1]}' if recorded[1] else ''})"
+    is_same = content_digest(data) == task["digest"]
+    return f"{file}: {'the same bytes as the cache has' if is_same else 'other bytes than the cache has'}"
+
+
+def _read_input(entry: Any, folder: Path) -> Any:
+    if isinstance(entry, dict) and "cloud" in entry:
+        return result_of((folder / entry["cloud"]).read_bytes(), FUSE)
+    return load("wbflow_stages.exports.plain:read")(entry, folder)
+
+
+def _description(folder: Path) -> dict[str, Any]:
+    description: dict[str, Any] = json.loads((folder / TASK_FILE).read_text())
+    return description

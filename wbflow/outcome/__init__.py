@@ -1,1 +1,0 @@
-"""What a night leaves for people and programs."""

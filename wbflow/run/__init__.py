@@ -1,0 +1,1 @@
+"""One run, from its plan to its published folder; `life` is where to begin."""

@@ -1,0 +1,81 @@
+"""The events of a run, and its costs."""
+
+from __future__ import annotations
+
+import datetime
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+from ..records.events import Event, Listener, TaskEvent, WarningEvent, now
+from ..records.findings import Finding
+from ..records.record import Seconds, StageSeconds
+from ..task import Task
+
+if TYPE_CHECKING:
+    from .plan import Plan
+
+
+@dataclass
+class Journal:
+    """The events of a run, and its costs; each event is kept for the log, and passed to the listener."""
+
+    listen: Listener
+    started: datetime.datetime = field(default_factory=lambda: datetime.datetime.now(datetime.UTC))
+    events: list[Event] = field(default_factory=list)
+    repairs: dict[str, None] = field(default_factory=dict)
+    """Damage on disk that was found and repaired, as text (the keys)."""
+    upload: Callable[[], Finding | None] = lambda: None
+    """Uploads finished results to the object store, if the site has one; returns a finding if that fails."""
+    peak_rss_mb: float = 0.0
+    """Peak memory of the largest worker, MB (2^20 bytes)."""
+    _stages: dict[str, StageSeconds] = field(default_factory=dict)
+    _wall_start: float = field(default_factory=time.perf_counter)
+    _cpu_start: float = field(default_factory=time.process_time)
+
+    def add_ended(self, plan: Plan) -> None:
+        """Add an event for each task that has ended since the last call, and for damage that was found in the cache."""
+        for damage in plan.cache.damages():
+            self.note_repair(f"{damage.what}: made again", task=damage.task)
+        for task, state in plan.newly_ended():
+            receipt = state.receipt
+            key = receipt.key if receipt else None
+            cpu = round(receipt.cpu, 3) if receipt and state.outcome == "ran" else None
+            self._add(
+                TaskEvent(task, state.outcome, now(), state.fresh, state.reason, state.code, key=key, cpu=cpu, trace=state.trace)
+            )
+            if state.fresh and receipt:
+                previous = self._stages.get(task.stage, StageSeconds(0.0, 0.0, 0))
+                wall, cpu = previous.wall + receipt.wall, previous.cpu + receipt.cpu
+                self._stages[task.stage] = StageSeconds(wall, cpu, previous.tasks + 1)
+                self.peak_rss_mb = max(self.peak_rss_mb, receipt.peak_rss_mb)
+
+    def warn(self, what: str, *, task: Task | None = None, remedy: str = "", trace: str | None = None) -> None:
+        """Add a warning of a problem that the run has survived.
+
+        Parameters
+        ----------
+        what, remedy : str
+            The problem in one line, and what to do about it ("" if nothing can be done).
+        task, trace : Task, str, optional
+            The task that it concerns, and the traceback of an unexpected error.
+        """
+        self._add(WarningEvent(what, now(), task, remedy, trace))
+
+    def note_repair(self, what: str, *, task: Task | None = None) -> None:
+        """Add a warning of repaired damage on disk, once for each text.  task: the task whose file was damaged."""
+        if what not in self.repairs:
+            self.repairs[what] = None
+            self._add(WarningEvent(what, now(), task, repaired=True))
+
+    def seconds(self, own_process: bool) -> Seconds:
+        """Return the costs of the run until now.  own_process: tasks ran in this process, whose CPU time includes theirs."""
+        wall, cpu = time.perf_counter() - self._wall_start, time.process_time() - self._cpu_start
+        if not own_process:
+            cpu += sum(stage.cpu for stage in self._stages.values())
+        return Seconds(wall, cpu, self._stages)
+
+    def _add(self, event: Event) -> None:
+        self.events.append(event)
+        self.listen(event)

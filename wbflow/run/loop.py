@@ -1,0 +1,160 @@
+"""The main loop of a run: plan, run the ready tasks, plan again, until no task is left and the products are intact."""
+
+from __future__ import annotations
+
+import datetime
+import signal
+import threading
+from collections import Counter
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from ..cache.atomic import DISK_FULL_REMEDY
+from ..cache.store import DamagedArtifact
+from ..pipeline.stages import DEPTH, FUSE, POSES, stage_named
+from ..records.events import PlannedEvent
+from ..task import Task
+from .dispatch import Dispatcher
+from .journal import Journal
+from .night import RunContext
+from .options import Options
+from .state import Cause, State
+
+MOST_ATTEMPTS = 3
+"""In one run, a damaged artifact is made again, and a changed file read again, at most this often."""
+
+
+def run_tasks(context: RunContext, options: Options, journal: Journal) -> dict[Task, bytes] | None:
+    """Run all tasks; return the artifacts to publish by task, after checking their digests; None if the run was interrupted.
+
+    The caller holds the lock.  context: its plan is not yet refreshed.  journal: receives all events.
+    """
+    dispatcher = Dispatcher(options, context.plan.cache, journal)
+    try:
+        return _Loop(context, dispatcher, journal, options.stop_at).run()
+    except KeyboardInterrupt:
+        return None
+    finally:
+        dispatcher.stop()
+        journal.add_ended(context.plan)
+        try:
+            for memo in (context.digests, context.earlier_captures, context.plan.site.reader):
+                memo.save()
+        except OSError as error:  # the next run only takes longer
+            journal.warn(f"digests of captures and signatures of functions could not be saved: {error}")
+
+
+@dataclass
+class _Loop:
+    """Runs all tasks of a plan."""
+
+    context: RunContext
+    dispatcher: Dispatcher
+    journal: Journal
+    stop_at: datetime.datetime | None
+    """Local time after which the run computes only what joins existing results (see `_stop`)."""
+    stopped: bool = False
+    _attempts: Counter[Task | Path] = field(default_factory=Counter)
+
+    def run(self) -> dict[Task, bytes]:
+        """Run all tasks; return the artifacts to publish."""
+        plan = self.context.plan
+        self.journal.listen(PlannedEvent(plan.counts()))
+        while True:
+            plan.refresh()
+            if self.stop_at and datetime.datetime.now() >= self.stop_at:
+                self._stop(self.stop_at)
+            self.journal.add_ended(plan)
+            self.journal.listen(PlannedEvent(plan.counts()))
+            chains = [chain[:1] if self.stopped else chain for chain in plan.chains()]
+            if chains:
+                tasks = [spec.task for chain in chains for spec in chain]
+                if shortage := self.dispatcher.limits.disk_shortage(plan.cache.work.root, tasks):
+                    for first, *_ in chains:
+                        plan.commit(first.task, State("failed", f"{shortage}; {DISK_FULL_REMEDY}", Cause.DISK_FULL))
+                    continue
+                plan.begin(chains)
+                self.dispatcher.submit(chains)
+            if plan.running:
+                self._collect()
+                continue
+            try:
+                return self._products()
+            except DamagedArtifact as damage:
+                self._make_again(damage.task, damage.what)
+
+    def _collect(self) -> None:
+        for chain, ended in self.dispatcher.wait():
+            for done in ended:
+                if done.damaged is not None:
+                    self._make_again(done.damaged, done.state.reason or "")
+                elif done.changed is not None:
+                    self._reread(done.task, done.changed, done.state.reason or "")
+                else:
+                    self.context.plan.commit(done.task, done.state)
+            self.context.plan.release(spec.task for spec in chain)
+
+    def _stop(self, stop_time: datetime.datetime) -> None:
+        """End running tasks, and skip ready ones, except depth maps and site-wide stages, which join existing results."""
+        plan = self.context.plan
+        if not self.stopped:
+            self.stopped = True
+            self.dispatcher.stop()
+            plan.release(list(plan.running))
+            plan.refresh()
+        while given_up := [t for t in plan.ready if stage_named(t.stage).scope != "site" and t.stage != DEPTH]:
+            for task in given_up:
+                plan.commit(task, State("skipped", f"the run was to stop at {stop_time:%H:%M}", Cause.STOPPED))
+            plan.refresh()
+
+    def _make_again(self, task: Task, reason: str) -> None:
+        """Have a damaged artifact made again.  Each of its readers reports the damage, but it counts once."""
+        plan = self.context.plan
+        if task not in plan.states:
+            return
+        self._attempts[task] += 1
+        if self._attempts[task] > MOST_ATTEMPTS:
+            explanation = f"{reason}; damaged {MOST_ATTEMPTS} times: is the disk failing?"
+            plan.commit(task, State("failed", explanation, Cause.DAMAGED))
+        else:
+            self.journal.note_repair(f"{reason}; made again", task=task)
+            plan.forget(task)
+
+    def _reread(self, task: Task, file: Path, reason: str) -> None:
+        """Continue the plan with the present content of a capture, mask or model that was replaced since it was read."""
+        self._attempts[file] += 1
+        if self._attempts[file] > MOST_ATTEMPTS:
+            explanation = f"{file} keeps changing: is it still being written?"
+            self.context.plan.commit(task, State("failed", explanation, Cause.BAD_INPUT))
+            return
+        self.journal.warn(f"{reason}; its present content is used", task=task)
+        self.context.reread(file)
+
+    def _products(self) -> dict[Task, bytes]:
+        """The artifacts to publish: poses and clouds.  Raises DamagedArtifact."""
+        cache, products = self.context.plan.cache, {}
+        for task, state in self.context.plan.states.items():
+            if task.stage in {POSES, FUSE} and state.usable and state.receipt:
+                products[task] = cache.read(task, cache.path(state.receipt), state.receipt.digest)
+        return products
+
+
+@contextmanager
+def terminate_as_interrupt() -> Iterator[None]:
+    """Treat SIGTERM (systemd, cron's timeout) and SIGHUP (closed terminal) as Ctrl-C: the run ends, finished work is kept."""
+
+    def interrupt(signum: int, frame: object) -> None:
+        raise KeyboardInterrupt
+
+    if threading.current_thread() is not threading.main_thread():  # only the main thread can set signal handlers
+        yield
+        return
+    signals = [s for s in (signal.SIGTERM, signal.SIGHUP) if signal.getsignal(s) is not signal.SIG_IGN]  # nohup ignores SIGHUP
+    old_handlers = {number: signal.signal(number, interrupt) for number in signals}
+    try:
+        yield
+    finally:
+        for number, handler in old_handlers.items():
+            signal.signal(number, handler)

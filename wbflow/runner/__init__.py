@@ -1,1 +1,0 @@
-"""One run: its context, its plan, and the execution of the plan."""

@@ -1,0 +1,1 @@
+"""How good a night is: its figures, what is usual, and the rules that judge it."""
