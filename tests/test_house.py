@@ -33,8 +33,8 @@ ENGINE_LAYERS = (
     {"errors", "task", "words", "json_dataclass", "plugins"},
     {"cache", "records", "pipeline", "remote"},
     {"site"},
-    {"run", "reference", "verdict", "capture"},
-    {"edit", "commands", "report"},
+    {"run", "reference", "verdict", "report", "capture"},
+    {"edit", "commands"},
     {"api"},
     {"cli"},
 )

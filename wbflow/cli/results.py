@@ -52,8 +52,8 @@ def history(site: Path, as_json: bool, changes: bool, csv: bool, work: str | Non
     wbflow history site.yaml --json
     wbflow history site.yaml --changes --csv      cut and fill since the reference, night after night
     """
-    from ..commands.history import HEAD, as_csv, growth
-    from ..commands.history import history as entries
+    from ..records.history import HEAD, as_csv, growth
+    from ..records.history import history as entries
 
     loaded = load(site, work)
     if csv and not changes:
@@ -90,7 +90,7 @@ def runs(sites: tuple[Path, ...], as_json: bool) -> None:
     wbflow runs site.yaml --json
     wbflow runs sites/*.yaml
     """
-    from ..commands.history import places
+    from ..records.history import places
 
     loaded = [load(path, None) for path in sites]
     site_runs = [(site, entry) for site in loaded for entry in places(site.work_folder)]

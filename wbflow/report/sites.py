@@ -11,10 +11,10 @@ from pathlib import Path
 from ..cache.layout import WorkFolder
 from ..cache.store import Cache
 from ..cache.untrusted import MOST_TEXT_BYTES, read_untrusted
-from ..commands.history import Entry, history
 from ..errors import WbflowError
 from ..pipeline.stages import FUSE
 from ..records.findings import Finding
+from ..records.history import Entry, history
 from ..records.run_folder import NoSuchRun, RunFolder
 from ..site.load import load_site
 from ..task import Task

@@ -11,10 +11,10 @@ from typing import Any
 from ..cache.layout import WorkFolder
 from ..json_dataclass import JsonDataclass
 from ..pipeline.summaries import Change
-from ..records.findings import Verdict
-from ..records.ledger import Ledger, LedgerRun
-from ..records.record import RunRecord
-from ..records.run_folder import last_of_nights, newest_runs
+from .findings import Verdict
+from .ledger import Ledger, LedgerRun
+from .record import RunRecord
+from .run_folder import last_of_nights, newest_runs
 
 MOST_WORDS = 80
 """Longest text of a run's verdict in a line, in characters."""
