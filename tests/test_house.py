@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import ast
 import re
-import sys
 import tomllib
-from collections import Counter
 from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
@@ -161,71 +159,6 @@ def test_there_are_no_circular_imports() -> None:
     for name in modules:
         graph.add_edges_from((name, other) for other in imports(NAMES[name]) if other in modules and other != name)
     assert not [sorted(circle) for circle in networkx.strongly_connected_components(graph) if len(circle) > 1]
-
-
-def room_of(name: str) -> str:
-    """The package ("room") of a module: that of its folder; at the top these are "wbflow", "stages" and "sites.demo"."""
-    return name.rpartition(".")[0] if NAMES[name].name != "__init__.py" else name
-
-
-MODULES = [name for name, file in NAMES.items() if file.name != "__init__.py"]
-IMPORTED = {name: {other for other in imports(NAMES[name]) if other in NAMES and other != name} for name in MODULES}
-
-
-def levels(room: str) -> int:
-    """Number of levels in a package: of modules in the longest chain of imports within it."""
-    within = networkx.DiGraph()
-    within.add_nodes_from(name for name in MODULES if room_of(name) == room)
-    within.add_edges_from((name, other) for name in within.nodes for other in IMPORTED[name] if other in within.nodes)
-    return int(networkx.dag_longest_path_length(within)) + 1
-
-
-ROOMS = sorted({room_of(name) for name in MODULES})
-MOST_LEVELS = 4
-DEEPER = {"wbflow.run": 5}
-"""Limits of packages that exceed `MOST_LEVELS`: in the run, the loop imports the plan, and the plan the inputs."""
-
-
-ON_THEIR_OWN = {
-    "stages.exports.copc",
-    "stages.exports.las",
-    "stages.fusion.colour_evidence",
-    "stages.fusion.even_regions",
-    "stages.fusion.surface_support",
-}
-"""The modules under 60 lines with only one importer that may exist, since each is an idea of its own."""
-
-
-@pytest.mark.parametrize("room", ROOMS)
-def test_packages_do_not_exceed_their_number_of_levels(room: str) -> None:
-    assert levels(room) <= DEEPER.get(room, MOST_LEVELS)
-
-
-TWICE = {"stages": {"cameras", "ground", "health", "matcher", "propagation", "world"}}
-"""The only base names that modules in different packages of the vision code may share."""
-
-
-@pytest.mark.parametrize("package", ["wbflow", "stages", "sites"])
-def test_modules_of_a_package_have_distinct_base_names(package: str) -> None:
-    names = Counter(name.rpartition(".")[2] for name in MODULES if name.partition(".")[0] == package)
-    assert {name for name, count in names.items() if count > 1} <= TWICE.get(package, set())
-
-
-def test_table_of_packages_shows_no_unlisted_small_module() -> None:
-    """Print sizes and levels of all packages: `python -m pytest tests/test_house.py -k table -s` shows them."""
-    lines = {name: len(NAMES[name].read_text().splitlines()) for name in MODULES}
-    importers = Counter(other for found in IMPORTED.values() for other in found)
-    small = {name for name in MODULES if importers[name] == 1 and lines[name] < 60}
-    rows = ["", f"{'room':22}{'files':>6}{'lines':>7}{'levels':>7}  modules under 60 lines with one importer"]
-    for room in ROOMS:
-        here = [name for name in MODULES if room_of(name) == room]
-        alone = ", ".join(name.rpartition(".")[2] for name in here if name in small)
-        rows.append(f"{room:22}{len(here):6}{sum(map(lines.__getitem__, here)):7}{levels(room):7}  {alone}".rstrip())
-    for package in ("wbflow", "stages", "sites"):
-        here = [name for name in MODULES if name.partition(".")[0] == package]
-        rows.append(f"{package + ', all':22}{len(here):6}{sum(map(lines.__getitem__, here)):7}")
-    sys.stdout.write("\n".join(rows) + "\n")
-    assert small <= ON_THEIR_OWN
 
 
 def literals(tree: ast.Module) -> Iterator[str]:
