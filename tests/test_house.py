@@ -214,8 +214,8 @@ def test_only_a_few_places_catch_all_exceptions() -> None:
     assert sorted(broad) == [
         "cli/main.py",
         "cli/run.py",
-        "run/publish.py",
         "remote.py",
+        "run/publish.py",
         "run/worker.py",
         "run/worker.py",
     ]
