@@ -17,13 +17,14 @@ import numpy as np
 
 from .capture.background import merge
 from .capture.clock import running_clock
-from .capture.files import BadCapture, EmptyCapture, WrongSize, decoded, refuse_truncated
+from .capture.files import BadCapture, EmptyCapture, WrongSize, decoded_mask, picture_values, refuse_truncated, stray_bytes
 from .capture.image_statistics import blur_px, detail_px, image_statistics, weigh
+from .capture.levels import EIGHT_BITS, Levels, Values, levels_of
 from .capture.privacy import blanked, private_area, with_margin
 from .capture.signal import NOISY, Signal, denoised, remaining_noise, repaired, signal_of
 from .capture.straight import CapturePinhole
 from .capture.video import all_pictures
-from .io.image_headers import focal_in_long_sides, picture_size, taken_at
+from .io.image_headers import focal_in_long_sides, has_deep_values, largest_stated_value, picture_size, taken_at
 from .types import Bools, Capture, Frame, Lens, Privacy, Uint8s
 
 _T = TypeVar("_T")
@@ -41,6 +42,7 @@ def clean_frame(
     overlays: bool = True,
     denoise: bool = True,
     whole_field: bool = False,
+    levels: tuple[float, float] | None = None,
 ) -> Frame:
     """Make the night's frame of one camera.
 
@@ -62,15 +64,20 @@ def clean_frame(
     denoise : denoise the frame if much noise is left in it (a night without lamps).
     whole_field : for a "brown" lens, make a frame of all that it sees (up to 110 degrees) instead of what fits the lens's own
         K and size, which cuts off the corners of wide lenses.  Frames of other models always show all that the lens sees.
+    levels : the values of captures of more than 8 bits that become black and white, such as [0, 4095]; None: found by the depth
+        in use (10, 12, 14 or 16 bits), or, for thermal captures, as temperatures on a grid of at least 10 degrees.
     """
     if not captures:
         raise EmptyCapture("no capture was found for this night")
+    chosen = _evenly_chosen(captures, max_captures)
+    used_levels = _night_levels(chosen) if levels is None else Levels(*levels)
     pictures: list[_Picture] = []
     faults: list[BadCapture] = []
     camera: CapturePinhole | None = None
-    for capture in (chosen := _evenly_chosen(captures, max_captures)):
+    for capture in chosen:
         try:
-            for name, image in all_pictures(capture, video_step, max_captures, lens):
+            for name, image in all_pictures(capture, video_step, max_captures, lens, used_levels):
+                # without intrinsics, each size of picture has a pinhole of its own
                 if camera is None or lens.K is None or image.shape[:2] != (camera.height, camera.width):
                     camera = CapturePinhole.of(image, _lens_with_exif(lens, capture, image), name, whole_field)
                 pictures.append(_cleaned(image, camera, name, privacy, resolution))
@@ -83,9 +90,40 @@ def clean_frame(
     notes = [f"{fault}; left out" for fault in faults]
     pictures = _evenly_chosen(_of_common_size(pictures, notes), max_captures)
     notes += pictures[0].camera.loss_notes()
+    notes += _notes_on_files(chosen, used_levels)
     if len(captures) > max_captures:
         notes.append(f"{max_captures} of {len(captures)} captures used")
     return _merged_frame(pictures, mask, chosen, notes, overlays=overlays, denoise=denoise)
+
+
+def _night_levels(captures: Sequence[Capture]) -> Levels:
+    """The levels of a camera's captures of more than 8 bits, the same for all of them."""
+    deep = [capture for capture in captures if has_deep_values(capture.data[:_HEADER_BYTES].tobytes())]
+    if not deep:
+        return EIGHT_BITS
+    values: list[Values] = []
+    for capture in deep:
+        try:
+            values.append(picture_values(capture))
+        except BadCapture:  # reported when it is decoded again, for the frame
+            continue
+    return levels_of(values, largest_stated_value(deep[0].data.tobytes()))
+
+
+_HEADER_BYTES = 1 << 20
+"""Bytes at the beginning of a file that its header is looked for in."""
+
+
+def _notes_on_files(captures: Sequence[Capture], levels: Levels) -> list[str]:
+    """Notes on what was unusual in the files of captures that are used."""
+    notes: list[str] = []
+    if levels.what:
+        notes.append(levels.words())
+    places = [stray_bytes(capture) for capture in captures]
+    for place in dict.fromkeys(places):
+        if place:
+            notes.append(f"{places.count(place)} of {len(captures)} captures hold stray bytes {place}, which are skipped")
+    return notes
 
 
 def _summary(faults: Sequence[BadCapture]) -> str:
@@ -93,23 +131,33 @@ def _summary(faults: Sequence[BadCapture]) -> str:
     by_kind: dict[type, list[BadCapture]] = {}
     for fault in faults:
         by_kind.setdefault(type(fault), []).append(fault)
-    return "; ".join(f"{first}{f' (and {len(others)} more like it)' if others else ''}" for first, *others in by_kind.values())
+    messages: list[str] = []
+    for first, *others in by_kind.values():
+        message = str(first)
+        if others:
+            message += f" (and {len(others)} more like it)"
+        messages.append(message)
+    return "; ".join(messages)
 
 
 def _merged_frame(
     pictures: list[_Picture], mask: Capture | None, captures: list[Capture], notes: list[str], *, overlays: bool, denoise: bool
 ) -> Frame:
     """The frame from clean pictures of one size.  captures: those that the pictures are from, for their times."""
-    camera, images, names = pictures[0].camera, [p.image for p in pictures], [p.name for p in pictures]
+    camera = pictures[0].camera
+    images = [picture.image for picture in pictures]
+    names = [picture.name for picture in pictures]
     height, width = images[0].shape[:2]
     usable = _usable_pixels(camera, mask, width, height)
     private = _private_pixels(pictures[0], width, height)
     allowed = usable & ~private
     weights, weight_notes = weigh(images, names, allowed)
     background = merge(images, weights)
-    signal = Signal.median([p.signal for p in pictures])
-    for repair in dict.fromkeys(p.repair for p in pictures if p.repair):
-        notes.append(f"{sum(p.repair == repair for p in pictures)} of {len(pictures)} captures are combed: {repair}")
+    signal = Signal.median([picture.signal for picture in pictures])
+    repairs = [picture.repair for picture in pictures]
+    for repair in dict.fromkeys(repairs):
+        if repair:
+            notes.append(f"{repairs.count(repair)} of {len(pictures)} captures are combed: {repair}")
     notes.extend(signal.words())
     if len(images) == 2:
         notes.append(f"two captures have no majority: only {names[1]} is used")
@@ -119,13 +167,15 @@ def _merged_frame(
     if not trusted.any():
         raise BadCapture("mask, privacy polygons and moving things leave no pixel to use")
     noise = remaining_noise(signal.noise, len(images), width / camera.width)
-    image = background.image
+    image = background.image  # the statistics below are those of the picture before it is denoised
     if denoise and noise >= NOISY:
         image = denoised(image, noise)
         notes.append(f"noisy, {signal.noise:.0f} grey levels a capture: denoised")
     times = taken_at(captures)
+    if private.any():
+        image = blanked(image, private)
     return Frame(
-        blanked(image, private if private.any() else None),
+        image,
         trusted,
         camera.view(width, height),
         (*notes, *weight_notes),
@@ -178,7 +228,8 @@ def _cleaned(image: Uint8s, camera: CapturePinhole, name: str, privacy: Privacy 
     area = private_area(privacy, camera.width, camera.height, name)
     image = blanked(image, area)  # first: no figure may depend on what is private
     digest = hashlib.sha256(image.tobytes()).hexdigest()[:32]
-    signal, (image, repair) = signal_of(image), repaired(image)
+    signal = signal_of(image)
+    image, repair = repaired(image)
     undistorted = _resized(camera.undistort(image), *camera.working_size(resolution))
     return _Picture(camera, name, undistorted, area, signal, repair, digest)
 
@@ -196,8 +247,11 @@ def _lens_with_exif(lens: Lens, capture: Capture, image: Uint8s) -> Lens:
     if lens.K is not None or lens.hfov_deg is not None:
         return lens
     focal = focal_in_long_sides(capture.data)
+    if focal is None:
+        return lens
     height, width = image.shape[:2]
-    return lens if focal is None else replace(lens, hfov_deg=2 * degrees(atan(0.5 * width / (focal * max(width, height)))))
+    focal_px = focal * max(width, height)
+    return replace(lens, hfov_deg=2 * degrees(atan(0.5 * width / focal_px)))
 
 
 def _evenly_chosen(items: Sequence[_T], count: int) -> list[_T]:
@@ -208,12 +262,15 @@ def _evenly_chosen(items: Sequence[_T], count: int) -> list[_T]:
 
 def _of_common_size(pictures: Sequence[_Picture], notes: list[str]) -> list[_Picture]:
     """The pictures of the most common size (of equally common sizes, the latest); a note is added for each other picture."""
-    sizes = [(p.camera.width, p.camera.height) for p in pictures]
+    sizes = [(picture.camera.width, picture.camera.height) for picture in pictures]
     width, height = max(reversed(sizes), key=sizes.count)
-    for p, size in zip(pictures, sizes, strict=True):
-        if size != (width, height):
-            notes.append(f"{p.name} has {size[0]} x {size[1]} pixels, most have {width} x {height}; left out")
-    return [p for p, size in zip(pictures, sizes, strict=True) if size == (width, height)]
+    common: list[_Picture] = []
+    for picture, size in zip(pictures, sizes, strict=True):
+        if size == (width, height):
+            common.append(picture)
+        else:
+            notes.append(f"{picture.name} has {size[0]} x {size[1]} pixels, most have {width} x {height}; left out")
+    return common
 
 
 def _resized(image: Uint8s, width: int, height: int) -> Uint8s:
@@ -224,7 +281,10 @@ def _resized(image: Uint8s, width: int, height: int) -> Uint8s:
 
 def _usable_pixels(camera: CapturePinhole, mask: Capture | None, width: int, height: int) -> Bools:
     """(height, width) bool: covered by the sensor after undistortion, and allowed by the mask."""
-    allowed = np.full((camera.height, camera.width), 255, np.uint8) if mask is None else _decode_mask(mask, camera)
+    if mask is None:
+        allowed = np.full((camera.height, camera.width), 255, np.uint8)
+    else:
+        allowed = _decode_mask(mask, camera)
     allowed = _resized(camera.undistort(allowed, nearest=True), width, height)
     usable: Bools = allowed > 250  # a reduced pixel is usable if all pixels that it covers are
     if not usable.any():
@@ -241,11 +301,11 @@ def _decode_mask(mask: Capture, camera: CapturePinhole) -> Uint8s:
     stated_size = picture_size(mask.data.tobytes())
     if stated_size and sorted(stated_size) != sorted((camera.width, camera.height)):
         raise _wrong_mask(mask.name, *stated_size, camera)
-    image = decoded(f"mask {mask.name}", np.ascontiguousarray(mask.data), cv2.IMREAD_GRAYSCALE)
-    height, width = image.shape
+    allowed = decoded_mask(f"mask {mask.name}", np.ascontiguousarray(mask.data))
+    height, width = allowed.shape
     if (width, height) != (camera.width, camera.height):
         raise _wrong_mask(mask.name, width, height, camera)
-    return np.where(image > 0, 255, 0).astype(np.uint8)
+    return allowed
 
 
 def _wrong_mask(name: str, width: int, height: int, camera: CapturePinhole) -> WrongSize:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import cv2
 import numpy as np
 
-from .capture.files import BadCapture, decoded, wrong_size
+from .capture.files import BadCapture, decoded_mask, wrong_size
 from .capture.video import one_picture
 from .io.rasters import jpeg, png
 from .types import Capture, Lens, Uint8s
@@ -63,7 +63,7 @@ def paint_mask(name: str, mask: bytes | None, size: tuple[int, int], areas: Sequ
 
 
 def _decode(name: str, mask: bytes) -> Uint8s:
-    return decoded(f"mask {name}", np.frombuffer(mask, np.uint8), cv2.IMREAD_GRAYSCALE)
+    return decoded_mask(f"mask {name}", np.frombuffer(mask, np.uint8))
 
 
 def _reduced(image: Uint8s) -> Uint8s:

@@ -2,11 +2,24 @@
 
 from __future__ import annotations
 
+import importlib
+from typing import Any
+
 import cv2
 import numpy as np
 
-from ..io.image_headers import SCAN, jpeg_segments, picture_size
+from ..io.image_headers import (
+    SCAN,
+    is_heic,
+    is_raw_photograph,
+    jpeg_end,
+    jpeg_offset,
+    jpeg_segments,
+    largest_stated_value,
+    picture_size,
+)
 from ..types import Capture, Lens, Uint8s
+from .levels import Levels, Values, grey_levels_of, levels_of
 
 MOST_PIXELS = 200_000_000
 """Largest image that is decoded if its size is stated: 0.6 GB, and twice that while the channels are reordered."""
@@ -48,22 +61,85 @@ class WrongSize(BadCapture):
     """The size differs from that of the intrinsics, the mask or the night's other captures."""
 
 
-def decode(capture: Capture, lens: Lens | None = None) -> Uint8s:
+def decode(capture: Capture, lens: Lens | None = None, levels: Levels | None = None) -> Uint8s:
     """Decode an image file into (h, w, 3) uint8 RGB, rotated upright by its EXIF data.
 
-    lens: if it states the size of captures, a file whose header gives another size is not decoded.  Raises BadCapture for a
-    file that is empty, not an image, truncated, too large, of another size, or without content (black, white, uniform).
+    Raises BadCapture for a file that is empty, not an image, truncated, too large, of another size, or without content (black,
+    white, uniform).
+
+    Parameters
+    ----------
+    capture : the file; its content decides on the format, whatever its name says.
+    lens : if it states the size of captures, a file whose header gives another size is not decoded.
+    levels : what becomes black and white in a picture of more than 8 bits; None: by its own values (see `levels_of`).
     """
-    data = np.ascontiguousarray(capture.data)
-    if data.size == 0:
-        raise EmptyCapture(f"{capture.name} is empty (0 bytes)")
-    file_bytes = data.tobytes()
-    refuse_truncated(capture.name, file_bytes)
-    _refuse_size(capture.name, file_bytes, lens)
-    image = decoded(capture.name, data, cv2.IMREAD_COLOR)
+    values = picture_values(capture, lens)
+    if levels is None:
+        levels = levels_of([values], largest_stated_value(_image_bytes(capture)))
+    image = grey_levels_of(values, levels)
     refuse_unfinished(capture.name, image)
     refuse_featureless(capture.name, image)
     return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2RGB), dtype=np.uint8)
+
+
+def picture_values(capture: Capture, lens: Lens | None = None) -> Values:
+    """The values of an image file as they are stored, (h, w, 3) BGR of any dtype, rotated upright; see `decode`."""
+    if capture.data.size == 0:
+        raise EmptyCapture(f"{capture.name} is empty (0 bytes)")
+    file_bytes = _image_bytes(capture)
+    if is_raw_photograph(file_bytes):
+        remedy = "have the camera write JPEG, PNG or TIFF, or develop it before the run"
+        raise NotAnImage(f"{capture.name} is a raw photograph, of which only the preview could be read: {remedy}")
+    refuse_truncated(capture.name, file_bytes)
+    _refuse_size(capture.name, file_bytes, lens)
+    if is_heic(file_bytes):
+        return _heic_values(capture.name, file_bytes, lens)
+    return decoded(capture.name, np.frombuffer(file_bytes, np.uint8), cv2.IMREAD_COLOR)
+
+
+def _image_bytes(capture: Capture) -> bytes:
+    """The bytes of a file from where the image begins."""
+    file_bytes = np.ascontiguousarray(capture.data).tobytes()
+    return file_bytes[jpeg_offset(file_bytes) or 0 :]
+
+
+def stray_bytes(capture: Capture) -> str:
+    """Where a JPEG file holds bytes that belong to no part of it, in words; "" if it does not.  Decoders skip them."""
+    file_bytes = np.ascontiguousarray(capture.data).tobytes()
+    offset = jpeg_offset(file_bytes)
+    if offset is None:
+        return ""
+    if offset:
+        return "before the picture"
+    end = 2
+    for _, start, next_end in jpeg_segments(file_bytes):
+        if file_bytes[end : start - 4].strip(b"\xff"):  # any number of 0xFF may precede a marker
+            return "between its segments"
+        end = next_end
+    if jpeg_end(file_bytes) is None:
+        return "between its segments"
+    return ""
+
+
+def _heic_values(name: str, data: bytes, lens: Lens | None) -> Values:
+    """Values of a HEIC file, (h, w, 3) uint8 BGR, turned as the file says.  Raises NotAnImage without the library for it."""
+    try:
+        heif: Any = importlib.import_module("pillow_heif")
+    except ImportError:
+        remedy = "pip install 'wbflow[heic]', or have the camera write JPEG"
+        raise NotAnImage(f"{name} is a HEIC image, which needs a library of its own: {remedy}") from None
+    try:
+        file = heif.open_heif(data, convert_hdr_to_8bit=True)
+        width, height = file.size
+        _refuse_dimensions(name, width, height, lens)
+        values = np.asarray(file)
+    except (ValueError, RuntimeError, SyntaxError, OSError) as error:
+        if isinstance(error, BadCapture):
+            raise
+        raise NotAnImage(f"{name} is a HEIC image that cannot be read ({len(data):,} bytes): {error}") from None
+    if values.ndim == 2:
+        return np.asarray(cv2.cvtColor(values, cv2.COLOR_GRAY2BGR), np.uint8)
+    return np.ascontiguousarray(values[..., 2::-1])
 
 
 def wrong_size(name: str, width: int, height: int, lens: Lens) -> WrongSize:
@@ -87,25 +163,35 @@ def _refuse_size(name: str, data: bytes, lens: Lens | None) -> None:
 
     Width and height may be swapped, as the EXIF data may rotate the image.
     """
-    if (size := picture_size(data)) is None:
+    size = picture_size(data)
+    if size is None:
         return
     width, height = size
-    size_stated = bool(lens and lens.width and lens.height)
-    if size_stated and lens and sorted(size) != sorted((lens.width, lens.height)):
-        raise wrong_size(name, width, height, lens)
+    _refuse_dimensions(name, width, height, lens)
     if data[:2] == b"\xff\xd8" and width * height > max(FEW_PIXELS, len(data) * MOST_JPEG_PIXELS_A_BYTE):
         raise OversizedImage(f"{name} promises {width} x {height} pixels, which {len(data):,} bytes cannot hold")
-    limit = MOST_PIXELS if size_stated else MOST_UNSTATED_PIXELS
+
+
+def _refuse_dimensions(name: str, width: int, height: int, lens: Lens | None) -> None:
+    """Raises WrongSize for another size than the lens states, and OversizedImage for more pixels than are decoded."""
+    limit = MOST_UNSTATED_PIXELS
+    hint = " as long as its intrinsics do not state its size"
+    if lens is not None and lens.width and lens.height:
+        if sorted((width, height)) != sorted((lens.width, lens.height)):
+            raise wrong_size(name, width, height, lens)
+        limit = MOST_PIXELS
+        hint = ""
     if width * height > limit:
-        how = "" if size_stated else " as long as its intrinsics do not state its size"
-        raise OversizedImage(f"{name} has {width} x {height} pixels, {limit // 10**6} million are the most that are decoded{how}")
+        raise OversizedImage(
+            f"{name} has {width} x {height} pixels, {limit // 10**6} million are the most that are decoded{hint}"
+        )
 
 
 def refuse_truncated(name: str, data: bytes) -> None:
     """Raises TruncatedImage for JPEG without end marker or PNG without last chunk: decoders pad them with grey and only warn."""
     if data[:3] == b"\xff\xd8\xff":
-        scan = next((start for marker, start, _ in jpeg_segments(data) if marker == SCAN), None)
-        is_complete = scan is not None and data.find(b"\xff\xd9", scan) >= 0
+        scans = [start for marker, start, _ in jpeg_segments(data) if marker == SCAN]
+        is_complete = bool(scans) and data.find(b"\xff\xd9", scans[0]) >= 0
     elif data[:8] == b"\x89PNG\r\n\x1a\n":
         is_complete = data.rfind(b"IEND") >= 0
     else:
@@ -121,23 +207,44 @@ def refuse_unfinished(name: str, image: Uint8s) -> None:
     drawing.
     """
     last_pixel = image[-1, -1]
-    if last_pixel.max() < 24 or last_pixel.min() > 231 or (image[0] == last_pixel).all():
+    if last_pixel.max() < 24 or last_pixel.min() > 231:
         return
-    last_row = next((row for row in range(len(image) - 1, -1, -1) if (image[row] != last_pixel).any()), None)
-    missing = 0.0 if last_row is None else 1.0 - (last_row + 1) / len(image)  # one colour everywhere: see `refuse_featureless`
+    if (image[0] == last_pixel).all():
+        return
+    row = len(image) - 1
+    while row >= 0 and (image[row] == last_pixel).all():
+        row -= 1
+    if row < 0:  # one colour everywhere: see `refuse_featureless`
+        return
+    missing = 1.0 - (row + 1) / len(image)
     if missing > MOST_MISSING:
         raise TruncatedImage(f"{name} is unfinished: the lower {100 * missing:.0f} % of it are of one colour")
 
 
-def decoded(name: str, data: Uint8s, flags: int) -> Uint8s:
-    """Pixels as OpenCV reads them (BGR).  Raises NotAnImage if it cannot."""
-    try:
-        image = cv2.imdecode(data, flags) if data.size else None
-    except cv2.error:
-        image = None
+def decoded(name: str, data: Uint8s, flags: int) -> Values:
+    """Pixels as OpenCV reads them (BGR), with all their bits.  Raises NotAnImage if it cannot."""
+    image = _imdecode(data, flags | cv2.IMREAD_ANYDEPTH)
+    if image is None and flags == cv2.IMREAD_COLOR:
+        # values with fractions are read without conversion only: grey ones do not become colours
+        grey = _imdecode(data, cv2.IMREAD_ANYDEPTH)
+        if grey is not None and grey.ndim == 2:
+            image = np.repeat(grey[..., None], 3, axis=2)
     if image is None:
         raise NotAnImage(f"{name} is no image that can be read ({data.size:,} bytes)")
-    return np.asarray(image, dtype=np.uint8)
+    return image
+
+
+def decoded_mask(name: str, data: Uint8s) -> Uint8s:
+    """(h, w) uint8, 255 where a mask file is not zero, at whatever depth.  Raises NotAnImage."""
+    values = decoded(name, data, cv2.IMREAD_GRAYSCALE)
+    return np.where(values > 0, 255, 0).astype(np.uint8)
+
+
+def _imdecode(data: Uint8s, flags: int) -> Values | None:
+    try:
+        return cv2.imdecode(data, flags) if data.size else None
+    except cv2.error:
+        return None
 
 
 def refuse_featureless(name: str, image: Uint8s) -> None:
@@ -149,5 +256,10 @@ def refuse_featureless(name: str, image: Uint8s) -> None:
     low, high = np.percentile(cells, [1, 99])
     if high - low >= 6:
         return
-    look = "black" if high < 24 else "white" if low > 231 else "uniform"
+    if high < 24:
+        look = "black"
+    elif low > 231:
+        look = "white"
+    else:
+        look = "uniform"
     raise FeaturelessImage(f"{name} is {look}: nothing can be seen in it; check the camera, its lens and its lighting")

@@ -11,11 +11,15 @@ from tempfile import NamedTemporaryFile
 import cv2
 import numpy as np
 
+from ..io.image_headers import is_image, is_video, jpeg_offset
 from ..types import Capture, Lens, Uint8s
 from .files import BadCapture, EmptyCapture, NotAnImage, decode
+from .levels import Levels
 
 SUFFIXES = frozenset({".mp4", ".m4v", ".mov", ".avi", ".mkv", ".webm", ".mpg", ".mpeg", ".ts"})
 IN_MEMORY = hasattr(os, "memfd_create")
+_HEADER_BYTES = 4096
+"""Bytes at the beginning of a file that tell its format."""
 MOST_FRAMES = 100_000
 """Largest number of frames that are read, in case a file claims to be endless."""
 
@@ -46,19 +50,29 @@ def pictures(capture: Capture, step: int, most_pictures: int) -> Iterator[tuple[
         raise NotAnImage(f"{capture.name} holds no picture that can be decoded ({capture.data.size:,} bytes)")
 
 
-def all_pictures(capture: Capture, step: int, most_pictures: int, lens: Lens | None = None) -> Iterator[tuple[str, Uint8s]]:
+def all_pictures(
+    capture: Capture, step: int, most_pictures: int, lens: Lens | None = None, levels: Levels | None = None
+) -> Iterator[tuple[str, Uint8s]]:
     """A capture's images (h, w, 3) uint8 RGB with their names: one, or several of a video.  Raises BadCapture.
 
     Parameters
     ----------
     capture : an image file or a video.
     step, most_pictures : for a video, see `pictures`.
-    lens : see `files.decode`.
+    lens, levels : see `files.decode`.
     """
-    if PurePath(capture.name).suffix.lower() in SUFFIXES:
+    if is_video_file(capture):
         yield from pictures(capture, step, most_pictures)
     else:
-        yield capture.name, decode(capture, lens)
+        yield capture.name, decode(capture, lens, levels)
+
+
+def is_video_file(capture: Capture) -> bool:
+    """Is a file a video?  Its content decides; where that is of no known format, its name does."""
+    head = capture.data[:_HEADER_BYTES].tobytes()
+    if is_image(head) or jpeg_offset(head) is not None:
+        return False
+    return is_video(head) or PurePath(capture.name).suffix.lower() in SUFFIXES
 
 
 def one_picture(capture: Capture) -> Uint8s:

@@ -1,4 +1,4 @@
-"""What an image file states in its header, read without decoding it: JPEG segments, EXIF focal length and time, size."""
+"""What an image file states in its header, read without decoding it: format, size, JPEG segments, EXIF focal length and time."""
 
 from __future__ import annotations
 
@@ -10,30 +10,134 @@ from typing import Literal
 
 from ..types import Capture, Uint8s
 
-SCAN, APP1 = 0xDA, 0xE1
-"""JPEG markers: the start of the compressed data, and the segment that holds EXIF."""
+SCAN = 0xDA
+"""JPEG marker: compressed data begins."""
+APP1 = 0xE1
+"""JPEG marker: the segment that holds EXIF data."""
+_END_OF_IMAGE = 0xD9
+_RESTARTS = range(0xD0, 0xD8)
+"""JPEG markers within compressed data (RST0 to RST7), which have no length."""
+
+_JPEG_START = b"\xff\xd8\xff"
+_PNG_START = b"\x89PNG\r\n\x1a\n"
+_TIFF_STARTS = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
+_HEIF_BRANDS = (b"heic", b"heix", b"hevc", b"hevx", b"heim", b"heis", b"mif1", b"msf1")
+"""Major brands of HEIC files (ISO/IEC 23008-12): coded as H.265."""
+_IMAGE_BRANDS = (*_HEIF_BRANDS, b"avif", b"avis")
+MOST_LEADING_BYTES = 512
+"""Most bytes before a JPEG that are skipped: the header of a stream's part is shorter, an EXIF thumbnail lies behind more."""
+
+
+def jpeg_offset(data: bytes) -> int | None:
+    """Where a JPEG begins: 0, or behind a few bytes that a recorder has left before it; None for other files.
+
+    A JPEG that begins inside the segments of another one, whose own beginning is lost, is a thumbnail and does not count.
+    """
+    offset = data.find(_JPEG_START, 0, MOST_LEADING_BYTES + len(_JPEG_START))
+    if offset < 0:
+        return None
+    leading = data[:offset]
+    if b"Exif" in leading or b"JFIF" in leading or leading[:4] in {b"RIFF", *_TIFF_STARTS} or leading[4:8] == b"ftyp":
+        return None
+    return offset
 
 
 def jpeg_segments(data: bytes) -> Iterator[tuple[int, int, int]]:
     """(marker, start, end) of each segment up to the first scan, which ends where the file does; nothing for other files.
 
     start: where the segment's content begins, behind marker and length.  A thumbnail inside a segment has markers of its own:
-    a search for a marker must skip whole segments.
+    a search for a marker must skip whole segments.  Bytes between segments that belong to none are skipped, as decoders do.
     """
-    offset = 2 if data[:2] == b"\xff\xd8" else len(data)
-    while offset + 4 <= len(data) and data[offset] == 0xFF:
-        marker = data[offset + 1]
-        if marker == 0xFF:  # fill byte
-            offset += 1
-            continue
-        end = len(data) if marker == SCAN else offset + 2 + int.from_bytes(data[offset + 2 : offset + 4], "big")
-        yield marker, offset + 4, end
-        if marker == SCAN:
+    if data[:2] != b"\xff\xd8":
+        return
+    offset = 2
+    while True:
+        offset = _next_marker(data, offset)
+        if offset + 4 > len(data):
             return
+        marker = data[offset + 1]
+        start = offset + 4
+        if marker == SCAN:
+            yield marker, start, len(data)
+            return
+        end = offset + 2 + int.from_bytes(data[offset + 2 : offset + 4], "big")
+        yield marker, start, end
         offset = end
 
 
-EXIF_POINTER, FOCAL_LENGTH_35MM, TAKEN = 0x8769, 0xA405, 0x9003
+def _next_marker(data: bytes, offset: int) -> int:
+    """Offset of the next marker (0xFF, then neither 0x00 nor 0xFF), or of the end of the data."""
+    while True:
+        offset = data.find(b"\xff", offset)
+        if offset < 0 or offset + 1 >= len(data):
+            return len(data)
+        if data[offset + 1] not in {0x00, 0xFF}:
+            return offset
+        offset += 1
+
+
+def jpeg_end(data: bytes) -> int | None:
+    """Offset behind the end marker of the JPEG that `data` begins with; None if the marker has not arrived.
+
+    Compressed data holds markers only between scans and for restarts: an end marker inside a segment (of a thumbnail) or behind
+    the picture is not taken for that of the picture.
+    """
+    if data[:2] != b"\xff\xd8":
+        return None
+    offset = 2
+    while True:
+        offset = _next_marker(data, offset)
+        if offset >= len(data):
+            return None
+        marker = data[offset + 1]
+        if marker == _END_OF_IMAGE:
+            return offset + 2
+        if marker in _RESTARTS or marker == 0x01:
+            offset += 2
+            continue
+        if offset + 4 > len(data):
+            return None
+        # every other marker begins a segment with a length; the data of a scan follow its segment
+        offset += 2 + int.from_bytes(data[offset + 2 : offset + 4], "big")
+
+
+def is_image(data: bytes) -> bool:
+    """Does a file begin as an image does, whatever its name says?"""
+    if data[:8] == _PNG_START or data[:4] in _TIFF_STARTS:
+        return True
+    if data[:6] in {b"GIF87a", b"GIF89a"} or data[:2] == b"BM" or data[4:8] == b"jP  ":
+        return True
+    if _PNM_HEADER.match(data[:4096]):
+        return True
+    if data[:4] == b"RIFF" and data[8:12] == b"WEBP":
+        return True
+    if data[4:8] == b"ftyp" and data[8:12] in _IMAGE_BRANDS:
+        return True
+    return data[:3] == _JPEG_START
+
+
+def is_heic(data: bytes) -> bool:
+    """Is a file a HEIC image, as phones write it?  (Files of brand `mif1` may hold AVIF as well, which lists its brand.)"""
+    return data[4:8] == b"ftyp" and data[8:12] in _HEIF_BRANDS and b"avif" not in data[8:64]
+
+
+def is_video(data: bytes) -> bool:
+    """Does a file begin as a video does (MP4, AVI, Matroska, MPEG program or transport stream, H.264), whatever its name says?"""
+    if data[4:8] in {b"ftyp", b"moov", b"mdat", b"moof"}:
+        return data[8:12] not in _IMAGE_BRANDS
+    if data[:4] == b"RIFF" and data[8:12] == b"AVI ":
+        return True
+    if data[:4] in {b"\x1aE\xdf\xa3", b"\0\0\1\xba"}:
+        return True
+    if data[:5] in {b"\0\0\0\1g", b"\0\0\0\1\x27"}:  # H.264: a sequence parameter set
+        return True
+    return len(data) > 376 and data[0] == data[188] == data[376] == 0x47  # a transport stream: packets of 188 bytes
+
+
+EXIF_POINTER = 0x8769
+FOCAL_LENGTH_35MM = 0xA405
+TAKEN = 0x9003
+"""EXIF tags: the directory of photographic data, the focal length for a film of 36 mm x 24 mm, and the time of the picture."""
 FILM_WIDTH_MM = 36.0
 
 
@@ -45,7 +149,8 @@ def focal_in_long_sides(data: Uint8s) -> float | None:
 
 def taken_at(captures: Sequence[Capture]) -> list[datetime]:
     """When captures were taken according to the camera (EXIF DateTimeOriginal); captures without that are skipped."""
-    return [moment for capture in captures if (moment := _time_taken(capture.data))]
+    moments = [_time_taken(capture.data) for capture in captures]
+    return [moment for moment in moments if moment is not None]
 
 
 def _time_taken(data: Uint8s) -> datetime | None:
@@ -61,8 +166,12 @@ def _time_taken(data: Uint8s) -> datetime | None:
 def _exif(data: Uint8s, tag: int, size: int) -> tuple[bytes, int | None]:
     """The TIFF block of a JPEG's EXIF segment, and the value of a tag as a number of `size` bytes; None if it is missing."""
     head = bytes(data[:65536])
-    segments = (head[start:end] for marker, start, end in jpeg_segments(head) if marker == APP1)
-    tiff = next((segment[6:] for segment in segments if segment[:6] == b"Exif\0\0"), b"")
+    tiff = b""
+    for marker, start, end in jpeg_segments(head[jpeg_offset(head) or 0 :]):
+        segment = head[start:end]
+        if marker == APP1 and segment[:6] == b"Exif\0\0":
+            tiff = segment[6:]
+            break
     byte_order: Literal["little", "big"] = "little" if tiff[:2] == b"II" else "big"
 
     def number(offset: int, size: int) -> int:
@@ -76,57 +185,139 @@ def _exif(data: Uint8s, tag: int, size: int) -> tuple[bytes, int | None]:
         return None
 
     pointer = entry(number(4, 4), EXIF_POINTER)
-    offset = None if pointer is None else entry(number(pointer, 4), tag)
-    return tiff, None if offset is None else number(offset, size)
+    if pointer is None:
+        return tiff, None
+    offset = entry(number(pointer, 4), tag)
+    if offset is None:
+        return tiff, None
+    return tiff, number(offset, size)
 
 
 _NO_FRAME = {0xC4, 0xC8, 0xCC}
 """JPEG markers from C0 to CF that begin no frame (ITU-T T.81, table B.1)."""
-_WIDTH, _HEIGHT = 256, 257
-"""TIFF tags."""
-_MOST_ENTRIES = 4096
-"""Most entries of a TIFF directory that are read."""
+_PNM_HEADER = re.compile(rb"P[1-6]\s+(?:#[^\n]*\n\s*)*(\d{1,9})\s+(?:#[^\n]*\n\s*)*(\d{1,9})\s+(?:#[^\n]*\n\s*)*(\d{1,5})?")
+"""Width, height and, except in bitmaps, the largest value of a PBM, PGM or PPM file."""
 
 
 def picture_size(data: bytes) -> tuple[int, int] | None:
     """(width, height) in pixels before any EXIF rotation; None for other formats, or if the header is truncated."""
     try:
-        if data[:8] == b"\x89PNG\r\n\x1a\n":
+        if data[:8] == _PNG_START:
             width, height = struct.unpack_from(">II", data, 16)
         elif data[:2] == b"\xff\xd8":
-            frame = next((s for marker, s, _ in jpeg_segments(data) if 0xC0 <= marker <= 0xCF and marker not in _NO_FRAME), None)
-            if frame is None:
-                return None
-            height, width = struct.unpack_from(">HH", data, frame + 1)
-        elif data[:4] in {b"II*\0", b"MM\0*", b"II+\0", b"MM\0+"}:
+            return _jpeg_size(data)
+        elif data[:4] in _TIFF_STARTS:
             return _tiff_size(data)
         elif data[:2] == b"BM":
             width, height = struct.unpack_from("<ii", data, 18)
         elif data[:4] == b"RIFF" and data[8:12] == b"WEBP":
             return _webp_size(data)
-        elif header := re.match(rb"P[1-6]\s+(?:#[^\n]*\n\s*)*(\d{1,9})\s+(?:#[^\n]*\n\s*)*(\d{1,9})\s", data[:4096]):
+        elif header := _PNM_HEADER.match(data[:4096]):
             width, height = int(header[1]), int(header[2])
         else:
             return None
     except struct.error:
         return None
-    return abs(width), abs(height)
+    return abs(width), abs(height)  # the height of a BMP is negative if its first row is the top one
+
+
+def _jpeg_size(data: bytes) -> tuple[int, int] | None:
+    """Size in the header of the frame (ITU-T T.81, B.2.2)."""
+    for marker, start, _ in jpeg_segments(data):
+        if 0xC0 <= marker <= 0xCF and marker not in _NO_FRAME:
+            height, width = struct.unpack_from(">HH", data, start + 1)
+            return width, height
+    return None
+
+
+_SUBFILE_TYPE = 254
+_WIDTH = 256
+_HEIGHT = 257
+_BITS_PER_SAMPLE = 258
+_LARGEST_VALUE = 281
+_DNG_VERSION = 50706
+"""TIFF tags."""
+_MOST_ENTRIES = 4096
+"""Most entries of a TIFF directory that are read."""
 
 
 def _tiff_size(data: bytes) -> tuple[int, int] | None:
-    """Size in the first directory (TIFF 6.0, section 2; BigTIFF has longer fields)."""
+    tags = _tiff_tags(data)
+    if _WIDTH in tags and _HEIGHT in tags:
+        return tags[_WIDTH], tags[_HEIGHT]
+    return None
+
+
+def _tiff_tags(data: bytes) -> dict[int, int]:
+    """First value of each whole-number tag of the first directory (TIFF 6.0, section 2; BigTIFF has longer fields).
+
+    Raises struct.error if the directory is not there.
+    """
     byte_order = "<" if data[:2] == b"II" else ">"
-    is_bigtiff = data[2:4] in {b"+\0", b"\0+"}
-    (offset,) = struct.unpack_from(byte_order + ("Q" if is_bigtiff else "I"), data, 8 if is_bigtiff else 4)
-    (count,) = struct.unpack_from(byte_order + ("Q" if is_bigtiff else "H"), data, offset)
-    first, step, value_offset = (offset + 8, 20, 12) if is_bigtiff else (offset + 2, 12, 8)
-    values = {}
-    for entry in range(first, first + step * min(count, _MOST_ENTRIES), step):
-        tag, kind = struct.unpack_from(byte_order + "HH", data, entry)
-        if tag in {_WIDTH, _HEIGHT}:
-            field_format = {3: "H", 4: "I", 16: "Q"}.get(kind, "I")
-            (values[tag],) = struct.unpack_from(byte_order + field_format, data, entry + value_offset)
-    return (values[_WIDTH], values[_HEIGHT]) if len(values) == 2 else None
+    if data[2:4] in {b"+\0", b"\0+"}:  # BigTIFF
+        pointer, count_format, header = "Q", "Q", 8
+    else:
+        pointer, count_format, header = "I", "H", 4
+    (directory,) = struct.unpack_from(byte_order + pointer, data, header)
+    (entries,) = struct.unpack_from(byte_order + count_format, data, directory)
+    room = struct.calcsize(pointer)
+    step = 4 + 2 * room  # tag and kind of 2 bytes, number of values, values or where they lie
+    first = directory + struct.calcsize(count_format)
+    tags: dict[int, int] = {}
+    for entry in range(first, first + step * min(entries, _MOST_ENTRIES), step):
+        tag, kind, values = struct.unpack_from(byte_order + "HH" + pointer, data, entry)
+        number_format = _TIFF_NUMBERS.get(kind)
+        if number_format is None:
+            continue
+        offset = entry + 4 + room
+        if values * struct.calcsize(number_format) > room:
+            (offset,) = struct.unpack_from(byte_order + pointer, data, offset)
+        if offset + room <= len(data):
+            (tags[tag],) = struct.unpack_from(byte_order + number_format, data, offset)
+    return tags
+
+
+_TIFF_NUMBERS = {1: "B", 3: "H", 4: "I", 16: "Q"}
+"""`struct` formats of TIFF's kinds of whole numbers."""
+
+
+def is_raw_photograph(data: bytes) -> bool:
+    """Is a TIFF file the raw data of a camera (DNG, NEF, CR2, ARW), whose first picture is a preview or a thumbnail?"""
+    if data[:4] not in _TIFF_STARTS:
+        return False
+    if data[8:10] == b"CR":  # Canon
+        return True
+    try:
+        tags = _tiff_tags(data)
+    except struct.error:
+        return False
+    is_reduced = bool(tags.get(_SUBFILE_TYPE, 0) & 1)
+    return is_reduced or _DNG_VERSION in tags
+
+
+def largest_stated_value(data: bytes) -> int | None:
+    """The value that stands for white according to the header of a PGM, PPM or TIFF; None if the file does not state it."""
+    if data[:4] in _TIFF_STARTS:
+        try:
+            return _tiff_tags(data).get(_LARGEST_VALUE)
+        except struct.error:
+            return None
+    header = _PNM_HEADER.match(data[:4096])
+    if header is None or header[3] is None or data[:2] in {b"P1", b"P4"}:
+        return None
+    return int(header[3])
+
+
+def has_deep_values(data: bytes) -> bool:
+    """Does the header of a PNG, PGM, PPM or TIFF state values of more than 8 bits?"""
+    if data[:8] == _PNG_START:
+        return data[24:25] == b"\x10"
+    if data[:4] in _TIFF_STARTS:
+        try:
+            return _tiff_tags(data).get(_BITS_PER_SAMPLE, 1) > 8
+        except struct.error:
+            return False
+    return (largest_stated_value(data) or 0) > 255
 
 
 def _webp_size(data: bytes) -> tuple[int, int] | None:
