@@ -8,14 +8,15 @@ from __future__ import annotations
 import dataclasses
 import itertools
 import math
+from collections.abc import Mapping
 from typing import Any
 
 from ..cache.untrusted import is_file
 from ..plugins import load
 from ..task import view_name
 from ..words import printable
-from .calibration import find_camera, read_calibration
-from .calibration.calibrated import Calibrated, Lens, Placement, product
+from .calibration import find_cameras, only_camera, read_calibration
+from .calibration.calibrated import REMEDY, Calibrated, Lens, Placement, product
 from .geodesy import LocalFrame
 from .models import Camera, CameraEntry, Position, SiteFile, Survey
 from .yaml_document import Location, Problems, SiteError, is_name, resolve_path
@@ -34,7 +35,7 @@ def read_cameras(file: SiteFile, frame: LocalFrame | None, problems: Problems) -
     cameras = []
     for i, camera in enumerate(file.cameras):
         location: Location = ("cameras", i)
-        entry = _own_entry(camera, location, problems) or find_camera(calibrated, camera.id)
+        entry = _own_entry(camera, location, problems) or _entry_of(camera, calibrated, location, problems)
         if calibrated and entry is None and camera.intrinsics is None:
             remedy = "correct the id, add the camera to that file, or give its intrinsics here"
             problems.add(location, _lacks(file.calibration, camera, calibrated), remedy)
@@ -80,7 +81,7 @@ def _calibrated_cameras(path: str | None, location: Location, problems: Problems
         cameras = read_calibration(file)
     except SiteError as error:
         fault = error.problems[0]
-        remedy = fault.remedy or "give the path of cameras.json, of a COLMAP model, or of what OpenCV, ROS or Kalibr wrote"
+        remedy = fault.remedy or REMEDY
         problems.add(location, f"{fault.mark}: {fault.what}", remedy)
         return {}
     if not cameras:
@@ -94,11 +95,22 @@ def _own_entry(camera: CameraEntry, location: Location, problems: Problems) -> C
     entries = _calibrated_cameras(camera.calibration, location, problems)
     if not entries:
         return None
-    entry = next(iter(entries.values())) if len(entries) == 1 else find_camera(entries, camera.id)
+    entry = only_camera(entries) or _entry_of(camera, entries, location, problems)
     if entry is None:
         remedy = "rename the camera as in that file, or name another file"
         problems.add(location, _lacks(camera.calibration, camera, entries), remedy)
     return entry
+
+
+def _entry_of(
+    camera: CameraEntry, entries: Mapping[str, Calibrated], location: Location, problems: Problems
+) -> Calibrated | None:
+    """A camera's entry among those of a calibration; None if there is none.  Several that may be it are a problem."""
+    found = find_cameras(entries, camera.id)
+    if len(found) > 1:
+        names = " and ".join(map(printable, list(found)[:2]))
+        problems.add(location, f"the calibration has {names}, which may both be {camera.id!r}", "give one of them this name")
+    return next(iter(found.values()), None)
 
 
 def _check_ids(ids: list[str], problems: Problems) -> None:

@@ -1,91 +1,134 @@
-"""Calibrations read from wbflow's own JSON, files of OpenCV, ROS and Kalibr, COLMAP's models, and folders with one file per
-camera.  All give cameras by image or camera name."""
+"""Calibrations read from wbflow's own JSON and the files of many other programs, and from folders with one file per camera.
+
+All give cameras by image or camera name.  Every key of a file is used, known to say nothing about lens or pose, or refused.
+"""
 
 from __future__ import annotations
 
 import json
 import re
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from ...cache.untrusted import is_file, is_folder
-from ..yaml_document import Document, Problem, SiteError, parse_yaml, read_text
-from .calibrated import REMEDY, Calibrated, Faulty, calibrated
+from ..yaml_document import Document, Location, Problem, SiteError, parse_yaml, read_text
+from .calibrated import REMEDY, Calibrated, Faulty
+from .camera_entry import is_camera, read_camera
 from .colmap import is_colmap, read_colmap
-from .kalibr import read_chain
-from .opencv import MATRIX_KEYS, read_camera
+from .entry import IRRELEVANT, Entry, plain
+from .kalibr import is_chain, read_chain
+from .metashape import is_metashape, read_metashape
+from .nerf import is_splatting, is_transforms, read_splatting, read_transforms
+from .pix4d import is_pix4d, read_pix4d
+from .stereo import is_stereo, read_stereo
 from .values import text_of
+from .xml_tree import parse_xml, storage_data
 
-_SUFFIXES = {".yaml", ".yml", ".json"}
+_SUFFIXES = {".yaml", ".yml", ".json", ".xml"}
 """Suffixes of the files in a folder with one calibration file per camera."""
+_COLMAP_NAMES = {"cameras.txt", "images.txt", "cameras.bin", "images.bin"}
+_NAME_KEYS = ("name", "id", "camera", "camera_name", "camera_id", "img_name", "image_name", "file_name", "label")
+"""Keys for the name of a camera in a list of cameras."""
 _OWN_REMEDY = "give K (3x3), width, height and, where known, R (3x3) and C (3 numbers): x ~ K R (X - C); see sites/README.md"
 
 
 def read_calibration(path: Path) -> dict[str, Calibrated]:
     """Cameras by name, from a file, a COLMAP model (a folder), or a folder with one file per camera.
 
-    Raises SiteError for missing or unreadable files, and for incomplete entries.
+    Raises SiteError for missing or unreadable files, and for entries that are incomplete, ambiguous or not understood.
     """
     if is_folder(path):
         return _read_folder(path)
+    if path.name in _COLMAP_NAMES:
+        return read_colmap(path.parent)
     text = read_text(path)
+    if is_pix4d(text):
+        try:
+            return read_pix4d(text)
+        except Faulty as fault:
+            raise SiteError(Problem(path, fault.what, fault.remedy, _line_of(fault))) from None
+    if text.lstrip().startswith("<"):
+        return _read_xml(path, text)
     if path.suffix.lower() == ".json" or text.lstrip().startswith(("{", "[")):
         return _read_json(path, text)
-    cameras = _cameras_in(_parse_document(path, text))
-    if cameras is None:
-        what = "holds no calibration: neither OpenCV's camera_matrix, nor ROS's camera_info, nor Kalibr's cam0"
-        raise SiteError(Problem(path, what, _OWN_REMEDY, 1, 1))
-    return cameras
+    document = _parse_document(path, text)
+    try:
+        return _cameras_in(document.data, path.stem)
+    except Faulty as fault:
+        raise SiteError(Problem(path, fault.what, fault.remedy, *document.place(fault.location))) from None
 
 
-def find_camera(cameras: dict[str, Calibrated], camera: str) -> Calibrated | None:
-    """The entry of a camera id: its name, its file name (with or without extension) or one of its folders equals the id."""
+def find_cameras(cameras: Mapping[str, Calibrated], camera: str) -> dict[str, Calibrated]:
+    """The entries, by name, that may be a camera id's; one, unless the calibration has several that cannot be told apart.
+
+    The name equals the id; else the file name does, with or without extension; else one of the folders in the name does.
+    """
     if camera in cameras:
-        return cameras[camera]
+        return {camera: cameras[camera]}
+    by_file: dict[str, Calibrated] = {}
+    by_folder: dict[str, Calibrated] = {}
     for name, entry in cameras.items():
         path = Path(name)
-        if path.stem == camera or path.name == camera or camera in path.parent.parts:
-            return entry
-    return None
+        if camera in {path.stem, path.name}:
+            by_file[name] = entry
+        elif camera in path.parent.parts and not by_folder:
+            by_folder[name] = entry  # pictures in one folder are of one camera
+    found = by_file or by_folder
+    first = next(iter(found.values()), None)
+    return {name: entry for name, entry in found.items() if entry is first or entry != first}
+
+
+def only_camera(cameras: Mapping[str, Calibrated]) -> Calibrated | None:
+    """The camera of a calibration that holds one only, under whatever names; None if it holds several."""
+    distinct = {id(entry): entry for entry in cameras.values()}
+    return next(iter(distinct.values())) if len(distinct) == 1 else None
 
 
 def _read_folder(folder: Path) -> dict[str, Calibrated]:
     if is_colmap(folder):
         return read_colmap(folder)
     files = sorted(file for file in folder.iterdir() if file.suffix.lower() in _SUFFIXES and is_file(file))
+    files = [file for file in files if not file.name.startswith(".")]
     if not files:
         return read_colmap(folder)  # it reports what is missing
     cameras: dict[str, Calibrated] = {}
+    file_of: dict[str, Path] = {}
     for file in files:
         entries = read_calibration(file)
-        # a file with one camera has the camera's name; a name inside it comes from the calibration program
-        cameras |= {file.stem: next(iter(entries.values()))} if len(entries) == 1 else entries
+        if (camera := only_camera(entries)) is not None:
+            # a file with one camera has the camera's name; a name inside it comes from the calibration program
+            entries = {file.stem: camera}
+        for name, entry in entries.items():
+            if name in cameras:
+                what = f"holds a camera {name!r}, and so does {file_of[name].name}: which is which is not stated"
+                raise SiteError(Problem(file, what, "keep one of the files, or name each camera's file in cameras: calibration"))
+            cameras[name] = entry
+            file_of[name] = file
     return cameras
 
 
 def _read_json(path: Path, text: str) -> dict[str, Calibrated]:
     try:
-        entries = json.loads(text)
+        data = json.loads(text, object_pairs_hook=_without_repeats)
+        return _cameras_in(data, path.stem)
     except json.JSONDecodeError as error:
         raise SiteError(Problem(path, f"not JSON: {error.msg}", _OWN_REMEDY, error.lineno, error.colno)) from None
+    except Faulty as fault:
+        raise SiteError(_problem_in_json(path, text, fault)) from None
     except (ValueError, RecursionError):  # numbers of thousands of digits, brackets within brackets
         raise SiteError(Problem(path, "not JSON that can be read", _OWN_REMEDY)) from None
-    if not isinstance(entries, dict):
-        what = "must map image names to K, width, height and, where known, R and C"
-        raise SiteError(Problem(path, what, _OWN_REMEDY, 1, 1))
-    if not all(isinstance(entry, dict) and "K" in entry for entry in entries.values()):
-        foreign = _cameras_in(_parse_document(path, text))
-        if foreign is not None:
-            return foreign
-    cameras = {}
-    for name, entry in entries.items():
-        try:
-            if not isinstance(entry, dict):
-                raise Faulty(f"{name} must hold K, width and height", (name,))
-            cameras[name] = calibrated(entry, location=(name,))
-        except Faulty as fault:
-            raise SiteError(_problem_in_json(path, text, fault)) from None
-    return cameras
+
+
+def _without_repeats(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """The mapping of an object in JSON.  Raises Faulty if it has a key twice, of which Python would ignore the first."""
+    data = dict(pairs)
+    if len(data) < len(pairs):
+        keys = [key for key, _ in pairs]
+        repeated = next(key for key in keys if keys.count(key) > 1)
+        raise Faulty(f"the key {repeated!r} is there twice", (), "keep one of them")
+    return data
 
 
 def _problem_in_json(path: Path, text: str, fault: Faulty) -> Problem:
@@ -94,13 +137,43 @@ def _problem_in_json(path: Path, text: str, fault: Faulty) -> Problem:
         place = parse_yaml(text, path).place(fault.location)
     except SiteError:
         place = 0, 0
-    return Problem(path, fault.what, _OWN_REMEDY, *place)
+    return Problem(path, fault.what, fault.remedy, *place)
+
+
+def _read_xml(path: Path, text: str) -> dict[str, Calibrated]:
+    try:
+        root = parse_xml(text)
+        if is_metashape(root):
+            return read_metashape(root)
+        if root.tag != "opencv_storage":
+            what = f"is XML of an unknown kind (<{root.tag}>): neither OpenCV's storage nor Metashape's cameras"
+            raise Faulty(what, (root.line,))
+    except Faulty as fault:
+        raise SiteError(Problem(path, fault.what, fault.remedy, _line_of(fault))) from None
+    try:
+        return _cameras_in(storage_data(root), path.stem)
+    except Faulty as fault:
+        raise SiteError(Problem(path, fault.what, fault.remedy, _line_of_key(root, fault.location))) from None
+
+
+def _line_of(fault: Faulty) -> int:
+    """The line of a fault whose location is a line; 0 if it has none."""
+    return next((step for step in fault.location if isinstance(step, int)), 0)
+
+
+def _line_of_key(root: Any, location: Location) -> int:
+    """The line of the element that a location in OpenCV's storage leads to, or of the nearest one around it."""
+    element = root
+    for step in location:
+        inner = element.children[step] if isinstance(step, int) and step < len(element.children) else element.find(str(step))
+        if inner is None:
+            break
+        element = inner
+    return int(element.line)
 
 
 def _parse_document(path: Path, text: str) -> Document:
-    """A YAML or JSON file, without OpenCV's own first line and tags, which YAML parsers reject.  Raises SiteError."""
-    if text.lstrip().startswith("<"):
-        raise SiteError(Problem(path, "is XML, which is not read", "save it as .yaml or .json"))
+    """A YAML file, without OpenCV's own first line and tags, which YAML parsers reject.  Raises SiteError."""
     text = re.sub(r"\A%YAML[:\s]\s*1\.[0-9]+[^\n]*", "# YAML", text)  # the line stays, for the locations of errors
     text = re.sub(r"!!opencv-[\w-]+", "", text)
     text = re.sub(r"\n---\s*\Z", "\n", text)  # `ros2 topic echo` ends each message with it
@@ -110,16 +183,73 @@ def _parse_document(path: Path, text: str) -> Document:
         raise SiteError(replace(error.problems[0], remedy=REMEDY)) from None
 
 
-def _cameras_in(document: Document) -> dict[str, Calibrated] | None:
-    """The cameras of a file of OpenCV, ROS or Kalibr; None if it is of another kind.  Raises SiteError."""
-    data = document.data
+def _cameras_in(data: Any, stem: str) -> dict[str, Calibrated]:
+    """The cameras of a file's data, whichever program wrote it.  Raises Faulty.
+
+    stem: the file's name, which a file of one camera gives to it.
+    """
+    if isinstance(data, list):
+        return _listed_cameras(data, ())
     if not isinstance(data, dict):
-        return None
-    try:
-        if any(isinstance(entry, dict) and "camera_model" in entry and "intrinsics" in entry for entry in data.values()):
-            return read_chain(data)
-        if any(isinstance(data.get(key), dict | list) for key in MATRIX_KEYS):
-            return {text_of(data.get("camera_name")) or document.path.stem: read_camera(data)}
-    except Faulty as fault:
-        raise SiteError(Problem(document.path, fault.what, fault.remedy, *document.place(fault.location))) from None
-    return None
+        raise Faulty("must map image names to K, width and height; or be what a program for calibration wrote", (), _OWN_REMEDY)
+    if is_transforms(data):
+        return read_transforms(data)
+    if is_chain(data):
+        return read_chain(data)
+    if is_camera(data):
+        entry = Entry(data)
+        return {text_of(entry.value("camera_name")) or stem: read_camera(entry, needs_distortion=True)}
+    if is_stereo(data):
+        return read_stereo(data)
+    cameras = data.get("cameras")
+    if isinstance(cameras, list | dict) and not is_camera(cameras):
+        _refuse_other_values({key: value for key, value in data.items() if key != "cameras"}, ())
+        return _listed_cameras(cameras, ("cameras",)) if isinstance(cameras, list) else _named_cameras(cameras, ("cameras",))
+    return _named_cameras(data, ())
+
+
+def _listed_cameras(entries: list[Any], location: Location) -> dict[str, Calibrated]:
+    """The cameras of a list, in which each has its name or number under a key."""
+    if is_splatting(entries):
+        return read_splatting(entries)
+    cameras: dict[str, Calibrated] = {}
+    for number, data in enumerate(entries):
+        place = (*location, number)
+        if not isinstance(data, dict) or not is_camera(data):
+            raise Faulty(f"{_dotted(place)} must hold a name, K, width and height", place, _OWN_REMEDY)
+        entry = Entry(data, place, _dotted(place))
+        stated = [data[key] for key in _NAME_KEYS if isinstance(data.get(key), str | int) and str(data[key])]
+        if not stated or str(stated[0]) in cameras:
+            remedy = "give each camera its id, as in the site file: name: gate"
+            raise Faulty(f"{_dotted(place)} has {'the name of another' if stated else 'no name'}", place, remedy)
+        entry.ignore(*_NAME_KEYS)
+        cameras[str(stated[0])] = read_camera(entry)
+    if not cameras:
+        raise Faulty("holds no camera; must map image names to K, width and height", location, _OWN_REMEDY)
+    return cameras
+
+
+def _named_cameras(entries: dict[str, Any], location: Location) -> dict[str, Calibrated]:
+    """The cameras of a mapping from names."""
+    mappings = {str(name): value for name, value in entries.items() if isinstance(value, dict)}
+    if entries and not any(is_camera(value) for value in mappings.values()) and not _may_be_cameras(mappings):
+        what = "holds no calibration: no camera matrix (K, camera_matrix), and no layout of a program that is known"
+        raise Faulty(what, location, _OWN_REMEDY)
+    _refuse_other_values({str(name): value for name, value in entries.items() if str(name) not in mappings}, location)
+    return {name: read_camera(Entry(value, (*location, name), name)) for name, value in mappings.items()}
+
+
+def _may_be_cameras(mappings: dict[str, Any]) -> bool:
+    """Are these cameras that lack their matrix: does each have the size of its pictures?"""
+    return bool(mappings) and all(Entry(value).has("width", "image_width", "image_size") for value in mappings.values())
+
+
+def _refuse_other_values(values: dict[str, Any], location: Location) -> None:
+    """Refuse what stands among the cameras of a file and is none, unless it is known to say nothing about them."""
+    for name, value in values.items():
+        if plain(name) not in IRRELEVANT or isinstance(value, dict):
+            raise Faulty(f"{name} must hold K, width and height", (*location, name), _OWN_REMEDY)
+
+
+def _dotted(location: Location) -> str:
+    return ".".join(map(str, location)) if len(location) > 1 else f"number {location[0]}"

@@ -177,7 +177,7 @@ class Calibrated(BaseModel):
         return Placement(self.R, self.C, *sigmas, metric=self.metric is not False)
 
 
-REMEDY = "give the file that OpenCV, ROS, Kalibr, COLMAP or wbflow wrote; see sites/README.md"
+REMEDY = "give the file that OpenCV, ROS, Kalibr, COLMAP, Metashape, Pix4D or wbflow wrote; see sites/README.md"
 
 
 class Faulty(ValueError):
@@ -237,6 +237,19 @@ def rotation_fault(R: Matrix) -> str:
     if sum(a * b for a, b in zip(_cross(R[0], R[1]), R[2], strict=True)) < 0:
         return "is a mirror, not a rotation (its determinant is -1)"
     return ""
+
+
+def quaternion_rotation(w: float, x: float, y: float, z: float) -> Matrix:
+    """The rotation of a quaternion of any length.  Raises ValueError if its length is 0 or infinite."""
+    length = math.sqrt(w * w + x * x + y * y + z * z)
+    if not 1e-6 < length < 1e6:
+        raise ValueError("its quaternion is zero or infinite, which is not a rotation")
+    w, x, y, z = w / length, x / length, y / length, z / length
+    return [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ]
 
 
 def centre(R: Matrix, t: Vector) -> Vector:

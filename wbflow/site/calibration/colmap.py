@@ -15,8 +15,9 @@ from pathlib import Path
 from typing import Any
 
 from ...cache.untrusted import Unreadable, is_file, read_untrusted
+from ...words import printable
 from ..yaml_document import Problem, SiteError, read_text
-from .calibrated import Calibrated, Matrix, calibrated, centre
+from .calibrated import Calibrated, calibrated, centre, quaternion_rotation
 
 _LAYOUTS: dict[str, tuple[str, int, int]] = {
     "SIMPLE_PINHOLE": ("pinhole", 1, 0),
@@ -51,16 +52,17 @@ def is_colmap(folder: Path) -> bool:
 
 def read_colmap(folder: Path) -> dict[str, Calibrated]:
     """Cameras by image name; a text model takes precedence over a binary one.  Raises SiteError."""
-    text, binary = ([folder / f"{name}.{suffix}" for name in ("cameras", "images")] for suffix in ("txt", "bin"))
-    if all(map(is_file, text)):
-        (camera_file, image_file), cameras, images = text, _text_cameras(text[0]), _text_images(text[1])
-    elif all(map(is_file, binary)):
-        (camera_file, image_file), cameras, images = binary, _binary_cameras(binary[0]), _binary_images(binary[1])
+    suffix = _model_suffix(folder)
+    camera_file = folder / f"cameras.{suffix}"
+    image_file = folder / f"images.{suffix}"
+    if suffix == "txt":
+        cameras, images = _text_cameras(camera_file), _text_images(image_file)
     else:
-        what = "must hold cameras.txt and images.txt, or cameras.bin and images.bin (COLMAP's text or binary model)"
-        raise _refused(folder, what)
+        cameras, images = _binary_cameras(camera_file), _binary_images(image_file)
     lenses: dict[str, dict[str, Any]] = {}
     for camera in cameras:
+        if camera.id in lenses:
+            raise _refused(camera_file, f"{camera.label}camera {camera.id} is there twice", camera.line)
         try:
             lenses[camera.id] = _lens(camera)
             calibrated(lenses[camera.id])
@@ -69,15 +71,29 @@ def read_colmap(folder: Path) -> dict[str, Calibrated]:
             raise _refused(camera_file, f"{camera.label}{reason}", camera.line) from None
     by_image: dict[str, Calibrated] = {}
     for image in images:
+        if image.name in by_image:
+            raise _refused(image_file, f"{image.label}: {image.name} is there twice", image.line)
         if image.camera not in lenses:
             what = f"{image.label} is of camera {image.camera}, which {camera_file.name} lacks"
             raise _refused(image_file, what, image.line)
         try:
-            R = _quaternion_to_rotation(*image.pose[:4])
+            R = quaternion_rotation(*image.pose[:4])
             by_image[image.name] = calibrated({**lenses[image.camera], "R": R, "C": centre(R, image.pose[4:])})
         except (TypeError, IndexError, ValueError) as error:
             raise _refused(image_file, f"{image.label}: {error}", image.line) from None
     return by_image
+
+
+def _model_suffix(folder: Path) -> str:
+    """The suffix of a whole model in a folder: txt or bin.  Raises SiteError if there is none."""
+    for suffix in ("txt", "bin"):
+        if is_file(folder / f"cameras.{suffix}") and is_file(folder / f"images.{suffix}"):
+            return suffix
+    what = "must hold cameras.txt and images.txt, or cameras.bin and images.bin (COLMAP's text or binary model)"
+    inner = sorted(path for path in folder.iterdir() if path.is_dir() and is_colmap(path))
+    if inner:
+        raise SiteError(Problem(folder, what, f"name the folder of the model: {printable(inner[0])}"))
+    raise _refused(folder, what)
 
 
 @dataclass(frozen=True)
@@ -119,15 +135,38 @@ def _text_cameras(path: Path) -> Iterator[_Camera]:
 
 
 def _text_images(path: Path) -> Iterator[_Image]:
-    # each image takes two lines; the second, with its 2-D points (possibly empty), is not needed
+    """The images of a text model.
+
+    Each image takes two lines; the second, with its 2-D points, is not needed.  It may be empty, and some programs leave empty
+    lines out, so it is recognised by what it holds.
+    """
     label = "not an image line of COLMAP's text model"
-    for line, text in list(_lines(path))[::2]:
-        if text.strip():
-            try:
-                _, *pose, number, name = text.split(maxsplit=9)
-                yield _Image(line, label, name.strip(), number, [*map(float, pose)])
-            except ValueError:
-                raise _refused(path, label, line) from None
+    points_may_follow = False
+    for line, text in _lines(path):
+        if not text.strip() or (points_may_follow and _is_points_line(text)):
+            points_may_follow = False
+            continue
+        try:
+            _, *pose, number, name = text.split(maxsplit=9)
+            yield _Image(line, label, name.strip(), number, [*map(float, pose)])
+        except ValueError:
+            raise _refused(path, label, line) from None
+        points_may_follow = True
+
+
+def _is_points_line(text: str) -> bool:
+    """Is this a list of points: x, y and the number of a 3-D point, or -1, for each?"""
+    words = text.split()
+    if len(words) % 3:
+        return False
+    try:
+        for start in range(0, len(words), 3):
+            float(words[start])
+            float(words[start + 1])
+            int(words[start + 2])
+    except ValueError:
+        return False
+    return True
 
 
 def _lines(path: Path) -> Iterator[tuple[int, str]]:
@@ -201,15 +240,3 @@ def _lens(camera: _Camera) -> dict[str, Any]:
         coefficients += [0.0] * (4 - count)
     model = "brown" if model == "pinhole" else model
     return {"K": K, "width": width, "height": height, "distortion": coefficients, "model": model}
-
-
-def _quaternion_to_rotation(w: float, x: float, y: float, z: float) -> Matrix:
-    n = math.sqrt(w * w + x * x + y * y + z * z)
-    if not 1e-6 < n < 1e6:
-        raise ValueError("its quaternion is zero or infinite, which is not a rotation")
-    w, x, y, z = w / n, x / n, y / n, z / n
-    return [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-    ]

@@ -9,61 +9,91 @@ from __future__ import annotations
 
 from typing import Any
 
-from .calibrated import Calibrated, Faulty, Matrix, calibrated, centre, product, rotation_fault
-from .values import MODEL_NAMES, numbers_of, rows_of, size_of, text_of
+from .calibrated import Calibrated, Faulty, Matrix, Vector, calibrated, centre, product
+from .entry import Entry
+from .pose import rigid_matrix
+from .values import MODEL_NAMES, numbers_of, size_of, text_of
 
 _PROJECTIONS = {"pinhole": ("", 0), "omni": ("omni", 1), "eucm": ("eucm", 2), "ds": ("double-sphere", 2)}
 """By Kalibr's projection: our lens model ("": see the distortion model), and the number of intrinsics before fu, fv, pu, pv."""
+_IRRELEVANT = ("cam_overlaps", "timeshift_cam_imu", "T_cam_imu")
+"""Which cameras see the same, and where and when an inertial sensor is: nothing about the cameras among themselves."""
+_REMEDY = (
+    "leave it out; keys of a camera are camera_model, intrinsics, distortion_model, distortion_coeffs, resolution, T_cn_cnm1"
+)
+
+
+def is_chain(data: dict[str, Any]) -> bool:
+    """Is this the content of a camchain file?"""
+    return any(isinstance(entry, dict) and "camera_model" in entry and "intrinsics" in entry for entry in data.values())
 
 
 def read_chain(data: dict[str, Any]) -> dict[str, Calibrated]:
-    """A chain of cameras: each has a pose relative to the one before it, so the first camera's axes become the world's."""
+    """A chain of cameras: each has a pose relative to the one before it, so the first camera's axes become the world's.
+
+    A camera with a `rostopic` is in the result twice, as the topic's name is often what a site calls it.
+    """
     cameras: dict[str, Calibrated] = {}
     R: Matrix | None = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
     t = [0.0, 0.0, 0.0]
-    for k, (name, entry) in enumerate(data.items()):
-        if not isinstance(entry, dict):
-            continue
-        if k and R is not None:
-            R, t = _next_pose(name, entry, R, t)
+    for name, value in data.items():
+        if not isinstance(value, dict):
+            raise Faulty(f"{name} is no camera of a chain", (name,), "leave it out")
+        entry = Entry(value, (name,), str(name))
+        is_first = not cameras
+        if is_first and entry.has("T_cn_cnm1"):
+            raise entry.fault("T_cn_cnm1", "is relative to a camera before the first", "give the whole chain, or leave it out")
+        if not is_first and R is not None:
+            R, t = _next_pose(entry, R, t)
         pose = {"R": R, "C": centre(R, t)} if R and len(data) > 1 else {}
-        cameras[str(name)] = camera = _camera(str(name), entry, pose)
-        if topic := text_of(entry.get("rostopic")).strip("/"):
+        topic = text_of(entry.value("rostopic")).strip("/")
+        camera = _camera(entry, pose)
+        cameras[str(name)] = camera
+        if topic:
             cameras[topic] = camera
     return cameras
 
 
-def _next_pose(name: str, entry: dict[str, Any], R: Matrix, t: list[float]) -> tuple[Matrix | None, list[float]]:
+def _next_pose(entry: Entry, R: Matrix, t: Vector) -> tuple[Matrix | None, Vector]:
     """The pose of a camera, x = R X + t, from the pose of the one before it; R is None if the file lacks it."""
-    if "T_cn_cnm1" not in entry:
+    if entry.value("T_cn_cnm1") is None:
+        if entry.has("T_cam_imu"):
+            what = "is given without T_cn_cnm1, so the poses of the cameras among themselves are not stated"
+            raise entry.fault("T_cam_imu", what, "give the camchain with T_cn_cnm1, or leave T_cam_imu out")
         return None, t
-    T = rows_of(numbers_of(entry["T_cn_cnm1"], "T_cn_cnm1", (name,)), 4)
-    rotation = [row[:3] for row in T[:3]]
-    if [*map(len, T)] != [4] * 4 or rotation_fault(rotation):
-        raise Faulty(f"{name}.T_cn_cnm1 must be 4x4: a rotation and a translation", (name, "T_cn_cnm1"))
-    return product(rotation, R), [sum(row[k] * t[k] for k in range(3)) + row[3] for row in T[:3]]
+    rotation, translation = rigid_matrix(entry, "T_cn_cnm1")
+    turned = [sum(row[k] * t[k] for k in range(3)) for row in rotation]
+    return product(rotation, R), [a + b for a, b in zip(turned, translation, strict=True)]
 
 
-def _camera(name: str, entry: dict[str, Any], pose: dict[str, Any]) -> Calibrated:
-    projection = text_of(entry.get("camera_model")).lower()
+def _camera(entry: Entry, pose: dict[str, Any]) -> Calibrated:
+    name = entry.name
+    projection = text_of(entry.value("camera_model")).lower()
     if projection not in _PROJECTIONS:
-        raise Faulty(f"{name}.camera_model must be one of {', '.join(_PROJECTIONS)}", (name, "camera_model"))
+        raise entry.fault("camera_model", f"must be one of {', '.join(_PROJECTIONS)}")
     lens_model, offset = _PROJECTIONS[projection]
-    intrinsics = numbers_of(entry.get("intrinsics"), "intrinsics", (name,))
+    intrinsics_key = entry.key(("intrinsics",))
+    intrinsics = [] if intrinsics_key is None else numbers_of(entry, intrinsics_key)
     if len(intrinsics) != offset + 4:
-        what = f"{name}.intrinsics of a {projection} camera has {offset + 4} numbers, not {len(intrinsics)}"
-        raise Faulty(what, (name, "intrinsics"))
-    distortion_type = text_of(entry.get("distortion_model")).lower() or "none"
-    distortion = [] if distortion_type == "none" else numbers_of(entry.get("distortion_coeffs", []), "distortion_coeffs", (name,))
+        raise entry.fault("intrinsics", f"of a {projection} camera has {offset + 4} numbers, not {len(intrinsics)}")
+    distortion_type = text_of(entry.value("distortion_model")).lower() or "none"
+    coefficients_key = entry.key(("distortion_coeffs",))
+    distortion = []
+    if distortion_type != "none" and coefficients_key is not None and entry[coefficients_key] != []:
+        distortion = numbers_of(entry, coefficients_key)
     model = "brown" if distortion_type == "none" else MODEL_NAMES.get(distortion_type, distortion_type)
     if lens_model:
+        # beside these projections, only the omnidirectional one has a distortion that is known here
         if model != "brown" or (lens_model != "omni" and any(distortion)):
             what = f"{name}: {projection} with {distortion_type} distortion is not known"
             remedy = f"calibrate with {projection}-{'radtan' if lens_model == 'omni' else 'none'}"
-            raise Faulty(what, (name, "distortion_model"), remedy)
+            raise Faulty(what, (*entry.location, "distortion_model"), remedy)
         model = lens_model
-        distortion = [*intrinsics[:offset], *([*distortion, 0.0, 0.0, 0.0, 0.0, 0.0][:5] if lens_model == "omni" else [])]
+        padded = [*distortion, 0.0, 0.0, 0.0, 0.0, 0.0][:5] if lens_model == "omni" else []
+        distortion = [*intrinsics[:offset], *padded]
     fx, fy, cx, cy = intrinsics[offset:]
     K = [[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]]
-    fields = {"K": K, **size_of(entry, (name,)), "distortion": distortion, "model": model, **pose}
-    return calibrated(fields, {"K": "intrinsics", "distortion": "distortion_coeffs"}, (name,))
+    fields = {"K": K, **size_of(entry), "distortion": distortion, "model": model, **pose}
+    entry.ignore(*_IRRELEVANT)
+    entry.finish(("camera_model", "intrinsics", "distortion_model", "distortion_coeffs", "resolution", "T_cn_cnm1"), _REMEDY)
+    return calibrated(fields, {"K": "intrinsics", "distortion": "distortion_coeffs"}, entry.location)
