@@ -239,8 +239,9 @@ def rotation_fault(R: Matrix) -> str:
     return ""
 
 
-def quaternion_rotation(w: float, x: float, y: float, z: float) -> Matrix:
-    """The rotation of a quaternion of any length.  Raises ValueError if its length is 0 or infinite."""
+def quaternion_rotation(quaternion: Sequence[float]) -> Matrix:
+    """The rotation of a quaternion w, x, y, z of any length.  Raises ValueError for other counts, and lengths of 0 or infinity."""
+    w, x, y, z = quaternion
     length = math.sqrt(w * w + x * x + y * y + z * z)
     if not 1e-6 < length < 1e6:
         raise ValueError("its quaternion is zero or infinite, which is not a rotation")

@@ -77,7 +77,7 @@ def read_colmap(folder: Path) -> dict[str, Calibrated]:
             what = f"{image.label} is of camera {image.camera}, which {camera_file.name} lacks"
             raise _refused(image_file, what, image.line)
         try:
-            R = quaternion_rotation(*image.pose[:4])
+            R = quaternion_rotation(image.pose[:4])
             by_image[image.name] = calibrated({**lenses[image.camera], "R": R, "C": centre(R, image.pose[4:])})
         except (TypeError, IndexError, ValueError) as error:
             raise _refused(image_file, f"{image.label}: {error}", image.line) from None

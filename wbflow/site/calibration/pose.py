@@ -153,7 +153,7 @@ def _rotation(entry: Entry) -> Matrix | None:
         if len(quaternion) != 4:
             raise entry.fault(quaternion_key, "must be 4 numbers: w, x, y, z, as COLMAP writes them")
         try:
-            return quaternion_rotation(*quaternion)
+            return quaternion_rotation(quaternion)
         except ValueError as error:
             raise entry.fault(quaternion_key, f"is not a rotation: {error}") from None
     return None
