@@ -240,7 +240,7 @@ def rotation_fault(R: Matrix) -> str:
 
 
 def quaternion_rotation(quaternion: Sequence[float]) -> Matrix:
-    """The rotation of a quaternion w, x, y, z of any length.  Raises ValueError for other counts, and lengths of 0 or infinity."""
+    """The rotation of a quaternion w, x, y, z of any length but 0 and infinity.  Raises ValueError."""
     w, x, y, z = quaternion
     length = math.sqrt(w * w + x * x + y * y + z * z)
     if not 1e-6 < length < 1e6:
