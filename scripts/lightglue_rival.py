@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from pairs_with_truth import TrueView
 
-from wbflow_stages.reasons import Reason
+from wbflow_stages.contracts.reasons import Reason
 from wbflow_stages.types import Matches, Rejected
 
 KEYPOINTS = 2048

@@ -42,7 +42,7 @@ _EXPORTED = {
     "fuse": "fuse",
     "warp": "rectification.warping",
     "disparity_px": "rectification.warping",
-    "Rejected": "reasons",
+    "Rejected": "contracts.reasons",
 }
 """Exported names, and the module that defines each: it is imported on first access."""
 

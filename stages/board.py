@@ -22,7 +22,7 @@ import numpy as np
 from .capture.files import BadCapture
 from .capture.video import all_pictures
 from .core.least_squares import levenberg_marquardt
-from .core.lenses import MODELS, lens_rays, usable_angle
+from .core.lenses import PROJECTIONS, lens_rays, usable_angle
 from .types import Capture, Float32s, Float64s, Lens, Uint8s
 
 _LEAST_PICTURES, _LEAST_CORNERS = 5, 8
@@ -231,7 +231,7 @@ def _start(
     coefficients = np.array(STARTS[model])
     edge_ray = np.array([[np.sin(np.deg2rad(half_deg)), 0.0, np.cos(np.deg2rad(half_deg))]])
     with np.errstate(all="ignore"):
-        edge_radius = MODELS[model].project(np.concatenate([coefficients, np.zeros(14)]), edge_ray)[0, 0]
+        edge_radius = PROJECTIONS[model].project(np.concatenate([coefficients, np.zeros(14)]), edge_ray)[0, 0]
     if not (np.isfinite(edge_radius) and edge_radius > 0):
         return None
     focal = 0.5 * min(size) / edge_radius
@@ -281,7 +281,7 @@ def _project(intrinsics: Float64s, pose: Float64s, board: Float64s, model: str) 
     rays = board @ R.T + pose[3:]
     with np.errstate(all="ignore"):
         unit_rays = rays / np.linalg.norm(rays, axis=1, keepdims=True)
-        projected = MODELS[model].project(np.concatenate([intrinsics[4:], np.zeros(14)]), unit_rays)
+        projected = PROJECTIONS[model].project(np.concatenate([intrinsics[4:], np.zeros(14)]), unit_rays)
     return np.asarray(projected * intrinsics[:2] + intrinsics[2:4], dtype=np.float64)
 
 

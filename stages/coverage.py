@@ -13,11 +13,11 @@ import cv2
 import numpy as np
 from scipy.ndimage import distance_transform_edt
 
+from .contracts.reasons import Reason, Rejected
 from .core.cameras import backproject, camera_id, project
 from .core.ground_grid import cell_centres, cells_of, grid_over, ground_axes, preferred_above, quantile_by_cell
 from .core.jit import kernel
 from .core.residual_distortion import undistorted_frames
-from .reasons import Reason, Rejected
 from .types import Bools, Camera, Coverage, DepthMap, Float64s, Frame, GroundGrid, Poses, Scene
 
 _LEAST_SAMPLES = 320

@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 
+from .contracts.reasons import Reason, Rejected
 from .fusion.pair_depth import NoiseModel, fuse_pairs, offset_px, pair_depth
-from .reasons import Reason, Rejected
 from .rectification.warping import Side
 from .types import MOST_PARTNERS, Camera, DepthMap, Disparity, Float32s, Pair, Rectification
 

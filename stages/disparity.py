@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
+from .contracts.reasons import Reason, Rejected
 from .core.methods import bind
-from .reasons import Reason, Rejected
 from .rectification.warping import Side, from_rectified
 from .stereo.consistency import agreeing, disagreement, lands_on, without_speckles
 from .stereo.matcher import DenseMatches, RectifiedPair

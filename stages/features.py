@@ -15,12 +15,12 @@ from typing import Literal
 import cv2
 import numpy as np
 
+from .contracts.reasons import Reason, Rejected
 from .core.luminance import grey_levels
 from .core.ordering import rank_within
 from .matching.description import LENGTH, describe, main_directions
 from .matching.neighbours import nearest_lookalike
 from .matching.scale_space import Blobs, Pyramid, find_blobs, pyramid
-from .reasons import Reason, Rejected
 from .types import Bools, Features, Float32s, Float64s, Frame, Int64s, Uint8s
 
 Preprocessing = Literal["auto", "none", "clahe"]

@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from .contracts.reasons import Reason, Rejected
 from .core.cameras import backproject
 from .core.parallel import parallel_map
 from .core.residual_distortion import undistorted_frames
@@ -26,7 +27,6 @@ from .fusion.posterior import merge_likelier, most_probable, own_logit, posterio
 from .fusion.uncertainty import along_nearest_rays, depth_variance
 from .fusion.visibility import CrossCheck, TrustedDepth, cross_check
 from .fusion.voxels import Samples, VoxelGrid, VoxelSums
-from .reasons import Reason, Rejected
 from .types import Camera, Cloud, DepthMap, Float32s, Float64s, Frame
 
 _IN_MEMORY, _IN_MEMORY_PX = 8, 12_000_000

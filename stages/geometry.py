@@ -7,10 +7,10 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
+from .contracts.reasons import Reason, Rejected
 from .core.epipolar import symmetric_epipolar_distance
 from .matching.candidates import searched_view_pairs
 from .matching.structural import match_guided
-from .reasons import Reason, Rejected
 from .twoview.image_grid import GRID_COLUMNS, GRID_ROWS
 from .twoview.intrinsics_prior import MOST_IMPLAUSIBLE, TwoCameras, refine_with_plausible_intrinsics
 from .twoview.pair_evidence import pair_evidence, point_evidence, ray_angle_deg

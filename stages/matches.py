@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from .contracts.reasons import Reason, Rejected
 from .core.methods import bind
-from .reasons import Reason, Rejected
 from .types import Features, Frame, Matches
 
 MATCHERS = {

@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from .contracts.reasons import Reason, Rejected
 from .core.cameras import camera_of
 from .core.luminance import grey_levels
 from .core.rotations import angle_between_deg
@@ -33,7 +34,6 @@ from .orientation.pose_check import (
 from .orientation.pose_prior_adjustment import AdjustedPoses, adjust_within_priors
 from .orientation.survey_check import check_survey
 from .orientation.typical_errors import correct_typical_errors
-from .reasons import Reason, Rejected
 from .rectification.predicted import predict
 from .sfm.rigs import posed_by_sibling
 from .types import (

@@ -11,13 +11,13 @@ from dataclasses import replace
 
 import numpy as np
 
+from .contracts.reasons import Reason, Rejected
 from .core.cameras import convergence_deg
 from .core.epipolar import fundamental_from_cameras, symmetric_epipolar_distance, triangulate_depth
 from .core.methods import bind
 from .core.ordering import percentiles
 from .core.residual_distortion import residual_distortion, undistorted_points
 from .mvs.ground import ground_homography, inverse_depth_line
-from .reasons import Reason, Rejected
 from .rectification.fitting import Layout, finish_layout, fit_layout
 from .rectification.method import MatchedPair
 from .rectification.predicted import ground_in_both, predict

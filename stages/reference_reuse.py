@@ -7,9 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from .contracts.reasons import Reason, Rejected
 from .core.cameras import same_camera
 from .poses import solve_poses, stated_calibration
-from .reasons import Reason, Rejected
 from .sfm.rigs import rotation_between
 from .types import Bools, Camera, CameraHealth, Float64s, Geometry, Pair, Placement, Poses, Survey, View, at_rows
 

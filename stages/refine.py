@@ -21,6 +21,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 
+from .contracts.reasons import Reason, Rejected
 from .core.cameras import backproject, project, ray_angles, scaled_intrinsics, transfer
 from .core.luminance import luminance
 from .core.residual_distortion import undistorted_frame, undistorted_frames
@@ -28,7 +29,6 @@ from .fusion.pair_depth import NoiseModel
 from .mvs.plane_prior import PlanePriors, apply_plane_priors
 from .mvs.propagation import Propagation
 from .mvs.transferred import transferred_planes, with_transferred
-from .reasons import Reason, Rejected
 from .stereo.plane_filter import smoothed
 from .types import MOST_PARTNERS, Bools, Camera, DepthMap, Float32s, Float64s, Frame, Int32s, Uint8s
 

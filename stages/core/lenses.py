@@ -12,11 +12,12 @@ double-sphere: Usenko 2018; thin-prism-fisheye, rad-tan-thin-prism-fisheye, equi
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
+from ..contracts.stated import LensModel
 from ..types import Float64s, Lens
 
 WIDEST_DEG = 110.0
@@ -24,8 +25,8 @@ WIDEST_DEG = 110.0
 
 
 @dataclass(frozen=True)
-class LensModel:
-    """The projection of a lens model."""
+class Projection:
+    """How a lens model maps rays."""
 
     project: Callable[[Float64s, Float64s], Float64s]
     """Maps coefficients and unit rays (n, 3) to normalised coordinates (n, 2); nan for rays that the lens does not see."""
@@ -39,7 +40,7 @@ def lens_pixels(lens: Lens, rays: Float64s) -> Float64s:
         raise ValueError("a lens without intrinsics has no rays")
     unit = rays / np.linalg.norm(rays, axis=1, keepdims=True)
     with np.errstate(all="ignore"):
-        x = _model(lens).project(_coefficients(lens), unit)
+        x = _projection(lens).project(_coefficients(lens), unit)
     x[off_axis(unit) > usable_angle(lens)] = np.nan
     return np.asarray(x @ lens.K[:2, :2].T + lens.K[:2, 2], dtype=np.float64)
 
@@ -52,7 +53,7 @@ def lens_rays(lens: Lens, x: Float64s) -> Float64s:
     if lens.model == "equirectangular":
         longitude, latitude = target.T
         return np.column_stack([np.sin(longitude) * np.cos(latitude), np.sin(latitude), np.cos(longitude) * np.cos(latitude)])
-    coefficients, project, limit = _coefficients(lens), _model(lens).project, usable_angle(lens)
+    coefficients, project, limit = _coefficients(lens), _projection(lens).project, usable_angle(lens)
     with np.errstate(all="ignore"):
         angle_xy = _start(coefficients, project, limit, target)
         for _ in range(_MOST_STEPS):
@@ -70,7 +71,7 @@ def usable_angle(lens: Lens) -> float:
     """Angle off the axis, in radians, up to which image radii grow with the angle: beyond it the model folds over or ends."""
     if lens.model == "equirectangular":
         return np.pi
-    model, coefficients = _model(lens), _coefficients(lens)
+    model, coefficients = _projection(lens), _coefficients(lens)
     angles = np.arange(_PROFILE_STEP, model.farthest, _PROFILE_STEP)
     limit = float(angles[-1])
     with np.errstate(all="ignore"):
@@ -103,10 +104,10 @@ _DIFFERENCE = 1e-6
 """Angle to each side, in radians, of the central differences that give the derivatives."""
 
 
-def _model(lens: Lens) -> LensModel:
-    if lens.model not in MODELS:
-        raise ValueError(f"lens model {lens.model!r} is not known: {', '.join(MODELS)}")
-    return MODELS[lens.model]
+def _projection(lens: Lens) -> Projection:
+    if lens.model not in PROJECTIONS:
+        raise ValueError(f"lens model {lens.model!r} is not known: {', '.join(PROJECTIONS)}")
+    return PROJECTIONS[lens.model]
 
 
 def _coefficients(lens: Lens) -> Float64s:
@@ -248,18 +249,18 @@ def _equirectangular(_: Float64s, rays: Float64s) -> Float64s:
     return np.column_stack([np.arctan2(rays[:, 0], rays[:, 2]), np.arctan2(rays[:, 1], np.hypot(rays[:, 0], rays[:, 2]))])
 
 
-MODELS = {
-    "pinhole": LensModel(_pinhole, np.deg2rad(89.5)),
-    "brown": LensModel(_brown, np.deg2rad(89.5)),
-    "rational": LensModel(_brown, np.deg2rad(89.5)),
-    "fisheye": LensModel(_fisheye),
-    "division": LensModel(_division),
-    "fov": LensModel(_fov),
-    "eucm": LensModel(_eucm),
-    "omni": LensModel(_omni),
-    "double-sphere": LensModel(_double_sphere),
-    "thin-prism-fisheye": LensModel(_thin_prism_fisheye),
-    "rad-tan-thin-prism-fisheye": LensModel(_rad_tan_thin_prism_fisheye),
-    "equirectangular": LensModel(_equirectangular),
+PROJECTIONS: Mapping[str, Projection] = {
+    LensModel.PINHOLE: Projection(_pinhole, np.deg2rad(89.5)),
+    LensModel.BROWN: Projection(_brown, np.deg2rad(89.5)),
+    LensModel.RATIONAL: Projection(_brown, np.deg2rad(89.5)),
+    LensModel.FISHEYE: Projection(_fisheye),
+    LensModel.DIVISION: Projection(_division),
+    LensModel.FOV: Projection(_fov),
+    LensModel.EUCM: Projection(_eucm),
+    LensModel.OMNI: Projection(_omni),
+    LensModel.DOUBLE_SPHERE: Projection(_double_sphere),
+    LensModel.THIN_PRISM_FISHEYE: Projection(_thin_prism_fisheye),
+    LensModel.RAD_TAN_THIN_PRISM_FISHEYE: Projection(_rad_tan_thin_prism_fisheye),
+    LensModel.EQUIRECTANGULAR: Projection(_equirectangular),
 }
-"""Lens models by their name in a site file; the order of coefficients is OpenCV's where OpenCV has the model."""
+"""The projection of each lens model; the order of coefficients is OpenCV's where OpenCV has the model."""

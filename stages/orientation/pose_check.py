@@ -14,10 +14,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ..contracts.reasons import Reason, Rejected
 from ..core.cameras import backproject, camera_id, project, ray_angles, rays, relative_pose
 from ..core.epipolar import fundamental_from_cameras, symmetric_epipolar_distance, triangulate_depth
 from ..core.rotations import angle_between_deg
-from ..reasons import Reason, Rejected
 from ..sfm.consistent_matches import consistent_matches
 from ..sfm.loops import triangles_of
 from ..sfm.tracks import same_places

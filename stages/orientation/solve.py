@@ -7,10 +7,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from ..contracts.reasons import Reason, Rejected
 from ..core.cameras import relative_pose
 from ..core.epipolar import fundamental_from_cameras, symmetric_epipolar_distance
 from ..core.residual_distortion import UNDISTORTED_PX, residual_px, without_distortion
-from ..reasons import Reason, Rejected
 from ..sfm.consistent_matches import consistent_matches
 from ..sfm.incremental import Model, refine
 from ..sfm.loops import USUAL, LoopStatistics

@@ -37,12 +37,12 @@ def check_survey(poses: Poses, views: Mapping[str, View], placements: Mapping[st
     points: dict[str, tuple[float, float]] = {}
     units: dict[str, tuple[float, float]] = {}
     for i, j, stated in survey.distances:
-        a, b = survey.cameras[int(i)], survey.cameras[int(j)]
+        a, b = survey.cameras[i], survey.cameras[j]
         if a in centres and b in centres:
             measured = float(np.linalg.norm(centres[a] - centres[b]))
             if abs(measured - stated) > DISTANCE_SHARE * min(stated, measured) + np.sqrt(2) * sigma:
-                distances[f"{a}--{b}"] = float(stated), measured
-    if len(survey.points):
+                distances[f"{a}--{b}"] = stated, measured
+    if survey.points:
         from .world import control_landmarks  # imported here: few sites have control points, and it loads the pose solver
 
         names = list(views)

@@ -121,7 +121,7 @@ def _scale_of_distances(graph: ViewGraph, cameras: Mapping[int, Camera], survey:
     ratios = []
     centre_of = {camera_id(graph.names[view], camera): camera.C for view, camera in cameras.items()}
     for i, j, metres in survey.distances:
-        a, b = survey.cameras[int(i)], survey.cameras[int(j)]
+        a, b = survey.cameras[i], survey.cameras[j]
         if a in centre_of and b in centre_of:
             ratios.append(metres / np.linalg.norm(centre_of[a] - centre_of[b]))
     return float(np.median(ratios)) if ratios else None
@@ -311,11 +311,11 @@ def control_landmarks(
     ids = {view: camera_id(names[view], views[view]) for view in sorted(cameras)}
     rows = []
     for point, camera, x, y in survey.observations:
-        camera_views = [view for view, name in ids.items() if name == survey.cameras[int(camera)]]
+        camera_views = [view for view, name in ids.items() if name == survey.cameras[camera]]
         for view in camera_views:
             u, v = _in_frame(np.array([[x, y]]), views[view], cameras[view])[0]
             if (len(camera_views) == 1 and np.isfinite(u)) or (0 <= u < views[view].width and 0 <= v < views[view].height):
-                rows.append((int(point), view, u, v))
+                rows.append((point, view, u, v))
                 break
     rows.sort(key=lambda row: row[:2])
     if not rows:
@@ -328,7 +328,7 @@ def control_landmarks(
     )
     X = triangulate(cameras, tracks, np.ones(len(rows), bool), 1.0)
     triangulated = np.flatnonzero(np.isfinite(X[:, 0]))
-    return [Landmark(f"control point {k + 1}", X[k], survey.points[k]) for k in triangulated.tolist()]
+    return [Landmark(f"control point {k + 1}", X[k], np.array(survey.points[k])) for k in triangulated.tolist()]
 
 
 def _in_frame(x: Float64s, view: View, camera: Camera) -> Float64s:

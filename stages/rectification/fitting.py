@@ -9,10 +9,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ..contracts.reasons import Reason, Rejected
 from ..core.epipolar import triangulate_depth
 from ..core.nearest_points import nearest_points
 from ..core.ordering import percentiles
-from ..reasons import Reason, Rejected
 from ..twoview.intrinsics_prior import freedoms
 from ..types import Float64s, Geometry, Rectification
 from .method import Homographies, MatchedPair, PolarImages

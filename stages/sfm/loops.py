@@ -17,8 +17,8 @@ from math import isfinite, log
 
 import numpy as np
 
+from ..contracts.reasons import Reason, Rejected
 from ..core.rotations import angle_between_deg
-from ..reasons import Reason, Rejected
 from ..twoview.pair_score import DISTINCT_CELLS, probability
 from ..twoview.rival_pose import SAME_ROTATION_DEG, TURNED_DEG, TURNED_RIVAL_SHARE
 from ..types import Bools, Float64s, Geometry, Int64s, Pair

@@ -11,9 +11,9 @@ from functools import cached_property
 
 import numpy as np
 
+from ..contracts.reasons import Reason, Rejected
 from ..core.cameras import camera_of
 from ..core.rotations import angle_between_deg
-from ..reasons import Reason, Rejected
 from ..twoview.robust import pose_of_fundamental
 from ..types import Camera, Float64s, Geometry, Pair, View
 from .incremental import Model, grow

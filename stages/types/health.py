@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ..core.short_repr import Record
+from ..contracts.short_repr import Record
 from .arrays import Float64s
 
 

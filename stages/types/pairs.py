@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from typing import TypeVar
 
-from ..core.short_repr import Record
+from ..contracts.short_repr import Record
 from .arrays import Bools, Float32s, Float64s, Int32s, Int64s
 from .views import View
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from ..core.short_repr import Record
+from ..contracts.short_repr import Record
 from .arrays import Float64s
 from .views import Camera
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ..core.short_repr import Record
+from ..contracts.short_repr import Record
 from .arrays import Bools, Float32s, Float64s, Uint8s
 from .captured import Lens
 

@@ -197,3 +197,18 @@ def with_look_alikes(site: PairSite, pair: Pair, degrees: float, seed: int) -> G
     posed = replace(geometry, F=found.F, cam2_R_cam1=found.R, cam2_t_cam1=found.t / np.linalg.norm(found.t))
     i1, probability = geometry.i1[keep], geometry.probability[keep]
     return replace(posed, x1=geometry.x1[keep], x2=x2[keep], i1=i1, i2=i2[keep], probability=probability)
+
+
+def control_points(X: np.ndarray) -> tuple[tuple[float, float, float], ...]:
+    """Points (n, 3) as the control points of a survey."""
+    return tuple((x, y, z) for x, y, z in X.tolist())
+
+
+def sightings(site: PairSite, count: int) -> tuple[tuple[int, int, float, float], ...]:
+    """The observations of a survey: the first `count` scene points in all cameras."""
+    rows = []
+    for point in range(count):
+        for number, camera in enumerate(site.cameras.values()):
+            x, y = project(camera, site.X[point : point + 1])[0][0].tolist()
+            rows.append((point, number, x, y))
+    return tuple(rows)

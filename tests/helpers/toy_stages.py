@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from wbflow_stages.reasons import Reason
+from wbflow_stages.contracts.reasons import Reason
 from wbflow_stages.types import (
     Camera,
     CameraHealth,

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from tests.helpers.two_views import HEIGHT, WIDTH, K, looking, scene, seen_by_both
+from wbflow_stages.contracts.reasons import Reason
 from wbflow_stages.core.epipolar import symmetric_epipolar_distance
 from wbflow_stages.geometry import estimate_geometry
 from wbflow_stages.other_nights import pool_depths, pool_matches
-from wbflow_stages.reasons import Reason
 from wbflow_stages.types import DepthMap, Features, Float64s, Geometry, Matches, Rejected, View
 
 H, W = 40, 60

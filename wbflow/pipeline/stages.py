@@ -27,7 +27,7 @@ SITE_TYPES = {
     "privacy": "wbflow_stages.types:Privacy",
     "lens": "wbflow_stages.types:Lens",
     "placement": "wbflow_stages.types:Placement",
-    "survey": "wbflow_stages.types:Survey",
+    "survey": "wbflow_stages.contracts.stated:Survey",
 }
 """The inputs that the site file and the captures can provide to a stage, and their types."""
 

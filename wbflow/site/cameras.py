@@ -11,6 +11,8 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
+from wbflow_stages.contracts.stated import LensModel, Survey
+
 from ..cache.untrusted import is_file
 from ..plugins import load
 from ..task import view_name
@@ -18,10 +20,10 @@ from ..words import printable
 from .calibration import find_cameras, only_camera, read_calibration
 from .calibration.calibrated import REMEDY, Calibrated, Lens, Placement, product
 from .geodesy import LocalFrame
-from .models import Camera, CameraEntry, Position, SiteFile, Survey
+from .models import Camera, CameraEntry, Position, SiteFile
 from .yaml_document import Location, Problems, SiteError, is_name, resolve_path
 
-_OWN_PINHOLE = frozenset({"pinhole", "brown"})
+_OWN_PINHOLE = frozenset({LensModel.PINHOLE, LensModel.BROWN})
 """Lens models whose frames keep the K of the lens, however wide it is: such a camera is never split into views."""
 
 
@@ -172,7 +174,7 @@ def read_survey(file: SiteFile, frame: LocalFrame | None, problems: Problems) ->
         elif i == j:
             problems.add(location, "a camera has no distance from itself", "name two cameras")
         else:
-            distances.append([float(i), float(j), float(metres)])
+            distances.append((i, j, float(metres)))
     points, observations = [], []
     for k, point in enumerate(file.control_points):
         location = ("control_points", k)
@@ -181,9 +183,10 @@ def read_survey(file: SiteFile, frame: LocalFrame | None, problems: Problems) ->
             problems.add(location, "fewer than two cameras see it", remedy)
         for camera, (x, y) in point.pixels.items():
             index = _index_of(camera, ids, (*location, "pixels", camera), problems)
-            observations.append([float(k), float(index), x, y])
-        points.append(_metres(point, frame) or [0.0, 0.0, 0.0])
-    return Survey(tuple(ids), distances, points, observations, frame.crs if frame else "")
+            observations.append((k, index, x, y))
+        x, y, z = _metres(point, frame) or [0.0, 0.0, 0.0]
+        points.append((x, y, z))
+    return Survey(tuple(ids), tuple(distances), tuple(points), tuple(observations), frame.crs if frame else "")
 
 
 def _index_of(camera: Any, ids: list[str], location: Location, problems: Problems) -> int:

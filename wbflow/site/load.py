@@ -12,13 +12,14 @@ from typing import Any
 
 from pydantic import BaseModel, ValidationError
 
+from wbflow_stages.contracts.stated import LensModel
+
 from ..cache.layout import WorkFolder
 from ..cache.untrusted import is_folder
 from ..pipeline.functions import FunctionReader
 from ..pipeline.pairs import MOST_PAIRS_PER_VIEW
 from ..remote import is_url
 from ..words import printable
-from .calibration.calibrated import LENS_MODELS
 from .cameras import read_cameras, read_survey, views_of
 from .geodesy import POSITION_REMEDY, local_frame
 from .models import CUSTOM, Captures, Site, SiteFile
@@ -171,7 +172,7 @@ _REMEDIES = {
     "captures": "give root: FOLDER and pattern, e.g. pattern: '{camera}/{date:%Y-%m-%d}*.jpg'",
     "cameras": "list the cameras: cameras: [gate, roof], or mappings with id, intrinsics, distortion, pose, mask, images",
     "distortion": "give [k1, k2, p1, p2, k3] as OpenCV defines them, or those of the model that you name",
-    "model": f"name one of {', '.join(LENS_MODELS)}; without it a lens is brown (OpenCV's k1 k2 p1 p2 k3)",
+    "model": f"name one of {', '.join(LensModel)}; without it a lens is brown (OpenCV's k1 k2 p1 p2 k3)",
     "site": "give the site a name: site: harbour",
     "timezone": "give the name of a time zone, e.g. timezone: Europe/Berlin",
     "resolution": "give the long side in pixels that stages work at, e.g. resolution: 1600, or null for as captured",

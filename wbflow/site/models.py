@@ -17,6 +17,8 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, field_validator, model_validator
 from pydantic_core import PydanticCustomError
 
+from wbflow_stages.contracts.stated import Survey
+
 from ..cache.cleanup import Keep
 from ..cache.layout import WorkFolder
 from ..pipeline.functions import FunctionReader
@@ -410,21 +412,6 @@ def site_schema() -> dict[str, Any]:
     schema = SiteFile.model_json_schema()
     schema["properties"]["stages"]["properties"] = {stage.name: {"type": ["object", "boolean"]} for stage in STAGES}
     return {"$schema": "https://json-schema.org/draft/2020-12/schema", "title": "A site of wbflow", **schema}
-
-
-@dataclass(frozen=True)
-class Survey:
-    """Distances and control points.  Cameras are given by their index in the site file."""
-
-    cameras: tuple[str, ...] = ()
-    distances: Matrix = field(default_factory=list)
-    """Rows of camera, camera, metres."""
-    points: Matrix = field(default_factory=list)
-    """Rows of x, y, z of the control points, metres."""
-    observations: Matrix = field(default_factory=list)
-    """Rows of control point, camera, x, y in pixels of the capture."""
-    crs: str = ""
-    """Coordinate system of the world; "" if it is local."""
 
 
 def stated_fields(value: Lens | Placement | Survey) -> dict[str, Any]:

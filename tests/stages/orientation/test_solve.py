@@ -9,7 +9,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tests.helpers.exact_pairs import PairSite, aligned_errors, make_pair_site, only, pair_geometry, turned_wrong
+from tests.helpers.exact_pairs import (
+    PairSite,
+    aligned_errors,
+    control_points,
+    make_pair_site,
+    only,
+    pair_geometry,
+    sightings,
+    turned_wrong,
+)
 from wbflow_stages.core.cameras import project
 from wbflow_stages.core.rotations import rotation_matrix
 from wbflow_stages.orientation.solve import undistorted_error_px, without_unsupported
@@ -201,7 +210,7 @@ def _mean_error_of_similarity(poses: Poses, site: PairSite) -> float:
 def test_a_known_distance_gives_the_scale() -> None:
     site = make_pair_site(5)
     metres = float(np.linalg.norm(site.cameras["c0"].C - site.cameras["c4"].C))
-    poses = solve(site, None, Survey(tuple(site.cameras), np.array([[0, 4, metres]])))
+    poses = solve(site, None, Survey(tuple(site.cameras), ((0, 4, metres),)))
     assert poses.metric and poses.scale == "known distances"
     got = np.linalg.norm(poses.cameras["c1"].C - poses.cameras["c3"].C)
     assert got == pytest.approx(np.linalg.norm(site.cameras["c1"].C - site.cameras["c3"].C), rel=1e-6)
@@ -209,10 +218,10 @@ def test_a_known_distance_gives_the_scale() -> None:
 
 def test_control_points_define_frame_and_scale_and_a_wrong_one_is_named() -> None:
     site = make_pair_site(5)
-    rows = [[k, i, *project(camera, site.X[k : k + 1])[0][0]] for k in range(5) for i, camera in enumerate(site.cameras.values())]
     points = site.X[:5].copy()
     points[3] += [0.0, 0.0, 1.0]
-    poses = solve(site, None, Survey(tuple(site.cameras), points=points, observations=np.array(rows), crs="here"))
+    survey = Survey(tuple(site.cameras), points=control_points(points), observations=sightings(site, 5), crs="here")
+    poses = solve(site, None, survey)
     assert poses.metric and poses.crs == "here"
     assert list(poses.issues_of("moved")) == ["control point 4"]
     for name, camera in poses.cameras.items():

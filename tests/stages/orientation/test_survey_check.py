@@ -7,8 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.helpers.exact_pairs import PairSite, make_pair_site
-from wbflow_stages.core.cameras import project
+from tests.helpers.exact_pairs import PairSite, control_points, make_pair_site, sightings
 from wbflow_stages.poses import solve_poses
 from wbflow_stages.types import Placement, Poses, Survey
 
@@ -31,20 +30,20 @@ def distance(site: PairSite, a: str, b: str) -> float:
 def test_a_distance_that_contradicts_poses_or_other_distances_is_named(posed: bool) -> None:
     site = make_pair_site(5)
     names, known = tuple(site.cameras), stated(site) if posed else {}
-    right = [[0, 4, distance(site, "c0", "c4")], [1, 3, distance(site, "c1", "c3")]]
-    assert not solve(site, known, Survey(names, np.array(right))).distances_off
-    wrong = [*right, [0, 2, 10 * distance(site, "c0", "c2")]]
-    ((pair, metres),) = solve(site, known, Survey(names, np.array(wrong))).distances_off.items()
+    right = (0, 4, distance(site, "c0", "c4")), (1, 3, distance(site, "c1", "c3"))
+    assert not solve(site, known, Survey(names, right)).distances_off
+    wrong = (*right, (0, 2, 10 * distance(site, "c0", "c2")))
+    ((pair, metres),) = solve(site, known, Survey(names, wrong)).distances_off.items()
     assert pair == "c0--c2" and metres == pytest.approx((10 * distance(site, "c0", "c2"), distance(site, "c0", "c2")))
 
 
 def test_a_control_point_that_contradicts_stated_poses_is_named() -> None:
     site = make_pair_site(5)
-    rows = [[k, i, *project(camera, site.X[k : k + 1])[0][0]] for k in range(3) for i, camera in enumerate(site.cameras.values())]
-    survey = Survey(tuple(site.cameras), points=site.X[:3].copy(), observations=np.array(rows))
+    survey = Survey(tuple(site.cameras), points=control_points(site.X[:3]), observations=sightings(site, 3))
     assert not solve(site, stated(site), survey).points_off
-    survey.points[1] += [0.0, 0.0, 2.0]
-    ((name, (off, tolerated)),) = solve(site, stated(site), survey).points_off.items()
+    X = site.X[:3].copy()
+    X[1] += [0.0, 0.0, 2.0]
+    ((name, (off, tolerated)),) = solve(site, stated(site), replace(survey, points=control_points(X))).points_off.items()
     assert name == "control point 2" and off == pytest.approx(2, abs=0.01) and tolerated < 1
 
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from wbflow_stages.reasons import Reason
+from wbflow_stages.contracts.reasons import Reason
 from wbflow_stages.sfm.loops import USUAL, AmbiguityKind, ambiguity_kind, why_ambiguous
 from wbflow_stages.types import Geometry, View
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.helpers.exact_pairs import PairSite, aligned_errors, make_pair_site, pair_geometry, turned_wrong
+from tests.helpers.exact_pairs import PairSite, aligned_errors, control_points, make_pair_site, pair_geometry, turned_wrong
 from wbflow_stages.core.cameras import project
 from wbflow_stages.core.lenses import lens_pixels
 from wbflow_stages.core.rotations import rotation_matrix
@@ -107,17 +107,18 @@ def test_distances_and_control_points_can_refer_to_cameras_with_several_views() 
     truth = make_pair_site(5, points=500, focal=500.0).cameras
     ids = tuple(truth)
     distance = float(np.linalg.norm(truth["c1"].C - truth["c3"].C))
-    found = solve_poses(site.views, {}, site.geometries, Survey(ids, np.array([[1, 3, distance]])))
+    found = solve_poses(site.views, {}, site.geometries, Survey(ids, ((1, 3, distance),)))
     assert isinstance(found, Poses) and found.metric
     assert np.linalg.norm(found.cameras["c0"].C - found.cameras["c4"].C) == pytest.approx(
         np.linalg.norm(truth["c0"].C - truth["c4"].C), rel=1e-5
     )
-    rows = []
+    rows: list[tuple[int, int, float, float]] = []
     for name in WIDE:
         lens = Lens(truth[name].K, model="fisheye")
         pixels = lens_pixels(lens, (site.X[:6] - truth[name].C) @ truth[name].R.T)
-        rows += [[point, ids.index(name), *pixels[point]] for point in range(6)]
-    found = solve_poses(site.views, {}, site.geometries, Survey(ids, points=site.X[:6], observations=np.array(rows)))
+        rows += [(point, ids.index(name), *pixels[point].tolist()) for point in range(6)]
+    survey = Survey(ids, points=control_points(site.X[:6]), observations=tuple(rows))
+    found = solve_poses(site.views, {}, site.geometries, survey)
     assert isinstance(found, Poses)
     for name, camera in site.cameras.items():
         np.testing.assert_allclose(found.cameras[name].C, camera.C, atol=1e-4)

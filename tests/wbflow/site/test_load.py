@@ -250,9 +250,9 @@ def test_distances_and_control_points_refer_to_cameras_by_index(tmp_path: Path) 
         "distances: [[roof, gate, 7]]\ncontrol_points: [{position: [1, 2, 3], pixels: {gate: [5, 6.5], roof: [7, 8]}}]\n"
     )
     survey = load_site(site_at(tmp_path, text)).survey
-    assert survey.distances == [[1.0, 0.0, 7.0]]
-    assert survey.points == [[1, 2, 3]]
-    assert survey.observations == [[0.0, 0.0, 5, 6.5], [0.0, 1.0, 7, 8]]
+    assert survey.distances == ((1, 0, 7.0),)
+    assert survey.points == ((1, 2, 3),)
+    assert survey.observations == ((0, 0, 5, 6.5), (0, 1, 7, 8))
 
 
 def test_sigmas_of_poses_come_from_the_site_file_or_the_calibration(tmp_path: Path) -> None:
@@ -269,7 +269,7 @@ def test_sigmas_of_poses_come_from_the_site_file_or_the_calibration(tmp_path: Pa
 
 def test_distances_may_name_cameras_whose_ids_are_numbers(tmp_path: Path) -> None:
     text = GOOD.replace("- gate", "- 0000") + "distances: [[0000, roof, 7]]\n"
-    assert load_site(site_at(tmp_path, text)).survey.distances == [[0.0, 1.0, 7.0]]
+    assert load_site(site_at(tmp_path, text)).survey.distances == ((0, 1, 7.0),)
 
 
 def test_geodetic_positions_become_east_north_up_from_the_first_one(tmp_path: Path) -> None:

@@ -7,31 +7,20 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
 from typing import Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, Field, PlainValidator, ValidationError, ValidationInfo, field_validator
+
+from wbflow_stages.contracts import stated
+from wbflow_stages.contracts.stated import LensModel
 
 from ..yaml_document import Location
 
 Vector = list[float]
 Matrix = list[Vector]
 
-LENS_MODELS: Mapping[str, tuple[tuple[int, ...], str]] = {
-    "pinhole": ((0,), ""),
-    "brown": ((0, 1, 2, 3, 4, 5, 8, 12, 14), "k1 k2 p1 p2 k3, and further ones as OpenCV orders them"),
-    "rational": ((8, 12, 14), "k1 k2 p1 p2 k3 k4 k5 k6"),
-    "fisheye": ((1, 2, 3, 4), "k1 k2 k3 k4"),
-    "division": ((1,), "k"),
-    "fov": ((1,), "omega"),
-    "eucm": ((2,), "alpha beta"),
-    "omni": ((1, 3, 5, 6), "xi k1 k2 p1 p2"),
-    "double-sphere": ((2,), "xi alpha"),
-    "thin-prism-fisheye": ((8,), "k1 k2 p1 p2 k3 k4 sx1 sy1"),
-    "rad-tan-thin-prism-fisheye": ((12,), "k0 k1 k2 k3 k4 k5 p0 p1 s0 s1 s2 s3"),
-    "equirectangular": ((0,), ""),
-}
-"""For each lens model (`wbflow_stages.core.lenses`): the valid numbers of coefficients, and their order."""
+Lens = stated.Lens[Matrix, Vector]
+Placement = stated.Placement[Matrix, Vector]
 
 _MOST_MAGNITUDE = 1e12
 """Limit on the magnitude of any number in a calibration (metres, pixels): larger ones, and NaN, are refused."""
@@ -41,52 +30,17 @@ _MOST_PIXELS_A_SIDE = 1_000_000
 
 def lens_fault(model: str, distortion: list[float] | None) -> str:
     """What is wrong with the model or coefficients of a lens, and how to fix it; "" if nothing is."""
-    if model not in LENS_MODELS:
-        return f"{model!r} is not a known lens model; use one of {', '.join(LENS_MODELS)}"
-    counts, order = LENS_MODELS[model]
+    if model not in tuple(LensModel):
+        return f"{model!r} is not a known lens model; use one of {', '.join(LensModel)}"
+    known = LensModel(model)
     count = len(distortion or [])
-    if count in counts or (counts == (0,) and not any(distortion or [])):
+    states_zeros = known.counts == (0,) and not any(distortion or [])
+    if count in known.counts or states_zeros:
         return ""
-    expected = f"{' or '.join(map(str, counts))} coefficients" + (f" ({order})" if order else "")
+    expected = f"{' or '.join(map(str, known.counts))} coefficients"
+    if known.order:
+        expected += f" ({known.order})"
     return f"a {model} lens has {expected}, not {count}; give them in that order, or another model"
-
-
-@dataclass(frozen=True)
-class Lens:
-    """Intrinsics of a camera as the site file, or a calibration, gives them."""
-
-    K: Matrix | None = None
-    """3x3, pixels; None if unknown."""
-    distortion: list[float] = field(default_factory=lambda: [0.0] * 5)
-    """Coefficients of `model`; for "brown" k1 k2 p1 p2 k3."""
-    hfov_deg: float | None = None
-    """Horizontal field of view, used if K is None."""
-    width: int = 0
-    """Width of the image that these intrinsics are for, pixels; 0: unknown."""
-    height: int = 0
-    model: str = "brown"
-    """Lens model: a key of `LENS_MODELS`."""
-    camera: str = ""
-    """For one of several views: the id of its camera; "" for the lens of a whole camera."""
-    turn: Matrix | None = None
-    """3x3, from the camera's axes to the axes of this view; None for the lens of a whole camera."""
-    window: list[float] | None = None
-    """Extent of this view to the left, right, up and down, as slopes x / z and y / z in its axes (`wbflow_stages.types.Lens`)."""
-
-
-@dataclass(frozen=True)
-class Placement:
-    """Pose of a camera as the site file or a calibration gives it: x ~ K R (X - C)."""
-
-    R: Matrix | None = None
-    """3x3; None if unknown."""
-    C: list[float] | None = None
-    """Centre of the camera; None if unknown."""
-    sigma_m: float = 0.0
-    sigma_deg: float = 0.0
-    """Standard deviations of C and R; 0 if they are exact."""
-    metric: bool = True
-    """C is in metres; otherwise its scale is unknown."""
 
 
 def _check_number(value: Any) -> Any:

@@ -12,7 +12,7 @@ from string import Formatter
 import pytest
 
 import wbflow_stages
-from wbflow_stages.reasons import Reason, Rejected
+from wbflow_stages.contracts.reasons import Reason, Rejected
 
 SOURCES = sorted(Path(wbflow_stages.__file__).parent.rglob("*.py"))
 

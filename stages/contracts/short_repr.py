@@ -16,6 +16,7 @@ class Record:
     """
 
     def __init_subclass__(cls) -> None:
+        super().__init_subclass__()
         cls.__repr__ = _record_repr  # type: ignore[method-assign]
 
 
