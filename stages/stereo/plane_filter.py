@@ -289,7 +289,8 @@ def _median_filtered(bordered: Float32s, spacing: int) -> Float32s:
 def _continue_planes(
     bordered: Float32s, row: int, column: int, n: int, dx: int, dy: int, value: Float32s, weight: Float32s
 ) -> None:
-    """The planes of the neighbours (dx, dy) of `n` pixels from (column, row) on, continued to these pixels, and half their weights;
+    """The planes of the neighbours (dx, dy) of `n` pixels from (column, row) on, continued to these pixels, and half their
+    weights;
     both 0 where the neighbour is unknown."""
     grey = bordered[3, row, column:]
     d = bordered[0, row + dy, column + dx :]
