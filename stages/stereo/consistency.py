@@ -9,10 +9,19 @@ from ..core.jit import kernel
 from ..types import Bools, Float32s
 
 _STEEPNESS_WEIGHT = 0.15
-"""The tolerance of `agreeing` is divided by 1 + this times the range of disparities around the pixel."""
-_STEP_X, _STEP_Y = 1.5, 4.0
-"""Largest difference, in pixels, between the disparities of connected neighbours within a row and between rows: ground seen at a
-low angle changes by several pixels from row to row, but never along a row."""
+"""The tolerance of `agreeing` is divided by 1 + this times the range of disparities around the pixel, in pixels; larger
+values drop more pixels at edges."""
+_STEP_X = 1.5
+"""Largest difference, in pixels, between the disparities of connected neighbours within a row; larger values keep more
+speckles."""
+_STEP_Y = 4.0
+"""The same between rows: ground seen at a low angle changes by several pixels from row to row, but never along a row."""
+_FAR_BELOW = np.float32(-1e6)
+"""A disparity, in pixels, below any that occurs: stands for an unknown one where the largest is sought."""
+_FAR_ABOVE = np.float32(1e6)
+"""A disparity above any that occurs: stands for an unknown one where the smallest is sought."""
+_AGREED_PX = 1.0
+"""Largest difference, in pixels, between the disparities of both views in `cross_checked`."""
 
 
 @kernel
@@ -48,18 +57,21 @@ def agreeing(disparity: Float32s, other_disparity: Float32s, sign: int, toleranc
     difference = disagreement(disparity, other_disparity, sign)
     known = difference <= tolerance_px
     window = np.ones((5, 5), dtype=np.uint8)
-    highest = cv2.dilate(np.where(known, disparity, np.float32(-1e6)), window)
-    lowest = cv2.erode(np.where(known, disparity, np.float32(1e6)), window)
-    return np.asarray(known & (difference * (1 + _STEEPNESS_WEIGHT * (highest - lowest)) <= tolerance_px))
+    highest = cv2.dilate(np.where(known, disparity, _FAR_BELOW), window)
+    lowest = cv2.erode(np.where(known, disparity, _FAR_ABOVE), window)
+    # the difference is multiplied, which is the same as dividing the tolerance
+    weighted_difference = difference * (1 + _STEEPNESS_WEIGHT * (highest - lowest))
+    return np.asarray(known & (weighted_difference <= tolerance_px))
 
 
 def lands_on(valid_other: Bools, disparity: Float32s, sign: int) -> Bools:
     """(h, w) bool: does each disparity point to a pixel of the other view that may be matched?"""
     width = disparity.shape[1]
     x = np.arange(width, dtype=np.float32) + sign * np.nan_to_num(disparity, nan=-1e6)
-    column = np.rint(np.clip(x, -1, width)).astype(np.int64)
+    column = np.rint(np.clip(x, -1, width)).astype(np.int64)  # clipped to one pixel outside, so that it fits an integer
     inside = (column >= 0) & (column < width)
-    return np.asarray(inside & np.take_along_axis(valid_other, np.clip(column, 0, width - 1), axis=1), dtype=np.bool_)
+    valid_there = np.take_along_axis(valid_other, np.clip(column, 0, width - 1), axis=1)
+    return np.asarray(inside & valid_there, dtype=np.bool_)
 
 
 def cross_checked(disparity: Float32s, other_disparity: Float32s, valid: Bools, sign: int, smallest_px: int) -> Float32s:
@@ -72,7 +84,7 @@ def cross_checked(disparity: Float32s, other_disparity: Float32s, valid: Bools, 
     sign : -1 for the left view, 1 for the right one.
     smallest_px : connected pieces of fewer pixels are removed.
     """
-    agreed = valid & (disagreement(disparity, other_disparity, sign) <= 1)
+    agreed = valid & (disagreement(disparity, other_disparity, sign) <= _AGREED_PX)
     return without_speckles(np.where(agreed, disparity, np.float32(np.nan)), smallest_px)
 
 
@@ -85,9 +97,10 @@ def without_speckles(disparity: Float32s, smallest_px: int) -> Float32s:
 
 @kernel
 def _drop_speckles(disparity: Float32s, smallest_px: int, step_x: float, step_y: float) -> None:
+    """Set connected pieces of fewer than `smallest_px` pixels to nan, by flood fill from each pixel not visited yet."""
     height, width = disparity.shape
     visited = np.isnan(disparity)
-    piece = np.empty(height * width, dtype=np.int32)
+    piece = np.empty(height * width, dtype=np.int32)  # its pixels so far; those from k on still have neighbours to visit
     for y0 in range(height):
         for x0 in range(width):
             if visited[y0, x0]:
@@ -100,12 +113,12 @@ def _drop_speckles(disparity: Float32s, smallest_px: int, step_x: float, step_y:
                 y, x = divmod(piece[k], width)
                 k += 1
                 d = disparity[y, x]
-                for direction in range(4):
-                    ny = y + (1 if direction == 0 else -1 if direction == 1 else 0)
-                    nx = x + (1 if direction == 2 else -1 if direction == 3 else 0)
+                for dy, dx, most_step in ((1, 0, step_y), (-1, 0, step_y), (0, 1, step_x), (0, -1, step_x)):
+                    ny = y + dy
+                    nx = x + dx
                     if not (0 <= ny < height and 0 <= nx < width) or visited[ny, nx]:
                         continue
-                    if abs(disparity[ny, nx] - d) <= (step_y if direction < 2 else step_x):
+                    if abs(disparity[ny, nx] - d) <= most_step:
                         visited[ny, nx] = True
                         piece[count] = ny * width + nx
                         count += 1
@@ -120,9 +133,16 @@ def fill_along_rows(disparity: Float32s, nearer: int) -> Float32s:
 
     nearer: 1 where larger disparities are nearer, -1 where smaller ones are.  Rows without any value stay nan.
     """
-    width, known = disparity.shape[1], ~np.isnan(disparity)
+    width = disparity.shape[1]
+    known = ~np.isnan(disparity)
+    # column of the last known value up to each pixel, and of the first from it on; -1 and width where there is none
     previous_known = np.maximum.accumulate(np.where(known, np.arange(width), -1), axis=1)
     next_known = np.minimum.accumulate(np.where(known, np.arange(width), width)[:, ::-1], axis=1)[:, ::-1]
+    # a column of nan on either side stands for these two
     bordered = np.pad(disparity, ((0, 0), (1, 1)), constant_values=np.nan)
-    ends = (np.take_along_axis(bordered, column + 1, axis=1) for column in (previous_known, next_known))
-    return np.asarray((np.fmin if nearer > 0 else np.fmax)(*ends), dtype=np.float32)
+    before = np.take_along_axis(bordered, previous_known + 1, axis=1)
+    after = np.take_along_axis(bordered, next_known + 1, axis=1)
+    # fmin and fmax ignore nan, so that a hole with one end takes that one
+    if nearer > 0:
+        return np.asarray(np.fmin(before, after), dtype=np.float32)
+    return np.asarray(np.fmax(before, after), dtype=np.float32)

@@ -2,18 +2,24 @@
 
 from __future__ import annotations
 
-from dataclasses import KW_ONLY, dataclass, replace
-from typing import Any
+from dataclasses import KW_ONLY, dataclass
+from typing import TypeVar
 
 import cv2
 import numpy as np
+import numpy.typing as npt
 
 from ..types import Bools, Float32s
+
+Pixel = TypeVar("Pixel", np.float32, np.bool_)
 
 
 @dataclass(frozen=True)
 class RectifiedPair:
-    """Two rectified images; a point at x in the left one lies at x - d in the right one, on the same row."""
+    """Two rectified images; a point at x in the left one lies at x - d in the right one, on the same row.
+
+    All arrays have the shape (h, w) of the images.
+    """
 
     left: Float32s
     right: Float32s
@@ -38,11 +44,13 @@ class RectifiedPair:
     def matchable_pixels(self) -> Bools:
         """(h, w) bool: valid pixels of the left image that have at least one valid partner within the range."""
         height, width = self.valid_left.shape
+        # number of valid pixels of the right image to the left of each column
         count = np.zeros((height, width + 1), dtype=np.int32)
         np.cumsum(self.valid_right, axis=1, out=count[:, 1:])
+        # columns of the partners from the largest disparity to the smallest, the end excluded
         first = np.clip(np.arange(width) - self.disparity_max, 0, width)
-        last = np.clip(np.arange(width) - self.disparity_min + 1, 0, width)
-        return self.valid_left & (count[:, last] > count[:, first])
+        end = np.clip(np.arange(width) - self.disparity_min + 1, 0, width)
+        return self.valid_left & (count[:, end] > count[:, first])
 
 
 @dataclass(frozen=True)
@@ -60,13 +68,30 @@ class DenseMatches:
 
 def mirrored(pair: RectifiedPair) -> RectifiedPair:
     """The pair mirrored, with views exchanged: its left disparity is the right disparity of `pair`, mirrored."""
+    return RectifiedPair(
+        left=_mirror(pair.right),
+        right=_mirror(pair.left),
+        valid_left=_mirror(pair.valid_right),
+        valid_right=_mirror(pair.valid_left),
+        disparity_min=pair.disparity_min,
+        disparity_max=pair.disparity_max,
+        prior_left=_mirror_known(pair.prior_right),
+        prior_right=_mirror_known(pair.prior_left),
+        reference_left=_mirror_known(pair.reference_right),
+        reference_right=_mirror_known(pair.reference_left),
+        floor_left=_mirror_known(pair.floor_right),
+        floor_right=_mirror_known(pair.floor_left),
+    )
 
-    def flipped(name: str) -> Any:
-        image = getattr(pair, name)
-        return None if image is None else np.ascontiguousarray(image[:, ::-1])
 
-    sides = [(f"{prefix}left", f"{prefix}right") for prefix in ("", "valid_", "prior_", "floor_", "reference_")]
-    return replace(pair, **{name: flipped(other) for left, right in sides for name, other in ((left, right), (right, left))})
+def _mirror(image: npt.NDArray[Pixel]) -> npt.NDArray[Pixel]:
+    return np.ascontiguousarray(image[:, ::-1])
+
+
+def _mirror_known(disparity: Float32s | None) -> Float32s | None:
+    if disparity is None:
+        return None
+    return _mirror(disparity)
 
 
 def halved(pair: RectifiedPair) -> RectifiedPair:
@@ -77,8 +102,10 @@ def halved(pair: RectifiedPair) -> RectifiedPair:
     return RectifiedPair(
         left=_half(pair.left),
         right=_half(pair.right),
+        # a mean of four ones, whatever its rounding
         valid_left=_half(pair.valid_left.astype(np.float32)) > 0.99,
         valid_right=_half(pair.valid_right.astype(np.float32)) > 0.99,
+        # one more at either end, as a disparity may fall between two of the halved images
         disparity_min=pair.disparity_min // 2 - 1,
         disparity_max=-(-pair.disparity_max // 2) + 1,
         prior_left=_half_disparity(pair.prior_left),
@@ -89,10 +116,14 @@ def halved(pair: RectifiedPair) -> RectifiedPair:
 
 
 def _half_disparity(disparity: Float32s | None) -> Float32s | None:
-    return None if disparity is None else _half(disparity) / np.float32(2)
+    """(h / 2, w / 2) disparity in pixels of the halved images."""
+    if disparity is None:
+        return None
+    return _half(disparity) / np.float32(2)
 
 
 def _half(image: Float32s) -> Float32s:
+    """(h / 2, w / 2) means of 2x2 pixels, sides rounded up."""
     padded = np.pad(image, ((0, image.shape[0] % 2), (0, image.shape[1] % 2)), mode="edge")
     small = cv2.resize(padded, (padded.shape[1] // 2, padded.shape[0] // 2), interpolation=cv2.INTER_AREA)
     return np.asarray(small, dtype=np.float32)

@@ -22,10 +22,11 @@ from .propagation import Propagation, Trials
 from .sgbm import match_sgbm
 
 _ROUNDS = 2
+"""Rounds of propagation at full size after a start from semi-global matching; a third one finds hardly anything."""
 _MOST_COST = 0.6
-"""Planes with a higher cost are no matches."""
+"""Planes with a higher cost (1 - ZNCC) are no matches; larger values keep more pixels and more wrong ones."""
 _MOST_DEVIATION = 2.5
-"""Confidence is 0 where the `plane_deviation` of a pixel exceeds this."""
+"""Confidence is 0 where the `plane_deviation` of a pixel exceeds this, pixels."""
 _DIRECT_PX = 1.0e6
 """Pairs with more pixels than this start from PatchMatch at half the size, smaller ones from SGM at half the size."""
 _PRIOR_ADVANTAGE = 0.1
@@ -34,20 +35,40 @@ _RANGE_MARGIN = 0.5
 """Planes may leave the disparity range by this share of its width, since they spread to where the start did not search."""
 _REFERENCE_TRIALS = Trials(np.array([(0, 1), (1, 0), (8, 0)]), changes=3, shift_px=0.8, turn=0.2)
 """Trials where another night provides the start: its planes are nearly right, and already smoothed."""
+_SPECKLE_PX = 60
+"""Connected pieces of the start with fewer pixels are dropped: they match anywhere."""
+_SLOPE_RADIUS = 5
+"""Radius of the window to which slopes are fitted, pixels; larger values smooth them."""
+_SLOPE_STRIDE = 2
+"""Distance between the pixels of that window that are used."""
 _BLOCK = 128
-_XX, _YY, _XY, _XD, _YD = (i * _BLOCK for i in range(5))
-"""Offsets of the sums in the scratch array of `_slopes`."""
+"""Pixels of a row that are processed at once, so that the compiler can use SIMD instructions."""
+
+# Rows of the scratch array of `_slopes`: sums over the neighbours at (x, y) from the pixel, whose disparity is higher by d.
+_XX = 0 * _BLOCK  # of x^2
+_YY = 1 * _BLOCK  # of y^2
+_XY = 2 * _BLOCK  # of x y
+_XD = 3 * _BLOCK  # of x d
+_YD = 4 * _BLOCK  # of y d
+_SUMS = 5 * _BLOCK
 
 
 def match_patchmatch(pair: RectifiedPair) -> DenseMatches:
     """Disparity of both views to a fraction of a pixel; confidence is 1 - cost, and 0 where surrounding planes disagree."""
     view1, view2 = _matched_views(pair)
-    for view in (view1, view2):
-        view.planes = view.smoothed(rounds=2 if pair.reference_left is None else 1)
-    left, mirrored_right = view1.planes[0], view2.planes[0]
-    mirrored_left, right = (np.ascontiguousarray(disparity[:, ::-1]) for disparity in (left, mirrored_right))
-    confidence1, confidence2 = view1.confidence(right), view2.confidence(mirrored_left)
-    return DenseMatches(left.copy(), right, confidence1, np.ascontiguousarray(confidence2[:, ::-1]))  # a copy frees the slopes
+    # another night's disparity was smoothed then
+    rounds = 2 if pair.reference_left is None else 1
+    view1.planes = view1.smoothed(rounds)
+    view2.planes = view2.smoothed(rounds)
+    left = view1.planes[0].copy()  # a copy frees the slopes
+    right = _mirrored_image(view2.planes[0])
+    confidence1 = view1.confidence(right)
+    confidence2 = view2.confidence(_mirrored_image(left))  # view 2 sees everything mirrored
+    return DenseMatches(left, right, confidence1, _mirrored_image(confidence2))
+
+
+def _mirrored_image(image: Float32s) -> Float32s:
+    return np.ascontiguousarray(image[:, ::-1])
 
 
 class _View:
@@ -61,8 +82,10 @@ class _View:
         self.cost = np.ones(pair.left.shape, dtype=np.float32)
 
     def propagation(self) -> Propagation:
+        """Propagation over this view; planes may leave the disparity range by a margin."""
         margin = _RANGE_MARGIN * (self.pair.disparity_max - self.pair.disparity_min)
-        low, high = self.pair.disparity_min - margin, self.pair.disparity_max + margin
+        low = self.pair.disparity_min - margin
+        high = self.pair.disparity_max + margin
         return Propagation(self.pair.left, self.pair.right, self.pair.valid_left, low, high)
 
     def prefer_prior(self, propagation: Propagation) -> None:
@@ -76,8 +99,11 @@ class _View:
         cost = propagation.costs(planes)
         known = np.isfinite(planes).all(axis=0)
         preferred = known & (cost < _MOST_COST) & (cost <= self.cost + _PRIOR_ADVANTAGE)
-        if (floor := self.pair.floor_left) is not None:
-            preferred |= known & ((floor - self.planes[0]) * (prior - floor) > 0)
+        floor = self.pair.floor_left
+        if floor is not None:
+            # the plane found and the prior lie on different sides of the floor: one is nearer, so the other is behind it
+            is_behind = (floor - self.planes[0]) * (prior - floor) > 0
+            preferred |= known & is_behind
         self.planes[:, preferred] = planes[:, preferred]
         self.cost[preferred] = cost[preferred]
 
@@ -92,7 +118,8 @@ class _View:
 
     def confidence(self, other: Float32s) -> Float32s:
         """(h, w) confidence of smoothed planes, given the `other` view's disparity in the orientation of this view's pair."""
-        reliable = plane_deviation(self.planes, disagreement(self.planes[0], other, -1)) <= _MOST_DEVIATION
+        difference = disagreement(self.planes[0], other, -1)
+        reliable = plane_deviation(self.planes, difference) <= _MOST_DEVIATION
         return np.where(reliable, 1 - self.cost, 0).astype(np.float32)
 
 
@@ -100,9 +127,16 @@ def _matched_views(pair: RectifiedPair) -> tuple[_View, _View]:
     """Matched views: of the left image, and of the right image, which is the left one of the mirrored pair."""
     if pair.reference_left is not None and pair.reference_right is not None:
         return _matched_from_reference(pair)
-    is_large, small = pair.left.size > _DIRECT_PX, halved(pair)
-    views = _matched_views(small) if is_large else _propagated(small, _as_planes(small, match_census_sgm(small)), 1)
-    return _propagated(pair, [_doubled(view.starting_planes(), pair.left.shape) for view in views], 1 if is_large else _ROUNDS)
+    small = halved(pair)
+    if pair.left.size > _DIRECT_PX:
+        # a start from PatchMatch is nearly right, so that one round is enough
+        small_views = _matched_views(small)
+        rounds = 1
+    else:
+        small_views = _propagated(small, _as_planes(small, match_census_sgm(small)), 1)
+        rounds = _ROUNDS
+    start = [_doubled(view.starting_planes(), pair.left.shape) for view in small_views]
+    return _propagated(pair, start, rounds)
 
 
 def _matched_from_reference(pair: RectifiedPair) -> tuple[_View, _View]:
@@ -111,7 +145,8 @@ def _matched_from_reference(pair: RectifiedPair) -> tuple[_View, _View]:
     views = _View(pair, _planes_of_reference(pair)), _View(mirrored(pair), _planes_of_reference(mirrored(pair)))
     small = halved(pair)
     for view, coarse in zip(views, _as_planes(small, match_sgbm(small)), strict=True):
-        propagation, new_planes = view.propagation(), _doubled(coarse, pair.left.shape)
+        propagation = view.propagation()
+        new_planes = _doubled(coarse, pair.left.shape)
         view.planes = np.where(np.isnan(view.planes), new_planes, view.planes)
         view.cost = propagation.costs(view.planes)
         propagation.round(0, view.planes, view.cost, new_planes, _REFERENCE_TRIALS)
@@ -127,57 +162,83 @@ def _planes_of_reference(pair: RectifiedPair) -> Float32s:
 
 
 def _propagated(pair: RectifiedPair, start: Sequence[Float32s], rounds: int) -> tuple[_View, _View]:
-    views = _View(pair, start[0]), _View(mirrored(pair), start[1])
-    propagations = [view.propagation() for view in views]
+    """Both views after some rounds of propagation from the `start`: planes (3, h, w) of the left and of the mirrored right view."""
+    view1 = _View(pair, start[0])
+    view2 = _View(mirrored(pair), start[1])
+    propagation1 = view1.propagation()
+    propagation2 = view2.propagation()
     for number in range(rounds):
-        proposals = [_in_other_view(v.planes, v.cost) for v in views[::-1]] if number else [view.planes for view in views]
-        for view, propagation, proposal in zip(views, propagations, proposals, strict=True):
-            propagation.round(number, view.planes, view.cost, proposal)
-            view.prefer_prior(propagation)
-    return views
+        # the first round evaluates the start; later ones try what the other view found, before either view changes
+        proposals1 = view1.planes
+        proposals2 = view2.planes
+        if number > 0:
+            proposals1 = _in_other_view(view2.planes, view2.cost)
+            proposals2 = _in_other_view(view1.planes, view1.cost)
+        propagation1.round(number, view1.planes, view1.cost, proposals1)
+        view1.prefer_prior(propagation1)
+        propagation2.round(number, view2.planes, view2.cost, proposals2)
+        view2.prefer_prior(propagation2)
+    return view1, view2
 
 
 def _as_planes(pair: RectifiedPair, matches: DenseMatches) -> tuple[Float32s, Float32s]:
     """Planes (3, h, w) of both views from a matcher's disparity, with holes filled; the right view's are mirrored."""
     planes1 = _planes_of(matches.left, matches.right, pair.valid_left, -1)
     planes2 = _planes_of(matches.right, matches.left, pair.valid_right, 1)
-    return planes1, planes2[:, :, ::-1] * np.array([[[1]], [[-1]], [[1]]], dtype=np.float32)
+    # mirroring turns the slope along x around
+    signs = np.array([1, -1, 1], dtype=np.float32)[:, None, None]
+    return planes1, planes2[:, :, ::-1] * signs
 
 
 def _planes_of(disparity: Float32s, other_disparity: Float32s, valid: Bools, sign: int) -> Float32s:
-    agreed = cross_checked(disparity, other_disparity, valid, sign, 60)
+    """Planes (3, h, w) of one view from its `disparity` where the other view agrees; elsewhere, that of the pixels around."""
+    agreed = cross_checked(disparity, other_disparity, valid, sign, _SPECKLE_PX)
     filled = fill_along_rows(agreed, -sign)
-    median = np.nanmedian(agreed) if np.isfinite(agreed).any() else 0.0
-    smooth = cv2.medianBlur(np.where(np.isnan(filled), median, filled).astype(np.float32), 5)
-    return np.stack([smooth, *_slopes(np.asarray(smooth, dtype=np.float32))])
+    # rows without any value get the median of all
+    median = 0.0
+    if np.isfinite(agreed).any():
+        median = np.nanmedian(agreed)
+    complete = np.where(np.isnan(filled), median, filled).astype(np.float32)
+    smooth = np.asarray(cv2.medianBlur(complete, 5), dtype=np.float32)
+    return np.stack([smooth, *_slopes(smooth)])
 
 
 @kernel
 def _slopes(disparity: Float32s) -> tuple[Float32s, Float32s]:
-    """Slopes (h, w), (h, w) of disparity along x and y: least squares over an 11x11 window at stride 2, without jumps."""
+    """Slopes (h, w), (h, w) of disparity along x and y: least squares over an 11x11 window at stride 2, without jumps.
+
+    The fitted plane goes through the pixel's own disparity, so that two normal equations are left:
+    xx a + xy b = xd and xy a + yy b = yd."""
     height, width = disparity.shape
     along_x = np.zeros((height, width), dtype=np.float32)
     along_y = np.zeros((height, width), dtype=np.float32)
-    bordered = np.full((height + 10, width + 10 + _BLOCK), np.nan, dtype=np.float32)
+    # a whole block beyond the right edge, so that blocks are always complete
+    bordered = np.full((height + 2 * _SLOPE_RADIUS, width + 2 * _SLOPE_RADIUS + _BLOCK), np.nan, dtype=np.float32)
     for y in range(height):
         for x in range(width):
-            bordered[y + 5, x + 5] = disparity[y, x]
-    sums = np.empty(5 * _BLOCK, dtype=np.float64)
+            bordered[y + _SLOPE_RADIUS, x + _SLOPE_RADIUS] = disparity[y, x]
+    sums = np.empty(_SUMS, dtype=np.float64)
     for y in range(height):
+        row = y + _SLOPE_RADIUS
         for x0 in range(0, width, _BLOCK):
             n = min(_BLOCK, width - x0)
-            centre, known = bordered[y + 5, x0 + 5 :], 0
+            column = x0 + _SLOPE_RADIUS
+            centre = bordered[row, column:]
+            known = 0
             for x in range(n):
                 known += 0 if np.isnan(centre[x]) else 1
             if known == 0:
                 continue
-            for x in range(5 * _BLOCK):
+            # xx and yy start at 1 instead of 0: with few neighbours, slopes stay near 0
+            for x in range(_SUMS):
                 sums[x] = 1.0 if x < _XY else 0.0
-            for dy in range(-5, 6, 2):
-                for dx in range(-5, 6, 2):
-                    neighbours = bordered[y + dy + 5, x0 + dx + 5 :]
+            for dy in range(-_SLOPE_RADIUS, _SLOPE_RADIUS + 1, _SLOPE_STRIDE):
+                for dx in range(-_SLOPE_RADIUS, _SLOPE_RADIUS + 1, _SLOPE_STRIDE):
+                    neighbours = bordered[row + dy, column + dx :]
+                    # larger rises are jumps; ground seen at a low angle rises more from row to row than along a row
                     most_rise = np.float32(1.0 + abs(dx) + 3.0 * abs(dy))
-                    across, down = np.float64(dx), np.float64(dy)
+                    across = np.float64(dx)
+                    down = np.float64(dy)
                     for x in range(_BLOCK):
                         rise = neighbours[x] - centre[x]
                         is_near = abs(rise) <= most_rise  # False for nan, as outside the image
@@ -189,7 +250,11 @@ def _slopes(disparity: Float32s) -> tuple[Float32s, Float32s]:
                         sums[_XD + x] += across * weighted_rise
                         sums[_YD + x] += down * weighted_rise
             for x in range(n):
-                xx, yy, xy, xd, yd = sums[_XX + x], sums[_YY + x], sums[_XY + x], sums[_XD + x], sums[_YD + x]
+                xx = sums[_XX + x]
+                yy = sums[_YY + x]
+                xy = sums[_XY + x]
+                xd = sums[_XD + x]
+                yd = sums[_YD + x]
                 det = xx * yy - xy * xy
                 along_x[y, x0 + x] = (xd * yy - yd * xy) / det
                 along_y[y, x0 + x] = (yd * xx - xd * xy) / det
@@ -198,22 +263,29 @@ def _slopes(disparity: Float32s) -> tuple[Float32s, Float32s]:
 
 def _doubled(coarse: Float32s, shape: tuple[int, int]) -> Float32s:
     """Planes (3, h, w) for an image of this shape from the planes of the half-size image."""
-    planes = np.repeat(np.repeat(coarse, 2, axis=1), 2, axis=2)[:, : shape[0], : shape[1]].astype(np.float64)
-    y, x = (np.arange(side) % 2 - 0.5 for side in shape)
+    height, width = shape
+    planes = np.repeat(np.repeat(coarse, 2, axis=1), 2, axis=2)[:, :height, :width].astype(np.float64)
+    # Pixel centres lie half a pixel of the doubled image beside those of the half-size one; a slope is the same at both sizes.
+    x = np.arange(width) % 2 - 0.5
+    y = np.arange(height) % 2 - 0.5
     planes[0] = 2 * planes[0] + planes[1] * x + planes[2] * y[:, None]
     return planes.astype(np.float32)
 
 
 @kernel
 def _in_other_view(planes: Float32s, cost: Float32s) -> Float32s:
-    """(3, h, w) planes of one view in the other, mirrored one; nan where none lands, the cheapest where several do."""
+    """(3, h, w) planes of one view in the other, mirrored one; nan where none lands, the cheapest where several do.
+
+    On the plane d(x) = d + a (x - x0), the partner moves by 1 - a when x moves by 1, so that slopes are divided by 1 - a."""
     height, width = cost.shape
     transferred = np.full((3, height, width), np.nan, dtype=np.float32)
     cheapest = np.full(width, np.inf, dtype=np.float32)
     for y in range(height):
         cheapest[:] = np.inf
         for x in range(width):
-            d, a, b = planes[0, y, x], planes[1, y, x], planes[2, y, x]
+            d = planes[0, y, x]
+            a = planes[1, y, x]
+            b = planes[2, y, x]
             column = np.int64(np.rint(x - d))
             if not 0 <= column < width:
                 continue
@@ -222,6 +294,7 @@ def _in_other_view(planes: Float32s, cost: Float32s) -> Float32s:
                 continue
             cheapest[mirrored_column] = cost[y, x]
             stretch = 1 / (1 - a)
+            # the disparity at the whole column next to the partner; the sign of the slope along x turns with the mirror
             transferred[0, y, mirrored_column] = d + a * stretch * (column - (x - d))
             transferred[1, y, mirrored_column] = -a * stretch
             transferred[2, y, mirrored_column] = b * stretch
