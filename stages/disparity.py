@@ -23,10 +23,10 @@ MATCHERS = {
 """Dense matchers by name.  Inputs are passed by argument name: `pair` (`RectifiedPair`: grey, denoised, exposures equal),
 `left`, `right` (`Frame`), `rectification`; parameters are keyword-only, with defaults.  Matchers return `DenseMatches`."""
 
-_SIDES: tuple[tuple[Side, int], ...] = ((1, -1), (2, 1))
-"""Both views, each with the sign of its disparity: the partner lies at x + sign * d."""
 _WIDEST_RANGE_PX = 4000
-"""Widest disparity range in pixels that int16 sixteenths can hold."""
+"""Widest disparity range in pixels that int16 sixteenths can hold: 4096 less a margin."""
+_DISAGREEMENT_WEIGHT = 0.5
+"""Share of its confidence that a pixel loses where the views differ by the whole tolerance."""
 
 
 def match_dense(
@@ -65,57 +65,108 @@ def match_dense(
     if rectification.disparity_max_px - rectification.disparity_min_px > _WIDEST_RANGE_PX:
         return Rejected(Reason.RANGE_TOO_WIDE, {"disparity_max_px": rectification.disparity_max_px})
     pair = with_coarse_range(rectified_pair(left, right, rectification))
+    padded_width = pair.left.shape[1]
     if reference_disparity is not None and reference_rectification is not None and _equal(rectification, reference_rectification):
-        maps = reference_disparity.left, reference_disparity.right
-        left_start, right_start = (_in_pixels(stored, reference_disparity.offset_px, pair.left.shape[1]) for stored in maps)
-        pair = replace(pair, reference_left=left_start, reference_right=right_start)
+        pair = replace(
+            pair,
+            reference_left=_in_pixels(reference_disparity.left, reference_disparity.offset_px, padded_width),
+            reference_right=_in_pixels(reference_disparity.right, reference_disparity.offset_px, padded_width),
+        )
+
+    # 1. match
     inputs = {"pair": pair, "left": left, "right": right, "rectification": rectification}
     matches: DenseMatches | Rejected = bind(MATCHERS, matcher, inputs, options)()
     if isinstance(matches, Rejected):
         return matches
+
+    # 2. keep what passes all checks
     offset = round((pair.disparity_min + pair.disparity_max) / 2)
     speckle_px = round(speckle_share * pair.left.size)
-    views = [_checked(pair, matches, side, sign, tolerance_px, speckle_px, offset) for side, sign in _SIDES]
+    left_map, left_confidence = _checked(pair, matches, 1, tolerance_px, speckle_px, offset)
+    right_map, right_confidence = _checked(pair, matches, 2, tolerance_px, speckle_px, offset)
     common_px = int(pair.matchable_pixels().sum())
-    density = float(np.sum(views[0][0] != INVALID) / max(common_px, 1))
+    density = float(np.sum(left_map != INVALID) / max(common_px, 1))
     if density < min_density:
         return Rejected(Reason.NO_DENSE_MATCHES, {"density": density, "common_px": float(common_px)})
-    widths = rectification.size1[0], rectification.size2[0]
-    (left_map, conf1), (right_map, conf2) = ((a[:, :w].copy(), b[:, :w].copy()) for w, (a, b) in zip(widths, views, strict=True))
-    x1, x2, sigma_px = measure_y_parallax(pair, _in_pixels(views[0][0], offset, pair.left.shape[1]), rectification.angle_deg)
-    rows = RowMatches(from_rectified(rectification, 1, x1), from_rectified(rectification, 2, x2), sigma_px / rectification.scale)
-    return Disparity(left_map, right_map, conf1, conf2, offset, density, rows)
+
+    # 3. do corresponding points lie on the same row?
+    x1, x2, sigma_px = measure_y_parallax(pair, _in_pixels(left_map, offset, padded_width), rectification.angle_deg)
+    rows = RowMatches(
+        x1=from_rectified(rectification, 1, x1),
+        x2=from_rectified(rectification, 2, x2),
+        sigma_px=sigma_px / rectification.scale,
+    )
+
+    # the columns that pad the images are cut off; copies free them
+    width1 = rectification.size1[0]
+    width2 = rectification.size2[0]
+    return Disparity(
+        left=left_map[:, :width1].copy(),
+        right=right_map[:, :width2].copy(),
+        confidence_left=left_confidence[:, :width1].copy(),
+        confidence_right=right_confidence[:, :width2].copy(),
+        offset_px=offset,
+        density=density,
+        rows=rows,
+    )
 
 
 def _equal(first: Rectification, second: Rectification) -> bool:
     """Do two rectifications resample the images in the same way, by homographies?"""
     if first.H1 is None or first.H2 is None or second.H1 is None or second.H2 is None:
         return False
-    sizes = first.size1 == second.size1 and first.size2 == second.size2
-    return sizes and np.array_equal(first.H1, second.H1) and np.array_equal(first.H2, second.H2)
+    if first.size1 != second.size1 or first.size2 != second.size2:
+        return False
+    return np.array_equal(first.H1, second.H1) and np.array_equal(first.H2, second.H2)
 
 
 def _in_pixels(stored: Int16s, offset: int, width: int) -> Float32s:
     """(h, width) disparity in pixels; nan where unknown, and in the columns that pad the image to `width`."""
-    disparity = np.where(stored == INVALID, np.float32(np.nan), stored / np.float32(16) + offset).astype(np.float32)
+    known = stored != INVALID
+    disparity = np.where(known, stored / np.float32(16) + offset, np.float32(np.nan)).astype(np.float32)
     return np.pad(disparity, ((0, 0), (0, width - stored.shape[1])), constant_values=np.nan)
 
 
 def _checked(
-    pair: RectifiedPair, matches: DenseMatches, side: Side, sign: int, tolerance_px: float, speckle_px: int, offset: int
+    pair: RectifiedPair, matches: DenseMatches, side: Side, tolerance_px: float, speckle_px: int, offset: int
 ) -> tuple[Int16s, Uint8s]:
-    """The disparities of one view that pass all checks: as stored, and their confidence."""
-    disparity, other, confidence = matches.left, matches.right, matches.confidence_left
-    valid, valid_other = pair.valid_left, pair.valid_right
-    if side == 2:
-        disparity, other, confidence = other, disparity, matches.confidence_right
-        valid, valid_other = valid_other, valid
+    """The disparities of one view that pass all checks: as stored (sixteenths of a pixel from `offset`), and their confidence.
+
+    Parameters
+    ----------
+    pair, matches : what was matched, and what was found.
+    side : the view: 1 the left one, 2 the right one.
+    tolerance_px : largest difference between the disparities of both views.
+    speckle_px : connected pieces of fewer pixels are dropped.
+    offset : whole disparity from which stored ones count.
+    """
+    # the partner lies at x + sign * disparity
+    if side == 1:
+        sign = -1
+        disparity = matches.left
+        confidence = matches.confidence_left
+        valid = pair.valid_left
+        other = matches.right
+        valid_other = pair.valid_right
+    else:
+        sign = 1
+        disparity = matches.right
+        confidence = matches.confidence_right
+        valid = pair.valid_right
+        other = matches.left
+        valid_other = pair.valid_left
     disparity = (np.rint((disparity - offset) * 16) / 16 + offset).astype(np.float32)  # the checks see the values as stored
-    accepted = valid & (confidence > 0) & agreeing(disparity, other, sign, tolerance_px) & lands_on(valid_other, disparity, sign)
+
+    accepted = valid & (confidence > 0)
+    accepted &= agreeing(disparity, other, sign, tolerance_px)
+    accepted &= lands_on(valid_other, disparity, sign)
     filtered = without_speckles(np.where(accepted, disparity, np.float32(np.nan)), speckle_px)
     known = ~np.isnan(filtered)
     stored = np.full(disparity.shape, INVALID, dtype=np.int16)
     stored[known] = np.rint((filtered[known] - offset) * 16).astype(np.int16)
+
+    # confidence from 1 to 255, and 0 where there is no disparity
     difference = disagreement(disparity, other, sign)
-    reduced = confidence * (1 - 0.5 * np.minimum(difference, tolerance_px) / tolerance_px)
-    return stored, np.where(stored == INVALID, 0, np.clip(np.rint(255 * reduced), 1, 255)).astype(np.uint8)
+    reduced = confidence * (1 - _DISAGREEMENT_WEIGHT * np.minimum(difference, tolerance_px) / tolerance_px)
+    levels = np.clip(np.rint(255 * reduced), 1, 255)
+    return stored, np.where(stored == INVALID, 0, levels).astype(np.uint8)

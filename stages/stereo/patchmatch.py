@@ -162,7 +162,7 @@ def _planes_of_reference(pair: RectifiedPair) -> Float32s:
 
 
 def _propagated(pair: RectifiedPair, start: Sequence[Float32s], rounds: int) -> tuple[_View, _View]:
-    """Both views after some rounds of propagation from the `start`: planes (3, h, w) of the left and of the mirrored right view."""
+    """Both views after some rounds of propagation from the `start`: planes (3, h, w) of the left and the mirrored right view."""
     view1 = _View(pair, start[0])
     view2 = _View(mirrored(pair), start[1])
     propagation1 = view1.propagation()

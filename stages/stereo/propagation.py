@@ -24,7 +24,7 @@ _TAPS_ACROSS = 2 * _RADIUS // _STRIDE + 1
 _TAPS = _TAPS_ACROSS**2
 """Taps of a window."""
 _LEAST_VARIANCE = 0.05
-"""Windows with a smaller variance of grey levels, squared, show no texture."""
+"""Windows with a smaller variance, in squared grey levels, show no texture; larger values lose white walls."""
 _FLAT_COST = 0.9
 """Cost between windows of which one shows no texture: worse than any match, better than none."""
 _MIN_SLOPE_X = -6.0

@@ -17,8 +17,14 @@ from .consistency import cross_checked
 from .matcher import RectifiedPair
 from .sgbm import match_in_one_piece
 
-_SIDES: tuple[Side, ...] = (1, 2)
 _WIDTH_MULTIPLE = 32
+"""Widths are padded to multiples of this, pixels, so that they can be halved five times."""
+_SATURATED_DARK = 1
+"""Pixels whose brightest channel has at most this level show no texture."""
+_SATURATED_BRIGHT = 254
+"""Pixels whose darkest channel has at least this level show no texture."""
+_ROW_TOLERANCE_PX = 1.0
+"""The disparity of a plane is known where its points lie on the same row in both images, within this many pixels."""
 
 
 def rectified_pair(left: Frame, right: Frame, rectification: Rectification) -> RectifiedPair:
@@ -26,24 +32,32 @@ def rectified_pair(left: Frame, right: Frame, rectification: Rectification) -> R
 
     The width is even at every size that matchers go down to, so that halving and mirroring can be done in either order.
     """
-    width = -(-max(rectification.size1[0], rectification.size2[0]) // _WIDTH_MULTIPLE) * _WIDTH_MULTIPLE
-    images, masks = [], []
-    for frame, side in zip((left, right), _SIDES, strict=True):
-        grey, mask = denoised_if_noisy(_grey(frame.image), frame.mask), frame.mask & ~_saturated(frame.image)
-        grey, mask = warp_with_mask(rectification, side, grey, mask)
-        padding = (0, 0), (0, width - grey.shape[1])
-        images.append(np.pad(grey, padding, mode="edge"))
-        masks.append(np.pad(mask, padding))
-    low, high = round(rectification.disparity_min_px), round(rectification.disparity_max_px)
-    pair = RectifiedPair(images[0], images[1], masks[0], masks[1], low, high)
-    if (ground := rectification.ground) is None:
+    widest = max(rectification.size1[0], rectification.size2[0])
+    width = -(-widest // _WIDTH_MULTIPLE) * _WIDTH_MULTIPLE  # rounded up
+    image1, mask1 = _rectified_grey(left, rectification, 1, width)
+    image2, mask2 = _rectified_grey(right, rectification, 2, width)
+    low = round(rectification.disparity_min_px)
+    high = round(rectification.disparity_max_px)
+    pair = RectifiedPair(image1, image2, mask1, mask2, low, high)
+    ground = rectification.ground
+    if ground is None:
         return pair
-    shape = images[0].shape
-    prior, floor = (
-        [_plane_disparity(rectification, ground, plane, side, shape) for side in _SIDES]
-        for plane in (ground.homography, ground.beneath)
+    return replace(
+        pair,
+        prior_left=_plane_disparity(rectification, ground, ground.homography, 1, image1.shape),
+        prior_right=_plane_disparity(rectification, ground, ground.homography, 2, image1.shape),
+        floor_left=_plane_disparity(rectification, ground, ground.beneath, 1, image1.shape),
+        floor_right=_plane_disparity(rectification, ground, ground.beneath, 2, image1.shape),
     )
-    return replace(pair, prior_left=prior[0], prior_right=prior[1], floor_left=floor[0], floor_right=floor[1])
+
+
+def _rectified_grey(frame: Frame, rectification: Rectification, side: Side, width: int) -> tuple[Float32s, Bools]:
+    """(h, width) grey levels of one rectified image, denoised, and which of its pixels may be matched."""
+    grey = denoised_if_noisy(_grey(frame.image), frame.mask)
+    usable = frame.mask & ~_saturated(frame.image)
+    warped, mask = warp_with_mask(rectification, side, grey, usable)
+    padding = ((0, 0), (0, width - warped.shape[1]))
+    return np.pad(warped, padding, mode="edge"), np.pad(mask, padding)
 
 
 def _plane_disparity(
@@ -51,18 +65,37 @@ def _plane_disparity(
 ) -> Float32s:
     """(h, w) disparity of the ground, or of a plane beneath it, in one rectified image; nan above the horizon.
 
-    plane: (3, 3) homography of the plane, frame 1 to frame 2.
+    Each pixel goes to its frame, by the plane's homography to the other frame, and from there to the other rectified image.
+
+    Parameters
+    ----------
+    rectification, side : how the frames are resampled, and the side of the image.
+    ground : where the ground lies in front of each camera.
+    plane : (3, 3) homography of the plane, frame 1 to frame 2.
+    shape : height and width of the rectified image, pixels.
     """
+    if side == 1:
+        other_side: Side = 2
+        H = plane
+        inverse_depth = ground.inverse_depth1
+    else:
+        other_side = 1
+        H = np.linalg.inv(plane)
+        inverse_depth = ground.inverse_depth2
     y, x = np.mgrid[0 : shape[0], 0 : shape[1]].reshape(2, -1)
     points = np.column_stack([x, y]).astype(np.float64)
-    H = plane if side == 1 else np.linalg.inv(plane)
     pixels = from_rectified(rectification, side, points)
     X, Y, z = H[:, :2] @ pixels.T + H[:, 2:]
-    inverse_depth = ground.inverse_depth1 if side == 1 else ground.inverse_depth2
     with np.errstate(divide="ignore", invalid="ignore"):
-        partners = to_rectified(rectification, 2 if side == 1 else 1, np.column_stack([X / z, Y / z]))
-        disparity = points[:, 0] - partners[:, 0] if side == 1 else partners[:, 0] - points[:, 0]
-    known = (pixels @ inverse_depth[:2] + inverse_depth[2] > 0) & (z > 0) & (np.abs(partners[:, 1] - points[:, 1]) < 1.0)
+        partners = to_rectified(rectification, other_side, np.column_stack([X / z, Y / z]))
+        if side == 1:
+            disparity = points[:, 0] - partners[:, 0]
+        else:
+            disparity = partners[:, 0] - points[:, 0]
+    in_front = pixels @ inverse_depth[:2] + inverse_depth[2] > 0  # below the horizon
+    other_in_front = z > 0
+    on_row = np.abs(partners[:, 1] - points[:, 1]) < _ROW_TOLERANCE_PX
+    known = in_front & other_in_front & on_row
     return np.where(known, disparity, np.nan).astype(np.float32).reshape(shape)
 
 
@@ -72,9 +105,14 @@ def _grey(image: Uint8s) -> Float32s:
 
 
 def _saturated(image: Uint8s) -> Bools:
-    red, green, blue = (image[..., k] for k in range(3))
-    darkest, brightest = np.minimum(np.minimum(red, green), blue), np.maximum(np.maximum(red, green), blue)
-    return np.asarray((darkest >= 254) | (brightest <= 1))
+    """(h, w) bool: pixels of which all channels are white, or all black."""
+    red = image[..., 0]
+    green = image[..., 1]
+    blue = image[..., 2]
+    # two by two: far faster than a minimum along the last axis
+    darkest = np.minimum(np.minimum(red, green), blue)
+    brightest = np.maximum(np.maximum(red, green), blue)
+    return np.asarray((darkest >= _SATURATED_BRIGHT) | (brightest <= _SATURATED_DARK))
 
 
 NOISY = 3.0
@@ -90,6 +128,7 @@ def denoised_if_noisy(image: Float32s, valid: Bools) -> Float32s:
 
 
 _SHRINK = 4
+"""The coarse match works at this fraction of the size."""
 _EXTENSION = 1.0
 """The coarse match extends the range of the keypoint matches by this share on both sides."""
 _LEAST_SHARE = 0.002
@@ -98,33 +137,47 @@ _EXTENSION_SHARE = 0.02
 """Extending the range by its own width requires this share of the agreeing pixels: small pieces of look-alikes agree, too."""
 _LEAST_AGREED_SHARE = 0.1
 """Smallest share of the common area that must agree for the coarse match to be used."""
-_COARSE_PX, _FINE_CONTRAST = 10.0, 8.0
+_FEWEST_AGREED = 50
+"""Fewest pixels that must agree for the coarse match to be used."""
+_MARGIN_SHARE = 0.05
+"""Margin beyond the coarse match, as a share of the given range, besides two pixels of the coarse match."""
+_COARSE_PX = 10.0
+"""Standard deviation of the Gaussian, in pixels, that separates coarse brightness from fine contrast."""
+_FINE_CONTRAST = 8.0
+"""Fine contrast, the median of its absolute grey levels, to which images are stretched."""
 
 
 def with_coarse_range(pair: RectifiedPair) -> RectifiedPair:
     """The pair with the disparity range found by a coarse match, and with both images at equal brightness and contrast."""
     small = _shrunk(pair)
     matches = match_in_one_piece(_flattened(small))
-    agreed = ~np.isnan(cross_checked(matches.left, matches.right, small.valid_left, -1, max(small.left.size // 2000, 4)))
-    if agreed.sum() < max(_LEAST_AGREED_SHARE * small.matchable_pixels().sum(), 50):
+    smallest_px = max(small.left.size // 2000, 4)
+    agreed = ~np.isnan(cross_checked(matches.left, matches.right, small.valid_left, -1, smallest_px))
+    if agreed.sum() < max(_LEAST_AGREED_SHARE * small.matchable_pixels().sum(), _FEWEST_AGREED):
         return _flattened(pair)
-    near = _range_end(matches.left[agreed], small.disparity_min, small.disparity_max)
-    far = -_range_end(-matches.left[agreed], -small.disparity_max, -small.disparity_min)
-    margin = 2 * _SHRINK + 0.05 * (pair.disparity_max - pair.disparity_min)
-    low, high = int(np.floor(_SHRINK * near - margin)), int(np.ceil(_SHRINK * far + margin))
-    return replace(_with_equal_exposure(pair, small, matches.left, agreed), disparity_min=low, disparity_max=high)
+    low = _range_end(matches.left[agreed], small.disparity_min, small.disparity_max)
+    high = -_range_end(-matches.left[agreed], -small.disparity_max, -small.disparity_min)
+    margin = 2 * _SHRINK + _MARGIN_SHARE * (pair.disparity_max - pair.disparity_min)
+    return replace(
+        _with_equal_exposure(pair, small, matches.left, agreed),
+        disparity_min=int(np.floor(_SHRINK * low - margin)),
+        disparity_max=int(np.ceil(_SHRINK * high + margin)),
+    )
 
 
 def _range_end(disparity: Float32s, lowest: int, highest: int) -> float:
     """Smallest of the disparities (n,) with enough others at or below it; the search went from `lowest` to `highest`."""
     ordered = np.sort(disparity)
-    matches_width = (highest - lowest) / (1 + 2 * _EXTENSION)
-    excess = (lowest + _EXTENSION * matches_width - ordered) / matches_width  # in widths of the matches' range
     share = np.arange(1, len(ordered) + 1) / len(ordered)
-    return float(ordered[np.argmax(share >= np.maximum(_LEAST_SHARE, _EXTENSION_SHARE * excess))])
+    # how far each lies below the range of the keypoint matches, in widths of that range: the farther, the more must agree
+    matches_width = (highest - lowest) / (1 + 2 * _EXTENSION)
+    excess = (lowest + _EXTENSION * matches_width - ordered) / matches_width
+    enough = share >= np.maximum(_LEAST_SHARE, _EXTENSION_SHARE * excess)
+    return float(ordered[np.argmax(enough)])
 
 
 def _shrunk(pair: RectifiedPair) -> RectifiedPair:
+    """The pair at a quarter of its size, with a range that is wider by `_EXTENSION` on both sides."""
     extension = _EXTENSION * (pair.disparity_max - pair.disparity_min)
     return RectifiedPair(
         left=_quarter(pair.left),
@@ -146,15 +199,17 @@ def _quarter(image: Float32s) -> Float32s:
 
 def _flattened(pair: RectifiedPair) -> RectifiedPair:
     """Both images without coarse brightness and with equal fine contrast: what is possible before anything is matched."""
-    images = [_fine_part(image, valid) for image, valid in ((pair.left, pair.valid_left), (pair.right, pair.valid_right))]
-    return replace(pair, left=images[0], right=images[1])
+    return replace(pair, left=_fine_part(pair.left, pair.valid_left), right=_fine_part(pair.right, pair.valid_right))
 
 
 def _fine_part(image: Float32s, valid: Bools) -> Float32s:
+    """The image (h, w) minus its blurred self, at a standard contrast around 128; 128 where it is not valid."""
     if not valid.any():
         return image
+    # a mean over valid pixels alone: blurred values over blurred weights
     weight = cv2.GaussianBlur(valid.astype(np.float32), (0, 0), _COARSE_PX)
-    coarse = cv2.GaussianBlur(np.where(valid, image, 0).astype(np.float32), (0, 0), _COARSE_PX) / np.maximum(weight, 1e-3)
+    blurred = cv2.GaussianBlur(np.where(valid, image, 0).astype(np.float32), (0, 0), _COARSE_PX)
+    coarse = blurred / np.maximum(weight, 1e-3)
     fine = image - coarse
     gain = _FINE_CONTRAST / max(float(np.median(np.abs(fine[valid]))), 0.5)
     return np.where(valid, 128 + gain * fine, 128).astype(np.float32)
@@ -164,10 +219,17 @@ def _with_equal_exposure(pair: RectifiedPair, small: RectifiedPair, disparity: F
     """The pair with the lower-contrast image stretched to match the other, by the pixels on which both views agree."""
     rows, columns = np.nonzero(agreed)
     partner = np.clip(np.rint(columns - disparity[agreed]).astype(np.int64), 0, small.right.shape[1] - 1)
-    left, right = small.left[agreed], small.right[rows, partner]
-    spread_left, spread_right = (float(np.subtract(*np.percentile(v, [90, 10]))) for v in (left, right))
-    gain = max(spread_left, 1.0) / max(spread_right, 1.0)
+    left = small.left[agreed]
+    right = small.right[rows, partner]
+    gain = max(_spread(left), 1.0) / max(_spread(right), 1.0)
     offset = float(np.median(left - gain * right))
+    # the image of lower contrast is stretched: compressing the other would bring faint texture below the matchers' limits
     if gain >= 1:
         return replace(pair, right=(gain * pair.right + offset).astype(np.float32))
     return replace(pair, left=((pair.left - offset) / gain).astype(np.float32))
+
+
+def _spread(values: Float32s) -> float:
+    """Distance between the 10th and the 90th percentile of grey levels (n,)."""
+    high, low = np.percentile(values, [90, 10])
+    return float(high - low)
