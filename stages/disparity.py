@@ -65,13 +65,8 @@ def match_dense(
     if rectification.disparity_max_px - rectification.disparity_min_px > _WIDEST_RANGE_PX:
         return Rejected(Reason.RANGE_TOO_WIDE, {"disparity_max_px": rectification.disparity_max_px})
     pair = with_coarse_range(rectified_pair(left, right, rectification))
-    padded_width = pair.left.shape[1]
     if reference_disparity is not None and reference_rectification is not None and _equal(rectification, reference_rectification):
-        pair = replace(
-            pair,
-            reference_left=_in_pixels(reference_disparity.left, reference_disparity.offset_px, padded_width),
-            reference_right=_in_pixels(reference_disparity.right, reference_disparity.offset_px, padded_width),
-        )
+        pair = _with_reference(pair, reference_disparity)
 
     # 1. match
     inputs = {"pair": pair, "left": left, "right": right, "rectification": rectification}
@@ -90,12 +85,7 @@ def match_dense(
         return Rejected(Reason.NO_DENSE_MATCHES, {"density": density, "common_px": float(common_px)})
 
     # 3. do corresponding points lie on the same row?
-    x1, x2, sigma_px = measure_y_parallax(pair, _in_pixels(left_map, offset, padded_width), rectification.angle_deg)
-    rows = RowMatches(
-        x1=from_rectified(rectification, 1, x1),
-        x2=from_rectified(rectification, 2, x2),
-        sigma_px=sigma_px / rectification.scale,
-    )
+    rows = _row_matches(pair, rectification, _in_pixels(left_map, offset, pair.left.shape[1]))
 
     # the columns that pad the images are cut off; copies free them
     width1 = rectification.size1[0]
@@ -118,6 +108,16 @@ def _equal(first: Rectification, second: Rectification) -> bool:
     if first.size1 != second.size1 or first.size2 != second.size2:
         return False
     return np.array_equal(first.H1, second.H1) and np.array_equal(first.H2, second.H2)
+
+
+def _with_reference(pair: RectifiedPair, reference: Disparity) -> RectifiedPair:
+    """The pair with the disparity of the reference, which resampled its images in the same way."""
+    width = pair.left.shape[1]
+    return replace(
+        pair,
+        reference_left=_in_pixels(reference.left, reference.offset_px, width),
+        reference_right=_in_pixels(reference.right, reference.offset_px, width),
+    )
 
 
 def _in_pixels(stored: Int16s, offset: int, width: int) -> Float32s:
@@ -170,3 +170,13 @@ def _checked(
     reduced = confidence * (1 - _DISAGREEMENT_WEIGHT * np.minimum(difference, tolerance_px) / tolerance_px)
     levels = np.clip(np.rint(255 * reduced), 1, 255)
     return stored, np.where(stored == INVALID, 0, levels).astype(np.uint8)
+
+
+def _row_matches(pair: RectifiedPair, rectification: Rectification, disparity: Float32s) -> RowMatches:
+    """Points of both frames that show how far corresponding rows lie apart, from the left view's `disparity` (h, w)."""
+    x1, x2, sigma_px = measure_y_parallax(pair, disparity, rectification.angle_deg)
+    return RowMatches(
+        x1=from_rectified(rectification, 1, x1),
+        x2=from_rectified(rectification, 2, x2),
+        sigma_px=sigma_px / rectification.scale,
+    )

@@ -197,7 +197,7 @@ def _planes_of(disparity: Float32s, other_disparity: Float32s, valid: Bools, sig
     # rows without any value get the median of all
     median = 0.0
     if np.isfinite(agreed).any():
-        median = np.nanmedian(agreed)
+        median = float(np.nanmedian(agreed))
     complete = np.where(np.isnan(filled), median, filled).astype(np.float32)
     smooth = np.asarray(cv2.medianBlur(complete, 5), dtype=np.float32)
     return np.stack([smooth, *_slopes(smooth)])

@@ -11,7 +11,7 @@ import numpy as np
 
 from ..core.jit import helper, kernel
 from ..core.ordering import sorting_network
-from ..types import Float32s
+from ..types import Float32s, Float64s
 
 _SIMILARITY_SCALE = 8.0
 """Grey-level difference at which a neighbour gets half the weight; larger values blur across edges."""
@@ -102,7 +102,7 @@ def plane_deviation(planes: Float32s, difference: Float32s) -> Float32s:
     return _plane_deviation(_bordered(_BORDER, confirmed)[0], planes, inside)
 
 
-def _pixels_inside(count: int) -> Float32s:
+def _pixels_inside(count: int) -> Float64s:
     """(count,) number of pixels of each pixel's window that lie within a line of `count` pixels."""
     window = np.ones(2 * _NEAR_RADIUS + 1)
     return np.convolve(np.ones(count), window, mode="same")[:count]

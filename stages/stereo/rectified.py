@@ -80,7 +80,7 @@ def _plane_disparity(
         inverse_depth = ground.inverse_depth1
     else:
         other_side = 1
-        H = np.linalg.inv(plane)
+        H = np.asarray(np.linalg.inv(plane), dtype=np.float64)
         inverse_depth = ground.inverse_depth2
     y, x = np.mgrid[0 : shape[0], 0 : shape[1]].reshape(2, -1)
     points = np.column_stack([x, y]).astype(np.float64)
