@@ -17,14 +17,14 @@ under one field.
 
 from __future__ import annotations
 
-from dataclasses import astuple, dataclass, replace
+from dataclasses import astuple, dataclass, fields, replace
 from typing import Literal
 
 import numpy as np
 
 from ..core.jit import kernel
 from ..core.nearest_points import nearest_points
-from ..types import TILTED, Features, Float64s, Int32s, Matches
+from ..types import TILTED, Bools, Features, Float64s, Int32s, Int64s, Matches
 from .affine_field import AffineField, fit_affine_field
 from .assignment import assign, without_repeats
 from .candidates import NEIGHBOURS, ViewPair, inverses, near_predictions, searched_view_pairs, view_pairs
@@ -60,25 +60,46 @@ class Evidence:
 
 
 EVIDENCE = Evidence()
+"""The evidence of every round but the last, which begins from `final_base`."""
 EPIPOLAR = EVIDENCE.epipolar
+"""Largest gain in nats that the epipolar term can bring, as a constant that kernels can read."""
 LEAST_LOG_ODDS = -8.0
-"""Candidates with log odds below this are left out: they would not noticeably lower their rivals' probabilities."""
+"""Candidates with log odds (nats) below this are left out: they would not noticeably lower their rivals' probabilities."""
 MIN_SIGMA_PX = 2.0
+"""Smallest standard deviation of a prediction, pixels.  Larger forgives more where the field is smooth; smaller would trust it
+beyond what a linear map can follow."""
+FRAME_SCALE = 0.25
+"""Error of a match's log scale, and of its angle in radians, at which the penalty of either is `weight` ln 2."""
 TRUST_HALF = 1.5
-"""Support at which the field has the same weight as the descriptors alone."""
-DOMINANCE, ROUNDS = 0.8, 3
-"""Values for callers of `solve_rounds` other than `match_structural`; equal to its defaults."""
+"""Support (summed weight of agreeing matches) at which the field has the same weight as the descriptors alone."""
+DOMINANCE = 0.8
+"""Smallest odds of an accepted match against all its rivals together; no unit."""
+GROWING_DOMINANCE = 1.0
+"""The same in every round but the last: matches that are more likely right than wrong make the next field."""
+ROUNDS = 3
+"""Rounds of expectation and maximisation.  More find few new matches."""
 MIN_MATCHES = 6
 """Fewest confident matches for a field; with fewer, the pair has no matches."""
+
+
+@dataclass(frozen=True)
+class Correspondences:
+    """Matches before and after each round."""
+
+    i1: Int32s
+    i2: Int32s
+    """(n,) int32 rows of the two `Features`."""
+    probability: Float64s
+    """(n,) float64 probability of each match."""
 
 
 def match_structural(
     left: Features,
     right: Features,
     *,
-    dominance: float = 0.8,
+    dominance: float = DOMINANCE,
     neighbours: int = NEIGHBOURS,
-    rounds: int = 3,
+    rounds: int = ROUNDS,
     tilt: Tilt = "auto",
     weak_matches: int = 300,
 ) -> Matches:
@@ -94,13 +115,18 @@ def match_structural(
     tilt : also match the views compressed in x: "auto" does so if the plain views give fewer than `weak_matches` matches.
     weak_matches : with fewer matches of the plain views, "auto" also matches the compressed views.
     """
-    can_tilt = tilt != "never" and bool((left.tilts == TILTED).any() or (right.tilts == TILTED).any())
+    has_tilted_view = bool((left.tilts == TILTED).any() or (right.tilts == TILTED).any())
+    can_tilt = tilt != "never" and has_tilted_view
+
+    # 1. the plain views alone: enough for most pairs, at a fraction of the cost
     pairs: tuple[ViewPair, ...] = ()
     if not (can_tilt and tilt == "always"):
         pairs = view_pairs(left, right, False, neighbours)
         matches = solve_rounds(left, right, pairs, initial_matches(pairs), dominance, rounds, None)
         if not can_tilt or len(matches.i1) >= weak_matches:
             return keypoint_matches(left, right, matches.i1, matches.i2, matches.probability, searched=pairs)
+
+    # 2. the compressed views too, from new first matches; candidates of the plain views are not searched again
     pairs = view_pairs(left, right, True, neighbours, known=pairs)
     matches = solve_rounds(left, right, pairs, initial_matches(pairs), dominance, rounds, None)
     return keypoint_matches(left, right, matches.i1, matches.i2, matches.probability, tilted=True, searched=pairs)
@@ -147,35 +173,74 @@ def solve_rounds(
     for step in range(rounds):
         if len(matches.i1) < MIN_MATCHES:
             return Correspondences(matches.i1[:0], matches.i2[:0], matches.probability[:0])
+        is_first = step == 0
         is_last = step == rounds - 1
-        odds = dominance if is_last else 1.0
-        x1, x2 = left.xy[matches.i1], right.xy[matches.i2]
+
+        # maximisation: one field for all pairs of views, from the matches of all of them
+        x1 = left.xy[matches.i1]
+        x2 = right.xy[matches.i2]
         affine = right.frames[matches.i2] @ inverses(left.frames[matches.i1])
+
+        # expectation: each pair of views by itself, since a keypoint has a partner in each of the other frame's views
         results = []
         for pair in pairs:
             field = fit_affine_field(x1, x2, affine, matches.probability, pair.x1)
-            results.append(_expect(pair, field, odds, is_last, step > 0, F))
-        i1, i2, p = (np.concatenate(parts) for parts in zip(*results, strict=True))
+            if is_last:
+                results.append(_expect(pair, field, EVIDENCE.final_base, dominance, not is_first, F))
+            else:
+                results.append(_expect(pair, field, EVIDENCE.field_base, GROWING_DOMINANCE, not is_first, F))
+        matches = _joined(results)
+
+        # repeats within one pair of views do no harm while the matches grow; those from several pairs would count twice
         if is_last or len(pairs) > 1:
-            keep = without_repeats(left.xy[i1], right.xy[i2], p)
-            i1, i2, p = i1[keep], i2[keep], p[keep]
-        matches = Correspondences(i1, i2, p)
-    order = np.lexsort((matches.i2, matches.i1))
-    return Correspondences(matches.i1[order], matches.i2[order], matches.probability[order])
+            keep = without_repeats(left.xy[matches.i1], right.xy[matches.i2], matches.probability)
+            matches = _rows_of(matches, keep)
+    return _rows_of(matches, np.lexsort((matches.i2, matches.i1)))
+
+
+def _joined(parts: list[Correspondences]) -> Correspondences:
+    """The matches of several pairs of views, one after the other."""
+    i1 = np.concatenate([part.i1 for part in parts])
+    i2 = np.concatenate([part.i2 for part in parts])
+    probability = np.concatenate([part.probability for part in parts])
+    return Correspondences(i1, i2, probability)
+
+
+def _rows_of(matches: Correspondences, rows: Bools | Int64s) -> Correspondences:
+    """Some of the matches, by a mask or by their rows."""
+    return Correspondences(matches.i1[rows], matches.i2[rows], matches.probability[rows])
 
 
 def _expect(
-    pair: ViewPair, field: AffineField, odds: float, is_last: bool, search: bool, F: Float64s | None
-) -> tuple[Int32s, Int32s, Float64s]:
-    """Candidates whose probability exceeds `odds` times that of all rivals together, as rows of the `Features`."""
+    pair: ViewPair, field: AffineField, field_base: float, odds: float, search: bool, F: Float64s | None
+) -> Correspondences:
+    """Candidates whose probability exceeds `odds` times that of all rivals together, as rows of the `Features`.
+
+    Parameters
+    ----------
+    pair : the pair of views, with its candidates by descriptor.
+    field : the affine field at the keypoints of its first view.
+    field_base : base of the log odds with a field, nats (`Evidence`).
+    odds : dominance that an accepted candidate needs.
+    search : also consider keypoints near a reliable prediction.
+    F : (3, 3) fundamental matrix, None if it is not known.
+    """
     sigma = np.maximum(field.sigma_px, MIN_SIGMA_PX)
     trust = field.support / (field.support + TRUST_HALF)
-    i, j, q = pair.candidates.i, pair.candidates.j, pair.candidates.q
+
+    # 1. candidates: by descriptor, and near the field's predictions
+    i = pair.candidates.i
+    j = pair.candidates.j
+    q = pair.candidates.q
     if search:
         near_i, near_j, near_q = near_predictions(pair, field, sigma, trust)
-        i, j, q = np.concatenate([i, near_i]), np.concatenate([j, near_j]), np.concatenate([q, near_q])
+        i = np.concatenate([i, near_i])
+        j = np.concatenate([j, near_j])
+        q = np.concatenate([q, near_q])
+
+    # 2. their log odds
     log_odds = np.empty(len(i))
-    coefficients = np.array(astuple(replace(EVIDENCE, field_base=EVIDENCE.final_base) if is_last else EVIDENCE))
+    coefficients = np.array(astuple(replace(EVIDENCE, field_base=field_base)))
     forward = field.affine @ pair.frames1
     _score(
         i, j, q, pair.x2, forward, _log_scale(forward), pair.inverse_frames2, _log_scale(pair.inverse_frames2),
@@ -183,11 +248,16 @@ def _expect(
     )  # fmt: skip
     if F is not None:
         _score_epipolar(i, j, pair.x1, pair.x2, np.ascontiguousarray(F), coefficients, log_odds)
+
+    # 3. competition among those that are not hopeless
     likely = log_odds > LEAST_LOG_ODDS
-    i, j, log_odds = i[likely], j[likely], log_odds[likely]
-    p = assign(i, j, log_odds, len(pair.x1), len(pair.x2))
+    i = i[likely]
+    j = j[likely]
+    p = assign(i, j, log_odds[likely], len(pair.x1), len(pair.x2))
+
+    # 4. the dominance test
     keep = p > odds * (1 - p)
-    return pair.rows1[i[keep]], pair.rows2[j[keep]], p[keep]
+    return Correspondences(pair.rows1[i[keep]], pair.rows2[j[keep]], p[keep])
 
 
 @kernel
@@ -212,21 +282,30 @@ def _score(
     forward: keypoint frames of image 1 as the field maps them into image 2; log_scale1, log_scale2: log scale of these and of the
     inverse frames of image 2; log_sigma: ln(sigma / MIN_SIGMA_PX).
     """
+    # coefficients[3], `final_base`, is not read: the caller puts the base of its round into [2]
     descriptor_base, descriptor_slope, base, _, slope, by_distance, by_sigma, by_scale, by_angle = coefficients[:9]
     for c in range(len(i)):
-        a, b = i[c], j[c]
+        a = i[c]
+        b = j[c]
+        # position: how far the keypoint of image 2 is from the prediction
         r2 = (x2[b, 0] - prediction[a, 0]) ** 2 + (x2[b, 1] - prediction[a, 1]) ** 2
         t = trust[a]
         penalty = by_distance * np.log(1 + r2 / sigma[a] ** 2) + by_sigma * log_sigma[a]
         log_odds[c] = (1 - t) * (descriptor_base - descriptor_slope * q[c]) + t * (base - slope * q[c] - penalty)
+        # frames can only lower the odds: most candidates are hopeless already, even if they lie on the epipolar line
         if log_odds[c] < LEAST_LOG_ODDS - EPIPOLAR:
             continue
-        W, N = forward[a], inverse_frames2[b]
-        q00, q01 = N[0, 0] * W[0, 0] + N[0, 1] * W[1, 0], N[0, 0] * W[0, 1] + N[0, 1] * W[1, 1]
-        q10, q11 = N[1, 0] * W[0, 0] + N[1, 1] * W[1, 0], N[1, 0] * W[0, 1] + N[1, 1] * W[1, 1]
+        # frames: R = N W maps the patch of image 1, by way of the field, to that of image 2; the identity if they agree
+        W = forward[a]
+        N = inverse_frames2[b]
+        r00 = N[0, 0] * W[0, 0] + N[0, 1] * W[1, 0]
+        r01 = N[0, 0] * W[0, 1] + N[0, 1] * W[1, 1]
+        r10 = N[1, 0] * W[0, 0] + N[1, 1] * W[1, 0]
+        r11 = N[1, 0] * W[0, 1] + N[1, 1] * W[1, 1]
+        turn = np.arctan2(r10 - r01, r00 + r11)
         zoom = log_scale1[a] + log_scale2[b]
-        turn = np.arctan2(q10 - q01, q00 + q11)
-        log_odds[c] -= t * (by_scale * np.log(1 + (zoom / 0.25) ** 2) + by_angle * np.log(1 + (turn / 0.25) ** 2))
+        by_frame = by_scale * np.log(1 + (zoom / FRAME_SCALE) ** 2) + by_angle * np.log(1 + (turn / FRAME_SCALE) ** 2)
+        log_odds[c] -= t * by_frame
 
 
 def _log_scale(m: Float64s) -> Float64s:
@@ -240,63 +319,111 @@ def _score_epipolar(
     i: Int32s, j: Int32s, x1: Float64s, x2: Float64s, F: Float64s, coefficients: Float64s, log_odds: Float64s
 ) -> None:
     """Add the evidence of the symmetric distance to the epipolar lines."""
-    base, weight = coefficients[9], coefficients[10]
+    base = coefficients[9]
+    weight = coefficients[10]
     for c in range(len(i)):
-        x, y, u, v = x1[i[c], 0], x1[i[c], 1], x2[j[c], 0], x2[j[c], 1]
-        a2, b2, c2 = F[0, 0] * x + F[0, 1] * y + F[0, 2], F[1, 0] * x + F[1, 1] * y + F[1, 2], F[2, 0] * x + F[2, 1] * y + F[2, 2]
-        a1, b1 = F[0, 0] * u + F[1, 0] * v + F[2, 0], F[0, 1] * u + F[1, 1] * v + F[2, 1]
+        x = x1[i[c], 0]
+        y = x1[i[c], 1]
+        u = x2[j[c], 0]
+        v = x2[j[c], 1]
+        # the line F (x, y, 1) in image 2, and the first two entries of the line F^T (u, v, 1) in image 1
+        a2 = F[0, 0] * x + F[0, 1] * y + F[0, 2]
+        b2 = F[1, 0] * x + F[1, 1] * y + F[1, 2]
+        c2 = F[2, 0] * x + F[2, 1] * y + F[2, 2]
+        a1 = F[0, 0] * u + F[1, 0] * v + F[2, 0]
+        b1 = F[0, 1] * u + F[1, 1] * v + F[2, 1]
+        # both distances share x2^T F x1
         algebraic = abs(u * a2 + v * b2 + c2)
         distance = 0.5 * algebraic * (1 / np.sqrt(a2 * a2 + b2 * b2) + 1 / np.sqrt(a1 * a1 + b1 * b1))
         log_odds[c] += base - weight * np.log(1 + distance * distance)
 
 
 MAX_RATIO = 0.85
-"""Largest ratio of first to second descriptor distance of a first match."""
+"""Largest ratio of first to second descriptor distance of a first match; no unit."""
+GOOD_RATIO = 0.75
+"""A first match below this ratio needs one confirming neighbour only, others need `CONFIRMED`."""
+CLEAR_RATIO = 0.55
+"""A first match below this ratio needs no confirming neighbour."""
+CONFIRMED = 2
+"""Confirming neighbours that a first match needs, whatever its ratio."""
+FEWEST_FIRST = 8
+"""With fewer accepted first matches, this many of the best are taken, so that the rounds have something to begin with."""
 CONFIRMING_NEIGHBOURS = 24
-CONFIRM_PX, CONFIRM_PER_PX, CONFIRM_RAD, CONFIRM_LOG_SCALE = 8.0, 0.3, 0.6, 0.8
-"""A neighbouring match confirms a match that it predicts to within 8 px + 0.3 of their distance, 0.6 rad and 0.8 in log scale."""
-
-
-@dataclass(frozen=True)
-class Correspondences:
-    """Matches before and after each round."""
-
-    i1: Int32s
-    i2: Int32s
-    """(n,) int32 rows of the two `Features`."""
-    probability: Float64s
-    """(n,) float64 probability of each match."""
+"""Nearest matches that are asked whether they confirm a match."""
+LEAST_SPACING_PX = 1.5
+"""Matches nearer to each other than this (sum of both coordinates, pixels) do not confirm each other: they are repeats."""
+CONFIRM_PX = 8.0
+"""A neighbouring match confirms a match that it predicts to within this many pixels, plus `CONFIRM_PER_PX` of their distance."""
+CONFIRM_PER_PX = 0.3
+"""Error of a prediction that is allowed for each pixel of distance in image 2; no unit."""
+CONFIRM_RAD = 0.6
+"""Largest turn between both frame affines, radians."""
+CONFIRM_LOG_SCALE = 0.8
+"""Largest difference of their log scales."""
 
 
 def initial_matches(pairs: tuple[ViewPair, ...]) -> Correspondences:
     """Mutual nearest neighbours that are clearly nearest or confirmed by their neighbours, else the best 8; weight 1 each."""
     if not pairs:
         return Correspondences(np.zeros(0, np.int32), np.zeros(0, np.int32), np.zeros(0))
-    i1, i2, x1, x2, affine, ratio = (np.concatenate(parts) for parts in zip(*map(_clear_matches, pairs), strict=True))
+    matches = _joined_first([_clear_matches(pair) for pair in pairs])
     if len(pairs) > 1:
-        keep = without_repeats(x1, x2, 1 - ratio)
-        i1, i2, x1, x2, affine, ratio = (part[keep] for part in (i1, i2, x1, x2, affine, ratio))
-    confirmed = confirmations(x1, x2, affine)
-    accepted = (confirmed >= 2) | ((confirmed >= 1) & (ratio < 0.75)) | (ratio < 0.55)
-    if accepted.sum() < 8:
+        matches = matches.at(without_repeats(matches.x1, matches.x2, 1 - matches.ratio))
+    ratio = matches.ratio
+    confirmed = confirmations(matches.x1, matches.x2, matches.affine)
+    accepted = (confirmed >= CONFIRMED) | ((confirmed >= 1) & (ratio < GOOD_RATIO)) | (ratio < CLEAR_RATIO)
+    if accepted.sum() < FEWEST_FIRST:
+        # the field needs matches to begin with: a confirmation counts as much as 0.2 of the ratio
+        best = np.argsort(ratio - 0.2 * confirmed, kind="stable")[:FEWEST_FIRST]
         accepted = np.zeros(len(ratio), dtype=bool)
-        accepted[np.argsort(ratio - 0.2 * confirmed, kind="stable")[:8]] = True
-    return Correspondences(i1[accepted], i2[accepted], np.ones(int(accepted.sum())))
+        accepted[best] = True
+    return Correspondences(matches.i1[accepted], matches.i2[accepted], np.ones(int(accepted.sum())))
 
 
-def _clear_matches(pair: ViewPair) -> tuple[Int32s, Int32s, Float64s, Float64s, Float64s, Float64s]:
-    """Mutual nearest neighbours within `MAX_RATIO`: rows of the `Features`, positions, frame affines and ratios."""
+@dataclass(frozen=True)
+class _FirstMatches:
+    """Mutual nearest neighbours, (n,) each."""
+
+    i1: Int32s
+    i2: Int32s
+    """Rows of the two `Features`."""
+    x1: Float64s
+    x2: Float64s
+    """(n, 2) pixels in either image."""
+    affine: Float64s
+    """(n, 2, 2) from the keypoint's frame in image 1 to that in image 2."""
+    ratio: Float64s
+    """Ratio of first to second descriptor distance, the larger one of both directions."""
+
+    def at(self, rows: Bools) -> _FirstMatches:
+        """Some of the matches."""
+        return _FirstMatches(self.i1[rows], self.i2[rows], self.x1[rows], self.x2[rows], self.affine[rows], self.ratio[rows])
+
+
+def _clear_matches(pair: ViewPair) -> _FirstMatches:
+    """Mutual nearest neighbours of a pair of views within `MAX_RATIO`."""
     i, j, ratio = pair.candidates.near.mutual()
     keep = ratio < MAX_RATIO
-    i, j = i[keep], j[keep]
+    i = i[keep]
+    j = j[keep]
     affine = np.linalg.inv(pair.inverse_frames2[j]) @ inverses(pair.frames1[i])
-    return pair.rows1[i], pair.rows2[j], pair.x1[i], pair.x2[j], affine, ratio[keep]
+    return _FirstMatches(pair.rows1[i], pair.rows2[j], pair.x1[i], pair.x2[j], affine, ratio[keep])
+
+
+def _joined_first(parts: list[_FirstMatches]) -> _FirstMatches:
+    """The first matches of several pairs of views, one after the other."""
+    columns = [np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(_FirstMatches)]
+    return _FirstMatches(*columns)
 
 
 def confirmations(x1: Float64s, x2: Float64s, affine: Float64s) -> Int32s:
-    """(n,) number of the nearest matches around each match that predict its position and frame."""
+    """(n,) int32 number of the nearest matches around each match that predict its position and frame.
+
+    x1, x2: (n, 2) pixels of the matches in either image; affine: (n, 2, 2) from frame 1 to frame 2 of each.
+    """
     count = np.zeros(len(x1), np.int32)
     if len(x1) >= 4:
+        # one more than wanted: each match is its own nearest
         _, index = nearest_points(x1, x1, min(CONFIRMING_NEIGHBOURS, len(x1) - 1) + 1)
         _count_confirmations(index, x1, x2, affine, count)
     return count
@@ -304,20 +431,24 @@ def confirmations(x1: Float64s, x2: Float64s, affine: Float64s) -> Int32s:
 
 @kernel
 def _count_confirmations(index: Int32s, x1: Float64s, x2: Float64s, affine: Float64s, count: Int32s) -> None:
+    """Add the confirmations; index: (n, k) the nearest matches in image 1, the match itself among them."""
     for n in range(len(x1)):
         a = affine[n]
         det = a[0, 0] * a[1, 1] - a[0, 1] * a[1, 0]
         for k in range(index.shape[1]):
             neighbour = index[n, k]
-            du, dv = x1[n, 0] - x1[neighbour, 0], x1[n, 1] - x1[neighbour, 1]
-            if abs(du) + abs(dv) <= 1.5:
+            du = x1[n, 0] - x1[neighbour, 0]
+            dv = x1[n, 1] - x1[neighbour, 1]
+            if abs(du) + abs(dv) <= LEAST_SPACING_PX:  # the match itself, or a repeat
                 continue
+            # position: the neighbour's affine map, extended to this match; its error grows with the distance
             b = affine[neighbour]
             eu = x2[neighbour, 0] + b[0, 0] * du + b[0, 1] * dv - x2[n, 0]
             ev = x2[neighbour, 1] + b[1, 0] * du + b[1, 1] * dv - x2[n, 1]
             reach = np.hypot(x2[n, 0] - x2[neighbour, 0], x2[n, 1] - x2[neighbour, 1])
             if np.hypot(eu, ev) >= CONFIRM_PX + CONFIRM_PER_PX * reach:
                 continue
+            # frame: R = a^-1 b is the identity if both maps agree
             r00 = (a[1, 1] * b[0, 0] - a[0, 1] * b[1, 0]) / det
             r01 = (a[1, 1] * b[0, 1] - a[0, 1] * b[1, 1]) / det
             r10 = (a[0, 0] * b[1, 0] - a[1, 0] * b[0, 0]) / det
