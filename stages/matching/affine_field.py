@@ -16,10 +16,15 @@ from ..core.nearest_points import nearest_points
 from ..types import Float32s, Float64s, Int32s
 
 _BATCH = 128
+"""Queries that are fitted at a time: the columns of the kernels' arrays, which then stay in the processor's cache."""
+_PASSES = 4
+"""Weighted fits, each with the weights of the one before; no unit."""
 _WIDTH_RANK = 8
 """Rank of the neighbour (0 is the nearest) whose distance is the width of the distance weights."""
-_LARGEST_SPREAD_PX, _HALVINGS = 65536.0, 11
-"""Upper limit of the median residual (the lower one is 1), and bisections of its logarithm: exact to half a per cent."""
+_LARGEST_SPREAD_PX = 65536.0
+"""Upper limit of the median residual, pixels; the lower limit is 1."""
+_HALVINGS = 11
+"""Bisections of the logarithm of the median residual between its limits: exact to half a per cent."""
 
 
 @dataclass(frozen=True)
@@ -50,9 +55,11 @@ def fit_affine_field(
     neighbours : nearest matches that each query uses.
     ridge : pull toward the mean of the frame affines; no unit.
     """
+    # one more than wanted: a match at the query itself gets no weight
     distance, index = nearest_points(x1, queries, min(neighbours, len(x1) - 1) + 1)
     m, k = distance.shape
-    width = np.partition(distance, min(k - 1, _WIDTH_RANK), axis=1)[:, min(k - 1, _WIDTH_RANK)] + 1.0
+    rank = min(k - 1, _WIDTH_RANK)
+    width = np.partition(distance, rank, axis=1)[:, rank] + 1.0
     field = AffineField(np.empty((m, 2)), np.empty((m, 2, 2)), np.empty(m), np.empty(m))
     _fit(
         queries, distance, width, index, x1, x2, affine, weight, ridge,
@@ -80,56 +87,49 @@ def _fit(
     """Fit a batch of queries at a time: arrays hold a row for each neighbour and a column for each query, so that the compiler
     can vectorise every loop over columns."""
     k = distance.shape[1]
-    by_neighbour, by_query = np.zeros((7, k, _BATCH), np.float32), np.zeros((27, _BATCH), np.float32)
+
+    # (k, _BATCH) each: a row for each neighbour
+    by_neighbour = np.zeros((7, k, _BATCH), np.float32)
+    w0 = by_neighbour[0]  # weights by probability and distance
+    w = by_neighbour[1]  # the same times the robust weights of the last pass
+    e = by_neighbour[2]  # residuals, pixels
+    u = by_neighbour[3]  # position in image 1 from the query, in units of `scale`
+    v = by_neighbour[4]
+    s = by_neighbour[5]  # position in image 2 from `middle`, pixels
+    t = by_neighbour[6]
+
+    # (_BATCH,) each, or one row for each of several numbers
+    by_query = np.zeros((27, _BATCH), np.float32)
+    scale = by_query[0]
+    pull = by_query[1]
+    spread = by_query[2]  # weighted median residual, pixels
+    agreeing = by_query[3]  # summed weight of the neighbours that agree
+    scratch = by_query[4]
+    target = by_query[5:9]
+    solution = by_query[9:15]
+    sums = by_query[15:27]
     middle = np.ones((2, _BATCH))
-    w0, w, e, u, v = by_neighbour[0], by_neighbour[1], by_neighbour[2], by_neighbour[3], by_neighbour[4]
-    s, t = by_neighbour[5], by_neighbour[6]
-    scale, pull, spread, agreeing, total = by_query[0], by_query[1], by_query[2], by_query[3], by_query[4]
-    target, solution, sums = by_query[5:9], by_query[9:15], by_query[15:27]
+
     for first in range(0, len(queries), _BATCH):
+        # the last batch may be smaller: its other columns still hold the batch before, and are not written out
         count = min(_BATCH, len(queries) - first)
         for c in range(count):
             _gather(
                 first + c, queries, distance, width, index, x1, x2, affine, weight, ridge, c,
                 w0, u, v, s, t, scale, pull, middle, target,
             )  # fmt: skip
-        _copy(w0, w)
-        for _ in range(4):
-            for a in range(12):
-                _set_zero(sums[a])
-            for a in range(k):
-                _add_squares(w[a], u[a], v[a], sums[0], sums[1], sums[2], sums[3], sums[4], sums[5])
-                _add_products(w[a], u[a], v[a], s[a], sums[6], sums[7], sums[8])
-                _add_products(w[a], u[a], v[a], t[a], sums[9], sums[10], sums[11])
-            _solve(sums, pull, target, solution)
-            for a in range(k):
-                _residuals(u[a], v[a], s[a], t[a], solution, e[a])
-            _median(e, w0, spread, agreeing, total)
-            for a in range(k):
-                _reweigh(w0[a], e[a], spread, w[a])
-        _set_zero(agreeing)
-        for a in range(k):
-            _add_agreeing(w0[a], e[a], spread, agreeing)
+        _fit_batch(w0, u, v, s, t, pull, target, w, e, sums, scratch, solution, spread, agreeing)
         for c in range(count):
             q = first + c
-            prediction[q, 0], prediction[q, 1] = middle[0, c] + solution[2, c], middle[1, c] + solution[5, c]
-            out[q, 0, 0], out[q, 0, 1] = solution[0, c] / scale[c], solution[1, c] / scale[c]
-            out[q, 1, 0], out[q, 1, 1] = solution[3, c] / scale[c], solution[4, c] / scale[c]
-            sigma[q], support[q] = spread[c], agreeing[c]
-
-
-@helper
-def _copy(source: Float32s, target: Float32s) -> None:
-    """Copy without `target[:] = source`, whose error for different shapes takes longer to compile than this whole function."""
-    for a in range(source.shape[0]):
-        for c in range(source.shape[1]):
-            target[a, c] = source[a, c]
-
-
-@helper
-def _set_zero(row: Float32s) -> None:
-    for c in range(len(row)):
-        row[c] = 0
+            prediction[q, 0] = middle[0, c] + solution[2, c]
+            prediction[q, 1] = middle[1, c] + solution[5, c]
+            # u and v are in units of `scale`
+            out[q, 0, 0] = solution[0, c] / scale[c]
+            out[q, 0, 1] = solution[1, c] / scale[c]
+            out[q, 1, 0] = solution[3, c] / scale[c]
+            out[q, 1, 1] = solution[4, c] / scale[c]
+            sigma[q] = spread[c]
+            support[q] = agreeing[c]
 
 
 @helper
@@ -161,13 +161,20 @@ def _gather(
     width = widths[q]
     unit = width + 5.0
     scale[c] = unit
-    total, ms, mt = 1e-9, 0.0, 0.0
-    m00, m01, m10, m11 = 0.0, 0.0, 0.0, 0.0
+    total = 1e-9  # so that queries without weight get no nan
+    ms = 0.0
+    mt = 0.0
+    m00 = 0.0
+    m01 = 0.0
+    m10 = 0.0
+    m11 = 0.0
     for a in range(k):
         j = index[q, a]
+        # a Cauchy weight of the distance; none for the match at the query itself
         w = weight[j] / (1 + (distance[q, a] / width) ** 2) if distance[q, a] > 1e-6 else 0.0
         w0[a, c] = w
-        u[a, c], v[a, c] = (x1[j, 0] - queries[q, 0]) / unit, (x1[j, 1] - queries[q, 1]) / unit
+        u[a, c] = (x1[j, 0] - queries[q, 0]) / unit
+        v[a, c] = (x1[j, 1] - queries[q, 1]) / unit
         total += w
         ms += w * x2[j, 0]
         mt += w * x2[j, 1]
@@ -175,13 +182,62 @@ def _gather(
         m01 += w * affine[j, 0, 1]
         m10 += w * affine[j, 1, 0]
         m11 += w * affine[j, 1, 1]
-    ms, mt = ms / total, mt / total
+    ms /= total
+    mt /= total
+    # float32 is coarse far from 0: positions in image 2 are taken from their mean
     for a in range(k):
-        s[a, c], t[a, c] = x2[index[q, a], 0] - ms, x2[index[q, a], 1] - mt
-    middle[0, c], middle[1, c] = ms, mt
+        s[a, c] = x2[index[q, a], 0] - ms
+        t[a, c] = x2[index[q, a], 1] - mt
+    middle[0, c] = ms
+    middle[1, c] = mt
     pull[c] = 0.02 * ridge * total
-    target[0, c], target[1, c] = m00 / total * unit, m01 / total * unit
-    target[2, c], target[3, c] = m10 / total * unit, m11 / total * unit
+    target[0, c] = m00 / total * unit
+    target[1, c] = m01 / total * unit
+    target[2, c] = m10 / total * unit
+    target[3, c] = m11 / total * unit
+
+
+@helper
+def _fit_batch(
+    w0: Float32s, u: Float32s, v: Float32s, s: Float32s, t: Float32s, pull: Float32s, target: Float32s,
+    w: Float32s, e: Float32s, sums: Float32s, scratch: Float32s,
+    solution: Float32s, spread: Float32s, agreeing: Float32s,
+) -> None:  # fmt: skip
+    """Iteratively reweighted least squares of all columns: write solution, spread and agreeing; names as in `_fit`."""
+    k = len(w0)
+    _copy(w0, w)
+    for _ in range(_PASSES):
+        # normal equations: 6 sums for the symmetric matrix, 3 for each right side
+        for a in range(12):
+            _set_zero(sums[a])
+        for a in range(k):
+            _add_squares(w[a], u[a], v[a], sums[0], sums[1], sums[2], sums[3], sums[4], sums[5])
+            _add_products(w[a], u[a], v[a], s[a], sums[6], sums[7], sums[8])
+            _add_products(w[a], u[a], v[a], t[a], sums[9], sums[10], sums[11])
+        _solve(sums, pull, target, solution)
+        # new weights from the residuals, relative to their median; `agreeing` is scratch until the passes have ended
+        for a in range(k):
+            _residuals(u[a], v[a], s[a], t[a], solution, e[a])
+        _median(e, w0, spread, agreeing, scratch)
+        for a in range(k):
+            _reweigh(w0[a], e[a], spread, w[a])
+    _set_zero(agreeing)
+    for a in range(k):
+        _add_agreeing(w0[a], e[a], spread, agreeing)
+
+
+@helper
+def _copy(source: Float32s, target: Float32s) -> None:
+    """Copy without `target[:] = source`, whose error for different shapes takes longer to compile than this whole function."""
+    for a in range(source.shape[0]):
+        for c in range(source.shape[1]):
+            target[a, c] = source[a, c]
+
+
+@helper
+def _set_zero(row: Float32s) -> None:
+    for c in range(len(row)):
+        row[c] = 0
 
 
 @helper
@@ -189,8 +245,10 @@ def _add_squares(
     w: Float32s, u: Float32s, v: Float32s,
     uu: Float32s, uv: Float32s, vv: Float32s, u1: Float32s, v1: Float32s, one: Float32s,
 ) -> None:  # fmt: skip
+    """Add one neighbour's share of the normal matrix, the weighted sum of (u, v, 1)^T (u, v, 1)."""
     for c in range(len(w)):
-        wu, wv = w[c] * u[c], w[c] * v[c]
+        wu = w[c] * u[c]
+        wv = w[c] * v[c]
         uu[c] += wu * u[c]
         uv[c] += wu * v[c]
         vv[c] += wv * v[c]
@@ -201,6 +259,7 @@ def _add_squares(
 
 @helper
 def _add_products(w: Float32s, u: Float32s, v: Float32s, s: Float32s, us: Float32s, vs: Float32s, one_s: Float32s) -> None:
+    """Add one neighbour's share of a right side, the weighted sum of (u, v, 1)^T s."""
     for c in range(len(w)):
         ws = w[c] * s[c]
         us[c] += u[c] * ws
@@ -212,14 +271,26 @@ def _add_products(w: Float32s, u: Float32s, v: Float32s, s: Float32s, us: Float3
 def _solve(sums: Float32s, pull: Float32s, target: Float32s, solution: Float32s) -> None:
     """The normal equations by cofactors; solution: two rows (a, b, offset), s = a u + b v + offset, and the same for t."""
     for c in range(len(pull)):
+        # the matrix [[suu, suv, su], [suv, svv, sv], [su, sv, sw]]; 1e-6 keeps it invertible where nothing has weight.
+        # In double precision, since cofactors are differences of products.
         ridge = float(pull[c])
-        suu, suv, svv = sums[0, c] + ridge + 1e-6, float(sums[1, c]), sums[2, c] + ridge + 1e-6
-        su, sv, sw = float(sums[3, c]), float(sums[4, c]), sums[5, c] + 1e-6
-        c00, c01, c02 = svv * sw - sv * sv, sv * su - suv * sw, suv * sv - svv * su
-        c11, c12, c22 = suu * sw - su * su, suv * su - suu * sv, suu * svv - suv * suv
+        suu = sums[0, c] + ridge + 1e-6
+        suv = float(sums[1, c])
+        svv = sums[2, c] + ridge + 1e-6
+        su = float(sums[3, c])
+        sv = float(sums[4, c])
+        sw = sums[5, c] + 1e-6
+        c00 = svv * sw - sv * sv
+        c01 = sv * su - suv * sw
+        c02 = suv * sv - svv * su
+        c11 = suu * sw - su * su
+        c12 = suv * su - suu * sv
+        c22 = suu * svv - suv * suv
         det = suu * c00 + suv * c01 + su * c02
         for row in range(2):
-            bu, bv = sums[6 + 3 * row, c] + ridge * target[2 * row, c], sums[7 + 3 * row, c] + ridge * target[2 * row + 1, c]
+            # the ridge adds the target to the right side, so that a and b are drawn toward it, not toward 0
+            bu = sums[6 + 3 * row, c] + ridge * target[2 * row, c]
+            bv = sums[7 + 3 * row, c] + ridge * target[2 * row + 1, c]
             b = sums[8 + 3 * row, c]
             solution[3 * row, c] = (c00 * bu + c01 * bv + c02 * b) / det
             solution[3 * row + 1, c] = (c01 * bu + c11 * bv + c12 * b) / det
@@ -228,6 +299,7 @@ def _solve(sums: Float32s, pull: Float32s, target: Float32s, solution: Float32s)
 
 @helper
 def _residuals(u: Float32s, v: Float32s, s: Float32s, t: Float32s, solution: Float32s, e: Float32s) -> None:
+    """Write one neighbour's distances from the fitted maps, pixels of image 2."""
     for c in range(len(u)):
         es = solution[0, c] * u[c] + solution[1, c] * v[c] + solution[2, c] - s[c]
         et = solution[3, c] * u[c] + solution[4, c] * v[c] + solution[5, c] - t[c]
@@ -236,25 +308,33 @@ def _residuals(u: Float32s, v: Float32s, s: Float32s, t: Float32s, solution: Flo
 
 @helper
 def _median(values: Float32s, weights: Float32s, high: Float32s, low: Float32s, balance: Float32s) -> None:
-    """Write to `high` the weighted median of each column of values (approximately), at least 1; low, balance: scratch."""
+    """Write to `high` the weighted median of each column of values (approximately), at least 1; low, balance: scratch.
+
+    Bisection takes the same steps in every column, so that it is vectorised; sorting would not be.
+    """
     k, n = values.shape
     for c in range(n):
-        low[c], high[c] = 1, np.float32(_LARGEST_SPREAD_PX)
+        low[c] = 1
+        high[c] = np.float32(_LARGEST_SPREAD_PX)
     for _ in range(_HALVINGS):
+        # balance: weight of the values below the middle minus that of the others
         for c in range(n):
             balance[c] = 0
         for a in range(k):
             for c in range(n):
+                # value <= sqrt(low high), without the root
                 is_below = values[a, c] * values[a, c] <= low[c] * high[c]
                 balance[c] += weights[a, c] if is_below else -weights[a, c]
         for c in range(n):
             middle = np.sqrt(low[c] * high[c])
+            # both are written always: a branch would keep the loop from being vectorised
             mostly_below = balance[c] >= np.float32(0)
             high[c], low[c] = middle if mostly_below else high[c], low[c] if mostly_below else middle
 
 
 @helper
 def _reweigh(w0: Float32s, e: Float32s, spread: Float32s, w: Float32s) -> None:
+    """Write one neighbour's weights: w0 times Geman-McClure's 1 / (1 + (e / 2 spread)^2)^2."""
     for c in range(len(w0)):
         r = e[c] / (spread[c] + spread[c])
         r = np.float32(1) + r * r
@@ -263,5 +343,6 @@ def _reweigh(w0: Float32s, e: Float32s, spread: Float32s, w: Float32s) -> None:
 
 @helper
 def _add_agreeing(w0: Float32s, e: Float32s, spread: Float32s, agreeing: Float32s) -> None:
+    """Add one neighbour's weight where its residual is below three spreads, or 6 px where the spread is small."""
     for c in range(len(w0)):
         agreeing[c] += w0[c] if e[c] < np.float32(3) * max(spread[c], np.float32(2)) else np.float32(0)
