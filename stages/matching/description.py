@@ -14,21 +14,26 @@ from .scale_space import Blobs, Pyramid, in_octave
 
 BINS = 36
 """Bins of the histogram of directions."""
-WINDOW, REACH = 1.5, 3.0
-"""Gaussian weight in the histogram of directions: its sigma in sigmas of the keypoint, and its reach in its own sigmas."""
+WINDOW = 1.5
+"""Sigma of the Gaussian weight in the histogram of directions, in sigmas of the keypoint (Lowe, section 5)."""
+REACH = 3.0
+"""Half width of the window of that weight, in its own sigmas: what lies beyond weighs less than 1.2 %."""
 STRONG_SHARE = 0.8
-"""Peaks of at least this share of the strongest one are main directions, too."""
-CELLS, DIRECTIONS = 4, 8
-"""Histograms along each side of the patch, and directions in each."""
+"""Peaks of at least this share of the strongest one are main directions, too (Lowe, section 5)."""
+CELLS = 4
+"""Histograms along each side of the patch."""
+DIRECTIONS = 8
+"""Directions in each histogram."""
 CELL_SIGMAS = 3.0
-"""Width of a histogram's cell in sigmas of the keypoint."""
+"""Width of a histogram's cell in sigmas of the keypoint.  Wider cells forgive more distortion, and tell less apart."""
 SAMPLES = 20
-"""Samples along the patch, which reaches half a cell beyond the histograms."""
+"""Samples along each side of the patch, which reaches half a cell beyond the histograms."""
 LENGTH = CELLS * CELLS * DIRECTIONS
+"""Elements of a descriptor."""
 CLIP = 0.2
-"""Upper limit of an element of a descriptor of unit length."""
-_GRADIENTS = 4, 64
-"""Shape of the buffer for the gradients of one row: x, y, direction and magnitude; every row is shorter than this."""
+"""Upper limit of an element of a descriptor of unit length, so that no single edge decides (Lowe, section 6.1)."""
+_LONGEST_ROW = 64
+"""Room for the gradients of one row of the window, pixels.  Rows have at most 34: 9 sigmas, of at most 3.7 px in an octave."""
 
 
 def main_directions(octaves: Pyramid, blobs: Blobs, seam: float) -> Float64s:
@@ -58,23 +63,32 @@ def describe(octaves: Pyramid, blobs: Blobs, angle: Float64s) -> Float32s:
 def _sample_weights() -> tuple[Float32s, Int64s, Float32s]:
     """For each sample along a side: Gaussian weight, the first of the two cells that it contributes to (0: before the patch), and
     the share of the second."""
+    # samples in units of cells from the patch's middle; the patch is CELLS + 1 cells wide
     position = (np.arange(SAMPLES) + 0.5) * (CELLS + 1) / SAMPLES - 0.5 * (CELLS + 1)
+    # the two cells whose centres lie on both sides of a sample; cell 0 is the margin before the patch
     cell = position + 0.5 * CELLS + 0.5
     first = np.floor(cell).astype(np.int64)
-    return np.exp(-0.5 * (position / (0.5 * CELLS)) ** 2).astype(np.float32), first, (cell - first).astype(np.float32)
+    share = (cell - first).astype(np.float32)
+    weight = np.exp(-0.5 * (position / (0.5 * CELLS)) ** 2).astype(np.float32)
+    return weight, first, share
 
 
 @helper
 def _gradient_directions(gx: Float32s, gy: Float32s, direction: Float32s, magnitude: Float32s, factor: float) -> None:
     """Write the direction of each gradient, 0 to 2 pi, times `factor`, and its magnitude."""
     for k in range(len(gx)):
-        x, y = gx[k], gy[k]
-        ax, ay = abs(x), abs(y)
-        low, high = min(ax, ay), max(ax, ay)
+        x = gx[k]
+        y = gy[k]
+        # the angle within an eighth of a turn, from a ratio of at most 1 (0 for a gradient of 0)
+        ax = abs(x)
+        ay = abs(y)
+        low = min(ax, ay)
+        high = max(ax, ay)
         r = low / max(high, np.float32(1e-12))
         q = r * r
         # arctangent as odd powers, fitted by least squares: wrong by 0.0002 rad at most
         t = r * (np.float32(0.999215) + q * (np.float32(-0.3211819) + q * (np.float32(0.1462766) - q * np.float32(0.0389929))))
+        # unfolded: to a quarter (pi / 2 - t), to a half (pi - t), and to the whole turn (2 pi - t)
         t = np.float32(1.5707964) - t if ay > ax else t
         t = np.float32(3.1415927) - t if x < 0 else t
         t = np.float32(6.2831853) - t if y < 0 else t
@@ -86,15 +100,27 @@ def _gradient_directions(gx: Float32s, gy: Float32s, direction: Float32s, magnit
 def _directions(levels: Float32s, level: Int32s, points: Float64s, seam: float, out: Float64s) -> None:
     """Write the first main direction of each blob; points: (n, 3) x, y and sigma in pixels of the octave."""
     _, h, w = levels.shape
-    gradients, column_weight = np.empty(_GRADIENTS, np.float32), np.empty(_GRADIENTS[1], np.float32)
-    histogram, smooth = np.empty(BINS), np.empty(BINS)
+    gradients = np.empty((4, _LONGEST_ROW), np.float32)
+    column_weight = np.empty(_LONGEST_ROW, np.float32)
+    histogram = np.empty(BINS)
+    smooth = np.empty(BINS)
     for n in range(len(points)):
+        # 1. the window, cut one pixel inside the image, where central differences end
         image = levels[level[n]]
-        x, y, window = points[n, 0], points[n, 1], WINDOW * points[n, 2]
-        left, right = max(int(np.ceil(x - REACH * window)), 1), min(int(np.floor(x + REACH * window)), w - 2)
-        top, bottom = max(int(np.ceil(y - REACH * window)), 1), min(int(np.floor(y + REACH * window)), h - 2)
-        count = max(min(right - left + 1, _GRADIENTS[1]), 0)
-        gx, gy, direction, magnitude = gradients[0, :count], gradients[1, :count], gradients[2, :count], gradients[3, :count]
+        x = points[n, 0]
+        y = points[n, 1]
+        window = WINDOW * points[n, 2]
+        left = max(int(np.ceil(x - REACH * window)), 1)
+        right = min(int(np.floor(x + REACH * window)), w - 2)
+        top = max(int(np.ceil(y - REACH * window)), 1)
+        bottom = min(int(np.floor(y + REACH * window)), h - 2)
+        count = max(min(right - left + 1, _LONGEST_ROW), 0)
+        gx = gradients[0, :count]
+        gy = gradients[1, :count]
+        direction = gradients[2, :count]
+        magnitude = gradients[3, :count]
+
+        # 2. the histogram; the Gaussian is the product of one weight for the row and one for the column
         falloff = -0.5 / window**2
         for k in range(count):
             column_weight[k] = np.exp(falloff * (left + k - x) ** 2)
@@ -106,8 +132,11 @@ def _directions(levels: Float32s, level: Int32s, points: Float64s, seam: float, 
             _gradient_directions(gx, gy, direction, magnitude, BINS / (2 * np.pi))
             row_weight = np.exp(falloff * (row - y) ** 2)
             for k in range(count):
+                # nearest bin: bin b is centred on angle b, and the last half bin belongs to bin 0
                 b = int(direction[k] + np.float32(0.5))
                 histogram[b - BINS if b >= BINS else b] += row_weight * column_weight[k] * magnitude[k]
+
+        # 3. smoothed around the circle by the binomial 1 4 6 4 1; negative indices count from the end
         for b in range(BINS):
             outer = histogram[b - 2] + histogram[(b + 2) % BINS]
             inner = histogram[b - 1] + histogram[(b + 1) % BINS]
@@ -118,15 +147,19 @@ def _directions(levels: Float32s, level: Int32s, points: Float64s, seam: float, 
 @helper
 def _first_peak(smooth: Float64s, seam: float) -> float:
     """Angle of the first strong peak from the seam on, interpolated between bins by a parabola."""
-    least_offset, peak = 7.0, seam
+    least_offset = 7.0  # more than a turn
+    peak = seam
     threshold = STRONG_SHARE * smooth.max()
     for b in range(BINS):
-        v, left, right = smooth[b], smooth[b - 1], smooth[(b + 1) % BINS]
+        v = smooth[b]
+        left = smooth[b - 1]
+        right = smooth[(b + 1) % BINS]
         if v > left and v > right and v >= threshold:
             angle = (b + 0.5 * (left - right) / (left - 2 * v + right)) * (2 * np.pi / BINS)
             offset = (angle - seam) % (2 * np.pi)
             if offset < least_offset:
-                least_offset, peak = offset, angle
+                least_offset = offset
+                peak = angle
     return peak
 
 
@@ -137,11 +170,18 @@ def _histograms(
     """Write the descriptors; points: (n, 4) x, y, sigma (octave pixels), direction; weight, first, share: `_sample_weights`."""
     patch = np.empty((SAMPLES + 2, SAMPLES + 2), np.float32)
     gx, gy, direction, magnitude = np.empty((4, SAMPLES), np.float32)
+    # a margin of one cell on all sides, and of one direction, takes what lies outside, so that no sample is a special case
     row_sums = np.empty((CELLS + 2, DIRECTIONS + 1), np.float32)
     sums = np.empty((CELLS + 2, CELLS + 2, DIRECTIONS + 1), np.float32)
     for n in range(len(points)):
-        x, y, spacing, angle = points[n, 0], points[n, 1], points[n, 2] * CELL_SIGMAS * (CELLS + 1) / SAMPLES, points[n, 3]
+        # 1. the patch, upright in the keypoint's own direction, with a margin of one sample for the differences
+        x = points[n, 0]
+        y = points[n, 1]
+        spacing = points[n, 2] * CELL_SIGMAS * (CELLS + 1) / SAMPLES
+        angle = points[n, 3]
         _sample(levels[level[n]], x, y, spacing * np.cos(angle), spacing * np.sin(angle), patch)
+
+        # 2. histograms, row by row: each row is shared between the cells above and below it
         sums[:] = 0
         for r in range(SAMPLES):
             for k in range(SAMPLES):
@@ -150,11 +190,14 @@ def _histograms(
             _gradient_directions(gx, gy, direction, magnitude, DIRECTIONS / (2 * np.pi))
             _add_row(direction, magnitude, weight, first, share, row_sums)
             below = weight[r] * share[r]
-            above, c = weight[r] - below, first[r]
+            above = weight[r] - below
+            c = first[r]
             for i in range(CELLS + 2):
                 for o in range(DIRECTIONS + 1):
                     sums[c, i, o] += above * row_sums[i, o]
                     sums[c + 1, i, o] += below * row_sums[i, o]
+
+        # 3. the vector
         _write_descriptor(sums, out[n])
 
 
@@ -163,12 +206,17 @@ def _add_row(direction: Float32s, magnitude: Float32s, weight: Float32s, first: 
     """Histograms (CELLS + 2, DIRECTIONS + 1) of one row's gradients, each shared between two cells and two directions."""
     sums[:] = 0
     for k in range(SAMPLES):
+        # rounding can carry an angle just below a whole turn to it
         o = min(int(direction[k]), DIRECTIONS - 1)
         fraction = direction[k] - np.float32(o)
+        # between two cells ...
         value = magnitude[k] * weight[k]
         second = value * share[k]
         value -= second
-        next_value, next_second, c = value * fraction, second * fraction, first[k]
+        # ... and in each between two directions
+        next_value = value * fraction
+        next_second = second * fraction
+        c = first[k]
         sums[c, o] += value - next_value
         sums[c, o + 1] += next_value
         sums[c + 1, o] += second - next_second
@@ -182,6 +230,7 @@ def _write_descriptor(sums: Float32s, out: Float32s) -> None:
     for i in range(1, CELLS + 1):
         for j in range(1, CELLS + 1):
             for o in range(DIRECTIONS):
+                # the direction after the last one is the first again
                 out[k] = sums[i, j, o] + (sums[i, j, DIRECTIONS] if o == 0 else np.float32(0))
                 k += 1
     for pass_number in range(2):
@@ -204,14 +253,22 @@ def _sample(image: Float32s, x: float, y: float, c: float, s: float, patch: Floa
     reach = half * (abs(c) + abs(s)) + 2
     inside = x - reach > 0 and y - reach > 0 and x + reach < w - 1 and y + reach < h - 1
     for r in range(side):
-        px, py = x - c * half - s * (r - half), y - s * half + c * (r - half)
+        # first sample of the row: the patch's rows run along (c, s), its columns along (-s, c)
+        px = x - c * half - s * (r - half)
+        py = y - s * half + c * (r - half)
         for k in range(side):
-            u, v = px + c * k, py + s * k
+            u = px + c * k
+            v = py + s * k
             if not inside:
-                u, v = min(max(u, 0.0), w - 1.001), min(max(v, 0.0), h - 1.001)
-            i, j = int(u), int(v)
-            a, b = np.float32(u - i), np.float32(v - j)
-            top, bottom = image[j, i], image[j + 1, i]
+                # 1.001: the pixel to the right, and the one below, must exist
+                u = min(max(u, 0.0), w - 1.001)
+                v = min(max(v, 0.0), h - 1.001)
+            i = int(u)
+            j = int(v)
+            a = np.float32(u - i)
+            b = np.float32(v - j)
+            top = image[j, i]
+            bottom = image[j + 1, i]
             top += a * (image[j, i + 1] - top)
             bottom += a * (image[j + 1, i + 1] - bottom)
             patch[r, k] = top + b * (bottom - top)
