@@ -19,19 +19,28 @@ from ..core.jit import helper, kernel
 from ..types import Bools, Float32s, Float64s, Int32s, Int64s, Uint8s, Uint64s
 
 LEVELS = 3
-"""Scales per octave."""
-FINEST_SIGMA, CAMERA_SIGMA = 1.6, 1.0
-"""Blur of the finest level, and assumed blur of the doubled photograph, as sigmas in pixels of the doubled photograph."""
+"""Scales per octave (Lowe, section 3.2: more find more blobs, which are found again less often)."""
+FINEST_SIGMA = 1.6
+"""Blur of the finest level, as sigma in pixels of the doubled photograph."""
+CAMERA_SIGMA = 1.0
+"""Blur that the doubled photograph is assumed to have, as sigma in its pixels."""
 REACH = 3.5
 """Radius of a smoothing kernel, in standard deviations."""
 LEAST_SIDE = 12
 """Smallest side of an octave's image, pixels; octaves below it are not built."""
 BORDER = 4
+"""Pixels of an octave's border without extrema: room for the cube around an estimate that has moved by `FAR_PX`, and its taps."""
 MOST_CURVED = 10.0
 """Largest ratio of a blob's principal curvatures (Lowe, section 4.1); extrema above it are edges."""
-STEPS, NEAR, FAR_PX = 5, 0.6, 1.5
-"""Limits of Newton's iteration: number of steps; step at which it ends, in pixels and levels; distance from the start, pixels."""
+STEPS = 5
+"""Most Newton steps; extrema that have not settled by then are dropped."""
+NEAR = 0.6
+"""Newton's iteration ends at a step of at most this, in pixels and levels: above a half, so that it does not jump to and fro
+between two levels."""
+FAR_PX = 1.5
+"""Distance from its start at which an iteration is given up, pixels of the octave: another extremum starts there."""
 WHITE = 255.0
+"""The grey range."""
 _PIXELS_PER_EXTREMUM = 64
 """Memory for extrema is allocated first for one in this many pixels."""
 
@@ -70,7 +79,11 @@ Pyramid = Sequence[Float32s]
 
 
 def pyramid(grey: Uint8s) -> Pyramid:
-    """Levels of increasing blur, in octaves; each has half the width and height of the one before."""
+    """Levels of increasing blur, in octaves; each has half the width and height of the one before.
+
+    grey: (h, w) uint8.
+    """
+    # blurs add up as squares: the blur that leads from each level to the next one
     step = 2 ** (1 / LEVELS)
     level_sigmas = [FINEST_SIGMA * step**i * (step**2 - 1) ** 0.5 for i in range(LEVELS + 2)]
     doubled = cv2.resize(grey.astype(np.float32), (2 * grey.shape[1], 2 * grey.shape[0]), interpolation=cv2.INTER_LINEAR)
@@ -84,6 +97,7 @@ def pyramid(grey: Uint8s) -> Pyramid:
         octaves.append(levels)
         if min(image.shape) < 2 * LEAST_SIDE:
             return octaves
+        # this level has twice the blur of the first one; every second pixel of it has the same blur again, in its own pixels
         image = levels[LEVELS, ::2, ::2]
 
 
@@ -94,6 +108,8 @@ def _smoothed(image: Float32s, sigma: float, out: Float32s | None = None) -> Flo
 
 def in_octave(octave: int, blobs: Blobs) -> Float64s:
     """(n, 3) x, y and sigma in pixels of an octave."""
+    # octave 0 is doubled: the centre of pixel 0 of the photograph is 0.5 there.  The later ones drop every second pixel, so that
+    # pixel 0 keeps its place
     zoom = 2.0 ** (octave - 1)
     return np.column_stack([(blobs.x + 0.25) / zoom, (blobs.y + 0.25) / zoom, blobs.sigma / zoom])
 
@@ -101,9 +117,12 @@ def in_octave(octave: int, blobs: Blobs) -> Float64s:
 def find_blobs(octaves: Pyramid, contrast: float) -> Blobs:
     """Extrema of the differences of neighbouring levels, of at least this contrast (as OpenCV defines it: a share of the grey
     range, divided by LEVELS)."""
-    parts, threshold = [], contrast * WHITE / LEVELS
+    parts = []
+    threshold = contrast * WHITE / LEVELS
     for octave, levels in enumerate(octaves):
-        x, y, scale, value = _refined(_grid_extrema(levels, 0.75 * threshold), levels, threshold).T
+        # an extremum between the points of the grid is lower on the grid
+        start = _grid_extrema(levels, 0.75 * threshold)
+        x, y, scale, value = _refined(start, levels, threshold).T
         zoom = 2.0 ** (octave - 1)
         sigma = zoom * FINEST_SIGMA * 2 ** (scale / LEVELS)
         level = np.clip(np.rint(scale), 1, LEVELS).astype(np.int32)
@@ -116,11 +135,13 @@ def _grid_extrema(levels: Float32s, threshold: float) -> Int64s:
     """(n, 3) x, y, level of the extrema on the grid."""
     count, _, w = levels.shape
     out = np.empty((len(levels[0]) * w // _PIXELS_PER_EXTREMUM + 64, 3), np.int64)
+    differences = np.empty((3, count - 1, w), np.float32)
     marks = np.zeros((w + 7) // 8, np.uint64)
     while True:
-        n = _extrema(levels, threshold, np.empty((3, count - 1, w), np.float32), marks, marks.view(np.uint8), out)
+        n = _extrema(levels, threshold, differences, marks, marks.view(np.uint8), out)
         if n <= len(out):
             return out[:n]
+        # more than there was room for: now their number is known
         out = np.empty((n, 3), np.int64)
 
 
@@ -133,16 +154,21 @@ def _extrema(levels: Float32s, threshold: float, differences: Float32s, marks: U
     memory as groups of eight and as single bytes.
     """
     count, h, w = levels.shape
-    limit, n = np.float32(threshold), 0
+    limit = np.float32(threshold)
+    n = 0
     for next_y in range(BORDER - 1, h - BORDER + 1):
+        # the row below the one that is searched replaces the oldest of the three
         for s in range(count - 1):
             _subtract(levels[s + 1, next_y], levels[s, next_y], differences[next_y % 3, s])
         y = next_y - 1
         if y < BORDER:
             continue
-        row, above, below = differences[y % 3], differences[(y - 1) % 3], differences[next_y % 3]
+        row = differences[y % 3]
+        above = differences[(y - 1) % 3]
+        below = differences[next_y % 3]
         for s in range(1, count - 2):
             _mark(row[s], above[s], below[s], row[s - 1], row[s + 1], limit, mark_bytes)
+            # marks are rare: eight pixels are passed over at once
             for group in range(len(marks)):
                 if marks[group] == 0:
                     continue
@@ -150,7 +176,9 @@ def _extrema(levels: Float32s, threshold: float, differences: Float32s, marks: U
                     if mark_bytes[x] == 0 or not _is_extremum(differences, row[s, x], s, x):
                         continue
                     if n < len(out):
-                        out[n, 0], out[n, 1], out[n, 2] = x, y, s
+                        out[n, 0] = x
+                        out[n, 1] = y
+                        out[n, 2] = s
                     n += 1
     return n
 
@@ -165,12 +193,17 @@ def _subtract(coarser: Float32s, finer: Float32s, out: Float32s) -> None:
 def _mark(
     row: Float32s, above: Float32s, below: Float32s, finer: Float32s, coarser: Float32s, threshold: np.float32, marks: Uint8s
 ) -> None:
-    """Mark what may be an extremum, by its nearest neighbours in position and scale."""
+    """Mark what may be an extremum, by its nearest neighbours in position and scale.
+
+    Without branches and with unsigned indices (no wrapping of negative ones), so that the loop is vectorised.
+    """
     for k in range(len(row) - 2):
         x = np.uint64(k + 1)
         v = row[x]
-        largest = max(max(max(row[np.uint64(k)], row[np.uint64(k + 2)]), max(above[x], below[x])), max(finer[x], coarser[x]))
-        smallest = min(min(min(row[np.uint64(k)], row[np.uint64(k + 2)]), min(above[x], below[x])), min(finer[x], coarser[x]))
+        left = row[np.uint64(k)]
+        right = row[np.uint64(k + 2)]
+        largest = max(max(max(left, right), max(above[x], below[x])), max(finer[x], coarser[x]))
+        smallest = min(min(min(left, right), min(above[x], below[x])), min(finer[x], coarser[x]))
         marks[x] = np.uint8((v >= max(largest, threshold)) | (v <= min(smallest, -threshold)))
 
 
@@ -198,19 +231,27 @@ def _cubic(t: float, taps: Float64s) -> None:
 
 @helper
 def _interpolate_cube(levels: Float32s, s: int, x: float, y: float, taps: Float64s, rows: Float64s, cube: Float64s) -> None:
-    """Interpolate differences at x, y and one pixel around, in the scales around s: cube (3, 3, 3), by s, y, x."""
-    left, top = int(np.floor(x)) - 2, int(np.floor(y)) - 2
-    x_taps, y_taps = taps[0], taps[1]
+    """Interpolate differences at x, y and one pixel around, in the scales around s: cube (3, 3, 3), by s, y, x.
+
+    All samples of the cube have the same place between their pixels, and hence the same taps.  taps (2, 4), rows (3, 6): scratch.
+    """
+    left = int(np.floor(x)) - 2
+    top = int(np.floor(y)) - 2
+    x_taps = taps[0]
+    y_taps = taps[1]
     _cubic(x - np.floor(x), x_taps)
     _cubic(y - np.floor(y), y_taps)
     for scale in range(3):
+        # along x: three samples in each of the six rows that the taps along y need
         for r in range(6):
-            coarser, finer = levels[s + scale, top + r], levels[s + scale - 1, top + r]
+            coarser = levels[s + scale, top + r]
+            finer = levels[s + scale - 1, top + r]
             for a in range(3):
                 first = left + a
                 v = x_taps[0] * (coarser[first] - finer[first]) + x_taps[1] * (coarser[first + 1] - finer[first + 1])
                 v += x_taps[2] * (coarser[first + 2] - finer[first + 2]) + x_taps[3] * (coarser[first + 3] - finer[first + 3])
                 rows[a, r] = v
+        # along y
         for b in range(3):
             for a in range(3):
                 v = y_taps[0] * rows[a, b] + y_taps[1] * rows[a, b + 1] + y_taps[2] * rows[a, b + 2] + y_taps[3] * rows[a, b + 3]
@@ -221,14 +262,22 @@ def _interpolate_cube(levels: Float32s, s: int, x: float, y: float, taps: Float6
 def _newton(c: Float64s, step: Float64s) -> bool:
     """Write the step (x, y, s) from the middle of the cube to the extremum; step[3]: the value there.  False if there is no
     extremum, or it is an edge."""
+    # gradient and Hessian by central differences
     v = c[1, 1, 1]
-    gx, gy, gs = 0.5 * (c[1, 1, 2] - c[1, 1, 0]), 0.5 * (c[1, 2, 1] - c[1, 0, 1]), 0.5 * (c[2, 1, 1] - c[0, 1, 1])
-    xx, yy, ss = c[1, 1, 2] + c[1, 1, 0] - 2 * v, c[1, 2, 1] + c[1, 0, 1] - 2 * v, c[2, 1, 1] + c[0, 1, 1] - 2 * v
+    gx = 0.5 * (c[1, 1, 2] - c[1, 1, 0])
+    gy = 0.5 * (c[1, 2, 1] - c[1, 0, 1])
+    gs = 0.5 * (c[2, 1, 1] - c[0, 1, 1])
+    xx = c[1, 1, 2] + c[1, 1, 0] - 2 * v
+    yy = c[1, 2, 1] + c[1, 0, 1] - 2 * v
+    ss = c[2, 1, 1] + c[0, 1, 1] - 2 * v
     xy = 0.25 * (c[1, 2, 2] - c[1, 2, 0] - c[1, 0, 2] + c[1, 0, 0])
     xs = 0.25 * (c[2, 1, 2] - c[2, 1, 0] - c[0, 1, 2] + c[0, 1, 0])
     ys = 0.25 * (c[2, 2, 1] - c[2, 0, 1] - c[0, 2, 1] + c[0, 0, 1])
+    # step = -H^-1 g, with the inverse by cofactors; a, b, e: those of its first row
     det_xy = xx * yy - xy * xy
-    a, b, e = yy * ss - ys * ys, ys * xs - xy * ss, xy * ys - yy * xs
+    a = yy * ss - ys * ys
+    b = ys * xs - xy * ss
+    e = xy * ys - yy * xs
     det = xx * a + xy * b + xs * e
     if abs(det) < 1e-12:
         step[0] = step[1] = step[2] = step[3] = np.inf
@@ -237,6 +286,7 @@ def _newton(c: Float64s, step: Float64s) -> bool:
     step[1] = -(b * gx + (xx * ss - xs * xs) * gy + (xy * xs - xx * ys) * gs) / det
     step[2] = -(e * gx + (xy * xs - xx * ys) * gy + det_xy * gs) / det
     step[3] = v + 0.5 * (gx * step[0] + gy * step[1] + gs * step[2])
+    # the ratio r of the curvatures: trace^2 / det = (r + 1)^2 / r, which grows with r (Lowe, section 4.1)
     return bool(det_xy > 0 and (xx + yy) ** 2 * MOST_CURVED < (MOST_CURVED + 1) ** 2 * det_xy)
 
 
@@ -249,24 +299,33 @@ def _refined(start: Int64s, levels: Float32s, threshold: float) -> Float64s:
 @kernel
 def _refine(start: Int64s, levels: Float32s, threshold: float, out: Float64s) -> int:
     """Write the rows of `_refined`, and return their number."""
-    taps, rows, cube, step = np.empty((2, 4)), np.empty((3, 6)), np.empty((3, 3, 3)), np.empty(4)
+    taps = np.empty((2, 4))
+    rows = np.empty((3, 6))
+    cube = np.empty((3, 3, 3))
+    step = np.empty(4)
     count = len(levels) - 1
     n = 0
     for k in range(len(start)):
-        x, y, s = float(start[k, 0]), float(start[k, 1]), start[k, 2]
-        x0, y0 = x, y
+        x0 = float(start[k, 0])
+        y0 = float(start[k, 1])
+        x = x0
+        y = y0
+        s = start[k, 2]
         for _ in range(STEPS):
             _interpolate_cube(levels, s, x, y, taps, rows, cube)
             is_blob = _newton(cube, step)
             moved = max(abs(step[0]), abs(step[1]))
-            if not moved < 4.0:
+            if not moved < 4.0:  # nan too: there is no extremum near
                 break
             if moved <= NEAR and abs(step[2]) <= NEAR:
                 if is_blob and abs(step[3]) >= threshold:
-                    out[n, 0], out[n, 1], out[n, 2] = x + step[0], y + step[1], s + step[2]
+                    out[n, 0] = x + step[0]
+                    out[n, 1] = y + step[1]
+                    out[n, 2] = s + step[2]
                     out[n, 3] = abs(step[3])
                     n += 1
                 break
+            # positions move by up to a pixel, but scales only from level to level: between levels nothing is interpolated
             x += min(max(step[0], -1.0), 1.0)
             y += min(max(step[1], -1.0), 1.0)
             if step[2] > NEAR:
