@@ -16,12 +16,17 @@ from .affine_field import AffineField
 from .neighbours import LEAST_DISTANCE_PX, Neighbours, nearest_neighbours
 
 NEIGHBOURS = 7
-"""Candidates that each keypoint proposes, by default."""
+"""Candidates that each keypoint proposes, by default.  More find a few more matches where a scene repeats, and cost time."""
 NOISE_RANK = 2
 """A keypoint's local noise level is its descriptor distance to the neighbour this many ranks after its last candidate."""
-TRUSTED, MAX_SIGMA_PX, MAX_RADIUS_PX = 0.5, 15.0, 40.0
-"""Keypoints near a prediction, within the third, are candidates if its trust is above the first and sigma below the second."""
+TRUSTED = 0.5
+"""Keypoints are searched near a prediction if its trust (0 to 1) is above this."""
+MAX_SIGMA_PX = 15.0
+"""Keypoints are searched near a prediction if its standard deviation is below this, pixels."""
+MAX_RADIUS_PX = 40.0
+"""Largest radius of the search around a prediction, pixels; usually it is three standard deviations and 2 px."""
 SEARCH_CELL_PX = 12.0
+"""Cell of the grid in which they are searched, pixels: the results do not depend on it."""
 MAX_DISTANCE = 1.08
 """Limit of the descriptor distance, over the noise level, of candidates near a prediction."""
 
@@ -46,15 +51,20 @@ class Candidates:
 
 @dataclass(frozen=True)
 class ViewPair:
-    """A view of the left frame and one of the right: rows of the `Features`, positions, frames of 1, inverse frames of 2."""
+    """A view of the left frame, with n1 keypoints, and one of the right, with n2."""
 
     rows1: Int32s
     rows2: Int32s
+    """(n1,) and (n2,) rows of the keypoints in the `Features`, ascending."""
     x1: Float64s
     x2: Float64s
+    """(n1, 2) and (n2, 2) pixels of the frames."""
     frames1: Float64s
+    """(n1, 2, 2) local affine frames of the left keypoints."""
     inverse_frames2: Float64s
+    """(n2, 2, 2) inverses of those of the right keypoints."""
     candidates: Candidates
+    """Rows of these arrays, not of the `Features`."""
 
 
 def view_pairs(
@@ -73,14 +83,20 @@ def view_pairs(
     -------
     The pairs with enough keypoints on both sides, the plain one first.
     """
-    views = [(TILTED, PLAIN), (PLAIN, TILTED)] if tilted else []
     plain = known[0] if known else _view_pair(left, right, PLAIN, PLAIN, neighbours)
-    pairs = [plain, *(_view_pair(left, right, a, b, neighbours) for a, b in views)]
+    pairs = [plain]
+    # not tilted with tilted: both frames compressed in x differ as the plain ones do
+    if tilted:
+        pairs.append(_view_pair(left, right, TILTED, PLAIN, neighbours))
+        pairs.append(_view_pair(left, right, PLAIN, TILTED, neighbours))
     return tuple(pair for pair in pairs if pair is not None)
 
 
 def searched_view_pairs(matches: Matches, left: Features, right: Features) -> tuple[ViewPair, ...]:
-    """The view pairs that the matches come from: as handed on by their matcher, else searched again."""
+    """The view pairs that the matches come from: as handed on by their matcher, else searched again.
+
+    They are searched with the default number of neighbours, so that the result does not depend on who asks for it.
+    """
     from_matcher = tuple(pair for pair in matches.searched if isinstance(pair, ViewPair))
     if from_matcher and all(pair.candidates.neighbours == NEIGHBOURS for pair in from_matcher):
         return from_matcher
@@ -88,23 +104,37 @@ def searched_view_pairs(matches: Matches, left: Features, right: Features) -> tu
 
 
 def _view_pair(left: Features, right: Features, view1: int, view2: int, neighbours: int) -> ViewPair | None:
+    """One view of the left frame with one of the right; None if either has too few keypoints for a noise level."""
     rows1 = np.flatnonzero(left.tilts == view1).astype(np.int32)
     rows2 = np.flatnonzero(right.tilts == view2).astype(np.int32)
     if min(len(rows1), len(rows2)) <= neighbours + NOISE_RANK:
         return None
-    candidates = _candidates(left.descriptors[rows1], right.descriptors[rows2], neighbours)
-    return ViewPair(rows1, rows2, left.xy[rows1], right.xy[rows2], left.frames[rows1], inverses(right.frames[rows2]), candidates)
+    return ViewPair(
+        rows1,
+        rows2,
+        x1=left.xy[rows1],
+        x2=right.xy[rows2],
+        frames1=left.frames[rows1],
+        inverse_frames2=inverses(right.frames[rows2]),
+        candidates=_candidates(left.descriptors[rows1], right.descriptors[rows2], neighbours),
+    )
 
 
 def _candidates(descriptors1: Float32s, descriptors2: Float32s, neighbours: int) -> Candidates:
     """Candidates of two sets of descriptors: each proposes its `neighbours` nearest."""
     near = nearest_neighbours(descriptors1, descriptors2, neighbours + NOISE_RANK)
-    noise1, noise2 = near.row_distance[:, -1].copy(), near.column_distance[:, -1].copy()
-    n1, n2 = len(descriptors1), len(descriptors2)
+    noise1 = near.row_distance[:, -1].copy()
+    noise2 = near.column_distance[:, -1].copy()
+
+    # the union of both lists, sorted by i and j: each candidate i--j as the number i * n2 + j
+    n1 = len(descriptors1)
+    n2 = len(descriptors2)
     from_rows = np.arange(n1)[:, None] * n2 + near.rows[:, :neighbours]
     from_columns = near.columns[:, :neighbours].astype(np.int64) * n2 + np.arange(n2)[:, None]
     edges = np.unique(np.concatenate([from_rows.ravel(), from_columns.ravel()]))
-    i, j = (edges // n2).astype(np.int32), (edges % n2).astype(np.int32)
+    i = (edges // n2).astype(np.int32)
+    j = (edges % n2).astype(np.int32)
+
     q = np.empty(len(i))
     _relative_distances(descriptors1, descriptors2, noise1, noise2, i, j, q)
     return Candidates(descriptors1, descriptors2, neighbours, near, noise1, noise2, i, j, q)
@@ -121,10 +151,11 @@ def rival_distances(left: Features, right: Features, pairs: tuple[ViewPair, ...]
     pairs : each view of the left frame against each of the right.
     i1, i2 : (n,) int32 rows of the matches in `left` and `right`.
     """
-    rivals = np.full(len(i1), 2.0)
+    rivals = np.full(len(i1), 2.0)  # the largest distance of unit vectors, for matches of none of the pairs
     for pair in pairs:
         in_pair = np.flatnonzero(np.isin(i1, pair.rows1) & np.isin(i2, pair.rows2))
-        row1, row2 = np.searchsorted(pair.rows1, i1[in_pair]), np.searchsorted(pair.rows2, i2[in_pair])
+        row1 = np.searchsorted(pair.rows1, i1[in_pair])
+        row2 = np.searchsorted(pair.rows2, i2[in_pair])
         near = pair.candidates.near
         forward = _first_distant(pair.x2[near.rows[row1]], right.xy[i2[in_pair]], near.row_distance[row1])
         backward = _first_distant(pair.x1[near.columns[row2]], left.xy[i1[in_pair]], near.column_distance[row2])
@@ -135,7 +166,7 @@ def rival_distances(left: Features, right: Features, pairs: tuple[ViewPair, ...]
 def _first_distant(positions: Float64s, match: Float64s, distance: Float32s) -> Float64s:
     """Descriptor distance of the first neighbour, of (n, k), at least `LEAST_DISTANCE_PX` from the match, else of the last."""
     distant = np.linalg.norm(positions - match[:, None], axis=2) >= LEAST_DISTANCE_PX
-    distant[:, -1] = True
+    distant[:, -1] = True  # if all are too near, argmax takes the last
     return np.asarray(distance[np.arange(len(distance)), distant.argmax(axis=1)], dtype=np.float64)
 
 
@@ -151,6 +182,8 @@ def near_predictions(pair: ViewPair, field: AffineField, sigma: Float64s, trust:
     """
     queries = np.flatnonzero((trust > TRUSTED) & (sigma < MAX_SIGMA_PX)).astype(np.int32)
     radius = np.minimum(3 * sigma[queries] + 2, MAX_RADIUS_PX)
+
+    # keypoints of image 2 by the cells of a grid, and the candidates that are known by the keypoint of image 1
     cell = SEARCH_CELL_PX
     origin = pair.x2.min(axis=0)
     cells = ((pair.x2 - origin) / cell).astype(np.int64)
@@ -158,9 +191,13 @@ def near_predictions(pair: ViewPair, field: AffineField, sigma: Float64s, trust:
     order, starts = by_cell(cells[:, 1] * columns + cells[:, 0], columns * rows)
     candidates = pair.candidates
     row_starts = np.searchsorted(candidates.i, np.arange(len(pair.x1) + 1)).astype(np.int32)
+
+    # the kernel returns how many there are even if they do not fit: then it runs again, with enough room
     capacity = 4 * len(queries) + 16
     while True:
-        i, j, q = np.empty(capacity, np.int32), np.empty(capacity, np.int32), np.empty(capacity)
+        i = np.empty(capacity, np.int32)
+        j = np.empty(capacity, np.int32)
+        q = np.empty(capacity)
         count = _search(
             queries, radius, field.prediction, pair.x2, origin, cell, columns, rows, order, starts, row_starts, candidates.j,
             candidates.descriptors1, candidates.descriptors2, candidates.noise1, candidates.noise2, i, j, q,
@@ -171,16 +208,22 @@ def near_predictions(pair: ViewPair, field: AffineField, sigma: Float64s, trust:
 
 
 def inverses(m: Float64s) -> Float64s:
-    """Inverses of (n, 2, 2) matrices."""
-    a, b, c, d = m[:, 0, 0], m[:, 0, 1], m[:, 1, 0], m[:, 1, 1]
+    """(n, 2, 2) inverses of matrices (n, 2, 2)."""
+    # by hand: numpy's inverses of many small matrices take several times as long
+    a = m[:, 0, 0]
+    b = m[:, 0, 1]
+    c = m[:, 1, 0]
+    d = m[:, 1, 1]
     adjugate = np.stack([np.stack([d, -b], axis=1), np.stack([-c, a], axis=1)], axis=1)
-    return np.asarray(adjugate / (a * d - b * c)[:, None, None], dtype=np.float64)
+    determinant = a * d - b * c
+    return np.asarray(adjugate / determinant[:, None, None], dtype=np.float64)
 
 
 @kernel
 def _relative_distances(
     d1: Float32s, d2: Float32s, noise1: Float32s, noise2: Float32s, i: Int32s, j: Int32s, q: Float64s
 ) -> None:
+    """Write the relative distance of each candidate i--j."""
     for c in range(len(i)):
         q[c] = _relative_distance(d1, d2, noise1, noise2, i[c], j[c])
 
@@ -188,6 +231,7 @@ def _relative_distances(
 @helper
 def _relative_distance(d1: Float32s, d2: Float32s, noise1: Float32s, noise2: Float32s, i: int, j: int) -> float:
     """Descriptor distance over the mean noise level of the two keypoints."""
+    # |a - b|^2 = 2 - 2 a b for unit vectors; rounding may make it negative
     dot = float(np.dot(d1[i], d2[j]))
     return float(np.sqrt(max(2 - 2 * dot, 0.0)) / (0.5 * (noise1[i] + noise2[j]) + 1e-9))
 
@@ -219,12 +263,18 @@ def _search(
     count = 0
     for n in range(len(queries)):
         a = queries[n]
-        px, py = prediction[a, 0], prediction[a, 1]
+        px = prediction[a, 0]
+        py = prediction[a, 1]
         limit = radius[n] ** 2
-        left, right = (px - radius[n] - origin[0]) / cell, (px + radius[n] - origin[0]) / cell
-        top, bottom = (py - radius[n] - origin[1]) / cell, (py + radius[n] - origin[1]) / cell
+        # the cells that the circle may touch, as numbers that are not whole yet
+        left = (px - radius[n] - origin[0]) / cell
+        right = (px + radius[n] - origin[0]) / cell
+        top = (py - radius[n] - origin[1]) / cell
+        bottom = (py + radius[n] - origin[1]) / cell
+        # written so that a prediction that is nan is passed over, too
         if not (right >= 0 and left < columns and bottom >= 0 and top < rows):
             continue
+        # clipped as floats: a wild prediction does not fit into an integer
         for row in range(int(max(top, 0.0)), int(min(bottom, rows - 1.0)) + 1):
             for column in range(int(max(left, 0.0)), int(min(right, columns - 1.0)) + 1):
                 for entry in range(starts[row * columns + column], starts[row * columns + column + 1]):
@@ -241,6 +291,8 @@ def _search(
                     if q >= MAX_DISTANCE:
                         continue
                     if count < len(out_i):
-                        out_i[count], out_j[count], out_q[count] = a, b, q
+                        out_i[count] = a
+                        out_j[count] = b
+                        out_q[count] = q
                     count += 1
     return count
