@@ -24,11 +24,13 @@ def assign(i: Int32s, j: Int32s, log_odds: Float64s, n1: int, n2: int, iteration
     """
     probability = np.empty(len(i))
     if len(i):
+        # beyond 30 nats nothing changes, and sums stay finite
         _sinkhorn(i, j, np.exp(np.clip(log_odds, -30, 30)), n1, n2, iterations, probability)
     return probability
 
 
 _TOO_NEAR_PX = 1.5
+"""Matches nearer to each other than this in either image are repeats of one, pixels; also the cell of the grid they lie in."""
 
 
 def without_repeats(x1: Float64s, x2: Float64s, probability: Float64s) -> Bools:
@@ -39,7 +41,8 @@ def without_repeats(x1: Float64s, x2: Float64s, probability: Float64s) -> Bools:
     keep = np.zeros(len(x1), dtype=bool)
     if len(x1):
         order = np.argsort(-probability, kind="stable").astype(np.int32)
-        cells1, cells2 = _cells(x1), _cells(x2)
+        cells1 = _cells(x1)
+        cells2 = _cells(x2)
         _suppress(order, cells1, cells2, x1, x2, _empty_lists(cells1), _empty_lists(cells2), keep)
     return keep
 
@@ -57,8 +60,13 @@ def _empty_lists(cells: Int32s) -> Int32s:
 
 @kernel
 def _sinkhorn(i: Int32s, j: Int32s, mass: Float64s, rows: int, columns: int, iterations: int, probability: Float64s) -> None:
-    u, row, v, column = np.ones(rows), np.ones(rows), np.ones(columns), np.ones(columns)  # scale factors, and sums
+    """Scale rows and columns of the masses in turn, so that each sums to 1 with its dustbin, and write the scaled masses."""
+    u = np.ones(rows)  # factor of each row
+    v = np.ones(columns)
+    row = np.ones(rows)  # sum of each row
+    column = np.ones(columns)
     for _ in range(iterations):
+        # a sum begins with the mass of the dustbin, which is not scaled: u = 1 / (1 + sum)
         for c in range(len(row)):
             row[c] = 1.0
         for c in range(len(i)):
@@ -80,11 +88,13 @@ def _suppress(
     order: Int32s, cells1: Int32s, cells2: Int32s, x1: Float64s, x2: Float64s, head1: Int32s, head2: Int32s, keep: Bools
 ) -> None:
     """Keep matches in order, unless one already kept is near in either image; each grid cell heads a linked list of these."""
-    next1, next2 = np.full(len(x1), -1, np.int32), np.full(len(x1), -1, np.int32)
+    next1 = np.full(len(x1), -1, np.int32)
+    next2 = np.full(len(x1), -1, np.int32)
     for n in order:
         if _has_near(head1, next1, cells1, x1, n) or _has_near(head2, next2, cells2, x2, n):
             continue
         keep[n] = True
+        # it becomes the head of its cell's list in both images
         next1[n] = head1[cells1[n, 1], cells1[n, 0]]
         head1[cells1[n, 1], cells1[n, 0]] = n
         next2[n] = head2[cells2[n, 1], cells2[n, 0]]
@@ -93,6 +103,7 @@ def _suppress(
 
 @helper
 def _has_near(head: Int32s, next_match: Int32s, cells: Int32s, x: Float64s, n: int) -> bool:
+    """Is a kept match of the nine cells around match n too near to it?"""
     for row in range(cells[n, 1] - 1, cells[n, 1] + 2):
         for column in range(cells[n, 0] - 1, cells[n, 0] + 2):
             other = head[row, column]

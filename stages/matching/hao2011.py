@@ -22,7 +22,9 @@ from ..types import Bools, Features, Float32s, Float64s, Int32s, Matches
 from .matcher import keypoint_matches, plain_rows
 
 _TINY = 1e-10
+"""Singular values below this share of the largest one count as zero."""
 _DEPENDENT = 1e-6
+"""A column depends on the others if its diagonal entry of the triangular factor is below this share of the largest one."""
 
 
 def match_hao2011(left: Features, right: Features, *, dominance: float = 0.8) -> Matches:
@@ -34,7 +36,7 @@ def match_hao2011(left: Features, right: Features, *, dominance: float = 0.8) ->
     dominance : an entry of P must exceed this times the sum of the rest of its row, and of its column; no unit.
     """
     rows1, rows2, P = _permutation(left, right)
-    i1, i2 = (indices.astype(np.int32) for indices in np.nonzero(published_dominance(P, dominance)))
+    i1, i2 = np.nonzero(published_dominance(P, dominance))
     return keypoint_matches(left, right, rows1[i1], rows2[i2], np.ones(len(i1)))
 
 
@@ -53,10 +55,12 @@ def match_hao2011_dominance(left: Features, right: Features, *, ratio: float = 0
 
 def _permutation(left: Features, right: Features) -> tuple[Int32s, Int32s, Float32s]:
     """Rows of the plain views and their P (m, n), which is empty if a view has fewer than two keypoints."""
-    rows1, rows2 = plain_rows(left), plain_rows(right)
+    rows1 = plain_rows(left)
+    rows2 = plain_rows(right)
     if min(len(rows1), len(rows2)) < 2:
         return rows1, rows2, np.zeros((0, 0), np.float32)
-    return rows1, rows2, procrustes(feature_matrix(left, rows1), feature_matrix(right, rows2)).matrix()
+    solution = procrustes(feature_matrix(left, rows1), feature_matrix(right, rows2))
+    return rows1, rows2, solution.matrix()
 
 
 @dataclass(frozen=True)
@@ -89,13 +93,17 @@ def procrustes(X: Float64s, Y: Float64s, *, max_iterations: int = 20) -> Procrus
     """
     Qx, Rx = _orthonormal(X)
     Qy, Ry = _orthonormal(Y)
-    A, iterations = np.eye(2), 0
+    A = np.eye(2)
+    iterations = 0
     while True:
         iterations += 1
+        # P for the present T
         mapped = np.column_stack([Rx[:, :2] @ A.T, Rx[:, 2:]])  # Rx T^T
         U, D, Vt = np.linalg.svd(mapped @ Ry.T)
         rank = int((_TINY * D[0] < D).sum())  # beyond the rank U and V are arbitrary
-        U, Vt = U[:, :rank], Vt[:rank]
+        U = U[:, :rank]
+        Vt = Vt[:rank]
+        # T for this P
         update = (Vt @ Ry[:, :2]).T @ (U.T @ Rx[:, :2])  # the corner of Y^T P^T X
         if iterations >= max_iterations or np.abs(update - A).max() < 1e-6 * np.abs(update).max():
             return Procrustes(Qx @ U, Qy @ Vt.T, A)
@@ -105,7 +113,9 @@ def procrustes(X: Float64s, Y: Float64s, *, max_iterations: int = 20) -> Procrus
 def _orthonormal(X: Float64s) -> tuple[Float64s, Float64s]:
     """X = Q R with orthonormal columns Q, by the Cholesky factor of X^T X, twice: as exact as Householder reflections, in 1/4 of
     the time.  If a column nearly depends on the others, Householder is used (Yamamoto et al., ETNA 2015)."""
-    Q, R = X, np.eye(X.shape[1])
+    Q = X
+    R = np.eye(X.shape[1])
+    # the first factorisation squares the condition number; the second removes the error that this leaves in Q
     for _ in range(2):
         try:
             step = np.linalg.cholesky(Q.T @ Q).T
@@ -113,9 +123,11 @@ def _orthonormal(X: Float64s) -> tuple[Float64s, Float64s]:
             break
         if np.diag(step).min() < _DEPENDENT * np.diag(step).max():
             break
-        Q, R = Q @ np.linalg.inv(step), step @ R
+        Q = Q @ np.linalg.inv(step)
+        R = step @ R
     else:
         return Q, R
+    # reached by `break`
     Q, R = np.linalg.qr(X)
     return Q, R
 
@@ -136,7 +148,9 @@ def nearest_dominance(P: Float32s, ratio: float) -> tuple[Int32s, Int32s, Float3
     i = np.flatnonzero(P.argmax(axis=0)[j] == np.arange(len(P)))
     j = j[i]
     best = P[i, j]
-    second = np.maximum(_second(P)[i], _second(np.ascontiguousarray(P.T))[j])
+    second_of_row = _second(P)[i]
+    second_of_column = _second(np.ascontiguousarray(P.T))[j]
+    second = np.maximum(second_of_row, second_of_column)
     with np.errstate(divide="ignore", invalid="ignore"):
         second_to_best = np.where(best > 0, second / best, np.inf).astype(np.float32)
     keep = second_to_best < ratio

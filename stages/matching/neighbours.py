@@ -9,25 +9,32 @@ import numpy as np
 from ..core.jit import helper, kernel
 from ..types import Float32s, Float64s, Int32s, Int64s, Uint8s, Uint64s
 
-_BLOCK, _SPAN = 512, 32
+_BLOCK = 512
+"""Rows of similarities that are computed at a time: 512 rows of 6,000 take 12 MB."""
+_SPAN = 32
+"""Similarities of a row that are compared first with the same limits; each further span is twice as long."""
 LEAST_DISTANCE_PX = 6.0
 """Keypoints nearer to each other than this in an image count as the same thing."""
 
 
 @dataclass(frozen=True)
 class Neighbours:
-    """The k nearest neighbours in the other set, nearest first: rows (n1, k) of set 2 for set 1, columns (n2, k) of set 1 for
-    set 2; `*_distance`: their Euclidean distances, float32."""
+    """The k nearest neighbours in the other set, nearest first."""
 
     rows: Int32s
+    """(n1, k) rows of set 2, for each of set 1."""
     row_distance: Float32s
+    """(n1, k) their Euclidean distances."""
     columns: Int32s
+    """(n2, k) rows of set 1, for each of set 2."""
     column_distance: Float32s
+    """(n2, k) their Euclidean distances."""
 
     def mutual(self) -> tuple[Int64s, Int32s, Float64s]:
         """i, j of mutual nearest neighbours, and their ratio of first to second distance, the larger one of both directions."""
         i = np.flatnonzero(self.columns[self.rows[:, 0], 0] == np.arange(len(self.rows)))
         j = self.rows[i, 0]
+        # identical descriptors have a second distance of 0, too
         forward = self.row_distance[i, 0] / np.maximum(self.row_distance[i, 1], 1e-9)
         backward = self.column_distance[j, 0] / np.maximum(self.column_distance[j, 1], 1e-9)
         return i, j, np.maximum(forward, backward).astype(np.float64)
@@ -35,15 +42,22 @@ class Neighbours:
 
 def nearest_neighbours(descriptors1: Float32s, descriptors2: Float32s, k: int) -> Neighbours:
     """The k nearest neighbours both ways of unit-length descriptors (n1, d), (n2, d); k is limited to the smaller set's size."""
-    n1, n2 = len(descriptors1), len(descriptors2)
+    n1 = len(descriptors1)
+    n2 = len(descriptors2)
     k = max(min(k, n1, n2), 0)
-    rows, row_best = np.full((n1, k), -1, np.int32), np.full((n1, k), -2, np.float32)
-    columns, column_best = np.full((n2, k), -1, np.int32), np.full((n2, k), -2, np.float32)
-    transposed, column_limit = np.ascontiguousarray(descriptors2.T), np.full(n2, -2, np.float32)
-    buffer, marks = np.empty(_BLOCK * n2, np.float32), np.zeros((n2 + 7) // 8, np.uint64)
-    for start in range(0, n1 if k else 0, _BLOCK):
-        similarity = _products(descriptors1[start : start + _BLOCK], transposed, buffer)
-        _keep_best(similarity, start, rows, row_best, columns, column_best, column_limit, marks, marks.view(np.uint8))
+    # similarity: the dot product, at least -1 for unit vectors, so that -2 is below all of them
+    rows = np.full((n1, k), -1, np.int32)
+    row_best = np.full((n1, k), -2, np.float32)
+    columns = np.full((n2, k), -1, np.int32)
+    column_best = np.full((n2, k), -2, np.float32)
+    column_limit = np.full(n2, -2, np.float32)
+    if k > 0:
+        transposed = np.ascontiguousarray(descriptors2.T)
+        buffer = np.empty(_BLOCK * n2, np.float32)
+        marks = np.zeros((n2 + 7) // 8, np.uint64)
+        for start in range(0, n1, _BLOCK):
+            similarity = _products(descriptors1[start : start + _BLOCK], transposed, buffer)
+            _keep_best(similarity, start, rows, row_best, columns, column_best, column_limit, marks, marks.view(np.uint8))
     return Neighbours(rows, _distance(row_best), columns, _distance(column_best))
 
 
@@ -61,11 +75,16 @@ def nearest_lookalike(descriptors: Float32s, xy: Float64s, others: int, begin: i
     best = np.full(len(descriptors), -2, np.float32)
     transposed = np.ascontiguousarray(descriptors[:others].T)
     buffer = np.empty(_BLOCK * others, np.float32)
-    for start in [*range(begin, others, _BLOCK), *range(others, len(descriptors), _BLOCK)]:
-        symmetric = start < others
-        first = start if symmetric else 0  # similarity is symmetric: each two of the first `others` are compared once
-        rows = descriptors[start : min(start + _BLOCK, others) if symmetric else start + _BLOCK]
-        _raise_best(_products(rows, transposed[:, first:], buffer), start, first, xy, LEAST_DISTANCE_PX**2, symmetric, best)
+    limit = LEAST_DISTANCE_PX**2
+    # among themselves: similarity is symmetric, so that each two of the first `others` are compared once
+    for start in range(begin, others, _BLOCK):
+        rows = descriptors[start : min(start + _BLOCK, others)]
+        _raise_best(_products(rows, transposed[:, start:], buffer), start, start, xy, limit, True, best)
+    # the remaining ones with the first `others`
+    for start in range(others, len(descriptors), _BLOCK):
+        rows = descriptors[start : start + _BLOCK]
+        _raise_best(_products(rows, transposed, buffer), start, 0, xy, limit, False, best)
+    # -1: nothing is far enough away; the distance is then the largest of unit vectors
     return _distance(np.maximum(best[begin:], -1))
 
 
@@ -90,22 +109,27 @@ def _keep_best(
     column_limit: (n2,) the last of each column's best k.  Few similarities enter a list: a row is scanned in spans of doubling
     length, and in each only values above the limits at its start are inspected.  marks, mark_bytes: the same memory, zeros first.
     """
-    k, n = rows.shape[1], similarity.shape[1]
+    k = rows.shape[1]
+    n = similarity.shape[1]
     for i in range(similarity.shape[0]):
-        row, first, last = start + i, 0, min(_SPAN, n)
+        row = start + i
+        first = 0
+        last = min(_SPAN, n)
         while first < n:
             _mark(similarity[i, first:last], row_best[row, k - 1], column_limit[first:last], mark_bytes)
             for group in range((last - first + 7) // 8):
                 if marks[group] == 0:
                     continue
                 for j in range(first + 8 * group, min(first + 8 * group + 8, last)):
+                    # again with the present limits, which may have risen since the marks were set
                     value = similarity[i, j]
                     if value > row_best[row, k - 1]:
                         _insert(row_best[row], rows[row], value, j)
                     if value > column_limit[j]:
                         _insert(column_best[j], columns[j], value, row)
                         column_limit[j] = column_best[j, k - 1]
-            first, last = last, min(2 * last, n)
+            first = last
+            last = min(2 * last, n)
 
 
 @helper
@@ -133,7 +157,9 @@ def _raise_best(similarity: Float32s, top: int, left: int, xy: Float64s, limit: 
     for i in range(similarity.shape[0]):
         row = top + i
         for j in range(similarity.shape[1]):
-            value, column = similarity[i, j], left + j
+            value = similarity[i, j]
+            column = left + j
+            # first by similarity, which rarely passes, then by distance in the image
             if value <= best[row] and not (symmetric and value > best[column]):
                 continue
             if (xy[row, 0] - xy[column, 0]) ** 2 + (xy[row, 1] - xy[column, 1]) ** 2 >= limit:
