@@ -11,7 +11,7 @@ import fnmatch
 import os
 import re
 import stat
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from ..errors import WbflowError
@@ -22,6 +22,16 @@ MOST_TEXT_BYTES = 50_000_000
 """Largest size of a site file or calibration."""
 MOST_ENTRIES = 1_000_000
 """Most directory entries that one search for captures may visit."""
+
+NOBODYS = (
+    ".*",
+    # Synology, QNAP: thumbnails, waste baskets, snapshots, indices
+    *("@eaDir", "@Recycle", "@Recently-Snapshot", "@tmp", "@SynoResource", "#recycle", "#snapshot", "SYNOPHOTO_*", "SYNOINDEX_*"),
+    # Windows, macOS, ext4
+    *("$RECYCLE.BIN", "System Volume Information", "Thumbs.db", "ehthumbs.db", "desktop.ini", "__MACOSX", "lost+found"),
+)
+"""Names of files and folders that disks and their servers keep for themselves, in any case; they are nobody's captures."""
+_NOBODYS = re.compile("|".join(fnmatch.translate(name) for name in NOBODYS), re.IGNORECASE)
 
 _KINDS = {
     stat.S_IFIFO: "a pipe",
@@ -76,9 +86,17 @@ def is_folder(path: Path) -> bool:
     return os.path.isdir(path)  # noqa: PTH112
 
 
+def is_nobodys(name: str) -> bool:
+    """Is a file or folder of this name kept by a disk or its server for itself, such as thumbnails, or hidden?"""
+    return _NOBODYS.match(name) is not None
+
+
 def find_untrusted(pattern: str) -> Iterator[str]:
-    """Yield the paths that a pattern matches, as `glob` does (`*`, `?`, `[...]`, `**` for nested folders; no hidden names), but
-    visit each folder only once, however many links lead to it.  Raises Unreadable beyond `MOST_ENTRIES` entries."""
+    """Yield the paths that a pattern matches, as `glob` does (`*`, `?`, `[...]`, `**` for nested folders).
+
+    Unlike `glob`, wildcards match nobody's files (`is_nobodys`), the case of the last suffix is ignored (cameras write .JPG and
+    .jpg), and each folder is visited only once, however many links lead to it.  Raises Unreadable beyond `MOST_ENTRIES` entries.
+    """
     parts = Path(pattern).parts
     yield from _Search().below(parts[0], parts[1:]) if Path(pattern).is_absolute() else _Search().below("", parts)
 
@@ -100,15 +118,14 @@ class _Search:
             for inner, files in self._folders(folder):
                 yield from self.below(inner, rest) if rest else (inner, *files)
         elif not any(wildcard in first for wildcard in "*?["):
-            yield from self.below(os.path.join(folder, first), rest)  # noqa: PTH118  (names need not be valid text)
+            for name in [first] if rest else _in_any_case(folder, first):
+                yield from self.below(os.path.join(folder, name), rest)  # noqa: PTH118  (names need not be valid text)
         else:
-            matches = re.compile(fnmatch.translate(first)).match
+            matches = _matcher(first, is_last=not rest)
             for entry in self._entries(folder):
-                if (
-                    matches(entry.name)
-                    and (first.startswith(".") or not entry.name.startswith("."))
-                    and (not rest or _is_dir(entry))
-                ):
+                if not matches(entry.name) or (is_nobodys(entry.name) and not first.startswith(".")):
+                    continue
+                if not rest or _is_dir(entry):
                     yield from self.below(entry.path, rest)
 
     def _folders(self, top: str) -> Iterator[tuple[str, list[str]]]:
@@ -126,7 +143,7 @@ class _Search:
             seen.add((status.st_dev, status.st_ino))
             files = []
             for entry in self._entries(folder):
-                if entry.name.startswith("."):
+                if is_nobodys(entry.name):
                     continue
                 if _is_dir(entry):
                     queues[entry.is_symlink()].append(entry.path)
@@ -145,6 +162,34 @@ class _Search:
             remedy = "name the folders in captures.pattern instead of using ** or *"
             raise Unreadable(f"more than {MOST_ENTRIES:,} files would have to be looked at", where=folder, remedy=remedy)
         return entries
+
+
+def _matcher(part: str, is_last: bool) -> Callable[[str], object]:
+    """A function that says whether a name matches one part of a pattern; the case of a file's suffix does not matter."""
+    stem, dot, suffix = part.rpartition(".")
+    if is_last and dot and suffix.isalnum():
+        letters = "".join(f"[{letter.lower()}{letter.upper()}]" if letter.isalpha() else letter for letter in suffix)
+        part = f"{stem}.{letters}"
+    return re.compile(fnmatch.translate(part)).match
+
+
+def _in_any_case(folder: str, name: str) -> list[str]:
+    """The names of files in a folder that differ from this one at most in the case of their suffix; else the name itself.
+
+    On a disk that ignores case, several names lead to one file, which is listed once.
+    """
+    stem, dot, suffix = name.rpartition(".")
+    if not dot:
+        return [name]
+    found: dict[tuple[int, int], str] = {}
+    for variant in dict.fromkeys((suffix, suffix.lower(), suffix.upper(), suffix.capitalize())):
+        candidate = f"{stem}.{variant}"
+        try:
+            status = os.lstat(os.path.join(folder, candidate))  # noqa: PTH118
+        except (OSError, ValueError):
+            continue
+        found.setdefault((status.st_dev, status.st_ino), candidate)
+    return list(found.values()) or [name]
 
 
 def _is_dir(entry: os.DirEntry[str]) -> bool:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import datetime
 import functools
+import glob
 import queue
 import threading
 import time
@@ -14,8 +15,10 @@ from pathlib import Path
 from typing import TypeVar
 
 from ..cache.memo import Digests
+from ..cache.untrusted import find_untrusted, is_file
 from ..errors import UsageError, WbflowError
 from ..words import printable
+from .bursts import burst_ends, neighbours, night_of
 from .models import Camera, Site
 
 
@@ -34,8 +37,12 @@ class CaptureFile:
 
 ANSWER_SECONDS = 120.0
 """Timeout for listing and reading a camera's folder: if it takes longer, its mount is considered dead."""
-QUIET_SECONDS, MOST_WAIT_SECONDS, _POLL_SECONDS = 0.5, 10.0, 0.05
-"""A capture is complete when it has not changed for `QUIET_SECONDS`; all together are waited for up to `MOST_WAIT_SECONDS`."""
+QUIET_SECONDS = 0.5
+"""A capture is complete when it has not changed for so long.  Longer delays every run; shorter reads captures half written."""
+MOST_WAIT_SECONDS = 10.0
+"""How long captures that are still being written are waited for, all together."""
+_POLL_SECONDS = 0.05
+"""How often it is looked at whether they have grown."""
 REDUCED_ANSWER_SECONDS = 5.0
 """Timeout instead of `ANSWER_SECONDS` once another camera's folder has timed out: most cameras share one mount."""
 T = TypeVar("T")
@@ -88,12 +95,23 @@ def _results_by_camera(reads: Iterable[tuple[str, Callable[[], T]]]) -> Iterator
     reader.close()
 
 
-def _nights(site: Site) -> set[datetime.date]:
+def nights_with_captures(site: Site) -> set[datetime.date]:
     """The nights, from the file names, for which any camera has a capture."""
-    ids = (c.id for c in site.cameras if c.images is None)
-    answers = _results_by_camera((name, functools.partial(lambda name: set(site.captures.dates(name)), name)) for name in ids)
-    # `find_captures` reports the cameras that time out
-    return {date for _, dates in answers if not isinstance(dates, TimeoutError) for date in dates}
+    ids = [camera.id for camera in site.cameras if camera.images is None]
+    reads = ((name, functools.partial(_moments, site, name)) for name in ids)
+    moments: set[datetime.datetime] = set()
+    for _, answer in _results_by_camera(reads):
+        # `find_captures` reports the cameras that time out
+        if not isinstance(answer, TimeoutError):
+            moments |= answer
+    if not site.captures.timed:
+        return {moment.date() for moment in moments}
+    ends = burst_ends(moments, site.zone)
+    return {night_of(moment, ends) for moment in moments}
+
+
+def _moments(site: Site, camera: str) -> set[datetime.datetime]:
+    return set(site.captures.moments(camera))
 
 
 def list_store(site: Site) -> None:
@@ -113,7 +131,7 @@ def night(site: Site, date: datetime.date | None) -> datetime.date:
     today = site.today()
     if date is not None:
         return date
-    candidates = _nights(site) if site.captures.dated else _days_written(site, today)
+    candidates = nights_with_captures(site) if site.captures.dated else _days_written(site, today)
     return max((d for d in candidates if d <= today + datetime.timedelta(days=1)), default=max(candidates, default=today))
 
 
@@ -146,7 +164,7 @@ def backlog(site: Site, since: datetime.date) -> list[datetime.date]:
         what = "--since needs {date} in captures.pattern: the names of captures don't say which night they are of"
         raise UsageError(what, remedy="for example: pattern: '{camera}/{date:%Y-%m-%d}.jpg'; or run without --since")
     list_store(site)
-    dates = sorted(date for date in _nights(site) if date >= since)
+    dates = sorted(date for date in nights_with_captures(site) if date >= since)
     if not dates:
         raise UsageError(f"there are no captures since {since}", remedy="check captures.root and pattern, or the cameras")
     return dates
@@ -157,18 +175,25 @@ def find_captures(site: Site, date: datetime.date, digests: Digests) -> dict[str
 
     digests: remembers the digests of files.
     """
-    reads = ((camera.id, functools.partial(captures_of, site, camera, date, digests)) for camera in site.cameras)
-    captures = {}
-    for camera, (name, files) in zip(site.cameras, _results_by_camera(reads), strict=True):
+    # 1. Names alone, of all cameras: a burst across midnight is recognised by all of them together.
+    paths, faults = _paths_of_night(site, date)
+    # 2. The content of the files of this night.
+    captures: dict[str, list[CaptureFile]] = {}
+    reads = ((name, functools.partial(_with_digests, site, paths[name], digests)) for name in paths)
+    for name, files in _results_by_camera(reads):
         if isinstance(files, TimeoutError):
+            faults[name] = str(files)
+        else:
+            captures[name] = files
+    for camera in site.cameras:
+        if camera.id in faults:
             expected_name = expected(site, camera, date)
-            files = [CaptureFile(printable(expected_name), Path(expected_name), "", str(files))]
-        captures[name] = files
-    return captures
+            captures[camera.id] = [CaptureFile(printable(expected_name), Path(expected_name), "", faults[camera.id])]
+    return {camera.id: captures[camera.id] for camera in site.cameras}
 
 
 def captures_of(site: Site, camera: Camera, date: datetime.date, digests: Digests) -> list[CaptureFile]:
-    """The files of one camera in a night.
+    """The files of one camera in a night, as `find_captures` returns them; [] if its disk hangs.
 
     Parameters
     ----------
@@ -177,12 +202,85 @@ def captures_of(site: Site, camera: Camera, date: datetime.date, digests: Digest
     digests : Digests
         Remembers the digests of files.
     """
-    paths = _paths(site, camera, date)
+    paths, _ = _paths_of_night(site, date)
+    return _with_digests(site, paths.get(camera.id, []), digests)
+
+
+def captures_dated(site: Site, camera: Camera, date: datetime.date, digests: Digests) -> list[CaptureFile]:
+    """The files of one camera with this date in their names, whichever night a burst around midnight belongs to.
+
+    Parameters
+    ----------
+    site, camera, date : Site, Camera, date
+        The site, its camera, and the date.
+    digests : Digests
+        Remembers the digests of files.
+    """
+    return _with_digests(site, _paths(site, camera, date), digests)
+
+
+_Listing = dict[Path, datetime.datetime]
+"""The files of a camera that may belong to a night, in their order, with the times in their names."""
+
+
+def _paths_of_night(site: Site, date: datetime.date) -> tuple[dict[str, list[Path]], dict[str, str]]:
+    """Each camera's files of a night; and why they could not be listed, by camera, where a disk hangs."""
+    listings: dict[str, _Listing] = {}
+    faults: dict[str, str] = {}
+    for name, answer in _results_by_camera((c.id, functools.partial(_listing, site, c, date)) for c in site.cameras):
+        if isinstance(answer, TimeoutError):
+            faults[name] = str(answer)
+        else:
+            listings[name] = answer
+    moments = {moment for listing in listings.values() for moment in listing.values()}
+    ends = burst_ends(moments, site.zone) if site.captures.timed else {}
+    paths: dict[str, list[Path]] = {}
+    for camera, listing in listings.items():
+        paths[camera] = [path for path, moment in listing.items() if night_of(moment, ends) == date]
+    return paths, faults
+
+
+def _listing(site: Site, camera: Camera, date: datetime.date) -> _Listing:
+    noon = datetime.time(12)  # of files without a valid time: they belong to their date
+    if camera.images is not None or not site.captures.timed:
+        return dict.fromkeys(_paths(site, camera, date), datetime.datetime.combine(date, noon))
+    listing: _Listing = {}
+    for day in neighbours(date):
+        for path in site.captures.files(camera.id, day):
+            listing[path] = site.captures.moment(camera.id, path) or datetime.datetime.combine(day, noon)
+    return listing
+
+
+def _with_digests(site: Site, paths: list[Path], digests: Digests) -> list[CaptureFile]:
     if site.captures.store:
         from ..remote import fetch_captures
 
         fetch_captures(site.captures.root, site.captures.store, paths)
     return [_with_digest(str(path).removeprefix(f"{site.captures.root}/"), path, digests) for path in paths]
+
+
+FEW_EXAMPLES = 3
+"""How many names of files a message shows."""
+
+
+def files_there(site: Site) -> list[str]:
+    """The names, below the captures' root, of a few files that are there, for a message that none of them is a capture."""
+    root = str(site.captures.root)
+    names: list[str] = []
+    for name in find_untrusted(str(Path(glob.escape(root)) / "**")):
+        if is_file(Path(name)):
+            names.append(printable(name.removeprefix(f"{root}/"), 120))
+        if len(names) == FEW_EXAMPLES:
+            break
+    return names
+
+
+def nothing_matches(site: Site, date: datetime.date) -> str:
+    """Why no camera has a capture: what the pattern wants, and what is there instead."""
+    wanted = printable(expected(site, site.cameras[0], date).removeprefix(f"{site.captures.root}/"))
+    there = files_there(site)
+    shown = f"there are {', '.join(there)}" if there else "there is no file at all"
+    return f"captures.pattern wants {wanted}, and {shown} in {printable(site.captures.root)}"
 
 
 def expected(site: Site, camera: Camera, date: datetime.date) -> str:

@@ -26,7 +26,7 @@ from ..pipeline.stages import STAGES
 from ..task import camera_of
 from ..words import bytes_of
 from .calibration.calibrated import Lens, Matrix, Placement, lens_fault, look_at, rotation_fault, yaw_pitch_roll
-from .pattern import Pattern
+from .pattern import Pattern, pattern_fault
 from .yaml_document import Document, Problem, suggest
 
 Vector2 = Annotated[list[float], Field(min_length=2, max_length=2)]
@@ -66,9 +66,8 @@ class Captures(Section):
     @field_validator("pattern")
     @classmethod
     def _check_fields(cls, pattern: str) -> str:
-        unknown = [f for f in re.findall(r"\{(\w*)", pattern) if f not in {"camera", "date", "time"}]
-        if unknown:
-            raise _error(f"{{{unknown[0]}}} is not known; use {{camera}}, {{date:%Y-%m-%d}}, {{time:%H%M%S}}, * and **")
+        if fault := pattern_fault(pattern):
+            raise _error(fault)
         return pattern
 
 
@@ -493,8 +492,12 @@ class Site:
 
     def local(self, seconds: float) -> datetime.datetime:
         """Local time at the site at a moment (seconds since 1970), in `timezone` or else in this machine's time zone."""
-        zone = zoneinfo.ZoneInfo(self.settings.timezone) if self.settings.timezone else None
-        return datetime.datetime.fromtimestamp(seconds, datetime.UTC).astimezone(zone)
+        return datetime.datetime.fromtimestamp(seconds, datetime.UTC).astimezone(self.zone)
+
+    @property
+    def zone(self) -> zoneinfo.ZoneInfo | None:
+        """The time zone of the site; None if the file names none: that of this machine."""
+        return zoneinfo.ZoneInfo(self.settings.timezone) if self.settings.timezone else None
 
     def today(self) -> datetime.date:
         """The present date at the site."""

@@ -11,10 +11,36 @@ from pathlib import Path
 
 from ..cache.untrusted import find_untrusted
 
-_DIRECTIVES = {"%Y": r"\d{4}", "%j": r"\d{3}", "%f": r"\d{1,6}"} | dict.fromkeys(("%y", "%m", "%d", "%H", "%M", "%S"), r"\d{2}")
-"""A regular expression for each directive of `strftime`."""
+_NUMBERS = {"%Y": r"\d{4}", "%j": r"\d{3}", "%f": r"\d{1,6}"} | dict.fromkeys(("%y", "%m", "%d", "%H", "%M", "%S"), r"\d{2}")
+"""A regular expression for each directive of `strftime` that is a number."""
+_WORDS = ("%b", "%B", "%a", "%A", "%p", "%I")
+"""Directives that are words, or need one (`%I` needs `%p`)."""
 _FORMATS = {"date": "%Y-%m-%d", "time": "%H%M%S"}
 _FIELD = re.compile(r"\{(date|time)(?::([^}]*))?\}")
+_PARTS = re.compile(r"(\{(?:date|time)(?::[^}]*)?\}|\{camera\}|\*\*/?|\*)")
+"""Splits a pattern into its fields, its wildcards and the text between them."""
+_DIRECTIVE = re.compile(r"(%[a-zA-Z])")
+
+
+def pattern_fault(text: str) -> str:
+    """What is wrong with the text of a pattern, and what to write; "" if nothing is."""
+    for name in re.findall(r"\{(\w*)", text):
+        if name not in {"camera", "date", "time"}:
+            return f"{{{name}}} is not known; use {{camera}}, {{date:%Y-%m-%d}}, {{time:%H%M%S}}, * and **"
+    directives: set[str] = set()
+    for field in _FIELD.finditer(text):
+        for directive in _DIRECTIVE.findall(_format_of(field)):
+            if directive not in _NUMBERS and directive not in _WORDS:
+                return f"{directive} in {field.group()} is not known; use %Y, %m, %d, %j, %H, %M and %S"
+            if field.group(1) == "date":
+                directives.add(directive)
+    if directives:
+        has_year = directives & {"%Y", "%y"}
+        has_month = directives & {"%m", "%b", "%B"}
+        has_day = "%j" in directives or ("%d" in directives and has_month)
+        if not (has_year and has_day):
+            return "{date} does not say year, month and day; for example {date:%Y-%m-%d}, or {date:%Y} and {date:%m%d}"
+    return ""
 
 
 def _format_of(field: re.Match[str]) -> str:
@@ -37,25 +63,34 @@ class Pattern:
         return "date" in self._fields
 
     @property
+    def timed(self) -> bool:
+        """Do the names contain date and time of day?"""
+        return {"date", "time"} <= self._fields
+
+    @property
     def _fields(self) -> set[str]:
         return {match.group(1) for match in _FIELD.finditer(self.text)}
 
     def files(self, camera: str, date: datetime.date) -> list[Path]:
-        """A camera's captures of a night, ordered by the times in their names, or by name if these contain no time."""
+        """A camera's captures of a date, ordered by the times in their names, or by name if these contain no time.
+
+        The date is that in the names; `bursts.py` says to which night they belong.
+        """
         moment = self._moment_reader(camera)
-        paths = [path for path in map(Path, find_untrusted(self._glob_pattern(camera, date))) if not path.is_dir()]
+        names = find_untrusted(self._glob_pattern(camera, date))
+        paths = [path for path in map(Path, names) if not path.is_dir()]
         return sorted(paths, key=lambda path: (moment(str(path)) or datetime.datetime.min, path))
 
     def moment(self, camera: str, path: Path) -> datetime.datetime | None:
         """When a capture was taken, from its name; None if the name contains no time of day."""
         return self._moment_reader(camera)(str(path)) if "time" in self._fields else None
 
-    def dates(self, camera: str) -> Iterator[datetime.date]:
-        """The night of each file of a camera; a night with several files is repeated."""
+    def moments(self, camera: str) -> Iterator[datetime.datetime]:
+        """The date, with the time if names contain it, of each file of a camera."""
         moment = self._moment_reader(camera)
         for name in find_untrusted(self._glob_pattern(camera)):
             if taken := moment(name):
-                yield taken.date()
+                yield taken
 
     def cameras(self) -> set[str]:
         """The values of `{camera}` for which there are files, of any night."""
@@ -84,7 +119,7 @@ class Pattern:
         return self.root / text.replace("{camera}", camera)
 
     def _glob_pattern(self, camera: str, date: datetime.date | None = None) -> str:
-        """A `glob` pattern for the files of one night, or of all nights (`date` None)."""
+        """A `glob` pattern for the files of one date, or of all dates (`date` None)."""
         return self._in_root(self._filled(date).replace("{camera}", glob.escape(camera)))
 
     def _in_root(self, text: str) -> str:
@@ -96,36 +131,82 @@ class Pattern:
         def fill(match: re.Match[str]) -> str:
             if match.group(1) == "date" and date is not None:
                 return datetime.datetime.combine(date, datetime.time()).strftime(_format_of(match))
-            return re.sub(r"\*+", "*", re.sub(r"%[a-zA-Z]", "*", _format_of(match)))
+            return re.sub(r"\*+", "*", _DIRECTIVE.sub("*", _format_of(match)))
 
         return _FIELD.sub(fill, self.text)
 
     def _moment_reader(self, camera: str) -> Callable[[str], datetime.datetime | None]:
         """A function that reads date and time from a path; it returns None for a path that does not match."""
-        formats = "|".join(map(_format_of, _FIELD.finditer(self.text)))
+        directives: list[str] = []
+        for field in _FIELD.finditer(self.text):
+            directives += _DIRECTIVE.findall(_format_of(field))
         expression = re.compile(self._regex(re.escape(camera)))
 
         def moment(path: str) -> datetime.datetime | None:
-            match = expression.fullmatch(path) if formats else None
-            try:
-                return datetime.datetime.strptime("|".join(match.groups()), formats) if match else None
-            except ValueError:
-                return None
+            match = expression.fullmatch(path) if directives else None
+            return _parsed(directives, match.groups()) if match else None
 
         return moment
 
     def _regex(self, camera: str) -> str:
-        """A regular expression for a capture's path with one group per {date} and {time}; `camera` replaces {camera}."""
-        pieces = []
-        for part in re.split(r"(\{(?:date|time)(?::[^}]*)?\}|\{camera\}|\*\*/?|\*)", str(self.root / self.text)):
+        """A regular expression for a capture's path with one group per directive of {date} and {time}.
+
+        camera: replaces {camera}.  The case of the suffix is ignored, as `find_untrusted` does.
+        """
+        text = str(Path(self.text))
+        pieces = [re.escape(str(self.root / "x")[:-1])]
+        if Path(text).is_absolute():
+            pieces = []
+        suffix = re.search(r"\.\w+\Z", text)
+        if suffix:
+            text = text[: suffix.start()]
+        for part in _PARTS.split(text):
             if field := _FIELD.fullmatch(part):
-                directives = re.split(r"(%[a-zA-Z])", _format_of(field))
-                field_regex = "".join(_DIRECTIVES.get(d, ".+?") if d.startswith("%") else re.escape(d) for d in directives)
-                pieces.append(f"({field_regex})")
+                for piece in _DIRECTIVE.split(_format_of(field)):
+                    is_directive = _DIRECTIVE.fullmatch(piece) is not None
+                    pieces.append(f"({_NUMBERS.get(piece, '.+?')})" if is_directive else re.escape(piece))
             elif part == "{camera}":
                 pieces.append(camera)
             elif part.startswith("**"):
                 pieces.append("(?:.*/)?" if part.endswith("/") else ".*")
+            elif part == "*":
+                pieces.append("[^/]*")
             else:
-                pieces.append("[^/]*" if part == "*" else re.escape(part))
+                pieces.append(_wildcards_as_regex(part))
+        if suffix:
+            pieces.append(f"(?i:{re.escape(suffix.group())})")
         return "".join(pieces)
+
+
+def _wildcards_as_regex(text: str) -> str:
+    """A regular expression for text with the lesser wildcards of `glob`, `?` and `[...]`."""
+    pieces: list[str] = []
+    for piece in re.split(r"(\?|\[[^\]]+\])", text):
+        if piece == "?":
+            pieces.append("[^/]")
+        elif piece.startswith("[") and piece.endswith("]"):
+            inner = piece[1:-1].replace("\\", r"\\")
+            pieces.append(f"[^{inner[1:]}]" if inner.startswith("!") else f"[{inner}]")
+        else:
+            pieces.append(re.escape(piece))
+    return "".join(pieces)
+
+
+def _parsed(directives: list[str], texts: tuple[str, ...]) -> datetime.datetime | None:
+    """Date and time from the text of each directive; None if they are no date, or contradict each other.
+
+    A pattern may name a directive twice, as for folders of days with dated files in them: both texts must agree.
+    """
+    text_of: dict[str, str] = {}
+    for directive, text in zip(directives, texts, strict=True):
+        if text_of.setdefault(directive, text) != text:
+            return None
+    try:
+        moment = datetime.datetime.strptime("|".join(text_of.values()), "|".join(text_of))
+    except ValueError:
+        return None
+    for directive, text in text_of.items():
+        # %Y and %y, or %j and %m, may both be there, and say different things
+        if directive in _NUMBERS and directive != "%f" and int(moment.strftime(directive)) != int(text):
+            return None
+    return moment

@@ -14,11 +14,14 @@ from ..cache.checksum import content_digest
 from ..cache.memo import Digests, EarlierCaptures
 from ..pipeline.summaries import FrameSummary
 from ..records.findings import Health
-from .captures import CaptureFile, captures_of
+from .bursts import longest_gap
+from .captures import CaptureFile, captures_dated
 from .models import Camera, Site
 
 FAR_OFF_HOURS = 3.0
 """A camera is stale if the time of day of its captures differs from the other cameras' by more: other light, or a wrong clock."""
+APART_HOURS = 3.0
+"""Captures of one night that are further apart are remarked on: light and scene have changed between them."""
 NIGHT_HOURS = 36.0
 """A capture belongs to another night if it was taken further than this from noon of the night's date."""
 SAME_PIXELS = 0.98
@@ -75,6 +78,8 @@ def find_stale(
         # names without a date: if no camera has a new capture, the same pictures are processed again on purpose
         with_files = {camera for camera, files in captures.items() if files}
         repeated = {} if with_files <= set(repeated) else repeated
+    for camera_id, note in _apart_notes(site, fresh.captures).items():
+        fresh.notes[camera_id] = "; ".join(filter(None, (fresh.notes.get(camera_id), note)))
     fresh.stale = {**_find_far_off(site, fresh.captures), **repeated}
     return fresh
 
@@ -86,9 +91,10 @@ def _old_nights(site: Site, camera: Camera, date: datetime.date, digests: Digest
     night_of = remembered.last_delivered(camera.id, str(date))
     pattern = site.captures
     if pattern.dated:
-        previous = max((night for night in pattern.dates(camera.id) if night < date), default=None)
+        days = {moment.date() for moment in pattern.moments(camera.id)}
+        previous = max((day for day in days if day < date), default=None)
         if previous is not None and str(previous) not in night_of.values():
-            night_of |= {file.digest: str(previous) for file in captures_of(site, camera, previous, digests) if file.digest}
+            night_of |= {file.digest: str(previous) for file in captures_dated(site, camera, previous, digests) if file.digest}
     return night_of
 
 
@@ -122,6 +128,27 @@ def _search_repeats(files: list[CaptureFile], earlier: Mapping[str, str]) -> _Se
         return _Search(usable)
     left_out = len(readable) - len(new)
     return _Search(usable, note=f"{left_out} of {len(readable)} captures come again, or are of an earlier night; left out")
+
+
+def _apart_notes(site: Site, captures: Mapping[str, list[CaptureFile]]) -> dict[str, str]:
+    """Remarks on cameras whose captures of the night are hours apart, which are merged all the same."""
+    notes: dict[str, str] = {}
+    for camera, files in captures.items():
+        gap = gap_of(site, camera, files)
+        if gap is not None:
+            notes[camera] = f"{gap}; they are merged all the same"
+    return notes
+
+
+def gap_of(site: Site, camera: str, files: Iterable[CaptureFile]) -> str | None:
+    """The gap, in words, between captures of a night that are hours apart by their names; None if there is none."""
+    moments = [moment for file in files if (moment := site.captures.moment(camera, file.path))]
+    gap = longest_gap(moments)
+    if gap is None or _in_hours(gap[1] - gap[0]) <= APART_HOURS:
+        return None
+    before, after = gap
+    hours = _in_hours(after - before)
+    return f"its captures of the night are {hours:.0f} h apart, at {before:%H:%M} and {after:%H:%M} ({len(moments)} in all)"
 
 
 def _find_far_off(site: Site, captures: Mapping[str, list[CaptureFile]]) -> dict[str, Health]:

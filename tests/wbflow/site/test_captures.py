@@ -5,15 +5,20 @@ from __future__ import annotations
 import datetime
 import json
 import os
+import re
+import zoneinfo
 from pathlib import Path
 
 import pytest
 
-from wbflow.cache.memo import Digests
+from wbflow.cache.memo import Digests, EarlierCaptures
 from wbflow.errors import UsageError
-from wbflow.site.captures import backlog, changes_of, find_captures, night
+from wbflow.site.bursts import burst_ends
+from wbflow.site.captures import backlog, changes_of, find_captures, night, nothing_matches
 from wbflow.site.load import load_site
 from wbflow.site.models import Site
+from wbflow.site.stale_cameras import find_stale
+from wbflow.site.yaml_document import SiteError
 
 
 def site(folder: Path, pattern: str, files: list[str], cameras: str = "[gate, roof]") -> Site:
@@ -145,3 +150,153 @@ def test_growing_captures_are_in_motion_and_removed_ones_are_not(tmp_path: Path)
     (tmp_path / "in" / "roof.jpg").unlink()
     assert changes_of(found, set(), digests) == {"gate": ["gate.jpg"]}
     assert changes_of(found, {tmp_path / "in" / "roof.jpg"}, digests)["roof"] == ["roof.jpg"], "it was replaced before"
+
+
+MIDNIGHT = ["{camera}/2026-11-10_235950.jpg", "{camera}/2026-11-11_000000.jpg", "{camera}/2026-11-11_000010.jpg"]
+NEXT = ["{camera}/2026-11-11_235950.jpg", "{camera}/2026-11-12_000000.jpg", "{camera}/2026-11-12_000010.jpg"]
+
+
+def of(cameras: list[str], patterns: list[str]) -> list[str]:
+    return [name.replace("{camera}", camera) for camera in cameras for name in patterns]
+
+
+def test_a_burst_across_midnight_is_one_night(tmp_path: Path) -> None:
+    s = site(tmp_path, "{camera}/{date}_{time}.jpg", of(["gate", "roof"], [*MIDNIGHT, *NEXT]))
+    assert backlog(s, datetime.date(2026, 1, 1)) == [datetime.date(2026, 11, 10), datetime.date(2026, 11, 11)]
+    assert names(s)["gate"] == of(["gate"], NEXT)
+    assert names(s, datetime.date(2026, 11, 10)) == {camera: of([camera], MIDNIGHT) for camera in ("gate", "roof")}
+    assert names(s, datetime.date(2026, 11, 12)) == {"gate": [], "roof": []}
+
+
+def test_a_camera_that_starts_seconds_later_after_midnight_is_of_the_same_burst(tmp_path: Path) -> None:
+    late = of(["roof"], MIDNIGHT[1:])
+    s = site(tmp_path, "{camera}/{date}_{time}.jpg", [*of(["gate"], MIDNIGHT), *late])
+    assert night(s, None) == datetime.date(2026, 11, 10)
+    assert names(s)["roof"] == late
+
+
+def test_bursts_before_and_after_midnight_are_not_joined_with_others_of_their_days(tmp_path: Path) -> None:
+    evening = ["{camera}/2026-11-10_210000.jpg", "{camera}/2026-11-10_210010.jpg"]
+    s = site(tmp_path, "{camera}/{date}_{time}.jpg", of(["gate", "roof"], [*evening, "{camera}/2026-11-11_001500.jpg"]))
+    assert names(s, datetime.date(2026, 11, 10))["gate"] == of(["gate"], evening)
+    assert names(s, datetime.date(2026, 11, 11))["gate"] == ["gate/2026-11-11_001500.jpg"]
+
+
+def test_a_record_of_the_whole_day_is_divided_by_midnight(tmp_path: Path) -> None:
+    taken = [datetime.datetime(2026, 11, 10) + datetime.timedelta(minutes=5 * k) for k in range(3 * 288)]
+    s = site(tmp_path, "{camera}/{date}_{time}.jpg", of(["gate", "roof"], [f"{{camera}}/{t:%Y-%m-%d_%H%M%S}.jpg" for t in taken]))
+    assert [len(names(s, datetime.date(2026, 11, day))["gate"]) for day in (9, 10, 11, 12, 13)] == [0, 288, 288, 288, 0]
+
+
+def test_clocks_that_are_changed_at_midnight_make_no_gap_in_a_burst() -> None:
+    """In Cairo, 2026-04-24 begins at 1 o'clock."""
+    before, after = datetime.datetime(2026, 4, 23, 23, 59, 50), datetime.datetime(2026, 4, 24, 1, 0, 0)
+    assert burst_ends([before, after], zoneinfo.ZoneInfo("Africa/Cairo")) == {datetime.date(2026, 4, 24): after}
+    assert burst_ends([before, after]) == {}
+
+
+def test_captures_hours_apart_are_remarked_on(tmp_path: Path) -> None:
+    apart = ["{camera}/2026-11-11_000005.jpg", "{camera}/2026-11-11_235955.jpg"]
+    s = site(tmp_path, "{camera}/{date}_{time}.jpg", of(["gate"], apart) + of(["roof"], apart[1:]))
+    date, digests = datetime.date(2026, 11, 11), Digests(None)
+    fresh = find_stale(s, date, find_captures(s, date, digests), digests, EarlierCaptures(tmp_path / "memo.json"))
+    assert fresh.notes == {
+        "gate": "its captures of the night are 24 h apart, at 00:00 and 23:59 (2 in all); they are merged all the same"
+    }
+
+
+TWICE = "{camera}/{date:%Y/%m/%d}/{camera}_01_{date:%Y%m%d}{time:%H%M%S}.jpg"
+
+
+@pytest.mark.parametrize(
+    ("pattern", "right", "wrong"),
+    [
+        (TWICE, "gate/2026/11/19/gate_01_20261119033000.jpg", "gate/2026/11/19/gate_01_20261118033000.jpg"),
+        ("{date}/{camera}_{date}.jpg", "2026-11-19/gate_2026-11-19.jpg", "2026-11-19/gate_2026-11-18.jpg"),
+        ("{date:%Y}/{date:%j}/{camera}-{date:%y%m%d}.jpg", "2026/323/gate-261119.jpg", "2026/322/gate-261119.jpg"),
+        ("{camera}/{date:%Y}/{date:%m}/{date:%d}/*.jpg", "gate/2026/11/19/1.jpg", "gate/2026/13/19/1.jpg"),
+        ("{camera}_{date:%d-%m-%Y}_{time:%H-%M}.jpg", "gate_19-11-2026_03-30.jpg", "gate_19-11-26_03-30.jpg"),
+        ("{camera}/{date:%d.%m.%Y}*.jpg", "gate/19.11.2026 a.jpg", "gate/32.11.2026 a.jpg"),
+        ("{camera}/{date}?.jpg", "gate/2026-11-19a.jpg", "gate/2026-11-19ab.jpg"),
+        ("{camera}/{date}_[ab].jpg", "gate/2026-11-19_b.jpg", "gate/2026-11-19_c.jpg"),
+    ],
+)
+def test_dates_may_be_anywhere_in_a_name_and_twice_if_they_agree(tmp_path: Path, pattern: str, right: str, wrong: str) -> None:
+    s = site(tmp_path, pattern, [right, wrong])
+    assert night(s, None) == datetime.date(2026, 11, 19)
+    assert names(s)["gate"] == [right]
+
+
+@pytest.mark.parametrize(
+    ("pattern", "message"),
+    [
+        ("{camera}/{date:%s}.jpg", "%s in {date:%s} is not known"),
+        ("{camera}/{date:%F}.jpg", "%F in {date:%F} is not known"),
+        ("{camera}/{date:%m-%d}.jpg", "does not say year, month and day"),
+        ("{camera}/{date:%Y}.jpg", "does not say year, month and day"),
+        ("{camera}/{date}_{time:%T}.jpg", "%T in {time:%T} is not known"),
+    ],
+)
+def test_a_date_that_cannot_be_read_is_refused(tmp_path: Path, pattern: str, message: str) -> None:
+    with pytest.raises(SiteError, match=re.escape(message)):
+        site(tmp_path, pattern, [])
+
+
+@pytest.mark.parametrize("pattern", ["{camera}/*.jpg", "{camera}/**/*.JPG", "{camera}/{date}_*.Jpg"])
+def test_the_case_of_a_suffix_does_not_matter(tmp_path: Path, pattern: str) -> None:
+    files = ["gate/2026-11-19_1.jpg", "gate/2026-11-19_2.JPG", "gate/2026-11-19_3.Jpg"]
+    s = site(tmp_path, pattern, [*files, "gate/2026-11-19_4.jpg.txt"])
+    assert names(s)["gate"] == files
+
+
+def test_the_case_of_a_suffix_does_not_matter_without_wildcards(tmp_path: Path) -> None:
+    s = site(tmp_path, "{camera}.jpg", ["gate.JPG", "roof.jpg"])
+    assert names(s) == {"gate": ["gate.JPG"], "roof": ["roof.jpg"]}
+    assert s.captures.cameras() == {"gate", "roof"}
+
+
+NOBODYS_FILES = [
+    *(
+        "@eaDir/1.jpg/SYNOPHOTO_THUMB_S.jpg",
+        "#recycle/1.jpg",
+        ".stversions/1~20261119.jpg",
+        "@Recycle/1.jpg",
+        "$RECYCLE.BIN/1.jpg",
+    ),
+    *(
+        ".1.jpg",
+        "._1.jpg",
+        "Thumbs.db",
+        "System Volume Information/1.jpg",
+        "lost+found/1.jpg",
+        ".thumbnails/1.jpg",
+        "#Snapshot/1.jpg",
+    ),
+]
+
+
+@pytest.mark.parametrize(
+    ("pattern", "found"),
+    [
+        ("{camera}/**/*.jpg", ["gate/1.jpg", "gate/in/2.jpg"]),
+        ("{camera}/*.jpg", ["gate/1.jpg"]),
+        ("{camera}/**/*", ["gate/1.jpg", "gate/in/2.jpg"]),
+        ("{camera}/*/*.jpg", ["gate/in/2.jpg"]),
+    ],
+)
+def test_files_that_a_disk_keeps_for_itself_are_nobodys_captures(tmp_path: Path, pattern: str, found: list[str]) -> None:
+    s = site(tmp_path, pattern, ["gate/1.jpg", "gate/in/2.jpg", *[f"gate/{name}" for name in NOBODYS_FILES]])
+    assert names(s)["gate"] == found
+    assert s.captures.cameras() == {"gate"}
+
+
+def test_a_folder_that_a_pattern_names_is_searched_whatever_its_name(tmp_path: Path) -> None:
+    assert names(site(tmp_path, "#recycle/{camera}.jpg", ["#recycle/gate.jpg"]))["gate"] == ["#recycle/gate.jpg"]
+
+
+def test_a_pattern_that_matches_nothing_shows_what_it_wants_and_what_is_there(tmp_path: Path) -> None:
+    s = site(tmp_path, "{camera}/{date:%Y-%m-%d}_*.jpg", [f"gate/IMG_000{k}.jpg" for k in range(5)])
+    assert nothing_matches(s, datetime.date(2026, 11, 19)) == (
+        "captures.pattern wants gate/2026-11-19_*.jpg, and there are gate/IMG_0000.jpg, gate/IMG_0001.jpg, gate/IMG_0002.jpg in "
+        f"{tmp_path / 'in'}"
+    )
