@@ -25,19 +25,26 @@ def turn_geometry(pinned: Geometry | None, left: CameraHealth, right: CameraHeal
     """
     if pinned is None:
         return Rejected(Reason.NOTHING_KNOWN)
-    (H1, R1), (H2, R2) = _motion(left), _motion(right)
+    H1, R1 = _motion(left)
+    H2, R2 = _motion(right)
+    # Matches that a turn has moved out of either picture are dropped.
     x1, inside1 = _mapped(pinned.x1, H1, pinned.view1)
     x2, inside2 = _mapped(pinned.x2, H2, pinned.view2)
     keep = inside1 & inside2
     F = np.linalg.inv(H2).T @ pinned.F @ np.linalg.inv(H1)
-    R, t = pinned.cam2_R_cam1, pinned.cam2_t_cam1
+    R = pinned.cam2_R_cam1
+    if R is not None:
+        R = R2 @ R @ R1.T
+    t = pinned.cam2_t_cam1
+    if t is not None:
+        t = R2 @ t
     return replace(
         at_rows(replace(pinned, x1=x1, x2=x2), keep),
         F=F / np.linalg.norm(F),
         i1=None,
         i2=None,
-        cam2_R_cam1=None if R is None else R2 @ R @ R1.T,
-        cam2_t_cam1=None if t is None else R2 @ t,
+        cam2_R_cam1=R,
+        cam2_t_cam1=t,
         inliers=int(keep.sum()),
     )
 
@@ -68,24 +75,37 @@ def hold_poses(
     """
     if pinned is None:
         return Rejected(Reason.NOTHING_KNOWN)
+    # 1. Cameras that have not been moved keep the pose of the reference, or that pose and their turn.
     healths = _with_shared_turns(healths, views)
-    free = [n for n, health in healths.items() if _is_free(health) or n not in pinned.cameras]  # cameras to solve
+    free = [name for name, health in healths.items() if _is_moved(health) or name not in pinned.cameras]
     held = _without(free, pinned, healths)
     if not free:
         return held
-    stated = {n: camera for n, camera in pinned.cameras.items() if n in views and pinned.sources.get(n) in {"stated", "refined"}}
-    unmoved = {n: held.cameras[n] for n in stated if n in held.cameras}
+
+    # 2. The calibration is checked again: those that were moved must not contradict the others.
+    stated = {}
+    for name, camera in pinned.cameras.items():
+        if name in views and pinned.sources.get(name) in {"stated", "refined"}:
+            stated[name] = camera
+    unmoved = {name: held.cameras[name] for name in stated if name in held.cameras}
     held = replace(held, calibration=stated_calibration(stated, unmoved, geometries))
-    relevant = {pair: g for pair, g in geometries.items() if set(pair) & set(free) and set(pair) <= {*held.cameras, *free}}
+
+    # 3. Solve the free cameras from their pairs, with the held ones in place and all lenses as in the reference.
+    usable = {*held.cameras, *free}
+    relevant = {}
+    for pair, geometry in geometries.items():
+        if set(pair) & set(free) and set(pair) <= usable:
+            relevant[pair] = geometry
     if not relevant:
         return _with_solved(held, Rejected(Reason.NO_POSED_CAMERA), free)
-    fixed = {n: camera for n, camera in held.main_cameras().items() if n in views}
-    solver_views = {n: view for n, view in views.items() if n in fixed or n in free}
+    fixed = {name: camera for name, camera in held.main_cameras().items() if name in views}
+    solver_views = {name: view for name, view in views.items() if name in fixed or name in free}
     for name in solver_views.keys() & pinned.cameras.keys():
         solver_views[name] = replace(solver_views[name], K=pinned.cameras[name].K, focal_known=True)
+    placements = {name: Placement(camera.R, camera.C, metric=pinned.metric) for name, camera in fixed.items()}
     poses = solve_poses(
         solver_views,
-        {n: Placement(camera.R, camera.C, metric=pinned.metric) for n, camera in fixed.items()},
+        placements,
         relevant,
         survey,
         max_rotation_error_deg=max_rotation_error_deg,
@@ -97,52 +117,87 @@ def hold_poses(
 
 def _without(free: list[str], pinned: Poses, healths: Mapping[str, CameraHealth]) -> Poses:
     """The poses of the reference without the free cameras, and with the turns of those that have turned."""
-    cameras = {n: _turned(camera, healths.get(n)) for n, camera in pinned.cameras.items() if n not in free}
-    turned = [n for n in cameras if n in healths and healths[n].corrected]
-    sources = {n: "corrected" if n in turned else source for n, source in pinned.sources.items() if n in cameras}
-    notes = [f"{name}: {healths[name].text}" for name in (*turned, *(n for n in free if n in pinned.cameras))]
+    cameras = {}
+    sources = {}
+    turned = []
+    for name, camera in pinned.cameras.items():
+        if name in free:
+            continue
+        cameras[name] = _turned(camera, healths.get(name))
+        if name in healths and healths[name].corrected:
+            turned.append(name)
+    for name, source in pinned.sources.items():
+        if name in cameras:
+            sources[name] = "corrected" if name in turned else source
+    moved = [name for name in free if name in pinned.cameras]
+    notes = [f"{name}: {healths[name].text}" for name in (*turned, *moved)]
     return replace(pinned, cameras=cameras, sources=sources, notes=(*notes, *pinned.notes))
 
 
 def _with_shared_turns(healths: Mapping[str, CameraHealth], views: Mapping[str, View]) -> dict[str, CameraHealth]:
     """The healths, but with the same turn for all views of one camera: that of the view with the most patches found again."""
-    usable = {n: health for n, health in healths.items() if n in views and health.state not in {"obscured", "wrong-scene"}}
+    usable = {}
+    for name, health in healths.items():
+        if name in views and health.state not in {"obscured", "wrong-scene"}:
+            usable[name] = health
 
     def evidence(name: str) -> tuple[bool, float | str]:
-        return usable[name].corrected or _is_free(usable[name]), usable[name].figures.get("patches", 0.0)
+        """Views that noticed a motion come first, then those with more patches."""
+        health = usable[name]
+        noticed = health.corrected or _is_moved(health)
+        return noticed, health.figures.get("patches", 0.0)
 
     shared = dict(healths)
     for name in usable:
-        best = max((n for n in usable if same_camera(views[name], views[n])), key=evidence, default=name)
-        if best != name:
-            to_own, turn = rotation_between(views[best].lens, views[name].lens), usable[best].turn
-            turned = None if turn is None else to_own @ turn @ to_own.T
-            shared[name] = replace(usable[best], turn=turned, homography=usable[name].homography)
+        views_of_camera = [other for other in usable if same_camera(views[name], views[other])]
+        best = max(views_of_camera, key=evidence, default=name)
+        if best == name:
+            continue
+        # The turn is about the axes of the best view: it is carried over to those of this one.
+        turn = usable[best].turn
+        if turn is not None:
+            to_own = rotation_between(views[best].lens, views[name].lens)
+            turn = to_own @ turn @ to_own.T
+        shared[name] = replace(usable[best], turn=turn, homography=usable[name].homography)
     return shared
 
 
 def _with_solved(held: Poses, poses: Poses | Rejected, free: list[str]) -> Poses:
     """The held cameras, and those of the free ones that could be solved in the same world."""
-    checks = {name: check for name, check in held.pair_checks.items() if not set(name.split("--")) & set(free)}
+    # What the reference says about the free cameras no longer holds.
+    checks = {name: check for name, check in held.pair_checks.items() if not _concerns(name, free)}
     other_reasons = {name: reason for name, reason in held.unsolved.items() if name not in free}
-    components = tuple(tuple(n for n in group if n not in free) for group in held.components) or ((),)
+    components = tuple(tuple(name for name in group if name not in free) for group in held.components)
+    components = components or ((),)
     if isinstance(poses, Rejected):
         reasons = dict.fromkeys(free, f"moved, and not solved: {poses.reason}")
         return replace(held, pair_checks=checks, unsolved=other_reasons | reasons, components=components)
-    solved = {name: poses.cameras[name] for name in free if name in poses.cameras and poses.cameras[name].component == 0}
-    unconnected = "its pairs do not connect it with the others"
-    reasons = {n: f"moved, and not solved: {poses.unsolved.get(n, unconnected)}" for n in free if n not in solved}
+
+    solved = {}
+    reasons = {}
+    for name in free:
+        if name in poses.cameras and poses.cameras[name].component == 0:
+            solved[name] = poses.cameras[name]
+        else:
+            why = poses.unsolved.get(name, "its pairs do not connect it with the others")
+            reasons[name] = f"moved, and not solved: {why}"
+    new_checks = {name: check for name, check in poses.pair_checks.items() if _concerns(name, free)}
     return replace(
         held,
         cameras={**held.cameras, **solved},
         unsolved=other_reasons | reasons,
-        pair_checks={**checks, **{name: check for name, check in poses.pair_checks.items() if set(name.split("--")) & set(free)}},
+        pair_checks={**checks, **new_checks},
         components=((*components[0], *solved), *components[1:]),
         sources={**held.sources, **dict.fromkeys(solved, "solved")},
         source="mixed",
         points=poses.points,
         reprojection_px=poses.reprojection_px,
     )
+
+
+def _concerns(pair_name: str, names: list[str]) -> bool:
+    """Does a pair, named `left--right`, contain one of the cameras?"""
+    return not set(pair_name.split("--")).isdisjoint(names)
 
 
 def _motion(health: CameraHealth) -> tuple[Float64s, Float64s]:
@@ -153,17 +208,23 @@ def _motion(health: CameraHealth) -> tuple[Float64s, Float64s]:
 
 
 def _turned(camera: Camera, health: CameraHealth | None) -> Camera:
-    return camera if health is None or not health.corrected or health.turn is None else replace(camera, R=health.turn @ camera.R)
+    """The camera with the turn of its health, if that is to be corrected."""
+    if health is None or not health.corrected or health.turn is None:
+        return camera
+    return replace(camera, R=health.turn @ camera.R)
 
 
-def _is_free(health: CameraHealth) -> bool:
+def _is_moved(health: CameraHealth) -> bool:
+    """Was the camera moved in a way that no turn corrects, so that it has to be solved?"""
     return health.state == "moved" and not health.corrected
 
 
 def _mapped(points: Float64s, H: Float64s, view: View) -> tuple[Float64s, Bools]:
     """Points (n, 2) mapped by a homography, and whether they are still in the picture."""
-    if H is _IDENTITY:
+    if H is _IDENTITY:  # points of a camera that has not turned keep their bits
         return points, np.ones(len(points), dtype=bool)
     mapped = np.column_stack([points, np.ones(len(points))]) @ H.T
     mapped = mapped[:, :2] / mapped[:, 2:]
-    return mapped, np.asarray((mapped >= -0.5).all(axis=1) & (mapped < [view.width - 0.5, view.height - 0.5]).all(axis=1))
+    # Centres of pixels have integer coordinates: the picture ends half a pixel beyond them.
+    inside = (mapped >= -0.5).all(axis=1) & (mapped < [view.width - 0.5, view.height - 0.5]).all(axis=1)
+    return mapped, np.asarray(inside)
