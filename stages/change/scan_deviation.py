@@ -54,6 +54,7 @@ def deviation_from_scan(cloud: Cloud, scan: Float64s) -> ScanDeviation:
 
     The scan is taken as exact.  Raises ValueError if it is far from the site, or covers less than `LEAST_OVERLAP` of the cloud.
     """
+    # 1. Keep what lies near the site: scans often cover much more.
     points = cloud.points.astype(np.float64)
     low, high = np.quantile(points, [0.01, 0.99], axis=0)
     size = float(np.linalg.norm(high - low))
@@ -63,6 +64,8 @@ def deviation_from_scan(cloud: Cloud, scan: Float64s) -> ScanDeviation:
         centre = " ".join(f"{value:,.0f}" for value in np.median(scan, axis=0))
         raise ValueError(f"the scan has no point near the site: its centre is at {centre} in the site's world")
     scan = scan[near]
+
+    # 2. Register it, and measure along the cloud's normals.
     transform = _register(cloud, scan, misalignment)
     scan = scan @ transform[:3, :3].T + transform[:3, 3]
     radius = _RADIUS_SPACINGS * max(spacing_of(points), spacing_of(scan))
@@ -71,6 +74,7 @@ def deviation_from_scan(cloud: Cloud, scan: Float64s) -> ScanDeviation:
     normals = cloud.normals.astype(np.float64)
     measured = cloud_distances(points, normals, first, second, radius=radius, reach=_MOST_DEVIATION * size)
     covered = np.isfinite(measured.distance)
+    # 3. Judge the overlap, and add the error of the registration.
     overlap = float(covered.mean())
     if overlap < LEAST_OVERLAP:
         remedy = "align it with the site first, to within some metres (CloudCompare: Align)"
@@ -78,8 +82,18 @@ def deviation_from_scan(cloud: Cloud, scan: Float64s) -> ScanDeviation:
     registration = _unevenness(points[covered], measured.distance[covered], measured.detectable[covered])
     sigma = np.sqrt(measured.sigma**2 + registration**2)
     agree = covered & (np.abs(measured.distance) <= 2 * sigma)
-    residual = float(np.median(np.abs(measured.distance[agree]))) if agree.any() else float("nan")
-    return ScanDeviation(measured.distance, sigma, transform, overlap, residual, float(agree.sum() / covered.sum()), registration)
+    residual = float("nan")
+    if agree.any():
+        residual = float(np.median(np.abs(measured.distance[agree])))
+    return ScanDeviation(
+        distance=measured.distance,
+        sigma=sigma,
+        transform=transform,
+        overlap=overlap,
+        residual_m=residual,
+        agreeing=float(agree.sum() / covered.sum()),
+        registration_m=registration,
+    )
 
 
 def _register(cloud: Cloud, scan: Float64s, misalignment: float) -> Float64s:
@@ -87,8 +101,10 @@ def _register(cloud: Cloud, scan: Float64s, misalignment: float) -> Float64s:
     target = point_cloud(cloud)
     target = target.uniform_down_sample(max(1, len(target.points) // _MOST_POINTS))
     sample = one_of_each_cell(scan, max(spacing_of(scan), misalignment / 200))
-    source = open3d.geometry.PointCloud(open3d.utility.Vector3dVector(scan[sample[:: max(1, len(sample) // _MOST_POINTS)]]))
-    icp, transform = open3d.pipelines.registration, np.eye(4)
+    sample = sample[:: max(1, len(sample) // _MOST_POINTS)]
+    source = open3d.geometry.PointCloud(open3d.utility.Vector3dVector(scan[sample]))
+    icp = open3d.pipelines.registration
+    transform = np.eye(4)
     for step in _STEP_SHARES:
         distance = misalignment * step
         method = icp.TransformationEstimationPointToPlane(icp.TukeyLoss(k=distance / 2))
@@ -99,7 +115,11 @@ def _register(cloud: Cloud, scan: Float64s, misalignment: float) -> Float64s:
 
 def _unevenness(points: Float64s, distance: Float64s, detectable: Float64s) -> float:
     """Return the root mean square, over the eight octants of the site, of the median deviation of unchanged points."""
-    octant = (points > np.median(points, axis=0)) @ np.array([1, 2, 4])
+    octant = (points > np.median(points, axis=0)) @ np.array([1, 2, 4])  # 0 to 7: a bit for each axis
     unchanged = np.abs(distance - np.median(distance)) <= np.maximum(detectable, np.median(np.abs(distance)))
-    medians = [float(np.median(distance[unchanged & (octant == k)])) for k in range(8) if np.any(unchanged & (octant == k))]
+    medians = []
+    for k in range(8):
+        chosen = unchanged & (octant == k)
+        if chosen.any():
+            medians.append(float(np.median(distance[chosen])))
     return float(np.sqrt(np.mean(np.square(medians))))

@@ -46,10 +46,14 @@ def detection_of(tonight: Evidence, reference: Evidence, *, sigmas: float, regis
     tonight, reference : the evidence of both nights, with its changes marked.
     sigmas, registration, least_area : as of `changes.find_changes`.
     """
-    sigma = np.concatenate([side.sigma[side.measured] for side in (tonight, reference)])
-    offsets = [sign * side.distance[side.measured & ~side.changed] for sign, side in ((1.0, tonight), (-1.0, reference))]
-    shift = float(np.median(np.concatenate(offsets))) if len(sigma) else 0.0
-    level = sigmas * float(np.median(sigma)) if len(sigma) else 0.0
+    sigma = np.concatenate([tonight.sigma[tonight.measured], reference.sigma[reference.measured]])
+    if not len(sigma):
+        return Detection(0.0, float(np.hypot(registration, 0.0)), least_area)
+    # Distances are positive towards the cameras on either side, so those of the reference count the other way.
+    offset_tonight = tonight.distance[tonight.measured & ~tonight.changed]
+    offset_reference = -1.0 * reference.distance[reference.measured & ~reference.changed]
+    shift = float(np.median(np.concatenate([offset_tonight, offset_reference])))
+    level = sigmas * float(np.median(sigma))
     return Detection(level, float(np.hypot(registration, shift)), least_area)
 
 
@@ -75,39 +79,60 @@ def volumes(
     zones : see `find_changes`.
     detection : detection limits of the comparison.
     """
-    padded = [np.pad(np.isfinite(heights), _GAP + 1) for heights in tops]
-    seen1, seen2 = (ndimage.binary_closing(mask, iterations=_GAP)[_GAP + 1 : -_GAP - 1, _GAP + 1 : -_GAP - 1] for mask in padded)
-    seen = seen1 & seen2
+    seen_tonight = _seen_cells(tops[0])
+    seen_before = _seen_cells(tops[1])
+    seen = seen_tonight & seen_before
     if not zones:
         everywhere = np.ones(seen.shape, bool)
-        return _cut_and_fill(grid, everywhere, seen, (seen1 ^ seen2).sum() * grid.cell**2, clusters, detection), {}
-    zone_masks = [cells_inside(grid, zone["polygon"]) for zone in zones]
-    by_zone = {
-        str(zone["name"]): _cut_and_fill(
-            grid, inside, seen, _unseen_area(grid, zone, inside, seen), [c for c in clusters if is_large_for(c, zone)], detection
-        )
-        for zone, inside in zip(zones, zone_masks, strict=True)
-    }
-    large_enough = [c for c in clusters if any(is_large_for(c, zone) for zone in zones)]
+        unseen = (seen_tonight ^ seen_before).sum() * grid.cell**2
+        return _cut_and_fill(grid, everywhere, seen, unseen, clusters, detection), {}
+
+    by_zone = {}
+    zone_masks = []
+    for zone in zones:
+        inside = cells_inside(grid, zone["polygon"])
+        large_enough = [cluster for cluster in clusters if is_large_for(cluster, zone)]
+        unseen = _unseen_area(grid, zone, inside, seen)
+        by_zone[str(zone["name"])] = _cut_and_fill(grid, inside, seen, unseen, large_enough, detection)
+        zone_masks.append(inside)
+
+    # All zones together: places in several zones count once.
+    large_enough = [cluster for cluster in clusters if any(is_large_for(cluster, zone) for zone in zones)]
     unseen = sum(part.unseen for part in by_zone.values())
-    return _cut_and_fill(grid, np.any(zone_masks, axis=0), seen, unseen, large_enough, detection), by_zone
+    anywhere = np.any(zone_masks, axis=0)
+    return _cut_and_fill(grid, anywhere, seen, unseen, large_enough, detection), by_zone
+
+
+def _seen_cells(heights: Float32s) -> Bools:
+    """(rows, columns) cells that were seen, including gaps between points of up to twice `_GAP` cells."""
+    margin = _GAP + 1  # without one, cells at the border of the grid would be lost
+    padded = np.pad(np.isfinite(heights), margin)
+    closed = ndimage.binary_closing(padded, iterations=_GAP)
+    return np.asarray(closed[margin:-margin, margin:-margin], dtype=np.bool_)
 
 
 def _unseen_area(grid: GroundGrid, zone: Mapping[str, Any], inside: Bools, seen: Bools) -> float:
     """Area of a zone, including any part beyond the grid, that was not seen on both nights."""
     corners = np.array(zone["polygon"], np.float32)
-    low, high = (grid.left, grid.top - grid.rows * grid.cell), (grid.left + grid.columns * grid.cell, grid.top)
-    exceeds_grid = bool(np.any(corners < low) or np.any(corners > high))
-    area_outside = cv2.contourArea(corners) - inside.sum() * grid.cell**2 if exceeds_grid else 0.0
+    low = (grid.left, grid.top - grid.rows * grid.cell)
+    high = (grid.left + grid.columns * grid.cell, grid.top)
+    area_outside = 0.0
+    if np.any(corners < low) or np.any(corners > high):
+        area_outside = cv2.contourArea(corners) - inside.sum() * grid.cell**2
+    # Cells only approximate a polygon, so the difference may be slightly negative.
     return max(0.0, area_outside) + float((inside & ~seen).sum() * grid.cell**2)
 
 
 def _cut_and_fill(
     grid: GroundGrid, inside: Bools, seen: Bools, unseen: float, clusters: Sequence[ChangeCluster], detection: Detection
 ) -> CutFill:
-    gained, lost = (_volume([c for c in clusters if c.vanished is earlier], inside, grid, detection) for earlier in (False, True))
+    """Cut and fill of the cells inside (rows, columns); seen: on both nights; unseen: area that was not."""
+    new = [cluster for cluster in clusters if not cluster.vanished]
+    vanished = [cluster for cluster in clusters if cluster.vanished]
+    gained, gained_sigma = _volume(new, inside, grid, detection)
+    lost, lost_sigma = _volume(vanished, inside, grid, detection)
     area = float((seen & inside).sum() * grid.cell**2)
-    return CutFill(*gained, *lost, detection.level, detection.common_sigma, area, float(unseen))
+    return CutFill(gained, gained_sigma, lost, lost_sigma, detection.level, detection.common_sigma, area, float(unseen))
 
 
 def _volume(clusters: Sequence[ChangeCluster], inside: Bools, grid: GroundGrid, detection: Detection) -> tuple[float, float]:
@@ -115,9 +140,12 @@ def _volume(clusters: Sequence[ChangeCluster], inside: Bools, grid: GroundGrid, 
 
     An unconfirmed change adds no volume, but uncertainty: it may be real, wholly or in part, or not.
     """
-    volume, area, variance = 0.0, 0.0, (detection.least_area * detection.level) ** 2
+    volume = 0.0
+    area = 0.0
+    variance = (detection.least_area * detection.level) ** 2
     for cluster in clusters:
-        footprint, change = cluster.footprint, cluster.change
+        footprint = cluster.footprint
+        change = cluster.change
         share = np.where(inside.ravel()[footprint.cells], footprint.share, 0.0)
         part_volume = float((share * footprint.height).sum() * grid.cell**2)
         if not cluster.confirmed:
@@ -126,4 +154,5 @@ def _volume(clusters: Sequence[ChangeCluster], inside: Bools, grid: GroundGrid, 
         volume += part_volume
         area += float(share.sum() * grid.cell**2)
         variance += (change.volume_sigma * part_volume / max(change.volume, 1e-9)) ** 2
+    # Errors of changes are independent; the height offset is the same everywhere, and counts with the whole area.
     return volume, float(np.sqrt(variance + (area * detection.common_sigma) ** 2))
