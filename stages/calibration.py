@@ -13,6 +13,13 @@ def check_calibration(poses: Poses, disparities: Mapping[Pair, Disparity]) -> Ca
 
     The result has 0 pairs if none has enough measurements.
     """
-    stated = {n: c for n, c in poses.main_cameras().items() if poses.sources.get(n) != "solved" and n not in poses.focals}
-    rows = {pair: d.rows for pair, d in disparities.items() if d.rows is not None and set(pair) <= set(stated)}
+    stated = {}
+    for name, camera in poses.main_cameras().items():
+        # Solved poses and focal lengths state nothing: they fit the matches by themselves.
+        if poses.sources.get(name) != "solved" and name not in poses.focals:
+            stated[name] = camera
+    rows = {}
+    for pair, disparity in disparities.items():
+        if disparity.rows is not None and set(pair) <= set(stated):
+            rows[pair] = disparity.rows
     return check_rows(stated, rows) or CalibrationCheck(matches=0, pairs=0, confirmed=False, misfit=1.0)

@@ -43,17 +43,19 @@ from .types import (
 _TOP_QUANTILE = 0.9
 """Quantile of the heights in a cell that counts as the height of its surface."""
 _LEAST_AREA = 300.0
-"""Smallest surface area of a change in squared point spacings, unless `least_area_m2` is given."""
+"""Smallest surface area of a change in squared point spacings, unless `least_area_m2` states one."""
 _MOST_DISPLACEMENT = 0.01
 """Largest median displacement of the cameras, as a share of the site's size, at which two nights share a world."""
 _CELL = 2.0
-"""Smallest edge of a cell, in point spacings, unless `cell_m` is given."""
+"""Smallest edge of a cell, in point spacings, unless `cell_m` states one."""
 _STEP = 8
 """Step through the points from which the extent of the ground is found."""
 _LEAST_SEEN_SHARE = 0.2
 """A camera sees a change if it sees at least this share of the change's points."""
 _CROP_PX = 240
 """Height of the pictures of a change, pixels."""
+_CROP_GAP_PX = 4
+"""Width of the white gap between both nights' pictures, pixels."""
 
 
 def find_changes(
@@ -100,11 +102,16 @@ def find_changes(
     old_cameras = reference_poses.main_cameras()
     if not _same_world(cameras, old_cameras, cloud):
         return _no_changes(axes, poses)
+
+    # 1. Both nights, and the cells of the ground that contain both clouds.
     tonight = Epoch(cloud, cameras, undistorted_frames(frames, cameras), depths, refined or {})
     old_frames = undistorted_frames(reference_frames or {}, old_cameras)
     pinned = Epoch(reference_cloud, old_cameras, old_frames, reference_depths or {}, reference_refined or {})
     spacing = max(spacing_of(tonight.points), spacing_of(pinned.points))
-    grid = grid_over(np.vstack([n.points[::_STEP] for n in (tonight, pinned)]), axes, cell_m or preferred_above(_CELL * spacing))
+    sample = np.vstack([tonight.points[::_STEP], pinned.points[::_STEP]])
+    grid = grid_over(sample, axes, cell_m or preferred_above(_CELL * spacing))
+
+    # 2. Which points of each night have changed?
     measured_new, measured_old = compare_nights(tonight, pinned, spacing, registration_m)
     noise = noise_of(measured_new, measured_old)
 
@@ -112,19 +119,47 @@ def find_changes(
         evidence = mark_changed(measured, own, other, spacing, noise=noise, sigmas=sigmas, similar=similar)
         return _Side(own, evidence, own.cloud.colors[evidence.rows], points_over_ground(grid, own.points))
 
-    new, old = side(measured_new, tonight, pinned), side(measured_old, pinned, tonight)
+    new = side(measured_new, tonight, pinned)
+    old = side(measured_old, pinned, tonight)
+
+    # 3. Clusters of these; a new one and a vanished one that are similar are a thing that was moved.
     least = _LEAST_AREA * spacing**2 if least_area_m2 is None else least_area_m2
-    clusters: list[ChangeCluster] = []
-    for own, other in ((new, old), (old, new)):
-        limits = {"spacing": spacing, "least_area": least, "similar": similar}
-        clusters += find_clusters(own.evidence, own.colors, grid, other.ground, vanished=own is old, **limits)
-    pairs = sorted(paired([c for c in clusters if c.confirmed]), key=lambda pair: -pair[0].change.volume)
-    tops = [_surface_heights(grid, night.ground) for night in (new, old)]
+
+    def clusters_on(own: _Side, other: _Side, vanished: bool) -> list[ChangeCluster]:
+        return find_clusters(
+            own.evidence,
+            own.colors,
+            grid,
+            other.ground,
+            vanished=vanished,
+            spacing=spacing,
+            least_area=least,
+            similar=similar,
+        )
+
+    clusters = [*clusters_on(new, old, vanished=False), *clusters_on(old, new, vanished=True)]
+    confirmed = [cluster for cluster in clusters if cluster.confirmed]
+    pairs = sorted(paired(confirmed), key=lambda pair: -pair[0].change.volume)
+
+    # 4. Volumes of the ground: all changes count, in zones or not, and unconfirmed ones as uncertainty.
+    height_tonight = _surface_heights(grid, new.ground)
+    height_before = _surface_heights(grid, old.ground)
     detection = detection_of(new.evidence, old.evidence, sigmas=sigmas, registration=registration_m, least_area=least)
-    counted = [part for pair in pairs for part in pair if part] + [c for c in clusters if not c.confirmed]
-    total, by_zone = volumes(grid, tops, counted, zones or [], detection)
-    reported = [(labelled, source) for cluster, source in pairs if (labelled := _in_zone(cluster, zones, axes))]
-    result = _assembled(grid, tops[0] - tops[1], (new, old), reported)
+    counted = []
+    for cluster, source in pairs:
+        counted.append(cluster)
+        if source is not None:
+            counted.append(source)
+    counted += [cluster for cluster in clusters if not cluster.confirmed]
+    total, by_zone = volumes(grid, (height_tonight, height_before), counted, zones or [], detection)
+
+    # 5. Changes that a zone counts are reported.
+    reported = []
+    for cluster, source in pairs:
+        labelled = _in_zone(cluster, zones, axes)
+        if labelled is not None:
+            reported.append((labelled, source))
+    result = _assembled(grid, height_tonight - height_before, (new, old), reported)
     return replace(result, cut_fill=total, zones=by_zone, noise=noise, metric=poses.metric, crs=poses.crs)
 
 
@@ -140,9 +175,15 @@ class _Side(NamedTuple):
 
 def _same_world(cameras: Mapping[str, Camera], old_cameras: Mapping[str, Camera], cloud: Cloud) -> bool:
     """Are most cameras at their old positions?  Otherwise tonight's world was solved anew, and is another one."""
-    displacements = [float(np.linalg.norm(cameras[name].C - old_cameras[name].C)) for name in cameras if name in old_cameras]
-    extent = float(np.linalg.norm(np.ptp(np.quantile(cloud.points.astype(np.float64), [0.05, 0.95], axis=0), axis=0)))
-    return bool(displacements) and float(np.median(displacements)) <= _MOST_DISPLACEMENT * extent
+    displacements = []
+    for name in cameras:
+        if name in old_cameras:
+            displacements.append(float(np.linalg.norm(cameras[name].C - old_cameras[name].C)))
+    if not displacements:
+        return False
+    low_and_high = np.quantile(cloud.points.astype(np.float64), [0.05, 0.95], axis=0)  # without the outermost points
+    extent = float(np.linalg.norm(np.ptp(low_and_high, axis=0)))
+    return float(np.median(displacements)) <= _MOST_DISPLACEMENT * extent
 
 
 def _in_zone(cluster: ChangeCluster, zones: list[dict[str, Any]] | None, axes: Float64s) -> ChangeCluster | None:
@@ -161,22 +202,32 @@ def _assembled(
     grid: GroundGrid, difference: Float32s, sides: tuple[_Side, _Side], clusters: list[tuple[ChangeCluster, ChangeCluster | None]]
 ) -> Changes:
     """`Changes` with tonight's points and the reference's vanished or unknown ones; clusters: each with its origin, if moved."""
-    new, old = (side.evidence for side in sides)
-    blobs = [np.zeros(len(side.evidence.core), np.uint16) for side in sides]
-    changes, crops = {}, {}
+    new = sides[0].evidence
+    old = sides[1].evidence
+    # Number of the change that each point of a night belongs to, 0 for none.
+    new_blob = np.zeros(len(new.core), np.uint16)
+    old_blob = np.zeros(len(old.core), np.uint16)
+    changes = {}
+    crops = {}
     for k, (cluster, source) in enumerate(clusters, 1):
         for part in (cluster, source):
             if part is not None:
-                blobs[part.vanished][part.rows] = k
-        side = sides[cluster.vanished]
+                blob = old_blob if part.vanished else new_blob
+                blob[part.rows] = k
+        side = sides[1] if cluster.vanished else sides[0]
         names = _seeing_cameras(side, cluster)
         camera_ids = dict.fromkeys(camera_id(name, side.night.cameras[name]) for name in names)
         changes[str(k)] = replace(cluster.change, cameras=",".join(camera_ids))
         if names:
             crops[str(k)] = _crop(side.evidence.core[cluster.rows], names[0], sides)
-    appeared, vanished = blobs[0] > 0, blobs[1] > 0
+    appeared = new_blob > 0
+    vanished = old_blob > 0
     shown = vanished | (old.unknown & ~old.changed)
     new_label = np.where(appeared, NEW, np.where(new.unknown, UNKNOWN, SAME))
+    old_label = np.where(vanished, VANISHED, UNKNOWN)
+    # Shares are of tonight's known surface and what has vanished from it.
+    n_changed = int(appeared.sum() + vanished.sum())
+    n_known = int((~new.unknown).sum() + vanished.sum())
 
     def joined(of_new: Any, of_old: Any, kind: type[np.generic]) -> np.ndarray:
         """Values (n, ...) of tonight's points, then of those of the reference that are shown."""
@@ -190,45 +241,56 @@ def _assembled(
         distance=joined(new.distance, old.distance, np.float32),
         sigma=joined(new.sigma, old.sigma, np.float32),
         significance=joined(new.significance, old.significance, np.float32),
-        label=joined(new_label, np.where(vanished, VANISHED, UNKNOWN), np.uint8),
-        blob=joined(blobs[0], blobs[1], np.uint16),
+        label=joined(new_label, old_label, np.uint8),
+        blob=joined(new_blob, old_blob, np.uint16),
         grid=grid,
         difference=difference,
         crops=crops,
         count=len(changes),
-        changed_share=int(appeared.sum() + vanished.sum()) / max(1, int((~new.unknown).sum() + vanished.sum())),
+        changed_share=n_changed / max(1, n_known),
         unknown_share=float(np.mean(old.unknown)),
     )
 
 
 def _seeing_cameras(side: _Side, cluster: ChangeCluster) -> list[str]:
     """The cameras that see a change, the one that shows it largest first."""
-    night, X = side.night, side.evidence.core[cluster.rows]
+    night = side.night
+    X = side.evidence.core[cluster.rows]
     sigma = night.sigma[side.evidence.rows[cluster.rows]]
     candidates = []
     for name in night.seeing:
         visible = seen_by(X, sigma, night, name)
         if visible.mean() >= _LEAST_SEEN_SHARE:
             x, _ = project(night.cameras[name], X[visible])
-            candidates.append((float(np.prod(np.ptp(x, axis=0) + 1)) * float(visible.mean()), name))
-    return [name for _, name in sorted(candidates, key=lambda entry: (-entry[0], entry[1]))]
+            box_px = float(np.prod(np.ptp(x, axis=0) + 1))
+            candidates.append((-box_px * float(visible.mean()), name))
+    return [name for _, name in sorted(candidates)]
 
 
 def _crop(X: Float64s, name: str, sides: tuple[_Side, _Side]) -> Uint8s:
     """(h, w, 3) the surroundings of points X in one camera, side by side: the reference's frame, then tonight's."""
-    parts = []
-    for night in (side.night for side in reversed(sides)):
+    parts: list[Uint8s] = []
+    gap = np.full((_CROP_PX, _CROP_GAP_PX, 3), 255, np.uint8)
+    for side in reversed(sides):
+        night = side.night
         if name not in night.frames or name not in night.cameras:
             continue
-        image, (x, _) = night.frames[name].image, project(night.cameras[name], X)
+        image = night.frames[name].image
+        x, _ = project(night.cameras[name], X)
+        # The box of most points, with a margin, and at least a pixel of the image.
         low, high = np.quantile(x, [0.02, 0.98], axis=0)
         margin = 0.35 * (high - low) + 8
         size = np.array([image.shape[1], image.shape[0]])
-        (left, top), (right, bottom) = np.clip(low - margin, 0, size - 2).astype(int), np.clip(high + margin, 2, size).astype(int)
+        left, top = np.clip(low - margin, 0, size - 2).astype(int)
+        right, bottom = np.clip(high + margin, 2, size).astype(int)
         part = image[top : max(bottom, top + 1), left : max(right, left + 1)]
         width = int(np.clip(round(part.shape[1] * _CROP_PX / part.shape[0]), 1, 4 * _CROP_PX))
-        parts += [cv2.resize(part, (width, _CROP_PX), interpolation=cv2.INTER_AREA), np.full((_CROP_PX, 4, 3), 255, np.uint8)]
-    return np.asarray(np.hstack(parts[:-1]), dtype=np.uint8) if parts else np.zeros((1, 1, 3), np.uint8)
+        if parts:
+            parts.append(gap)
+        parts.append(np.asarray(cv2.resize(part, (width, _CROP_PX), interpolation=cv2.INTER_AREA), dtype=np.uint8))
+    if not parts:
+        return np.zeros((1, 1, 3), np.uint8)
+    return np.hstack(parts)
 
 
 def _surface_heights(grid: GroundGrid, night: GroundPoints) -> Float32s:
@@ -238,10 +300,20 @@ def _surface_heights(grid: GroundGrid, night: GroundPoints) -> Float32s:
 
 
 def _no_changes(axes: Float64s, poses: Poses) -> Changes:
-    values = np.zeros(0, np.float32)
-    labels, blobs = np.zeros(0, np.uint8), np.zeros(0, np.uint16)
-    grid, empty = GroundGrid(axes, 0.0, 0.0, 1.0, 0, 0), np.zeros((0, 0), np.float32)
-    rgb = np.zeros((0, 3), np.uint8)
+    """The result if there is nothing to compare with: no points, and a grid without cells."""
+    no_values = np.zeros(0, np.float32)
     return Changes(
-        False, {}, np.zeros((0, 3)), rgb, values, values, values, labels, blobs, grid, empty, metric=poses.metric, crs=poses.crs
+        False,
+        {},
+        points=np.zeros((0, 3)),
+        colors=np.zeros((0, 3), np.uint8),
+        distance=no_values,
+        sigma=no_values,
+        significance=no_values,
+        label=np.zeros(0, np.uint8),
+        blob=np.zeros(0, np.uint16),
+        grid=GroundGrid(axes, 0.0, 0.0, 1.0, 0, 0),
+        difference=np.zeros((0, 0), np.float32),
+        metric=poses.metric,
+        crs=poses.crs,
     )

@@ -5,7 +5,7 @@ An undecided case counts as `ok`, with a note that it is unverified: a night wit
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import cv2
 import numpy as np
@@ -13,20 +13,34 @@ import numpy as np
 from .core.luminance import grey_levels
 from .twoview.global_search import search_globally
 from .twoview.registration import Found, Turn, corners, find_again, fit_turn
-from .types import Camera, CameraHealth, Float64s, Frame, Uint8s, Usual
+from .types import Camera, CameraHealth, Float32s, Float64s, Frame, Uint8s, Usual
 
 _TILE_PX = 16
+"""Edge of the tiles in which structure is looked for, pixels."""
+_SMOOTHING_PX = 2.0
+"""Standard deviation of the smoothing before that, pixels: noise is no structure."""
 _FLAT_SIGMA = 2.5
 """Standard deviation in grey levels of a smoothed tile; tiles below this show nothing."""
-_SATURATED, _COLOURLESS = 250, 0.03
-"""Grey level from which a pixel is saturated; median saturation below which a picture counts as infrared."""
+_CLEAR_SIGMA = 5.0
+"""Standard deviation in grey levels from which a tile of the reference has clear structure, so that its loss means something."""
+_SATURATED = 250
+"""Grey level from which a pixel is saturated."""
+_COLOURLESS = 0.03
+"""Median saturation, 0 to 1, below which a picture counts as infrared."""
 _NIGHT_LEVEL = 60.0
 """Median grey level below which it is night."""
+_NO_LIGHT_LEVEL = 30.0
+"""Median grey level below which a picture that shows nothing lacks light; above, its lens is covered."""
+_COVERED_SHARE = 0.3
+"""Share of a picture's clear tiles that must be covered for the text to mention it."""
+_LEAST_CONTRAST_SHARE = 0.5
+"""A picture with less than this share of the reference's contrast cannot show that the scene is another one."""
 _FEWEST_NIGHTS = 5
-"""Fewest earlier nights from which the usual sway of a camera is measured."""
+"""Fewest earlier nights from which the sway of a camera is measured."""
 _GUESSED_FOCAL = 1.2
 """Focal length in image widths, assumed if nothing is known: a turn in pixels does not depend on it."""
 _SIGMAS = 3.0
+"""Standard deviations that a motion must exceed to count: of its own error, and of the camera's usual sway."""
 _TURNED_SHARE = 0.5
 """Smallest share of the patches found again that must agree with a turn for it to explain the picture."""
 _MOST_ZOOM = 0.003
@@ -52,28 +66,37 @@ class _Statistics:
     def flat(self) -> float:
         """Share of the picture's tiles that show nothing."""
         tiles = self.structured[np.isfinite(self.structured)]
-        return float((tiles < _FLAT_SIGMA).mean()) if tiles.size else 1.0
+        if not tiles.size:
+            return 1.0
+        return float((tiles < _FLAT_SIGMA).mean())
 
     @property
     def mode(self) -> str:
         """Kind of light: "infrared", "night" or "day"."""
         if self.saturation < _COLOURLESS:
             return "infrared"
-        return "night" if self.brightness < _NIGHT_LEVEL else "day"
+        if self.brightness < _NIGHT_LEVEL:
+            return "night"
+        return "day"
 
 
 @dataclass
 class _Case:
-    """Intermediate results of one examination."""
+    """Intermediate results of one examination, which end in the `CameraHealth` whatever its state."""
 
     figures: dict[str, float | str] = field(default_factory=dict)
+    """Measured values, by name."""
     expected: dict[str, float | str] = field(default_factory=dict)
+    """Their limits, under the same names."""
     turn: Turn | None = None
+    """The turn of the camera since the reference, if its picture could be registered."""
 
     def closed(self, state: str, text: str, remedy: str = "", corrected: bool = False) -> CameraHealth:
         """The final `CameraHealth`."""
-        turned = (self.turn.R, self.turn.homography) if self.turn else (None, None)
-        return CameraHealth(state, text, remedy, self.figures, self.expected, corrected, *turned)
+        health = CameraHealth(state, text, remedy, self.figures, self.expected, corrected)
+        if self.turn is None:
+            return health
+        return replace(health, turn=self.turn.R, homography=self.turn.homography)
 
 
 def examine(
@@ -102,24 +125,30 @@ def examine(
     flat : a picture counts as obscured if more than this share of it shows nothing (covered, fog, no light).
     dark : a picture also counts as obscured if its contrast (5 to 95 %) is below this, in grey levels of 255.
     """
+    # 1. Does the picture show anything?
     new = _statistics(frame)
-    case = _Case(
-        {"brightness": new.brightness, "contrast": new.contrast, "flat": new.flat, "blinded": new.blinded, "mode": new.mode}
-    )
+    case = _Case()
+    case.figures |= {"brightness": new.brightness, "contrast": new.contrast}
+    case.figures |= {"flat": new.flat, "blinded": new.blinded, "mode": new.mode}
     case.expected |= {"flat": flat, "contrast": dark}
     if new.flat > flat or new.contrast < dark:
-        light = "no light" if new.brightness < _NIGHT_LEVEL / 2 else "covered, dirty, or in fog"
+        light = "no light" if new.brightness < _NO_LIGHT_LEVEL else "covered, dirty, or in fog"
         text = f"{100 * new.flat:.0f} % of the picture show nothing ({light})"
         return case.closed("obscured", text, "check that the lens is clear and that a lamp is on")
+
+    # 2. Can it be compared with the reference?
     if pinned_frame is None:
         return case.closed("ok", "nothing to compare with")
     if pinned_frame.image.shape != frame.image.shape:
-        sizes = [f"{f.image.shape[1]}x{f.image.shape[0]}" for f in (pinned_frame, frame)]
-        return case.closed("moved", f"its pictures have another size: {sizes[1]}, were {sizes[0]}", "pin a new reference")
+        text = f"its pictures have another size: {_size_text(frame)}, were {_size_text(pinned_frame)}"
+        return case.closed("moved", text, "pin a new reference")
     old = _statistics(pinned_frame)
     case.figures["covered"] = _covered_share(old, new)
+
+    # 3. Find its patches again near their old places, and the turn that explains their motion.
     K = _intrinsics(frame, pinned_camera)
-    grey1, grey2 = grey_levels(pinned_frame.image), grey_levels(frame.image)
+    grey1 = grey_levels(pinned_frame.image)
+    grey2 = grey_levels(frame.image)
     searched = corners(grey1, pinned_frame.mask & frame.mask)
     matches = find_again(grey1, grey2, searched)
     case.figures["found_again"] = len(matches.x1) / max(len(searched), 1)
@@ -130,7 +159,14 @@ def examine(
     return _registered_state(case, case.turn, usual, nudged_px, moved_deg)
 
 
+def _size_text(frame: Frame) -> str:
+    """Such as "1920x1080"."""
+    h, w = frame.image.shape[:2]
+    return f"{w}x{h}"
+
+
 def _registered_state(case: _Case, turn: Turn, usual: Usual | None, nudged_px: float, moved_deg: float) -> CameraHealth:
+    """The state of a camera whose picture has been registered: in place, shifted, or moved."""
     limit = max(nudged_px, _sway(usual))
     case.figures |= {
         "motion_px": turn.motion_px,
@@ -145,20 +181,28 @@ def _registered_state(case: _Case, turn: Turn, usual: Usual | None, nudged_px: f
         "patches": float(turn.inliers.sum()),
     }
     case.expected |= {"motion_px": limit}
-    zoomed = abs(turn.zoom - 1) > _MOST_ZOOM
+    # In place: it has moved by no more than the limit, or than the error of the measurement.
     sigma = float(np.linalg.norm(turn.shift_sigma))
-    text = f"turned by {turn.angle_deg:.3f} ± {turn.angle_sigma_deg:.3f} degrees ({turn.motion_px:.1f} px)"
     if turn.motion_px <= max(limit, _SIGMAS * sigma):
-        note = f"; {100 * float(case.figures['covered']):.0f} % of it covered" if float(case.figures["covered"]) > 0.3 else ""
-        return case.closed("ok", f"where it was, within {turn.motion_px:.2f} px{note}")
-    if zoomed or turn.angle_deg > moved_deg:
-        zoom_text = f", zoomed by {100 * (turn.zoom - 1):+.1f} %" if zoomed else ""
-        case.expected["turn_deg"] = moved_deg
-        agreeing = bool(turn.inliers.mean() >= _TURNED_SHARE)  # else near and far things disagree: it was displaced, too
-        only_turned = agreeing and not zoomed
-        text += zoom_text + (": corrected" if only_turned else "")
-        return case.closed("moved", text, "turn it back, or pin a new reference", only_turned)
-    return case.closed("shifted", f"{text}: corrected", "fasten it; if it stays so, pin a new reference", True)
+        text = f"where it was, within {turn.motion_px:.2f} px"
+        covered = float(case.figures["covered"])
+        if covered > _COVERED_SHARE:
+            text += f"; {100 * covered:.0f} % of it covered"
+        return case.closed("ok", text)
+
+    text = f"turned by {turn.angle_deg:.3f} ± {turn.angle_sigma_deg:.3f} degrees ({turn.motion_px:.1f} px)"
+    zoomed = abs(turn.zoom - 1) > _MOST_ZOOM
+    if not zoomed and turn.angle_deg <= moved_deg:
+        return case.closed("shifted", f"{text}: corrected", "fasten it; if it stays so, pin a new reference", True)
+
+    # Moved: a turn alone is corrected.  If few patches agree with it, near and far things disagree: it was displaced, too.
+    case.expected["turn_deg"] = moved_deg
+    only_turned = not zoomed and bool(turn.inliers.mean() >= _TURNED_SHARE)
+    if zoomed:
+        text += f", zoomed by {100 * (turn.zoom - 1):+.1f} %"
+    if only_turned:
+        text += ": corrected"
+    return case.closed("moved", text, "turn it back, or pin a new reference", only_turned)
 
 
 def _unregistered_state(case: _Case, grey1: Uint8s, grey2: Uint8s, pinned: Frame, frame: Frame, K: Float64s) -> CameraHealth:
@@ -170,12 +214,13 @@ def _unregistered_state(case: _Case, grey1: Uint8s, grey2: Uint8s, pinned: Frame
         return case.closed("moved", f"turned by {search.turn_deg:.2f} degrees", "turn it back, or pin a new reference")
     if search.shared:
         return case.closed("moved", "it sees the same things from another position", "move it back, or pin a new reference")
-    old, new = _statistics(pinned), _statistics(frame)
-    if search.distinct and new.mode == old.mode and new.contrast > 0.5 * old.contrast:
+    # Another scene is claimed only from a picture taken in the same light, that shows about as much as the reference did.
+    old = _statistics(pinned)
+    new = _statistics(frame)
+    if search.distinct and new.mode == old.mode and new.contrast > _LEAST_CONTRAST_SHARE * old.contrast:
         text = f"it shows another place: of {search.keypoints} features, {search.agreeing} agree with the reference"
-        return case.closed(
-            "wrong-scene", text, "is it the right camera on this input? If it was moved for good, pin a new reference"
-        )
+        remedy = "is it the right camera on this input? If it was moved for good, pin a new reference"
+        return case.closed("wrong-scene", text, remedy)
     return case.closed("ok", f"unverified: too little of the reference is recognised ({new.mode})")
 
 
@@ -189,40 +234,64 @@ def _sway(usual: Usual | None) -> float:
 
 
 def _statistics(frame: Frame) -> _Statistics:
-    grey, mask = grey_levels(frame.image), frame.mask
+    """Statistics of the unmasked part of a picture."""
+    grey = grey_levels(frame.image)
+    mask = frame.mask
     if not mask.any():
         return _Statistics(0.0, 0.0, 0.0, 0.0, np.full((1, 1), np.nan))
     low, median, high = np.percentile(grey[mask], [5, 50, 95])
-    highest, lowest = frame.image.max(axis=2).astype(np.float32), frame.image.min(axis=2).astype(np.float32)
-    saturation = float(np.median((highest - lowest)[mask] / np.maximum(highest[mask], 1)))
-    smooth = cv2.GaussianBlur(grey, (0, 0), 2.0).astype(np.float64)
-    h, w = (side // _TILE_PX * _TILE_PX for side in grey.shape)
-    tiles = [a[:h, :w].reshape(h // _TILE_PX, _TILE_PX, w // _TILE_PX, _TILE_PX) for a in (smooth, mask)]
-    structured = tiles[0].std(axis=(1, 3))
-    structured[~tiles[1].all(axis=(1, 3))] = np.nan
-    return _Statistics(float(median), float(high - low), saturation, float((grey[mask] >= _SATURATED).mean()), structured)
+    highest = frame.image.max(axis=2).astype(np.float32)
+    lowest = frame.image.min(axis=2).astype(np.float32)
+    saturation = (highest - lowest)[mask] / np.maximum(highest[mask], 1)
+    # Standard deviation within each tile; tiles that are masked in part are unknown.
+    smooth = cv2.GaussianBlur(grey, (0, 0), _SMOOTHING_PX).astype(np.float64)
+    structured = _in_tiles(smooth).std(axis=(1, 3))
+    structured[~_in_tiles(mask).all(axis=(1, 3))] = np.nan
+    return _Statistics(
+        brightness=float(median),
+        contrast=float(high - low),
+        saturation=float(np.median(saturation)),
+        blinded=float((grey[mask] >= _SATURATED).mean()),
+        structured=structured,
+    )
+
+
+def _in_tiles(image: np.ndarray) -> np.ndarray:
+    """An image (h, w) as (rows, tile, columns, tile); parts of tiles at its right and lower border are cut off."""
+    rows = image.shape[0] // _TILE_PX
+    columns = image.shape[1] // _TILE_PX
+    return image[: rows * _TILE_PX, : columns * _TILE_PX].reshape(rows, _TILE_PX, columns, _TILE_PX)
 
 
 def _covered_share(old: _Statistics, new: _Statistics) -> float:
     """Share of the tiles with clear structure in the reference that show nothing now."""
     if old.structured.shape != new.structured.shape:
         return 0.0
-    clear = np.nan_to_num(old.structured) > 2 * _FLAT_SIGMA
-    return float((new.structured[clear] < _FLAT_SIGMA).mean()) if clear.any() else 0.0
+    clear = np.nan_to_num(old.structured) > _CLEAR_SIGMA
+    if not clear.any():
+        return 0.0
+    return float((new.structured[clear] < _FLAT_SIGMA).mean())
 
 
 def _relative_sharpness(grey1: Uint8s, grey2: Uint8s, matches: Found, turn: Turn) -> float:
     """Strength of the finest detail relative to the contrast around it: median ratio of tonight to the reference."""
-    ratios = []
-    for grey, points in ((grey1, matches.x1), (grey2, matches.x2)):
-        fine = np.abs(cv2.Laplacian(cv2.GaussianBlur(grey, (0, 0), 0.7), cv2.CV_32F))
-        values = np.asarray(grey, dtype=np.float32)
-        mean = cv2.blur(values, (15, 15))
-        spread = np.sqrt(np.maximum(cv2.blur(values * values, (15, 15)) - mean * mean, 1.0))
-        ratio = cv2.blur(fine, (15, 15)) / spread
-        x, y = np.rint(points[turn.inliers]).astype(int).T
-        ratios.append(ratio[y.clip(0, grey.shape[0] - 1), x.clip(0, grey.shape[1] - 1)])
-    return float(np.median(ratios[1] / np.maximum(ratios[0], 1e-6)))
+    detail1 = _relative_detail(grey1, matches.x1[turn.inliers])
+    detail2 = _relative_detail(grey2, matches.x2[turn.inliers])
+    return float(np.median(detail2 / np.maximum(detail1, 1e-6)))
+
+
+def _relative_detail(grey: Uint8s, points: Float64s) -> Float32s:
+    """(n,) mean absolute Laplacian around points (n, 2), relative to the standard deviation there: light changes both alike."""
+    fine = np.abs(cv2.Laplacian(cv2.GaussianBlur(grey, (0, 0), 0.7), cv2.CV_32F))
+    values = np.asarray(grey, dtype=np.float32)
+    mean = cv2.blur(values, (15, 15))
+    variance = cv2.blur(values * values, (15, 15)) - mean * mean
+    spread = np.sqrt(np.maximum(variance, 1.0))
+    ratio = cv2.blur(fine, (15, 15)) / spread
+    x, y = np.rint(points).astype(int).T
+    x = x.clip(0, grey.shape[1] - 1)
+    y = y.clip(0, grey.shape[0] - 1)
+    return np.asarray(ratio[y, x], dtype=np.float32)
 
 
 def _intrinsics(frame: Frame, camera: Camera | None) -> Float64s:

@@ -20,19 +20,29 @@ from .cloud_distance import CONFIDENCE, MeasuredCloud, cloud_distances, index_po
 from .free_space import Sight, look_at
 from .ncc import ncc
 
-RADIUS, REACH, CORE = 3.0, 15.0, 2.0
-"""Radius and half length of the M3C2 cylinders, and distance of core points, in spacings of the cloud."""
+RADIUS = 3.0
+"""Radius of the M3C2 cylinders, in spacings of the cloud: larger ones average more noise, and blur edges."""
+REACH = 15.0
+"""Half length of these cylinders, in spacings: larger distances are not measured."""
+CORE = 2.0
+"""Distance of core points, in spacings."""
 _THROUGH_RATIO = 2.0
 """A place counts as free if the cameras that see through it are more than this many times those that see a surface there."""
-_UNCHANGED_SHARE, _NORMAL_SIGMAS = 0.9, 1.645
-"""Share of the surface that is assumed unchanged, and the standard deviations that hold this share of normal errors."""
+_UNCHANGED_SHARE = 0.9
+"""Share of the surface that is assumed unchanged."""
+_NORMAL_SIGMAS = 1.645
+"""Standard deviations that hold `_UNCHANGED_SHARE` of normal errors."""
 _MOST_NOISE = 3.0
 """Largest factor by which distances may exceed their standard deviations (`noise_of`); if they seem to exceed them by more, the
-site has changed as a whole (nights of the demo yard: 1.4 to 1.7)."""
+site has changed as a whole (measured: 1.4 to 1.7 on nights of the demo yard)."""
 _LEAST_SHIFT_PX = 2.0
 """Smallest displacement of a surface in the image, in pixels, at which its old place no longer looks the same."""
 _NEAR = 4.0
 """Core points closer than this many spacings are neighbours."""
+_CACHED_MAPS = 4
+"""Smallest number of depth maps of a night that are kept in memory, as each is read several times."""
+_CACHED_PX = 6_000_000
+"""Pixels up to which more of them are kept."""
 
 
 @dataclass(frozen=True)
@@ -82,9 +92,11 @@ def compare_nights(tonight: Epoch, reference: Epoch, spacing: float, registratio
     registration : standard deviation of the position of one night's world relative to the other's.
     """
     edge = 2.0 * RADIUS * spacing
-    clouds = [MeasuredCloud(night.points, night.sigma, index_points(night.points, edge)) for night in (tonight, reference)]
-    evidence_tonight = _evidence_on(tonight, clouds[0], reference, clouds[1], spacing, registration)
-    return evidence_tonight, _evidence_on(reference, clouds[1], tonight, clouds[0], spacing, registration)
+    cloud = MeasuredCloud(tonight.points, tonight.sigma, index_points(tonight.points, edge))
+    reference_cloud = MeasuredCloud(reference.points, reference.sigma, index_points(reference.points, edge))
+    evidence_tonight = _evidence_on(tonight, cloud, reference, reference_cloud, spacing, registration)
+    evidence_reference = _evidence_on(reference, reference_cloud, tonight, cloud, spacing, registration)
+    return evidence_tonight, evidence_reference
 
 
 def _evidence_on(
@@ -94,13 +106,25 @@ def _evidence_on(
     assert cloud.index is not None
     rows = one_of_each_cell(cloud.points, CORE * spacing)
     core = cloud.points[rows]
-    radius, reach = RADIUS * spacing, REACH * spacing
+    radius = RADIUS * spacing
+    reach = REACH * spacing
     normals = mean_normals(core, cloud.index, own.cloud.normals, radius)
+    # Normals point to the cameras: a distance from the other cloud to this one is positive if this one is nearer to them.
     distances = cloud_distances(core, normals, other_cloud, cloud, radius=radius, reach=reach, registration=registration)
     sight = look_at(core, cloud.sigma[rows], other.cameras, other.seeing, other.depth)
-    measured = np.isfinite(distances.distance)
-    no_changes, missing = np.zeros(len(core), bool), np.full(len(core), np.nan, np.float32)
-    return Evidence(core, normals, rows, distances.distance, distances.sigma, sight, measured, missing, missing, no_changes)
+    missing = np.full(len(core), np.nan, np.float32)  # computed by `mark_changed`
+    return Evidence(
+        core=core,
+        normals=normals,
+        rows=rows,
+        distance=distances.distance,
+        sigma=distances.sigma,
+        sight=sight,
+        measured=np.isfinite(distances.distance),
+        ncc=missing,
+        cleared=missing,
+        changed=np.zeros(len(core), bool),
+    )
 
 
 def noise_of(*sides: Evidence) -> float:
@@ -110,7 +134,9 @@ def noise_of(*sides: Evidence) -> float:
     Where most of the surface has moved (the front of a glacier), this would take the change for noise: hence `_MOST_NOISE`.
     """
     ratios = np.concatenate([side.distance[side.measured] / side.sigma[side.measured] for side in sides])
-    noise = float(np.quantile(np.abs(ratios), _UNCHANGED_SHARE)) / _NORMAL_SIGMAS if len(ratios) else 1.0
+    if not len(ratios):
+        return 1.0
+    noise = float(np.quantile(np.abs(ratios), _UNCHANGED_SHARE)) / _NORMAL_SIGMAS
     return float(np.clip(noise, 1.0, _MOST_NOISE))
 
 
@@ -128,28 +154,41 @@ def mark_changed(
     sigmas : number of standard deviations from which on a distance is a change.
     similar : correlation above which images show the same surface.
     """
-    sight, sigma = evidence.sight, evidence.sigma * noise
+    core = evidence.core
+    sight = evidence.sight
+    sigma = evidence.sigma * noise
+
+    # 1. Points in front of the other night's surface.
     nearer = evidence.measured & (evidence.distance > sigmas * sigma)
     agrees = evidence.measured & (np.abs(evidence.distance) <= CONFIDENCE * sigma)
+
+    # 2. Points through whose place cameras of the other night saw: two of them, unless only one could tell.
     informative = sight.through.astype(int) + sight.agreeing + sight.hidden
     needed = np.minimum(2, np.maximum(informative, 1))
     free = (sight.through >= needed) & (sight.through > _THROUGH_RATIO * sight.agreeing) & ~agrees
-    with np.errstate(invalid="ignore"):
+    with np.errstate(invalid="ignore"):  # the gap is nan where no camera saw through
         free &= sight.gap > sigmas * noise * sight.gap_sigma
     by_sight = free & ~nearer
     distance = np.where(by_sight, sight.gap, evidence.distance)
     sigma = np.where(by_sight, noise * sight.gap_sigma, sigma)
-    changed = _with_neighbours(evidence.core, nearer | free, spacing)
-    correlation = np.full(len(evidence.core), np.nan, np.float32)
-    rows = np.flatnonzero(changed)
-    offset = np.where((evidence.measured & ~by_sight)[rows, None], evidence.distance[rows, None] * evidence.normals[rows], np.nan)
-    correlation[rows] = _median_correlation(evidence.core[rows], offset, night.sigma[evidence.rows[rows]], night, other, similar)
-    with np.errstate(invalid="ignore"):
-        changed &= ~(correlation > similar)
-    changed = _with_neighbours(evidence.core, changed, spacing)
-    cleared, rows = np.full(len(evidence.core), np.nan, np.float32), np.flatnonzero(changed)
-    cleared[rows] = _cleared_share(evidence.core[rows], night.sigma[evidence.rows[rows]], nearer[rows], night, other)
     measured = evidence.measured & ~by_sight
+    changed = _with_neighbours(core, nearer | free, spacing)
+
+    # 3. Places that look the same have not changed.
+    rows = np.flatnonzero(changed)
+    row_sigma = night.sigma[evidence.rows[rows]]
+    offset = np.where(measured[rows, None], evidence.distance[rows, None] * evidence.normals[rows], np.nan)
+    correlation = np.full(len(core), np.nan, np.float32)
+    correlation[rows] = _median_correlation(core[rows], offset, row_sigma, night, other, similar)
+    with np.errstate(invalid="ignore"):  # nan is no reason against a change
+        changed &= ~(correlation > similar)
+    changed = _with_neighbours(core, changed, spacing)
+
+    # 4. For what is left: how many cameras that could look there saw through?
+    rows = np.flatnonzero(changed)
+    row_sigma = night.sigma[evidence.rows[rows]]
+    cleared = np.full(len(core), np.nan, np.float32)
+    cleared[rows] = _cleared_share(core[rows], row_sigma, nearer[rows], night, other)
     return replace(evidence, distance=distance, sigma=sigma, measured=measured, ncc=correlation, cleared=cleared, changed=changed)
 
 
@@ -162,14 +201,20 @@ def _cleared_share(X: Float64s, sigma: Float64s, measured: Bools, own: Epoch, ot
     Elsewhere a camera without depth counts as not having seen through: matching windows on lattices and thin things also show
     what is behind, and each night other cameras confuse the two.
     """
-    could_look, saw_through = np.zeros(len(X), np.float32), np.zeros(len(X), np.float32)
+    could_look = np.zeros(len(X), np.float32)
+    saw_through = np.zeros(len(X), np.float32)
     usable = set(other.seeing) & set(other.cameras)
-    for name in (n for n in own.seeing if n in usable):
+    for name in own.seeing:
+        if name not in usable:
+            continue
         sight = look_at(X, sigma, other.cameras, [name], other.depth)
-        can_look = seen_by(X, sigma, own, name) & (sight.hidden == 0) & ~(measured & (sight.through == 0))
+        cannot_separate = measured & (sight.through == 0)
+        can_look = seen_by(X, sigma, own, name) & (sight.hidden == 0) & ~cannot_separate
         could_look += can_look
         saw_through += can_look & (sight.through > 0)
-    return np.where(measured & (could_look == 0), np.float32(1), saw_through / np.maximum(could_look, 1)).astype(np.float32)
+    share = saw_through / np.maximum(could_look, 1)
+    none_left = measured & (could_look == 0)
+    return np.where(none_left, np.float32(1), share).astype(np.float32)
 
 
 def seen_by(X: Float64s, sigma: Float64s, epoch: Epoch, name: str) -> Bools:
@@ -196,10 +241,13 @@ def _median_correlation(X: Float64s, offset: Float64s, sigma: Float64s, own: Epo
     correlations = np.empty((len(shared), len(X)), np.float32)
     for row, name in zip(correlations, shared, strict=True):
         camera = own.cameras[name]
-        row[:] = ncc(X, seen_by(X, sigma, own, name), camera, own.frames[name], other.cameras[name], other.frames[name])
-        (x1, _), (x2, _) = project(camera, X), project(camera, X - offset)
-        with np.errstate(invalid="ignore"):
+        seen = seen_by(X, sigma, own, name)
+        row[:] = ncc(X, seen, camera, own.frames[name], other.cameras[name], other.frames[name])
+        x1, _ = project(camera, X)
+        x2, _ = project(camera, X - offset)
+        with np.errstate(invalid="ignore"):  # nan: another surface, or nothing to compare
             row[(row > similar) & (np.linalg.norm(x1 - x2, axis=1) < _LEAST_SHIFT_PX)] = np.nan
+    # Points with no correlation at all are left out: nanmedian would warn of them.
     known = np.isfinite(correlations).any(axis=0)
     medians = np.full(len(X), np.nan, np.float32)
     medians[known] = np.nanmedian(correlations[:, known], axis=0)
@@ -211,14 +259,12 @@ def _with_neighbours(core: Float64s, changed: Bools, spacing: float) -> Bools:
     if not changed.any():
         return changed
     queries = core[changed]
-    n_near, n_changed = (cKDTree(X).query_ball_point(queries, _NEAR * spacing, return_length=True) for X in (core, queries))
+    # Each point is its own neighbour, hence "> 3".
+    n_near = cKDTree(core).query_ball_point(queries, _NEAR * spacing, return_length=True)
+    n_changed = cKDTree(queries).query_ball_point(queries, _NEAR * spacing, return_length=True)
     supported = changed.copy()
     supported[changed] = (2 * n_changed >= n_near) & (n_near > 3)
     return supported
-
-
-_CACHED_MAPS, _CACHED_PX = 4, 6_000_000
-"""Cache of a night's depth maps, each read several times: smallest number of maps, and pixels up to which it grows."""
 
 
 @dataclass(frozen=True)

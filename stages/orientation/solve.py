@@ -24,8 +24,9 @@ from .triplet_consistency import FEWEST, MOST_INCONSISTENCY, inconsistency
 from .world import World, to_world
 
 MOST_EXCESS = 5.6e-4
-"""Largest plausible `_excess_px` of a solved camera, as a share of the long side (0.18 px of 320).  On 15 rendered scenes, at 320
-pixels, right poses had up to 0.16 px, and most that look-alikes put more than a degree off 0.20 to 1.1 px."""
+"""Largest plausible `_excess_px` of a solved camera, as a share of the long side (0.18 px of 320).  With more, cameras that
+look-alikes misplace go unnoticed (measured on 15 rendered scenes at 320 px: right poses up to 0.16 px, most that are more than a
+degree off 0.20 to 1.1 px)."""
 
 
 def solve_from_pairs(
@@ -46,69 +47,119 @@ def solve_from_pairs(
     stated : cameras whose intrinsics and poses are both known, by id.
     usual : statistics of scenes that do not repeat, for the check of the site's loops.
     """
-    exact = {n: camera for n, camera in stated.items() if placements[n].sigma_m == 0 and placements[n].sigma_deg == 0}
+    exact = {}
+    for name, camera in stated.items():
+        if placements[name].sigma_m == 0 and placements[name].sigma_deg == 0:
+            exact[name] = camera
+
+    # 1. Build models from pairs that agree with exact cameras and with each other.
     graph = ViewGraph.of(views, _consistent(exact, geometries, max_epipolar_px))
     accepted, dropped = graph.consistent(max_rotation_error_deg, usual)
     held = {view: exact[name] for view, name in enumerate(graph.names) if name in exact}
     models, removed = _refined(graph.models(accepted, held), accepted, max_epipolar_px)
-    strained = [(model, strain) for model in models if (strain := inconsistency(model, accepted)) > MOST_INCONSISTENCY]
+
+    # 2. If matches strain a model, try again with those that third cameras confirm.
+    strained = []
+    for model in models:
+        strain = inconsistency(model, accepted)
+        if strain > MOST_INCONSISTENCY:
+            strained.append((model, strain))
     if strained:
-        retried = _refined(graph.models(consistent_matches(accepted, FEWEST), held), accepted, max_epipolar_px)
-        models, removed = retried if retried[0] else (models, removed)
+        confirmed_matches = consistent_matches(accepted, FEWEST)
+        retried, retried_removed = _refined(graph.models(confirmed_matches, held), accepted, max_epipolar_px)
+        if retried:
+            models = retried
+            removed = retried_removed
     if not models:
         return graph.why_nothing(accepted, dropped)
-    worlds = sorted((to_world(graph, model, placements, survey) for model in models), key=lambda world: not world.placed)
+
+    # 3. Align them with the world; those in the site's frame come first.
+    worlds = [to_world(graph, model, placements, survey) for model in models]
+    worlds.sort(key=lambda world: not world.placed)
     main = worlds[0]
-    if not main.placed and len(exact) >= 2:  # the solved model is not aligned with the known cameras, which are the main part
+    if not main.placed and len(exact) >= 2:
+        # No solved model is aligned with the known cameras, which are the main part by themselves.
         metric = all(placements[name].metric for name in exact)
         main = replace(main, metric=metric, scale="calibration" if metric else "calibration, not metric", placed=True)
     cameras = _cameras_of(graph, worlds, exact if main.placed else {}, stated if main.placed else {})
-    component_of = {name: camera.component for name, camera in cameras.items()}
-    numbers = range(1 + max(component_of.values()))
-    components = tuple(tuple(name for name, number in component_of.items() if number == k) for k in numbers)
-    sound = set(stated) & set(cameras) - {name for world in worlds for name in world.suspects}
+
+    # 4. Judge every pair by the cameras.
     checks = {}
     for edge in graph.geometries:
         checks["--".join(graph.ids(edge))] = _check(graph, edge, cameras, dropped.get(edge), max_epipolar_px)
     unsupported = {graph.names[view] for view in removed}
+    unsolved = {name: _why_unsolved(graph, name, dropped, unsupported) for name in graph.names if name not in cameras}
+    suspects = {name for world in worlds for name in world.suspects}
+    sound = (set(stated) & set(cameras)) - suspects
+    source = "mixed" if sound else "solved"
+    issues = _issues(graph, worlds, strained, checks, stated)
+    poses = _poses_of(graph, worlds, main, cameras, unsolved, checks, source)
+    return replace(poses, issues=issues, crs=survey.crs if main.placed else "")
+
+
+def _poses_of(
+    graph: ViewGraph,
+    worlds: list[World],
+    main: World,
+    cameras: dict[str, Camera],
+    unsolved: dict[str, str],
+    checks: dict[str, PairCheck],
+    source: str,
+) -> Poses:
+    """`Poses` without issues, from the models in their worlds and the checks of pairs."""
+    names_of_component: dict[int, list[str]] = {}
+    for name, camera in cameras.items():
+        names_of_component.setdefault(camera.component, []).append(name)
+    components = tuple(tuple(names_of_component.get(k, ())) for k in range(1 + max(names_of_component)))
+    solved_lenses = [name for view, name in enumerate(graph.names) if view in graph.lenses.solved]
     errors = np.concatenate([world.model.error_px()[world.model.use] for world in worlds])
+    points = 0
+    for world in worlds:
+        points += int(np.isfinite(world.model.X[:, 0]).sum())
     return Poses(
         cameras=cameras,
-        unsolved={name: _why_unsolved(graph, name, dropped, unsupported) for name in graph.names if name not in cameras},
+        unsolved=unsolved,
         dropped={pair: check.reason for pair, check in checks.items() if not check.kept},
         metric=main.metric,
-        source="mixed" if sound else "solved",
+        source=source,
         pair_checks=checks,
-        issues=_issues(graph, worlds, strained, checks, stated),
-        focals=tuple(name for view, name in enumerate(graph.names) if view in graph.lenses.solved and name in cameras),
+        focals=tuple(name for name in solved_lenses if name in cameras),
         components=components,
         joins=_joins(graph, components),
         scale=main.scale,
-        crs=survey.crs if main.placed else "",
         notes=_notes(cameras),
-        points=sum(int(np.isfinite(world.model.X[:, 0]).sum()) for world in worlds),
+        points=points,
         reprojection_px=float(np.median(errors)),
     )
 
 
 def _refined(grown: Sequence[Model], accepted: Mapping[Edge, Geometry], max_epipolar_px: float) -> tuple[list[Model], list[int]]:
     """The models after adjustment, without unsupported views; and the views that were removed."""
-    adjusted = [with_principal_points(refine(model, rounds=3)) for model in grown]
-    supported = [without_unsupported(model, accepted, max_epipolar_px) for model in adjusted]
-    return [model for model, _ in supported if model.use.any()], [view for _, removed in supported for view in removed]
+    models = []
+    removed = []
+    for model in grown:
+        adjusted = with_principal_points(refine(model, rounds=3))
+        supported, removed_views = without_unsupported(adjusted, accepted, max_epipolar_px)
+        removed += removed_views
+        if supported.use.any():
+            models.append(supported)
+    return models, removed
 
 
 def _consistent(exact: Mapping[str, Camera], geometries: Mapping[Pair, Geometry], max_epipolar_px: float) -> dict[Pair, Geometry]:
     """The geometries without pairs of exact cameras that contradict these; other such pairs, if probable, get the stated pose."""
     consistent = {}
     for pair, geometry in geometries.items():
-        if set(pair) <= set(exact):
-            if not epipolar_error_px(exact, pair, geometry) <= max_epipolar_px:
-                continue
-            if geometry.good_probability >= LEAST_PROBABILITY:  # improbable pairs may match look-alikes along the epipolar lines
-                R, t = relative_pose(*(exact[name] for name in pair))
-                t /= np.linalg.norm(t)
-                geometry = replace(confirmed(geometry), cam2_R_cam1=R, cam2_t_cam1=t)
+        if not set(pair) <= set(exact):
+            consistent[pair] = geometry
+            continue
+        if not epipolar_error_px(exact, pair, geometry) <= max_epipolar_px:  # "not": the error may be nan
+            continue
+        # Improbable pairs may match look-alikes along the epipolar lines, so agreement does not confirm them.
+        if geometry.good_probability >= LEAST_PROBABILITY:
+            R, t = relative_pose(exact[pair[0]], exact[pair[1]])
+            t /= np.linalg.norm(t)
+            geometry = replace(confirmed(geometry), cam2_R_cam1=R, cam2_t_cam1=t)
         consistent[pair] = geometry
     return consistent
 
@@ -122,9 +173,11 @@ def _cameras_of(
     """
     cameras = dict(exact)
     for world in worlds:
-        component = 0 if world.placed or not cameras else 1 + max(camera.component for camera in cameras.values())
-        solved = {graph.names[view]: camera for view, camera in world.model.cameras.items()}
-        cameras |= {name: replace(camera, component=component) for name, camera in solved.items() if name not in cameras}
+        component = 0
+        if cameras and not world.placed:
+            component = 1 + max(camera.component for camera in cameras.values())
+        for view, camera in world.model.cameras.items():
+            cameras.setdefault(graph.names[view], replace(camera, component=component))
     cameras = {**stated, **cameras}
     return {name: cameras[name] for name in graph.names if name in cameras}
 
@@ -134,42 +187,72 @@ def _issues(
     stated: Mapping[str, Camera],
 ) -> tuple[PoseIssue, ...]:  # fmt: skip
     """The doubts about known poses, about lenses, and about solved cameras whose matches contradict each other."""
-    suspects = {name: reason for world in worlds for name, reason in world.suspects.items()}
-    sigmas = {graph.names[view]: sigma for world in worlds for view, sigma in lens_sigmas(world.model).items()}
-    bendable = [(model, strain) for model, strain in strained if len(model.held) < 2]  # others have the frame of known cameras
-    strains = {graph.names[view]: strain for model, strain in bendable for view in model.cameras}
-    solved = {graph.names[view]: camera for world in worlds for view, camera in world.model.cameras.items()}
-    limits = {name: MOST_EXCESS * max(camera.width, camera.height) for name, camera in solved.items() if name not in stated}
-    uncertain = [name for name in graph.names if name in sigmas and not sigmas[name].border_px <= MOST_SIGMA_PX]
-    return (
-        *(PoseIssue("moved", name, reason) for name, reason in suspects.items()),
-        *(PoseIssue("unverified", name, reason, True) for world in worlds for name, reason in world.doubtful.items()),
-        *(PoseIssue("contradicted", name, reason, True) for world in worlds for name, reason in world.contradicting.items()),
-        *(PoseIssue("lens-undetermined", name, **vars(sigmas[name])) for name in uncertain),
-        *(PoseIssue("inconsistent", name, strain=strain) for name, strain in strains.items()),
-        *(
-            PoseIssue("inconsistent", name, excess_px=px)
-            for name, limit in limits.items()
-            if name not in strains and (px := _excess_px(name, graph, checks)) > limit
-        ),
-    )
+    # 1. Known poses that the models contradict.
+    moved: dict[str, str] = {}
+    unverified = []
+    contradicted = []
+    for world in worlds:
+        moved |= world.suspects
+        unverified += [PoseIssue("unverified", name, reason, True) for name, reason in world.doubtful.items()]
+        contradicted += [PoseIssue("contradicted", name, reason, True) for name, reason in world.contradicting.items()]
+
+    # 2. Lenses that the images do not determine.
+    sigmas = {}
+    solved = {}
+    for world in worlds:
+        for view, sigma in lens_sigmas(world.model).items():
+            sigmas[graph.names[view]] = sigma
+        for view, camera in world.model.cameras.items():
+            solved[graph.names[view]] = camera
+    undetermined = []
+    for name in graph.names:
+        if name in sigmas and not sigmas[name].border_px <= MOST_SIGMA_PX:  # "not": it may be nan
+            undetermined.append(PoseIssue("lens-undetermined", name, **vars(sigmas[name])))
+
+    # 3. Models that matches strain; those with two known cameras have their frame, which strains them, too.
+    strains = {}
+    for model, strain in strained:
+        if len(model.held) < 2:
+            for view in model.cameras:
+                strains[graph.names[view]] = strain
+    inconsistent = [PoseIssue("inconsistent", name, strain=strain) for name, strain in strains.items()]
+
+    # 4. Solved cameras whose pairs fit poses of their own much better.
+    for name, camera in solved.items():
+        if name in stated or name in strains:
+            continue
+        excess_px = _excess_px(name, graph, checks)
+        if excess_px > MOST_EXCESS * max(camera.width, camera.height):
+            inconsistent.append(PoseIssue("inconsistent", name, excess_px=excess_px))
+    suspected = [PoseIssue("moved", name, reason) for name, reason in moved.items()]
+    return (*suspected, *unverified, *contradicted, *undetermined, *inconsistent)
 
 
 def _excess_px(name: str, graph: ViewGraph, checks: Mapping[str, PairCheck]) -> float:
-    """How much farther the matches of a camera's pairs are from the epipolar lines of the cameras than from those of their own F:
-    the median of its pairs with stated lenses (F adapts to others), weighted by right inliers, in pixels; nan without pairs."""
+    """How much farther the matches of a camera's pairs are from the epipolar lines of the cameras than from those of their own F.
+
+    The median of its pairs with stated lenses (F adapts to others), weighted by right inliers, in pixels; nan without pairs.
+    """
     excesses: list[tuple[float, float]] = []
     for edge, geometry in graph.geometries.items():
         check = checks["--".join(graph.ids(edge))]
         has_lenses = not set(edge) & set(graph.lenses.solved)
         if name in graph.ids(edge) and has_lenses and np.isfinite(check.adjusted_px):
             excesses.append((check.adjusted_px - check.estimated_px, geometry.inliers * geometry.good_probability))
-    values, weights = np.array(sorted(excesses)).reshape(-1, 2).T
-    return float(values[np.searchsorted(weights.cumsum(), weights.sum() / 2)]) if len(values) else float("nan")
+    if not excesses:
+        return float("nan")
+    values, weights = np.array(sorted(excesses)).T
+    # The weighted median: the first value up to which half of the weight lies.
+    return float(values[np.searchsorted(weights.cumsum(), weights.sum() / 2)])
 
 
 def _notes(cameras: Mapping[str, Camera]) -> tuple[str, ...]:
-    distorted = {name: px for name, camera in cameras.items() if (px := residual_px(camera)) > UNDISTORTED_PX}
+    """A note about solved lenses whose distortion remains in the frames; () if there are none."""
+    distorted = {}
+    for name, camera in cameras.items():
+        px = residual_px(camera)
+        if px > UNDISTORTED_PX:
+            distorted[name] = px
     if not distorted:
         return ()
     message = f"the lenses of {', '.join(distorted)} bend straight lines (corners by up to {max(distorted.values()):.1f} px)"
@@ -179,26 +262,31 @@ def _notes(cameras: Mapping[str, Camera]) -> tuple[str, ...]:
 def _check(
     graph: ViewGraph, edge: Edge, cameras: Mapping[str, Camera], rejection: Rejected | None, max_epipolar_px: float
 ) -> PairCheck:
-    geometry, pair = graph.geometries[edge], graph.ids(edge)
+    """Is a pair kept, given the solved cameras?  rejection: why it was dropped before they were solved, if it was."""
+    geometry = graph.geometries[edge]
+    pair = graph.ids(edge)
     own_px = float(np.median(symmetric_epipolar_distance(geometry.F, geometry.x1, geometry.x2)))
-    left, right = (cameras.get(name) for name in pair)
+    left = cameras.get(pair[0])
+    right = cameras.get(pair[1])
     if left is None or right is None:
         unplaced = rejection or Rejected(Reason.CAMERA_NOT_PLACED)
         return PairCheck(rejection is None, unplaced.reason, unplaced.code, own_px)
     if left.component != right.component:
         separate = rejection or Rejected(Reason.CAMERAS_APART)
         return PairCheck(False, separate.reason, separate.code, own_px)
-    adjusted_px, undistorted_px = epipolar_error_px(cameras, pair, geometry), undistorted_error_px(left, right, geometry)
-    if undistorted_px <= max_epipolar_px:
-        rejection = None  # cameras that were solved without this pair agree with it after all
-    elif rejection is None:
-        rejection = Rejected(Reason.CONTRADICTS_CAMERAS, {"epipolar_px": undistorted_px})
-    reason, code = ("", "") if rejection is None else (rejection.reason, rejection.code)
+    adjusted_px = epipolar_error_px(cameras, pair, geometry)
+    undistorted_px = undistorted_error_px(left, right, geometry)
     rotation_deg = turned_deg(cameras, pair, geometry)
-    return PairCheck(rejection is None, reason, code, own_px, adjusted_px, rotation_deg, "solved")
+    if undistorted_px <= max_epipolar_px:
+        # Cameras that were solved without this pair agree with it after all.
+        return PairCheck(True, "", "", own_px, adjusted_px, rotation_deg, "solved")
+    if rejection is None:
+        rejection = Rejected(Reason.CONTRADICTS_CAMERAS, {"epipolar_px": undistorted_px})
+    return PairCheck(False, rejection.reason, rejection.code, own_px, adjusted_px, rotation_deg, "solved")
 
 
 def _why_unsolved(graph: ViewGraph, name: str, dropped: Mapping[Edge, Rejected], unsupported: set[str]) -> str:
+    """Why a camera is in no model, in words."""
     view = graph.names.index(name)
     own_edges = [edge for edge in graph.geometries if view in edge]
     if view not in graph.lenses.K:
@@ -206,16 +294,20 @@ def _why_unsolved(graph: ViewGraph, name: str, dropped: Mapping[Edge, Rejected],
     if not own_edges:
         return "no pair with it has a geometry"
     if all(edge in dropped for edge in own_edges):
-        no_proof = (Reason.UNCONFIRMED, Reason.NOT_BELIEVED)  # lack of evidence: without triangles, nothing contradicts a pair
-        if all(dropped[edge].why in no_proof and not dropped[edge].figures["triangles"] for edge in own_edges):
-            which_pairs = f"none of its {len(own_edges)} pairs" if len(own_edges) > 1 else "its only pair"
-            verb = "is" if len(own_edges) > 1 else "is not"
-            return f"{which_pairs} {verb} reliable: too few distinctive matches, and no third camera confirms them"
-        which_pairs = f"each of its {len(own_edges)} pairs" if len(own_edges) > 1 else "its only pair"
-        return f"{which_pairs} contradicts the others"
+        several = len(own_edges) > 1
+        if all(_lacks_evidence(dropped[edge]) for edge in own_edges):
+            none_is = f"none of its {len(own_edges)} pairs is" if several else "its only pair is not"
+            return f"{none_is} reliable: too few distinctive matches, and no third camera confirms them"
+        each = f"each of its {len(own_edges)} pairs" if several else "its only pair"
+        return f"{each} contradicts the others"
     if name in unsupported:
         return "the pose from its shared points contradicts the pairs with the most matches"
     return "too few points in common with the solved cameras"
+
+
+def _lacks_evidence(rejection: Rejected) -> bool:
+    """Was a pair dropped for lack of evidence?  Without triangles, nothing contradicts it."""
+    return rejection.why in (Reason.UNCONFIRMED, Reason.NOT_BELIEVED) and not rejection.figures["triangles"]
 
 
 def _joins(graph: ViewGraph, components: Sequence[Sequence[str]]) -> tuple[str, ...]:
@@ -223,15 +315,21 @@ def _joins(graph: ViewGraph, components: Sequence[Sequence[str]]) -> tuple[str, 
 
     def strength(name: str) -> tuple[int, str]:
         view = graph.names.index(name)
-        return sum(geometry.inliers for edge, geometry in graph.geometries.items() if view in edge), name
+        inliers = sum(geometry.inliers for edge, geometry in graph.geometries.items() if view in edge)
+        return inliers, name
 
     first, *others = [max(component, key=strength) for component in components]
-    return tuple("--".join(sorted((first, other), key=graph.names.index)) for other in others)
+    joins = []
+    for other in others:
+        pair = sorted((first, other), key=graph.names.index)
+        joins.append("--".join(pair))
+    return tuple(joins)
 
 
 def undistorted_error_px(left: Camera, right: Camera, geometry: Geometry) -> float:
     """Median distance of a pair's inliers, with radial distortion removed, to the epipolar lines of its cameras."""
-    x1, x2 = without_distortion(left, geometry.x1), without_distortion(right, geometry.x2)
+    x1 = without_distortion(left, geometry.x1)
+    x2 = without_distortion(right, geometry.x2)
     return float(np.median(symmetric_epipolar_distance(fundamental_from_cameras(left, right), x1, x2)))
 
 
@@ -245,17 +343,20 @@ def without_unsupported(model: Model, geometries: Mapping[Edge, Geometry], max_e
     removed: list[int] = []
     first = first_views(model.cameras)  # views of one camera are removed together
     while len(model.cameras) > 2:
+        # Of each camera that may be removed: inliers of pairs that agree with it, minus those of pairs that contradict it.
         balance = dict.fromkeys((first[view] for view in model.cameras if view not in model.held), 0)
         for (i, j), geometry in geometries.items():
             if i in model.cameras and j in model.cameras:
                 agrees = undistorted_error_px(model.cameras[i], model.cameras[j], geometry) <= max_epipolar_px
                 for view in balance.keys() & {first[i], first[j]}:
                     balance[view] += geometry.inliers if agrees else -geometry.inliers
+        # The worst camera goes, and the rest is adjusted without it, before the next is judged.
         worst = min(balance, key=lambda view: (balance[view], view), default=None)
         if worst is None or balance[worst] >= 0:
             break
         worst_views = [view for view in model.cameras if first[view] == worst]
         removed += worst_views
         cameras = {view: camera for view, camera in model.cameras.items() if view not in worst_views}
-        model = refine(replace(model, cameras=cameras, use=model.use & ~np.isin(model.tracks.view, worst_views)), rounds=3)
+        use = model.use & ~np.isin(model.tracks.view, worst_views)
+        model = refine(replace(model, cameras=cameras, use=use), rounds=3)
     return model, removed
