@@ -9,7 +9,7 @@ size and volume (`change.clusters`).
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import cv2
@@ -102,65 +102,92 @@ def find_changes(
     old_cameras = reference_poses.main_cameras()
     if not _same_world(cameras, old_cameras, cloud):
         return _no_changes(axes, poses)
-
-    # 1. Both nights, and the cells of the ground that contain both clouds.
     tonight = Epoch(cloud, cameras, undistorted_frames(frames, cameras), depths, refined or {})
     old_frames = undistorted_frames(reference_frames or {}, old_cameras)
     pinned = Epoch(reference_cloud, old_cameras, old_frames, reference_depths or {}, reference_refined or {})
     spacing = max(spacing_of(tonight.points), spacing_of(pinned.points))
     sample = np.vstack([tonight.points[::_STEP], pinned.points[::_STEP]])
     grid = grid_over(sample, axes, cell_m or preferred_above(_CELL * spacing))
+    least_area = _LEAST_AREA * spacing**2 if least_area_m2 is None else least_area_m2
+    limits = _Limits(spacing, sigmas, registration_m, similar, least_area, zones or [])
+    found = _compared(tonight, pinned, grid, limits)
+    return replace(found, metric=poses.metric, crs=poses.crs)
 
-    # 2. Which points of each night have changed?
-    measured_new, measured_old = compare_nights(tonight, pinned, spacing, registration_m)
+
+@dataclass(frozen=True)
+class _Limits:
+    """What counts as a change: see the parameters of `find_changes`."""
+
+    spacing: float
+    """Of the points of the coarser cloud, world units."""
+    sigmas: float
+    registration: float
+    similar: float
+    least_area: float
+    zones: list[dict[str, Any]]
+
+
+def _compared(tonight: Epoch, pinned: Epoch, grid: GroundGrid, limits: _Limits) -> Changes:
+    """The changes between two nights in one world."""
+    # 1. Which points of each night have changed?
+    measured_new, measured_old = compare_nights(tonight, pinned, limits.spacing, limits.registration)
     noise = noise_of(measured_new, measured_old)
 
     def side(measured: Evidence, own: Epoch, other: Epoch) -> _Side:
-        evidence = mark_changed(measured, own, other, spacing, noise=noise, sigmas=sigmas, similar=similar)
+        evidence = mark_changed(measured, own, other, limits.spacing, noise=noise, sigmas=limits.sigmas, similar=limits.similar)
         return _Side(own, evidence, own.cloud.colors[evidence.rows], points_over_ground(grid, own.points))
 
     new = side(measured_new, tonight, pinned)
     old = side(measured_old, pinned, tonight)
 
-    # 3. Clusters of these; a new one and a vanished one that are similar are a thing that was moved.
-    least = _LEAST_AREA * spacing**2 if least_area_m2 is None else least_area_m2
-
-    def clusters_on(own: _Side, other: _Side, vanished: bool) -> list[ChangeCluster]:
-        return find_clusters(
-            own.evidence,
-            own.colors,
-            grid,
-            other.ground,
-            vanished=vanished,
-            spacing=spacing,
-            least_area=least,
-            similar=similar,
-        )
-
-    clusters = [*clusters_on(new, old, vanished=False), *clusters_on(old, new, vanished=True)]
+    # 2. Clusters of these; a new one and a vanished one that are similar are a thing that was moved.
+    clusters = [
+        *_clusters_on(new, old, grid, limits, vanished=False),
+        *_clusters_on(old, new, grid, limits, vanished=True),
+    ]
     confirmed = [cluster for cluster in clusters if cluster.confirmed]
     pairs = sorted(paired(confirmed), key=lambda pair: -pair[0].change.volume)
 
-    # 4. Volumes of the ground: all changes count, in zones or not, and unconfirmed ones as uncertainty.
+    # 3. Volumes of the ground: all changes count, in zones or not, and unconfirmed ones as uncertainty.
     height_tonight = _surface_heights(grid, new.ground)
     height_before = _surface_heights(grid, old.ground)
-    detection = detection_of(new.evidence, old.evidence, sigmas=sigmas, registration=registration_m, least_area=least)
+    detection = detection_of(
+        new.evidence,
+        old.evidence,
+        sigmas=limits.sigmas,
+        registration=limits.registration,
+        least_area=limits.least_area,
+    )
     counted = []
     for cluster, source in pairs:
         counted.append(cluster)
         if source is not None:
             counted.append(source)
     counted += [cluster for cluster in clusters if not cluster.confirmed]
-    total, by_zone = volumes(grid, (height_tonight, height_before), counted, zones or [], detection)
+    total, by_zone = volumes(grid, (height_tonight, height_before), counted, limits.zones, detection)
 
-    # 5. Changes that a zone counts are reported.
+    # 4. Changes that a zone counts are reported.
     reported = []
     for cluster, source in pairs:
-        labelled = _in_zone(cluster, zones, axes)
+        labelled = _in_zone(cluster, limits.zones, grid.axes)
         if labelled is not None:
             reported.append((labelled, source))
-    result = _assembled(grid, height_tonight - height_before, (new, old), reported)
-    return replace(result, cut_fill=total, zones=by_zone, noise=noise, metric=poses.metric, crs=poses.crs)
+    found = _assembled(grid, height_tonight - height_before, (new, old), reported)
+    return replace(found, cut_fill=total, zones=by_zone, noise=noise)
+
+
+def _clusters_on(own: _Side, other: _Side, grid: GroundGrid, limits: _Limits, *, vanished: bool) -> list[ChangeCluster]:
+    """The changes that the changed points of one night form."""
+    return find_clusters(
+        own.evidence,
+        own.colors,
+        grid,
+        other.ground,
+        vanished=vanished,
+        spacing=limits.spacing,
+        least_area=limits.least_area,
+        similar=limits.similar,
+    )
 
 
 class _Side(NamedTuple):
@@ -186,7 +213,7 @@ def _same_world(cameras: Mapping[str, Camera], old_cameras: Mapping[str, Camera]
     return float(np.median(displacements)) <= _MOST_DISPLACEMENT * extent
 
 
-def _in_zone(cluster: ChangeCluster, zones: list[dict[str, Any]] | None, axes: Float64s) -> ChangeCluster | None:
+def _in_zone(cluster: ChangeCluster, zones: list[dict[str, Any]], axes: Float64s) -> ChangeCluster | None:
     """The change, labelled with the zone that contains it; None if no zone counts it."""
     if not zones:
         return cluster

@@ -27,6 +27,15 @@ EXACT_SHARE = 1e-4
 LOOSE_SHARE = 0.005
 """If all positions are known less well than this share of the scene's distance, they only give frame and scale: the images
 determine the shape better."""
+TOLERANCE = 0.01
+"""Tolerance of a known position: this share of the scene's distance, plus three standard deviations.  With more, positions that
+are wrong bend the site; with less, right ones are left out."""
+TOLERANCE_DEG = 1.5
+"""Tolerance of a known rotation, degrees."""
+UP_WEIGHT = 1e-7
+"""Weight of the assumption that cameras are upright, against exact data: it decides only what nothing else determines."""
+MOST_TRIALS = 3000
+"""Largest number of pairs, and of triples, of landmarks that are tried as the minimal set of an alignment."""
 
 
 @dataclass(frozen=True)
@@ -55,65 +64,113 @@ def to_world(graph: ViewGraph, model: Model, placements: Mapping[str, Placement]
     graph, model : views and their names; cameras and points in a frame of their own.
     placements, survey : known poses by id; known distances and control points.
     """
+    # 1. What is known about the cameras of the model.  Further views of a camera add no information.
     cameras = model.cameras
     first = first_views(cameras)
-    first_cameras = {view: camera for view, camera in cameras.items() if first[view] == view}  # others add no information
-    known = {view: placements[name] for view in first_cameras if (name := graph.names[view]) in placements}
-    landmarks = [
-        Landmark(graph.names[view], cameras[view].C, p.C, cameras[view].R, p.R, p.sigma_m)
-        for view, p in known.items()
-        if p.C is not None
-    ]
+    first_cameras = {view: camera for view, camera in cameras.items() if first[view] == view}
+    known = {view: placements[graph.names[view]] for view in first_cameras if graph.names[view] in placements}
+    landmarks = _pose_landmarks(graph, cameras, known)
     landmarks += control_landmarks(cameras, graph.names, graph.views, survey)
     up = upward([replace(camera, R=camera_R(camera)) for camera in first_cameras.values()])
     depth = _median_depth(model)
     scale = _scale_of_distances(graph, cameras, survey)
     is_scaled = scale is not None
     scale_source = "known distances" if is_scaled else "none: the median baseline is set to 1, and the cloud is not metric"
-    alignment = align(landmarks, up, depth, scale if len(landmarks) < 2 else None) if landmarks else None
+
+    # 2. Align it.  Two landmarks determine the scale, and then distances are only checked.
+    alignment = None
+    if landmarks:
+        alignment = align(landmarks, up, depth, scale if len(landmarks) < 2 else None)
     if alignment is None:
-        first_of_all = first_views(dict(enumerate(graph.views)))
-        other_views = {name for view, name in enumerate(graph.names) if first_of_all[view] != view}
-        known_count = sum(p.C is not None for name, p in placements.items() if name not in other_views)
-        is_single = known_count == 1  # without a scale, a model cannot be placed relative to several known positions
+        # Without a scale, a model cannot be placed relative to several known positions.
+        is_placed = bool(landmarks) and (is_scaled or _known_positions(graph, placements) == 1)
         model = _transformed(model, _own_frame(graph, cameras, landmarks, up, scale))
-        return World(model, bool(landmarks) and (is_scaled or is_single), is_scaled, scale_source)
-    exact_views = [view for view, p in known.items() if p.R is not None and p.C is not None and max(p.sigma_m, p.sigma_deg) == 0]
-    exact_names = [graph.names[view] for view in exact_views]
+        return World(model, is_placed, is_scaled, scale_source)
+
+    # 3. If too few exact poses agree with the model to place it, it stays in a frame of its own.
+    exact_names = []
+    for view, p in known.items():
+        if p.R is not None and p.C is not None and max(p.sigma_m, p.sigma_deg) == 0:
+            exact_names.append(graph.names[view])
     agreeing = {view: p for view, p in known.items() if graph.names[view] in alignment.trusted}
-    held = [view for view in cameras if (p := agreeing.get(first[view])) and p.R is not None and p.sigma_m == 0]
-    if len({first[view] for view in held}) < 2 <= len(exact_names):  # too few known poses agree with the model to place it
+    held = []  # views of cameras whose exact pose agrees
+    for view in cameras:
+        placement = agreeing.get(first[view])
+        if placement is not None and placement.R is not None and placement.sigma_m == 0:
+            held.append(view)
+    held_cameras = len({first[view] for view in held})
+    if held_cameras < 2 <= len(exact_names):
         names = " and ".join(exact_names)
         reason = f"the model of {len(cameras)} cameras contradicts the known poses of {names}: it stays separate, unverified"
         model = _transformed(model, _own_frame(graph, cameras, [], up, scale))
         return World(model, False, is_scaled, scale_source, contradicting=dict.fromkeys(exact_names, reason))
+
+    # 4. Refine it in the world.
     model = _transformed(model, alignment.similarity)
-    if len({first[view] for view in held}) >= 2:
+    if held_cameras >= 2:
         stated = {view: _at_stated_pose(model.cameras[view], placements[graph.names[view]]) for view in held}
         model = refine(replace_cameras(model, {**model.cameras, **stated}), held)
     else:
-        distance = depth * alignment.similarity.scale
-        positions = {view: (p.C, max(p.sigma_m, EXACT_SHARE * distance)) for view, p in agreeing.items() if p.C is not None}
-        if len(positions) >= 3 and min(sigma for _, sigma in positions.values()) < LOOSE_SHARE * distance:
-            model = refine(model, positions=positions)
+        model = _refined_to_positions(model, agreeing, depth * alignment.similarity.scale)
     metric = is_scaled or all(p.metric for p in known.values() if p.C is not None)
     source = "known distances" if len(landmarks) < 2 else _source(alignment.trusted, len(landmarks))
-    suspects, doubtful = {}, {}
+    suspects, doubtful = _deviation_messages(alignment, exact_names)
+    return World(model, True, metric, source, suspects, doubtful)
+
+
+def _pose_landmarks(graph: ViewGraph, cameras: Mapping[int, Camera], known: Mapping[int, Placement]) -> list[Landmark]:
+    """The cameras with known positions."""
+    landmarks = []
+    for view, placement in known.items():
+        if placement.C is not None:
+            camera = cameras[view]
+            landmarks.append(Landmark(graph.names[view], camera.C, placement.C, camera.R, placement.R, placement.sigma_m))
+    return landmarks
+
+
+def _known_positions(graph: ViewGraph, placements: Mapping[str, Placement]) -> int:
+    """Number of cameras of the site whose positions are known; all views of a camera count once."""
+    first = first_views(dict(enumerate(graph.views)))
+    further_views = {name for view, name in enumerate(graph.names) if first[view] != view}
+    return sum(p.C is not None for name, p in placements.items() if name not in further_views)
+
+
+def _refined_to_positions(model: Model, agreeing: Mapping[int, Placement], distance: float) -> Model:
+    """The model refined to known positions, if at least three are known, one of them well; distance: of the scene, in metres."""
+    positions = {}
+    for view, placement in agreeing.items():
+        if placement.C is not None:
+            positions[view] = (placement.C, max(placement.sigma_m, EXACT_SHARE * distance))
+    if len(positions) < 3 or min(sigma for _, sigma in positions.values()) >= LOOSE_SHARE * distance:
+        return model
+    return refine(model, positions=positions)
+
+
+def _deviation_messages(alignment: Alignment, exact_names: list[str]) -> tuple[dict[str, str], dict[str, str]]:
+    """What to say about known data that contradict the model, by name: those that are left out, and those that stay in use."""
+    suspects = {}
+    doubtful = {}
     for name, (length, degrees) in alignment.deviations.items():
         if name in exact_names:
             off = f"{length:.3g} m away from its known pose"
             doubtful[name] = f"the model of the others has it {off}. It stays in use: has it been moved?"
         else:
             suspects[name] = _suspect_message(name, length, degrees)
-    return World(model, True, metric, source, suspects, doubtful)
+    return suspects, doubtful
 
 
 def _source(trusted: tuple[str, ...], known_count: int) -> str:
+    """Where the scale comes from, such as "4 known positions and 2 control points"."""
     if not trusted:
         return f"{known_count} known positions, which the images contradict"
     points = sum(name.startswith("control point") for name in trusted)
-    parts = [(len(trusted) - points, "known positions"), (points, "control points")]
-    return " and ".join(f"{count} {kind}" for count, kind in parts if count)
+    positions = len(trusted) - points
+    parts = []
+    if positions:
+        parts.append(f"{positions} known positions")
+    if points:
+        parts.append(f"{points} control points")
+    return " and ".join(parts)
 
 
 def _scale_of_distances(graph: ViewGraph, cameras: Mapping[int, Camera], survey: Survey) -> float | None:
@@ -121,43 +178,54 @@ def _scale_of_distances(graph: ViewGraph, cameras: Mapping[int, Camera], survey:
     ratios = []
     centre_of = {camera_id(graph.names[view], camera): camera.C for view, camera in cameras.items()}
     for i, j, metres in survey.distances:
-        a, b = survey.cameras[i], survey.cameras[j]
+        a = survey.cameras[i]
+        b = survey.cameras[j]
         if a in centre_of and b in centre_of:
             ratios.append(metres / np.linalg.norm(centre_of[a] - centre_of[b]))
-    return float(np.median(ratios)) if ratios else None
+    if not ratios:
+        return None
+    return float(np.median(ratios))
 
 
 def _own_frame(
     graph: ViewGraph, cameras: Mapping[int, Camera], landmarks: list[Landmark], up: Float64s, scale: float | None
 ) -> Similarity:
-    """Frame with z up and x to the right of the first camera, which is at the origin (or at its known position).  Without a
-    scale, the median baseline of the matched pairs becomes 1."""
+    """Frame with z up and x to the right of the first camera, which is at the origin (or at its known position).
+
+    Without a scale, the median baseline of the matched pairs becomes 1.
+    """
     if scale is None:
         baselines = [np.linalg.norm(cameras[i].C - cameras[j].C) for i, j in graph.geometries if i in cameras and j in cameras]
         scale = 1 / float(np.median(baselines))
+    # The camera's x axis, made horizontal.
     first_camera = cameras[min(cameras)]
     right = camera_R(first_camera)[0] - (camera_R(first_camera)[0] @ up) * up
     right /= np.linalg.norm(right)
     R = np.array([right, np.cross(up, right), up])
-    origin, target = first_camera.C, np.zeros(3)
+    origin = first_camera.C
+    target = np.zeros(3)
     if landmarks:
-        origin, target = landmarks[0].model_X, landmarks[0].world_X
+        origin = landmarks[0].model_X
+        target = landmarks[0].world_X
         if landmarks[0].world_R is not None and landmarks[0].model_R is not None:
             R = landmarks[0].world_R.T @ landmarks[0].model_R
     return Similarity(scale, R, target - scale * R @ origin)
 
 
 def _at_stated_pose(camera: Camera, placement: Placement) -> Camera:
+    """The camera with the lens of the model, at a pose that is completely stated."""
     assert placement.R is not None and placement.C is not None
     return replace(camera, R=placement.R, C=placement.C)
 
 
 def _transformed(model: Model, similarity: Similarity) -> Model:
+    """The model, with cameras and points in another frame."""
     cameras = {view: similarity.camera(camera) for view, camera in model.cameras.items()}
     return replace(model, cameras=cameras, X=similarity.points(model.X))
 
 
 def _median_depth(model: Model) -> float:
+    """Median depth of the points over all observations in use, in units of the model."""
     depths = []
     for view, camera in model.cameras.items():
         rows = model.use & (model.tracks.view == view)
@@ -169,15 +237,6 @@ def _suspect_message(name: str, length: float, degrees: float) -> str:
     rotation = "" if np.isnan(degrees) else f" and {degrees:.1f} degrees"
     subject = name if name.startswith("control point") else f"the known pose of {name}"
     return f"{subject} contradicts the images: it seems off by {length:.3g} m{rotation}; left out"
-
-
-TOLERANCE = 0.01
-"""Tolerance of a known position: this share of the scene's distance, plus three standard deviations."""
-TOLERANCE_DEG = 1.5
-"""Tolerance of a known rotation."""
-UP_WEIGHT = 1e-7
-"""Weight of the assumption that cameras are upright, against exact data: it decides only what nothing else determines."""
-MOST_TRIALS = 3000
 
 
 @dataclass(frozen=True)
@@ -212,50 +271,86 @@ def align(landmarks: Sequence[Landmark], up: Float64s, depth: float, scale: floa
 
     Parameters
     ----------
-    landmarks : at least two; one is enough if `scale` is given.
+    landmarks : at least two; one is enough if `scale` is known.
     up : (3,) the direction in the model that is +z in the world unless the landmarks determine another.
     depth : median distance of the scene from its cameras, in the model.
     scale : if known from elsewhere; None is returned if neither this nor the landmarks determine it.
     """
 
     def agreement(similarity: Similarity) -> tuple[int, float]:
-        errors = [_relative_deviation(similarity, landmark, depth) for landmark in landmarks]
-        return sum(e <= 1 for e in errors), -float(np.sum(np.minimum(errors, 1)))
+        """Number of landmarks within their tolerance; of equal ones, the smallest sum of truncated errors wins."""
+        errors = np.array([_relative_deviation(similarity, landmark, depth) for landmark in landmarks])
+        return int((errors <= 1).sum()), -float(np.sum(np.minimum(errors, 1)))
 
-    candidates = (fit_similarity(subset, up, scale) for subset in _subsets(landmarks, scale))
-    similarity = max(filter(None, candidates), key=agreement, default=None)
-    if similarity is None:
+    def agreeing(similarity: Similarity) -> list[Landmark]:
+        return [landmark for landmark in landmarks if _relative_deviation(similarity, landmark, depth) <= 1]
+
+    # 1. The best of the similarities that minimal sets of landmarks determine; the first of equal ones.
+    candidates = []
+    for subset in _subsets(landmarks, scale):
+        candidate = fit_similarity(subset, up, scale)
+        if candidate is not None:
+            candidates.append(candidate)
+    if not candidates:
         return None
+    similarity = max(candidates, key=agreement)
+
+    # 2. Fit it to all that agree with it, which may change who agrees.
     for _ in range(3):
-        trusted = [landmark for landmark in landmarks if _relative_deviation(similarity, landmark, depth) <= 1]
+        trusted = agreeing(similarity)
         refitted = fit_similarity(trusted, up, scale) if trusted else None
         if refitted is None:
             break
         similarity = refitted
-    names = tuple(landmark.name for landmark in landmarks if _relative_deviation(similarity, landmark, depth) <= 1)
-    return Alignment(similarity, names, {mark.name: _deviation(similarity, mark) for mark in landmarks if mark.name not in names})
+    names = tuple(landmark.name for landmark in agreeing(similarity))
+    deviations = {mark.name: _deviation(similarity, mark) for mark in landmarks if mark.name not in names}
+    return Alignment(similarity, names, deviations)
 
 
 def fit_similarity(landmarks: Sequence[Landmark], up: Float64s, scale: float | None = None) -> Similarity | None:
-    """Least squares over landmarks (Wahba's problem over baselines and known rotations, solved by SVD); None without a scale."""
+    """Least squares over landmarks (Wahba's problem over baselines and known rotations, solved by SVD); None without a scale.
+
+    Parameters
+    ----------
+    landmarks : at least one.
+    up, scale : see `align`.
+
+    References
+    ----------
+    Wahba, A least squares estimate of satellite attitude, SIAM Review 7, 1965.
+    """
+    # 1. Weights: exact landmarks count as if they had a tenth of the smallest sigma.
     sigmas = np.array([landmark.sigma for landmark in landmarks])
-    known_sigmas = sigmas[sigmas > 0]  # exact landmarks get a tenth of the smallest sigma
-    weight = 1 / np.where(sigmas > 0, sigmas, 0.1 * known_sigmas.min() if len(known_sigmas) else 1.0) ** 2
+    known_sigmas = sigmas[sigmas > 0]
+    exact_sigma = 0.1 * known_sigmas.min() if len(known_sigmas) else 1.0
+    weight = 1 / np.where(sigmas > 0, sigmas, exact_sigma) ** 2
     weight /= weight.sum()
+
+    # 2. Is the scale determined: are the landmarks apart, by more than rounding errors, in both frames?
     source = np.array([landmark.model_X for landmark in landmarks])
     target = np.array([landmark.world_X for landmark in landmarks])
-    source_mean, target_mean = weight @ source, weight @ target
-    centred_source, centred_target = source - source_mean, target - target_mean
-    source_spread, target_spread = np.sqrt(weight @ (centred_source**2).sum(1)), np.sqrt(weight @ (centred_target**2).sum(1))
+    source_mean = weight @ source
+    target_mean = weight @ target
+    centred_source = source - source_mean
+    centred_target = target - target_mean
+    source_spread = np.sqrt(weight @ (centred_source**2).sum(1))
+    target_spread = np.sqrt(weight @ (centred_target**2).sum(1))
     size = np.abs(target_mean).max() + np.abs(source_mean).max() + 1e-300
     has_extent = source_spread > 1e-12 * size and target_spread > 1e-12 * size
     if not has_extent and scale is None:
         return None
-    noise = np.mean([landmark.sigma**2 for landmark in landmarks]) / target_spread**2 if has_extent else 0.0
+    # 3. The rotation closest to all evidence: M sums outer products of directions in the world and in the model.  The less the
+    # positions determine it, the more the assumed direction up counts.
+    noise = 0.0
+    if has_extent:
+        noise = np.mean([landmark.sigma**2 for landmark in landmarks]) / target_spread**2
     M = (UP_WEIGHT + noise) * np.outer([0.0, 0.0, 1.0], up)
     if has_extent:
         M += np.einsum("n,ni,nj->ij", weight, centred_target, centred_source) / (source_spread * target_spread)
-    rotations = [mark.world_R.T @ mark.model_R for mark in landmarks if mark.world_R is not None and mark.model_R is not None]
+    rotations = []
+    for landmark in landmarks:
+        if landmark.world_R is not None and landmark.model_R is not None:
+            rotations.append(landmark.world_R.T @ landmark.model_R)
     if rotations:
         M += np.mean(rotations, axis=0)
     return with_rotation(nearest_rotation(M), source, target, weight, scale)
@@ -266,9 +361,12 @@ def upward(cameras: Sequence[Camera]) -> Float64s:
     x = np.array([camera.R[0] for camera in cameras])
     down = np.mean([camera.R[1] for camera in cameras], axis=0)
     down /= np.linalg.norm(down) + 1e-300
+    # The direction most nearly at right angles to all x axes; the second term decides if these are parallel.
     _, vectors = np.linalg.eigh(x.T @ x / len(x) - 0.1 * np.outer(down, down))
     up = vectors[:, 0]
-    return np.asarray(-up if up @ down > 0 else up, dtype=np.float64)
+    if up @ down > 0:
+        up = -up
+    return np.asarray(up, dtype=np.float64)
 
 
 def _subsets(landmarks: Sequence[Landmark], scale: float | None) -> list[Sequence[Landmark]]:
@@ -277,7 +375,9 @@ def _subsets(landmarks: Sequence[Landmark], scale: float | None) -> list[Sequenc
     subsets: list[Sequence[Landmark]] = [landmarks]
     if scale is not None:
         subsets += [[landmark] for landmark in oriented]
-    subsets += islice((pair for pair in combinations(landmarks, 2) if any(m.world_R is not None for m in pair)), MOST_TRIALS)
+    # Two positions leave a rotation about the line through them, which a known rotation determines.
+    pairs = (pair for pair in combinations(landmarks, 2) if any(mark.world_R is not None for mark in pair))
+    subsets += islice(pairs, MOST_TRIALS)
     subsets += islice(combinations(landmarks, 3), MOST_TRIALS)
     return [subset for subset in subsets if subset]
 
@@ -286,7 +386,9 @@ def _relative_deviation(similarity: Similarity, landmark: Landmark, depth: float
     """Deviation of a landmark, as a share of the tolerance."""
     length, degrees = _deviation(similarity, landmark)
     tolerated = 3 * landmark.sigma + TOLERANCE * depth * similarity.scale
-    return max(length / tolerated, 0.0 if np.isnan(degrees) else degrees / TOLERANCE_DEG)
+    if np.isnan(degrees):
+        return max(length / tolerated, 0.0)
+    return max(length / tolerated, degrees / TOLERANCE_DEG)
 
 
 def _deviation(similarity: Similarity, landmark: Landmark) -> tuple[float, float]:
@@ -309,12 +411,14 @@ def control_landmarks(
     survey : positions of the points, and the pixels at which cameras see them.
     """
     ids = {view: camera_id(names[view], views[view]) for view in sorted(cameras)}
-    rows = []
+    rows = []  # point, view, x, y
     for point, camera, x, y in survey.observations:
+        # A camera with several views sees the point in the first one whose frame contains it.
         camera_views = [view for view, name in ids.items() if name == survey.cameras[camera]]
         for view in camera_views:
             u, v = _in_frame(np.array([[x, y]]), views[view], cameras[view])[0]
-            if (len(camera_views) == 1 and np.isfinite(u)) or (0 <= u < views[view].width and 0 <= v < views[view].height):
+            is_only_view = len(camera_views) == 1 and np.isfinite(u)
+            if is_only_view or (0 <= u < views[view].width and 0 <= v < views[view].height):
                 rows.append((point, view, u, v))
                 break
     rows.sort(key=lambda row: row[:2])
@@ -332,13 +436,19 @@ def control_landmarks(
 
 
 def _in_frame(x: Float64s, view: View, camera: Camera) -> Float64s:
-    """(n, 2) pixels of the capture, mapped to the undistorted frame."""
+    """(n, 2) pixels of the capture, mapped to the undistorted frame; nan behind the view."""
     if view.lens is not None:
-        lens_directions = lens_rays(view.lens, x)
-        projected = (lens_directions if view.lens.turn is None else lens_directions @ view.lens.turn.T) @ camera.K.T
-        return np.asarray(projected[:, :2] / np.where(projected[:, 2:] > 0, projected[:, 2:], np.nan), dtype=np.float64)
-    scale = np.array([view.width / (view.captured_width or view.width), view.height / (view.captured_height or view.height)])
-    x = (x + 0.5) * scale - 0.5
+        # A wide lens: along the rays of the capture, turned into the view, through its pinhole.
+        directions = lens_rays(view.lens, x)
+        if view.lens.turn is not None:
+            directions = directions @ view.lens.turn.T
+        projected = directions @ camera.K.T
+        z = np.where(projected[:, 2:] > 0, projected[:, 2:], np.nan)
+        return np.asarray(projected[:, :2] / z, dtype=np.float64)
+    # The working resolution: centres of pixels have integer coordinates, hence the halves.
+    scale_x = view.width / (view.captured_width or view.width)
+    scale_y = view.height / (view.captured_height or view.height)
+    x = (x + 0.5) * np.array([scale_x, scale_y]) - 0.5
     if np.any(view.distortion):
         x = np.asarray(cv2.undistortPoints(x[:, None], camera.K, view.distortion, P=camera.K)[:, 0], dtype=np.float64)
     return without_distortion(camera, x)
